@@ -147,7 +147,7 @@ def test_sensors_that_give_attitudes_have_no_camera_and_no_node_of_their_own():
     config = load_config(ShipAttitudeConfig, inertial, "ship_attitude")
     assert config.star_sensors["fore"].input == "inertial_attitude"
     assert config.star_sensors["fore"].sigma_up_arcsec == 4.0
-    assert not config.star_sensors["fore"].camera.given
+    assert not config.star_sensors["fore"].camera.is_given
     assert np.isclose(config.sky.pressure_hpa, 1008.3)
     assert "star_attitude:" not in inertial
     horizon = suite_yaml(load_scenario(PAPER_STARS.parent / "paper.yaml"))

@@ -61,8 +61,8 @@ def sailed(scenario: Scenario, seed: int, output_times_s: list[float]) -> tuple[
     told = EstimatePair([], [])
     for outcome in attitude_outcomes(core, run, set(stamps[rows].tolist())):
         told.at_once.extend(outcome.estimates)
-        assert core.smoothed() == []
-    told.smoothed.extend(core.smoothed_to_the_end())
+        assert core.take_smoothed() == []
+    told.smoothed.extend(core.smoothed_estimates())
     assert [one.time_ns for one in told.smoothed] == [one.time_ns for one in told.at_once] == stamps[rows].tolist()
     return told, run.truth.rotation_nd[rows]
 
@@ -146,8 +146,8 @@ def with_hindsight(ins: list[AttitudeSample], fault_arcsec: float, seed: int) ->
         outcome = core.add_ins(sample, estimate=number % 25 == 5 or number == JUMP - 1)
         told.at_once.extend(outcome.estimates)
         asked_s += [since_s] * len(outcome.estimates)
-        core.smoothed()
-    told.smoothed.extend(core.smoothed_to_the_end())
+        core.take_smoothed()
+    told.smoothed.extend(core.smoothed_estimates())
     assert len(told.smoothed) == len(told.at_once) == 61
     return told, attitudes(np.array(asked_s), SWELL)
 
@@ -217,7 +217,7 @@ def whole_run(arrivals: tuple) -> dict[int, object]:
     core = adapter.core = SmoothingCore(adapter.config, None, None)
     adapter.set_parameters({})  # the methods that feed the core are bound again
     drive(adapter, arrivals)
-    return {one.time_ns: smoothed_message(FACTORY, one, FRAME_NAMES)[1] for one in core.smoothed_to_the_end()}
+    return {one.time_ns: smoothed_message(FACTORY, one, FRAME_NAMES)[1] for one in core.smoothed_estimates()}
 
 
 def test_a_lag_shorter_than_late_data_waits_for_them() -> None:

@@ -267,12 +267,12 @@ def sailed(seed: int) -> EstimatePair:
     run = simulate(scenario, seed)
     ship = SmoothingCore(build(ShipAttitudeConfig, suite_configuration(scenario)), None, None)
     for _ in attitude_outcomes(ship, run, set(run.ins.time_ns.tolist())):
-        ship.smoothed()
+        ship.take_smoothed()
     core = axis_core(scenario)
     white_n = (core.config.ship.white_sigma_arcsec * ARCSEC) ** 2 * np.eye(3)
     samples = {
         one.time_ns: ShipSample(one.time_ns, one.rotation_nd, one.rate_d, one.covariance_n - white_n, one.status)
-        for one in ship.smoothed_to_the_end()
+        for one in ship.smoothed_estimates()
     }
 
     def outcomes() -> Iterator[PointingOutcome]:

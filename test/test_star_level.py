@@ -12,7 +12,7 @@ import pytest
 from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.sky.sky_watch import SkyModel, load_sky_model
-from ship_attitude_star.sky.tracker_attitude import in_horizon
+from ship_attitude_star.sky.tracker_attitude import to_horizon_attitude
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.fit import MatchedStars
 from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
@@ -59,7 +59,7 @@ def sighted(exposures: dict[str, StarExposure], watch: SkyModel, configuration: 
             sensor.installation_sigma_right_arcsec,
         ]
         mounting_b.append(rotation_ds * np.array(sigma_s) * ARCSEC)
-        apparent = watch.at(exposure.time_ns).apparent(exposure.positions)
+        apparent = watch.sky_at(exposure.time_ns).apparent_stars(exposure.positions)
         measured_b = exposure.directions_s @ rotation_ds.T
         of_sensor = np.full(len(exposure), index)
         field_b.append(rotation_ds @ exposure.field_modes)
@@ -188,7 +188,7 @@ def test_a_tracker_in_the_icrs_is_rotated_to_the_true_horizon() -> None:
     watch = configured_sky(run, build(ShipAttitudeConfig, suite_configuration(exact)))
     for id_, samples in run.stars.items():
         inertial = InertialAttitude(id_, int(samples.time_ns[0]), samples.rotation_cv[0], samples.noise_v)
-        found = in_horizon(inertial, watch)
+        found = to_horizon_attitude(inertial, watch)
         true_ns = run.truth.rotation_nd[0] @ run.truth.stars[id_].rotation_dv
         # The estimator refreshes the slow part of its chain every ten seconds.
         assert np.max(np.abs(log_rotation(true_ns.T @ found.rotation_nv))) < 0.5e-3 * ARCSEC

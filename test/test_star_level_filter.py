@@ -142,7 +142,7 @@ def test_streaks_without_exposure_time_are_detected(exposure_s):
     """The errors are larger than they say; or the sensors are found to contradict it."""
     lies = [without_exposure_length(run) for run in streaked(exposure_s, 3)]
     found = [(*final(lie), lie) for lie in lies]
-    told = [core.state.unresolved_fault is not None or bool(core.state.record) for core, _, _ in found]
+    told = [core.state.unresolved_fault is not None or bool(core.state.exclusion_counts) for core, _, _ in found]
     nees = [normalised(lie, estimate) for _, estimate, lie in found]
     assert any(told) or np.mean(nees) > mean_nees_band(len(nees), 3)[1], (told, nees)
 
@@ -190,7 +190,7 @@ class _Airless(LocalSky):
     """Apparent places of stars without air."""
 
     def apparent(self, stars) -> ApparentStars:
-        seen = super().apparent(stars)
+        seen = super().apparent_stars(stars)
         angle = elevation_of(seen.direction_n) - seen.elevation
         return replace(seen, direction_n=lifted(seen.direction_n, -angle))
 
@@ -199,7 +199,7 @@ class SkyWithoutRefraction(SkyModel):
     """Sky without refraction."""
 
     def at(self, time_ns: int) -> LocalSky | Rejection:
-        moment = super().at(time_ns)
+        moment = super().sky_at(time_ns)
         return moment if isinstance(moment, Rejection) else _Airless(**vars(moment))
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ship_attitude_star.layout.installation_model import InstallationReading, ship_rotation
+from ship_attitude_star.layout.installation_model import InstallationConvention, ship_rotation
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import wrap_pi
 from tools.papers.z14 import upright_attitudes
@@ -29,7 +29,7 @@ from tools.papers.z14_factors import (
     random_attitudes,
 )
 
-PAPER, PHYSICAL = InstallationReading.PAPER, InstallationReading.PHYSICAL
+PAPER, PHYSICAL = InstallationConvention.PAPER, InstallationConvention.PHYSICAL
 HOLD_PHYSICALLY = {"3.1 (2)", "3.2 (1)", "3.2 (4)", "3.3 (1)", "3.3 (3)"}
 MISPRINTED, LOST = {12}, {16, 17, 23}
 
@@ -48,7 +48,7 @@ def test_there_are_as_many_conclusions_as_in_the_paper():
     assert all(conclusion.remark for conclusion in CONCLUSIONS if conclusion.place not in HOLD_PHYSICALLY)
 
 
-@pytest.mark.parametrize("reading", InstallationReading)
+@pytest.mark.parametrize("reading", InstallationConvention)
 @pytest.mark.parametrize(("figure", "turn_back_arcsec"), [(3, 1e-9), (6, 8.0)])
 def test_roll_does_not_grow_with_elevation_as_in_the_abstracts(reading, figure, turn_back_arcsec):
     """Abeam, by both abstracts roll grows; along the keel, by the English one, by the Chinese one heading does."""

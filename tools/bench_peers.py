@@ -95,7 +95,7 @@ def _measured(run: SimulatedRun) -> tuple[ShipStateModel, list[Measured]]:
     core = core_for(run.scenario)
     core.filter = ShipFilterWithoutSubfilters(core.config)
     core.reset()
-    step, linearised = core.filter.step, core.filter.linearisation.of
+    step, linearised = core.filter.step, core.filter.linearisation.linearise
     last: list[Any] = []
     measured: list[Measured] = []
 
@@ -110,7 +110,7 @@ def _measured(run: SimulatedRun) -> tuple[ShipStateModel, list[Measured]]:
             measured.append(Measured(time_s, last[1].compared.linear, last[0], result[0].means[0]))
         return result
 
-    core.filter.step, core.filter.linearisation.of = noted, kept  # type: ignore[method-assign]
+    core.filter.step, core.filter.linearisation.linearise = noted, kept  # type: ignore[method-assign]
     feed_attitude(core, run)
     return core.filter.model, measured
 

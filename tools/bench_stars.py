@@ -11,7 +11,7 @@ from bench_rows import Row, by_turns, median_ratio, median_us, own_cpu_s
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.sky.sky_watch import load_sky_model
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
-from ship_attitude_star.star_attitude.exposure_solver import Mounted, solve_deck, solve_exposure
+from ship_attitude_star.star_attitude.exposure_solver import MountedExposure, solve_deck, solve_exposure
 from ship_attitude_star.stars.solution import SolutionStatus
 from ship_estimation.parameters import build
 from ship_replay.trials.monte_carlo import core_for, feed_attitude, sky_input, star_exposure
@@ -50,13 +50,13 @@ def star_solution() -> list[Row]:
     exposures = [star_exposure(run, id_, 0) for id_ in run.stars]
     time_ns = exposures[0].time_ns
     mounted = [
-        Mounted(solve_exposure(exposure, (), None, watch)[0], config.star_sensors[id_].rotation_ds)
+        MountedExposure(solve_exposure(exposure, (), None, watch)[0], config.star_sensors[id_].rotation_ds)
         for id_, exposure in zip(run.stars, exposures, strict=True)
     ]
     at_once = np.zeros((len(mounted), 3, len(mounted), 3))
     solved = solve_deck(time_ns, mounted, at_once, config.star_sensors, None).solution
     assert solved.status is SolutionStatus.VALID
-    stars = [mounted_.placed.stars for mounted_ in mounted]
+    stars = [mounted_.exposure.stars for mounted_ in mounted]
     reference = np.concatenate([star.reference_n for star in stars])
     measured = reference @ solved.rotation_nb
     deck_us, svd_us, scipy_us = by_turns(
@@ -67,7 +67,7 @@ def star_solution() -> list[Row]:
     )
     # A sky caches its results: use a new one each time.
     place_us = median_us(
-        lambda: [dataclasses.replace(watch.at(time_ns), _kept={}).apparent(one.positions) for one in exposures]
+        lambda: [dataclasses.replace(watch.sky_at(time_ns), _kept={}).apparent_stars(one.positions) for one in exposures]
     )
     by_scipy, by_svd = median_ratio(deck_us, scipy_us), median_ratio(deck_us, svd_us)
     return [

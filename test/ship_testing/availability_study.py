@@ -19,7 +19,7 @@ from scipy.stats import chi2, norm
 
 from ship_attitude_star.sky.sky_watch import SkyModel, load_sky_model
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
-from ship_attitude_star.star_attitude.exposure_solver import Mounted, solve_deck, solve_exposure
+from ship_attitude_star.star_attitude.exposure_solver import MountedExposure, solve_deck, solve_exposure
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.selection import StarPrior
 from ship_attitude_star.stars.solution import SolutionStatus, StarSolution
@@ -207,7 +207,7 @@ def joint_solution(scene: Scene, rows: Mapping[str, np.ndarray], with_ins: bool)
             mounting_n = rotation_ns * sensors[id_].installation_sigma_s
             prior = StarPrior(rotation_ns, scene.ins.covariance_n + mounting_n @ mounting_n.T)
         placed, _ = solve_exposure(exposure[rows[id_]], (), prior, scene.sky_model)
-        group.append(Mounted(placed, sensors[id_].rotation_ds))
+        group.append(MountedExposure(placed, sensors[id_].rotation_ds))
     at_once = np.zeros((len(group), 3, len(group), 3))
     return solve_deck(group[0].placed.time_ns, group, at_once, sensors, scene.ins if with_ins else None).solution
 

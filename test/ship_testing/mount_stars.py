@@ -121,9 +121,9 @@ def stars_seen(
         lens: true optics of the camera; None where they are those configured.
         optics: model of the errors of its lens.
     """
-    sky_at_time, catalogue = sky_model.at(time_ns), sky_model.catalogue
+    sky_at_time, catalogue = sky_model.sky_at(time_ns), sky_model.catalogue
     rows = sky_at_time.bright_rows_around(rotation_ns[:, 0], 1.5 * FIELD)
-    apparent = sky_at_time.apparent(catalogue.at_j2000[rows])
+    apparent = sky_at_time.apparent_stars(catalogue.at_j2000[rows])
     seen_s = (apparent.direction_n + apparent.shared_n @ sky) @ rotation_ns
     inside = np.flatnonzero(np.all(np.abs(seen_s[:, 1:] / seen_s[:, :1]) < np.tan(FIELD), axis=-1))
     brightest = inside[np.argsort(catalogue.magnitude[rows[inside]], kind="stable")]
@@ -146,7 +146,7 @@ def stars_seen(
         directions_s=seen_s / np.linalg.norm(seen_s, axis=-1, keepdims=True),
         sigma=np.full(len(kept), STAR_SIGMA),
         positions=catalogue.at_j2000[rows],
-        position_sigma=catalogue.sigma(rows, julian_year(time_ns)),
+        position_sigma=catalogue.position_sigma_at(rows, julian_year(time_ns)),
         magnitude=catalogue.magnitude[rows],
         spatial=spatial,
         optics=optics,

@@ -52,7 +52,7 @@ def outcomes_by_solutions(
         else:
             solved = solver.add_exposure(star_exposure(run, source.partition(".")[2], index)).solved
         for one in solved:
-            if one.valid and one.sensor_id != JOINT:
+            if one.is_valid and one.sensor_id != JOINT:
                 sensor = core.config.star_sensors[one.sensor_id]
                 message = star_horizon_attitude(FACTORY, one, sensor.frame_id)
                 yield core.add_measurement(star_measurement(message, one.sensor_id, sensor, one.time_ns).value)

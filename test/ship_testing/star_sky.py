@@ -62,7 +62,7 @@ def exposure_of(
     """Return the brightest stars in a sensor's field, with noise if ``rng`` is given."""
     catalogue = sky_model.catalogue
     rows = catalogue.rows_brighter_than(MAGNITUDE_LIMIT)
-    apparent = sky_model.at(time_ns).apparent(catalogue.at_j2000[rows])
+    apparent = sky_model.sky_at(time_ns).apparent_stars(catalogue.at_j2000[rows])
     angles = SENSORS[id_]
     rotation_ns = ROTATION_ND @ rotation_from_angles(*np.deg2rad([angles["azimuth_deg"], angles["elevation_deg"], 0.0]))
     if installation_s is not None:
@@ -82,7 +82,7 @@ def exposure_of(
         directions_s=seen,
         sigma=np.full(len(kept), SIGMA),
         positions=catalogue.at_j2000[kept],
-        position_sigma=catalogue.sigma(kept, julian_year(time_ns)),
+        position_sigma=catalogue.position_sigma_at(kept, julian_year(time_ns)),
         magnitude=catalogue.magnitude[kept],
     )
 

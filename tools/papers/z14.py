@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ship_attitude_star.layout.installation_model import SWEEPS, InstallationReading, ship_rotation
+from ship_attitude_star.layout.installation_model import SWEEPS, InstallationConvention, ship_rotation
 from ship_geometry.rotations import FloatArray
 from tools.papers.table import Row, rows_table, table
 from tools.papers.z14_conclusions import ABEAM, AHEAD_ASTERN, CONCLUSIONS, HEADING, PITCH, curve_arcsec, of_star_roll
@@ -18,7 +18,7 @@ from tools.papers.z14_factors import (
     random_attitudes,
 )
 
-PAPER, PHYSICAL = InstallationReading.PAPER, InstallationReading.PHYSICAL
+PAPER, PHYSICAL = InstallationConvention.PAPER, InstallationConvention.PHYSICAL
 EXACT = 1e-12
 """Differences below this are rounding."""
 ATTITUDES = 1000
@@ -104,7 +104,7 @@ def _conclusions() -> Iterator[tuple[str, ...]]:
         yield conclusion.place, conclusion.words, *told, conclusion.remark
 
 
-def _holding(reading: InstallationReading) -> int:
+def _holding(reading: InstallationConvention) -> int:
     return sum(conclusion.holds(reading) for conclusion in CONCLUSIONS)
 
 
@@ -128,14 +128,14 @@ def _factors_in_words() -> str:
     )
 
 
-def _joined(reading: InstallationReading) -> str:
+def _joined(reading: InstallationConvention) -> str:
     """Return the largest difference of the joined printed factors from the exact Jacobian, below 85° of pitch."""
     angles = upright_attitudes(reading)
     difference = float(np.max(np.abs(jacobian_of_factors(angles) - exact_jacobian(angles, reading))))
     return f"{difference:.0f}" if difference > EXACT else "to rounding"
 
 
-def upright_attitudes(reading: InstallationReading) -> FloatArray:
+def upright_attitudes(reading: InstallationConvention) -> FloatArray:
     """Return random attitudes with a ship's pitch below 85° in a reading and in the paper's, shape (n, 6)."""
     angles = random_attitudes(ATTITUDES)
     pitches = [_pitch(angles, each) for each in (reading, PAPER)]
@@ -144,5 +144,5 @@ def upright_attitudes(reading: InstallationReading) -> FloatArray:
     return upright
 
 
-def _pitch(angles: FloatArray, reading: InstallationReading) -> FloatArray:
+def _pitch(angles: FloatArray, reading: InstallationConvention) -> FloatArray:
     return np.arcsin(np.clip(ship_rotation(angles[:, :3], angles[:, 3:], reading)[:, 1, 0], -1.0, 1.0))

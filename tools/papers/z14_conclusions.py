@@ -14,7 +14,7 @@ import numpy as np
 from ship_attitude_star.layout.config import OperatingPoint
 from ship_attitude_star.layout.installation_model import (
     CURVE_AZIMUTHS_DEG,
-    InstallationReading,
+    InstallationConvention,
     all_curves,
     linearise,
     point_angles_deg,
@@ -42,21 +42,21 @@ class Conclusion:
 
     place: str
     words: str
-    holds: Callable[[InstallationReading], bool]
+    holds: Callable[[InstallationConvention], bool]
     remark: str = ""
 
 
-def curve_arcsec(figure: int, azimuth_deg: float | None, reading: InstallationReading) -> FloatArray:
+def curve_arcsec(figure: int, azimuth_deg: float | None, reading: InstallationConvention) -> FloatArray:
     """Return sizes of the errors of heading, pitch, roll in a figure, shape (n, 3)."""
     (curve,) = (
         curve
         for curve in all_curves(POINT)
-        if (curve.sweep.number, curve.azimuth_deg, curve.reading) == (figure, azimuth_deg, reading)
+        if (curve.sweep.number, curve.azimuth_deg, curve.convention) == (figure, azimuth_deg, reading)
     )
     return np.abs(curve.errors_arcsec)
 
 
-def of_star_roll(reading: InstallationReading, **swept_deg: FloatArray | float) -> FloatArray:
+def of_star_roll(reading: InstallationConvention, **swept_deg: FloatArray | float) -> FloatArray:
     """Return sizes of heading, pitch, roll errors by 100" about the boresight, shape (n, 3).
 
     Angles of the operating point are replaced by the swept ones.
@@ -94,13 +94,13 @@ def oscillates(sizes: FloatArray) -> bool:
 # -- section 3.1: an error of 100" about the boresight alone ------------------------------------------------------
 
 
-def peak_of_heading_is_112(reading: InstallationReading) -> bool:
+def peak_of_heading_is_112(reading: InstallationConvention) -> bool:
     """Test over all installation azimuths."""
     peak = np.max(of_star_roll(reading, A0=np.arange(0.0, 360.0, 0.1))[:, HEADING])
     return bool(np.round(peak) == 112.0)
 
 
-def flat_over_star_azimuth(reading: InstallationReading) -> bool:
+def flat_over_star_azimuth(reading: InstallationConvention) -> bool:
     """Test in figure 1."""
     return all(
         np.ptp(curve_arcsec(1, azimuth_deg, reading), axis=0).max() < _ROUNDING_ARCSEC
@@ -108,7 +108,7 @@ def flat_over_star_azimuth(reading: InstallationReading) -> bool:
     )
 
 
-def oscillates_over_es_roll_s_a0(reading: InstallationReading) -> bool:
+def oscillates_over_es_roll_s_a0(reading: InstallationConvention) -> bool:
     """Test over a full turn of Es, of γs and of A0, at each of the four azimuths of the figures."""
     turn_deg = np.arange(0.0, 361.0) + 0.25  # none with a pitch of 90°
     by_a0 = of_star_roll(reading, A0=turn_deg)
@@ -116,7 +116,7 @@ def oscillates_over_es_roll_s_a0(reading: InstallationReading) -> bool:
     return all(oscillates(sizes[:, angle]) for sizes in (by_a0, *swept) for angle in range(3))
 
 
-def ahead_roll_and_abeam_heading(reading: InstallationReading) -> bool:
+def ahead_roll_and_abeam_heading(reading: InstallationConvention) -> bool:
     """Test at E0 = 35°: roll is worst ahead and astern, heading abeam; and figure 3's trends over E0."""
     ahead = [curve_arcsec(3, azimuth_deg, reading) for azimuth_deg in AHEAD_ASTERN]
     abeam = [curve_arcsec(3, azimuth_deg, reading) for azimuth_deg in ABEAM]
@@ -126,7 +126,7 @@ def ahead_roll_and_abeam_heading(reading: InstallationReading) -> bool:
     return worst_is(ROLL, AHEAD_ASTERN, reading) and worst_is(HEADING, ABEAM, reading) and all(trends)
 
 
-def worst_is(angle: int, azimuths_deg: tuple[float, ...], reading: InstallationReading) -> bool:
+def worst_is(angle: int, azimuths_deg: tuple[float, ...], reading: InstallationConvention) -> bool:
     """True if an angle of the ship is the worst one at E0 = 35°, at each of these azimuths."""
     return all(int(np.argmax(sizes)) == angle for sizes in of_star_roll(reading, A0=np.array(azimuths_deg)))
 
@@ -134,12 +134,12 @@ def worst_is(angle: int, azimuths_deg: tuple[float, ...], reading: InstallationR
 # -- section 3.2: all six errors ----------------------------------------------------------------------------------
 
 
-def oscillates_over_installation_azimuth(reading: InstallationReading) -> bool:
+def oscillates_over_installation_azimuth(reading: InstallationConvention) -> bool:
     """Test in figure 4."""
     return all(oscillates(curve_arcsec(4, None, reading)[:, angle]) for angle in range(3))
 
 
-def flat_over_installation_roll(reading: InstallationReading) -> bool:
+def flat_over_installation_roll(reading: InstallationConvention) -> bool:
     """Test in figure 5."""
     return all(
         np.ptp(curve_arcsec(5, azimuth_deg, reading), axis=0).max() < _ROUNDING_ARCSEC
@@ -147,33 +147,33 @@ def flat_over_installation_roll(reading: InstallationReading) -> bool:
     )
 
 
-def pitch_grows_with_elevation(reading: InstallationReading) -> bool:
+def pitch_grows_with_elevation(reading: InstallationConvention) -> bool:
     """Test in figure 6, at all four azimuths."""
     return all(_trend(grows, azimuth_deg, PITCH, reading) for azimuth_deg in CURVE_AZIMUTHS_DEG)
 
 
-def ahead_heading_grows_roll_falls(reading: InstallationReading) -> bool:
+def ahead_heading_grows_roll_falls(reading: InstallationConvention) -> bool:
     """Test in figure 6, A0 = 0."""
     return _trend(grows, 0.0, HEADING, reading) and _trend(falls, 0.0, ROLL, reading)
 
 
-def to_starboard_heading_and_roll_fall(reading: InstallationReading) -> bool:
+def to_starboard_heading_and_roll_fall(reading: InstallationConvention) -> bool:
     """Test in figure 6, A0 = 90°."""
     return _trend(falls, 90.0, HEADING, reading) and _trend(falls, 90.0, ROLL, reading)
 
 
-def astern_heading_grows_roll_falls_then_grows(reading: InstallationReading) -> bool:
+def astern_heading_grows_roll_falls_then_grows(reading: InstallationConvention) -> bool:
     """Test in figure 6, A0 = 180°."""
     return _trend(grows, 180.0, HEADING, reading) and _trend(falls_then_grows, 180.0, ROLL, reading)
 
 
-def to_port_heading_falls_roll_falls_then_grows(reading: InstallationReading) -> bool:
+def to_port_heading_falls_roll_falls_then_grows(reading: InstallationConvention) -> bool:
     """Test in figure 6, A0 = 270°."""
     return _trend(falls, 270.0, HEADING, reading) and _trend(falls_then_grows, 270.0, ROLL, reading)
 
 
 def _trend(
-    kind: Callable[[FloatArray, float], bool], azimuth_deg: float, angle: int, reading: InstallationReading
+    kind: Callable[[FloatArray, float], bool], azimuth_deg: float, angle: int, reading: InstallationConvention
 ) -> bool:
     return kind(curve_arcsec(6, azimuth_deg, reading)[:, angle], _SMALL_ERRORS_ARCSEC)
 
@@ -181,17 +181,17 @@ def _trend(
 # -- section 3.3: the whole ---------------------------------------------------------------------------------------
 
 
-def star_azimuth_moves_heading_alone(reading: InstallationReading) -> bool:
+def star_azimuth_moves_heading_alone(reading: InstallationConvention) -> bool:
     """Test at random attitudes, by a factor of one; and no dependence on As."""
     return _moves_alone("As", HEADING, reading)
 
 
-def installation_roll_moves_roll_alone(reading: InstallationReading) -> bool:
+def installation_roll_moves_roll_alone(reading: InstallationConvention) -> bool:
     """Test at random attitudes, by a factor of one; and no dependence on γ0."""
     return _moves_alone("γ0", ROLL, reading)
 
 
-def _moves_alone(name: str, angle: int, reading: InstallationReading) -> bool:
+def _moves_alone(name: str, angle: int, reading: InstallationConvention) -> bool:
     angles = random_attitudes(200)
     moved = angles.copy()
     moved[:, ANGLES.index(name)] += 1.0
@@ -201,12 +201,12 @@ def _moves_alone(name: str, angle: int, reading: InstallationReading) -> bool:
     return bool(is_one and np.allclose(factors[steady], of_moved[steady], rtol=1e-6, atol=1e-9))
 
 
-def along_the_keel_roll_abeam_heading(reading: InstallationReading) -> bool:
+def along_the_keel_roll_abeam_heading(reading: InstallationConvention) -> bool:
     """Test at the operating point, E0 = 35°."""
     return worst_is(ROLL, AHEAD_ASTERN, reading) and worst_is(HEADING, ABEAM, reading)
 
 
-def pitch_grows_and_the_others_depend_on_the_layout(reading: InstallationReading) -> bool:
+def pitch_grows_and_the_others_depend_on_the_layout(reading: InstallationConvention) -> bool:
     """Test in figure 6: pitch equal at all azimuths; heading and roll differ between azimuths."""
     courses = [curve_arcsec(6, azimuth_deg, reading) for azimuth_deg in CURVE_AZIMUTHS_DEG]
     gains = np.array([course[-1] - course[0] for course in courses])

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.layout.installation_model import InstallationReading, linearise, ship_rotation
+from ship_attitude_star.layout.installation_model import InstallationConvention, linearise, ship_rotation
 from ship_geometry.frames import rotation_from_angles, rotation_vector_from_angle_errors
 from ship_geometry.rotations import FloatArray, skew
 
@@ -57,7 +57,7 @@ class Factor:
 
 
 def _rotation(angles: FloatArray) -> FloatArray:
-    return ship_rotation(angles[..., :3], angles[..., 3:], InstallationReading.PAPER)
+    return ship_rotation(angles[..., :3], angles[..., 3:], InstallationConvention.PAPER)
 
 
 def rotation_by(angles: FloatArray, by: str) -> FloatArray:
@@ -188,7 +188,7 @@ def jacobian_of_factors(angles: FloatArray) -> FloatArray:
     return np.stack([np.stack(angle, axis=-1) for angle in (heading, pitch, roll)], axis=-2)
 
 
-def exact_jacobian(angles: FloatArray, reading: InstallationReading) -> FloatArray:
+def exact_jacobian(angles: FloatArray, reading: InstallationConvention) -> FloatArray:
     """Return the same by the layout study's model, shape (..., 3, 6); NaN at a pitch of the ship of 90°."""
     model = linearise(angles[..., :3], angles[..., 3:], reading)
     return np.concatenate([model.star, model.installation], axis=-1)

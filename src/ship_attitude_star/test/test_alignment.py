@@ -31,7 +31,7 @@ def saved(tmp_path: Path) -> Path:
     return path
 
 
-def started(path: Path, now_ns: int = START_NS, **changes: Any) -> ShipAttitudeAdapter:
+def start_adapter(path: Path, now_ns: int = START_NS, **changes: Any) -> ShipAttitudeAdapter:
     """Return an adapter started with an alignment file and without inputs."""
     adapter = new_adapter(alignment_file=str(path), **changes)
     adapter.tick(now_ns)
@@ -57,7 +57,7 @@ def alignment_text(adapter: ShipAttitudeAdapter, now_ns: int) -> tuple[int, str]
 
 
 def test_saved_alignment_is_the_prior_of_the_next_voyage(saved: Path) -> None:
-    before, configured, now = clean_run().adapter, started(saved.with_name("none")), started(saved)
+    before, configured, now = clean_run().adapter, start_adapter(saved.with_name("none")), start_adapter(saved)
     assert alignment_text(now, START_NS) == (0, "as configured or saved")
     for name in ("ins.time_offset", *(f"star.{s}.{a}" for s in ("fore", "starboard") for a in ("elevation", "roll"))):
         assert value_of(now)[name] == pytest.approx(value_of(before)[name], abs=1e-12)
@@ -92,8 +92,8 @@ def test_a_file_keeps_every_number(saved: Path) -> None:
 
 
 def test_another_serial_number_keeps_the_configured_prior(saved: Path) -> None:
-    configured = started(saved.with_name("none"))
-    now = started(saved, star_sensors__fore__serial="F2")
+    configured = start_adapter(saved.with_name("none"))
+    now = start_adapter(saved, star_sensors__fore__serial="F2")
     for axis in ("azimuth", "elevation", "roll"):
         assert value_of(now)[f"star.fore.{axis}"] == value_of(configured)[f"star.fore.{axis}"]
         assert sigma_of(now)[f"star.fore.{axis}"] == sigma_of(configured)[f"star.fore.{axis}"]
@@ -105,8 +105,8 @@ def test_another_serial_number_keeps_the_configured_prior(saved: Path) -> None:
 
 def test_to_an_old_file_the_configured_uncertainty_is_added(saved: Path) -> None:
     now_ns = START_NS + 31 * DAY_NS
-    configured = started(saved.with_name("none"))
-    old, young = started(saved, now_ns), started(saved, now_ns - 2 * DAY_NS)
+    configured = start_adapter(saved.with_name("none"))
+    old, young = start_adapter(saved, now_ns), start_adapter(saved, now_ns - 2 * DAY_NS)
     for name in ("ins.time_offset", "star.fore.azimuth", "star.fore.elevation", "star.fore.roll"):
         assert value_of(old)[name] == value_of(young)[name] != value_of(configured)[name]
         assert sigma_of(old)[name] > sigma_of(configured)[name] > sigma_of(young)[name]
@@ -119,7 +119,7 @@ def test_to_an_old_file_the_configured_uncertainty_is_added(saved: Path) -> None
 
 def test_the_random_walk_of_the_time_between_is_added(saved: Path) -> None:
     walk = {"star_sensors__fore__installation_walk_up_arcsec_per_sqrt_h": 1.0}
-    sigma = [sigma_of(started(saved, START_NS + 25 * 3600 * 10**9, **w))["star.fore.azimuth"] for w in ({}, walk)]
+    sigma = [sigma_of(start_adapter(saved, START_NS + 25 * 3600 * 10**9, **w))["star.fore.azimuth"] for w in ({}, walk)]
     # Azimuth of a sensor at elevation 45° is (rotation about its up axis) / cos 45° and more: 1" a root hour, 25 hours.
     added = math.sqrt(sigma[1] ** 2 - sigma[0] ** 2)
     assert added == pytest.approx(5.0 * ARCSEC * math.sqrt(2.0), rel=1e-3)
@@ -127,7 +127,7 @@ def test_the_random_walk_of_the_time_between_is_added(saved: Path) -> None:
 
 def test_sensors_missing_in_the_file_or_in_the_configuration(saved: Path) -> None:
     aft = {"azimuth_deg": 180.0, "elevation_deg": 45.0}
-    now = started(saved, star_sensors={"fore": {"azimuth_deg": 0.0, "elevation_deg": 45.0, "serial": "F1"}, "aft": aft})
+    now = start_adapter(saved, star_sensors={"fore": {"azimuth_deg": 0.0, "elevation_deg": 45.0, "serial": "F1"}, "aft": aft})
     assert sigma_of(now)["star.aft.elevation"] == pytest.approx(ARCSEC)
     assert sigma_of(now)["star.fore.elevation"] < ARCSEC
     assert "star.starboard.elevation" not in sigma_of(now)
@@ -253,17 +253,17 @@ def test_after_a_jump_of_the_clock_the_saved_alignment_is_the_start_again(saved:
     run = drive(new_adapter(alignment_file=str(saved)), voyage(1.0))
     run.adapter.clock_jumped_back(START_NS)
     again = drive(run.adapter, voyage(1.0))
-    assert again.state() == run_state(saved)
+    assert again.state() == saved_run_state(saved)
     assert again.results() == drive(new_adapter(alignment_file=str(saved)), voyage(1.0)).results()
 
 
-def run_state(saved: Path) -> Any:
+def saved_run_state(saved: Path) -> Any:
     return drive(new_adapter(alignment_file=str(saved)), voyage(1.0)).state()
 
 
 def test_a_voyage_without_stars_does_not_make_the_alignment_younger_or_older(saved: Path) -> None:
     """Saved again before the first star of a voyage, the alignment equals the loaded one."""
-    adapter, before = started(saved, START_NS + DAY_NS), document(saved)
+    adapter, before = start_adapter(saved, START_NS + DAY_NS), document(saved)
     assert adapter.service("save_alignment", START_NS + DAY_NS).success
     after = document(saved)
     assert after["time_ns"] == before["time_ns"]
@@ -271,17 +271,17 @@ def test_a_voyage_without_stars_does_not_make_the_alignment_younger_or_older(sav
 
 
 def test_without_measurements_nothing_is_saved(tmp_path: Path) -> None:
-    adapter = started(tmp_path / "none.yaml")
+    adapter = start_adapter(tmp_path / "none.yaml")
     told = adapter.service("save_alignment", START_NS)
     assert (told.success, "no star" in told.message) == (False, True)
     assert list(tmp_path.iterdir()) == []
 
 
-def self_saving(path: Path, period_s: float = 1.0, **changes: Any) -> ShipAttitudeAdapter:
+def autosaving_adapter(path: Path, period_s: float = 1.0, **changes: Any) -> ShipAttitudeAdapter:
     return new_adapter(alignment_file=str(path), alignment_autosave_s=period_s, **changes)
 
 
-def known_better(path: Path) -> bytes:
+def save_smaller_covariance(path: Path) -> bytes:
     """Save an alignment whose sigmas are a hundredth of those after the voyage."""
     prior = clean_run().adapter.core.alignment_to_save()
     return ALIGNMENT_FILE.save(path, dataclasses.replace(prior, covariance=prior.covariance * 1e-4))
@@ -317,7 +317,7 @@ class CountedFiles(NotedFiles):
 
 def test_nothing_is_saved_without_a_file_or_with_a_period_of_zero(tmp_path: Path) -> None:
     path = tmp_path / "alignment.yaml"
-    drive(self_saving(path, 0.0), voyage())
+    drive(autosaving_adapter(path, 0.0), voyage())
     run = drive(new_adapter(alignment_autosave_s=1.0), voyage())
     assert not list(tmp_path.iterdir())
     assert run.adapter.notices == []
@@ -325,14 +325,14 @@ def test_nothing_is_saved_without_a_file_or_with_a_period_of_zero(tmp_path: Path
 
 def test_an_attitude_that_no_star_has_aligned_is_not_saved(tmp_path: Path) -> None:
     path = tmp_path / "alignment.yaml"
-    drive(self_saving(path), [arrival for arrival in voyage() if arrival.topic == INS])
+    drive(autosaving_adapter(path), [arrival for arrival in voyage() if arrival.topic == INS])
     assert not path.exists()
 
 
 def test_a_more_accurate_file_is_kept_and_the_reason_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "alignment.yaml"
-    adapter = self_saving(path)  # the more accurate file is written while the node runs
-    better = known_better(path)
+    adapter = autosaving_adapter(path)  # the more accurate file is written while the node runs
+    better = save_smaller_covariance(path)
     run = drive(adapter, voyage())
     assert path.read_bytes() == better
     (notice,) = [text for text in run.adapter.notices if "not saved automatically" in text]
@@ -346,15 +346,15 @@ def test_a_more_accurate_file_is_kept_and_the_reason_is_reported(tmp_path: Path)
 
 def test_the_file_of_the_start_may_be_replaced(tmp_path: Path) -> None:
     path = tmp_path / "alignment.yaml"
-    known_better(path)
+    save_smaller_covariance(path)
     before_ns = ALIGNMENT_FILE.load(path).time_ns
-    drive(self_saving(path), voyage(8.0))
+    drive(autosaving_adapter(path), voyage(8.0))
     assert ALIGNMENT_FILE.load(path).time_ns > before_ns
 
 
 def test_after_a_reset_the_better_file_of_before_stays(tmp_path: Path) -> None:
     path = tmp_path / "alignment.yaml"
-    adapter = drive(self_saving(path), voyage()).adapter
+    adapter = drive(autosaving_adapter(path), voyage()).adapter
     learned = path.read_bytes()
     adapter.service("reset", START_NS)
     drive(adapter, voyage(2.0))
@@ -365,7 +365,7 @@ def test_after_a_reset_the_better_file_of_before_stays(tmp_path: Path) -> None:
 def test_the_alignment_of_another_sensor_is_not_lost(tmp_path: Path, changes: dict[str, Any]) -> None:
     path, prior = tmp_path / "alignment.yaml", clean_run().adapter.core.alignment_to_save()
     foreign = ALIGNMENT_FILE.save(path, dataclasses.replace(prior, covariance=prior.covariance * 1e4, **changes))
-    run = drive(self_saving(path), voyage())
+    run = drive(autosaving_adapter(path), voyage())
     assert path.read_bytes() == foreign
     assert any("which is not configured here" in text for text in run.adapter.notices)
 
@@ -381,7 +381,7 @@ def test_a_state_that_is_not_finite_is_not_saved(tmp_path: Path) -> None:
 def test_a_full_disk_is_reported_once_and_again_when_it_recovers(tmp_path: Path) -> None:
     path = tmp_path / "folder" / "alignment.yaml"
     (tmp_path / "folder").write_text("", encoding="utf-8")
-    adapter = self_saving(path)
+    adapter = autosaving_adapter(path)
     halves = [a for a in voyage() if a.receive_ns < START_NS + 3 * 10**9], voyage()
     drive(adapter, halves[0])
     assert sum("cannot be written" in text for text in adapter.notices) == 1

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeRun, Horizon
+from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeSeries, Horizon
 from ship_attitude_star.ros.attitude_messages import AttitudeNumbers, attitude_messages, attitude_rows
 from ship_bags.message_store import RosbagsFactory
 from ship_estimation.outcome import Status
@@ -47,7 +47,7 @@ def attitudes(count: int = 40) -> list[AttitudeEstimate]:
 
 def test_rows_are_the_messages_of_each_attitude_in_their_order() -> None:
     factory = RosbagsFactory()
-    numbers = AttitudeNumbers.of([AttitudeRun.of_one(attitude) for attitude in attitudes()])
+    numbers = AttitudeNumbers.from_runs([AttitudeSeries.from_estimate(attitude) for attitude in attitudes()])
     found: list[list[tuple[str, bytes]]] = [[] for _ in attitudes()]
     for rows in attitude_rows(factory, numbers, RATE_SIGMA):
         for number, place in enumerate(rows.places.tolist()):

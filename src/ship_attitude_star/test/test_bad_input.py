@@ -34,7 +34,7 @@ ONE_SIGMA = 3.0 * ARCSEC
 Change = Callable[[Any], None]
 
 
-def put(path: str, value: float) -> Change:
+def set_field(path: str, value: float) -> Change:
     """Set a field (``orientation.x``), one element of an array (``covariance.4``) or all of it."""
     *parents, leaf = path.split(".")
 
@@ -86,40 +86,40 @@ CORRELATED_BEYOND_1 = (1.0, 2.0, 0.0), (2.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 NOT_PSD = (1.0, -0.9, -0.9), (-0.9, 1.0, -0.9), (-0.9, -0.9, 1.0)
 
 DROPPED = [
-    ("ins quaternion NaN", INS, put("orientation.x", np.nan), "non_finite", "orientation"),
-    ("ins quaternion infinite", INS, put("orientation.w", -np.inf), "non_finite", "orientation"),
-    ("ins rate NaN", INS, put("angular_velocity.y", np.nan), "non_finite", "angular_velocity"),
-    ("ins covariance NaN", INS, put("orientation_covariance.4", np.nan), "non_finite", "orientation_covariance"),
-    ("ins orientation not given", INS, put("orientation_covariance.0", -1.0), "not_given", "accept_unset_covariance"),
+    ("ins quaternion NaN", INS, set_field("orientation.x", np.nan), "non_finite", "orientation"),
+    ("ins quaternion infinite", INS, set_field("orientation.w", -np.inf), "non_finite", "orientation"),
+    ("ins rate NaN", INS, set_field("angular_velocity.y", np.nan), "non_finite", "angular_velocity"),
+    ("ins covariance NaN", INS, set_field("orientation_covariance.4", np.nan), "non_finite", "orientation_covariance"),
+    ("ins orientation not given", INS, set_field("orientation_covariance.0", -1.0), "not_given", "accept_unset_covariance"),
     ("ins quaternion zero", INS, scale_quaternion(0.0), "bad_quaternion", "no orientation"),
     ("ins quaternion 2 % long", INS, scale_quaternion(1.02), "bad_quaternion", "1.02"),
-    ("ins quaternion overflows", INS, put("orientation.x", 1e300), "bad_quaternion", "1e+300"),
+    ("ins quaternion overflows", INS, set_field("orientation.x", 1e300), "bad_quaternion", "1e+300"),
     ("ins variance negative", INS, covariance("orientation_covariance", *NEGATIVE), "bad_covariance", "negative"),
     ("ins covariance asymmetric", INS, covariance("orientation_covariance", *ASYMMETRIC), "bad_covariance", "symm"),
     ("ins covariance not PSD", INS, covariance("orientation_covariance", *NOT_PSD), "bad_covariance", "definite"),
-    ("ins rate no ship can have", INS, put("angular_velocity.x", 1e200), "units", "rad/s"),
+    ("ins rate no ship can have", INS, set_field("angular_velocity.x", 1e200), "units", "rad/s"),
     ("ins stamp zero", INS, stamp_zero, "bad_stamp", "0 ns"),
-    ("ins stamp negative", INS, put("header.stamp.sec", -5), "bad_stamp", "POSIX time"),
-    ("ins stamp nanoseconds beyond a second", INS, put("header.stamp.nanosec", 4_000_000_000), "bad_stamp", "nanosec"),
+    ("ins stamp negative", INS, set_field("header.stamp.sec", -5), "bad_stamp", "POSIX time"),
+    ("ins stamp nanoseconds beyond a second", INS, set_field("header.stamp.nanosec", 4_000_000_000), "bad_stamp", "nanosec"),
     ("ins from the future", INS, stamp_ahead(0.06), "future", "0.055 s ahead"),
-    ("ins from 2038", INS, put("header.stamp.sec", 2**31 - 1), "future", "ahead"),
-    ("ins frame", INS, put("header.frame_id", "imu_link"), "frame", "'imu_link': expected 'ins'"),
-    ("star azimuth NaN", FORE, put("azimuth", np.nan), "non_finite", "azimuth"),
-    ("star roll infinite", FORE, put("roll", np.inf), "non_finite", "roll"),
-    ("star covariance NaN", FORE, put("rotation_covariance.8", np.nan), "non_finite", "rotation_covariance"),
-    ("star noise NaN", FORE, put("noise_covariance.1", np.nan), "non_finite", "noise_covariance"),
+    ("ins from 2038", INS, set_field("header.stamp.sec", 2**31 - 1), "future", "ahead"),
+    ("ins frame", INS, set_field("header.frame_id", "imu_link"), "frame", "'imu_link': expected 'ins'"),
+    ("star azimuth NaN", FORE, set_field("azimuth", np.nan), "non_finite", "azimuth"),
+    ("star roll infinite", FORE, set_field("roll", np.inf), "non_finite", "roll"),
+    ("star covariance NaN", FORE, set_field("rotation_covariance.8", np.nan), "non_finite", "rotation_covariance"),
+    ("star noise NaN", FORE, set_field("noise_covariance.1", np.nan), "non_finite", "noise_covariance"),
     ("star variance negative", FORE, covariance("rotation_covariance", *NEGATIVE), "bad_covariance", "negative"),
     ("star asymmetric", FORE, covariance("rotation_covariance", *ASYMMETRIC), "bad_covariance", "symmetric"),
     ("star correlation", FORE, covariance("rotation_covariance", *CORRELATED_BEYOND_1), "bad_covariance", "exceeds 1"),
     ("star not PSD", FORE, covariance("rotation_covariance", *NOT_PSD), "bad_covariance", "definite"),
-    ("star noise exceeds total", FORE, put("noise_covariance.0", 1.0), "bad_covariance", "larger than the total"),
-    ("star variance beyond a full turn", FORE, put("rotation_covariance.0", 1e300), "bad_covariance", "full turn"),
+    ("star noise exceeds total", FORE, set_field("noise_covariance.0", 1.0), "bad_covariance", "larger than the total"),
+    ("star variance beyond a full turn", FORE, set_field("rotation_covariance.0", 1e300), "bad_covariance", "full turn"),
     ("star stamp zero", FORE, stamp_zero, "bad_stamp", "0 ns"),
     ("star from the future", FORE, stamp_ahead(0.18), "future", "0.060 s ahead"),
-    ("star frame", FORE, put("header.frame_id", "star_aft"), "frame", "'star_aft': expected 'star_fore'"),
-    ("star elevation in degrees", FORE, put("elevation", 45.0), "units", "degrees"),
-    ("star azimuth in degrees", FORE, put("azimuth", 34.4), "units", "degrees"),
-    ("star invalid by itself", FORE, put("status", 3), "too_few_stars", "INVALID"),
+    ("star frame", FORE, set_field("header.frame_id", "star_aft"), "frame", "'star_aft': expected 'star_fore'"),
+    ("star elevation in degrees", FORE, set_field("elevation", 45.0), "units", "degrees"),
+    ("star azimuth in degrees", FORE, set_field("azimuth", 34.4), "units", "degrees"),
+    ("star invalid by itself", FORE, set_field("status", 3), "too_few_stars", "INVALID"),
 ]
 
 
@@ -186,7 +186,7 @@ def test_a_quaternion_with_all_signs_changed_is_the_same_attitude() -> None:
     assert run.state() == clean_run().state()
 
 
-@pytest.mark.parametrize("unknown", [put("rotation_covariance", 0.0), put("rotation_covariance.0", -1.0)])
+@pytest.mark.parametrize("unknown", [set_field("rotation_covariance", 0.0), set_field("rotation_covariance.0", -1.0)])
 def test_a_star_without_covariance_gets_the_configured_sigma(unknown: Change) -> None:
     """The voyage's stars state 100", 3", 3", which is what the configuration has by default."""
     run = drive(new_adapter(), changed_where(voyage(), lambda a: a.topic == FORE, unknown))
@@ -215,7 +215,7 @@ def test_an_exact_axis_without_other_uncertainty_is_rejected_and_does_not_block(
 
 def test_a_configured_sigma_is_used_if_the_message_gives_none() -> None:
     """With 30 times the sigma, the fore sensor has almost no weight for the heading."""
-    arrivals = changed_where(voyage(), lambda a: a.topic.startswith("star"), put("rotation_covariance", 0.0))
+    arrivals = changed_where(voyage(), lambda a: a.topic.startswith("star"), set_field("rotation_covariance", 0.0))
     coarse = {
         f"star_sensors__{sensor}__sigma_{axis}_arcsec": 3000.0
         for sensor in ("fore", "starboard")
@@ -230,7 +230,7 @@ def test_a_configured_sigma_is_used_if_the_message_gives_none() -> None:
 
 @pytest.mark.parametrize(
     ("unknown", "accepted"),
-    [(put("orientation_covariance", 0.0), False), (put("orientation_covariance.0", -1.0), True)],
+    [(set_field("orientation_covariance", 0.0), False), (set_field("orientation_covariance.0", -1.0), True)],
 )
 def test_an_ins_without_covariance_is_used_as_configured(unknown: Change, accepted: bool) -> None:
     adapter = new_adapter(ins__accept_unset_covariance=accepted)
@@ -243,7 +243,7 @@ def test_an_ins_without_covariance_is_used_as_configured(unknown: Change, accept
 def test_a_reference_without_an_orientation_is_refused_unless_accepted(accepted: bool) -> None:
     """The message that an INS of the same attitude sends, with the first element of its covariance at -1."""
     topic, index = "reference/gyro/imu", index_at(voyage(), INS, MOMENT_S)
-    arrival = changed_copy(voyage()[index], put("orientation_covariance.0", -1.0))
+    arrival = changed_copy(voyage()[index], set_field("orientation_covariance.0", -1.0))
     unset = replace(arrival, topic=topic, receive_ns=arrival.receive_ns + 1)
     adapter = new_adapter(references={"gyro": {"accept_unset_covariance": accepted}})
     run = drive(adapter, in_order((*voyage(), unset)))
@@ -323,7 +323,7 @@ def test_a_source_that_contradicts_itself_is_not_valid_for_ten_seconds(
     """By 20″, once: whichever of the two is kept, outputs based on it are not VALID."""
     arrivals = voyage(16.0)
     index = index_at(arrivals, topic, 3.0)
-    run = drive(new_adapter(), added(arrivals, index, turned_by(20.0), arrivals[index].receive_ns + 1))
+    run = drive(new_adapter(), added(arrivals, index, turn_heading(20.0), arrivals[index].receive_ns + 1))
     # The rates of the INS show a step in the second one, which conflicts with the first one too.
     assert run.reasons(topic) == {"gate" if topic == INS else "conflict": 1}
     until_ns = arrivals[index].stamp_ns + 10 * SECOND_NS
@@ -332,7 +332,7 @@ def test_a_source_that_contradicts_itself_is_not_valid_for_ten_seconds(
     assert {value for ns, value in status.items() if ns > until_ns} == {Status.VALID}
 
 
-def turned_by(arcsec: float) -> Change:
+def turn_heading(arcsec: float) -> Change:
     """Change the heading."""
 
     def change(message: Any) -> None:
@@ -349,9 +349,9 @@ def test_a_star_sensor_that_contradicts_itself_and_is_refused_does_no_harm_to_th
     """Two publishers on one topic, 400″ apart from all others: neither is used, and the other sources are VALID."""
     arrivals = voyage(8.0)
     since_ns = START_NS + 3 * SECOND_NS
-    wrong = changed_where(arrivals, lambda a: a.topic == FORE and a.stamp_ns > since_ns, turned_by(400.0))
+    wrong = changed_where(arrivals, lambda a: a.topic == FORE and a.stamp_ns > since_ns, turn_heading(400.0))
     doubled = [a for a in wrong if a.topic == FORE and a.stamp_ns > since_ns]
-    twice = [replace(changed_copy(a, turned_by(50.0)), receive_ns=a.receive_ns + 1) for a in doubled]
+    twice = [replace(changed_copy(a, turn_heading(50.0)), receive_ns=a.receive_ns + 1) for a in doubled]
     run = drive(new_adapter(), in_order((*wrong, *twice)))
     assert run.reasons(FORE)["conflict"] == len(twice)
     last = run.messages("ship/attitude")[-1]
@@ -391,7 +391,7 @@ def test_ten_messages_in_a_row_from_the_future_are_a_clock_offset() -> None:
 
 def test_a_star_far_off_once_is_gated_and_changes_nothing() -> None:
     """600" in heading: four times the sigma about Up that a sensor looking up by 45° has, 100" sin 45°."""
-    run = drive(new_adapter(), replaced(voyage(), index_at(voyage(), FORE, MOMENT_S), put("azimuth", 0.7)))
+    run = drive(new_adapter(), replaced(voyage(), index_at(voyage(), FORE, MOMENT_S), set_field("azimuth", 0.7)))
     assert run.results() == run_without(FORE).results()
     assert run.state() == run_without(FORE).state()
     assert run.reasons(FORE) == {"gate": 1}

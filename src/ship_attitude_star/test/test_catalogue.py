@@ -79,9 +79,9 @@ def test_bright_stars():
 def test_error_grows_with_the_years_since_the_epoch():
     catalogue = hipparcos()
     row = catalogue.rows(np.array([92_420]))
-    assert catalogue.sigma(row, 1991.25) == pytest.approx(catalogue.position_sigma[row])
+    assert catalogue.position_sigma_at(row, 1991.25) == pytest.approx(catalogue.position_sigma[row])
     expected = np.hypot(catalogue.position_sigma[row], 35.0 * catalogue.pm_sigma[row])
-    assert catalogue.sigma(row, 2026.25) == pytest.approx(expected)
+    assert catalogue.position_sigma_at(row, 2026.25) == pytest.approx(expected)
 
 
 def test_entries_of_an_exposures_stars():
@@ -91,7 +91,7 @@ def test_entries_of_an_exposures_stars():
     entries = catalogue.entries(np.array([92_420, 0, 421]), time_ns)
     assert (entries.rows == UNKNOWN).tolist() == [False, True, True]
     row = entries.rows[:1]
-    assert entries.sigma[:1] == catalogue.sigma(row, julian_year(time_ns))
+    assert entries.sigma[:1] == catalogue.position_sigma_at(row, julian_year(time_ns))
     assert entries.positions[:1].right_ascension == catalogue.at_j2000[row].right_ascension
     assert len(catalogue.entries(np.empty(0, dtype=np.int64), time_ns).rows) == 0
 

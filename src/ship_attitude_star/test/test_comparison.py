@@ -48,13 +48,13 @@ def random_case(seed: int) -> tuple[np.ndarray, InterpolatedAttitude]:
     return mean, InterpolatedAttitude(rotation, rng.normal(scale=0.1, size=3), noise_gain=0.6)
 
 
-def moved(mean: np.ndarray, index: int, by: float) -> np.ndarray:
-    changed = mean.copy()
-    changed[index] += by
-    return changed
+def with_state_error(mean: np.ndarray, index: int, by: float) -> np.ndarray:
+    mean_with_error = mean.copy()
+    mean_with_error[index] += by
+    return mean_with_error
 
 
-def at_changed_time(
+def ins_at_changed_offsets(
     name: str, mean: np.ndarray, changed: np.ndarray, ins: InterpolatedAttitude
 ) -> InterpolatedAttitude:
     """Return the INS attitude at the time given by the changed clock offsets, for a constant rate of the ship."""
@@ -74,9 +74,9 @@ def test_jacobian_of_a_device_is_its_central_difference(name: str, seed: int) ->
     for index in range(MODEL.size):
         turns = []
         for by in (STEP, -STEP):
-            changed = moved(mean, index, by)
+            changed = with_state_error(mean, index, by)
             rotation = predict_attitude(
-                DEVICES[name], MODEL, changed, at_changed_time(name, mean, changed, ins)
+                DEVICES[name], MODEL, changed, ins_at_changed_offsets(name, mean, changed, ins)
             ).rotation_nv
             turns.append(log_rotation(predicted.rotation_nv.T @ rotation))
         difference = (turns[0] - turns[1]) / (2.0 * STEP)
@@ -108,14 +108,14 @@ def test_clock_offsets_have_the_signs_of_the_contract() -> None:
     mean[MODEL.slices["ins.time_offset"]] = 0.005
     mean[MODEL.slices["star.fore.time_offset"]] = 0.001
     mean[MODEL.slices["reference.other.time_offset"]] = 0.002
-    one_second, state = 1_000_000_000, FILTER.fault_detector.start(mean, FILTER.initial_state().covariance_by_source)
+    one_second, state = 1_000_000_000, FILTER.fault_detector.initial_state(mean, FILTER.initial_state().covariance_by_source)
     shifts_ms = {"star.plain": -15, "star.fore": -14, "reference.other": -102}
     for source, shift_ms in shifts_ms.items():
         measurement = AttitudeMeasurement(source, one_second, np.eye(3), np.eye(3))
         assert FILTER.linearisation.ins_time_ns(state.mean, measurement) == one_second + shift_ms * 1_000_000
 
 
-def corrected_at_once(state: FilterState, ins: InterpolatedAttitude) -> tuple[FloatArray, FloatArray]:
+def correct_directly(state: FilterState, ins: InterpolatedAttitude) -> tuple[FloatArray, FloatArray]:
     """Return the attitude at the time of the state, and its covariance by source."""
     of_one = ins.rotation_nd[None], ins.rate_d[None], np.array([ins.noise_gain]), ins.error_covariance_d[None]
     by = [CorrectedIns(FILTER, state)], np.zeros(1, dtype=np.intp)
@@ -131,18 +131,18 @@ def test_covariance_of_the_output_is_that_of_its_errors(seed: int) -> None:
     root = rng.normal(scale=1e-5, size=(MODEL.size, MODEL.size))
     parts = np.zeros((len(MODEL.sources), MODEL.size, MODEL.size))
     parts[0] = root @ root.T
-    state = replace(FILTER.fault_detector.start(mean, parts), time_ns=1_000_000_000)
-    rotation, covariance_parts = corrected_at_once(state, ins)
+    state = replace(FILTER.fault_detector.initial_state(mean, parts), time_ns=1_000_000_000)
+    rotation, covariance_parts = correct_directly(state, ins)
 
     jacobian = np.zeros((3, MODEL.size))
     tau = MODEL.slices["ins.time_offset"].start
     for index in range(MODEL.size):
         turns = []
         for by in (STEP, -STEP):
-            changed = replace(FILTER.fault_detector.start(moved(mean, index, by), parts), time_ns=state.time_ns)
+            changed = replace(FILTER.fault_detector.initial_state(with_state_error(mean, index, by), parts), time_ns=state.time_ns)
             shift_s = -by if index == tau else 0.0
             shifted = InterpolatedAttitude(ins.rotation_nd @ exp_rotation(ins.rate_d * shift_s), ins.rate_d, 0.6)
-            turns.append(log_rotation(corrected_at_once(changed, shifted)[0] @ rotation.T))
+            turns.append(log_rotation(correct_directly(changed, shifted)[0] @ rotation.T))
         jacobian[:, index] = (turns[0] - turns[1]) / (2.0 * STEP)
     white = np.diag(MODEL.blocks["ins.noise"].sigma ** 2) * 0.6
     expected = jacobian @ parts[0] @ jacobian.T + white

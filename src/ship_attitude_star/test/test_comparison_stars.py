@@ -7,7 +7,7 @@ import pytest
 
 from ship_attitude_star.measurements.readings import InertialAttitude, PositionFix
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
-from ship_attitude_star.ship_attitude.alignment import alignment_of
+from ship_attitude_star.ship_attitude.alignment import current_alignment
 from ship_attitude_star.ship_attitude.comparison import predict_attitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
@@ -72,8 +72,8 @@ def test_pixel_errors_of_a_second_exposure_decorrelate_with_star_motion(watch):
     exposure = exposure_of(watch, "fore", 4)
     exposure = replace(exposure, spatial=SpatialErrors(StarCamera(0.05, 5.5e-6, 1023.5, 1023.5), 0.0, 0.2))
     ship_filter = ShipFilter(CONFIG)
-    mean, alone = np.zeros(ship_filter.model.size), exposure.after(None)
-    again = exposure.after(alone.stay)
+    mean, alone = np.zeros(ship_filter.model.size), exposure.with_pixel_dwell(None)
+    again = exposure.with_pixel_dwell(alone.pixel_dwell)
     first, second = (residuals(ship_filter, watch, one, mean).noise[SOURCE_PIXEL] for one in (alone, again))
     np.testing.assert_allclose(np.diagonal(first), np.repeat(exposure.pixel_sigma**2, 2))
     np.testing.assert_allclose(second, 1000.0 * first)
@@ -93,7 +93,7 @@ def test_the_filter_stores_the_pixel_dwell_of_a_sensor(watch):
     state, second = ship_filter.step(state, later, ins_track(), watch)
     assert first.accepted
     assert second.accepted
-    assert state.stays["star.fore"].exposures == 1
+    assert state.pixel_dwells["star.fore"].exposure_count == 1
     assert np.trace(second.noise) > 3.0 * np.trace(first.noise)
 
 
@@ -247,7 +247,7 @@ def test_fixes_in_any_order_end_in_the_same_state():
     last = end([*ins, *exposures, *reversed(fixes)])
     np.testing.assert_array_equal(first.mean, last.mean)
     np.testing.assert_array_equal(first.covariance_by_source, last.covariance_by_source)
-    assert first.used_ns["star.fore"] == exposures[-1].time_ns
+    assert first.last_used_ns["star.fore"] == exposures[-1].time_ns
 
 
 def test_stars_without_identity_are_identified_by_the_prediction(ship_filter, watch):
@@ -290,7 +290,7 @@ def test_the_alignment_states_the_errors_of_the_optics_in_their_own_units() -> N
     state = ship_filter.initial_state()
     means = state.means.copy()
     means[:, ship_filter.model.slices["star.fore.optics"]] = [2.0, -1.0, 3.0, 0.5]
-    found = alignment_of(ship_filter, config, replace(state, means=means))
+    found = current_alignment(ship_filter, config, replace(state, means=means))
     sigmas = np.sqrt(np.diagonal(found.covariance))
     # Relative focal length, pixels, k1: in sigmas of 4e-4, 0.5 px and 0.01.
     expected = {

@@ -5,7 +5,7 @@ import pytest
 
 from ship_attitude_star.stars import compiled_fit
 from ship_attitude_star.stars.camera import tangent_basis
-from ship_attitude_star.stars.fit import MatchedStars, StarFit, linearized
+from ship_attitude_star.stars.fit import MatchedStars, StarFit, linearise_stars
 from ship_geometry.rotations import exp_rotation, skew
 
 STARS, SENSORS, TURNS, SHARED = 7, 2, 3, 4
@@ -15,7 +15,7 @@ def equal(found: np.ndarray, expected: np.ndarray) -> None:
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13 * np.abs(expected).max())
 
 
-def seen(sensors: int, turns: int) -> MatchedStars:
+def random_stars(sensors: int, turns: int) -> MatchedStars:
     """Return random stars of several sensors near their expected directions."""
     rng = np.random.default_rng(1)
     reference_n = rng.normal(size=(STARS, 3))
@@ -28,22 +28,22 @@ def seen(sensors: int, turns: int) -> MatchedStars:
         shared_n=1e-5 * rng.normal(size=(STARS, 3, SHARED)),
         sensor=rng.integers(0, max(sensors, 1), STARS),
         mounting_b=1e-4 * rng.normal(size=(sensors, 3, 3)),
-        turned_b=1e-5 * rng.normal(size=(max(sensors, 1), 3, turns)) if turns else None,
+        time_transfer_b=1e-5 * rng.normal(size=(max(sensors, 1), 3, turns)) if turns else None,
     )
 
 
 @pytest.mark.parametrize(("sensors", "turns"), [(0, 0), (SENSORS, 0), (SENSORS, TURNS), (0, TURNS)])
 def test_stars_are_linearised_as_by_numpy(sensors: int, turns: int) -> None:
-    stars, rotation_nb = seen(sensors, turns), exp_rotation(np.array([0.1, 0.2, 0.3]))
-    fit = linearized(stars, rotation_nb)
+    stars, rotation_nb = random_stars(sensors, turns), exp_rotation(np.array([0.1, 0.2, 0.3]))
+    fit = linearise_stars(stars, rotation_nb)
     per_sigma = 1.0 / stars.white_sigma[:, None, None]
     about_star = -per_sigma * skew(stars.reference_n)
     blocks = [about_star]
     for sensor in range(sensors):
         own = (stars.sensor == sensor)[:, None, None]
         blocks.append(own * (about_star @ rotation_nb @ stars.mounting_b[sensor]))
-    if stars.turned_b is not None:
-        blocks.append(about_star @ rotation_nb @ stars.turned_b[stars.sensor])
+    if stars.time_transfer_b is not None:
+        blocks.append(about_star @ rotation_nb @ stars.time_transfer_b[stars.sensor])
     residual_n = stars.reference_n - stars.measured_b @ rotation_nb.T
     equal(fit.jacobian, np.concatenate([*blocks, -per_sigma * stars.shared_n], axis=-1))
     equal(fit.residual_n, residual_n)
@@ -51,7 +51,7 @@ def test_stars_are_linearised_as_by_numpy(sensors: int, turns: int) -> None:
 
 
 def test_normal_equations_are_those_of_the_members() -> None:
-    fit, members = linearized(seen(SENSORS, TURNS), np.eye(3)), np.arange(STARS) % 3 != 1
+    fit, members = linearise_stars(random_stars(SENSORS, TURNS), np.eye(3)), np.arange(STARS) % 3 != 1
     rows, flat = fit.jacobian[members].reshape(-1, fit.jacobian.shape[-1]), fit.displacement[members].ravel()
     information, right_side = fit.normal_equations(members)
     equal(information, rows.T @ rows)
@@ -61,7 +61,7 @@ def test_normal_equations_are_those_of_the_members() -> None:
 
 @pytest.mark.parametrize("open_", [0, 3])
 def test_stars_are_solved_as_by_numpy(open_: int) -> None:
-    fit, members = linearized(seen(SENSORS, TURNS), np.eye(3)), np.arange(STARS) % 3 != 1
+    fit, members = linearise_stars(random_stars(SENSORS, TURNS), np.eye(3)), np.arange(STARS) % 3 != 1
     rows, flat = fit.jacobian[members].reshape(-1, fit.jacobian.shape[-1]), fit.displacement[members].ravel()
     # Unknowns in units of sigma are of order one.
     unit = np.where(np.arange(rows.shape[1]) < 3, 1e5, 1.0)
@@ -70,15 +70,15 @@ def test_stars_are_solved_as_by_numpy(open_: int) -> None:
     prior = np.diag((np.arange(rows.shape[1]) >= open_).astype(float))
     expected = np.linalg.solve(rows.T @ rows + prior, flat @ rows)
     equal(judgement.information, rows.T @ rows)
-    equal(judgement.constrained, rows.T @ rows + prior)
-    np.testing.assert_allclose(judgement.solution, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+    equal(judgement.information_with_prior, rows.T @ rows + prior)
+    np.testing.assert_allclose(judgement.unknowns, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
     left = flat - rows @ expected
     assert judgement.chi_square == pytest.approx(left @ left + expected @ prior @ expected, rel=1e-9)
     assert judgement.degrees == 2 * np.count_nonzero(members) - open_
 
 
 def test_stars_that_do_not_determine_the_attitude_are_refused() -> None:
-    fit = linearized(seen(0, 0), np.eye(3))
+    fit = linearise_stars(random_stars(0, 0), np.eye(3))
     with pytest.raises(np.linalg.LinAlgError):
         fit.solve(np.zeros(STARS, dtype=bool))
     with pytest.raises(np.linalg.LinAlgError):
@@ -86,7 +86,7 @@ def test_stars_that_do_not_determine_the_attitude_are_refused() -> None:
 
 
 def test_with_a_prediction_the_attitude_is_in_units_of_its_sigmas() -> None:
-    fit, rng = linearized(seen(SENSORS, 0), np.eye(3)), np.random.default_rng(3)
+    fit, rng = linearise_stars(random_stars(SENSORS, 0), np.eye(3)), np.random.default_rng(3)
     root, turn_n = rng.normal(size=(3, 3)), 1e-4 * rng.normal(size=3)
     covariance_n = root @ root.T
     for expected_n in (None, turn_n):
@@ -106,7 +106,7 @@ def test_covariances_by_term_are_as_by_numpy() -> None:
     white_n, share = root @ root.T, rng.uniform(0.0, 1.0, STARS) * (np.arange(STARS) != 2)
     information = np.einsum("kia,kib->ab", jacobian, jacobian)
     term_of = np.array([1, 1, 1, 1, 1, 2, 3, 4, 4])
-    parts, shares = compiled_fit.covariances(white_n, information, jacobian, share, term_of, 6)
+    parts, shares = compiled_fit.attitude_covariances(white_n, information, jacobian, share, term_of, 6)
     turns = white_n @ information[:3, 3:]
     for term in range(6):
         own = turns[:, term_of == term]
@@ -116,13 +116,13 @@ def test_covariances_by_term_are_as_by_numpy() -> None:
 
 
 def test_residuals_of_stars_are_as_by_numpy() -> None:
-    stars, members = seen(0, 0), np.arange(STARS) % 4 != 2
+    stars, members = random_stars(0, 0), np.arange(STARS) % 4 != 2
     rng = np.random.default_rng(2)
     rotation_ns, to_sensor = exp_rotation(rng.normal(size=3)), rng.normal(size=(3, 9))
     estimate = rng.normal(size=SHARED)
     expected_n = stars.reference_n + stars.shared_n @ estimate
     expected_n /= np.linalg.norm(expected_n, axis=-1, keepdims=True)
-    equal(compiled_fit.expected(stars.reference_n, stars.shared_n, estimate), expected_n)
+    equal(compiled_fit.expected_directions(stars.reference_n, stars.shared_n, estimate), expected_n)
     found = compiled_fit.residuals(
         stars.measured_b, expected_n, stars.shared_n, members.view(np.uint8), rotation_ns, to_sensor, 5
     )
@@ -138,7 +138,7 @@ def test_residuals_of_stars_are_as_by_numpy() -> None:
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
     """The loops check no bounds."""
-    stars, none = seen(0, 0), np.empty((0, 3, 0))
+    stars, none = random_stars(0, 0), np.empty((0, 3, 0))
     arguments = (
         stars.measured_b,
         stars.reference_n,
@@ -151,13 +151,13 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
     )
     for place in (0, 1, 2, 3, 4):
         with pytest.raises(ValueError, match="do not fit together"):
-            compiled_fit.linearized(*arguments[:place], arguments[place][1:], *arguments[place + 1 :])
+            compiled_fit.linearise_stars(*arguments[:place], arguments[place][1:], *arguments[place + 1 :])
     for place, wrong in ((5, np.zeros((1, 3, 2))), (6, np.zeros((1, 2, 1))), (7, np.eye(2))):
         with pytest.raises(ValueError, match="do not fit together"):
-            compiled_fit.linearized(*arguments[:place], wrong, *arguments[place + 1 :])
+            compiled_fit.linearise_stars(*arguments[:place], wrong, *arguments[place + 1 :])
     of_another = [*arguments[:4], stars.sensor + 1, np.zeros((1, 3, 3)), none, np.eye(3)]
     with pytest.raises(ValueError, match="sensor"):
-        compiled_fit.linearized(*of_another)
+        compiled_fit.linearise_stars(*of_another)
     everyone = np.ones(STARS, dtype=np.uint8)
     with pytest.raises(ValueError, match="stars"):
         compiled_fit.normal_equations(np.zeros((STARS, 3, 7)), np.zeros((STARS, 3)), everyone[1:])
@@ -166,14 +166,14 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ValueError, match="vectors"):
         compiled_fit.solve_normal_equations(np.zeros((STARS, 2, 7)), np.zeros((STARS, 3)), everyone, 3)
     with pytest.raises(ValueError, match="vectors"):
-        compiled_fit.predicted(np.zeros((STARS, 3, 7)), np.zeros((STARS, 3)), np.eye(2), np.zeros(3))
+        compiled_fit.apply_prior(np.zeros((STARS, 3, 7)), np.zeros((STARS, 3)), np.eye(2), np.zeros(3))
     for term_of in (np.zeros(5, dtype=np.intp), np.full(4, 2)):
         with pytest.raises(ValueError, match=r"unknowns|terms"):
-            compiled_fit.covariances(
+            compiled_fit.attitude_covariances(
                 np.eye(3), np.eye(7), np.zeros((STARS, 3, 7)), np.zeros(STARS), term_of, 2
             )
     with pytest.raises(ValueError, match="estimate"):
-        compiled_fit.expected(stars.reference_n, stars.shared_n, np.zeros(SHARED + 1))
+        compiled_fit.expected_directions(stars.reference_n, stars.shared_n, np.zeros(SHARED + 1))
     with pytest.raises(ValueError, match="states"):
         compiled_fit.residuals(
             stars.measured_b, stars.reference_n, stars.shared_n, everyone, np.eye(3), np.zeros((3, 9)), 6

@@ -52,14 +52,14 @@ def draw_field(rng, camera, true, stars=10, sigma_px=SIGMA_PX, shift_px=None):
     )
 
 
-def estimated(camera, fields, **options):
+def estimate(camera, fields, **options):
     return estimate_optics(reduce(add, [field_information(camera, field) for field in fields]), **options)
 
 
 @CAMERAS
 def test_stars_without_noise_give_the_true_optics(camera):
     rng, true = np.random.default_rng(1), true_camera(camera, 5e-4, 0.7, -0.4)
-    found = estimated(camera, [draw_field(rng, camera, true, sigma_px=0.0) for _ in range(20)])
+    found = estimate(camera, [draw_field(rng, camera, true, sigma_px=0.0) for _ in range(20)])
     # The correction is linear: the remainder is of second order.
     assert found.scale == pytest.approx(5e-4, abs=1e-6)
     assert found.principal_px == pytest.approx([0.7, -0.4], abs=0.02)
@@ -81,7 +81,7 @@ def test_the_estimate_equals_scipys_least_squares_over_attitudes_and_optics(came
         return np.concatenate(left).ravel()
 
     by_scipy = least_squares(residuals, np.zeros(3 + 3 * len(fields)), x_scale=10.0, xtol=1e-12, ftol=1e-14)
-    found = estimated(camera, fields)
+    found = estimate(camera, fields)
     sigma = np.sqrt(np.diagonal(found.covariance))
     off = np.array([found.scale, *found.principal_px]) - by_scipy.x[:3] * [1e-4, 1.0, 1.0]
     np.testing.assert_allclose(off / sigma, 0.0, atol=0.02)
@@ -104,7 +104,7 @@ def test_errors_are_as_large_as_the_covariance_states(camera, prior):
         rng = np.random.default_rng([36, seed])
         optics = np.array([2e-4, 1.0, 1.0]) * rng.standard_normal(3)
         fields = [draw_field(rng, camera, true_camera(camera, *optics)) for _ in range(5)]
-        found = estimated(camera, fields, prior_sigma=prior_sigma)
+        found = estimate(camera, fields, prior_sigma=prior_sigma)
         error = np.array([found.scale, *found.principal_px]) - optics
         squares.append(error @ np.linalg.solve(found.covariance, error))
         chi_square, degrees = chi_square + found.chi_square, degrees + found.degrees
@@ -115,7 +115,7 @@ def test_errors_are_as_large_as_the_covariance_states(camera, prior):
 
 def test_five_fields_of_ten_stars_show_a_twentieth_of_a_percent_beyond_five_sigma():
     rng = np.random.default_rng(4)
-    found = estimated(PLAIN, [draw_field(rng, PLAIN, true_camera(PLAIN, 5e-4)) for _ in range(5)])
+    found = estimate(PLAIN, [draw_field(rng, PLAIN, true_camera(PLAIN, 5e-4)) for _ in range(5)])
     # 0.13 px over the RMS distance from the middle, 836 px, and the root of five times nine stars: 2.3e-5.
     assert found.scale_sigma < 3e-5
     assert abs(found.scale - 5e-4) < 3.3 * found.scale_sigma
@@ -142,7 +142,7 @@ def test_a_smooth_error_of_the_detector_widens_the_sigma():
     with_map = [
         replace(field, field_b=errors.field_modes(field.measured_b), field_sources=sources) for field in fields
     ]
-    without, found = estimated(PLAIN, fields), estimated(PLAIN, with_map)
+    without, found = estimate(PLAIN, fields), estimate(PLAIN, with_map)
     assert with_map[0].field_b.shape[-1] == FIELD_MODES
     # 0.3 px RMS over the detector, of which the larger part is linear; 591 px is the RMS of u and of v.
     assert 0.3 * 0.3 / 591.0 < found.scale_sigma < 0.3 / 591.0

@@ -56,11 +56,11 @@ def test_a_tilt_difference_is_no_heading_mistake() -> None:
     assert heading_hint(np.full((3, 3), np.nan), deck(30.0), "star.fore", False) == ""
 
 
-def off(arcsec: tuple[float, float, float], sigma_arcsec: float = 3.0) -> AttitudeResidual:
+def residual_of(arcsec: tuple[float, float, float], sigma_arcsec: float = 3.0) -> AttitudeResidual:
     return AttitudeResidual(0, np.array(arcsec) * ARCSEC, np.eye(3) * (sigma_arcsec * ARCSEC) ** 2)
 
 
-MAST, FORE, OTHER = off((300.0, 20.0, 0.0)), off((290.0, 10.0, 5.0)), off((-200.0, 0.0, 400.0))
+MAST, FORE, OTHER = residual_of((300.0, 20.0, 0.0)), residual_of((290.0, 10.0, 5.0)), residual_of((-200.0, 0.0, 400.0))
 
 
 @pytest.mark.parametrize(
@@ -82,4 +82,4 @@ def test_the_inconsistent_source_is_named(
 
 def test_noise_about_the_boresight_is_no_disagreement_among_sensors() -> None:
     noisy = AttitudeResidual(0, np.array([150.0, 20.0, 110.0]) * ARCSEC, np.diag([100.0, 3.0, 100.0]) ** 2 * ARCSEC**2)
-    assert consistency_text("star.a", [], {"star.a": off((150.0, 20.0, 0.0)), "star.b": noisy}).startswith("only the INS")
+    assert consistency_text("star.a", [], {"star.a": residual_of((150.0, 20.0, 0.0)), "star.b": noisy}).startswith("only the INS")

@@ -9,10 +9,10 @@ from scipy.stats import poisson
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.sky.sky_watch import SkyModel
-from ship_attitude_star.stars.chance import MOST_BY_CHANCE, by_chance
+from ship_attitude_star.stars.chance import MAX_FALSE_MATCHES, expected_false_matches
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
-from ship_attitude_star.stars.identification import candidates
-from ship_attitude_star.stars.selection import StarPrior, across, select_stars
+from ship_attitude_star.stars.identification import find_candidates
+from ship_attitude_star.stars.selection import StarPrior, perpendicular_basis, select_stars
 from ship_attitude_star.stars.solution import SolutionStatus, solve_with_fallback
 from ship_estimation.gates import chi_square_gate
 from ship_estimation.refusals import Reason
@@ -66,10 +66,10 @@ def test_the_number_of_false_matches_is_the_expected_one(watch: SkyModel, prior:
         # The position of the field in the sky is drawn too, because stars are not uniformly distributed.
         turn = exp_rotation(np.array([0.0, rng.uniform(0.0, 2.0 * np.pi), 0.0]))
         moved = StarPrior(turn @ known.rotation_nb, turn @ known.covariance_n @ turn.T)
-        exposure, moment = false_exposure(watch, 4, rng), watch.at(TIME_NS)
-        found = candidates(exposure.directions_s, exposure.sigma, exposure.magnitude, None, moved, moment)
-        fitting += int(np.count_nonzero(found.fitting))
-        basis = across(exposure.directions_s @ moved.rotation_nb.T)
+        exposure, moment = false_exposure(watch, 4, rng), watch.sky_at(TIME_NS)
+        found = find_candidates(exposure.directions_s, exposure.sigma, exposure.magnitude, None, moved, moment)
+        fitting += int(np.count_nonzero(found.is_match))
+        basis = perpendicular_basis(exposure.directions_s @ moved.rotation_nb.T)
         density = moment.bright.density(exposure.magnitude, 1.5)
         for row in range(4):
             turned = basis[row] @ np.cross(np.eye(3), moved.rotation_nb @ exposure.directions_s[row])
@@ -132,18 +132,18 @@ def test_a_single_star_is_accepted_if_the_prior_leaves_no_rival(
     assert decision.accepted == used
     if not used:
         assert decision.reason is Reason.UNIDENTIFIED
-        assert not state.used_ns
+        assert not state.last_used_ns
 
 
 def test_each_further_star_reduces_false_matches(watch: SkyModel) -> None:
     prior = prior_of(3.0 * DEGREE, 3.0 * DEGREE)
     _, stars, _ = visible_stars(exposure_of(watch, "fore", 6), watch, prior)
-    basis, numbers = across(stars.reference_n), []
+    basis, numbers = perpendicular_basis(stars.reference_n), []
     for count in range(1, 7):
         members = np.arange(6) < count
-        numbers.append(by_chance(stars, members, basis, prior.covariance_n))
+        numbers.append(expected_false_matches(stars, members, basis, prior.covariance_n))
     assert numbers == sorted(numbers, reverse=True)
-    assert numbers[0] > 1.0 > MOST_BY_CHANCE > numbers[2]
+    assert numbers[0] > 1.0 > MAX_FALSE_MATCHES > numbers[2]
     assert select_stars(stars, prior).members.all()
 
 

@@ -60,7 +60,7 @@ def nees(run: Run, from_s: float = 0.0) -> np.ndarray:
     return np.array([e @ np.linalg.solve(p, e) for e, p in map(error_and_covariance, valid)])
 
 
-def assert_honest(run: Run) -> None:
+def assert_consistent(run: Run) -> None:
     """No VALID attitude is off by more than five standard deviations about any axis."""
     for message in run.messages("ship/attitude"):
         if message.status == Status.VALID:
@@ -73,7 +73,7 @@ def of_ins(from_s: float = -1.0, until_s: float = 1e9) -> Callable[[Arrival], bo
     return lambda a: a.topic == INS and from_s <= (a.stamp_ns - START_NS) * 1e-9 < until_s
 
 
-def scaled(factor: float) -> Change:
+def scale_rates(factor: float) -> Change:
     """Scale the rates, as for another unit or none at all."""
 
     def change(message: Any) -> None:
@@ -83,7 +83,7 @@ def scaled(factor: float) -> Change:
     return change
 
 
-def turned(*arcsec_n: float) -> Change:
+def turn_attitude(*arcsec_n: float) -> Change:
     """Rotate the attitude about North, Up, East."""
 
     def change(message: Any) -> None:
@@ -101,7 +101,7 @@ def hold_values(arrivals: Arrivals, from_s: float) -> Change:
     return change
 
 
-def negated_w(message: Any) -> None:
+def negate_w(message: Any) -> None:
     message.orientation.w = -message.orientation.w
 
 
@@ -112,7 +112,7 @@ def only_gaps(run: Run) -> int:
     return max(counts.get("gap", 0) for counts in reasons)
 
 
-def thinned(arrivals: Arrivals, keep: int) -> Arrivals:
+def thin_out(arrivals: Arrivals, keep: int) -> Arrivals:
     """Every ``keep``-th sample of the INS."""
     numbers = {id(a): n for n, a in enumerate(a for a in arrivals if a.topic == INS)}
     return tuple(a for a in arrivals if a.topic != INS or numbers[id(a)] % keep == 0)
@@ -124,9 +124,9 @@ def thinned(arrivals: Arrivals, keep: int) -> Arrivals:
 @pytest.mark.parametrize("zero_rates", [False, True])
 def test_one_wrong_sample_is_refused_and_changes_nothing(zero_rates: bool) -> None:
     """``orientation.w`` negated once: a unit quaternion, more than a right angle away from the ship."""
-    arrivals = changed_where(voyage(), of_ins(), scaled(0.0)) if zero_rates else voyage()
+    arrivals = changed_where(voyage(), of_ins(), scale_rates(0.0)) if zero_rates else voyage()
     index = index_at(arrivals, INS, 3.0)
-    run = drive(new_adapter(), replaced(arrivals, index, negated_w))
+    run = drive(new_adapter(), replaced(arrivals, index, negate_w))
     without = drive(new_adapter(), (*arrivals[:index], *arrivals[index + 1 :]))
     assert run.reasons(INS) == {"gate": 1}
     assert "from its prediction by earlier samples" in run.innovations(Reason.GATE)[0].reason_text
@@ -136,15 +136,15 @@ def test_one_wrong_sample_is_refused_and_changes_nothing(zero_rates: bool) -> No
 
 def test_a_wrong_sample_that_comes_late_is_refused_too() -> None:
     index = index_at(voyage(), INS, 3.0)
-    run = drive(new_adapter(), replaced(voyage(), index, negated_w, voyage()[index].receive_ns + SECOND_NS // 2))
+    run = drive(new_adapter(), replaced(voyage(), index, negate_w, voyage()[index].receive_ns + SECOND_NS // 2))
     assert run.reasons(INS) == {"gate": 1}
-    assert_honest(run)
+    assert_consistent(run)
 
 
 @pytest.mark.parametrize("size_arcsec", [100.0, 3600.0, 90.0 * 3600.0])
 def test_a_permanent_jump_inflates_the_covariance_until_stars_are_consistent(size_arcsec: float) -> None:
     """Five are rejected; the sixth is accepted, DEGRADED, with an error as large as the jump, until a star was used."""
-    jumped = changed_where(voyage(8.0), of_ins(3.0), turned(0.0, size_arcsec, 0.0))
+    jumped = changed_where(voyage(8.0), of_ins(3.0), turn_attitude(0.0, size_arcsec, 0.0))
     run = drive(new_adapter(), jumped)
     assert run.reasons(INS) == {"gate": 5}
     after = [m for m in run.messages("ship/attitude") if seconds(m) >= 3.0]
@@ -155,14 +155,14 @@ def test_a_permanent_jump_inflates_the_covariance_until_stars_are_consistent(siz
     assert {m.status for m in after[len(degraded) :]} == {Status.VALID}
     error_n, covariance_n = error_and_covariance(after[0])
     assert np.abs(error_n[1]) < 1.5 * np.sqrt(covariance_n[1, 1])
-    assert_honest(run)
+    assert_consistent(run)
     # Except for one in the gap all stars are used: the jump is in the INS error, as it should be.
     assert only_gaps(run) <= 1
 
 
 def test_without_stars_a_jump_stays_degraded() -> None:
     arrivals = [a for a in voyage(8.0) if a.topic == INS or a.stamp_ns < START_NS + 3 * SECOND_NS]
-    run = drive(new_adapter(coasting_after_s=100.0), changed_where(arrivals, of_ins(4.0), turned(0.0, 3600.0, 0.0)))
+    run = drive(new_adapter(coasting_after_s=100.0), changed_where(arrivals, of_ins(4.0), turn_attitude(0.0, 3600.0, 0.0)))
     after = [m for m in run.messages("ship/attitude") if seconds(m) >= 4.0]
     assert {m.status for m in after} == {Status.DEGRADED}
     told = run.diagnostics("attitude", run.now_ns - SECOND_NS, run.now_ns)[-1][1]
@@ -170,7 +170,7 @@ def test_without_stars_a_jump_stays_degraded() -> None:
 
 
 def test_the_number_of_rejected_samples_is_a_live_parameter() -> None:
-    jumped = changed_where(voyage(), of_ins(3.0), turned(0.0, 3600.0, 0.0))
+    jumped = changed_where(voyage(), of_ins(3.0), turn_attitude(0.0, 3600.0, 0.0))
     assert drive(new_adapter(ins__jump_samples=2), jumped).reasons(INS) == {"gate": 2}
     adapter = drive(new_adapter(), [a for a in jumped if a.stamp_ns < START_NS + 2 * SECOND_NS]).adapter
     adapter.set_parameters({"ins.jump_samples": 3})
@@ -179,7 +179,7 @@ def test_the_number_of_rejected_samples_is_a_live_parameter() -> None:
 
 
 def test_a_late_star_from_before_a_jump_is_compared_with_the_attitude_before_it() -> None:
-    jumped = changed_where(voyage(), of_ins(3.0), turned(0.0, 3600.0, 0.0))
+    jumped = changed_where(voyage(), of_ins(3.0), turn_attitude(0.0, 3600.0, 0.0))
     late = replaced(jumped, index_at(jumped, FORE, 2.8), lambda message: None, START_NS + 4 * SECOND_NS)
     assert drive(new_adapter(), late).state() == drive(new_adapter(), jumped).state()
 
@@ -189,15 +189,15 @@ def test_a_late_star_from_before_a_jump_is_compared_with_the_attitude_before_it(
 
 @pytest.mark.parametrize("keep", [1, 2])
 def test_zero_rates_are_not_used_and_the_attitude_is_consistent(keep: int) -> None:
-    run = drive(new_adapter(), changed_where(thinned(voyage(20.0), keep), of_ins(), scaled(0.0)))
+    run = drive(new_adapter(), changed_where(thin_out(voyage(20.0), keep), of_ins(), scale_rates(0.0)))
     assert run.reasons(INS).keys() <= {"rate_not_measured"}
-    assert_honest(run)
+    assert_consistent(run)
     # The errors of one voyage hardly change in a second: 99.9 % of chi square for one draw or a few.
     assert np.mean(nees(run, 2.0)) < 12.0
     reports = run.diagnostics("ins rates", START_NS + SECOND_NS, run.now_ns)
     assert {level for level, _ in reports} == {1}
     assert "not used" in reports[0][1]
-    assert_same_attitudes(run, drive(new_adapter(), changed_where(thinned(voyage(20.0), keep), of_ins(), no_rate)))
+    assert_same_attitudes(run, drive(new_adapter(), changed_where(thin_out(voyage(20.0), keep), of_ins(), no_rate)))
 
 
 def test_a_sigma_of_the_ins_that_contradicts_the_configured_one_is_reported() -> None:
@@ -230,10 +230,10 @@ def assert_same_attitudes(one: Run, other: Run) -> None:
 
 
 def test_failing_rates_cost_half_a_second_and_no_star() -> None:
-    run = drive(new_adapter(), changed_where(voyage(12.0), of_ins(4.0, 9.0), scaled(0.0)))
+    run = drive(new_adapter(), changed_where(voyage(12.0), of_ins(4.0, 9.0), scale_rates(0.0)))
     refused = run.reasons(INS)["gate"]
     assert 1 <= refused <= 16
-    assert_honest(run)
+    assert_consistent(run)
     assert only_gaps(run) <= 3
     # No star is rejected: the estimated INS errors are kept.
     sigma = [np.sqrt(m.covariance[0]) for m in run.messages("ship/attitude") if seconds(m) > 5.0]
@@ -242,7 +242,7 @@ def test_failing_rates_cost_half_a_second_and_no_star() -> None:
 
 def test_at_rest_the_result_of_the_rate_check_is_kept() -> None:
     """Rates in degrees; the ship is at rest for ten seconds, and the wrong rates have no effect afterwards."""
-    arrivals = changed_where(voyage(22.0), of_ins(0.0, 22.0), scaled(np.rad2deg(1.0)))
+    arrivals = changed_where(voyage(22.0), of_ins(0.0, 22.0), scale_rates(np.rad2deg(1.0)))
     first = arrivals[index_at(arrivals, INS, 8.0)].message
 
     def rest(message: Any) -> None:
@@ -257,9 +257,9 @@ def test_at_rest_the_result_of_the_rate_check_is_kept() -> None:
 
 
 def test_five_seconds_of_rates_in_degrees_have_no_lasting_effect() -> None:
-    run = drive(new_adapter(), changed_where(voyage(30.0), of_ins(6.0, 11.5), scaled(np.rad2deg(1.0))))
+    run = drive(new_adapter(), changed_where(voyage(30.0), of_ins(6.0, 11.5), scale_rates(np.rad2deg(1.0))))
     assert run.reasons(INS).keys() >= {"gate", "units"}
-    assert_honest(run)
+    assert_consistent(run)
     assert run.messages("ship/attitude")[-1].status == Status.VALID
     alignment = run.adapter.core.alignment()
     index = alignment.names.index("ins.time_offset")
@@ -269,8 +269,8 @@ def test_five_seconds_of_rates_in_degrees_have_no_lasting_effect() -> None:
 
 
 def test_rates_in_degrees_from_the_start_have_no_lasting_effect() -> None:
-    run = drive(new_adapter(), changed_where(voyage(20.0), of_ins(0.0, 5.0), scaled(np.rad2deg(1.0))))
-    assert_honest(run)
+    run = drive(new_adapter(), changed_where(voyage(20.0), of_ins(0.0, 5.0), scale_rates(np.rad2deg(1.0))))
+    assert_consistent(run)
     assert run.messages("ship/attitude")[-1].status == Status.VALID
 
 
@@ -293,31 +293,31 @@ def test_a_frozen_ins_and_a_frozen_star_are_detected_by_the_other_star_and_the_r
         told = [seconds(m) for m in run.innovations(Reason.STUCK) if m.source == source]
         assert 4.0 < told[0] < 6.0
     assert max(seconds(m) for m in run.innovations(Reason.STUCK)) < 9.0
-    assert_honest(run)
+    assert_consistent(run)
     assert run.messages("ship/attitude")[-1].status == Status.VALID
 
 
 def test_a_jump_with_rates_in_degrees_and_back() -> None:
-    faulty = changed_where(voyage(25.0), of_ins(5.0, 12.0), scaled(np.rad2deg(1.0)))
-    run = drive(new_adapter(), changed_where(faulty, of_ins(5.0), turned(600.0, 3600.0, 0.0)))
-    assert_honest(run)
+    faulty = changed_where(voyage(25.0), of_ins(5.0, 12.0), scale_rates(np.rad2deg(1.0)))
+    run = drive(new_adapter(), changed_where(faulty, of_ins(5.0), turn_attitude(600.0, 3600.0, 0.0)))
+    assert_consistent(run)
     assert run.messages("ship/attitude")[-1].status == Status.VALID
 
 
 def test_a_wrong_sample_while_frozen_is_refused() -> None:
     frozen = changed_where(voyage(10.0), of_ins(3.0, 6.0), hold_values(voyage(10.0), 3.0))
-    run = drive(new_adapter(), replaced(frozen, index_at(frozen, INS, 5.0), turned(0.0, 3600.0, 0.0)))
+    run = drive(new_adapter(), replaced(frozen, index_at(frozen, INS, 5.0), turn_attitude(0.0, 3600.0, 0.0)))
     refused = run.reasons(INS)
     assert refused["gate"] + refused["stuck"] == 74
-    assert_honest(run)
+    assert_consistent(run)
     assert run.messages("ship/attitude")[-1].status == Status.VALID
 
 
 def test_without_order_a_jump_is_never_valid_and_wrong() -> None:
     """Samples and stars arrive up to a second late, in any order, around a jump."""
     rng = np.random.default_rng(3)
-    jumped = changed_where(voyage(8.0), of_ins(3.0), turned(0.0, 3600.0, 0.0))
+    jumped = changed_where(voyage(8.0), of_ins(3.0), turn_attitude(0.0, 3600.0, 0.0))
     late = in_order(
         Arrival(a.topic, a.message, a.receive_ns + round(rng.uniform(0.0, 1.0) * SECOND_NS)) for a in jumped
     )
-    assert_honest(drive(new_adapter(), late))
+    assert_consistent(drive(new_adapter(), late))

@@ -194,9 +194,9 @@ def test_without_ins_samples_nothing_is_known() -> None:
 
 def test_a_sample_is_awaited_only_while_it_may_still_help() -> None:
     some = motion(StarInsConfig(max_gap_s=0.5), *(sample(t) for t in range(0, 200, 40)))
-    waits = {time_ms: some.awaited(START_NS + time_ms * MS) for time_ms in (100, 161, 659, 660)}
+    waits = {time_ms: some.is_awaited(START_NS + time_ms * MS) for time_ms in (100, 161, 659, 660)}
     assert waits == {100: False, 161: True, 659: True, 660: False}
-    assert not motion(StarInsConfig()).awaited(START_NS)
+    assert not motion(StarInsConfig()).is_awaited(START_NS)
 
 
 def test_a_repeated_stamp_is_reported_and_the_order_does_not_matter() -> None:
@@ -208,7 +208,7 @@ def test_a_repeated_stamp_is_reported_and_the_order_does_not_matter() -> None:
         refusals = [some.add(s) for s in (sample(0), pair[0], pair[1], sample(80))]
         assert [None if r is None else r.reason for r in refusals] == [None, None, Reason.CONFLICT, None]
         assert some.deck_prior(START_NS + 40 * MS) is None
-        assert not some.awaited(START_NS + 100 * MS)
+        assert not some.is_awaited(START_NS + 100 * MS)
         for ms in later_ms:
             assert some.add(sample(ms)) is None
         assert some.deck_prior(START_NS + 10_035 * MS) is None
@@ -230,7 +230,7 @@ def test_dropped_data_are_not_needed() -> None:
     assert some.deck_prior(START_NS + 100 * MS) is None
 
 
-def jumped_motion(size_rad: float) -> InsMotion:
+def motion_with_jump(size_rad: float) -> InsMotion:
     """Its attitude jumps about Up at 0.8 s; five samples are rejected."""
     some, step = InsMotion(StarInsConfig(), PlausibilityChecks(StarInsConfig())), np.array([0.0, size_rad, 0.0])
     refusals = []
@@ -242,7 +242,7 @@ def jumped_motion(size_rad: float) -> InsMotion:
 
 
 def test_after_a_jump_the_covariance_holds_it_and_no_rotation_spans_it() -> None:
-    some = jumped_motion(0.01)
+    some = motion_with_jump(0.01)
     before, after = (some.deck_prior(START_NS + time_ms * MS) for time_ms in (700, 1500))
     sigma_up = [np.sqrt(prior.covariance_n[1, 1]) for prior in (before, after)]
     assert sigma_up[0] < 0.001

@@ -5,7 +5,7 @@ import pytest
 
 from ship_attitude_star.layout.installation_model import (
     ErrorModel,
-    InstallationReading,
+    InstallationConvention,
     combine_attitudes,
     linearise,
     ship_rotation,
@@ -14,10 +14,10 @@ from ship_estimation.gates import mean_nees_band, normalized_error_squared, sigm
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi
 
-BOTH = pytest.mark.parametrize("reading", list(InstallationReading))
+BOTH = pytest.mark.parametrize("reading", list(InstallationConvention))
 
 
-def at_operating_point(azimuth_deg: FloatArray, reading: InstallationReading) -> ErrorModel:
+def at_operating_point(azimuth_deg: FloatArray, reading: InstallationConvention) -> ErrorModel:
     """The example of [Z14]: As 235°, Es 45°, roll_s 90°, E0 35°, roll_0 0."""
     azimuth_deg = np.asarray(azimuth_deg, dtype=float)
     installation_deg = np.stack([azimuth_deg, np.full_like(azimuth_deg, 35.0), np.zeros_like(azimuth_deg)], axis=-1)
@@ -28,7 +28,7 @@ def random_angles(rng: np.random.Generator, count: int) -> FloatArray:
     return np.deg2rad(rng.uniform([0.0, -80.0, -180.0], [360.0, 80.0, 180.0], (count, 3)))
 
 
-def random_layouts(reading: InstallationReading, count: int) -> tuple[FloatArray, FloatArray]:
+def random_layouts(reading: InstallationConvention, count: int) -> tuple[FloatArray, FloatArray]:
     """Return layouts with a pitch below 85°: beyond it differences of angles are meaningless."""
     rng = np.random.default_rng(14)
     star, installation = random_angles(rng, 2 * count), random_angles(rng, 2 * count)
@@ -36,7 +36,7 @@ def random_layouts(reading: InstallationReading, count: int) -> tuple[FloatArray
     return star[upright][:count], installation[upright][:count]
 
 
-def ship_angles(star: FloatArray, installation: FloatArray, reading: InstallationReading) -> FloatArray:
+def ship_angles(star: FloatArray, installation: FloatArray, reading: InstallationConvention) -> FloatArray:
     return angles_from_rotation(ship_rotation(star, installation, reading))
 
 
@@ -45,42 +45,42 @@ def ship_angles(star: FloatArray, installation: FloatArray, reading: Installatio
 
 def test_paper_convention_has_the_papers_peaks() -> None:
     azimuth_deg = np.arange(0.0, 360.0, 0.1)
-    errors = np.abs(100.0 * at_operating_point(azimuth_deg, InstallationReading.PAPER).star[:, :, 2])
+    errors = np.abs(100.0 * at_operating_point(azimuth_deg, InstallationConvention.PAPER).star[:, :, 2])
     np.testing.assert_allclose(errors.max(axis=0), [112.07, 70.71, 61.64], atol=0.005)
     # The peak repeats after half a revolution.
     assert azimuth_deg[np.argmax(errors[:1800, 0])] == pytest.approx(105.0, abs=0.5)
 
 
 def test_physical_convention_ahead_and_abeam() -> None:
-    errors = np.abs(100.0 * at_operating_point(np.array([0.0, 90.0]), InstallationReading.PHYSICAL).star[:, :, 2])
+    errors = np.abs(100.0 * at_operating_point(np.array([0.0, 90.0]), InstallationConvention.PHYSICAL).star[:, :, 2])
     np.testing.assert_allclose(errors[0], [35.01, 49.75, 61.64], atol=0.005)
     np.testing.assert_allclose(errors[1], [141.42, 0.0, 100.0], atol=0.005)
 
 
 def test_conventions_differ_where_the_paper_claims_equality() -> None:
-    physical, paper = (at_operating_point(np.array([90.0]), reading).star[0, 0, 2] for reading in InstallationReading)
+    physical, paper = (at_operating_point(np.array([90.0]), reading).star[0, 0, 2] for reading in InstallationConvention)
     assert abs(physical) == pytest.approx(1.4142, abs=1e-4)
     assert abs(paper) == pytest.approx(1.0641, abs=1e-4)
 
 
 def test_installation_roll_moves_only_roll_in_the_papers_convention() -> None:
-    model = linearise(*random_layouts(InstallationReading.PAPER, 200), InstallationReading.PAPER)
+    model = linearise(*random_layouts(InstallationConvention.PAPER, 200), InstallationConvention.PAPER)
     np.testing.assert_allclose(model.installation[:, :, 2], np.tile([0.0, 0.0, 1.0], (200, 1)), atol=1e-12)
 
 
 def test_installation_roll_is_minus_the_sensors_roll_physically() -> None:
-    model = linearise(*random_layouts(InstallationReading.PHYSICAL, 200), InstallationReading.PHYSICAL)
+    model = linearise(*random_layouts(InstallationConvention.PHYSICAL, 200), InstallationConvention.PHYSICAL)
     np.testing.assert_allclose(model.installation[:, :, 2], -model.star[:, :, 2], atol=1e-12)
 
 
 @BOTH
-def test_azimuth_of_the_sensor_moves_only_heading(reading: InstallationReading) -> None:
+def test_azimuth_of_the_sensor_moves_only_heading(reading: InstallationConvention) -> None:
     model = linearise(*random_layouts(reading, 200), reading)
     np.testing.assert_allclose(model.star[:, :, 0], np.tile([1.0, 0.0, 0.0], (200, 1)), atol=1e-12)
 
 
 @BOTH
-def test_jacobians_are_the_central_differences(reading: InstallationReading) -> None:
+def test_jacobians_are_the_central_differences(reading: InstallationConvention) -> None:
     star, installation = random_layouts(reading, 1000)
     model = linearise(star, installation, reading)
     assert len(star) == 1000
@@ -96,7 +96,7 @@ def test_jacobians_are_the_central_differences(reading: InstallationReading) -> 
 
 
 @BOTH
-def test_covariance_is_that_of_monte_carlo(reading: InstallationReading) -> None:
+def test_covariance_is_that_of_monte_carlo(reading: InstallationConvention) -> None:
     rng = np.random.default_rng(2014)
     samples = 4000
     star_covariance = _random_covariance(rng, [3.0, 3.0, 100.0])
@@ -115,7 +115,7 @@ def test_covariance_is_that_of_monte_carlo(reading: InstallationReading) -> None
 
 
 def test_errors_add_with_their_signs() -> None:
-    model = at_operating_point(np.array([0.0]), InstallationReading.PHYSICAL)
+    model = at_operating_point(np.array([0.0]), InstallationConvention.PHYSICAL)
     both = model.errors(np.array([3.0, 3.0, 100.0]), np.array([1.0, 1.0, 20.0]))
     apart = model.star @ [3.0, 3.0, 100.0] + model.installation @ [1.0, 1.0, 20.0]
     np.testing.assert_allclose(both, apart)
@@ -124,7 +124,7 @@ def test_errors_add_with_their_signs() -> None:
 
 
 @BOTH
-def test_a_sweep_is_its_single_layouts(reading: InstallationReading) -> None:
+def test_a_sweep_is_its_single_layouts(reading: InstallationConvention) -> None:
     star, installation = random_layouts(reading, 20)
     model = linearise(star.reshape(4, 5, 3), installation.reshape(4, 5, 3), reading)
     assert model.star.shape == (4, 5, 3, 3)

@@ -125,7 +125,7 @@ def test_measurements_between_the_same_two_samples_share_their_error_of_interpol
     ):
         used_ns = {source: time_ns - before_ns for source, before_ns in used.items()}
         state, track = core.state, core._track
-        found = core.filter.linearisation.of(measured, state.mean, state.covariance, used_ns, track, None)
+        found = core.filter.linearisation.linearise(measured, state.mean, state.covariance, used_ns, track, None)
         row = core.filter.model.source_indices[SOURCE_INTERPOLATION]
         noise.append(np.trace(found.compared.linear.noise_by_source[row]))
     np.testing.assert_allclose(np.array(noise) / noise[0], [1.0, 5.0, 10.0, 1.0, 1.0])

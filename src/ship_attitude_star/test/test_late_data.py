@@ -26,7 +26,7 @@ from ship_testing.small_voyage import FORE, INS, STARBOARD, clean_run, drive, ne
 LAG_S = 2.0
 
 
-def shuffled(seed: int, topics: tuple[str, ...]) -> tuple[Arrival, ...]:
+def shuffle(seed: int, topics: tuple[str, ...]) -> tuple[Arrival, ...]:
     """Delays drawn over the whole lag for these topics, a few milliseconds for the others."""
     rng = np.random.default_rng(seed)
     late = np.array([a.topic in topics for a in voyage()])
@@ -41,7 +41,7 @@ SHUFFLES = [
 
 @pytest.mark.parametrize(("seed", "topics"), SHUFFLES)
 def test_any_order_within_the_lag_ends_in_the_same_state(seed: int, topics: tuple[str, ...]) -> None:
-    run = drive(new_adapter(), shuffled(seed, topics))
+    run = drive(new_adapter(), shuffle(seed, topics))
     clean = clean_run()
     assert run.state() == clean.state()
     assert run.health(INS).rejected == 0
@@ -57,7 +57,7 @@ def test_any_order_within_the_lag_ends_in_the_same_state(seed: int, topics: tupl
 
 
 def test_the_shuffled_order_differs() -> None:
-    stamps = np.array([a.stamp_ns for a in shuffled(4, (INS, FORE, STARBOARD))])
+    stamps = np.array([a.stamp_ns for a in shuffle(4, (INS, FORE, STARBOARD))])
     assert np.mean(np.diff(stamps) < 0) > 0.4
     assert np.max(np.maximum.accumulate(stamps) - stamps) > 1.8 * SECOND_NS
 

@@ -9,9 +9,9 @@ import pytest
 
 from ship_attitude_star.layout.config import OperatingPoint, study_config
 from ship_attitude_star.layout.figures import plan_figure
-from ship_attitude_star.layout.installation_model import SWEEPS, Curve, InstallationReading, all_curves, linearise
+from ship_attitude_star.layout.installation_model import SWEEPS, Curve, InstallationConvention, all_curves, linearise
 from ship_attitude_star.layout.joint_error import Layout, error_map, total_arcsec
-from ship_attitude_star.layout.study import recommended, scan_azimuth, study
+from ship_attitude_star.layout.study import recommend_azimuths, scan_azimuth, compute_study
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
 
@@ -102,7 +102,7 @@ def test_refraction_raises_every_star() -> None:
 def test_recommended_azimuth_is_a_right_angle_in_space() -> None:
     """Equal sensors at elevation E are at right angles for cos(azimuth) = -tan² E: 119.4° at 35°."""
     given = layout_of(sensor(0.0), sensor(90.0))
-    best = recommended(given)
+    best = recommend_azimuths(given)
     assert np.rad2deg(best.angles[:, 0]) == pytest.approx([0.0, 119.4], abs=0.5)
     assert total_arcsec(best.sigmas_arcsec()) < total_arcsec(given.sigmas_arcsec())
     low, high = scan_azimuth(best, 1).good_deg or (0.0, 0.0)
@@ -115,7 +115,7 @@ def test_no_random_layout_is_clearly_better_than_the_recommended_one() -> None:
     angles = np.tile(given.angles, (3000, 1, 1))
     angles[:, 1:, 0] = np.random.default_rng(8).uniform(0.0, 2.0 * np.pi, (3000, 2))
     at_random = total_arcsec(given.sigmas_arcsec(angles)).min()
-    assert total_arcsec(recommended(given).sigmas_arcsec()) < 1.03 * at_random
+    assert total_arcsec(recommend_azimuths(given).sigmas_arcsec()) < 1.03 * at_random
 
 
 def test_map_contains_the_layout_itself() -> None:
@@ -141,16 +141,16 @@ def test_map_of_a_heeled_ship_omits_directions_below_the_horizon() -> None:
 CURVES = all_curves(OperatingPoint())
 
 
-def curves_of(number: int, reading: InstallationReading) -> list[Curve]:
-    return [curve for curve in CURVES if curve.sweep.number == number and curve.reading is reading]
+def curves_of(number: int, reading: InstallationConvention) -> list[Curve]:
+    return [curve for curve in CURVES if curve.sweep.number == number and curve.convention is reading]
 
 
-def errors_of(number: int, reading: InstallationReading) -> FloatArray:
+def errors_of(number: int, reading: InstallationConvention) -> FloatArray:
     return np.array([curve.errors_arcsec for curve in curves_of(number, reading)])
 
 
-@pytest.mark.parametrize("reading", list(InstallationReading))
-def test_each_figure_has_its_curves(reading: InstallationReading) -> None:
+@pytest.mark.parametrize("reading", list(InstallationConvention))
+def test_each_figure_has_its_curves(reading: InstallationConvention) -> None:
     for sweep in SWEEPS:
         azimuths = [curve.azimuth_deg for curve in curves_of(sweep.number, reading)]
         assert azimuths == ([None] if sweep.symbol == "A0" else [0.0, 90.0, 180.0, 270.0])
@@ -158,26 +158,26 @@ def test_each_figure_has_its_curves(reading: InstallationReading) -> None:
         assert (swept[0], swept[-1]) == sweep.range_deg
 
 
-@pytest.mark.parametrize("reading", list(InstallationReading))
-def test_figure_1_is_flat(reading: InstallationReading) -> None:
+@pytest.mark.parametrize("reading", list(InstallationConvention))
+def test_figure_1_is_flat(reading: InstallationConvention) -> None:
     assert np.ptp(errors_of(1, reading), axis=1).max() < 1e-9
 
 
 def test_figure_5_is_flat_only_in_the_papers_convention() -> None:
-    assert np.ptp(errors_of(5, InstallationReading.PAPER), axis=1).max() < 1e-9
-    assert np.nanmax(np.ptp(errors_of(5, InstallationReading.PHYSICAL), axis=1)) > 50.0
+    assert np.ptp(errors_of(5, InstallationConvention.PAPER), axis=1).max() < 1e-9
+    assert np.nanmax(np.ptp(errors_of(5, InstallationConvention.PHYSICAL), axis=1)) > 50.0
 
 
 def test_figure_3_starts_and_ends_at_the_formulas() -> None:
     """models.md §3 at Es 45°: sqrt 2 in heading for E0 = 0 abeam, none ahead; both 1/sqrt 2 at E0 = 90°."""
-    heading = np.abs(errors_of(3, InstallationReading.PAPER)[:2, :, 0])
+    heading = np.abs(errors_of(3, InstallationConvention.PAPER)[:2, :, 0])
     np.testing.assert_allclose(heading[:, 0], [0.0, 141.42], atol=0.01)
     np.testing.assert_allclose(heading[:, -1], [70.71, 70.71], atol=0.01)
 
 
 def test_figure_4_adds_all_errors() -> None:
     """Compared with the ship's own angles, changed by the six errors at once."""
-    curve = curves_of(4, InstallationReading.PHYSICAL)[0]
+    curve = curves_of(4, InstallationConvention.PHYSICAL)[0]
     for index in (0, 100, 250):
         star, installation = np.deg2rad([235.0, 45.0, 90.0]), np.deg2rad([curve.swept_deg[index], 35.0, 0.0])
         model = linearise(star, installation)
@@ -193,7 +193,7 @@ def test_numbers_of_boresights_do_not_overlap() -> None:
     """Sensors with equal boresights, and names longer than the plan has room for."""
     angles = {"fore": (0.0, 45.0), "mast": (0.0, 45.0), "bridge_wing_starboard": (95.0, 45.0), "wing_two": (90.0, 50.0)}
     sensors = {name: {"azimuth_deg": a, "elevation_deg": e} for name, (a, e) in angles.items()}
-    computed = study(study_config({"sensors": sensors}))
+    computed = compute_study(study_config({"sensors": sensors}))
     figure = plan_figure(computed.layout, computed.best)
     figure.canvas.draw()
     (axes,) = figure.axes

@@ -130,7 +130,7 @@ def test_bad_layout_is_one_line(text: str, reason: str, tmp_path: Path, capsys: 
 
 
 def test_existing_output_files_are_refused_before_the_study(written: Path, tmp_path: Path) -> None:
-    assert {path.name for path in written.iterdir()} == set(layout_study_command.written(study_config({})))
+    assert {path.name for path in written.iterdir()} == set(layout_study_command.output_names(study_config({})))
     before = {path: path.read_bytes() for path in written.iterdir()}
     assert main(["--out", str(written)]) == 2
     assert {path: path.read_bytes() for path in written.iterdir()} == before

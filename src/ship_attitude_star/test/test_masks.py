@@ -5,7 +5,7 @@ import pytest
 
 from ship_attitude_star.layout.config import study_config
 from ship_attitude_star.layout.masks import Obstructions
-from ship_attitude_star.layout.study import study
+from ship_attitude_star.layout.study import compute_study
 from ship_estimation.parameters import ParameterError
 from ship_geometry.frames import rotation_from_angles
 
@@ -29,15 +29,15 @@ ACROSS_BOW = {"azimuths_deg": [350.0, 370.0, 360.0], "elevations_deg": [0.0, 0.0
 )
 def test_masks_in_the_way_are_named(masks: dict[str, object], reason: str) -> None:
     with pytest.raises(ParameterError, match=reason):
-        study(study_config({"sensors": {"a": {"azimuth_deg": 0.0, "elevation_deg": 35.0}}, "masks": masks}))
+        compute_study(study_config({"sensors": {"a": {"azimuth_deg": 0.0, "elevation_deg": 35.0}}, "masks": masks}))
 
 
 def test_recommended_azimuths_are_clear_of_masks() -> None:
     """Without masks 119 deg is recommended; a crane from 100 to 140 deg moves it to the nearest clear edge."""
     crane = {"azimuths_deg": [100.0, 140.0, 140.0, 100.0], "elevations_deg": [0.0, 0.0, 60.0, 60.0]}
     sensors = {name: {"azimuth_deg": azimuth, "elevation_deg": 35.0} for name, azimuth in (("a", 0.0), ("b", 70.0))}
-    free = study(study_config({"sensors": sensors}))
-    masked = study(study_config({"sensors": sensors, "masks": {"crane": crane}}))
+    free = compute_study(study_config({"sensors": sensors}))
+    masked = compute_study(study_config({"sensors": sensors, "masks": {"crane": crane}}))
     assert np.rad2deg(free.best.angles[1, 0]) == pytest.approx(119.0)
     azimuth_deg = np.rad2deg(masked.best.angles[1, 0]) % 360.0
     assert np.isfinite(masked.best_arcsec).all()

@@ -235,7 +235,7 @@ def test_without_ins_and_stars_the_attitude_is_invalid_until_they_return() -> No
     intervals = np.diff([since_start_s(m) for m in silent])
     assert np.all(intervals <= 1.1)
     for message in silent:
-        assert_claims_nothing(message)
+        assert_no_attitude(message)
     imus = [m for m in run.messages("ship/imu") if 2.961 <= since_start_s(m) < 8.0]
     assert imus == []
     level, text = run.diagnostics("attitude", START_NS + 5 * SECOND_NS, START_NS + 8 * SECOND_NS)[-1]
@@ -245,7 +245,7 @@ def test_without_ins_and_stars_the_attitude_is_invalid_until_they_return() -> No
     assert_strictly_increasing(run)
 
 
-def assert_claims_nothing(message: Any) -> None:
+def assert_no_attitude(message: Any) -> None:
     q, rate = message.orientation, message.angular_velocity
     numbers = [message.heading, message.pitch, message.roll, q.x, q.y, q.z, q.w, rate.x, rate.y, rate.z]
     assert np.all(np.isnan([*numbers, *message.covariance, *message.rotation_covariance]))
@@ -324,7 +324,7 @@ def test_a_reset_restarts_the_filter_without_earlier_stamps() -> None:
 # -- conflicts ----------------------------------------------------------------------------------------------
 
 
-def as_ned_frd(message: Any) -> None:
+def convert_to_ned_frd(message: Any) -> None:
     """Messages of a driver configured for NED <- FRD: its yaw is the heading itself."""
     rotation_nd = rotation_of(message)
     x, y, z, w = Rotation.from_matrix(NED_FROM_HORIZON @ rotation_nd @ FRD_FROM_DEVICE.T).as_quat().tolist()
@@ -336,7 +336,7 @@ def as_ned_frd(message: Any) -> None:
 @pytest.mark.parametrize("heading_deg", [1.0, 80.0, 91.0, 136.0, 181.0, 200.0, 314.0])
 def test_heading_given_as_yaw_is_a_conflict_with_a_hint(heading_deg: float) -> None:
     """ENU yaw = 90° - heading; a driver that sends the heading itself is detected at any heading."""
-    arrivals = changed_where(voyage(4.0, heading_deg), lambda a: a.topic == INS, as_ned_frd)
+    arrivals = changed_where(voyage(4.0, heading_deg), lambda a: a.topic == INS, convert_to_ned_frd)
     run = drive(new_adapter(), arrivals)
     conflicts = run.innovations(Reason.ATTITUDE_CONFLICT)
     assert {m.source for m in conflicts} == {"star.fore", "star.starboard"}
@@ -350,7 +350,7 @@ def test_heading_given_as_yaw_is_a_conflict_with_a_hint(heading_deg: float) -> N
 
 
 def test_the_same_data_with_the_right_convention_are_the_same_attitude() -> None:
-    run = drive(new_adapter(ins__convention="ned_frd"), changed_where(voyage(), lambda a: a.topic == INS, as_ned_frd))
+    run = drive(new_adapter(ins__convention="ned_frd"), changed_where(voyage(), lambda a: a.topic == INS, convert_to_ned_frd))
     for one, other in zip(outputs(run), outputs(clean_run()), strict=True):
         assert np.allclose(rotation_of(one), rotation_of(other), atol=1e-12)
 
@@ -383,7 +383,7 @@ def test_a_sensor_against_the_ins_and_another_sensor_is_named_in_the_diagnostics
 
 
 def test_an_ins_against_all_sensors_is_named_in_the_diagnostics() -> None:
-    run = drive(new_adapter(), changed_where(voyage(), lambda a: a.topic == INS, heading_off))
+    run = drive(new_adapter(), changed_where(voyage(), lambda a: a.topic == INS, add_heading_error))
     for source in ("star.fore", "star.starboard"):
         _, text = run.diagnostics(f"conflict {source}", run.now_ns - SECOND_NS, run.now_ns)[-1]
         assert "only the INS differs, star.fore, star.starboard disagree with it equally" in text
@@ -391,19 +391,19 @@ def test_an_ins_against_all_sensors_is_named_in_the_diagnostics() -> None:
 
 @pytest.mark.parametrize("heading_deg", [45.0, 225.0, 44.0])
 def test_half_a_degree_near_45_is_not_called_yaw(heading_deg: float) -> None:
-    run = drive(new_adapter(), changed_where(voyage(4.0, heading_deg), lambda a: a.topic == INS, heading_off))
+    run = drive(new_adapter(), changed_where(voyage(4.0, heading_deg), lambda a: a.topic == INS, add_heading_error))
     conflicts = run.innovations(Reason.ATTITUDE_CONFLICT)
     assert conflicts
     assert not any("yaw" in m.reason_text for m in conflicts)
 
 
-def heading_off(message: Any) -> None:
+def add_heading_error(message: Any) -> None:
     """0.5° in heading: 25 times the configured INS sigma."""
     message.orientation = quaternion_message(exp_rotation(np.array([0.0, np.deg2rad(0.5), 0.0])) @ rotation_of(message))
 
 
 def test_a_conflict_does_not_change_the_estimate_unless_configured() -> None:
-    arrivals = changed_where(voyage(), lambda a: a.topic == INS, heading_off)
+    arrivals = changed_where(voyage(), lambda a: a.topic == INS, add_heading_error)
     run = drive(new_adapter(), arrivals)
     assert run.health(FORE).accepted == 0
     assert {m.status for m in outputs(run)} == {Status.DEGRADED}
@@ -411,7 +411,7 @@ def test_a_conflict_does_not_change_the_estimate_unless_configured() -> None:
 
 
 def test_with_reopen_after_the_covariance_is_inflated_and_stars_are_accepted() -> None:
-    arrivals = changed_where(voyage(8.0), lambda a: a.topic == INS, heading_off)
+    arrivals = changed_where(voyage(8.0), lambda a: a.topic == INS, add_heading_error)
     run = drive(new_adapter(gate__reopen_after=10), arrivals)
     reopened = [m for m in run.messages("ship/innovation") if "covariance inflated" in m.reason_text]
     assert 1 <= len(reopened) <= 4

@@ -29,7 +29,7 @@ def voyage(turn_deg: float, duration_s: float) -> Scenario:
     return replace(whole, carrier=carrier, star_sensors=sensors, ins=ins, duration_s=duration_s)
 
 
-def sailed(scenario: Scenario) -> ShipAttitudeCore:
+def run_voyage(scenario: Scenario) -> ShipAttitudeCore:
     core, run = core_for(scenario), simulate(scenario, 1)
     for _ in attitude_outcomes(core, run, {int(run.ins.time_ns[-1])}):
         pass
@@ -43,24 +43,24 @@ def sigmas_arcsec(core: ShipAttitudeCore) -> tuple[float, float]:
 
 
 def test_at_constant_heading_sums_are_observable_and_combinations_are_not() -> None:
-    core = sailed(voyage(0.0, 290.0))
-    told = core.learnt()
+    core = run_voyage(voyage(0.0, 290.0))
+    told = core.observability()
     # Installation of 1 arcsecond against 10 and 72 of the INS: the INS is observable, the sensors hardly.
-    assert told.left["ins.up"] < 0.05
-    assert told.left["star.fore.up"] > 0.5
-    assert any("star.fore" in words for words in told.open)
+    assert told.sigma_ratios["ins.up"] < 0.05
+    assert told.sigma_ratios["star.fore.up"] > 0.5
+    assert any("star.fore" in words for words in told.unobservable_combinations)
     # The other sensor makes the roll about its boresight observable: 20″, noise 100″ in each of 145 exposures.
-    assert told.left["star.fore.forward"] < 0.5
+    assert told.sigma_ratios["star.fore.forward"] < 0.5
 
 
 def test_before_any_star_nothing_is_observed() -> None:
     core = core_for(voyage(0.0, 10.0))
-    told = core.learnt()
-    assert set(told.left.values()) == {1.0}
-    assert len(told.open) == len(told.left)
+    told = core.observability()
+    assert set(told.sigma_ratios.values()) == {1.0}
+    assert len(told.unobservable_combinations) == len(told.sigma_ratios)
 
 
-def bolted_within_5_arcseconds(scenario: Scenario) -> Scenario:
+def with_mounting_sigma_5_arcsec(scenario: Scenario) -> Scenario:
     loose = {"installation_sigma_up_arcsec": 5.0, "installation_sigma_right_arcsec": 5.0}
     sensors = {id_: replace(one, **loose) for id_, one in scenario.star_sensors.items()}
     return replace(scenario, star_sensors=sensors)
@@ -70,37 +70,37 @@ def bolted_within_5_arcseconds(scenario: Scenario) -> Scenario:
 def test_a_turn_improves_the_attitude_as_predicted() -> None:
     # 34.4° of heading, 0.5° of pitch, 2° of roll.
     lies_nd = rotation_from_angles(*np.deg2rad([34.4, 0.5, 2.0]))
-    hint = sailed(bolted_within_5_arcseconds(voyage(0.0, 290.0))).worthwhile_turn(lies_nd)
+    hint = run_voyage(with_mounting_sigma_5_arcsec(voyage(0.0, 290.0))).recommended_manoeuvre(lies_nd)
     assert hint is not None
-    turned = sailed(bolted_within_5_arcseconds(voyage(hint.turn_deg, 1200.0 + hint.turn_deg)))
-    straight = sailed(bolted_within_5_arcseconds(voyage(0.0, 1190.0)))
+    turned = run_voyage(with_mounting_sigma_5_arcsec(voyage(hint.turn_deg, 1200.0 + hint.turn_deg)))
+    straight = run_voyage(with_mounting_sigma_5_arcsec(voyage(0.0, 1190.0)))
     assert hint.quantity == "tilt"
-    assert sigmas_arcsec(straight)[1] == pytest.approx(hint.on_course / ARCSEC, rel=0.03)
-    assert sigmas_arcsec(turned)[1] == pytest.approx(hint.after / ARCSEC, rel=0.05)
-    assert hint.after < 0.7 * hint.on_course
+    assert sigmas_arcsec(straight)[1] == pytest.approx(hint.sigma_on_course / ARCSEC, rel=0.03)
+    assert sigmas_arcsec(turned)[1] == pytest.approx(hint.sigma_after_turn / ARCSEC, rel=0.05)
+    assert hint.sigma_after_turn < 0.7 * hint.sigma_on_course
 
 
 def test_with_a_well_surveyed_mounting_no_turn_is_recommended() -> None:
-    assert sailed(voyage(0.0, 290.0)).worthwhile_turn(np.eye(3)) is None
+    assert run_voyage(voyage(0.0, 290.0)).recommended_manoeuvre(np.eye(3)) is None
 
 
 def test_without_stars_no_turn_is_recommended() -> None:
-    assert core_for(voyage(0.0, 10.0)).worthwhile_turn(np.eye(3)) is None
+    assert core_for(voyage(0.0, 10.0)).recommended_manoeuvre(np.eye(3)) is None
 
 
 def test_after_one_measurement_no_turn_is_recommended() -> None:
     # Diagnostics are published at any time, also between the first exposure and the second.
-    core = sailed(bolted_within_5_arcseconds(voyage(0.0, 1.0)))
-    assert core.state.used_ns
-    assert core.worthwhile_turn(np.eye(3)) is None
+    core = run_voyage(with_mounting_sigma_5_arcsec(voyage(0.0, 1.0)))
+    assert core.state.last_used_ns
+    assert core.recommended_manoeuvre(np.eye(3)) is None
 
 
 def test_a_timed_out_source_does_not_count() -> None:
-    whole = bolted_within_5_arcseconds(voyage(0.0, 290.0))
+    whole = with_mounting_sigma_5_arcsec(voyage(0.0, 290.0))
     fore = replace(whole.star_sensors["fore"], outages={"clouds": Outage(start_s=100.0, end_s=1000.0)})
-    gone = sailed(replace(whole, star_sensors=whole.star_sensors | {"fore": fore}))
-    both = sailed(whole).worthwhile_turn(np.eye(3))
-    hint = gone.worthwhile_turn(np.eye(3))
+    gone = run_voyage(replace(whole, star_sensors=whole.star_sensors | {"fore": fore}))
+    both = run_voyage(whole).recommended_manoeuvre(np.eye(3))
+    hint = gone.recommended_manoeuvre(np.eye(3))
     # The noise of a sensor about its boresight is 100 arcseconds: the tilt by it alone is worse after any turn.
     assert both is not None
-    assert hint is None or hint.after > 1.3 * both.after
+    assert hint is None or hint.sigma_after_turn > 1.3 * both.sigma_after_turn

@@ -10,8 +10,8 @@ from scipy.stats import chi2
 
 from ship_attitude_star.layout.config import Optics, study_config
 from ship_attitude_star.layout.layout_study_command import main
-from ship_attitude_star.layout.optics import attitude_sigmas, liebe_sigmas, over_sky
-from ship_attitude_star.layout.study import study
+from ship_attitude_star.layout.optics import attitude_sigmas, liebe_sigmas, sky_statistics
+from ship_attitude_star.layout.study import compute_study
 from ship_attitude_star.sky.catalogue import hipparcos
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.wahba import solve
@@ -69,7 +69,7 @@ def test_the_covariance_is_that_of_attitudes_solved_by_scipy(count: int) -> None
 def test_the_mean_number_of_stars_is_that_of_the_whole_sky() -> None:
     """All stars to 6.0 times the field's share of the sphere; Liebe's 6.57 exp(1.08 m) is for V, a tenth off Hp."""
     optics = Optics(**OPTICS)
-    found = over_sky(optics)
+    found = sky_statistics(optics)
     count = len(hipparcos().rows_brighter_than(6.0))
     assert count == pytest.approx(6.57 * np.exp(1.08 * 6.0), rel=0.1)
     half = np.arctan(optics.half_field())
@@ -91,9 +91,9 @@ def test_the_study_takes_the_noise_of_the_optics(tmp_path: Path) -> None:
     assert main([str(layout), "--out", str(tmp_path / "out")]) == 0
     with (tmp_path / "out" / "optics.csv").open(encoding="utf-8", newline="") as file:
         row = next(csv.DictReader(file))
-    held = over_sky(Optics(**OPTICS)).quantile_arcsec
+    held = sky_statistics(Optics(**OPTICS)).quantile_arcsec
     assert float(row["sigma_forward_arcsec"]) == pytest.approx(held[0], abs=1e-4)
-    computed = study(
+    computed = compute_study(
         study_config({"sensors": {"a": {"azimuth_deg": 0.0, "elevation_deg": 35.0}}, "optics": {"a": OPTICS}})
     )
     np.testing.assert_allclose(computed.layout.noise_sigmas[0] / ARCSEC, held)

@@ -8,10 +8,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns, corrected_attitudes, estimates_by
+from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns, corrected_attitudes, corrected_estimates
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.state import Doubt
-from ship_attitude_star.stars.spatial_errors import PixelStay
+from ship_attitude_star.ship_attitude.state import UnresolvedFault
+from ship_attitude_star.stars.spatial_errors import PixelDwell
 from ship_estimation.exclusion import ExcludedSource
 from ship_estimation.hypotheses import filter_covariances
 from ship_estimation.ins import InsJump
@@ -34,7 +34,7 @@ def test_a_stack_of_samples_gives_what_the_single_calls_give(sigma_rad: float) -
     for scale in (0.5, 1.0, 2.0):
         root = rng.normal(scale=scale * sigma_rad, size=initial.covariance_by_source.shape)
         mean = rng.normal(scale=scale * sigma_rad, size=FILTER.model.size)
-        started = FILTER.fault_detector.start(mean, root @ root.transpose(0, 2, 1))
+        started = FILTER.fault_detector.initial_state(mean, root @ root.transpose(0, 2, 1))
         corrected.append(CorrectedIns(FILTER, replace(started, time_ns=1_000_000_000)))
     by = rng.integers(len(corrected), size=SAMPLES)
     since_s = np.concatenate([[0.0], rng.uniform(0.0, 1e4, SAMPLES - 1)])
@@ -62,7 +62,7 @@ def test_attitudes_of_several_states_are_those_of_each_alone() -> None:
     usual = replace(initial, time_ns=time_ns, used_ns=MappingProxyType({"star.fore": time_ns}))
     states = [
         usual,
-        replace(usual, doubt=Doubt("doubt", 1e-8 * np.eye(3))),
+        replace(usual, doubt=UnresolvedFault("doubt", 1e-8 * np.eye(3))),
         replace(usual, excluded=MappingProxyType({"ins": ExcludedSource(time_ns)})),
         replace(usual, disputed_n=1e-9 * np.eye(3)),
         initial,
@@ -72,13 +72,13 @@ def test_attitudes_of_several_states_are_those_of_each_alone() -> None:
     times_ns = time_ns + 2_000_000_000 * np.arange(count * len(states))
     rotations, zeros = np.tile(np.eye(3), (len(times_ns), 1, 1)), np.zeros((len(times_ns), 3, 3))
     moved = PropagatedBlock(rotations, np.zeros((len(times_ns), 3)), np.ones(len(times_ns)), zeros)
-    runs = estimates_by(corrected, [count] * len(states), times_ns, moved, config)
+    runs = corrected_estimates(corrected, [count] * len(states), times_ns, moved, config)
     statuses = set()
     for number, (run, one) in enumerate(zip(runs, corrected, strict=True)):
         for place in range(count):
             at = slice(count * number + place, count * number + place + 1)
-            (alone,) = estimates_by([one], [1], times_ns[at], moved.some(at), config)
-            assert repr(run.one(place)) == repr(alone.one(0))
+            (alone,) = corrected_estimates([one], [1], times_ns[at], moved.some(at), config)
+            assert repr(run.estimate(place)) == repr(alone.estimate(0))
             assert run.covariance_by_source_n[place].tobytes() == alone.covariance_by_source_n[0].tobytes()
             assert run.covariance_n[place].tobytes() == alone.covariance_n[0].tobytes()
             assert run.covariance_without_separation_n[place].tobytes() == alone.covariance_without_separation_n[0].tobytes()
@@ -95,10 +95,10 @@ def test_each_filter_is_propagated_and_inflated_independently() -> None:
     stack = root @ root.swapaxes(-1, -2)
     common_n = MappingProxyType({"star.fore": (20.0 * ARCSEC) ** 2 * np.eye(3)})
     jump = InsJump(61_000_000_000, np.array([0.0, 0.01, 0.0]), 1e-4)
-    stays = MappingProxyType({"star.fore": PixelStay(np.eye(3)[:1], 3, 0.5)})
+    stays = MappingProxyType({"star.fore": PixelDwell(np.eye(3)[:1], 3, 0.5)})
     together = replace(initial, time_ns=1_000_000_000, means=means, stack=stack, common_n=common_n, stays=stays)
     after = FILTER.apply_ins_change(FILTER.propagate(together, 31_000_000_000), jump)
-    assert not after.stays  # the effect of earlier stars is gone
+    assert not after.pixel_dwells  # the effect of earlier stars is gone
     for row in range(rows):
         parts = np.zeros_like(initial.covariance_by_source)
         parts[0] = filter_covariances(stack, rows)[row]

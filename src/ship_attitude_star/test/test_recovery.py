@@ -49,7 +49,7 @@ def calm() -> tuple[Arrival, ...]:
     return voyage(LENGTH_S)
 
 
-def sailed(
+def run_voyage(
     arrivals: Iterable[Arrival], spoilt_s: float = SPOILT_S, then: Callable[[Run, float], None] | None = None,
     **changes: Any,
 ) -> Run:
@@ -76,8 +76,8 @@ def sailed(
 
 
 @functools.cache
-def recovered() -> Run:
-    return sailed(calm())
+def recovered_run() -> Run:
+    return run_voyage(calm())
 
 
 def statuses(run: Run, from_s: float, until_s: float = np.inf) -> set[int]:
@@ -85,7 +85,7 @@ def statuses(run: Run, from_s: float, until_s: float = np.inf) -> set[int]:
 
 
 def test_a_filter_with_a_wrong_small_covariance_recovers() -> None:
-    run = recovered()
+    run = recovered_run()
     assert statuses(run, SPOILT_S + 2.0, SPOILT_S + 60.0) == {Status.DEGRADED}
     assert statuses(run, SPOILT_S + CONFIRMED_S) == {Status.VALID}
     assert (run.adapter.recovery.started, run.adapter.recovery.adopted) == (1, 1)
@@ -95,13 +95,13 @@ def test_a_filter_with_a_wrong_small_covariance_recovers() -> None:
 
 
 def test_without_a_second_estimator_it_does_not_recover() -> None:
-    run = sailed(calm(), recovery__after_s=NEVER_S)
+    run = run_voyage(calm(), recovery__after_s=NEVER_S)
     assert Status.VALID not in statuses(run, SPOILT_S + 2.0)
     assert run.adapter.recovery.started == 0
 
 
 def test_stamps_go_on_increasing_and_levels_come_before_the_first_new_attitude() -> None:
-    run = recovered()
+    run = recovered_run()
     claimed = [stamp_of(m) for m in run.messages(ATTITUDE) if m.status != Status.INVALID]
     assert all(earlier < later for earlier, later in pairwise(claimed))
     both = [(topic, m) for _, topic, m in run.published if topic in (ATTITUDE, "ship/integrity")]
@@ -111,14 +111,14 @@ def test_stamps_go_on_increasing_and_levels_come_before_the_first_new_attitude()
 
 
 def test_estimated_mountings_are_kept() -> None:
-    found, expected = (run.adapter.core.alignment() for run in (recovered(), drive(new_adapter(), calm())))
+    found, expected = (run.adapter.core.alignment() for run in (recovered_run(), drive(new_adapter(), calm())))
     stars = [number for number, name in enumerate(expected.names) if name.startswith("star.")]
     sigmas = np.sqrt(expected.covariance.diagonal())[stars]
     assert np.all(np.abs(found.values - expected.values)[stars] <= 3.0 * sigmas)
 
 
 def test_recovery_is_reported_and_counted() -> None:
-    run = recovered()
+    run = recovered_run()
     reports = run.diagnostics("recovery", START_NS, run.now_ns)
     texts = [text for _, text in reports]
     assert any(text.startswith("a second estimator runs: ") for text in texts)
@@ -144,7 +144,7 @@ def test_nothing_is_saved_in_trouble(tmp_path: Any) -> None:
         ):
             answers.append(run.adapter.service("save_alignment", run.now_ns))
 
-    sailed(calm(), then=save, alignment_file=str(path))
+    run_voyage(calm(), then=save, alignment_file=str(path))
     assert [answer.success for answer in answers] == [True, False, True]
     assert answers[1].message.startswith("not saved: a second estimator runs, because ")
 
@@ -152,13 +152,13 @@ def test_nothing_is_saved_in_trouble(tmp_path: Any) -> None:
 UP = np.array([0.0, 60.0 * ARCSEC, 0.0])
 
 
-def remounted(arrivals: Iterable[Arrival], from_s: float) -> list[Arrival]:
+def remount_sensors(arrivals: Iterable[Arrival], from_s: float) -> list[Arrival]:
     """Both sensors remounted at once, each by another rotation."""
     fore_n, starboard_n = np.array([200.0, 0.0, 100.0]) * ARCSEC, np.array([-100.0, 0.0, 250.0]) * ARCSEC
     return [turned([one], fore_n if one.topic == FORE else starboard_n, from_s)[0] for one in arrivals]
 
 
-def clock_back(arrivals: Iterable[Arrival], from_s: float, *topics: str) -> list[Arrival]:
+def set_clocks_back(arrivals: Iterable[Arrival], from_s: float, *topics: str) -> list[Arrival]:
     """The clock of some devices 0.1 s behind from a time on."""
 
     def change(message: Any) -> None:
@@ -175,15 +175,15 @@ def clock_back(arrivals: Iterable[Arrival], from_s: float, *topics: str) -> list
     ("change", "moved"),
     [
         (lambda arrivals: turned(arrivals, UP, SPOILT_S), "6"),
-        (lambda arrivals: remounted(arrivals, SPOILT_S), "2"),
-        (lambda arrivals: clock_back(arrivals, SPOILT_S, INS), "1"),
-        (lambda arrivals: clock_back(arrivals, SPOILT_S, FORE, STARBOARD), "1"),
+        (lambda arrivals: remount_sensors(arrivals, SPOILT_S), "2"),
+        (lambda arrivals: set_clocks_back(arrivals, SPOILT_S, INS), "1"),
+        (lambda arrivals: set_clocks_back(arrivals, SPOILT_S, FORE, STARBOARD), "1"),
     ],
     ids=["all turned by 60″", "both remounted", "INS's clock", "clock of both sensors"],
 )
 def test_a_constant_rotation_of_all_stars_is_not_adopted(change: Callable[..., Any], moved: str) -> None:
     """60″; 224″ and 269″; 0.1 s at up to 5°/s, 1800″; the text begins with the first digit of it."""
-    run = sailed(change(calm()), spoilt_s=np.inf)
+    run = run_voyage(change(calm()), spoilt_s=np.inf)
     assert statuses(run, SPOILT_S + 2.0) == {Status.DEGRADED}
     assert (run.adapter.recovery.started, run.adapter.recovery.adopted) == (1, 0)
     _, text = run.diagnostics("recovery", START_NS, run.now_ns)[-1]
@@ -193,7 +193,7 @@ def test_a_constant_rotation_of_all_stars_is_not_adopted(change: Callable[..., A
 
 
 def test_a_sensor_with_a_constant_clock_error_is_named() -> None:
-    run = sailed(clock_back(calm(), SPOILT_S, FORE), spoilt_s=np.inf)
+    run = run_voyage(set_clocks_back(calm(), SPOILT_S, FORE), spoilt_s=np.inf)
     assert statuses(run, SPOILT_S) == {Status.VALID}
     assert set(run.adapter.core.state.excluded) == {"star.fore"}
     _, text = run.diagnostics("recovery", START_NS, run.now_ns)[-1]
@@ -202,7 +202,7 @@ def test_a_sensor_with_a_constant_clock_error_is_named() -> None:
 
 def test_a_constant_rotation_is_not_adopted_if_the_stored_state_is_too_uncertain() -> None:
     """An INS whose heading may drift by 72″ in ten minutes: after a minute the stored state allows for 60″ and more."""
-    run = sailed(turned(voyage(190.0), UP, SPOILT_S), spoilt_s=np.inf, ins__heading_time_s=600.0)
+    run = run_voyage(turned(voyage(190.0), UP, SPOILT_S), spoilt_s=np.inf, ins__heading_time_s=600.0)
     recovery = run.adapter.recovery
     core = recovery.candidate.core
     assert (recovery.started, recovery.adopted) == (1, 0)
@@ -221,7 +221,7 @@ def test_a_nan_covariance_is_consistent_with_no_stored_state() -> None:
 
 def test_a_fault_from_the_start_leaves_no_stored_state() -> None:
     """A node started while all stars were rotated has no other stored state; it must adopt the end of the rotation."""
-    run = sailed(turned(calm(), UP, -1.0, 15.0), spoilt_s=np.inf)
+    run = run_voyage(turned(calm(), UP, -1.0, 15.0), spoilt_s=np.inf)
     assert run.adapter.recovery.adopted == 1
     assert statuses(run, 15.0 + CONFIRMED_S) == {Status.VALID}
 
@@ -233,7 +233,7 @@ def test_reset_after_remounting_ends_recovery_at_once() -> None:
         if since_s >= 80.0 and not resets:
             resets.append(run.adapter.service("reset", run.now_ns))
 
-    run = sailed(turned(calm(), UP, SPOILT_S), spoilt_s=np.inf, then=reset)
+    run = run_voyage(turned(calm(), UP, SPOILT_S), spoilt_s=np.inf, then=reset)
     assert statuses(run, 82.0) == {Status.VALID}
     assert not run.adapter.recovery.is_in_trouble
 
@@ -241,7 +241,7 @@ def test_reset_after_remounting_ends_recovery_at_once() -> None:
 def test_a_temporary_rotation_of_all_stars_ends_although_they_are_not_reinstated() -> None:
     """``integrity.return_after_s`` of an hour: the excluded stars are not reinstated."""
     arrivals = turned(voyage(145.0), UP, SPOILT_S, 70.0)
-    run = sailed(arrivals, spoilt_s=np.inf, integrity__return_after_s=3600.0)
+    run = run_voyage(arrivals, spoilt_s=np.inf, integrity__return_after_s=3600.0)
     assert statuses(run, SPOILT_S + 2.0, 130.0) == {Status.DEGRADED}
     assert statuses(run, 70.0 + CONFIRMED_S) == {Status.VALID}
     assert run.adapter.recovery.adopted == 1
@@ -253,14 +253,14 @@ def test_a_sensor_with_a_mounting_shift_stays_excluded_and_does_not_prevent_the_
         is_hit = arrival.topic == FORE and arrival.stamp_ns >= START_NS + 35 * SECOND_NS
         return turned([arrival], 60.0 * UP, 0.0)[0] if is_hit else arrival
 
-    run = sailed(list(map(knocked, voyage(150.0))))
+    run = run_voyage(list(map(knocked, voyage(150.0))))
     assert run.adapter.recovery.adopted == 1
     assert statuses(run, 140.0) == {Status.VALID}
     assert set(run.adapter.core.state.excluded) == {"star.fore"}
 
 
 def test_without_a_fault_no_second_estimator_starts_and_the_outputs_are_those_without_recovery() -> None:
-    plain, without = sailed(calm(), spoilt_s=np.inf), sailed(calm(), spoilt_s=np.inf, recovery__after_s=NEVER_S)
+    plain, without = run_voyage(calm(), spoilt_s=np.inf), run_voyage(calm(), spoilt_s=np.inf, recovery__after_s=NEVER_S)
     assert plain.adapter.recovery.started == 0
     assert plain.results() == without.results()
 
@@ -272,7 +272,7 @@ def test_parameters_set_in_trouble_are_those_of_the_estimator_that_is_adopted() 
         if since_s >= SPOILT_S + 20.0 and not changed:
             changed.append(run.adapter.set_parameters({"ins.white_sigma_arcsec": 2.5}))
 
-    run = sailed(calm(), then=change)
+    run = run_voyage(calm(), then=change)
     assert run.adapter.recovery.adopted == 1
     assert run.adapter.core.config.ins.white_sigma_arcsec == 2.5
 
@@ -314,7 +314,7 @@ def test_memory_residual_is_the_rotation_of_the_stars_with_its_noise() -> None:
         nonlocal memory
         memory = run.adapter.core.state if since_s < 19.0 else memory
 
-    adapter = sailed(arrivals, spoilt_s=np.inf, then=remember).adapter
+    adapter = run_voyage(arrivals, spoilt_s=np.inf, then=remember).adapter
     last = [one for one in arrivals if one.topic == FORE and 19.2 < (one.stamp_ns - START_NS) / SECOND_NS < 19.6]
     assert last
     for one in last:
@@ -341,15 +341,15 @@ def test_an_exception_in_the_second_estimator_costs_no_output(monkeypatch: pytes
         return found
 
     monkeypatch.setattr(ShipAttitudeCore, "make_second", make_second)
-    run = sailed(calm())
-    assert len(run.messages(ATTITUDE)) == len(recovered().messages(ATTITUDE))
+    run = run_voyage(calm())
+    assert len(run.messages(ATTITUDE)) == len(recovered_run().messages(ATTITUDE))
     assert (len(failing), run.adapter.recovery.adopted) == (1, 1)
     (report,) = [one for one in run.innovations(Reason.FAILED) if one.source == "recovery"]
     assert "ZeroDivisionError" in report.reason_text
 
 
 def test_smoothed_attitudes_continue_after_an_adoption() -> None:
-    run = sailed(calm(), smoothing_lag_s=5.0)
+    run = run_voyage(calm(), smoothing_lag_s=5.0)
     assert run.adapter.recovery.adopted == 1
     told = [since_start_s(m) for m in run.messages("ship/attitude_smoothed")]
     assert all(earlier < later for earlier, later in pairwise(told))

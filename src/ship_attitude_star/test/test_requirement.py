@@ -9,13 +9,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from ship_attitude_star.layout.allocation import allocated, use_of
+from ship_attitude_star.layout.allocation import allocate_errors, requirement_use
 from ship_attitude_star.layout.config import study_config
 from ship_attitude_star.layout.joint_error import Layout
-from ship_attitude_star.layout.layout_study_command import main, written
+from ship_attitude_star.layout.layout_study_command import main, output_names
 from ship_attitude_star.layout.masks import Obstructions
 from ship_attitude_star.layout.requirement import ALL_MOVED, AS_GIVEN, Candidate, RequirementResult
-from ship_attitude_star.layout.study import study
+from ship_attitude_star.layout.study import compute_study
 from ship_bags.parameter_yaml import read_plain
 from ship_estimation.parameters import ParameterError
 from ship_geometry.frames import rotation_from_angles
@@ -30,7 +30,7 @@ COMMON = {"heading_sigma_arcsec": 1.5, "tilt_sigma_arcsec": 1.0, "refraction_sig
 
 
 def required_of(**values: Any) -> RequirementResult:
-    required = study(study_config({"sensors": SENSORS, **values})).required
+    required = compute_study(study_config({"sensors": SENSORS, **values})).requirement_result
     assert required is not None
     return required
 
@@ -76,26 +76,26 @@ def test_a_layout_meets_a_requirement_if_errors_drawn_do() -> None:
     for factor, admissible in ((1.05, True), (0.95, False)):
         asked = dict(zip(("heading_arcsec", "pitch_arcsec", "roll_arcsec"), factor * drawn, strict=True))
         required = required_of(requirement={key: float(value) for key, value in asked.items()}, **values)
-        assert required.given.admissible is admissible
+        assert required.given_layout.is_admissible is admissible
 
 
 def test_only_required_angles_count() -> None:
     required = required_of(requirement={"pitch_arcsec": 2.0})
-    assert required.given.use == pytest.approx(required.given.sigmas_arcsec[1] / 2.0)
-    assert study(study_config({"sensors": SENSORS})).required is None
+    assert required.given_layout.requirement_use == pytest.approx(required.given_layout.sigmas_arcsec[1] / 2.0)
+    assert compute_study(study_config({"sensors": SENSORS})).requirement_result is None
 
 
 def test_unknown_sigmas_are_not_admissible() -> None:
     limits = np.array([3.0, 3.0, np.inf])
-    assert np.isnan(use_of(np.array([np.nan, 1.0, 1.0]), limits))
-    assert use_of(np.array([1.0, 1.5, np.nan]), limits) == 0.5
+    assert np.isnan(requirement_use(np.array([np.nan, 1.0, 1.0]), limits))
+    assert requirement_use(np.array([1.0, 1.5, np.nan]), limits) == 0.5
     layout = Layout.from_config(study_config({"sensors": SENSORS}))
-    assert not Candidate("a", layout, np.full(3, np.nan), float("nan"), ()).admissible
+    assert not Candidate("a", layout, np.full(3, np.nan), float("nan"), ()).is_admissible
     low = {"alternatives": {"low": {"sensors": {"fore": {"azimuth_deg": 270.0, "elevation_deg": 6.0}}}}}
     required = required_of(requirement={"heading_arcsec": 1e4}, ship_roll_deg=-8.0, **low)
     judged = next(one for one in required.ranking if one.name == "low")
-    assert np.isnan(judged.use)
-    assert not judged.admissible
+    assert np.isnan(judged.requirement_use)
+    assert not judged.is_admissible
     assert required.ranking[-1] is judged
 
 
@@ -114,7 +114,7 @@ def test_unknown_sigmas_are_not_admissible() -> None:
 def test_the_search_finds_the_best_of_all_directions(asked: dict[str, float], masks: dict[str, Any]) -> None:
     """Compared with each pair of directions on a grid of 10 degrees: at most half a percent worse than the best."""
     config = study_config({"sensors": SENSORS, "common": COMMON, "masks": masks, "requirement": asked})
-    required = study(config).required
+    required = compute_study(config).requirement_result
     assert required is not None
     layout, sights = Layout.from_config(config), Obstructions.from_config(config)
     azimuths, elevations = np.deg2rad(np.arange(0.0, 360.0, 10.0)), np.deg2rad(np.arange(5.0, 86.0, 10.0))
@@ -124,25 +124,25 @@ def test_the_search_finds_the_best_of_all_directions(asked: dict[str, float], ma
     limits = config.requirement.limits_arcsec()
     best = np.min(np.max(layout.sigmas_arcsec(angles) / limits, axis=-1))
     found = next(one for one in required.ranking if one.name == ALL_MOVED)
-    assert found.use <= 1.005 * best
+    assert found.requirement_use <= 1.005 * best
     assert not found.obstacles
 
 
 def test_the_admissible_map_equals_single_evaluations() -> None:
     config = study_config(read_plain(EXAMPLE).values)
-    computed = study(config)
-    assert computed.required is not None
-    allowed, moved = computed.required.maps[1], computed.maps[1]
+    computed = compute_study(config)
+    assert computed.requirement_result is not None
+    allowed, moved = computed.requirement_result.maps[1], computed.maps[1]
     limits = config.requirement.limits_arcsec()
     rng = np.random.default_rng(4)
-    good = np.argwhere(allowed.admissible())
-    anywhere = rng.integers([0, 0], allowed.use.shape, (60, 2))
+    good = np.argwhere(allowed.is_admissible())
+    anywhere = rng.integers([0, 0], allowed.requirement_use.shape, (60, 2))
     for row, column in [*rng.choice(good, 20), *anywhere]:
         angles = computed.layout.angles.copy()
         angles[1, :2] = np.deg2rad([moved.azimuths_deg[column], moved.elevations_deg[row]])
         met = np.all(replace(computed.layout, angles=angles).sigmas_arcsec() <= limits)
         free = computed.obstructions.is_unobstructed(1, angles[1][None])[0]
-        assert allowed.admissible()[row, column] == (met and free)
+        assert allowed.is_admissible()[row, column] == (met and free)
 
 
 def test_maximum_errors_just_meet_the_requirement() -> None:
@@ -150,7 +150,7 @@ def test_maximum_errors_just_meet_the_requirement() -> None:
     layout = Layout.from_config(study_config({"sensors": SENSORS, "common": COMMON}))
     use = float(np.max(layout.sigmas_arcsec() / limits))
     assert use < 1.0
-    rows = {row.key: row for row in allocated(layout, limits)}
+    rows = {row.key: row for row in allocate_errors(layout, limits)}
     assert len(rows) == 2 * 6 + 3
     assert sum(row.share for row in rows.values()) == pytest.approx(1.0)
     for key, row in rows.items():
@@ -177,7 +177,7 @@ def test_maximum_errors_just_meet_the_requirement() -> None:
 
 def test_an_unreachable_requirement_has_no_error_size() -> None:
     layout = Layout.from_config(study_config({"sensors": SENSORS}))
-    rows = {row.key: row for row in allocated(layout, np.array([0.5, np.inf, np.inf]))}
+    rows = {row.key: row for row in allocate_errors(layout, np.array([0.5, np.inf, np.inf]))}
     assert np.isnan(rows["sensors.fore.sigma_up_arcsec"].alone_arcsec)
     assert np.isnan(rows["common.refraction_sigma_arcsec"].alone_arcsec)
 
@@ -189,7 +189,7 @@ def test_over_elevation_refraction_falls_with_the_cotangent() -> None:
     # Only the direction ahead is clear; all other azimuths are masked.
     wall = {"azimuths_deg": [12.0, 348.0, 348.0, 12.0], "elevations_deg": [-90.0, -90.0, 90.0, 90.0]}
     values = {**one, "masks": {"wall": wall}, "field_of_view_deg": 1.0, "horizon": {"roll_deg": 10.0, "pitch_deg": 8.0}}
-    required = study(study_config({**values, "requirement": {"heading_arcsec": 200.0, "pitch_arcsec": 20.0}})).required
+    required = compute_study(study_config({**values, "requirement": {"heading_arcsec": 200.0, "pitch_arcsec": 20.0}})).requirement_result
     assert required is not None
     for traded in required.trade:
         if np.rad2deg(traded.candidate.layout.angles[0, 0]) == 0.0:
@@ -228,16 +228,16 @@ def test_a_requirement_out_of_reach_ends_with_1_and_the_nearest_miss(
     assert "of 2 arcsec" in said
     page = (out / "layout_study.html").read_text(encoding="utf-8")
     assert "No layout meets it." in page
-    tables = {name for name in written(study_config(read_plain(layout).values)) if name.endswith(".csv")}
+    tables = {name for name in output_names(study_config(read_plain(layout).values)) if name.endswith(".csv")}
     assert {path.name for path in out.glob("*.csv")} == tables
 
 
 def test_a_blocking_horizon_is_in_the_nearest_miss() -> None:
     values = {"horizon": {"clearance_deg": 45.0}, "field_of_view_deg": 100.0}
     sensors = {"a": {"azimuth_deg": 0.0, "elevation_deg": 60.0}}
-    required = study(study_config({**values, "sensors": sensors, "requirement": {"roll_arcsec": 500.0}})).required
+    required = compute_study(study_config({**values, "sensors": sensors, "requirement": {"roll_arcsec": 500.0}})).requirement_result
     assert required is not None
-    assert not required.met
+    assert not required.is_met
     assert "too near to the horizon" in "".join(required.ranking[0].obstacles)
 
 
@@ -267,7 +267,7 @@ def test_the_example_has_an_admissible_layout(tmp_path: Path, capsys: pytest.Cap
     said = capsys.readouterr().out
     assert "  1 all sensors moved       meets it" in said
     assert f"  5 {AS_GIVEN:24}does not: pitch uses 101.1 %" in said
-    assert {path.name for path in tmp_path.iterdir()} == set(written(study_config(read_plain(EXAMPLE).values)))
+    assert {path.name for path in tmp_path.iterdir()} == set(output_names(study_config(read_plain(EXAMPLE).values)))
     page = (tmp_path / "layout_study.html").read_text(encoding="utf-8")
     for words in ("Requirement", "Effect of elevation", "Maximum size of each error", "bridge_wings"):
         assert words in page

@@ -7,11 +7,11 @@ from scipy.stats import norm
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.row_table import RowTable
+from ship_attitude_star.ship_attitude.row_table import SubfilterSet
 from ship_estimation.parameters import ParameterError, build
 
 
-def subfilter_set(sensors: int, references: int = 0, **integrity: Any) -> RowTable:
+def subfilter_set(sensors: int, references: int = 0, **integrity: Any) -> SubfilterSet:
     stars = {f"s{number}": {"azimuth_deg": 60.0 * number, "elevation_deg": 45.0} for number in range(sensors)}
     others: dict[str, Any] = {f"r{number}": {} for number in range(references)}
     values = {"star_sensors": stars, "references": others, "integrity": integrity}
@@ -38,14 +38,14 @@ def test_each_source_and_each_pair_of_three_and_the_ins_is_excluded_in_one_subfi
 @pytest.mark.parametrize("sensors", [0, 1, 2])
 def test_fewer_than_three_sources_have_no_pairs(sensors: int) -> None:
     assert subfilter_set(sensors, pairs=True).names == subfilter_set(sensors).names
-    assert subfilter_set(3).pairs == range(5, 5)
+    assert subfilter_set(3).pair_subfilters == range(5, 5)
 
 
 def test_consistent_star_sensors_cannot_show_an_ins_fault() -> None:
     found = subfilter_set(3, 1)
-    assert not found.contradict_ins(["star.s0", "star.s1", "star.s2"])
-    assert not found.contradict_ins(["reference.r0"])
-    assert found.contradict_ins(["star.s0", "reference.r0"])
+    assert not found.can_show_ins_fault(["star.s0", "star.s1", "star.s2"])
+    assert not found.can_show_ins_fault(["reference.r0"])
+    assert found.can_show_ins_fault(["star.s0", "reference.r0"])
 
 
 def test_a_pair_is_as_probable_as_both_of_its_faults_together() -> None:
@@ -71,7 +71,7 @@ def test_a_pair_is_relevant_while_two_others_are_in_use() -> None:
     found, sensors = subfilter_set(4, pairs=True, max_hypotheses=16), [f"star.s{number}" for number in range(4)]
 
     def asked(in_use: list[str], *excluded: str) -> set[str]:
-        return {found.names[row - 1] for row in found.pairs_in_question(in_use, excluded)}
+        return {found.names[row - 1] for row in found.relevant_pairs(in_use, excluded)}
 
     assert asked(sensors) == set(found.names[5:])
     # A pair of an excluded source and another equals the subfilter without the other one.

@@ -11,7 +11,7 @@ from ship_attitude_star.star_attitude.exposure_solver import solve_exposure
 from ship_attitude_star.stars.camera import StarCamera
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.optics_errors import OpticsErrors
-from ship_attitude_star.stars.scale_check import contradicted_scale
+from ship_attitude_star.stars.scale_check import check_focal_length
 from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.refusals import Reason
 from ship_geometry.frames import rotation_from_angles
@@ -62,7 +62,7 @@ def test_a_wrong_focal_length_is_named_with_the_value_that_fits(watch, scale, na
 
 def test_named_stars_need_no_attitude_for_it(watch):
     rng = np.random.default_rng(2)
-    refusal = contradicted_scale(exposure(watch, 3e-3, rng), watch, None, used_count=0)
+    refusal = check_focal_length(exposure(watch, 3e-3, rng), watch, None, used_count=0)
     assert refusal is not None
     assert TEXT.match(refusal.text)
 
@@ -77,9 +77,9 @@ def test_a_focal_length_within_its_error_is_not_named(watch, scale, false_count)
         directions_s[:false_count] = exp_rotation(0.02 * rng.standard_normal((false_count, 3))) @ directions_s[0]
         seen = replace(seen, directions_s=directions_s)
         for used_count in (0, STARS - false_count):
-            assert contradicted_scale(seen, watch, prior(rng, 30.0 * ARCSEC), used_count) is None
+            assert check_focal_length(seen, watch, prior(rng, 30.0 * ARCSEC), used_count) is None
 
 
 def test_two_stars_are_too_few(watch):
     rng = np.random.default_rng(4)
-    assert contradicted_scale(exposure(watch, 3e-3, rng, 2), watch, prior(rng, 30.0 * ARCSEC), 0) is None
+    assert check_focal_length(exposure(watch, 3e-3, rng, 2), watch, prior(rng, 30.0 * ARCSEC), 0) is None

@@ -60,7 +60,7 @@ def test_two_hours_are_the_matrix_exponential(damping_time_s: float) -> None:
     ins = process(replace(CONFIG, damping_time_s=damping_time_s))
     here, dt_s = vertical.at(ns(1.0)), 7200.7
     carried = ins.propagation(ns(1.0), here, [ns(1.0 + dt_s)], vertical)
-    rates = ins.rates(here)
+    rates = ins.system_matrix(here)
     np.testing.assert_allclose(carried.transition[0], expm(rates * dt_s), rtol=1e-8, atol=1e-10)
     config = CONFIG
     density = np.diag(
@@ -86,7 +86,7 @@ def test_two_hours_are_the_matrix_exponential(damping_time_s: float) -> None:
 def test_undamped_period_is_that_of_schuler() -> None:
     # Foucault's rotation of the plane, W sin L, splits the frequency symmetrically in two; and there is the day.
     here = at_anchor(5).at(ns(1.0))
-    rates = process(length_m=None).rates(here)
+    rates = process(length_m=None).system_matrix(here)
     found = np.linalg.eigvals(rates).imag
     day, slow, fast = np.sort(found[found > 1e-9])
     assert 2.0 * np.pi / (0.5 * (slow + fast)) / 60.0 == pytest.approx(84.4, abs=0.1)
@@ -104,7 +104,7 @@ def test_errors_of_a_simulated_ins_follow_the_process(sailing: tuple[float, floa
     state[7] = 2e-4
     state[8:11] = np.array([0.004, -0.01, 0.006]) * math.pi / 180.0 / 3600.0
     state[11:] = 1e-4, -5e-5
-    rates = ins.rates(at_anchor(5).at(ns(1.0))._replace(velocity_m_per_s=sailing))
+    rates = ins.system_matrix(at_anchor(5).at(ns(1.0))._replace(velocity_m_per_s=sailing))
     # Constant drift and bias: those of the process decay within ten hours.
     rates[8:, 8:] = 0.0
     said = expm(3600.0 * hours * rates) @ state

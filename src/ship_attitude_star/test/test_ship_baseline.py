@@ -29,17 +29,17 @@ BASELINE_D = np.array([8.0, 0.4, -1.5])
 SECTION = {"forward_m": 8.0, "up_m": 0.4, "right_m": -1.5, "sigma_m": 0.002, "bias_sigma_m": 0.0}
 
 
-def configured(**changes: Any) -> ShipAttitudeConfig:
+def make_config(**changes: Any) -> ShipAttitudeConfig:
     return build(ShipAttitudeConfig, {"ship_baseline": {**SECTION, **changes}})
 
 
-def sailing(time_s: float) -> np.ndarray:
+def true_attitude(time_s: float) -> np.ndarray:
     """Return the true attitude of the ship at a time: motion in waves about heading 40°."""
     roll, pitch = 0.05 * np.sin(0.6 * time_s), 0.02 * np.sin(0.9 * time_s)
     return rotation_from_angles(0.7 + 0.01 * np.sin(0.3 * time_s), pitch, roll)
 
 
-def ran(
+def run_core(
     core: ShipAttitudeCore, ins_error_n: np.ndarray, solutions: Any, seconds: int = 60
 ) -> tuple[list[Any], list[Any]]:
     """Return estimates and decisions of a core with an INS at 20 Hz, and ``solutions(second)`` each second."""
@@ -47,11 +47,11 @@ def ran(
     for number in range(20 * seconds + 1):
         time_s = number / 20.0
         time_ns = START_NS + number * 50_000_000
-        outcome = core.add_ins(AttitudeSample(time_ns, exp_rotation(-ins_error_n) @ sailing(time_s)))
+        outcome = core.add_ins(AttitudeSample(time_ns, exp_rotation(-ins_error_n) @ true_attitude(time_s)))
         estimates += outcome.estimates
         decisions += outcome.decisions
         if number and number % 20 == 0:
-            vector_n = solutions(number // 20, sailing(time_s))
+            vector_n = solutions(number // 20, true_attitude(time_s))
             if vector_n is not None:
                 noise_n = 0.004**2 * np.eye(3)
                 outcome = core.add_measurement(BaselineMeasurement(time_ns, vector_n, noise_n))
@@ -63,10 +63,10 @@ def ran(
 def test_it_makes_the_heading_of_an_ins_observable() -> None:
     rng = np.random.default_rng(1)
     error_n = np.array([5.0, 60.0, -4.0]) * ARCSEC
-    estimates, decisions = ran(
-        ShipAttitudeCore(configured()), error_n, lambda _, true_nd: true_nd @ BASELINE_D + rng.normal(0.0, 0.004, 3)
+    estimates, decisions = run_core(
+        ShipAttitudeCore(make_config()), error_n, lambda _, true_nd: true_nd @ BASELINE_D + rng.normal(0.0, 0.004, 3)
     )
-    last, heading = estimates[-1], angles_from_rotation(sailing(60.0))[0]
+    last, heading = estimates[-1], angles_from_rotation(true_attitude(60.0))[0]
     # 2 mm of survey and 4 mm of noise over 60 solutions, across 8.1 m: 52 arcseconds; the INS error is 60, sigma 72.
     expected = np.hypot(0.002, 0.004 / np.sqrt(60.0)) / np.hypot(8.0, 1.5)
     alone = 72.0 * ARCSEC
@@ -81,10 +81,10 @@ def test_it_makes_the_heading_of_an_ins_observable() -> None:
 
 
 def test_jacobian_is_the_difference_quotient() -> None:
-    filter_ = ShipFilter(configured(bias_sigma_m=0.01))
+    filter_ = ShipFilter(make_config(bias_sigma_m=0.01))
     model, device = filter_.model, filter_.devices[BASELINE]
     rng = np.random.default_rng(2)
-    rotation_nd = sailing(3.0)
+    rotation_nd = true_attitude(3.0)
     ins = InterpolatedAttitude(rotation_nd, np.array([0.01, -0.02, 0.03]), 1.0, np.zeros((3, 3)), None)
     measured = BaselineMeasurement(START_NS, rotation_nd @ BASELINE_D + rng.normal(0.0, 0.004, 3), 1.6e-5 * np.eye(3))
 
@@ -117,10 +117,10 @@ def test_errors_of_many_draws_are_consistent_with_the_covariance() -> None:
         def solution(_: int, true_nd: np.ndarray, surveyed=surveyed, slow_n=slow_n, rng=rng) -> np.ndarray:
             return true_nd @ surveyed + slow_n + rng.normal(0.0, 0.004, 3)
 
-        core = ShipAttitudeCore(configured(bias_sigma_m=0.003, bias_time_s=1e6))
-        estimates, _ = ran(core, error_n, solution, seconds=8)
+        core = ShipAttitudeCore(make_config(bias_sigma_m=0.003, bias_time_s=1e6))
+        estimates, _ = run_core(core, error_n, solution, seconds=8)
         last = estimates[-1]
-        heading = angles_from_rotation(sailing(8.0))[0]
+        heading = angles_from_rotation(true_attitude(8.0))[0]
         off = float(wrap_pi(angles_from_rotation(last.rotation_nd)[0] - heading))
         squares.append(off**2 / last.covariance_n[1, 1])
     # chi-square of 60 degrees of freedom: 30.3 to 100.9 (99.9 %).
@@ -136,15 +136,15 @@ def test_errors_of_many_draws_are_consistent_with_the_covariance() -> None:
     ],
 )
 def test_a_wrong_solution_is_rejected_and_changes_nothing(spoilt: Any, text: str) -> None:
-    cores = ShipAttitudeCore(configured()), ShipAttitudeCore(configured())
+    cores = ShipAttitudeCore(make_config()), ShipAttitudeCore(make_config())
     error_n = np.array([0.0, 20.0, 0.0]) * ARCSEC
 
     def solutions(second: int, true_nd: np.ndarray) -> np.ndarray:
         vector_n = true_nd @ BASELINE_D
         return spoilt(vector_n) if second == 5 else vector_n
 
-    with_it, decisions = ran(cores[0], error_n, solutions, seconds=10)
-    without, _ = ran(cores[1], error_n, lambda second, nd: None if second == 5 else nd @ BASELINE_D, seconds=10)
+    with_it, decisions = run_core(cores[0], error_n, solutions, seconds=10)
+    without, _ = run_core(cores[1], error_n, lambda second, nd: None if second == 5 else nd @ BASELINE_D, seconds=10)
     refused = [decision for decision in decisions if not decision.accepted]
     assert [decision.reason for decision in refused] == [Reason.GATE]
     assert text in refused[0].text
@@ -158,15 +158,15 @@ def test_a_wrong_transverse_ambiguity_is_rejected() -> None:
         wrong_d = np.array([0.0, 0.0, 0.3]) if second >= 10 else np.zeros(3)
         return true_nd @ (BASELINE_D + wrong_d)
 
-    estimates, decisions = ran(ShipAttitudeCore(configured()), np.zeros(3), solutions, seconds=30)
+    estimates, decisions = run_core(ShipAttitudeCore(make_config()), np.zeros(3), solutions, seconds=30)
     assert not any(d.accepted for d in decisions if d.measurement.time_ns > START_NS + 9.5e9)
-    heading = angles_from_rotation(sailing(30.0))[0]
+    heading = angles_from_rotation(true_attitude(30.0))[0]
     assert abs(wrap_pi(angles_from_rotation(estimates[-1].rotation_nd)[0] - heading)) < 60.0 * ARCSEC
 
 
 def test_a_too_short_baseline_is_refused_by_name() -> None:
     with pytest.raises(ParameterError, match=r"ship_baseline\.forward_m"):
-        configured(forward_m=0.1, up_m=0.0, right_m=0.0)
+        make_config(forward_m=0.1, up_m=0.0, right_m=0.0)
 
 
 def test_without_the_section_there_is_no_such_device() -> None:
@@ -174,8 +174,8 @@ def test_without_the_section_there_is_no_such_device() -> None:
 
 
 def test_alignment_contains_its_direction() -> None:
-    core = ShipAttitudeCore(configured())
-    ran(core, np.zeros(3), lambda _, true_nd: true_nd @ BASELINE_D, seconds=3)
+    core = ShipAttitudeCore(make_config())
+    run_core(core, np.zeros(3), lambda _, true_nd: true_nd @ BASELINE_D, seconds=3)
     told = core.alignment()
     at = dict(zip(told.names, told.values, strict=True))
     assert at["baseline.azimuth"] == pytest.approx(np.arctan2(-1.5, 8.0) % (2.0 * np.pi), abs=1e-4)
@@ -184,7 +184,7 @@ def test_alignment_contains_its_direction() -> None:
 
 def test_the_same_solutions_end_in_the_same_bits() -> None:
     ends = [
-        ran(ShipAttitudeCore(configured()), np.zeros(3), lambda _, true_nd: true_nd @ BASELINE_D, seconds=5)[0][-1]
+        run_core(ShipAttitudeCore(make_config()), np.zeros(3), lambda _, true_nd: true_nd @ BASELINE_D, seconds=5)[0][-1]
         for _ in range(2)
     ]
     np.testing.assert_array_equal(ends[0].covariance_n, ends[1].covariance_n)
@@ -216,7 +216,7 @@ def solution_message(**changes: Any) -> RtkBaseline:
     ],
 )
 def test_an_unusable_message_is_rejected_with_the_reason(changes: dict[str, Any], reason: Reason) -> None:
-    config = configured().ship_baseline
+    config = make_config().ship_baseline
     assert baseline(solution_message(), START_NS, config).covariance_known
     with pytest.raises(MessageRejected) as refused:
         baseline(solution_message(**changes), START_NS, config)
@@ -224,7 +224,7 @@ def test_an_unusable_message_is_rejected_with_the_reason(changes: dict[str, Any]
 
 
 def test_a_covariance_of_zeros_is_the_configured_one() -> None:
-    config = configured(noise_sigma_m=0.02).ship_baseline
+    config = make_config(noise_sigma_m=0.02).ship_baseline
     read = baseline(solution_message(covariance=np.zeros(9)), START_NS, config)
     assert not read.covariance_known
     np.testing.assert_array_equal(read.value.noise_n, 0.02**2 * np.eye(3))

@@ -34,11 +34,11 @@ def at(s: float) -> int:
     return START_NS + round(s * SECOND_NS)
 
 
-def claimed(run: Run) -> list[Any]:
+def published_attitudes(run: Run) -> list[Any]:
     return [m for m in run.messages(ATTITUDE) if m.status != Status.INVALID]
 
 
-def at_times(run: Run) -> list[tuple[int, Any]]:
+def attitudes_by_time(run: Run) -> list[tuple[int, Any]]:
     """Return (time, attitude) of the published attitudes that are not INVALID."""
     return [(ns, m) for ns, topic, m in run.published if topic == ATTITUDE and m.status != Status.INVALID]
 
@@ -49,7 +49,7 @@ def invalid_times_ns(run: Run) -> list[int]:
 
 
 def assert_in_order(run: Run) -> None:
-    assert all(stamp_of(earlier) < stamp_of(later) for earlier, later in pairwise(claimed(run)))
+    assert all(stamp_of(earlier) < stamp_of(later) for earlier, later in pairwise(published_attitudes(run)))
 
 
 def assert_invalid_once_a_second(run: Run, from_s: float, until_s: float) -> None:
@@ -80,7 +80,7 @@ def test_exposures_with_one_star_do_not_hide_an_ins_timeout() -> None:
 def test_exposures_without_a_fix_do_not_hide_an_ins_timeout() -> None:
     stars = [a for a in voyage_of_stars(6.0) if a.topic != INS or a.stamp_ns < at(3.0)]
     run = sail(except_(stars, FIX))
-    assert {m.status for m in claimed(run)} == {Status.DEGRADED}
+    assert {m.status for m in published_attitudes(run)} == {Status.DEGRADED}
     assert_invalid_once_a_second(run, 3.0, 6.0)
 
 
@@ -94,7 +94,7 @@ def test_rejected_ins_samples_give_no_attitude() -> None:
 def test_attitudes_come_from_stars_while_the_ins_is_rejected() -> None:
     arrivals = changed_where(voyage(8.0), lambda a: a.topic == INS and at(3.0) < a.stamp_ns < at(6.0), wrong_frame)
     run = drive(new_adapter(), arrivals)
-    carried = [m for m in claimed(run) if at(4.0) < stamp_of(m) < at(6.0)]
+    carried = [m for m in published_attitudes(run) if at(4.0) < stamp_of(m) < at(6.0)]
     assert len(carried) == 20
     assert {m.status for m in carried} == {Status.DEGRADED}
     assert [ns for ns in invalid_times_ns(run) if ns > at(4.0)] == []
@@ -113,7 +113,7 @@ def test_attitudes_come_from_stars_while_no_ins_sample_has_a_rate() -> None:
 
     arrivals = changed_where([a for a in voyage(8.0) if is_kept(a)], lambda a: a.topic == INS, without_rates)
     run = drive(new_adapter(), arrivals)
-    carried = [m for m in claimed(run) if at(4.2) < stamp_of(m) < at(7.5)]
+    carried = [m for m in published_attitudes(run) if at(4.2) < stamp_of(m) < at(7.5)]
     assert {m.status for m in carried} == {Status.DEGRADED}
     assert len(carried) > 25
     assert [ns for ns in invalid_times_ns(run) if ns > at(4.2)] == []
@@ -132,7 +132,7 @@ def test_ins_and_stars_stop_and_come_back() -> None:
     assert by_second[6] == {"INVALID"}
     assert by_second[10] == by_second[13] == {"VALID"}
     assert_in_order(run)
-    for message in claimed(run):
+    for message in published_attitudes(run):
         assert_honest(message)
 
 
@@ -157,7 +157,7 @@ def with_latency(arrivals: Iterable[Arrival], latency_s: Callable[[str], float])
 def test_old_stamps_are_no_timeout(latency_s: Callable[[str], float]) -> None:
     """The INS within the lag behind the stars, or all that late."""
     run = drive(new_adapter(), with_latency(voyage(), latency_s))
-    by_ins, expected = ([stamp_of(m) for m in claimed(r) if "ins" in m.sources] for r in (run, clean_run()))
+    by_ins, expected = ([stamp_of(m) for m in published_attitudes(r) if "ins" in m.sources] for r in (run, clean_run()))
     # Stars that arrived before the first INS sample gave attitudes first.
     assert by_ins == [ns for ns in expected if latency_s(FORE) or ns > at(0.877)]
     assert [ns for ns in invalid_times_ns(run) if ns > at(latency_s(INS) + 0.1)] == []
@@ -186,8 +186,8 @@ def test_a_leap_second_costs_attitudes_only_until_it_is_detected() -> None:
     arrivals = voyage(17.0)
     run = drive(new_adapter(), changed_where(arrivals, lambda a: a.stamp_ns >= at(3.0), back))
     assert invalid_times_ns(run) == []
-    before = [m for ns, m in at_times(run) if ns < at(3.0)]
-    after = [m for ns, m in at_times(run) if ns >= at(3.0)]
+    before = [m for ns, m in attitudes_by_time(run) if ns < at(3.0)]
+    after = [m for ns, m in attitudes_by_time(run) if ns >= at(3.0)]
     for one in (before, after):
         assert all(stamp_of(earlier) < stamp_of(later) for earlier, later in pairwise(one))
     stamps = [a.stamp_ns for a in arrivals if a.topic == INS]
@@ -196,21 +196,21 @@ def test_a_leap_second_costs_attitudes_only_until_it_is_detected() -> None:
 
 
 @functools.cache
-def stopped(from_s: float, until_s: float) -> Run:
+def run_with_stopped_node(from_s: float, until_s: float) -> Run:
     """Messages received while the node was stopped are processed when it continues, after the ticks of that time."""
     arrivals = [replace(a, receive_ns=at(until_s)) if at(from_s) < a.receive_ns < at(until_s) else a for a in voyage()]
     return drive(new_adapter(), arrivals)
 
 
 def test_data_received_during_a_stop_are_published_after_it() -> None:
-    run = stopped(2.5, 3.7)
+    run = run_with_stopped_node(2.5, 3.7)
     assert len(invalid_times_ns(run)) == 1
-    assert [stamp_of(m) for m in claimed(run)] == [stamp_of(m) for m in claimed(clean_run())]
+    assert [stamp_of(m) for m in published_attitudes(run)] == [stamp_of(m) for m in published_attitudes(clean_run())]
     assert run.state() == clean_run().state()
 
 
 def test_invalid_has_the_time_of_the_tick_and_delays_nothing() -> None:
-    run = stopped(2.5, 3.7)
+    run = run_with_stopped_node(2.5, 3.7)
     (invalid,) = [m for ns, topic, m in run.published if topic == ATTITUDE and ns in invalid_times_ns(run)]
     assert stamp_of(invalid) == invalid_times_ns(run)[0]
     index = run.messages(ATTITUDE).index(invalid)
@@ -230,7 +230,7 @@ def test_attitudes_come_from_stars_while_the_ins_is_too_late() -> None:
     """It arrives at its full rate, each sample 3 s old: more than the lag behind the stars."""
     run = drive(new_adapter(), with_latency(voyage(8.0), lambda topic: 3.0 if topic == INS else 0.0))
     assert run.reasons(INS)["late"] > 100
-    carried = [m for m in claimed(run) if "ins" not in m.sources]
+    carried = [m for m in published_attitudes(run) if "ins" not in m.sources]
     assert {m.status for m in carried} == {Status.DEGRADED}
     assert len(carried) > 60
     assert [ns for ns in invalid_times_ns(run) if ns < at(9.0)] == []

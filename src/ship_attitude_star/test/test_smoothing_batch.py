@@ -60,7 +60,7 @@ def ins_nd(t_s: float) -> np.ndarray:
     return rotation_from_angles(*np.deg2rad([40.0 + heading, pitch, roll]))
 
 
-def turned(vector: np.ndarray) -> np.ndarray:
+def rotation_of(vector: np.ndarray) -> np.ndarray:
     return Rotation.from_rotvec(vector).as_matrix()
 
 
@@ -76,14 +76,14 @@ def star_epochs() -> list[tuple[int, str]]:
     return sorted([*fore, *starboard, *((ms + 260, "starboard") for ms, _ in starboard)])
 
 
-def measured() -> list[AttitudeMeasurement]:
+def measurements() -> list[AttitudeMeasurement]:
     """Attitudes with errors of the stated sizes, drawn without correlation: both estimators must agree."""
     rng, found = np.random.default_rng(5), []
     mounted = {id_: MOUNTED * rng.standard_normal(3) for id_ in SENSORS}
     for ms, id_ in star_epochs():
         slow = np.array([TILT, HEADING, TILT]) * np.array([0.9, -1.1, 0.6]) * np.cos(ms / 9000.0)
-        sensor = rotation_from_angles(*SENSORS[id_]) @ turned(mounted[id_])
-        rotation = turned(slow) @ ins_nd(ms / 1000.0 - 0.0011) @ sensor @ turned(NOISE * rng.standard_normal(3))
+        sensor = rotation_from_angles(*SENSORS[id_]) @ rotation_of(mounted[id_])
+        rotation = rotation_of(slow) @ ins_nd(ms / 1000.0 - 0.0011) @ sensor @ rotation_of(NOISE * rng.standard_normal(3))
         common = COMMON**2 * np.eye(3) if id_ == "fore" else np.zeros((3, 3))
         stamp_ns = START_NS + ms * 1_000_000
         found.append(AttitudeMeasurement(f"star.{id_}", stamp_ns, rotation, np.diag(NOISE**2), common))
@@ -92,7 +92,7 @@ def measured() -> list[AttitudeMeasurement]:
 
 def smoothed_run() -> tuple[SmoothingCore, list[AttitudeEstimate]]:
     """The core fed in order of stamps, and the smoothed attitudes of each half second."""
-    core, stars = SmoothingCore(CONFIG, None, None), measured()
+    core, stars = SmoothingCore(CONFIG, None, None), measurements()
     for number in range(round(DURATION_S / INS_PERIOD_S)):
         ms = 20 * number
         time_ns = START_NS + ms * 1_000_000
@@ -101,12 +101,12 @@ def smoothed_run() -> tuple[SmoothingCore, list[AttitudeEstimate]]:
         sample = AttitudeSample(time_ns, ins_nd(ms / 1000.0), rate_d(ms / 1000.0))
         outcome = core.add_ins(sample, estimate=ms % 500 == 240)
         assert all(decision.accepted for decision in outcome.decisions)
-        core.smoothed()
-    return core, list(core.smoothed_to_the_end())
+        core.take_smoothed()
+    return core, list(core.smoothed_estimates())
 
 
 @dataclass
-class Batch:
+class BatchProblem:
     """All unknowns by name, each three numbers (the clock one), and all residuals of unit variance."""
 
     places: dict[tuple[str, int], slice] = field(default_factory=dict)
@@ -129,8 +129,8 @@ class Batch:
         return rows
 
 
-def batch_equations(batch: Batch, requested_ms: list[int]) -> list[tuple]:
-    stars = measured()
+def batch_equations(batch: BatchProblem, requested_ms: list[int]) -> list[tuple]:
+    stars = measurements()
     epochs = sorted({ms for ms, _ in star_epochs()} | set(requested_ms))
     fore = [ms for ms, id_ in star_epochs() if id_ == "fore"]
     three = np.ones(3)
@@ -149,15 +149,15 @@ def batch_equations(batch: Batch, requested_ms: list[int]) -> list[tuple]:
         def residual(clock_s, mounted, slow, white, common=None, flexure=None, ms=ms, id_=id_, star=star):
             zero = np.zeros(3)
             common, flexure = (zero if one is None else one for one in (common, flexure))
-            hull = turned(common) @ turned(slow) @ turned(white) @ ins_nd(ms / 1000.0 - clock_s[0]) @ turned(flexure)
-            predicted = hull @ rotation_from_angles(*SENSORS[id_]) @ turned(mounted)
+            hull = rotation_of(common) @ rotation_of(slow) @ rotation_of(white) @ ins_nd(ms / 1000.0 - clock_s[0]) @ rotation_of(flexure)
+            predicted = hull @ rotation_from_angles(*SENSORS[id_]) @ rotation_of(mounted)
             return Rotation.from_matrix(predicted.T @ star.rotation_nv).as_rotvec() / NOISE
 
         rows.append((used, residual))
     return rows
 
 
-def steps_of(batch: Batch) -> np.ndarray:
+def steps_of(batch: BatchProblem) -> np.ndarray:
     """For the differences: 10 µs for the clock, 1e-6 for angles."""
     steps = np.full(batch.size, 1e-6)
     steps[batch.places["clock", 0]] = 1e-5
@@ -168,7 +168,7 @@ def steps_of(batch: Batch) -> np.ndarray:
 def both() -> tuple:
     core, smoothed = smoothed_run()
     asked_ms = [round((one.time_ns - START_NS) / 1e6) for one in smoothed]
-    batch = Batch()
+    batch = BatchProblem()
     return core, smoothed, asked_ms, batch, *solved(batch_equations(batch, asked_ms), steps_of(batch))
 
 
@@ -181,7 +181,7 @@ def test_smoothing_is_batch_least_squares(both: tuple) -> None:
     for one, ms in zip(smoothed, asked_ms, strict=True):
         parts = [batch.places["slow", ms], batch.places["clock", 0]]
         slow, clock_s = (unknowns[part] for part in parts)
-        rotation_nd = turned(slow) @ ins_nd(ms / 1000.0 - clock_s[0])
+        rotation_nd = rotation_of(slow) @ ins_nd(ms / 1000.0 - clock_s[0])
         by_clock = -(rotation_nd @ rate_d(ms / 1000.0 - clock_s[0]))
         jacobian = np.hstack([np.eye(3), by_clock[:, None]])
         expected = jacobian @ covariance_of(factors, batch.size, parts) @ jacobian.T + WHITE**2 * np.eye(3)

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from ship_attitude_star.ins_errors.process import own_from_whole
+from ship_attitude_star.ins_errors.process import own_error_matrix
 from ship_attitude_star.measurements.readings import PositionFix
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.state import changed
-from ship_attitude_star.smoothing.between import Between
+from ship_attitude_star.smoothing.between import InsErrorPredictor
 from ship_attitude_star.smoothing.traced_filter import TracedFilter
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.backward import Known
@@ -25,7 +25,7 @@ STARS = {"star_sensors": {"fore": {"azimuth_deg": 0.0, "elevation_deg": 45.0, "f
 def filter_of(**values: object) -> TracedFilter:
     """Return the filter of a ship that sails North at 10 m/s, with a fix each second."""
     config = build(ShipAttitudeConfig, {**STARS, **values})
-    vertical = VerticalTrack(config.gravity, config.sky) if config.follows_vertical else None
+    vertical = VerticalTrack(config.gravity, config.sky) if config.needs_vertical else None
     for second in range(-10, 80 if vertical is not None else -10):
         place = GeodeticPosition(math.radians(40.0) + second * 10.0 / 6.37e6, math.radians(-66.0), 20.0)
         vertical.insert(PositionFix(START_NS + second * SECOND_NS, place, np.diag([0.01, 0.04, 0.01])))
@@ -53,10 +53,10 @@ def test_it_equals_the_prediction_of_the_filter(values: dict) -> None:
     stack[0], stack[len(start.covariance_by_source) :] = full, full
     state = changed(start, stack=stack, means=start.means + 0.3 * sigma * rng.standard_normal(len(sigma)))
     anchor = Anchor(START_NS, Known(state.mean, state.covariance), state.vertical)
-    between = Between(filter_, values.get("horizon") == "gravity")
+    between = InsErrorPredictor(filter_, values.get("horizon") == "gravity")
     times_ns = [START_NS + round(second * SECOND_NS) for second in (0.0, 0.4, 7.3, 33.0, 61.9)]
     later = Anchor(times_ns[-1], anchor.known, None)
-    found, cross = between.at(anchor, times_ns, later)
+    found, cross = between.estimates_at(anchor, times_ns, later)
     assert cross is not None
     rows = np.r_[filter_.model.state_indices("ins.attitude"), filter_.model.state_indices("ins.time_offset")]
     for place, time_ns in enumerate(times_ns):
@@ -64,7 +64,7 @@ def test_it_equals_the_prediction_of_the_filter(values: dict) -> None:
         told = np.eye(filter_.model.size)[rows]
         if values.get("horizon") == "gravity":
             assert filter_.vertical is not None
-            told[:3, filter_.model.process_rows[:5]] = own_from_whole(filter_.vertical.at(time_ns))
+            told[:3, filter_.model.process_indices[:5]] = own_error_matrix(filter_.vertical.at(time_ns))
         scale = np.sqrt((told @ there.covariance @ told.T).diagonal())
         np.testing.assert_allclose(found.mean[place] / scale, told @ there.mean / scale, atol=1e-9)
         expected = told @ there.covariance @ told.T / np.outer(scale, scale)

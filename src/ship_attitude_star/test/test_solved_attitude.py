@@ -19,7 +19,7 @@ from ship_attitude_star.ros.star_attitude_adapter import star_horizon_attitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.sky.sky_watch import SkyModel, load_sky_model
-from ship_attitude_star.sky.tracker_attitude import in_horizon
+from ship_attitude_star.sky.tracker_attitude import to_horizon_attitude
 from ship_attitude_star.star_attitude.exposure_solver import solve_exposure
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_estimation.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
@@ -130,11 +130,11 @@ def voyage(known: Knowledge, seed: int) -> Voyage:
 def solution(exposure: StarExposure, known: Knowledge) -> Any:
     """Return ``star/<id>/solution`` of an exposure by the known sky."""
     _, solved = solve_exposure(exposure, (), None, sky_model_with_inputs(known))
-    assert solved.valid
+    assert solved.is_valid
     return star_horizon_attitude(FACTORY, solved, "")
 
 
-def measured(exposure: StarExposure, config: ShipAttitudeConfig, known: Knowledge, has_noise_covariance: bool) -> Measurement:
+def measure_attitude(exposure: StarExposure, config: ShipAttitudeConfig, known: Knowledge, has_noise_covariance: bool) -> Measurement:
     """Return the filter's measurement of an exposure, by the configured input."""
     id_ = exposure.source.partition(".")[2]
     star = config.star_sensors[id_]
@@ -152,7 +152,7 @@ def final(config: ShipAttitudeConfig, known: Knowledge, seed: int, has_noise_cov
     state = ship_filter.initial_state()
     for exposure, noise_n in zip(drawn.exposures, drawn.noise_n, strict=True):
         track = ins_track(exposure.time_ns, drawn.error_n + noise_n)
-        measurement = measured(exposure, config, known, has_noise_covariance)
+        measurement = measure_attitude(exposure, config, known, has_noise_covariance)
         stepped = ship_filter.step(state, measurement, track, sky_model_with_inputs(known))
         assert stepped is not None
         state, decision = stepped
@@ -240,7 +240,7 @@ def read(message: Any, shared: str = "sky") -> AttitudeMeasurement:
 def separate_errors(message: Any, known: Knowledge = POOR_FIX) -> AttitudeMeasurement:
     solved = read(message)
     assert isinstance(solved, SolvedAttitude)
-    found = in_horizon(solved, sky_model_with_inputs(known))
+    found = to_horizon_attitude(solved, sky_model_with_inputs(known))
     assert isinstance(found, AttitudeMeasurement)
     return found
 
@@ -319,7 +319,7 @@ def test_below_the_refraction_model_the_stated_covariance_is_used(elevation_deg:
 
 
 def test_without_a_fix_shared_errors_cannot_be_separated() -> None:
-    refusal = in_horizon(read(one_solution()), load_sky_model(ship(POOR_FIX).sky))
+    refusal = to_horizon_attitude(read(one_solution()), load_sky_model(ship(POOR_FIX).sky))
     assert isinstance(refusal, Rejection)
     assert refusal.reason is Reason.NO_FIX
 

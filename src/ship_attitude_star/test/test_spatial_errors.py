@@ -33,7 +33,7 @@ def powers(places: np.ndarray) -> np.ndarray:
     return np.stack([places[:, 0] ** i * places[:, 1] ** j for i in range(4) for j in range(4 - i)], axis=-1)
 
 
-def of_fitted_polynomials(places: np.ndarray) -> np.ndarray:
+def polynomial_variance(places: np.ndarray) -> np.ndarray:
     """Return the covariance at positions (half sides) of the best polynomial fit to the process, less its mean.
 
     The process has a mean square of 1 over the detector without its mean.
@@ -57,7 +57,7 @@ def test_the_field_error_is_the_best_polynomial_of_the_stated_process():
     for axis in range(2):
         covariance = modes_px[..., axis] @ modes_px[..., axis].T
         # The sums over the grid are accurate to some thousandths.
-        np.testing.assert_allclose(covariance / FIELD_PX**2, of_fitted_polynomials(places), atol=0.01)
+        np.testing.assert_allclose(covariance / FIELD_PX**2, polynomial_variance(places), atol=0.01)
     # Modes of u do not change v.
     np.testing.assert_allclose(modes_px[..., 0] @ modes_px[..., 1].T, 0.0, atol=1e-9)
 
@@ -70,14 +70,14 @@ def test_the_polynomial_leaves_out_a_thousandth_of_its_variance():
     np.testing.assert_allclose(modes_px.mean(axis=0), 0.0, atol=1e-3)
 
 
-def worth(steps_px: np.ndarray, stars: int = 12, noise_px: float = 0.0, seed: int = 3) -> np.ndarray:
+def information_ratios(steps_px: np.ndarray, stars: int = 12, noise_px: float = 0.0, seed: int = 3) -> np.ndarray:
     """Return the information of successive exposures, relative to a single one, for given movements, shape (n,)."""
     rng = np.random.default_rng([7, seed])
     places, stay, found = rng.uniform(100.0, 1400.0, (stars, 2)), None, []
     for place in np.cumsum(steps_px, axis=0):
         seen = places + place + noise_px * rng.standard_normal((stars, 2))
-        stay = ERRORS.stay(CAMERA.directions(seen), np.full(stars, noise_px * PIXEL_RAD), stay)
-        found.append(1.0 / (1.0 + stay.excess))
+        stay = ERRORS.pixel_dwell(CAMERA.directions(seen), np.full(stars, noise_px * PIXEL_RAD), stay)
+        found.append(1.0 / (1.0 + stay.excess_ratio))
     return np.array(found)
 
 
@@ -92,7 +92,7 @@ def test_the_variance_of_exposures_on_the_same_pixels_matches_their_error(step_p
     The common part of two exposures' errors is the overlap of the pixels around them. The filter's variance of the mean
     is compared with it; the overlap decreases linearly, the filter's model exponentially.
     """
-    exposures, number = worth(drift(step_px), stars=100), np.arange(300)
+    exposures, number = information_ratios(drift(step_px), stars=100), np.arange(300)
     apart = np.abs(number[:, None] - number)[..., None] * np.abs(step_px)
     overlap = np.prod(np.maximum(1.0 - apart, 0.0), axis=-1)
     variance = exposures @ overlap @ exposures / exposures.sum() ** 2
@@ -112,7 +112,7 @@ def test_noise_and_sway_do_not_count_as_new_pixels(drift_px: float, sway_px: flo
         steps = np.vstack([[0.0, 0.0], np.diff(sway_px * rng.standard_normal((100, 2)), axis=0)])
         steps[1:, 0] += drift_px
         noise_px = 0.1
-        variance = noise_px**2 + PIXEL_PX**2 / worth(steps, stars=8, noise_px=noise_px, seed=seed)
+        variance = noise_px**2 + PIXEL_PX**2 / information_ratios(steps, stars=8, noise_px=noise_px, seed=seed)
         path = np.rint(np.cumsum(steps, axis=0)[:, None] + rng.uniform(-0.5, 0.5, (8, 2)))
         errors = np.stack([_of_pixels(rng, path[:, star]) for star in range(8)], axis=1)
         seen = (PIXEL_PX * errors + noise_px * rng.standard_normal(errors.shape)).mean(axis=1)
@@ -132,13 +132,13 @@ def test_a_rotation_about_the_boresight_counts_as_movement():
     """Twelve stars rotate about the middle of the detector, with the same root mean square movement as a shift."""
     places = np.random.default_rng(11).uniform(-400.0, 400.0, (12, 2))
     arm = np.sqrt(np.mean(np.sum((places - places.mean(axis=0)) ** 2, axis=1)))
-    begun = ERRORS.stay(CAMERA.directions(HALF_PX + places), np.full(12, 1e-12), None)
+    begun = ERRORS.pixel_dwell(CAMERA.directions(HALF_PX + places), np.full(12, 1e-12), None)
     for way_px in (1.0, 2.0):
         cosine, sine = np.cos(way_px / arm), np.sin(way_px / arm)
         turned = (places - places.mean(axis=0)) @ np.array([[cosine, sine], [-sine, cosine]]) + places.mean(axis=0)
         shifted = places + np.array([way_px, 0.0])
         by_turn, by_shift = (
-            ERRORS.stay(CAMERA.directions(HALF_PX + moved), np.full(12, 1e-12), begun).excess
+            ERRORS.pixel_dwell(CAMERA.directions(HALF_PX + moved), np.full(12, 1e-12), begun).excess_ratio
             for moved in (turned, shifted)
         )
         assert by_turn == pytest.approx(by_shift, rel=0.02)
@@ -154,14 +154,14 @@ def test_at_the_fold_of_a_distortion_the_error_is_finite():
 
 
 def test_stars_on_new_pixels_start_a_new_dwell():
-    assert worth(drift((8.0, 0.0), 5)).tolist() == [1.0] * 5
-    stay = ERRORS.stay(CAMERA.directions(np.array([[300.0, 400.0]])), np.full(1, 1e-6), None)
-    other = ERRORS.stay(CAMERA.directions(np.array([[900.0, 200.0]])), np.full(1, 1e-6), stay)
-    assert (other.exposures, other.excess) == (0, 0.0)
+    assert information_ratios(drift((8.0, 0.0), 5)).tolist() == [1.0] * 5
+    stay = ERRORS.pixel_dwell(CAMERA.directions(np.array([[300.0, 400.0]])), np.full(1, 1e-6), None)
+    other = ERRORS.pixel_dwell(CAMERA.directions(np.array([[900.0, 200.0]])), np.full(1, 1e-6), stay)
+    assert (other.exposure_count, other.excess_ratio) == (0, 0.0)
 
 
 def test_exactly_constant_stars_add_the_least_information():
-    exposures = worth(np.zeros((50, 2)))
+    exposures = information_ratios(np.zeros((50, 2)))
     assert exposures[0] == 1.0
     assert np.all(exposures[1:] == 1e-3)
 
@@ -171,7 +171,7 @@ def test_a_streak_averages_over_its_pixels(length_px: float):
     """Compared with the double mean of exp(-2 |s - t|) over the streak, by sums."""
     ways = (np.arange(2000) + 0.5) / 2000.0 * length_px
     expected = np.mean(np.exp(-2.0 * np.abs(ways[:, None] - ways)))
-    share = ERRORS.streak_share(np.array([length_px * PIXEL_RAD]))
+    share = ERRORS.streak_variance_ratio(np.array([length_px * PIXEL_RAD]))
     np.testing.assert_allclose(share, expected, rtol=1e-3)
 
 

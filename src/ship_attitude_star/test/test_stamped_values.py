@@ -10,7 +10,7 @@ from ship_attitude_star.sky.stamped_values import JumpLimits, StampedValues
 from ship_estimation.refusals import Reason
 
 SECOND_NS = 1_000_000_000
-LIMITS = JumpLimits(at_once=10.0, per_s=2.0, confirmation_s=60.0, unit="m")
+LIMITS = JumpLimits(max_step=10.0, max_rate=2.0, confirmation_s=60.0, unit="m")
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Reading:
     value: float
     sigma: float = 0.0
 
-    def away(self, other: "Reading") -> float:
+    def distance_to(self, other: "Reading") -> float:
         return abs(self.value - other.value)
 
     def content(self) -> bytes:
@@ -134,10 +134,10 @@ def test_a_good_source_is_not_rejected() -> None:
     assert refused == 0
 
 
-BRIEF = JumpLimits(at_once=10.0, per_s=2.0, confirmation_s=8.0, unit="m")
+BRIEF = JumpLimits(max_step=10.0, max_rate=2.0, confirmation_s=8.0, unit="m")
 
 
-def drawn(rng: np.random.Generator) -> list[tuple[int, Reading]]:
+def draw_readings(rng: np.random.Generator) -> list[tuple[int, Reading]]:
     """Return values with jumps, some of them lasting, with gaps, and with conflicting values of one stamp."""
     times_ns = np.cumsum(rng.integers(1, 4, 40)) * SECOND_NS
     places = rng.choice([0.0, 0.0, 0.0, 15.0, 25.0, 400.0], 8)
@@ -148,7 +148,7 @@ def drawn(rng: np.random.Generator) -> list[tuple[int, Reading]]:
     return stamped + [(time_ns, Reading(reading.value + 300.0)) for time_ns, reading in stamped[::9]]
 
 
-def put(stamped: list[tuple[int, Reading]], order: Iterable[int]) -> StampedValues[Reading]:
+def insert_in_order(stamped: list[tuple[int, Reading]], order: Iterable[int]) -> StampedValues[Reading]:
     values = StampedValues[Reading](BRIEF)
     for index in order:
         values.insert(*stamped[index])
@@ -156,7 +156,7 @@ def put(stamped: list[tuple[int, Reading]], order: Iterable[int]) -> StampedValu
 
 
 def test_the_drawn_values_have_rejected_and_accepted_jumps() -> None:
-    runs = [put(stamped, range(len(stamped))) for stamped in map(drawn, map(np.random.default_rng, range(40)))]
+    runs = [insert_in_order(stamped, range(len(stamped))) for stamped in map(draw_readings, map(np.random.default_rng, range(40)))]
     assert sum(len(values.times) < 35 for values in runs) > 20
     assert sum(any(values.follows_jump) for values in runs) > 10
 
@@ -164,9 +164,9 @@ def test_the_drawn_values_have_rejected_and_accepted_jumps() -> None:
 @pytest.mark.parametrize("seed", range(40))
 def test_any_order_of_arrival_gives_the_same_values(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    stamped = sorted(drawn(rng), key=lambda one: one[0])
-    expected = accepted_values(put(stamped, range(len(stamped))))
-    assert accepted_values(put(stamped, rng.permutation(len(stamped)))) == expected
+    stamped = sorted(draw_readings(rng), key=lambda one: one[0])
+    expected = accepted_values(insert_in_order(stamped, range(len(stamped))))
+    assert accepted_values(insert_in_order(stamped, rng.permutation(len(stamped)))) == expected
     # Up to 10 s late; older values are dropped.
     late, newest_ns, forgotten = StampedValues[Reading](BRIEF), 0, []
     for index in np.argsort([time_ns + rng.uniform(0.0, ns(10)) for time_ns, _ in stamped]):
@@ -181,7 +181,7 @@ def test_any_order_of_arrival_gives_the_same_values(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(40))
 def test_accepted_values_before_the_returned_stamp_are_unchanged(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    stamped, values = drawn(rng), StampedValues[Reading](BRIEF)
+    stamped, values = draw_readings(rng), StampedValues[Reading](BRIEF)
     for index in rng.permutation(len(stamped)):
         before = accepted_values(values)
         changed_ns = values.insert(*stamped[index])
@@ -207,10 +207,10 @@ def test_a_long_jump_takes_limited_memory_and_older_values_are_late() -> None:
     assert values.rejection(ns(1002), Reading(0.0)) is None
 
 
-SETTLES = JumpLimits(at_once=10.0, per_s=2.0, confirmation_s=60.0, unit="m", settled_by=4)
+SETTLES = JumpLimits(max_step=10.0, max_rate=2.0, confirmation_s=60.0, unit="m", min_consistent=4)
 
 
-def settling(*stamped: tuple[float, float]) -> tuple[list[float], list[bool]]:
+def provisional_results(*stamped: tuple[float, float]) -> tuple[list[float], list[bool]]:
     """Return the times of the rejected values, and after each value whether provisional values are in conflict."""
     values, refused, disputed = StampedValues[Reading](SETTLES), [], []
     for since_s, value in stamped:
@@ -226,20 +226,20 @@ GOOD = [(float(t), 1000.0 + t) for t in range(5, 15)]
 
 def test_a_provisional_value_is_replaced_by_the_minimum_number_even_if_repeated() -> None:
     for stood in (2, 5):
-        refused, disputed = settling(*((float(t), 0.0) for t in range(stood)), *GOOD)
+        refused, disputed = provisional_results(*((float(t), 0.0) for t in range(stood)), *GOOD)
         assert refused == [5.0, 6.0, 7.0]
         assert disputed == [False] * stood + [True] * 3 + [False] * 7
 
 
 def test_two_values_contradict_several_provisional_ones() -> None:
-    refused, disputed = settling((2.0, 0.0), (3.0, 1.0), (4.0, 2.0), *GOOD)
+    refused, disputed = provisional_results((2.0, 0.0), (3.0, 1.0), (4.0, 2.0), *GOOD)
     assert refused == [5.0, 6.0, 7.0]
     assert disputed == [False] * 4 + [True, True] + [False] * 7
 
 
 def test_an_established_value_is_replaced_only_after_the_confirmation_time() -> None:
     settled = [(0.1 * t, float(t)) for t in range(4)]
-    refused, disputed = settling(*settled, *((float(t), 1000.0) for t in range(5, 70)))
+    refused, disputed = provisional_results(*settled, *((float(t), 1000.0) for t in range(5, 70)))
     assert refused == [float(t) for t in range(5, 65)]
     assert not any(disputed)
 
@@ -257,7 +257,7 @@ def test_a_step_of_the_clocks_keeps_values_established_or_provisional() -> None:
 
 
 def test_inconsistent_rejected_values_replace_nothing() -> None:
-    refused, disputed = settling((0.0, 0.0), (1.0, 0.0), *((float(t), 500.0 * (t % 3)) for t in range(2, 60)))
+    refused, disputed = provisional_results((0.0, 0.0), (1.0, 0.0), *((float(t), 500.0 * (t % 3)) for t in range(2, 60)))
     assert refused == [float(t) for t in range(2, 60) if t % 3]
     assert disputed[2]
     assert not disputed[3]
@@ -266,7 +266,7 @@ def test_inconsistent_rejected_values_replace_nothing() -> None:
 @pytest.mark.parametrize("seed", range(40))
 def test_any_order_of_arrival_gives_the_same_conflicts(seed: int) -> None:
     rng, limits = np.random.default_rng(seed), replace(BRIEF, settled_by=6)
-    stamped = sorted(drawn(rng), key=lambda one: one[0])
+    stamped = sorted(draw_readings(rng), key=lambda one: one[0])
     in_order = StampedValues[Reading](limits)
     for one in stamped:
         in_order.insert(*one)

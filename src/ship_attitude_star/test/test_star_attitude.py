@@ -122,16 +122,16 @@ def test_the_prior_selects_stars_and_does_not_change_the_attitude() -> None:
         assert [exactly(m) for m in without.messages(name)] == [exactly(m) for m in clean_run().messages(name)]
 
 
-def spanned(messages: list[Any]) -> list[Any]:
+def covered_by_ins(messages: list[Any]) -> list[Any]:
     """Solutions of exposures fully covered by INS samples."""
     return [message for message in messages if 0.1 * SECOND_NS < since(message) < 2.85 * SECOND_NS]
 
 
 @pytest.mark.parametrize("topic", [FORE, STARBOARD])
 def test_streaks_give_the_attitude_at_the_middle_of_their_exposure(topic: str) -> None:
-    told = spanned(sail(streaked_voyage()).messages(SOLUTION[topic]))
-    as_seen = spanned(sail(except_(streaked_voyage(), INS)).messages(SOLUTION[topic]))
-    points = spanned(clean_run().messages(SOLUTION[topic]))
+    told = covered_by_ins(sail(streaked_voyage()).messages(SOLUTION[topic]))
+    as_seen = covered_by_ins(sail(except_(streaked_voyage(), INS)).messages(SOLUTION[topic]))
+    points = covered_by_ins(clean_run().messages(SOLUTION[topic]))
     assert len(told) == len(points) >= 13
 
     def errors_arcsec(messages: list[Any]) -> FloatArray:
@@ -248,7 +248,7 @@ def test_with_the_ins_two_stars_are_enough_to_be_sure() -> None:
     assert {(message.status, message.star_count) for message in joint} == {(SolutionStatus.VALID, 2)}
 
 
-def turned_ins(heading_deg: float) -> tuple[Arrival, ...]:
+def ins_samples_with_rotation(heading_deg: float) -> tuple[Arrival, ...]:
     turn = rotation_from_angles(np.deg2rad(heading_deg), 0.0, 0.0)
 
     def change(message: Any) -> None:
@@ -260,7 +260,7 @@ def turned_ins(heading_deg: float) -> tuple[Arrival, ...]:
 
 
 def test_an_ins_that_contradicts_all_stars_does_not_reject_them() -> None:
-    run = sail(turned_ins(90.0))
+    run = sail(ins_samples_with_rotation(90.0))
     for topic, name in SOLUTION.items():
         for message in run.messages(name):
             assert message.status == SolutionStatus.VALID
@@ -270,7 +270,7 @@ def test_an_ins_that_contradicts_all_stars_does_not_reject_them() -> None:
     assert "not with ins/imu" in text
 
 
-def nameless(arrivals: tuple[Arrival, ...]) -> tuple[Arrival, ...]:
+def without_identities(arrivals: tuple[Arrival, ...]) -> tuple[Arrival, ...]:
     def change(message: Any) -> None:
         for star in message.stars:
             star.catalogue_id = 0
@@ -279,7 +279,7 @@ def nameless(arrivals: tuple[Arrival, ...]) -> tuple[Arrival, ...]:
 
 
 def test_stars_without_a_name_are_identified_by_the_ins() -> None:
-    run = sail(nameless(voyage()))
+    run = sail(without_identities(voyage()))
     for topic, name in SOLUTION.items():
         for message in run.messages(name):
             assert message.star_count + message.rejected_count == STARS
@@ -301,7 +301,7 @@ def test_a_detection_without_a_name_is_not_given_that_of_another() -> None:
 
 
 def test_without_a_name_and_without_an_ins_there_is_no_solution() -> None:
-    run = sail(nameless(without_ins()))
+    run = sail(without_identities(without_ins()))
     assert {message.status for message in run.messages(SOLUTION[FORE])} == {SolutionStatus.INVALID}
     exposures = len(only(voyage(), FORE))
     assert run.reasons(FORE) == {"unidentified": STARS * exposures, "too_few_stars": exposures}

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.measurements.readings import SkyInput
-from ship_attitude_star.ros.star_attitude_adapter import seen_stars
+from ship_attitude_star.ros.star_attitude_adapter import read_exposure
 from ship_attitude_star.ros.surroundings_in import surroundings_reader
 from ship_attitude_star.sky.sky_watch import SkyModel, load_sky_model
 from ship_attitude_star.star_attitude.core import StarCore
@@ -70,11 +70,11 @@ def surroundings() -> tuple[SkyInput, ...]:
 
 
 @functools.cache
-def seen_exactly(topic: str, since_ns: int) -> StarExposure:
+def exact_exposure(topic: str, since_ns: int) -> StarExposure:
     id_ = topic.split("/")[1]
     message = observations(topic, since_ns)
     sensor = CONFIG.star_sensors[id_]
-    return seen_stars(
+    return read_exposure(
         message,
         sensor_id=id_,
         frame_id=sensor.frame_id,
@@ -86,7 +86,7 @@ def seen_exactly(topic: str, since_ns: int) -> StarExposure:
 
 
 @functools.cache
-def ins_exactly() -> tuple[tuple[int, FloatArray, FloatArray], ...]:
+def exact_ins_samples() -> tuple[tuple[int, FloatArray, FloatArray], ...]:
     samples = []
     for since_ns in range(0, 2_000_000_000, INS_PERIOD_NS):
         t_s = 1e-9 * since_ns
@@ -95,9 +95,9 @@ def ins_exactly() -> tuple[tuple[int, FloatArray, FloatArray], ...]:
     return tuple(samples)
 
 
-def seen(topic: str, since_ns: int, rng: np.random.Generator) -> StarExposure:
+def noisy_exposure(topic: str, since_ns: int, rng: np.random.Generator) -> StarExposure:
     """What a sensor sees that is mounted a little otherwise than it is said to be."""
-    exact = seen_exactly(topic, since_ns)
+    exact = exact_exposure(topic, since_ns)
     sensor = CONFIG.star_sensors[topic.split("/")[1]]
     turned_s = exact.directions_s @ exp_rotation(sensor.installation_sigma_s * rng.standard_normal(3))
     off = exact.sigma[:, None] * rng.standard_normal((len(exact), 2))
@@ -113,12 +113,12 @@ def joint_nees(periods: float, seed: int) -> float:
     core = StarCore(CONFIG, sky())
     for told in surroundings():
         assert core.add_surroundings(told) is None
-    for time_ns, rotation_nd, rate_d in ins_exactly():
+    for time_ns, rotation_nd, rate_d in exact_ins_samples():
         noise = exp_rotation(WHITE_SIGMA_ARCSEC * ARCSEC * rng.standard_normal(3))
         core.add_ins(AttitudeSample(time_ns, noise @ rotation_nd, rate_d))
     solved = []
     for topic, since_ns in ((FORE, first_ns), (STARBOARD, first_ns + round(periods * INS_PERIOD_NS))):
-        solved += core.add_exposure(seen(topic, since_ns, rng)).solved
+        solved += core.add_exposure(noisy_exposure(topic, since_ns, rng)).solved
     joint = [one for one in solved if one.sensor_id == JOINT]
     assert len(joint) == 1
     assert len(joint[0].sources) == 2

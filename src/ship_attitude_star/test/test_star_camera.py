@@ -42,7 +42,7 @@ def test_distortion_by_the_formula():
     radial = 1.0 + 0.1 * 0.13 - 0.05 * 0.0169 + 0.3 * 0.002197
     x = 0.3 * radial + 2 * 0.01 * -0.06 + 0.02 * (0.13 + 0.18)
     y = -0.2 * radial + 0.01 * (0.13 + 0.08) + 2 * 0.02 * -0.06
-    assert Distortion(k1, k2, p1, p2, k3).distorted(np.array([0.3, -0.2])) == pytest.approx([x, y], abs=1e-15)
+    assert Distortion(k1, k2, p1, p2, k3).distort(np.array([0.3, -0.2])) == pytest.approx([x, y], abs=1e-15)
 
 
 def test_jacobian_of_the_distortion_equals_finite_differences():
@@ -50,7 +50,7 @@ def test_jacobian_of_the_distortion_equals_finite_differences():
     points = np.random.default_rng(4).uniform(-0.5, 0.5, (50, 2))
     step = 1e-6
     for column, change in enumerate(np.eye(2) * step):
-        difference = (distortion.distorted(points + change) - distortion.distorted(points - change)) / (2.0 * step)
+        difference = (distortion.distort(points + change) - distortion.distort(points - change)) / (2.0 * step)
         assert distortion.jacobian(points)[..., column] == pytest.approx(difference, abs=1e-9)
 
 

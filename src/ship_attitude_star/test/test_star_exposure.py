@@ -11,8 +11,8 @@ from ship_attitude_star.ship_attitude.comparison import compare, predict_attitud
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.stars.camera import Distortion, StarCamera, equivalent_sigma, tangent_basis
-from ship_attitude_star.stars.exposure import ExposureLength, at_middle, identified
-from ship_attitude_star.stars.fit import fit_attitude, linearized
+from ship_attitude_star.stars.exposure import ExposureLength, reduce_to_mid_exposure, identify_stars
+from ship_attitude_star.stars.fit import fit_attitude, linearise_stars
 from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.refusals import Reason
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
@@ -64,7 +64,7 @@ def ins_samples(first_s: float = -1.0, last_s: float = 1.0) -> list[AttitudeSamp
     return samples
 
 
-def streaked(exposure, rotation_ds: FloatArray, exposure_s: float):
+def with_streaks(exposure, rotation_ds: FloatArray, exposure_s: float):
     """Return the exposure with centroids that are the means of a thousand pixels each, and those pixels."""
     since_s = exposure_s * ((np.arange(1000) + 0.5) / 1000 - 0.5)
     turns = np.array([(rolling(t) @ rotation_ds).T @ rolling(0.0) @ rotation_ds for t in since_s])
@@ -73,8 +73,8 @@ def streaked(exposure, rotation_ds: FloatArray, exposure_s: float):
     return replace(exposure, directions_s=CAMERA.directions(pixels.mean(axis=0)), length=length), pixels
 
 
-def mended(exposure, rotation_ds: FloatArray):
-    return at_middle(exposure, turning_over(rolling_track(), TIME_NS, exposure.length.nodes).mounted(rotation_ds).turns)
+def reduced_to_middle(exposure, rotation_ds: FloatArray):
+    return reduce_to_mid_exposure(exposure, turning_over(rolling_track(), TIME_NS, exposure.length.nodes).mounted(rotation_ds).turns)
 
 
 @pytest.mark.parametrize("sensor", ["fore", "starboard"])
@@ -82,9 +82,9 @@ def mended(exposure, rotation_ds: FloatArray):
 def test_the_correction_moves_a_centroid_to_mid_exposure(watch, sensor, exposure_s, least_arcsec):
     rotation_ds = CONFIG.star_sensors[sensor].rotation_ds
     true = exposure_of(watch, sensor, 8)
-    seen, _ = streaked(true, rotation_ds, exposure_s)
+    seen, _ = with_streaks(true, rotation_ds, exposure_s)
     off = np.linalg.norm(seen.directions_s - true.directions_s, axis=-1)
-    left = np.linalg.norm(mended(seen, rotation_ds).directions_s - true.directions_s, axis=-1)
+    left = np.linalg.norm(reduced_to_middle(seen, rotation_ds).directions_s - true.directions_s, axis=-1)
     assert off.max() > least_arcsec * ARCSEC
     assert left.max() < max(0.005 * ARCSEC, 2e-3 * off.max())
 
@@ -92,8 +92,8 @@ def test_the_correction_moves_a_centroid_to_mid_exposure(watch, sensor, exposure
 @pytest.mark.parametrize("exposure_s", [0.05, 0.2])
 def test_the_noise_grows_only_along_the_streak(watch, exposure_s):
     rotation_ds = CONFIG.star_sensors["fore"].rotation_ds
-    seen, pixels = streaked(exposure_of(watch, "fore", 8), rotation_ds, exposure_s)
-    found = mended(seen, rotation_ds)
+    seen, pixels = with_streaks(exposure_of(watch, "fore", 8), rotation_ds, exposure_s)
+    found = reduced_to_middle(seen, rotation_ds)
     streak_px = pixels[-1] - pixels[0]
     length_px = np.linalg.norm(streak_px, axis=-1)
     assert np.all(length_px > 10.0 * exposure_s / 0.05)
@@ -116,7 +116,7 @@ def test_a_star_that_leaves_the_field_during_the_exposure_has_no_weight(watch):
     seen = replace(exposure_of(watch, "fore", 3), length=ExposureLength(10.0, CAMERA, PSF_PX))
     turning = turning_over(rolling_track(-6.0, 6.0), TIME_NS, seen.length.nodes)
     away = np.array([rotation_from_angles(np.deg2rad(20e-9 * ns), 0.0, 0.0) for ns in turning.nodes.offset_ns])
-    found = at_middle(seen, away)
+    found = reduce_to_mid_exposure(seen, away)
     np.testing.assert_array_equal(found.directions_s, seen.directions_s)
     assert np.all(np.trace(found.smear_s, axis1=-2, axis2=-1) > 1.0)
 
@@ -153,15 +153,15 @@ def test_the_attitude_by_streaks_is_the_most_likely_one():
 def test_the_linearised_streaks_are_the_derivative():
     _, stars = smeared_scene(np.random.default_rng(4))
     rotation_nb = fit_attitude(stars).rotation_nb
-    fit, step = linearized(stars, rotation_nb), 1e-7
+    fit, step = linearise_stars(stars, rotation_nb), 1e-7
     for axis in range(3):
-        turned = linearized(stars, exp_rotation(-step * np.eye(3)[axis]) @ rotation_nb)
+        turned = linearise_stars(stars, exp_rotation(-step * np.eye(3)[axis]) @ rotation_nb)
         numeric = (turned.displacement - fit.displacement) / step
         assert np.max(np.abs(numeric - fit.jacobian[:, :, axis])) < 1e-3 * np.max(np.abs(fit.jacobian[:, :, :3]))
 
 
 def exposed(watch, exposure_s: float = 0.2):
-    return streaked(exposure_of(watch, "fore", 6), CONFIG.star_sensors["fore"].rotation_ds, exposure_s)[0]
+    return with_streaks(exposure_of(watch, "fore", 6), CONFIG.star_sensors["fore"].rotation_ds, exposure_s)[0]
 
 
 def test_the_filter_s_jacobian_with_streaks_is_the_derivative(watch):
@@ -170,7 +170,7 @@ def test_the_filter_s_jacobian_with_streaks_is_the_derivative(watch):
     sigma = np.sqrt(np.diagonal(state.covariance))
     rng = np.random.default_rng(1)
     mean = 0.3 * sigma * rng.standard_normal(ship_filter.model.size)
-    seen = mended(exposed(watch), CONFIG.star_sensors["fore"].rotation_ds)
+    seen = reduced_to_middle(exposed(watch), CONFIG.star_sensors["fore"].rotation_ds)
     ins = rolling_track().at(TIME_NS)
 
     def compared(mean: FloatArray):
@@ -270,7 +270,7 @@ def test_identification_rejects_ambiguous_and_unmatched_detections(watch):
     unknown = without_identity(replace(twice, directions_s=nowhere))
     device = ShipFilter(CONFIG).devices["star.fore"]
     prior = StarPrior(ROTATION_ND @ device.rotation_dv0, np.diag((np.array([10.0, 72.0, 10.0]) * ARCSEC) ** 2))
-    result, reasons = identified(unknown, prior, watch.at(TIME_NS))
+    result, reasons = identify_stars(unknown, prior, watch.at(TIME_NS))
     assert result.hip.tolist() == [0, 0, exposure.hip[2], 0]
     assert set(reasons) == {0, 1, 3}
     assert "matched by two detections" in reasons[0].text

@@ -10,8 +10,8 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.sky.masks import MaskConfig, deck_masks
 from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
-from ship_attitude_star.stars.exposure import StarExposure, identified
-from ship_attitude_star.stars.identification import candidates
+from ship_attitude_star.stars.exposure import StarExposure, identify_stars
+from ship_attitude_star.stars.identification import find_candidates
 from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.parameters import ParameterError, build, flatten
 from ship_geometry.deck_masks import SensorMasks
@@ -48,7 +48,7 @@ def prior_of(sigma_arcsec: float) -> StarPrior:
     return StarPrior(ROTATION_NS, np.diag(np.full(3, (sigma_arcsec * ARCSEC) ** 2)))
 
 
-def halved(exposure: StarExposure) -> float:
+def median_split(exposure: StarExposure) -> float:
     """Return an azimuth with half of the stars to port of it."""
     azimuths = np.sort(deck_places_deg(exposure.directions_s)[:, 0])
     middle = len(azimuths) // 2
@@ -57,14 +57,14 @@ def halved(exposure: StarExposure) -> float:
 
 def test_detections_in_a_mask_are_no_stars_and_the_others_keep_their_identities(watch: SkyModel) -> None:
     exposure = exposure_of(watch, "fore", 8)
-    edge_deg = halved(exposure)
+    edge_deg = median_split(exposure)
     hidden = deck_places_deg(exposure.directions_s)[:, 0] < edge_deg
     masked = replace(without_identity(exposure), masks=to_port_of(edge_deg))
-    named, reasons = identified(masked, prior_of(30.0), watch.at(TIME_NS))
+    named, reasons = identify_stars(masked, prior_of(30.0), watch.sky_at(TIME_NS))
     assert named.hip.tolist() == np.where(hidden, 0, exposure.hip).tolist()
     assert sorted(reasons) == np.flatnonzero(hidden).tolist()
     assert {reason.text for reason in reasons.values()} == {"not a star: inside the mask mast"}
-    without, none = identified(without_identity(exposure), prior_of(30.0), watch.at(TIME_NS))
+    without, none = identify_stars(without_identity(exposure), prior_of(30.0), watch.sky_at(TIME_NS))
     assert without.hip.tolist() == exposure.hip.tolist()
     assert not none
 
@@ -79,11 +79,11 @@ def test_a_lamp_behind_a_mask_matches_no_star(watch: SkyModel) -> None:
     rows = [*range(4), at_edge]
     both = without_identity(exposure[rows])
     both = replace(both, directions_s=np.vstack([exposure.directions_s, lamp_s]))
-    free, _ = identified(both, prior_of(30.0), watch.at(TIME_NS))
+    free, _ = identify_stars(both, prior_of(30.0), watch.sky_at(TIME_NS))
     assert free.hip[at_edge] == free.hip[4] == 0
     # Midway between star and lamp.
     masked = replace(both, masks=to_port_of(0.5 * (star_deg + deck_places_deg(lamp_s[None])[0, 0])))
-    named, reasons = identified(masked, prior_of(30.0), watch.at(TIME_NS))
+    named, reasons = identify_stars(masked, prior_of(30.0), watch.sky_at(TIME_NS))
     assert named.hip.tolist() == [*exposure.hip.tolist(), 0]
     assert "mask" in reasons[4].text
 
@@ -93,17 +93,17 @@ def test_a_star_behind_a_mask_is_no_candidate_except_within_the_prior_error(
     watch: SkyModel, sigma_arcsec: float
 ) -> None:
     """Stars to port of the edge by more than five sigmas and the step of the edge are out, others are in."""
-    exposure, moment = without_identity(exposure_of(watch, "fore", 8)), watch.at(TIME_NS)
-    edge_deg, prior = halved(exposure), prior_of(sigma_arcsec)
+    exposure, moment = without_identity(exposure_of(watch, "fore", 8)), watch.sky_at(TIME_NS)
+    edge_deg, prior = median_split(exposure), prior_of(sigma_arcsec)
 
     def stars(masks: SensorMasks | None) -> set[int]:
         magnitude = np.full(len(exposure), np.nan)
-        found = candidates(exposure.directions_s, exposure.sigma, magnitude, None, prior, moment, masks)
+        found = find_candidates(exposure.directions_s, exposure.sigma, magnitude, None, prior, moment, masks)
         return set(found.rows.tolist())
 
     everywhere, open_ = stars(None), stars(to_port_of(edge_deg))
     rows = np.array(sorted(everywhere))
-    direction_s = moment.apparent(watch.catalogue.at_j2000[rows]).direction_n @ ROTATION_NS
+    direction_s = moment.apparent_stars(watch.catalogue.at_j2000[rows]).direction_n @ ROTATION_NS
     places_deg = deck_places_deg(direction_s)
     # Distance to the meridian of the edge.
     deep_deg = np.rad2deg(

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_attitude_star.ros.star_messages_in import MOST_STARS, star_exposure
+from ship_attitude_star.ros.star_messages_in import MAX_STARS, star_exposure
 from ship_attitude_star.sky.catalogue import hipparcos
 from ship_attitude_star.stars.camera import StarCamera
 from ship_attitude_star.stars.config import CameraConfig
@@ -45,7 +45,7 @@ def read(message: Any, **options: bool) -> Any:
     return star_exposure(message, "fore", "star_fore", CAMERA, CAMERA_CONFIG, hipparcos(), NOW_NS, **options)
 
 
-def converted(message: Any) -> Any:
+def read_exposure(message: Any) -> Any:
     """Return the exposure, and the rejected stars."""
     reading = read(message)
     return reading.value, reading.left_out
@@ -54,7 +54,7 @@ def converted(message: Any) -> Any:
 def test_pixels_become_directions_and_numbers_become_positions() -> None:
     # One degree to the right and half a degree up of the boresight.
     right_px, up_px = np.tan(np.deg2rad([1.0, 0.5])) * 0.05 / 10e-6
-    exposure, refused = converted(observations(star(), star(DENEB, 511.5 + right_px, 511.5 - up_px, magnitude=1.3)))
+    exposure, refused = read_exposure(observations(star(), star(DENEB, 511.5 + right_px, 511.5 - up_px, magnitude=1.3)))
     assert refused == ()
     assert (exposure.source, exposure.time_ns, exposure.hip.tolist()) == ("star.fore", STAMP_NS, [VEGA, DENEB])
     off = np.array([1.0, np.tan(np.deg2rad(0.5)), np.tan(np.deg2rad(1.0))])
@@ -77,11 +77,11 @@ def test_pixels_become_directions_and_numbers_become_positions() -> None:
 def test_without_a_length_an_exposure_is_used_as_it_is(not_given: float) -> None:
     message = observations(star())
     message.exposure_s = not_given
-    exposure, refused = converted(message)
+    exposure, refused = read_exposure(message)
     assert refused == ()
     assert exposure.length is None
     message.exposure_s = 0.25
-    told = converted(message)[0]
+    told = read_exposure(message)[0]
     assert (told.length.exposure_s, told.length.psf_sigma_px, told.length.camera) == (0.25, 0.8, CAMERA)
     np.testing.assert_array_equal(told.directions_s, exposure.directions_s)
     # Which of two messages of one stamp is kept must not depend on their order.
@@ -96,13 +96,13 @@ def test_a_length_that_cannot_be_is_refused(exposure_s: float, reason: str) -> N
     message = observations(star())
     message.exposure_s = exposure_s
     with pytest.raises(MessageRejected) as caught:
-        converted(message)
+        read_exposure(message)
     assert caught.value.rejection.reason.word == reason
     assert "exposure_s" in caught.value.rejection.text
 
 
 def test_a_star_without_number_has_the_given_position_or_none() -> None:
-    exposure, refused = converted(
+    exposure, refused = read_exposure(
         observations(star(0, right_ascension=1.0, declination=-0.5), star(0, 600.0, 600.0), star(ALTAIR, 100.0))
     )
     assert refused == ()
@@ -113,8 +113,8 @@ def test_a_star_without_number_has_the_given_position_or_none() -> None:
 
 
 def test_a_catalogue_star_has_the_catalogue_position_whatever_else_is_given() -> None:
-    by_number, _ = converted(observations(star()))
-    with_place, refused = converted(observations(star(right_ascension=4.9, declination=0.7)))
+    by_number, _ = read_exposure(observations(star()))
+    with_place, refused = read_exposure(observations(star(right_ascension=4.9, declination=0.7)))
     assert refused == ()
     assert with_place.content() == by_number.content()
 
@@ -122,7 +122,7 @@ def test_a_catalogue_star_has_the_catalogue_position_whatever_else_is_given() ->
 @pytest.mark.parametrize("sigma_px", [0.0, np.nan])
 def test_a_centroid_without_sigma_has_the_configured_one(sigma_px: float) -> None:
     message = observations(star(sigma_px=sigma_px))
-    exposure, refused = converted(message)
+    exposure, refused = read_exposure(message)
     assert refused == ()
     assert exposure.sigma[0] / ARCSEC == pytest.approx(0.08 * 41.2530, rel=1e-5)
     assert not read(message).covariance_known
@@ -130,7 +130,7 @@ def test_a_centroid_without_sigma_has_the_configured_one(sigma_px: float) -> Non
 
 
 def test_no_star_is_an_exposure_too() -> None:
-    exposure, refused = converted(observations())
+    exposure, refused = read_exposure(observations())
     assert (len(exposure), refused) == (0, ())
     assert read(observations()).empty
     assert not read(observations(star(u=np.nan))).empty
@@ -158,8 +158,8 @@ STARS = [
 @pytest.mark.parametrize(("bad", "reason", "text"), [s[1:] for s in STARS], ids=[s[0] for s in STARS])
 def test_a_bad_star_is_rejected_and_the_others_are_as_without_it(bad: Any, reason: Reason, text: str) -> None:
     good = star(DENEB, 300.0, 300.0), star(ALTAIR, 700.0, 200.0)
-    exposure, refused = converted(observations(*good, bad))
-    assert exposure.content() == converted(observations(*good))[0].content()
+    exposure, refused = read_exposure(observations(*good, bad))
+    assert exposure.content() == read_exposure(observations(*good))[0].content()
     ((name, refusal),) = refused
     assert (name, refusal.reason) == ("star 3 of the message", reason)
     assert text in refusal.text
@@ -167,7 +167,7 @@ def test_a_bad_star_is_rejected_and_the_others_are_as_without_it(bad: Any, reaso
 
 def test_the_same_given_position_twice_counts_once() -> None:
     place = {"right_ascension": 1.0, "declination": 0.5}
-    exposure, refused = converted(observations(star(0, **place), star(0, 520.0, **place), star(0), star(0, 530.0)))
+    exposure, refused = read_exposure(observations(star(0, **place), star(0, 520.0, **place), star(0), star(0, 530.0)))
     assert (len(exposure), [name for name, _ in refused]) == (3, ["star 2 of the message"])
 
 
@@ -179,11 +179,11 @@ def test_a_rejected_star_is_named_by_its_number_on_request() -> None:
 
 @pytest.mark.slow
 def test_a_flood_of_stars_is_cut_and_reported_once() -> None:
-    exposure, refused = converted(observations(*(star(0, float(u % 1000), 10.0) for u in range(100_000))))
-    assert len(exposure) == MOST_STARS
+    exposure, refused = read_exposure(observations(*(star(0, float(u % 1000), 10.0) for u in range(100_000))))
+    assert len(exposure) == MAX_STARS
     ((name, refusal),) = refused
-    assert (name, refusal.reason) == (f"star {MOST_STARS + 1} of the message", Reason.OVERFLOW)
-    assert refusal.text == f"100000 stars in one exposure: only the first {MOST_STARS} are used"
+    assert (name, refusal.reason) == (f"star {MAX_STARS + 1} of the message", Reason.OVERFLOW)
+    assert refusal.text == f"100000 stars in one exposure: only the first {MAX_STARS} are used"
 
 
 WHOLE = [
@@ -197,6 +197,6 @@ WHOLE = [
 @pytest.mark.parametrize(("message", "reason", "text"), [w[1:] for w in WHOLE], ids=[w[0] for w in WHOLE])
 def test_a_bad_exposure_is_refused(message: Any, reason: str, text: str) -> None:
     with pytest.raises(MessageRejected) as caught:
-        converted(message)
+        read_exposure(message)
     assert caught.value.rejection.reason.word == reason
     assert text in caught.value.rejection.text

@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import poisson
 
-from ship_attitude_star.stars.fit import MatchedStars, StarFitSolution, linearized
+from ship_attitude_star.stars.fit import MatchedStars, StarFitSolution, linearise_stars
 from ship_attitude_star.stars.selection import StarPrior, select_stars
 from ship_attitude_star.stars.solution import SOLUTION_TERMS, SolutionStatus, solve_stars
 from ship_estimation.compiled_integrity import square_root
@@ -115,18 +115,18 @@ def test_the_linear_model_is_the_derivative():
     """Displacements of exp(δ) R and of rotated mountings against finite differences of 1e-4 rad."""
     scene = draw_scene(np.random.default_rng(13), (3, 2))
     rotation, stars = scene.rotation_nd, scene.stars
-    fit = linearized(stars, rotation)
+    fit = linearise_stars(stars, rotation)
     step = 1e-6
     for axis in range(3):
         turn = exp_rotation(step * np.eye(3)[axis])
-        moved = linearized(stars, turn @ rotation)
+        moved = linearise_stars(stars, turn @ rotation)
         numeric = (fit.displacement - moved.displacement) / step
         np.testing.assert_allclose(numeric, fit.jacobian[:, :, axis], atol=3e-4 / SIGMA)
         mounting = exp_rotation(step * np.eye(3)[axis])
         rows = stars.sensor == 1
         turned = stars.measured_b.copy()
         turned[rows] = turned[rows] @ mounting.T
-        moved = linearized(replace(stars, measured_b=turned), rotation)
+        moved = linearise_stars(replace(stars, measured_b=turned), rotation)
         column = fit.jacobian[:, :, 6:9] @ np.linalg.inv(stars.mounting_b[1])[:, axis]
         numeric = (fit.displacement - moved.displacement) / step
         np.testing.assert_allclose(numeric, column, atol=3e-4 / SIGMA)
@@ -167,12 +167,12 @@ def error_with_prior(scene: Scene, error_n: np.ndarray) -> float | None:
     members = select_stars(scene.stars, prior).members
     if not members.any():
         return None
-    fit = linearized(scene.stars, prior.rotation_nb).with_prior(prior.covariance_n)
+    fit = linearise_stars(scene.stars, prior.rotation_nb).with_prior(prior.covariance_n)
     judgement = fit.solve(members)
     # Its unknowns are in units of their standard deviations.
     roots = square_root(prior.covariance_n)
-    covariance_n = roots @ np.linalg.inv(judgement.constrained)[:3, :3] @ roots.T
-    return float(normalized_error_squared(error_n - roots @ judgement.solution[:3], covariance_n))
+    covariance_n = roots @ np.linalg.inv(judgement.information_with_prior)[:3, :3] @ roots.T
+    return float(normalized_error_squared(error_n - roots @ judgement.unknowns[:3], covariance_n))
 
 
 @pytest.mark.parametrize("kind", ["false_stars", "swapped_pairs"])

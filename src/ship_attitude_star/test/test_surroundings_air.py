@@ -41,14 +41,14 @@ class Readings(Surroundings):
             self.insert(PositionFix(ns(since_s), POSITION, np.eye(3)))
 
     def air(self, time_ns: int) -> Air:
-        return self.at(time_ns)[1]
+        return self.position_and_air_at(time_ns)[1]
 
 
 def test_without_any_measurement_the_parameters_are_used() -> None:
     air = Readings(CONFIG).air(ns(0))
     assert air.weather == Weather(1000.0, -3.0, 0.9)
     assert (air.pressure_sigma_hpa, air.temperature_sigma_k) == (15.0, 10.0)
-    assert Readings(CONFIG).not_measured(ns(0)) == ["pressure", "temperature", "humidity"]
+    assert Readings(CONFIG).unmeasured_quantities(ns(0)) == ["pressure", "temperature", "humidity"]
 
 
 def test_the_last_reading_is_used_after_its_delay_and_the_first_one_from_its_stamp() -> None:
@@ -61,8 +61,8 @@ def test_the_last_reading_is_used_after_its_delay_and_the_first_one_from_its_sta
     assert track.air(ns(0)).weather == Weather(1010.0, -3.0, 0.9)
     assert track.air(ns(60.4)).weather == Weather(1010.0, 20.0, 0.4)
     assert track.air(ns(60.5)).weather == Weather(1011.0, 20.0, 0.4)
-    assert track.not_measured(ns(10)) == ["temperature", "humidity"]
-    assert track.not_measured(ns(40)) == []
+    assert track.unmeasured_quantities(ns(10)) == ["temperature", "humidity"]
+    assert track.unmeasured_quantities(ns(40)) == []
 
 
 def test_the_variance_grows_to_that_of_the_parameter_which_is_then_used() -> None:
@@ -110,7 +110,7 @@ def test_a_first_reading_and_one_after_a_gap_are_used_from_their_stamps() -> Non
     track = Readings(CONFIG)
     for since_s in (0, 4000):
         assert track.insert(AirReading("pressure", ns(since_s), 1010.0)) == ns(since_s) - 1
-        assert track.not_measured(ns(since_s)) == ["temperature", "humidity"]
+        assert track.unmeasured_quantities(ns(since_s)) == ["temperature", "humidity"]
 
 
 def test_a_repeated_stamp_is_rejected() -> None:

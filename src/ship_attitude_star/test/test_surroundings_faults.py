@@ -18,7 +18,7 @@ Change = Callable[[Any], None]
 NODES = {"ship_attitude": ship_observations.sail, "star_attitude": star_voyage.sail}
 
 
-def off(field: str, by: float) -> Change:
+def offset_by(field: str, by: float) -> Change:
     def change(message: Any) -> None:
         setattr(message, field, getattr(message, field) + by)
 
@@ -27,11 +27,11 @@ def off(field: str, by: float) -> Change:
 
 FAULTS = {
     # 300 m, 1 km and 10 km; the radius of the meridian at 32° is 6353 km.
-    "300 m north": (FIX, off("latitude", np.rad2deg(300.0 / 6_353_000.0))),
-    "1 km south": (FIX, off("latitude", np.rad2deg(-1000.0 / 6_353_000.0))),
-    "10 km east": (FIX, off("longitude", np.rad2deg(10_000.0 / (6_384_100.0 * np.cos(np.deg2rad(31.9)))))),
-    "20 hPa up": (PRESSURE, off("fluid_pressure", 2000.0)),
-    "30 hPa down": (PRESSURE, off("fluid_pressure", -3000.0)),
+    "300 m north": (FIX, offset_by("latitude", np.rad2deg(300.0 / 6_353_000.0))),
+    "1 km south": (FIX, offset_by("latitude", np.rad2deg(-1000.0 / 6_353_000.0))),
+    "10 km east": (FIX, offset_by("longitude", np.rad2deg(10_000.0 / (6_384_100.0 * np.cos(np.deg2rad(31.9)))))),
+    "20 hPa up": (PRESSURE, offset_by("fluid_pressure", 2000.0)),
+    "30 hPa down": (PRESSURE, offset_by("fluid_pressure", -3000.0)),
 }
 
 

@@ -48,7 +48,7 @@ def clock(*steps: tuple[float, float]) -> Clock:
     return off_ns
 
 
-def stamped(arrivals: Iterable[Arrival], off_ns: Clock) -> tuple[Arrival, ...]:
+def shift_stamps(arrivals: Iterable[Arrival], off_ns: Clock) -> tuple[Arrival, ...]:
     """Return the messages with stamps of clocks with an offset."""
 
     def by_clock(arrival: Arrival) -> Arrival:
@@ -62,12 +62,12 @@ def stamped(arrivals: Iterable[Arrival], off_ns: Clock) -> tuple[Arrival, ...]:
     return tuple(map(by_clock, arrivals))
 
 
-def sailed(
+def run_with_clocks(
     adapter: Any, arrivals: Iterable[Arrival], off_ns: Clock, live: bool = False, node_off_ns: Clock | None = None
 ) -> Run:
     """Run with an offset of all clocks, and that or another one of the node; a live node reports steps of its clock."""
     run, last_ns, node_off_ns = Run(adapter), 0, node_off_ns or off_ns
-    for arrival in stamped(arrivals, off_ns):
+    for arrival in shift_stamps(arrivals, off_ns):
         now_off_ns = node_off_ns(arrival.receive_ns)
         if live and now_off_ns != last_ns:
             adapter.clock_stepped(now_off_ns - last_ns, arrival.receive_ns + now_off_ns, arrival.receive_ns)
@@ -105,7 +105,7 @@ def sigmas(message: Any, true_ns: int) -> float:
     return float(np.max(np.abs(error_n) / sigma_n))
 
 
-def assert_right(run: Run, off_ns: Clock) -> None:
+def assert_attitudes_correct(run: Run, off_ns: Clock) -> None:
     """All attitudes are consistent with their covariance; for each clock they are in order, each once."""
     claimed = [(ns, m) for ns, topic, m in run.published if topic == ATTITUDE and m.status != Status.INVALID]
     true_ns = [stamp_of(m) - off_ns(ns - 5_000_000) for ns, m in claimed]
@@ -144,12 +144,12 @@ def long_voyage() -> tuple[Arrival, ...]:
 @pytest.mark.parametrize("row", ROWS)
 def test_all_clocks_step_and_the_attitude_is_valid_within_two_seconds(row: str, live: bool) -> None:
     off_ns = clock(*ROWS[row])
-    run = sailed(new_adapter(), long_voyage(), off_ns, live)
+    run = run_with_clocks(new_adapter(), long_voyage(), off_ns, live)
     for since_s, _ in ROWS[row]:
         until_s = min([s for s, _ in ROWS[row] if s > since_s], default=60.0)
         between = AdapterRun(run.adapter, [p for p in run.published if p[0] < START_NS + until_s * SECOND_NS])
         assert not_valid_s(between, since_s) < 2.0
-    assert_right(run, off_ns)
+    assert_attitudes_correct(run, off_ns)
     assert len(steps(run)) == len(ROWS[row])
     assert steps(run)[0].endswith(" s: reset, mountings and calibration kept")
 
@@ -162,17 +162,17 @@ def test_the_computers_clock_is_set_five_seconds_before_or_after_the_devices(
 ) -> None:
     """Stamps that are ahead of the node's clock are not used meanwhile."""
     off_ns = clock((20.0, step_s))
-    run = sailed(
+    run = run_with_clocks(
         new_adapter(), long_voyage(), off_ns, live=True, node_off_ns=clock((computer_at_s, step_s))
     )
     assert not_valid_s(run, max(20.0, computer_at_s)) < 2.0
-    assert_right(run, off_ns)
+    assert_attitudes_correct(run, off_ns)
 
 
 @pytest.mark.slow
 def test_estimated_ins_errors_are_kept() -> None:
     """Heading is off by 60″ without stars; the covariance is that of before, and a second of drift."""
-    run = sailed(new_adapter(), long_voyage(), clock((20.0, -300.0)), live=True)
+    run = run_with_clocks(new_adapter(), long_voyage(), clock((20.0, -300.0)), live=True)
 
     def heading_sigma(since_s: float) -> float:
         since_ns = START_NS + round(since_s * SECOND_NS)
@@ -180,7 +180,7 @@ def test_estimated_ins_errors_are_kept() -> None:
         return float(np.sqrt(np.reshape(first.rotation_covariance, (3, 3))[2, 2]))
 
     assert heading_sigma(20.0) == pytest.approx(heading_sigma(19.9), rel=0.05)
-    state, calm = run.adapter.core.state, sailed(new_adapter(), long_voyage(), clock()).adapter.core.state
+    state, calm = run.adapter.core.state, run_with_clocks(new_adapter(), long_voyage(), clock()).adapter.core.state
     assert state.mean == pytest.approx(calm.mean, abs=3e-6)
     told = dict(run.diagnostics("time base", START_NS, run.now_ns))
     assert told == {1: "stepped by -300.000 s: reset, mountings and calibration kept"}
@@ -190,16 +190,16 @@ def test_estimated_ins_errors_are_kept() -> None:
 @pytest.mark.parametrize("step_s", [-300.0, -1.0])
 def test_a_step_while_a_star_sensor_is_out(step_s: float) -> None:
     off_ns = clock((20.0, step_s))
-    run = sailed(new_adapter(), cut(long_voyage(), 15.0, 30.0, FORE), off_ns)
+    run = run_with_clocks(new_adapter(), cut(long_voyage(), 15.0, 30.0, FORE), off_ns)
     assert not_valid_s(run, 20.0) < 2.0
-    assert_right(run, off_ns)
+    assert_attitudes_correct(run, off_ns)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("step_s", [-300.0, 900.0])
 def test_a_step_during_an_ins_timeout(step_s: float) -> None:
     off_ns = clock((20.0, step_s))
-    run = sailed(new_adapter(), cut(long_voyage(), 18.0, 25.0, INS), off_ns)
+    run = run_with_clocks(new_adapter(), cut(long_voyage(), 18.0, 25.0, INS), off_ns)
     assert not_valid_s(run, 25.0) < 2.0
     assert len(steps(run)) == 1
 
@@ -209,7 +209,7 @@ def test_a_step_during_an_ins_timeout(step_s: float) -> None:
 @pytest.mark.parametrize("until_s", [15.0, 80.0])
 def test_one_clock_alone_comes_back_by_itself(alone: str, until_s: float) -> None:
     arrivals = voyage(until_s + 10.0)
-    stepped = stamped([a for a in arrivals if a.topic == alone], clock((5.0, -300.0), (until_s, 0.0)))
+    stepped = shift_stamps([a for a in arrivals if a.topic == alone], clock((5.0, -300.0), (until_s, 0.0)))
     run = Run(new_adapter())
     hand_over(run, in_order([*stepped, *(a for a in arrivals if a.topic != alone)]))
     assert steps(run) == []
@@ -221,7 +221,7 @@ def test_one_clock_alone_comes_back_by_itself(alone: str, until_s: float) -> Non
 
 
 @functools.cache
-def observed(duration_s: float = 40.0) -> tuple[Arrival, ...]:
+def observation_voyage(duration_s: float = 40.0) -> tuple[Arrival, ...]:
     """Single stars, position fixes and weather with the INS."""
     ins = [arrival for arrival in voyage(duration_s) if arrival.topic == INS]
     return in_order([*except_(voyage_of_stars(duration_s), INS), *ins])
@@ -232,14 +232,14 @@ def observed(duration_s: float = 40.0) -> tuple[Arrival, ...]:
 def test_utc_that_is_wrong_after_a_step_is_named_until_it_is_right(step_s: float) -> None:
     """The sky continues as before: the clocks are wrong from 10 to 25 s."""
     off_ns = clock((10.0, step_s), (25.0, 0.0))
-    run = sailed(ShipAttitudeAdapter(observing(), FACTORY), observed(), off_ns, live=True)
+    run = run_with_clocks(ShipAttitudeAdapter(observing(), FACTORY), observation_voyage(), off_ns, live=True)
     wrong = [
         (ns, m) for ns, topic, m in run.published if topic == ATTITUDE and 11.5 <= (ns - START_NS) / SECOND_NS < 25.0
     ]
     assert {m.status for _, m in wrong} == {Status.DEGRADED}
     (text,) = {text for _, text in run.diagnostics("attitude", START_NS + 12 * SECOND_NS, START_NS + 25 * SECOND_NS)}
     assert text.startswith(f"DEGRADED: UTC differs by {step_s:+.1f} s: ")
-    assert_right(run, off_ns)
+    assert_attitudes_correct(run, off_ns)
     # The covariance holds the error of UTC before.
     sigma_up = np.sqrt(np.reshape(wrong[-1][1].rotation_covariance, (3, 3))[2, 2])
     assert sigma_up == pytest.approx(np.deg2rad(abs(step_s) * 15.041 / 3600.0) * np.sin(np.deg2rad(31.9)), rel=0.3)
@@ -247,7 +247,7 @@ def test_utc_that_is_wrong_after_a_step_is_named_until_it_is_right(step_s: float
     assert len(steps(run)) == 2
 
 
-def wrong_from_the_start(time_ns: int) -> int:
+def constant_clock_error(time_ns: int) -> int:
     """Clocks that are 300 s ahead up to 10 s of the voyage, those of weather and fixes before it too."""
     return clock((0.0, 300.0), (10.0, 0.0))(max(time_ns, START_NS))
 
@@ -255,10 +255,10 @@ def wrong_from_the_start(time_ns: int) -> int:
 @pytest.mark.slow
 def test_correct_utc_after_a_step_does_not_exclude_the_stars() -> None:
     """The stars contradicted the INS from the start on, by more than its error may be, and were not used."""
-    run = sailed(ShipAttitudeAdapter(observing(), FACTORY), observed(), wrong_from_the_start)
+    run = run_with_clocks(ShipAttitudeAdapter(observing(), FACTORY), observation_voyage(), constant_clock_error)
     assert {m.status for ns, m in attitudes(run) if 3.0 < ns < 10.0} == {Status.DEGRADED}
     assert not_valid_s(run, 10.0) < 2.0
-    assert_right(run, wrong_from_the_start)
+    assert_attitudes_correct(run, constant_clock_error)
 
 
 @pytest.mark.slow
@@ -266,8 +266,8 @@ def test_wrong_utc_before_the_step_needs_a_reset() -> None:
     """An INS with errors of degrees was aligned by the stars of another time."""
     wide = {"frame_id": "ins", "tilt_sigma_arcsec": 20_000.0, "heading_sigma_arcsec": 20_000.0}
     adapter = ShipAttitudeAdapter(observing(ins=wide), FACTORY)
-    before = [arrival for arrival in observed() if arrival.receive_ns < START_NS + 25 * SECOND_NS]
-    run = sailed(adapter, before, wrong_from_the_start)
+    before = [arrival for arrival in observation_voyage() if arrival.receive_ns < START_NS + 25 * SECOND_NS]
+    run = run_with_clocks(adapter, before, constant_clock_error)
     since_ns = START_NS + 12 * SECOND_NS
     assert {m.status for since_s, m in attitudes(run) if since_s > 12.0} == {Status.DEGRADED}
     assert all("UTC differs by -300.0 s" in text for _, text in run.diagnostics("attitude", since_ns, run.now_ns))
@@ -276,7 +276,7 @@ def test_wrong_utc_before_the_step_needs_a_reset() -> None:
     _, last = attitudes(run)[-1]
     assert sigmas(last, stamp_of(last)) < SIGMAS
     adapter.service("reset", run.now_ns)
-    after = sailed(adapter, [a for a in observed() if a.receive_ns >= START_NS + 25 * SECOND_NS], wrong_from_the_start)
+    after = run_with_clocks(adapter, [a for a in observation_voyage() if a.receive_ns >= START_NS + 25 * SECOND_NS], constant_clock_error)
     assert not_valid_s(after, 27.0) == 0.0
     _, last = attitudes(after)[-1]
     assert sigmas(last, stamp_of(last)) < SIGMAS
@@ -287,8 +287,8 @@ def test_an_ins_that_drifted_until_stars_return_cannot_verify_utc() -> None:
     """Stars are missing from the step on for 25 s, in which the INS may have drifted by more than the sky rotation."""
     drifting = {"frame_id": "ins", "tilt_time_s": 60.0, "heading_time_s": 60.0}
     off_ns = clock((10.0, -1.0))
-    dark = cut(observed(), 9.5, 35.0, "star/fore/observations", "star/starboard/observations")
-    run = sailed(ShipAttitudeAdapter(observing(ins=drifting), FACTORY), dark, off_ns, live=True)
+    dark = cut(observation_voyage(), 9.5, 35.0, "star/fore/observations", "star/starboard/observations")
+    run = run_with_clocks(ShipAttitudeAdapter(observing(ins=drifting), FACTORY), dark, off_ns, live=True)
     assert run.adapter.core.state.utc is None
     assert not_valid_s(run, 35.0) < 2.0
 
@@ -296,9 +296,9 @@ def test_an_ins_that_drifted_until_stars_return_cannot_verify_utc() -> None:
 def test_a_contested_sensor_stays_contested_after_a_step() -> None:
     off_ns = clock((10.0, -300.0))
     adapter = new_adapter()
-    sailed(adapter, [a for a in voyage(15.0) if a.receive_ns < START_NS + 5 * SECOND_NS], off_ns)
+    run_with_clocks(adapter, [a for a in voyage(15.0) if a.receive_ns < START_NS + 5 * SECOND_NS], off_ns)
     adapter.set_duplicate_publishers(FORE, "two publishers send")
-    run = sailed(adapter, [a for a in voyage(15.0) if a.receive_ns >= START_NS + 5 * SECOND_NS], off_ns)
+    run = run_with_clocks(adapter, [a for a in voyage(15.0) if a.receive_ns >= START_NS + 5 * SECOND_NS], off_ns)
     assert {m.status for since_s, m in attitudes(run) if since_s > 6.0} == {Status.DEGRADED}
     assert steps(run) != []
     adapter.set_duplicate_publishers(FORE, "")
@@ -313,7 +313,7 @@ def test_a_message_ahead_of_the_others_is_counted_once(monkeypatch: pytest.Monke
         return count(self, topic, *times_ns)
 
     monkeypatch.setattr(TimeBase, "add_arrival", add_arrival)
-    run = sailed(new_adapter(), voyage(8.0), clock((5.0, 900.0)))
+    run = run_with_clocks(new_adapter(), voyage(8.0), clock((5.0, 900.0)))
     assert len(steps(run)) == 1
     assert run.innovations(Reason.FUTURE) != []
     assert len(counted) == len(set(counted))
@@ -324,7 +324,7 @@ def test_a_message_ahead_of_the_others_is_counted_once(monkeypatch: pytest.Monke
 def test_star_attitude_continues_after_a_step(step_s: float) -> None:
     off_ns = clock((10.0, step_s))
     run = AdapterRun(new_star_attitude())
-    hand_over(run, stamped(observed(), off_ns), node_ns=lambda ns: ns + off_ns(ns))
+    hand_over(run, shift_stamps(observation_voyage(), off_ns), node_ns=lambda ns: ns + off_ns(ns))
     topic = "star/fore/solution"
     solved_s = [(ns - START_NS) / SECOND_NS for ns, name, m in run.published if name == topic and m.status == 0]
     assert max(later - earlier for earlier, later in pairwise(solved_s)) < 2.0

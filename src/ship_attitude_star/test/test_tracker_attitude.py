@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from ship_attitude_star.measurements.readings import FieldOfView, InertialAttitude
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.sky.tracker_attitude import in_horizon
+from ship_attitude_star.sky.tracker_attitude import to_horizon_attitude
 from ship_estimation.gates import mean_nees_band, normalized_error_squared
 from ship_geometry.earth_orientation import earth_orientation_table
 from ship_geometry.frames import rotation_from_angles
@@ -69,7 +69,7 @@ def scenes(elevations_deg: tuple[float, float], count: int = SCENES):
         yield rotation_from_angles(*np.deg2rad(angles_deg)), rng
 
 
-def solved(seen_n: FloatArray, catalogue_c: FloatArray, rotation_ns: FloatArray, most: int) -> FloatArray | None:
+def solve_attitude(seen_n: FloatArray, catalogue_c: FloatArray, rotation_ns: FloatArray, most: int) -> FloatArray | None:
     """Return "ICRS from sensor" as a tracker computes it from the first stars in its field."""
     seen_s = seen_n @ rotation_ns
     inside = np.flatnonzero(seen_s[:, 0] > np.cos(FIELD.radius))[:most]
@@ -86,11 +86,11 @@ def nees(watch, sky, elevations_deg, field: FieldOfView, most: int = 5, aberrati
         # Random stars, not always the brightest.
         order = rng.permutation(len(seen_n))
         catalogue_c = proper_c if aberration_removed else natural_c
-        rotation_cs = solved(seen_n[order], catalogue_c[order], rotation_ns, most)
+        rotation_cs = solve_attitude(seen_n[order], catalogue_c[order], rotation_ns, most)
         if rotation_cs is None:
             continue
         noisy_cs = rotation_cs @ exp_rotation(np.sqrt(np.diagonal(NOISE_S)) * rng.standard_normal(3))
-        attitude = in_horizon(InertialAttitude("star.fore", TIME_NS, noisy_cs, NOISE_S, field=field), watch)
+        attitude = to_horizon_attitude(InertialAttitude("star.fore", TIME_NS, noisy_cs, NOISE_S, field=field), watch)
         assert isinstance(attitude, AttitudeMeasurement)
         error_n = log_rotation(rotation_ns @ attitude.rotation_nv.T)
         noise_n = rotation_ns @ NOISE_S @ rotation_ns.T
@@ -126,11 +126,11 @@ def test_uncorrected_aberration_is_corrected_once(watch, sky) -> None:
         for told in (True, False):
             errors = []
             for rotation_ns, _ in scenes((60.0, 85.0), 20):
-                rotation_cs = solved(seen_n, catalogue_c, rotation_ns, 1000)
+                rotation_cs = solve_attitude(seen_n, catalogue_c, rotation_ns, 1000)
                 inertial = InertialAttitude(
                     "star.fore", TIME_NS, rotation_cs, NOISE_S, field=replace(FIELD, aberration_removed=told)
                 )
-                attitude = in_horizon(inertial, watch)
+                attitude = to_horizon_attitude(inertial, watch)
                 errors.append(np.linalg.norm(log_rotation(rotation_ns @ attitude.rotation_nv.T)[:3]))
             off[removed, told] = np.median(errors) / ARCSEC
     assert max(off[True, True], off[False, False]) < 5.0
@@ -151,13 +151,13 @@ def test_the_filter_models_it_as_a_correlated_error(watch) -> None:
             time_ns = TIME_NS + second * SECOND_NS
             bare_cs = watch.at(time_ns).rotation_horizon_from_icrs().T @ rotation_ns
             inertial = InertialAttitude("star.fore", time_ns, bare_cs, NOISE_S, field=field)
-            lifted_ns = in_horizon(inertial, watch).rotation_nv
+            lifted_ns = to_horizon_attitude(inertial, watch).rotation_nv
             inertial = replace(inertial, rotation_cs=bare_cs @ lifted_ns.T @ rotation_ns)
             state, decision = ship_filter.step(state, inertial, ins_track(time_ns), watch)
             assert decision.accepted
         rows = ship_filter.model.state_indices("ins.attitude")
         sigmas[field] = np.sqrt(np.trace(state.covariance[np.ix_(rows, rows)])) / ARCSEC
-    attitude = in_horizon(replace(inertial, field=FIELD), watch)
+    attitude = to_horizon_attitude(replace(inertial, field=FIELD), watch)
     assert sigmas[FIELD] > 0.7 * np.sqrt(np.trace(attitude.common_n)) / ARCSEC
     assert sigmas[FIELD] > 2.0 * sigmas[POINT]
 
@@ -166,7 +166,7 @@ def test_the_filter_models_it_as_a_correlated_error(watch) -> None:
 def test_the_field_covariance_is_regular_at_the_zenith(watch, elevation_deg: float) -> None:
     rotation_ns = rotation_from_angles(0.3, np.deg2rad(elevation_deg), 0.2)
     rotation_cs = watch.at(TIME_NS).rotation_horizon_from_icrs().T @ rotation_ns
-    attitude = in_horizon(InertialAttitude("star.fore", TIME_NS, rotation_cs, NOISE_S, field=FIELD), watch)
+    attitude = to_horizon_attitude(InertialAttitude("star.fore", TIME_NS, rotation_cs, NOISE_S, field=FIELD), watch)
     common_s = rotation_ns.T @ attitude.common_n @ rotation_ns
     # An isotropic compression without rotation: 57″ per radian and 10°/(2 √5).
     assert np.sqrt(np.diagonal(common_s)[1:]) / ARCSEC == pytest.approx([2.2, 2.2], abs=0.15)

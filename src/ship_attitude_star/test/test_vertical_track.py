@@ -47,7 +47,7 @@ def deflection_reading(since_s: float, xi_arcsec: float) -> DeflectionReading:
     return DeflectionReading(ns(since_s), ARCSEC * np.array([xi_arcsec, 0.0]), ARCSEC**2 * np.eye(2))
 
 
-def sailed(seconds: int, speed: float, **config) -> VerticalTrack:
+def track_after(seconds: int, speed: float, **config) -> VerticalTrack:
     track = VerticalTrack(GravityConfig(**config), SkyConfig())
     for second in range(seconds + 1):
         track.at(ns(second))
@@ -87,15 +87,15 @@ def test_configuration_that_cannot_be_used_is_named(change: dict, named: str) ->
 
 def test_rotation_raises_the_gravity_zenith_to_the_north_and_to_the_east() -> None:
     # models.md, section 8: gravity's zenith is Up + xi North + eta East.
-    track = sailed(10, 5.0, deflection="constant", xi_arcsec=6.0, eta_arcsec=-8.0)
+    track = track_after(10, 5.0, deflection="constant", xi_arcsec=6.0, eta_arcsec=-8.0)
     here = track.at(ns(10))
-    zenith_n = exp_rotation(here.turn @ here.given) @ [0.0, 1.0, 0.0]
+    zenith_n = exp_rotation(here.deflection_jacobian @ here.given_deflection) @ [0.0, 1.0, 0.0]
     np.testing.assert_allclose(zenith_n / ARCSEC, [6.0, 1.0 / ARCSEC, -8.0], atol=1e-3)
 
 
 def test_distance_run_excludes_the_noise_of_fixes() -> None:
-    track = sailed(600, 10.0, deflection="unknown")
-    way_m = track.at(ns(600)).along_m - track.at(ns(0)).along_m
+    track = track_after(600, 10.0, deflection="unknown")
+    way_m = track.at(ns(600)).distance_run_m - track.at(ns(0)).distance_run_m
     assert way_m == pytest.approx(6000.0, abs=120.0)
 
     generator = np.random.default_rng(3)
@@ -103,19 +103,19 @@ def test_distance_run_excludes_the_noise_of_fixes() -> None:
     for second in range(600):
         moored.insert(fix(second, 3.0 * generator.standard_normal()))
         moored.at(ns(second))
-    assert moored.at(ns(600)).along_m == moored.at(ns(0)).along_m
+    assert moored.at(ns(600)).distance_run_m == moored.at(ns(0)).distance_run_m
 
 
 def test_without_fixes_the_distance_is_extrapolated_and_the_table_is_not_used() -> None:
     table = {**TABLE, "table_longitude_deg": (0.0, 0.0, 0.0)}
-    track = sailed(300, 10.0, **table)
-    assert track.at(ns(300)).given is not None
+    track = track_after(300, 10.0, **table)
+    assert track.at(ns(300)).given_deflection is not None
     assert track.missing_data_text(ns(300)) == ""
-    before_m = track.at(ns(300)).along_m
+    before_m = track.at(ns(300)).distance_run_m
     later = track.at(ns(600))
-    assert later.given is None
+    assert later.given_deflection is None
     # A fix is used for fix_max_age_s; after that the last speed counts.
-    assert later.along_m - before_m == pytest.approx(3000.0, abs=200.0)
+    assert later.distance_run_m - before_m == pytest.approx(3000.0, abs=200.0)
     assert "no position fix" in track.missing_data_text(ns(600))
     # A fix so far away is accepted after a minute.
     for second in range(600, 670):
@@ -125,11 +125,11 @@ def test_without_fixes_the_distance_is_extrapolated_and_the_table_is_not_used() 
 
 def test_a_message_is_used_until_its_maximum_age() -> None:
     track = VerticalTrack(GravityConfig(deflection="topic", max_age_s=60.0), SkyConfig())
-    assert track.at(ns(0)).given is None
+    assert track.at(ns(0)).given_deflection is None
     track.insert(deflection_reading(10.0, 3.0))
-    np.testing.assert_allclose(track.at(ns(20)).given / ARCSEC, [3.0, 0.0])
+    np.testing.assert_allclose(track.at(ns(20)).given_deflection / ARCSEC, [3.0, 0.0])
     np.testing.assert_allclose(track.at(ns(20)).covariance, ARCSEC**2 * np.eye(2))
-    assert track.at(ns(80)).given is None
+    assert track.at(ns(80)).given_deflection is None
     assert "max_age_s = 60" in track.missing_data_text(ns(80))
     assert track.rejection(deflection_reading(10.0, 3.0)).reason is Reason.DUPLICATE
     assert track.rejection(deflection_reading(10.0, 4.0)).reason is Reason.CONFLICT
@@ -146,7 +146,7 @@ def test_order_of_arrival_does_not_matter() -> None:
             if number == 3:
                 track.at(ns(6.0))
         answers = [track.at(ns(second)) for second in range(8)]
-        ends.add(str([(one.along_m, one.latitude, one.given) for one in answers]))
+        ends.add(str([(one.distance_run_m, one.latitude, one.given_deflection) for one in answers]))
     assert len(ends) == 1
 
 
@@ -157,6 +157,6 @@ def test_discarded_data_change_no_later_result() -> None:
             track.insert(fix(second, 12.0 * second))
         dropping.at(ns(second))
         dropping.drop_before(ns(second - 3.0), ns(second - 3.0))
-    assert len(dropping._knots) < 10
-    way_m = [track.at(ns(999.0)).along_m - track.at(ns(997.0)).along_m for track in (kept, dropping)]
+    assert len(dropping._grid) < 10
+    way_m = [track.at(ns(999.0)).distance_run_m - track.at(ns(997.0)).distance_run_m for track in (kept, dropping)]
     assert way_m[0] == way_m[1]

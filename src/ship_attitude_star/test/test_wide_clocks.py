@@ -37,7 +37,7 @@ class Waves:
     phases: FloatArray
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, size: float) -> "Waves":
+    def draw(cls, rng: np.random.Generator, size: float) -> "Waves":
         amplitudes_deg = np.array([[1.5, 0.5, 0.2], [1.0, 0.5, 0.3], [5.0, 2.0, 1.0]])
         periods_s = np.array([[11.0, 9.0, 7.0], [7.0, 6.0, 8.0], [10.0, 12.0, 8.5]])
         return cls(
@@ -68,7 +68,7 @@ class Voyage:
 def voyage(seed: int, offset_s: float | None = None, waves: float = 1.0, duration_s: float = 40.0) -> Voyage:
     """A voyage with errors drawn by the priors; the offset is given or drawn too."""
     rng = np.random.default_rng([7, seed])
-    ship = Waves.drawn(rng, waves)
+    ship = Waves.draw(rng, waves)
     installation = OTHER.installation_sigma_arcsec * ARCSEC * rng.standard_normal(3)
     drawn_s = OTHER.time_offset_sigma_s * rng.standard_normal()
     offset_s = drawn_s if offset_s is None else offset_s
@@ -86,7 +86,7 @@ def voyage(seed: int, offset_s: float | None = None, waves: float = 1.0, duratio
     return Voyage(samples, measurements, np.append(installation, offset_s))
 
 
-def sailed(run: Voyage, late_ns: dict[int, int] | None = None) -> tuple[ShipAttitudeCore, int]:
+def run_core(run: Voyage, late_ns: dict[int, int] | None = None) -> tuple[ShipAttitudeCore, int]:
     """Return the core at the end, and the number of rejected measurements; some arrive late, by their stamps."""
     late_ns = late_ns or {}
     core, refused = ShipAttitudeCore(CONFIG), 0
@@ -110,7 +110,7 @@ def nees(core: ShipAttitudeCore, truth: FloatArray) -> float:
 def test_a_reference_at_its_default_priors_is_consistent(waves: float) -> None:
     """Mean NEES was 20.7 where 4 is expected, the worst 377."""
     runs = [voyage(seed, waves=waves) for seed in range(SEEDS)]
-    ends = [sailed(run) for run in runs]
+    ends = [run_core(run) for run in runs]
     low, high = mean_nees_band(SEEDS, 4)
     assert low <= np.mean([nees(core, run.truth) for (core, _), run in zip(ends, runs, strict=True)]) <= high
     # In waves of 20° some first ones are rejected: a far offset does not converge.
@@ -123,7 +123,7 @@ def test_a_clock_offset_of_two_or_three_sigma_is_estimated(offset_s: float) -> N
     """Offsets of 0.36 to 0.40 s ended 10 to 15 sigma off, with 95 % of the measurements rejected for ever."""
     for seed in range(4):
         run = voyage(seed, offset_s)
-        core, refused = sailed(run)
+        core, refused = run_core(run)
         assert nees(core, run.truth) < 23.5  # chi² with four degrees of freedom, 1 in 10 000
         assert refused <= 0.05 * len(run.measurements)
 
@@ -132,9 +132,9 @@ def test_any_order_within_the_lag_ends_in_the_same_state() -> None:
     """A measurement whose estimate needs another INS time is evaluated again when samples around it arrive late."""
     run, rng = voyage(3, -0.4, duration_s=12.0), np.random.default_rng(5)
     late_ns = {item.time_ns: int(rng.integers(0, SECOND_NS)) for item in [*run.samples, *run.measurements]}
-    in_order, _ = sailed(run)
-    shuffled, _ = sailed(run, late_ns)
-    assert in_order.state.used_ns == shuffled.state.used_ns
+    in_order, _ = run_core(run)
+    shuffled, _ = run_core(run, late_ns)
+    assert in_order.state.last_used_ns == shuffled.state.last_used_ns
     assert in_order.state.mean.tobytes() == shuffled.state.mean.tobytes()
     assert in_order.state.covariance_by_source.tobytes() == shuffled.state.covariance_by_source.tobytes()
 

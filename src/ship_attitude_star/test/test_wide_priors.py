@@ -63,7 +63,7 @@ class Sky:
         """An exposure with all errors."""
         if (id_, time_ns) not in self.fields:
             exposure = exposure_of(self.watch, id_, 8, None, time_ns)
-            apparent = self.watch.at(time_ns).apparent(exposure.positions)
+            apparent = self.watch.sky_at(time_ns).apparent_stars(exposure.positions)
             self.fields[id_, time_ns] = exposure, apparent.direction_n, apparent.shared_n
         exposure, direction_n, shared_n = self.fields[id_, time_ns]
         angles = np.deg2rad([SENSORS[id_]["azimuth_deg"], SENSORS[id_]["elevation_deg"], 0.0])
@@ -79,7 +79,7 @@ def sky() -> Sky:
     return Sky(sky_at_anchor(configuration()), {})
 
 
-def solved(exposure: StarExposure, watch: SkyModel) -> AttitudeMeasurement:
+def solve_attitude(exposure: StarExposure, watch: SkyModel) -> AttitudeMeasurement:
     """The attitude of the sensor by these stars alone."""
     _, stars, _ = visible_stars(exposure, watch, None)
     solution = solve_stars(stars)
@@ -110,7 +110,7 @@ def end(sky: Sky, seed: int, width: Width, count: int = 8) -> dict[str, tuple[Fl
         ship_filter = ShipFilter(width.config(kind))
         state, refused = ship_filter.initial_state(), 0
         for exposure in exposures:
-            measurement = exposure if kind == "observations" else solved(exposure, sky.watch)
+            measurement = exposure if kind == "observations" else solve_attitude(exposure, sky.watch)
             track = tracks[exposure.time_ns]
             state, decision = ship_filter.step(state, measurement, track, sky.watch)
             refused += not decision.accepted
@@ -167,22 +167,22 @@ def test_mend_14_the_first_exposure_is_confirmed_by_the_next_one_or_by_another_s
 
     def after(state: FilterState, id_: str, time_ns: int) -> FilterState:
         exposure = sky.seen(id_, time_ns, 8, np.zeros(3), np.zeros(4), rng)
-        measurement = exposure if kind == "observations" else solved(exposure, sky.watch)
+        measurement = exposure if kind == "observations" else solve_attitude(exposure, sky.watch)
         state, decision = ship_filter.step(state, measurement, ins_track(time_ns), sky.watch)
         assert decision.accepted
         return state
 
     first = after(ship_filter.initial_state(), "fore", TIME_NS)
-    assert first.unconfirmed is not None
-    assert first.unconfirmed.text == (
+    assert first.unconfirmed_step is not None
+    assert first.unconfirmed_step.text == (
         "the attitude rests on one star measurement; confirmation by stars of another time or sensor is pending"
     )
-    assert after(first, "starboard", TIME_NS).unconfirmed is None
+    assert after(first, "starboard", TIME_NS).unconfirmed_step is None
     second = after(first, "fore", TIME_NS + 100_000_000)
-    assert second.unconfirmed is None
+    assert second.unconfirmed_step is None
     # A sensor that was excluded has agreed with the others before it is used again.
     excluded = replace(second, used_ns=MappingProxyType({}), record=MappingProxyType({"star.fore": 1}))
-    assert after(excluded, "fore", TIME_NS + 200_000_000).unconfirmed is None
+    assert after(excluded, "fore", TIME_NS + 200_000_000).unconfirmed_step is None
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -15,7 +15,7 @@ from scipy.stats import multivariate_normal
 
 from ship_attitude_star.ins_errors.config import SchulerConfig
 from ship_attitude_star.ins_errors.schuler import SchulerIns
-from ship_attitude_star.vertical.vertical_track import VerticalHere
+from ship_attitude_star.vertical.vertical_track import LocalVertical
 from ship_geometry.rotations import ARCSEC
 from ship_replay.ins_noise.likelihood import log_likelihoods
 from ship_replay.ins_noise.processes import GaussMarkovModel, SchulerModel
@@ -43,10 +43,10 @@ def session() -> NoiseSession:
 class Still:
     """A constant vertical."""
 
-    def __init__(self, here: VerticalHere) -> None:
+    def __init__(self, here: LocalVertical) -> None:
         self._here = here
 
-    def at(self, _time_ns: int) -> VerticalHere:
+    def at(self, _time_ns: int) -> LocalVertical:
         return self._here
 
 

@@ -51,7 +51,7 @@ def test_an_estimator_reads_in_the_messages_what_the_run_holds(identity):
         assert read.content() == held.content()
         assert (read.source, read.time_ns) == (held.source, held.time_ns)
         np.testing.assert_array_equal(read.sigma, held.sigma)
-        np.testing.assert_array_equal(read.identified, held.identified)
+        np.testing.assert_array_equal(read.is_identified, held.is_identified)
         for name in vars(held.positions):
             np.testing.assert_array_equal(getattr(read.positions, name), getattr(held.positions, name))
         # The year of the run's start against that of the exposure.

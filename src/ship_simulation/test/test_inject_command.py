@@ -517,7 +517,7 @@ def test_a_camera_without_description_is_named(bag, tmp_path, capsys):
     assert main([str(bare), "--faults", str(file), "--out", str(tmp_path / "out.mcap")]) == 2
     expected = "fault 'f' of kind knock: no star sensor or telescope of the suite file has a camera"
     assert expected in capsys.readouterr().err
-    assert CameraConfig().given is False
+    assert CameraConfig().is_given is False
 
 
 def test_every_kind_is_in_the_help(capsys):

@@ -196,7 +196,7 @@ def test_identified_stars_have_their_number_and_catalogue_position():
     np.testing.assert_array_equal(said.stars.hip, truth.hip)
     rows = sky.catalogue.rows(said.stars.hip)
     np.testing.assert_array_equal(said.stars.positions.declination, sky.catalogue.at_j2000.declination[rows])
-    np.testing.assert_allclose(said.stars.position_sigma, sky.catalogue.sigma(rows, 2014.52), rtol=1e-3)
+    np.testing.assert_allclose(said.stars.position_sigma, sky.catalogue.position_sigma_at(rows, 2014.52), rtol=1e-3)
     one = said.stars[said.rows(7)]
     assert len(one) == 8
     np.testing.assert_array_equal(one.directions_s, said.stars.directions_s[said.rows(7)])

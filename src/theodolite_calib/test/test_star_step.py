@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.sky.sky_watch import SkyModel
-from ship_attitude_star.stars.exposure import ExposureLength, at_middle
+from ship_attitude_star.stars.exposure import ExposureLength, reduce_to_mid_exposure
 from ship_attitude_star.stars.fit import square_roots
 from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.exclusion import ExcludedSource
@@ -109,7 +109,7 @@ def streaked(sighting: StarSighting, rng: np.random.Generator) -> tuple[StarSigh
     length = ExposureLength(0.02, SETTINGS.telescopes[CAMERA_ID].camera.camera("camera"), 0.8)
     rate_s = np.deg2rad(3.0) * unit(rng.standard_normal(3) * [0.3, 1.0, 1.0])
     turns = exp_rotation(-np.array(length.nodes.offset_ns)[:, None] * 1e-9 * rate_s)
-    seen = at_middle(replace(sighting.exposure, length=length), turns)
+    seen = reduce_to_mid_exposure(replace(sighting.exposure, length=length), turns)
     assert seen.smear_s is not None
     noise_s = (square_roots(seen.smear_s) @ rng.standard_normal((len(seen), 3, 1)))[..., 0]
     seen = replace(seen, directions_s=unit(seen.directions_s + noise_s))

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.stars.config import GivenCameraConfig
+from ship_attitude_star.stars.config import RequiredCameraConfig
 from ship_estimation.frame_names import FrameNames, publish_tf
 from ship_estimation.gates import GateConfig
 from ship_estimation.ins import InsErrorConfig, StarInsConfig
@@ -232,7 +232,7 @@ class StarCameraConfig:
     elevation_sigma_arcsec: float = arcsec(1.0, doc="its uncertainty")
     roll_deg: float = degrees(doc="rotation of the main image in the camera")
     roll_sigma_arcsec: float = arcsec(20.0, doc="its uncertainty")
-    camera: GivenCameraConfig = section(GivenCameraConfig)
+    camera: RequiredCameraConfig = section(RequiredCameraConfig)
 
     @property
     def parallelism(self) -> FloatArray:
@@ -479,7 +479,7 @@ class OpticalAxisConfig:
                 "parameter 'escort.enabled' = true: expected a drone under beacons", "escort.enabled", value=True
             )
 
-    def star_camera(self, id_: str) -> GivenCameraConfig:
+    def star_camera(self, id_: str) -> RequiredCameraConfig:
         """Return the camera of ``telescopes.<id>``; the calibration telescope has one focal length sigma for all."""
         camera, sigma_m = self.telescopes[id_].camera, self.telescope.focal_length_sigma_m
         if id_ != self.telescope.telescope_id or not sigma_m:

@@ -11,10 +11,10 @@ from ship_estimation.gates import chi_square_gate, normalized_error_squared
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import FloatArray, angle_between, wrap_pi
 
-_EXPLAINED_RAD: float = np.deg2rad(5.0)
+_HEADING_TOLERANCE_RAD: float = np.deg2rad(5.0)
 """Maximum remaining difference for a heading mistake to explain a disagreement, rad."""
 
-_PLAIN_RAD = np.deg2rad(10.0)
+_MIN_HEADING_ERROR_RAD = np.deg2rad(10.0)
 """Minimum heading difference for a hint, rad; near 45° and 225° any mistake would explain a smaller one."""
 
 _SAME_TILT_RAD = np.deg2rad(15.0)
@@ -49,7 +49,7 @@ class AttitudeResidual:
 def diagnosis_hint(
     source: str,
     consecutive_rejections: Mapping[str, int],
-    used_ns: Mapping[str, int],
+    last_used_ns: Mapping[str, int],
     rejected_residuals: Mapping[str, AttitudeResidual],
     ins_nd: FloatArray,
     measured_nd: FloatArray,
@@ -65,11 +65,11 @@ def diagnosis_hint(
         measured_nd: attitude of the deck by the source, shape (3, 3).
     """
     since_ns = rejected_residuals[source].time_ns - _RECENT_NS
-    consistent = [name for name, time_ns in used_ns.items() if time_ns >= since_ns and not consecutive_rejections.get(name, 0)]
+    consistent = [name for name, time_ns in last_used_ns.items() if time_ns >= since_ns and not consecutive_rejections.get(name, 0)]
     inconsistent = {
-        name: departure
-        for name, departure in rejected_residuals.items()
-        if departure.time_ns >= since_ns and consecutive_rejections.get(name, 0)
+        name: residual
+        for name, residual in rejected_residuals.items()
+        if residual.time_ns >= since_ns and consecutive_rejections.get(name, 0)
     }
     hint = heading_hint(ins_nd, measured_nd, source, ins_confirmed=bool(consistent) and len(inconsistent) == 1)
     return f"{hint}; {consistency_text(source, consistent, inconsistent)}"
@@ -89,19 +89,19 @@ def heading_hint(ins_nd: FloatArray, measured_nd: FloatArray, source: str, ins_c
     # Row 1 is the direction Up in the deck frame.
     tilt = float(angle_between(ins_nd[1], measured_nd[1]))
     # Written so that NaN gives no hint.
-    if not (difference > _PLAIN_RAD and tilt < _SAME_TILT_RAD):
+    if not (difference > _MIN_HEADING_ERROR_RAD and tilt < _SAME_TILT_RAD):
         return ""
-    mounted = _mounted(source)
-    if _near(by_ins + measured, _QUARTER_TURN) and not (ins_confirmed and _is_star(source)):
-        look = f"references.{_id(source)}.convention" if ins_confirmed else "ins.convention"
+    parameter = _heading_parameter(source)
+    if _is_near(by_ins + measured, _QUARTER_TURN) and not (ins_confirmed and _is_star(source)):
+        ins_parameter = f"references.{_id(source)}.convention" if ins_confirmed else "ins.convention"
         driver = source if ins_confirmed else "the INS"
-        return f", as if heading were given as yaw (90° - heading): check {look} and the driver of {driver}"
-    if _near(difference, _QUARTER_TURN):
+        return f", as if heading were given as yaw (90° - heading): check {ins_parameter} and the driver of {driver}"
+    if _is_near(difference, _QUARTER_TURN):
         ins = "" if ins_confirmed else "ins.convention, ins.installation_heading_deg and "
-        return f" by about 90° in heading: check {ins}{mounted}"
-    if _near(difference, np.pi):
+        return f" by about 90° in heading: check {ins}{parameter}"
+    if _is_near(difference, np.pi):
         ins = "" if ins_confirmed else " and ins.installation_heading_deg"
-        return f" by about 180° in heading: check {mounted}{ins}"
+        return f" by about 180° in heading: check {parameter}{ins}"
     return ""
 
 
@@ -115,10 +115,10 @@ def consistency_text(source: str, consistent: Sequence[str], inconsistent: Mappi
     """
     others = [other for other in inconsistent if other != source]
     if consistent and not others:
-        return f"only {source} differs, {_listed(consistent)} with the INS"
+        return f"only {source} differs, {_consistent_sources_text(consistent)} with the INS"
     if consistent:
         against = f"{', '.join(sorted(inconsistent))} disagree with the INS"
-        return f"{against}, {_listed(consistent)} with it"
+        return f"{against}, {_consistent_sources_text(consistent)} with it"
     if not others:
         return "no other source shows which of the two is faulty"
     if _are_same_residual(list(inconsistent.values())):
@@ -126,12 +126,12 @@ def consistency_text(source: str, consistent: Sequence[str], inconsistent: Mappi
     return f"{', '.join(sorted(inconsistent))} disagree with the INS and with each other"
 
 
-def _listed(consistent: Sequence[str]) -> str:
+def _consistent_sources_text(consistent: Sequence[str]) -> str:
     return f"{', '.join(sorted(consistent))} {'agree' if len(consistent) > 1 else 'agrees'}"
 
 
-def _are_same_residual(departures: Sequence[AttitudeResidual]) -> bool:
-    return all(_is_same_residual(first, second) for first, second in combinations(departures, 2))
+def _are_same_residual(residuals: Sequence[AttitudeResidual]) -> bool:
+    return all(_is_same_residual(first, second) for first, second in combinations(residuals, 2))
 
 
 def _is_same_residual(first: AttitudeResidual, second: AttitudeResidual) -> bool:
@@ -144,7 +144,7 @@ def _is_same_residual(first: AttitudeResidual, second: AttitudeResidual) -> bool
     return bool(noise_n.any()) and bool(normalized_error_squared(difference, noise_n) <= _SAME_CHI2)
 
 
-def _mounted(source: str) -> str:
+def _heading_parameter(source: str) -> str:
     """Return the name of the parameter with the mounting heading of a source."""
     if source == BASELINE:
         return "ship_baseline.forward_m and right_m"
@@ -159,5 +159,5 @@ def _id(source: str) -> str:
     return source.partition(".")[2]
 
 
-def _near(angle: float, target: float) -> bool:
-    return abs(float(wrap_pi(angle - target))) < _EXPLAINED_RAD
+def _is_near(angle: float, target: float) -> bool:
+    return abs(float(wrap_pi(angle - target))) < _HEADING_TOLERANCE_RAD

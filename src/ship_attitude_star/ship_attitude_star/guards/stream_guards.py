@@ -45,13 +45,13 @@ class PlausibilityChecks:
         source, time_ns = measurement.source, measurement.time_ns
         if time_ns <= self._latest_ns.get(source, time_ns - 1):
             return None
-        checked = _watched(measurement)
+        checked = _stuck_check_value(measurement)
         if checked is None:
             return None
-        value, sigma_rad, stands_still = checked
+        value, sigma_rad, description = checked
         # Exposures without stars may repeat, also on a moving ship.
         if len(value) > 0:
-            references = {name: witness for name, witness in self.motion_references.items() if name != source}
+            references = {name: reference for name, reference in self.motion_references.items() if name != source}
             ins, by_rates = track.last_before(time_ns), self.ins.by_rates
             if ins is not None:
                 references["ins"] = Witness(ins.time_ns, ins.rotation_nd, self.ins.noise_rad)
@@ -60,7 +60,7 @@ class PlausibilityChecks:
             if source not in self._stuck:
                 self._stuck[source] = StuckGuard()
             if self._stuck[source].observe(time_ns, value, sigma_rad, references):
-                return Rejection(Reason.STUCK, f"{stands_still} while other sources move")
+                return Rejection(Reason.STUCK, f"{description} while other sources move")
             if isinstance(measurement, AttitudeMeasurement):
                 self.motion_references[source] = Witness(time_ns, value, sigma_rad)
         self._latest_ns[source] = time_ns
@@ -72,7 +72,7 @@ class PlausibilityChecks:
         self.motion_references[attitude.source] = Witness(attitude.time_ns, attitude.rotation_nv, sigma_rad)
 
 
-def _watched(measurement: Measurement) -> tuple[FloatArray, float, str] | None:
+def _stuck_check_value(measurement: Measurement) -> tuple[FloatArray, float, str] | None:
     """Return the value to check for being constant, its largest standard deviation, rad, and a text for a rejection.
 
     None for a kind of measurement that is not checked.

@@ -16,8 +16,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ship_attitude_star.ins_errors.process import DEFLECTION, WHOLE, Propagation, Vertical, deflection_change
-from ship_attitude_star.vertical.vertical_track import VerticalHere
+from ship_attitude_star.ins_errors.process import DEFLECTION, ATTITUDE_ERROR, Propagation, Vertical, deflection_change
+from ship_attitude_star.vertical.vertical_track import LocalVertical
 from ship_estimation.kalman import StateBlock, lasting
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
@@ -25,7 +25,7 @@ from ship_geometry.time_scales import SECOND_NS
 _SIZE = 5
 
 
-class InsOnGravity:
+class GaussMarkovIns:
     """Process of the states ``ins.attitude`` and ``gravity.deflection``.
 
     Args:
@@ -40,54 +40,54 @@ class InsOnGravity:
     def __init__(self, slow: StateBlock, length_m: float) -> None:
         self._time_s, self._sigma, self._length_m = slow.time_s, slow.sigma, length_m
 
-    def initial_state(self, here: VerticalHere) -> tuple[FloatArray, FloatArray]:
+    def initial_state(self, here: LocalVertical) -> tuple[FloatArray, FloatArray]:
         """See :class:`InsProcess`."""
-        given = np.zeros(2) if here.given is None else here.given
-        moved_by = _moved_by_deflection(here)
-        return moved_by @ given, moved_by @ here.covariance @ moved_by.T
+        given = np.zeros(2) if here.given_deflection is None else here.given_deflection
+        by_deflection = _states_by_deflection(here)
+        return by_deflection @ given, by_deflection @ here.covariance @ by_deflection.T
 
     def propagation(
-        self, since_ns: int, before: VerticalHere, times_ns: Sequence[int], vertical: Vertical
+        self, since_ns: int, before: LocalVertical, times_ns: Sequence[int], vertical: Vertical
     ) -> Propagation:
         """See :class:`InsProcess`."""
         # Times within one interval of the vertical share its object.
-        kinds, of = _kinds([vertical.at(time_ns) for time_ns in times_ns])
-        along = [self._along(before, here) for here in kinds]
-        turn, left, shift, fresh = (np.array(column)[of] for column in zip(*along, strict=True))
+        distinct, index_of = _distinct_verticals([vertical.at(time_ns) for time_ns in times_ns])
+        terms = [self._propagation_terms(before, here) for here in distinct]
+        turn, left, shift, fresh = (np.array(column)[index_of] for column in zip(*terms, strict=True))
         dt_s = np.array([(time_ns - since_ns) / SECOND_NS for time_ns in times_ns])
         decay = np.exp(-dt_s[:, None] / self._time_s)
-        transition = np.zeros((len(of), _SIZE, _SIZE))
+        transition = np.zeros((len(index_of), _SIZE, _SIZE))
         transition[:, range(3), range(3)] = decay
-        transition[:, WHOLE, DEFLECTION] = turn * left[:, None, None] - decay[:, :, None] * turn
+        transition[:, ATTITUDE_ERROR, DEFLECTION] = turn * left[:, None, None] - decay[:, :, None] * turn
         transition[:, (3, 4), (3, 4)] = left[:, None]
-        ins_noise = np.zeros((len(of), _SIZE, _SIZE))
+        ins_noise = np.zeros((len(index_of), _SIZE, _SIZE))
         ins_noise[:, range(3), range(3)] = self._sigma**2 * (1.0 - decay * decay)
         return Propagation(transition, shift, ins_noise, fresh)
 
-    def propagated_means(self, means: FloatArray, before: VerticalHere, propagation: Propagation) -> FloatArray:
+    def propagated_means(self, means: FloatArray, before: LocalVertical, propagation: Propagation) -> FloatArray:
         """See :class:`InsProcess`."""
         after: FloatArray = means @ np.swapaxes(propagation.transition, -1, -2) + propagation.shift[:, None]
-        own = means[:, WHOLE] - means[:, DEFLECTION] @ before.turn.T
-        stays = lasting(own, self._sigma)
-        after[..., WHOLE] = np.where(stays, means[:, WHOLE], after[..., WHOLE])
+        own = means[:, ATTITUDE_ERROR] - means[:, DEFLECTION] @ before.deflection_jacobian.T
+        exceeds = lasting(own, self._sigma)
+        after[..., ATTITUDE_ERROR] = np.where(exceeds, means[:, ATTITUDE_ERROR], after[..., ATTITUDE_ERROR])
         return after
 
-    def _along(self, before: VerticalHere, here: VerticalHere) -> tuple[FloatArray, float, FloatArray, FloatArray]:
+    def _propagation_terms(self, before: LocalVertical, here: LocalVertical) -> tuple[FloatArray, float, FloatArray, FloatArray]:
         """Return the deflection Jacobian, remaining ratio, shift of the states, and covariance added to them."""
-        change, moved_by = deflection_change(before, here, self._length_m), _moved_by_deflection(here)
-        return here.turn, change.left, moved_by @ change.shift, moved_by @ change.noise @ moved_by.T
+        change, by_deflection = deflection_change(before, here, self._length_m), _states_by_deflection(here)
+        return here.deflection_jacobian, change.remaining_ratio, by_deflection @ change.shift, by_deflection @ change.noise @ by_deflection.T
 
 
-def _moved_by_deflection(here: VerticalHere) -> FloatArray:
+def _states_by_deflection(here: LocalVertical) -> FloatArray:
     """Return the derivative of the states by the deflection, shape (5, 2)."""
-    return np.vstack([here.turn, np.eye(2)])
+    return np.vstack([here.deflection_jacobian, np.eye(2)])
 
 
-def _kinds(verticals: list[VerticalHere]) -> tuple[list[VerticalHere], list[int]]:
+def _distinct_verticals(verticals: list[LocalVertical]) -> tuple[list[LocalVertical], list[int]]:
     """Return the distinct objects among successive verticals, and the index of each into them."""
-    kinds, of = [verticals[0]], []
+    distinct, index_of = [verticals[0]], []
     for here in verticals:
-        if here is not kinds[-1]:
-            kinds.append(here)
-        of.append(len(kinds) - 1)
-    return kinds, of
+        if here is not distinct[-1]:
+            distinct.append(here)
+        index_of.append(len(distinct) - 1)
+    return distinct, index_of

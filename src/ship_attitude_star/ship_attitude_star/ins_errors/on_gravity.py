@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.ins_errors.process import DEFLECTION, InsProcess, own_from_whole
-from ship_attitude_star.vertical.vertical_track import VerticalHere, VerticalTrack
+from ship_attitude_star.ins_errors.process import DEFLECTION, InsProcess, own_error_matrix
+from ship_attitude_star.vertical.vertical_track import LocalVertical, VerticalTrack
 from ship_geometry.rotations import FloatArray
 
 _CLOCK = 3
@@ -35,7 +35,7 @@ class InsErrors(NamedTuple):
     vertical_known: NDArray[np.bool_]
 
 
-class OnGravity:
+class InsErrorPropagation:
     """Propagation of the states that correct the INS: attitude error, time offset and the rest of its process.
 
     Args:
@@ -62,7 +62,7 @@ class OnGravity:
     def errors(
         self,
         since_ns: int | None,
-        before: VerticalHere | None,
+        before: LocalVertical | None,
         mean: FloatArray,
         covariance_by_source: FloatArray,
         times_ns: Sequence[int],
@@ -101,21 +101,21 @@ class OnGravity:
             covariance_by_source=np.ascontiguousarray(to_four[:, None] @ after @ np.swapaxes(to_four, -1, -2)[:, None]),
             deflection=of_process[:, DEFLECTION] if self._models_deflection else np.empty((count, 0)),
             deflection_covariance=of_deflection if self._models_deflection else np.empty((count, 0, 0)),
-            vertical_known=self._known(of_deflection, verticals),
+            vertical_known=self._is_vertical_known(of_deflection, verticals),
         )
 
-    def _known(self, covariance: FloatArray, verticals: Sequence[VerticalHere]) -> NDArray[np.bool_]:
+    def _is_vertical_known(self, covariance: FloatArray, verticals: Sequence[LocalVertical]) -> NDArray[np.bool_]:
         """Return True if the deflection is known, or estimated better than half its prior, shape (N,)."""
         if not self._models_deflection:
             return np.zeros(len(verticals), dtype=bool)
         # Written so that NaN is not known.
-        known: NDArray[np.bool_] = np.array([here.given is not None for here in verticals])
+        known: NDArray[np.bool_] = np.array([here.given_deflection is not None for here in verticals])
         known |= 4.0 * np.trace(covariance, axis1=1, axis2=2) <= 2.0 * self._unknown_variance
         return known
 
-    def _output_matrix(self, verticals: Sequence[VerticalHere]) -> FloatArray:
+    def _output_matrix(self, verticals: Sequence[LocalVertical]) -> FloatArray:
         """Return the matrix from process states to the error relative to the published horizon, shape (N, 3, n)."""
         size = self._process.size
         if not self._to_gravity:
             return np.tile(np.eye(3, size), (len(verticals), 1, 1))
-        return np.array([np.pad(own_from_whole(here), ((0, 0), (0, size - 5))) for here in verticals])
+        return np.array([np.pad(own_error_matrix(here), ((0, 0), (0, size - 5))) for here in verticals])

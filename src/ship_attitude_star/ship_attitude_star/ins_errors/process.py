@@ -5,10 +5,10 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from ship_attitude_star.vertical.vertical_track import VerticalHere
+from ship_attitude_star.vertical.vertical_track import LocalVertical
 from ship_geometry.rotations import FloatArray
 
-WHOLE = slice(0, 3)
+ATTITUDE_ERROR = slice(0, 3)
 """Slice of the INS attitude error (north, up, east) relative to the geodetic horizon: the first states of a process."""
 
 DEFLECTION = slice(3, 5)
@@ -34,7 +34,7 @@ class Propagation(NamedTuple):
 class Vertical(Protocol):
     """Source of the vertical at any time."""
 
-    def at(self, time_ns: int) -> VerticalHere:
+    def at(self, time_ns: int) -> LocalVertical:
         """Return the vertical at a time; the same object within an interval of two seconds."""
 
 
@@ -51,11 +51,11 @@ class InsProcess(Protocol):
     size: int
     needs_latitude: bool
 
-    def initial_state(self, here: VerticalHere) -> tuple[FloatArray, FloatArray]:
+    def initial_state(self, here: LocalVertical) -> tuple[FloatArray, FloatArray]:
         """Return the initial states, shape (n,), and their covariance by the deflection, shape (n, n)."""
 
     def propagation(
-        self, since_ns: int, before: VerticalHere, times_ns: Sequence[int], vertical: Vertical
+        self, since_ns: int, before: LocalVertical, times_ns: Sequence[int], vertical: Vertical
     ) -> Propagation:
         """Return the propagation of the states.
 
@@ -66,7 +66,7 @@ class InsProcess(Protocol):
             vertical: source of the vertical along the track.
         """
 
-    def propagated_means(self, means: FloatArray, before: VerticalHere, propagation: Propagation) -> FloatArray:
+    def propagated_means(self, means: FloatArray, before: LocalVertical, propagation: Propagation) -> FloatArray:
         """Return the propagated states of h filters, shape (h, n), at N times, shape (N, h, n).
 
         An attitude error far beyond its standard deviation, as after a jump, does not decay
@@ -83,21 +83,21 @@ class DeflectionChange(NamedTuple):
         noise: covariance of the added error, rad², shape (2, 2).
     """
 
-    left: float
+    remaining_ratio: float
     shift: FloatArray
     noise: FloatArray
 
 
-def deflection_change(before: VerticalHere, here: VerticalHere, length_m: float) -> DeflectionChange:
+def deflection_change(before: LocalVertical, here: LocalVertical, length_m: float) -> DeflectionChange:
     """Return the change of the deflection between two positions, with the correlation length of its error, m."""
-    left = float(np.exp(-max(here.along_m - before.along_m, 0.0) / length_m))
-    moved = np.zeros(2)
-    if here.given is not None:
+    remaining_ratio = float(np.exp(-max(here.distance_run_m - before.distance_run_m, 0.0) / length_m))
+    shift = np.zeros(2)
+    if here.given_deflection is not None:
         # A deflection known for the first time has no immediate effect: the estimate approaches it over distance.
-        moved = here.given - left * (here.given if before.given is None else before.given)
-    return DeflectionChange(left, moved, (1.0 - left * left) * here.covariance)
+        shift = here.given_deflection - remaining_ratio * (here.given_deflection if before.given_deflection is None else before.given_deflection)
+    return DeflectionChange(remaining_ratio, shift, (1.0 - remaining_ratio * remaining_ratio) * here.covariance)
 
 
-def own_from_whole(here: VerticalHere) -> FloatArray:
+def own_error_matrix(here: LocalVertical) -> FloatArray:
     """Return the matrix from attitude error and deflection to the INS error relative to the gravity horizon, (3, 5)."""
-    return np.hstack([np.eye(3), -here.turn])
+    return np.hstack([np.eye(3), -here.deflection_jacobian])

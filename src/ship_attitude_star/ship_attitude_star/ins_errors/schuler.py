@@ -28,8 +28,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ship_attitude_star.ins_errors.config import SchulerConfig
-from ship_attitude_star.ins_errors.process import DEFLECTION, WHOLE, Propagation, Vertical, deflection_change
-from ship_attitude_star.vertical.vertical_track import STEP_NS, VerticalHere
+from ship_attitude_star.ins_errors.process import DEFLECTION, ATTITUDE_ERROR, Propagation, Vertical, deflection_change
+from ship_attitude_star.vertical.vertical_track import STEP_NS, LocalVertical
 from ship_estimation.kalman import lasting
 from ship_geometry.geodetic import EARTH_RATE_RAD_PER_S, GeodeticPosition, horizon_radii_m, normal_gravity
 from ship_geometry.rotations import FloatArray
@@ -38,10 +38,10 @@ from ship_geometry.time_scales import SECOND_NS
 _VELOCITY, _LATITUDE, _DRIFT, _BIAS = slice(5, 7), 7, slice(8, 11), slice(11, 13)
 _ALL = 13
 
-_TERMS = 4
+_SERIES_TERMS = 4
 """Number of terms of the power series over a step of 2 s; the next term is 1e-14 of the first."""
 
-_REMEMBERED = 64
+_MAX_CHECKPOINTS = 64
 """Number of stored steps before the newest one: a late position fix changes the last few."""
 
 
@@ -55,11 +55,11 @@ class _Checkpoint(NamedTuple):
     """
 
     step: int
-    here: VerticalHere
+    here: LocalVertical
     propagation: Propagation
 
 
-class _Way(NamedTuple):
+class _PropagationCache(NamedTuple):
     """Stored propagations from a start time.
 
     Attributes:
@@ -69,11 +69,11 @@ class _Way(NamedTuple):
     """
 
     since_ns: int
-    before: VerticalHere
-    knots: deque[_Checkpoint]
+    before: LocalVertical
+    checkpoints: deque[_Checkpoint]
 
 
-class _Step(NamedTuple):
+class _PowerSeries(NamedTuple):
     """Power series in time of the propagation with a constant vertical.
 
     Attributes:
@@ -101,114 +101,114 @@ class SchulerIns:
         of_gravity = () if length_m is None else ("gravity.deflection",)
         of_sensors = "ins.gyro_drift", "ins.accelerometer_bias"
         self.blocks = ("ins.attitude", *of_gravity, "ins.velocity", "ins.latitude", *of_sensors)
-        self._kept = np.delete(np.arange(_ALL), DEFLECTION) if length_m is None else np.arange(_ALL)
-        self.size = len(self._kept)
-        self._density = _noise_density(config)[self._kept]
-        self._of_here: tuple[VerticalHere, _Step] | None = None
-        self._way: _Way | None = None
+        self._states = np.delete(np.arange(_ALL), DEFLECTION) if length_m is None else np.arange(_ALL)
+        self.size = len(self._states)
+        self._density = _noise_density(config)[self._states]
+        self._series_cache: tuple[LocalVertical, _PowerSeries] | None = None
+        self._cache: _PropagationCache | None = None
 
-    def initial_state(self, here: VerticalHere) -> tuple[FloatArray, FloatArray]:
+    def initial_state(self, here: LocalVertical) -> tuple[FloatArray, FloatArray]:
         """See :class:`InsProcess`; the INS is levelled by gravity at that time."""
         mean, covariance = np.zeros(self.size), np.zeros((self.size, self.size))
         if self._length_m is not None:
-            moved_by = np.vstack([here.turn, np.eye(2)])
-            mean[:5] = moved_by @ (np.zeros(2) if here.given is None else here.given)
-            covariance[:5, :5] = moved_by @ here.covariance @ moved_by.T
+            by_deflection = np.vstack([here.deflection_jacobian, np.eye(2)])
+            mean[:5] = by_deflection @ (np.zeros(2) if here.given_deflection is None else here.given_deflection)
+            covariance[:5, :5] = by_deflection @ here.covariance @ by_deflection.T
         return mean, covariance
 
     def propagation(
-        self, since_ns: int, before: VerticalHere, times_ns: Sequence[int], vertical: Vertical
+        self, since_ns: int, before: LocalVertical, times_ns: Sequence[int], vertical: Vertical
     ) -> Propagation:
         """See :class:`InsProcess`."""
         found = []
         for time_ns in times_ns:
-            knot = self._knot_before(since_ns, before, time_ns, vertical)
-            since_knot_ns = time_ns - max(since_ns, knot.step * STEP_NS)
-            found.append(self._while_still(knot.propagation, knot.here, since_knot_ns))
+            checkpoint = self._checkpoint_before(since_ns, before, time_ns, vertical)
+            since_checkpoint_ns = time_ns - max(since_ns, checkpoint.step * STEP_NS)
+            found.append(self._with_constant_vertical(checkpoint.propagation, checkpoint.here, since_checkpoint_ns))
         return Propagation(*(np.array(column) for column in zip(*found, strict=True)))
 
-    def propagated_means(self, means: FloatArray, before: VerticalHere, propagation: Propagation) -> FloatArray:
+    def propagated_means(self, means: FloatArray, before: LocalVertical, propagation: Propagation) -> FloatArray:
         """See :class:`InsProcess`."""
-        own = means[:, WHOLE]
+        own = means[:, ATTITUDE_ERROR]
         if self._length_m is not None:
-            own = own - means[:, DEFLECTION] @ before.turn.T
-        stays = np.zeros_like(means)
-        stays[:, WHOLE] = np.where(lasting(own, self._sigma), means[:, WHOLE], 0.0)
-        after: FloatArray = (means - stays) @ np.swapaxes(propagation.transition, -1, -2) + propagation.shift[:, None] + stays
+            own = own - means[:, DEFLECTION] @ before.deflection_jacobian.T
+        exceeding = np.zeros_like(means)
+        exceeding[:, ATTITUDE_ERROR] = np.where(lasting(own, self._sigma), means[:, ATTITUDE_ERROR], 0.0)
+        after: FloatArray = (means - exceeding) @ np.swapaxes(propagation.transition, -1, -2) + propagation.shift[:, None] + exceeding
         return after
 
     # -- stored propagations ------------------------------------------------------------------------------------
 
-    def _knot_before(self, since_ns: int, before: VerticalHere, time_ns: int, vertical: Vertical) -> _Checkpoint:
+    def _checkpoint_before(self, since_ns: int, before: LocalVertical, time_ns: int, vertical: Vertical) -> _Checkpoint:
         """Return the propagation up to the last step before a time, or up to the start time if that is later.
 
         Propagations are stored. A stored one is valid while the vertical at its step is the same object, because a
         change of the vertical at one step creates new objects for all later steps.
         """
         last = time_ns // STEP_NS
-        if self._way is None or self._way.since_ns != since_ns or self._way.before is not before:
-            self._way = _Way(since_ns, before, deque(maxlen=_REMEMBERED))
-        knots = self._way.knots
-        while knots and (knots[-1].step > last or knots[-1].here is not vertical.at(knots[-1].step * STEP_NS)):
-            knots.pop()
-        if not knots:
+        if self._cache is None or self._cache.since_ns != since_ns or self._cache.before is not before:
+            self._cache = _PropagationCache(since_ns, before, deque(maxlen=_MAX_CHECKPOINTS))
+        checkpoints = self._cache.checkpoints
+        while checkpoints and (checkpoints[-1].step > last or checkpoints[-1].here is not vertical.at(checkpoints[-1].step * STEP_NS)):
+            checkpoints.pop()
+        if not checkpoints:
             nothing = np.zeros((self.size, self.size))
-            still = Propagation(np.eye(self.size), np.zeros(self.size), nothing, nothing)
+            unchanged = Propagation(np.eye(self.size), np.zeros(self.size), nothing, nothing)
             # Within the first step the vertical is that at the start time.
-            first = _Checkpoint(since_ns // STEP_NS, before, still)
+            first = _Checkpoint(since_ns // STEP_NS, before, unchanged)
             if first.step >= last:
                 return first
-            knots.append(self._next(first, since_ns, vertical))
-        while knots[-1].step < last:
-            knots.append(self._next(knots[-1], since_ns, vertical))
-        return knots[-1]
+            checkpoints.append(self._next_checkpoint(first, since_ns, vertical))
+        while checkpoints[-1].step < last:
+            checkpoints.append(self._next_checkpoint(checkpoints[-1], since_ns, vertical))
+        return checkpoints[-1]
 
-    def _next(self, knot: _Checkpoint, since_ns: int, vertical: Vertical) -> _Checkpoint:
+    def _next_checkpoint(self, checkpoint: _Checkpoint, since_ns: int, vertical: Vertical) -> _Checkpoint:
         """Return the propagation up to the next step, including the change of the deflection there."""
-        step = knot.step + 1
+        step = checkpoint.step + 1
         end_ns = step * STEP_NS
-        there = self._while_still(knot.propagation, knot.here, end_ns - max(since_ns, knot.step * STEP_NS))
+        propagation = self._with_constant_vertical(checkpoint.propagation, checkpoint.here, end_ns - max(since_ns, checkpoint.step * STEP_NS))
         here = vertical.at(end_ns)
-        return _Checkpoint(step, here, self._with_change(there, knot.here, here))
+        return _Checkpoint(step, here, self._with_deflection_change(propagation, checkpoint.here, here))
 
-    def _while_still(self, way: Propagation, here: VerticalHere, time_ns: int) -> Propagation:
+    def _with_constant_vertical(self, propagation: Propagation, here: LocalVertical, time_ns: int) -> Propagation:
         """Extend a propagation by a time of at most one step with a constant vertical."""
-        motion, powers = self._motion(here), (time_ns / SECOND_NS) ** np.arange(_TERMS + 1.0)
-        transition, noise = np.tensordot(powers, motion.transition, 1), np.tensordot(powers, motion.noise, 1)
+        series, powers = self._power_series(here), (time_ns / SECOND_NS) ** np.arange(_SERIES_TERMS + 1.0)
+        transition, noise = np.tensordot(powers, series.transition, 1), np.tensordot(powers, series.noise, 1)
         return Propagation(
-            transition @ way.transition,
-            transition @ way.shift,
-            transition @ way.ins_noise @ transition.T + noise,
-            transition @ way.deflection_noise @ transition.T,
+            transition @ propagation.transition,
+            transition @ propagation.shift,
+            transition @ propagation.ins_noise @ transition.T + noise,
+            transition @ propagation.deflection_noise @ transition.T,
         )
 
-    def _with_change(self, way: Propagation, before: VerticalHere, here: VerticalHere) -> Propagation:
+    def _with_deflection_change(self, propagation: Propagation, before: LocalVertical, here: LocalVertical) -> Propagation:
         """Extend a propagation by a change of the deflection at its end, without direct effect on the INS states."""
         if self._length_m is None:
-            return way
+            return propagation
         change = deflection_change(before, here, self._length_m)
-        left = np.ones(self.size)
-        left[DEFLECTION] = change.left
-        shift, fresh = left * way.shift, left[:, None] * way.deflection_noise * left
+        remaining_ratio = np.ones(self.size)
+        remaining_ratio[DEFLECTION] = change.remaining_ratio
+        shift, deflection_noise = remaining_ratio * propagation.shift, remaining_ratio[:, None] * propagation.deflection_noise * remaining_ratio
         shift[DEFLECTION] += change.shift
-        fresh[DEFLECTION, DEFLECTION] += change.noise
-        return Propagation(left[:, None] * way.transition, shift, left[:, None] * way.ins_noise * left, fresh)
+        deflection_noise[DEFLECTION, DEFLECTION] += change.noise
+        return Propagation(remaining_ratio[:, None] * propagation.transition, shift, remaining_ratio[:, None] * propagation.ins_noise * remaining_ratio, deflection_noise)
 
     # -- differential equations -----------------------------------------------------------------------------------
 
-    def _motion(self, here: VerticalHere) -> _Step:
+    def _power_series(self, here: LocalVertical) -> _PowerSeries:
         """Return the power series for a vertical; the last one is stored."""
-        if self._of_here is None or self._of_here[0] is not here:
-            rates = self.rates(here)
+        if self._series_cache is None or self._series_cache[0] is not here:
+            system_matrix = self.system_matrix(here)
             transition, noise = [np.eye(self.size)], [np.zeros((self.size, self.size)), np.diag(self._density)]
-            for term in range(1, _TERMS + 1):
-                transition.append(rates @ transition[-1] / term)
-            for term in range(2, _TERMS + 1):
-                noise.append((rates @ noise[-1] + noise[-1] @ rates.T) / term)
-            self._of_here = here, _Step(np.array(transition), np.array(noise))
-        return self._of_here[1]
+            for term in range(1, _SERIES_TERMS + 1):
+                transition.append(system_matrix @ transition[-1] / term)
+            for term in range(2, _SERIES_TERMS + 1):
+                noise.append((system_matrix @ noise[-1] + noise[-1] @ system_matrix.T) / term)
+            self._series_cache = here, _PowerSeries(np.array(transition), np.array(noise))
+        return self._series_cache[1]
 
-    def rates(self, here: VerticalHere) -> FloatArray:
+    def system_matrix(self, here: LocalVertical) -> FloatArray:
         """Return the system matrix of the differential equations for a vertical, 1/s, shape (n, n)."""
         config, (north_m_per_s, east_m_per_s) = self._config, here.velocity_m_per_s
         latitude = 0.0 if math.isnan(here.latitude) else here.latitude
@@ -223,37 +223,37 @@ class SchulerIns:
         )
         coriolis_by_latitude = EARTH_RATE_RAD_PER_S * math.cos(latitude) + up_by_latitude
         rates = np.zeros((_ALL, _ALL))
-        rates[WHOLE, WHOLE] = [
+        rates[ATTITUDE_ERROR, ATTITUDE_ERROR] = [
             [0.0, turn_east, -turn_up],
             [-turn_east, 0.0, turn_north],
             [turn_up, -turn_north, 0.0],
         ]
-        rates[WHOLE, _VELOCITY] = [
+        rates[ATTITUDE_ERROR, _VELOCITY] = [
             [0.0, 1.0 / radius_east_m],
             [0.0, tangent / radius_east_m],
             [-1.0 / radius_north_m, 0.0],
         ]
-        rates[WHOLE, _LATITUDE] = [-EARTH_RATE_RAD_PER_S * math.sin(latitude), up_by_latitude, 0.0]
-        rates[WHOLE, _DRIFT] = -np.eye(3)
-        rates[_VELOCITY, WHOLE] = [[0.0, 0.0, gravity], [-gravity, 0.0, 0.0]]
+        rates[ATTITUDE_ERROR, _LATITUDE] = [-EARTH_RATE_RAD_PER_S * math.sin(latitude), up_by_latitude, 0.0]
+        rates[ATTITUDE_ERROR, _DRIFT] = -np.eye(3)
+        rates[_VELOCITY, ATTITUDE_ERROR] = [[0.0, 0.0, gravity], [-gravity, 0.0, 0.0]]
         rates[_VELOCITY, DEFLECTION] = gravity * np.eye(2)
         rates[_VELOCITY, _LATITUDE] = [-coriolis_by_latitude * east_m_per_s, coriolis_by_latitude * north_m_per_s]
-        damped = 0.0
+        damping = 0.0
         if config.is_free:
             rates[_LATITUDE, _VELOCITY] = 1.0 / radius_north_m, 0.0
         else:
-            damped = 1.0 / config.damping_time_s
-        rates[_VELOCITY, _VELOCITY] = [[-damped, -coriolis], [coriolis, -damped]]
+            damping = 1.0 / config.damping_time_s
+        rates[_VELOCITY, _VELOCITY] = [[-damping, -coriolis], [coriolis, -damping]]
         rates[_VELOCITY, _BIAS] = np.eye(2)
         rates[_DRIFT, _DRIFT] = -np.eye(3) / config.gyro_drift_time_s
         rates[_BIAS, _BIAS] = -np.eye(2) / config.accelerometer_bias_time_s
-        return rates[np.ix_(self._kept, self._kept)]
+        return rates[np.ix_(self._states, self._states)]
 
 
 def _noise_density(config: SchulerConfig) -> FloatArray:
     """Return the spectral density of the noise of each state: variance added per second, shape (13,)."""
     density = np.zeros(_ALL)
-    density[WHOLE] = config.angle_walk**2
+    density[ATTITUDE_ERROR] = config.angle_walk**2
     density[_VELOCITY] = config.velocity_walk**2
     density[_DRIFT] = 2.0 * config.gyro_drift**2 / config.gyro_drift_time_s
     density[_BIAS] = 2.0 * config.accelerometer_bias_sigma_m_per_s2**2 / config.accelerometer_bias_time_s

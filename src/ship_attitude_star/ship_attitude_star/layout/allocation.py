@@ -14,9 +14,9 @@ import numpy as np
 from ship_attitude_star.layout.joint_error import Layout
 from ship_geometry.rotations import ARCSEC, FloatArray
 
-MOST_ARCSEC = 36_000.0
+MAX_ERROR_ARCSEC = 36_000.0
 """Largest error of a study, arcseconds; an error that may be larger may have any size."""
-_LEAST_ARCSEC = 0.001
+_MIN_NOISE_ARCSEC = 0.001
 """Least noise of a sensor, arcseconds: zero noise has a singular covariance."""
 _HALVINGS = 40
 
@@ -47,7 +47,7 @@ class Allocation:
     alone_arcsec: float
 
 
-def use_of(sigmas_arcsec: FloatArray, limits_arcsec: FloatArray) -> FloatArray:
+def requirement_use(sigmas_arcsec: FloatArray, limits_arcsec: FloatArray) -> FloatArray:
     """Return sigma over limit of the worst angle, shape (...); NaN if a required angle is not known.
 
     Args:
@@ -64,7 +64,7 @@ def binding_angle(sigmas_arcsec: FloatArray, limits_arcsec: FloatArray) -> int:
     return int(np.argmax(np.asarray(sigmas_arcsec) / limits_arcsec))
 
 
-def allocated(layout: Layout, limits_arcsec: FloatArray) -> list[Allocation]:
+def allocate_errors(layout: Layout, limits_arcsec: FloatArray) -> list[Allocation]:
     """Return the maximum sizes of a layout's errors, those with the largest share first.
 
     Args:
@@ -72,7 +72,7 @@ def allocated(layout: Layout, limits_arcsec: FloatArray) -> list[Allocation]:
         limits_arcsec: maximum sigma of heading, pitch, roll, shape (3,); infinite where nothing is required.
     """
     sigmas = layout.sigmas_arcsec()
-    use, angle = float(use_of(sigmas, limits_arcsec)), binding_angle(sigmas, limits_arcsec)
+    use, angle = float(requirement_use(sigmas, limits_arcsec)), binding_angle(sigmas, limits_arcsec)
     shares: dict[str, float] = {}
     for source in layout.budget():
         part = float((source.errors_arcsec[angle] / sigmas[angle]) ** 2)
@@ -80,7 +80,7 @@ def allocated(layout: Layout, limits_arcsec: FloatArray) -> list[Allocation]:
     rows = []
     for error in _errors(layout):
         sigma = error.sigma_arcsec(layout)
-        alone = _alone(layout, error, limits_arcsec)
+        alone = _max_alone_arcsec(layout, error, limits_arcsec)
         rows.append(Allocation(error.key, error.kind, sigma, shares.get(error.key, 0.0), sigma / use, alone))
     return sorted(rows, key=lambda row: -row.share)
 
@@ -98,7 +98,7 @@ class _Error:
     def sigma_arcsec(self, layout: Layout) -> float:
         return float(np.max(getattr(layout, self.field)[self.index])) / ARCSEC
 
-    def scaled(self, layout: Layout, sigma_arcsec: float) -> Layout:
+    def with_sigma(self, layout: Layout, sigma_arcsec: float) -> Layout:
         """Return the layout with another size of this error."""
         sigmas = getattr(layout, self.field).copy()
         sigmas[self.index] = ARCSEC * max(sigma_arcsec, self.least_arcsec)
@@ -110,7 +110,7 @@ def _errors(layout: Layout) -> Iterator[_Error]:
     for number, name in enumerate(layout.names):
         for axis, axis_name in enumerate(_AXES):
             key = f"sensors.{name}.sigma_{axis_name}_arcsec"
-            yield _Error(key, "star noise", "noise_sigmas", (number, axis), _LEAST_ARCSEC)
+            yield _Error(key, "star noise", "noise_sigmas", (number, axis), _MIN_NOISE_ARCSEC)
         for axis, axis_name in enumerate(_AXES):
             key = f"sensors.{name}.installation_sigma_{axis_name}_arcsec"
             yield _Error(key, "installation", "installation_sigmas", (number, axis), 0.0)
@@ -119,18 +119,18 @@ def _errors(layout: Layout) -> Iterator[_Error]:
         yield _Error(f"common.{name}_sigma_arcsec", kind, "common_sigmas", (indices,), 0.0)
 
 
-def _alone(layout: Layout, error: _Error, limits_arcsec: FloatArray) -> float:
+def _max_alone_arcsec(layout: Layout, error: _Error, limits_arcsec: FloatArray) -> float:
     """Return the largest sigma of an error that meets the requirement, by bisection: the joint error grows with it."""
 
-    def met(sigma_arcsec: float) -> bool:
-        return bool(use_of(error.scaled(layout, sigma_arcsec).sigmas_arcsec(), limits_arcsec) <= 1.0)
+    def is_met(sigma_arcsec: float) -> bool:
+        return bool(requirement_use(error.with_sigma(layout, sigma_arcsec).sigmas_arcsec(), limits_arcsec) <= 1.0)
 
-    if not met(0.0):
+    if not is_met(0.0):
         return float("nan")
-    if met(MOST_ARCSEC):
+    if is_met(MAX_ERROR_ARCSEC):
         return float("inf")
-    low, high = 0.0, MOST_ARCSEC
+    low, high = 0.0, MAX_ERROR_ARCSEC
     for _ in range(_HALVINGS):
         middle = (low + high) / 2.0
-        low, high = (middle, high) if met(middle) else (low, middle)
+        low, high = (middle, high) if is_met(middle) else (low, middle)
     return low

@@ -17,7 +17,7 @@ from ship_estimation.parameter_fields import mapping_of, parameter, section
 from ship_estimation.parameters import ParameterError, build
 from ship_geometry.rotations import ARCSEC, FloatArray
 
-LEAST_ELEVATION_DEG = 5.0
+MIN_ELEVATION_DEG = 5.0
 """Minimum elevation of a boresight above the horizon: below it no refraction model is valid."""
 
 DEFAULT_SENSORS = {
@@ -28,7 +28,7 @@ DEFAULT_SENSORS = {
 
 # Names of sensors are used as names of files and headings.
 _SENSOR_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_LEAST_SIGMA_ARCSEC = 0.001
+_MIN_SIGMA_ARCSEC = 0.001
 """Least noise of a sensor: no covariance is singular with it, and it changes no printed digit."""
 
 
@@ -51,12 +51,12 @@ class LayoutSensor:
 
     azimuth_deg: float = _angle(doc="boresight from the bow, clockwise seen from above")
     elevation_deg: float = parameter(
-        doc="boresight above the deck", unit="deg", minimum=LEAST_ELEVATION_DEG, maximum=90.0
+        doc="boresight above the deck", unit="deg", minimum=MIN_ELEVATION_DEG, maximum=90.0
     )
     roll_deg: float = _angle(0.0, doc="roll about the boresight, right side down")
-    sigma_forward_arcsec: float = _sigma(100.0, doc="noise about the boresight", minimum=_LEAST_SIGMA_ARCSEC)
-    sigma_up_arcsec: float = _sigma(3.0, doc="noise about the up axis", minimum=_LEAST_SIGMA_ARCSEC)
-    sigma_right_arcsec: float = _sigma(3.0, doc="noise about the right axis", minimum=_LEAST_SIGMA_ARCSEC)
+    sigma_forward_arcsec: float = _sigma(100.0, doc="noise about the boresight", minimum=_MIN_SIGMA_ARCSEC)
+    sigma_up_arcsec: float = _sigma(3.0, doc="noise about the up axis", minimum=_MIN_SIGMA_ARCSEC)
+    sigma_right_arcsec: float = _sigma(3.0, doc="noise about the right axis", minimum=_MIN_SIGMA_ARCSEC)
     installation_sigma_forward_arcsec: float = _sigma(20.0, doc="installation error about the boresight")
     installation_sigma_up_arcsec: float = _sigma(1.0, doc="installation error about the up axis")
     installation_sigma_right_arcsec: float = _sigma(1.0, doc="installation error about the right axis")
@@ -152,7 +152,7 @@ class Requirement:
         return np.where(required > 0.0, required, np.inf)
 
     @property
-    def given(self) -> bool:
+    def is_given(self) -> bool:
         """True if there is a requirement."""
         return bool(np.isfinite(self.limits_arcsec()).any())
 
@@ -169,12 +169,12 @@ class HorizonClearance:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Place:
+class SensorPlacement:
     """Mounting angles of a sensor in another layout."""
 
     azimuth_deg: float = _angle(doc="boresight from the bow, clockwise seen from above")
     elevation_deg: float = parameter(
-        doc="boresight above the deck", unit="deg", minimum=LEAST_ELEVATION_DEG, maximum=90.0
+        doc="boresight above the deck", unit="deg", minimum=MIN_ELEVATION_DEG, maximum=90.0
     )
     roll_deg: float = _angle(0.0, doc="roll about the boresight, right side down")
 
@@ -187,7 +187,7 @@ class Place:
 class Alternative:
     """Another layout of the same sensors."""
 
-    sensors: dict[str, Place] = mapping_of("sensors mounted elsewhere, by name; the others stay as given")
+    sensors: dict[str, SensorPlacement] = mapping_of("sensors mounted elsewhere, by name; the others stay as given")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -261,7 +261,7 @@ def _check_alternatives(config: LayoutStudyConfig) -> None:
     """
     for name, alternative in config.alternatives.items():
         key = f"alternatives.{name}"
-        if not config.requirement.given:
+        if not config.requirement.is_given:
             raise ParameterError(
                 f"parameter '{key}': there is no requirement to evaluate it by: add one, or remove it", key
             )

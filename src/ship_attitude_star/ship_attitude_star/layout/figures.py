@@ -10,7 +10,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MultipleLocator, NullFormatter, ScalarFormatter
 
-from ship_attitude_star.layout.installation_model import SHIP_ANGLES, SWEEPS, Curve, InstallationReading, Sweep
+from ship_attitude_star.layout.installation_model import SHIP_ANGLES, SWEEPS, Curve, InstallationConvention, Sweep
 from ship_attitude_star.layout.joint_error import ErrorMap, Layout, total_arcsec
 from ship_attitude_star.layout.requirement_figures import (
     BEST,
@@ -30,7 +30,7 @@ _ARCSEC_TICKS = (1, 2, 3, 4, 5, 7, 10, 20, 30, 50, 100, 200, 300, 500, 1000)
 _FEW_LINES = (1, 3, 10, 30, 100, 300, 1000)
 _MORE_LINES = (1, 2, 3, 4, 5, 6, 8, 10, 30, 100, 300, 1000)
 # Ratio of the values of a panel above which fewer lines are drawn.
-_STEEP = 25.0
+_STEEP_RATIO = 25.0
 
 
 def draw_figures(study: LayoutStudy, folder: Path) -> dict[str, Path]:
@@ -43,9 +43,9 @@ def _figures(study: LayoutStudy) -> Iterator[tuple[str, Figure]]:
     yield "azimuth", _scan_figure(study)
     for number, moved in enumerate(study.maps):
         yield f"map_{moved.sensor}", _map_figure(moved, study, number)
-    if study.required is not None:
-        yield "requirement", admissible_figure(study, study.required)
-        yield "elevation", elevation_figure(study.required)
+    if study.requirement_result is not None:
+        yield "requirement", admissible_figure(study, study.requirement_result)
+        yield "elevation", elevation_figure(study.requirement_result)
     yield from sweep_figures(study.curves)
 
 
@@ -55,9 +55,9 @@ def sweep_figures(curves: list[Curve]) -> Iterator[tuple[str, Figure]]:
         yield f"figure_{sweep.number}", _sweep_figure(sweep, [curve for curve in curves if curve.sweep is sweep])
 
 
-_NEAR = 0.15
+_MERGE_DISTANCE = 0.15
 """Distance of arrow tips below which their numbers share one place, in radii of the plan."""
-_NUMBER_BESIDE = 0.2
+_NUMBER_OFFSET = 0.2
 """Distance from a tip to its number, in lengths of the arrow."""
 
 
@@ -73,10 +73,10 @@ def plan_figure(given: Layout, best: Layout) -> Figure:
         axes.text(1.09 * np.sin(azimuth), 1.09 * np.cos(azimuth), f"{azimuth_deg}°", ha="center", va="center")
     moved = not np.array_equal(given.angles, best.angles)
     tips = [_draw_boresight(axes, angles, GIVEN, "-") for angles in given.angles]
-    _number_boresights(axes, tips, GIVEN, 1.0 + _NUMBER_BESIDE)
+    _number_boresights(axes, tips, GIVEN, 1.0 + _NUMBER_OFFSET)
     if moved:
         tips = [_draw_boresight(axes, angles, BEST, "--") for angles in best.angles]
-        _number_boresights(axes, tips, BEST, 1.0 - _NUMBER_BESIDE)
+        _number_boresights(axes, tips, BEST, 1.0 - _NUMBER_OFFSET)
     axes.plot([], [], color=GIVEN, lw=2.2, label="as given")
     if moved:
         axes.plot([], [], color=BEST, ls="--", lw=2.2, label="recommended")
@@ -102,7 +102,7 @@ def _number_boresights(axes: Axes, tips: list[tuple[float, float]], colour: str,
     """Write the sensors' numbers at the tips; tips that are too near to each other share one place."""
     places: list[tuple[tuple[float, float], list[str]]] = []
     for number, tip in enumerate(tips, start=1):
-        near = [numbers for place, numbers in places if np.hypot(place[0] - tip[0], place[1] - tip[1]) < _NEAR]
+        near = [numbers for place, numbers in places if np.hypot(place[0] - tip[0], place[1] - tip[1]) < _MERGE_DISTANCE]
         if near:
             near[0].append(str(number))
         else:
@@ -173,7 +173,7 @@ def _map_figure(moved: ErrorMap, study: LayoutStudy, number: int) -> Figure:
         )
         least, most = np.nanmin(values), np.nanmax(values)
         # A line too near to the least value would be fragmented and is left out.
-        lines = [line for line in (_FEW_LINES if most > _STEEP * least else _MORE_LINES) if 1.02 * least < line < most]
+        lines = [line for line in (_FEW_LINES if most > _STEEP_RATIO * least else _MORE_LINES) if 1.02 * least < line < most]
         drawn = axes.contour(moved.azimuths_deg, moved.elevations_deg, values, lines, colors="black", linewidths=0.7)
         axes.clabel(drawn, fmt="%g″", fontsize=9)
         draw_masks(axes, study.obstructions.masks)
@@ -199,7 +199,7 @@ def _map_figure(moved: ErrorMap, study: LayoutStudy, number: int) -> Figure:
 # -- the six figures of [Z14] ---------------------------------------------------------------------------------
 
 _SYMBOLS = ("dK", "dψ", "dθ")
-_READING_TITLES = {InstallationReading.PHYSICAL: "physical convention", InstallationReading.PAPER: "as in [Z14]"}
+_READING_TITLES = {InstallationConvention.PHYSICAL: "physical convention", InstallationConvention.PAPER: "as in [Z14]"}
 # Wide pale curves lie below narrow dark ones, so that coinciding curves are both visible. Blue: ahead or astern;
 # orange: abeam.
 _CURVE_STYLES = {
@@ -216,11 +216,11 @@ def _sweep_figure(sweep: Sweep, curves: list[Curve]) -> Figure:
     """Return one figure: three errors side by side, the physical convention above that of [Z14]."""
     figure, grid = plt.subplots(2, 3, figsize=(12, 6.6), sharex=True, layout="constrained")
     for row, (reading, words) in zip(grid, _READING_TITLES.items(), strict=True):
-        drawn = [curve for curve in curves if curve.reading is reading]
+        drawn = [curve for curve in curves if curve.convention is reading]
         for column, axes in enumerate(row):
             for curve in drawn:
                 _draw_curve(axes, curve, column)
-            _limit(axes, [curve.errors_arcsec[:, column] for curve in drawn])
+            _set_limits(axes, [curve.errors_arcsec[:, column] for curve in drawn])
             axes.set_title(f"{SHIP_ANGLES[column]} {_SYMBOLS[column]}, {words}")
             axes.set_xlim(*sweep.range_deg)
             axes.xaxis.set_major_locator(MultipleLocator(90.0 if sweep.range_deg[1] > 90.0 else 30.0))
@@ -244,7 +244,7 @@ def _draw_curve(axes: Axes, curve: Curve, column: int) -> None:
     axes.plot(curve.swept_deg, values, color=colour, ls=line, lw=width, label=f"A0 = {curve.azimuth_deg:g}°")
 
 
-def _limit(axes: Axes, series: list[FloatArray]) -> None:
+def _set_limits(axes: Axes, series: list[FloatArray]) -> None:
     """Set limits that contain zero and omit errors that grow without bound near vertical pitch."""
     values = np.concatenate(series)
     values = values[np.isfinite(values)]

@@ -28,7 +28,7 @@ SHIP_ANGLES = ("heading", "pitch", "roll")
 """Names of the ship's angles, in the order of every array of their errors."""
 
 
-class InstallationReading(enum.Enum):
+class InstallationConvention(enum.Enum):
     """Convention of the rotation R(A0, E0, roll_0)."""
 
     PHYSICAL = "physical"
@@ -58,13 +58,13 @@ class ErrorModel:
 
     def covariance(self, star_covariance: FloatArray, installation_covariance: FloatArray) -> FloatArray:
         """Return the covariance of heading, pitch, roll, shape (..., 3, 3): J Sigma J^T, with independent errors."""
-        return _transported(self.star, star_covariance) + _transported(self.installation, installation_covariance)
+        return _propagate_covariance(self.star, star_covariance) + _propagate_covariance(self.installation, installation_covariance)
 
 
 def linearise(
     star_angles: FloatArray,
     installation_angles: FloatArray,
-    reading: InstallationReading = InstallationReading.PHYSICAL,
+    convention: InstallationConvention = InstallationConvention.PHYSICAL,
 ) -> ErrorModel:
     """Return the error model of one sensor at its horizon attitude and installation.
 
@@ -77,23 +77,23 @@ def linearise(
         np.asarray(star_angles, dtype=float), np.asarray(installation_angles, dtype=float)
     )
     rotation_ns = _rotation(star)
-    ship_angles = angles_from_rotation(ship_rotation(star, installation, reading))
+    ship_angles = angles_from_rotation(ship_rotation(star, installation, convention))
     to_ship_angles = angle_errors_from_rotation_vector(ship_angles[..., 0], ship_angles[..., 1])
-    installation_vectors = _transport(installation)
-    if reading is InstallationReading.PHYSICAL:
+    installation_vectors = _rotation_vector_jacobian(installation)
+    if convention is InstallationConvention.PHYSICAL:
         # exp(d_s) R_s (exp(d_0) R_0)^T = exp(d_s - R_ship d_0) R_ship
         rotation_nd = rotation_ns @ np.swapaxes(_rotation(installation), -1, -2)
         moved = -rotation_nd @ installation_vectors
     else:
         # exp(d_s) R_s exp(d_0) R_0 = exp(d_s + R_s d_0) R_s R_0
         moved = rotation_ns @ installation_vectors
-    return ErrorModel(ship_angles, to_ship_angles @ _transport(star), to_ship_angles @ moved)
+    return ErrorModel(ship_angles, to_ship_angles @ _rotation_vector_jacobian(star), to_ship_angles @ moved)
 
 
-def ship_rotation(star_angles: FloatArray, installation_angles: FloatArray, reading: InstallationReading) -> FloatArray:
+def ship_rotation(star_angles: FloatArray, installation_angles: FloatArray, convention: InstallationConvention) -> FloatArray:
     """Return the rotation "horizon from deck" by a sensor's horizon attitude, shape (..., 3, 3)."""
     installation = _rotation(np.asarray(installation_angles, dtype=float))
-    if reading is InstallationReading.PHYSICAL:
+    if convention is InstallationConvention.PHYSICAL:
         installation = np.swapaxes(installation, -1, -2)
     return _rotation(np.asarray(star_angles, dtype=float)) @ installation
 
@@ -132,7 +132,7 @@ def combine_attitudes(
     stacked[..., each, :, each, :] = np.moveaxis(covariances, -3, 0)
     joint = stacked.reshape(*leading, 3 * count, 3 * count)
     if common_effects is not None and common_covariance is not None:
-        joint = joint + _transported(
+        joint = joint + _propagate_covariance(
             common_effects.reshape(*leading, 3 * count, common_effects.shape[-1]), common_covariance
         )
     same_attitude = np.broadcast_to(np.tile(np.eye(3), (count, 1)), (*leading, 3 * count, 3))
@@ -146,18 +146,18 @@ def _rotation(angles: FloatArray) -> FloatArray:
     return rotation_from_angles(angles[..., 0], angles[..., 1], angles[..., 2])
 
 
-def _transport(angles: FloatArray) -> FloatArray:
+def _rotation_vector_jacobian(angles: FloatArray) -> FloatArray:
     return rotation_vector_from_angle_errors(angles[..., 0], angles[..., 1])
 
 
-def _transported(matrix: FloatArray, covariance: FloatArray) -> FloatArray:
+def _propagate_covariance(matrix: FloatArray, covariance: FloatArray) -> FloatArray:
     return matrix @ covariance @ np.swapaxes(matrix, -1, -2)
 
 
 CURVE_AZIMUTHS_DEG = (0.0, 90.0, 180.0, 270.0)
 """Installation azimuths A0 of the curves of each figure."""
 
-STAR_ROLL_ALONE = np.array([0.0, 0.0, 1.0])
+STAR_ROLL_ONLY = np.array([0.0, 0.0, 1.0])
 
 # Indices into (As, Es, roll_s, A0, E0, roll_0).
 _STAR_AZIMUTH, _STAR_ELEVATION, _AZIMUTH, _ELEVATION, _ROLL = 0, 1, 3, 4, 5
@@ -207,7 +207,7 @@ class Curve:
     """
 
     sweep: Sweep
-    reading: InstallationReading
+    convention: InstallationConvention
     azimuth_deg: float | None
     swept_deg: FloatArray
     errors_arcsec: FloatArray
@@ -218,23 +218,23 @@ def all_curves(point: OperatingPoint) -> list[Curve]:
     return [
         _curve(point, sweep, reading, azimuth_deg)
         for sweep in SWEEPS
-        for reading in InstallationReading
+        for reading in InstallationConvention
         for azimuth_deg in ((None,) if sweep.column == _AZIMUTH else CURVE_AZIMUTHS_DEG)
     ]
 
 
-def _curve(point: OperatingPoint, sweep: Sweep, reading: InstallationReading, azimuth_deg: float | None) -> Curve:
+def _curve(point: OperatingPoint, sweep: Sweep, convention: InstallationConvention, azimuth_deg: float | None) -> Curve:
     low, high = sweep.range_deg
     swept_deg = np.linspace(low, high, round(high - low) + 1)
     angles_deg = np.tile(point_angles_deg(point, azimuth_deg or 0.0), (swept_deg.size, 1))
     angles_deg[:, sweep.column] = swept_deg
     angles = np.deg2rad(angles_deg)
-    model = linearise(angles[:, :3], angles[:, 3:], reading)
+    model = linearise(angles[:, :3], angles[:, 3:], convention)
     if sweep.all_errors:
         errors = model.errors(point.star_errors_arcsec(), point.installation_errors_arcsec())
     else:
-        errors = model.errors(point.star_errors_arcsec() * STAR_ROLL_ALONE, np.zeros(3))
-    return Curve(sweep, reading, azimuth_deg, swept_deg, errors)
+        errors = model.errors(point.star_errors_arcsec() * STAR_ROLL_ONLY, np.zeros(3))
+    return Curve(sweep, convention, azimuth_deg, swept_deg, errors)
 
 
 def point_angles_deg(point: OperatingPoint, azimuth_deg: float) -> FloatArray:
@@ -247,10 +247,10 @@ SOURCES = ("ΔAs", "ΔEs", "Δγs", "ΔA0", "ΔE0", "Δγ0")
 """Error sources of [Z14], in the order of :func:`source_errors_arcsec`."""
 
 
-def source_errors_arcsec(point: OperatingPoint, azimuth_deg: float, reading: InstallationReading) -> FloatArray:
+def source_errors_arcsec(point: OperatingPoint, azimuth_deg: float, convention: InstallationConvention) -> FloatArray:
     """Return the signed errors of heading, pitch, roll by each of the six errors alone, shape (6, 3)."""
     angles = np.deg2rad(point_angles_deg(point, azimuth_deg))
-    model = linearise(angles[:3], angles[3:], reading)
+    model = linearise(angles[:3], angles[3:], convention)
     factors = np.concatenate([model.star, model.installation], axis=-1)
     errors = np.concatenate([point.star_errors_arcsec(), point.installation_errors_arcsec()])
     by_source: FloatArray = (factors * errors).T

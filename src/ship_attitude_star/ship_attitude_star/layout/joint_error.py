@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.layout.config import LEAST_ELEVATION_DEG, LayoutStudyConfig
+from ship_attitude_star.layout.config import MIN_ELEVATION_DEG, LayoutStudyConfig
 from ship_attitude_star.layout.installation_model import JointAttitude, combine_attitudes
 from ship_geometry.frames import (
     angle_covariance,
@@ -82,7 +82,7 @@ class Layout:
             ship_angles=np.array([_HEADING, *np.deg2rad([config.ship_pitch_deg, config.ship_roll_deg])]),
         )
 
-    def of_sensor(self, number: int) -> "Layout":
+    def single_sensor(self, number: int) -> "Layout":
         """Return the layout of one of the sensors alone."""
         only = slice(number, number + 1)
         return Layout(
@@ -101,7 +101,7 @@ class Layout:
             angles: installation angles to use in place of the layout's own, shape (..., N, 3), rad.
         """
         own_angles = self.angles if angles is None else angles
-        joint, _, _ = self._joined(own_angles)
+        joint, _, _ = self._combined_attitude(own_angles)
         covariance = angle_covariance(joint.covariance, self.ship_angles[0], self.ship_angles[1])
         return np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1)) / ARCSEC
 
@@ -111,7 +111,7 @@ class Layout:
 
     def budget(self) -> list[SourceError]:
         """Return the joint error by sensor and source, without sources of size zero."""
-        joint, rotations_ns, common_effects = self._joined(self.angles)
+        joint, rotations_ns, common_effects = self._combined_attitude(self.angles)
         to_angles = angle_errors_from_rotation_vector(self.ship_angles[0], self.ship_angles[1])
         sources = []
         for number, name in enumerate(self.names):
@@ -137,7 +137,7 @@ class Layout:
         rotation_nd = rotation_from_angles(*self.ship_angles)
         return rotation_nd @ rotation_from_angles(angles[..., 0], angles[..., 1], angles[..., 2])
 
-    def _joined(self, angles: FloatArray) -> tuple[JointAttitude, FloatArray, FloatArray]:
+    def _combined_attitude(self, angles: FloatArray) -> tuple[JointAttitude, FloatArray, FloatArray]:
         """Return joint attitude, rotations "horizon from sensor" (..., N, 3, 3), common effects (..., N, 3, 4)."""
         rotations_ns = self._rotations_ns(angles)
         # Noise and installation error turn about the same axes: R_star = R_ship R_0 exp(m) exp(n).
@@ -151,7 +151,7 @@ def _common_effects(rotations_ns: FloatArray) -> FloatArray:
     """Return rotation vectors by rotations of the horizon about N, U, E and by refraction at 45°, (..., N, 3, 4)."""
     star = angles_from_rotation(rotations_ns)
     azimuth, elevation = star[..., 0], star[..., 1]
-    seen = np.rad2deg(elevation) >= LEAST_ELEVATION_DEG - 1e-9
+    seen = np.rad2deg(elevation) >= MIN_ELEVATION_DEG - 1e-9
     cotangent = np.where(seen, 1.0 / np.tan(np.where(seen, elevation, 1.0)), np.nan)
     raising = rotation_vector_from_angle_errors(azimuth, elevation)[..., 1] * cotangent[..., None]
     horizon = np.broadcast_to(np.eye(3), (*azimuth.shape, 3, 3))
@@ -182,7 +182,7 @@ class ErrorMap:
 def error_map(layout: Layout, number: int, step_deg: float = 2.5) -> ErrorMap:
     """Return the map of one sensor of a layout."""
     azimuths_deg = np.arange(0.0, 360.0 + step_deg / 2.0, step_deg)
-    elevations_deg = np.arange(LEAST_ELEVATION_DEG, 85.0 + step_deg / 2.0, step_deg)
+    elevations_deg = np.arange(MIN_ELEVATION_DEG, 85.0 + step_deg / 2.0, step_deg)
     angles = np.tile(layout.angles, (elevations_deg.size, azimuths_deg.size, 1, 1))
     angles[:, :, number, 0] = np.deg2rad(azimuths_deg)
     angles[:, :, number, 1] = np.deg2rad(elevations_deg)[:, None]

@@ -14,13 +14,13 @@ from ship_attitude_star.layout.installation_model import (
     CURVE_AZIMUTHS_DEG,
     SOURCES,
     SWEEPS,
-    InstallationReading,
+    InstallationConvention,
     source_errors_arcsec,
 )
 from ship_attitude_star.layout.joint_error import total_arcsec
 from ship_attitude_star.layout.optics import PERCENTILES
 from ship_attitude_star.layout.requirement_told import REQUIREMENT_TABLES, requirement_lines, requirement_tables
-from ship_attitude_star.layout.study import LayoutStudy, study
+from ship_attitude_star.layout.study import LayoutStudy, compute_study
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.output_files import add_force, check_folder, write_csv, write_whole
 from ship_bags.parameter_yaml import read_plain
@@ -35,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return run_command(_parser(), _run, arguments)
 
 
-class _WrappedAbove(argparse.RawDescriptionHelpFormatter):
+class _WrappedDescription(argparse.RawDescriptionHelpFormatter):
     """Formatter that wraps the description, and keeps the lines of the table of keys."""
 
     def add_text(self, text: str | None) -> None:
@@ -65,7 +65,7 @@ def _parser() -> CommandParser:
         "CSV.",
         epilog=f"keys of LAYOUT.yaml, nested at the dots (<id>: any name):\n{_keys()}\n\n"
         "exit code: 0 written; 1 written, no layout meets the requirement; 2 bad input or usage; 130 interrupted",
-        formatter_class=_WrappedAbove,
+        formatter_class=_WrappedDescription,
     )
     parser.add_argument(
         "layout",
@@ -91,7 +91,7 @@ def _run(options: argparse.Namespace) -> int:
     title = _DEFAULT_TITLE if options.layout is None else options.layout.name
     write_whole(page, page_text(computed, draw_figures(computed, options.out), title))
     sys.stdout.write(_summary(computed, page))
-    return EXIT_DONE if computed.required is None or computed.required.met else EXIT_BOUND_NOT_MET
+    return EXIT_DONE if computed.requirement_result is None or computed.requirement_result.is_met else EXIT_BOUND_NOT_MET
 
 
 def _study(options: argparse.Namespace) -> LayoutStudy:
@@ -103,18 +103,18 @@ def _study(options: argparse.Namespace) -> LayoutStudy:
     file = None if options.layout is None else read_plain(options.layout)
     try:
         config = study_config({} if file is None else file.values)
-        check_folder(options.out, written(config), options.force)
-        return study(config)
+        check_folder(options.out, output_names(config), options.force)
+        return compute_study(config)
     except ParameterError as error:
         raise error if file is None else file.error(error) from error
 
 
-def written(config: LayoutStudyConfig) -> list[str]:
+def output_names(config: LayoutStudyConfig) -> list[str]:
     """Return the names of all files that the command writes."""
     figures = ["layout", "azimuth", *(f"map_{sensor}" for sensor in config.sensors)]
     figures += [f"figure_{sweep.number}" for sweep in SWEEPS]
     tables = [*TABLES, *([OPTICS_TABLE] if config.optics else [])]
-    if config.requirement.given:
+    if config.requirement.is_given:
         figures += ["requirement", "elevation"]
         tables += REQUIREMENT_TABLES
     return [PAGE, *tables, *(f"{figure}.png" for figure in figures)]
@@ -138,11 +138,11 @@ def _summary(computed: LayoutStudy, page: Path) -> str:
     for name, found in computed.optics.items():
         forward, up, right = found.quantile_arcsec
         lines.append(
-            f"optics of {name}: {found.stars.mean():.1f} stars on average, {found.fewest_stars()[5]:.0f} or fewer in "
+            f"optics of {name}: {found.stars.mean():.1f} stars on average, {found.star_count_percentiles()[5]:.0f} or fewer in "
             f"5 % of the sky; noise about forward, up, right {forward:.2f}, {up:.2f}, {right:.2f} arcsec"
         )
-    if computed.required is not None:
-        lines += requirement_lines(computed.required)
+    if computed.requirement_result is not None:
+        lines += requirement_lines(computed.requirement_result)
     return "\n".join([*lines, f"page: {page}"]) + "\n"
 
 
@@ -177,8 +177,8 @@ def write_tables(study: LayoutStudy, folder: Path) -> list[Path]:
     }
     if study.optics:
         tables[OPTICS_TABLE] = (_OPTICS, _optics(study))
-    if study.required is not None:
-        tables |= requirement_tables(study, study.required)
+    if study.requirement_result is not None:
+        tables |= requirement_tables(study, study.requirement_result)
     return [write_csv(folder / name, header, rows) for name, (header, rows) in tables.items()]
 
 
@@ -188,7 +188,7 @@ def _layouts(study: LayoutStudy) -> Iterator[tuple[Any, ...]]:
         yield "given", f"{name} alone", *angles[:2], *sigmas, total_arcsec(sigmas)
     yield "given", "joint", "", "", *study.joint_arcsec, total_arcsec(study.joint_arcsec)
     for number, (name, angles) in enumerate(zip(study.best.names, best, strict=True)):
-        sigmas = study.best.of_sensor(number).sigmas_arcsec()
+        sigmas = study.best.single_sensor(number).sigmas_arcsec()
         yield "recommended", f"{name} alone", *angles[:2], *sigmas, total_arcsec(sigmas)
     yield "recommended", "joint", "", "", *study.best_arcsec, total_arcsec(study.best_arcsec)
 
@@ -203,7 +203,7 @@ _OPTICS = (
 
 def _optics(study: LayoutStudy) -> Iterator[tuple[Any, ...]]:
     for name, found in study.optics.items():
-        stars = (float(found.stars.mean()), *found.fewest_stars().values())
+        stars = (float(found.stars.mean()), *found.star_count_percentiles().values())
         yield name, *found.field_deg, found.star_sigma_arcsec, *stars, *found.quantile_arcsec, *found.liebe_arcsec
 
 
@@ -230,7 +230,7 @@ def _scans(study: LayoutStudy) -> Iterator[tuple[Any, ...]]:
 def _sources(study: LayoutStudy) -> Iterator[tuple[Any, ...]]:
     point = study.config.figures
     sizes = np.concatenate([point.star_errors_arcsec(), point.installation_errors_arcsec()])
-    for reading in InstallationReading:
+    for reading in InstallationConvention:
         for azimuth_deg in CURVE_AZIMUTHS_DEG:
             errors = source_errors_arcsec(point, azimuth_deg, reading)
             for source, size, row in zip(SOURCES, sizes, errors, strict=True):
@@ -241,4 +241,4 @@ def _curves(study: LayoutStudy) -> Iterator[tuple[Any, ...]]:
     for curve in study.curves:
         azimuth_deg = "" if curve.azimuth_deg is None else curve.azimuth_deg
         for swept_deg, errors in zip(curve.swept_deg, curve.errors_arcsec, strict=True):
-            yield curve.sweep.number, curve.reading.value, azimuth_deg, curve.sweep.symbol, swept_deg, *errors
+            yield curve.sweep.number, curve.convention.value, azimuth_deg, curve.sweep.symbol, swept_deg, *errors

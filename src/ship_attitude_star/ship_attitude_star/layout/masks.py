@@ -11,7 +11,7 @@ from ship_geometry.deck_masks import DeckMasks, field_directions
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
 
-_NOTHING = DeckMasks((), ())
+_NO_MASKS = DeckMasks((), ())
 
 
 @dataclass(frozen=True)
@@ -44,18 +44,18 @@ class Obstructions:
         roll = np.deg2rad(config.ship_roll_deg + horizon.roll_deg * np.array([-1.0, 0.0, 1.0]))
         rotations_nd = rotation_from_angles(np.zeros((3, 3)), *np.broadcast_arrays(pitch[:, None], roll))
         return cls(
-            masks=deck_masks(config.masks, "masks") or _NOTHING,
+            masks=deck_masks(config.masks, "masks") or _NO_MASKS,
             half_fields=np.array(half_fields),
             up_d=rotations_nd[..., 1, :].reshape(-1, 3),
             clearance=float(np.deg2rad(horizon.clearance_deg)),
         )
 
-    def in_view(self, number: int, angles: FloatArray) -> list[str]:
+    def masks_in_view(self, number: int, angles: FloatArray) -> list[str]:
         """Return the names of the masks in the field of a sensor mounted at (azimuth, elevation, roll), rad."""
         reaching = self.masks.reaching(rotation_from_angles(*angles)[None], self.half_fields[number])
         return [name for name, reaches in zip(self.masks.names, reaching, strict=True) if reaches[0]]
 
-    def clear(self, number: int, angles: FloatArray) -> NDArray[np.bool_]:
+    def is_clear(self, number: int, angles: FloatArray) -> NDArray[np.bool_]:
         """True if the field of a sensor is clear of all masks, for installation angles (n, 3), rad; shape (n,)."""
         reached: NDArray[np.bool_] = np.any(self.masks.reaching(_rotations(angles), self.half_fields[number]), axis=0)
         return ~reached
@@ -73,7 +73,7 @@ class Obstructions:
 
     def is_unobstructed(self, number: int, angles: FloatArray) -> NDArray[np.bool_]:
         """True if a field is clear of masks and horizon, for installation angles (n, 3), rad; shape (n,)."""
-        return self.clear(number, angles) & (self.horizon_margin(number, angles) >= 0.0)
+        return self.is_clear(number, angles) & (self.horizon_margin(number, angles) >= 0.0)
 
 
 def _rotations(angles: FloatArray) -> FloatArray:

@@ -25,7 +25,7 @@ from ship_attitude_star.layout.config import Optics
 from ship_attitude_star.sky.catalogue import hipparcos
 from ship_geometry.rotations import FloatArray
 
-LEAST_STARS = 2
+MIN_STARS = 2
 """Least number of stars that give an attitude."""
 
 PERCENTILES = (1, 5, 10, 50)
@@ -33,12 +33,12 @@ PERCENTILES = (1, 5, 10, 50)
 
 _DIRECTIONS = 1000
 _SEED = 20020401
-_AT_ONCE = 100
+_BATCH_SIZE = 100
 _MEAN_DISTANCE = 0.3825
 
 
 @dataclass(frozen=True)
-class OpticsOverSky:
+class SkyStatistics:
     """Star counts and attitude noise of optics over the whole sky.
 
     Attributes:
@@ -57,16 +57,16 @@ class OpticsOverSky:
     quantile_arcsec: FloatArray
     liebe_arcsec: FloatArray
 
-    def fewest_stars(self) -> dict[int, float]:
+    def star_count_percentiles(self) -> dict[int, float]:
         """Return the star count at each of the percentiles over the sky, by percentile."""
         return {percent: float(np.percentile(self.stars, percent, method="lower")) for percent in PERCENTILES}
 
-    def share_without(self) -> float:
+    def share_without_attitude(self) -> float:
         """Return the share of the sky with too few stars for an attitude."""
-        return float(np.mean(self.stars < LEAST_STARS))
+        return float(np.mean(self.stars < MIN_STARS))
 
 
-def over_sky(optics: Optics) -> OpticsOverSky:
+def sky_statistics(optics: Optics) -> SkyStatistics:
     """Return the stars in the field and the noise of the attitude over the sky, by the Hipparcos-2 catalogue.
 
     Directions and rolls are drawn with a fixed seed.
@@ -79,7 +79,7 @@ def over_sky(optics: Optics) -> OpticsOverSky:
     quantile = np.quantile(sigmas, optics.sky_share, axis=0, method="higher")
     arcsec = np.rad2deg(1.0) * 3600.0
     width, height = np.rad2deg(2.0 * np.arctan(optics.half_field()))
-    return OpticsOverSky(
+    return SkyStatistics(
         field_deg=(float(width), float(height)),
         star_sigma_arcsec=sigma * arcsec,
         stars=stars,
@@ -117,7 +117,7 @@ def attitude_sigmas(stars_s: FloatArray, sigma: float) -> FloatArray:
         stars_s: unit vectors of the stars in the sensor frame, shape (k, 3).
         sigma: noise of each direction, per axis, rad.
     """
-    if len(stars_s) < LEAST_STARS:
+    if len(stars_s) < MIN_STARS:
         return np.full(3, np.inf)
     information = len(stars_s) * np.eye(3) - stars_s.T @ stars_s
     sigmas: FloatArray = sigma * np.sqrt(np.diagonal(np.linalg.inv(information)))
@@ -128,9 +128,9 @@ def _fields(optics: Optics) -> Iterator[FloatArray]:
     """Return the stars in the field of each drawn direction: unit vectors in the sensor frame, each of shape (k, 3)."""
     stars = _stars_up_to(optics.magnitude_limit)
     half = optics.half_field()
-    rotations_sc = _drawn_rotations()
-    for first in range(0, _DIRECTIONS, _AT_ONCE):
-        turned = np.einsum("nij,kj->nki", rotations_sc[first : first + _AT_ONCE], stars)
+    rotations_sc = _draw_rotations()
+    for first in range(0, _DIRECTIONS, _BATCH_SIZE):
+        turned = np.einsum("nij,kj->nki", rotations_sc[first : first + _BATCH_SIZE], stars)
         inside = (turned[..., 0] > 0.0) & (np.abs(turned[..., 2]) <= half[0] * turned[..., 0])
         inside &= np.abs(turned[..., 1]) <= half[1] * turned[..., 0]
         for seen, of_field in zip(turned, inside, strict=True):
@@ -147,7 +147,7 @@ def _stars_up_to(magnitude: float) -> FloatArray:
     return np.stack([np.cos(delta) * np.cos(alpha), np.cos(delta) * np.sin(alpha), np.sin(delta)], axis=-1)
 
 
-def _drawn_rotations() -> FloatArray:
+def _draw_rotations() -> FloatArray:
     """Return uniformly distributed rotations, shape (n, 3, 3): orthogonal factors of normal matrices."""
     factors, triangles = np.linalg.qr(np.random.default_rng(_SEED).standard_normal((_DIRECTIONS, 3, 3)))
     # With a positive diagonal of the triangle the factors are uniform (Mezzadri, 2007); reflections are then flipped.

@@ -13,7 +13,7 @@ from ship_attitude_star.layout.installation_model import (
     SHIP_ANGLES,
     SOURCES,
     SWEEPS,
-    InstallationReading,
+    InstallationConvention,
     source_errors_arcsec,
 )
 from ship_attitude_star.layout.joint_error import total_arcsec
@@ -24,8 +24,8 @@ from ship_geometry.rotations import FloatArray
 from ship_node.documents.html_page import STYLE, arcsec_texts, folded, image, table, table_body
 
 _READING_NAMES = {
-    InstallationReading.PHYSICAL: "physical: R(A0, E0, γ0) rotates the sensor's axes into the deck's",
-    InstallationReading.PAPER: "as computed in [Z14]: R(A0, E0, γ0) rotates the deck's axes into the sensor's",
+    InstallationConvention.PHYSICAL: "physical: R(A0, E0, γ0) rotates the sensor's axes into the deck's",
+    InstallationConvention.PAPER: "as computed in [Z14]: R(A0, E0, γ0) rotates the deck's axes into the sensor's",
 }
 
 
@@ -60,7 +60,7 @@ def page_text(study: LayoutStudy, figures: Mapping[str, Path], title: str) -> st
         optics=_optics_text(study),
         budget_table=_budget_table(study),
         point=_operating_point(study),
-        source_tables="\n".join(_source_table(study, reading) for reading in InstallationReading),
+        source_tables="\n".join(_source_table(study, reading) for reading in InstallationConvention),
         sweeps="\n".join(image(figures[f"figure_{s.number}"], f"Figure {s.number} of [Z14]") for s in SWEEPS),
     )
 
@@ -101,7 +101,7 @@ def _optics_text(study: LayoutStudy) -> str:
         return ""
     rows = []
     for name, found in study.optics.items():
-        stars = [f"{count:.0f}" for count in found.fewest_stars().values()]
+        stars = [f"{count:.0f}" for count in found.star_count_percentiles().values()]
         field = f"{found.field_deg[0]:.1f}° × {found.field_deg[1]:.1f}°"
         sigmas = [" / ".join(arcsec_texts(triple)) for triple in (found.quantile_arcsec, found.liebe_arcsec)]
         share = f"{100.0 * study.config.optics[name].sky_share:g} %"
@@ -137,7 +137,7 @@ def _operating_point(study: LayoutStudy) -> str:
     )
 
 
-def _source_table(study: LayoutStudy, reading: InstallationReading) -> str:
+def _source_table(study: LayoutStudy, reading: InstallationConvention) -> str:
     point = study.config.figures
     by_azimuth = [source_errors_arcsec(point, azimuth_deg, reading) for azimuth_deg in CURVE_AZIMUTHS_DEG]
     sizes = [*point.star_errors_arcsec(), *point.installation_errors_arcsec()]
@@ -190,7 +190,7 @@ def _advice(study: LayoutStudy) -> str:
         best_deg, given_deg = (np.rad2deg(layout.angles[number, 0]) % 360.0 for layout in (study.best, study.layout))
         items.append(
             f"<li>“{escape(turned.sensor)}”: <b>{best_deg:.0f}°</b> from the bow (given: {given_deg:g}°); "
-            f"{_tolerance(turned)}</li>"
+            f"{_tolerance_text(turned)}</li>"
         )
     return (
         f"<ul>{''.join(items)}</ul><p>Total error there {best:.2f}″, as given {given:.2f}″. {_gain_text(given, best)}</p>"
@@ -215,7 +215,7 @@ def _errors(sigmas_arcsec: FloatArray) -> str:
     return f"heading {heading}, pitch {pitch}, roll {roll}"
 
 
-def _tolerance(turned: AzimuthScan) -> str:
+def _tolerance_text(turned: AzimuthScan) -> str:
     if turned.good_deg is None:
         return "any other azimuth increases the error by more than a tenth"
     low, high = turned.good_deg

@@ -13,8 +13,8 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.layout.allocation import Allocation, allocated, use_of
-from ship_attitude_star.layout.config import LEAST_ELEVATION_DEG, LayoutStudyConfig
+from ship_attitude_star.layout.allocation import Allocation, allocate_errors, requirement_use
+from ship_attitude_star.layout.config import MIN_ELEVATION_DEG, LayoutStudyConfig
 from ship_attitude_star.layout.joint_error import ErrorMap, Layout
 from ship_attitude_star.layout.masks import Obstructions
 from ship_geometry.rotations import FloatArray
@@ -28,7 +28,7 @@ _COARSE_STEP_DEG = 15.0
 _TURNS_DEG = (0.0, 30.0, 60.0, 90.0)
 _TRADE_STEP_DEG = 2.5
 _HIGHEST_DEG = 85.0
-_MOST_ROUNDS = 20
+_MAX_ROUNDS = 20
 _REFRACTION = "refraction"
 
 
@@ -47,13 +47,13 @@ class Candidate:
     name: str
     layout: Layout
     sigmas_arcsec: FloatArray
-    use: float
+    requirement_use: float
     obstacles: tuple[str, ...]
 
     @property
-    def admissible(self) -> bool:
+    def is_admissible(self) -> bool:
         """True if it meets the requirement without obstructions; False if its sigmas are not known."""
-        return self.use <= 1.0 and not self.obstacles
+        return self.requirement_use <= 1.0 and not self.obstacles
 
 
 @dataclass(frozen=True)
@@ -68,17 +68,17 @@ class AdmissibleMap:
     """
 
     sensor: str
-    use: FloatArray
-    clear: NDArray[np.bool_]
-    over_horizon: NDArray[np.bool_]
+    requirement_use: FloatArray
+    is_clear: NDArray[np.bool_]
+    is_above_horizon: NDArray[np.bool_]
 
-    def admissible(self) -> NDArray[np.bool_]:
+    def is_admissible(self) -> NDArray[np.bool_]:
         """True where the requirement is met and this sensor's field is unobstructed, shape (e, a)."""
-        return (self.use <= 1.0) & self.clear & self.over_horizon
+        return (self.requirement_use <= 1.0) & self.is_clear & self.is_above_horizon
 
 
 @dataclass(frozen=True)
-class TradedElevation:
+class ElevationTrade:
     """All sensors at one elevation, at the azimuths with the least requirement use.
 
     Attributes:
@@ -107,16 +107,16 @@ class RequirementResult:
     limits_arcsec: FloatArray
     ranking: list[Candidate]
     maps: list[AdmissibleMap]
-    trade: list[TradedElevation]
+    trade: list[ElevationTrade]
     allocations: dict[str, list[Allocation]]
 
     @property
-    def met(self) -> bool:
+    def is_met(self) -> bool:
         """True if any layout is admissible."""
-        return self.ranking[0].admissible
+        return self.ranking[0].is_admissible
 
     @property
-    def given(self) -> Candidate:
+    def given_layout(self) -> Candidate:
         """The layout as given."""
         return next(one for one in self.ranking if one.name == AS_GIVEN)
 
@@ -145,15 +145,15 @@ def evaluate_layouts(
     admissible = [evaluator.admissible_map(layout, number, moved) for number, moved in enumerate(maps)]
     for number, (moved, allowed) in enumerate(zip(maps, admissible, strict=True)):
         candidates += evaluator.best_of_map(layout, number, moved, allowed)
-    candidates.append(evaluator.searched(candidates, layout))
+    candidates.append(evaluator.search(candidates, layout))
     # The sort is stable: of equal layouts the first of the list, which changes least, comes first.
-    ranking = sorted(candidates, key=lambda one: (not one.admissible, bool(one.obstacles), _or_infinite(one.use)))
+    ranking = sorted(candidates, key=lambda one: (not one.is_admissible, bool(one.obstacles), _or_infinite(one.requirement_use)))
     return RequirementResult(
         limits_arcsec=evaluator.limits_arcsec,
         ranking=ranking,
         maps=admissible,
-        trade=list(evaluator.traded(layout)),
-        allocations={one.name: allocated(one.layout, evaluator.limits_arcsec) for one in (ranking[0], candidates[0])},
+        trade=list(evaluator.elevation_trades(layout)),
+        allocations={one.name: allocate_errors(one.layout, evaluator.limits_arcsec) for one in (ranking[0], candidates[0])},
     )
 
 
@@ -166,12 +166,12 @@ class _LayoutEvaluator:
 
     def candidate(self, name: str, layout: Layout) -> Candidate:
         sigmas = layout.sigmas_arcsec()
-        use = float(use_of(sigmas, self.limits_arcsec))
+        use = float(requirement_use(sigmas, self.limits_arcsec))
         return Candidate(name, layout, sigmas, use, tuple(self._obstacles(layout)))
 
     def _obstacles(self, layout: Layout) -> Iterator[str]:
         for number, name in enumerate(layout.names):
-            for mask in self.obstructions.in_view(number, layout.angles[number]):
+            for mask in self.obstructions.masks_in_view(number, layout.angles[number]):
                 yield f"{mask} in the field of {name}"
             over = float(self.obstructions.horizon_margin(number, layout.angles[number][None])[0])
             if not over >= 0.0:
@@ -182,14 +182,14 @@ class _LayoutEvaluator:
         shape = moved.sigmas_arcsec.shape[:2]
         return AdmissibleMap(
             moved.sensor,
-            use_of(moved.sigmas_arcsec, self.limits_arcsec),
-            self.obstructions.clear(number, angles).reshape(shape),
+            requirement_use(moved.sigmas_arcsec, self.limits_arcsec),
+            self.obstructions.is_clear(number, angles).reshape(shape),
             (self.obstructions.horizon_margin(number, angles) >= 0.0).reshape(shape),
         )
 
     def best_of_map(self, layout: Layout, number: int, moved: ErrorMap, allowed: AdmissibleMap) -> list[Candidate]:
         """Return the best unobstructed direction of one sensor moved alone; empty if there is none."""
-        uses = np.where(allowed.clear & allowed.over_horizon, _or_infinite(allowed.use), np.inf)
+        uses = np.where(allowed.is_clear & allowed.is_above_horizon, _or_infinite(allowed.requirement_use), np.inf)
         row, column = np.unravel_index(np.argmin(uses), uses.shape)
         if not np.isfinite(uses[row, column]):
             return []
@@ -197,7 +197,7 @@ class _LayoutEvaluator:
         angles[number, :2] = np.deg2rad([moved.azimuths_deg[column] % 360.0, moved.elevations_deg[row]])
         return [self.candidate(f"{moved.sensor} moved", replace(layout, angles=angles))]
 
-    def searched(self, candidates: list[Candidate], layout: Layout) -> Candidate:
+    def search(self, candidates: list[Candidate], layout: Layout) -> Candidate:
         """Search the layout with the least requirement use, all sensors moved together.
 
         Two sensors at a time move to the best pair of directions of a coarse grid. From there, from the layouts already
@@ -207,11 +207,11 @@ class _LayoutEvaluator:
         coarse = [self._unobstructed_placements(layout, number, _COARSE_STEP_DEG) for number in range(len(layout.names))]
         fine = [self._unobstructed_placements(layout, number, SEARCH_STEP_DEG) for number in range(len(layout.names))]
         pairs = list(combinations(range(len(layout.names)), 2))
-        starts = [self._descended(layout, coarse, pairs), *(one.layout for one in candidates), *_spread(layout)]
-        found = [self._descended(start, fine) for start in starts]
+        starts = [self._descend(layout, coarse, pairs), *(one.layout for one in candidates), *_spread_layouts(layout)]
+        found = [self._descend(start, fine) for start in starts]
         return min(
             (self.candidate(ALL_MOVED, one) for one in found),
-            key=lambda one: (bool(one.obstacles), _or_infinite(one.use)),
+            key=lambda one: (bool(one.obstacles), _or_infinite(one.requirement_use)),
         )
 
     def _unobstructed_placements(self, layout: Layout, number: int, step_deg: float) -> FloatArray:
@@ -220,7 +220,7 @@ class _LayoutEvaluator:
         own = _grid_angles(layout, number, azimuths_deg, _elevations_deg(step_deg))
         return own[self.obstructions.is_unobstructed(number, own)]
 
-    def _descended(
+    def _descend(
         self, layout: Layout, places: list[FloatArray], groups: Sequence[tuple[int, ...]] | None = None
     ) -> Layout:
         """Move sensors in turn to the best of their directions until none moves.
@@ -230,7 +230,7 @@ class _LayoutEvaluator:
             places: installation angles of each, shape (n, 3), rad; a sensor without any stays.
             groups: numbers of the sensors that move together; None for each by itself.
         """
-        for _ in range(_MOST_ROUNDS):
+        for _ in range(_MAX_ROUNDS):
             before = layout.angles
             for group in groups or [(number,) for number in range(len(places))]:
                 chosen = np.indices([len(places[number]) for number in group]).reshape(len(group), -1)
@@ -239,13 +239,13 @@ class _LayoutEvaluator:
                 angles = np.tile(layout.angles, (chosen.shape[1], 1, 1))
                 for number, rows in zip(group, chosen, strict=True):
                     angles[:, number] = places[number][rows]
-                uses = _or_infinite(use_of(layout.sigmas_arcsec(angles), self.limits_arcsec))
+                uses = _or_infinite(requirement_use(layout.sigmas_arcsec(angles), self.limits_arcsec))
                 layout = replace(layout, angles=angles[int(np.argmin(uses))])
             if np.array_equal(before, layout.angles):
                 break
         return layout
 
-    def traded(self, layout: Layout) -> Iterator[TradedElevation]:
+    def elevation_trades(self, layout: Layout) -> Iterator[ElevationTrade]:
         """Return all sensors at each elevation, at the azimuths with the least requirement use."""
         for elevation_deg in _elevations_deg(_TRADE_STEP_DEG):
             angles = layout.angles.copy()
@@ -254,19 +254,19 @@ class _LayoutEvaluator:
             places = []
             for number in range(len(layout.names)):
                 turned = _grid_angles(level, number, np.arange(0.0, 360.0, SEARCH_STEP_DEG), np.array([elevation_deg]))
-                clear = self.obstructions.clear(number, turned)
+                clear = self.obstructions.is_clear(number, turned)
                 # If masks leave no azimuth, the sensor stays, and the candidate's obstacles name them.
                 places.append(turned[clear])
-            best = self._descended(level, places)
+            best = self._descend(level, places)
             candidate = self.candidate(f"all at {elevation_deg:g} deg", best)
             refraction = np.zeros(3)
             for source in best.budget():
                 if source.source == _REFRACTION:
                     refraction = np.abs(source.errors_arcsec)
-            yield TradedElevation(float(elevation_deg), candidate, refraction)
+            yield ElevationTrade(float(elevation_deg), candidate, refraction)
 
 
-def _spread(layout: Layout) -> Iterator[Layout]:
+def _spread_layouts(layout: Layout) -> Iterator[Layout]:
     """Return the sensors at their elevations, with azimuths uniform over half and over the whole circle."""
     count = len(layout.names)
     for turn_deg in _TURNS_DEG:
@@ -277,7 +277,7 @@ def _spread(layout: Layout) -> Iterator[Layout]:
 
 
 def _elevations_deg(step_deg: float) -> FloatArray:
-    return np.arange(LEAST_ELEVATION_DEG, _HIGHEST_DEG + step_deg / 2.0, step_deg)
+    return np.arange(MIN_ELEVATION_DEG, _HIGHEST_DEG + step_deg / 2.0, step_deg)
 
 
 def _grid_angles(layout: Layout, number: int, azimuths_deg: FloatArray, elevations_deg: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Polygon
 from matplotlib.ticker import MultipleLocator
 
-from ship_attitude_star.layout.allocation import use_of
+from ship_attitude_star.layout.allocation import requirement_use
 from ship_attitude_star.layout.installation_model import SHIP_ANGLES
 from ship_attitude_star.layout.joint_error import Layout
 from ship_attitude_star.layout.requirement import AdmissibleMap, RequirementResult
@@ -26,7 +26,7 @@ GIVEN, BEST = "#0b3c6f", "#c1440e"
 _ANGLE_STYLES = (("#0072b2", "-"), ("#d55e00", "--"), ("#009e73", "-."))
 _ADMISSIBLE, _TOO_NEAR, _MASK = "#a6dcc4", "#d9d9d9", "0.35"
 _USES = (0.5, 0.7, 0.9, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0)
-_MOST_USE = 3.0
+_MAX_USE = 3.0
 
 
 def admissible_figure(study: LayoutStudy, required: RequirementResult) -> Figure:
@@ -46,12 +46,12 @@ def admissible_figure(study: LayoutStudy, required: RequirementResult) -> Figure
 def _draw_admissible(axes: Axes, study: LayoutStudy, allowed: AdmissibleMap, number: int) -> None:
     moved = study.maps[number]
     directions = moved.azimuths_deg, moved.elevations_deg
-    blocked = ~(allowed.clear & allowed.over_horizon)
-    for region, colour in ((blocked, _TOO_NEAR), (allowed.admissible(), _ADMISSIBLE)):
+    blocked = ~(allowed.is_clear & allowed.is_above_horizon)
+    for region, colour in ((blocked, _TOO_NEAR), (allowed.is_admissible(), _ADMISSIBLE)):
         shown = np.ma.masked_where(~region, np.ones(region.shape))
         axes.pcolormesh(*directions, shown, cmap=ListedColormap([colour]), shading="nearest", rasterized=True)
     lines = axes.contour(
-        *directions, allowed.use, _USES, colors="black", linewidths=[1.8 if u == 1.0 else 0.6 for u in _USES]
+        *directions, allowed.requirement_use, _USES, colors="black", linewidths=[1.8 if u == 1.0 else 0.6 for u in _USES]
     )
     axes.clabel(lines, fmt=lambda use: f"{100.0 * use:.0f} %", fontsize=9)
     draw_masks(axes, study.obstructions.masks)
@@ -76,13 +76,13 @@ def elevation_figure(required: RequirementResult) -> Figure:
         colour, line = _ANGLE_STYLES[angle]
         use = sigmas[:, angle] / required.limits_arcsec[angle]
         axes.plot(elevations_deg, use, color=colour, ls=line, lw=1.8, label=SHIP_ANGLES[angle])
-    by_refraction = use_of(refraction, required.limits_arcsec)
+    by_refraction = requirement_use(refraction, required.limits_arcsec)
     axes.plot(elevations_deg, by_refraction, color="0.5", lw=1.8, ls=":", label="refraction only")
     axes.axhline(1.0, color="black", lw=1.3, label="requirement")
     _shade_blocked(axes, elevations_deg, np.array([bool(one.candidate.obstacles) for one in required.trade]))
     axes.set(
         xlim=(elevations_deg[0], elevations_deg[-1]),
-        ylim=(0.0, _MOST_USE),
+        ylim=(0.0, _MAX_USE),
         xlabel="elevation of all sensors above the deck [°]",
         ylabel="requirement use: 1σ / requirement",
         title="All sensors at one elevation, at their best azimuths",

@@ -9,14 +9,14 @@ import numpy as np
 from ship_attitude_star.layout.allocation import Allocation
 from ship_attitude_star.layout.installation_model import SHIP_ANGLES
 from ship_attitude_star.layout.requirement import RequirementResult
-from ship_attitude_star.layout.requirement_told import binding, nearest_miss, places
+from ship_attitude_star.layout.requirement_told import binding_error_text, nearest_miss_text, placements_text
 from ship_attitude_star.layout.study import LayoutStudy
 from ship_node.documents.html_page import arcsec_texts, folded, image, table
 
 
 def required_section(study: LayoutStudy, figures: Mapping[str, Path]) -> str:
     """Return the section; empty without a requirement."""
-    required = study.required
+    required = study.requirement_result
     if required is None:
         return ""
     return (
@@ -49,13 +49,13 @@ def _summary(required: RequirementResult) -> str:
         for name, limit in zip(SHIP_ANGLES, required.limits_arcsec, strict=True)
         if np.isfinite(limit)
     )
-    if not required.met:
-        return f"Required (1σ): {limits_text}. <b>No layout meets it.</b> Nearest miss: {escape(nearest_miss(required))}."
-    given, best = required.given, required.ranking[0]
-    as_given = "The layout as given meets it" if given.admissible else "The layout as given does not meet it"
+    if not required.is_met:
+        return f"Required (1σ): {limits_text}. <b>No layout meets it.</b> Nearest miss: {escape(nearest_miss_text(required))}."
+    given, best = required.given_layout, required.ranking[0]
+    as_given = "The layout as given meets it" if given.is_admissible else "The layout as given does not meet it"
     return (
         f"Required (1σ): {limits_text}. {as_given}. Least use: “{escape(best.name)}” with "
-        f"{100.0 * best.use:.1f} % ({escape(places(best.layout))})."
+        f"{100.0 * best.requirement_use:.1f} % ({escape(placements_text(best.layout))})."
     )
 
 
@@ -63,10 +63,10 @@ def _ranking_table(required: RequirementResult) -> str:
     rows = [
         [
             one.name,
-            "yes" if one.admissible else "no",
-            "–" if np.isnan(one.use) else f"{100.0 * one.use:.1f} %",
+            "yes" if one.is_admissible else "no",
+            "–" if np.isnan(one.requirement_use) else f"{100.0 * one.requirement_use:.1f} %",
             *arcsec_texts(one.sigmas_arcsec),
-            places(one.layout),
+            placements_text(one.layout),
             "; ".join(one.obstacles),
         ]
         for one in required.ranking
@@ -76,11 +76,11 @@ def _ranking_table(required: RequirementResult) -> str:
 
 
 def _best_elevation(required: RequirementResult) -> str:
-    free = [one for one in required.trade if not one.candidate.obstacles and np.isfinite(one.candidate.use)]
+    free = [one for one in required.trade if not one.candidate.obstacles and np.isfinite(one.candidate.requirement_use)]
     if not free:
         return "At no elevation are the fields of all sensors clear."
-    best = min(free, key=lambda one: one.candidate.use)
-    met = [one.elevation_deg for one in free if one.candidate.admissible]
+    best = min(free, key=lambda one: one.candidate.requirement_use)
+    met = [one.elevation_deg for one in free if one.candidate.is_admissible]
     between = f"the requirement is met between {met[0]:g}° and {met[-1]:g}°" if met else "no elevation meets it"
     return f"The use is least with all sensors at {best.elevation_deg:g}°; {between}."
 
@@ -92,17 +92,17 @@ def _allocation(name: str, allocations: list[Allocation]) -> str:
     by_kind = ", ".join(f"{kind} {100.0 * share:.1f} %" for kind, share in sorted(kinds.items(), key=lambda k: -k[1]))
     rows = [
         [row.key, row.kind, *arcsec_texts(np.array([row.sigma_arcsec])), f"{100.0 * row.share:.1f} %",
-         *arcsec_texts(np.array([row.together_arcsec])), _alone(row.alone_arcsec)]
+         *arcsec_texts(np.array([row.together_arcsec])), _alone_text(row.alone_arcsec)]
         for row in allocations
     ]  # fmt: skip
     header = ["error", "kind", "1σ now [″]", "share", "together [″]", "alone [″]"]
     return (
-        f"<p><b>{escape(name)}</b>: {escape(binding(allocations))}. By kind: {by_kind}.</p>"
+        f"<p><b>{escape(name)}</b>: {escape(binding_error_text(allocations))}. By kind: {by_kind}.</p>"
         f'<div class="table">{table(header, rows, style="words")}</div>'
     )
 
 
-def _alone(alone_arcsec: float) -> str:
+def _alone_text(alone_arcsec: float) -> str:
     if np.isnan(alone_arcsec):
         return "not achievable even at 0″"
     return "any size" if np.isinf(alone_arcsec) else arcsec_texts(np.array([alone_arcsec]))[0]

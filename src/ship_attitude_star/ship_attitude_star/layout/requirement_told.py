@@ -28,25 +28,25 @@ def requirement_lines(required: RequirementResult) -> list[str]:
     ]
     lines = [f"required [arcsec, 1 sigma]: {', '.join(limits)}"]
     for place, one in enumerate(required.ranking, start=1):
-        result = "meets it" if one.admissible else "does not"
+        result = "meets it" if one.is_admissible else "does not"
         lines.append(f"{place:3d} {one.name:24}{result}: {candidate_text(one, required)}")
-    if not required.met:
-        lines.append(f"no layout meets the requirement; nearest miss: {nearest_miss(required)}")
+    if not required.is_met:
+        lines.append(f"no layout meets the requirement; nearest miss: {nearest_miss_text(required)}")
     for name, allocations in required.allocations.items():
-        lines.append(f"{name}: {binding(allocations)}")
+        lines.append(f"{name}: {binding_error_text(allocations)}")
     return lines
 
 
 def candidate_text(one: Candidate, required: RequirementResult) -> str:
     """Return a description of one layout: requirement use, directions of the sensors, obstructions."""
-    if np.isnan(one.use):
+    if np.isnan(one.requirement_use):
         uses = "a boresight is too near to the horizon"
     else:
-        uses = f"{SHIP_ANGLES[binding_angle(one.sigmas_arcsec, required.limits_arcsec)]} uses {100.0 * one.use:.1f} %"
-    return "; ".join([uses, places(one.layout), *one.obstacles])
+        uses = f"{SHIP_ANGLES[binding_angle(one.sigmas_arcsec, required.limits_arcsec)]} uses {100.0 * one.requirement_use:.1f} %"
+    return "; ".join([uses, placements_text(one.layout), *one.obstacles])
 
 
-def places(layout: Layout) -> str:
+def placements_text(layout: Layout) -> str:
     """Return azimuth and elevation of each sensor as text, degrees."""
     angles_deg = np.rad2deg(layout.angles[:, :2])
     return ", ".join(
@@ -55,20 +55,20 @@ def places(layout: Layout) -> str:
     )
 
 
-def nearest_miss(required: RequirementResult) -> str:
+def nearest_miss_text(required: RequirementResult) -> str:
     """Return a description of the best layout that is not admissible: its deficit or its obstructions."""
     nearest = required.ranking[0]
-    if nearest.obstacles or np.isnan(nearest.use):
+    if nearest.obstacles or np.isnan(nearest.requirement_use):
         return f"'{nearest.name}': {candidate_text(nearest, required)}"
     angle = binding_angle(nearest.sigmas_arcsec, required.limits_arcsec)
     return (
         f"'{nearest.name}', {SHIP_ANGLES[angle]} {nearest.sigmas_arcsec[angle]:.2f} of "
-        f"{required.limits_arcsec[angle]:g} arcsec ({places(nearest.layout)}); with all errors "
-        f"{100.0 * (1.0 - 1.0 / nearest.use):.1f} % smaller it would be met"
+        f"{required.limits_arcsec[angle]:g} arcsec ({placements_text(nearest.layout)}); with all errors "
+        f"{100.0 * (1.0 - 1.0 / nearest.requirement_use):.1f} % smaller it would be met"
     )
 
 
-def binding(allocations: list[Allocation]) -> str:
+def binding_error_text(allocations: list[Allocation]) -> str:
     """Return a text with the dominant error and its maximum size."""
     first = allocations[0]
     text = f"{first.key} = {first.sigma_arcsec:.3g} arcsec dominates with {100.0 * first.share:.0f} % of the variance; "
@@ -108,11 +108,11 @@ def requirement_tables(study: LayoutStudy, required: RequirementResult) -> dict[
 
 def _ranking(required: RequirementResult) -> Iterator[tuple[Any, ...]]:
     for place, one in enumerate(required.ranking, start=1):
-        yield place, one.name, *_evaluation_columns(one), places(one.layout), "; ".join(one.obstacles)
+        yield place, one.name, *_evaluation_columns(one), placements_text(one.layout), "; ".join(one.obstacles)
 
 
 def _evaluation_columns(one: Candidate) -> tuple[Any, ...]:
-    return int(one.admissible), one.use, *one.sigmas_arcsec
+    return int(one.is_admissible), one.requirement_use, *one.sigmas_arcsec
 
 
 def _allocations(required: RequirementResult) -> Iterator[tuple[Any, ...]]:
@@ -124,15 +124,15 @@ def _allocations(required: RequirementResult) -> Iterator[tuple[Any, ...]]:
 
 def _trade(required: RequirementResult) -> Iterator[tuple[Any, ...]]:
     for one in required.trade:
-        where = places(one.candidate.layout), "; ".join(one.candidate.obstacles)
+        where = placements_text(one.candidate.layout), "; ".join(one.candidate.obstacles)
         yield one.elevation_deg, *_evaluation_columns(one.candidate), *one.refraction_arcsec, *where
 
 
 def _maps(study: LayoutStudy, required: RequirementResult) -> Iterator[tuple[Any, ...]]:
     for moved, allowed in zip(study.maps, required.maps, strict=True):
-        admissible = allowed.admissible()
+        admissible = allowed.is_admissible()
         for row, elevation_deg in enumerate(moved.elevations_deg):
             for column, azimuth_deg in enumerate(moved.azimuths_deg):
                 at = row, column
-                flags = int(allowed.clear[at]), int(allowed.over_horizon[at]), int(admissible[at])
-                yield moved.sensor, azimuth_deg, elevation_deg, allowed.use[at], *flags
+                flags = int(allowed.is_clear[at]), int(allowed.is_above_horizon[at]), int(admissible[at])
+                yield moved.sensor, azimuth_deg, elevation_deg, allowed.requirement_use[at], *flags

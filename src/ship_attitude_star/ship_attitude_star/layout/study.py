@@ -9,23 +9,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.layout.config import LEAST_ELEVATION_DEG, LayoutStudyConfig
+from ship_attitude_star.layout.config import MIN_ELEVATION_DEG, LayoutStudyConfig
 from ship_attitude_star.layout.installation_model import Curve, all_curves
 from ship_attitude_star.layout.joint_error import ErrorMap, Layout, SourceError, error_map, total_arcsec
 from ship_attitude_star.layout.masks import Obstructions
-from ship_attitude_star.layout.optics import LEAST_STARS, OpticsOverSky, over_sky
+from ship_attitude_star.layout.optics import MIN_STARS, SkyStatistics, sky_statistics
 from ship_attitude_star.layout.requirement import RequirementResult, evaluate_layouts
 from ship_estimation.parameters import ParameterError
 from ship_geometry.rotations import FloatArray, wrap_pi
 
 _STEP_DEG = 1.0
-_SAME = 1e-9
+_EQUAL_RATIO = 1e-9
 """Relative difference of total errors treated as equal; of equal azimuths the one nearest to the given one is taken."""
-_NEARLY_SAME = 0.02
+_MIN_GAIN_RATIO = 0.02
 """Least gain by which another arrangement must improve on the one near the given azimuths, ratio."""
-_ALLOWED_LOSS = 0.1
+_ALLOWED_LOSS_RATIO = 0.1
 """Increase of the total error above the least one that is allowed for a good azimuth, ratio."""
-_MOST_ROUNDS = 20
+_MAX_ROUNDS = 20
 
 
 @dataclass(frozen=True)
@@ -76,35 +76,35 @@ class LayoutStudy:
     maps: list[ErrorMap]
     budget: list[SourceError]
     curves: list[Curve]
-    optics: dict[str, OpticsOverSky]
+    optics: dict[str, SkyStatistics]
     obstructions: Obstructions
-    required: RequirementResult | None
+    requirement_result: RequirementResult | None
 
 
-def study(config: LayoutStudyConfig) -> LayoutStudy:
+def compute_study(config: LayoutStudyConfig) -> LayoutStudy:
     """Compute all numbers of a study.
 
     Raises:
         ParameterError: with the ship's pitch and roll a sensor looks too low, or its optics see too few stars.
     """
-    optics = {name: over_sky(of_sensor) for name, of_sensor in config.optics.items()}
-    config = _with_noise_of(config, optics)
+    optics = {name: sky_statistics(of_sensor) for name, of_sensor in config.optics.items()}
+    config = _with_optics_noise(config, optics)
     layout = Layout.from_config(config)
     for name, elevation_deg in zip(layout.names, layout.horizon_elevations_deg(), strict=True):
-        if elevation_deg < LEAST_ELEVATION_DEG - 1e-9:
+        if elevation_deg < MIN_ELEVATION_DEG - 1e-9:
             raise ParameterError(
                 f"parameter 'sensors.{name}.elevation_deg': with the ship's pitch and roll the boresight is "
-                f"{elevation_deg:.1f} deg above the horizon, expected at least {LEAST_ELEVATION_DEG:g} deg",
+                f"{elevation_deg:.1f} deg above the horizon, expected at least {MIN_ELEVATION_DEG:g} deg",
                 f"sensors.{name}.elevation_deg",
             )
-    obstructions = _checked_sights(config, layout)
-    best = recommended(layout, obstructions)
+    obstructions = _check_fields_of_view(config, layout)
+    best = recommend_azimuths(layout, obstructions)
     maps = [error_map(layout, number) for number in range(len(layout.names))]
     count = len(layout.names)
     return LayoutStudy(
         config=config,
         layout=layout,
-        alone_arcsec=np.array([layout.of_sensor(number).sigmas_arcsec() for number in range(count)]),
+        alone_arcsec=np.array([layout.single_sensor(number).sigmas_arcsec() for number in range(count)]),
         joint_arcsec=layout.sigmas_arcsec(),
         best=best,
         best_arcsec=best.sigmas_arcsec(),
@@ -114,11 +114,11 @@ def study(config: LayoutStudyConfig) -> LayoutStudy:
         curves=all_curves(config.figures),
         optics=optics,
         obstructions=obstructions,
-        required=evaluate_layouts(config, layout, best, maps, obstructions) if config.requirement.given else None,
+        requirement_result=evaluate_layouts(config, layout, best, maps, obstructions) if config.requirement.is_given else None,
     )
 
 
-def _with_noise_of(config: LayoutStudyConfig, optics: dict[str, OpticsOverSky]) -> LayoutStudyConfig:
+def _with_optics_noise(config: LayoutStudyConfig, optics: dict[str, SkyStatistics]) -> LayoutStudyConfig:
     """Return the study in which each sensor with optics has the noise that they give.
 
     Raises:
@@ -128,8 +128,8 @@ def _with_noise_of(config: LayoutStudyConfig, optics: dict[str, OpticsOverSky]) 
     for name, found in optics.items():
         if not np.isfinite(found.quantile_arcsec).all():
             raise ParameterError(
-                f"parameter 'optics.{name}.magnitude_limit': in {100.0 * found.share_without():.0f} % of the sky the "
-                f"field of {found.field_deg[0]:.1f} x {found.field_deg[1]:.1f} deg contains fewer than {LEAST_STARS} "
+                f"parameter 'optics.{name}.magnitude_limit': in {100.0 * found.share_without_attitude():.0f} % of the sky the "
+                f"field of {found.field_deg[0]:.1f} x {found.field_deg[1]:.1f} deg contains fewer than {MIN_STARS} "
                 f"stars, more than sky_share = {config.optics[name].sky_share:g} allows: expected fainter stars or a "
                 "wider field",
                 f"optics.{name}.magnitude_limit",
@@ -141,7 +141,7 @@ def _with_noise_of(config: LayoutStudyConfig, optics: dict[str, OpticsOverSky]) 
     return replace(config, sensors=sensors)
 
 
-def _checked_sights(config: LayoutStudyConfig, layout: Layout) -> Obstructions:
+def _check_fields_of_view(config: LayoutStudyConfig, layout: Layout) -> Obstructions:
     """Return the obstructions, after a check that none is in the field of a sensor as given.
 
     Raises:
@@ -149,12 +149,12 @@ def _checked_sights(config: LayoutStudyConfig, layout: Layout) -> Obstructions:
     """
     obstructions = Obstructions.from_config(config)
     for number, name in enumerate(layout.names):
-        reaching = obstructions.in_view(number, layout.angles[number])
+        reaching = obstructions.masks_in_view(number, layout.angles[number])
         if not reaching:
             continue
         turned = np.tile(layout.angles[number], (72, 1))
         turned[:, 0] = np.deg2rad(np.arange(0.0, 360.0, 5.0))
-        clear_deg = np.rad2deg(turned[obstructions.clear(number, turned), 0])
+        clear_deg = np.rad2deg(turned[obstructions.is_clear(number, turned), 0])
         away = np.abs(wrap_pi(np.deg2rad(clear_deg) - layout.angles[number, 0]))
         instead = (
             f"the nearest clear azimuth at this elevation is {clear_deg[int(np.argmin(away))]:.0f} deg"
@@ -168,7 +168,7 @@ def _checked_sights(config: LayoutStudyConfig, layout: Layout) -> Obstructions:
     return obstructions
 
 
-def recommended(layout: Layout, obstructions: Obstructions | None = None) -> Layout:
+def recommend_azimuths(layout: Layout, obstructions: Obstructions | None = None) -> Layout:
     """Return the layout with the clear azimuths of least total error; the first sensor keeps its own.
 
     The search descends from the given azimuths and from sensors spaced evenly over half and over the whole circle.
@@ -179,10 +179,10 @@ def recommended(layout: Layout, obstructions: Obstructions | None = None) -> Lay
     starts += [first + np.arange(count) * circle / count for circle in (np.pi, 2.0 * np.pi)]
     layouts = [_with_azimuths(layout, azimuths) for azimuths in starts]
     # On a heeled ship a sensor of the other two starts may point below the horizon, where no error is finite.
-    candidates = [_descended(start, obstructions) for start in layouts if np.isfinite(start.sigmas_arcsec()).all()]
+    candidates = [_descend(start, obstructions) for start in layouts if np.isfinite(start.sigmas_arcsec()).all()]
     # Of nearly equal layouts the first is taken: it comes from the given azimuths and changes least.
     totals = np.array([total_arcsec(candidate.sigmas_arcsec()) for candidate in candidates])
-    return candidates[int(np.argmax(totals <= totals.min() * (1.0 + _NEARLY_SAME)))]
+    return candidates[int(np.argmax(totals <= totals.min() * (1.0 + _MIN_GAIN_RATIO)))]
 
 
 def scan_azimuth(layout: Layout, number: int, obstructions: Obstructions | None = None) -> AzimuthScan:
@@ -192,22 +192,22 @@ def scan_azimuth(layout: Layout, number: int, obstructions: Obstructions | None 
     angles[:, number, 0] = np.deg2rad(azimuths_deg)
     sigmas = layout.sigmas_arcsec(angles)
     if obstructions is not None:
-        clear = obstructions.clear(number, angles[:, number])
+        clear = obstructions.is_clear(number, angles[:, number])
         # If a gap between masks is narrower than the steps, no azimuth is clear and none is set to NaN.
         sigmas[~clear & clear.any()] = np.nan
-    good = total_arcsec(sigmas) <= np.nanmin(total_arcsec(sigmas)) * (1.0 + _ALLOWED_LOSS)
+    good = total_arcsec(sigmas) <= np.nanmin(total_arcsec(sigmas)) * (1.0 + _ALLOWED_LOSS_RATIO)
     own = round(np.rad2deg(layout.angles[number, 0]) / _STEP_DEG) % azimuths_deg.size
-    return AzimuthScan(layout.names[number], azimuths_deg, sigmas, _run_around(good, own, azimuths_deg))
+    return AzimuthScan(layout.names[number], azimuths_deg, sigmas, _good_range(good, own, azimuths_deg))
 
 
-def _descended(layout: Layout, obstructions: Obstructions | None) -> Layout:
+def _descend(layout: Layout, obstructions: Obstructions | None) -> Layout:
     """Rotate each sensor but the first to its best azimuth in turn, until none moves."""
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         before = layout.angles[:, 0].copy()
         for number in range(1, len(layout.names)):
             scanned = scan_azimuth(layout, number, obstructions)
             totals = total_arcsec(scanned.sigmas_arcsec)
-            best = scanned.azimuths_deg[totals <= np.nanmin(totals) * (1.0 + _SAME)]
+            best = scanned.azimuths_deg[totals <= np.nanmin(totals) * (1.0 + _EQUAL_RATIO)]
             away = np.abs(wrap_pi(np.deg2rad(best) - layout.angles[number, 0]))
             azimuths = layout.angles[:, 0].copy()
             azimuths[number] = np.deg2rad(best[int(np.argmin(away))])
@@ -223,7 +223,7 @@ def _with_azimuths(layout: Layout, azimuths: FloatArray) -> Layout:
     return replace(layout, angles=angles)
 
 
-def _run_around(good: NDArray[np.bool_], own: int, azimuths_deg: FloatArray) -> tuple[float, float] | None:
+def _good_range(good: NDArray[np.bool_], own: int, azimuths_deg: FloatArray) -> tuple[float, float] | None:
     """Return first and last azimuth of the unbroken range of good ones around index ``own``, also across the bow."""
     if not good[own]:
         return None

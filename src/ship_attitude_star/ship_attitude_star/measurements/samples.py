@@ -138,7 +138,7 @@ class AttitudeEstimate:
 
 
 @dataclass(frozen=True)
-class AttitudeRun:
+class AttitudeSeries:
     """Ship attitudes at N times with one filter state; fields as in :class:`AttitudeEstimate`.
 
     Attributes:
@@ -170,7 +170,7 @@ class AttitudeRun:
     text: list[str]
 
     @classmethod
-    def of_one(cls, estimate: AttitudeEstimate) -> "AttitudeRun":
+    def from_estimate(cls, estimate: AttitudeEstimate) -> "AttitudeSeries":
         """Return a series of one attitude."""
         return cls(
             time_ns=np.array([estimate.time_ns]),
@@ -187,38 +187,38 @@ class AttitudeRun:
             text=[estimate.text],
         )
 
-    def some(self, which: slice) -> "AttitudeRun":
+    def subset(self, indices: slice) -> "AttitudeSeries":
         """Return a slice of the series."""
-        return AttitudeRun(
-            time_ns=self.time_ns[which],
-            rotation_nd=self.rotation_nd[which],
-            covariance_by_source_n=self.covariance_by_source_n[which],
-            covariance_n=self.covariance_n[which],
-            covariance_without_separation_n=self.covariance_without_separation_n[which],
-            rate_d=self.rate_d[which],
-            status=self.status[which],
-            horizon=self.horizon[which],
-            sources=self.sources[which],
-            star_age_s=self.star_age_s[which],
+        return AttitudeSeries(
+            time_ns=self.time_ns[indices],
+            rotation_nd=self.rotation_nd[indices],
+            covariance_by_source_n=self.covariance_by_source_n[indices],
+            covariance_n=self.covariance_n[indices],
+            covariance_without_separation_n=self.covariance_without_separation_n[indices],
+            rate_d=self.rate_d[indices],
+            status=self.status[indices],
+            horizon=self.horizon[indices],
+            sources=self.sources[indices],
+            star_age_s=self.star_age_s[indices],
             state=self.state,
-            text=self.text[which],
+            text=self.text[indices],
         )
 
-    def one(self, number: int) -> AttitudeEstimate:
+    def estimate(self, index: int) -> AttitudeEstimate:
         """Return one attitude of the series."""
         return AttitudeEstimate(
-            time_ns=int(self.time_ns[number]),
-            rotation_nd=self.rotation_nd[number],
-            covariance_by_source_n=self.covariance_by_source_n[number],
-            covariance_n=self.covariance_n[number],
-            covariance_without_separation_n=self.covariance_without_separation_n[number],
-            rate_d=self.rate_d[number],
-            status=self.status[number],
-            horizon=Horizon(self.horizon[number]),
-            sources=self.sources[number],
-            star_age_s=float(self.star_age_s[number]),
+            time_ns=int(self.time_ns[index]),
+            rotation_nd=self.rotation_nd[index],
+            covariance_by_source_n=self.covariance_by_source_n[index],
+            covariance_n=self.covariance_n[index],
+            covariance_without_separation_n=self.covariance_without_separation_n[index],
+            rate_d=self.rate_d[index],
+            status=self.status[index],
+            horizon=Horizon(self.horizon[index]),
+            sources=self.sources[index],
+            star_age_s=float(self.star_age_s[index]),
             state=self.state,
-            text=self.text[number],
+            text=self.text[index],
         )
 
 

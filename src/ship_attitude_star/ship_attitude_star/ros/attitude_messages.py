@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeRun, StampArray
+from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeSeries, StampArray
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.frame_names import FRAME_NAMES, FrameNames
 from ship_estimation.outcome import Status
@@ -55,13 +55,13 @@ class AttitudeNumbers(NamedTuple):
     star_age_s: FloatArray
 
     @classmethod
-    def of(cls, runs: Sequence[AttitudeRun]) -> "AttitudeNumbers":
+    def from_runs(cls, series: Sequence[AttitudeSeries]) -> "AttitudeNumbers":
         """Return the quantities of several series, one after another."""
-        return cls(*joined(runs, cls._fields))
+        return cls(*joined(series, cls._fields))
 
-    def some(self, places: NDArray[np.int64]) -> "AttitudeNumbers":
+    def subset(self, indices: NDArray[np.int64]) -> "AttitudeNumbers":
         """Return the attitudes with the given indices."""
-        return self if len(places) == len(self.time_ns) else AttitudeNumbers(*(chosen(each, places) for each in self))
+        return self if len(indices) == len(self.time_ns) else AttitudeNumbers(*(chosen(each, indices) for each in self))
 
 
 def attitude_messages(
@@ -77,13 +77,13 @@ def attitude_messages(
         rate_sigma: noise of the angular rate of the INS, each axis, rad/s; 0 if not known.
         frames: frame names.
     """
-    messages = _messages(AttitudeNumbers.of([AttitudeRun.of_one(estimate)]), as_numbers, rate_sigma, frames)
+    messages = _messages(AttitudeNumbers.from_runs([AttitudeSeries.from_estimate(estimate)]), as_numbers, rate_sigma, frames)
     return [(topic, factory.encoded(type_name, **fields)) for topic, type_name, fields in messages]
 
 
 def smoothed_message(factory: MessageFactory, estimate: AttitudeEstimate, frames: FrameNames) -> Published:
     """Return the ship_msgs/ShipAttitude message of a smoothed attitude."""
-    attitude = AttitudeNumbers.of([AttitudeRun.of_one(estimate)])
+    attitude = AttitudeNumbers.from_runs([AttitudeSeries.from_estimate(estimate)])
     _, type_name, fields = next(_messages(attitude, as_numbers, 0.0, frames))
     return SMOOTHED_TOPIC, factory.encoded(type_name, **fields)
 
@@ -96,7 +96,7 @@ def attitude_rows(
     claimed = [status is not Status.INVALID for status in attitudes.status]
     kinds = zip(claimed, known, attitudes.sources, strict=True)
     return rows_by_kind(
-        factory, kinds, lambda _, places: _messages(attitudes.some(places), as_columns, rate_sigma, frames)
+        factory, kinds, lambda _, places: _messages(attitudes.subset(places), as_columns, rate_sigma, frames)
     )
 
 

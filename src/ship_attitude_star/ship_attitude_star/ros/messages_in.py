@@ -46,11 +46,11 @@ from ship_node.edge.messages_in import (
 Measured = TypeVar("Measured", bound=Measurement)
 
 STAR_INVALID = 3
-LARGEST_ELEVATION, LARGEST_ANGLE = 0.5 * np.pi + 1e-9, 6.0 * np.pi
+MAX_ELEVATION, MAX_ANGLE = 0.5 * np.pi + 1e-9, 6.0 * np.pi
 """Maximum elevation of a star sensor, and maximum of its azimuth and roll, rad; these are used modulo 2π."""
 _COVARIANCE_TOLERANCE = 1e-6
 
-_LARGEST_DEFLECTION = 300.0 * ARCSEC
+_MAX_DEFLECTION = 300.0 * ARCSEC
 
 
 def star_measurement(
@@ -68,7 +68,7 @@ def star_measurement(
     check_finite("azimuth, elevation, roll", message.azimuth, message.elevation, message.roll)
     azimuth, elevation, roll = message.azimuth, message.elevation, message.roll
     # Angles in degrees are detected if they exceed the range in radians.
-    if abs(elevation) > LARGEST_ELEVATION or max(abs(azimuth), abs(roll)) > LARGEST_ANGLE:
+    if abs(elevation) > MAX_ELEVATION or max(abs(azimuth), abs(roll)) > MAX_ANGLE:
         angles = f"azimuth {azimuth:.6g}, elevation {elevation:.6g}, roll {roll:.6g}"
         raise MessageRejected(Reason.UNITS, f"{angles} cannot be radians: degrees?")
     total_enu = angular_covariance(message.rotation_covariance, "rotation_covariance")
@@ -83,13 +83,13 @@ def star_measurement(
     else:
         noise_s = _configured_noise(config)
         attitude = AttitudeMeasurement(f"star.{sensor_id}", time_ns, rotation_ns, noise_s, covariance_known=False)
-        return _read(_sharing(attitude, config.sharing, has_noise_covariance=True))
+        return _read_message(_with_shared_error(attitude, config.shared_error, has_noise_covariance=True))
     noise_n = total_n if noise_enu is None else horizon_covariance(noise_enu)
     has_noise_covariance = noise_enu is not None
-    return attitude_read(f"star.{sensor_id}", time_ns, rotation_ns, total_n, noise_n, config.sharing, has_noise_covariance)
+    return attitude_from_numbers(f"star.{sensor_id}", time_ns, rotation_ns, total_n, noise_n, config.shared_error, has_noise_covariance)
 
 
-def attitude_read(
+def attitude_from_numbers(
     source: str,
     time_ns: int,
     rotation_ns: FloatArray,
@@ -114,10 +114,10 @@ def attitude_read(
     """
     noise_s = rotation_ns.T @ noise_n @ rotation_ns
     attitude = AttitudeMeasurement(source, time_ns, rotation_ns, noise_s, _common_covariance(total_n, noise_n))
-    return _read(_sharing(attitude, sharing, has_noise_covariance))
+    return _read_message(_with_shared_error(attitude, sharing, has_noise_covariance))
 
 
-def _sharing(attitude: AttitudeMeasurement, sharing: str, has_noise_covariance: bool) -> AttitudeMeasurement:
+def _with_shared_error(attitude: AttitudeMeasurement, sharing: str, has_noise_covariance: bool) -> AttitudeMeasurement:
     """Return an attitude with the configured shared error."""
     if sharing == SHARED_BY_SKY:
         return SolvedAttitude(**vars(attitude) | {"noise_told": has_noise_covariance})
@@ -144,9 +144,9 @@ def inertial_attitude(
     covariance_flu = angular_covariance(message.covariance, "covariance")
     if covariance_flu is None:
         noise_s = _configured_noise(config)
-        return _read(InertialAttitude(f"star.{sensor_id}", time_ns, rotation_cs, noise_s, False, config.inertial.field))
+        return _read_message(InertialAttitude(f"star.{sensor_id}", time_ns, rotation_cs, noise_s, False, config.inertial.field_of_view))
     noise_s = FLU_FROM_DEVICE.T @ covariance_flu @ FLU_FROM_DEVICE
-    return _read(InertialAttitude(f"star.{sensor_id}", time_ns, rotation_cs, noise_s, field=config.inertial.field))
+    return _read_message(InertialAttitude(f"star.{sensor_id}", time_ns, rotation_cs, noise_s, field=config.inertial.field_of_view))
 
 
 def reference_measurement(
@@ -167,7 +167,7 @@ def reference_measurement(
     else:
         noise_r = rotation_nr.T @ horizon_covariance(covariance_enu) @ rotation_nr
     known = covariance_enu is not None
-    return _read(AttitudeMeasurement(f"reference.{name}", time_ns, rotation_nr, noise_r, covariance_known=known))
+    return _read_message(AttitudeMeasurement(f"reference.{name}", time_ns, rotation_nr, noise_r, covariance_known=known))
 
 
 def deflection(message: Any, receive_ns: int) -> ReadMessage[DeflectionReading]:
@@ -179,7 +179,7 @@ def deflection(message: Any, receive_ns: int) -> ReadMessage[DeflectionReading]:
     time_ns = stamp_ns(message.header, receive_ns)
     check_finite("xi, eta", message.xi, message.eta)
     largest = max(abs(message.xi), abs(message.eta))
-    if not largest <= _LARGEST_DEFLECTION:
+    if not largest <= _MAX_DEFLECTION:
         text = f"xi {message.xi:.4g}, eta {message.eta:.4g}: expected radians, 0.0015 (300 arcsec) at most"
         raise MessageRejected(Reason.UNITS, text)
     covariance = np.asarray(message.covariance, dtype=float).reshape(2, 2)
@@ -208,10 +208,10 @@ def baseline(message: Any, receive_ns: int, config: ShipBaselineConfig) -> ReadM
         noise_n = config.noise_sigma_m**2 * np.eye(3)
     if not np.linalg.norm(vector_n) > 0.0:
         raise MessageRejected(Reason.UNITS, "baseline of length 0: expected metres between two antennas")
-    return _read(BaselineMeasurement(time_ns, vector_n, noise_n, known))
+    return _read_message(BaselineMeasurement(time_ns, vector_n, noise_n, known))
 
 
-def _read(measurement: Measured) -> ReadMessage[Measured]:
+def _read_message(measurement: Measured) -> ReadMessage[Measured]:
     """Return the read message of a measurement."""
     return ReadMessage(measurement, measurement.covariance_known)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.ros.messages_in import LARGEST_ANGLE, LARGEST_ELEVATION, STAR_INVALID, attitude_read
+from ship_attitude_star.ros.messages_in import MAX_ANGLE, MAX_ELEVATION, STAR_INVALID, attitude_from_numbers
 from ship_attitude_star.ship_attitude.config import StarSensorConfig
 from ship_bags.cdr_template import CdrRows
 from ship_geometry import compiled_angles
@@ -31,13 +31,13 @@ def star_attitudes(messages: CdrRows, receive_ns: StampArray, sensor_id: str, co
     totals_enu, total_known = angular_covariances(numbers["rotation_covariance"])
     noises_enu, noise_known = angular_covariances(numbers["noise_covariance"])
     good = timely & total_known & noise_known & (numbers["status"] != STAR_INVALID)
-    good &= (np.abs(angles) <= [LARGEST_ANGLE, LARGEST_ELEVATION, LARGEST_ANGLE]).all(axis=1)
+    good &= (np.abs(angles) <= [MAX_ANGLE, MAX_ELEVATION, MAX_ANGLE]).all(axis=1)
 
     def attitude(
         time_ns: int, rotation_ns: FloatArray, total_n: FloatArray, noise_n: FloatArray
     ) -> ReadMessage[Any] | None:
         try:
-            return attitude_read(f"star.{sensor_id}", time_ns, rotation_ns, total_n, noise_n, config.sharing)
+            return attitude_from_numbers(f"star.{sensor_id}", time_ns, rotation_ns, total_n, noise_n, config.shared_error)
         except MessageRejected:
             return None
 

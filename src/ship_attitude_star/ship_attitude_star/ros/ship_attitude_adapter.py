@@ -10,7 +10,7 @@ import numpy as np
 
 from ship_attitude_star.measurements.baseline import BASELINE
 from ship_attitude_star.measurements.readings import DeflectionReading
-from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeRun
+from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeSeries
 from ship_attitude_star.ros import messages_in, rows_in, star_messages_in, surroundings_in
 from ship_attitude_star.ros.alignment_file import ALIGNMENT_FILE
 from ship_attitude_star.ros.attitude_messages import (
@@ -80,13 +80,13 @@ _STAR_TYPES = {
     "observations": "ship_msgs/msg/StarObservationArray",
     "inertial_attitude": "ship_msgs/msg/StarInertialAttitude",
 }
-_WORDS = {
+_STATUS_TEXTS = {
     Status.VALID: (Level.OK, "VALID: INS and stars"),
     Status.COASTING: (Level.WARN, "COASTING: no star measurements, INS alone with growing uncertainty"),
     Status.DEGRADED: (Level.WARN, "DEGRADED"),
     Status.INVALID: (Level.ERROR, "INVALID: neither the INS nor stars give an attitude"),
 }
-_RATES = {
+_RATE_TEXTS = {
     RateStatus.UNPROVEN: (Level.OK, "not checked yet: too little motion, or no rates in the messages"),
     RateStatus.MEASURED: (Level.OK, "angular_velocity is consistent with the orientation"),
     RateStatus.NOT_MEASURED: (
@@ -95,10 +95,10 @@ _RATES = {
     ),
     RateStatus.WRONG_UNITS: (Level.ERROR, "angular_velocity is in another unit than rad/s: the INS is not used"),
 }
-_OBSERVED_EACH_NS = 60 * SECOND_NS
+_OBSERVABILITY_PERIOD_NS = 60 * SECOND_NS
 """Period of the observability diagnostics, in the time of the data, ns."""
 
-_GROUPS = {"star": "star_sensors", "reference": "references", BASELINE: "ship_baseline"}
+_PARAMETER_SECTIONS = {"star": "star_sensors", "reference": "references", BASELINE: "ship_baseline"}
 """Parameter section by the first part of a source name."""
 
 
@@ -122,10 +122,10 @@ class ShipAttitudeAdapter(RecoveringAdapter):
     innovation_topic: ClassVar[str] = "ship/innovation"
     integrity_topic: ClassVar[str] = INTEGRITY_TOPIC
     quantities: ClassVar[tuple[str, ...]] = QUANTITIES
-    always_in: ClassVar[tuple[str, ...]] = ("ins",)
-    checked_by: ClassVar["attrgetter[tuple[Any, ...]]"] = attrgetter("status", "sources")
+    required_sources: ClassVar[tuple[str, ...]] = ("ins",)
+    redundancy_key: ClassVar["attrgetter[tuple[Any, ...]]"] = attrgetter("status", "sources")
     directions: ClassVar["attrgetter[np.ndarray]"] = attrgetter("rotation_nd")
-    there_for_s: Mapping[str, float] = {"ins": 3.0, "star.": 10.0, "reference.": 10.0, BASELINE: 10.0}
+    source_timeouts_s: Mapping[str, float] = {"ins": 3.0, "star.": 10.0, "reference.": 10.0, BASELINE: 10.0}
     outputs: tuple[OutputTopic, ...] = (
         OutputTopic(ATTITUDE_TOPIC, ATTITUDE_TYPE),
         OutputTopic(IMU_TOPIC, IMU_TYPE),
@@ -143,7 +143,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
     )
 
     def __init__(self, config: ShipAttitudeConfig, factory: MessageFactory, files: Files = DISK) -> None:
-        looks_at_sky = any(star.looks_at_sky for star in config.star_sensors.values())
+        looks_at_sky = any(star.needs_sky for star in config.star_sensors.values())
         self._sky_model = load_sky_model(config.sky) if looks_at_sky else None
         self._cameras = {
             id_: star.camera.camera(f"star_sensors.{id_}.camera")
@@ -159,8 +159,8 @@ class ShipAttitudeAdapter(RecoveringAdapter):
             to_save=self._alignment_to_save,
             nothing="no alignment to save: no star attitude was used yet",
         )
-        self.start_warnings = self._lacking = start_warnings(config)
-        self._observed: tuple[int, DiagnosticStatus] | None = None
+        self.start_warnings = self._missing_configuration = start_warnings(config)
+        self._last_observability: tuple[int, DiagnosticStatus] | None = None
         self._stated_covariance: Any = None
         super().__init__(config, core, factory, self._attitude_messages, saved)
         self.integrity_frame = config.frames.deck
@@ -187,17 +187,17 @@ class ShipAttitudeAdapter(RecoveringAdapter):
             return SmoothingCore(config, sky_model, config.smoothing_lag_s)
         return ShipAttitudeCore(config, sky_model)
 
-    def takes_blocks(self, topic: str) -> bool:
+    def accepts_batches(self, topic: str) -> bool:
         """See :meth:`BatchAdapter.accepts_batches`; smoothing needs single samples."""
         return super().takes_blocks(topic) and not isinstance(self.core, SmoothingCore)
 
-    def published(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[Published]:
+    def report_outcome(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[Published]:
         """See :meth:`ReportingAdapter.report_outcome`; smoothed attitudes follow."""
         published = super().published(outcome, now_ns, waiting_ns)
         if isinstance(self.core, SmoothingCore):
             try:
                 smoothed = [
-                    smoothed_message(self.factory, estimate, self.config.frames) for estimate in self.core.smoothed()
+                    smoothed_message(self.factory, estimate, self.config.frames) for estimate in self.core.take_smoothed()
                 ]
             except Exception as error:
                 # Real-time attitudes are published in any case; smoothing restarts.
@@ -227,8 +227,8 @@ class ShipAttitudeAdapter(RecoveringAdapter):
             yield Feed(antennas, BASELINE, read_baseline, core.add_measurement, has_decision=True)
         if self._sky_model is not None:
             yield from surroundings_in.surroundings_feeds(config.sky, untimed(core.add_sky_input))
-        elif config.follows_vertical:
-            yield surroundings_in.place_feed(config.sky, untimed(core.add_sky_input))
+        elif config.needs_vertical:
+            yield surroundings_in.position_feed(config.sky, untimed(core.add_sky_input))
         if config.gravity.deflection == TOPIC:
             given = InputTopic("gravity/deflection", DEFLECTION_TYPE, False, depth=100, lasting=True)
             yield Feed(given, "gravity/deflection", messages_in.deflection, untimed(core.add_deflection))
@@ -266,9 +266,9 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         read = functools.partial(messages_in.star_measurement, sensor_id=id_, config=star)
         return read, functools.partial(rows_in.star_attitudes, sensor_id=id_, config=star)
 
-    def block_messages(self, runs: Sequence[AttitudeRun]) -> Iterator[PublishedRows]:
+    def batch_messages(self, runs: Sequence[AttitudeSeries]) -> Iterator[PublishedRows]:
         """See :meth:`BatchAdapter.batch_messages`."""
-        rows = attitude_rows(self.factory, AttitudeNumbers.of(runs), self._rate_sigma, self.config.frames)
+        rows = attitude_rows(self.factory, AttitudeNumbers.from_runs(runs), self._rate_sigma, self.config.frames)
         return (each for each in rows if each.topic != TF_TOPIC or self.config.publish_tf)
 
     def own_slow_topics(self, now_ns: int) -> list[Published]:
@@ -295,9 +295,9 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         core: ShipAttitudeCore = self.core
         return core.no_output(now_ns, text)
 
-    def may_be_valid(self, there: Set[str]) -> bool:
+    def can_be_valid(self, present_sources: Set[str]) -> bool:
         """See :class:`RecoveringAdapter`; True with the INS and a star sensor."""
-        return "ins" in there and any(source.startswith("star.") for source in there)
+        return "ins" in present_sources and any(source.startswith("star.") for source in present_sources)
 
     def remedy(self, displaced: Mapping[str, float]) -> str:
         """See :class:`RecoveringAdapter`."""
@@ -306,7 +306,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
                 "all star sensors moved against the INS: if they or the INS were remounted, ~/reset; otherwise check "
                 "their clocks (time_offset_s of each, and of ins), gnss/fix and the computer's clock"
             )
-        where = ", ".join(f"{_GROUPS[name.partition('.')[0]]}.{name.partition('.')[2]}" for name in sorted(displaced))
+        where = ", ".join(f"{_PARAMETER_SECTIONS[name.partition('.')[0]]}.{name.partition('.')[2]}" for name in sorted(displaced))
         return f"if it was remounted, ~/reset; otherwise check its clock (time_offset_s of {where}) and its cable"
 
     def before_adoption(self) -> list[Published]:
@@ -314,7 +314,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         if not isinstance(self.core, SmoothingCore):
             return []
         return [
-            smoothed_message(self.factory, estimate, self.config.frames) for estimate in self.core.smoothed_to_the_end()
+            smoothed_message(self.factory, estimate, self.config.frames) for estimate in self.core.smoothed_estimates()
         ]
 
     def _observability_statuses(self) -> list[DiagnosticStatus]:
@@ -322,16 +322,16 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         state, latest = self.core.state, self.latest
         if state.time_ns is None or latest is None or latest.status is Status.INVALID:
             return []
-        if self._observed is None or abs(state.time_ns - self._observed[0]) >= _OBSERVED_EACH_NS:
+        if self._last_observability is None or abs(state.time_ns - self._last_observability[0]) >= _OBSERVABILITY_PERIOD_NS:
             # Without stars a turn has no effect.
-            sees = latest.status is Status.VALID
+            has_stars = latest.status is Status.VALID
             observability = self.core.learnt()
-            turn = manoeuvre_text(self.core.worthwhile_turn(latest.rotation_nd)) if sees else ""
+            turn = manoeuvre_text(self.core.worthwhile_turn(latest.rotation_nd)) if has_stars else ""
             values = {f"{name} (sigma / before)": f"{left:.2f}" for name, left in observability.left.items()}
             values |= {"not told apart": "; ".join(observability.open) or "nothing", "turn": turn or "none recommended"}
             text = turn or "no turn of the ship would improve the attitude much"
-            self._observed = state.time_ns, DiagnosticStatus("observability", Level.OK, text, values)
-        return [self._observed[1]]
+            self._last_observability = state.time_ns, DiagnosticStatus("observability", Level.OK, text, values)
+        return [self._last_observability[1]]
 
     def _noise_status(self) -> DiagnosticStatus:
         """Return a diagnostic of INS noise in excess of the configured noise, and of errors stated in its messages."""
@@ -350,9 +350,9 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         remarks = self.saved_remarks()
         text = "; ".join(remarks) or "as configured or saved"
         return [
-            attitude_status(self.latest, self.clock_jumps, self._lacking),
+            attitude_status(self.latest, self.clock_jumps, self._missing_configuration),
             DiagnosticStatus("alignment", Level.WARN if remarks else Level.OK, text, self.recovery_counts),
-            DiagnosticStatus("ins rates", *_RATES[self.core.rates]),
+            DiagnosticStatus("ins rates", *_RATE_TEXTS[self.core.rates]),
             self._noise_status(),
             self.recovery_status(waiting_ns),
             *vertical_statuses(self.core, self.latest),
@@ -360,16 +360,16 @@ class ShipAttitudeAdapter(RecoveringAdapter):
             *self.integrity_statuses(),
             *self.conflict_statuses(),
             *self.innovation_report.statuses(),
-            clock_status(self.core.filter.model, self.core.state.mean, _GROUPS),
+            clock_status(self.core.filter.model, self.core.state.mean, _PARAMETER_SECTIONS),
         ]
 
 
-def manoeuvre_text(hint: RecommendedTurn | None) -> str:
+def manoeuvre_text(turn: RecommendedTurn | None) -> str:
     """Return a text about a recommended turn; empty for none."""
-    if hint is None:
+    if turn is None:
         return ""
-    now, on_course, after = (f'{sigma / ARCSEC:.1f}"' for sigma in (hint.now, hint.on_course, hint.after))
-    turned = f"a {hint.turn_deg:.0f}° turn: {hint.quantity} {now} → {after} in a quarter of an hour"
+    now, on_course, after = (f'{sigma / ARCSEC:.1f}"' for sigma in (turn.sigma_now, turn.sigma_on_course, turn.sigma_after_turn))
+    turned = f"a {turn.turn_deg:.0f}° turn: {turn.quantity} {now} → {after} in a quarter of an hour"
     return f"{turned}, {on_course} on this course"
 
 
@@ -395,16 +395,16 @@ def vertical_statuses(core: ShipAttitudeCore, latest: AttitudeEstimate | None) -
     """Return a diagnostic of the vertical at the last attitude; none if the filter does not need the vertical."""
     if core.vertical is None or latest is None or latest.status is Status.INVALID:
         return []
-    known, lacking = core.deflection(latest.time_ns), core.vertical.missing_data_text(latest.time_ns)
+    known, missing = core.deflection(latest.time_ns), core.vertical.missing_data_text(latest.time_ns)
     if known is None:
-        text = lacking or "the latitude for the error model of the INS is known"
-        return [DiagnosticStatus("vertical", Level.WARN if lacking else Level.OK, text)]
+        text = missing or "the latitude for the error model of the INS is known"
+        return [DiagnosticStatus("vertical", Level.WARN if missing else Level.OK, text)]
     assert known.covariance is not None
     values_arcsec = [*known.deflection / ARCSEC, *np.sqrt(known.covariance.diagonal()) / ARCSEC]
     names = ("xi (arcsec)", "eta (arcsec)", "sigma of xi (arcsec)", "sigma of eta (arcsec)")
     values = {name: f"{value:.1f}" for name, value in zip(names, values_arcsec, strict=True)}
-    text = lacking or "the deflection of the vertical is known or estimated"
-    return [DiagnosticStatus("vertical", Level.WARN if lacking else Level.OK, text, values)]
+    text = missing or "the deflection of the vertical is known or estimated"
+    return [DiagnosticStatus("vertical", Level.WARN if missing else Level.OK, text, values)]
 
 
 def error_arcsec(factory: MessageFactory, estimate: AttitudeEstimate, deck: str) -> Any:
@@ -480,7 +480,7 @@ def start_warnings(config: ShipAttitudeConfig) -> tuple[str, ...]:
 
 
 def attitude_status(
-    estimate: AttitudeEstimate | None, clock_jumps: int, lacking: Sequence[str] = ()
+    estimate: AttitudeEstimate | None, clock_jumps: int, missing_configuration: Sequence[str] = ()
 ) -> DiagnosticStatus:
     """Return the diagnostic of the published attitude.
 
@@ -491,10 +491,10 @@ def attitude_status(
     """
     values = {"clock jumps back": str(clock_jumps)}
     if estimate is None:
-        return DiagnosticStatus("attitude", Level.WARN, "; ".join(["no INS sample yet", *lacking]), values)
-    level, text = _WORDS[estimate.status]
-    if estimate.status is Status.DEGRADED and lacking and "ins" in estimate.sources:
-        text += f": {'; '.join(lacking)}"
+        return DiagnosticStatus("attitude", Level.WARN, "; ".join(["no INS sample yet", *missing_configuration]), values)
+    level, text = _STATUS_TEXTS[estimate.status]
+    if estimate.status is Status.DEGRADED and missing_configuration and "ins" in estimate.sources:
+        text += f": {'; '.join(missing_configuration)}"
     elif estimate.status is Status.DEGRADED:
         text += f": {estimate.text}"
     elif estimate.status is Status.INVALID and estimate.text:

@@ -12,7 +12,7 @@ from ship_attitude_star.ros.surroundings_in import surroundings_feeds
 from ship_attitude_star.sky.sky_watch import load_sky_model
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.core import StarCore
-from ship_attitude_star.star_attitude.exposure_solver import RejectedStar, Solved, StarOutcome
+from ship_attitude_star.star_attitude.exposure_solver import RejectedStar, AttitudeSolution, StarOutcome
 from ship_attitude_star.stars.config import JOINT
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.solution import SOLUTION_TERMS, SolutionStatus
@@ -40,10 +40,10 @@ from ship_node.edge.topics import InputTopic, OutputTopic, Published
 
 _STARS_TYPE = "ship_msgs/msg/StarObservationArray"
 _SOLUTION_TYPE = "ship_msgs/msg/StarHorizonAttitude"
-_NOT_LOOKED_AT = (Reason.NO_FIX, Reason.NO_EARTH_ORIENTATION, Reason.FAILED, Reason.CONFLICT)
+_WHOLE_EXPOSURE_REASONS = (Reason.NO_FIX, Reason.NO_EARTH_ORIENTATION, Reason.FAILED, Reason.CONFLICT)
 """Reasons for which an exposure is rejected as a whole."""
 
-_WORDS = {
+_STATUS_TEXTS = {
     SolutionStatus.VALID: (Level.OK, "VALID"),
     SolutionStatus.UNVERIFIED: (Level.WARN, "UNVERIFIED: too few stars to detect a misidentified one"),
     SolutionStatus.ANGLES_SINGULAR: (Level.OK, "ANGLES_SINGULAR: azimuth and roll are undefined near the zenith"),
@@ -56,7 +56,7 @@ SOLUTION_TIMEOUT_NS = 10_000_000_000
 
 
 @dataclass(frozen=True)
-class SeenStars:
+class ReadExposure:
     """A read observation message.
 
     Attributes:
@@ -85,7 +85,7 @@ class StarAttitudeAdapter(BatchAdapter):
     main_topic: ClassVar[str] = f"star/{JOINT}/solution"
     innovation_topic: ClassVar[str] = "star/innovation"
     reset_text: ClassVar[str] = "all inputs are discarded"
-    quiet_ticks: ClassVar[bool] = False
+    has_idle_ticks: ClassVar[bool] = False
 
     def __init__(self, config: StarAttitudeConfig, factory: MessageFactory, files: Files = DISK) -> None:
         self._sky_model = load_sky_model(config.sky)
@@ -100,7 +100,7 @@ class StarAttitudeAdapter(BatchAdapter):
         )
         if not config.star_sensors:
             self.start_warnings = ("no star_sensors are configured: no attitude will be published",)
-        self._solved: dict[str, tuple[Solved, int]] = {}
+        self._last_solutions: dict[str, tuple[AttitudeSolution, int]] = {}
         super().__init__(config, StarCore(config, self._sky_model), factory)
 
     def table(self, config: StarAttitudeConfig, core: StarCore) -> Iterator[Feed]:
@@ -108,7 +108,7 @@ class StarAttitudeAdapter(BatchAdapter):
         for id_, sensor in config.star_sensors.items():
             topic = InputTopic(f"star/{id_}/observations", _STARS_TYPE, False, depth=100, named=True)
             read_stars = functools.partial(
-                seen_stars,
+                read_exposure,
                 sensor_id=id_,
                 frame_id=sensor.frame_id,
                 camera=self._cameras[id_],
@@ -126,33 +126,33 @@ class StarAttitudeAdapter(BatchAdapter):
             block = BatchFeed(functools.partial(ins_batch, config=config.ins), core)
             yield Feed(ins, "ins", read_ins, untimed(core.add_ins), batch=block, continuous=ATTITUDE)
 
-    def _take_stars(self, seen: SeenStars, waiting_ns: int) -> StarOutcome:
+    def _take_stars(self, read: ReadExposure, waiting_ns: int) -> StarOutcome:
         core: StarCore = self.core
-        return core.add_exposure(seen.exposure, seen.rejected_stars, waiting_ns)
+        return core.add_exposure(read.exposure, read.rejected_stars, waiting_ns)
 
-    def block_messages(self, _runs: Sequence[Any]) -> Iterator[PublishedRows]:
+    def batch_messages(self, _runs: Sequence[Any]) -> Iterator[PublishedRows]:
         """Return no messages: INS samples are not published."""
         return iter(())
 
     # -- results of the core --------------------------------------------------------------------------------
 
-    def published(self, outcome: StarOutcome, now_ns: int, waiting_ns: int) -> list[Published]:
+    def report_outcome(self, outcome: StarOutcome, now_ns: int, waiting_ns: int) -> list[Published]:
         """Return solutions, their rejected stars, and exposures too late for the joint solution of their time."""
         published: list[Published] = []
         for solved in outcome.solved:
-            self._solved[solved.sensor_id] = solved, waiting_ns
-            published += self._joint(solved) if solved.sensor_id == JOINT else self._single(solved, now_ns)
+            self._last_solutions[solved.sensor_id] = solved, waiting_ns
+            published += self._joint_messages(solved) if solved.sensor_id == JOINT else self._single_messages(solved, now_ns)
         for source, time_ns in outcome.not_joined:
             text = "too late for the joint solution of its time; its single-sensor solution is published"
             self.health.noted(_topic(source), Reason.LATE)
             published.append(self.rejection_message(source, time_ns, Rejection(Reason.LATE, text)))
         return published
 
-    def _single(self, solved: Solved, now_ns: int) -> list[Published]:
+    def _single_messages(self, solved: AttitudeSolution, now_ns: int) -> list[Published]:
         """Return the messages of a sensor's solution; the exposure counts as used unless it is rejected as a whole."""
         id_, refusal = solved.sensor_id, solved.solution.rejection
         source, topic = f"star.{id_}", _topic(f"star.{id_}")
-        if refusal is not None and refusal.reason in _NOT_LOOKED_AT:
+        if refusal is not None and refusal.reason in _WHOLE_EXPOSURE_REASONS:
             self.health.rejected(topic, refusal, now_ns, solved.time_ns)
         else:
             self.health.accepted(topic, solved.time_ns, now_ns)
@@ -160,23 +160,23 @@ class StarAttitudeAdapter(BatchAdapter):
                 self.health.noted(topic, star.rejection.reason)
             if refusal is not None:
                 self.health.noted(topic, refusal.reason)
-        published = self._solution(solved, self.config.star_sensors[id_].frame_id or f"star_{id_}")
+        published = self._solution_messages(solved, self.config.star_sensors[id_].frame_id or f"star_{id_}")
         if refusal is not None:
             published.append(self.rejection_message(source, solved.time_ns, refusal))
         return published
 
-    def _joint(self, solved: Solved) -> list[Published]:
-        self.pending_budget = solved if solved.valid else None
+    def _joint_messages(self, solved: AttitudeSolution) -> list[Published]:
+        self.pending_budget = solved if solved.is_valid else None
         for star in solved.rejected_stars:
             self.health.noted(_topic(star.source), star.rejection.reason)
-        published, refusal = self._solution(solved, self.config.frames.deck), solved.solution.rejection
+        published, refusal = self._solution_messages(solved, self.config.frames.deck), solved.solution.rejection
         if refusal is not None and refusal.reason is Reason.FAILED:
             self.health.failed(f"{self.main_topic}: {refusal.text}")
         if refusal is not None and refusal.reason not in (Reason.NO_FIX, Reason.NO_EARTH_ORIENTATION):
             published.append(self.rejection_message(f"star.{JOINT}", solved.time_ns, refusal))
         return published
 
-    def _solution(self, solved: Solved, frame_id: str) -> list[Published]:
+    def _solution_messages(self, solved: AttitudeSolution, frame_id: str) -> list[Published]:
         message = star_horizon_attitude(self.factory, solved, frame_id)
         refused = map(functools.partial(rejected_star_message, self.factory), solved.rejected_stars)
         return [(f"star/{solved.sensor_id}/solution", message), *((self.innovation_topic, star) for star in refused)]
@@ -190,16 +190,16 @@ class StarAttitudeAdapter(BatchAdapter):
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
         """Return diagnostics of the solutions and of the sky model."""
         return [
-            *solution_statuses(self.config, self._solved, self.core.joined_by_ins, waiting_ns),
+            *solution_statuses(self.config, self._last_solutions, self.core.joined_by_ins, waiting_ns),
             sky_status(self.core.not_measured(), self.clock_jumps),
         ]
 
     def _restart(self, clock_jumped: bool) -> None:
         super()._restart(clock_jumped)
-        self._solved.clear()
+        self._last_solutions.clear()
 
 
-def seen_stars(message: Any, **sensor: Any) -> ReadMessage[SeenStars]:
+def read_exposure(message: Any, **sensor: Any) -> ReadMessage[ReadExposure]:
     """Read an observation message; its rejected stars are published with the solution.
 
     Args:
@@ -213,14 +213,14 @@ def seen_stars(message: Any, **sensor: Any) -> ReadMessage[SeenStars]:
     source, time_ns, rejected_stars = read.value.source, read.value.time_ns, []
     for name, refusal in read.rejected_parts:
         rejected_stars.append(RejectedStar(source, time_ns, name, refusal))
-    return ReadMessage(SeenStars(time_ns, read.value, tuple(rejected_stars)), read.covariance_known)
+    return ReadMessage(ReadExposure(time_ns, read.value, tuple(rejected_stars)), read.covariance_known)
 
 
 def _topic(source: str) -> str:
     return f"star/{source.partition('.')[2]}/observations"
 
 
-def star_horizon_attitude(factory: MessageFactory, solved: Solved, frame_id: str) -> Any:
+def star_horizon_attitude(factory: MessageFactory, solved: AttitudeSolution, frame_id: str) -> Any:
     """Return ship_msgs/StarHorizonAttitude of a solution; all NaN without an attitude."""
     solution = solved.solution
     covariance_n, noise_n, residual_rms = solution.covariance_n, solution.noise_n, solution.residual_rms
@@ -244,7 +244,7 @@ def star_horizon_attitude(factory: MessageFactory, solved: Solved, frame_id: str
     )
 
 
-def solution_budget(factory: MessageFactory, solved: Solved, deck: str) -> Any:
+def solution_budget(factory: MessageFactory, solved: AttitudeSolution, deck: str) -> Any:
     """Return ship_msgs/ErrorBudget of a joint solution."""
     parts_n, covariance_n = solved.solution.covariance_by_source_n, solved.solution.covariance_n
     terms = SOLUTION_TERMS[: len(parts_n)]
@@ -263,7 +263,7 @@ def rejected_star_message(factory: MessageFactory, star: RejectedStar) -> Any:
 
 
 def solution_statuses(
-    config: StarAttitudeConfig, latest: Mapping[str, tuple[Solved, int]], joined_by_ins: bool, waiting_ns: int
+    config: StarAttitudeConfig, latest: Mapping[str, tuple[AttitudeSolution, int]], joined_by_ins: bool, waiting_ns: int
 ) -> list[DiagnosticStatus]:
     """Return diagnostics of the last solution of each sensor, and of the joint one.
 
@@ -277,7 +277,7 @@ def solution_statuses(
     if len(config.star_sensors) > 1 and not joined_by_ins:
         how = f"; without ins/imu only exposures within {1e3 * config.joint.simultaneous_s:g} ms are joined"
     ids = (*config.star_sensors, JOINT)
-    return [_status(id_, latest.get(id_), how if id_ == JOINT else "", waiting_ns) for id_ in ids]
+    return [_solution_status(id_, latest.get(id_), how if id_ == JOINT else "", waiting_ns) for id_ in ids]
 
 
 def sky_status(not_measured: Sequence[str], clock_jumps: int) -> DiagnosticStatus:
@@ -293,7 +293,7 @@ def sky_status(not_measured: Sequence[str], clock_jumps: int) -> DiagnosticStatu
     return DiagnosticStatus("sky", Level.OK, text, {"clock jumps back": str(clock_jumps)})
 
 
-def _status(id_: str, last: tuple[Solved, int] | None, how: str, waiting_ns: int) -> DiagnosticStatus:
+def _solution_status(id_: str, last: tuple[AttitudeSolution, int] | None, how: str, waiting_ns: int) -> DiagnosticStatus:
     name = f"solution {id_}"
     if last is None:
         return DiagnosticStatus(name, Level.OK, f"none yet{how}")
@@ -301,7 +301,7 @@ def _status(id_: str, last: tuple[Solved, int] | None, how: str, waiting_ns: int
     if waiting_ns - put_out_ns > SOLUTION_TIMEOUT_NS:
         text = f"none for {(waiting_ns - put_out_ns) * 1e-9:.0f} s, {solved.solution.status.name} before{how}"
         return DiagnosticStatus(name, Level.WARN, text)
-    level, text = _WORDS[solved.solution.status]
+    level, text = _STATUS_TEXTS[solved.solution.status]
     if solved.solution.rejection is not None:
         text += f": {solved.solution.rejection.text}"
     if solved.text:

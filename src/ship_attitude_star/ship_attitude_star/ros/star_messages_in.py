@@ -24,17 +24,17 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import StarPositions, fixed_stars
 from ship_node.edge.messages_in import ReadMessage, check_device_id, exposure_length_s, check_frame, stamp_ns
 
-MOST_STARS = 100
+MAX_STARS = 100
 """Maximum number of stars of an exposure; further stars are ignored, so that no message can block the node."""
 
 _GIVEN_DIRECTION_SIGMA = 0.05 * ARCSEC
 """Standard deviation of a direction given in a message, rad per axis: as for a catalogue star with known motion."""
 
-_LEAST_FORWARD = math.cos(math.radians(60.0))
+_MIN_FORWARD = math.cos(math.radians(60.0))
 """Cosine of the largest angle between a star and the boresight."""
 
-_LARGEST_PIXEL = 1e6
-_LEAST_SIGMA_PX, _LARGEST_SIGMA_PX = 1e-4, 100.0
+_MAX_PIXEL = 1e6
+_MIN_SIGMA_PX, _MAX_SIGMA_PX = 1e-4, 100.0
 _ANGLE_TOLERANCE = 1e-9
 
 
@@ -99,11 +99,11 @@ def star_exposure(
     check_device_id("sensor_id", message.sensor_id, sensor_id)
     check_frame(message.header.frame_id, frame_id)
     exposure_s = exposure_length_s(message.exposure_s, LONGEST_EXPOSURE_S)
-    columns = _star_columns(message.stars[:MOST_STARS], camera_config.centroid_sigma_px)
+    columns = _star_columns(message.stars[:MAX_STARS], camera_config.centroid_sigma_px)
     # Squares of the largest doubles would overflow.
-    directions_s, direction_sigma = camera.sighted(
-        np.where(np.abs(columns.pixels) < _LARGEST_PIXEL, columns.pixels, np.nan),
-        np.where(np.abs(columns.sigma_px) <= _LARGEST_SIGMA_PX, columns.sigma_px, np.nan),
+    directions_s, direction_sigma = camera.measured_directions(
+        np.where(np.abs(columns.pixels) < _MAX_PIXEL, columns.pixels, np.nan),
+        np.where(np.abs(columns.sigma_px) <= _MAX_SIGMA_PX, columns.sigma_px, np.nan),
     )
     entries, given = catalogue.entries(columns.hip, time_ns), fixed_stars(columns.right_ascension, columns.declination)
     rejections = _rejections(columns, directions_s, entries, catalogue)
@@ -115,7 +115,7 @@ def star_exposure(
         hip=columns.hip[kept],
         directions_s=directions_s[kept],
         sigma=direction_sigma[kept],
-        positions=_either(listed, entries.positions, given, kept),
+        positions=_positions(listed, entries.positions, given, kept),
         position_sigma=np.where(listed, entries.sigma, _GIVEN_DIRECTION_SIGMA)[kept],
         magnitude=columns.magnitude[kept],
         length=ExposureLength(exposure_s, camera, camera_config.psf_sigma_px) if exposure_s > 0.0 else None,
@@ -147,7 +147,7 @@ def _rejections(
     star_columns: _StarColumns, directions_s: FloatArray, entries: CatalogueEntries, catalogue: StarCatalogue
 ) -> list[Rejection | None]:
     """Return the rejection of each star, None for a usable one."""
-    seen: dict[Hashable, list[float]] = {}
+    first_pixels: dict[Hashable, list[float]] = {}
     columns = star_columns.pixels, directions_s[:, 0], star_columns.sigma_px, star_columns.hip, entries.rows, star_columns.right_ascension
     stars = zip(*(column.tolist() for column in (*columns, star_columns.declination)), strict=True)
     return [
@@ -155,7 +155,7 @@ def _rejections(
         or _sigma_rejection(sigma_px)
         or _number_rejection(hip, row, catalogue)
         or _direction_rejection(hip, right_ascension, declination)
-        or _repeated(_identity(hip, right_ascension, declination), pixel, seen)
+        or _duplicate_rejection(_identity(hip, right_ascension, declination), pixel, first_pixels)
         for pixel, forward, sigma_px, hip, row, right_ascension, declination in stars
     ]
 
@@ -165,9 +165,9 @@ def _unused_stars(
 ) -> tuple[tuple[str, Rejection], ...]:
     """Return the rejected stars by name. Stars beyond ``MOST_STARS`` are reported once, by the first of them."""
     rows = [(row, refusal) for row, refusal in enumerate(rejections) if refusal is not None]
-    if len(stars) > MOST_STARS:
-        text = f"{len(stars)} stars in one exposure: only the first {MOST_STARS} are used"
-        rows.append((MOST_STARS, Rejection(Reason.OVERFLOW, text)))
+    if len(stars) > MAX_STARS:
+        text = f"{len(stars)} stars in one exposure: only the first {MAX_STARS} are used"
+        rows.append((MAX_STARS, Rejection(Reason.OVERFLOW, text)))
     numbers = {row: stars[row].catalogue_id for row, _ in rows if named_by_number}
     return tuple(
         (f"HIP {numbers[row]}" if numbers.get(row) else f"star {row + 1} of the message", refusal)
@@ -177,7 +177,7 @@ def _unused_stars(
 
 def _pixel_rejection(pixel: list[float], forward: float) -> Rejection | None:
     finite = math.isfinite(pixel[0]) and math.isfinite(pixel[1])
-    if finite and forward > _LEAST_FORWARD:
+    if finite and forward > _MIN_FORWARD:
         return None
     where = f"pixel ({pixel[0]:.6g}, {pixel[1]:.6g})"
     if not finite:
@@ -186,9 +186,9 @@ def _pixel_rejection(pixel: list[float], forward: float) -> Rejection | None:
 
 
 def _sigma_rejection(sigma_px: float) -> Rejection | None:
-    if _LEAST_SIGMA_PX <= sigma_px <= _LARGEST_SIGMA_PX:
+    if _MIN_SIGMA_PX <= sigma_px <= _MAX_SIGMA_PX:
         return None
-    text = f"sigma_px {sigma_px:.3g}: expected {_LEAST_SIGMA_PX:g} to {_LARGEST_SIGMA_PX:g} px"
+    text = f"sigma_px {sigma_px:.3g}: expected {_MIN_SIGMA_PX:g} to {_MAX_SIGMA_PX:g} px"
     return Rejection(Reason.BAD_COVARIANCE, text)
 
 
@@ -217,16 +217,16 @@ def _identity(hip: int, right_ascension: float, declination: float) -> Hashable:
     return None if math.isnan(right_ascension) else (right_ascension, declination)
 
 
-def _repeated(identity: Hashable, pixel: list[float], seen: dict[Hashable, list[float]]) -> Rejection | None:
+def _duplicate_rejection(identity: Hashable, pixel: list[float], first_pixels: dict[Hashable, list[float]]) -> Rejection | None:
     """Return the rejection of a star with the identity of an earlier one of the message, or None."""
-    first = pixel if identity is None else seen.setdefault(identity, pixel)
+    first = pixel if identity is None else first_pixels.setdefault(identity, pixel)
     if first is pixel:
         return None
     text = f"the same star twice in one exposure, first at pixel ({first[0]:.6g}, {first[1]:.6g})"
     return Rejection(Reason.DUPLICATE if first == pixel else Reason.CONFLICT, text)
 
 
-def _either(
+def _positions(
     listed: NDArray[np.bool_], of_catalogue: StarPositions, given: StarPositions, kept: NDArray[np.intp]
 ) -> StarPositions:
     """Return the positions of the usable stars, from the catalogue if listed, else as given in the message."""

@@ -22,8 +22,8 @@ from ship_node.edge.topics import InputTopic
 
 _NO_FIX = -1
 _COVARIANCE_UNKNOWN = 0
-_LARGEST_POSITION_SIGMA_M = 1e5
-_LARGEST_HEIGHT_M = 20_000.0
+_MAX_POSITION_SIGMA_M = 1e5
+_MAX_HEIGHT_M = 20_000.0
 
 
 def position_fix(message: Any, config: SkyConfig, receive_ns: int) -> ReadMessage[SkyInput]:
@@ -41,12 +41,12 @@ def position_fix(message: Any, config: SkyConfig, receive_ns: int) -> ReadMessag
         raise MessageRejected(Reason.UNITS, text)
     # A receiver without height sends NaN; at sea it is near zero, with little effect on stars.
     height_m = 0.0 if np.isnan(message.altitude) else message.altitude
-    if not abs(height_m) < _LARGEST_HEIGHT_M:
+    if not abs(height_m) < _MAX_HEIGHT_M:
         raise MessageRejected(Reason.UNITS, f"altitude {height_m:.6g}: expected metres above the ellipsoid")
     covariance_enu = None
     if message.position_covariance_type != _COVARIANCE_UNKNOWN:
         covariance_enu = covariance_3x3(message.position_covariance, "position_covariance")
-    if covariance_enu is not None and covariance_enu.diagonal().max() > _LARGEST_POSITION_SIGMA_M**2:
+    if covariance_enu is not None and covariance_enu.diagonal().max() > _MAX_POSITION_SIGMA_M**2:
         largest_m = np.sqrt(covariance_enu.diagonal().max())
         raise MessageRejected(Reason.BAD_COVARIANCE, f"position_covariance: sigma {largest_m:.3g} m is too large for a fix")
     if covariance_enu is not None and not covariance_enu.diagonal()[:2].all():
@@ -132,7 +132,7 @@ def surroundings_reader(topic: str, config: SkyConfig) -> Callable[..., ReadMess
 
 
 def surroundings_feeds(
-    config: SkyConfig, take: Callable[[Any, int], Any], place_required: bool = True
+    config: SkyConfig, take: Callable[[Any, int], Any], position_required: bool = True
 ) -> Iterator[Feed]:
     """Yield the rows of an adapter's table for position and air data.
 
@@ -142,10 +142,10 @@ def surroundings_feeds(
         position_required: True if the node needs a position.
     """
     for topic in SURROUNDINGS:
-        yield _surroundings_feed(topic, config, take, place_required)
+        yield _surroundings_feed(topic, config, take, position_required)
 
 
-def place_feed(config: SkyConfig, take: Callable[[Any, int], Any]) -> Feed:
+def position_feed(config: SkyConfig, take: Callable[[Any, int], Any]) -> Feed:
     """Return the row of an adapter's table for the position alone, if no sensor needs air data."""
     return _surroundings_feed("gnss/fix", config, take, required=True)
 

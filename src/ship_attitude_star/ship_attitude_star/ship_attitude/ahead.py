@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_attitude_star.measurements.samples import AttitudeOutcome, AttitudeRun, StampArray
+from ship_attitude_star.measurements.samples import AttitudeOutcome, AttitudeSeries, StampArray
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns, estimates_by
+from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns, corrected_estimates
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.ins_guard import CheckedBlock
 from ship_estimation.outcome import Status
@@ -28,7 +28,7 @@ from ship_geometry.attitude_track import (
 )
 
 
-class _Stretch(NamedTuple):
+class _BatchSegment(NamedTuple):
     """Successive samples with the same filter state.
 
     Attributes:
@@ -63,26 +63,26 @@ class InsBatch:
     block: SampleBlock
     arrivals_ns: StampArray
     checked: CheckedBlock
-    before: RecentRates
-    extra: ExtraNoise | None = None
+    previous_rates: RecentRates
+    extra_noise: ExtraNoise | None = None
     committed_count: int = 0
     pending_outcomes: list[tuple[int, AttitudeOutcome]] = field(default_factory=list)
-    _stretches: list[_Stretch] = field(default_factory=list)
+    _segments: list[_BatchSegment] = field(default_factory=list)
 
     def commit(self, state: FilterState, stop: int, contradiction_texts: list[str] | None) -> None:
         """Commit the samples before index ``stop``; arguments as the attributes of a segment."""
         start, self.committed_count = self.committed_count, stop
-        last = self._stretches[-1] if self._stretches else None
+        last = self._segments[-1] if self._segments else None
         if last is not None and last.state is state and last.contradiction_texts is None and contradiction_texts is None:
-            start = self._stretches.pop().start
-        self._stretches.append(_Stretch(state, start, stop, contradiction_texts))
+            start = self._segments.pop().start
+        self._segments.append(_BatchSegment(state, start, stop, contradiction_texts))
 
     def attitudes(
         self,
         corrected_by: Callable[[FilterState], CorrectedIns],
         propagation_s: Callable[[CorrectedIns], float],
         config: ShipAttitudeConfig,
-    ) -> list[tuple[slice, AttitudeRun | Rejection]]:
+    ) -> list[tuple[slice, AttitudeSeries | Rejection]]:
         """Return the attitudes of all committed samples in order, one series per filter state.
 
         Args:
@@ -93,33 +93,33 @@ class InsBatch:
         Returns:
             Slices of sample indices, with their attitudes or the failure to compute them.
         """
-        corrected = [corrected_by(stretch.state) for stretch in self._stretches]
-        counts = [stretch.stop - stretch.start for stretch in self._stretches]
-        propagated = propagate_block(self.before, self.block, np.repeat([propagation_s(one) for one in corrected], counts))
-        propagated = propagated.with_noise(self.extra)
+        corrected = [corrected_by(segment.state) for segment in self._segments]
+        counts = [stretch.stop - stretch.start for stretch in self._segments]
+        propagated = propagate_block(self.previous_rates, self.block, np.repeat([propagation_s(one) for one in corrected], counts))
+        propagated = propagated.with_noise(self.extra_noise)
         try:
-            found: list[AttitudeRun | Rejection] = [*estimates_by(corrected, counts, self._times_ns, propagated, config)]
+            found: list[AttitudeSeries | Rejection] = [*corrected_estimates(corrected, counts, self._times_ns, propagated, config)]
         except Exception:
             # Compute one by one to find the one that fails.
-            pairs = zip(corrected, self._stretches, strict=True)
+            pairs = zip(corrected, self._segments, strict=True)
             found = [self._attitudes_of(one, stretch, propagated, config) for one, stretch in pairs]
-        for stretch, run in zip(self._stretches, found, strict=True):
+        for stretch, run in zip(self._segments, found, strict=True):
             for number, text in enumerate(stretch.contradiction_texts or ()):
-                if text and isinstance(run, AttitudeRun):
+                if text and isinstance(run, AttitudeSeries):
                     run.status[number], run.text[number] = max(run.status[number], Status.DEGRADED), text
-        return [(slice(stretch.start, stretch.stop), run) for stretch, run in zip(self._stretches, found, strict=True)]
+        return [(slice(stretch.start, stretch.stop), run) for stretch, run in zip(self._segments, found, strict=True)]
 
     @property
     def _times_ns(self) -> StampArray:
         return self.block.times_ns[: self.committed_count]
 
     def _attitudes_of(
-        self, corrected: CorrectedIns, stretch: _Stretch, propagated: PropagatedBlock, config: ShipAttitudeConfig
-    ) -> AttitudeRun | Rejection:
+        self, corrected: CorrectedIns, segment: _BatchSegment, propagated: PropagatedBlock, config: ShipAttitudeConfig
+    ) -> AttitudeSeries | Rejection:
         """Return the attitudes of one segment, or the failure to compute them."""
-        some, count = slice(stretch.start, stretch.stop), stretch.stop - stretch.start
+        some, count = slice(segment.start, segment.stop), segment.stop - segment.start
         try:
-            (run,) = estimates_by([corrected], [count], self._times_ns[some], propagated.some(some), config)
+            (run,) = corrected_estimates([corrected], [count], self._times_ns[some], propagated.some(some), config)
         except Exception as error:
             return failure(error)
         return run

@@ -59,15 +59,15 @@ class AlignmentPrior:
 
     def sigmas(self) -> dict[str, FloatArray]:
         """Return standard deviations by name, with the serial number of a star sensor: rad or s, shape (3,) or (1,)."""
-        known, first = {}, 0
+        sigmas, first = {}, 0
         for name in self.names:
             serial = next((s for id_, s in self.serials.items() if name == f"star.{id_}.installation" and s), "")
             part = slice(first, first := first + _width(name))
-            known[name + (f" of serial {serial}" if serial else "")] = np.sqrt(np.diagonal(self.covariance)[part])
-        return known
+            sigmas[name + (f" of serial {serial}" if serial else "")] = np.sqrt(np.diagonal(self.covariance)[part])
+        return sigmas
 
 
-def alignment_of(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState) -> Alignment:
+def current_alignment(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState) -> Alignment:
     """Return the alignment of a state."""
     model = filter_.model
     names: list[str] = []
@@ -117,7 +117,7 @@ def alignment_of(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterS
     return Alignment(tuple(names), np.array(values), covariance, tuple(units))
 
 
-def prior_of(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState) -> AlignmentPrior:
+def prior_from_state(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState) -> AlignmentPrior:
     """Return the alignment to save from a state after measurements."""
     assert state.time_ns is not None
     model = filter_.model
@@ -127,7 +127,7 @@ def prior_of(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState
     rotations = {}
     for device in filter_.devices.values():
         block = model.slices[f"{device.name}.installation"]
-        rotations[device.name] = installed(filter_, state, device.name)
+        rotations[device.name] = installation_rotation(filter_, state, device.name)
         to_saved[block, block] = left_jacobian(state.mean[block]).T
     covariance = (to_saved @ state.covariance @ to_saved.T)[np.ix_(rows, rows)]
     offsets = {
@@ -182,10 +182,10 @@ def state_from_prior(
         covariance_by_source[:, rows, :] = 0.0
         covariance_by_source[:, :, rows] = 0.0
     covariance_by_source[model.sources.index(SOURCE_SAVED_ALIGNMENT)] += saved
-    return filter_.fault_detector.start(mean, covariance_by_source), messages
+    return filter_.fault_detector.initial_state(mean, covariance_by_source), messages
 
 
-def installed(filter_: ShipFilter, state: FilterState, name: str) -> FloatArray:
+def installation_rotation(filter_: ShipFilter, state: FilterState, name: str) -> FloatArray:
     """Return the estimated rotation deck from device, shape (3, 3)."""
     vector = state.mean[filter_.model.slices[f"{name}.installation"]]
     rotation_dv: FloatArray = filter_.devices[name].rotation_dv0 @ exp_rotation(vector)
@@ -196,7 +196,7 @@ def _installation(filter_: ShipFilter, state: FilterState, name: str) -> tuple[F
     """Return the installation angles (azimuth, elevation, roll) of a device, rad, and their Jacobian, shape (3, n)."""
     block = filter_.model.slices[f"{name}.installation"]
     vector = state.mean[block]
-    rotation_dv = installed(filter_, state, name)
+    rotation_dv = installation_rotation(filter_, state, name)
     angles = angles_from_rotation(rotation_dv)
     jacobian = np.zeros((3, filter_.model.size))
     to_angles = angle_errors_from_rotation_vector(angles[0], angles[1])

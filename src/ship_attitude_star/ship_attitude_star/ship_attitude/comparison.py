@@ -23,20 +23,20 @@ from ship_geometry import compiled_rotations
 from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian
 
-_ACROSS = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+_UP_RIGHT_BY_ROTATION = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """Derivative of the direction (up, right) of a point ahead by a rotation of the device (forward, up, right)."""
-_ACROSS.flags.writeable = False
+_UP_RIGHT_BY_ROTATION.flags.writeable = False
 
 _LENGTH_SIGMAS = 5.0
 """Maximum error of a baseline length, in standard deviations."""
 
 _HALF_TURN_RAD = math.radians(177.0)
 """Rotation angle above which noise of up to 1° per attitude may decide the sense of the rotation vector, rad."""
-_TIE_RAD = 0.01
+_TIE_BREAK_RAD = 0.01
 """Value added to each component of an error, rad, so that of two equal angles the negative one is chosen."""
 
-_TURNED_AS_DEVICE = np.eye(3)
-_TURNED_AS_DEVICE.flags.writeable = False
+_IDENTITY = np.eye(3)
+_IDENTITY.flags.writeable = False
 
 
 class PredictedAttitude(NamedTuple):
@@ -59,7 +59,7 @@ class PredictedAttitude(NamedTuple):
         return StarPrior(self.rotation_nv, self.rotation_nv @ prior_v @ self.rotation_nv.T)
 
 
-class Compared(NamedTuple):
+class ComparedMeasurement(NamedTuple):
     """A measurement compared with its prediction.
 
     Attributes:
@@ -97,21 +97,21 @@ def predict_attitude(
     The rotations are multiplied from the device outwards. An error dv of a factor exp(v) is a small rotation
     J_left(v) dv in the frame to its left, which the product so far rotates into the device frame.
     """
-    chain = model.chains[device.name]
-    found = compiled_rotations.hung(
+    chain = model.rotation_chains[device.name]
+    result = compiled_rotations.hung(
         mean,
         chain.links,
         chain.fixed,
-        chain.hull,
-        chain.white,
+        chain.hull_link,
+        chain.noise_link,
         math.sqrt(ins.noise_gain),
-        chain.clocks,
-        chain.signs,
+        chain.clock_states,
+        chain.clock_signs,
         ins.rotation_nd,
         ins.rate_d,
         ins.error_covariance_d,
     )
-    return PredictedAttitude(*found)
+    return PredictedAttitude(*result)
 
 
 def compare(
@@ -123,7 +123,7 @@ def compare(
     covariance: FloatArray,
     sky_model: SkyModel | None,
     expected: PredictedAttitude | None = None,
-) -> Compared | Rejection:
+) -> ComparedMeasurement | Rejection:
     """Compare a measurement with the attitude predicted for its device.
 
     Args:
@@ -144,16 +144,16 @@ def compare(
     if isinstance(measurement, AttitudeMeasurement):
         residual, jacobian = _attitude_residual(measurement, predicted, model, mean)
         noise, interpolation = measurement.noise_v, predicted.interpolation_v
-        return Compared(
+        return ComparedMeasurement(
             linear=LinearMeasurement(residual, jacobian, {index[device.noise_source]: noise, between: interpolation}),
-            rotation_jacobian=_TURNED_AS_DEVICE,
+            rotation_jacobian=_IDENTITY,
             components=ATTITUDE_COMPONENTS,
             rotation_nv=measurement.rotation_nv,
             predicted_nv=predicted.rotation_nv,
             attitude_noise_v=noise,
         )
     if isinstance(measurement, BaselineMeasurement):
-        return _baseline_compared(measurement, device, predicted, model)
+        return _compare_baseline(measurement, device, predicted, model)
     assert sky_model is not None
     assert isinstance(measurement, StarExposure)
     stars = star_residuals(
@@ -169,12 +169,12 @@ def compare(
     )
     if isinstance(stars, Rejection):
         return stars
-    interpolation = stars.by_turn @ predicted.interpolation_v @ stars.by_turn.T
+    interpolation = stars.rotation_jacobian @ predicted.interpolation_v @ stars.rotation_jacobian.T
     noise_by_source = {index[source]: part for source, part in stars.noise.items()}
     noise_by_source[between] = interpolation
-    return Compared(
+    return ComparedMeasurement(
         linear=LinearMeasurement(stars.residual, stars.jacobian, noise_by_source),
-        rotation_jacobian=stars.by_turn,
+        rotation_jacobian=stars.rotation_jacobian,
         components=stars.components,
         rotation_nv=predicted.rotation_nv if stars.rotation_ns is None else stars.rotation_ns,
         predicted_nv=predicted.rotation_nv,
@@ -183,36 +183,36 @@ def compare(
     )
 
 
-def _baseline_compared(
+def _compare_baseline(
     measurement: BaselineMeasurement, device: Device, predicted: PredictedAttitude, model: ShipStateModel
-) -> Compared | Rejection:
+) -> ComparedMeasurement | Rejection:
     """Compare a baseline with its predicted direction and its length aboard.
 
     The residual is the direction of its end, up and right in its own frame, rad: two components, as for a single star.
     """
     length_m, measured_m, noise_n = device.length_m, measurement.length_m, measurement.noise_n
-    along = measurement.direction_n
-    sigma_m = math.sqrt(float(along @ noise_n @ along) + device.length_sigma_m**2)
+    direction_n = measurement.direction_n
+    sigma_m = math.sqrt(float(direction_n @ noise_n @ direction_n) + device.length_sigma_m**2)
     # Written so that NaN is rejected.
     if not abs(measured_m - length_m) <= _LENGTH_SIGMAS * sigma_m:
         text = f"baseline length {measured_m:.3f} m, expected {length_m:.3f} m (sigma {sigma_m:.3f} m)"
         return Rejection(Reason.GATE, f"{text}: wrong RTK solution, or wrong parameters of ship_baseline")
     to_device = predicted.rotation_nv.T
-    seen_v = to_device @ along
-    if not seen_v[0] > 0.0:
+    direction_v = to_device @ direction_n
+    if not direction_v[0] > 0.0:
         return Rejection(Reason.GATE, "the baseline points in the opposite direction: are base and rover exchanged?")
     noise_v = to_device @ noise_n @ to_device.T / length_m**2
-    rotation_v = np.array([0.0, -seen_v[2], seen_v[1]]) / seen_v[0]
-    return Compared(
+    rotation_v = np.array([0.0, -direction_v[2], direction_v[1]]) / direction_v[0]
+    return ComparedMeasurement(
         linear=LinearMeasurement(
-            _ACROSS @ rotation_v,
-            _ACROSS @ predicted.jacobian_v,
+            _UP_RIGHT_BY_ROTATION @ rotation_v,
+            _UP_RIGHT_BY_ROTATION @ predicted.jacobian_v,
             {
                 model.source_indices[device.noise_source]: noise_v[1:, 1:],
-                model.source_indices[SOURCE_INTERPOLATION]: _ACROSS @ predicted.interpolation_v @ _ACROSS.T,
+                model.source_indices[SOURCE_INTERPOLATION]: _UP_RIGHT_BY_ROTATION @ predicted.interpolation_v @ _UP_RIGHT_BY_ROTATION.T,
             },
         ),
-        rotation_jacobian=_ACROSS,
+        rotation_jacobian=_UP_RIGHT_BY_ROTATION,
         components=BASELINE_COMPONENTS,
         rotation_nv=predicted.rotation_nv @ exp_rotation(rotation_v),
         predicted_nv=predicted.rotation_nv,
@@ -257,5 +257,5 @@ def _smaller_ins_error_residual(residual: FloatArray, error_n: FloatArray, by_er
     """
     size = math.hypot(*residual.tolist())
     other = (1.0 - 2.0 * math.pi / size) * residual
-    leads_to = [error_n + np.linalg.solve(by_error_v, one) + _TIE_RAD for one in (residual, other)]
+    leads_to = [error_n + np.linalg.solve(by_error_v, one) + _TIE_BREAK_RAD for one in (residual, other)]
     return residual if leads_to[0] @ leads_to[0] <= leads_to[1] @ leads_to[1] else other

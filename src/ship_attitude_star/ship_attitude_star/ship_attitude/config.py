@@ -33,16 +33,16 @@ from ship_geometry.rotations import FloatArray
 
 GEODETIC, GRAVITY = "geodetic", "gravity"
 
-FIXES = ("float", "fixed")
+FIX_TYPES = ("float", "fixed")
 """RTK solution types from which a direction is computed."""
 
 BY_INPUT = "by_input"
 """Shared error of a star sensor by its message type."""
 
-_SHORTEST_BASELINE_M = 0.3
+_MIN_BASELINE_M = 0.3
 """Minimum baseline length, m; at this length an error of 1 cm is 2°."""
 
-_SOLVED_BEFORE = ("solution", "horizon_attitude")
+_SOLVED_INPUTS = ("solution", "horizon_attitude")
 """Inputs that are attitudes relative to the horizon."""
 
 
@@ -123,16 +123,16 @@ class StarSensorConfig(MountingConfig):
     )
 
     @cached_property
-    def sharing(self) -> str:
+    def shared_error(self) -> str:
         """Error shared with other sensors: SHARED_BY_SKY, SHARED_BY_MESSAGES or "none"."""
         if self.shared != BY_INPUT:
             return self.shared
         return "none" if self.input == "horizon_attitude" else SHARED_BY_SKY
 
     @property
-    def looks_at_sky(self) -> bool:
+    def needs_sky(self) -> bool:
         """True if its messages are used with the sky model."""
-        return self.sharing == SHARED_BY_SKY
+        return self.shared_error == SHARED_BY_SKY
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,7 +197,7 @@ class ShipBaselineConfig:
     base_id: str = parameter("", doc="base_id that it must carry; empty accepts any")
     rover_id: str = parameter("", doc="rover_id that it must carry; empty accepts any")
     least_fix: str = parameter(
-        "fixed", doc="lowest fix type that is used; with float the messages must contain sigmas", choices=FIXES
+        "fixed", doc="lowest fix type that is used; with float the messages must contain sigmas", choices=FIX_TYPES
     )
     noise_sigma_m: float = parameter(
         0.01, doc="noise of each solution, each axis, if the message contains none", unit="m",
@@ -234,9 +234,9 @@ class ShipBaselineConfig:
         Raises:
             ParameterError: two parameters contradict each other.
         """
-        if self.is_aboard and not self.length_m >= _SHORTEST_BASELINE_M:
+        if self.is_aboard and not self.length_m >= _MIN_BASELINE_M:
             name = "ship_baseline.forward_m"
-            text = f"the baseline is {self.length_m:.3g} m long: expected at least {_SHORTEST_BASELINE_M:g} m"
+            text = f"the baseline is {self.length_m:.3g} m long: expected at least {_MIN_BASELINE_M:g} m"
             raise ParameterError(f"parameter '{name}': {text}", name, value=self.forward_m)
 
 
@@ -303,7 +303,7 @@ class ShipAttitudeConfig(StarSensorsById):
         return self.gravity.is_modelled or drives_ins
 
     @property
-    def follows_vertical(self) -> bool:
+    def needs_vertical(self) -> bool:
         """True if the INS error model depends on the ship's position."""
         return self.models_deflection or self.ins.model == SCHULER
 
@@ -318,7 +318,7 @@ class ShipAttitudeConfig(StarSensorsById):
             text = "parameter 'horizon' is gravity: set gravity.deflection too, without it the horizons are the same"
             raise ParameterError(text, "horizon")
         for id_, star in self.star_sensors.items():
-            if star.shared != BY_INPUT and star.input not in _SOLVED_BEFORE:
+            if star.shared != BY_INPUT and star.input not in _SOLVED_INPUTS:
                 name = f"star_sensors.{id_}.shared"
                 text = f"'{star.shared}' needs input: solution or horizon_attitude; '{star.input}' shares the sky"
                 raise ParameterError(f"parameter '{name}': {text}", name)

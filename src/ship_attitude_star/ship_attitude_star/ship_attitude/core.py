@@ -20,35 +20,35 @@ from ship_attitude_star.measurements.samples import (
     AttitudeEstimate,
     AttitudeMeasurement,
     AttitudeOutcome,
-    AttitudeRun,
+    AttitudeSeries,
     StampArray,
 )
 from ship_attitude_star.ship_attitude.ahead import InsBatch
 from ship_attitude_star.ship_attitude.alignment import (
     Alignment,
     AlignmentPrior,
-    alignment_of,
-    installed,
-    prior_of,
+    current_alignment,
+    installation_rotation,
+    prior_from_state,
     state_from_prior,
 )
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.integrity import integrity_of
-from ship_attitude_star.ship_attitude.linearised import Linearised
-from ship_attitude_star.ship_attitude.manoeuvre import RecentSource, RecommendedTurn, worthwhile_turn
+from ship_attitude_star.ship_attitude.linearised import LinearisedMeasurement
+from ship_attitude_star.ship_attitude.manoeuvre import RecentSource, RecommendedTurn, recommended_manoeuvre
 from ship_attitude_star.ship_attitude.memory import (
     departure_sigmas,
-    is_undisputed,
+    is_consistent,
     memory_residual,
     propagate_memory,
     start_from_memory,
 )
-from ship_attitude_star.ship_attitude.observability import Observability, learnt
-from ship_attitude_star.ship_attitude.output import attitude_alone, estimate_from_star, no_estimate
+from ship_attitude_star.ship_attitude.observability import Observability, observability_of
+from ship_attitude_star.ship_attitude.output import attitude_from_star, estimate_from_star, invalid_estimate
 from ship_attitude_star.ship_attitude.state import FilterState
-from ship_attitude_star.ship_attitude.utc_steps import with_utc_compared, with_utc_step
+from ship_attitude_star.ship_attitude.utc_steps import with_utc_evaluated, with_utc_step
 from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.estimator_shell import EstimatorShell, Model, surely_in_time
@@ -68,7 +68,7 @@ from ship_geometry.time_scales import SECOND_NS
 
 INS = "ins"
 
-_MOST_JUMPS = 100
+_MAX_JUMPS = 100
 """Maximum number of INS jumps stored until :meth:`ShipAttitudeCore.take_jumps`, which is called once a second."""
 
 
@@ -87,12 +87,12 @@ class ShipAttitudeCore:
         self,
         config: ShipAttitudeConfig,
         sky_model: SkyModel | None = None,
-        closed: Callable[[Sequence[FilterState]], None] | None = None,
+        on_commit: Callable[[Sequence[FilterState]], None] | None = None,
     ) -> None:
         self.config = config
         self._sky_model = sky_model
         self.vertical: VerticalTrack | None = None
-        if config.follows_vertical:
+        if config.needs_vertical:
             self.vertical = VerticalTrack(config.gravity, config.sky)
         self.filter = self.filter_class(config, self.vertical)
         self._start: tuple[AlignmentPrior, int] | None = None
@@ -105,11 +105,11 @@ class ShipAttitudeCore:
         model: Model[FilterState, Measurement, AttitudeDecision, InsChange] = Model(
             step=self._step,
             inflate=self._apply_ins_change,
-            failed=_failed,
+            failed=_failure_decision,
             until_ns=lambda decision: decision.ins_time_ns + decision.measurement.reach_ns,
-            forget_before=self._forget_before,
-            decided=self._note_used,
-            on_commit=closed,
+            forget_before=self._drop_before,
+            decided=self._record_decision,
+            on_commit=on_commit,
         )
         self._estimator: EstimatorShell[FilterState, Measurement, AttitudeDecision, InsChange, AttitudeEstimate]
         self._estimator = EstimatorShell(
@@ -137,7 +137,7 @@ class ShipAttitudeCore:
             self._sky_model.reset()
         if self.vertical is not None:
             self.vertical.reset()
-        self._begin(initial)
+        self._start_without_samples(initial)
 
     def step_time_base(self, step_ns: int, state: FilterState) -> None:
         """Continue after a step of the time base; INS error, mountings and ship position stay as they are.
@@ -156,17 +156,17 @@ class ShipAttitudeCore:
             self._sky_model.step_time_base(step_ns)
         if self.vertical is not None:
             self.vertical.step_time_base(step_ns)
-        self._begin(state)
+        self._start_without_samples(state)
 
-    def _begin(self, state: FilterState) -> None:
+    def _start_without_samples(self, state: FilterState) -> None:
         """Start from a state, without INS samples."""
         self._corrected = CorrectedIns(self.filter, state, self.config.horizon)
         self._track = AttitudeTrack(self._max_gap_ns)
         self._plausibility = PlausibilityChecks(self.config.ins)
         self._ins_arrival_ns: int | None = None
         self._newest_star: tuple[Measurement, int] | None = None
-        self._lately: dict[str, RecentSource] = {}
-        self._ins_jumps: deque[InsJump] = deque(maxlen=_MOST_JUMPS)
+        self._recent_sources: dict[str, RecentSource] = {}
+        self._ins_jumps: deque[InsJump] = deque(maxlen=_MAX_JUMPS)
 
     def reconfigure(self, config: ShipAttitudeConfig) -> None:
         """Continue with changed noise and gate parameters; geometry and the set of devices stay."""
@@ -219,11 +219,11 @@ class ShipAttitudeCore:
         if not len(block.times_ns):
             return None
         samples = block.samples()
-        followed = self._plausibility.ins.check_block(samples, block)
-        if not followed.count:
+        checked = self._plausibility.ins.check_block(samples, block)
+        if not checked.count:
             return None
         extra = self._track.extra_noise(first_ns)
-        return InsBatch(samples[: followed.usual], block, arrivals_ns, followed, before, extra)
+        return InsBatch(samples[: checked.usual], block, arrivals_ns, checked, before, extra)
 
     def commit_batch(self, batch: InsBatch, stop: int) -> None:
         """Commit the samples of a batch before index ``stop``."""
@@ -254,7 +254,7 @@ class ShipAttitudeCore:
             return None
         return self._use_ins(last, int(batch.arrivals_ns[len(batch.samples)]), AttitudeOutcome(), True)
 
-    def batch_estimates(self, batch: InsBatch) -> list[tuple[slice, AttitudeRun | Rejection]]:
+    def batch_estimates(self, batch: InsBatch) -> list[tuple[slice, AttitudeSeries | Rejection]]:
         """Return the attitudes at the stamps of a batch; see :meth:`InsBatch.attitudes`."""
         return batch.attitudes(self._corrected_by, self._ins_propagation_s, self.config)
 
@@ -337,9 +337,9 @@ class ShipAttitudeCore:
         outcome = AttitudeOutcome(self._plausibility.check(measurement, self._track))
         if outcome.rejection is not None or not self._estimator.add(measurement, outcome):
             return outcome
-        if self._estimator.follows(measurement.time_ns) and self._may_carry(measurement.source):
+        if self._estimator.follows(measurement.time_ns) and self._can_publish_from_stars(measurement.source):
             self._newest_star = measurement, arrival_ns
-        self._carry(outcome, arrival_ns)
+        self._publish_from_star(outcome, arrival_ns)
         return outcome
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> AttitudeOutcome:
@@ -352,31 +352,31 @@ class ShipAttitudeCore:
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         outcome = AttitudeOutcome()
         self._estimator.tick(now_ns, outcome)
-        self._carry(outcome, waiting_ns)
-        self._estimator.report_invalid(outcome, waiting_ns, lambda: no_estimate(self.filter, self.state, now_ns))
+        self._publish_from_star(outcome, waiting_ns)
+        self._estimator.report_invalid(outcome, waiting_ns, lambda: invalid_estimate(self.filter, self.state, now_ns))
         return outcome
 
     def no_output(self, now_ns: int, text: str) -> AttitudeEstimate:
         """Return an INVALID estimate with a reason."""
-        return no_estimate(self.filter, self.state, now_ns, text)
+        return invalid_estimate(self.filter, self.state, now_ns, text)
 
-    def linearised(self, measurement: Measurement) -> Linearised | None:
+    def linearise(self, measurement: Measurement) -> LinearisedMeasurement | None:
         """Linearise a measurement at the current estimate; return None if it cannot be evaluated.
 
         The INS samples around its stamp must still be stored, so call this directly after the measurement decision.
         """
         state = self.state
         # The state contains the measurement already, so no correlation with other measurements is considered.
-        found = self.filter.linearisation.of(measurement, state.mean, state.covariance, {}, self._track, self._sky_model)
-        return found if isinstance(found, Linearised) else None
+        result = self.filter.linearisation.linearise(measurement, state.mean, state.covariance, {}, self._track, self._sky_model)
+        return result if isinstance(result, LinearisedMeasurement) else None
 
     def alignment(self) -> Alignment:
         """Return the current estimates of INS errors, installation angles and clock offsets."""
-        return alignment_of(self.filter, self.config, self.state)
+        return current_alignment(self.filter, self.config, self.state)
 
     def star_installation(self, id_: str) -> FloatArray:
         """Return the estimated rotation deck from star sensor, shape (3, 3)."""
-        return installed(self.filter, self.state, f"star.{id_}")
+        return installation_rotation(self.filter, self.state, f"star.{id_}")
 
     def deflection(self, time_ns: int) -> DeflectionReading | None:
         """Return the estimated deflection of the vertical at a time; None if it is not a state."""
@@ -385,13 +385,13 @@ class ShipAttitudeCore:
         errors = self._corrected_by(self.state).errors([time_ns])
         return DeflectionReading(time_ns, errors.deflection[0], errors.deflection_covariance[0])
 
-    def learnt(self) -> Observability:
+    def observability(self) -> Observability:
         """Return which states and combinations of states the data have determined."""
-        return learnt(self.filter, self.config, self.state)
+        return observability_of(self.filter, self.config, self.state)
 
-    def worthwhile_turn(self, rotation_nd: FloatArray) -> RecommendedTurn | None:
+    def recommended_manoeuvre(self, rotation_nd: FloatArray) -> RecommendedTurn | None:
         """Return the turn of the ship that would improve the attitude most; None if none is worthwhile."""
-        return worthwhile_turn(self.filter, self.state, rotation_nd, self._lately)
+        return recommended_manoeuvre(self.filter, self.state, rotation_nd, self._recent_sources)
 
     def integrity(self, estimate: AttitudeEstimate) -> IntegrityReport:
         """Return the protection levels of an attitude and the excluded sources."""
@@ -401,7 +401,7 @@ class ShipAttitudeCore:
         """Return the alignment to save for the next voyage; None if there is no measurement and no saved alignment."""
         if self.state.time_ns is None:
             return self._start[0] if self._start is not None else None
-        return prior_of(self.filter, self.config, self.state)
+        return prior_from_state(self.filter, self.config, self.state)
 
     @property
     def state(self) -> FilterState:
@@ -416,21 +416,21 @@ class ShipAttitudeCore:
         return self.state.excluded.keys()
 
     @property
-    def is_undisputed(self) -> bool:
+    def is_consistent(self) -> bool:
         """True if the state is based on stars, no source is excluded and all are consistent."""
-        return is_undisputed(self.filter, self.state, self.config.gate.degraded_after)
+        return is_consistent(self.filter, self.state, self.config.gate.degraded_after)
 
     @property
-    def is_contradicted(self) -> bool:
+    def has_unresolved_fault(self) -> bool:
         """True if a fault is detected and not isolated, or UTC is not verified."""
-        return self.state.unresolved_fault is not None or self.state.utc is not None
+        return self.state.unresolved_fault is not None or self.state.utc_step is not None
 
     def make_second(self, memory: FilterState | None) -> "ShipAttitudeCore":
         """Return another estimator that starts from a stored state, else from the saved alignment or the prior.
 
         With a stored state it also starts with the current position and air data.
         """
-        second = self._another(None if self._sky_model is None else self._sky_model.twin(memory is not None))
+        second = self._new_estimator(None if self._sky_model is None else self._sky_model.clone(memory is not None))
         second._start = self._start
         if memory is None:
             second.reset()
@@ -440,10 +440,10 @@ class ShipAttitudeCore:
             second.filter = second.filter_class(second.config, second.vertical)
         state = start_from_memory(second.filter, memory, self.state)
         second._estimator.reset(state)
-        second._begin(state)
+        second._start_without_samples(state)
         return second
 
-    def _another(self, sky_model: SkyModel | None) -> "ShipAttitudeCore":
+    def _new_estimator(self, sky_model: SkyModel | None) -> "ShipAttitudeCore":
         """Return an estimator of the same class and configuration."""
         return type(self)(self.config, sky_model)
 
@@ -471,7 +471,7 @@ class ShipAttitudeCore:
 
     def unused_sources(self, sources: Set[str]) -> set[str]:
         """Return the sources of which no measurement was accepted recently."""
-        since_ns, used_ns = self._estimator.window.newest_ns - MAX_MEASUREMENT_AGE_NS, self.state.used_ns
+        since_ns, used_ns = self._estimator.window.newest_ns - MAX_MEASUREMENT_AGE_NS, self.state.last_used_ns
         return {name for name in sources if name in self.filter.devices and used_ns.get(name, since_ns - 1) < since_ns}
 
     def take_over_outputs(self, live: "ShipAttitudeCore") -> None:
@@ -479,7 +479,7 @@ class ShipAttitudeCore:
         self._estimator.continue_outputs(live._estimator)
 
     @property
-    def rates(self) -> RateStatus:
+    def rate_status(self) -> RateStatus:
         """Result of the rate check of the INS: faulty rates are not used."""
         return self._plausibility.ins.rates
 
@@ -494,11 +494,11 @@ class ShipAttitudeCore:
         self, state: FilterState, measurement: Measurement, may_wait: bool
     ) -> tuple[FilterState, AttitudeDecision] | None:
         found = self.filter.step(state, measurement, self._track, self._sky_model, may_wait)
-        if state.utc is None or found is None or not self.filter.devices[measurement.source].is_star:
+        if state.utc_step is None or found is None or not self.filter.devices[measurement.source].is_star:
             return found
         predicted = self.filter.propagate(state, measurement.time_ns)
-        compared = with_utc_compared(state, predicted, self.filter.model, *found)
-        if compared[0].utc is None:
+        compared = with_utc_evaluated(state, predicted, self.filter.model, *found)
+        if compared[0].utc_step is None:
             # UTC is verified, or cannot be verified any more: the measurement is used.
             return self.filter.step(compared[0], measurement, self._track, self._sky_model, may_wait)
         return compared
@@ -506,16 +506,16 @@ class ShipAttitudeCore:
     def _apply_ins_change(self, state: FilterState, change: InsChange) -> FilterState:
         return self.filter.apply_ins_change(state, change)
 
-    def _note_used(self, decision: AttitudeDecision) -> None:
+    def _record_decision(self, decision: AttitudeDecision) -> None:
         """Store the last accepted measurement of each source and its period."""
         measurement = decision.measurement
         if decision.accepted:
-            before = self._lately.get(measurement.source)
+            before = self._recent_sources.get(measurement.source)
             since_s = np.inf if before is None else (measurement.time_ns - before.measurement.time_ns) / SECOND_NS
             if since_s > 0.0:
-                self._lately[measurement.source] = RecentSource(measurement, since_s)
+                self._recent_sources[measurement.source] = RecentSource(measurement, since_s)
 
-    def _forget_before(self, time_ns: int) -> None:
+    def _drop_before(self, time_ns: int) -> None:
         """Discard data that no measurement at or after a stamp needs."""
         needed_since_ns = self._needed_since_ns(time_ns)
         self._track.drop_before(needed_since_ns - self._stamp_reach_ns)
@@ -547,7 +547,7 @@ class ShipAttitudeCore:
     def _corrected_by(self, state: FilterState) -> CorrectedIns:
         """Return the corrections by a filter state, cached per state."""
         if state is not self._corrected.state:
-            self._corrected = self._corrected.by(state)
+            self._corrected = self._corrected.with_state(state)
         return self._corrected
 
     def _ins_propagation_s(self, corrected: CorrectedIns) -> float:
@@ -565,7 +565,7 @@ class ShipAttitudeCore:
         """Return a text about the sources in use that recently contradicted themselves; empty for none."""
         if not self._estimator.contradictions:
             return ""
-        used_ns, devices = self.state.used_ns, self.filter.devices
+        used_ns, devices = self.state.last_used_ns, self.filter.devices
         contradictory = [
             source
             for source, since_ns in self._estimator.contradictions.at(time_ns).items()
@@ -573,7 +573,7 @@ class ShipAttitudeCore:
         ]
         return self._estimator.contradictions.text(contradictory)
 
-    def _carry(self, outcome: AttitudeOutcome, waiting_ns: int) -> None:
+    def _publish_from_star(self, outcome: AttitudeOutcome, waiting_ns: int) -> None:
         """Without INS samples, publish the attitude by the newest star measurement once, within 1 s of its arrival."""
         if self._newest_star is None or not self._is_ins_timed_out(waiting_ns):
             return
@@ -583,7 +583,7 @@ class ShipAttitudeCore:
 
         def by_star(_state: FilterState) -> AttitudeEstimate | None:
             unmeasured_acceleration = np.deg2rad(self.config.ins.untold_acceleration_deg_per_s2)
-            attitude = attitude_alone(measurement, self._sky_model, float(unmeasured_acceleration))
+            attitude = attitude_from_star(measurement, self._sky_model, float(unmeasured_acceleration))
             return None if attitude is None else estimate_from_star(
                 self.filter, self.state, attitude, self.config.horizon
             )
@@ -594,11 +594,11 @@ class ShipAttitudeCore:
         """True if the last accepted INS sample is older than ``ins.silence_s``."""
         return self._ins_arrival_ns is None or waiting_ns - self._ins_arrival_ns > self._ins_timeout_ns
 
-    def _may_carry(self, source: str) -> bool:
+    def _can_publish_from_stars(self, source: str) -> bool:
         """True for a star sensor that was not in conflict with the INS."""
         in_conflict = self.state.consecutive_rejections.get(source, 0) >= self.config.gate.conflict_after
         return self.filter.devices[source].is_star and not in_conflict
 
 
-def _failed(measurement: Measurement, refusal: Rejection) -> AttitudeDecision:
+def _failure_decision(measurement: Measurement, refusal: Rejection) -> AttitudeDecision:
     return AttitudeDecision(measurement, refusal.reason, text=refusal.text, ins_time_ns=measurement.time_ns)

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.ins_errors.on_gravity import InsErrors, OnGravity
-from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeRun, Horizon, StampArray
+from ship_attitude_star.ins_errors.on_gravity import InsErrors, InsErrorPropagation
+from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeSeries, Horizon, StampArray
 from ship_attitude_star.ship_attitude.config import GEODETIC, GRAVITY, ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.ins_at_fault import UNKNOWN_INS_RAD_PER_SQRT_S
@@ -27,7 +27,7 @@ from ship_geometry.time_scales import SECOND_NS
 _ATTITUDE, _TIME_OFFSET = slice(0, 3), 3
 """Indices of the states that correct an INS attitude: its correlated error (north, up, east) and its time offset."""
 
-_NEVER_NS = np.iinfo(np.int64).max
+_AFTER_ALL_SAMPLES_NS = np.iinfo(np.int64).max
 """Stamp later than every sample."""
 
 
@@ -61,7 +61,7 @@ class CorrectedIns:
     def __init__(self, filter_: ShipFilter, state: FilterState, horizon: str = GEODETIC) -> None:
         model, ins_attitude = filter_.model, filter_.model.ins_attitude_block
         self.drift_index = model.sources.index(ins_attitude.source)
-        self.of_filter = (
+        self.model_constants = (
             ins_attitude.time_s,
             ins_attitude.sigma**2,
             model.blocks["ins.noise"].sigma ** 2,
@@ -70,46 +70,46 @@ class CorrectedIns:
             model.sources.index(SOURCE_INTERPOLATION),
         )
         self._filter, self._slow_sigma = filter_, ins_attitude.sigma
-        self.on_gravity: OnGravity | None = None
+        self.error_propagation: InsErrorPropagation | None = None
         if filter_.vertical is not None:
             assert model.ins_process is not None
             sources = self.drift_index, model.source_indices.get(SOURCE_DEFLECTION, self.drift_index)
             models_deflection = SOURCE_DEFLECTION in model.source_indices
-            self.on_gravity = OnGravity(
+            self.error_propagation = InsErrorPropagation(
                 model.ins_process, filter_.vertical, sources, models_deflection, horizon == GRAVITY
             )
-        attitude, others = np.split(model.process_rows, [3])
+        attitude, others = np.split(model.process_indices, [3])
         self._rows = np.concatenate([attitude, model.state_indices("ins.time_offset"), others])
-        self._rest_on(state)
+        self._set_state(state)
 
-    def by(self, state: FilterState) -> "CorrectedIns":
+    def with_state(self, state: FilterState) -> "CorrectedIns":
         """Return the corrections by another filter state."""
         other = copy.copy(self)
-        other._rest_on(state)
+        other._set_state(state)
         return other
 
-    def _rest_on(self, state: FilterState) -> None:
+    def _set_state(self, state: FilterState) -> None:
         rows, self.state = self._rows, state
         mean = self._mean = state.mean[rows]
         self.error_n, self.time_offset_s = mean[_ATTITUDE], float(mean[_TIME_OFFSET])
-        self.lasting = lasting(self.error_n, self._slow_sigma).view(np.uint8)
+        self.exceeds_model = lasting(self.error_n, self._slow_sigma).view(np.uint8)
         self.covariance_by_source: FloatArray = state.covariance_by_source[:, rows[:, None], rows]
-        self.since_ns = _NEVER_NS if state.time_ns is None else state.time_ns
+        self.since_ns = _AFTER_ALL_SAMPLES_NS if state.time_ns is None else state.time_ns
         self.newest_star_ns = newest_star_ns(self._filter, state)
 
     def errors(self, times_ns: Sequence[int]) -> InsErrors:
         """Return the INS errors at some times, if the filter needs the vertical."""
-        assert self.on_gravity is not None
+        assert self.error_propagation is not None
         since_ns = self.state.time_ns
         # A sample older than the state counts as of the time of the state.
         moments_ns = times_ns if since_ns is None else [max(time_ns, since_ns) for time_ns in times_ns]
-        return self.on_gravity.errors(since_ns, self.state.vertical, self._mean, self.covariance_by_source, moments_ns)
+        return self.error_propagation.errors(since_ns, self.state.vertical, self._mean, self.covariance_by_source, moments_ns)
 
     def estimate(self, time_ns: int, ins: InterpolatedAttitude, config: ShipAttitudeConfig) -> AttitudeEstimate:
         """Return the attitude at the stamp of an INS sample, with its status."""
         propagated = ins.rotation_nd[None], ins.rate_d[None], np.array([ins.noise_gain]), ins.error_covariance_d[None]
-        (run,) = estimates_by([self], [1], np.array([time_ns]), PropagatedBlock(*propagated), config)
-        return run.one(0)
+        (series,) = corrected_estimates([self], [1], np.array([time_ns]), PropagatedBlock(*propagated), config)
+        return series.estimate(0)
 
     def statuses(self, star_age_s: FloatArray, coasting_after_s: float) -> tuple[list[Status], list[str]]:
         """Return the statuses of N attitudes, and the reasons why they are DEGRADED.
@@ -119,39 +119,39 @@ class CorrectedIns:
             coasting_after_s: maximum star age of a VALID attitude, s.
         """
         count = len(star_age_s)
-        first, last = (self._worth(float(star_age_s[number]), coasting_after_s) for number in (0, -1))
+        first, last = (self._attitude_status(float(star_age_s[number]), coasting_after_s) for number in (0, -1))
         if first == last:
             return [first[0]] * count, [first[1]] * count
-        worth = [self._worth(age_s, coasting_after_s) for age_s in star_age_s.tolist()]
-        return [status for status, _ in worth], [text for _, text in worth]
+        statuses = [self._attitude_status(age_s, coasting_after_s) for age_s in star_age_s.tolist()]
+        return [status for status, _ in statuses], [text for _, text in statuses]
 
     def sources(self, time_ns: StampArray, recent_ns: int) -> list[tuple[str, ...]]:
         """Return the sources of each attitude: the INS, and those with an accepted measurement within recent_ns."""
 
         def at(moment_ns: int) -> tuple[str, ...]:
-            used = [source for source, used_ns in self.state.used_ns.items() if used_ns >= moment_ns - recent_ns]
+            used = [source for source, used_ns in self.state.last_used_ns.items() if used_ns >= moment_ns - recent_ns]
             return INS, *sorted(used)
 
         first, last = at(int(time_ns[0])), at(int(time_ns[-1]))
         # Without new measurements sources can only time out.
         return [first] * len(time_ns) if first == last else [at(moment_ns) for moment_ns in time_ns.tolist()]
 
-    def degrade_above_limit(self, run: AttitudeRun, config: ShipAttitudeConfig) -> None:
+    def degrade_above_limit(self, series: AttitudeSeries, config: ShipAttitudeConfig) -> None:
         """Set attitudes DEGRADED whose protection level exceeds the alert limit."""
-        for number, status in enumerate(run.status):
+        for number, status in enumerate(series.status):
             if status is not Status.DEGRADED:
-                text = above_limit(integrity_of(self._filter, config, run.one(number)), QUANTITIES)
+                text = above_limit(integrity_of(self._filter, config, series.estimate(number)), QUANTITIES)
                 if text:
-                    run.status[number], run.text[number] = Status.DEGRADED, text
+                    series.status[number], series.text[number] = Status.DEGRADED, text
 
-    def _worth(self, star_age_s: float, coasting_after_s: float) -> tuple[Status, str]:
+    def _attitude_status(self, star_age_s: float, coasting_after_s: float) -> tuple[Status, str]:
         """Return the status of an attitude, and the reason why it is DEGRADED."""
         if self.state.unresolved_fault is not None:
             return Status.DEGRADED, self.state.unresolved_fault.text
         if math.isnan(star_age_s):
             return Status.DEGRADED, "INS alone, no star yet"
-        if self.state.unconfirmed is not None:
-            return Status.DEGRADED, self.state.unconfirmed.text
+        if self.state.unconfirmed_step is not None:
+            return Status.DEGRADED, self.state.unconfirmed_step.text
         if star_age_s <= coasting_after_s:
             return Status.VALID, ""
         if INS in self.state.excluded:
@@ -160,7 +160,7 @@ class CorrectedIns:
 
 
 def corrected_attitudes(
-    corrected: Sequence[CorrectedIns], by: NDArray[np.intp], since_s: FloatArray, propagated: PropagatedBlock
+    corrected: Sequence[CorrectedIns], state_index: NDArray[np.intp], since_s: FloatArray, propagated: PropagatedBlock
 ) -> tuple[FloatArray, FloatArray]:
     """Return the corrected attitudes at N times and their covariance by error source, horizon frame, rad².
 
@@ -176,20 +176,20 @@ def corrected_attitudes(
         Shapes (N, 3, 3) and (N, n_sources, 3, 3).
     """
     found: tuple[FloatArray, FloatArray] = compiled_rotations.corrected(
-        by,
+        state_index,
         since_s,
         *propagated,
         np.array([one.error_n for one in corrected]),
-        np.array([one.lasting for one in corrected]),
-        *corrected[0].of_filter[:3],
+        np.array([one.exceeds_model for one in corrected]),
+        *corrected[0].model_constants[:3],
         np.array([one.covariance_by_source for one in corrected]),
-        *corrected[0].of_filter[3:],
+        *corrected[0].model_constants[3:],
     )
     return found
 
 
-def _attitudes_on_gravity(
-    corrected: Sequence[CorrectedIns], stretches: Sequence[slice], time_ns: StampArray, propagated: PropagatedBlock
+def _attitudes_with_deflection(
+    corrected: Sequence[CorrectedIns], segments: Sequence[slice], time_ns: StampArray, propagated: PropagatedBlock
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """Return the corrected attitudes as :func:`corrected_attitudes`, if the filter needs the vertical.
 
@@ -197,27 +197,27 @@ def _attitudes_on_gravity(
         Shapes (N, 3, 3) and (N, n_sources, 3, 3), and True for each time at which the vertical is known without stars,
         shape (N,).
     """
-    errors = [one.errors(time_ns[some].tolist()) for one, some in zip(corrected, stretches, strict=True)]
+    errors = [one.errors(time_ns[some].tolist()) for one, some in zip(corrected, segments, strict=True)]
     rotation_nd, covariance_by_source = compiled_rotations.corrected(
         np.arange(len(time_ns), dtype=np.intp),
         np.zeros(len(time_ns)),
         *propagated,
         np.concatenate([one.error_n for one in errors]),
         np.ones((len(time_ns), 3), dtype=np.uint8),
-        *corrected[0].of_filter[:3],
+        *corrected[0].model_constants[:3],
         np.concatenate([one.covariance_by_source for one in errors]),
-        *corrected[0].of_filter[3:],
+        *corrected[0].model_constants[3:],
     )
     return rotation_nd, covariance_by_source, np.concatenate([one.vertical_known for one in errors])
 
 
-def estimates_by(
+def corrected_estimates(
     corrected: Sequence[CorrectedIns],
     counts: Sequence[int],
     time_ns: StampArray,
     propagated: PropagatedBlock,
     config: ShipAttitudeConfig,
-) -> list[AttitudeRun]:
+) -> list[AttitudeSeries]:
     """Return the attitudes at the stamps of N INS samples, one series per filter state.
 
     Args:
@@ -227,32 +227,32 @@ def estimates_by(
         propagated: samples propagated by the time offset.
         config: configuration of the node.
     """
-    by = np.repeat(np.arange(len(counts), dtype=np.intp), counts)
-    since_ns = np.maximum(time_ns - np.array([one.since_ns for one in corrected])[by], 0)
+    state_index = np.repeat(np.arange(len(counts), dtype=np.intp), counts)
+    since_ns = np.maximum(time_ns - np.array([one.since_ns for one in corrected])[state_index], 0)
     stops = np.cumsum(counts).tolist()
-    stretches = [slice(stop - count, stop) for stop, count in zip(stops, counts, strict=True)]
-    if corrected[0].on_gravity is None:
-        rotation_nd, covariance_by_source = corrected_attitudes(corrected, by, 1e-9 * since_ns.astype(np.float64), propagated)
+    segments = [slice(stop - count, stop) for stop, count in zip(stops, counts, strict=True)]
+    if corrected[0].error_propagation is None:
+        rotation_nd, covariance_by_source = corrected_attitudes(corrected, state_index, 1e-9 * since_ns.astype(np.float64), propagated)
         vertical_known = None
     else:
-        rotation_nd, covariance_by_source, vertical_known = _attitudes_on_gravity(corrected, stretches, time_ns, propagated)
-    for one, some in zip(corrected, stretches, strict=True):
+        rotation_nd, covariance_by_source, vertical_known = _attitudes_with_deflection(corrected, segments, time_ns, propagated)
+    for one, some in zip(corrected, segments, strict=True):
         if one.state.unresolved_fault is not None:
             covariance_by_source[some, one.drift_index] += one.state.unresolved_fault.covariance_n
         if INS in one.state.excluded:
             unknown = UNKNOWN_INS_RAD_PER_SQRT_S**2 * since_ns[some] * 1e-9
             covariance_by_source[some, one.drift_index] += unknown[:, None, None] * np.eye(3)
     covariance_n = covariance_without_separation_n = covariance_by_source.sum(axis=1)
-    for one, some in zip(corrected, stretches, strict=True):
+    for one, some in zip(corrected, segments, strict=True):
         if one.state.separation_covariance_n is not None:
             covariance_by_source[some, one.drift_index] += one.state.separation_covariance_n
             covariance_n = covariance_by_source.sum(axis=1)
-    star_age_s = _star_ages_s(corrected, by, time_ns)
+    star_age_s = _star_ages_s(corrected, state_index, time_ns)
     horizon = _horizons(star_age_s, vertical_known, config)
-    recent_ns, runs = round(config.coasting_after_s * SECOND_NS), []
-    for one, some in zip(corrected, stretches, strict=True):
+    recent_ns, all_series = round(config.coasting_after_s * SECOND_NS), []
+    for one, some in zip(corrected, segments, strict=True):
         status, text = one.statuses(star_age_s[some], config.coasting_after_s)
-        run = AttitudeRun(
+        series = AttitudeSeries(
             time_ns=time_ns[some],
             rotation_nd=rotation_nd[some],
             covariance_by_source_n=covariance_by_source[some],
@@ -267,9 +267,9 @@ def estimates_by(
             text=text,
         )
         if config.integrity.alert_limit_arcsec:
-            one.degrade_above_limit(run, config)
-        runs.append(run)
-    return runs
+            one.degrade_above_limit(series, config)
+        all_series.append(series)
+    return all_series
 
 
 def _horizons(
@@ -283,15 +283,15 @@ def _horizons(
     return np.where(is_geodetic, Horizon.GEODETIC, Horizon.GRAVITY)
 
 
-def _star_ages_s(corrected: Sequence[CorrectedIns], by: NDArray[np.intp], time_ns: StampArray) -> FloatArray:
+def _star_ages_s(corrected: Sequence[CorrectedIns], state_index: NDArray[np.intp], time_ns: StampArray) -> FloatArray:
     """Return the time since the last accepted star measurement for each time, s; NaN for none."""
     newest_ns = np.array([one.newest_star_ns or 0 for one in corrected])
     none_yet = np.array([one.newest_star_ns is None for one in corrected])
-    ages_s: FloatArray = np.where(none_yet[by], np.nan, (time_ns - newest_ns[by]) / SECOND_NS)
+    ages_s: FloatArray = np.where(none_yet[state_index], np.nan, (time_ns - newest_ns[state_index]) / SECOND_NS)
     return ages_s
 
 
 def newest_star_ns(filter_: ShipFilter, state: FilterState) -> int | None:
     """Return the stamp of the last accepted star measurement; None for none."""
-    stars = (used_ns for source, used_ns in state.used_ns.items() if filter_.devices[source].is_star)
+    stars = (used_ns for source, used_ns in state.last_used_ns.items() if filter_.devices[source].is_star)
     return max(stars, default=None)

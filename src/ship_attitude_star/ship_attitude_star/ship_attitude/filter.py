@@ -7,9 +7,9 @@ import numpy as np
 
 from ship_attitude_star.guards.hints import AttitudeResidual, diagnosis_hint
 from ship_attitude_star.measurements.samples import AttitudeDecision, AttitudeMeasurement
-from ship_attitude_star.ship_attitude.comparison import Compared
+from ship_attitude_star.ship_attitude.comparison import ComparedMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.linearised import Linearisation, Linearised, NotCompared
+from ship_attitude_star.ship_attitude.linearised import Linearisation, LinearisedMeasurement, NotEvaluable
 from ship_attitude_star.ship_attitude.model import (
     SOURCE_DEFLECTION,
     SOURCE_INS,
@@ -19,12 +19,12 @@ from ship_attitude_star.ship_attitude.model import (
     devices,
 )
 from ship_attitude_star.ship_attitude.row_table import INS
-from ship_attitude_star.ship_attitude.state import NO_STAYS, FilterState, changed, with_entry, without
-from ship_attitude_star.ship_attitude.suspects import Suspects
+from ship_attitude_star.ship_attitude.state import NO_PIXEL_DWELLS, FilterState, changed, with_entry, without_entry
+from ship_attitude_star.ship_attitude.suspects import FaultDetector
 from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.optics_errors import SOURCE_OPTICS
-from ship_attitude_star.stars.scale_check import learned_contradiction
+from ship_attitude_star.stars.scale_check import check_estimated_focal_length
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.hypotheses import FilterInnovations, add_error, compare_rows
@@ -36,7 +36,7 @@ from ship_geometry.attitude_track import AttitudeTrack, ExtraNoise
 from ship_geometry.rotations import FloatArray, log_rotation
 from ship_geometry.time_scales import SECOND_NS
 
-_CLOCK_SIGMAS = 8.0
+_MAX_CLOCK_STEP_SIGMAS = 8.0
 """Maximum clock step that is estimated again, in standard deviations of the configured clock offset."""
 
 _AGAINST_PREDICTION = (Reason.GATE, Reason.ATTITUDE_CONFLICT, Reason.MISIDENTIFIED, Reason.UNIDENTIFIED)
@@ -56,7 +56,7 @@ class ShipFilter:
         self.devices: dict[str, Device] = devices(config)
         of_gravity = vertical if config.models_deflection else None
         self.linearisation = Linearisation(self.model, self.devices, of_gravity)
-        self.fault_detector = Suspects(config, self.model, self.devices)
+        self.fault_detector = FaultDetector(config, self.model, self.devices)
         self._gate: GateConfig = config.gate
         self._ins_index = self.model.sources.index(SOURCE_INS)
         self._deflection_index = self.model.source_indices.get(SOURCE_DEFLECTION, self._ins_index)
@@ -64,7 +64,7 @@ class ShipFilter:
 
     def initial_state(self) -> FilterState:
         """Return the state before any measurement, with the configured covariance."""
-        return self.fault_detector.start(np.zeros(self.model.size), self.model.initial_covariance_by_source())
+        return self.fault_detector.initial_state(np.zeros(self.model.size), self.model.initial_covariance_by_source())
 
     def propagate(self, state: FilterState, time_ns: int) -> FilterState:
         """Propagate a state to a later time."""
@@ -79,9 +79,9 @@ class ShipFilter:
             self._propagate_ins(state, means, stack, time_ns)
         for source, steady in state.common_n.items():
             common = self.model.slices[f"{source}.common"]
-            fresh = 1.0 - decay.item(common.start) ** 2
-            add_error(stack, len(means), self._common_index, common, fresh * steady)
-        self.fault_detector.ins.propagate(state, stack, dt_s)
+            new_share = 1.0 - decay.item(common.start) ** 2
+            add_error(stack, len(means), self._common_index, common, new_share * steady)
+        self.fault_detector.ins_fault.propagate(state, stack, dt_s)
         return changed(state, time_ns=time_ns, means=means, stack=stack, vertical=here)
 
     def _initialise(self, state: FilterState, time_ns: int) -> FilterState:
@@ -90,15 +90,15 @@ class ShipFilter:
             return changed(state, time_ns=time_ns)
         assert self.model.ins_process is not None
         here = self.vertical.at(time_ns)
-        mean, covariance = self.model.ins_process.initial_state(here)
+        initial_mean, covariance = self.model.ins_process.initial_state(here)
         means, stack = state.means.copy(), state.stack.copy()
-        means[:, self.model.process_rows] += mean
+        means[:, self.model.process_indices] += initial_mean
         self._add_to_process(stack, len(means), self._deflection_index, covariance)
         return changed(state, time_ns=time_ns, means=means, stack=stack, vertical=here)
 
     def _propagate_ins(self, state: FilterState, means: FloatArray, stack: FloatArray, time_ns: int) -> None:
         """Propagate the states of the INS error process from the time of a state to a later one, in place."""
-        process, rows, before = self.model.ins_process, self.model.process_rows, state.vertical
+        process, rows, before = self.model.ins_process, self.model.process_indices, state.vertical
         assert process is not None
         assert before is not None
         assert state.time_ns is not None
@@ -113,48 +113,48 @@ class ShipFilter:
 
     def _add_to_process(self, stack: FloatArray, count: int, part: int, covariance: FloatArray) -> None:
         """Add an error of the states of the INS error process to all filters, in place."""
-        rows, everywhere = self.model.process_rows, np.zeros((self.model.size, self.model.size))
-        everywhere[rows[:, None], rows] = covariance
-        add_error(stack, count, part, slice(None), everywhere)
+        rows, of_states = self.model.process_indices, np.zeros((self.model.size, self.model.size))
+        of_states[rows[:, None], rows] = covariance
+        add_error(stack, count, part, slice(None), of_states)
 
-    def apply_ins_change(self, state: FilterState, jump: InsChange) -> FilterState:
+    def apply_ins_change(self, state: FilterState, change: InsChange) -> FilterState:
         """Inflate the covariance for a jump of the INS or a change of its noise.
 
         The stamps of the INS and of a device may differ for the same time. The inflation takes effect early enough that
         every measurement matched to an attitude after the jump comes later. A measurement matched to an attitude before
         the jump is rejected.
         """
-        if isinstance(jump, ExtraNoise):
-            return self._with_uncertain_clock(state, jump)
-        effective_ns = self.change_effective_ns(jump)
+        if isinstance(change, ExtraNoise):
+            return self._with_uncertain_clock(state, change)
+        effective_ns = self.change_effective_ns(change)
         state = self.propagate(state, effective_ns)
-        if jump.is_drift:
-            state = self.fault_detector.without_ins(state, effective_ns)
+        if change.is_drift:
+            state = self.fault_detector.exclude_drifting_ins(state, effective_ns)
             if INS in state.excluded:
                 return state
         state = self.fault_detector.reset_for_ins_jump(state, effective_ns)
         stack, means, count = state.stack.copy(), state.means, len(state.means)
         ins_attitude, clock = self.model.slices["ins.attitude"], self.model.blocks["ins.time_offset"]
         # A larger clock step cannot be estimated as an offset: the rotation of the INS differs from that of the ship.
-        if abs(jump.clock_s) <= _CLOCK_SIGMAS * clock.sigma[0]:
+        if abs(change.clock_s) <= _MAX_CLOCK_STEP_SIGMAS * clock.sigma[0]:
             both = np.r_[self.model.state_indices("ins.attitude"), self.model.state_indices(clock.name)]
-            moved, shared = jump.shared
+            moved, shared = change.shared
             means, covariance = means.copy(), np.zeros((self.model.size, self.model.size))
             means[:, both] += moved
             covariance[both[:, None], both] = shared
             add_error(stack, count, self._ins_index, slice(None), covariance)
         else:
-            add_error(stack, count, self._ins_index, ins_attitude, jump.covariance_n)
-            if jump.is_of_clock:
-                state = self.fault_detector.ins.clock_has_stepped(state, effective_ns)
+            add_error(stack, count, self._ins_index, ins_attitude, change.covariance_n)
+            if change.is_of_clock:
+                state = self.fault_detector.ins_fault.exclude_for_clock_step(state, effective_ns)
         return changed(
             state,
             means=means,
             stack=stack,
-            stays=NO_STAYS,
+            stays=NO_PIXEL_DWELLS,
             unconfirmed=_unconfirmed_ins_jump(effective_ns),
-            jumped_ns=jump.time_ns,
-            ins_suspected_ns=jump.time_ns,
+            jumped_ns=change.time_ns,
+            ins_suspected_ns=change.time_ns,
         )
 
     def change_effective_ns(self, change: InsChange) -> int:
@@ -209,10 +209,10 @@ class ShipFilter:
             elif again is not None and not again[1].components:
                 # The stars contradict each other with these optics too, so the attitude is not evaluated.
                 refusal = Rejection(again[1].reason, again[1].text)
-                return self._reject(state, measurement, NotCompared(refusal, again[1].ins_time_ns))
+                return self._reject(state, measurement, NotEvaluable(refusal, again[1].ins_time_ns))
         contradiction = self._optics_contradiction(result[0], measurement, optics)
         if contradiction is not None:
-            return self._reject(state, measurement, NotCompared(contradiction, result[1].ins_time_ns))
+            return self._reject(state, measurement, NotEvaluable(contradiction, result[1].ins_time_ns))
         return result
 
     def _step(
@@ -224,27 +224,27 @@ class ShipFilter:
         may_wait: bool = False,
     ) -> tuple[FilterState, AttitudeDecision] | None:
         """Evaluate a measurement with the optics as estimated so far; see :meth:`step`."""
-        if self._lacks_latitude(measurement.time_ns):
+        if self._is_latitude_missing(measurement.time_ns):
             # Estimates made with a wrong latitude would be wrong and persist.
             lacking = Rejection(Reason.NO_FIX, "no position fix yet: ins.model 'schuler' needs the latitude (gnss/fix)")
-            return self._reject(state, measurement, NotCompared(lacking, measurement.time_ns))
+            return self._reject(state, measurement, NotEvaluable(lacking, measurement.time_ns))
         predicted = self.propagate(state, measurement.time_ns)
         compared = measurement
         if isinstance(measurement, StarExposure):
-            compared = measurement.after(state.stays.get(measurement.source))
-        found = self.linearisation.of(
-            compared, predicted.mean, predicted.covariance, state.used_ns, track, sky_model, may_wait
+            compared = measurement.with_pixel_dwell(state.pixel_dwells.get(measurement.source))
+        linearised = self.linearisation.linearise(
+            compared, predicted.mean, predicted.covariance, state.last_used_ns, track, sky_model, may_wait
         )
-        if found is None:
+        if linearised is None:
             return None
-        if isinstance(found, NotCompared):
-            return self._reject(state, measurement, found)
-        if state.jumped_ns is not None and found.paired_ns <= state.jumped_ns:
+        if isinstance(linearised, NotEvaluable):
+            return self._reject(state, measurement, linearised)
+        if state.ins_jump_ns is not None and linearised.matched_ins_ns <= state.ins_jump_ns:
             before = Rejection(Reason.GAP, "the matching attitude of the INS is from before its last jump")
-            return self._reject(state, measurement, NotCompared(before, found.ins_time_ns))
-        if isinstance(found.measured, AttitudeMeasurement):
-            predicted = self._with_common(predicted, found.measured)
-        return self._evaluate(state, predicted, measurement, found)
+            return self._reject(state, measurement, NotEvaluable(before, linearised.ins_time_ns))
+        if isinstance(linearised.measurement, AttitudeMeasurement):
+            predicted = self._with_common_error(predicted, linearised.measurement)
+        return self._evaluate(state, predicted, measurement, linearised)
 
     def _optics_contradiction(
         self, state: FilterState, exposure: StarExposure, optics: slice
@@ -253,7 +253,7 @@ class ShipFilter:
         if exposure.optics is None:
             return None
         variance = float(state.covariance_by_source[:, optics.start, optics.start].sum())
-        return learned_contradiction(exposure.optics, state.mean.item(optics.start), variance)
+        return check_estimated_focal_length(exposure.optics, state.mean.item(optics.start), variance)
 
     def _with_inflated_optics(self, state: FilterState, optics: slice) -> FilterState:
         """Return the state with an optics covariance that covers the configured and the estimated optics."""
@@ -263,7 +263,7 @@ class ShipFilter:
         return changed(state, stack=stack)
 
     def _evaluate(
-        self, state: FilterState, predicted: FilterState, measurement: Measurement, found: Linearised
+        self, state: FilterState, predicted: FilterState, measurement: Measurement, linearised: LinearisedMeasurement
     ) -> tuple[FilterState, AttitudeDecision]:
         """Evaluate a linearised measurement by the gate of each filter, update the filters and detect faults.
 
@@ -276,57 +276,57 @@ class ShipFilter:
         Returns:
             The next state and the decision.
         """
-        linear, source = found.compared.linear, measurement.source
+        linear, source = linearised.compared.linear, measurement.source
         gate = chi_square_gate(self._gate.probability, len(linear.residual))
         try:
-            predicted, innovations = self._beside(predicted, source, found.compared, gate)
+            predicted, innovations = self._subfilter_innovations(predicted, source, linearised.compared, gate)
         except np.linalg.LinAlgError:
-            return self._reject(state, measurement, NotCompared(singular_covariance(), found.ins_time_ns))
+            return self._reject(state, measurement, NotEvaluable(singular_covariance(), linearised.ins_time_ns))
         # Written so that NaN fails.
         accepted = innovations.nis <= gate
         decision = AttitudeDecision(
             measurement=measurement,
             reason=Reason.NONE,
             accepted=bool(accepted[0]) and source not in state.excluded,
-            ins_time_ns=found.ins_time_ns,
+            ins_time_ns=linearised.ins_time_ns,
             residual=linear.residual,
             sigma=np.sqrt(innovations.covariance[0].diagonal()),
-            components=found.compared.components,
+            components=linearised.compared.components,
             covariance=innovations.covariance[0],
             noise=linear.noise,
             nis=float(innovations.nis[0]),
             gate=gate,
-            rejected_parts=found.compared.rejected_stars,
+            rejected_parts=linearised.compared.rejected_stars,
         )
-        after = self.fault_detector.learned(state, predicted, measurement, found.compared, innovations, accepted)
+        after = self.fault_detector.update(state, predicted, measurement, linearised.compared, innovations, accepted)
         if decision.accepted:
-            after = self._used(after, found.measured)
+            after = self._record_accepted(after, linearised.measurement)
         elif source in state.excluded and (accepted[0] or state.excluded[source].offset is None):
             decision = replace(decision, reason=Reason.EXCLUDED)
         else:
-            after, decision = self._reject_by_gate(after, decision, found)
-        is_ins_confirmed = self._is_ins_confirmed(state, found)
+            after, decision = self._reject_by_gate(after, decision, linearised)
+        is_ins_confirmed = self._is_ins_confirmed(state, linearised)
         if self.devices[source].is_star and not (accepted[0] or is_ins_confirmed):
             # No other data show whether the INS has jumped.
             after = changed(after, unconfirmed=_unconfirmed_ins_jump(measurement.time_ns))
         after, text = self.fault_detector.detect_faults(after, source, innovations, is_ins_confirmed, measurement.time_ns)
         return after, self._with_fault_text(decision, after, text)
 
-    def _lacks_latitude(self, time_ns: int) -> bool:
+    def _is_latitude_missing(self, time_ns: int) -> bool:
         """True if the propagation of the INS error needs a latitude that is not known yet."""
         process = self.model.ins_process
         if process is None or self.vertical is None or not process.needs_latitude:
             return False
         return math.isnan(self.vertical.at(time_ns).latitude)
 
-    def _is_ins_confirmed(self, state: FilterState, found: Linearised) -> bool:
+    def _is_ins_confirmed(self, state: FilterState, linearised: LinearisedMeasurement) -> bool:
         """True if the rates of the INS exclude a step: they are available, and the INS reported no recent jump."""
-        if found.ins.sample is None or found.ins.sample.rate_d is None:
+        if linearised.ins.sample is None or linearised.ins.sample.rate_d is None:
             return False
-        return not self.fault_detector.ins.has_reported_jump(state, found.ins_time_ns)
+        return not self.fault_detector.ins_fault.has_reported_jump(state, linearised.ins_time_ns)
 
-    def _beside(
-        self, predicted: FilterState, source: str, compared: Compared, gate: float
+    def _subfilter_innovations(
+        self, predicted: FilterState, source: str, compared: ComparedMeasurement, gate: float
     ) -> tuple[FilterState, FilterInnovations]:
         """Return the innovations of all filters; filters without the INS are inflated where they are inconsistent.
 
@@ -341,14 +341,14 @@ class ShipFilter:
         """
         linear, rotation_jacobian, at_mean = compared.linear, compared.rotation_jacobian, predicted.mean
         innovations = compare_rows(predicted.means, predicted.stack, linear, at_mean, rotation_jacobian)
-        inflated, wrong = self.fault_detector.ins.inflate_against(predicted, source, innovations, compared.predicted_nv, gate)
-        if not wrong:
+        inflated, subfilters = self.fault_detector.ins_fault.inflate_against(predicted, source, innovations, compared.predicted_nv, gate)
+        if not subfilters:
             return predicted, innovations
-        wider = compare_rows(predicted.means, inflated, linear, at_mean, rotation_jacobian)
+        inflated_innovations = compare_rows(predicted.means, inflated, linear, at_mean, rotation_jacobian)
         # Fault detection uses the innovations from before the inflation.
-        whitened, root = wider.whitened_innovation.copy(), wider.whitening_root.copy()
-        whitened[wrong], root[wrong] = innovations.whitened_innovation[wrong], innovations.whitening_root[wrong]
-        return changed(predicted, stack=inflated), wider._replace(turn=whitened, turn_root=root)
+        whitened, root = inflated_innovations.whitened_innovation.copy(), inflated_innovations.whitening_root.copy()
+        whitened[subfilters], root[subfilters] = innovations.whitened_innovation[subfilters], innovations.whitening_root[subfilters]
+        return changed(predicted, stack=inflated), inflated_innovations._replace(turn=whitened, turn_root=root)
 
     def _with_fault_text(self, decision: AttitudeDecision, state: FilterState, text: str) -> AttitudeDecision:
         """Return the decision with the text of fault detection, rejected if the measurement excluded its source."""
@@ -359,17 +359,17 @@ class ShipFilter:
         return replace(decision, text=f"{text}; {decision.text}" if decision.text else text)
 
     def _reject(
-        self, state: FilterState, measurement: Measurement, why: NotCompared
+        self, state: FilterState, measurement: Measurement, not_evaluable: NotEvaluable
     ) -> tuple[FilterState, AttitudeDecision]:
         """Reject a measurement that cannot be evaluated; count it if it contradicts the state."""
-        refusal, text = why.rejection, why.rejection.text
-        if why.contradicts:
-            state, inflation_text = self._inflate_after_rejections(self._counted(state, measurement.source), measurement.source)
-            state = self.fault_detector.ins.not_compared(state, measurement.time_ns)
+        refusal, text = not_evaluable.rejection, not_evaluable.rejection.text
+        if not_evaluable.is_contradiction:
+            state, inflation_text = self._inflate_after_rejections(self._count_rejection(state, measurement.source), measurement.source)
+            state = self.fault_detector.ins_fault.with_not_evaluable(state, measurement.time_ns)
             text += inflation_text
-        return state, AttitudeDecision(measurement, refusal.reason, text=text, ins_time_ns=why.ins_time_ns)
+        return state, AttitudeDecision(measurement, refusal.reason, text=text, ins_time_ns=not_evaluable.ins_time_ns)
 
-    def _counted(self, state: FilterState, source: str) -> FilterState:
+    def _count_rejection(self, state: FilterState, source: str) -> FilterState:
         """Return the state with the consecutive rejections of a source increased by one."""
         return changed(state, refusals=with_entry(state.consecutive_rejections, source, state.consecutive_rejections.get(source, 0) + 1))
 
@@ -381,26 +381,26 @@ class ShipFilter:
         """
         if not self._gate.reopen_after or state.consecutive_rejections[source] % self._gate.reopen_after:
             return state, ""
-        state = changed(state, stack=state.stack * self._gate.reopen_factor, stays=NO_STAYS)
-        state = self.fault_detector.restart_subfilters(changed(state, excluded=without(state.excluded, source)))
+        state = changed(state, stack=state.stack * self._gate.reopen_factor, stays=NO_PIXEL_DWELLS)
+        state = self.fault_detector.restart_subfilters(changed(state, excluded=without_entry(state.excluded, source)))
         return state, f"; covariance inflated by a factor of {self._gate.reopen_factor:g}"
 
-    def _used(self, state: FilterState, measurement: Measurement) -> FilterState:
+    def _record_accepted(self, state: FilterState, measurement: Measurement) -> FilterState:
         """Record an accepted measurement: reset its rejection counter and store its stamp."""
-        source, unconfirmed = measurement.source, state.unconfirmed
+        source, unconfirmed = measurement.source, state.unconfirmed_step
         if self.devices[source].is_star:
             if unconfirmed is not None:
                 unconfirmed = unconfirmed.after_agreement(measurement.time_ns, source)
             elif not any(device.is_star and state.has_used(name) for name, device in self.devices.items()):
                 unconfirmed = _unconfirmed_first_star(source, measurement.time_ns)
         refusals = state.consecutive_rejections if state.consecutive_rejections.get(source) == 0 else with_entry(state.consecutive_rejections, source, 0)
-        used_ns = with_entry(state.used_ns, source, measurement.time_ns)
-        stays = state.stays
-        if isinstance(measurement, StarExposure) and measurement.stay is not None:
-            stays = with_entry(stays, source, measurement.stay)
-        return changed(state, refusals=refusals, used_ns=used_ns, stays=stays, unconfirmed=unconfirmed)
+        used_ns = with_entry(state.last_used_ns, source, measurement.time_ns)
+        pixel_dwells = state.pixel_dwells
+        if isinstance(measurement, StarExposure) and measurement.pixel_dwell is not None:
+            pixel_dwells = with_entry(pixel_dwells, source, measurement.pixel_dwell)
+        return changed(state, refusals=refusals, used_ns=used_ns, stays=pixel_dwells, unconfirmed=unconfirmed)
 
-    def _with_common(self, state: FilterState, measurement: AttitudeMeasurement) -> FilterState:
+    def _with_common_error(self, state: FilterState, measurement: AttitudeMeasurement) -> FilterState:
         """Return the state with the covariance of a sensor's common error as stated in its message."""
         stack, source, common_n = state.stack, measurement.source, measurement.common_n
         is_none = not any(common_n.ravel().tolist())
@@ -415,25 +415,25 @@ class ShipFilter:
         return changed(state, stack=stack, common_n=with_entry(state.common_n, source, common_n))
 
     def _reject_by_gate(
-        self, state: FilterState, decision: AttitudeDecision, found: Linearised
+        self, state: FilterState, decision: AttitudeDecision, linearised: LinearisedMeasurement
     ) -> tuple[FilterState, AttitudeDecision]:
         """Reject a measurement that failed the gate.
 
         After ``gate.conflict_after`` consecutive rejections the text names the conflict; after ``gate.reopen_after``
         the covariance is inflated.
         """
-        source, ins, compared = decision.measurement.source, found.ins, found.compared
+        source, ins, compared = decision.measurement.source, linearised.ins, linearised.compared
         # Deck attitude by the measurement: the INS deck attitude with the rotation from predicted to measured device.
         measured_nd = compared.rotation_nv @ compared.predicted_nv.T @ ins.rotation_nd
         rotation_n = log_rotation(measured_nd @ ins.rotation_nd.T)
-        departure = AttitudeResidual(decision.measurement.time_ns, rotation_n, compared.attitude_noise_n)
-        state = changed(self._counted(state, source), departures=with_entry(state.departures, source, departure))
-        run = state.consecutive_rejections[source]
+        residual = AttitudeResidual(decision.measurement.time_ns, rotation_n, compared.attitude_noise_n)
+        state = changed(self._count_rejection(state, source), departures=with_entry(state.rejected_residuals, source, residual))
+        count = state.consecutive_rejections[source]
         reason, text = Reason.GATE, f"improbable: NIS {decision.nis:.1f} > gate {decision.gate:.1f}"
-        if run >= self._gate.conflict_after:
+        if count >= self._gate.conflict_after:
             reason = Reason.ATTITUDE_CONFLICT
-            who = diagnosis_hint(source, state.consecutive_rejections, state.used_ns, state.departures, ins.rotation_nd, measured_nd)
-            text = f"{run} rejections in a row: {source} and the INS disagree{who}"
+            hint = diagnosis_hint(source, state.consecutive_rejections, state.last_used_ns, state.rejected_residuals, ins.rotation_nd, measured_nd)
+            text = f"{count} rejections in a row: {source} and the INS disagree{hint}"
         state, inflation_text = self._inflate_after_rejections(state, source)
         return state, replace(decision, reason=reason, accepted=False, text=text + inflation_text)
 

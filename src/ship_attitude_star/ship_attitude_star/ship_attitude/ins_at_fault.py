@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.model import SOURCE_INS, ShipStateModel
-from ship_attitude_star.ship_attitude.row_table import INS, RowTable
-from ship_attitude_star.ship_attitude.state import Doubt, FilterState, changed, with_entry, without
+from ship_attitude_star.ship_attitude.row_table import INS, SubfilterSet
+from ship_attitude_star.ship_attitude.state import UnresolvedFault, FilterState, changed, with_entry, without_entry
 from ship_estimation.exclusion import ExcludedSource, must_agree_s
 from ship_estimation.gates import chi_square_gate
 from ship_estimation.hypotheses import FilterInnovations, add_error
@@ -27,7 +27,7 @@ from ship_estimation.unconfirmed import Unconfirmed
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
-_UNKNOWN_RAD = 600.0 * ARCSEC
+_UNKNOWN_INS_RAD = 600.0 * ARCSEC
 UNKNOWN_INS_RAD_PER_SQRT_S = 2.0 * ARCSEC
 """Initial standard deviation, and random walk, of the correlated error of an excluded INS.
 
@@ -36,12 +36,12 @@ An INS that drifts by 200″ per minute is then one to two standard deviations a
 walk would follow faster and raise every protection level.
 """
 
-_ABOUT_EACH_AXIS = np.eye(3)
+_IDENTITY = np.eye(3)
 
-_LEAST_AGAINST = 2
+_MIN_SOURCES = 2
 """Minimum number of sources besides the INS to exclude it: a single source cannot be checked without the INS."""
 
-_UNCONTRADICTED_S = 10.0
+_CONSISTENT_FOR_S = 10.0
 """Time without contradiction after which an INS with a clock step is reinstated, s.
 
 In this time the ship has rolled to both sides. The clocks of all devices may have stepped equally, as with a leap
@@ -49,7 +49,7 @@ second.
 """
 
 
-class InsAtFault:
+class InsFaultHandling:
     """Covariances, exclusion and reinstatement for INS faults.
 
     Args:
@@ -58,10 +58,10 @@ class InsAtFault:
         subfilters: the filters.
     """
 
-    def __init__(self, config: ShipAttitudeConfig, model: ShipStateModel, subfilters: RowTable) -> None:
+    def __init__(self, config: ShipAttitudeConfig, model: ShipStateModel, subfilters: SubfilterSet) -> None:
         self._subfilters, self._return_after_s = subfilters, config.integrity.return_after_s
         self._degraded_after = config.gate.degraded_after
-        self._agreed = chi_square_gate(config.gate.probability, 3)
+        self._consistent_gate = chi_square_gate(config.gate.probability, 3)
         self._ins_attitude, self._part = model.slices["ins.attitude"], model.sources.index(SOURCE_INS)
         self._all_but_ins_attitude = np.ones(model.size, dtype=bool)
         self._all_but_ins_attitude[self._ins_attitude] = False
@@ -79,7 +79,7 @@ class InsAtFault:
         count = self._subfilters.count
         stack = np.concatenate([covariance_by_source, np.tile(covariance_by_source.sum(axis=0), (count - 1, 1, 1))])
         for subfilter in self._subfilters.ins_subfilters:
-            self._inflate(stack, count, _UNKNOWN_RAD**2 * np.eye(3), subfilter)
+            self._inflate(stack, count, _UNKNOWN_INS_RAD**2 * np.eye(3), subfilter)
         return np.tile(mean, (count, 1)), stack
 
     def inflate_ins_attitude(self, covariance_by_source: FloatArray, covariance_n: FloatArray) -> None:
@@ -88,9 +88,9 @@ class InsAtFault:
 
     def propagate(self, state: FilterState, stack: FloatArray, dt_s: float) -> None:
         """Add the random walk of an excluded INS to the covariances, in place."""
-        walked = UNKNOWN_INS_RAD_PER_SQRT_S**2 * dt_s * _ABOUT_EACH_AXIS
+        walk = UNKNOWN_INS_RAD_PER_SQRT_S**2 * dt_s * _IDENTITY
         for subfilter in (None,) if INS in state.excluded else self._subfilters.ins_subfilters:
-            self._inflate(stack, len(state.means), walked, subfilter)
+            self._inflate(stack, len(state.means), walk, subfilter)
 
     def inflate_against(
         self, state: FilterState, source: str, innovations: FilterInnovations, predicted_nv: FloatArray, gate: float
@@ -110,22 +110,22 @@ class InsAtFault:
         Returns:
             The covariances, and the indices of the inflated filters.
         """
-        everywhere = distrusted(state) and source not in state.excluded
+        in_all = is_ins_excluded_by_stars(state) and source not in state.excluded
         # Written so that NaN inflates nothing.
-        far = [subfilter for subfilter in ((0,) if everywhere else self._subfilters.ins_subfilters) if innovations.nis[subfilter] > gate]
-        wrong = far if everywhere else [row for row in far if self._contradicted(state, source, row)]
-        if not wrong:
+        rejecting = [subfilter for subfilter in ((0,) if in_all else self._subfilters.ins_subfilters) if innovations.nis[subfilter] > gate]
+        inflated = rejecting if in_all else [row for row in rejecting if self._is_contradicted(state, source, row)]
+        if not inflated:
             return state.stack, []
         stack: FloatArray = state.stack.copy()
-        for row in wrong:
+        for row in inflated:
             rotation_n = predicted_nv @ innovations.whitening_root[row] @ innovations.whitened_innovation[row]
             covariance_n = np.outer(rotation_n, rotation_n) + 0.01 * (rotation_n @ rotation_n) * np.eye(3)
-            self._inflate(stack, len(state.means), covariance_n, None if everywhere else row)
-        return stack, list(range(len(state.means))) if everywhere else wrong
+            self._inflate(stack, len(state.means), covariance_n, None if in_all else row)
+        return stack, list(range(len(state.means))) if in_all else inflated
 
-    def learns(self, state: FilterState, learns: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def updatable_states(self, state: FilterState, updatable: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return the mask of states to update, shape (h, n): only the INS attitude if the stars excluded the INS."""
-        return learns & ~self._all_but_ins_attitude if distrusted(state) else learns
+        return updatable & ~self._all_but_ins_attitude if is_ins_excluded_by_stars(state) else updatable
 
     # -- exclusion by the stars -----------------------------------------------------------------------------
 
@@ -134,20 +134,20 @@ class InsAtFault:
         since_ns = state.ins_fault_ns
         return since_ns is not None and time_ns - since_ns <= self._return_after_s * SECOND_NS
 
-    def may_be_excluded(self, in_use: Sequence[str]) -> bool:
+    def can_be_excluded(self, in_use: Sequence[str]) -> bool:
         """True if enough sources are in use to check each other without the INS."""
-        return len(in_use) >= _LEAST_AGAINST
+        return len(in_use) >= _MIN_SOURCES
 
-    def clock_has_stepped(self, state: FilterState, time_ns: int) -> FilterState:
+    def exclude_for_clock_step(self, state: FilterState, time_ns: int) -> FilterState:
         """Exclude the INS after a clock step that is too large to estimate."""
-        if distrusted(state) or not self.may_be_excluded(state.in_use(self._subfilters.sources, time_ns)):
+        if is_ins_excluded_by_stars(state) or not self.can_be_excluded(state.in_use(self._subfilters.sources, time_ns)):
             return state
-        times = state.record.get(INS, 0) + 1
+        times = state.exclusion_counts.get(INS, 0) + 1
         excluded = with_entry(state.excluded, INS, ExcludedSource(time_ns, times, is_self_reported=True))
-        state = changed(state, excluded=excluded, record=with_entry(state.record, INS, times))
+        state = changed(state, excluded=excluded, record=with_entry(state.exclusion_counts, INS, times))
         return self._with_unresolved_fault(state, time_ns, "the INS is excluded: step of its clock")
 
-    def contradicted_now(self, state: FilterState, time_ns: int) -> FilterState:
+    def with_contradiction(self, state: FilterState, time_ns: int) -> FilterState:
         """Return the state after a contradiction of an excluded INS: its reinstatement timer restarts.
 
         Its change of attitude may be wrong by as much as recently, so the fault is unresolved with that covariance.
@@ -157,15 +157,15 @@ class InsAtFault:
         text = f"the INS is excluded: it reported a jump, and {', '.join(names) or 'all sources'} contradicted it"
         return self._with_unresolved_fault(changed(state, excluded=excluded), time_ns, text)
 
-    def not_compared(self, state: FilterState, time_ns: int) -> FilterState:
+    def with_not_evaluable(self, state: FilterState, time_ns: int) -> FilterState:
         """Return the state after a measurement that contradicts it too much to be evaluated."""
-        if not distrusted(state):
+        if not is_ins_excluded_by_stars(state):
             return state
         stack = state.stack.copy()
-        self._inflate(stack, len(state.means), _UNKNOWN_RAD**2 * np.eye(3), None)
-        return self.contradicted_now(changed(state, stack=stack), time_ns)
+        self._inflate(stack, len(state.means), _UNKNOWN_INS_RAD**2 * np.eye(3), None)
+        return self.with_contradiction(changed(state, stack=stack), time_ns)
 
-    def monitor(self, state: FilterState, innovations: FilterInnovations, agrees: bool, time_ns: int) -> FilterState:
+    def monitor(self, state: FilterState, innovations: FilterInnovations, is_consistent: bool, time_ns: int) -> FilterState:
         """Monitor an INS that the stars have excluded, after a measurement.
 
         Args:
@@ -176,7 +176,7 @@ class InsAtFault:
         """
         innovation = innovations.whitened_innovation[0]
         # Written so that NaN is inconsistent.
-        return state if agrees and innovation @ innovation <= self._agreed else self.contradicted_now(state, time_ns)
+        return state if is_consistent and innovation @ innovation <= self._consistent_gate else self.with_contradiction(state, time_ns)
 
     def reinstate_ins(self, state: FilterState, time_ns: int) -> FilterState:
         """Reinstate an excluded INS when its time has come.
@@ -187,22 +187,22 @@ class InsAtFault:
         exclusion = state.excluded.get(INS)
         if exclusion is None:
             return state
-        distrust = distrusted(state)
-        if state.unresolved_fault is not None and not distrust:
+        is_by_stars = is_ins_excluded_by_stars(state)
+        if state.unresolved_fault is not None and not is_by_stars:
             return state
         since_ns = exclusion.since_ns if exclusion.consistent_since_ns is None else exclusion.consistent_since_ns
-        after_s = _UNCONTRADICTED_S if exclusion.is_self_reported else must_agree_s(exclusion, self._return_after_s)
+        after_s = _CONSISTENT_FOR_S if exclusion.is_self_reported else must_agree_s(exclusion, self._return_after_s)
         if (time_ns - since_ns) / SECOND_NS < after_s:
             return state
-        if distrust:
+        if is_by_stars:
             # The filters were updated equally and do not differ.
             means, stack = self.all_filters_at(state.mean, state.covariance_by_source)
             state = changed(state, means=means, stack=stack)
         if not exclusion.is_self_reported:
             # Faults hidden by the inflated covariance show within half a slow roll period after the reinstatement.
-            confirmed_ns = time_ns + round(_UNCONTRADICTED_S * SECOND_NS)
+            confirmed_ns = time_ns + round(_CONSISTENT_FOR_S * SECOND_NS)
             state = changed(state, unconfirmed=Unconfirmed(confirmed_ns, "the INS was reinstated", "stars"))
-        return changed(state, excluded=without(state.excluded, INS), doubt=None, ins_suspected_ns=time_ns)
+        return changed(state, excluded=without_entry(state.excluded, INS), doubt=None, ins_suspected_ns=time_ns)
 
     # ---------------------------------------------------------------------------------------------------------
 
@@ -213,9 +213,9 @@ class InsAtFault:
         covariance_n = sum((np.outer(turn_n, turn_n) for turn_n in rotations), start=np.zeros((3, 3)))
         excluded = with_entry(state.excluded, INS, changed(state.excluded[INS], agrees_since_ns=time_ns))
         seen = forgotten(state.innovation_means, slice(None), slice(None))
-        return changed(state, excluded=excluded, seen=seen, doubt=Doubt(text, covariance_n))
+        return changed(state, excluded=excluded, seen=seen, doubt=UnresolvedFault(text, covariance_n))
 
-    def _contradicted(self, state: FilterState, source: str, subfilter: int) -> bool:
+    def _is_contradicted(self, state: FilterState, source: str, subfilter: int) -> bool:
         """True if one more rejection of the source would make a fault of this subfilter."""
         index = self._subfilters.sources.index(source)
         if source in state.excluded or not self._subfilters.uses[subfilter, index]:
@@ -226,7 +226,7 @@ class InsAtFault:
         add_error(stack, count, self._part, self._ins_attitude, covariance_n, subfilter)
 
 
-def distrusted(state: FilterState) -> bool:
+def is_ins_excluded_by_stars(state: FilterState) -> bool:
     """True if the INS is excluded because all stars contradicted it after it had reported a jump."""
     exclusion = state.excluded.get(INS)
     return exclusion is not None and exclusion.consistent_since_ns is not None

@@ -6,7 +6,7 @@ subfilters (:mod:`ship_attitude_star.ship_attitude.fault_detection`) by :mod:`sh
 
 import numpy as np
 
-from ship_attitude_star.ins_errors.process import own_from_whole
+from ship_attitude_star.ins_errors.process import own_error_matrix
 from ship_attitude_star.measurements.samples import AttitudeEstimate
 from ship_attitude_star.ship_attitude.config import GEODETIC, ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
@@ -33,40 +33,40 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
     state, suspects = estimate.state, filter_.fault_detector
     relevant = suspects.subfilters.relevant_hypotheses(estimate.sources, state.excluded)
     heading, pitch, _ = angles_from_rotation(estimate.rotation_nd).tolist()
-    to_angles, parts = angle_errors_from_rotation_vector(heading, pitch), len(state.stack) - len(state.means) + 1
-    means, stack = against_horizon(filter_, config, state, estimate.time_ns)
+    to_angles, source_count = angle_errors_from_rotation_vector(heading, pitch), len(state.stack) - len(state.means) + 1
+    means, stack = relative_to_horizon(filter_, config, state, estimate.time_ns)
     # The levels contain the solution separations already. Errors that an attitude adds to those of the state, such as
     # the INS noise, are the same in every filter.
     found = solution_separation(
         suspects.subfilters.k,
-        relevant.hypotheses,
+        relevant.indices,
         filter_.model.state_indices("ins.attitude"),
         (to_angles, to_angles, estimate.covariance_without_separation_n),
         means[0],
         means[1:],
-        stack[:parts],
-        stack[parts:],
+        stack[:source_count],
+        stack[source_count:],
     )
     names = relevant.names
-    if INS not in state.excluded and relevant.check_one_another:
+    if INS not in state.excluded and relevant.is_cross_checked:
         table, variance_n = suspects.subfilters, to_angles @ estimate.covariance_without_separation_n @ to_angles.T
         found = with_common_error(
-            found, table.k, table.common_missed, table.common_threshold, state.absorbed, to_angles, variance_n
+            found, table.k, table.common_k_md, table.common_threshold, state.absorbed, to_angles, variance_n
         )
         names = *names, ALL_STARS
     excluded = tuple(sorted((name, exclusion.since_ns) for name, exclusion in state.excluded.items()))
     has_unresolved_fault = state.doubt is not None or state.unconfirmed is not None or estimate.status is Status.INVALID
-    checked = relevant.check_one_another and not has_unresolved_fault
+    checked = relevant.is_cross_checked and not has_unresolved_fault
     return integrity_report(estimate.time_ns, config.integrity, suspects.subfilters.k, names, found, excluded, checked)
 
 
-def against_horizon(
+def relative_to_horizon(
     filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState, time_ns: int
 ) -> tuple[FloatArray, FloatArray]:
     """Return means and covariances of all filters, with the INS error relative to the published horizon."""
     if config.horizon == GEODETIC or filter_.vertical is None:
         return state.means, state.stack
     # The gravity horizon needs the deflection, whose states follow the INS attitude.
-    rows, to_own = filter_.model.process_rows[:5], np.eye(filter_.model.size)
-    to_own[rows[:3, None], rows] = own_from_whole(filter_.vertical.at(time_ns))
+    rows, to_own = filter_.model.process_indices[:5], np.eye(filter_.model.size)
+    to_own[rows[:3, None], rows] = own_error_matrix(filter_.vertical.at(time_ns))
     return state.means @ to_own.T, to_own @ state.stack @ to_own.T

@@ -15,13 +15,13 @@ import numpy as np
 
 from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.measurements.samples import SHARED_BY_GRAVITY, AttitudeMeasurement, SolvedAttitude
-from ship_attitude_star.ship_attitude.comparison import Compared, PredictedAttitude, compare, predict_attitude
+from ship_attitude_star.ship_attitude.comparison import ComparedMeasurement, PredictedAttitude, compare, predict_attitude
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
 from ship_attitude_star.sky.sky_watch import SkyModel
-from ship_attitude_star.sky.tracker_attitude import in_horizon
-from ship_attitude_star.stars.exposure import StarExposure, at_middle, visible_stars
+from ship_attitude_star.sky.tracker_attitude import to_horizon_attitude
+from ship_attitude_star.stars.exposure import StarExposure, reduce_to_mid_exposure, visible_stars
 from ship_attitude_star.stars.selection import LINEAR_RANGE
-from ship_attitude_star.stars.solution import likely_attitude
+from ship_attitude_star.stars.solution import initial_attitude
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation import compiled_steps
 from ship_estimation.kalman import LinearMeasurement
@@ -33,27 +33,27 @@ from ship_geometry.exposure_mean import turning_over
 from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
 from ship_geometry.time_scales import SECOND_NS
 
-_SMALL_TURN = 2e-4
+_CONVERGED_RAD = 2e-4
 """Convergence limit of the distance between linearisation point and estimate, rad; its square is 0.004″."""
 
-_KNOWN_CLOCK_S = 0.01
+_LINEAR_CLOCK_SIGMA_S = 0.01
 """Maximum standard deviation of a clock offset for one linearisation, s.
 
 A ship that rolls by 10° in 10 s accelerates by 14 000″/s², which makes 0.7″ in this time.
 """
 
-_SAME_MOTION_S = 3.0
+_CORRELATED_MOTION_S = 3.0
 """Correlation time of the ship's angular acceleration, s. An unknown clock offset has the same effect during it."""
 
-_FAR = 3.0
+_FAR_SIGMAS = 3.0
 """Distance of a far clock offset from the estimate, in standard deviations."""
 
-_MOST_STEPS = 20
+_MAX_ITERATIONS = 20
 
-_AGAINST_SKY = (InertialAttitude, SolvedAttitude)
+_SKY_MEASUREMENTS = (InertialAttitude, SolvedAttitude)
 
 
-class Linearised(NamedTuple):
+class LinearisedMeasurement(NamedTuple):
     """A linearised measurement.
 
     Attributes:
@@ -68,15 +68,15 @@ class Linearised(NamedTuple):
         ins_time_ns: latest INS stamp that the comparison depends on.
     """
 
-    measured: Measurement
-    compared: Compared
+    measurement: Measurement
+    compared: ComparedMeasurement
     ins: InterpolatedAttitude
-    paired_ns: int
+    matched_ins_ns: int
     ins_time_ns: int
 
 
 @dataclass(frozen=True)
-class NotCompared:
+class NotEvaluable:
     """A measurement that cannot be evaluated.
 
     Attributes:
@@ -88,12 +88,12 @@ class NotCompared:
     ins_time_ns: int
 
     @property
-    def contradicts(self) -> bool:
+    def is_contradiction(self) -> bool:
         """True if the measurement contradicts the prediction."""
         return self.rejection.reason in (Reason.UNIDENTIFIED, Reason.MISIDENTIFIED, Reason.GATE)
 
 
-class _Task(NamedTuple):
+class _LinearisationTask(NamedTuple):
     """Inputs of a linearisation.
 
     Attributes:
@@ -112,7 +112,7 @@ class _Task(NamedTuple):
     device: Device
     mean: FloatArray
     covariance: FloatArray
-    used_ns: Mapping[str, int]
+    last_used_ns: Mapping[str, int]
     track: AttitudeTrack
     sky_model: SkyModel | None
     may_wait: bool
@@ -120,7 +120,7 @@ class _Task(NamedTuple):
 
     def count_within(self, period_s: float) -> float:
         """Return the number of measurements of the source in a period, from the time since its last one; at least 1."""
-        last_ns = self.used_ns.get(self.measurement.source)
+        last_ns = self.last_used_ns.get(self.measurement.source)
         if last_ns is None:
             return 1.0
         return max(period_s * SECOND_NS / max(self.measurement.time_ns - last_ns, 1), 1.0)
@@ -131,16 +131,16 @@ class _Task(NamedTuple):
             return 1.0
         interval_ns = ins.next_sample.time_ns - ins.sample.time_ns
         own, since_ns = self.measurement.source, self.measurement.time_ns - interval_ns
-        others = sum(last_ns > since_ns for source, last_ns in self.used_ns.items() if source != own)
+        others = sum(last_ns > since_ns for source, last_ns in self.last_used_ns.items() if source != own)
         return (1 + others) * self.count_within(interval_ns / SECOND_NS)
 
 
-class _Paired(NamedTuple):
+class _MatchedMeasurement(NamedTuple):
     """A measurement, the matched INS attitude, the stamp of that, and the latest INS stamp needed."""
 
     measurement: Measurement
     ins: InterpolatedAttitude
-    paired_ns: int
+    matched_ins_ns: int
     ins_time_ns: int
 
 
@@ -158,13 +158,13 @@ class Linearisation:
     ) -> None:
         self._model, self._devices, self._vertical = model, devices, vertical
         # The derivative of the offset of each device's clock by the state, shape (n,).
-        self._offsets = {name: np.zeros(model.size) for name in devices}
-        for name, chain in model.chains.items():
-            self._offsets[name][chain.clocks] = chain.signs
+        self._offset_jacobians = {name: np.zeros(model.size) for name in devices}
+        for name, chain in model.rotation_chains.items():
+            self._offset_jacobians[name][chain.clock_states] = chain.clock_signs
         # The same as pairs of a state and its sign.
         self._clocks = {
-            name: tuple(zip(chain.clocks.tolist(), chain.signs.tolist(), strict=True))
-            for name, chain in model.chains.items()
+            name: tuple(zip(chain.clock_states.tolist(), chain.clock_signs.tolist(), strict=True))
+            for name, chain in model.rotation_chains.items()
         }
         self._configured_sigma_s = {name: _configured_sigma_s(model, device) for name, device in devices.items()}
 
@@ -176,7 +176,7 @@ class Linearisation:
     @property
     def longest_reach_s(self) -> float:
         """Bound of the time around a measurement in which INS samples are needed, s: the shift and 3 sigma more."""
-        return self._longest_s(5.0 + _FAR)
+        return self._longest_s(5.0 + _FAR_SIGMAS)
 
     def _longest_s(self, sigmas: float) -> float:
         shifts_s = (abs(one.ins_time_s) + sigmas * self._configured_sigma_s[name] for name, one in self._devices.items())
@@ -189,16 +189,16 @@ class Linearisation:
         shift_s = self._devices[source].ins_time_s + estimated_s
         return measurement.time_ns + round(shift_s * SECOND_NS)
 
-    def of(
+    def linearise(
         self,
         measurement: Measurement,
         mean: FloatArray,
         covariance: FloatArray,
-        used_ns: Mapping[str, int],
+        last_used_ns: Mapping[str, int],
         track: AttitudeTrack,
         sky_model: SkyModel | None,
         may_wait: bool = False,
-    ) -> Linearised | NotCompared | None:
+    ) -> LinearisedMeasurement | NotEvaluable | None:
         """Linearise a measurement at the estimate that it leads to.
 
         Args:
@@ -215,24 +215,24 @@ class Linearisation:
             arrive.
         """
         source = measurement.source
-        device, by_offset = self._devices[source], self._offsets[source]
+        device, by_offset = self._devices[source], self._offset_jacobians[source]
         # An inflated covariance does not make a clock less known than configured.
         offset_variance = compiled_steps.variance_along(by_offset, covariance)
         offset_sigma_s = min(math.sqrt(max(offset_variance, 0.0)), self._configured_sigma_s[source])
-        task = _Task(measurement, device, mean, covariance, used_ns, track, sky_model, may_wait, offset_sigma_s)
-        paired = self._paired(task, mean)
-        if not isinstance(paired, _Paired):
-            return paired
-        predicted = predict_attitude(device, self._model, mean, paired.ins)
+        task = _LinearisationTask(measurement, device, mean, covariance, last_used_ns, track, sky_model, may_wait, offset_sigma_s)
+        matched = self._match_to_ins(task, mean)
+        if not isinstance(matched, _MatchedMeasurement):
+            return matched
+        predicted = predict_attitude(device, self._model, mean, matched.ins)
         turn_variance = compiled_steps.spread(predicted.jacobian_v, covariance, by_offset)
-        if offset_sigma_s > _KNOWN_CLOCK_S or turn_variance > LINEAR_RANGE**2:
-            return self._settled(task, paired, predicted)
-        compared = compare(paired.measurement, device, predicted, self._model, mean, covariance, sky_model)
+        if offset_sigma_s > _LINEAR_CLOCK_SIGMA_S or turn_variance > LINEAR_RANGE**2:
+            return self._iterate(task, matched, predicted)
+        compared = compare(matched.measurement, device, predicted, self._model, mean, covariance, sky_model)
         if isinstance(compared, Rejection):
-            return NotCompared(compared, paired.ins_time_ns)
-        return Linearised(paired.measurement, compared, paired.ins, paired.paired_ns, paired.ins_time_ns)
+            return NotEvaluable(compared, matched.ins_time_ns)
+        return LinearisedMeasurement(matched.measurement, compared, matched.ins, matched.matched_ins_ns, matched.ins_time_ns)
 
-    def _paired(self, task: _Task, mean: FloatArray) -> _Paired | NotCompared | None:
+    def _match_to_ins(self, task: _LinearisationTask, mean: FloatArray) -> _MatchedMeasurement | NotEvaluable | None:
         """Match the INS attitude to a measurement, by a mean of the state.
 
         Returns:
@@ -241,29 +241,29 @@ class Linearisation:
         measurement, track = task.measurement, task.track
         ins_time_ns = self.ins_time_ns(mean, measurement)
         around_ns = 0
-        if task.offset_sigma_s > _KNOWN_CLOCK_S:
-            around_ns = round(_FAR * task.offset_sigma_s * SECOND_NS)
+        if task.offset_sigma_s > _LINEAR_CLOCK_SIGMA_S:
+            around_ns = round(_FAR_SIGMAS * task.offset_sigma_s * SECOND_NS)
         if task.may_wait and not track.covers(ins_time_ns + max(measurement.reach_ns, around_ns)):
             return None
         ins = track.at(ins_time_ns)
         if ins is None:
             text = "no INS samples on both sides of the measurement"
-            return NotCompared(Rejection(Reason.GAP, text), ins_time_ns)
+            return NotEvaluable(Rejection(Reason.GAP, text), ins_time_ns)
         shared_count = task.count_between(ins)
-        if isinstance(measurement, _AGAINST_SKY):
+        if isinstance(measurement, _SKY_MEASUREMENTS):
             assert task.sky_model is not None
-            turned = in_horizon(measurement, task.sky_model)
-            if isinstance(turned, Rejection):
-                return NotCompared(turned, ins_time_ns)
-            measurement = turned
+            attitude = to_horizon_attitude(measurement, task.sky_model)
+            if isinstance(attitude, Rejection):
+                return NotEvaluable(attitude, ins_time_ns)
+            measurement = attitude
         elif self._vertical is not None and isinstance(measurement, AttitudeMeasurement) and not task.device.is_star:
             # Another attitude system is levelled by gravity, as the INS is.
-            turn = self._vertical.at(measurement.time_ns).turn
+            turn = self._vertical.at(measurement.time_ns).deflection_jacobian
             measurement = replace(measurement, shared_n=turn, shared_by=SHARED_BY_GRAVITY)
         elif isinstance(measurement, StarExposure) and measurement.length is not None:
             turning = turning_over(track, ins_time_ns, measurement.length.nodes)
             if turning is None:
-                return NotCompared(measurement.length.coverage_rejection, ins_time_ns)
+                return NotEvaluable(measurement.length.coverage_rejection, ins_time_ns)
             # The prediction is the mean over the exposure, so errors and rate are those of the mean. The rate between
             # two samples contains their noise divided by their interval. Across a streak, where a star is most
             # accurate, this noise would count as information about the clock.
@@ -273,52 +273,52 @@ class Linearisation:
                 noise_gain=turning.noise_gain,
                 error_covariance_d=turning.error_covariance,
             )
-            measurement = at_middle(measurement, turning.mounted(task.device.rotation_dv0).turns)
+            measurement = reduce_to_mid_exposure(measurement, turning.mounted(task.device.rotation_dv0).turns)
         if shared_count > 1.0:
             # The interpolation error between two samples is common to all measurements there. The filter treats it as
             # noise; with the variance multiplied by their number, their mean has the variance of the common error.
             ins = replace(ins, error_covariance_d=shared_count * ins.error_covariance_d)
         if around_ns:
-            bent_d = _bent_by_offset(track, ins_time_ns, around_ns, ins)
-            if bent_d is None:
+            nonlinear_d = _nonlinear_offset_covariance(track, ins_time_ns, around_ns, ins)
+            if nonlinear_d is None:
                 text = "no INS samples around the measurement, and its clock offset is not known"
-                return NotCompared(Rejection(Reason.GAP, text), ins_time_ns + around_ns)
-            ins = replace(ins, error_covariance_d=ins.error_covariance_d + task.count_within(_SAME_MOTION_S) * bent_d)
-        return _Paired(measurement, ins, ins_time_ns, ins_time_ns + around_ns)
+                return NotEvaluable(Rejection(Reason.GAP, text), ins_time_ns + around_ns)
+            ins = replace(ins, error_covariance_d=ins.error_covariance_d + task.count_within(_CORRELATED_MOTION_S) * nonlinear_d)
+        return _MatchedMeasurement(measurement, ins, ins_time_ns, ins_time_ns + around_ns)
 
-    def _settled(self, task: _Task, paired: _Paired, expected: PredictedAttitude) -> Linearised | NotCompared | None:
+    def _iterate(self, task: _LinearisationTask, matched: _MatchedMeasurement, expected: PredictedAttitude) -> LinearisedMeasurement | NotEvaluable | None:
         """Linearise a measurement iteratively; its residual is relative to the predicted mean."""
-        model, until_ns = self._model, paired.ins_time_ns
-        correction = self._start(task, paired, expected)
-        for _ in range(_MOST_STEPS):
+        model, until_ns = self._model, matched.ins_time_ns
+        correction = self._start_correction(task, matched, expected)
+        for _ in range(_MAX_ITERATIONS):
             mean = task.mean + correction
             # Prediction and Jacobian belong to the same state, clock included; otherwise the rotation by the estimated
             # offset would count twice.
-            found = self._paired(task, mean) if correction.any() else paired
-            if not isinstance(found, _Paired):
+            found = self._match_to_ins(task, mean) if correction.any() else matched
+            if not isinstance(found, _MatchedMeasurement):
                 return found if found is None else replace(found, ins_time_ns=max(until_ns, found.ins_time_ns))
             until_ns = max(until_ns, found.ins_time_ns)
             predicted = predict_attitude(task.device, model, mean, found.ins)
-            there = compare(
+            at_point = compare(
                 found.measurement, task.device, predicted, model, mean, task.covariance, task.sky_model, expected
             )
-            if isinstance(there, Rejection):
-                return NotCompared(there, until_ns)
-            linear = replace(there.linear, residual=there.linear.residual + there.linear.jacobian @ correction)
-            reached = _correction(linear, task.covariance)
-            if reached is None:
-                return NotCompared(singular_covariance(), until_ns)
-            step = float(np.linalg.norm(predicted.jacobian_v @ (reached - correction)))
-            if step < _SMALL_TURN:
-                compared = there._replace(linear=linear, predicted_nv=expected.rotation_nv)
-                return Linearised(found.measurement, compared, paired.ins, found.paired_ns, until_ns)
-            correction = reached
-        text = f"the linearisation did not converge in {_MOST_STEPS} iterations"
-        return NotCompared(Rejection(Reason.GATE, text), until_ns)
+            if isinstance(at_point, Rejection):
+                return NotEvaluable(at_point, until_ns)
+            linear = replace(at_point.linear, residual=at_point.linear.residual + at_point.linear.jacobian @ correction)
+            next_correction = _correction(linear, task.covariance)
+            if next_correction is None:
+                return NotEvaluable(singular_covariance(), until_ns)
+            step = float(np.linalg.norm(predicted.jacobian_v @ (next_correction - correction)))
+            if step < _CONVERGED_RAD:
+                compared = at_point._replace(linear=linear, predicted_nv=expected.rotation_nv)
+                return LinearisedMeasurement(found.measurement, compared, matched.ins, found.matched_ins_ns, until_ns)
+            correction = next_correction
+        text = f"the linearisation did not converge in {_MAX_ITERATIONS} iterations"
+        return NotEvaluable(Rejection(Reason.GATE, text), until_ns)
 
-    def _start(self, task: _Task, paired: _Paired, expected: PredictedAttitude) -> FloatArray:
+    def _start_correction(self, task: _LinearisationTask, matched: _MatchedMeasurement, expected: PredictedAttitude) -> FloatArray:
         """Return the first linearisation point relative to the predicted mean, shape (n,); for stars their attitude."""
-        correction, exposure = np.zeros_like(task.mean), paired.measurement
+        correction, exposure = np.zeros_like(task.mean), matched.measurement
         if not isinstance(exposure, StarExposure):
             return correction
         assert task.sky_model is not None
@@ -326,7 +326,7 @@ class Linearisation:
         visible = visible_stars(exposure, task.sky_model, prior)
         if isinstance(visible, Rejection) or not len(visible[1]):
             return correction
-        turn_ns = likely_attitude(visible[1], prior) @ expected.rotation_nv.T
+        turn_ns = initial_attitude(visible[1], prior) @ expected.rotation_nv.T
         rows = self._model.slices["ins.attitude"]
         correction[rows] = log_rotation(turn_ns @ exp_rotation(task.mean[rows])) - task.mean[rows]
         return correction
@@ -337,7 +337,7 @@ def _configured_sigma_s(model: ShipStateModel, device: Device) -> float:
     return float(np.linalg.norm([model.blocks[name].sigma[0] for name, _ in device.ins_time_states]))
 
 
-def _bent_by_offset(
+def _nonlinear_offset_covariance(
     track: AttitudeTrack, ins_time_ns: int, around_ns: int, here: InterpolatedAttitude
 ) -> FloatArray | None:
     """Return the covariance of the nonlinear effect of an unknown clock offset, deck frame, rad², shape (3, 3).
@@ -356,7 +356,7 @@ def _bent_by_offset(
         to_before, to_after = (log_rotation(here.rotation_nd.T @ other.rotation_nd) for other in (before, after))
         square = 0.5 * (to_after + to_before) * nearer**2
         cube = (0.5 * (to_after - to_before) - here.rate_d * (off_ns / SECOND_NS)) * nearer**3
-        covariance: FloatArray = (np.outer(square, square) + np.outer(cube, cube)) / _FAR**2
+        covariance: FloatArray = (np.outer(square, square) + np.outer(cube, cube)) / _FAR_SIGMAS**2
         return covariance
     return None
 
@@ -365,5 +365,5 @@ def _correction(linear: LinearMeasurement, covariance: FloatArray) -> FloatArray
     """Return the correction of the mean by a linearised measurement, shape (n,); None if it is not finite."""
     cross = linear.jacobian @ covariance
     _, solution, failed = lapack.dposv(cross @ linear.jacobian.T + linear.noise, linear.residual)
-    moved: FloatArray = cross.T @ solution
-    return None if failed or not np.all(np.isfinite(moved)) else moved
+    correction: FloatArray = cross.T @ solution
+    return None if failed or not np.all(np.isfinite(correction)) else correction

@@ -19,23 +19,23 @@ from ship_attitude_star.ship_attitude.comparison import predict_attitude
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.stars.exposure import StarExposure
-from ship_attitude_star.vertical.vertical_track import VerticalHere
+from ship_attitude_star.vertical.vertical_track import LocalVertical
 from ship_estimation.outcome import Measurement
 from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.rotations import FloatArray, exp_rotation
 from ship_geometry.time_scales import SECOND_NS
 
 _TURNS_DEG = (45.0, 90.0, 180.0)
-_LENGTH_S = 900.0
+_DURATION_S = 900.0
 """Predicted time on one heading, s."""
 
-_MISSED = 3.0
+_MISSED_PERIODS = 3.0
 """Timeout of a source, in its measurement periods."""
 
 _RATE_DEG_PER_S, _PIECE_DEG = 1.0, 15.0
 """Rate of turn, °/s, and size of the steps in which a turn is predicted, °: the INS error varies during the turn."""
 
-_WORTH_TELLING = 0.9
+_RECOMMENDED_RATIO = 0.9
 """Maximum ratio of the standard deviations after a turn and on course for a recommendation."""
 
 
@@ -50,10 +50,10 @@ class RecentSource(NamedTuple):
     measurement: Measurement
     period_s: float
 
-    def goes_on_at(self, time_ns: int) -> bool:
+    def is_active_at(self, time_ns: int) -> bool:
         """True if the source still measures; False before its second measurement."""
         since_s = (time_ns - self.measurement.time_ns) / SECOND_NS
-        return self.period_s < math.inf and since_s <= _MISSED * self.period_s
+        return self.period_s < math.inf and since_s <= _MISSED_PERIODS * self.period_s
 
 
 class RecommendedTurn(NamedTuple):
@@ -69,13 +69,13 @@ class RecommendedTurn(NamedTuple):
 
     turn_deg: float
     quantity: str
-    now: float
-    on_course: float
-    after: float
+    sigma_now: float
+    sigma_on_course: float
+    sigma_after_turn: float
 
 
-def worthwhile_turn(
-    filter_: ShipFilter, state: FilterState, rotation_nd: FloatArray, lately: Mapping[str, RecentSource]
+def recommended_manoeuvre(
+    filter_: ShipFilter, state: FilterState, rotation_nd: FloatArray, recent_sources: Mapping[str, RecentSource]
 ) -> RecommendedTurn | None:
     """Return the turn that improves the attitude most; None if none is worthwhile or no source measures.
 
@@ -87,22 +87,22 @@ def worthwhile_turn(
     """
     if state.time_ns is None:
         return None
-    goes_on = {
-        source: seen
-        for source, seen in lately.items()
-        if source not in state.excluded and seen.goes_on_at(state.time_ns)
+    active = {
+        source: recent
+        for source, recent in recent_sources.items()
+        if source not in state.excluded and recent.is_active_at(state.time_ns)
     }
-    if not goes_on:
+    if not active:
         return None
-    voyage, now = _Voyage(filter_, state, rotation_nd, goes_on), _sigmas(filter_, state.covariance)
-    on_course = voyage.after_turn(0.0)
+    prediction, now = _ManoeuvrePrediction(filter_, state, rotation_nd, active), _sigmas(filter_, state.covariance)
+    on_course = prediction.sigmas_after_turn(0.0)
     hints = []
     for turn_deg in _TURNS_DEG:
-        after = voyage.after_turn(turn_deg)
+        after = prediction.sigmas_after_turn(turn_deg)
         hints += [RecommendedTurn(turn_deg, name, now[name], on_course[name], after[name]) for name in after]
     best = min(hints, key=lambda hint: hint.after / hint.on_course)
     # Written so that NaN is not recommended.
-    return best if best.after <= _WORTH_TELLING * best.on_course else None
+    return best if best.after <= _RECOMMENDED_RATIO * best.on_course else None
 
 
 def _sigmas(filter_: ShipFilter, covariance: FloatArray) -> dict[str, float]:
@@ -112,17 +112,17 @@ def _sigmas(filter_: ShipFilter, covariance: FloatArray) -> dict[str, float]:
     return {"heading": float(np.sqrt(up)), "tilt": float(np.sqrt(0.5 * (north + east)))}
 
 
-class _Still:
+class _ConstantVertical:
     """A vertical that is constant in time."""
 
-    def __init__(self, here: VerticalHere) -> None:
+    def __init__(self, here: LocalVertical) -> None:
         self._here = here
 
-    def at(self, time_ns: int) -> VerticalHere:
+    def at(self, time_ns: int) -> LocalVertical:
         return self._here
 
 
-class _Stretch(NamedTuple):
+class _CovarianceTransition(NamedTuple):
     """Transition of a covariance P over a time with measurements.
 
     It maps P to transition P (1 + information P)^-1 transitionᵀ + noise. Successive transitions combine to one (S.
@@ -134,77 +134,77 @@ class _Stretch(NamedTuple):
         information: information about the states before, shape (n, n).
     """
 
-    left: FloatArray
-    added: FloatArray
-    known: FloatArray
+    transition: FloatArray
+    noise: FloatArray
+    information: FloatArray
 
-    def then(self, later: "_Stretch") -> "_Stretch":
+    def followed_by(self, later: "_CovarianceTransition") -> "_CovarianceTransition":
         """Return the transition over this time and a later one."""
-        one = np.eye(len(self.left))
-        through = np.linalg.solve((one + self.added @ later.known).T, later.left.T).T
-        return _Stretch(
-            through @ self.left,
-            through @ self.added @ later.left.T + later.added,
-            self.left.T @ np.linalg.solve(one + later.known @ self.added, later.known @ self.left) + self.known,
+        one = np.eye(len(self.transition))
+        through = np.linalg.solve((one + self.noise @ later.information).T, later.transition.T).T
+        return _CovarianceTransition(
+            through @ self.transition,
+            through @ self.noise @ later.transition.T + later.noise,
+            self.transition.T @ np.linalg.solve(one + later.information @ self.noise, later.information @ self.transition) + self.information,
         )
 
-    def after(self, covariance: FloatArray) -> FloatArray:
+    def propagate(self, covariance: FloatArray) -> FloatArray:
         """Return a covariance propagated over the time, shape (n, n)."""
-        one = np.eye(len(self.left))
-        after: FloatArray = self.left @ covariance @ np.linalg.solve(one + self.known @ covariance, self.left.T)
-        return after + self.added
+        one = np.eye(len(self.transition))
+        propagated: FloatArray = self.transition @ covariance @ np.linalg.solve(one + self.information @ covariance, self.transition.T)
+        return propagated + self.noise
 
 
-class _Voyage:
+class _ManoeuvrePrediction:
     """Prediction of the filter covariance with and without a turn."""
 
     def __init__(
-        self, filter_: ShipFilter, state: FilterState, rotation_nd: FloatArray, lately: Mapping[str, RecentSource]
+        self, filter_: ShipFilter, state: FilterState, rotation_nd: FloatArray, recent_sources: Mapping[str, RecentSource]
     ) -> None:
-        self._filter, self._state, self._rotation_nd, self._lately = filter_, state, rotation_nd, lately
+        self._filter, self._state, self._rotation_nd, self._recent_sources = filter_, state, rotation_nd, recent_sources
 
-    def after_turn(self, turn_deg: float) -> dict[str, float]:
+    def sigmas_after_turn(self, turn_deg: float) -> dict[str, float]:
         """Return the standard deviations 15 min after a turn of ``turn_deg``, which may be 0."""
-        way = None
+        total = None
         pieces = round(turn_deg / _PIECE_DEG)
         for number in range(pieces):
-            piece = self._lying((number + 0.5) * _PIECE_DEG, _PIECE_DEG / _RATE_DEG_PER_S)
-            way = piece if way is None else way.then(piece)
-        lying = self._lying(turn_deg, _LENGTH_S)
-        way = lying if way is None else way.then(lying)
-        return _sigmas(self._filter, way.after(self._state.covariance))
+            piece = self._on_heading((number + 0.5) * _PIECE_DEG, _PIECE_DEG / _RATE_DEG_PER_S)
+            total = piece if total is None else total.followed_by(piece)
+        on_heading = self._on_heading(turn_deg, _DURATION_S)
+        total = on_heading if total is None else total.followed_by(on_heading)
+        return _sigmas(self._filter, total.propagate(self._state.covariance))
 
-    def _lying(self, turned_deg: float, length_s: float) -> _Stretch:
+    def _on_heading(self, turned_deg: float, length_s: float) -> _CovarianceTransition:
         """Return the transition over a time on a heading, from a step of the shortest period by repeated doubling."""
-        model, lately = self._filter.model, self._lately
-        shortest_s = min(source.period_s for source in lately.values())
+        model, recent_sources = self._filter.model, self._recent_sources
+        shortest_s = min(source.period_s for source in recent_sources.values())
         doublings = max(math.ceil(math.log2(length_s / shortest_s)), 0)
         step_s = length_s / 2.0**doublings
         turned_nd = exp_rotation(np.deg2rad([0.0, -turned_deg, 0.0])) @ self._rotation_nd
         ins, white = InterpolatedAttitude(turned_nd, np.zeros(3), 0.0), model.blocks["ins.noise"].sigma[0]
         jacobian = np.vstack(
             [
-                _root(_information(seen.measurement), white, step_s / seen.period_s)
+                _root(_information(recent.measurement), white, step_s / recent.period_s)
                 @ predict_attitude(self._filter.devices[source], model, self._state.mean, ins).jacobian_v
-                for source, seen in lately.items()
+                for source, recent in recent_sources.items()
             ]
         )
-        transition, fresh = _step(self._filter, self._state, step_s)
-        weighed = np.linalg.solve(jacobian @ fresh @ jacobian.T + np.eye(len(jacobian)), jacobian)
+        transition, noise = _step(self._filter, self._state, step_s)
+        weighed = np.linalg.solve(jacobian @ noise @ jacobian.T + np.eye(len(jacobian)), jacobian)
         information = jacobian.T @ weighed
-        stretch = _Stretch(
-            transition - fresh @ information @ transition, fresh - fresh @ information @ fresh, transition.T @ information @ transition
+        transition_over_time = _CovarianceTransition(
+            transition - noise @ information @ transition, noise - noise @ information @ noise, transition.T @ information @ transition
         )
         for _ in range(doublings):
-            stretch = stretch.then(stretch)
-        return stretch
+            transition_over_time = transition_over_time.followed_by(transition_over_time)
+        return transition_over_time
 
 
 def _step(filter_: ShipFilter, state: FilterState, step_s: float) -> tuple[FloatArray, FloatArray]:
     """Return the transition matrix of the states over a time, and the covariance added, shape (n, n) each."""
     model = filter_.model
-    decay, fresh = model.transition(step_s)
-    transition, noise = np.diag(decay), np.diag(fresh)
+    decay, variance = model.transition(step_s)
+    transition, noise = np.diag(decay), np.diag(variance)
     # The white INS noise is part of each measurement.
     white = model.state_indices("ins.noise")
     noise[white, white] = 0.0
@@ -214,8 +214,8 @@ def _step(filter_: ShipFilter, state: FilterState, step_s: float) -> tuple[Float
     if model.ins_process is not None and state.vertical is not None:
         assert state.time_ns is not None
         end_ns = state.time_ns + round(step_s * SECOND_NS)
-        propagation = model.ins_process.propagation(state.time_ns, state.vertical, [end_ns], _Still(state.vertical))
-        rows = np.ix_(model.process_rows, model.process_rows)
+        propagation = model.ins_process.propagation(state.time_ns, state.vertical, [end_ns], _ConstantVertical(state.vertical))
+        rows = np.ix_(model.process_indices, model.process_indices)
         transition[rows], noise[rows] = propagation.transition[0], propagation.ins_noise[0] + propagation.deflection_noise[0]
     return transition, noise
 
@@ -231,8 +231,8 @@ def _information(measurement: Measurement) -> FloatArray:
         variance = float(np.trace(measurement.noise_n)) / 3.0 / measurement.length_m**2
         return np.diag([0.0, 1.0, 1.0]) / variance
     assert isinstance(measurement, StarExposure)
-    seen, weight = measurement.directions_s, measurement.sigma**-2.0
-    information: FloatArray = np.einsum("k,kij->ij", weight, np.eye(3) - seen[:, :, None] * seen[:, None, :])
+    directions, weight = measurement.directions_s, measurement.sigma**-2.0
+    information: FloatArray = np.einsum("k,kij->ij", weight, np.eye(3) - directions[:, :, None] * directions[:, None, :])
     return _symmetric(information)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ship_attitude_star.ship_attitude.corrected_ins import newest_star_ns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.linearised import NotCompared
+from ship_attitude_star.ship_attitude.linearised import NotEvaluable
 from ship_attitude_star.ship_attitude.state import FilterState, changed
 from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_estimation.ins import InsJump
@@ -18,10 +18,10 @@ from ship_estimation.recovery.displacement import MemoryResidual
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.time_scales import SECOND_NS
 
-_LASTING = (".installation", ".time_offset", ".optics", "ins.attitude")
+_CONSTANT_STATES = (".installation", ".time_offset", ".optics", "ins.attitude")
 """Endings of the names of the states that are compared with a stored state; all others vary within minutes."""
 
-_SEEN_RAD = 0.02
+_OBSERVABLE_RAD = 0.02
 """Maximum standard deviation of a device rotation that a measurement observes, rad."""
 
 
@@ -34,11 +34,11 @@ def start_from_memory(filter_: ShipFilter, memory: FilterState, live: FilterStat
         live: state of the estimator in use; its exclusion counts and INS fault time are kept.
     """
     return changed(
-        filter_.fault_detector.start(memory.mean, memory.covariance_by_source),
+        filter_.fault_detector.initial_state(memory.mean, memory.covariance_by_source),
         time_ns=memory.time_ns,
         vertical=memory.vertical,
         common_n=memory.common_n,
-        record=live.record,
+        record=live.exclusion_counts,
         ins_suspected_ns=live.ins_fault_ns,
     )
 
@@ -58,19 +58,19 @@ def memory_residual(
     None if the measurement cannot be evaluated or does not observe the full rotation of its device.
     """
     state = filter_.propagate(memory, measurement.time_ns)
-    found = filter_.linearisation.of(measurement, state.mean, state.covariance, {}, track, sky_model)
-    if found is None or isinstance(found, NotCompared):
+    found = filter_.linearisation.linearise(measurement, state.mean, state.covariance, {}, track, sky_model)
+    if found is None or isinstance(found, NotEvaluable):
         return None
     linear, rotation_jacobian = found.compared.linear, found.compared.rotation_jacobian
     weighted = np.linalg.solve(linear.noise, rotation_jacobian)
     information = rotation_jacobian.T @ weighted
-    if not np.linalg.eigvalsh(information)[0] >= _SEEN_RAD**-2:
+    if not np.linalg.eigvalsh(information)[0] >= _OBSERVABLE_RAD**-2:
         return None
     noise_v = np.linalg.inv(information)
     to_rotation = found.compared.predicted_nv @ noise_v @ weighted.T
     by_state = to_rotation @ linear.jacobian
     noise_n = found.compared.predicted_nv @ noise_v @ found.compared.predicted_nv.T
-    expected, drift = by_state @ state.covariance @ by_state.T, by_state @ _drift(filter_, state) @ by_state.T
+    expected, drift = by_state @ state.covariance @ by_state.T, by_state @ _growth_per_second(filter_, state) @ by_state.T
     return MemoryResidual(to_rotation @ linear.residual, noise_n, expected, drift)
 
 
@@ -83,7 +83,7 @@ def departure_sigmas(filter_: ShipFilter, state: FilterState, memory: FilterStat
     if state.time_ns is None:
         return np.inf
     memory = filter_.propagate(memory, state.time_ns)
-    rows = np.concatenate([filter_.model.state_indices(name) for name in filter_.model.slices if name.endswith(_LASTING)])
+    rows = np.concatenate([filter_.model.state_indices(name) for name in filter_.model.slices if name.endswith(_CONSTANT_STATES)])
     variance = memory.covariance.diagonal()[rows] + (0.0 if is_later else state.covariance.diagonal()[rows])
     difference = np.abs(state.mean - memory.mean)[rows]
     # States known exactly do not differ. Written so that NaN is compared.
@@ -91,16 +91,16 @@ def departure_sigmas(filter_: ShipFilter, state: FilterState, memory: FilterStat
     return float(np.max(difference[varies] / np.sqrt(variance[varies]), initial=0.0))
 
 
-def is_undisputed(filter_: ShipFilter, state: FilterState, degraded_after: int) -> bool:
+def is_consistent(filter_: ShipFilter, state: FilterState, degraded_after: int) -> bool:
     """True if a state is based on stars, all sources are consistent, none is excluded and no jump is unconfirmed."""
-    is_open = state.unresolved_fault is not None or state.separation_covariance_n is not None or state.utc is not None
-    if is_open or state.excluded or state.unconfirmed is not None:
+    is_unresolved = state.unresolved_fault is not None or state.separation_covariance_n is not None or state.utc_step is not None
+    if is_unresolved or state.excluded or state.unconfirmed_step is not None:
         return False
-    refused = max(state.consecutive_rejections.values(), default=0)
-    return newest_star_ns(filter_, state) is not None and refused < degraded_after
+    most_rejections = max(state.consecutive_rejections.values(), default=0)
+    return newest_star_ns(filter_, state) is not None and most_rejections < degraded_after
 
 
-def _drift(filter_: ShipFilter, state: FilterState) -> np.ndarray:
+def _growth_per_second(filter_: ShipFilter, state: FilterState) -> np.ndarray:
     """Return the growth of a state's covariance in one second, shape (n, n)."""
     assert state.time_ns is not None
     before_ns = state.time_ns - SECOND_NS

@@ -54,7 +54,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.ins_errors.config import SCHULER, SchulerConfig
-from ship_attitude_star.ins_errors.ins_on_gravity import InsOnGravity
+from ship_attitude_star.ins_errors.ins_on_gravity import GaussMarkovIns
 from ship_attitude_star.ins_errors.process import InsProcess
 from ship_attitude_star.ins_errors.schuler import SchulerIns
 from ship_attitude_star.measurements.baseline import BASELINE
@@ -93,7 +93,7 @@ SOURCE_BASELINE_COMMON = "baseline_common"
 SOURCE_SAVED_ALIGNMENT = "saved_alignment"
 
 _SQRT_HOUR = 60.0
-_NO_TURN = np.eye(3)
+_IDENTITY = np.eye(3)
 
 
 @dataclass(frozen=True)
@@ -136,10 +136,10 @@ class RotationChain:
 
     links: NDArray[np.intp]
     fixed: FloatArray
-    hull: int
-    white: int
-    clocks: NDArray[np.intp]
-    signs: FloatArray
+    hull_link: int
+    noise_link: int
+    clock_states: NDArray[np.intp]
+    clock_signs: FloatArray
 
 
 class ShipStateModel(StateModel):
@@ -167,10 +167,10 @@ class ShipStateModel(StateModel):
             blocks += _schuler_blocks(config.ins.schuler)
         for id_, star in config.star_sensors.items():
             blocks += _star_blocks(f"star.{id_}", star)
-        looks_at_sky = any(star.looks_at_sky for star in config.star_sensors.values())
-        if looks_at_sky:
+        needs_sky = any(star.needs_sky for star in config.star_sensors.values())
+        if needs_sky:
             blocks += sky_blocks(config.sky)
-        sharing = [star for star in config.star_sensors.values() if star.sharing == SHARED_BY_MESSAGES]
+        sharing = [star for star in config.star_sensors.values() if star.shared_error == SHARED_BY_MESSAGES]
         if sharing:
             time_s = max(star.common_time_s for star in sharing)
             blocks.append(block("sky.common", [1.0] * 3, SOURCE_STAR_COMMON, time_s=time_s))
@@ -181,8 +181,8 @@ class ShipStateModel(StateModel):
         noise_sources = [SOURCE_INTERPOLATION]
         if config.star_sensors:
             noise_sources.append(SOURCE_STAR_NOISE)
-        single = [star.camera for star in config.star_sensors.values() if star.input == "observations"]
-        if any(camera.pixel_spatial_sigma_px > 0.0 for camera in single):
+        cameras = [star.camera for star in config.star_sensors.values() if star.input == "observations"]
+        if any(camera.pixel_spatial_sigma_px > 0.0 for camera in cameras):
             noise_sources.append(SOURCE_PIXEL)
         if config.references:
             noise_sources.append(SOURCE_REFERENCE_NOISE)
@@ -191,36 +191,36 @@ class ShipStateModel(StateModel):
         noise_sources.append(SOURCE_SAVED_ALIGNMENT)
         super().__init__(blocks, noise_sources)
         self.sky_slice = slice(0, 0)
-        if looks_at_sky:
+        if needs_sky:
             self.sky_slice = sky_slice(self.slices, config.sky)
         process_blocks = ("ins.attitude",) if self.ins_process is None else self.ins_process.blocks
-        self.process_rows = np.concatenate([self.state_indices(name) for name in process_blocks])
-        self.chains = {name: self._chain(device) for name, device in devices(config).items()}
+        self.process_indices = np.concatenate([self.state_indices(name) for name in process_blocks])
+        self.rotation_chains = {name: self._rotation_chain(device) for name, device in devices(config).items()}
         self.shared_slices = {
             SHARED_BY_SKY: self.sky_slice,
             SHARED_BY_MESSAGES: self.slices.get("sky.common", slice(0, 0)),
             SHARED_BY_GRAVITY: self.slices.get("gravity.deflection", slice(0, 0)),
         }
 
-    def _chain(self, device: Device) -> RotationChain:
+    def _rotation_chain(self, device: Device) -> RotationChain:
         """Return the chain of rotations of a device, from the device outwards."""
-        on_its_left = {
-            f"{device.name}.slow": _NO_TURN,
+        fixed_rotations = {
+            f"{device.name}.slow": _IDENTITY,
             f"{device.name}.installation": device.rotation_dv0,
-            f"{device.name}.flexure": _NO_TURN,
-            "ins.noise": _NO_TURN,
-            "ins.attitude": _NO_TURN,
-            f"{device.name}.common": _NO_TURN,
+            f"{device.name}.flexure": _IDENTITY,
+            "ins.noise": _IDENTITY,
+            "ins.attitude": _IDENTITY,
+            f"{device.name}.common": _IDENTITY,
         }
-        links = [name for name in on_its_left if name in self.slices]
+        links = [name for name in fixed_rotations if name in self.slices]
         white = links.index("ins.noise")
         return RotationChain(
             links=np.array([self.slices[name].start for name in links], dtype=np.intp),
-            fixed=np.array([on_its_left[name] for name in links]),
-            hull=white - 1,
-            white=white,
-            clocks=np.array([self.slices[name].start for name, _ in device.ins_time_states], dtype=np.intp),
-            signs=np.array([sign for _, sign in device.ins_time_states]),
+            fixed=np.array([fixed_rotations[name] for name in links]),
+            hull_link=white - 1,
+            noise_link=white,
+            clock_states=np.array([self.slices[name].start for name, _ in device.ins_time_states], dtype=np.intp),
+            clock_signs=np.array([sign for _, sign in device.ins_time_states]),
         )
 
 
@@ -279,7 +279,7 @@ def _ins_process(config: ShipAttitudeConfig, ins_attitude: StateBlock) -> InsPro
     length_m = config.gravity.correlation_length_m if config.models_deflection else None
     if config.ins.model == SCHULER:
         return SchulerIns(config.ins.schuler, ins_attitude.sigma, length_m)
-    return None if length_m is None else InsOnGravity(ins_attitude, length_m)
+    return None if length_m is None else GaussMarkovIns(ins_attitude, length_m)
 
 
 def _schuler_blocks(schuler: SchulerConfig) -> list[StateBlock]:

@@ -32,17 +32,17 @@ class Observability(NamedTuple):
         unobservable_combinations: unobservable combinations of states, as texts of their names.
     """
 
-    left: dict[str, float]
-    open: tuple[str, ...]
+    sigma_ratios: dict[str, float]
+    unobservable_combinations: tuple[str, ...]
 
 
-def learnt(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState) -> Observability:
+def observability_of(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState) -> Observability:
     """Return the observability of INS attitude, deflection, installations and clocks for a filter state.
 
     States with a prior standard deviation of 0 are omitted. Installations and clocks come first in the combinations.
     """
     names, rows, sigmas = [], [], []
-    for block, sigma in _known_before(filter_, config).items():
+    for block, sigma in _prior_sigmas(filter_, config).items():
         prefix, _, kind = block.rpartition(".")
         for axis, row, before in zip(_AXES[kind], filter_.model.state_indices(block).tolist(), sigma, strict=True):
             if before > 0.0:
@@ -51,11 +51,11 @@ def learnt(filter_: ShipFilter, config: ShipAttitudeConfig, state: FilterState) 
                 sigmas.append(float(before))
     before = np.array(sigmas)
     covariance = state.covariance[np.ix_(rows, rows)]
-    left = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)) / before
-    return Observability(dict(zip(names, left.tolist(), strict=True)), open_combinations(covariance, before, names))
+    sigma_ratios = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)) / before
+    return Observability(dict(zip(names, sigma_ratios.tolist(), strict=True)), open_combinations(covariance, before, names))
 
 
-def _known_before(filter_: ShipFilter, config: ShipAttitudeConfig) -> dict[str, FloatArray]:
+def _prior_sigmas(filter_: ShipFilter, config: ShipAttitudeConfig) -> dict[str, FloatArray]:
     """Return the prior standard deviations by block name, the devices first."""
     blocks = filter_.model.blocks
     own = [name for name in blocks if name.endswith((".installation", ".time_offset")) and not name.startswith("ins.")]

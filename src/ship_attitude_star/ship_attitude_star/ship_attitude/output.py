@@ -16,7 +16,7 @@ from ship_attitude_star.ship_attitude.corrected_ins import newest_star_ns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.sky.sky_watch import SkyModel
-from ship_attitude_star.sky.tracker_attitude import in_horizon
+from ship_attitude_star.sky.tracker_attitude import to_horizon_attitude
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
 from ship_estimation.outcome import Measurement, Status
@@ -25,7 +25,7 @@ from ship_geometry.rotations import exp_rotation, left_jacobian
 from ship_geometry.time_scales import SECOND_NS
 
 
-def attitude_alone(
+def attitude_from_star(
     measurement: Measurement, sky_model: SkyModel | None, unmeasured_acceleration: float
 ) -> AttitudeMeasurement | None:
     """Return the attitude of a star sensor from one measurement alone; None if it does not determine one.
@@ -39,17 +39,17 @@ def attitude_alone(
     attitude: Measurement | Rejection = measurement
     if isinstance(measurement, InertialAttitude | SolvedAttitude):
         assert sky_model is not None
-        attitude = in_horizon(measurement, sky_model)
+        attitude = to_horizon_attitude(measurement, sky_model)
     if isinstance(attitude, Rejection):
         return None
     if isinstance(attitude, AttitudeMeasurement):
         return replace(attitude, common_n=attitude.correlated_n, shared_n=None)
     assert sky_model is not None
     assert isinstance(measurement, StarExposure)
-    return _by_stars(measurement, sky_model, unmeasured_acceleration)
+    return _attitude_from_exposure(measurement, sky_model, unmeasured_acceleration)
 
 
-def _by_stars(exposure: StarExposure, sky_model: SkyModel, unmeasured_acceleration: float) -> AttitudeMeasurement | None:
+def _attitude_from_exposure(exposure: StarExposure, sky_model: SkyModel, unmeasured_acceleration: float) -> AttitudeMeasurement | None:
     """Return the sensor attitude from one exposure; None if its stars do not determine a verified one."""
     visible = visible_stars(exposure, sky_model, None)
     if isinstance(visible, Rejection):
@@ -84,7 +84,7 @@ def estimate_from_star(
     to_gravity = horizon == GRAVITY and filter_.vertical is not None
     if to_gravity:
         assert filter_.vertical is not None
-        by_deflection, deflection = filter_.vertical.at(measurement.time_ns).turn, model.state_indices("gravity.deflection")
+        by_deflection, deflection = filter_.vertical.at(measurement.time_ns).deflection_jacobian, model.state_indices("gravity.deflection")
         rotation_nd = exp_rotation(-by_deflection @ state.mean[deflection]) @ rotation_nd
         rows, jacobian = np.r_[rows, deflection], np.hstack([jacobian, -by_deflection])
     covariance_by_source = jacobian @ state.covariance_by_source[:, rows[:, None], rows] @ jacobian.T
@@ -108,7 +108,7 @@ def estimate_from_star(
     )
 
 
-def no_estimate(filter_: ShipFilter, state: FilterState, now_ns: int, text: str = "") -> AttitudeEstimate:
+def invalid_estimate(filter_: ShipFilter, state: FilterState, now_ns: int, text: str = "") -> AttitudeEstimate:
     """Return an INVALID estimate, for lack of INS and star data or for the reason in the text."""
     return AttitudeEstimate(
         time_ns=now_ns,

@@ -26,14 +26,14 @@ INS = "ins"
 ALL_STARS = "all_stars"
 """Name of the hypothesis of an error that all star sensors share."""
 
-LEAST_FOR_PAIRS = 3
+MIN_SOURCES_FOR_PAIRS = 3
 """Minimum number of sources besides the INS for subfilters without two sources.
 
 Without two of three sources one is left, which the INS checks; without one source and the INS two are left.
 """
 
 
-_LEAST_CHECKED = 2
+_MIN_FOR_CROSS_CHECK = 2
 """Minimum number of sources besides the INS that check one another."""
 
 
@@ -46,12 +46,12 @@ class RelevantHypotheses(NamedTuple):
         is_cross_checked: True if its sources besides the INS check one another.
     """
 
-    hypotheses: NDArray[np.intp]
+    indices: NDArray[np.intp]
     names: tuple[str, ...]
-    check_one_another: bool
+    is_cross_checked: bool
 
 
-class RowTable:
+class SubfilterSet:
     """The filters of a configuration: h filters (the main filter first) and s sources.
 
     Args:
@@ -86,32 +86,32 @@ class RowTable:
     def __init__(self, config: ShipAttitudeConfig, model: ShipStateModel, devices: Mapping[str, Device]) -> None:
         self.sources = tuple(devices)
         one = (*self.sources, INS) if len(self.sources) > 1 else self.sources
-        with_pairs = config.integrity.pairs and len(self.sources) >= LEAST_FOR_PAIRS
+        with_pairs = config.integrity.pairs and len(self.sources) >= MIN_SOURCES_FOR_PAIRS
         two = itertools.combinations(one, 2) if with_pairs else ()
         self.excluded_sources: tuple[tuple[str, ...], ...] = (*((name,) for name in one), *two)
         self.names = tuple("+".join(names) for names in self.excluded_sources)
         self.count = len(self.names) + 1
-        self._check_number(config.integrity.max_hypotheses)
-        self.singles, self.pairs = range(1, len(one) + 1), range(len(one) + 1, self.count)
+        self._check_count(config.integrity.max_hypotheses)
+        self.single_subfilters, self.pair_subfilters = range(1, len(one) + 1), range(len(one) + 1, self.count)
         self.ins_subfilters = tuple(row for row, names in enumerate(self.excluded_sources, start=1) if INS in names)
         used = [[name not in names for name in self.sources] for names in ((), *self.excluded_sources)]
         self.uses: NDArray[np.bool_] = np.array(used, dtype=bool)
-        self.users = {name: self.uses[:, index].copy() for index, name in enumerate(self.sources)}
-        self.own = {name: _own_states(model, name) for name in self.sources}
-        self.learns = {name: self.uses[:, index, None] | self.own[name] for index, name in enumerate(self.sources)}
+        self.used_by = {name: self.uses[:, index].copy() for index, name in enumerate(self.sources)}
+        self.own_states = {name: _own_states(model, name) for name in self.sources}
+        self.updatable_states = {name: self.uses[:, index, None] | self.own_states[name] for index, name in enumerate(self.sources)}
         prior = config.integrity.prior_per_h
         prior_per_h = {name: prior.star_sensor if one.is_star else prior.reference for name, one in devices.items()}
         prior_per_h[INS] = prior.ins
         priors_per_h = [prior_of_all([prior_per_h[name] for name in names]) for names in self.excluded_sources]
         k = factors(config.integrity, [*priors_per_h, prior.all_stars])
         self.k: Factors = replace(k, missed=k.missed[:-1])
-        self.common_missed = float(k.missed[-1])
+        self.common_k_md = float(k.missed[-1])
         self.common_threshold = common_threshold(config.integrity)
         self.stars = frozenset(name for name, one in devices.items() if one.is_star)
         self._relevant: dict[tuple[tuple[str, ...], tuple[str, ...]], RelevantHypotheses] = {}
-        self.limit = excess_limit(config.integrity, len(self.sources)) if self.sources else np.inf
+        self.innovation_mean_limit = excess_limit(config.integrity, len(self.sources)) if self.sources else np.inf
 
-    def pairs_in_question(self, in_use: Collection[str], excluded: Collection[str]) -> list[int]:
+    def relevant_pairs(self, in_use: Collection[str], excluded: Collection[str]) -> list[int]:
         """Return the subfilters without two sources in use that leave two or more others to check each other.
 
         There are none while the INS is excluded: of two pairs of sensors that contradict each other, neither can be
@@ -121,17 +121,17 @@ class RowTable:
             in_use: sources in use, without the INS.
             excluded: names of the excluded sources, the INS included.
         """
-        if INS in excluded or len(in_use) < LEAST_FOR_PAIRS:
+        if INS in excluded or len(in_use) < MIN_SOURCES_FOR_PAIRS:
             return []
-        everyone = {INS, *in_use}
-        return [row for row in self.pairs if everyone.issuperset(self.excluded_sources[row - 1])]
+        sources = {INS, *in_use}
+        return [row for row in self.pair_subfilters if sources.issuperset(self.excluded_sources[row - 1])]
 
-    def contradict_ins(self, in_use: Collection[str]) -> bool:
+    def can_show_ins_fault(self, in_use: Collection[str]) -> bool:
         """True if sources that are consistent with one another can show a fault of the INS.
 
         Star sensors alone cannot: an error of position, UTC or refraction rotates all of them equally.
         """
-        return len(in_use) >= _LEAST_CHECKED and not self.stars.issuperset(in_use)
+        return len(in_use) >= _MIN_FOR_CROSS_CHECK and not self.stars.issuperset(in_use)
 
     def relevant_hypotheses(self, sources: tuple[str, ...], excluded: Collection[str]) -> RelevantHypotheses:
         """Return the fault hypotheses of an attitude; results are cached.
@@ -147,13 +147,13 @@ class RowTable:
 
     def _find_relevant(self, sources: Collection[str], excluded: Collection[str]) -> RelevantHypotheses:
         others = [name for name in sources if name in self.sources and name not in excluded]
-        hypotheses = [row - 1 for row in self.singles if self.names[row - 1] not in excluded]
-        hypotheses += [row - 1 for row in self.pairs_in_question(others, excluded)]
+        hypotheses = [row - 1 for row in self.single_subfilters if self.names[row - 1] not in excluded]
+        hypotheses += [row - 1 for row in self.relevant_pairs(others, excluded)]
         names = tuple(self.names[number] for number in hypotheses)
-        check_one_another = len(others) >= _LEAST_CHECKED and not self.stars.isdisjoint(others)
-        return RelevantHypotheses(np.array(hypotheses, dtype=np.intp), names, check_one_another)
+        is_cross_checked = len(others) >= _MIN_FOR_CROSS_CHECK and not self.stars.isdisjoint(others)
+        return RelevantHypotheses(np.array(hypotheses, dtype=np.intp), names, is_cross_checked)
 
-    def _check_number(self, most: int) -> None:
+    def _check_count(self, most: int) -> None:
         if self.count > most:
             reason = f"parameter 'integrity.max_hypotheses' = {most} is less than the {self.count} for these sources: "
             reason += ", ".join(self.names)

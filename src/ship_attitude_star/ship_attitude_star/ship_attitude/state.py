@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 import numpy as np
 
 from ship_attitude_star.guards.hints import AttitudeResidual
-from ship_attitude_star.stars.spatial_errors import PixelStay
-from ship_attitude_star.vertical.vertical_track import VerticalHere
+from ship_attitude_star.stars.spatial_errors import PixelDwell
+from ship_attitude_star.vertical.vertical_track import LocalVertical
 from ship_estimation import compiled_steps
 from ship_estimation.common_error import NOTHING_ABSORBED, Absorbed
 from ship_estimation.exclusion import MAX_MEASUREMENT_AGE_NS, ExcludedSource
@@ -21,16 +21,16 @@ from ship_estimation.unconfirmed import Unconfirmed
 from ship_geometry.rotations import FloatArray
 
 __all__ = [
-    "NO_STAYS",
-    "Apart",
-    "Doubt",
+    "NO_PIXEL_DWELLS",
+    "SourceInnovation",
+    "UnresolvedFault",
     "FilterState",
-    "Lately",
+    "RecentInnovations",
     "UtcStep",
     "changed",
     "shared_rotation",
     "with_entry",
-    "without",
+    "without_entry",
 ]
 
 Value = TypeVar("Value")
@@ -51,7 +51,7 @@ else:
 
 
 @dataclass(frozen=True)
-class Doubt:
+class UnresolvedFault:
     """A fault that is detected and not isolated.
 
     Attributes:
@@ -64,7 +64,7 @@ class Doubt:
     covariance_n: FloatArray
 
 
-class Apart(NamedTuple):
+class SourceInnovation(NamedTuple):
     """Innovation of a source's measurement against the main filter, as a rotation of the device.
 
     Attributes:
@@ -90,16 +90,16 @@ class Apart(NamedTuple):
         return turn_n
 
 
-def shared_rotation(measured: Sequence[Apart]) -> FloatArray:
+def shared_rotation(innovations: Sequence[SourceInnovation]) -> FloatArray:
     """Return the rotation common to several innovations by least squares.
 
     Returns:
         Rotation vector in the horizon frame, rad, shape (3,).
     """
-    whitening = np.vstack([np.linalg.pinv(one.root) @ one.predicted_nv.T for one in measured])
-    whitened = np.concatenate([one.whitened for one in measured])
-    turn_n: FloatArray = np.linalg.lstsq(whitening, whitened, rcond=None)[0]
-    return turn_n
+    whitening = np.vstack([np.linalg.pinv(one.root) @ one.predicted_nv.T for one in innovations])
+    whitened = np.concatenate([one.whitened for one in innovations])
+    rotation_n: FloatArray = np.linalg.lstsq(whitening, whitened, rcond=None)[0]
+    return rotation_n
 
 
 class UtcStep(NamedTuple):
@@ -112,10 +112,10 @@ class UtcStep(NamedTuple):
     """
 
     step_s: float
-    log_ratio: float = 0.0
+    log_likelihood_ratio: float = 0.0
 
 
-class Lately(NamedTuple):
+class RecentInnovations(NamedTuple):
     """Windowed innovation means of a source's accepted measurements against the main filter.
 
     Attributes:
@@ -125,10 +125,10 @@ class Lately(NamedTuple):
     """
 
     windowed_means: FloatArray
-    sigmas: float
+    largest_sigmas: float
 
 
-NO_STAYS: MappingProxyType[str, PixelStay] = MappingProxyType({})
+NO_PIXEL_DWELLS: MappingProxyType[str, PixelDwell] = MappingProxyType({})
 """Pixel dwells before any exposure."""
 
 
@@ -170,23 +170,23 @@ class FilterState:
     stack: FloatArray
     innovation_means: InnovationMeans
     excluded: MappingProxyType[str, ExcludedSource] = field(default_factory=lambda: MappingProxyType({}))
-    record: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
-    unresolved_fault: Doubt | None = None
-    last_innovations: MappingProxyType[str, Apart] = field(default_factory=lambda: MappingProxyType({}))
-    lately: MappingProxyType[str, Lately] = field(default_factory=lambda: MappingProxyType({}))
+    exclusion_counts: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    unresolved_fault: UnresolvedFault | None = None
+    last_innovations: MappingProxyType[str, SourceInnovation] = field(default_factory=lambda: MappingProxyType({}))
+    recent_innovations: MappingProxyType[str, RecentInnovations] = field(default_factory=lambda: MappingProxyType({}))
     received_since_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     common_n: MappingProxyType[str, FloatArray] = field(default_factory=lambda: MappingProxyType({}))
     consecutive_rejections: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
-    used_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
-    stays: MappingProxyType[str, PixelStay] = field(default_factory=lambda: NO_STAYS)
-    unconfirmed: Unconfirmed | None = None
-    departures: MappingProxyType[str, AttitudeResidual] = field(default_factory=lambda: MappingProxyType({}))
-    jumped_ns: int | None = None
+    last_used_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    pixel_dwells: MappingProxyType[str, PixelDwell] = field(default_factory=lambda: NO_PIXEL_DWELLS)
+    unconfirmed_step: Unconfirmed | None = None
+    rejected_residuals: MappingProxyType[str, AttitudeResidual] = field(default_factory=lambda: MappingProxyType({}))
+    ins_jump_ns: int | None = None
     ins_fault_ns: int | None = None
     separation_covariance_n: FloatArray | None = None
-    vertical: VerticalHere | None = None
-    utc: UtcStep | None = None
-    absorbed: Absorbed = NOTHING_ABSORBED
+    vertical: LocalVertical | None = None
+    utc_step: UtcStep | None = None
+    correction_sums: Absorbed = NOTHING_ABSORBED
 
     @property
     def mean(self) -> FloatArray:
@@ -202,7 +202,7 @@ class FilterState:
 
     def has_used(self, source: str) -> bool:
         """True if a measurement of the source was accepted, even if the source was excluded since."""
-        return source in self.used_ns or source in self.record
+        return source in self.last_used_ns or source in self.exclusion_counts
 
     def in_use(self, sources: Sequence[str], time_ns: int) -> list[str]:
         """Return the sources, in the given order, that are not excluded and have measured recently."""
@@ -221,6 +221,6 @@ def with_entry(mapping: MappingProxyType[str, Value], key: str, value: Value) ->
     return MappingProxyType({**mapping, key: value})
 
 
-def without(mapping: MappingProxyType[str, Value], key: str) -> MappingProxyType[str, Value]:
+def without_entry(mapping: MappingProxyType[str, Value], key: str) -> MappingProxyType[str, Value]:
     """Return a copy of a mapping without one key."""
     return MappingProxyType({name: value for name, value in mapping.items() if name != key})

@@ -12,22 +12,22 @@ import numpy as np
 
 from ship_attitude_star.measurements.samples import AttitudeDecision
 from ship_attitude_star.ship_attitude.model import ShipStateModel
-from ship_attitude_star.ship_attitude.state import Apart, Doubt, FilterState, UtcStep, changed
+from ship_attitude_star.ship_attitude.state import SourceInnovation, UnresolvedFault, FilterState, UtcStep, changed
 from ship_attitude_star.sky.sky_watch import EARTH_ROTATION_RATE
 from ship_estimation.refusals import Reason
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
-_LEAST_SIGMAS = 6.0
+_MIN_SIGMAS = 6.0
 """Minimum rotation of the sky that stars can detect, in standard deviations of the propagated attitude."""
 
-_DECIDES = math.log(100.0)
+_DECISIVE_LOG_RATIO = math.log(100.0)
 """Decision threshold of the log-likelihood ratio."""
 
-_MOST_AT_ONCE, _MOST = 5.0, 10.0
+_MAX_LOG_RATIO_OF_ONE, _MAX_LOG_RATIO = 5.0, 10.0
 """Maximum log-likelihood ratio of one measurement, and of all."""
 
-_FITS, _FITS_SHARE = 16.0, 0.02
+_MAX_CHI2, _RESIDUAL_RATIO = 16.0, 0.02
 """Maximum sum of squares of a consistent rotation, and ratio of the sky rotation that may remain in addition."""
 
 
@@ -39,13 +39,13 @@ def with_utc_step(state: FilterState, model: ShipStateModel, step_ns: int) -> Fi
         model: state vector.
         step_ns: the step.
     """
-    step_s = step_ns / SECOND_NS + (0.0 if state.utc is None else state.utc.step_s)
+    step_s = step_ns / SECOND_NS + (0.0 if state.utc_step is None else state.utc_step.step_s)
     # An unresolved fault from before belongs to the earlier UTC.
-    unresolved_fault = None if state.utc is not None else state.unresolved_fault
+    unresolved_fault = None if state.utc_step is not None else state.unresolved_fault
     return changed(state, utc=UtcStep(step_s) if _is_observable(state, model, step_s) else None, doubt=unresolved_fault)
 
 
-def with_utc_compared(
+def with_utc_evaluated(
     state: FilterState, predicted: FilterState, model: ShipStateModel, after: FilterState, decision: AttitudeDecision
 ) -> tuple[FilterState, AttitudeDecision]:
     """Return state and decision after a star measurement while UTC is not verified.
@@ -62,27 +62,27 @@ def with_utc_compared(
         without the step. While undecided, and if UTC differs: the state before the measurement, and a rejection. If the
         measurement is consistent with neither: ``after`` and ``decision``.
     """
-    innovation, utc = after.last_innovations.get(decision.measurement.source), state.utc
+    innovation, utc = after.last_innovations.get(decision.measurement.source), state.utc_step
     assert utc is not None
-    if utc.log_ratio < _DECIDES and not _is_observable(predicted, model, utc.step_s):
+    if utc.log_likelihood_ratio < _DECISIVE_LOG_RATIO and not _is_observable(predicted, model, utc.step_s):
         return changed(state, utc=None), decision
     if innovation is None or not len(decision.residual):
         return after, decision
-    ratio, rotation_n = _log_ratio(innovation, utc.step_s)
+    ratio, rotation_n = _log_likelihood_ratio(innovation, utc.step_s)
     if ratio is None:
         return after, decision
-    total = min(utc.log_ratio + ratio, _MOST)
-    if total <= -_DECIDES:
+    total = min(utc.log_likelihood_ratio + ratio, _MAX_LOG_RATIO)
+    if total <= -_DECISIVE_LOG_RATIO:
         return changed(state, utc=None, doubt=None), decision
     state = changed(state, utc=UtcStep(utc.step_s, total))
-    if total < _DECIDES:
+    if total < _DECISIVE_LOG_RATIO:
         text = f"the clocks stepped by {utc.step_s:+.3f} s: not used until UTC is verified with the INS"
         return state, replace(decision, accepted=False, reason=Reason.CLOCK, text=text)
     text = (
         f"UTC differs by {utc.step_s:+.1f} s: since the clock step the stars are rotated about the pole by "
         "15.04″ per second of the step; set the clocks right, or call ~/reset if they were wrong before"
     )
-    state = changed(state, doubt=Doubt(text, np.outer(rotation_n, rotation_n)))
+    state = changed(state, doubt=UnresolvedFault(text, np.outer(rotation_n, rotation_n)))
     return state, replace(decision, accepted=False, reason=Reason.ATTITUDE_CONFLICT, text=text)
 
 
@@ -90,10 +90,10 @@ def _is_observable(state: FilterState, model: ShipStateModel, step_s: float) -> 
     """True if the attitude of a state is known well enough to detect the rotation of the sky by a step."""
     slow = model.slices["ins.attitude"]
     sigma = math.sqrt(float(np.linalg.eigvalsh(state.covariance[slow, slow])[-1]))
-    return EARTH_ROTATION_RATE * abs(step_s) >= _LEAST_SIGMAS * sigma
+    return EARTH_ROTATION_RATE * abs(step_s) >= _MIN_SIGMAS * sigma
 
 
-def _log_ratio(innovation: Apart, step_s: float) -> tuple[float | None, FloatArray]:
+def _log_likelihood_ratio(innovation: SourceInnovation, step_s: float) -> tuple[float | None, FloatArray]:
     """Return the log-likelihood ratio of one measurement, and the rotation of the sky by the step.
 
     The pole is in the meridian; the latitude is estimated from the measurement, which costs one degree of freedom.
@@ -102,16 +102,16 @@ def _log_ratio(innovation: Apart, step_s: float) -> tuple[float | None, FloatArr
         The ratio, None if neither hypothesis is consistent; and a rotation vector, horizon frame, rad, shape (3,).
     """
     whitened_of_n = np.linalg.solve(innovation.root, innovation.predicted_nv.T)
-    turned = -math.copysign(1.0, step_s)
-    north, up = turned * np.linalg.lstsq(whitened_of_n[:, :2], innovation.whitened, rcond=None)[0]
+    sign = -math.copysign(1.0, step_s)
+    north, up = sign * np.linalg.lstsq(whitened_of_n[:, :2], innovation.whitened, rcond=None)[0]
     latitude = math.atan2(up, max(north, 0.0))
     rotation_n = -EARTH_ROTATION_RATE * step_s * np.array([math.cos(latitude), math.sin(latitude), 0.0])
     by_sky = whitened_of_n @ rotation_n
-    unturned, left = float(innovation.whitened @ innovation.whitened), innovation.whitened - by_sky
-    squares = float(left @ left)
+    squares_unrotated, residual = float(innovation.whitened @ innovation.whitened), innovation.whitened - by_sky
+    squares = float(residual @ residual)
     # Written so that NaN is consistent with neither.
-    fits_sky = squares <= _FITS + _FITS_SHARE**2 * float(by_sky @ by_sky)
-    if not (fits_sky or unturned <= _FITS):
+    fits_sky = squares <= _MAX_CHI2 + _RESIDUAL_RATIO**2 * float(by_sky @ by_sky)
+    if not (fits_sky or squares_unrotated <= _MAX_CHI2):
         return None, rotation_n
-    ratio = 0.5 * (unturned - squares - 1.0)
-    return min(max(ratio, -_MOST_AT_ONCE), _MOST_AT_ONCE), rotation_n
+    ratio = 0.5 * (squares_unrotated - squares - 1.0)
+    return min(max(ratio, -_MAX_LOG_RATIO_OF_ONE), _MAX_LOG_RATIO_OF_ONE), rotation_n

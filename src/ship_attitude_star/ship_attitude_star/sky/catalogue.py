@@ -79,7 +79,7 @@ class StarCatalogue:
         """Return the rows of all stars up to a magnitude (Hp)."""
         return np.flatnonzero(self.magnitude <= magnitude)
 
-    def sigma(self, rows: NDArray[np.int64], year: float) -> FloatArray:
+    def position_sigma_at(self, rows: NDArray[np.int64], year: float) -> FloatArray:
         """Return the standard deviation of positions at a Julian year (such as 2014.5), rad per axis.
 
         It grows with the time since 1991.25 because of the error of the proper motion.
@@ -95,7 +95,7 @@ class StarCatalogue:
         """
         rows = self.rows(hip)
         listed = np.maximum(rows, 0)
-        return CatalogueEntries(rows, self.sigma(listed, julian_year(time_ns)), self.at_j2000[listed])
+        return CatalogueEntries(rows, self.position_sigma_at(listed, julian_year(time_ns)), self.at_j2000[listed])
 
 
 @dataclass(frozen=True)

@@ -105,6 +105,6 @@ class InertialConfig:
     )
 
     @property
-    def field(self) -> FieldOfView:
+    def field_of_view(self) -> FieldOfView:
         """Field of view described by these parameters."""
         return FieldOfView(0.5 * float(np.deg2rad(self.field_deg)), self.aberration_removed)

@@ -97,7 +97,7 @@ def sensor_masks(sensor: MountedSensor, prefix: str) -> SensorMasks | None:
     return SensorMasks(masks, rotation_from_angles(*angles))
 
 
-def refuse_covered(masks: SensorMasks, field_s: FloatArray, prefix: str) -> None:
+def check_field_not_covered(masks: SensorMasks, field_s: FloatArray, prefix: str) -> None:
     """Check that masks leave part of a field of view free.
 
     Args:

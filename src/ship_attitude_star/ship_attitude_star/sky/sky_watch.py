@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.sky.catalogue import StarCatalogue, hipparcos
 from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.sky.place_by_fixes import Place
+from ship_attitude_star.sky.place_by_fixes import ShipPosition
 from ship_attitude_star.sky.surroundings import Air, Surroundings
 from ship_estimation.refusals import Reason, Rejection
 from ship_geometry import late_erfa as erfa
@@ -39,7 +39,7 @@ EARTH_ROTATION_RATE = 15.041 * ARCSEC
 """Rotation of the sky per second of UT1, rad."""
 
 _MAX_CACHED_TIMES = 256
-_STARS_KEPT = 4
+_MAX_CACHED_STAR_SETS = 4
 """Number of star sets cached per time: sensors that expose together share the time."""
 
 
@@ -103,31 +103,31 @@ class LocalSky:
     """
 
     time_ns: int
-    place: Place
+    position: ShipPosition
     air: Air
-    refreshed: RefreshedSky
+    airless_sky: RefreshedSky
     model: ModelName
     wavelength_um: float
     utc_sigma_s: float
     bright: BrightStars
-    _kept: dict[int, tuple[StarPositions, ApparentStars]] = field(default_factory=dict, repr=False, compare=False)
+    _cache: dict[int, tuple[StarPositions, ApparentStars]] = field(default_factory=dict, repr=False, compare=False)
 
-    def apparent(self, stars: StarPositions) -> ApparentStars:
+    def apparent_stars(self, stars: StarPositions) -> ApparentStars:
         """Return apparent directions of stars; ``stars`` has shape (k,). The arrays are read-only."""
         # The cache holds references to the stars, so that no other object can have their id.
-        kept = self._kept.get(id(stars))
-        if kept is not None:
-            return kept[1]
-        found = self._apparent(stars)
+        cached = self._cache.get(id(stars))
+        if cached is not None:
+            return cached[1]
+        found = self._compute_apparent_stars(stars)
         for array in (found.direction_n, found.shared_n, found.elevation, found.visible):
             array.flags.writeable = False
-        self._kept[id(stars)] = stars, found
-        if len(self._kept) > _STARS_KEPT:
-            del self._kept[next(iter(self._kept))]
+        self._cache[id(stars)] = stars, found
+        if len(self._cache) > _MAX_CACHED_STAR_SETS:
+            del self._cache[next(iter(self._cache))]
         return found
 
-    def _apparent(self, stars: StarPositions) -> ApparentStars:
-        without_air = self.refreshed.directions(stars, self.time_ns, self.place.observer)
+    def _compute_apparent_stars(self, stars: StarPositions) -> ApparentStars:
+        without_air = self.airless_sky.directions(stars, self.time_ns, self.position.observer)
         air = self.air
         weather_sigma = air.pressure_sigma_hpa, air.temperature_sigma_k
         seen = seen_through_air(self.model, without_air, air.weather, self.wavelength_um, weather_sigma, self.sky_rotations())
@@ -145,7 +145,7 @@ class LocalSky:
 
     def rotation_horizon_from_icrs(self) -> FloatArray:
         """Return the rotation "horizon from ICRS", without aberration and refraction, shape (3, 3)."""
-        return self.refreshed.rotation_horizon_from_icrs(self.time_ns, self.place.observer.position)
+        return self.airless_sky.rotation_horizon_from_icrs(self.time_ns, self.position.observer.position)
 
     def bright_rows_around(self, centre_n: FloatArray, radius: float) -> NDArray[np.int64]:
         """Return the catalogue rows of the bright stars within a radius (rad) of a direction (N, U, E), shape (3,)."""
@@ -166,13 +166,13 @@ class LocalSky:
         """Return the displacement by aberration at a direction (N, U, E), without refraction, rad, shape (3,)."""
         rotation_nc = self.rotation_horizon_from_icrs()
         star = fixed_stars(*erfa.c2s(rotation_nc.T @ direction_n))
-        seen_n = self.refreshed.directions(star, self.time_ns, self.place.observer)
+        seen_n = self.airless_sky.directions(star, self.time_ns, self.position.observer)
         displacement: FloatArray = seen_n - direction_n
         return displacement
 
     def sky_rotations(self) -> FloatArray:
         """Return the sky's rotation vectors for one sigma of each of SHARED_TERMS except refraction, rad, (n, 3)."""
-        return _sky_rotations(self.place, float(self.refreshed.orientation(self.time_ns).ut1_sigma_s), self.utc_sigma_s)
+        return _sky_rotations(self.position, float(self.airless_sky.orientation(self.time_ns).ut1_sigma_s), self.utc_sigma_s)
 
 
 class SkyModel:
@@ -206,23 +206,23 @@ class SkyModel:
         self.surroundings = Surroundings(self._config)
         self._sky_by_time: dict[int, LocalSky] = {}
 
-    def twin(self, with_surroundings: bool) -> "SkyModel":
+    def clone(self, with_surroundings: bool) -> "SkyModel":
         """Return the same model for another estimator, with a copy of the surroundings or with empty ones."""
-        twin = copy.copy(self)
-        twin.reset()
+        clone = copy.copy(self)
+        clone.reset()
         if with_surroundings:
-            twin.surroundings = copy.deepcopy(self.surroundings)
-        return twin
+            clone.surroundings = copy.deepcopy(self.surroundings)
+        return clone
 
     def step_time_base(self, step_ns: int) -> None:
         """Shift fixes and readings of the air by a step of their clocks."""
         self.surroundings.step_time_base(step_ns)
         self._sky_by_time.clear()
 
-    def at(self, time_ns: int) -> LocalSky | Rejection:
+    def sky_at(self, time_ns: int) -> LocalSky | Rejection:
         """Return the sky at a time, or the rejection: NO_EARTH_ORIENTATION or NO_FIX."""
-        found, known = self.surroundings.at(time_ns), self._sky_by_time.get(time_ns)
-        if known is not None and not isinstance(found, Rejection) and known.place is found[0] and known.air is found[1]:
+        found, known = self.surroundings.position_and_air_at(time_ns), self._sky_by_time.get(time_ns)
+        if known is not None and not isinstance(found, Rejection) and known.position is found[0] and known.air is found[1]:
             return known
         reason = self._table.reason_against(time_ns)
         if reason is not None:
@@ -232,9 +232,9 @@ class SkyModel:
         place, air = found
         local_sky = self._sky_by_time[time_ns] = LocalSky(
             time_ns=time_ns,
-            place=place,
+            position=place,
             air=air,
-            refreshed=self._refreshed,
+            airless_sky=self._refreshed,
             model=self._model,
             wavelength_um=self._config.wavelength_um,
             utc_sigma_s=self._config.utc_sigma_s,
@@ -250,15 +250,15 @@ def load_sky_model(config: SkyConfig) -> SkyModel:
     return SkyModel(config, earth_orientation_table(), hipparcos())
 
 
-def _sky_rotations(place: Place, ut1_sigma_s: float, utc_sigma_s: float) -> FloatArray:
+def _sky_rotations(position: ShipPosition, ut1_sigma_s: float, utc_sigma_s: float) -> FloatArray:
     """Return the sky's rotation in the horizon frame by one sigma of UT1, position and UTC, rad, shape (n, 3).
 
     A ship farther north than assumed sees the sky rotated about East; one farther east sees it rotated about the
     Earth's axis. 31 m correspond to 1″. The first position error is that of north with the correlated part of east; the
     second is the rest of east, so that a filter may keep the two as independent states.
     """
-    covariance_m2, latitude = place.covariance_m2, float(place.observer.position.latitude)
-    radius_north_m, radius_east_m = map(float, place.horizon_radii_m)
+    covariance_m2, latitude = position.covariance_m2, float(position.observer.position.latitude)
+    radius_north_m, radius_east_m = map(float, position.horizon_radii_m)
     north_m = math.sqrt(max(float(covariance_m2[0, 0]), 0.0))
     east_with_north_m = float(covariance_m2[0, 2]) / north_m if north_m > 0.0 else 0.0
     east_m = math.sqrt(max(float(covariance_m2[2, 2]) - east_with_north_m**2, 0.0))
@@ -266,15 +266,15 @@ def _sky_rotations(place: Place, ut1_sigma_s: float, utc_sigma_s: float) -> Floa
     by_north, with_north, by_east = north_m / radius_north_m, east_with_north_m / radius_east_m, east_m / radius_east_m
     tangent = math.tan(latitude)
     turns = [
-        _about_the_axis(EARTH_ROTATION_RATE * ut1_sigma_s, latitude),
+        _polar_rotation_vector(EARTH_ROTATION_RATE * ut1_sigma_s, latitude),
         [-with_north, -with_north * tangent, by_north],
         [-by_east, -by_east * tangent, 0.0],
     ]
     if utc_sigma_s > 0.0:
-        turns.append(_about_the_axis(EARTH_ROTATION_RATE * utc_sigma_s, latitude))
+        turns.append(_polar_rotation_vector(EARTH_ROTATION_RATE * utc_sigma_s, latitude))
     return np.array(turns)
 
 
-def _about_the_axis(turn: float, latitude: float) -> list[float]:
+def _polar_rotation_vector(turn: float, latitude: float) -> list[float]:
     """Return the rotation vector (North, Up, East) of a rotation about the Earth's axis, rad."""
     return [turn * math.cos(latitude), turn * math.sin(latitude), 0.0]

@@ -20,10 +20,10 @@ from ship_attitude_star.sky.sky_watch import LocalSky
 from ship_geometry.refraction import elevation_of, lifting_axis
 from ship_geometry.rotations import FloatArray
 
-_NOTHING = 1e-9
+_ROUNDING_RATIO = 1e-9
 """Ratio to the total variance below which a variance is rounding error and set to zero."""
 
-_LOW_STARS = 1.5
+_LOW_STARS_FACTOR = 1.5
 """Ratio of the refraction error averaged over a field's stars to that at the boresight, at most.
 
 At boresight elevation 45° the ratio is 1.4 for stars 10° lower, at 25° for stars 7° lower.
@@ -42,13 +42,13 @@ def separate_shared_errors(solved: SolvedAttitude, local_sky: LocalSky) -> Attit
     """
     rotation_ns, turns_n = solved.rotation_nv, local_sky.sky_rotations().T
     noise_n = rotation_ns @ solved.noise_v @ rotation_ns.T
-    lift, sigma = _lift(rotation_ns, local_sky)
+    lift, sigma = _refraction_lift(rotation_ns, local_sky)
     if not solved.covariance_known:
         stated_n, lifted_n = np.zeros((3, 3)), (sigma if np.isfinite(sigma) else 0.0) * lift
     elif solved.has_noise_covariance:
-        stated_n, lifted_n = _by_refraction(_left_over(solved.common_n, turns_n), lift, _LOW_STARS * sigma)
+        stated_n, lifted_n = _split_refraction(_without_sky_rotations(solved.common_n, turns_n), lift, _LOW_STARS_FACTOR * sigma)
     else:
-        stated_n, lifted_n = _by_refraction(_left_over(noise_n, turns_n), lift, sigma)
+        stated_n, lifted_n = _split_refraction(_without_sky_rotations(noise_n, turns_n), lift, sigma)
     noise_is_left = solved.covariance_known and not solved.has_noise_covariance
     return AttitudeMeasurement(
         solved.source,
@@ -61,7 +61,7 @@ def separate_shared_errors(solved: SolvedAttitude, local_sky: LocalSky) -> Attit
     )
 
 
-def _lift(rotation_ns: FloatArray, local_sky: LocalSky) -> tuple[FloatArray, float]:
+def _refraction_lift(rotation_ns: FloatArray, local_sky: LocalSky) -> tuple[FloatArray, float]:
     """Return the axis about which refraction rotates the boresight upwards, and the error of refraction there, rad.
 
     The error is NaN below the elevation range of the refraction model.
@@ -70,15 +70,15 @@ def _lift(rotation_ns: FloatArray, local_sky: LocalSky) -> tuple[FloatArray, flo
     return lifting_axis(forward_n), local_sky.refraction_at(float(elevation_of(forward_n)))[1]
 
 
-def _left_over(stated_n: FloatArray, turns_n: FloatArray) -> FloatArray:
+def _without_sky_rotations(stated_n: FloatArray, turns_n: FloatArray) -> FloatArray:
     """Return a stated covariance without rotations of the whole sky (3, n); non-negative in every direction."""
     values, vectors = np.linalg.eigh(stated_n - turns_n @ turns_n.T)
-    kept = np.where(values > _NOTHING * np.trace(stated_n), values, 0.0)
-    left: FloatArray = (vectors * kept) @ vectors.T
+    nonnegative = np.where(values > _ROUNDING_RATIO * np.trace(stated_n), values, 0.0)
+    left: FloatArray = (vectors * nonnegative) @ vectors.T
     return left
 
 
-def _by_refraction(stated_n: FloatArray, lift: FloatArray, most: float) -> tuple[FloatArray, FloatArray]:
+def _split_refraction(stated_n: FloatArray, lift: FloatArray, most: float) -> tuple[FloatArray, FloatArray]:
     """Return the covariance without refraction, and its rotation by one sigma, about ``lift`` at most ``most``, rad."""
     along = float(np.sqrt(max(float(lift @ stated_n @ lift), 0.0)))
     # Written so that NaN, outside the model's range, uses the stated covariance.

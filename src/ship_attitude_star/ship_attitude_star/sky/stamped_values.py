@@ -26,16 +26,16 @@ from typing import Any, Generic, Protocol, TypeVar
 from ship_estimation.refusals import Content, Reason, Rejection, same_stamp
 from ship_geometry.time_scales import SECOND_NS
 
-_SIGMAS = 5.0
+_NOISE_SIGMAS = 5.0
 """Number of standard deviations of two values' difference that are attributed to noise."""
 
-_STANDS_S = 60.0
+_MAX_FROZEN_S = 60.0
 """Largest frozen time that widens the limits, s: a ship at anchor may really be stationary for days."""
 
 _TIME_STEP_HISTORY_NS = 10 * SECOND_NS
 """Maximum age before the last value of the values that are kept over a step of the clocks, ns."""
 
-_REMEMBERED = 100
+_MAX_REJECTED = 100
 """Number of rejected values that are kept with their stamps; a value older than these is late."""
 
 
@@ -47,7 +47,7 @@ class Quantity(Content, Protocol):
         """Standard deviation of the value."""
         ...
 
-    def away(self, other: Any) -> float:
+    def distance_to(self, other: Any) -> float:
         """Return the distance to another value of the same kind, in the unit of ``sigma``."""
         ...
 
@@ -68,15 +68,15 @@ class JumpLimits:
             number of rejected values that replace provisional ones. 1: no value is provisional.
     """
 
-    at_once: float
-    per_s: float
+    max_step: float
+    max_rate: float
     confirmation_s: float
     unit: str
-    settled_by: int = 1
+    min_consistent: int = 1
 
-    def between(self, earlier: Quantity, later: Quantity, seconds: float) -> float:
+    def max_distance(self, earlier: Quantity, later: Quantity, seconds: float) -> float:
         """Return the maximum distance of two values that both have their stated accuracy."""
-        return self.at_once + self.per_s * seconds + _SIGMAS * math.hypot(earlier.sigma, later.sigma)
+        return self.max_step + self.max_rate * seconds + _NOISE_SIGMAS * math.hypot(earlier.sigma, later.sigma)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ class _Stamped(Generic[Value]):
 
 
 @dataclass(frozen=True)
-class _Belief(Generic[Value]):
+class _AcceptanceState(Generic[Value]):
     """State of acceptance after a value.
 
     Attributes:
@@ -104,13 +104,13 @@ class _Belief(Generic[Value]):
     """
 
     last_accepted: _Stamped[Value] | None = None
-    stood_ns: int = 0
-    alone: bool = True
+    constant_since_ns: int = 0
+    is_first: bool = True
     last_rejected: _Stamped[Value] | None = None
-    since_ns: int = 0
+    rejected_since_ns: int = 0
     follows_jump: bool = False
     consistent_count: int = 1
-    opposed: int = 0
+    rejected_count: int = 0
 
 
 class StampedValues(Generic[Value]):
@@ -131,13 +131,13 @@ class StampedValues(Generic[Value]):
         self.values: list[Value] = []
         self.follows_jump: list[bool] = []
         self._limits = limits
-        self._lasts_ns = limits.confirmation_s * SECOND_NS
+        self._confirmation_ns = limits.confirmation_s * SECOND_NS
         # All values, and the state after each of them; `_initial_state` is the state after the dropped values.
         self._stamps: list[int] = []
-        self._taken: list[_Stamped[Value]] = []
-        self._beliefs: list[_Belief[Value]] = []
-        self._before: _Belief[Value] = _Belief()
-        self._forgotten_ns: int | None = None
+        self._inputs: list[_Stamped[Value]] = []
+        self._states: list[_AcceptanceState[Value]] = []
+        self._initial_state: _AcceptanceState[Value] = _AcceptanceState()
+        self._dropped_until_ns: int | None = None
         self.conflict_changed_ns: int | None = None
 
     # -- inputs ---------------------------------------------------------------------------------------------
@@ -146,38 +146,38 @@ class StampedValues(Generic[Value]):
         """Return DUPLICATE or CONFLICT if a value with this stamp exists, LATE, or JUMP if the value has jumped."""
         place = bisect.bisect_left(self._stamps, time_ns)
         if place < len(self._stamps) and self._stamps[place] == time_ns:
-            return same_stamp(self._taken[place].value, value)[1]
-        if self._is_forgotten(time_ns):
+            return same_stamp(self._inputs[place].value, value)[1]
+        if self._is_dropped(time_ns):
             return Rejection(Reason.LATE, "its stamp is older than the values kept of its own source")
-        before = self._belief_before(place)
+        before = self._state_before(place)
         if before.last_accepted is None or self._next_state(before, _Stamped(time_ns, value)).last_rejected is None:
             return None
-        limits, away, allowed = self._limits, value.away(before.last_accepted.value), self._reach(before, time_ns, value)
+        limits, distance, allowed = self._limits, value.distance_to(before.last_accepted.value), self._max_distance(before, time_ns, value)
         seconds = (time_ns - before.last_accepted.time_ns) / SECOND_NS
-        jumped = f"{away:.4g} {limits.unit} from the last accepted value, {seconds:.1f} s before it"
-        if away > allowed:
+        jumped = f"{distance:.4g} {limits.unit} from the last accepted value, {seconds:.1f} s before it"
+        if distance > allowed:
             jumped += f", limit {allowed:.3g} {limits.unit}"
         else:
             jumped += ", consistent with other values that had jumped"
-        lasts = f"it has lasted for {limits.confirmation_s:g} s"
+        condition = f"it has lasted for {limits.confirmation_s:g} s"
         if self._is_provisional(before):
-            lasts = f"{limits.settled_by} in a row are consistent (the accepted one is provisional), or {lasts}"
-        return Rejection(Reason.JUMP, f"{jumped}; accepted once {lasts}")
+            condition = f"{limits.min_consistent} in a row are consistent (the accepted one is provisional), or {condition}"
+        return Rejection(Reason.JUMP, f"{jumped}; accepted once {condition}")
 
     def insert(self, time_ns: int, value: Value) -> int | None:
         """Insert a value at its stamp; return the stamp from which accepted values have changed, None for none."""
         self.conflict_changed_ns = None
-        if self._is_forgotten(time_ns):
+        if self._is_dropped(time_ns):
             return None
         place = bisect.bisect_left(self._stamps, time_ns)
         if place < len(self._stamps) and self._stamps[place] == time_ns:
-            if self._taken[place].value.content() <= value.content():
+            if self._inputs[place].value.content() <= value.content():
                 return None
-            self._taken[place] = _Stamped(time_ns, value)
+            self._inputs[place] = _Stamped(time_ns, value)
         else:
             self._stamps.insert(place, time_ns)
-            self._taken.insert(place, _Stamped(time_ns, value))
-            self._beliefs.insert(place, self._belief_before(place))
+            self._inputs.insert(place, _Stamped(time_ns, value))
+            self._states.insert(place, self._state_before(place))
         return self._evaluate_from(place)
 
     def drop_before(self, time_ns: int, keep: int = 1) -> None:
@@ -185,14 +185,14 @@ class StampedValues(Generic[Value]):
         count = bisect.bisect_right(self.times, time_ns) - keep
         if count > 0:
             del self.times[:count], self.values[:count], self.follows_jump[:count]
-        elif len(self._stamps) <= _REMEMBERED:
+        elif len(self._stamps) <= _MAX_REJECTED:
             return
         passed = bisect.bisect_right(self._stamps, time_ns)
         needed = bisect.bisect_left(self._stamps, self.times[0]) if self.times else 0
-        forgotten = min(passed, max(needed, passed - _REMEMBERED))
+        forgotten = min(passed, max(needed, passed - _MAX_REJECTED))
         if forgotten > 0:
-            self._before, self._forgotten_ns = self._beliefs[forgotten - 1], self._stamps[forgotten - 1]
-            del self._stamps[:forgotten], self._taken[:forgotten], self._beliefs[:forgotten]
+            self._initial_state, self._dropped_until_ns = self._states[forgotten - 1], self._stamps[forgotten - 1]
+            del self._stamps[:forgotten], self._inputs[:forgotten], self._states[:forgotten]
 
     def with_shifted_stamps(self, step_ns: int) -> "StampedValues[Value]":
         """Return the accepted values of the last seconds, or the last one, with stamps later by a step.
@@ -203,8 +203,8 @@ class StampedValues(Generic[Value]):
         for time_ns, value in zip(self.times, self.values, strict=True):
             if time_ns >= self.times[-1] - _TIME_STEP_HISTORY_NS:
                 shifted.insert(time_ns + step_ns, value)
-        if not self._is_provisional(self._belief_before(len(self._stamps))):
-            shifted._beliefs = [replace(belief, agreed=self._limits.settled_by) for belief in shifted._beliefs]
+        if not self._is_provisional(self._state_before(len(self._stamps))):
+            shifted._states = [replace(belief, agreed=self._limits.min_consistent) for belief in shifted._states]
         return shifted
 
     # -- results --------------------------------------------------------------------------------------------
@@ -215,25 +215,25 @@ class StampedValues(Generic[Value]):
 
     def has_conflict_at(self, time_ns: int) -> bool:
         """True if provisional values are contradicted at a time: a single one by one value, several by two values."""
-        return self._has_conflict(self._belief_before(bisect.bisect_right(self._stamps, time_ns)))
+        return self._has_conflict(self._state_before(bisect.bisect_right(self._stamps, time_ns)))
 
     # -- decisions ------------------------------------------------------------------------------------------
 
     def _evaluate_from(self, place: int) -> int | None:
         """Evaluate a value and those after it until their state is unchanged; returns as :meth:`insert`."""
-        belief, first = self._belief_before(place), place
-        while place < len(self._taken):
-            belief = self._next_state(belief, self._taken[place])
-            as_before = place > first and belief == self._beliefs[place]
-            if self.conflict_changed_ns is None and self._has_conflict(belief) != self._has_conflict(self._beliefs[place]):
+        state, first = self._state_before(place), place
+        while place < len(self._inputs):
+            state = self._next_state(state, self._inputs[place])
+            as_before = place > first and state == self._states[place]
+            if self.conflict_changed_ns is None and self._has_conflict(state) != self._has_conflict(self._states[place]):
                 self.conflict_changed_ns = self._stamps[place]
-            self._beliefs[place] = belief
+            self._states[place] = state
             place += 1
             if as_before:
                 break
-        return self._put(first, place)
+        return self._replace_accepted(first, place)
 
-    def _put(self, first: int, last: int) -> int | None:
+    def _replace_accepted(self, first: int, last: int) -> int | None:
         """Replace the accepted values of a range by newly evaluated ones; returns as :meth:`insert`.
 
         Args:
@@ -242,7 +242,7 @@ class StampedValues(Generic[Value]):
         """
         begin = bisect.bisect_left(self.times, self._stamps[first])
         end = bisect.bisect_right(self.times, self._stamps[last - 1])
-        evaluated = zip(self._taken[first:last], self._beliefs[first:last], strict=True)
+        evaluated = zip(self._inputs[first:last], self._states[first:last], strict=True)
         good = [(one, belief.follows_jump) for one, belief in evaluated if belief.last_accepted is one]
         # Skip the values that are unchanged; the rest differs from its first one on.
         while good and begin < end and good[0][0].value is self.values[begin] and good[0][1] is self.follows_jump[begin]:
@@ -254,49 +254,49 @@ class StampedValues(Generic[Value]):
         self.follows_jump[begin:end] = [anew for _, anew in good]
         return changed_ns
 
-    def _next_state(self, before: _Belief[Value], new: _Stamped[Value]) -> _Belief[Value]:
+    def _next_state(self, before: _AcceptanceState[Value], new: _Stamped[Value]) -> _AcceptanceState[Value]:
         """Return the state of acceptance after a value."""
         last_accepted, last_rejected, limits = before.last_accepted, before.last_rejected, self._limits
         if last_accepted is None:
-            return _Belief(new, new.time_ns)
-        away, step_s = new.value.away(last_accepted.value), 0.0
-        consistent_count = min(before.consistent_count + (away != 0.0), limits.settled_by)
-        taken = _Belief(new, before.stood_ns if away == 0.0 else new.time_ns, alone=False, consistent_count=consistent_count)
+            return _AcceptanceState(new, new.time_ns)
+        distance, step_s = new.value.distance_to(last_accepted.value), 0.0
+        consistent_count = min(before.consistent_count + (distance != 0.0), limits.min_consistent)
+        accepted = _AcceptanceState(new, before.constant_since_ns if distance == 0.0 else new.time_ns, is_first=False, consistent_count=consistent_count)
         if last_rejected is not None:
             step_s = (new.time_ns - last_rejected.time_ns) / SECOND_NS
-        if last_rejected is None or not new.value.away(last_rejected.value) <= limits.between(last_rejected.value, new.value, step_s):
+        if last_rejected is None or not new.value.distance_to(last_rejected.value) <= limits.max_distance(last_rejected.value, new.value, step_s):
             # Written so that NaN is rejected.
-            is_near = away <= self._reach(before, new.time_ns, new.value)
-            opposed = replace(before, refused=new, since_ns=new.time_ns, anew=False, opposed=1)
-            return taken if is_near else opposed
+            is_near = distance <= self._max_distance(before, new.time_ns, new.value)
+            rejected_state = replace(before, refused=new, since_ns=new.time_ns, anew=False, opposed=1)
+            return accepted if is_near else rejected_state
         # For a value consistent with rejected ones, the time since the last accepted value does not widen the limit.
-        if away <= limits.between(last_accepted.value, new.value, step_s):
-            return taken
-        count = before.opposed + 1
-        has_lasted = new.time_ns - before.since_ns >= self._lasts_ns
-        if before.alone or has_lasted or (self._is_provisional(before) and count >= limits.settled_by):
-            consistent_count = limits.settled_by if has_lasted else min(count, limits.settled_by)
-            return _Belief(new, new.time_ns, alone=False, follows_jump=True, consistent_count=consistent_count)
+        if distance <= limits.max_distance(last_accepted.value, new.value, step_s):
+            return accepted
+        count = before.rejected_count + 1
+        has_lasted = new.time_ns - before.rejected_since_ns >= self._confirmation_ns
+        if before.is_first or has_lasted or (self._is_provisional(before) and count >= limits.min_consistent):
+            consistent_count = limits.min_consistent if has_lasted else min(count, limits.min_consistent)
+            return _AcceptanceState(new, new.time_ns, is_first=False, follows_jump=True, consistent_count=consistent_count)
         return replace(before, refused=new, anew=False, opposed=count)
 
-    def _is_provisional(self, belief: _Belief[Value]) -> bool:
+    def _is_provisional(self, state: _AcceptanceState[Value]) -> bool:
         """True if too few values are consistent with the last accepted one."""
-        return belief.consistent_count < self._limits.settled_by
+        return state.consistent_count < self._limits.min_consistent
 
-    def _has_conflict(self, belief: _Belief[Value]) -> bool:
+    def _has_conflict(self, state: _AcceptanceState[Value]) -> bool:
         """True if a value contradicts a single provisional one, or two values contradict several."""
-        opposed = 0 if belief.last_rejected is None else belief.opposed
-        return opposed >= min(2, belief.consistent_count) and self._is_provisional(belief)
+        rejected_count = 0 if state.last_rejected is None else state.rejected_count
+        return rejected_count >= min(2, state.consistent_count) and self._is_provisional(state)
 
-    def _reach(self, before: _Belief[Value], time_ns: int, value: Value) -> float:
+    def _max_distance(self, before: _AcceptanceState[Value], time_ns: int, value: Value) -> float:
         """Return the maximum distance of a value from the last accepted one."""
         last_accepted = before.last_accepted
         assert last_accepted is not None
-        stood_s = min((last_accepted.time_ns - before.stood_ns) / SECOND_NS, _STANDS_S)
-        return self._limits.between(last_accepted.value, value, (time_ns - last_accepted.time_ns) / SECOND_NS + stood_s)
+        constant_s = min((last_accepted.time_ns - before.constant_since_ns) / SECOND_NS, _MAX_FROZEN_S)
+        return self._limits.max_distance(last_accepted.value, value, (time_ns - last_accepted.time_ns) / SECOND_NS + constant_s)
 
-    def _belief_before(self, place: int) -> _Belief[Value]:
-        return self._beliefs[place - 1] if place > 0 else self._before
+    def _state_before(self, place: int) -> _AcceptanceState[Value]:
+        return self._states[place - 1] if place > 0 else self._initial_state
 
-    def _is_forgotten(self, time_ns: int) -> bool:
-        return self._forgotten_ns is not None and time_ns <= self._forgotten_ns
+    def _is_dropped(self, time_ns: int) -> bool:
+        return self._dropped_until_ns is not None and time_ns <= self._dropped_until_ns

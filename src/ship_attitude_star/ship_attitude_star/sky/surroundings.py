@@ -12,22 +12,22 @@ from dataclasses import dataclass
 
 from ship_attitude_star.measurements.readings import AirReading, PositionFix, SkyInput
 from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.sky.place_by_fixes import Place, PlaceByFixes
+from ship_attitude_star.sky.place_by_fixes import ShipPosition, PositionFromFixes
 from ship_attitude_star.sky.stamped_values import JumpLimits, StampedValues
 from ship_estimation.refusals import Rejection
 from ship_geometry.refraction import Weather
 from ship_geometry.time_scales import SECOND_NS
 
-PRESSURE_AT_ONCE_HPA = 5.0
+MAX_PRESSURE_STEP_HPA = 5.0
 """Largest step of the measured pressure: gusts at the inlet (30 m/s: 5 hPa), heave (10 m: 1 hPa), a squall (2 hPa)."""
 
-PRESSURE_PER_H_HPA = 30.0
+MAX_PRESSURE_RATE_HPA_PER_H = 30.0
 """Maximum rate of the pressure: ten times the hourly tolerance of WMO-No. 305 (1993, VI.21), for a passing typhoon."""
 
-TEMPERATURE_AT_ONCE_K = 5.0
+MAX_TEMPERATURE_STEP_K = 5.0
 """Largest step of the measured temperature: the plume of the funnel, the sun."""
 
-TEMPERATURE_PER_H_K = 40.0
+MAX_TEMPERATURE_RATE_K_PER_H = 40.0
 """Maximum rate of the temperature: ten times the hourly tolerance of WMO-No. 305 (1993, VI.21), for a thunderstorm."""
 
 
@@ -56,7 +56,7 @@ class _Value:
     def content(self) -> bytes:
         return struct.pack("<dd", self.value, self.sigma)
 
-    def away(self, other: "_Value") -> float:
+    def distance_to(self, other: "_Value") -> float:
         return abs(self.value - other.value)
 
 
@@ -76,38 +76,38 @@ class _Quantity:
         self._max_age_ns, self._delay_ns = limits.confirmation_s * SECOND_NS, delay_ns
         self.readings: StampedValues[_Value] = StampedValues(limits)
 
-    def measured(self, reading: AirReading) -> _Value:
+    def value_of(self, reading: AirReading) -> _Value:
         return _Value(reading.value, self._measured_sigma if reading.sigma is None else reading.sigma)
 
     def insert(self, reading: AirReading) -> int | None:
         """Insert a reading; return the time (ns) after which results may have changed, None if none has."""
-        changed_ns = self.readings.insert(reading.time_ns, self.measured(reading))
+        changed_ns = self.readings.insert(reading.time_ns, self.value_of(reading))
         if changed_ns is None:
             return None
         # While an earlier reading is in use until the delay is over, no result has depended on this one.
-        holds = self._young(changed_ns - self._delay_ns, changed_ns + self._delay_ns)
-        return changed_ns - 1 + (0 if holds is None else self._delay_ns)
+        recent = self._recent_reading_index(changed_ns - self._delay_ns, changed_ns + self._delay_ns)
+        return changed_ns - 1 + (0 if recent is None else self._delay_ns)
 
     def drop_before(self, time_ns: int) -> None:
         """Drop the readings that times at or after ``time_ns`` do not need."""
         self.readings.drop_before(time_ns - self._delay_ns)
 
-    def holding(self, time_ns: int) -> int | None:
+    def reading_index(self, time_ns: int) -> int | None:
         """Return the index of the reading used at a time; None if there is none."""
-        delayed = self._young(time_ns - self._delay_ns, time_ns)
-        return self._young(time_ns, time_ns) if delayed is None else delayed
+        delayed = self._recent_reading_index(time_ns - self._delay_ns, time_ns)
+        return self._recent_reading_index(time_ns, time_ns) if delayed is None else delayed
 
-    def _young(self, before_ns: int, time_ns: int) -> int | None:
+    def _recent_reading_index(self, before_ns: int, time_ns: int) -> int | None:
         """Return the index of the last reading at or before ``before_ns``, None if it is too old at ``time_ns``."""
         last = self.readings.last_before(before_ns)
         return last if last >= 0 and time_ns - self.readings.times[last] <= self._max_age_ns else None
 
-    def at(self, time_ns: int) -> _Value:
+    def value_at(self, time_ns: int) -> _Value:
         """Return the value at a time.
 
         The variance of a reading grows with its age up to that of the default, unless it is larger from the start.
         """
-        index = self.holding(time_ns)
+        index = self.reading_index(time_ns)
         if index is None:
             return self._default
         reading, age_ns = self.readings.values[index], time_ns - self.readings.times[index]
@@ -115,7 +115,7 @@ class _Quantity:
         return _Value(reading.value, math.sqrt(reading.sigma**2 + growth * age_ns / self._max_age_ns))
 
 
-_ANSWERS_KEPT = 256
+_MAX_CACHED_RESULTS = 256
 """Number of times with cached results: repeated exposures request the same times, 28 per second over two seconds."""
 
 
@@ -127,84 +127,84 @@ class Surroundings:
     """
 
     def __init__(self, config: SkyConfig) -> None:
-        self._place = PlaceByFixes(config)
+        self._position = PositionFromFixes(config)
         delay_ns = round(config.gnss_delay_s * SECOND_NS)
-        self._answers: dict[int, tuple[Place, Air]] = {}
+        self._results: dict[int, tuple[ShipPosition, Air]] = {}
         pressure = _Value(config.pressure_hpa, config.pressure_sigma_hpa)
         temperature = _Value(config.temperature_c, config.temperature_sigma_k)
         # The error of humidity is neglected: from dry to saturated air, refraction changes as by 0.5 K at 10 °C, and
         # as by 2.5 K at 35 °C. For the same reason no change of humidity is a jump.
         humidity = _Value(config.relative_humidity, 0.0)
         max_age_s = config.weather_max_age_s
-        by_weather = JumpLimits(PRESSURE_AT_ONCE_HPA, PRESSURE_PER_H_HPA / 3600.0, max_age_s, "hPa")
-        by_warmth = JumpLimits(TEMPERATURE_AT_ONCE_K, TEMPERATURE_PER_H_K / 3600.0, max_age_s, "K")
+        pressure_limits = JumpLimits(MAX_PRESSURE_STEP_HPA, MAX_PRESSURE_RATE_HPA_PER_H / 3600.0, max_age_s, "hPa")
+        temperature_limits = JumpLimits(MAX_TEMPERATURE_STEP_K, MAX_TEMPERATURE_RATE_K_PER_H / 3600.0, max_age_s, "K")
         self._air = {
-            "pressure": _Quantity(pressure, config.measured_pressure_sigma_hpa, by_weather, delay_ns),
-            "temperature": _Quantity(temperature, config.measured_temperature_sigma_k, by_warmth, delay_ns),
+            "pressure": _Quantity(pressure, config.measured_pressure_sigma_hpa, pressure_limits, delay_ns),
+            "temperature": _Quantity(temperature, config.measured_temperature_sigma_k, temperature_limits, delay_ns),
             "humidity": _Quantity(humidity, 0.0, JumpLimits(1.0, 0.0, max_age_s, ""), delay_ns),
         }
 
     # -- inputs ---------------------------------------------------------------------------------------------
 
-    def rejection(self, given: SkyInput) -> Rejection | None:
+    def rejection(self, sky_input: SkyInput) -> Rejection | None:
         """Return why an input is rejected or only partly used; call it before :meth:`insert`.
 
         DUPLICATE or CONFLICT if an input of the same kind and stamp exists, LATE if it arrives too long after later
         ones of its kind, JUMP if it has jumped. All inputs are inserted: of two with the same stamp, the one whose
         bytes sort first is kept, and an input that has jumped affects the evaluation of later ones.
         """
-        if isinstance(given, PositionFix):
-            return self._place.rejection(given)
-        quantity = self._air[given.quantity]
-        return quantity.readings.rejection(given.time_ns, quantity.measured(given))
+        if isinstance(sky_input, PositionFix):
+            return self._position.rejection(sky_input)
+        quantity = self._air[sky_input.quantity]
+        return quantity.readings.rejection(sky_input.time_ns, quantity.value_of(sky_input))
 
-    def insert(self, given: SkyInput) -> int | None:
+    def insert(self, sky_input: SkyInput) -> int | None:
         """Insert a position fix or a reading of the air.
 
         Returns:
             Time (ns) after which results may have changed; None if no result has changed.
         """
-        if isinstance(given, PositionFix):
-            changed_after_ns = self._place.insert(given)
+        if isinstance(sky_input, PositionFix):
+            changed_after_ns = self._position.insert(sky_input)
         else:
-            changed_after_ns = self._air[given.quantity].insert(given)
+            changed_after_ns = self._air[sky_input.quantity].insert(sky_input)
         if changed_after_ns is not None:
-            self._answers = {local_sky: told for local_sky, told in self._answers.items() if local_sky <= changed_after_ns}
+            self._results = {local_sky: told for local_sky, told in self._results.items() if local_sky <= changed_after_ns}
         return changed_after_ns
 
     def drop_before(self, time_ns: int) -> None:
         """Drop the inputs that times from ``time_ns`` on do not need; earlier times may not be requested any more."""
-        self._place.drop_before(time_ns)
+        self._position.drop_before(time_ns)
         for quantity in self._air.values():
             quantity.drop_before(time_ns)
 
     def step_time_base(self, step_ns: int) -> None:
         """Shift the accepted inputs by a step of the clocks."""
-        self._answers.clear()
-        self._place.step_time_base(step_ns)
+        self._results.clear()
+        self._position.step_time_base(step_ns)
         for quantity in self._air.values():
             quantity.readings = quantity.readings.with_shifted_stamps(step_ns)
 
     # -- results --------------------------------------------------------------------------------------------
 
-    def at(self, time_ns: int) -> tuple[Place, Air] | Rejection:
+    def position_and_air_at(self, time_ns: int) -> tuple[ShipPosition, Air] | Rejection:
         """Return position and air at a time, or NO_FIX if no fix is near enough in time.
 
         The same object is returned until an input changes the result.
         """
-        known = self._answers.get(time_ns)
+        known = self._results.get(time_ns)
         if known is not None:
             return known
-        place = self._place.at(time_ns)
-        if isinstance(place, Rejection):
-            return place
-        pressure, temperature, humidity = [quantity.at(time_ns) for quantity in self._air.values()]
+        position = self._position.position_at(time_ns)
+        if isinstance(position, Rejection):
+            return position
+        pressure, temperature, humidity = [quantity.value_at(time_ns) for quantity in self._air.values()]
         weather = Weather(pressure.value, temperature.value, humidity.value)
-        result = self._answers[time_ns] = place, Air(weather, pressure.sigma, temperature.sigma)
-        if len(self._answers) > _ANSWERS_KEPT:
-            del self._answers[next(iter(self._answers))]
+        result = self._results[time_ns] = position, Air(weather, pressure.sigma, temperature.sigma)
+        if len(self._results) > _MAX_CACHED_RESULTS:
+            del self._results[next(iter(self._results))]
         return result
 
-    def not_measured(self, time_ns: int) -> list[str]:
+    def unmeasured_quantities(self, time_ns: int) -> list[str]:
         """Return the names of the quantities of the air that are taken from parameters at a time."""
-        return [name for name, quantity in self._air.items() if quantity.holding(time_ns) is None]
+        return [name for name, quantity in self._air.items() if quantity.reading_index(time_ns) is None]

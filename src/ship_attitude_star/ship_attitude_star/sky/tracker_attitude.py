@@ -20,13 +20,13 @@ from ship_estimation.refusals import Rejection
 from ship_geometry.refraction import elevation_of, lifting_axis
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 
-_STARS = 5
+_ASSUMED_STARS = 5
 """Assumed number of stars in an attitude, anywhere in the field; more stars would reduce the error."""
 
-_GREATEST_ABERRATION = 20.5 * ARCSEC
+_MAX_ABERRATION = 20.5 * ARCSEC
 
 
-def in_horizon(attitude: InertialAttitude | SolvedAttitude, sky_model: SkyModel) -> AttitudeMeasurement | Rejection:
+def to_horizon_attitude(attitude: InertialAttitude | SolvedAttitude, sky_model: SkyModel) -> AttitudeMeasurement | Rejection:
     """Return the attitude in the horizon, with the shared errors of refraction, Earth rotation and position.
 
     Args:
@@ -37,31 +37,31 @@ def in_horizon(attitude: InertialAttitude | SolvedAttitude, sky_model: SkyModel)
         The rejection if no star can be placed at that time, or if the boresight is below the elevation range of the
         refraction model.
     """
-    local_sky = sky_model.at(attitude.time_ns)
+    local_sky = sky_model.sky_at(attitude.time_ns)
     if isinstance(local_sky, Rejection):
         return local_sky
-    return separate_shared_errors(attitude, local_sky) if isinstance(attitude, SolvedAttitude) else _turned(attitude, local_sky)
+    return separate_shared_errors(attitude, local_sky) if isinstance(attitude, SolvedAttitude) else _convert_to_horizon(attitude, local_sky)
 
 
-def _turned(inertial: InertialAttitude, local_sky: LocalSky) -> AttitudeMeasurement | Rejection:
+def _convert_to_horizon(inertial: InertialAttitude, local_sky: LocalSky) -> AttitudeMeasurement | Rejection:
     """Convert an attitude against the ICRS into the horizon."""
     field = inertial.field
-    bare_ns = local_sky.rotation_horizon_from_icrs() @ inertial.rotation_cs
+    airless_ns = local_sky.rotation_horizon_from_icrs() @ inertial.rotation_cs
     if not field.aberration_removed:
-        forward = bare_ns[:, 0]
-        bare_ns = exp_rotation(np.cross(forward, local_sky.aberration_at(forward))) @ bare_ns
-    forward = bare_ns[:, 0]
+        forward = airless_ns[:, 0]
+        airless_ns = exp_rotation(np.cross(forward, local_sky.aberration_at(forward))) @ airless_ns
+    forward = airless_ns[:, 0]
     elevation = float(elevation_of(forward))
     angle, sigma = local_sky.refraction_at(elevation)
     if not np.isfinite(angle):
         return local_sky.low_elevation_rejection(elevation)
     lift = lifting_axis(forward)
-    bent, common_n = _over_the_field(field, local_sky, elevation, angle, forward)
+    mean_extra_lift, common_n = _field_refraction(field, local_sky, elevation, angle, forward)
     shared_n = np.column_stack([sigma * lift, local_sky.sky_rotations().T])
     return AttitudeMeasurement(
         inertial.source,
         inertial.time_ns,
-        exp_rotation((angle + bent) * lift) @ bare_ns,
+        exp_rotation((angle + mean_extra_lift) * lift) @ airless_ns,
         inertial.noise_s,
         common_n,
         covariance_known=inertial.covariance_known,
@@ -69,7 +69,7 @@ def _turned(inertial: InertialAttitude, local_sky: LocalSky) -> AttitudeMeasurem
     )
 
 
-def _over_the_field(
+def _field_refraction(
     field: FieldOfView, local_sky: LocalSky, elevation: float, angle: float, forward: FloatArray
 ) -> tuple[float, FloatArray]:
     """Return the effect of refraction on the attitude in addition to raising the boresight by ``angle``.
@@ -87,13 +87,13 @@ def _over_the_field(
     slope, curvature = local_sky.refraction_slopes_at(elevation)
     # ρ tan E; at the zenith it equals the slope.
     towards = angle * np.tan(elevation) if elevation < 0.5 * np.pi - 1e-6 else -slope
-    middle = field.radius / (2.0 * np.sqrt(_STARS))
-    left_in = 0.0 if field.aberration_removed else _GREATEST_ABERRATION
+    middle = field.radius / (2.0 * np.sqrt(_ASSUMED_STARS))
+    left_in = 0.0 if field.aberration_removed else _MAX_ABERRATION
     lift, about = lifting_axis(forward), np.outer(forward, forward)
     common_n = (towards**2 + left_in**2) * middle**2 * (np.eye(3) - about)
-    bent = field.radius**2 / 8.0 * (curvature + 2.0 * angle)
+    mean_extra_lift = field.radius**2 / 8.0 * (curvature + 2.0 * angle)
     # The slope itself varies over the field, near the horizon by its own size.
     uneven = (0.5 * field.radius * curvature) ** 2
-    common_n += ((slope**2 + uneven - towards**2) * middle**2 + bent**2 / _STARS) * np.outer(lift, lift)
-    common_n += ((slope + towards) ** 2 + uneven) / (6.0 * (_STARS - 1)) * about
-    return bent, common_n
+    common_n += ((slope**2 + uneven - towards**2) * middle**2 + mean_extra_lift**2 / _ASSUMED_STARS) * np.outer(lift, lift)
+    common_n += ((slope + towards) ** 2 + uneven) / (6.0 * (_ASSUMED_STARS - 1)) * about
+    return mean_extra_lift, common_n

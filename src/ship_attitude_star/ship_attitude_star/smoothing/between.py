@@ -5,23 +5,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_attitude_star.ins_errors.process import Propagation, own_from_whole
+from ship_attitude_star.ins_errors.process import Propagation, own_error_matrix
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.vertical.vertical_track import VerticalHere
+from ship_attitude_star.vertical.vertical_track import LocalVertical
 from ship_estimation.backward import Known
 from ship_estimation.backward_chain import Anchor
 from ship_estimation.kalman import slow_error_later
 from ship_geometry.rotations import FloatArray
 
-_CLOCK = 3
+_TIME_OFFSET = 3
 """Index of the INS time offset among the output quantities; the attitude error is before it."""
 
 
-ShipAnchor = Anchor[VerticalHere | None]
+ShipAnchor = Anchor[LocalVertical | None]
 """An estimate with the vertical at its time; None if the filter does not need the vertical."""
 
 
-class _Passage(NamedTuple):
+class _Transition(NamedTuple):
     """Propagation of the n states to N times.
 
     Attributes:
@@ -35,7 +35,7 @@ class _Passage(NamedTuple):
     noise: FloatArray
 
 
-class Between:
+class InsErrorPredictor:
     """Prediction of the quantities that correct the INS: attitude error (north, up, east) and time offset.
 
     Args:
@@ -45,22 +45,22 @@ class Between:
 
     def __init__(self, filter_: ShipFilter, to_gravity: bool) -> None:
         self._model, self._vertical, self._to_gravity = filter_.model, filter_.vertical, to_gravity
-        attitude, rest = np.split(self._model.process_rows, [3])
+        attitude, rest = np.split(self._model.process_indices, [3])
         self._rows = np.concatenate([attitude, self._model.state_indices("ins.time_offset"), rest])
 
     @property
-    def knows_before_the_first(self) -> bool:
+    def predicts_before_first(self) -> bool:
         """True if the errors can be predicted before the first measurement, as Gauss-Markov processes can."""
         return self._model.ins_process is None
 
     def cross_to(self, anchor: ShipAnchor, later: ShipAnchor) -> FloatArray:
         """See :meth:`ship_estimation.rts_smoother.StatePredictor.cross_to`."""
         assert later.time_ns is not None
-        (transition,) = self._passage(anchor, [later.time_ns]).transition
+        (transition,) = self._transition_to(anchor, [later.time_ns]).transition
         cross: FloatArray = anchor.known.covariance @ transition.T
         return cross
 
-    def at(
+    def estimates_at(
         self, anchor: ShipAnchor, times_ns: Sequence[int], later: ShipAnchor | None
     ) -> tuple[Known, FloatArray | None]:
         """Return the four quantities that correct the INS; see :meth:`ship_estimation.rts_smoother.StatePredictor`.
@@ -74,22 +74,22 @@ class Between:
         mean, covariance = anchor.known
         if anchor.time_ns is None:
             # Before the first measurement Gauss-Markov errors are stationary.
-            means, everywhere = np.tile(mean, (len(times_ns), 1)), np.tile(covariance, (len(times_ns), 1, 1))
+            means, covariances = np.tile(mean, (len(times_ns), 1)), np.tile(covariance, (len(times_ns), 1, 1))
         else:
-            passage = self._passage(anchor, times_ns)
+            passage = self._transition_to(anchor, times_ns)
             means = passage.means
             transition = passage.transition
-            everywhere = transition @ covariance @ np.swapaxes(transition, -1, -2) + passage.noise
+            covariances = transition @ covariance @ np.swapaxes(transition, -1, -2) + passage.noise
         to_output = self._output_matrix(times_ns)
-        output_covariance = to_output @ everywhere
+        output_covariance = to_output @ covariances
         known = Known((to_output @ means[..., None])[..., 0], output_covariance @ np.swapaxes(to_output, -1, -2))
         if later is None:
             return known, None
         assert later.time_ns is not None
-        onward = self._onward(anchor, times_ns, later.time_ns)
+        onward = self._transition_from(anchor, times_ns, later.time_ns)
         return known, output_covariance @ np.swapaxes(onward, -1, -2)
 
-    def _passage(self, anchor: ShipAnchor, times_ns: Sequence[int]) -> _Passage:
+    def _transition_to(self, anchor: ShipAnchor, times_ns: Sequence[int]) -> _Transition:
         """Return the propagation from an anchor to N times."""
         assert anchor.time_ns is not None
         model, mean = self._model, anchor.known.mean
@@ -100,17 +100,17 @@ class Between:
         if propagation is None:
             ins_attitude = model.slices["ins.attitude"]
             means[:, ins_attitude] = slow_error_later(mean[ins_attitude], decay[:, ins_attitude], model.ins_attitude_block.sigma)
-            return _Passage(transition, means, noise)
+            return _Transition(transition, means, noise)
         assert model.ins_process is not None
         assert anchor.given is not None
-        block = np.s_[:, model.process_rows[:, None], model.process_rows]
+        block = np.s_[:, model.process_indices[:, None], model.process_indices]
         transition[block] = propagation.transition
         noise[block] += propagation.ins_noise + propagation.deflection_noise
-        of_process = model.ins_process.propagated_means(mean[None, model.process_rows], anchor.given, propagation)
-        means[:, model.process_rows] = of_process[:, 0]
-        return _Passage(transition, means, noise)
+        of_process = model.ins_process.propagated_means(mean[None, model.process_indices], anchor.given, propagation)
+        means[:, model.process_indices] = of_process[:, 0]
+        return _Transition(transition, means, noise)
 
-    def _onward(self, anchor: ShipAnchor, times_ns: Sequence[int], later_ns: int) -> FloatArray:
+    def _transition_from(self, anchor: ShipAnchor, times_ns: Sequence[int], later_ns: int) -> FloatArray:
         """Return the transition matrices from N times after an anchor to a later time, shape (N, n, n)."""
         model = self._model
         left_s = 1e-9 * (later_ns - np.array(times_ns)).astype(float)
@@ -120,7 +120,7 @@ class Between:
             # The transition to the later time is the product of that to each time and the remaining one.
             to_each, to_later = propagation.transition[:-1], propagation.transition[-1]
             left = np.linalg.solve(np.swapaxes(to_each, -1, -2), np.broadcast_to(to_later.T, to_each.shape))
-            onward[:, model.process_rows[:, None], model.process_rows] = np.swapaxes(left, -1, -2)
+            onward[:, model.process_indices[:, None], model.process_indices] = np.swapaxes(left, -1, -2)
         return onward
 
     def _process_propagation(self, anchor: ShipAnchor, times_ns: Sequence[int]) -> Propagation | None:
@@ -135,12 +135,12 @@ class Between:
 
     def _output_matrix(self, times_ns: Sequence[int]) -> FloatArray:
         """Return the matrices from the states to the output quantities, shape (N, 4, n)."""
-        matrix = np.zeros((len(times_ns), _CLOCK + 1, self._model.size))
-        matrix[:, np.arange(_CLOCK + 1), self._rows[: _CLOCK + 1]] = 1.0
+        matrix = np.zeros((len(times_ns), _TIME_OFFSET + 1, self._model.size))
+        matrix[:, np.arange(_TIME_OFFSET + 1), self._rows[: _TIME_OFFSET + 1]] = 1.0
         if self._to_gravity:
             assert self._vertical is not None
-            own = [own_from_whole(self._vertical.at(time_ns)) for time_ns in times_ns]
-            matrix[:, :_CLOCK, self._model.process_rows[:5]] = own
+            own = [own_error_matrix(self._vertical.at(time_ns)) for time_ns in times_ns]
+            matrix[:, :_TIME_OFFSET, self._model.process_indices[:5]] = own
         return matrix
 
 

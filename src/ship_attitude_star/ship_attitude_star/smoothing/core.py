@@ -16,9 +16,9 @@ from ship_attitude_star.ship_attitude.core import INS, ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.sky.sky_watch import SkyModel
-from ship_attitude_star.smoothing.between import Between
+from ship_attitude_star.smoothing.between import InsErrorPredictor
 from ship_attitude_star.smoothing.traced_filter import TracedFilter, TracedState
-from ship_attitude_star.vertical.vertical_track import VerticalHere
+from ship_attitude_star.vertical.vertical_track import LocalVertical
 from ship_estimation.backward import Known
 from ship_estimation.backward_chain import Chain
 from ship_geometry import compiled_rotations
@@ -26,10 +26,10 @@ from ship_geometry.attitude_track import AttitudeSample, InterpolatedAttitude, S
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
-_ATTITUDE, _CLOCK = slice(0, 3), 3
+_ATTITUDE, _TIME_OFFSET = slice(0, 3), 3
 """Indices of attitude error and time offset of the INS (:class:`InsErrorPredictor`)."""
 
-_AT_ONCE = 1000
+_BATCH_SIZE = 1000
 """Number of attitudes that are smoothed together at the end."""
 
 _NO_PARTS = np.empty((0, 3, 3))
@@ -63,41 +63,41 @@ class SmoothingCore(ShipAttitudeCore):
 
     def __init__(self, config: ShipAttitudeConfig, sky_model: SkyModel | None, lag_s: float | None) -> None:
         self._lag_ns = None if lag_s is None else round(lag_s * SECOND_NS)
-        self._closed: list[FilterState] = []
-        self._closed_ns = 0
+        self._committed: list[FilterState] = []
+        self._committed_ns = 0
         self._pending: deque[_RealTimeEstimate] = deque()
-        self._smooths = True
-        super().__init__(config, sky_model, self._closed.extend)
+        self._is_smoothing = True
+        super().__init__(config, sky_model, self._committed.extend)
 
-    def _another(self, sky_model: SkyModel | None) -> ShipAttitudeCore:
+    def _new_estimator(self, sky_model: SkyModel | None) -> ShipAttitudeCore:
         """See :meth:`ShipAttitudeCore._new_estimator`; the new one does not smooth before it is adopted."""
         another = SmoothingCore(self.config, sky_model, None if self._lag_ns is None else self._lag_ns / SECOND_NS)
-        another._smooths = False
+        another._is_smoothing = False
         return another
 
     def take_over_outputs(self, live: ShipAttitudeCore) -> None:
         """See :meth:`ShipAttitudeCore.take_over_outputs`; smoothing starts a new segment."""
         super().take_over_outputs(live)
-        self._smooths = True
+        self._is_smoothing = True
         self.restart_smoothing()
 
-    def _begin(self, state: FilterState) -> None:
+    def _start_without_samples(self, state: FilterState) -> None:
         """See :meth:`ShipAttitudeCore._start_without_samples`; pending smoothed attitudes are discarded."""
-        super()._begin(state)
+        super()._start_without_samples(state)
         self.restart_smoothing()
 
     def restart_smoothing(self) -> None:
         """Restart smoothing from now; pending smoothed attitudes are discarded."""
-        self._closed.clear()
+        self._committed.clear()
         self._pending.clear()
         oldest = self._estimator.oldest_state
         assert isinstance(oldest, TracedState)
-        self._smoother: Chain[VerticalHere | None] = Chain(self._between(), oldest)
+        self._smoother: Chain[LocalVertical | None] = Chain(self._new_predictor(), oldest)
 
     def reconfigure(self, config: ShipAttitudeConfig) -> None:
         """See :meth:`ShipAttitudeCore.reconfigure`."""
         super().reconfigure(config)
-        self._smoother.between = self._between()
+        self._smoother.between = self._new_predictor()
 
     def evaluate_batch(self, block: SampleBlock, arrivals_ns: object) -> None:
         """Return None: samples are processed one by one, because each attitude is stored."""
@@ -105,46 +105,46 @@ class SmoothingCore(ShipAttitudeCore):
     def add_ins(self, sample: AttitudeSample, arrival_ns: int | None = None, estimate: bool = True) -> AttitudeOutcome:
         """See :meth:`ShipAttitudeCore.add_ins`."""
         outcome = super().add_ins(sample, arrival_ns, estimate)
-        if not self._smooths:
-            self._closed.clear()
+        if not self._is_smoothing:
+            self._committed.clear()
             return outcome
         for one in outcome.estimates:
             has_fault = one.state.doubt is not None or INS in one.state.excluded
-            self._pending.append(_RealTimeEstimate(_alone(one), one.state.disputed_n, has_fault))
+            self._pending.append(_RealTimeEstimate(_detached(one), one.state.disputed_n, has_fault))
             self._smoother.request_time(one.time_ns)
         return outcome
 
-    def smoothed(self) -> list[AttitudeEstimate]:
+    def take_smoothed(self) -> list[AttitudeEstimate]:
         """Return the smoothed attitudes that are ready, in the order of their stamps."""
-        self._take(self._closed)
-        self._closed.clear()
+        self._add_states(self._committed)
+        self._committed.clear()
         if self._lag_ns is None:
             return []
-        return self._smoothed_until(min(self._estimator.window.newest_ns - self._lag_ns, self._closed_ns))
+        return self._smoothed_until(min(self._estimator.window.newest_ns - self._lag_ns, self._committed_ns))
 
-    def smoothed_to_the_end(self) -> Iterator[AttitudeEstimate]:
+    def smoothed_estimates(self) -> Iterator[AttitudeEstimate]:
         """Yield all remaining attitudes smoothed with all measurements; no input may follow."""
-        self._take([*self._closed, *self._estimator.states_in_window()])
-        self._closed.clear()
+        self._add_states([*self._committed, *self._estimator.states_in_window()])
+        self._committed.clear()
         while self._pending:
-            last = self._pending[min(len(self._pending), _AT_ONCE) - 1]
+            last = self._pending[min(len(self._pending), _BATCH_SIZE) - 1]
             yield from self._smoothed_until(last.estimate.time_ns)
 
     # -- stored data ----------------------------------------------------------------------------------------
 
-    def _forget_before(self, time_ns: int) -> None:
-        self._closed_ns = time_ns
-        super()._forget_before(time_ns)
+    def _drop_before(self, time_ns: int) -> None:
+        self._committed_ns = time_ns
+        super()._drop_before(time_ns)
 
-    def _asked_since_ns(self, closed_ns: int) -> int:
+    def _needed_since_ns(self, closed_ns: int) -> int:
         oldest_pending_ns = self._pending[0].estimate.time_ns if self._pending else closed_ns
         link_ns = self._smoother.newest_ns
         return min(closed_ns, oldest_pending_ns, closed_ns if link_ns is None else link_ns)
 
-    def _between(self) -> Between:
-        return Between(self.filter, self.config.horizon == GRAVITY)
+    def _new_predictor(self) -> InsErrorPredictor:
+        return InsErrorPredictor(self.filter, self.config.horizon == GRAVITY)
 
-    def _take(self, states: Sequence[FilterState]) -> None:
+    def _add_states(self, states: Sequence[FilterState]) -> None:
         for state in states:
             assert isinstance(state, TracedState)
             self._smoother.add(state)
@@ -162,19 +162,19 @@ class SmoothingCore(ShipAttitudeCore):
         due = []
         while self._pending and self._pending[0].estimate.time_ns <= time_ns:
             due.append(self._pending.popleft())
-        again: list[tuple[_RealTimeEstimate, Known, InterpolatedAttitude]] = []
-        places, estimates = [], [self._as_it_was(pending.estimate) for pending in due]
+        corrections: list[tuple[_RealTimeEstimate, Known, InterpolatedAttitude]] = []
+        places, estimates = [], [self._as_published(pending.estimate) for pending in due]
         for place, told in enumerate(due):
             corrects = known.get(told.estimate.time_ns)
             ins = None if corrects is None or told.is_doubtful else self._ins_at(told.estimate.time_ns, corrects)
             if corrects is not None and ins is not None:
                 places.append(place)
-                again.append((told, corrects, ins))
-        for place, estimate in zip(places, self._corrected_again(again), strict=True):
+                corrections.append((told, corrects, ins))
+        for place, estimate in zip(places, self._correct_ins(corrections), strict=True):
             estimates[place] = estimate
         return estimates
 
-    def _as_it_was(self, estimate: AttitudeEstimate) -> AttitudeEstimate:
+    def _as_published(self, estimate: AttitudeEstimate) -> AttitudeEstimate:
         """Return a real-time attitude; its covariance is assigned to the error source INS drift."""
         parts = np.zeros((len(self.filter.model.sources), 3, 3))
         parts[self._corrected.drift_index] = estimate.covariance_n
@@ -182,34 +182,34 @@ class SmoothingCore(ShipAttitudeCore):
 
     def _ins_at(self, time_ns: int, corrects: Known) -> InterpolatedAttitude | None:
         """Return the interpolated INS attitude for a time; None without samples on both sides."""
-        moved_s = -(self.config.ins.time_offset_s + corrects.mean.item(_CLOCK))
+        moved_s = -(self.config.ins.time_offset_s + corrects.mean.item(_TIME_OFFSET))
         return self._track.at(time_ns + round(moved_s * SECOND_NS))
 
-    def _corrected_again(
-        self, again: Sequence[tuple[_RealTimeEstimate, Known, InterpolatedAttitude]]
+    def _correct_ins(
+        self, corrections: Sequence[tuple[_RealTimeEstimate, Known, InterpolatedAttitude]]
     ) -> list[AttitudeEstimate]:
         """Return INS attitudes corrected by the smoothed INS errors."""
         corrected, estimates = self._corrected, []
-        if not again:
+        if not corrections:
             return []
-        errors = np.array([corrects.mean[_ATTITUDE] for _, corrects, _ in again])
-        parts = np.zeros((len(again), len(self.filter.model.sources), _CLOCK + 1, _CLOCK + 1))
+        errors = np.array([corrects.mean[_ATTITUDE] for _, corrects, _ in corrections])
+        parts = np.zeros((len(corrections), len(self.filter.model.sources), _TIME_OFFSET + 1, _TIME_OFFSET + 1))
         # The covariance by error source is not smoothed; all of it is assigned to the INS drift.
-        parts[:, corrected.drift_index] = [corrects.covariance for _, corrects, _ in again]
+        parts[:, corrected.drift_index] = [corrects.covariance for _, corrects, _ in corrections]
         rotations_nd, parts_n = compiled_rotations.corrected(
-            np.arange(len(again), dtype=np.intp),
-            np.zeros(len(again)),
-            np.array([ins.rotation_nd for _, _, ins in again]),
-            np.array([ins.rate_d for _, _, ins in again]),
-            np.array([ins.noise_gain for _, _, ins in again]),
-            np.array([ins.error_covariance_d for _, _, ins in again]),
+            np.arange(len(corrections), dtype=np.intp),
+            np.zeros(len(corrections)),
+            np.array([ins.rotation_nd for _, _, ins in corrections]),
+            np.array([ins.rate_d for _, _, ins in corrections]),
+            np.array([ins.noise_gain for _, _, ins in corrections]),
+            np.array([ins.error_covariance_d for _, _, ins in corrections]),
             errors,
-            np.ones((len(again), 3), dtype=np.uint8),
-            *corrected.of_filter[:3],
+            np.ones((len(corrections), 3), dtype=np.uint8),
+            *corrected.model_constants[:3],
             parts,
-            *corrected.of_filter[3:],
+            *corrected.model_constants[3:],
         )
-        for (real_time, _, ins), rotation_nd, of_source in zip(again, rotations_nd, parts_n, strict=True):
+        for (real_time, _, ins), rotation_nd, of_source in zip(corrections, rotations_nd, parts_n, strict=True):
             covariance_without_separation_n = of_source.sum(axis=0)
             if real_time.separation_covariance_n is not None:
                 of_source[corrected.drift_index] += real_time.separation_covariance_n
@@ -226,7 +226,7 @@ class SmoothingCore(ShipAttitudeCore):
         return estimates
 
 
-def _alone(estimate: AttitudeEstimate) -> AttitudeEstimate:
+def _detached(estimate: AttitudeEstimate) -> AttitudeEstimate:
     """Return a copy of an attitude that shares no array with others and holds no filter state."""
     covariance_n = estimate.covariance_n.copy()
     return replace(

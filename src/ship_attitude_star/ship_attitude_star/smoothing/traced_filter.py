@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.ship_attitude.comparison import Compared
+from ship_attitude_star.ship_attitude.comparison import ComparedMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.ins_at_fault import distrusted
+from ship_attitude_star.ship_attitude.ins_at_fault import is_ins_excluded_by_stars
 from ship_attitude_star.ship_attitude.state import FilterState, changed
-from ship_attitude_star.ship_attitude.suspects import Suspects
-from ship_attitude_star.vertical.vertical_track import VerticalHere, VerticalTrack
+from ship_attitude_star.ship_attitude.suspects import FaultDetector
+from ship_attitude_star.vertical.vertical_track import LocalVertical, VerticalTrack
 from ship_estimation.backward import Known
 from ship_estimation.backward_chain import Came
 from ship_estimation.hypotheses import FilterInnovations
@@ -28,10 +28,10 @@ class TracedState(FilterState):
         last_update: update by the last accepted measurement or the last jump; None before the first.
     """
 
-    came: Came | None = None
+    last_update: Came | None = None
 
     @property
-    def given(self) -> VerticalHere | None:
+    def prediction_input(self) -> LocalVertical | None:
         """Vertical at the time of the state, needed for prediction."""
         return self.vertical
 
@@ -43,36 +43,36 @@ class TracedFilter(ShipFilter):
         super().__init__(config, vertical)
         self.fault_detector = _TracedFaultDetector(config, self.model, self.devices)
 
-    def apply_ins_change(self, state: FilterState, jump: InsChange) -> FilterState:
+    def apply_ins_change(self, state: FilterState, change: InsChange) -> FilterState:
         """See :meth:`ShipFilter.apply_ins_change`; the inflation is recorded as an update."""
-        after = super().apply_ins_change(state, jump)
+        after = super().apply_ins_change(state, change)
         assert isinstance(after, TracedState)
         both = Known(after.mean, after.covariance)
         leads_back = after.excluded.keys() <= state.excluded.keys()
-        return changed(after, came=Came(both, both, leads_back, jump.time_ns))
+        return changed(after, came=Came(both, both, leads_back, change.time_ns))
 
 
-class _TracedFaultDetector(Suspects):
+class _TracedFaultDetector(FaultDetector):
     """Fault detection on states that record their last update."""
 
     def initial_state(self, mean: FloatArray, covariance_by_source: FloatArray) -> FilterState:
         """See :meth:`FaultDetector.initial_state`."""
-        return TracedState(**vars(super().start(mean, covariance_by_source)))
+        return TracedState(**vars(super().initial_state(mean, covariance_by_source)))
 
     def update(
         self,
         state: FilterState,
         predicted: FilterState,
         measurement: Measurement,
-        measured: Compared,
-        compared: FilterInnovations,
+        comparison: ComparedMeasurement,
+        innovations: FilterInnovations,
         accepted: NDArray[np.bool_],
     ) -> FilterState:
         """See :meth:`FaultDetector.update`."""
-        after = super().learned(state, predicted, measurement, measured, compared, accepted)
+        after = super().update(state, predicted, measurement, comparison, innovations, accepted)
         if after.means is state.means:
             return after
         assert isinstance(after, TracedState)
-        is_update = measurement.source not in state.excluded and not distrusted(state)
+        is_update = measurement.source not in state.excluded and not is_ins_excluded_by_stars(state)
         before = Known(predicted.mean, predicted.covariance)
         return changed(after, came=Came(before, Known(after.mean, after.covariance), is_update))

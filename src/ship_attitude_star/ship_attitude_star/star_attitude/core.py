@@ -17,10 +17,10 @@ from ship_attitude_star.measurements.samples import AttitudeMeasurement, StampAr
 from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.star_attitude.config import JointConfig, ObservingSensorConfig, StarAttitudeConfig
 from ship_attitude_star.star_attitude.exposure_solver import (
-    Mounted,
+    MountedExposure,
     PlacedExposure,
     RejectedStar,
-    Solved,
+    AttitudeSolution,
     StarOutcome,
     rejected_exposure,
     solve_deck,
@@ -29,7 +29,7 @@ from ship_attitude_star.star_attitude.exposure_solver import (
 from ship_attitude_star.star_attitude.ins_motion import INS, InsMotion, InsBatch
 from ship_attitude_star.stars.config import JOINT
 from ship_attitude_star.stars.exposure import StarExposure
-from ship_attitude_star.stars.solution import no_attitude
+from ship_attitude_star.stars.solution import invalid_solution
 from ship_estimation.estimator_shell import LagWindow
 from ship_estimation.refusals import (
     AGREES_AGAIN_AFTER_S,
@@ -100,7 +100,7 @@ class JointWindow:
         self._arrivals_ns[key] = item.time_ns if arrival_ns is None else arrival_ns
         return True
 
-    def closed(self, movable: Callable[[int, int], bool], waiting_ns: int | None) -> Iterator[list[PlacedExposure]]:
+    def complete_groups(self, is_turn_known: Callable[[int, int], bool], waiting_ns: int | None) -> Iterator[list[PlacedExposure]]:
         """Yield the groups that are complete or have waited long enough, in time order.
 
         Args:
@@ -108,21 +108,21 @@ class JointWindow:
             waiting_ns: current time of waiting; None if not known.
         """
         while self._items:
-            group = self._group(movable)
+            group = self._group(is_turn_known)
             first_ns = group[0].time_ns
             # A sensor with a later exposure provides no more exposures for this group.
-            awaited = self._sources - {item.source for item in self._items}
+            missing_sources = self._sources - {item.source for item in self._items}
             since_ns = self._arrivals_ns[first_ns, group[0].source]
-            if awaited and (waiting_ns is None or waiting_ns - since_ns < self._wait_ns):
+            if missing_sources and (waiting_ns is None or waiting_ns - since_ns < self._wait_ns):
                 return
-            taken = {id(item) for item in group}
-            self._items = [item for item in self._items if id(item) not in taken]
+            used = {id(item) for item in group}
+            self._items = [item for item in self._items if id(item) not in used]
             for item in group:
                 del self._arrivals_ns[item.time_ns, item.source]
             self._last_ns = first_ns
             yield group
 
-    def _group(self, movable: Callable[[int, int], bool]) -> list[PlacedExposure]:
+    def _group(self, is_turn_known: Callable[[int, int], bool]) -> list[PlacedExposure]:
         """Return the earliest exposure, and of each other sensor the next one that is near enough in time."""
         first_ns = self._items[0].time_ns
         group: dict[str, PlacedExposure] = {}
@@ -130,7 +130,7 @@ class JointWindow:
             later_ns = item.time_ns - first_ns
             if later_ns > self._window_ns and later_ns > self._simultaneous_ns:
                 break
-            if item.source not in group and (later_ns <= self._simultaneous_ns or movable(first_ns, item.time_ns)):
+            if item.source not in group and (later_ns <= self._simultaneous_ns or is_turn_known(first_ns, item.time_ns)):
                 group[item.source] = item
         return list(group.values())
 
@@ -150,27 +150,27 @@ class StarCore:
         self._config = config
         self._sky_model = sky_model
         self._wait_ns = round(config.joint.wait_s * SECOND_NS)
-        self._contradictions = Contradictions()
-        self._of_ins = Contradictions()
+        self._stamp_conflicts = Contradictions()
+        self._ins_stamp_conflicts = Contradictions()
         self.reset()
 
     def reset(self, clock_jumped: bool = False) -> None:
         """Discard all inputs; outputs may start again at earlier times, also without a jump of the clock."""
         self._sky_model.reset()
-        self._begin()
+        self._start_without_samples()
 
     def step_time_base(self, step_ns: int, _state: None = None) -> None:
         """Continue after a step of the time base: position and air data are shifted, exposures are discarded."""
         self._sky_model.step_time_base(step_ns)
-        self._begin()
+        self._start_without_samples()
 
-    def _begin(self) -> None:
+    def _start_without_samples(self) -> None:
         self._plausibility = PlausibilityChecks(self._config.ins)
-        self._contradictions.reset()
-        self._of_ins.reset()
-        self._ins = InsMotion(self._config.ins, self._plausibility, self._of_ins)
+        self._stamp_conflicts.reset()
+        self._ins_stamp_conflicts.reset()
+        self._ins = InsMotion(self._config.ins, self._plausibility, self._ins_stamp_conflicts)
         self._sources = [f"star.{id_}" for id_ in self._config.star_sensors]
-        self._taken: dict[tuple[str, int], StarExposure] = {}
+        self._received_exposures: dict[tuple[str, int], StarExposure] = {}
         self._pending: list[_PendingExposure] = []
         self._window = JointWindow(self._sources, self._config.joint)
         self._arrivals = LagWindow(self._config.lag_s)
@@ -193,7 +193,7 @@ class StarCore:
 
     def evaluate_batch(self, block: SampleBlock, arrivals_ns: StampArray) -> InsBatch | None:
         """Check the INS samples of a block as one batch; see :meth:`InsMotion.evaluate_batch`."""
-        return self._ins.look_ahead(block, arrivals_ns, self._config.lag_s)
+        return self._ins.evaluate_batch(block, arrivals_ns, self._config.lag_s)
 
     def commit_batch(self, batch: InsBatch, stop: int) -> None:
         """Commit the samples of a batch before index ``stop``."""
@@ -239,7 +239,7 @@ class StarCore:
         used, refusal = self._evaluate(exposure)
         if not used:
             return StarOutcome(refusal)
-        self._taken[exposure.source, exposure.time_ns] = exposure
+        self._received_exposures[exposure.source, exposure.time_ns] = exposure
         self._arrivals.advance_to(exposure.time_ns)
         arrival_ns = exposure.time_ns if arrival_ns is None else arrival_ns
         self._wait(_PendingExposure(exposure, rejected_stars, arrival_ns, exposure.reach_ns))
@@ -249,7 +249,7 @@ class StarCore:
 
     def set_duplicate_publishers(self, source: str, text: str) -> None:
         """Record that two publishers send as a source; an empty text ends it."""
-        contradictions = self._of_ins if source == INS else self._contradictions
+        contradictions = self._ins_stamp_conflicts if source == INS else self._stamp_conflicts
         contradictions.contest(source, self._arrivals.newest_ns, text)
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> StarOutcome:
@@ -263,9 +263,9 @@ class StarCore:
         self._solve(outcome, now_ns if waiting_ns is None else waiting_ns)
         return outcome
 
-    def not_measured(self) -> list[str]:
+    def unmeasured_quantities(self) -> list[str]:
         """Return the names of the air quantities that are taken from parameters at the newest time of the data."""
-        return self._sky_model.surroundings.not_measured(self._arrivals.newest_ns)
+        return self._sky_model.surroundings.unmeasured_quantities(self._arrivals.newest_ns)
 
     # -- checks ---------------------------------------------------------------------------------------------
 
@@ -274,7 +274,7 @@ class StarCore:
         refusal = self._arrivals.late(exposure.time_ns)
         if refusal is not None:
             return False, refusal
-        known = self._taken.get((exposure.source, exposure.time_ns))
+        known = self._received_exposures.get((exposure.source, exposure.time_ns))
         if known is None:
             refusal = self._plausibility.check(exposure, self._ins.track)
             return refusal is None, refusal
@@ -282,7 +282,7 @@ class StarCore:
         if told.reason is Reason.DUPLICATE:
             return False, told
         # Neither of the two is solved; a solution that was published already is replaced by an INVALID one.
-        self._contradictions.note(exposure.source, exposure.time_ns, told)
+        self._stamp_conflicts.note(exposure.source, exposure.time_ns, told)
         return True, replace(told, text="the same stamp with different content: do two sensors publish on one topic?")
 
     def _wait(self, new: _PendingExposure) -> None:
@@ -301,35 +301,35 @@ class StarCore:
         self._solve(outcome, None)
         oldest_ns = self._arrivals.oldest_ns - self._wait_ns
         self._sky_model.surroundings.drop_before(oldest_ns)
-        self._taken = {key: exposure for key, exposure in self._taken.items() if exposure.time_ns >= oldest_ns}
+        self._received_exposures = {key: exposure for key, exposure in self._received_exposures.items() if exposure.time_ns >= oldest_ns}
         self._ins.drop_before(oldest_ns - _LONGEST_REACH_NS)
 
     def _solve(self, outcome: StarOutcome, waiting_ns: int | None) -> None:
         still_waiting = []
         for waiting in self._pending:
             overdue = waiting_ns is not None and waiting_ns - waiting.arrival_ns >= self._wait_ns
-            if self._ins.awaited(waiting.exposure.time_ns, waiting.reach_ns) and not overdue:
+            if self._ins.is_awaited(waiting.exposure.time_ns, waiting.reach_ns) and not overdue:
                 still_waiting.append(waiting)
                 continue
             try:
                 placed, solved = self._solve_one(waiting)
             except Exception as error:
-                solution = no_attitude(np.zeros(len(waiting.exposure), dtype=bool), failure(error))
+                solution = invalid_solution(np.zeros(len(waiting.exposure), dtype=bool), failure(error))
                 sensor_id, time_ns = waiting.exposure.source.partition(".")[2], waiting.exposure.time_ns
-                outcome.solved.append(Solved(sensor_id, time_ns, solution, waiting.rejected_stars, ()))
+                outcome.solved.append(AttitudeSolution(sensor_id, time_ns, solution, waiting.rejected_stars, ()))
                 continue
             outcome.solved.append(solved)
             if not self._window.add(placed, waiting.arrival_ns):
                 outcome.not_joined.append((placed.source, placed.time_ns))
         self._pending = still_waiting
-        for group in self._window.closed(self._ins.is_turn_known, waiting_ns):
+        for group in self._window.complete_groups(self._ins.is_turn_known, waiting_ns):
             try:
                 joint = self._joint(group)
             except Exception as error:
-                joint = Solved(JOINT, group[0].time_ns, no_attitude(np.zeros(0, dtype=bool), failure(error)), (), ())
+                joint = AttitudeSolution(JOINT, group[0].time_ns, invalid_solution(np.zeros(0, dtype=bool), failure(error)), (), ())
             outcome.solved.append(joint)
 
-    def _solve_one(self, waiting: _PendingExposure) -> tuple[PlacedExposure, Solved]:
+    def _solve_one(self, waiting: _PendingExposure) -> tuple[PlacedExposure, AttitudeSolution]:
         """Solve the attitude of a sensor from one exposure, and add it as motion reference for the checks."""
         contradiction = self._contradiction(waiting.exposure.source, waiting.exposure.time_ns)
         if contradiction is not None:
@@ -343,7 +343,7 @@ class StarCore:
         placed, solved = solve_exposure(
             exposure, waiting.rejected_stars, prior, self._sky_model, middle.noise_variance, middle.error_variance
         )
-        if exposure.length is not None and exposure.smear_s is None and solved.valid:
+        if exposure.length is not None and exposure.smear_s is None and solved.is_valid:
             text = f"no rotation of the ship from ins/imu during the exposure of {exposure.length.exposure_s:g} s"
             solved = replace(solved, text="; ".join(filter(None, [solved.text, text])))
         if solved.sources:
@@ -352,7 +352,7 @@ class StarCore:
             self._plausibility.add_motion_reference(AttitudeMeasurement(placed.source, solved.time_ns, rotation_ns, noise_s, common_n=_EXACT))
         return placed, solved
 
-    def _joint(self, group: list[PlacedExposure]) -> Solved:
+    def _joint(self, group: list[PlacedExposure]) -> AttitudeSolution:
         time_ns = group[0].time_ns
         # A conflict of a sensor may have been detected after its exposure was solved.
         group = [
@@ -362,7 +362,7 @@ class StarCore:
         # Without a known rotation the exposures are so close in time that the ship does not rotate.
         turns = self._ins.deck_turns(time_ns, [placed.exposure for placed in group])
         mounted = [
-            Mounted(placed, turn @ self._sensor(placed.source).rotation_ds)
+            MountedExposure(placed, turn @ self._sensor(placed.source).rotation_ds)
             for placed, turn in zip(group, turns.rotations, strict=True)
         ]
         prior = self._ins.deck_prior(time_ns)
@@ -371,13 +371,13 @@ class StarCore:
 
     def _contradiction(self, source: str, time_ns: int) -> Rejection | None:
         """Return the rejection of an exposure for conflicting data of its sensor, position or air, or None."""
-        contested = [name for name in self._contradictions.contested if name == source or name not in self._sources]
+        contested = [name for name in self._stamp_conflicts.contested if name == source or name not in self._sources]
         if contested:
-            return Rejection(Reason.CONFLICT, self._contradictions.text(contested))
-        if source not in self._contradictions.at(time_ns):
+            return Rejection(Reason.CONFLICT, self._stamp_conflicts.text(contested))
+        if source not in self._stamp_conflicts.at(time_ns):
             return None
         text = f"its stars are used again after {AGREES_AGAIN_AFTER_S:g} s without a contradiction"
-        return Rejection(Reason.CONFLICT, f"{self._contradictions.text([source])}: {text}")
+        return Rejection(Reason.CONFLICT, f"{self._stamp_conflicts.text([source])}: {text}")
 
     def _sensor(self, source: str) -> ObservingSensorConfig:
         return self._config.star_sensors[source.partition(".")[2]]

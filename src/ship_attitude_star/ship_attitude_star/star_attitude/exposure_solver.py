@@ -12,13 +12,13 @@ from ship_attitude_star.stars.camera import tangent_basis
 from ship_attitude_star.stars.config import JOINT
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.fit import MatchedStars, square_roots
-from ship_attitude_star.stars.scale_check import contradicted_scale
+from ship_attitude_star.stars.scale_check import check_focal_length
 from ship_attitude_star.stars.selection import StarPrior
-from ship_attitude_star.stars.solution import SolutionStatus, StarSolution, no_attitude, solve_with_fallback
+from ship_attitude_star.stars.solution import SolutionStatus, StarSolution, invalid_solution, solve_with_fallback
 from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.rotations import FloatArray
 
-_SAME_FRAME: FloatArray = np.eye(3)
+_IDENTITY: FloatArray = np.eye(3)
 _AGAINST_INS = "the stars are consistent with each other, but not with ins/imu"
 
 
@@ -44,7 +44,7 @@ class RejectedStar:
 
 
 @dataclass(frozen=True)
-class Solved:
+class AttitudeSolution:
     """An attitude from stars: of a sensor, or of the deck from several sensors.
 
     Attributes:
@@ -64,7 +64,7 @@ class Solved:
     text: str = ""
 
     @property
-    def valid(self) -> bool:
+    def is_valid(self) -> bool:
         """True if there is an attitude."""
         return self.solution.status is not SolutionStatus.INVALID
 
@@ -80,7 +80,7 @@ class StarOutcome:
     """
 
     rejection: Rejection | None = None
-    solved: list[Solved] = field(default_factory=list)
+    solved: list[AttitudeSolution] = field(default_factory=list)
     not_joined: list[tuple[str, int]] = field(default_factory=list)
 
 
@@ -107,7 +107,7 @@ class PlacedExposure:
 
 
 @dataclass(frozen=True)
-class Mounted:
+class MountedExposure:
     """An exposure in the deck frame at another time.
 
     Attributes:
@@ -115,17 +115,17 @@ class Mounted:
         rotation_ds: deck at that time from sensor at its exposure, shape (3, 3).
     """
 
-    placed: PlacedExposure
+    exposure: PlacedExposure
     rotation_ds: FloatArray
 
 
 def rejected_exposure(
     exposure: StarExposure, rejected_stars: tuple[RejectedStar, ...], refusal: Rejection
-) -> tuple[PlacedExposure, Solved]:
+) -> tuple[PlacedExposure, AttitudeSolution]:
     """Return an exposure that is rejected as a whole, without stars and without attitude."""
-    solution = no_attitude(np.zeros(len(exposure), dtype=bool), refusal)
+    solution = invalid_solution(np.zeros(len(exposure), dtype=bool), refusal)
     placed = PlacedExposure(exposure.source, exposure.time_ns, exposure, None, rejected_stars)
-    return placed, Solved(exposure.source.partition(".")[2], exposure.time_ns, solution, rejected_stars, ())
+    return placed, AttitudeSolution(exposure.source.partition(".")[2], exposure.time_ns, solution, rejected_stars, ())
 
 
 def solve_exposure(
@@ -135,7 +135,7 @@ def solve_exposure(
     sky_model: SkyModel,
     noise_variance: float = 0.0,
     turn_variance: float = 0.0,
-) -> tuple[PlacedExposure, Solved]:
+) -> tuple[PlacedExposure, AttitudeSolution]:
     """Solve the attitude of a sensor from one exposure.
 
     Args:
@@ -157,26 +157,26 @@ def solve_exposure(
     if invisible:
         rejected_stars += tuple(RejectedStar(source, time_ns, name, refusal) for name, refusal in invisible)
     solution, against_prior = solve_with_fallback(stars, prior)
-    contradicted = contradicted_scale(detections, sky_model, prior, solution.star_count)
+    contradicted = check_focal_length(detections, sky_model, prior, solution.star_count)
     if contradicted is not None:
         return rejected_exposure(detections, rejected_stars, contradicted)
     if noise_variance + turn_variance > 0.0:
-        solution = solution.with_more_noise(noise_variance + turn_variance)
+        solution = solution.with_added_noise(noise_variance + turn_variance)
     placed = PlacedExposure(source, time_ns, exposure, stars, rejected_stars, turn_variance)
     if solution.rejected:
-        rejected_stars += tuple(_rejected(solution, [Mounted(placed, _SAME_FRAME)]))
+        rejected_stars += tuple(_rejected_stars(solution, [MountedExposure(placed, _IDENTITY)]))
         placed = replace(placed, refused=rejected_stars)
     sources = (source,) if solution.status is not SolutionStatus.INVALID else ()
-    return placed, Solved(sensor_id, time_ns, solution, rejected_stars, sources, _AGAINST_INS if against_prior else "")
+    return placed, AttitudeSolution(sensor_id, time_ns, solution, rejected_stars, sources, _AGAINST_INS if against_prior else "")
 
 
 def solve_deck(
     time_ns: int,
-    group: Sequence[Mounted],
+    group: Sequence[MountedExposure],
     turn_covariance_d: FloatArray,
     sensors: dict[str, ObservingSensorConfig],
     prior: StarPrior | None,
-) -> Solved:
+) -> AttitudeSolution:
     """Solve the attitude of the deck from exposures of different sensors.
 
     Args:
@@ -187,33 +187,33 @@ def solve_deck(
         sensors: parameters of the sensors by id, with the uncertainty of their mountings.
         prior: attitude of the deck for the selection of stars; None if not known.
     """
-    with_stars = [index for index, mounted in enumerate(group) if mounted.placed.stars is not None]
+    with_stars = [index for index, mounted in enumerate(group) if mounted.exposure.stars is not None]
     seeing = group
     if len(with_stars) < len(group):
         seeing = [group[index] for index in with_stars]
         turn_covariance_d = turn_covariance_d[with_stars][:, :, with_stars]
     if not seeing:
         refusal = Rejection(Reason.TOO_FEW_STARS, "no exposure could be compared with the sky")
-        return Solved(JOINT, time_ns, no_attitude(np.zeros(0, dtype=bool), refusal), (), ())
-    solution, against_prior = solve_with_fallback(_in_deck(seeing, turn_covariance_d, sensors), prior)
-    rejected = _rejected(solution, seeing)
-    known = {(star.source, star.name) for mounted in group for star in mounted.placed.rejected_stars} if rejected else set()
+        return AttitudeSolution(JOINT, time_ns, invalid_solution(np.zeros(0, dtype=bool), refusal), (), ())
+    solution, against_prior = solve_with_fallback(_stars_in_deck(seeing, turn_covariance_d, sensors), prior)
+    rejected = _rejected_stars(solution, seeing)
+    known = {(star.source, star.name) for mounted in group for star in mounted.exposure.rejected_stars} if rejected else set()
     refused = tuple(star for star in rejected if (star.source, star.name) not in known)
     sources: tuple[str, ...] = ()
     if solution.status is not SolutionStatus.INVALID:
         members, rows = solution.members.tolist(), _rows(seeing)
-        sources = tuple(m.placed.source for m, own in zip(seeing, rows, strict=True) if any(members[own]))
-    return Solved(JOINT, time_ns, solution, refused, sources, _AGAINST_INS if against_prior else "")
+        sources = tuple(m.exposure.source for m, own in zip(seeing, rows, strict=True) if any(members[own]))
+    return AttitudeSolution(JOINT, time_ns, solution, refused, sources, _AGAINST_INS if against_prior else "")
 
 
-def _in_deck(
-    group: Sequence[Mounted], turn_covariance_d: FloatArray, sensors: dict[str, ObservingSensorConfig]
+def _stars_in_deck(
+    group: Sequence[MountedExposure], turn_covariance_d: FloatArray, sensors: dict[str, ObservingSensorConfig]
 ) -> MatchedStars:
     """Return all stars in the deck frame, with the errors of mountings and of rotations to the common time."""
-    stars = [mounted.placed.stars for mounted in group if mounted.placed.stars is not None]
+    stars = [mounted.exposure.stars for mounted in group if mounted.exposure.stars is not None]
     mounting_b = np.empty((len(group), 3, 3))
     for index, mounted in enumerate(group):
-        mounting_b[index] = mounted.rotation_ds * sensors[mounted.placed.source.partition(".")[2]].installation_sigma_s
+        mounting_b[index] = mounted.rotation_ds * sensors[mounted.exposure.source.partition(".")[2]].installation_sigma_s
     return MatchedStars(
         measured_b=np.concatenate([s.measured_b @ m.rotation_ds.T for s, m in zip(stars, group, strict=True)]),
         reference_n=np.concatenate([s.reference_n for s in stars]),
@@ -223,20 +223,20 @@ def _in_deck(
         sensor=np.repeat(np.arange(len(stars), dtype=np.intp), [len(s) for s in stars]),
         mounting_b=mounting_b,
         smear_b=_smear_in_deck(stars, group),
-        turned_b=_turned_in_deck(group, turn_covariance_d),
-        rivals=_rivals(stars),
+        time_transfer_b=_turn_errors_in_deck(group, turn_covariance_d),
+        false_match_density=_rivals(stars),
         pixel_sigma=_pixel_sigma(stars),
         field_b=_field_in_deck(stars, group),
         field_sources=tuple(source for s in stars for source in s.field_sources),
     )
 
 
-def _turned_in_deck(group: Sequence[Mounted], turn_covariance_d: FloatArray) -> FloatArray | None:
+def _turn_errors_in_deck(group: Sequence[MountedExposure], turn_covariance_d: FloatArray) -> FloatArray | None:
     """Return the rotation of each of m exposures by one standard deviation of each rotation error, rad, (m, 3, 3 m).
 
     None if there is no such error.
     """
-    own = [mounted.placed.turn_variance for mounted in group]
+    own = [mounted.exposure.turn_variance for mounted in group]
     if not (any(own) or turn_covariance_d.any()):
         return None
     size = 3 * len(group)
@@ -244,7 +244,7 @@ def _turned_in_deck(group: Sequence[Mounted], turn_covariance_d: FloatArray) -> 
     return square_roots(covariance_d).reshape(len(group), 3, size)
 
 
-def _smear_in_deck(stars: Sequence[MatchedStars], group: Sequence[Mounted]) -> FloatArray | None:
+def _smear_in_deck(stars: Sequence[MatchedStars], group: Sequence[MountedExposure]) -> FloatArray | None:
     """Return the covariance added by streaks to all stars, deck frame, rad², shape (k, 3, 3); None for none."""
     if all(s.smear_b is None for s in stars):
         return None
@@ -258,9 +258,9 @@ def _smear_in_deck(stars: Sequence[MatchedStars], group: Sequence[Mounted]) -> F
 
 def _rivals(stars: Sequence[MatchedStars]) -> FloatArray | None:
     """Return the density of false matches for all stars, 1/sr, shape (k,); None if all identities are certain."""
-    if all(s.rivals is None for s in stars):
+    if all(s.false_match_density is None for s in stars):
         return None
-    return np.concatenate([np.zeros(len(s)) if s.rivals is None else s.rivals for s in stars])
+    return np.concatenate([np.zeros(len(s)) if s.false_match_density is None else s.false_match_density for s in stars])
 
 
 def _pixel_sigma(stars: Sequence[MatchedStars]) -> FloatArray | None:
@@ -270,7 +270,7 @@ def _pixel_sigma(stars: Sequence[MatchedStars]) -> FloatArray | None:
     return np.concatenate([np.zeros(len(s)) if s.pixel_sigma is None else s.pixel_sigma for s in stars])
 
 
-def _field_in_deck(stars: Sequence[MatchedStars], group: Sequence[Mounted]) -> FloatArray | None:
+def _field_in_deck(stars: Sequence[MatchedStars], group: Sequence[MountedExposure]) -> FloatArray | None:
     """Return the displacement of the stars by correlated camera errors, deck frame, rad, (k, 3, f); None for none."""
     count = sum(len(s.field_sources) for s in stars)
     if not count:
@@ -284,19 +284,19 @@ def _field_in_deck(stars: Sequence[MatchedStars], group: Sequence[Mounted]) -> F
     return of_all
 
 
-def _rows(group: Sequence[Mounted]) -> list[slice]:
+def _rows(group: Sequence[MountedExposure]) -> list[slice]:
     """Return the slice of each sensor's stars among the stars of all sensors."""
-    ends = list(accumulate(len(mounted.placed.exposure) for mounted in group))
+    ends = list(accumulate(len(mounted.exposure.exposure) for mounted in group))
     return [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
 
 
-def _rejected(solution: StarSolution, group: Sequence[Mounted]) -> list[RejectedStar]:
+def _rejected_stars(solution: StarSolution, group: Sequence[MountedExposure]) -> list[RejectedStar]:
     """Return the stars that a solution rejects, each with its residual in the frame of its sensor."""
     rejected: list[RejectedStar] = []
     if not solution.rejected:
         return rejected
     for mounted, rows in zip(group, _rows(group), strict=True):
-        exposure, stars = mounted.placed.exposure, mounted.placed.stars
+        exposure, stars = mounted.exposure.exposure, mounted.exposure.stars
         assert stars is not None
         rotation_ns = solution.rotation_nb @ mounted.rotation_ds
         for row in range(len(exposure)):
@@ -311,7 +311,7 @@ def _rejected(solution: StarSolution, group: Sequence[Mounted]) -> list[Rejected
                         name=exposure.name(row),
                         rejection=refusal,
                         residual=tuple(residual.tolist()),
-                        sigma=float(stars.lone_sigma[row]),
+                        sigma=float(stars.single_star_sigma[row]),
                     )
                 )
     return rejected

@@ -18,7 +18,7 @@ from ship_attitude_star.guards.stream_guards import PlausibilityChecks
 from ship_attitude_star.measurements.samples import StampArray
 from ship_attitude_star.star_attitude.exposure_solver import StarOutcome
 from ship_attitude_star.stars.config import MountingConfig
-from ship_attitude_star.stars.exposure import StarExposure, at_middle
+from ship_attitude_star.stars.exposure import StarExposure, reduce_to_mid_exposure
 from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.estimator_shell import surely_in_time
 from ship_estimation.ins import InsJump, StarInsConfig
@@ -34,7 +34,7 @@ INS = "ins"
 
 
 @dataclass(frozen=True)
-class MiddleOfExposure:
+class ExposureAtMiddle:
     """An exposure reduced to its middle by the INS.
 
     Attributes:
@@ -94,14 +94,14 @@ class InsMotion:
     """
 
     def __init__(
-        self, config: StarInsConfig, plausibility: PlausibilityChecks, contradictions: Contradictions | None = None
+        self, config: StarInsConfig, plausibility: PlausibilityChecks, stamp_conflicts: Contradictions | None = None
     ) -> None:
         self._config = config
         self._plausibility = plausibility
         self._max_gap_ns = round(config.max_gap_s * SECOND_NS)
         self._offset_ns = round(config.time_offset_s * SECOND_NS)
         self.track = AttitudeTrack(self._max_gap_ns)
-        self._contradictions = Contradictions() if contradictions is None else contradictions
+        self._stamp_conflicts = Contradictions() if stamp_conflicts is None else stamp_conflicts
         self._jumps: list[InsJump] = []
 
     def reconfigure(self, config: StarInsConfig) -> None:
@@ -113,7 +113,7 @@ class InsMotion:
         """Add a sample; return the rejection if it is not used."""
         return self._use(self._plausibility.ins.check(sample, self.track, self._plausibility.motion_references))
 
-    def look_ahead(self, block: SampleBlock, arrivals_ns: StampArray, lag_s: float) -> InsBatch | None:
+    def evaluate_batch(self, block: SampleBlock, arrivals_ns: StampArray, lag_s: float) -> InsBatch | None:
         """Check the samples of a block as one batch, up to the first sample that needs separate handling.
 
         No other sample may be added until the batch is committed (:meth:`commit_batch`, :meth:`finish_batch`).
@@ -136,10 +136,10 @@ class InsMotion:
         if not len(block.times_ns):
             return None
         samples = block.samples()
-        followed = guard.check_block(samples, block)
-        if not followed.count:
+        checked = guard.check_block(samples, block)
+        if not checked.count:
             return None
-        return InsBatch(samples[: followed.usual], block.rotations_nd[: followed.count], followed)
+        return InsBatch(samples[: checked.usual], block.rotations_nd[: checked.count], checked)
 
     def commit_batch(self, batch: InsBatch, stop: int) -> None:
         """Commit the samples of a batch before index ``stop``."""
@@ -165,21 +165,21 @@ class InsMotion:
         sample = judged.sample
         known = self.track.get(sample.time_ns)
         taken, refusal = (True, None) if known is None else same_stamp(known, sample)
-        self._contradictions.note(INS, sample.time_ns, refusal)
+        self._stamp_conflicts.note(INS, sample.time_ns, refusal)
         if taken:
             self.track.insert(sample)
         return refusal
 
-    def awaited(self, time_ns: int, reach_ns: int = 0) -> bool:
+    def is_awaited(self, time_ns: int, reach_ns: int = 0) -> bool:
         """True if pending samples may provide the attitude from a time until ``reach_ns`` later."""
         newest, stamp_ns = self.track.newest, time_ns - self._offset_ns
-        if newest is None or stamp_ns - newest.time_ns >= self._max_gap_ns or self._contradicts_itself(stamp_ns):
+        if newest is None or stamp_ns - newest.time_ns >= self._max_gap_ns or self._is_contradictory(stamp_ns):
             return False
         return not self.track.covers(stamp_ns + reach_ns)
 
     def deck_prior(self, time_ns: int) -> StarPrior | None:
         """Return the attitude of the deck at a time, with all INS errors; None if it is not known."""
-        found = self._at(time_ns)
+        found = self._attitude_at(time_ns)
         if found is None:
             return None
         config = self._config
@@ -188,7 +188,7 @@ class InsMotion:
         shifted_n = config.time_offset_sigma_s * (found.rotation_nd @ found.rate_d)
         covariance_n = np.diag(slow**2 + white_variance) + np.outer(shifted_n, shifted_n)
         if self._jumps:
-            jumped_n = self._jumped_n(time_ns)
+            jumped_n = self._ins_jumps_n(time_ns)
             covariance_n += np.outer(jumped_n, jumped_n)
         return StarPrior(found.rotation_nd, covariance_n + found.error_covariance_n)
 
@@ -196,8 +196,8 @@ class InsMotion:
         """True if the rotation of the deck between two times is known; always for equal times."""
         if to_ns == from_ns:
             return True
-        is_known = self._at(to_ns) is not None and self._at(from_ns) is not None
-        return is_known and bool(np.all(self._jumped_n(to_ns) == self._jumped_n(from_ns)))
+        is_known = self._attitude_at(to_ns) is not None and self._attitude_at(from_ns) is not None
+        return is_known and bool(np.all(self._ins_jumps_n(to_ns) == self._ins_jumps_n(from_ns)))
 
     def deck_turns(self, to_ns: int, exposures: Sequence[StarExposure]) -> DeckTurns:
         """Return the rotations of the deck from the middles of exposures to one time.
@@ -206,22 +206,22 @@ class InsMotion:
         time offset if the rate changes. The noise of :meth:`at_middle` is included, because the rotation to the middle
         and that from there on share it. If a rotation is not known, the deck is assumed not to rotate.
         """
-        moved = [
+        turned_rows = [
             row
             for row, exposure in enumerate(exposures)
             if exposure.time_ns != to_ns and self.is_turn_known(to_ns, exposure.time_ns)
         ]
         noise = self.track.noise_covariance_of_sums(
-            [self._noise_of_turn(to_ns if row in moved else e.time_ns, e) for row, e in enumerate(exposures)]
+            [self._noise_of_turn(to_ns if row in turned_rows else e.time_ns, e) for row, e in enumerate(exposures)]
         )
         noise *= self._noise_variance(to_ns)
         rotations = np.tile(np.eye(3), (len(exposures), 1, 1))
         covariance_d = noise[:, None, :, None] * np.eye(3)[:, None, :]
-        if moved:
-            ends = [self._at(time_ns) for time_ns in (to_ns, *(exposures[row].time_ns for row in moved))]
+        if turned_rows:
+            ends = [self._attitude_at(time_ns) for time_ns in (to_ns, *(exposures[row].time_ns for row in turned_rows))]
             known = [end for end in ends if end is not None]
-            rotations[moved], between = self._turns_between(known[0], known[1:])
-            covariance_d[np.ix_(moved, range(3), moved, range(3))] += between
+            rotations[turned_rows], between = self._turns_between(known[0], known[1:])
+            covariance_d[np.ix_(turned_rows, range(3), turned_rows, range(3))] += between
         return DeckTurns(rotations, covariance_d)
 
     def _turns_between(
@@ -255,22 +255,22 @@ class InsMotion:
         mounting_n = rotation_ns * mounting.installation_sigma_s
         return StarPrior(rotation_ns, deck.covariance_n + mounting_n @ mounting_n.T)
 
-    def at_middle(self, exposure: StarExposure, mounting: MountingConfig) -> MiddleOfExposure:
+    def at_middle(self, exposure: StarExposure, mounting: MountingConfig) -> ExposureAtMiddle:
         """Return an exposure reduced to its middle by the rotation of the deck during it.
 
         Constant INS errors do not affect the rotation. Without a known rotation the stars stay as measured.
         """
         length = exposure.length
         if length is None:
-            return MiddleOfExposure(exposure, 0.0, 0.0)
+            return ExposureAtMiddle(exposure, 0.0, 0.0)
         stamp_ns = exposure.time_ns - self._offset_ns
-        turning = None if self._contradicts_itself(stamp_ns) else turning_over(self.track, stamp_ns, length.nodes)
+        turning = None if self._is_contradictory(stamp_ns) else turning_over(self.track, stamp_ns, length.nodes)
         if turning is None:
             unmeasured_acceleration = np.deg2rad(self._config.untold_acceleration_deg_per_s2)
-            return MiddleOfExposure(exposure, 0.0, length.unmeasured_turn_variance(float(unmeasured_acceleration)))
+            return ExposureAtMiddle(exposure, 0.0, length.unmeasured_turn_variance(float(unmeasured_acceleration)))
         white_variance = turning.correction_gain * (self._config.white_sigma_arcsec * ARCSEC) ** 2
-        corrected = at_middle(exposure, turning.mounted(mounting.rotation_ds).turns)
-        return MiddleOfExposure(corrected, white_variance, turning.correction_error)
+        corrected = reduce_to_mid_exposure(exposure, turning.mounted(mounting.rotation_ds).turns)
+        return ExposureAtMiddle(corrected, white_variance, turning.correction_error)
 
     def drop_before(self, time_ns: int) -> None:
         """Discard data that are not needed for times at or after ``time_ns``."""
@@ -288,20 +288,20 @@ class InsMotion:
     def _noise_variance(self, time_ns: int) -> float:
         """Return the largest noise variance of an INS attitude about an axis at a time, rad²."""
         stated = (self._config.white_sigma_arcsec * ARCSEC) ** 2
-        extra, found = self.track.extra_noise(time_ns - self._offset_ns), self._at(time_ns)
+        extra, found = self.track.extra_noise(time_ns - self._offset_ns), self._attitude_at(time_ns)
         if extra is None or found is None:
             return stated
         return stated + extra.white_rad2 + extra.jitter_s2 * float(found.rate_d @ found.rate_d)
 
-    def _jumped_n(self, time_ns: int) -> FloatArray:
+    def _ins_jumps_n(self, time_ns: int) -> FloatArray:
         """Return the sum of all INS jumps until a time, rotation vector, rad; its attitude may be wrong by it."""
         before = [jump.jump_n for jump in self._jumps if jump.time_ns < time_ns - self._offset_ns]
         return np.sum(before, axis=0) if before else np.zeros(3)
 
-    def _at(self, time_ns: int) -> InterpolatedAttitude | None:
+    def _attitude_at(self, time_ns: int) -> InterpolatedAttitude | None:
         stamp_ns = time_ns - self._offset_ns
-        return None if self._contradicts_itself(stamp_ns) else self.track.at(stamp_ns)
+        return None if self._is_contradictory(stamp_ns) else self.track.at(stamp_ns)
 
-    def _contradicts_itself(self, stamp_ns: int) -> bool:
+    def _is_contradictory(self, stamp_ns: int) -> bool:
         """True if the INS recently sent different samples with one stamp; then it is not used."""
-        return INS in self._contradictions.at(stamp_ns)
+        return INS in self._stamp_conflicts.at(stamp_ns)

@@ -29,7 +29,7 @@ class Distortion:
     p2: float = 0.0
     k3: float = 0.0
 
-    def distorted(self, ideal: FloatArray) -> FloatArray:
+    def distort(self, ideal: FloatArray) -> FloatArray:
         """Return the distorted points, shape (..., 2), of ideal points of the same shape."""
         x, y = ideal[..., 0], ideal[..., 1]
         r2 = x * x + y * y
@@ -57,18 +57,18 @@ class Distortion:
         matrix[..., 1, 1] = radial + slope * y * y + 6.0 * self.p1 * y + 2.0 * self.p2 * x
         return matrix
 
-    def ideal(self, distorted: FloatArray) -> FloatArray:
+    def undistort(self, distorted: FloatArray) -> FloatArray:
         """Return the ideal points of distorted ones, shape (..., 2); NaN beyond the turning point of the model."""
         ideal = np.array(distorted, dtype=float)
         for _ in range(_NEWTON_STEPS):
-            step = _solved(self.jacobian(ideal), distorted - self.distorted(ideal))
+            step = _solve_symmetric(self.jacobian(ideal), distorted - self.distort(ideal))
             ideal += step
             if not np.any(np.abs(step) > _CONVERGED):
                 return ideal
         return np.where(np.all(np.abs(step) <= _CONVERGED, axis=-1, keepdims=True), ideal, np.nan)
 
 
-def _solved(matrix: FloatArray, right_side: FloatArray) -> FloatArray:
+def _solve_symmetric(matrix: FloatArray, right_side: FloatArray) -> FloatArray:
     """Solve symmetric 2 x 2 equations; NaN if the determinant is not positive, where the model folds over."""
     determinant = matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] ** 2
     x, y = right_side[..., 0], right_side[..., 1]
@@ -98,17 +98,17 @@ class StarCamera:
 
     def directions(self, pixels: FloatArray) -> FloatArray:
         """Return unit vectors (forward, up, right), shape (..., 3), of pixels (u, v), (..., 2); NaN if not finite."""
-        return _unit_vectors(self._ideal(pixels))
+        return _unit_vectors(self._undistorted_points(pixels))
 
     def pixels(self, directions_s: FloatArray) -> FloatArray:
         """Return pixels (u, v), shape (..., 2), of directions (forward, up, right), (..., 3); NaN behind the sensor."""
         forward = np.where(directions_s[..., 0] > 0.0, directions_s[..., 0], np.nan)
         point = np.stack([directions_s[..., 2] / forward, -directions_s[..., 1] / forward], axis=-1)
         if self.distortion is not None:
-            point = self.distortion.distorted(point)
-        return self._principal_px + point / self._pixel
+            point = self.distortion.distort(point)
+        return self._principal_px + point / self._pixel_size
 
-    def sighted(self, pixels: FloatArray, sigma_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def measured_directions(self, pixels: FloatArray, sigma_px: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return directions of centroids and their errors.
 
         Directions are NaN where a pixel is not finite; errors are NaN also where a sigma is not finite.
@@ -121,7 +121,7 @@ class StarCamera:
             Unit vectors (forward, up, right), shape (k, 3), and one sigma per axis (:func:`equivalent_sigma`), rad,
             shape (k,).
         """
-        ideal = self._ideal(pixels)
+        ideal = self._undistorted_points(pixels)
         return _unit_vectors(ideal), equivalent_sigma(self._covariance(ideal, sigma_px))
 
     def direction_covariance(self, pixels: FloatArray, sigma_px: FloatArray | float) -> FloatArray:
@@ -131,9 +131,9 @@ class StarCamera:
             pixels: centroids (u, v), shape (..., 2).
             sigma_px: their standard deviation in u and in v, shape (...).
         """
-        return self._covariance(self._ideal(pixels), sigma_px)
+        return self._covariance(self._undistorted_points(pixels), sigma_px)
 
-    def optics_slopes(self, directions_s: FloatArray) -> FloatArray:
+    def optics_jacobian(self, directions_s: FloatArray) -> FloatArray:
         """Return the derivative of the directions of fixed pixels by the optics, rad, shape (..., 3, 4).
 
         Args:
@@ -147,10 +147,10 @@ class StarCamera:
         ideal = np.stack([directions_s[..., 2] / forward, -directions_s[..., 1] / forward], axis=-1)
         by_optics = np.zeros((*ideal.shape, 4))
         by_optics[..., 0] = -ideal
-        by_optics[..., 0, 1] = by_optics[..., 1, 2] = -self._pixel
+        by_optics[..., 0, 1] = by_optics[..., 1, 2] = -self._pixel_size
         by_optics[..., 3] = -ideal * np.sum(ideal**2, axis=-1, keepdims=True)
         if self.distortion is not None:
-            by_optics[..., 0] = -self.distortion.distorted(ideal)
+            by_optics[..., 0] = -self.distortion.distort(ideal)
             by_optics = np.linalg.solve(self.distortion.jacobian(ideal), by_optics)
         x, y = ideal[..., 0], ideal[..., 1]
         by_ideal = np.empty((*x.shape, 3, 2))
@@ -172,11 +172,11 @@ class StarCamera:
         slope[..., 1, 0] = 1.0 / np.sqrt(across2 * length2)
         if self.distortion is not None:
             slope = slope @ np.linalg.inv(self.distortion.jacobian(ideal))
-        slope *= (self._pixel * np.asarray(sigma_px))[..., None, None]
+        slope *= (self._pixel_size * np.asarray(sigma_px))[..., None, None]
         return slope @ np.swapaxes(slope, -1, -2)
 
     @property
-    def _pixel(self) -> float:
+    def _pixel_size(self) -> float:
         """Size of a pixel in focal lengths."""
         return self.pixel_pitch_m / self.focal_length_m
 
@@ -184,10 +184,10 @@ class StarCamera:
     def _principal_px(self) -> FloatArray:
         return np.array([self.principal_u_px, self.principal_v_px])
 
-    def _ideal(self, pixels: FloatArray) -> FloatArray:
+    def _undistorted_points(self, pixels: FloatArray) -> FloatArray:
         """Return the ideal points of pixels, x right and y down in focal lengths, shape (..., 2)."""
-        point = (np.where(np.isfinite(pixels), pixels, np.nan) - self._principal_px) * self._pixel
-        return point if self.distortion is None else self.distortion.ideal(point)
+        point = (np.where(np.isfinite(pixels), pixels, np.nan) - self._principal_px) * self._pixel_size
+        return point if self.distortion is None else self.distortion.undistort(point)
 
 
 def tangent_basis(directions_s: FloatArray) -> FloatArray:

@@ -17,27 +17,27 @@ from ship_geometry.rotations import FloatArray, skew
 GATE_PROBABILITY = 0.9999
 """Probability with which a detection passes the gate of its star."""
 
-MOST_BY_CHANCE = 1e-3
+MAX_FALSE_MATCHES = 1e-3
 """Maximum expected number of false sets for a set of stars to be accepted."""
 
-WRONG_NAMES = 0.01
+WRONG_IDENTITY_RATIO = 0.01
 """Assumed ratio of wrong identities among those that sensors give; a star with a wrong identity may be any other."""
 
 
-def surely_few(stars: MatchedStars, covariance_n: FloatArray) -> bool:
+def has_few_false_matches(stars: MatchedStars, covariance_n: FloatArray) -> bool:
     """True if even a single star fits a prior falsely less often than :data:`MAX_FALSE_MATCHES`, by a quick bound.
 
     Args:
         stars: with their false match densities; True if they have none.
         covariance_n: covariance of the prior's error, rad², shape (3, 3).
     """
-    if stars.rivals is None or not len(stars):
+    if stars.false_match_density is None or not len(stars):
         return True
-    variance = 0.5 * float(np.trace(covariance_n)) + float(np.max(stars.worst_sigma)) ** 2
-    return float(np.max(stars.rivals)) * gate_area(variance) <= MOST_BY_CHANCE
+    variance = 0.5 * float(np.trace(covariance_n)) + float(np.max(stars.max_sigma)) ** 2
+    return float(np.max(stars.false_match_density)) * gate_area(variance) <= MAX_FALSE_MATCHES
 
 
-def by_chance(
+def expected_false_matches(
     stars: MatchedStars, members: NDArray[np.bool_], basis: FloatArray, covariance_n: FloatArray
 ) -> float:
     """Return an upper bound of the expected number of false sets with as many stars as the members.
@@ -48,17 +48,17 @@ def by_chance(
         basis: two unit vectors across each star's direction in the horizon frame, shape (k, 2, 3).
         covariance_n: covariance of the prior's error, rad², shape (3, 3).
     """
-    assert stars.rivals is not None
-    expected, left_n = 1.0, covariance_n
+    assert stars.false_match_density is not None
+    expected, remaining_covariance_n = 1.0, covariance_n
     for row in np.flatnonzero(members).tolist():
         turned = basis[row] @ skew(stars.reference_n[row])
-        cross = turned @ left_n
-        gate = cross @ turned.T + stars.worst_sigma[row] ** 2 * np.eye(2)
-        expected *= float(stars.rivals[row]) * gate_area(float(np.sqrt(np.linalg.det(gate))))
+        cross = turned @ remaining_covariance_n
+        gate = cross @ turned.T + stars.max_sigma[row] ** 2 * np.eye(2)
+        expected *= float(stars.false_match_density[row]) * gate_area(float(np.sqrt(np.linalg.det(gate))))
         # The expected number of false sets decreases with each further star, so this bound suffices.
-        if expected <= MOST_BY_CHANCE:
+        if expected <= MAX_FALSE_MATCHES:
             break
-        left_n = left_n - cross.T @ np.linalg.solve(gate, cross)
+        remaining_covariance_n = remaining_covariance_n - cross.T @ np.linalg.solve(gate, cross)
     return expected
 
 
@@ -69,5 +69,5 @@ def gate_area(variance: float) -> float:
 
 def ambiguous_identity_rejection(expected: float) -> Rejection:
     """Return the rejection of stars whose expected number of false sets is too large."""
-    text = f"ambiguous identity: {expected:.2g} false sets expected to fit the prediction, limit {MOST_BY_CHANCE:g}"
+    text = f"ambiguous identity: {expected:.2g} false sets expected to fit the prediction, limit {MAX_FALSE_MATCHES:g}"
     return Rejection(Reason.UNIDENTIFIED, text)

@@ -20,21 +20,21 @@ from cython.cimports.libc.math import hypot, sqrt
 @cython.cfunc
 @cython.exceptval(check=False)
 @cython.inline
-def _crossed(v: cython.p_double, w: cython.p_double, out: cython.p_double, step: cython.Py_ssize_t) -> cython.void:
+def _cross_product(v: cython.p_double, w: cython.p_double, out: cython.p_double, step: cython.Py_ssize_t) -> cython.void:
     """Write the vector v × w into ``out``, its elements ``step`` places apart."""
     out[0] = v[1] * w[2] - v[2] * w[1]
     out[step] = v[2] * w[0] - v[0] * w[2]
     out[2 * step] = v[0] * w[1] - v[1] * w[0]
 
 
-def linearized(
+def linearise_stars(
     measured_b: cython.const[cython.double][:, :],
     reference_n: cython.const[cython.double][:, :],
     sigma: cython.const[cython.double][:],
     shared_n: cython.const[cython.double][:, :, :],
     sensor: cython.const[cython.Py_ssize_t][:],
     mounting_b: cython.const[cython.double][:, :, :],
-    turned_b: cython.const[cython.double][:, :, :],
+    time_transfer_b: cython.const[cython.double][:, :, :],
     rotation_nb: cython.const[cython.double][:, :],
 ):
     """Return ``jacobian``, ``displacement`` and ``residual_n`` of a fit of stars without streaks.
@@ -51,11 +51,11 @@ def linearized(
     """
     count: cython.Py_ssize_t = measured_b.shape[0]
     mounted: cython.Py_ssize_t = 3 * mounting_b.shape[0]
-    turns: cython.Py_ssize_t = turned_b.shape[2]
+    turns: cython.Py_ssize_t = time_transfer_b.shape[2]
     shared: cython.Py_ssize_t = shared_n.shape[2]
     check("stars", reference_n.shape[0] == sigma.shape[0] == shared_n.shape[0] == sensor.shape[0] == count)
     check("vectors", measured_b.shape[1] == reference_n.shape[1] == shared_n.shape[1] == 3)
-    check("turns", mounting_b.shape[1] == mounting_b.shape[2] == turned_b.shape[1] == 3)
+    check("turns", mounting_b.shape[1] == mounting_b.shape[2] == time_transfer_b.shape[1] == 3)
     check("rotation_nb", rotation_nb.shape[0] == rotation_nb.shape[1] == 3)
     of_jacobian = np.zeros((count, 3, 3 + mounted + turns + shared))
     of_displacement, of_residual = np.empty((count, 3)), np.empty((count, 3))
@@ -85,31 +85,31 @@ def linearized(
         for c in range(3):
             for i in range(3):
                 turn[i] = 1.0 if i == c else 0.0
-            _crossed(turn, star, cython.address(jacobian[k, 0, c]), width)
+            _cross_product(turn, star, cython.address(jacobian[k, 0, c]), width)
         if not mounted and not turns:
             continue
         check("sensor", sensor[k] >= 0 and (not mounted or 3 * sensor[k] < mounted))
-        check("turned_b", not turns or sensor[k] < turned_b.shape[0])
+        check("turned_b", not turns or sensor[k] < time_transfer_b.shape[0])
         for c in range(3 if mounted else 0):
             for i in range(3):
                 axis = 0.0
                 for j in range(3):
                     axis += rotation_nb[i, j] * mounting_b[sensor[k], j, c]
                 turn[i] = axis
-            _crossed(turn, star, cython.address(jacobian[k, 0, 3 + 3 * sensor[k] + c]), width)
+            _cross_product(turn, star, cython.address(jacobian[k, 0, 3 + 3 * sensor[k] + c]), width)
         for c in range(turns):
             for i in range(3):
                 axis = 0.0
                 for j in range(3):
-                    axis += rotation_nb[i, j] * turned_b[sensor[k], j, c]
+                    axis += rotation_nb[i, j] * time_transfer_b[sensor[k], j, c]
                 turn[i] = axis
-            _crossed(turn, star, cython.address(jacobian[k, 0, 3 + mounted + c]), width)
+            _cross_product(turn, star, cython.address(jacobian[k, 0, 3 + mounted + c]), width)
     return of_jacobian, of_displacement, of_residual
 
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _normal(
+def _add_normal_equations(
     jacobian: cython.const[cython.double][:, :, :],
     displacement: cython.const[cython.double][:, :],
     members: cython.const[cython.uchar][:],
@@ -138,7 +138,7 @@ def _normal(
     return squares
 
 
-def _fits(jacobian, displacement, members) -> None:
+def _check_shapes(jacobian, displacement, members) -> None:
     """Refuse stars whose arrays do not match in shape; the loops check no bounds."""
     check("stars", displacement.shape[0] == members.shape[0] == jacobian.shape[0])
     check("vectors", jacobian.shape[1] == displacement.shape[1] == 3)
@@ -156,9 +156,9 @@ def normal_equations(
         displacement: shape (k, 3).
         members: True for each member, shape (k,).
     """
-    _fits(jacobian, displacement, members)
+    _check_shapes(jacobian, displacement, members)
     information, right_side = np.zeros((jacobian.shape[2], jacobian.shape[2])), np.zeros(jacobian.shape[2])
-    _normal(jacobian, displacement, members, information, right_side)
+    _add_normal_equations(jacobian, displacement, members, information, right_side)
     return information, right_side
 
 
@@ -183,13 +183,13 @@ def solve_normal_equations(
     Raises:
         numpy.linalg.LinAlgError: the stars do not determine the unknowns.
     """
-    _fits(jacobian, displacement, members)
+    _check_shapes(jacobian, displacement, members)
     q: cython.Py_ssize_t = jacobian.shape[2]
     of_information, of_right_side, of_solution = np.zeros((q, q)), np.zeros(q), np.empty(q)
     information: cython.double[:, ::1] = of_information
     right_side: cython.double[::1] = of_right_side
     solution: cython.double[::1] = of_solution
-    squares: cython.double = _normal(jacobian, displacement, members, information, right_side)
+    squares: cython.double = _add_normal_equations(jacobian, displacement, members, information, right_side)
     of_constrained = of_information.copy()
     constrained: cython.double[:, ::1] = of_constrained
     lower: cython.double[:, ::1] = np.empty((q, q))
@@ -228,7 +228,7 @@ def solve_normal_equations(
     return of_information, of_constrained, of_solution, squares, count
 
 
-def predicted(
+def apply_prior(
     jacobian: cython.const[cython.double][:, :, :],
     displacement: cython.const[cython.double][:, :],
     root_n: cython.const[cython.double][:, :],
@@ -249,16 +249,16 @@ def predicted(
     check("expected_n", expected_n.shape[0] == 3)
     of_jacobian, of_displacement = np.empty((count, 3, q)), np.empty((count, 3))
     counted: cython.double[:, :, ::1] = of_jacobian
-    left: cython.double[:, ::1] = of_displacement
+    reduced: cython.double[:, ::1] = of_displacement
     k: cython.Py_ssize_t
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
     c: cython.Py_ssize_t
     for k in range(count):
         for i in range(3):
-            left[k, i] = displacement[k, i]
+            reduced[k, i] = displacement[k, i]
             for c in range(3):
-                left[k, i] -= jacobian[k, i, c] * expected_n[c]
+                reduced[k, i] -= jacobian[k, i, c] * expected_n[c]
                 counted[k, i, c] = 0.0
                 for j in range(3):
                     counted[k, i, c] += jacobian[k, i, j] * root_n[j, c]
@@ -267,7 +267,7 @@ def predicted(
     return of_jacobian, of_displacement
 
 
-def covariances(
+def attitude_covariances(
     white_n: cython.const[cython.double][:, :],
     information: cython.const[cython.double][:, :],
     jacobian: cython.const[cython.double][:, :, :],
@@ -333,7 +333,7 @@ def covariances(
     return of_terms, of_shares
 
 
-def expected(
+def expected_directions(
     reference_n: cython.const[cython.double][:, :],
     shared_n: cython.const[cython.double][:, :, :],
     estimate: cython.const[cython.double][:],
@@ -439,7 +439,7 @@ def residuals(
                     across_n[i] += rotation_ns[i, j] * basis[row, c, j]
             residual[2 * row + c] = total
             # A rotation ε of the sensor moves the star by p × ε, along b by (b × p) ε.
-            _crossed(cython.address(basis[row, c, 0]), star, cython.address(by_turn[2 * row + c, 0]), 1)
+            _cross_product(cython.address(basis[row, c, 0]), star, cython.address(by_turn[2 * row + c, 0]), 1)
             for j in range(n):
                 for i in range(3):
                     jacobian[2 * row + c, j] += by_turn[2 * row + c, i] * to_sensor[i, j]

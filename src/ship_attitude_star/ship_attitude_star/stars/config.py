@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ship_attitude_star.sky.masks import MaskConfig, MountedSensor, refuse_covered, sensor_masks
+from ship_attitude_star.sky.masks import MaskConfig, MountedSensor, check_field_not_covered, sensor_masks
 from ship_attitude_star.stars.camera import Distortion, StarCamera
 from ship_attitude_star.stars.optics_errors import SURVEYED_FOCAL_SIGMA, OpticsErrors
 from ship_attitude_star.stars.spatial_errors import SpatialErrors
@@ -44,8 +44,8 @@ class StarSensorsById:
         for id_, sensor in self.star_sensors.items():
             prefix = f"star_sensors.{id_}"
             masks = sensor_masks(sensor, prefix)
-            if masks is not None and sensor.camera.shows_field:
-                refuse_covered(masks, sensor.camera.field_directions(prefix), prefix)
+            if masks is not None and sensor.camera.has_field_of_view:
+                check_field_not_covered(masks, sensor.camera.field_directions(prefix), prefix)
 
 
 def _coefficient(doc: str) -> Any:
@@ -104,7 +104,7 @@ class CameraConfig:
     )
 
     @property
-    def given(self) -> bool:
+    def is_given(self) -> bool:
         """True if the parameters describe a camera."""
         return self.focal_length_m > 0.0 and self.pixel_pitch_m > 0.0
 
@@ -118,14 +118,14 @@ class CameraConfig:
             ParameterError: focal length or pitch is missing, or the principal point that a field-spatial error needs;
                 the text starts with ``prefix``.
         """
-        if not self.given:
+        if not self.is_given:
             raise ParameterError(
                 f"parameters '{prefix}.focal_length_m' and '{prefix}.pixel_pitch_m' must be given in metres: "
                 "single stars are measured in pixels",
                 f"{prefix}.focal_length_m",
                 f"{prefix}.pixel_pitch_m",
             )
-        if self.field_spatial_sigma_px > 0.0 and not self.shows_field:
+        if self.field_spatial_sigma_px > 0.0 and not self.has_field_of_view:
             raise ParameterError(
                 f"parameters '{prefix}.principal_u_px' and '{prefix}.principal_v_px' must be given with "
                 "field_spatial_sigma_px: they define the size of the detector",
@@ -159,9 +159,9 @@ class CameraConfig:
         return SpatialErrors(camera, self.field_spatial_sigma_px, self.pixel_spatial_sigma_px)
 
     @property
-    def shows_field(self) -> bool:
+    def has_field_of_view(self) -> bool:
         """True if the parameters define the field of view, by a principal point off the first pixel."""
-        return self.given and self.principal_u_px > 0.0 and self.principal_v_px > 0.0
+        return self.is_given and self.principal_u_px > 0.0 and self.principal_v_px > 0.0
 
     def field_directions(self, prefix: str) -> FloatArray:
         """Return directions covering the field of view in the sensor frame, unit vectors, shape (n, 3).
@@ -180,7 +180,7 @@ class CameraConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GivenCameraConfig(CameraConfig):
+class RequiredCameraConfig(CameraConfig):
     """The camera of a sensor that gives single stars; focal length and pixel pitch are required."""
 
     focal_length_m: float = parameter(doc="focal length", unit="m", minimum=0.001, maximum=10.0)

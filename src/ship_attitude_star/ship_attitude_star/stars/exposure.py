@@ -22,24 +22,24 @@ from numpy.typing import NDArray
 from ship_attitude_star.sky.catalogue import julian_year
 from ship_attitude_star.sky.sky_watch import LocalSky, SkyModel
 from ship_attitude_star.stars.camera import StarCamera, equivalent_sigma
-from ship_attitude_star.stars.chance import WRONG_NAMES
+from ship_attitude_star.stars.chance import WRONG_IDENTITY_RATIO
 from ship_attitude_star.stars.fit import MatchedStars
-from ship_attitude_star.stars.identification import MAGNITUDE_TOLERANCE, WIDEST, candidates
+from ship_attitude_star.stars.identification import MAGNITUDE_TOLERANCE, MAX_PRIOR_SIGMA, find_candidates
 from ship_attitude_star.stars.optics_errors import OPTICS_MODES, SOURCE_OPTICS, OpticsErrors
 from ship_attitude_star.stars.selection import LINEAR_RANGE, StarPrior
-from ship_attitude_star.stars.spatial_errors import FIELD_MODES, SOURCE_FIELD, PixelStay, SpatialErrors
+from ship_attitude_star.stars.spatial_errors import FIELD_MODES, SOURCE_FIELD, PixelDwell, SpatialErrors
 from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.deck_masks import SensorMasks
 from ship_geometry.exposure_mean import Nodes, exposure_nodes
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import StarPositions
 
-_PRIOR_TOO_WIDE = f"the attitude is not known to {np.rad2deg(WIDEST):.0f}°: too many catalogue stars match"
+_PRIOR_TOO_WIDE = f"the attitude is not known to {np.rad2deg(MAX_PRIOR_SIGMA):.0f}°: too many catalogue stars match"
 
 _ONE_SENSOR: FloatArray = np.empty((0, 3, 3))
 """Mounting errors for stars that are compared in their sensor's own frame: none."""
 
-_OUT_OF_SIGHT = 1.0
+_OUT_OF_VIEW_VARIANCE = 1.0
 """Variance of a star that leaves the field of view during the exposure, rad²; it removes the star's weight."""
 
 
@@ -109,11 +109,11 @@ class StarExposure:
     magnitude: FloatArray
     length: ExposureLength | None = None
     smear_s: FloatArray | None = None
-    streak: FloatArray | None = None
+    streak_length: FloatArray | None = None
     masks: SensorMasks | None = None
     optics: OpticsErrors | None = None
     spatial: SpatialErrors | None = None
-    stay: PixelStay | None = None
+    pixel_dwell: PixelDwell | None = None
     covariance_known = True  # a star whose message gives no centroid error has the configured one
 
     @property
@@ -122,7 +122,7 @@ class StarExposure:
         return 0 if self.length is None else self.length.nodes.reach_ns
 
     @property
-    def identified(self) -> NDArray[np.bool_]:
+    def is_identified(self) -> NDArray[np.bool_]:
         """True for each identified star, shape (k,)."""
         return np.isfinite(self.positions.right_ascension)
 
@@ -153,21 +153,21 @@ class StarExposure:
             self.magnitude[rows],
             self.length,
             None if self.smear_s is None else self.smear_s[rows],
-            None if self.streak is None else self.streak[rows],
+            None if self.streak_length is None else self.streak_length[rows],
             self.masks,
             self.optics,
             self.spatial,
-            self.stay,
+            self.pixel_dwell,
         )
 
-    def after(self, before: PixelStay | None) -> StarExposure:
+    def with_pixel_dwell(self, before: PixelDwell | None) -> StarExposure:
         """Return the exposure with its pixel dwell after the sensor's previous exposures; None for none."""
         if self.spatial is None or self.spatial.pixel_sigma_px <= 0.0:
             return self
-        return replace(self, stay=self.spatial.stay(self.directions_s, self.sigma, before))
+        return replace(self, stay=self.spatial.pixel_dwell(self.directions_s, self.sigma, before))
 
     @property
-    def lone_sigma(self) -> FloatArray:
+    def single_star_sigma(self) -> FloatArray:
         """Error of a single direction, those of optics and detector position included, rad per axis, shape (k,)."""
         field_s = self.field_modes
         of_field = 0.0 if field_s is None else 0.5 * np.sum(field_s**2, axis=(-2, -1))
@@ -200,7 +200,7 @@ class StarExposure:
         if self.spatial is None or self.spatial.pixel_sigma_px <= 0.0:
             return None
         sigma = self.spatial.pixel_sigma(self.directions_s)
-        return sigma if self.streak is None else sigma * np.sqrt(self.spatial.streak_share(self.streak))
+        return sigma if self.streak_length is None else sigma * np.sqrt(self.spatial.streak_variance_ratio(self.streak_length))
 
     def content(self) -> bytes:
         """Return all values as bytes: equal for a repeated message, and an order for conflicting ones."""
@@ -217,7 +217,7 @@ class StarExposure:
         return b"".join(np.ascontiguousarray(array).tobytes() for array in arrays) + length
 
 
-def at_middle(exposure: StarExposure, turns: FloatArray) -> StarExposure:
+def reduce_to_mid_exposure(exposure: StarExposure, turns: FloatArray) -> StarExposure:
     """Return the stars at mid-exposure, with the errors that their streaks add.
 
     Args:
@@ -231,15 +231,15 @@ def at_middle(exposure: StarExposure, turns: FloatArray) -> StarExposure:
     pixels, middle = camera.pixels(passed_s), camera.pixels(seen_s)
     directions_s = camera.directions(middle - (nodes.mean(pixels) - middle))
     blur = equivalent_sigma(camera.direction_covariance(middle, length.psf_sigma_px))
-    spread_s = _across(seen_s, nodes.spread(passed_s))
+    spread_s = _perpendicular_part(seen_s, nodes.spread(passed_s))
     smear_s: FloatArray = spread_s * ((exposure.sigma / blur) ** 2)[:, None, None]
     streak = np.sqrt(12.0 * np.trace(spread_s, axis1=-2, axis2=-1))
     lost = ~np.all(np.isfinite(directions_s), axis=-1)
-    directions_s[lost], smear_s[lost] = seen_s[lost], _across(seen_s[lost], _OUT_OF_SIGHT * np.eye(3))
+    directions_s[lost], smear_s[lost] = seen_s[lost], _perpendicular_part(seen_s[lost], _OUT_OF_VIEW_VARIANCE * np.eye(3))
     return replace(exposure, directions_s=directions_s, smear_s=smear_s, streak=streak)
 
 
-def _across(directions_s: FloatArray, covariance_s: FloatArray) -> FloatArray:
+def _perpendicular_part(directions_s: FloatArray, covariance_s: FloatArray) -> FloatArray:
     """Return the part of covariances across the lines of sight, shape (k, 3, 3)."""
     keep = np.eye(3) - directions_s[:, :, None] * directions_s[:, None, :]
     across: FloatArray = keep @ covariance_s @ keep
@@ -262,30 +262,30 @@ def visible_stars(
         the time of the exposure.
     """
     rejected: list[tuple[str, Rejection]] = []
-    known = named = exposure.identified
+    known = named = exposure.is_identified
     detections = len(exposure)
-    local_sky = sky_model.at(exposure.time_ns)
+    local_sky = sky_model.sky_at(exposure.time_ns)
     if isinstance(local_sky, Rejection):
         return local_sky
     if not known.all():
         reasons: dict[int, Rejection] = {}
         if prior is not None:
-            exposure, reasons = identified(exposure, prior, local_sky)
-            known = exposure.identified
-        nobody = Rejection(Reason.UNIDENTIFIED, "no identity, and no attitude to identify it with")
-        rejected += [(exposure.name(row), reasons.get(row, nobody)) for row in np.flatnonzero(~known).tolist()]
+            exposure, reasons = identify_stars(exposure, prior, local_sky)
+            known = exposure.is_identified
+        unidentified = Rejection(Reason.UNIDENTIFIED, "no identity, and no attitude to identify it with")
+        rejected += [(exposure.name(row), reasons.get(row, unidentified)) for row in np.flatnonzero(~known).tolist()]
         exposure, named = exposure[known], named[known]
-    apparent = local_sky.apparent(exposure.positions)
-    direction_n, shared_n, seen = apparent.direction_n, apparent.shared_n, apparent.visible
-    if not seen.all():
-        for row in np.flatnonzero(~seen).tolist():
+    apparent = local_sky.apparent_stars(exposure.positions)
+    direction_n, shared_n, is_visible = apparent.direction_n, apparent.shared_n, apparent.visible
+    if not is_visible.all():
+        for row in np.flatnonzero(~is_visible).tolist():
             rejected.append((exposure.name(row), local_sky.low_elevation_rejection(float(apparent.elevation[row]))))
-        exposure, direction_n, shared_n, named = exposure[seen], direction_n[seen], shared_n[seen], named[seen]
-    rivals = None
+        exposure, direction_n, shared_n, named = exposure[is_visible], direction_n[is_visible], shared_n[is_visible], named[is_visible]
+    false_match_density = None
     # With a narrow prior, a wrong identity of a named star is very improbable.
     if prior is not None and (np.trace(prior.covariance_n) > LINEAR_RANGE**2 or not named.all()):
-        rivals = detections * local_sky.bright.density(exposure.magnitude, MAGNITUDE_TOLERANCE)
-        rivals *= np.where(named, WRONG_NAMES, 1.0)
+        false_match_density = detections * local_sky.bright.density(exposure.magnitude, MAGNITUDE_TOLERANCE)
+        false_match_density *= np.where(named, WRONG_IDENTITY_RATIO, 1.0)
     stars = MatchedStars(
         measured_b=exposure.directions_s,
         reference_n=direction_n,
@@ -295,7 +295,7 @@ def visible_stars(
         sensor=np.zeros(len(direction_n), dtype=np.intp),
         mounting_b=_ONE_SENSOR,
         smear_b=exposure.smear_s,
-        rivals=rivals,
+        false_match_density=false_match_density,
         pixel_sigma=exposure.pixel_sigma,
         field_b=exposure.field_modes,
         field_sources=exposure.field_sources,
@@ -303,7 +303,7 @@ def visible_stars(
     return exposure, stars, rejected
 
 
-def identified(
+def identify_stars(
     exposure: StarExposure, prior: StarPrior, local_sky: LocalSky
 ) -> tuple[StarExposure, dict[int, Rejection]]:
     """Identify the stars of an exposure that have no identity, where possible.
@@ -316,13 +316,13 @@ def identified(
     Returns:
         The exposure, and for each row still without an identity the reason.
     """
-    rows = np.flatnonzero(~exposure.identified)
-    if np.trace(prior.covariance_n) > WIDEST**2:
+    rows = np.flatnonzero(~exposure.is_identified)
+    if np.trace(prior.covariance_n) > MAX_PRIOR_SIGMA**2:
         return exposure, dict.fromkeys(rows.tolist(), Rejection(Reason.UNIDENTIFIED, _PRIOR_TOO_WIDE))
     smear_s = None if exposure.smear_s is None else exposure.smear_s[rows]
-    found = candidates(
+    found = find_candidates(
         exposure.directions_s[rows],
-        exposure.lone_sigma[rows],
+        exposure.single_star_sigma[rows],
         exposure.magnitude[rows],
         smear_s,
         prior,
@@ -332,21 +332,21 @@ def identified(
     # A catalogue star that matches two detections is assigned to neither. A catalogue star that is already assigned
     # by its number is not assigned to another detection.
     hip = local_sky.bright.catalogue.hip[found.rows]
-    claimed_once = (np.count_nonzero(found.fitting, axis=0) == 1) & ~np.isin(hip, exposure.hip)
+    claimed_once = (np.count_nonzero(found.is_match, axis=0) == 1) & ~np.isin(hip, exposure.hip)
     chosen = np.full(len(rows), -1)
     reasons: dict[int, Rejection] = {}
     for number, row in enumerate(rows.tolist()):
-        fitting = np.flatnonzero(found.fitting[number])
+        fitting = np.flatnonzero(found.is_match[number])
         if len(fitting) == 1 and claimed_once[fitting[0]]:
             chosen[number] = found.rows[fitting[0]]
         else:
-            behind = exposure.masks.names(exposure.directions_s[row]) if exposure.masks is not None else ""
-            reasons[row] = _identification_rejection(float(found.nearest[number]), len(fitting), behind)
+            masks = exposure.masks.names(exposure.directions_s[row]) if exposure.masks is not None else ""
+            reasons[row] = _identification_rejection(float(found.nearest[number]), len(fitting), masks)
     taken = chosen >= 0
-    return _filled(exposure, rows[taken], chosen[taken], local_sky), reasons
+    return _with_identities(exposure, rows[taken], chosen[taken], local_sky), reasons
 
 
-def _identification_rejection(nearest: float, fitting: int, behind: str) -> Rejection:
+def _identification_rejection(nearest: float, fitting: int, masks: str) -> Rejection:
     """Return the rejection of a detection that was not identified.
 
     Args:
@@ -354,8 +354,8 @@ def _identification_rejection(nearest: float, fitting: int, behind: str) -> Reje
         fitting: number of catalogue stars within the gate.
         masks: names of the masks that cover the detection; empty for none.
     """
-    if behind:
-        return Rejection(Reason.UNIDENTIFIED, f"not a star: inside the mask {behind}")
+    if masks:
+        return Rejection(Reason.UNIDENTIFIED, f"not a star: inside the mask {masks}")
     if fitting:
         text = f"ambiguous: {fitting} catalogue stars within the gate, or one matched by two detections"
         return Rejection(Reason.UNIDENTIFIED, text)
@@ -365,14 +365,14 @@ def _identification_rejection(nearest: float, fitting: int, behind: str) -> Reje
     return Rejection(Reason.UNIDENTIFIED, text)
 
 
-def _filled(
+def _with_identities(
     exposure: StarExposure, rows: NDArray[np.intp], chosen: NDArray[np.intp], local_sky: LocalSky
 ) -> StarExposure:
     """Return the exposure with the catalogue stars ``chosen`` in its rows ``rows``."""
     catalogue = local_sky.bright.catalogue
     hip, position_sigma = exposure.hip.copy(), exposure.position_sigma.copy()
     hip[rows] = catalogue.hip[chosen]
-    position_sigma[rows] = catalogue.sigma(chosen, julian_year(exposure.time_ns))
+    position_sigma[rows] = catalogue.position_sigma_at(chosen, julian_year(exposure.time_ns))
     positions = {}
     for name in StarPositions.__dataclass_fields__:
         column = getattr(exposure.positions, name).copy()

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.stars.camera import StarCamera
-from ship_attitude_star.stars.fit import ATTITUDE, MatchedStars, fit_attitude, linearized
+from ship_attitude_star.stars.fit import ATTITUDE, MatchedStars, fit_attitude, linearise_stars
 from ship_attitude_star.stars.optics_errors import SOURCE_OPTICS
 from ship_geometry.rotations import FloatArray
 
@@ -105,11 +105,11 @@ def field_information(
     found = fit_attitude(stars, members) if count > 1 else None
     if found is None:
         return None
-    slopes_b = -camera.optics_slopes(stars.measured_b)[..., OPTICS]
+    slopes_b = -camera.optics_jacobian(stars.measured_b)[..., OPTICS]
     # The optics themselves are unknowns here, so their stated errors are left out.
     is_other = [source != SOURCE_OPTICS for source in stars.field_sources]
     field_b = slopes_b if stars.field_b is None else np.concatenate([slopes_b, stars.field_b[..., is_other]], axis=-1)
-    fit = linearized(replace(stars, field_b=field_b), found.rotation_nb)
+    fit = linearise_stars(replace(stars, field_b=field_b), found.rotation_nb)
     information, right_side = fit.normal_equations(members)
     used = fit.displacement if members is None else fit.displacement[members]
     rest = slice(ATTITUDE.stop, None)

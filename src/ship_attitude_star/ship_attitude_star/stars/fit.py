@@ -66,8 +66,8 @@ class MatchedStars:
     sensor: NDArray[np.intp]
     mounting_b: FloatArray
     smear_b: FloatArray | None = None
-    turned_b: FloatArray | None = None
-    rivals: FloatArray | None = None
+    time_transfer_b: FloatArray | None = None
+    false_match_density: FloatArray | None = None
     pixel_sigma: FloatArray | None = None
     field_b: FloatArray | None = None
     field_sources: tuple[str, ...] = ()
@@ -79,7 +79,7 @@ class MatchedStars:
         return sigma if self.pixel_sigma is None else np.hypot(sigma, self.pixel_sigma)
 
     @cached_property
-    def lone_sigma(self) -> FloatArray:
+    def single_star_sigma(self) -> FloatArray:
         """Standard deviation of a single star, field errors of its sensor included, rad per axis, (k,)."""
         if self.field_b is None:
             return self.white_sigma
@@ -87,11 +87,11 @@ class MatchedStars:
         return sigma
 
     @property
-    def worst_sigma(self) -> FloatArray:
+    def max_sigma(self) -> FloatArray:
         """Upper bound of the same in any direction, streaks included, rad, shape (k,)."""
         if self.smear_b is None:
-            return self.lone_sigma
-        sigma: FloatArray = np.sqrt(self.lone_sigma**2 + np.trace(self.smear_b, axis1=-2, axis2=-1))
+            return self.single_star_sigma
+        sigma: FloatArray = np.sqrt(self.single_star_sigma**2 + np.trace(self.smear_b, axis1=-2, axis2=-1))
         return sigma
 
     def __len__(self) -> int:
@@ -123,7 +123,7 @@ class StarFit:
         """
         # δ is then in units of standard deviations, as the other unknowns are.
         turn_n = _NO_TURN if expected_n is None else expected_n
-        jacobian, displacement = compiled_fit.predicted(
+        jacobian, displacement = compiled_fit.apply_prior(
             self.jacobian, self.displacement, square_root(covariance_n), turn_n
         )
         return StarFit(jacobian, displacement, self.residual_n, free_count=0)
@@ -135,7 +135,7 @@ class StarFit:
             Information, shape (q, q), and right side, shape (q,).
         """
         found: tuple[FloatArray, FloatArray] = compiled_fit.normal_equations(
-            self.jacobian, self.displacement, self._chosen(members)
+            self.jacobian, self.displacement, self._member_mask(members)
         )
         return found
 
@@ -146,22 +146,22 @@ class StarFit:
             numpy.linalg.LinAlgError: the members do not determine the attitude.
         """
         information, constrained, solution, chi_square, count = compiled_fit.solve_normal_equations(
-            self.jacobian, self.displacement, self._chosen(members), self.free_count
+            self.jacobian, self.displacement, self._member_mask(members), self.free_count
         )
         return StarFitSolution(information, constrained, solution, chi_square, 2 * count - self.free_count)
 
-    def _chosen(self, members: NDArray[np.bool_] | None) -> NDArray[np.uint8]:
+    def _member_mask(self, members: NDArray[np.bool_] | None) -> NDArray[np.uint8]:
         """Return the members as the compiled loops take them (None: all stars)."""
         return np.ones(len(self.displacement), dtype=np.uint8) if members is None else members.view(np.uint8)
 
-    def gain_by_leaving_out(self, solution: "StarFitSolution", members: NDArray[np.bool_]) -> FloatArray:
+    def chi_square_reduction(self, solution: "StarFitSolution", members: NDArray[np.bool_]) -> FloatArray:
         """Return the reduction of chi² when one member is left out, for each member, shape (n_members,).
 
         Each value is distributed as chi² with two degrees of freedom if all members are correctly identified.
         """
         jacobian = self.jacobian[members]
-        left = self.displacement[members] - jacobian @ solution.solution
-        leverage = jacobian @ np.linalg.inv(solution.constrained) @ np.swapaxes(jacobian, -1, -2)
+        left = self.displacement[members] - jacobian @ solution.unknowns
+        leverage = jacobian @ np.linalg.inv(solution.information_with_prior) @ np.swapaxes(jacobian, -1, -2)
         # Along the line of sight the displacement is zero and the matrix is the identity, so it adds nothing.
         gain: FloatArray = np.einsum("ki,ki->k", left, np.linalg.solve(np.eye(3) - leverage, left[..., None])[..., 0])
         return gain
@@ -180,8 +180,8 @@ class StarFitSolution:
     """
 
     information: FloatArray
-    constrained: FloatArray
-    solution: FloatArray
+    information_with_prior: FloatArray
+    unknowns: FloatArray
     chi_square: float
     degrees: int
 
@@ -193,16 +193,16 @@ class StarFitSolution:
         return probability_above(self.chi_square, max(self.degrees, 1))
 
 
-def linearized(stars: MatchedStars, rotation_nb: FloatArray) -> StarFit:
+def linearise_stars(stars: MatchedStars, rotation_nb: FloatArray) -> StarFit:
     """Return the stars linearised at an attitude (horizon from b), shape (3, 3), within a degree of the truth."""
-    jacobian, displacement, residual_n = compiled_fit.linearized(
+    jacobian, displacement, residual_n = compiled_fit.linearise_stars(
         stars.measured_b,
         stars.reference_n,
         stars.white_sigma,
         stars.shared_n,
         stars.sensor,
         stars.mounting_b,
-        _NO_TURNS if stars.turned_b is None else stars.turned_b,
+        _NO_TURNS if stars.time_transfer_b is None else stars.time_transfer_b,
         rotation_nb,
     )
     if stars.field_b is not None:
@@ -244,7 +244,7 @@ def fit_attitude(stars: MatchedStars, members: NDArray[np.bool_] | None = None) 
     solution = wahba.solve(stars.reference_n, stars.measured_b, sigma)
     if not solution.solved:
         return None
-    fit = linearized(stars, solution.rotation_nd)
+    fit = linearise_stars(stars, solution.rotation_nd)
     if stars.smear_b is None and stars.field_b is None:
         return AttitudeFit(solution.rotation_nd, solution.covariance_n, fit, fit.solve(members))
     # Wahba's problem has one sigma per star, also along a streak, and no shared field errors. One Gauss-Newton step
@@ -256,7 +256,7 @@ def fit_attitude(stars: MatchedStars, members: NDArray[np.bool_] | None = None) 
     right_side = right_side - weight @ right_side[fields]
     covariance_n: FloatArray = np.asarray(np.linalg.inv(information[ATTITUDE, ATTITUDE]), dtype=float)
     rotation_nb = exp_rotation(covariance_n @ right_side[ATTITUDE]) @ solution.rotation_nd
-    fit = linearized(stars, rotation_nb)
+    fit = linearise_stars(stars, rotation_nb)
     return AttitudeFit(rotation_nb, covariance_n, fit, fit.solve(members), weight)
 
 

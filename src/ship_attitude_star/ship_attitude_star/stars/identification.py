@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.sky.sky_watch import LocalSky
 from ship_attitude_star.stars.chance import GATE_PROBABILITY
-from ship_attitude_star.stars.selection import StarPrior, across, distance
+from ship_attitude_star.stars.selection import StarPrior, perpendicular_basis, mahalanobis_squared
 from ship_estimation.gates import chi_square_gate
 from ship_geometry.deck_masks import SensorMasks
 from ship_geometry.rotations import FloatArray, angle_between, exp_rotation, left_jacobian, skew
@@ -26,15 +26,15 @@ Most of the tolerance is for the colours of stars, and for the difference betwee
 _FIELD_MARGIN = np.deg2rad(1.0)
 """Margin of the field for aberration and refraction, which are far smaller, rad."""
 
-_FAR = 5.0
+_MAX_PRIOR_SIGMAS = 5.0
 """Number of sigmas by which the predicted attitude may be wrong."""
 
-_MOST_STEPS, _SMALL_TURN = 8, 1e-5
+_MAX_STEPS, _SMALL_TURN = 8, 1e-5
 
-WIDEST = np.deg2rad(5.0)
+MAX_PRIOR_SIGMA = np.deg2rad(5.0)
 """Maximum standard deviation of a predicted attitude for identification, rad; beyond it too many stars match."""
 
-_CROWDED = 5.0
+_MAX_STARS_IN_GATE = 5.0
 """Maximum expected number of catalogue stars in a gate for which candidates are compared."""
 
 
@@ -50,11 +50,11 @@ class Candidates:
     """
 
     rows: NDArray[np.int64]
-    fitting: NDArray[np.bool_]
+    is_match: NDArray[np.bool_]
     nearest: FloatArray
 
 
-def candidates(
+def find_candidates(
     directions_s: FloatArray,
     sigma: FloatArray,
     magnitude: FloatArray,
@@ -75,17 +75,17 @@ def candidates(
         masks: obstructions on deck in the sensor's view; a star behind one is no candidate, and a detection inside one
             is no star; None if there are none.
     """
-    rows, catalogue = _in_field(directions_s, prior, local_sky), local_sky.bright.catalogue
-    apparent = local_sky.apparent(catalogue.at_j2000[rows])
+    rows, catalogue = _rows_in_field(directions_s, prior, local_sky), local_sky.bright.catalogue
+    apparent = local_sky.apparent_stars(catalogue.at_j2000[rows])
     seen = apparent.visible
     if masks is not None:
-        seen = seen & ~_behind(masks, apparent.direction_n, prior)
+        seen = seen & ~_is_masked(masks, apparent.direction_n, prior)
     rows, reference_n = rows[seen], apparent.direction_n[seen]
     seen_n = directions_s @ prior.rotation_nb.T
     variance = sigma[:, None] ** 2 + catalogue.position_sigma[rows] ** 2
     smear_n = None if smear_s is None else prior.rotation_nb @ smear_s @ prior.rotation_nb.T
     nearest = np.zeros(len(seen_n))
-    if prior.is_wide and _crowd(seen_n, magnitude, prior, local_sky) > _CROWDED:
+    if prior.is_wide and _min_stars_in_gate(seen_n, magnitude, prior, local_sky) > _MAX_STARS_IN_GATE:
         return Candidates(rows, np.ones((len(seen_n), len(rows)), dtype=bool), nearest + np.inf)
     fitting = _mahalanobis(seen_n, reference_n, variance, smear_n, prior) < chi_square_gate(GATE_PROBABILITY, 2)
     fitting &= ~(np.abs(magnitude[:, None] - catalogue.magnitude[rows]) > MAGNITUDE_TOLERANCE)
@@ -96,25 +96,25 @@ def candidates(
     return Candidates(rows, fitting, nearest)
 
 
-def _crowd(seen_n: FloatArray, magnitude: FloatArray, prior: StarPrior, local_sky: LocalSky) -> float:
+def _min_stars_in_gate(seen_n: FloatArray, magnitude: FloatArray, prior: StarPrior, local_sky: LocalSky) -> float:
     """Return the expected number of catalogue stars in the gate of the detection with the fewest."""
-    turned = across(seen_n) @ skew(seen_n)
+    turned = perpendicular_basis(seen_n) @ skew(seen_n)
     covariance = turned @ prior.covariance_n @ np.swapaxes(turned, -1, -2)
     area = np.pi * chi_square_gate(GATE_PROBABILITY, 2) * np.sqrt(np.maximum(np.linalg.det(covariance), 0.0))
     return float(np.min(area * local_sky.bright.density(magnitude, MAGNITUDE_TOLERANCE)))
 
 
-def _behind(masks: SensorMasks, reference_n: FloatArray, prior: StarPrior) -> NDArray[np.bool_]:
+def _is_masked(masks: SensorMasks, reference_n: FloatArray, prior: StarPrior) -> NDArray[np.bool_]:
     """True if a star is masked for any probable error of the predicted attitude, shape (c,)."""
-    return masks.hide(reference_n @ prior.rotation_nb, _FAR * float(np.sqrt(np.trace(prior.covariance_n))))
+    return masks.hide(reference_n @ prior.rotation_nb, _MAX_PRIOR_SIGMAS * float(np.sqrt(np.trace(prior.covariance_n))))
 
 
-def _in_field(directions_s: FloatArray, prior: StarPrior, local_sky: LocalSky) -> NDArray[np.int64]:
+def _rows_in_field(directions_s: FloatArray, prior: StarPrior, local_sky: LocalSky) -> NDArray[np.int64]:
     """Return the catalogue rows of the bright stars that may be in the field of these detections."""
     centre_s = np.mean(directions_s, axis=0)
     centre_s /= np.linalg.norm(centre_s)
     prior_sigma = np.sqrt(np.trace(prior.covariance_n))
-    radius = np.max(angle_between(directions_s, centre_s)) + _FIELD_MARGIN + _FAR * prior_sigma
+    radius = np.max(angle_between(directions_s, centre_s)) + _FIELD_MARGIN + _MAX_PRIOR_SIGMAS * prior_sigma
     return local_sky.bright_rows_around(prior.rotation_nb @ centre_s, min(radius, np.pi))
 
 
@@ -124,14 +124,14 @@ def _mahalanobis(
     """Return Mahalanobis² of each of k detections to each of c candidates under the prior's error, shape (k, c)."""
     if prior.is_wide:
         return _mahalanobis_wide(seen_n, reference_n, variance, smear_n, prior)
-    basis = across(seen_n)
+    basis = perpendicular_basis(seen_n)
     left = np.einsum("kij,kcj->kci", basis, reference_n - seen_n[:, None, :])
     turned = basis @ skew(seen_n)
     covariance = turned @ prior.covariance_n @ np.swapaxes(turned, -1, -2)
     if smear_n is not None:
         covariance += basis @ smear_n @ np.swapaxes(basis, -1, -2)
     near = np.einsum("cj,kj->kc", reference_n, seen_n) > 0.0
-    return np.where(near, distance(left, covariance[:, None] + variance[..., None, None] * np.eye(2)), np.inf)
+    return np.where(near, mahalanobis_squared(left, covariance[:, None] + variance[..., None, None] * np.eye(2)), np.inf)
 
 
 def _mahalanobis_wide(
@@ -143,9 +143,9 @@ def _mahalanobis_wide(
     against its noise. Infinite if the search does not converge.
     """
     turn_n, squared, settled = np.zeros((*variance.shape, 3)), np.zeros(variance.shape), np.zeros(variance.shape, bool)
-    for _ in range(_MOST_STEPS):
+    for _ in range(_MAX_STEPS):
         moved_n = np.einsum("kcij,kj->kci", exp_rotation(turn_n), seen_n)
-        basis = across(moved_n)
+        basis = perpendicular_basis(moved_n)
         by_turn = -basis @ skew(moved_n) @ left_jacobian(turn_n)
         left = np.einsum("kcij,kcj->kci", basis, reference_n - moved_n) + np.einsum("kcij,kcj->kci", by_turn, turn_n)
         cross = by_turn @ prior.covariance_n

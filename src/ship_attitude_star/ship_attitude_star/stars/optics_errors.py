@@ -59,7 +59,7 @@ class OpticsErrors:
         Returns:
             Shape (k, 3, OPTICS_MODES).
         """
-        displacement_s: FloatArray = -self.sigmas * self.camera.optics_slopes(directions_s)
+        displacement_s: FloatArray = -self.sigmas * self.camera.optics_jacobian(directions_s)
         # Add the rotations about up and right that cancel the displacement at the boresight: u is right, v is down.
         turn = self.principal_sigma_px * self.camera.pixel_pitch_m / self.camera.focal_length_m
         forward, up, right = directions_s.T

@@ -20,10 +20,10 @@ from ship_attitude_star.stars import compiled_fit
 from ship_attitude_star.stars.chance import ambiguous_identity_rejection
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.fit import MatchedStars
-from ship_attitude_star.stars.scale_check import contradicted_scale
+from ship_attitude_star.stars.scale_check import check_focal_length
 from ship_attitude_star.stars.selection import StarPrior, select_stars
 from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
-from ship_attitude_star.stars.spatial_errors import SOURCE_PIXEL, PixelStay
+from ship_attitude_star.stars.spatial_errors import SOURCE_PIXEL, PixelDwell
 from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between
 
@@ -49,7 +49,7 @@ class StarResiduals:
 
     residual: FloatArray
     jacobian: FloatArray
-    by_turn: FloatArray
+    rotation_jacobian: FloatArray
     noise: dict[str, FloatArray]
     components: tuple[str, ...]
     rejected: tuple[tuple[str, Rejection], ...]
@@ -64,7 +64,7 @@ def star_residuals(
     sky_model: SkyModel,
     sky_slice: slice,
     mean: FloatArray,
-    near_ns: FloatArray | None = None,
+    initial_ns: FloatArray | None = None,
     camera_indices: NDArray[np.intp] | None = None,
 ) -> StarResiduals | Rejection:
     """Select the correctly identified stars, and compare them with the prediction.
@@ -84,9 +84,9 @@ def star_residuals(
         The rejection of the whole exposure if no star can be placed in the sky at its time, if none can be used, or if
         the stars contradict the focal length of their camera.
     """
-    found = _compare(exposure, rotation_ns, to_sensor, prior, sky_model, sky_slice, mean, near_ns, camera_indices)
+    found = _compare(exposure, rotation_ns, to_sensor, prior, sky_model, sky_slice, mean, initial_ns, camera_indices)
     used_count = 0 if isinstance(found, Rejection) else len(found.components) // 2
-    return contradicted_scale(exposure, sky_model, prior, used_count) or found
+    return check_focal_length(exposure, sky_model, prior, used_count) or found
 
 
 def _compare(
@@ -97,7 +97,7 @@ def _compare(
     sky_model: SkyModel,
     sky_slice: slice,
     mean: FloatArray,
-    near_ns: FloatArray | None,
+    initial_ns: FloatArray | None,
     camera_indices: NDArray[np.intp] | None,
 ) -> StarResiduals | Rejection:
     """Compare the correctly identified stars with the prediction; see :func:`star_residuals`."""
@@ -108,21 +108,21 @@ def _compare(
     if len(stars.sigma) == 0:
         nameless = any(refusal.reason is Reason.UNIDENTIFIED for _, refusal in rejected)
         reason = Reason.UNIDENTIFIED if nameless else Reason.TOO_FEW_STARS
-        return Rejection(reason, _listed(f"none of {len(exposure)} stars is usable", rejected))
+        return Rejection(reason, _with_rejected_stars(f"none of {len(exposure)} stars is usable", rejected))
     # The estimate of the shared errors corrects the expected directions.
-    expected_n = compiled_fit.expected(stars.reference_n, stars.shared_n, mean[sky_slice])
+    expected_n = compiled_fit.expected_directions(stars.reference_n, stars.shared_n, mean[sky_slice])
     measured_s, field_s = stars.measured_b, None if camera_indices is None else stars.field_b
     if field_s is not None:
         measured_s = measured_s - field_s @ mean[camera_indices]
     at_estimate = replace(stars, reference_n=expected_n, measured_b=measured_s)
-    selection = _select_consistent(stars, at_estimate, prior, near_ns)
+    selection = _select_consistent(stars, at_estimate, prior, initial_ns)
     if isinstance(selection, Rejection):
-        return Rejection(selection.reason, _listed(selection.text, rejected))
+        return Rejection(selection.reason, _with_rejected_stars(selection.text, rejected))
     members, alone_ns = selection
     turned_ns = rotation_ns if alone_ns is None else alone_ns
     rejected += [(seen.name(row), _misfit_rejection(stars, row, turned_ns)) for row in np.flatnonzero(~members).tolist()]
     if not members.any():
-        return Rejection(Reason.MISIDENTIFIED, _listed(_contradiction(len(members)), rejected))
+        return Rejection(Reason.MISIDENTIFIED, _with_rejected_stars(_inconsistency_text(len(members)), rejected))
     names = [seen.name(row) for row in np.flatnonzero(members).tolist()]
     residual, jacobian, by_turn, basis = compiled_fit.residuals(
         measured_s, expected_n, stars.shared_n, members.view(np.uint8), rotation_ns, to_sensor, sky_slice.start
@@ -132,8 +132,8 @@ def _compare(
     return StarResiduals(
         residual=residual,
         jacobian=jacobian,
-        by_turn=by_turn,
-        noise=_noise(at_estimate, seen.stay, basis, members),
+        rotation_jacobian=by_turn,
+        noise=_noise(at_estimate, seen.pixel_dwell, basis, members),
         components=tuple(f"{name} {axis}" for name in names for axis in ("up", "right")),
         rejected=tuple(rejected),
         rotation_ns=alone_ns,
@@ -141,7 +141,7 @@ def _compare(
 
 
 def _select_consistent(
-    stars: MatchedStars, at_estimate: MatchedStars, prior: StarPrior, near_ns: FloatArray | None
+    stars: MatchedStars, at_estimate: MatchedStars, prior: StarPrior, initial_ns: FloatArray | None
 ) -> tuple[NDArray[np.bool_], FloatArray | None] | Rejection:
     """Return the stars consistent with the prediction; if there are none, those consistent with another attitude.
 
@@ -155,9 +155,9 @@ def _select_consistent(
         True for each selected star, shape (k,), none if the stars contradict the prediction and one another; and the
         attitude of the sensor by these stars alone if they contradict the prediction, else None.
     """
-    choice = select_stars(at_estimate, prior, near_ns)
-    if choice.by_chance is not None:
-        return ambiguous_identity_rejection(choice.by_chance)
+    choice = select_stars(at_estimate, prior, initial_ns)
+    if choice.false_matches is not None:
+        return ambiguous_identity_rejection(choice.false_matches)
     if choice.members.any():
         return choice.members, None
     alone = solve_stars(stars)
@@ -166,7 +166,7 @@ def _select_consistent(
     return alone.members, alone.rotation_nb
 
 
-def _contradiction(count: int) -> str:
+def _inconsistency_text(count: int) -> str:
     return (
         f"none of {count} stars is near its expected direction, and they are not consistent with another attitude: "
         "if this persists, check the camera's parameters, gnss/fix and the clock"
@@ -174,7 +174,7 @@ def _contradiction(count: int) -> str:
 
 
 def _noise(
-    stars: MatchedStars, stay: PixelStay | None, basis: FloatArray, members: NDArray[np.bool_]
+    stars: MatchedStars, pixel_dwell: PixelDwell | None, basis: FloatArray, members: NDArray[np.bool_]
 ) -> dict[str, FloatArray]:
     """Return the covariance by source of the k members' residuals along their basis (k, 2, 3), rad², (2 k, 2 k)."""
     noise = np.diag(np.repeat(np.hypot(stars.sigma, stars.position_sigma)[members] ** 2, 2))
@@ -184,15 +184,15 @@ def _noise(
             noise[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] += added
     if stars.pixel_sigma is None:
         return {SOURCE_STAR_NOISE: noise}
-    of_pixels = stars.pixel_sigma**2 * (1.0 if stay is None else 1.0 + stay.excess)
+    of_pixels = stars.pixel_sigma**2 * (1.0 if pixel_dwell is None else 1.0 + pixel_dwell.excess_ratio)
     return {SOURCE_STAR_NOISE: noise, SOURCE_PIXEL: np.diag(np.repeat(of_pixels[members], 2))}
 
 
 def _misfit_rejection(stars: MatchedStars, row: int, rotation_ns: FloatArray) -> Rejection:
     angle = float(angle_between(rotation_ns @ stars.measured_b[row], stars.reference_n[row]))
-    text = f'{angle / ARCSEC:.1f}" from its expected direction, sigma {stars.lone_sigma[row] / ARCSEC:.1f}"'
+    text = f'{angle / ARCSEC:.1f}" from its expected direction, sigma {stars.single_star_sigma[row] / ARCSEC:.1f}"'
     return Rejection(Reason.MISIDENTIFIED, text)
 
 
-def _listed(text: str, rejected: list[tuple[str, Rejection]]) -> str:
+def _with_rejected_stars(text: str, rejected: list[tuple[str, Rejection]]) -> str:
     return "; ".join([text, *(f"{name}: {refusal.text}" for name, refusal in rejected)])

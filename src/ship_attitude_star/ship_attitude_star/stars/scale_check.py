@@ -13,20 +13,20 @@ from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.field_scale import estimate_optics, field_information
 from ship_attitude_star.stars.optics_errors import OpticsErrors
-from ship_attitude_star.stars.selection import FEWEST_VERIFIED, StarPrior, select_stars
+from ship_attitude_star.stars.selection import MIN_VERIFIED_STARS, StarPrior, select_stars
 from ship_estimation.refusals import Reason, Rejection
 
 FREE_FOCAL_SIGMA = 0.01
 """Relative standard deviation of a nearly free focal length."""
 
-MOST_SIGMAS = 4.0
+MAX_SIGMAS = 4.0
 """Threshold of the difference between the fitted focal length and the configured one, standard deviations."""
 
-_ENOUGH = 6
+_ENOUGH_STARS = 6
 """Number of fitting stars at which the field is not solved again: a wrong focal length lets fewer fit."""
 
 
-def contradicted_scale(
+def check_focal_length(
     exposure: StarExposure, sky_model: SkyModel, prior: StarPrior | None, used_count: int
 ) -> Rejection | None:
     """Return the rejection of an exposure whose stars contradict the focal length; None if they do not.
@@ -39,7 +39,7 @@ def contradicted_scale(
             to determine the focal length, the field is not solved again.
     """
     optics = exposure.optics
-    if optics is None or used_count >= min(len(exposure), _ENOUGH) or len(exposure) < FEWEST_VERIFIED:
+    if optics is None or used_count >= min(len(exposure), _ENOUGH_STARS) or len(exposure) < MIN_VERIFIED_STARS:
         return None
     free_sigma = max(FREE_FOCAL_SIGMA, optics.focal_sigma)
     visible = visible_stars(replace(exposure, optics=replace(optics, focal_sigma=free_sigma)), sky_model, prior)
@@ -48,18 +48,18 @@ def contradicted_scale(
     stars = visible[1]
     members = select_stars(stars, prior).members
     count = int(np.count_nonzero(members))
-    if count < FEWEST_VERIFIED or count <= used_count:
+    if count < MIN_VERIFIED_STARS or count <= used_count:
         return None
     information = field_information(optics.camera, stars, members)
     principal = optics.principal_sigma_px
     found = None if information is None else estimate_optics(information, (np.inf, principal, principal))
     # Written so that NaN is a contradiction of the focal length.
-    if found is None or abs(found.scale) <= MOST_SIGMAS * np.hypot(optics.focal_sigma, found.scale_sigma):
+    if found is None or abs(found.scale) <= MAX_SIGMAS * np.hypot(optics.focal_sigma, found.scale_sigma):
         return None
     return focal_length_rejection(optics, found.scale, f"the angles between {count} stars")
 
 
-def learned_contradiction(optics: OpticsErrors, error: float, variance: float) -> Rejection | None:
+def check_estimated_focal_length(optics: OpticsErrors, error: float, variance: float) -> Rejection | None:
     """Return the rejection of an exposure whose focal length the filter has estimated as another one; None if not.
 
     Args:
@@ -67,12 +67,12 @@ def learned_contradiction(optics: OpticsErrors, error: float, variance: float) -
         error: state of the focal length's error, in its sigmas.
         variance: of that state.
     """
-    if abs(error) <= MOST_SIGMAS * np.sqrt(1.0 + variance):
+    if abs(error) <= MAX_SIGMAS * np.sqrt(1.0 + variance):
         return None
     return focal_length_rejection(optics, error * optics.focal_sigma, "the stars up to now")
 
 
-def focal_length_rejection(optics: OpticsErrors, scale: float, by_what: str) -> Rejection:
+def focal_length_rejection(optics: OpticsErrors, scale: float, evidence: str) -> Rejection:
     """Return a rejection that states the fitted focal length.
 
     Args:
@@ -82,7 +82,7 @@ def focal_length_rejection(optics: OpticsErrors, scale: float, by_what: str) -> 
     """
     configured_mm = 1e3 * optics.camera.focal_length_m
     text = (
-        f"focal length {configured_mm * (1.0 + scale):.3f} mm fits {by_what}, configured {configured_mm:.3f} mm, "
+        f"focal length {configured_mm * (1.0 + scale):.3f} mm fits {evidence}, configured {configured_mm:.3f} mm, "
         f"sigma {configured_mm * optics.focal_sigma:.3f} mm: check camera.focal_length_m"
     )
     return Rejection(Reason.MISIDENTIFIED, text)

@@ -12,21 +12,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.stars.chance import MOST_BY_CHANCE, by_chance, surely_few
-from ship_attitude_star.stars.fit import AttitudeFit, MatchedStars, StarFit, StarFitSolution, fit_attitude, linearized
+from ship_attitude_star.stars.chance import MAX_FALSE_MATCHES, expected_false_matches, has_few_false_matches
+from ship_attitude_star.stars.fit import AttitudeFit, MatchedStars, StarFit, StarFitSolution, fit_attitude, linearise_stars
 from ship_geometry import wahba
 from ship_geometry.rotations import FloatArray, angle_between, left_jacobian, log_rotation, skew
 
-MEMBER_DISTANCE = 16.0
+MEMBER_GATE = 16.0
 """Gate of a trial's members, Mahalanobis² (two degrees of freedom)."""
 
 DROP_PROBABILITY, ACCEPT_PROBABILITY = 1e-3, 1e-6
 """The worst member is dropped below the first probability; the last members are accepted above the second."""
 
-FEWEST_VERIFIED = 3
+MIN_VERIFIED_STARS = 3
 """Least number of stars that verify one another without a prior."""
 
-CLEARLY_BETTER = 13.8
+AMBIGUITY_THRESHOLD = 13.8
 """Threshold of the chi² difference between two explanations (two degrees of freedom, 1 in 1000)."""
 
 LINEAR_RANGE = 5e-4
@@ -35,7 +35,7 @@ LINEAR_RANGE = 5e-4
 At three times as much, the square of the error is 0.2 arcseconds.
 """
 
-_TRIALS_REFINED = 3
+_MAX_REFINED_TRIALS = 3
 
 BoolArray = NDArray[np.bool_]
 
@@ -58,7 +58,7 @@ class StarPrior:
         """True if the error may be too large for one linearisation."""
         return float(np.trace(self.covariance_n)) > LINEAR_RANGE**2
 
-    def seen_from(self, rotation_nb: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def relative_to(self, rotation_nb: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the prior relative to another attitude: the expected rotation from there, and its covariance.
 
         Returns:
@@ -84,7 +84,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Choice:
+class StarSelection:
     """The selected stars.
 
     Attributes:
@@ -95,10 +95,10 @@ class Choice:
 
     members: BoolArray
     attitude_fit: AttitudeFit | None = None
-    by_chance: float | None = None
+    false_matches: float | None = None
 
 
-def select_stars(stars: MatchedStars, prior: StarPrior | None = None, near_nb: FloatArray | None = None) -> Choice:
+def select_stars(stars: MatchedStars, prior: StarPrior | None = None, initial_nb: FloatArray | None = None) -> StarSelection:
     """Select the correctly identified stars.
 
     Args:
@@ -108,34 +108,34 @@ def select_stars(stars: MatchedStars, prior: StarPrior | None = None, near_nb: F
         initial_nb: an attitude within a degree of the truth, where that of the prior may be further away, shape (3, 3).
     """
     if prior is None:
-        return _select_alone(stars)
-    members = _select_by_prior(stars, prior, near_nb)
-    if stars.rivals is not None and members.any() and not surely_few(stars, prior.covariance_n):
-        expected = by_chance(stars, members, across(stars.reference_n), prior.covariance_n)
+        return _select_without_prior(stars)
+    members = _select_with_prior(stars, prior, initial_nb)
+    if stars.false_match_density is not None and members.any() and not has_few_false_matches(stars, prior.covariance_n):
+        expected = expected_false_matches(stars, members, perpendicular_basis(stars.reference_n), prior.covariance_n)
         # Written so that NaN rejects the star.
-        if not expected <= MOST_BY_CHANCE:
-            return Choice(np.zeros_like(members), by_chance=expected)
-    return Choice(members)
+        if not expected <= MAX_FALSE_MATCHES:
+            return StarSelection(np.zeros_like(members), false_matches=expected)
+    return StarSelection(members)
 
 
-def _select_alone(stars: MatchedStars) -> Choice:
+def _select_without_prior(stars: MatchedStars) -> StarSelection:
     everything = np.ones(len(stars), dtype=bool)
     if len(stars) < 2:
-        return Choice(~everything)
+        return StarSelection(~everything)
     whole = fit_attitude(stars)
     if whole is not None and whole.solution.probability >= DROP_PROBABILITY:
-        return Choice(everything, whole)
+        return StarSelection(everything, whole)
     trials = _pair_trials(stars)
-    for trial in trials[:_TRIALS_REFINED]:
-        members = _refined_alone(stars, trial.members)
+    for trial in trials[:_MAX_REFINED_TRIALS]:
+        members = _refine_without_prior(stars, trial.members)
         if members.any() and not _has_rival(trials, members, shared=2):
             refined = fit_attitude(stars, members)
             assert refined is not None
-            return Choice(_unambiguous(refined.fit, members))
-    return Choice(~everything)
+            return StarSelection(_drop_ambiguous(refined.fit, members))
+    return StarSelection(~everything)
 
 
-def _refined_alone(stars: MatchedStars, members: BoolArray) -> BoolArray:
+def _refine_without_prior(stars: MatchedStars, members: BoolArray) -> BoolArray:
     """Drop the members that do not fit the rest; return none if the rest is not consistent either."""
     while np.count_nonzero(members) >= 2:
         refined = fit_attitude(stars, members)
@@ -143,27 +143,27 @@ def _refined_alone(stars: MatchedStars, members: BoolArray) -> BoolArray:
             break
         if refined.solution.probability >= DROP_PROBABILITY:
             return members
-        if np.count_nonzero(members) <= FEWEST_VERIFIED:
+        if np.count_nonzero(members) <= MIN_VERIFIED_STARS:
             return members if refined.solution.probability > ACCEPT_PROBABILITY else np.zeros_like(members)
-        members = _without_worst(refined.fit, refined.solution, members)
+        members = _drop_worst(refined.fit, refined.solution, members)
     return np.zeros_like(members)
 
 
-def _unambiguous(fit: StarFit, members: BoolArray) -> BoolArray:
+def _drop_ambiguous(fit: StarFit, members: BoolArray) -> BoolArray:
     """Drop the ambiguous members.
 
     A member is ambiguous if a star left out explains the rest as well as it does.
     """
-    limit = fit.solve(members).chi_square + CLEARLY_BETTER
-    kept: BoolArray = members.copy()
+    limit = fit.solve(members).chi_square + AMBIGUITY_THRESHOLD
+    remaining: BoolArray = members.copy()
     for outsider in np.flatnonzero(~members):
         both = members.copy()
         both[outsider] = True
         solution = fit.solve(both)
-        without_one = solution.chi_square - fit.gain_by_leaving_out(solution, both)
+        without_one = solution.chi_square - fit.chi_square_reduction(solution, both)
         # Written so that NaN rejects the star.
-        kept[np.flatnonzero(both)[~(without_one >= limit)]] = False
-    return kept
+        remaining[np.flatnonzero(both)[~(without_one >= limit)]] = False
+    return remaining
 
 
 def _has_rival(trials: list[Trial], members: BoolArray, shared: int) -> bool:
@@ -181,27 +181,27 @@ def _pair_trials(stars: MatchedStars) -> list[Trial]:
     seen = angle_between(stars.measured_b[first], stars.measured_b[second])
     expected = angle_between(stars.reference_n[first], stars.reference_n[second])
     common = _common_variance(stars)
-    sigma = np.sqrt(stars.worst_sigma**2 + common)
-    fitting = np.abs(seen - expected) < np.sqrt(MEMBER_DISTANCE) * np.hypot(sigma[first], sigma[second])
+    sigma = np.sqrt(stars.max_sigma**2 + common)
+    fitting = np.abs(seen - expected) < np.sqrt(MEMBER_GATE) * np.hypot(sigma[first], sigma[second])
     pairs = np.stack([first[fitting], second[fitting]], axis=-1)
     solution = wahba.solve(stars.reference_n[pairs], stars.measured_b[pairs], sigma[pairs])
     pairs, solved = pairs[solution.solved], np.atleast_1d(solution.solved)
     rotation_nb, covariance_n = solution.rotation_nd[solved], solution.covariance_n[solved]
-    basis = across(stars.reference_n)
+    basis = perpendicular_basis(stars.reference_n)
     displacement = stars.reference_n - stars.measured_b @ np.swapaxes(rotation_nb, -1, -2)
     left = np.einsum("kij,tkj->tki", basis, displacement)
     turned = basis @ skew(stars.reference_n)
     covariance = np.einsum("kia,tab,kjb->tkij", turned, covariance_n, turned)
-    own = (stars.lone_sigma**2 + common)[:, None, None] * np.eye(2)
+    own = (stars.single_star_sigma**2 + common)[:, None, None] * np.eye(2)
     if stars.smear_b is not None:
         turned_basis = basis @ rotation_nb[:, None]
         own = own + turned_basis @ stars.smear_b @ np.swapaxes(turned_basis, -1, -2)
     covariance += own
-    members = distance(left, covariance) < MEMBER_DISTANCE
+    members = mahalanobis_squared(left, covariance) < MEMBER_GATE
     # A star on the other side of the sphere is no member. The two stars of the trial always are.
     members &= np.einsum("tkj,kj->tk", displacement, stars.reference_n) < 0.5
     members[np.arange(len(pairs))[:, None], pairs] = True
-    return _by_size(members, np.trace(covariance_n, axis1=-2, axis2=-1))
+    return _sort_by_size(members, np.trace(covariance_n, axis1=-2, axis2=-1))
 
 
 def _common_variance(stars: MatchedStars) -> FloatArray:
@@ -211,32 +211,32 @@ def _common_variance(stars: MatchedStars) -> FloatArray:
         about_star = skew(stars.measured_b)
         mounted = about_star @ stars.mounting_b[stars.sensor]
         variance = variance + 0.5 * np.sum(mounted**2, axis=(-2, -1))
-    if stars.turned_b is not None:
-        turned = skew(stars.measured_b) @ stars.turned_b[stars.sensor]
+    if stars.time_transfer_b is not None:
+        turned = skew(stars.measured_b) @ stars.time_transfer_b[stars.sensor]
         variance = variance + 0.5 * np.sum(turned**2, axis=(-2, -1))
     return variance
 
 
-def _select_by_prior(stars: MatchedStars, prior: StarPrior, near_nb: FloatArray | None) -> BoolArray:
+def _select_with_prior(stars: MatchedStars, prior: StarPrior, initial_nb: FloatArray | None) -> BoolArray:
     everything = np.ones(len(stars), dtype=bool)
     if not everything.any():
         return everything
-    if near_nb is None:
-        fit = linearized(stars, prior.rotation_nb).with_prior(prior.covariance_n)
+    if initial_nb is None:
+        fit = linearise_stars(stars, prior.rotation_nb).with_prior(prior.covariance_n)
     else:
-        expected_n, covariance_n = prior.seen_from(near_nb)
-        fit = linearized(stars, near_nb).with_prior(covariance_n, expected_n)
+        expected_n, covariance_n = prior.relative_to(initial_nb)
+        fit = linearise_stars(stars, initial_nb).with_prior(covariance_n, expected_n)
     if fit.solve(everything).probability >= DROP_PROBABILITY:
         return everything
     trials = _single_trials(stars, fit)
-    for trial in trials[:_TRIALS_REFINED]:
-        members = _refined_by_prior(fit, trial.members)
+    for trial in trials[:_MAX_REFINED_TRIALS]:
+        members = _refine_with_prior(fit, trial.members)
         if members.any() and not _has_rival(trials, members, shared=1):
-            return _unambiguous(fit, members)
+            return _drop_ambiguous(fit, members)
     return ~everything
 
 
-def _refined_by_prior(fit: StarFit, members: BoolArray) -> BoolArray:
+def _refine_with_prior(fit: StarFit, members: BoolArray) -> BoolArray:
     """Drop the members that do not fit the rest and the prior; return none if no member fits the prior."""
     while members.any():
         solution = fit.solve(members)
@@ -244,15 +244,15 @@ def _refined_by_prior(fit: StarFit, members: BoolArray) -> BoolArray:
             return members
         if np.count_nonzero(members) == 1:
             return members if solution.probability > ACCEPT_PROBABILITY else np.zeros_like(members)
-        members = _without_worst(fit, solution, members)
+        members = _drop_worst(fit, solution, members)
     return members
 
 
-def _without_worst(fit: StarFit, solution: StarFitSolution, members: BoolArray) -> BoolArray:
+def _drop_worst(fit: StarFit, solution: StarFitSolution, members: BoolArray) -> BoolArray:
     """Drop the member that explains most of the misfit."""
-    kept: BoolArray = members.copy()
-    kept[np.flatnonzero(members)[np.argmax(fit.gain_by_leaving_out(solution, members))]] = False
-    return kept
+    remaining: BoolArray = members.copy()
+    remaining[np.flatnonzero(members)[np.argmax(fit.chi_square_reduction(solution, members))]] = False
+    return remaining
 
 
 def _single_trials(stars: MatchedStars, fit: StarFit) -> list[Trial]:
@@ -260,13 +260,13 @@ def _single_trials(stars: MatchedStars, fit: StarFit) -> list[Trial]:
 
     Each star rotates the prior; the other stars are compared with the rotated prior.
     """
-    basis = across(stars.reference_n)
+    basis = perpendicular_basis(stars.reference_n)
     left = np.einsum("kij,kj->ki", basis, fit.displacement)
     rows = basis @ fit.jacobian
     covariance = np.einsum("kia,lja->klij", rows, rows)
     own = np.arange(len(stars))
     covariance[own, own] += np.eye(2)
-    possible = np.flatnonzero(distance(left, covariance[own, own]) < MEMBER_DISTANCE)
+    possible = np.flatnonzero(mahalanobis_squared(left, covariance[own, own]) < MEMBER_GATE)
     # Each possible star t updates the prior; the other stars k are compared with the updated prediction.
     cross = covariance[:, possible].swapaxes(0, 1)
     gain = cross @ np.linalg.inv(covariance[possible, possible])[:, None]
@@ -274,23 +274,23 @@ def _single_trials(stars: MatchedStars, fit: StarFit) -> list[Trial]:
     rest_covariance = covariance[own, own] - gain @ np.swapaxes(cross, -1, -2)
     rest_covariance[np.arange(len(possible)), possible] = np.eye(2)
     rest[np.arange(len(possible)), possible] = 0.0
-    members = distance(rest, rest_covariance) < MEMBER_DISTANCE
-    return _by_size(members, np.zeros(len(possible)))
+    members = mahalanobis_squared(rest, rest_covariance) < MEMBER_GATE
+    return _sort_by_size(members, np.zeros(len(possible)))
 
 
-def _by_size(members: BoolArray, spread: FloatArray) -> list[Trial]:
+def _sort_by_size(members: BoolArray, spread: FloatArray) -> list[Trial]:
     """Sort trials by number of members; equal ones by increasing spread of the attitude."""
     counts = np.count_nonzero(members, axis=-1)
     return [Trial(members[row], int(counts[row])) for row in np.lexsort((spread, -counts)).tolist()]
 
 
-def distance(left: FloatArray, covariance: FloatArray) -> FloatArray:
+def mahalanobis_squared(left: FloatArray, covariance: FloatArray) -> FloatArray:
     """Return Mahalanobis² of residuals, shape (..., 2), under their covariances, shape (..., 2, 2)."""
     squared: FloatArray = np.einsum("...i,...i->...", left, np.linalg.solve(covariance, left[..., None])[..., 0])
     return squared
 
 
-def across(direction: FloatArray) -> FloatArray:
+def perpendicular_basis(direction: FloatArray) -> FloatArray:
     """Return two unit vectors across each direction (any frame, shape (k, 3)), shape (k, 2, 3)."""
     # The axis farthest from the direction defines the first vector, so that no direction is singular.
     axis = np.eye(3)[np.argmin(np.abs(direction), axis=-1)]

@@ -20,10 +20,10 @@ from ship_attitude_star.stars.fit import (
     MatchedStars,
     fit_attitude,
     field_columns,
-    linearized,
+    linearise_stars,
 )
 from ship_attitude_star.stars.optics_errors import SOURCE_OPTICS
-from ship_attitude_star.stars.selection import FEWEST_VERIFIED, StarPrior, select_stars
+from ship_attitude_star.stars.selection import MIN_VERIFIED_STARS, StarPrior, select_stars
 from ship_attitude_star.stars.spatial_errors import SOURCE_FIELD, SOURCE_PIXEL
 from ship_estimation.compiled_integrity import square_root
 from ship_estimation.refusals import Reason, Rejection
@@ -58,7 +58,7 @@ _SINGULAR_UP = float(np.sin(SINGULAR_ELEVATION))
 """Up component of the forward axis above which azimuth and roll cannot be separated."""
 
 
-_MOST_STEPS, _SMALL_TURN = 10, 1e-3
+_MAX_STEPS, _SMALL_TURN = 10, 1e-3
 """Limits of the search for the most likely attitude: number of steps, and rotation of the last step, rad."""
 
 
@@ -106,7 +106,7 @@ class StarSolution:
         noise: FloatArray = self.covariance_by_source_n[_STAR_NOISE]
         return noise
 
-    def with_more_noise(self, variance: float) -> "StarSolution":
+    def with_added_noise(self, variance: float) -> "StarSolution":
         """Return the attitude with an additional independent error of this variance about each axis, rad²."""
         parts_n = self.covariance_by_source_n.copy()
         parts_n[_STAR_NOISE] += variance * np.eye(3)
@@ -131,20 +131,20 @@ def solve_stars(stars: MatchedStars, prior: StarPrior | None = None) -> StarSolu
         stars: all measured stars that have a sky direction.
         prior: used to select the stars, and to verify them if there are only two. It does not enter the attitude.
     """
-    near_nb = likely_attitude(stars, prior) if prior is not None and prior.is_wide and len(stars) else None
-    choice = select_stars(stars, prior, near_nb)
+    initial_nb = initial_attitude(stars, prior) if prior is not None and prior.is_wide and len(stars) else None
+    choice = select_stars(stars, prior, initial_nb)
     members = choice.members
-    if choice.by_chance is not None:
-        return no_attitude(members, ambiguous_identity_rejection(choice.by_chance))
+    if choice.false_matches is not None:
+        return invalid_solution(members, ambiguous_identity_rejection(choice.false_matches))
     count = int(np.count_nonzero(members))
     together = members if count else np.ones_like(members)
     found = choice.attitude_fit or fit_attitude(stars, together)
     if found is None:
-        return no_attitude(members, Rejection(Reason.TOO_FEW_STARS, _undetermined_text(int(np.count_nonzero(together)))))
+        return invalid_solution(members, Rejection(Reason.TOO_FEW_STARS, _undetermined_text(int(np.count_nonzero(together)))))
     if not count:
         text = f"{len(stars)} stars, no set of them is more consistent than another"
-        reason = Reason.TOO_FEW_STARS if len(stars) < FEWEST_VERIFIED else Reason.MISIDENTIFIED
-        return no_attitude(members, Rejection(reason, text))
+        reason = Reason.TOO_FEW_STARS if len(stars) < MIN_VERIFIED_STARS else Reason.MISIDENTIFIED
+        return invalid_solution(members, Rejection(reason, text))
     residual_n = found.fit.residual_n
     return StarSolution(
         status=_status(count, prior, found.rotation_nb),
@@ -153,7 +153,7 @@ def solve_stars(stars: MatchedStars, prior: StarPrior | None = None) -> StarSolu
         covariance_by_source_n=_covariance_by_source(stars, found, members),
         members=members,
         residual_n=residual_n,
-        rejected=_rejected(residual_n, stars.lone_sigma, members),
+        rejected=_rejections(residual_n, stars.single_star_sigma, members),
     )
 
 
@@ -176,7 +176,7 @@ def solve_with_fallback(stars: MatchedStars, prior: StarPrior | None) -> tuple[S
     return alone, True
 
 
-def likely_attitude(stars: MatchedStars, prior: StarPrior) -> FloatArray:
+def initial_attitude(stars: MatchedStars, prior: StarPrior) -> FloatArray:
     """Return an attitude near enough to the truth to linearise stars there, where the prior's own may be far off.
 
     It is that of the stars alone if they verify one another; else the most likely one by the prior and all stars.
@@ -192,9 +192,9 @@ def likely_attitude(stars: MatchedStars, prior: StarPrior) -> FloatArray:
     if alone.status in (SolutionStatus.VALID, SolutionStatus.ANGLES_SINGULAR):
         return alone.rotation_nb
     rotation_nb = prior.rotation_nb
-    for _ in range(_MOST_STEPS):
-        expected_n, covariance_n = prior.seen_from(rotation_nb)
-        sigmas = linearized(stars, rotation_nb).with_prior(covariance_n, expected_n).solve().solution[ATTITUDE]
+    for _ in range(_MAX_STEPS):
+        expected_n, covariance_n = prior.relative_to(rotation_nb)
+        sigmas = linearise_stars(stars, rotation_nb).with_prior(covariance_n, expected_n).solve().unknowns[ATTITUDE]
         turn_n = expected_n + square_root(covariance_n) @ sigmas
         rotation_nb = exp_rotation(turn_n) @ rotation_nb
         if np.linalg.norm(turn_n) < _SMALL_TURN:
@@ -209,7 +209,7 @@ def _undetermined_text(count: int) -> str:
 
 
 def _status(count: int, prior: StarPrior | None, rotation_nb: FloatArray) -> SolutionStatus:
-    if prior is None and count < FEWEST_VERIFIED:
+    if prior is None and count < MIN_VERIFIED_STARS:
         return SolutionStatus.UNVERIFIED
     forward_n = rotation_nb[:, 0]
     singular = abs(forward_n[1]) > _SINGULAR_UP
@@ -232,7 +232,7 @@ def _covariance_by_source(stars: MatchedStars, found: AttitudeFit, members: NDAr
         jacobian = jacobian.copy()
         jacobian[..., ATTITUDE] -= jacobian[..., fields] @ found.field_weight[ATTITUDE].T
         information = information - found.field_weight @ information[fields]
-    covariance_n, by_catalogue = compiled_fit.covariances(
+    covariance_n, by_catalogue = compiled_fit.attitude_covariances(
         found.white_covariance_n, information, jacobian, share, np.concatenate(kinds), terms
     )
     # The white covariance contains the field errors; those of mountings and of the sky are added to it.
@@ -242,7 +242,7 @@ def _covariance_by_source(stars: MatchedStars, found: AttitudeFit, members: NDAr
     if stars.pixel_sigma is not None:
         share = np.where(members, stars.pixel_sigma / stars.white_sigma, 0.0)
         no_terms = np.zeros(len(information) - ATTITUDE.stop, dtype=np.intp)
-        _, covariance_n[_PIXEL] = compiled_fit.covariances(
+        _, covariance_n[_PIXEL] = compiled_fit.attitude_covariances(
             found.white_covariance_n, information, jacobian, share, no_terms, 1
         )
         covariance_n[_STAR_NOISE] -= covariance_n[_PIXEL]
@@ -250,7 +250,7 @@ def _covariance_by_source(stars: MatchedStars, found: AttitudeFit, members: NDAr
     return solved
 
 
-def _rejected(residual_n: FloatArray, sigma: FloatArray, members: NDArray[np.bool_]) -> dict[int, Rejection]:
+def _rejections(residual_n: FloatArray, sigma: FloatArray, members: NDArray[np.bool_]) -> dict[int, Rejection]:
     rejected = {}
     for row in np.flatnonzero(~members).tolist():
         angle = float(np.linalg.norm(residual_n[row]))
@@ -263,7 +263,7 @@ def _angle_text(angle: float) -> str:
     return f'{angle / ARCSEC:.1f}"' if angle < 600.0 * ARCSEC else f"{np.rad2deg(angle):.2f}°"
 
 
-def no_attitude(members: NDArray[np.bool_], rejection: Rejection) -> StarSolution:
+def invalid_solution(members: NDArray[np.bool_], rejection: Rejection) -> StarSolution:
     """Return an INVALID solution.
 
     Args:

@@ -37,18 +37,18 @@ FIELD_MODES = 2 * len(_TERMS)
 """Number of coefficients of a map: half of them for the error in u, half for that in v."""
 
 _NODES = 20
-_PER_PIXEL = 2.0
+_DECORRELATION_PER_PIXEL = 2.0
 """Decorrelation rate of a pixel's error along a path on the detector, per pixel."""
 
-_STAY_PX, _NEAR_PX = 3.0, 5.0
+_DWELL_END_PX, _DWELL_BREAK_PX = 3.0, 5.0
 """Distances that end a dwell: mean movement of the stars, and distance of most stars from all starting positions."""
 
-_LEAST_WORTH = 1e-3
+_MIN_INFORMATION_RATIO = 1e-3
 """Least information of an exposure after another on the same pixels, ratio to that of the first one."""
 
 
 @dataclass(frozen=True)
-class PixelStay:
+class PixelDwell:
     """A pixel dwell: successive exposures whose stars stay near the same pixels.
 
     Attributes:
@@ -59,8 +59,8 @@ class PixelStay:
     """
 
     directions_s: FloatArray
-    exposures: int
-    excess: float
+    exposure_count: int
+    excess_ratio: float
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class SpatialErrors:
         pixels = self.camera.pixels(directions_s)
         return equivalent_sigma(self.camera.direction_covariance(pixels, self.pixel_sigma_px))
 
-    def stay(self, directions_s: FloatArray, sigma: FloatArray, before: PixelStay | None) -> PixelStay:
+    def pixel_dwell(self, directions_s: FloatArray, sigma: FloatArray, before: PixelDwell | None) -> PixelDwell:
         """Return the pixel dwell of an exposure after the previous one.
 
         Let ρ be the correlation of the pixel errors of successive exposures. Each exposure then has (1 - ρ)/(1 + ρ) of
@@ -122,30 +122,30 @@ class SpatialErrors:
             sigma: noise of each direction, rad, shape (k,).
             before: the dwell up to the last exposure used; None if there was none.
         """
-        here = PixelStay(directions_s, 0, 0.0)
+        here = PixelDwell(directions_s, 0, 0.0)
         if before is None or not (len(directions_s) and len(before.directions_s)):
             return here
         pixels = self.camera.pixels(directions_s)
-        way = pixels[:, None] - self.camera.pixels(before.directions_s)
-        length = np.linalg.norm(way, axis=-1)
+        displacement_px = pixels[:, None] - self.camera.pixels(before.directions_s)
+        length = np.linalg.norm(displacement_px, axis=-1)
         nearest = np.argmin(length, axis=1)
-        row = np.arange(len(way))
-        near = length[row, nearest] < _NEAR_PX
+        row = np.arange(len(displacement_px))
+        near = length[row, nearest] < _DWELL_BREAK_PX
         if 2 * np.count_nonzero(near) < len(near):
             return here
-        square = _mean_square_way(pixels[near], way[row, nearest][near])
+        square = _mean_square_displacement(pixels[near], displacement_px[row, nearest][near])
         # Shift (two components) and rotation each contain the errors of both exposures.
         own = np.mean((sigma[near] * self._pixels_per_rad) ** 2) + self.pixel_sigma_px**2
-        gone = np.sqrt(max(square - 6.0 * own / np.count_nonzero(near), 0.0))
-        count = before.exposures + 1
-        excess = 1.0 / max(np.tanh(gone / count), _LEAST_WORTH) - 1.0
-        if gone > _STAY_PX:
+        moved_px = np.sqrt(max(square - 6.0 * own / np.count_nonzero(near), 0.0))
+        count = before.exposure_count + 1
+        excess = 1.0 / max(np.tanh(moved_px / count), _MIN_INFORMATION_RATIO) - 1.0
+        if moved_px > _DWELL_END_PX:
             return replace(here, excess=excess)
         return replace(before, exposures=count, excess=excess)
 
-    def streak_share(self, length: FloatArray) -> FloatArray:
+    def streak_variance_ratio(self, length: FloatArray) -> FloatArray:
         """Return the fraction of the pixel-spatial variance that remains for streaks of given lengths (rad)."""
-        way = np.maximum(_PER_PIXEL * length * self._pixels_per_rad, 1e-3)
+        way = np.maximum(_DECORRELATION_PER_PIXEL * length * self._pixels_per_rad, 1e-3)
         share: FloatArray = 2.0 * (way + np.expm1(-way)) / way**2
         return share
 
@@ -154,12 +154,12 @@ class SpatialErrors:
         return self.camera.focal_length_m / self.camera.pixel_pitch_m
 
 
-def _mean_square_way(pixels: FloatArray, way: FloatArray) -> float:
+def _mean_square_displacement(pixels: FloatArray, displacement: FloatArray) -> float:
     """Return the mean square movement, px², of stars, shape (k, 2) each, by one shift and one rotation of all."""
-    shift, arm = way.mean(axis=0), pixels - pixels.mean(axis=0)
+    shift, arm = displacement.mean(axis=0), pixels - pixels.mean(axis=0)
     arms = float(np.sum(arm**2))
-    turn = float(np.sum(arm[:, 0] * way[:, 1] - arm[:, 1] * way[:, 0])) / arms if arms > 0.0 else 0.0
-    return float(shift @ shift) + turn**2 * arms / len(way)
+    turn = float(np.sum(arm[:, 0] * displacement[:, 1] - arm[:, 1] * displacement[:, 0])) / arms if arms > 0.0 else 0.0
+    return float(shift @ shift) + turn**2 * arms / len(displacement)
 
 
 def _modes_at(place: FloatArray) -> FloatArray:

@@ -27,27 +27,27 @@ class DeflectionTable:
 
         It is that of the nearest point of the track, interpolated linearly between two rows.
         """
-        starts_m, ways_m = self._lines_from(place)
+        starts_m, ways_m = self._segments_from(place)
         lengths_m = np.hypot(*ways_m.T)
         bridged = lengths_m <= self._reach_m
         # Fraction along each segment of the foot of the perpendicular, or of the end next to it.
         along = -np.sum(starts_m * ways_m, axis=1) / np.maximum(lengths_m, 1e-3) ** 2
-        share = np.clip(along, 0.0, 1.0)
-        away_m = np.hypot(*(starts_m + share[:, None] * ways_m).T)
-        away_m[~bridged] = np.inf
-        line = int(np.argmin(away_m))
-        if not away_m[line] <= self._reach_m:
+        fraction = np.clip(along, 0.0, 1.0)
+        distances_m = np.hypot(*(starts_m + fraction[:, None] * ways_m).T)
+        distances_m[~bridged] = np.inf
+        line = int(np.argmin(distances_m))
+        if not distances_m[line] <= self._reach_m:
             return None
         start, end = self._deflection[line], self._deflection[line + 1]
-        deflection: FloatArray = (1.0 - share[line]) * start + share[line] * end
+        deflection: FloatArray = (1.0 - fraction[line]) * start + fraction[line] * end
         return deflection
 
-    def away_m(self, place: GeodeticPosition) -> float:
+    def distance_m(self, place: GeodeticPosition) -> float:
         """Return the distance of the nearest row of the table from a position, m."""
-        starts_m, ways_m = self._lines_from(place)
+        starts_m, ways_m = self._segments_from(place)
         return float(np.hypot(*np.vstack([starts_m, starts_m[-1:] + ways_m[-1:]]).T).min())
 
-    def _lines_from(self, place: GeodeticPosition) -> tuple[FloatArray, FloatArray]:
+    def _segments_from(self, place: GeodeticPosition) -> tuple[FloatArray, FloatArray]:
         """Return start and extent of each segment relative to a position, (North, East), m, shapes (k - 1, 2).
 
         They are in the tangent plane of the ellipsoid at the position; the error at 100 km is 0.1 %.

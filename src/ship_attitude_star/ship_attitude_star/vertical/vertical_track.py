@@ -14,7 +14,7 @@ import numpy as np
 
 from ship_attitude_star.measurements.readings import DeflectionReading, PositionFix
 from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.sky.place_by_fixes import Place, PlaceByFixes
+from ship_attitude_star.sky.place_by_fixes import ShipPosition, PositionFromFixes
 from ship_attitude_star.vertical.config import CONSTANT, NONE, TABLE, GravityConfig
 from ship_attitude_star.vertical.deflection_table import DeflectionTable
 from ship_estimation.refusals import Reason, Rejection, same_stamp
@@ -24,17 +24,17 @@ from ship_geometry.time_scales import SECOND_NS
 STEP_NS = 2 * SECOND_NS
 """Interval at which position and deflection are evaluated, ns."""
 
-_MOVED_M = 100.0
+_MIN_MOVE_M = 100.0
 """Minimum distance that counts as motion, m: at anchor the noise of fixes would add up."""
 
-_MOST_STEPS = 50_000
+_MAX_STEPS = 50_000
 """Maximum number of steps evaluated after a gap, a day; after a longer one the distance restarts at zero."""
 
-_MOST_MESSAGES = 10_000
+_MAX_MESSAGES = 10_000
 """Maximum number of stored messages."""
 
 
-class VerticalHere(NamedTuple):
+class LocalVertical(NamedTuple):
     """The vertical at one time.
 
     Attributes:
@@ -45,14 +45,14 @@ class VerticalHere(NamedTuple):
         covariance: covariance of the error of the known deflection, or of the unknown deflection, rad², shape (2, 2).
     """
 
-    along_m: float
+    distance_run_m: float
     latitude: float
     velocity_m_per_s: tuple[float, float]
-    given: FloatArray | None
+    given_deflection: FloatArray | None
     covariance: FloatArray
 
     @property
-    def turn(self) -> FloatArray:
+    def deflection_jacobian(self) -> FloatArray:
         """Derivative of the rotation vector of the geodetic horizon relative to the gravity horizon, shape (3, 2).
 
         R_geodetic = exp(deflection_jacobian @ (xi, eta)) R_gravity, about (North, Up, East); a gyrocompass has the
@@ -61,11 +61,11 @@ class VerticalHere(NamedTuple):
         return np.array([[0.0, 1.0], [0.0, 0.0 if math.isnan(self.latitude) else math.tan(self.latitude)], [-1.0, 0.0]])
 
 
-_NOWHERE = VerticalHere(0.0, math.nan, (0.0, 0.0), None, np.zeros((2, 2)))
+_BEFORE_FIRST_FIX = LocalVertical(0.0, math.nan, (0.0, 0.0), None, np.zeros((2, 2)))
 """The vertical before the first position fix."""
 
 
-class _Knot(NamedTuple):
+class _GridPoint(NamedTuple):
     """The vertical at the start of an interval.
 
     Attributes:
@@ -74,9 +74,9 @@ class _Knot(NamedTuple):
         place: position at this time; None if no fix is near enough in time.
     """
 
-    here: VerticalHere
-    anchor: Place | None
-    place: Place | None
+    vertical: LocalVertical
+    anchor: ShipPosition | None
+    place: ShipPosition | None
 
 
 class VerticalTrack:
@@ -100,17 +100,17 @@ class VerticalTrack:
 
     def reset(self) -> None:
         """Discard all inputs and results."""
-        self._place = PlaceByFixes(self._sky)
+        self._place = PositionFromFixes(self._sky)
         self._messages: list[DeflectionReading] = []
         self._stamps: list[int] = []
-        self._knots: dict[int, _Knot] = {}
+        self._grid: dict[int, _GridPoint] = {}
         self._newest_step: int | None = None
 
     def clone(self) -> "VerticalTrack":
         """Return an independent copy for another estimator."""
         clone = copy.copy(self)
         clone._place = copy.deepcopy(self._place)
-        clone._messages, clone._stamps, clone._knots = list(self._messages), list(self._stamps), dict(self._knots)
+        clone._messages, clone._stamps, clone._grid = list(self._messages), list(self._stamps), dict(self._grid)
         return clone
 
     def step_time_base(self, step_ns: int) -> None:
@@ -118,7 +118,7 @@ class VerticalTrack:
         self._place.step_time_base(step_ns)
         self._messages = [replace(message, time_ns=message.time_ns + step_ns) for message in self._messages]
         self._stamps = [stamp_ns + step_ns for stamp_ns in self._stamps]
-        self._knots.clear()
+        self._grid.clear()
         self._newest_step = None
 
     # -- inputs ---------------------------------------------------------------------------------------------
@@ -130,16 +130,16 @@ class VerticalTrack:
         index = bisect.bisect_left(self._stamps, given.time_ns)
         if index < len(self._stamps) and self._stamps[index] == given.time_ns:
             return same_stamp(self._messages[index], given)[1]
-        if index == 0 and len(self._stamps) >= _MOST_MESSAGES:
+        if index == 0 and len(self._stamps) >= _MAX_MESSAGES:
             return Rejection(Reason.LATE, "its stamp is older than the stored messages of its source")
         return None
 
     def insert(self, given: "PositionFix | DeflectionReading") -> int | None:
         """Add an input; return the time after which results may have changed, ns, None for no change."""
-        changed_after_ns = self._place.insert(given) if isinstance(given, PositionFix) else self._put(given)
+        changed_after_ns = self._place.insert(given) if isinstance(given, PositionFix) else self._insert_reading(given)
         if changed_after_ns is None:
             return None
-        return self._forget_knots_after(changed_after_ns)
+        return self._drop_points_after(changed_after_ns)
 
     def drop_before(self, time_ns: int, needed_since_ns: int) -> None:
         """Discard data that are no longer needed.
@@ -151,87 +151,87 @@ class VerticalTrack:
         settled, oldest = time_ns // STEP_NS, needed_since_ns // STEP_NS
         if self._newest_step is not None:
             # Later points are computed from this one.
-            self._knot(max(settled, self._newest_step))
+            self._grid_point(max(settled, self._newest_step))
         self._place.drop_before(settled * STEP_NS)
         # Points are in time order, because each is computed after the one before it.
-        while self._knots and ((first := next(iter(self._knots))) < oldest or len(self._knots) > _MOST_STEPS):
-            del self._knots[first]
+        while self._grid and ((first := next(iter(self._grid))) < oldest or len(self._grid) > _MAX_STEPS):
+            del self._grid[first]
         passed = bisect.bisect_right(self._stamps, settled * STEP_NS) - 1
         if passed > 0:
             del self._stamps[:passed], self._messages[:passed]
 
     # -- results --------------------------------------------------------------------------------------------
 
-    def at(self, time_ns: int) -> VerticalHere:
+    def at(self, time_ns: int) -> LocalVertical:
         """Return the vertical at a time; within an interval the same object, until an input changes it."""
-        return self._knot(time_ns // STEP_NS).here
+        return self._grid_point(time_ns // STEP_NS).vertical
 
     def missing_data_text(self, time_ns: int) -> str:
         """Return a text about missing data at a time; empty if nothing is missing."""
-        knot = self._knot(time_ns // STEP_NS)
+        point = self._grid_point(time_ns // STEP_NS)
         if self._config.deflection == NONE:
-            lacking = "no position fix: the error model of the INS uses a wrong latitude"
-            return "" if knot.place is not None else lacking
-        if knot.here.given is not None or self._config.deflection in (CONSTANT, "unknown"):
+            text = "no position fix: the error model of the INS uses a wrong latitude"
+            return "" if point.place is not None else text
+        if point.vertical.given_deflection is not None or self._config.deflection in (CONSTANT, "unknown"):
             return ""
         if self._table is None:
             return f"no message on gravity/deflection within max_age_s = {self._config.max_age_s:g}"
-        if knot.place is None:
+        if point.place is None:
             return "no position fix: the deflection table cannot be used"
-        away_km = 1e-3 * self._table.away_m(knot.place.observer.position)
-        return f"no row of the deflection table near the ship: the nearest is {away_km:.0f} km away (gravity.table_…)"
+        distance_km = 1e-3 * self._table.distance_m(point.place.observer.position)
+        return f"no row of the deflection table near the ship: the nearest is {distance_km:.0f} km away (gravity.table_…)"
 
-    def _knot(self, step: int) -> _Knot:
-        found = self._knots.get(step)
+    def _grid_point(self, step: int) -> _GridPoint:
+        found = self._grid.get(step)
         if found is not None:
             return found
         newest = self._newest_step
-        if newest is None or step - newest > _MOST_STEPS:
-            return self._keep(step, self._first(step))
+        if newest is None or step - newest > _MAX_STEPS:
+            return self._store_point(step, self._first_point(step))
         if step < newest:
             # Before the first computed point, or discarded.
-            return self._first(step)
-        knot = self._knots[newest]
+            return self._first_point(step)
+        knot = self._grid[newest]
         for later in range(newest + 1, step + 1):
-            knot = self._keep(later, self._next(knot, later))
+            knot = self._store_point(later, self._next_point(knot, later))
         return knot
 
-    def _keep(self, step: int, knot: _Knot) -> _Knot:
-        self._knots[step], self._newest_step = knot, step
+    def _store_point(self, step: int, knot: _GridPoint) -> _GridPoint:
+        self._grid[step], self._newest_step = knot, step
         return knot
 
-    def _first(self, step: int) -> _Knot:
+    def _first_point(self, step: int) -> _GridPoint:
         """Return the first point of the track."""
         place = self._place_at(step)
-        return _Knot(self._here(step, 0.0, place, _NOWHERE), place, place)
+        return _GridPoint(self._local_vertical(step, 0.0, place, _BEFORE_FIRST_FIX), place, place)
 
-    def _next(self, before: _Knot, step: int) -> _Knot:
+    def _next_point(self, before: _GridPoint, step: int) -> _GridPoint:
         """Return the point one step later."""
-        place, along_m = self._place_at(step), before.here.along_m
+        place, along_m = self._place_at(step), before.vertical.distance_run_m
         if place is None:
             # Without a position the distance is extrapolated with the last velocity.
-            along_m += math.hypot(*before.here.velocity_m_per_s) * STEP_NS / SECOND_NS
-            return _Knot(self._here(step, along_m, None, before.here), before.anchor, None)
+            along_m += math.hypot(*before.vertical.velocity_m_per_s) * STEP_NS / SECOND_NS
+            return _GridPoint(self._local_vertical(step, along_m, None, before.vertical), before.anchor, None)
         if before.anchor is None:
-            return _Knot(self._here(step, along_m, place, before.here), place, place)
-        moved_m = _away_m(before.anchor, place)
-        has_moved = moved_m >= _MOVED_M
+            return _GridPoint(self._local_vertical(step, along_m, place, before.vertical), place, place)
+        distance_m = _distance_m(before.anchor, place)
+        has_moved = distance_m >= _MIN_MOVE_M
         if has_moved and before.place is not None:
-            along_m += moved_m
+            along_m += distance_m
         anchor = place if has_moved or before.place is None else before.anchor
-        return _Knot(self._here(step, along_m, place, before.here), anchor, place)
+        return _GridPoint(self._local_vertical(step, along_m, place, before.vertical), anchor, place)
 
-    def _here(self, step: int, along_m: float, place: Place | None, before: VerticalHere) -> VerticalHere:
+    def _local_vertical(self, step: int, along_m: float, place: ShipPosition | None, before: LocalVertical) -> LocalVertical:
         """Return the vertical at a step; without a position, latitude and velocity are those of the step before."""
         latitude, velocity = before.latitude, before.velocity_m_per_s
         if place is not None:
             latitude = float(place.observer.position.latitude)
             north, _, east = place.observer.velocity_n_m_per_s.tolist()
             velocity = north, east
-        given, covariance = self._given(step, place) or (None, self._unknown_covariance)
-        return VerticalHere(along_m, latitude, velocity, given, covariance)
+        given, covariance = self._given_deflection(step, place) or (None, self._unknown_covariance)
+        return LocalVertical(along_m, latitude, velocity, given, covariance)
 
-    def _given(self, step: int, place: Place | None) -> tuple[FloatArray, FloatArray] | None:
+    def _given_deflection(self, step: int, place: ShipPosition | None) -> tuple[FloatArray, FloatArray] | None:
         """Return the known deflection and the covariance of its error; None if it is unknown."""
         config = self._config
         if config.deflection == CONSTANT:
@@ -246,40 +246,40 @@ class VerticalTrack:
         covariance = self._given_covariance if message.covariance is None else message.covariance
         return message.deflection, covariance
 
-    def _place_at(self, step: int) -> Place | None:
-        place = self._place.at(step * STEP_NS)
+    def _place_at(self, step: int) -> ShipPosition | None:
+        place = self._place.position_at(step * STEP_NS)
         return None if isinstance(place, Rejection) else place
 
     # ---------------------------------------------------------------------------------------------------------
 
-    def _put(self, message: DeflectionReading) -> int | None:
+    def _insert_reading(self, message: DeflectionReading) -> int | None:
         """Insert a message by its stamp; of two with the same stamp the one whose bytes sort first is kept."""
         index = bisect.bisect_left(self._stamps, message.time_ns)
         if index < len(self._stamps) and self._stamps[index] == message.time_ns:
             if self._messages[index].content() <= message.content():
                 return None
             self._messages[index] = message
-        elif index == 0 and len(self._stamps) >= _MOST_MESSAGES:
+        elif index == 0 and len(self._stamps) >= _MAX_MESSAGES:
             return None
         else:
             self._stamps.insert(index, message.time_ns)
             self._messages.insert(index, message)
-            if len(self._stamps) > _MOST_MESSAGES:
+            if len(self._stamps) > _MAX_MESSAGES:
                 del self._stamps[0], self._messages[0]
         return message.time_ns - 1
 
-    def _forget_knots_after(self, time_ns: int) -> int | None:
+    def _drop_points_after(self, time_ns: int) -> int | None:
         """Discard the points after a time; return the time after which points were discarded, None for none."""
-        gone = [step for step in self._knots if step * STEP_NS > time_ns]
+        gone = [step for step in self._grid if step * STEP_NS > time_ns]
         for step in gone:
-            del self._knots[step]
+            del self._grid[step]
         if not gone:
             return None
-        self._newest_step = max(self._knots, default=None)
+        self._newest_step = max(self._grid, default=None)
         return min(gone) * STEP_NS - 1
 
 
-def _away_m(earlier: Place, later: Place) -> float:
+def _distance_m(earlier: ShipPosition, later: ShipPosition) -> float:
     """Return the distance over ground between two nearby positions, m."""
     radius_north_m, radius_east_m = earlier.horizon_radii_m
     here, there = earlier.observer.position, later.observer.position

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.ship_attitude.alignment import Alignment, AlignmentPrior, alignment_of
+from ship_attitude_star.ship_attitude.alignment import Alignment, AlignmentPrior, current_alignment
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_bags.errors import BadInput
 from ship_geometry.frames import angle_errors_from_rotation_vector, rotation_from_angles
@@ -219,7 +219,7 @@ def calibration_of(session: Session) -> InstallationCalibration:
         ins_sigma_d=ARCSEC * np.array([ins.tilt_sigma_arcsec, ins.heading_sigma_arcsec, ins.tilt_sigma_arcsec]),
     )
     labelled = {str(number): combination for number, combination in enumerate(found, start=1)}
-    before, after = alignment_of(core.filter, config, core.filter.initial_state()), core.alignment()
+    before, after = current_alignment(core.filter, config, core.filter.initial_state()), core.alignment()
     index = [after.names.index(f"star.{id_}.{angle}") for id_ in sensors for angle in ANGLES]
     return InstallationCalibration(
         angles=_installed_angles(before, after, index, labelled, sensors),

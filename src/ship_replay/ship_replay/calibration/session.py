@@ -203,7 +203,7 @@ def _check_star_topics(bag: Bag, config: ShipAttitudeConfig, there: set[str]) ->
 def _check_used(bag: Bag, core: ShipAttitudeCore, counts: Mapping[str, InputCount]) -> None:
     for source, device in core.filter.devices.items():
         count = counts[source]
-        if device.is_star and source not in core.state.used_ns:
+        if device.is_star and source not in core.state.last_used_ns:
             hint = ": its installation error exceeds its sigma: use --prior-sigma" if count.improbable else ""
             raise BadInput(f"no message of {source} was used: {count.words}{hint}", file=bag.path)
 

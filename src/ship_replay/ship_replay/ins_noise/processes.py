@@ -18,7 +18,7 @@ from scipy.linalg import expm
 from ship_attitude_star.ins_errors.config import GAUSS_MARKOV, SCHULER, SchulerConfig
 from ship_attitude_star.ins_errors.schuler import SchulerIns
 from ship_attitude_star.ship_attitude.config import InsConfig
-from ship_attitude_star.vertical.vertical_track import VerticalHere
+from ship_attitude_star.vertical.vertical_track import LocalVertical
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_replay.ins_noise.likelihood import ProcessSteps
 
@@ -135,7 +135,7 @@ class SchulerModel:
 
     name = SCHULER
 
-    def __init__(self, ins: InsConfig, here: VerticalHere) -> None:
+    def __init__(self, ins: InsConfig, here: LocalVertical) -> None:
         schuler = ins.schuler
         found = (
             ("tilt_sigma_arcsec", ins.tilt_sigma_arcsec, 1e3),
@@ -212,7 +212,7 @@ class SchulerModel:
             steps = np.round(np.diff(times_s) / _STEP_S).astype(np.int64)
             kinds, of = np.unique(steps, return_inverse=True)
             process = SchulerIns(self._config, np.ones(3), None)
-            rates = process.rates(self._here) * self._scale / self._scale[:, None]
+            rates = process.system_matrix(self._here) * self._scale / self._scale[:, None]
             found = [_way(rates, kind * _STEP_S) for kind in kinds.tolist()]
             transition = np.array([way[0] for way in found]).reshape(-1, 11, 11)[of]
             fresh = np.array([way[1] for way in found]).reshape(-1, 4, 11, 11)[of]
@@ -261,7 +261,7 @@ def _unit(name: str) -> str:
     return next(unit for ending, unit in _UNITS.items() if name.endswith(ending))
 
 
-def candidate_models(ins: InsConfig, here: VerticalHere | None) -> Sequence[InsErrorModel]:
+def candidate_models(ins: InsConfig, here: LocalVertical | None) -> Sequence[InsErrorModel]:
     """Return the models to be fitted; Schuler's only if the latitude is known."""
     gauss_markov = GaussMarkovModel(ins)
     return (gauss_markov,) if here is None else (gauss_markov, SchulerModel(ins, here))

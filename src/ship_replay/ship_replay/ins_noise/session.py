@@ -21,7 +21,7 @@ from ship_attitude_star.ship_attitude.config import InsConfig, ShipAttitudeConfi
 from ship_attitude_star.ship_attitude.core import INS, ShipAttitudeCore
 from ship_attitude_star.ship_attitude.model import ShipStateModel
 from ship_attitude_star.vertical.config import UNKNOWN, GravityConfig
-from ship_attitude_star.vertical.vertical_track import VerticalHere
+from ship_attitude_star.vertical.vertical_track import LocalVertical
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.message_factory import MessageFactory
@@ -55,7 +55,7 @@ class StarPair(NamedTuple):
     value: FloatArray
     jacobian: FloatArray
     noise: FloatArray
-    here: VerticalHere
+    here: LocalVertical
 
 
 @dataclass
@@ -80,17 +80,17 @@ class StarComparisons:
         key = measurement.source, measurement.time_ns
         self.found.pop(key, None)
         self.rejected.discard(key)
-        linearised = core.linearised(measurement) if decision.accepted else None
+        linearised = core.linearise(measurement) if decision.accepted else None
         if linearised is None:
             self.rejected.add(key)
             return
         assert core.vertical is not None
         linear, here = linearised.compared.linear, core.vertical.at(measurement.time_ns)
         value = linear.residual + linear.jacobian @ core.state.mean
-        if here.given is not None:
+        if here.given_deflection is not None:
             # The INS is levelled by gravity: the given deflection is no error of the INS.
             attitude = core.filter.model.slices["ins.attitude"]
-            value = value - linear.jacobian[:, attitude] @ (here.turn @ here.given)
+            value = value - linear.jacobian[:, attitude] @ (here.deflection_jacobian @ here.given_deflection)
         self.found[key] = StarPair(measurement.time_ns, measurement.source, value, linear.jacobian, linear.noise, here)
 
 
@@ -210,11 +210,11 @@ class _Nowhere:
         """Ignore the truth: an identification must not use it."""
 
 
-def mean_location(pairs: Iterable[StarPair]) -> VerticalHere | None:
+def mean_location(pairs: Iterable[StarPair]) -> LocalVertical | None:
     """Return mean latitude and velocity of the ship over the comparisons; None without any position fix."""
     places = [pair.here for pair in pairs if not np.isnan(pair.here.latitude)]
     if not places:
         return None
     north, east = np.mean([here.velocity_m_per_s for here in places], axis=0).tolist()
     latitude = float(np.mean([here.latitude for here in places]))
-    return VerticalHere(0.0, latitude, (north, east), None, np.zeros((2, 2)))
+    return LocalVertical(0.0, latitude, (north, east), None, np.zeros((2, 2)))

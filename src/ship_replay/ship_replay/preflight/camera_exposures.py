@@ -13,7 +13,7 @@ import numpy as np
 from ship_attitude_star.ros.star_messages_in import star_exposure
 from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.stars.config import CameraConfig
-from ship_attitude_star.stars.exposure import StarExposure, identified
+from ship_attitude_star.stars.exposure import StarExposure, identify_stars
 from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.refusals import Rejection
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between
@@ -99,16 +99,16 @@ def _exposures(record: CameraRecord, camera: CameraConfig, axes: ImageAxes, sky_
             exposure = star_exposure(message, sensor_id, "", geometry, camera, sky_model.catalogue, receive_ns).value
         except MessageRejected:
             continue
-        sky = sky_model.at(exposure.time_ns)
+        sky = sky_model.sky_at(exposure.time_ns)
         if isinstance(sky, Rejection):
             continue
         if axes is not AS_EXPECTED:
             exposure = replace(exposure, directions_s=exposure.directions_s @ axes.expected_s.T)
-        prior = None if exposure.identified.all() else record.prior_at(exposure.time_ns)
+        prior = None if exposure.is_identified.all() else record.prior_at(exposure.time_ns)
         if prior is not None:
             widened_n = prior.covariance_n + _PRIOR_SIGMA**2 * np.eye(3)
             unknown = np.full(len(exposure), np.nan)
-            named, _ = identified(
+            named, _ = identify_stars(
                 replace(exposure, magnitude=unknown), StarPrior(prior.rotation_nb, widened_n), sky
             )
             exposure = replace(named, magnitude=exposure.magnitude)
@@ -124,12 +124,12 @@ def _angle_ratio(exposures: list[StarExposure], sky_model: SkyModel) -> float | 
     """Return the median ratio of measured to true angles between stars; None if there are too few pairs."""
     ratios: list[float] = []
     for exposure in exposures:
-        named = exposure[exposure.identified]
+        named = exposure[exposure.is_identified]
         if len(named) < 2:
             continue
-        sky = sky_model.at(named.time_ns)
+        sky = sky_model.sky_at(named.time_ns)
         assert not isinstance(sky, Rejection)
-        places_n = sky.apparent(named.positions).direction_n
+        places_n = sky.apparent_stars(named.positions).direction_n
         first, second = np.triu_indices(len(named), 1)
         true = angle_between(places_n[first], places_n[second])
         measured = angle_between(named.directions_s[first], named.directions_s[second])

@@ -16,7 +16,7 @@ from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.star_attitude.exposure_solver import PlacedExposure, solve_exposure
 from ship_attitude_star.stars.config import CameraConfig
 from ship_attitude_star.stars.field_scale import OpticsEstimate, estimate_optics, field_information
-from ship_attitude_star.stars.selection import FEWEST_VERIFIED
+from ship_attitude_star.stars.selection import MIN_VERIFIED_STARS
 from ship_attitude_star.stars.solution import SolutionStatus, StarSolution
 from ship_geometry.rotations import FloatArray, log_rotation
 from ship_replay.preflight.camera_exposures import AS_EXPECTED, MIRRORED, CameraRecord, ImageAxes, fitted_camera
@@ -85,7 +85,7 @@ class _Reading:
     @property
     def verified(self) -> list[tuple[PlacedExposure, StarSolution]]:
         """Exposures in which the stars verify one another."""
-        return [entry for entry in self.solved if entry[1].star_count >= FEWEST_VERIFIED]
+        return [entry for entry in self.solved if entry[1].star_count >= MIN_VERIFIED_STARS]
 
     def median_rotation(self, record: CameraRecord) -> float:
         """Return the median angle between the attitudes and the predicted ones, rad; NaN without predictions."""
@@ -129,7 +129,7 @@ def _mirrored(record: CameraRecord, expected: _Reading, sky_model: SkyModel) -> 
 
 def _explains(mirrored: _Reading, expected: _Reading) -> bool:
     """True if most stars are consistent with the mirrored axes, and far fewer with the expected ones."""
-    least = max(_MOST_OF_THE_STARS * mirrored.star_count, 2 * expected.used_count, FEWEST_VERIFIED)
+    least = max(_MOST_OF_THE_STARS * mirrored.star_count, 2 * expected.used_count, MIN_VERIFIED_STARS)
     return mirrored.used_count >= least
 
 

@@ -16,7 +16,7 @@ from ship_attitude_star.ros.messages_in import inertial_attitude, reference_meas
 from ship_attitude_star.ros.surroundings_in import SURROUNDINGS, surroundings_reader
 from ship_attitude_star.ship_attitude.config import ReferenceConfig, ShipAttitudeConfig, StarSensorConfig
 from ship_attitude_star.sky.sky_watch import SkyModel, load_sky_model
-from ship_attitude_star.sky.tracker_attitude import in_horizon
+from ship_attitude_star.sky.tracker_attitude import to_horizon_attitude
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.stars.config import MountingConfig
 from ship_bags.errors import BadInput
@@ -194,7 +194,7 @@ def _attitudes(
                 inertial = inertial_attitude(message, id_, device, receive_ns).value
                 if sky_model is None:
                     continue
-                measurement = in_horizon(inertial, sky_model)
+                measurement = to_horizon_attitude(inertial, sky_model)
             else:
                 measurement = star_measurement(message, id_, device, receive_ns).value
         except MessageRejected:

@@ -8,7 +8,7 @@ from typing import Any
 from ship_attitude_star.measurements.samples import AttitudeDecision
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.linearised import Linearised
+from ship_attitude_star.ship_attitude.linearised import LinearisedMeasurement
 from ship_attitude_star.ship_attitude.state import FilterState, changed
 from ship_estimation.kalman import innovation, update
 from ship_estimation.outcome import Measurement
@@ -28,14 +28,14 @@ class ShipFilterWithoutSubfilters(ShipFilter):
         self.fault_detector.subfilters.count, self.fault_detector.subfilters.ins_subfilters = 1, ()
 
     def _judged(
-        self, state: FilterState, predicted: FilterState, measurement: Measurement, found: Linearised
+        self, state: FilterState, predicted: FilterState, measurement: Measurement, found: LinearisedMeasurement
     ) -> tuple[FilterState, AttitudeDecision]:
         linear = found.compared.linear
         _, nis, gain = innovation(predicted.covariance_by_source, linear)
         correction, parts = update(predicted.covariance_by_source, linear, gain)
         after = changed(predicted, means=predicted.means + correction, stack=parts)
         decision = AttitudeDecision(measurement, Reason.NONE, True, nis=nis, ins_time_ns=found.ins_time_ns)
-        return self._used(after, measurement), decision
+        return self._record_accepted(after, measurement), decision
 
 
 class _NoSubfilters:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ship_attitude_star.sky.masks import refuse_covered, sensor_masks
+from ship_attitude_star.sky.masks import check_field_not_covered, sensor_masks
 from ship_bags.parameter_yaml import ParameterFile, read_plain
 from ship_estimation.parameters import ParameterError, build
 from ship_geometry.earth_orientation import earth_orientation_table
@@ -129,7 +129,7 @@ def _mask_problems(key: str, sensor: StarSensor) -> Iterator[ParameterError]:
     try:
         masks = sensor_masks(sensor, key)
         if masks is not None and sensor.camera.width_px and sensor.camera.height_px:
-            refuse_covered(masks, sensor.camera.field_directions(f"{key}.camera"), key)
+            check_field_not_covered(masks, sensor.camera.field_directions(f"{key}.camera"), key)
     except ParameterError as problem:
         yield problem
 

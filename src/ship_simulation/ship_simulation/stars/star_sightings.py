@@ -224,7 +224,7 @@ def _identities(
     """Return the reported HIP number and position of each star, and the error of the position."""
     catalogue, start_ns = sky.catalogue, sky.track.start_ns
     if config.identified and not config.direction_given:
-        return catalogue.hip[claimed], catalogue.at_j2000[claimed], catalogue.sigma(claimed, year_of(start_ns))
+        return catalogue.hip[claimed], catalogue.at_j2000[claimed], catalogue.position_sigma_at(claimed, year_of(start_ns))
     if config.identified:
         positions = place_of_date(catalogue.at_j2000[claimed], start_ns)
     else:

@@ -11,7 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from ship_attitude_star.stars.exposure import StarExposure
-from ship_attitude_star.stars.spatial_errors import PixelStay
+from ship_attitude_star.stars.spatial_errors import PixelDwell
 from ship_estimation.hypotheses import compare_rows
 from ship_estimation.ins import InsJump
 from ship_estimation.kalman import LinearMeasurement, predict, update
@@ -29,7 +29,7 @@ from theodolite_calib.measured.sighting import Sighting
 
 Jump = EncoderJump | InsJump
 
-_NO_STAYS: MappingProxyType[str, PixelStay] = MappingProxyType({})
+_NO_STAYS: MappingProxyType[str, PixelDwell] = MappingProxyType({})
 
 _STEPS = 5
 # The non-linear remainder of a step of this size (rad) is its square: below rounding.
@@ -74,7 +74,7 @@ class CalibrationState:
     last_beacons_ns: int | None = None
     light_count: int = 0
     last_stars_ns: int | None = None
-    stays: MappingProxyType[str, PixelStay] = field(default_factory=lambda: _NO_STAYS)
+    stays: MappingProxyType[str, PixelDwell] = field(default_factory=lambda: _NO_STAYS)
     sighting_count: int = 0
     points_used: int = 0
     residual_square_sum: float = 0.0
@@ -277,8 +277,8 @@ class CalibrationFilter:
         """
         measurement, (gain,) = comparison.measurement, comparison.innovations.gain
         stays = state.stays
-        if exposure.stay is not None:
-            stays = MappingProxyType({**stays, exposure.source: exposure.stay})
+        if exposure.pixel_dwell is not None:
+            stays = MappingProxyType({**stays, exposure.source: exposure.pixel_dwell})
         correction, parts = update(state.parts, measurement, gain)
         return replace(
             state,

@@ -19,7 +19,7 @@ from ship_attitude_star.sky.shared_states import sky_slice
 from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.stars.camera_states import camera_state_indices
 from ship_attitude_star.stars.residuals import StarResiduals, star_residuals
-from ship_attitude_star.stars.scale_check import learned_contradiction
+from ship_attitude_star.stars.scale_check import check_estimated_focal_length
 from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.hypotheses import FilterInnovations, compare_rows
 from ship_estimation.kalman import LinearMeasurement, StateModel
@@ -153,7 +153,7 @@ class StarModel:
             return None
         in_sigmas = float(self._in_sigmas[rows[0]])
         variance = float(covariance[rows[0], rows[0]])
-        return learned_contradiction(optics, in_sigmas * float(mean[rows[0]]), in_sigmas**2 * variance)
+        return check_estimated_focal_length(optics, in_sigmas * float(mean[rows[0]]), in_sigmas**2 * variance)
 
     def compare(
         self, mean: FloatArray, covariance: FloatArray, sighting: StarSighting, sky: SkyModel
@@ -179,7 +179,7 @@ class StarModel:
             if isinstance(stars, Rejection):
                 return stars
             measurement = self._measurement(camera, stars, reached - mean)
-            innovations = compare_rows(mean[None], covariance[None], measurement, mean, stars.by_turn)
+            innovations = compare_rows(mean[None], covariance[None], measurement, mean, stars.rotation_jacobian)
             found = StarComparison(camera, stars, measurement, innovations)
             led = mean + innovations.gain[0] @ measurement.residual
             if np.max(np.abs(camera.turn_n @ (led - reached))) < _SMALL_STEP:
@@ -190,7 +190,7 @@ class StarModel:
 
     def _measurement(self, camera: CameraAttitude, stars: StarResiduals, moved: FloatArray) -> LinearMeasurement:
         """Return the stars as one Kalman measurement, linearised at ``offset`` from the propagated mean."""
-        by_turn_n = stars.by_turn @ camera.rotation_ns.T
+        by_turn_n = stars.rotation_jacobian @ camera.rotation_ns.T
         index = self._model.source_indices
         noise = {index[source]: by_turn_n @ part_n @ by_turn_n.T for source, part_n in camera.noise_n.items()}
         noise |= {index[source]: part for source, part in stars.noise.items()}

@@ -50,7 +50,7 @@ class StarStep:
     def _evaluate(self, state: CalibrationState, sighting: StarSighting) -> tuple[CalibrationState, ExposureDecision]:
         predicted = self._filter.predicted(state, sighting.time_ns, sighting.ship.correlated_covariance_n)
         predicted = self._filter.unknown(predicted)
-        exposure = sighting.exposure.after(state.stays.get(sighting.exposure.source))
+        exposure = sighting.exposure.with_pixel_dwell(state.stays.get(sighting.exposure.source))
         sighting = replace(sighting, exposure=exposure)
         try:
             found = self._filter.stars.compare(predicted.mean, predicted.covariance, sighting, self._sky)
@@ -91,7 +91,7 @@ class StarStep:
             decision = replace(decision, reason=contradiction.reason, text=contradiction.text)
             return count_rejection(state, decision, self._gate, "stars")
         alternatives = self._filter.subfilters.seen_stars(
-            predicted.subfilters, measurement, predicted.mean, found.stars.by_turn, self._gate.probability
+            predicted.subfilters, measurement, predicted.mean, found.stars.rotation_jacobian, self._gate.probability
         )
         separation = separations(after, alternatives, self._turning, found.camera.rotation_ns, found.camera.turn_n)
         trust = self._fault_detector.agreed(predicted.fault_state, sighting.time_ns)

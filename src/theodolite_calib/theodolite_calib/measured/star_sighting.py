@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_attitude_star.stars.exposure import StarExposure, at_middle
+from ship_attitude_star.stars.exposure import StarExposure, reduce_to_mid_exposure
 from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.frames import rotation_from_angles
 from theodolite_calib.chain.axes import AxisErrors
@@ -68,4 +68,4 @@ def star_sighting(
     rotation_sm = rotation_from_angles(*config.telescopes[camera_id].parallelism)
     turned_ns = turned_nm @ rotation_sm.T
     turns = np.swapaxes(turned_ns, -1, -2) @ turned_ns[nodes.offset_ns.index(0)]
-    return StarSighting(camera_id, at_middle(exposure, turns), ship, encoder)
+    return StarSighting(camera_id, reduce_to_mid_exposure(exposure, turns), ship, encoder)

@@ -50,7 +50,7 @@ def pointing_by_stars(
     if exposure.length is not None:
         # The rotation of the camera during the exposure is not measured.
         unmeasured_acceleration = np.deg2rad(config.ins.untold_acceleration_deg_per_s2)
-        solution = solution.with_more_noise(exposure.length.unmeasured_turn_variance(float(unmeasured_acceleration)))
+        solution = solution.with_added_noise(exposure.length.unmeasured_turn_variance(float(unmeasured_acceleration)))
     model, camera_id = filter_.model, exposure.source.partition(".")[2]
     block = model.slices[parallelism_block(camera_id, config)]
     azimuth, elevation, roll = config.telescopes[camera_id].parallelism + state.mean[block]

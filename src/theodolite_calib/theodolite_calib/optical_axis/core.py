@@ -381,7 +381,7 @@ class OpticalAxisCore:
 
         With a memory it also starts with the current position and air.
         """
-        second = type(self)(self.config, None if self._sky is None else self._sky.twin(memory is not None))
+        second = type(self)(self.config, None if self._sky is None else self._sky.clone(memory is not None))
         second._start = self._start
         if memory is None:
             second.reset()

@@ -213,7 +213,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
                 catalogue=self._sky.catalogue,
             )
             yield Feed(topic, f"star.{id_}", read, core.add_stars, has_decision=True)
-        yield from surroundings_feeds(config.sky, untimed(core.add_surroundings), place_required=False)
+        yield from surroundings_feeds(config.sky, untimed(core.add_surroundings), position_required=False)
 
     def _read_ships(
         self, messages: CdrRows, receive_ns: StampArray, config: OpticalAxisConfig
