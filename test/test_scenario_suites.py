@@ -12,7 +12,7 @@ from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
-from ship_bags.parameter_yaml import PARAMETERS_KEY, anywhere
+from ship_bags.parameter_yaml import PARAMETERS_KEY, in_any_namespace
 from ship_estimation.parameters import flatten
 from ship_node.parameters.parameter_file import has_section, load_config
 from ship_simulation.scenario.scenario import FusedAttitude, StarSensor, WeatherStation
@@ -48,7 +48,7 @@ def configured_nodes(scenario):
     sections = yaml.safe_load(text)
     nodes = {section.rpartition("/")[2]: values[PARAMETERS_KEY] for section, values in sections.items()}
     return {
-        node: (load_config(ADAPTERS[node].config_type, text, anywhere(node)), values) for node, values in nodes.items()
+        node: (load_config(ADAPTERS[node].config_type, text, in_any_namespace(node)), values) for node, values in nodes.items()
     }
 
 

@@ -14,7 +14,7 @@ from ship_bags.commands.info import main as info
 from ship_bags.live.ros_process import executable
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
-from ship_bags.renamed_topics import names_of, topic_names
+from ship_bags.renamed_topics import names_from_options, topic_names
 from ship_bags.stamps import NS_PER_S
 from ship_bringup.checks.network_look import look_at_network
 from ship_bringup.security.rights import suite_rights
@@ -157,7 +157,7 @@ def test_the_page_shows_a_recording_with_other_names(expected, tmp_path):
             topic = {"ship/attitude": "/nav/attitude"}.get(record.topic, record.topic)
             writer.write_raw(topic, record.type_name, record.data, record.log_time_ns)
     options = monitor_parser().parse_args(["--bag", "other.mcap", "--remap", "/nav/attitude:=ship/attitude"])
-    with topic_names(names_of(options)):
+    with topic_names(names_from_options(options)):
         suite = RecordedSuite(tmp_path / "other.mcap")
     assert any(message.topic == "ship/attitude" for message in suite.messages(0))
     suite.close()

@@ -33,7 +33,7 @@ def message_cost() -> list[Row]:
         **{f"{name}_covariance": unknown for name in ("orientation", "angular_velocity", "linear_acceleration")},
     }
     data = serialize(offline.make(_IMU_TYPE, **fields))
-    assert live.encoded(_IMU_TYPE, **fields).__cdr__ == data
+    assert live.encode(_IMU_TYPE, **fields).__cdr__ == data
     reader, store, config = CdrReader(_IMU_TYPE, live.definition), message_store(), InsInputConfig()
 
     def sample_of(message: Any) -> None:
@@ -41,7 +41,7 @@ def message_cost() -> list[Row]:
 
     made_us, by_rosbags_us, by_rclpy_us, read_us, read_by_rosbags_us, read_by_rclpy_us = by_turns(
         ROUNDS,
-        lambda: median_us(lambda: live.encoded(_IMU_TYPE, **fields)),
+        lambda: median_us(lambda: live.encode(_IMU_TYPE, **fields)),
         lambda: median_us(lambda: serialize(offline.make(_IMU_TYPE, **fields))),
         lambda: median_us(lambda: serialize_message(live.make(_IMU_TYPE, **fields))),
         lambda: median_us(lambda: sample_of(reader.message(data))),

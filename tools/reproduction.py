@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
-from ship_bags.output_files import write_whole
+from ship_bags.output_files import write_atomically
 from ship_node.documents.figure_files import write_figures
 from tools.papers import p15, w18, z14
 from tools.papers.figures import figures
@@ -47,7 +47,7 @@ def main() -> int:
 def _run(options: argparse.Namespace) -> int:
     pictures = options.out.parent / PICTURES
     pictures.mkdir(parents=True, exist_ok=True)
-    write_whole(options.out, page())
+    write_atomically(options.out, page())
     write_figures(figures(), pictures)
     sys.stdout.write(f"{options.out}, pictures in {pictures}\n")
     return EXIT_DONE

@@ -15,7 +15,7 @@ import numpy as np
 
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
-from ship_bags.parameter_yaml import anywhere
+from ship_bags.parameter_yaml import in_any_namespace
 from ship_estimation.outcome import Status
 from ship_estimation.parameters import build
 from ship_geometry.frames import rotation_from_angles
@@ -84,7 +84,7 @@ def voyage_of(node: str, given: Scenario) -> Voyage:
         "star_attitude": StarAttitudeAdapter,
         "optical_axis": OpticalAxisAdapter,
     }[node.partition(" ")[0]]
-    config = load_config(adapter_class.config_type, suite_yaml(given), anywhere(adapter_class.node_name))
+    config = load_config(adapter_class.config_type, suite_yaml(given), in_any_namespace(adapter_class.node_name))
     if node.endswith("by ins"):
         config = replaced(config, escort__enabled=True, escort__period_s=1.0)
 

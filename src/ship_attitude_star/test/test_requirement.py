@@ -16,7 +16,7 @@ from ship_attitude_star.layout.layout_study_command import main, output_names
 from ship_attitude_star.layout.masks import Obstructions
 from ship_attitude_star.layout.requirement import ALL_MOVED, AS_GIVEN, Candidate, RequirementResult
 from ship_attitude_star.layout.study import compute_study
-from ship_bags.parameter_yaml import read_plain
+from ship_bags.parameter_yaml import read_nested_parameters
 from ship_estimation.parameters import ParameterError
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -129,7 +129,7 @@ def test_the_search_finds_the_best_of_all_directions(asked: dict[str, float], ma
 
 
 def test_the_admissible_map_equals_single_evaluations() -> None:
-    config = study_config(read_plain(EXAMPLE).values)
+    config = study_config(read_nested_parameters(EXAMPLE).values)
     computed = compute_study(config)
     assert computed.requirement_result is not None
     allowed, moved = computed.requirement_result.maps[1], computed.maps[1]
@@ -228,7 +228,7 @@ def test_a_requirement_out_of_reach_ends_with_1_and_the_nearest_miss(
     assert "of 2 arcsec" in said
     page = (out / "layout_study.html").read_text(encoding="utf-8")
     assert "No layout meets it." in page
-    tables = {name for name in output_names(study_config(read_plain(layout).values)) if name.endswith(".csv")}
+    tables = {name for name in output_names(study_config(read_nested_parameters(layout).values)) if name.endswith(".csv")}
     assert {path.name for path in out.glob("*.csv")} == tables
 
 
@@ -267,7 +267,7 @@ def test_the_example_has_an_admissible_layout(tmp_path: Path, capsys: pytest.Cap
     said = capsys.readouterr().out
     assert "  1 all sensors moved       meets it" in said
     assert f"  5 {AS_GIVEN:24}does not: pitch uses 101.1 %" in said
-    assert {path.name for path in tmp_path.iterdir()} == set(output_names(study_config(read_plain(EXAMPLE).values)))
+    assert {path.name for path in tmp_path.iterdir()} == set(output_names(study_config(read_nested_parameters(EXAMPLE).values)))
     page = (tmp_path / "layout_study.html").read_text(encoding="utf-8")
     for words in ("Requirement", "Effect of elevation", "Maximum size of each error", "bridge_wings"):
         assert words in page

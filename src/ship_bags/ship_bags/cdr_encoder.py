@@ -37,7 +37,7 @@ class CdrEncoder:
         definitions: returns the definition of a type.
     """
 
-    _MOST_TEMPLATES = 1000
+    _MAX_TEMPLATES = 1000
     """Maximum number of cached layouts, so that changing texts do not fill the memory."""
 
     def __init__(self, definitions: Definitions) -> None:
@@ -45,13 +45,13 @@ class CdrEncoder:
         self._flatteners: dict[tuple[str, bool], _Flattener] = {}
         self._templates: dict[tuple[Variable, ...], CdrTemplate] = {}
 
-    def encoded(self, type_name: str, fields: Mapping[str, Any]) -> CdrMessage:
+    def encode(self, type_name: str, fields: Mapping[str, Any]) -> CdrMessage:
         """Return a message; see :meth:`ship_bags.message_factory.MessageFactory.encode`."""
         numbers: list[Any] = []
         template = self._flatten(type_name, fields, numbers, many=False)
         return template.message(template.pack(numbers))
 
-    def encoded_rows(self, type_name: str, count: int, fields: Mapping[str, Any]) -> CdrRows:
+    def encode_rows(self, type_name: str, count: int, fields: Mapping[str, Any]) -> CdrRows:
         """Return messages; see :meth:`ship_bags.message_factory.MessageFactory.encode_rows`."""
         columns: list[Any] = []
         template = self._flatten(type_name, fields, columns, many=True)
@@ -71,7 +71,7 @@ class CdrEncoder:
     def _template(self, type_name: str, variables: tuple[Variable, ...]) -> CdrTemplate:
         layout = (type_name, *variables)
         if layout not in self._templates:
-            if len(self._templates) >= self._MOST_TEMPLATES:
+            if len(self._templates) >= self._MAX_TEMPLATES:
                 self._templates.clear()
             self._templates[layout] = CdrTemplate(type_name, self._definitions, variables)
         return self._templates[layout]

@@ -11,7 +11,7 @@ class CdrReader:
         definitions: returns the definition of a type, also of all types that it refers to.
     """
 
-    _MOST_TEMPLATES = 16
+    _MAX_TEMPLATES = 16
     """Maximum number of lengths with a template, so that changing texts do not fill the memory."""
 
     def __init__(self, type_name: str, definitions: Definitions) -> None:
@@ -25,12 +25,12 @@ class CdrReader:
 
         Types with sequences are always read by message objects, because their layout changes from message to message.
         """
-        template = self._templates.get(len(data)) or self._laid_out(data)
-        return template.message(data) if template is not None and template.fits(data) else None
+        template = self._templates.get(len(data)) or self._add_template(data)
+        return template.message(data) if template is not None and template.matches(data) else None
 
-    def _laid_out(self, data: bytes) -> CdrTemplate | None:
+    def _add_template(self, data: bytes) -> CdrTemplate | None:
         """Return a template for all messages of a length, from the first one."""
-        if not self._is_fixed or len(self._templates) >= self._MOST_TEMPLATES:
+        if not self._is_fixed or len(self._templates) >= self._MAX_TEMPLATES:
             return None
         try:
             template = CdrTemplate.of_message(self._type_name, self._definitions, data)

@@ -113,12 +113,12 @@ class CdrTemplate:
             template._lay_out(type_name, definitions, lambda field, at: _variable_at(data, field, at))
         except struct.error as problem:
             raise ValueError(f"no {type_name}: it ends too early") from problem
-        if not template.fits(data):
+        if not template.matches(data):
             raise ValueError(f"no {type_name} of {template.size} bytes")
         return template
 
     def _lay_out(self, type_name: str, definitions: Definitions, variable: "_VariablePart") -> None:
-        walk = _Walk(definitions, variable)
+        walk = _LayoutBuilder(definitions, variable)
         self.type_name = type_name
         self._readers = walk.message(type_name, "")
         self.size = walk.end
@@ -161,19 +161,19 @@ class CdrTemplate:
             ValueError: the bytes are not a whole number of messages, or one has another layout.
         """
         rows = np.frombuffer(data, dtype=np.uint8).reshape(-1, self.size)
-        others = np.flatnonzero(~self.fitting(rows))
+        others = np.flatnonzero(~self.matching_rows(rows))
         if others.size:
             raise ValueError(f"message {others[0]} is not a {self.type_name} of this layout")
         return rows.view(self.dtype)[:, 0]
 
-    def fitting(self, rows: np.ndarray) -> np.ndarray:
+    def matching_rows(self, rows: np.ndarray) -> np.ndarray:
         """Return for rows of the right length, shape (count, size), whether they have this layout, shape (count,)."""
         fitting = np.ones(len(rows), dtype=bool)
         for start, constant in self._constants:
             fitting &= (rows[:, start : start + len(constant)] == np.frombuffer(constant, dtype=np.uint8)).all(axis=1)
         return fitting
 
-    def fits(self, data: bytes) -> bool:
+    def matches(self, data: bytes) -> bool:
         """Return True if a message has this layout: the same length, texts and sequence lengths."""
         if len(data) != self.size:
             return False
@@ -205,7 +205,7 @@ class CdrRows(NamedTuple):
         """Numbers of all messages by their names in the template, shape (count,)."""
         return self.rows.view(self.template.dtype)[:, 0]
 
-    def each(self) -> list[bytes]:
+    def message_bytes(self) -> list[bytes]:
         """Return the bytes of each message."""
         content, size = self.rows.tobytes(), self.template.size
         return [content[start : start + size] for start in range(0, len(content), size)]
@@ -219,7 +219,7 @@ class CdrRows(NamedTuple):
         return self.template.message(self.rows[number].tobytes())
 
 
-class _Walk:
+class _LayoutBuilder:
     """Computes the layout of a message, field by field.
 
     Attributes:
@@ -241,7 +241,7 @@ class _Walk:
         self.constants: list[tuple[int, bytes]] = []
         self.arguments: list[tuple[int, bytes]] = []
         self._argument_count = 0
-        self._constant(HEADER)
+        self._add_constant(HEADER)
         self.constants.clear()
 
     def message(self, type_name: str, prefix: str) -> dict[str, _Reader]:
@@ -253,8 +253,8 @@ class _Walk:
             return self._element(field.element, name)
         count = field.length
         if field.is_sequence:
-            count = int(self._variable(field, self._aligned(_LENGTH_BYTES)))
-            self._constant(struct.pack("<I", count), _LENGTH_BYTES)
+            count = int(self._variable(field, self._aligned_offset(_LENGTH_BYTES)))
+            self._add_constant(struct.pack("<I", count), _LENGTH_BYTES)
         assert count is not None
         if len(field.element) == 1:
             return self._numbers(field.element, name, count)
@@ -265,9 +265,9 @@ class _Walk:
         if len(element) == 1:
             return self._number(element, name)
         if element == TEXT:
-            text = str(self._variable(FieldType(TEXT), self._aligned(_LENGTH_BYTES)))
+            text = str(self._variable(FieldType(TEXT), self._aligned_offset(_LENGTH_BYTES)))
             content = text.encode() + b"\x00"
-            self._constant(struct.pack("<I", len(content)) + content, _LENGTH_BYTES)
+            self._add_constant(struct.pack("<I", len(content)) + content, _LENGTH_BYTES)
             return lambda _data: text
         readers = list(self.message(element, name + ".").items())
         # A reader of one component of a vector usually reads all of them.
@@ -288,7 +288,7 @@ class _Walk:
     def _add_numbers(self, code: str, name: str, count: int) -> int:
         """Add contiguous numbers; return their offset."""
         size = struct.calcsize("<" + code)
-        self._skip_to(self._aligned(size))
+        self._skip_to(self._aligned_offset(size))
         offset = self.end
         self.names.append(name)
         self.formats.append("<" + code if count == 1 else ("<" + code, (count,)))
@@ -298,15 +298,15 @@ class _Walk:
         self.end += count * size
         return offset
 
-    def _constant(self, content: bytes, alignment: int = 1) -> None:
-        self._skip_to(self._aligned(alignment))
+    def _add_constant(self, content: bytes, alignment: int = 1) -> None:
+        self._skip_to(self._aligned_offset(alignment))
         self.constants.append((self.end, content))
         self.arguments.append((self._argument_count, content))
         self.codes.append(f"{len(content)}s")
         self._argument_count += 1
         self.end += len(content)
 
-    def _aligned(self, size: int) -> int:
+    def _aligned_offset(self, size: int) -> int:
         return self.end + (len(HEADER) - self.end) % size
 
     def _skip_to(self, offset: int) -> None:

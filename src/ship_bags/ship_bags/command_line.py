@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 
 from ship_bags.errors import one_line
 from ship_bags.progress import erase_progress
-from ship_bags.renamed_topics import TopicNames, names_of, topic_names, use_names
+from ship_bags.renamed_topics import TopicNames, names_from_options, topic_names, use_names
 from ship_geometry.input_error import InputError
 
 EXIT_DONE = 0
@@ -65,7 +65,7 @@ def print_text(text: str) -> int:
     try:
         print(text, flush=True)
     except BrokenPipeError:
-        if not _nobody_reads():
+        if not _is_reader_gone():
             raise
         return EXIT_NO_READER
     return EXIT_DONE
@@ -83,7 +83,7 @@ def run_command(
     """
     parsed = parser.parse_args(arguments)
     code = EXIT_BAD_INPUT
-    with _one_interrupt(), topic_names(names_of(parsed)):
+    with _single_interrupt(), topic_names(names_from_options(parsed)):
         try:
             done = command(parsed)
             sys.stdout.flush()
@@ -91,7 +91,7 @@ def run_command(
         except InputError as problem:
             reason = str(problem)
         except OSError as problem:
-            if isinstance(problem, BrokenPipeError) and _nobody_reads():
+            if isinstance(problem, BrokenPipeError) and _is_reader_gone():
                 return EXIT_NO_READER
             reason = f"{problem.filename}: {problem.strerror}" if problem.filename else str(problem)
         except KeyboardInterrupt:
@@ -101,7 +101,7 @@ def run_command(
     return code
 
 
-def serve_a_command(names: TopicNames | None = None) -> None:
+def start_worker_process(names: TopicNames | None = None) -> None:
     """Prepare a worker process of a command: Ctrl-C and progress are left to the command's own process.
 
     Args:
@@ -112,7 +112,7 @@ def serve_a_command(names: TopicNames | None = None) -> None:
     sys.stderr = io.StringIO()
 
 
-def _nobody_reads() -> bool:
+def _is_reader_gone() -> bool:
     """Return True if stdout is a pipe without reader; its remaining output is then discarded."""
     try:
         stdout = sys.stdout.fileno()
@@ -130,7 +130,7 @@ def _nobody_reads() -> bool:
 
 
 @contextlib.contextmanager
-def _one_interrupt() -> Iterator[None]:
+def _single_interrupt() -> Iterator[None]:
     """Let the first Ctrl-C end the work and ignore further ones, so that the short clean-up is completed."""
     ours = threading.current_thread() is threading.main_thread()
     if not ours or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:

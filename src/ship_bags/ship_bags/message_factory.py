@@ -27,7 +27,7 @@ _TYPE_CODES = {
 }
 """Code of each numeric type, the same for array.array and numpy."""
 
-_SEVERAL = re.compile(r"([\w/]+)\[(\d+)\]|sequence<([\w/]+)(?:, \d+)?>")
+_ARRAY_TYPE = re.compile(r"([\w/]+)\[(\d+)\]|sequence<([\w/]+)(?:, \d+)?>")
 """Pattern of an array or a sequence type as rosidl writes it."""
 
 _NS_PER_S = 1_000_000_000
@@ -57,7 +57,7 @@ class MessageFactory(Protocol):
         """
         ...
 
-    def encoded(self, type_name: str, **fields: Any) -> CdrMessage:
+    def encode(self, type_name: str, **fields: Any) -> CdrMessage:
         """Return a message as its bytes, from the same fields; a nested message is given as a dict.
 
         It is made without message objects, which takes a fraction of the time: for messages published a hundred times a
@@ -68,7 +68,7 @@ class MessageFactory(Protocol):
         """
         ...
 
-    def encoded_rows(self, type_name: str, count: int, **fields: Any) -> CdrRows:
+    def encode_rows(self, type_name: str, count: int, **fields: Any) -> CdrRows:
         """Return ``count`` messages as their bytes, from the same fields.
 
         Texts and lengths of sequences are the same in all messages. A number or a stamp is given as an array with one
@@ -109,13 +109,13 @@ class PlannedFactory(abc.ABC):
                 fields[name] = convert(fields[name])
         return kind(**fields)
 
-    def encoded(self, type_name: str, **fields: Any) -> CdrMessage:
+    def encode(self, type_name: str, **fields: Any) -> CdrMessage:
         """See :meth:`MessageFactory.encode`."""
-        return self._encoder.encoded(type_name, fields)
+        return self._encoder.encode(type_name, fields)
 
-    def encoded_rows(self, type_name: str, count: int, **fields: Any) -> CdrRows:
+    def encode_rows(self, type_name: str, count: int, **fields: Any) -> CdrRows:
         """See :meth:`MessageFactory.encode_rows`."""
-        return self._encoder.encoded_rows(type_name, count, fields)
+        return self._encoder.encode_rows(type_name, count, fields)
 
     @abc.abstractmethod
     def definition(self, type_name: str) -> Definition:
@@ -168,7 +168,7 @@ class RosidlFactory(PlannedFactory):
         """
         if field_type in _SCALARS:
             return _SCALARS[field_type]
-        if match := _SEVERAL.fullmatch(field_type):
+        if match := _ARRAY_TYPE.fullmatch(field_type):
             fixed, _, dynamic = match.groups()
             if fixed in _TYPE_CODES:
                 return functools.partial(np.asarray, dtype=_TYPE_CODES[fixed])
@@ -181,7 +181,7 @@ class RosidlFactory(PlannedFactory):
 
 def _field_type(text: str) -> FieldType:
     """Return the field type of rosidl's text."""
-    match = _SEVERAL.fullmatch(text)
+    match = _ARRAY_TYPE.fullmatch(text)
     fixed, count, dynamic = match.groups() if match else (text, None, None)
     name = str(fixed or dynamic)
     element = name.replace("/", "/msg/") if "/" in name else _ELEMENTS.get(name)

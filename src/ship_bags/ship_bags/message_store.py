@@ -21,7 +21,7 @@ from ship_bags.message_factory import Converters, PlannedFactory
 
 SHIP_MESSAGES = "ship_msgs"
 
-LARGEST_DEFINITION_CHARACTERS = 100_000
+MAX_DEFINITION_CHARACTERS = 100_000
 """Maximum length of a message definition with all types that it refers to, without comments: ten times that of a large
 one."""
 
@@ -98,7 +98,7 @@ def use_installed_definition(type_name: str) -> None:
     if type_name in store.fielddefs:
         return
     found = get_types_from_msg(_definition_text(type_name), type_name)
-    for name in _referred(found[type_name][1]):
+    for name in _referenced_types(found[type_name][1]):
         use_installed_definition(name)
     store.register(found)
 
@@ -128,7 +128,7 @@ def store_with_definitions(definitions: Mapping[str, str]) -> BagTypes:
     unreadable: dict[str, str] = {}
     for type_name, text in definitions.items():
         try:
-            parsed[type_name] = _complete(_parse(text or definition(type_name), type_name), ours)
+            parsed[type_name] = _complete_definition(_parse(text or definition(type_name), type_name), ours)
         except BadInput as problem:  # noqa: PERF203 - each type by itself
             unreadable[type_name] = problem.reason
     found = {type_name: _part_differences(parts, ours) for type_name, parts in parsed.items()}
@@ -146,20 +146,20 @@ def store_with_definitions(definitions: Mapping[str, str]) -> BagTypes:
     return BagTypes(store, differences, unreadable)
 
 
-def _complete(parts: Any, ours: Typestore) -> Any:
+def _complete_definition(parts: Any, ours: Typestore) -> Any:
     """Return a parsed definition with all types that it refers to; missing ones are taken from the suite.
 
     Raises:
         BadInput: it refers to an unknown type.
     """
     complete = dict(parts)
-    pending = {name for _, fields in parts.values() for name in _referred(fields)} - complete.keys()
+    pending = {name for _, fields in parts.values() for name in _referenced_types(fields)} - complete.keys()
     while pending:
         name = pending.pop()
         if name not in ours.fielddefs:
             raise BadInput(f"its definition refers to {name}, which is not in the bag")
         complete[name] = ours.fielddefs[name]
-        pending |= _referred(complete[name][1]) - complete.keys()
+        pending |= _referenced_types(complete[name][1]) - complete.keys()
     return complete
 
 
@@ -243,12 +243,12 @@ def _integer_from_byte(value: int | bytes) -> int:
     return value[0] if isinstance(value, bytes) else int(value)
 
 
-def _referred(fields: object) -> set[str]:
+def _referenced_types(fields: object) -> set[str]:
     """Return the names of message types (package/msg/Name) in a parsed definition."""
     if isinstance(fields, str):
         return {fields} if fields.count("/") == 2 else set()
     if isinstance(fields, tuple | list):
-        return {name for part in fields for name in _referred(part)}
+        return {name for part in fields for name in _referenced_types(part)}
     return set()
 
 
@@ -265,9 +265,9 @@ def _parse(text: str, type_name: str, source: Path | None = None) -> Any:
     # Comments take the parser as long as fields; lines may end as on Windows.
     lines = (line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#"))
     text = "".join(f"{line}\n" for line in lines)
-    if len(text) > LARGEST_DEFINITION_CHARACTERS:
+    if len(text) > MAX_DEFINITION_CHARACTERS:
         reason = f"definition of {type_name} has {len(text)} characters without comments"
-        raise BadInput(f"{reason}, at most {LARGEST_DEFINITION_CHARACTERS} are read", file=source)
+        raise BadInput(f"{reason}, at most {MAX_DEFINITION_CHARACTERS} are read", file=source)
     try:
         return get_types_from_msg(text, type_name)
     except Exception as problem:

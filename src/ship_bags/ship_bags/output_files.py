@@ -38,14 +38,14 @@ _KINDS = {
 _FORMULA_BEGINS = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")
 """Characters that start a formula in a spreadsheet."""
 
-_REASONS = {
+_ERROR_TEXTS = {
     errno.EBUSY: "another program is writing it",
     errno.ELOOP: "it is a link: remove it",
     errno.EEXIST: "it exists and is not a regular file: remove it",
 }
 
 
-def add_force(parser: "argparse.ArgumentParser") -> None:
+def add_force_option(parser: "argparse.ArgumentParser") -> None:
     """Add the option ``--force``, which :func:`check_file` and :func:`check_folder` need."""
     parser.add_argument("--force", action="store_true", help="overwrite existing files")
 
@@ -88,7 +88,7 @@ def check_folder(folder: Path, names: Iterable[str], force: bool) -> None:
             _check_name(folder / name, force)
 
 
-def part_of(path: Path) -> Path:
+def part_path(path: Path) -> Path:
     """Return the path at which a file is written until it is complete."""
     return path.with_name(path.name + PART_SUFFIX)
 
@@ -100,12 +100,12 @@ def open_new(path: Path) -> BinaryIO:
         OSError: it cannot be made, is not a regular file, or another program is writing it.
     """
     try:
-        number = _created(path)
+        number = _create(path)
     except FileExistsError:
-        _take_away(path)
-        number = _created(path)
+        _remove_leftover(path)
+        number = _create(path)
     try:
-        _hold(number)
+        _lock(number)
         if os.fstat(number).st_nlink == 0:
             # Another program has removed this part as a leftover of a killed program.
             raise _os_error(errno.EBUSY, path)
@@ -115,13 +115,13 @@ def open_new(path: Path) -> BinaryIO:
         raise
 
 
-def write_whole(path: Path, content: bytes | str) -> None:
+def write_atomically(path: Path, content: bytes | str) -> None:
     """Write a file atomically: it is either the old or the new one, even if this program is killed.
 
     Raises:
         OSError: it cannot be written; the error names the file, and no part of it is left.
     """
-    part = part_of(path)
+    part = part_path(path)
     try:
         with open_new(part) as stream:
             try:
@@ -133,10 +133,10 @@ def write_whole(path: Path, content: bytes | str) -> None:
                 part.unlink(missing_ok=True)
                 raise
     except OSError as problem:
-        raise named(problem, path) from problem
+        raise error_with_path(problem, path) from problem
 
 
-def named(problem: OSError, path: Path) -> OSError:
+def error_with_path(problem: OSError, path: Path) -> OSError:
     """Return the error with the final file name, as given by the user."""
     return OSError(problem.errno, problem.strerror or str(problem), str(path))
 
@@ -163,7 +163,7 @@ def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) 
     writer = csv.writer(table, lineterminator="\n")
     writer.writerow(map(csv_text, header))
     writer.writerows([_text(value) for value in row] for row in rows)
-    write_whole(path, table.getvalue())
+    write_atomically(path, table.getvalue())
     return path
 
 
@@ -221,12 +221,12 @@ def _kind(path: Path) -> str:
         return "a link to nothing"
 
 
-def _created(path: Path) -> int:
+def _create(path: Path) -> int:
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     return os.open(path, flags, 0o666)
 
 
-def _take_away(path: Path) -> None:
+def _remove_leftover(path: Path) -> None:
     """Remove a file left by a killed program.
 
     Raises:
@@ -237,7 +237,7 @@ def _take_away(path: Path) -> None:
         raise _os_error(errno.ELOOP if stat.S_ISLNK(mode) else errno.EEXIST, path)
     number = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
-        _hold(number)
+        _lock(number)
         os.unlink(path)
     except BlockingIOError as problem:
         raise _os_error(errno.EBUSY, path) from problem
@@ -245,7 +245,7 @@ def _take_away(path: Path) -> None:
         os.close(number)
 
 
-def _hold(number: int) -> None:
+def _lock(number: int) -> None:
     """Lock a file until it is closed.
 
     Raises:
@@ -261,7 +261,7 @@ def _hold(number: int) -> None:
 
 
 def _os_error(number: int, path: Path) -> OSError:
-    return OSError(number, f"{path.name}: {_REASONS[number]}", str(path))
+    return OSError(number, f"{path.name}: {_ERROR_TEXTS[number]}", str(path))
 
 
 def _text(value: Any) -> Any:

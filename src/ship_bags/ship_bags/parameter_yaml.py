@@ -15,7 +15,7 @@ import yaml
 from ship_bags.errors import BadInput
 from ship_bags.regular_files import check_regular
 from ship_bags.renamed_topics import TOPICS_PARAMETER
-from ship_bags.yaml_text import composed
+from ship_bags.yaml_text import compose
 from ship_geometry.input_error import InputError
 
 PARAMETERS_KEY = "ros__parameters"
@@ -40,7 +40,7 @@ RUNTIME_PARAMETERS = (
 )
 """First parts of the names of parameters that belong to rclpy or the node runtime, not to a configuration."""
 
-ANYWHERE = "/**/"
+ANY_NAMESPACE = "/**/"
 """Prefix of a node name: in any namespace."""
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
@@ -117,9 +117,9 @@ def full_name(node_name: str, namespace: str = "") -> str:
     return "/".join(["", *filter(None, namespace.split("/")), node_name])
 
 
-def anywhere(node_name: str) -> str:
+def in_any_namespace(node_name: str) -> str:
     """Return a pattern, instead of a full name, for the node of that name in any namespace."""
-    return ANYWHERE + node_name
+    return ANY_NAMESPACE + node_name
 
 
 def read_sections(source: Path | str) -> tuple[str, list[Section]]:
@@ -132,27 +132,27 @@ def read_sections(source: Path | str) -> tuple[str, list[Section]]:
         BadInput: the file cannot be read or is not a parameter file; names file, line and key.
     """
     name, text = _text(source)
-    root = composed(name, text)
+    root = compose(name, text)
     if root is None:
         raise BadInput(f"empty: expected a section 'NODE: {{{PARAMETERS_KEY}: ...}}'", file=name)
     _refuse_alias(name, root)
     return name, list(_sections(name, root, ""))
 
 
-def read_plain(source: Path | str) -> ParameterFile:
+def read_nested_parameters(source: Path | str) -> ParameterFile:
     """Return a file that has only nested parameters, without sections for nodes.
 
     Raises:
         BadInput: the file cannot be read or has no parameters.
     """
     name, text = _text(source)
-    root = composed(name, text)
+    root = compose(name, text)
     if not isinstance(root, yaml.MappingNode):
         raise BadInput("expected 'name: value' entries, the file holds none", file=name, line=1)
-    return merged(name, [Section("", dict(_parameters(name, root, "")))])
+    return merge_sections(name, [Section("", dict(_parameters(name, root, "")))])
 
 
-def merged(name: str, sections: Sequence[Section]) -> ParameterFile:
+def merge_sections(name: str, sections: Sequence[Section]) -> ParameterFile:
     """Merge the sections of a file into one; of several values of a parameter the last one applies."""
     file = ParameterFile(name, {}, {})
     for section in sections:

@@ -9,16 +9,16 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
-_PATIENCE_S = 2.0
+_FIRST_SHOWN_S = 2.0
 """Time before which nothing is shown, s."""
 
-_REWRITTEN_S = 0.25
+_MIN_REWRITE_PERIOD_S = 0.25
 """Minimum time between two updates of the line on a terminal, s."""
 
-_LINE_EVERY_S = 10.0
+_LINE_PERIOD_S = 10.0
 """Minimum time between two lines without a terminal, s."""
 
-_LEAST_SHARE = 0.02
+_MIN_SHARE = 0.02
 """Minimum ratio of work done for an estimate of the time left."""
 
 _ERASE = "\r\x1b[K"
@@ -42,7 +42,7 @@ class Progress:
         self._stream: Any = sys.stderr
         self._is_terminal = self._stream.isatty()
         self._started_s = clock()
-        self._next_s = self._started_s + (_PATIENCE_S if self._is_terminal else _LINE_EVERY_S)
+        self._next_s = self._started_s + (_FIRST_SHOWN_S if self._is_terminal else _LINE_PERIOD_S)
 
     def __enter__(self) -> "Progress":
         return self
@@ -57,12 +57,12 @@ class Progress:
             return
         text = progress_text(self._label, share, now_s - self._started_s)
         if self._is_terminal:
-            self._next_s = now_s + _REWRITTEN_S
+            self._next_s = now_s + _MIN_REWRITE_PERIOD_S
             if self not in _on_terminal:
                 _on_terminal.append(self)
             self._stream.write(_ERASE + text)
         else:
-            self._next_s = now_s + _LINE_EVERY_S
+            self._next_s = now_s + _LINE_PERIOD_S
             self._stream.write(f"{text}\n")
         self._stream.flush()
 
@@ -83,7 +83,7 @@ def erase_progress() -> None:
 def progress_text(label: str, share: float, elapsed_s: float) -> str:
     """Return a line of progress: "voyage.mcap: 42 %, 1 min 20 s left"."""
     share = min(max(share, 0.0), 1.0)
-    if share < _LEAST_SHARE:
+    if share < _MIN_SHARE:
         return f"{label}: {100.0 * share:.0f} %, {_length(elapsed_s)} so far"
     return f"{label}: {100.0 * share:.0f} %, {_length(elapsed_s * (1.0 - share) / share)} left"
 

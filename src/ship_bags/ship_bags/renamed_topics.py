@@ -14,7 +14,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from ship_bags.topic_names import TRUTH_PREFIX, relative_topic, resolved_topic
+from ship_bags.topic_names import TRUTH_PREFIX, relative_topic, resolve_topic
 from ship_geometry.input_error import InputError
 
 TOPICS_PARAMETER = "topics"
@@ -58,12 +58,12 @@ class TopicNames:
             BadInput: the suite file cannot be read, or its map is wrong.
         """
         given = {new for _, new in self.remaps}
-        by_suite = {old: new for old, new in self._by_suite(attached_suite).items() if new not in given}
+        by_suite = {old: new for old, new in self._suite_names(attached_suite).items() if new not in given}
         wanted = {self._full(old): new for old, new in (by_suite | dict(self.remaps)).items()}
         in_bag = {topic: wanted.get(f"/{relative_topic(topic)}") for topic in topics}
         return {topic: self._full(new) if self.namespace else new for topic, new in in_bag.items() if new is not None}
 
-    def unmatched(self, topics: Collection[str]) -> list[str]:
+    def unmatched_remaps(self, topics: Collection[str]) -> list[str]:
         """Return the names to be replaced that no bag so far has.
 
         A name also counts as found if a bag has the new name.
@@ -72,18 +72,18 @@ class TopicNames:
         self._matched.update(old for old, new in self.remaps if {self._full(old), self._full(new)} & there)
         return [old for old, _ in self.remaps if old not in self._matched]
 
-    def _by_suite(self, attached_suite: str) -> dict[str, str]:
+    def _suite_names(self, attached_suite: str) -> dict[str, str]:
         """Return name in the bag → name in the suite."""
         if not self.is_by_suite:
             return {}
-        return self._of_file if self.suite_file is not None else _of_attached(attached_suite)
+        return self._file_names if self.suite_file is not None else _attached_names(attached_suite)
 
     @cached_property
-    def _of_file(self) -> dict[str, str]:
+    def _file_names(self) -> dict[str, str]:
         return {} if self.suite_file is None else names_on_ship(self.suite_file)
 
     def _full(self, name: str) -> str:
-        return resolved_topic(name, self.namespace)
+        return resolve_topic(name, self.namespace)
 
 
 _names = TopicNames()
@@ -111,7 +111,7 @@ def topic_names(names: TopicNames) -> Iterator[None]:
         use_names(before)
 
 
-def add_remap(parser: argparse.ArgumentParser, is_by_suite: bool = False) -> None:
+def add_remap_option(parser: argparse.ArgumentParser, is_by_suite: bool = False) -> None:
     """Add the option ``--remap``.
 
     Args:
@@ -130,13 +130,13 @@ def add_remap(parser: argparse.ArgumentParser, is_by_suite: bool = False) -> Non
     parser.set_defaults(is_by_suite=is_by_suite)
 
 
-def add_bag_names(parser: argparse.ArgumentParser, of_what: str = "of the ship's topics in the bag") -> None:
+def add_bag_name_options(parser: argparse.ArgumentParser, of_what: str = "of the ship's topics in the bag") -> None:
     """Add the options ``--namespace`` and ``--remap``, by which a command finds the suite's topics in bags."""
     parser.add_argument("--namespace", default="", help=f"namespace {of_what}")
-    add_remap(parser, is_by_suite=True)
+    add_remap_option(parser, is_by_suite=True)
 
 
-def names_of(options: argparse.Namespace) -> TopicNames:
+def names_from_options(options: argparse.Namespace) -> TopicNames:
     """Return the topic names that the options of a command give."""
     suite_file = getattr(options, "config", None)
     return TopicNames(
@@ -203,12 +203,12 @@ def names_on_ship(source: Path | str) -> dict[str, str]:
         BadInput: the file cannot be read; an entry is wrong; or two entries contradict each other, although all nodes
             read the same bag.
     """
-    from ship_bags.parameter_yaml import merged, read_sections  # needed for few commands
+    from ship_bags.parameter_yaml import merge_sections, read_sections  # needed for few commands
 
     name, sections = read_sections(source)
     found: dict[str, str] = {}
     for section in sections:
-        file = merged(name, [section])
+        file = merge_sections(name, [section])
         try:
             entries = topic_map({key: value for key, (value, _) in section.parameters.items()})
             for suite_name, ship_name in entries.items():
@@ -225,7 +225,7 @@ def names_on_ship(source: Path | str) -> dict[str, str]:
     return found
 
 
-def _of_attached(text: str) -> dict[str, str]:
+def _attached_names(text: str) -> dict[str, str]:
     """Return the map of an attached file; empty if the file is unusable, which the command that needs it reports."""
     if TOPICS_PARAMETER not in text:
         return {}

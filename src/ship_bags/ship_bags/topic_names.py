@@ -19,7 +19,7 @@ def relative_topic(name: str, namespace: str = "") -> str | None:
     return bare.removeprefix(prefix + "/") if bare.startswith(prefix + "/") else None
 
 
-def resolved_topic(name: str, namespace: str) -> str:
+def resolve_topic(name: str, namespace: str) -> str:
     """Return the full name of a topic as ROS resolves it: a name without leading slash is in the namespace."""
     return name if name.startswith("/") else "/".join(["", *filter(None, namespace.split("/")), name])
 

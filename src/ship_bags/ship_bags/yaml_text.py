@@ -7,11 +7,11 @@ import yaml
 
 from ship_bags.errors import BadInput
 
-LONGEST_TEXT = 4_000_000
+MAX_TEXT_LENGTH = 4_000_000
 """Maximum length of a text, characters: the parser takes minutes for more."""
 
-DEEPEST_NESTING = 50
-MOST_NODES = 1_000_000
+MAX_NESTING = 50
+MAX_NODES = 1_000_000
 """Maximum number of values of a document with its aliases expanded."""
 
 _LONGEST_INTEGER = 30
@@ -35,7 +35,7 @@ _DataLoader.add_constructor("tag:yaml.org,2002:int", _DataLoader.construct_yaml_
 
 # A node parses the same file twice at its start: to check it before ROS reads it, and for the warnings about it.
 @functools.lru_cache(maxsize=1)
-def composed(name: str, text: str) -> yaml.Node | None:
+def compose(name: str, text: str) -> yaml.Node | None:
     """Return the document of a text as YAML nodes with their lines; None if it is empty.
 
     Args:
@@ -45,16 +45,16 @@ def composed(name: str, text: str) -> yaml.Node | None:
     Raises:
         BadInput: it is not YAML or exceeds a bound; names the file and, if known, the line.
     """
-    if len(text) > LONGEST_TEXT:
-        raise BadInput(f"{len(text)} characters: expected a text of at most {LONGEST_TEXT}", file=name)
+    if len(text) > MAX_TEXT_LENGTH:
+        raise BadInput(f"{len(text)} characters: expected a text of at most {MAX_TEXT_LENGTH}", file=name)
     try:
         root = yaml.compose(text, Loader=yaml.SafeLoader)
-        if root is not None and _size(root, {}, ()) > MOST_NODES:
-            raise BadInput(f"its aliases expand to more than {MOST_NODES} values", file=name)
+        if root is not None and _size(root, {}, ()) > MAX_NODES:
+            raise BadInput(f"its aliases expand to more than {MAX_NODES} values", file=name)
     except RecursionError as error:
         raise BadInput(_TOO_DEEP, file=name) from error
     except (yaml.YAMLError, ValueError) as error:
-        raise _refused(name, error) from error
+        raise _yaml_error(name, error) from error
     return root
 
 
@@ -64,7 +64,7 @@ def plain_data(name: str, text: str) -> Any:
     Raises:
         BadInput: as :func:`compose`, or a value is invalid: an impossible date, a number with too many digits.
     """
-    root = composed(name, text)
+    root = compose(name, text)
     return None if root is None else data_of(name, root)
 
 
@@ -77,7 +77,7 @@ def data_of(name: str, node: yaml.Node) -> Any:
     try:
         return _DataLoader("").construct_object(node, deep=True)
     except (yaml.YAMLError, ValueError) as error:
-        raise _refused(name, error, node.start_mark) from error
+        raise _yaml_error(name, error, node.start_mark) from error
 
 
 def _size(node: yaml.Node, known: dict[int, int], above: tuple[int, ...]) -> int:
@@ -89,7 +89,7 @@ def _size(node: yaml.Node, known: dict[int, int], above: tuple[int, ...]) -> int
     """
     if id(node) in known:
         return known[id(node)]
-    if len(above) > DEEPEST_NESTING or id(node) in above:
+    if len(above) > MAX_NESTING or id(node) in above:
         raise RecursionError
     above = (*above, id(node))
     children: list[yaml.Node] = []
@@ -104,7 +104,7 @@ def _size(node: yaml.Node, known: dict[int, int], above: tuple[int, ...]) -> int
     return known[id(node)]
 
 
-def _refused(name: str, error: Exception, mark: yaml.Mark | None = None) -> BadInput:
+def _yaml_error(name: str, error: Exception, mark: yaml.Mark | None = None) -> BadInput:
     """Return the error as one line without the file's text, which must not appear in messages."""
     if isinstance(error, BadInput):
         return error

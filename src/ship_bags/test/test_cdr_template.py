@@ -77,7 +77,7 @@ def test_bytes_are_those_of_rosbags(type_name, factory):
 def test_rclpy_reads_what_was_encoded(type_name):
     draw, factory, store = random.Random(type_name), RosidlFactory(), message_store()
     for _ in range(10):
-        encoded = factory.encoded(type_name, **random_fields(draw, type_name)).__cdr__
+        encoded = factory.encode(type_name, **random_fields(draw, type_name)).__cdr__
         # What rclpy puts into the gaps between fields is undefined: the bytes are compared without it.
         again = serialize_message(deserialize_message(encoded, message_class(type_name)))
         assert serialize(store.deserialize_cdr(again[: len(encoded)], type_name)) == encoded
@@ -150,7 +150,7 @@ def test_rows_are_the_bytes_of_messages_encoded_one_by_one():
         return values[0] if isinstance(values[0], (str, list)) else np.array(values).T
 
     columns = {name: column([fields[name] for fields in one_by_one]) for name in one_by_one[0]}
-    rows = factory.encoded_rows("ship_msgs/msg/ShipAttitude", count, **columns)
+    rows = factory.encode_rows("ship_msgs/msg/ShipAttitude", count, **columns)
     for number, fields in enumerate(one_by_one):
         assert rows.message(number).__cdr__ == serialize(factory.make("ship_msgs/msg/ShipAttitude", **fields))
 
@@ -158,7 +158,7 @@ def test_rows_are_the_bytes_of_messages_encoded_one_by_one():
 def test_a_constant_value_of_all_rows_is_given_once():
     factory = RosbagsFactory()
     fields = {"x": 1.5, "y": np.array([1.0, 2.0]), "z": 0.0}
-    rows = factory.encoded_rows("geometry_msgs/msg/Vector3", 2, **fields)
+    rows = factory.encode_rows("geometry_msgs/msg/Vector3", 2, **fields)
     assert [rows.message(number).y for number in range(2)] == [1.0, 2.0]
     assert [rows.message(number).x for number in range(2)] == [1.5, 1.5]
 
@@ -212,22 +212,22 @@ def test_changing_texts_do_not_fill_the_memory():
     draw, factory = random.Random(5), RosbagsFactory()
     reader = CdrReader("sensor_msgs/msg/Imu", factory.definition)
     frames = ["x" * length for length in range(0, 800, 8)]
-    read = [reader.message(factory.encoded("sensor_msgs/msg/Imu", **imu_fields(draw, name)).__cdr__) for name in frames]
+    read = [reader.message(factory.encode("sensor_msgs/msg/Imu", **imu_fields(draw, name)).__cdr__) for name in frames]
     assert [message.header.frame_id for message in read[:16]] == frames[:16]
     assert read[16:] == [None] * 84
 
 
 def test_a_type_with_sequences_is_left_to_message_objects():
     factory = RosbagsFactory()
-    data = factory.encoded("ship_msgs/msg/AlertArray", **random_fields(random.Random(4), "ship_msgs/msg/AlertArray"))
+    data = factory.encode("ship_msgs/msg/AlertArray", **random_fields(random.Random(4), "ship_msgs/msg/AlertArray"))
     assert CdrReader("ship_msgs/msg/AlertArray", factory.definition).message(data.__cdr__) is None
 
 
 def test_missing_and_unknown_fields_are_named():
     with pytest.raises(TypeError, match=r"Vector3: missing fields \['z'\], unknown fields \['w'\]"):
-        RosbagsFactory().encoded("geometry_msgs/msg/Vector3", x=0.0, y=0.0, w=0.0)
+        RosbagsFactory().encode("geometry_msgs/msg/Vector3", x=0.0, y=0.0, w=0.0)
     with pytest.raises(AttributeError, match="no field 'w'"):
-        _ = RosbagsFactory().encoded("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0).w
+        _ = RosbagsFactory().encode("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0).w
 
 
 @pytest.mark.parametrize("variables", [(), ("a", "b")])

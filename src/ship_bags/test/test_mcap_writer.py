@@ -75,7 +75,7 @@ def chunk_times(data: bytes) -> list[tuple[int, int]]:
     return [(min(of_one), max(of_one)) for of_one in times]
 
 
-def written(tmp_path: Path, messages: list[tuple[int, int]]) -> bytes:
+def write_bag(tmp_path: Path, messages: list[tuple[int, int]]) -> bytes:
     """Write a file of messages given by log time and size, without a flush."""
     stream = io.BytesIO()
     writer = McapWriter(stream, tmp_path, "ros2", "test")
@@ -90,7 +90,7 @@ SECOND_NS = 1_000_000_000
 
 
 def test_no_chunk_has_more_than_one_second(tmp_path: Path) -> None:
-    data = written(tmp_path, [(10**18 + number * 10_000_000, 100) for number in range(1000)])
+    data = write_bag(tmp_path, [(10**18 + number * 10_000_000, 100) for number in range(1000)])
     found = chunk_times(data)
     assert len(found) == 10
     assert all(last_ns - first_ns <= SECOND_NS for first_ns, last_ns in found)
@@ -102,7 +102,7 @@ def test_a_clock_step_back_begins_a_new_chunk(tmp_path: Path) -> None:
     """So no chunk spans the hour between: reading in order of time keeps one chunk in memory."""
     times = [10**18 + number * 10_000_000 for number in range(150)]
     earlier = [time_ns - 3600 * SECOND_NS for time_ns in times]
-    data = written(tmp_path, [(time_ns, 10) for time_ns in times + earlier])
+    data = write_bag(tmp_path, [(time_ns, 10) for time_ns in times + earlier])
     found = chunk_times(data)
     assert len(found) == 4
     assert all(last_ns - first_ns <= SECOND_NS for first_ns, last_ns in found)
@@ -112,7 +112,7 @@ def test_a_clock_step_back_begins_a_new_chunk(tmp_path: Path) -> None:
 
 def test_an_oversized_message_ends_its_chunk_and_is_read(tmp_path: Path) -> None:
     sizes = [10, 3 * CHUNK_BYTES, 10, 3 * CHUNK_BYTES, 3 * CHUNK_BYTES, 10]
-    data = written(tmp_path, [(10**18 + number, size) for number, size in enumerate(sizes)])
+    data = write_bag(tmp_path, [(10**18 + number, size) for number, size in enumerate(sizes)])
     assert len(chunk_times(data)) == 4
     reader = make_reader(io.BytesIO(data), validate_crcs=True)
     assert [len(message.data) for _, _, message in reader.iter_messages()] == sizes

@@ -102,7 +102,7 @@ def test_a_bag_of_ros_1_names_the_command_that_converts_it(tmp_path):
     assert expected in str(refused.value)
 
 
-def written(path, topics):
+def write_bag(path, topics):
     """Write a bag of an INS and other topics: name → type, definition, bytes of its messages."""
     with open(path, "wb") as stream:
         writer = Writer(stream)
@@ -119,7 +119,7 @@ def written(path, topics):
 @pytest.mark.parametrize("text", ["float64 [", "other_msgs/Missing part", "\0", "std_msgs/Header header\nclass def"])
 def test_an_unreadable_definition_affects_only_its_topic(tmp_path, text):
     good = (IMU, definition(IMU), serialize(imu(START_NS)))
-    bag = written(tmp_path / "a.mcap", {"/strange": ("x_msgs/msg/X", text, bytes(12)), "/ins/imu": good})
+    bag = write_bag(tmp_path / "a.mcap", {"/strange": ("x_msgs/msg/X", text, bytes(12)), "/ins/imu": good})
     records, _, problems = contents(bag)
     assert [record[0] for record in records] == ["/ins/imu"] * 3
     (problem,) = problems
@@ -128,7 +128,7 @@ def test_an_unreadable_definition_affects_only_its_topic(tmp_path, text):
 
 def test_windows_line_ends_in_a_definition_are_read(tmp_path):
     text = definition(IMU).replace("\n", "\r\n")
-    bag = written(tmp_path / "a.mcap", {"/ins/imu": (IMU, text, serialize(imu(START_NS)))})
+    bag = write_bag(tmp_path / "a.mcap", {"/ins/imu": (IMU, text, serialize(imu(START_NS)))})
     with read_bag(bag) as opened:
         assert [record.decode().header.frame_id for record in opened.records()] == ["ins"] * 3
         assert opened.differences == {}
@@ -136,6 +136,6 @@ def test_windows_line_ends_in_a_definition_are_read(tmp_path):
 
 def test_xcdr2_is_read_if_the_padding_is_the_same(tmp_path):
     data = bytes(serialize(imu(START_NS)))
-    bag = written(tmp_path / "a.mcap", {"/ins/imu": (IMU, definition(IMU), b"\0\7" + data[2:])})
+    bag = write_bag(tmp_path / "a.mcap", {"/ins/imu": (IMU, definition(IMU), b"\0\7" + data[2:])})
     with read_bag(bag) as opened:
         assert [bytes(record.data) for record in opened.records()] == [data] * 3

@@ -15,7 +15,7 @@ import pytest
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_writer import BagWriter, TypeDefinition
-from ship_bags.output_files import DiskSync, open_new, part_of, write_csv, write_whole
+from ship_bags.output_files import DiskSync, open_new, part_path, write_csv, write_atomically
 from ship_node.documents.saved_document import DISK
 
 NEEDS_ROOT = pytest.mark.skipif(os.geteuid() != 0, reason="mounts a tiny disk in a namespace of its own: needs root")
@@ -31,7 +31,7 @@ def write_bag(path):
 
 
 WRITERS = {
-    "whole": lambda path: write_whole(path, os.urandom(200_000)),
+    "whole": lambda path: write_atomically(path, os.urandom(200_000)),
     "node": lambda path: DISK.write(path, os.urandom(200_000)),
     "bag": write_bag,
 }
@@ -41,7 +41,7 @@ WRITERS = {
 class TestPart:
     def test_a_part_that_is_a_link_is_not_followed(self, tmp_path, write):
         (tmp_path / "precious").write_text("mine")
-        part_of(tmp_path / "out").symlink_to(tmp_path / "precious")
+        part_path(tmp_path / "out").symlink_to(tmp_path / "precious")
         with pytest.raises((OSError, BadInput)):
             write(tmp_path / "out")
         assert (tmp_path / "precious").read_text() == "mine"
@@ -49,23 +49,23 @@ class TestPart:
 
     @pytest.mark.parametrize("make", [os.mkfifo, os.mkdir], ids=["fifo", "folder"])
     def test_a_part_that_is_not_a_file_is_not_changed(self, tmp_path, write, make):
-        make(part_of(tmp_path / "out"))
+        make(part_path(tmp_path / "out"))
         with pytest.raises((OSError, BadInput)):
             write(tmp_path / "out")
         assert [path.name for path in tmp_path.iterdir()] == ["out.part"]
 
     def test_a_part_left_by_a_killed_program_is_removed(self, tmp_path, write):
-        part_of(tmp_path / "out").write_bytes(b"half")
+        part_path(tmp_path / "out").write_bytes(b"half")
         write(tmp_path / "out")
         assert [path.name for path in tmp_path.iterdir()] == ["out"]
         assert (tmp_path / "out").stat().st_size > 200_000 - 1
 
     def test_a_part_locked_by_another_program_is_not_changed(self, tmp_path, write):
-        with open(part_of(tmp_path / "out"), "wb") as other:
+        with open(part_path(tmp_path / "out"), "wb") as other:
             fcntl.flock(other, fcntl.LOCK_EX)
             with pytest.raises((OSError, BadInput)):
                 write(tmp_path / "out")
-            assert part_of(tmp_path / "out").exists()
+            assert part_path(tmp_path / "out").exists()
 
     def test_a_failed_write_names_the_file_and_leaves_no_part(self, tmp_path, write):
         """A bound on the length of files fails as a full disk does, in the middle of the content."""

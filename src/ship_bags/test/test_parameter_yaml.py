@@ -9,13 +9,13 @@ import rclpy
 from rclpy.context import Context
 
 from ship_bags.errors import BadInput
-from ship_bags.parameter_yaml import ParameterFile, merged, read_plain, read_sections, sections_text
+from ship_bags.parameter_yaml import ParameterFile, merge_sections, read_nested_parameters, read_sections, sections_text
 from ship_geometry.input_error import InputError
 
 
 def whole(source: Path | str) -> ParameterFile:
     """Return all sections of a file as one."""
-    return merged(*read_sections(source))
+    return merge_sections(*read_sections(source))
 
 
 def test_file_and_text_give_the_same(tmp_path):
@@ -187,7 +187,7 @@ def test_contradicting_sections(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", Path("/dev/zero")):
         with pytest.raises(BadInput, match="cannot be read: it is a pipe, a device or a socket: expected a file"):
-            read_plain(path)
+            read_nested_parameters(path)
     with pytest.raises(BadInput, match=r"absent\.yaml: cannot be read: No such file"):
         whole(tmp_path / "absent.yaml")
     (tmp_path / "bag.mcap").write_bytes(b"\x89MCAP\xff\x00")
@@ -206,7 +206,7 @@ def test_parameter_file_round_trip():
 
 
 def test_a_parameter_error_has_file_and_line_as_data():
-    file = read_plain("camera:\n  width_px: 5\n")
+    file = read_nested_parameters("camera:\n  width_px: 5\n")
     problem = file.error(InputError("is too small", parameters=("camera.width_px", "camera.height_px"), value=5))
     assert str(problem) == "configuration:2: is too small"
     assert (problem.file, problem.line, problem.value) == ("configuration", 2, 5)

@@ -14,7 +14,7 @@ from mcap.writer import Writer
 from rosbags.typesys import get_types_from_msg
 
 from ship_bags.live.dds import dds_has_security, loaded_libraries
-from ship_bags.live.play import CLOCK_PERIOD_NS, with_ticks
+from ship_bags.live.play import CLOCK_PERIOD_NS, add_ticks
 from ship_bags.live.recorded_graph import is_activity
 from ship_bags.live.ros_process import executable
 from ship_bags.mcap.bag_reader import read_bag
@@ -216,7 +216,7 @@ def test_the_clock_is_never_further_behind_a_message_than_its_grid(tmp_path):
         for offset_ns in (0, 1, 3_712_345_678, 3_712_345_679, 3_799_999_999):
             bag.write("ins/imu", imu(factory, 0), START_NS + offset_ns)
     with read_bag(tmp_path / "in.mcap") as bag:
-        events = list(with_ticks(bag.records(), START_NS - 100_000_000))
+        events = list(add_ticks(bag.records(), START_NS - 100_000_000))
     assert [time_ns for time_ns, _ in events] == sorted(time_ns for time_ns, _ in events)
     tick_ns = None
     for time_ns, record in events:
@@ -236,7 +236,7 @@ def test_with_ticks_left_out_the_clock_is_not_late(tmp_path, stride):
         for offset_ns in offsets_ns:
             bag.write("ins/imu", imu(factory, 0), START_NS + offset_ns)
     with read_bag(tmp_path / "in.mcap") as bag:
-        events = list(with_ticks(bag.records(), START_NS - 100_000_000, lambda: stride))
+        events = list(add_ticks(bag.records(), START_NS - 100_000_000, lambda: stride))
     ticks = [time_ns for time_ns, record in events if record is None]
     assert ticks == sorted(set(ticks))
     assert all((time_ns - ticks[0]) % CLOCK_PERIOD_NS == 0 for time_ns in ticks)

@@ -16,13 +16,13 @@ DAY_NS = 86_400 * 10**9
 
 def test_an_event_is_played_when_it_is_due():
     clock = PlaybackClock(FAST)
-    clock.begin(0)
+    clock.start_at(0)
     assert clock.wait_until(DAY_NS, is_message=True)
 
 
 def test_stop_ends_a_wait_and_every_later_one():
     clock = PlaybackClock(SLOW)
-    clock.begin(0)
+    clock.start_at(0)
     threading.Timer(0.05, clock.stop).start()
     assert not clock.wait_until(DAY_NS, is_message=True)
     assert not clock.wait_until(0, is_message=True)
@@ -30,7 +30,7 @@ def test_stop_ends_a_wait_and_every_later_one():
 
 def test_a_paused_clock_plays_only_steps():
     clock = PlaybackClock(FAST, paused=True)
-    clock.begin(0)
+    clock.start_at(0)
     passed = []
 
     def play():
@@ -55,7 +55,7 @@ def test_a_paused_clock_plays_only_steps():
 
 def test_a_change_of_rate_ends_a_wait_that_began_before():
     clock = PlaybackClock(SLOW)
-    clock.begin(0)
+    clock.start_at(0)
     threading.Timer(0.05, clock.change_rate, [FAST / SLOW]).start()
     assert clock.wait_until(DAY_NS, is_message=True)
     assert clock.rate == pytest.approx(FAST)
@@ -63,7 +63,7 @@ def test_a_change_of_rate_ends_a_wait_that_began_before():
 
 def test_a_change_of_rate_does_not_move_the_bag_time_reached():
     clock = PlaybackClock(FAST)
-    clock.begin(0)
+    clock.start_at(0)
     assert clock.wait_until(DAY_NS, is_message=True)
     # From here on a second takes 31 years: what was due stays due, and a day more will not come.
     clock.change_rate(SLOW / FAST)
@@ -74,7 +74,7 @@ def test_a_change_of_rate_does_not_move_the_bag_time_reached():
 
 def test_while_paused_a_change_of_rate_plays_nothing():
     clock = PlaybackClock(SLOW, paused=True)
-    clock.begin(0)
+    clock.start_at(0)
     clock.change_rate(FAST / SLOW)
     threading.Timer(0.05, clock.stop).start()
     assert not clock.wait_until(DAY_NS, is_message=True)
@@ -82,7 +82,7 @@ def test_while_paused_a_change_of_rate_plays_nothing():
 
 def test_a_step_is_refused_while_playing():
     clock = PlaybackClock(FAST)
-    clock.begin(0)
+    clock.start_at(0)
     assert not clock.step()
     clock.pause()
     # The refused step is not pending after the pause.
@@ -92,7 +92,7 @@ def test_a_step_is_refused_while_playing():
 
 def test_time_stands_still_in_a_pause():
     clock = PlaybackClock(FAST)
-    clock.begin(0)
+    clock.start_at(0)
     clock.pause()
     assert clock.behind_s(0) == 0.0
     clock.resume()
@@ -103,13 +103,13 @@ def test_time_stands_still_in_a_pause():
 def test_toggle_changes_the_state(paused):
     clock = PlaybackClock(FAST, paused)
     clock.toggle()
-    assert clock.paused is not paused
+    assert clock.is_paused is not paused
 
 
 @pytest.mark.parametrize("rate", [1e9, 1e18, 1e300, 1.7e308])
 def test_a_huge_rate_is_as_fast_as_possible(rate):
     clock = PlaybackClock(rate)
-    clock.begin(0)
+    clock.start_at(0)
     for _ in range(3):
         assert clock.wait_until(DAY_NS, is_message=True)
         assert math.isfinite(clock.behind_s(DAY_NS))

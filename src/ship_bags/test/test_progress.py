@@ -29,7 +29,7 @@ sys.exit(run_command(CommandParser(prog="work"), work, []))
 """
 
 
-def shown(capsys, shares, seconds_between):
+def shown_text(capsys, shares, seconds_between):
     """Return the lines on a stderr that is no terminal, for work that advances uniformly."""
     times = iter([0.0, *(seconds_between * (number + 1) for number in range(len(shares)))])
     with Progress("night.mcap", lambda: next(times)) as progress:
@@ -39,13 +39,13 @@ def shown(capsys, shares, seconds_between):
 
 
 def test_a_file_gets_a_line_every_ten_seconds(capsys):
-    assert shown(capsys, [0.1 * part for part in range(1, 10)], 4.0) == [
+    assert shown_text(capsys, [0.1 * part for part in range(1, 10)], 4.0) == [
         "night.mcap: 30 %, 28 s left", "night.mcap: 60 %, 16 s left", "night.mcap: 90 %, 4 s left",
     ]
 
 
 def test_short_work_writes_nothing(capsys):
-    assert shown(capsys, [0.5, 1.0], 1.0) == []
+    assert shown_text(capsys, [0.5, 1.0], 1.0) == []
 
 
 @pytest.mark.parametrize(

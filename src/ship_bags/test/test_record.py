@@ -11,7 +11,7 @@ import pytest
 
 from ship_bags.commands.record import main
 from ship_bags.errors import BadInput
-from ship_bags.live.record import STEP_NS, ClockWatch, Recorder, RecordOptions
+from ship_bags.live.record import MIN_STEP_NS, ClockStepDetector, Recorder, RecordOptions
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
@@ -42,9 +42,9 @@ def test_split_options_refused_in_one_line(options, expected, capsys):
 # -- clocks -------------------------------------------------------------------------------------------------------
 
 
-class TestClockWatch:
+class TestClockStepDetector:
     def steps(self, offsets_ns, reading_ns=1000):
-        watch = ClockWatch()
+        watch = ClockStepDetector()
         looks = [(number * 10**8, offset_ns) for number, offset_ns in enumerate(offsets_ns)]
         return [watch.detect_step(steady, steady + offset, steady + reading_ns) for steady, offset in looks]
 
@@ -52,12 +52,12 @@ class TestClockWatch:
         # Slewed by 500 ppm, the most that adjtime allows: 50 µs in each 100 ms.
         assert self.steps([10**18 + 50_000 * number for number in range(1000)]) == [None] * 1000
 
-    @pytest.mark.parametrize("step_ns", [-3_600_000_000_000, -STEP_NS - 1, STEP_NS + 1, 86_400_000_000_000])
+    @pytest.mark.parametrize("step_ns", [-3_600_000_000_000, -MIN_STEP_NS - 1, MIN_STEP_NS + 1, 86_400_000_000_000])
     def test_a_step_is_reported_once_with_its_size(self, step_ns):
         assert self.steps([10**18, 10**18, 10**18 + step_ns, 10**18 + step_ns]) == [None, None, step_ns, None]
 
     def test_a_pause_between_the_two_readings_is_no_step(self):
-        watch = ClockWatch()
+        watch = ClockStepDetector()
         assert watch.detect_step(0, 10**18, 1000) is None
         # The process slept for 2 s after it read the steady clock.
         assert watch.detect_step(10**8, 10**18 + 10**8 + 2 * 10**9, 10**8 + 2 * 10**9) is None

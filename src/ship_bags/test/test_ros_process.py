@@ -15,7 +15,7 @@ from ship_bags.live.dds import (
     QOS_FROM_PROFILE_VARIABLE,
     STRATEGY,
     dds_has_security,
-    is_demanded,
+    is_security_requested,
     loaded_libraries,
     security_environment,
     use_dds_profile,
@@ -47,15 +47,15 @@ def test_detected_security_of_the_installed_dds_matches_its_headers() -> None:
 
 @pytest.mark.parametrize("spelling", ["", " ", "false", "False", "FALSE", "0", "no", "off"])
 def test_clear_negations_request_no_security(spelling: str) -> None:
-    assert not is_demanded({ENABLE: spelling, STRATEGY: "Enforce"})
-    assert not is_demanded({STRATEGY: "Enforce"})
+    assert not is_security_requested({ENABLE: spelling, STRATEGY: "Enforce"})
+    assert not is_security_requested({STRATEGY: "Enforce"})
 
 
 @pytest.mark.parametrize("strategy", ["", "Permissive", "Enforce", "enforce", "nonsense"])
 @pytest.mark.parametrize("spelling", ["true", "TRUE", "True", "1", "yes", "on", " true ", "2", "ture"])
 def test_any_other_spelling_requests_security(spelling: str, strategy: str) -> None:
     demand = {ENABLE: spelling, STRATEGY: strategy}
-    assert is_demanded(demand)
+    assert is_security_requested(demand)
     with pytest.raises(BadInput, match=r"requests DDS security, and the DDS of this installation was built without it"):
         security_environment(demand, has_security=False)
     enforced = strategy in ("Enforce", "enforce")

@@ -17,7 +17,7 @@ from rclpy.task import Future
 
 from ship_bags.command_line import CommandParser
 from ship_bags.errors import BadInput
-from ship_bags.live.ros_process import command_node, positive
+from ship_bags.live.ros_process import command_node, positive_number
 from ship_bags.parameter_yaml import full_name
 
 _POLL_S = 0.05
@@ -47,7 +47,7 @@ def node_command_parser(prog: str, example: str, description: str, epilog: str) 
     )
     parser.add_argument("node", metavar="NODE", help="its name, with its namespace: /demo/ship_attitude")
     parser.add_argument(
-        "--timeout", type=positive, default=_TIMEOUT_S, metavar="S", help=f"timeout of a response, s ({_TIMEOUT_S:g})"
+        "--timeout", type=positive_number, default=_TIMEOUT_S, metavar="S", help=f"timeout of a response, s ({_TIMEOUT_S:g})"
     )
     return parser
 

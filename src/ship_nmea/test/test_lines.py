@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from ship_bags.nmea.lines import BINARY, HALF, LONGEST_LINE, NOISE, TOO_LONG, parse_line
+from ship_bags.nmea.lines import BINARY, INCOMPLETE, LONGEST_LINE, NOISE, TOO_LONG, parse_line
 from ship_bags.nmea.sentences import BAD_CHECKSUM, OUT_OF_RANGE, UNKNOWN, UNPARSED, VOID, NotOfInterest, Sentence
 from ship_nmea.line_splitter import LineSplitter
 from ship_testing.ship_logs import sentence
@@ -60,12 +60,12 @@ def test_line_without_end_is_returned_once_and_not_kept(size):
         (HDT, ["HDT"]),
         (HDT + b"  ", ["HDT"]),
         (PSXN23, ["PSXN23"]),
-        (b"$GPHDT,21", [HALF]),  # which pynmea2 alone takes for a heading of 21 degrees
-        (b"$HEHDT,218.53,T*1", [HALF]),
-        (b"8.53,T*12", [HALF]),
-        (b"HEHDT,218.53,T*12", [HALF]),
-        (b"$GPHDT,21" + HDT, [HALF, "HDT"]),
-        (b"18.53,T*12" + HDT, [HALF, "HDT"]),
+        (b"$GPHDT,21", [INCOMPLETE]),  # which pynmea2 alone takes for a heading of 21 degrees
+        (b"$HEHDT,218.53,T*1", [INCOMPLETE]),
+        (b"8.53,T*12", [INCOMPLETE]),
+        (b"HEHDT,218.53,T*12", [INCOMPLETE]),
+        (b"$GPHDT,21" + HDT, [INCOMPLETE, "HDT"]),
+        (b"18.53,T*12" + HDT, [INCOMPLETE, "HDT"]),
         (HDT + HDT, ["HDT", "HDT"]),
         (b"$HEHDT,218.54,T*12", [BAD_CHECKSUM]),
         (sentence("HEHDT,,T").encode(), [VOID]),
@@ -104,7 +104,7 @@ def test_no_sentence_is_lost_after_binary_messages(binary, size):
     for at in range(0, len(stream), size):
         found += [name for line in splitter.take(stream[at : at + size]) for name in outcomes(line)]
     assert [name for name in found if name in ("HDT", "PSXN23")] == 5 * ["HDT", "PSXN23"]
-    assert set(found) <= {"HDT", "PSXN23", BINARY, NOISE, TOO_LONG, HALF}
+    assert set(found) <= {"HDT", "PSXN23", BINARY, NOISE, TOO_LONG, INCOMPLETE}
 
 
 def test_binary_before_a_sentence_is_not_rejected():

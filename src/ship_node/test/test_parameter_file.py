@@ -7,7 +7,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
 from ship_bags.errors import BadInput
-from ship_bags.parameter_yaml import anywhere, full_name
+from ship_bags.parameter_yaml import in_any_namespace, full_name
 from ship_estimation.parameter_fields import parameter, section
 from ship_node.parameters.parameter_file import load_config, misfit, read, read_whatever_fits
 
@@ -154,7 +154,7 @@ def test_a_section_for_all_nodes_matches():
 
 def test_a_node_in_any_namespace():
     for node in ("ship", "/a/ship", "/**"):
-        assert read(f"{node}: {{ros__parameters: {{x: 1}}}}\n", anywhere("ship")).values == {"x": 1}
+        assert read(f"{node}: {{ros__parameters: {{x: 1}}}}\n", in_any_namespace("ship")).values == {"x": 1}
     names = [full_name("ship", namespace) for namespace in ("", "/", "a", "/a/b/")]
     assert names == ["/ship", "/ship", "/a/ship", "/a/b/ship"]
 
@@ -184,7 +184,7 @@ def test_a_file_for_other_nodes_may_have_no_section():
 def test_sections_of_several_namespaces_for_a_node_in_any_namespace():
     text = "a/ship:\n  ros__parameters: {x: 1}\nb/ship:\n  ros__parameters: {x: 2}\n"
     with pytest.raises(BadInput, match="sections /a/ship and /b/ship both fit node 'ship': keep one"):
-        read(text, anywhere("ship"))
+        read(text, in_any_namespace("ship"))
 
 
 def test_configuration_is_built_and_checked():

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_reader import Bag, read_bag, watched
+from ship_bags.mcap.bag_reader import Bag, read_bag, with_bag_progress
 from ship_bags.mcap.bag_writer import BagWriter, TypeDefinition
-from ship_bags.output_files import add_force, check_file
-from ship_bags.renamed_topics import add_bag_names
+from ship_bags.output_files import add_force_option, check_file
+from ship_bags.renamed_topics import add_bag_name_options
 from ship_bags.topic_names import relative_topics
 from ship_simulation.faults.injection import Injection, injectable_topics, optics_of_bag
 from ship_simulation.scenario.fault import kind_rows
@@ -48,8 +48,8 @@ def _parser() -> CommandParser:
     parser.add_argument("--faults", type=Path, required=True, metavar="FILE", help="faults to add (YAML)")
     parser.add_argument("--out", type=Path, required=True, metavar="OUT.mcap", help="bag to write")
     parser.add_argument("--seed", type=seed_of, default=1, metavar="N", help="seed of the faults' random draws (1)")
-    add_bag_names(parser)
-    add_force(parser)
+    add_bag_name_options(parser)
+    add_force_option(parser)
     return parser
 
 
@@ -88,7 +88,7 @@ def _write(bag: Bag, injection: Injection, path: Path, text: bytes) -> int:
         writer.add_metadata("injection", {"seed": str(injection.seed)})
         for topic, type_name in bag.topics.items():
             writer.add_topic(topic, type_name, topic in bag.latched_topics)
-        for record in watched(injection.records(bag), bag):
+        for record in with_bag_progress(injection.records(bag), bag):
             sequence = None if record.topic in hit else record.sequence
             writer.write_raw(
                 record.topic, record.type_name, record.data, record.log_time_ns, record.publish_time_ns, sequence

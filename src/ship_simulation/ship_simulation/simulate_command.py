@@ -7,7 +7,7 @@ from pathlib import Path
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT, BagWriter
 from ship_bags.message_store import RosbagsFactory
-from ship_bags.output_files import add_force, check_file
+from ship_bags.output_files import add_force_option, check_file
 from ship_bags.progress import with_progress
 from ship_estimation.parameter_rows import key_rows
 from ship_geometry.time_scales import SECOND_NS
@@ -50,7 +50,7 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--carrier", type=Path, metavar="BAG", help="follow the recorded attitude of this bag, not the scenario's"
     )
-    add_force(parser)
+    add_force_option(parser)
     return parser
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ship_bags.parameter_yaml import read_plain
+from ship_bags.parameter_yaml import read_nested_parameters
 from ship_estimation.parameter_fields import mapping_of, parameter, section
 from ship_estimation.parameters import ParameterError, build
 
@@ -189,7 +189,7 @@ def read_limits(source: Path | str) -> Limits:
         BadInput: the file cannot be read, or has an unknown key or a value out of range; the error contains file, line,
             key and the expected value.
     """
-    file = read_plain(source)
+    file = read_nested_parameters(source)
     try:
         return build(Limits, file.values)
     except ParameterError as error:

@@ -22,8 +22,8 @@ from ship_attitude_star.layout.optics import PERCENTILES
 from ship_attitude_star.layout.requirement_told import REQUIREMENT_TABLES, requirement_lines, requirement_tables
 from ship_attitude_star.layout.study import LayoutStudy, compute_study
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
-from ship_bags.output_files import add_force, check_folder, write_csv, write_whole
-from ship_bags.parameter_yaml import read_plain
+from ship_bags.output_files import add_force_option, check_folder, write_csv, write_atomically
+from ship_bags.parameter_yaml import read_nested_parameters
 from ship_estimation.parameters import ParameterError, describe
 
 PAGE = "layout_study.html"
@@ -75,7 +75,7 @@ def _parser() -> CommandParser:
         help="sensors, angles [deg] and errors [arcsec] (default: two sensors with the values of [Z14])",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="output folder, created if absent")
-    add_force(parser)
+    add_force_option(parser)
     return parser
 
 
@@ -89,7 +89,7 @@ def _run(options: argparse.Namespace) -> int:
 
     page = options.out / PAGE
     title = _DEFAULT_TITLE if options.layout is None else options.layout.name
-    write_whole(page, page_text(computed, draw_figures(computed, options.out), title))
+    write_atomically(page, page_text(computed, draw_figures(computed, options.out), title))
     sys.stdout.write(_summary(computed, page))
     return EXIT_DONE if computed.requirement_result is None or computed.requirement_result.is_met else EXIT_BOUND_NOT_MET
 
@@ -100,7 +100,7 @@ def _study(options: argparse.Namespace) -> LayoutStudy:
     Raises:
         BadInput: names the file, the line, the parameter and the expected value; or what cannot be written.
     """
-    file = None if options.layout is None else read_plain(options.layout)
+    file = None if options.layout is None else read_nested_parameters(options.layout)
     try:
         config = study_config({} if file is None else file.values)
         check_folder(options.out, output_names(config), options.force)

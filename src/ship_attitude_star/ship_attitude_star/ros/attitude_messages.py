@@ -78,14 +78,14 @@ def attitude_messages(
         frames: frame names.
     """
     messages = _messages(AttitudeNumbers.from_runs([AttitudeSeries.from_estimate(estimate)]), as_numbers, rate_sigma, frames)
-    return [(topic, factory.encoded(type_name, **fields)) for topic, type_name, fields in messages]
+    return [(topic, factory.encode(type_name, **fields)) for topic, type_name, fields in messages]
 
 
 def smoothed_message(factory: MessageFactory, estimate: AttitudeEstimate, frames: FrameNames) -> Published:
     """Return the ship_msgs/ShipAttitude message of a smoothed attitude."""
     attitude = AttitudeNumbers.from_runs([AttitudeSeries.from_estimate(estimate)])
     _, type_name, fields = next(_messages(attitude, as_numbers, 0.0, frames))
-    return SMOOTHED_TOPIC, factory.encoded(type_name, **fields)
+    return SMOOTHED_TOPIC, factory.encode(type_name, **fields)
 
 
 def attitude_rows(

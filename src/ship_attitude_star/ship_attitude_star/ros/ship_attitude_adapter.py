@@ -426,7 +426,7 @@ def error_arcsec(factory: MessageFactory, estimate: AttitudeEstimate, deck: str)
 
 def alignment_state(factory: MessageFactory, alignment: Alignment, now_ns: int, deck: str) -> Any:
     """Return ship_msgs/AlignmentState of an alignment."""
-    return factory.encoded(
+    return factory.encode(
         "ship_msgs/msg/AlignmentState",
         header={"stamp": now_ns, "frame_id": deck},
         names=list(alignment.names),
@@ -468,7 +468,7 @@ def installed_frames(
                 "transform": {"translation": ZERO_VECTOR, "rotation": rotation},
             }
         )
-    return factory.encoded(TF_TYPE, transforms=transforms)
+    return factory.encode(TF_TYPE, transforms=transforms)
 
 
 def start_warnings(config: ShipAttitudeConfig) -> tuple[str, ...]:

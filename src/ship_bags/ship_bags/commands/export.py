@@ -7,9 +7,9 @@ from pathlib import Path
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import one_line
-from ship_bags.export.export import FORMATS, ExportOrder, export
-from ship_bags.output_files import add_force
-from ship_bags.renamed_topics import add_remap
+from ship_bags.export.export import FORMATS, ExportRequest, export
+from ship_bags.output_files import add_force_option
+from ship_bags.renamed_topics import add_remap_option
 from ship_bags.stamps import END_OF_TIME_NS, ns_from_utc_text
 
 _DESCRIPTION = """\
@@ -36,7 +36,7 @@ def _parser() -> CommandParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("bag", type=Path, help="bag to read: .mcap file or rosbag2 folder")
-    add_remap(parser)
+    add_remap_option(parser)
     parser.add_argument(
         "--out",
         type=_out,
@@ -71,12 +71,12 @@ def _parser() -> CommandParser:
         metavar="UTC",
         help="leave out messages logged then and later, and topics that have no others (the end of the bag)",
     )
-    add_force(parser)
+    add_force_option(parser)
     return parser
 
 
 def _run(options: argparse.Namespace) -> int:
-    order = ExportOrder(
+    order = ExportRequest(
         options.bag, options.out, tuple(options.topics), options.format, options.since, options.until, options.force
     )
     exported = export(order)

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
-from ship_bags.nmea.import_nmea import GYRO_NAME, RECEIVE_TIME, ImportOrder, import_logs
+from ship_bags.nmea.import_nmea import GYRO_NAME, RECEIVE_TIME, ImportRequest, import_logs
 from ship_bags.nmea.instrument import INSTRUMENT_TIME
 from ship_bags.nmea.lines import OPTIONAL, REQUIRED, is_talker
 from ship_bags.nmea.nmea_log import LogRules
-from ship_bags.output_files import add_force, check_file
+from ship_bags.output_files import add_force_option, check_file
 
 _HIGHEST_RATE_HZ = 1000.0
 
@@ -73,7 +73,7 @@ def _parser() -> CommandParser:
         "--resample", type=float, metavar="HZ", help="resample ins/imu by a rotation spline, with angular velocity [Hz]"
     )
     parser.add_argument("--config", type=Path, metavar="FILE", help="suite configuration to attach to the bag")
-    add_force(parser)
+    add_force_option(parser)
     return parser
 
 
@@ -82,7 +82,7 @@ def _run(options: argparse.Namespace) -> int:
     rate_hz = options.resample
     if rate_hz is not None and not (math.isfinite(rate_hz) and 0.0 < rate_hz <= _HIGHEST_RATE_HZ):
         raise BadInput(f"--resample {rate_hz:g}: expected a rate above 0 and up to {_HIGHEST_RATE_HZ:g} Hz")
-    order = ImportOrder(
+    order = ImportRequest(
         ins=options.ins,
         references=_references(options.reference),
         weather=options.weather,

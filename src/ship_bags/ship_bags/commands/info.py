@@ -11,8 +11,8 @@ from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import one_line
 from ship_bags.mcap.bag_content import BagContent, TopicContent, attached_suite, bag_content
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT, SUITE_ATTACHMENT
-from ship_bags.output_files import add_force, check_file, write_whole
-from ship_bags.renamed_topics import add_remap
+from ship_bags.output_files import add_force_option, check_file, write_atomically
+from ship_bags.renamed_topics import add_remap_option
 from ship_bags.stamps import NS_PER_S, utc_text
 
 _DESCRIPTION = """\
@@ -42,7 +42,7 @@ def _parser() -> CommandParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("bag", type=Path, help="bag to read: .mcap file or rosbag2 folder")
-    add_remap(parser)
+    add_remap_option(parser)
     outputs = parser.add_mutually_exclusive_group()
     outputs.add_argument("--json", action="store_true", help="print JSON; times are nanoseconds since 1970, UTC")
     outputs.add_argument(
@@ -52,29 +52,29 @@ def _parser() -> CommandParser:
         metavar="FILE",
         help="write the attached suite file to FILE, or to stdout without FILE",
     )
-    add_force(parser)
+    add_force_option(parser)
     return parser
 
 
 def _run(options: argparse.Namespace) -> int:
     if options.suite is not None:
-        _take_out_suite(options.bag, options.suite, options.force)
+        _write_suite_file(options.bag, options.suite, options.force)
         return EXIT_DONE
     content = bag_content(options.bag)
     if options.json:
-        print(json.dumps(_plain(content), indent=2))
+        print(json.dumps(_json_content(content), indent=2))
     else:
         for line in _lines(options.bag, content):
             print(line)
     return EXIT_DONE
 
 
-def _take_out_suite(bag: Path, target: str, force: bool) -> None:
+def _write_suite_file(bag: Path, target: str, force: bool) -> None:
     if target != _STDOUT:
         check_file(Path(target), force)
     text = attached_suite(bag)
     if target != _STDOUT:
-        write_whole(Path(target), text)
+        write_atomically(Path(target), text)
         return
     sys.stdout.flush()
     sys.stdout.buffer.write(text)
@@ -127,7 +127,7 @@ def _times(topic: TopicContent, start_ns: int | None) -> tuple[str, str, str]:
     return rate, f"{(topic.first_ns - start_ns) / NS_PER_S:.3f}", f"{(topic.last_ns - start_ns) / NS_PER_S:.3f}"
 
 
-def _plain(content: BagContent) -> dict[str, Any]:
+def _json_content(content: BagContent) -> dict[str, Any]:
     return {
         "files": [{"name": name, "bytes": size} for name, size in content.files.items()],
         "start_ns": content.start_ns,

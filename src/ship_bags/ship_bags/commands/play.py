@@ -8,9 +8,9 @@ from pathlib import Path
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser
 from ship_bags.live.play import Player, PlayOptions
-from ship_bags.live.playback_clock import PlaybackClock, add_services, keyboard, served
-from ship_bags.live.ros_process import command_node, on_end_signals, positive, run_ros_command
-from ship_bags.renamed_topics import add_remap
+from ship_bags.live.playback_clock import PlaybackClock, add_services, keyboard_control, serve_in_thread
+from ship_bags.live.ros_process import command_node, call_on_end_signals, positive_number, run_ros_command
+from ship_bags.renamed_topics import add_remap_option
 
 _DESCRIPTION = """\
 Publishes the messages of a bag live, byte for byte, at the times of its log, and that time every 10 ms on /clock.
@@ -40,7 +40,7 @@ def _parser() -> CommandParser:
     parser.add_argument("bag", type=Path, help="bag to play: .mcap file or rosbag2 folder")
     parser.add_argument(
         "--rate",
-        type=positive,
+        type=positive_number,
         default=1.0,
         metavar="R",
         help="seconds of the bag per second (1); 1e9 is as fast as it goes",
@@ -59,7 +59,7 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--topics", nargs="+", default=[], metavar="TOPIC", help="play only these topics, named as in the bag"
     )
-    add_remap(parser)
+    add_remap_option(parser)
     parser.add_argument(
         "--wait-for-subscribers",
         nargs="+",
@@ -91,8 +91,8 @@ def _play(parsed: argparse.Namespace, ros_arguments: list[str]) -> int:
     with command_node("play", ros_arguments) as node:
         player = Player(node, parsed.bag, options, clock)
         add_services(node, clock)
-        on_end_signals(clock.stop)
-        with served(node, clock, player.publish_clock), keyboard(clock):
+        call_on_end_signals(clock.stop)
+        with serve_in_thread(node, clock, player.publish_clock), keyboard_control(clock):
             summary = player.run()
     print(f"play: {summary.message_count} messages, largest delay {summary.latest_s * 1e3:.1f} ms")
     if summary.unacknowledged:

@@ -8,11 +8,11 @@ from pathlib import Path
 from ship_bags.command_line import EXIT_BAD_INPUT, EXIT_DONE, CommandParser
 from ship_bags.errors import BadInput, one_line
 from ship_bags.live.record import Recorder, RecordOptions
-from ship_bags.live.ros_process import command_node, on_end_signals, positive, run_ros_command
+from ship_bags.live.ros_process import command_node, call_on_end_signals, positive_number, run_ros_command
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.mcap.folder import FolderWriter, SplitLimits
 from ship_bags.mcap.recover import recover, recovered_path
-from ship_bags.output_files import add_force, check_file
+from ship_bags.output_files import add_force_option, check_file
 from ship_bags.suite_commit import COMMIT_RECORD, commit_record
 
 _DESCRIPTION = """\
@@ -47,30 +47,30 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--out", type=Path, metavar="BAG", help="bag to write: BAG.mcap is one file, any other name a rosbag2 folder"
     )
-    add_force(parser)
+    add_force_option(parser)
     parser.add_argument(
         "--recover", type=Path, nargs="+", metavar="FILE", help="recover damaged or unfinished bags"
     )
     parser.add_argument(
-        "--split-mb", type=positive, metavar="MB", help="folder: a new file after MB megabytes (never)"
+        "--split-mb", type=positive_number, metavar="MB", help="folder: a new file after MB megabytes (never)"
     )
     parser.add_argument(
-        "--split-s", type=positive, metavar="S", help="folder: a new file after S seconds of real time (never)"
+        "--split-s", type=positive_number, metavar="S", help="folder: a new file after S seconds of real time (never)"
     )
     parser.add_argument(
         "--topics", nargs="+", default=[], metavar="TOPIC", help="only these (all but hidden ones and /clock)"
     )
     parser.add_argument(
         "--flush-period-s",
-        type=positive,
+        type=positive_number,
         default=0.1,
         metavar="S",
         help="flush and fsync every S seconds (0.1)",
     )
-    parser.add_argument("--duration-s", type=positive, metavar="S", help="end after S seconds (never)")
+    parser.add_argument("--duration-s", type=positive_number, metavar="S", help="end after S seconds (never)")
     parser.add_argument(
         "--until-idle-s",
-        type=positive,
+        type=positive_number,
         metavar="S",
         help="end S seconds after the last measurement or valid result (never); messages that nodes publish without "
         "input (diagnostics, health, budgets, INVALID, /rosout) count only if no others are recorded",
@@ -110,7 +110,7 @@ def _recover(sources: list[Path], target: Path | None, force: bool) -> int:
     return exit_code
 
 
-def _opened(parsed: argparse.Namespace) -> BagWriter | FolderWriter:
+def _open_bag(parsed: argparse.Namespace) -> BagWriter | FolderWriter:
     if parsed.out.suffix == ".mcap":
         check_file(parsed.out, parsed.force)
         # Programs that read the former file keep it.
@@ -132,9 +132,9 @@ def _record(parsed: argparse.Namespace, ros_arguments: list[str]) -> int:
         until_idle_s=parsed.until_idle_s,
     )
     with command_node("record", ros_arguments, parsed.use_sim_time) as node:
-        bag = _opened(parsed)
+        bag = _open_bag(parsed)
         recorder = Recorder(node, bag, options)
-        on_end_signals(recorder.stop)
+        call_on_end_signals(recorder.stop)
         print(f"record: recording to {parsed.out}", flush=True)
         recorder.run()
     for name in sorted(recorder.unanswered):

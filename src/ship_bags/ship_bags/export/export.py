@@ -13,7 +13,7 @@ from ship_bags.errors import BadInput
 from ship_bags.export.netcdf_file import NetcdfFile, midnight_before
 from ship_bags.export.table_files import CsvFile, ParquetFile, TableFile, TableHead, check_parquet
 from ship_bags.export.table_rows import MessageTable, TopicRows
-from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag, watched
+from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag, with_bag_progress
 from ship_bags.output_files import check_file, check_folder
 from ship_bags.stamps import END_OF_TIME_NS, utc_text
 from ship_bags.topic_names import TRUTH_PREFIX
@@ -25,15 +25,15 @@ _BATCH_CELLS = 30_000
 """Numbers of rows and cells at which a table writes its batch."""
 
 _LONGEST_STEM = 180
-_MOST_NAMED = 20
-_MIN_SIMILARITY, _THE_SAME = 0.6, 0.85
+_MAX_NAMED = 20
+_MIN_SIMILARITY, _MIN_TYPO_SIMILARITY = 0.6, 0.85
 """Similarities of names by difflib: similar, and equal except for a typing error."""
 
 _NOT_IN_A_NAME = re.compile(r"[^A-Za-z0-9_.-]")
 
 
 @dataclass(frozen=True)
-class ExportOrder:
+class ExportRequest:
     """Options of an export.
 
     Attributes:
@@ -56,7 +56,7 @@ class ExportOrder:
 
 
 @dataclass
-class Exported:
+class ExportResult:
     """Result: the files with their numbers of rows, and one line for each thing that is missing in them."""
 
     row_counts: dict[Path, int] = field(default_factory=dict)
@@ -78,7 +78,7 @@ class _Topic:
                 file.append(table.take_columns())
 
 
-def export(order: ExportOrder) -> Exported:
+def export(order: ExportRequest) -> ExportResult:
     """Write the topics of a bag as tables, all of them or none.
 
     Raises:
@@ -87,18 +87,18 @@ def export(order: ExportOrder) -> Exported:
     """
     if order.since_ns >= order.until_ns:
         raise BadInput(f"--from {utc_text(order.since_ns)} is not before --to {utc_text(order.until_ns)}")
-    kind = _kind(order)
+    kind = _file_kind(order)
     with read_bag(order.bag) as bag, ExitStack() as stack:
-        names = _wanted(bag, order.topics)
+        names = _selected_topics(bag, order.topics)
         topics, refused = _topic_rows(bag, names, bool(order.topics))
         paths = _paths(order, kind, topics)
-        folder = _made_folder(order, paths)
-        stack.callback(_leave_no_empty, folder)
+        folder = _prepare_folder(order, paths)
+        stack.callback(_remove_if_empty, folder)
         epoch_ns = midnight_before(bag.start_ns or 0)
         for name, topic in topics.items():
             for table in topic.rows.tables:
                 head = TableHead(order.bag.name, name, bag.topics[name], table.name, epoch_ns)
-                file = _opened(kind, paths[name, table.name], head, table)
+                file = _open_file(kind, paths[name, table.name], head, table)
                 stack.callback(file.discard)
                 topic.files.append((table, file))
         met, left_out = _take_messages(bag, order, topics)
@@ -108,10 +108,10 @@ def export(order: ExportOrder) -> Exported:
             file.finish()
         for file in files:
             file.publish()
-        return Exported({file.path: file.row_count for file in files}, [*bag.problems, *refused, *left_out])
+        return ExportResult({file.path: file.row_count for file in files}, [*bag.problems, *refused, *left_out])
 
 
-def _opened(kind: type[TableFile], path: Path, head: TableHead, table: MessageTable) -> TableFile:
+def _open_file(kind: type[TableFile], path: Path, head: TableHead, table: MessageTable) -> TableFile:
     try:
         return kind(path, head, table.columns)
     except OSError as problem:
@@ -120,7 +120,7 @@ def _opened(kind: type[TableFile], path: Path, head: TableHead, table: MessageTa
         raise BadInput("too many files at once: export fewer topics by --topics", file=path) from problem
 
 
-def _take_messages(bag: Bag, order: ExportOrder, topics: dict[str, _Topic]) -> tuple[list[str], list[str]]:
+def _take_messages(bag: Bag, order: ExportRequest, topics: dict[str, _Topic]) -> tuple[list[str], list[str]]:
     """Read the bag and write the rows; return the topics that get files, and one line for each omission.
 
     Raises:
@@ -129,7 +129,7 @@ def _take_messages(bag: Bag, order: ExportOrder, topics: dict[str, _Topic]) -> t
     met: set[str] = set()
     counts: Counter[str] = Counter()
     first: dict[str, str] = {}
-    for record in watched(_until(bag.records(topics.keys(), order.since_ns), order.until_ns), bag):
+    for record in with_bag_progress(_records_until(bag.records(topics.keys(), order.since_ns), order.until_ns), bag):
         topic = topics[record.topic]
         met.add(record.topic)
         try:
@@ -151,26 +151,26 @@ def _take_messages(bag: Bag, order: ExportOrder, topics: dict[str, _Topic]) -> t
     empty = [f"'{name}'" for name in topics if name not in met]
     if not met:
         what = "no message of these topics" if order.topics else "no message"
-        raise BadInput(f"{what} was logged between --from and --to: the bag {_extent(bag)}", file=order.bag)
+        raise BadInput(f"{what} was logged between --from and --to: the bag {_time_range_text(bag)}", file=order.bag)
     nothing = "no message was logged between --from and --to, so no file is written, of"
     left_out = [f"{nothing} {', '.join(empty)}"] if empty else []
     return [name for name in topics if name in met], [*undecoded, *left_out]
 
 
-def _extent(bag: Bag) -> str:
+def _time_range_text(bag: Bag) -> str:
     if bag.start_ns is None or bag.end_ns is None:
         return "has no messages"
     return f"is from {utc_text(bag.start_ns)} to {utc_text(bag.end_ns)}"
 
 
-def _until(records: Iterator[BagRecord], until_ns: int) -> Iterator[BagRecord]:
+def _records_until(records: Iterator[BagRecord], until_ns: int) -> Iterator[BagRecord]:
     for record in records:
         if record.log_time_ns >= until_ns:
             return
         yield record
 
 
-def _kind(order: ExportOrder) -> type[TableFile]:
+def _file_kind(order: ExportRequest) -> type[TableFile]:
     """Return the kind of file, on which ``--format`` and the suffix must agree."""
     by_name = None
     if _names_a_file(order.out):
@@ -195,7 +195,7 @@ def _names_a_file(out: Path) -> bool:
     return bool(out.suffix) and not out.is_dir()
 
 
-def _wanted(bag: Bag, names: tuple[str, ...]) -> list[str]:
+def _selected_topics(bag: Bag, names: tuple[str, ...]) -> list[str]:
     """Return the topics to export, by their names in the bag."""
     if not names:
         return sorted(bag.topics)
@@ -220,8 +220,8 @@ def _hint(name: str, known: Collection[str]) -> str:
     """
     truth = sorted(topic for topic in known if f"/{TRUTH_PREFIX}" in f"/{topic}")
     others = sorted(set(known).difference(truth))
-    near = difflib.get_close_matches(name, others, 1, _MIN_SIMILARITY) or difflib.get_close_matches(name, truth, 1, _THE_SAME)
-    return f"did you mean '{near[0]}'?" if near else f"it has {', '.join([*others, *truth][:_MOST_NAMED])}"
+    near = difflib.get_close_matches(name, others, 1, _MIN_SIMILARITY) or difflib.get_close_matches(name, truth, 1, _MIN_TYPO_SIMILARITY)
+    return f"did you mean '{near[0]}'?" if near else f"it has {', '.join([*others, *truth][:_MAX_NAMED])}"
 
 
 def _topic_rows(bag: Bag, names: list[str], required: bool) -> tuple[dict[str, _Topic], list[str]]:
@@ -249,7 +249,7 @@ def _rows_of(bag: Bag, name: str) -> tuple[TopicRows | None, str]:
         return None, f"topic '{name}' ({bag.topics[name]}) cannot become a table: {problem}"
 
 
-def _paths(order: ExportOrder, kind: type[TableFile], topics: dict[str, _Topic]) -> dict[tuple[str, str], Path]:
+def _paths(order: ExportRequest, kind: type[TableFile], topics: dict[str, _Topic]) -> dict[tuple[str, str], Path]:
     """Return the file of each table, by topic and name of the table."""
     single = _names_a_file(order.out)
     if single and len(topics) > 1:
@@ -284,7 +284,7 @@ def _stem(topic: str) -> str:
     return name.lstrip(".-")[:_LONGEST_STEM] or "topic"
 
 
-def _made_folder(order: ExportOrder, paths: dict[tuple[str, str], Path]) -> Path | None:
+def _prepare_folder(order: ExportRequest, paths: dict[tuple[str, str], Path]) -> Path | None:
     """Check that all files can be written; return the folder if it was made for them."""
     if any(path.exists() and path.resolve() == order.bag.resolve() for path in paths.values()):
         raise BadInput("the output would overwrite the bag", file=order.bag)
@@ -299,7 +299,7 @@ def _made_folder(order: ExportOrder, paths: dict[tuple[str, str], Path]) -> Path
     return order.out
 
 
-def _leave_no_empty(folder: Path | None) -> None:
+def _remove_if_empty(folder: Path | None) -> None:
     """Remove a folder that was made for files that were not written."""
     if folder is not None:
         with suppress(OSError):

@@ -14,16 +14,16 @@ from rosbags.typesys.store import Typestore
 from ship_bags.errors import BadInput
 from ship_bags.export.units import Unit, standard_name, unit_of, value_names
 
-_MOST_NUMBERED = 64
+_MAX_NUMBERED = 64
 """Maximum length of a fixed array that becomes numbered columns; a longer one becomes a table of its own."""
 
-_DEEPEST = 16
+_MAX_DEPTH = 16
 TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 BYTES = ("uint8", "byte", "octet")
 NO_FIELD = "structure_needs_at_least_one_member"
 """Name in the definition of a message without fields."""
 
-_TOGETHER: dict[str, tuple[dict[str, int], ...]] = {
+_PARALLEL_ARRAYS: dict[str, tuple[dict[str, int], ...]] = {
     "ship_msgs/msg/AlignmentState": ({"names": 1, "values": 1, "units": 1},),
     "ship_msgs/msg/TheodoliteCalibration": ({"names": 1, "values": 1, "units": 1},),
     "ship_msgs/msg/ErrorBudget": ({"sources": 1, "covariances": 9},),
@@ -76,8 +76,8 @@ def fields_of(
     type_name: str, store: Typestore, path: Path = (), inherited: Unit | None = None
 ) -> Iterator[MessageField]:
     """Yield all fields of a message, down to numbers, texts, times and arrays of variable length."""
-    if len(path) > _DEEPEST:
-        raise BadInput(f"{type_name}: messages within messages are more than {_DEEPEST} deep")
+    if len(path) > _MAX_DEPTH:
+        raise BadInput(f"{type_name}: messages within messages are more than {_MAX_DEPTH} deep")
     constants, fields = store.fielddefs[type_name]
     for name, (node, content) in fields:
         unit = unit_of(type_name, name) or inherited
@@ -91,7 +91,7 @@ def _expanded_fields(field: MessageField, store: Typestore) -> Iterator[MessageF
     """Yield the field itself, or the fields of a message or of a short array of messages."""
     if field.node == Nodetype.NAME and field.content not in TIMES:
         yield from fields_of(field.content, store, field.path, field.unit)
-    elif field.node == Nodetype.ARRAY and field.content[0][0] == Nodetype.NAME and field.content[1] <= _MOST_NUMBERED:
+    elif field.node == Nodetype.ARRAY and field.content[0][0] == Nodetype.NAME and field.content[1] <= _MAX_NUMBERED:
         (node, content), length = field.content
         for place in range(length):
             yield from _expanded_fields(MessageField((*field.path, place), node, content, field.unit), store)
@@ -103,7 +103,7 @@ def groups_of(fields: list[MessageField]) -> list[dict[MessageField, int]]:
     """Return arrays that share a table, each with the number of its elements in a row."""
     groups: dict[tuple[Path, str], dict[MessageField, int]] = {}
     for field in fields:
-        known = next((group for group in _TOGETHER.get(field.owner, ()) if field.path[-1] in group), {})
+        known = next((group for group in _PARALLEL_ARRAYS.get(field.owner, ()) if field.path[-1] in group), {})
         alone = not known or field.content[0][0] != Nodetype.BASE
         key = (field.path, "") if alone else (field.path[:-1], next(iter(known)))
         groups.setdefault(key, {})[field] = 1 if alone else known[str(field.path[-1])]
@@ -115,18 +115,18 @@ def elements_of(group: dict[MessageField, int]) -> Callable[[Any], Iterable[Any]
     gets = [(getter(field.path), width) for field, width in group.items()]
     if len(gets) == 1:
         get, _ = gets[0]
-        return lambda message: plain(get(message))
-    return lambda message: zip_longest(*(_in_rows(plain(get(message)), width) for get, width in gets))
+        return lambda message: as_list(get(message))
+    return lambda message: zip_longest(*(_grouped_elements(as_list(get(message)), width) for get, width in gets))
 
 
-def _in_rows(elements: list[Any], width: int) -> list[Any]:
+def _grouped_elements(elements: list[Any], width: int) -> list[Any]:
     """Return the elements, or lists of them if several belong together."""
     return elements if width == 1 else [elements[place : place + width] for place in range(0, len(elements), width)]
 
 
 def is_numbered(field: MessageField) -> bool:
     """Return True for a short array of fixed length of numbers or texts."""
-    return field.node == Nodetype.ARRAY and field.content[1] <= _MOST_NUMBERED and field.content[0][0] == Nodetype.BASE
+    return field.node == Nodetype.ARRAY and field.content[1] <= _MAX_NUMBERED and field.content[0][0] == Nodetype.BASE
 
 
 def is_bytes(field: MessageField) -> bool:
@@ -150,7 +150,7 @@ def getter(path: Path) -> Get:
     return get
 
 
-def plain(array: Any) -> list[Any]:
+def as_list(array: Any) -> list[Any]:
     """Return the elements of a numpy array or a list as Python objects."""
     return array.tolist() if hasattr(array, "tolist") else array  # type: ignore[no-any-return]
 

@@ -22,7 +22,7 @@ from ship_bags.export.table_rows import LOG_TIME, STAMP, TEXT, Column
 from ship_bags.export.units import cf_units, standard_name_on
 from ship_bags.stamps import NS_PER_S
 
-LONGEST_TEXT_BYTES = 32_768
+MAX_TEXT_BYTES = 32_768
 """Maximum length of a text, bytes: every row takes the size of the longest one of its column."""
 
 ROW, TIME = "row", "time"
@@ -30,7 +30,7 @@ ROW, TIME = "row", "time"
 _CONVENTIONS = "CF-1.8"
 _RECORD_COUNT = struct.Struct(">I")
 _RECORD_COUNT_PLACE = 4
-_MOST_RECORDS = 2**31 - 1
+_MAX_RECORDS = 2**31 - 1
 _WORD = 4
 """Alignment of the variables in a record, bytes."""
 
@@ -75,9 +75,9 @@ class NetcdfFile(TableFile):
     def _write(self, values: list[list[Any]]) -> None:
         arrays = [self._times(values[self._time_column])]
         for column, given in zip(self.columns, values, strict=True):
-            of_column = _filled(column, given)
+            of_column = _fill_missing(column, given)
             if column.kind == TEXT:
-                arrays.append(np.array(self._encoded(column, of_column)))
+                arrays.append(np.array(self._encode(column, of_column)))
             elif column.kind in _SPLIT:
                 nearest = [float(value) for value in of_column]
                 arrays.append(np.array(nearest))
@@ -92,8 +92,8 @@ class NetcdfFile(TableFile):
         self._waiting.flush()
 
     def _end(self) -> None:
-        if self.row_count > _MOST_RECORDS:
-            raise BadInput(f"more than {_MOST_RECORDS} rows: take --format csv or parquet", file=self.path)
+        if self.row_count > _MAX_RECORDS:
+            raise BadInput(f"more than {_MAX_RECORDS} rows: take --format csv or parquet", file=self.path)
         self._stream.write(self._header())
         record = self._record()
         self._waiting.seek(0)
@@ -116,13 +116,13 @@ class NetcdfFile(TableFile):
         """Return seconds since the epoch, each as the nearest double."""
         return np.array([(stamp_ns - self.head.epoch_ns) / NS_PER_S for stamp_ns in stamps_ns], np.float64)
 
-    def _encoded(self, column: Column, texts: list[str]) -> list[bytes]:
+    def _encode(self, column: Column, texts: list[str]) -> list[bytes]:
         encoded = [text.encode() for text in texts]
         longest = max(map(len, encoded), default=0)
-        if longest > LONGEST_TEXT_BYTES:
+        if longest > MAX_TEXT_BYTES:
             raise BadInput(
                 f"topic '{self.head.topic}': a {column.name} of {longest} bytes; here NetCDF takes "
-                f"{LONGEST_TEXT_BYTES}: take --format csv or parquet",
+                f"{MAX_TEXT_BYTES}: take --format csv or parquet",
             )
         if any(text.endswith(b"\0") for text in encoded):
             raise BadInput(
@@ -232,7 +232,7 @@ def _flags(column: Column) -> dict[str, Any]:
     return {"flag_values": np.array(values, _DTYPES[_CODES[column.kind]]), "flag_meanings": " ".join(names)}
 
 
-def _filled(column: Column, values: list[Any]) -> list[Any]:
+def _fill_missing(column: Column, values: list[Any]) -> list[Any]:
     """Return the values, with the NetCDF-3 substitute for None."""
     if not any(value is None for value in values):
         return values

@@ -12,7 +12,7 @@ import numpy as np
 
 from ship_bags.errors import BadInput
 from ship_bags.export.table_rows import TEXT, Column
-from ship_bags.output_files import csv_text, named, open_new, part_of
+from ship_bags.output_files import csv_text, error_with_path, open_new, part_path
 
 _ROW_GROUP_BYTES = 8_000_000
 """Size of a row group of a Parquet table, bytes: readers are slow with many small groups."""
@@ -53,8 +53,8 @@ class TableFile:
         self.head = head
         self.columns = columns
         self.row_count = 0
-        self._part = part_of(path)
-        with self._naming():
+        self._part = part_path(path)
+        with self._name_file_in_errors():
             self._stream = open_new(self._part)
 
     def append(self, values: list[list[Any]]) -> None:
@@ -64,7 +64,7 @@ class TableFile:
             BadInput: the format cannot represent them.
             OSError: the disk is full, or the like.
         """
-        with self._naming():
+        with self._name_file_in_errors():
             self._write(values)
         self.row_count += len(values[0])
 
@@ -75,7 +75,7 @@ class TableFile:
             BadInput: the format cannot represent so many rows.
             OSError: the disk is full, or the like.
         """
-        with self._naming():
+        with self._name_file_in_errors():
             self._end()
             self._stream.flush()
             os.fsync(self._stream.fileno())
@@ -86,7 +86,7 @@ class TableFile:
         Raises:
             OSError: the name is now a folder, or the like.
         """
-        with self._naming():
+        with self._name_file_in_errors():
             self._part.replace(self.path)
             self._stream.close()
 
@@ -99,12 +99,12 @@ class TableFile:
                 self._stream.close()
 
     @contextmanager
-    def _naming(self) -> Iterator[None]:
+    def _name_file_in_errors(self) -> Iterator[None]:
         """Add the file name to an OSError."""
         try:
             yield
         except OSError as problem:
-            raise named(problem, self.path) from problem
+            raise error_with_path(problem, self.path) from problem
 
     def _write(self, values: list[list[Any]]) -> None:
         raise NotImplementedError
@@ -124,7 +124,7 @@ class CsvFile(TableFile):
     def _write(self, values: list[list[Any]]) -> None:
         if self.row_count == 0:
             self._write_names()
-        self._write_lines(zip(*map(_shown, self.columns, values), strict=True))
+        self._write_lines(zip(*map(_csv_values, self.columns, values), strict=True))
 
     def _end(self) -> None:
         if self.row_count == 0:
@@ -214,7 +214,7 @@ def _arrow_metadata(column: Column) -> dict[str, str]:
     return {"field": column.origin} | ({} if column.unit is None else {"unit": column.unit.symbol})
 
 
-def _shown(column: Column, values: list[Any]) -> Iterable[Any]:
+def _csv_values(column: Column, values: list[Any]) -> Iterable[Any]:
     """Return values for csv: Python's numbers are written with the digits needed, those of single precision are not."""
     if column.kind == "float32":
         return ["" if value is None else str(np.float32(value)) for value in values]

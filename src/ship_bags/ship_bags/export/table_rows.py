@@ -28,7 +28,7 @@ from ship_bags.export.message_fields import (
     groups_of,
     is_bytes,
     is_numbered,
-    plain,
+    as_list,
     type_in_row,
 )
 from ship_bags.export.units import NANOSECONDS, Unit
@@ -38,10 +38,10 @@ LOG_TIME = "log_time_ns"
 STAMP = "stamp_ns"
 TEXT = "text"
 
-MOST_COLUMNS = 2000
+MAX_COLUMNS = 2000
 """Maximum number of columns; a definition with more is a mistake or malicious."""
 
-MOST_TABLES = 100
+MAX_TABLES = 100
 """Maximum number of tables of one topic; more nested arrays are a mistake or malicious, too."""
 
 _RESERVED = {"time", "row"}
@@ -98,8 +98,8 @@ class MessageTable:
         store: Typestore,
         made: "list[MessageTable]",
     ) -> None:
-        if len(made) >= MOST_TABLES:
-            raise BadInput(f"it would be more than {MOST_TABLES} tables")
+        if len(made) >= MAX_TABLES:
+            raise BadInput(f"it would be more than {MAX_TABLES} tables")
         made.append(self)
         self.name = name
         self.columns = list(keys)
@@ -107,9 +107,9 @@ class MessageTable:
         self._puts: list[tuple[Get, Put]] = []
         varying = []
         for number, field in enumerate(fields):
-            if max(number, len(self.columns)) >= MOST_COLUMNS:
-                raise BadInput(f"a table of it would have more than {MOST_COLUMNS} columns")
-            if field.path[-1:] != (NO_FIELD,) and not self._take(field):
+            if max(number, len(self.columns)) >= MAX_COLUMNS:
+                raise BadInput(f"a table of it would have more than {MAX_COLUMNS} columns")
+            if field.path[-1:] != (NO_FIELD,) and not self._add_field(field):
                 varying.append(field)
         stamps = [place for place, column in enumerate(self.columns) if column.name == STAMP]
         # Columns that identify the rows of its arrays.
@@ -141,7 +141,7 @@ class MessageTable:
         self._rows = []
         return taken or [[] for _ in self.columns]
 
-    def _take(self, field: MessageField) -> bool:
+    def _add_field(self, field: MessageField) -> bool:
         """Add the columns of a field; for an array of variable length add only that of its length, and return False."""
         get = getter(field.path)
         if field.node == Nodetype.NAME:
@@ -222,16 +222,16 @@ def _array_table(
         fields = fields_of(content, store, inherited=field.unit)
     else:
         fields = [MessageField((), node, content, field.unit, None, field.base)]
-    name = _free(f"{outer_name}-{field.base}".lstrip("-"), {table.name.lower() for table in made})
+    name = _unique_name(f"{outer_name}-{field.base}".lstrip("-"), {table.name.lower() for table in made})
     return MessageTable(name, keys, fields, store, made)
 
 
 def _free_name(wanted: str, columns: list[Column]) -> str:
     """Return the name, or one with a number if a column has it."""
-    return _free(wanted, {known.name for known in columns} | _RESERVED)
+    return _unique_name(wanted, {known.name for known in columns} | _RESERVED)
 
 
-def _free(wanted: str, taken: set[str]) -> str:
+def _unique_name(wanted: str, taken: set[str]) -> str:
     """Return the name, or one with a number; names that differ only in capital letters count as equal."""
     names = chain([wanted], (f"{wanted}_{again}" for again in count(2)))
     return next(name for name in names if name not in taken and name.lower() not in taken)
@@ -261,7 +261,7 @@ def _put_time(row: list[Any], value: Any) -> None:
 
 def _put_array(length: int, row: list[Any], value: Any) -> None:
     # None if an array is shorter than another one of the same order.
-    values = [] if value is None else plain(value)
+    values = [] if value is None else as_list(value)
     row.extend(values)
     row.extend([None] * (length - len(values)))
 

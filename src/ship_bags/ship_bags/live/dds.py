@@ -16,9 +16,9 @@ from ship_bags.errors import BadInput
 
 ENABLE, STRATEGY = "ROS_SECURITY_ENABLE", "ROS_SECURITY_STRATEGY"
 
-_NOT_DEMANDED = ("", "0", "false", "no", "off")
+_FALSE_VALUES = ("", "0", "false", "no", "off")
 _LIBRARY = "libfastrtps."
-_WITH, _WITHOUT = b"process_data_message_with_security", b"process_data_message_without_security"
+_WITH_SECURITY, _WITHOUT_SECURITY = b"process_data_message_with_security", b"process_data_message_without_security"
 """Parts of symbol names that the library exports: the second always, the first only if built with security."""
 
 DDS_PROFILE = Path(__file__).with_name("dds_profile.xml")
@@ -34,7 +34,7 @@ def prepare_dds() -> None:
     Raises:
         BadInput: DDS security is requested and not available.
     """
-    require_demanded_security()
+    require_security()
     use_dds_profile()
 
 
@@ -44,7 +44,7 @@ def use_dds_profile() -> None:
         os.environ.setdefault(QOS_FROM_PROFILE_VARIABLE, "1")
 
 
-def require_demanded_security() -> None:
+def require_security() -> None:
     """Refuse to start if the environment requests DDS security and this installation does not have it.
 
     If it has it, the process's environment gets the request in the spelling that ROS accepts.
@@ -52,13 +52,13 @@ def require_demanded_security() -> None:
     Raises:
         BadInput: see :func:`security_environment`.
     """
-    if is_demanded(os.environ):
+    if is_security_requested(os.environ):
         os.environ.update(security_environment(os.environ, dds_has_security(loaded_libraries())))
 
 
-def is_demanded(environment: Mapping[str, str]) -> bool:
+def is_security_requested(environment: Mapping[str, str]) -> bool:
     """Return True if an environment requests DDS security: by any text that is not clearly a no."""
-    return environment.get(ENABLE, "").strip().lower() not in _NOT_DEMANDED
+    return environment.get(ENABLE, "").strip().lower() not in _FALSE_VALUES
 
 
 def security_environment(environment: Mapping[str, str], has_security: bool | None) -> dict[str, str]:
@@ -91,9 +91,9 @@ def dds_has_security(libraries: Iterable[Path]) -> bool | None:
         if not path.name.startswith(_LIBRARY):
             continue
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-            if content.find(_WITH) >= 0:
+            if content.find(_WITH_SECURITY) >= 0:
                 return True
-            if content.find(_WITHOUT) >= 0:
+            if content.find(_WITHOUT_SECURITY) >= 0:
                 return False
     return None
 

@@ -37,7 +37,7 @@ def installed_definition(type_name: str) -> TypeDefinition:
         LookupError: the type's package is not installed.
         OSError: its files are not installed.
     """
-    own, *others = _with_all_nested(type_name)
+    own, *others = _nested_types(type_name)
     parts = [_text(own)]
     for name in others:
         package, _, kind = name.split("/")
@@ -52,7 +52,7 @@ def type_hash(type_name: str) -> str:
     return str(hashes[type_name])
 
 
-def _with_all_nested(type_name: str) -> list[str]:
+def _nested_types(type_name: str) -> list[str]:
     """Return the type and the types of its fields, recursively, each once."""
     names = [type_name]
     for name in names:

@@ -14,7 +14,7 @@ from rosgraph_msgs.msg import Clock
 from ship_bags.errors import BadInput
 from ship_bags.live.installed_types import installed_class
 from ship_bags.live.playback_clock import PlaybackClock
-from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag, watched
+from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag, with_bag_progress
 from ship_bags.stamps import NS_PER_S
 
 CLOCK_PERIOD_NS = 10_000_000
@@ -22,7 +22,7 @@ CLOCK_PERIOD_NS = 10_000_000
 
 # Steady time for which /clock runs before the first message, so that every subscriber's clock is set (or has jumped
 # back, in a loop) when the first message arrives.
-_LEAD_S = 0.1
+_CLOCK_LEAD_S = 0.1
 # Maximum lead in bag time: at a high rate the lead would be days of the bag and millions of /clock messages. One minute
 # of them takes about as long as the lead.
 _LONGEST_LEAD_S = 60.0
@@ -30,7 +30,7 @@ _LONGEST_LEAD_S = 60.0
 _FASTEST_WITH_ALL_TICKS = 1000.0
 # Time after the last match after which no more subscribers are expected if some topics have none. Discovery on one
 # computer takes 0.06 s to 1.6 s.
-_SETTLED_S = 2.0
+_SETTLING_TIME_S = 2.0
 _POLL_S = 0.01
 _ACKNOWLEDGE_S = 10.0
 # A message that a reader missed must still exist when the reader requests it: this suffices for 1 kHz at the default
@@ -95,7 +95,7 @@ class Player:
                 )
             for topic, why in bag.skipped_topics.items():
                 self._warn(f"topic '{topic}' is not played: {why}")
-            self._advertise(bag)
+            self._create_publishers(bag)
 
     def run(self) -> PlaySummary:
         """Play to the end, or until the clock is stopped."""
@@ -105,17 +105,17 @@ class Player:
         unacknowledged: tuple[str, ...] = ()
         endless = self._options.loop_count == 0
         laps = 0
-        while not self._clock.stopped and (endless or laps < self._options.loop_count):
+        while not self._clock.is_stopped and (endless or laps < self._options.loop_count):
             laps += 1
             with read_bag(self._bag_path) as bag:
-                for record in self._timed_records(watched(self._from_start(bag), bag)):
+                for record in self._timed_records(with_bag_progress(self._records_from_start(bag), bag)):
                     self._publish(record)
                     message_count += 1
                     latest_s = max(latest_s, self._clock.behind_s(record.log_time_ns))
                 problems = bag.problems
             # Also before the next loop, so that no message of this one arrives after the clock has jumped back.
-            if not self._clock.stopped:
-                unacknowledged = self._acknowledge()
+            if not self._clock.is_stopped:
+                unacknowledged = self._wait_for_acknowledgements()
         for problem in problems:
             self._warn(problem)
         return PlaySummary(message_count, latest_s, unacknowledged)
@@ -125,7 +125,7 @@ class Player:
         if self.clock_ns:
             self._send_clock(self.clock_ns)
 
-    def _from_start(self, bag: Bag) -> Iterator[BagRecord]:
+    def _records_from_start(self, bag: Bag) -> Iterator[BagRecord]:
         """Yield messages from the start on; before them the last earlier messages of latched topics."""
         earlier: dict[str, BagRecord] = {}
         for record in bag.records(self._publishers):
@@ -138,16 +138,16 @@ class Player:
 
     def _timed_records(self, records: Iterable[BagRecord]) -> Iterator[BagRecord]:
         """Yield each record when it is due; publish /clock in between."""
-        lead_s = min(_LEAD_S * self._clock.rate, _LONGEST_LEAD_S)
+        lead_s = min(_CLOCK_LEAD_S * self._clock.rate, _LONGEST_LEAD_S)
         lead_ns = max(CLOCK_PERIOD_NS, round(lead_s * NS_PER_S))
-        self._clock.begin(self.start_ns - lead_ns)
+        self._clock.start_at(self.start_ns - lead_ns)
         started = False
 
         def stride() -> int:
             """At rates at which they cannot be sent, ticks between messages are left out; not those of the lead."""
             return round(self._clock.rate / _FASTEST_WITH_ALL_TICKS) if started else 1
 
-        for time_ns, record in with_ticks(records, self.start_ns - lead_ns, stride):
+        for time_ns, record in add_ticks(records, self.start_ns - lead_ns, stride):
             started = started or record is not None
             if not self._clock.wait_until(time_ns, is_message=record is not None):
                 return
@@ -165,7 +165,7 @@ class Player:
     def _publish(self, record: BagRecord) -> None:
         self._publishers[record.topic].publish(bytes(record.data))
 
-    def _acknowledge(self) -> tuple[str, ...]:
+    def _wait_for_acknowledgements(self) -> tuple[str, ...]:
         """Wait until every reliable subscriber has acknowledged; return the topics where one has not."""
         deadline_s = time.monotonic() + _ACKNOWLEDGE_S
         late = []
@@ -174,7 +174,7 @@ class Player:
                 late.append(topic)
         return tuple(late)
 
-    def _advertise(self, bag: Bag) -> None:
+    def _create_publishers(self, bag: Bag) -> None:
         """Create a publisher for each topic to be played."""
         in_bag = {topic: bag.recorded_names.get(topic, topic) for topic in bag.topics}
         for name in self._options.topics:
@@ -221,13 +221,13 @@ class Player:
         deadline_s = time.monotonic() + self._options.wait_timeout_s
         matches, settled_s = [0], deadline_s
         while missing := [
-            name for name, p in by_name.items() if not self._matched(name, p, wanted.get(name, 0))
+            name for name, p in by_name.items() if not self._has_match(name, p, wanted.get(name, 0))
         ]:
-            if self._clock.stopped:
+            if self._clock.is_stopped:
                 return
             counts = [p.get_subscription_count() for p in by_name.values()]
             if counts != matches:
-                matches, settled_s = counts, time.monotonic() + _SETTLED_S
+                matches, settled_s = counts, time.monotonic() + _SETTLING_TIME_S
             unwanted = [name for name in missing if not by_name[name].get_subscription_count()]
             taken = any(name in wanted for name in by_name.keys() - set(unwanted))
             if not requested and taken and unwanted == missing and time.monotonic() >= settled_s:
@@ -242,7 +242,7 @@ class Player:
                 return
             time.sleep(_POLL_S)
 
-    def _matched(self, name: str, publisher: Publisher, wanted: int) -> bool:
+    def _has_match(self, name: str, publisher: Publisher, wanted: int) -> bool:
         matched: bool = publisher.get_subscription_count() >= max(wanted, self._node.count_subscribers(name))
         return matched
 
@@ -250,7 +250,7 @@ class Player:
         self._node.get_logger().warning(line)
 
 
-def with_ticks(
+def add_ticks(
     records: Iterable[BagRecord], first_tick_ns: int, stride: Callable[[], int] = lambda: 1
 ) -> Iterator[tuple[int, BagRecord | None]]:
     """Yield records with their log times, and ticks (None) of /clock on its grid, in order.

@@ -21,9 +21,9 @@ from std_srvs.srv import Trigger
 from ship_bags.stamps import NS_PER_S
 
 # Maximum duration of one wait: a lock cannot wait for years, as at a tiny rate or over a long gap.
-_LONGEST_WAIT_S = 3600.0
+_MAX_WAIT_S = 3600.0
 # Maximum rate: a higher one plays no faster, and its product with a time may overflow.
-_FASTEST = 1e9
+_MAX_RATE = 1e9
 # Period of /clock while paused, for subscribers that start then.
 _PAUSED_CLOCK_PERIOD_S = 0.1
 _KEY_POLL_S = 0.2
@@ -38,9 +38,9 @@ class PlaybackClock:
     """
 
     def __init__(self, rate: float, paused: bool = False) -> None:
-        self._rate = min(rate, _FASTEST)
-        self._paused = paused
-        self._stopped = False
+        self._rate = min(rate, _MAX_RATE)
+        self._is_paused = paused
+        self._is_stopped = False
         self._steps = 0
         # Bag time `_bag_ns` is due at steady time `_steady_ns`.
         self._bag_ns = 0
@@ -54,24 +54,24 @@ class PlaybackClock:
         return self._rate
 
     @property
-    def paused(self) -> bool:
+    def is_paused(self) -> bool:
         """True if only steps are played now."""
-        return self._paused
+        return self._is_paused
 
     @property
-    def stopped(self) -> bool:
+    def is_stopped(self) -> bool:
         """True if the playback is to end."""
-        return self._stopped
+        return self._is_stopped
 
     def change_rate(self, factor: float) -> None:
         """Multiply the rate by `factor`, from the current bag time on."""
         with self._changed:
-            if not self._paused:
+            if not self._is_paused:
                 self._bag_ns, self._steady_ns = self._bag_time_ns(), time.monotonic_ns()
-            self._rate = min(self._rate * factor, _FASTEST)
+            self._rate = min(self._rate * factor, _MAX_RATE)
             self._changed.notify_all()
 
-    def begin(self, bag_ns: int) -> None:
+    def start_at(self, bag_ns: int) -> None:
         """Set the current bag time to `bag_ns`."""
         with self._changed:
             self._bag_ns = bag_ns
@@ -80,24 +80,24 @@ class PlaybackClock:
     def pause(self) -> None:
         """Stop at the current bag time."""
         with self._changed:
-            if not self._paused:
+            if not self._is_paused:
                 self._bag_ns = self._bag_time_ns()
-                self._paused = True
+                self._is_paused = True
                 self._changed.notify_all()
 
     def resume(self) -> None:
         """Continue from the start of the pause, or from the last step."""
         with self._changed:
-            if self._paused:
+            if self._is_paused:
                 self._steady_ns = time.monotonic_ns()
                 self._steps = 0
-                self._paused = False
+                self._is_paused = False
                 self._changed.notify_all()
 
     def toggle(self) -> None:
         """Pause or resume."""
         with self._changed:
-            if self._paused:
+            if self._is_paused:
                 self.resume()
             else:
                 self.pause()
@@ -105,15 +105,15 @@ class PlaybackClock:
     def step(self) -> bool:
         """Play one more message while paused; return False, without effect, if not paused."""
         with self._changed:
-            if self._paused:
+            if self._is_paused:
                 self._steps += 1
                 self._changed.notify_all()
-            return self._paused
+            return self._is_paused
 
     def stop(self) -> None:
         """End every wait, now and later."""
         with self._changed:
-            self._stopped = True
+            self._is_stopped = True
             self._changed.notify_all()
 
     def wait_until(self, bag_ns: int, is_message: bool) -> bool:
@@ -123,24 +123,24 @@ class PlaybackClock:
             False if the playback was stopped.
         """
         with self._changed:
-            while not self._stopped:
-                if self._paused and self._steps > 0:
+            while not self._is_stopped:
+                if self._is_paused and self._steps > 0:
                     self._steps -= is_message
                     self._bag_ns = max(self._bag_ns, bag_ns)
                     return True
-                if self._paused:
+                if self._is_paused:
                     self._changed.wait()
                     continue
                 remaining_s = (bag_ns - self._bag_time_ns()) / self._rate / NS_PER_S
                 if remaining_s <= 0.0:
                     return True
-                self._changed.wait(min(remaining_s, _LONGEST_WAIT_S))
+                self._changed.wait(min(remaining_s, _MAX_WAIT_S))
         return False
 
     def behind_s(self, bag_ns: int) -> float:
         """Return the steady time by which bag time `bag_ns` is past, s; 0 while paused, and before it is due."""
         with self._changed:
-            return 0.0 if self._paused else max(0.0, (self._bag_time_ns() - bag_ns) / self._rate / NS_PER_S)
+            return 0.0 if self._is_paused else max(0.0, (self._bag_time_ns() - bag_ns) / self._rate / NS_PER_S)
 
     def _bag_time_ns(self) -> int:
         """Return the current bag time, while not paused."""
@@ -154,7 +154,7 @@ def add_services(node: Node, clock: PlaybackClock) -> None:
         def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             # Only play_next can be refused.
             response.success = action() is not False
-            state = "paused" if clock.paused else "playing"
+            state = "paused" if clock.is_paused else "playing"
             response.message = state if response.success else f"{state}: pause first"
             return response
 
@@ -167,13 +167,13 @@ def add_services(node: Node, clock: PlaybackClock) -> None:
 
 
 @contextlib.contextmanager
-def served(node: Node, clock: PlaybackClock, publish_clock: Callable[[], None]) -> Iterator[None]:
+def serve_in_thread(node: Node, clock: PlaybackClock, publish_clock: Callable[[], None]) -> Iterator[None]:
     """Answer the node's services in a thread, and publish the time while paused."""
     executor = SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
     node.create_timer(
         _PAUSED_CLOCK_PERIOD_S,
-        lambda: publish_clock() if clock.paused else None,
+        lambda: publish_clock() if clock.is_paused else None,
         clock=Clock(clock_type=ClockType.STEADY_TIME),
     )
 
@@ -191,9 +191,9 @@ def served(node: Node, clock: PlaybackClock, publish_clock: Callable[[], None]) 
 
 
 @contextlib.contextmanager
-def keyboard(clock: PlaybackClock) -> Iterator[None]:
+def keyboard_control(clock: PlaybackClock) -> Iterator[None]:
     """Read keys of a terminal: space pauses and resumes, s steps, + and - double and halve the rate."""
-    if not sys.stdin.isatty() or not _is_ours(sys.stdin.fileno()):
+    if not sys.stdin.isatty() or not _is_foreground(sys.stdin.fileno()):
         yield
         return
     terminal = sys.stdin.fileno()
@@ -227,7 +227,7 @@ def keyboard(clock: PlaybackClock) -> Iterator[None]:
         termios.tcsetattr(terminal, termios.TCSADRAIN, before)
 
 
-def _is_ours(terminal: int) -> bool:
+def _is_foreground(terminal: int) -> bool:
     """Return True if the terminal may be changed: a background job of a shell would be stopped for it."""
     try:
         return os.tcgetpgrp(terminal) == os.getpgrp()

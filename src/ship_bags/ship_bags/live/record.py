@@ -20,15 +20,15 @@ from ship_bags.stamps import NS_PER_S, utc_text
 _DISCOVERY_PERIOD_S = 0.1
 # Maximum times for the messages that had arrived before the end, and for answers.
 _DRAIN_S = 1.0
-_HEAR_OUT_S = 1.0
+_PARAMETER_WAIT_S = 1.0
 # A flush begins after this ratio of its period, so that it is finished within the period.
 _FLUSH_SHARE = 0.7
 # Maximum number of messages kept before the first /clock; of more the newest.
-_MOST_BEFORE_CLOCK = 50_000
+_MAX_BEFORE_CLOCK = 50_000
 # A slewed clock (500 ppm at most) changes by less between two readings; a smaller step disturbs no filter.
-STEP_NS = 50_000_000
+MIN_STEP_NS = 50_000_000
 # Maximum time between the readings of both clocks for a valid comparison.
-_LONGEST_READING_NS = 5_000_000
+_MAX_READING_NS = 5_000_000
 
 
 @dataclass(frozen=True)
@@ -64,12 +64,12 @@ class Recorder:
         self._bag = bag
         self._stopped = False
         self._known: set[str] = set()
-        self._only_reports = True
+        self._has_only_status = True
         self._before_clock: deque[tuple[str, str, bytes, int]] = deque()
         self._last_activity_s: float | None = None
         self._last_log_ns = 0
         self._is_simulated_time = bool(node.get_parameter("use_sim_time").value)
-        self._clock_watch = ClockWatch()
+        self._step_detector = ClockStepDetector()
         self._step_count = 0
         self._parameters = ParameterCollector(node, lambda text: bag.add_attachment(SUITE_ATTACHMENT, text))
 
@@ -94,10 +94,10 @@ class Recorder:
             self._spin(executor)
             self._bag.close()
         except OSError as problem:
-            self._bag.cut()
+            self._bag.truncate()
             raise BadInput(
                 f"recording failed: {problem.strerror}; the file is complete up to the last flush, "
-                f"{self._bag.whole_bytes} bytes: use record --recover to finish it",
+                f"{self._bag.flushed_bytes} bytes: use record --recover to finish it",
                 file=self._bag.path,
             ) from problem
         finally:
@@ -120,7 +120,7 @@ class Recorder:
                 next_flush_s = now_s + max(_FLUSH_SHARE * self._options.flush_period_s, 2.0 * spent_s)
             executor.spin_once(timeout_sec=max(0.0, min(next_discovery_s, next_flush_s) - now_s))
         self._drain(executor)
-        self._hear_out(executor)
+        self._wait_for_parameters(executor)
         if self._before_clock:
             self._warn(f"no /clock received: {len(self._before_clock)} messages get their publishers' time")
             for topic, type_name, data, sent_ns in self._before_clock:
@@ -148,10 +148,10 @@ class Recorder:
             for _ in range(2 * len(self._known) + 1):
                 executor.spin_once(timeout_sec=0.0)
 
-    def _hear_out(self, executor: SingleThreadedExecutor) -> None:
+    def _wait_for_parameters(self, executor: SingleThreadedExecutor) -> None:
         """Wait a moment for the parameters of nodes that were requested."""
-        deadline_s = time.monotonic() + _HEAR_OUT_S
-        while self._parameters.pending and time.monotonic() < deadline_s:
+        deadline_s = time.monotonic() + _PARAMETER_WAIT_S
+        while self._parameters.is_pending and time.monotonic() < deadline_s:
             executor.spin_once(timeout_sec=_DISCOVERY_PERIOD_S)
             self._parameters.update()
         self._parameters.close()
@@ -171,9 +171,9 @@ class Recorder:
             self._warn(f"topic '{topic}' is not recorded: {problem}")
             return
         self._bag.add_topic(topic, type_name, latched, qos_profiles)
-        if self._only_reports and type_name not in STATUS_TYPES:
+        if self._has_only_status and type_name not in STATUS_TYPES:
             # Reports are no activity from now on, nor were those received before.
-            self._only_reports, self._last_activity_s = False, None
+            self._has_only_status, self._last_activity_s = False, None
         events = SubscriptionEventCallbacks(
             message_lost=lambda info: self._note_loss(topic, info.total_count_change)
         )
@@ -185,7 +185,7 @@ class Recorder:
             count = 0
             while taken is not None and count < DEPTH:
                 if self._options.until_idle_s is not None and (
-                    self._only_reports or is_activity(type_name, kind, taken[0])
+                    self._has_only_status or is_activity(type_name, kind, taken[0])
                 ):
                     self._last_activity_s = time.monotonic()
                 self._receive(topic, type_name, *taken)
@@ -202,7 +202,7 @@ class Recorder:
         now_ns = self._node.get_clock().now().nanoseconds
         if now_ns == 0:
             # With use_sim_time there is no time before the first /clock: messages wait for it and get its time.
-            if len(self._before_clock) == _MOST_BEFORE_CLOCK:
+            if len(self._before_clock) == _MAX_BEFORE_CLOCK:
                 oldest = self._before_clock.popleft()[0]
                 self.counts[oldest] -= 1
                 self.lost[oldest] += 1
@@ -221,7 +221,7 @@ class Recorder:
 
     def _check_clock(self) -> None:
         before_ns, clock_ns, after_ns = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
-        step_ns = self._clock_watch.detect_step(before_ns, clock_ns, after_ns)
+        step_ns = self._step_detector.detect_step(before_ns, clock_ns, after_ns)
         if step_ns is not None:
             self._record_step("the system clock", step_ns, clock_ns)
 
@@ -239,7 +239,7 @@ class Recorder:
         self._node.get_logger().warning(line)
 
 
-class ClockWatch:
+class ClockStepDetector:
     """Detects steps of the system clock against the steady clock.
 
     A clock steps when it is set by hand, by NTP after a long outage, or back with a bag.
@@ -256,9 +256,9 @@ class ClockWatch:
             clock_ns: system clock.
             steady_after_ns: steady clock read after it; after a long pause in between the readings are not comparable.
         """
-        if steady_after_ns - steady_before_ns > _LONGEST_READING_NS:
+        if steady_after_ns - steady_before_ns > _MAX_READING_NS:
             return None
         offset_ns = clock_ns - steady_before_ns
         step_ns = 0 if self._offset_ns is None else offset_ns - self._offset_ns
         self._offset_ns = offset_ns
-        return step_ns if abs(step_ns) > STEP_NS else None
+        return step_ns if abs(step_ns) > MIN_STEP_NS else None

@@ -42,11 +42,11 @@ STATUS_TYPES = frozenset(
 _RESULTS = ("ship_msgs/msg/ShipAttitude", "ship_msgs/msg/AttitudeDeg", "ship_msgs/msg/OpticalAxisPointing")
 """Types of results: a node without input continues to publish them, as INVALID."""
 
-ANSWER_S = 5.0
+ANSWER_TIMEOUT_S = 5.0
 """Timeout of a node's answer after it was discovered, s."""
 
-MOST_NODES = 200
-MOST_PARAMETERS = 5000
+MAX_NODES = 200
+MAX_PARAMETERS = 5000
 """Maximum number of nodes that are queried, and of parameters that are taken from each."""
 
 
@@ -133,13 +133,13 @@ class ParameterCollector:
     def __init__(self, node: Node, attach: Callable[[str], None]) -> None:
         self.unanswered: list[str] = []
         self._node, self._attach = node, attach
-        self._seen = {full_name(node.get_name(), node.get_namespace())}
+        self._known = {full_name(node.get_name(), node.get_namespace())}
         self._requests: dict[str, _ParameterRequest] = {}
-        self._found: dict[str, dict[str, Any]] = {}
+        self._received: dict[str, dict[str, Any]] = {}
         self._attached = 0
 
     @property
-    def pending(self) -> bool:
+    def is_pending(self) -> bool:
         """True if a query is pending."""
         return bool(self._requests)
 
@@ -147,33 +147,33 @@ class ParameterCollector:
         """Query new nodes, process answers, give up nodes after the timeout."""
         for name, namespace in self._node.get_node_names_and_namespaces():
             full = full_name(name, namespace)
-            if full not in self._seen and not name.startswith("_") and len(self._seen) <= MOST_NODES:
-                self._seen.add(full)
-                self._requests[full] = self._ask(full)
+            if full not in self._known and not name.startswith("_") and len(self._known) <= MAX_NODES:
+                self._known.add(full)
+                self._requests[full] = self._request(full)
         for full, request in list(self._requests.items()):
-            if self._step(full, request):
-                self._leave(full)
+            if self._continue_request(full, request):
+                self._finish_request(full)
             elif time.monotonic() > request.deadline_s:
                 self.unanswered.append(full)
-                self._leave(full)
-        if not self._requests and len(self._found) > self._attached:
-            self._attached = len(self._found)
-            self._attach(sections_text(self._found))
+                self._finish_request(full)
+        if not self._requests and len(self._received) > self._attached:
+            self._attached = len(self._received)
+            self._attach(sections_text(self._received))
 
     def close(self) -> None:
         """End the queries: pending nodes count as unanswered."""
         for full in list(self._requests):
             self.unanswered.append(full)
-            self._leave(full)
-        if len(self._found) > self._attached:
-            self._attach(sections_text(self._found))
+            self._finish_request(full)
+        if len(self._received) > self._attached:
+            self._attach(sections_text(self._received))
 
-    def _ask(self, full: str) -> _ParameterRequest:
+    def _request(self, full: str) -> _ParameterRequest:
         kinds = ((ListParameters, "list_parameters"), (GetParameters, "get_parameters"))
         clients = [self._node.create_client(kind, f"{full}/{service}") for kind, service in kinds]
-        return _ParameterRequest(time.monotonic() + ANSWER_S, clients)
+        return _ParameterRequest(time.monotonic() + ANSWER_TIMEOUT_S, clients)
 
-    def _step(self, full: str, request: _ParameterRequest) -> bool:
+    def _continue_request(self, full: str, request: _ParameterRequest) -> bool:
         """Send a node the next request after its answer; return True after the last one."""
         by_name, by_value = request.clients
         if request.answer is None:
@@ -185,21 +185,21 @@ class ParameterCollector:
         answer = request.answer.result()
         if not request.names:
             # Parameters of the node runtime (clock, black box) do not change the results and are left out.
-            names = answer.result.names[:MOST_PARAMETERS]
+            names = answer.result.names[:MAX_PARAMETERS]
             request.names = [name for name in names if is_topic_parameter(name) or not is_runtime_parameter(name)]
             if not request.names:
                 return True
             request.answer = by_value.call_async(GetParameters.Request(names=request.names))
             return False
         values = map(parameter_value_to_python, answer.values)
-        self._found[full] = {
+        self._received[full] = {
             name: list(value) if hasattr(value, "__len__") and not isinstance(value, str) else value
             for name, value in zip(request.names, values, strict=False)
             if value is not None and not _has_bytes(value)
         }
         return True
 
-    def _leave(self, full: str) -> None:
+    def _finish_request(self, full: str) -> None:
         for client in self._requests.pop(full).clients:
             self._node.destroy_client(client)
 

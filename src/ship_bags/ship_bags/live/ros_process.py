@@ -76,13 +76,13 @@ def command_node(name: str, ros_arguments: list[str], use_sim_time: bool = False
         rclpy.try_shutdown()
 
 
-def on_end_signals(stop: Callable[[], None]) -> None:
+def call_on_end_signals(stop: Callable[[], None]) -> None:
     """Call `stop` on Ctrl-C and SIGTERM."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop())
 
 
-def positive(text: str) -> float:
+def positive_number(text: str) -> float:
     """Return an argument as a positive number."""
     value = float(text)
     if not (math.isfinite(value) and value > 0.0):

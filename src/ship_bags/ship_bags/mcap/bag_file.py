@@ -29,10 +29,10 @@ from mcap.records import (
 from mcap.stream_reader import StreamReader
 
 from ship_bags.errors import BadInput
-from ship_bags.mcap.chunk_content import COMPRESSIONS, DamagedChunk, parsed
+from ship_bags.mcap.chunk_content import COMPRESSIONS, DamagedChunk, parse_record
 from ship_bags.mcap.file_content import BagFile
 from ship_bags.mcap.mcap_writer import MAGIC
-from ship_bags.mcap.records import ChunkPlace, Gap, RecordFile, WalkedRecord, has_header, walk
+from ship_bags.mcap.records import ChunkPlace, Gap, RecordFile, ScannedRecord, has_header, scan_records
 from ship_bags.regular_files import check_regular
 from ship_bags.stamps import utc_text
 
@@ -48,7 +48,7 @@ _LOG_TIME_OFFSET = 2 + 4
 _CHECKSUM = struct.Struct("<I")
 """Checksum at the end of the summary and of an attachment's body."""
 
-_LOOSE_MESSAGES_PER_PLACE = 5000
+_MESSAGES_PER_PLACE = 5000
 _BLOCK_BYTES = 1 << 20
 
 
@@ -68,7 +68,7 @@ class McapFile(BagFile):
         try:
             return [record for record in self.data.records_of(place) if isinstance(record, Message)]
         except DamagedChunk as damage:
-            self.note(
+            self.add_problem(
                 f"{self.path.name}: the chunk at byte {place.offset} is damaged ({damage}): messages from "
                 f"{utc_text(place.start_ns)} to {utc_text(place.end_ns)} are lost"
             )
@@ -97,17 +97,17 @@ def open_mcap(path: Path) -> McapFile:
     if magic != MAGIC:
         if not has_header(file.data, len(MAGIC)):
             stream.close()
-            raise _no_mcap(path, size, magic)
+            raise _not_mcap_error(path, size, magic)
         file.problems.append(f"{path.name}: its first {len(MAGIC)} bytes are damaged; no data are lost")
     summary = _summary(file)
     if summary is not None:
-        _take_summary(file, summary)
+        _read_summary(file, summary)
     else:
-        _walk(file)
+        _scan(file)
     return file
 
 
-def _no_mcap(path: Path, size: int, begin: bytes) -> BadInput:
+def _not_mcap_error(path: Path, size: int, begin: bytes) -> BadInput:
     """Return the error about a file of another format, with the remedy."""
     if size == 0:
         return BadInput("the file is empty", file=path)
@@ -138,9 +138,9 @@ class _Summary:
     compressions: set[str] = field(default_factory=set)
     attachments: list[int] = field(default_factory=list)
     metadata: list[int] = field(default_factory=list)
-    _channels_met: dict[frozenset[int], frozenset[int]] = field(default_factory=dict)
+    _channel_sets: dict[frozenset[int], frozenset[int]] = field(default_factory=dict)
 
-    def take(self, record: McapRecord) -> None:
+    def add(self, record: McapRecord) -> None:
         """Add a record of the summary."""
         match record:
             case Statistics():
@@ -160,7 +160,7 @@ class _Summary:
         self.compressions.add(index.compression)
         channels = frozenset(index.message_index_offsets)
         # Most chunks hold messages of the same channels.
-        channels = self._channels_met.setdefault(channels, channels)
+        channels = self._channel_sets.setdefault(channels, channels)
         place = ChunkPlace(
             index.chunk_start_offset,
             index.chunk_length,
@@ -190,7 +190,7 @@ def _summary(file: McapFile) -> _Summary | None:
     file.data.stream.seek(start)
     try:
         for record in StreamReader(file.data.stream, skip_magic=True).records:
-            summary.take(record)
+            summary.add(record)
             if isinstance(record, Footer):
                 break
     except Exception:
@@ -220,7 +220,7 @@ def _summary_start(file: McapFile) -> int | None:
     return start if checksum in (0, found) else None
 
 
-def _take_summary(file: McapFile, summary: _Summary) -> None:
+def _read_summary(file: McapFile, summary: _Summary) -> None:
     if summary.compressions and summary.compressions.isdisjoint(COMPRESSIONS):
         unknown = min(summary.compressions)
         raise BadInput(f"compression {unknown!r} is unknown: expected zstd, lz4 or none", file=file.path)
@@ -235,15 +235,15 @@ def _take_summary(file: McapFile, summary: _Summary) -> None:
             _take_side_record(file, *record)
 
 
-def _walk(file: McapFile) -> None:
+def _scan(file: McapFile) -> None:
     """Find the chunks of a file without a usable summary, up to its end or the last readable record."""
     loose: list[tuple[int, int, int]] = []
     gaps: list[tuple[Gap, int]] = []
     message_count, cut = 0, None
-    for part in walk(file.data, len(MAGIC)):
-        is_message = isinstance(part, WalkedRecord) and part.opcode == Opcode.MESSAGE
-        if loose and (not is_message or len(loose) == _LOOSE_MESSAGES_PER_PLACE):
-            file.chunks.append(_loose_place(loose))
+    for part in scan_records(file.data, len(MAGIC)):
+        is_message = isinstance(part, ScannedRecord) and part.opcode == Opcode.MESSAGE
+        if loose and (not is_message or len(loose) == _MESSAGES_PER_PLACE):
+            file.chunks.append(_place_outside_chunk(loose))
             loose = []
         if isinstance(part, Gap):
             if part.end is None:
@@ -258,7 +258,7 @@ def _walk(file: McapFile) -> None:
         else:
             _take_side_record(file, part.opcode, part.body)
     if loose:
-        file.chunks.append(_loose_place(loose))
+        file.chunks.append(_place_outside_chunk(loose))
     last_ns = max((place.end_ns for place in file.chunks), default=None)
     last = "none" if last_ns is None else utc_text(last_ns)
     what = "its summary is missing or damaged" if cut is None else f"no footer, it ends or is damaged at byte {cut}"
@@ -277,7 +277,7 @@ def _gap_text(file: McapFile, gap: Gap, place_number: int) -> str:
     )
 
 
-def _take_chunk(file: McapFile, chunk: WalkedRecord) -> int:
+def _take_chunk(file: McapFile, chunk: ScannedRecord) -> int:
     """Add a chunk found by the scan and its channels; return its number of messages."""
     announced = ChunkPlace(chunk.offset, chunk.length, *_CHUNK_TIMES.unpack_from(chunk.body))
     try:
@@ -298,31 +298,31 @@ def _take_chunk(file: McapFile, chunk: WalkedRecord) -> int:
     return len(times)
 
 
-def _loose_place(messages: list[tuple[int, int, int]]) -> ChunkPlace:
+def _place_outside_chunk(messages: list[tuple[int, int, int]]) -> ChunkPlace:
     """Return the place of consecutive messages given as (offset, length, log time)."""
     times = [time_ns for _, _, time_ns in messages]
     length = messages[-1][0] + messages[-1][1] - messages[0][0]
-    return ChunkPlace(messages[0][0], length, min(times), max(times), loose=True)
+    return ChunkPlace(messages[0][0], length, min(times), max(times), is_outside_chunk=True)
 
 
 def _take_side_record(file: McapFile, opcode: int, body: bytes) -> None:
     """Keep a schema, channel, attachment or metadata record; ignore other records."""
     try:
         if opcode == Opcode.SCHEMA:
-            schema = parsed(Schema.read, body)
+            schema = parse_record(Schema.read, body)
             file.schemas.setdefault(schema.id, schema)
         elif opcode == Opcode.CHANNEL:
-            channel = parsed(Channel.read, body)
+            channel = parse_record(Channel.read, body)
             file.channels.setdefault(channel.id, channel)
         elif opcode == Opcode.METADATA:
-            metadata = parsed(Metadata.read, body)
+            metadata = parse_record(Metadata.read, body)
             file.metadata[metadata.name] = metadata.metadata
             file.side_records.append(metadata)
         elif opcode == Opcode.ATTACHMENT:
             checksum = _CHECKSUM.unpack_from(body, len(body) - _CHECKSUM.size)[0]
             if checksum not in (0, zlib.crc32(body[: -_CHECKSUM.size])):
                 raise DamagedChunk("its checksum is wrong")
-            attachment = parsed(Attachment.read, body)
+            attachment = parse_record(Attachment.read, body)
             file.attachments[attachment.name] = attachment.data
             file.side_records.append(attachment)
     except Exception as problem:

@@ -22,7 +22,7 @@ from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.mcap.box_parts import further_black_box_files
 from ship_bags.mcap.file_content import BagFile
 from ship_bags.mcap.folder import INFORMATION_FILE, file_names, needs_rosbags
-from ship_bags.mcap.latched import repeated_times
+from ship_bags.mcap.latched import repeated_message_times
 from ship_bags.mcap.records import ChunkPlace
 from ship_bags.message_store import BagTypes, message_store, store_with_definitions
 from ship_bags.progress import with_progress
@@ -116,7 +116,7 @@ class Bag:
         self.last_time_ns: int | None = None
         self._files = files
         # Messages that a file repeats from earlier ones are needed only if that file is read alone.
-        self._repeated = [set[tuple[str, int]]() if n == 0 else repeated_times(f.metadata) for n, f in enumerate(files)]
+        self._repeated = [set[tuple[str, int]]() if n == 0 else repeated_message_times(f.metadata) for n, f in enumerate(files)]
         self._usable_channels = [self._channels_of(file) for file in files]
         types = self._types()
         self._store, self.differences = types.store, types.differences
@@ -367,7 +367,7 @@ def _rename_topics(path: Path, files: list[BagFile]) -> None:
     topics = {channel.topic for file in files for channel in file.channels.values()}
     attached = [file.attachments[SUITE_ATTACHMENT] for file in files if SUITE_ATTACHMENT in file.attachments]
     renamed = names.new_names(topics, attached[-1].decode("utf-8", errors="replace") if attached else "")
-    unmatched = names.unmatched(topics)
+    unmatched = names.unmatched_remaps(topics)
     if unmatched and not names.is_by_suite:
         raise BadInput(f"has no topic '{unmatched[0]}' to rename; it has {', '.join(sorted(topics))}", file=path)
     first: dict[str | None, str] = {}
@@ -388,7 +388,7 @@ def _rename_topics(path: Path, files: list[BagFile]) -> None:
     files[0].problems += [f"{path.name}: {line}" for line in lines]
 
 
-def watched(records: Iterator[BagRecord], bag: Bag, doing: str = "") -> Iterator[BagRecord]:
+def with_bag_progress(records: Iterator[BagRecord], bag: Bag, doing: str = "") -> Iterator[BagRecord]:
     """Yield the records and show the progress on stderr.
 
     Args:

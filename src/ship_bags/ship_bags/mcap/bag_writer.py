@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ship_bags.errors import BadInput
 from ship_bags.mcap.mcap_writer import McapWriter
-from ship_bags.output_files import DiskSync, named, open_new, part_of
+from ship_bags.output_files import DiskSync, error_with_path, open_new, part_path
 
 SUITE_ATTACHMENT = "suite.yaml"
 """Name of the attachment with the suite's configuration."""
@@ -64,7 +64,7 @@ class TypeDefinition(NamedTuple):
     hash: str
 
 
-def known_definition(type_name: str) -> TypeDefinition:
+def suite_definition(type_name: str) -> TypeDefinition:
     """Return the definition of a type of ROS 2 Jazzy or of ship_msgs.
 
     Raises:
@@ -104,16 +104,16 @@ class BagWriter:
         path: Path | str,
         atomic: bool = True,
         *,
-        define: Callable[[str], TypeDefinition] = known_definition,
+        define: Callable[[str], TypeDefinition] = suite_definition,
         library: str = "ship_replay",
         exclusive: bool = False,
     ) -> None:
         self.path = Path(path)
-        self.message_count = self.whole_bytes = 0
+        self.message_count = self.flushed_bytes = 0
         self._define = define
-        self._written_path = part_of(self.path) if atomic else self.path
+        self._written_path = part_path(self.path) if atomic else self.path
         try:
-            self._file = _opened(self._written_path, atomic, exclusive)
+            self._file = _open(self._written_path, atomic, exclusive)
         except OSError as problem:
             raise BadInput(f"cannot be written: {problem.strerror}", file=self.path) from problem
         self._sync = DiskSync(self._file.fileno())
@@ -122,7 +122,7 @@ class BagWriter:
         self._schema_ids: dict[str, int] = {}
         self._channels: dict[str, tuple[int, str]] = {}
         self._sequences: dict[int, int] = {}
-        self._unrepeated: list[Schema | Channel] = []
+        self._unrepeated_records: list[Schema | Channel] = []
 
     def add_topic(
         self, topic: str, type_name: str, latched: bool = False, qos_profiles: str | None = None
@@ -168,7 +168,7 @@ class BagWriter:
         try:
             self._writer.add_message(channel_id, log_time_ns, data, sent_ns, sequence)
         except OSError as problem:
-            raise named(problem, self.path) from problem
+            raise error_with_path(problem, self.path) from problem
         self.message_count += 1
 
     def write_many(
@@ -198,19 +198,19 @@ class BagWriter:
             before = self._sequences.get(channel_id, 0)
             self._sequences[channel_id] = before + len(places)
             channel_ids[places], sequences[places] = channel_id, before + 1 + np.arange(len(places))
-        with self._naming():
+        with self._name_file_in_errors():
             self._writer.add_messages(channel_ids, log_times_ns, data, sequences)
         self.message_count += len(data)
 
     def add_attachment(self, name: str, content: str | bytes, media_type: str = "application/yaml") -> None:
         """Attach a file."""
         data = content.encode() if isinstance(content, str) else content
-        with self._naming():
+        with self._name_file_in_errors():
             self._writer.add_attachment(name, media_type, data)
 
     def add_metadata(self, name: str, entries: dict[str, str]) -> None:
         """Add a metadata record."""
-        with self._naming():
+        with self._name_file_in_errors():
             self._writer.add_metadata(name, entries)
 
     def flush(self) -> None:
@@ -219,12 +219,12 @@ class BagWriter:
         Raises:
             OSError: it cannot be written, or the sync of an earlier flush failed.
         """
-        with self._naming():
+        with self._name_file_in_errors():
             self._writer.flush()
             self._repeat_definitions()
             self._file.flush()
             self._sync.request()
-            self.whole_bytes = self._file.tell()
+            self.flushed_bytes = self._file.tell()
 
     def close(self) -> None:
         """Finish the file. With ``atomic`` it is renamed now; if that fails no file is left.
@@ -235,7 +235,7 @@ class BagWriter:
         if self._file.closed:
             return
         try:
-            with self._naming():
+            with self._name_file_in_errors():
                 self._writer.finish()
                 self._file.flush()
                 self._sync.finish()
@@ -255,11 +255,11 @@ class BagWriter:
             self._written_path.unlink(missing_ok=True)
         self._release()
 
-    def cut(self) -> None:
+    def truncate(self) -> None:
         """Give up after a failed write: truncate the file to the last :meth:`flush`."""
         self._release()
         with contextlib.suppress(OSError):
-            os.truncate(self._written_path, self.whole_bytes)
+            os.truncate(self._written_path, self.flushed_bytes)
 
     def _release(self) -> None:
         """Close all open files."""
@@ -271,12 +271,12 @@ class BagWriter:
             self._file.close()
 
     @contextlib.contextmanager
-    def _naming(self) -> Iterator[None]:
+    def _name_file_in_errors(self) -> Iterator[None]:
         """Add the file name to an OSError."""
         try:
             yield
         except OSError as problem:
-            raise named(problem, self.path) from problem
+            raise error_with_path(problem, self.path) from problem
 
     def __enter__(self) -> "BagWriter":
         return self
@@ -299,15 +299,15 @@ class BagWriter:
             return known[0]
         metadata = {
             "offered_qos_profiles": own_qos_text(latched) if qos_profiles is None else qos_profiles,
-            "topic_type_hash": self._defined(type_name).hash,
+            "topic_type_hash": self._definition(type_name).hash,
         }
         schema_id = self._schema_id(type_name)
         channel_id = self._writer.register_channel(topic, "cdr", schema_id, metadata)
-        self._unrepeated.append(Channel(channel_id, topic, "cdr", metadata, schema_id))
+        self._unrepeated_records.append(Channel(channel_id, topic, "cdr", metadata, schema_id))
         self._channels[topic] = (channel_id, type_name)
         return channel_id
 
-    def _defined(self, type_name: str) -> TypeDefinition:
+    def _definition(self, type_name: str) -> TypeDefinition:
         if type_name not in self._definitions:
             try:
                 self._definitions[type_name] = self._define(type_name)
@@ -317,22 +317,22 @@ class BagWriter:
 
     def _schema_id(self, type_name: str) -> int:
         if type_name not in self._schema_ids:
-            data = self._defined(type_name).text.encode()
+            data = self._definition(type_name).text.encode()
             self._schema_ids[type_name] = self._writer.register_schema(type_name, "ros2msg", data)
-            self._unrepeated.append(Schema(self._schema_ids[type_name], data, "ros2msg", type_name))
+            self._unrepeated_records.append(Schema(self._schema_ids[type_name], data, "ros2msg", type_name))
         return self._schema_ids[type_name]
 
     def _repeat_definitions(self) -> None:
         """Write new schemas and channels once more, between chunks, as MCAP allows."""
         records = RecordBuilder()
-        for record in self._unrepeated:
+        for record in self._unrepeated_records:
             record.write(records)
-        self._unrepeated.clear()
+        self._unrepeated_records.clear()
         end: Callable[[], bytes] = records.end  # mcap gives it no type
         self._file.write(end())
 
 
-def _opened(path: Path, atomic: bool, exclusive: bool) -> BinaryIO:
+def _open(path: Path, atomic: bool, exclusive: bool) -> BinaryIO:
     if atomic:
         return open_new(path)
     # Without a mode, files of Python's os.open can be executed.

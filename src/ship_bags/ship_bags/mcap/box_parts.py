@@ -24,7 +24,7 @@ def further_black_box_files(first: BagFile) -> list[BagFile]:
         try:
             file = open_mcap(path)
         except BadInput as problem:
-            first.note(str(problem))
+            first.add_problem(str(problem))
             continue
         # The header of the black box is that of the first file.
         of_part = file.metadata.pop(BLACK_BOX_METADATA, {})
@@ -34,5 +34,5 @@ def further_black_box_files(first: BagFile) -> list[BagFile]:
         else:
             file.close()
     for missing in set(range(2, max(found, default=1))) - found.keys():
-        first.note(f"{first.path.name}: part {missing} of the black box is missing")
+        first.add_problem(f"{first.path.name}: part {missing} of the black box is missing")
     return [found[number] for number in sorted(found)]

@@ -46,11 +46,11 @@ def records_of_chunk(chunk: Chunk) -> list[McapRecord]:
     """
     if chunk.compression not in COMPRESSIONS:
         raise DamagedChunk(f"compression {chunk.compression!r} is unknown")
-    content = _unfolded(chunk)
-    return guarded(lambda: _split(chunk, content))
+    content = _decompressed_content(chunk)
+    return raise_damaged(lambda: _split(chunk, content))
 
 
-def _unfolded(chunk: Chunk) -> bytes:
+def _decompressed_content(chunk: Chunk) -> bytes:
     """Return the decompressed content of a chunk. The sizes stated in its header and its bytes are not trusted.
 
     Raises:
@@ -59,7 +59,7 @@ def _unfolded(chunk: Chunk) -> bytes:
     if chunk.uncompressed_size > MAX_CHUNK_BYTES:
         size_mb = chunk.uncompressed_size / _BYTES_PER_MB
         raise DamagedChunk(f"its stated size is {size_mb:.0f} MB decompressed: at most {MAX_CHUNK_MB} are read")
-    content = guarded(lambda: decompressed(chunk.compression, chunk.data))
+    content = raise_damaged(lambda: decompress(chunk.compression, chunk.data))
     if len(content) > MAX_CHUNK_BYTES:
         raise DamagedChunk(f"it decompresses to more than {MAX_CHUNK_MB} MB")
     if chunk.uncompressed_crc == 0 and len(content) != chunk.uncompressed_size:
@@ -70,7 +70,7 @@ def _unfolded(chunk: Chunk) -> bytes:
     return content
 
 
-def decompressed(compression: str, data: bytes) -> bytes:
+def decompress(compression: str, data: bytes) -> bytes:
     """Return the content of compressed bytes, up to one byte more than the limit of a chunk."""
     unfolded: bytes = data
     if compression == "zstd":
@@ -112,17 +112,17 @@ def _split(chunk: Chunk, content: bytes) -> list[McapRecord]:
             data = content[offset + _MESSAGE_HEAD.size : end]
             records.append(Message(channel_id, log_time, data, publish_time, sequence))
         elif opcode in _OTHERS_OF_CHUNK:
-            records.append(parsed(_OTHERS_OF_CHUNK[opcode], content[offset:end]))
+            records.append(parse_record(_OTHERS_OF_CHUNK[opcode], content[offset:end]))
         offset = end
     return records
 
 
-def parsed(read: Callable[[ReadDataStream], Result], body: bytes) -> Result:
+def parse_record(read: Callable[[ReadDataStream], Result], body: bytes) -> Result:
     """Return a record from its body, by the ``read`` method of its class."""
     return read(ReadDataStream(io.BytesIO(body)))
 
 
-def guarded(parse: Callable[[], Result]) -> Result:
+def raise_damaged(parse: Callable[[], Result]) -> Result:
     """Return the result of a parser; raise DamagedChunk for any exception."""
     try:
         return parse()

@@ -44,7 +44,7 @@ class BagFile(ABC):
     def close(self) -> None:
         """Close the file."""
 
-    def note(self, problem: str) -> None:
+    def add_problem(self, problem: str) -> None:
         """Add a line to ``problems``, once: a place may be read repeatedly."""
         if problem not in self.problems:
             self.problems.append(problem)

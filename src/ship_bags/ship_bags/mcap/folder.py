@@ -17,7 +17,7 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_writer import BagWriter, own_qos_text
 from ship_bags.mcap.latched import REPEATED_METADATA, LatchedMessage, LatchedMessages
 from ship_bags.message_store import type_hash
-from ship_bags.output_files import write_whole
+from ship_bags.output_files import write_atomically
 from ship_bags.yaml_text import plain_data
 
 INFORMATION_FILE = "metadata.yaml"
@@ -84,12 +84,12 @@ class FolderWriter:
         self._topics: dict[str, TopicInformation] = {}
         self._latched = LatchedMessages()
         self._unrepeated: list[LatchedMessage] = []
-        self._outdated = False
+        self._is_information_outdated = False
         try:
             folder.mkdir()
         except OSError as problem:
             raise BadInput(f"cannot be made: {problem.strerror}", file=folder) from problem
-        self._begin_file()
+        self._open_file()
 
     @property
     def message_count(self) -> int:
@@ -97,9 +97,9 @@ class FolderWriter:
         return sum(file.message_count for file in self.files)
 
     @property
-    def whole_bytes(self) -> int:
+    def flushed_bytes(self) -> int:
         """Length of the current file at its last flush."""
-        return self._bag.whole_bytes
+        return self._bag.flushed_bytes
 
     def add_topic(
         self, topic: str, type_name: str, latched: bool = False, qos_profiles: str | None = None
@@ -110,7 +110,7 @@ class FolderWriter:
         if latched:
             self._latched.add_topic(topic)
         self._topics[topic] = TopicInformation(topic, type_name, text, type_hash(type_name))
-        self._outdated = True
+        self._is_information_outdated = True
 
     def write_raw(
         self, topic: str, type_name: str, data: bytes, log_time_ns: int, publish_time_ns: int | None = None
@@ -153,8 +153,8 @@ class FolderWriter:
         self._bag.flush()
         if self._is_full():
             self._bag.close()
-            self._begin_file()
-        elif self._outdated:
+            self._open_file()
+        elif self._is_information_outdated:
             self._write_information()
 
     def close(self) -> None:
@@ -162,11 +162,11 @@ class FolderWriter:
         self._bag.close()
         self._write_information()
 
-    def cut(self) -> None:
+    def truncate(self) -> None:
         """Give up after a failed write: truncate the file to the last :meth:`flush`."""
-        self._bag.cut()
+        self._bag.truncate()
 
-    def _begin_file(self) -> None:
+    def _open_file(self) -> None:
         self.files.append(FileInformation(f"{self.path.name}_{len(self.files)}.mcap"))
         self._bag = BagWriter(self.path / self.files[-1].name, atomic=False)
         # The information file names an existing file with the beginning of MCAP: a crash here loses no data.
@@ -181,13 +181,13 @@ class FolderWriter:
         if self.files[-1].message_count == 0:
             return False
         size_bytes, time_s = self._limits
-        return (size_bytes is not None and self._bag.whole_bytes >= size_bytes) or (
+        return (size_bytes is not None and self._bag.flushed_bytes >= size_bytes) or (
             time_s is not None and time.monotonic() - self._file_start_s >= time_s
         )
 
     def _write_information(self) -> None:
         write_information(self.path, self.files, list(self._topics.values()))
-        self._outdated = False
+        self._is_information_outdated = False
 
 
 def needs_rosbags(path: Path) -> bool:
@@ -201,7 +201,7 @@ def needs_rosbags(path: Path) -> bool:
     if not (path / INFORMATION_FILE).is_file():
         return False
     information = _read_information(path / INFORMATION_FILE)
-    _names(information, path / INFORMATION_FILE)
+    _listed_files(information, path / INFORMATION_FILE)
     return information.get("storage_identifier") != "mcap" or _compression_mode(information) != "none"
 
 
@@ -211,7 +211,7 @@ def file_names(information_path: Path) -> list[str]:
     Raises:
         BadInput: it cannot be read, is not an information file of a known storage, or lists another folder.
     """
-    return _names(_read_information(information_path), information_path)
+    return _listed_files(_read_information(information_path), information_path)
 
 
 def _read_information(path: Path) -> dict[str, Any]:
@@ -234,7 +234,7 @@ def _compression_mode(information: dict[str, Any]) -> str:
     return str(information.get("compression_mode") or "none").lower()
 
 
-def _names(information: dict[str, Any], path: Path) -> list[str]:
+def _listed_files(information: dict[str, Any], path: Path) -> list[str]:
     names = information.get("relative_file_paths")
     if not isinstance(names, list) or not names:
         raise BadInput("relative_file_paths names no file", file=path)
@@ -251,7 +251,7 @@ def write_information(folder: Path, files: Sequence[FileInformation], topics: Se
     Raises:
         OSError: it cannot be written; the former one stays.
     """
-    write_whole(folder / INFORMATION_FILE, yaml.safe_dump(_information(files, topics), sort_keys=False))
+    write_atomically(folder / INFORMATION_FILE, yaml.safe_dump(_information(files, topics), sort_keys=False))
     _sync_folder(folder)
 
 

@@ -10,9 +10,9 @@ from typing import NamedTuple
 REPEATED_METADATA = "repeated"
 """Metadata record of a file: topic → log time of the copies, ns."""
 
-_MOST_MESSAGES = 16
+_MAX_MESSAGES = 16
 """Maximum number per topic: several nodes may have published one each, as on /tf_static."""
-_MOST_BYTES = 16 * 2**20
+_MAX_BYTES = 16 * 2**20
 
 
 class LatchedMessage(NamedTuple):
@@ -28,31 +28,31 @@ class LatchedMessages:
     """Newest messages of each latched topic, without duplicates."""
 
     def __init__(self) -> None:
-        self._kept: dict[str, deque[LatchedMessage]] = {}
+        self._messages: dict[str, deque[LatchedMessage]] = {}
 
     def __contains__(self, topic: str) -> bool:
         """True if a topic is latched."""
-        return topic in self._kept
+        return topic in self._messages
 
     def __iter__(self) -> Iterator[LatchedMessage]:
         """Iterate over all messages, topic by topic, oldest first."""
-        return (message for kept in self._kept.values() for message in kept)
+        return (message for kept in self._messages.values() for message in kept)
 
     def add_topic(self, topic: str) -> None:
         """Add a latched topic."""
-        self._kept.setdefault(topic, deque(maxlen=_MOST_MESSAGES))
+        self._messages.setdefault(topic, deque(maxlen=_MAX_MESSAGES))
 
     def add(self, message: LatchedMessage) -> None:
         """Add a message of a latched topic."""
-        kept = self._kept[message.topic]
+        kept = self._messages[message.topic]
         for other in [other for other in kept if other.data == message.data]:
             kept.remove(other)
         kept.append(message)
-        while len(kept) > 1 and sum(len(other.data) for other in kept) > _MOST_BYTES:
+        while len(kept) > 1 and sum(len(other.data) for other in kept) > _MAX_BYTES:
             kept.popleft()
 
 
-def repeated_times(metadata: Mapping[str, Mapping[str, str]]) -> set[tuple[str, int]]:
+def repeated_message_times(metadata: Mapping[str, Mapping[str, str]]) -> set[tuple[str, int]]:
     """Return topic and log time of the copies in a file, by its metadata; nothing from a damaged record."""
     entries = metadata.get(REPEATED_METADATA, {})
     return {(topic, int(time)) for topic, time in entries.items() if time.isascii() and time.isdecimal()}

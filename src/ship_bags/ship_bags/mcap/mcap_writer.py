@@ -153,7 +153,7 @@ class McapWriter:
         start = 0
         while start < len(data):
             stop = self._end_of_chunk(log_times_ns, ends, start)
-            self._add_some(channel_ids, log_times_ns, ends, slice(start, stop), records[2 * start : 2 * stop])
+            self._add_to_current_chunk(channel_ids, log_times_ns, ends, slice(start, stop), records[2 * start : 2 * stop])
             start = stop
 
     def _end_of_chunk(self, log_times_ns: NDArray[np.int64], ends: NDArray[np.int64], start: int) -> int:
@@ -173,7 +173,7 @@ class McapWriter:
         room = int(np.searchsorted(ends[start:] - before, CHUNK_BYTES - len(self._chunk), side="right"))
         return start + min(near, room) + 1
 
-    def _add_some(
+    def _add_to_current_chunk(
         self,
         channel_ids: NDArray[np.int64],
         log_times_ns: NDArray[np.int64],
@@ -243,7 +243,7 @@ class McapWriter:
         if len(self._chunk) > CHUNK_BYTES:
             self._end_chunk()
 
-    def _begin_chunk(self) -> None:
+    def _start_chunk(self) -> None:
         self._chunk.clear()
         self._indexes = {}
         self._start_ns = None
@@ -288,7 +288,7 @@ class McapWriter:
         self._first_ns = self._start_ns if self._chunk_count == 0 else min(self._first_ns, self._start_ns)
         self._last_ns = max(self._last_ns, self._end_ns)
         self._chunk_count += 1
-        self._begin_chunk()
+        self._start_chunk()
 
     def _summary(self) -> Iterator[tuple[Opcode, Iterable[bytes]]]:
         """Yield the groups of the summary: opcode, and the records in blocks."""

@@ -17,7 +17,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Chunk, McapRecord, Message
 
-from ship_bags.mcap.chunk_content import COMPRESSIONS, HEADER, DamagedChunk, guarded, parsed, records_of_chunk
+from ship_bags.mcap.chunk_content import COMPRESSIONS, HEADER, DamagedChunk, raise_damaged, parse_record, records_of_chunk
 from ship_bags.stamps import END_OF_TIME_NS
 
 # Log times end a day earlier than stamps: the ticks of a replay may continue for that time.
@@ -25,8 +25,8 @@ _LATEST_NS = END_OF_TIME_NS - 86_400_000_000_000
 
 _U16, _U32, _U64 = struct.Struct("<H"), struct.Struct("<I"), struct.Struct("<Q")
 _CHUNK_HEAD = struct.Struct("<QQQI")
-_ATTACHMENT_LEAST = 8 + 8 + 4 + 4 + 8 + 4
-_MESSAGE_LEAST = 2 + 4 + 8 + 8
+_MIN_ATTACHMENT_BYTES = 8 + 8 + 4 + 4 + 8 + 4
+_MIN_MESSAGE_BYTES = 2 + 4 + 8 + 8
 # Header of a record at which a scan may continue. Schemas, channels and messages are left out: inside a damaged
 # uncompressed chunk they look valid, but no checksum protects them. The upper bytes of a length are zero in any file
 # below a tebibyte.
@@ -51,7 +51,7 @@ class ChunkPlace:
     length: int
     start_ns: int
     end_ns: int
-    loose: bool = False
+    is_outside_chunk: bool = False
     channels: frozenset[int] | None = None
 
 
@@ -89,19 +89,19 @@ class RecordFile:
             DamagedChunk: it cannot be decompressed or parsed, its checksum is wrong, or its times differ from the
                 stated ones.
         """
-        if place.loose:
-            return _of_our_time(list(self._loose_messages(place)))
+        if place.is_outside_chunk:
+            return _check_log_times(list(self._messages_outside_chunks(place)))
         record = self.record_at(place.offset)
         if record is None or record[0] != Opcode.CHUNK or len(record[1]) + HEADER.size != place.length:
             raise DamagedChunk("its header is wrong")
-        chunk = guarded(lambda: parsed(Chunk.read, record[1]))
+        chunk = raise_damaged(lambda: parse_record(Chunk.read, record[1]))
         records = records_of_chunk(chunk)
         times = [record.log_time for record in records if isinstance(record, Message)]
         if check_times and times and (min(times) < place.start_ns or max(times) > place.end_ns):
             raise DamagedChunk("its header has other times than its messages")
-        return _of_our_time(records)
+        return _check_log_times(records)
 
-    def _loose_messages(self, place: ChunkPlace) -> Iterator[McapRecord]:
+    def _messages_outside_chunks(self, place: ChunkPlace) -> Iterator[McapRecord]:
         offset = place.offset
         while offset < place.offset + place.length:
             record = self.record_at(offset)
@@ -112,7 +112,7 @@ class RecordFile:
 
 
 @dataclass(frozen=True)
-class WalkedRecord:
+class ScannedRecord:
     """Valid record: its offset, opcode and body."""
 
     offset: int
@@ -133,13 +133,13 @@ class Gap:
     end: int | None
 
 
-def walk(data: RecordFile, offset: int) -> Iterator[WalkedRecord | Gap]:
+def scan_records(data: RecordFile, offset: int) -> Iterator[ScannedRecord | Gap]:
     """Yield the records from an offset up to the end of the data section, of the readable part, or of the file.
 
     The last item is a record (DATA_END or FOOTER) in a finished file, otherwise a gap without end.
     """
     while True:
-        record = _sound_record(data, offset)
+        record = _valid_record_at(data, offset)
         if record is None:
             after = _next_valid_offset(data, offset)
             yield Gap(offset, after)
@@ -155,29 +155,29 @@ def walk(data: RecordFile, offset: int) -> Iterator[WalkedRecord | Gap]:
 
 def has_header(data: RecordFile, offset: int) -> bool:
     """Return True if the record with which every MCAP file begins is at an offset."""
-    record = _sound_record(data, offset)
+    record = _valid_record_at(data, offset)
     return record is not None and record.opcode == Opcode.HEADER
 
 
-def has_time_of_stamps(log_time_ns: int) -> bool:
+def is_stamp_time(log_time_ns: int) -> bool:
     """True if a stamp can represent a log time, and also the time a day later."""
     return 0 <= log_time_ns < _LATEST_NS
 
 
-def _of_our_time(records: list[McapRecord]) -> list[McapRecord]:
+def _check_log_times(records: list[McapRecord]) -> list[McapRecord]:
     """Return the records if a replay can represent all log times.
 
     Raises:
         DamagedChunk: a stamp cannot represent a log time.
     """
-    if any(isinstance(record, Message) and not has_time_of_stamps(record.log_time) for record in records):
+    if any(isinstance(record, Message) and not is_stamp_time(record.log_time) for record in records):
         raise DamagedChunk("it has log times after the year 2038, which no stamp can represent")
     return records
 
 
-def _sound_record(data: RecordFile, offset: int) -> WalkedRecord | None:
+def _valid_record_at(data: RecordFile, offset: int) -> ScannedRecord | None:
     found = data.record_at(offset)
-    return WalkedRecord(offset, *found) if found is not None and _is_sound(*found) else None
+    return ScannedRecord(offset, *found) if found is not None and _is_valid(*found) else None
 
 
 def _next_valid_offset(data: RecordFile, damaged: int) -> int | None:
@@ -196,7 +196,7 @@ def _next_valid_offset(data: RecordFile, damaged: int) -> int | None:
 
 
 def _can_continue_at(data: RecordFile, offset: int) -> bool:
-    record = _sound_record(data, offset)
+    record = _valid_record_at(data, offset)
     if record is None or record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.HEADER):
         return False
     if record.opcode == Opcode.ATTACHMENT:
@@ -221,7 +221,7 @@ def _compression(chunk: bytes) -> str:
     return chunk[start : start + length].decode("latin-1")
 
 
-def _is_sound(opcode: int, body: bytes) -> bool:
+def _is_valid(opcode: int, body: bytes) -> bool:
     """True if a body has exactly the structure of its opcode."""
     try:
         if opcode == Opcode.CHUNK:
@@ -230,7 +230,7 @@ def _is_sound(opcode: int, body: bytes) -> bool:
             return _is_message_index(body)
         if opcode == Opcode.MESSAGE:
             # One wrong bit makes a message index look like a message.
-            return len(body) >= _MESSAGE_LEAST and not _is_message_index(body)
+            return len(body) >= _MIN_MESSAGE_BYTES and not _is_message_index(body)
         if opcode == Opcode.SCHEMA:
             return _end_of(body, _U16.size, (_U32, _U32, _U32)) == len(body)
         if opcode == Opcode.CHANNEL:
@@ -242,7 +242,7 @@ def _is_sound(opcode: int, body: bytes) -> bool:
     except struct.error:
         return False
     if opcode == Opcode.ATTACHMENT:
-        return len(body) >= _ATTACHMENT_LEAST
+        return len(body) >= _MIN_ATTACHMENT_BYTES
     return (opcode, len(body)) in ((Opcode.DATA_END, 4), (Opcode.FOOTER, 20))
 
 

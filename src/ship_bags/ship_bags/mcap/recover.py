@@ -19,7 +19,7 @@ from rosbags.rosbag2 import Reader
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_file import McapFile, open_mcap
 from ship_bags.mcap.folder import INFORMATION_FILE, FileInformation, TopicInformation, write_information
-from ship_bags.output_files import check_file, named, open_new
+from ship_bags.output_files import check_file, error_with_path, open_new
 from ship_bags.progress import with_progress
 
 _LIBRARY = "ship_bags record --recover"
@@ -130,7 +130,7 @@ def _recover_file(
             whole.counts.update(written.counts)
             whole.digests.update(written.digests)
         except OSError as problem:
-            raise named(problem, target) from problem
+            raise error_with_path(problem, target) from problem
         finally:
             part.unlink(missing_ok=True)
     finally:

@@ -12,12 +12,12 @@ from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
 
 from ship_bags.errors import BadInput
-from ship_bags.mcap.chunk_content import MAX_CHUNK_BYTES, MAX_CHUNK_MB, decompressed
+from ship_bags.mcap.chunk_content import MAX_CHUNK_BYTES, MAX_CHUNK_MB, decompress
 from ship_bags.mcap.file_content import BagFile
-from ship_bags.mcap.records import ChunkPlace, has_time_of_stamps
+from ship_bags.mcap.records import ChunkPlace, is_stamp_time
 from ship_bags.stamps import NS_PER_S, utc_text
 
-_MOST_PLACES = 10_000
+_MAX_PLACES = 10_000
 _FRAME_HEAD_BYTES = 18
 """Maximum length of the header of a zstd frame, which may state the size of its content."""
 _ENCODINGS = {MessageDefinitionFormat.MSG: "ros2msg", MessageDefinitionFormat.IDL: "ros2idl"}
@@ -42,7 +42,7 @@ class RosbagsFile(BagFile):
         except Exception as problem:
             # The library may raise anything for damaged files.
             times = f"from {utc_text(place.start_ns)} to {utc_text(place.end_ns)}"
-            self.note(f"{self.path.name}: messages {times} cannot be read: {problem}")
+            self.add_problem(f"{self.path.name}: messages {times} cannot be read: {problem}")
             return []
 
     def close(self) -> None:
@@ -60,7 +60,7 @@ class RosbagsFile(BagFile):
         for storage in getattr(self.reader.storage, "storages", ()):
             for connection, time_ns, data in storage.messages(storage.connections, *span_ns):
                 number = numbers[connection.topic, connection.msgtype]
-                yield Message(number, time_ns, _unfolded(data), publish_time=time_ns, sequence=0)
+                yield Message(number, time_ns, _decompress_message(data), publish_time=time_ns, sequence=0)
 
 
 def open_with_rosbags(path: Path) -> RosbagsFile:
@@ -69,7 +69,7 @@ def open_with_rosbags(path: Path) -> RosbagsFile:
     Raises:
         BadInput: it cannot be read.
     """
-    _check_room(path)
+    _check_disk_space(path)
     try:
         reader = Reader(path)
         reader.open()
@@ -78,14 +78,14 @@ def open_with_rosbags(path: Path) -> RosbagsFile:
         raise BadInput(f"cannot be read by rosbags: {problem}", file=path) from problem
     file = RosbagsFile(path, reader=reader)
     for connection in reader.connections:
-        schema, channel = _described(connection)
+        schema, channel = _describe(connection)
         file.schemas[schema.id], file.channels[channel.id] = schema, channel
     if reader.message_count:
         file.chunks.extend(_places(file, reader.start_time, reader.end_time - 1))
     return file
 
 
-def _check_room(path: Path) -> None:
+def _check_disk_space(path: Path) -> None:
     """Refuse a folder whose compressed files state a size larger than the free space for temporary files.
 
     Raises:
@@ -104,14 +104,14 @@ def _check_room(path: Path) -> None:
         raise BadInput(f"needs {needed_mb} MB: {folder} has {free_mb} MB free; name another by TMPDIR", file=path)
 
 
-def _unfolded(data: bytes) -> bytes:
-    content = decompressed("zstd", data)
+def _decompress_message(data: bytes) -> bytes:
+    content = decompress("zstd", data)
     if len(content) > MAX_CHUNK_BYTES:
         raise ValueError(f"a message decompresses to more than {MAX_CHUNK_MB} MB")
     return content
 
 
-def _described(connection: Connection) -> tuple[Schema, Channel]:
+def _describe(connection: Connection) -> tuple[Schema, Channel]:
     """Return definition and topic of a connection as MCAP records; without a definition the suite's is used."""
     form, text = connection.msgdef
     schema = Schema(connection.id, text.encode(), _ENCODINGS.get(form, "ros2msg"), connection.msgtype)
@@ -123,9 +123,9 @@ def _described(connection: Connection) -> tuple[Schema, Channel]:
 
 def _places(file: RosbagsFile, start_ns: int, end_ns: int) -> Iterator[ChunkPlace]:
     """Yield ranges of log times of a second each, or longer ones if they would be too many."""
-    if not (has_time_of_stamps(start_ns) and has_time_of_stamps(end_ns)):
-        file.note(f"{file.path.name}: it has log times that no stamp can represent: it is not read")
+    if not (is_stamp_time(start_ns) and is_stamp_time(end_ns)):
+        file.add_problem(f"{file.path.name}: it has log times that no stamp can represent: it is not read")
         return
-    length_ns = max(NS_PER_S, -(-(end_ns - start_ns + 1) // _MOST_PLACES))
+    length_ns = max(NS_PER_S, -(-(end_ns - start_ns + 1) // _MAX_PLACES))
     for number, begin_ns in enumerate(range(start_ns, end_ns + 1, length_ns)):
         yield ChunkPlace(number, 0, begin_ns, min(begin_ns + length_ns - 1, end_ns))

@@ -17,11 +17,11 @@ from ship_bags.stamps import NS_PER_S
 _LONGEST_PERIOD_NS = NS_PER_S
 """Period of bursts until it is known, ns; slower bursts are paired as if they had this one."""
 _SHORTEST_PERIOD_NS = NS_PER_S // 100
-_GAPS = 9
+_GAP_COUNT = 9
 """Number of intervals between attitudes whose median is their period."""
 _EARLIEST_NS = NS_PER_S // 100
 """Maximum time by which an attitude may be received before its stamp, ns."""
-_FASTER = 0.75
+_MIN_PERIOD_RATIO = 0.75
 """Ratio of the attitudes' period to that of the ZDA below which there are several attitudes per burst."""
 
 
@@ -51,9 +51,9 @@ class BurstClock:
         self._zda: ZdaTime | None = None
         self._last_zda_ns = self._last_attitude_ns = 0
         self._zda_gap_ns = _LONGEST_PERIOD_NS
-        self._attitude_gaps_ns: deque[int] = deque(maxlen=_GAPS)
+        self._attitude_gaps_ns: deque[int] = deque(maxlen=_GAP_COUNT)
         self._gga_ns, self._gga_delay_ns = 0, 0
-        self.waiting: InstrumentLine | None = None
+        self.pending_attitude: InstrumentLine | None = None
 
     def note_position(self, gga: InstrumentLine) -> None:
         """Record the delay of a GGA."""
@@ -70,9 +70,9 @@ class BurstClock:
         self._last_attitude_ns = attitude.receive_ns
         zda, self._zda = self._zda, None
         if zda is not None and self._is_of_burst(attitude, zda):
-            self.waiting = None
+            self.pending_attitude = None
             return zda
-        self.waiting = attitude
+        self.pending_attitude = attitude
         return None
 
     def pair_time(self, line: InstrumentLine) -> tuple[InstrumentLine, ZdaTime] | None:
@@ -83,9 +83,9 @@ class BurstClock:
         if zda.stamp_ns > self._last_zda_ns:
             self._zda_gap_ns = min(zda.stamp_ns - self._last_zda_ns, _LONGEST_PERIOD_NS)
         self._last_zda_ns = zda.stamp_ns
-        attitude = self.waiting
+        attitude = self.pending_attitude
         if attitude is not None and self._is_of_burst(attitude, zda) and _is_possible(attitude, zda):
-            self._zda, self.waiting = None, None
+            self._zda, self.pending_attitude = None, None
             return attitude, zda
         self._zda = zda
         return None
@@ -95,7 +95,7 @@ class BurstClock:
         attitude_gap_ns = int(median(self._attitude_gaps_ns)) if self._attitude_gaps_ns else self._zda_gap_ns
         period_ns = max(min(attitude_gap_ns, self._zda_gap_ns), _SHORTEST_PERIOD_NS)
         delay_ns, usual_ns = attitude.receive_ns - (zda.line.receive_ns - zda.delay_ns), zda.delay_ns
-        is_one_to_a_burst = attitude_gap_ns >= _FASTER * self._zda_gap_ns
+        is_one_to_a_burst = attitude_gap_ns >= _MIN_PERIOD_RATIO * self._zda_gap_ns
         is_recent = abs(attitude.receive_ns - self._gga_ns) < self._zda_gap_ns
         if is_one_to_a_burst and is_recent and abs(self._gga_delay_ns - zda.delay_ns) < 2 * self._zda_gap_ns:
             usual_ns = self._gga_delay_ns

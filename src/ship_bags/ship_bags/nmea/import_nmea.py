@@ -28,11 +28,11 @@ from ship_bags.nmea.instrument import (
 from ship_bags.nmea.instrument_line import WRONG_TIME, InstrumentLine, clock_problem
 from ship_bags.nmea.nmea_attitude import (
     ATTITUDE_KINDS,
-    LONGEST_GAP_S,
+    MAX_GAP_S,
     WITHOUT_TIME,
     AttitudeReader,
     LoggedAttitude,
-    resampled,
+    resample,
 )
 from ship_bags.nmea.nmea_log import LogReport, LogRules, read_log
 from ship_bags.stamps import ns_from_stamp
@@ -45,7 +45,7 @@ RECEIVE_TIME = "receive"
 
 
 @dataclass(frozen=True)
-class ImportOrder:
+class ImportRequest:
     """Inputs and options of an import.
 
     Attributes:
@@ -72,7 +72,7 @@ class ImportOrder:
     quality_9_is_fix: bool = False
 
 
-def import_logs(order: ImportOrder, out_path: Path) -> list[LogReport]:
+def import_logs(order: ImportRequest, out_path: Path) -> list[LogReport]:
     """Write the bag.
 
     Returns:
@@ -91,9 +91,9 @@ def import_logs(order: ImportOrder, out_path: Path) -> list[LogReport]:
     if not fixes or any(report.used[kind] for kind in ATTITUDE_KINDS):
         samples = _attitudes(ins_lines, report, by_instrument)
         if order.resample_hz is not None:
-            samples = resampled(samples, order.resample_hz)
+            samples = resample(samples, order.resample_hz)
             if not samples:
-                raise BadInput(f"no two attitudes within {LONGEST_GAP_S:g} s of each other to resample", file=order.ins)
+                raise BadInput(f"no two attitudes within {MAX_GAP_S:g} s of each other to resample", file=order.ins)
         timed += [imu_message(factory, INS, INS, sample) for sample in samples]
     else:
         report.remarks.append("no attitude in it: gnss/fix only")
@@ -110,7 +110,7 @@ def import_logs(order: ImportOrder, out_path: Path) -> list[LogReport]:
         (WEATHER, WEATHER, order.weather, AIR_KINDS),
     ):
         if log is not None:
-            lines, report = _read_with(log, kinds, order.rules)
+            lines, report = _read_required(log, kinds, order.rules)
             reports.append(report)
             timed += _messages(factory, InstrumentRole(becomes), name, lines, report)
     _write(order, out_path, timed, reports)
@@ -127,7 +127,7 @@ def _messages(
 def _attitudes(lines: list[InstrumentLine], report: LogReport, by_instrument: bool) -> list[LoggedAttitude]:
     reader = AttitudeReader(by_instrument, report)
     found = [attitude for line in lines if (attitude := reader.take(line)) is not None]
-    reader.end()
+    reader.finish()
     if not found and report.rejected[WRONG_TIME]:
         example = next(text for text in report.examples if WRONG_TIME in text)
         raise BadInput(f"no usable attitude: {example}; --time receive stamps by the receive time", file=report.path)
@@ -149,7 +149,7 @@ def _remark_on_clock(report: LogReport, times_ns: list[tuple[int, int]]) -> None
         report.remarks.append(f"{text}: use --time receive")
 
 
-def _read_with(path: Path, kinds: Sequence[str], rules: LogRules) -> tuple[list[InstrumentLine], LogReport]:
+def _read_required(path: Path, kinds: Sequence[str], rules: LogRules) -> tuple[list[InstrumentLine], LogReport]:
     lines, report = read_log(path, rules)
     if not any(report.used[kind] for kind in kinds):
         *others, last = kinds
@@ -157,13 +157,13 @@ def _read_with(path: Path, kinds: Sequence[str], rules: LogRules) -> tuple[list[
     return lines, report
 
 
-def _write(order: ImportOrder, out_path: Path, timed: list[TimedMessage], reports: list[LogReport]) -> None:
+def _write(order: ImportRequest, out_path: Path, timed: list[TimedMessage], reports: list[LogReport]) -> None:
     marks = {
         "source": "ship logs",
         "ins": order.ins.name,
         "time": order.time,
         "resampled_hz": "no" if order.resample_hz is None else f"{order.resample_hz:g}",
-        "longest_gap_s": f"{LONGEST_GAP_S:g}",
+        "longest_gap_s": f"{MAX_GAP_S:g}",
         **{f"reference.{name}": path.name for name, path in sorted(order.references.items())},
     }
     counts = {
@@ -171,7 +171,7 @@ def _write(order: ImportOrder, out_path: Path, timed: list[TimedMessage], report
             "lines": report.lines,
             "used": dict(sorted(report.used.items())),
             "rejected": dict(sorted(report.rejected.items())),
-            **({"put_right": dict(sorted(report.mended.items()))} if report.mended else {}),
+            **({"put_right": dict(sorted(report.corrected.items()))} if report.corrected else {}),
             "not_of_interest": dict(sorted(report.unused.items())),
         }
         for report in reports

@@ -36,7 +36,7 @@ AIR_KINDS = ("MET", "MDA", "XDR")
 TimedMessage = tuple[int, str, Any]
 """(log time in ns, topic, message)."""
 
-_THS_RULES_NS = 3 * NS_PER_S
+_THS_PRECEDENCE_NS = 3 * NS_PER_S
 """Time after a THS for which HDT sentences of the same instrument are ignored, ns."""
 
 _GYRO_HEADING_SIGMA_DEG = 0.1
@@ -65,7 +65,7 @@ _MAKERS_SBAS_QUALITY = 9
 _SERVICE_GPS = 1
 _COVARIANCE_UNKNOWN, _COVARIANCE_APPROXIMATED = 0, 1
 
-_TRANSDUCED = {
+_TRANSDUCERS = {
     ("C", "C"): ("temperature_c", 1.0),
     ("H", "P"): ("humidity", 0.01),
     ("P", "B"): ("pressure_pa", 1e5),
@@ -75,7 +75,7 @@ _TRANSDUCED = {
 """Type and unit of an XDR transducer → field of a reading, and factor: °C, per cent, bar, pascal. H is hectopascal of
 Vaisala; the others are of the standard."""
 
-_MOST_TRANSDUCERS, _MAX_NAMED = 100, 5
+_MAX_TRANSDUCERS, _MAX_NAMED = 100, 5
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ class Instrument:
             if line.content.mode != AUTONOMOUS:
                 self._report.reject(f"THS not in mode {AUTONOMOUS}", line.number, str(line.content))
                 return
-        elif line.kind != "HDT" or (self._ths_ns is not None and line.receive_ns - self._ths_ns <= _THS_RULES_NS):
+        elif line.kind != "HDT" or (self._ths_ns is not None and line.receive_ns - self._ths_ns <= _THS_PRECEDENCE_NS):
             return
         variances = [_UNKNOWN_ANGLE_VARIANCE, _UNKNOWN_ANGLE_VARIANCE, np.deg2rad(_GYRO_HEADING_SIGMA_DEG) ** 2]
         rotation_nd = rotation_from_angles(*np.deg2rad([float(line.content.heading), 0.0, 0.0]))
@@ -208,7 +208,7 @@ class Instrument:
         """Yield the available temperature (°C), humidity (0 to 1) and pressure (Pa), stamped by the receive time."""
         if line.kind not in AIR_KINDS:
             return
-        reading = self._transduced(line) if line.kind == "XDR" else line.content
+        reading = self._transducer_reading(line) if line.kind == "XDR" else line.content
         fields = {"header": make_header(self._factory, line.receive_ns, "met"), "variance": 0.0}
         for (topic, type_name), (name, value) in zip(
             MET_TOPICS.items(),
@@ -222,18 +222,18 @@ class Instrument:
             if value is not None:
                 yield line.receive_ns, topic, self._factory.make(type_name, **fields, **{name: value})
 
-    def _transduced(self, line: InstrumentLine) -> MetReading:
+    def _transducer_reading(self, line: InstrumentLine) -> MetReading:
         """Return the air data of an XDR: of the named transducers, or of the only one of each kind."""
         readings: dict[str, list[float]] = {}
         for index in range(line.content.num_transducers):
             transducer = line.content.get_transducer(index)
             value = number(transducer.value)
-            field, factor = _TRANSDUCED.get((transducer.type, transducer.units), ("", 0.0))
+            field, factor = _TRANSDUCERS.get((transducer.type, transducer.units), ("", 0.0))
             if not field or value is None or (self._role.transducers and transducer.id not in self._role.transducers):
                 continue
             readings.setdefault(field, []).append(value * factor)
             names = self._transducers.setdefault(field, set())
-            if len(names) < _MOST_TRANSDUCERS:
+            if len(names) < _MAX_TRANSDUCERS:
                 names.add(transducer.id)
         for field in [field for field, values in readings.items() if len(values) + len(self._transducers[field]) > 2]:
             several = ", ".join(sorted(self._transducers[field])[:_MAX_NAMED])

@@ -13,7 +13,7 @@ from ship_bags.stamps import NS_PER_S
 WRONG_TIME = "instrument time"
 """Reason for rejecting a line whose time is too far from the receive time for a network delay."""
 
-_FIRST_FEW = 3
+_MAX_EXAMPLES = 3
 _LONGEST_DELAY_NS = 60 * NS_PER_S
 """Maximum difference of an instrument's time from the receive time, ns: no network delays a sentence longer."""
 _ROLLOVER_NS = 1024 * 7 * 86_400 * NS_PER_S
@@ -65,13 +65,13 @@ class LineReport:
     used: Counter[str] = field(default_factory=Counter)
     unused: Counter[str] = field(default_factory=Counter)
     rejected: Counter[str] = field(default_factory=Counter)
-    mended: Counter[str] = field(default_factory=Counter)
+    corrected: Counter[str] = field(default_factory=Counter)
     examples: list[str] = field(default_factory=list)
 
     def reject(self, reason: str, line: int, text: str) -> None:
         """Count an unusable line."""
         self.rejected[reason] += 1
-        if self.rejected[reason] <= _FIRST_FEW:
+        if self.rejected[reason] <= _MAX_EXAMPLES:
             self.examples.append(f"{self.name}:{line}: {reason}: {text[:80]!r}")
 
 
@@ -103,7 +103,7 @@ def instrument_ns(stamp_ns: int, line: InstrumentLine, report: LineReport) -> in
         report.reject(WRONG_TIME, line.number, text)
     elif result_ns != stamp_ns:
         weeks = (result_ns - stamp_ns) // _ROLLOVER_NS * 1024
-        report.mended[f"instrument time corrected by {weeks:+d} weeks (GPS week rollover)"] += 1
+        report.corrected[f"instrument time corrected by {weeks:+d} weeks (GPS week rollover)"] += 1
     return result_ns
 
 

@@ -10,12 +10,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from ship_bags.nmea.sentences import NotOfInterest, Sentence, Unusable, read_sentence
-from ship_bags.nmea.whole_sentences import is_whole
+from ship_bags.nmea.whole_sentences import is_complete
 
 LONGEST_LINE = 512
 """Maximum length of a line, bytes: a standard sentence has 82, proprietary ones up to three times as many."""
 
-TOO_LONG, NOISE, HALF = "line too long", "binary noise", "half line or no checksum"
+TOO_LONG, NOISE, INCOMPLETE = "line too long", "binary noise", "half line or no checksum"
 BINARY = "binary"
 
 REQUIRED, OPTIONAL = "required", "optional"
@@ -50,31 +50,31 @@ def parse_line(line: bytes, needs_checksum: bool = True) -> Iterator[ParsedText]
         needs_checksum: reject sentences without a checksum; otherwise complete ones are used.
     """
     if len(line) > LONGEST_LINE:
-        yield ParsedText(_shown(line), Unusable(TOO_LONG))
+        yield ParsedText(_printable(line), Unusable(TOO_LONG))
         return
     front = _FRONT.match(line)
     before, *sentences = line[front.end() if front else 0 :].strip().split(b"$")
     if not _PRINTABLE.fullmatch(before):
-        yield ParsedText(_shown(before), _binary(is_before_sentence=bool(sentences)))
+        yield ParsedText(_printable(before), _classify_binary(is_before_sentence=bool(sentences)))
     elif before:
         text = before.decode("ascii")
-        yield ParsedText(text, _without_start(text, is_cut=bool(sentences)))
+        yield ParsedText(text, _parse_without_start(text, is_cut=bool(sentences)))
     for place, body in enumerate(sentences, start=1):
         if not _PRINTABLE.fullmatch(body):
-            yield ParsedText(_shown(b"$" + body), _binary(is_before_sentence=place < len(sentences)))
+            yield ParsedText(_printable(b"$" + body), _classify_binary(is_before_sentence=place < len(sentences)))
             continue
         text = f"${body.decode('ascii').rstrip()}"
-        yield ParsedText(text, _read(text, needs_checksum))
+        yield ParsedText(text, _parse_text(text, needs_checksum))
 
 
-def _read(text: str, needs_checksum: bool) -> Sentence | NotOfInterest | Unusable:
+def _parse_text(text: str, needs_checksum: bool) -> Sentence | NotOfInterest | Unusable:
     """Parse a text that begins with ``$``."""
     if _CHECKSUM.fullmatch(text):
         return read_sentence(text)
     if needs_checksum or "*" in text:
-        return Unusable(HALF)
+        return Unusable(INCOMPLETE)
     result = read_sentence(text)
-    return Unusable(HALF) if isinstance(result, Sentence) and not is_whole(result.kind, text) else result
+    return Unusable(INCOMPLETE) if isinstance(result, Sentence) and not is_complete(result.kind, text) else result
 
 
 def is_talker(text: str) -> bool:
@@ -82,17 +82,17 @@ def is_talker(text: str) -> bool:
     return len(text) == 2 and text.isascii() and text.isalnum() and text.isupper()
 
 
-def _binary(is_before_sentence: bool) -> NotOfInterest | Unusable:
+def _classify_binary(is_before_sentence: bool) -> NotOfInterest | Unusable:
     """Classify binary data: messages of another protocol (UBX, RTCM) before a sentence, or noise."""
     return NotOfInterest(BINARY) if is_before_sentence else Unusable(NOISE)
 
 
-def _without_start(text: str, is_cut: bool) -> Sentence | NotOfInterest | Unusable:
+def _parse_without_start(text: str, is_cut: bool) -> Sentence | NotOfInterest | Unusable:
     """Parse a text without ``$``: a mast's line, an encapsulated sentence (AIS), or the end of a sentence."""
     if text.startswith("!"):
         return NotOfInterest(text.split(",")[0])
-    return Unusable(HALF) if is_cut or _CHECKSUM.fullmatch(text) else read_sentence(text)
+    return Unusable(INCOMPLETE) if is_cut or _CHECKSUM.fullmatch(text) else read_sentence(text)
 
 
-def _shown(line: bytes) -> str:
+def _printable(line: bytes) -> str:
     return line.decode("ascii", errors="backslashreplace")

@@ -18,7 +18,7 @@ from ship_bags.stamps import NS_PER_S
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
 
-LONGEST_GAP_S = 3.0
+MAX_GAP_S = 3.0
 """Maximum interval of attitudes that a spline bridges, s."""
 
 ATTITUDE_KINDS = ("PSXN23", "PASHR", *dialects.ATTITUDES)
@@ -91,7 +91,7 @@ class AttitudeReader:
             return self._attitude(line, self._stamp_ns(line), line.receive_ns)
         return None
 
-    def end(self) -> None:
+    def finish(self) -> None:
         """Count the attitude whose ZDA did not arrive."""
         self._reject_waiting()
 
@@ -117,7 +117,7 @@ class AttitudeReader:
         return None if zda is None else instrument_ns(zda.stamp_ns, zda.line, self._report)
 
     def _reject_waiting(self) -> None:
-        waiting, self._bursts.waiting = self._bursts.waiting, None
+        waiting, self._bursts.pending_attitude = self._bursts.pending_attitude, None
         if waiting is not None:
             self._report.reject(WITHOUT_TIME, waiting.number, str(waiting.content))
 
@@ -142,7 +142,7 @@ def _pashr_sigmas(content: Any) -> FloatArray | None:
     return np.deg2rad(sigmas_deg) if is_known else None
 
 
-def resampled(logged: Sequence[LoggedAttitude], rate_hz: float) -> list[LoggedAttitude]:
+def resample(logged: Sequence[LoggedAttitude], rate_hz: float) -> list[LoggedAttitude]:
     """Resample attitudes and rates by a rotation spline, at whole multiples of the period.
 
     Linear interpolation of a ship's motion sampled at 1 Hz would cause errors of 0.14°. Gaps longer than
@@ -176,7 +176,7 @@ def _segments(logged: Sequence[LoggedAttitude]) -> list[list[LoggedAttitude]]:
     segments: list[list[LoggedAttitude]] = []
     for attitude in logged:
         gap_ns = attitude.stamp_ns - segments[-1][-1].stamp_ns if segments else None
-        if gap_ns is None or gap_ns > LONGEST_GAP_S * NS_PER_S:
+        if gap_ns is None or gap_ns > MAX_GAP_S * NS_PER_S:
             segments.append([])
         segments[-1].append(attitude)
     return segments

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ship_bags.errors import BadInput
 from ship_bags.nmea.instrument_line import InstrumentLine, LineReport, datetime_ns
-from ship_bags.nmea.lines import HALF, ParsedText, parse_line
+from ship_bags.nmea.lines import INCOMPLETE, ParsedText, parse_line
 from ship_bags.nmea.sentences import NotOfInterest, Unusable
 from ship_bags.nmea.talkers import TalkerComparison
 from ship_bags.stamps import END_OF_TIME_NS, NS_PER_S
@@ -44,7 +44,7 @@ class LogReport(LineReport):
         """Return one line for the user, and one for each example."""
         parts = [f"used {name} {count}" for name, count in sorted(self.used.items())]
         parts += [f"{name} {count}" for name, count in sorted(self.rejected.items())]
-        parts += [f"{name} {count}" for name, count in sorted(self.mended.items())]
+        parts += [f"{name} {count}" for name, count in sorted(self.corrected.items())]
         parts += self.remarks
         if self.unused:
             parts.append("not of interest " + ", ".join(f"{n} {count}" for n, count in sorted(self.unused.items())))
@@ -64,7 +64,7 @@ def read_log(path: Path, rules: LogRules) -> tuple[list[InstrumentLine], LogRepo
     report.remarks += [f"{text}: choose one with --talker" for text in talkers.texts()]
     if report.lines == 0:
         raise BadInput("the file is empty: expected lines 'RECEIVE_TIME SENTENCE'", file=path)
-    if not lines and report.rejected[HALF]:
+    if not lines and report.rejected[INCOMPLETE]:
         advice = "--checksum optional uses whole sentences without one" if rules.needs_checksum else "none is whole"
         raise BadInput(f"no line could be read: {report.examples[0]}: {advice}", file=path)
     if not lines and not report.unused:
@@ -78,12 +78,12 @@ def _lines(path: Path, rules: LogRules, report: LogReport) -> Iterator[Instrumen
             for number, line in enumerate(file, start=1):
                 if content := line.strip():
                     report.lines += 1
-                    yield from _parsed(number, content, rules, report)
+                    yield from _parse(number, content, rules, report)
     except OSError as problem:
         raise BadInput(f"cannot be read: {problem.strerror}", file=path) from problem
 
 
-def _parsed(number: int, content: bytes, rules: LogRules, report: LogReport) -> Iterator[InstrumentLine]:
+def _parse(number: int, content: bytes, rules: LogRules, report: LogReport) -> Iterator[InstrumentLine]:
     """Yield the content of a line of the file: usually one sentence."""
     time_text, _, sentences = content.partition(b" ")
     receive_ns = _receive_ns(time_text.decode("ascii", errors="replace"))

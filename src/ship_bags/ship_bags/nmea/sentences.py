@@ -17,7 +17,7 @@ from ship_bags.nmea.dialects import dialect_fields, dialect_of
 
 BAD_CHECKSUM, UNPARSED = "checksum failed", "unparsed"
 UNKNOWN, VOID, OUT_OF_RANGE = "unknown sentence", "no values in it", "angle out of range"
-HALF_POSITION = "GGA with an incomplete position (N, S, E or W, or a coordinate missing)"
+INCOMPLETE_POSITION = "GGA with an incomplete position (N, S, E or W, or a coordinate missing)"
 WRONG_MINUTES, WRONG_POSITION = "GGA with 60 minutes or more", "GGA beyond 90° of latitude or 180° of longitude"
 """Details of an unparsed line: unknown to pynmea2, without values, or with impossible values."""
 
@@ -33,7 +33,7 @@ _PA_PER_BAR = 1e5
 AUTONOMOUS = "A"
 """Mode of THS with a measured heading: not estimated, manual, simulated or invalid."""
 
-_NEEDED = {
+_REQUIRED_FIELDS = {
     "ZDA": ("timestamp", "day", "month", "year"),
     "GGA": ("timestamp",),
     "HDT": ("heading",),
@@ -144,7 +144,7 @@ def read_sentence(text: str) -> Sentence | NotOfInterest | Unusable:
         return Unusable(UNPARSED)
     if kind := dialect_of(text):
         return _dialect(kind, text)
-    return _of_interest(name.lstrip("$"), _pashr(content) if type(content).__name__ == "ASH" else content)
+    return _select_sentence(name.lstrip("$"), _pashr(content) if type(content).__name__ == "ASH" else content)
 
 
 def _dialect(kind: str, text: str) -> Sentence | NotOfInterest | Unusable:
@@ -174,15 +174,15 @@ def _pashr(content: Any) -> Any:
     return attitude
 
 
-def _of_interest(name: str, content: Any) -> Sentence | NotOfInterest | Unusable:
+def _select_sentence(name: str, content: Any) -> Sentence | NotOfInterest | Unusable:
     """Return the sentence if its kind is used, it is complete, and its fields are numbers."""
     kind = type(content).__name__
-    if kind not in _NEEDED:
+    if kind not in _REQUIRED_FIELDS:
         # PSXN sentences differ by a number after the name, which pynmea2 puts into its class name.
         return NotOfInterest(name + kind.removeprefix("SXN") if "SXN" in kind else name)
     # pynmea2 returns the text of a field that is not a number.
     # A THS with an invalid mode may have no heading.
-    needed = () if kind == "THS" and content.mode not in ("", AUTONOMOUS) else _NEEDED[kind]
+    needed = () if kind == "THS" and content.mode not in ("", AUTONOMOUS) else _REQUIRED_FIELDS[kind]
     values = [getattr(content, field) for field in needed]
     if any(value is None for value in values):
         return Unusable(UNPARSED, VOID)
@@ -214,7 +214,7 @@ def _position_problem(gga: Any) -> Unusable | None:
     if not any(parts):
         return None
     if not all(parts) or gga.lat_dir not in "NS" or gga.lon_dir not in "EW":
-        return Unusable(UNPARSED, HALF_POSITION)
+        return Unusable(UNPARSED, INCOMPLETE_POSITION)
     if not (_LATITUDE.fullmatch(gga.lat) and _LONGITUDE.fullmatch(gga.lon)):
         return Unusable(UNPARSED)
     if not (float(gga.lat) % 100.0 < _MINUTES and float(gga.lon) % 100.0 < _MINUTES):

@@ -11,7 +11,7 @@ from ship_bags.nmea.instrument_line import InstrumentLine
 from ship_bags.nmea.sentences import number
 from ship_geometry.rotations import FloatArray
 
-_MOST = 20
+_MAX_TALKERS = 20
 """Maximum number of talkers of a kind that are compared; the others are counted as one."""
 _OTHERS = "others"
 _EARTH_M_PER_DEG = 111_000.0
@@ -33,7 +33,7 @@ class TalkerComparison:
         if value is None or not line.talker:
             return
         counts = self._counts.setdefault(line.kind, Counter())
-        talker = line.talker if line.talker in counts or len(counts) < _MOST else _OTHERS
+        talker = line.talker if line.talker in counts or len(counts) < _MAX_TALKERS else _OTHERS
         counts[talker] += 1
         if len(counts) > 1:
             for other in counts.keys() - {talker}:

@@ -34,7 +34,7 @@ _FORMS: dict[str, tuple[str, ...]] = {
 _PATTERNS = {kind: re.compile(",".join(forms), re.ASCII) for kind, forms in _FORMS.items()}
 
 
-def is_whole(kind: str, text: str) -> bool:
+def is_complete(kind: str, text: str) -> bool:
     """Return True if a sentence without a checksum has all fields of its kind in their forms; False for other kinds."""
     pattern = _PATTERNS.get(kind)
     return pattern is not None and bool(pattern.fullmatch(text.partition(",")[2]))

@@ -20,7 +20,7 @@ from rclpy.subscription import Subscription
 from rclpy.utilities import get_rmw_implementation_identifier
 
 from ship_bags.errors import BadInput
-from ship_bags.live.dds import is_demanded
+from ship_bags.live.dds import is_security_requested
 from ship_bags.live.ros_process import command_node
 from ship_bags.message_factory import message_class
 from ship_bags.parameter_yaml import full_name
@@ -125,7 +125,7 @@ def look_at_network(
         listen_s: time for which a topic is received from its first message on, s.
         ship_names: names of inputs on the ship, if they differ.
     """
-    if is_demanded(os.environ):
+    if is_security_requested(os.environ):
         os.environ.setdefault(ENCLAVE, full_name(NAME, namespace))
     rules = [f"__ns:=/{namespace}"] if namespace else []
     rules += [f"{name}:={ship_name}" for name, ship_name in ship_names.items()]

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from ship_bags.live.dds import ENABLE, is_demanded
+from ship_bags.live.dds import ENABLE, is_security_requested
 from ship_bringup.checks.check_line import CheckLine, Result
 from ship_bringup.security.demand import KEYSTORE, shortcomings
 from ship_bringup.security.keystore import KeystoreUse, keystore_faults
@@ -24,7 +24,7 @@ def check_security(
     found = shortcomings(environment, has_security)
     if not found:
         yield CheckLine(_SECURITY, Result.OK, "available in DDS, and enforced by the environment")
-    elif is_required or is_demanded(environment):
+    elif is_required or is_security_requested(environment):
         demand = "machine.require_security" if is_required else ENABLE
         for text, advice in found:
             yield CheckLine(_SECURITY, Result.FAIL, f"{demand} demands it, and {text}", advice)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ship_bags.parameter_yaml import RELIABLE_INPUTS_PARAMETER, read_sections
 from ship_bags.renamed_topics import ship_names
-from ship_bags.topic_names import resolved_topic
+from ship_bags.topic_names import resolve_topic
 from ship_bringup.checks.check_line import CheckLine, Result
 from ship_bringup.checks.network_look import STRONGER, ObservedTopic, NetworkState
 from ship_node.edge.input_record import MAX_AGE_S
@@ -33,7 +33,7 @@ def find_requested_qos(
         reliable_inputs: True if ``suite`` will be started with that option.
     """
     on_ship = ship_names(path)
-    names = {topic: resolved_topic(on_ship.get(topic, topic), namespace) for topic in topics}
+    names = {topic: resolve_topic(on_ship.get(topic, topic), namespace) for topic in topics}
     begins = {f"{_OVERRIDES}{name}.subscription.": topic for topic, name in names.items()}
     found: dict[str, dict[str, str]] = {}
     if reliable_inputs:

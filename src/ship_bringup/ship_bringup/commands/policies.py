@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.live.ros_process import namespace_name
-from ship_bags.output_files import add_force, check_folder, write_whole
+from ship_bags.output_files import add_force_option, check_folder, write_atomically
 from ship_bags.renamed_topics import ship_names
 from ship_bringup.security.demand import DOMAIN, LAST_DOMAIN, domain_of
 from ship_bringup.security.policy_xml import governance_text, permissions_text, policy_text
@@ -57,7 +57,7 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--valid-days", type=_days, default=_DAYS, metavar="D", help=f"permissions: days of validity ({_DAYS})"
     )
-    add_force(parser)
+    add_force_option(parser)
     return parser
 
 
@@ -79,7 +79,7 @@ def _policies(options: argparse.Namespace) -> int:
     for name, text in texts.items():
         path = options.out / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, text)
+        write_atomically(path, text)
     print(f"{options.out}: policies of {len(all_rights)} enclaves for domain {domain_id}")
     return EXIT_DONE
 

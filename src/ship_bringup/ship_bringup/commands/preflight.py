@@ -12,8 +12,8 @@ from typing import Any
 
 from ship_bags.command_line import CommandParser, run_command
 from ship_bags.errors import BadInput
-from ship_bags.live.dds import dds_has_security, is_demanded, loaded_libraries
-from ship_bags.live.ros_process import namespace_name, positive
+from ship_bags.live.dds import dds_has_security, is_security_requested, loaded_libraries
+from ship_bags.live.ros_process import namespace_name, positive_number
 from ship_bags.parameter_yaml import full_name
 from ship_bags.renamed_topics import ship_names
 from ship_bringup.checks.check_line import CheckLine, Result, exit_code, table, summary_text, worst_first
@@ -101,13 +101,13 @@ def _parser() -> CommandParser:
     )
     parser.add_argument("--box", type=Path, metavar="FOLDER", help="black boxes will go into this folder")
     parser.add_argument(
-        "--hours", type=positive, default=_HOURS, metavar="H", help=f"hours that the disk space must last ({_HOURS:g})"
+        "--hours", type=positive_number, default=_HOURS, metavar="H", help=f"hours that the disk space must last ({_HOURS:g})"
     )
     parser.add_argument(
-        "--days", type=positive, default=_DAYS, metavar="D", help=f"days that certificates must be valid ({_DAYS:g})"
+        "--days", type=positive_number, default=_DAYS, metavar="D", help=f"days that certificates must be valid ({_DAYS:g})"
     )
     parser.add_argument(
-        "--listen", type=positive, default=_LISTEN_S, metavar="S", help=f"receive each sensor for S s ({_LISTEN_S:g})"
+        "--listen", type=positive_number, default=_LISTEN_S, metavar="S", help=f"receive each sensor for S s ({_LISTEN_S:g})"
     )
     return parser
 
@@ -143,7 +143,7 @@ def _parameters(suite: _Suite) -> Iterable[CheckLine]:
 def _security(suite: _Suite) -> Iterable[CheckLine]:
     required, keystore = suite.limits.machine.require_security, os.environ.get(KEYSTORE, "")
     yield from check_security(os.environ, dds_has_security(loaded_libraries()), required)
-    is_demand = required or is_demanded(os.environ)
+    is_demand = required or is_security_requested(os.environ)
     if keystore or is_demand:
         namespace, names = suite.options.namespace, ship_names(suite.options.file)
         use = KeystoreUse(

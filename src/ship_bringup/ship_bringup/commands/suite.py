@@ -8,10 +8,10 @@ from pathlib import Path
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput, one_line
-from ship_bags.live.dds import dds_has_security, loaded_libraries, require_demanded_security
-from ship_bags.live.ros_process import namespace_name, positive
+from ship_bags.live.dds import dds_has_security, loaded_libraries, require_security
+from ship_bags.live.ros_process import namespace_name, positive_number
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
-from ship_bags.renamed_topics import add_remap
+from ship_bags.renamed_topics import add_remap_option
 from ship_bringup.security.demand import require_profile
 from ship_bringup.suite.expected_limits import expected_limits
 from ship_bringup.suite.frozen_check import FROZEN_REPORT_S, FROZEN_RESTART_S
@@ -65,9 +65,9 @@ def _parser() -> CommandParser:
         "--namespace", type=namespace_name, default="", metavar="NS", help="namespace of all nodes and topics (none)"
     )
     parser.add_argument("--bag", type=Path, metavar="BAG", help="play this bag into the nodes")
-    add_remap(parser)
+    add_remap_option(parser)
     parser.add_argument(
-        "--rate", type=positive, default=1.0, metavar="R", help="with --bag: seconds of the bag per second (1)"
+        "--rate", type=positive_number, default=1.0, metavar="R", help="with --bag: seconds of the bag per second (1)"
     )
     parser.add_argument(
         "--loop", type=_count, default=1, metavar="N", help="with --bag: play it N times, 0 without end (1)"
@@ -99,14 +99,14 @@ def _parser() -> CommandParser:
     parser.add_argument("--box", type=Path, metavar="FOLDER", help="folder for a black box of each node")
     parser.add_argument(
         "--frozen-report",
-        type=positive,
+        type=positive_number,
         default=FROZEN_REPORT_S,
         metavar="S",
         help=f"report a program that has sent no heartbeat for S seconds ({FROZEN_REPORT_S:.0f})",
     )
     parser.add_argument(
         "--frozen-restart",
-        type=positive,
+        type=positive_number,
         default=FROZEN_RESTART_S,
         metavar="S",
         help=f"kill it after S seconds without one, and start it again ({FROZEN_RESTART_S:.0f})",
@@ -119,7 +119,7 @@ def _suite(parsed: argparse.Namespace) -> int:
         raise BadInput("no FILE: expected a suite file, or --bag with a bag that has one attached")
     if parsed.dry_run or parsed.limits is _NO_FILE:
         return _show_limits(parsed)
-    require_demanded_security()
+    require_security()
     if parsed.limits is not None:
         require_profile(read_limits(parsed.limits), parsed.limits, dds_has_security(loaded_libraries()))
     options = SuiteOptions(

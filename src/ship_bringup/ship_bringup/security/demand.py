@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ship_bags.errors import BadInput
-from ship_bags.live.dds import ENABLE, STRATEGY, is_demanded
+from ship_bags.live.dds import ENABLE, STRATEGY, is_security_requested
 from ship_watch.limits import Limits
 
 KEYSTORE = "ROS_SECURITY_KEYSTORE"
@@ -32,7 +32,7 @@ def shortcomings(environment: Mapping[str, str], has_security: bool | None) -> l
     if has_security is not True:
         why = "the DDS of this installation was built without it" if has_security is False else "unknown for this DDS"
         found.append((f"no DDS security: {why}", "use ROS 2 Jazzy of Ubuntu's packages: they have it"))
-    if not is_demanded(environment):
+    if not is_security_requested(environment):
         given = environment.get(ENABLE)
         found.append((f"{ENABLE} is {given or 'not set'}: nodes run unprotected", f"export {ENABLE}=true"))
     strategy = environment.get(STRATEGY)

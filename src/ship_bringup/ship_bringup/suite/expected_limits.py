@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_reader import read_bag, watched
+from ship_bags.mcap.bag_reader import read_bag, with_bag_progress
 from ship_bags.topic_names import TRUTH_PREFIX
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
@@ -30,14 +30,14 @@ def expected_limits(suite_file: Path | None, bag: Path, namespace: str, limits: 
     record = AvailabilityRecord(limits)
     with tempfile.TemporaryDirectory(prefix="ship_limits_") as folder:
         outputs = Path(folder) / "outputs.mcap"
-        summary = replay(bag, outputs, ADAPTERS, suite_file, namespace, watched)
+        summary = replay(bag, outputs, ADAPTERS, suite_file, namespace, with_bag_progress)
         with read_bag(outputs) as replayed:
             topics = {
                 name
                 for name, kind in replayed.topics.items()
                 if monitored_topic(name, kind) and not name.startswith(TRUTH_PREFIX)
             }
-            for each in watched(replayed.records(topics), replayed):
+            for each in with_bag_progress(replayed.records(topics), replayed):
                 record.take(each.topic, each.decode(), each.log_time_ns)
     found = [one for one in map(record.availability, QUANTITIES) if one is not None]
     if not found:

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ship_bags.errors import BadInput
-from ship_bags.live.dds import is_demanded
+from ship_bags.live.dds import is_security_requested
 from ship_bags.live.ros_process import executable
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.parameter_yaml import anywhere, full_name, read_sections
+from ship_bags.parameter_yaml import in_any_namespace, full_name, read_sections
 from ship_bags.renamed_topics import current_names, ship_names, topic_names
-from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics, resolved_topic
+from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics, resolve_topic
 from ship_bringup.security.rights import companions_of, suite_rights
 from ship_bringup.suite.enclaves import in_enclaves
 from ship_bringup.suite.program import Program, Role
@@ -58,7 +58,7 @@ class SuiteOptions:
 
     def topic(self, name: str) -> str:
         """Return the full name of a topic of the suite, or of the ship."""
-        return resolved_topic(name, self.namespace)
+        return resolve_topic(name, self.namespace)
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def plan_of(path: Path, options: SuiteOptions) -> Plan:
         programs += _watchers(options, ros)
     if options.bag is not None:
         programs.append(_player(path, options.bag, chain, options))
-    if is_demanded(os.environ):
+    if is_security_requested(os.environ):
         limits = Limits() if options.limits is None else read_limits(options.limits)
         beside = companions_of(path, options.namespace)
         is_played, names = options.bag is not None, ship_names(path)
@@ -132,7 +132,7 @@ def checked_nodes(path: Path, namespace: str) -> tuple[list[CheckedNode], list[s
     strange = unknown_sections(path, [full_name(name, namespace) for name in known])
     if strange:
         lines = {section.node: section.line for section in read_sections(path)[1]}
-        expected = ", ".join(f"'{anywhere(name)}'" for name in known)
+        expected = ", ".join(f"'{in_any_namespace(name)}'" for name in known)
         reason = f"section '{strange[0]}' fits no node of this suite: expected one of {expected} or '/**'"
         raise BadInput(reason, file=path, line=lines[strange[0]])
     return nodes, findings.warnings

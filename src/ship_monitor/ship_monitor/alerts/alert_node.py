@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 
 from ship_bags.command_line import EXIT_DONE, CommandParser
 from ship_bags.live.heartbeat import heartbeat
-from ship_bags.live.ros_process import command_node, on_end_signals, run_ros_command
+from ship_bags.live.ros_process import command_node, call_on_end_signals, run_ros_command
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import NS_PER_S
 from ship_monitor.alerts.alert_keeper import AlertKeeper
@@ -91,7 +91,7 @@ def _run(parsed: argparse.Namespace, ros_arguments: list[str]) -> int:
         # The node takes the time from the messages: following /clock would wake it a hundred times a second.
         node.set_parameters([Parameter("use_sim_time", value=False)])
         alerts = AlertNode(node, limits, state)
-        on_end_signals(alerts.stop)
+        call_on_end_signals(alerts.stop)
         alerts.run()
     return EXIT_DONE
 

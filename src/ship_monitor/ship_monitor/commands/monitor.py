@@ -9,8 +9,8 @@ from pathlib import Path
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
 from ship_bags.live.heartbeat import heartbeat
-from ship_bags.live.ros_process import on_end_signals
-from ship_bags.renamed_topics import add_remap
+from ship_bags.live.ros_process import call_on_end_signals
+from ship_bags.renamed_topics import add_remap_option
 from ship_monitor.after.recorded_pictures import BagPlayback
 from ship_monitor.after.recorded_suite import RecordedSuite
 from ship_monitor.commands.time_zone import add_time_zone
@@ -58,7 +58,7 @@ def _parser() -> CommandParser:
     )
     parser.add_argument("--namespace", default="", metavar="NS", help="namespace of the suite (none)")
     parser.add_argument("--bag", type=Path, metavar="BAG", help="show a bag or black box, with a time slider")
-    add_remap(parser, is_by_suite=True)
+    add_remap_option(parser, is_by_suite=True)
     parser.add_argument("--address", default="127.0.0.1", help="address to listen on; 0.0.0.0 is all (127.0.0.1)")
     parser.add_argument(
         "--allow-host",
@@ -136,7 +136,7 @@ def _serve(
 
     make = page_maker(open_source, parsed.theme, parsed.time_zone)
     server = PageServer(make, parsed.address, parsed.port, tick_and_beat, parsed.allow_host)
-    on_end_signals(server.stop)
+    call_on_end_signals(server.stop)
     if foxglove is not None:
         print(f"monitor: {foxglove.address} for Foxglove", flush=True)
     print(f"monitor: {server.address} ({shown})", flush=True)

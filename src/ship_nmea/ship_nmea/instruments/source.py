@@ -191,7 +191,7 @@ class Source:
             **_figures("used", self._report.used),
             **_figures("rejected", self._report.rejected),
             **{f"example of {reason}": text for reason, text in sorted(self._report.last.items())},
-            **_figures("put right", self._report.mended),
+            **_figures("put right", self._report.corrected),
             **_figures("not of interest", self._report.unused),
             **_figures("other talker", self._report.talkers),
             **_figures("other sender", self._report.senders),

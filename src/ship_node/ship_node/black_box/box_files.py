@@ -57,7 +57,7 @@ class BlackBoxFiles:
     @property
     def whole_bytes(self) -> int:
         """Length of the last file at its last flush."""
-        return self._writer.whole_bytes
+        return self._writer.flushed_bytes
 
     def write(self, topic: str, data: bytes, time_ns: int, waiting_ns: int) -> None:
         """Add an entry. Entries of all topics are numbered together: a missing one shows at the next one."""
@@ -71,7 +71,7 @@ class BlackBoxFiles:
     def flush(self) -> None:
         """Write everything to the disk, and begin a new file if the last one is full."""
         self._writer.flush()
-        if self._part_bytes and self._writer.whole_bytes >= self._part_bytes:
+        if self._part_bytes and self._writer.flushed_bytes >= self._part_bytes:
             full = self._writer
             self.begin_next()
             full.close()
@@ -91,14 +91,14 @@ class BlackBoxFiles:
             self._begin(writer)
         except BaseException:
             self._part = before
-            writer.cut()
+            writer.truncate()
             path.unlink(missing_ok=True)
             raise
         self._writer, self.last_path = writer, path
 
     def cut(self) -> None:
         """Give up the last file after a failed write: it stays valid up to its last flush."""
-        self._writer.cut()
+        self._writer.truncate()
 
     def close(self) -> None:
         """Finish the last file."""

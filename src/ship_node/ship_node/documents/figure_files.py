@@ -15,7 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from ship_bags.output_files import write_whole
+from ship_bags.output_files import write_atomically
 from ship_geometry.rotations import FloatArray
 
 _STYLE = {
@@ -77,6 +77,6 @@ def write_figures(figures: Iterable[tuple[str, Figure]], folder: Path) -> dict[s
             # No version of matplotlib in the metadata: the same study gives the same file.
             content = io.BytesIO()
             figure.savefig(content, format="png", dpi=110, metadata={"Software": None})
-            write_whole(files[name], content.getvalue())
+            write_atomically(files[name], content.getvalue())
             plt.close(figure)
     return files

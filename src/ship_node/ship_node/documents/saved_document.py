@@ -17,7 +17,7 @@ import numpy.typing as npt
 import yaml
 
 from ship_bags.errors import BadInput
-from ship_bags.output_files import write_whole
+from ship_bags.output_files import write_atomically
 from ship_bags.regular_files import check_regular, open_error_text
 from ship_bags.stamps import END_OF_TIME_NS
 from ship_bags.yaml_text import plain_data
@@ -86,7 +86,7 @@ class DiskFiles:
         """See :meth:`Files.write`."""
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            write_whole(path, content)
+            write_atomically(path, content)
         except OSError as error:
             raise _plain(error.errno or errno.EIO, path) from error
 

@@ -195,7 +195,7 @@ class InputHealthBook(InputRecords):
 
 def _message(factory: MessageFactory, state: _State, now_ns: int) -> Any:
     record = state.record
-    return factory.encoded(
+    return factory.encode(
         "ship_msgs/msg/InputHealth",
         header={"stamp": now_ns, "frame_id": ""},
         topic=record.input.topic,

@@ -125,7 +125,7 @@ def decision_message(factory: MessageFactory, source: str, decision: Measurement
         result = "now accepted" if decision.accepted else f"now rejected: {reason.word}"
         reason, text = Reason.REVISED, f"re-evaluated after a late measurement, {result} {text}".rstrip()
     # Layouts are cached; a text with numbers would need a new one each time.
-    make = factory.make if text else factory.encoded
+    make = factory.make if text else factory.encode
     return make(
         INNOVATION_TYPE,
         header={"stamp": decision.measurement.time_ns, "frame_id": source},
@@ -199,7 +199,7 @@ def error_budget_message(
         covariances_n: covariance by each source, rotation vector in (North, Up, East), rad², shape (n_sources, 3, 3).
         covariance_n: their sum, rad², shape (3, 3).
     """
-    return factory.encoded(
+    return factory.encode(
         BUDGET_TYPE,
         header={"stamp": time_ns, "frame_id": frame_id},
         quantity=quantity,
@@ -221,7 +221,7 @@ def integrity_message(
         frame_id: frame of the output.
         config: alert limits and probability.
     """
-    return factory.encoded(
+    return factory.encode(
         INTEGRITY_TYPE,
         header={"stamp": report.time_ns, "frame_id": frame_id},
         quantities=list(quantities),

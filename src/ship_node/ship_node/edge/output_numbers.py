@@ -64,4 +64,4 @@ def rows_by_kind(
     for kind in dict.fromkeys(kinds):
         places = np.array([place for place, other in enumerate(kinds) if other == kind])
         for topic, type_name, fields in messages_of(kind, places):
-            yield PublishedRows(topic, factory.encoded_rows(type_name, len(places), **fields), places)
+            yield PublishedRows(topic, factory.encode_rows(type_name, len(places), **fields), places)

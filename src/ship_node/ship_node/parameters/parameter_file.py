@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from ship_bags.errors import BadInput
-from ship_bags.parameter_yaml import ANYWHERE, ParameterFile, Section, anywhere, merged, read_sections, sections_text
+from ship_bags.parameter_yaml import ANY_NAMESPACE, ParameterFile, Section, in_any_namespace, merge_sections, read_sections, sections_text
 from ship_estimation.parameters import ParameterError, build, flatten, nest
 from ship_geometry.input_error import InputError
 
@@ -44,7 +44,7 @@ def parameter_text(node_name: str, config: Any) -> str:
         node_name: name without namespace.
         config: a dataclass in the style of :mod:`ship_estimation.parameters`.
     """
-    return sections_text({anywhere(node_name): nest(flatten(config))})
+    return sections_text({in_any_namespace(node_name): nest(flatten(config))})
 
 
 def read(source: Path | str, node: str) -> ParameterFile:
@@ -62,13 +62,13 @@ def read(source: Path | str, node: str) -> ParameterFile:
     fitting = _fitting(sections, node)
     if not fitting:
         _refuse_misfits(name, sections, node)
-        expected = f"expected '{anywhere(_last(node))}' or '/**'"
+        expected = f"expected '{in_any_namespace(_last(node))}' or '/**'"
         raise BadInput(f"no section for node '{_last(node)}': {expected}, found {_names(sections)}", file=name)
     exact = sorted({section.node for section in fitting if "*" not in section.node})
     if len(exact) > 1:
         reason = f"sections {' and '.join(exact)} both fit node '{_last(node)}': keep one in this file"
         raise BadInput(reason, file=name)
-    return merged(name, fitting)
+    return merge_sections(name, fitting)
 
 
 def read_whatever_fits(source: Path | str, node: str) -> ParameterFile:
@@ -78,7 +78,7 @@ def read_whatever_fits(source: Path | str, node: str) -> ParameterFile:
         BadInput: the file cannot be read or is not a parameter file.
     """
     name, sections = read_sections(source)
-    return merged(name, _fitting(sections, node))
+    return merge_sections(name, _fitting(sections, node))
 
 
 def misfit(source: Path | str, node: str) -> str:
@@ -152,7 +152,7 @@ def _fits(pattern: str, node: str) -> bool:
 
     ``/*`` stands for one part of a name, ``/**`` for any number of parts.
     """
-    if node.startswith(ANYWHERE):
+    if node.startswith(ANY_NAMESPACE):
         return _last(pattern) in (_last(node), "*", "**")
     expression = pattern.replace("/*", r"(/\w+)")
     return re.fullmatch(expression, node if node.startswith("/") else f"/{node}", re.ASCII) is not None

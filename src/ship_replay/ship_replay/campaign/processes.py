@@ -15,7 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from ship_bags.command_line import serve_a_command
+from ship_bags.command_line import start_worker_process
 from ship_replay.campaign.items import Item
 from ship_replay.campaign.one_item import Result, failed
 
@@ -113,5 +113,5 @@ class _Worker:
 
 
 def _serve(make: Make, item: Item, folder: Path, connection: Connection) -> None:
-    serve_a_command()
+    start_worker_process()
     connection.send_bytes(json.dumps(make(item, folder)).encode())

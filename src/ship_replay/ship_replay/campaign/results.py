@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ship_bags.errors import BadInput
-from ship_bags.output_files import check_folder, csv_text, write_whole
+from ship_bags.output_files import check_folder, csv_text, write_atomically
 from ship_replay.campaign.items import Item
 from ship_replay.campaign.one_item import Result
 
@@ -62,7 +62,7 @@ class ResultFolder:
         """
         if result["error"] is None:
             text = json.dumps({"item": item.ingredients, "result": result}, indent=1)
-            write_whole(self.path(item), text + "\n")
+            write_atomically(self.path(item), text + "\n")
 
 
 def csv_table(made: Sequence[Made]) -> str:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_reader import watched
-from ship_bags.output_files import add_force, check_file
-from ship_bags.renamed_topics import add_bag_names
+from ship_bags.mcap.bag_reader import with_bag_progress
+from ship_bags.output_files import add_force_option, check_file
+from ship_bags.renamed_topics import add_bag_name_options
 from ship_replay.calibration.axis_sightings import axis_sightings
 
 
@@ -33,8 +33,8 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="suite configuration (default: suite.yaml attached to the bag)"
     )
-    add_bag_names(parser)
-    add_force(parser)
+    add_bag_name_options(parser)
+    add_force_option(parser)
     return parser
 
 
@@ -42,7 +42,7 @@ def _run(options: argparse.Namespace) -> int:
     if options.out.suffix.lower() != ".csv":
         raise BadInput("fit_axes reads .csv: use this extension", file=options.out)
     check_file(options.out, options.force)
-    sightings = axis_sightings(options.bag, options.config, options.namespace, watch=watched)
+    sightings = axis_sightings(options.bag, options.config, options.namespace, watch=with_bag_progress)
     sightings.write(options.out)
     count, written = len(sightings.rows), len(sightings.chosen)
     spread = "" if written == count else f" ({written} of them written, evenly spread: the most that fit_axes reads)"

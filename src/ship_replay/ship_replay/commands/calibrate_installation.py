@@ -8,9 +8,9 @@ from pathlib import Path
 from ship_attitude_star.ros.alignment_file import ALIGNMENT_FILE
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_reader import watched
-from ship_bags.output_files import add_force, check_file, check_folder, write_whole
-from ship_bags.renamed_topics import add_bag_names
+from ship_bags.mcap.bag_reader import with_bag_progress
+from ship_bags.output_files import add_force_option, check_file, check_folder, write_atomically
+from ship_bags.renamed_topics import add_bag_name_options
 from ship_replay.calibration.result import InstallationCalibration, calibration_of
 from ship_replay.calibration.session import run_session
 from ship_replay.calibration.tables import json_text, print_calibration
@@ -44,9 +44,9 @@ def _parser() -> CommandParser:
         help="prior standard deviation of every installation, about each axis of its sensor [arcsec] (default: the "
         "configured installation_sigma_..._arcsec)",
     )
-    add_bag_names(parser)
+    add_bag_name_options(parser)
     parser.add_argument("--report", type=Path, metavar="DIR", help="folder for installation.json and installation.png")
-    add_force(parser)
+    add_force_option(parser)
     return parser
 
 
@@ -67,7 +67,7 @@ def _run(options: argparse.Namespace) -> int:
     check_file(options.out, options.force)
     if options.report is not None:
         check_folder(options.report, ("installation.json", "installation.png"), options.force)
-    session = run_session(options.bag, options.config, options.prior_sigma, options.namespace, watch=watched)
+    session = run_session(options.bag, options.config, options.prior_sigma, options.namespace, watch=with_bag_progress)
     calibration = calibration_of(session)
     ALIGNMENT_FILE.save(options.out, calibration.prior)
     print_calibration(calibration, table_console())
@@ -84,5 +84,5 @@ def _report(calibration: InstallationCalibration, folder: Path) -> None:
 
     folder.mkdir(parents=True, exist_ok=True)
     values = folder / "installation.json"
-    write_whole(values, json_text(calibration))
+    write_atomically(values, json_text(calibration))
     sys.stdout.write(f"report: {draw_history(calibration, folder)}, {values}\n")

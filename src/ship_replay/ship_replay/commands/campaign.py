@@ -8,9 +8,9 @@ from pathlib import Path
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
-from ship_bags.output_files import write_whole
+from ship_bags.output_files import write_atomically
 from ship_bags.progress import with_count
-from ship_bags.renamed_topics import add_bag_names
+from ship_bags.renamed_topics import add_bag_name_options
 from ship_replay.campaign.cluster import in_cluster
 from ship_replay.campaign.items import Item, campaign_items, seeds_of
 from ship_replay.campaign.one_item import Result, make
@@ -50,7 +50,7 @@ def _parser() -> CommandParser:
     parser.add_argument("--seeds", type=_seeds, metavar="LIST", help="scenario seeds: 1-200, or 1,5,7-9 (default: 1)")
     parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of results, table and page")
     parser.add_argument("--skip", type=float, default=0.0, metavar="S", help="exclude the first S seconds (default: 0)")
-    add_bag_names(parser, "of the ship's topics in the bags")
+    add_bag_name_options(parser, "of the ship's topics in the bags")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--workers", type=_workers, metavar="N", help="parallel processes (default: one per processor)")
     where.add_argument(
@@ -87,7 +87,7 @@ def _run(options: argparse.Namespace) -> int:
     from ship_replay.campaign.page import page
 
     for name, text in ((TABLE, csv_table(made)), (PAGE, page(made))):
-        write_whole(folder.folder / name, text)
+        write_atomically(folder.folder / name, text)
     return _print_summary(made, folder.folder)
 
 

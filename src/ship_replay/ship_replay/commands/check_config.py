@@ -8,7 +8,7 @@ from pathlib import Path
 from ship_bags.command_line import EXIT_BAD_INPUT, EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import one_line
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.renamed_topics import add_bag_names
+from ship_bags.renamed_topics import add_bag_name_options
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.preflight.check_bag import check_bag, check_rates
 from ship_replay.preflight.check_config import BagCheck, Findings, check_file
@@ -44,7 +44,7 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "bag", type=Path, nargs="?", metavar="BAG", help=".mcap file or rosbag2 folder to check against"
     )
-    add_bag_names(parser, "of the ship's nodes, and of its topics in the bag")
+    add_bag_name_options(parser, "of the ship's nodes, and of its topics in the bag")
     return parser
 
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
-from ship_bags.output_files import check_file, write_whole
+from ship_bags.output_files import check_file, write_atomically
 from ship_replay.commands.report import add_page_options, limits_of
 
 
@@ -38,7 +38,7 @@ def _run(options: argparse.Namespace) -> int:
     from ship_replay.report.pair_page import pair_page
 
     pair = read_pair(options.a, options.b, options.truth, limits, options.namespace)
-    write_whole(path, pair_page(pair))
+    write_atomically(path, pair_page(pair))
     for letter, report_data in zip("AB", (pair.a, pair.b), strict=True):
         for problem in report_data.recording.problems:
             print(f"warning: {letter}: {problem}")

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
-from ship_bags.output_files import add_force, check_file, write_whole
-from ship_bags.renamed_topics import add_bag_names
+from ship_bags.output_files import add_force_option, check_file, write_atomically
+from ship_bags.renamed_topics import add_bag_name_options
 from ship_replay.evaluation.bounds import Bounds, check_bounds, read_bounds
 from ship_replay.evaluation.evaluate import Evaluation, evaluate
 from ship_replay.evaluation.tables import print_evaluation, table_console
@@ -36,12 +36,12 @@ def _parser() -> CommandParser:
         help="bounds to meet: 'quantity: {min: .., max: ..}' (bags/README.md)",
     )
     parser.add_argument("--skip", type=float, metavar="S", help="exclude the first S seconds (default: 0)")
-    add_bag_names(parser, "of the ship's topics in the bags")
+    add_bag_name_options(parser, "of the ship's topics in the bags")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all quantities (flat, units in the names)")
     parser.add_argument(
         "--figure", type=Path, metavar="FILE.png", help="draw the errors [arcsec] with their ±3σ (.png, .pdf, .svg)"
     )
-    add_force(parser)
+    add_force_option(parser)
     return parser
 
 
@@ -55,7 +55,7 @@ def _run(options: argparse.Namespace) -> int:
     for problem in evaluation.problems:
         print(f"warning: {problem}")
     if options.json is not None:
-        write_whole(options.json, evaluation.json_text())
+        write_atomically(options.json, evaluation.json_text())
     if options.figure is not None:
         _draw(evaluation, options.bag.name, options.figure)
     checks = check_bounds(evaluation.flat(), bounds, str(options.bounds))

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_reader import watched
-from ship_bags.output_files import add_force, check_file, write_whole
-from ship_bags.renamed_topics import add_bag_names
+from ship_bags.mcap.bag_reader import with_bag_progress
+from ship_bags.output_files import add_force_option, check_file, write_atomically
+from ship_bags.renamed_topics import add_bag_name_options
 from ship_replay.ins_noise.identification import identify
 from ship_replay.ins_noise.session import run_session
 from ship_replay.ins_noise.written import parameter_file_text, result_lines
@@ -38,8 +38,8 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--out", type=Path, metavar="FILE.yaml", help="parameter file to write: section ins of ship_attitude"
     )
-    add_bag_names(parser)
-    add_force(parser)
+    add_bag_name_options(parser)
+    add_force_option(parser)
     return parser
 
 
@@ -48,10 +48,10 @@ def _run(options: argparse.Namespace) -> int:
         if options.out.resolve() == options.bag.resolve():
             raise BadInput("the output would overwrite the input", file=options.out)
         check_file(options.out, options.force)
-    found = identify(run_session(options.bag, options.config, options.namespace, watch=watched))
+    found = identify(run_session(options.bag, options.config, options.namespace, watch=with_bag_progress))
     sys.stdout.writelines(f"{line}\n" for line in result_lines(found))
     sys.stdout.writelines(f"warning: {line}\n" for line in found.warnings)
     if options.out is not None:
-        write_whole(options.out, parameter_file_text(found))
+        write_atomically(options.out, parameter_file_text(found))
         sys.stdout.write(f"parameters: {options.out}\n")
     return EXIT_DONE

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_reader import read_bag, watched
-from ship_bags.output_files import add_force, check_file, check_folder, write_whole
-from ship_bags.renamed_topics import add_bag_names
+from ship_bags.mcap.bag_reader import read_bag, with_bag_progress
+from ship_bags.output_files import add_force_option, check_file, check_folder, write_atomically
+from ship_bags.renamed_topics import add_bag_name_options
 from ship_replay.offline.black_box_identity import is_black_box
 from ship_replay.offline.black_box_replay import replay_black_box
 from ship_replay.offline.nodes import ADAPTERS
@@ -17,7 +17,7 @@ from ship_replay.offline.replay import replay
 from ship_replay.offline.replay_run import ReplaySummary
 from ship_replay.offline.verification import Verification, verify_bag
 
-_replaying = partial(watched, doing="replaying")
+_replaying = partial(with_bag_progress, doing="replaying")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -42,7 +42,7 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="suite configuration (default: suite.yaml attached to the bag)"
     )
-    add_bag_names(parser)
+    add_bag_name_options(parser)
     parser.add_argument(
         "--arrival",
         choices=("log", "stamps"),
@@ -66,7 +66,7 @@ def _parser() -> CommandParser:
         "stamp (UTC and ns), field, both values (SI units, rad). Equality is guaranteed for a black box, with the "
         "version of the suite and on the kind of machine that wrote it",
     )
-    add_force(parser)
+    add_force_option(parser)
     return parser
 
 
@@ -114,8 +114,8 @@ def _report(options: argparse.Namespace) -> None:
     report_data = read_report_data(options.out, truth, namespace=options.namespace)
     options.report.mkdir(parents=True, exist_ok=True)
     page_path, values_path = (options.report / name for name in _report_names(options))
-    write_whole(page_path, page(report_data))
-    write_whole(values_path, report_data.evaluation.json_text())
+    write_atomically(page_path, page(report_data))
+    write_atomically(values_path, report_data.evaluation.json_text())
     print(f"report: {page_path}, {values_path}")
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
-from ship_bags.output_files import add_force, check_file, check_folder, write_whole
-from ship_bags.renamed_topics import add_bag_names
+from ship_bags.output_files import add_force_option, check_file, check_folder, write_atomically
+from ship_bags.renamed_topics import add_bag_name_options
 from ship_watch.limits import Limits, read_limits
 
 
@@ -30,8 +30,8 @@ def add_page_options(parser: argparse.ArgumentParser, bags: str, page_name: str)
         "--limits", type=Path, metavar="FILE",
         help="limits of the ship as YAML (default: heading 6, tilt 4, pointing 12 arcsec)",
     )
-    add_bag_names(parser, "of the ship's topics in the bags")
-    add_force(parser)
+    add_bag_name_options(parser, "of the ship's topics in the bags")
+    add_force_option(parser)
 
 
 def limits_of(options: argparse.Namespace) -> Limits:
@@ -69,7 +69,7 @@ def _run(options: argparse.Namespace) -> int:
     from ship_replay.report.told import read_report_data
 
     report_data = read_report_data(options.bag, options.truth, limits, options.namespace)
-    write_whole(path, page(report_data))
+    write_atomically(path, page(report_data))
     for problem in report_data.recording.problems:
         print(f"warning: {problem}")
     print(f"report: {path}")
@@ -89,11 +89,11 @@ def _report_folder(options: argparse.Namespace, bags: Sequence[Path], path: Path
     rows = []
     reports = session_reports(
         bags, lambda bag: read_report_data(bag, None, limits, options.namespace),
-        lambda name, text: write_whole(folder / name, text),
+        lambda name, text: write_atomically(folder / name, text),
     )
     for number, row in enumerate(reports, 1):
         print(f"{number} of {len(bags)}: {row.name}: {row.error or folder / row.file}", flush=True)
         rows.append(row)
-    write_whole(path, index_page(options.bag, rows, folder.name))
+    write_atomically(path, index_page(options.bag, rows, folder.name))
     print(f"report: {path}")
     return EXIT_DONE

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
-from ship_bags.mcap.bag_reader import watched
-from ship_bags.output_files import add_force, check_file
-from ship_bags.renamed_topics import add_bag_names
+from ship_bags.mcap.bag_reader import with_bag_progress
+from ship_bags.output_files import add_force_option, check_file
+from ship_bags.renamed_topics import add_bag_name_options
 from ship_replay.offline.smooth import smooth
 
 
@@ -33,21 +33,21 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="suite configuration (default: suite.yaml attached to the bag)"
     )
-    add_bag_names(parser)
+    add_bag_name_options(parser)
     parser.add_argument(
         "--arrival",
         choices=("log", "stamps"),
         default="log",
         help="arrival time of a message: its log time (default), or its stamp, for a bag whose recorder stalled",
     )
-    add_force(parser)
+    add_force_option(parser)
     return parser
 
 
 def _run(options: argparse.Namespace) -> int:
     check_file(options.out, options.force)
     by_stamps = options.arrival == "stamps"
-    summary = smooth(options.bag, options.out, options.config, options.namespace, watched, by_stamps)
+    summary = smooth(options.bag, options.out, options.config, options.namespace, with_bag_progress, by_stamps)
     for smoothed in summary.outputs:
         print(f"{options.out}: {smoothed.count} messages on {smoothed.topic}")
         sigmas_arcsec = smoothed.median_sigmas_arcsec

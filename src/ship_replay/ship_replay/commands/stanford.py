@@ -10,9 +10,9 @@ from rich.table import Table
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_reader import watched
-from ship_bags.output_files import add_force, check_file, write_whole
-from ship_bags.renamed_topics import add_bag_names
+from ship_bags.mcap.bag_reader import with_bag_progress
+from ship_bags.output_files import add_force_option, check_file, write_atomically
+from ship_bags.renamed_topics import add_bag_name_options
 from ship_replay.evaluation.stanford import Epochs, Region, epochs_of
 from ship_replay.evaluation.tables import table_console
 from ship_watch.orientations import POINTING, SHIP_ATTITUDE
@@ -53,20 +53,20 @@ def _parser() -> CommandParser:
         metavar=("AZ_COS_EL", "ELEVATION", "ROTATION"),
         help="alert limits of the pointing [arcsec] (default: those in the bags)",
     )
-    add_bag_names(parser, "of the ship's topics in the bags")
-    add_force(parser)
+    add_bag_name_options(parser, "of the ship's topics in the bags")
+    add_force_option(parser)
     return parser
 
 
 def _run(options: argparse.Namespace) -> int:
     for path in filter(None, (options.figure, options.json)):
         check_file(path, options.force)
-    found = epochs_of(options.bags, options.namespace, _limits(options), watched)
+    found = epochs_of(options.bags, options.namespace, _limits(options), with_bag_progress)
     table_console().print(stanford_table(found))
     if options.json is not None:
         values = {f"{part.orientation.label}.{name}": v for part in found for name, v in part.statistics().items()}
         known = {name: value if math.isfinite(value) else None for name, value in values.items()}
-        write_whole(options.json, json.dumps(known, indent=1) + "\n")
+        write_atomically(options.json, json.dumps(known, indent=1) + "\n")
     if options.figure is not None:
         _draw(found, len(options.bags), options.figure)
     all_counts = [counts for part in found for counts in part.counts().values()]

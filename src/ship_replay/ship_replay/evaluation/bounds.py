@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from ship_bags.errors import BadInput
-from ship_bags.yaml_text import composed, data_of
+from ship_bags.yaml_text import compose, data_of
 
 SKIP_KEY = "skip_s"
 _LIMITS = ("min", "max")
@@ -88,7 +88,7 @@ def read_bounds(path: Path) -> Bounds:
         BadInput: names the file, the line, the key and what was expected.
     """
     try:
-        root = composed(str(path), path.read_text(encoding="utf-8"))
+        root = compose(str(path), path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as problem:
         raise BadInput(f"cannot be read: {problem}", file=path) from problem
     if not isinstance(root, yaml.MappingNode):

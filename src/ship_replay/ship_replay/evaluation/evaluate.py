@@ -13,9 +13,9 @@ from ship_attitude_star.ros.attitude_messages import SMOOTHED_TOPIC
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag, watched
+from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag, with_bag_progress
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
-from ship_bags.parameter_yaml import anywhere
+from ship_bags.parameter_yaml import in_any_namespace
 from ship_bags.stamps import NS_PER_S
 from ship_bags.topic_names import namespace_of_outputs, relative_topics
 from ship_geometry.rotations import ARCSEC, wrap_pi
@@ -165,7 +165,7 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
     innovations = InnovationBook()
     last: dict[str, BagRecord] = {}
     for candidate, topics in _reading_plan(named, bag, [*collectors, *_RESULTS, TARGET_DIRECTION]):
-        for record in watched(candidate.records(topics), candidate, "evaluating"):
+        for record in with_bag_progress(candidate.records(topics), candidate, "evaluating"):
             topic = topics[record.topic]
             if topic in _INNOVATION_TOPICS:
                 innovations.add(record.decode())
@@ -274,7 +274,7 @@ def named_config(text: str, kind: type[Config], node_name: str) -> Config | None
         BadInput: a parameter is unknown or out of range.
     """
     # A section for all nodes counts for ship_attitude only, as in a replay (adapter_chain.nodes_of).
-    node = anywhere(node_name)
+    node = in_any_namespace(node_name)
     named = has_section(text, node, wildcards=kind is ShipAttitudeConfig)
     return load_config(kind, text, node) if named else None
 

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ship_bags.errors import BadInput
-from ship_bags.output_files import write_whole
+from ship_bags.output_files import write_atomically
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.documents.figure_files import MOST_ROWS, settled, short_name
@@ -132,7 +132,7 @@ def save_figure(figure: Figure, path: Path) -> None:
     content = io.BytesIO()
     try:
         figure.savefig(content, dpi=110, metadata=metadata, format=path.suffix[1:] or None)
-        write_whole(path, content.getvalue())
+        write_atomically(path, content.getvalue())
     except (ValueError, OSError) as problem:
         raise BadInput(f"the figure cannot be written: {problem}", file=path) from problem
     finally:

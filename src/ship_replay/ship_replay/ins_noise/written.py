@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
-from ship_bags.parameter_yaml import PARAMETERS_KEY, anywhere
+from ship_bags.parameter_yaml import PARAMETERS_KEY, in_any_namespace
 from ship_replay.ins_noise.fit import FittedModel
 from ship_replay.ins_noise.identification import Identification, uncertainty_text
 from ship_replay.ins_noise.outage import OutageCheck
@@ -23,7 +23,7 @@ def parameter_file_text(identification: Identification) -> str:
     for name, value in best.model.fixed.items():
         values[name] = _number(value), "as configured"
     head = [f"By identify_noise from {session.name}. {identification.model_choice}.", *identification.warnings]
-    lines = [*(f"# {line}" for line in head), f"{anywhere(ShipAttitudeAdapter.node_name)}:", f"  {PARAMETERS_KEY}:"]
+    lines = [*(f"# {line}" for line in head), f"{in_any_namespace(ShipAttitudeAdapter.node_name)}:", f"  {PARAMETERS_KEY}:"]
     return "\n".join([*lines, "    ins:", *_nested(values)]) + "\n"
 
 

@@ -11,7 +11,7 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.message_store import message_store, serialize
-from ship_bags.parameter_yaml import anywhere, full_name
+from ship_bags.parameter_yaml import in_any_namespace, full_name
 from ship_estimation.parameters import build, flatten, nest
 from ship_node.black_box.black_box_format import EVENTS_TOPIC, FORMAT, METADATA, VERSIONS_ATTACHMENT
 from ship_node.black_box.versions import versions
@@ -70,7 +70,7 @@ def black_box_config(bag: Bag, adapter_class: type[Adapter], config_path: Path |
     _check_versions(bag, adapter_class, config_path, notes)
     name = adapter_class.node_name
     # Its own parameters fit in any namespace; a file must fit the node's full name.
-    node = anywhere(name) if config_path is None else full_name(name, bag.metadata[METADATA].get("namespace", ""))
+    node = in_any_namespace(name) if config_path is None else full_name(name, bag.metadata[METADATA].get("namespace", ""))
     config = _as_the_node_knew_it(suite_config(bag, adapter_class, config_path, node), bag, node, config_path)
     if config_path is not None:
         changes = _changes(bag, config, adapter_class)
@@ -147,7 +147,7 @@ def _own_parameters(bag: Bag) -> set[str]:
     """Return dotted names of the parameters in the black box and of their groups; empty without its attachment."""
     if SUITE_ATTACHMENT not in bag.attachments:
         return set()
-    return set(read_whatever_fits(suite_text(bag, None), anywhere(bag.metadata[METADATA]["node"])).lines)
+    return set(read_whatever_fits(suite_text(bag, None), in_any_namespace(bag.metadata[METADATA]["node"])).lines)
 
 
 def _without_rate_covariance(message: Any) -> Any:
@@ -174,7 +174,7 @@ def _differing(there: dict[str, Any], here: dict[str, Any]) -> str:
 def _changes(bag: Bag, config: Any, adapter_class: type[Adapter]) -> str:
     """Return the parameters that differ from those of the black box, as text; empty if it does not contain its own."""
     try:
-        own, now = flatten(suite_config(bag, adapter_class, None, anywhere(adapter_class.node_name))), flatten(config)
+        own, now = flatten(suite_config(bag, adapter_class, None, in_any_namespace(adapter_class.node_name))), flatten(config)
     except BadInput:
         return ""
     names = sorted(name for name in own.keys() | now.keys() if own.get(name) != now.get(name))

@@ -140,7 +140,7 @@ class BlockRun(ReplayRun):
         if template is None:
             return None
         rows = np.frombuffer(b"".join([record.data for record in records]), dtype=np.uint8).reshape(len(records), -1)
-        return CdrRows(template, rows) if template.fitting(rows).all() else None
+        return CdrRows(template, rows) if template.matching_rows(rows).all() else None
 
     def _note(self, events: list[InputEvent], event_records: list[BagRecord | None], rows: dict[str, TopicBlock]) -> None:
         """Add the messages to the statistics of the inputs."""

@@ -71,7 +71,7 @@ class OrderedOutput:
         """Add messages of one topic, with event index, order and log time of each."""
         topic = np.full(len(places), self._topic(rows.topic, rows.messages.type_name))
         self._rows.append(_Messages(places, orders, topic, log_times_ns))
-        self._row_data += rows.messages.each()
+        self._row_data += rows.messages.message_bytes()
         self._counts[rows.topic] += len(places)
 
     def flush(self) -> None:

@@ -15,7 +15,7 @@ from ship_attitude_star.stars.config import MountingConfig
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag
 from ship_bags.message_store import RosbagsFactory
-from ship_bags.parameter_yaml import ParameterFile, anywhere, full_name
+from ship_bags.parameter_yaml import ParameterFile, in_any_namespace, full_name
 from ship_bags.renamed_topics import ship_names
 from ship_bags.topic_names import relative_topics
 from ship_estimation.parameters import ParameterDescription, ParameterError, build, describe
@@ -159,7 +159,7 @@ def _check_names(path: Path, nodes: Sequence[CheckedNode], findings: Findings) -
 
 def _expected(adapter_classes: Sequence[type[Adapter]]) -> str:
     nodes = [kind.node_name for kind in adapter_classes] + [companion.node_name for companion in COMPANIONS]
-    names = ", ".join(f"'{anywhere(node)}'" for node in nodes)
+    names = ", ".join(f"'{in_any_namespace(node)}'" for node in nodes)
     return f"expected one of {names} or '/**'"
 
 

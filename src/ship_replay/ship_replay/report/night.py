@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag, watched
+from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag, with_bag_progress
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_bags.topic_names import TRUTH_PREFIX, namespace_of_outputs, relative_topics
 from ship_replay.evaluation.sources import JOINT_SOLUTION
@@ -196,7 +196,7 @@ class _Reading:
         }
         newest: dict[str, int] = {}
         next_ns = self._recording.start_ns + _SAMPLE_PERIOD_NS
-        for record in watched(bag.records(set(rows)), bag, "reading"):
+        for record in with_bag_progress(bag.records(set(rows)), bag, "reading"):
             now_ns = record.log_time_ns
             while next_ns <= now_ns:
                 self._sample_state(next_ns)

@@ -8,7 +8,7 @@ from functools import partial
 from multiprocessing import active_children, get_context
 from pathlib import Path
 
-from ship_bags.command_line import serve_a_command
+from ship_bags.command_line import start_worker_process
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.renamed_topics import current_names
@@ -58,7 +58,7 @@ def other_processes(count: int) -> Iterator[ProcessPoolExecutor]:
     which would not be terminated.
     """
     known = {process.pid for process in active_children()}
-    context, begin = get_context("spawn"), partial(serve_a_command, current_names())
+    context, begin = get_context("spawn"), partial(start_worker_process, current_names())
     with ProcessPoolExecutor(count, mp_context=context, initializer=begin) as executor:
         try:
             yield executor

@@ -9,7 +9,7 @@ import numpy as np
 from ship_attitude_star.stars.camera import StarCamera
 from ship_attitude_star.stars.config import CameraConfig
 from ship_bags.errors import BadInput
-from ship_bags.parameter_yaml import merged, read_sections
+from ship_bags.parameter_yaml import merge_sections, read_sections
 from ship_estimation.parameters import ParameterError, build
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.names import IMAGE, IMAGE_TOPIC, OBSERVATIONS, mount_stars_topic
@@ -47,7 +47,7 @@ def optics_of_suite(text: str) -> Optics:
     telescope = None
     name, sections = read_sections(text)
     for section in sections:
-        values = merged(name, [section]).values
+        values = merge_sections(name, [section]).values
         for group, topic_of in _WITH_STARS.items():
             for id_, sensor in values.get(group, {}).items():
                 if isinstance(sensor, dict) and sensor.get("camera"):

@@ -10,7 +10,7 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 
 from ship_bags.message_store import message_store
-from ship_bags.parameter_yaml import read_plain
+from ship_bags.parameter_yaml import read_nested_parameters
 from ship_estimation.parameter_fields import mapping_of
 from ship_estimation.parameters import ParameterError, build
 from ship_simulation.scenario.fault import Fault, size_problems
@@ -39,7 +39,7 @@ def load_faults(source: Path | str, topics: Mapping[str, str], place: str) -> di
     Raises:
         BadInput: names file, line, key, value and the expected value.
     """
-    file = read_plain(source)
+    file = read_nested_parameters(source)
     try:
         faults = build(FaultFile, file.values).faults
         if not faults:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ship_attitude_star.sky.masks import check_field_not_covered, sensor_masks
-from ship_bags.parameter_yaml import ParameterFile, read_plain
+from ship_bags.parameter_yaml import ParameterFile, read_nested_parameters
 from ship_estimation.parameters import ParameterError, build
 from ship_geometry.earth_orientation import earth_orientation_table
 from ship_geometry.time_scales import DAY_NS, SECOND_NS
@@ -47,7 +47,7 @@ def load_scenario(path: Path | str, recording: Path | None = None) -> Scenario:
     Raises:
         BadInput: names file, line, key, value and the expected value.
     """
-    file = read_plain(Path(path))
+    file = read_nested_parameters(Path(path))
     try:
         scenario = build(Scenario, file.values)
     except ParameterError as problem:

@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 
 from ship_attitude_star.ins_errors.config import SCHULER
-from ship_bags.parameter_yaml import PARAMETERS_KEY, anywhere
+from ship_bags.parameter_yaml import PARAMETERS_KEY, in_any_namespace
 from ship_simulation.scenario.names import (
     ANTENNA_FRAME,
     DECK_FRAME,
@@ -137,7 +137,7 @@ def suite_yaml(scenario: Scenario) -> str:
         nodes["optical_axis"] = optical_axis_configuration(scenario)
     if any(sensor.output == "observations" for sensor in scenario.star_sensors.values()):
         nodes["star_attitude"] = star_attitude_configuration(scenario)
-    sections = {anywhere(node): {PARAMETERS_KEY: values} for node, values in nodes.items()}
+    sections = {in_any_namespace(node): {PARAMETERS_KEY: values} for node, values in nodes.items()}
     return yaml.safe_dump(sections, sort_keys=False)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
-from ship_bags.output_files import add_force, check_folder
+from ship_bags.output_files import add_force_option, check_folder
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.axis_fit.doubts import table_warnings
 from theodolite_calib.axis_fit.report import MEANINGS, summary, write_tables
@@ -72,7 +72,7 @@ def _parser() -> CommandParser:
         "--serial", default="", help="serial number of the theodolite, as optical_axis is configured (default: none)"
     )
     parser.add_argument("--flexure", action="store_true", help="fit the bending of the tube too")
-    add_force(parser)
+    add_force_option(parser)
     return parser
 
 

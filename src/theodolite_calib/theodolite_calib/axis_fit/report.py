@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from ship_bags.output_files import write_csv, write_whole
+from ship_bags.output_files import write_csv, write_atomically
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.axis_fit.doubts import condition_number, correlated_pairs, near_dependencies, unobservable
 from theodolite_calib.axis_fit.robust_fit import OUTLIER_AT, AxisFit, rms, sizes
@@ -184,7 +184,7 @@ def _write_yaml(path: Path, fit: AxisFit, sightings: Sightings, table_warnings: 
         "rms_after_arcsec": rms(fit.residuals) / ARCSEC,
         "rms_left_out_arcsec": rms(fit.leave_one_out) / ARCSEC,
     }
-    write_whole(path, yaml.safe_dump(document, sort_keys=False, width=110, default_flow_style=None))
+    write_atomically(path, yaml.safe_dump(document, sort_keys=False, width=110, default_flow_style=None))
     return path
 
 

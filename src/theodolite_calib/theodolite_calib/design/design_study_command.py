@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
-from ship_bags.output_files import add_force, check_folder, write_csv, write_whole
-from ship_bags.parameter_yaml import read_plain
+from ship_bags.output_files import add_force_option, check_folder, write_csv, write_atomically
+from ship_bags.parameter_yaml import read_nested_parameters
 from ship_estimation.parameters import ParameterError
 from ship_geometry.ros_axes import ENU_FROM_HORIZON
 from theodolite_calib.design.config import W18, study_config
@@ -52,7 +52,7 @@ def _parser() -> CommandParser:
         help="theodolite, drones and limits (default: the values of [W18])",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write into, made if absent")
-    add_force(parser)
+    add_force_option(parser)
     return parser
 
 
@@ -66,7 +66,7 @@ def _run(options: argparse.Namespace) -> int:
 
     page = options.out / PAGE
     title = _DEFAULT_TITLE if options.design is None else options.design.name
-    write_whole(page, page_text(computed, draw_figures(computed, options.out), title))
+    write_atomically(page, page_text(computed, draw_figures(computed, options.out), title))
     sys.stdout.write(_summary(computed, page))
     return EXIT_DONE if computed.meets_requirement else EXIT_BOUND_NOT_MET
 
@@ -77,7 +77,7 @@ def _study(options: argparse.Namespace) -> DesignStudy:
     Raises:
         BadInput: names the file, the line, the parameter and what was expected; or what cannot be written.
     """
-    file = None if options.design is None else read_plain(options.design)
+    file = None if options.design is None else read_nested_parameters(options.design)
     try:
         config = study_config(W18 if file is None else file.values)
         check_folder(options.out, written(), options.force)

@@ -320,7 +320,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
 
 def calibration_message(factory: MessageFactory, values: Calibration, now_ns: int) -> Any:
     """Return ship_msgs/TheodoliteCalibration, stamped with the last sighting, or the current time before the first."""
-    return factory.encoded(
+    return factory.encode(
         "ship_msgs/msg/TheodoliteCalibration",
         header={"stamp": values.time_ns or now_ns, "frame_id": BASE_FRAME},
         names=list(values.names),

@@ -89,7 +89,7 @@ def pointing_messages(
     """
     pointing, in_deck = PointingNumbers.of_one(estimate), math.isfinite(estimate.rotation_dm[0, 0])
     return [
-        (topic, factory.encoded(type_name, **fields))
+        (topic, factory.encode(type_name, **fields))
         for topic, type_name, fields in _messages(pointing, lever, in_deck, as_numbers, frames)
     ]
 
@@ -98,7 +98,7 @@ def smoothed_pointing(factory: MessageFactory, estimate: PointingEstimate) -> Pu
     """Return the message of a smoothed pointing: the first of those of :func:`pointing_messages`."""
     pointing = PointingNumbers.of_one(estimate)
     _, type_name, fields = next(_messages(pointing, ZERO_VECTOR, False, as_numbers, FRAME_NAMES))
-    return SMOOTHED_POINTING_TOPIC, factory.encoded(type_name, **fields)
+    return SMOOTHED_POINTING_TOPIC, factory.encode(type_name, **fields)
 
 
 def pointing_rows(

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from ship_bags.errors import BadInput
-from ship_bags.mcap.bag_reader import read_bag, watched
+from ship_bags.mcap.bag_reader import read_bag, with_bag_progress
 from ship_bags.stamps import END_OF_TIME_NS
 from ship_estimation.outcome import Status
 from ship_node.edge.messages_in import MessageRejected
@@ -47,7 +47,7 @@ def _recorded(path: Path, topic: str, station: str, target_id: str) -> list[Dire
         if bag.topics.get(topic) != TARGET_TYPE:
             there = ", ".join(sorted(name for name, kind in bag.topics.items() if kind == TARGET_TYPE)) or "none"
             raise BadInput(f"has no topic '{topic}' of {TARGET_TYPE} (of that type it has: {there})", file=path)
-        for record in watched(bag.records([topic]), bag):
+        for record in with_bag_progress(bag.records([topic]), bag):
             message = record.decode()
             try:
                 sample = direction(message, station, END_OF_TIME_NS).value

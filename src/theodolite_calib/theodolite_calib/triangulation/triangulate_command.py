@@ -9,8 +9,8 @@ import numpy as np
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
-from ship_bags.output_files import add_force, check_file, write_csv
-from ship_bags.parameter_yaml import read_plain
+from ship_bags.output_files import add_force_option, check_file, write_csv
+from ship_bags.parameter_yaml import read_nested_parameters
 from ship_bags.stamps import utc_text
 from ship_estimation.parameters import ParameterError, build
 from ship_estimation.refusals import Rejection
@@ -57,7 +57,7 @@ def _parser() -> CommandParser:
     parser.add_argument("stations", type=Path, metavar="STATIONS.yaml", help="theodolites, their positions and bags")
     parser.add_argument("--target", required=True, metavar="ID", help="target_id of the directions")
     parser.add_argument("--out", type=Path, required=True, metavar="PLACES.csv", help="table to write")
-    add_force(parser)
+    add_force_option(parser)
     return parser
 
 
@@ -92,7 +92,7 @@ def _configuration(path: Path) -> RecordedTriangulationConfig:
     Raises:
         BadInput: names file, line, key, value and what was expected.
     """
-    file = read_plain(path)
+    file = read_nested_parameters(path)
     try:
         config = build(RecordedTriangulationConfig, file.values)
     except ParameterError as problem:
