@@ -8,7 +8,7 @@ import pytest
 from rcl_interfaces.msg import ParameterType, ParameterValue
 
 from ship_bags.live.ros_process import executable
-from ship_bringup.asked_node import text_of, unknown, value_from_text
+from ship_bringup.asked_node import value_text, unknown_name_text, parse_value
 from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 
 pytestmark = pytest.mark.live
@@ -123,16 +123,16 @@ def test_a_rejection_has_the_reason_of_the_node(environment):
     ],
 )
 def test_a_value_is_written_as_it_is_read(value, text):
-    assert text_of(value) == text
-    assert value_from_text(text, value) == value
+    assert value_text(value) == text
+    assert parse_value(text, value) == value
 
 
 @pytest.mark.parametrize(("kind", "text"), [("BOOL", "yes"), ("INTEGER", "1.5"), ("DOUBLE", ""), ("BYTE_ARRAY", "1")])
 def test_a_text_that_is_no_such_value_is_refused(kind, text):
     with pytest.raises(ValueError, match=r"true|number|can set"):
-        value_from_text(text, ParameterValue(type=getattr(ParameterType, f"PARAMETER_{kind}")))
+        parse_value(text, ParameterValue(type=getattr(ParameterType, f"PARAMETER_{kind}")))
 
 
 def test_nothing_near_is_not_guessed():
-    assert unknown("node", "/x", []) == "no node '/x': there are none"
-    assert unknown("node", "/x", ["/optical_axis"]) == "no node '/x': there are /optical_axis"
+    assert unknown_name_text("node", "/x", []) == "no node '/x': there are none"
+    assert unknown_name_text("node", "/x", ["/optical_axis"]) == "no node '/x': there are /optical_axis"

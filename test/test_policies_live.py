@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from ship_bags.live.ros_process import command_node, executable
-from ship_bringup.security.rights import companions_of, suite_rights
-from ship_bringup.suite.plan import checked_nodes
+from ship_bringup.security.rights import load_companions, suite_rights
+from ship_bringup.suite.plan import check_nodes
 from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 
 pytestmark = pytest.mark.live
@@ -58,8 +58,8 @@ def seen(node, names):
 def test_every_program_has_rights_for_its_network_entities(tmp_path, domain):
     suite_file = tmp_path / "suite.yaml"
     suite_file.write_text((ROOT / "examples" / "three_sensors.yaml").read_text() + NMEA.format(*free_ports(3)))
-    checked, _ = checked_nodes(suite_file, NAMESPACE)
-    companions = companions_of(suite_file, NAMESPACE)
+    checked, _ = check_nodes(suite_file, NAMESPACE)
+    companions = load_companions(suite_file, NAMESPACE)
     every = suite_rights([node.adapter for node in checked], NAMESPACE, companions=companions)
     rights = {each.enclave: each for each in every}
     environment = live_environment(domain, tmp_path) | {"ROS_HOME": str(tmp_path)}
@@ -98,7 +98,7 @@ def test_every_program_has_rights_for_its_network_entities(tmp_path, domain):
 def test_a_short_tool_has_rights_for_its_network_entities(name, domain, monkeypatch):
     """Its node, created as in the tool."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
-    checked, _ = checked_nodes(ROOT / "examples" / "two_sensors.yaml", NAMESPACE)
+    checked, _ = check_nodes(ROOT / "examples" / "two_sensors.yaml", NAMESPACE)
     all_rights = suite_rights([node.adapter for node in checked], NAMESPACE)
     (granted,) = [each for each in all_rights if each.enclave == f"/demo/{name}"]
     node_name, arguments = f"{name}_4711", []

@@ -21,7 +21,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.parameter_yaml import sections_text
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
-from ship_bringup.suite.dds_ports import UDP_ALONE, ports_of
+from ship_bringup.suite.dds_ports import UDP_ONLY, udp_ports_of
 from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 
 pytestmark = pytest.mark.live
@@ -222,7 +222,7 @@ def test_a_killed_node_is_restarted_within_two_seconds_with_its_saved_alignment(
     announcement period of DDS participants (``dds_profile.xml``). On a computer with more load one kill of three must
     suffice: the time for which a process waits for a core does not depend on the suite.
     """
-    for name, value in UDP_ALONE.items():
+    for name, value in UDP_ONLY.items():
         monkeypatch.setenv(name, value)  # of a node that is not started by the suite
     gaps_s = []
     while not gaps_s or (min(gaps_s) >= 2.0 and len(gaps_s) < 3):
@@ -315,13 +315,13 @@ def processes_of(suite_pid, name):
 
 def node_of(suite_pid, name):
     """Return the process id of the one with a DDS participant."""
-    (pid,) = filter(ports_of, processes_of(suite_pid, name))
+    (pid,) = filter(udp_ports_of, processes_of(suite_pid, name))
     return pid
 
 
 def has_reserve(suite_pid, name):
     """True if a process has imported its libraries, and waits for its start."""
-    others = [pid for pid in processes_of(suite_pid, name) if not ports_of(pid)]
+    others = [pid for pid in processes_of(suite_pid, name) if not udp_ports_of(pid)]
     return any("poll" in Path(f"/proc/{pid}/wchan").read_text() for pid in others)
 
 

@@ -16,9 +16,9 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.renamed_topics import names_from_options, topic_names
 from ship_bags.stamps import NS_PER_S
-from ship_bringup.checks.network_look import look_at_network
+from ship_bringup.checks.network_look import observe_network
 from ship_bringup.security.rights import suite_rights
-from ship_bringup.suite.plan import checked_nodes
+from ship_bringup.suite.plan import check_nodes
 from ship_monitor.after.recorded_suite import RecordedSuite
 from ship_monitor.commands.monitor import _parser as monitor_parser
 from ship_node.edge.topics import InputTopic
@@ -268,7 +268,7 @@ def test_preflight_subscribes_to_the_ships_topic_names(monkeypatch):
     driver.create_publisher(Imu, "/imu/data", 10)
     topic = InputTopic("ins/imu", "sensor_msgs/msg/Imu", required=False, depth=100)
     try:
-        (heard,) = look_at_network([topic], [], "ship", 0.1, {"ins/imu": "/imu/data"}).inputs
+        (heard,) = observe_network([topic], [], "ship", 0.1, {"ins/imu": "/imu/data"}).inputs
         assert [publisher.node for publisher in heard.publishers] == ["/driver"]
     finally:
         driver.destroy_node()
@@ -276,7 +276,7 @@ def test_preflight_subscribes_to_the_ships_topic_names(monkeypatch):
 
 
 def test_policies_allow_the_names_of_the_ship():
-    adapters = [node.adapter for node in checked_nodes(SUITE, "ship")[0]]
+    adapters = [node.adapter for node in check_nodes(SUITE, "ship")[0]]
     plain, renamed = (suite_rights(adapters, "ship", ship_names=names) for names in ({}, {"ins/imu": "/imu/data"}))
     concerned = [rights for rights in zip(plain, renamed, strict=True) if "/ship/ins/imu" in _topics_of(rights[0])]
     assert len(concerned) >= 4  # node, INS, recorder, preflight

@@ -11,7 +11,7 @@ from pathlib import Path
 from signal import SIGUSR1, SIGUSR2
 from types import TracebackType
 
-from ship_bringup.suite.dds_ports import UDP_ALONE
+from ship_bringup.suite.dds_ports import UDP_ONLY
 from ship_replay.trials.live_process import LiveProcess, live_environment
 
 NETEM = Path(__file__).parents[3] / "shared" / "tools" / "netem.py"
@@ -58,7 +58,7 @@ class LossyLink:
     def __init__(self, loss: float, folder: Path) -> None:
         self._folder = folder
         # Shared memory would go past the link.
-        self._environment = live_environment(1, folder / "ros") | UDP_ALONE
+        self._environment = live_environment(1, folder / "ros") | UDP_ONLY
         self._may_go_first = bool(shutil.which("chrt")) and not subprocess.run(
             [*_FIRST, "true"], stderr=subprocess.DEVNULL, check=False
         ).returncode

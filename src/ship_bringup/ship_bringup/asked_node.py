@@ -21,7 +21,7 @@ from ship_bags.live.ros_process import command_node, positive_number
 from ship_bags.parameter_yaml import full_name
 
 _POLL_S = 0.05
-_MOST_LISTED = 12
+_MAX_LISTED = 12
 """Maximum number of names listed in an error; of more, only the nearest one is given."""
 _TIMEOUT_S = 5.0
 
@@ -92,11 +92,11 @@ class RemoteNode:
         self._own_node, self._timeout_s, self._wait = own_node, timeout_s, wait
         self._namespace, _, self._bare_name = ("/" + name.strip("/")).rpartition("/")
         self.name = full_name(self._bare_name, self._namespace)
-        if not self._until(lambda: self.name in self._nodes()):
-            others = sorted(self._nodes() - {full_name(own_node.get_name(), own_node.get_namespace())})
-            raise BadInput(unknown("node", self.name, others))
+        if not self._wait_until(lambda: self.name in self._node_names()):
+            others = sorted(self._node_names() - {full_name(own_node.get_name(), own_node.get_namespace())})
+            raise BadInput(unknown_name_text("node", self.name, others))
         # The services of a discovered node may be discovered later.
-        self._until(lambda: bool(self.services()))
+        self._wait_until(lambda: bool(self.services()))
 
     def services(self) -> dict[str, str]:
         """Return name without that of the node → type of its services, without those of its parameters."""
@@ -116,10 +116,10 @@ class RemoteNode:
             BadInput: it does not respond.
         """
         client = self._own_node.create_client(kind, f"{self.name}/{service}")
-        if not self._until(client.service_is_ready):
+        if not self._wait_until(client.service_is_ready):
             raise BadInput(f"node {self.name} has no service '{service}', or is ending")
         answer: Future = client.call_async(kind.Request(**fields))
-        if not self._until(answer.done):
+        if not self._wait_until(answer.done):
             raise BadInput(f"{self.name}/{service} did not respond within {self._timeout_s:g} s")
         return answer.result()
 
@@ -128,15 +128,15 @@ class RemoteNode:
         answer: ListParameters.Response = self.call("list_parameters", ListParameters)
         return sorted(answer.result.names)
 
-    def described(self, names: Sequence[str]) -> list[tuple[ParameterDescriptor, ParameterValue]]:
+    def describe_parameters(self, names: Sequence[str]) -> list[tuple[ParameterDescriptor, ParameterValue]]:
         """Return description and value of some parameters."""
         descriptions: DescribeParameters.Response = self.call(
             "describe_parameters", DescribeParameters, names=list(names)
         )
-        read: GetParameters.Response = self.call(
+        values: GetParameters.Response = self.call(
             "get_parameters", GetParameters, names=list(names)
         )
-        return list(zip(descriptions.descriptors, read.values, strict=True))
+        return list(zip(descriptions.descriptors, values.values, strict=True))
 
     def set_parameter(self, name: str, value: ParameterValue) -> str:
         """Set a parameter; return why it was refused, empty if it was not."""
@@ -147,10 +147,10 @@ class RemoteNode:
         )
         return "" if answer.result.successful else str(answer.result.reason)
 
-    def _nodes(self) -> set[str]:
+    def _node_names(self) -> set[str]:
         return {full_name(name, namespace) for name, namespace in self._own_node.get_node_names_and_namespaces()}
 
-    def _until(self, condition: Callable[[], bool]) -> bool:
+    def _wait_until(self, condition: Callable[[], bool]) -> bool:
         deadline_s = time.monotonic() + self._timeout_s
         while not condition():
             if time.monotonic() >= deadline_s:
@@ -159,19 +159,19 @@ class RemoteNode:
         return True
 
 
-def unknown(what: str, name: str, known: Collection[str]) -> str:
+def unknown_name_text(kind: str, name: str, known: Collection[str]) -> str:
     """Return the error text for an unknown name, with the nearest name and the existing ones."""
     bare = {each.rpartition("/")[2]: each for each in known}
     nearest = difflib.get_close_matches(name, known, 1) or [
         bare[each] for each in difflib.get_close_matches(name.rpartition("/")[2], bare, 1)
     ]
-    if nearest and len(known) > _MOST_LISTED:
-        return f"no {what} '{name}': did you mean '{nearest[0]}'?"
+    if nearest and len(known) > _MAX_LISTED:
+        return f"no {kind} '{name}': did you mean '{nearest[0]}'?"
     meant = f"did you mean '{nearest[0]}'? There are" if nearest else "there are"
-    return f"no {what} '{name}': {meant} {', '.join(sorted(known)) or 'none'}"
+    return f"no {kind} '{name}': {meant} {', '.join(sorted(known)) or 'none'}"
 
 
-def value_from_text(text: str, like: ParameterValue) -> ParameterValue:
+def parse_value(text: str, like: ParameterValue) -> ParameterValue:
     """Return a value of the same type as another one; lists are comma-separated, an empty one is [] or an empty text.
 
     Raises:
@@ -179,23 +179,23 @@ def value_from_text(text: str, like: ParameterValue) -> ParameterValue:
     """
     kind, value = like.type, ParameterValue(type=like.type)
     if kind == ParameterType.PARAMETER_BOOL:
-        value.bool_value = _switch(text)
+        value.bool_value = _parse_bool(text)
     elif kind == ParameterType.PARAMETER_INTEGER:
-        value.integer_value = _number(int, text, "a whole number")
+        value.integer_value = _parse_number(int, text, "a whole number")
     elif kind == ParameterType.PARAMETER_DOUBLE:
-        value.double_value = _number(float, text, "a number")
+        value.double_value = _parse_number(float, text, "a number")
     elif kind == ParameterType.PARAMETER_STRING:
         value.string_value = text
     elif kind == ParameterType.PARAMETER_DOUBLE_ARRAY:
-        value.double_array_value = [_number(float, part, "numbers with commas between") for part in _parts(text)]
+        value.double_array_value = [_parse_number(float, part, "numbers with commas between") for part in _list_parts(text)]
     elif kind == ParameterType.PARAMETER_STRING_ARRAY:
-        value.string_array_value = _parts(text)
+        value.string_array_value = _list_parts(text)
     else:
         raise ValueError("a value that this command can set: number, text, true or false")
     return value
 
 
-def text_of(value: ParameterValue) -> str:
+def value_text(value: ParameterValue) -> str:
     """Return a value as text, in the format that :func:`parse_value` reads."""
     plain = parameter_value_to_python(value)
     if isinstance(plain, bool):
@@ -207,17 +207,17 @@ def text_of(value: ParameterValue) -> str:
     return ",".join(str(part) for part in plain) or _NOTHING
 
 
-def _parts(text: str) -> list[str]:
+def _list_parts(text: str) -> list[str]:
     return [] if text in ("", _NOTHING) else text.split(",")
 
 
-def _switch(text: str) -> bool:
+def _parse_bool(text: str) -> bool:
     if text.lower() not in ("true", "false"):
         raise ValueError("true or false")
     return text.lower() == "true"
 
 
-def _number(kind: type, text: str, expected: str) -> Any:
+def _parse_number(kind: type, text: str, expected: str) -> Any:
     try:
         return kind(text)
     except ValueError as problem:

@@ -13,10 +13,10 @@ import pytest
 from ship_bringup.checks.check_line import Result
 from ship_bringup.checks.clock_check import (
     ClockState,
-    arcsec_in_a_turn,
+    turn_angle_arcsec,
     chrony_state,
     check_clock,
-    look_at_clock,
+    read_clock_state,
     ptp_state,
 )
 from ship_watch.limits import Limits
@@ -67,7 +67,7 @@ sending: GET TIME_STATUS_NP
 
 def test_millisecond_is_eighteen_arcseconds_at_five_degrees_per_second():
     """5 deg/s x 0.001 s = 0.005 deg = 18 arcsec."""
-    assert arcsec_in_a_turn(1e-3) == pytest.approx(18.0)
+    assert turn_angle_arcsec(1e-3) == pytest.approx(18.0)
 
 
 def test_chrony_output():
@@ -77,7 +77,7 @@ def test_chrony_output():
     assert state.bound_s == pytest.approx(1.501e-6 + 0.024780 + 0.5 * 0.373169)
     row = check_clock(state, Limits())
     assert row.result is Result.OK
-    assert row.found.startswith('chrony: 0.0015 ms off, 0.027" at 5 deg/s (error bound 211 ms, 3805")')
+    assert row.finding.startswith('chrony: 0.0015 ms off, 0.027" at 5 deg/s (error bound 211 ms, 3805")')
 
 
 def test_sign_of_the_offset_is_ignored():
@@ -100,7 +100,7 @@ def test_offset_limits_of_heading_and_stamps(offset, result, told):
     """5 arcsec, the limit of the heading here, are 0.2778 ms at 5 deg/s."""
     row = check_clock(chrony_state(CHRONY.replace("0.000001501", offset)), Limits(heading_arcsec=5.0))
     assert row.result is result
-    assert told in row.found
+    assert told in row.finding
 
 
 def test_ptp_output():
@@ -139,14 +139,14 @@ def test_chrony_before_ptp_and_failure_without_answer(tmp_path, monkeypatch):
     # Only what the programs here need is in PATH: this computer may have chrony itself.
     (tmp_path / "cat").symlink_to(shutil.which("cat"))
     monkeypatch.setenv("PATH", str(tmp_path))
-    row = check_clock(look_at_clock(), Limits())
-    assert (row.result, row.found) == (Result.WARN, "neither chrony nor PTP: no chronyc, no pmc")
+    row = check_clock(read_clock_state(), Limits())
+    assert (row.result, row.finding) == (Result.WARN, "neither chrony nor PTP: no chronyc, no pmc")
     assert row.advice.startswith("set up chrony")
     program(tmp_path, "chronyc", "506 Cannot talk to daemon\n", 1)
-    row = check_clock(look_at_clock(), Limits())
+    row = check_clock(read_clock_state(), Limits())
     found = "no program synchronises the clock: chronyc reports: 506 Cannot talk to daemon, no pmc"
-    assert (row.result, row.found) == (Result.FAIL, found)
+    assert (row.result, row.finding) == (Result.FAIL, found)
     program(tmp_path, "pmc", PTP)
-    assert look_at_clock().source == "PTP"
+    assert read_clock_state().source == "PTP"
     program(tmp_path, "chronyc", CHRONY)
-    assert look_at_clock().source == "chrony"
+    assert read_clock_state().source == "chrony"

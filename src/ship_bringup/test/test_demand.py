@@ -8,11 +8,11 @@ import pytest
 
 from ship_bags.errors import BadInput
 from ship_bags.live.dds import dds_has_security, loaded_libraries
-from ship_bringup.checks.check_line import CheckLine, Result, bounded, exit_code, table
+from ship_bringup.checks.check_line import CheckLine, Result, limit_rows, exit_code, table
 from ship_bringup.checks.security_check import check_keystore, check_security
-from ship_bringup.security.demand import enclave_command, require_profile, shortcomings
+from ship_bringup.security.demand import enclave_command, require_profile, security_problems
 from ship_bringup.security.rights import suite_rights
-from ship_bringup.suite.plan import SuiteOptions, checked_nodes, plan_of
+from ship_bringup.suite.plan import SuiteOptions, check_nodes, make_plan
 from ship_testing.keystores import Keystore, new_authority
 from ship_watch.limits import Limits, MachineLimits, read_limits
 
@@ -34,7 +34,7 @@ def set_to(monkeypatch, environment):
 
 
 def test_complete_environment_has_no_problem(good, monkeypatch):
-    assert shortcomings(good, True) == []
+    assert security_problems(good, True) == []
     set_to(monkeypatch, good)
     require_profile(REQUIRED, Path("ship.yaml"), True)
     assert [row.result for row in check_security(good, True, True)] == [Result.OK]
@@ -54,7 +54,7 @@ BAD = [
 @pytest.mark.parametrize(("name", "value", "told"), BAD)
 def test_each_missing_item_refuses_the_start(name, value, told, good, monkeypatch):
     environment = {key: text for key, text in good.items() if key != name} | ({} if value is None else {name: value})
-    ((text, _),) = shortcomings(environment, True)
+    ((text, _),) = security_problems(environment, True)
     assert told in text
     set_to(monkeypatch, environment)
     with pytest.raises(BadInput, match=r"^ship\.yaml: machine\.require_security is true, and .*: not started; "):
@@ -97,12 +97,12 @@ def test_missing_keystore_fails_if_security_is_required():
 
 
 def programs(**options):
-    plan = plan_of(ROOT / "examples" / "two_sensors.yaml", SuiteOptions(namespace="demo", monitor=True, **options))
+    plan = make_plan(ROOT / "examples" / "two_sensors.yaml", SuiteOptions(namespace="demo", monitor=True, **options))
     return {program.name: program.command for program in plan.programs}, plan.warnings
 
 
 def keystore_for_now(path, **options):
-    nodes, _ = checked_nodes(ROOT / "examples" / "two_sensors.yaml", "demo")
+    nodes, _ = check_nodes(ROOT / "examples" / "two_sensors.yaml", "demo")
     now = datetime.datetime.now(datetime.timezone.utc)
     store = Keystore(path, new_authority(now=now), 7, now)
     return store.add(suite_rights([node.adapter for node in nodes], "demo", **options))
@@ -146,8 +146,8 @@ def test_secured_suite_needs_all_enclaves_and_the_authority(tmp_path, good, monk
 def test_table_shows_the_worst_first_and_counts_the_rest():
     lines = [CheckLine("disk", Result.OK, "good"), *(CheckLine("disk", Result.WARN, f"{n}") for n in range(20))]
     lines.append(CheckLine("disk", Result.FAIL, "full\nand over", "free some"))
-    shown = bounded(lines)
-    assert (len(shown), shown[0].found, shown[-1].found) == (12, "full\nand over", "and 11 more")
+    shown = limit_rows(lines)
+    assert (len(shown), shown[0].finding, shown[-1].finding) == (12, "full\nand over", "and 11 more")
     text = table(shown)
     assert text[0].split() == ["check", "result", "found"]
     assert text[1].split(maxsplit=2) == ["disk", "FAIL", "full and over"]

@@ -10,7 +10,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_store import RosbagsFactory
 from ship_bringup.checks.check_line import Result
-from ship_bringup.checks.disk_check import DiskState, check_disk, look_at_disk, estimate_write_rates
+from ship_bringup.checks.disk_check import DiskState, check_disk, read_disk_state, estimate_write_rates
 from ship_bringup.checks.network_look import ObservedTopic
 from ship_node.edge.topics import InputTopic
 from ship_replay.offline.adapter_chain import suite_chain
@@ -101,7 +101,7 @@ def test_free_space_limits(free_gb, result):
     state = DiskState(Path("/box"), 1, round(free_gb * GB))
     (row,) = check_disk(state, 20.0 * GB / (10.0 * HOUR_S), 10.0, limits)
     assert row.result is result
-    assert "10 h need 20.0 GB" in row.found
+    assert "10 h need 20.0 GB" in row.finding
 
 
 def test_unreadable_disk_fails():
@@ -110,20 +110,20 @@ def test_unreadable_disk_fails():
 
 
 def test_unmounted_disk_of_the_limits_fails(tmp_path):
-    (row,) = check_disk(look_at_disk(tmp_path / "data"), 1.0, 1.0, Limits(), "machine.disk_path")
+    (row,) = check_disk(read_disk_state(tmp_path / "data"), 1.0, 1.0, Limits(), "machine.disk_path")
     assert row.result is Result.FAIL
-    assert row.found.startswith(f"{tmp_path}/data, named by machine.disk_path, is not there")
+    assert row.finding.startswith(f"{tmp_path}/data, named by machine.disk_path, is not there")
     assert row.advice.startswith("mount the disk")
-    (row,) = check_disk(look_at_disk(tmp_path), 1.0, 0.001, Limits(machine=FREE), "machine.disk_path")
+    (row,) = check_disk(read_disk_state(tmp_path), 1.0, 0.001, Limits(machine=FREE), "machine.disk_path")
     assert row.result is Result.OK
 
 
 def test_missing_folder_reports_the_measured_folder(tmp_path):
-    (row,) = check_disk(look_at_disk(tmp_path / "a" / "b"), 1.0, 0.001, Limits(machine=FREE))
+    (row,) = check_disk(read_disk_state(tmp_path / "a" / "b"), 1.0, 0.001, Limits(machine=FREE))
     assert row.result is Result.OK
-    assert re.fullmatch(rf"{tmp_path}/a/b is not there yet: [\d.]+ GB free in {tmp_path}, .*", row.found)
+    assert re.fullmatch(rf"{tmp_path}/a/b is not there yet: [\d.]+ GB free in {tmp_path}, .*", row.finding)
 
 
 def test_missing_folder_is_on_the_disk_of_its_parent(tmp_path):
-    assert look_at_disk(tmp_path / "a" / "b").device == tmp_path.stat().st_dev
-    assert look_at_disk(tmp_path / "a" / "b").free_bytes > 0
+    assert read_disk_state(tmp_path / "a" / "b").device == tmp_path.stat().st_dev
+    assert read_disk_state(tmp_path / "a" / "b").free_bytes > 0

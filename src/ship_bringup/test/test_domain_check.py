@@ -12,8 +12,8 @@ OWN = ("/demo/ship_attitude",)
 INS = ObservedTopic(InputTopic("ins/imu", "sensor_msgs/msg/Imu", True, 1000), (Publisher("/demo/ins", "x"),))
 
 
-def found(state):
-    return [(row.result, row.found) for row in check_domain(state, OWN)]
+def check_rows(state):
+    return [(row.result, row.finding) for row in check_domain(state, OWN)]
 
 
 @pytest.mark.parametrize(
@@ -40,11 +40,11 @@ def test_range_of_discovery(reach, peers, result):
 
 
 def test_drivers_of_sensors_are_accepted():
-    assert found(NetworkState("rmw", ("/demo/ins",), (INS,))) == [(Result.OK, "rmw; sensors: /demo/ins")]
+    assert check_rows(NetworkState("rmw", ("/demo/ins",), (INS,))) == [(Result.OK, "rmw; sensors: /demo/ins")]
 
 
 def test_running_node_of_the_suite_fails():
-    rows = found(NetworkState("rmw", (*OWN, "/demo/ins"), (INS,), {"ship/attitude": OWN}))
+    rows = check_rows(NetworkState("rmw", (*OWN, "/demo/ins"), (INS,), {"ship/attitude": OWN}))
     assert (Result.FAIL, "/demo/ship_attitude is running already") in rows
     assert len(rows) == 2
 
@@ -52,22 +52,22 @@ def test_running_node_of_the_suite_fails():
 def test_nmea_nodes_started_by_hand_are_a_warning():
     state = NetworkState("rmw", ("/demo/nmea_in", "/demo/nmea_out", "/demo/ins"), (INS,))
     warning, good = check_domain(state, OWN, ["/demo/nmea_in", "/demo/nmea_out"])
-    assert (warning.result, warning.found) == (Result.WARN, "/demo/nmea_in, /demo/nmea_out is running already")
+    assert (warning.result, warning.finding) == (Result.WARN, "/demo/nmea_in, /demo/nmea_out is running already")
     assert warning.advice.startswith("end it before the suite is started")
     assert good.result is Result.OK
 
 
 def test_foreign_publisher_of_an_output_fails():
-    rows = found(NetworkState("rmw", ("/x", "/demo/ins"), (INS,), {"ship/attitude": ("/x",)}))
+    rows = check_rows(NetworkState("rmw", ("/x", "/demo/ins"), (INS,), {"ship/attitude": ("/x",)}))
     assert (Result.FAIL, "ship/attitude, an output of the suite, is published by /x") in rows
 
 
 def test_unknown_nodes_duplicate_names_and_clock_are_warnings():
-    rows = found(NetworkState("rmw", ("/demo/ins", "/rviz", "/rviz"), (INS,), has_clock=True))
+    rows = check_rows(NetworkState("rmw", ("/demo/ins", "/rviz", "/rviz"), (INS,), has_clock=True))
     assert [text for result, text in rows if result is Result.WARN] == [
         "/clock is published, as by the player of a bag", "2 nodes are called /rviz", "not part of the suite: /rviz"
     ]  # fmt: skip
 
 
 def test_failed_observation_is_not_checked():
-    assert found(NetworkState(failure="no rmw")) == [(Result.NOT_CHECKED, "no rmw")]
+    assert check_rows(NetworkState(failure="no rmw")) == [(Result.NOT_CHECKED, "no rmw")]

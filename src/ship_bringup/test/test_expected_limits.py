@@ -16,7 +16,7 @@ TWO_SENSORS = ROOT / "examples" / "two_sensors.yaml"
 ROW = re.compile(r"(heading|tilt|pointing) +([\d.]+)″ +([\d.]+)″ +(\d+) % +([\d.]+)″ +(\d+) %")
 
 
-def shown(arguments: list[str], capsys: pytest.CaptureFixture) -> tuple[str, dict[str, tuple[float, ...]]]:
+def run_and_read_table(arguments: list[str], capsys: pytest.CaptureFixture) -> tuple[str, dict[str, tuple[float, ...]]]:
     """Return the printed text, and for each quantity median, limit, its share, proposed limit and its share."""
     assert suite(arguments) == 0
     text = capsys.readouterr().out
@@ -24,7 +24,7 @@ def shown(arguments: list[str], capsys: pytest.CaptureFixture) -> tuple[str, dic
 
 
 def test_availability_is_printed_for_each_limit(capsys: pytest.CaptureFixture) -> None:
-    text, rows = shown([str(TWO_SENSORS), "--bag", str(DEMO), "--limits"], capsys)
+    text, rows = run_and_read_table([str(TWO_SENSORS), "--bag", str(DEMO), "--limits"], capsys)
     assert "starts" not in text
     assert "Nothing is adopted" in text
     assert {name: row[1:2] + row[3:4] for name, row in rows.items()} == {"heading": (6.0, 5.0), "tilt": (4.0, 4.0)}
@@ -35,7 +35,7 @@ def test_availability_is_printed_for_each_limit(capsys: pytest.CaptureFixture) -
 def test_printed_limits_are_a_valid_file(capsys: pytest.CaptureFixture, tmp_path: Path) -> None:
     tight, adopted = tmp_path / "tight.yaml", tmp_path / "adopted.yaml"
     tight.write_text("heading_arcsec: 3.5\ntilt_arcsec: 2.9\n")
-    text, rows = shown([str(TWO_SENSORS), "--bag", str(DEMO), "--limits", str(tight), "--dry-run"], capsys)
+    text, rows = run_and_read_table([str(TWO_SENSORS), "--bag", str(DEMO), "--limits", str(tight), "--dry-run"], capsys)
     assert rows["heading"][1:3] == (3.5, 0.0)
     assert rows["tilt"][2] < 95.0
     adopted.write_text("".join(line + "\n" for line in text.splitlines() if re.match(r"[a-z]+_arcsec: ", line)))
@@ -69,7 +69,7 @@ def theodolite() -> dict:
 
 def test_shipped_bags_are_within_the_default_limits(capsys: pytest.CaptureFixture) -> None:
     """At least 95 % of the time in which the limit decides: the output is VALID, checked, and 30 s old."""
-    _, rows = shown(["--bag", str(ROOT / "bags" / "theodolite.mcap"), "--limits"], capsys)
+    _, rows = run_and_read_table(["--bag", str(ROOT / "bags" / "theodolite.mcap"), "--limits"], capsys)
     assert list(rows) == ["pointing"]
     assert rows["pointing"][2] >= 95.0
 
@@ -93,6 +93,6 @@ def test_shipped_suites_are_within_the_default_limits(
     assert simulate([str(path), "--out", str(bag), "--seed", "1"]) == 0
     capsys.readouterr()
     file = [str(ROOT / "examples" / f"{example}.yaml")] if example else []
-    _, rows = shown([*file, "--bag", str(bag), "--limits"], capsys)
+    _, rows = run_and_read_table([*file, "--bag", str(bag), "--limits"], capsys)
     assert list(rows) == quantities
     assert all(row[2] >= 95.0 for row in rows.values()), rows

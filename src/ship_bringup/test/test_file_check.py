@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from ship_bringup.checks.check_line import Result
-from ship_bringup.checks.file_check import PathState, check_files, look_at_files
+from ship_bringup.checks.file_check import PathState, check_files, read_path_states
 
 SUITE = """\
 /**/ship_attitude:
@@ -21,20 +21,20 @@ SUITE = """\
 """
 
 
-def look(tmp_path, box=None, **paths):
+def read_states(tmp_path, box=None, **paths):
     given = {"alignment": "''", "recorder": "''", "device": "''"} | paths
     path = tmp_path / "suite.yaml"
     path.write_text(SUITE.format(**given))
-    return look_at_files(path, box)
+    return read_path_states(path, box)
 
 
 def rows(states):
-    return [(row.result, row.found) for row in check_files(states, [])]
+    return [(row.result, row.finding) for row in check_files(states, [])]
 
 
 def test_missing_file_in_an_existing_folder(tmp_path):
-    (state,) = look(tmp_path, alignment=tmp_path / "alignment.yaml")
-    assert (state.is_there, state.writable) == (False, True)
+    (state,) = read_states(tmp_path, alignment=tmp_path / "alignment.yaml")
+    assert (state.exists, state.writable) == (False, True)
     assert rows([state]) == [
         (Result.OK, f"{tmp_path}/suite.yaml:3: alignment_file {tmp_path}/alignment.yaml: good")
     ]  # fmt: skip
@@ -43,33 +43,33 @@ def test_missing_file_in_an_existing_folder(tmp_path):
 
 @pytest.mark.parametrize("name", ["alignment", "recorder"])
 def test_file_without_folder(tmp_path, name):
-    ((result, found),) = rows(look(tmp_path, **{name: tmp_path / "none" / "file"}))
+    ((result, found),) = rows(read_states(tmp_path, **{name: tmp_path / "none" / "file"}))
     assert result is Result.FAIL
     assert "cannot create it" in found
 
 
 def test_file_in_a_read_only_folder_fails(tmp_path):
-    (state,) = look(tmp_path, alignment="/proc/self/status")
-    assert (state.is_there, state.readable, state.writable) == (True, True, False)
+    (state,) = read_states(tmp_path, alignment="/proc/self/status")
+    assert (state.exists, state.readable, state.writable) == (True, True, False)
     assert rows([state])[0][0] is Result.FAIL
 
 
 def test_folder_of_black_boxes_is_created_with_its_parents(tmp_path):
-    assert rows(look(tmp_path, box=tmp_path / "a" / "b"))[0][0] is Result.OK
+    assert rows(read_states(tmp_path, box=tmp_path / "a" / "b"))[0][0] is Result.OK
     assert not (tmp_path / "a").exists()
-    assert rows(look(tmp_path, box=Path("/proc/a/b")))[0][0] is Result.FAIL
+    assert rows(read_states(tmp_path, box=Path("/proc/a/b")))[0][0] is Result.FAIL
 
 
 def test_existing_and_missing_serial_device(tmp_path):
     first, second = pty.openpty()
     try:
-        (state,) = look(tmp_path, device=os.ttyname(second))
+        (state,) = read_states(tmp_path, device=os.ttyname(second))
         assert state.is_device
         assert rows([state])[0][0] is Result.OK
     finally:
         os.close(first)
         os.close(second)
-    ((result, found),) = rows(look(tmp_path, device="/dev/ttyNONE7"))
+    ((result, found),) = rows(read_states(tmp_path, device="/dev/ttyNONE7"))
     assert result is Result.FAIL
     assert found == f"{tmp_path}/suite.yaml:8: sources.seapath.device /dev/ttyNONE7: is not there"
 
@@ -78,7 +78,7 @@ def test_nmea_out_file_needs_its_folder(tmp_path):
     path = tmp_path / "suite.yaml"
     for log, result in ((tmp_path / "nmea.log", Result.OK), (tmp_path / "none" / "nmea.log", Result.FAIL)):
         path.write_text(f"/**/nmea_out: {{ros__parameters: {{sinks: {{log: {{kind: file, path: {log}}}}}}}}}\n")
-        ((found, text),) = rows(look_at_files(path, None))
+        ((found, text),) = rows(read_path_states(path, None))
         assert found is result
         assert text.startswith(f"{path}:1: sinks.log.path {log}: ")
 
@@ -87,16 +87,16 @@ def test_nmea_out_file_needs_its_folder(tmp_path):
 def test_wrong_kinds_of_nmea_out_paths(tmp_path, key, found):
     path = tmp_path / "suite.yaml"
     path.write_text(f"/**/nmea_out: {{ros__parameters: {{sinks: {{log: {{{key}: {tmp_path}}}}}}}}}\n")
-    assert rows(look_at_files(path, None)) == [(Result.FAIL, f"{path}:1: sinks.log.{key} {tmp_path}: {found}")]
+    assert rows(read_path_states(path, None)) == [(Result.FAIL, f"{path}:1: sinks.log.{key} {tmp_path}: {found}")]
     path.write_text(f"/**/nmea_out: {{ros__parameters: {{sinks: {{log: {{device: {path}}}}}}}}}\n")
-    assert rows(look_at_files(path, None)) == [(Result.FAIL, f"{path}:1: sinks.log.device {path}: is no serial device")]
+    assert rows(read_path_states(path, None)) == [(Result.FAIL, f"{path}:1: sinks.log.device {path}: is no serial device")]
 
 
 def test_device_of_another_group_advises_usermod():
     state = PathState(Path("/dev/ttyUSB0"), "suite.yaml:8: device", True, True, False, False)
     (row,) = check_files([state], [])
     assert row.result is Result.FAIL
-    assert "may not read and write it" in row.found
+    assert "may not read and write it" in row.finding
     assert row.advice.startswith("sudo usermod -aG dialout ")
 
 

@@ -143,7 +143,7 @@ def test_every_named_option_of_suite_exists(launch, capsys):
                 assert f"  {option} " in shown, option
 
 
-SLIPS = [
+MISTAKES = [
     ("respawn_delay", "respawn_dely", test_every_tag_and_attribute_is_accepted_by_launch),
     ("push_ros_namespace", "push_namespace", test_every_tag_and_attribute_is_accepted_by_launch),
     ('type="bool"', 'type="boolean"', test_every_tag_and_attribute_is_accepted_by_launch),
@@ -164,7 +164,7 @@ SLIPS = [
 ]
 
 
-@pytest.mark.parametrize(("right", "wrong", "check"), SLIPS, ids=[wrong for _, wrong, _ in SLIPS])
+@pytest.mark.parametrize(("right", "wrong", "check"), MISTAKES, ids=[wrong for _, wrong, _ in MISTAKES])
 def test_mistake_in_a_launch_file_is_found(right, wrong, check):
     text = (PACKAGE / "launch" / "suite.launch.xml").read_text(encoding="utf-8")
     assert right in text
@@ -274,31 +274,31 @@ def names_in_code(*patterns):
     return {re.sub(r"\{[^}]*\}", "{}", name) for name in made}
 
 
-ADAPTED = {node.node_name for node in ADAPTERS}
-RECOVERING = {node.node_name for node in ADAPTERS if issubclass(node, RecoveringAdapter)}
-SENTENCES = {companion.node_name for companion in COMPANIONS}
+ADAPTER_NODES = {node.node_name for node in ADAPTERS}
+RECOVERING_NODES = {node.node_name for node in ADAPTERS if issubclass(node, RecoveringAdapter)}
+NMEA_NODES = {companion.node_name for companion in COMPANIONS}
 MAKERS = {  # files that make statuses: nodes that publish them
     "ship_attitude_star/*/ros/ship_attitude_adapter.py": {"ship_attitude"},
     "ship_attitude_star/*/ros/star_attitude_adapter.py": {"star_attitude"},
     "theodolite_calib/*/ros/optical_axis_adapter.py": {"optical_axis"},
     "theodolite_calib/*/ros/triangulation_adapter.py": {"triangulation"},
-    "ship_node/*/edge/recovering_adapter.py": RECOVERING,
-    "ship_node/*/edge/verdict_report.py": RECOVERING,
-    "ship_node/*/edge/messages_out.py": RECOVERING,
-    "ship_node/*/edge/reporting_adapter.py": ADAPTED,
-    "ship_node/*/edge/input_health.py": ADAPTED,
-    "ship_node/*/black_box/*.py": ADAPTED,
-    "ship_node/*/live/node_report.py": ADAPTED | SENTENCES | {"alerts"},
-    "ship_node/*/live/node_clock.py": ADAPTED | SENTENCES,
-    "ship_node/*/live/node_events.py": ADAPTED | SENTENCES,
-    "ship_node/*/live/ros_parameters.py": ADAPTED | SENTENCES,
+    "ship_node/*/edge/recovering_adapter.py": RECOVERING_NODES,
+    "ship_node/*/edge/verdict_report.py": RECOVERING_NODES,
+    "ship_node/*/edge/messages_out.py": RECOVERING_NODES,
+    "ship_node/*/edge/reporting_adapter.py": ADAPTER_NODES,
+    "ship_node/*/edge/input_health.py": ADAPTER_NODES,
+    "ship_node/*/black_box/*.py": ADAPTER_NODES,
+    "ship_node/*/live/node_report.py": ADAPTER_NODES | NMEA_NODES | {"alerts"},
+    "ship_node/*/live/node_clock.py": ADAPTER_NODES | NMEA_NODES,
+    "ship_node/*/live/node_events.py": ADAPTER_NODES | NMEA_NODES,
+    "ship_node/*/live/ros_parameters.py": ADAPTER_NODES | NMEA_NODES,
     "ship_nmea/*/out/*.py": {"nmea_out"},
     "ship_nmea/*/instruments/*.py": {"nmea_in"},
     "ship_monitor/*/alerts/*.py": {"alerts"},
 }
 NOT_PUBLISHED = {  # made in a file of many nodes, published by some of them
-    "conflict {}": ADAPTED - RECOVERING,
-    "stamps": SENTENCES | {"alerts"},
+    "conflict {}": ADAPTER_NODES - RECOVERING_NODES,
+    "stamps": NMEA_NODES | {"alerts"},
     "name": {"alerts"},
 }
 
@@ -312,7 +312,7 @@ def test_every_file_with_statuses_is_listed():
     assert names_in_code("*/*/**/*.py") == names_in_code(*MAKERS)
 
 
-@pytest.mark.parametrize("node", sorted(ADAPTED | SENTENCES | {"alerts"}))
+@pytest.mark.parametrize("node", sorted(ADAPTER_NODES | NMEA_NODES | {"alerts"}))
 def test_every_status_of_a_node_has_an_analyzer(node):
     """The aggregator puts statuses without an analyzer under "Other"."""
     names = [name for analyzer in tree() for name in analyzer.get("name", [])]
@@ -321,7 +321,7 @@ def test_every_status_of_a_node_has_an_analyzer(node):
 
 
 def test_every_name_in_the_aggregator_file_is_a_status():
-    published = {name for node in ADAPTED | SENTENCES | {"alerts"} for name in names_of(node)}
+    published = {name for node in ADAPTER_NODES | NMEA_NODES | {"alerts"} for name in names_of(node)}
     for analyzer in tree():
         assert set(analyzer.get("name", [])) - published == set()
         for prefix in analyzer.get("startswith", []):

@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from ship_bringup.suite import process as process_module
-from ship_bringup.suite.keeper import Keeper
+from ship_bringup.suite.keeper import Supervisor
 from ship_bringup.suite.program import Program, Role
-from ship_bringup.suite.restarts import STEADY_S, Restarts, failure_of
+from ship_bringup.suite.restarts import STEADY_S, Restarts, exit_code_of
 
 FAR_S = 20.0
 
@@ -24,7 +24,7 @@ def program(name, text, role=Role.NODE):
     return Program(name, (sys.executable, "-c", text), role)
 
 
-def kept(*programs, until="", count=1, **limits):
+def run_suite(*programs, until="", count=1, **limits):
     """Return exit code and lines of a suite, which its user ends after ``count`` lines that contain a text."""
     lines = []
 
@@ -33,7 +33,7 @@ def kept(*programs, until="", count=1, **limits):
         if until and sum(until in each for each in lines) == count and until in line:
             signal.raise_signal(signal.SIGINT)
 
-    return Keeper(programs, write, **limits).run(), lines
+    return Supervisor(programs, write, **limits).run(), lines
 
 
 def test_restart_delays_double_up_to_30_s():
@@ -51,17 +51,17 @@ def test_run_of_a_minute_resets_the_delays():
 
 @pytest.mark.parametrize(("code", "failure"), [(0, 0), (1, 1), (2, 2), (130, 0), (-15, 0), (-9, 137), (-11, 139)])
 def test_exit_code_of_a_program(code, failure):
-    assert failure_of(code) == failure
+    assert exit_code_of(code) == failure
 
 
 def test_lines_have_the_name_as_prefix_and_none_is_lost():
     text = "import sys; print('one'); print('two', file=sys.stderr); sys.stdout.write('no end'); sys.stdout.flush()"
-    _, lines = kept(program("talker", text), until="talker ended")
+    _, lines = run_suite(program("talker", text), until="talker ended")
     assert lines[:3] == ["[talker] one", "[talker] two", "[talker] no end"]
 
 
 def test_line_without_end_is_cut_without_loss():
-    _, lines = kept(program("long", "print('x' * 300_000)"), until="long ended")
+    _, lines = run_suite(program("long", "print('x' * 300_000)"), until="long ended")
     said = [line.removeprefix("[long] ") for line in lines if line.startswith("[long]")]
     assert len(said) > 1
     assert "".join(said) == "x" * 300_000
@@ -72,8 +72,8 @@ def test_line_without_end_is_cut_without_loss():
 def test_ended_program_is_started_again(code):
     text = f"import os; os.kill(os.getpid(), {-code})" if code < 0 else f"raise SystemExit({code})"
     lives = program("lives", WAITS)
-    ended, lines = kept(program("mayfly", text), lives, until="mayfly ended", count=4)
-    assert ended == failure_of(code)  # it was down when the user ended the suite
+    ended, lines = run_suite(program("mayfly", text), lives, until="mayfly ended", count=4)
+    assert ended == exit_code_of(code)  # it was down when the user ended the suite
     ends = [line for line in lines if "mayfly ended" in line]
     assert ends[0].endswith("; started again at once (restart 1 in a row)")
     assert ends[3].endswith("; started again in 4 s (restart 4 in a row)")
@@ -101,7 +101,7 @@ def test_reserve_process_replaces_the_dead_one(monkeypatch, tmp_path):
     then = "waited or wait_for_reserve()\nos.kill(os.getpid(), signal.SIGKILL)"
     text = SUCCESSOR.format(mark=str(tmp_path / "reserve"), then=then)
     node = Program("node", (sys.executable, "-c", text), has_reserve=True)
-    code, lines = kept(node, until="node ended", count=2)
+    code, lines = run_suite(node, until="node ended", count=2)
     assert code == 137
     said = [line for line in lines if line.startswith("[node]")]
     assert said == ["[node] from the start", "[node] in reserve"]
@@ -118,7 +118,7 @@ def test_program_without_live_reserve_is_started(monkeypatch, tmp_path):
     dies = SUCCESSOR.replace("waited = bool", "if WAITS in os.environ: raise SystemExit(3)\nwaited = bool")
     text = dies.format(mark=str(tmp_path / "reserve"), then="time.sleep(2.0)\nraise SystemExit(1)")
     node = Program("node", (sys.executable, "-c", text), has_reserve=True)
-    code, lines = kept(node, until="node ended", count=2)
+    code, lines = run_suite(node, until="node ended", count=2)
     assert code == 1
     assert [line for line in lines if line.startswith("[node]")] == ["[node] from the start"] * 2
     assert lines.count("[suite] node in reserve ended: exit code 3") == 2
@@ -128,7 +128,7 @@ def test_reserve_process_ends_with_its_program(monkeypatch, tmp_path):
     monkeypatch.setattr("ship_bringup.suite.keeper._RESERVE_AFTER_S", 0.2)
     text = SUCCESSOR.format(mark=str(tmp_path / "reserve"), then="wait_for_reserve()")
     text = text.replace("waited = bool", "print(os.getpid())\nwaited = bool")
-    _, lines = kept(Program("node", (sys.executable, "-u", "-c", text), has_reserve=True), until="node ended")
+    _, lines = run_suite(Program("node", (sys.executable, "-u", "-c", text), has_reserve=True), until="node ended")
     pids = [int(line.split()[1]) for line in lines if line.split()[1].isdecimal()]
     assert len(pids) == 2
     assert all(map(is_gone, pids))
@@ -142,7 +142,7 @@ WAITS = (
 
 
 def test_suite_ends_with_its_player_in_the_opposite_order():
-    code, lines = kept(
+    code, lines = run_suite(
         program("first", WAITS),
         program("second", WAITS),
         program("watcher", WAITS, Role.WATCHER),
@@ -154,7 +154,7 @@ def test_suite_ends_with_its_player_in_the_opposite_order():
 
 
 def test_feeder_ends_before_the_nodes():
-    code, lines = kept(
+    code, lines = run_suite(
         program("node", WAITS),
         program("feeder", WAITS, Role.FEEDER),
         program("broken", "raise SystemExit(2)", Role.FEEDER),
@@ -167,7 +167,7 @@ def test_feeder_ends_before_the_nodes():
 
 def test_watcher_ends_before_the_player():
     """Without the bag all inputs would time out, and the alerts would report it."""
-    code, lines = kept(
+    code, lines = run_suite(
         program("node", "import time; time.sleep(1.5)"),
         program("page", WAITS, Role.WATCHER),
         program("alerts", WAITS, Role.WATCHER),
@@ -179,7 +179,7 @@ def test_watcher_ends_before_the_player():
 
 
 def test_bad_input_of_one_program_at_the_start_is_retried():
-    code, lines = kept(
+    code, lines = run_suite(
         program("wrong", "raise SystemExit(2)"),
         program("page", "raise SystemExit(2)", Role.WATCHER),
         program("right", WAITS),
@@ -193,7 +193,7 @@ def test_bad_input_of_one_program_at_the_start_is_retried():
 
 def test_bad_input_of_all_nodes_at_the_start_ends_the_suite():
     started_s = time.monotonic()
-    code, lines = kept(
+    code, lines = run_suite(
         program("one", "import time; time.sleep(0.3); raise SystemExit(2)"),
         program("other", "raise SystemExit(2)"),
         program("page", "import time; time.sleep(60)", Role.WATCHER),
@@ -217,12 +217,12 @@ def beat_for(time_s):
 def test_bad_input_of_a_node_that_has_run_is_retried():
     """For example a parameter file changed at sea: the suite waits for its correction."""
     text = BEATS + "beat_for(0.5)\nraise SystemExit(2)"
-    code, lines = kept(program("node", text), until="node ended", count=3)
+    code, lines = run_suite(program("node", text), until="node ended", count=3)
     assert code == 2
     assert sum("started again" in line for line in lines) == 3
 
 
-def killed_after_s(line: str) -> int:
+def kill_time_s(line: str) -> int:
     """Return the time without a heartbeat in the line that reports it; a busy machine checks later."""
     killed = re.fullmatch(r"\[suite\] node(?: in reserve)? sent no heartbeat for (\d) s: killed", line)
     assert killed, line
@@ -234,7 +234,7 @@ def killed_after_s(line: str) -> int:
 def test_frozen_program_is_reported_killed_and_restarted(how):
     text = BEATS + f"print('starts', flush=True)\nbeat_for(1.5)\n{how}"
     started_s = time.monotonic()
-    code, lines = kept(
+    code, lines = run_suite(
         program("node", text), until="[node] starts", count=2, frozen_report_s=2.0, frozen_restart_s=4.0
     )
     assert code == 0  # it ran when the user ended the suite
@@ -246,14 +246,14 @@ def test_frozen_program_is_reported_killed_and_restarted(how):
     silent_s, left_s = map(int, times.groups())
     assert silent_s in (2, 3)
     assert silent_s + left_s == 4
-    assert killed_after_s(own[1]) in (4, 5)
+    assert kill_time_s(own[1]) in (4, 5)
     assert re.fullmatch(r"\[suite\] node ended .* signal 9, SIGKILL; started again at once .*", own[2])
 
 
 @pytest.mark.slow
 def test_recovered_program_is_not_killed():
     text = BEATS + "beat_for(1.0)\ntime.sleep(4.0)\nbeat_for(60.0)"
-    code, lines = kept(program("node", text), until="works again", frozen_report_s=2.0, frozen_restart_s=10.0)
+    code, lines = run_suite(program("node", text), until="works again", frozen_report_s=2.0, frozen_restart_s=10.0)
     assert code == 0
     assert [line for line in lines if "ended" in line] == []
     assert re.search(r"node works again after [3-5] s without a heartbeat", "\n".join(lines))
@@ -262,9 +262,9 @@ def test_recovered_program_is_not_killed():
 @pytest.mark.slow
 def test_program_without_first_heartbeat_is_restarted(monkeypatch):
     monkeypatch.setattr("ship_bringup.suite.frozen_check._LONGEST_START_S", 2.0)
-    code, lines = kept(program("node", "import time; time.sleep(60)"), until="node ended", frozen_restart_s=1.0)
+    code, lines = run_suite(program("node", "import time; time.sleep(60)"), until="node ended", frozen_restart_s=1.0)
     assert code == 137
-    assert killed_after_s(lines[0]) in (2, 3)
+    assert kill_time_s(lines[0]) in (2, 3)
 
 
 @pytest.mark.slow
@@ -279,8 +279,8 @@ def test_stopped_reserve_process_is_not_used(monkeypatch):
         "beat_for(4.0)\nos.kill(os.getpid(), signal.SIGSTOP)"
     )
     node = Program("node", (sys.executable, "-c", text), has_reserve=True)
-    _, lines = kept(node, until="[node] starts", count=2, frozen_report_s=2.0, frozen_restart_s=4.0)
-    assert [killed_after_s(line) in (4, 5) for line in lines if "node in reserve sent" in line] == [True]
+    _, lines = run_suite(node, until="[node] starts", count=2, frozen_report_s=2.0, frozen_restart_s=4.0)
+    assert [kill_time_s(line) in (4, 5) for line in lines if "node in reserve sent" in line] == [True]
 
 
 def test_reserve_process_stopped_before_its_first_heartbeat_is_not_used(monkeypatch, tmp_path):
@@ -296,7 +296,7 @@ def test_reserve_process_stopped_before_its_first_heartbeat_is_not_used(monkeypa
     )
     node = Program("node", (sys.executable, "-c", text), has_reserve=True)
     started_s = time.monotonic()
-    _, lines = kept(node, until="[node] starts", count=2)
+    _, lines = run_suite(node, until="[node] starts", count=2)
     assert time.monotonic() - started_s < FAR_S
     assert sum("node ended" in line for line in lines) == 1
 
@@ -304,8 +304,8 @@ def test_reserve_process_stopped_before_its_first_heartbeat_is_not_used(monkeypa
 @pytest.mark.slow
 def test_standstill_of_the_supervisor_does_not_count():
     """All are stopped and continued together, as on a suspended computer."""
-    keeper = run_keeper(BEATS + "print(os.getpid(), flush=True)\nbeat_for(60.0)", limits="2.0, 4.0")
-    pid = ids(keeper, 1)[0]
+    keeper = start_supervisor(BEATS + "print(os.getpid(), flush=True)\nbeat_for(60.0)", limits="2.0, 4.0")
+    pid = read_pids(keeper, 1)[0]
     time.sleep(1.5)
     for number in (signal.SIGSTOP, signal.SIGCONT):
         os.kill(keeper.pid, number)
@@ -330,7 +330,7 @@ def test_program_without_processor_time_is_not_frozen():
             f"os.sched_setaffinity(0, [{core}])\nbeat_for(1.0)\nos.sched_setscheduler(0, os.SCHED_IDLE, "
             "os.sched_param(0))\nwhile True:\n    heartbeat().beat(time.monotonic_ns())\n    sum(range(20_000_000))"
         )
-        keeper = run_keeper("print('runs', flush=True)\n" + text, limits="1.0, 6.0")
+        keeper = start_supervisor("print('runs', flush=True)\n" + text, limits="1.0, 6.0")
         time.sleep(12.0)
         keeper.send_signal(signal.SIGINT)
         said = keeper.communicate(timeout=FAR_S)[0]
@@ -355,7 +355,7 @@ def test_failed_start_is_retried(monkeypatch, number, where):
 
     monkeypatch.setattr(holder, name, failing)
     before = set(os.listdir("/proc/self/fd"))
-    code, lines = kept(program("node", "import time; print('runs', flush=True); time.sleep(60)"), until="[node] runs")
+    code, lines = run_suite(program("node", "import time; print('runs', flush=True); time.sleep(60)"), until="[node] runs")
     assert code == 0
     assert lines[0] == f"[suite] node cannot be started: {os.strerror(number)}; tried again in 1 s"
     assert set(os.listdir("/proc/self/fd")) <= before
@@ -365,8 +365,8 @@ def test_failed_start_is_retried(monkeypatch, number, where):
 def test_restart_without_file_descriptors_is_retried():
     """The limits of a running supervisor are lowered below its use, and raised again."""
     text = BEATS + "heartbeat().beat(time.monotonic_ns())\nprint(os.getpid(), flush=True)\nbeat_for(60.0)"
-    keeper = run_keeper(text, text)
-    first, other = ids(keeper, 2)
+    keeper = start_supervisor(text, text)
+    first, other = read_pids(keeper, 2)
     before = resource.prlimit(keeper.pid, resource.RLIMIT_NOFILE)
     resource.prlimit(keeper.pid, resource.RLIMIT_NOFILE, (4, before[1]))
     os.kill(first, signal.SIGKILL)
@@ -385,20 +385,20 @@ def test_restart_without_file_descriptors_is_retried():
 
 def test_exception_in_the_supervisor_ends_nothing(monkeypatch):
     failures = [MemoryError("none left"), OSError(errno.EIO, "Input/output error")]
-    real = Keeper._wait
+    real = Supervisor._wait
 
     def wait(self):
         if failures:
             raise failures.pop()
         real(self)
 
-    monkeypatch.setattr(Keeper, "_wait", wait)
-    code, lines = kept(program("node", "import time; print('runs', flush=True); time.sleep(60)"), until="[node] runs")
+    monkeypatch.setattr(Supervisor, "_wait", wait)
+    code, lines = run_suite(program("node", "import time; print('runs', flush=True); time.sleep(60)"), until="[node] runs")
     assert code == 0
     assert "MemoryError: none left" in "\n".join(lines)
 
 
-def run_keeper(*texts, limits=""):
+def start_supervisor(*texts, limits=""):
     """Return a supervisor as a process of its own, whose programs print their process ids."""
     programs = ", ".join(f"Program('p{i}', (sys.executable, '-c', {text!r}))" for i, text in enumerate(texts))
     code = (
@@ -410,10 +410,10 @@ def run_keeper(*texts, limits=""):
 
 
 PRINTS_ITS_ID = "import os, time; print(os.getpid(), flush=True); time.sleep(60)"
-DEAF = "import os, signal, time; signal.signal(signal.SIGINT, signal.SIG_IGN); " + PRINTS_ITS_ID
+IGNORES_SIGINT = "import os, signal, time; signal.signal(signal.SIGINT, signal.SIG_IGN); " + PRINTS_ITS_ID
 
 
-def ids(process, count):
+def read_pids(process, count):
     return [int(process.stdout.readline().split()[1]) for _ in range(count)]
 
 
@@ -432,8 +432,8 @@ def wait_until_gone(pids):
 
 
 def test_programs_end_when_the_suite_is_killed():
-    keeper = run_keeper(PRINTS_ITS_ID, DEAF)
-    pids = ids(keeper, 2)
+    keeper = start_supervisor(PRINTS_ITS_ID, IGNORES_SIGINT)
+    pids = read_pids(keeper, 2)
     keeper.kill()
     keeper.wait()
     wait_until_gone(pids)
@@ -441,16 +441,16 @@ def test_programs_end_when_the_suite_is_killed():
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_signal_ends_all_programs(number):
-    keeper = run_keeper(PRINTS_ITS_ID, PRINTS_ITS_ID)
-    pids = ids(keeper, 2)
+    keeper = start_supervisor(PRINTS_ITS_ID, PRINTS_ITS_ID)
+    pids = read_pids(keeper, 2)
     keeper.send_signal(number)
     assert keeper.wait(FAR_S) == 0
     assert all(map(is_gone, pids))
 
 
 def test_second_signal_kills_at_once():
-    keeper = run_keeper(DEAF)
-    pids = ids(keeper, 1)
+    keeper = start_supervisor(IGNORES_SIGINT)
+    pids = read_pids(keeper, 1)
     keeper.send_signal(signal.SIGINT)
     time.sleep(0.3)
     os.kill(pids[0], 0)

@@ -16,7 +16,7 @@ from ship_bringup.checks.security_check import check_keystore
 from ship_bringup.security.keystore import KeystoreUse, keystore_faults, require_keystore
 from ship_bringup.security.policy_xml import governance_text, permissions_text
 from ship_bringup.security.rights import suite_rights
-from ship_bringup.suite.plan import checked_nodes
+from ship_bringup.suite.plan import check_nodes
 from ship_testing.keystores import DAY, NOW, YEAR, Keystore, certificate_of, new_authority, new_key
 
 ROOT = Path(__file__).parents[3]
@@ -25,7 +25,7 @@ NODE = "/demo/ship_attitude"
 
 
 def rights_in(namespace, locked=False):
-    nodes, _ = checked_nodes(ROOT / "examples" / "two_sensors.yaml", namespace)
+    nodes, _ = check_nodes(ROOT / "examples" / "two_sensors.yaml", namespace)
     return suite_rights([node.adapter for node in nodes], namespace, locked)
 
 
@@ -45,7 +45,7 @@ def keystore(tmp_path):
     return Keystore(tmp_path / "keystore", AUTHORITY, DOMAIN).add(USED)
 
 
-def only(faults):
+def single_fault(faults):
     (fault,) = faults
     assert "\n" not in fault.text
     return fault
@@ -55,17 +55,17 @@ def test_valid_keystore_has_no_fault(keystore):
     assert keystore_faults(keystore.path, use()) == []
     rows = list(check_keystore(str(keystore.path), use(), True))
     assert [(row.check, row.result) for row in rows] == [("keystore", Result.OK), ("policies", Result.OK)]
-    assert "2 enclaves" in rows[0].found
+    assert "2 enclaves" in rows[0].finding
 
 
 def test_folder_that_is_no_keystore(tmp_path):
-    fault = only(keystore_faults(tmp_path, use()))
+    fault = single_fault(keystore_faults(tmp_path, use()))
     assert re.search(r"is no keystore: expected the folders public and enclaves", fault.text)
 
 
 def test_keystore_of_another_ship_by_enclaves(tmp_path):
     other = Keystore(tmp_path / "keystore", OTHER_AUTHORITY, DOMAIN).add(rights_in("aurora")[:2])
-    fault = only(keystore_faults(other.path, use()))
+    fault = single_fault(keystore_faults(other.path, use()))
     told = "a keystore of another ship: it has /aurora/alerts, /aurora/ship_attitude, expected /demo/ship_attitude"
     assert fault.text == f"{other.path}/enclaves: {told}"
     assert fault.is_error
@@ -75,7 +75,7 @@ def test_enclave_of_another_ship_by_authority(keystore):
     key = new_key()
     keystore.write_certificate(keystore.folder(NODE) / "cert.pem", certificate_of(NODE, key, OTHER_AUTHORITY))
     keystore.write_key(NODE, key)
-    fault = only(keystore_faults(keystore.path, use()))
+    fault = single_fault(keystore_faults(keystore.path, use()))
     path = keystore.folder(NODE) / "cert.pem"
     assert fault.text.startswith(f"{path}: a certificate of another ship: not signed by ")
     assert "'CN=sros2CA'" in fault.text
@@ -86,7 +86,7 @@ def test_authority_with_the_same_name_and_another_key(keystore):
     namesake, key = new_authority("sros2CA"), new_key()
     keystore.write_certificate(keystore.folder(NODE) / "cert.pem", certificate_of(NODE, key, namesake))
     keystore.write_key(NODE, key)
-    assert "not signed by" in only(keystore_faults(keystore.path, use())).text
+    assert "not signed by" in single_fault(keystore_faults(keystore.path, use())).text
 
 
 def test_whole_enclave_of_another_ship(keystore, tmp_path):
@@ -96,7 +96,7 @@ def test_whole_enclave_of_another_ship(keystore, tmp_path):
     shutil.rmtree(monitor)
     shutil.copytree(other.folder("/demo/monitor"), monitor)
     ours, theirs = (each.certificate.fingerprint(hashes.SHA256()).hex() for each in (AUTHORITY, OTHER_AUTHORITY))
-    fault = only(keystore_faults(keystore.path, use()))
+    fault = single_fault(keystore_faults(keystore.path, use()))
     told = f"an authority of another ship: its SHA-256 is {theirs}, expected {ours}, as in {keystore.folder(NODE)}"
     assert fault.text == f"{monitor}/identity_ca.cert.pem: {told}/identity_ca.cert.pem"
 
@@ -141,14 +141,14 @@ def test_certificate_for_another_enclave(keystore):
     certificate = certificate_of("/demo/monitor", key, AUTHORITY)
     keystore.write_certificate(keystore.folder(NODE) / "cert.pem", certificate)
     keystore.write_key(NODE, key)
-    fault = only(keystore_faults(keystore.path, use()))
+    fault = single_fault(keystore_faults(keystore.path, use()))
     assert "subject is 'CN=/demo/monitor': expected 'CN=/demo/ship_attitude'" in fault.text
 
 
 def test_missing_enclave_of_a_node_and_of_a_tool(tmp_path):
     (monitor,) = [rights for rights in USED if rights.enclave == "/demo/monitor"]
     without_node = Keystore(tmp_path / "a", AUTHORITY, DOMAIN).add([monitor])
-    fault = only(keystore_faults(without_node.path, use()))
+    fault = single_fault(keystore_faults(without_node.path, use()))
     assert "/demo/ship_attitude: has no identity_ca.cert.pem" in fault.text
     assert fault.advice == "ros2 security create_enclave KEYSTORE /demo/ship_attitude"
     # Tools and drivers, with their keys, may be on other computers.
@@ -157,7 +157,7 @@ def test_missing_enclave_of_a_node_and_of_a_tool(tmp_path):
 
 def test_missing_file_is_named(keystore):
     (keystore.folder(NODE) / "key.pem").unlink()
-    assert only(keystore_faults(keystore.path, use())).text == f"{keystore.folder(NODE)}: has no key.pem"
+    assert single_fault(keystore_faults(keystore.path, use())).text == f"{keystore.folder(NODE)}: has no key.pem"
 
 
 @pytest.mark.parametrize(
@@ -177,14 +177,14 @@ def test_dates_of_certificates_and_permissions(keystore, later, told, is_error):
 
 def test_permissions_may_end_before_the_certificate(keystore):
     keystore.permit(NODE, OF_NODE, 2 * DAY)
-    fault = only(keystore_faults(keystore.path, use()))
+    fault = single_fault(keystore_faults(keystore.path, use()))
     assert "permissions.p7s: not_after 2026-06-03 is in 2.0 days" in fault.text
 
 
 def test_key_of_another_certificate(keystore):
     keystore.write_key(NODE, new_key())
     path = keystore.folder(NODE) / "key.pem"
-    fault = only(keystore_faults(keystore.path, use()))
+    fault = single_fault(keystore_faults(keystore.path, use()))
     assert fault.text == f"{path}: is not the key of {path.parent}/cert.pem"
 
 
@@ -192,7 +192,7 @@ def test_key_of_another_certificate(keystore):
 def test_key_that_others_may_read_or_change(keystore, mode):
     path = keystore.folder(NODE) / "key.pem"
     path.chmod(mode)
-    assert only(keystore_faults(keystore.path, use())).text.startswith(f"{path}: mode {mode:o}: others may")
+    assert single_fault(keystore_faults(keystore.path, use())).text.startswith(f"{path}: mode {mode:o}: others may")
     path.chmod(0o640)
     assert keystore_faults(keystore.path, use()) == []
 
@@ -220,7 +220,7 @@ def test_signature_of_another_ship(keystore, name):
     path = keystore.folder(NODE) / name
     text = governance_text(DOMAIN) if name.startswith("g") else permissions_text(OF_NODE, DOMAIN, NOW - DAY, NOW + YEAR)
     keystore.sign(path, text, OTHER_AUTHORITY)
-    fault = only(keystore_faults(keystore.path, use()))
+    fault = single_fault(keystore_faults(keystore.path, use()))
     assert fault.text.startswith(f"{path}: its signature is not that of {path.parent}/permissions_ca.cert.pem")
 
 
@@ -234,7 +234,7 @@ def test_signed_permissions_with_invalid_content(keystore, right, wrong, told):
     text = permissions_text(OF_NODE, DOMAIN, NOW - DAY, NOW + YEAR)
     assert right in text
     keystore.sign(keystore.folder(NODE) / "permissions.p7s", text.replace(right, wrong))
-    fault = only(keystore_faults(keystore.path, use()))
+    fault = single_fault(keystore_faults(keystore.path, use()))
     assert told in fault.text
     assert fault.text.startswith(f"{keystore.folder(NODE)}/permissions.p7s")
 
@@ -243,7 +243,7 @@ def test_too_large_file_is_not_read(keystore):
     path = keystore.folder(NODE) / "permissions.p7s"
     with path.open("r+b") as file:
         file.truncate(1 << 40)
-    assert "is larger than 4000000 bytes" in only(keystore_faults(keystore.path, use())).text
+    assert "is larger than 4000000 bytes" in single_fault(keystore_faults(keystore.path, use())).text
 
 
 def test_permissions_of_another_domain(keystore):
@@ -264,7 +264,7 @@ def test_ineffective_governance(keystore, right, wrong):
     assert right in text
     path = keystore.folder(NODE) / "governance.p7s"
     keystore.sign(path, text.replace(right, wrong))
-    fault = only(keystore_faults(keystore.path, use()))
+    fault = single_fault(keystore_faults(keystore.path, use()))
     assert re.search(rf"governance\.p7s:\d+: \w*{wrong.split('>')[0]} is {wrong.split('>')[1]}: expected", fault.text)
     assert fault.of_policy
 
@@ -281,8 +281,8 @@ def test_outdated_policies(keystore):
 
 
 def test_policies_from_other_declarations(keystore):
-    keystore.permit(NODE, dataclasses.replace(OF_NODE, declared=OF_NODE.declared[1:]))
-    fault = only(keystore_faults(keystore.path, use()))
+    keystore.permit(NODE, dataclasses.replace(OF_NODE, declared=OF_NODE.declarations[1:]))
+    fault = single_fault(keystore_faults(keystore.path, use()))
     assert "are older than the code" in fault.text
     assert fault.of_policy
 
@@ -298,10 +298,10 @@ def test_policies_that_allow_too_much(keystore):
     text = permissions_text(OF_NODE, DOMAIN, NOW - DAY, NOW + YEAR)
     wide = text.replace("<topic>rt/rosout</topic>", "<topic>rt/*</topic>")
     keystore.sign(keystore.folder(NODE) / "permissions.p7s", wide)
-    fault = only(keystore_faults(keystore.path, use()))
+    fault = single_fault(keystore_faults(keystore.path, use()))
     assert "allow more than the code declares: publish of rt/*" in fault.text
     keystore.sign(keystore.folder(NODE) / "permissions.p7s", text.replace("DENY", "ALLOW"))
-    assert "default is ALLOW: expected DENY" in only(keystore_faults(keystore.path, use())).text
+    assert "default is ALLOW: expected DENY" in single_fault(keystore_faults(keystore.path, use())).text
 
 
 def test_earlier_deny_rule_takes_precedence(keystore):
@@ -309,7 +309,7 @@ def test_earlier_deny_rule_takes_precedence(keystore):
     denied = "<publish><topics><topic>rt/demo/ship/attitude</topic></topics></publish>"
     rule = f"<deny_rule><domains><id_range><min>0</min></id_range></domains>{denied}</deny_rule>"
     keystore.sign(keystore.folder(NODE) / "permissions.p7s", text.replace("<allow_rule>", rule + "<allow_rule>"))
-    assert "publish of rt/demo/ship/attitude is not allowed" in only(keystore_faults(keystore.path, use())).text
+    assert "publish of rt/demo/ship/attitude is not allowed" in single_fault(keystore_faults(keystore.path, use())).text
 
 
 def test_locked_and_unlocked_policies_differ(tmp_path):

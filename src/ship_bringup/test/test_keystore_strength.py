@@ -16,7 +16,7 @@ from ship_bringup.checks.security_check import check_keystore
 from ship_bringup.security.keystore import KeystoreUse, keystore_faults, require_keystore
 from ship_bringup.security.policy_xml import permissions_text
 from ship_bringup.security.rights import suite_rights
-from ship_bringup.suite.plan import checked_nodes
+from ship_bringup.suite.plan import check_nodes
 from ship_testing.keystores import DAY, YEAR, Keystore, certificate_of, new_authority, new_key
 
 pytestmark = pytest.mark.skipif(shutil.which("openssl") is None, reason="there is no program openssl")
@@ -27,7 +27,7 @@ NODE = "/demo/ship_attitude"
 # Today: openssl gives certificates no other begin; those made by tests begin before this time.
 NOW = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(hours=1)
 RIGHTS = suite_rights(
-    [node.adapter for node in checked_nodes(ROOT / "examples" / "two_sensors.yaml", "demo")[0]], "demo", False
+    [node.adapter for node in check_nodes(ROOT / "examples" / "two_sensors.yaml", "demo")[0]], "demo", False
 )
 (OF_NODE,) = [rights for rights in RIGHTS if rights.enclave == NODE]
 AUTHORITY = new_authority("sros2CA", NOW)

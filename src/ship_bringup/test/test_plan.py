@@ -6,7 +6,7 @@ import pytest
 
 from ship_bags.errors import BadInput
 from ship_bringup.suite.keeper import Role
-from ship_bringup.suite.plan import SuiteOptions, plan_of
+from ship_bringup.suite.plan import SuiteOptions, make_plan
 
 ROOT = Path(__file__).parents[3]
 DEMO = ROOT / "bags" / "demo.mcap"
@@ -35,7 +35,7 @@ def roles(plan):
 
 
 def test_roles_of_nmea_nodes(suite):
-    plan = plan_of(suite, SuiteOptions(namespace="aurora", monitor=True))
+    plan = make_plan(suite, SuiteOptions(namespace="aurora", monitor=True))
     assert roles(plan) == {
         "ship_attitude": Role.NODE, "nmea_in": Role.FEEDER, "nmea_out": Role.WATCHER, "monitor": Role.WATCHER,
         "alerts": Role.WATCHER,
@@ -46,7 +46,7 @@ def test_roles_of_nmea_nodes(suite):
 
 
 def test_bag_excludes_nmea_in_and_warns_of_nmea_out(suite):
-    plan = plan_of(suite, SuiteOptions(bag=DEMO))
+    plan = make_plan(suite, SuiteOptions(bag=DEMO))
     assert roles(plan) == {"ship_attitude": Role.NODE, "nmea_out": Role.WATCHER, "play": Role.PLAYER}
     (command,) = [program.command for program in plan.programs if program.name == "nmea_out"]
     assert "use_sim_time:=true" in command
@@ -57,19 +57,19 @@ def test_bad_nmea_parameter_is_reported_before_the_start(suite):
     suite.write_text(suite.read_text().replace("port: 10110", "prt: 10110"))
     line = suite.read_text().splitlines().index(next(s for s in suite.read_text().splitlines() if "prt" in s)) + 1
     with pytest.raises(BadInput, match=rf"suite.yaml:{line}: parameter 'sinks.bridge.prt' is unknown: .* 'port'\?"):
-        plan_of(suite, SuiteOptions())
+        make_plan(suite, SuiteOptions())
 
 
 def test_shared_port_is_reported_before_the_start(suite):
     suite.write_text(suite.read_text().replace("port: 10110}", "port: 10110, listen_port: 10111}"))
     with pytest.raises(BadInput, match=r"suite.yaml:\d+: .*'sinks.bridge.listen_port' = 10111 .*'sources.gyro.port'"):
-        plan_of(suite, SuiteOptions())
+        make_plan(suite, SuiteOptions())
 
 
 def test_suite_of_nmea_nodes_only(tmp_path):
     """For example on a second computer: they run there alone, and the suite ends when both have ended."""
     path = tmp_path / "suite.yaml"
     path.write_text(NMEA)
-    assert roles(plan_of(path, SuiteOptions(namespace="aurora"))) == {"nmea_in": Role.NODE, "nmea_out": Role.NODE}
+    assert roles(make_plan(path, SuiteOptions(namespace="aurora"))) == {"nmea_in": Role.NODE, "nmea_out": Role.NODE}
     with pytest.raises(BadInput, match=r"suite.yaml: .*demo.mcap cannot be played: .* no section for an estimator"):
-        plan_of(path, SuiteOptions(bag=DEMO))
+        make_plan(path, SuiteOptions(bag=DEMO))

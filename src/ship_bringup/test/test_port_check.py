@@ -9,8 +9,8 @@ import sys
 import pytest
 
 from ship_bringup.checks.check_line import Result
-from ship_bringup.checks.port_check import PlaceState, check_places, look_at_places
-from ship_bringup.security.rights import companions_of
+from ship_bringup.checks.port_check import PlaceState, check_places, read_place_states
+from ship_bringup.security.rights import load_companions
 from ship_node.parameters.places import PlaceKind, port_resource
 from ship_testing.listening_node import free_port
 
@@ -30,9 +30,9 @@ def look(tmp_path):
         group = "sinks" if node == "nmea_out" else "sources"
         path = tmp_path / "suite.yaml"
         path.write_text(f"/**/{node}:\n  ros__parameters:\n    {group}:\n      a: {{{text}}}\n")
-        found = look_at_places(path, namespace, companions_of(path, namespace))
+        found = read_place_states(path, namespace, load_companions(path, namespace))
         rows = check_places(list(found), running)
-        return [(row.result, row.found.replace(f"{tmp_path}/", ""), row.advice) for row in rows]
+        return [(row.result, row.finding.replace(f"{tmp_path}/", ""), row.advice) for row in rows]
 
     return states
 
@@ -71,7 +71,7 @@ def test_program_of_a_port_is_named_by_its_script(look, tmp_path):
 def test_unknown_program_may_be_the_suite():
     state = PlaceState("/nmea_out", "suite.yaml:4: sinks.a.port", port_resource("", PlaceKind.TCP, 10110), 98)
     (row,) = check_places([state], [])
-    assert row.found.endswith("TCP port 10110 is in use by another program, or by this suite if it already runs")
+    assert row.finding.endswith("TCP port 10110 is in use by another program, or by this suite if it already runs")
 
 
 @pytest.mark.parametrize(

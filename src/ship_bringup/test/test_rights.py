@@ -12,9 +12,9 @@ import pytest
 
 from ship_bags.errors import BadInput
 from ship_bringup.commands import policies
-from ship_bringup.security.policy_xml import governance_text, permissions_text, policy_text, published, subscribed
-from ship_bringup.security.rights import companions_of, device_of, nmea_in_topics, suite_rights
-from ship_bringup.suite.plan import checked_nodes
+from ship_bringup.security.policy_xml import governance_text, permissions_text, policy_text, written_topics, read_topics
+from ship_bringup.security.rights import load_companions, device_of, nmea_in_topics, suite_rights
+from ship_bringup.suite.plan import check_nodes
 
 PACKAGE = Path(__file__).parents[1]
 ROOT = PACKAGE.parents[1]
@@ -24,7 +24,7 @@ LAST = datetime.datetime(2027, 5, 1, tzinfo=datetime.timezone.utc)
 
 
 def rights_of(name, **options):
-    nodes, _ = checked_nodes(ROOT / "examples" / f"{name}.yaml", "demo")
+    nodes, _ = check_nodes(ROOT / "examples" / f"{name}.yaml", "demo")
     return {each.enclave: each for each in suite_rights([node.adapter for node in nodes], "demo", **options)}
 
 
@@ -73,7 +73,7 @@ def test_only_param_sets_parameters_unless_locked(locked):
 
 def test_clock_and_truth_need_played_bags():
     for rights in rights_of("two_sensors").values():
-        assert not any("clock" in topic or "truth" in topic for topic in published(rights) | subscribed(rights))
+        assert not any("clock" in topic or "truth" in topic for topic in written_topics(rights) | read_topics(rights))
     played = rights_of("two_sensors", played=True)
     assert [name for name, rights in played.items() if may(rights, "publish", "rt/clock")] == ["/demo/play"]
     assert may(played["/demo/ship_attitude"], "subscribe", "rt/clock")
@@ -93,7 +93,7 @@ NMEA = """
 def test_rights_of_nmea_nodes(tmp_path):
     path = tmp_path / "suite.yaml"
     path.write_text((ROOT / "examples" / "two_sensors.yaml").read_text() + NMEA)
-    companions = companions_of(path, "demo")
+    companions = load_companions(path, "demo")
     every = rights_of("two_sensors", companions=companions)
     out, into = every["/demo/nmea_out"], every["/demo/nmea_in"]
     assert out.subscribes == {"/demo/ship/attitude", "/demo/ship/alerts"}
@@ -114,7 +114,7 @@ def test_wrong_parameter_of_a_companion_is_one_line(tmp_path):
     path = tmp_path / "suite.yaml"
     path.write_text(NMEA.replace("becomes: ins", "becomes: gold"))
     with pytest.raises(BadInput, match=rf"^{path}:6: parameter 'sources.seapath.becomes'"):
-        companions_of(path, "demo")
+        load_companions(path, "demo")
 
 
 def test_services_are_two_topics_one_each_way():
@@ -163,11 +163,11 @@ def test_governance_requires_certificates():
 def test_fingerprint_depends_on_all_declarations():
     one = rights_of("two_sensors")["/demo/ship_attitude"]
     assert one.fingerprint == rights_of("two_sensors")["/demo/ship_attitude"].fingerprint
-    declared = [each.replace("sensor_msgs/msg/Imu", "sensor_msgs/msg/Imu2") for each in one.declared]
+    declared = [each.replace("sensor_msgs/msg/Imu", "sensor_msgs/msg/Imu2") for each in one.declarations]
     others = (
         {"publishes": one.publishes - {"/rosout"}},
         {"declared": tuple(declared)},
-        {"declared": one.declared[:-1]},
+        {"declared": one.declarations[:-1]},
         {"serves": one.serves | {"/demo/ship_attitude/more"}},
     )
     found = {one.fingerprint, *(type(one)(**{**vars(one), **change}).fingerprint for change in others)}

@@ -7,7 +7,7 @@ from types import MappingProxyType
 import pytest
 
 from ship_bringup.checks.check_line import Result
-from ship_bringup.checks.network_look import STRONGER, ObservedTopic, NetworkState, Publisher, observed_rate_hz
+from ship_bringup.checks.network_look import STRONGER_QOS, ObservedTopic, NetworkState, Publisher, observed_rate_hz
 from ship_bringup.checks.sensor_check import find_requested_qos, check_sensors
 from ship_node.edge.topics import InputTopic
 from ship_watch.limits import InputLimits, Limits
@@ -21,13 +21,13 @@ LIMITS = Limits(inputs={"ins": InputLimits(rate_hz=90.0)})
 def evaluate(limits=LIMITS, requested_qos=MappingProxyType({}), **changes):
     observed = dataclasses.replace(GOOD, **changes)
     (row,) = check_sensors(NetworkState("rmw", inputs=(observed,)), limits, {"ins/imu": 2.0}, requested_qos)
-    return row.result, row.found
+    return row.result, row.finding
 
 
 def test_good_sensor():
     assert evaluate() == (Result.OK, "ins/imu: 100 Hz from /ins_driver, stamps 0.012 s old")
     assert evaluate(age_s=None) == (Result.OK, "ins/imu: 100 Hz from /ins_driver")
-    assert evaluate(requested_qos={"ins/imu": dict.fromkeys(STRONGER, "x")})[0] is Result.OK
+    assert evaluate(requested_qos={"ins/imu": dict.fromkeys(STRONGER_QOS, "x")})[0] is Result.OK
 
 
 @pytest.mark.parametrize(
@@ -60,7 +60,7 @@ def test_single_message_of_a_slow_sensor():
 )
 def test_rate_from_mean_interval(count, span_s, rate_hz):
     """In five seconds: 2 Hz, a last message just in time or not, three and then none, a burst."""
-    assert observed_rate_hz(count, span_s, listened_s=5.0) == pytest.approx(rate_hz)
+    assert observed_rate_hz(count, span_s, observed_s=5.0) == pytest.approx(rate_hz)
 
 
 @pytest.mark.parametrize(
@@ -103,7 +103,7 @@ def test_optional_sensor_without_data_is_a_warning():
 
 @pytest.mark.parametrize("quality", ["reliable", "transient_local"])
 def test_unmet_quality_of_service_fails(quality):
-    weak = (dataclasses.replace(DRIVER, offers=STRONGER - {quality}),)
+    weak = (dataclasses.replace(DRIVER, offers=STRONGER_QOS - {quality}),)
     assert evaluate(publishers=weak)[0] is Result.OK
     setting = "qos_overrides in the suite file"
     result, found = evaluate(publishers=weak, requested_qos={"ins/imu": {quality: setting}})
@@ -130,7 +130,7 @@ def test_required_input_of_nmea_in_fails_until_received():
     silent = NetworkState("rmw", inputs=(dataclasses.replace(GOOD, publishers=()),))
     (row,) = check_sensors(silent, LIMITS, {}, {}, ["ins/imu"], "./ros2run nmea_in")
     assert row.result is Result.FAIL
-    assert row.found == "ins/imu: not received: no publisher before nmea_in runs, which the suite starts"
+    assert row.finding == "ins/imu: not received: no publisher before nmea_in runs, which the suite starts"
     assert row.advice == "start ./ros2run nmea_in, then preflight again, and end it before the suite"
     spare = dataclasses.replace(GOOD, input=dataclasses.replace(GOOD.input, required=False), publishers=())
     (row,) = check_sensors(NetworkState("rmw", inputs=(spare,)), LIMITS, {}, {}, ["ins/imu"])
@@ -146,7 +146,7 @@ def test_two_publishers_are_a_warning():
 
 def test_failed_observation_fails():
     (row,) = check_sensors(NetworkState(failure="no rmw"), LIMITS, {}, {})
-    assert (row.result, row.found) == (Result.FAIL, "nothing could be received: no rmw")
+    assert (row.result, row.finding) == (Result.FAIL, "nothing could be received: no rmw")
 
 
 def test_requested_quality_of_service_of_a_suite_file(tmp_path):

@@ -49,9 +49,9 @@ def test_begin_resets_the_heartbeat_age():
     """Heartbeats sent in reserve are no evidence of its work."""
     heartbeats = HeartbeatSocket()
     process = Process([sys.executable, "-c", "input()"], heartbeats.sender_descriptor, waits=True)
-    process.heartbeat_age.restart(has_beaten=True)
+    process.heartbeat_age.reset(has_heartbeat=True)
     process.heartbeat_age.time_s = 4.0
     process.begin()
-    assert (process.heartbeat_age.has_beaten, process.heartbeat_age.time_s) == (False, 0.0)
+    assert (process.heartbeat_age.has_heartbeat, process.heartbeat_age.time_s) == (False, 0.0)
     assert process.close() == 0
     heartbeats.close()

@@ -92,7 +92,7 @@ def test_file_is_in_the_log_folder_of_ros(monkeypatch, tmp_path):
     assert log_path("fleet/aurora") == tmp_path / "other" / "suite_fleet_aurora.log"
 
 
-KEEPER = """
+SUPERVISOR = """
 import sys
 from pathlib import Path
 from ship_bringup.suite.keeper import Keeper
@@ -107,7 +107,7 @@ raise SystemExit(Keeper([Program("p", (sys.executable, "-c", text))], SuiteLog(P
 @pytest.mark.parametrize("stdout", ["closed pipe", "/dev/full"])
 def test_suite_continues_without_stdout(tmp_path, stdout):
     pid, log = tmp_path / "pid", tmp_path / "suite.log"
-    command = [sys.executable, "-c", KEEPER.format(pid=str(pid), log=str(log))]
+    command = [sys.executable, "-c", SUPERVISOR.format(pid=str(pid), log=str(log))]
     with open("/dev/full", "wb") as full:
         keeper = subprocess.Popen(command, stdout=subprocess.PIPE if stdout == "closed pipe" else full)
     if keeper.stdout:

@@ -10,7 +10,7 @@ from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE
 from ship_bags.errors import one_line
 from ship_estimation.parameter_rows import in_columns
 
-MOST_ROWS = 12
+MAX_ROWS = 12
 """Maximum number of rows shown for one check; the others are counted."""
 
 
@@ -39,13 +39,13 @@ class CheckLine:
 
     check: str
     result: Result
-    found: str
+    finding: str
     advice: str = ""
 
 
 def table(lines: Sequence[CheckLine]) -> list[str]:
     """Return the rows as lines of text; the advice is on a line below the finding."""
-    shown = in_columns([("check", "result", "found"), *((x.check, x.result.value, one_line(x.found)) for x in lines)])
+    shown = in_columns([("check", "result", "found"), *((x.check, x.result.value, one_line(x.finding)) for x in lines)])
     indent = shown[0].index("found")
     text = shown[:1]
     for row, line in zip(shown[1:], lines, strict=True):
@@ -58,21 +58,21 @@ def table(lines: Sequence[CheckLine]) -> list[str]:
 def summary_text(lines: Sequence[CheckLine]) -> str:
     """Return the last line: ready or not ready, and the numbers of failed, warning and unchecked rows."""
     counts = Counter(line.result for line in lines)
-    words = [
+    parts = [
         f"{counts[result]} {name}{'s' if result is Result.WARN and counts[result] > 1 else ''}"
         for result, name in ((Result.FAIL, "failed"), (Result.WARN, "warning"), (Result.NOT_CHECKED, "not checked"))
         if counts[result]
     ]
-    return f"{'NOT READY' if counts[Result.FAIL] else 'READY'}: {', '.join(words) or 'all checks passed'}"
+    return f"{'NOT READY' if counts[Result.FAIL] else 'READY'}: {', '.join(parts) or 'all checks passed'}"
 
 
 def worst_first(checks: Iterable[Iterable[CheckLine]]) -> list[CheckLine]:
     """Return the rows of all checks: failures first, then warnings, then the others, in the order of the checks."""
-    lines = [line for check in checks for line in bounded(check)]
+    lines = [line for check in checks for line in limit_rows(check)]
     return sorted(lines, key=lambda line: _ORDER.index(line.result))
 
 
-def rounded(value: float) -> str:
+def format_number(value: float) -> str:
     """Return a number with three significant digits, never with an exponent.
 
     Example:
@@ -85,13 +85,13 @@ def rounded(value: float) -> str:
     return text.rstrip("0").rstrip(".") if "." in text else text
 
 
-def bounded(lines: Iterable[CheckLine]) -> list[CheckLine]:
+def limit_rows(lines: Iterable[CheckLine]) -> list[CheckLine]:
     """Return the worst rows of one check first, each once, and the number of further rows."""
     ordered = sorted(dict.fromkeys(lines), key=lambda line: _ORDER.index(line.result))
-    if len(ordered) <= MOST_ROWS:
+    if len(ordered) <= MAX_ROWS:
         return ordered
-    rest = ordered[MOST_ROWS - 1 :]
-    return [*ordered[: MOST_ROWS - 1], CheckLine(rest[0].check, rest[0].result, f"and {len(rest)} more")]
+    rest = ordered[MAX_ROWS - 1 :]
+    return [*ordered[: MAX_ROWS - 1], CheckLine(rest[0].check, rest[0].result, f"and {len(rest)} more")]
 
 
 def exit_code(lines: Iterable[CheckLine]) -> int:

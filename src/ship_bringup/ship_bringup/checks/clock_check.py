@@ -10,7 +10,7 @@ import shutil
 import subprocess
 from dataclasses import dataclass
 
-from ship_bringup.checks.check_line import CheckLine, Result, rounded
+from ship_bringup.checks.check_line import CheckLine, Result, format_number
 from ship_watch.limits import Limits
 
 TURN_DEG_PER_S = 5.0
@@ -19,9 +19,9 @@ TURN_DEG_PER_S = 5.0
 _CHECK = "clock"
 _CHRONY = ("chronyc", "-n", "tracking")
 _PTP = ("pmc", "-u", "-b", "0", "GET TIME_STATUS_NP")
-_ANSWER_S = 5.0
+_ANSWER_TIMEOUT_S = 5.0
 _NUMBER = r"([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)"
-_TO_DO = "set up chrony with the ship's GNSS receiver or time server, or ptp4l and phc2sys"
+_ADVICE = "set up chrony with the ship's GNSS receiver or time server, or ptp4l and phc2sys"
 
 
 @dataclass(frozen=True)
@@ -42,28 +42,28 @@ class ClockState:
     bound_s: float = math.nan
     is_synchronised: bool = False
     detail: str = ""
-    is_dead: bool = False
+    is_unresponsive: bool = False
 
 
-def look_at_clock() -> ClockState:
+def read_clock_state() -> ClockState:
     """Read the state from chrony, otherwise from PTP."""
-    details, is_dead = [], False
+    details, is_unresponsive = [], False
     for command, read in ((_CHRONY, chrony_state), (_PTP, ptp_state)):
         if shutil.which(command[0]) is None:
             details.append(f"no {command[0]}")
             continue
-        is_dead = True
+        is_unresponsive = True
         try:
-            run = subprocess.run(command, capture_output=True, text=True, timeout=_ANSWER_S, check=False)
+            run = subprocess.run(command, capture_output=True, text=True, timeout=_ANSWER_TIMEOUT_S, check=False)
         except subprocess.TimeoutExpired:
-            details.append(f"{command[0]} gave no answer within {_ANSWER_S:g} s")
+            details.append(f"{command[0]} gave no answer within {_ANSWER_TIMEOUT_S:g} s")
             continue
         state = read(run.stdout)
         if state is not None:
             return state
         output_lines = (run.stderr or run.stdout).strip().splitlines()
         details.append(f"{command[0]} reports: {output_lines[-1] if output_lines else 'nothing'}")
-    return ClockState("", detail=", ".join(details), is_dead=is_dead)
+    return ClockState("", detail=", ".join(details), is_unresponsive=is_unresponsive)
 
 
 def chrony_state(text: str) -> ClockState | None:
@@ -94,19 +94,19 @@ def ptp_state(text: str) -> ClockState | None:
 
 def check_clock(state: ClockState, limits: Limits) -> CheckLine:
     """Check the clock against the ship's limits: FAIL over the limit of stamps, WARN over that of the heading."""
-    if state.is_dead:
+    if state.is_unresponsive:
         found = f"no program synchronises the clock: {state.detail}"
         return CheckLine(_CHECK, Result.FAIL, found, "start it: systemctl status chrony, or ptp4l and phc2sys")
     if not state.source:
-        return CheckLine(_CHECK, Result.WARN, f"neither chrony nor PTP: {state.detail}", _TO_DO)
+        return CheckLine(_CHECK, Result.WARN, f"neither chrony nor PTP: {state.detail}", _ADVICE)
     if not state.is_synchronised:
-        return CheckLine(_CHECK, Result.FAIL, f"{state.source} is not synchronised ({state.detail})", _TO_DO)
-    turn_arcsec = arcsec_in_a_turn(state.offset_s)
-    found = f"{state.source}: {rounded(state.offset_s * 1e3)} ms off, {rounded(turn_arcsec)}\""
+        return CheckLine(_CHECK, Result.FAIL, f"{state.source} is not synchronised ({state.detail})", _ADVICE)
+    turn_arcsec = turn_angle_arcsec(state.offset_s)
+    found = f"{state.source}: {format_number(state.offset_s * 1e3)} ms off, {format_number(turn_arcsec)}\""
     found += f" at {TURN_DEG_PER_S:g} deg/s"
     if math.isfinite(state.bound_s):
-        bound_arcsec = arcsec_in_a_turn(state.bound_s)
-        found += f" (error bound {rounded(state.bound_s * 1e3)} ms, {rounded(bound_arcsec)}\")"
+        bound_arcsec = turn_angle_arcsec(state.bound_s)
+        found += f" (error bound {format_number(state.bound_s * 1e3)} ms, {format_number(bound_arcsec)}\")"
     if not state.offset_s <= limits.machine.clock_offset_s:
         over = f"over machine.clock_offset_s, {limits.machine.clock_offset_s * 1e3:g} ms"
         return CheckLine(_CHECK, Result.FAIL, f"{found}: {over}", "wait until it has settled: chronyc waitsync")
@@ -116,6 +116,6 @@ def check_clock(state: ClockState, limits: Limits) -> CheckLine:
     return CheckLine(_CHECK, Result.OK, found)
 
 
-def arcsec_in_a_turn(offset_s: float) -> float:
+def turn_angle_arcsec(offset_s: float) -> float:
     """Return the angle of a turn at :data:`TURN_DEG_PER_S` in this time, arcsec: 18 per millisecond."""
     return TURN_DEG_PER_S * 3600.0 * offset_s

@@ -23,12 +23,12 @@ REPORTS_BYTES_PER_S = 8000.0
 """Diagnostics, health, alignment, budget and integrity of one node: 5.6 and 7.2 kB/s in the suites of bags/."""
 
 _TICKS_BYTES_PER_S = 10 * 120.0
-_GIVEN_SHARE = 2.0
+_OUTPUT_RATIO = 2.0
 _CHECK = "disk"
 _SECONDS_PER_HOUR = 3600.0
 _GB = 1e9
 
-_USUAL = {
+_TYPICAL_STREAMS = {
     "ins": (100.0, 316),
     "reference": (100.0, 316),
     "ship": (100.0, 310),
@@ -39,7 +39,7 @@ _USUAL = {
     "met": (1.0, 36),
 }
 """First word of a topic → rate in Hz and message length, as in the suites of bags/; stars: twenty per message."""
-_UNKNOWN = (10.0, 500)
+_DEFAULT_STREAM = (10.0, 500)
 
 
 @dataclass(frozen=True)
@@ -75,15 +75,15 @@ def estimate_write_rates(adapters: Sequence[Adapter], observed: Sequence[Observe
         heard: inputs as received; for others, typical values are used.
     """
     streams = {each.input.topic: (each.rate_hz, each.message_bytes) for each in observed if each.rate_hz > 0.0}
-    given_inside = {topic.topic for adapter in adapters for topic in adapter.outputs}
-    outside = {topic.topic for adapter in adapters for topic in adapter.inputs} - given_inside
-    taken = [sum(_stream_bytes(topic.topic, streams) for topic in adapter.inputs) for adapter in adapters]
-    given = [_GIVEN_SHARE * each + REPORTS_BYTES_PER_S for each in taken]
-    boxes = sum(taken) + sum(given) + _TICKS_BYTES_PER_S * len(adapters)
-    return WriteRates(sum(_stream_bytes(topic, streams) for topic in outside) + sum(given), boxes)
+    own_outputs = {topic.topic for adapter in adapters for topic in adapter.outputs}
+    external_inputs = {topic.topic for adapter in adapters for topic in adapter.inputs} - own_outputs
+    input_bytes_per_s = [sum(_stream_bytes(topic.topic, streams) for topic in adapter.inputs) for adapter in adapters]
+    output_bytes_per_s = [_OUTPUT_RATIO * each + REPORTS_BYTES_PER_S for each in input_bytes_per_s]
+    boxes = sum(input_bytes_per_s) + sum(output_bytes_per_s) + _TICKS_BYTES_PER_S * len(adapters)
+    return WriteRates(sum(_stream_bytes(topic, streams) for topic in external_inputs) + sum(output_bytes_per_s), boxes)
 
 
-def look_at_disk(folder: Path) -> DiskState:
+def read_disk_state(folder: Path) -> DiskState:
     """Return the disk of a folder, or of its nearest existing parent."""
     place = folder.absolute()
     while not place.exists() and place != place.parent:
@@ -95,7 +95,7 @@ def look_at_disk(folder: Path) -> DiskState:
 
 
 def check_disk(
-    state: DiskState, needs_bytes_per_s: float, hours: float, limits: Limits, must_be_there: str = ""
+    state: DiskState, needs_bytes_per_s: float, hours: float, limits: Limits, required_by: str = ""
 ) -> Iterator[CheckLine]:
     """Check that the free space is sufficient for a number of hours.
 
@@ -115,10 +115,10 @@ def check_disk(
     free_gb = state.free_bytes / _GB
     found = f"{state.folder}: {free_gb:.1f} GB free, {needs}"
     if state.measured_folder is not None and state.measured_folder != state.folder.absolute():
-        if must_be_there:
+        if required_by:
             # If it is not mounted, the parent folder is on another disk.
-            found = f"{state.folder}, named by {must_be_there}, is not there; {needs}"
-            yield CheckLine(_CHECK, Result.FAIL, found, f"mount the disk, or correct {must_be_there}")
+            found = f"{state.folder}, named by {required_by}, is not there; {needs}"
+            yield CheckLine(_CHECK, Result.FAIL, found, f"mount the disk, or correct {required_by}")
             return
         found = f"{state.folder} is not there yet: {free_gb:.1f} GB free in {state.measured_folder}, {needs}"
     if not free_gb >= need_gb:
@@ -131,5 +131,5 @@ def check_disk(
 
 
 def _stream_bytes(topic: str, streams: Mapping[str, tuple[float, float]]) -> float:
-    rate_hz, message_bytes = streams.get(topic) or _USUAL.get(topic.partition("/")[0], _UNKNOWN)
+    rate_hz, message_bytes = streams.get(topic) or _TYPICAL_STREAMS.get(topic.partition("/")[0], _DEFAULT_STREAM)
     return rate_hz * (message_bytes + ENTRY_BYTES)

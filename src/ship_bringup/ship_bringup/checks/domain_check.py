@@ -8,7 +8,7 @@ from ship_bringup.checks.network_look import NetworkState
 from ship_bringup.security.demand import DOMAIN, LAST_DOMAIN
 
 _CHECK = "domain"
-_RANGE, _PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
+_DISCOVERY_RANGE, _STATIC_PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
 _RANGES = "SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT"
 _LAST_SAFE_DOMAIN = 101
 """Ports of higher domains are in the range that Linux assigns to any program."""
@@ -28,18 +28,18 @@ def check_settings(environment: Mapping[str, str]) -> Iterator[CheckLine]:
         yield CheckLine(_CHECK, Result.WARN, found, f"use one up to {_LAST_SAFE_DOMAIN}")
     else:
         yield CheckLine(_CHECK, Result.OK, f"{DOMAIN} is {text}")
-    reach = environment.get(_RANGE, "")
+    reach = environment.get(_DISCOVERY_RANGE, "")
     if reach and reach not in _RANGES:
         expected = f"expected one of {', '.join(_RANGES)}"
-        yield CheckLine(_CHECK, Result.FAIL, f"{_RANGE} is '{reach}': {expected}", f"export {_RANGE}=SUBNET")
-    elif reach == "OFF" and not environment.get(_PEERS):
-        advice = f"export {_RANGE}=SUBNET, or name the others in {_PEERS}"
-        yield CheckLine(_CHECK, Result.FAIL, f"{_RANGE} is OFF without {_PEERS}: no other node is discovered", advice)
+        yield CheckLine(_CHECK, Result.FAIL, f"{_DISCOVERY_RANGE} is '{reach}': {expected}", f"export {_DISCOVERY_RANGE}=SUBNET")
+    elif reach == "OFF" and not environment.get(_STATIC_PEERS):
+        advice = f"export {_DISCOVERY_RANGE}=SUBNET, or name the others in {_STATIC_PEERS}"
+        yield CheckLine(_CHECK, Result.FAIL, f"{_DISCOVERY_RANGE} is OFF without {_STATIC_PEERS}: no other node is discovered", advice)
     else:
         yield CheckLine(_CHECK, Result.OK, f"range of discovery: {reach or 'SUBNET'}")
 
 
-def check_domain(state: NetworkState, own: Collection[str], beside: Collection[str] = ()) -> Iterator[CheckLine]:
+def check_domain(state: NetworkState, own: Collection[str], companions: Collection[str] = ()) -> Iterator[CheckLine]:
     """Check the nodes in the domain.
 
     Args:
@@ -55,13 +55,13 @@ def check_domain(state: NetworkState, own: Collection[str], beside: Collection[s
     if running:
         found = f"{', '.join(running)} is running already"
         yield CheckLine(_CHECK, Result.FAIL, found, "end that suite first: two nodes must not have the same name")
-    by_hand = sorted(set(beside) & set(state.nodes))
+    by_hand = sorted(set(companions) & set(state.nodes))
     if by_hand:
         advice = "end it before the suite is started, which starts its own: both would use the same ports and devices"
         yield CheckLine(_CHECK, Result.WARN, f"{', '.join(by_hand)} is running already", advice)
-    others = {node for names in state.given.values() for node in names} - set(own)
-    for topic in sorted(topic for topic, names in state.given.items() if others & set(names)):
-        names = ", ".join(sorted(set(state.given[topic]) - set(own)))
+    others = {node for names in state.already_published.values() for node in names} - set(own)
+    for topic in sorted(topic for topic, names in state.already_published.items() if others & set(names)):
+        names = ", ".join(sorted(set(state.already_published[topic]) - set(own)))
         found = f"{topic}, an output of the suite, is published by {names}"
         yield CheckLine(_CHECK, Result.FAIL, found, "end it, or use another domain or --namespace for the suite")
     if state.has_clock:
@@ -71,9 +71,9 @@ def check_domain(state: NetworkState, own: Collection[str], beside: Collection[s
         if count > 1:
             yield CheckLine(_CHECK, Result.WARN, f"{count} nodes are called {name}", "give each a name of its own")
     drivers = {publisher.node for heard in state.inputs for publisher in heard.publishers}
-    strangers = sorted(set(state.nodes) - drivers - set(own) - set(beside) - others)
-    if strangers:
+    unknown_nodes = sorted(set(state.nodes) - drivers - set(own) - set(companions) - others)
+    if unknown_nodes:
         advice = "if they are not the ship's: another domain, or DDS security"
-        yield CheckLine(_CHECK, Result.WARN, f"not part of the suite: {', '.join(strangers)}", advice)
+        yield CheckLine(_CHECK, Result.WARN, f"not part of the suite: {', '.join(unknown_nodes)}", advice)
     found = f"{state.rmw}; sensors: {', '.join(sorted(drivers)) or 'none'}"
     yield CheckLine(_CHECK, Result.OK, found)

@@ -35,17 +35,17 @@ class PathState:
     """
 
     path: Path
-    what: str
+    named_by: str
     is_device: bool
-    is_there: bool
+    exists: bool
     readable: bool
     writable: bool
-    is_other: bool = False
+    is_wrong_kind: bool = False
 
 
-def look_at_files(suite_path: Path, box: Path | None) -> list[PathState]:
+def read_path_states(suite_path: Path, box: Path | None) -> list[PathState]:
     """Return all paths in a suite file, and the folder of the black boxes."""
-    found = [] if box is None else [_state(box, "--box", makes_parents=True)]
+    found = [] if box is None else [_state(box, "--box", creates_parents=True)]
     for section in read_sections(suite_path)[1]:
         for name, (value, line) in section.parameters.items():
             if not isinstance(value, str) or not value:
@@ -57,7 +57,7 @@ def look_at_files(suite_path: Path, box: Path | None) -> list[PathState]:
     return found
 
 
-def check_files(states: Sequence[PathState], without: Sequence[str]) -> Iterator[CheckLine]:
+def check_files(states: Sequence[PathState], missing_settings: Sequence[str]) -> Iterator[CheckLine]:
     """Check all paths.
 
     Args:
@@ -65,26 +65,26 @@ def check_files(states: Sequence[PathState], without: Sequence[str]) -> Iterator
         without: settings of nodes that should name a saved file and do not, one line each.
     """
     user = getpass.getuser()
-    for text in without:
+    for text in missing_settings:
         yield CheckLine(_CHECK, Result.WARN, text, "configure a file: docs/how-to/bring_up.md")
     for state in states:
         problem, advice = _problem(state, user)
         result = Result.FAIL if problem else Result.OK
-        yield CheckLine(_CHECK, result, f"{state.what} {state.path}: {problem or 'good'}", advice)
-    if not states and not without:
+        yield CheckLine(_CHECK, result, f"{state.named_by} {state.path}: {problem or 'good'}", advice)
+    if not states and not missing_settings:
         yield CheckLine(_CHECK, Result.OK, "the suite file names no file and no device")
 
 
 def _problem(state: PathState, user: str) -> tuple[str, str]:
-    if state.is_other:
+    if state.is_wrong_kind:
         if state.is_device:
             return "is no serial device", "use for example /dev/ttyUSB0, or check its name: ls /dev/serial/by-id"
         return "is a folder", f"use a file in it, for example {state.path / 'attitude.nmea'}"
-    if state.is_device and not state.is_there:
+    if state.is_device and not state.exists:
         return "is not there", "plug the device in, or check its name: ls /dev/serial/by-id"
     if state.is_device and not (state.readable and state.writable):
         return f"user {user} may not read and write it", f"sudo usermod -aG dialout {user}, then log in again"
-    if state.is_there and not (state.readable and state.writable):
+    if state.exists and not (state.readable and state.writable):
         return f"user {user} may not read and write it", f"sudo chown {user} {state.path}"
     if not state.writable:
         return f"user {user} cannot create it", f"create its folder: mkdir -p {state.path.parent}"
@@ -92,23 +92,23 @@ def _problem(state: PathState, user: str) -> tuple[str, str]:
 
 
 def _state(
-    path: Path, what: str, is_device: bool = False, makes_parents: bool = False, is_appended: bool = False
+    path: Path, named_by: str, is_device: bool = False, creates_parents: bool = False, is_appended: bool = False
 ) -> PathState:
     if path.is_dir():
-        is_other = is_device or is_appended
-        return PathState(path, what, is_device, True, os.access(path, os.R_OK), _takes_files(path), is_other)
+        is_wrong_kind = is_device or is_appended
+        return PathState(path, named_by, is_device, True, os.access(path, os.R_OK), _can_create_file(path), is_wrong_kind)
     if path.exists():
         # A saved file is replaced by a new one, so its folder must be writable.
-        writable = os.access(path, os.W_OK) and (is_device or is_appended or _takes_files(path.parent))
-        is_other = is_device and not stat.S_ISCHR(path.stat().st_mode)
-        return PathState(path, what, is_device, True, os.access(path, os.R_OK), writable, is_other)
+        writable = os.access(path, os.W_OK) and (is_device or is_appended or _can_create_file(path.parent))
+        is_wrong_kind = is_device and not stat.S_ISCHR(path.stat().st_mode)
+        return PathState(path, named_by, is_device, True, os.access(path, os.R_OK), writable, is_wrong_kind)
     above = path.absolute().parent
-    while makes_parents and not above.exists() and above != above.parent:
+    while creates_parents and not above.exists() and above != above.parent:
         above = above.parent
-    return PathState(path, what, is_device, False, False, above.is_dir() and _takes_files(above))
+    return PathState(path, named_by, is_device, False, False, above.is_dir() and _can_create_file(above))
 
 
-def _takes_files(folder: Path) -> bool:
+def _can_create_file(folder: Path) -> bool:
     """True if a file can be created in a folder; tested with an unnamed temporary file."""
     try:
         with tempfile.TemporaryFile(dir=folder):

@@ -30,11 +30,11 @@ from ship_node.edge.topics import InputTopic
 
 NAME = "preflight"
 
-STRONGER = frozenset({"reliable", "transient_local"})
+STRONGER_QOS = frozenset({"reliable", "transient_local"})
 """Qualities of service that a subscriber may require; it receives nothing from publishers that lack them."""
 
 _DEPTH = 200
-_MOST_STAMPS = 200
+_MAX_STAMPS = 200
 """Maximum number of newest messages of a topic whose stamps are compared with the clock."""
 
 _DISCOVERY_S = 4.0
@@ -43,18 +43,18 @@ _DISCOVERY_S = 4.0
 On one machine it takes 0.06 s to 1.6 s. If the first announcements of a participant are lost, the next follow after
 3 s.
 """
-_FIRST_MESSAGE_S = 12.0
+_FIRST_MESSAGE_TIMEOUT_S = 12.0
 """Additional timeout for the first message of a required topic, s.
 
 On a busy machine its publisher may be discovered late, and matched later still.
 """
 
-_ENOUGH_S = 0.1
+_POLL_S = 0.1
 """Period at which the end conditions are checked, s."""
 
 _UNNAMED = "_NODE_NAME_UNKNOWN_"
 """Node name of a publisher that was discovered before its node."""
-_NAMES_S = 5.0
+_NODE_NAME_TIMEOUT_S = 5.0
 """Timeout for the name of a publisher's node, s; a publisher that is no ROS node never gets a name."""
 
 
@@ -64,7 +64,7 @@ class Publisher:
 
     node: str
     type_name: str
-    offers: frozenset[str] = STRONGER
+    offered_qos: frozenset[str] = STRONGER_QOS
 
 
 @dataclass(frozen=True)
@@ -104,12 +104,12 @@ class NetworkState:
     rmw: str = ""
     nodes: tuple[str, ...] = ()
     inputs: tuple[ObservedTopic, ...] = ()
-    given: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    already_published: dict[str, tuple[str, ...]] = field(default_factory=dict)
     has_clock: bool = False
     failure: str = ""
 
 
-def look_at_network(
+def observe_network(
     inputs: Sequence[InputTopic],
     outputs: Sequence[str],
     namespace: str,
@@ -131,25 +131,25 @@ def look_at_network(
     rules += [f"{name}:={ship_name}" for name, ship_name in ship_names.items()]
     arguments = ["--ros-args", *(word for rule in rules for word in ("-r", rule))] if rules else []
     try:
-        with command_node(NAME, arguments) as node, _spinning(node) as spin:
-            ears = [_Ear(node, topic, listen_s) for topic in inputs]
+        with command_node(NAME, arguments) as node, _spinner(node) as spin:
+            observers = [_TopicObserver(node, topic, listen_s) for topic in inputs]
             spin(_DISCOVERY_S + listen_s, lambda: False)
-            spin(_FIRST_MESSAGE_S, lambda: not any(ear.is_awaited for ear in ears))
+            spin(_FIRST_MESSAGE_TIMEOUT_S, lambda: not any(observer.is_awaited for observer in observers))
             # Optional inputs may have started meanwhile; each is received for its full time.
-            spin(len(ears) * listen_s, lambda: all(ear.is_done or not ear.has_received for ear in ears))
-            _await_names(node, [*outputs, *(topic.topic for topic in inputs)])
+            spin(len(observers) * listen_s, lambda: all(ear.is_done or not ear.has_received for ear in observers))
+            _wait_for_names(node, [*outputs, *(topic.topic for topic in inputs)])
             return NetworkState(
                 rmw=get_rmw_implementation_identifier(),
-                nodes=_others(node),
-                inputs=tuple(ear.observed_topic() for ear in ears),
-                given={topic: names for topic in outputs if (names := _nodes_of(node, topic))},
+                nodes=_other_nodes(node),
+                inputs=tuple(ear.observed_topic() for ear in observers),
+                already_published={topic: names for topic in outputs if (names := _publishing_nodes(node, topic))},
                 has_clock=any(node.count_publishers(name) for name in ("/clock", full_name("clock", namespace))),
             )
     except (BadInput, RuntimeError) as problem:
         return NetworkState(failure=str(problem))
 
 
-def observed_rate_hz(count: int, span_s: float, listened_s: float) -> float:
+def observed_rate_hz(count: int, span_s: float, observed_s: float) -> float:
     """Return messages per second from their mean interval; at most the number divided by the whole time.
 
     Args:
@@ -159,11 +159,11 @@ def observed_rate_hz(count: int, span_s: float, listened_s: float) -> float:
     """
     if count < 2:
         return 0.0
-    in_all_hz = count / listened_s
+    in_all_hz = count / observed_s
     return min((count - 1) / span_s, in_all_hz) if span_s > 0.0 else in_all_hz
 
 
-class _Ear:
+class _TopicObserver:
     """One subscription, and its messages in the time from the first one on."""
 
     def __init__(self, node: Node, topic: InputTopic, listen_s: float) -> None:
@@ -214,7 +214,7 @@ class _Ear:
         self._count += 1
         self._bytes += len(data)
         self._newest.append((data, time.time_ns()))
-        del self._newest[:-_MOST_STAMPS]
+        del self._newest[:-_MAX_STAMPS]
 
     def _age_s(self) -> float | None:
         messages = [(deserialize_message(data, self._kind), came_ns) for data, came_ns in self._newest]
@@ -223,7 +223,7 @@ class _Ear:
 
 
 @contextlib.contextmanager
-def _spinning(node: Node) -> Iterator[Callable[[float, Callable[[], bool]], None]]:
+def _spinner(node: Node) -> Iterator[Callable[[float, Callable[[], bool]], None]]:
     """Yield a function that handles the callbacks of a node for some seconds, or until a condition holds."""
     executor = SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
@@ -231,7 +231,7 @@ def _spinning(node: Node) -> Iterator[Callable[[float, Callable[[], bool]], None
     def spin(seconds: float, is_enough: Callable[[], bool]) -> None:
         end_s = time.monotonic() + seconds
         while (left_s := end_s - time.monotonic()) > 0.0 and not is_enough():
-            executor.spin_once(timeout_sec=min(left_s, _ENOUGH_S))
+            executor.spin_once(timeout_sec=min(left_s, _POLL_S))
 
     try:
         yield spin
@@ -239,13 +239,13 @@ def _spinning(node: Node) -> Iterator[Callable[[float, Callable[[], bool]], None
         executor.shutdown()
 
 
-def _await_names(node: Node, topics: Sequence[str]) -> None:
+def _wait_for_names(node: Node, topics: Sequence[str]) -> None:
     """Wait until the names of the nodes that publish some topics are known, or until a timeout.
 
     Discovery continues without spinning. Callbacks are not handled meanwhile, so that no further message is counted.
     """
-    end_s = time.monotonic() + _NAMES_S
-    while any(_UNNAMED in name for topic in topics for name in _nodes_of(node, topic)) and time.monotonic() < end_s:
+    end_s = time.monotonic() + _NODE_NAME_TIMEOUT_S
+    while any(_UNNAMED in name for topic in topics for name in _publishing_nodes(node, topic)) and time.monotonic() < end_s:
         time.sleep(0.1)
 
 
@@ -255,17 +255,17 @@ def _publishers(node: Node, topic: str) -> tuple[Publisher, ...]:
         Publisher(
             full_name(info.node_name, info.node_namespace),
             info.topic_type,
-            STRONGER & {info.qos_profile.reliability.name.lower(), info.qos_profile.durability.name.lower()},
+            STRONGER_QOS & {info.qos_profile.reliability.name.lower(), info.qos_profile.durability.name.lower()},
         )
         for info in node.get_publishers_info_by_topic(name)
     )
 
 
-def _nodes_of(node: Node, topic: str) -> tuple[str, ...]:
+def _publishing_nodes(node: Node, topic: str) -> tuple[str, ...]:
     return tuple(publisher.node for publisher in _publishers(node, topic))
 
 
-def _others(node: Node) -> tuple[str, ...]:
+def _other_nodes(node: Node) -> tuple[str, ...]:
     own = full_name(node.get_name(), node.get_namespace())
     named = (full_name(name, namespace) for name, namespace in node.get_node_names_and_namespaces())
     return tuple(sorted(name for name in named if name != own and not name.rpartition("/")[2].startswith("_")))

@@ -23,7 +23,7 @@ from ship_node.parameters.places import MachineResource, PlaceKind, port_resourc
 _CHECK = "ports"
 _SOCKETS = {PlaceKind.UDP: socket.SOCK_DGRAM, PlaceKind.TCP: socket.SOCK_STREAM}
 _TABLES = {PlaceKind.UDP: ("udp", "udp6"), PlaceKind.TCP: ("tcp", "tcp6")}
-_LISTENS = {"udp": "07", "udp6": "07", "tcp": "0A", "tcp6": "0A"}
+_BLOCKING_STATES = {"udp": "07", "udp6": "07", "tcp": "0A", "tcp6": "0A"}
 """Socket states in the system's table that prevent binding the same port."""
 _ANY_PORT = 0
 
@@ -47,7 +47,7 @@ class PlaceState:
     holder: str = ""
 
 
-def look_at_places(path: Path, namespace: str, companions: Mapping[str, Any]) -> Iterator[PlaceState]:
+def read_place_states(path: Path, namespace: str, companions: Mapping[str, Any]) -> Iterator[PlaceState]:
     """Yield the states of all ports and devices of a suite's NMEA nodes; files are left out, as several may open them.
 
     Args:
@@ -63,9 +63,9 @@ def look_at_places(path: Path, namespace: str, companions: Mapping[str, Any]) ->
             named_by = f"{path}:{file.line_of(place.parameter)}: {place.parameter}"
             if place.kind in _SOCKETS:
                 error = _binding_error(place)
-                holder = _holder(_sockets(place)) if error == errno.EADDRINUSE else ""
+                holder = _holding_program(_sockets(place)) if error == errno.EADDRINUSE else ""
                 yield PlaceState(node, named_by, place, error, holder)
-            elif _is_device(str(place.name)) and (holder := _holder({os.path.realpath(str(place.name))})):
+            elif _is_device(str(place.name)) and (holder := _holding_program({os.path.realpath(str(place.name))})):
                 yield PlaceState(node, named_by, place, errno.EADDRINUSE, holder)
 
 
@@ -83,7 +83,7 @@ def check_places(states: Sequence[PlaceState], running: Collection[str]) -> Iter
             continue
         problem, advice = _problem(state)
         good = "is available" if state.place.name else "is an address of this machine"
-        found = f"{state.named_by}: {_words(state.place)} {problem or good}"
+        found = f"{state.named_by}: {_place_text(state.place)} {problem or good}"
         yield CheckLine(_CHECK, Result.FAIL if problem else Result.OK, found, advice)
 
 
@@ -101,17 +101,17 @@ def _problem(state: PlaceState) -> tuple[str, str]:
     return f"is not available: {os.strerror(state.error)}", "correct it in the suite file"
 
 
-def _words(place: MachineResource) -> str:
+def _place_text(place: MachineResource) -> str:
     return str(place) if place.name else place.address
 
 
 def _binding_error(place: MachineResource) -> int:
     """Bind a port as the nodes do; return the errno of the failure, 0 if there is none."""
     try:
-        with socket.socket(socket.AF_INET, _SOCKETS[place.kind]) as tried:
+        with socket.socket(socket.AF_INET, _SOCKETS[place.kind]) as trial_socket:
             if place.kind is PlaceKind.TCP or place.is_group:
-                tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            tried.bind((place.address, int(place.name)))
+                trial_socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            trial_socket.bind((place.address, int(place.name)))
     except socket.gaierror:
         return errno.EADDRNOTAVAIL
     except OSError as problem:
@@ -135,28 +135,28 @@ def _sockets(place: MachineResource) -> set[str]:
         except OSError:
             continue
         for _, local, _, state, *others in map(str.split, rows):
-            if int(local.rpartition(":")[2], 16) == place.name and state == _LISTENS[table]:
+            if int(local.rpartition(":")[2], 16) == place.name and state == _BLOCKING_STATES[table]:
                 found.add(f"socket:[{others[5]}]")
     return found
 
 
-def _holder(names: Collection[str]) -> str:
+def _holding_program(names: Collection[str]) -> str:
     """Return the program that has one of some files open; empty if unknown, as for those of other users."""
     for process in filter(str.isdigit, os.listdir("/proc")):
         with contextlib.suppress(OSError):  # ended, or of another user
-            if any(_link(f"/proc/{process}/fd/{number}") in names for number in os.listdir(f"/proc/{process}/fd")):
-                return f"{_program(Path('/proc', process))} (process {process})"
+            if any(_link_target(f"/proc/{process}/fd/{number}") in names for number in os.listdir(f"/proc/{process}/fd")):
+                return f"{_program_name(Path('/proc', process))} (process {process})"
     return ""
 
 
-def _link(path: str) -> str:
+def _link_target(path: str) -> str:
     try:
         return os.readlink(path)
     except OSError:
         return ""  # closed meanwhile
 
 
-def _program(process: Path) -> str:
+def _program_name(process: Path) -> str:
     """Return the name of a process's program; for Python, of its script."""
     name = process.joinpath("comm").read_text(encoding="utf-8", errors="replace").strip()
     words = process.joinpath("cmdline").read_text(encoding="utf-8", errors="replace").split("\0")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ship_bags.live.dds import ENABLE, is_security_requested
 from ship_bringup.checks.check_line import CheckLine, Result
-from ship_bringup.security.demand import KEYSTORE, shortcomings
+from ship_bringup.security.demand import KEYSTORE, security_problems
 from ship_bringup.security.keystore import KeystoreUse, keystore_faults
 
 _SECURITY, _KEYSTORE, _POLICIES = "security", "keystore", "policies"
@@ -21,7 +21,7 @@ def check_security(
         has_security: True if DDS was built with it; None if unknown.
         is_required: True if the profile demands it.
     """
-    found = shortcomings(environment, has_security)
+    found = security_problems(environment, has_security)
     if not found:
         yield CheckLine(_SECURITY, Result.OK, "available in DDS, and enforced by the environment")
     elif is_required or is_security_requested(environment):

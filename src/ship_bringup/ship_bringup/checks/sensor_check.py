@@ -7,13 +7,13 @@ from ship_bags.parameter_yaml import RELIABLE_INPUTS_PARAMETER, read_sections
 from ship_bags.renamed_topics import ship_names
 from ship_bags.topic_names import resolve_topic
 from ship_bringup.checks.check_line import CheckLine, Result
-from ship_bringup.checks.network_look import STRONGER, ObservedTopic, NetworkState
+from ship_bringup.checks.network_look import STRONGER_QOS, ObservedTopic, NetworkState
 from ship_node.edge.input_record import MAX_AGE_S
 from ship_watch.limits import Limits
 from ship_watch.topics import source_of_topic
 
 _CHECK = "sensors"
-_NOT_IN_THE_LOG = "gnss", "weather"
+_NOT_TIME_ORDERED = "gnss", "weather"
 """Inputs whose values are used on arrival, not in order of time."""
 _OLD = "old"
 _UNITS = ("years", 365.25 * 86400.0), ("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)
@@ -34,17 +34,17 @@ def find_requested_qos(
     """
     on_ship = ship_names(path)
     names = {topic: resolve_topic(on_ship.get(topic, topic), namespace) for topic in topics}
-    begins = {f"{_OVERRIDES}{name}.subscription.": topic for topic, name in names.items()}
+    prefixes = {f"{_OVERRIDES}{name}.subscription.": topic for topic, name in names.items()}
     found: dict[str, dict[str, str]] = {}
     if reliable_inputs:
-        found = {topic: {_RELIABLE: "--reliable-inputs"} for topic in begins.values()}
+        found = {topic: {_RELIABLE: "--reliable-inputs"} for topic in prefixes.values()}
     for section in read_sections(path)[1]:
         for key, (value, _) in section.parameters.items():
             if key == RELIABLE_INPUTS_PARAMETER and value is True:
-                for name in begins.values():
+                for name in prefixes.values():
                     found.setdefault(name, {})[_RELIABLE] = f"{key} in the suite file"
-            topic = begins.get(key.rpartition(".")[0] + ".")
-            if topic is not None and value in STRONGER:
+            topic = prefixes.get(key.rpartition(".")[0] + ".")
+            if topic is not None and value in STRONGER_QOS:
                 found.setdefault(topic, {})[value] = f"{_OVERRIDES[:-1]} in the suite file"
     return found
 
@@ -91,38 +91,38 @@ def _evaluate_input(
 ) -> tuple[Result, str, str]:
     topic = observed.input.topic
     severity = Result.FAIL if observed.input.required or observed.input.named else Result.WARN
-    needed = Result.NOT_CHECKED if observed.input.is_occasional else severity
+    missing_result = Result.NOT_CHECKED if observed.input.is_occasional else severity
     if not observed.publishers:
-        return needed, "no publisher", "start its driver, or name its topic in the suite file (topics)"
+        return missing_result, "no publisher", "start its driver, or name its topic in the suite file (topics)"
     of_type = [each for each in observed.publishers if each.type_name == observed.input.type_name]
-    who = ", ".join(sorted({each.node for each in observed.publishers}))
+    publishers = ", ".join(sorted({each.node for each in observed.publishers}))
     if not of_type:
         other = observed.publishers[0].type_name
-        found = f"{who} publishes {other}, expected {observed.input.type_name}"
+        found = f"{publishers} publishes {other}, expected {observed.input.type_name}"
         return Result.FAIL, found, "change the driver, or name another topic in the suite file (topics)"
-    if lacking := [quality for quality in sorted(requested_qos) if any(quality not in each.offers for each in of_type)]:
+    if lacking := [quality for quality in sorted(requested_qos) if any(quality not in each.offered_qos for each in of_type)]:
         settings = " and ".join(dict.fromkeys(requested_qos[quality] for quality in lacking))
-        found = f"{who} does not offer {' and '.join(lacking)}, required by {settings}: no message will arrive"
+        found = f"{publishers} does not offer {' and '.join(lacking)}, required by {settings}: no message will arrive"
         return Result.FAIL, found, f"let the driver offer it, or leave out {settings}"
     if not observed.count:
-        return needed, f"{who} publishes it, but no message arrived", "switch the device on; if slow: a longer --listen"
-    found = f"{observed.rate_hz:.3g} Hz from {who}" if observed.count > 1 else f"one message from {who}"
+        return missing_result, f"{publishers} publishes it, but no message arrived", "switch the device on; if slow: a longer --listen"
+    found = f"{observed.rate_hz:.3g} Hz from {publishers}" if observed.count > 1 else f"one message from {publishers}"
     least_hz = limits.input_limits(source_of_topic(topic)).rate_hz
     if not observed.rate_hz >= least_hz:
         advice = "check the device and the network; for slow ones: a longer --listen"
         return Result.FAIL, f"{found}: expected {least_hz:g} Hz at least", advice
     if observed.age_s is not None:
-        found += f", stamps {_age_words(observed.age_s)}"
+        found += f", stamps {_age_text(observed.age_s)}"
         if not -limits.machine.clock_offset_s <= observed.age_s <= MAX_AGE_S:
             return Result.FAIL, found, "set the clock of the device, or of this computer: nodes reject such stamps"
-        if source_of_topic(topic) not in _NOT_IN_THE_LOG and not observed.age_s <= lags_s.get(topic, MAX_AGE_S):
+        if source_of_topic(topic) not in _NOT_TIME_ORDERED and not observed.age_s <= lags_s.get(topic, MAX_AGE_S):
             return Result.FAIL, f"{found}: later than lag_s", "check transmission delays, or increase lag_s"
     if len(observed.publishers) > 1:
         return Result.WARN, f"{found}: {len(observed.publishers)} publishers", "one device, one publisher: end the others"
     return Result.OK, found, ""
 
 
-def _age_words(age_s: float) -> str:
+def _age_text(age_s: float) -> str:
     size_s = abs(age_s)
     for unit, unit_s in _UNITS:
         if size_s >= 2.0 * unit_s:

@@ -8,7 +8,7 @@ from std_srvs.srv import Trigger
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, run_command
 from ship_bags.errors import BadInput, one_line
-from ship_bringup.asked_node import connect_node, node_command_parser, unknown
+from ship_bringup.asked_node import connect_node, node_command_parser, unknown_name_text
 from ship_msgs.srv import AcknowledgeAlert
 
 _DESCRIPTION = """\
@@ -38,7 +38,7 @@ def _call(parsed: argparse.Namespace) -> int:
                 print(" ".join([name, *(f"{field}=<{type_}>" for field, type_ in _fields(kind).items())]))
             return EXIT_DONE
         if parsed.service not in services:
-            raise BadInput(f"node {node.name}: {unknown('service', parsed.service, services)}")
+            raise BadInput(f"node {node.name}: {unknown_name_text('service', parsed.service, services)}")
         kind = services[parsed.service]
         answer = node.call(parsed.service, _KINDS[kind], **_request(parsed.service, kind, parsed.fields))
     done = bool(getattr(answer, "success", True))

@@ -8,7 +8,7 @@ from rcl_interfaces.msg import ParameterDescriptor, ParameterValue
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, run_command
 from ship_bags.errors import BadInput, one_line
-from ship_bringup.asked_node import connect_node, node_command_parser, text_of, unknown, value_from_text
+from ship_bringup.asked_node import connect_node, node_command_parser, value_text, unknown_name_text, parse_value
 from ship_estimation.parameter_rows import in_columns
 
 _DESCRIPTION = """\
@@ -30,22 +30,22 @@ def _param(parsed: argparse.Namespace) -> int:
     with connect_node("param", parsed.node, parsed.timeout) as node:
         names = node.parameter_names()
         if parsed.name is not None and parsed.name not in names:
-            raise BadInput(f"node {node.name}: {unknown('parameter', parsed.name, names)}")
+            raise BadInput(f"node {node.name}: {unknown_name_text('parameter', parsed.name, names)}")
         shown = [parsed.name] if parsed.name is not None else names
-        rows = list(zip(shown, node.described(shown), strict=True))
+        rows = list(zip(shown, node.describe_parameters(shown), strict=True))
         if parsed.value is None:
-            print("\n".join(in_columns([_row(name, *described) for name, described in rows])))
+            print("\n".join(in_columns([_row(name, *description) for name, description in rows])))
             return EXIT_DONE
-        was = rows[0][1][1]
+        old_value = rows[0][1][1]
         try:
-            value = value_from_text(parsed.value, was)
+            value = parse_value(parsed.value, old_value)
         except ValueError as problem:
-            raise BadInput(f"parameter '{parsed.name}' is {text_of(was)}: expected {problem}") from problem
-        refused = node.set_parameter(parsed.name, value)
-    if refused:
-        print(f"param: refused: {one_line(refused)}", file=sys.stderr)
+            raise BadInput(f"parameter '{parsed.name}' is {value_text(old_value)}: expected {problem}") from problem
+        refusal = node.set_parameter(parsed.name, value)
+    if refusal:
+        print(f"param: refused: {one_line(refusal)}", file=sys.stderr)
         return EXIT_BOUND_NOT_MET
-    print(f"{parsed.name} = {text_of(value)}, was {text_of(was)}")
+    print(f"{parsed.name} = {value_text(value)}, was {value_text(old_value)}")
     return EXIT_DONE
 
 
@@ -55,7 +55,7 @@ def _row(name: str, descriptor: ParameterDescriptor, value: ParameterValue) -> t
     allowed = f"[{_bound(bounds[0].from_value)}, {_bound(bounds[0].to_value)}]" if bounds else ""
     live = "" if descriptor.read_only else "*"
     meaning = ": ".join(filter(None, [descriptor.description, descriptor.additional_constraints]))
-    return name + live, text_of(value), allowed, meaning
+    return name + live, value_text(value), allowed, meaning
 
 
 def _bound(value: float) -> str:

@@ -12,8 +12,8 @@ from ship_bags.output_files import add_force_option, check_folder, write_atomica
 from ship_bags.renamed_topics import ship_names
 from ship_bringup.security.demand import DOMAIN, LAST_DOMAIN, domain_of
 from ship_bringup.security.policy_xml import governance_text, permissions_text, policy_text
-from ship_bringup.security.rights import companions_of, suite_rights
-from ship_bringup.suite.plan import checked_nodes
+from ship_bringup.security.rights import load_companions, suite_rights
+from ship_bringup.suite.plan import check_nodes
 
 _DESCRIPTION = """\
 Writes the permissions of DDS security for each program of a suite, with least privilege, from the topics and services
@@ -62,8 +62,8 @@ def _parser() -> CommandParser:
 
 
 def _policies(options: argparse.Namespace) -> int:
-    nodes, _ = checked_nodes(options.file, options.namespace)
-    companions = companions_of(options.file, options.namespace)
+    nodes, _ = check_nodes(options.file, options.namespace)
+    companions = load_companions(options.file, options.namespace)
     adapters = [node.adapter for node in nodes]
     names = ship_names(options.file)
     all_rights = suite_rights(adapters, options.namespace, options.locked, options.play, companions, names)

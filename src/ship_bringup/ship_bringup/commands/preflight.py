@@ -17,18 +17,18 @@ from ship_bags.live.ros_process import namespace_name, positive_number
 from ship_bags.parameter_yaml import full_name
 from ship_bags.renamed_topics import ship_names
 from ship_bringup.checks.check_line import CheckLine, Result, exit_code, table, summary_text, worst_first
-from ship_bringup.checks.clock_check import check_clock, look_at_clock
-from ship_bringup.checks.disk_check import check_disk, look_at_disk, estimate_write_rates
+from ship_bringup.checks.clock_check import check_clock, read_clock_state
+from ship_bringup.checks.disk_check import check_disk, read_disk_state, estimate_write_rates
 from ship_bringup.checks.domain_check import check_domain, check_settings
-from ship_bringup.checks.file_check import check_files, look_at_files
-from ship_bringup.checks.network_look import NetworkState, look_at_network
-from ship_bringup.checks.port_check import check_places, look_at_places
+from ship_bringup.checks.file_check import check_files, read_path_states
+from ship_bringup.checks.network_look import NetworkState, observe_network
+from ship_bringup.checks.port_check import check_places, read_place_states
 from ship_bringup.checks.security_check import check_keystore, check_security
 from ship_bringup.checks.sensor_check import find_requested_qos, check_sensors
 from ship_bringup.security.demand import KEYSTORE, domain_of
 from ship_bringup.security.keystore import KeystoreUse
-from ship_bringup.security.rights import companions_of, nmea_in_topics, suite_rights
-from ship_bringup.suite.plan import without_saved_file
+from ship_bringup.security.rights import load_companions, nmea_in_topics, suite_rights
+from ship_bringup.suite.plan import missing_saved_files
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.preflight.check_config import CheckedNode, Findings, check_file
@@ -60,7 +60,7 @@ class _Suite:
     @property
     def companions(self) -> dict[str, Any]:
         try:
-            return companions_of(self.options.file, self.options.namespace)
+            return load_companions(self.options.file, self.options.namespace)
         except BadInput:
             return {}  # reported with the parameters
 
@@ -163,29 +163,29 @@ def _security(suite: _Suite) -> Iterable[CheckLine]:
 
 
 def _clock(suite: _Suite) -> Iterable[CheckLine]:
-    yield check_clock(look_at_clock(), suite.limits)
+    yield check_clock(read_clock_state(), suite.limits)
 
 
 def _network(suite: _Suite, settings: Sequence[CheckLine]) -> NetworkState:
     """Return the state of the network; with a wrong setting DDS would end this process instead."""
     for line in settings:
         if line.result is Result.FAIL:
-            return NetworkState(failure=line.found)
+            return NetworkState(failure=line.finding)
     if sys.stderr.isatty():
         print(f"preflight: receives each sensor for {suite.options.listen:g} s", file=sys.stderr)
     # Global topics, for example /diagnostics, are published by any node.
     given = [topic.topic for topic in suite.chain.outputs if not topic.topic.startswith("/")]
     options = suite.options
-    return look_at_network(suite.chain.inputs, given, options.namespace, options.listen, ship_names(options.file))
+    return observe_network(suite.chain.inputs, given, options.namespace, options.listen, ship_names(options.file))
 
 
 def _disk(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
     write_rates, box = estimate_write_rates(suite.chain.adapters, network.inputs), suite.options.box
     disk_path = suite.limits.machine.disk_path
     must_be_there = "machine.disk_path" if disk_path else ""
-    states = [(look_at_disk(Path(disk_path) if disk_path else box or Path.cwd()), write_rates.record, must_be_there)]
+    states = [(read_disk_state(Path(disk_path) if disk_path else box or Path.cwd()), write_rates.record, must_be_there)]
     if box is not None:
-        states.append((look_at_disk(box), write_rates.boxes, ""))
+        states.append((read_disk_state(box), write_rates.boxes, ""))
     for state, _, named_by in states:
         # The needs of all folders on one disk are added.
         needs = sum(bytes_per_s for other, bytes_per_s, _ in states if other.device == state.device)
@@ -193,12 +193,12 @@ def _disk(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
 
 
 def _files(suite: _Suite) -> Iterable[CheckLine]:
-    states = look_at_files(suite.options.file, suite.options.box)
-    yield from check_files(states, list(without_saved_file(suite.options.file, suite.nodes)))
+    states = read_path_states(suite.options.file, suite.options.box)
+    yield from check_files(states, list(missing_saved_files(suite.options.file, suite.nodes)))
 
 
 def _ports(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
-    states = look_at_places(suite.options.file, suite.options.namespace, suite.companions)
+    states = read_place_states(suite.options.file, suite.options.namespace, suite.companions)
     yield from check_places(list(states), network.nodes)
 
 

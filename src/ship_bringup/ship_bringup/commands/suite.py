@@ -15,8 +15,8 @@ from ship_bags.renamed_topics import add_remap_option
 from ship_bringup.security.demand import require_profile
 from ship_bringup.suite.expected_limits import expected_limits
 from ship_bringup.suite.frozen_check import FROZEN_REPORT_S, FROZEN_RESTART_S
-from ship_bringup.suite.keeper import Keeper
-from ship_bringup.suite.plan import SuiteOptions, attached_suite, plan_of
+from ship_bringup.suite.keeper import Supervisor
+from ship_bringup.suite.plan import SuiteOptions, read_attached_suite, make_plan
 from ship_bringup.suite.suite_log import SuiteLog, log_path
 from ship_watch.limits import Limits, read_limits
 
@@ -135,19 +135,19 @@ def _suite(parsed: argparse.Namespace) -> int:
         monitor_arguments=() if parsed.port is None else ("--port", str(parsed.port)),
     )
     with tempfile.TemporaryDirectory(prefix="ship_suite_") as folder:
-        path = parsed.file or _written(parsed.bag, Path(folder))
+        path = parsed.file or _write_attached_suite(parsed.bag, Path(folder))
         try:
-            plan = plan_of(path, options)
+            plan = make_plan(path, options)
         except BadInput as problem:
-            raise BadInput(_named(str(problem), path, parsed)) from problem
+            raise BadInput(_with_bag_name(str(problem), path, parsed)) from problem
         if parsed.box is not None:
             _make_folder(parsed.box)
-        kept_lines = log_path(parsed.namespace)
-        errors, log = SuiteLog(kept_lines, sys.stderr.fileno()), SuiteLog(kept_lines, sys.stdout.fileno())
+        log_file = log_path(parsed.namespace)
+        errors, log = SuiteLog(log_file, sys.stderr.fileno()), SuiteLog(log_file, sys.stdout.fileno())
         for warning in plan.warnings:
-            errors.write(f"suite: warning: {one_line(_named(warning, path, parsed))}")
+            errors.write(f"suite: warning: {one_line(_with_bag_name(warning, path, parsed))}")
         log.write(f"[suite] starts {', '.join(program.name for program in plan.programs)}")
-        return Keeper(plan.programs, log.write, parsed.frozen_report, parsed.frozen_restart).run()
+        return Supervisor(plan.programs, log.write, parsed.frozen_report, parsed.frozen_restart).run()
 
 
 def _show_limits(parsed: argparse.Namespace) -> int:
@@ -176,14 +176,14 @@ def _make_folder(box: Path) -> None:
         raise BadInput(f"--box {box}: {problem.strerror}: expected a folder that can be written") from problem
 
 
-def _written(bag: Path, folder: Path) -> Path:
+def _write_attached_suite(bag: Path, folder: Path) -> Path:
     """Write the suite file attached to a bag, for the nodes to read; return its path."""
     path = folder / SUITE_ATTACHMENT
-    path.write_text(attached_suite(bag), encoding="utf-8")
+    path.write_text(read_attached_suite(bag), encoding="utf-8")
     return path
 
 
-def _named(text: str, path: Path, parsed: argparse.Namespace) -> str:
+def _with_bag_name(text: str, path: Path, parsed: argparse.Namespace) -> str:
     """Return a message with the bag instead of the temporary path of its attached suite file."""
     return text if parsed.file is not None else text.replace(str(path), f"{parsed.bag}, attached {SUITE_ATTACHMENT}")
 

@@ -80,7 +80,7 @@ def validity(certificate: x509.Certificate) -> tuple[datetime.datetime, datetime
     return certificate.not_valid_before.replace(tzinfo=utc), certificate.not_valid_after.replace(tzinfo=utc)
 
 
-def certified_key(certificate: x509.Certificate) -> bytes | None:
+def certificate_key(certificate: x509.Certificate) -> bytes | None:
     """Return the public key of a certificate (PEM); None if its kind is not supported."""
     try:
         return public_bytes(certificate.public_key())

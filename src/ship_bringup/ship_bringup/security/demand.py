@@ -21,7 +21,7 @@ DOMAIN, LAST_DOMAIN = "ROS_DOMAIN_ID", 232
 _ENFORCE = "Enforce"
 
 
-def shortcomings(environment: Mapping[str, str], has_security: bool | None) -> list[tuple[str, str]]:
+def security_problems(environment: Mapping[str, str], has_security: bool | None) -> list[tuple[str, str]]:
     """Return the reasons why DDS security is not available and enforced, each with advice.
 
     Args:
@@ -60,7 +60,7 @@ def require_profile(limits: Limits, limits_path: Path | None, has_security: bool
     """
     if not limits.machine.require_security:
         return
-    found = shortcomings(os.environ, has_security)
+    found = security_problems(os.environ, has_security)
     if found:
         text, advice = found[0]
         more = f" (and {len(found) - 1} more: see ship_bringup preflight)" if len(found) > 1 else ""

@@ -19,7 +19,7 @@ from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
 from ship_bags.errors import BadInput
 from ship_bringup.security.certificates import (
-    certified_key,
+    certificate_key,
     common_name,
     is_authority,
     is_issued_by,
@@ -30,7 +30,7 @@ from ship_bringup.security.certificates import (
 )
 from ship_bringup.security.keystore_fault import KeystoreFault
 from ship_bringup.security.keystore_files import authority_key_faults, mode_faults
-from ship_bringup.security.policy_xml import FINGERPRINT, published, subscribed
+from ship_bringup.security.policy_xml import FINGERPRINT, written_topics, read_topics
 from ship_bringup.security.rights import Rights
 from ship_bringup.security.signed_xml import (
     Permissions,
@@ -46,7 +46,7 @@ _PUBLIC = "public"
 _IDENTITY_CA, _PERMISSIONS_CA = "identity_ca.cert.pem", "permissions_ca.cert.pem"
 _CERTIFICATE, _KEY, _GOVERNANCE, _PERMISSIONS = "cert.pem", "key.pem", "governance.p7s", "permissions.p7s"
 _FILES = _IDENTITY_CA, _PERMISSIONS_CA, _CERTIFICATE, _KEY, _GOVERNANCE, _PERMISSIONS
-_MOST_NAMED = 3
+_MAX_NAMED = 3
 _STRONG_DIGESTS = "sha256", "sha384", "sha512"
 
 
@@ -79,12 +79,12 @@ def keystore_faults(keystore: Path, use: KeystoreUse) -> list[KeystoreFault]:
     if not enclaves.is_dir():
         expected = f"expected the folders {_PUBLIC} and {ENCLAVES}, as 'ros2 security create_keystore' makes them"
         return [KeystoreFault(f"{keystore}: is no keystore: {expected}", "set ROS_SECURITY_KEYSTORE to the ship's")]
-    there = sorted("/" + path.parent.relative_to(enclaves).as_posix() for path in enclaves.glob("**/cert.pem"))
+    existing = sorted("/" + path.parent.relative_to(enclaves).as_posix() for path in enclaves.glob("**/cert.pem"))
     nodes = [rights.enclave for rights in use.rights if rights.is_needed]
-    if there and not set(there) & {rights.enclave for rights in use.rights}:
-        text = f"{enclaves}: a keystore of another ship: it has {_few(there)}, expected {_few(nodes)}"
+    if existing and not set(existing) & {rights.enclave for rights in use.rights}:
+        text = f"{enclaves}: a keystore of another ship: it has {_shortened_list(existing)}, expected {_shortened_list(nodes)}"
         return [KeystoreFault(text, "set ROS_SECURITY_KEYSTORE to this ship's, or --namespace to its own")]
-    used = [rights for rights in use.rights if rights.enclave in there or rights.is_needed]
+    used = [rights for rights in use.rights if rights.enclave in existing or rights.is_needed]
     folders = [enclaves / rights.enclave.lstrip("/") for rights in used]
     authorities = _authorities([keystore / _PUBLIC, *folders])
     faults = list(_foreign_authority_faults([keystore / _PUBLIC, *folders], use.authority_sha256))
@@ -178,10 +178,10 @@ class _Enclave:
             (self._governance_faults, {_GOVERNANCE, _PERMISSIONS_CA}),
             (self._permission_faults, {_PERMISSIONS, _PERMISSIONS_CA}),
         )
-        for look, needed in parts:
+        for find_faults, needed in parts:
             if needed.isdisjoint(missing):
                 try:
-                    yield from look()
+                    yield from find_faults()
                 except BadInput as problem:
                     yield KeystoreFault(str(problem), "create the enclave again, with the ship's own keystore")
 
@@ -219,7 +219,7 @@ class _Enclave:
             key = load_pem_private_key(path.read_bytes(), password=None)
         except (ValueError, TypeError, UnsupportedAlgorithm) as problem:
             raise BadInput("is no private key without a password (PEM)", file=path) from problem
-        if public_bytes(key.public_key()) != certified_key(self._certificate):
+        if public_bytes(key.public_key()) != certificate_key(self._certificate):
             text = f"{path}: is not the key of {self._folder / _CERTIFICATE}"
             yield KeystoreFault(text, f"make both again: ros2 security create_enclave KEYSTORE {self._rights.enclave}")
 
@@ -262,22 +262,22 @@ def policy_faults(permissions: Permissions, rights: Rights, domain_id: int) -> I
     if not permissions.is_for(domain_id):
         yield f"domains: no rule for domain {domain_id}, in which the suite runs"
         return
-    wanted = {"publish": published(rights), "subscribe": subscribed(rights)}
+    wanted = {"publish": written_topics(rights), "subscribe": read_topics(rights)}
     for action, topics in wanted.items():
-        denied = [topic for topic in sorted(topics) if not permissions.allow(action, topic, domain_id)]
+        denied = [topic for topic in sorted(topics) if not permissions.is_allowed(action, topic, domain_id)]
         if denied:
-            yield f"do not cover the code: {action} of {_few(denied)} is not allowed"
-        if extra := sorted(permissions.named(action) - topics):
-            yield f"allow more than the code declares: {action} of {_few(extra)}"
-    if permissions.is_open:
+            yield f"do not cover the code: {action} of {_shortened_list(denied)} is not allowed"
+        if extra := sorted(permissions.allowed_topics(action) - topics):
+            yield f"allow more than the code declares: {action} of {_shortened_list(extra)}"
+    if permissions.allows_by_default:
         yield "default is ALLOW: expected DENY, otherwise nothing is forbidden"
     if permissions.fingerprint not in ("", rights.fingerprint):
         made, now = permissions.fingerprint[:12], rights.fingerprint[:12]
         yield f"are older than the code, or of another suite file: {FINGERPRINT} {made}, expected {now}"
 
 
-def _few(names: Iterable[str]) -> str:
+def _shortened_list(names: Iterable[str]) -> str:
     """Return a few names, and the number of the others."""
     every = list(names)
-    more = f" and {len(every) - _MOST_NAMED} more" if len(every) > _MOST_NAMED else ""
-    return ", ".join(every[:_MOST_NAMED]) + more
+    more = f" and {len(every) - _MAX_NAMED} more" if len(every) > _MAX_NAMED else ""
+    return ", ".join(every[:_MAX_NAMED]) + more

@@ -8,7 +8,7 @@ from cryptography import x509
 from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
-from ship_bringup.security.certificates import certified_key, common_name, public_bytes
+from ship_bringup.security.certificates import certificate_key, common_name, public_bytes
 from ship_bringup.security.keystore_fault import KeystoreFault
 
 _KEY = "key.pem"
@@ -43,9 +43,9 @@ def mode_faults(keystore: Path, folders: Sequence[Path], names: Sequence[str]) -
 
 def authority_key_faults(keystore: Path, authorities: Sequence[x509.Certificate]) -> Iterator[KeystoreFault]:
     """Yield private keys that can sign certificates: an authority's, or any outside the enclaves' key.pem."""
-    names = {certified_key(each): common_name(each.subject) for each in authorities}
+    names = {certificate_key(each): common_name(each.subject) for each in authorities}
     for path in _private_keys(keystore):
-        name = names.get(_public_half(path))
+        name = names.get(_public_key(path))
         if name is None and path.name == _KEY:
             continue
         of = "a certificate authority, by its place" if name is None else f"the authority 'CN={name}'"
@@ -58,18 +58,18 @@ def _write_faults(path: Path, harm: str) -> Iterator[KeystoreFault]:
     mode = path.stat().st_mode
     if mode & (_GROUP_WRITE | _OTHERS_WRITE):
         is_open = bool(mode & _OTHERS_WRITE)
-        who = "all users" if is_open else "its group"
-        text = f"{path}: mode {mode & 0o777:o}: {who} may {harm}"
+        users = "all users" if is_open else "its group"
+        text = f"{path}: mode {mode & 0o777:o}: {users} may {harm}"
         yield KeystoreFault(text, f"chmod go-w {path}", is_error=is_open, is_weakness=True)
 
 
 def _private_keys(keystore: Path) -> list[Path]:
     """Return the files of a keystore that contain a private key (PEM), each once, links followed."""
     paths = (Path(folder) / name for folder, _, names in os.walk(keystore) for name in names)
-    return sorted({path.resolve() for path in paths if _holds_key(path)})
+    return sorted({path.resolve() for path in paths if _has_private_key(path)})
 
 
-def _holds_key(path: Path) -> bool:
+def _has_private_key(path: Path) -> bool:
     """True if a file contains a private key (PEM) that this user can read."""
     try:
         return path.is_file() and path.stat().st_size <= _LARGEST_KEY_BYTES and _KEY_MARK in path.read_bytes()
@@ -77,7 +77,7 @@ def _holds_key(path: Path) -> bool:
         return False
 
 
-def _public_half(path: Path) -> bytes | None:
+def _public_key(path: Path) -> bytes | None:
     """Return the public key of a private one (PEM); None with a password or an unsupported kind."""
     try:
         return public_bytes(load_pem_private_key(path.read_bytes(), password=None).public_key())

@@ -88,7 +88,7 @@ def permissions_text(
         ET.SubElement(validity, name).text = time.strftime("%Y-%m-%dT%H:%M:%S")
     rule = ET.SubElement(grant, "allow_rule")
     _add_domain(rule, domain_id)
-    for action, names in (("publish", published(rights)), ("subscribe", subscribed(rights))):
+    for action, names in (("publish", written_topics(rights)), ("subscribe", read_topics(rights))):
         _add_names(ET.SubElement(ET.SubElement(rule, action), "topics"), "topic", names)
     ET.SubElement(grant, "default").text = "DENY"
     comment = f"<!-- {FINGERPRINT} {rights.fingerprint} -->\n"
@@ -96,13 +96,13 @@ def permissions_text(
     return f"{head}\n{comment}{body}"
 
 
-def published(rights: Rights) -> frozenset[str]:
+def written_topics(rights: Rights) -> frozenset[str]:
     """Return the DDS topics that an enclave writes."""
     own = {f"rt{name}" for name in rights.publishes} | {f"rq{name}Request" for name in rights.requests}
     return frozenset(own | {f"rr{name}Reply" for name in rights.serves} | {DISCOVERY_TOPIC})
 
 
-def subscribed(rights: Rights) -> frozenset[str]:
+def read_topics(rights: Rights) -> frozenset[str]:
     """Return the DDS topics that an enclave reads."""
     own = {f"rt{name}" for name in rights.subscribes} | {f"rr{name}Reply" for name in rights.requests}
     return frozenset(own | {f"rq{name}Request" for name in rights.serves} | {DISCOVERY_TOPIC})

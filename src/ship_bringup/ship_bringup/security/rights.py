@@ -29,11 +29,11 @@ SENSORS = "sensors"
 """First part of the names of sensors' enclaves, inside the namespace of the suite."""
 
 _CLOCK = "/clock"
-_OF_EVERY_NODE = frozenset({"/rosout", "/parameter_events"})
+_TOPICS_OF_EVERY_NODE = frozenset({"/rosout", "/parameter_events"})
 _GET = "list_parameters", "describe_parameters", "get_parameters", "get_parameter_types"
 _SET = "set_parameters", "set_parameters_atomically"
 _TYPE_DESCRIPTION = "get_type_description"
-_TWO_WORDS = "star", "reference", "beacon"
+_KINDS_WITH_ID = "star", "reference", "beacon"
 """First words of topics whose second word is the id of a device."""
 
 _FRAMES = TF_TOPIC, TF_STATIC_TOPIC
@@ -60,13 +60,13 @@ class Rights:
     subscribes: frozenset[str] = frozenset()
     serves: frozenset[str] = frozenset()
     requests: frozenset[str] = frozenset()
-    declared: tuple[str, ...] = field(default=(), repr=False)
+    declarations: tuple[str, ...] = field(default=(), repr=False)
     is_needed: bool = False
 
     @property
     def fingerprint(self) -> str:
         """Return the SHA-256 of all declarations, in hexadecimal."""
-        parts = (self.publishes, self.subscribes, self.serves, self.requests, self.declared)
+        parts = (self.publishes, self.subscribes, self.serves, self.requests, self.declarations)
         text = json.dumps([self.enclave, *map(sorted, parts)])
         return hashlib.sha256(text.encode("utf-8")).hexdigest()
 
@@ -74,8 +74,8 @@ class Rights:
 def suite_rights(
     adapters: Sequence[Adapter],
     namespace: str = "",
-    locked: bool = False,
-    played: bool = False,
+    is_locked: bool = False,
+    is_played: bool = False,
     companions: Mapping[str, Any] = MappingProxyType({}),
     ship_names: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[Rights, ...]:
@@ -89,10 +89,10 @@ def suite_rights(
         companions: result of :func:`load_companions` for its file.
         ship_names: of inputs, see :func:`ship_bags.renamed_topics.ship_names`.
     """
-    return tuple(_SuiteRights(adapters, namespace, locked, played, companions, ship_names).all())
+    return tuple(_SuiteRights(adapters, namespace, is_locked, is_played, companions, ship_names).all_rights())
 
 
-def companions_of(suite_path: Path, namespace: str) -> dict[str, Any]:
+def load_companions(suite_path: Path, namespace: str) -> dict[str, Any]:
     """Return name → configuration of each companion of the estimators in a suite file.
 
     Raises:
@@ -112,17 +112,17 @@ def companions_of(suite_path: Path, namespace: str) -> dict[str, Any]:
 def nmea_in_topics(companions: Mapping[str, Any]) -> dict[str, str]:
     """Return relative topic → type of the topics of a suite's ``nmea_in``; empty if it has none."""
     config = companions.get("nmea_in")
-    given: dict[str, str] = {}
+    topics: dict[str, str] = {}
     if config is not None:
         for id_ in config.sources:
-            given |= config.role(id_).topics(id_)
-    return given
+            topics |= config.role(id_).topics(id_)
+    return topics
 
 
 def device_of(topic: str) -> str:
     """Return the device of a topic: ``star_fore`` of ``star/fore/observations``, ``ins`` of ``ins/imu``."""
     first, *others = topic.split("/")
-    return f"{first}_{others[0]}" if first in _TWO_WORDS and len(others) > 1 else first
+    return f"{first}_{others[0]}" if first in _KINDS_WITH_ID and len(others) > 1 else first
 
 
 def parameter_services(node: str, names: Iterable[str] = (*_GET, *_SET)) -> frozenset[str]:
@@ -137,118 +137,118 @@ class _SuiteRights:
         self,
         adapters: Sequence[Adapter],
         namespace: str,
-        locked: bool,
-        played: bool,
+        is_locked: bool,
+        is_played: bool,
         companions: Mapping[str, Any],
         ship_names: Mapping[str, str],
     ) -> None:
         chain = AdapterChain(adapters)
-        self._adapters, self._namespace, self._locked = chain.adapters, namespace, locked
-        self._from_outside = {topic.topic: topic.type_name for topic in chain.inputs}
-        self._clock = frozenset({full_name("clock", namespace), _CLOCK}) if played else frozenset()
-        self._played, self._companions, self._ship_names = played, companions, ship_names
+        self._adapters, self._namespace, self._is_locked = chain.adapters, namespace, is_locked
+        self._external_inputs = {topic.topic: topic.type_name for topic in chain.inputs}
+        self._clock = frozenset({full_name("clock", namespace), _CLOCK}) if is_played else frozenset()
+        self._is_played, self._companions, self._ship_names = is_played, companions, ship_names
         given = {topic.topic: topic.type_name for topic in chain.outputs}
-        self._types = {**nmea_in_topics(companions), **self._from_outside, **given}
+        self._types = {**nmea_in_topics(companions), **self._external_inputs, **given}
         self._types |= {ALERTS_TOPIC: MESSAGES + "AlertArray", STATE_TOPIC: STATE_TYPE}
         self._types |= {DIAGNOSTICS_TOPIC: DIAGNOSTICS_TYPE}
-        if played:
+        if is_played:
             truth = (row for row in TOPICS if row.pattern.startswith(TRUTH_PREFIX))
             self._types |= {row.pattern: row.type_name for row in truth}
-        self._watched = {name for name, kind in self._types.items() if monitored_topic(name, kind)} - {ALERTS_TOPIC}
-        self._alerts = self._full("alerts")
-        self._nodes = [self._full(adapter.node_name) for adapter in self._adapters]
+        self._monitored = {name for name, kind in self._types.items() if monitored_topic(name, kind)} - {ALERTS_TOPIC}
+        self._alerts = self._full_name("alerts")
+        self._nodes = [self._full_name(adapter.node_name) for adapter in self._adapters]
 
-    def all(self) -> Iterator[Rights]:
+    def all_rights(self) -> Iterator[Rights]:
         for adapter in self._adapters:
-            yield self._of_node(adapter)
-        yield from self._of_companions()
-        yield self._of_alerts()
-        everything = self._topics(self._types) | self._inputs(self._from_outside)
-        watched = self._topics([*self._watched, ALERTS_TOPIC, STATE_TOPIC, DIAGNOSTICS_TOPIC]) | self._clock
+            yield self._node_rights(adapter)
+        yield from self._companion_rights()
+        yield self._alerts_rights()
+        everything = self._topics(self._types) | self._inputs(self._external_inputs)
+        monitored = self._topics([*self._monitored, ALERTS_TOPIC, STATE_TOPIC, DIAGNOSTICS_TOPIC]) | self._clock
         acknowledge = {f"{self._alerts}/acknowledge"}
         # The page also forwards topics to Foxglove.
-        yield self._tool("monitor", everything | self._clock, acknowledge, answers=("monitor", "acknowledge"))
-        yield self._tool("monitor_terminal", watched, acknowledge, answers=("monitor_terminal", "acknowledge"))
+        yield self._tool_rights("monitor", everything | self._clock, acknowledge, own_nodes=("monitor", "acknowledge"))
+        yield self._tool_rights("monitor_terminal", monitored, acknowledge, own_nodes=("monitor_terminal", "acknowledge"))
         # The recorder reads the parameters of all nodes, and sets none.
         parameter_reads = {"/*/list_parameters", "/*/get_parameters"}
-        yield self._tool("record", everything | self._clock | _OF_EVERY_NODE, parameter_reads)
-        yield self._tool("preflight", self._inputs(self._from_outside))
-        yield self._tool("call", (), self._called(), answers=("/call_*",))
-        settable = () if self._locked else ("set_parameters_atomically",)
-        yield self._tool("param", (), self._parameter_services(*_GET, *settable), answers=("/param_*",))
-        yield from self._of_sensors()
-        if self._played:
-            services = {self._full(f"play/{name}") for name in ("pause", "resume", "toggle_paused", "play_next")}
-            played = self._inputs([*self._from_outside, *(n for n in self._types if n.startswith(TRUTH_PREFIX))])
-            yield self._tool("play", publishes=played | self._clock, serves=services)
+        yield self._tool_rights("record", everything | self._clock | _TOPICS_OF_EVERY_NODE, parameter_reads)
+        yield self._tool_rights("preflight", self._inputs(self._external_inputs))
+        yield self._tool_rights("call", (), self._callable_services(), own_nodes=("/call_*",))
+        settable = () if self._is_locked else ("set_parameters_atomically",)
+        yield self._tool_rights("param", (), self._parameter_services(*_GET, *settable), own_nodes=("/param_*",))
+        yield from self._sensor_rights()
+        if self._is_played:
+            services = {self._full_name(f"play/{name}") for name in ("pause", "resume", "toggle_paused", "play_next")}
+            played = self._inputs([*self._external_inputs, *(n for n in self._types if n.startswith(TRUTH_PREFIX))])
+            yield self._tool_rights("play", publishes=played | self._clock, serves=services)
 
-    def _of_node(self, adapter: Adapter) -> Rights:
-        name = self._full(adapter.node_name)
+    def _node_rights(self, adapter: Adapter) -> Rights:
+        name = self._full_name(adapter.node_name)
         types = [f"{each.topic} {each.type_name}" for each in adapter.inputs]
         types += [f"{each.topic} {each.type_name}" for each in adapter.outputs]
         parameters = [f"parameter {parameter.name}" for parameter in describe(adapter.config_type)]
         return Rights(
             enclave=name,
-            publishes=self._topics([t.topic for t in adapter.outputs] + [DIAGNOSTICS_TOPIC]) | _OF_EVERY_NODE,
+            publishes=self._topics([t.topic for t in adapter.outputs] + [DIAGNOSTICS_TOPIC]) | _TOPICS_OF_EVERY_NODE,
             subscribes=self._inputs(t.topic for t in adapter.inputs) | self._clock,
             serves=frozenset(f"{name}/{service}" for service in adapter.services) | _own_services(name),
-            declared=tuple(sorted([*types, *parameters])),
+            declarations=tuple(sorted([*types, *parameters])),
             is_needed=True,
         )
 
-    def _of_alerts(self) -> Rights:
+    def _alerts_rights(self) -> Rights:
         services = {f"{self._alerts}/acknowledge", f"{self._alerts}/silence"}
         return Rights(
             enclave=self._alerts,
-            publishes=self._topics([ALERTS_TOPIC, STATE_TOPIC, DIAGNOSTICS_TOPIC]) | _OF_EVERY_NODE,
-            subscribes=self._topics([*self._watched, DIAGNOSTICS_TOPIC]) | self._clock,
+            publishes=self._topics([ALERTS_TOPIC, STATE_TOPIC, DIAGNOSTICS_TOPIC]) | _TOPICS_OF_EVERY_NODE,
+            subscribes=self._topics([*self._monitored, DIAGNOSTICS_TOPIC]) | self._clock,
             serves=frozenset({*services, f"{self._alerts}_reader/{_TYPE_DESCRIPTION}"}) | _own_services(self._alerts),
         )
 
-    def _of_companions(self) -> Iterator[Rights]:
+    def _companion_rights(self) -> Iterator[Rights]:
         diagnostics = {DIAGNOSTICS_TOPIC}
         if "nmea_out" in self._companions:
             subscribed = self._inputs(["ship/attitude", ALERTS_TOPIC]) | self._clock
             acknowledge = {f"{self._alerts}/acknowledge"}
-            yield replace(self._tool("nmea_out", subscribed, acknowledge, diagnostics), is_needed=True)
+            yield replace(self._tool_rights("nmea_out", subscribed, acknowledge, diagnostics), is_needed=True)
         if "nmea_in" in self._companions:
             given = {*nmea_in_topics(self._companions), *diagnostics}
-            yield replace(self._tool("nmea_in", self._clock, (), self._topics(given)), is_needed=True)
+            yield replace(self._tool_rights("nmea_in", self._clock, (), self._topics(given)), is_needed=True)
 
-    def _of_sensors(self) -> Iterator[Rights]:
+    def _sensor_rights(self) -> Iterator[Rights]:
         """Yield an enclave for each device; the node of its driver is expected to have the device's name."""
         # An instrument read by nmea_in has no driver: a certificate for one could only be misused.
-        driven = set(self._from_outside) - set(nmea_in_topics(self._companions))
-        for device in sorted({device_of(topic) for topic in driven}):
-            topics = self._inputs(topic for topic in driven if device_of(topic) == device)
-            node = self._full(device)
-            enclave = self._full(f"{SENSORS}/{device}")
+        with_driver = set(self._external_inputs) - set(nmea_in_topics(self._companions))
+        for device in sorted({device_of(topic) for topic in with_driver}):
+            topics = self._inputs(topic for topic in with_driver if device_of(topic) == device)
+            node = self._full_name(device)
+            enclave = self._full_name(f"{SENSORS}/{device}")
             # A node of rclcpp also subscribes to /parameter_events, and does not start without it.
             subscribed = self._clock | {"/parameter_events"}
-            yield Rights(enclave, topics | _OF_EVERY_NODE | {DIAGNOSTICS_TOPIC}, subscribed, _own_services(node))
+            yield Rights(enclave, topics | _TOPICS_OF_EVERY_NODE | {DIAGNOSTICS_TOPIC}, subscribed, _own_services(node))
 
-    def _tool(
+    def _tool_rights(
         self,
         name: str,
         subscribes: Iterable[str] = (),
         requests: Iterable[str] = (),
         publishes: Iterable[str] = (),
         serves: Iterable[str] = (),
-        answers: Iterable[str] = (),
+        own_nodes: Iterable[str] = (),
     ) -> Rights:
         """Return the rights of a program that is no estimator, with those that its own nodes, `answers`, need."""
-        own = frozenset[str]().union(*(_own_services(self._full(node)) for node in (answers or (name,))))
+        own = frozenset[str]().union(*(_own_services(self._full_name(node)) for node in (own_nodes or (name,))))
         return Rights(
-            enclave=self._full(name),
-            publishes=frozenset(publishes) | _OF_EVERY_NODE,
+            enclave=self._full_name(name),
+            publishes=frozenset(publishes) | _TOPICS_OF_EVERY_NODE,
             subscribes=frozenset(subscribes),
             serves=frozenset(serves) | own,
             requests=frozenset(requests),
         )
 
-    def _called(self) -> frozenset[str]:
+    def _callable_services(self) -> frozenset[str]:
         """Return the services of the nodes that users call."""
-        own = [self._full(f"{adapter.node_name}/{name}") for adapter in self._adapters for name in adapter.services]
+        own = [self._full_name(f"{adapter.node_name}/{name}") for adapter in self._adapters for name in adapter.services]
         return frozenset([*own, f"{self._alerts}/acknowledge", f"{self._alerts}/silence"])
 
     def _parameter_services(self, *names: str) -> frozenset[str]:
@@ -260,9 +260,9 @@ class _SuiteRights:
         return self._topics(self._ship_names.get(name, name) for name in names)
 
     def _topics(self, names: Iterable[str]) -> frozenset[str]:
-        return frozenset(map(self._full, names))
+        return frozenset(map(self._full_name, names))
 
-    def _full(self, name: str) -> str:
+    def _full_name(self, name: str) -> str:
         if self._namespace and name in _FRAMES:
             name = name[1:]
         return name if name.startswith("/") else full_name(name, self._namespace)

@@ -19,7 +19,7 @@ from ship_bags.errors import BadInput
 from ship_bringup.security.policy_xml import FINGERPRINT
 
 _LARGEST_BYTES = 4_000_000
-_OPENSSL_S = 10.0
+_OPENSSL_TIMEOUT_S = 10.0
 _ACTIONS = "publish", "subscribe"
 _YES, _NO = ("true", "1"), ("false", "0")
 
@@ -61,9 +61,9 @@ class _Rule:
     domains: ET.Element | None
     topics: dict[str, tuple[str, ...]]
 
-    def fits(self, action: str, topic: str, domain_id: int) -> bool:
+    def applies_to(self, action: str, topic: str, domain_id: int) -> bool:
         patterns = self.topics[action]
-        return in_domains(self.domains, domain_id) and any(fnmatch.fnmatchcase(topic, each) for each in patterns)
+        return is_in_domains(self.domains, domain_id) and any(fnmatch.fnmatchcase(topic, each) for each in patterns)
 
 
 @dataclass(frozen=True)
@@ -84,19 +84,19 @@ class Permissions:
     not_after: datetime.datetime
     fingerprint: str
     rules: tuple[_Rule, ...]
-    is_open: bool
+    allows_by_default: bool
 
-    def allow(self, action: str, topic: str, domain_id: int) -> bool:
+    def is_allowed(self, action: str, topic: str, domain_id: int) -> bool:
         """True if a DDS topic may be written (``publish``) or read (``subscribe``) in a domain."""
-        return next((rule.allows for rule in self.rules if rule.fits(action, topic, domain_id)), self.is_open)
+        return next((rule.allows for rule in self.rules if rule.applies_to(action, topic, domain_id)), self.allows_by_default)
 
-    def named(self, action: str) -> frozenset[str]:
+    def allowed_topics(self, action: str) -> frozenset[str]:
         """Return all topics, as written, that some rule allows."""
         return frozenset(topic for rule in self.rules if rule.allows for topic in rule.topics[action])
 
     def is_for(self, domain_id: int) -> bool:
         """True if any rule applies in a domain."""
-        return any(in_domains(rule.domains, domain_id) for rule in self.rules)
+        return any(is_in_domains(rule.domains, domain_id) for rule in self.rules)
 
 
 def read_signed(path: Path) -> SignedFile:
@@ -133,7 +133,7 @@ def signature_fault(path: Path, authority: Path) -> str | None:
         raise LookupError("openssl")
     # Dates are checked separately, with the days left.
     command = [program, "smime", "-verify", "-in", str(path), "-CAfile", str(authority), "-no_check_time", "-text"]
-    run = subprocess.run(command, capture_output=True, timeout=_OPENSSL_S, check=False)
+    run = subprocess.run(command, capture_output=True, timeout=_OPENSSL_TIMEOUT_S, check=False)
     if run.returncode == 0:
         return None
     error_text = run.stderr.decode("utf-8", errors="replace")
@@ -151,7 +151,7 @@ def signature_digest(path: Path) -> str:
     if program is None:
         raise LookupError("openssl")
     command = [program, "cms", "-cmsout", "-print", "-noout", "-inform", "SMIME", "-in", str(path)]
-    run = subprocess.run(command, capture_output=True, timeout=_OPENSSL_S, check=False)
+    run = subprocess.run(command, capture_output=True, timeout=_OPENSSL_TIMEOUT_S, check=False)
     signers = run.stdout.decode("utf-8", errors="replace").partition("signerInfos:")[2]
     found = re.search(r"digestAlgorithm:\s+algorithm: (\S+)", signers)
     return found[1] if found else ""
@@ -173,13 +173,13 @@ def read_permissions(file: SignedFile) -> Permissions:
         not_after=_read_time(grant, "validity/not_after", file),
         fingerprint=fingerprint[1] if fingerprint else "",
         rules=tuple(_rules(grant)),
-        is_open=_text(grant, "default", file) != "DENY",
+        allows_by_default=_text(grant, "default", file) != "DENY",
     )
 
 
 def governance_faults(file: SignedFile, domain_id: int) -> Iterator[BadInput]:
     """Yield entries of a governance that make the policies of the domain ineffective."""
-    rules = [rule for rule in file.root().iter("domain_rule") if in_domains(rule.find("domains"), domain_id)]
+    rules = [rule for rule in file.root().iter("domain_rule") if is_in_domains(rule.find("domains"), domain_id)]
     if not rules:
         line = file.line_of("<domains>")
         yield BadInput(f"domains: no rule for domain {domain_id}, in which the suite runs", file=file.path, line=line)
@@ -195,7 +195,7 @@ def governance_faults(file: SignedFile, domain_id: int) -> Iterator[BadInput]:
                 yield BadInput(reason, file=file.path, line=file.line_of(f"<{name}>{element.text}"))
 
 
-def in_domains(domains: ET.Element | None, domain_id: int) -> bool:
+def is_in_domains(domains: ET.Element | None, domain_id: int) -> bool:
     """True if a domain is listed: by its id, or in a range."""
     if domains is None:
         return False
@@ -211,11 +211,11 @@ def in_domains(domains: ET.Element | None, domain_id: int) -> bool:
 def _rules(grant: ET.Element) -> Iterator[_Rule]:
     for element in grant:
         if element.tag in ("allow_rule", "deny_rule"):
-            topics = {action: tuple(_named(element.findall(f"{action}/topics/topic"))) for action in _ACTIONS}
+            topics = {action: tuple(_element_texts(element.findall(f"{action}/topics/topic"))) for action in _ACTIONS}
             yield _Rule(element.tag == "allow_rule", element.find("domains"), topics)
 
 
-def _named(elements: Iterable[ET.Element]) -> Iterator[str]:
+def _element_texts(elements: Iterable[ET.Element]) -> Iterator[str]:
     return ((element.text or "").strip() for element in elements)
 
 

@@ -15,7 +15,7 @@ import socket
 import time
 from pathlib import Path
 
-UDP_ALONE = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
+UDP_ONLY = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
 """Environment of a program that must be connected quickly after a kill, unless the user sets it otherwise."""
 
 _LEASE_S = 20.0
@@ -29,7 +29,7 @@ class ReservedPorts:
     def __init__(self) -> None:
         self._reserved: list[tuple[float, list[socket.socket]]] = []
 
-    def hold(self, ports: frozenset[int]) -> None:
+    def reserve(self, ports: frozenset[int]) -> None:
         """Reserve those of some ports that are free, and release those whose time is over.
 
         A failure is ignored: the successor is then discovered later. The process may have no file descriptors left.
@@ -54,7 +54,7 @@ class ReservedPorts:
         self._reserved = []
 
 
-def ports_of(pid: int) -> frozenset[int]:
+def udp_ports_of(pid: int) -> frozenset[int]:
     """Return the UDP ports that a process has bound, without ephemeral ones; none if it has ended."""
     inodes = set()
     with contextlib.suppress(OSError):

@@ -15,7 +15,7 @@ from ship_bringup.suite.program import Program
 from ship_watch.limits import Limits
 
 
-def in_enclaves(
+def add_enclaves(
     programs: Sequence[Program], all_rights: Sequence[Rights], namespace: str, limits: Limits
 ) -> tuple[list[Program], list[str]]:
     """Return the programs, each in the enclave of its name, and warnings about the ship's keystore.

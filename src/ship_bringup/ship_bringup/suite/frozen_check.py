@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Sequence
 
-from ship_bringup.suite.kept_program import KeptProgram
+from ship_bringup.suite.kept_program import SupervisedProgram
 from ship_bringup.suite.process import Process
 from ship_bringup.suite.program import Role
 from ship_bringup.suite.restarts import LONGEST_DELAY_S
@@ -15,10 +15,10 @@ FROZEN_REPORT_S = 5.0
 FROZEN_RESTART_S = 15.0
 """Time without a heartbeat after which a program is killed and started again, s."""
 
-LOOK_PERIOD_S = 0.5
+CHECK_PERIOD_S = 0.5
 """Period at which the times without a heartbeat are checked, s."""
 
-_LONGEST_START_S = 60.0
+_MAX_START_S = 60.0
 """Minimum time limit for the first heartbeat, s: a slow computer reads libraries for a while."""
 
 
@@ -37,54 +37,54 @@ class FrozenCheck:
     def __init__(self, report_s: float, restart_s: float, log: Callable[[str], None]) -> None:
         self._report_s, self._restart_s, self._log = report_s, restart_s, log
         self.heartbeats = HeartbeatSocket()
-        self._looked_s = time.monotonic()
+        self._checked_s = time.monotonic()
 
     @property
     def due_s(self) -> float:
         """Return the steady time of the next check, s."""
-        return self._looked_s + LOOK_PERIOD_S
+        return self._checked_s + CHECK_PERIOD_S
 
-    def receive(self, programs: Sequence[KeptProgram]) -> None:
+    def receive(self, programs: Sequence[SupervisedProgram]) -> None:
         """Record the heartbeats that have arrived."""
         pids = self.heartbeats.receive()
-        for kept in programs:
-            for process in kept.processes:
+        for entry in programs:
+            for process in entry.processes:
                 if process.pid not in pids:
                     continue
                 heartbeat_age = process.heartbeat_age
-                if heartbeat_age.is_reported and not heartbeat_age.is_ended:
-                    name = _name(kept, process)
+                if heartbeat_age.is_reported and not heartbeat_age.is_killed:
+                    name = _name(entry, process)
                     self._log(f"{name} works again after {heartbeat_age.time_s:.0f} s without a heartbeat")
-                heartbeat_age.restart(has_beaten=True)
-                if process is kept.process:
-                    kept.has_run = True
+                heartbeat_age.reset(has_heartbeat=True)
+                if process is entry.process:
+                    entry.has_run = True
 
-    def look(self, programs: Sequence[KeptProgram]) -> None:
+    def check(self, programs: Sequence[SupervisedProgram]) -> None:
         """Report programs without a heartbeat, and kill those without one for long."""
         now_s = time.monotonic()
         if now_s < self.due_s:
             return
-        step_s, self._looked_s = now_s - self._looked_s, now_s
-        for kept in programs:
-            for process in kept.processes if kept.program.role is not Role.PLAYER else ():
+        step_s, self._checked_s = now_s - self._checked_s, now_s
+        for entry in programs:
+            for process in entry.processes if entry.program.role is not Role.PLAYER else ():
                 process.heartbeat_age.add(step_s)
-                self._check_process(kept, process)
+                self._check_process(entry, process)
 
-    def _check_process(self, kept: KeptProgram, process: Process) -> None:
-        heartbeat_age, name = process.heartbeat_age, _name(kept, process)
-        limit_s = self._restart_s if heartbeat_age.has_beaten else max(_LONGEST_START_S, self._restart_s)
-        if heartbeat_age.time_s >= limit_s and not heartbeat_age.is_ended:
-            heartbeat_age.is_ended = True
+    def _check_process(self, entry: SupervisedProgram, process: Process) -> None:
+        heartbeat_age, name = process.heartbeat_age, _name(entry, process)
+        limit_s = self._restart_s if heartbeat_age.has_heartbeat else max(_MAX_START_S, self._restart_s)
+        if heartbeat_age.time_s >= limit_s and not heartbeat_age.is_killed:
+            heartbeat_age.is_killed = True
             self._log(f"{name} sent no heartbeat for {heartbeat_age.time_s:.0f} s: killed")
             process.kill()
-            if process is kept.reserve:
-                kept.reserve, kept.reserve_due_s = None, time.monotonic() + LONGEST_DELAY_S
-        elif heartbeat_age.has_beaten and heartbeat_age.time_s >= self._report_s and not heartbeat_age.is_reported:
+            if process is entry.reserve:
+                entry.reserve, entry.reserve_due_s = None, time.monotonic() + LONGEST_DELAY_S
+        elif heartbeat_age.has_heartbeat and heartbeat_age.time_s >= self._report_s and not heartbeat_age.is_reported:
             heartbeat_age.is_reported = True
-            how = f"no heartbeat for {heartbeat_age.time_s:.0f} s, stopped or in a callback that does not return"
+            symptom = f"no heartbeat for {heartbeat_age.time_s:.0f} s, stopped or in a callback that does not return"
             left_s = max(0.0, self._restart_s - heartbeat_age.time_s)
-            self._log(f"{name} is frozen: {how}; it is killed and started again in {left_s:.0f} s")
+            self._log(f"{name} is frozen: {symptom}; it is killed and started again in {left_s:.0f} s")
 
 
-def _name(kept: KeptProgram, process: Process) -> str:
-    return kept.program.name if process is kept.process else f"{kept.program.name} in reserve"
+def _name(entry: SupervisedProgram, process: Process) -> str:
+    return entry.program.name if process is entry.process else f"{entry.program.name} in reserve"

@@ -9,7 +9,7 @@ from ship_bringup.suite.restarts import Restarts
 
 
 @dataclass
-class KeptProgram:
+class SupervisedProgram:
     """A program with its process, if it runs, its reserve process, and the times of their next starts.
 
     Attributes:

@@ -12,8 +12,8 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.parameter_yaml import in_any_namespace, full_name, read_sections
 from ship_bags.renamed_topics import current_names, ship_names, topic_names
 from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics, resolve_topic
-from ship_bringup.security.rights import companions_of, suite_rights
-from ship_bringup.suite.enclaves import in_enclaves
+from ship_bringup.security.rights import load_companions, suite_rights
+from ship_bringup.suite.enclaves import add_enclaves
 from ship_bringup.suite.program import Program, Role
 from ship_node.edge.messages_out import TF_STATIC_TOPIC, TF_TOPIC
 from ship_node.parameters.companions import COMPANIONS, Companion, named_companions
@@ -69,7 +69,7 @@ class Plan:
     warnings: tuple[str, ...]
 
 
-def attached_suite(bag_path: Path) -> str:
+def read_attached_suite(bag_path: Path) -> str:
     """Return the text of the suite file attached to a bag.
 
     Raises:
@@ -80,14 +80,14 @@ def attached_suite(bag_path: Path) -> str:
     return text
 
 
-def plan_of(path: Path, options: SuiteOptions) -> Plan:
+def make_plan(path: Path, options: SuiteOptions) -> Plan:
     """Return the programs of a suite file.
 
     Raises:
         BadInput: contains the file, the line, the parameter or section, and what was expected; or the bag and what it
             lacks; or a program that is not installed.
     """
-    nodes, warnings = checked_nodes(path, options.namespace)
+    nodes, warnings = check_nodes(path, options.namespace)
     if options.bag is not None and not nodes:
         reason = f"{options.bag} cannot be played: the file has no section for an estimator, which would receive it"
         raise BadInput(reason, file=path)
@@ -102,22 +102,22 @@ def plan_of(path: Path, options: SuiteOptions) -> Plan:
         arguments = ("--ros-args", "--params-file", str(path.resolve()), *ros, *box, *inputs)
         programs.append(Program(name, (*executable(packages[name], name), *arguments), has_reserve=True))
     companions = [one for one in named_companions(path, options.namespace) if options.bag is None or not one.feeds]
-    programs += [_companion(one, path, ros, is_alone=not nodes) for one in companions]
+    programs += [_companion_program(one, path, ros, is_alone=not nodes) for one in companions]
     if options.monitor:
-        programs += _watchers(options, ros)
+        programs += _monitor_programs(options, ros)
     if options.bag is not None:
-        programs.append(_player(path, options.bag, chain, options))
+        programs.append(_player_program(path, options.bag, chain, options))
     if is_security_requested(os.environ):
         limits = Limits() if options.limits is None else read_limits(options.limits)
-        beside = companions_of(path, options.namespace)
+        companion_configs = load_companions(path, options.namespace)
         is_played, names = options.bag is not None, ship_names(path)
-        rights = suite_rights(chain.adapters, options.namespace, played=is_played, companions=beside, ship_names=names)
-        programs, enclave_warnings = in_enclaves(programs, rights, options.namespace, limits)
+        rights = suite_rights(chain.adapters, options.namespace, is_played=is_played, companions=companion_configs, ship_names=names)
+        programs, enclave_warnings = add_enclaves(programs, rights, options.namespace, limits)
         warnings += enclave_warnings
-    return Plan(tuple(programs), (*warnings, *without_saved_file(path, nodes), *_played_out(companions, options)))
+    return Plan(tuple(programs), (*warnings, *missing_saved_files(path, nodes), *_playback_warnings(companions, options)))
 
 
-def checked_nodes(path: Path, namespace: str) -> tuple[list[CheckedNode], list[str]]:
+def check_nodes(path: Path, namespace: str) -> tuple[list[CheckedNode], list[str]]:
     """Return the nodes of a suite file, and warnings about it.
 
     Raises:
@@ -129,16 +129,16 @@ def checked_nodes(path: Path, namespace: str) -> tuple[list[CheckedNode], list[s
         first, *others = findings.errors
         raise BadInput(first + (f" (and {len(others)} more: see ship_replay check_config)" if others else ""))
     known = [kind.node_name for kind in (*ADAPTERS, *COMPANIONS)]
-    strange = unknown_sections(path, [full_name(name, namespace) for name in known])
-    if strange:
+    unknown = unknown_sections(path, [full_name(name, namespace) for name in known])
+    if unknown:
         lines = {section.node: section.line for section in read_sections(path)[1]}
         expected = ", ".join(f"'{in_any_namespace(name)}'" for name in known)
-        reason = f"section '{strange[0]}' fits no node of this suite: expected one of {expected} or '/**'"
-        raise BadInput(reason, file=path, line=lines[strange[0]])
+        reason = f"section '{unknown[0]}' fits no node of this suite: expected one of {expected} or '/**'"
+        raise BadInput(reason, file=path, line=lines[unknown[0]])
     return nodes, findings.warnings
 
 
-def without_saved_file(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str]:
+def missing_saved_files(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str]:
     """Yield a line for each node without a saved file."""
     for node in nodes:
         for name in SAVED_FILES:
@@ -146,14 +146,14 @@ def without_saved_file(path: Path, nodes: Sequence[CheckedNode]) -> Iterator[str
                 yield f"{path}: {node.adapter.node_name} has no {name}: its estimates are lost at a restart"
 
 
-def _companion(companion: Companion, path: Path, ros: tuple[str, ...], is_alone: bool) -> Program:
+def _companion_program(companion: Companion, path: Path, ros: tuple[str, ...], is_alone: bool) -> Program:
     """Return the program of a node that is no estimator; without estimators it is a node of the suite itself."""
     command = executable(companion.package, companion.node_name)
     role = Role.NODE if is_alone else Role.FEEDER if companion.feeds else Role.WATCHER
     return Program(companion.node_name, (*command, "--ros-args", "--params-file", str(path.resolve()), *ros), role)
 
 
-def _played_out(companions: Sequence[Companion], options: SuiteOptions) -> Iterator[str]:
+def _playback_warnings(companions: Sequence[Companion], options: SuiteOptions) -> Iterator[str]:
     """Yield a warning if a bag is played and its attitude would be sent to the bridge."""
     if options.bag is not None and any(companion.node_name == "nmea_out" for companion in companions):
         yield (
@@ -165,10 +165,10 @@ def _played_out(companions: Sequence[Companion], options: SuiteOptions) -> Itera
 def _ros_arguments(options: SuiteOptions) -> tuple[str, ...]:
     """Return the names and clock of a node of the suite, as arguments."""
     has_clock = options.bag is not None or options.use_sim_time
-    return (*_names(options), *(("-p", "use_sim_time:=true") if has_clock else ()))
+    return (*_namespace_arguments(options), *(("-p", "use_sim_time:=true") if has_clock else ()))
 
 
-def _names(options: SuiteOptions) -> tuple[str, ...]:
+def _namespace_arguments(options: SuiteOptions) -> tuple[str, ...]:
     """Return arguments that put a process into the suite's namespace.
 
     A bag's time is that of its own suite, not of another one. Frames have the same names on each ship: in a namespace
@@ -181,7 +181,7 @@ def _names(options: SuiteOptions) -> tuple[str, ...]:
     return ("-r", f"__ns:=/{options.namespace}", *clock, *frames)
 
 
-def _watchers(options: SuiteOptions, ros: tuple[str, ...]) -> list[Program]:
+def _monitor_programs(options: SuiteOptions, ros: tuple[str, ...]) -> list[Program]:
     """Return the programs of page and alerts."""
     limits = () if options.limits is None else ("--limits", str(options.limits))
     where = ("--namespace", options.namespace) if options.namespace else ()
@@ -191,7 +191,7 @@ def _watchers(options: SuiteOptions, ros: tuple[str, ...]) -> list[Program]:
     return [Program("monitor", page, Role.WATCHER), Program("alerts", alerts, Role.WATCHER)]
 
 
-def _player(suite_file: Path, path: Path, chain: AdapterChain, options: SuiteOptions) -> Program:
+def _player_program(suite_file: Path, path: Path, chain: AdapterChain, options: SuiteOptions) -> Program:
     """Return the player of the suite's inputs from outside, and of the truth, under the names that the nodes use."""
     names = replace(current_names(), is_by_suite=True, suite_file=suite_file)
     with topic_names(names), read_bag(path) as bag:
@@ -206,4 +206,4 @@ def _player(suite_file: Path, path: Path, chain: AdapterChain, options: SuiteOpt
     remaps = [f"{name}:={target}" for name, target in recorded.items()]
     command = [*executable("ship_bags", "play"), str(path), "--rate", str(options.rate)]
     command += ["--loop", str(options.loop), "--topics", *recorded, "--remap", *remaps]
-    return Program("play", (*command, "--ros-args", *_names(options)), Role.PLAYER)
+    return Program("play", (*command, "--ros-args", *_namespace_arguments(options)), Role.PLAYER)

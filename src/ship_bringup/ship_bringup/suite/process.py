@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import IO
 
 from ship_bags.live.heartbeat import HEARTBEAT_SOCKET
-from ship_bringup.suite.dds_ports import UDP_ALONE
+from ship_bringup.suite.dds_ports import UDP_ONLY
 from ship_bringup.suite.signs_of_life import HeartbeatAge
 from ship_node.live.start import WAITS
 
@@ -58,7 +58,7 @@ class Process:
             stdin=subprocess.PIPE if waits else subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
-            env=UDP_ALONE | os.environ | own,
+            env=UDP_ONLY | os.environ | own,
             start_new_session=True,
             pass_fds=(heartbeats,),
             preexec_fn=end_with_parent,  # noqa: PLW1509 - this process has no threads
@@ -71,7 +71,7 @@ class Process:
             self._process.wait()
             self._close_pipes()
             raise
-        self.began_s = time.monotonic()
+        self.start_s = time.monotonic()
         self.is_output_complete = False
         self.heartbeat_age = HeartbeatAge(self.pid)
         self._rest = b""
@@ -94,14 +94,14 @@ class Process:
 
     def begin(self) -> None:
         """Let a waiting process begin; one that has died meanwhile is ignored."""
-        self.began_s = time.monotonic()
-        self.heartbeat_age.restart(has_beaten=False)
+        self.start_s = time.monotonic()
+        self.heartbeat_age.reset(has_heartbeat=False)
         if self._process.stdin is not None:
             with contextlib.suppress(BrokenPipeError):
                 self._process.stdin.write(b"\n")
                 self._process.stdin.flush()
 
-    def lines(self) -> tuple[list[str], bool]:
+    def read_lines(self) -> tuple[list[str], bool]:
         """Return the complete lines written since the last call, and True if there may be more to read."""
         try:
             data = os.read(self.output.fileno(), _LONGEST_LINE)

@@ -12,7 +12,7 @@ LONGEST_DELAY_S = 30.0
 """Longest pause before a restart, s."""
 
 _FIRST_DELAY_S = 1.0
-_ENDED_BY_WISH = (EXIT_DONE, EXIT_INTERRUPTED, -signal.SIGINT, -signal.SIGTERM)
+_NORMAL_EXIT_CODES = (EXIT_DONE, EXIT_INTERRUPTED, -signal.SIGINT, -signal.SIGTERM)
 _SIGNAL_BASE = 128
 
 
@@ -24,7 +24,7 @@ class Restarts:
         in_a_row: number of ends; a run of :data:`STEADY_S` resets it.
     """
 
-    in_a_row: int = field(default=0, init=False)
+    consecutive_count: int = field(default=0, init=False)
 
     def delay_s(self, ran_s: float) -> float:
         """Return the delay before the next start, s.
@@ -32,21 +32,21 @@ class Restarts:
         Args:
             ran_s: run time of the program.
         """
-        self.in_a_row = 1 if ran_s >= STEADY_S else self.in_a_row + 1
-        if self.in_a_row == 1:
+        self.consecutive_count = 1 if ran_s >= STEADY_S else self.consecutive_count + 1
+        if self.consecutive_count == 1:
             return 0.0
         # The exponent is limited, because a program may end ten thousand times.
-        return min(_FIRST_DELAY_S * 2.0 ** min(self.in_a_row - 2, 10), LONGEST_DELAY_S)
+        return min(_FIRST_DELAY_S * 2.0 ** min(self.consecutive_count - 2, 10), LONGEST_DELAY_S)
 
 
-def failure_of(code: int) -> int:
+def exit_code_of(code: int) -> int:
     """Return the exit code of the suite from the end of a program: 0 after a normal end, 128 + n after signal n."""
-    if code in _ENDED_BY_WISH:
+    if code in _NORMAL_EXIT_CODES:
         return EXIT_DONE
     return code if code > 0 else _SIGNAL_BASE - code
 
 
-def end_words(code: int) -> str:
+def end_text(code: int) -> str:
     """Return how a program ended, as text."""
     if code >= 0:
         return f"exit code {code}"

@@ -57,12 +57,12 @@ class HeartbeatAge:
     def __init__(self, pid: int) -> None:
         self._schedstat = Path(f"/proc/{pid}/schedstat")
         self._waited_s = self._processor_wait_s()
-        self.has_beaten = self.is_reported = self.is_ended = False
+        self.has_heartbeat = self.is_reported = self.is_killed = False
         self.time_s = 0.0
 
-    def restart(self, has_beaten: bool) -> None:
+    def reset(self, has_heartbeat: bool) -> None:
         """Reset the time to 0, at a heartbeat or when the process begins its work."""
-        self.time_s, self.has_beaten, self.is_reported = 0.0, has_beaten, False
+        self.time_s, self.has_heartbeat, self.is_reported = 0.0, has_heartbeat, False
 
     def add(self, step_s: float) -> None:
         """Add the time since the last check, without the time for which the process waited for a processor."""

@@ -12,7 +12,7 @@ from pathlib import Path
 LARGEST_FILE_BYTES = 5_000_000
 """Maximum size of the file; then it is renamed to ``NAME.log.1``."""
 
-_PATIENCE_MS = 200
+_WRITE_TIMEOUT_MS = 200
 
 
 class SuiteLog:
@@ -26,23 +26,23 @@ class SuiteLog:
     def __init__(self, path: Path, descriptor: int = 1) -> None:
         self._path, self._descriptor = path, descriptor
         self._file: int | None = None
-        self._missed = 0
+        self._missed_count = 0
 
     def write(self, line: str) -> None:
         """Write a line, without its end, to stdout or else to the file."""
         try:
-            if self._missed:
-                self._put(f"[suite] {self._missed} lines that were not accepted here are in {self._path}")
-                self._missed = 0
-            self._put(line)
+            if self._missed_count:
+                self._write_to_stdout(f"[suite] {self._missed_count} lines that were not accepted here are in {self._path}")
+                self._missed_count = 0
+            self._write_to_stdout(line)
         except OSError as problem:
-            if not self._missed:
+            if not self._missed_count:
                 reason = os.strerror(problem.errno or errno.EIO)
-                self._keep(f"[suite] lines continue here, because stdout does not accept them: {reason}")
-            self._missed += 1
-            self._keep(line)
+                self._append_to_file(f"[suite] lines continue here, because stdout does not accept them: {reason}")
+            self._missed_count += 1
+            self._append_to_file(line)
 
-    def _put(self, line: str) -> None:
+    def _write_to_stdout(self, line: str) -> None:
         """Write a line to stdout.
 
         Raises:
@@ -53,11 +53,11 @@ class SuiteLog:
         is_taking.register(self._descriptor, select.POLLOUT)
         while data:
             # A pipe with room accepts PIPE_BUF bytes at once; with more, the write could wait for the reader.
-            if not is_taking.poll(0 if self._missed else _PATIENCE_MS):
+            if not is_taking.poll(0 if self._missed_count else _WRITE_TIMEOUT_MS):
                 raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
             data = data[os.write(self._descriptor, data[: select.PIPE_BUF]) :]
 
-    def _keep(self, line: str) -> None:
+    def _append_to_file(self, line: str) -> None:
         """Append a line to the file; on failure the line is lost."""
         with contextlib.suppress(OSError):
             if self._file is None:
