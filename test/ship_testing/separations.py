@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ship_estimation.protection import Factors, SolutionSeparation, solution_separation
+from ship_estimation.protection import SigmaMultipliers, SolutionSeparation, solution_separation
 from ship_geometry.rotations import FloatArray
 
 
 def solution_separations(
-    distance: FloatArray, variance: FloatArray, variance_0: FloatArray, k: Factors, subfilter_indices: Sequence[int] | None = None
+    distance: FloatArray, variance: FloatArray, variance_0: FloatArray, k: SigmaMultipliers, subfilter_indices: Sequence[int] | None = None
 ) -> SolutionSeparation:
     """Return the separations of estimates without one source from that by all, and the levels.
 

@@ -12,7 +12,7 @@ from ship_attitude_star.ship_attitude.state import changed
 from ship_attitude_star.smoothing.between import InsErrorPredictor
 from ship_attitude_star.smoothing.traced_filter import TracedFilter
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
-from ship_estimation.backward import Known
+from ship_estimation.backward import GaussianEstimate
 from ship_estimation.backward_chain import Anchor
 from ship_estimation.parameters import build
 from ship_geometry.geodetic import GeodeticPosition
@@ -52,10 +52,10 @@ def test_it_equals_the_prediction_of_the_filter(values: dict) -> None:
     stack = np.zeros_like(start.stack)
     stack[0], stack[len(start.covariance_by_source) :] = full, full
     state = changed(start, stack=stack, means=start.means + 0.3 * sigma * rng.standard_normal(len(sigma)))
-    anchor = Anchor(START_NS, Known(state.mean, state.covariance), state.vertical)
+    anchor = Anchor(START_NS, GaussianEstimate(state.mean, state.covariance), state.vertical)
     between = InsErrorPredictor(filter_, values.get("horizon") == "gravity")
     times_ns = [START_NS + round(second * SECOND_NS) for second in (0.0, 0.4, 7.3, 33.0, 61.9)]
-    later = Anchor(times_ns[-1], anchor.known, None)
+    later = Anchor(times_ns[-1], anchor.estimate, None)
     found, cross = between.estimates_at(anchor, times_ns, later)
     assert cross is not None
     rows = np.r_[filter_.model.state_indices("ins.attitude"), filter_.model.state_indices("ins.time_offset")]

@@ -16,14 +16,14 @@ import numpy as np
 from ship_geometry.rotations import FloatArray
 
 
-class Known(NamedTuple):
+class GaussianEstimate(NamedTuple):
     """A Gaussian estimate of r quantities, or several such: mean (..., r) and covariance (..., r, r)."""
 
     mean: FloatArray
     covariance: FloatArray
 
 
-class Backward(NamedTuple):
+class SmootherStep(NamedTuple):
     """Linear relation of r quantities at an earlier time to the n states at a later one; (...) for several such.
 
     Attributes:
@@ -36,14 +36,14 @@ class Backward(NamedTuple):
     offset: FloatArray
     covariance: FloatArray
 
-    def by(self, later: Known) -> Known:
+    def apply(self, later: GaussianEstimate) -> GaussianEstimate:
         """Return the estimate of the earlier quantities from that of the later states, shapes (n,) and (n, n)."""
         gain = self.gain
         covariance = self.covariance + gain @ later.covariance @ np.swapaxes(gain, -1, -2)
-        return Known(self.offset + gain @ later.mean, 0.5 * (covariance + np.swapaxes(covariance, -1, -2)))
+        return GaussianEstimate(self.offset + gain @ later.mean, 0.5 * (covariance + np.swapaxes(covariance, -1, -2)))
 
 
-def backward(earlier: Known, cross: FloatArray, predicted: Known) -> Backward:
+def smoother_step(earlier: GaussianEstimate, cross: FloatArray, predicted: GaussianEstimate) -> SmootherStep:
     """Return the backward step from n predicted states to r earlier quantities, or to several such.
 
     Args:
@@ -62,7 +62,7 @@ def backward(earlier: Known, cross: FloatArray, predicted: Known) -> Backward:
     """
     gain = cross @ _inverse(predicted.covariance)
     left = earlier.covariance - gain @ predicted.covariance @ np.swapaxes(gain, -1, -2)
-    return Backward(gain, earlier.mean - gain @ predicted.mean, left)
+    return SmootherStep(gain, earlier.mean - gain @ predicted.mean, left)
 
 
 def _inverse(covariance: FloatArray) -> FloatArray:

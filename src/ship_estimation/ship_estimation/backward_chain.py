@@ -17,7 +17,7 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from ship_estimation.backward import Backward, Known, backward
+from ship_estimation.backward import SmootherStep, GaussianEstimate, smoother_step
 from ship_geometry.rotations import FloatArray
 
 Given = TypeVar("Given")
@@ -32,7 +32,7 @@ _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
-class Came:
+class StateUpdate:
     """Last update of a filter state.
 
     Attributes:
@@ -44,13 +44,13 @@ class Came:
             None for a measurement.
     """
 
-    predicted: Known
-    estimate: Known
+    predicted: GaussianEstimate
+    estimate: GaussianEstimate
     is_update: bool
     jumped_ns: int | None = None
 
 
-class Traced(Protocol[GivenOut]):
+class TracedState(Protocol[GivenOut]):
     """A filter state that records its last update."""
 
     @property
@@ -69,12 +69,12 @@ class Traced(Protocol[GivenOut]):
         ...
 
     @property
-    def came(self) -> Came | None:
+    def last_update(self) -> StateUpdate | None:
         """The last update, by an accepted measurement or a jump; None before the first."""
         ...
 
     @property
-    def given(self) -> GivenOut:
+    def prediction_input(self) -> GivenOut:
         """Further input of the prediction from this state."""
         ...
 
@@ -90,15 +90,15 @@ class Anchor(Generic[Given]):
     """
 
     time_ns: int | None
-    known: Known
-    given: Given
+    estimate: GaussianEstimate
+    prediction_input: Given
 
 
-class Between(Protocol[Given]):
+class StatePredictor(Protocol[Given]):
     """Prediction of a filter's states between two links."""
 
     @property
-    def knows_before_the_first(self) -> bool:
+    def predicts_before_first(self) -> bool:
         """True if quantities can be given for times before the first measurement."""
         ...
 
@@ -106,9 +106,9 @@ class Between(Protocol[Given]):
         """Return the covariance between the states at an anchor and those predicted at a later one, shape (n, n)."""
         ...
 
-    def at(
+    def estimates_at(
         self, anchor: Anchor[Given], times_ns: Sequence[int], later: Anchor[Given] | None
-    ) -> tuple[Known, FloatArray | None]:
+    ) -> tuple[GaussianEstimate, FloatArray | None]:
         """Return the r smoothed quantities at N times, none before the anchor, in ascending order.
 
         Args:
@@ -131,7 +131,7 @@ class Piece(NamedTuple):
     """
 
     times_ns: list[int]
-    found: Backward | Known
+    found: SmootherStep | GaussianEstimate
 
 
 @dataclass
@@ -143,11 +143,11 @@ class _Link:
         pieces: requested times between the two.
     """
 
-    back: Backward | Known | None
-    stretches: deque[Piece] = field(default_factory=deque)
+    back: SmootherStep | GaussianEstimate | None
+    pieces: deque[Piece] = field(default_factory=deque)
 
 
-class Chain(Generic[Given]):
+class RtsSmoother(Generic[Given]):
     """Links and the requested times between them, from the oldest one still required.
 
     Args:
@@ -158,13 +158,13 @@ class Chain(Generic[Given]):
         predictor: as above; it is replaced when noise and gates are reconfigured.
     """
 
-    def __init__(self, between: Between[Given], start: Traced[Given]) -> None:
-        self.between = between
+    def __init__(self, between: StatePredictor[Given], start: TracedState[Given]) -> None:
+        self.predictor = between
         self._links: deque[_Link] = deque()
-        self._last_came = start.came
-        self._last = Anchor(start.time_ns, Known(start.mean, start.covariance), start.given)
+        self._last_update = start.last_update
+        self._last = Anchor(start.time_ns, GaussianEstimate(start.mean, start.covariance), start.prediction_input)
         self._requested_ns: deque[int] = deque()
-        self._by_all: list[Known] = []
+        self._link_estimates: list[GaussianEstimate] = []
 
     @property
     def newest_ns(self) -> int | None:
@@ -175,23 +175,23 @@ class Chain(Generic[Given]):
         """Request a time, later than the last link and than all times requested before."""
         self._requested_ns.append(time_ns)
 
-    def add(self, state: Traced[Given]) -> None:
+    def add_state(self, state: TracedState[Given]) -> None:
         """Add the state after a measurement or a jump, which follows the one added last; most make a link."""
-        came, before, now = state.came, self._last_came, Known(state.mean, state.covariance)
-        self._last_came = came
+        came, before, now = state.last_update, self._last_update, GaussianEstimate(state.mean, state.covariance)
+        self._last_update = came
         if state.time_ns is None:
-            if not _same(now, self._last.known):
+            if not _is_equal(now, self._last.estimate):
                 # Changed before the first measurement: earlier requests are dropped.
                 self._requested_ns.clear()
-                self._last = Anchor(None, now, state.given)
+                self._last = Anchor(None, now, state.prediction_input)
             return
         if came is not None and came is not before:
-            self._lead_to(state, came.predicted, came.estimate, came.is_update, came.jumped_ns)
-        if not _same(now, self._last.known):
+            self._add_link(state, came.predicted, came.estimate, came.is_update, came.jumped_ns)
+        if not _is_equal(now, self._last.estimate):
             # Neither measurement nor jump: the covariance was inflated, or the filters restarted from a subfilter.
-            self._lead_to(state, now, now, _is_inflated(self._last.known, now))
+            self._add_link(state, now, now, _is_inflated(self._last.estimate, now))
 
-    def take_until(self, time_ns: int) -> list[tuple[list[int], Known]]:
+    def take_smoothed(self, time_ns: int) -> list[tuple[list[int], GaussianEstimate]]:
         """Return the requested times up to one with their smoothed estimates, and remove the requests.
 
         A time before the first link is omitted if no estimate exists.
@@ -202,42 +202,42 @@ class Chain(Generic[Given]):
         """
         taken = []
         while self._links:
-            stretches = self._links[0].stretches
+            stretches = self._links[0].pieces
             while stretches and stretches[0].times_ns[0] <= time_ns:
-                due, rest = _cut(stretches.popleft(), time_ns)
-                taken.append((due.times_ns, self._known(due)))
+                due, rest = _split_piece(stretches.popleft(), time_ns)
+                taken.append((due.times_ns, self._smoothed(due)))
                 if rest is not None:
                     stretches.appendleft(rest)
             if stretches:
                 return taken
             self._links.popleft()
-            if self._by_all:
-                self._by_all.pop()
+            if self._link_estimates:
+                self._link_estimates.pop()
         times_ns = self._take_requested(time_ns)
         if times_ns and self._last.time_ns is not None:
-            taken.append((times_ns, self.between.at(self._last, times_ns, None)[0]))
+            taken.append((times_ns, self.predictor.estimates_at(self._last, times_ns, None)[0]))
         return taken
 
-    def _lead_to(
-        self, state: Traced[Given], predicted: Known, estimate: Known, leads_back: bool, jumped_ns: int | None = None
+    def _add_link(
+        self, state: TracedState[Given], predicted: GaussianEstimate, estimate: GaussianEstimate, leads_back: bool, jumped_ns: int | None = None
     ) -> None:
         """Add a link with the requested times before it; for a jump up to the last sample before the jump."""
         assert state.time_ns is not None
         last, is_first = self._last, self._last.time_ns is None
-        reached = Anchor(state.time_ns, estimate, state.given)
-        back: Backward | Known | None = None if is_first else last.known
+        reached = Anchor(state.time_ns, estimate, state.prediction_input)
+        back: SmootherStep | GaussianEstimate | None = None if is_first else last.estimate
         if leads_back and not is_first:
-            back = backward(last.known, self.between.cross_to(last, reached), predicted)
+            back = smoother_step(last.estimate, self.predictor.cross_to(last, reached), predicted)
         link, times_ns = _Link(back), self._take_requested(max(state.time_ns, jumped_ns or 0))
-        if is_first and not self.between.knows_before_the_first:
+        if is_first and not self.predictor.predicts_before_first:
             times_ns = []
         for start in range(0, len(times_ns), _MOST_AT_ONCE):
             some = times_ns[start : start + _MOST_AT_ONCE]
-            found, cross = self.between.at(last, some, reached if leads_back else None)
-            link.stretches.append(Piece(some, found if cross is None else backward(found, cross, predicted)))
+            found, cross = self.predictor.estimates_at(last, some, reached if leads_back else None)
+            link.pieces.append(Piece(some, found if cross is None else smoother_step(found, cross, predicted)))
         self._links.append(link)
         self._last = reached
-        self._by_all = []
+        self._link_estimates = []
 
     def _take_requested(self, time_ns: int) -> list[int]:
         """Remove and return the requested times up to one that belong to no link yet."""
@@ -246,22 +246,22 @@ class Chain(Generic[Given]):
             times_ns.append(self._requested_ns.popleft())
         return times_ns
 
-    def _known(self, stretch: Piece) -> Known:
+    def _smoothed(self, stretch: Piece) -> GaussianEstimate:
         """Return the smoothed estimates at times before the first remaining link."""
-        if isinstance(stretch.found, Known):
+        if isinstance(stretch.found, GaussianEstimate):
             return stretch.found
-        if not self._by_all:
-            known = self._last.known
+        if not self._link_estimates:
+            known = self._last.estimate
             for link in reversed(self._links):
-                self._by_all.append(known)
-                if isinstance(link.back, Backward):
-                    known = link.back.by(known)
+                self._link_estimates.append(known)
+                if isinstance(link.back, SmootherStep):
+                    known = link.back.apply(known)
                 elif link.back is not None:
                     known = link.back
-        return stretch.found.by(self._by_all[-1])
+        return stretch.found.apply(self._link_estimates[-1])
 
 
-def _cut(stretch: Piece, time_ns: int) -> tuple[Piece, Piece | None]:
+def _split_piece(stretch: Piece, time_ns: int) -> tuple[Piece, Piece | None]:
     """Split a piece at a time; return the part up to it and the rest, or None without a rest."""
     count = bisect.bisect_right(stretch.times_ns, time_ns)
     if count == len(stretch.times_ns):
@@ -273,11 +273,11 @@ def _cut(stretch: Piece, time_ns: int) -> tuple[Piece, Piece | None]:
     return first, rest
 
 
-def _same(one: Known, other: Known) -> bool:
+def _is_equal(one: GaussianEstimate, other: GaussianEstimate) -> bool:
     return np.array_equal(one.mean, other.mean) and np.array_equal(one.covariance, other.covariance)
 
 
-def _is_inflated(before: Known, after: Known) -> bool:
+def _is_inflated(before: GaussianEstimate, after: GaussianEstimate) -> bool:
     """True if ``after`` is ``before`` with an inflated covariance."""
     if not np.array_equal(before.mean, after.mean):
         return False

@@ -18,7 +18,7 @@ import numpy as np
 from ship_estimation import compiled_means
 from ship_estimation.chi_square import normal_value_above
 from ship_estimation.hypotheses import FilterInnovations
-from ship_estimation.protection import Factors, IntegrityConfig, SolutionSeparation
+from ship_estimation.protection import SigmaMultipliers, IntegrityConfig, SolutionSeparation
 from ship_estimation.running_means import MEASUREMENTS_PER_H
 from ship_geometry.rotations import FloatArray
 
@@ -44,7 +44,7 @@ class UnresolvedCommonError(NamedTuple):
     until_ns: int
 
 
-class Absorbed(NamedTuple):
+class CorrectionSums(NamedTuple):
     """Recent corrections of three states by the star sensors, about North, Up and East.
 
     Attributes:
@@ -59,7 +59,7 @@ class Absorbed(NamedTuple):
     unresolved: UnresolvedCommonError | None = None
 
     @property
-    def turn_n(self) -> FloatArray:
+    def correction_n(self) -> FloatArray:
         """Sum of the corrections about North, Up and East, rad, shape (3,)."""
         turn_n: FloatArray = self.sums[:, 0].sum(axis=0)
         return turn_n
@@ -71,7 +71,7 @@ class Absorbed(NamedTuple):
         return variance
 
     @property
-    def response(self) -> FloatArray:
+    def absorbed_share(self) -> FloatArray:
         """Share of a common error that the corrections have absorbed, shape (3,)."""
         response: FloatArray = 1.0 - self.sums[:, 2].prod(axis=0)
         return response
@@ -79,19 +79,19 @@ class Absorbed(NamedTuple):
     @property
     def error_n(self) -> FloatArray:
         """Common error that explains the sum, rad, shape (3,); the sum itself if nothing was absorbed."""
-        response = self.response
-        error_n: FloatArray = self.turn_n / np.where(response > 0.0, response, 1.0)
+        response = self.absorbed_share
+        error_n: FloatArray = self.correction_n / np.where(response > 0.0, response, 1.0)
         return error_n
 
     @property
     def error_variance(self) -> FloatArray:
         """Variance of that common error, rad², shape (3,); infinite if nothing was absorbed."""
-        response = self.response
+        response = self.absorbed_share
         is_known = response > 0.0
         variance: FloatArray = np.where(is_known, self.variance / np.where(is_known, response, 1.0) ** 2, np.inf)
         return variance
 
-    def with_correction(self, innovations: FilterInnovations, jacobian: FloatArray, first: int) -> "Absorbed":
+    def with_correction(self, innovations: FilterInnovations, jacobian: FloatArray, first: int) -> "CorrectionSums":
         """Return the sums after one more measurement of a star sensor.
 
         Args:
@@ -108,16 +108,16 @@ class Absorbed(NamedTuple):
             >>> print(found.turn_n, found.variance, found.response, round(found.sigmas, 2))
             [2. 2. 2.] [0.5 0.5 0.5] [0.5 0.5 0.5] 2.83
         """
-        sums, sigmas = compiled_means.absorbed(
+        sums, sigmas = compiled_means.updated_correction_sums(
             self.sums, innovations.gain, innovations.residual, innovations.covariance, jacobian, first, _BLOCK_LEFT
         )
-        return Absorbed(sums, sigmas, self.unresolved)
+        return CorrectionSums(sums, sigmas, self.unresolved)
 
-    def without_corrections(self) -> "Absorbed":
+    def without_corrections(self) -> "CorrectionSums":
         """Return the sums without corrections, for a filter state that did not result from these measurements."""
         sums = self.sums.copy()
         sums[:, 0] = 0.0
-        return Absorbed(sums, 0.0, self.unresolved)
+        return CorrectionSums(sums, 0.0, self.unresolved)
 
     def unresolved_variance(self) -> FloatArray:
         """Return the variance that covers an unresolved common error, rad², shape (3,).
@@ -135,7 +135,7 @@ class Absorbed(NamedTuple):
         found: FloatArray = np.where(np.isfinite(limit), np.maximum(self.error_n**2 - limit, 0.0), 0.0)
         return found
 
-    def with_unresolved_error(self, time_ns: int, hold_ns: int) -> "Absorbed":
+    def with_unresolved_error(self, time_ns: int, hold_ns: int) -> "CorrectionSums":
         """Return the sums with the unresolved common error at a time, present or held from before.
 
         The filter follows a common error within seconds. The published covariance must contain it longer.
@@ -153,7 +153,7 @@ class Absorbed(NamedTuple):
         return self._replace(suspicion=UnresolvedCommonError(variance, time_ns + hold_ns))
 
 
-NOTHING_ABSORBED = Absorbed(np.tile(np.array([0.0, 0.0, 1.0])[:, None], (_BLOCKS, 1, _COMPONENTS)), 0.0)
+NO_CORRECTIONS = CorrectionSums(np.tile(np.array([0.0, 0.0, 1.0])[:, None], (_BLOCKS, 1, _COMPONENTS)), 0.0)
 """Sums before any measurement."""
 
 
@@ -173,10 +173,10 @@ def common_threshold(config: IntegrityConfig) -> float:
 
 def with_common_error(
     found: SolutionSeparation,
-    k: Factors,
-    missed: float,
+    k: SigmaMultipliers,
+    missed_detection: float,
     threshold: float,
-    absorbed: Absorbed,
+    corrections: CorrectionSums,
     by_states: FloatArray,
     covariance: FloatArray,
 ) -> SolutionSeparation:
@@ -205,13 +205,13 @@ def with_common_error(
         >>> print(found.statistic, found.level.round(1), found.dominant)
         [1.  2.5] [14.2 14.2 14.2] 1
     """
-    variance, level = absorbed.error_variance.tolist(), []
+    variance, level = corrections.error_variance.tolist(), []
     for by_state, own in zip(np.square(by_states).tolist(), covariance.diagonal().tolist(), strict=True):
         # A component may be independent of an unknown error: infinity times zero would be NaN.
         of_error = sum(square * one for square, one in zip(by_state, variance, strict=True) if square)
-        level.append(threshold * math.sqrt(of_error) + missed * math.sqrt(own + of_error))
+        level.append(threshold * math.sqrt(of_error) + missed_detection * math.sqrt(own + of_error))
     # In units of the threshold of all other hypotheses of the report.
-    statistic = np.append(found.statistic, absorbed.sigmas * k.false_exclusion / threshold)
+    statistic = np.append(found.statistic, corrections.sigmas * k.false_exclusion / threshold)
     largest = found.level.max()
     is_largest = not all(one <= largest for one in level)  # NaN is
     return found._replace(

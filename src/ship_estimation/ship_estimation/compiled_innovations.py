@@ -151,7 +151,7 @@ def _members(
     return count
 
 
-def sizes(numbers: cython.const[cython.double][:, :], first: cython.Py_ssize_t, least_own_share: cython.double):
+def part_sizes(numbers: cython.const[cython.double][:, :], first: cython.Py_ssize_t, least_own_share: cython.double):
     """Return the sizes of the parts of many measurements.
 
     Args:
@@ -168,7 +168,7 @@ def sizes(numbers: cython.const[cython.double][:, :], first: cython.Py_ssize_t, 
     of_squares = np.empty(numbers.shape[0] * (numbers.shape[1] - first))
     square: cython.double[::1] = of_squares
     filled: cython.Py_ssize_t = 0
-    telling: cython.Py_ssize_t = 0
+    informative: cython.Py_ssize_t = 0
     degrees: cython.double = 0.0
     own_share: cython.double = 0.0
     nis: cython.double = 0.0
@@ -180,7 +180,7 @@ def sizes(numbers: cython.const[cython.double][:, :], first: cython.Py_ssize_t, 
         components += numbers[n, 2]
         if not numbers[n, 3] >= least_own_share:
             continue
-        telling += 1
+        informative += 1
         degrees = max(degrees, numbers[n, 0])
         own_share += numbers[n, 3]
         for part in range(first, numbers.shape[1]):
@@ -190,7 +190,7 @@ def sizes(numbers: cython.const[cython.double][:, :], first: cython.Py_ssize_t, 
                 filled += 1
     kept = of_squares[:filled]
     kept.sort()
-    return kept, int(degrees), own_share / telling if telling else NAN, nis, int(components)
+    return kept, int(degrees), own_share / informative if informative else NAN, nis, int(components)
 
 
 @cython.cfunc
@@ -201,7 +201,7 @@ def _median(ordered: cython.double[:], count: cython.Py_ssize_t) -> cython.doubl
     return ordered[half] if count % 2 else 0.5 * (ordered[half - 1] + ordered[half])
 
 
-def along_axes(
+def axis_statistics(
     numbers: cython.const[cython.double][:, :],
     axes: cython.Py_ssize_t,
     least: cython.Py_ssize_t,
@@ -228,7 +228,7 @@ def along_axes(
     found: cython.double[:, ::1] = figures
     value: cython.double[:, ::1] = of_values
     ordered: cython.double[:, ::1] = of_ordered
-    lasting: cython.double = -INFINITY
+    common_variance: cython.double = -INFINITY
     limit: cython.double
     squares: cython.double
     products: cython.double
@@ -237,7 +237,7 @@ def along_axes(
     n: cython.Py_ssize_t
     for n in range(count):
         if numbers[n, 4] == 0.0:
-            lasting = _larger(lasting, 1.0 - numbers[n, 3])
+            common_variance = _larger(common_variance, 1.0 - numbers[n, 3])
     for axis in range(axes):
         known = 0
         for n in range(count):
@@ -268,4 +268,4 @@ def along_axes(
             if n:
                 products += value[axis, n] * value[axis, n - 1]
         found[axis, 3] = products / squares if squares > 0.0 else 0.0
-    return figures, lasting if lasting > -INFINITY else 0.0
+    return figures, common_variance if common_variance > -INFINITY else 0.0

@@ -45,9 +45,9 @@ def solution_separation(
     parts: cython.const[cython.double][:, :, :],
     subfilter_covariances: cython.const[cython.double][:, :, :],
     tested_subfilters: cython.const[cython.Py_ssize_t][:],
-    right: cython.double,
+    fault_free: cython.double,
     false_exclusion: cython.double,
-    missed: cython.const[cython.double][:],
+    missed_detection: cython.const[cython.double][:],
     share: cython.double,
     tiny: cython.double,
 ):
@@ -76,7 +76,7 @@ def solution_separation(
     check("components", to_components.shape[0] == to_components.shape[1] == by_states.shape[0] == 3)
     check("covariance", covariance.shape[0] == covariance.shape[1] == 3 and by_states.shape[1] == n)
     check("means", means.shape[1] == parts.shape[1] == parts.shape[2] == m and subfilter_covariances.shape[0] == hypotheses)
-    check("left_out", subfilter_covariances.shape[1] == subfilter_covariances.shape[2] == m and missed.shape[0] == hypotheses)
+    check("left_out", subfilter_covariances.shape[1] == subfilter_covariances.shape[2] == m and missed_detection.shape[0] == hypotheses)
     of_statistic, of_level = np.empty(tested_count), np.empty(3)
     statistic: cython.double[::1] = of_statistic
     level: cython.double[::1] = of_level
@@ -100,7 +100,7 @@ def solution_separation(
         check("states", 0 <= states[i] < m)
     for i in range(3):
         variance_0[i] = _form(to_components[i], covariance, to_components[i])
-        level[i] = right * sqrt(variance_0[i])
+        level[i] = fault_free * sqrt(variance_0[i])
         largest = _larger(largest, level[i])
     for part in range(parts.shape[0]):
         for i in range(n):
@@ -122,7 +122,7 @@ def solution_separation(
             # main filter, except if it accepts a source that the main filter rejected.
             grown = _larger(variance_0[i] + _form(by_states[i], covariances[1], by_states[i]), variance_0[i])
             sigma = _separation_sigma(grown, variance_0[i], share, tiny)
-            value = false_exclusion * sigma + missed[row] * sqrt(grown)
+            value = false_exclusion * sigma + missed_detection[row] * sqrt(grown)
             level[i], of_row = _larger(level[i], value), _larger(of_row, value)
             statistic[k] = _larger(statistic[k], fabs(distance) / sigma)
         if of_row > largest or (of_row != of_row and largest == largest):
@@ -220,7 +220,7 @@ def coverage(
     )
 
 
-def covered(
+def covered_count(
     times_ns: cython.const[cython.longlong][:],
     covariances: cython.const[cython.double][:, :, :],
     directions: cython.const[cython.double][:, :, :],

@@ -18,7 +18,7 @@ from cython.cimports.libc.string import memcpy
 from cython.cimports.ship_estimation.compiled_steps import _larger
 
 _COLUMNS = cython.declare(cython.Py_ssize_t, 5)
-_LASTING = cython.declare(cython.double, 1e-9)
+_CONSTANT_VARIANCE = cython.declare(cython.double, 1e-9)
 """Variance added to a constant error, so that a mean without noise has a regular covariance."""
 _LEAST_VARIANCE = cython.declare(cython.double, 1e-24)
 """Least variance of a sum of corrections, rad²: states known exactly get no corrections."""
@@ -51,12 +51,12 @@ def _chi2(mean: cython.p_double) -> cython.double:
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _chi2_beside(mean: cython.p_double, turn_noise: cython.const[cython.double][:, :]) -> cython.double:
+def _chi2_with_constant_error(mean: cython.p_double, whitened_noise: cython.const[cython.double][:, :]) -> cython.double:
     """Return chi² of a mean if the error of the filter is constant: only the measurement noise averages out.
 
     The covariance of the mean is decomposed by a Cholesky factor; chi² is NaN if that does not exist.
     """
-    lasting: cython.double = mean[3] * mean[3]
+    constant: cython.double = mean[3] * mean[3]
     factor = cython.declare(cython.double[9])
     solved = cython.declare(cython.double[3])
     total: cython.double = 0.0
@@ -66,9 +66,9 @@ def _chi2_beside(mean: cython.p_double, turn_noise: cython.const[cython.double][
     k: cython.int
     for i in range(3):
         for j in range(i + 1):
-            left = (mean[4] - lasting) * turn_noise[i, j]
+            left = (mean[4] - constant) * whitened_noise[i, j]
             if i == j:
-                left += lasting + _LASTING
+                left += constant + _CONSTANT_VARIANCE
             for k in range(j):
                 left -= factor[3 * i + k] * factor[3 * j + k]
             if i != j:
@@ -85,7 +85,7 @@ def _chi2_beside(mean: cython.p_double, turn_noise: cython.const[cython.double][
     return total
 
 
-def observed(
+def updated_means(
     running: cython.const[cython.double][:, :, :, ::1],
     excess: cython.const[cython.double][:, ::1],
     rejection_counts: cython.const[cython.longlong][:, ::1],
@@ -99,9 +99,9 @@ def observed(
     limit: cython.double,
     max_innovation: cython.double,
     consistent_ratio: cython.double,
-    long_ago_ns: cython.longlong,
-    beside: cython.bint,
-    turn_noise: cython.const[cython.double][:, :],
+    never_ns: cython.longlong,
+    is_excluded: cython.bint,
+    whitened_noise: cython.const[cython.double][:, :],
 ):
     """Return the fields of ``InnovationMeans``, in their order, after a measurement of each of several sources.
 
@@ -133,14 +133,14 @@ def observed(
     check("heard_ns", last_measured_ns.shape[0] == inconsistent_since_ns.shape[0] == count)
     check("turn", innovation.shape[0] == accepted.shape[0] == rows and innovation.shape[2] == 3)
     check("sources", innovation.shape[1] == accepted.shape[1] == len(sources))
-    check("turn_noise", turn_noise.shape[0] == turn_noise.shape[1] == 3)
+    check("turn_noise", whitened_noise.shape[0] == whitened_noise.shape[1] == 3)
     of_running, of_excess = np.empty((rows, count, weights.shape[0], _COLUMNS)), np.empty((rows, count))
     of_refused = np.empty((rows, count), dtype=np.int64)
     of_heard, of_contradicts = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
     means: cython.double[:, :, :, ::1] = of_running
     excesses: cython.double[:, ::1] = of_excess
     refusals: cython.longlong[:, ::1] = of_refused
-    heard: cython.longlong[::1] = of_heard
+    last_measured: cython.longlong[::1] = of_heard
     contradicts: cython.longlong[::1] = of_contradicts
     seen = cython.declare(cython.double[3])
     mean: cython.p_double
@@ -158,7 +158,7 @@ def observed(
         memcpy(cython.address(means[0, 0, 0, 0]), cython.address(running[0, 0, 0, 0]), of_means)
         memcpy(cython.address(excesses[0, 0]), cython.address(excess[0, 0]), of_numbers)
         memcpy(cython.address(refusals[0, 0]), cython.address(rejection_counts[0, 0]), rows * of_stamps)
-        memcpy(cython.address(heard[0]), cython.address(last_measured_ns[0]), of_stamps)
+        memcpy(cython.address(last_measured[0]), cython.address(last_measured_ns[0]), of_stamps)
         memcpy(cython.address(contradicts[0]), cython.address(inconsistent_since_ns[0]), of_stamps)
     for one in range(innovation.shape[1]):
         s = sources[one]
@@ -173,22 +173,22 @@ def observed(
             _average(mean, seen, weights)
             worst = 0.0
             for k in range(weights.shape[0]):
-                if beside and row == 0:
-                    worst = _larger(worst, _chi2_beside(mean + k * _COLUMNS, turn_noise))
+                if is_excluded and row == 0:
+                    worst = _larger(worst, _chi2_with_constant_error(mean + k * _COLUMNS, whitened_noise))
                 else:
                     worst = _larger(worst, _chi2(mean + k * _COLUMNS))
             excesses[row, s] = worst / limit
             refusals[row, s] = 0 if accepted[row, one] else refusals[row, s] + 1
-        heard[s] = max(heard[s], time_ns)
+        last_measured[s] = max(last_measured[s], time_ns)
         # Written so that NaN is inconsistent.
         if excesses[0, s] <= consistent_ratio and refusals[0, s] == 0:
-            contradicts[s] = long_ago_ns
-        elif contradicts[s] == long_ago_ns:
+            contradicts[s] = never_ns
+        elif contradicts[s] == never_ns:
             contradicts[s] = time_ns
     return of_running, of_excess, of_refused, of_heard, of_contradicts
 
 
-def averaged(
+def updated_mean(
     running: cython.const[cython.double][:, ::1],
     innovation: cython.const[cython.double][:],
     weights: cython.const[cython.double][::1],
@@ -218,7 +218,7 @@ def averaged(
     return result, worst
 
 
-def absorbed(
+def updated_correction_sums(
     sums: cython.const[cython.double][:, :, ::1],
     gain: cython.const[cython.double][:, :, ::1],
     residual: cython.const[cython.double][:, ::1],

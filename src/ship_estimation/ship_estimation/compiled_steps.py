@@ -129,7 +129,7 @@ def _sum(
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _transposed(
+def _transpose(
     matrix: cython.p_double, rows: cython.Py_ssize_t, columns: cython.Py_ssize_t, out: cython.p_double
 ) -> cython.void:
     i: cython.Py_ssize_t
@@ -141,7 +141,7 @@ def _transposed(
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _decomposed(matrix: cython.p_double, size: cython.Py_ssize_t) -> cython.bint:
+def _cholesky(matrix: cython.p_double, size: cython.Py_ssize_t) -> cython.bint:
     """Replace the upper triangle by the Cholesky factor; return False if not positive definite, or for NaN."""
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
@@ -257,7 +257,7 @@ def _transition(
         noise[i] = steady_variance[i] * (1.0 - decay[i] * decay[i]) + walk_variance[i] * dt_s
 
 
-def later(
+def propagate(
     dt_s: cython.double,
     means: cython.const[cython.double][:, ::1],
     stack: cython.const[cython.double][:, :, ::1],
@@ -267,7 +267,7 @@ def later(
     source_of: cython.const[cython.Py_ssize_t][::1],
     first: cython.Py_ssize_t,
     sigma: cython.const[cython.double][::1],
-    beyond: cython.double,
+    threshold_sigmas: cython.double,
 ):
     """Propagate all filters; return decay factors (n,), means (h, n) and stack (n_sources + h - 1, n, n).
 
@@ -290,7 +290,7 @@ def later(
     check("slow", 0 <= first <= n - sigma.shape[0])
     of_decay, of_means, of_stack = np.empty(n), np.empty((rows, n)), np.empty((stack.shape[0], n, n))
     decay: cython.double[::1] = of_decay
-    moved: cython.double[:, ::1] = of_means
+    propagated: cython.double[:, ::1] = of_means
     out: cython.double[:, :, ::1] = of_stack
     noise: cython.double[::1] = np.empty(n)
     row: cython.Py_ssize_t
@@ -299,10 +299,10 @@ def later(
     _predict_covariances(stack, stack.shape[0] - rows + 1, decay, noise, source_of, out)
     for row in range(rows):
         for i in range(n):
-            moved[row, i] = decay[i] * means[row, i]
+            propagated[row, i] = decay[i] * means[row, i]
         for i in range(sigma.shape[0]):
-            if fabs(means[row, first + i]) > beyond * sigma[i]:
-                moved[row, first + i] = means[row, first + i]
+            if fabs(means[row, first + i]) > threshold_sigmas * sigma[i]:
+                propagated[row, first + i] = means[row, first + i]
     return of_decay, of_means, of_stack
 
 
@@ -367,30 +367,30 @@ def solution_separations(
     """
     rows: cython.Py_ssize_t = means.shape[0]
     of_apart, of_statistic = np.empty((rows, count)), np.zeros(rows)
-    apart: cython.double[:, ::1] = of_apart
+    separation: cython.double[:, ::1] = of_apart
     statistic: cython.double[::1] = of_statistic
     by_all: cython.double
     row: cython.Py_ssize_t
     i: cython.Py_ssize_t
     _check_separations(means, stack, first, count)
     for i in range(first, first + count):
-        by_all = _variance_by_all(stack, rows, i)
+        by_all = _main_filter_variance(stack, rows, i)
         for row in range(rows):
-            apart[row, i - first] = means[row, i] - means[0, i]
+            separation[row, i - first] = means[row, i] - means[0, i]
             statistic[row] = _larger(
                 statistic[row], _separation_sigmas(means, stack, row, i, by_all, least_share, least_variance)
             )
     return of_apart, of_statistic
 
 
-def separated(
+def exceeds_separation(
     means: cython.const[cython.double][:, ::1],
     stack: cython.const[cython.double][:, :, ::1],
     first: cython.Py_ssize_t,
     count: cython.Py_ssize_t,
     least_share: cython.double,
     least_variance: cython.double,
-    most_sigmas: cython.double,
+    threshold_sigmas: cython.double,
 ) -> cython.bint:
     """True if a solution separation exceeds the threshold; arguments as for :func:`solution_separations`."""
     by_all: cython.double
@@ -398,10 +398,10 @@ def separated(
     i: cython.Py_ssize_t
     _check_separations(means, stack, first, count)
     for i in range(first, first + count):
-        by_all = _variance_by_all(stack, means.shape[0], i)
+        by_all = _main_filter_variance(stack, means.shape[0], i)
         for row in range(means.shape[0]):
             # Written so that NaN exceeds the threshold.
-            if not _separation_sigmas(means, stack, row, i, by_all, least_share, least_variance) <= most_sigmas:
+            if not _separation_sigmas(means, stack, row, i, by_all, least_share, least_variance) <= threshold_sigmas:
                 return True
     return False
 
@@ -421,7 +421,7 @@ def _check_separations(
 @cython.cfunc
 @cython.exceptval(check=False)
 @cython.inline
-def _variance_by_all(
+def _main_filter_variance(
     stack: cython.const[cython.double][:, :, ::1], rows: cython.Py_ssize_t, state: cython.Py_ssize_t
 ) -> cython.double:
     """Return the variance of a state in the main filter."""
@@ -493,7 +493,7 @@ def variance_along(
     return total
 
 
-def spread(
+def projected_variance(
     jacobian: cython.const[cython.double][:, ::1],
     covariance: cython.const[cython.double][:, ::1],
     excluded_states: cython.const[cython.double][::1],
@@ -524,7 +524,7 @@ def spread(
     return total
 
 
-def compared(
+def innovations(
     means: cython.const[cython.double][:, ::1],
     stack: cython.const[cython.double][:, :, ::1],
     measured: cython.const[cython.double][::1],
@@ -561,8 +561,8 @@ def compared(
     # the rotation Jacobian, information, and the covariance of the main filter.
     scratch: cython.double[::1] = np.empty(n * m + wide * m + n * m + m * m + 4 * m + 12 + 9 + n * n)
     transposed: cython.p_double = cython.address(scratch[0])
-    asked: cython.p_double = transposed + n * m
-    cross: cython.p_double = asked + wide * m
+    right_side: cython.p_double = transposed + n * m
+    cross: cython.p_double = right_side + wide * m
     factor: cython.p_double = cross + n * m
     solved: cython.p_double = factor + m * m
     seen: cython.p_double = solved + 4 * m
@@ -576,7 +576,7 @@ def compared(
     j: cython.Py_ssize_t
     k: cython.Py_ssize_t
     total: cython.double
-    _transposed(h, m, n, transposed)
+    _transpose(h, m, n, transposed)
     _sum(parts, sources, n * n, covariance)
     for row in range(rows):
         for j in range(m):
@@ -593,19 +593,19 @@ def compared(
                 factor[i * m + j] += noise[i, j]
                 innovation[row, i, j] = factor[i * m + j]
         for j in range(m):
-            memcpy(asked + j * wide, cross + j * n, n * cython.sizeof(cython.double))
-            asked[j * wide + n] = residual[row, j]
+            memcpy(right_side + j * wide, cross + j * n, n * cython.sizeof(cython.double))
+            right_side[j * wide + n] = residual[row, j]
             for k in range(3):
-                asked[j * wide + n + 1 + k] = by_turn[j, k]
-        if not _decomposed(factor, m):
+                right_side[j * wide + n + 1 + k] = by_turn[j, k]
+        if not _cholesky(factor, m):
             raise np.linalg.LinAlgError("innovation covariance is not positive definite")
-        _solve(factor, m, asked, wide)
+        _solve(factor, m, right_side, wide)
         total = 0.0
         for j in range(m):
             for i in range(n):
-                gain[row, i, j] = asked[j * wide + i]
+                gain[row, i, j] = right_side[j * wide + i]
             for k in range(4):
-                solved[k * m + j] = asked[j * wide + n + k]
+                solved[k * m + j] = right_side[j * wide + n + k]
             total += residual[row, j] * solved[j]
         nis[row] = total
         _product(solved, 4, m, turning, 3, seen)
@@ -613,13 +613,13 @@ def compared(
         _inverse_root(information, cython.address(root[row, 0, 0]))
         _product(seen, 1, 3, cython.address(root[row, 0, 0]), 3, cython.address(whitened_innovation[row, 0]))
         if row == 0:
-            _share_of_noise(cython.address(root[0, 0, 0]), solved + m, noise, cython.address(share[0, 0]))
+            _whitened_noise(cython.address(root[0, 0, 0]), solved + m, noise, cython.address(share[0, 0]))
     return of_residual, of_covariance, of_nis, of_gain, of_turn, of_noise, of_root
 
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _share_of_noise(
+def _whitened_noise(
     root: cython.p_double,
     solved: cython.p_double,
     noise: cython.const[cython.double][:, ::1],
@@ -633,7 +633,7 @@ def _share_of_noise(
     transposed: cython.p_double = by_noise + 3 * m
     _product(root, 3, 3, solved, m, weights)
     _product(weights, 3, m, cython.cast(cython.p_double, cython.address(noise[0, 0])), m, by_noise)
-    _transposed(weights, 3, m, transposed)
+    _transpose(weights, 3, m, transposed)
     _product(by_noise, 3, m, transposed, 3, share)
 
 
@@ -703,12 +703,12 @@ def _inverse_root(matrix: cython.p_double, root: cython.p_double) -> cython.void
                 root[3 * p + q] += vectors[3 * p + k] * scale[k] * vectors[3 * q + k]
 
 
-def updated(
+def update(
     stack: cython.const[cython.double][:, :, ::1],
     jacobian: cython.const[cython.double][:, ::1],
     residual: cython.const[cython.double][:, ::1],
     gain: cython.const[cython.double][:, :, ::1],
-    learns: cython.const[cython.uchar][:, ::1],
+    updated_states: cython.const[cython.uchar][:, ::1],
     noise_parts: tuple,
     noise: cython.const[cython.double][:, ::1],
 ):
@@ -727,15 +727,15 @@ def updated(
     n: cython.Py_ssize_t = gain.shape[1]
     m: cython.Py_ssize_t = gain.shape[2]
     sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
-    check("stack", sources >= 1 and stack.shape[1] == stack.shape[2] == jacobian.shape[1] == learns.shape[1] == n)
+    check("stack", sources >= 1 and stack.shape[1] == stack.shape[2] == jacobian.shape[1] == updated_states.shape[1] == n)
     check("measurement", jacobian.shape[0] == residual.shape[1] == noise.shape[0] == noise.shape[1] == m)
-    check("rows", residual.shape[0] == learns.shape[0] == rows)
+    check("rows", residual.shape[0] == updated_states.shape[0] == rows)
     result, corrections = np.empty((sources + rows - 1, n, n)), np.empty((rows, n))
     out: cython.double[:, :, ::1] = result
-    moved: cython.double[:, ::1] = corrections
+    correction: cython.double[:, ::1] = corrections
     own: cython.double[:, ::1] = np.empty((n, m))
     states: cython.Py_ssize_t[::1] = np.empty(n, dtype=np.intp)
-    seen: cython.Py_ssize_t = _seen_states(jacobian, states)
+    seen: cython.Py_ssize_t = _observed_states(jacobian, states)
     # Selecting states is cheaper than multiplying by H.
     chosen: cython.Py_ssize_t = seen if seen <= 2 * m else 0
     room: cython.double[::1] = np.empty(3 * n * max(m, chosen) + n * n + 2 * n * m)
@@ -751,16 +751,16 @@ def updated(
         for i in range(n):
             total = 0.0
             for j in range(m):
-                own[i, j] = gain[row, i, j] if learns[row, i] else 0.0
+                own[i, j] = gain[row, i, j] if updated_states[row, i] else 0.0
                 total += own[i, j] * residual[row, j]
-            moved[row, i] = total
+            correction[row, i] = total
         _thin_factor(own, h, states, chosen, scratch)
         # The main filter has all parts, each subfilter one covariance.
         for s in range(sources + row - 1 if row else 0, sources + row if row else sources):
             if _is_zero(cython.address(stack[s, 0, 0]), n * n):
                 memset(cython.address(out[s, 0, 0]), 0, n * n * cython.sizeof(cython.double))
                 continue
-            _both_sides(
+            _joseph_update(
                 cython.cast(cython.p_double, cython.address(stack[s, 0, 0])),
                 n,
                 h,
@@ -795,7 +795,7 @@ def _is_zero(numbers: cython.pointer(cython.const[cython.double]), count: cython
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _seen_states(
+def _observed_states(
     jacobian: cython.const[cython.double][:, ::1], states: cython.Py_ssize_t[::1]
 ) -> cython.Py_ssize_t:
     """Write the indices of the states with a nonzero column of H; return their number."""
@@ -831,18 +831,18 @@ def _thin_factor(
     product: cython.p_double = scratch + 2 * n * chosen
     if not chosen:
         memcpy(scratch, cython.address(gain[0, 0]), n * m * cython.sizeof(cython.double))
-        _transposed(scratch, n, m, scratch + n * m)
+        _transpose(scratch, n, m, scratch + n * m)
         return
     _product(cython.address(gain[0, 0]), n, m, jacobian, n, product)
     for i in range(n):
         for k in range(chosen):
             scratch[i * chosen + k] = product[i * n + states[k]]
-    _transposed(scratch, n, chosen, scratch + n * chosen)
+    _transpose(scratch, n, chosen, scratch + n * chosen)
 
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _across(
+def _times_right_factor(
     jacobian: cython.p_double,
     m: cython.Py_ssize_t,
     states: cython.Py_ssize_t[::1],
@@ -861,7 +861,7 @@ def _across(
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _both_sides(
+def _joseph_update(
     covariance: cython.p_double,
     n: cython.Py_ssize_t,
     jacobian: cython.p_double,
@@ -878,11 +878,11 @@ def _both_sides(
     halfway: cython.p_double = across + n * r
     i: cython.Py_ssize_t
     # P is symmetric: the transpose of B P is P Bᵀ.
-    _across(jacobian, m, states, chosen, covariance, n, across)
+    _times_right_factor(jacobian, m, states, chosen, covariance, n, across)
     memcpy(halfway, covariance, n * n * cython.sizeof(cython.double))
     for i in range(n):
         _add_rows(halfway + i * n, -1.0, across + i, n, r, transposed, n, n)
-    _across(jacobian, m, states, chosen, halfway, n, across)
+    _times_right_factor(jacobian, m, states, chosen, halfway, n, across)
     for i in range(n):
         memcpy(out + i * n + i, halfway + i * n + i, (n - i) * cython.sizeof(cython.double))
         _add_rows(out + i * n + i, -1.0, scratch + i * r, 1, r, across + i, n, n - i)
@@ -902,7 +902,7 @@ def _add_noise(
     transposed: cython.p_double = cython.address(scratch[scratch.shape[0] - 2 * n * m])
     by_noise: cython.p_double = transposed + n * m
     i: cython.Py_ssize_t
-    _transposed(cython.address(gain[0, 0]), n, m, transposed)
+    _transpose(cython.address(gain[0, 0]), n, m, transposed)
     _product(cython.cast(cython.p_double, cython.address(noise[0, 0])), m, m, transposed, n, by_noise)
     for i in range(n):
         _add_rows(out + i * n + i, 1.0, cython.address(gain[i, 0]), 1, m, by_noise + i, n, n - i)

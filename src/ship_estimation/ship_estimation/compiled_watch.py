@@ -29,10 +29,10 @@ _TYPICAL = cython.declare(cython.double, 3.10)
 945 sigma⁸."""
 _MEMORY = cython.declare(cython.longlong, 1500)
 """Number of steps over which the mean is taken."""
-_LEARNT_ONE = cython.declare(cython.longlong, 64)
-_LEARNT_ALL = cython.declare(cython.longlong, 250)
+_SAMPLES_FOR_ONE = cython.declare(cython.longlong, 64)
+_SAMPLES_FOR_MEANS = cython.declare(cython.longlong, 250)
 """Numbers of steps in the statistics from which single samples, and means, are checked against the line."""
-_UNKNOWN_RAD = cython.declare(cython.double, 10.0)
+_NO_BOUND_RAD = cython.declare(cython.double, 10.0)
 """Bound without statistics, rad: no step is as large."""
 SET_EVERY, FORGET = 8, 0.78
 """Number of updates of the statistics between two updates of the bounds; decay factor of the apparent step then."""
@@ -40,7 +40,7 @@ SET_EVERY, FORGET = 8, 0.78
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _missed(first: cython.p_double, second: cython.p_double, seconds: cython.double) -> cython.double:
+def _mean_rate_error(first: cython.p_double, second: cython.p_double, seconds: cython.double) -> cython.double:
     """Return the bound of the integration error by the mean of two rates, rad."""
     change: cython.double = 0.0
     twice_mean: cython.double = 0.0
@@ -52,7 +52,7 @@ def _missed(first: cython.p_double, second: cython.p_double, seconds: cython.dou
     return seconds * (_CHANGE_SHARE * sqrt(change) + phase * phase / 12.0 * 0.5 * sqrt(twice_mean))
 
 
-def missed_by_mean(
+def mean_rate_error(
     first: cython.const[cython.double][:], second: cython.const[cython.double][:], seconds: cython.double
 ):
     """Return the bound of the integration error by the mean of two rates (rad/s, shape (3,)), rad."""
@@ -62,15 +62,15 @@ def missed_by_mean(
     i: cython.int
     for i in range(3):
         one[i], other[i] = first[i], second[i]
-    return _missed(one, other, seconds)
+    return _mean_rate_error(one, other, seconds)
 
 
-def turns(
+def rotation_steps(
     times_ns: cython.const[cython.longlong][:],
     rates: cython.const[cython.double][:, :],
     last_ns: cython.longlong,
     last_rate: cython.const[cython.double][:],
-    missed_rad: cython.double,
+    error_rad: cython.double,
     twice_drift: cython.const[cython.double][:],
     longest_ns: cython.longlong,
 ):
@@ -106,10 +106,10 @@ def turns(
         for i in range(3):
             second[i] = rates[n, i]
             turn[n, i] = 0.5e-9 * step_ns * (first[i] + second[i] - twice_drift[i])
-        missed_rad += _missed(first, second, step_ns * 1e-9)
-        if not (0 < step_ns <= longest_ns and missed_rad < INFINITY):
-            missed_rad = INFINITY
-        missed[n], last_ns = missed_rad, times_ns[n]
+        error_rad += _mean_rate_error(first, second, step_ns * 1e-9)
+        if not (0 < step_ns <= longest_ns and error_rad < INFINITY):
+            error_rad = INFINITY
+        missed[n], last_ns = error_rad, times_ns[n]
         for i in range(3):
             first[i] = second[i]
     return of_turns, of_missed
@@ -117,7 +117,7 @@ def turns(
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _sizes_of_steps(
+def _step_sizes(
     weights: cython.const[cython.double][:, :],
     rows: cython.const[cython.double][:, :],
     first: cython.Py_ssize_t,
@@ -151,7 +151,7 @@ def step_sizes(weights: cython.const[cython.double][:, :], rows: cython.const[cy
     check("rows", rows.shape[0] == weights.shape[1] and rows.shape[1] == 3)
     of_sizes = np.empty(weights.shape[0])
     sizes: cython.double[:] = of_sizes
-    _sizes_of_steps(weights, rows, 0, sizes)
+    _step_sizes(weights, rows, 0, sizes)
     return of_sizes
 
 
@@ -159,7 +159,7 @@ def step_sizes(weights: cython.const[cython.double][:, :], rows: cython.const[cy
 @cython.exceptval(check=False)
 def _is_checked(learns: cython.longlong, first_rad: cython.double) -> cython.bint:
     """True if a single sample is checked by its own step."""
-    return learns >= _LEARNT_ONE or first_rad < INFINITY
+    return learns >= _SAMPLES_FOR_ONE or first_rad < INFINITY
 
 
 @cython.cfunc
@@ -171,7 +171,7 @@ def _set(
     high: cython.const[cython.double][:],
     learns: cython.longlong,
     coarse_rad: cython.double,
-    feigned_rad: cython.double,
+    apparent_step_rad: cython.double,
     first_rad: cython.double,
     bounds: cython.double[:],
     scaled: cython.double[:, :],
@@ -187,12 +187,12 @@ def _set(
         # Written so that NaN stays.
         if not learnt <= bound:
             bound = learnt
-        bound += coarse_rad + feigned_rad
+        bound += coarse_rad + apparent_step_rad
         # An infinite bound is not used: the ratio of a step to it would be zero in the statistics.
-        if p == 0 and learns < _LEARNT_ONE and bound < first_rad < INFINITY:
+        if p == 0 and learns < _SAMPLES_FOR_ONE and bound < first_rad < INFINITY:
             bound = first_rad
-        if learns < _LEARNT_ALL and not (p == 0 and _is_checked(learns, first_rad)):
-            bound += _UNKNOWN_RAD
+        if learns < _SAMPLES_FOR_MEANS and not (p == 0 and _is_checked(learns, first_rad)):
+            bound += _NO_BOUND_RAD
         bounds[p] = bound
         for m in range(weights.shape[1]):
             scaled[p, m] = weights[p, m] / bound
@@ -205,7 +205,7 @@ def set_bounds(
     high: cython.const[cython.double][:],
     learns: cython.longlong,
     coarse_rad: cython.double,
-    feigned_rad: cython.double,
+    apparent_step_rad: cython.double,
     first_rad: cython.double,
     bounds: cython.double[:],
     scaled: cython.double[:, :],
@@ -230,7 +230,7 @@ def set_bounds(
     places: cython.Py_ssize_t = weights.shape[0]
     check("bounds", least_rad.shape[0] == shares.shape[0] == bounds.shape[0] == places and high.shape[0] >= places)
     check("scaled", scaled.shape[0] == places and scaled.shape[1] == weights.shape[1])
-    _set(weights, least_rad, shares, high, learns, coarse_rad, feigned_rad, first_rad, bounds, scaled)
+    _set(weights, least_rad, shares, high, learns, coarse_rad, apparent_step_rad, first_rad, bounds, scaled)
     return bool(_is_checked(learns, first_rad))
 
 
@@ -269,16 +269,16 @@ def learn(
     _learn(sizes, bounds, learns, high)
 
 
-def followed(
+def accepted_on_line(
     times_ns: cython.const[cython.longlong][:],
     rows: cython.const[cython.double][:, :],
-    missed_rad: cython.const[cython.double][:],
+    error_rad: cython.const[cython.double][:],
     end: cython.Py_ssize_t,
     last_ns: cython.longlong,
     longest_ns: cython.longlong,
-    last_missed_rad: cython.double,
-    last_feigned_rad: cython.double,
-    feigned_rad: cython.double,
+    last_error_rad: cython.double,
+    last_apparent_step_rad: cython.double,
+    apparent_step_rad: cython.double,
     weights: cython.const[cython.double][:, :],
     least_rad: cython.const[cython.double][:],
     shares: cython.const[cython.double][:],
@@ -324,7 +324,7 @@ def followed(
     places: cython.Py_ssize_t = weights.shape[0]
     length: cython.Py_ssize_t = weights.shape[1]
     samples: cython.Py_ssize_t = min(rows.shape[0], kept.shape[0] - end)
-    check("rows", times_ns.shape[0] == missed_rad.shape[0] == rows.shape[0] and rows.shape[1] == kept.shape[1] == 3)
+    check("rows", times_ns.shape[0] == error_rad.shape[0] == rows.shape[0] and rows.shape[1] == kept.shape[1] == 3)
     check("kept", length - 1 <= end <= kept.shape[0] and learn_every > 0)
     check("bounds", least_rad.shape[0] == shares.shape[0] == high.shape[0] == bounds.shape[0] == places)
     check("scaled", scaled.shape[0] == places and scaled.shape[1] == length)
@@ -336,31 +336,31 @@ def followed(
     p: cython.Py_ssize_t
     i: cython.int
     while taken < samples:
-        step_rad = missed_rad[taken] - last_missed_rad
+        step_rad = error_rad[taken] - last_error_rad
         # Written so that NaN ends it.
         if not times_ns[taken] - last_ns <= longest_ns:
             break
-        if not abs(step_rad - last_feigned_rad) <= feigned_rad:
-            feigned_rad = 1.5 * abs(step_rad - last_feigned_rad)
-            _set(weights, least_rad, shares, high, learns, coarse_rad, feigned_rad, first_rad, bounds, scaled)
+        if not abs(step_rad - last_apparent_step_rad) <= apparent_step_rad:
+            apparent_step_rad = 1.5 * abs(step_rad - last_apparent_step_rad)
+            _set(weights, least_rad, shares, high, learns, coarse_rad, apparent_step_rad, first_rad, bounds, scaled)
         for i in range(3):
             kept[end + taken, i] = rows[taken, i]
-        _sizes_of_steps(scaled, kept, end + taken + 1 - length, sizes[taken & 1])
+        _step_sizes(scaled, kept, end + taken + 1 - length, sizes[taken & 1])
         on_line = True
         for p in range(places):
             on_line = on_line and sizes[taken & 1, p] <= 1.0
         if not on_line:
             break
-        last_ns, last_missed_rad, last_feigned_rad = times_ns[taken], missed_rad[taken], step_rad
+        last_ns, last_error_rad, last_apparent_step_rad = times_ns[taken], error_rad[taken], step_rad
         since_learnt += 1
         if since_learnt >= learn_every:
             since_learnt, learns = 0, learns + 1
             _learn(sizes[taken & 1], bounds, learns, high)
             if learns % SET_EVERY == 0:
-                feigned_rad *= FORGET
-                _set(weights, least_rad, shares, high, learns, coarse_rad, feigned_rad, first_rad, bounds, scaled)
+                apparent_step_rad *= FORGET
+                _set(weights, least_rad, shares, high, learns, coarse_rad, apparent_step_rad, first_rad, bounds, scaled)
         taken += 1
-    return taken, of_sizes[(taken - 1) & 1], last_feigned_rad, feigned_rad, since_learnt, learns
+    return taken, of_sizes[(taken - 1) & 1], last_apparent_step_rad, apparent_step_rad, since_learnt, learns
 
 
 def changes(before: cython.const[cython.double][:, :], values: cython.const[cython.double][:, :, :]):

@@ -32,12 +32,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_estimation.outcome import Estimate, DecisionT, Measurement, Outcome
-from ship_estimation.refusals import Contradictions, Reason, Rejection, failure, same_stamp
+from ship_estimation.refusals import StampConflicts, Reason, Rejection, failure_rejection, resolve_same_stamp
 from ship_geometry.sample_track import SampleTrack
 from ship_geometry.time_scales import SECOND_NS
 
 State = TypeVar("State")
-Measured = TypeVar("Measured", bound=Measurement)
+MeasurementT = TypeVar("MeasurementT", bound=Measurement)
 Jump = TypeVar("Jump")
 Item = TypeVar("Item")
 AnyDecision = TypeVar("AnyDecision")
@@ -58,7 +58,7 @@ class LagWindow:
         self._lag_s, self._lag_ns = lag_s, round(lag_s * SECOND_NS)
         self.newest_ns, self.oldest_ns = 0, -self._lag_ns
 
-    def late(self, time_ns: int) -> Rejection | None:
+    def late_rejection(self, time_ns: int) -> Rejection | None:
         """Return the rejection of data with this stamp if they are late; None otherwise."""
         if time_ns >= self.oldest_ns:
             return None
@@ -75,7 +75,7 @@ _MOST_AHEAD_NS = SECOND_NS // 10
 """Twice the maximum time by which an accepted stamp is ahead of its arrival, ns."""
 
 
-def surely_in_time(
+def is_within_lag(
     times_ns: NDArray[np.int64], arrivals_ns: NDArray[np.int64], lag_s: float
 ) -> NDArray[np.bool_]:
     """True for each of N data that cannot be late, whatever other data arrive before it, shape (N,).
@@ -106,7 +106,7 @@ MOST_OVERTAKEN_PER_S = 200
 It suffices for star exposures at 14 Hz in any order within two seconds, and attitudes at 100 Hz late by up to 0.1 s."""
 
 
-class _Allowance:
+class _RateLimit:
     """Rate limit with a burst of one second.
 
     Args:
@@ -117,7 +117,7 @@ class _Allowance:
         self._cost_ns = SECOND_NS // per_s
         self._paid_until_ns = -SECOND_NS
 
-    def covers(self, count: int, now_ns: int) -> bool:
+    def allows(self, count: int, now_ns: int) -> bool:
         """True if ``count`` more are permitted."""
         return self._since_ns(now_ns) + count * self._cost_ns <= now_ns
 
@@ -163,7 +163,7 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
         self._entries: list[_Entry[State, Item, AnyDecision]] = []
         self.pending_count = 0
         self.oldest_ns: int | None = None
-        self._repeats = _Allowance(MOST_REPEATS_PER_S)
+        self._repeats = _RateLimit(MOST_REPEATS_PER_S)
 
     @property
     def base(self) -> State:
@@ -173,11 +173,11 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
     @property
     def is_behind(self) -> bool:
         """True if the next measurement was applied before and is pending only because of the rate limits."""
-        return self.pending_count > 0 and self._entries[self._applied].decision is not None
+        return self.pending_count > 0 and self._entries[self._applied_count].decision is not None
 
     def pending_measurements(self) -> list[Item]:
         """Return the pending measurements, in order."""
-        return [entry.measurement for entry in self._entries[self._applied :]]
+        return [entry.measurement for entry in self._entries[self._applied_count :]]
 
     def get(self, key: Key) -> Item | None:
         """Return the measurement of exactly this time and tie-breaker; None if there is none."""
@@ -185,7 +185,7 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
         found = index < len(self._keys) and self._keys[index] == key
         return self._entries[index].measurement if found else None
 
-    def overtaken(self, key: Key) -> int:
+    def count_overtaken(self, key: Key) -> int:
         """Return the number of measurements in the log with the same tie-breaker and a later time."""
         return sum(other[1] == key[1] for other in self._keys[bisect.bisect_right(self._keys, key) :])
 
@@ -201,9 +201,9 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
             self.pending_count += 1
         self.pending_count = max(self.pending_count, len(self._entries) - index)
 
-    def rewind_where(self, affected: Callable[[AnyDecision], bool]) -> None:
+    def rewind_to_first(self, affected: Callable[[AnyDecision], bool]) -> None:
         """Apply again, at the next :meth:`apply`, from the first measurement whose decision is affected."""
-        for index in range(self._applied):
+        for index in range(self._applied_count):
             decision = self._entries[index].decision
             if decision is not None and affected(decision):
                 self.pending_count = len(self._entries) - index
@@ -212,7 +212,7 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
     def apply(
         self,
         step: Callable[[State, Item], tuple[State, AnyDecision] | None],
-        failed: Callable[[Item, Exception], AnyDecision],
+        failure_decision: Callable[[Item, Exception], AnyDecision],
         window_ns: tuple[int, int] | None = None,
     ) -> list[tuple[AnyDecision, AnyDecision | None]]:
         """Apply pending measurements, in order, until ``step`` returns None because it needs data still to arrive.
@@ -231,7 +231,7 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
         decisions: list[tuple[AnyDecision, AnyDecision | None]] = []
         repeats = 0
         while self.pending_count:
-            index = self._applied
+            index = self._applied_count
             entry, self.state = self._entries[index], self._state_before(index)
             again = entry.decision is not None
             if again and window_ns is not None and not self._may_repeat(entry.key, repeats, *window_ns):
@@ -240,7 +240,7 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
             try:
                 result = step(self.state, entry.measurement)
             except Exception as error:
-                result = self.state, failed(entry.measurement, error)
+                result = self.state, failure_decision(entry.measurement, error)
             if result is None:
                 break
             if again:
@@ -260,7 +260,7 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
         Returns:
             The states after each of them.
         """
-        count = min(bisect.bisect_left(self._keys, (time_ns,)), self._applied)
+        count = min(bisect.bisect_left(self._keys, (time_ns,)), self._applied_count)
         closed = self.states(count)
         if count:
             self._base = closed[-1]
@@ -271,16 +271,16 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
 
     def states(self, count: int | None = None) -> list[State]:
         """Return the states after the first ``count`` measurements of the window; None for all applied ones."""
-        return [self._state_before(number + 1) for number in range(self._applied if count is None else count)]
+        return [self._state_before(number + 1) for number in range(self._applied_count if count is None else count)]
 
     @property
-    def _applied(self) -> int:
+    def _applied_count(self) -> int:
         """Number of measurements of the window that are applied: always its first ones."""
         return len(self._entries) - self.pending_count
 
     def _may_repeat(self, key: Key, repeats: int, closed_ns: int, now_ns: int) -> bool:
         # Before the closed time no data can arrive: one more repetition is final there.
-        return key[0] < closed_ns or (repeats < MOST_REPEATS_AT_ONCE and self._repeats.covers(1, now_ns))
+        return key[0] < closed_ns or (repeats < MOST_REPEATS_AT_ONCE and self._repeats.allows(1, now_ns))
 
     def _state_before(self, index: int) -> State:
         if index == 0:
@@ -291,7 +291,7 @@ class TimeOrderedLog(Generic[State, Item, AnyDecision]):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Model(Generic[State, Measured, DecisionT, Jump]):
+class EstimatorModel(Generic[State, MeasurementT, DecisionT, Jump]):
     """The functions of an estimator; none of them changes the state that it receives.
 
     Attributes:
@@ -305,17 +305,17 @@ class Model(Generic[State, Measured, DecisionT, Jump]):
         on_commit: called with the states after committed measurements, in order.
     """
 
-    step: Callable[[State, Measured, bool], tuple[State, DecisionT] | None]
+    step: Callable[[State, MeasurementT, bool], tuple[State, DecisionT] | None]
     inflate: Callable[[State, Jump], State]
-    failed: Callable[[Measured, Rejection], DecisionT]
+    failure_decision: Callable[[MeasurementT, Rejection], DecisionT]
     until_ns: Callable[[DecisionT], int]
-    forget_before: Callable[[int], None]
-    decided: Callable[[DecisionT], None] | None = None
+    drop_before: Callable[[int], None]
+    on_decision: Callable[[DecisionT], None] | None = None
     on_commit: Callable[[Sequence[State]], None] | None = None
 
 
 @dataclass(frozen=True)
-class _Opening(Generic[Jump]):
+class _CovarianceInflation(Generic[Jump]):
     """An inflation of the covariance for a jump of a source, at its time; ``failed`` if it raised an exception."""
 
     time_ns: int
@@ -323,7 +323,7 @@ class _Opening(Generic[Jump]):
     failed: Rejection | None = None
 
 
-class EstimatorShell(Generic[State, Measured, DecisionT, Jump, Estimate]):
+class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimate]):
     """An estimator with its measurements in time order, and the order of its outputs.
 
     Args:
@@ -338,40 +338,40 @@ class EstimatorShell(Generic[State, Measured, DecisionT, Jump, Estimate]):
         stamp_conflicts: sources that sent conflicting data with the same stamp.
     """
 
-    def __init__(self, model: Model[State, Measured, DecisionT, Jump], state: State, lag_s: float, reach_ns: int) -> None:
+    def __init__(self, model: EstimatorModel[State, MeasurementT, DecisionT, Jump], state: State, lag_s: float, reach_ns: int) -> None:
         self._model = model
         self._lag_s, self._reach_ns = lag_s, reach_ns
-        self.contradictions = Contradictions()
+        self.stamp_conflicts = StampConflicts()
         self.reset(state, clock_jumped=True)
 
     def reset(self, state: State, clock_jumped: bool = False) -> None:
         """Drop all measurements and start from a state; after a jump of the clock, outputs may restart earlier."""
         self.state = state
-        self._jumped = False
+        self._has_inflation = False
         self.window = LagWindow(self._lag_s)
-        self.contradictions.reset()
-        self._overtaking: dict[str, _Allowance] = {}
-        self._log: TimeOrderedLog[State, Measured | _Opening[Jump], DecisionT | _Opening[Jump]] = TimeOrderedLog(state)
+        self.stamp_conflicts.reset()
+        self._overtaking_limits: dict[str, _RateLimit] = {}
+        self._log: TimeOrderedLog[State, MeasurementT | _CovarianceInflation[Jump], DecisionT | _CovarianceInflation[Jump]] = TimeOrderedLog(state)
         if clock_jumped:
-            self._last_claim_ns: int | None = None
+            self._last_output_ns: int | None = None
             self._output_timeout_ns: int | None = None
             self._invalid_reported_ns: int | None = None
 
     def step_time_base(self, state: State, step_ns: int) -> None:
         """Drop all measurements and continue from a state after a step of all clocks; outputs stay in order."""
         self.reset(state)
-        if self._last_claim_ns is not None:
-            self._last_claim_ns += step_ns
+        if self._last_output_ns is not None:
+            self._last_output_ns += step_ns
 
     # -- inputs ---------------------------------------------------------------------------------------------
 
-    def add(self, measurement: Measured, outcome: Outcome[DecisionT, Estimate]) -> bool:
+    def add(self, measurement: MeasurementT, outcome: Outcome[DecisionT, Estimate]) -> bool:
         """Add a measurement that is not late; return False if another one of its source and stamp is kept."""
         key = measurement.time_ns, measurement.source
         known, taken = self._log.get(key), True
-        if known is not None and not isinstance(known, _Opening):
-            taken, outcome.rejection = same_stamp(known, measurement)
-            self.contradictions.note(measurement.source, measurement.time_ns, outcome.rejection)
+        if known is not None and not isinstance(known, _CovarianceInflation):
+            taken, outcome.rejection = resolve_same_stamp(known, measurement)
+            self.stamp_conflicts.record(measurement.source, measurement.time_ns, outcome.rejection)
         if taken and not self._may_overtake(key):
             bound = f"{MOST_OVERTAKEN_PER_S} such pairs a second are accepted"
             text = f"too many measurements arrive after later ones of their source: {bound}"
@@ -390,12 +390,12 @@ class EstimatorShell(Generic[State, Measured, DecisionT, Jump, Estimate]):
         """
         known, taken = track.get(sample.time_ns), True
         if known is not None:
-            taken, outcome.rejection = same_stamp(known, sample)
-            self.contradictions.note(source, sample.time_ns, outcome.rejection)
+            taken, outcome.rejection = resolve_same_stamp(known, sample)
+            self.stamp_conflicts.record(source, sample.time_ns, outcome.rejection)
         if taken:
             changed_after_ns = track.insert(sample)
             if changed_after_ns is not None:
-                self.data_changed(changed_after_ns)
+                self.rewind_after(changed_after_ns)
             self._advance(sample.time_ns, outcome)
         return taken
 
@@ -412,8 +412,8 @@ class EstimatorShell(Generic[State, Measured, DecisionT, Jump, Estimate]):
     def add_rejected(self, source: str, track: SampleTrack[Any], sample: Any) -> None:
         """Record a conflict for a rejected sample that is not late if the track has another one of its stamp."""
         known = track.get(sample.time_ns)
-        if known is not None and self.window.late(sample.time_ns) is None:
-            self.contradictions.note(source, sample.time_ns, same_stamp(known, sample)[1])
+        if known is not None and self.window.late_rejection(sample.time_ns) is None:
+            self.stamp_conflicts.record(source, sample.time_ns, resolve_same_stamp(known, sample)[1])
 
     def add_jump(self, time_ns: int, source: str, jump: Jump, changed_after_ns: int | None = None) -> None:
         """Inflate the covariance for a jump of a source.
@@ -424,18 +424,18 @@ class EstimatorShell(Generic[State, Measured, DecisionT, Jump, Estimate]):
             jump: the jump.
             changed_after_ns: stamp after which interpolated values of the track have changed; None if none have.
         """
-        self._log.insert((time_ns, source), _Opening(time_ns, jump))
-        self._jumped = True
+        self._log.insert((time_ns, source), _CovarianceInflation(time_ns, jump))
+        self._has_inflation = True
         if changed_after_ns is not None:
-            self.data_changed(changed_after_ns)
+            self.rewind_after(changed_after_ns)
 
-    def data_changed(self, after_ns: int) -> None:
+    def rewind_after(self, after_ns: int) -> None:
         """Apply again, at the next :meth:`apply`, the measurements that depend on samples after a stamp."""
-        self.rewind_where(lambda decision: self._model.until_ns(decision) > after_ns)
+        self.rewind_to_first(lambda decision: self._model.until_ns(decision) > after_ns)
 
-    def rewind_where(self, affected: Callable[[DecisionT], bool]) -> None:
+    def rewind_to_first(self, affected: Callable[[DecisionT], bool]) -> None:
         """Apply again, at the next :meth:`apply`, from the first measurement whose decision is affected."""
-        self._log.rewind_where(lambda verdict: not isinstance(verdict, _Opening) and affected(verdict))
+        self._log.rewind_to_first(lambda verdict: not isinstance(verdict, _CovarianceInflation) and affected(verdict))
 
     def tick(self, now_ns: int, outcome: Outcome[DecisionT, Estimate]) -> None:
         """Apply measurements that are pending because of the rate limits, without a new input."""
@@ -458,28 +458,28 @@ class EstimatorShell(Generic[State, Measured, DecisionT, Jump, Estimate]):
             return
         closed_ns = self.window.oldest_ns - self._reach_ns
         now_ns = self.window.newest_ns if now_ns is None else now_ns
-        decisions = self._log.apply(self._step, self._failed, (closed_ns, now_ns))
+        decisions = self._log.apply(self._step, self._failure_decision, (closed_ns, now_ns))
         self.state = self._log.state
         for decision, previous in decisions:
-            if isinstance(decision, _Opening):
-                known = isinstance(previous, _Opening) and previous.failed is not None
+            if isinstance(decision, _CovarianceInflation):
+                known = isinstance(previous, _CovarianceInflation) and previous.failed is not None
                 if decision.failed is not None and not known:
                     outcome.failures.append((decision.time_ns, decision.failed))
                 continue
-            if self._model.decided is not None:
-                self._model.decided(decision)
+            if self._model.on_decision is not None:
+                self._model.on_decision(decision)
             if previous is None:
                 outcome.decisions.append(decision)
-            elif not isinstance(previous, _Opening) and previous.accepted != decision.accepted:
+            elif not isinstance(previous, _CovarianceInflation) and previous.accepted != decision.accepted:
                 outcome.decisions.append(replace(decision, revised=True))
 
     def _may_overtake(self, key: Key) -> bool:
         """True if a measurement may still be inserted before later ones of its source."""
-        overtaken = self._log.overtaken(key)
+        overtaken = self._log.count_overtaken(key)
         if not overtaken:
             return True
-        allowance, now_ns = self._overtaking.setdefault(key[1], _Allowance(MOST_OVERTAKEN_PER_S)), self.window.newest_ns
-        if not allowance.covers(overtaken, now_ns):
+        allowance, now_ns = self._overtaking_limits.setdefault(key[1], _RateLimit(MOST_OVERTAKEN_PER_S)), self.window.newest_ns
+        if not allowance.allows(overtaken, now_ns):
             return False
         allowance.spend(overtaken, now_ns)
         return True
@@ -506,26 +506,26 @@ class EstimatorShell(Generic[State, Measured, DecisionT, Jump, Estimate]):
             closed = self._log.commit_before(closed_ns)
             if self._model.on_commit is not None:
                 self._model.on_commit(closed)
-        self._model.forget_before(closed_ns)
+        self._model.drop_before(closed_ns)
 
     def _step(
-        self, state: State, item: Measured | _Opening[Jump]
-    ) -> tuple[State, DecisionT | _Opening[Jump]] | None:
-        if isinstance(item, _Opening):
+        self, state: State, item: MeasurementT | _CovarianceInflation[Jump]
+    ) -> tuple[State, DecisionT | _CovarianceInflation[Jump]] | None:
+        if isinstance(item, _CovarianceInflation):
             return self._model.inflate(state, item.jump), item
         return self._model.step(state, item, item.time_ns >= self.window.oldest_ns)
 
-    def _failed(self, item: Measured | _Opening[Jump], error: Exception) -> DecisionT | _Opening[Jump]:
-        why = failure(error)
-        return replace(item, failed=why) if isinstance(item, _Opening) else self._model.failed(item, why)
+    def _failure_decision(self, item: MeasurementT | _CovarianceInflation[Jump], error: Exception) -> DecisionT | _CovarianceInflation[Jump]:
+        why = failure_rejection(error)
+        return replace(item, failed=why) if isinstance(item, _CovarianceInflation) else self._model.failure_decision(item, why)
 
     # -- outputs --------------------------------------------------------------------------------------------
 
-    def follows(self, time_ns: int) -> bool:
+    def can_publish(self, time_ns: int) -> bool:
         """True if an output of this stamp may be published: it is later than all before."""
-        return self._last_claim_ns is None or time_ns > self._last_claim_ns
+        return self._last_output_ns is None or time_ns > self._last_output_ns
 
-    def put_out(
+    def add_output(
         self,
         outcome: Outcome[DecisionT, Estimate],
         time_ns: int,
@@ -544,37 +544,37 @@ class EstimatorShell(Generic[State, Measured, DecisionT, Jump, Estimate]):
             estimate: computes the estimate from the current state; None if there is none.
             timeout_ns: time without a further output after which INVALID is reported; at least a second.
         """
-        if not self.follows(time_ns):
+        if not self.can_publish(time_ns):
             return
         try:
             found = estimate(self.state_now)
         except Exception as error:
-            outcome.failures.append((time_ns, failure(error)))
+            outcome.failures.append((time_ns, failure_rejection(error)))
             return
         if found is not None:
             outcome.estimates.append(found)
-            self.was_put_out(time_ns, waiting_ns, timeout_ns)
+            self.record_output(time_ns, waiting_ns, timeout_ns)
 
-    def was_put_out(self, time_ns: int, waiting_ns: int, timeout_ns: int = SECOND_NS) -> None:
+    def record_output(self, time_ns: int, waiting_ns: int, timeout_ns: int = SECOND_NS) -> None:
         """Record that an estimate was published, later than all before; arguments as for :meth:`add_output`."""
-        self._last_claim_ns, self._invalid_reported_ns = time_ns, None
+        self._last_output_ns, self._invalid_reported_ns = time_ns, None
         self._output_timeout_ns = waiting_ns + max(timeout_ns, SECOND_NS)
 
-    def continue_outputs(self, before: "EstimatorShell[Any, Any, Any, Any, Any]") -> None:
+    def continue_outputs(self, before: "TimeOrderedEstimator[Any, Any, Any, Any, Any]") -> None:
         """Continue the sequence of outputs of another estimator; own outputs so far were not published."""
-        self._last_claim_ns, self._invalid_reported_ns = before._last_claim_ns, before._invalid_reported_ns
+        self._last_output_ns, self._invalid_reported_ns = before._last_output_ns, before._invalid_reported_ns
         self._output_timeout_ns = before._output_timeout_ns
 
     @property
     def state_now(self) -> State:
         """The state for outputs: jumps inflate it at once, even if measurements before them are pending."""
-        if not (self._jumped and self._log.pending_count):
+        if not (self._has_inflation and self._log.pending_count):
             return self.state
-        openings = [item for item in self._log.pending_measurements() if isinstance(item, _Opening)]
+        openings = [item for item in self._log.pending_measurements() if isinstance(item, _CovarianceInflation)]
         return functools.reduce(lambda state, opening: self._model.inflate(state, opening.jump), openings, self.state)
 
     def report_invalid(
-        self, outcome: Outcome[DecisionT, Estimate], waiting_ns: int, nothing: Callable[[], Estimate]
+        self, outcome: Outcome[DecisionT, Estimate], waiting_ns: int, make_invalid: Callable[[], Estimate]
     ) -> None:
         """Add an INVALID output, once a second, if no estimate was published for the timeout.
 
@@ -585,4 +585,4 @@ class EstimatorShell(Generic[State, Measured, DecisionT, Jump, Estimate]):
         if self._invalid_reported_ns is not None and waiting_ns - self._invalid_reported_ns < SECOND_NS:
             return
         self._invalid_reported_ns = waiting_ns
-        outcome.estimates.append(nothing())
+        outcome.estimates.append(make_invalid())

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.integrated_rates import Integrated
+from ship_estimation.integrated_rates import IntegratedAttitude
 from ship_geometry.attitude_track import AttitudeSample, ExtraNoise
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_geometry.time_scales import SECOND_NS
@@ -149,7 +149,7 @@ class ExcessNoise:
         self.found: MeasuredNoise | None = None
         self._stated_rad = stated_rad
         self._sums: deque[NoiseSums] = deque()
-        self._collected: deque[tuple[AttitudeSample, Integrated]] = deque()
+        self._collected: deque[tuple[AttitudeSample, IntegratedAttitude]] = deque()
         self._last_failure_ns: int | None = None
         self._due_ns = 0
         self._usual_rad = self._fastest2 = 0.0
@@ -162,8 +162,8 @@ class ExcessNoise:
             return None
         newest_ns = self._collected[-1][0].time_ns if self._collected else found.first_ns
         if found.sigma_rad(self._fastest2) ** 2 >= _LEAST_RATIO2 * stated_rad**2:
-            return self._use(found._replace(first_ns=newest_ns), self._fastest2)
-        return self._end(found, newest_ns)
+            return self._start_excess(found._replace(first_ns=newest_ns), self._fastest2)
+        return self._end_excess(found, newest_ns)
 
     def reset(self) -> None:
         """Drop all measurements: the rates have changed, or are not measured."""
@@ -172,7 +172,7 @@ class ExcessNoise:
         self._last_failure_ns = None
 
     @property
-    def collects(self) -> bool:
+    def is_collecting(self) -> bool:
         """True while samples are collected: some failed the step check, or there is an excess."""
         return self._last_failure_ns is not None or self.found is not None
 
@@ -207,10 +207,10 @@ class ExcessNoise:
             variance = sum(one.variance_sum for one in recent) / count
             least_ratio2 = max(_LEAST_RATIO2, 1.0 + _SIGMAS * _ESTIMATED / math.sqrt(count))
             if variance >= least_ratio2 * self._stated_rad**2:  # NaN is not
-                return self._use(MeasuredNoise(recent[0].first_ns, variance, 0.0, 0.0, count))
+                return self._start_excess(MeasuredNoise(recent[0].first_ns, variance, 0.0, 0.0, count))
         return None
 
-    def observe(self, sample: AttitudeSample, integrated: Integrated, rates_proven: bool = True) -> ExtraNoise | None:
+    def observe(self, sample: AttitudeSample, integrated: IntegratedAttitude, rates_proven: bool = True) -> ExtraNoise | None:
         """Collect a sample; return a newly detected or changed excess.
 
         Args:
@@ -221,9 +221,9 @@ class ExcessNoise:
         time_ns, collected = sample.time_ns, self._collected
         if self._last_failure_ns is not None and time_ns - self._last_failure_ns > _SHORT_NS:
             self._last_failure_ns = None
-        if not self.collects or (collected and collected[-1][1].run != integrated.run):
+        if not self.is_collecting or (collected and collected[-1][1].run != integrated.run):
             collected.clear()
-        if not self.collects:
+        if not self.is_collecting:
             return None
         if not collected:
             self._due_ns = time_ns + _FIRST_NS
@@ -235,50 +235,50 @@ class ExcessNoise:
             return None
         self._due_ns = time_ns + _EVERY_NS
         steps = self._steps()
-        return self._first(steps) if self.found is None else self._changed(self.found, steps)
+        return self._initial_excess(steps) if self.found is None else self._changed_excess(self.found, steps)
 
-    def _first(self, steps: "_Steps") -> ExtraNoise | None:
+    def _initial_excess(self, steps: "_Steps") -> ExtraNoise | None:
         """Return the excess of the collected samples; None if their median difference is not larger than usual."""
-        usual_sigma_rad = max(self._stated_rad, self._usual_rad / math.sqrt(6.0), steps.missed_rad)
+        usual_sigma_rad = max(self._stated_rad, self._usual_rad / math.sqrt(6.0), steps.error_rad)
         ratio = _MEDIAN_RATIO if self._usual_rad else _START_RATIO
         if not steps.median_sigma_rad >= ratio * usual_sigma_rad:
             return None
-        measured = steps.measured()
-        return self._use(measured, steps.fastest2) if measured.sigma_rad() >= ratio * self._stated_rad else None
+        measured = steps.measured_noise()
+        return self._start_excess(measured, steps.fastest2) if measured.sigma_rad() >= ratio * self._stated_rad else None
 
-    def _changed(self, found: MeasuredNoise, steps: "_Steps") -> ExtraNoise | None:
+    def _changed_excess(self, found: MeasuredNoise, steps: "_Steps") -> ExtraNoise | None:
         """Return the excess if it has changed or ended; None otherwise."""
         if steps.fastest2 > _OTHER**2 * self._fastest2:
             self._fastest2 = steps.fastest2
         recent = steps.since(int(steps.times_ns[-1]) - _SHORT_NS)
-        over_short, over_long = recent.measured(), steps.measured()
+        over_short, over_long = recent.measured_noise(), steps.measured_noise()
         stated_rad, was_rad = self._stated_rad, found.sigma_rad(over_short.rate2)
         if over_short.sigma_rad() > _LARGER * max(was_rad, stated_rad):
-            return self._use(over_short, self._fastest2)
+            return self._start_excess(over_short, self._fastest2)
         if over_short.sigma_rad() <= _OVER_SHORT * stated_rad and was_rad >= 2.0 * _OVER_SHORT * stated_rad:
-            return self._end(found, int(steps.times_ns[-1]))
+            return self._end_excess(found, int(steps.times_ns[-1]))
         if len(steps.times_ns) < _MORE_STEPS * found.steps and steps.times_ns[-1] - steps.times_ns[0] < _SETTLED_NS:
             return None
         was_rad = found.sigma_rad(over_long.rate2)
         if over_long.sigma_rad() <= _OVER_LONG * stated_rad and was_rad >= _WOULD_SHOW * stated_rad:
-            return self._end(found, int(steps.times_ns[-1]))
+            return self._end_excess(found, int(steps.times_ns[-1]))
         is_other = not was_rad / _OTHER <= over_long.sigma_rad() <= _OTHER * was_rad
         is_of_other_kind = bool(over_long.jitter_s2) is not bool(found.jitter_s2)
         if was_rad >= _WOULD_SHOW * stated_rad and (is_other or is_of_other_kind):
-            return self._use(over_long, self._fastest2)
+            return self._start_excess(over_long, self._fastest2)
         return None
 
     def _steps(self) -> "_Steps":
         samples = [sample for sample, _ in self._collected]
-        return _Steps.between(
+        return _Steps.from_samples(
             np.array([sample.time_ns for sample in samples]),
             np.array([sample.rotation_nd for sample in samples]),
             np.array([integrated.rotation for _, integrated in self._collected]),
             np.array([sample.rate_d for sample in samples]),
-            np.array([integrated.missed_rad for _, integrated in self._collected]),
+            np.array([integrated.error_rad for _, integrated in self._collected]),
         )
 
-    def _use(self, measured: MeasuredNoise, fastest2: float = 0.0) -> ExtraNoise:
+    def _start_excess(self, measured: MeasuredNoise, fastest2: float = 0.0) -> ExtraNoise:
         before, self.found, self._fastest2 = self.found, measured, fastest2
         self._sums.clear()
         # The covariance includes one standard deviation of the estimated variance.
@@ -288,7 +288,7 @@ class ExcessNoise:
         clock_sigma_s = _DELAY_SIGMAS * math.sqrt(jitter_s2)
         return ExtraNoise(measured.first_ns, white_rad2, more * measured.jitter_s2, clock_sigma_s)
 
-    def _end(self, found: MeasuredNoise, time_ns: int) -> ExtraNoise:
+    def _end_excess(self, found: MeasuredNoise, time_ns: int) -> ExtraNoise:
         """Return an excess of zero from a stamp on; the time of its end is known to a second or two."""
         self.found = None
         self.reset()
@@ -308,10 +308,10 @@ class _Steps(NamedTuple):
     times_ns: NDArray[np.int64]
     differences: FloatArray
     rates: FloatArray
-    missed_rad: float
+    error_rad: float
 
     @classmethod
-    def between(
+    def from_samples(
         cls,
         times_ns: NDArray[np.int64],
         rotation_nd: FloatArray,
@@ -328,7 +328,7 @@ class _Steps(NamedTuple):
     def since(self, since_ns: int) -> "_Steps":
         """Return the steps to samples from a stamp on, at least the last :data:`_LEAST_STEPS`."""
         first = min(int(np.searchsorted(self.times_ns, since_ns)), len(self.times_ns) - _LEAST_STEPS)
-        return _Steps(self.times_ns[first:], self.differences[first:], self.rates[first:], self.missed_rad)
+        return _Steps(self.times_ns[first:], self.differences[first:], self.rates[first:], self.error_rad)
 
     @property
     def fastest2(self) -> float:
@@ -340,7 +340,7 @@ class _Steps(NamedTuple):
         """Noise of an attitude, each axis, from the median difference, rad."""
         return float(np.median(np.linalg.norm(self.differences, axis=1))) / _MEDIAN_OF_DIFFERENCE
 
-    def measured(self) -> MeasuredNoise:
+    def measured_noise(self) -> MeasuredNoise:
         """Return the measured noise without outliers for their angular rate."""
         differences, rate2 = self.differences, np.sum(self.rates**2, axis=1)
         axes = self.rates / np.sqrt(np.where(rate2 > 0.0, rate2, 1.0))[:, None]

@@ -15,25 +15,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.running_means import LONG_AGO_NS, CONSISTENT_RATIO, InnovationMeans
+from ship_estimation.running_means import NEVER_NS, CONSISTENT_RATIO, InnovationMeans
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
 MAX_MEASUREMENT_AGE_NS = 10 * SECOND_NS
 """Maximum age of a source's last measurement for it to count in fault isolation, ns."""
 
-_CLEARER = 0.6
+_CHI2_MARGIN = 0.6
 """Margin, as a share of the chi² limit, by which the subfilter that explains a fault must be better than any other.
 
 With the usual limits the fault is then 75 000 times as probable there. A drifting source is tested at hundreds of
 measurements before it is isolated: with a ratio of 2 000, six voyages of 40 isolated a healthy sensor."""
 
-_FARTHER = 1.3
+_SEPARATION_RATIO = 1.3
 """Ratio of the largest solution separation to the second by which it isolates a fault that no innovation shows."""
 
 _MOST_DOUBLINGS = 6
 
-_HALF_BACK = 0.5
+_MAX_REMAINING_RATIO = 0.5
 """Maximum remaining offset ratio at which a source whose mounting did not shift is reinstated."""
 
 _DRIFT_SIGMAS = 3.0
@@ -41,10 +41,10 @@ _DRIFT_SIGMAS = 3.0
 
 An INS that propagates alone drifts by as much in time."""
 
-_MEAN_OVER = 20
+_RATIO_WINDOW = 20
 """Number of measurements over which the remaining offset ratio is averaged: a single one is too noisy."""
 
-_GROSS = 2.0
+_MAX_OFFSET_RATIO = 2.0
 """Bound of the measured offset ratio: one gross error delays a reinstatement by some measurements only."""
 
 
@@ -69,14 +69,14 @@ class ExcludedSource:
     exclusion_count: int = 1
     consistent_since_ns: int | None = None
     offset: FloatArray | None = None
-    share_left: float = 1.0
-    farther_since_ns: int | None = None
+    remaining_offset_ratio: float = 1.0
+    growing_since_ns: int | None = None
     is_shared: bool = False
     is_self_reported: bool = False
 
 
 @dataclass(frozen=True)
-class Finding:
+class FaultIsolation:
     """Result of fault detection and isolation.
 
     Attributes:
@@ -85,15 +85,15 @@ class Finding:
         explaining_subfilters: all subfilters that explain it, the best first.
     """
 
-    fault: bool
+    is_detected: bool
     subfilter: int | None = None
     explaining_subfilters: tuple[int, ...] = ()
 
 
-_NO_FAULT = Finding(fault=False)
+_NO_FAULT = FaultIsolation(is_detected=False)
 
 
-def find_fault(
+def isolate_fault(
     means: InnovationMeans,
     uses: NDArray[np.bool_],
     separations: FloatArray,
@@ -102,7 +102,7 @@ def find_fault(
     now_ns: int,
     degraded_after: int = 3,
     larger_subfilters: Sequence[int] = (),
-) -> Finding:
+) -> FaultIsolation:
     """Detect a fault and isolate the faulty source, or the two faulty ones.
 
     Args:
@@ -128,34 +128,34 @@ def find_fault(
         >>> find_fault(seen, uses, np.array([0.0, 4.0, 1.0]), 5.0, [1, 2], now_ns=0)
         Finding(fault=True, row=1, explaining=(1,))
     """
-    agrees = _first_row_agrees(means, uses[0], now_ns - MAX_MEASUREMENT_AGE_NS, degraded_after)
+    agrees = _is_main_filter_consistent(means, uses[0], now_ns - MAX_MEASUREMENT_AGE_NS, degraded_after)
     sigmas = separations.tolist()
     if agrees and all(sigmas[row] <= threshold for row in (*candidates, *larger_subfilters)):  # NaN is not
         return _NO_FAULT
-    heard = means.last_measured_ns >= now_ns - MAX_MEASUREMENT_AGE_NS
-    counts = uses & heard
+    is_recent = means.last_measured_ns >= now_ns - MAX_MEASUREMENT_AGE_NS
+    counts = uses & is_recent
     contradicted = np.where(means.rejection_counts >= degraded_after, np.maximum(means.excess, 2.0), means.excess)
     worst = np.max(np.where(counts, contradicted, 0.0), axis=-1, initial=0.0)
     # A subfilter explains a fault if it is consistent with all its sources, each measured since the fault began.
-    began_ns = np.max(means.contradicts_ns, initial=LONG_AGO_NS, where=heard)
-    well = (means.excess <= CONSISTENT_RATIO) & (means.rejection_counts == 0) & (means.last_measured_ns >= began_ns)
-    explains = np.all(well | ~counts, axis=-1)
-    asked = larger_subfilters if larger_subfilters and not np.any(worst[candidates] <= 1.0) else candidates
-    explaining = sorted((row for row in asked if explains[row]), key=lambda row: worst[row])
+    began_ns = np.max(means.inconsistent_since_ns, initial=NEVER_NS, where=is_recent)
+    is_consistent = (means.excess <= CONSISTENT_RATIO) & (means.rejection_counts == 0) & (means.last_measured_ns >= began_ns)
+    explains = np.all(is_consistent | ~counts, axis=-1)
+    tested = larger_subfilters if larger_subfilters and not np.any(worst[candidates] <= 1.0) else candidates
+    explaining = sorted((row for row in tested if explains[row]), key=lambda row: worst[row])
     if not explaining:
-        return Finding(fault=True)
+        return FaultIsolation(is_detected=True)
     best = explaining[0]
-    if all(not worst[row] < worst[best] + _CLEARER for row in asked if row != best):
-        return Finding(fault=True, subfilter=best, explaining_subfilters=tuple(explaining))
+    if all(not worst[row] < worst[best] + _CHI2_MARGIN for row in tested if row != best):
+        return FaultIsolation(is_detected=True, subfilter=best, explaining_subfilters=tuple(explaining))
     row = None
     # After a rejection the main filter has used less than the subfilters; the separations do not compare them then.
     if agrees and len(explaining) > 1 and not (means.rejection_counts[0] * counts[0]).any():
         both = [*explaining, *(row for row in larger_subfilters if explains[row])]
-        row = _farthest(both, separations, threshold) or _farthest(explaining, separations, threshold)
-    return Finding(fault=True, subfilter=row, explaining_subfilters=tuple(explaining))
+        row = _largest_separation(both, separations, threshold) or _largest_separation(explaining, separations, threshold)
+    return FaultIsolation(is_detected=True, subfilter=row, explaining_subfilters=tuple(explaining))
 
 
-def agrees_with_all(means: InnovationMeans, degraded_after: int) -> bool:
+def is_consistent_with_all(means: InnovationMeans, degraded_after: int) -> bool:
     """True if the main filter is consistent with every source, by the criterion of :func:`isolate_fault`.
 
     Example:
@@ -167,7 +167,7 @@ def agrees_with_all(means: InnovationMeans, degraded_after: int) -> bool:
     return all(excess <= 1.0 and refused < degraded_after for excess, refused in by_source)  # NaN is inconsistent
 
 
-def _first_row_agrees(means: InnovationMeans, uses: NDArray[np.bool_], since_ns: int, degraded_after: int) -> bool:
+def _is_main_filter_consistent(means: InnovationMeans, uses: NDArray[np.bool_], since_ns: int, degraded_after: int) -> bool:
     """True if the main filter is consistent with all sources that it uses and that were measured since a stamp."""
     by_source = zip(
         means.excess[0].tolist(), means.rejection_counts[0].tolist(), means.last_measured_ns.tolist(), uses.tolist(), strict=True
@@ -180,10 +180,10 @@ def _first_row_agrees(means: InnovationMeans, uses: NDArray[np.bool_], since_ns:
     )
 
 
-def _farthest(rows: Sequence[int], statistic: FloatArray, threshold: float) -> int | None:
+def _largest_separation(rows: Sequence[int], statistic: FloatArray, threshold: float) -> int | None:
     """Return the subfilter whose separation exceeds the threshold and is clearly the largest; None if there is none."""
     farthest, second = sorted(rows, key=lambda row: -statistic[row])[:2]
-    clear = statistic[farthest] > max(threshold, _FARTHER * statistic[second])
+    clear = statistic[farthest] > max(threshold, _SEPARATION_RATIO * statistic[second])
     return farthest if clear else None
 
 
@@ -193,8 +193,8 @@ def evaluate_reinstatement(
     source: int,
     time_ns: int,
     return_after_s: float,
-    measured_share: float = 0.0,
-    share_sigma: float = 0.0,
+    measured_ratio: float = 0.0,
+    ratio_sigma: float = 0.0,
 ) -> tuple[ExcludedSource, bool]:
     """Return the state of an excluded source after one of its measurements, and True if it is reinstated.
 
@@ -218,19 +218,19 @@ def evaluate_reinstatement(
     """
     agrees = means.excess[0, source] <= CONSISTENT_RATIO and means.rejection_counts[0, source] == 0  # NaN is inconsistent
     if excluded.offset is not None:
-        measured_share = measured_share if abs(measured_share) < _GROSS else _GROSS  # NaN is gross
-        share_left = excluded.share_left + (measured_share - excluded.share_left) * 2.0 / (_MEAN_OVER + 1.0)
+        measured_ratio = measured_ratio if abs(measured_ratio) < _MAX_OFFSET_RATIO else _MAX_OFFSET_RATIO  # NaN is gross
+        share_left = excluded.remaining_offset_ratio + (measured_ratio - excluded.remaining_offset_ratio) * 2.0 / (_RATIO_WINDOW + 1.0)
         excluded = replace(excluded, share_left=share_left)
-        agrees = agrees and share_left <= _HALF_BACK and _DRIFT_SIGMAS * share_sigma <= _HALF_BACK
+        agrees = agrees and share_left <= _MAX_REMAINING_RATIO and _DRIFT_SIGMAS * ratio_sigma <= _MAX_REMAINING_RATIO
     if not agrees:
         return replace(excluded, agrees_since_ns=None), False
     since_ns = time_ns if excluded.consistent_since_ns is None else excluded.consistent_since_ns
-    return replace(excluded, agrees_since_ns=since_ns), (time_ns - since_ns) / SECOND_NS >= must_agree_s(
+    return replace(excluded, agrees_since_ns=since_ns), (time_ns - since_ns) / SECOND_NS >= reinstatement_time_s(
         excluded, return_after_s
     )
 
 
-def must_agree_s(excluded: ExcludedSource, return_after_s: float) -> float:
+def reinstatement_time_s(excluded: ExcludedSource, return_after_s: float) -> float:
     """Return the time for which an excluded source must be consistent before it is reinstated, s.
 
     Example:

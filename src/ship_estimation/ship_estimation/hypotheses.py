@@ -59,7 +59,7 @@ def filter_covariances(stack: FloatArray, filter_count: int) -> FloatArray:
 
 
 def add_error(
-    stack: FloatArray, filter_count: int, part: int, states: slice, covariance: FloatArray, subfilter: int | None = None
+    stack: FloatArray, filter_count: int, source_index: int, states: slice, covariance: FloatArray, subfilter: int | None = None
 ) -> None:
     """Inflate the covariance of some states, in place, in all filters or in one subfilter.
 
@@ -78,7 +78,7 @@ def add_error(
         [0. 4. 4.]
     """
     first = states.indices(stack.shape[-1])[0]
-    compiled_steps.add_error(stack, filter_count, part, first, covariance, subfilter or 0)
+    compiled_steps.add_error(stack, filter_count, source_index, first, covariance, subfilter or 0)
 
 
 def solution_separations(means: FloatArray, stack: FloatArray, states: slice) -> tuple[FloatArray, FloatArray]:
@@ -110,7 +110,7 @@ def solution_separations(means: FloatArray, stack: FloatArray, states: slice) ->
     return found
 
 
-def stand_together(means: FloatArray, stack: FloatArray, states: slice, most_sigmas: float) -> bool:
+def are_consistent(means: FloatArray, stack: FloatArray, states: slice, threshold_sigmas: float) -> bool:
     """True if no solution separation (:func:`solution_separations`) exceeds ``threshold_sigmas``; false for NaN.
 
     Example:
@@ -119,13 +119,13 @@ def stand_together(means: FloatArray, stack: FloatArray, states: slice, most_sig
         False
     """
     first, end, _ = states.indices(means.shape[1])
-    apart: bool = compiled_steps.separated(
-        means, stack, first, end - first, LEAST_SHARE, LEAST_VARIANCE_RAD2, most_sigmas
+    is_separated: bool = compiled_steps.exceeds_separation(
+        means, stack, first, end - first, LEAST_SHARE, LEAST_VARIANCE_RAD2, threshold_sigmas
     )
-    return not apart
+    return not is_separated
 
 
-def promoted(stack: FloatArray, filter_count: int, subfilter: int) -> FloatArray:
+def restart_from_subfilter(stack: FloatArray, filter_count: int, subfilter: int) -> FloatArray:
     """Return the stack with all filters restarted from one subfilter.
 
     A subfilter has no covariance by error source. The parts of the main filter are transformed by the linear map that
@@ -156,8 +156,8 @@ def promoted(stack: FloatArray, filter_count: int, subfilter: int) -> FloatArray
     return np.concatenate([parts, np.tile(both[1], (filter_count - 1, 1, 1))])
 
 
-def compare_rows(
-    means: FloatArray, stack: FloatArray, measurement: LinearMeasurement, at_mean: FloatArray, by_turn: FloatArray
+def subfilter_innovations(
+    means: FloatArray, stack: FloatArray, measurement: LinearMeasurement, linearisation_mean: FloatArray, rotation_jacobian: FloatArray
 ) -> FilterInnovations:
     """Return the innovations of a measurement in the main filter and all subfilters.
 
@@ -182,14 +182,14 @@ def compare_rows(
         >>> print(found.nis, found.gain.ravel())
         [4.      0.78125] [0.36 0.5 ]
     """
-    found = compiled_steps.compared(
-        means, stack, measurement.residual, measurement.jacobian, measurement.noise, at_mean, by_turn
+    found = compiled_steps.innovations(
+        means, stack, measurement.residual, measurement.jacobian, measurement.noise, linearisation_mean, rotation_jacobian
     )
     return FilterInnovations(*found)
 
 
-def update_rows(
-    stack: FloatArray, measurement: LinearMeasurement, compared: FilterInnovations, learns: NDArray[np.bool_]
+def update_subfilters(
+    stack: FloatArray, measurement: LinearMeasurement, innovations: FilterInnovations, updated_states: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray]:
     """Return the corrections, shape (h, n), and the stack of covariances after a measurement update of all filters.
 
@@ -213,12 +213,12 @@ def update_rows(
         [[4. 4.]
          [0. 4.]] [[4.0, -1.778], [-1.778, 2.222]]
     """
-    corrections, updated = compiled_steps.updated(
+    corrections, updated = compiled_steps.update(
         np.ascontiguousarray(stack),
         measurement.jacobian,
-        compared.residual,
-        compared.gain,
-        learns.view(np.uint8),
+        innovations.residual,
+        innovations.gain,
+        updated_states.view(np.uint8),
         measurement.noise_parts,
         measurement.noise,
     )

@@ -37,13 +37,13 @@ TOLERATED_BIAS = 0.25
 TOLERATED_CORRELATION = 0.2
 """Correlation of successive innovations up to which none is reported."""
 
-_FAR = 1e-3
+_OUTLIER_PROBABILITY = 1e-3
 """Probability below which a part is an outlier; the selection of stars rejects about the same parts."""
 
 _LEAST_OWN_SHARE = 0.5
 """Least share of the measurement noise in an innovation that is used to assess the source's sigma."""
 
-_MANY_FAR = 0.25
+_MANY_OUTLIERS_SHARE = 0.25
 _STEADY = 0.25
 _MISFIT = (Reason.MISIDENTIFIED, Reason.LIGHT_CONFLICT)
 _MOST_CORRELATED = 0.95
@@ -101,7 +101,7 @@ def innovation_of(decision: MeasurementDecision[Any]) -> Innovation | None:
         return Innovation(time_ns, np.full(max(left_out, 1), np.inf), 0, 0.0, 0, 1.0, True, {})
     if len(decision.covariance) != len(decision.residual):
         return None  # unknown covariance
-    groups = _grouped(decision.components)
+    groups = _groups(decision.components)
     found = compiled_innovations.innovation_statistics(decision.residual, decision.covariance, decision.noise, *groups[:4])
     if found is None:
         return None  # NaN, or a covariance that is not positive definite
@@ -139,7 +139,7 @@ class _Groups(NamedTuple):
 
 
 @lru_cache(maxsize=256)
-def _grouped(components: tuple[str, ...]) -> _Groups:
+def _groups(components: tuple[str, ...]) -> _Groups:
     """Return parts and axes of component names: ``"HIP 92420 up"`` is the axis ``up`` of the part ``HIP 92420``."""
     names = [name.rpartition(" ") for name in components]
     parts = list(dict.fromkeys(part for part, _, _ in names))
@@ -197,7 +197,7 @@ class InnovationTable:
         along: FloatArray = self.numbers[:, start : start + 2]
         return along[~np.isnan(along[:, 0])]
 
-    def take(self, innovations: Collection[Innovation]) -> None:
+    def add_all(self, innovations: Collection[Innovation]) -> None:
         """Add innovations; of several with one stamp the last one is kept."""
         self._widen(innovations)
         added_ns = [one.time_ns for one in innovations]
@@ -209,7 +209,7 @@ class InnovationTable:
             times_ns, numbers = times_ns[order], numbers[order]
         self.times_ns, self.numbers = times_ns, numbers
 
-    def forget(self, until_ns: int, most: int) -> None:
+    def drop_old(self, until_ns: int, most: int) -> None:
         """Drop the innovations up to a stamp, and all but the newest ``most`` of the others."""
         first = max(int(self.times_ns.searchsorted(until_ns, side="right")), len(self) - most)
         if first > 0:
@@ -236,7 +236,7 @@ class InnovationTable:
         return np.array(rows, dtype=np.float64)
 
 
-class Parts:
+class PartStatistics:
     """Statistics of the sizes of the parts of many measurements.
 
     Outliers may be misidentifications or the tail of a larger noise; the other parts distinguish the two.
@@ -250,37 +250,37 @@ class Parts:
 
     def __init__(self, table: InnovationTable) -> None:
         # Sorted: a quantile is an index.
-        self._squares, degrees, self._own_share, nis, self.components = compiled_innovations.sizes(
+        self._squares, degrees, self._own_share, nis, self.components = compiled_innovations.part_sizes(
             table.numbers, table.first_square, _LEAST_OWN_SHARE
         )
         self.nis = nis / self.components if self.components else math.nan
         self._degrees, self._count = degrees or 1, len(self._squares)
-        self._near = int(self._squares.searchsorted(value_above(_FAR, self._degrees), side="right"))
-        self.far_share = 1.0 - self._near / self._count if self._count >= LEAST_COUNT else math.nan
-        by_all, by_near = self._factor(self._count), self._factor(self._near)
+        self._inlier_count = int(self._squares.searchsorted(value_above(_OUTLIER_PROBABILITY, self._degrees), side="right"))
+        self.outlier_share = 1.0 - self._inlier_count / self._count if self._count >= LEAST_COUNT else math.nan
+        by_all, by_near = self._factor(self._count), self._factor(self._inlier_count)
         self._bulk_factor = by_all if math.isnan(by_near) else by_near
         self.factor = by_all if self._bulk_factor > TOLERATED_FACTOR else self._bulk_factor
 
     @property
     def is_optimistic(self) -> bool:
         """True if the parts that are no outliers are larger than predicted."""
-        return self._bulk_factor > TOLERATED_FACTOR and (self._excess(self._count) > _SIGMAS or self._many_far)
+        return self._bulk_factor > TOLERATED_FACTOR and (self._excess(self._count) > _SIGMAS or self._has_many_outliers)
 
     @property
     def is_conservative(self) -> bool:
         """True if the parts are smaller than predicted."""
-        return self._bulk_factor < 1.0 / TOLERATED_FACTOR and self._excess(self._near) < -_SIGMAS
+        return self._bulk_factor < 1.0 / TOLERATED_FACTOR and self._excess(self._inlier_count) < -_SIGMAS
 
     @property
     def is_misidentified(self) -> bool:
         """True if there are many outliers, and the other parts, if enough, are as predicted."""
-        return self._many_far and not self._bulk_factor > TOLERATED_FACTOR
+        return self._has_many_outliers and not self._bulk_factor > TOLERATED_FACTOR
 
     @property
-    def _many_far(self) -> bool:
+    def _has_many_outliers(self) -> bool:
         """True if there are more outliers than a sigma of the tolerated factor explains."""
-        count, expected = self._count, _expected_far(self._degrees)
-        return count * (self.far_share - expected) > _SIGMAS * math.sqrt(count * expected * (1.0 - expected))
+        count, expected = self._count, _expected_outlier_share(self._degrees)
+        return count * (self.outlier_share - expected) > _SIGMAS * math.sqrt(count * expected * (1.0 - expected))
 
     def _factor(self, count: int) -> float:
         """Return true over stated sigma, by the median of the smallest squares, or by the lower quartile.
@@ -291,7 +291,7 @@ class Parts:
         """
         if count < LEAST_COUNT:
             return math.nan
-        share = 0.5 if max(count - self._near, 0) / count < _MANY_FAR else 0.25
+        share = 0.5 if max(count - self._inlier_count, 0) / count < _MANY_OUTLIERS_SHARE else 0.25
         found = float(self._squares[math.ceil(share * count) - 1])
         if math.isinf(found):
             return math.nan  # too many rejected parts of unknown size
@@ -306,13 +306,13 @@ class Parts:
 
 
 @cache
-def _expected_far(degrees: int) -> float:
+def _expected_outlier_share(degrees: int) -> float:
     """Return the share of outliers for a sigma that is optimistic by the tolerated factor."""
-    return probability_above(value_above(_FAR, degrees) / TOLERATED_FACTOR**2, degrees)
+    return probability_above(value_above(_OUTLIER_PROBABILITY, degrees) / TOLERATED_FACTOR**2, degrees)
 
 
 @dataclass(frozen=True)
-class Axis:
+class AxisStatistics:
     """Statistics of the innovations along one axis, in order of time.
 
     Attributes:
@@ -326,7 +326,7 @@ class Axis:
 
     name: str
     count: int
-    lasting: float
+    common_variance: float
     bias_sigma: float
     spread: float
     correlation: float
@@ -337,10 +337,10 @@ class Axis:
         return abs(self.bias_sigma) > max(TOLERATED_BIAS, _SIGMAS * self._sigma_of_median)
 
     @property
-    def is_lasting(self) -> bool:
+    def is_correlated(self) -> bool:
         """True if successive innovations are correlated although the errors of the prediction are not."""
         most = max(TOLERATED_CORRELATION, _SIGMAS / math.sqrt(self.count))
-        return self.lasting == 0.0 and abs(self.correlation) > most
+        return self.common_variance == 0.0 and abs(self.correlation) > most
 
     def bias_text(self, residual: FloatArray) -> str:
         """Return the text of a bias and its possible cause, from the innovations along the axis, rad, shape (n,)."""
@@ -371,10 +371,10 @@ class Axis:
         """Sigma of the median, in predicted sigmas; correlated innovations count as fewer."""
         correlation = min(max(self.correlation, 0.0), _MOST_CORRELATED)
         variance = (_MEDIAN_SIGMA * self.spread) ** 2 * (1.0 + correlation) / (1.0 - correlation) / self.count
-        return math.sqrt(variance + self.lasting)
+        return math.sqrt(variance + self.common_variance)
 
 
-def axes_of(table: InnovationTable) -> list[Axis]:
+def axis_statistics(table: InnovationTable) -> list[AxisStatistics]:
     """Return the statistics of each axis with enough innovations.
 
     Example:
@@ -385,11 +385,11 @@ def axes_of(table: InnovationTable) -> list[Axis]:
         >>> print(up.name, up.bias_sigma, up.is_biased)
         up 2.0 True
     """
-    figures, lasting = compiled_innovations.along_axes(
+    figures, lasting = compiled_innovations.axis_statistics(
         table.numbers, len(table.axes), LEAST_COUNT, _SIGMA_OF_SPREAD, _CLIPPED_AT
     )
     return [
-        Axis(name, int(count), lasting, *statistics)
+        AxisStatistics(name, int(count), lasting, *statistics)
         for name, (count, *statistics) in zip(table.axes, figures.tolist(), strict=True)
         if count >= LEAST_COUNT
     ]

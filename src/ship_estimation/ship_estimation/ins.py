@@ -133,7 +133,7 @@ class InsJump:
         return covariance_n
 
     @property
-    def shared(self) -> tuple[FloatArray, FloatArray]:
+    def shared_with_clock(self) -> tuple[FloatArray, FloatArray]:
         """Return the jump with one half attributed to the attitude and one half to the clock, and its covariance.
 
         While the ship's rotation does not change, a jump of the attitude and a clock step cannot be distinguished. The
@@ -149,7 +149,7 @@ class InsJump:
         return half * [-1.0, -1.0, -1.0, 1.0], covariance
 
     @property
-    def is_of_clock(self) -> bool:
+    def is_clock_step(self) -> bool:
         """True if a clock step explains the jump and the jump is large compared with its sigma."""
         clear = vector_length(self.jump_n) >= _CLEAR_SIGMAS * self.sigma_rad
         return clear and not math.isnan(self.clock_s)

@@ -13,21 +13,21 @@ from typing import NamedTuple
 
 from ship_estimation.excess_noise import ExcessNoise
 from ship_estimation.ins import CheckedInsConfig, InsJump, clock_step_s
-from ship_estimation.ins_leads import FASTEST_RAD_PER_S, Leads, SeenSample, moved_back, one_run, seconds_between
+from ship_estimation.ins_leads import FASTEST_RAD_PER_S, InsPredictions, NumberedSample, extrapolate_back, are_in_one_run, seconds_between
 from ship_estimation.integrated_rates import IntegratedRun, RateIntegrator, StampArray
-from ship_estimation.rate_guard import RateGuard, RateStatus
-from ship_estimation.rate_slopes import SlopeWatch
+from ship_estimation.rate_guard import RateConsistencyCheck, RateStatus
+from ship_estimation.rate_slopes import RateDriftDetector
 from ship_estimation.refusals import Reason, Rejection
-from ship_estimation.step_watch import StepWatch
-from ship_estimation.value_guards import JumpGuard, JumpDecision, Match, StuckGuard, vector_length
-from ship_estimation.witnesses import Witness
+from ship_estimation.step_watch import InsStepDetector
+from ship_estimation.value_guards import JumpCheck, JumpDecision, PredictionMatch, StuckCheck, vector_length
+from ship_estimation.witnesses import MotionReference
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, ExtraNoise, SampleBlock
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 _STUCK = Rejection(Reason.STUCK, "orientation is constant while other sources rotate")
 
 
-class JudgedIns(NamedTuple):
+class CheckedInsSample(NamedTuple):
     """Result of the checks of a sample.
 
     Attributes:
@@ -56,11 +56,11 @@ class CheckedBlock:
 
     def __init__(self) -> None:
         self.count = 0
-        self.last: JudgedIns | None = None
+        self.last: CheckedInsSample | None = None
         self._pieces: list[_Piece] = []
 
     @property
-    def usual(self) -> int:
+    def accepted_count(self) -> int:
         """Number of leading samples that are accepted unchanged."""
         return self.count - (self.last is not None)
 
@@ -69,14 +69,14 @@ class CheckedBlock:
         self._pieces.append(_Piece(self.count, times_ns, rotations, drift_rad_per_s))
         self.count += len(times_ns)
 
-    def by_rates(self, number: int) -> Witness:
+    def by_rates(self, number: int) -> MotionReference:
         """Return the attitude by integrated rates at a sample, as motion reference for the checks of other sources."""
         piece = self._pieces[-1]
         for piece in reversed(self._pieces):
             if piece.start <= number:
                 break
         place = number - piece.start
-        return Witness(int(piece.times_ns[place]), piece.rotations[place], 0.0, piece.drift_rad_per_s)
+        return MotionReference(int(piece.times_ns[place]), piece.rotations[place], 0.0, piece.drift_rad_per_s)
 
 
 class _Piece(NamedTuple):
@@ -88,7 +88,7 @@ class _Piece(NamedTuple):
     drift_rad_per_s: float
 
 
-class InsGuard:
+class InsCheck:
     """Plausibility checks of the samples of one INS.
 
     Args:
@@ -109,23 +109,23 @@ class InsGuard:
     """
 
     def __init__(self, config: CheckedInsConfig) -> None:
-        self._stuck_check, self._rate_check, self._jump_check = StuckGuard(), RateGuard(), JumpGuard()
-        self._integrator, self._steps, self._leads = RateIntegrator(), StepWatch(ARCSEC, 0.0), Leads(self._stuck_check)
-        self._slopes = SlopeWatch()
-        self._previous: SeenSample | None = None
-        self._taken: SeenSample | None = None
+        self._stuck_check, self._rate_check, self._jump_check = StuckCheck(), RateConsistencyCheck(), JumpCheck()
+        self._integrator, self._step_detector, self._predictions = RateIntegrator(), InsStepDetector(ARCSEC, 0.0), InsPredictions(self._stuck_check)
+        self._drift_detector = RateDriftDetector()
+        self._previous: NumberedSample | None = None
+        self._accepted: NumberedSample | None = None
         # The first of the samples that are rejected for a jump.
-        self._jumps_with: AttitudeSample | None = None
+        self._jump_candidate: AttitudeSample | None = None
         # True if each sample since the last accepted one continues the motion before it.
-        self._smooth_since_taken = True
+        self._is_smooth_since_accepted = True
         # Difference between attitudes and rates, and its stamp, at which the rates were found to be wrong.
         self._unresolved_jump: InsJump | None = None
         # Number of estimates of the rates' drift.
-        self._learnt = 0
+        self._drift_updates = 0
         self._excess = ExcessNoise(ARCSEC)
         # Excess noise that is estimated but not returned with a sample yet.
         self._new_noise: ExtraNoise | None = None
-        self.by_rates: Witness | None = None
+        self.by_rates: MotionReference | None = None
         self.reconfigure(config)
 
     def reconfigure(self, config: CheckedInsConfig) -> None:
@@ -134,18 +134,18 @@ class InsGuard:
         self._rate_sigma = config.rate_sigma_arcsec_per_s * ARCSEC
         self._new_noise = self._excess.reconfigure(self._stated_rad) or self._new_noise
         self._jump_check.samples = config.jump_samples
-        self._leads.drift.with_earth = config.rate_has_earth_rate
+        self._predictions.drift.has_earth_rate = config.rate_has_earth_rate
         self._set_sigma()
 
     def _set_sigma(self) -> None:
         """Set the noise of all checks: the stated one or, if larger, the measured one."""
         self._sigma_rad = self._excess.sigma_rad
-        self._leads.by_rates.sigma_rad = self._leads.by_motion.sigma_rad = self._sigma_rad
-        self._steps.reconfigure(self._sigma_rad, self._rate_sigma)
+        self._predictions.rate_bound.sigma_rad = self._predictions.motion_bound.sigma_rad = self._sigma_rad
+        self._step_detector.reconfigure(self._sigma_rad, self._rate_sigma)
         self.noise_rad = math.hypot(self._sigma_rad, self._stuck_check.coarseness_rad / math.sqrt(12.0))
 
     @property
-    def rates(self) -> RateStatus:
+    def rate_status(self) -> RateStatus:
         """Status of the rates."""
         return self._rate_check.status
 
@@ -156,8 +156,8 @@ class InsGuard:
         return "" if found is None else found.text(self._stated_rad)
 
     def check(
-        self, sample: AttitudeSample, used: AttitudeTrack, motion_references: Mapping[str, Witness], reported_step_rad: float = 0.0
-    ) -> JudgedIns:
+        self, sample: AttitudeSample, accepted_track: AttitudeTrack, motion_references: Mapping[str, MotionReference], reported_step_rad: float = 0.0
+    ) -> CheckedInsSample:
         """Check a sample against those before it in time.
 
         The checks follow the stream in order. A sample that arrives after later ones is compared with its neighbour
@@ -169,28 +169,28 @@ class InsGuard:
             motion_references: by name, the attitude by other sources at about this time.
             reported_step_rad: possible step with this sample that the source itself reports, rad.
         """
-        self._leads.reported_step_rad = reported_step_rad
+        self._predictions.reported_step_rad = reported_step_rad
         previous = self._previous
         if previous is not None and sample.time_ns <= previous.sample.time_ns:
-            judged = JudgedIns(sample, self._late_rejection(sample, used.last_before(sample.time_ns - 1)))
+            judged = CheckedInsSample(sample, self._late_rejection(sample, accepted_track.last_before(sample.time_ns - 1)))
         else:
             judged = self._with_noise(self._check_next(sample, previous, motion_references))
-        if self._rate_check.usable or sample.rate_d is None:
+        if self._rate_check.is_usable or sample.rate_d is None:
             return judged
         return judged._replace(sample=replace(sample, rate_d=None))
 
     @property
     def least_step_rad(self) -> float:
         """Largest reported step that does not affect the check of a sample while :attr:`can_check_block` holds, rad."""
-        return self._steps.least_rad
+        return self._step_detector.least_rad
 
     def can_check_block(self, time_ns: int) -> bool:
         """True if a block may be checked from this stamp on: rates are confirmed, and no check is unresolved."""
-        taken = self._taken
+        taken = self._accepted
         if taken is None or self._previous is not taken or self._rate_check.status is not RateStatus.MEASURED:
             return False
         in_order = taken.integrated is not None and taken.sample.time_ns < time_ns
-        return in_order and self._unresolved_jump is None and self._steps.judges and not self._excess.collects
+        return in_order and self._unresolved_jump is None and self._step_detector.is_ready and not self._excess.is_collecting
 
     def check_block(self, samples: Sequence[AttitudeSample], block: SampleBlock) -> CheckedBlock:
         """Check the leading samples of a block as long as all are accepted without special cases.
@@ -205,18 +205,18 @@ class InsGuard:
         followed = CheckedBlock()
         if not self.can_check_block(samples[0].time_ns):
             return followed
-        self._leads.reported_step_rad = 0.0
-        fresh = self._stuck_check.new_values(samples[0].time_ns, block.rotations_nd)
+        self._predictions.reported_step_rad = 0.0
+        fresh = self._stuck_check.count_new_values(samples[0].time_ns, block.rotations_nd)
         while followed.count < fresh and followed.last is None:
             start = followed.count
             rest = block.some(slice(start, fresh))
             integrated = self._integrator.integrate_all(rest.times_ns, rest.rates_d)
-            self._follow_run(samples[start:fresh], rest, integrated, followed)
+            self._check_run(samples[start:fresh], rest, integrated, followed)
             if followed.count == start:
                 break
         return followed
 
-    def commit_block(self, values: FloatArray, checked: CheckedBlock, motion_references: Mapping[str, Witness]) -> None:
+    def commit_block(self, values: FloatArray, checked: CheckedBlock, motion_references: Mapping[str, MotionReference]) -> None:
         """Commit the samples that :meth:`check_block` checked.
 
         Args:
@@ -226,31 +226,31 @@ class InsGuard:
         """
         by_rates = checked.by_rates(checked.count - 1)
         # The stuck check uses the rates as they were before their check with the last sample.
-        self._stuck_check.follow(by_rates.time_ns, values, {**motion_references, "rate": by_rates})
+        self._stuck_check.accept_new_values(by_rates.time_ns, values, {**motion_references, "rate": by_rates})
         self.noise_rad = math.hypot(self._sigma_rad, self._stuck_check.coarseness_rad / math.sqrt(12.0))
-        self.by_rates = by_rates if self._rate_check.usable else None
-        self._smooth_since_taken = True
+        self.by_rates = by_rates if self._rate_check.is_usable else None
+        self._is_smooth_since_accepted = True
 
-    def _follow_run(
+    def _check_run(
         self, samples: Sequence[AttitudeSample], block: SampleBlock, integrated: IntegratedRun, followed: CheckedBlock
     ) -> None:
         """Check samples until a new drift of the rates is estimated, which changes their integration."""
-        start, joined, drift_rad_per_s = 0, len(integrated.missed_rad), self._leads.drift.bound_rad_per_s
+        start, joined, drift_rad_per_s = 0, len(integrated.error_rad), self._predictions.drift.bound_rad_per_s
         while start < joined and followed.last is None:
             # The rates are checked with the sample that reaches the due time.
             due = start + 1 + int(block.times_ns[start:joined].searchsorted(self._rate_check.due_ns))
             some = slice(start, min(due, joined))
-            times_ns, learnt = block.times_ns[some], self._learnt
-            count, followed.last = self._follow(samples[some], block.some(some), integrated.some(some), due - start)
+            times_ns, learnt = block.times_ns[some], self._drift_updates
+            count, followed.last = self._check_line(samples[some], block.some(some), integrated.subset(some), due - start)
             if count:
                 followed.add(times_ns[:count], integrated.rotations[start : start + count], drift_rad_per_s)
             start += count
-            if not count or self._learnt != learnt:
+            if not count or self._drift_updates != learnt:
                 return
 
-    def _follow(
+    def _check_line(
         self, samples: Sequence[AttitudeSample], block: SampleBlock, integrated: IntegratedRun, due: int
-    ) -> tuple[int, JudgedIns | None]:
+    ) -> tuple[int, CheckedInsSample | None]:
         """Accept leading samples that lie on the line of those before, up to one that updates the statistics.
 
         Args:
@@ -262,104 +262,104 @@ class InsGuard:
         Returns:
             Number of accepted samples; and the result for the last one if it needs one.
         """
-        taken = self._taken
+        taken = self._accepted
         if taken is None or taken.integrated is None or integrated.run != taken.integrated.run:
             return 0, None
-        count = self._steps.follow(*block, integrated, self._leads.by_rates.noise_rad, self._stuck_check.coarseness_rad)
+        count = self._step_detector.accept_block(*block, integrated, self._predictions.rate_bound.noise_rad, self._stuck_check.coarseness_rad)
         if count == 0:
             return 0, None
         last = samples[count - 1]
-        previous, self._taken = self._last_two(samples, integrated, taken, count)
-        seen = self._taken
-        self._integrator.take(last.time_ns, block.rates_d[count - 1], integrated.one(count - 1))
+        previous, self._accepted = self._last_two(samples, integrated, taken, count)
+        seen = self._accepted
+        self._integrator.resume_from(last.time_ns, block.rates_d[count - 1], integrated.sample(count - 1))
         jumps = self._drift_jumps(last)
         if jumps:
-            self._taken = seen._replace(before=None)
-        self._previous = self._taken
+            self._accepted = seen._replace(before=None)
+        self._previous = self._accepted
         wrong_after_ns = self._check_rates(previous, seen) if count == due else None
         if not jumps and wrong_after_ns is None and self._new_noise is None:
             return count, None
-        sample = last if self._rate_check.usable else replace(last, rate_d=None)
-        return count, self._with_noise(JudgedIns(sample, _stepped(jumps), jumps, wrong_after_ns))
+        sample = last if self._rate_check.is_usable else replace(last, rate_d=None)
+        return count, self._with_noise(CheckedInsSample(sample, _step_rejection(jumps), jumps, wrong_after_ns))
 
     @staticmethod
     def _last_two(
-        samples: Sequence[AttitudeSample], integrated: IntegratedRun, taken: SeenSample, count: int
-    ) -> tuple[SeenSample, SeenSample]:
+        samples: Sequence[AttitudeSample], integrated: IntegratedRun, taken: NumberedSample, count: int
+    ) -> tuple[NumberedSample, NumberedSample]:
         """Return the last two of ``count`` accepted samples, numbered; ``taken`` is the one accepted before them."""
         before = (taken.before, taken.sample, *samples[max(count - 3, 0) : count])
-        last = SeenSample(samples[count - 1], taken.number + count, before[-2], integrated.one(count - 1))
+        last = NumberedSample(samples[count - 1], taken.number + count, before[-2], integrated.sample(count - 1))
         if count == 1:
             return taken, last
-        return SeenSample(samples[count - 2], last.number - 1, before[-3], integrated.one(count - 2)), last
+        return NumberedSample(samples[count - 2], last.number - 1, before[-3], integrated.sample(count - 2)), last
 
     def _check_next(
-        self, sample: AttitudeSample, previous: SeenSample | None, motion_references: Mapping[str, Witness]
-    ) -> JudgedIns:
+        self, sample: AttitudeSample, previous: NumberedSample | None, motion_references: Mapping[str, MotionReference]
+    ) -> CheckedInsSample:
         """Check a sample later than all before."""
         integrated = self._integrator.integrate(sample.time_ns, sample.rate_d)
         number, before = (0, None) if previous is None else (previous.number + 1, previous.sample)
-        self._previous = seen = SeenSample(sample, number, before, integrated)
+        self._previous = seen = NumberedSample(sample, number, before, integrated)
         self.by_rates = None
-        if integrated is not None and self._rate_check.usable:
-            self.by_rates = Witness(sample.time_ns, integrated.rotation, 0.0, self._leads.drift.bound_rad_per_s)
+        if integrated is not None and self._rate_check.is_usable:
+            self.by_rates = MotionReference(sample.time_ns, integrated.rotation, 0.0, self._predictions.drift.bound_rad_per_s)
             motion_references = {**motion_references, "rate": self.by_rates}
         stuck = self._stuck_check.observe(sample.time_ns, sample.rotation_nd, self._sigma_rad, motion_references)
         self.noise_rad = math.hypot(self._sigma_rad, self._stuck_check.coarseness_rad / math.sqrt(12.0))
         if stuck:
             self._rate_check.restart()
-            self._steps.restart()
-            self._smooth_since_taken = False
-            return JudgedIns(sample, _STUCK)
-        if self._taken is None or previous is None:
+            self._step_detector.restart()
+            self._is_smooth_since_accepted = False
+            return CheckedInsSample(sample, _STUCK)
+        if self._accepted is None or previous is None:
             self._excess.start_collecting(sample.time_ns, 0.0)
-            self._take(seen, None)
-            return JudgedIns(sample)
-        return self._compare(self._taken, previous, seen)
+            self._accept(seen, None)
+            return CheckedInsSample(sample)
+        return self._compare(self._accepted, previous, seen)
 
-    def _compare(self, taken: SeenSample, previous: SeenSample, seen: SeenSample) -> JudgedIns:
+    def _compare(self, taken: NumberedSample, previous: NumberedSample, seen: NumberedSample) -> CheckedInsSample:
         """Check a sample against the last accepted one and the one before it."""
         sample, on_line, measured = seen.sample, None, self._rate_check.status is RateStatus.MEASURED
         if measured and seen.integrated is not None:
-            if self._leads.reported_step_rad and self._leads.reported_step_rad > self._steps.smallest_rad:
-                self._steps.restart()
-            errors_rad = self._leads.by_rates.noise_rad, self._stuck_check.coarseness_rad
-            on_line = self._steps.look(sample, seen.integrated, *errors_rad)
+            if self._predictions.reported_step_rad and self._predictions.reported_step_rad > self._step_detector.smallest_rad:
+                self._step_detector.restart()
+            errors_rad = self._predictions.rate_bound.noise_rad, self._stuck_check.coarseness_rad
+            on_line = self._step_detector.check(sample, seen.integrated, *errors_rad)
             if on_line is False:
-                self._excess.start_collecting(sample.time_ns, self._leads.by_rates.typical_rad)
-        if seen.integrated is not None and self._excess.collects:
+                self._excess.start_collecting(sample.time_ns, self._predictions.rate_bound.typical_rad)
+        if seen.integrated is not None and self._excess.is_collecting:
             self._new_noise = self._excess.observe(sample, seen.integrated, measured) or self._new_noise
         if on_line and previous is taken:
             # Nearly all samples of a healthy INS take this branch.
-            jumps = self._kept(seen)
-            self._take(seen, None if jumps else taken)
+            jumps = self._keep_on_line(seen)
+            self._accept(seen, None if jumps else taken)
             due = sample.time_ns >= self._rate_check.due_ns
-            return JudgedIns(sample, _stepped(jumps), jumps, self._check_rates(previous, seen) if due else None)
-        match = self._leads.match(taken, seen, measured) if on_line is None else self._steps.match()
-        step = match if previous is taken else self._leads.match(previous, seen, measured)
+            return CheckedInsSample(sample, _step_rejection(jumps), jumps, self._check_rates(previous, seen) if due else None)
+        match = self._predictions.match(taken, seen, measured) if on_line is None else self._step_detector.match()
+        step = match if previous is taken else self._predictions.match(previous, seen, measured)
         fits = match.fits
         if step is not match:
-            fits = match.fits_again(step) or (measured and self._leads.are_rates_faulty_between(taken, seen, step))
+            fits = match.is_consistent_with(step) or (measured and self._predictions.are_rates_faulty_between(taken, seen, step))
         if not fits:
-            smooth = self._smooth_since_taken and self._leads.match_by_motion(previous, seen).fits
-            self._smooth_since_taken = smooth
+            smooth = self._is_smooth_since_accepted and self._predictions.match_by_motion(previous, seen).fits
+            self._is_smooth_since_accepted = smooth
             # Confirmed rates reject inconsistent attitudes. If the rates are then found to be wrong, these attitudes
             # are accepted, provided that each of them continued the motion before it.
             fits = smooth and not measured
         verdict = self._jump_check.check(sample.time_ns, fits, step.fits)
         if verdict is JumpDecision.REJECTED:
             if self._jump_check.rejected_count == 1:
-                self._jumps_with = sample
-                self._previous = seen._replace(before=moved_back(sample, taken))
+                self._jump_candidate = sample
+                self._previous = seen._replace(before=extrapolate_back(sample, taken))
             wrong_after_ns = self._check_rates(previous, seen)
             if wrong_after_ns is not None and measured:
                 self._unresolved_jump = InsJump(self._jump_check.since_ns - 1, match.difference, match.sigma_rad)
-            return JudgedIns(sample, _gate_rejection(match), (), wrong_after_ns)
-        return self._taken_after_all(taken, previous, seen, match, step is match, verdict is JumpDecision.JUMPED)
+            return CheckedInsSample(sample, _gate_rejection(match), (), wrong_after_ns)
+        return self._accept_off_line(taken, previous, seen, match, step is match, verdict is JumpDecision.JUMPED)
 
-    def _taken_after_all(
-        self, taken: SeenSample, previous: SeenSample, seen: SeenSample, match: Match, next_one: bool, jumped: bool
-    ) -> JudgedIns:
+    def _accept_off_line(
+        self, taken: NumberedSample, previous: NumberedSample, seen: NumberedSample, match: PredictionMatch, next_one: bool, jumped: bool
+    ) -> CheckedInsSample:
         """Accept a sample without a line of earlier ones: at the start, or after a jump."""
         jumps: tuple[InsJump, ...] = ()
         refusal = None
@@ -369,62 +369,62 @@ class InsGuard:
         elif jumped:
             jumps = (self._accepted_jump(match),)
         if not jumps and match.fits:
-            jumps = self._kept(seen)
-            refusal = _stepped(jumps)
+            jumps = self._keep_on_line(seen)
+            refusal = _step_rejection(jumps)
         else:
-            self._steps.restart()
-        self._take(seen, None if jumps else taken)
-        one = one_run(taken.integrated, seen.integrated)
+            self._step_detector.restart()
+        self._accept(seen, None if jumps else taken)
+        one = are_in_one_run(taken.integrated, seen.integrated)
         wrong_after_ns = self._check_rates(previous, seen)
         # The typical difference is estimated from steps of one sample.
         if not jumps and next_one:
             if self._rate_check.status is not RateStatus.MEASURED:
                 self._learn_unproven(taken, seen, match, one)
             elif one:
-                self._leads.by_rates.learn(match.difference)
+                self._predictions.rate_bound.learn(match.difference)
         if self._rate_check.status is RateStatus.WRONG_UNITS:
             refusal = self._units_rejection()
-        return JudgedIns(seen.sample, refusal, jumps, wrong_after_ns)
+        return CheckedInsSample(seen.sample, refusal, jumps, wrong_after_ns)
 
-    def _accepted_jump(self, match: Match) -> InsJump:
+    def _accepted_jump(self, match: PredictionMatch) -> InsJump:
         """Return the jump that is accepted after samples that were rejected for it."""
-        first, clock_s = self._jumps_with, math.nan
+        first, clock_s = self._jump_candidate, math.nan
         if first is not None and first.rate_d is not None and self._rate_check.status is RateStatus.MEASURED:
             clock_s = clock_step_s(match.difference, match.sigma_rad, first.rotation_nd @ first.rate_d)
         return InsJump(self._jump_check.since_ns - 1, match.difference, match.sigma_rad, clock_s)
 
-    def _kept(self, seen: SeenSample) -> tuple[InsJump, ...]:
+    def _keep_on_line(self, seen: NumberedSample) -> tuple[InsJump, ...]:
         """Add a sample to the line by which the next ones are checked; return the jump that it shows."""
-        found = self._steps.keep()
+        found = self._step_detector.accept()
         if found is None:
             return self._drift_jumps(seen.sample)
-        self._excess.start_collecting(seen.sample.time_ns, self._leads.by_rates.typical_rad)
+        self._excess.start_collecting(seen.sample.time_ns, self._predictions.rate_bound.typical_rad)
         self._rate_check.restart()
         moments_ns = sorted({found.first_ns, found.last_ns})
         return tuple(InsJump(time_ns - 1, found.step_n, found.sigma_rad) for time_ns in moments_ns)
 
-    def _with_noise(self, judged: JudgedIns) -> JudgedIns:
+    def _with_noise(self, judged: CheckedInsSample) -> CheckedInsSample:
         """Return the result with new excess noise, which all checks use from now on."""
         noise, self._new_noise = self._new_noise, None
         if noise is None:
             return judged
         self._set_sigma()
-        self._steps.reset_statistics()
-        self._leads.by_rates.reset()
+        self._step_detector.reset_statistics()
+        self._predictions.rate_bound.reset()
         return judged._replace(noise=noise)
 
     def _drift_jumps(self, sample: AttitudeSample) -> tuple[InsJump, ...]:
         """Update drift and noise from the samples on the line; return the jump of a drift beyond the usual."""
-        sums, self._steps.noise = self._steps.noise, None
+        sums, self._step_detector.noise = self._step_detector.noise, None
         if sums is not None:
             self._new_noise = self._excess.add(sums) or self._new_noise
-        learnt, self._steps.learnt = self._steps.learnt, None
+        learnt, self._step_detector.line_statistics = self._step_detector.line_statistics, None
         if learnt is None:
             return ()
-        self._learnt += 1
-        self._integrator.take_out(self._leads.drift.learnt(learnt.drift_n, sample.rotation_nd))
-        self._leads.by_rates.know(learnt.typical_rad)
-        crept = self._slopes.detect(learnt.drift_n, learnt.seconds, learnt.turning)
+        self._drift_updates += 1
+        self._integrator.set_drift(self._predictions.drift.update(learnt.drift_n, sample.rotation_nd))
+        self._predictions.rate_bound.set_typical(learnt.typical_rad)
+        crept = self._drift_detector.detect(learnt.drift_n, learnt.seconds, learnt.turning)
         return () if crept is None else (InsJump(sample.time_ns - 1, crept.turn_n, crept.sigma_rad, is_drift=True),)
 
     def _late_rejection(self, sample: AttitudeSample, before: AttitudeSample | None) -> Rejection | None:
@@ -435,64 +435,64 @@ class InsGuard:
             return self._units_rejection()
         if before is None:
             return None
-        match = self._leads.match_by_two_rates(before, sample, self._rate_check.status is RateStatus.MEASURED)
+        match = self._predictions.match_by_two_rates(before, sample, self._rate_check.status is RateStatus.MEASURED)
         return None if match.fits else _gate_rejection(match)
 
-    def _check_rates(self, previous: SeenSample, seen: SeenSample) -> int | None:
+    def _check_rates(self, previous: NumberedSample, seen: NumberedSample) -> int | None:
         """Check the rates if the attitude is plausible; return the stamp after which they are wrong, or None."""
         sample, integrated = seen.sample, seen.integrated
-        if integrated is None or not one_run(previous.integrated, integrated) or self._stuck_check.repeated:
+        if integrated is None or not are_in_one_run(previous.integrated, integrated) or self._stuck_check.is_repeated:
             return None
         reach_rad = FASTEST_RAD_PER_S * seconds_between(previous.sample, sample)
         # 0.75 of the chord between two matrices exceeds the rotation: good samples need no logarithm.
         chord = math.hypot(*(sample.rotation_nd - previous.sample.rotation_nd).ravel().tolist())
-        if not (0.75 * chord <= reach_rad <= 1.0 or self._leads.match_by_time(previous.sample, sample).fits):
+        if not (0.75 * chord <= reach_rad <= 1.0 or self._predictions.match_by_time(previous.sample, sample).fits):
             self._rate_check.restart()
             return None
         # The noise of a rate, as it adds to an attitude integrated from sample to sample, each axis.
-        rate_noise_rad = self._leads.by_rates.typical_rad / math.sqrt(6.0)
+        rate_noise_rad = self._predictions.rate_bound.typical_rad / math.sqrt(6.0)
         wrong_after_ns = self._rate_check.observe(
             sample.time_ns, seen.number, sample.rotation_nd, integrated, self.noise_rad, rate_noise_rad
         )
         if wrong_after_ns is not None:
-            self._leads.by_rates.reset()
-            self._steps.reset_statistics()
-            self._slopes.reset()
+            self._predictions.rate_bound.reset()
+            self._step_detector.reset_statistics()
+            self._drift_detector.reset()
             self._excess.reset()
         # The status of the rates may have changed with this sample.
-        if not self._rate_check.usable:
+        if not self._rate_check.is_usable:
             self.by_rates = None
         elif self.by_rates is None:
-            self.by_rates = Witness(sample.time_ns, integrated.rotation, 0.0, self._leads.drift.bound_rad_per_s)
+            self.by_rates = MotionReference(sample.time_ns, integrated.rotation, 0.0, self._predictions.drift.bound_rad_per_s)
         return wrong_after_ns
 
-    def _take(self, seen: SeenSample, before: SeenSample | None) -> None:
+    def _accept(self, seen: NumberedSample, before: NumberedSample | None) -> None:
         """Accept a sample; ``before`` is the earlier sample that defines its motion, None after a jump."""
-        self._taken = seen._replace(before=None if before is None else before.sample)
+        self._accepted = seen._replace(before=None if before is None else before.sample)
         if self._previous is seen:
-            self._previous = self._taken
-        self._smooth_since_taken = True
+            self._previous = self._accepted
+        self._is_smooth_since_accepted = True
 
-    def _learn_unproven(self, taken: SeenSample, seen: SeenSample, match: Match, one: bool) -> None:
+    def _learn_unproven(self, taken: NumberedSample, seen: NumberedSample, match: PredictionMatch, one: bool) -> None:
         """Update the bounds with a good sample while the rates are not confirmed: by motion, and by usable rates."""
-        if match.led:
-            self._leads.by_motion.learn(match.difference)
-        if self._rate_check.usable and one:
-            self._leads.by_rates.learn(self._leads.match_by_rates(taken, seen).difference)
+        if match.is_predicted:
+            self._predictions.motion_bound.learn(match.difference)
+        if self._rate_check.is_usable and one:
+            self._predictions.rate_bound.learn(self._predictions.match_by_rates(taken, seen).difference)
 
     def _units_rejection(self) -> Rejection:
         text = f"angular velocity turns {self._rate_check.slope:.3g} times as fast as the orientation: degrees for radians?"
         return Rejection(Reason.UNITS, f"{text} ins/imu must be in rad/s")
 
 
-def _gate_rejection(match: Match) -> Rejection:
+def _gate_rejection(match: PredictionMatch) -> Rejection:
     """Return the rejection of a sample that differs from its prediction."""
     off, bound = math.degrees(vector_length(match.difference)), math.degrees(match.bound_rad)
     text = f"orientation is {off:.3g}° from its prediction by earlier samples: more than {bound:.3g}°"
     return Rejection(Reason.GATE, text)
 
 
-def _stepped(jumps: tuple[InsJump, ...]) -> Rejection | None:
+def _step_rejection(jumps: tuple[InsJump, ...]) -> Rejection | None:
     """Return the rejection that reports a step or drift found by means; None without one.
 
     The samples since the step were accepted; the step is reported with the sample at which it was detected.

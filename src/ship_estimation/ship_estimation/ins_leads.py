@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_estimation.integrated_rates import Integrated, missed_by_mean_rad
+from ship_estimation.integrated_rates import IntegratedAttitude, mean_rate_error_rad
 from ship_estimation.value_guards import (
     DRIFT_RAD_PER_S,
-    Continuation,
-    Match,
-    Step,
-    StuckGuard,
+    PredictionBound,
+    PredictionMatch,
+    PredictionStep,
+    StuckCheck,
     vector_length,
     step_by_motion,
 )
@@ -29,7 +29,7 @@ _PIECES, _LEARNT_RAD_PER_S, _FORGET = 12, 5.0 * ARCSEC, 0.95
 factor per piece of the largest recent drift, which enters the bound twice."""
 
 
-class SeenSample(NamedTuple):
+class NumberedSample(NamedTuple):
     """A sample with its number and the attitude by integrated rates.
 
     Attributes:
@@ -42,7 +42,7 @@ class SeenSample(NamedTuple):
     sample: AttitudeSample
     number: int
     before: AttitudeSample | None
-    integrated: Integrated | None
+    integrated: IntegratedAttitude | None
 
 
 class RateDrift:
@@ -61,11 +61,11 @@ class RateDrift:
     """
 
     def __init__(self) -> None:
-        self.with_earth = False
+        self.has_earth_rate = False
         self.bound_rad_per_s = DRIFT_RAD_PER_S
         self._drift, self._pieces, self._largest = np.zeros(3), 0, 0.0
 
-    def learnt(self, drift_n: FloatArray, rotation_nd: FloatArray) -> FloatArray:
+    def update(self, drift_n: FloatArray, rotation_nd: FloatArray) -> FloatArray:
         """Update the estimate; return the current error of the rates in the deck frame, rad/s, shape (3,).
 
         Args:
@@ -74,15 +74,15 @@ class RateDrift:
         """
         self._pieces += 1
         # The attitude drifts against the rates by the negative of their error.
-        self._drift = self._drift - (drift_n if self.with_earth else drift_n @ rotation_nd) / min(self._pieces, _PIECES)
+        self._drift = self._drift - (drift_n if self.has_earth_rate else drift_n @ rotation_nd) / min(self._pieces, _PIECES)
         self._largest = max(vector_length(drift_n), _FORGET * self._largest)
         if self._pieces >= _PIECES:
             self.bound_rad_per_s = min(_LEARNT_RAD_PER_S + 2.0 * self._largest, DRIFT_RAD_PER_S)
-        drift_d: FloatArray = self._drift @ rotation_nd if self.with_earth else self._drift
+        drift_d: FloatArray = self._drift @ rotation_nd if self.has_earth_rate else self._drift
         return drift_d
 
 
-class Leads:
+class InsPredictions:
     """Compares samples with their predictions, and estimates the bounds of the differences.
 
     Args:
@@ -101,27 +101,27 @@ class Leads:
     [0.0, 0.0047]
     """
 
-    def __init__(self, stuck: StuckGuard) -> None:
-        self.by_rates, self.by_motion, self.drift = Continuation(0.0), Continuation(0.0), RateDrift()
+    def __init__(self, stuck: StuckCheck) -> None:
+        self.rate_bound, self.motion_bound, self.drift = PredictionBound(0.0), PredictionBound(0.0), RateDrift()
         self.reported_step_rad = 0.0
         self._stuck_check = stuck
 
-    def match(self, start: SeenSample, end: SeenSample, rates_measured: bool) -> Match:
+    def match(self, start: NumberedSample, end: NumberedSample, rates_measured: bool) -> PredictionMatch:
         """Compare two samples by the rates between them or, without an unbroken run, by continued motion."""
-        if rates_measured and one_run(start.integrated, end.integrated):
+        if rates_measured and are_in_one_run(start.integrated, end.integrated):
             return self.match_by_rates(start, end)
         return self.match_by_motion(start, end)
 
-    def match_by_rates(self, start: SeenSample, end: SeenSample) -> Match:
+    def match_by_rates(self, start: NumberedSample, end: NumberedSample) -> PredictionMatch:
         """Compare two samples of one run by the integrated rates between them."""
         assert start.integrated is not None
         assert end.integrated is not None
         predicted_nd = start.sample.rotation_nd @ start.integrated.rotation.T @ end.integrated.rotation
-        missed_rad = end.integrated.missed_rad - start.integrated.missed_rad
+        missed_rad = end.integrated.error_rad - start.integrated.error_rad
         step = self._step(seconds_between(start.sample, end.sample), missed_rad, end.number - start.number)
-        return self.by_rates.match(log_rotation(end.sample.rotation_nd @ predicted_nd.T), step)
+        return self.rate_bound.match(log_rotation(end.sample.rotation_nd @ predicted_nd.T), step)
 
-    def match_by_motion(self, start: SeenSample, end: SeenSample) -> Match:
+    def match_by_motion(self, start: NumberedSample, end: NumberedSample) -> PredictionMatch:
         """Compare two samples by continued motion; over too long a time by the elapsed time only."""
         seconds, before = seconds_between(start.sample, end.sample), start.before
         turned_s = 0.0 if before is None else seconds_between(before, start.sample)
@@ -130,18 +130,18 @@ class Leads:
         turn_d = seconds / turned_s * log_rotation(before.rotation_nd.T @ start.sample.rotation_nd)
         difference_n = log_rotation(end.sample.rotation_nd @ (start.sample.rotation_nd @ exp_rotation(turn_d)).T)
         step = step_by_motion(turned_s, seconds, _LARGEST_ACCELERATION, self._stuck_check.coarseness_rad)
-        return self.by_motion.match(difference_n, step)
+        return self.motion_bound.match(difference_n, step)
 
-    def match_by_two_rates(self, start: AttitudeSample, end: AttitudeSample, rates_measured: bool) -> Match:
+    def match_by_two_rates(self, start: AttitudeSample, end: AttitudeSample, rates_measured: bool) -> PredictionMatch:
         """Compare two samples by their own two rates; over too long a time by the elapsed time only."""
         seconds = seconds_between(start, end)
         if not rates_measured or start.rate_d is None or end.rate_d is None or seconds > _LONGEST_STEP_S:
             return self.match_by_time(start, end)
         predicted_nd = start.rotation_nd @ exp_rotation((0.5 * seconds) * (start.rate_d + end.rate_d))
-        step = self._step(seconds, missed_by_mean_rad(start.rate_d, end.rate_d, seconds))
-        return self.by_rates.match(log_rotation(end.rotation_nd @ predicted_nd.T), step)
+        step = self._step(seconds, mean_rate_error_rad(start.rate_d, end.rate_d, seconds))
+        return self.rate_bound.match(log_rotation(end.rotation_nd @ predicted_nd.T), step)
 
-    def are_rates_faulty_between(self, start: SeenSample, end: SeenSample, step: Match) -> bool:
+    def are_rates_faulty_between(self, start: NumberedSample, end: NumberedSample, step: PredictionMatch) -> bool:
         """True if two samples are consistent, and the rates of the rejected samples between them are faulty.
 
         Args:
@@ -152,20 +152,20 @@ class Leads:
         direct = self.match_by_two_rates(start.sample, end.sample, rates_measured=True)
         by_all = self.match(start, end, rates_measured=True)
         difference_rad = vector_length(by_all.difference - direct.difference)
-        return direct.led and difference_rad > 2.0 * direct.bound_rad and direct.fits_again(step)
+        return direct.is_predicted and difference_rad > 2.0 * direct.bound_rad and direct.is_consistent_with(step)
 
-    def match_by_time(self, start: AttitudeSample, end: AttitudeSample) -> Match:
+    def match_by_time(self, start: AttitudeSample, end: AttitudeSample) -> PredictionMatch:
         """Compare two samples by the fastest rotation of a hull in the elapsed time."""
         seconds = seconds_between(start, end)
         step = self._step(seconds, FASTEST_RAD_PER_S * seconds)
-        return self.by_motion.match(log_rotation(end.rotation_nd @ start.rotation_nd.T), step, led=False)
+        return self.motion_bound.match(log_rotation(end.rotation_nd @ start.rotation_nd.T), step, led=False)
 
-    def _step(self, seconds: float, uncertain_rad: float, samples: int = 1) -> Step:
+    def _step(self, seconds: float, uncertain_rad: float, samples: int = 1) -> PredictionStep:
         uncertain_rad += self.reported_step_rad
-        return Step(seconds, samples, uncertain_rad, 2.0, self._stuck_check.coarseness_rad, self.drift.bound_rad_per_s)
+        return PredictionStep(seconds, samples, uncertain_rad, 2.0, self._stuck_check.coarseness_rad, self.drift.bound_rad_per_s)
 
 
-def moved_back(sample: AttitudeSample, taken: SeenSample) -> AttitudeSample | None:
+def extrapolate_back(sample: AttitudeSample, accepted: NumberedSample) -> AttitudeSample | None:
     """Return the attitude at the time of the last accepted sample, extrapolated back from a new sample.
 
     The motion is that before the last accepted sample. After a jump, the next sample is predicted with it.
@@ -176,14 +176,14 @@ def moved_back(sample: AttitudeSample, taken: SeenSample) -> AttitudeSample | No
         >>> print(log_rotation(moved_back(turned, SeenSample(still, 1, before, None)).rotation_nd).round(6))
         [0.  0.2 0. ]
     """
-    if taken.before is None:
+    if accepted.before is None:
         return None
-    ratio = seconds_between(taken.sample, sample) / seconds_between(taken.before, taken.sample)
-    turn_d = ratio * log_rotation(taken.before.rotation_nd.T @ taken.sample.rotation_nd)
-    return replace(taken.sample, rotation_nd=sample.rotation_nd @ exp_rotation(-turn_d))
+    ratio = seconds_between(accepted.sample, sample) / seconds_between(accepted.before, accepted.sample)
+    turn_d = ratio * log_rotation(accepted.before.rotation_nd.T @ accepted.sample.rotation_nd)
+    return replace(accepted.sample, rotation_nd=sample.rotation_nd @ exp_rotation(-turn_d))
 
 
-def one_run(first: Integrated | None, second: Integrated | None) -> bool:
+def are_in_one_run(first: IntegratedAttitude | None, second: IntegratedAttitude | None) -> bool:
     """True if two attitudes by integrated rates belong to one unbroken run of rates.
 
     Example:

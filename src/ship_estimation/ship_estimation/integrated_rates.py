@@ -18,7 +18,7 @@ _LONGEST_STEP_NS = SECOND_NS
 """Maximum interval between two rates for their integration, ns."""
 
 
-class Integrated(NamedTuple):
+class IntegratedAttitude(NamedTuple):
     """An attitude by integrated rates.
 
     Attributes:
@@ -29,7 +29,7 @@ class Integrated(NamedTuple):
 
     rotation: FloatArray
     run: int
-    missed_rad: float
+    error_rad: float
 
 
 class IntegratedRun(NamedTuple):
@@ -43,15 +43,15 @@ class IntegratedRun(NamedTuple):
 
     rotations: FloatArray
     run: int
-    missed_rad: FloatArray
+    error_rad: FloatArray
 
-    def one(self, number: int) -> Integrated:
+    def sample(self, number: int) -> IntegratedAttitude:
         """Return the attitude of one sample."""
-        return Integrated(self.rotations[number], self.run, float(self.missed_rad[number]))
+        return IntegratedAttitude(self.rotations[number], self.run, float(self.error_rad[number]))
 
-    def some(self, which: slice) -> "IntegratedRun":
+    def subset(self, which: slice) -> "IntegratedRun":
         """Return the attitudes of a slice of the samples."""
-        return IntegratedRun(self.rotations[which], self.run, self.missed_rad[which])
+        return IntegratedRun(self.rotations[which], self.run, self.error_rad[which])
 
 
 class RateIntegrator:
@@ -65,11 +65,11 @@ class RateIntegrator:
     """
 
     def __init__(self) -> None:
-        self._integrated = Integrated(np.eye(3), 0, 0.0)
+        self._integrated = IntegratedAttitude(np.eye(3), 0, 0.0)
         self._last: tuple[int, FloatArray] | None = None
         self._twice_drift_d = np.zeros(3)
 
-    def integrate(self, time_ns: int, rate_d: FloatArray | None) -> Integrated | None:
+    def integrate(self, time_ns: int, rate_d: FloatArray | None) -> IntegratedAttitude | None:
         """Integrate the rates up to the next sample, by the mean of two successive rates.
 
         For periodic motion the error is a constant small share of the rotation. If the interval since the last rate is
@@ -92,7 +92,7 @@ class RateIntegrator:
             rotation, missed_rad = rotations[0], float(missed[0])
         if not missed_rad < math.inf:
             return None
-        self._integrated, self._last = Integrated(rotation, run, missed_rad), (time_ns, rate_d)
+        self._integrated, self._last = IntegratedAttitude(rotation, run, missed_rad), (time_ns, rate_d)
         return self._integrated
 
     def integrate_all(self, times_ns: StampArray, rates_d: FloatArray) -> IntegratedRun:
@@ -111,7 +111,7 @@ class RateIntegrator:
         joined = int(np.count_nonzero(missed < math.inf))
         return IntegratedRun(rotations[:joined], self._integrated.run, missed[:joined])
 
-    def take(self, time_ns: int, rate_d: FloatArray, integrated: Integrated) -> None:
+    def resume_from(self, time_ns: int, rate_d: FloatArray, integrated: IntegratedAttitude) -> None:
         """Continue from a sample of a block, its rate in rad/s, shape (3,)."""
         self._integrated, self._last = integrated, (time_ns, rate_d)
 
@@ -119,22 +119,22 @@ class RateIntegrator:
         """Return the attitudes, shape (N, 3, 3), and bounds of their error, infinite from a gap on, shape (N,)."""
         assert self._last is not None
         rotation, _, missed_rad = self._integrated
-        turns_d, missed = compiled_watch.turns(
+        turns_d, missed = compiled_watch.rotation_steps(
             times_ns, rates_d, *self._last, missed_rad, self._twice_drift_d, _LONGEST_STEP_NS
         )
         return compiled_rotations.turned_on(rotation, turns_d), missed
 
-    def take_out(self, drift_d: FloatArray) -> None:
+    def set_drift(self, drift_d: FloatArray) -> None:
         """Set the error of the rates, deck frame, rad/s, shape (3,), which is subtracted from now on."""
         self._twice_drift_d = 2.0 * drift_d
 
 
-def missed_by_mean_rad(first_rate_d: FloatArray, second_rate_d: FloatArray, seconds: float) -> float:
+def mean_rate_error_rad(first_rate_d: FloatArray, second_rate_d: FloatArray, seconds: float) -> float:
     """Return the bound of the integration error by the mean of two rates (rad/s, shape (3,)), rad.
 
     >>> steady = np.array([0.0, 0.0, 0.1])
     >>> missed_by_mean_rad(steady, steady, seconds=0.0)
     0.0
     """
-    missed_rad: float = compiled_watch.missed_by_mean(first_rate_d, second_rate_d, seconds)
+    missed_rad: float = compiled_watch.mean_rate_error(first_rate_d, second_rate_d, seconds)
     return missed_rad

@@ -42,7 +42,7 @@ class _WindowResult(NamedTuple):
     """The distance of two streams in a window, 0 for one stream; and True if motion may explain the distance."""
 
     distance: float
-    may_be_feigned: bool = False
+    may_be_motion: bool = False
 
 
 _ONE = _WindowResult(0.0)
@@ -119,7 +119,7 @@ class InterleavedStreams:
         self._due_ns = self._times[0] + _EVERY_NS
         self._times, self._values = [], []
         was_two = self.distance > 0.0
-        if judged.distance and (was_two or not judged.may_be_feigned):
+        if judged.distance and (was_two or not judged.may_be_motion):
             self._clean, self.distance = 0, judged.distance
         elif was_two:
             self._clean += 1

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ship_estimation import compiled_steps
 from ship_geometry.rotations import FloatArray
 
-_BEYOND_SIGMAS = 5.0
+_MODEL_SIGMAS = 5.0
 _NO_TIME_S = 1e-200
 
 
@@ -128,9 +128,9 @@ class StateModel:
 
     def initial_covariance_by_source(self) -> FloatArray:
         """Return the covariance by error source before any measurement, shape (n_sources, n, n)."""
-        return self.booked(np.diag(self._initial_variance))
+        return self.covariance_by_source(np.diag(self._initial_variance))
 
-    def booked(self, covariance: FloatArray) -> FloatArray:
+    def covariance_by_source(self, covariance: FloatArray) -> FloatArray:
         """Return a covariance split by the error sources of the blocks, shape (n_sources, n, n).
 
         Cross terms between blocks of different sources must be zero.
@@ -151,7 +151,7 @@ class StateModel:
         decay = np.exp(-dt_s / self._time_s)
         return decay, self._steady_variance * (1.0 - decay * decay) + self._walk_variance * dt_s
 
-    def later(
+    def propagate(
         self, dt_s: float, means: FloatArray, stack: FloatArray, correlated: str
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Propagate the main filter and all subfilters by a time.
@@ -174,7 +174,7 @@ class StateModel:
             >>> print(means.round(1).tolist(), stack[0].diagonal().round())
             [[2.9, 3600.0]] [87. 87.]
         """
-        found: tuple[FloatArray, FloatArray, FloatArray] = compiled_steps.later(
+        found: tuple[FloatArray, FloatArray, FloatArray] = compiled_steps.propagate(
             dt_s,
             means,
             np.ascontiguousarray(stack),
@@ -184,12 +184,12 @@ class StateModel:
             self.source_of,
             self.slices[correlated].start,
             self.blocks[correlated].sigma,
-            _BEYOND_SIGMAS,
+            _MODEL_SIGMAS,
         )
         return found
 
 
-def slow_error_later(error: FloatArray, decay: FloatArray, sigma: FloatArray) -> FloatArray:
+def propagate_correlated_error(error: FloatArray, decay: FloatArray, sigma: FloatArray) -> FloatArray:
     """Propagate a correlated error, shape (n,): it decays, but an element far beyond its sigma (a step) is kept.
 
     Args:
@@ -202,17 +202,17 @@ def slow_error_later(error: FloatArray, decay: FloatArray, sigma: FloatArray) ->
         >>> print(slow_error_later(np.array([8.0, 3600.0]), decay, sigma))  # the second is a step of a degree: kept
         [   4. 3600.]
     """
-    return np.where(lasting(error, sigma), error, decay * error)
+    return np.where(exceeds_model(error, sigma), error, decay * error)
 
 
-def lasting(error: FloatArray, sigma: FloatArray) -> NDArray[np.bool_]:
+def exceeds_model(error: FloatArray, sigma: FloatArray) -> NDArray[np.bool_]:
     """True for each element of a correlated error that is beyond five sigma and does not decay, shape (n,).
 
     Example:
         >>> print(lasting(np.array([8.0, 3600.0]), sigma=np.array([10.0, 10.0])))
         [False  True]
     """
-    beyond: NDArray[np.bool_] = np.abs(error) > _BEYOND_SIGMAS * sigma
+    beyond: NDArray[np.bool_] = np.abs(error) > _MODEL_SIGMAS * sigma
     return beyond
 
 
@@ -244,7 +244,7 @@ class LinearMeasurement:
         object.__setattr__(self, "booked", booked)
 
 
-class ResidualCompared(NamedTuple):
+class InnovationAndGain(NamedTuple):
     """Innovation covariance, NIS and Kalman gain of a measurement of m components, for n states.
 
     Attributes:
@@ -283,7 +283,7 @@ def predict(
     return predicted.reshape(stack.shape)
 
 
-def innovation(parts: FloatArray, measurement: LinearMeasurement) -> ResidualCompared:
+def innovation(parts: FloatArray, measurement: LinearMeasurement) -> InnovationAndGain:
     """Return innovation covariance, NIS and gain of a measurement, for a state covariance by error source.
 
     Raises:
@@ -300,10 +300,10 @@ def innovation(parts: FloatArray, measurement: LinearMeasurement) -> ResidualCom
     """
     mean, residual = np.zeros((1, parts.shape[-1])), measurement.residual
     stack, no_turn = np.ascontiguousarray(parts), np.zeros((len(residual), 3))
-    _, covariance, nis, gain, *_ = compiled_steps.compared(
+    _, covariance, nis, gain, *_ = compiled_steps.innovations(
         mean, stack, residual, measurement.jacobian, measurement.noise, mean[0], no_turn
     )
-    return ResidualCompared(covariance[0], float(nis[0]), gain[0])
+    return InnovationAndGain(covariance[0], float(nis[0]), gain[0])
 
 
 def update(
@@ -325,7 +325,7 @@ def update(
         >>> print(correction, parts.ravel())
         [3.] [0.1875 0.5625]
     """
-    corrections, updated = compiled_steps.updated(
+    corrections, updated = compiled_steps.update(
         np.ascontiguousarray(covariance_by_source),
         measurement.jacobian,
         measurement.residual[None],

@@ -7,7 +7,7 @@ import numpy as np
 
 from ship_geometry.rotations import FloatArray
 
-_UNSURE = 9.0
+_CHI2_MARGIN = 9.0
 """Chi² difference to the most likely position of a step from which a position is ruled out: three sigma."""
 _INTERVALS = 9
 """Number of intervals of which the median is the period of the samples."""
@@ -55,7 +55,7 @@ def step_plan(length: int, counts: tuple[int, ...]) -> StepPlan:
     return StepPlan(length, counts, weights, white, walk)
 
 
-def doubling(last: int) -> tuple[int, ...]:
+def doubling_counts(last: int) -> tuple[int, ...]:
     """Return 1, 2, 4 and so on, and the last number.
 
     Example:
@@ -65,7 +65,7 @@ def doubling(last: int) -> tuple[int, ...]:
     return (*(2**n for n in range((last - 1).bit_length())), last)
 
 
-def located(plan: StepPlan, values: FloatArray, sigmas: FloatArray) -> tuple[FloatArray, float, list[int]]:
+def locate_step(plan: StepPlan, values: FloatArray, sigmas: FloatArray) -> tuple[FloatArray, float, list[int]]:
     """Return the most likely step among the positions of a plan.
 
     Args:
@@ -85,7 +85,7 @@ def located(plan: StepPlan, values: FloatArray, sigmas: FloatArray) -> tuple[Flo
     steps = plan.weights @ values
     likely = np.sum(steps * steps, axis=1) / sigmas**2
     best = int(np.argmax(likely))
-    counts = [count for count, value in zip(plan.counts, likely, strict=True) if value >= likely[best] - _UNSURE]
+    counts = [count for count, value in zip(plan.counts, likely, strict=True) if value >= likely[best] - _CHI2_MARGIN]
     return steps[best], float(sigmas[best]), counts
 
 
@@ -104,7 +104,7 @@ class Period:
         self.ns, self._last_ns = 0, 0
         self._intervals_ns: list[int] = []
 
-    def seen(self, time_ns: int) -> int:
+    def update(self, time_ns: int) -> int:
         """Add the stamp of a sample; return the period, ns."""
         if self._last_ns:
             self._intervals_ns.append(time_ns - self._last_ns)

@@ -17,7 +17,7 @@ _TAKES_PART = 0.1
 """Least coefficient of a state in a combination, relative to the largest one, in prior sigmas."""
 
 
-def open_combinations(
+def unobservable_combinations(
     covariance: FloatArray, sigma: FloatArray, leading: Sequence[str], order: Sequence[str] | None = None
 ) -> tuple[str, ...]:
     """Return the unobservable combinations as texts, for example ``g - deformation_up``.
@@ -37,12 +37,12 @@ def open_combinations(
     """
     values, vectors = np.linalg.eigh(covariance / np.outer(sigma, sigma))
     # Rows: unobservable combinations, in prior sigmas.
-    runs = _sparse(vectors[:, values > _UNOBSERVED_RATIO**2].T)
+    runs = _sparse_basis(vectors[:, values > _UNOBSERVED_RATIO**2].T)
     order = leading if order is None else order
-    return tuple(_words(run, sigma, leading, order) for run in runs)
+    return tuple(_text(run, sigma, leading, order) for run in runs)
 
 
-def _words(run: FloatArray, sigma: FloatArray, names: Sequence[str], order: Sequence[str]) -> str:
+def _text(run: FloatArray, sigma: FloatArray, names: Sequence[str], order: Sequence[str]) -> str:
     """Return a combination as text: its states, each with a factor if it differs from the first one in size.
 
     Args:
@@ -61,7 +61,7 @@ def _words(run: FloatArray, sigma: FloatArray, names: Sequence[str], order: Sequ
     return words
 
 
-def _sparse(runs: FloatArray) -> FloatArray:
+def _sparse_basis(runs: FloatArray) -> FloatArray:
     """Return rows that span the same space with few elements each: Gauss–Jordan, leading columns in order."""
     runs = runs.copy()
     done = 0

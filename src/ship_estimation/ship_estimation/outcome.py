@@ -52,11 +52,11 @@ class Measurement(Protocol):
         ...
 
 
-Measured = TypeVar("Measured", bound=Measurement, covariant=True)
+MeasurementT = TypeVar("MeasurementT", bound=Measurement, covariant=True)
 
 
 @dataclass(frozen=True)
-class MeasurementDecision(Generic[Measured]):
+class MeasurementDecision(Generic[MeasurementT]):
     """Decision about a measurement: accepted or rejected.
 
     Attributes:
@@ -75,7 +75,7 @@ class MeasurementDecision(Generic[Measured]):
         noise: measurement noise, a part of it, rad², shape (m, m).
     """
 
-    measurement: Measured
+    measurement: MeasurementT
     reason: Reason
     accepted: bool = False
     components: tuple[str, ...] = ()

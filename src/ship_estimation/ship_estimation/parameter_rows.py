@@ -21,7 +21,7 @@ def key_rows(kind: type) -> list[str]:
         >>> key_rows(GateConfig)[1].split()[:4]
         ['conflict_after*', '-', '10', '[1,']
     """
-    return in_lines([parameter_row(description) for description in describe(kind)])
+    return wrapped_lines([parameter_row(description) for description in describe(kind)])
 
 
 def parameter_row(description: ParameterDescription) -> tuple[str, ...]:
@@ -42,7 +42,7 @@ def parameter_row(description: ParameterDescription) -> tuple[str, ...]:
     return description.name + live, description.unit or "-", default, allowed, description.doc
 
 
-def in_columns(rows: list[tuple[str, ...]]) -> list[str]:
+def aligned_lines(rows: list[tuple[str, ...]]) -> list[str]:
     """Return rows of cells as lines of text with aligned columns; the last column is not padded.
 
     Example:
@@ -54,7 +54,7 @@ def in_columns(rows: list[tuple[str, ...]]) -> list[str]:
     return ["  " + line.rstrip() for line in lines]
 
 
-def in_lines(rows: list[tuple[str, ...]]) -> list[str]:
+def wrapped_lines(rows: list[tuple[str, ...]]) -> list[str]:
     """Return aligned lines of at most 120 characters; a last cell that does not fit is wrapped on the next lines.
 
     Example:
@@ -70,11 +70,11 @@ def in_lines(rows: list[tuple[str, ...]]) -> list[str]:
     for *head, last in rows:
         begin = "  " + "  ".join(f"{cell:{width}}" for cell, width in zip(head, widths, strict=True))
         line = f"{begin}  {last}".rstrip()
-        lines += [line] if len(line) <= _WIDTH else [*_wrapped(begin, ""), *_wrapped(last, _BELOW)]
+        lines += [line] if len(line) <= _WIDTH else [*_wrap(begin, ""), *_wrap(last, _BELOW)]
     return lines
 
 
-def _wrapped(text: str, indent: str) -> list[str]:
+def _wrap(text: str, indent: str) -> list[str]:
     return textwrap.wrap(
         text, _WIDTH, initial_indent=indent, subsequent_indent=_BELOW, break_long_words=False, break_on_hyphens=False
     )

@@ -19,8 +19,8 @@ from ship_geometry.input_error import InputError
 Config = TypeVar("Config")
 
 _ID = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-_MOST_NAMED = 8
-_LIKEST = 3
+_MAX_NAMES = 8
+_CLOSEST_COUNT = 3
 """Number of closest names in an error text if there are more than :data:`_MAX_NAMES`."""
 
 
@@ -79,7 +79,7 @@ def build(kind: type[Config], values: Mapping[str, Any], prefix: str = "", place
     fields = {_name(field): field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     for name in values:
         if name not in fields:
-            reason = f"parameter '{prefix}{name}' is unknown: {_expected(str(name), fields)}"
+            reason = f"parameter '{prefix}{name}' is unknown: {_expected_names(str(name), fields)}"
             raise ParameterError(reason, f"{prefix}{name}", value=values[name])
     arguments: dict[str, Any] = {}
     for name, field in fields.items():
@@ -97,7 +97,7 @@ def build(kind: type[Config], values: Mapping[str, Any], prefix: str = "", place
         elif dataclasses.is_dataclass(hint):
             arguments[field.name] = build(typing.cast(type, hint), values.get(name, {}), full_name + ".", placeholder)
         elif name in values:
-            arguments[field.name] = _checked(full_name, values[name], hint, field.metadata)
+            arguments[field.name] = _check_value(full_name, values[name], hint, field.metadata)
         elif field.default is dataclasses.MISSING:
             raise ParameterError(f"parameter '{full_name}' ({field.metadata['doc']}) must be given", full_name)
     return kind(**arguments)
@@ -145,7 +145,7 @@ def flatten(config: Any, prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def changed(config: Config, changes: Mapping[str, Any]) -> Config:
+def with_changes(config: Config, changes: Mapping[str, Any]) -> Config:
     """Return a configuration with changed live parameters, dotted name → value.
 
     Raises:
@@ -160,7 +160,7 @@ def changed(config: Config, changes: Mapping[str, Any]) -> Config:
     live = _live_names(config)
     for name in changes:
         if name not in flat:
-            raise ParameterError(f"parameter '{name}' is unknown: {_near(name, flat)}", name)
+            raise ParameterError(f"parameter '{name}' is unknown: {_suggestion(name, flat)}", name)
         if name not in live:
             raise ParameterError(
                 f"parameter '{name}' cannot be changed while the node runs: set it at the start", name
@@ -206,7 +206,7 @@ def nest(flat: Mapping[str, Any]) -> dict[str, Any]:
     return nested
 
 
-def _near(name: str, known: Iterable[str]) -> str:
+def _suggestion(name: str, known: Iterable[str]) -> str:
     """Return the text with the dotted name that was probably meant."""
     import difflib  # only an error needs it
 
@@ -214,7 +214,7 @@ def _near(name: str, known: Iterable[str]) -> str:
     return f"did you mean '{near[0]}'?" if near else "see ros2 param list"
 
 
-def _expected(name: str, known: Collection[str]) -> str:
+def _expected_names(name: str, known: Collection[str]) -> str:
     """Return the text with the expected names (of many the closest ones), and the one that was probably meant.
 
     Example:
@@ -226,10 +226,10 @@ def _expected(name: str, known: Collection[str]) -> str:
     import difflib  # only an error needs it
 
     near = difflib.get_close_matches(name, known, n=1)
-    named, others = sorted(known), len(known) - _LIKEST
-    if len(known) > _MOST_NAMED:
-        named = sorted(named, key=lambda one: difflib.SequenceMatcher(None, name, one).ratio(), reverse=True)[:_LIKEST]
-    text = f"expected one of {', '.join(named)}" + (f" or {others} others" if len(known) > _MOST_NAMED else "")
+    named, others = sorted(known), len(known) - _CLOSEST_COUNT
+    if len(known) > _MAX_NAMES:
+        named = sorted(named, key=lambda one: difflib.SequenceMatcher(None, name, one).ratio(), reverse=True)[:_CLOSEST_COUNT]
+    text = f"expected one of {', '.join(named)}" + (f" or {others} others" if len(known) > _MAX_NAMES else "")
     return text + "".join(f"; did you mean '{meant}'?" for meant in near)
 
 
@@ -255,21 +255,21 @@ def _mapping_entry(hint: Any) -> type | None:
     return typing.get_args(hint)[1] if typing.get_origin(hint) is dict else None
 
 
-def _checked(name: str, value: Any, hint: Any, metadata: types.MappingProxyType[Any, Any]) -> Any:
+def _check_value(name: str, value: Any, hint: Any, metadata: types.MappingProxyType[Any, Any]) -> Any:
     if typing.get_origin(hint) is tuple:
         element = typing.get_args(hint)[0]
         length = None if typing.get_args(hint)[-1] is Ellipsis else len(typing.get_args(hint))
         if isinstance(value, str) or not hasattr(value, "__iter__"):
             raise ParameterError(f"parameter '{name}' must be a list, got {value!r}", name, value=value)
-        elements = tuple(_checked_scalar(name, v, element, metadata, f"[{i}]") for i, v in enumerate(value))
+        elements = tuple(_check_scalar(name, v, element, metadata, f"[{i}]") for i, v in enumerate(value))
         if length is not None and len(elements) != length:
             reason = f"parameter '{name}' must have {length} elements, got {len(elements)}"
             raise ParameterError(reason, name, value=value)
         return elements
-    return _checked_scalar(name, value, hint, metadata)
+    return _check_scalar(name, value, hint, metadata)
 
 
-def _checked_scalar(
+def _check_scalar(
     name: str, value: Any, kind: type, metadata: types.MappingProxyType[Any, Any], index: str = ""
 ) -> Any:
     """Return a value checked for type, range and choices; ``index`` is shown after the name.

@@ -43,7 +43,7 @@ INFLATION_START_SIGMAS = 3.0
 """Solution separation above which the published covariance is inflated, sigmas; smaller ones are usual."""
 _NO_LEVEL = np.full(_COMPONENTS, np.nan)
 _NO_LEVEL.flags.writeable = False
-_MOST_PROBABLE_MISS = 0.5
+_MAX_MISSED_DETECTION = 0.5
 """Largest probability of a missed detection: a protection level is never below the threshold itself."""
 
 
@@ -117,7 +117,7 @@ class IntegrityConfig:
         return ARCSEC * np.array(self.alert_limit_arcsec or [math.nan] * _COMPONENTS)
 
 
-def prior_of_all(priors_per_h: Sequence[float]) -> float:
+def joint_prior_per_h(priors_per_h: Sequence[float]) -> float:
     """Return the rate of simultaneous faults of independent sources, 1/h: the product of their hourly probabilities.
 
     The probability of several faults at a time is the product of the single ones (Blanch et al. 2015, fault modes of
@@ -134,7 +134,7 @@ def prior_of_all(priors_per_h: Sequence[float]) -> float:
 
 
 @dataclass(frozen=True)
-class Factors:
+class SigmaMultipliers:
     """Sigma multipliers K of a set of fault hypotheses.
 
     Attributes:
@@ -145,10 +145,10 @@ class Factors:
 
     fault_free: float
     false_exclusion: float
-    missed: FloatArray
+    missed_detection: FloatArray
 
 
-def factors(config: IntegrityConfig, priors_per_h: Sequence[float]) -> Factors:
+def sigma_multipliers(config: IntegrityConfig, priors_per_h: Sequence[float]) -> SigmaMultipliers:
     """Return the sigma multipliers for the configured probabilities.
 
     The probability of misleading information is allocated in equal parts to the fault-free case and to each hypothesis.
@@ -169,12 +169,12 @@ def factors(config: IntegrityConfig, priors_per_h: Sequence[float]) -> Factors:
     """
     share = config.p_hmi / (len(priors_per_h) + 1)
     tests = _COMPONENTS * TESTS_PER_H
-    missed = [normal_value_above(min(share / prior, _MOST_PROBABLE_MISS)) for prior in priors_per_h]
-    return Factors(
+    missed = [normal_value_above(min(share / prior, _MAX_MISSED_DETECTION)) for prior in priors_per_h]
+    return SigmaMultipliers(
         fault_free=normal_value_above(0.5 * share / tests),
         # Two-sided; the other half of the false exclusions is allocated to ship_estimation.innovation_means.
         false_exclusion=normal_value_above(0.25 * config.false_exclusions_per_h / (tests * max(len(priors_per_h), 1))),
-        missed=np.array(missed),
+        missed_detection=np.array(missed),
     )
 
 
@@ -191,11 +191,11 @@ class SolutionSeparation(NamedTuple):
     statistic: FloatArray
     level: FloatArray
     dominant: int
-    widest: float
+    largest_sigma: float
 
 
 def solution_separation(
-    k: Factors,
+    k: SigmaMultipliers,
     tested_subfilters: NDArray[np.intp],
     states: NDArray[np.intp],
     by_output: tuple[FloatArray, FloatArray, FloatArray],
@@ -236,7 +236,7 @@ def solution_separation(
         tested_subfilters,
         k.fault_free,
         k.false_exclusion,
-        k.missed,
+        k.missed_detection,
         LEAST_SHARE,
         LEAST_VARIANCE_RAD2,
     )
@@ -286,8 +286,8 @@ def separation_inflation(separations: FloatArray, statistic: FloatArray) -> Floa
     known = np.all(np.isfinite(separations), axis=-1, keepdims=True)
     # fmax returns the limit for NaN.
     weight = 1.0 - (INFLATION_START_SIGMAS / np.fmax(statistic, INFLATION_START_SIGMAS)) ** 2
-    apart = np.where(known, separations, 0.0)
-    added: FloatArray = (weight * apart.T) @ apart
+    separation = np.where(known, separations, 0.0)
+    added: FloatArray = (weight * separation.T) @ separation
     return added
 
 
@@ -324,17 +324,17 @@ class IntegrityReport(NamedTuple):
     threshold: float
     excluded: tuple[tuple[str, int], ...]
     dominant: str
-    widest: float
+    largest_sigma: float
 
 
 def integrity_report(
     time_ns: int,
     config: IntegrityConfig,
-    k: Factors,
+    k: SigmaMultipliers,
     names: tuple[str, ...],
     found: SolutionSeparation,
     excluded: tuple[tuple[str, int], ...],
-    checked: bool,
+    is_checked: bool,
 ) -> IntegrityReport:
     """Return the integrity report of an output.
 
@@ -357,12 +357,12 @@ def integrity_report(
         MET star.bow [18. 18. 18.]
     """
     # A level requires separations within the threshold; NaN is not within it.
-    checked = checked and all(statistic <= k.false_exclusion for statistic in found.statistic.tolist())
-    level = found.level if checked and names else _NO_LEVEL
+    is_checked = is_checked and all(statistic <= k.false_exclusion for statistic in found.statistic.tolist())
+    level = found.level if is_checked and names else _NO_LEVEL
     state = IntegrityState.UNAVAILABLE
-    if checked and not config.alert_limit_arcsec:
+    if is_checked and not config.alert_limit_arcsec:
         state = IntegrityState.NO_LIMIT
-    elif checked:
+    elif is_checked:
         # NaN is not within its limit.
         state = IntegrityState.MET if np.all(level <= config.alert_limit) else IntegrityState.EXCEEDED
     return IntegrityReport(
@@ -373,12 +373,12 @@ def integrity_report(
         statistic=found.statistic,
         threshold=k.false_exclusion,
         excluded=excluded,
-        dominant=names[found.dominant] if checked and found.dominant >= 0 else "",
-        widest=found.widest,
+        dominant=names[found.dominant] if is_checked and found.dominant >= 0 else "",
+        largest_sigma=found.largest_sigma,
     )
 
 
-def above_limit(report: IntegrityReport, quantities: Sequence[str]) -> str:
+def alert_limit_text(report: IntegrityReport, quantities: Sequence[str]) -> str:
     """Return the reason why the alert limits are not met; empty if they are met, or if none are configured.
 
     Example:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ship_estimation.integrated_rates import Integrated
+from ship_estimation.integrated_rates import IntegratedAttitude
 from ship_estimation.value_guards import vector_length
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_geometry.time_scales import SECOND_NS
@@ -27,16 +27,16 @@ class RateStatus(enum.Enum):
 
 
 @dataclass(frozen=True)
-class _Start:
+class _PieceStart:
     """Start of a piece of motion."""
 
     time_ns: int
     number: int
     rotation_nd: FloatArray
-    integrated: Integrated
+    integrated: IntegratedAttitude
 
 
-class RateGuard:
+class RateConsistencyCheck:
     """Checks the rates of an INS, piece of motion by piece of motion.
 
     A piece lasts until the rotation is clear: at least a quarter of a second and at most two seconds. A piece without
@@ -79,10 +79,10 @@ class RateGuard:
 
     def __init__(self) -> None:
         self.status = RateStatus.UNPROVEN
-        self.usable = True
+        self.is_usable = True
         self.slope = 1.0
         self.due_ns = 0
-        self._start: _Start | None = None
+        self._start: _PieceStart | None = None
         self._right = 0
         self._wrong = 0
         self._other_units = 0
@@ -98,7 +98,7 @@ class RateGuard:
         time_ns: int,
         number: int,
         rotation_nd: FloatArray,
-        integrated: Integrated,
+        integrated: IntegratedAttitude,
         sigma_rad: float,
         step_sigma_rad: float = 0.0,
     ) -> int | None:
@@ -116,7 +116,7 @@ class RateGuard:
             The stamp after which the rates were wrong, -1 for all of them, if this attitude made them unusable; None
             otherwise.
         """
-        start, here = self._start, _Start(time_ns, number, rotation_nd, integrated)
+        start, here = self._start, _PieceStart(time_ns, number, rotation_nd, integrated)
         if start is None or integrated.run != start.integrated.run:
             self._begin(here)
             return None
@@ -131,7 +131,7 @@ class RateGuard:
             piece_sigma_rad = max(piece_sigma_rad, self._FIRST_SIGMA_RAD)
         clear = turn > self._CLEAR_SIGMAS * piece_sigma_rad + self._SLOWEST_RAD_PER_S * lasted_ns * 1e-9
         right = difference <= self._TOLERANCE * turn
-        were_usable = self.usable
+        were_usable = self.is_usable
         # Unconfirmed rates are found wrong after one interval; everything else takes the full length of a piece.
         if clear and (lasted_ns >= self._SHORTEST_NS or not right):
             size_known = vector_length(attitude) > 0.4 * self._CLEAR_SIGMAS * sigma_rad
@@ -139,11 +139,11 @@ class RateGuard:
         elif lasted_ns < self._LONGEST_NS:
             return None
         self._begin(here)
-        if self.usable or not were_usable:
+        if self.is_usable or not were_usable:
             return None
         return -1 if self._right_until_ns is None else self._right_until_ns
 
-    def _begin(self, start: _Start) -> None:
+    def _begin(self, start: _PieceStart) -> None:
         self._start = start
         self.due_ns = start.time_ns + self._SHORTEST_NS if self.status is not RateStatus.UNPROVEN else 0
 
@@ -152,7 +152,7 @@ class RateGuard:
         self._right, self._wrong = (self._right + 1, 0) if right else (0, self._wrong + 1)
         if size_known:
             self._turns.append((attitude, rate))
-        if self.usable:
+        if self.is_usable:
             if right:
                 self.status, self._right_until_ns = RateStatus.MEASURED, time_ns
             elif self.status is RateStatus.UNPROVEN or self._wrong >= self._WRONG_PIECES:
@@ -168,7 +168,7 @@ class RateGuard:
             if self._other_units >= self._OTHER_UNITS:
                 self.status = RateStatus.NOT_MEASURED
                 self._turns.clear()
-        self.usable = self.status in (RateStatus.UNPROVEN, RateStatus.MEASURED)
+        self.is_usable = self.status in (RateStatus.UNPROVEN, RateStatus.MEASURED)
 
     def _in_other_units(self, turns: list[tuple[FloatArray, FloatArray]], least: int) -> bool:
         """True if the rates equal the rotations of the attitude up to a factor of about 57.3."""

@@ -26,7 +26,7 @@ _FASTER = 1.5
 """Ratio to the fastest earlier rotation above which a piece is not tested: it shows scale errors not met before."""
 
 
-class Crept(NamedTuple):
+class RateDisagreement(NamedTuple):
     """Drift of an attitude against its rates.
 
     Attributes:
@@ -38,7 +38,7 @@ class Crept(NamedTuple):
     sigma_rad: float
 
 
-class SlopeWatch:
+class RateDriftDetector:
     """Detects drift of one INS attitude against its rates, piece by piece.
 
     >>> watch, rng = SlopeWatch(), np.random.default_rng(1)
@@ -62,7 +62,7 @@ class SlopeWatch:
         self._slopes_n.clear()
         self._turning.clear()
 
-    def detect(self, slope_n: FloatArray, seconds: float, turning: float) -> Crept | None:
+    def detect(self, slope_n: FloatArray, seconds: float, turning: float) -> RateDisagreement | None:
         """Return the drift of the attitude in this piece and those before; None if it is no larger than usual.
 
         Args:
@@ -90,7 +90,7 @@ class SlopeWatch:
             # Written so that a spread of zero, and NaN, never exceed the limit.
             if over <= self._fresh and square.min() > 0.0 and float(np.sum(summed_n**2 / square)) > limit:
                 self._fresh = 0
-                return Crept(summed_n * seconds, math.sqrt(float(square.max())) * seconds)
+                return RateDisagreement(summed_n * seconds, math.sqrt(float(square.max())) * seconds)
         return None
 
     def _learn(self, slope_n: FloatArray, turning: float) -> None:

@@ -24,21 +24,21 @@ from typing import Protocol
 
 from ship_geometry.time_scales import SECOND_NS
 
-AGREES_AGAIN_AFTER_S = 10.0
+CONFLICT_HOLD_S = 10.0
 """Time without a conflict of stamps after which results from a source are VALID again, s."""
-_AGREES_AGAIN_AFTER_NS = round(AGREES_AGAIN_AFTER_S * SECOND_NS)
+_CONFLICT_HOLD_NS = round(CONFLICT_HOLD_S * SECOND_NS)
 
 _AT_ALL_STAMPS_NS = -(2**62)
 """Stamp from which a source has two publishers if its stamps may have restarted meanwhile."""
 
-FOUND_WITHIN_S = 2.0
+DETECTION_TIME_S = 2.0
 """Time from their second message within which two publishers of one source are detected, s."""
 
 LONGEST_TEXT = 200
 """Maximum length of a reason, and of any text from outside in an output, characters."""
 
 
-def shortened(text: str, most: int = LONGEST_TEXT) -> str:
+def shorten(text: str, most: int = LONGEST_TEXT) -> str:
     """Return a text, shortened to ``most`` characters with an ellipsis if it is longer.
 
     Example:
@@ -101,10 +101,10 @@ class Rejection:
     text: str
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "text", shortened(self.text))
+        object.__setattr__(self, "text", shorten(self.text))
 
 
-def failure(error: Exception) -> Rejection:
+def failure_rejection(error: Exception) -> Rejection:
     """Return the rejection of an input because of an exception in this software.
 
     It is reported as a defect of the software; other inputs are processed as usual.
@@ -113,7 +113,7 @@ def failure(error: Exception) -> Rejection:
         >>> failure(ZeroDivisionError("division by zero"))
         Refusal(reason=<Reason.FAILED: 29>, text='ZeroDivisionError: division by zero (nowhere)')
     """
-    return Rejection(Reason.FAILED, f"{type(error).__name__}: {shortened(str(error))} ({_place_of(error)})")
+    return Rejection(Reason.FAILED, f"{type(error).__name__}: {shorten(str(error))} ({_error_place(error)})")
 
 
 def singular_covariance() -> Rejection:
@@ -127,7 +127,7 @@ def singular_covariance() -> Rejection:
     return Rejection(Reason.BAD_COVARIANCE, text)
 
 
-def _place_of(error: Exception) -> str:
+def _error_place(error: Exception) -> str:
     """Return file name and line where an exception was raised; "nowhere" without a traceback."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
@@ -143,7 +143,7 @@ class Content(Protocol):
         ...
 
 
-def same_stamp(known: Content, new: Content) -> tuple[bool, Rejection]:
+def resolve_same_stamp(known: Content, new: Content) -> tuple[bool, Rejection]:
     """Return, for two inputs with the same stamp, True if the new one replaces the known one, and the rejection.
 
     The input whose bytes sort first is kept, so that the order of arrival does not matter.
@@ -165,7 +165,7 @@ def same_stamp(known: Content, new: Content) -> tuple[bool, Rejection]:
     return new_bytes < known_bytes, Rejection(Reason.CONFLICT, text)
 
 
-class Contradictions:
+class StampConflicts:
     """Sources that recently sent conflicting data with the same stamp.
 
     One of the two inputs is kept, and it may be the wrong one: results from such a source are not VALID. Neither are
@@ -192,12 +192,12 @@ class Contradictions:
     """
 
     def __init__(self) -> None:
-        self.contested: dict[str, tuple[int, str]] = {}
+        self.duplicate_publishers: dict[str, tuple[int, str]] = {}
         self.reset()
 
     def __bool__(self) -> bool:
         """True if any source has had a conflict or has two publishers."""
-        return bool(self.latest_ns or self.contested)
+        return bool(self.latest_ns or self.duplicate_publishers)
 
     def reset(self) -> None:
         """Clear the conflicts; two publishers remain recorded until :meth:`set_duplicate_publishers` ends it.
@@ -206,9 +206,9 @@ class Contradictions:
         """
         self.latest_ns: dict[str, int] = {}
         self.since_ns: dict[str, int] = {}
-        self.contested = {source: (_AT_ALL_STAMPS_NS, text) for source, (_, text) in self.contested.items()}
+        self.duplicate_publishers = {source: (_AT_ALL_STAMPS_NS, text) for source, (_, text) in self.duplicate_publishers.items()}
 
-    def contest(self, source: str, time_ns: int, text: str) -> None:
+    def set_duplicate_publishers(self, source: str, time_ns: int, text: str) -> None:
         """Record that a source has two publishers; an empty text ends it.
 
         Args:
@@ -217,32 +217,32 @@ class Contradictions:
             text: text for users, with the names of the publishers.
         """
         if text:
-            since_ns = time_ns - round(FOUND_WITHIN_S * SECOND_NS)
-            self.contested[source] = self.contested.get(source, (since_ns,))[0], text
+            since_ns = time_ns - round(DETECTION_TIME_S * SECOND_NS)
+            self.duplicate_publishers[source] = self.duplicate_publishers.get(source, (since_ns,))[0], text
         else:
-            self.contested.pop(source, None)
+            self.duplicate_publishers.pop(source, None)
 
-    def note(self, source: str, time_ns: int, rejection: Rejection | None) -> None:
+    def record(self, source: str, time_ns: int, rejection: Rejection | None) -> None:
         """Record the rejection of an input with this stamp if its reason is CONFLICT."""
         if rejection is not None and rejection.reason is Reason.CONFLICT:
             latest_ns = self.latest_ns.get(source, time_ns)
             since_ns = self.since_ns.get(source, time_ns)
             # A conflict long after the last one, or long before the first, starts a new series.
-            is_new = time_ns - latest_ns > _AGREES_AGAIN_AFTER_NS
-            if is_new or since_ns - _AGREES_AGAIN_AFTER_NS <= time_ns < since_ns:
+            is_new = time_ns - latest_ns > _CONFLICT_HOLD_NS
+            if is_new or since_ns - _CONFLICT_HOLD_NS <= time_ns < since_ns:
                 since_ns = time_ns
             self.since_ns[source], self.latest_ns[source] = since_ns, max(time_ns, latest_ns)
 
-    def at(self, time_ns: int) -> dict[str, int]:
+    def active_at(self, time_ns: int) -> dict[str, int]:
         """Return the sources with a recent conflict, each with the stamp of its last one.
 
         A source with two publishers is returned with the stamp from which both may have sent.
         """
         if not self:
             return {}
-        since_ns = time_ns - _AGREES_AGAIN_AFTER_NS
+        since_ns = time_ns - _CONFLICT_HOLD_NS
         latest = {source: latest_ns for source, latest_ns in self.latest_ns.items() if latest_ns >= since_ns}
-        return latest | {source: since_ns for source, (since_ns, _) in self.contested.items()}
+        return latest | {source: since_ns for source, (since_ns, _) in self.duplicate_publishers.items()}
 
     def text(self, sources: Iterable[str]) -> str:
         """Return the text for sources that have a conflict or two publishers; empty without sources.
@@ -252,15 +252,15 @@ class Contradictions:
             'ship sent conflicting data with one stamp'
         """
         words = [
-            self.contested[source][1] if source in self.contested else f"{source} sent conflicting data with one stamp"
+            self.duplicate_publishers[source][1] if source in self.duplicate_publishers else f"{source} sent conflicting data with one stamp"
             for source in sorted(sources)
         ]
         return " and ".join(words)
 
-    def together(self, sources: Set[str]) -> tuple[int, int] | None:
+    def common_interval(self, sources: Set[str]) -> tuple[int, int] | None:
         """Return the interval in which all sources have conflicts, each from its first one on; None if none."""
         if not sources <= self.latest_ns.keys():
             return None
         first_ns = max(self.since_ns[source] for source in sources)
-        until_ns = min(self.latest_ns[source] for source in sources) + _AGREES_AGAIN_AFTER_NS
+        until_ns = min(self.latest_ns[source] for source in sources) + _CONFLICT_HOLD_NS
         return (first_ns, until_ns) if first_ns <= until_ns else None

@@ -27,7 +27,7 @@ MEASUREMENTS_PER_H = 18_000
 CONSISTENT_RATIO = 0.5
 """Share of the chi² limit below which a source counts as consistent."""
 
-LONG_AGO_NS = -(2**62)
+NEVER_NS = -(2**62)
 """Stamp before any other, of a source without a measurement or without inconsistency."""
 
 FIELDS_BY_SUBFILTER = ("running", "excess", "refused")
@@ -38,12 +38,12 @@ _MAX_INNOVATION_RATIO = math.sqrt(0.5)
 
 Two successive gross errors keep the mean over three measurements below the limit, the third does not."""
 
-_WEIGHTS = np.array([2.0 / (count + 1.0) for count in WINDOW_LENGTHS])
+_WINDOW_WEIGHTS = np.array([2.0 / (count + 1.0) for count in WINDOW_LENGTHS])
 """Weight of a measurement in each mean, shape (w,)."""
 
-_NO_NOISE = np.zeros((3, 3))
+_ZERO_NOISE = np.zeros((3, 3))
 
-NO_MEANS = np.zeros((len(WINDOW_LENGTHS), 5))
+INITIAL_MEANS = np.zeros((len(WINDOW_LENGTHS), 5))
 """Columns of :attr:`InnovationMeans.running` before any measurement, shape (w, 5)."""
 
 
@@ -66,10 +66,10 @@ class InnovationMeans:
     excess: FloatArray
     rejection_counts: NDArray[np.int64]
     last_measured_ns: NDArray[np.int64]
-    contradicts_ns: NDArray[np.int64]
+    inconsistent_since_ns: NDArray[np.int64]
 
 
-def no_means(subfilters: int, sources: int) -> InnovationMeans:
+def initial_means(subfilters: int, sources: int) -> InnovationMeans:
     """Return the innovation means before any measurement.
 
     Example:
@@ -80,8 +80,8 @@ def no_means(subfilters: int, sources: int) -> InnovationMeans:
         running=np.zeros((subfilters, sources, len(WINDOW_LENGTHS), 5)),
         excess=np.zeros((subfilters, sources)),
         rejection_counts=np.zeros((subfilters, sources), dtype=np.int64),
-        last_measured_ns=np.full(sources, LONG_AGO_NS),
-        contradicts_ns=np.full(sources, LONG_AGO_NS),
+        last_measured_ns=np.full(sources, NEVER_NS),
+        inconsistent_since_ns=np.full(sources, NEVER_NS),
     )
 
 
@@ -98,14 +98,14 @@ def excess_limit(config: IntegrityConfig, sources: int) -> float:
     return chi_square_gate(1.0 - 0.5 * config.false_exclusions_per_h / tests_per_h, 3)
 
 
-def observed(
+def updated_means(
     means: InnovationMeans,
     source: int | Sequence[int],
     innovation: FloatArray,
     accepted: NDArray[np.bool_],
     time_ns: int,
     limit: float,
-    turn_noise: FloatArray | None = None,
+    whitened_noise: FloatArray | None = None,
 ) -> InnovationMeans:
     """Return the means after a measurement, or after simultaneous measurements of several sources.
 
@@ -131,23 +131,23 @@ def observed(
     """
     if isinstance(source, int):
         source, innovation, accepted = (source,), innovation[:, None], accepted[:, None]
-    after = compiled_means.observed(
+    after = compiled_means.updated_means(
         means.running,
         means.excess,
         means.rejection_counts,
         means.last_measured_ns,
-        means.contradicts_ns,
+        means.inconsistent_since_ns,
         tuple(source),
         innovation,
         accepted.view(np.uint8),
         time_ns,
-        _WEIGHTS,
+        _WINDOW_WEIGHTS,
         limit,
         _MAX_INNOVATION_RATIO * math.sqrt(limit),
         CONSISTENT_RATIO,
-        LONG_AGO_NS,
-        turn_noise is not None,
-        _NO_NOISE if turn_noise is None else turn_noise,
+        NEVER_NS,
+        whitened_noise is not None,
+        _ZERO_NOISE if whitened_noise is None else whitened_noise,
     )
     if after is not None:
         return InnovationMeans(*after)
@@ -157,7 +157,7 @@ def observed(
     return replace(means, refused=refused)
 
 
-def averaged(running: FloatArray, innovation: FloatArray) -> tuple[FloatArray, float]:
+def updated_mean(running: FloatArray, innovation: FloatArray) -> tuple[FloatArray, float]:
     """Return the windowed means of one filter and source after one more innovation, and their largest component.
 
     The largest component of all window lengths is given in its own sigmas.
@@ -171,11 +171,11 @@ def averaged(running: FloatArray, innovation: FloatArray) -> tuple[FloatArray, f
         >>> print(running[0], round(sigmas, 6))
         [0.   2.   0.5  0.5  0.25] 4.0
     """
-    after: tuple[FloatArray, float] = compiled_means.averaged(running, innovation, _WEIGHTS)
+    after: tuple[FloatArray, float] = compiled_means.updated_mean(running, innovation, _WINDOW_WEIGHTS)
     return after
 
 
-def forgotten(means: InnovationMeans, subfilters: Sequence[int] | slice, sources: Sequence[int] | slice) -> InnovationMeans:
+def cleared_means(means: InnovationMeans, subfilters: Sequence[int] | slice, sources: Sequence[int] | slice) -> InnovationMeans:
     """Return the means with those of some filters and sources cleared.
 
     Example:

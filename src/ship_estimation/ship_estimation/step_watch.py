@@ -12,9 +12,9 @@ import numpy as np
 
 from ship_estimation import compiled_watch
 from ship_estimation.excess_noise import NoiseSums, noise_sums
-from ship_estimation.integrated_rates import Integrated, IntegratedRun, StampArray
-from ship_estimation.line_steps import Period, StepPlan, doubling, located, step_plan
-from ship_estimation.value_guards import ACROSS, Match, vector_length
+from ship_estimation.integrated_rates import IntegratedAttitude, IntegratedRun, StampArray
+from ship_estimation.line_steps import Period, StepPlan, doubling_counts, locate_step, step_plan
+from ship_estimation.value_guards import ROUNDING_SPREAD, PredictionMatch, vector_length
 from ship_geometry import compiled_rotations
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import FloatArray, exp_rotation
@@ -41,7 +41,7 @@ _ROOM = 4
 """Length of the sample buffer, in lengths of the line."""
 
 
-class FoundStep(NamedTuple):
+class DetectedStep(NamedTuple):
     """A step of the attitude, detected by means before and after it.
 
     Attributes:
@@ -57,7 +57,7 @@ class FoundStep(NamedTuple):
     sigma_rad: float
 
 
-class Learnt(NamedTuple):
+class LineStatistics(NamedTuple):
     """Errors of the samples on a line.
 
     Attributes:
@@ -73,7 +73,7 @@ class Learnt(NamedTuple):
     typical_rad: float
 
 
-class StepWatch:
+class InsStepDetector:
     """Detects steps of one INS attitude against its integrated rates.
 
     The period of the samples and the size of apparent steps by their errors are estimated, the latter by the mean of a
@@ -107,10 +107,10 @@ class StepWatch:
         self._learn_every = self._learns = self._since_learnt = 0
         self._high = np.zeros(0)
         self._first_rad = math.inf
-        self._coarseness_rad = self._missed_rad = self._missed_before_rad = self._feigned_rad = 0.0
+        self._coarseness_rad = self._error_rad = self._last_step_error_rad = self._apparent_step_rad = 0.0
         self._run, self._last_ns = -1, 0
         self._to_line: FloatArray | None = None
-        self.learnt: Learnt | None = None
+        self.line_statistics: LineStatistics | None = None
         self.noise: NoiseSums | None = None
         self.restart()
 
@@ -132,7 +132,7 @@ class StepWatch:
         self._end = self._newest = 0
         self._to_line = None
         self._plan: StepPlan | None = None
-        self._judges = False
+        self._is_ready = False
         self._pending: FloatArray | None = None
         self._sizes = np.zeros(0)
 
@@ -147,14 +147,14 @@ class StepWatch:
         return math.inf if self._plan is None else float(self._least_rad[-1])
 
     @property
-    def judges(self) -> bool:
+    def is_ready(self) -> bool:
         """True if samples are checked against a line of full length."""
-        return self._plan is not None and self._plan is self._full and self._judges
+        return self._plan is not None and self._plan is self._full and self._is_ready
 
-    def look(
+    def check(
         self,
         sample: AttitudeSample,
-        integrated: Integrated,
+        integrated: IntegratedAttitude,
         first_rad: float,
         coarseness_rad: float,
     ) -> bool | None:
@@ -168,18 +168,18 @@ class StepWatch:
         """
         self._pending, time_ns = None, sample.time_ns
         if self._full is None:
-            if 0 < self._period.seen(time_ns) <= _LONGEST_PERIOD_NS:
+            if 0 < self._period.update(time_ns) <= _LONGEST_PERIOD_NS:
                 self._make_plan()
             return None
         if integrated.run != self._run or time_ns - self._last_ns > _GAP * self._period.ns:
             self.restart()
-            self._run, self._missed_rad = integrated.run, integrated.missed_rad
+            self._run, self._error_rad = integrated.run, integrated.error_rad
         if self._to_line is None:
             self._to_line = integrated.rotation.dot(sample.rotation_nd.T)
-        missed_rad = integrated.missed_rad - self._missed_rad
+        missed_rad = integrated.error_rad - self._error_rad
         # A constant integration error per step is a slope. A change of it is an apparent step.
-        feigned_rad = abs(missed_rad - self._missed_before_rad)
-        self._missed_rad, self._missed_before_rad = integrated.missed_rad, missed_rad
+        feigned_rad = abs(missed_rad - self._last_step_error_rad)
+        self._error_rad, self._last_step_error_rad = integrated.error_rad, missed_rad
         self._now_ns = time_ns
         self._first_rad, self._coarseness_rad = first_rad, coarseness_rad
         self._newest, self._rates[self._end] = self._end, sample.rate_d
@@ -188,32 +188,32 @@ class StepWatch:
         plan = self._plan
         if plan is None:
             return None
-        if feigned_rad > self._feigned_rad:
-            self._feigned_rad = 1.5 * feigned_rad
+        if feigned_rad > self._apparent_step_rad:
+            self._apparent_step_rad = 1.5 * feigned_rad
             self._set_bounds(plan)
         rows = self._rows[self._end + 1 - plan.length : self._end + 1]
         self._sizes = compiled_watch.step_sizes(self._scaled, rows)
-        if not self._judges:
+        if not self._is_ready:
             return None
         # If several samples show a step better than this one alone, the step was before this sample.
         own, *others = self._sizes.tolist()
         return bool(own <= 1.0 or max(others, default=0.0) > own)
 
-    def match(self) -> Match:
+    def match(self) -> PredictionMatch:
         """Return the match of the last checked sample with the line."""
         assert self._plan is not None
         step = self._plan.weights[0].dot(self._rows[self._end + 1 - self._plan.length : self._end + 1])
-        return Match(step, float(self._bounds[0]), bool(self._sizes[0] <= 1.0))
+        return PredictionMatch(step, float(self._bounds[0]), bool(self._sizes[0] <= 1.0))
 
-    def keep(self) -> FoundStep | None:
+    def accept(self) -> DetectedStep | None:
         """Accept the last checked sample; return the step that is detected with it, if any."""
         if self._pending is None:
             return None
         self._times[self._end] = self._last_ns = self._now_ns
         self._end, self._pending = self._end + 1, None
         plan = self._plan
-        if plan is not None and len(self._sizes) and not max(self._sizes.tolist()) <= 1.0 and not self._lags(plan):
-            found = self._found()
+        if plan is not None and len(self._sizes) and not max(self._sizes.tolist()) <= 1.0 and not self._is_explained_by_lag(plan):
+            found = self._detected_step()
             self.restart()
             return found
         self._since_learnt += 1
@@ -223,7 +223,7 @@ class StepWatch:
             self._shift()
         return None
 
-    def follow(
+    def accept_block(
         self,
         times_ns: StampArray,
         rotations_nd: FloatArray,
@@ -246,24 +246,24 @@ class StepWatch:
             coarseness_rad: as in :meth:`check`.
         """
         plan, end = self._plan, self._end
-        if plan is None or self._to_line is None or not self.judges or integrated.run != self._run:
+        if plan is None or self._to_line is None or not self.is_ready or integrated.run != self._run:
             return 0
         self._first_rad, self._coarseness_rad = first_rad, coarseness_rad
         some = slice(min(len(times_ns), len(self._rows) - end))
-        count, sizes, *learnt = compiled_watch.followed(
+        count, sizes, *learnt = compiled_watch.accepted_on_line(
             times_ns[some],
             compiled_rotations.differences(rotations_nd[some], integrated.rotations[some], self._to_line),
-            integrated.missed_rad[some],
+            integrated.error_rad[some],
             end,
             self._last_ns,
             _GAP * self._period.ns,
-            self._missed_rad,
-            self._missed_before_rad,
-            self._feigned_rad,
+            self._error_rad,
+            self._last_step_error_rad,
+            self._apparent_step_rad,
             plan.weights,
             self._least_rad,
             self._shares,
-            ACROSS * coarseness_rad,
+            ROUNDING_SPREAD * coarseness_rad,
             first_rad,
             self._learn_every,
             self._since_learnt,
@@ -275,8 +275,8 @@ class StepWatch:
         )
         if count == 0:
             return 0
-        self._missed_before_rad, self._feigned_rad, self._since_learnt, self._learns = learnt
-        self._sizes, self._missed_rad = sizes, float(integrated.missed_rad[count - 1])
+        self._last_step_error_rad, self._apparent_step_rad, self._since_learnt, self._learns = learnt
+        self._sizes, self._error_rad = sizes, float(integrated.error_rad[count - 1])
         self._rates[end : end + count], self._times[end : end + count] = rates_d[:count], times_ns[:count]
         self._end, self._newest, self._pending = end + count, end + count - 1, None
         self._last_ns = self._now_ns = int(times_ns[count - 1])
@@ -284,7 +284,7 @@ class StepWatch:
             self._shift()
         return int(count)
 
-    def _lags(self, plan: StepPlan) -> bool:
+    def _is_explained_by_lag(self, plan: StepPlan) -> bool:
         """True if a small lag of the rates explains the apparent step, as at the start of a rotation."""
         steps = plan.weights.dot(self._rates[self._newest + 1 - plan.length : self._newest + 1])
         feigned_rad = _LAG_S * np.sqrt(np.sum(steps * steps, axis=1))
@@ -297,7 +297,7 @@ class StepWatch:
         per_s = SECOND_NS / self._period.ns
         after = max(round(_AFTER_S * per_s), 1)
         lengths = {max(round(seconds * per_s), _LEAST_BEFORE) + after for seconds in _BEFORE_S}
-        plans = [step_plan(length, doubling(after)) for length in sorted(lengths)]
+        plans = [step_plan(length, doubling_counts(after)) for length in sorted(lengths)]
         self._full = min(plans, key=lambda plan: float(np.sum(self._sigmas(plan))))
         self._rows, self._rates = np.zeros((2, _ROOM * self._full.length, 3))
         self._times = np.zeros(len(self._rows), dtype=np.int64)
@@ -312,8 +312,8 @@ class StepWatch:
         if before is full:
             self._learns += 1
             compiled_watch.learn(self._sizes, self._bounds, self._learns, self._high)
-            if self._learns % compiled_watch.SET_EVERY == 0 or not self._judges:
-                self._feigned_rad *= compiled_watch.FORGET
+            if self._learns % compiled_watch.SET_EVERY == 0 or not self._is_ready:
+                self._apparent_step_rad *= compiled_watch.FORGET
                 self._set_bounds(full)
             return
         for share in (1, 2, 4):
@@ -322,10 +322,10 @@ class StepWatch:
                 if share == 1:
                     self._sum_noise()
                 after = [count for count in full.counts if share == 1 or count <= length // 3]
-                self._go_over(full if share == 1 else step_plan(length, tuple(after) or (1,)))
+                self._use_plan(full if share == 1 else step_plan(length, tuple(after) or (1,)))
                 return
 
-    def _go_over(self, plan: StepPlan) -> None:
+    def _use_plan(self, plan: StepPlan) -> None:
         """Check samples against another line from now on."""
         assert self._full is not None
         self._plan = plan
@@ -336,14 +336,14 @@ class StepWatch:
 
     def _set_bounds(self, plan: StepPlan) -> None:
         """Set the bounds of apparent steps by the errors of good samples."""
-        self._judges = compiled_watch.set_bounds(
+        self._is_ready = compiled_watch.set_bounds(
             plan.weights,
             self._least_rad,
             self._shares,
             self._high,
             self._learns,
-            ACROSS * self._coarseness_rad,
-            self._feigned_rad,
+            ROUNDING_SPREAD * self._coarseness_rad,
+            self._apparent_step_rad,
             self._first_rad,
             self._bounds,
             self._scaled,
@@ -363,7 +363,7 @@ class StepWatch:
         drift_n = (rows[-keep:].mean(axis=0) - rows[:keep].mean(axis=0)) / seconds
         differences = self._sum_noise()
         typical_rad = math.sqrt(float(np.mean(np.sum(differences**2, axis=1))))
-        self.learnt = Learnt(drift_n, seconds, vector_length(self._rates.mean(axis=0)), typical_rad)
+        self.line_statistics = LineStatistics(drift_n, seconds, vector_length(self._rates.mean(axis=0)), typical_rad)
         for values in (rows, self._rates, self._times):
             values[:keep] = values[-keep:].copy()
         self._end = keep
@@ -383,7 +383,7 @@ class StepWatch:
             self.noise = noise_sums(times_ns, differences, _MISSING * self._period.ns)
         return differences
 
-    def _found(self) -> FoundStep:
+    def _detected_step(self) -> DetectedStep:
         """Return the step between the accepted samples, with the interval of stamps at which it may have happened."""
         assert self._plan is not None
         worst = max(range(len(self._sizes)), key=self._sizes.tolist().__getitem__)
@@ -392,6 +392,6 @@ class StepWatch:
         everywhere = step_plan(self._plan.length, tuple(range(1, self._plan.counts[-1] + 1)))
         sigmas_rad = excess * self._sigmas(everywhere)
         rows = self._rows[self._end - everywhere.length : self._end]
-        step_n, sigma_rad, counts = located(everywhere, rows, sigmas_rad)
+        step_n, sigma_rad, counts = locate_step(everywhere, rows, sigmas_rad)
         first_ns, last_ns = (int(self._times[self._end - count]) for count in (max(counts), min(counts)))
-        return FoundStep(first_ns, last_ns, step_n, sigma_rad)
+        return DetectedStep(first_ns, last_ns, step_n, sigma_rad)

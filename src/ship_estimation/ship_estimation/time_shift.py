@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ship_estimation.running_means import LONG_AGO_NS
+from ship_estimation.running_means import NEVER_NS
 
 Value = TypeVar("Value")
 
@@ -33,25 +33,25 @@ def with_shifted_stamps(value: Value, step_ns: int) -> Value:
         shifted = object.__new__(kind)
         shifted.__dict__.update(value.__dict__)
         for one in fields(value):
-            shifted.__dict__[one.name] = _of_field(one.name, getattr(value, one.name), step_ns)
+            shifted.__dict__[one.name] = _shifted_field(one.name, getattr(value, one.name), step_ns)
     elif isinstance(value, tuple) and hasattr(value, "_fields"):
         named = anything._asdict()
-        shifted = anything._replace(**{name: _of_field(name, held, step_ns) for name, held in named.items()})
+        shifted = anything._replace(**{name: _shifted_field(name, held, step_ns) for name, held in named.items()})
     elif isinstance(value, Mapping):
         shifted = kind({key: with_shifted_stamps(entry, step_ns) for key, entry in value.items()})
     return shifted  # type: ignore[no-any-return]
 
 
-def _of_field(name: str, value: Any, step_ns: int) -> Any:
-    return _stamps(value, step_ns) if name.endswith("_ns") else with_shifted_stamps(value, step_ns)
+def _shifted_field(name: str, value: Any, step_ns: int) -> Any:
+    return _shifted_stamps(value, step_ns) if name.endswith("_ns") else with_shifted_stamps(value, step_ns)
 
 
-def _stamps(value: Any, step_ns: int) -> Any:
+def _shifted_stamps(value: Any, step_ns: int) -> Any:
     if value is None:
         return None
     if isinstance(value, Mapping):
         kind: Any = type(value)
-        return kind({key: _stamps(entry, step_ns) for key, entry in value.items()})
+        return kind({key: _shifted_stamps(entry, step_ns) for key, entry in value.items()})
     if isinstance(value, np.ndarray):
-        return np.where(value == LONG_AGO_NS, value, value + step_ns)
+        return np.where(value == NEVER_NS, value, value + step_ns)
     return value + step_ns

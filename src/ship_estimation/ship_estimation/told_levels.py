@@ -14,10 +14,10 @@ from ship_estimation import compiled_integrity
 from ship_estimation.protection import IntegrityReport
 from ship_geometry.rotations import FloatArray
 
-MOST_GROWTH = 1.05
+MAX_LEVEL_RATIO = 1.05
 """Ratio by which an output's protection level may exceed the published one before a new report is due."""
 
-_SIGMAS = 2.0
+_MAX_LEVEL_SIGMAS = 2.0
 """Upper bound of a protection level, in units of its threshold times the sigma of a subfilter."""
 _TINY = 1e-12
 
@@ -29,7 +29,7 @@ class LevelledEstimate(Protocol):
     covariance_n: FloatArray
 
 
-class ToldLevels:
+class PublishedLevels:
     """The protection levels published last, and the bounds within which following outputs need no new computation.
 
     The levels of two outputs from the same filter state differ by the growth of the covariance between them, and by the
@@ -66,9 +66,9 @@ class ToldLevels:
         self.state: Any = None
         self.redundancy_key: tuple[Any, ...] = ()
         self.directions: FloatArray = np.empty((0, 0))
-        self.until_ns, self.greatest_variance, self.most_turned = 0, 0.0, 0.0
+        self.until_ns, self.max_variance, self.max_direction_change = 0, 0.0, 0.0
 
-    def covered(self, times_ns: NDArray[np.int64], covariances_n: FloatArray, directions: FloatArray) -> int:
+    def covered_count(self, times_ns: NDArray[np.int64], covariances_n: FloatArray, directions: FloatArray) -> int:
         """Return the number of leading outputs, of N from the same state, that the published levels certainly cover.
 
         Args:
@@ -76,11 +76,11 @@ class ToldLevels:
             covariances_n: of their errors, rad², shape (N, 3, 3).
             directions: direction cosines of each, shape (N, k, l).
         """
-        until, published = (self.until_ns, self.greatest_variance), (self.directions, self.most_turned)
-        count: int = compiled_integrity.covered(times_ns, covariances_n, directions, *until, *published)
+        until, published = (self.until_ns, self.max_variance), (self.directions, self.max_direction_change)
+        count: int = compiled_integrity.covered_count(times_ns, covariances_n, directions, *until, *published)
         return count
 
-    def must_tell(self, output: LevelledEstimate, report: IntegrityReport, period_ns: int) -> bool:
+    def needs_update(self, output: LevelledEstimate, report: IntegrityReport, period_ns: int) -> bool:
         """True if the levels of an output must be published before it; they are then stored as the published ones.
 
         Args:
@@ -90,11 +90,11 @@ class ToldLevels:
         """
         published = self.report
         if published is not None and output.time_ns < self.until_ns and _has_same_state(report, published):
-            covers, self.greatest_variance, self.most_turned = _coverage(output, report, published)
+            covers, self.max_variance, self.max_direction_change = _coverage(output, report, published)
             if covers:
                 return False
         self.report, self.until_ns = report, output.time_ns + period_ns
-        _, self.greatest_variance, self.most_turned = _coverage(output, report, report)
+        _, self.max_variance, self.max_direction_change = _coverage(output, report, report)
         return True
 
 
@@ -105,8 +105,8 @@ def _has_same_state(report: IntegrityReport, published: IntegrityReport) -> bool
 
 def _coverage(output: LevelledEstimate, report: IntegrityReport, published: IntegrityReport) -> tuple[bool, float, float]:
     """True if published levels cover those of an output; and the variance and rotation up to which they do later."""
-    entering = _SIGMAS * report.threshold * report.widest
+    entering = _MAX_LEVEL_SIGMAS * report.threshold * report.largest_sigma
     found: tuple[bool, float, float] = compiled_integrity.coverage(
-        report.level, published.level, output.covariance_n, entering, MOST_GROWTH, _TINY
+        report.level, published.level, output.covariance_n, entering, MAX_LEVEL_RATIO, _TINY
     )
     return found

@@ -11,7 +11,7 @@ time or of another source.
 from typing import NamedTuple
 
 
-class Unconfirmed(NamedTuple):
+class UnconfirmedStep(NamedTuple):
     """A step that other sources have not confirmed yet.
 
     Attributes:
@@ -29,7 +29,7 @@ class Unconfirmed(NamedTuple):
     confirmed_ns: int | None = None
     confirmed_by: str = ""
 
-    def after_agreement(self, time_ns: int, source: str = "") -> "Unconfirmed | None":
+    def with_confirmation(self, time_ns: int, source: str = "") -> "UnconfirmedStep | None":
         """Return the step after a consistent measurement of a source; None if it is confirmed now.
 
         >>> step = Unconfirmed(10, "the encoders have jumped", "lights")

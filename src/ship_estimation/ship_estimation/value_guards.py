@@ -18,13 +18,13 @@ from typing import NamedTuple
 import numpy as np
 
 from ship_estimation import compiled_watch
-from ship_estimation.witnesses import RECENT_NS, TurnWatch, Witness
+from ship_estimation.witnesses import HISTORY_NS, MotionCheck, MotionReference
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 JUMP_SAMPLES = 5
 """Default number of rejected, mutually consistent values after which a jump is accepted."""
 
-ACROSS = 1.8
+ROUNDING_SPREAD = 1.8
 """Bound of the error by rounding to unit steps in each of three axes: a little more than sqrt(3)."""
 
 
@@ -46,7 +46,7 @@ _STEPS = 64
 """Number of changes of the value of which the smallest is the resolution."""
 
 
-class StuckGuard:
+class StuckCheck:
     """Detects a source that repeats one value while other sources show motion.
 
     A source is stuck if a value has been repeated for half a second and a motion reference has rotated meanwhile by
@@ -71,13 +71,13 @@ class StuckGuard:
         self._steps: deque[float] = deque(maxlen=_STEPS)
         self._repeated: deque[bool] = deque(maxlen=_STEPS)
         self._resolution_rad = self.coarseness_rad = float(_UNKNOWN_RESOLUTION)
-        self.repeated = False
+        self.is_repeated = False
 
     def is_frozen(self, value: FloatArray) -> bool:
         """True if the value is the one at which the source is stuck."""
-        return self._current is not None and self._current.stuck and _same(value, self._current.value)
+        return self._current is not None and self._current.is_stuck and _is_equal(value, self._current.value)
 
-    def observe(self, time_ns: int, value: FloatArray, sigma_rad: float, motion_references: Mapping[str, Witness]) -> bool:
+    def observe(self, time_ns: int, value: FloatArray, sigma_rad: float, motion_references: Mapping[str, MotionReference]) -> bool:
         """Check the next value of the source; return True if the source is stuck.
 
         Args:
@@ -86,35 +86,35 @@ class StuckGuard:
             sigma_rad: noise of the value about its worst axis.
             motion_references: by name, the attitude by other sources at about this time.
         """
-        held = self._current
-        if held is not None and _same(value, held.value):
-            held.repeats += 1
+        current = self._current
+        if current is not None and _is_equal(value, current.value):
+            current.repeats += 1
         else:
-            held = self._changed(time_ns, value, motion_references)
-        self.repeated = held.repeats > 0
-        if self.repeated:
-            if held.watch is None:
-                held.watch = TurnWatch(held.since_ns, held.first_references)
-            turned = held.watch.turned(motion_references, sigma_rad, ACROSS * self._resolution_rad)
-            held.stuck = held.stuck or (turned and time_ns - held.since_ns >= _LEAST_NS)
-        return held.stuck
+            current = self._start_value(time_ns, value, motion_references)
+        self.is_repeated = current.repeats > 0
+        if self.is_repeated:
+            if current.motion_check is None:
+                current.motion_check = MotionCheck(current.since_ns, current.first_references)
+            turned = current.motion_check.has_turned(motion_references, sigma_rad, ROUNDING_SPREAD * self._resolution_rad)
+            current.is_stuck = current.is_stuck or (turned and time_ns - current.since_ns >= _LEAST_NS)
+        return current.is_stuck
 
-    def new_values(self, first_ns: int, values: FloatArray) -> int:
+    def count_new_values(self, first_ns: int, values: FloatArray) -> int:
         """Return the number of leading values that need no check: none of them is a repetition.
 
         Args:
             first_ns: stamp of the first value.
             values: as in :meth:`observe`, shape (N, 3, 3).
         """
-        held = self._current
-        if held is None or held.stuck or held.repeats or not self._steps or any(self._repeated):
+        current = self._current
+        if current is None or current.is_stuck or current.repeats or not self._steps or any(self._repeated):
             return 0
-        if self._former is not None and first_ns - self._left_ns <= RECENT_NS:
+        if self._former is not None and first_ns - self._left_ns <= HISTORY_NS:
             return 0
-        new = (np.diff(values, axis=0, prepend=held.value[None]) != 0.0).any(axis=(1, 2))
+        new = (np.diff(values, axis=0, prepend=current.value[None]) != 0.0).any(axis=(1, 2))
         return len(new) if new.all() else int(np.argmin(new))
 
-    def follow(self, time_ns: int, values: FloatArray, motion_references: Mapping[str, Witness]) -> None:
+    def accept_new_values(self, time_ns: int, values: FloatArray, motion_references: Mapping[str, MotionReference]) -> None:
         """Accept values without repetition, as counted by :meth:`count_new_values`.
 
         Args:
@@ -127,17 +127,17 @@ class StuckGuard:
         before = values[-_STEPS - 1] if len(values) > _STEPS else self._current.value
         self._learn(before, newest)
         self._repeated.extend([False] * min(len(values), _STEPS))
-        self.coarseness_rad, self.repeated = 0.0, False
+        self.coarseness_rad, self.is_repeated = 0.0, False
         self._current = _RepeatedValue(values[-1], time_ns, dict(motion_references))
 
-    def _changed(self, time_ns: int, value: FloatArray, motion_references: Mapping[str, Witness]) -> "_RepeatedValue":
+    def _start_value(self, time_ns: int, value: FloatArray, motion_references: Mapping[str, MotionReference]) -> "_RepeatedValue":
         """Start a value that differs from the one before: a new value, or the frozen value again."""
         before, former = self._current, self._former
-        if former is not None and time_ns - self._left_ns <= RECENT_NS and _same(value, former.value):
+        if former is not None and time_ns - self._left_ns <= HISTORY_NS and _is_equal(value, former.value):
             self._current, self._former = former, None
             return former
         if before is not None:
-            if before.stuck:
+            if before.is_stuck:
                 self._former, self._left_ns = before, time_ns
             else:
                 self._repeated.append(before.repeats > 0)
@@ -161,13 +161,13 @@ class _RepeatedValue:
 
     value: FloatArray
     since_ns: int
-    first_references: Mapping[str, Witness]
+    first_references: Mapping[str, MotionReference]
     repeats: int = 0
-    stuck: bool = False
-    watch: TurnWatch | None = None
+    is_stuck: bool = False
+    motion_check: MotionCheck | None = None
 
 
-def _same(value: FloatArray, other: FloatArray) -> bool:
+def _is_equal(value: FloatArray, other: FloatArray) -> bool:
     """True if two values, not empty, are equal to the bit; the first numbers are compared first, for speed."""
     return bool(value.item(0) == other.item(0)) and np.array_equal(value, other)
 
@@ -187,7 +187,7 @@ _BOUND_SIGMAS = 3.0
 """Ratio of the bound of a difference to its standard deviation, at least."""
 
 
-class Step(NamedTuple):
+class PredictionStep(NamedTuple):
     """The prediction of a value from an earlier one, and its uncertainty.
 
     Attributes:
@@ -207,7 +207,7 @@ class Step(NamedTuple):
     drift_rad_per_s: float = DRIFT_RAD_PER_S
 
 
-def step_by_motion(turned_s: float, seconds: float, max_acceleration: float, coarseness_rad: float) -> Step:
+def step_by_motion(turned_s: float, seconds: float, max_acceleration: float, coarseness_rad: float) -> PredictionStep:
     """Return the prediction by continued motion between two earlier values.
 
     Args:
@@ -225,10 +225,10 @@ def step_by_motion(turned_s: float, seconds: float, max_acceleration: float, coa
     """
     ratio = seconds / turned_s
     uncertain_rad = 0.5 * max_acceleration * seconds * (seconds + turned_s)
-    return Step(seconds, 1, uncertain_rad, 1.0 + (1.0 + ratio) ** 2 + ratio**2, coarseness_rad)
+    return PredictionStep(seconds, 1, uncertain_rad, 1.0 + (1.0 + ratio) ** 2 + ratio**2, coarseness_rad)
 
 
-class Match(NamedTuple):
+class PredictionMatch(NamedTuple):
     """A value compared with its prediction from an earlier value.
 
     Attributes:
@@ -241,14 +241,14 @@ class Match(NamedTuple):
     difference: FloatArray
     bound_rad: float
     fits: bool
-    led: bool = True
+    is_predicted: bool = True
 
     @property
     def sigma_rad(self) -> float:
         """Standard deviation of the difference about each axis, derived from the bound."""
         return self.bound_rad / _BOUND_SIGMAS
 
-    def fits_again(self, step: "Match") -> bool:
+    def is_consistent_with(self, step: "PredictionMatch") -> bool:
         """True if the value is consistent with the last accepted one although values between were rejected.
 
         The bound grows with time. For a value that is consistent with the rejected one before it, the bound is no wider
@@ -261,7 +261,7 @@ class Match(NamedTuple):
         return vector_length(self.difference) <= min(self.bound_rad, limit_rad)
 
 
-class Continuation:
+class PredictionBound:
     """Bound of the difference between a value and its prediction.
 
     The noise is the configured one or, if larger, that of the differences so far, which contain rounding, rate noise
@@ -288,17 +288,17 @@ class Continuation:
         self.noise_rad = math.inf
         self._count = 0
 
-    def match(self, difference: FloatArray, step: Step, led: bool = True) -> Match:
+    def match(self, difference: FloatArray, step: PredictionStep, led: bool = True) -> PredictionMatch:
         """Return the match of a difference with the bound of a step; arguments as in :class:`PredictionMatch`."""
         gain = math.sqrt(step.noise_gain)
         noise = max(_SIGMAS * gain * self.sigma_rad, _TYPICAL * self.typical_rad)
         more = self.typical_rad * math.sqrt(step.samples - 1)
         unknown = _UNKNOWN_RAD if self._count < _LEARNING else 0.0
-        coarse = ACROSS * math.sqrt(0.5) * gain * step.coarseness_rad
+        coarse = ROUNDING_SPREAD * math.sqrt(0.5) * gain * step.coarseness_rad
         bound_rad = noise + more + unknown + coarse + step.uncertain_rad + step.drift_rad_per_s * step.seconds
-        return Match(difference, bound_rad, vector_length(difference) <= bound_rad, led)
+        return PredictionMatch(difference, bound_rad, vector_length(difference) <= bound_rad, led)
 
-    def know(self, typical_rad: float) -> None:
+    def set_typical(self, typical_rad: float) -> None:
         """Set the typical difference, estimated from many values."""
         self._mean_square, self._count = typical_rad**2, _MEMORY
         self._set_typical()
@@ -323,7 +323,7 @@ class JumpDecision(enum.Enum):
     JUMPED = "jumped"
 
 
-class JumpGuard:
+class JumpCheck:
     """Rejects values that are inconsistent with the last accepted one, until a jump is accepted.
 
     Args:

@@ -27,11 +27,11 @@ from ship_estimation.gates import mean_nees_band
 from ship_estimation.innovations import (
     FALSE_DIAGNOSIS_PROBABILITY,
     LEAST_COUNT,
-    Axis,
+    AxisStatistics,
     Innovation,
     InnovationTable,
-    Parts,
-    axes_of,
+    PartStatistics,
+    axis_statistics,
     innovation_of,
 )
 from ship_estimation.kalman import StateModel
@@ -84,12 +84,12 @@ class InnovationDiagnosis:
     nis: float = math.nan
     nis_band: tuple[float, float] | None = None
     factor: float = math.nan
-    far_share: float = math.nan
+    outlier_share: float = math.nan
     bias_sigma: Mapping[str, float] = field(default_factory=dict)
     correlation: Mapping[str, float] = field(default_factory=dict)
 
 
-class VerdictBook:
+class InnovationHistory:
     """Innovations of the newest data by source, and the diagnosis of each source.
 
     Example:
@@ -132,11 +132,11 @@ class VerdictBook:
         for source, innovations in self._pending.items():
             if source not in self._tables:
                 self._tables[source] = InnovationTable()
-            self._tables[source].take(innovations)
+            self._tables[source].add_all(innovations)
         self._pending.clear()
         until_ns, verdicts = self._newest_ns - round(WINDOW_S * SECOND_NS), {}
         for source, table in sorted(self._tables.items()):
-            table.forget(until_ns, _MOST_KEPT)
+            table.drop_old(until_ns, _MOST_KEPT)
             verdicts[source] = _diagnosis(table)
         return verdicts
 
@@ -176,7 +176,7 @@ def _diagnosis(table: InnovationTable) -> InnovationDiagnosis:
     count = len(table)
     if count < LEAST_COUNT:
         return InnovationDiagnosis(DiagnosisKind.UNKNOWN, f"too few measurements: {count} of {LEAST_COUNT}", count)
-    parts, axes = Parts(table), axes_of(table)
+    parts, axes = PartStatistics(table), axis_statistics(table)
     kind, text = _kind_and_text(table, parts, axes)
     return InnovationDiagnosis(
         kind=kind,
@@ -185,13 +185,13 @@ def _diagnosis(table: InnovationTable) -> InnovationDiagnosis:
         nis=parts.nis,
         nis_band=mean_nees_band(parts.components, 1, 1.0 - FALSE_DIAGNOSIS_PROBABILITY) if parts.components else None,
         factor=parts.factor,
-        far_share=parts.far_share,
+        outlier_share=parts.outlier_share,
         bias_sigma={axis.name: axis.bias_sigma for axis in axes},
         correlation={axis.name: axis.correlation for axis in axes},
     )
 
 
-def _kind_and_text(table: InnovationTable, parts: Parts, axes: Iterable[Axis]) -> tuple[DiagnosisKind, str]:
+def _kind_and_text(table: InnovationTable, parts: PartStatistics, axes: Iterable[AxisStatistics]) -> tuple[DiagnosisKind, str]:
     """Return kind and text of the most important result: a bias affects the sigma test, a wrong sigma the outliers."""
     biased = max((axis for axis in axes if axis.is_biased), key=lambda axis: abs(axis.bias_sigma), default=None)
     if biased is not None:
@@ -200,11 +200,11 @@ def _kind_and_text(table: InnovationTable, parts: Parts, axes: Iterable[Axis]) -
         return DiagnosisKind.OPTIMISTIC, f"sigma optimistic by {parts.factor:.1f}: the noise is understated"
     if parts.is_misidentified:
         others = ", the others are as stated" if math.isfinite(parts.factor) else ""
-        return DiagnosisKind.MISIDENTIFIED, f"misidentified: {100.0 * parts.far_share:.0f} % are outliers{others}"
+        return DiagnosisKind.MISIDENTIFIED, f"misidentified: {100.0 * parts.outlier_share:.0f} % are outliers{others}"
     if parts.is_conservative:
         times = f"{1.0 / parts.factor:.1f}" if parts.factor > _MIN_FACTOR else f"more than {1.0 / _MIN_FACTOR:.0f}"
         return DiagnosisKind.CONSERVATIVE, f"sigma conservative by {times}: the noise is overstated"
-    lasting = max((axis for axis in axes if axis.is_lasting), key=lambda axis: abs(axis.correlation), default=None)
+    lasting = max((axis for axis in axes if axis.is_correlated), key=lambda axis: abs(axis.correlation), default=None)
     if lasting is not None:
         return DiagnosisKind.CORRELATED, lasting.correlation_text
     if math.isnan(parts.factor):

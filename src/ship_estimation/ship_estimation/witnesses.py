@@ -8,15 +8,15 @@ import numpy as np
 
 from ship_geometry.rotations import FloatArray, log_rotation
 
-RECENT_NS = 2_000_000_000
+HISTORY_NS = 2_000_000_000
 """Length of a reference's history with which it is compared, ns; motion is detected within this time."""
 _SPACING_NS = 250_000_000
 """Spacing of a reference's history, ns."""
 _SIGMAS = 5.0
-_TWICE = 2
+_REPEATS = 2
 
 
-class Witness(NamedTuple):
+class MotionReference(NamedTuple):
     """The ship's attitude by another source.
 
     Attributes:
@@ -32,7 +32,7 @@ class Witness(NamedTuple):
     drift_rad_per_s: float = 0.0
 
 
-class TurnWatch:
+class MotionCheck:
     """Detects that a motion reference has rotated while a source repeated its value.
 
     Args:
@@ -45,12 +45,12 @@ class TurnWatch:
     [False, True]
     """
 
-    def __init__(self, since_ns: int, first_references: Mapping[str, Witness]) -> None:
+    def __init__(self, since_ns: int, first_references: Mapping[str, MotionReference]) -> None:
         self._since_ns = since_ns
-        self._records: dict[str, _Record] = {}
-        self.turned(first_references, 0.0, 0.0)
+        self._records: dict[str, _ReferenceHistory] = {}
+        self.has_turned(first_references, 0.0, 0.0)
 
-    def turned(self, motion_references: Mapping[str, Witness], sigma_rad: float, resolution_rad: float) -> bool:
+    def has_turned(self, motion_references: Mapping[str, MotionReference], sigma_rad: float, resolution_rad: float) -> bool:
         """True if a reference has rotated too far for the repeated value.
 
         Args:
@@ -63,24 +63,24 @@ class TurnWatch:
             if now.time_ns < self._since_ns:
                 continue
             if name not in self._records:
-                self._records[name] = _Record(now)
+                self._records[name] = _ReferenceHistory(now)
             turned = self._records[name].add(now, sigma_rad, resolution_rad) or turned
         return turned
 
 
-class _Record:
+class _ReferenceHistory:
     """Attitudes of one reference while a value is repeated.
 
     Args:
         first: the first attitude of the reference.
     """
 
-    def __init__(self, first: Witness) -> None:
+    def __init__(self, first: MotionReference) -> None:
         self._first = self._last = first
-        self._recent: deque[Witness] = deque([first])
-        self._moved = 0
+        self._recent: deque[MotionReference] = deque([first])
+        self._turn_count = 0
 
-    def add(self, now: Witness, sigma_rad: float, resolution_rad: float) -> bool:
+    def add(self, now: MotionReference, sigma_rad: float, resolution_rad: float) -> bool:
         """Add the current attitude; return True if two successive attitudes show a rotation.
 
         A rotation exceeds five sigma of all noise plus the drift of the reference and the resolution of the value. Two
@@ -88,17 +88,17 @@ class _Record:
         than the last one is ignored.
         """
         if now.time_ns > self._last.time_ns:
-            moved = any(_moved(then, now, sigma_rad, resolution_rad) for then in (self._first, *self._recent))
-            self._moved = self._moved + 1 if moved else 0
+            moved = any(_has_turned(then, now, sigma_rad, resolution_rad) for then in (self._first, *self._recent))
+            self._turn_count = self._turn_count + 1 if moved else 0
             self._last = now
             if now.time_ns - self._recent[-1].time_ns >= _SPACING_NS:
                 self._recent.append(now)
-            while now.time_ns - self._recent[0].time_ns > RECENT_NS:
+            while now.time_ns - self._recent[0].time_ns > HISTORY_NS:
                 self._recent.popleft()
-        return self._moved >= _TWICE
+        return self._turn_count >= _REPEATS
 
 
-def _moved(then: Witness, now: Witness, sigma_rad: float, resolution_rad: float) -> bool:
+def _has_turned(then: MotionReference, now: MotionReference, sigma_rad: float, resolution_rad: float) -> bool:
     noise_rad = np.hypot(sigma_rad, np.hypot(then.sigma_rad, now.sigma_rad))
     drift_rad = now.drift_rad_per_s * (now.time_ns - then.time_ns) * 1e-9
     bound_rad = _SIGMAS * noise_rad + drift_rad + resolution_rad

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.linalg import block_diag
 
-from ship_estimation.backward import Backward, Known, backward
+from ship_estimation.backward import SmootherStep, GaussianEstimate, smoother_step
 
 
 def test_backward_step_equals_batch_least_squares() -> None:
@@ -13,22 +13,22 @@ def test_backward_step_equals_batch_least_squares() -> None:
     decays, noise = rng.uniform(0.5, 1.0, (count, n)), rng.uniform(0.1, 1.0, (count, n))
     noise[:, 2:] = 0.0
     rows, values = rng.standard_normal((count, 2, n)), rng.standard_normal((count, 2))
-    known, backs = Known(np.zeros(n), start), []
+    known, backs = GaussianEstimate(np.zeros(n), start), []
     for epoch in range(count):
         predicted, cross = known, start
         if epoch:
             transition = np.diag(decays[epoch])
             cross = known.covariance @ transition.T
-            predicted = Known(transition @ known.mean, transition @ cross + np.diag(noise[epoch]))
-            backs.append(backward(known, cross, predicted))
+            predicted = GaussianEstimate(transition @ known.mean, transition @ cross + np.diag(noise[epoch]))
+            backs.append(smoother_step(known, cross, predicted))
         innovation = rows[epoch] @ predicted.covariance @ rows[epoch].T + np.eye(2)
         gain = predicted.covariance @ rows[epoch].T @ np.linalg.inv(innovation)
         mean = predicted.mean + gain @ (values[epoch] - rows[epoch] @ predicted.mean)
-        known = Known(mean, predicted.covariance - gain @ innovation @ gain.T)
+        known = GaussianEstimate(mean, predicted.covariance - gain @ innovation @ gain.T)
     found = [known]
     for back in reversed(backs):
-        assert isinstance(back, Backward)
-        found.append(back.by(found[-1]))
+        assert isinstance(back, SmootherStep)
+        found.append(back.apply(found[-1]))
     # All states as functions of the first one and of the process noise at each epoch.
     of_new = np.zeros((count, n, count, n))
     for epoch in range(count):

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from ship_estimation.common_error import NOTHING_ABSORBED, Absorbed, with_common_error
+from ship_estimation.common_error import NO_CORRECTIONS, CorrectionSums, with_common_error
 from ship_estimation.hypotheses import FilterInnovations
-from ship_estimation.protection import Factors, SolutionSeparation
+from ship_estimation.protection import SigmaMultipliers, SolutionSeparation
 from ship_geometry.rotations import FloatArray
 
 NOISE, WALK, COUNT = 9.0, 0.2, 40
 
 
-def filtered(measured: FloatArray, used_count: int) -> tuple[FloatArray, FloatArray, list[FilterInnovations]]:
+def run_filter(measured: FloatArray, used_count: int) -> tuple[FloatArray, FloatArray, list[FilterInnovations]]:
     """Filter a random walk of three states with the first measurements only; plain equations of the Kalman filter.
 
     Args:
@@ -34,62 +34,62 @@ def filtered(measured: FloatArray, used_count: int) -> tuple[FloatArray, FloatAr
     return mean, covariance, found
 
 
-def absorbed_of(compared: list[FilterInnovations]) -> Absorbed:
-    found = NOTHING_ABSORBED
+def correction_sums(compared: list[FilterInnovations]) -> CorrectionSums:
+    found = NO_CORRECTIONS
     for one in compared:
         found = found.with_correction(one, np.eye(3), first=0)
     return found
 
 
-def window_of(compared: list[FilterInnovations]) -> int:
+def window_length(compared: list[FilterInnovations]) -> int:
     """Return the number of measurements in the sums: those of four blocks of half a time constant."""
     for count in range(1, len(compared)):
-        if absorbed_of(compared[-count:]).variance == pytest.approx(absorbed_of(compared).variance):
+        if correction_sums(compared[-count:]).variance == pytest.approx(correction_sums(compared).variance):
             return count
     return len(compared)
 
 
 def test_correction_sum_equals_the_separation_from_a_filter_without_the_window() -> None:
     measured = np.random.default_rng(3).normal(0.0, 3.0, (COUNT, 3))
-    mean, covariance, compared = filtered(measured, COUNT)
-    found, window = absorbed_of(compared), window_of(compared)
-    without, wider, _ = filtered(measured, COUNT - window)
+    mean, covariance, compared = run_filter(measured, COUNT)
+    found, window = correction_sums(compared), window_length(compared)
+    without, wider, _ = run_filter(measured, COUNT - window)
     assert 0 < window < COUNT
-    np.testing.assert_allclose(found.turn_n, mean - without, rtol=1e-9)
+    np.testing.assert_allclose(found.correction_n, mean - without, rtol=1e-9)
     np.testing.assert_allclose(found.variance, np.diagonal(wider - covariance), rtol=1e-9)
-    assert found.sigmas == pytest.approx(np.max(np.abs(found.turn_n) / np.sqrt(found.variance)))
+    assert found.sigmas == pytest.approx(np.max(np.abs(found.correction_n) / np.sqrt(found.variance)))
 
 
 def test_absorbed_share_is_the_effect_of_a_common_error_in_the_window() -> None:
     measured = np.random.default_rng(4).normal(0.0, 3.0, (COUNT, 3))
-    mean, _, compared = filtered(measured, COUNT)
-    found, window = absorbed_of(compared), window_of(compared)
+    mean, _, compared = run_filter(measured, COUNT)
+    found, window = correction_sums(compared), window_length(compared)
     turned = measured.copy()
     turned[COUNT - window :] += np.array([1.0, -2.0, 4.0])
-    by_error = filtered(turned, COUNT)[0] - mean
-    np.testing.assert_allclose(found.response * np.array([1.0, -2.0, 4.0]), by_error, rtol=1e-9)
-    assert np.all((found.response > 0.77) & (found.response < 0.88))
+    by_error = run_filter(turned, COUNT)[0] - mean
+    np.testing.assert_allclose(found.absorbed_share * np.array([1.0, -2.0, 4.0]), by_error, rtol=1e-9)
+    assert np.all((found.absorbed_share > 0.77) & (found.absorbed_share < 0.88))
 
 
 def test_restart_clears_the_corrections_but_not_their_variance() -> None:
-    found = absorbed_of(filtered(np.full((COUNT, 3), 5.0), COUNT)[2])
+    found = correction_sums(run_filter(np.full((COUNT, 3), 5.0), COUNT)[2])
     after = found.without_corrections()
-    assert after.turn_n.tolist() == [0.0, 0.0, 0.0]
+    assert after.correction_n.tolist() == [0.0, 0.0, 0.0]
     assert after.error_variance.tolist() == found.error_variance.tolist()
     assert found.sums[:, 0].any()
 
 
 def test_without_measurements_the_error_variance_is_infinite() -> None:
     others = SolutionSeparation(np.array([1.0]), np.full(3, 8.0), 0, 1.0)
-    k, level_of = Factors(6.0, 5.0, np.array([2.0])), np.eye(3) + 0.1
-    assert with_common_error(others, k, 1.0, 6.0, NOTHING_ABSORBED, level_of, np.eye(3)).level.tolist() == [np.inf] * 3
+    k, level_of = SigmaMultipliers(6.0, 5.0, np.array([2.0])), np.eye(3) + 0.1
+    assert with_common_error(others, k, 1.0, 6.0, NO_CORRECTIONS, level_of, np.eye(3)).level.tolist() == [np.inf] * 3
 
 
 def test_unresolved_error_is_held_and_the_larger_variance_applies() -> None:
     sums = np.zeros((1, 3, 3))
     sums[0, 1] = 1.0
     sums[0, 0, 1] = 5.0
-    large = Absorbed(sums, 5.0).with_unresolved_error(0, hold_ns=60)
+    large = CorrectionSums(sums, 5.0).with_unresolved_error(0, hold_ns=60)
     assert large.unresolved is not None
     assert large.unresolved.variance.tolist() == [0.0, 4.75, 0.0]
     sums = sums.copy()

@@ -60,12 +60,12 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
         with pytest.raises(ValueError, match="shapes"):
             compiled_innovations.innovation_statistics(np.ones(1), covariance, noise, one, one, 1, 1)
     with pytest.raises(ValueError, match="columns"):
-        compiled_innovations.sizes(np.zeros((2, 7)), 8, 0.5)
+        compiled_innovations.part_sizes(np.zeros((2, 7)), 8, 0.5)
     with pytest.raises(ValueError, match="columns"):
-        compiled_innovations.along_axes(np.zeros((2, 10)), 3, 1, 1.5, 3.0)
+        compiled_innovations.axis_statistics(np.zeros((2, 10)), 3, 1, 1.5, 3.0)
 
 
-def kept(rng: np.random.Generator, count: int, axes: int, parts: int) -> FloatArray:
+def random_innovations(rng: np.random.Generator, count: int, axes: int, parts: int) -> FloatArray:
     """Return innovations as in a table: some without an axis, with fewer parts, with rejected parts, or not used."""
     numbers = np.full((count, 5 + 2 * axes + parts), np.nan)
     numbers[:, 0], numbers[:, 2] = rng.integers(0, 4, count), rng.integers(0, 9, count)
@@ -82,8 +82,8 @@ def kept(rng: np.random.Generator, count: int, axes: int, parts: int) -> FloatAr
 @pytest.mark.parametrize("parts", [1, 8])
 @pytest.mark.parametrize("count", [0, 1, 40, 301])
 def test_part_sizes_equal_numpy(count: int, parts: int) -> None:
-    numbers = kept(np.random.default_rng(count), count, 2, parts)
-    squares, degrees, own_share, nis, components = compiled_innovations.sizes(numbers, 9, 0.5)
+    numbers = random_innovations(np.random.default_rng(count), count, 2, parts)
+    squares, degrees, own_share, nis, components = compiled_innovations.part_sizes(numbers, 9, 0.5)
     telling = numbers[numbers[:, 3] >= 0.5]
     expected = np.sort(telling[:, 9:], axis=None)
     np.testing.assert_array_equal(squares, expected[~np.isnan(expected)])
@@ -95,8 +95,8 @@ def test_part_sizes_equal_numpy(count: int, parts: int) -> None:
 
 @pytest.mark.parametrize("count", [0, 20, 41, 300])
 def test_axis_statistics_equal_numpy(count: int) -> None:
-    numbers = kept(np.random.default_rng(count), count, 3, 2)
-    figures, lasting = compiled_innovations.along_axes(numbers, 3, 20, 1.4826, 3.0)
+    numbers = random_innovations(np.random.default_rng(count), count, 3, 2)
+    figures, lasting = compiled_innovations.axis_statistics(numbers, 3, 20, 1.4826, 3.0)
     unused = numbers[numbers[:, 4] == 0.0]
     assert lasting == (np.max(1.0 - unused[:, 3]) if len(unused) else 0.0)
     for axis, (known, *found) in enumerate(figures):
@@ -116,5 +116,5 @@ def test_axis_statistics_equal_numpy(count: int) -> None:
 
 def test_equal_innovations_are_not_correlated() -> None:
     numbers = np.ones((30, 7))
-    figures, _ = compiled_innovations.along_axes(numbers, 1, 30, 1.4826, 3.0)
+    figures, _ = compiled_innovations.axis_statistics(numbers, 1, 30, 1.4826, 3.0)
     assert figures.tolist() == [[30.0, 1.0, 1.0, 0.0]]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ship_estimation import compiled_integrity
-from ship_estimation.protection import Factors, solution_separation, separation_sigma
+from ship_estimation.protection import SigmaMultipliers, solution_separation, separation_sigma
 from ship_geometry.rotations import FloatArray
 from ship_testing.separations import solution_separations
 
@@ -24,11 +24,11 @@ def covariances(rng: np.random.Generator, *shape: int) -> FloatArray:
     return found
 
 
-def separation_of_numpy(distance: FloatArray, variance: FloatArray, variance_0: FloatArray, k: Factors):
+def numpy_separation(distance: FloatArray, variance: FloatArray, variance_0: FloatArray, k: SigmaMultipliers):
     """Return statistic, level and dominant hypothesis."""
     grown = np.maximum(variance, variance_0)
     apart = np.sqrt(np.maximum(grown - variance_0, np.maximum(1e-6 * variance_0, 1e-24)))
-    levels = k.false_exclusion * apart + k.missed[:, None] * np.sqrt(grown)
+    levels = k.false_exclusion * apart + k.missed_detection[:, None] * np.sqrt(grown)
     levels = np.vstack([k.fault_free * np.sqrt(variance_0), levels])
     dominant = int(np.argmax(np.max(levels, axis=-1))) - 1
     return np.max(np.abs(distance) / apart, axis=-1), np.max(levels, axis=0), dominant
@@ -43,32 +43,32 @@ def test_separations_and_levels_by_states_equal_numpy(hypotheses: int) -> None:
     # The subfilter is as much less accurate as two sources make it, so that differences keep their relative accuracy.
     left_out += 10.0 * parts.sum(axis=0)
     means = mean + 1e-6 * rng.standard_normal((hypotheses, STATES))
-    k, asked = Factors(6.0, 5.1, rng.uniform(0.0, 3.0, hypotheses)), np.arange(hypotheses)[::2]
+    k, asked = SigmaMultipliers(6.0, 5.1, rng.uniform(0.0, 3.0, hypotheses)), np.arange(hypotheses)[::2]
     by_output = to_components, by_states, covariance
     found = solution_separation(k, asked, CHOSEN, by_output, mean, means, parts, left_out)
     first, beside = parts.sum(axis=0)[np.ix_(CHOSEN, CHOSEN)], left_out[:, CHOSEN[:, None], CHOSEN]
     of_all = to_components @ covariance @ to_components.T
     without = np.diagonal(of_all + by_states @ (beside - first) @ by_states.T, axis1=-2, axis2=-1)
-    distance, in_question = (means - mean)[:, CHOSEN] @ by_states.T, Factors(6.0, 5.1, k.missed[asked])
-    statistic, level, dominant = separation_of_numpy(distance[asked], without[asked], np.diagonal(of_all), in_question)
+    distance, in_question = (means - mean)[:, CHOSEN] @ by_states.T, SigmaMultipliers(6.0, 5.1, k.missed_detection[asked])
+    statistic, level, dominant = numpy_separation(distance[asked], without[asked], np.diagonal(of_all), in_question)
     np.testing.assert_allclose(found.statistic, statistic, rtol=1e-12)
     np.testing.assert_allclose(found.level, level, rtol=1e-13)
     assert found.dominant == dominant
-    assert found.widest == pytest.approx(np.sqrt(np.diagonal(beside[asked], axis1=-2, axis2=-1).max()), rel=1e-15)
+    assert found.largest_sigma == pytest.approx(np.sqrt(np.diagonal(beside[asked], axis1=-2, axis2=-1).max()), rel=1e-15)
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_separations_and_levels_equal_numpy(seed: int) -> None:
     rng, count = np.random.default_rng(seed), 1 + seed % 6
-    k = Factors(6.0, 5.1, rng.uniform(0.0, 3.0, count))
+    k = SigmaMultipliers(6.0, 5.1, rng.uniform(0.0, 3.0, count))
     variance_0 = 10.0 ** rng.uniform(-12.0, -8.0, 3)
     # Some without separation, some more accurate without the source.
     variance = variance_0 * rng.choice([0.9, 1.0, 1.0 + 1e-9, 1.3, 4.0], (count, 3))
     distance = 1e-5 * rng.standard_normal((count, 3))
     for rows in ([*range(count)], [*range(count)][::2]):
         found = solution_separations(distance, variance, variance_0, k, rows)
-        in_question = Factors(k.fault_free, k.false_exclusion, k.missed[rows])
-        statistic, level, dominant = separation_of_numpy(distance[rows], variance[rows], variance_0, in_question)
+        in_question = SigmaMultipliers(k.fault_free, k.false_exclusion, k.missed_detection[rows])
+        statistic, level, dominant = numpy_separation(distance[rows], variance[rows], variance_0, in_question)
         np.testing.assert_allclose(found.statistic, statistic, rtol=1e-13)
         np.testing.assert_allclose(found.level, level, rtol=1e-13)
         assert found.dominant == dominant
@@ -78,7 +78,7 @@ def test_separations_and_levels_equal_numpy(seed: int) -> None:
 
 @pytest.mark.parametrize("place", ["distance", "variance", "variance_0"])
 def test_nan_gives_no_level_and_no_separation(place: str) -> None:
-    k, numbers = Factors(6.0, 5.0, np.full(2, 2.0)), {"distance": np.ones((2, 3)), "variance": np.full((2, 3), 9.0)}
+    k, numbers = SigmaMultipliers(6.0, 5.0, np.full(2, 2.0)), {"distance": np.ones((2, 3)), "variance": np.full((2, 3), 9.0)}
     numbers["variance_0"] = np.full(3, 4.0)
     numbers[place][..., 1] = np.nan
     found = solution_separations(numbers["distance"], numbers["variance"], numbers["variance_0"], k)
@@ -112,9 +112,9 @@ def test_least_eigenvalue_of_equal_and_of_nan_variances() -> None:
 
 
 def test_arrays_that_do_not_fit_are_refused() -> None:
-    k = Factors(6.0, 5.0, np.full(2, 2.0))
+    k = SigmaMultipliers(6.0, 5.0, np.full(2, 2.0))
     with pytest.raises(ValueError, match="left_out"):
-        solution_separations(np.zeros((2, 3)), np.ones((2, 3)), np.ones(3), Factors(6.0, 5.0, np.full(3, 2.0)))
+        solution_separations(np.zeros((2, 3)), np.ones((2, 3)), np.ones(3), SigmaMultipliers(6.0, 5.0, np.full(3, 2.0)))
     with pytest.raises(ValueError, match="means"):
         solution_separations(np.zeros((2, 4)), np.ones((2, 3)), np.ones(3), k)
     with pytest.raises(ValueError, match="rows"):
@@ -138,9 +138,9 @@ def test_outputs_are_covered_up_to_the_first_one_beyond_a_bound(seed: int) -> No
         & (np.abs(directions - told).max(axis=(1, 2)) <= turned)
     )
     expected = count if within.all() else int(np.argmin(within))
-    found = compiled_integrity.covered(times_ns, covariances, directions, until_ns, variance, told, turned)
+    found = compiled_integrity.covered_count(times_ns, covariances, directions, until_ns, variance, told, turned)
     assert found == expected
-    assert compiled_integrity.covered(times_ns, covariances, directions, 10**6, np.inf, told, np.inf) == (
+    assert compiled_integrity.covered_count(times_ns, covariances, directions, 10**6, np.inf, told, np.inf) == (
         count if seed % 4 else int(np.argmax(np.isnan(covariances.trace(axis1=1, axis2=2))))
     )
 
@@ -149,10 +149,10 @@ def test_outputs_of_other_shapes_are_refused() -> None:
     one, three = np.zeros(1, dtype=np.int64), np.zeros((1, 3, 3))
     for outputs in ((one, three[:, :2], three), (one, three, three[:, :2]), (one, three, three[..., :2])):
         with pytest.raises(ValueError, match="shapes"):
-            compiled_integrity.covered(*outputs, 1, 1.0, np.zeros((3, 3)), 1.0)
+            compiled_integrity.covered_count(*outputs, 1, 1.0, np.zeros((3, 3)), 1.0)
 
 
-def coverage_of_numpy(level: FloatArray, told: FloatArray, covariance: FloatArray, entering: float):
+def numpy_coverage(level: FloatArray, told: FloatArray, covariance: FloatArray, entering: float):
     """Return the coverage of an output by published levels, and the bounds of variance and rotation for later ones."""
     covers = bool(np.all(level <= 1.05 * told) or np.all(np.isnan(level) & np.isnan(told)))
     if not np.isfinite(level).all():
@@ -173,6 +173,6 @@ def test_coverage_of_published_levels_equals_numpy(seed: int) -> None:
         level[:] = told[:] = np.nan
     entering = 0.0 if seed % 7 == 0 else 1e-4
     found = compiled_integrity.coverage(level, told, covariance, entering, 1.05, 1e-12)
-    expected = coverage_of_numpy(level, told, covariance, entering)
+    expected = numpy_coverage(level, told, covariance, entering)
     assert found[0] is expected[0]
     np.testing.assert_allclose(found[1:], expected[1:], rtol=1e-11)

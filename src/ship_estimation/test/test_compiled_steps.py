@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ship_estimation import compiled_steps
-from ship_estimation.hypotheses import FilterInnovations, add_error, compare_rows, filter_covariances, update_rows
-from ship_estimation.kalman import LinearMeasurement, StateModel, block, predict, slow_error_later
+from ship_estimation.hypotheses import FilterInnovations, add_error, subfilter_innovations, filter_covariances, update_subfilters
+from ship_estimation.kalman import LinearMeasurement, StateModel, block, predict, propagate_correlated_error
 
 SHAPES = [(1, 1, 1, 1), (4, 2, 2, 1), (19, 3, 7, 1), (19, 3, 7, 4), (23, 16, 7, 4), (9, 24, 3, 3)]
 """States, residuals, sources, filters: the paper's ship without and with subfilters, single stars, many residuals.
@@ -53,7 +53,7 @@ def numpy_innovations(
     return FilterInnovations(residual, innovation, nis, gain, turn, weights @ noise @ weights.T, root)
 
 
-def numpy_updated(
+def numpy_update(
     stack: np.ndarray, measured: LinearMeasurement, compared: FilterInnovations, learns: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     rows, states = learns.shape
@@ -95,8 +95,8 @@ def test_propagated_states_equal_numpy(dt_s: float) -> None:
     means, roots = rng.normal(scale=20.0, size=(9, 4)), rng.normal(size=(10, 4, 4))
     stack = roots @ roots.transpose(0, 2, 1)
     expected = decay * means
-    expected[:, states] = slow_error_later(means[:, states], decay[states], slow.sigma)
-    found = model.later(dt_s, means, stack, "slow")
+    expected[:, states] = propagate_correlated_error(means[:, states], decay[states], slow.sigma)
+    found = model.propagate(dt_s, means, stack, "slow")
     for one, other in zip(found, (decay, expected, predict(stack, decay, noise, model.source_of, filter_count=9)), strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -117,14 +117,14 @@ def test_projected_variances_equal_numpy() -> None:
     weights[[1, 5]], covariance = (1.0, -2.0), root @ root.T
     equal(np.array(compiled_steps.variance_along(weights, covariance)), weights @ covariance @ weights)
     others = np.where(weights == 0.0, jacobian, 0.0)
-    equal(np.array(compiled_steps.spread(jacobian, covariance, weights)), np.trace(others @ covariance @ others.T))
+    equal(np.array(compiled_steps.projected_variance(jacobian, covariance, weights)), np.trace(others @ covariance @ others.T))
 
 
 @pytest.mark.parametrize("shape", [shape for shape in SHAPES if shape[1] >= 3])
 def test_innovations_of_all_filters_equal_numpy(shape: tuple[int, int, int, int]) -> None:
     stack, means, measured, by_turn = case(shape)
     at_mean = means[-1] + 0.1
-    found = compare_rows(means, stack, measured, at_mean, by_turn)
+    found = subfilter_innovations(means, stack, measured, at_mean, by_turn)
     expected = numpy_innovations(means, filter_covariances(stack, shape[3]), measured, at_mean, by_turn)
     for name in expected._fields:
         equal(getattr(found, name), getattr(expected, name))
@@ -136,10 +136,10 @@ def test_updates_of_all_filters_equal_numpy(shape: tuple[int, int, int, int], sh
     stack, means, measured, by_turn = case(shape)
     if shape[2] > 1:
         stack[0] = 0.0  # a source that only this measurement contributes
-    compared = compare_rows(means, stack, measured, means[0], by_turn)
+    compared = subfilter_innovations(means, stack, measured, means[0], by_turn)
     learns = np.random.default_rng(3).uniform(size=means.shape) < share
-    corrections, updated = update_rows(stack, measured, compared, learns)
-    expected_corrections, expected = numpy_updated(stack, measured, compared, learns)
+    corrections, updated = update_subfilters(stack, measured, compared, learns)
+    expected_corrections, expected = numpy_update(stack, measured, compared, learns)
     equal(corrections, expected_corrections)
     equal(updated, expected)
     np.testing.assert_array_equal(updated, updated.transpose(0, 2, 1))
@@ -149,7 +149,7 @@ def test_unobserved_rotation_has_no_whitened_innovation() -> None:
     """Residuals that are independent of a rotation about the third axis."""
     stack, means, measured, by_turn = case((6, 4, 2, 2))
     by_turn[:, 2] = 0.0
-    found = compare_rows(means, stack, measured, means[0], by_turn)
+    found = subfilter_innovations(means, stack, measured, means[0], by_turn)
     np.testing.assert_array_equal(found.whitened_innovation[:, 2], 0.0)
     np.testing.assert_array_equal(found.whitening_root[:, 2], 0.0)
     equal(found.whitened_innovation, numpy_innovations(means, filter_covariances(stack, 2), measured, means[0], by_turn).whitened_innovation)
@@ -160,7 +160,7 @@ def test_invalid_innovation_covariance_raises(wrong: float) -> None:
     stack, means, measured, by_turn = case((6, 4, 2, 2))
     stack[2, 0, 0] = wrong
     with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
-        compare_rows(means, stack, measured, means[0], by_turn)
+        subfilter_innovations(means, stack, measured, means[0], by_turn)
 
 
 def test_noise_of_any_memory_layout_is_read() -> None:
@@ -169,9 +169,9 @@ def test_noise_of_any_memory_layout_is_read() -> None:
     views = {source: np.asfortranarray(part) for source, part in measured.noise_by_source.items()}
     assert not all(part.flags.c_contiguous for part in views.values())
     others = [measured, LinearMeasurement(measured.residual, measured.jacobian, views)]
-    found = [compare_rows(means, stack, one, means[0], by_turn) for one in others]
+    found = [subfilter_innovations(means, stack, one, means[0], by_turn) for one in others]
     everything = np.ones((2, 6), dtype=bool)
-    (_, expected), (_, after) = (update_rows(stack, *each, everything) for each in zip(others, found, strict=True))
+    (_, expected), (_, after) = (update_subfilters(stack, *each, everything) for each in zip(others, found, strict=True))
     assert found[1].covariance.tobytes() == found[0].covariance.tobytes()
     assert after.tobytes() == expected.tobytes()
 
@@ -180,27 +180,27 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
     """The loops do not check bounds."""
     stack, means, measured, by_turn = case((6, 4, 2, 2))
     arguments = means, stack, measured, means[0], by_turn
-    found = compare_rows(*arguments)
+    found = subfilter_innovations(*arguments)
     of_five = means[:, :5].copy(), stack[:2, :5, :5].copy()
     for place, wrong in ((0, of_five[0]), (1, stack[:1]), (1, of_five[1]), (3, means[0, :5]), (4, by_turn[:3])):
         with pytest.raises(ValueError, match="do not fit together"):
-            compare_rows(*arguments[:place], wrong, *arguments[place + 1 :])
+            subfilter_innovations(*arguments[:place], wrong, *arguments[place + 1 :])
     everything = np.ones((2, 6), dtype=bool)
     for wrong in (everything[:1], everything[:, :5].copy()):
         with pytest.raises(ValueError, match="do not fit together"):
-            update_rows(stack, measured, found, wrong)
+            update_subfilters(stack, measured, found, wrong)
     beyond = LinearMeasurement(measured.residual, measured.jacobian, {2: measured.noise})
     with pytest.raises(ValueError, match="booked"):
-        update_rows(stack, beyond, found, everything)
+        update_subfilters(stack, beyond, found, everything)
     for states, part, row in ((slice(4, 7), 0, None), (slice(0, 3), 2, None), (slice(0, 3), 0, 2)):
         with pytest.raises(ValueError, match="do not fit together"):
             add_error(stack, 2, part, states, np.eye(3), row)
-    for call in (compiled_steps.variance_along, lambda *of: compiled_steps.spread(np.ones((3, 6)), *reversed(of))):
+    for call in (compiled_steps.variance_along, lambda *of: compiled_steps.projected_variance(np.ones((3, 6)), *reversed(of))):
         with pytest.raises(ValueError, match="do not fit together"):
             call(np.ones(5), np.eye(6))
     model = StateModel([block("slow", [1.0] * 6, "a", time_s=1.0)], noise_sources=[])
     for wrong in ((means[:, :5].copy(), stack), (means, stack[:1]), (means, stack[:, :5, :5])):
         with pytest.raises(ValueError, match="do not fit together"):
-            model.later(1.0, *wrong, "slow")
+            model.propagate(1.0, *wrong, "slow")
     with pytest.raises(ValueError, match="carried"):
         predict(stack, np.ones(5), np.ones(6), np.zeros(6, dtype=np.intp), 2)

@@ -21,7 +21,7 @@ DRIFT = np.diag([1e-14, HEADING_DRIFT, 1e-14])
 EXPECTED = (2.0 * ARCSEC) ** 2 * np.eye(3)
 
 
-def sailed(turns: np.ndarray, seed: int, drifts: bool = True) -> list[bool]:
+def displaced_each_second(turns: np.ndarray, seed: int, drifts: bool = True) -> list[bool]:
     """Return True for each second after which a source is displaced, for its rotations about Up, rad."""
     rng, source, drift, found = np.random.default_rng(seed), Displacement(), 0.0, []
     variance = EXPECTED.copy()
@@ -35,7 +35,7 @@ def sailed(turns: np.ndarray, seed: int, drifts: bool = True) -> list[bool]:
     return found
 
 
-def lasting(arcsec: float, from_s: int, until_s: int, length_s: int) -> np.ndarray:
+def lasting_turn(arcsec: float, from_s: int, until_s: int, length_s: int) -> np.ndarray:
     """Return the rotation in each second, rad."""
     seconds = np.arange(length_s)
     return arcsec * ARCSEC * ((seconds >= from_s) & (seconds < until_s))
@@ -44,7 +44,7 @@ def lasting(arcsec: float, from_s: int, until_s: int, length_s: int) -> np.ndarr
 def test_noise_and_drift_are_no_step() -> None:
     """Each second is a false step with a probability of 5.7e-7: none in five hours, at 99.9 %."""
     hours = 5
-    displaced = sum(any(sailed(np.zeros(3600), seed)) for seed in range(hours))
+    displaced = sum(any(displaced_each_second(np.zeros(3600), seed)) for seed in range(hours))
     assert displaced <= binom.ppf(0.999, hours * 3600, 5.733e-7)
 
 
@@ -52,7 +52,7 @@ def test_noise_and_drift_are_no_step() -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_permanent_displacement_never_ends(arcsec: float, seed: int) -> None:
     """For an hour, in which the INS's heading drifts by a similar amount (its sigma after an hour is 50″)."""
-    found = sailed(lasting(arcsec, 20, 4000, 3600), seed)
+    found = displaced_each_second(lasting_turn(arcsec, 20, 4000, 3600), seed)
     assert not any(found[:20])
     assert all(found[22:])
 
@@ -62,7 +62,7 @@ def test_permanent_displacement_never_ends(arcsec: float, seed: int) -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_displacement_ends_when_the_source_moves_back(minutes: int, arcsec: float, seed: int) -> None:
     end_s = 20 + 60 * minutes
-    found = sailed(lasting(arcsec, 20, end_s, end_s + 60), seed)
+    found = displaced_each_second(lasting_turn(arcsec, 20, end_s, end_s + 60), seed)
     assert all(found[22:end_s])
     assert not any(found[end_s + 6 :])
 
@@ -70,20 +70,20 @@ def test_displacement_ends_when_the_source_moves_back(minutes: int, arcsec: floa
 @pytest.mark.parametrize("part", [0.5, 0.7])
 def test_displacement_does_not_end_with_a_partial_return(part: float) -> None:
     """A return by 0.7 of 120″ leaves 36″; of 60″ it would leave 18″, 4 sigmas of two steps of one sensor."""
-    turns = lasting(120.0, 20, 100, 300) + lasting(120.0 * (1.0 - part), 100, 300, 300)
-    assert all(sailed(turns, 1)[22:])
+    turns = lasting_turn(120.0, 20, 100, 300) + lasting_turn(120.0 * (1.0 - part), 100, 300, 300)
+    assert all(displaced_each_second(turns, 1)[22:])
 
 
 def test_two_displacements_end_when_both_have_ended() -> None:
-    found = sailed(lasting(60.0, 20, 200, 300) + lasting(90.0, 60, 120, 300), 1)
+    found = displaced_each_second(lasting_turn(60.0, 20, 200, 300) + lasting_turn(90.0, 60, 120, 300), 1)
     assert all(found[22:200])
     assert not any(found[206:])
 
 
 def test_a_step_within_a_second_is_measured_whole() -> None:
     """The displacement begins and ends between two measurements of a second: neither part is lost."""
-    turns = lasting(30.0, 20, 100, 160) + lasting(12.0, 19, 20, 160) + lasting(18.0, 100, 101, 160)
-    found = sailed(turns, 4)
+    turns = lasting_turn(30.0, 20, 100, 160) + lasting_turn(12.0, 19, 20, 160) + lasting_turn(18.0, 100, 101, 160)
+    found = displaced_each_second(turns, 4)
     assert all(found[22:99])
     assert not any(found[107:])
 
@@ -137,7 +137,7 @@ FORE, STARBOARD = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 """Lines of sight of two level star sensors, North and East: a rotation about one is observed by the other."""
 
 
-def moved(fore_n: np.ndarray, starboard_n: np.ndarray, seed: int) -> Displacements:
+def displacements_of_turned_sensors(fore_n: np.ndarray, starboard_n: np.ndarray, seed: int) -> Displacements:
     """Return the displacements of two star sensors that are rotated at 20 s, rotation vectors, rad."""
     rng, found = np.random.default_rng(seed), Displacements()
     for second in range(40):
@@ -152,13 +152,13 @@ def moved(fore_n: np.ndarray, starboard_n: np.ndarray, seed: int) -> Displacemen
 @pytest.mark.parametrize("seed", range(20))
 def test_common_rotation_that_one_sensor_cannot_observe_is_common(seed: int) -> None:
     """20″ about the line of sight of one sensor, whose noise there is 45″ in a second."""
-    assert set(moved(20.0 * ARCSEC * FORE, 20.0 * ARCSEC * FORE, seed).displaced) == {TOGETHER}
+    assert set(displacements_of_turned_sensors(20.0 * ARCSEC * FORE, 20.0 * ARCSEC * FORE, seed).displaced) == {TOGETHER}
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_source_that_moves_by_itself_is_isolated(seed: int) -> None:
     up = np.array([0.0, 60.0 * ARCSEC, 0.0])
-    found = moved(up, 0.0 * up, seed)
+    found = displacements_of_turned_sensors(up, 0.0 * up, seed)
     assert set(found.displaced) == {"star.fore"}
     assert not found.is_undecided_by_memory
 

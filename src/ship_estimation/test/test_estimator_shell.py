@@ -13,9 +13,9 @@ from ship_estimation.estimator_shell import (
     MOST_OVERTAKEN_PER_S,
     MOST_REPEATS_AT_ONCE,
     MOST_REPEATS_PER_S,
-    EstimatorShell,
+    TimeOrderedEstimator,
     LagWindow,
-    Model,
+    EstimatorModel,
 )
 from ship_estimation.outcome import MeasurementDecision, Outcome
 from ship_estimation.refusals import Reason, Rejection
@@ -44,7 +44,7 @@ class Toy:
         return np.float64(self.value).tobytes()
 
 
-Shell = EstimatorShell[float, Toy, MeasurementDecision[Toy], float, float]
+Shell = TimeOrderedEstimator[float, Toy, MeasurementDecision[Toy], float, float]
 ToyOutcome = Outcome[MeasurementDecision[Toy], float]
 
 
@@ -56,15 +56,15 @@ class Estimator:
         self.waits = False
         self.decided: list[MeasurementDecision[Toy]] = []
         self.claimed: list[int] = []
-        model: Model[float, Toy, MeasurementDecision[Toy], float] = Model(
+        model: EstimatorModel[float, Toy, MeasurementDecision[Toy], float] = EstimatorModel(
             step=self.step,
             inflate=self.inflate,
-            failed=lambda toy, refusal: MeasurementDecision(toy, refusal.reason, text=refusal.text),
+            failure_decision=lambda toy, refusal: MeasurementDecision(toy, refusal.reason, text=refusal.text),
             until_ns=lambda decision: decision.measurement.time_ns,
-            forget_before=self.track.drop_before,
-            decided=self.decided.append,
+            drop_before=self.track.drop_before,
+            on_decision=self.decided.append,
         )
-        self.shell: Shell = EstimatorShell(model, START, LAG_S, SECOND_NS)
+        self.shell: Shell = TimeOrderedEstimator(model, START, LAG_S, SECOND_NS)
 
     def inflate(self, state: float, jump: float) -> float:
         if math.isnan(jump):
@@ -83,7 +83,7 @@ class Estimator:
         return math.cos(1.7 * state) + toy.value / 3.0 + added, MeasurementDecision(toy, Reason.NONE, accepted=True)
 
     def add(self, toy: Toy) -> ToyOutcome:
-        outcome = ToyOutcome(self.shell.window.late(toy.time_ns))
+        outcome = ToyOutcome(self.shell.window.late_rejection(toy.time_ns))
         if outcome.rejection is None:
             self.shell.add(toy, outcome)
         return outcome
@@ -102,7 +102,7 @@ def state_for_outputs(estimator: Estimator) -> float:
     """Return the state for an output at the next time."""
     outcome, moments = ToyOutcome(), itertools.count(10**15)
     while not outcome.estimates:
-        estimator.shell.put_out(outcome, next(moments), 0, lambda state: state)
+        estimator.shell.add_output(outcome, next(moments), 0, lambda state: state)
     return outcome.estimates[0]
 
 
@@ -110,8 +110,8 @@ def test_late_measurement_is_rejected_with_its_lag() -> None:
     window = LagWindow(LAG_S)
     window.advance_to(5 * SECOND_NS)
     window.advance_to(4 * SECOND_NS)
-    assert window.late(3 * SECOND_NS) is None
-    late = window.late(3 * SECOND_NS - MS)
+    assert window.late_rejection(3 * SECOND_NS) is None
+    late = window.late_rejection(3 * SECOND_NS - MS)
     assert late == Rejection(Reason.LATE, "2.001 s behind the newest data: more than lag_s = 2")
 
 
@@ -150,13 +150,13 @@ def test_changed_decision_is_reported_as_revised() -> None:
     def step(state: float, measurement: Toy, may_wait: bool) -> tuple[float, MeasurementDecision[Toy]]:
         return state, MeasurementDecision(measurement, Reason.NONE if gate["open"] else Reason.GATE, gate["open"])
 
-    shell: Shell = EstimatorShell(
-        Model(
+    shell: Shell = TimeOrderedEstimator(
+        EstimatorModel(
             step=step,
             inflate=lambda state, jump: state,
-            failed=lambda toy, refusal: MeasurementDecision(toy, refusal.reason),
+            failure_decision=lambda toy, refusal: MeasurementDecision(toy, refusal.reason),
             until_ns=lambda decision: decision.measurement.time_ns,
-            forget_before=lambda time_ns: None,
+            drop_before=lambda time_ns: None,
         ),
         START,
         LAG_S,
@@ -165,11 +165,11 @@ def test_changed_decision_is_reported_as_revised() -> None:
     shell.add(toy(20), ToyOutcome())
     gate["open"] = False
     outcome = ToyOutcome()
-    shell.data_changed(15 * MS)
+    shell.rewind_after(15 * MS)
     shell.apply(outcome)
     assert [(decision.revised, decision.accepted) for decision in outcome.decisions] == [(True, False)]
     outcome = ToyOutcome()
-    shell.data_changed(20 * MS)
+    shell.rewind_after(20 * MS)
     shell.apply(outcome)
     assert outcome.decisions == []
 
@@ -188,7 +188,7 @@ def test_late_sample_applies_dependent_measurements_again() -> None:
     late.add_sample(15, 0.9)
     prompt.add_sample(15, 0.9)
     late.add_sample(40, 0.9)
-    late.shell.data_changed(0)
+    late.shell.rewind_after(0)
     late.shell.apply(ToyOutcome())
     assert late.shell.state == prompt.shell.state
 
@@ -292,16 +292,16 @@ def test_any_order_of_arrival_gives_the_same_state_with_all_faults_combined(data
                 estimator.add_sample(*what)
             else:
                 estimator.shell.add_jump(what[0] * MS, "ins", what[1])
-            put_out_one(estimator, number)
+            add_one_output(estimator, number)
         # A newest sample does not repeat what the toy model, unlike a real one, did not wait for.
-        estimator.shell.data_changed(0)
+        estimator.shell.rewind_after(0)
         estimator.shell.apply(ToyOutcome())
         assert estimator.claimed == sorted(set(estimator.claimed))
         states.append(estimator.shell.state)
     assert states[0] == states[1] == states[2]
 
 
-def put_out_one(estimator: Estimator, number: int) -> None:
+def add_one_output(estimator: Estimator, number: int) -> None:
     """Add an output after each arrival, at times that go forth and back; each fourth one cannot be computed."""
     time_ns, outcome = (3 * number + 3) % 7 * MS + number * MS, ToyOutcome()
 
@@ -310,7 +310,7 @@ def put_out_one(estimator: Estimator, number: int) -> None:
             raise ArithmeticError("no root")
         return state
 
-    estimator.shell.put_out(outcome, time_ns, number, estimate)
+    estimator.shell.add_output(outcome, time_ns, number, estimate)
     assert len(outcome.estimates) + len(outcome.failures) <= 1
     assert all(refusal.reason is Reason.FAILED for _, refusal in outcome.failures)
     estimator.claimed += [time_ns] * len(outcome.estimates)
@@ -319,15 +319,15 @@ def put_out_one(estimator: Estimator, number: int) -> None:
 def test_outputs_strictly_increase_and_a_failure_is_reported() -> None:
     estimator, outcome = Estimator(), ToyOutcome()
     for time_ms in (10, 10, 5, 20):
-        estimator.shell.put_out(outcome, time_ms * MS, 0, lambda state, time_ms=time_ms: float(time_ms))
+        estimator.shell.add_output(outcome, time_ms * MS, 0, lambda state, time_ms=time_ms: float(time_ms))
     assert outcome.estimates == [10.0, 20.0]
 
     def fails(state: float) -> float:
         raise ArithmeticError("no root")
 
-    estimator.shell.put_out(outcome, 30 * MS, 0, fails)
-    estimator.shell.put_out(outcome, 31 * MS, 0, lambda state: None)
-    estimator.shell.put_out(outcome, 30 * MS, 0, lambda state: 30.0)
+    estimator.shell.add_output(outcome, 30 * MS, 0, fails)
+    estimator.shell.add_output(outcome, 31 * MS, 0, lambda state: None)
+    estimator.shell.add_output(outcome, 30 * MS, 0, lambda state: 30.0)
     assert outcome.estimates == [10.0, 20.0, 30.0]
     ((time_ns, refusal),) = outcome.failures
     assert (time_ns, refusal.reason) == (30 * MS, Reason.FAILED)
@@ -338,7 +338,7 @@ def test_invalid_is_reported_once_a_second_after_the_timeout_for_any_stamps(pati
     estimator = Estimator()
     patience_ns = round(patience_s * SECOND_NS)
     outcome = ToyOutcome()
-    estimator.shell.put_out(outcome, 10**18, 0, lambda state: 1.0, patience_ns)
+    estimator.shell.add_output(outcome, 10**18, 0, lambda state: 1.0, patience_ns)
     said = []
     for waiting_ns in range(0, 8 * SECOND_NS, 100 * MS):
         outcome = ToyOutcome()
@@ -352,12 +352,12 @@ def test_invalid_is_reported_once_a_second_after_the_timeout_for_any_stamps(pati
 def test_earlier_outputs_may_follow_a_clock_jump_but_not_a_reset() -> None:
     estimator, outcome = Estimator(), ToyOutcome()
     estimator.add(toy(10))
-    estimator.shell.put_out(outcome, 10 * MS, 0, lambda state: 1.0)
+    estimator.shell.add_output(outcome, 10 * MS, 0, lambda state: 1.0)
     estimator.shell.reset(START)
     assert estimator.shell.state == START
-    assert not estimator.shell.follows(5 * MS)
+    assert not estimator.shell.can_publish(5 * MS)
     estimator.shell.reset(START, clock_jumped=True)
-    assert estimator.shell.follows(5 * MS)
+    assert estimator.shell.can_publish(5 * MS)
     assert estimator.add(toy(10)).rejection is None
 
 

@@ -111,7 +111,7 @@ def test_rewinding_applies_again_from_the_first_affected(known: dict[Key, float]
     for key, value in known.items():
         insert(log, key, value)
     log.apply(lambda state, m: step(state, (m[0], m[1] + (0.5 if m[0] > since_ns else 0.0))), failed)
-    log.rewind_where(lambda decision: decision[0] > since_ns)
+    log.rewind_to_first(lambda decision: decision[0] > since_ns)
     again = log.apply(step, failed)
     assert len(again) == sum(key[0] > since_ns for key in known)
     assert all(previous is not None for _, previous in again)
@@ -229,7 +229,7 @@ class LogAgainstSorting(RuleBasedStateMachine):
         return in_own_order(biased, self.base)[0]
 
     @rule(key=keys, value=values)
-    def arrives(self, key: Key, value: float) -> None:
+    def insert_measurement(self, key: Key, value: float) -> None:
         if key[0] >= self.closed_ns:
             self.known[key] = value
             insert(self.log, key, value)
@@ -238,7 +238,7 @@ class LogAgainstSorting(RuleBasedStateMachine):
     def data_behind_a_moment_changes(self, time_ns: int, value: float) -> None:
         if time_ns >= self.closed_ns:
             self.bias[time_ns] = value
-            self.log.rewind_where(lambda decision: decision[0] == time_ns)
+            self.log.rewind_to_first(lambda decision: decision[0] == time_ns)
 
     @rule()
     def applied(self) -> None:
@@ -248,7 +248,7 @@ class LogAgainstSorting(RuleBasedStateMachine):
 
     @precondition(lambda self: self.log.waiting == 0)
     @rule(oldest_ns=st.integers(0, 40))
-    def window_closes(self, oldest_ns: int) -> None:
+    def commit(self, oldest_ns: int) -> None:
         self.log.commit_before(oldest_ns)
         old = {key: value + self.bias.get(key[0], 0.0) for key, value in self.known.items() if key[0] < oldest_ns}
         self.base = in_own_order(old, self.base)[0]

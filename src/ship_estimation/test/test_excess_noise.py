@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ship_estimation.ins import CheckedInsConfig
-from ship_estimation.ins_guard import InsGuard, JudgedIns
+from ship_estimation.ins_guard import InsCheck, CheckedInsSample
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, ExtraNoise
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_testing.every_case import check_every_case
@@ -37,9 +37,9 @@ def jittering(samples: list[AttitudeSample], sigma_s: float, first: int) -> list
 
 def changes(samples: list[AttitudeSample], **config: float) -> list[tuple[float, ExtraNoise]]:
     """Return the changes of the noise: time after the first sample, s, and the noise then."""
-    guard, found = InsGuard(CheckedInsConfig(**config)), []
+    guard, found = InsCheck(CheckedInsConfig(**config)), []
     for sample in samples:
-        judged: JudgedIns = guard.check(sample, NOTHING_LATE, {})
+        judged: CheckedInsSample = guard.check(sample, NOTHING_LATE, {})
         if judged.noise is not None:
             found.append(((sample.time_ns - samples[0].time_ns) * 1e-9, judged.noise))
     return found
@@ -129,7 +129,7 @@ def test_larger_stated_noise_ends_or_reduces_an_excess() -> None:
     """Noise of 1″ and further noise of 5″ make 5.1″ together."""
     samples = noisy(stream(20.0, 20.0), 5.0, 0)
     for stated_arcsec, excess_arcsec in ((5.1, 0.0), (2.0, np.sqrt(26.0 - 4.0))):
-        guard = InsGuard(CheckedInsConfig(white_sigma_arcsec=1.0))
+        guard = InsCheck(CheckedInsConfig(white_sigma_arcsec=1.0))
         for sample in samples[:-1]:
             guard.check(sample, NOTHING_LATE, {})
         assert guard.excess_text != ""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ship_estimation.hypotheses import compare_rows, filter_covariances, promoted, solution_separations, stand_together, update_rows
+from ship_estimation.hypotheses import subfilter_innovations, filter_covariances, restart_from_subfilter, solution_separations, are_consistent, update_subfilters
 from ship_estimation.kalman import LinearMeasurement, innovation, update
 from ship_estimation.protection import separation_sigma
 
@@ -24,8 +24,8 @@ def test_each_filter_is_updated_as_if_alone_and_the_main_filter_keeps_its_parts(
     rng = np.random.default_rng(1)
     means, stack = rng.standard_normal((4, STATES)), _stack(rng, 4)
     measured, at_mean = _measurement(rng), rng.standard_normal(STATES)
-    compared = compare_rows(means, filter_covariances(stack, 4), measured, at_mean, np.eye(3))
-    corrections, updated = update_rows(stack, measured, compared, np.ones((4, STATES), dtype=bool))
+    compared = subfilter_innovations(means, filter_covariances(stack, 4), measured, at_mean, np.eye(3))
+    corrections, updated = update_subfilters(stack, measured, compared, np.ones((4, STATES), dtype=bool))
     for row in range(4):
         residual = measured.residual - measured.jacobian @ (means[row] - at_mean)
         alone = LinearMeasurement(residual, measured.jacobian, measured.noise_by_source)
@@ -51,12 +51,12 @@ def test_subfilter_gets_no_information_from_its_excluded_source():
         measured, source = _measurement(rng), number % 3
         if source != 0:
             measured.jacobian[:, own] = 0.0
-        compared = compare_rows(mean, filter_covariances(stack, 1), measured, np.zeros(STATES), np.eye(3))
-        correction, stack = update_rows(stack, measured, compared, own[None] if source == 0 else everything)
+        compared = subfilter_innovations(mean, filter_covariances(stack, 1), measured, np.zeros(STATES), np.eye(3))
+        correction, stack = update_subfilters(stack, measured, compared, own[None] if source == 0 else everything)
         mean = mean + correction
         if source != 0:
-            compared = compare_rows(without_mean, filter_covariances(without, 1), measured, np.zeros(STATES), np.eye(3))
-            correction, without = update_rows(without, measured, compared, everything)
+            compared = subfilter_innovations(without_mean, filter_covariances(without, 1), measured, np.zeros(STATES), np.eye(3))
+            correction, without = update_subfilters(without, measured, compared, everything)
             without_mean = without_mean + correction
     np.testing.assert_allclose(mean[0, ~own], without_mean[0, ~own], rtol=1e-8, atol=1e-10)
     after, never_heard = stack.sum(0), without.sum(0)
@@ -69,13 +69,13 @@ def test_restart_from_a_subfilter_keeps_the_shares_of_the_sources():
     rng = np.random.default_rng(4)
     stack = _stack(rng, 3)
     stack[:, 6] = stack[:, :, 6] = 0.0  # a state that is known exactly
-    after = promoted(stack, 3, subfilter=2)
+    after = restart_from_subfilter(stack, 3, subfilter=2)
     for row in range(3):
         np.testing.assert_allclose(filter_covariances(after, 3)[row], stack[-1], rtol=1e-8, atol=1e-8)
     assert np.all(np.linalg.eigvalsh(after[:SOURCES]) > -1e-8)
     assert np.all(filter_covariances(after, 3)[:, 6] == 0.0)
     same = np.concatenate([stack[:SOURCES], stack[:SOURCES].sum(0)[None]])
-    np.testing.assert_allclose(promoted(same, 2, subfilter=1)[:SOURCES], stack[:SOURCES], rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(restart_from_subfilter(same, 2, subfilter=1)[:SOURCES], stack[:SOURCES], rtol=1e-6, atol=1e-7)
 
 
 def test_whitened_innovations_have_unit_covariance_and_the_right_noise_part():
@@ -88,7 +88,7 @@ def test_whitened_innovations_have_unit_covariance_and_the_right_noise_part():
         error, noise = root @ rng.standard_normal(STATES), noise_root @ rng.standard_normal(8)
         for found, residual in ((turns, measured.jacobian @ error + noise), (by_noise, noise)):
             drawn = LinearMeasurement(residual, measured.jacobian, measured.noise_by_source)
-            compared = compare_rows(np.zeros((1, STATES)), filter_covariances(stack, 1), drawn, np.zeros(STATES), by_turn)
+            compared = subfilter_innovations(np.zeros((1, STATES)), filter_covariances(stack, 1), drawn, np.zeros(STATES), by_turn)
             found.append(compared.whitened_innovation[0])
     # The sampling error of a variance of 2000 draws is 3 %; 0.12 is 3.8 of it.
     np.testing.assert_allclose(np.cov(np.array(turns).T), np.eye(3), atol=0.12)
@@ -98,7 +98,7 @@ def test_whitened_innovations_have_unit_covariance_and_the_right_noise_part():
 def test_invalid_innovation_covariance_raises():
     measured = LinearMeasurement(np.zeros(2), np.eye(2), {0: np.array([[1.0, 2.0], [2.0, 1.0]])})
     with pytest.raises(np.linalg.LinAlgError):
-        compare_rows(np.zeros((1, 2)), np.zeros((1, 2, 2)), measured, np.zeros(2), np.eye(2, 3))
+        subfilter_innovations(np.zeros((1, 2)), np.zeros((1, 2, 2)), measured, np.zeros(2), np.eye(2, 3))
 
 
 @pytest.mark.parametrize("wrong", [0.0, np.nan])
@@ -127,4 +127,4 @@ def test_filters_are_consistent_up_to_the_threshold(moved: float) -> None:
     _, sigmas = solution_separations(means, stack, slice(2, 5))
     for most_sigmas in (0.5 * np.max(sigmas), 1.001 * np.max(sigmas)):
         expected = all(one <= most_sigmas for one in sigmas)  # NaN exceeds the threshold
-        assert stand_together(means, stack, slice(2, 5), most_sigmas) is expected
+        assert are_consistent(means, stack, slice(2, 5), most_sigmas) is expected

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ship_estimation.ins import CheckedInsConfig, InsJump
-from ship_estimation.ins_guard import InsGuard
+from ship_estimation.ins_guard import InsCheck
 from ship_estimation.rate_guard import RateStatus
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.rotations import ARCSEC, exp_rotation
@@ -18,9 +18,9 @@ NOTHING_LATE = AttitudeTrack(500_000_000)
 """Accepted samples, which are used only if a sample is late."""
 
 
-def judged(samples: list[AttitudeSample]) -> tuple[list[str], InsGuard, int]:
+def check_sample(samples: list[AttitudeSample]) -> tuple[list[str], InsCheck, int]:
     """Return the rejection reason of each sample, the checks after them, and the number of jumps."""
-    guard, results, jumps = InsGuard(CheckedInsConfig()), [], 0
+    guard, results, jumps = InsCheck(CheckedInsConfig()), [], 0
     for sample in samples:
         result = guard.check(sample, NOTHING_LATE, {})
         results.append("" if result.rejection is None else result.rejection.reason.name)
@@ -52,16 +52,16 @@ HEALTHY: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("name", HEALTHY)
 def test_no_sample_of_a_healthy_ins_is_rejected(name: str) -> None:
-    results, guard, jumps = judged(stream(**HEALTHY[name]))
+    results, guard, jumps = check_sample(stream(**HEALTHY[name]))
     assert (set(results), jumps) == ({""}, 0)
-    assert guard.rates in (RateStatus.UNPROVEN, RateStatus.MEASURED)
+    assert guard.rate_status in (RateStatus.UNPROVEN, RateStatus.MEASURED)
 
 
 def test_freeze_in_calm_swell_is_detected_within_two_seconds_and_ends_with_the_next_value() -> None:
     """An INS with a resolution of a hundredth of a degree, frozen for three seconds while its rates continue."""
     samples = stream(**HEALTHY[PRINTED])
     frozen = [replace(s, rotation_nd=samples[3000].rotation_nd) for s in samples[3000:3300]]
-    results, _, jumps = judged([*samples[:3000], *frozen, *samples[3300:]])
+    results, _, jumps = check_sample([*samples[:3000], *frozen, *samples[3300:]])
     told = results.index("STUCK")
     assert 3000 < told <= 3200
     assert set(results[told:3300]) == {"STUCK"}
@@ -75,10 +75,10 @@ def test_attitudes_accepted_against_the_rates_are_a_jump() -> None:
     samples = stream(20.0, 100.0)
     frozen, drifts_ns = samples[1000], samples[1080].time_ns
     lying = [
-        replace(s, rotation_nd=_turned_east(2.75e-9 * max(s.time_ns - drifts_ns, 0)) @ frozen.rotation_nd)
+        replace(s, rotation_nd=east_attitude(2.75e-9 * max(s.time_ns - drifts_ns, 0)) @ frozen.rotation_nd)
         for s in samples[1000:1500]
     ]
-    guard = InsGuard(CheckedInsConfig())
+    guard = InsCheck(CheckedInsConfig())
     found = [guard.check(sample, NOTHING_LATE, {}) for sample in [*samples[:1000], *lying]]
     reasons = {result.rejection.reason.name for result in found if result.rejection is not None}
     assert reasons == {"GATE", "STUCK"}
@@ -87,57 +87,57 @@ def test_attitudes_accepted_against_the_rates_are_a_jump() -> None:
     assert not any(result.jumps for result in [*found[:taken], *found[taken + 1 :]])
 
 
-def _turned_east(arcsec: float) -> np.ndarray:
+def east_attitude(arcsec: float) -> np.ndarray:
     return exp_rotation(np.array([0.0, 0.0, arcsec * ARCSEC]))
 
 
 @pytest.mark.parametrize("rate_hz", [100.0, 50.0, 20.0, 10.0, 2.0])
 @pytest.mark.parametrize("factor", [0.0, -1.0])
 def test_wrong_rates_are_detected_early(rate_hz: float, factor: float) -> None:
-    guard, samples = InsGuard(CheckedInsConfig()), stream(10.0, rate_hz, rate_factor=factor)
+    guard, samples = InsCheck(CheckedInsConfig()), stream(10.0, rate_hz, rate_factor=factor)
     results = [guard.check(sample, NOTHING_LATE, {}) for sample in samples]
     assert all(result.rejection is None for result in results)
     dropped = [n for n, result in enumerate(results) if result.rates_wrong_after_ns is not None]
     assert len(dropped) == 1
     assert dropped[0] <= max(0.3 * rate_hz, 3)
     assert all(result.sample.rate_d is None for result in results[dropped[0] :])
-    assert guard.rates is RateStatus.NOT_MEASURED
+    assert guard.rate_status is RateStatus.NOT_MEASURED
 
 
 def test_noise_is_not_accepted_as_rates() -> None:
-    results, guard, _ = judged(stream(20.0, 100.0, rate_factor=0.0, rate_noise_arcsec_per_s=3600.0))
+    results, guard, _ = check_sample(stream(20.0, 100.0, rate_factor=0.0, rate_noise_arcsec_per_s=3600.0))
     assert set(results) == {""}
-    assert guard.rates is RateStatus.NOT_MEASURED
+    assert guard.rate_status is RateStatus.NOT_MEASURED
 
 
 @pytest.mark.parametrize(("factor", "slope"), [(np.rad2deg(1.0), 57.3), (np.deg2rad(1.0), 1.0 / 57.3)])
 def test_wrong_unit_is_identified_and_right_rates_are_confirmed_again(factor: float, slope: float) -> None:
     wrong, right = stream(20.0, 50.0, rate_factor=factor), stream(40.0, 50.0)
-    results, guard, _ = judged(wrong)
+    results, guard, _ = check_sample(wrong)
     assert 5.0 <= results.index("UNITS") / 50.0 <= 6.5
     assert set(results[results.index("UNITS") :]) == {"UNITS"}
     back = [guard.check(sample, NOTHING_LATE, {}) for sample in right[1000:]]
     refused = [n for n, result in enumerate(back) if result.rejection is not None]
     assert max(refused) < 2.5 * 50.0
-    assert guard.rates is RateStatus.MEASURED
+    assert guard.rate_status is RateStatus.MEASURED
     assert back[-1].sample.rate_d is not None
 
 
 def test_rates_at_rest_are_not_checked() -> None:
     """Zero rates are right at rest: only motion shows that they are wrong."""
     still, moving = stream(10.0, 50.0, (0.0, 0.0, 0.0), rate_factor=0.0), stream(20.0, 50.0, rate_factor=0.0)[500:]
-    _, guard, _ = judged(still)
-    assert guard.rates is RateStatus.UNPROVEN
+    _, guard, _ = check_sample(still)
+    assert guard.rate_status is RateStatus.UNPROVEN
     # At the start of the swell, attitude and motion jump.
     assert [guard.check(sample, NOTHING_LATE, {}).rejection for sample in moving][8:] == [None] * (len(moving) - 8)
-    assert guard.rates is RateStatus.NOT_MEASURED
+    assert guard.rate_status is RateStatus.NOT_MEASURED
 
 
 @pytest.mark.parametrize("arcsec", [30.0, 100.0, 3600.0])
 def test_step_of_ten_sigmas_is_detected_at_the_sample(arcsec: float) -> None:
     samples = stream(20.0, 100.0)
     step = exp_rotation(np.array([arcsec, 0.0, 0.0]) * ARCSEC)
-    results, _, jumps = judged(
+    results, _, jumps = check_sample(
         [replace(s, rotation_nd=step @ s.rotation_nd) if n >= 1000 else s for n, s in enumerate(samples)]
     )
     assert [n for n, result in enumerate(results) if result] == list(range(1000, 1005))
@@ -147,15 +147,15 @@ def test_step_of_ten_sigmas_is_detected_at_the_sample(arcsec: float) -> None:
 def test_single_wrong_rate_is_no_jump() -> None:
     samples = stream(20.0, 50.0)
     samples[500] = replace(samples[500], rate_d=np.array([0.0, 3.0, 0.0]))
-    results, guard, jumps = judged(samples)
+    results, guard, jumps = check_sample(samples)
     assert [n for n, result in enumerate(results) if result] == [500]
-    assert (jumps, guard.rates) == (0, RateStatus.MEASURED)
+    assert (jumps, guard.rate_status) == (0, RateStatus.MEASURED)
 
 
 def test_nan_sample_is_rejected() -> None:
     samples = stream(10.0, 50.0)
     samples[300] = replace(samples[300], rotation_nd=np.full((3, 3), np.nan))
-    results, _, jumps = judged(samples)
+    results, _, jumps = check_sample(samples)
     assert [n for n, result in enumerate(results) if result] == [300]
     assert jumps == 0
 
@@ -164,7 +164,7 @@ def test_changed_noise_applies_at_once() -> None:
     samples = stream(20.0, 50.0)
     samples[700] = replace(samples[700], rotation_nd=exp_rotation(np.full(3, 40.0 * ARCSEC)) @ samples[700].rotation_nd)
     for sigma_arcsec, refused in ((1.0, {"", "GATE"}), (20.0, {""})):
-        guard = InsGuard(CheckedInsConfig())
+        guard = InsCheck(CheckedInsConfig())
         for sample in samples[:500]:
             guard.check(sample, NOTHING_LATE, {})
         guard.reconfigure(CheckedInsConfig(white_sigma_arcsec=sigma_arcsec))
@@ -178,7 +178,7 @@ def test_jump_that_a_clock_step_explains_is_shared_equally() -> None:
     rng, jump = np.random.default_rng(5), InsJump(0, np.array([2e-3, -1e-3, 5e-4]), 1e-12, -0.03)
     of_clock = rng.random(40_000) < 0.5
     changed = np.column_stack([-jump.jump_n * ~of_clock[:, None], jump.clock_s * of_clock])
-    mean, covariance = jump.shared
+    mean, covariance = jump.shared_with_clock
     scale = np.append(np.abs(jump.jump_n), 0.03)
     np.testing.assert_allclose(changed.mean(axis=0) / scale, mean / scale, atol=0.01)
     scale = np.outer(scale, scale)
@@ -197,10 +197,10 @@ def test_clock_step_of_an_ins_is_identified(step_s: float, rate_hz: int) -> None
         rotation = exp_rotation(noise) @ exp_rotation(np.array([roll, 0.0, 0.0]))
         return AttitudeSample(round(stamp_s * 1e9), rotation, np.array([rate, 0.0, 0.0]))
 
-    guard, times_s = InsGuard(CheckedInsConfig()), np.arange(0.0, 25.0, 1.0 / rate_hz)
+    guard, times_s = InsCheck(CheckedInsConfig()), np.arange(0.0, 25.0, 1.0 / rate_hz)
     results = [guard.check(sample(t, t + step_s * (t >= 23.0)), NOTHING_LATE, {}) for t in times_s]
     (jumps,) = [one.jumps for one in results if one.jumps]
-    assert jumps[0].is_of_clock
+    assert jumps[0].is_clock_step
     assert jumps[0].clock_s == pytest.approx(-step_s, rel=0.1)
 
 
@@ -211,9 +211,9 @@ def test_drift_of_the_attitude_against_its_rates_is_detected_within_seconds(per_
     walk = np.cumsum(rng.normal(0.0, 0.3 / np.sqrt(50.0), len(samples)))
     creeps_s = [max(one.time_ns - samples[5000].time_ns, 0) * 1e-9 for one in samples]
     off = walk + per_min_arcsec / 60.0 * np.array(creeps_s)
-    guard, told = InsGuard(CheckedInsConfig()), []
+    guard, told = InsCheck(CheckedInsConfig()), []
     for one, east, creeping_s in zip(samples, off, creeps_s, strict=True):
-        judged_one = guard.check(replace(one, rotation_nd=_turned_east(east) @ one.rotation_nd), NOTHING_LATE, {})
+        judged_one = guard.check(replace(one, rotation_nd=east_attitude(east) @ one.rotation_nd), NOTHING_LATE, {})
         if judged_one.jumps:
             told.append(creeping_s)
             assert judged_one.jumps[0].is_drift
@@ -228,5 +228,5 @@ def test_two_ins_on_one_topic_are_checked_to_the_end(every: int, phase: int) -> 
     samples, other_d = stream(duration_s=40.0, rate_hz=50.0), exp_rotation([0.0, 0.0, np.deg2rad(0.5)])
     other = [replace(sample, rotation_nd=sample.rotation_nd @ other_d) for sample in samples[phase::every]]
     both = sorted([*samples[::5], *other], key=lambda sample: sample.time_ns)
-    results, _, _ = judged(both)
+    results, _, _ = check_sample(both)
     assert len(results) == len(both)

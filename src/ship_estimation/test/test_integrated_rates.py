@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import chi, chi2
 
 from ship_estimation.ins import CheckedInsConfig, InsJump
-from ship_estimation.ins_guard import InsGuard
+from ship_estimation.ins_guard import InsCheck
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
@@ -30,11 +30,11 @@ class CheckedStream(NamedTuple):
 
     refused: list[int]
     jumps: dict[int, tuple[InsJump, ...]]
-    guard: InsGuard
+    guard: InsCheck
 
 
 def check_stream(samples: Iterable[AttitudeSample], **config: Any) -> CheckedStream:
-    found = CheckedStream([], {}, InsGuard(CheckedInsConfig(**config)))
+    found = CheckedStream([], {}, InsCheck(CheckedInsConfig(**config)))
     for number, sample in enumerate(samples):
         judged = found.guard.check(sample, NOTHING_LATE, {})
         if judged.rejection is not None:
@@ -247,7 +247,7 @@ def test_changed_rate_noise_applies_at_once() -> None:
         counts.append(seen)
     assert counts[0] <= 5
     assert counts[1] >= 8
-    guard = InsGuard(CheckedInsConfig())
+    guard = InsCheck(CheckedInsConfig())
     samples, first = stream(32.0, 100.0, rate_noise_arcsec_per_s=60.0), number_at(100.0, 30.0)
     samples, refused = stepped(samples, first, (0.0, 20.0, 0.0)), []
     for number, sample in enumerate(samples):

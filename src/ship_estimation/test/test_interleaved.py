@@ -14,7 +14,7 @@ from ship_testing.ins_streams import CALM, STORM, SWELL, stream
 LEAST = 40.0 * ARCSEC
 
 
-def seen(samples: list[AttitudeSample]) -> list[float]:
+def stream_distances(samples: list[AttitudeSample]) -> list[float]:
     """Return the distance of two streams after each sample."""
     streams, apart = InterleavedStreams(LEAST), []
     for sample in samples:
@@ -40,14 +40,14 @@ def test_two_streams_are_detected_within_two_windows(
     rate_hz: float, off_deg: float, every: int, amplitude_deg: Any
 ) -> None:
     samples = with_another(stream(20.0, rate_hz, amplitude_deg), off_deg, every)
-    apart = np.array(seen(samples))
+    apart = np.array(stream_distances(samples))
     assert np.all(apart[2 * WINDOW :] > 0.0)
     np.testing.assert_allclose(np.rad2deg(apart[2 * WINDOW :]) / np.sqrt(2.0), off_deg, rtol=0.2)
 
 
 def test_two_streams_are_one_again_after_two_windows_of_one() -> None:
     samples = stream(30.0, 100.0)
-    apart = np.array(seen(with_another(samples[:1000], 0.5) + samples[1000:]))
+    apart = np.array(stream_distances(with_another(samples[:1000], 0.5) + samples[1000:]))
     assert apart[999] > 0.0
     assert np.all(apart[1000 + 150 :] == 0.0)
 
@@ -65,26 +65,26 @@ HEALTHY: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("name", HEALTHY)
 def test_a_healthy_stream_is_one(name: str) -> None:
-    assert not any(seen(stream(600.0, **HEALTHY[name])))
+    assert not any(stream_distances(stream(600.0, **HEALTHY[name])))
 
 
 def test_values_sent_twice_or_stamped_in_pairs_are_one_stream() -> None:
     samples = stream(120.0, 100.0, SWELL)
     twice = [replace(samples[n - n % 2], time_ns=sample.time_ns) for n, sample in enumerate(samples)]
-    assert not any(seen(twice))
+    assert not any(stream_distances(twice))
     pairs = [replace(sample, time_ns=samples[n | 1].time_ns - n % 2) for n, sample in enumerate(samples[:-1])]
-    assert not any(seen(pairs))
+    assert not any(stream_distances(pairs))
 
 
 def test_jitter_of_stamps_is_one_stream() -> None:
     rng = np.random.default_rng(3)
     samples = stream(300.0, 20.0, SWELL)
-    assert not any(seen([replace(s, time_ns=s.time_ns + int(rng.uniform(0.0, 12e6))) for s in samples]))
+    assert not any(stream_distances([replace(s, time_ns=s.time_ns + int(rng.uniform(0.0, 12e6))) for s in samples]))
 
 
 def test_nan_is_one_stream() -> None:
     samples = with_another(stream(10.0, 100.0), 0.5)
-    assert not any(seen([replace(sample, rotation_nd=np.nan * sample.rotation_nd) for sample in samples]))
+    assert not any(stream_distances([replace(sample, rotation_nd=np.nan * sample.rotation_nd) for sample in samples]))
 
 
 @pytest.mark.parametrize("block", [1, 10, 333])
@@ -93,7 +93,7 @@ def test_block_gives_the_result_of_its_samples_one_by_one(block: int) -> None:
         replace(s, time_ns=s.time_ns + 4_000_000_000) for s in with_another(stream(2.0, 100.0), 0.5)
     ]
     times, values = np.array([s.time_ns for s in samples]), np.array([s.rotation_nd.ravel() for s in samples])
-    single = seen(samples)
+    single = stream_distances(samples)
     streams, start = InterleavedStreams(LEAST), 0
     while start < len(samples):
         some = slice(start, start + block)

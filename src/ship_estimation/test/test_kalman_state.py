@@ -107,7 +107,7 @@ def test_covariance_by_source_keeps_correlations_within_a_source_and_the_sum(mod
     covariance = np.diag([4.0, 9.0, 1.0, 25.0, 36.0, 0.25])
     covariance[0, 1] = covariance[1, 0] = 3.0
     covariance[3, 5] = covariance[5, 3] = -1.0  # two blocks of one source
-    parts = model.booked(covariance)
+    parts = model.covariance_by_source(covariance)
     np.testing.assert_array_equal(parts.sum(axis=0), covariance)
     assert parts[0, 0, 1] == 3.0
     assert parts[2, 3, 5] == -1.0

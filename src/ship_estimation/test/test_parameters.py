@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ship_estimation.parameter_fields import mapping_of, parameter, section
-from ship_estimation.parameters import ParameterError, build, changed, describe, flatten, nest
+from ship_estimation.parameters import ParameterError, build, with_changes, describe, flatten, nest
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ def test_value_is_no_group() -> None:
 
 def test_live_parameters_change_and_the_rest_stays() -> None:
     config = build(Config, VALUES)
-    after = changed(config, {"star_sensors.fore.sigma_arcsec": 4, "gate.probability": 0.99})
+    after = with_changes(config, {"star_sensors.fore.sigma_arcsec": 4, "gate.probability": 0.99})
     fore = Sensor(0.0, 4.0)
     expected = dataclasses.replace(
         config, gate=Gate(0.99, 7), star_sensors={"abeam": config.star_sensors["abeam"], "fore": fore}
@@ -182,7 +182,7 @@ def test_live_parameters_change_and_the_rest_stays() -> None:
 )
 def test_refused_changes(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ParameterError, match=message):
-        changed(build(Config, VALUES), changes)
+        with_changes(build(Config, VALUES), changes)
 
 
 def test_parameter_may_be_named_like_a_python_keyword() -> None:
@@ -194,6 +194,6 @@ def test_parameter_may_be_named_like_a_python_keyword() -> None:
     assert config.from_ == ("10.0.0.7",)
     assert flatten(config) == {"from": ["10.0.0.7"]}
     assert [one.name for one in describe(Source)] == ["from"]
-    assert changed(config, {"from": []}).from_ == ()
+    assert with_changes(config, {"from": []}).from_ == ()
     with pytest.raises(ParameterError, match="'from_' is unknown"):
         build(Source, {"from_": []})

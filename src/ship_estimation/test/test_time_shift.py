@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_estimation.running_means import LONG_AGO_NS, no_means
+from ship_estimation.running_means import NEVER_NS, initial_means
 from ship_estimation.time_shift import with_shifted_stamps
 
 
@@ -42,5 +42,5 @@ def test_all_stamps_are_shifted_by_the_step_and_nothing_else_changes() -> None:
 
 
 def test_never_stamp_is_not_shifted() -> None:
-    means = replace(no_means(subfilters=1, sources=2), heard_ns=np.array([LONG_AGO_NS, 50]))
-    assert with_shifted_stamps(means, 7).last_measured_ns.tolist() == [LONG_AGO_NS, 57]
+    means = replace(initial_means(subfilters=1, sources=2), heard_ns=np.array([NEVER_NS, 50]))
+    assert with_shifted_stamps(means, 7).last_measured_ns.tolist() == [NEVER_NS, 57]

@@ -9,7 +9,7 @@ from ship_estimation.innovations import LEAST_COUNT
 from ship_estimation.kalman import StateModel, block
 from ship_estimation.outcome import MeasurementDecision
 from ship_estimation.refusals import Reason, Rejection
-from ship_estimation.verdicts import WINDOW_S, InnovationDiagnosis, VerdictBook, DiagnosisKind, clock_diagnoses
+from ship_estimation.verdicts import WINDOW_S, InnovationDiagnosis, InnovationHistory, DiagnosisKind, clock_diagnoses
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from ship_geometry.vector_track import VectorSample
@@ -75,7 +75,7 @@ def exposure(k: int, noise: FloatArray) -> MeasurementDecision[VectorSample]:
 
 
 def diagnosis(decisions: list[MeasurementDecision[VectorSample]]) -> InnovationDiagnosis:
-    book = VerdictBook()
+    book = InnovationHistory()
     for decision in decisions:
         book.add("star.bow", decision)
     return book.diagnoses()["star.bow"]
@@ -134,7 +134,7 @@ def test_one_outlier_star_in_each_exposure_is_misidentified() -> None:
     noise[:, 5] += 30.0
     found = diagnosis([exposure(k, one) for k, one in enumerate(noise)])
     assert found.kind is DiagnosisKind.MISIDENTIFIED
-    assert found.far_share == pytest.approx(1 / 8, abs=0.01)
+    assert found.outlier_share == pytest.approx(1 / 8, abs=0.01)
     assert found.factor == pytest.approx(1.0, abs=0.1)
     assert found.text.startswith("misidentified: 13 % are outliers, the others are as stated")
 
@@ -235,7 +235,7 @@ def test_sigma_is_not_assessed_by_an_uncertain_prediction() -> None:
 
 
 def test_measurements_without_innovation_are_ignored() -> None:
-    book = VerdictBook()
+    book = InnovationHistory()
     sample = VectorSample(1, np.zeros(3))
     book.add("star.bow", MeasurementDecision(sample, Reason.GAP))
     book.add("star.bow", MeasurementDecision(sample, Reason.NONE, True, ATTITUDE, np.full(3, np.nan), covariance=np.eye(3)))
@@ -253,7 +253,7 @@ def test_repeated_decision_replaces_the_earlier_one_in_any_order() -> None:
 
 
 def test_cleared_history_is_empty() -> None:
-    book = VerdictBook()
+    book = InnovationHistory()
     book.add("star.bow", attitude(0, np.zeros(3)))
     book.clear()
     assert book.diagnoses() == {}

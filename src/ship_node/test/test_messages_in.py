@@ -4,7 +4,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ship_estimation.refusals import LONGEST_TEXT, Reason, Rejection, shortened
+from ship_estimation.refusals import LONGEST_TEXT, Reason, Rejection, shorten
 from ship_msgs.msg import Innovation
 from ship_node.edge.messages_in import (
     MessageRejected,
@@ -154,8 +154,8 @@ def test_texts_of_messages_are_cut_with_an_ellipsis():
     assert len(refusal(check_device_id, "sensor_id", endless, "fore").text) < LONGEST_TEXT
     assert MessageRejected(Reason.FRAME, endless).rejection.text == "x" * (LONGEST_TEXT - 1) + "…"
     assert len(str(MessageRejected(Reason.FRAME, endless))) < LONGEST_TEXT + 10
-    assert Rejection(Reason.FRAME, endless).text == shortened(endless)
-    assert shortened("x" * LONGEST_TEXT) == "x" * LONGEST_TEXT
+    assert Rejection(Reason.FRAME, endless).text == shorten(endless)
+    assert shorten("x" * LONGEST_TEXT) == "x" * LONGEST_TEXT
 
 
 def covariance_of_numpy(matrix: np.ndarray) -> np.ndarray | None:

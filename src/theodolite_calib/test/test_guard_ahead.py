@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ship_estimation.ins import CheckedInsConfig
-from ship_estimation.ins_guard import InsGuard, JudgedIns
+from ship_estimation.ins_guard import InsCheck, CheckedInsSample
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from theodolite_calib.measured.guard_ahead import GuardAhead, stated_step_rad
@@ -47,7 +47,7 @@ def voyage(jump_at: int | None = None, wrong_rates_from: int | None = None) -> l
 class Run:
     """Check with announcements of nothing or of whole blocks, and its results as the ship check requests them."""
 
-    def __init__(self, guard: GuardAhead | InsGuard) -> None:
+    def __init__(self, guard: GuardAhead | InsCheck) -> None:
         self.guard, self.said = guard, []
         self._used, self._stated = AttitudeTrack(500_000_000), None
 
@@ -55,25 +55,25 @@ class Run:
         for sample in samples:
             told_rad = stated_step_rad(sample.correlated_covariance_n, self._stated)
             judged = self._checked(sample, told_rad)
-            self.said.append((comparable_result(judged), self.guard.rates))
+            self.said.append((comparable_result(judged), self.guard.rate_status))
             if judged.rejection is None and (self._used.newest is None or sample.time_ns > self._used.newest.time_ns):
                 self._stated = sample.correlated_covariance_n
                 self._used.insert(judged.sample)
 
-    def _checked(self, sample: ShipSample, reported_step_rad: float) -> JudgedIns:
-        if isinstance(self.guard, InsGuard):
+    def _checked(self, sample: ShipSample, reported_step_rad: float) -> CheckedInsSample:
+        if isinstance(self.guard, InsCheck):
             return self.guard.check(sample, self._used, {}, reported_step_rad)
         return self.guard.check(sample, self._used, reported_step_rad)
 
 
-def comparable_result(result: JudgedIns) -> tuple[Any, ...]:
+def comparable_result(result: CheckedInsSample) -> tuple[Any, ...]:
     """Return all fields of a result, comparable to the bit."""
     jumps = tuple((jump.time_ns, jump.jump_n.tolist(), jump.sigma_rad, jump.is_drift) for jump in result.jumps)
     return result.sample.content(), result.rejection, jumps, result.rates_wrong_after_ns
 
 
 def one_by_one(samples: Sequence[ShipSample]) -> list[Any]:
-    run = Run(InsGuard(CONFIG))
+    run = Run(InsCheck(CONFIG))
     run.check_samples(samples)
     return run.said
 
@@ -87,14 +87,14 @@ VOYAGES = {
 
 @pytest.mark.parametrize("name", VOYAGES)
 def test_announced_batch_gives_the_same_results(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    ahead, looked = [], InsGuard.check_block
+    ahead, looked = [], InsCheck.check_block
 
-    def counted(guard: InsGuard, *arguments: Any) -> Any:
+    def counted(guard: InsCheck, *arguments: Any) -> Any:
         followed = looked(guard, *arguments)
         ahead.append(followed.count)
         return followed
 
-    monkeypatch.setattr(InsGuard, "look_ahead", counted)
+    monkeypatch.setattr(InsCheck, "look_ahead", counted)
     run, samples = Run(GuardAhead(CONFIG)), VOYAGES[name]
     for start in range(0, COUNT, BLOCK):
         run.guard.expect(samples[start : start + BLOCK])
@@ -135,7 +135,7 @@ def test_partial_or_early_announcement_gives_the_same_results() -> None:
 
 
 def test_noise_change_within_a_batch() -> None:
-    run, plain, samples = Run(GuardAhead(CONFIG)), Run(InsGuard(CONFIG)), VOYAGES["calm"]
+    run, plain, samples = Run(GuardAhead(CONFIG)), Run(InsCheck(CONFIG)), VOYAGES["calm"]
     louder = CheckedInsConfig(white_sigma_arcsec=20.0)
     run.guard.expect(samples)
     for some in (slice(0, 1000), slice(1000, COUNT)):

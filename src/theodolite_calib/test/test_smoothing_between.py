@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_estimation.backward import Known
+from ship_estimation.backward import GaussianEstimate
 from ship_estimation.backward_chain import Anchor
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_testing.simulated_session import BEACONS_DEG, config
@@ -64,9 +64,9 @@ def test_it_is_the_filters_prediction(sizes: tuple) -> None:
     filter_ = TracedFilter(config(ship__source=source, **ERRORS))
     state = correlated(filter_, before)
     between = between_of(filter_, at_moments)
-    anchor = Anchor(START_NS, Known(state.mean, state.covariance), state.given)
+    anchor = Anchor(START_NS, GaussianEstimate(state.mean, state.covariance), state.given)
     then = filter_.predicted(state, TIMES_NS[-1], some(after))
-    later = Anchor(TIMES_NS[-1], Known(then.mean, then.covariance), then.given)
+    later = Anchor(TIMES_NS[-1], GaussianEstimate(then.mean, then.covariance), then.given)
     found, cross = between.at(anchor, TIMES_NS, later)
     scale = np.sqrt(then.covariance.diagonal())
     scale = np.where(scale > 0.0, scale, 1.0)
@@ -93,8 +93,8 @@ def test_before_the_first_sighting_the_errors_are_what_they_may_be() -> None:
     filter_ = TracedFilter(config(**ERRORS))
     initial = filter_.initial_state()
     first = filter_.predicted(initial, TIMES_NS[-1], some(1.0))
-    anchor = Anchor(None, Known(initial.mean, initial.covariance), initial.given)
-    later = Anchor(TIMES_NS[-1], Known(first.mean, first.covariance), first.given)
+    anchor = Anchor(None, GaussianEstimate(initial.mean, initial.covariance), initial.given)
+    later = Anchor(TIMES_NS[-1], GaussianEstimate(first.mean, first.covariance), first.given)
     between = between_of(filter_, 1.0)
     found, cross = between.at(anchor, TIMES_NS, later)
     lasts_s = np.array([(TIMES_NS[-1] - time_ns) * 1e-9 for time_ns in TIMES_NS])
@@ -113,7 +113,7 @@ def test_time_before_a_jump_may_be_later_than_its_estimate() -> None:
     # The jump adds to the zero points: the time has only the errors before it in common with the inflated state.
     filter_ = TracedFilter(config(**ERRORS))
     state = correlated(filter_, 1.0)
-    anchor = Anchor(START_NS, Known(state.mean, state.covariance), state.given)
+    anchor = Anchor(START_NS, GaussianEstimate(state.mean, state.covariance), state.given)
     between, until_ns = between_of(filter_, 1.0), TIMES_NS[2]
     found, cross = between.at(anchor, [until_ns], anchor)
     there = filter_.predicted(state, until_ns, some(1.0))

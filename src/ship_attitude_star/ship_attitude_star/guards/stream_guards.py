@@ -7,11 +7,11 @@ from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_estimation.ins import CheckedInsConfig
-from ship_estimation.ins_guard import InsGuard
+from ship_estimation.ins_guard import InsCheck
 from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason, Rejection
-from ship_estimation.value_guards import StuckGuard
-from ship_estimation.witnesses import Witness
+from ship_estimation.value_guards import StuckCheck
+from ship_estimation.witnesses import MotionReference
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import FloatArray
 
@@ -28,9 +28,9 @@ class PlausibilityChecks:
     """
 
     def __init__(self, config: CheckedInsConfig) -> None:
-        self.ins = InsGuard(config)
-        self.motion_references: dict[str, Witness] = {}
-        self._stuck: dict[str, StuckGuard] = {}
+        self.ins = InsCheck(config)
+        self.motion_references: dict[str, MotionReference] = {}
+        self._stuck: dict[str, StuckCheck] = {}
         self._latest_ns: dict[str, int] = {}
 
     def check(self, measurement: Measurement, track: AttitudeTrack) -> Rejection | None:
@@ -54,22 +54,22 @@ class PlausibilityChecks:
             references = {name: reference for name, reference in self.motion_references.items() if name != source}
             ins, by_rates = track.last_before(time_ns), self.ins.by_rates
             if ins is not None:
-                references["ins"] = Witness(ins.time_ns, ins.rotation_nd, self.ins.noise_rad)
+                references["ins"] = MotionReference(ins.time_ns, ins.rotation_nd, self.ins.noise_rad)
             if by_rates is not None and by_rates.time_ns <= time_ns:
                 references["rate"] = by_rates
             if source not in self._stuck:
-                self._stuck[source] = StuckGuard()
+                self._stuck[source] = StuckCheck()
             if self._stuck[source].observe(time_ns, value, sigma_rad, references):
                 return Rejection(Reason.STUCK, f"{description} while other sources move")
             if isinstance(measurement, AttitudeMeasurement):
-                self.motion_references[source] = Witness(time_ns, value, sigma_rad)
+                self.motion_references[source] = MotionReference(time_ns, value, sigma_rad)
         self._latest_ns[source] = time_ns
         return None
 
     def add_motion_reference(self, attitude: AttitudeMeasurement) -> None:
         """Add an accepted attitude as motion reference for the other checks."""
         sigma_rad = _sigma_rad(attitude.noise_v)
-        self.motion_references[attitude.source] = Witness(attitude.time_ns, attitude.rotation_nv, sigma_rad)
+        self.motion_references[attitude.source] = MotionReference(attitude.time_ns, attitude.rotation_nv, sigma_rad)
 
 
 def _stuck_check_value(measurement: Measurement) -> tuple[FloatArray, float, str] | None:

@@ -18,7 +18,7 @@ import numpy as np
 
 from ship_attitude_star.ins_errors.process import DEFLECTION, ATTITUDE_ERROR, Propagation, Vertical, deflection_change
 from ship_attitude_star.vertical.vertical_track import LocalVertical
-from ship_estimation.kalman import StateBlock, lasting
+from ship_estimation.kalman import StateBlock, exceeds_model
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
@@ -68,7 +68,7 @@ class GaussMarkovIns:
         """See :class:`InsProcess`."""
         after: FloatArray = means @ np.swapaxes(propagation.transition, -1, -2) + propagation.shift[:, None]
         own = means[:, ATTITUDE_ERROR] - means[:, DEFLECTION] @ before.deflection_jacobian.T
-        exceeds = lasting(own, self._sigma)
+        exceeds = exceeds_model(own, self._sigma)
         after[..., ATTITUDE_ERROR] = np.where(exceeds, means[:, ATTITUDE_ERROR], after[..., ATTITUDE_ERROR])
         return after
 

@@ -30,7 +30,7 @@ import numpy as np
 from ship_attitude_star.ins_errors.config import SchulerConfig
 from ship_attitude_star.ins_errors.process import DEFLECTION, ATTITUDE_ERROR, Propagation, Vertical, deflection_change
 from ship_attitude_star.vertical.vertical_track import STEP_NS, LocalVertical
-from ship_estimation.kalman import lasting
+from ship_estimation.kalman import exceeds_model
 from ship_geometry.geodetic import EARTH_RATE_RAD_PER_S, GeodeticPosition, horizon_radii_m, normal_gravity
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
@@ -133,7 +133,7 @@ class SchulerIns:
         if self._length_m is not None:
             own = own - means[:, DEFLECTION] @ before.deflection_jacobian.T
         exceeding = np.zeros_like(means)
-        exceeding[:, ATTITUDE_ERROR] = np.where(lasting(own, self._sigma), means[:, ATTITUDE_ERROR], 0.0)
+        exceeding[:, ATTITUDE_ERROR] = np.where(exceeds_model(own, self._sigma), means[:, ATTITUDE_ERROR], 0.0)
         after: FloatArray = (means - exceeding) @ np.swapaxes(propagation.transition, -1, -2) + propagation.shift[:, None] + exceeding
         return after
 

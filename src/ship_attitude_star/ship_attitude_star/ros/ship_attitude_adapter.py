@@ -39,7 +39,7 @@ from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
 from ship_estimation.rate_guard import RateStatus
 from ship_estimation.recovery.displacements import TOGETHER
-from ship_estimation.refusals import failure
+from ship_estimation.refusals import failure_rejection
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import (
@@ -202,7 +202,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
             except Exception as error:
                 # Real-time attitudes are published in any case; smoothing restarts.
                 self.core.restart_smoothing()
-                smoothed = [self.failed(SMOOTHED_TOPIC, now_ns, failure(error))]
+                smoothed = [self.failed(SMOOTHED_TOPIC, now_ns, failure_rejection(error))]
             published += smoothed
         return published
 

@@ -17,7 +17,7 @@ from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns, correct
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_estimation.ins_guard import CheckedBlock
 from ship_estimation.outcome import Status
-from ship_estimation.refusals import Rejection, failure
+from ship_estimation.refusals import Rejection, failure_rejection
 from ship_geometry.attitude_track import (
     AttitudeSample,
     ExtraNoise,
@@ -121,5 +121,5 @@ class InsBatch:
         try:
             (run,) = corrected_estimates([corrected], [count], self._times_ns[some], propagated.some(some), config)
         except Exception as error:
-            return failure(error)
+            return failure_rejection(error)
         return run

@@ -51,10 +51,10 @@ from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.ship_attitude.utc_steps import with_utc_evaluated, with_utc_step
 from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
-from ship_estimation.estimator_shell import EstimatorShell, Model, surely_in_time
+from ship_estimation.estimator_shell import TimeOrderedEstimator, EstimatorModel, is_within_lag
 from ship_estimation.exclusion import MAX_MEASUREMENT_AGE_NS
 from ship_estimation.ins import InsChange, InsJump
-from ship_estimation.ins_guard import JudgedIns
+from ship_estimation.ins_guard import CheckedInsSample
 from ship_estimation.outcome import Measurement, Status
 from ship_estimation.protection import IntegrityReport
 from ship_estimation.rate_guard import RateStatus
@@ -102,17 +102,17 @@ class ShipAttitudeCore:
         exposure_reach_ns = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns if exposes else 0
         # The stamps of INS and device differ, and an INS sample affects measurements within max_gap_s of it.
         self._stamp_reach_ns = round(self.filter.linearisation.longest_reach_s * SECOND_NS) + exposure_reach_ns
-        model: Model[FilterState, Measurement, AttitudeDecision, InsChange] = Model(
+        model: EstimatorModel[FilterState, Measurement, AttitudeDecision, InsChange] = EstimatorModel(
             step=self._step,
             inflate=self._apply_ins_change,
-            failed=_failure_decision,
+            failure_decision=_failure_decision,
             until_ns=lambda decision: decision.ins_time_ns + decision.measurement.reach_ns,
-            forget_before=self._drop_before,
-            decided=self._record_decision,
+            drop_before=self._drop_before,
+            on_decision=self._record_decision,
             on_commit=on_commit,
         )
-        self._estimator: EstimatorShell[FilterState, Measurement, AttitudeDecision, InsChange, AttitudeEstimate]
-        self._estimator = EstimatorShell(
+        self._estimator: TimeOrderedEstimator[FilterState, Measurement, AttitudeDecision, InsChange, AttitudeEstimate]
+        self._estimator = TimeOrderedEstimator(
             model, self.filter.initial_state(), config.lag_s, self._max_gap_ns + self._stamp_reach_ns
         )
         self.reset()
@@ -184,7 +184,7 @@ class ShipAttitudeCore:
             estimate: False if no attitude is needed, as in a Monte Carlo run.
         """
         if sample.time_ns < self._estimator.window.oldest_ns:
-            return AttitudeOutcome(self._estimator.window.late(sample.time_ns))
+            return AttitudeOutcome(self._estimator.window.late_rejection(sample.time_ns))
         outcome = AttitudeOutcome()
         judged = self._plausibility.ins.check(sample, self._track, self._plausibility.motion_references)
         return self._use_ins(judged, sample.time_ns if arrival_ns is None else arrival_ns, outcome, estimate)
@@ -208,13 +208,13 @@ class ShipAttitudeCore:
         newest, before = self._track.newest, self._track.recent_rates()
         if newest is None or before is None or self._ins_arrival_ns is None:
             return None
-        if not (newest.time_ns < first_ns and self._estimator.follows(first_ns)):
+        if not (newest.time_ns < first_ns and self._estimator.can_publish(first_ns)):
             return None
         # No sample after a gap, after an INS timeout, or one that may arrive too late.
         steps_ns = np.diff(block.times_ns, prepend=newest.time_ns)
         waits_ns = np.diff(arrivals_ns, prepend=self._ins_arrival_ns)
         near = (steps_ns <= self._max_gap_ns) & (waits_ns >= 0) & (waits_ns <= min(self._ins_timeout_ns, SECOND_NS))
-        near &= surely_in_time(block.times_ns, arrivals_ns, self.config.lag_s)
+        near &= is_within_lag(block.times_ns, arrivals_ns, self.config.lag_s)
         block = block.some(slice(len(near) if near.all() else int(np.argmin(near))))
         if not len(block.times_ns):
             return None
@@ -223,7 +223,7 @@ class ShipAttitudeCore:
         if not checked.count:
             return None
         extra = self._track.extra_noise(first_ns)
-        return InsBatch(samples[: checked.usual], block, arrivals_ns, checked, before, extra)
+        return InsBatch(samples[: checked.accepted_count], block, arrivals_ns, checked, before, extra)
 
     def commit_batch(self, batch: InsBatch, stop: int) -> None:
         """Commit the samples of a batch before index ``stop``."""
@@ -239,11 +239,11 @@ class ShipAttitudeCore:
                 if outcome.decisions or outcome.failures:
                     batch.pending_outcomes.append((batch.committed_count, outcome))
             contradiction_texts = None
-            if self._estimator.contradictions:
+            if self._estimator.stamp_conflicts:
                 contradiction_texts = [self._contradiction_text(sample.time_ns) for sample in batch.samples[batch.committed_count : end]]
             batch.commit(self._estimator.state_now, end, contradiction_texts)
             self._ins_arrival_ns = int(batch.arrivals_ns[end - 1])
-            self._estimator.was_put_out(batch.samples[end - 1].time_ns, self._ins_arrival_ns, self._ins_timeout_ns)
+            self._estimator.record_output(batch.samples[end - 1].time_ns, self._ins_arrival_ns, self._ins_timeout_ns)
             self._plausibility.ins.by_rates = batch.checked.by_rates(end - 1)
 
     def finish_batch(self, batch: InsBatch) -> AttitudeOutcome | None:
@@ -259,7 +259,7 @@ class ShipAttitudeCore:
         return batch.attitudes(self._corrected_by, self._ins_propagation_s, self.config)
 
     def _use_ins(
-        self, judged: JudgedIns, arrival_ns: int, outcome: AttitudeOutcome, estimate: bool
+        self, judged: CheckedInsSample, arrival_ns: int, outcome: AttitudeOutcome, estimate: bool
     ) -> AttitudeOutcome:
         """Use a checked INS sample and publish the attitude at its stamp."""
         time_ns = judged.sample.time_ns
@@ -267,7 +267,7 @@ class ShipAttitudeCore:
             # The rates are faulty. Measurements evaluated with them are evaluated again without rates.
             changed_after_ns = self._track.forget_rates(judged.rates_wrong_after_ns)
             if changed_after_ns is not None:
-                self._estimator.data_changed(changed_after_ns)
+                self._estimator.rewind_after(changed_after_ns)
                 self._estimator.apply(outcome)
         if judged.noise is not None:
             # Measurements since then are evaluated again with the measured noise of the samples.
@@ -291,7 +291,7 @@ class ShipAttitudeCore:
                 def by_ins(state: FilterState) -> AttitudeEstimate:
                     return self._estimate_by_newest_ins(state, time_ns)
 
-                self._estimator.put_out(outcome, time_ns, arrival_ns, by_ins, self._ins_timeout_ns)
+                self._estimator.add_output(outcome, time_ns, arrival_ns, by_ins, self._ins_timeout_ns)
         return outcome
 
     def add_sky_input(self, sky_input: SkyInput) -> AttitudeOutcome:
@@ -299,14 +299,14 @@ class ShipAttitudeCore:
         outcome = AttitudeOutcome()
         if self._sky_model is not None:
             outcome.rejection = self._sky_model.surroundings.rejection(sky_input)
-            self._estimator.contradictions.note(sky_input.source, sky_input.time_ns, outcome.rejection)
+            self._estimator.stamp_conflicts.record(sky_input.source, sky_input.time_ns, outcome.rejection)
             unchanged_until_ns = self._sky_model.surroundings.insert(sky_input)
             # A plain AttitudeMeasurement does not depend on the sky model; its subclass SolvedAttitude does.
             self._reevaluate(unchanged_until_ns, lambda used: type(used) is not AttitudeMeasurement)
         if self.vertical is not None and isinstance(sky_input, PositionFix):
             if self._sky_model is None:
                 outcome.rejection = self.vertical.rejection(sky_input)
-                self._estimator.contradictions.note(sky_input.source, sky_input.time_ns, outcome.rejection)
+                self._estimator.stamp_conflicts.record(sky_input.source, sky_input.time_ns, outcome.rejection)
             self._reevaluate(self.vertical.insert(sky_input), lambda _used: True)
         self._estimator.apply(outcome)
         return outcome
@@ -315,14 +315,14 @@ class ShipAttitudeCore:
         """Add a deflection of the vertical; measurements after its stamp are evaluated again."""
         assert self.vertical is not None
         outcome = AttitudeOutcome(self.vertical.rejection(reading))
-        self._estimator.contradictions.note(reading.source, reading.time_ns, outcome.rejection)
+        self._estimator.stamp_conflicts.record(reading.source, reading.time_ns, outcome.rejection)
         self._reevaluate(self.vertical.insert(reading), lambda _used: True)
         self._estimator.apply(outcome)
         return outcome
 
     def set_duplicate_publishers(self, source: str, text: str) -> None:
         """Record that two publishers send as a source; an empty text ends it."""
-        self._estimator.contradictions.contest(source, self._estimator.window.newest_ns, text)
+        self._estimator.stamp_conflicts.set_duplicate_publishers(source, self._estimator.window.newest_ns, text)
 
     def add_measurement(self, measurement: Measurement, arrival_ns: int | None = None) -> AttitudeOutcome:
         """Add a measurement of a star sensor, another attitude system or a baseline.
@@ -332,12 +332,12 @@ class ShipAttitudeCore:
             arrival_ns: arrival time, in the time of waiting; None if it equals the stamp.
         """
         if measurement.time_ns < self._estimator.window.oldest_ns:
-            return AttitudeOutcome(self._estimator.window.late(measurement.time_ns))
+            return AttitudeOutcome(self._estimator.window.late_rejection(measurement.time_ns))
         arrival_ns = measurement.time_ns if arrival_ns is None else arrival_ns
         outcome = AttitudeOutcome(self._plausibility.check(measurement, self._track))
         if outcome.rejection is not None or not self._estimator.add(measurement, outcome):
             return outcome
-        if self._estimator.follows(measurement.time_ns) and self._can_publish_from_stars(measurement.source):
+        if self._estimator.can_publish(measurement.time_ns) and self._can_publish_from_stars(measurement.source):
             self._newest_star = measurement, arrival_ns
         self._publish_from_star(outcome, arrival_ns)
         return outcome
@@ -481,7 +481,7 @@ class ShipAttitudeCore:
     @property
     def rate_status(self) -> RateStatus:
         """Result of the rate check of the INS: faulty rates are not used."""
-        return self._plausibility.ins.rates
+        return self._plausibility.ins.rate_status
 
     @property
     def excess_noise(self) -> str:
@@ -532,7 +532,7 @@ class ShipAttitudeCore:
     def _reevaluate(self, changed_after_ns: int | None, affects: Callable[[Measurement], bool]) -> None:
         """Evaluate the affected measurements after a time again; None: no change."""
         if changed_after_ns is not None:
-            self._estimator.rewind_where(
+            self._estimator.rewind_to_first(
                 lambda decision: decision.measurement.time_ns > changed_after_ns and affects(decision.measurement)
             )
 
@@ -563,15 +563,15 @@ class ShipAttitudeCore:
 
     def _contradiction_text(self, time_ns: int) -> str:
         """Return a text about the sources in use that recently contradicted themselves; empty for none."""
-        if not self._estimator.contradictions:
+        if not self._estimator.stamp_conflicts:
             return ""
         used_ns, devices = self.state.last_used_ns, self.filter.devices
         contradictory = [
             source
-            for source, since_ns in self._estimator.contradictions.at(time_ns).items()
+            for source, since_ns in self._estimator.stamp_conflicts.active_at(time_ns).items()
             if source not in devices or used_ns.get(source, since_ns - 1) >= since_ns
         ]
-        return self._estimator.contradictions.text(contradictory)
+        return self._estimator.stamp_conflicts.text(contradictory)
 
     def _publish_from_star(self, outcome: AttitudeOutcome, waiting_ns: int) -> None:
         """Without INS samples, publish the attitude by the newest star measurement once, within 1 s of its arrival."""
@@ -588,7 +588,7 @@ class ShipAttitudeCore:
                 self.filter, self.state, attitude, self.config.horizon
             )
 
-        self._estimator.put_out(outcome, measurement.time_ns, waiting_ns, by_star)
+        self._estimator.add_output(outcome, measurement.time_ns, waiting_ns, by_star)
 
     def _is_ins_timed_out(self, waiting_ns: int) -> bool:
         """True if the last accepted INS sample is older than ``ins.silence_s``."""

@@ -16,9 +16,9 @@ from ship_attitude_star.ship_attitude.integrity import QUANTITIES, integrity_of
 from ship_attitude_star.ship_attitude.model import SOURCE_DEFLECTION, SOURCE_INS_NOISE, SOURCE_INTERPOLATION
 from ship_attitude_star.ship_attitude.row_table import INS
 from ship_attitude_star.ship_attitude.state import FilterState
-from ship_estimation.kalman import lasting
+from ship_estimation.kalman import exceeds_model
 from ship_estimation.outcome import Status
-from ship_estimation.protection import above_limit
+from ship_estimation.protection import alert_limit_text
 from ship_geometry import compiled_rotations
 from ship_geometry.attitude_track import InterpolatedAttitude, PropagatedBlock
 from ship_geometry.rotations import FloatArray
@@ -92,7 +92,7 @@ class CorrectedIns:
         rows, self.state = self._rows, state
         mean = self._mean = state.mean[rows]
         self.error_n, self.time_offset_s = mean[_ATTITUDE], float(mean[_TIME_OFFSET])
-        self.exceeds_model = lasting(self.error_n, self._slow_sigma).view(np.uint8)
+        self.exceeds_model = exceeds_model(self.error_n, self._slow_sigma).view(np.uint8)
         self.covariance_by_source: FloatArray = state.covariance_by_source[:, rows[:, None], rows]
         self.since_ns = _AFTER_ALL_SAMPLES_NS if state.time_ns is None else state.time_ns
         self.newest_star_ns = newest_star_ns(self._filter, state)
@@ -140,7 +140,7 @@ class CorrectedIns:
         """Set attitudes DEGRADED whose protection level exceeds the alert limit."""
         for number, status in enumerate(series.status):
             if status is not Status.DEGRADED:
-                text = above_limit(integrity_of(self._filter, config, series.estimate(number)), QUANTITIES)
+                text = alert_limit_text(integrity_of(self._filter, config, series.estimate(number)), QUANTITIES)
                 if text:
                     series.status[number], series.text[number] = Status.DEGRADED, text
 

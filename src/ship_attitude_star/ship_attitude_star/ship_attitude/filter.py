@@ -27,11 +27,11 @@ from ship_attitude_star.stars.optics_errors import SOURCE_OPTICS
 from ship_attitude_star.stars.scale_check import check_estimated_focal_length
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.gates import GateConfig, chi_square_gate
-from ship_estimation.hypotheses import FilterInnovations, add_error, compare_rows
+from ship_estimation.hypotheses import FilterInnovations, add_error, subfilter_innovations
 from ship_estimation.ins import InsChange
 from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason, Rejection, singular_covariance
-from ship_estimation.unconfirmed import Unconfirmed
+from ship_estimation.unconfirmed import UnconfirmedStep
 from ship_geometry.attitude_track import AttitudeTrack, ExtraNoise
 from ship_geometry.rotations import FloatArray, log_rotation
 from ship_geometry.time_scales import SECOND_NS
@@ -73,7 +73,7 @@ class ShipFilter:
         if time_ns <= state.time_ns:
             return state
         dt_s = (time_ns - state.time_ns) * 1e-9
-        decay, means, stack = self.model.later(dt_s, state.means, state.stack, "ins.attitude")
+        decay, means, stack = self.model.propagate(dt_s, state.means, state.stack, "ins.attitude")
         here = None if self.vertical is None else self.vertical.at(time_ns)
         if here is not None:
             self._propagate_ins(state, means, stack, time_ns)
@@ -138,14 +138,14 @@ class ShipFilter:
         # A larger clock step cannot be estimated as an offset: the rotation of the INS differs from that of the ship.
         if abs(change.clock_s) <= _MAX_CLOCK_STEP_SIGMAS * clock.sigma[0]:
             both = np.r_[self.model.state_indices("ins.attitude"), self.model.state_indices(clock.name)]
-            moved, shared = change.shared
+            moved, shared = change.shared_with_clock
             means, covariance = means.copy(), np.zeros((self.model.size, self.model.size))
             means[:, both] += moved
             covariance[both[:, None], both] = shared
             add_error(stack, count, self._ins_index, slice(None), covariance)
         else:
             add_error(stack, count, self._ins_index, ins_attitude, change.covariance_n)
-            if change.is_of_clock:
+            if change.is_clock_step:
                 state = self.fault_detector.ins_fault.exclude_for_clock_step(state, effective_ns)
         return changed(
             state,
@@ -340,11 +340,11 @@ class ShipFilter:
             The state, with inflated covariances where needed, and the innovations.
         """
         linear, rotation_jacobian, at_mean = compared.linear, compared.rotation_jacobian, predicted.mean
-        innovations = compare_rows(predicted.means, predicted.stack, linear, at_mean, rotation_jacobian)
+        innovations = subfilter_innovations(predicted.means, predicted.stack, linear, at_mean, rotation_jacobian)
         inflated, subfilters = self.fault_detector.ins_fault.inflate_against(predicted, source, innovations, compared.predicted_nv, gate)
         if not subfilters:
             return predicted, innovations
-        inflated_innovations = compare_rows(predicted.means, inflated, linear, at_mean, rotation_jacobian)
+        inflated_innovations = subfilter_innovations(predicted.means, inflated, linear, at_mean, rotation_jacobian)
         # Fault detection uses the innovations from before the inflation.
         whitened, root = inflated_innovations.whitened_innovation.copy(), inflated_innovations.whitening_root.copy()
         whitened[subfilters], root[subfilters] = innovations.whitened_innovation[subfilters], innovations.whitening_root[subfilters]
@@ -390,7 +390,7 @@ class ShipFilter:
         source, unconfirmed = measurement.source, state.unconfirmed_step
         if self.devices[source].is_star:
             if unconfirmed is not None:
-                unconfirmed = unconfirmed.after_agreement(measurement.time_ns, source)
+                unconfirmed = unconfirmed.with_confirmation(measurement.time_ns, source)
             elif not any(device.is_star and state.has_used(name) for name, device in self.devices.items()):
                 unconfirmed = _unconfirmed_first_star(source, measurement.time_ns)
         refusals = state.consecutive_rejections if state.consecutive_rejections.get(source) == 0 else with_entry(state.consecutive_rejections, source, 0)
@@ -438,10 +438,10 @@ class ShipFilter:
         return state, replace(decision, reason=reason, accepted=False, text=text + inflation_text)
 
 
-def _unconfirmed_first_star(source: str, time_ns: int) -> Unconfirmed:
+def _unconfirmed_first_star(source: str, time_ns: int) -> UnconfirmedStep:
     """Return the unconfirmed state after the first accepted star measurement."""
-    return Unconfirmed(time_ns - 1, "the attitude rests on one star measurement", "stars", time_ns, source)
+    return UnconfirmedStep(time_ns - 1, "the attitude rests on one star measurement", "stars", time_ns, source)
 
 
-def _unconfirmed_ins_jump(since_ns: int) -> Unconfirmed:
-    return Unconfirmed(since_ns, "the INS has jumped, or may have jumped", "stars")
+def _unconfirmed_ins_jump(since_ns: int) -> UnconfirmedStep:
+    return UnconfirmedStep(since_ns, "the INS has jumped, or may have jumped", "stars")

@@ -19,11 +19,11 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.model import SOURCE_INS, ShipStateModel
 from ship_attitude_star.ship_attitude.row_table import INS, SubfilterSet
 from ship_attitude_star.ship_attitude.state import UnresolvedFault, FilterState, changed, with_entry, without_entry
-from ship_estimation.exclusion import ExcludedSource, must_agree_s
+from ship_estimation.exclusion import ExcludedSource, reinstatement_time_s
 from ship_estimation.gates import chi_square_gate
 from ship_estimation.hypotheses import FilterInnovations, add_error
-from ship_estimation.running_means import forgotten
-from ship_estimation.unconfirmed import Unconfirmed
+from ship_estimation.running_means import cleared_means
+from ship_estimation.unconfirmed import UnconfirmedStep
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
@@ -191,7 +191,7 @@ class InsFaultHandling:
         if state.unresolved_fault is not None and not is_by_stars:
             return state
         since_ns = exclusion.since_ns if exclusion.consistent_since_ns is None else exclusion.consistent_since_ns
-        after_s = _CONSISTENT_FOR_S if exclusion.is_self_reported else must_agree_s(exclusion, self._return_after_s)
+        after_s = _CONSISTENT_FOR_S if exclusion.is_self_reported else reinstatement_time_s(exclusion, self._return_after_s)
         if (time_ns - since_ns) / SECOND_NS < after_s:
             return state
         if is_by_stars:
@@ -201,7 +201,7 @@ class InsFaultHandling:
         if not exclusion.is_self_reported:
             # Faults hidden by the inflated covariance show within half a slow roll period after the reinstatement.
             confirmed_ns = time_ns + round(_CONSISTENT_FOR_S * SECOND_NS)
-            state = changed(state, unconfirmed=Unconfirmed(confirmed_ns, "the INS was reinstated", "stars"))
+            state = changed(state, unconfirmed=UnconfirmedStep(confirmed_ns, "the INS was reinstated", "stars"))
         return changed(state, excluded=without_entry(state.excluded, INS), doubt=None, ins_suspected_ns=time_ns)
 
     # ---------------------------------------------------------------------------------------------------------
@@ -212,7 +212,7 @@ class InsFaultHandling:
         rotations = [state.last_innovations[name].rotation_n for name in names if name in state.last_innovations]
         covariance_n = sum((np.outer(turn_n, turn_n) for turn_n in rotations), start=np.zeros((3, 3)))
         excluded = with_entry(state.excluded, INS, changed(state.excluded[INS], agrees_since_ns=time_ns))
-        seen = forgotten(state.innovation_means, slice(None), slice(None))
+        seen = cleared_means(state.innovation_means, slice(None), slice(None))
         return changed(state, excluded=excluded, seen=seen, doubt=UnresolvedFault(text, covariance_n))
 
     def _is_contradicted(self, state: FilterState, source: str, subfilter: int) -> bool:

@@ -224,7 +224,7 @@ class Linearisation:
         if not isinstance(matched, _MatchedMeasurement):
             return matched
         predicted = predict_attitude(device, self._model, mean, matched.ins)
-        turn_variance = compiled_steps.spread(predicted.jacobian_v, covariance, by_offset)
+        turn_variance = compiled_steps.projected_variance(predicted.jacobian_v, covariance, by_offset)
         if offset_sigma_s > _LINEAR_CLOCK_SIGMA_S or turn_variance > LINEAR_RANGE**2:
             return self._iterate(task, matched, predicted)
         compared = compare(matched.measurement, device, predicted, self._model, mean, covariance, sky_model)

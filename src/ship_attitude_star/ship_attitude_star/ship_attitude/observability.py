@@ -12,7 +12,7 @@ import numpy as np
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import FilterState
-from ship_estimation.open_combinations import open_combinations
+from ship_estimation.open_combinations import unobservable_combinations
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 _AXES = {
@@ -52,7 +52,7 @@ def observability_of(filter_: ShipFilter, config: ShipAttitudeConfig, state: Fil
     before = np.array(sigmas)
     covariance = state.covariance[np.ix_(rows, rows)]
     sigma_ratios = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)) / before
-    return Observability(dict(zip(names, sigma_ratios.tolist(), strict=True)), open_combinations(covariance, before, names))
+    return Observability(dict(zip(names, sigma_ratios.tolist(), strict=True)), unobservable_combinations(covariance, before, names))
 
 
 def _prior_sigmas(filter_: ShipFilter, config: ShipAttitudeConfig) -> dict[str, FloatArray]:

@@ -18,7 +18,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
 from ship_estimation.common_error import common_threshold
 from ship_estimation.parameters import ParameterError
-from ship_estimation.protection import Factors, factors, prior_of_all
+from ship_estimation.protection import SigmaMultipliers, sigma_multipliers, joint_prior_per_h
 from ship_estimation.running_means import excess_limit
 
 INS = "ins"
@@ -102,10 +102,10 @@ class SubfilterSet:
         prior = config.integrity.prior_per_h
         prior_per_h = {name: prior.star_sensor if one.is_star else prior.reference for name, one in devices.items()}
         prior_per_h[INS] = prior.ins
-        priors_per_h = [prior_of_all([prior_per_h[name] for name in names]) for names in self.excluded_sources]
-        k = factors(config.integrity, [*priors_per_h, prior.all_stars])
-        self.k: Factors = replace(k, missed=k.missed[:-1])
-        self.common_k_md = float(k.missed[-1])
+        priors_per_h = [joint_prior_per_h([prior_per_h[name] for name in names]) for names in self.excluded_sources]
+        k = sigma_multipliers(config.integrity, [*priors_per_h, prior.all_stars])
+        self.k: SigmaMultipliers = replace(k, missed=k.missed_detection[:-1])
+        self.common_k_md = float(k.missed_detection[-1])
         self.common_threshold = common_threshold(config.integrity)
         self.stars = frozenset(name for name, one in devices.items() if one.is_star)
         self._relevant: dict[tuple[tuple[str, ...], tuple[str, ...]], RelevantHypotheses] = {}

@@ -14,10 +14,10 @@ from ship_attitude_star.guards.hints import AttitudeResidual
 from ship_attitude_star.stars.spatial_errors import PixelDwell
 from ship_attitude_star.vertical.vertical_track import LocalVertical
 from ship_estimation import compiled_steps
-from ship_estimation.common_error import NOTHING_ABSORBED, Absorbed
+from ship_estimation.common_error import NO_CORRECTIONS, CorrectionSums
 from ship_estimation.exclusion import MAX_MEASUREMENT_AGE_NS, ExcludedSource
 from ship_estimation.running_means import InnovationMeans
-from ship_estimation.unconfirmed import Unconfirmed
+from ship_estimation.unconfirmed import UnconfirmedStep
 from ship_geometry.rotations import FloatArray
 
 __all__ = [
@@ -179,14 +179,14 @@ class FilterState:
     consecutive_rejections: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     last_used_ns: MappingProxyType[str, int] = field(default_factory=lambda: MappingProxyType({}))
     pixel_dwells: MappingProxyType[str, PixelDwell] = field(default_factory=lambda: NO_PIXEL_DWELLS)
-    unconfirmed_step: Unconfirmed | None = None
+    unconfirmed_step: UnconfirmedStep | None = None
     rejected_residuals: MappingProxyType[str, AttitudeResidual] = field(default_factory=lambda: MappingProxyType({}))
     ins_jump_ns: int | None = None
     ins_fault_ns: int | None = None
     separation_covariance_n: FloatArray | None = None
     vertical: LocalVertical | None = None
     utc_step: UtcStep | None = None
-    correction_sums: Absorbed = NOTHING_ABSORBED
+    correction_sums: CorrectionSums = NO_CORRECTIONS
 
     @property
     def mean(self) -> FloatArray:

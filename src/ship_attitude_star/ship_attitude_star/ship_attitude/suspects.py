@@ -28,23 +28,23 @@ from ship_estimation.common_error import COMMON_ERROR_START_SIGMAS
 from ship_estimation.exclusion import (
     MAX_MEASUREMENT_AGE_NS,
     ExcludedSource,
-    Finding,
-    agrees_with_all,
-    find_fault,
+    FaultIsolation,
+    is_consistent_with_all,
+    isolate_fault,
     evaluate_reinstatement,
-    must_agree_s,
+    reinstatement_time_s,
 )
 from ship_estimation.hypotheses import (
     FilterInnovations,
     add_error,
-    promoted,
+    restart_from_subfilter,
     solution_separations,
-    stand_together,
-    update_rows,
+    are_consistent,
+    update_subfilters,
 )
 from ship_estimation.outcome import Measurement
 from ship_estimation.protection import INFLATION_START_SIGMAS, separation_inflation
-from ship_estimation.running_means import NO_MEANS, averaged, forgotten, no_means, observed
+from ship_estimation.running_means import INITIAL_MEANS, updated_mean, cleared_means, initial_means, updated_means
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
@@ -94,7 +94,7 @@ class FaultDetector:
             mean: estimated errors, shape (n,).
             covariance_by_source: covariance by error source, shape (n_sources, n, n).
         """
-        return FilterState(None, *self.ins_fault.all_filters_at(mean, covariance_by_source), no_means(self.subfilters.count, len(self._sources)))
+        return FilterState(None, *self.ins_fault.all_filters_at(mean, covariance_by_source), initial_means(self.subfilters.count, len(self._sources)))
 
     def uses(self, state: FilterState) -> NDArray[np.bool_]:
         """Return a mask of the sources that each filter uses, shape (h, s)."""
@@ -128,7 +128,7 @@ class FaultDetector:
         source, index = measurement.source, self._indices[measurement.source]
         used = self.subfilters.used_by[source] if not state.excluded else self.uses(state)[:, index]
         noise = None if used[0] else innovations.whitened_noise
-        innovation_means = observed(
+        innovation_means = updated_means(
             state.innovation_means, index, innovations.whitened_innovation, accepted, measurement.time_ns, self.subfilters.innovation_mean_limit, noise
         )
         if state.innovation_means.last_measured_ns[index] < measurement.time_ns - MAX_MEASUREMENT_AGE_NS:
@@ -142,11 +142,11 @@ class FaultDetector:
         if not is_update:
             return changed(state, seen=innovation_means, apart=last_innovations)
         updatable = self.ins_fault.updatable_states(state, self._updatable_states(state, source, used) & accepted[:, None])
-        corrections, stack = update_rows(predicted.stack, comparison.linear, innovations, updatable)
+        corrections, stack = update_subfilters(predicted.stack, comparison.linear, innovations, updatable)
         recent, correction_sums = state.recent_innovations, state.correction_sums
         if used[0] and accepted[0]:
-            windowed = recent[source].windowed_means if source in recent else NO_MEANS
-            recent = with_entry(recent, source, RecentInnovations(*averaged(windowed, innovations.whitened_innovation[0])))
+            windowed = recent[source].windowed_means if source in recent else INITIAL_MEANS
+            recent = with_entry(recent, source, RecentInnovations(*updated_mean(windowed, innovations.whitened_innovation[0])))
             if source in self.subfilters.stars and INS not in state.excluded:
                 correction_sums = correction_sums.with_correction(innovations, comparison.linear.jacobian, self._ins_attitude.start)
         means = predicted.means + corrections
@@ -221,10 +221,10 @@ class FaultDetector:
         elif stepped and len(in_use) <= MIN_SOURCES_FOR_PAIRS:
             pairs = []  # One source with an INS that may have stepped explains as much as two other sources.
         threshold, after = table.k.false_exclusion, self._degraded_after
-        isolation = find_fault(state.innovation_means, uses, separation_sigmas, threshold, candidates, time_ns, after, pairs)
+        isolation = isolate_fault(state.innovation_means, uses, separation_sigmas, threshold, candidates, time_ns, after, pairs)
         # Written so that NaN is shared.
         shared = not state.correction_sums.sigmas <= table.common_threshold and INS not in state.excluded
-        if not isolation.fault and not shared:
+        if not isolation.is_detected and not shared:
             return self._with_no_fault(state, in_use, separations_n, separation_sigmas, time_ns), ""
         faulty = self._faulty_sources(state, isolation)
         if state.correction_sums.sigmas > COMMON_ERROR_START_SIGMAS and not table.stars.isdisjoint(faulty):
@@ -256,9 +256,9 @@ class FaultDetector:
         # Written so that NaN is inconsistent.
         return (
             state.correction_sums.sigmas <= COMMON_ERROR_START_SIGMAS
-            and agrees_with_all(state.innovation_means, self._degraded_after)
+            and is_consistent_with_all(state.innovation_means, self._degraded_after)
             and all(one.largest_sigmas <= INFLATION_START_SIGMAS for one in state.recent_innovations.values())
-            and stand_together(state.means, state.stack, self._ins_attitude, self._consistent_sigmas)
+            and are_consistent(state.means, state.stack, self._ins_attitude, self._consistent_sigmas)
         )
 
     def _with_no_fault(
@@ -318,7 +318,7 @@ class FaultDetector:
     def _reset_faults(self, state: FilterState) -> FilterState:
         """Return the state without detected faults; only the INS and sources with a mounting shift stay excluded."""
         remaining = {name: exclusion for name, exclusion in state.excluded.items() if exclusion.offset is None}
-        innovation_means = forgotten(state.innovation_means, slice(None), slice(None))
+        innovation_means = cleared_means(state.innovation_means, slice(None), slice(None))
         unresolved_fault = state.unresolved_fault if is_ins_excluded_by_stars(state) else None
         return changed(
             state,
@@ -332,7 +332,7 @@ class FaultDetector:
 
     # -- exclusion and reinstatement ------------------------------------------------------------------------
 
-    def _faulty_sources(self, state: FilterState, isolation: Finding) -> tuple[str, ...]:
+    def _faulty_sources(self, state: FilterState, isolation: FaultIsolation) -> tuple[str, ...]:
         """Return the isolated sources, empty for none.
 
         If several subfilters explain the fault, the only one whose sources were all excluded before is preferred.
@@ -355,7 +355,7 @@ class FaultDetector:
         """
         row, rows = self.subfilters.excluded_sources.index(faulty) + 1, len(state.means)
         means = np.tile(state.means[row], (rows, 1))
-        stack = promoted(state.stack, rows, row)
+        stack = restart_from_subfilter(state.stack, rows, row)
         excluded, exclusion_counts, used_ns = dict(state.excluded), dict(state.exclusion_counts), dict(state.last_used_ns)
         for name in faulty:
             # An offset larger than any mounting shift has another cause; the mounting is not estimated again.
@@ -370,7 +370,7 @@ class FaultDetector:
             state,
             means=means,
             stack=stack,
-            seen=forgotten(state.innovation_means, slice(None), slice(None)),
+            seen=cleared_means(state.innovation_means, slice(None), slice(None)),
             lately=MappingProxyType({}),
             absorbed=state.correction_sums.without_corrections(),
             excluded=MappingProxyType(excluded),
@@ -395,9 +395,9 @@ class FaultDetector:
         mean, covariance_by_source = state.mean, state.covariance_by_source
         if shared:
             correction_sums = state.correction_sums
-            turn_n = turn_n + correction_sums.turn_n
+            turn_n = turn_n + correction_sums.correction_n
             mean, covariance_by_source = mean.copy(), covariance_by_source.copy()
-            mean[self._ins_attitude] -= correction_sums.turn_n
+            mean[self._ins_attitude] -= correction_sums.correction_n
             self.ins_fault.inflate_ins_attitude(covariance_by_source, np.diag(correction_sums.variance))
         excluded = {
             name: ExcludedSource(time_ns, offset=state.last_innovations[name].predicted_nv.T @ turn_n, is_shared=True) for name in stars
@@ -427,14 +427,14 @@ class FaultDetector:
         remaining_ratio = self._remaining_offset_ratio(state, source, time_ns)
         sigma = _remaining_offset_sigma(state, source, innovations)
         exclusion, is_reinstated = evaluate_reinstatement(exclusion, state.innovation_means, index, time_ns, after_s, remaining_ratio, sigma)
-        after_s = must_agree_s(exclusion, after_s)
+        after_s = reinstatement_time_s(exclusion, after_s)
         if not is_reinstated:
             state = changed(state, excluded=with_entry(state.excluded, source, exclusion))
             if exclusion.offset is None and self._is_inconsistent(state, index):
                 # Another mounting shift: the mounting estimated since the last one is void.
                 stack = state.stack.copy()
                 self._inflate_mounting(stack, state, source)
-                state = changed(state, stack=stack, seen=forgotten(state.innovation_means, slice(None), [index]))
+                state = changed(state, stack=stack, seen=cleared_means(state.innovation_means, slice(None), [index]))
             since_s = (time_ns - exclusion.since_ns) / SECOND_NS
             consistency = "not consistent with the others"
             if exclusion.consistent_since_ns is not None:
@@ -442,7 +442,7 @@ class FaultDetector:
                 consistency = f"consistent with the others for {consistent_s:.0f} s of {after_s:g} s"
             return state, f"{source} is excluded since {since_s:.0f} s: {consistency}"
         together = self._reinstated_with(state, source)
-        seen = forgotten(state.innovation_means, slice(None), [self._indices[name] for name in together])
+        seen = cleared_means(state.innovation_means, slice(None), [self._indices[name] for name in together])
         remaining = {name: one for name, one in state.excluded.items() if name not in together}
         are = "is" if len(together) == 1 else "are"
         text = f"{' and '.join(together)} {are} reinstated"
@@ -457,9 +457,9 @@ class FaultDetector:
         change = last.whitened - before
         # Both offsets contain the noise of a measurement.
         is_farther = change @ change > 2.0 * self.subfilters.innovation_mean_limit and change @ before > 0.0
-        since_ns = exclusion.farther_since_ns
+        since_ns = exclusion.growing_since_ns
         since_ns = None if not is_farther else time_ns if since_ns is None else since_ns
-        if since_ns == exclusion.farther_since_ns:
+        if since_ns == exclusion.growing_since_ns:
             return state
         exclusion = replace(exclusion, farther_since_ns=since_ns)
         return changed(state, excluded=with_entry(state.excluded, source, exclusion))
@@ -475,7 +475,7 @@ class FaultDetector:
         if state.unresolved_fault is None or len(stars) < len(self.subfilters.stars) or not self.ins_fault.can_be_excluded([*stars]):
             return False
         return all(
-            one.farther_since_ns is not None and time_ns - one.farther_since_ns >= _DRIFT_DURATION_NS
+            one.growing_since_ns is not None and time_ns - one.growing_since_ns >= _DRIFT_DURATION_NS
             for one in stars.values()
         )
 

@@ -23,7 +23,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar
 
-from ship_estimation.refusals import Content, Reason, Rejection, same_stamp
+from ship_estimation.refusals import Content, Reason, Rejection, resolve_same_stamp
 from ship_geometry.time_scales import SECOND_NS
 
 _NOISE_SIGMAS = 5.0
@@ -146,7 +146,7 @@ class StampedValues(Generic[Value]):
         """Return DUPLICATE or CONFLICT if a value with this stamp exists, LATE, or JUMP if the value has jumped."""
         place = bisect.bisect_left(self._stamps, time_ns)
         if place < len(self._stamps) and self._stamps[place] == time_ns:
-            return same_stamp(self._inputs[place].value, value)[1]
+            return resolve_same_stamp(self._inputs[place].value, value)[1]
         if self._is_dropped(time_ns):
             return Rejection(Reason.LATE, "its stamp is older than the values kept of its own source")
         before = self._state_before(place)

@@ -8,9 +8,9 @@ import numpy as np
 from ship_attitude_star.ins_errors.process import Propagation, own_error_matrix
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.vertical.vertical_track import LocalVertical
-from ship_estimation.backward import Known
+from ship_estimation.backward import GaussianEstimate
 from ship_estimation.backward_chain import Anchor
-from ship_estimation.kalman import slow_error_later
+from ship_estimation.kalman import propagate_correlated_error
 from ship_geometry.rotations import FloatArray
 
 _TIME_OFFSET = 3
@@ -57,12 +57,12 @@ class InsErrorPredictor:
         """See :meth:`ship_estimation.rts_smoother.StatePredictor.cross_to`."""
         assert later.time_ns is not None
         (transition,) = self._transition_to(anchor, [later.time_ns]).transition
-        cross: FloatArray = anchor.known.covariance @ transition.T
+        cross: FloatArray = anchor.estimate.covariance @ transition.T
         return cross
 
     def estimates_at(
         self, anchor: ShipAnchor, times_ns: Sequence[int], later: ShipAnchor | None
-    ) -> tuple[Known, FloatArray | None]:
+    ) -> tuple[GaussianEstimate, FloatArray | None]:
         """Return the four quantities that correct the INS; see :meth:`ship_estimation.rts_smoother.StatePredictor`.
 
         A jump inflates the covariance earlier by the bound of the clock offsets. Times in between are treated as the
@@ -71,7 +71,7 @@ class InsErrorPredictor:
         if later is not None:
             assert later.time_ns is not None
             times_ns = [min(time_ns, later.time_ns) for time_ns in times_ns]
-        mean, covariance = anchor.known
+        mean, covariance = anchor.estimate
         if anchor.time_ns is None:
             # Before the first measurement Gauss-Markov errors are stationary.
             means, covariances = np.tile(mean, (len(times_ns), 1)), np.tile(covariance, (len(times_ns), 1, 1))
@@ -82,7 +82,7 @@ class InsErrorPredictor:
             covariances = transition @ covariance @ np.swapaxes(transition, -1, -2) + passage.noise
         to_output = self._output_matrix(times_ns)
         output_covariance = to_output @ covariances
-        known = Known((to_output @ means[..., None])[..., 0], output_covariance @ np.swapaxes(to_output, -1, -2))
+        known = GaussianEstimate((to_output @ means[..., None])[..., 0], output_covariance @ np.swapaxes(to_output, -1, -2))
         if later is None:
             return known, None
         assert later.time_ns is not None
@@ -92,21 +92,21 @@ class InsErrorPredictor:
     def _transition_to(self, anchor: ShipAnchor, times_ns: Sequence[int]) -> _Transition:
         """Return the propagation from an anchor to N times."""
         assert anchor.time_ns is not None
-        model, mean = self._model, anchor.known.mean
+        model, mean = self._model, anchor.estimate.mean
         dt_s = 1e-9 * (np.array(times_ns) - anchor.time_ns).astype(float)
         decay, variance = model.transition(dt_s)
         transition, noise, means = _diagonal(decay), _diagonal(variance), decay * mean
         propagation = self._process_propagation(anchor, times_ns)
         if propagation is None:
             ins_attitude = model.slices["ins.attitude"]
-            means[:, ins_attitude] = slow_error_later(mean[ins_attitude], decay[:, ins_attitude], model.ins_attitude_block.sigma)
+            means[:, ins_attitude] = propagate_correlated_error(mean[ins_attitude], decay[:, ins_attitude], model.ins_attitude_block.sigma)
             return _Transition(transition, means, noise)
         assert model.ins_process is not None
-        assert anchor.given is not None
+        assert anchor.prediction_input is not None
         block = np.s_[:, model.process_indices[:, None], model.process_indices]
         transition[block] = propagation.transition
         noise[block] += propagation.ins_noise + propagation.deflection_noise
-        of_process = model.ins_process.propagated_means(mean[None, model.process_indices], anchor.given, propagation)
+        of_process = model.ins_process.propagated_means(mean[None, model.process_indices], anchor.prediction_input, propagation)
         means[:, model.process_indices] = of_process[:, 0]
         return _Transition(transition, means, noise)
 
@@ -129,9 +129,9 @@ class InsErrorPredictor:
         if process is None:
             return None
         assert anchor.time_ns is not None
-        assert anchor.given is not None
+        assert anchor.prediction_input is not None
         assert self._vertical is not None
-        return process.propagation(anchor.time_ns, anchor.given, times_ns, self._vertical)
+        return process.propagation(anchor.time_ns, anchor.prediction_input, times_ns, self._vertical)
 
     def _output_matrix(self, times_ns: Sequence[int]) -> FloatArray:
         """Return the matrices from the states to the output quantities, shape (N, 4, n)."""

@@ -19,8 +19,8 @@ from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.smoothing.between import InsErrorPredictor
 from ship_attitude_star.smoothing.traced_filter import TracedFilter, TracedState
 from ship_attitude_star.vertical.vertical_track import LocalVertical
-from ship_estimation.backward import Known
-from ship_estimation.backward_chain import Chain
+from ship_estimation.backward import GaussianEstimate
+from ship_estimation.backward_chain import RtsSmoother
 from ship_geometry import compiled_rotations
 from ship_geometry.attitude_track import AttitudeSample, InterpolatedAttitude, SampleBlock
 from ship_geometry.rotations import FloatArray
@@ -92,12 +92,12 @@ class SmoothingCore(ShipAttitudeCore):
         self._pending.clear()
         oldest = self._estimator.oldest_state
         assert isinstance(oldest, TracedState)
-        self._smoother: Chain[LocalVertical | None] = Chain(self._new_predictor(), oldest)
+        self._smoother: RtsSmoother[LocalVertical | None] = RtsSmoother(self._new_predictor(), oldest)
 
     def reconfigure(self, config: ShipAttitudeConfig) -> None:
         """See :meth:`ShipAttitudeCore.reconfigure`."""
         super().reconfigure(config)
-        self._smoother.between = self._new_predictor()
+        self._smoother.predictor = self._new_predictor()
 
     def evaluate_batch(self, block: SampleBlock, arrivals_ns: object) -> None:
         """Return None: samples are processed one by one, because each attitude is stored."""
@@ -147,22 +147,22 @@ class SmoothingCore(ShipAttitudeCore):
     def _add_states(self, states: Sequence[FilterState]) -> None:
         for state in states:
             assert isinstance(state, TracedState)
-            self._smoother.add(state)
+            self._smoother.add_state(state)
 
     # -- smoothed attitudes ---------------------------------------------------------------------------------
 
     def _smoothed_until(self, time_ns: int) -> list[AttitudeEstimate]:
         """Return the attitudes up to a time, smoothed where possible, else as published in real time."""
-        found = self._smoother.take_until(time_ns)
+        found = self._smoother.take_smoothed(time_ns)
         known = {
-            moment_ns: Known(mean, covariance)
+            moment_ns: GaussianEstimate(mean, covariance)
             for moments_ns, (means, covariances) in found
             for moment_ns, mean, covariance in zip(moments_ns, means, covariances, strict=True)
         }
         due = []
         while self._pending and self._pending[0].estimate.time_ns <= time_ns:
             due.append(self._pending.popleft())
-        corrections: list[tuple[_RealTimeEstimate, Known, InterpolatedAttitude]] = []
+        corrections: list[tuple[_RealTimeEstimate, GaussianEstimate, InterpolatedAttitude]] = []
         places, estimates = [], [self._as_published(pending.estimate) for pending in due]
         for place, told in enumerate(due):
             corrects = known.get(told.estimate.time_ns)
@@ -180,13 +180,13 @@ class SmoothingCore(ShipAttitudeCore):
         parts[self._corrected.drift_index] = estimate.covariance_n
         return replace(estimate, covariance_parts_n=parts)
 
-    def _ins_at(self, time_ns: int, corrects: Known) -> InterpolatedAttitude | None:
+    def _ins_at(self, time_ns: int, corrects: GaussianEstimate) -> InterpolatedAttitude | None:
         """Return the interpolated INS attitude for a time; None without samples on both sides."""
         moved_s = -(self.config.ins.time_offset_s + corrects.mean.item(_TIME_OFFSET))
         return self._track.at(time_ns + round(moved_s * SECOND_NS))
 
     def _correct_ins(
-        self, corrections: Sequence[tuple[_RealTimeEstimate, Known, InterpolatedAttitude]]
+        self, corrections: Sequence[tuple[_RealTimeEstimate, GaussianEstimate, InterpolatedAttitude]]
     ) -> list[AttitudeEstimate]:
         """Return INS attitudes corrected by the smoothed INS errors."""
         corrected, estimates = self._corrected, []

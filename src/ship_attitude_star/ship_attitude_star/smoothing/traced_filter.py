@@ -12,8 +12,8 @@ from ship_attitude_star.ship_attitude.ins_at_fault import is_ins_excluded_by_sta
 from ship_attitude_star.ship_attitude.state import FilterState, changed
 from ship_attitude_star.ship_attitude.suspects import FaultDetector
 from ship_attitude_star.vertical.vertical_track import LocalVertical, VerticalTrack
-from ship_estimation.backward import Known
-from ship_estimation.backward_chain import Came
+from ship_estimation.backward import GaussianEstimate
+from ship_estimation.backward_chain import StateUpdate
 from ship_estimation.hypotheses import FilterInnovations
 from ship_estimation.ins import InsChange
 from ship_estimation.outcome import Measurement
@@ -28,7 +28,7 @@ class TracedState(FilterState):
         last_update: update by the last accepted measurement or the last jump; None before the first.
     """
 
-    last_update: Came | None = None
+    last_update: StateUpdate | None = None
 
     @property
     def prediction_input(self) -> LocalVertical | None:
@@ -47,9 +47,9 @@ class TracedFilter(ShipFilter):
         """See :meth:`ShipFilter.apply_ins_change`; the inflation is recorded as an update."""
         after = super().apply_ins_change(state, change)
         assert isinstance(after, TracedState)
-        both = Known(after.mean, after.covariance)
+        both = GaussianEstimate(after.mean, after.covariance)
         leads_back = after.excluded.keys() <= state.excluded.keys()
-        return changed(after, came=Came(both, both, leads_back, change.time_ns))
+        return changed(after, came=StateUpdate(both, both, leads_back, change.time_ns))
 
 
 class _TracedFaultDetector(FaultDetector):
@@ -74,5 +74,5 @@ class _TracedFaultDetector(FaultDetector):
             return after
         assert isinstance(after, TracedState)
         is_update = measurement.source not in state.excluded and not is_ins_excluded_by_stars(state)
-        before = Known(predicted.mean, predicted.covariance)
-        return changed(after, came=Came(before, Known(after.mean, after.covariance), is_update))
+        before = GaussianEstimate(predicted.mean, predicted.covariance)
+        return changed(after, came=StateUpdate(before, GaussianEstimate(after.mean, after.covariance), is_update))

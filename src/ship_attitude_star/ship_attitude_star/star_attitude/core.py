@@ -32,12 +32,12 @@ from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.solution import invalid_solution
 from ship_estimation.estimator_shell import LagWindow
 from ship_estimation.refusals import (
-    AGREES_AGAIN_AFTER_S,
-    Contradictions,
+    CONFLICT_HOLD_S,
+    StampConflicts,
     Reason,
     Rejection,
-    failure,
-    same_stamp,
+    failure_rejection,
+    resolve_same_stamp,
 )
 from ship_geometry.attitude_track import AttitudeSample, SampleBlock
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
@@ -150,8 +150,8 @@ class StarCore:
         self._config = config
         self._sky_model = sky_model
         self._wait_ns = round(config.joint.wait_s * SECOND_NS)
-        self._stamp_conflicts = Contradictions()
-        self._ins_stamp_conflicts = Contradictions()
+        self._stamp_conflicts = StampConflicts()
+        self._ins_stamp_conflicts = StampConflicts()
         self.reset()
 
     def reset(self, clock_jumped: bool = False) -> None:
@@ -183,7 +183,7 @@ class StarCore:
 
     def add_ins(self, sample: AttitudeSample) -> StarOutcome:
         """Add an INS sample, used to select stars and to propagate exposures to one time."""
-        late = self._arrivals.late(sample.time_ns)
+        late = self._arrivals.late_rejection(sample.time_ns)
         if late is not None:
             return StarOutcome(late)
         outcome = StarOutcome(self._ins.add(sample))
@@ -250,7 +250,7 @@ class StarCore:
     def set_duplicate_publishers(self, source: str, text: str) -> None:
         """Record that two publishers send as a source; an empty text ends it."""
         contradictions = self._ins_stamp_conflicts if source == INS else self._stamp_conflicts
-        contradictions.contest(source, self._arrivals.newest_ns, text)
+        contradictions.set_duplicate_publishers(source, self._arrivals.newest_ns, text)
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> StarOutcome:
         """Solve exposures and groups that have waited long enough.
@@ -271,18 +271,18 @@ class StarCore:
 
     def _evaluate(self, exposure: StarExposure) -> tuple[bool, Rejection | None]:
         """Return True if an exposure is used, and a rejection or remark; a conflict is reported in either case."""
-        refusal = self._arrivals.late(exposure.time_ns)
+        refusal = self._arrivals.late_rejection(exposure.time_ns)
         if refusal is not None:
             return False, refusal
         known = self._received_exposures.get((exposure.source, exposure.time_ns))
         if known is None:
             refusal = self._plausibility.check(exposure, self._ins.track)
             return refusal is None, refusal
-        told = same_stamp(known, exposure)[1]
+        told = resolve_same_stamp(known, exposure)[1]
         if told.reason is Reason.DUPLICATE:
             return False, told
         # Neither of the two is solved; a solution that was published already is replaced by an INVALID one.
-        self._stamp_conflicts.note(exposure.source, exposure.time_ns, told)
+        self._stamp_conflicts.record(exposure.source, exposure.time_ns, told)
         return True, replace(told, text="the same stamp with different content: do two sensors publish on one topic?")
 
     def _wait(self, new: _PendingExposure) -> None:
@@ -314,7 +314,7 @@ class StarCore:
             try:
                 placed, solved = self._solve_one(waiting)
             except Exception as error:
-                solution = invalid_solution(np.zeros(len(waiting.exposure), dtype=bool), failure(error))
+                solution = invalid_solution(np.zeros(len(waiting.exposure), dtype=bool), failure_rejection(error))
                 sensor_id, time_ns = waiting.exposure.source.partition(".")[2], waiting.exposure.time_ns
                 outcome.solved.append(AttitudeSolution(sensor_id, time_ns, solution, waiting.rejected_stars, ()))
                 continue
@@ -326,7 +326,7 @@ class StarCore:
             try:
                 joint = self._joint(group)
             except Exception as error:
-                joint = AttitudeSolution(JOINT, group[0].time_ns, invalid_solution(np.zeros(0, dtype=bool), failure(error)), (), ())
+                joint = AttitudeSolution(JOINT, group[0].time_ns, invalid_solution(np.zeros(0, dtype=bool), failure_rejection(error)), (), ())
             outcome.solved.append(joint)
 
     def _solve_one(self, waiting: _PendingExposure) -> tuple[PlacedExposure, AttitudeSolution]:
@@ -371,12 +371,12 @@ class StarCore:
 
     def _contradiction(self, source: str, time_ns: int) -> Rejection | None:
         """Return the rejection of an exposure for conflicting data of its sensor, position or air, or None."""
-        contested = [name for name in self._stamp_conflicts.contested if name == source or name not in self._sources]
+        contested = [name for name in self._stamp_conflicts.duplicate_publishers if name == source or name not in self._sources]
         if contested:
             return Rejection(Reason.CONFLICT, self._stamp_conflicts.text(contested))
-        if source not in self._stamp_conflicts.at(time_ns):
+        if source not in self._stamp_conflicts.active_at(time_ns):
             return None
-        text = f"its stars are used again after {AGREES_AGAIN_AFTER_S:g} s without a contradiction"
+        text = f"its stars are used again after {CONFLICT_HOLD_S:g} s without a contradiction"
         return Rejection(Reason.CONFLICT, f"{self._stamp_conflicts.text([source])}: {text}")
 
     def _sensor(self, source: str) -> ObservingSensorConfig:

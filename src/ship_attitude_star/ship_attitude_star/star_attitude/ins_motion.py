@@ -20,10 +20,10 @@ from ship_attitude_star.star_attitude.exposure_solver import StarOutcome
 from ship_attitude_star.stars.config import MountingConfig
 from ship_attitude_star.stars.exposure import StarExposure, reduce_to_mid_exposure
 from ship_attitude_star.stars.selection import StarPrior
-from ship_estimation.estimator_shell import surely_in_time
+from ship_estimation.estimator_shell import is_within_lag
 from ship_estimation.ins import InsJump, StarInsConfig
-from ship_estimation.ins_guard import CheckedBlock, JudgedIns
-from ship_estimation.refusals import Contradictions, Rejection, same_stamp
+from ship_estimation.ins_guard import CheckedBlock, CheckedInsSample
+from ship_estimation.refusals import StampConflicts, Rejection, resolve_same_stamp
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude, SampleBlock
 from ship_geometry.exposure_mean import turning_over
 from ship_geometry.interpolation_error import joint_covariance
@@ -94,14 +94,14 @@ class InsMotion:
     """
 
     def __init__(
-        self, config: StarInsConfig, plausibility: PlausibilityChecks, stamp_conflicts: Contradictions | None = None
+        self, config: StarInsConfig, plausibility: PlausibilityChecks, stamp_conflicts: StampConflicts | None = None
     ) -> None:
         self._config = config
         self._plausibility = plausibility
         self._max_gap_ns = round(config.max_gap_s * SECOND_NS)
         self._offset_ns = round(config.time_offset_s * SECOND_NS)
         self.track = AttitudeTrack(self._max_gap_ns)
-        self._stamp_conflicts = Contradictions() if stamp_conflicts is None else stamp_conflicts
+        self._stamp_conflicts = StampConflicts() if stamp_conflicts is None else stamp_conflicts
         self._jumps: list[InsJump] = []
 
     def reconfigure(self, config: StarInsConfig) -> None:
@@ -131,7 +131,7 @@ class InsMotion:
             return None
         # No sample after a gap, and none that may be too late.
         steps_ns = np.diff(block.times_ns, prepend=newest.time_ns)
-        near = (steps_ns > 0) & (steps_ns <= self._max_gap_ns) & surely_in_time(block.times_ns, arrivals_ns, lag_s)
+        near = (steps_ns > 0) & (steps_ns <= self._max_gap_ns) & is_within_lag(block.times_ns, arrivals_ns, lag_s)
         block = block.some(slice(len(near) if near.all() else int(np.argmin(near))))
         if not len(block.times_ns):
             return None
@@ -139,7 +139,7 @@ class InsMotion:
         checked = guard.check_block(samples, block)
         if not checked.count:
             return None
-        return InsBatch(samples[: checked.usual], block.rotations_nd[: checked.count], checked)
+        return InsBatch(samples[: checked.accepted_count], block.rotations_nd[: checked.count], checked)
 
     def commit_batch(self, batch: InsBatch, stop: int) -> None:
         """Commit the samples of a batch before index ``stop``."""
@@ -151,7 +151,7 @@ class InsMotion:
         self._plausibility.ins.commit_block(batch.values, batch.checked, self._plausibility.motion_references)
         return None if batch.checked.last is None else self._use(batch.checked.last)
 
-    def _use(self, judged: JudgedIns) -> Rejection | None:
+    def _use(self, judged: CheckedInsSample) -> Rejection | None:
         """Use a checked sample; return the rejection if it is not used."""
         if judged.rates_wrong_after_ns is not None:
             self.track.forget_rates(judged.rates_wrong_after_ns)
@@ -164,8 +164,8 @@ class InsMotion:
             return judged.rejection
         sample = judged.sample
         known = self.track.get(sample.time_ns)
-        taken, refusal = (True, None) if known is None else same_stamp(known, sample)
-        self._stamp_conflicts.note(INS, sample.time_ns, refusal)
+        taken, refusal = (True, None) if known is None else resolve_same_stamp(known, sample)
+        self._stamp_conflicts.record(INS, sample.time_ns, refusal)
         if taken:
             self.track.insert(sample)
         return refusal
@@ -304,4 +304,4 @@ class InsMotion:
 
     def _is_contradictory(self, stamp_ns: int) -> bool:
         """True if the INS recently sent different samples with one stamp; then it is not used."""
-        return INS in self._stamp_conflicts.at(stamp_ns)
+        return INS in self._stamp_conflicts.active_at(stamp_ns)

@@ -17,7 +17,7 @@ from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.sky.place_by_fixes import ShipPosition, PositionFromFixes
 from ship_attitude_star.vertical.config import CONSTANT, NONE, TABLE, GravityConfig
 from ship_attitude_star.vertical.deflection_table import DeflectionTable
-from ship_estimation.refusals import Reason, Rejection, same_stamp
+from ship_estimation.refusals import Reason, Rejection, resolve_same_stamp
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
@@ -129,7 +129,7 @@ class VerticalTrack:
             return self._place.rejection(given)
         index = bisect.bisect_left(self._stamps, given.time_ns)
         if index < len(self._stamps) and self._stamps[index] == given.time_ns:
-            return same_stamp(self._messages[index], given)[1]
+            return resolve_same_stamp(self._messages[index], given)[1]
         if index == 0 and len(self._stamps) >= _MAX_MESSAGES:
             return Rejection(Reason.LATE, "its stamp is older than the stored messages of its source")
         return None

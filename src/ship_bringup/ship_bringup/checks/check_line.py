@@ -8,7 +8,7 @@ from enum import Enum
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE
 from ship_bags.errors import one_line
-from ship_estimation.parameter_rows import in_columns
+from ship_estimation.parameter_rows import aligned_lines
 
 MAX_ROWS = 12
 """Maximum number of rows shown for one check; the others are counted."""
@@ -45,7 +45,7 @@ class CheckLine:
 
 def table(lines: Sequence[CheckLine]) -> list[str]:
     """Return the rows as lines of text; the advice is on a line below the finding."""
-    shown = in_columns([("check", "result", "found"), *((x.check, x.result.value, one_line(x.finding)) for x in lines)])
+    shown = aligned_lines([("check", "result", "found"), *((x.check, x.result.value, one_line(x.finding)) for x in lines)])
     indent = shown[0].index("found")
     text = shown[:1]
     for row, line in zip(shown[1:], lines, strict=True):

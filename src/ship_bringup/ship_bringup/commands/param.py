@@ -9,7 +9,7 @@ from rcl_interfaces.msg import ParameterDescriptor, ParameterValue
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, run_command
 from ship_bags.errors import BadInput, one_line
 from ship_bringup.asked_node import connect_node, node_command_parser, value_text, unknown_name_text, parse_value
-from ship_estimation.parameter_rows import in_columns
+from ship_estimation.parameter_rows import aligned_lines
 
 _DESCRIPTION = """\
 Lists the parameters of a running node with values, units and descriptions (* may be changed while it runs); with NAME
@@ -34,7 +34,7 @@ def _param(parsed: argparse.Namespace) -> int:
         shown = [parsed.name] if parsed.name is not None else names
         rows = list(zip(shown, node.describe_parameters(shown), strict=True))
         if parsed.value is None:
-            print("\n".join(in_columns([_row(name, *description) for name, description in rows])))
+            print("\n".join(aligned_lines([_row(name, *description) for name, description in rows])))
             return EXIT_DONE
         old_value = rows[0][1][1]
         try:

@@ -21,7 +21,7 @@ from ship_bringup.suite.kept_program import SupervisedProgram
 from ship_bringup.suite.process import Process
 from ship_bringup.suite.program import Program, Role
 from ship_bringup.suite.restarts import LONGEST_DELAY_S, end_text, exit_code_of
-from ship_estimation.refusals import failure
+from ship_estimation.refusals import failure_rejection
 
 _END_SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 _END_TIMEOUT_S = 10.0
@@ -84,7 +84,7 @@ class Supervisor:
         try:
             self._work()
         except Exception as error:
-            self._log(_SUITE, f"exception in the supervisor of the suite, which continues: {failure(error).text}")
+            self._log(_SUITE, f"exception in the supervisor of the suite, which continues: {failure_rejection(error).text}")
             time.sleep(1.0)
 
     def _work(self) -> None:
@@ -289,4 +289,4 @@ class Supervisor:
 
 def _reason(problem: Exception) -> str:
     """Return why something failed, as text."""
-    return (isinstance(problem, OSError) and problem.strerror) or failure(problem).text
+    return (isinstance(problem, OSError) and problem.strerror) or failure_rejection(problem).text

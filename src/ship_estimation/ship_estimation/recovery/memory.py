@@ -19,7 +19,7 @@ MIN_CONSISTENT_NS = ENDS_AFTER_NS
 """Minimum time of consistency before a state is stored, ns: an earlier state may contain a fault."""
 
 
-class Memory(Generic[State]):
+class StateMemory(Generic[State]):
     """The newest consistent state that is old enough.
 
     Example:

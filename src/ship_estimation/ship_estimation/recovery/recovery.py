@@ -23,9 +23,9 @@ from ship_estimation.outcome import MeasurementDecision, Outcome, Status
 from ship_estimation.recovery.config import RecoveryConfig
 from ship_estimation.recovery.displacement import MemoryResidual
 from ship_estimation.recovery.displacements import Displacements
-from ship_estimation.recovery.memory import BEFORE_STEP_NS, Memory
+from ship_estimation.recovery.memory import BEFORE_STEP_NS, StateMemory
 from ship_estimation.recovery.trouble import TroubleDetector
-from ship_estimation.refusals import Rejection, failure
+from ship_estimation.refusals import Rejection, failure_rejection
 from ship_estimation.time_shift import with_shifted_stamps
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
@@ -85,7 +85,7 @@ class RecoverableCore(Protocol):
         """Return the residual of a measurement from a stored state, by source; empty if there is none."""
         ...
 
-    def departure_sigmas(self, state: Any, memory: Any, is_later: bool = False) -> float:
+    def largest_difference_sigmas(self, state: Any, memory: Any, is_later: bool = False) -> float:
         """Return the largest difference between a state and a stored one, in standard deviations of both.
 
         A later state of the same estimator contains the stored one: then in standard deviations of the latter.
@@ -120,17 +120,17 @@ class SecondEstimator:
         self.failure: Rejection | None = None
         self._status = Status.INVALID
 
-    def take(self, give: Callable[[], Outcome[Any, Any]]) -> None:
+    def give_input(self, give: Callable[[], Outcome[Any, Any]]) -> None:
         """Give an input to the estimator and record the status of its estimates; exceptions are stored."""
         try:
             outcome = give()
         except Exception as error:
-            self.failure = failure(error)
+            self.failure = failure_rejection(error)
             return
         for estimate in outcome.estimates:
             self._status = estimate.status
 
-    def look(self, waiting_ns: int) -> None:
+    def update_status(self, waiting_ns: int) -> None:
         """Record its status, once a second."""
         if self._status is not Status.VALID:
             self.valid_since_ns = None
@@ -157,13 +157,13 @@ class EstimatorRecovery:
         self._reference: Any = None
         self._before_step: Any = None
         self.started = self.adopted = 0
-        self.took_s = 0.0
+        self.recovery_time_s = 0.0
         self.reset()
 
     def reset(self) -> None:
         """Reset trouble and memory, because the estimator restarts or is replaced."""
         self._trouble = TroubleDetector(self._config.after_s)
-        self._memory: Memory[Any] = Memory()
+        self._memory: StateMemory[Any] = StateMemory()
         self._forget_fault()
 
     @property
@@ -176,14 +176,14 @@ class EstimatorRecovery:
         """Sources that have moved and not moved back; see :attr:`Displacements.displaced`."""
         return self._displacements.displaced
 
-    def note_decision(self, live: RecoverableCore, decision: MeasurementDecision[Any]) -> None:
+    def record_decision(self, live: RecoverableCore, decision: MeasurementDecision[Any]) -> None:
         """Add the residual of a measurement from the state before the first sign of trouble."""
         if self._before_step is None or decision.revised:
             return
         for source, residual in live.memory_residuals(decision, self._before_step).items():
             self._displacements.add(source, residual)
 
-    def look(self, waiting_ns: int, live: RecoverableCore, is_as_expected: bool, there: Set[str]) -> bool:
+    def update(self, waiting_ns: int, live: RecoverableCore, is_as_expected: bool, available_sources: Set[str]) -> bool:
         """Update trouble, memory and candidate, once a second.
 
         Args:
@@ -198,7 +198,7 @@ class EstimatorRecovery:
         jumps = live.take_jumps()
         was_suspected = self._trouble.first_sign_ns is not None
         was_in_trouble = self.is_in_trouble
-        is_sign = not is_as_expected or not live.excluded.isdisjoint(there)
+        is_sign = not is_as_expected or not live.excluded.isdisjoint(available_sources)
         self._trouble.update(waiting_ns, is_sign)
         if self._trouble.first_sign_ns is None:
             if was_suspected:
@@ -220,15 +220,15 @@ class EstimatorRecovery:
         if not was_in_trouble:
             self.started += 1
         if self.candidate is not None:
-            self.candidate.look(waiting_ns)
+            self.candidate.update_status(waiting_ns)
         self._choose_candidate(live)
-        return is_sign and self._is_to_be_adopted(waiting_ns, live, there)
+        return is_sign and self._is_to_be_adopted(waiting_ns, live, available_sources)
 
-    def note_adoption(self, waiting_ns: int) -> None:
+    def record_adoption(self, waiting_ns: int) -> None:
         """Record that the candidate has replaced the first estimator."""
         assert self._trouble.began_ns is not None
         self.adopted += 1
-        self.took_s = (waiting_ns - self._trouble.began_ns) / SECOND_NS
+        self.recovery_time_s = (waiting_ns - self._trouble.began_ns) / SECOND_NS
         self._trouble = TroubleDetector(self._config.after_s)
         self._forget_fault()
 
@@ -247,7 +247,7 @@ class EstimatorRecovery:
             return
         # A slow fault may have affected the newer state. Written so that NaN counts as affected.
         later = live.propagate_memory(newest, ())
-        has_crept = not live.departure_sigmas(later, self._reference, is_later=True) <= MEMORY_SIGMAS
+        has_crept = not live.largest_difference_sigmas(later, self._reference, is_later=True) <= MEMORY_SIGMAS
         self._before_step = self._reference if has_crept else newest
 
     def _forget_fault(self) -> None:
@@ -270,7 +270,7 @@ class EstimatorRecovery:
         memory = self._reference if from_memory else None
         self.candidate = SecondEstimator(live.make_second(memory), is_from_memory=memory is not None)
 
-    def _is_to_be_adopted(self, waiting_ns: int, live: RecoverableCore, there: Set[str]) -> bool:
+    def _is_to_be_adopted(self, waiting_ns: int, live: RecoverableCore, available_sources: Set[str]) -> bool:
         """True if the second estimator meets all conditions of the module's docstring."""
         candidate = self.candidate
         if candidate is None or candidate.valid_since_ns is None:
@@ -278,7 +278,7 @@ class EstimatorRecovery:
         if waiting_ns - candidate.valid_since_ns < self._config.confirm_s * SECOND_NS:
             return False
         excluded = candidate.core.excluded
-        if len(there - excluded) < _LEAST_IN_AGREEMENT or candidate.core.unused_sources(there - excluded):
+        if len(available_sources - excluded) < _LEAST_IN_AGREEMENT or candidate.core.unused_sources(available_sources - excluded):
             return False
         if self._displacements.is_undecided_by_memory:
             return False

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from ship_bags.errors import BadInput
 from ship_bags.stamps import NS_PER_S
-from ship_estimation.refusals import shortened
+from ship_estimation.refusals import shorten
 from ship_nmea.opening import permanent_error, error_text
 from ship_nmea.out.config import FILE, SERIAL, TCP_SERVER, UDP, SinkConfig
 from ship_nmea.out.device_outlets import FileOutlet, SerialOutlet
@@ -190,7 +190,7 @@ class Sink:
         with self._lock:
             self._is_open = False
             self._failures += 1
-            self._failure = shortened(error_text(problem))
+            self._failure = shorten(error_text(problem))
             self._queue.clear()
         with contextlib.suppress(OSError):
             self._outlet.close()

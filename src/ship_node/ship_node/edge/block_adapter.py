@@ -85,7 +85,7 @@ class BatchAdapter(ReportingAdapter):
         """Commit the messages of a batch before index ``stop``; return what must be published at once."""
         feed = self.feeds[pending.topic].batch
         assert feed is not None
-        feed.core.commit_batch(pending.evaluated, min(stop, pending.evaluated.checked.usual))
+        feed.core.commit_batch(pending.evaluated, min(stop, pending.evaluated.checked.accepted_count))
         outcomes, pending.evaluated.pending_outcomes[:] = list(pending.evaluated.pending_outcomes), []
         parts = []
         for place, outcome in outcomes:
@@ -95,7 +95,7 @@ class BatchAdapter(ReportingAdapter):
 
     def finish_batch(self, pending: BlockTurn) -> list[BatchOutput]:
         """Finish a batch whose messages are all committed; return its remaining outputs."""
-        feed, usual, known = self.feeds[pending.topic], pending.evaluated.checked.usual, pending.reading.covariance_known
+        feed, usual, known = self.feeds[pending.topic], pending.evaluated.checked.accepted_count, pending.reading.covariance_known
         assert feed.batch is not None
         samples = pending.reading.samples.some(slice(len(pending.receive_ns)))
         self._contested.add_batch(pending.topic, samples.times_ns, samples.rotations_nd)

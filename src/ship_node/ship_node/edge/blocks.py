@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ship_bags.cdr_template import CdrRows
 from ship_estimation.ins_guard import CheckedBlock
-from ship_estimation.told_levels import ToldLevels
+from ship_estimation.told_levels import PublishedLevels
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.topics import Published
 
@@ -128,7 +128,7 @@ class PublishedRows(NamedTuple):
 def outputs_with_levels(
     place: int,
     run: Any,
-    published: ToldLevels,
+    published: PublishedLevels,
     redundancy_keys: list[tuple[Any, ...]],
     directions: FloatArray,
     levels_before: Callable[[Any], list[Published]],
@@ -147,7 +147,7 @@ def outputs_with_levels(
     while start < count:
         yield BatchOutput(place + start, levels_before(run.one(start)))
         rest = slice(start + 1, count)
-        end = start + 1 + published.covered(run.time_ns[rest], run.covariance_n[rest], directions[rest])
+        end = start + 1 + published.covered_count(run.time_ns[rest], run.covariance_n[rest], directions[rest])
         end = next((other for other in range(start + 1, end) if redundancy_keys[other] != published.redundancy_key), end)
         yield BatchOutput(place + start, [], run if end - start == count else run.some(slice(start, end)))
         start = end

@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from ship_bags.stamps import duration_text
-from ship_estimation.refusals import Reason, Rejection, shortened
+from ship_estimation.refusals import Reason, Rejection, shorten
 from ship_geometry.ros_axes import rotation_from_quaternion
 from ship_geometry.rotations import FloatArray
 
@@ -72,7 +72,7 @@ class MessageRejected(Exception):
 
 def quoted_id(name: str) -> str:
     """Return a name from a message for a text: in quotes and cut to a reasonable length."""
-    return f"'{shortened(name, _LONGEST_ID)}'"
+    return f"'{shorten(name, _LONGEST_ID)}'"
 
 
 def stamp_ns(header: Any, receive_ns: int) -> int:

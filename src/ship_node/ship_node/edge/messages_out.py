@@ -14,7 +14,7 @@ from ship_bags.cdr_template import HEADER, CdrMessage
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import MeasurementDecision
 from ship_estimation.protection import IntegrityConfig, IntegrityReport, IntegrityState
-from ship_estimation.refusals import Reason, Rejection, shortened
+from ship_estimation.refusals import Reason, Rejection, shorten
 from ship_geometry.ros_axes import enu_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray
 
@@ -163,7 +163,7 @@ def rejection_message(
         sigma: predicted standard deviation of each, rad, shape (m,).
         nis: normalised innovation squared.
     """
-    source = shortened(source)
+    source = shorten(source)
     return factory.make(
         INNOVATION_TYPE,
         header={"stamp": time_ns, "frame_id": source},

@@ -11,10 +11,10 @@ from dataclasses import replace
 from typing import Any
 
 from ship_estimation.outcome import Status
-from ship_estimation.protection import above_limit
+from ship_estimation.protection import alert_limit_text
 from ship_estimation.recovery.recovery import EstimatorRecovery, SecondEstimator
-from ship_estimation.refusals import Reason, failure
-from ship_estimation.told_levels import ToldLevels
+from ship_estimation.refusals import Reason, failure_rejection
+from ship_estimation.told_levels import PublishedLevels
 from ship_geometry.rotations import ARCSEC
 from ship_node.edge.adapter import ServiceResult
 from ship_node.edge.block_adapter import BatchAdapter
@@ -130,9 +130,9 @@ class RecoveringAdapter(BatchAdapter):
         """Pass decisions to the recovery; return a failure message if that raises."""
         try:
             for decision in decisions:
-                self.recovery.note_decision(self.core, decision)
+                self.recovery.record_decision(self.core, decision)
         except Exception as error:
-            return [self.failed(_RECOVERY, now_ns, failure(error))]
+            return [self.failed(_RECOVERY, now_ns, failure_rejection(error))]
         return []
 
     def takes_blocks(self, topic: str) -> bool:
@@ -158,14 +158,14 @@ class RecoveringAdapter(BatchAdapter):
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         candidate = self.recovery.candidate
         if candidate is not None:
-            candidate.take(lambda: candidate.core.tick(now_ns, waiting_ns))
+            candidate.give_input(lambda: candidate.core.tick(now_ns, waiting_ns))
         if self._last_decision_ns is None or waiting_ns - self._last_decision_ns >= _DECISION_PERIOD_NS:
             self._last_decision_ns = waiting_ns
             try:
                 published += self._decide(now_ns, waiting_ns)
             except Exception as error:
                 # The outputs of the current estimator are published nevertheless.
-                published.append(self.failed(_RECOVERY, now_ns, failure(error)))
+                published.append(self.failed(_RECOVERY, now_ns, failure_rejection(error)))
         return published
 
     def _decide(self, now_ns: int, waiting_ns: int) -> list[Published]:
@@ -175,7 +175,7 @@ class RecoveringAdapter(BatchAdapter):
         published: list[Published] = []
         if before is not None and before.failure is not None:
             published.append(self.failed(_RECOVERY, now_ns, before.failure))
-        if self.recovery.look(waiting_ns, self.core, is_as_expected, there):
+        if self.recovery.update(waiting_ns, self.core, is_as_expected, there):
             published += self._adopt(waiting_ns)
         if self.recovery.candidate is not before:
             self._bind()
@@ -191,7 +191,7 @@ class RecoveringAdapter(BatchAdapter):
         latest = self.latest
         if latest is None or latest.status is not Status.DEGRADED or not self.config.integrity.alert_limit_arcsec:
             return latest is not None and latest.status is Status.VALID
-        return bool(above_limit(self.core.integrity(latest), self.quantities))
+        return bool(alert_limit_text(self.core.integrity(latest), self.quantities))
 
     def _there(self, waiting_ns: int) -> frozenset[str]:
         """Return the sources with a recent usable message."""
@@ -209,13 +209,13 @@ class RecoveringAdapter(BatchAdapter):
         published = self.before_adoption()
         candidate.core.take_over_outputs(self.core)
         self.core = candidate.core
-        self.recovery.note_adoption(waiting_ns)
+        self.recovery.record_adoption(waiting_ns)
         self._adopted_ns = waiting_ns
         # The published levels, conflicts and diagnoses belong to the replaced estimator.
-        self.told_levels = ToldLevels()
+        self.told_levels = PublishedLevels()
         self.conflicts.clear()
         self.innovation_report.clear()
-        self.notices.append(f"recovered after {self.recovery.took_s:.0f} s: a second estimator was adopted")
+        self.notices.append(f"recovered after {self.recovery.recovery_time_s:.0f} s: a second estimator was adopted")
         return published
 
     # -- services, parameters, resets -----------------------------------------------------------------------
@@ -266,7 +266,7 @@ class RecoveringAdapter(BatchAdapter):
         """Return the diagnostic status of the recovery."""
         recovery, values = self.recovery, self.recovery_counts
         if self._adopted_ns is not None and waiting_ns - self._adopted_ns <= _SHOWN_NS:
-            values["recovered after [s]"] = f"{recovery.took_s:.0f}"
+            values["recovered after [s]"] = f"{recovery.recovery_time_s:.0f}"
         for name, moved_rad in sorted(recovery.displaced.items()):
             values[f"{name} moved [arcsec]"] = f"{moved_rad / ARCSEC:.1f}"
         if recovery.is_in_trouble:
@@ -274,7 +274,7 @@ class RecoveringAdapter(BatchAdapter):
             return DiagnosticStatus("recovery", Level.WARN, text, values)
         text = "no second estimator runs"
         if recovery.adopted:
-            text += f"; the last one was adopted after {recovery.took_s:.0f} s"
+            text += f"; the last one was adopted after {recovery.recovery_time_s:.0f} s"
         return DiagnosticStatus("recovery", Level.OK, text, values)
 
     def _trouble_text(self) -> str:
@@ -295,7 +295,7 @@ def _by_both(
 
     def take(value: Any, waiting_ns: int) -> Any:
         outcome = first(value, waiting_ns)
-        candidate.take(lambda: second(value, waiting_ns))
+        candidate.give_input(lambda: second(value, waiting_ns))
         return outcome
 
     return take

@@ -18,9 +18,9 @@ from ship_bags.errors import BadInput
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import duration_text, ns_from_stamp
 from ship_estimation.outcome import Status
-from ship_estimation.parameters import ParameterError, changed
-from ship_estimation.refusals import Reason, Rejection, failure
-from ship_estimation.told_levels import ToldLevels
+from ship_estimation.parameters import ParameterError, with_changes
+from ship_estimation.refusals import Reason, Rejection, failure_rejection
+from ship_estimation.told_levels import PublishedLevels
 from ship_node.documents.saved_start import SavedStart
 from ship_node.edge import messages_out
 from ship_node.edge.adapter import ServiceResult
@@ -170,7 +170,7 @@ class ReportingAdapter(ABC):
         self.conflicts: dict[str, str] = {}
         self.innovation_report = InnovationReport()
         self.next_slow_ns: int | None = None
-        self.published_levels = ToldLevels()
+        self.published_levels = PublishedLevels()
         self.behind: Overload | None = None
         self._next_invalid_ns = 0
 
@@ -322,7 +322,7 @@ class ReportingAdapter(ABC):
                 published += self._slow_topics(now_ns, waiting_ns)
             except Exception as error:
                 # An INVALID output of this tick must be published nevertheless.
-                published.append(self.failed(_SLOW_TOPICS, now_ns, failure(error)))
+                published.append(self.failed(_SLOW_TOPICS, now_ns, failure_rejection(error)))
         return published
 
     def overload(self, change: Overload, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
@@ -335,7 +335,7 @@ class ReportingAdapter(ABC):
             self.health.cut_behind(topic, count, text, waiting_ns)
             published.append(self.rejection_message(self.feeds[topic].source, now_ns, Rejection(Reason.BEHIND, text)))
         self.behind = change if change.behind_s else None
-        self.published_levels = ToldLevels()  # those published before do not apply to the next output
+        self.published_levels = PublishedLevels()  # those published before do not apply to the next output
         self._next_invalid_ns = waiting_ns
         return published + self._invalid_while_behind(now_ns, waiting_ns)
 
@@ -375,7 +375,7 @@ class ReportingAdapter(ABC):
         Raises:
             ParameterError: nothing was changed; the text gives the reason.
         """
-        config = changed(self.config, changes)
+        config = with_changes(self.config, changes)
         self._topics_off = self._without(config)
         self.config = config
         self.core.reconfigure(self.config)
@@ -512,11 +512,11 @@ class ReportingAdapter(ABC):
         # Runs for every output: the fast check comes first.
         if published.state is estimate.state and published.redundancy_key == redundancy_key:
             one = np.array([estimate.time_ns]), estimate.covariance_n[None], directions[None]
-            if published.covered(*one):
+            if published.covered_count(*one):
                 return []
         report, period_ns = self.core.integrity(estimate), round(self.config.slow_topics_period_s * _SECOND_NS)
         published.state, published.redundancy_key, published.directions = estimate.state, redundancy_key, directions
-        if not published.must_tell(estimate, report, period_ns):
+        if not published.needs_update(estimate, report, period_ns):
             return []
         config = self.config.integrity
         message = messages_out.integrity_message(self.factory, report, self.quantities, self.integrity_frame, config)
@@ -581,6 +581,6 @@ class ReportingAdapter(ABC):
 
     def _forget_outputs(self) -> None:
         self.latest, self.pending_budget, self.next_slow_ns = None, None, None
-        self.published_levels = ToldLevels()
+        self.published_levels = PublishedLevels()
         self.conflicts.clear()
         self.innovation_report.clear()

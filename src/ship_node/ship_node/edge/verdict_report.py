@@ -10,7 +10,7 @@ from typing import Any
 
 from ship_estimation.kalman import StateModel
 from ship_estimation.outcome import MeasurementDecision
-from ship_estimation.verdicts import InnovationDiagnosis, VerdictBook, DiagnosisKind, clock_diagnoses
+from ship_estimation.verdicts import InnovationDiagnosis, InnovationHistory, DiagnosisKind, clock_diagnoses
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 
@@ -29,7 +29,7 @@ class InnovationReport:
 
     def __init__(self) -> None:
         self.pending: deque[tuple[str, MeasurementDecision[Any]]] = deque(maxlen=_MOST_PENDING)
-        self._history = VerdictBook()
+        self._history = InnovationHistory()
 
     def clear(self) -> None:
         """Discard all decisions, as after a reset of the estimator."""
@@ -67,7 +67,7 @@ def _status(source: str, diagnosis: InnovationDiagnosis) -> DiagnosticStatus:
         values |= {
             "NIS per component": f"{diagnosis.nis:.2f} (expected {low:.2f} to {high:.2f})",
             "factor of its sigma": f"{diagnosis.factor:.2f}",
-            "far off (%)": f"{100.0 * diagnosis.far_share:.1f}",
+            "far off (%)": f"{100.0 * diagnosis.outlier_share:.1f}",
         }
         values |= {f"bias {axis} (sigma)": f"{value:+.2f}" for axis, value in diagnosis.bias_sigma.items()}
         values |= {f"correlation {axis}": f"{value:+.2f}" for axis, value in diagnosis.correlation.items()}

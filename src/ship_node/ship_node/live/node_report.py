@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from ship_estimation.refusals import failure
+from ship_estimation.refusals import failure_rejection
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.input_health import InputHealthBook
 from ship_node.edge.messages_out import DiagnosticStatus, Level
@@ -97,7 +97,7 @@ class ExceptionGuard:
         try:
             return function(*arguments)
         except Exception as error:
-            self.note(f"{what}: {failure(error).text}")
+            self.note(f"{what}: {failure_rejection(error).text}")
             return None
 
     def status(self) -> DiagnosticStatus:

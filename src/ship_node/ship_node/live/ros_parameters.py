@@ -23,12 +23,12 @@ from ship_estimation.parameters import (
     ParameterDescription,
     ParameterError,
     build,
-    changed,
+    with_changes,
     describe,
     flatten,
     nest,
 )
-from ship_estimation.refusals import shortened
+from ship_estimation.refusals import shorten
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.live.adapter_calls import AdapterCalls
 from ship_node.live.node_log import NodeLog
@@ -140,11 +140,11 @@ class NodeParameters:
                     USE_SIM_TIME,
                 )
             # The suite's own check comes first: its text contains the unit.
-            changed(self.config, {name: value for name, value in requested.items() if not self._is_runtime_parameter(name)})
+            with_changes(self.config, {name: value for name, value in requested.items() if not self._is_runtime_parameter(name)})
             result = take(parameters)
         except (ParameterError, ParameterNotDeclaredException) as error:
             result = SetParametersResult(successful=False, reason=str(error))
-        result.reason = shortened(result.reason)
+        result.reason = shorten(result.reason)
         if not result.successful:
             self._last_refusal = f"; last refusal: {result.reason}"
             self._log.warning(f"refused: {result.reason}")
@@ -168,7 +168,7 @@ class NodeParameters:
         if not changes:
             return SetParametersResult(successful=True)
         before = flatten(self.config)
-        config: Any = changed(self.config, changes)
+        config: Any = with_changes(self.config, changes)
         self._was_adapter_called = True
         try:
             self._calls.set_parameters({name: flatten(config)[name] for name in changes}, self._now_ns())

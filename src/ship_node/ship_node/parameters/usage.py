@@ -6,7 +6,7 @@ from typing import Any
 from ship_bags.message_factory import MessageFactory
 from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER, BLACK_BOX_PART_PARAMETER, RELIABLE_INPUTS_PARAMETER
 from ship_bags.renamed_topics import TOPICS_PARAMETER
-from ship_estimation.parameter_rows import in_columns, in_lines, parameter_row
+from ship_estimation.parameter_rows import aligned_lines, wrapped_lines, parameter_row
 from ship_estimation.parameters import ParameterDescription, build, describe, nest
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.topics import InputTopic
@@ -62,13 +62,13 @@ def usage_text(adapter_class: type[Adapter], package: str, factory: MessageFacto
             "",
             "topics in (best effort, all reliable with reliable_inputs; for one TOPIC the parameter",
             "qos_overrides./TOPIC.subscription.reliability: reliable | best_effort rules):",
-            *in_columns(inputs),
+            *aligned_lines(inputs),
             "topics out (reliable):",
-            *in_columns(outputs),
+            *aligned_lines(outputs),
             "services (std_srvs/srv/Trigger):",
-            *in_columns([(f"~/{service}",) for service in adapter_class.services]),
+            *aligned_lines([(f"~/{service}",) for service in adapter_class.services]),
             "parameters (* may be changed while the node runs):",
-            *in_lines([*map(parameter_row, describe(adapter_class.config_type)), *_RUNTIME_ROWS]),
+            *wrapped_lines([*map(parameter_row, describe(adapter_class.config_type)), *_RUNTIME_ROWS]),
             "",
             "exit code: 0 ended by SIGINT or SIGTERM, 2 bad parameters or arguments (with one line of reason)",
             "",

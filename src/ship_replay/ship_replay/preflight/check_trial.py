@@ -6,7 +6,7 @@ from typing import Any
 from ship_bags.errors import BadInput
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S
-from ship_estimation.refusals import LONGEST_TEXT, Reason, shortened
+from ship_estimation.refusals import LONGEST_TEXT, Reason, shorten
 from ship_node.edge.blocks import StampArray
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.block_run import BlockRun
@@ -114,6 +114,6 @@ def _words(reasons: Sequence[Reason]) -> Iterator[str]:
 
 def _reason_and_advice(last: Any, word: str) -> str:
     """Return the node's text about the last rejection, and the advice."""
-    node_text = f": {shortened(last.text, LONGEST_TEXT)}" if last is not None and last.reason.word == word else ""
+    node_text = f": {shorten(last.text, LONGEST_TEXT)}" if last is not None and last.reason.word == word else ""
     advice = next((advice for reason, advice in _ADVICE.items() if reason.word == word), "")
     return f"{node_text}; {advice}" if advice else node_text

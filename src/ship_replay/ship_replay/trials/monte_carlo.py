@@ -176,7 +176,7 @@ class _InsBatches:
     def commit(self) -> Iterator[AttitudeOutcome]:
         """Commit the samples that have arrived."""
         if self._batch is not None:
-            self._core.commit_batch(self._batch, min(self._arrived, self._batch.checked.usual))
+            self._core.commit_batch(self._batch, min(self._arrived, self._batch.checked.accepted_count))
             yield from (outcome for _, outcome in self._batch.pending_outcomes)
             self._batch.pending_outcomes.clear()
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ship_estimation import compiled_steps
 from ship_estimation.gates import chi_square_gate
-from ship_estimation.hypotheses import FilterInnovations, compare_rows, update_rows
+from ship_estimation.hypotheses import FilterInnovations, subfilter_innovations, update_subfilters
 from ship_estimation.kalman import LinearMeasurement, StateModel, predict
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.chain.axes import NAMES
@@ -222,7 +222,7 @@ class SourceRows:
         )
         accepted = nis <= pattern.gates  # NaN is not
         gain[~accepted] = 0.0
-        corrections, updated = compiled_steps.updated(
+        corrections, updated = compiled_steps.update(
             parts,
             measurement.jacobian,
             residual,
@@ -256,12 +256,12 @@ class SourceRows:
             probability: probability of the gate.
         """
         stack = subfilters.covariances[:, 0]
-        compared = compare_rows(subfilters.mean, stack, measurement, main_mean, rotation_jacobian)
+        compared = subfilter_innovations(subfilters.mean, stack, measurement, main_mean, rotation_jacobian)
         accepted = compared.nis <= chi_square_gate(probability, len(measurement.residual))  # NaN is not
         learns = np.repeat(accepted[:, None], self._model.size, axis=1)
         # Subfilters have no budget: all noise is one source.
         of_no_budget = LinearMeasurement(measurement.residual, measurement.jacobian, {_ONLY_SOURCE: measurement.noise})
-        corrections, stack = update_rows(stack, of_no_budget, compared, learns)
+        corrections, stack = update_subfilters(stack, of_no_budget, compared, learns)
         return replace(subfilters, mean=subfilters.mean + corrections, parts=stack[:, None])
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.spatial_errors import PixelDwell
-from ship_estimation.hypotheses import compare_rows
+from ship_estimation.hypotheses import subfilter_innovations
 from ship_estimation.ins import InsJump
 from ship_estimation.kalman import LinearMeasurement, predict, update
 from ship_geometry.rotations import FloatArray
@@ -298,7 +298,7 @@ class CalibrationFilter:
         index: Callable[[str], int] = self.model.sources.index
         noise = {index(source): part for source, part in prediction.noise_by_source.items()}
         measurement = LinearMeasurement(residual, prediction.jacobian, noise)
-        found = compare_rows(
+        found = subfilter_innovations(
             state.mean[None], state.covariance[None], measurement, state.mean, prediction.by_attitude_n
         )
         (nis,), (whitened_innovation,) = found.nis.tolist(), found.whitened_innovation

@@ -35,7 +35,7 @@ from ship_attitude_star.sky.shared_states import sky_blocks
 from ship_attitude_star.stars.camera_states import camera_blocks
 from ship_attitude_star.stars.residuals import SOURCE_STAR_NOISE
 from ship_attitude_star.stars.spatial_errors import SOURCE_PIXEL
-from ship_estimation.kalman import StateBlock, StateModel, block, lasting, slow_error_later
+from ship_estimation.kalman import StateBlock, StateModel, block, exceeds_model, propagate_correlated_error
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.chain.axes import AXIS_STATES
 from theodolite_calib.config import BeaconConfig, OpticalAxisConfig, StarCameraConfig
@@ -204,11 +204,11 @@ class ShipErrorProcess:
             error_n: error before, shape (..., 3).
             decay: decay factors of the process over the time, shape (3,).
         """
-        return decay * error_n if self._sigma is None else slow_error_later(error_n, decay, self._sigma)
+        return decay * error_n if self._sigma is None else propagate_correlated_error(error_n, decay, self._sigma)
 
     def lasting(self, error_n: FloatArray) -> NDArray[np.bool_]:
         """True for each component of the error that exceeds the model and does not decay, shape (3,)."""
-        return np.zeros(3, dtype=bool) if self._sigma is None else lasting(error_n, self._sigma)
+        return np.zeros(3, dtype=bool) if self._sigma is None else exceeds_model(error_n, self._sigma)
 
     def apply_stated_covariance(
         self,

@@ -18,7 +18,7 @@ import numpy as np
 
 from ship_estimation.compiled_integrity import square_root
 from ship_estimation.kalman import StateModel, block
-from ship_estimation.open_combinations import open_combinations
+from ship_estimation.open_combinations import unobservable_combinations
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.filter.model import ShipErrorStep
@@ -110,7 +110,7 @@ class Observability:
     def open_combinations(self, unaided: ObservabilityState) -> tuple[str, ...]:
         """Return the combinations of names that the sightings so far cannot separate, as ``g - deformation_up``."""
         root = unaided.root[self._rows]
-        return open_combinations(root @ root.T, self._sigma, self._names, self._reported_names)
+        return unobservable_combinations(root @ root.T, self._sigma, self._names, self._reported_names)
 
 
 def _triangle(root: FloatArray) -> FloatArray:

@@ -21,7 +21,7 @@ from ship_attitude_star.stars.camera_states import camera_state_indices
 from ship_attitude_star.stars.residuals import StarResiduals, star_residuals
 from ship_attitude_star.stars.scale_check import check_estimated_focal_length
 from ship_attitude_star.stars.selection import StarPrior
-from ship_estimation.hypotheses import FilterInnovations, compare_rows
+from ship_estimation.hypotheses import FilterInnovations, subfilter_innovations
 from ship_estimation.kalman import LinearMeasurement, StateModel
 from ship_estimation.refusals import Rejection
 from ship_geometry.rotations import FloatArray
@@ -179,7 +179,7 @@ class StarModel:
             if isinstance(stars, Rejection):
                 return stars
             measurement = self._measurement(camera, stars, reached - mean)
-            innovations = compare_rows(mean[None], covariance[None], measurement, mean, stars.rotation_jacobian)
+            innovations = subfilter_innovations(mean[None], covariance[None], measurement, mean, stars.rotation_jacobian)
             found = StarComparison(camera, stars, measurement, innovations)
             led = mean + innovations.gain[0] @ measurement.residual
             if np.max(np.abs(camera.turn_n @ (led - reached))) < _SMALL_STEP:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ship_estimation.exclusion import ExcludedSource
 from ship_estimation.gates import GateConfig, chi_square_gate
-from ship_estimation.protection import Factors, IntegrityConfig, factors, separation_sigma
+from ship_estimation.protection import SigmaMultipliers, IntegrityConfig, sigma_multipliers, separation_sigma
 from ship_estimation.refusals import Reason, Rejection, singular_covariance
 from ship_geometry.rotations import FloatArray, exp_rotation
 from theodolite_calib.config import OpticalAxisConfig
@@ -288,11 +288,11 @@ class SightingStep:
 
 
 @functools.lru_cache(maxsize=16)
-def hypothesis_factors(config: IntegrityConfig, sources: tuple[str, ...]) -> Factors:
+def hypothesis_factors(config: IntegrityConfig, sources: tuple[str, ...]) -> SigmaMultipliers:
     """Return the sigma multipliers of the hypotheses without one source each."""
     priors = config.prior_per_h
     by_source = {ENCODER: priors.encoder, SHIP: priors.ship_attitude}
-    return factors(config, [by_source.get(source, priors.beacon) for source in sources])
+    return sigma_multipliers(config, [by_source.get(source, priors.beacon) for source in sources])
 
 
 def count_rejection(

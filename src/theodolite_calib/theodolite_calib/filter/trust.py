@@ -14,11 +14,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ship_estimation.exclusion import MAX_MEASUREMENT_AGE_NS, ExcludedSource, Finding, find_fault, evaluate_reinstatement
+from ship_estimation.exclusion import MAX_MEASUREMENT_AGE_NS, ExcludedSource, FaultIsolation, isolate_fault, evaluate_reinstatement
 from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.hypotheses import FilterInnovations
 from ship_estimation.protection import IntegrityConfig
-from ship_estimation.running_means import FIELDS_BY_SUBFILTER, CONSISTENT_RATIO, InnovationMeans, excess_limit, forgotten, no_means, observed
+from ship_estimation.running_means import FIELDS_BY_SUBFILTER, CONSISTENT_RATIO, InnovationMeans, excess_limit, cleared_means, initial_means, updated_means
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.filter.alternatives import BEACON, AXIS_SOURCES, ENCODER, SHIP, TELESCOPE, RowsSeen, SourceRows
@@ -145,7 +145,7 @@ def isolate_drift_fault(source: str | None, explaining_sources: Set[str], is_com
 
 def initial_fault_state(subfilters: SourceRows) -> FaultState:
     """Return the initial state: no source is excluded and no fault is unresolved."""
-    return FaultState(no_means(1 + len(subfilters.sources), len(subfilters.beacons)))
+    return FaultState(initial_means(1 + len(subfilters.sources), len(subfilters.beacons)))
 
 
 class FaultDetector:
@@ -192,7 +192,7 @@ class FaultDetector:
         beacons = [self._subfilters.beacons.index(name) for name in names]
         by_row = np.concatenate([[used], innovations.accepted])[:, None]
         accepted = np.where(self._excludes[:, beacons], innovations.beacon_nis <= self._beacon_gate, by_row)
-        means = observed(fault_state.innovation_means, beacons, innovations.whitened_innovation, accepted, time_ns, self._limit)
+        means = updated_means(fault_state.innovation_means, beacons, innovations.whitened_innovation, accepted, time_ns, self._limit)
         return replace(fault_state, means=means)
 
     def isolate_fault(self, fault_state: FaultState, separations: FloatArray, time_ns: int) -> tuple[bool, str | None, Set[str]]:
@@ -208,13 +208,13 @@ class FaultDetector:
         uses = ~(self._excludes | gone)
         all_separations = np.concatenate([[0.0], separations])
 
-        def found(names: list[str]) -> Finding:
+        def found(names: list[str]) -> FaultIsolation:
             rows = [1 + sources.index(name) for name in names]
-            return find_fault(fault_state.innovation_means, uses, all_separations, self._threshold, rows, time_ns, self._degraded_after)
+            return isolate_fault(fault_state.innovation_means, uses, all_separations, self._threshold, rows, time_ns, self._degraded_after)
 
         candidates = [name for name in sources if name not in excluded]
         finding = found(candidates)
-        if not finding.fault:
+        if not finding.is_detected:
             return False, None, set()
         explaining = {sources[row - 1] for row in finding.explaining_subfilters}
         if finding.subfilter is not None:
@@ -271,7 +271,7 @@ class FaultDetector:
         means = fault_state.innovation_means
         if np.linalg.norm(jumped_n) <= _UNDONE_SIGMAS * sigma_m:
             again = replace(again, jumped_n=np.zeros(3), jumped_sigma_m=0.0)
-            means = forgotten(means, slice(None), [self._subfilters.sources.index(source)])
+            means = cleared_means(means, slice(None), [self._subfilters.sources.index(source)])
         return replace(fault_state, means=means, left_out={**fault_state.exclusions, source: again})
 
     def monitor_beacon(
@@ -291,7 +291,7 @@ class FaultDetector:
         rows = 1 + len(self._subfilters.sources)
         whitened_innovation = np.repeat(compared.whitened_innovation, rows, axis=0)
         accepted = np.full(rows, bool(compared.nis[0] <= self._beacon_gate))
-        means = observed(fault_state.innovation_means, index, whitened_innovation, accepted, time_ns, self._limit, compared.whitened_noise)
+        means = updated_means(fault_state.innovation_means, index, whitened_innovation, accepted, time_ns, self._limit, compared.whitened_noise)
         exclusion, returns = evaluate_reinstatement(record.exclusion, means, index, time_ns, self._config.return_after_s)
         sigma_m = float(np.sqrt(np.max(np.linalg.eigvalsh(compared.covariance[0]))))
         if 0.0 < expected_rejection_m <= _POWER_SIGMAS * sigma_m:
@@ -313,7 +313,7 @@ class FaultDetector:
             if row < len(self._subfilters.beacons):
                 # Means of an excluded source are not valid for subfilters that use it again.
                 others = [other for other in range(1 + len(self._subfilters.sources)) if other != 1 + row]
-                means = forgotten(means, others, [row])
+                means = cleared_means(means, others, [row])
         else:
             exclusions[source] = replace(exclusions[source], exclusion=exclusion)
         return replace(fault_state, means=means, left_out=exclusions, jumped_ns=jumped_ns)
@@ -335,7 +335,7 @@ class FaultDetector:
             return replace(fault_state, conflict=None)
         if conflict.consistent_since_ns is None:
             # Innovations from the time when all beacons were rejected must not isolate a source from now on.
-            means = forgotten(fault_state.innovation_means, slice(None), slice(None))
+            means = cleared_means(fault_state.innovation_means, slice(None), slice(None))
             return replace(fault_state, means=means, conflict=replace(conflict, agrees_since_ns=time_ns))
         over = time_ns - conflict.consistent_since_ns >= self._config.return_after_s * SECOND_NS
         return replace(fault_state, conflict=None if over else conflict)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_estimation.value_guards import ACROSS
+from ship_estimation.value_guards import ROUNDING_SPREAD
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.measured import compiled_cubics
@@ -136,7 +136,7 @@ class EncoderSteps:
         weights, gain = _weights_at_zero(tuple([before_ns - time_ns for before_ns, _ in self._before]))
         led = weights @ np.array([before.tolist() for _, before in self._before])
         noise_rad = max(sigma_rad, math.sqrt(self._variance))
-        bound_rad = gain * (_DETECTION_SIGMAS * noise_rad + ACROSS * math.sqrt(0.5) * coarseness_rad)
+        bound_rad = gain * (_DETECTION_SIGMAS * noise_rad + ROUNDING_SPREAD * math.sqrt(0.5) * coarseness_rad)
         return _Off(time_ns, angles - led, gain, gain * noise_rad, bound_rad)
 
     def _resolve_step(self, first: _Off, angles: FloatArray, off: _Off, now: FloatArray) -> EncoderStep | None:

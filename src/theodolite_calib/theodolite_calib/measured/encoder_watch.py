@@ -15,17 +15,17 @@ from typing import NamedTuple
 import numpy as np
 
 from ship_estimation.refusals import Reason, Rejection
-from ship_estimation.unconfirmed import Unconfirmed
+from ship_estimation.unconfirmed import UnconfirmedStep
 from ship_estimation.value_guards import (
-    Continuation,
-    JumpGuard,
+    PredictionBound,
+    JumpCheck,
     JumpDecision,
-    Match,
-    StuckGuard,
+    PredictionMatch,
+    StuckCheck,
     vector_length,
     step_by_motion,
 )
-from ship_estimation.witnesses import Witness
+from ship_estimation.witnesses import MotionReference
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.vector_track import VectorTrack
 from theodolite_calib.measured.encoder_steps import EncoderStep, EncoderSteps, short_way
@@ -80,7 +80,7 @@ class EncoderCheck:
     """
 
     def __init__(self, sigma_rad: float, max_acceleration: float) -> None:
-        self._stuck, self._jumps, self._continuation = StuckGuard(), JumpGuard(), Continuation(sigma_rad)
+        self._stuck, self._jumps, self._continuation = StuckCheck(), JumpCheck(), PredictionBound(sigma_rad)
         # Two readings predict the next: the last two accepted, and the last two accepted or not. Without rejections
         # these are the same.
         self._taken: tuple[EncoderSample, ...] = ()
@@ -90,10 +90,10 @@ class EncoderCheck:
         self._wrong_unit, self._otherwise = False, 0
         self._unchanged_since_ns: int | None = None
         self._halted_since_ns: int | None = None
-        self._unconfirmed: Unconfirmed | None = None
+        self._unconfirmed: UnconfirmedStep | None = None
         self._steps = EncoderSteps()
         self._stepped: tuple[int, float] | None = None
-        self._motion_references: dict[str, Witness] = {}
+        self._motion_references: dict[str, MotionReference] = {}
         self.reconfigure(sigma_rad, max_acceleration)
 
     def reconfigure(self, sigma_rad: float, max_acceleration: float) -> None:
@@ -140,7 +140,7 @@ class EncoderCheck:
         if result.rejection is not None:
             return result
         if result.jump is not None:
-            self._unconfirmed = Unconfirmed(result.jump.time_ns, "the encoders have jumped", "lights")
+            self._unconfirmed = UnconfirmedStep(result.jump.time_ns, "the encoders have jumped", "lights")
             self._steps.restart()
         step = self._steps.observe(sample.time_ns, sample.vector, self._sigma_rad, self._stuck.coarseness_rad)
         if step is not None:
@@ -150,7 +150,7 @@ class EncoderCheck:
             # Stuck readings cannot be extrapolated.
             self._taken = self._all = ()
             self._steps.restart()
-            self._unconfirmed = Unconfirmed(sample.time_ns, "the encoders were stuck", "lights")
+            self._unconfirmed = UnconfirmedStep(sample.time_ns, "the encoders were stuck", "lights")
             text = "both encoders stuck: unchanged while, by the lights, the telescope rotates in the deck"
             return CheckedReading(Rejection(Reason.STUCK, text))
         return result
@@ -159,14 +159,14 @@ class EncoderCheck:
         """Record the telescope's attitude in the deck by beacons, shape (3, 3), and the error about its worst axis."""
         # Rotations before the readings stood still do not count.
         if self._unchanged_since_ns is not None and time_ns >= self._unchanged_since_ns:
-            self._motion_references[_BEACONS] = Witness(time_ns, telescope_dt, sigma_rad)
+            self._motion_references[_BEACONS] = MotionReference(time_ns, telescope_dt, sigma_rad)
 
     def confirm(self, time_ns: int) -> None:
         """Record that beacons were consistent with the readings at a time."""
         if self._halted_since_ns is not None and time_ns > self._halted_since_ns:
             self._halted_since_ns = None
         if self._unconfirmed is not None:
-            self._unconfirmed = self._unconfirmed.after_agreement(time_ns)
+            self._unconfirmed = self._unconfirmed.with_confirmation(time_ns)
         self.believe_lights(time_ns)
 
     def believe_lights(self, time_ns: int) -> None:
@@ -194,7 +194,7 @@ class EncoderCheck:
         """Check a reading later than all before against the prediction from the two readings before."""
         match = self._match(self._taken, sample)
         step = match if self._all is self._taken else self._match(self._all, sample)
-        fits = match is None or (match.fits if step is None else match.fits_again(step))
+        fits = match is None or (match.fits if step is None else match.is_consistent_with(step))
         is_after_rejection = self._jumps.rejected_count > 0
         result = self._jumps.check(sample.time_ns, fits, step is None or step.fits)
         if result is JumpDecision.REJECTED:
@@ -222,11 +222,11 @@ class EncoderCheck:
             before_rad = 0.0 if self._stepped is None else self._stepped[1]
             self._stepped = step.time_ns, math.hypot(before_rad, step_rad)
             return CheckedReading()
-        self._unconfirmed = Unconfirmed(step.time_ns, "the encoders have jumped", "lights")
+        self._unconfirmed = UnconfirmedStep(step.time_ns, "the encoders have jumped", "lights")
         text = f"step of {step_rad / ARCSEC:.0f}″: the mount can reach {reached_rad / ARCSEC:.0f}″"
         return CheckedReading(Rejection(Reason.GATE, text), EncoderJump(step.time_ns, step.step, step.sigma_rad))
 
-    def _match(self, before: tuple[EncoderSample, ...], sample: EncoderSample) -> Match | None:
+    def _match(self, before: tuple[EncoderSample, ...], sample: EncoderSample) -> PredictionMatch | None:
         """Compare a reading with the prediction from two before it; None without two, or if they are too old."""
         if len(before) < 2:
             return None
@@ -275,7 +275,7 @@ def _extrapolate_back(sample: EncoderSample, first: EncoderSample, second: Encod
     return replace(second, vector=sample.vector - ratio * short_way(second.vector - first.vector))
 
 
-def _gate_rejection(match: Match) -> Rejection:
+def _gate_rejection(match: PredictionMatch) -> Rejection:
     off, bound = vector_length(match.difference) / ARCSEC, match.bound_rad / ARCSEC
     text = f"{off:.0f}″ from the predicted reading: the mount can reach {bound:.0f}″"
     return Rejection(Reason.GATE, text)

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ship_estimation.ins import CheckedInsConfig
-from ship_estimation.ins_guard import CheckedBlock, InsGuard, JudgedIns
+from ship_estimation.ins_guard import CheckedBlock, InsCheck, CheckedInsSample
 from ship_estimation.rate_guard import RateStatus
 from ship_geometry.attitude_track import AttitudeTrack, SampleBlock
 from ship_geometry.rotations import FloatArray
@@ -35,7 +35,7 @@ class GuardAhead:
     """
 
     def __init__(self, config: CheckedInsConfig) -> None:
-        self._ins_check = InsGuard(config)
+        self._ins_check = InsCheck(config)
         self._max_gap_ns = round(config.max_gap_s * SECOND_NS)
         self._clear_batch()
 
@@ -43,7 +43,7 @@ class GuardAhead:
         self._batch: list[ShipSample] = []
         # Those of them that came, each with the step reported by the source; the check before the first.
         self._checked: list[tuple[ShipSample, float]] = []
-        self._before: InsGuard | None = None
+        self._before: InsCheck | None = None
         # Those that were checked in a block, and the index of the first of them.
         self._checked_block: CheckedBlock | None = None
         self._first = self._patience = 0
@@ -57,7 +57,7 @@ class GuardAhead:
     @property
     def rates(self) -> RateStatus:
         """Status of the rates."""
-        return self._ins_check.rates if self._checked_block is None else RateStatus.MEASURED
+        return self._ins_check.rate_status if self._checked_block is None else RateStatus.MEASURED
 
     def expect(self, samples: Sequence[ShipSample]) -> None:
         """Announce the next attitudes, as far as they are known."""
@@ -68,7 +68,7 @@ class GuardAhead:
         self._batch += samples
         self._block, self._reported_steps_rad = _arrays(self._batch)
 
-    def check(self, sample: ShipSample, accepted_track: AttitudeTrack, reported_step_rad: float) -> JudgedIns:
+    def check(self, sample: ShipSample, accepted_track: AttitudeTrack, reported_step_rad: float) -> CheckedInsSample:
         """Check an attitude as :meth:`ship_estimation.ins_check.InsCheck.check` does, without motion references.
 
         Args:
@@ -88,11 +88,11 @@ class GuardAhead:
         if followed is None:
             return self._ins_check.check(sample, accepted_track, {}, reported_step_rad)
         if place + 1 < self._first + followed.count:
-            return JudgedIns(sample)
+            return CheckedInsSample(sample)
         values = self._block.rotations_nd[self._first : place + 1]
         self._ins_check.commit_block(values, followed, {})
         self._checked_block = None
-        return JudgedIns(sample) if followed.last is None else followed.last
+        return CheckedInsSample(sample) if followed.last is None else followed.last
 
     def _check_block(self, place: int, reported_step_rad: float) -> None:
         """Check the attitudes from one on as a block, as long as they are regular."""

@@ -7,10 +7,10 @@ The rates that come with its attitudes check these and are checked by them, with
 from collections.abc import Sequence
 
 from ship_estimation.ins import CheckedInsConfig
-from ship_estimation.ins_guard import JudgedIns
+from ship_estimation.ins_guard import CheckedInsSample
 from ship_estimation.rate_guard import RateStatus
-from ship_estimation.refusals import same_stamp
-from ship_estimation.unconfirmed import Unconfirmed
+from ship_estimation.refusals import resolve_same_stamp
+from ship_estimation.unconfirmed import UnconfirmedStep
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
@@ -37,7 +37,7 @@ class ShipCheck:
         # Accepted samples with their rates: a sample that comes after later ones is checked by these.
         self._accepted = AttitudeTrack(round(watched.max_gap_s * SECOND_NS))
         self._stated: FloatArray | None = None
-        self._unconfirmed: Unconfirmed | None = None
+        self._unconfirmed: UnconfirmedStep | None = None
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
         """Apply another noise."""
@@ -52,7 +52,7 @@ class ShipCheck:
         """Announce the next attitudes, with rates and covariances, as far as they are known."""
         self._batch_check.expect(samples)
 
-    def check(self, sample: ShipSample, oldest_ns: int) -> JudgedIns:
+    def check(self, sample: ShipSample, oldest_ns: int) -> CheckedInsSample:
         """Check a sample; none before ``oldest_ns`` will come."""
         self._accepted.drop_before(oldest_ns)
         result = self._batch_check.check(sample, self._accepted, stated_step_rad(sample.correlated_covariance_n, self._stated))
@@ -60,19 +60,19 @@ class ShipCheck:
             self._accepted.forget_rates(result.rates_wrong_after_ns)
         if result.jumps:
             since_ns = result.jumps[-1].time_ns + self._shift_ns
-            self._unconfirmed = Unconfirmed(since_ns, f"{self._source} has jumped", "lights")
+            self._unconfirmed = UnconfirmedStep(since_ns, f"{self._source} has jumped", "lights")
         if result.rejection is None:
             if self._accepted.newest is None or sample.time_ns > self._accepted.newest.time_ns:
                 self._stated = sample.correlated_covariance_n
             known = self._accepted.get(sample.time_ns)
-            if known is None or same_stamp(known, result.sample)[0]:
+            if known is None or resolve_same_stamp(known, result.sample)[0]:
                 self._accepted.insert(result.sample)
         return result
 
     def confirm(self, time_ns: int) -> None:
         """Record that beacons were consistent with the attitude at a time."""
         if self._unconfirmed is not None:
-            self._unconfirmed = self._unconfirmed.after_agreement(time_ns)
+            self._unconfirmed = self._unconfirmed.with_confirmation(time_ns)
 
     def unconfirmed_reason(self, time_ns: int) -> str:
         """Return the reason why the attitude at a time is unconfirmed; empty if it is confirmed."""

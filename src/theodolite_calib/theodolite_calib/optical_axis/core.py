@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 from ship_attitude_star.measurements.readings import SkyInput
 from ship_attitude_star.sky.sky_watch import SkyModel
 from ship_attitude_star.stars.exposure import StarExposure
-from ship_estimation.estimator_shell import EstimatorShell, Model
+from ship_estimation.estimator_shell import TimeOrderedEstimator, EstimatorModel
 from ship_estimation.exclusion import MAX_MEASUREMENT_AGE_NS
 from ship_estimation.protection import IntegrityReport
 from ship_estimation.recovery.displacement import MemoryResidual
-from ship_estimation.refusals import Contradictions, Reason, Rejection
+from ship_estimation.refusals import StampConflicts, Reason, Rejection
 from ship_estimation.time_shift import with_shifted_stamps
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC
@@ -110,22 +110,22 @@ class OpticalAxisCore:
     ) -> None:
         self.pending: list[PendingPointing] | None = None
         self._sky = sky
-        self._of_targets = Contradictions()
+        self._of_targets = StampConflicts()
         self._start: tuple[CalibrationPrior, int] | None = None
         self._calibration: tuple[CalibrationState, Calibration] | None = None
         self._take_models(config)
-        model: Model[CalibrationState, AnyExposure, ExposureDecision, Jump] = Model(
+        model: EstimatorModel[CalibrationState, AnyExposure, ExposureDecision, Jump] = EstimatorModel(
             step=self._step,
             inflate=self._inflate_covariance,
-            failed=lambda exposure, refusal: ExposureDecision(exposure, refusal.reason, text=refusal.text),
+            failure_decision=lambda exposure, refusal: ExposureDecision(exposure, refusal.reason, text=refusal.text),
             until_ns=lambda decision: decision.measurement.time_ns + decision.measurement.reach_ns,
-            forget_before=self._forget_before,
-            decided=self._update_checks,
+            drop_before=self._forget_before,
+            on_decision=self._update_checks,
             on_commit=closed,
         )
-        self._estimator: EstimatorShell[CalibrationState, AnyExposure, ExposureDecision, Jump, PointingEstimate]
+        self._estimator: TimeOrderedEstimator[CalibrationState, AnyExposure, ExposureDecision, Jump, PointingEstimate]
         reach_ns = MeasuredTracks(config).reach_ns
-        self._estimator = EstimatorShell(model, self.filter.initial_state(), config.lag_s, reach_ns)
+        self._estimator = TimeOrderedEstimator(model, self.filter.initial_state(), config.lag_s, reach_ns)
         self.reset()
 
     def start_from(self, prior: CalibrationPrior, now_ns: int) -> list[str]:
@@ -200,7 +200,7 @@ class OpticalAxisCore:
         """
         arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
         track, shell = self._tracks.encoder, self._estimator
-        result = self._encoder_check.check(sample, track, shell.window.late(sample.time_ns))
+        result = self._encoder_check.check(sample, track, shell.window.late_rejection(sample.time_ns))
         outcome = PointingOutcome(result.rejection)
         self._note_own_fault(ENCODER, sample.time_ns, result.rejection, result.jump is not None)
         self._note_own_jump(sample.time_ns, result)
@@ -222,7 +222,7 @@ class OpticalAxisCore:
 
     def add_ship(self, sample: ShipSample, arrival_ns: int | None = None) -> PointingOutcome:
         """Add an attitude of the ship; for the arrival see :meth:`add_encoder`."""
-        outcome = PointingOutcome(self._estimator.window.late(sample.time_ns))
+        outcome = PointingOutcome(self._estimator.window.late_rejection(sample.time_ns))
         if outcome.rejection is None:
             outcome.rejection, sample = self._check_ship(sample, outcome)
         source, track = self.config.ship.source, self._tracks.ship
@@ -261,7 +261,7 @@ class OpticalAxisCore:
         changed_after_ns = surroundings.insert(given)
         if changed_after_ns is not None:
             changed_ns: int = changed_after_ns
-            self._estimator.rewind_where(
+            self._estimator.rewind_to_first(
                 lambda decision: isinstance(decision.measurement, StarExposure)
                 and decision.measurement.time_ns > changed_ns
             )
@@ -270,14 +270,14 @@ class OpticalAxisCore:
 
     def add_exposure(self, exposure: Exposure) -> PointingOutcome:
         """Add beacons on the detector, one or more."""
-        outcome = PointingOutcome(self._estimator.window.late(exposure.time_ns))
+        outcome = PointingOutcome(self._estimator.window.late_rejection(exposure.time_ns))
         if outcome.rejection is None:
             self._estimator.add(exposure, outcome)
         return outcome
 
     def add_stars(self, exposure: StarExposure, arrival_ns: int | None = None) -> PointingOutcome:
         """Add stars in a camera; for the arrival see :meth:`add_encoder`."""
-        outcome = PointingOutcome(self._estimator.window.late(exposure.time_ns))
+        outcome = PointingOutcome(self._estimator.window.late_rejection(exposure.time_ns))
         if outcome.rejection is None and self._estimator.add(exposure, outcome):
             arrival_ns = exposure.time_ns if arrival_ns is None else arrival_ns
             self._newest_stars = exposure, arrival_ns
@@ -289,7 +289,7 @@ class OpticalAxisCore:
 
         An image changes neither the state nor the window: all pointings are as without it.
         """
-        outcome = PointingOutcome(self._estimator.window.late(sample.time_ns))
+        outcome = PointingOutcome(self._estimator.window.late_rejection(sample.time_ns))
         if outcome.rejection is None:
             waiting_ns = sample.time_ns if arrival_ns is None else arrival_ns
             self._targets.add(sample, waiting_ns, outcome)
@@ -298,8 +298,8 @@ class OpticalAxisCore:
 
     def set_duplicate_publishers(self, source: str, text: str) -> None:
         """Set that two publishers send on one source; an empty text ends it."""
-        contradictions = self._of_targets if source == TargetSample.source else self._estimator.contradictions
-        contradictions.contest(source, self._estimator.window.newest_ns, text)
+        contradictions = self._of_targets if source == TargetSample.source else self._estimator.stamp_conflicts
+        contradictions.set_duplicate_publishers(source, self._estimator.window.newest_ns, text)
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> PointingOutcome:
         """Report INVALID once a second while no pointing has been published for a second.
@@ -452,7 +452,7 @@ class OpticalAxisCore:
         return EscortAdvisor(self.config, self.filter, self._tracks)
 
     def _add(self, source: str, track: SampleTrack[Any], sample: Any) -> PointingOutcome:
-        outcome = PointingOutcome(self._estimator.window.late(sample.time_ns))
+        outcome = PointingOutcome(self._estimator.window.late_rejection(sample.time_ns))
         if outcome.rejection is None:
             self._estimator.add_sample(source, track, sample, outcome)
         return outcome
@@ -464,10 +464,10 @@ class OpticalAxisCore:
             # Exposures compared with these rates are compared again without them.
             changed_after_ns = self._tracks.ship.forget_rates(result.rates_wrong_after_ns)
             if changed_after_ns is not None:
-                self._estimator.data_changed(changed_after_ns + self._tracks.ship_shift_ns)
+                self._estimator.rewind_after(changed_after_ns + self._tracks.ship_shift_ns)
                 self._estimator.apply(outcome)
         if result.noise is not None:
-            self._estimator.data_changed(self._tracks.ship.add_noise(result.noise) + self._tracks.ship_shift_ns)
+            self._estimator.rewind_after(self._tracks.ship.add_noise(result.noise) + self._tracks.ship_shift_ns)
             self._estimator.apply(outcome)
         for jump in result.jumps:
             self._note_own_fault(SHIP, jump.time_ns, None, jumped=True)
@@ -588,13 +588,13 @@ class OpticalAxisCore:
     def _put_out(self, outcome: PointingOutcome, pending: PendingPointing, waiting_ns: int) -> None:
         """Publish a pointing at once, or queue it if pointings are computed on request."""
         if self.pending is None:
-            follows = self._estimator.follows(pending.time_ns)
-            self._estimator.put_out(outcome, pending.time_ns, waiting_ns, lambda _state: self._pointing.estimate(pending))
-            if not (follows and not self._estimator.follows(pending.time_ns)):
+            follows = self._estimator.can_publish(pending.time_ns)
+            self._estimator.add_output(outcome, pending.time_ns, waiting_ns, lambda _state: self._pointing.estimate(pending))
+            if not (follows and not self._estimator.can_publish(pending.time_ns)):
                 return
-        elif self._estimator.follows(pending.time_ns):
+        elif self._estimator.can_publish(pending.time_ns):
             self.pending.append(pending)
-            self._estimator.was_put_out(pending.time_ns, waiting_ns)
+            self._estimator.record_output(pending.time_ns, waiting_ns)
         else:
             return
         self._targets.was_put_out(pending, self._estimator.window.oldest_ns)
@@ -614,24 +614,24 @@ class OpticalAxisCore:
             assert self._sky is not None
             return pointing_by_stars(exposure, self._sky, self.config, self.filter, state, text)
 
-        self._estimator.put_out(outcome, exposure.time_ns, waiting_ns, by_stars)
+        self._estimator.add_output(outcome, exposure.time_ns, waiting_ns, by_stars)
 
     def _check_repeated_time(self) -> None:
         """Compare beacons again if rejections show that encoders and ship repeat a time."""
         before = self._repeated_time_ns
-        together = self._estimator.contradictions.together({ENCODER, self.config.ship.source})
+        together = self._estimator.stamp_conflicts.common_interval({ENCODER, self.config.ship.source})
         if together is None:
             return
         first_ns = together[0] - self._tracks.reach_ns
         self._repeated_time_ns = first_ns, together[1]
         if before is None or before[0] != first_ns:
-            self._estimator.data_changed(first_ns if before is None else min(before[0], first_ns))
+            self._estimator.rewind_after(first_ns if before is None else min(before[0], first_ns))
         elif together[1] > before[1]:
-            self._estimator.data_changed(before[1])
+            self._estimator.rewind_after(before[1])
 
     def _contradiction_text(self, time_ns: int) -> str:
         """Return the text of a source that contradicted itself at a time; empty if none did."""
-        return self._estimator.contradictions.text(self._estimator.contradictions.at(time_ns))
+        return self._estimator.stamp_conflicts.text(self._estimator.stamp_conflicts.active_at(time_ns))
 
 
 def _is_timed_out(arrival_ns: int | None, waiting_ns: int) -> bool:

@@ -65,7 +65,7 @@ class PointingLevels:
         alone = estimate.mode is Mode.STARS and estimate.status is Status.DEGRADED
         is_unchecked = self._has_unresolved_fault or estimate.mode is Mode.ENCODER or alone or estimate.status is Status.INVALID
         return integrity_report(
-            estimate.time_ns, self._config, self._k, self._names, found, self._excluded, checked=not is_unchecked
+            estimate.time_ns, self._config, self._k, self._names, found, self._excluded, is_checked=not is_unchecked
         )
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_estimation.outcome import Status
-from ship_estimation.protection import IntegrityReport, above_limit, separation_inflation
-from ship_estimation.refusals import Rejection, failure
+from ship_estimation.protection import IntegrityReport, alert_limit_text, separation_inflation
+from ship_estimation.refusals import Rejection, failure_rejection
 from ship_geometry import compiled_mounts
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
@@ -187,7 +187,7 @@ class PointingOutput:
         try:
             return self._run_of(pending)
         except Exception as error:
-            return failure(error)
+            return failure_rejection(error)
 
     def estimate(self, pending: PendingPointing) -> PointingEstimate:
         """Return the pointing at one reading."""
@@ -261,7 +261,7 @@ class PointingOutput:
         """Set pointings to DEGRADED whose protection level exceeds the alert limit."""
         for number, status in enumerate(run.status):
             if status is not Status.DEGRADED:
-                text = above_limit(self.integrity(run.one(number)), QUANTITIES)
+                text = alert_limit_text(self.integrity(run.one(number)), QUANTITIES)
                 if text:
                     run.status[number], run.text[number] = Status.DEGRADED, text
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ship_estimation.outcome import MeasurementDecision, Status
-from ship_estimation.refusals import Contradictions, Reason, Rejection, failure
+from ship_estimation.refusals import StampConflicts, Reason, Rejection, failure_rejection
 from ship_geometry.rotations import ARCSEC, FloatArray, skew
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.chain.axes import AXES, SHIP, AxisErrors, axis_geometry
@@ -53,7 +53,7 @@ class TargetAnswers:
         filter_: CalibrationFilter,
         pointing: PointingOutput,
         tracks: MeasuredTracks,
-        contradictions: Contradictions,
+        contradictions: StampConflicts,
     ) -> None:
         self._pending = PendingTargets(contradictions)
         self._put_out: deque[PendingPointing] = deque()
@@ -115,8 +115,8 @@ class TargetAnswers:
         try:
             found = self._direction(sample, state)
         except Exception as error:
-            outcome.failures.append((sample.time_ns, failure(error)))
-            found = failure(error)
+            outcome.failures.append((sample.time_ns, failure_rejection(error)))
+            found = failure_rejection(error)
         if isinstance(found, Rejection):
             outcome.decisions.append(_refused(sample, found))
             found = invalid_direction(sample, found.text)

@@ -7,7 +7,7 @@ import numpy as np
 
 from ship_estimation.frame_names import FRAME_NAMES
 from ship_estimation.outcome import Status
-from ship_estimation.refusals import Reason, shortened
+from ship_estimation.refusals import Reason, shorten
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, horizon_covariance
 from ship_node.edge.messages_in import ReadMessage, MessageRejected, angular_covariance, finite_vector, check_frame, stamp_ns
 from theodolite_calib.ros.messages_in import LONGEST_TARGET_ID
@@ -57,7 +57,7 @@ def direction(
             time_ns=time_ns,
             vector=vector,
             source=f"station.{station}",
-            target_id=shortened(message.target_id, LONGEST_TARGET_ID),
+            target_id=shorten(message.target_id, LONGEST_TARGET_ID),
             covariance_n=covariance_n,
             status=status,
         )

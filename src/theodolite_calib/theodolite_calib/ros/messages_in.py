@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ship_estimation.outcome import Status
-from ship_estimation.refusals import Reason, Rejection, shortened
+from ship_estimation.refusals import Reason, Rejection, shorten
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
 from ship_geometry.frames import angles_from_rotation, rotation_vector_covariance
@@ -187,7 +187,7 @@ def target(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMess
     sigma = sigma_given(message.sigma, _LARGEST_DETECTOR_M)
     sample = TargetSample(
         time_ns=time_ns,
-        target_id=shortened(message.target_id, LONGEST_TARGET_ID),
+        target_id=shorten(message.target_id, LONGEST_TARGET_ID),
         point_m=np.array([message.x, message.z]),
         sigma_m=sigma or detector.sigma_m,
         exposure_s=exposure_s,

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ship_estimation.backward import Known
+from ship_estimation.backward import GaussianEstimate
 from ship_estimation.backward_chain import Anchor
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import SHIP
@@ -49,16 +49,16 @@ class Between:
         assert anchor.time_ns is not None
         assert later.time_ns is not None
         decay, _ = self._model.transition(max(later.time_ns - anchor.time_ns, 0) * 1e-9)
-        cross: FloatArray = anchor.known.covariance * (decay * self._kept_to(anchor, later))
+        cross: FloatArray = anchor.estimate.covariance * (decay * self._kept_to(anchor, later))
         return cross
 
     def at(
         self, anchor: AxisAnchor, times_ns: Sequence[int], later: AxisAnchor | None
-    ) -> tuple[Known, FloatArray | None]:
+    ) -> tuple[GaussianEstimate, FloatArray | None]:
         """Return the states in :attr:`state_indices`; see ``StatePredictor.estimates_at`` of the smoother."""
         moments_ns, step = np.array(times_ns), self._step_at(anchor, times_ns)
         wide = self._cross_covariance(anchor, moments_ns)
-        known = _stepped(Known(self._means(anchor, moments_ns), wide[:, :, self.rows]), step)
+        known = _stepped(GaussianEstimate(self._means(anchor, moments_ns), wide[:, :, self.rows]), step)
         if later is None:
             return known, None
         assert later.time_ns is not None
@@ -78,7 +78,7 @@ class Between:
 
     def _means(self, anchor: AxisAnchor, times_ns: StampArray) -> FloatArray:
         """Return the expected states at N times, before any step of the ship's error, shape (N, r)."""
-        mean, decay = anchor.known.mean, self._decay(_since_ns(anchor, times_ns))
+        mean, decay = anchor.estimate.mean, self._decay(_since_ns(anchor, times_ns))
         means: FloatArray = (decay * mean)[:, self.rows]
         means[:, SHIP] = self._ship.propagate(mean[SHIP], decay[:, SHIP])
         return means
@@ -87,10 +87,10 @@ class Between:
         """Return the covariance of the predicted states with all states at N times, before any step, (N, r, n)."""
         since_s = _since_ns(anchor, times_ns).astype(float) * 1e-9
         decay, noise = self._model.transition(since_s)
-        wide: FloatArray = decay[:, self.rows, None] * anchor.known.covariance[self.rows] * decay[:, None, :]
+        wide: FloatArray = decay[:, self.rows, None] * anchor.estimate.covariance[self.rows] * decay[:, None, :]
         wide[:, np.arange(len(self.rows)), self.rows] += noise[:, self.rows]
-        if anchor.given is not None:
-            wide[:, SHIP, SHIP] += (1.0 - decay[:, 0] ** 2)[:, None, None] * anchor.given
+        if anchor.prediction_input is not None:
+            wide[:, SHIP, SHIP] += (1.0 - decay[:, 0] ** 2)[:, None, None] * anchor.prediction_input
         return wide
 
     def _decay(self, some_ns: StampArray) -> FloatArray:
@@ -100,11 +100,11 @@ class Between:
     def _step_at(self, anchor: AxisAnchor, times_ns: Sequence[int]) -> ShipErrorStep | None:
         """Return the step of the ship's error at N times."""
         stated_n = self._stated_n(times_ns)
-        return None if stated_n is None else ship_error_steps(anchor.given, stated_n)
+        return None if stated_n is None else ship_error_steps(anchor.prediction_input, stated_n)
 
     def _step_to(self, anchor: AxisAnchor, later: AxisAnchor) -> ShipErrorStep | None:
         """Return the step of the ship's error at the next sighting, as for one time."""
-        return None if later.given is None else ship_error_steps(anchor.given, later.given[None])
+        return None if later.prediction_input is None else ship_error_steps(anchor.prediction_input, later.prediction_input[None])
 
     def _kept_to(self, anchor: AxisAnchor, later: AxisAnchor) -> FloatArray:
         """Return the factor on each state that remains at the next sighting, shape (n,)."""
@@ -122,7 +122,7 @@ def _since_ns(anchor: AxisAnchor, times_ns: StampArray) -> StampArray:
     return since_ns
 
 
-def _stepped(known: Known, step: ShipErrorStep | None) -> Known:
+def _stepped(known: GaussianEstimate, step: ShipErrorStep | None) -> GaussianEstimate:
     """Apply the steps of the ship's error at N times; the argument is changed."""
     if step is not None:
         known.mean[:, SHIP] *= step.retained

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.sky.sky_watch import SkyModel
-from ship_estimation.backward import Known
-from ship_estimation.backward_chain import Chain
+from ship_estimation.backward import GaussianEstimate
+from ship_estimation.backward_chain import RtsSmoother
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.alternatives import AXIS_SOURCES
@@ -78,12 +78,12 @@ class SmoothingAxisCore(OpticalAxisCore):
         self._stated_n: dict[int, FloatArray] = {}
         oldest = self._estimator.oldest_state
         assert isinstance(oldest, TracedState)
-        self._chain: Chain[FloatArray | None] = Chain(self._between(), oldest)
+        self._chain: RtsSmoother[FloatArray | None] = RtsSmoother(self._between(), oldest)
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
         """See :meth:`OpticalAxisCore.reconfigure`."""
         super().reconfigure(config)
-        self._chain.between = self._between()
+        self._chain.predictor = self._between()
 
     def take_over_outputs(self, live: OpticalAxisCore) -> None:
         """See :meth:`OpticalAxisCore.take_over_outputs`; the outputs of the other estimator are smoothed to its end."""
@@ -101,8 +101,8 @@ class SmoothingAxisCore(OpticalAxisCore):
         while self._told:
             batch = [self._told.popleft() for _ in range(min(len(self._told), _AT_ONCE))]
             known = {
-                time_ns: Known(mean, covariance)
-                for times_ns, (means, covariances) in self._chain.take_until(batch[-1].estimate.time_ns)
+                time_ns: GaussianEstimate(mean, covariance)
+                for times_ns, (means, covariances) in self._chain.take_smoothed(batch[-1].estimate.time_ns)
                 for time_ns, mean, covariance in zip(times_ns, means, covariances, strict=True)
             }
             for estimate, rests_on in batch:
@@ -147,7 +147,7 @@ class SmoothingAxisCore(OpticalAxisCore):
     def _take(self, states: Sequence[CalibrationState]) -> None:
         for state in states:
             assert isinstance(state, TracedState)
-            self._chain.add(state)
+            self._chain.add_state(state)
 
 
 class _SmoothedOutput:
@@ -164,7 +164,7 @@ class _SmoothedOutput:
         # The smoother has no covariance by source: it is assigned to one source.
         self._source = filter_.model.sources.index(SOURCE_AXES)
 
-    def again(self, real_time: PointingEstimate, rests_on: _PointingInputs, known: Known) -> PointingEstimate:
+    def again(self, real_time: PointingEstimate, rests_on: _PointingInputs, known: GaussianEstimate) -> PointingEstimate:
         """Return a pointing from the smoothed states at its own time."""
         sample, ship, separation_covariance_n = rests_on
         mean, parts = self._blank.mean.copy(), np.zeros_like(self._blank.parts)

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ship_attitude_star.stars.exposure import StarExposure
-from ship_estimation.backward import Known
-from ship_estimation.backward_chain import Came
+from ship_estimation.backward import GaussianEstimate
+from ship_estimation.backward_chain import StateUpdate
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.filter.alternatives import AXIS_SOURCES
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison, Jump
@@ -25,7 +25,7 @@ class TracedState(CalibrationState):
             main filter since then.
     """
 
-    came: Came | None = None
+    came: StateUpdate | None = None
     leads_back: bool = True
 
     @property
@@ -52,9 +52,9 @@ class TracedFilter(CalibrationFilter):
     def inflate_covariance(self, state: CalibrationState, jump: Jump) -> CalibrationState:
         """See :meth:`CalibrationFilter.inflate_covariance`: the jump adds an error to the state."""
         after = super().inflate_covariance(state, jump)
-        both = Known(after.mean, after.covariance)
+        both = GaussianEstimate(after.mean, after.covariance)
         jumped_ns = jump.time_ns if isinstance(jump, EncoderJump) else None
-        return replace(after, **_of_trace(came=Came(both, both, True, jumped_ns)))
+        return replace(after, **_of_trace(came=StateUpdate(both, both, True, jumped_ns)))
 
     def used(
         self, state: CalibrationState, sighting: Sighting, comparison: Comparison
@@ -74,8 +74,8 @@ def _learnt(predicted: CalibrationState, after: CalibrationState) -> Calibration
     """Record the update by a sighting; with excluded sources it is no update of the prediction."""
     assert isinstance(predicted, TracedState)
     is_update = predicted.leads_back and not predicted.fault_state.excluded & AXIS_SOURCES
-    before = Known(predicted.mean, predicted.covariance)
-    return replace(after, **_of_trace(came=Came(before, Known(after.mean, after.covariance), is_update)))
+    before = GaussianEstimate(predicted.mean, predicted.covariance)
+    return replace(after, **_of_trace(came=StateUpdate(before, GaussianEstimate(after.mean, after.covariance), is_update)))
 
 
 def _of_trace(**values: Any) -> Mapping[str, Any]:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ship_estimation.outcome import MeasurementDecision, Measurement, Outcome, Status
-from ship_estimation.refusals import Contradictions, Reason, Rejection, failure, same_stamp
+from ship_estimation.refusals import StampConflicts, Reason, Rejection, failure_rejection, resolve_same_stamp
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.target.common_moments import DirectionSample, SeenByStation, leads, placed_at
@@ -114,7 +114,7 @@ class TriangulationCore:
         self.config = config
         self._lag_ns = round(config.lag_s * SECOND_NS)
         self._stations: list[Station] = [config.stations[name].station(name) for name in sorted(config.stations)]
-        self._contradictions = Contradictions()
+        self._contradictions = StampConflicts()
         self._numbers = {f"station.{station.name}": number for number, station in enumerate(self._stations)}
         self.reset()
 
@@ -155,7 +155,7 @@ class TriangulationCore:
 
     def set_duplicate_publishers(self, source: str, text: str) -> None:
         """Set that two publishers send on one source; an empty text ends it."""
-        self._contradictions.contest(source, 0, text)
+        self._contradictions.set_duplicate_publishers(source, 0, text)
 
     def tick(self, now_ns: int, waiting_ns: int) -> PlacingOutcome:
         """Answer directions that have waited long enough."""
@@ -188,8 +188,8 @@ class TriangulationCore:
         known = track.get(sample.time_ns)
         rejection = None
         if known is not None:
-            takes_its_place, rejection = same_stamp(known, sample)
-            self._contradictions.note(sample.source, sample.time_ns, rejection)
+            takes_its_place, rejection = resolve_same_stamp(known, sample)
+            self._contradictions.record(sample.source, sample.time_ns, rejection)
             if not takes_its_place:
                 return rejection
         if sample.status is Status.INVALID:
@@ -240,8 +240,8 @@ class TriangulationCore:
         try:
             placed = placed_at(time_ns, target.seen_by, self.config)
         except Exception as error:
-            outcome.failures.append((time_ns, failure(error)))
-            return _invalid_position(target_id, time_ns, (), None, failure(error))
+            outcome.failures.append((time_ns, failure_rejection(error)))
+            return _invalid_position(target_id, time_ns, (), None, failure_rejection(error))
         place = placed.place
         if isinstance(place, Rejection):
             return _invalid_position(target_id, time_ns, placed.stations, None, place)
@@ -260,7 +260,7 @@ class TriangulationCore:
     def _conflict_text(self, time_ns: int, stations: tuple[str, ...]) -> str:
         """Return the text of conflicting directions of some theodolites; empty if there are none."""
         sources = {f"station.{name}" for name in stations}
-        return self._contradictions.text(sources & self._contradictions.at(time_ns).keys())
+        return self._contradictions.text(sources & self._contradictions.active_at(time_ns).keys())
 
 
 def _invalid_position(

@@ -5,7 +5,7 @@ Images affect nothing else: the pointings and their inputs are, to the last bit,
 
 from collections import deque
 
-from ship_estimation.refusals import Contradictions, Rejection, same_stamp
+from ship_estimation.refusals import StampConflicts, Rejection, resolve_same_stamp
 from theodolite_calib.measured.samples import TargetSample
 
 MOST_WAITING = 1000
@@ -24,7 +24,7 @@ class PendingTargets:
         contradictions: stamp conflicts of their source.
     """
 
-    def __init__(self, contradictions: Contradictions) -> None:
+    def __init__(self, contradictions: StampConflicts) -> None:
         self._waiting: dict[_Key, tuple[TargetSample, int]] = {}
         self._answered: dict[_Key, TargetSample] = {}
         self._order: deque[_Key] = deque()
@@ -39,8 +39,8 @@ class PendingTargets:
         waits = self._waiting.get(key)
         known = waits[0] if waits is not None else self._answered.get(key)
         if known is not None:
-            takes_its_place, rejection = same_stamp(known, sample)
-            self._contradictions.note(sample.source, sample.time_ns, rejection)
+            takes_its_place, rejection = resolve_same_stamp(known, sample)
+            self._contradictions.record(sample.source, sample.time_ns, rejection)
             if takes_its_place and waits is not None:
                 self._waiting[key] = sample, waits[1]
             return rejection
@@ -70,4 +70,4 @@ class PendingTargets:
 
         It applies to all targets together, because their names come from outside and could be any number.
         """
-        return self._contradictions.text(self._contradictions.at(time_ns))
+        return self._contradictions.text(self._contradictions.active_at(time_ns))
