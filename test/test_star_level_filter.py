@@ -19,7 +19,7 @@ from ship_attitude_star.sky.sky_watch import ApparentStars, LocalSky, SkyModel
 from ship_estimation.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
 from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.earth_orientation import EarthOrientation, EarthOrientationTable, earth_orientation_table
-from ship_geometry.refraction import elevation_of, lifted
+from ship_geometry.refraction import elevation_of, raised_directions
 from ship_geometry.rotations import FloatArray, log_rotation
 from ship_geometry.star_directions import RefreshedSky
 from ship_replay.trials.monte_carlo import core_for, feed_attitude, final_error
@@ -192,7 +192,7 @@ class _Airless(LocalSky):
     def apparent(self, stars) -> ApparentStars:
         seen = super().apparent_stars(stars)
         angle = elevation_of(seen.direction_n) - seen.elevation
-        return replace(seen, direction_n=lifted(seen.direction_n, -angle))
+        return replace(seen, direction_n=raised_directions(seen.direction_n, -angle))
 
 
 class SkyWithoutRefraction(SkyModel):

@@ -20,7 +20,7 @@ from ship_estimation.parameters import build
 from ship_geometry.earth_orientation import earth_orientation_table
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.geodetic import GeodeticPosition
-from ship_geometry.refraction import Weather, elevation_of, lifted, refraction
+from ship_geometry.refraction import Weather, elevation_of, raised_directions, refraction
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_geometry.star_directions import Observer, directions
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, Arrival, exactly, in_order
@@ -109,7 +109,7 @@ def true_directions(rows: FloatArray, since_ns: int) -> FloatArray:
     observer = Observer(true_place(since_ns), np.array([NORTH_M_PER_S, 0.0, EAST_M_PER_S]))
     stars = hipparcos().at_j2000[rows]
     without_air = directions(stars, np.array(time_ns), observer, earth_orientation_table().at(time_ns))
-    return lifted(without_air, refraction("erfa", elevation_of(without_air), WEATHER).angle)
+    return raised_directions(without_air, refraction("erfa", elevation_of(without_air), WEATHER).angle)
 
 
 @functools.cache

@@ -51,7 +51,7 @@ def test_a_stack_of_samples_gives_what_the_single_calls_give(sigma_rad: float) -
     for row in range(SAMPLES):
         alone = slice(row, row + 1)
         own, first = [corrected[by[row]]], np.zeros(1, dtype=np.intp)
-        rotation, of_one = corrected_attitudes(own, first, since_s[alone], moved.some(alone))
+        rotation, of_one = corrected_attitudes(own, first, since_s[alone], moved.subset(alone))
         assert rotations[row].tobytes() == rotation.tobytes()
         assert parts[row].tobytes() == of_one.tobytes()
 
@@ -77,7 +77,7 @@ def test_attitudes_of_several_states_are_those_of_each_alone() -> None:
     for number, (run, one) in enumerate(zip(runs, corrected, strict=True)):
         for place in range(count):
             at = slice(count * number + place, count * number + place + 1)
-            (alone,) = corrected_estimates([one], [1], times_ns[at], moved.some(at), config)
+            (alone,) = corrected_estimates([one], [1], times_ns[at], moved.subset(at), config)
             assert repr(run.estimate(place)) == repr(alone.estimate(0))
             assert run.covariance_by_source_n[place].tobytes() == alone.covariance_by_source_n[0].tobytes()
             assert run.covariance_n[place].tobytes() == alone.covariance_n[0].tobytes()

@@ -16,7 +16,7 @@ from ship_attitude_star.stars.fit import fit_attitude, linearise_stars
 from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.refusals import Reason
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
-from ship_geometry.exposure_mean import turning_over
+from ship_geometry.exposure_mean import exposure_motion
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
 from ship_testing.star_scenes import draw_scene
@@ -74,7 +74,7 @@ def with_streaks(exposure, rotation_ds: FloatArray, exposure_s: float):
 
 
 def reduced_to_middle(exposure, rotation_ds: FloatArray):
-    return reduce_to_mid_exposure(exposure, turning_over(rolling_track(), TIME_NS, exposure.length.nodes).mounted(rotation_ds).turns)
+    return reduce_to_mid_exposure(exposure, exposure_motion(rolling_track(), TIME_NS, exposure.length.nodes).in_device_frame(rotation_ds).turns)
 
 
 @pytest.mark.parametrize("sensor", ["fore", "starboard"])
@@ -114,7 +114,7 @@ def test_the_noise_grows_only_along_the_streak(watch, exposure_s):
 
 def test_a_star_that_leaves_the_field_during_the_exposure_has_no_weight(watch):
     seen = replace(exposure_of(watch, "fore", 3), length=ExposureLength(10.0, CAMERA, PSF_PX))
-    turning = turning_over(rolling_track(-6.0, 6.0), TIME_NS, seen.length.nodes)
+    turning = exposure_motion(rolling_track(-6.0, 6.0), TIME_NS, seen.length.nodes)
     away = np.array([rotation_from_angles(np.deg2rad(20e-9 * ns), 0.0, 0.0) for ns in turning.nodes.offset_ns])
     found = reduce_to_mid_exposure(seen, away)
     np.testing.assert_array_equal(found.directions_s, seen.directions_s)

@@ -209,7 +209,7 @@ class InsCheck:
         fresh = self._stuck_check.count_new_values(samples[0].time_ns, block.rotations_nd)
         while followed.count < fresh and followed.last is None:
             start = followed.count
-            rest = block.some(slice(start, fresh))
+            rest = block.subset(slice(start, fresh))
             integrated = self._integrator.integrate_all(rest.times_ns, rest.rates_d)
             self._check_run(samples[start:fresh], rest, integrated, followed)
             if followed.count == start:
@@ -241,7 +241,7 @@ class InsCheck:
             due = start + 1 + int(block.times_ns[start:joined].searchsorted(self._rate_check.due_ns))
             some = slice(start, min(due, joined))
             times_ns, learnt = block.times_ns[some], self._drift_updates
-            count, followed.last = self._check_line(samples[some], block.some(some), integrated.subset(some), due - start)
+            count, followed.last = self._check_line(samples[some], block.subset(some), integrated.subset(some), due - start)
             if count:
                 followed.add(times_ns[:count], integrated.rotations[start : start + count], drift_rad_per_s)
             start += count

@@ -122,7 +122,7 @@ class RateIntegrator:
         turns_d, missed = compiled_watch.rotation_steps(
             times_ns, rates_d, *self._last, missed_rad, self._twice_drift_d, _LONGEST_STEP_NS
         )
-        return compiled_rotations.turned_on(rotation, turns_d), missed
+        return compiled_rotations.cumulative_rotations(rotation, turns_d), missed
 
     def set_drift(self, drift_d: FloatArray) -> None:
         """Set the error of the rates, deck frame, rad/s, shape (3,), which is subtracted from now on."""

@@ -74,7 +74,7 @@ class Estimator:
     def step(self, state: float, toy: Toy, may_wait: bool) -> tuple[float, MeasurementDecision[Toy]] | None:
         if math.isnan(toy.value):
             raise ArithmeticError("singular")
-        if may_wait and self.waits and not self.track.covers(toy.time_ns):
+        if may_wait and self.waits and not self.track.is_final_at(toy.time_ns):
             return None
         if toy.value < 0.0:
             return state, MeasurementDecision(toy, Reason.GATE)

@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_geometry import compiled_rotations
-from ship_geometry.interpolation_error import ANY_DIRECTION, BESIDE, as_covariance, by_polynomial
+from ship_geometry.interpolation_error import ANY_DIRECTION, NEXT_TERM_SHARE, as_covariance, polynomial_errors
 from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
-from ship_geometry.sample_track import RECENT, SampleTrack
+from ship_geometry.sample_track import RECENT_COUNT, SampleTrack
 from ship_geometry.time_scales import SECOND_NS
 
-_EVERY_NS = 100_000_000
+_SPACING_NS = 100_000_000
 """Spacing of the samples from which the motion is estimated, ns: with closer ones noise dominates."""
 
-RATES = 4
+MAX_RATES = 4
 """Maximum number of measured rates for the angular acceleration and its change."""
 
 _WORST_OF_DIFFERENCED = 0.0962
@@ -70,11 +70,11 @@ class SampleBlock(NamedTuple):
         """Return the samples as a list."""
         return list(map(AttitudeSample, self.times_ns.tolist(), self.rotations_nd, self.rates_d))
 
-    def one(self, number: int) -> AttitudeSample:
+    def sample(self, number: int) -> AttitudeSample:
         """Return one sample."""
         return AttitudeSample(int(self.times_ns[number]), self.rotations_nd[number], self.rates_d[number])
 
-    def some(self, which: slice) -> "SampleBlock":
+    def subset(self, which: slice) -> "SampleBlock":
         """Return a slice of the samples."""
         return SampleBlock(self.times_ns[which], self.rotations_nd[which], self.rates_d[which])
 
@@ -147,7 +147,7 @@ class PropagatedBlock(NamedTuple):
             return self
         return self._replace(error_covariance_d=self.error_covariance_d + extra.covariances_d(self.rate_d))
 
-    def some(self, which: slice) -> "PropagatedBlock":
+    def subset(self, which: slice) -> "PropagatedBlock":
         """Return a slice of the attitudes."""
         return PropagatedBlock(*(values[which] for values in self))
 
@@ -245,10 +245,10 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         return self._with_noise(found, time_ns) if self._extra else found
 
     @property
-    def newest_rate_known(self) -> bool:
+    def has_newest_rate(self) -> bool:
         """True if the newest sample has a rate: a measured one, or the difference from the sample before."""
         index = len(self._samples) - 1
-        return self._has_rate(index) or (index > 0 and self._joined(index - 1))
+        return self._has_rate(index) or (index > 0 and self._are_joined(index - 1))
 
     def propagate_newest(self, ahead_s: float) -> InterpolatedAttitude:
         """Return the newest attitude propagated by a short time, with its rate and angular acceleration.
@@ -276,16 +276,16 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
 
     def recent_rates(self) -> RecentRates | None:
         """Return the rates for the propagation of later samples; None with fewer than MAX_RATES - 1 samples."""
-        recent, times_ns = self._samples[1 - RATES :], self._times[1 - RATES :]
+        recent, times_ns = self._samples[1 - MAX_RATES :], self._times[1 - MAX_RATES :]
         rates_d = [sample.rate_d for sample in recent if sample.rate_d is not None]
-        if len(rates_d) < RATES - 1 or max(np.diff(times_ns)) > self.max_gap_ns:
+        if len(rates_d) < MAX_RATES - 1 or max(np.diff(times_ns)) > self.max_gap_ns:
             return None
         # A jump after the first of these samples is too recent.
         if self._cuts_ns and max(self._cuts_ns) >= times_ns[0]:
             return None
         return RecentRates(np.array(times_ns), np.array(rates_d))
 
-    def forget_rates(self, after_ns: int) -> int | None:
+    def drop_rates(self, after_ns: int) -> int | None:
         """Drop the measured rates of all samples after a stamp, because they are wrong.
 
         Returns:
@@ -325,8 +325,8 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
     def _recent_rates(self, index: int) -> list[FloatArray]:
         """Return up to four measured rates, rad/s, newest first, without a gap, jump or missing rate between them."""
         recent: list[FloatArray] = []
-        for sample in reversed(self._samples[max(index + 1 - RATES, 0) : index + 1]):
-            if sample.rate_d is None or (recent and not self._joined(index - len(recent))):
+        for sample in reversed(self._samples[max(index + 1 - MAX_RATES, 0) : index + 1]):
+            if sample.rate_d is None or (recent and not self._are_joined(index - len(recent))):
                 break
             recent.append(sample.rate_d)
         return recent
@@ -334,7 +334,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
     def _propagate_by_differences(self, index: int, ahead_s: float) -> InterpolatedAttitude:
         """Propagate the newest sample without measured rates, by a parabola through it and two samples before."""
         sample = self._samples[index]
-        recent = self._recent(index)
+        recent = self._motion_samples(index)
         if len(recent) == 1:
             return InterpolatedAttitude(sample.rotation_nd, np.zeros(3), 1.0)
         rotations = np.array([self._samples[other].rotation_nd for other in recent])
@@ -359,22 +359,22 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         error = _error_by_differences(nodes_s, second, ahead_s)
         return InterpolatedAttitude(sample.rotation_nd @ exp_rotation(vector), rate, float(gain), error)
 
-    def _recent(self, index: int) -> list[int]:
+    def _motion_samples(self, index: int) -> list[int]:
         """Return the indices of the samples from which the newest one's motion is estimated, newest first.
 
         They are the newest sample, the one before it, and then one sample every tenth of a second back.
         """
         recent = [index]
         oldest = self._recent_from()
-        if index == 0 or not self._joined(index - 1):
+        if index == 0 or not self._are_joined(index - 1):
             return recent
         recent.append(index - 1)
-        while len(recent) < RECENT:
+        while len(recent) < RECENT_COUNT:
             last = recent[-1]
-            found = bisect.bisect_right(self._times, self._times[last] - _EVERY_NS) - 1
-            if found < oldest or self._times[last] - self._times[found] > max(self.max_gap_ns, 2 * _EVERY_NS):
+            found = bisect.bisect_right(self._times, self._times[last] - _SPACING_NS) - 1
+            if found < oldest or self._times[last] - self._times[found] > max(self.max_gap_ns, 2 * _SPACING_NS):
                 break
-            if self._cut_between(self._times[found], self._times[last]):
+            if self._is_cut_between(self._times[found], self._times[last]):
                 break
             recent.append(found)
         return recent
@@ -390,9 +390,9 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         interval_s = self._seconds(left, left + 1)
         # The error of the cubic is estimated from its difference to the sample before.
         before, at_before = first, 0.0
-        if left > 0 and self._joined(left - 1):
+        if left > 0 and self._are_joined(left - 1):
             before, at_before = self._samples[left - 1], -self._seconds(left - 1, left) / interval_s
-        rotation_nd, rate_d, gain, errors_d, covariance_d = compiled_rotations.between(
+        rotation_nd, rate_d, gain, errors_d, covariance_d = compiled_rotations.interpolate_attitude(
             first.rotation_nd,
             second.rotation_nd,
             before.rotation_nd,
@@ -401,7 +401,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
             interval_s,
             fraction,
             at_before,
-            BESIDE,
+            NEXT_TERM_SHARE,
             ANY_DIRECTION,
             _LARGEST_VARIANCE,
         )
@@ -416,7 +416,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         )
         around = self._around(left)
         values = np.array([self._turn(left, index) for index in around])
-        errors = by_polynomial(self._fractions(around, left), values, fraction, vector)
+        errors = polynomial_errors(self._fractions(around, left), values, fraction, vector)
         covariance_d, gain = as_covariance(errors, _LARGEST_VARIANCE), self._noise_gain(left, fraction)
         return InterpolatedAttitude(rotation_nd, rate_d, gain, covariance_d, first, second, errors)
 
@@ -450,7 +450,7 @@ def propagate_block(before: RecentRates, block: SampleBlock, ahead_s: FloatArray
     steps_s = np.diff(np.concatenate([before.times_ns, block.times_ns[:count]])) / SECOND_NS
     rates_d = np.concatenate([before.rates_d, block.rates_d[:count]])
     # Newest first for each sample.
-    recent = np.arange(RATES - 1, RATES - 1 + count)[:, None] - np.arange(RATES)
+    recent = np.arange(MAX_RATES - 1, MAX_RATES - 1 + count)[:, None] - np.arange(MAX_RATES)
     moved_nd, rate_d, error_d = propagate_by_rates(
         block.rotations_nd[:count], rates_d[recent], steps_s[recent[:, :-1] - 1], ahead_s
     )
@@ -479,7 +479,7 @@ def propagate_by_rates(
         >>> print(log_rotation(moved_nd[0]).round(6))
         [0.001 0.    0.   ]
     """
-    found: tuple[FloatArray, FloatArray, FloatArray] = compiled_rotations.moved(
+    found: tuple[FloatArray, FloatArray, FloatArray] = compiled_rotations.propagate_by_rates(
         rotation_nd, rates_d, steps_s, ahead_s, ANY_DIRECTION, _LARGEST_VARIANCE
     )
     return found

@@ -21,7 +21,7 @@ _COLUMNS = cython.declare(cython.int, 19)
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _copied(matrix: cython.const[cython.double][:, :], out: cython.p_double) -> cython.void:
+def _copy(matrix: cython.const[cython.double][:, :], out: cython.p_double) -> cython.void:
     """Copy the nine elements of a 3 × 3 matrix of any memory layout, row by row."""
     i: cython.int
     j: cython.int
@@ -110,15 +110,15 @@ def sight_lines(
     i: cython.int
     j: cython.int
     for e in range(epochs):
-        _copied(ships[e], rotation_nd)
-        _copied(mounts[e], rotation_dm)
+        _copy(ships[e], rotation_nd)
+        _copy(mounts[e], rotation_dm)
         _times(rotation_nd, rotation_dm, rotation_nm)
         for i in range(3):
             lens[i] = 0.0
             for j in range(3):
                 lens[i] += rotation_nd[3 * i + j] * lever[j] + rotation_nm[3 * i + j] * principal_point[j]
         for n in range(count):
-            _copied(drones[e, n], rotation_nb)
+            _copy(drones[e, n], rotation_nb)
             length = 0.0
             for i in range(3):
                 light[i] = 0.0
@@ -186,7 +186,7 @@ def image_points(
     i: cython.int
     k: cython.int
     for e in range(epochs):
-        _copied(telescopes[e], rotation_nt)
+        _copy(telescopes[e], rotation_nt)
         for n in range(count):
             for i in range(3):
                 seen_n[i] = directions[e, n, i]

@@ -202,7 +202,7 @@ def axis_geometries(
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _add_turned(
+def _add_projected(
     by_vector: cython.p_double, width: cython.Py_ssize_t, covariance: cython.p_double, out: cython.p_double
 ) -> cython.void:
     """Add J P Jᵀ to a covariance (3 × 3), with P of shape (3, 3) and J three columns of a matrix of this width."""
@@ -225,7 +225,7 @@ def _add_turned(
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _turned(
+def _projected_covariance(
     by_error: cython.p_double, parts: cython.p_double, size: cython.Py_ssize_t, out: cython.p_double
 ) -> cython.void:
     """Write J P Jᵀ with J of shape (3, size) and P symmetric, shape (size, size)."""
@@ -254,10 +254,10 @@ def pointings(
     ship_variances: cython.const[cython.double][:],
     angles: cython.const[cython.double][:, :],
     angle_variances: cython.const[cython.double][:],
-    kept: cython.const[cython.double][:, :],
-    new: cython.const[cython.double][:, :, :],
+    remaining_share: cython.const[cython.double][:, :],
+    added_covariance: cython.const[cython.double][:, :, :],
     errors: cython.const[cython.double][::1],
-    lasting: cython.const[cython.uchar][::1],
+    exceeds_model: cython.const[cython.uchar][::1],
     time_s: cython.const[cython.double][::1],
     steady: cython.const[cython.double][:, :, ::1],
     parts: cython.const[cython.double][:, :, ::1],
@@ -301,10 +301,10 @@ def pointings(
     check("readings", angles.shape[0] == angle_variances.shape[0] == count)
     check("rotations", rotations.shape[1] == rotations.shape[2] == rates.shape[1] == 3)
     check("angles", angles.shape[1] == 2)
-    steps: cython.bint = kept.shape[0] > 0
-    check("new", kept.shape[1] == new.shape[1] == new.shape[2] == 3)
-    check("new", new.shape[0] == kept.shape[0] and (kept.shape[0] == count or not steps))
-    check("errors", errors.shape[0] == _ERRORS and lasting.shape[0] == time_s.shape[0] == _CORRELATED)
+    steps: cython.bint = remaining_share.shape[0] > 0
+    check("new", remaining_share.shape[1] == added_covariance.shape[1] == added_covariance.shape[2] == 3)
+    check("new", added_covariance.shape[0] == remaining_share.shape[0] and (remaining_share.shape[0] == count or not steps))
+    check("errors", errors.shape[0] == _ERRORS and exceeds_model.shape[0] == time_s.shape[0] == _CORRELATED)
     check("steady", steady.shape[0] == 2 and steady.shape[1] == steady.shape[2] == 3)
     check("parts", parts.shape[2] == size and (size == _ERRORS - 1 or size == _ERRORS))
     check("sources", min(ship, bending, encoder, white) >= 0 and max(ship, bending, encoder, white) < sources)
@@ -335,10 +335,10 @@ def pointings(
             now[i] = errors[i]
         for i in range(_CORRELATED):
             decay[i] = exp(-since_s / time_s[i])
-            if not lasting[i]:
+            if not exceeds_model[i]:
                 now[i] *= decay[i]
         for i in range(3):
-            left[i] = kept[n, i] if steps else 1.0
+            left[i] = remaining_share[n, i] if steps else 1.0
             now[i] *= left[i]
             rate[i] = rates[n, i]
             for j in range(3):
@@ -363,7 +363,7 @@ def pointings(
             for j in range(3):
                 propagated[size * i + j] *= left[j]
         for s in range(sources):
-            _turned(
+            _projected_covariance(
                 propagated,
                 cython.cast(cython.p_double, cython.address(parts[s, 0, 0])),
                 size,
@@ -373,12 +373,12 @@ def pointings(
             for j in range(3):
                 fresh[3 * i + j] = (1.0 - decay[i] * decay[j]) * steady[0, i, j]
                 if steps:
-                    fresh[3 * i + j] = left[i] * fresh[3 * i + j] * left[j] + new[n, i, j]
-        _add_turned(by_all, 14, fresh, cython.address(out[n, ship, 0, 0]))
+                    fresh[3 * i + j] = left[i] * fresh[3 * i + j] * left[j] + added_covariance[n, i, j]
+        _add_projected(by_all, 14, fresh, cython.address(out[n, ship, 0, 0]))
         for i in range(3):
             for j in range(3):
                 fresh[3 * i + j] = (1.0 - decay[3 + i] * decay[3 + j]) * steady[1, i, j]
-        _add_turned(cython.address(by_all[3]), 14, fresh, cython.address(out[n, bending, 0, 0]))
+        _add_projected(cython.address(by_all[3]), 14, fresh, cython.address(out[n, bending, 0, 0]))
         for i in range(3):
             out[n, white, i, i] += ship_variances[n]
             for j in range(3):
@@ -391,7 +391,7 @@ def pointings(
 def totals(
     parts: cython.double[:, :, :, ::1],
     by_error: cython.const[cython.double][:, :, ::1],
-    beside: cython.const[cython.double][:, ::1],
+    further_covariance: cython.const[cython.double][:, ::1],
     added: cython.const[cython.uchar][:],
     source: cython.Py_ssize_t,
 ):
@@ -412,7 +412,7 @@ def totals(
     size: cython.Py_ssize_t = by_error.shape[2]
     check("covariances", parts.shape[2] == parts.shape[3] == by_error.shape[1] == 3)
     check("moments", by_error.shape[0] == added.shape[0] == count)
-    check("beside", beside.shape[0] == beside.shape[1] == size and 0 < size <= _ERRORS)
+    check("beside", further_covariance.shape[0] == further_covariance.shape[1] == size and 0 < size <= _ERRORS)
     check("source", 0 <= source < sources)
     of_before, of_after = np.empty((count, 3, 3)), np.empty((count, 3, 3))
     before: cython.double[:, :, ::1] = of_before
@@ -426,9 +426,9 @@ def totals(
         for i in range(9):
             further[i] = 0.0
         if added[n]:
-            _turned(
+            _projected_covariance(
                 cython.cast(cython.p_double, cython.address(by_error[n, 0, 0])),
-                cython.cast(cython.p_double, cython.address(beside[0, 0])),
+                cython.cast(cython.p_double, cython.address(further_covariance[0, 0])),
                 size,
                 further,
             )

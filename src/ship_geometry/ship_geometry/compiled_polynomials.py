@@ -20,14 +20,14 @@ from cython.cimports.libc.math import INFINITY, rint
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _off(
+def _polynomial_error(
     nodes: cython.p_double,
     values: cython.p_double,
     count: cython.Py_ssize_t,
     width: cython.Py_ssize_t,
     at: cython.double,
     found: cython.p_double,
-    beside: cython.double,
+    next_term_share: cython.double,
     out: cython.p_double,
 ) -> cython.void:
     """Write the error of a value by Newton's polynomial through samples, which are overwritten, and its last term."""
@@ -48,18 +48,18 @@ def _off(
         for i in range(width):
             term = values[row * width + i] * product
             out[i] += term
-            out[width + i] = beside * term
+            out[width + i] = next_term_share * term
         product *= at - nodes[row]
     for i in range(width):
         out[i] -= found[i]
 
 
-def errors_by_polynomial(
+def polynomial_errors(
     nodes: cython.const[cython.double][:],
     values: cython.const[cython.double][:, :],
     at: cython.double,
     found: cython.const[cython.double][:],
-    beside: cython.double,
+    next_term_share: cython.double,
 ) -> FloatArray:
     """Return :func:`ship_geometry.interpolation_error.polynomial_errors` for three samples or more, shape (2, k).
 
@@ -89,20 +89,20 @@ def errors_by_polynomial(
             room[row * width + i] = values[row, i]
     for i in range(width):
         room[count * width + i] = found[i]
-    _off(
+    _polynomial_error(
         places,
         cython.address(room[0]),
         count,
         width,
         at,
         cython.address(room[count * width]),
-        beside,
+        next_term_share,
         cython.address(out[0, 0]),
     )
     return errors
 
 
-def between(
+def interpolate_vector(
     times_ns: cython.const[cython.longlong][:],
     vectors: cython.const[cython.double][:, :],
     left: cython.Py_ssize_t,
@@ -112,7 +112,7 @@ def between(
     slope0: cython.double,
     value1: cython.double,
     slope1: cython.double,
-    beside: cython.double,
+    next_term_share: cython.double,
     any_direction: cython.double,
 ):
     """Interpolate a vector between two of a few neighbouring samples without a gap.
@@ -183,7 +183,7 @@ def between(
         for i in range(width):
             errors[i] = 0.5 * fraction * (1.0 - fraction) * changes[width + i]
     else:
-        _off(nodes, changes, rows, width, fraction, change, beside, errors)
+        _polynomial_error(nodes, changes, rows, width, fraction, change, next_term_share, errors)
     for i in range(2 * width):
         squares += errors[i] * errors[i]
     for i in range(width):

@@ -22,7 +22,7 @@ _TINY = cython.declare(cython.double, 1e-300)
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _bent(
+def _refraction(
     elevation: cython.double,
     coefficients: cython.const[cython.double][:, ::1],
     curvature: cython.double,
@@ -54,7 +54,7 @@ def _bent(
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _lifted(direction: cython.p_double, angle: cython.double, out: cython.p_double) -> cython.void:
+def _raise_direction(direction: cython.p_double, angle: cython.double, out: cython.p_double) -> cython.void:
     """Write a direction (North, Up, East) raised by an angle."""
     horizontal: cython.double = hypot(direction[0], direction[2])
     stretch: cython.double = cos(angle) - sin(angle) * direction[1] / max(horizontal, _TINY)
@@ -62,14 +62,14 @@ def _lifted(direction: cython.p_double, angle: cython.double, out: cython.p_doub
     out[1] = direction[1] * cos(angle) + horizontal * sin(angle)
 
 
-def _fits(coefficients, of_observed, sigmas) -> None:
+def _check_model(coefficients, of_observed, sigmas) -> None:
     """Raise ValueError for numbers that are not those of a model, because the loops do not check bounds."""
     terms = coefficients.shape[0]
     check("model", terms == 2 or (terms > 2 and not of_observed))
     check("model", coefficients.shape[1] == sigmas.shape[0] == 3)
 
 
-def bent(
+def refraction_angles(
     elevation: cython.const[cython.double][::1],
     coefficients: cython.const[cython.double][:, ::1],
     curvature: cython.double,
@@ -91,7 +91,7 @@ def bent(
     Returns:
         The angle, rad, and its derivatives, shape (k, 3); standard deviation of the model itself, rad, shape (k,).
     """
-    _fits(coefficients, of_observed, sigmas)
+    _check_model(coefficients, of_observed, sigmas)
     count: cython.Py_ssize_t = elevation.shape[0]
     of_angles, of_sigma = np.empty((count, 3)), np.empty(count)
     angles: cython.double[:, ::1] = of_angles
@@ -100,11 +100,11 @@ def bent(
     k: cython.Py_ssize_t
     for k in range(count):
         out = cython.address(angles[k, 0])
-        sigma[k] = _bent(elevation[k], coefficients, curvature, lowest, of_observed, sigmas, out)
+        sigma[k] = _refraction(elevation[k], coefficients, curvature, lowest, of_observed, sigmas, out)
     return of_angles, of_sigma
 
 
-def lifted(direction_n: cython.const[cython.double][:, ::1], angle: cython.const[cython.double][::1]) -> FloatArray:
+def raised_directions(direction_n: cython.const[cython.double][:, ::1], angle: cython.const[cython.double][::1]) -> FloatArray:
     """Return directions (North, Up, East), shape (k, 3), raised by angles, rad, shape (k,)."""
     count: cython.Py_ssize_t = angle.shape[0]
     check("directions", direction_n.shape[0] == count and direction_n.shape[1] == 3)
@@ -114,11 +114,11 @@ def lifted(direction_n: cython.const[cython.double][:, ::1], angle: cython.const
     k: cython.Py_ssize_t
     for k in range(count):
         star[0], star[1], star[2] = direction_n[k, 0], direction_n[k, 1], direction_n[k, 2]
-        _lifted(star, angle[k], cython.address(out[k, 0]))
+        _raise_direction(star, angle[k], cython.address(out[k, 0]))
     return result
 
 
-def seen(
+def seen_through_air(
     without_air_n: cython.const[cython.double][:, ::1],
     coefficients: cython.const[cython.double][:, ::1],
     curvature: cython.double,
@@ -146,7 +146,7 @@ def seen(
         Unit vectors with air, shape (k, 3); their displacement by one sigma of refraction and by each rotation, rad,
         shape (k, 3, 1 + m); the elevations without air, rad, shape (k,).
     """
-    _fits(coefficients, of_observed, sigmas)
+    _check_model(coefficients, of_observed, sigmas)
     count: cython.Py_ssize_t = without_air_n.shape[0]
     turns: cython.Py_ssize_t = turns_n.shape[0]
     check("vectors", without_air_n.shape[1] == turns_n.shape[1] == 3)
@@ -164,9 +164,9 @@ def seen(
     for k in range(count):
         star[0], star[1], star[2] = without_air_n[k, 0], without_air_n[k, 1], without_air_n[k, 2]
         elevation[k] = atan2(star[1], hypot(star[0], star[2]))
-        sigma = _bent(elevation[k], coefficients, curvature, lowest, of_observed, sigmas, angles)
+        sigma = _refraction(elevation[k], coefficients, curvature, lowest, of_observed, sigmas, angles)
         sigma = hypot(hypot(angles[1] * pressure_sigma, angles[2] * temperature_sigma), sigma)
-        _lifted(star, angles[0], cython.address(direction[k, 0]))
+        _raise_direction(star, angles[0], cython.address(direction[k, 0]))
         star[0], star[1], star[2] = direction[k, 0], direction[k, 1], direction[k, 2]
         # Perpendicular to the direction, upwards. At the zenith, where this is undefined, it is small instead of NaN.
         level = hypot(star[0], star[2])

@@ -123,7 +123,7 @@ def _logarithm(rotation: cython.p_double, out: cython.p_double) -> cython.void:
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _copied(matrix: cython.const[cython.double][:, :], out: cython.p_double) -> cython.void:
+def _copy(matrix: cython.const[cython.double][:, :], out: cython.p_double) -> cython.void:
     """Copy the nine elements of a 3 × 3 matrix of any memory layout, row by row."""
     i: cython.int
     j: cython.int
@@ -138,7 +138,7 @@ def logarithm(rotation: cython.const[cython.double][:, :]):
     matrix = cython.declare(cython.double[9])
     vector = np.empty(3)
     out: cython.double[::1] = vector
-    _copied(rotation, matrix)
+    _copy(rotation, matrix)
     _logarithm(matrix, cython.address(out[0]))
     return vector
 
@@ -154,7 +154,7 @@ def _times(left: cython.p_double, right: cython.p_double, out: cython.p_double) 
             out[3 * i + j] = left[3 * i] * right[j] + left[3 * i + 1] * right[3 + j] + left[3 * i + 2] * right[6 + j]
 
 
-def turned_on(rotation: cython.const[cython.double][:, :], vectors: cython.const[cython.double][:, :]):
+def cumulative_rotations(rotation: cython.const[cython.double][:, :], vectors: cython.const[cython.double][:, :]):
     """Return the N rotations that follow from a rotation by N successive rotation vectors about the rotated axes.
 
     Args:
@@ -173,7 +173,7 @@ def turned_on(rotation: cython.const[cython.double][:, :], vectors: cython.const
     turn = cython.declare(cython.double[9])
     n: cython.Py_ssize_t
     i: cython.int
-    _copied(rotation, before)
+    _copy(rotation, before)
     for n in range(count):
         for i in range(3):
             vector[i] = vectors[n, i]
@@ -237,11 +237,11 @@ def _transposed_times(left: cython.p_double, right: cython.p_double, out: cython
             out[3 * i + j] = left[i] * right[j] + left[3 + i] * right[3 + j] + left[6 + i] * right[6 + j]
 
 
-def hung(
+def composed_attitude(
     mean: cython.const[cython.double][::1],
     links: cython.const[cython.Py_ssize_t][::1],
     after: cython.const[cython.double][:, :, ::1],
-    hull: cython.Py_ssize_t,
+    base_link: cython.Py_ssize_t,
     white: cython.Py_ssize_t,
     white_scale: cython.double,
     clocks: cython.const[cython.Py_ssize_t][::1],
@@ -275,7 +275,7 @@ def hung(
     n: cython.Py_ssize_t = mean.shape[0]
     count: cython.Py_ssize_t = links.shape[0]
     check("after", after.shape[0] == count and after.shape[1] == after.shape[2] == 3)
-    check("links", 0 <= hull < count and 0 <= white < count)
+    check("links", 0 <= base_link < count and 0 <= white < count)
     check("clocks", clocks.shape[0] == signs.shape[0])
     check("base", base.shape[0] == base.shape[1] == base_error.shape[0] == base_error.shape[1] == rate.shape[0] == 3)
     of_attitude, of_jacobian, of_error = np.empty((3, 3)), np.zeros((3, n)), np.empty((3, 3))
@@ -309,9 +309,9 @@ def hung(
             for j in range(3):
                 jacobian[i, links[k] + j] = scale * turn[3 * i + j]
         _times(cython.cast(cython.p_double, cython.address(after[k, 0, 0])), turned, product)
-        if k == hull:
+        if k == base_link:
             memcpy(from_hung, product, 9 * cython.sizeof(cython.double))
-            _copied(base, on_base)
+            _copy(base, on_base)
             _times(on_base, from_hung, product)
     memcpy(cython.address(attitude[0, 0]), product, 9 * cython.sizeof(cython.double))
     for i in range(3):
@@ -319,7 +319,7 @@ def hung(
         for k in range(clocks.shape[0]):
             check("clocks", 0 <= clocks[k] < n)
             jacobian[i, clocks[k]] = signs[k] * scale
-    _copied(base_error, on_base)
+    _copy(base_error, on_base)
     _transposed_times(from_hung, on_base, turn)
     _times(turn, from_hung, cython.address(error[0, 0]))
     return of_attitude, of_jacobian, of_error
@@ -333,8 +333,8 @@ def turn_between(first: cython.const[cython.double][:, :], second: cython.const[
     product = cython.declare(cython.double[9])
     vector = np.empty(3)
     out: cython.double[::1] = vector
-    _copied(first, before)
-    _copied(second, after)
+    _copy(first, before)
+    _copy(second, after)
     _transposed_times(before, after, product)
     _logarithm(product, cython.address(out[0]))
     return vector
@@ -432,7 +432,7 @@ def cubic(
     end = cython.declare(cython.double[3])
     rate_there = cython.declare(cython.double[3])
     i: cython.int
-    _copied(first, matrix)
+    _copy(first, matrix)
     for i in range(3):
         whole[i], start[i], rate_there[i] = turn[i], start_rate[i] * interval_s, end_rate[i]
     _cubic(
@@ -442,7 +442,7 @@ def cubic(
     return of_rotation, of_rate, of_vector
 
 
-def between(
+def interpolate_attitude(
     first: cython.const[cython.double][:, :],
     second: cython.const[cython.double][:, :],
     other: cython.const[cython.double][:, :],
@@ -451,7 +451,7 @@ def between(
     interval_s: cython.double,
     at: cython.double,
     other_at: cython.double,
-    beside: cython.double,
+    bound_share: cython.double,
     any_direction: cython.double,
     largest: cython.double,
 ):
@@ -505,8 +505,8 @@ def between(
     i: cython.int
     j: cython.int
     k: cython.int
-    _copied(first, start_nd)
-    _copied(second, other_nd)
+    _copy(first, start_nd)
+    _copy(second, other_nd)
     _transposed_times(start_nd, other_nd, between_d)
     _logarithm(between_d, turn)
     for i in range(3):
@@ -516,10 +516,10 @@ def between(
         vector, cython.address(rotation[0, 0]), cython.address(rate[0]),
     )  # fmt: skip
     if estimates == 2:
-        _copied(other, other_nd)
+        _copy(other, other_nd)
         _transposed_times(start_nd, other_nd, between_d)
         _logarithm(between_d, to_other)
-        share = 0.5 * beside
+        share = 0.5 * bound_share
         scale = bent / (other_at * (1.0 - other_at))
         for i in range(3):
             miss = to_other[i] - (
@@ -544,7 +544,7 @@ def between(
     return of_rotation, of_rate, (1.0 - share) * (1.0 - share) + share * share, of_errors, of_covariance
 
 
-def moved(
+def propagate_by_rates(
     rotations: cython.const[cython.double][:, :, :],
     rates: cython.const[cython.double][:, :, :],
     steps_s: cython.const[cython.double][:, :],
@@ -622,7 +622,7 @@ def moved(
     return of_rotations, of_rates, of_errors
 
 
-def corrected(
+def corrected_attitudes(
     by: cython.const[cython.Py_ssize_t][::1],
     since_s: cython.const[cython.double][::1],
     rotations: cython.const[cython.double][:, :, ::1],
@@ -630,14 +630,14 @@ def corrected(
     noise_gains: cython.const[cython.double][::1],
     own_errors: cython.const[cython.double][:, :, ::1],
     errors: cython.const[cython.double][:, ::1],
-    lasting: cython.const[cython.uchar][:, ::1],
+    exceeds_model: cython.const[cython.uchar][:, ::1],
     time_s: cython.const[cython.double][::1],
     steady_variance: cython.const[cython.double][::1],
     white_variance: cython.const[cython.double][::1],
     parts: cython.const[cython.double][:, :, :, ::1],
-    drift: cython.Py_ssize_t,
-    white: cython.Py_ssize_t,
-    own: cython.Py_ssize_t,
+    drift_source: cython.Py_ssize_t,
+    white_source: cython.Py_ssize_t,
+    own_source: cython.Py_ssize_t,
 ):
     """Return N attitudes, each corrected by one of e estimates of its correlated error and clock offset.
 
@@ -667,10 +667,10 @@ def corrected(
     check("samples", by.shape[0] == rotations.shape[0] == rates.shape[0] == noise_gains.shape[0] == count)
     check("rotations", rotations.shape[1] == rotations.shape[2] == rates.shape[1] == 3)
     check("own_errors", own_errors.shape[0] == count and own_errors.shape[1] == own_errors.shape[2] == 3)
-    check("errors", errors.shape[1] == lasting.shape[1] == 3 and lasting.shape[0] == estimates)
+    check("errors", errors.shape[1] == exceeds_model.shape[1] == 3 and exceeds_model.shape[0] == estimates)
     check("variances", time_s.shape[0] == steady_variance.shape[0] == white_variance.shape[0] == 3)
     check("parts", parts.shape[0] == estimates and parts.shape[2] == parts.shape[3] == 4)
-    check("sources", 0 <= drift < sources and 0 <= white < sources and 0 <= own < sources)
+    check("sources", 0 <= drift_source < sources and 0 <= white_source < sources and 0 <= own_source < sources)
     of_rotations, of_parts = np.empty((count, 3, 3)), np.empty((count, sources, 3, 3))
     attitudes: cython.double[:, :, ::1] = of_rotations
     out: cython.double[:, :, :, ::1] = of_parts
@@ -696,7 +696,7 @@ def corrected(
         for i in range(3):
             decay = exp(-since_s[n] / time_s[i])
             fresh[i] = steady_variance[i] * (1.0 - decay * decay)
-            now[i] = errors[e, i] if lasting[e, i] else decay * errors[e, i]
+            now[i] = errors[e, i] if exceeds_model[e, i] else decay * errors[e, i]
         _exponential(now, correction)
         _jacobian(now, by_error)
         _times(correction, cython.cast(cython.p_double, cython.address(rotations[n, 0, 0])), at)
@@ -723,9 +723,9 @@ def corrected(
         for i in range(3):
             for j in range(3):
                 for k in range(3):
-                    out[n, drift, i, j] += by_error[3 * i + k] * fresh[k] * by_error[3 * j + k]
-                    out[n, white, i, j] += (
+                    out[n, drift_source, i, j] += by_error[3 * i + k] * fresh[k] * by_error[3 * j + k]
+                    out[n, white_source, i, j] += (
                         correction[3 * i + k] * (white_variance[k] * noise_gains[n]) * correction[3 * j + k]
                     )
-                    out[n, own, i, j] += own_n[3 * i + k] * at[3 * j + k]
+                    out[n, own_source, i, j] += own_n[3 * i + k] * at[3 * j + k]
     return of_rotations, of_parts

@@ -18,7 +18,7 @@ EDGE_STEP = np.deg2rad(0.25)
 
 BoolArray = NDArray[np.bool_]
 
-_AT_ONCE = 500
+_BATCH_SIZE = 500
 _FIELD_POINTS = 21
 
 
@@ -43,7 +43,7 @@ class DeckMasks:
     names: tuple[str, ...]
     corners: tuple[FloatArray, ...]
 
-    def hiding(self, directions_d: FloatArray) -> BoolArray:
+    def hidden_by_mask(self, directions_d: FloatArray) -> BoolArray:
         """Return True for each mask that hides a direction (bow, up, starboard), shape (..., 3); shape (masks, ...).
 
         A direction that is not finite counts as hidden by every mask.
@@ -51,17 +51,17 @@ class DeckMasks:
         azimuth = np.arctan2(directions_d[..., 2], directions_d[..., 0]) % (2.0 * np.pi)
         elevation = np.arctan2(directions_d[..., 1], np.hypot(directions_d[..., 0], directions_d[..., 2]))
         nowhere = ~np.isfinite(directions_d).all(axis=-1)
-        inside = [_inside(corners, azimuth, elevation) | nowhere for corners in self.corners]
+        inside = [_is_inside(corners, azimuth, elevation) | nowhere for corners in self.corners]
         return np.array(inside, dtype=bool).reshape(len(self.corners), *azimuth.shape)
 
-    def hide(self, directions_d: FloatArray, margin: float = 0.0) -> BoolArray:
+    def is_hidden(self, directions_d: FloatArray, margin: float = 0.0) -> BoolArray:
         """Return True for each direction (bow, up, starboard), shape (n, 3), that a mask hides, shape (n,).
 
         Args:
             directions_d: unit vectors.
             margin: minimum distance from the edge of its mask for a direction to count as hidden, rad.
         """
-        hidden = self.hiding(directions_d)
+        hidden = self.hidden_by_mask(directions_d)
         if margin > 0.0:
             for number in np.flatnonzero(hidden.any(axis=1)):
                 within = hidden[number]
@@ -71,7 +71,7 @@ class DeckMasks:
         anywhere: BoolArray = np.any(hidden, axis=0)
         return anywhere
 
-    def reaching(self, rotations_ds: FloatArray, half_field: FloatArray) -> BoolArray:
+    def masks_in_field(self, rotations_ds: FloatArray, half_field: FloatArray) -> BoolArray:
         """Return True for each mask that reaches into a rectangular field of view, shape (masks, n).
 
         A mask reaches into a field if its edge enters the field, or if the whole field is inside.
@@ -81,17 +81,17 @@ class DeckMasks:
             half_field: tangents of half the field to the right and up, shape (2,).
         """
         half_right, half_up = half_field
-        reaches = self.hiding(rotations_ds[..., :, 0])
+        reaches = self.hidden_by_mask(rotations_ds[..., :, 0])
         for reached, edge in zip(reaches, self._edges, strict=True):
-            for first in range(0, len(rotations_ds), _AT_ONCE):
-                forward, up, right = np.moveaxis(edge @ rotations_ds[first : first + _AT_ONCE], -1, 0)
+            for first in range(0, len(rotations_ds), _BATCH_SIZE):
+                forward, up, right = np.moveaxis(edge @ rotations_ds[first : first + _BATCH_SIZE], -1, 0)
                 entered = (forward > 0.0) & (np.abs(up) <= half_up * forward) & (np.abs(right) <= half_right * forward)
-                reached[first : first + _AT_ONCE] |= entered.any(axis=-1)
+                reached[first : first + _BATCH_SIZE] |= entered.any(axis=-1)
         return reaches
 
-    def covering(self, directions_d: FloatArray) -> list[str]:
+    def covering_masks(self, directions_d: FloatArray) -> list[str]:
         """Return the masks that together hide all directions, shape (n, 3); an empty list if one is clear."""
-        hiding = self.hiding(directions_d)
+        hiding = self.hidden_by_mask(directions_d)
         if not hiding.any(axis=0).all():
             return []
         return [name for name, hides in zip(self.names, hiding, strict=True) if hides.any()]
@@ -122,18 +122,18 @@ class SensorMasks:
     masks: DeckMasks
     rotation_ds: FloatArray
 
-    def hide(self, directions_s: FloatArray, margin: float = 0.0) -> BoolArray:
+    def is_hidden(self, directions_s: FloatArray, margin: float = 0.0) -> BoolArray:
         """Return :meth:`DeckMasks.is_hidden` for directions in the sensor frame, shape (n, 3); shape (n,)."""
-        return self.masks.hide(directions_s @ self.rotation_ds.T, margin)
+        return self.masks.is_hidden(directions_s @ self.rotation_ds.T, margin)
 
-    def names(self, direction_s: FloatArray) -> str:
+    def hiding_names(self, direction_s: FloatArray) -> str:
         """Return the names of the masks that hide a direction in the sensor frame, shape (3,); empty if none does."""
-        hiding = self.masks.hiding(direction_s @ self.rotation_ds.T)
+        hiding = self.masks.hidden_by_mask(direction_s @ self.rotation_ds.T)
         return ", ".join(name for name, hides in zip(self.masks.names, hiding, strict=True) if hides)
 
-    def covering(self, directions_s: FloatArray) -> list[str]:
+    def covering_masks(self, directions_s: FloatArray) -> list[str]:
         """Return the masks that together hide all directions, shape (n, 3); an empty list if one is clear."""
-        return self.masks.covering(directions_s @ self.rotation_ds.T)
+        return self.masks.covering_masks(directions_s @ self.rotation_ds.T)
 
 
 def field_directions(half_field: FloatArray) -> FloatArray:
@@ -152,7 +152,7 @@ def field_directions(half_field: FloatArray) -> FloatArray:
     return directions
 
 
-def _inside(corners: FloatArray, azimuth: FloatArray, elevation: FloatArray) -> BoolArray:
+def _is_inside(corners: FloatArray, azimuth: FloatArray, elevation: FloatArray) -> BoolArray:
     """Return True for directions inside a polygon, modulo whole turns: a ray upward crosses an odd number of edges.
 
     Args:

@@ -119,7 +119,7 @@ class EarthOrientationTable:
         """End of the predictions, or of the validity of the leap seconds if that is earlier."""
         return min(_ns_from_mjd(self.mjd[-1]), self.leap_seconds.known_until_ns)
 
-    def reason_against(self, time_ns: TimeNs) -> str | None:
+    def unavailable_text(self, time_ns: TimeNs) -> str | None:
         """Return the reason why a time, or one of several, has no value; None if each has one."""
         times = np.asarray(time_ns, dtype=np.int64)
         outside = times[(times < self.first_ns) | (times > self.last_ns)]
@@ -137,7 +137,7 @@ class EarthOrientationTable:
         Raises:
             OutsideEarthOrientation: a time is outside the table.
         """
-        reason = self.reason_against(time_ns)
+        reason = self.unavailable_text(time_ns)
         if reason is not None:
             raise OutsideEarthOrientation(reason)
         mjd = UNIX_EPOCH_MJD + np.asarray(time_ns, dtype=np.int64) / DAY_NS
@@ -188,10 +188,10 @@ def read_finals2000a(path: Path, leaps: LeapSeconds) -> EarthOrientationTable:
         table = EarthOrientationTable(
             source=path.name,
             mjd=mjd,
-            ut1_minus_tai_s=_better(read["ut1_b"], read["ut1"]) - leaps.at(since_1970_ns),
+            ut1_minus_tai_s=_final_or_rapid(read["ut1_b"], read["ut1"]) - leaps.at(since_1970_ns),
             ut1_sigma_s=read["ut1_sigma"],
-            pole_x=_better(read["pole_x_b"], read["pole_x"]) * ARCSEC,
-            pole_y=_better(read["pole_y_b"], read["pole_y"]) * ARCSEC,
+            pole_x=_final_or_rapid(read["pole_x_b"], read["pole_x"]) * ARCSEC,
+            pole_y=_final_or_rapid(read["pole_y_b"], read["pole_y"]) * ARCSEC,
             pole_sigma=np.maximum(read["pole_x_sigma"], read["pole_y_sigma"]) * ARCSEC,
             measured_until_mjd=float(mjd[measured][-1]),
             leap_seconds=leaps,
@@ -204,7 +204,7 @@ def read_finals2000a(path: Path, leaps: LeapSeconds) -> EarthOrientationTable:
     return table
 
 
-def _better(final: FloatArray, rapid: FloatArray) -> FloatArray:
+def _final_or_rapid(final: FloatArray, rapid: FloatArray) -> FloatArray:
     """Return the final values of Bulletin B, or the rapid ones of Bulletin A if there are no final ones yet."""
     return np.where(np.isnan(final), rapid, final)
 

@@ -74,8 +74,8 @@ def exposure_nodes(exposure_s: float) -> Nodes:
     """
     pairs = math.ceil(exposure_s / (2.0 * _STEP_S))
     if pairs <= 1:
-        beside = (exposure_s / _STEP_S) ** 2 / 24.0
-        weight, half_s = np.array([beside, 1.0 - 2.0 * beside, beside]), _STEP_S
+        outer_weight = (exposure_s / _STEP_S) ** 2 / 24.0
+        weight, half_s = np.array([outer_weight, 1.0 - 2.0 * outer_weight, outer_weight]), _STEP_S
     else:
         # Simpson's rule, weights 1 4 2 4 ... 4 1: whatever the number of pairs of steps, one node is at the middle.
         weight = np.full(2 * pairs + 1, 2.0)
@@ -87,7 +87,7 @@ def exposure_nodes(exposure_s: float) -> Nodes:
 
 
 @dataclass(frozen=True)
-class Turning:
+class ExposureMotion:
     """Rotation of a body over an exposure.
 
     Attributes:
@@ -110,7 +110,7 @@ class Turning:
     error_covariance: FloatArray
     correction_error: float
 
-    def mounted(self, rotation_ds: FloatArray) -> "Turning":
+    def in_device_frame(self, rotation_ds: FloatArray) -> "ExposureMotion":
         """Return the rotation of a device on the body, in the device's axes.
 
         Args:
@@ -124,7 +124,7 @@ class Turning:
         )
 
 
-def turning_over(track: AttitudeTrack, time_ns: int, nodes: Nodes) -> Turning | None:
+def exposure_motion(track: AttitudeTrack, time_ns: int, nodes: Nodes) -> ExposureMotion | None:
     """Return the rotation of a body over an exposure; None if its track has a gap, or ends, within it.
 
     Args:
@@ -148,16 +148,16 @@ def turning_over(track: AttitudeTrack, time_ns: int, nodes: Nodes) -> Turning | 
     # The errors at the nodes are not independent. The mean of their covariances bounds the covariance of their mean.
     # For the difference from the middle, errors there and at the outer nodes are taken as opposite: an upper bound.
     errors = np.array([found.error_covariance_d for found in around])
-    beside = np.where(np.array(nodes.offset_ns) == 0, 0.0, nodes.weight)
-    share, variances = float(beside.sum()), np.trace(errors, axis1=-2, axis2=-1)
+    outer_weights = np.where(np.array(nodes.offset_ns) == 0, 0.0, nodes.weight)
+    share, variances = float(outer_weights.sum()), np.trace(errors, axis1=-2, axis2=-1)
     turns = np.swapaxes(np.array([found.rotation_nd for found in around]), -1, -2) @ middle.rotation_nd
     to_first, to_last = log_rotation(turns[[0, -1]])
-    return Turning(
+    return ExposureMotion(
         nodes,
         turns,
         (to_first - to_last) * (SECOND_NS / (nodes.offset_ns[-1] - nodes.offset_ns[0])),
         track.noise_gain_of_mean(moments),
         track.noise_gain_of_mean([*moments, (time_ns, -1.0)]),
         nodes.mean(errors),
-        2.0 * share * float(beside @ variances + share * np.trace(middle.error_covariance_d)),
+        2.0 * share * float(outer_weights @ variances + share * np.trace(middle.error_covariance_d)),
     )

@@ -21,7 +21,7 @@ from ship_geometry.rotations import FloatArray
 MOST_SAMPLES = 5
 """Maximum number of samples for a polynomial: with more of them the samples' noise dominates."""
 
-BESIDE = 0.5
+NEXT_TERM_SHARE = 0.5
 """Share of the next term of the error that is added to an estimate.
 
 In a wave the terms of successive orders are out of phase: if one is zero, the next one is largest."""
@@ -84,7 +84,7 @@ def joint_covariance(errors: FloatArray, interval: NDArray[np.int64]) -> FloatAr
     return covariance
 
 
-def by_polynomial(nodes: FloatArray, values: FloatArray, at: float, found: FloatArray) -> tuple[FloatArray, ...]:
+def polynomial_errors(nodes: FloatArray, values: FloatArray, at: float, found: FloatArray) -> tuple[FloatArray, ...]:
     """Return the errors of an interpolated value by the polynomial through all neighbouring samples.
 
     Args:
@@ -109,6 +109,6 @@ def by_polynomial(nodes: FloatArray, values: FloatArray, at: float, found: Float
         # Without other samples: as if the whole change began, or ended, within the interval.
         return (0.5 * at * (1.0 - at) * (values[1] - values[0]),)
     # The last term estimates the missing ones: a share of the next one, and with fewer samples one of equal size.
-    beside = BESIDE if len(nodes) == MOST_SAMPLES else 1.0
-    error, left_out = compiled_polynomials.errors_by_polynomial(nodes, values, at, found, beside)
+    next_term_share = NEXT_TERM_SHARE if len(nodes) == MOST_SAMPLES else 1.0
+    error, left_out = compiled_polynomials.polynomial_errors(nodes, values, at, found, next_term_share)
     return error, left_out

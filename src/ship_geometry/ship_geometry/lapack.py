@@ -13,7 +13,7 @@ _LIBRARY = "scipy.linalg._flapack"
 _FUNCTIONS = ("dgesdd", "dposv", "dpotrf", "dpotri")
 
 
-def _wrapped() -> ModuleType:
+def _wrapped_library() -> ModuleType:
     """Import the library under its own name, so that a later import of scipy finds it."""
     if _LIBRARY in sys.modules:
         return sys.modules[_LIBRARY]
@@ -37,6 +37,6 @@ def __getattr__(name: str) -> Any:
     """Return a function of the library, which is imported on first use: a node without stars never needs it."""
     if name not in _FUNCTIONS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    library = _wrapped()
+    library = _wrapped_library()
     globals().update({function: getattr(library, function) for function in _FUNCTIONS})
     return globals()[name]

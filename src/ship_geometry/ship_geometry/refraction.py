@@ -130,8 +130,8 @@ def refraction(
         ray_trace 59.73 arcsec
     """
     elevation = np.asarray(elevation, dtype=float)
-    angles, model_sigma = compiled_refraction.bent(
-        np.ascontiguousarray(elevation).reshape(-1), *_of_air(model, weather, wavelength_um)
+    angles, model_sigma = compiled_refraction.refraction_angles(
+        np.ascontiguousarray(elevation).reshape(-1), *_model_in_air(model, weather, wavelength_um)
     )
     angle, per_hpa, per_kelvin = (column.reshape(elevation.shape) for column in angles.T)
     return Refraction(angle, per_hpa, per_kelvin, model_sigma.reshape(elevation.shape))
@@ -179,8 +179,8 @@ def seen_through_air(
         >>> print(f"{lifted_by / ARCSEC:.0f} {np.linalg.norm(seen.shared_n[0, :, 0]) / ARCSEC:.1f}")
         58 1.0
     """
-    of_air = _of_air(model, weather, wavelength_um)
-    return StarsThroughAir(*compiled_refraction.seen(without_air_n, *of_air, *weather_sigma, turns_n))
+    of_air = _model_in_air(model, weather, wavelength_um)
+    return StarsThroughAir(*compiled_refraction.seen_through_air(without_air_n, *of_air, *weather_sigma, turns_n))
 
 
 def refraction_slopes(
@@ -205,7 +205,7 @@ def refraction_slopes(
         -2.0 arcsec per degree
     """
     t = 1.0 / np.tan(elevation) if elevation >= LOWEST_ELEVATION[model] else np.nan
-    coefficients, curvature, *_ = _of_air(model, weather, wavelength_um)
+    coefficients, curvature, *_ = _model_in_air(model, weather, wavelength_um)
     stretch, steep = 1.0 + curvature * t * t, 1.0 + t * t
     # First derivative by tan z, and half of the second over tan z, term by term from the last.
     by_tan = bend = 0.0
@@ -220,7 +220,7 @@ def refraction_slopes(
 
 
 @lru_cache(maxsize=8)
-def _of_air(
+def _model_in_air(
     model: ModelName, weather: Weather, wavelength_um: float
 ) -> tuple[FloatArray, float, float, bool, FloatArray]:
     """Return the arguments of :func:`ship_geometry.compiled_refraction.refraction_angles` for a model and weather.
@@ -268,7 +268,7 @@ def _expanded_rays(
     return coefficients
 
 
-def lifted(direction_n: FloatArray, angle: FloatArray) -> FloatArray:
+def raised_directions(direction_n: FloatArray, angle: FloatArray) -> FloatArray:
     """Return directions raised by refraction.
 
     Args:
@@ -284,14 +284,14 @@ def lifted(direction_n: FloatArray, angle: FloatArray) -> FloatArray:
         30.02778
     """
     shape = np.broadcast_shapes(direction_n.shape, (*np.shape(angle), 3))
-    result: FloatArray = compiled_refraction.lifted(
+    result: FloatArray = compiled_refraction.raised_directions(
         np.ascontiguousarray(np.broadcast_to(direction_n, shape), dtype=float).reshape(-1, 3),
         np.ascontiguousarray(np.broadcast_to(angle, shape[:-1]), dtype=float).reshape(-1),
     )
     return result.reshape(shape)
 
 
-def lifting_axis(direction_n: FloatArray) -> FloatArray:
+def raising_axis(direction_n: FloatArray) -> FloatArray:
     """Return the level unit vector about which refraction raises a direction, direction × Up; zero at the zenith.
 
     Args:

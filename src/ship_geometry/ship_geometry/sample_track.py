@@ -9,7 +9,7 @@ import numpy as np
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 
-RECENT = 8
+RECENT_COUNT = 8
 """Number of samples kept for the motion of the newest one, in addition to all of the last second."""
 
 
@@ -54,7 +54,7 @@ class SampleTrack(Generic[Sample]):
         3 [2.25]
     """
 
-    keeps_ns = 0
+    history_ns = 0
     """Time before a required time for which samples are kept, in addition to those for interpolation, ns."""
 
     def __init__(self, max_gap_ns: int) -> None:
@@ -138,7 +138,7 @@ class SampleTrack(Generic[Sample]):
     def drop_before(self, time_ns: int) -> None:
         """Drop samples that are not needed to interpolate at or after ``time_ns``, or to propagate the newest one."""
         # Three samples before the time are kept: the start of its interval, and two for the interpolation error.
-        keep_from = bisect.bisect_right(self._times, time_ns - self.keeps_ns) - 3
+        keep_from = bisect.bisect_right(self._times, time_ns - self.history_ns) - 3
         if keep_from <= 0:
             return
         keep_from = min(keep_from, self._recent_from())
@@ -148,16 +148,16 @@ class SampleTrack(Generic[Sample]):
             self._cuts_ns = [cut_ns for cut_ns in self._cuts_ns if cut_ns > self._times[0]]
 
     @property
-    def covered_until_ns(self) -> int | None:
+    def final_until_ns(self) -> int | None:
         """Latest time at which later samples, arriving in order, cannot change the value; None if there is none."""
         if self._times and self._has_rate(len(self._times) - 1):
             return self._times[-1]
         # A differenced rate at the newest sample needs a later neighbour.
         return self._times[-2] if len(self._times) > 1 else None
 
-    def covers(self, time_ns: int) -> bool:
+    def is_final_at(self, time_ns: int) -> bool:
         """True if no later sample, arriving in order, can change the value at a time."""
-        until_ns = self.covered_until_ns
+        until_ns = self.final_until_ns
         return until_ns is not None and time_ns <= until_ns
 
     def _has_rate(self, index: int) -> bool:
@@ -168,7 +168,7 @@ class SampleTrack(Generic[Sample]):
         """Return the index of the oldest sample for the propagation of the newest one."""
         if not self._times:
             return 0
-        return max(min(bisect.bisect_left(self._times, self._times[-1] - SECOND_NS), len(self._times) - RECENT), 0)
+        return max(min(bisect.bisect_left(self._times, self._times[-1] - SECOND_NS), len(self._times) - RECENT_COUNT), 0)
 
     def _around(self, left: int) -> list[int]:
         """Return the indices of the samples for the error of a cubic without measured rates.
@@ -177,12 +177,12 @@ class SampleTrack(Generic[Sample]):
         interval is final (:meth:`is_final_at`) is not among them.
         """
         around = [left, left + 1]
-        earlier = left > 0 and self._joined(left - 1)
+        earlier = left > 0 and self._are_joined(left - 1)
         if earlier:
             around.append(left - 1)
-        if not self._has_rate(left + 1) and left + 2 < len(self._samples) and self._joined(left + 1):
+        if not self._has_rate(left + 1) and left + 2 < len(self._samples) and self._are_joined(left + 1):
             around.append(left + 2)
-        if earlier and left > 1 and self._joined(left - 2):
+        if earlier and left > 1 and self._are_joined(left - 2):
             around.append(left - 2)
         return around
 
@@ -204,7 +204,7 @@ class SampleTrack(Generic[Sample]):
             return right, 0.0
         left = right - 1
         start_ns, end_ns = self._times[left], self._times[right]
-        if end_ns - start_ns > self.max_gap_ns or self._cut_between(start_ns, end_ns):
+        if end_ns - start_ns > self.max_gap_ns or self._is_cut_between(start_ns, end_ns):
             return None
         return left, (time_ns - start_ns) / (end_ns - start_ns)
 
@@ -214,15 +214,15 @@ class SampleTrack(Generic[Sample]):
 
     def _neighbours(self, index: int) -> tuple[int, int]:
         """Return the indices of the samples whose difference gives the rate at ``index``; itself if one is missing."""
-        before = index - 1 if index > 0 and self._joined(index - 1) else index
-        after = index + 1 if index + 1 < len(self._samples) and self._joined(index) else index
+        before = index - 1 if index > 0 and self._are_joined(index - 1) else index
+        after = index + 1 if index + 1 < len(self._samples) and self._are_joined(index) else index
         return before, after
 
-    def _joined(self, left: int) -> bool:
+    def _are_joined(self, left: int) -> bool:
         start_ns, end_ns = self._times[left], self._times[left + 1]
-        return end_ns - start_ns <= self.max_gap_ns and not self._cut_between(start_ns, end_ns)
+        return end_ns - start_ns <= self.max_gap_ns and not self._is_cut_between(start_ns, end_ns)
 
-    def _cut_between(self, start_ns: int, end_ns: int) -> bool:
+    def _is_cut_between(self, start_ns: int, end_ns: int) -> bool:
         """True if the quantity has jumped between two times."""
         return bool(self._cuts_ns) and any(start_ns <= cut_ns < end_ns for cut_ns in self._cuts_ns)
 

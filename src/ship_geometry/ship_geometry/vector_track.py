@@ -6,7 +6,7 @@ from typing import TypeVar
 import numpy as np
 
 from ship_geometry import compiled_polynomials
-from ship_geometry.interpolation_error import ANY_DIRECTION, BESIDE, MOST_SAMPLES
+from ship_geometry.interpolation_error import ANY_DIRECTION, NEXT_TERM_SHARE, MOST_SAMPLES
 from ship_geometry.rotations import FloatArray
 from ship_geometry.sample_track import SampleTrack, hermite_weights
 
@@ -77,18 +77,18 @@ class VectorTrack(SampleTrack[Sample]):
             vector = self._samples[left].vector
             return InterpolatedVector(vector, 1.0, np.zeros((vector.size, vector.size)))
         first = left
-        while first > max(left - 2, 0) and self._joined(first - 1):
+        while first > max(left - 2, 0) and self._are_joined(first - 1):
             first -= 1
-        last = left + 2 if left + 2 < len(self._samples) and self._joined(left + 1) else left + 1
+        last = left + 2 if left + 2 < len(self._samples) and self._are_joined(left + 1) else left + 1
         around = slice(first, last + 1)
-        found = compiled_polynomials.between(
+        found = compiled_polynomials.interpolate_vector(
             np.array(self._times[around]),
             np.array([sample.vector for sample in self._samples[around]]),
             left - first,
             time_ns,
             self._period,
             *hermite_weights(fraction),
-            BESIDE if last + 1 - first == MOST_SAMPLES else 1.0,
+            NEXT_TERM_SHARE if last + 1 - first == MOST_SAMPLES else 1.0,
             ANY_DIRECTION,
         )
         return InterpolatedVector(*found)

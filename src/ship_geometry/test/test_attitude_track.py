@@ -217,7 +217,7 @@ def test_insert_returns_the_stamp_after_which_attitudes_change(seed: int) -> Non
     track = AttitudeTrack(MAX_GAP_NS)
     for k in rng.permutation(len(samples)):
         before = {t: track.at(t) for t in times}
-        covered = {t for t in times if track.covers(t)}
+        covered = {t for t in times if track.is_final_at(t)}
         changed_after_ns = track.insert(samples[k])
         kept = [t for t in times if (t in covered if changed_after_ns is None else t <= changed_after_ns)]
         assert all(identical(before[t], track.at(t)) for t in kept)
@@ -259,21 +259,21 @@ def test_final_values_do_not_change_when_samples_arrive_in_order(seed: int) -> N
     times = moments(samples, seed, 50)
     for sample in samples:
         growing.insert(sample)
-        for t in (t for t in times if growing.covers(t)):
+        for t in (t for t in times if growing.is_final_at(t)):
             assert identical(growing.at(t), complete.at(t))
 
 
 def test_values_are_final_up_to_the_newest_sample_with_rates_and_the_one_before_without() -> None:
     with_rates, without = track_of(regular(4, with_rate=True)), track_of(regular(4, with_rate=False))
-    assert with_rates.covers(3 * STEP_NS)
-    assert not with_rates.covers(3 * STEP_NS + 1)
-    assert without.covers(2 * STEP_NS)
-    assert not without.covers(2 * STEP_NS + 1)
+    assert with_rates.is_final_at(3 * STEP_NS)
+    assert not with_rates.is_final_at(3 * STEP_NS + 1)
+    assert without.is_final_at(2 * STEP_NS)
+    assert not without.is_final_at(2 * STEP_NS + 1)
     # It is not final: the next sample changes it.
     early = without.at(2 * STEP_NS + STEP_NS // 2)
     without.insert(sample_at(4 * STEP_NS, False))
     assert not identical(early, without.at(2 * STEP_NS + STEP_NS // 2))
-    assert not AttitudeTrack(MAX_GAP_NS).covers(0)
+    assert not AttitudeTrack(MAX_GAP_NS).is_final_at(0)
 
 
 @pytest.mark.parametrize("seed", range(8))

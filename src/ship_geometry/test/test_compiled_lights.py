@@ -14,7 +14,7 @@ EPOCHS, LIGHTS = 4, 3
 EARTH_RADIUS_M = 6_371_000.0
 
 
-def seen() -> list[FloatArray]:
+def random_exposures() -> list[FloatArray]:
     """Return the arrays of each exposure: baselines, drones, levers of the lights, ships, mounts, refraction."""
     rng = np.random.default_rng(RNG_SEED)
     turns = [rng.uniform(-2.0, 2.0, shape) for shape in ((EPOCHS, LIGHTS, 3), (EPOCHS, 3), (EPOCHS, 3))]
@@ -39,8 +39,8 @@ def close(found: FloatArray, expected: FloatArray) -> None:
 
 
 def test_lines_of_sight_equal_numpy() -> None:
-    baselines, drones, levers, ships, mounts, refraction = seen()
-    directions, distances, changes = lines(seen())
+    baselines, drones, levers, ships, mounts, refraction = random_exposures()
+    directions, distances, changes = lines(random_exposures())
     for epoch, light in np.ndindex(EPOCHS, LIGHTS):
         rotation_nb, rotation_nd = drones[epoch, light], ships[epoch]
         rotation_nm = rotation_nd @ mounts[epoch]
@@ -61,7 +61,7 @@ def test_lines_of_sight_equal_numpy() -> None:
 
 def test_image_points_equal_numpy_and_are_nan_behind_the_telescope() -> None:
     rng = np.random.default_rng(RNG_SEED)
-    directions, telescopes = seen()[0], seen()[3]
+    directions, telescopes = random_exposures()[0], random_exposures()[3]
     focal_lengths, principal_points = rng.uniform(0.1, 0.2, EPOCHS), rng.standard_normal((EPOCHS, 2))
     points, by_attitude, by_direction, by_focal_length = compiled_lights.image_points(
         directions, telescopes, focal_lengths, principal_points
@@ -87,20 +87,20 @@ def test_image_points_equal_numpy_and_are_nan_behind_the_telescope() -> None:
 
 
 def test_exposure_does_not_depend_on_the_block() -> None:
-    together = lines(seen())
+    together = lines(random_exposures())
     for number in range(EPOCHS):
-        alone = lines([values[number : number + 1] for values in seen()])
+        alone = lines([values[number : number + 1] for values in random_exposures()])
         for one, among_others in zip(alone, together, strict=True):
             np.testing.assert_array_equal(one[0], among_others[number])
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
     """The loops do not check bounds."""
-    fewer = [[v[:3] if n == number else v for n, v in enumerate(seen())] for number in range(6)]
+    fewer = [[v[:3] if n == number else v for n, v in enumerate(random_exposures())] for number in range(6)]
     calls = [
         *(lambda arrays=arrays: lines(arrays) for arrays in fewer),
-        lambda: compiled_lights.image_points(seen()[0], seen()[3][:3], np.ones(EPOCHS), np.ones((EPOCHS, 2))),
-        lambda: compiled_lights.image_points(seen()[0], seen()[3], np.ones(EPOCHS), np.ones((EPOCHS, 3))),
+        lambda: compiled_lights.image_points(random_exposures()[0], random_exposures()[3][:3], np.ones(EPOCHS), np.ones((EPOCHS, 2))),
+        lambda: compiled_lights.image_points(random_exposures()[0], random_exposures()[3], np.ones(EPOCHS), np.ones((EPOCHS, 3))),
     ]
     for call in calls:
         with pytest.raises(ValueError, match="do not fit together"):

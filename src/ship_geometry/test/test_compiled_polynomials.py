@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ship_geometry import compiled_polynomials
-from ship_geometry.interpolation_error import ANY_DIRECTION, BESIDE, MOST_SAMPLES, as_covariance, by_polynomial
+from ship_geometry.interpolation_error import ANY_DIRECTION, NEXT_TERM_SHARE, MOST_SAMPLES, as_covariance, polynomial_errors
 from ship_geometry.rotations import FloatArray
 from ship_geometry.sample_track import hermite_weights
 
@@ -31,7 +31,7 @@ def errors(nodes: FloatArray, values: FloatArray, at: float, found: FloatArray) 
     if len(nodes) == 2:
         return np.array([0.5 * at * (1.0 - at) * (values[1] - values[0])])
     terms = divided_differences(nodes, values) * np.cumprod(np.append(1.0, at - nodes[:-1]))[:, None]
-    return np.array([terms.sum(axis=0) - found, (BESIDE if len(nodes) == MOST_SAMPLES else 1.0) * terms[-1]])
+    return np.array([terms.sum(axis=0) - found, (NEXT_TERM_SHARE if len(nodes) == MOST_SAMPLES else 1.0) * terms[-1]])
 
 
 @pytest.mark.parametrize(("count", "width"), list(itertools.product([3, 4, 5], [1, 2, 3])))
@@ -39,7 +39,7 @@ def test_errors_by_a_polynomial_are_those_by_numpy(count: int, width: int) -> No
     rng = np.random.default_rng(RNG_SEED)
     nodes = np.array([0.0, 1.0, -1.1, 1.9, -2.3])[:count]
     values, found = rng.standard_normal((count, width)), rng.standard_normal(width)
-    equal(np.array(by_polynomial(nodes, values, 0.3, found)), errors(nodes, values, 0.3, found))
+    equal(np.array(polynomial_errors(nodes, values, 0.3, found)), errors(nodes, values, 0.3, found))
 
 
 def short(step: FloatArray, period: float) -> FloatArray:
@@ -72,8 +72,8 @@ def test_a_vector_between_samples_is_that_by_numpy(before: int, behind: int, per
     around = [left, left + 1, *range(left - 1, max(left - 2, -1), -1), *range(left + 2, last + 1)]
     around += [0] if before == 2 else []
     off = errors(seconds[around] / seconds[left + 1], changes[around], fraction, change)
-    beside = BESIDE if len(times_ns) == MOST_SAMPLES else 1.0
-    found = compiled_polynomials.between(
+    beside = NEXT_TERM_SHARE if len(times_ns) == MOST_SAMPLES else 1.0
+    found = compiled_polynomials.interpolate_vector(
         times_ns, vectors, left, time_ns, period, *weights, beside, ANY_DIRECTION
     )
     equal(found[0], vectors[left] + change)
@@ -85,17 +85,17 @@ def test_a_vector_between_samples_is_that_by_numpy(before: int, behind: int, per
 def test_an_interval_that_is_not_there_is_refused(left: int) -> None:
     """The loops do not check bounds."""
     with pytest.raises(ValueError, match="do not fit together"):
-        compiled_polynomials.between(
-            np.arange(4), np.zeros((4, 2)), left, 0, np.inf, *hermite_weights(0.5), BESIDE, ANY_DIRECTION
+        compiled_polynomials.interpolate_vector(
+            np.arange(4), np.zeros((4, 2)), left, 0, np.inf, *hermite_weights(0.5), NEXT_TERM_SHARE, ANY_DIRECTION
         )
 
 
 def test_samples_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ValueError, match="do not fit together"):
-        compiled_polynomials.between(
-            np.arange(3), np.zeros((4, 2)), 1, 0, np.inf, *hermite_weights(0.5), BESIDE, ANY_DIRECTION
+        compiled_polynomials.interpolate_vector(
+            np.arange(3), np.zeros((4, 2)), 1, 0, np.inf, *hermite_weights(0.5), NEXT_TERM_SHARE, ANY_DIRECTION
         )
     with pytest.raises(ValueError, match="do not fit together"):
-        by_polynomial(np.arange(4.0), np.zeros((3, 2)), 0.5, np.zeros(2))
+        polynomial_errors(np.arange(4.0), np.zeros((3, 2)), 0.5, np.zeros(2))
     with pytest.raises(ValueError, match="do not fit together"):
-        by_polynomial(np.arange(3.0), np.zeros((3, 2)), 0.5, np.zeros(3))
+        polynomial_errors(np.arange(3.0), np.zeros((3, 2)), 0.5, np.zeros(3))

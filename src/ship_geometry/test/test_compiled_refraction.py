@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ship_geometry import compiled_refraction
-from ship_geometry.refraction import LOWEST_ELEVATION, MODELS, ModelName, Weather, lifted, refraction, seen_through_air
+from ship_geometry.refraction import LOWEST_ELEVATION, MODELS, ModelName, Weather, raised_directions, refraction, seen_through_air
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 RNG_SEED = 6
@@ -47,7 +47,7 @@ def some_stars() -> FloatArray:
 def test_angles_are_those_by_numpy(model: ModelName) -> None:
     elevation = np.deg2rad(np.linspace(-10.0, 90.0, 41))
     of_air = TERMS[model], CURVATURES[model], LOWEST_ELEVATION[model], model == "erfa", SIGMAS[model]
-    angles, sigma = compiled_refraction.bent(elevation, *of_air)
+    angles, sigma = compiled_refraction.refraction_angles(elevation, *of_air)
     expected_angles, expected_sigma = by_numpy(model, elevation)
     equal(angles, expected_angles)
     equal(sigma, expected_sigma)
@@ -79,9 +79,9 @@ def test_apparent_directions_and_displacements_equal_numpy(model: ModelName) -> 
 
 def test_directions_and_angles_broadcast() -> None:
     stars, angles = some_stars(), np.linspace(0.0, 1e-3, 7)
-    equal(lifted(stars, angles), np.stack([lifted(star, angle) for star, angle in zip(stars, angles, strict=True)]))
-    equal(lifted(stars[3], angles), lifted(np.broadcast_to(stars[3], (7, 3)), angles))
-    equal(lifted(stars, np.asarray(1e-3)), lifted(stars, np.full(7, 1e-3)))
+    equal(raised_directions(stars, angles), np.stack([raised_directions(star, angle) for star, angle in zip(stars, angles, strict=True)]))
+    equal(raised_directions(stars[3], angles), raised_directions(np.broadcast_to(stars[3], (7, 3)), angles))
+    equal(raised_directions(stars, np.asarray(1e-3)), raised_directions(stars, np.full(7, 1e-3)))
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
@@ -96,8 +96,8 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
     ):
         vectors, of_model, of_sigmas, turned = arguments
         with pytest.raises(ValueError, match="do not fit together"):
-            compiled_refraction.seen(vectors, of_model, 0.0, 0.1, True, of_sigmas, 1.0, 1.0, turned)
+            compiled_refraction.seen_through_air(vectors, of_model, 0.0, 0.1, True, of_sigmas, 1.0, 1.0, turned)
     with pytest.raises(ValueError, match="do not fit together"):
-        compiled_refraction.bent(stars[:, 1].copy(), coefficients[:1], 0.0, 0.1, True, sigmas)
+        compiled_refraction.refraction_angles(stars[:, 1].copy(), coefficients[:1], 0.0, 0.1, True, sigmas)
     with pytest.raises(ValueError, match="do not fit together"):
-        compiled_refraction.lifted(stars, np.zeros(3))
+        compiled_refraction.raised_directions(stars, np.zeros(3))

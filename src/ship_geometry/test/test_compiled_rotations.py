@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ship_geometry import compiled_rotations
-from ship_geometry.interpolation_error import ANY_DIRECTION, BESIDE, as_covariance
+from ship_geometry.interpolation_error import ANY_DIRECTION, NEXT_TERM_SHARE, as_covariance
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation
 from ship_geometry.sample_track import hermite_weights
 
@@ -63,7 +63,7 @@ def test_composed_attitude_is_the_product_with_derivatives_of_small_steps() -> N
                 rotation = base @ exp_rotation((states[13] - states[12]) * rate) @ rotation
         return rotation
 
-    found = compiled_rotations.hung(mean, links, fixed, hull, 3, 0.7, clocks, signs, base, rate, error)
+    found = compiled_rotations.composed_attitude(mean, links, fixed, hull, 3, 0.7, clocks, signs, base, rate, error)
     equal(found[0], product(mean))
     step = 1e-6 * np.eye(14)
     small = [log_rotation(product(mean - by).T @ product(mean + by)) / 2e-6 for by in step]
@@ -82,12 +82,12 @@ def test_the_turn_between_two_attitudes_is_the_logarithm_of_their_quotient() -> 
 
 def test_cumulative_rotations_apply_one_vector_after_another() -> None:
     start, turns = exp_rotation(np.array([0.3, -0.2, 0.5])), vectors(40)
-    reached = compiled_rotations.turned_on(start, turns)
+    reached = compiled_rotations.cumulative_rotations(start, turns)
     expected = start
     for turn, found in zip(exp_rotation(turns), reached, strict=True):
         expected = expected @ turn
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
-    (alone,) = compiled_rotations.turned_on(reached[6], turns[7:8])
+    (alone,) = compiled_rotations.cumulative_rotations(reached[6], turns[7:8])
     assert alone.tobytes() == reached[7].tobytes()
 
 
@@ -136,9 +136,9 @@ def test_error_of_the_cubic_is_estimated(at: float, other_at: float, largest: fl
     miss = to_other - (by_start * start + by_turn * turn + by_end * end)
     errors = [bound]
     if other_at:
-        errors = [miss * (at * (1.0 - at) / (other_at * (1.0 - other_at))) ** 2, 0.5 * BESIDE * bound]
+        errors = [miss * (at * (1.0 - at) / (other_at * (1.0 - other_at))) ** 2, 0.5 * NEXT_TERM_SHARE * bound]
     arguments = first, second, other, first_rate, second_rate, interval_s, at, other_at
-    found = compiled_rotations.between(*arguments, BESIDE, ANY_DIRECTION, largest)
+    found = compiled_rotations.interpolate_attitude(*arguments, NEXT_TERM_SHARE, ANY_DIRECTION, largest)
     rotation, rate, _ = compiled_rotations.cubic(first, turn, first_rate, second_rate, interval_s, at)
     equal(found[0], rotation)
     equal(found[1], rate)
@@ -162,21 +162,21 @@ def test_propagation_by_rates_equals_numpy(count: int) -> None:
     rows = (ahead_s**3 / 6.0 + ahead_s**2 * steps_s[0] / 4.0) / np.sqrt(len(jerks)) * jerks
     covariance = rows.T @ rows + any_direction**2 * np.sum(rows**2) * np.eye(3)
     sample = rotation[None], rates[None], steps_s[None], np.array([ahead_s])
-    found = [of_one[0] for of_one in compiled_rotations.moved(*sample, any_direction, largest)]
+    found = [of_one[0] for of_one in compiled_rotations.propagate_by_rates(*sample, any_direction, largest)]
     equal(found[0], rotation @ exp_rotation(ahead_s * rates[0] + 0.5 * ahead_s**2 * changes[0]))
     equal(found[1], rates[0] + ahead_s * changes[0])
     assert np.sum(rows**2) > largest
     equal(found[2] / largest, covariance / np.sum(rows**2))
-    equal(compiled_rotations.moved(*sample, any_direction, 1.0)[2][0], covariance)
+    equal(compiled_rotations.propagate_by_rates(*sample, any_direction, 1.0)[2][0], covariance)
 
 
 def test_propagation_does_not_depend_on_the_block() -> None:
     rng = np.random.default_rng(RNG_SEED)
     rates, steps_s, ahead_s = rng.standard_normal((9, 4, 3)), rng.uniform(0.01, 0.1, (9, 3)), rng.normal(size=9)
     samples = exp_rotation(vectors(9)), rates, steps_s, ahead_s
-    together = compiled_rotations.moved(*samples, 0.3, 1e-3)
+    together = compiled_rotations.propagate_by_rates(*samples, 0.3, 1e-3)
     for number in range(9):
-        alone = compiled_rotations.moved(*(values[number : number + 1] for values in samples), 0.3, 1e-3)
+        alone = compiled_rotations.propagate_by_rates(*(values[number : number + 1] for values in samples), 0.3, 1e-3)
         for one, among_others in zip(alone, together, strict=True):
             np.testing.assert_array_equal(one[0], among_others[number])
 
@@ -193,7 +193,7 @@ def test_corrected_attitudes_equal_numpy() -> None:
     lasting = rng.integers(2, size=(estimates, 3), dtype=np.uint8)
     parts = rng.standard_normal((estimates, sources, 4, 4))
     parts = parts @ parts.swapaxes(-1, -2)
-    found = compiled_rotations.corrected(
+    found = compiled_rotations.corrected_attitudes(
         by, since_s, rotations, rates, gains, own_errors, errors, lasting, time_s, steady, white, parts, 0, 2, 3
     )
     decay = np.exp(-since_s[:, None] / time_s)
@@ -212,10 +212,10 @@ def test_corrected_attitudes_equal_numpy() -> None:
     np.testing.assert_allclose(found[1], expected, rtol=0, atol=1e-13 * np.abs(expected).max())
 
 
-def hung_by(links: FloatArray, fixed: FloatArray, clocks: FloatArray) -> None:
+def numpy_composed_attitude(links: FloatArray, fixed: FloatArray, clocks: FloatArray) -> None:
     """Seven states on a base."""
     base, rate = np.eye(3), np.zeros(3)
-    compiled_rotations.hung(np.zeros(7), links, fixed, 0, 0, 1.0, clocks, np.ones(1), base, rate, base)
+    compiled_rotations.composed_attitude(np.zeros(7), links, fixed, 0, 0, 1.0, clocks, np.ones(1), base, rate, base)
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
@@ -224,13 +224,13 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
         lambda: exp_rotation(np.zeros(2)),
         lambda: left_jacobian(np.zeros(4)),
         lambda: log_rotation(np.eye(2)),
-        lambda: hung_by(np.array([0, 3]), np.zeros((3, 3, 3)), np.array([6])),
-        lambda: hung_by(np.array([0, 5]), np.zeros((2, 3, 3)), np.array([6])),
-        lambda: hung_by(np.array([0, 3]), np.zeros((2, 3, 3)), np.array([7])),
+        lambda: numpy_composed_attitude(np.array([0, 3]), np.zeros((3, 3, 3)), np.array([6])),
+        lambda: numpy_composed_attitude(np.array([0, 5]), np.zeros((2, 3, 3)), np.array([6])),
+        lambda: numpy_composed_attitude(np.array([0, 3]), np.zeros((2, 3, 3)), np.array([7])),
         lambda: compiled_rotations.turn_between(np.eye(3), np.eye(2)),
-        lambda: compiled_rotations.moved(np.eye(3)[None], np.zeros((1, 1, 3)), np.zeros((1, 0)), np.zeros(1), 0.3, 1.0),
+        lambda: compiled_rotations.propagate_by_rates(np.eye(3)[None], np.zeros((1, 1, 3)), np.zeros((1, 0)), np.zeros(1), 0.3, 1.0),
         lambda: compiled_rotations.cubic(np.eye(3), np.zeros(3), np.zeros(2), np.zeros(3), 0.1, 0.5),
-        lambda: compiled_rotations.between(
+        lambda: compiled_rotations.interpolate_attitude(
             np.eye(3), np.eye(3), np.eye(2), np.zeros(3), np.zeros(3), 0.1, 0.5, 0.0, 0.5, 0.3, 1.0
         ),
     ]

@@ -42,7 +42,7 @@ def test_hidden_directions_equal_those_of_matplotlib() -> None:
         path = Path(np.vstack([polygon, polygon[:1]]), closed=True)
         turned = [path.contains_points(places + np.array([turn, 0.0])) for turn in (-720.0, -360.0, 0.0, 360.0, 720.0)]
         expected = np.any(turned, axis=0)
-        np.testing.assert_array_equal(masks_of(polygon).hide(directions(places)), expected)
+        np.testing.assert_array_equal(masks_of(polygon).is_hidden(directions(places)), expected)
         hidden_share.append(expected.mean())
     assert 0.005 < np.mean(hidden_share) < 0.5
 
@@ -51,21 +51,21 @@ def test_a_mask_across_the_bow_hides_both_sides() -> None:
     azimuths = np.array([-5.0, 0.0, 5.0, 355.0, 15.0, 180.0])
     places = np.stack([azimuths, np.full(6, 10.0)], axis=-1)
     for turn_deg in (0.0, -360.0):
-        hidden = masks_of(np.array(ACROSS_BOW) + np.array([turn_deg, 0.0])).hide(directions(places))
+        hidden = masks_of(np.array(ACROSS_BOW) + np.array([turn_deg, 0.0])).is_hidden(directions(places))
         assert hidden.tolist() == [True, True, True, True, False, False]
 
 
 def test_a_mask_all_round_hides_all_azimuths_below_its_edge() -> None:
     round_ship = [[0.0, -90.0], [360.0, -90.0], [360.0, 12.0], [0.0, 12.0]]
     azimuths = np.arange(0.0, 360.0, 7.5)
-    assert masks_of(round_ship).hide(directions(np.stack([azimuths, np.full(48, 11.9)], axis=-1))).all()
-    assert not masks_of(round_ship).hide(directions(np.stack([azimuths, np.full(48, 12.1)], axis=-1))).any()
+    assert masks_of(round_ship).is_hidden(directions(np.stack([azimuths, np.full(48, 11.9)], axis=-1))).all()
+    assert not masks_of(round_ship).is_hidden(directions(np.stack([azimuths, np.full(48, 12.1)], axis=-1))).any()
 
 
 def test_nan_direction_is_hidden() -> None:
     nowhere = np.array([[np.nan, 0.0, 1.0], [0.0, np.nan, 0.0]])
-    assert masks_of(FUNNEL).hide(nowhere).all()
-    assert masks_of(FUNNEL).hide(nowhere, margin=0.1).all()
+    assert masks_of(FUNNEL).is_hidden(nowhere).all()
+    assert masks_of(FUNNEL).is_hidden(nowhere, margin=0.1).all()
 
 
 def test_with_a_margin_all_of_a_small_circle_is_hidden() -> None:
@@ -80,13 +80,13 @@ def test_with_a_margin_all_of_a_small_circle_is_hidden() -> None:
         bearing = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
         around = np.cos(bearing)[:, None, None] * side + np.sin(bearing)[:, None, None] * other
         points = np.cos(radius) * middle + np.sin(radius) * around
-        return masks.hide(points.reshape(-1, 3)).reshape(72, -1).all(axis=0)
+        return masks.is_hidden(points.reshape(-1, 3)).reshape(72, -1).all(axis=0)
 
-    hidden = masks.hide(middle, margin)
+    hidden = masks.is_hidden(middle, margin)
     # Within half a step of the edge's points, and a corner may lie between two of the circle's.
     assert not np.any(hidden & ~circle_hidden(margin))
     assert not np.any(~hidden & circle_hidden(margin + np.deg2rad(0.6)))
-    assert 50 < np.count_nonzero(hidden) < np.count_nonzero(masks.hide(middle))
+    assert 50 < np.count_nonzero(hidden) < np.count_nonzero(masks.is_hidden(middle))
 
 
 @pytest.mark.slow
@@ -99,7 +99,7 @@ def test_a_mask_reaches_a_field_if_a_point_of_the_field_lies_in_it(roll_deg: flo
     rng = np.random.default_rng(5)
     places = rng.uniform([120.0, 5.0], [240.0, 75.0], (300, 2))
     rotations = np.array([rotation_from_angles(*np.deg2rad([*place, roll_deg])) for place in places])
-    ours = masks_of(FUNNEL).reaching(rotations, np.array([half, half]))[0]
+    ours = masks_of(FUNNEL).masks_in_field(rotations, np.array([half, half]))[0]
     seen = field_s @ np.swapaxes(rotations, -1, -2)
     azimuths = np.rad2deg(np.arctan2(seen[..., 2], seen[..., 0])) % 360.0
     elevations = np.rad2deg(np.arctan2(seen[..., 1], np.hypot(seen[..., 0], seen[..., 2])))
@@ -115,6 +115,6 @@ def test_masks_that_cover_a_field_together_are_named() -> None:
     ahead = [[0.0, 0.0], [20.0, 0.0], [20.0, 60.0]]
     half = np.tan(np.deg2rad([5.0, 5.0]))
     field_d = field_directions(half) @ rotation_from_angles(*np.deg2rad([180.0, 30.0, 0.0])).T
-    assert masks_of(left, right, ahead).covering(field_d) == ["mask_0", "mask_1"]
-    assert masks_of(left, ahead).covering(field_d) == []
-    assert DeckMasks((), ()).covering(field_d) == []
+    assert masks_of(left, right, ahead).covering_masks(field_d) == ["mask_0", "mask_1"]
+    assert masks_of(left, ahead).covering_masks(field_d) == []
+    assert DeckMasks((), ()).covering_masks(field_d) == []

@@ -107,7 +107,7 @@ def test_old_file_predicts_and_then_has_no_values(tmp_path):
     table = read_finals2000a(path, leap_seconds())
     assert table.measured_until_mjd == 58_849
     assert table.at(ns_of(2020, 1, 31)).ut1_sigma_s == pytest.approx(5e-3, rel=1e-3)
-    assert table.reason_against(ns_of(2020, 5, 1)) is not None
+    assert table.unavailable_text(ns_of(2020, 5, 1)) is not None
 
 
 def test_error_names_a_file_of_another_format(tmp_path):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
-from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes, turning_over
+from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes, exposure_motion
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
 
@@ -68,7 +68,7 @@ def track(rate_hz: float, measured_rates: bool, noise: np.ndarray | None = None)
 def test_mean_direction_is_that_of_the_true_motion(rate_hz, measured_rates, exposure_s):
     """Angular acceleration and the centripetal part together, for directions in the rotating body."""
     middle_ns = 33_000_000
-    turning = turning_over(track(rate_hz, measured_rates), middle_ns, exposure_nodes(exposure_s))
+    turning = exposure_motion(track(rate_hz, measured_rates), middle_ns, exposure_nodes(exposure_s))
     seen = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
     true = np.mean([attitude(0.033 + t).T @ attitude(0.033) @ seen for t in moments(exposure_s, 400)], axis=0)
     found = turning.nodes.mean(turning.turns @ seen)
@@ -82,7 +82,7 @@ def test_the_rate_is_that_of_the_mean_and_holds_little_of_the_noise():
     true = log_rotation(attitude(0.033).T @ np.array([attitude(0.033 + t) for t in (-0.125, 0.125)]))
     noisy = []
     for _ in range(100):
-        turning = turning_over(track(100.0, True, ARCSEC * rng.standard_normal((201, 3))), middle_ns, nodes)
+        turning = exposure_motion(track(100.0, True, ARCSEC * rng.standard_normal((201, 3))), middle_ns, nodes)
         noisy.append(turning.rate - (true[1] - true[0]) / 0.25)
     # 99.9 % of chi-square with 300 degrees of freedom: RMS/sigma in [0.87, 1.14]; between samples sigma is less.
     assert np.sqrt(np.mean(np.square(noisy))) < 1.14 * np.sqrt(2.0) / 0.25 * ARCSEC
@@ -111,16 +111,16 @@ def test_the_noise_gains_are_what_each_sample_does(rate_hz, measured_rates):
         mean, middle = mean_and_middle(noise)
         of_mean.append(mean)
         of_difference.append(mean - middle)
-    turning = turning_over(track(rate_hz, measured_rates), middle_ns, nodes)
+    turning = exposure_motion(track(rate_hz, measured_rates), middle_ns, nodes)
     assert turning.noise_gain == pytest.approx(np.sum(np.square(of_mean)), rel=0.01)
     assert turning.correction_gain == pytest.approx(np.sum(np.square(of_difference)), rel=0.02)
 
 
 def test_no_exposure_motion_with_a_gap_in_the_track():
     whole, nodes = track(100.0, measured_rates=True), exposure_nodes(0.1)
-    assert turning_over(whole, 0, nodes) is not None
+    assert exposure_motion(whole, 0, nodes) is not None
     for outside_ns in (-950_000_000, 950_000_000, 3 * SECOND_NS):
-        assert turning_over(whole, outside_ns, nodes) is None
+        assert exposure_motion(whole, outside_ns, nodes) is None
 
 
 @pytest.mark.parametrize(("rate_hz", "measured_rates"), [(100.0, False), (5.0, True), (5.0, False), (2.5, False)])
@@ -129,7 +129,7 @@ def test_interpolation_error_of_the_correction_is_within_its_sigma(rate_hz, meas
     distances, claimed_arcsec = [], []
     for exposure_s in (0.05, 0.1, 0.2):
         for middle_ns in range(-500_000_000, 500_000_000, 37_000_000):
-            turning = turning_over(samples, middle_ns, exposure_nodes(exposure_s))
+            turning = exposure_motion(samples, middle_ns, exposure_nodes(exposure_s))
             if turning is None:
                 continue
             true = np.mean(

@@ -19,7 +19,7 @@ LOW_DEG = np.array([5.01, 6.0, 7.0, 8.0, 10.0, 15.0, 20.0, 30.0, 45.0])
 """Elevations without air."""
 
 
-def traced(zenith_deg: FloatArray | float, weather: Weather, atmosphere: Atmosphere = STANDARD) -> FloatArray:
+def trace_refraction(zenith_deg: FloatArray | float, weather: Weather, atmosphere: Atmosphere = STANDARD) -> FloatArray:
     return traced_refraction(
         np.atleast_1d(np.deg2rad(zenith_deg)),
         np.array([weather.pressure_hpa]),
@@ -30,7 +30,7 @@ def traced(zenith_deg: FloatArray | float, weather: Weather, atmosphere: Atmosph
     )[0]
 
 
-def seen_at(elevation_deg: FloatArray, weather: Weather) -> FloatArray:
+def observed_zenith_distance(elevation_deg: FloatArray, weather: Weather) -> FloatArray:
     """Return the zenith distance with air, degrees."""
     angle = refraction("ray_trace", np.deg2rad(elevation_deg), weather).angle
     return 90.0 - elevation_deg - np.rad2deg(angle)
@@ -102,7 +102,7 @@ def model_air(height_m: float) -> tuple[float, float]:
 @pytest.mark.parametrize("zenith_deg", [30.0, 70.0, 80.0, 84.8])
 def test_a_ray_drawn_step_by_step_is_the_same(zenith_deg):
     dry = Weather(1013.25, 15.0, 0.0)
-    assert traced(zenith_deg, dry)[0] == pytest.approx(drawn_ray(np.deg2rad(zenith_deg), model_air), abs=5e-5 * ARCSEC)
+    assert trace_refraction(zenith_deg, dry)[0] == pytest.approx(drawn_ray(np.deg2rad(zenith_deg), model_air), abs=5e-5 * ARCSEC)
 
 
 LAYERS_M = np.array([0.0, 11e3, 20e3, 32e3, 47e3, 51e3, 71e3, 200e3])
@@ -141,8 +141,8 @@ def test_sigma_covers_air_that_is_built_otherwise(name, air):
     dry = Weather(1013.25, 15.0, 0.0)
     elevation_deg = np.array([5.01, 7.0, 10.0, 20.0, 45.0])
     sigma = refraction("ray_trace", np.deg2rad(elevation_deg), dry).model_sigma
-    zenith_deg = seen_at(elevation_deg, dry)
-    errors = traced(zenith_deg, dry) - [drawn_ray(np.deg2rad(z), air) for z in zenith_deg]
+    zenith_deg = observed_zenith_distance(elevation_deg, dry)
+    errors = trace_refraction(zenith_deg, dry) - [drawn_ray(np.deg2rad(z), air) for z in zenith_deg]
     print(name, np.round(errors / ARCSEC, 3), "of", np.round(sigma / ARCSEC, 3))
     assert np.all(np.abs(errors) < sigma)
 
@@ -151,8 +151,8 @@ def test_sigma_covers_air_that_is_built_otherwise(name, air):
 def test_sigma_is_what_varying_the_air_gives(temperature_c):
     """The numbers of the comment above _MODEL_SIGMAS; the error of the humidity is neglected for all models."""
     weather = Weather(1013.25, temperature_c, 0.5)
-    zenith_deg = seen_at(LOW_DEG, weather)
-    given = traced(zenith_deg, weather)
+    zenith_deg = observed_zenith_distance(LOW_DEG, weather)
+    given = trace_refraction(zenith_deg, weather)
     pairs = (
         (Atmosphere(lapse_k_per_m=0.005), Atmosphere(lapse_k_per_m=0.008)),
         (Atmosphere(tropopause_m=8e3), Atmosphere(tropopause_m=16e3)),
@@ -160,7 +160,7 @@ def test_sigma_is_what_varying_the_air_gives(temperature_c):
     )
     squares = np.zeros(len(LOW_DEG))
     for pair in pairs:
-        both = np.array([traced(zenith_deg, weather, other) - given for other in pair])
+        both = np.array([trace_refraction(zenith_deg, weather, other) - given for other in pair])
         squares += np.abs(both).max(axis=0) ** 2
     # 1 hPa in 100 km along the sight. At constant temperature ∂n/∂x goes with the pressure, and (n - 1) summed over the
     # height is 2.77e-4 times 8.4 km.
@@ -195,7 +195,7 @@ def test_the_other_models_err_by_their_sigma(pressure_hpa, temperature_c):
 def test_the_expansion_is_the_traced_ray(pressure_hpa, temperature_c):
     weather = Weather(pressure_hpa, temperature_c, 0.9)
     zenith_deg = np.linspace(0.01, 84.9, 300)
-    angle = traced(zenith_deg, weather)
+    angle = trace_refraction(zenith_deg, weather)
     elevation = np.deg2rad(90.0 - zenith_deg) - angle
     held = elevation >= LOWEST_ELEVATION["ray_trace"]
     assert np.rad2deg(elevation[held].min()) < 5.3

@@ -4,7 +4,7 @@ import erfa
 import numpy as np
 import pytest
 
-from ship_geometry.refraction import MODELS, Weather, elevation_of, lifted, lifting_axis, refraction, refraction_slopes
+from ship_geometry.refraction import MODELS, Weather, elevation_of, raised_directions, raising_axis, refraction, refraction_slopes
 from ship_geometry.rotations import ARCSEC, angle_between, exp_rotation
 
 PAPER = Weather(pressure_hpa=1008.3, temperature_c=28.2)
@@ -118,11 +118,11 @@ def test_refraction_raises_towards_the_zenith_only():
     directions = rng.normal(size=(200, 3))
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     angle = rng.uniform(0.0, 300.0, 200) * ARCSEC
-    higher = lifted(directions, angle)
+    higher = raised_directions(directions, angle)
     assert elevation_of(higher) - elevation_of(directions) == pytest.approx(angle, abs=1e-14)
     assert angle_between(directions, higher) == pytest.approx(angle, abs=1e-14)
     assert np.linalg.norm(higher, axis=-1) == pytest.approx(np.ones(200), abs=1e-14)
-    assert lifted(np.array([0.0, 1.0, 0.0]), np.array(0.0)) == pytest.approx([0.0, 1.0, 0.0], abs=0.0)
+    assert raised_directions(np.array([0.0, 1.0, 0.0]), np.array(0.0)) == pytest.approx([0.0, 1.0, 0.0], abs=0.0)
 
 
 @pytest.mark.parametrize(
@@ -136,11 +136,11 @@ def test_weather_in_other_units_is_refused(field, value):
 
 @pytest.mark.filterwarnings("error")
 def test_raised_directions_are_regular_at_the_zenith():
-    assert lifting_axis(np.array([0.0, 1.0, 0.0])).tolist() == [0.0, 0.0, 0.0]
+    assert raising_axis(np.array([0.0, 1.0, 0.0])).tolist() == [0.0, 0.0, 0.0]
     near = np.array([1e-200, 1.0, 0.0])
-    assert lifting_axis(near) == pytest.approx([0.0, 0.0, 1.0])
+    assert raising_axis(near) == pytest.approx([0.0, 0.0, 1.0])
     low = np.array([0.6, 0.0, 0.8])
-    axis = lifting_axis(low)
+    axis = raising_axis(low)
     turned = exp_rotation(1e-3 * axis) @ low
     assert elevation_of(turned) == pytest.approx(1e-3)
-    assert lifted(low, np.array(1e-3)) == pytest.approx(turned)
+    assert raised_directions(low, np.array(1e-3)) == pytest.approx(turned)

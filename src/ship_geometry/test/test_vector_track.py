@@ -23,24 +23,24 @@ def track_of(times_s, function, period=np.inf) -> VectorTrack:
     return track
 
 
-def accelerated(time_s: float) -> np.ndarray:
+def accelerated_vector(time_s: float) -> np.ndarray:
     """A drone that speeds up: differences over equal steps give the rates of a parabola exactly."""
     return np.array([3.0, -2.0, 1.0]) + np.array([10.0, 0.0, -4.0]) * time_s + np.array([1.5, -0.5, 2.0]) * time_s**2
 
 
 def test_constant_acceleration_is_interpolated_exactly() -> None:
-    track = track_of(np.arange(0.0, 1.05, 0.2), accelerated)
+    track = track_of(np.arange(0.0, 1.05, 0.2), accelerated_vector)
     for time_s in (0.2, 0.27, 0.5, 0.7999):
         found = track.at(at_s(time_s))
         assert found is not None
         # Stamps are whole nanoseconds.
-        assert found.vector == pytest.approx(accelerated(time_s), abs=1e-7)
+        assert found.vector == pytest.approx(accelerated_vector(time_s), abs=1e-7)
 
 
 def test_at_a_stamp_it_is_the_sample_itself() -> None:
-    found = track_of([0.0, 0.2, 0.4], accelerated).at(at_s(0.2))
+    found = track_of([0.0, 0.2, 0.4], accelerated_vector).at(at_s(0.2))
     assert found is not None
-    assert found.vector.tolist() == accelerated(0.2).tolist()
+    assert found.vector.tolist() == accelerated_vector(0.2).tolist()
     assert found.noise_gain == 1.0
 
 
@@ -58,7 +58,7 @@ def test_angles_go_the_short_way_round(way: float) -> None:
 
 
 def test_outside_and_across_a_gap_there_is_nothing() -> None:
-    track = track_of([0.0, 0.2, 1.3, 1.5], accelerated)
+    track = track_of([0.0, 0.2, 1.3, 1.5], accelerated_vector)
     assert track.at(at_s(-0.1)) is None
     assert track.at(at_s(0.7)) is None
     assert track.at(at_s(1.6)) is None
@@ -66,13 +66,13 @@ def test_outside_and_across_a_gap_there_is_nothing() -> None:
 
 
 def test_value_is_final_with_the_neighbour_after_the_interval() -> None:
-    track = track_of([0.0, 0.2], accelerated)
-    assert not track.covers(at_s(0.1))
+    track = track_of([0.0, 0.2], accelerated_vector)
+    assert not track.is_final_at(at_s(0.1))
     before = track.at(at_s(0.1))
-    track.insert(VectorSample(at_s(0.4), accelerated(0.4)))
-    assert track.covers(at_s(0.1))
+    track.insert(VectorSample(at_s(0.4), accelerated_vector(0.4)))
+    assert track.is_final_at(at_s(0.1))
     covered = track.at(at_s(0.1))
-    track.insert(VectorSample(at_s(0.6), accelerated(0.6)))
+    track.insert(VectorSample(at_s(0.6), accelerated_vector(0.6)))
     after = track.at(at_s(0.1))
     assert before.vector.tolist() != covered.vector.tolist() == after.vector.tolist()
 
@@ -81,7 +81,7 @@ def test_any_order_of_arrival_gives_the_same() -> None:
     times_s = [0.0, 0.2, 0.4, 0.6]
     found = set()
     for order in itertools.permutations(times_s):
-        result = track_of(order, accelerated).at(at_s(0.31))
+        result = track_of(order, accelerated_vector).at(at_s(0.31))
         assert result is not None
         found.add((result.vector.tobytes(), result.noise_gain))
     assert len(found) == 1

@@ -52,12 +52,12 @@ class Obstructions:
 
     def masks_in_view(self, number: int, angles: FloatArray) -> list[str]:
         """Return the names of the masks in the field of a sensor mounted at (azimuth, elevation, roll), rad."""
-        reaching = self.masks.reaching(rotation_from_angles(*angles)[None], self.half_fields[number])
+        reaching = self.masks.masks_in_field(rotation_from_angles(*angles)[None], self.half_fields[number])
         return [name for name, reaches in zip(self.masks.names, reaching, strict=True) if reaches[0]]
 
     def is_clear(self, number: int, angles: FloatArray) -> NDArray[np.bool_]:
         """True if the field of a sensor is clear of all masks, for installation angles (n, 3), rad; shape (n,)."""
-        reached: NDArray[np.bool_] = np.any(self.masks.reaching(_rotations(angles), self.half_fields[number]), axis=0)
+        reached: NDArray[np.bool_] = np.any(self.masks.masks_in_field(_rotations(angles), self.half_fields[number]), axis=0)
         return ~reached
 
     def horizon_margin(self, number: int, angles: FloatArray) -> FloatArray:

@@ -119,7 +119,7 @@ class InsBatch:
         """Return the attitudes of one segment, or the failure to compute them."""
         some, count = slice(segment.start, segment.stop), segment.stop - segment.start
         try:
-            (run,) = corrected_estimates([corrected], [count], self._times_ns[some], propagated.some(some), config)
+            (run,) = corrected_estimates([corrected], [count], self._times_ns[some], propagated.subset(some), config)
         except Exception as error:
             return failure_rejection(error)
         return run

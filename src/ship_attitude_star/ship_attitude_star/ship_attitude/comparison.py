@@ -98,7 +98,7 @@ def predict_attitude(
     J_left(v) dv in the frame to its left, which the product so far rotates into the device frame.
     """
     chain = model.rotation_chains[device.name]
-    result = compiled_rotations.hung(
+    result = compiled_rotations.composed_attitude(
         mean,
         chain.links,
         chain.fixed,

@@ -215,7 +215,7 @@ class ShipAttitudeCore:
         waits_ns = np.diff(arrivals_ns, prepend=self._ins_arrival_ns)
         near = (steps_ns <= self._max_gap_ns) & (waits_ns >= 0) & (waits_ns <= min(self._ins_timeout_ns, SECOND_NS))
         near &= is_within_lag(block.times_ns, arrivals_ns, self.config.lag_s)
-        block = block.some(slice(len(near) if near.all() else int(np.argmin(near))))
+        block = block.subset(slice(len(near) if near.all() else int(np.argmin(near))))
         if not len(block.times_ns):
             return None
         samples = block.samples()
@@ -265,7 +265,7 @@ class ShipAttitudeCore:
         time_ns = judged.sample.time_ns
         if judged.rates_wrong_after_ns is not None:
             # The rates are faulty. Measurements evaluated with them are evaluated again without rates.
-            changed_after_ns = self._track.forget_rates(judged.rates_wrong_after_ns)
+            changed_after_ns = self._track.drop_rates(judged.rates_wrong_after_ns)
             if changed_after_ns is not None:
                 self._estimator.rewind_after(changed_after_ns)
                 self._estimator.apply(outcome)
@@ -284,7 +284,7 @@ class ShipAttitudeCore:
         if not self._estimator.add_sample(INS, self._track, judged.sample, outcome):
             return outcome
         # Propagation by a clock offset needs the rate. Without a rate no attitude is published for the sample.
-        if self._track.newest is judged.sample and (self._track.newest_rate_known or self.state.time_ns is None):
+        if self._track.newest is judged.sample and (self._track.has_newest_rate or self.state.time_ns is None):
             self._ins_arrival_ns = arrival_ns
             if estimate:
 

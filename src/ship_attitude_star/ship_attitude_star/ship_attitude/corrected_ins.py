@@ -175,7 +175,7 @@ def corrected_attitudes(
     Returns:
         Shapes (N, 3, 3) and (N, n_sources, 3, 3).
     """
-    found: tuple[FloatArray, FloatArray] = compiled_rotations.corrected(
+    found: tuple[FloatArray, FloatArray] = compiled_rotations.corrected_attitudes(
         state_index,
         since_s,
         *propagated,
@@ -198,7 +198,7 @@ def _attitudes_with_deflection(
         shape (N,).
     """
     errors = [one.errors(time_ns[some].tolist()) for one, some in zip(corrected, segments, strict=True)]
-    rotation_nd, covariance_by_source = compiled_rotations.corrected(
+    rotation_nd, covariance_by_source = compiled_rotations.corrected_attitudes(
         np.arange(len(time_ns), dtype=np.intp),
         np.zeros(len(time_ns)),
         *propagated,

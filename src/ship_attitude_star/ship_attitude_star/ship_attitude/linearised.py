@@ -29,7 +29,7 @@ from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason, Rejection, singular_covariance
 from ship_geometry import lapack
 from ship_geometry.attitude_track import AttitudeTrack, InterpolatedAttitude
-from ship_geometry.exposure_mean import turning_over
+from ship_geometry.exposure_mean import exposure_motion
 from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
 from ship_geometry.time_scales import SECOND_NS
 
@@ -243,7 +243,7 @@ class Linearisation:
         around_ns = 0
         if task.offset_sigma_s > _LINEAR_CLOCK_SIGMA_S:
             around_ns = round(_FAR_SIGMAS * task.offset_sigma_s * SECOND_NS)
-        if task.may_wait and not track.covers(ins_time_ns + max(measurement.reach_ns, around_ns)):
+        if task.may_wait and not track.is_final_at(ins_time_ns + max(measurement.reach_ns, around_ns)):
             return None
         ins = track.at(ins_time_ns)
         if ins is None:
@@ -261,7 +261,7 @@ class Linearisation:
             turn = self._vertical.at(measurement.time_ns).deflection_jacobian
             measurement = replace(measurement, shared_n=turn, shared_by=SHARED_BY_GRAVITY)
         elif isinstance(measurement, StarExposure) and measurement.length is not None:
-            turning = turning_over(track, ins_time_ns, measurement.length.nodes)
+            turning = exposure_motion(track, ins_time_ns, measurement.length.nodes)
             if turning is None:
                 return NotEvaluable(measurement.length.coverage_rejection, ins_time_ns)
             # The prediction is the mean over the exposure, so errors and rate are those of the mean. The rate between
@@ -273,7 +273,7 @@ class Linearisation:
                 noise_gain=turning.noise_gain,
                 error_covariance_d=turning.error_covariance,
             )
-            measurement = reduce_to_mid_exposure(measurement, turning.mounted(task.device.rotation_dv0).turns)
+            measurement = reduce_to_mid_exposure(measurement, turning.in_device_frame(task.device.rotation_dv0).turns)
         if shared_count > 1.0:
             # The interpolation error between two samples is common to all measurements there. The filter treats it as
             # noise; with the variance multiplied by their number, their mean has the variance of the common error.

@@ -108,7 +108,7 @@ def check_field_not_covered(masks: SensorMasks, field_s: FloatArray, prefix: str
     Raises:
         ParameterError: the masks cover the whole field; names them.
     """
-    covering = masks.covering(field_s)
+    covering = masks.covering_masks(field_s)
     if covering:
         raise ParameterError(
             f"parameter '{prefix}.masks': {', '.join(covering)} cover the whole field of view, so that no star is "

@@ -224,7 +224,7 @@ class SkyModel:
         found, known = self.surroundings.position_and_air_at(time_ns), self._sky_by_time.get(time_ns)
         if known is not None and not isinstance(found, Rejection) and known.position is found[0] and known.air is found[1]:
             return known
-        reason = self._table.reason_against(time_ns)
+        reason = self._table.unavailable_text(time_ns)
         if reason is not None:
             return Rejection(Reason.NO_EARTH_ORIENTATION, reason)
         if isinstance(found, Rejection):

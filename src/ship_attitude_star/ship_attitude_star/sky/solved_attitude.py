@@ -17,7 +17,7 @@ import numpy as np
 
 from ship_attitude_star.measurements.samples import AttitudeMeasurement, SolvedAttitude
 from ship_attitude_star.sky.sky_watch import LocalSky
-from ship_geometry.refraction import elevation_of, lifting_axis
+from ship_geometry.refraction import elevation_of, raising_axis
 from ship_geometry.rotations import FloatArray
 
 _ROUNDING_RATIO = 1e-9
@@ -67,7 +67,7 @@ def _refraction_lift(rotation_ns: FloatArray, local_sky: LocalSky) -> tuple[Floa
     The error is NaN below the elevation range of the refraction model.
     """
     forward_n = rotation_ns[:, 0]
-    return lifting_axis(forward_n), local_sky.refraction_at(float(elevation_of(forward_n)))[1]
+    return raising_axis(forward_n), local_sky.refraction_at(float(elevation_of(forward_n)))[1]
 
 
 def _without_sky_rotations(stated_n: FloatArray, turns_n: FloatArray) -> FloatArray:

@@ -17,7 +17,7 @@ from ship_attitude_star.measurements.samples import AttitudeMeasurement, SolvedA
 from ship_attitude_star.sky.sky_watch import LocalSky, SkyModel
 from ship_attitude_star.sky.solved_attitude import separate_shared_errors
 from ship_estimation.refusals import Rejection
-from ship_geometry.refraction import elevation_of, lifting_axis
+from ship_geometry.refraction import elevation_of, raising_axis
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 
 _ASSUMED_STARS = 5
@@ -55,7 +55,7 @@ def _convert_to_horizon(inertial: InertialAttitude, local_sky: LocalSky) -> Atti
     angle, sigma = local_sky.refraction_at(elevation)
     if not np.isfinite(angle):
         return local_sky.low_elevation_rejection(elevation)
-    lift = lifting_axis(forward)
+    lift = raising_axis(forward)
     mean_extra_lift, common_n = _field_refraction(field, local_sky, elevation, angle, forward)
     shared_n = np.column_stack([sigma * lift, local_sky.sky_rotations().T])
     return AttitudeMeasurement(
@@ -89,7 +89,7 @@ def _field_refraction(
     towards = angle * np.tan(elevation) if elevation < 0.5 * np.pi - 1e-6 else -slope
     middle = field.radius / (2.0 * np.sqrt(_ASSUMED_STARS))
     left_in = 0.0 if field.aberration_removed else _MAX_ABERRATION
-    lift, about = lifting_axis(forward), np.outer(forward, forward)
+    lift, about = raising_axis(forward), np.outer(forward, forward)
     common_n = (towards**2 + left_in**2) * middle**2 * (np.eye(3) - about)
     mean_extra_lift = field.radius**2 / 8.0 * (curvature + 2.0 * angle)
     # The slope itself varies over the field, near the horizon by its own size.

@@ -196,7 +196,7 @@ class SmoothingCore(ShipAttitudeCore):
         parts = np.zeros((len(corrections), len(self.filter.model.sources), _TIME_OFFSET + 1, _TIME_OFFSET + 1))
         # The covariance by error source is not smoothed; all of it is assigned to the INS drift.
         parts[:, corrected.drift_index] = [corrects.covariance for _, corrects, _ in corrections]
-        rotations_nd, parts_n = compiled_rotations.corrected(
+        rotations_nd, parts_n = compiled_rotations.corrected_attitudes(
             np.arange(len(corrections), dtype=np.intp),
             np.zeros(len(corrections)),
             np.array([ins.rotation_nd for _, _, ins in corrections]),

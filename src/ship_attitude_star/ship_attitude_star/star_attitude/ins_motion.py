@@ -25,7 +25,7 @@ from ship_estimation.ins import InsJump, StarInsConfig
 from ship_estimation.ins_guard import CheckedBlock, CheckedInsSample
 from ship_estimation.refusals import StampConflicts, Rejection, resolve_same_stamp
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude, SampleBlock
-from ship_geometry.exposure_mean import turning_over
+from ship_geometry.exposure_mean import exposure_motion
 from ship_geometry.interpolation_error import joint_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
@@ -132,7 +132,7 @@ class InsMotion:
         # No sample after a gap, and none that may be too late.
         steps_ns = np.diff(block.times_ns, prepend=newest.time_ns)
         near = (steps_ns > 0) & (steps_ns <= self._max_gap_ns) & is_within_lag(block.times_ns, arrivals_ns, lag_s)
-        block = block.some(slice(len(near) if near.all() else int(np.argmin(near))))
+        block = block.subset(slice(len(near) if near.all() else int(np.argmin(near))))
         if not len(block.times_ns):
             return None
         samples = block.samples()
@@ -154,7 +154,7 @@ class InsMotion:
     def _use(self, judged: CheckedInsSample) -> Rejection | None:
         """Use a checked sample; return the rejection if it is not used."""
         if judged.rates_wrong_after_ns is not None:
-            self.track.forget_rates(judged.rates_wrong_after_ns)
+            self.track.drop_rates(judged.rates_wrong_after_ns)
         for jump in judged.jumps:
             self.track.cut(jump.time_ns)
             self._jumps.append(jump)
@@ -175,7 +175,7 @@ class InsMotion:
         newest, stamp_ns = self.track.newest, time_ns - self._offset_ns
         if newest is None or stamp_ns - newest.time_ns >= self._max_gap_ns or self._is_contradictory(stamp_ns):
             return False
-        return not self.track.covers(stamp_ns + reach_ns)
+        return not self.track.is_final_at(stamp_ns + reach_ns)
 
     def deck_prior(self, time_ns: int) -> StarPrior | None:
         """Return the attitude of the deck at a time, with all INS errors; None if it is not known."""
@@ -264,12 +264,12 @@ class InsMotion:
         if length is None:
             return ExposureAtMiddle(exposure, 0.0, 0.0)
         stamp_ns = exposure.time_ns - self._offset_ns
-        turning = None if self._is_contradictory(stamp_ns) else turning_over(self.track, stamp_ns, length.nodes)
+        turning = None if self._is_contradictory(stamp_ns) else exposure_motion(self.track, stamp_ns, length.nodes)
         if turning is None:
             unmeasured_acceleration = np.deg2rad(self._config.untold_acceleration_deg_per_s2)
             return ExposureAtMiddle(exposure, 0.0, length.unmeasured_turn_variance(float(unmeasured_acceleration)))
         white_variance = turning.correction_gain * (self._config.white_sigma_arcsec * ARCSEC) ** 2
-        corrected = reduce_to_mid_exposure(exposure, turning.mounted(mounting.rotation_ds).turns)
+        corrected = reduce_to_mid_exposure(exposure, turning.in_device_frame(mounting.rotation_ds).turns)
         return ExposureAtMiddle(corrected, white_variance, turning.correction_error)
 
     def drop_before(self, time_ns: int) -> None:

@@ -340,7 +340,7 @@ def identify_stars(
         if len(fitting) == 1 and claimed_once[fitting[0]]:
             chosen[number] = found.rows[fitting[0]]
         else:
-            masks = exposure.masks.names(exposure.directions_s[row]) if exposure.masks is not None else ""
+            masks = exposure.masks.hiding_names(exposure.directions_s[row]) if exposure.masks is not None else ""
             reasons[row] = _identification_rejection(float(found.nearest[number]), len(fitting), masks)
     taken = chosen >= 0
     return _with_identities(exposure, rows[taken], chosen[taken], local_sky), reasons

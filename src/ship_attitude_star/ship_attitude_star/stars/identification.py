@@ -90,7 +90,7 @@ def find_candidates(
     fitting = _mahalanobis(seen_n, reference_n, variance, smear_n, prior) < chi_square_gate(GATE_PROBABILITY, 2)
     fitting &= ~(np.abs(magnitude[:, None] - catalogue.magnitude[rows]) > MAGNITUDE_TOLERANCE)
     if masks is not None:
-        fitting[masks.hide(directions_s)] = False
+        fitting[masks.is_hidden(directions_s)] = False
     alone = np.flatnonzero(~fitting.any(axis=1))
     nearest[alone] = np.min(angle_between(seen_n[alone, None], reference_n), axis=1, initial=np.inf)
     return Candidates(rows, fitting, nearest)
@@ -106,7 +106,7 @@ def _min_stars_in_gate(seen_n: FloatArray, magnitude: FloatArray, prior: StarPri
 
 def _is_masked(masks: SensorMasks, reference_n: FloatArray, prior: StarPrior) -> NDArray[np.bool_]:
     """True if a star is masked for any probable error of the predicted attitude, shape (c,)."""
-    return masks.hide(reference_n @ prior.rotation_nb, _MAX_PRIOR_SIGMAS * float(np.sqrt(np.trace(prior.covariance_n))))
+    return masks.is_hidden(reference_n @ prior.rotation_nb, _MAX_PRIOR_SIGMAS * float(np.sqrt(np.trace(prior.covariance_n))))
 
 
 def _rows_in_field(directions_s: FloatArray, prior: StarPrior, local_sky: LocalSky) -> NDArray[np.int64]:

@@ -160,11 +160,11 @@ class _InsBatches:
         """Add a sample that arrived."""
         if self._batch is None:
             next_wanted = int(self._wanted[np.searchsorted(self._wanted, index)])
-            block = self._block.some(slice(index, min(next_wanted, index + _MAX_BATCH)))
+            block = self._block.subset(slice(index, min(next_wanted, index + _MAX_BATCH)))
             if self._in_order and len(block.times_ns):
                 self._batch, self._arrived = self._core.evaluate_batch(block, block.times_ns), 0
             if self._batch is None:
-                yield self._core.add_ins(self._block.one(index), estimate=index == next_wanted)
+                yield self._core.add_ins(self._block.sample(index), estimate=index == next_wanted)
                 return
         self._arrived += 1
         if self._arrived == self._batch.checked.count:

@@ -138,7 +138,7 @@ def _sky_problems(scenario: Scenario) -> Iterator[ParameterError]:
     start_ns = start_of(scenario.start_utc)
     ends_ns = np.array([start_ns, start_ns + round(scenario.duration_s * SECOND_NS)])
     # With a margin of one day for time offsets.
-    reason = earth_orientation_table().reason_against(ends_ns + np.array([-DAY_NS, DAY_NS]))
+    reason = earth_orientation_table().unavailable_text(ends_ns + np.array([-DAY_NS, DAY_NS]))
     if reason is not None:
         yield _parameter_error("start_utc", f"= {scenario.start_utc}: no sky can be computed: {reason}")
 

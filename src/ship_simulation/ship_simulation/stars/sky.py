@@ -15,7 +15,7 @@ import numpy as np
 from ship_attitude_star.sky.catalogue import StarCatalogue, hipparcos
 from ship_geometry.earth_orientation import EarthOrientation, earth_orientation_table
 from ship_geometry.geodetic import rotation_horizon_from_ecef
-from ship_geometry.refraction import ModelName, Weather, elevation_of, lifted, refraction
+from ship_geometry.refraction import ModelName, Weather, elevation_of, raised_directions, refraction
 from ship_geometry.rotations import FloatArray, exp_rotation
 from ship_geometry.star_directions import Observer, StarPositions, directions, fixed_stars
 from ship_geometry.time_scales import SECOND_NS, julian_date, tt_julian_date
@@ -64,7 +64,7 @@ class TrueSky:
         """
         observer = Observer(self.track.at(time_ns), self.track.velocity_n_m_per_s)
         without_air = directions(stars, time_ns, observer, self.orientation(time_ns))
-        return lifted(without_air, refraction(self.model, elevation_of(without_air), self.weather).angle)
+        return raised_directions(without_air, refraction(self.model, elevation_of(without_air), self.weather).angle)
 
     def rotation_horizon_from_icrs(self, time_ns: np.ndarray) -> FloatArray:
         """Return the rotation "horizon from ICRS", without aberration, shape (n, 3, 3)."""

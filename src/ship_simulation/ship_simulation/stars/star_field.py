@@ -68,7 +68,7 @@ def stars_in_field(
         pixel = camera.pixels(direction_s)
         inside = sensor.camera.holds(pixel)
         if masks is not None:
-            inside[inside] = ~masks.hide(direction_s[inside])
+            inside[inside] = ~masks.is_hidden(direction_s[inside])
         # Columns run from bright to faint.
         exposure, column = np.nonzero(inside & (np.cumsum(inside, axis=1) <= sensor.most_stars))
         parts.append(

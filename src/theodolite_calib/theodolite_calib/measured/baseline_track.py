@@ -110,4 +110,4 @@ class BaselineTrack(VectorTrack[BaselineSample]):
 
     def _are_joined(self, left: int) -> bool:
         both_good = self._samples[left].rejection is None and self._samples[left + 1].rejection is None
-        return both_good and super()._joined(left)
+        return both_good and super()._are_joined(left)

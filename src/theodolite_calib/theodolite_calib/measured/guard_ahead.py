@@ -107,7 +107,7 @@ class GuardAhead:
         steps_ns = np.diff(times_ns[place:])
         usual = (steps_ns > 0) & (steps_ns <= self._max_gap_ns) & (self._reported_steps_rad[place + 1 :] <= least_rad)
         end = len(times_ns) if usual.all() else place + 1 + int(np.argmin(usual))
-        checked = self._ins_check.check_block(self._batch[place:end], self._block.some(slice(place, end)))
+        checked = self._ins_check.check_block(self._batch[place:end], self._block.subset(slice(place, end)))
         if checked.count:
             self._checked_block, self._first = checked, place
         else:

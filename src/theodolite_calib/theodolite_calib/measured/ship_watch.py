@@ -57,7 +57,7 @@ class ShipCheck:
         self._accepted.drop_before(oldest_ns)
         result = self._batch_check.check(sample, self._accepted, stated_step_rad(sample.correlated_covariance_n, self._stated))
         if result.rates_wrong_after_ns is not None:
-            self._accepted.forget_rates(result.rates_wrong_after_ns)
+            self._accepted.drop_rates(result.rates_wrong_after_ns)
         if result.jumps:
             since_ns = result.jumps[-1].time_ns + self._shift_ns
             self._unconfirmed = UnconfirmedStep(since_ns, f"{self._source} has jumped", "lights")

@@ -153,7 +153,7 @@ class MeasuredTracks:
         self.drones = {
             id_: AttitudeTrack(_ns(b.imu.max_gap_s)) for id_, b in config.beacons.items() if np.any(b.light.vector_m)
         }
-        self.encoder.keeps_ns, self.ship.keeps_ns = _LOOKED_BACK_NS + _BEFORE_NS, _DRIFT_WINDOW_NS
+        self.encoder.history_ns, self.ship.history_ns = _LOOKED_BACK_NS + _BEFORE_NS, _DRIFT_WINDOW_NS
         self._dropped_until_ns = -_DROP_EVERY_NS
         self._all: list[SampleTrack[Any]] = [self.encoder, self.ship, *self.baselines.values(), *self.drones.values()]
         widest_gap_ns = max(track.max_gap_ns for track in self._all)
@@ -177,21 +177,21 @@ class MeasuredTracks:
         """True while data still to come may belong to an exposure."""
         # The slowest sources first: most often one of these is awaited.
         for light in exposure.beacons if isinstance(exposure, Exposure) else ():
-            if not self.baselines[light.beacon_id].covers(exposure.time_ns):
+            if not self.baselines[light.beacon_id].is_final_at(exposure.time_ns):
                 return True
             drone = self.drones.get(light.beacon_id)
-            if drone is not None and not drone.covers(exposure.time_ns):
+            if drone is not None and not drone.is_final_at(exposure.time_ns):
                 return True
         return not self.are_axes_final_at(exposure.time_ns + exposure.reach_ns)
 
     def are_axes_final_at(self, time_ns: int) -> bool:
         """True if no data still to come, in order, can change encoders and ship at a time."""
-        return self.encoder.covers(time_ns) and self.ship.covers(time_ns - self.ship_shift_ns)
+        return self.encoder.is_final_at(time_ns) and self.ship.is_final_at(time_ns - self.ship_shift_ns)
 
     @property
     def ship_final_until_ns(self) -> int | None:
         """Latest time at which later samples can no longer change the ship's attitude; None if there is none."""
-        until_ns = self.ship.covered_until_ns
+        until_ns = self.ship.final_until_ns
         return None if until_ns is None else until_ns + self.ship_shift_ns
 
     def ship_at(self, time_ns: int, over: Nodes | None = None) -> ShipAt | None:

@@ -462,7 +462,7 @@ class OpticalAxisCore:
         result = self._ship_check.check(sample, self._estimator.window.oldest_ns)
         if result.rates_wrong_after_ns is not None:
             # Exposures compared with these rates are compared again without them.
-            changed_after_ns = self._tracks.ship.forget_rates(result.rates_wrong_after_ns)
+            changed_after_ns = self._tracks.ship.drop_rates(result.rates_wrong_after_ns)
             if changed_after_ns is not None:
                 self._estimator.rewind_after(changed_after_ns + self._tracks.ship_shift_ns)
                 self._estimator.apply(outcome)

@@ -53,7 +53,7 @@ class _DirectionTrack(VectorTrack[DirectionSample]):
 
     def _are_joined(self, left: int) -> bool:
         ends = self._samples[left : left + 2]
-        return super()._joined(left) and not any(sample.status is Status.INVALID for sample in ends)
+        return super()._are_joined(left) and not any(sample.status is Status.INVALID for sample in ends)
 
 
 class SeenByStation:
