@@ -18,12 +18,12 @@ import pytest
 from ship_bags.live.ros_process import executable
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
-from ship_monitor.alerts.alert_keeper import AlertKeeper
-from ship_monitor.live.live_watch import LiveWatch
-from ship_monitor.live.reader import KEPT, TopicReader
-from ship_monitor.page.shown import shown
+from ship_monitor.alerts.alert_keeper import AlertManager
+from ship_monitor.live.live_watch import LiveSuite
+from ship_monitor.live.reader import MAX_QUEUE_DEPTH, TopicReader
+from ship_monitor.page.shown import first_screen
 from ship_monitor.terminal.pen import plain_text
-from ship_monitor.terminal.screen import View, screen, shown_alert
+from ship_monitor.terminal.screen import View, screen, alert_to_show
 from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment
 from ship_simulation.inject_command import main as inject
 from ship_testing.watched_voyages import (
@@ -64,7 +64,7 @@ class Named:
 
     def record_state(self, picture: SuiteState, history: History) -> None:
         """Record the sources named in a suite state, on the page, and in the lines of a terminal."""
-        page = shown(picture, history, "LIVE", "")
+        page = first_screen(picture, history, "LIVE", "")
         lines = screen(picture, picture.alerts, View(80, 24, "ship", "LIVE", ""))
         rows = [plain_text(line) for line in lines]
         for source in picture.sources:
@@ -100,7 +100,7 @@ def test_all_outputs_name_the_right_source_in_a_replay(bag: str, tmp_path: Path)
     paths = (given, replayed_path) if bag == "theodolite" else (replayed_path,)
     with read_bag(given) as played:
         start_ns = played.start_ns or 0
-    watch, keeper, named = SuiteMonitor(Limits()), AlertKeeper(Limits(), None, start_ns, print), Named(bag, start_ns)
+    watch, keeper, named = SuiteMonitor(Limits()), AlertManager(Limits(), None, start_ns, print), Named(bag, start_ns)
     due_ns = start_ns
     for time_ns, topic, message in records(*paths):
         if time_ns > start_ns + END_S[bag] * NS_PER_S:
@@ -110,11 +110,11 @@ def test_all_outputs_name_the_right_source_in_a_replay(bag: str, tmp_path: Path)
             named.record_state(watch.current_state(due_ns), watch.history)
             for alert in keeper.alerts:
                 named.note("alerts", alert.source, due_ns)
-            for branch in keeper.tree():
+            for branch in keeper.diagnostic_entries():
                 named.note_branch(branch.path, branch.text, due_ns)
             due_ns += LOOK_NS
         watch.take(topic, message, time_ns)
-        keeper.take(topic, message, time_ns)
+        keeper.process_message(topic, message, time_ns)
     named.check(within_s)
 
 
@@ -128,8 +128,8 @@ class LiveSuite:
         command = [*executable("ship_bringup", "suite"), "--bag", str(bag), "--monitor", "--port", str(port)]
         domain = int(os.environ["ROS_DOMAIN_ID"])
         self.process = LiveProcess(command, folder / "suite.log", live_environment(domain, folder / "ros"))
-        self.watch = LiveWatch("watcher", "", Limits())
-        self.diagnostics = TopicReader("statuses", "", lambda topic, _: KEPT if topic == "/diagnostics" else 0)
+        self.watch = LiveSuite("watcher", "", Limits())
+        self.diagnostics = TopicReader("statuses", "", lambda topic, _: MAX_QUEUE_DEPTH if topic == "/diagnostics" else 0)
 
     def close(self) -> None:
         """End all processes; first the observers."""
@@ -145,7 +145,7 @@ class LiveSuite:
             named.record_state(picture, self.watch.history)
         for alert in picture.alerts or ():
             named.note("alerts", alert.source, alert.raised_ns)
-        for arrived in self.diagnostics.take().messages:
+        for arrived in self.diagnostics.fetch().messages:
             for status in arrived.message.status:
                 node, _, path = status.name.partition(": functions/")
                 if node == "alerts":
@@ -171,7 +171,7 @@ def test_all_outputs_name_the_right_source_live(bag: str, tmp_path: Path, monkey
         while not (picture := suite.read(named)).utc_ns or named.seconds(picture.utc_ns) < END_S[bag]:
             assert suite.process.exit_code is None, suite.process.log_text()
             assert time.monotonic() < deadline_s, suite.process.log_text()
-            alert = shown_alert(picture.alerts)
+            alert = alert_to_show(picture.alerts)
             if alert is not None and not alert.is_acknowledged and not acknowledged:
                 acknowledged = suite.watch.acknowledge(alert.id, alert.instance)
             time.sleep(0.1)

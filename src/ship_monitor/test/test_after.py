@@ -10,7 +10,7 @@ from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.stamps import NS_PER_S, make_header
 from ship_monitor.after import recorded_pictures
 from ship_monitor.after.recorded_pictures import BagPlayback
-from ship_monitor.after.recorded_suite import THINNED_NS, RecordedSuite
+from ship_monitor.after.recorded_suite import THINNING_PERIOD_NS, RecordedSuite
 from ship_testing.hand_made_bags import FACTORY, START_NS, ship_attitude, write_imu_bag
 from ship_testing.recorded_suites import TURN_RAD_PER_S, write_suite
 from ship_watch.history import KEPT_S
@@ -48,12 +48,12 @@ def whole(pictures):
 
 def monitor_after(suite, since_ns, until_ns):
     """Return a monitor that has processed all messages between two times."""
-    watch = SuiteMonitor(Limits())
+    monitor = SuiteMonitor(Limits())
     for each in suite.messages(since_ns):
         if each.log_time_ns > until_ns:
             break
-        watch.take(each.topic, each.message, each.log_time_ns)
-    return watch
+        monitor.take(each.topic, each.message, each.log_time_ns)
+    return monitor
 
 
 def slide(pictures, at_s):
@@ -69,8 +69,8 @@ class TestWhatIsRead:
             records = list(whole_bag.records())
         assert [each.topic for each in found].count("ship/innovation") == LENGTH_S
         attitudes = [each.log_time_ns for each in found if each.topic == "ship/attitude"]
-        steps = {record.log_time_ns // THINNED_NS for record in records if record.topic == "ship/attitude"}
-        assert sorted(time_ns // THINNED_NS for time_ns in attitudes) == sorted(steps)
+        steps = {record.log_time_ns // THINNING_PERIOD_NS for record in records if record.topic == "ship/attitude"}
+        assert sorted(time_ns // THINNING_PERIOD_NS for time_ns in attitudes) == sorted(steps)
 
     def test_valid_alerts_come_first(self, suite):
         since_ns = START_NS + 400 * NS_PER_S

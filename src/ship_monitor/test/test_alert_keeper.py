@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from ship_bags.stamps import NS_PER_S
-from ship_monitor.alerts.alert_keeper import MOST_STATUSES, STATUS_AGE_NS, AlertKeeper
+from ship_monitor.alerts.alert_keeper import MAX_STATUSES, MAX_STATUS_AGE_NS, AlertManager
 from ship_testing.watched_voyages import records, replayed
 from ship_watch.alert_conditions import NodeStatus
 from ship_watch.alert_states import AlertState
@@ -34,21 +34,21 @@ class Voyage:
     def __init__(self, *paths: Path, state: Path | None = None, acknowledge: bool = False) -> None:
         self.changes: list[tuple[float, AlertChange]] = []
         self.said: list[str] = []
-        keeper: AlertKeeper | None = None
+        keeper: AlertManager | None = None
         start_ns = due_ns = 0
         for time_ns, topic, message in records(*paths):
             if keeper is None:
                 start_ns = due_ns = time_ns
-                keeper = AlertKeeper(Limits(), state, time_ns, self.said.append)
+                keeper = AlertManager(Limits(), state, time_ns, self.said.append)
             while due_ns <= time_ns:
                 for change in keeper.update(due_ns, CLOCK_NS):
                     self.changes.append(((due_ns - start_ns) / NS_PER_S, change))
                     if acknowledge:
                         keeper.acknowledge(change.alert.id, change.alert.instance, CLOCK_NS)
                 due_ns += LOOK_NS
-            keeper.take(topic, message, time_ns)
+            keeper.process_message(topic, message, time_ns)
         assert keeper is not None
-        self.keeper, self.end_ns = keeper, due_ns
+        self.manager, self.end_ns = keeper, due_ns
 
     def first(self, id_: str) -> tuple[float, AlertChange]:
         """Return time and change of the first report of an alert."""
@@ -125,9 +125,9 @@ def test_crash_loses_no_alert(faulty: Path, tmp_path: Path) -> None:
     for acknowledge in (False, True):
         state.unlink(missing_ok=True)
         before = Voyage(faulty, state=state, acknowledge=acknowledge)
-        assert before.keeper.alerts
-        again = AlertKeeper(Limits(), state, before.end_ns, before.said.append)
-        assert repr(again.alerts) == repr(before.keeper.alerts)
+        assert before.manager.alerts
+        again = AlertManager(Limits(), state, before.end_ns, before.said.append)
+        assert repr(again.alerts) == repr(before.manager.alerts)
         states = {alert.id: alert.state for alert in again.alerts}
         # No data for nine seconds after the start: no alert ends, none is raised twice.
         for tenth in range(90):
@@ -142,7 +142,7 @@ def test_corrupt_file_is_reported_and_replaced(tmp_path: Path, content: str) -> 
     state = tmp_path / "alerts.json"
     state.write_text(content)
     said: list[str] = []
-    keeper = AlertKeeper(Limits(), state, 0, said.append)
+    keeper = AlertManager(Limits(), state, 0, said.append)
     assert len(said) == 1
     assert str(state) in said[0]
     assert "\n" not in said[0]
@@ -156,7 +156,7 @@ def test_full_disk_is_reported_once_and_retried(tmp_path: Path) -> None:
     """While the file cannot be written alerts continue; they are saved as soon as it can be."""
     state = tmp_path / "folder" / "alerts.json"
     said: list[str] = []
-    keeper = AlertKeeper(Limits(), state, 0, said.append)
+    keeper = AlertManager(Limits(), state, 0, said.append)
     state.parent.write_text("a file in the place of the folder")
     for tenth in range(150):
         keeper.update(tenth * NS_PER_S // 10, CLOCK_NS)
@@ -170,19 +170,19 @@ def test_full_disk_is_reported_once_and_retried(tmp_path: Path) -> None:
 def test_sleep_of_the_computer_raises_no_false_alarm(faulty: Path) -> None:
     """An hour of sleep is no timeout of the suite: no alert for ten seconds, in which data arrive again."""
     voyage = Voyage(faulty)
-    before = voyage.keeper.alerts
+    before = voyage.manager.alerts
     later_ns = voyage.end_ns + 3600 * NS_PER_S
     for tenth in range(90):
-        assert voyage.keeper.update(later_ns + tenth * NS_PER_S // 10, CLOCK_NS) == ()
-    assert repr(voyage.keeper.alerts) == repr(before)
+        assert voyage.manager.update(later_ns + tenth * NS_PER_S // 10, CLOCK_NS) == ()
+    assert repr(voyage.manager.alerts) == repr(before)
 
 
 def test_node_status_expires() -> None:
     """An ended black box is a warning; it clears when the node stops publishing its status."""
-    keeper = AlertKeeper(Limits(), None, 0, lambda _: None)
+    keeper = AlertManager(Limits(), None, 0, lambda _: None)
     ended = NodeStatus("ship_attitude", "black box", 2, "box.mcap: writing failed: No space left on device")
     for second in range(8):
-        keeper.take_status(ended, second * NS_PER_S)
+        keeper.process_status(ended, second * NS_PER_S)
         keeper.update(second * NS_PER_S, CLOCK_NS)
     assert [alert.id for alert in keeper.alerts] == ["ship_attitude.box"]
     states = set()
@@ -197,16 +197,16 @@ def test_full_or_missing_disk_raises_an_alert(tmp_path: Path) -> None:
     machine = Limits().machine
     for path in (tmp_path, tmp_path / "gone"):
         limits = Limits(machine=type(machine)(disk_path=str(path), disk_free_gb=1e6))
-        keeper = AlertKeeper(limits, None, 0, lambda _: None)
+        keeper = AlertManager(limits, None, 0, lambda _: None)
         for tenth in range(5):
             keeper.update(tenth * LOOK_NS, CLOCK_NS)
         assert [alert.id for alert in keeper.alerts] == ["disk.full"]
 
 
 def test_number_of_statuses_is_bounded():
-    keeper = AlertKeeper(Limits(), None, 0, print)
-    for number in range(3 * MOST_STATUSES):
-        keeper.take_status(NodeStatus("ship_attitude", f"invented {number}", 2, "x"), number)
-    assert len(keeper._statuses) == MOST_STATUSES
-    keeper.update(STATUS_AGE_NS + 3 * MOST_STATUSES, CLOCK_NS)
+    keeper = AlertManager(Limits(), None, 0, print)
+    for number in range(3 * MAX_STATUSES):
+        keeper.process_status(NodeStatus("ship_attitude", f"invented {number}", 2, "x"), number)
+    assert len(keeper._statuses) == MAX_STATUSES
+    keeper.update(MAX_STATUS_AGE_NS + 3 * MAX_STATUSES, CLOCK_NS)
     assert not keeper._statuses

@@ -17,7 +17,7 @@ from ship_bags.live.ros_process import executable
 from ship_bags.stamps import NS_PER_S
 from ship_monitor.foxglove.server import FoxgloveServer
 from ship_monitor.live import reader as reader_module
-from ship_monitor.live.live_watch import LiveWatch
+from ship_monitor.live.live_watch import LiveSuite
 from ship_msgs.msg import AlertArray, ErrorBudget, ShipAttitude
 from ship_replay.trials.live_process import LiveProcess
 from ship_testing.foxglove_client import FoxgloveClient, deaf_client
@@ -46,7 +46,7 @@ def server(opened):
 
 @pytest.fixture
 def watch(opened, server):
-    watch = LiveWatch("monitor", "demo", Limits(), server)
+    watch = LiveSuite("monitor", "demo", Limits(), server)
     opened.callback(watch.close)
     return watch
 
@@ -79,7 +79,7 @@ def subscribe(client, topic):
     client.subscribe(f"/demo/{topic}")
 
 
-def hear(client, ship, topic, message):
+def receive(client, ship, topic, message):
     """Subscribe to a topic of the ship, and publish a message until it arrives: later ones then arrive too."""
     subscribe(client, topic)
     ship.say(topic, message)
@@ -104,7 +104,7 @@ def hundred_attitudes():
 def test_messages_arrive_unchanged_with_definition_and_arrival_time(sail, connect):
     ship, client = sail(), connect()
     ship.say("ship/attitude", attitude(START_NS))
-    hear(client, ship, "ship/attitude", attitude(START_NS))
+    receive(client, ship, "ship/attitude", attitude(START_NS))
     messages = list(hundred_attitudes())
     # Published as bytes: the padding of two serializations of one message differs.
     published, begin_ns = [serialize_message(message) for message in messages], time.time_ns()
@@ -143,7 +143,7 @@ def test_all_topics_of_the_namespace_are_offered(sail, connect, server):
     assert ship.publishers["ins/imu"].get_subscription_count() == 0
     imu = Imu()
     imu.angular_velocity.z = 0.1
-    hear(client, ship, "ins/imu", imu)
+    receive(client, ship, "ins/imu", imu)
     assert decoded(client, client.received[0]).angular_velocity.z == 0.1
     client.unsubscribe("/demo/ins/imu")
     client.until(lambda: ship.publishers["ins/imu"].get_subscription_count() == 0)
@@ -187,23 +187,23 @@ def test_topic_with_another_type_is_offered_again(sail, connect, watch, is_await
     if is_awaited:  # Both types are there all the time: somebody listens with the one, the client with the other.
         sail().node.create_subscription(Float64, "told", lambda _: None, 10)
     ship.say("told", String(data="a"))
-    hear(client, ship, "told", String(data="a"))
+    receive(client, ship, "told", String(data="a"))
     client.until(lambda: len(watch._relayed._seen["/demo/told"]) == 1 + is_awaited)
     ship.stop()
     ship = sail()
     ship.say("told", Float64(data=1.0))
     client.until(lambda: client.channels.get("/demo/told", {}).get("schemaName") == "std_msgs/msg/Float64")
     client.received.clear()
-    hear(client, ship, "told", Float64(data=2.0))
+    receive(client, ship, "told", Float64(data=2.0))
     assert decoded(client, client.received[0]).data == 2.0
 
 
 def test_clients_receive_messages_after_a_sleep(sail, connect, watch, monkeypatch):
     ship, client = sail(), connect()
     ship.say("ship/attitude", attitude(START_NS))
-    hear(client, ship, "ship/attitude", attitude(START_NS))
+    receive(client, ship, "ship/attitude", attitude(START_NS))
     former = watch._reader.node
-    asleep_ns = reader_module._asleep_ns() + 3600 * NS_PER_S
+    asleep_ns = reader_module._sleep_time_ns() + 3600 * NS_PER_S
     monkeypatch.setattr(reader_module, "_asleep_ns", lambda: asleep_ns)
     client.until(lambda: watch._reader.node is not former)
     client.received.clear()
@@ -218,7 +218,7 @@ def test_clients_receive_messages_after_a_sleep(sail, connect, watch, monkeypatc
 def test_page_does_not_depend_on_a_client(sail, connect, watch):
     ship, client = sail(), connect()
     ship.say("ship/attitude", attitude(START_NS))
-    hear(client, ship, "ship/attitude", attitude(START_NS))
+    receive(client, ship, "ship/attitude", attitude(START_NS))
     times = iter(range(START_NS, START_NS + 1000 * NS_PER_S, NS_PER_S // 50))
 
     def heading():
@@ -248,7 +248,7 @@ def test_executable_serves_page_and_foxglove_and_ends_with_ctrl_c(sail, opened, 
     ship, client = sail(), FoxgloveClient(address)
     opened.callback(client.close)
     ship.say("ship/attitude", attitude(START_NS))
-    hear(client, ship, "ship/attitude", attitude(START_NS))
+    receive(client, ship, "ship/attitude", attitude(START_NS))
     assert client.server_messages[0]["name"] == "demo"
     assert process.end(signal.SIGINT) == 0
     client.until(lambda: client.is_over)
@@ -261,7 +261,7 @@ def test_executable_ends_with_a_client_that_does_not_read(sail, opened, monitor)
     opened.callback(client.close)
     message = String(data="x" * 60_000)
     ship.say("told", message)
-    hear(client, ship, "told", message)
+    receive(client, ship, "told", message)
     deaf = opened.enter_context(deaf_client(address, client.channels["/demo/told"]["id"]))
     # More than the buffers of a connection: unread messages then wait in the server.
     client.received.clear()

@@ -35,7 +35,7 @@ def connect(server):
         client.close()
 
 
-def subscribed(server, client, *topics):
+def subscribe_and_wait(server, client, *topics):
     client.until(lambda: all(topic in client.channels for topic in topics))
     client.subscribe(*topics)
     awaited = set(topics)
@@ -57,7 +57,7 @@ def test_server_info_has_the_name_and_no_capabilities(server, connect):
 def test_message_arrives_with_bytes_time_and_definition(server, connect):
     server.offer("/demo/said", STRING, "string data")
     client = connect()
-    subscribed(server, client, "/demo/said")
+    subscribe_and_wait(server, client, "/demo/said")
     channel = client.channels["/demo/said"]
     assert {key: channel[key] for key in ("encoding", "schemaName", "schemaEncoding", "schema")} == {
         "encoding": "cdr",
@@ -75,9 +75,9 @@ def test_subscribed_topics_follow_the_clients(server, connect):
     server.offer("/demo/other", STRING, "string data")
     assert server.wanted() == server.newcomers() == frozenset()
     first, second = connect(), connect()
-    subscribed(server, first, "/demo/said")
+    subscribe_and_wait(server, first, "/demo/said")
     assert server.newcomers() == frozenset()
-    subscribed(server, second, "/demo/said")
+    subscribe_and_wait(server, second, "/demo/said")
     assert server.wanted() == {"/demo/said"}
     first.unsubscribe("/demo/said")
     server.pass_on("/demo/said", MESSAGE, 1)
@@ -94,7 +94,7 @@ def test_two_clients_get_the_same_messages_in_order(server, connect):
     server.offer("/demo/said", STRING, "string data")
     clients = [connect(), connect()]
     for client in clients:
-        subscribed(server, client, "/demo/said")
+        subscribe_and_wait(server, client, "/demo/said")
     for number in range(500):
         server.pass_on("/demo/said", struct.pack("<I", number), number)
     for client in clients:
@@ -106,7 +106,7 @@ def test_two_clients_get_the_same_messages_in_order(server, connect):
 def test_topic_with_another_type_is_another_channel(server, connect):
     server.offer("/demo/said", STRING, "string data")
     client = connect()
-    subscribed(server, client, "/demo/said")
+    subscribe_and_wait(server, client, "/demo/said")
     former = client.channels["/demo/said"]["id"]
     server.offer("/demo/said", STRING, "string data")
     server.offer("/demo/said", "std_msgs/msg/Int32", "int32 data")
@@ -146,7 +146,7 @@ def test_server_is_read_only(server, connect, request_, refusal):
 def test_invalid_requests_harm_neither_the_server_nor_others(server, connect):
     server.offer("/demo/said", STRING, "string data")
     good, bad = connect(), connect()
-    subscribed(server, good, "/demo/said")
+    subscribe_and_wait(server, good, "/demo/said")
     bad.ask(b"\xff" * 100)
     bad.ask({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 999}]})
     with socket.create_connection(("127.0.0.1", int(server.address.rpartition(":")[2]))) as stranger:
@@ -164,7 +164,7 @@ def resident_mb():
 def test_client_that_does_not_read_delays_nothing_and_memory_is_bounded(server, connect):
     server.offer("/demo/said", STRING, "string data")
     good = connect()
-    subscribed(server, good, "/demo/said")
+    subscribe_and_wait(server, good, "/demo/said")
     with deaf_client(server.address, good.channels["/demo/said"]["id"]):
         good.until(server.newcomers)
         payload = bytes(4000)

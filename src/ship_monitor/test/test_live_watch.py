@@ -11,8 +11,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from ship_bags.stamps import NS_PER_S
 from ship_monitor.alerts.alert_node import AlertNode
-from ship_monitor.live.live_watch import LiveWatch, messages_wanted
-from ship_monitor.live.reader import DISCOVERY_NS, KEPT
+from ship_monitor.live.live_watch import LiveSuite, queue_depth
+from ship_monitor.live.reader import DISCOVERY_NS, MAX_QUEUE_DEPTH
 from ship_msgs.msg import Alert, AlertArray, SuiteSource, SuiteState
 from ship_testing.publishing_ship import PublishingShip, attitude
 from ship_watch.limits import Limits
@@ -25,7 +25,7 @@ START_NS = 1_700_000_000 * NS_PER_S
 
 @pytest.fixture
 def watch():
-    watch = LiveWatch("monitor", "demo", Limits())
+    watch = LiveSuite("monitor", "demo", Limits())
     yield watch
     watch.close()
 
@@ -121,13 +121,13 @@ def test_alerts_of_an_ended_node_are_cleared(watch, until):
     ("topic", "type_name", "count"),
     [
         ("ship/attitude", "ship_msgs/msg/ShipAttitude", 1),
-        ("ship/innovation", "ship_msgs/msg/Innovation", KEPT),
+        ("ship/innovation", "ship_msgs/msg/Innovation", MAX_QUEUE_DEPTH),
         ("ship/attitude", "std_msgs/msg/String", 0),
         ("ins/imu", "sensor_msgs/msg/Imu", 0),
     ],
 )
 def test_queue_depths(topic, type_name, count):
-    assert messages_wanted(topic, type_name) == count
+    assert queue_depth(topic, type_name) == count
 
 
 def test_page_terminal_and_alerts_show_one_state(ship, until):
@@ -139,7 +139,7 @@ def test_page_terminal_and_alerts_show_one_state(ship, until):
     alerts = AlertNode(node, tight, None)
     thread = threading.Thread(target=alerts.run)
     thread.start()
-    viewers = [LiveWatch(name, "demo", Limits()) for name in ("monitor", "monitor_terminal")]
+    viewers = [LiveSuite(name, "demo", Limits()) for name in ("monitor", "monitor_terminal")]
     times = iter(range(START_NS, START_NS + 1000 * NS_PER_S, NS_PER_S // 50))
 
     def words():

@@ -2,7 +2,7 @@
 
 import pytest
 
-from ship_monitor.page.marking import is_about, is_budget_part_of, is_of
+from ship_monitor.page.marking import is_event_of_source, is_budget_part_of, belongs_to_source
 from ship_watch.picture import Event
 
 # As ship/error_budget and theodolite/error_budget of a ship with everything aboard name them.
@@ -51,7 +51,7 @@ def test_budget_parts_of_a_source(source, parts):
     ],
 )
 def test_states_belong_to_the_source_in_their_name(name, source, belongs):
-    assert is_of(name, source) is belongs
+    assert belongs_to_source(name, source) is belongs
 
 
 @pytest.mark.parametrize(
@@ -68,4 +68,4 @@ def test_states_belong_to_the_source_in_their_name(name, source, belongs):
     ],
 )
 def test_events_of_a_source_by_subject_or_text(subject, text, source, belongs):
-    assert is_about(Event(0, "state", subject, text), source) is belongs
+    assert is_event_of_source(Event(0, "state", subject, text), source) is belongs

@@ -13,7 +13,7 @@ from ship_monitor.page.alignment_panel import bars_arcsec, half_width, state_tex
 from ship_monitor.page.innovation_panel import InnovationPanel, source_line
 from ship_monitor.page.panels import build_panels
 from ship_monitor.page.sky import boresight
-from ship_monitor.page.sky_panel import places_in_field, used_star_mask
+from ship_monitor.page.sky_panel import positions_in_field, used_star_mask
 from ship_monitor.page.tables import event_row, input_row, reasons_text
 from ship_monitor.page.themes import THEMES
 from ship_testing.watched_minutes import SHIFT_AGE_S, NOW_NS, watched_history, simulated_state
@@ -211,7 +211,7 @@ def test_rejected_stars_differ_and_rows_count_downward() -> None:
         residual_up=np.array([0.0, np.nan]),
     )
     assert list(used_star_mask(seen)) == [True, False]
-    across, up = places_in_field(seen)
+    across, up = positions_in_field(seen)
     assert (across[0], up[0]) == (-1.0, 1.0)  # the first column is left, the first row is up
     assert across[1] == pytest.approx(2.0 * 1000.0 / 1024.0 - 1.0)
     assert up[1] == pytest.approx(1.0 - 2.0 * 2000.0 / 2048.0)

@@ -8,7 +8,7 @@ from sensor_msgs.msg import Imu
 from ship_bags.errors import BadInput
 from ship_bags.stamps import NS_PER_S
 from ship_monitor.live import reader as reader_module
-from ship_monitor.live.reader import KEPT, TopicReader, steady_ns
+from ship_monitor.live.reader import MAX_QUEUE_DEPTH, TopicReader, steady_ns
 from ship_msgs.msg import AlertArray, Innovation, ShipAttitude
 from ship_testing.publishing_ship import PublishingShip, attitude
 
@@ -27,7 +27,7 @@ def ship():
 def depth_of(topic, type_name):
     if topic.startswith("/"):
         return 0
-    return KEPT if type_name.endswith("/Innovation") else 1
+    return MAX_QUEUE_DEPTH if type_name.endswith("/Innovation") else 1
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def reader():
     reader.close()
 
 
-def drained(reader, until, topic, count=1):
+def fetch_until(reader, until, topic, count=1):
     """Return the messages of a topic after ``count`` of them have been fetched."""
     found = []
 
@@ -87,7 +87,7 @@ def test_arrivals_are_ordered_and_between_two_fetches(ship, reader, until):
     before_ns = steady_ns()
     for number in range(5):
         ship.say("ship/innovation", Innovation(nis=float(number)))
-    arrived = drained(reader, until, "ship/innovation", 5)
+    arrived = fetch_until(reader, until, "ship/innovation", 5)
     times = [each.arrival_ns for each in arrived]
     assert times == sorted(times)
     assert before_ns - 1_000_000 <= times[0] <= times[-1] <= steady_ns()
@@ -95,7 +95,7 @@ def test_arrivals_are_ordered_and_between_two_fetches(ship, reader, until):
 
 def test_late_reader_gets_the_last_message_of_a_latched_topic(ship, reader, until):
     ship.say("ship/alerts", AlertArray(), LATCHED)
-    assert drained(reader, until, "ship/alerts")
+    assert fetch_until(reader, until, "ship/alerts")
 
 
 def test_restarted_publisher_is_received(reader, until):
@@ -110,7 +110,7 @@ def test_topic_that_becomes_latched_is_subscribed_again(ship, reader, until):
     ship.heard(until, reader.take, "ship/alerts")
     ship.node.destroy_publisher(ship.publishers.pop("ship/alerts"))
     ship.say("ship/alerts", AlertArray(), LATCHED)
-    assert drained(reader, until, "ship/alerts")
+    assert fetch_until(reader, until, "ship/alerts")
 
 
 @pytest.mark.parametrize(("shift_s", "is_anew"), [(-60, True), (60, False), (-2, False)])
@@ -118,7 +118,7 @@ def test_outputs_that_step_back_are_another_voyage(ship, reader, until, shift_s,
     ship.say("ship/attitude", attitude(1000 * NS_PER_S))
     ship.heard(until, reader.take, "ship/attitude")
     ship.say("ship/attitude", attitude(1000 * NS_PER_S))
-    drained(reader, until, "ship/attitude")
+    fetch_until(reader, until, "ship/attitude")
     ship.say("ship/attitude", attitude((1000 + shift_s) * NS_PER_S))
     taken = until(lambda: (taken := reader.take()).messages and taken)
     assert taken.is_anew is is_anew
@@ -129,7 +129,7 @@ def test_invalid_attitude_is_no_step_back(ship, reader, until):
     ship.say("ship/attitude", attitude(1000 * NS_PER_S))
     ship.heard(until, reader.take, "ship/attitude")
     ship.say("ship/attitude", attitude(1000 * NS_PER_S))
-    drained(reader, until, "ship/attitude")
+    fetch_until(reader, until, "ship/attitude")
     ship.say("ship/attitude", attitude(10 * NS_PER_S, ShipAttitude.INVALID))
     taken = until(lambda: (taken := reader.take()).messages and taken)
     assert not taken.is_anew
@@ -149,7 +149,7 @@ def test_clock_step_back_drops_earlier_messages(ship, reader, until):
     taken = until(lambda: (taken := reader.take()).is_anew and taken)
     assert all(each.message.nis != 1.0 for each in taken.messages)
     ship.say("ship/innovation", Innovation(nis=2.0))
-    assert drained(reader, until, "ship/innovation")[0].message.nis == 2.0
+    assert fetch_until(reader, until, "ship/innovation")[0].message.nis == 2.0
 
 
 def clock_at(time_s):

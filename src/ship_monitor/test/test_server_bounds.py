@@ -8,9 +8,9 @@ import time
 
 import pytest
 
-from ship_monitor.page.server import MOST_BROWSERS
+from ship_monitor.page.server import MAX_PAGES
 from ship_monitor.web import bounded_server
-from ship_monitor.web.bounded_server import MOST_BODY_BYTES, MOST_CONNECTIONS
+from ship_monitor.web.bounded_server import MAX_BODY_BYTES, MAX_CONNECTIONS
 from ship_testing.page_runs import served
 
 
@@ -79,7 +79,7 @@ def test_nul_in_a_path_is_not_found(page, lines, path):
 
 
 def test_large_bodies_are_refused(page, lines):
-    for length in (MOST_BODY_BYTES + 1, 95_000_000, 10**30):
+    for length in (MAX_BODY_BYTES + 1, 95_000_000, 10**30):
         with socket.create_connection(page, timeout=20.0) as connection:
             connection.sendall(f"POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: {length}\r\n\r\n".encode())
             assert ends(connection)
@@ -103,9 +103,9 @@ def test_endless_request_is_closed(monkeypatch):
 
 
 def test_too_many_connections_are_closed_with_one_line(page, lines):
-    begun = [socket.create_connection(page, timeout=20.0) for _ in range(MOST_CONNECTIONS + 20)]
+    begun = [socket.create_connection(page, timeout=20.0) for _ in range(MAX_CONNECTIONS + 20)]
     assert all(ends(each) for each in begun[-20:])
-    assert lines.texts == [f"127.0.0.1: connection closed: {MOST_CONNECTIONS} are open, the maximum"]
+    assert lines.texts == [f"127.0.0.1: connection closed: {MAX_CONNECTIONS} are open, the maximum"]
     for each in begun:
         each.close()
 
@@ -119,7 +119,7 @@ def test_too_many_connections_are_closed_with_one_line(page, lines):
 
 
 def test_too_many_pages_are_refused_until_others_are_closed(page, lines):
-    assert [status(page, "/") for _ in range(MOST_BROWSERS)] == [200] * MOST_BROWSERS
+    assert [status(page, "/") for _ in range(MAX_PAGES)] == [200] * MAX_PAGES
     assert [status(page, "/") for _ in range(20)] == [503] * 20
     assert status(page, "/autoload.js?bokeh-autoload-element=1") == 503
     until(lambda: len(lines.texts) == 1)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from ship_geometry.rotations import ARCSEC
-from ship_monitor.page.shown import shown
+from ship_monitor.page.shown import first_screen
 from ship_testing import pictures
 from ship_watch.history import History, SafetyPoint
 from ship_watch.picture import ANGLES, Presence, Priority, Safety
@@ -22,7 +22,7 @@ def with_angle(name, **changes):
 
 
 def tile(picture, name):
-    return shown(picture, History(), "LIVE", "")["angles"][name]
+    return first_screen(picture, History(), "LIVE", "")["angles"][name]
 
 
 def test_tile_has_value_accuracy_limit_and_safety():
@@ -71,23 +71,23 @@ def test_unknown_values_are_valid_json(value):
     sources = tuple(replace(each, age_s=math.inf, rate_hz=value) for each in WELL.sources)
     ages = dict.fromkeys(WELL.ages_s, math.inf)
     picture = replace(WELL, angles=angles, sources=sources, ages_s=ages, utc_ns=0)
-    told = json.loads(json.dumps(shown(picture, History(), "LIVE", ""), allow_nan=False))
+    told = json.loads(json.dumps(first_screen(picture, History(), "LIVE", ""), allow_nan=False))
     assert told["utc"] == "--:--:--"
     assert told["ages"] == [["stars", "never", None], ["lights", "never", None], ["ins", "never", None]]
     assert told["angles"]["heading"]["age_s"] is None
 
 
 def test_lights_have_no_age_without_a_theodolite():
-    assert [name for name, *_ in shown(replace(WELL, angles=WELL.angles[:3]), History(), "LIVE", "")["ages"]] == [
+    assert [name for name, *_ in first_screen(replace(WELL, angles=WELL.angles[:3]), History(), "LIVE", "")["ages"]] == [
         "stars",
         "ins",
     ]
 
 
 def test_waiting_text_has_output_and_location():
-    told = shown(replace(WELL, waiting_for="ship/attitude"), History(), "LIVE", "namespace /demo, domain 3")
+    told = first_screen(replace(WELL, waiting_for="ship/attitude"), History(), "LIVE", "namespace /demo, domain 3")
     assert (told["waiting"], told["place"]) == ("waiting for ship/attitude", "namespace /demo, domain 3")
-    assert shown(WELL, History(), "LIVE", "namespace /demo, domain 3")["place"] == ""
+    assert first_screen(WELL, History(), "LIVE", "namespace /demo, domain 3")["place"] == ""
 
 
 @pytest.mark.parametrize(
@@ -102,12 +102,12 @@ def test_waiting_text_has_output_and_location():
     ],
 )
 def test_alert_line(alerts, text, icon, state, unack):
-    line = shown(replace(WELL, alerts=alerts), History(), "LIVE", "")["alert"]
+    line = first_screen(replace(WELL, alerts=alerts), History(), "LIVE", "")["alert"]
     assert (line["text"], line["icon"], line["state"], line["unack"]) == (text, icon, state, unack)
 
 
 def test_first_of_several_alerts_is_shown_and_all_are_listed():
-    line = shown(pictures.faulty(), History(), "LIVE", "")["alert"]
+    line = first_screen(pictures.faulty(), History(), "LIVE", "")["alert"]
     assert line["text"] == "WARNING · pointing lost, encoder no data"
     assert line["sub"] == "11:59:57 · not acknowledged"
     assert (line["unack"], len(line["all"])) == (2, 2)
@@ -116,12 +116,12 @@ def test_first_of_several_alerts_is_shown_and_all_are_listed():
 
 def test_mounting_shift_is_shown_at_its_source():
     shifted = pictures.source("star.starboard", mounting_shift=51.0 * ARCSEC)
-    rows = shown(pictures.suite_state(shifted), History(), "LIVE", "")["sources"]["rows"]
+    rows = first_screen(pictures.suite_state(shifted), History(), "LIVE", "")["sources"]["rows"]
     assert next(row["sub"] for row in rows if row["name"] == "star.starboard") == "mounting shifted by 51.0″"
 
 
 def test_sources_that_are_out_have_banners_and_reasons():
-    sources = shown(pictures.faulty(), History(), "LIVE", "")["sources"]
+    sources = first_screen(pictures.faulty(), History(), "LIVE", "")["sources"]
     assert sources["out"] == [("star.starboard", "star.starboard OUT"), ("encoder", "encoder OUT")]
     assert sources["head"] == "6 of 8 in"
     assert [row["sub"] for row in sources["rows"][:2]] == [
@@ -133,7 +133,7 @@ def test_sources_that_are_out_have_banners_and_reasons():
 
 def test_single_source_out_has_two_more_lines():
     one = tuple(each for each in pictures.faulty().sources if each.name != "encoder")
-    assert shown(replace(WELL, sources=one), History(), "LIVE", "")["sources"]["why"] == [
+    assert first_screen(replace(WELL, sources=one), History(), "LIVE", "")["sources"]["why"] == [
         "disagrees: right +49″",
         "since 11:59:28 · 81 rejected",
     ]
@@ -146,7 +146,7 @@ def needing(*names, cause="encoder", reason="needs encoder"):
 def test_consequence_is_below_its_cause_without_a_banner():
     encoder = pictures.out("encoder", "no data", out_since_ns=pictures.NOW_NS - pictures.NS)
     listed = (pictures.SHIFTED_SENSOR, encoder, *needing("lights"), pictures.source("ins"))
-    sources = shown(replace(WELL, sources=listed), History(), "LIVE", "")["sources"]
+    sources = first_screen(replace(WELL, sources=listed), History(), "LIVE", "")["sources"]
     assert [name for name, _ in sources["out"]] == ["star.starboard", "encoder"]
     rows = [(row["name"], row["is_because"]) for row in sources["rows"][:3]]
     assert rows == [("star.starboard", False), ("encoder", False), ("lights", True)]
@@ -154,35 +154,35 @@ def test_consequence_is_below_its_cause_without_a_banner():
 
 def test_overloaded_node_has_the_banner_of_its_consequences():
     behind = needing("star.fore", "lights", cause="ship_attitude", reason="ship_attitude is behind")
-    sources = shown(pictures.suite_state(*behind), History(), "LIVE", "")["sources"]
+    sources = first_screen(pictures.suite_state(*behind), History(), "LIVE", "")["sources"]
     assert sources["out"] == [("ship_attitude", "ship_attitude is behind")]
     assert [row["is_because"] for row in sources["rows"][:3]] == [True, True, False]
 
 
 def test_number_of_banners_is_limited():
     out = [pictures.out(name, "no data", out_since_ns=1) for name in ("ins", "star.fore", "gnss", "weather", "encoder")]
-    banners = shown(pictures.suite_state(*out), History(), "LIVE", "")["sources"]["out"]
+    banners = first_screen(pictures.suite_state(*out), History(), "LIVE", "")["sources"]["out"]
     assert [text for _, text in banners[:2]] == ["ins OUT", "star.fore OUT"]
     assert banners[2][1] == "3 more OUT"
 
 
 def test_overall_safety():
-    assert shown(WELL, History(), "LIVE", "")["overall"] == {"safety": "SAFE", "text": ""}
-    overall = shown(pictures.faulty(), History(), "LIVE", "")["overall"]
+    assert first_screen(WELL, History(), "LIVE", "")["overall"] == {"safety": "SAFE", "text": ""}
+    overall = first_screen(pictures.faulty(), History(), "LIVE", "")["overall"]
     assert overall == {"safety": "UNSAFE", "text": "encoder no data since 11:59:55 (azimuth, elevation)"}
 
 
 def test_sources_are_unknown_if_all_outputs_are_old():
     old = pictures.suite_state(*pictures.angles_timed_out(*ANGLES, age_s=19.0))
-    told = shown(old, History(), "LIVE", "")
+    told = first_screen(old, History(), "LIVE", "")
     assert told["is_stale"]
     assert (told["sources"]["is_known"], told["sources"]["head"]) == (False, "last: 8 of 8 in")
-    assert not shown(pictures.faulty(), History(), "LIVE", "")["is_stale"], "the attitude is fresh"
+    assert not first_screen(pictures.faulty(), History(), "LIVE", "")["is_stale"], "the attitude is fresh"
 
 
 def test_sources_not_configured_come_last_uncounted():
     off = replace(pictures.source("reference.gyro"), presence=Presence.OFF, age_s=math.inf)
-    sources = shown(replace(WELL, sources=(off, *WELL.sources)), History(), "LIVE", "")["sources"]
+    sources = first_screen(replace(WELL, sources=(off, *WELL.sources)), History(), "LIVE", "")["sources"]
     assert sources["head"] == "8 of 8 in"
     assert (sources["rows"][-1]["name"], sources["rows"][-1]["age"]) == ("reference.gyro", "")
 
@@ -195,7 +195,7 @@ def ribbon(words, start_s=0, name="heading"):
         for second, word in enumerate(words)
         if word != "-"
     )
-    return shown(WELL, History(ribbons=points), "LIVE", "")["ribbons"]["rows"][0]
+    return first_screen(WELL, History(ribbons=points), "LIVE", "")["ribbons"]["rows"][0]
 
 
 SAFE, CAUTION = Safety.SAFE, Safety.CAUTION
@@ -223,11 +223,11 @@ def test_ribbon_is_ten_minutes_long():
 
 
 def test_ticks_are_at_even_minutes():
-    ticks = shown(WELL, History(), "LIVE", "")["ribbons"]["ticks"]
+    ticks = first_screen(WELL, History(), "LIVE", "")["ribbons"]["ticks"]
     assert [label for _, label in ticks] == ["11:52", "11:54", "11:56", "11:58", "12:00"]
     assert ticks[-1][0] == pytest.approx(1.0 - 7.0 / 600.0)
 
 
 def test_start_of_an_outage_is_marked():
-    marks = shown(pictures.faulty(), History(), "LIVE", "")["ribbons"]["marks"]
+    marks = first_screen(pictures.faulty(), History(), "LIVE", "")["ribbons"]["marks"]
     assert marks == [pytest.approx(1.0 - 39.0 / 600.0), pytest.approx(1.0 - 12.0 / 600.0)]

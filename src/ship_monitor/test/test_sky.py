@@ -6,7 +6,7 @@ import pytest
 
 from ship_geometry.earth_orientation import earth_orientation_table
 from ship_geometry.time_scales import julian_date, tt_julian_date
-from ship_monitor.page.sky import moon_direction, on_map
+from ship_monitor.page.sky import moon_direction, map_position
 
 ECLIPSE_NS = 1_503_339_931_800_000_000
 """Time of the greatest eclipse of 2017-08-21, 18:25:31.8 UTC."""
@@ -27,7 +27,7 @@ ECLIPSE_PLACE = np.deg2rad([36.0 + 58.0 / 60.0, -(87.0 + 40.3 / 60.0)])
     ],
 )
 def test_map_positions(azimuth_deg, elevation_deg, place) -> None:
-    assert on_map(np.deg2rad(azimuth_deg), np.deg2rad(elevation_deg)) == pytest.approx(place, abs=1e-12)
+    assert map_position(np.deg2rad(azimuth_deg), np.deg2rad(elevation_deg)) == pytest.approx(place, abs=1e-12)
 
 
 def test_moon_covered_the_sun_in_the_eclipse_of_2017() -> None:

@@ -5,10 +5,10 @@ import dataclasses
 
 import pytest
 
-from ship_monitor.commands.monitor_terminal import shows_utf8
+from ship_monitor.commands.monitor_terminal import is_utf8_locale
 from ship_monitor.page.themes import THEMES
 from ship_monitor.terminal.app import TerminalApp, _Lines, styles_of
-from ship_monitor.terminal.pen import Look, plain_text
+from ship_monitor.terminal.pen import TextStyle, plain_text
 from ship_testing.pictures import SHIFTED_SENSOR_ALERT, state_with_mounting_shift
 
 
@@ -165,11 +165,11 @@ def test_invalid_message_is_skipped():
 @pytest.mark.parametrize("theme", THEMES.values(), ids=THEMES.keys())
 def test_urgent_styles_differ_without_colour(theme):
     styles = styles_of(theme)
-    assert set(styles) == set(Look)
+    assert set(styles) == set(TextStyle)
     attributes = {look: (style.bold, style.reverse, style.strike) for look, style in styles.items()}
-    assert len({attributes[look] for look in (Look.TEXT, Look.CAUTION, Look.UNSAFE, Look.OLD)}) == 4
-    assert attributes[Look.CAUTION][1]
-    assert attributes[Look.UNSAFE][1]
+    assert len({attributes[look] for look in (TextStyle.TEXT, TextStyle.CAUTION, TextStyle.UNSAFE, TextStyle.OLD)}) == 4
+    assert attributes[TextStyle.CAUTION][1]
+    assert attributes[TextStyle.UNSAFE][1]
 
 
 @pytest.mark.parametrize(
@@ -185,4 +185,4 @@ def test_urgent_styles_differ_without_colour(theme):
     ],
 )
 def test_utf8_from_the_locale(environment, shows):
-    assert shows_utf8(environment) is shows
+    assert is_utf8_locale(environment) is shows

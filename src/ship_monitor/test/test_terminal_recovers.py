@@ -8,7 +8,7 @@ import time
 import pytest
 
 from ship_bags.stamps import NS_PER_S
-from ship_monitor.live.live_watch import LiveWatch
+from ship_monitor.live.live_watch import LiveSuite
 from ship_monitor.terminal.app import TerminalApp, _Lines
 from ship_monitor.terminal.pen import plain_text
 from ship_testing.publishing_ship import PublishingShip, attitude
@@ -60,7 +60,7 @@ async def bridge():
     with contextlib.ExitStack() as left_open:
         ship = PublishingShip()
         left_open.callback(ship.stop)
-        suite = LiveWatch("monitor_terminal", "demo", Limits())
+        suite = LiveSuite("monitor_terminal", "demo", Limits())
         left_open.callback(suite.close)
         app = TerminalApp(suite)
         async with app.run_test(size=(80, 24)) as pilot:

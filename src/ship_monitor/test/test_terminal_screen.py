@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ship_monitor.terminal.details import details, help_page
-from ship_monitor.terminal.pen import Look, Pen, plain_text
-from ship_monitor.terminal.screen import View, selectable_names, screen, shown_alert
+from ship_monitor.terminal.pen import TextStyle, LineFormatter, plain_text
+from ship_monitor.terminal.screen import View, selectable_names, screen, alert_to_show
 from ship_testing.pictures import SHIFTED_SENSOR, SHIFTED_SENSOR_ALERT, SHIFTED_SENSOR_INPUT, NOW_NS, angle, state_with_mounting_shift, out, angles_timed_out, source
 from ship_watch.picture import ANGLES, Event, Priority, Safety
 
@@ -64,18 +64,18 @@ def test_screen_matches_the_design():
     ]
 
 
-@pytest.mark.parametrize(("word", "look"), [("SAFE", Look.SAFE), ("CAUTION", Look.CAUTION), ("UNSAFE", Look.UNSAFE)])
+@pytest.mark.parametrize(("word", "look"), [("SAFE", TextStyle.SAFE), ("CAUTION", TextStyle.CAUTION), ("UNSAFE", TextStyle.UNSAFE)])
 def test_each_safety_is_a_word_with_its_style(word, look):
     shown = state_with_mounting_shift(angles=(angle("heading", safety=Safety[word]),))
     spans = [span for line in drawn(shown) for span in line if word in span.text.split() and "HEADING" not in span.text]
-    assert [span.look for span in spans if "→" not in span.text] == [look, look]  # of the suite, of the angle
+    assert [span.style for span in spans if "→" not in span.text] == [look, look]  # of the suite, of the angle
 
 
 def test_old_value_is_struck_through_with_its_age():
     old = angle("heading", is_old=True, age_s=12.0, safety=Safety.UNSAFE, reason="no data on ship/attitude")
     lines = drawn(state_with_mounting_shift(angles=(old,)))
     heading = lines[4]
-    assert [span.text.strip() for span in heading if span.look is Look.OLD] == ["034.39° true"]
+    assert [span.text.strip() for span in heading if span.style is TextStyle.OLD] == ["034.39° true"]
     assert "OLD 12 s" in plain_text(heading)
     very_old = dataclasses.replace(old, age_s=754.0)
     assert texts(state_with_mounting_shift(angles=(very_old,)))[4].split()[:4] == ["HEADING", "—", "OLD", "13"]
@@ -89,7 +89,7 @@ def test_details_and_help_show_the_safety_of_all_angles():
         top, second = (plain_text(line) for line in lines[:2])
         assert "! CAUTION  over the limit (roll)" in top
         assert " ".join(second.split()) == "HDG ! CAUTION PIT + SAFE ROL ! CAUTION AZI + SAFE ELE + SAFE"
-        assert {span.look for span in lines[1]} >= {Look.SAFE, Look.CAUTION}
+        assert {span.style for span in lines[1]} >= {TextStyle.SAFE, TextStyle.CAUTION}
     assert plain_text(help_page(shown, VIEW)[1]).startswith(" HDG ! CAUTION")
 
 
@@ -104,8 +104,8 @@ def test_nothing_looks_good_without_outputs():
     assert not any(text[1:2] == "+" for text in all_text)
     assert "8 in" not in "\n".join(all_text)
     ages = next(line for line in lines if plain_text(line).startswith(" ages"))
-    assert Look.OLD in {span.look for span in ages}
-    assert all(Look.TEXT not in {span.look for span in line if span.text.strip()} for line in lines[13:20])
+    assert TextStyle.OLD in {span.style for span in ages}
+    assert all(TextStyle.TEXT not in {span.style for span in line if span.text.strip()} for line in lines[13:20])
 
 
 def test_consequence_is_indented_below_its_cause():
@@ -194,9 +194,9 @@ def test_pause_is_shown_and_alerts_continue():
 
 def test_unacknowledged_alert_is_shown_first():
     acknowledged = dataclasses.replace(SHIFTED_SENSOR_ALERT, id="first", priority=Priority.ALARM, state=3)
-    assert shown_alert((acknowledged, SHIFTED_SENSOR_ALERT)) == SHIFTED_SENSOR_ALERT
-    assert shown_alert((acknowledged,)) == acknowledged
-    assert shown_alert(None) is None
+    assert alert_to_show((acknowledged, SHIFTED_SENSOR_ALERT)) == SHIFTED_SENSOR_ALERT
+    assert alert_to_show((acknowledged,)) == acknowledged
+    assert alert_to_show(None) is None
     assert "1 unack, 2 active" in texts(state_with_mounting_shift(alerts=(acknowledged, SHIFTED_SENSOR_ALERT)))[1]
 
 
@@ -274,7 +274,7 @@ def test_every_line_has_the_width_of_the_terminal(
 
 @given(WIDE, st.integers(0, 90), st.booleans(), st.booleans())
 def test_fitted_text_has_the_given_width(text, width, to_right, is_ascii):
-    assert cells(Pen(90, is_ascii).cell(text, width, to_right=to_right)) == width
+    assert cells(LineFormatter(90, is_ascii).fit(text, width, to_right=to_right)) == width
 
 
 def test_selection_goes_downward():

@@ -13,14 +13,14 @@ from collections.abc import Callable, Iterator
 from bokeh.models.ui import UIElement
 
 from ship_bags.stamps import NS_PER_S
-from ship_monitor.after.recorded_suite import Recorded, RecordedSuite
+from ship_monitor.after.recorded_suite import RecordedMessage, RecordedSuite
 from ship_monitor.after.time_controls import TimeControls
 from ship_watch.history import KEPT_S, History
 from ship_watch.limits import Limits
 from ship_watch.picture import SuiteState
 from ship_watch.watch import SuiteMonitor
 
-QUICK_NS = 60 * NS_PER_S
+SHORT_HISTORY_NS = 60 * NS_PER_S
 """History that is read at once for a new time, ns: NIS consistency uses the last minute."""
 
 MAX_READ_S = 0.2
@@ -31,16 +31,16 @@ class _Replay:
     """A monitor that reads a recorded suite from a start time on."""
 
     def __init__(self, suite: RecordedSuite, limits: Limits, since_ns: int) -> None:
-        self.watch = SuiteMonitor(limits)
+        self.monitor = SuiteMonitor(limits)
         self.time_ns = since_ns
-        self._messages: Iterator[Recorded] = suite.messages(since_ns)
+        self._messages: Iterator[RecordedMessage] = suite.messages(since_ns)
         self._next = next(self._messages, None)
 
-    def hear(self, until_ns: int, deadline_s: float = math.inf) -> bool:
+    def read_until(self, until_ns: int, deadline_s: float = math.inf) -> bool:
         """Read messages until a log time; return False if the deadline, monotonic time in s, came first."""
         while self._next is not None and self._next.log_time_ns <= until_ns:
             message = self._next
-            self.watch.take(message.topic, message.message, message.log_time_ns)
+            self.monitor.take(message.topic, message.message, message.log_time_ns)
             self.time_ns = message.log_time_ns
             self._next = next(self._messages, None)
             if time.monotonic() > deadline_s:
@@ -65,8 +65,8 @@ class BagPlayback:
         self._last_update_s = time.monotonic()
         self._controls = TimeControls((suite.end_ns - suite.start_ns) / NS_PER_S, " · ".join(suite.notes), self._move)
         self._notify_moved: Callable[[], None] = lambda: None
-        self._shown: _Replay | None = None
-        self._whole: _Replay | None = None
+        self._displayed_replay: _Replay | None = None
+        self._full_replay: _Replay | None = None
 
     @property
     def label(self) -> str:
@@ -86,12 +86,12 @@ class BagPlayback:
     @property
     def history(self) -> History:
         """Data of the plots: of the last minute until the ten minutes are read."""
-        return self._current_replay().watch.history
+        return self._current_replay().monitor.history
 
     @property
-    def is_whole(self) -> bool:
+    def is_history_complete(self) -> bool:
         """True if all of the last ten minutes has been read."""
-        return self._whole is None and self._shown is not None
+        return self._full_replay is None and self._displayed_replay is not None
 
     def go_to(self, since_start_s: float) -> None:
         """Set the displayed time.
@@ -101,27 +101,27 @@ class BagPlayback:
         """
         wanted_ns = self._suite.start_ns + round(since_start_s * NS_PER_S)
         wanted_ns = min(max(wanted_ns, self._suite.start_ns), self._suite.end_ns)
-        if not self._time_ns <= wanted_ns <= self._time_ns + QUICK_NS:
-            self._shown = self._whole = None
+        if not self._time_ns <= wanted_ns <= self._time_ns + SHORT_HISTORY_NS:
+            self._displayed_replay = self._full_replay = None
         self._time_ns = wanted_ns
 
     def current_state(self) -> SuiteState:
         """Return the state at the displayed time, which advances while the bag is played."""
         now_s = time.monotonic()
-        self._play(now_s - self._last_update_s)
+        self._advance(now_s - self._last_update_s)
         self._last_update_s = now_s
-        is_new = self._shown is None
-        shown = self._current_replay()
-        shown.hear(self._time_ns)
+        is_new = self._displayed_replay is None
+        replay = self._current_replay()
+        replay.read_until(self._time_ns)
         # A new time is displayed before the ten minutes are read.
-        if not is_new and self._whole is not None and self._whole.hear(self._time_ns, time.monotonic() + MAX_READ_S):
-            shown = self._shown = self._whole
-            self._whole = None
-        return shown.watch.current_state(self._time_ns)
+        if not is_new and self._full_replay is not None and self._full_replay.read_until(self._time_ns, time.monotonic() + MAX_READ_S):
+            replay = self._displayed_replay = self._full_replay
+            self._full_replay = None
+        return replay.monitor.current_state(self._time_ns)
 
-    def controls(self, moved: Callable[[], None]) -> UIElement:
+    def controls(self, on_move: Callable[[], None]) -> UIElement:
         """Return slider and buttons for the time; ``on_move`` is called after a change by the user."""
-        self._notify_moved = moved
+        self._notify_moved = on_move
         return self._controls.layout
 
     def _move(self, since_start_s: float) -> None:
@@ -131,16 +131,16 @@ class BagPlayback:
 
     def _current_replay(self) -> _Replay:
         """Return the replay for the displayed time, a new one after a change of the time."""
-        if self._shown is None:
+        if self._displayed_replay is None:
             kept_ns = self._time_ns - round(KEPT_S * NS_PER_S)
-            quick_ns = self._time_ns - QUICK_NS
-            self._shown = _Replay(self._suite, self._limits, quick_ns)
-            self._shown.hear(self._time_ns)
+            quick_ns = self._time_ns - SHORT_HISTORY_NS
+            self._displayed_replay = _Replay(self._suite, self._limits, quick_ns)
+            self._displayed_replay.read_until(self._time_ns)
             if quick_ns > self._suite.start_ns:
-                self._whole = _Replay(self._suite, self._limits, kept_ns)
-        return self._shown
+                self._full_replay = _Replay(self._suite, self._limits, kept_ns)
+        return self._displayed_replay
 
-    def _play(self, passed_s: float) -> None:
+    def _advance(self, passed_s: float) -> None:
         """Advance the displayed time by the time since the last update, s; stop at the end of the bag."""
         if not self._controls.is_playing:
             return

@@ -13,18 +13,18 @@ from ship_bags.topic_names import TRUTH_PREFIX, relative_topics
 from ship_watch.topics import monitored_topic
 
 OUTPUTS = ("ship/attitude", "theodolite/pointing")
-STANDING = ("ship/alerts", "ship/alignment", "theodolite/calibration")
+LATCHED_TOPICS = ("ship/alerts", "ship/alignment", "theodolite/calibration")
 """Topics whose last message stays valid until the next one."""
 
-_STATES = STANDING[1:]
+_NOMINAL_TOPICS = LATCHED_TOPICS[1:]
 """Topics whose first message also contains the nominal values."""
 
-THINNED_NS = 100_000_000
+THINNING_PERIOD_NS = 100_000_000
 """Interval at which one message is decoded if the newest is enough, ns: the period of the evaluation."""
 
 
 @dataclass(frozen=True)
-class Recorded:
+class RecordedMessage:
     """One monitored message: its relative topic, the decoded message, and its log time, ns."""
 
     topic: str
@@ -61,12 +61,12 @@ class RecordedSuite:
         self.start_ns, self.end_ns = self._bag.start_ns or 0, self._bag.end_ns or 0
         has_truth = any(relative.startswith(TRUTH_PREFIX) for relative in names)
         self.is_simulated = has_truth or SCENARIO_ATTACHMENT in self._bag.attachments
-        self.notes = self._missing(set(usable), has_truth)
+        self.notes = self._missing_data_notes(set(usable), has_truth)
         self._reported_topics: set[str] = set()
-        self._standing = {name: usable[name] for name in STANDING if name in usable}
-        self._first_states = [next(self._bag.records({usable[name]}), None) for name in _STATES if name in usable]
+        self._latched = {name: usable[name] for name in LATCHED_TOPICS if name in usable}
+        self._first_nominal = [next(self._bag.records({usable[name]}), None) for name in _NOMINAL_TOPICS if name in usable]
 
-    def messages(self, since_ns: int) -> Iterator[Recorded]:
+    def messages(self, since_ns: int) -> Iterator[RecordedMessage]:
         """Yield the monitored messages from a log time on, after the alerts and states that were valid then.
 
         Messages that cannot be decoded are skipped.
@@ -74,28 +74,28 @@ class RecordedSuite:
         Args:
             since_ns: log time of the first message, ns.
         """
-        last = [self._bag.last_before(topic, since_ns) for topic in self._standing.values()]
-        first = [record for record in self._first_states if record is not None and record.log_time_ns < since_ns]
+        last = [self._bag.last_before(topic, since_ns) for topic in self._latched.values()]
+        first = [record for record in self._first_nominal if record is not None and record.log_time_ns < since_ns]
         for record in (*first, *last):
             if record is not None:
-                yield from self._decoded(record, since_ns)
+                yield from self._decode(record, since_ns)
         taken_ns: dict[str, int] = {}
         for record in self._bag.records(self._topics, since_ns):
             row = self._topics[record.topic][1]
             if row is not None and not row.keeps_every_message:
-                step = record.log_time_ns // THINNED_NS
+                step = record.log_time_ns // THINNING_PERIOD_NS
                 if taken_ns.get(record.topic) == step:
                     continue
                 taken_ns[record.topic] = step
-            yield from self._decoded(record, record.log_time_ns)
+            yield from self._decode(record, record.log_time_ns)
 
     def close(self) -> None:
         """Close the bag."""
         self._bag.close()
 
-    def _decoded(self, record: BagRecord, log_time_ns: int) -> Iterator[Recorded]:
+    def _decode(self, record: BagRecord, log_time_ns: int) -> Iterator[RecordedMessage]:
         try:
-            yield Recorded(self._topics[record.topic][0], record.decode(), log_time_ns)
+            yield RecordedMessage(self._topics[record.topic][0], record.decode(), log_time_ns)
         except BadInput as problem:
             if record.topic not in self._reported_topics:
                 print(f"monitor: message skipped: {problem}", file=sys.stderr, flush=True)
@@ -109,7 +109,7 @@ class RecordedSuite:
             raise BadInput(f"the bag contains suites in {named}: select one with --namespace", file=self.path)
         return found.pop() if found else ""
 
-    def _missing(self, usable: set[str], has_truth: bool) -> tuple[str, ...]:
+    def _missing_data_notes(self, usable: set[str], has_truth: bool) -> tuple[str, ...]:
         """Return lines about missing data and their consequence."""
         name = self.path.name
         if usable.isdisjoint(OUTPUTS):

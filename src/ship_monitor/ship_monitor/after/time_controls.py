@@ -48,10 +48,10 @@ class TimeControls:
             stylesheets=[style],
         )
         self._clock = Div(text=_clock(length_s, length_s), width=150, margin=0, stylesheets=[style])
-        self._play.on_change("active", self._played)
-        self._speed.on_click(self._hasten)
-        self._slider.on_change("value", self._dragged)
-        self._slider.on_change("value_throttled", self._moved)
+        self._play.on_change("active", self._on_play_changed)
+        self._speed.on_click(self._on_speed_clicked)
+        self._slider.on_change("value", self._on_slider_dragged)
+        self._slider.on_change("value_throttled", self._on_slider_released)
         self._slider.js_on_change("value", CustomJS(args={"clock": self._clock, "length": length_s}, code=_CLOCK_JS))
         missing = Div(text=note, render_as_text=True, visible=bool(note), margin=0, stylesheets=[style])
         missing.styles = {"max-width": "22rem"}
@@ -69,9 +69,9 @@ class TimeControls:
     @property
     def speed(self) -> int:
         """Seconds of the bag in one second."""
-        return SPEEDS[self._place]
+        return SPEEDS[self._speed_index]
 
-    _place = 0
+    _speed_index = 0
 
     def show(self, at_s: float) -> None:
         """Move the slider to a time, s, without pausing."""
@@ -82,22 +82,22 @@ class TimeControls:
         """Pause."""
         self._play.active = False
 
-    def _played(self, _name: str, _old: Any, is_playing: bool) -> None:
+    def _on_play_changed(self, _name: str, _old: Any, is_playing: bool) -> None:
         self._play.label = _PAUSE if is_playing else _PLAY
         if is_playing and self._slider.value >= self._length_s:
             self.show(0.0)
             self._go_to(0.0)
 
-    def _hasten(self) -> None:
-        self._place = (self._place + 1) % len(SPEEDS)
+    def _on_speed_clicked(self) -> None:
+        self._speed_index = (self._speed_index + 1) % len(SPEEDS)
         self._speed.label = f"× {self.speed}"
 
-    def _dragged(self, _name: str, _old: Any, at_s: float) -> None:
+    def _on_slider_dragged(self, _name: str, _old: Any, at_s: float) -> None:
         """Pause while the user drags the slider."""
         if at_s != self._set_s:
             self.stop()
 
-    def _moved(self, _name: str, _old: Any, at_s: float) -> None:
+    def _on_slider_released(self, _name: str, _old: Any, at_s: float) -> None:
         self._set_s = at_s
         self._go_to(at_s)
 

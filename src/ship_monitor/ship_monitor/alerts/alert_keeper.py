@@ -18,20 +18,20 @@ from ship_watch.names import has_room
 from ship_watch.picture import AlertShown, SuiteState
 from ship_watch.watch import SuiteMonitor
 
-LONGEST_PAUSE_NS = 5 * NS_PER_S
+MAX_PAUSE_NS = 5 * NS_PER_S
 """Time between two updates above which the computer has slept and the data are reset, ns."""
 
-STATUS_AGE_NS = 5 * NS_PER_S
+MAX_STATUS_AGE_NS = 5 * NS_PER_S
 """Maximum age of a node's diagnostic status, ns; nodes publish it once a second."""
 
-MOST_STATUSES = 2000
+MAX_STATUSES = 2000
 """Maximum number of diagnostic statuses."""
 
 _DISK_PERIOD_NS = 10 * NS_PER_S
 _FORMAT, _VERSION = "ship_alerts", 1
 
 
-class AlertKeeper:
+class AlertManager:
     """Monitors a suite, raises its alerts and saves them.
 
     Args:
@@ -49,34 +49,34 @@ class AlertKeeper:
         self, limits: Limits, state_file: Path | None, now_ns: int, log_problem: Callable[[str], None], files: Files = DISK
     ) -> None:
         self._limits, self._state_file, self._log_problem, self._files = limits, state_file, log_problem, files
-        self._watch = SuiteMonitor(limits)
+        self._monitor = SuiteMonitor(limits)
         self._statuses: dict[tuple[str, str], tuple[NodeStatus, int]] = {}
         self._disk_free_gb, self._disk_checked_ns = math.nan, now_ns - _DISK_PERIOD_NS
         self._updated_ns = now_ns
         self._is_unsaved = False
-        self._book = self._read(now_ns)
-        self.suite_state: SuiteState = self._watch.current_state(now_ns)
+        self._alert_list = self._read_alerts(now_ns)
+        self.suite_state: SuiteState = self._monitor.current_state(now_ns)
 
     @property
     def alerts(self) -> tuple[AlertShown, ...]:
         """Alerts that are not NORMAL, the most urgent first."""
-        return self._book.alerts
+        return self._alert_list.alerts
 
-    def take(self, topic: str, message: Any, arrival_ns: int) -> None:
+    def process_message(self, topic: str, message: Any, arrival_ns: int) -> None:
         """Process one message; the topic is relative to the namespace, the arrival a steady time, ns."""
-        self._watch.take(topic, message, arrival_ns)
+        self._monitor.take(topic, message, arrival_ns)
 
-    def take_status(self, status: NodeStatus, arrival_ns: int) -> None:
+    def process_status(self, status: NodeStatus, arrival_ns: int) -> None:
         """Process a diagnostic status of a node."""
         key = (status.node, status.name)
-        if has_room(self._statuses, key, "diagnostic status", MOST_STATUSES):
+        if has_room(self._statuses, key, "diagnostic status", MAX_STATUSES):
             self._statuses[key] = status, arrival_ns
 
     def reset(self, now_ns: int) -> None:
         """Reset all data except the alerts, after the suite's time went back or the computer slept."""
-        self._watch.reset()
+        self._monitor.reset()
         self._statuses.clear()
-        self._book = AlertBook(self._limits.alerts, self._book.saved(), now_ns)
+        self._alert_list = AlertBook(self._limits.alerts, self._alert_list.saved(), now_ns)
         self._updated_ns = now_ns
 
     def update(self, now_ns: int, clock_ns: int) -> tuple[AlertChange, ...]:
@@ -86,32 +86,32 @@ class AlertKeeper:
             now_ns: steady time, ns.
             clock_ns: UTC of the computer's clock, ns; used until the suite has a time.
         """
-        if now_ns - self._updated_ns > LONGEST_PAUSE_NS:
+        if now_ns - self._updated_ns > MAX_PAUSE_NS:
             self.reset(now_ns)
         self._updated_ns = now_ns
-        self.suite_state = self._watch.current_state(now_ns)
-        found = conditions(self.suite_state, self._limits, self._machine(now_ns))
-        return self._kept(self._book.take(found, now_ns, self._utc_ns(clock_ns)))
+        self.suite_state = self._monitor.current_state(now_ns)
+        found = conditions(self.suite_state, self._limits, self._computer_state(now_ns))
+        return self._save_changes(self._alert_list.take(found, now_ns, self._utc_ns(clock_ns)))
 
     def acknowledge(self, id_: str, instance: int, clock_ns: int) -> tuple[AlertChange | None, str]:
         """Acknowledge one instance of an alert; return the change, None without one, and the result in words."""
-        change, text = self._book.acknowledge(id_, instance, self._utc_ns(clock_ns))
+        change, text = self._alert_list.acknowledge(id_, instance, self._utc_ns(clock_ns))
         if change is not None:
-            self._kept((change,))
+            self._save_changes((change,))
         return change, text
 
     def silence(self, now_ns: int, clock_ns: int) -> tuple[AlertChange, ...]:
         """Silence all sounding alerts for a while; return the changes."""
-        return self._kept(self._book.silence(now_ns, self._utc_ns(clock_ns)))
+        return self._save_changes(self._alert_list.silence(now_ns, self._utc_ns(clock_ns)))
 
-    def tree(self) -> tuple[Branch, ...]:
+    def diagnostic_entries(self) -> tuple[Branch, ...]:
         """Return functions and their inputs as diagnostic entries, from the last update."""
         return diagnostic_entries(self.suite_state, self._limits)
 
     def _utc_ns(self, clock_ns: int) -> int:
         return self.suite_state.utc_ns or clock_ns
 
-    def _machine(self, now_ns: int) -> Machine:
+    def _computer_state(self, now_ns: int) -> Machine:
         if self._limits.machine.disk_path and now_ns - self._disk_checked_ns >= _DISK_PERIOD_NS:
             self._disk_checked_ns = now_ns
             try:
@@ -123,11 +123,11 @@ class AlertKeeper:
         self._statuses = {
             key: (status, told_ns)
             for key, (status, told_ns) in self._statuses.items()
-            if now_ns - told_ns <= STATUS_AGE_NS
+            if now_ns - told_ns <= MAX_STATUS_AGE_NS
         }
         return Machine(tuple(status for status, _ in self._statuses.values()), self._disk_free_gb)
 
-    def _read(self, now_ns: int) -> AlertBook:
+    def _read_alerts(self, now_ns: int) -> AlertBook:
         """Return the alerts of the file; an empty list without a file, or if it cannot be read."""
         try:
             if self._state_file is None:
@@ -142,10 +142,10 @@ class AlertKeeper:
             self._log_problem(str(BadInput(f"saved alerts cannot be read, starting without: {problem}", file=self._state_file)))
             return AlertBook(self._limits.alerts, (), now_ns)
 
-    def _kept(self, changes: tuple[AlertChange, ...]) -> tuple[AlertChange, ...]:
+    def _save_changes(self, changes: tuple[AlertChange, ...]) -> tuple[AlertChange, ...]:
         """Return the changes after writing the file, if there are any or the last write failed."""
         if self._state_file is not None and (changes or self._is_unsaved):
-            document = {"format": _FORMAT, "version": _VERSION, "alerts": self._book.saved()}
+            document = {"format": _FORMAT, "version": _VERSION, "alerts": self._alert_list.saved()}
             try:
                 self._files.write(self._state_file, json.dumps(document, indent=1).encode())
                 self._is_unsaved = False

@@ -19,8 +19,8 @@ from ship_bags.live.heartbeat import heartbeat
 from ship_bags.live.ros_process import command_node, call_on_end_signals, run_ros_command
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import NS_PER_S
-from ship_monitor.alerts.alert_keeper import AlertKeeper
-from ship_monitor.live.reader import ALERTS_TOPIC, KEPT, TopicReader, steady_ns
+from ship_monitor.alerts.alert_keeper import AlertManager
+from ship_monitor.live.reader import ALERTS_TOPIC, MAX_QUEUE_DEPTH, TopicReader, steady_ns
 from ship_msgs.msg import AlertArray, SuiteState
 from ship_msgs.srv import AcknowledgeAlert
 from ship_node.edge.messages_out import (
@@ -116,8 +116,8 @@ class AlertNode:
         self._full_name = node.get_fully_qualified_name()
         self._factory = RosidlFactory()
         self._guard = ExceptionGuard(node.get_logger(), time.monotonic_ns)
-        self._reader = TopicReader("alerts_reader", node.get_namespace(), _wanted)
-        self._keeper = AlertKeeper(limits, state_file, steady_ns(), lambda text: node.get_logger().error(text))
+        self._reader = TopicReader("alerts_reader", node.get_namespace(), _queue_depth)
+        self._manager = AlertManager(limits, state_file, steady_ns(), lambda text: node.get_logger().error(text))
         latched = QoSProfile(
             depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
         )
@@ -129,7 +129,7 @@ class AlertNode:
         node.create_service(AcknowledgeAlert, "~/acknowledge", self._acknowledge)
         node.create_service(Trigger, "~/silence", self._silence)
         self._is_stopped = False
-        kept = ", ".join(alert.id for alert in self._keeper.alerts)
+        kept = ", ".join(alert.id for alert in self._manager.alerts)
         known = f"; restored: {kept}" if kept else ""
         node.get_logger().info(f"alerts of {self._reader.location}; saved in {state_file or 'no file'}{known}")
         self._publish()
@@ -159,18 +159,18 @@ class AlertNode:
             self._reader.close()
 
     def _update(self) -> None:
-        taken = self._reader.take()
-        if taken.time_went_back:
-            self._keeper.reset(steady_ns())
-        for arrived in taken.messages:
-            if arrived.topic == DIAGNOSTICS_TOPIC:
-                self._guard.call(arrived.topic, self._take_statuses, arrived.message, arrived.arrival_ns)
+        batch = self._reader.fetch()
+        if batch.time_went_back:
+            self._manager.reset(steady_ns())
+        for received in batch.messages:
+            if received.topic == DIAGNOSTICS_TOPIC:
+                self._guard.call(received.topic, self._process_diagnostics, received.message, received.arrival_ns)
             else:
-                self._guard.call(arrived.topic, self._keeper.take, arrived.topic, arrived.message, arrived.arrival_ns)
-        self._report_changes(self._keeper.update(steady_ns(), time.time_ns()))
+                self._guard.call(received.topic, self._manager.process_message, received.topic, received.message, received.arrival_ns)
+        self._report_changes(self._manager.update(steady_ns(), time.time_ns()))
         self._publish_state(steady_ns())
 
-    def _take_statuses(self, message: Any, arrival_ns: int) -> None:
+    def _process_diagnostics(self, message: Any, arrival_ns: int) -> None:
         namespaces = self._namespaces()
         for status in message.status:
             node, _, name = status.name.partition(": ")
@@ -183,7 +183,7 @@ class AlertNode:
             other = "" if len(where) == 1 else f" (a node of one of {', '.join(sorted(where))})"
             values = {pair.key: pair.value for pair in status.values}
             node_status = NodeStatus(node, name, status.level[0], status.message + other, values)
-            self._keeper.take_status(node_status, arrival_ns)
+            self._manager.process_status(node_status, arrival_ns)
 
     def _namespaces(self) -> dict[str, set[str]]:
         """Return the namespaces of the nodes that publish diagnostics, by node name: suites share the topic."""
@@ -193,7 +193,7 @@ class AlertNode:
         return found
 
     def _acknowledge(self, request: Any, response: Any) -> Any:
-        change, response.message = self._keeper.acknowledge(request.id, request.instance, time.time_ns())
+        change, response.message = self._manager.acknowledge(request.id, request.instance, time.time_ns())
         response.success = change is not None
         if change is None:
             self._node.get_logger().info(f"not acknowledged: {response.message}")
@@ -202,7 +202,7 @@ class AlertNode:
         return response
 
     def _silence(self, _request: Any, response: Any) -> Any:
-        changes = self._keeper.silence(steady_ns(), time.time_ns())
+        changes = self._manager.silence(steady_ns(), time.time_ns())
         self._report_changes(changes)
         response.success, response.message = True, f"{len(changes)} silenced"
         return response
@@ -224,41 +224,41 @@ class AlertNode:
 
     def _publish(self) -> None:
         header = {"stamp": self._utc_ns(), "frame_id": ""}
-        alerts = [_alert_fields(alert) for alert in self._keeper.alerts]
+        alerts = [_alert_fields(alert) for alert in self._manager.alerts]
         self._alerts.publish(self._factory.make("ship_msgs/msg/AlertArray", header=header, alerts=alerts))
 
     def _publish_state(self, now_ns: int) -> None:
         """Publish the state from which the alerts are derived: at once after a change, else twice a second."""
-        suite_state = self._keeper.suite_state
+        suite_state = self._manager.suite_state
         change = change_of_state(suite_state)
         if change != self._published_change or now_ns - self._published_ns >= PERIOD_NS:
             self._published_ns, self._published_change = now_ns, change
             self._states.publish(self._factory.make(STATE_TYPE, **suite_state_fields(suite_state)))
 
     def _publish_diagnostics(self) -> None:
-        alerts = self._keeper.alerts
+        alerts = self._manager.alerts
         waiting = sum(not alert.is_acknowledged for alert in alerts)
         text = f"{len(alerts)} alerts, {waiting} unacknowledged" + (f": {alerts[0].text}" if alerts else "")
         level = max((_LEVELS[alert.priority] for alert in alerts), default=Level.OK)
         statuses = [DiagnosticStatus("list", level, text), self._guard.status()]
         statuses += [
-            DiagnosticStatus(f"functions/{branch.path}", Level(branch.level), branch.text)
-            for branch in self._keeper.tree()
+            DiagnosticStatus(f"functions/{entry.path}", Level(entry.level), entry.text)
+            for entry in self._manager.diagnostic_entries()
         ]
         message = diagnostic_array(self._utc_ns(), _NAME, statuses, self._full_name)
         self._diagnostics.publish(message.__cdr__)
 
     def _utc_ns(self) -> int:
         """Return the suite's time, UTC, ns; the computer's until the suite has one."""
-        return self._keeper.suite_state.utc_ns or time.time_ns()
+        return self._manager.suite_state.utc_ns or time.time_ns()
 
 
-def _wanted(topic: str, type_name: str) -> int:
+def _queue_depth(topic: str, type_name: str) -> int:
     """Return the queue depth of a topic; 0 for topics that are not needed."""
     if topic == DIAGNOSTICS_TOPIC:
-        return KEPT if type_name == DIAGNOSTICS_TYPE else 0
+        return MAX_QUEUE_DEPTH if type_name == DIAGNOSTICS_TYPE else 0
     row = monitored_topic(topic, type_name) if topic != ALERTS_TOPIC else None
-    return 0 if row is None else KEPT if row.keeps_every_message else 1
+    return 0 if row is None else MAX_QUEUE_DEPTH if row.keeps_every_message else 1
 
 
 def _alert_fields(alert: AlertShown) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from ship_monitor.after.recorded_pictures import BagPlayback
 from ship_monitor.after.recorded_suite import RecordedSuite
 from ship_monitor.commands.time_zone import add_time_zone
 from ship_monitor.foxglove.server import FoxgloveServer
-from ship_monitor.live.live_watch import LiveWatch
+from ship_monitor.live.live_watch import LiveSuite
 from ship_monitor.page.app import page_maker
 from ship_monitor.page.picture_source import PageSource
 from ship_monitor.page.server import PageServer
@@ -95,14 +95,14 @@ def _port(text: str) -> int:
 def _run(parsed: argparse.Namespace) -> int:
     limits = Limits() if parsed.limits is None else read_limits(parsed.limits)
     if parsed.bag is not None:
-        return _show_bag(parsed, limits)
+        return _serve_bag(parsed, limits)
     with contextlib.ExitStack() as left_open:
         foxglove = None if parsed.foxglove is None else _foxglove_server(parsed)
         if foxglove is not None:
             left_open.callback(foxglove.close)
-        watch = LiveWatch("monitor", parsed.namespace, limits, foxglove)
-        left_open.callback(watch.close)
-        return _serve(parsed, lambda: watch, watch.tick, watch.location, foxglove)
+        suite = LiveSuite("monitor", parsed.namespace, limits, foxglove)
+        left_open.callback(suite.close)
+        return _serve(parsed, lambda: suite, suite.tick, suite.location, foxglove)
 
 
 def _foxglove_server(parsed: argparse.Namespace) -> FoxgloveServer:
@@ -110,7 +110,7 @@ def _foxglove_server(parsed: argparse.Namespace) -> FoxgloveServer:
     return FoxgloveServer(name, parsed.address, parsed.foxglove, parsed.allow_host)
 
 
-def _show_bag(parsed: argparse.Namespace, limits: Limits) -> int:
+def _serve_bag(parsed: argparse.Namespace, limits: Limits) -> int:
     """Serve a bag; each browser has its own time."""
     if parsed.foxglove is not None:
         raise BadInput(f"--foxglove serves a live suite: Foxglove opens {parsed.bag} by itself")
@@ -127,7 +127,7 @@ def _serve(
     parsed: argparse.Namespace,
     open_source: Callable[[], PageSource],
     tick: Callable[[], None],
-    shown: str,
+    description: str,
     foxglove: FoxgloveServer | None = None,
 ) -> int:
     def tick_and_beat() -> None:
@@ -139,7 +139,7 @@ def _serve(
     call_on_end_signals(server.stop)
     if foxglove is not None:
         print(f"monitor: {foxglove.address} for Foxglove", flush=True)
-    print(f"monitor: {server.address} ({shown})", flush=True)
+    print(f"monitor: {server.address} ({description})", flush=True)
     server.run()
     return EXIT_DONE
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from ship_bags.command_line import CommandParser, run_command
 from ship_bags.errors import BadInput
 from ship_monitor.commands.time_zone import add_time_zone
-from ship_monitor.live.live_watch import LiveWatch
+from ship_monitor.live.live_watch import LiveSuite
 from ship_monitor.page.themes import THEMES
 from ship_monitor.terminal.app import TerminalApp
 from ship_watch.limits import Limits, read_limits
@@ -55,9 +55,9 @@ def _run(parsed: argparse.Namespace) -> int:
     limits = Limits() if parsed.limits is None else read_limits(parsed.limits)
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         raise BadInput("stdin or stderr is not a terminal; over ssh use ssh -t")
-    is_ascii = parsed.characters == "ascii" or (parsed.characters == "auto" and not shows_utf8(os.environ))
+    is_ascii = parsed.characters == "ascii" or (parsed.characters == "auto" and not is_utf8_locale(os.environ))
     with _stderr_deferred_to_exit():
-        suite = LiveWatch("monitor_terminal", parsed.namespace, limits)
+        suite = LiveSuite("monitor_terminal", parsed.namespace, limits)
         try:
             exit_code = TerminalApp(suite, parsed.theme, is_ascii=is_ascii, zone=parsed.time_zone).run()
         finally:
@@ -83,7 +83,7 @@ def _stderr_deferred_to_exit() -> Iterator[None]:
     os.close(terminal_fd)
 
 
-def shows_utf8(environment: Mapping[str, str]) -> bool:
+def is_utf8_locale(environment: Mapping[str, str]) -> bool:
     """True if the locale of an environment is one with UTF-8.
 
     LC_CTYPE=C.UTF-8 is ignored: Python itself sets it if the locale is C (PEP 538).

@@ -18,7 +18,7 @@ PROTOCOL = "foxglove.sdk.v1"
 MAX_PENDING_MESSAGES = 1024
 """Maximum number of pending messages of one viewer: a second of a whole suite. Older ones are dropped."""
 
-_MOST_NEWS = 100_000
+_MAX_NOTIFICATIONS = 100_000
 """Maximum number of pending notifications of one viewer; beyond it the connection is closed."""
 
 _BATCH_SIZE = 32
@@ -45,7 +45,7 @@ class Channel:
     type_name: str
     definition: str
 
-    def advertised(self) -> dict[str, Any]:
+    def advertisement(self) -> dict[str, Any]:
         """Return the channel in the form of the protocol."""
         return {
             "id": self.id, "topic": self.topic, "encoding": "cdr", "schemaName": self.type_name,
@@ -64,11 +64,11 @@ class Client(WebSocketHandler):
         """Initialise the connection; called by tornado with the arguments of the route."""
         self._viewers = viewers
         self.subscriptions: dict[int, int] = {}
-        self._news: deque[dict[str, Any]] = deque()
+        self._notifications: deque[dict[str, Any]] = deque()
         self._messages: deque[tuple[int, int, bytes]] = deque(maxlen=MAX_PENDING_MESSAGES)
         self._has_pending = asyncio.Event()
-        self._is_woken = self._is_over = False
-        self._writing: asyncio.Task[None] | None = None
+        self._is_wake_pending = self._is_closed = False
+        self._write_task: asyncio.Task[None] | None = None
 
     def select_subprotocol(self, subprotocols: list[str]) -> str | None:
         """Return the protocol if the viewer supports it, else None."""
@@ -83,7 +83,7 @@ class Client(WebSocketHandler):
         if self.selected_subprotocol is None:
             self.close(1002, f"expected the protocol {PROTOCOL}")
             return
-        self._writing = asyncio.create_task(self._write())
+        self._write_task = asyncio.create_task(self._write())
         self._viewers.add(self)
 
     async def on_message(self, message: str | bytes) -> None:
@@ -97,7 +97,7 @@ class Client(WebSocketHandler):
 
     def on_close(self) -> None:
         """Remove the viewer."""
-        self._is_over = True
+        self._is_closed = True
         self._has_pending.set()
         self._viewers.remove(self)
 
@@ -107,11 +107,11 @@ class Client(WebSocketHandler):
         if stream is not None:
             stream.close()
 
-    def notify(self, news: dict[str, Any]) -> None:
+    def notify(self, notification: dict[str, Any]) -> None:
         """Queue a notification; notifications are never dropped and keep their order."""
-        self._news.append(news)
+        self._notifications.append(notification)
         self._has_pending.set()
-        if len(self._news) > _MOST_NEWS:
+        if len(self._notifications) > _MAX_NOTIFICATIONS:
             self.close()
 
     def enqueue(self, channel: Channel, data: bytes, log_time_ns: int) -> bool:
@@ -123,12 +123,12 @@ class Client(WebSocketHandler):
             log_time_ns: its arrival, UTC, ns.
         """
         self._messages.append((channel.id, log_time_ns, data))
-        was_woken, self._is_woken = self._is_woken, True
+        was_woken, self._is_wake_pending = self._is_wake_pending, True
         return not was_woken
 
     def wake(self) -> None:
         """Start writing the pending messages."""
-        self._is_woken = False
+        self._is_wake_pending = False
         self._has_pending.set()
 
     def _handle_request(self, message: str | bytes) -> str:
@@ -147,25 +147,25 @@ class Client(WebSocketHandler):
         return f"this server is read-only: '{operation[:40]}' is refused"
 
     def _subscribe(self, wanted: Iterable[tuple[int, int]]) -> str:
-        error, known, taken = "", self._viewers.channels, set(self.subscriptions.values())
+        error, channels, used = "", self._viewers.channels, set(self.subscriptions.values())
         added = []
         for subscription, channel in wanted:
-            if not 0 <= subscription < 2**32 or subscription in taken:
+            if not 0 <= subscription < 2**32 or subscription in used:
                 error = f"subscription {subscription} refused: the number is in use, or has more than 32 bits"
-            elif channel in self.subscriptions or channel not in known:
+            elif channel in self.subscriptions or channel not in channels:
                 error = f"subscription {subscription} refused: channel {channel} is unknown, or already subscribed"
             else:
                 self.subscriptions[channel] = subscription
-                taken.add(subscription)
+                used.add(subscription)
                 added.append(channel)
-        self._viewers.note_subscriptions(added)
+        self._viewers.add_subscriptions(added)
         return error
 
-    def _unsubscribe(self, given_up: set[int]) -> str:
+    def _unsubscribe(self, ended: set[int]) -> str:
         self.subscriptions = {
             channel: subscription
             for channel, subscription in self.subscriptions.items()
-            if subscription not in given_up
+            if subscription not in ended
         }
         self._viewers.update_receivers()
         return ""
@@ -173,12 +173,12 @@ class Client(WebSocketHandler):
     async def _write(self) -> None:
         """Write notifications first, then messages, until the connection is closed."""
         try:
-            while not self._is_over:
+            while not self._is_closed:
                 await self._has_pending.wait()
                 self._has_pending.clear()
-                while self._news or self._messages:
-                    while self._news:
-                        await self.write_message(self._news.popleft())
+                while self._notifications or self._messages:
+                    while self._notifications:
+                        await self.write_message(self._notifications.popleft())
                     await self._write_some()
         except WebSocketClosedError:
             return

@@ -19,7 +19,7 @@ from tornado.httputil import HTTPServerRequest
 from tornado.web import Application, ErrorHandler
 
 from ship_monitor.foxglove.client import Channel, Client
-from ship_monitor.web.bounded_server import MOST_MESSAGE_BYTES, BoundedServer, address_in_url, listening_sockets
+from ship_monitor.web.bounded_server import MAX_MESSAGE_BYTES, BoundedServer, address_in_url, listening_sockets
 from ship_monitor.web.own_hosts import OwnHosts, host_of
 
 VIEWERS = frozenset({"https://app.foxglove.dev", "https://embed.foxglove.dev", "https://studio.foxglove.dev"})
@@ -28,7 +28,7 @@ VIEWERS = frozenset({"https://app.foxglove.dev", "https://embed.foxglove.dev", "
 _DESKTOP_ORIGIN, _DESKTOP_AGENT = "file://", "Electron/"
 """Origin and user agent of desktop viewers. A page saved to a file has this origin too, but another agent."""
 
-MOST_CLIENTS = 32
+MAX_CLIENTS = 32
 """Maximum number of viewers."""
 
 _PING_S = 30.0
@@ -53,8 +53,8 @@ class Viewers:
         self.channels: dict[int, Channel] = {}
         self._numbers: dict[str, int] = {}
         self.receivers: dict[int, tuple[Client, ...]] = {}
-        self.wanted: frozenset[str] = frozenset()
-        self.newcomers: SimpleQueue[str] = SimpleQueue()
+        self.subscribed_topics: frozenset[str] = frozenset()
+        self.new_subscriptions: SimpleQueue[str] = SimpleQueue()
         self.clients: set[Client] = set()
         self._info = {"op": "serverInfo", "name": name, "capabilities": [], "sessionId": str(time.time_ns())}
 
@@ -63,7 +63,7 @@ class Viewers:
         self.clients.add(client)
         client.notify(self._info)
         for channel in self.channels.values():
-            client.notify({"op": "advertise", "channels": [channel.advertised()]})
+            client.notify({"op": "advertise", "channels": [channel.advertisement()]})
 
     def remove(self, client: Client) -> None:
         """Remove a viewer."""
@@ -81,13 +81,13 @@ class Viewers:
             self.update_receivers()
         self.channels[channel.id], self._numbers[channel.topic] = channel, channel.id
         for client in self.clients:
-            client.notify({"op": "advertise", "channels": [channel.advertised()]})
+            client.notify({"op": "advertise", "channels": [channel.advertisement()]})
 
-    def note_subscriptions(self, numbers: Sequence[int]) -> None:
+    def add_subscriptions(self, numbers: Sequence[int]) -> None:
         """Add a viewer's subscriptions to some channels."""
         self.update_receivers()
         for number in numbers:
-            self.newcomers.put(self.channels[number].topic)
+            self.new_subscriptions.put(self.channels[number].topic)
 
     def update_receivers(self) -> None:
         """Update the receivers of all channels."""
@@ -96,7 +96,7 @@ class Viewers:
             for number in client.subscriptions:
                 receivers[number] = (*receivers.get(number, ()), client)
         self.receivers = receivers
-        self.wanted = frozenset(self.channels[number].topic for number in receivers)
+        self.subscribed_topics = frozenset(self.channels[number].topic for number in receivers)
 
 
 class _Application(Application):
@@ -106,16 +106,16 @@ class _Application(Application):
         self._viewers, self._hosts = viewers, hosts
         super().__init__(
             [(r"/.*", Client, {"viewers": viewers})],
-            websocket_max_message_size=MOST_MESSAGE_BYTES,
+            websocket_max_message_size=MAX_MESSAGE_BYTES,
             websocket_ping_interval=_PING_S,
             websocket_ping_timeout=_PING_S,
         )
 
     def find_handler(self, request: HTTPServerRequest, **arguments: Any) -> Any:
         """Return the handler of a request; status 403 for other sites, 503 for too many viewers."""
-        if not (self._hosts.is_asked(request) and self._is_viewer(request)):
+        if not (self._hosts.is_own_host(request) and self._is_viewer(request)):
             return self.get_handler_delegate(request, ErrorHandler, {"status_code": 403})
-        if len(self._viewers.clients) >= MOST_CLIENTS:
+        if len(self._viewers.clients) >= MAX_CLIENTS:
             return self.get_handler_delegate(request, ErrorHandler, {"status_code": 503})
         return super().find_handler(request, **arguments)
 
@@ -124,7 +124,7 @@ class _Application(Application):
         origin = request.headers.get("Origin", "")
         if origin == _DESKTOP_ORIGIN:
             return _DESKTOP_AGENT in request.headers.get("User-Agent", "")
-        return not origin or origin in VIEWERS or (host_of(origin) and self._hosts.is_origin(origin, request)) is True
+        return not origin or origin in VIEWERS or (host_of(origin) and self._hosts.is_own_origin(origin, request)) is True
 
 
 class FoxgloveServer:
@@ -172,18 +172,18 @@ class FoxgloveServer:
         channel = self._types[topic] = Channel(next(self._numbers), topic, type_name, definition)
         self._loop.call_soon_threadsafe(self._viewers.offer, channel)
 
-    def wanted(self) -> frozenset[str]:
+    def subscribed_topics(self) -> frozenset[str]:
         """Return the topics to which a client is subscribed."""
-        return self._viewers.wanted
+        return self._viewers.subscribed_topics
 
-    def newcomers(self) -> frozenset[str]:
+    def new_subscriptions(self) -> frozenset[str]:
         """Return the topics to which a client has subscribed since the last call."""
-        waiting, topics = self._viewers.newcomers, set()
+        waiting, topics = self._viewers.new_subscriptions, set()
         while not waiting.empty():
             topics.add(waiting.get_nowait())
         return frozenset(topics)
 
-    def pass_on(self, topic: str, data: bytes, arrival_utc_ns: int) -> None:
+    def forward(self, topic: str, data: bytes, arrival_utc_ns: int) -> None:
         """Forward a message to the subscribers of its topic, which must have been offered. It never waits.
 
         Args:

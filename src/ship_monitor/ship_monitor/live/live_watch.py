@@ -13,8 +13,8 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from ship_monitor.live.acknowledge import acknowledge
-from ship_monitor.live.reader import KEPT, Taken, TopicReader, steady_ns
-from ship_monitor.live.relayed_topics import RelayedTopics, TopicReceiver
+from ship_monitor.live.reader import MAX_QUEUE_DEPTH, ReceivedBatch, TopicReader, steady_ns
+from ship_monitor.live.relayed_topics import TopicRelay, TopicReceiver
 from ship_watch.history import History
 from ship_watch.limits import Limits
 from ship_watch.picture import SuiteState
@@ -22,17 +22,17 @@ from ship_watch.published_state import STATE_TOPIC, STATE_TYPE
 from ship_watch.topics import monitored_topic
 from ship_watch.watch import SuiteMonitor
 
-TAKE_PERIOD_S = 0.2
+READ_PERIOD_S = 0.2
 """Period at which topics are read, s."""
 
-_RELAYED_BETWEEN = 4
+_RELAYS_PER_READ = 4
 """Number of forwarding steps for each reading of topics: twenty a second."""
 
 _STATE_PERIOD_NS = 200_000_000
 _CLOSE_TIMEOUT_S = 5.0
 
 
-class LiveWatch:
+class LiveSuite:
     """A suite on the network: one reader and one monitor for all displays.
 
     Args:
@@ -46,14 +46,14 @@ class LiveWatch:
     """
 
     def __init__(self, node_name: str, namespace: str, limits: Limits, receiver: TopicReceiver | None = None) -> None:
-        self._reader = TopicReader(node_name, namespace, messages_wanted)
-        self._relayed = None if receiver is None else RelayedTopics(self._reader, receiver)
-        self._watch = SuiteMonitor(limits)
+        self._reader = TopicReader(node_name, namespace, queue_depth)
+        self._relay = None if receiver is None else TopicRelay(self._reader, receiver)
+        self._monitor = SuiteMonitor(limits)
         self._suite_state: SuiteState | None = None
         self._has_rejected_state = False
         self._suite_state_ns = 0
-        self._pending: SimpleQueue[Taken] = SimpleQueue()
-        self._is_over = threading.Event()
+        self._pending: SimpleQueue[ReceivedBatch] = SimpleQueue()
+        self._is_closed = threading.Event()
         self._thread = threading.Thread(target=self._read, name="topics", daemon=True)
         self._thread.start()
 
@@ -61,23 +61,23 @@ class LiveWatch:
         """Process the messages read so far. Called some times a second, with or without a display."""
         while True:
             try:
-                taken = self._pending.get_nowait()
+                batch = self._pending.get_nowait()
             except Empty:
                 return
-            if taken.time_went_back:
-                self._watch.reset()
-            if taken.alerts_ended:
-                self._watch.forget_alerts()
-            for arrived in taken.messages:
-                if arrived.topic == STATE_TOPIC:
-                    self._take_state(arrived.message, arrived.arrival_ns)
+            if batch.time_went_back:
+                self._monitor.reset()
+            if batch.alerts_ended:
+                self._monitor.forget_alerts()
+            for received in batch.messages:
+                if received.topic == STATE_TOPIC:
+                    self._process_suite_state(received.message, received.arrival_ns)
                 else:
-                    self._watch.take(arrived.topic, arrived.message, arrived.arrival_ns)
+                    self._monitor.take(received.topic, received.message, received.arrival_ns)
 
-    def _take_state(self, message: Any, arrival_ns: int) -> None:
+    def _process_suite_state(self, message: Any, arrival_ns: int) -> None:
         """Process a SuiteState message; an invalid one is dropped with a warning."""
         try:
-            self._watch.take_state(message, arrival_ns)
+            self._monitor.take_state(message, arrival_ns)
         except ValueError as problem:
             if not self._has_rejected_state:
                 text = "%s is not shown: %s; do the alert node and this viewer have the same version?"
@@ -91,33 +91,33 @@ class LiveWatch:
             # Messages read already are processed before the state is evaluated.
             self.tick()
             now_ns = steady_ns()
-            self._suite_state, self._suite_state_ns = self._watch.current_state(now_ns), now_ns
+            self._suite_state, self._suite_state_ns = self._monitor.current_state(now_ns), now_ns
         return self._suite_state
 
     def _read(self) -> None:
         """Read and forward topics until closed."""
-        rounds = 1 if self._relayed is None else _RELAYED_BETWEEN
+        rounds = 1 if self._relay is None else _RELAYS_PER_READ
         for number in itertools.count():
-            if self._is_over.wait(TAKE_PERIOD_S / rounds):
+            if self._is_closed.wait(READ_PERIOD_S / rounds):
                 return
             # An error is logged; data that are not read become old.
             try:
                 if number % rounds == 0:
-                    self._take()
-                if self._relayed is not None:
-                    self._relayed.pass_on()
+                    self._read_batch()
+                if self._relay is not None:
+                    self._relay.forward_messages()
             except Exception:
                 logging.getLogger(__name__).exception("topics are not read")
 
-    def _take(self) -> None:
-        taken = self._reader.take()
-        if taken.time_went_back or taken.messages or taken.alerts_ended:
-            self._pending.put(taken)
+    def _read_batch(self) -> None:
+        batch = self._reader.fetch()
+        if batch.time_went_back or batch.messages or batch.alerts_ended:
+            self._pending.put(batch)
 
     @property
     def history(self) -> History:
         """Data of the plots."""
-        return self._watch.history
+        return self._monitor.history
 
     @property
     def label(self) -> str:
@@ -140,19 +140,19 @@ class LiveWatch:
         """Acknowledge one instance of an alert; return the result in words. It may wait for seconds."""
         return acknowledge(self._reader.context, self._reader.namespace, alert_id, instance)
 
-    def controls(self, _moved: Callable[[], None]) -> None:
+    def controls(self, _on_move: Callable[[], None]) -> None:
         """Return None: a live suite has no controls."""
 
     def close(self) -> None:
         """Leave the network."""
-        self._is_over.set()
+        self._is_closed.set()
         self._thread.join(_CLOSE_TIMEOUT_S)
         self._reader.close()
 
 
-def messages_wanted(topic: str, type_name: str) -> int:
+def queue_depth(topic: str, type_name: str) -> int:
     """Return the queue depth of a topic (:class:`ship_monitor.live.topic_reader.TopicReader`)."""
     if topic == STATE_TOPIC:
         return int(type_name == STATE_TYPE)
     row = monitored_topic(topic, type_name)
-    return 0 if row is None else KEPT if row.keeps_every_message else 1
+    return 0 if row is None else MAX_QUEUE_DEPTH if row.keeps_every_message else 1

@@ -39,21 +39,21 @@ class RawSubscription:
 
     def __init__(self, node: Node, topic: str, type_name: str, is_latched: bool, depth: int) -> None:
         self.type_name, self.is_latched = type_name, is_latched
-        self.kind = installed_class(type_name)
+        self.message_class = installed_class(type_name)
         self._node, self._depth = node, depth
         qos = QoSProfile(
             depth=depth,
             reliability=ReliabilityPolicy.RELIABLE if is_latched else ReliabilityPolicy.BEST_EFFORT,
             durability=DurabilityPolicy.TRANSIENT_LOCAL if is_latched else DurabilityPolicy.VOLATILE,
         )
-        self._subscription = node.create_subscription(self.kind, topic, lambda _: None, qos, raw=True)
+        self._subscription = node.create_subscription(self.message_class, topic, lambda _: None, qos, raw=True)
 
-    def fetched(self) -> Iterator[tuple[bytes, int]]:
+    def fetch_messages(self) -> Iterator[tuple[bytes, int]]:
         """Yield the waiting messages: CDR bytes and arrival by the system's clock, UTC, ns."""
         handle = self._subscription.handle
         for _ in range(self._depth):
             with handle:
-                taken = handle.take_message(self.kind, True)
+                taken = handle.take_message(self.message_class, True)
             if taken is None:
                 return
             data, info = taken

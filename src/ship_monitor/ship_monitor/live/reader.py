@@ -23,7 +23,7 @@ from ship_monitor.live.raw_subscription import RawSubscription, are_latched
 
 ALERTS_TOPIC = "ship/alerts"
 
-KEPT = 256
+MAX_QUEUE_DEPTH = 256
 """Queue depth of a topic of which each message is needed: a quarter of a second at 1 kHz."""
 
 CLOCK_TOPIC = "/clock"
@@ -37,9 +37,9 @@ _CLOCK_BACK_NS = 100_000_000
 _STAMPS_BACK_NS = 5 * NS_PER_S
 """Step back of an output's stamp that means another voyage, ns: stamps of outputs increase."""
 _OUTPUTS = ("ship/attitude", "theodolite/pointing")
-_ASLEEP_NS = 5 * NS_PER_S
+_MIN_SLEEP_NS = 5 * NS_PER_S
 
-_AFTERWARDS_NS = 10 * NS_PER_S
+_CLOCK_MEMORY_NS = 10 * NS_PER_S
 """Time before an output within which a clock or a truth on the network marks it as played or simulated, ns. Both may
 have ended while the output is still displayed."""
 
@@ -50,7 +50,7 @@ def steady_ns() -> int:
 
 
 @dataclass(frozen=True)
-class Arrived:
+class ReceivedMessage:
     """One message: its relative topic, the decoded message, and its arrival by :func:`steady_ns`."""
 
     topic: str
@@ -59,7 +59,7 @@ class Arrived:
 
 
 @dataclass(frozen=True)
-class Taken:
+class ReceivedBatch:
     """Messages received since the last fetch.
 
     Attributes:
@@ -69,7 +69,7 @@ class Taken:
     """
 
     time_went_back: bool
-    messages: tuple[Arrived, ...]
+    messages: tuple[ReceivedMessage, ...]
     alerts_ended: bool
 
 
@@ -78,7 +78,7 @@ class _SubscribedTopic:
     """A subscribed topic and its relative name."""
 
     subscription: RawSubscription
-    relative: str
+    relative_name: str
 
 
 class TopicReader:
@@ -101,56 +101,56 @@ class TopicReader:
         BadInput: the namespace is invalid, or DDS security is required but not available.
     """
 
-    def __init__(self, name: str, namespace: str, wants: Callable[[str, str], int]) -> None:
+    def __init__(self, name: str, namespace: str, queue_depth: Callable[[str, str], int]) -> None:
         self.namespace = "/" + namespace.strip("/")
-        self._name, self._wants = name, wants
-        self._asleep_ns = self._last_take_ns = self._next_discovery_ns = 0
+        self._name, self._queue_depth = name, queue_depth
+        self._sleep_time_ns = self._last_fetch_ns = self._next_discovery_ns = 0
         self._latest_ns: dict[str, int] = {}
         self._output_ns = 0
-        self._truth_ns = self._clock_ns = -_AFTERWARDS_NS
+        self._truth_ns = self._clock_ns = -_CLOCK_MEMORY_NS
         self._open()
 
-    def take(self) -> Taken:
+    def fetch(self) -> ReceivedBatch:
         """Return the messages since the last call, the newest of each topic up to its queue depth."""
-        asleep_ns = _asleep_ns()
-        if asleep_ns - self._asleep_ns > _ASLEEP_NS:
+        asleep_ns = _sleep_time_ns()
+        if asleep_ns - self._sleep_time_ns > _MIN_SLEEP_NS:
             self.close()
             self._open()
-        now_ns, present = steady_ns(), self._present
+        now_ns, present = steady_ns(), self._published_topics
         if now_ns >= self._next_discovery_ns:
             self._discover()
             self._next_discovery_ns = now_ns + DISCOVERY_NS
-        alerts_ended = ALERTS_TOPIC in present - self._present
-        arrived = sorted(self._fetched(now_ns), key=lambda each: each.arrival_ns)
-        self._last_take_ns = now_ns
+        alerts_ended = ALERTS_TOPIC in present - self._published_topics
+        received = sorted(self._decode_waiting(now_ns), key=lambda each: each.arrival_ns)
+        self._last_fetch_ns = now_ns
         # A topic with messages is present, although the next discovery is still pending.
-        self._present |= {each.topic for each in arrived if each.topic == ALERTS_TOPIC}
-        self._output_ns = max([self._output_ns, *(each.arrival_ns for each in arrived if each.topic in _OUTPUTS)])
-        jump_ns = max(filter(None, map(self._jump_ns, arrived)), default=None)
-        kept = (each for each in arrived if each.topic != CLOCK_TOPIC)
+        self._published_topics |= {each.topic for each in received if each.topic == ALERTS_TOPIC}
+        self._output_ns = max([self._output_ns, *(each.arrival_ns for each in received if each.topic in _OUTPUTS)])
+        jump_ns = max(filter(None, map(self._jump_ns, received)), default=None)
+        kept = (each for each in received if each.topic != CLOCK_TOPIC)
         if jump_ns is None:
-            return Taken(False, tuple(kept), alerts_ended)
+            return ReceivedBatch(False, tuple(kept), alerts_ended)
         # Outputs follow the step of /clock a moment later: the same step is not counted twice.
         self._latest_ns = {CLOCK_TOPIC: self._latest_ns[CLOCK_TOPIC]} if CLOCK_TOPIC in self._latest_ns else {}
-        latched = {subscribed.relative for subscribed in self._subscriptions.values() if subscribed.subscription.is_latched}
+        latched = {subscribed.relative_name for subscribed in self._subscriptions.values() if subscribed.subscription.is_latched}
         kept = (each for each in kept if each.arrival_ns >= jump_ns or each.topic in latched)
-        return Taken(True, tuple(kept), alerts_ended)
+        return ReceivedBatch(True, tuple(kept), alerts_ended)
 
     @property
     def is_simulated(self) -> bool:
         """True if the suite's truth is on the network, or was at the time of the last output; no real ship has one."""
-        return self._output_ns - self._truth_ns < _AFTERWARDS_NS
+        return self._output_ns - self._truth_ns < _CLOCK_MEMORY_NS
 
     @property
     def is_played(self) -> bool:
         """True if a /clock is published, as by the player of a bag, or was at the time of the last output."""
-        return self._output_ns - self._clock_ns < _AFTERWARDS_NS
+        return self._output_ns - self._clock_ns < _CLOCK_MEMORY_NS
 
     @property
     def location(self) -> str:
         """Namespace and domain, and other namespaces with a suite, as text."""
         where = f"namespace {self.namespace}, domain {self.domain_id}"
-        others = [f"/{name}" for name in self._elsewhere if f"/{name}" != self.namespace]
+        others = [f"/{name}" for name in self._other_namespaces if f"/{name}" != self.namespace]
         return f"{where}; suite found in {', '.join(others)}" if others else where
 
     @property
@@ -192,18 +192,18 @@ class TopicReader:
                 f"'{self.namespace}' is not a namespace of ROS; expected letters, digits, _ and /"
             ) from problem
         self._subscriptions: dict[str, _SubscribedTopic] = {}
-        self._present: set[str] = set()
+        self._published_topics: set[str] = set()
         self._unusable: set[tuple[str, str]] = set()
-        self._elsewhere: tuple[str, ...] = ()
+        self._other_namespaces: tuple[str, ...] = ()
         self._latest_ns = {}
-        self._asleep_ns = _asleep_ns()
-        self._last_take_ns = self._next_discovery_ns = steady_ns()
+        self._sleep_time_ns = _sleep_time_ns()
+        self._last_fetch_ns = self._next_discovery_ns = steady_ns()
 
     def _discover(self) -> None:
         """Subscribe to new topics, and again to those with another type or durability."""
         names = self._node.get_topic_names_and_types()
         ending = "/" + _OUTPUTS[0]
-        self._elsewhere = tuple(sorted(name[1 : -len(ending)] for name, _ in names if name.endswith(ending)))
+        self._other_namespaces = tuple(sorted(name[1 : -len(ending)] for name, _ in names if name.endswith(ending)))
         clock_topic = self._clock_topic(dict(names))
         if self._node.count_publishers(clock_topic):
             self._clock_ns = steady_ns()
@@ -212,7 +212,7 @@ class TopicReader:
             relative = CLOCK_TOPIC if topic == clock_topic else self.relative_name(topic)
             if relative is None or (topic == CLOCK_TOPIC != clock_topic):
                 continue
-            depths = {each: 1 if relative == CLOCK_TOPIC else self._wants(relative, each) for each in types}
+            depths = {each: 1 if relative == CLOCK_TOPIC else self._queue_depth(relative, each) for each in types}
             if not any(depths.values()) and not relative.startswith(TRUTH_PREFIX):
                 continue
             publishers = self._node.get_publishers_info_by_topic(topic)
@@ -222,7 +222,7 @@ class TopicReader:
             type_name = publishers[-1].topic_type
             if depths.get(type_name):
                 self._subscribe(topic, relative, type_name, depths[type_name], are_latched(publishers))
-        self._present = present
+        self._published_topics = present
         if any(topic.startswith(TRUTH_PREFIX) for topic in present):
             self._truth_ns = steady_ns()
 
@@ -257,36 +257,36 @@ class TopicReader:
             return
         self._subscriptions[topic] = _SubscribedTopic(subscription, relative)
 
-    def _fetched(self, now_ns: int) -> Iterator[Arrived]:
+    def _decode_waiting(self, now_ns: int) -> Iterator[ReceivedMessage]:
         """Yield the waiting messages, decoded; those that cannot be decoded (other definition) are skipped."""
         clock_offset_ns = time.time_ns() - now_ns
         for subscribed in self._subscriptions.values():
-            for data, received_ns in subscribed.subscription.fetched():
+            for data, received_ns in subscribed.subscription.fetch_messages():
                 # The middleware gives the time of the system's clock, which may have been set since the last fetch.
-                arrival_ns = min(max(received_ns - clock_offset_ns, self._last_take_ns), now_ns)
+                arrival_ns = min(max(received_ns - clock_offset_ns, self._last_fetch_ns), now_ns)
                 try:
-                    message = deserialize_message(data, subscribed.subscription.kind)
+                    message = deserialize_message(data, subscribed.subscription.message_class)
                 except Exception as problem:
                     self._node.get_logger().warning(
-                        f"topic '{subscribed.relative}' is not read: {problem}", throttle_duration_sec=10.0
+                        f"topic '{subscribed.relative_name}' is not read: {problem}", throttle_duration_sec=10.0
                     )
                     continue
-                yield Arrived(subscribed.relative, message, arrival_ns)
+                yield ReceivedMessage(subscribed.relative_name, message, arrival_ns)
 
-    def _jump_ns(self, arrived: Arrived) -> int | None:
+    def _jump_ns(self, received: ReceivedMessage) -> int | None:
         """Return the arrival of a message whose time went back (/clock or a valid output), ns; None for others."""
-        message = arrived.message
+        message = received.message
         if isinstance(message, Clock):
             time_ns, tolerance_ns = ns_from_stamp(message.clock), _CLOCK_BACK_NS
-        elif arrived.topic in _OUTPUTS and message.status != message.INVALID:
+        elif received.topic in _OUTPUTS and message.status != message.INVALID:
             time_ns, tolerance_ns = ns_from_stamp(message.header.stamp), _STAMPS_BACK_NS
         else:
             return None
-        latest_ns = self._latest_ns.get(arrived.topic, time_ns)
-        self._latest_ns[arrived.topic] = time_ns
-        return arrived.arrival_ns if time_ns < latest_ns - tolerance_ns else None
+        latest_ns = self._latest_ns.get(received.topic, time_ns)
+        self._latest_ns[received.topic] = time_ns
+        return received.arrival_ns if time_ns < latest_ns - tolerance_ns else None
 
 
-def _asleep_ns() -> int:
+def _sleep_time_ns() -> int:
     """Return the time that the computer has slept since its start, ns."""
     return steady_ns() - time.monotonic_ns()

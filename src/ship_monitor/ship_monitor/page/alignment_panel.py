@@ -10,9 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 from bokeh.models import ColumnDataSource, FixedTicker, Range1d
 
-from ship_monitor.page.curves import fixed_step, signed
+from ship_monitor.page.curves import next_step, signed_text
 from ship_monitor.page.figures import ARCSEC_PER_RAD, PanelBox, SideLabels, empty_plot, without_formulas
-from ship_monitor.page.marking import is_of, with_mark
+from ship_monitor.page.marking import belongs_to_source, with_mark
 from ship_monitor.page.themes import Theme
 from ship_watch.history import History, ParameterShown
 
@@ -67,11 +67,11 @@ class AlignmentPanel:
             "low": np.maximum(scale * low, -half),
             "high": np.minimum(scale * high, half),
             "fill": [self._theme.text if state.is_observable else self._theme.panel for state in states],
-            "bar": [self._theme.text if is_of(state.name, marked) else self._theme.series[0] for state in states],
+            "bar": [self._theme.text if belongs_to_source(state.name, marked) else self._theme.series[0] for state in states],
         }
         self.figure.yaxis[0].ticker.ticks = list(range(count))
         self.figure.yaxis[0].major_label_overrides = {
-            row: without_formulas(with_mark(state.name, is_of(state.name, marked))) for row, state in enumerate(states)
+            row: without_formulas(with_mark(state.name, belongs_to_source(state.name, marked))) for row, state in enumerate(states)
         }
         self._values.write(
             {
@@ -96,12 +96,12 @@ _UNITS = {
 def bars_arcsec(states: Sequence[ParameterShown]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return lower end, value and upper end of each bar, arcsec; NaN for states that are no angle or lack a nominal."""
     scale = np.array([ARCSEC_PER_RAD if state.unit == "rad" else np.nan for state in states])
-    value = scale * np.array([deviation(state) for state in states])
+    value = scale * np.array([deviation_from_nominal(state) for state in states])
     reach = 2.0 * scale * np.array([state.sigma for state in states])
     return value - reach, value, value + reach
 
 
-def deviation(state: ParameterShown) -> float:
+def deviation_from_nominal(state: ParameterShown) -> float:
     """Return estimate minus nominal value, in the state's unit; an angle is wrapped to ±π."""
     off = state.value - state.nominal
     return math.remainder(off, 2.0 * math.pi) if state.unit == "rad" and math.isfinite(off) else off
@@ -113,18 +113,18 @@ def half_width(low: np.ndarray, high: np.ndarray) -> float:
     if not known.any():
         return STEPS_ARCSEC[0]
     reach = np.fmax(np.abs(low[known]), np.abs(high[known]))
-    return fixed_step(float(np.quantile(reach, 0.75)), STEPS_ARCSEC)
+    return next_step(float(np.quantile(reach, 0.75)), STEPS_ARCSEC)
 
 
 def own_half_widths(low: np.ndarray, value: np.ndarray, high: np.ndarray, half: float) -> np.ndarray:
     """Return the half width of each row's scale, arcsec: that of the axis, or a wider step if its value needs it."""
     known = np.isfinite(low) & np.isfinite(high)
     needed = np.where(known, 1.05 * np.abs(value), 0.0)
-    return np.array([half if not need > half else fixed_step(need, STEPS_ARCSEC) for need in needed])
+    return np.array([half if not need > half else next_step(need, STEPS_ARCSEC) for need in needed])
 
 
 def state_text(state: ParameterShown) -> str:
     """Return deviation ± 2σ in the displayed unit; in brackets if the state is not observable."""
     scale, unit, digits = _UNITS.get(state.unit, (1.0, f" {state.unit}", 3))
-    text = f"{signed(scale * deviation(state), digits)} ± {2.0 * scale * state.sigma:.{digits}f}{unit}"
+    text = f"{signed_text(scale * deviation_from_nominal(state), digits)} ± {2.0 * scale * state.sigma:.{digits}f}{unit}"
     return text if state.is_observable else f"({text})"

@@ -15,7 +15,7 @@ from jinja2 import Template
 
 from ship_monitor.page.panels import Panels, build_panels
 from ship_monitor.page.picture_source import PageSource
-from ship_monitor.page.shown import shown
+from ship_monitor.page.shown import first_screen
 from ship_monitor.page.themes import THEMES, Theme
 from ship_watch.picture import ANGLES
 from ship_watch.words import local_clock
@@ -26,7 +26,7 @@ STATIC = Path(__file__).with_name("static")
 SCRIPTS = ("bokeh", "bokeh-widgets")
 """Bokeh scripts that the page needs; the others, 4 of 6 MB, are not loaded."""
 
-_TRIED_AGAIN = """\
+_ERROR_PAGE = """\
 <!doctype html><html style="background:{{ theme.background }};color:{{ theme.text }}">
 <meta http-equiv="refresh" content="2"><title>monitor</title>
 <p>The page cannot be drawn; retrying. The reason is in the log of monitor.</p></html>
@@ -35,10 +35,10 @@ _TRIED_AGAIN = """\
 TEXTS_PERIOD_MS = 500
 """Period of the updates of the texts."""
 
-PLACE_PERIOD_MS = 20
+PANEL_PERIOD_MS = 20
 """Time between two steps in which panels are put into their frames."""
 
-PLOTS_EVERY = 2
+TEXTS_PER_PLOT_UPDATE = 2
 """Number of text updates for each update of the plots."""
 
 
@@ -60,24 +60,24 @@ class Page:
         self._document = document
         self._panels: Panels | None = None
         self._is_placing = False
-        self._below = Column(name="panels", sizing_mode="stretch_width")
+        self._panel_column = Column(name="panels", sizing_mode="stretch_width")
         self._count = 0
         self._is_paused = False
         self._pending_angle = ""  # chosen, not yet displayed
         self._texts = ColumnDataSource(data={"text": [self._text()]}, name="texts")
         # The page's script is called at each change; the first call shows that the link works.
         self._texts.js_on_change("data", CustomJS(code="monitor.show(JSON.parse(cb_obj.data.text[0]))"))
-        self._chosen = ColumnDataSource(data={}, name="chosen")
-        self._chosen.on_change("data", self._choose)
+        self._choice = ColumnDataSource(data={}, name="chosen")
+        self._choice.on_change("data", self._on_choice)
         document.js_on_event(
-            "document_ready", CustomJS(args={"chosen": self._chosen}, code="monitor.connected(chosen)")
+            "document_ready", CustomJS(args={"chosen": self._choice}, code="monitor.connected(chosen)")
         )
         controls = source.controls(self._update_texts)
         if controls is not None:
             controls.name = "controls"
             document.add_root(controls)
-        self._below.js_on_change("children", CustomJS(code="monitor.watchPanels(cb_obj.children[0].children)"))
-        for root in (self._below, self._texts, self._chosen):
+        self._panel_column.js_on_change("children", CustomJS(code="monitor.watchPanels(cb_obj.children[0].children)"))
+        for root in (self._panel_column, self._texts, self._choice):
             document.add_root(root)
         # The page itself reports a lost link, in its own colours.
         document.config.notify_connection_status = False
@@ -91,7 +91,7 @@ class Page:
         """Update texts and plots. After an error the page gets no updates and reports this itself."""
         self._update_texts()
         self._count += 1
-        if self._count % PLOTS_EVERY == 0:
+        if self._count % TEXTS_PER_PLOT_UPDATE == 0:
             self._draw()
 
     def _update_texts(self) -> None:
@@ -99,16 +99,16 @@ class Page:
 
     def _draw(self) -> None:
         if self._panels is not None and not self._is_paused:
-            self._drawn = self._suite_state
-            self._panels.update(self._source.history, self._drawn)
+            self._drawn_state = self._suite_state
+            self._panels.update(self._source.history, self._drawn_state)
 
     def _make_panels(self) -> None:
         """Make the panels, and show their frames; each panel follows when it becomes visible in the browser."""
         self._update_texts()
         self._panels = build_panels(self._theme, is_stepwise=True, is_bag="BAG" in self._source.label.upper())
-        self._drawn = self._suite_state
-        self._panels.update(self._source.history, self._drawn)
-        self._below.children = [self._panels.layout]
+        self._drawn_state = self._suite_state
+        self._panels.update(self._source.history, self._drawn_state)
+        self._panel_column.children = [self._panels.layout]
 
     def _place_panels(self) -> None:
         """Put one panel after another into its frame, with an update of the texts before each step."""
@@ -116,19 +116,19 @@ class Page:
             return
         self._is_placing = False  # also if one of the next lines fails
         self._update_texts()
-        self._is_placing = self._panels.place_next(self._source.history, self._drawn)
+        self._is_placing = self._panels.place_next(self._source.history, self._drawn_state)
         if self._is_placing:
-            self._document.add_timeout_callback(self._place_panels, PLACE_PERIOD_MS)
+            self._document.add_timeout_callback(self._place_panels, PANEL_PERIOD_MS)
 
     def _text(self) -> str:
         source = self._source
         self._suite_state = source.current_state()
         local = local_clock(self._suite_state.utc_ns, self._zone)
-        content = shown(self._suite_state, source.history, source.label, source.place, local)
+        content = first_screen(self._suite_state, source.history, source.label, source.place, local)
         content["is_paused"] = self._is_paused or (self._panels is not None and self._panels.times.is_paused)
         return json.dumps(content, allow_nan=False)
 
-    def _choose(self, _name: str, _old: Any, chosen: dict[str, list[Any]]) -> None:
+    def _on_choice(self, _name: str, _old: Any, chosen: dict[str, list[Any]]) -> None:
         """Apply the choices of the user, sent by the page's script."""
         choice = {name: values[0] for name, values in chosen.items()}
         self._is_paused = bool(choice["paused"])
@@ -139,15 +139,15 @@ class Page:
             return
         if choice["live"]:
             self._panels.times.go_live()
-            self._drawn = self._suite_state
+            self._drawn_state = self._suite_state
         if self._pending_angle:
             self._panels.choose(self._pending_angle)
             self._pending_angle = ""
         self._panels.marked = str(choice["marked"])
         if choice["seen"] is not None:
-            self._panels.seen = frozenset(str(choice["seen"]).split())
+            self._panels.visible_panels = frozenset(str(choice["seen"]).split())
         # Draw at once; for a paused page its own time.
-        self._panels.update(self._source.history, self._drawn)
+        self._panels.update(self._source.history, self._drawn_state)
         if not self._is_placing:
             self._is_placing = True
             self._document.add_next_tick_callback(self._place_panels)
@@ -174,7 +174,7 @@ def page_maker(
             # Bokeh itself would answer with an empty white page.
             logging.getLogger(__name__).exception("a page cannot be drawn")
             document.clear()
-            document.template = get_env().from_string(_TRIED_AGAIN)
+            document.template = get_env().from_string(_ERROR_PAGE)
             document.template_variables["theme"] = theme
 
     return make

@@ -12,7 +12,7 @@ from bokeh.models import ColumnDataSource, FixedTicker, InlineStyleSheet, RadioB
 from numpy.typing import NDArray
 
 from ship_geometry.rotations import FloatArray
-from ship_monitor.page.curves import placed
+from ship_monitor.page.curves import label_positions
 from ship_monitor.page.figures import (
     ARCSEC_PER_RAD,
     PanelBox,
@@ -20,15 +20,15 @@ from ship_monitor.page.figures import (
     batched_model_changes,
     narrow_height,
     empty_time_plot,
-    words,
+    draw_texts,
 )
 from ship_monitor.page.marking import is_budget_part_of, with_mark
 from ship_monitor.page.themes import FONT, Theme
-from ship_monitor.page.trails import TimeAxis, Trail
+from ship_monitor.page.trails import TimeAxis, StreamedLine
 from ship_watch.history import KEPT_S, BudgetPoint, History
 from ship_watch.picture import ANGLES
 
-LARGEST_SHOWN = 5
+MAX_BANDS = 5
 """Number of sources with bands of their own."""
 
 TOPS_ARCSEC = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 40.0, 60.0, 100.0, 200.0, 500.0)
@@ -50,26 +50,26 @@ class BudgetPanel:
     def __init__(self, theme: Theme, times: TimeAxis) -> None:
         self._theme = theme
         self._times = times
-        self.angle = self.chosen = self._marked = ""
+        self.angle = self.chosen_angle = self._marked = ""
         self._bands: tuple[str, ...] = ()
         self._sources: tuple[str, ...] = ()
         self._names: list[str] = []
         self._choice = RadioButtonGroup(labels=[], stylesheets=[InlineStyleSheet(css=_choice_css(theme))])
-        self._choice.on_change("active", lambda _name, _old, place: self._press(self._names[place]))
+        self._choice.on_change("active", lambda _name, _old, place: self._on_button(self._names[place]))
         self._height = Range1d(0.0, 1.0)
-        self._begin()
+        self._create_plot()
         self.box = PanelBox(theme, "Error budget", [self._choice, self._figure])
 
     def choose(self, angle: str) -> None:
         """Select an angle chosen by the user; it is drawn at the next update."""
-        self.chosen = angle
-        self._show(angle)
+        self.chosen_angle = angle
+        self._select_angle(angle)
 
-    def _press(self, angle: str) -> None:
+    def _on_button(self, angle: str) -> None:
         if angle != self.angle:  # the button of the displayed angle is set by the program
             self.choose(angle)
 
-    def _show(self, angle: str) -> None:
+    def _select_angle(self, angle: str) -> None:
         if angle != self.angle:
             self.angle, self._sources = angle, ()
 
@@ -87,7 +87,7 @@ class BudgetPanel:
             self.box.set_subtitle("no error budget data")
             return
         if self.angle not in self._names:
-            self._show(self._names[0])
+            self._select_angle(self._names[0])
         if marked != self._marked:
             self._marked, self._bands = marked, ()
         self._choice.active = self._names.index(self.angle)
@@ -95,15 +95,15 @@ class BudgetPanel:
         sources = tuple(points[-1].by_angle[self.angle])
         if sources != self._sources:
             self._sources, self._bands = sources, ()
-            self._begin()
-            self.box.hold([self._choice, self._figure])
-        self._trail.follow(points, self._columns)
+            self._create_plot()
+            self.box.set_children([self._choice, self._figure])
+        self._trail.stream_new(points, self._columns)
         self._draw(points)
 
-    def _begin(self) -> None:
+    def _create_plot(self) -> None:
         """Create an empty plot with a column for each source of error."""
         columns = [_column(source) for source in self._sources]
-        self._trail = Trail((*columns, "total"), by="total", filled=columns)
+        self._trail = StreamedLine((*columns, "total"), by="total", filled=columns)
         self._figure = empty_time_plot(self._theme, self._times, 200, self._height, has_axis=True)
         self._figure.yaxis[0].ticker = FixedTicker(ticks=[])
         self._figure.stylesheets = [*self._figure.stylesheets, narrow_height(180)]
@@ -117,8 +117,8 @@ class BudgetPanel:
             "level": "overlay",
         }
         placing |= {"background_fill_color": self._theme.panel, "padding": 2}
-        words(self._figure, self._peaks, text_color=self._theme.text, **placing)
-        self._filled: list[object] = []
+        draw_texts(self._figure, self._peaks, text_color=self._theme.text, **placing)
+        self._band_renderers: list[object] = []
 
     def _columns(self, points: Sequence[BudgetPoint]) -> dict[str, FloatArray]:
         variances = variances_arcsec2(points, self.angle, self._sources)
@@ -137,7 +137,7 @@ class BudgetPanel:
         if bands != self._bands:
             self._bands = bands
             with batched_model_changes(self._figure):
-                self._stack()
+                self._draw_bands()
         top = top_of_axis(totals)
         self._height.end = top**2
         ticks = root_ticks(top)
@@ -160,14 +160,14 @@ class BudgetPanel:
         sigma = math.sqrt(total) if (total := sum(last.values())) >= 0.0 else math.nan
         self.box.set_subtitle(f"{self.angle}, σ {sigma:.2f}″ · stacked variances, axis labelled in σ")
 
-    def _stack(self) -> None:
+    def _draw_bands(self) -> None:
         """Draw new bands: the five largest sources, and the sum of the others."""
-        for renderer in self._filled:
+        for renderer in self._band_renderers:
             self._figure.renderers.remove(renderer)
         edges = [[_column(name) for name in self._bands[: count + 1]] for count in range(len(self._bands))]
         if len(self._sources) > len(self._bands):
             edges.append([_column(name) for name in self._sources])
-        self._filled, below = [], None
+        self._band_renderers, below = [], None
         for index, fields in enumerate(edges):
             colour = self._theme.series[index % 3] if index < len(self._bands) else self._theme.second_text
             if index < len(self._bands) and is_budget_part_of(self._bands[index], self._marked):
@@ -184,7 +184,7 @@ class BudgetPanel:
                 hatch_scale=8.0,
                 hatch_weight=1.5,
             )
-            self._filled.append(band)
+            self._band_renderers.append(band)
             below = fields
 
 
@@ -195,7 +195,7 @@ def variances_arcsec2(points: Sequence[BudgetPoint], angle: str, sources: Sequen
     return np.array(rows, float).reshape(len(points), len(sources)) * ARCSEC_PER_RAD**2
 
 
-def largest_sources(means: Mapping[str, float], before: tuple[str, ...], wanted: Sequence[str] = ()) -> tuple[str, ...]:
+def largest_sources(means: Mapping[str, float], current_bands: tuple[str, ...], required: Sequence[str] = ()) -> tuple[str, ...]:
     """Return the sources with bands of their own, the largest at the bottom; small changes keep the current bands.
 
     Args:
@@ -204,10 +204,10 @@ def largest_sources(means: Mapping[str, float], before: tuple[str, ...], wanted:
         required: sources that always have bands.
     """
     known = {source: mean for source, mean in means.items() if mean > 0.0}
-    weight = {source: mean * (1.25 if source in before else 1.0) for source, mean in known.items()}
-    chosen = sorted(weight, key=lambda source: (source not in wanted, -weight[source]))[:LARGEST_SHOWN]
-    if set(chosen) == set(before):
-        return before
+    weight = {source: mean * (1.25 if source in current_bands else 1.0) for source, mean in known.items()}
+    chosen = sorted(weight, key=lambda source: (source not in required, -weight[source]))[:MAX_BANDS]
+    if set(chosen) == set(current_bands):
+        return current_bands
     return tuple(sorted(chosen, key=lambda source: -known[source]))
 
 
@@ -270,7 +270,7 @@ def band_labels(last: Mapping[str, float], bands: Sequence[str], height: float, 
         below += part
     if not math.isfinite(below):
         return {}
-    heights = placed(middles, 0.115 * height, 0.03 * height, 0.97 * height)
+    heights = label_positions(middles, 0.115 * height, 0.03 * height, 0.97 * height)
     texts = [
         with_mark(f"{name.replace('_', ' ')} {math.sqrt(max(part, 0.0)):.2f}″", is_budget_part_of(name, marked))
         for name, part in parts

@@ -15,20 +15,20 @@ from ship_watch.history import Timed, extreme_rows
 
 TimesNs = NDArray[np.int64]
 
-ROWS_KEPT = 1200
+MAX_ROWS = 1200
 """Maximum number of points of a line: two for each second of ten minutes."""
 
 BUCKET_NS = 1_000_000_000
 """Interval of which a line keeps the minimum and maximum, ns."""
 
-LEAST_GAP_NS = 2_000_000_000
+MIN_GAP_NS = 2_000_000_000
 """Minimum length of a gap, ns."""
 
 STEPS_ARCSEC = (15.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1200.0, 3600.0)
 """Possible half widths of an axis, arcsec: fixed steps, so that small values look small."""
 
 
-def thinned(time_ns: TimesNs, value: FloatArray) -> NDArray[np.intp]:
+def rows_to_draw(time_ns: TimesNs, value: FloatArray) -> NDArray[np.intp]:
     """Return the rows of a line: minimum and maximum of each second, in the order of their times.
 
     The second of the newest row is not complete: its rows are left for the next call.
@@ -47,13 +47,13 @@ def first_pending_row(time_ns: TimesNs) -> int:
     return int(np.searchsorted(time_ns // BUCKET_NS, time_ns[-1] // BUCKET_NS)) if len(time_ns) else 0
 
 
-def usual_period_ns(points: Sequence[Timed]) -> float:
+def median_period_ns(points: Sequence[Timed]) -> float:
     """Return the median time between the newest points, ns; 0 if unknown."""
     times = [point.utc_ns for point in islice(reversed(points), 60)]
     return float(np.median(-np.diff(times))) if len(times) > 1 else 0.0
 
 
-def gap_rows(time_ns: TimesNs, taken_ns: int | None, usual_ns: float) -> NDArray[np.intp]:
+def gap_rows(time_ns: TimesNs, previous_ns: int | None, period_ns: float) -> NDArray[np.intp]:
     """Return the rows that follow a gap: more than three periods without a point, at least 2 s.
 
     Args:
@@ -61,16 +61,16 @@ def gap_rows(time_ns: TimesNs, taken_ns: int | None, usual_ns: float) -> NDArray
         previous_ns: time of the row before the first; None without one.
         period_ns: usual time between two points, ns.
     """
-    first = time_ns[0] if taken_ns is None else taken_ns
-    return np.flatnonzero(np.diff(time_ns, prepend=first) > max(LEAST_GAP_NS, 3.0 * usual_ns))
+    first = time_ns[0] if previous_ns is None else previous_ns
+    return np.flatnonzero(np.diff(time_ns, prepend=first) > max(MIN_GAP_NS, 3.0 * period_ns))
 
 
-def fixed_step(largest: float, steps: Sequence[float] = STEPS_ARCSEC) -> float:
+def next_step(largest: float, steps: Sequence[float] = STEPS_ARCSEC) -> float:
     """Return the smallest step not below a size; the first for NaN, the last if all are smaller."""
     return next((step for step in steps if not largest > step), steps[-1])
 
 
-def placed(wanted: Sequence[float], spacing: float, low: float, high: float) -> list[float]:
+def label_positions(wanted: Sequence[float], spacing: float, low: float, high: float) -> list[float]:
     """Return positions of labels near the wanted ones without overlap, in the given order.
 
     Args:
@@ -93,7 +93,7 @@ def placed(wanted: Sequence[float], spacing: float, low: float, high: float) -> 
     return places
 
 
-def signed(value: float, digits: int = 1) -> str:
+def signed_text(value: float, digits: int = 1) -> str:
     """Return a number with its sign, with "−" (U+2212) as minus; "unknown" if it is not finite."""
     if not math.isfinite(value):
         return "unknown"

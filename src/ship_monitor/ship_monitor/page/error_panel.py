@@ -7,11 +7,11 @@ import numpy as np
 from bokeh.models import Range1d
 
 from ship_geometry.rotations import FloatArray
-from ship_monitor.page.curves import fixed_step
-from ship_monitor.page.figures import GrowingRows, PanelBox, SideLabels, frame, hover, empty_time_plot
+from ship_monitor.page.curves import next_step
+from ship_monitor.page.figures import GrowingRows, PanelBox, SideLabels, draw_frame, add_hover, empty_time_plot
 from ship_monitor.page.marking import with_mark
 from ship_monitor.page.themes import Theme
-from ship_monitor.page.trails import BAND, TimeAxis, Trail, band
+from ship_monitor.page.trails import BAND, TimeAxis, StreamedLine, three_sigma_band
 from ship_watch.history import ErrorPoint, History, newer
 
 CHANNELS: Mapping[tuple[str, str], str] = {
@@ -23,10 +23,10 @@ CHANNELS: Mapping[tuple[str, str], str] = {
 }
 """Topic and channel → title of a plot."""
 
-LATELY_NS = 60_000_000_000
+STATISTICS_WINDOW_NS = 60_000_000_000
 """Window of the figures at a plot, ns."""
 
-NOW_NS = 15_000_000_000
+AXIS_WINDOW_NS = 15_000_000_000
 """Window whose values determine the height of a plot, ns: earlier values may be cut off, as after a start."""
 
 
@@ -60,8 +60,8 @@ class ErrorPanel:
             chosen: highlighted angle; empty for none.
         """
         newest = {topic: points[-1].error for topic, points in history.errors.items() if points}
-        shown = [key for key in CHANNELS if key[1] in newest.get(key[0], {})]
-        rows = self.plots.grow(shown)
+        keys = [key for key in CHANNELS if key[1] in newest.get(key[0], {})]
+        rows = self.plots.grow(keys)
         steps = {row.update(history.errors[topic], chosen) for (topic, _), row in rows.items()}
         self.plots.show()
         steps.discard(15.0)
@@ -77,34 +77,34 @@ class _ErrorRow:
         self._height = Range1d(-15.0, 15.0)
         self.figure = empty_time_plot(theme, times, 88 if has_axis else 66, self._height, has_axis=has_axis)
         self._labels = SideLabels(theme, self.figure)
-        self._trail = Trail(("error", "sigma", *BAND), by="error", filled=BAND[:2])
+        self._trail = StreamedLine(("error", "sigma", *BAND), by="error", filled=BAND[:2])
         source, colour = self._trail.source, theme.series[0]
         self.figure.varea("t", "low", "high", source=source, fill_color=colour, fill_alpha=0.18)
         for edge in BAND[2:]:
             self.figure.line("t", edge, source=source, line_color=colour, line_dash="dashed")
         line = self.figure.line("t", "error", source=source, line_color=theme.text, line_width=1.2)
-        hover(theme, self.figure, "@error{+0.0}″, σ @sigma{0.0}″", [line], is_line=True)
+        add_hover(theme, self.figure, "@error{+0.0}″, σ @sigma{0.0}″", [line], is_line=True)
 
     def update(self, points: Sequence[ErrorPoint], chosen: str) -> float:
         """Draw the new points; return half the height of the axis, arcsec."""
-        self._trail.follow(points, self._columns)
+        self._trail.stream_new(points, self._columns)
         newest_ns = points[-1].utc_ns
-        error, sigma = self._known(newer(points, newest_ns - LATELY_NS))
+        error, sigma = self._finite_values(newer(points, newest_ns - STATISTICS_WINDOW_NS))
         rms = float(np.sqrt(np.mean(error**2))) if len(error) else float("nan")
         mean_sigma = float(np.mean(sigma)) if len(sigma) else float("nan")
-        now, sigma_now = self._known(newer(points, newest_ns - NOW_NS))
+        now, sigma_now = self._finite_values(newer(points, newest_ns - AXIS_WINDOW_NS))
         largest = max(
             (float(np.quantile(np.abs(some), 0.9)) for some in (now, 3.0 * sigma_now) if len(some)), default=0.0
         )
-        step = fixed_step(largest)
+        step = next_step(largest)
         self._height.update(start=-step, end=step)
         is_chosen = bool(chosen) and self._channel.startswith(chosen)
         self.figure.title.text = with_mark(self._title, is_chosen) + (f" · axis ±{step:g}″" if step > 15.0 else "")
-        frame(self._theme, self.figure, is_chosen)
+        draw_frame(self._theme, self.figure, is_chosen)
         self._labels.write({0.35 * step: f"rms {rms:.1f}″", -0.35 * step: f"σ {mean_sigma:.1f}″"})
         return step
 
-    def _known(self, points: Sequence[ErrorPoint]) -> tuple[FloatArray, FloatArray]:
+    def _finite_values(self, points: Sequence[ErrorPoint]) -> tuple[FloatArray, FloatArray]:
         """Return the finite errors and sigmas, arcsec."""
         columns = self._columns(points)
         error, sigma = columns["error"], columns["sigma"]
@@ -113,4 +113,4 @@ class _ErrorRow:
     def _columns(self, points: Sequence[ErrorPoint]) -> dict[str, FloatArray]:
         error = np.array([point.error.get(self._channel, np.nan) for point in points], float)
         sigma = np.array([point.sigma.get(self._channel, np.nan) for point in points], float)
-        return {"error": error, "sigma": sigma, **band(sigma)}
+        return {"error": error, "sigma": sigma, **three_sigma_band(sigma)}

@@ -25,7 +25,7 @@ from bokeh.models import (
 from bokeh.plotting import figure
 
 from ship_geometry.rotations import FloatArray
-from ship_monitor.page.curves import fixed_step
+from ship_monitor.page.curves import next_step
 from ship_monitor.page.themes import FONT, Theme
 from ship_monitor.page.trails import TimeAxis
 
@@ -73,7 +73,7 @@ def empty_plot(theme: Theme, height: int, x_range: Range1d, y_range: Range1d, **
     )
     made.title.update(text_color=theme.text, text_font=FONT, text_font_size="13px", text_font_style="normal")
     made.title.update(standoff=2, vertical_align="bottom")
-    dress(theme, made)
+    apply_theme(theme, made)
     return made
 
 
@@ -90,7 +90,7 @@ def empty_time_plot(theme: Theme, times: TimeAxis, height: int, y_range: Range1d
     return made
 
 
-def dress(theme: Theme, made: figure) -> None:
+def apply_theme(theme: Theme, made: figure) -> None:
     """Apply the colours of the theme to axes and grids of a plot."""
     for axis in made.axis:
         axis.update(axis_line_color=None, major_tick_line_color=None, minor_tick_line_color=None)
@@ -101,7 +101,7 @@ def dress(theme: Theme, made: figure) -> None:
     made.yaxis.ticker.desired_num_ticks = 4
 
 
-def frame(theme: Theme, made: figure, is_marked: bool, colour: str = "") -> None:
+def draw_frame(theme: Theme, made: figure, is_marked: bool, colour: str = "") -> None:
     """Draw the frame of a plot: thick and in the colour of the text if the plot is marked."""
     usual = colour or theme.border
     made.update(outline_line_color=theme.text if is_marked else usual, outline_line_width=3 if is_marked else 1)
@@ -128,7 +128,7 @@ class SideLabels:
         self._axis.major_label_overrides = {height: without_formulas(text) for height, text in texts.items()}
 
 
-def hover(theme: Theme, made: figure, html: str, renderers: list[Any], *, is_line: bool = False) -> None:
+def add_hover(theme: Theme, made: figure, html: str, renderers: list[Any], *, is_line: bool = False) -> None:
     """Add a tooltip with a point's values; for a line at any height of the pointer.
 
     ``html`` refers to columns as ``@column{0.0}``.
@@ -164,7 +164,7 @@ def batched_model_changes(layout: Model) -> AbstractContextManager[None]:
     return made
 
 
-def words(made: figure, source: ColumnDataSource, **options: Any) -> None:
+def draw_texts(made: figure, source: ColumnDataSource, **options: Any) -> None:
     """Draw texts in a plot: columns ``x``, ``y`` and ``text`` of a source; ``options`` as in Bokeh's text."""
     made.text("x", "y", "text", source=source, text_font=value(FONT), text_font_size="13px", **options)
 
@@ -202,7 +202,7 @@ class ResidualBars:
         """
         off = ARCSEC_PER_RAD * np.hypot(right, up)
         known = np.isfinite(off)
-        step = fixed_step(float(np.max(off[known])) if known.any() else 0.0, self._steps)
+        step = next_step(float(np.max(off[known])) if known.any() else 0.0, self._steps)
         self._bars.data = {
             "x": x[known],
             "y": y[known],
@@ -230,7 +230,7 @@ class GrowingRows(Generic[Key, Row]):
         self._box, self._make = box, make
         self._keys: list[Key] = []
         self.rows: dict[Key, Row] = {}
-        self.at_once = 1000
+        self.max_new_rows = 1000
         self.are_complete = False
 
     def grow(self, keys: Sequence[Key]) -> dict[Key, Row]:
@@ -241,14 +241,14 @@ class GrowingRows(Generic[Key, Row]):
         """
         if list(keys) != self._keys:
             self._keys, self.rows = list(keys), {}
-        for key in self._keys[len(self.rows) :][: self.at_once]:
+        for key in self._keys[len(self.rows) :][: self.max_new_rows]:
             self.rows[key] = self._make(key, key == self._keys[-1])
         return self.rows
 
     def show(self) -> None:
         """Put the existing plots into the panel."""
         self.are_complete = len(self.rows) == len(self._keys)
-        self._box.hold([row.figure for row in self.rows.values()])
+        self._box.set_children([row.figure for row in self.rows.values()])
 
 
 class PanelBox:
@@ -275,7 +275,7 @@ class PanelBox:
         """Set the subtitle, in small letters after the title."""
         self._head.text = f"<b>{escape(self.title)}</b><span>{escape(text)}</span>"
 
-    def hold(self, children: Sequence[Any]) -> None:
+    def set_children(self, children: Sequence[Any]) -> None:
         """Set the content of the panel."""
         if self.layout.children[1:] != list(children):
             self.layout.children = [self._head, *children]

@@ -11,24 +11,24 @@ import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 
 from ship_geometry.rotations import FloatArray
-from ship_monitor.page.curves import STEPS_ARCSEC, fixed_step, placed, signed
+from ship_monitor.page.curves import STEPS_ARCSEC, next_step, label_positions, signed_text
 from ship_monitor.page.figures import (
     ARCSEC_PER_RAD,
     GrowingRows,
     PanelBox,
     SideLabels,
-    frame,
-    hover,
+    draw_frame,
+    add_hover,
     empty_time_plot,
     without_formulas,
 )
 from ship_monitor.page.marking import with_mark
 from ship_monitor.page.themes import Theme
-from ship_monitor.page.trails import BAND, MS, TimeAxis, Trail, band
+from ship_monitor.page.trails import BAND, MS, TimeAxis, StreamedLine, three_sigma_band
 from ship_watch.history import History, InnovationPoint, newer
 from ship_watch.picture import SuiteState, Presence, SourceShown
 
-LATELY_NS = 10_000_000_000
+MEAN_WINDOW_NS = 10_000_000_000
 """Window of the means at a plot, ns; its height is determined by six windows."""
 
 AXES_DRAWN = (("up", "z"), ("right", "x"))
@@ -61,9 +61,9 @@ class InnovationPanel:
             has_truth: True if the errors against truth are known.
         """
         sources = {source.name: source for source in suite_state.sources}
-        shown = [name for name, points in history.innovations.items() if any(point.axes for point in points)]
-        shown.sort(key=lambda name: (not name.startswith("star"), name))
-        rows = self.plots.grow(shown)
+        names = [name for name, points in history.innovations.items() if any(point.axes for point in points)]
+        names.sort(key=lambda name: (not name.startswith("star"), name))
+        rows = self.plots.grow(names)
         for name, row in rows.items():
             row.update(history.innovations[name], sources.get(name), suite_state.utc_ns, is_marked=name == marked)
         self.plots.show()
@@ -84,11 +84,11 @@ class _SourceRow:
         shade = {"fill_color": theme.caution_border, "fill_alpha": 0.14, "line_color": None}
         hatch = {"hatch_pattern": "right_diagonal_line", "hatch_color": theme.caution_border, "hatch_alpha": 0.25}
         self.figure.vstrip(x0="start", x1="end", source=self._out, **shade, **hatch, hatch_scale=14)
-        self._trails = [Trail(("value", "used", "refused", *BAND), by="value", filled=BAND[:2]) for _ in AXES_DRAWN]
+        self._trails = [StreamedLine(("value", "used", "refused", *BAND), by="value", filled=BAND[:2]) for _ in AXES_DRAWN]
         for trail, (marker, _), colour in zip(self._trails, _MARKERS, theme.series, strict=False):
             self._draw(trail, marker, colour)
 
-    def _draw(self, trail: Trail, marker: str, colour: str) -> None:
+    def _draw(self, trail: StreamedLine, marker: str, colour: str) -> None:
         source, theme = trail.source, self._theme
         self.figure.varea("t", "low", "high", source=source, fill_color=colour, fill_alpha=0.13)
         for edge in BAND[2:]:
@@ -106,26 +106,26 @@ class _SourceRow:
         crosses = self.figure.scatter(
             "t", "refused", source=source, marker="x", size=6, line_color=theme.caution_border, line_width=1.5
         )
-        hover(theme, self.figure, "@value{+0.0}″, ±3σ to @edge_high{0.0}″", [dots, crosses])
+        add_hover(theme, self.figure, "@value{+0.0}″, ±3σ to @edge_high{0.0}″", [dots, crosses])
 
     def update(
         self, points: Sequence[InnovationPoint], source: SourceShown | None, utc_ns: int, *, is_marked: bool
     ) -> None:
         """Draw the new points of the source."""
         for trail, axes in zip(self._trails, AXES_DRAWN, strict=True):
-            trail.follow(points, partial(_columns, axes=axes))
-        lately = newer(points, utc_ns - 6 * LATELY_NS)
-        step = fixed_step(_axis_limit(lately))
+            trail.stream_new(points, partial(_columns, axes=axes))
+        recent = newer(points, utc_ns - 6 * MEAN_WINDOW_NS)
+        step = next_step(_axis_limit(recent))
         self._height.update(start=-step, end=step)
-        self._labels.write(_side_texts(newer(points, utc_ns - LATELY_NS), step))
+        self._labels.write(_side_texts(newer(points, utc_ns - MEAN_WINDOW_NS), step))
         text, is_out = source_line(self._name, source, step)
         colour = self._theme.caution_border if is_out else self._theme.text
         self.figure.title.update(text=without_formulas(with_mark(text, is_marked)), text_color=colour)
-        frame(self._theme, self.figure, is_marked)
+        draw_frame(self._theme, self.figure, is_marked)
         self.figure.title.text_font_style = "bold" if is_out else "normal"
-        self._shade(source, utc_ns)
+        self._shade_outages(source, utc_ns)
 
-    def _shade(self, source: SourceShown | None, utc_ns: int) -> None:
+    def _shade_outages(self, source: SourceShown | None, utc_ns: int) -> None:
         """Shade the times for which the source was OUT; times after now are removed."""
         now = MS * utc_ns
         spans = [
@@ -153,9 +153,9 @@ def source_line(name: str, source: SourceShown | None, step: float) -> tuple[str
     if source is None:
         return name + axis, False
     if source.presence is Presence.OUT:
-        off = f" · {source.disagreement}" if source.disagreement else ""
+        disagreement = f" · {source.disagreement}" if source.disagreement else ""
         sigmas = f" · residual {abs(source.residual):.1f} σ" if np.isfinite(source.residual) else ""
-        return f"✕ {name}  OUT{axis} · {source.reason}{off}{sigmas}", True
+        return f"✕ {name}  OUT{axis} · {source.reason}{disagreement}{sigmas}", True
     consistency = f" · {source.nis_consistency.text}" if source.nis_consistency and source.nis_consistency.text else ""
     return f"✓ {name}  {source.presence.value}{axis}{consistency}", False
 
@@ -177,7 +177,7 @@ def _columns(points: Sequence[InnovationPoint], axes: tuple[str, ...]) -> dict[s
         "value": value,
         "used": np.where(used, value, np.nan),
         "refused": np.where(used, np.nan, value),
-        **band(sigma),
+        **three_sigma_band(sigma),
     }
 
 
@@ -202,8 +202,8 @@ def _side_texts(points: Sequence[InnovationPoint], step: float) -> dict[float, s
         known = (values := _columns(points, axes)["value"])[np.isfinite(values)]
         if len(known):
             name = next(axis for point in points for axis in point.axes if axis in axes)
-            means.append((float(np.mean(known)), f"{glyph} {name} {signed(float(np.mean(known)))}″"))
+            means.append((float(np.mean(known)), f"{glyph} {name} {signed_text(float(np.mean(known)))}″"))
     # At one of forty heights: otherwise labels that move by a pixel would be sent at each update.
     wanted = [round(20.0 * mean / step) * step / 20.0 for mean, _ in means]
-    heights = placed(wanted, 0.32 * step, -0.9 * step, 0.9 * step)
+    heights = label_positions(wanted, 0.32 * step, -0.9 * step, 0.9 * step)
     return {height: text for height, (_, text) in zip(heights, means, strict=True)}

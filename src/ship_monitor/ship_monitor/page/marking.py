@@ -27,14 +27,14 @@ _BUDGET_PREFIXES = {
 Earth's orientation."""
 
 
-def is_of(name: str, source: str) -> bool:
+def belongs_to_source(name: str, source: str) -> bool:
     """True if a state or an alert belongs to a source, as "star.bow.azimuth" to "star.bow"; False for source ""."""
     return bool(source) and (name == source or name.startswith(f"{source}.") or source_of_name(name) == source)
 
 
-def is_about(event: Event, source: str) -> bool:
+def is_event_of_source(event: Event, source: str) -> bool:
     """True if an event concerns a source: by its subject, or by the name as a word of its text."""
-    return is_of(event.subject, source) or (
+    return belongs_to_source(event.subject, source) or (
         bool(source) and re.search(rf"(?<![\w.]){re.escape(source)}(?!\w|\.\w)", event.text) is not None
     )
 

@@ -42,7 +42,7 @@ class Panels:
     def __init__(self, theme: Theme, *, is_stepwise: bool = False, is_bag: bool = False) -> None:
         self.times = TimeAxis(KEPT_S)
         self.marked = ""
-        self.seen: Collection[str] | None = frozenset() if is_stepwise else None
+        self.visible_panels: Collection[str] | None = frozenset() if is_stepwise else None
         self._innovations, self._errors = InnovationPanel(theme, self.times), ErrorPanel(theme, self.times)
         self._budget, self._events = BudgetPanel(theme, self.times), EventsPanel(theme)
         self._sky, self._lights = SkyPanel(theme, is_bag=is_bag), LightsPanel(theme)
@@ -62,7 +62,7 @@ class Panels:
             "error": self._errors.plots,
         }
         for plots in self._plots.values():
-            plots.at_once = _ROWS_AT_ONCE if is_stepwise else plots.at_once
+            plots.max_new_rows = _ROWS_AT_ONCE if is_stepwise else plots.max_new_rows
         self._placed: set[str] = set()
         self.frames = {name: _frame(theme, name, box) for name, box in self._boxes.items()}
         self._grid = InlineStyleSheet(css="")
@@ -83,8 +83,8 @@ class Panels:
             history: data of the plots.
             suite_state: state of the suite.
         """
-        for name in self._follow(history, suite_state):
-            if self.seen is None and name not in self._placed:
+        for name in self._update_layout(history, suite_state):
+            if self.visible_panels is None and name not in self._placed:
                 self._place(name)
             if name in self._placed:
                 self._draw(name, history, suite_state)
@@ -94,7 +94,7 @@ class Panels:
 
         It is drawn before it is placed: otherwise a browser could refer to models that drawing has replaced.
         """
-        name = next((each for each in self._follow(history, suite_state) if each not in self._complete), None)
+        name = next((each for each in self._update_layout(history, suite_state) if each not in self._complete), None)
         if name is not None:
             with batched_model_changes(self.layout):
                 self._draw(name, history, suite_state)
@@ -112,9 +112,9 @@ class Panels:
         styles = {"grid-area": name, "min-height": "0"}
         self.frames[name].update(children=[self._boxes[name].layout], styles=styles)
 
-    def _follow(self, history: History, suite_state: SuiteState) -> list[str]:
+    def _update_layout(self, history: History, suite_state: SuiteState) -> list[str]:
         """Update the time axis and the visible frames; return the visible panels."""
-        self.times.follow(suite_state.utc_ns)
+        self.times.update(suite_state.utc_ns)
         is_simulated, has_telescope = has_truth(history), bool(history.beacons)
         self.frames["error"].visible = is_simulated
         self.frames["lights"].visible = has_telescope
@@ -122,13 +122,13 @@ class Panels:
         return [name for name in self._boxes if self._is_in_sight(name)]
 
     def _is_in_sight(self, name: str) -> bool:
-        return (self.seen is None or name in self.seen) and bool(self.frames[name].visible)
+        return (self.visible_panels is None or name in self.visible_panels) and bool(self.frames[name].visible)
 
     def _draw(self, name: str, history: History, suite_state: SuiteState) -> None:
         marked, is_simulated = self.marked, bool(self.frames["error"].visible)
         draw: dict[str, Callable[[], Any]] = {
             "innovations": lambda: self._innovations.update(history, suite_state, marked, has_truth=is_simulated),
-            "error": lambda: self._errors.update(history, self._budget.chosen),
+            "error": lambda: self._errors.update(history, self._budget.chosen_angle),
             "budget": lambda: self._budget.update(history, marked),
             "sky": lambda: self._sky.update(history, suite_state, marked),
             "lights": lambda: self._lights.update(history, suite_state, marked),

@@ -20,7 +20,7 @@ class PageSource(SuiteStateSource, Protocol):
         """Data of the plots."""
         ...
 
-    def controls(self, moved: Callable[[], None]) -> UIElement | None:
+    def controls(self, on_move: Callable[[], None]) -> UIElement | None:
         """Return new controls for the place under the top bar, as the time slider of a bag; None for none.
 
         Args:

@@ -19,7 +19,7 @@ from tornado.web import RequestHandler, StaticFileHandler
 
 from ship_monitor.page.themes import THEMES
 from ship_monitor.web.bounded_server import (
-    MOST_MESSAGE_BYTES,
+    MAX_MESSAGE_BYTES,
     BoundedServer,
     address_in_url,
     listening_sockets,
@@ -29,14 +29,14 @@ from ship_monitor.web.own_hosts import OwnHosts
 TICK_MS = 250
 """Period of the server's tick."""
 
-MOST_BROWSERS = 32
+MAX_PAGES = 32
 """Maximum number of open pages: closing that many at once delays all others by a second."""
 
 _PAGES = "/", "/autoload.js"
 """Paths at which Bokeh makes a document."""
 
 
-class _Refusal(RequestHandler):
+class _ErrorPage(RequestHandler):
     """Error page for unknown or refused requests, in the night theme: the bridge may be dark."""
 
     def initialize(self, status_code: int, reason: str | None = None) -> None:
@@ -74,15 +74,15 @@ class _Socket(WSHandler):
 
     async def on_message(self, fragment: str | bytes) -> None:
         """Process a message if its page is still open."""
-        if not self._has_left():
+        if not self._is_session_closed():
             await super().on_message(fragment)
 
     def on_close(self) -> None:
         """Close the session, once."""
-        if not self._has_left():
+        if not self._is_session_closed():
             super().on_close()
 
-    def _has_left(self) -> bool:
+    def _is_session_closed(self) -> bool:
         try:
             return self.connection is not None and self.connection.session is None
         except AssertionError:
@@ -116,8 +116,8 @@ class _Application(BokehTornado):
             check_unused_sessions_milliseconds=5000,
             # Updates that wait longer than this for a browser are useless.
             keep_alive_milliseconds=10000,
-            websocket_max_message_size_bytes=MOST_MESSAGE_BYTES,
-            default_handler_class=_Refusal,
+            websocket_max_message_size_bytes=MAX_MESSAGE_BYTES,
+            default_handler_class=_ErrorPage,
             default_handler_args={"status_code": 404},
         )
         for rule in self.wildcard_router.rules:
@@ -127,16 +127,16 @@ class _Application(BokehTornado):
     def find_handler(self, request: HTTPServerRequest, **arguments: Any) -> Any:
         """Return the handler of a request; an error page for other sites, or for too many pages."""
         origin = request.headers.get("Origin")
-        if not self._hosts.is_asked(request) or (origin is not None and _host_and_port(origin) != request.host.lower()):
-            return self._refusal(request, 403, "Host name not allowed: allow it with monitor --allow-host NAME")
+        if not self._hosts.is_own_host(request) or (origin is not None and _host_and_port(origin) != request.host.lower()):
+            return self._error_handler(request, 403, "Host name not allowed: allow it with monitor --allow-host NAME")
         if b"\0" in unquote_to_bytes(request.path):
-            return self._refusal(request, 404)
-        if request.path in _PAGES and len(self.get_sessions("/")) >= MOST_BROWSERS:
-            return self._refusal(request, 503, f"{MOST_BROWSERS} pages are open, the maximum")
+            return self._error_handler(request, 404)
+        if request.path in _PAGES and len(self.get_sessions("/")) >= MAX_PAGES:
+            return self._error_handler(request, 503, f"{MAX_PAGES} pages are open, the maximum")
         return super().find_handler(request, **arguments)
 
-    def _refusal(self, request: HTTPServerRequest, status_code: int, reason: str | None = None) -> Any:
-        return self.get_handler_delegate(request, _Refusal, {"status_code": status_code, "reason": reason})
+    def _error_handler(self, request: HTTPServerRequest, status_code: int, reason: str | None = None) -> Any:
+        return self.get_handler_delegate(request, _ErrorPage, {"status_code": status_code, "reason": reason})
 
 
 def _host_and_port(origin: str) -> str:

@@ -15,10 +15,10 @@ from ship_watch.states import OVER_THE_LIMIT
 RIBBON_S = 600
 """Length of the ribbons, s."""
 
-_OF_THEODOLITE = ("azimuth", "elevation")
+_THEODOLITE_ANGLES = ("azimuth", "elevation")
 _TICK_S = 120
 _NO_ALERT = {"icon": "", "state": "", "text": "No alerts", "sub": "", "advice": "", "unack": 0, "all": []}
-_BANNERS = 3  # with more, the list of sources would have no room
+_MAX_BANNERS = 3  # with more, the list of sources would have no room
 _NS_PER_S = 1_000_000_000
 # Alert.state of ship_msgs: icon and text.
 _ALERT_STATES = {
@@ -29,7 +29,7 @@ _ALERT_STATES = {
 }
 
 
-def shown(suite_state: SuiteState, history: History, label: str, location: str, local: str = "") -> dict[str, Any]:
+def first_screen(suite_state: SuiteState, history: History, label: str, location: str, local: str = "") -> dict[str, Any]:
     """Return the content of the first screen, ready for JSON.
 
     Args:
@@ -39,7 +39,7 @@ def shown(suite_state: SuiteState, history: History, label: str, location: str, 
         location: namespace and domain, for a page that waits for data.
         local: local time, displayed under UTC; empty for none.
     """
-    has_lights = any(angle.name in _OF_THEODOLITE for angle in suite_state.angles)
+    has_lights = any(angle.name in _THEODOLITE_ANGLES for angle in suite_state.angles)
     waiting = f"waiting for {suite_state.waiting_for}" if suite_state.waiting_for else ""
     return {
         "label": label,
@@ -56,7 +56,7 @@ def shown(suite_state: SuiteState, history: History, label: str, location: str, 
             for name, age_s in suite_state.ages_s.items()
             if name != "lights" or has_lights
         ],
-        "foot": _foot(suite_state),
+        "foot": _ages_footer(suite_state),
         "sources": _sources(suite_state.sources, is_known=not suite_state.is_old),
         "ribbons": _ribbons(history, suite_state),
     }
@@ -71,7 +71,7 @@ def _tile(angle: AngleShown) -> dict[str, Any]:
         reason += f", {limit}"
     return {
         "number": reading.number,
-        "sense": reading.sense or ("theodolite" if angle.name in _OF_THEODOLITE else ""),
+        "sense": reading.sense or ("theodolite" if angle.name in _THEODOLITE_ANGLES else ""),
         "accuracy": words.accuracy_text(angle),
         # The limit is in the middle of the bar. No bar without a number.
         "bar": min(ratio, 1.0) if ratio >= 0.0 and not angle.is_old else None,
@@ -98,7 +98,7 @@ def _tip(angle: AngleShown) -> list[str]:
     return lines
 
 
-def _foot(suite_state: SuiteState) -> str:
+def _ages_footer(suite_state: SuiteState) -> str:
     """Return the text below the ages: method of the pointing and horizon of the tilt."""
     by = suite_state.pointing_by
     parts = [by if not by or by.startswith("no ") else f"by {by}"]
@@ -146,8 +146,8 @@ def _sources(sources: tuple[SourceShown, ...], *, is_known: bool) -> dict[str, A
     return {
         "head": count if is_known or not count else f"last: {count}",
         "is_known": is_known,
-        "out": banners if len(banners) <= _BANNERS else [*banners[: _BANNERS - 1], _more_banner(banners[_BANNERS - 1 :])],
-        "why": _why(roots[0]) if len(banners) == len(roots) == 1 else [],
+        "out": banners if len(banners) <= _MAX_BANNERS else [*banners[: _MAX_BANNERS - 1], _more_banner(banners[_MAX_BANNERS - 1 :])],
+        "why": _reason_lines(roots[0]) if len(banners) == len(roots) == 1 else [],
         "rows": [
             _source_row(source, is_because=source in below, is_alone=len(banners) == 1)
             for source in sorted(sources, key=lambda each: each.presence is Presence.OFF)
@@ -159,7 +159,7 @@ def _more_banner(banners: list[tuple[str, str]]) -> tuple[str, str]:
     return banners[0][0], f"{len(banners)} more OUT"
 
 
-def _why(source: SourceShown) -> list[str]:
+def _reason_lines(source: SourceShown) -> list[str]:
     """Return two lines about the only source that is OUT by a fault of its own."""
     since = f"since {words.utc_clock(source.out_since_ns)}"
     rejected = f"{source.rejected_in_a_row} rejected" if source.rejected_in_a_row else ""
@@ -203,8 +203,8 @@ def _ribbons(history: History, suite_state: SuiteState) -> dict[str, Any]:
         "ticks": [[(at_s - start_s) / RIBBON_S, words.utc_clock(at_s * _NS_PER_S)[:5]] for at_s in ticks],
         "rows": [
             [
-                [(first_s - start_s) / RIBBON_S, (last_s + 1 - start_s) / RIBBON_S, word.name]
-                for first_s, last_s, word in _stretches(points, name)
+                [(first_s - start_s) / RIBBON_S, (last_s + 1 - start_s) / RIBBON_S, safety.name]
+                for first_s, last_s, safety in _intervals(points, name)
             ]
             for name in ANGLES
             if name in angle_names
@@ -217,17 +217,17 @@ def _ribbons(history: History, suite_state: SuiteState) -> dict[str, Any]:
     }
 
 
-def _stretches(points: list[SafetyPoint], name: str) -> Iterator[tuple[int, int, Safety]]:
+def _intervals(points: list[SafetyPoint], name: str) -> Iterator[tuple[int, int, Safety]]:
     """Yield first second, last second and safety of each interval; a second without data ends one."""
     first_s = last_s = 0
-    word: Safety | None = None
+    safety: Safety | None = None
     for point in points:
         now_s, now = point.utc_ns // _NS_PER_S, point.words.get(name)
-        if word is not None and (now is not word or now_s > last_s + 1):
-            yield first_s, last_s, word
-            word = None
-        if word is None:
-            first_s, word = now_s, now
+        if safety is not None and (now is not safety or now_s > last_s + 1):
+            yield first_s, last_s, safety
+            safety = None
+        if safety is None:
+            first_s, safety = now_s, now
         last_s = now_s
-    if word is not None:
-        yield first_s, last_s, word
+    if safety is not None:
+        yield first_s, last_s, safety

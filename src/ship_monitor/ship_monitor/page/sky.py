@@ -27,7 +27,7 @@ def _rotating_sky() -> RefreshedSky:
     return RefreshedSky(earth_orientation_table())
 
 
-def on_map(azimuth: float, elevation: float) -> tuple[float, float]:
+def map_position(azimuth: float, elevation: float) -> tuple[float, float]:
     """Return the position on the map, East and North, with the horizon at radius 1; larger radii are below it.
 
     Args:
@@ -54,9 +54,9 @@ def boresight(name: str, alignment: Sequence[ParameterShown], angles: Sequence[A
         angles: angles with heading, pitch and roll.
     """
     installed = {state.name: state.value for state in alignment}
-    shown = {angle.name: angle.value for angle in angles}
+    values = {angle.name: angle.value for angle in angles}
     azimuth, elevation = (installed.get(f"{name}.{angle}", math.nan) for angle in ("azimuth", "elevation"))
-    deck = [shown.get(angle, math.nan) for angle in ("heading", "pitch", "roll")]
+    deck = [values.get(angle, math.nan) for angle in ("heading", "pitch", "roll")]
     if not np.isfinite([azimuth, elevation, *deck]).all():
         return math.nan, math.nan
     # The installation's azimuth is from the bow to starboard, as an azimuth of a level deck that heads North.

@@ -8,14 +8,14 @@ import math
 import numpy as np
 from bokeh.models import Column, ColumnDataSource, InlineStyleSheet, Range1d
 
-from ship_monitor.page.figures import NARROW, PanelBox, ResidualBars, frame, empty_plot, without_formulas, words
+from ship_monitor.page.figures import NARROW, PanelBox, ResidualBars, draw_frame, empty_plot, without_formulas, draw_texts
 from ship_monitor.page.marking import with_mark
-from ship_monitor.page.sky import boresight, moon_direction, on_map
+from ship_monitor.page.sky import boresight, moon_direction, map_position
 from ship_monitor.page.themes import Theme
 from ship_watch.history import History, StarsSeen
 from ship_watch.picture import SuiteState, Presence, SourceShown
 
-FIELDS_SHOWN = 3
+MAX_FIELDS = 3
 """Maximum number of fields of view."""
 
 BAR_STEPS_ARCSEC = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
@@ -54,14 +54,14 @@ class SkyPanel:
             marked: marked source; its field is drawn before those of other sources that are IN. Empty for none.
         """
         sources = {source.name: source for source in suite_state.sources}
-        shown = [name for name, seen in sorted(history.stars.items()) if len(seen.u)]
-        shown = sorted(shown, key=lambda name: (not _is_out(sources.get(name)), name != marked))[:FIELDS_SHOWN]
-        if shown != list(self._fields):
-            self._fields = {name: self._fields.get(name) or _Field(self._theme) for name in shown}
+        names = [name for name, exposure in sorted(history.stars.items()) if len(exposure.u)]
+        names = sorted(names, key=lambda name: (not _is_out(sources.get(name)), name != marked))[:MAX_FIELDS]
+        if names != list(self._fields):
+            self._fields = {name: self._fields.get(name) or _Field(self._theme) for name in names}
             self._column.children = [field.figure for field in self._fields.values()]
-            self._columns.css = _columns_css(has_fields=bool(shown))
+            self._columns.css = _columns_css(has_fields=bool(names))
         for name, field in self._fields.items():
-            field.update(_short(name), history.stars[name], sources.get(name), len(shown), is_marked=name == marked)
+            field.update(_short_name(name), history.stars[name], sources.get(name), len(names), is_marked=name == marked)
         note = self._map.update(history, suite_state, sources, marked)
         self.box.set_subtitle(f"fields of view not to scale · bars: residuals{note}")
 
@@ -102,7 +102,7 @@ class _SkyMap:
             source=_source(x=[0] * 3, y=[0] * 3, **rings),
         )
         winds = _source(x=[0.0, 1.1, 0.0, -1.1], y=[1.1, 0.0, -1.1, 0.0], text=["N", "E", "S", "W"])
-        words(self.figure, winds, text_color=theme.second_text, text_align="center", text_baseline="middle")
+        draw_texts(self.figure, winds, text_color=theme.second_text, text_align="center", text_baseline="middle")
         self._bow = _source(x=[], y=[])
         self.figure.line("x", "y", source=self._bow, line_color=theme.second_text, line_dash="dashed")
         self._names = _source(x=[], y=[], text=[], colour=[])
@@ -116,7 +116,7 @@ class _SkyMap:
         self.figure.scatter(
             "x", "y", source=self._stars, size=3.5, marker="marker", line_color="colour", fill_color="colour"
         )
-        words(self.figure, self._names, text_color="colour", text_baseline="middle")
+        draw_texts(self.figure, self._names, text_color="colour", text_baseline="middle")
 
     def update(self, history: History, suite_state: SuiteState, sources: dict[str, SourceShown], marked: str) -> str:
         """Draw the directions of the sensors; return an addition to the subtitle."""
@@ -124,29 +124,29 @@ class _SkyMap:
         squares: dict[str, list[object]] = {"xs": [], "ys": [], "colour": [], "dash": [], "width": []}
         stars: dict[str, list[object]] = {"x": [], "y": [], "colour": [], "marker": []}
         names: dict[str, list[object]] = {"x": [], "y": [], "text": [], "colour": []}
-        for name, seen in sorted(history.stars.items()):
-            direction = (seen.azimuth, seen.elevation)
+        for name, exposure in sorted(history.stars.items()):
+            direction = (exposure.azimuth, exposure.elevation)
             if not np.isfinite(direction).all():
                 direction = boresight(name, history.alignment, suite_state.angles)
             if not np.isfinite(direction).all():
                 continue
-            x, y = on_map(*direction)
-            is_bad = _is_out(sources.get(name)) or not seen.is_accepted
+            x, y = map_position(*direction)
+            is_bad = _is_out(sources.get(name)) or not exposure.is_accepted
             colour, half = theme.caution_border if is_bad else theme.series[0], _FIELD_ON_MAP
             squares["xs"].append([x - half, x + half, x + half, x - half, x - half])
             squares["ys"].append([y - half, y - half, y + half, y + half, y - half])
             squares["colour"].append(colour)
             squares["dash"].append("dashed" if is_bad else "solid")
             squares["width"].append(4.0 if name == marked else 1.6)
-            used, (across, up) = used_star_mask(seen), places_in_field(seen)
+            used, (across, up) = used_star_mask(exposure), positions_in_field(exposure)
             stars["x"] += list(x + half * across)
             stars["y"] += list(y + half * up)
-            stars["colour"] += [colour if is_bad else theme.text] * len(seen.u)
+            stars["colour"] += [colour if is_bad else theme.text] * len(exposure.u)
             stars["marker"] += ["circle" if one and not is_bad else "x" for one in used]
-            text = with_mark(f"✕ {_short(name)}" if is_bad else _short(name), name == marked)
+            text = with_mark(f"✕ {_short_name(name)}" if is_bad else _short_name(name), name == marked)
             _append(names, x + 1.4 * half, y, text, colour)
         heading = next((angle.value for angle in suite_state.angles if angle.name == "heading"), math.nan)
-        bow = [on_map(heading, elevation) for elevation in (0.5 * math.pi, 0.0)] if math.isfinite(heading) else []
+        bow = [map_position(heading, elevation) for elevation in (0.5 * math.pi, 0.0)] if math.isfinite(heading) else []
         self._bow.data = {"x": [x for x, _ in bow], "y": [y for _, y in bow]}
         if bow:
             _append(names, 1.04 * bow[1][0], 1.06 * bow[1][1], "bow", theme.second_text)
@@ -162,7 +162,7 @@ class _SkyMap:
         if direction is None or not direction[1] > 0.0:
             self._moon.data = {"x": [], "y": []}
             return " · Moon below the horizon" if direction else ""
-        x, y = on_map(*direction)
+        x, y = map_position(*direction)
         self._moon.data = {"x": [x], "y": [y]}
         _append(names, x + 0.09, y, "Moon", self._theme.second_text)
         return ""
@@ -179,68 +179,68 @@ class _Field:
         self.figure.update(min_border_left=8)
         self.figure.axis.visible = False
         self.figure.grid.visible = False
-        self._used = _source(u=[], v=[])
+        self._used_stars = _source(u=[], v=[])
         self._excluded_stars = _source(u=[], v=[])
         self._scale = _source(x=[], y=[])
-        self._word = _source(x=[], y=[], text=[])
+        self._scale_text = _source(x=[], y=[], text=[])
         self._bars = ResidualBars(theme, self.figure, BAR_STEPS_ARCSEC)
-        self._dots = self.figure.scatter("u", "v", source=self._used, size=7, line_color=None, fill_color=theme.text)
+        self._dots = self.figure.scatter("u", "v", source=self._used_stars, size=7, line_color=None, fill_color=theme.text)
         self.figure.scatter("u", "v", source=self._excluded_stars, size=8, marker="x", line_color=theme.caution_border)
         scale = {"length": ResidualBars.FULL_PX, "length_units": "screen", "angle": 0.0}
         self.figure.ray("x", "y", source=self._scale, line_color=theme.second_text, line_width=2.5, **scale)
-        words(self.figure, self._word, text_color=theme.second_text, y_offset=-2, text_baseline="bottom")
+        draw_texts(self.figure, self._scale_text, text_color=theme.second_text, y_offset=-2, text_baseline="bottom")
 
-    def update(self, name: str, seen: StarsSeen, source: SourceShown | None, shown: int, *, is_marked: bool) -> None:
+    def update(self, name: str, exposure: StarsSeen, source: SourceShown | None, field_count: int, *, is_marked: bool) -> None:
         """Draw the last exposure; the size of the detector is estimated from all stars so far."""
-        theme, is_bad = self._theme, _is_out(source) or not seen.is_accepted
-        width, height = max(self._size[0], _rounded(seen.u)), max(self._size[1], _rounded(seen.v))
+        theme, is_bad = self._theme, _is_out(source) or not exposure.is_accepted
+        width, height = max(self._size[0], _detector_side(exposure.u)), max(self._size[1], _detector_side(exposure.v))
         self._size = width, height
         self._across.update(start=-0.02 * width, end=1.02 * width)
         self._down.update(start=1.03 * height, end=-0.03 * height)
-        self.figure.height = 300 if shown == 1 else 150 if shown == 2 else 105
-        used = used_star_mask(seen)
-        self._used.data = {"u": seen.u[used], "v": seen.v[used]}
-        self._excluded_stars.data = {"u": seen.u[~used], "v": seen.v[~used]}
-        has_residuals = len(seen.residual_right) == len(seen.u)
-        right, up = (seen.residual_right, seen.residual_up) if has_residuals else (np.full(len(seen.u), np.nan),) * 2
-        step = self._bars.draw(seen.u, seen.v, right, up, theme.caution_border if is_bad else theme.series[1])
+        self.figure.height = 300 if field_count == 1 else 150 if field_count == 2 else 105
+        used = used_star_mask(exposure)
+        self._used_stars.data = {"u": exposure.u[used], "v": exposure.v[used]}
+        self._excluded_stars.data = {"u": exposure.u[~used], "v": exposure.v[~used]}
+        has_residuals = len(exposure.residual_right) == len(exposure.u)
+        right, up = (exposure.residual_right, exposure.residual_up) if has_residuals else (np.full(len(exposure.u), np.nan),) * 2
+        step = self._bars.draw(exposure.u, exposure.v, right, up, theme.caution_border if is_bad else theme.series[1])
         self._scale.data = {"x": [0.03 * width], "y": [0.93 * height]}
-        self._word.data = {"x": [0.03 * width], "y": [0.93 * height], "text": [f"{step:g}″"]}
-        frame(theme, self.figure, is_marked, theme.caution_border if is_bad else theme.border)
+        self._scale_text.data = {"x": [0.03 * width], "y": [0.93 * height], "text": [f"{step:g}″"]}
+        draw_frame(theme, self.figure, is_marked, theme.caution_border if is_bad else theme.border)
         self.figure.outline_line_dash = "dashed" if is_bad else "solid"
         fate = "REJECTED" if is_bad else "used"
-        excluded = f" · {seen.rejected_count} excluded" if seen.rejected_count else ""
-        text = f"{'✕' if is_bad else '✓'} {name}  {seen.star_count} stars {fate}{excluded}"
+        excluded = f" · {exposure.rejected_count} excluded" if exposure.rejected_count else ""
+        text = f"{'✕' if is_bad else '✓'} {name}  {exposure.star_count} stars {fate}{excluded}"
         self.figure.title.text = without_formulas(with_mark(text, is_marked))
         self.figure.title.text_color = theme.caution_border if is_bad else theme.text
 
 
-def residual_star_mask(seen: StarsSeen) -> np.ndarray:
+def residual_star_mask(exposure: StarsSeen) -> np.ndarray:
     """Return a mask of the stars with a residual, shape (n,)."""
-    if len(seen.residual_right) != len(seen.u):
-        return np.zeros(len(seen.u), bool)
-    return np.asarray(np.isfinite(seen.residual_right) & np.isfinite(seen.residual_up))
+    if len(exposure.residual_right) != len(exposure.u):
+        return np.zeros(len(exposure.u), bool)
+    return np.asarray(np.isfinite(exposure.residual_right) & np.isfinite(exposure.residual_up))
 
 
-def used_star_mask(seen: StarsSeen) -> np.ndarray:
+def used_star_mask(exposure: StarsSeen) -> np.ndarray:
     """Return a mask of the stars drawn as used, shape (n,): those with a residual; all if no star has one."""
-    mask = residual_star_mask(seen)
-    return mask if mask.any() else np.ones(len(seen.u), bool)
+    mask = residual_star_mask(exposure)
+    return mask if mask.any() else np.ones(len(exposure.u), bool)
 
 
-def places_in_field(seen: StarsSeen) -> tuple[np.ndarray, np.ndarray]:
+def positions_in_field(exposure: StarsSeen) -> tuple[np.ndarray, np.ndarray]:
     """Return the positions of the stars, across and up, in a field of view with half side 1."""
-    if not len(seen.u):
+    if not len(exposure.u):
         return np.empty(0), np.empty(0)
-    return 2.0 * seen.u / _rounded(seen.u) - 1.0, 1.0 - 2.0 * seen.v / _rounded(seen.v)
+    return 2.0 * exposure.u / _detector_side(exposure.u) - 1.0, 1.0 - 2.0 * exposure.v / _detector_side(exposure.v)
 
 
-def _rounded(places: np.ndarray) -> float:
+def _detector_side(places: np.ndarray) -> float:
     """Return the side of a detector, px: the next multiple of 256 that contains all positions; no topic states it."""
     return _FIELD_PX * max(1.0, math.ceil((float(np.max(places)) + 1.0) / _FIELD_PX)) if len(places) else _FIELD_PX
 
 
-def _short(name: str) -> str:
+def _short_name(name: str) -> str:
     """Return a sensor's name without "star."."""
     return name.removeprefix("star.")
 

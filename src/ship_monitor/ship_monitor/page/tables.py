@@ -8,12 +8,12 @@ from bokeh.models import Div, InlineStyleSheet
 
 from ship_geometry.time_scales import utc_text
 from ship_monitor.page.figures import NARROW, PanelBox
-from ship_monitor.page.marking import is_about, with_mark
+from ship_monitor.page.marking import is_event_of_source, with_mark
 from ship_monitor.page.themes import FONT, Theme
 from ship_watch.picture import Event, InputShown, SuiteState, Presence, SourceShown
 
-EVENTS_SHOWN = 16
-REASONS_SHOWN = 4
+MAX_EVENTS = 16
+MAX_REASONS = 4
 
 
 class EventsPanel:
@@ -29,10 +29,10 @@ class EventsPanel:
 
     def update(self, suite_state: SuiteState, marked: str) -> None:
         """Write the newest events; those of the marked source are highlighted."""
-        shown = suite_state.events[:EVENTS_SHOWN]
-        self._table.text = f"<table>{''.join(event_row(event, marked) for event in shown)}</table>"
-        more = len(suite_state.events) - len(shown)
-        self.box.set_subtitle(f"{more} more" if more else "" if shown else "no events yet")
+        events = suite_state.events[:MAX_EVENTS]
+        self._table.text = f"<table>{''.join(event_row(event, marked) for event in events)}</table>"
+        more = len(suite_state.events) - len(events)
+        self.box.set_subtitle(f"{more} more" if more else "" if events else "no events yet")
 
 
 class InputsPanel:
@@ -52,7 +52,7 @@ class InputsPanel:
             topic: source for source in suite_state.sources if source.presence is Presence.OUT for topic in source.topics
         }
         framed = {topic for source in suite_state.sources if source.name == marked for topic in source.topics}
-        rows = "".join(input_row(shown, faulty_sources, is_marked=shown.topic in framed) for shown in suite_state.inputs)
+        rows = "".join(input_row(input_state, faulty_sources, is_marked=input_state.topic in framed) for input_state in suite_state.inputs)
         self._table.text = f"<table class=inputs>{_HEADINGS}{rows}</table>"
         self.box.set_subtitle("" if suite_state.inputs else "no input health data")
 
@@ -69,29 +69,29 @@ def event_row(event: Event, marked: str = "") -> str:
     text = escape(
         event.text if event.kind == "alert" or event.subject in event.text else f"{event.subject}: {event.text}"
     )
-    row_class = " class=marked" if is_about(event, marked) else ""
+    row_class = " class=marked" if is_event_of_source(event, marked) else ""
     return f"<tr{row_class}><td class=time>{time}<td>{f'<b>{text}</b>' if event.kind == 'alert' else text}"
 
 
-def input_row(shown: InputShown, faulty_sources: Mapping[str, SourceShown], *, is_marked: bool = False) -> str:
+def input_row(state: InputShown, faulty_sources: Mapping[str, SourceShown], *, is_marked: bool = False) -> str:
     """Return a row of the inputs; rejections at the input and by the filter are one number.
 
     The row of a source that is OUT by a fault of its own is highlighted, not that of a source that needs it.
     """
-    source = faulty_sources.get(shown.topic)
-    rejected = shown.rejected_60s
-    reasons = reasons_text(shown.reasons)
+    source = faulty_sources.get(state.topic)
+    rejected = state.rejected_60s
+    reasons = reasons_text(state.reasons)
     if source is not None:
         reasons = f"OUT: {source.reason}" + (f"; {reasons}" if reasons != "—" else "")
         rejected = max(rejected, source.rejected_in_a_row)
     cells = (
-        ("n", _number(shown.rate_hz, 1)),
-        ("n wide", _number(shown.latency_s, 3)),
-        ("n", _number(shown.age_s, 1)),
+        ("n", _number(state.rate_hz, 1)),
+        ("n wide", _number(state.latency_s, 3)),
+        ("n", _number(state.age_s, 1)),
         ("n", str(rejected)),
         ("reasons", reasons),
     )
-    name = with_mark(f"✕ {shown.topic}" if source else shown.topic, is_marked)
+    name = with_mark(f"✕ {state.topic}" if source else state.topic, is_marked)
     classes = ["guilty"] * bool(source and not source.because_of) + ["marked"] * is_marked
     row_class = f" class='{' '.join(classes)}'" if classes else ""
     return f"<tr{row_class}><td>{escape(name).replace('/', '/<wbr>')}" + "".join(
@@ -102,7 +102,7 @@ def input_row(shown: InputShown, faulty_sources: Mapping[str, SourceShown], *, i
 def reasons_text(reasons: Mapping[str, int]) -> str:
     """Return reasons with their counts, the most frequent first."""
     ordered = sorted(((count, word) for word, count in reasons.items() if count), key=lambda one: (-one[0], one[1]))
-    words = [f"{word.replace('_', ' ')} {count}" for count, word in ordered[:REASONS_SHOWN]]
+    words = [f"{word.replace('_', ' ')} {count}" for count, word in ordered[:MAX_REASONS]]
     more = len(ordered) - len(words)
     return ", ".join(words) + (f", {more} more" if more else "") if words else "—"
 

@@ -6,7 +6,7 @@ import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 
 from ship_geometry.rotations import FloatArray
-from ship_monitor.page.curves import ROWS_KEPT, gap_rows, thinned, usual_period_ns, first_pending_row
+from ship_monitor.page.curves import MAX_ROWS, gap_rows, rows_to_draw, median_period_ns, first_pending_row
 from ship_watch.history import Point, newer
 
 MS = 1e-6
@@ -16,7 +16,7 @@ BAND = ("low", "high", "edge_low", "edge_high")
 """Columns of a band: two for its area, two for the lines at its edges."""
 
 
-class Trail:
+class StreamedLine:
     """Data of a line in the browsers: new points are streamed, points older than ten minutes roll over.
 
     Args:
@@ -31,43 +31,43 @@ class Trail:
     def __init__(self, columns: Sequence[str], by: str, filled: Sequence[str] = ()) -> None:
         self.source = ColumnDataSource({name: np.empty(0) for name in ("t", *columns)})
         self._by, self._filled = by, frozenset(filled)
-        self._taken_ns: int | None = None
-        self._last_ns: int | None = None
+        self._streamed_ns: int | None = None
+        self._last_row_ns: int | None = None
         self._oldest_ns = 0
 
-    def follow(self, points: Sequence[Point], rows: Callable[[Sequence[Point]], Mapping[str, FloatArray]]) -> None:
+    def stream_new(self, points: Sequence[Point], rows: Callable[[Sequence[Point]], Mapping[str, FloatArray]]) -> None:
         """Stream the new points; all of them if the data have restarted.
 
         Args:
             points: points in the order of their times.
             rows: returns the columns of some points.
         """
-        has_restarted = not points or points[-1].utc_ns < (self._taken_ns or 0) or points[0].utc_ns < self._oldest_ns
-        if self._taken_ns is not None and has_restarted:
-            self._taken_ns = self._last_ns = None
+        has_restarted = not points or points[-1].utc_ns < (self._streamed_ns or 0) or points[0].utc_ns < self._oldest_ns
+        if self._streamed_ns is not None and has_restarted:
+            self._streamed_ns = self._last_row_ns = None
             self.source.data = {name: np.empty(0) for name in self.source.data}
         self._oldest_ns = points[0].utc_ns if points else 0
-        new = newer(points, self._taken_ns)
+        new = newer(points, self._streamed_ns)
         time_ns = np.array([point.utc_ns for point in new], np.int64)
         over = first_pending_row(time_ns)
         if not over:
             return
         columns: dict[str, FloatArray] = {"t": MS * time_ns.astype(float), **rows(new)}
-        kept = thinned(time_ns, columns[self._by])
-        broken = gap_rows(time_ns[kept], self._last_ns, usual_period_ns(points))
-        self._taken_ns = int(time_ns[over - 1])
-        before = np.concatenate(([MS * (self._last_ns or 0)], columns["t"][kept]))[broken]
+        kept = rows_to_draw(time_ns, columns[self._by])
+        broken = gap_rows(time_ns[kept], self._last_row_ns, median_period_ns(points))
+        self._streamed_ns = int(time_ns[over - 1])
+        last_times = np.concatenate(([MS * (self._last_row_ns or 0)], columns["t"][kept]))[broken]
         gaps = np.repeat(broken, 2)  # one row right after the gap starts, one right before it ends
-        shown = {}
+        streamed = {}
         for name, column in columns.items():
             known = np.nan_to_num(column[kept]) if name in self._filled else column[kept]
-            shown[name] = np.insert(known, gaps, 0.0 if name in self._filled else np.nan)
-        shown["t"][np.isnan(shown["t"])] = np.column_stack([before + 1.0, columns["t"][kept][broken] - 1.0]).ravel()
-        self._last_ns = int(time_ns[kept[-1]])
-        self.source.stream({name: column[-ROWS_KEPT:] for name, column in shown.items()}, rollover=ROWS_KEPT)
+            streamed[name] = np.insert(known, gaps, 0.0 if name in self._filled else np.nan)
+        streamed["t"][np.isnan(streamed["t"])] = np.column_stack([last_times + 1.0, columns["t"][kept][broken] - 1.0]).ravel()
+        self._last_row_ns = int(time_ns[kept[-1]])
+        self.source.stream({name: column[-MAX_ROWS:] for name, column in streamed.items()}, rollover=MAX_ROWS)
 
 
-def band(sigma: FloatArray) -> dict[str, FloatArray]:
+def three_sigma_band(sigma: FloatArray) -> dict[str, FloatArray]:
     """Return the columns of :data:`BAND` for ±3 sigma."""
     return {"low": -3.0 * sigma, "high": 3.0 * sigma, "edge_low": -3.0 * sigma, "edge_high": 3.0 * sigma}
 
@@ -85,21 +85,21 @@ class TimeAxis:
     def __init__(self, length_s: float) -> None:
         self._length_ms = 1e3 * length_s
         self.range = Range1d(0.0, self._length_ms)
-        self._live = self._latest = (self.range.start, self.range.end)
+        self._live_range = self._latest_range = (self.range.start, self.range.end)
 
     @property
     def is_paused(self) -> bool:
         """True if the user has zoomed, so that the plots do not follow the time."""
-        return (self.range.start, self.range.end) != self._live
+        return (self.range.start, self.range.end) != self._live_range
 
-    def follow(self, utc_ns: int) -> None:
+    def update(self, utc_ns: int) -> None:
         """Show the time up to ``utc_ns``, unless paused."""
         paused, end = self.is_paused, MS * utc_ns
-        self._latest = (end - self._length_ms, end)
+        self._latest_range = (end - self._length_ms, end)
         if not paused:
             self.go_live()
 
     def go_live(self) -> None:
         """End the zoom."""
-        self._live = self._latest
-        self.range.update(start=self._live[0], end=self._live[1])
+        self._live_range = self._latest_range
+        self.range.update(start=self._live_range[0], end=self._live_range[1])

@@ -18,16 +18,16 @@ from textual.widget import Widget
 from ship_bags.command_line import EXIT_INTERRUPTED
 from ship_monitor.page.themes import THEMES, Theme
 from ship_monitor.terminal.details import details, help_page
-from ship_monitor.terminal.pen import Line, Look
-from ship_monitor.terminal.screen import View, selectable_names, screen, shown_alert
+from ship_monitor.terminal.pen import Line, TextStyle
+from ship_monitor.terminal.screen import View, selectable_names, screen, alert_to_show
 from ship_watch.picture import SuiteState, SuiteStateSource
 
-TAKE_S = 0.25
-DRAW_S = 0.5
-NOTE_S = 5.0
+READ_PERIOD_S = 0.25
+DRAW_PERIOD_S = 0.5
+NOTE_TIME_S = 5.0
 
 
-class Suite(SuiteStateSource, Protocol):
+class TerminalSource(SuiteStateSource, Protocol):
     """Source of the terminal view: a suite on the network."""
 
     def tick(self) -> None:
@@ -45,9 +45,9 @@ class _Lines(Widget):
     def __init__(self) -> None:
         super().__init__()
         self._lines: tuple[Line, ...] = ()
-        self._styles: dict[Look, Style] = {}
+        self._styles: dict[TextStyle, Style] = {}
 
-    def show(self, lines: tuple[Line, ...], styles: dict[Look, Style]) -> None:
+    def show(self, lines: tuple[Line, ...], styles: dict[TextStyle, Style]) -> None:
         """Draw these lines."""
         if (lines, styles) != (self._lines, self._styles):
             self._lines, self._styles = lines, styles
@@ -56,7 +56,7 @@ class _Lines(Widget):
     def render_line(self, y: int) -> Strip:
         """Return one row for textual."""
         if y >= len(self._lines):
-            return Strip.blank(self.size.width, self._styles.get(Look.TEXT))
+            return Strip.blank(self.size.width, self._styles.get(TextStyle.TEXT))
         return Strip([Segment(text, self._styles[style]) for text, style in self._lines[y]])
 
 
@@ -85,7 +85,7 @@ class TerminalApp(App[int]):
     ]
 
     def __init__(
-        self, suite: Suite, theme_name: str = "day", *, is_ascii: bool = False, zone: ZoneInfo | None = None
+        self, suite: TerminalSource, theme_name: str = "day", *, is_ascii: bool = False, zone: ZoneInfo | None = None
     ) -> None:
         super().__init__()
         self._suite, self._theme_name, self._is_ascii, self._zone = suite, theme_name, is_ascii, zone
@@ -104,15 +104,15 @@ class TerminalApp(App[int]):
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGHUP):
             loop.add_signal_handler(number, self.exit, EXIT_INTERRUPTED)
-        self.set_interval(TAKE_S, self._take)
-        self.set_interval(DRAW_S, self.draw)
+        self.set_interval(READ_PERIOD_S, self._process_topics)
+        self.set_interval(DRAW_PERIOD_S, self.draw)
         self.draw()
 
     def on_resize(self) -> None:
         """Draw with the new size, which is known after this call."""
         self.call_after_refresh(self.draw)
 
-    def _take(self) -> None:
+    def _process_topics(self) -> None:
         """Process the received messages; an invalid one is skipped with a note."""
         try:
             self._suite.tick()
@@ -180,18 +180,18 @@ class TerminalApp(App[int]):
 
     def action_acknowledge(self) -> None:
         """Acknowledge the displayed instance of the alert in the alert line."""
-        alert = shown_alert(self._suite.current_state().alerts)
+        alert = alert_to_show(self._suite.current_state().alerts)
         if alert is None or alert.is_acknowledged:
             self._show_note("no alert to acknowledge")
             return
         self._show_note(f"acknowledging {alert.id} ...")
-        self.run_worker(self._ask(lambda: self._suite.acknowledge(alert.id, alert.instance)))
+        self.run_worker(self._acknowledge(lambda: self._suite.acknowledge(alert.id, alert.instance)))
 
-    async def _ask(self, question: Callable[[], str]) -> None:
+    async def _acknowledge(self, question: Callable[[], str]) -> None:
         self._show_note(await asyncio.to_thread(question))
 
     def _show_note(self, note: str) -> None:
-        self._note, self._note_until_s = note, _now_s() + NOTE_S
+        self._note, self._note_until_s = note, _now_s() + NOTE_TIME_S
         self.draw()
 
 
@@ -200,24 +200,24 @@ def _now_s() -> float:
     return time.clock_gettime_ns(time.CLOCK_BOOTTIME) * 1e-9
 
 
-def styles_of(theme: Theme) -> dict[Look, Style]:
+def styles_of(theme: Theme) -> dict[TextStyle, Style]:
     """Return the style of each kind of text in a theme. Reversed texts are also reversed without colours."""
 
     def style(colour: str, *, bold: bool = False, strike: bool = False, reverse: bool = False) -> Style:
         return Style(color=colour, bgcolor=theme.background, bold=bold, strike=strike, reverse=reverse)
 
     return {
-        Look.TEXT: style(theme.text),
-        Look.SECOND: style(theme.second_text),
-        Look.STRONG: style(theme.text, bold=True),
-        Look.SAFE: style(theme.safe),
+        TextStyle.TEXT: style(theme.text),
+        TextStyle.SECOND: style(theme.second_text),
+        TextStyle.STRONG: style(theme.text, bold=True),
+        TextStyle.SAFE: style(theme.safe),
         # Reversed: the colour becomes the fill.
-        Look.CAUTION: Style(color=theme.caution_fill, bgcolor=theme.caution_word, reverse=True),
-        Look.UNSAFE: Style(color=theme.unsafe_fill, bgcolor=theme.unsafe_word, reverse=True, bold=True),
-        Look.OLD: style(theme.old, strike=True),
-        Look.OUT: style(theme.caution_border, bold=True),
-        Look.ALARM: style(theme.alarm, bold=True),
-        Look.WARNING: style(theme.warning, bold=True),
-        Look.NOTICE: style(theme.caution, bold=True),
-        Look.MARKED: style(theme.text, reverse=True),
+        TextStyle.CAUTION: Style(color=theme.caution_fill, bgcolor=theme.caution_word, reverse=True),
+        TextStyle.UNSAFE: Style(color=theme.unsafe_fill, bgcolor=theme.unsafe_word, reverse=True, bold=True),
+        TextStyle.OLD: style(theme.old, strike=True),
+        TextStyle.OUT: style(theme.caution_border, bold=True),
+        TextStyle.ALARM: style(theme.alarm, bold=True),
+        TextStyle.WARNING: style(theme.warning, bold=True),
+        TextStyle.NOTICE: style(theme.caution, bold=True),
+        TextStyle.MARKED: style(theme.text, reverse=True),
     }

@@ -4,7 +4,7 @@ import math
 from textwrap import wrap
 
 from ship_geometry.rotations import ARCSEC
-from ship_monitor.terminal.pen import Ink, Line, Look, Pen
+from ship_monitor.terminal.pen import StyledText, Line, TextStyle, LineFormatter
 from ship_monitor.terminal.screen import (
     View,
     alert_pieces,
@@ -13,7 +13,7 @@ from ship_monitor.terminal.screen import (
     reasons_text,
     source_line,
     top_bar,
-    words_line,
+    safety_line,
 )
 from ship_watch import words
 from ship_watch.picture import AlertShown, AngleShown, SuiteState, SourceShown
@@ -42,34 +42,34 @@ _HELP = """\
 
 def help_page(suite_state: SuiteState, view: View) -> tuple[Line, ...]:
     """Return the help page with terms and keys."""
-    texts = [Ink(text, Look.TEXT) for text in _HELP.splitlines()]
-    return _page(suite_state, view, "help", [view.pen.styled_line(text) for text in texts])
+    texts = [StyledText(text, TextStyle.TEXT) for text in _HELP.splitlines()]
+    return _page(suite_state, view, "help", [view.formatter.styled_line(text) for text in texts])
 
 
 def details(suite_state: SuiteState, alerts: tuple[AlertShown, ...] | None, view: View) -> tuple[Line, ...]:
     """Return the details of the selected angle or source; without a selection those of alerts and inputs."""
     for angle in suite_state.angles:
         if angle.name == view.chosen:
-            return _page(suite_state, view, angle.name, _of_angle(angle, suite_state, view.pen))
+            return _page(suite_state, view, angle.name, _angle_rows(angle, suite_state, view.formatter))
     for source in suite_state.sources:
         if source.name == view.chosen:
-            return _page(suite_state, view, source.name, _of_source(source, suite_state, view.pen))
-    return _page(suite_state, view, "alerts", _of_alerts(alerts, suite_state, view.pen))
+            return _page(suite_state, view, source.name, _source_rows(source, suite_state, view.formatter))
+    return _page(suite_state, view, "alerts", _alert_rows(alerts, suite_state, view.formatter))
 
 
 def _page(suite_state: SuiteState, view: View, title: str, body: list[Line]) -> tuple[Line, ...]:
-    pen = view.pen
-    rows = [top_bar(suite_state, view), words_line(suite_state, pen), pen.rule(title), *body][: max(view.height - 1, 0)]
-    rows += [pen.styled_line()] * (view.height - 1 - len(rows))
-    keys = Ink(f" {view.note}", Look.STRONG) if view.note else Ink(_BACK, Look.SECOND)
-    return (*rows, pen.styled_line(keys))[-view.height :]
+    formatter = view.formatter
+    rows = [top_bar(suite_state, view), safety_line(suite_state, formatter), formatter.rule(title), *body][: max(view.height - 1, 0)]
+    rows += [formatter.styled_line()] * (view.height - 1 - len(rows))
+    keys = StyledText(f" {view.note}", TextStyle.STRONG) if view.note else StyledText(_BACK, TextStyle.SECOND)
+    return (*rows, formatter.styled_line(keys))[-view.height :]
 
 
-def _row(pen: Pen, name: str, text: str) -> Line:
-    return pen.styled_line(Ink(f" {pen.cell(name, 18)}", Look.SECOND), Ink(text, Look.TEXT))
+def _row(formatter: LineFormatter, name: str, text: str) -> Line:
+    return formatter.styled_line(StyledText(f" {formatter.fit(name, 18)}", TextStyle.SECOND), StyledText(text, TextStyle.TEXT))
 
 
-def _of_angle(angle: AngleShown, suite_state: SuiteState, pen: Pen) -> list[Line]:
+def _angle_rows(angle: AngleShown, suite_state: SuiteState, formatter: LineFormatter) -> list[Line]:
     known = math.isfinite(angle.value) and not (angle.is_old and angle.age_s > words.DASHES_AFTER_S)
     value = f"{math.degrees(angle.value):.6f}°" if known else words.NO_VALUE
     rows = {
@@ -84,11 +84,11 @@ def _of_angle(angle: AngleShown, suite_state: SuiteState, pen: Pen) -> list[Line
         "time of the value": words.date_and_clock(angle.stamp_ns),
         "age": words.age_text(angle.age_s),
     }
-    made = [_row(pen, name, text) for name, text in rows.items()]
-    return [*made, pen.rule("events"), *event_lines(suite_state, pen, 200, angle.name)]
+    made = [_row(formatter, name, text) for name, text in rows.items()]
+    return [*made, formatter.rule("events"), *event_lines(suite_state, formatter, 200, angle.name)]
 
 
-def _of_source(source: SourceShown, suite_state: SuiteState, pen: Pen) -> list[Line]:
+def _source_rows(source: SourceShown, suite_state: SuiteState, formatter: LineFormatter) -> list[Line]:
     consistency = source.nis_consistency
     residual = f"{source.residual:.1f} σ" if math.isfinite(source.residual) else words.NO_VALUE
     rows = {
@@ -103,20 +103,20 @@ def _of_source(source: SourceShown, suite_state: SuiteState, pen: Pen) -> list[L
     inputs = []
     for each in suite_state.inputs:
         if each.topic in source.topics:
-            inputs += [input_line(each, pen), _row(pen, "   rejected for", reasons_text(each) or words.NO_VALUE)]
-    made = [source_line(source, suite_state, pen, is_chosen=False), *(_row(pen, name, text) for name, text in rows.items())]
-    made += [pen.rule("inputs"), *inputs]
-    return [*made, pen.rule("events"), *event_lines(suite_state, pen, 200, source.name)]
+            inputs += [input_line(each, formatter), _row(formatter, "   rejected for", reasons_text(each) or words.NO_VALUE)]
+    made = [source_line(source, suite_state, formatter, is_chosen=False), *(_row(formatter, name, text) for name, text in rows.items())]
+    made += [formatter.rule("inputs"), *inputs]
+    return [*made, formatter.rule("events"), *event_lines(suite_state, formatter, 200, source.name)]
 
 
-def _of_alerts(alerts: tuple[AlertShown, ...] | None, suite_state: SuiteState, pen: Pen) -> list[Line]:
+def _alert_rows(alerts: tuple[AlertShown, ...] | None, suite_state: SuiteState, formatter: LineFormatter) -> list[Line]:
     none = "no alerts" if alerts is not None else "no alert node"
     made: list[Line] = []
     for alert in alerts or ():
-        made.append(pen.styled_line(*alert_pieces(alert, pen, pen.width - 24)))
+        made.append(formatter.styled_line(*alert_pieces(alert, formatter, formatter.width - 24)))
         advice = f"to do: {alert.advice}" if alert.advice else ""
-        for text, look in ((alert.text, Look.TEXT), (advice, Look.SECOND)):
-            parts = wrap(pen.clean(text), max(pen.width - 6, 1))
-            made += [pen.styled_line(Ink(f"     {part}", look)) for part in parts]
-    made = made or [pen.styled_line(Ink(f" {none}", Look.SECOND))]
-    return [*made, pen.rule("inputs"), *(input_line(each, pen) for each in suite_state.inputs)]
+        for text, style in ((alert.text, TextStyle.TEXT), (advice, TextStyle.SECOND)):
+            parts = wrap(formatter.clean(text), max(formatter.width - 6, 1))
+            made += [formatter.styled_line(StyledText(f"     {part}", style)) for part in parts]
+    made = made or [formatter.styled_line(StyledText(f" {none}", TextStyle.SECOND))]
+    return [*made, formatter.rule("inputs"), *(input_line(each, formatter) for each in suite_state.inputs)]

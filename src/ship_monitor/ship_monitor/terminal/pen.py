@@ -16,7 +16,7 @@ _IN_ASCII |= dict.fromkeys("−—─·", "-")
 _ZERO_WIDTH = ("Mn", "Me", "Cf")
 
 
-class Look(enum.Enum):
+class TextStyle(enum.Enum):
     """Kind of a piece of text; the theme gives its colour. The most important ones differ without colours too."""
 
     TEXT = enum.auto()
@@ -38,19 +38,19 @@ class Look(enum.Enum):
     """Reversed: selected, or paused."""
 
 
-class Ink(NamedTuple):
+class StyledText(NamedTuple):
     """A piece of a line with one style."""
 
     text: str
-    look: Look
+    style: TextStyle
 
 
-Line = tuple[Ink, ...]
+Line = tuple[StyledText, ...]
 """One row of the terminal; its pieces fill the width exactly."""
 
 
 @dataclass(frozen=True)
-class Pen:
+class LineFormatter:
     """Formatter of lines of one width.
 
     Attributes:
@@ -68,7 +68,7 @@ class Pen:
             return "".join(kept)
         return "".join(_IN_ASCII.get(char, char if char.isascii() else "?") for char in kept)
 
-    def cell(self, text: str, width: int, *, to_right: bool = False) -> str:
+    def fit(self, text: str, width: int, *, to_right: bool = False) -> str:
         """Return a text of ``width`` cells: cut with an ellipsis, or padded right (left with ``to_right``)."""
         text = self.clean(text)
         if cell_len(text) > width:
@@ -80,22 +80,22 @@ class Pen:
         """Return the number of cells of a text."""
         return cell_len(self.clean(text))
 
-    def styled_line(self, *pieces: Ink) -> Line:
+    def styled_line(self, *pieces: StyledText) -> Line:
         """Return a row of pieces, cut or padded to the width."""
         room, made = self.width, []
         for piece in pieces:
             text = self.clean(piece.text)
             if cell_len(text) > room:
-                text = self.cell(text, room)
+                text = self.fit(text, room)
             room -= cell_len(text)
             if text:
-                made.append(Ink(text, piece.look))
-        return (*made, Ink(" " * room, Look.TEXT)) if room else tuple(made)
+                made.append(StyledText(text, piece.style))
+        return (*made, StyledText(" " * room, TextStyle.TEXT)) if room else tuple(made)
 
     def rule(self, *titles: str) -> Line:
         """Return a horizontal line with titles: ── sources ── 7 of 8 in ─────."""
         text = "".join(f"── {title} " for title in titles)
-        return self.styled_line(Ink(text + "─" * max(self.width - self.cell_count(text), 0), Look.SECOND))
+        return self.styled_line(StyledText(text + "─" * max(self.width - self.cell_count(text), 0), TextStyle.SECOND))
 
 
 def plain_text(line: Line) -> str:

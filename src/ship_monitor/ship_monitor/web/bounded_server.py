@@ -13,19 +13,19 @@ from tornado.netutil import bind_sockets
 
 from ship_bags.errors import BadInput
 
-MOST_CONNECTIONS = 256
+MAX_CONNECTIONS = 256
 """Maximum number of open connections, without websockets. Further ones are closed."""
 
 REQUEST_TIMEOUT_S = 10.0
 """Timeout for sending a request, s."""
 
-MOST_BODY_BYTES = 65_536
+MAX_BODY_BYTES = 65_536
 """Maximum size of a request body, bytes."""
 
-MOST_MESSAGE_BYTES = 1_000_000
+MAX_MESSAGE_BYTES = 1_000_000
 """Maximum size of a websocket message, bytes."""
 
-_LINE_PERIOD_S = 10.0
+_LOG_PERIOD_S = 10.0
 
 
 class BoundedServer(HTTPServer):
@@ -37,15 +37,15 @@ class BoundedServer(HTTPServer):
             application,
             idle_connection_timeout=REQUEST_TIMEOUT_S,
             body_timeout=REQUEST_TIMEOUT_S,
-            max_body_size=MOST_BODY_BYTES,
-            max_buffer_size=2 * MOST_MESSAGE_BYTES,
+            max_body_size=MAX_BODY_BYTES,
+            max_buffer_size=2 * MAX_MESSAGE_BYTES,
         )
         self._count = 0
-        log_sparsely()
+        limit_log_rate()
 
     def handle_stream(self, stream: IOStream, address: tuple[Any, ...]) -> None:
         """Serve a connection, or close it if there are too many."""
-        if self._count >= MOST_CONNECTIONS:
+        if self._count >= MAX_CONNECTIONS:
             text = "%s: connection closed: %d are open, the maximum"
             logging.getLogger("tornado.general").warning(text, address[0], self._count)
             stream.close()
@@ -83,7 +83,7 @@ def address_in_url(host: str) -> str:
     return f"[{host}]" if ":" in host else host
 
 
-class _Sparse(logging.Filter):
+class _RateLimitFilter(logging.Filter):
     """Log filter that passes one line of each kind in ten seconds, so that repeated requests do not fill the log."""
 
     def __init__(self) -> None:
@@ -96,20 +96,20 @@ class _Sparse(logging.Filter):
         # The kind includes the status of an answer; all other arguments come from the client.
         kind = (record.msg if arguments else record.name, *(each for each in arguments[:1] if isinstance(each, int)))
         now_s = time.monotonic()
-        if now_s - self._last_s.get(kind, -_LINE_PERIOD_S) < _LINE_PERIOD_S:
+        if now_s - self._last_s.get(kind, -_LOG_PERIOD_S) < _LOG_PERIOD_S:
             return False
         self._last_s[kind] = now_s
         return True
 
 
-def log_sparsely() -> None:
+def limit_log_rate() -> None:
     """Make tornado log refused and malformed requests, one line of each kind in ten seconds."""
     for name, level in (("tornado.access", logging.WARNING), ("tornado.general", logging.INFO)):
         logger = logging.getLogger(name)
-        if not any(isinstance(each, _Sparse) for each in logger.filters):
+        if not any(isinstance(each, _RateLimitFilter) for each in logger.filters):
             handler = logging.StreamHandler(sys.stderr)
             handler.setFormatter(logging.Formatter("monitor: %(message)s"))
             logger.addHandler(handler)
-            logger.addFilter(_Sparse())
+            logger.addFilter(_RateLimitFilter())
             logger.propagate = False
             logger.setLevel(level)

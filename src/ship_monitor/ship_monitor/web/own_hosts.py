@@ -22,15 +22,15 @@ class OwnHosts:
     """
 
     def __init__(self, address: str, allowed: Sequence[str] = ()) -> None:
-        own = set() if address in LOOPBACK else {_plain(socket.gethostname()), f"{_plain(socket.gethostname())}.local"}
-        self._names = LOOPBACK | own | {_plain(name) for name in allowed}
+        own = set() if address in LOOPBACK else {_normalised_host(socket.gethostname()), f"{_normalised_host(socket.gethostname())}.local"}
+        self._names = LOOPBACK | own | {_normalised_host(name) for name in allowed}
 
-    def is_asked(self, request: HTTPServerRequest) -> bool:
+    def is_own_host(self, request: HTTPServerRequest) -> bool:
         """True if the Host of a request is in the list, or is the address at which the request arrived."""
         name = host_of(f"//{request.host}")
         return name in self._names or name == _local_address(request)
 
-    def is_origin(self, origin: str, request: HTTPServerRequest) -> bool:
+    def is_own_origin(self, origin: str, request: HTTPServerRequest) -> bool:
         """True if the host of an Origin is in the list, on any port, or is the address at which the request arrived."""
         name = host_of(origin)
         return name in self._names or name == _local_address(request)
@@ -42,10 +42,10 @@ def host_of(address: str) -> str | None:
         name = urlsplit(address).hostname
     except ValueError:
         return None
-    return None if name is None else _plain(name)
+    return None if name is None else _normalised_host(name)
 
 
-def _plain(name: str) -> str:
+def _normalised_host(name: str) -> str:
     return name.strip("[]").rstrip(".").lower()
 
 
