@@ -12,26 +12,26 @@ class LineSplitter:
 
     def __init__(self) -> None:
         self._rest = b""
-        self._skips = False
+        self._is_skipping = False
 
-    def take(self, data: bytes) -> list[bytes]:
+    def split(self, data: bytes) -> list[bytes]:
         """Return the lines that end in the next bytes; a cut line has one byte more than :data:`LONGEST_LINE`."""
         *ended, rest = _END.split(self._rest + data)
         found: list[bytes] = []
         for line in ended:
-            found += _before_and_sentence(line, self._skips)
-            self._skips = False
-        too_long, self._rest = _before_and_sentence(rest, self._skips)
-        self._skips = bool(self._skips or too_long) and not self._rest
+            found += _split_long_line(line, self._is_skipping)
+            self._is_skipping = False
+        too_long, self._rest = _split_long_line(rest, self._is_skipping)
+        self._is_skipping = bool(self._is_skipping or too_long) and not self._rest
         return [line for line in [*found, too_long] if line]
 
-    def end(self) -> list[bytes]:
+    def flush(self) -> list[bytes]:
         """Return what is left at the end of a datagram or a connection."""
-        rest, self._rest, self._skips = self._rest, b"", False
+        rest, self._rest, self._is_skipping = self._rest, b"", False
         return [rest] if rest else []
 
 
-def _before_and_sentence(line: bytes, is_skipped: bool) -> tuple[bytes, bytes]:
+def _split_long_line(line: bytes, is_skipping: bool) -> tuple[bytes, bytes]:
     """Split a line that is too long into its first part, cut, and the sentence at its end.
 
     A sentence may follow binary data without a line end.
@@ -40,9 +40,9 @@ def _before_and_sentence(line: bytes, is_skipped: bool) -> tuple[bytes, bytes]:
         line: the line, or its beginning.
         is_skipped: True if the first part of the line was already cut.
     """
-    if len(line) <= LONGEST_LINE and not is_skipped:
+    if len(line) <= LONGEST_LINE and not is_skipping:
         return b"", line
     start = line.rfind(b"$")
     if start < 0 or len(line) - start > LONGEST_LINE:
         start = len(line)
-    return b"" if is_skipped else line[:start][: LONGEST_LINE + 1], line[start:]
+    return b"" if is_skipping else line[:start][: LONGEST_LINE + 1], line[start:]

@@ -36,14 +36,14 @@ from ship_node.parameters.parameter_file import misfit_warnings, placed
 SPIN_TIMEOUT_S = 0.1
 REPORT_PERIOD_S = 1.0
 
-_EXIT_CODES = "0 ended by SIGINT or SIGTERM, 2 bad parameters or arguments (reported in one line)"
+_EXIT_CODE_TEXT = "0 ended by SIGINT or SIGTERM, 2 bad parameters or arguments (reported in one line)"
 
 
 def run_nmea_node(
     name: str,
     description: str,
     config_type: type,
-    begin: "Callable[[NmeaNode], Work]",
+    make_work: "Callable[[NmeaNode], Work]",
     arguments: Sequence[str] | None,
 ) -> int:
     """Run a node of this package until SIGINT or SIGTERM.
@@ -64,12 +64,12 @@ def run_nmea_node(
         usage=f"{name} [--help] [--ros-args [--params-file FILE] [-p NAME:=VALUE] ...]",
         example=f"./ros2run ship_nmea {name} --ros-args --params-file suite.yaml -r __ns:=/aurora",
         description=description,
-        epilog=f"parameters (read at the start):\n{rows}\n\nexit code: {_EXIT_CODES}",
+        epilog=f"parameters (read at the start):\n{rows}\n\nexit code: {_EXIT_CODE_TEXT}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     own, ros = split_ros_arguments(sys.argv[1:] if arguments is None else arguments)
     parser.parse_args(own)
-    return run_node(name, partial(NmeaNode, name, config_type, begin), ros)
+    return run_node(name, partial(NmeaNode, name, config_type, make_work), ros)
 
 
 class Work(Protocol):
@@ -110,7 +110,7 @@ class NmeaNode:
         self,
         name: str,
         config_type: type,
-        begin: "Callable[[NmeaNode], Work]",
+        make_work: "Callable[[NmeaNode], Work]",
         context: Context,
         parameter_files: tuple[Path, ...] = (),
     ) -> None:
@@ -132,14 +132,14 @@ class NmeaNode:
             self._parameters = NodeParameters(self.node, config_type, has_black_box=False)
             self.config: Any = self._parameters.config
             self._diagnostics = self.publisher(OutputTopic(DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE))
-            self._work = begin(self)
+            self._work = make_work(self)
         except InputError as error:
             self.node.destroy_node()
             raise placed(error, parameter_files, self._full_name) from error
-        self.every(REPORT_PERIOD_S, "report", self._report)
+        self.add_timer(REPORT_PERIOD_S, "report", self._report)
         self._events.start(self.node)
 
-    def require_one_open(self, refusals: Sequence[InputError], count: int) -> None:
+    def require_one_open(self, errors: Sequence[InputError], count: int) -> None:
         """Log the places that cannot be opened, and raise if none is open.
 
         Args:
@@ -149,13 +149,13 @@ class NmeaNode:
         Raises:
             InputError: the first error, if no place is open.
         """
-        if len(refusals) == count:
-            raise refusals[0]
-        for error in refusals:
+        if len(errors) == count:
+            raise errors[0]
+        for error in errors:
             text = placed(error, self._parameter_files, self._full_name)
             self.node.get_logger().error(f"{text}; the others continue, and opening it is retried")
 
-    def subscribe(self, topic: InputTopic, take: Callable[[Any], None], latched: bool = False) -> None:
+    def subscribe(self, topic: InputTopic, callback: Callable[[Any], None], latched: bool = False) -> None:
         """Call ``take`` with each message of a topic.
 
         Args:
@@ -173,7 +173,7 @@ class NmeaNode:
             self.node.create_subscription(
                 message_class(topic.type_name),
                 name,
-                partial(self._call, topic.topic, take),
+                partial(self._call, topic.topic, callback),
                 qos,
                 qos_overriding_options=overridable(),
             )
@@ -184,10 +184,10 @@ class NmeaNode:
         with overrides_checked(self.node, topic.topic):
             return self.node.create_publisher(kind, topic.topic, qos, qos_overriding_options=overridable())
 
-    def every(self, period_s: float, what: str, function: Callable[[], None]) -> None:
+    def add_timer(self, period_s: float, name: str, function: Callable[[], None]) -> None:
         """Call a function periodically, by a steady clock; ``what`` names it in reports of its exceptions."""
         self.node.create_timer(
-            period_s, partial(self._call, what, function), clock=Clock(clock_type=ClockType.STEADY_TIME)
+            period_s, partial(self._call, name, function), clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
 
     def spin(self, stop: Callable[[], bool]) -> None:
@@ -201,9 +201,9 @@ class NmeaNode:
         self._events.close()
         self.node.destroy_node()
 
-    def _call(self, what: str, function: Callable[..., None], *arguments: Any) -> None:
+    def _call(self, name: str, function: Callable[..., None], *arguments: Any) -> None:
         self._events.came()
-        self.guard.call(what, function, *arguments)
+        self.guard.call(name, function, *arguments)
 
     def _report(self) -> None:
         statuses = [self.clock.status(), name_status(self.node), self._events.status(), *self._work.statuses()]

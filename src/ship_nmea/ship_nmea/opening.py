@@ -15,27 +15,27 @@ import serial
 
 from ship_bags.errors import BadInput, one_line
 
-_HOPELESS = (
+_PERMANENT_ERRORS = (
     errno.EADDRINUSE, errno.EADDRNOTAVAIL, errno.EACCES, errno.EPERM, errno.EISDIR, errno.EROFS, errno.ENOTDIR,
     errno.EINVAL, errno.ENOTTY, errno.EAGAIN,
 )  # fmt: skip
 """Errors that do not disappear by waiting."""
 
-_TO_DO = {
+_ADVICE = {
     errno.EADDRINUSE: "another program uses it: end that program, or use another port",
     errno.EAGAIN: "another program uses it: end that program",
     errno.EADDRNOTAVAIL: "this machine has no such address",
     errno.ENOTTY: "not a serial device: expected for example /dev/ttyUSB0",
     errno.EACCES: "not permitted: ports below 1024 are privileged, use a higher one",
 }
-_TO_DO_OF_KIND = {
+_ADVICE_BY_KIND = {
     ("serial", errno.EACCES): "not permitted: add this user to the group of the device, often 'dialout'",
     ("file", errno.EACCES): "not permitted: use a folder in which this user may write",
     ("serial", errno.EINVAL): "expected a rate that the device supports, for example 4800 or 38400",
 }
 
 
-def opened_serial(device: str, baud: int, wait_s: float) -> serial.Serial:
+def open_serial(device: str, baud: int, wait_s: float) -> serial.Serial:
     """Open a serial device for exclusive use: 8 data bits, no parity, one stop bit, as in NMEA 0183.
 
     Args:
@@ -65,7 +65,7 @@ def error_text(problem: Exception) -> str:
     return one_line(getattr(problem, "strerror", None) or str(problem) or type(problem).__name__)
 
 
-def permanent_error(problem: Exception, prefix: str, config: Any, named_by: Mapping[str, tuple[str, str]]) -> BadInput | None:
+def permanent_error(problem: Exception, prefix: str, config: Any, parameter_names: Mapping[str, tuple[str, str]]) -> BadInput | None:
     """Return the error of a first opening if waiting cannot clear it, otherwise None.
 
     Args:
@@ -76,12 +76,12 @@ def permanent_error(problem: Exception, prefix: str, config: Any, named_by: Mapp
     """
     number = (isinstance(problem, OSError) and problem.errno) or 0
     is_unresolved = isinstance(problem, socket.gaierror)
-    if not is_unresolved and number not in _HOPELESS:
+    if not is_unresolved and number not in _PERMANENT_ERRORS:
         return None
-    is_there = is_unresolved or number in (errno.EADDRNOTAVAIL, errno.EINVAL)
-    parameter = named_by[config.kind][is_there]
+    is_address_or_rate = is_unresolved or number in (errno.EADDRNOTAVAIL, errno.EINVAL)
+    parameter = parameter_names[config.kind][is_address_or_rate]
     value = getattr(config, parameter)
-    to_do = _TO_DO_OF_KIND.get((config.kind, number)) or _TO_DO.get(number)
+    to_do = _ADVICE_BY_KIND.get((config.kind, number)) or _ADVICE.get(number)
     advice = f": {to_do}" if to_do else ""
     name = f"{prefix}.{parameter}"
     return BadInput(f"parameter '{name}' = {value!r}: {error_text(problem)}{advice}", parameters=(name,), value=value)

@@ -9,15 +9,15 @@ import pytest
 
 from ship_bags.stamps import stamp_fields
 from ship_msgs.msg import Alert
-from ship_nmea.out.alert_ledger import AlertLedger
+from ship_nmea.out.alert_ledger import SentAlerts
 from ship_nmea.sentences.alerts import (
     FIRST_IDENTIFIER,
     LAST_IDENTIFIER,
-    MOST_ALERTS,
+    MAX_ALERTS,
     AlertCommand,
     SentenceAlert,
     alc,
-    alert_command,
+    parse_command,
     alf,
     arc,
     hbt,
@@ -31,7 +31,7 @@ def time_ns(hour, minute, second):
     return DAY_NS + round(((hour * 60 + minute) * 60 + second) * 1e9)
 
 
-def rendered(sentences):
+def render_all(sentences):
     return [sentence.render() for sentence in sentences]
 
 
@@ -48,14 +48,14 @@ def test_alf_in_two_sentences_equals_decoder_example():
     sentences = alf(lost, "II", "XYZ", 1)
     for sentence in sentences:
         sentence.alert = "0512"
-    assert rendered(sentences) == [
+    assert render_all(sentences) == [
         "$IIALF,2,1,1,081950.10,B,A,S,XYZ,0512,1,2,0,HEADING LOST*2D",
         "$IIALF,2,2,1,,,,,XYZ,0512,1,2,0,NO SYSTEM HEADING AVAILABLE*0D",
     ]
 
 
 def test_empty_alc_equals_recorded_line():
-    assert rendered(alc([], "VD", "FEC", 65)) == ["$VDALC,01,01,65,0*6F"]
+    assert render_all(alc([], "VD", "FEC", 65)) == ["$VDALC,01,01,65,0*6F"]
 
 
 def test_long_list_is_split_between_alerts():
@@ -100,7 +100,7 @@ def test_long_text_is_cut_after_a_word(text, most, field):
 def test_description_begins_with_the_lost_quantity():
     message = alert("star.fore.out")
     message.text = "Tilt lost, heading over its limit: ins refused in a row"
-    (taken,) = AlertLedger().take([message], 0)
+    (taken,) = SentAlerts().update([message], 0)
     assert alf(taken, "IN", "ZZZ", 1)[1].text == "Tilt lost^2C heading over its limit: ins.."
 
 
@@ -111,13 +111,13 @@ def test_fields_of_arc_and_hbt():
     assert hbt(False, "IN", 0.5, 3).render().rpartition("*")[0] == "$INHBT,0.5,V,3"
 
 
-def summed(body):
+def with_checksum(body):
     return f"${body}*{pynmea2.NMEASentence.checksum(body):02X}"
 
 
 def test_commands_for_other_sources_are_ignored():
-    assert alert_command(summed("IIACN,123519.00,ZZZ,10001,2,A,C"), "ZZZ") == AlertCommand(10_001, 2, "A")
-    assert alert_command(summed("IIACN,,ZZZ,10001,,Q,C"), "ZZZ") == AlertCommand(10_001, None, "Q")
+    assert parse_command(with_checksum("IIACN,123519.00,ZZZ,10001,2,A,C"), "ZZZ") == AlertCommand(10_001, 2, "A")
+    assert parse_command(with_checksum("IIACN,,ZZZ,10001,,Q,C"), "ZZZ") == AlertCommand(10_001, None, "Q")
     for other in (
         "IIACN,,FEC,10001,2,A,C",  # another source's
         "IIACN,,ZZZ,10001,2,A,",  # no command flag
@@ -125,21 +125,21 @@ def test_commands_for_other_sources_are_ignored():
         "GPZDA,123519.00,01,08,2014,,",
         "IIXYZ,1",  # unknown to the parser
     ):
-        assert alert_command(summed(other), "ZZZ") is None
+        assert parse_command(with_checksum(other), "ZZZ") is None
 
 
 @pytest.mark.parametrize("text", [
     "$IIACN,,ZZZ,10001,2,A,C*00",  # wrong sum
     "$IIACN,,ZZZ,10001,2,A,C",  # no sum
-    summed("IIACN,,ZZZ,,2,A,C"),
-    summed("IIACN,,ZZZ,ten,2,A,C"),
-    summed("IIACN,,ZZZ,10001,x,A,C"),
-    summed("IIACN,,ZZZ,10001,2,,C"),
+    with_checksum("IIACN,,ZZZ,,2,A,C"),
+    with_checksum("IIACN,,ZZZ,ten,2,A,C"),
+    with_checksum("IIACN,,ZZZ,10001,x,A,C"),
+    with_checksum("IIACN,,ZZZ,10001,2,,C"),
     "", "$", "\x00\xff", "$IIACN", "A" * 5000,
 ])  # fmt: skip
 def test_unreadable_command_raises(text):
     with pytest.raises(ValueError, match=r"."):
-        alert_command(text, "ZZZ")
+        parse_command(text, "ZZZ")
 
 
 def alert(id_="star.fore.out", instance=1, priority=Alert.WARNING, state=Alert.ACTIVE_UNACKNOWLEDGED, changed_s=5):
@@ -149,36 +149,36 @@ def alert(id_="star.fore.out", instance=1, priority=Alert.WARNING, state=Alert.A
 
 
 def test_every_change_is_sent_once_with_the_next_revision():
-    ledger = AlertLedger()
-    (first,) = ledger.take([alert()], 0)
+    ledger = SentAlerts()
+    (first,) = ledger.update([alert()], 0)
     assert (first.revision, first.state, first.priority, first.title) == (1, "V", "W", "STAR FORE OUT")
     assert FIRST_IDENTIFIER <= first.identifier <= LAST_IDENTIFIER
-    assert ledger.take([alert()], 0) == []
-    (seen,) = ledger.take([alert(state=Alert.ACTIVE_ACKNOWLEDGED, changed_s=6)], 0)
+    assert ledger.update([alert()], 0) == []
+    (seen,) = ledger.update([alert(state=Alert.ACTIVE_ACKNOWLEDGED, changed_s=6)], 0)
     assert (seen.identifier, seen.revision, seen.state) == (first.identifier, 2, "A")
-    (over,) = ledger.take([], 9)
+    (over,) = ledger.update([], 9)
     assert (over.identifier, over.revision, over.state, over.changed_ns) == (first.identifier, 3, "N", 9)
     assert ledger.all == []
 
 
 def test_escalation_is_a_new_instance_after_the_old_one_is_normal():
     """As ship_watch escalates: an unacknowledged warning ends, and an alarm with the next instance begins."""
-    ledger = AlertLedger()
-    (warning,) = ledger.take([alert()], 0)
-    ended, alarm = ledger.take([alert(instance=2, priority=Alert.ALARM)], 9)
+    ledger = SentAlerts()
+    (warning,) = ledger.update([alert()], 0)
+    ended, alarm = ledger.update([alert(instance=2, priority=Alert.ALARM)], 9)
     assert (ended.instance, ended.priority, ended.state, ended.revision, ended.changed_ns) == (1, "W", "N", 2, 9)
     assert (alarm.instance, alarm.priority, alarm.state, alarm.escalation) == (2, "A", "V", 1)
     assert warning.identifier == ended.identifier == alarm.identifier
-    (acknowledged,) = ledger.take([alert(instance=2, priority=Alert.ALARM, state=Alert.ACTIVE_ACKNOWLEDGED)], 0)
+    (acknowledged,) = ledger.update([alert(instance=2, priority=Alert.ALARM, state=Alert.ACTIVE_ACKNOWLEDGED)], 0)
     assert acknowledged.escalation == 1
     assert [told.instance for told in ledger.all] == [2]
 
 
 def test_recurring_alert_starts_without_escalation():
-    ledger = AlertLedger()
-    ledger.take([alert()], 0)
-    ledger.take([alert(instance=2, priority=Alert.ALARM)], 0)
-    ended, again = ledger.take([alert(instance=3, priority=Alert.ALARM)], 0)
+    ledger = SentAlerts()
+    ledger.update([alert()], 0)
+    ledger.update([alert(instance=2, priority=Alert.ALARM)], 0)
+    ended, again = ledger.update([alert(instance=3, priority=Alert.ALARM)], 0)
     assert [(one.instance, one.state, one.escalation) for one in (ended, again)] == [(2, "N", 1), (3, "V", 0)]
 
 
@@ -204,7 +204,7 @@ def ids_of_the_suite():
 def test_titles_are_unique_and_keep_their_subject():
     ids = ids_of_the_suite()
     assert len(ids) > 100
-    told = {id_: AlertLedger().take([alert(id_)], 0)[0].title for id_ in ids}
+    told = {id_: SentAlerts().update([alert(id_)], 0)[0].title for id_ in ids}
     assert max(map(len, told.values())) <= 16
     assert len(set(told.values())) == len(set(ids))
     assert told["attitude.degraded"] == "ATTITUD DEGRADED"
@@ -216,7 +216,7 @@ def test_titles_are_unique_and_keep_their_subject():
 
 @pytest.mark.parametrize("id_", ["", "a.b.c.d.e.f.g.h.i.j.k.l", "1234567890123456789.out", "x" * 200])
 def test_title_of_any_id_fits(id_):
-    (told,) = AlertLedger().take([alert(id_)], 0)
+    (told,) = SentAlerts().update([alert(id_)], 0)
     for sentence in alf(told, "IN", "ZZZ", 1):
         assert len(sentence.text) <= 16 or sentence.number == 2
         assert len(sentence.render()) + 2 <= LONGEST_BYTES
@@ -224,31 +224,31 @@ def test_title_of_any_id_fits(id_):
 
 def test_alert_numbers_are_unique(monkeypatch):
     monkeypatch.setattr("ship_nmea.out.alert_ledger.zlib", SimpleNamespace(crc32=lambda _: 9_989_999))
-    ledger = AlertLedger()
-    one, two = ledger.take([alert("a"), alert("b")], 0)
+    ledger = SentAlerts()
+    one, two = ledger.update([alert("a"), alert("b")], 0)
     assert (one.identifier, two.identifier) == (LAST_IDENTIFIER, FIRST_IDENTIFIER)
-    assert ledger.meant(AlertCommand(two.identifier, None, "A")) == ("b", 1)
+    assert ledger.alert_key(AlertCommand(two.identifier, None, "A")) == ("b", 1)
 
 
 def test_command_without_instance_refers_to_the_present_one():
-    ledger = AlertLedger()
-    (told,) = ledger.take([alert(instance=7)], 0)
-    assert ledger.meant(AlertCommand(told.identifier, None, "A")) == ("star.fore.out", 7)
-    assert ledger.meant(AlertCommand(told.identifier, 6, "A")) == ("star.fore.out", 6)
-    assert ledger.meant(AlertCommand(told.identifier + 1, None, "A")) is None
+    ledger = SentAlerts()
+    (told,) = ledger.update([alert(instance=7)], 0)
+    assert ledger.alert_key(AlertCommand(told.identifier, None, "A")) == ("star.fore.out", 7)
+    assert ledger.alert_key(AlertCommand(told.identifier, 6, "A")) == ("star.fore.out", 6)
+    assert ledger.alert_key(AlertCommand(told.identifier + 1, None, "A")) is None
 
 
 def test_unreadable_list_changes_nothing():
-    ledger = AlertLedger()
-    ledger.take([alert("a"), alert("b")], 0)
+    ledger = SentAlerts()
+    ledger.update([alert("a"), alert("b")], 0)
     with pytest.raises(IndexError):
-        ledger.take([alert("a"), alert("b", priority=9)], 0)
+        ledger.update([alert("a"), alert("b", priority=9)], 0)
     assert len(ledger.all) == 2
-    assert ledger.take([alert("a"), alert("b")], 0) == []
+    assert ledger.update([alert("a"), alert("b")], 0) == []
 
 
 def test_alerts_beyond_the_maximum_are_counted():
-    ledger = AlertLedger()
-    told = ledger.take([alert(f"a{n}") for n in range(MOST_ALERTS + 3)], 0)
-    assert len(told) == MOST_ALERTS
-    assert ledger.left_out == 3
+    ledger = SentAlerts()
+    told = ledger.update([alert(f"a{n}") for n in range(MAX_ALERTS + 3)], 0)
+    assert len(told) == MAX_ALERTS
+    assert ledger.omitted_count == 3

@@ -16,8 +16,8 @@ from ship_geometry.rotations import ARCSEC
 from ship_nmea.sentences.attitude import (
     ATTITUDE_SENTENCES,
     SentenceAttitude,
-    Worth,
-    as_played,
+    AttitudeQuality,
+    simulated_attitude,
     hdt,
     heading_rate,
     pashr,
@@ -32,7 +32,7 @@ MIDNIGHT_NS = 1_406_851_200 * 10**9
 """2014-08-01T00:00:00Z."""
 
 
-def attitude(heading_deg, pitch_deg, roll_deg, worth=Worth.NORMAL, sigmas_deg=(0.01, 0.01, 0.01), time_ns=MIDNIGHT_NS):
+def attitude(heading_deg, pitch_deg, roll_deg, worth=AttitudeQuality.NORMAL, sigmas_deg=(0.01, 0.01, 0.01), time_ns=MIDNIGHT_NS):
     angles = tuple(math.radians(angle) for angle in (heading_deg, pitch_deg, roll_deg))
     return SentenceAttitude(time_ns, worth, angles, tuple(math.radians(sigma) for sigma in sigmas_deg), 0.0)
 
@@ -53,7 +53,7 @@ def test_psxn20_equals_a_seapath_320():
 
 
 def test_ths_of_an_estimated_heading_equals_the_navdp_manual():
-    assert ths(attitude(316.70, 0.0, 0.0, Worth.ESTIMATED), "HE", 2).render() == "$HETHS,316.70,E*1A"
+    assert ths(attitude(316.70, 0.0, 0.0, AttitudeQuality.ESTIMATED), "HE", 2).render() == "$HETHS,316.70,E*1A"
 
 
 def test_pashr_equals_the_novatel_manual():
@@ -65,7 +65,7 @@ def test_pashr_equals_the_novatel_manual():
 
 
 def test_rot_is_in_degrees_per_minute_and_negative_to_port():
-    shown = SentenceAttitude(MIDNIGHT_NS, Worth.NORMAL, (1.0, 0.0, 0.0), heading_rate=math.radians(-35.6 / 60.0))
+    shown = SentenceAttitude(MIDNIGHT_NS, AttitudeQuality.NORMAL, (1.0, 0.0, 0.0), heading_rate=math.radians(-35.6 / 60.0))
     assert rot(shown, "GP", 1).render().startswith("$GPROT,-35.6,A*")
 
 
@@ -84,7 +84,7 @@ def test_void_attitude_has_void_fields_and_status(name):
 
 @pytest.mark.parametrize("name", ATTITUDE_SENTENCES)
 def test_only_ths_is_valid_for_a_played_attitude(name):
-    shown = as_played(name, attitude(10.0, 1.0, 2.0, Worth.SIMULATED))
+    shown = simulated_attitude(name, attitude(10.0, 1.0, 2.0, AttitudeQuality.SIMULATED))
     assert ATTITUDE_SENTENCES[name](shown, "IN", 1).render().rpartition("*")[0] == {
         "HDT": "$INHDT,,T",
         "THS": "$INTHS,10.0,S",
@@ -96,7 +96,7 @@ def test_only_ths_is_valid_for_a_played_attitude(name):
 
 
 @pytest.mark.parametrize(("worth", "mode", "quality"), [
-    (Worth.NORMAL, "A", 0), (Worth.ESTIMATED, "E", 1), (Worth.SIMULATED, "S", 1),
+    (AttitudeQuality.NORMAL, "A", 0), (AttitudeQuality.ESTIMATED, "E", 1), (AttitudeQuality.SIMULATED, "S", 1),
 ])  # fmt: skip
 def test_status_follows_from_quality(worth, mode, quality):
     shown = attitude(10.0, 1.0, 2.0, worth)

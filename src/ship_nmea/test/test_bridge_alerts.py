@@ -28,11 +28,11 @@ class AlertManagement:
     """The state of the alerts on a bridge, from the sentences alone."""
 
     def __init__(self):
-        self.alerts, self.refused, self.beats = {}, [], []
+        self.alerts, self.refusals, self.beats = {}, [], []
         self.listed = None
         self._list = {}
 
-    def take(self, sentence):
+    def process(self, sentence):
         kind = type(sentence).__name__
         if kind == "ALF":
             key = sentence.manufacturer, sentence.alert, sentence.instance
@@ -51,7 +51,7 @@ class AlertManagement:
             if sentence.number == sentence.total:
                 self.listed = self._list
         elif kind == "ARC":
-            self.refused.append((sentence.alert, sentence.instance, sentence.command))
+            self.refusals.append((sentence.alert, sentence.instance, sentence.command))
         elif kind == "HBT":
             assert not self.beats or sentence.sequence == (self._beat + 1) % 10
             self._beat = sentence.sequence
@@ -67,12 +67,12 @@ class Bridge:
     """An alert management at a TCP sink."""
 
     def __init__(self, port):
-        self.display, self.knows, self._taken = Display(port), AlertManagement(), 0
+        self.display, self.alert_management, self._taken = Display(port), AlertManagement(), 0
 
-    def look(self):
+    def read(self):
         self.display.read()
         for sentence in self.display.sentences[self._taken :]:
-            self.knows.take(sentence)
+            self.alert_management.process(sentence)
         self._taken = len(self.display.sentences)
 
     def command(self, identifier, instance, command):
@@ -120,7 +120,7 @@ def acknowledgement(identifier):
     return f"${body}*{pynmea2.NMEASentence.checksum(body):02X}\r\n".encode()
 
 
-def foreign(kind, port):
+def connect_as_other_host(kind, port):
     """Return a socket that a sink sees as another host."""
     found = socket.socket(socket.AF_INET, kind)
     found.bind(("127.0.0.2", 0))
@@ -151,7 +151,7 @@ def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge
     processes("nmea_out", "-m", "ship_nmea.commands.nmea_out", "--ros-args", "--params-file", str(suite),
               "-r", "__ns:=/demo")  # fmt: skip
 
-    def seen(found, tell=lambda: None):
+    def wait_for(found, tell=lambda: None):
         def look():
             bridge.look()
             return found(bridge.knows)
@@ -163,18 +163,18 @@ def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge
         wing.setblocking(False)
         until(ship, bridge.display.connect)
         # No alert node yet: an empty list would report that there is no alert.
-        seen(lambda knows: "V" in knows.beats)
+        wait_for(lambda knows: "V" in knows.beats)
         assert bridge.knows.listed is None
         alerts = processes(
             "alerts", "-c", "import sys; from ship_monitor.alerts.alert_node import main; sys.exit(main())",
             "--limits", str(limits), "--state", str(tmp_path / "alerts.json"), "--ros-args", "-r", "__ns:=/demo",
         )  # fmt: skip
-        seen(lambda knows: knows.beats[-1] == "A" and knows.listed is not None, ship.tell)
+        wait_for(lambda knows: knows.beats[-1] == "A" and knows.listed is not None, ship.tell)
         until(ship, lambda: set(ship.alerts or ()) == {"attitude.degraded"}, ship.tell)  # ship/attitude was received
-        seen(lambda knows: knows.state(SILENT) == "V")  # no ship/attitude any more
+        wait_for(lambda knows: knows.state(SILENT) == "V")  # no ship/attitude any more
         told = bridge.knows.alerts["ZZZ", SILENT, 1]
         assert (told.priority, told.text) == ("A", "ATTITUDE SILENT")
-        seen(lambda knows: ("ZZZ", SILENT, 1) in knows.listed)
+        wait_for(lambda knows: ("ZZZ", SILENT, 1) in knows.listed)
 
         # A client that receives no alerts cannot acknowledge any.
         until(ship, mute.connect)
@@ -185,33 +185,33 @@ def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge
         for number, (kind, port) in enumerate(
             ((socket.SOCK_STREAM, bridge.display.port), (socket.SOCK_DGRAM, listen_port)), start=1
         ):
-            with foreign(kind, port) as stranger:
+            with connect_as_other_host(kind, port) as stranger:
                 stranger.send(acknowledgement(SILENT))
                 until(ship, lambda number=number: count(ship, "not allowed") == number)
         bridge.command(SILENT, 2, "A")  # no such instance
         bridge.command(SILENT, 1, "S")  # silencing one alert is not supported
         bridge.command(SILENT + 1, 1, "A")  # no such alert
         refused = [(SILENT, 2, "A"), (SILENT, 1, "S"), (SILENT + 1, 1, "A")]
-        seen(lambda knows: sorted(knows.refused) == sorted(refused))
+        wait_for(lambda knows: sorted(knows.refused) == sorted(refused))
         assert ship.alerts["attitude.silent"].state == Alert.ACTIVE_UNACKNOWLEDGED
         bridge.display.send(f"BNACN,120000.00,FEC,{SILENT},1,A,C")  # to another source: no answer at all
         bridge.display.connection.sendall(b"$BNACN,broken*00\r\n\xff\xfe$\r\n")
         bridge.command(SILENT, 1, "Q")
         bridge.command(SILENT, 1, "A")
-        seen(lambda knows: knows.state(SILENT) == "A")
+        wait_for(lambda knows: knows.state(SILENT) == "A")
         until(ship, lambda: ship.alerts["attitude.silent"].state == Alert.ACTIVE_ACKNOWLEDGED)
         assert sorted(bridge.knows.refused) == sorted(refused)
         revision = bridge.knows.alerts["ZZZ", SILENT, 1].revision
         assert revision == told.revision + 1
-        seen(lambda knows: knows.listed.get(("ZZZ", SILENT, 1)) == revision)
+        wait_for(lambda knows: knows.listed.get(("ZZZ", SILENT, 1)) == revision)
         # ship/attitude is published again: the alert is rectified and removed from the list.
-        seen(lambda knows: knows.state(SILENT) == "N", ship.tell)
-        seen(lambda knows: ("ZZZ", SILENT, 1) not in knows.listed, ship.tell)
+        wait_for(lambda knows: knows.state(SILENT) == "N", ship.tell)
+        wait_for(lambda knows: ("ZZZ", SILENT, 1) not in knows.listed, ship.tell)
 
         # The wing receives the same, and may acknowledge, too.
         heard = []
 
-        def wing_hears(state):
+        def wing_alert(state):
             try:
                 heard.extend(pynmea2.parse(line, check=True) for line in wing.recv(2000).decode().split("\r\n") if line)
             except BlockingIOError:
@@ -219,14 +219,14 @@ def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge
             fitting = [one for one in heard if one.number == 1 and (one.alert, one.state) == (SILENT, state)]
             return fitting[-1] if fitting else None
 
-        again = until(ship, lambda: (found := wing_hears("V")) and found.instance == 2 and found)
+        again = until(ship, lambda: (found := wing_alert("V")) and found.instance == 2 and found)
         wing.sendto(acknowledgement(SILENT), ("127.0.0.1", listen_port))
-        until(ship, lambda: (found := wing_hears("A")) and found.instance == again.instance)
+        until(ship, lambda: (found := wing_alert("A")) and found.instance == again.instance)
 
         # The alert node has ended: the heartbeat reports it to the bridge, and no empty list is sent.
         alerts.send_signal(signal.SIGINT)
         alerts.wait(20.0)
-        seen(lambda knows: knows.beats[-1] == "V")
+        wait_for(lambda knows: knows.beats[-1] == "V")
         until(ship, lambda: ship.statuses["nmea_out: alerts"].level == b"\x01")
         values = {pair.key: pair.value for pair in ship.statuses["nmea_out: alerts"].values}
         assert values["not allowed"] == "2"

@@ -2,7 +2,7 @@
 
 import pytest
 
-from ship_nmea.instruments.datagrams import JOINED_WITHIN_NS, DatagramLines
+from ship_nmea.instruments.datagrams import JOIN_TIMEOUT_NS, DatagramLines
 from ship_testing.ship_logs import sentence
 
 ONE, OTHER = "10.0.0.7:4001", "10.0.0.9:4001"
@@ -13,8 +13,8 @@ def lines_of(*datagrams):
     """Return the lines of datagrams, each (data, sender, ms), and the incomplete lines at the end."""
     lines, found = DatagramLines(), []
     for data, sender, ms in datagrams:
-        found += lines.take(data, sender, ms, ms * 1_000_000)
-    return found, lines.take(b"", "", 10**6, 10**15)
+        found += lines.split(data, sender, ms, ms * 1_000_000)
+    return found, lines.split(b"", "", 10**6, 10**15)
 
 
 @pytest.mark.parametrize("at", range(1, len(HDT) + 1))
@@ -32,7 +32,7 @@ def test_sentence_is_not_joined_after_200_ms():
     assert [line for _, line, _ in found] == [HDT[:10], HDT[10:]]
     found, late = lines_of((HDT[:10], ONE, 7))
     assert (found, late) == ([], [(7, HDT[:10], ONE)])
-    assert JOINED_WITHIN_NS == 200_000_000
+    assert JOIN_TIMEOUT_NS == 200_000_000
 
 
 def test_whole_sentence_without_line_end_is_not_delayed():
@@ -44,6 +44,6 @@ def test_whole_sentence_without_line_end_is_not_delayed():
 
 def test_incomplete_sentences_are_bounded():
     lines = DatagramLines()
-    found = [lines.take(HDT[:10], f"10.0.0.7:{port}", 0, 0) for port in range(1000)]
+    found = [lines.split(HDT[:10], f"10.0.0.7:{port}", 0, 0) for port in range(1000)]
     assert sum(map(len, found)) == 900
-    assert len(lines.take(b"", "", 0, 10**9)) == 100
+    assert len(lines.split(b"", "", 0, 10**9)) == 100

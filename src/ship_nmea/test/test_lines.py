@@ -29,29 +29,29 @@ def test_lines_in_chunks_of_any_size(end):
     splitter, found = LineSplitter(), []
     while stream:
         size = rng.randint(1, 50)
-        found += splitter.take(stream[:size])
+        found += splitter.split(stream[:size])
         stream = stream[size:]
     assert found == lines
-    assert splitter.end() == []
+    assert splitter.flush() == []
 
 
 def test_line_without_end_is_returned_by_flush():
     splitter = LineSplitter()
-    assert splitter.take(HDT) == []
-    assert splitter.end() == [HDT]
-    assert splitter.end() == []
+    assert splitter.split(HDT) == []
+    assert splitter.flush() == [HDT]
+    assert splitter.flush() == []
 
 
 @pytest.mark.parametrize("size", [LONGEST_LINE + 1, 100_000])
 def test_line_without_end_is_returned_once_and_not_kept(size):
     splitter = LineSplitter()
-    found = splitter.take(b"x" * size)
+    found = splitter.split(b"x" * size)
     for _ in range(1000):
-        found += splitter.take(b"x" * 10_000)
-    found += splitter.take(b"x\r\n" + HDT + b"\r\n")
+        found += splitter.split(b"x" * 10_000)
+    found += splitter.split(b"x\r\n" + HDT + b"\r\n")
     assert [len(line) for line in found] == [LONGEST_LINE + 1, len(HDT)]
     assert outcomes(found[0]) == [TOO_LONG]
-    assert splitter.take(b"a" * LONGEST_LINE + b"\n") == [b"a" * LONGEST_LINE]
+    assert splitter.split(b"a" * LONGEST_LINE + b"\n") == [b"a" * LONGEST_LINE]
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_no_sentence_is_lost_after_binary_messages(binary, size):
     """A receiver that sends UBX or RTCM on the same line, in chunks of any size."""
     stream, splitter, found = 5 * (binary + HDT + b"\r\n" + PSXN23 + b"\r\n"), LineSplitter(), []
     for at in range(0, len(stream), size):
-        found += [name for line in splitter.take(stream[at : at + size]) for name in outcomes(line)]
+        found += [name for line in splitter.split(stream[at : at + size]) for name in outcomes(line)]
     assert [name for name in found if name in ("HDT", "PSXN23")] == 5 * ["HDT", "PSXN23"]
     assert set(found) <= {"HDT", "PSXN23", BINARY, NOISE, TOO_LONG, INCOMPLETE}
 

@@ -39,7 +39,7 @@ def udp(becomes, **more):
     return {"kind": "udp", "address": "127.0.0.1", "port": free_port(), "becomes": becomes, **more}
 
 
-def ended(*bodies):
+def lines_of(*bodies):
     return "".join(sentence(body) + "\r\n" for body in bodies).encode()
 
 
@@ -99,9 +99,9 @@ def test_each_role_has_its_topics_and_stamps(listening):
     })  # fmt: skip
     before_ns = time.time_ns()
     node.send("gps", b"$INGGA,000000.16,2200.110899,S,01756.359432,W,1,12,0.7,-2.76,M,4.67,M,,*6C\r\n")
-    node.send("gyro", ended("HETHS,90.0,A"))
-    node.send("second", ended("PSXN,23,1.0,2.0,3.0,0.0"))
-    node.send("mast", ended("WIXDR,C,23.3,C,0,H,50.1,P,0,P,1009.5,H,0"))
+    node.send("gyro", lines_of("HETHS,90.0,A"))
+    node.send("second", lines_of("PSXN,23,1.0,2.0,3.0,0.0"))
+    node.send("mast", lines_of("WIXDR,C,23.3,C,0,H,50.1,P,0,P,1009.5,H,0"))
     topics = ["gnss/fix", "reference/gyro/imu", "reference/second/imu"]
     topics += ["met/temperature", "met/humidity", "met/pressure"]
     node.wait_until(lambda: all(node.heard[topic] for topic in topics))
@@ -117,7 +117,7 @@ def test_sentences_without_checksum_need_the_parameter(listening):
     for id_ in ("old", "new"):
         node.send(id_, b"$HEHDT,218.0,T\r\n")
         node.send(id_, b"$HEHDT,21\r\n")
-        node.send(id_, ended("HEHDT,219.0,T"))
+        node.send(id_, lines_of("HEHDT,219.0,T"))
     node.wait_until(lambda: len(node.heard["reference/old/imu"]) == 2 and node.heard["reference/new/imu"])
     for id_, rejected in (("old", "1"), ("new", "2")):
         node.wait_until(
@@ -133,7 +133,7 @@ def test_sources_of_one_port_are_separated_by_talker(listening):
         id_: {"kind": "udp", "address": "127.0.0.1", "port": port, "becomes": "gyro", "talkers": [talker]}
         for id_, talker in (("fore", "HE"), ("aft", "HN"))
     })  # fmt: skip
-    node.send("fore", ended("HEHDT,10.0,T", "HNHDT,20.0,T", "GPHDT,30.0,T"))
+    node.send("fore", lines_of("HEHDT,10.0,T", "HNHDT,20.0,T", "GPHDT,30.0,T"))
     node.wait_until(lambda: node.heard["reference/fore/imu"] and node.heard["reference/aft/imu"])
     assert [len(node.heard[f"reference/{id_}/imu"]) for id_ in ("fore", "aft")] == [1, 1]
     values = node.wait_until(lambda: (told := node.told("fore"))[2].get("lines") == "3" and told[2])
@@ -145,7 +145,7 @@ def test_multicast_group_is_received(listening):
     node = listening({"gyro": udp("gyro") | {"address": "239.192.0.4", "interface": "127.0.0.1"}})
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
-        data = b"UdPbC\x00\\s:HE0001,n:12*2A\\" + ended("HEHDT,10.0,T")
+        data = b"UdPbC\x00\\s:HE0001,n:12*2A\\" + lines_of("HEHDT,10.0,T")
         sender.sendto(data, ("239.192.0.4", node.config.sources["gyro"].port))
     node.wait_until(lambda: node.heard["reference/gyro/imu"])
 
@@ -153,12 +153,12 @@ def test_multicast_group_is_received(listening):
 def test_unusable_lines_are_counted_and_the_rest_is_used(listening):
     """All faults in one datagram, between valid sentences."""
     node = listening({"gyro": udp("gyro", talkers=["HE"])})
-    good = ended("HEHDT,218.53,T")
+    good = lines_of("HEHDT,218.53,T")
     node.send("gyro", b"".join(
         bad + good for bad in (
             b"$HEHDT,218.54,T*12\r\n", b"$HEHDT,21", b"8.5,T*12\r\n", b"$" + b"x" * 2000 + b"\r\n",
-            bytes(range(128, 256)) + b"\r\n", ended("GPHDT,10.0,T"), ended("HEXYZ,1"), ended("HEHDT,,T"),
-            ended("HEVTG,215.11,T,239.79,M,9.1,N,16.9,K,A"), b"\r\n\r\n",
+            bytes(range(128, 256)) + b"\r\n", lines_of("GPHDT,10.0,T"), lines_of("HEXYZ,1"), lines_of("HEHDT,,T"),
+            lines_of("HEVTG,215.11,T,239.79,M,9.1,N,16.9,K,A"), b"\r\n\r\n",
         )
     ))  # fmt: skip
     node.wait_until(lambda: len(node.heard["reference/gyro/imu"]) == 10)
@@ -190,14 +190,14 @@ def test_impossible_time_is_an_error(listening):
 
 def test_source_without_data_is_an_error_until_data_arrives(listening):
     node = listening({"gyro": udp("gyro", silent_after_s=0.3)})
-    node.send("gyro", ended("HEHDT,10.0,T"))
+    node.send("gyro", lines_of("HEHDT,10.0,T"))
     node.wait_until(lambda: node.told("gyro")[0] == ERROR and "no line for" in node.told("gyro")[1])
 
-    def speaks():
-        node.send("gyro", ended("HEHDT,10.0,T"))
+    def send_and_check():
+        node.send("gyro", lines_of("HEHDT,10.0,T"))
         return node.told("gyro")[0] == OK
 
-    node.wait_until(speaks)
+    node.wait_until(send_and_check)
 
 
 def test_foreign_sender_and_cut_datagrams_lose_no_ins_message(listening):
@@ -241,7 +241,7 @@ def test_server_restart_and_lines_in_chunks(listening):
     node = listening({"gyro": {"kind": "tcp", "address": "127.0.0.1", "port": port, "becomes": "gyro"}})
     node.wait_until(lambda: node.told("gyro")[1] == f"tcp 127.0.0.1:{port}: Connection refused; retried")
     server = Server(port)
-    text = ended("HEHDT,10.0,T", "HEHDT,20.0,T")
+    text = lines_of("HEHDT,10.0,T", "HEHDT,20.0,T")
     for place in range(0, len(text), 5):
         server.connection.sendall(text[place : place + 5])
         time.sleep(0.01)
@@ -250,7 +250,7 @@ def test_server_restart_and_lines_in_chunks(listening):
     server.close()
     node.wait_until(lambda: "closed the connection" in node.told("gyro")[1] or "refused" in node.told("gyro")[1])
     server = Server(port)
-    server.connection.sendall(ended("HEHDT,40.0,T"))
+    server.connection.sendall(lines_of("HEHDT,40.0,T"))
     node.wait_until(lambda: len(node.heard["reference/gyro/imu"]) == 3)
     values = node.wait_until(lambda: (told := node.told("gyro"))[2].get("lines") == "3" and told[2])
     assert not [name for name in values if name.startswith("rejected")]
@@ -268,9 +268,9 @@ def test_serial_line_is_unplugged_and_plugged_in(listening, tmp_path):
         before = len(node.heard["reference/gyro/imu"])
 
         def has_received(controller=controller, before=before):
-            os.write(controller, ended("HEHDT,10.0,T")[:7])
+            os.write(controller, lines_of("HEHDT,10.0,T")[:7])
             time.sleep(0.01)
-            os.write(controller, ended("HEHDT,10.0,T")[7:])
+            os.write(controller, lines_of("HEHDT,10.0,T")[7:])
             return len(node.heard["reference/gyro/imu"]) > before and node.told("gyro")[0] != ERROR
 
         node.wait_until(has_received)
@@ -281,7 +281,7 @@ def test_serial_line_is_unplugged_and_plugged_in(listening, tmp_path):
     assert node.exceptions() == "no exception"
 
 
-def refused(tmp_path, text, *before):
+def start_error(tmp_path, text, *before):
     """Return the exit code of the node with a parameter file, and its error line; ``before`` precedes its command."""
     path = tmp_path / "suite.yaml"
     path.write_text(text)
@@ -298,24 +298,24 @@ def test_bad_input_is_one_line_with_file_line_and_parameter(tmp_path):
     port = free_port()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("0.0.0.0", port))
-        code, line = refused(tmp_path, f"{SOURCE}        kind: udp\n        port: {port}\n")
+        code, line = start_error(tmp_path, f"{SOURCE}        kind: udp\n        port: {port}\n")
     assert code == 2
     assert line == (
         f"nmea_in: suite.yaml:7: parameter 'sources.seapath.port' = {port}: Address already in use: another "
         "program uses it: end that program, or use another port"
     )
-    code, line = refused(tmp_path, f"{SOURCE}        kind: udp\n        port: {port}\n        address: 192.0.2.1\n")
+    code, line = start_error(tmp_path, f"{SOURCE}        kind: udp\n        port: {port}\n        address: 192.0.2.1\n")
     assert code == 2
     assert line.startswith("nmea_in: suite.yaml:8: parameter 'sources.seapath.address' = '192.0.2.1'")
     assert line.endswith("this machine has no such address")
-    code, line = refused(tmp_path, f"{SOURCE}        kind: serial\n        device: {tmp_path / 'suite.yaml'}\n")
+    code, line = start_error(tmp_path, f"{SOURCE}        kind: serial\n        device: {tmp_path / 'suite.yaml'}\n")
     assert code == 2
     assert line.startswith("nmea_in: suite.yaml:7: parameter 'sources.seapath.device' =")
     assert line.endswith("not a serial device: expected for example /dev/ttyUSB0")
-    code, line = refused(tmp_path, f"{SOURCE}        kind: udp\n        prt: 10110\n")
+    code, line = start_error(tmp_path, f"{SOURCE}        kind: udp\n        prt: 10110\n")
     assert code == 2
     assert line.startswith("nmea_in: suite.yaml:7: parameter 'sources.seapath.prt' is unknown: expected one of port")
-    code, line = refused(tmp_path, "/**/nmea_in:\n  ros__parameters:\n    use_sim_time: false\n")
+    code, line = start_error(tmp_path, "/**/nmea_in:\n  ros__parameters:\n    use_sim_time: false\n")
     assert (code, line) == (2, "nmea_in: parameter 'sources' names no source: expected one as 'sources.gyro.kind'")
 
 
@@ -324,7 +324,7 @@ def test_busy_port_of_one_source_does_not_stop_the_others(listening):
         busy = udp("gnss")
         other.bind(("127.0.0.1", busy["port"]))
         node = listening({"busy": busy, "well": udp("gyro")}, as_process=True)
-        node.send("well", ended("HEHDT,10.0,T"))
+        node.send("well", lines_of("HEHDT,10.0,T"))
         node.wait_until(lambda: node.heard["reference/well/imu"] and node.told("busy")[0] == ERROR)
         assert node.told("busy")[1].endswith("Address already in use; retried")
     node.wait_until(lambda: "Address" not in node.told("busy")[1])
@@ -343,7 +343,7 @@ def test_device_without_permission(tmp_path):
     as_others = ["setpriv", "--bounding-set=-dac_override,-dac_read_search"] if os.geteuid() == 0 else []
     if as_others and shutil.which("setpriv") is None:
         pytest.skip("root may open every device, and setpriv is not installed")
-    code, line = refused(tmp_path, f"{SOURCE}        kind: serial\n        device: {device}\n", *as_others)
+    code, line = start_error(tmp_path, f"{SOURCE}        kind: serial\n        device: {device}\n", *as_others)
     os.close(controller)
     os.close(terminal)
     assert code == 2
@@ -376,7 +376,7 @@ def test_many_faults_at_once(listening, tmp_path):
     server = Server(tcp_port)
 
     def flood():
-        heading, sender = ended("HEHDT,10.0,T"), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        heading, sender = lines_of("HEHDT,10.0,T"), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         while not stop.wait(0.001):  # faster than any machine processes them: sending is as fast as this thread
             for _ in range(10):
                 sender.sendto(10 * heading, ("127.0.0.1", node.config.sources["flooded"].port))
@@ -384,14 +384,14 @@ def test_many_faults_at_once(listening, tmp_path):
 
     sent = 0
 
-    def trouble_until(happened):
+    def run_until(happened):
         """Run until a condition holds, with 10 headings per second of the working source."""
         nonlocal sent
         end_s = time.monotonic() + 60.0
         while not happened():
             assert time.monotonic() < end_s, [node.told(id_) for id_ in node.config.sources]
             node.send("noisy", rng.bytes(500))
-            node.send("well", ended("HEHDT,10.0,T"))
+            node.send("well", lines_of("HEHDT,10.0,T"))
             sent += 1
             next_s = time.monotonic() + 0.1
             while time.monotonic() < next_s:
@@ -401,7 +401,7 @@ def test_many_faults_at_once(listening, tmp_path):
     flooding = threading.Thread(target=flood)
     flooding.start()
     try:
-        trouble_until(lambda: well and int(node.told("flooded")[2].get("dropped", "0")) > 2000)
+        run_until(lambda: well and int(node.told("flooded")[2].get("dropped", "0")) > 2000)
         # Some may be lost before DDS has matched both sides.
         node.wait_until(lambda: int(node.told("well")[2]["lines"]) == sent)
         before_mb, before, sent = resident_mb(node.process), len(well), 0
@@ -409,8 +409,8 @@ def test_many_faults_at_once(listening, tmp_path):
         device.unlink()
         os.close(controller)
         os.close(terminal)
-        trouble_until(lambda: all("; retried" in node.told(id_)[1] for id_ in ("server", "device")))
-        trouble_until(lambda: int(node.told("flooded")[2]["dropped"]) > 8000 and "noise" in node.told("noisy")[1])
+        run_until(lambda: all("; retried" in node.told(id_)[1] for id_ in ("server", "device")))
+        run_until(lambda: int(node.told("flooded")[2]["dropped"]) > 8000 and "noise" in node.told("noisy")[1])
         assert node.told("flooded")[1].startswith("overflow: input faster than processing; ")
         assert node.told("well")[0] == OK
         node.wait_until(lambda: len(well) - before >= sent)

@@ -15,7 +15,7 @@ from rosgraph_msgs.msg import Clock
 
 from ship_msgs.msg import Alert, AlertArray, ShipAttitude
 from ship_nmea.commands.nmea_out import main
-from ship_nmea.out.nmea_out import Pace
+from ship_nmea.out.nmea_out import Throttle
 from ship_replay.trials.live_process import free_domain_id
 from ship_testing.bridge import LATCHED, Display, AttitudePublisher, until
 from ship_testing.listening_node import free_port
@@ -39,13 +39,13 @@ def parameters(**values):
     return [part for name, value in values.items() for part in ("-p", f"{name.replace('__', '.')}:={value}")]
 
 
-def started(log, *arguments):
+def start_node(log, *arguments):
     environment = os.environ | {"ROS_LOG_DIR": str(log.parent)}
     with log.open("w") as file:
         return subprocess.Popen([*NODE, *arguments, "-r", "__ns:=/demo"], stderr=file, stdout=file, env=environment)
 
 
-def ended(process):
+def stop_node(process):
     process.send_signal(signal.SIGINT)
     return process.wait(20.0)
 
@@ -54,7 +54,7 @@ def ended(process):
 def bridge(tmp_path_factory, ship):
     """A display at the TCP sink of a node that also has a slow file sink."""
     folder, port = tmp_path_factory.mktemp("bridge"), free_port(socket.SOCK_STREAM)
-    process = started(folder / "log.txt", *parameters(
+    process = start_node(folder / "log.txt", *parameters(
         sinks__bridge__kind="tcp_server", sinks__bridge__port=port, sinks__bridge__decimals=3,
         sinks__bridge__sentences="[HDT, THS, ROT, PASHR, PSXN20, PSXN23]", sinks__bridge__rate_hz=100.0,
         sinks__log__kind="file", sinks__log__path=folder / "log.nmea", sinks__log__rate_hz=1.0, longest_age_s=0.5,
@@ -65,7 +65,7 @@ def bridge(tmp_path_factory, ship):
     until(ship, listener.connect)
     yield listener
     listener.close()
-    code = process.poll() if process.poll() is not None else ended(process)
+    code = process.poll() if process.poll() is not None else stop_node(process)
     assert code == 0, (folder / "log.txt").read_text()
 
 
@@ -214,7 +214,7 @@ def test_busy_port_of_one_sink_does_not_stop_the_others(tmp_path):
         busy.bind(("", 0))
         busy.listen()
         port, path = busy.getsockname()[1], tmp_path / "log.nmea"
-        process = started(log, *parameters(
+        process = start_node(log, *parameters(
             sinks__busy__kind="tcp_server", sinks__busy__port=port, sinks__log__kind="file", sinks__log__path=path,
         ))  # fmt: skip
         try:
@@ -223,7 +223,7 @@ def test_busy_port_of_one_sink_does_not_stop_the_others(tmp_path):
                 assert time.monotonic() < wait_s, log.read_text()
                 time.sleep(0.05)
         finally:
-            assert ended(process) == 0
+            assert stop_node(process) == 0
     assert path.read_text().startswith("$INHDT,,T*")
     told = f"parameter 'sinks.busy.port' = {port}: Address already in use: another program uses it"
     assert told in log.read_text()
@@ -233,7 +233,7 @@ def test_no_alert_of_a_played_bag_is_sent(tmp_path):
     """A void PASHR before the first /clock does not have the time of 1970."""
     ship = AttitudePublisher()
     path, began = tmp_path / "log.nmea", datetime.now(timezone.utc)
-    process = started(tmp_path / "log.txt", *parameters(
+    process = start_node(tmp_path / "log.txt", *parameters(
         use_sim_time="true", sinks__log__kind="file", sinks__log__path=path, alerts_period_s=0.2,
         sinks__log__sentences="[PASHR, ALF, ALC, HBT]",
     ))  # fmt: skip
@@ -247,7 +247,7 @@ def test_no_alert_of_a_played_bag_is_sent(tmp_path):
         until(ship, lambda: path.read_text().count("HBT") > beats + 2, lambda: tick(clock, began))
     finally:
         ship.stop()
-        assert ended(process) == 0
+        assert stop_node(process) == 0
     sentences = [pynmea2.parse(line, check=True) for line in path.read_text().splitlines()]
     assert {type(sentence).__name__ for sentence in sentences} == {"ASHRATT", "HBT"}
     assert {sentence.status for sentence in sentences if type(sentence).__name__ == "HBT"} == {"V"}
@@ -279,8 +279,8 @@ def test_throttle_selects_the_rate():
     period_ns = 10_000_000
     jitter = [0, 3_000_000, -2_000_000, 1_000_000, -3_000_000]
     for rate_hz, taken in ((10.0, 100), (100.0, 1000), (1000.0, 1000), (30.0, 300)):
-        pace = Pace(rate_hz)
+        pace = Throttle(rate_hz)
         due = [pace.is_due(number * period_ns + jitter[number % 5]) for number in range(1000)]
         assert abs(sum(due) - taken) <= 2
-    pace = Pace(10.0)
+    pace = Throttle(10.0)
     assert [pace.is_due(time_ns) for time_ns in (0, 10**12, 10**12 + 1, 10**12 + 10**8)] == [True, True, False, True]

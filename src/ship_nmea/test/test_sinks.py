@@ -15,9 +15,9 @@ import pytest
 from ship_nmea.line_splitter import LineSplitter
 from ship_nmea.opening import permanent_error
 from ship_nmea.out.config import SinkConfig
-from ship_nmea.out.network_outlets import MOST_OF_A_HOST
+from ship_nmea.out.network_outlets import MAX_CLIENTS_PER_HOST
 from ship_nmea.out.outlet import command_texts
-from ship_nmea.out.sink import MOST_WAITING, RETRY_S, Sink
+from ship_nmea.out.sink import MAX_QUEUED, RETRY_S, Sink
 from ship_node.edge.messages_out import Level
 from ship_testing.listening_node import free_port
 
@@ -52,7 +52,7 @@ def open_sink():
         sink.close()
 
 
-def connected(port):
+def connect(port):
     client = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S)
     client.settimeout(PATIENCE_S)
     return client
@@ -96,7 +96,7 @@ def test_udp_reaches_a_group(open_sink):
 def test_tcp_serves_several_clients_and_receives_lines_in_chunks(open_sink):
     port = free_port(socket.SOCK_STREAM)
     sink = open_sink(kind="tcp_server", port=port)
-    with connected(port) as one, connected(port) as two:
+    with connect(port) as one, connect(port) as two:
         until(lambda: "2 clients" in sink.status().message)
         sink.put(SENTENCE)
         for client in (one, two):
@@ -113,7 +113,7 @@ def test_client_that_does_not_read_is_disconnected(open_sink, monkeypatch):
     monkeypatch.setattr("ship_nmea.out.network_outlets.STALLED_S", 0.5)
     port = free_port(socket.SOCK_STREAM)
     sink = open_sink(kind="tcp_server", port=port)
-    with socket.socket() as lazy, connected(port) as reader:
+    with socket.socket() as lazy, connect(port) as reader:
         lazy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
         lazy.connect(("127.0.0.1", port))
         until(lambda: "2 clients" in sink.status().message)
@@ -134,7 +134,7 @@ def test_client_that_does_not_read_is_disconnected_at_a_low_rate(open_sink, monk
     monkeypatch.setattr("ship_nmea.out.network_outlets.STALLED_S", 1.0)
     port = free_port(socket.SOCK_STREAM)
     sink = open_sink(kind="tcp_server", port=port)
-    with socket.socket() as lazy, connected(port) as reader:
+    with socket.socket() as lazy, connect(port) as reader:
         lazy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
         lazy.connect(("127.0.0.1", port))
         until(lambda: "2 clients" in sink.status().message)
@@ -155,7 +155,7 @@ def test_client_that_does_not_read_is_disconnected_at_a_low_rate(open_sink, monk
 def test_one_host_cannot_use_all_connections(open_sink):
     port = free_port(socket.SOCK_STREAM)
     sink = open_sink(kind="tcp_server", port=port)
-    clients = [connected(port) for _ in range(MOST_OF_A_HOST + 2)]
+    clients = [connect(port) for _ in range(MAX_CLIENTS_PER_HOST + 2)]
     try:
         until(lambda: "2 clients disconnected, 127.0.0.1 has 8 connections, the max" in sink.status().message)
         with socket.create_connection(("127.0.0.1", port), PATIENCE_S, ("127.0.0.2", 0)) as other:
@@ -227,7 +227,7 @@ def line(tmp_path):
     """A serial line: the far end of a pseudo-terminal, and the path of this end, which may be another one."""
     lines = []
 
-    def plugged(path=tmp_path / "ttyUSB0"):
+    def plug_in(path=tmp_path / "ttyUSB0"):
         far, near = os.openpty()
         tty.setraw(near)
         lines.append(far)
@@ -236,7 +236,7 @@ def line(tmp_path):
         os.close(near)
         return far, str(path)
 
-    yield plugged
+    yield plug_in
     for far in lines:
         if far is not None:
             os.close(far)
@@ -293,7 +293,7 @@ def test_old_sentences_of_a_blocked_serial_line_are_dropped(open_sink, line):
 
     until(one_more)
     assert sink.status().level is Level.WARN
-    assert int(sink.status().values["waiting"]) <= MOST_WAITING
+    assert int(sink.status().values["waiting"]) <= MAX_QUEUED
 
 
 def test_missing_serial_device_is_retried(open_sink, tmp_path):
@@ -372,9 +372,9 @@ def test_unsupported_rate_names_its_parameter():
 
 
 def test_duplicate_sentence_is_refused():
-    assert SinkConfig(kind="file", path="x", sentences=("HDT", "THS")).misfit() is None
+    assert SinkConfig(kind="file", path="x", sentences=("HDT", "THS")).first_error() is None
     twice = SinkConfig(kind="file", path="x", sentences=("HDT", "THS", "HDT"))
-    assert twice.misfit() == ("sentences", "names HDT twice: expected each sentence once")
+    assert twice.first_error() == ("sentences", "names HDT twice: expected each sentence once")
 
 
 def test_folder_as_file_is_refused(open_sink, tmp_path):
@@ -394,14 +394,14 @@ def test_hanging_disk_delays_neither_node_nor_end(tmp_path):
         began_s = time.monotonic()
         sink.put(SENTENCE * 100)
         assert time.monotonic() - began_s < 1.0
-    assert int(sink.status().values["waiting"]) == MOST_WAITING
-    assert any(f"more than {MOST_WAITING}" in why for why in sink.status().values)
+    assert int(sink.status().values["waiting"]) == MAX_QUEUED
+    assert any(f"more than {MAX_QUEUED}" in why for why in sink.status().values)
     sink.close()
     os.close(reader)  # frees the thread
 
 
 def test_lines_without_end_are_bounded():
     splitter = LineSplitter()
-    assert command_texts(splitter.take(b"x" * 5000)) == []
-    assert command_texts(splitter.take(b"y" * 5000 + b"\n$ok\r\n")) == ["$ok"]
-    assert command_texts(splitter.take(b"\xff\x00\n")) == ["\ufffd\x00"]
+    assert command_texts(splitter.split(b"x" * 5000)) == []
+    assert command_texts(splitter.split(b"y" * 5000 + b"\n$ok\r\n")) == ["$ok"]
+    assert command_texts(splitter.split(b"\xff\x00\n")) == ["\ufffd\x00"]

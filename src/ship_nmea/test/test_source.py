@@ -34,7 +34,7 @@ def pashr(moment):
     return sentence(f"PASHR,{moment:%H%M%S.%f},90.0,T,+1.0,+2.0,,0.1,0.1,0.1,1,1").encode()
 
 
-def taken(source, line, arrival_ns, now_ns=0, *sender):
+def published_topics(source, line, arrival_ns, now_ns=0, *sender):
     return [topic for heard in parse_line(line) for topic, _ in source.take(heard, arrival_ns, now_ns, *sender)]
 
 
@@ -44,12 +44,12 @@ def test_backward_jump_of_node_time_resets_the_instrument(source):
     for _ in range(2):
         for seconds in range(3):
             moment = START + timedelta(seconds=seconds)
-            assert taken(ins, pashr(moment), datetime_ns(moment)) == ["ins/imu"]
+            assert published_topics(ins, pashr(moment), datetime_ns(moment)) == ["ins/imu"]
 
 
 def test_no_line_is_used_without_node_time(source):
     ins = source(becomes="ins", silent_after_s=1.0)
-    assert taken(ins, pashr(START), 0, 2 * NS_PER_S) == []
+    assert published_topics(ins, pashr(START), 0, 2 * NS_PER_S) == []
     status = ins.status("", 0, 2 * NS_PER_S)
     assert (status.level, status.values[f"rejected: {NO_TIME}"]) == (Level.ERROR, "1")
 
@@ -61,8 +61,8 @@ def test_corrected_clock_is_used_again(source):
         arrival = START + timedelta(seconds=second)
         told = arrival + timedelta(seconds=30 if second < 10 else 0)
         fix = sentence(f"INGGA,{told:%H%M%S}.00,2200.110899,S,01756.359432,W,1,12,0.7,-2.76,M,4.67,M,,").encode()
-        assert taken(ins, fix, datetime_ns(arrival), second * NS_PER_S) == ["gnss/fix"]
-        given += [second for _ in taken(ins, pashr(told), datetime_ns(arrival), second * NS_PER_S)]
+        assert published_topics(ins, fix, datetime_ns(arrival), second * NS_PER_S) == ["gnss/fix"]
+        given += [second for _ in published_topics(ins, pashr(told), datetime_ns(arrival), second * NS_PER_S)]
         if second == 9:
             status = ins.status("", 0, second * NS_PER_S)
             assert status.level == Level.WARN
@@ -92,13 +92,13 @@ def test_attitude_has_the_time_of_the_zda_of_its_burst(source, zda_first):
 def test_clock_behind_is_reported(source):
     """GPS time less leap seconds taken for UTC: 18 s behind."""
     ins = source(becomes="ins")
-    taken(ins, pashr(START - timedelta(seconds=18)), datetime_ns(START))
+    published_topics(ins, pashr(START - timedelta(seconds=18)), datetime_ns(START))
     status = ins.status("", 0, 0)
     assert (status.level, status.message.partition(":")[0]) == (
         Level.WARN,
         "its clock is 18 s behind this computer's (GPS time for UTC, or leap seconds subtracted twice)",
     )
-    taken(ins, pashr(START + timedelta(seconds=20)), datetime_ns(START) + 20 * NS_PER_S, 20 * NS_PER_S)
+    published_topics(ins, pashr(START + timedelta(seconds=20)), datetime_ns(START) + 20 * NS_PER_S, 20 * NS_PER_S)
     assert ins.status("", 0, 20 * NS_PER_S).level == Level.OK
 
 
@@ -108,7 +108,7 @@ def test_two_compasses_on_one_line_are_reported(source):
         arrival_ns = datetime_ns(START) + second * NS_PER_S
         for talker, heading_deg in (("HE", 350.0), ("GP", 170.5)):
             if talker == "HE" or second < 5:
-                taken(gyro, sentence(f"{talker}HDT,{heading_deg},T").encode(), arrival_ns, second * NS_PER_S)
+                published_topics(gyro, sentence(f"{talker}HDT,{heading_deg},T").encode(), arrival_ns, second * NS_PER_S)
         if second == 4:
             status = gyro.status("", 0, second * NS_PER_S)
             expected = "HDT of several talkers (GP 5, HE 5), up to 179.5° apart: choose one with talkers"
@@ -118,7 +118,7 @@ def test_two_compasses_on_one_line_are_reported(source):
 
 def test_frozen_clock_gives_one_attitude(source):
     ins = source(becomes="ins")
-    given = [taken(ins, pashr(START), datetime_ns(START) + second * NS_PER_S, second * NS_PER_S) for second in range(9)]
+    given = [published_topics(ins, pashr(START), datetime_ns(START) + second * NS_PER_S, second * NS_PER_S) for second in range(9)]
     assert given == [["ins/imu"], *8 * [[]]]
     assert ins.status("", 0, 8 * NS_PER_S).level == Level.ERROR
 
@@ -127,13 +127,13 @@ def test_unaligned_instrument_is_not_used(source):
     ins = source(becomes="ins")
     for fields, topics in (("0,0", []), ("0.0,0", []), ("0,1", ["ins/imu"])):
         text = sentence(f"PASHR,120000.000,90.0,T,+1.0,+2.0,,0.1,0.1,0.1,{fields}").encode()
-        assert taken(ins, text, datetime_ns(START)) == topics
+        assert published_topics(ins, text, datetime_ns(START)) == topics
 
 
 def test_heave_is_in_the_status(source):
     ins = source(becomes="ins")
     assert "heave_m" not in ins.status("", 0, 0).values
-    taken(ins, sentence("PASHR,120000.000,90.0,T,+1.0,+2.0,-0.37,0.1,0.1,0.1,1,1").encode(), datetime_ns(START))
+    published_topics(ins, sentence("PASHR,120000.000,90.0,T,+1.0,+2.0,-0.37,0.1,0.1,0.1,1,1").encode(), datetime_ns(START))
     assert ins.status("", 0, 0).values["heave_m"] == "-0.37"
 
 
@@ -143,7 +143,7 @@ def test_ths_takes_precedence_over_hdt(source):
     hdt, used = "HDT,10.0,T", []
     said = {0: hdt, 1: "THS,1.0,A", 2: hdt, 3: "THS,1.0,V", 4: "THS,,V", 6: hdt, 7: hdt, 8: hdt, 9: "THS,1,A", 10: hdt}
     for second, body in said.items():
-        if taken(gyro, sentence(f"HE{body}").encode(), datetime_ns(START) + second * NS_PER_S):
+        if published_topics(gyro, sentence(f"HE{body}").encode(), datetime_ns(START) + second * NS_PER_S):
             used.append(second)
     assert used == [0, 1, 8, 9]
     assert gyro.status("", 0, 0).values["rejected: THS not in mode A"] == "2"
@@ -161,7 +161,7 @@ def test_ths_takes_precedence_over_hdt(source):
 def test_source_without_messages_is_reported_with_the_reason(source, bodies, told):
     gyro = source(becomes="gyro", silent_after_s=1.0, talkers=["HE"])
     for body in bodies:
-        taken(gyro, sentence(body).encode(), datetime_ns(START), 2 * NS_PER_S)
+        published_topics(gyro, sentence(body).encode(), datetime_ns(START), 2 * NS_PER_S)
     status = gyro.status("", 0, 2 * NS_PER_S)
     assert status.level == Level.ERROR
     assert told in status.message
@@ -169,8 +169,8 @@ def test_source_without_messages_is_reported_with_the_reason(source, bodies, tol
 
 def test_past_fault_is_a_warning_for_ten_seconds(source):
     gyro = source(becomes="gyro", silent_after_s=100.0)
-    taken(gyro, b"$HEHDT,10", datetime_ns(START), NS_PER_S)
-    taken(gyro, sentence("HEHDT,10.0,T").encode(), datetime_ns(START), 2 * NS_PER_S)
+    published_topics(gyro, b"$HEHDT,10", datetime_ns(START), NS_PER_S)
+    published_topics(gyro, sentence("HEHDT,10.0,T").encode(), datetime_ns(START), 2 * NS_PER_S)
     assert [gyro.status("", 0, now_s * NS_PER_S).level for now_s in (2, 11, 12)] == [Level.WARN, Level.WARN, Level.OK]
     assert gyro.status("Connection refused", 0, 12 * NS_PER_S).level == Level.ERROR
     levels = [gyro.status("", 5, now_s * NS_PER_S).level for now_s in (13, 23, 24)]
@@ -184,8 +184,8 @@ def test_counters_are_bounded(source):
         talker = "".join(rng.choices("ABCDEFGHIJKLM0123456789", k=2))
         maker = "".join(rng.choices("ABCDEFGHIJKLMNOPQRSTUVWXYZ", k=3))
         for body in (f"{talker}HDT,10.0,T", f"P{maker}{'x' * 100},1", f"{talker}{maker},1"):
-            taken(gyro, sentence(body).encode(), datetime_ns(START))
-        taken(gyro, f"{maker}LONG,1".encode(), datetime_ns(START))
+            published_topics(gyro, sentence(body).encode(), datetime_ns(START))
+        published_topics(gyro, f"{maker}LONG,1".encode(), datetime_ns(START))
     values = gyro.status("", 0, 0).values
     assert int(values["lines"]) == 40_000
     assert len(values) < 150
@@ -234,6 +234,6 @@ def test_datagrams_dropped_by_the_system_are_counted():
         # The count comes with the next datagram.
         sender.sendto(b"$HEHDT,10.0,T*2D\r\n", ("127.0.0.1", port))
         assert link.read()[0]
-    assert link.lost > 0
-    assert read + link.lost == count
+    assert link.dropped_count > 0
+    assert read + link.dropped_count == count
     link.close()

@@ -20,10 +20,10 @@ from ship_node.parameters.places import (
 UDP, TCP, SERIAL = "udp", "tcp", "serial"
 ARRIVAL_TIME = "arrival"
 
-_MEANT = {UDP: ("address", "port", "interface", "from"), TCP: ("address", "port"), SERIAL: ("device", "baud")}
+_PARAMETERS_OF_KIND = {UDP: ("address", "port", "interface", "from"), TCP: ("address", "port"), SERIAL: ("device", "baud")}
 """Kind → parameters of the source's place that apply to it."""
 
-_ALONE = (INS, GNSS, WEATHER)
+_UNIQUE_ROLES = (INS, GNSS, WEATHER)
 """Roles whose topics do not contain the name of the source: only one source may have each."""
 
 
@@ -90,7 +90,7 @@ class NmeaSourceConfig:
             return f"{os.path.normpath(self.device)} at {self.baud} Bd"
         return f"{self.kind} {self.address or ANY_ADDRESS}:{self.port}"
 
-    def held(self, name: str) -> MachineResource | None:
+    def held_place(self, name: str) -> MachineResource | None:
         """Return the port or device of this machine that it occupies; None if there is none.
 
         Args:
@@ -122,7 +122,7 @@ class NmeaInConfig:
             for talker in source.talkers:
                 if not is_talker(talker):
                     raise _error(f"sources.{id_}.talkers", talker, "expected two capital letters, as GP")
-        for role in _ALONE:
+        for role in _UNIQUE_ROLES:
             ids = [id_ for id_, source in self.sources.items() if source.becomes == role]
             if len(ids) > 1:
                 raise _error(f"sources.{ids[1]}.becomes", role, f"'{ids[0]}' already has this role")
@@ -134,7 +134,7 @@ class NmeaInConfig:
         """Return the ports and devices that the node occupies; one shared by sources is listed once, by the first."""
         held: dict[str, MachineResource | None] = {}
         for id_, source in self.sources.items():
-            held.setdefault(source.place, source.held(f"sources.{id_}"))
+            held.setdefault(source.place, source.held_place(f"sources.{id_}"))
         return tuple(filter(None, held.values()))
 
     @property
@@ -176,7 +176,7 @@ def _check_place(name: str, source: NmeaSourceConfig) -> None:
         "device": source.device,
     }  # fmt: skip
     for key, value in given.items():
-        means = _MEANT[source.kind]
+        means = _PARAMETERS_OF_KIND[source.kind]
         if value and key not in means:
             raise _error(f"{name}.{key}", value, f"does not apply to kind {source.kind}, only {', '.join(means)}")
     if source.interface and not is_ipv4(source.interface):

@@ -4,10 +4,10 @@ import re
 
 from ship_nmea.line_splitter import LineSplitter
 
-JOINED_WITHIN_NS = 200_000_000
+JOIN_TIMEOUT_NS = 200_000_000
 """Maximum wait for the rest of a cut sentence, ns."""
 
-_MOST_WAITING = 100
+_MAX_INCOMPLETE = 100
 """Maximum number of senders with a cut sentence in memory; it bounds memory if addresses are forged."""
 _CUT_SENTENCE = re.compile(rb".*[$!](?!.*\*[0-9A-Fa-f]{2}\s*$)[^$!]*", re.DOTALL)
 """Pattern of a text that ends within a sentence, before the end of its checksum."""
@@ -17,9 +17,9 @@ class DatagramLines:
     """Joins the lines of datagrams, separately for each sender."""
 
     def __init__(self) -> None:
-        self._waiting: dict[str, tuple[int, int, bytes]] = {}
+        self._incomplete: dict[str, tuple[int, int, bytes]] = {}
 
-    def take(self, data: bytes, sender: str, arrival_ns: int, now_ns: int) -> list[tuple[int, bytes, str]]:
+    def split(self, data: bytes, sender: str, arrival_ns: int, now_ns: int) -> list[tuple[int, bytes, str]]:
         """Return the complete lines and those whose rest has not arrived in time: arrival, line and sender of each.
 
         Args:
@@ -31,17 +31,17 @@ class DatagramLines:
         lines = self._timed_out_lines(now_ns)
         if not data:
             return lines
-        *_, first_part = self._waiting.pop(sender, (0, 0, b""))
+        *_, first_part = self._incomplete.pop(sender, (0, 0, b""))
         splitter = LineSplitter()
-        lines += [(arrival_ns, line, sender) for line in splitter.take(first_part + data)]
-        for rest in splitter.end():
-            if _CUT_SENTENCE.fullmatch(rest) and len(self._waiting) < _MOST_WAITING:
-                self._waiting[sender] = now_ns, arrival_ns, rest
+        lines += [(arrival_ns, line, sender) for line in splitter.split(first_part + data)]
+        for rest in splitter.flush():
+            if _CUT_SENTENCE.fullmatch(rest) and len(self._incomplete) < _MAX_INCOMPLETE:
+                self._incomplete[sender] = now_ns, arrival_ns, rest
             else:
                 lines.append((arrival_ns, rest, sender))
         return lines
 
     def _timed_out_lines(self, now_ns: int) -> list[tuple[int, bytes, str]]:
         """Return the cut sentences whose rest has not arrived in time."""
-        late = [sender for sender, (since_ns, _, _) in self._waiting.items() if now_ns - since_ns > JOINED_WITHIN_NS]
-        return [(*self._waiting.pop(sender)[1:], sender) for sender in late]
+        late = [sender for sender, (since_ns, _, _) in self._incomplete.items() if now_ns - since_ns > JOIN_TIMEOUT_NS]
+        return [(*self._incomplete.pop(sender)[1:], sender) for sender in late]

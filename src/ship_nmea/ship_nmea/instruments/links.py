@@ -16,21 +16,21 @@ from typing import Protocol
 from ship_nmea.instruments.config import SERIAL, UDP, NmeaSourceConfig
 from ship_nmea.instruments.datagrams import DatagramLines
 from ship_nmea.line_splitter import LineSplitter
-from ship_nmea.opening import opened_serial, error_text
+from ship_nmea.opening import open_serial, error_text
 from ship_node.parameters.places import ANY_ADDRESS
 
 RETRY_S = 1.0
-WAITING_LINES = 1000
+MAX_QUEUED_LINES = 1000
 """Maximum number of queued lines of a link; of a flood the oldest are dropped."""
 
-_WAIT_S = 0.2
-_CONNECT_S = 2.0
-_JOIN_S = 0.5
-_CHUNK = 65536
+_READ_TIMEOUT_S = 0.2
+_CONNECT_TIMEOUT_S = 2.0
+_JOIN_TIMEOUT_S = 0.5
+_MAX_READ_BYTES = 65536
 _RECEIVE_BUFFER = 1 << 20
 _SO_RXQ_OVFL = 40
 """Linux socket option: each datagram then states how many were dropped before it. Python has no name for it."""
-_NOTES = socket.CMSG_SPACE(64)
+_ANCILLARY_BYTES = socket.CMSG_SPACE(64)
 _KEEPALIVE = {"TCP_KEEPIDLE": 3, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3}
 """TCP keep-alive: an idle connection is probed after 3 s and closed 3 s later, also if the server lost power."""
 
@@ -46,7 +46,7 @@ class Link(Protocol):
 
     is_stream: bool
     opens_at_once: bool
-    lost: int
+    dropped_count: int
 
     def open(self) -> None:
         """Open the link."""
@@ -66,7 +66,7 @@ class UdpLink:
 
     is_stream = False
     opens_at_once = True
-    lost = 0
+    dropped_count = 0
 
     def __init__(self, address: str, port: int, interface: str) -> None:
         self._address, self._port, self._interface = address or ANY_ADDRESS, port, interface or ANY_ADDRESS
@@ -78,8 +78,8 @@ class UdpLink:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
             with contextlib.suppress(OSError):
                 self._socket.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
-            self._socket.settimeout(_WAIT_S)
-            is_group = _is_group(self._address)
+            self._socket.settimeout(_READ_TIMEOUT_S)
+            is_group = _is_multicast(self._address)
             if is_group:
                 # Every receiver of a group gets each datagram: other programs may bind the port, too.
                 self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -94,12 +94,12 @@ class UdpLink:
     def read(self) -> tuple[bytes, str]:
         """See :class:`Link`."""
         try:
-            data, notes, _, (address, port) = self._socket.recvmsg(_CHUNK, _NOTES)
+            data, ancillary, _, (address, port) = self._socket.recvmsg(_MAX_READ_BYTES, _ANCILLARY_BYTES)
         except TimeoutError:
             return b"", ""
-        for _, kind, value in notes:
+        for _, kind, value in ancillary:
             if kind == _SO_RXQ_OVFL:
-                self.lost = int.from_bytes(value, sys.byteorder)
+                self.dropped_count = int.from_bytes(value, sys.byteorder)
         return data, f"{address}:{port}"
 
     def close(self) -> None:
@@ -112,15 +112,15 @@ class TcpLink:
 
     is_stream = True
     opens_at_once = False
-    lost = 0
+    dropped_count = 0
 
     def __init__(self, address: str, port: int) -> None:
         self._place = address, port
 
     def open(self) -> None:
         """See :class:`Link`."""
-        self._socket = socket.create_connection(self._place, timeout=_CONNECT_S)
-        self._socket.settimeout(_WAIT_S)
+        self._socket = socket.create_connection(self._place, timeout=_CONNECT_TIMEOUT_S)
+        self._socket.settimeout(_READ_TIMEOUT_S)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         for name, value in _KEEPALIVE.items():
             if hasattr(socket, name):
@@ -129,7 +129,7 @@ class TcpLink:
     def read(self) -> tuple[bytes, str]:
         """See :class:`Link`."""
         try:
-            data = self._socket.recv(_CHUNK)
+            data = self._socket.recv(_MAX_READ_BYTES)
         except TimeoutError:
             return b"", ""
         if not data:
@@ -146,14 +146,14 @@ class SerialLink:
 
     is_stream = True
     opens_at_once = True
-    lost = 0
+    dropped_count = 0
 
     def __init__(self, device: str, baud: int) -> None:
         self._device, self._baud = device, baud
 
     def open(self) -> None:
         """See :class:`Link`."""
-        self._serial = opened_serial(self._device, self._baud, _WAIT_S)
+        self._serial = open_serial(self._device, self._baud, _READ_TIMEOUT_S)
 
     def read(self) -> tuple[bytes, str]:
         """See :class:`Link`."""
@@ -165,7 +165,7 @@ class SerialLink:
         self._serial.close()
 
 
-def link_of(source: NmeaSourceConfig) -> Link:
+def make_link(source: NmeaSourceConfig) -> Link:
     """Return a link for a source."""
     if source.kind == SERIAL:
         return SerialLink(source.device, source.baud)
@@ -187,15 +187,15 @@ class LinkReader:
         failure: exception of its first opening, if any.
     """
 
-    def __init__(self, link: Link, now_ns: Callable[[], int], came: Callable[[], None]) -> None:
+    def __init__(self, link: Link, now_ns: Callable[[], int], on_lines: Callable[[], None]) -> None:
         self._link, self._is_open = link, False
-        self._now_ns, self._came = now_ns, came
-        self._lines: deque[tuple[int, bytes, str]] = deque(maxlen=WAITING_LINES)
+        self._now_ns, self._on_lines = now_ns, on_lines
+        self._lines: deque[tuple[int, bytes, str]] = deque(maxlen=MAX_QUEUED_LINES)
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self.problem = "not open yet"
         self.failure: OSError | None = None
-        self._displaced = 0
+        self._overwritten = 0
         self._thread = threading.Thread(target=self._run, daemon=True)
         if link.opens_at_once:
             try:
@@ -210,20 +210,20 @@ class LinkReader:
     @property
     def dropped(self) -> int:
         """Number of queued lines dropped for newer ones, and of datagrams dropped before they were read."""
-        return self._displaced + self._link.lost
+        return self._overwritten + self._link.dropped_count
 
-    def take(self, most: int) -> list[tuple[int, bytes, str]]:
+    def take_lines(self, max_count: int) -> list[tuple[int, bytes, str]]:
         """Remove and return the oldest queued lines: arrival time, line and sender of each."""
         with self._lock:
-            return [self._lines.popleft() for _ in range(min(most, len(self._lines)))]
+            return [self._lines.popleft() for _ in range(min(max_count, len(self._lines)))]
 
     def stop(self) -> None:
         """Request the thread to end and to close the link."""
         self._stop.set()
 
-    def join(self) -> None:
+    def wait_for_end(self) -> None:
         """Wait for the end of the thread; one that waits for a name or a connection ends with the process."""
-        self._thread.join(_JOIN_S)
+        self._thread.join(_JOIN_TIMEOUT_S)
 
     def _run(self) -> None:
         while not self._stop.is_set():
@@ -250,20 +250,20 @@ class LinkReader:
             data, sender = self._link.read()
             now_ns = self._now_ns()
             if self._link.is_stream:
-                lines = [(now_ns, line, "") for line in splitter.take(data)]
+                lines = [(now_ns, line, "") for line in splitter.split(data)]
             else:
-                lines = datagrams.take(data, sender, now_ns, time.monotonic_ns())
+                lines = datagrams.split(data, sender, now_ns, time.monotonic_ns())
             if lines:
                 self._put(lines)
 
     def _put(self, lines: list[tuple[int, bytes, str]]) -> None:
         with self._lock:
-            self._displaced += max(0, len(self._lines) + len(lines) - WAITING_LINES)
+            self._overwritten += max(0, len(self._lines) + len(lines) - MAX_QUEUED_LINES)
             self._lines.extend(lines)
-        self._came()
+        self._on_lines()
 
 
-def _is_group(address: str) -> bool:
+def _is_multicast(address: str) -> bool:
     try:
         return ipaddress.ip_address(address).is_multicast
     except ValueError:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from ship_bags.errors import BadInput
 from ship_bags.nmea.lines import REQUIRED, parse_line
 from ship_nmea.instruments.config import SERIAL, UDP, NmeaInConfig
-from ship_nmea.instruments.links import LinkReader, link_of
+from ship_nmea.instruments.links import LinkReader, make_link
 from ship_nmea.instruments.source import Source
 from ship_nmea.node_shell import NmeaNode, run_nmea_node
 from ship_nmea.opening import permanent_error
@@ -25,12 +25,12 @@ that cannot be used are counted by reason in /diagnostics, with an example for e
 other than the first, or not listed in from. A lost source is reported there and opened again.
 """
 
-_AT_ONCE = 50
+_LINES_PER_TURN = 50
 """Lines of a link processed before the next link's turn: a flood on one link delays no other."""
 _IDLE_S = 0.5
-_NAMED_BY = {UDP: ("port", "address"), SERIAL: ("device", "baud")}
+_PARAMETER_NAMES = {UDP: ("port", "address"), SERIAL: ("device", "baud")}
 """See :func:`ship_nmea.link_opening.permanent_error`; a TCP failure is that of the other side and has no entry."""
-_JOIN_S = 2.0
+_JOIN_TIMEOUT_S = 2.0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -57,13 +57,13 @@ class NmeaIn:
             for topic, type_name in source.topics.items():
                 self._publishers[topic] = runtime.publisher(OutputTopic(topic, type_name))
         self._readers = {
-            place: LinkReader(link_of(sources[0].config), runtime.clock.now_ns, self._lines_came.set)
+            place: LinkReader(make_link(sources[0].config), runtime.clock.now_ns, self._lines_came.set)
             for place, sources in self._sources.items()
         }
-        runtime.require_one_open(list(self._refusals()), len(self._readers))
+        runtime.require_one_open(list(self._opening_errors()), len(self._readers))
         for reader in self._readers.values():
             reader.start()
-        self._publishing = threading.Thread(target=self._publish, daemon=True)
+        self._publishing = threading.Thread(target=self._publish_until_stopped, daemon=True)
         self._publishing.start()
 
     def statuses(self) -> Iterator[DiagnosticStatus]:
@@ -77,31 +77,31 @@ class NmeaIn:
         """See :class:`ship_nmea.node_shell.Work`."""
         self._stop.set()
         self._lines_came.set()
-        self._publishing.join(_JOIN_S)
+        self._publishing.join(_JOIN_TIMEOUT_S)
         for reader in self._readers.values():
             reader.stop()
         for reader in self._readers.values():
-            reader.join()
+            reader.wait_for_end()
 
-    def _refusals(self) -> Iterator[BadInput]:
+    def _opening_errors(self) -> Iterator[BadInput]:
         """Yield the errors of places that only the user can clear."""
         for place, reader in self._readers.items():
             source = self._sources[place][0]
-            refused = reader.failure and permanent_error(reader.failure, f"sources.{source.id}", source.config, _NAMED_BY)
-            if refused:
-                yield refused
+            error = reader.failure and permanent_error(reader.failure, f"sources.{source.id}", source.config, _PARAMETER_NAMES)
+            if error:
+                yield error
 
-    def _publish(self) -> None:
+    def _publish_until_stopped(self) -> None:
         while not self._stop.is_set():
             self._lines_came.wait(_IDLE_S)
             self._lines_came.clear()
-            taken = 1
-            while taken and not self._stop.is_set():
-                taken = sum(self._publish_some(place) for place in self._readers)
+            count = 1
+            while count and not self._stop.is_set():
+                count = sum(self._publish_some(place) for place in self._readers)
 
     def _publish_some(self, place: str) -> int:
         """Publish the values of some lines of a link; return the number of lines."""
-        lines = self._readers[place].take(_AT_ONCE)
+        lines = self._readers[place].take_lines(_LINES_PER_TURN)
         for arrival_ns, line, sender in lines:
             self._guard.call(place, self._publish_line, place, arrival_ns, line, sender)
         return len(lines)
@@ -110,5 +110,5 @@ class NmeaIn:
         now_ns = time.monotonic_ns()
         for source in self._sources[place]:
             for received in parse_line(line, source.config.checksum == REQUIRED):
-                for topic, message in source.take(received, arrival_ns, now_ns, sender):
+                for topic, message in source.convert(received, arrival_ns, now_ns, sender):
                     self._publishers[topic].publish(message)

@@ -10,10 +10,10 @@ SENDER_TIMEOUT_NS = 10 * NS_PER_S
 """Time without data after which another sender may replace the selected one, ns."""
 
 NOT_LISTED = "sender that is not in 'from'"
-NOT_HELD = "sender other than the first (name the instrument's address in 'from')"
+NOT_SELECTED = "sender other than the first (name the instrument's address in 'from')"
 
 
-class SenderRule:
+class SenderFilter:
     """Selects the sender whose datagrams are used.
 
     Args:
@@ -25,7 +25,7 @@ class SenderRule:
 
     def __init__(self, addresses: tuple[str, ...]) -> None:
         self._addresses = addresses
-        self.held = ""
+        self.selected = ""
         self._last_ns = 0
 
     def rejection_reason(self, sender: str, now_ns: int) -> str:
@@ -38,17 +38,17 @@ class SenderRule:
         identity = self._identity(sender)
         if self._addresses and sender and identity not in self._addresses:
             return NOT_LISTED
-        if self.held and now_ns - self._last_ns > SENDER_TIMEOUT_NS:
-            self.held = ""
-        if self.held and identity != self.held:
-            return NOT_HELD
-        if self.held:
+        if self.selected and now_ns - self._last_ns > SENDER_TIMEOUT_NS:
+            self.selected = ""
+        if self.selected and identity != self.selected:
+            return NOT_SELECTED
+        if self.selected:
             self._last_ns = now_ns
         return ""
 
-    def hold(self, sender: str, now_ns: int) -> None:
+    def select(self, sender: str, now_ns: int) -> None:
         """Select a sender of usable data."""
-        self.held, self._last_ns = self._identity(sender), now_ns
+        self.selected, self._last_ns = self._identity(sender), now_ns
 
     def _identity(self, sender: str) -> str:
         return sender.rpartition(":")[0] if self._addresses else sender

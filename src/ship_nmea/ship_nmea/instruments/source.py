@@ -15,22 +15,22 @@ from ship_bags.nmea.sentences import NotOfInterest, Unusable, number
 from ship_bags.nmea.talkers import TalkerComparison
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_nmea.instruments.config import ARRIVAL_TIME, NmeaSourceConfig
-from ship_nmea.instruments.sender import SenderRule
+from ship_nmea.instruments.sender import SenderFilter
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 
 NO_TIME = "no time: no /clock yet"
 
-SHOWN_NS = 10 * NS_PER_S
+WARNING_NS = 10 * NS_PER_S
 """Time for which a past problem remains a warning, ns."""
 
-_BACK_NS = NS_PER_S
+_BACKWARD_JUMP_NS = NS_PER_S
 """Backward jump of the node's time beyond which the instrument is reset, ns."""
 
-_PUT_RIGHT_NS = 3 * NS_PER_S
+_CLOCK_CORRECTED_NS = 3 * NS_PER_S
 """Time without a later stamp, after a last stamp still in the future, after which the instrument is reset, ns."""
 
-_SHOWN_CHARACTERS = 60
-_MOST_NAMES, _MAX_LISTED, _LONGEST_NAME, _OTHERS = 50, 10, 12, "others"
+_MAX_CHARACTERS = 60
+_MAX_NAMES, _MAX_LISTED, _MAX_NAME_LENGTH, _OTHERS = 50, 10, 12, "others"
 
 
 @dataclass
@@ -47,7 +47,7 @@ class LiveReport(LineReport):
 
     talkers: Counter[str] = field(default_factory=Counter)
     senders: Counter[str] = field(default_factory=Counter)
-    last: dict[str, str] = field(default_factory=dict)
+    last_rejected: dict[str, str] = field(default_factory=dict)
     rejected_ns: dict[str, int] = field(default_factory=dict)
     now_ns: int = 0
 
@@ -55,18 +55,18 @@ class LiveReport(LineReport):
         """See :meth:`LineReport.reject`."""
         self.rejected[reason] += 1
         self.rejected_ns[reason] = self.now_ns
-        self.last[reason] = shown(text)
+        self.last_rejected[reason] = quoted_text(text)
 
-    def set_aside(self, name: str) -> None:
+    def count_unused(self, name: str) -> None:
         """Count a sentence that is not of interest."""
-        _count(self.unused, name[:_LONGEST_NAME])
+        _count(self.unused, name[:_MAX_NAME_LENGTH])
 
     def reject_sender(self, reason: str, sender: str, text: str) -> None:
         """Count a text of a sender that is not used."""
         self.reject(reason, self.lines, f"{sender} {text}")
         _count(self.senders, sender)
 
-    def set_aside_talker(self, talker: str) -> None:
+    def count_other_talker(self, talker: str) -> None:
         """Count a sentence of a talker that is not of the source."""
         _count(self.talkers, talker)
 
@@ -90,21 +90,21 @@ class Source:
         self._role, self._factory = role, factory
         self._report = LiveReport(id_)
         self._instrument = Instrument(factory, role, id_, self._report)
-        self._sender = SenderRule(config.from_)
+        self._sender = SenderFilter(config.from_)
         self._lock = threading.Lock()
         self._arrival_ns = self._stamp_ns = 0
-        self._received_ns = self._given_ns = self._reported_ns = now_ns
-        self._given: Counter[str] = Counter()
+        self._received_ns = self._published_ns = self._reported_ns = now_ns
+        self._published: Counter[str] = Counter()
         self._heave_m: float | None = None
-        self._given_before = 0
+        self._published_before = 0
         # In the past, so that neither is a warning now.
-        self._dropped, self._dropped_ns = 0, now_ns - 2 * SHOWN_NS
-        self._clock_problem, self._clock_problem_ns = "", now_ns - 2 * SHOWN_NS
+        self._dropped, self._dropped_ns = 0, now_ns - 2 * WARNING_NS
+        self._clock_problem, self._clock_problem_ns = "", now_ns - 2 * WARNING_NS
         self._talkers = TalkerComparison()
         # An INS must give attitudes; a weather station any of its quantities.
-        self._wanted = tuple(self.topics) if role.becomes == WEATHER else tuple(self.topics)[:1]
+        self._required_topics = tuple(self.topics) if role.becomes == WEATHER else tuple(self.topics)[:1]
 
-    def take(self, received: ParsedText, arrival_ns: int, now_ns: int, sender: str = "") -> list[tuple[str, Any]]:
+    def convert(self, received: ParsedText, arrival_ns: int, now_ns: int, sender: str = "") -> list[tuple[str, Any]]:
         """Return the messages of the next text, each with its topic; they are counted as published.
 
         Args:
@@ -119,38 +119,38 @@ class Source:
             if refusal := self._sender.rejection_reason(sender, now_ns):
                 self._report.reject_sender(refusal, sender, received.text)
                 return []
-            messages = self._taken(received, arrival_ns, now_ns)
-            if any(topic in self._wanted for topic, _ in messages):
-                self._sender.hold(sender, now_ns)
+            messages = self._convert(received, arrival_ns, now_ns)
+            if any(topic in self._required_topics for topic, _ in messages):
+                self._sender.select(sender, now_ns)
             return messages
 
-    def _taken(self, received: ParsedText, arrival_ns: int, now_ns: int) -> list[tuple[str, Any]]:
+    def _convert(self, received: ParsedText, arrival_ns: int, now_ns: int) -> list[tuple[str, Any]]:
         report = self._report
-        if arrival_ns < self._arrival_ns - _BACK_NS:
+        if arrival_ns < self._arrival_ns - _BACKWARD_JUMP_NS:
             self._instrument = Instrument(self._factory, self._role, self.id, report)
         self._arrival_ns = arrival_ns
-        line = self._line(received, arrival_ns)
+        line = self._usable_line(received, arrival_ns)
         not_later = report.rejected[NOT_LATER]
         messages = [] if line is None else [(topic, message) for _, topic, message in self._instrument.take(line)]
-        was_ahead = self._stamp_ns > arrival_ns and now_ns - self._given_ns > _PUT_RIGHT_NS
+        was_ahead = self._stamp_ns > arrival_ns and now_ns - self._published_ns > _CLOCK_CORRECTED_NS
         if was_ahead and report.rejected[NOT_LATER] > not_later:
             # The instrument's clock was corrected: its new stamps are right, and the earlier ones were not.
             self._instrument = Instrument(self._factory, self._role, self.id, report)
         for topic, message in messages:
-            self._given[topic] += 1
+            self._published[topic] += 1
             stamp_ns = ns_from_stamp(message.header.stamp)
-            if topic in self._wanted:
-                self._given_ns, self._stamp_ns = now_ns, stamp_ns
+            if topic in self._required_topics:
+                self._published_ns, self._stamp_ns = now_ns, stamp_ns
             if problem := clock_problem(arrival_ns - stamp_ns, "this computer's"):
                 self._clock_problem, self._clock_problem_ns = problem, now_ns
         return messages
 
-    def _line(self, received: ParsedText, arrival_ns: int) -> InstrumentLine | None:
+    def _usable_line(self, received: ParsedText, arrival_ns: int) -> InstrumentLine | None:
         parsed, report = received.result, self._report
         if self.config.talkers and received.talker and received.talker not in self.config.talkers:
-            report.set_aside_talker(received.talker)
+            report.count_other_talker(received.talker)
         elif isinstance(parsed, NotOfInterest):
-            report.set_aside(parsed.name)
+            report.count_unused(parsed.name)
         elif isinstance(parsed, Unusable):
             report.reject(parsed.detail or parsed.reason, report.lines, received.text)
         elif arrival_ns == 0:
@@ -179,66 +179,66 @@ class Source:
         if dropped > self._dropped:
             self._dropped, self._dropped_ns = dropped, now_ns
         level, text = self._evaluate(problem, now_ns)
-        given = sum(self._given[topic] for topic in self._wanted)
+        published = sum(self._published[topic] for topic in self._required_topics)
         span_s = max(now_ns - self._reported_ns, 1) / NS_PER_S
         values = {
             "place": self.config.place,
-            "sender": self._sender.held,
+            "sender": self._sender.selected,
             **({} if self._heave_m is None else {"heave_m": f"{self._heave_m:g}"}),
             "lines": str(self._report.lines),
-            "messages_hz": f"{(given - self._given_before) / span_s:.1f}",
-            **{topic: str(self._given[topic]) for topic in self.topics},
-            **_figures("used", self._report.used),
-            **_figures("rejected", self._report.rejected),
-            **{f"example of {reason}": text for reason, text in sorted(self._report.last.items())},
-            **_figures("put right", self._report.corrected),
-            **_figures("not of interest", self._report.unused),
-            **_figures("other talker", self._report.talkers),
-            **_figures("other sender", self._report.senders),
+            "messages_hz": f"{(published - self._published_before) / span_s:.1f}",
+            **{topic: str(self._published[topic]) for topic in self.topics},
+            **_count_values("used", self._report.used),
+            **_count_values("rejected", self._report.rejected),
+            **{f"example of {reason}": text for reason, text in sorted(self._report.last_rejected.items())},
+            **_count_values("put right", self._report.corrected),
+            **_count_values("not of interest", self._report.unused),
+            **_count_values("other talker", self._report.talkers),
+            **_count_values("other sender", self._report.senders),
             "dropped": str(dropped),
         }
-        self._given_before, self._reported_ns = given, now_ns
+        self._published_before, self._reported_ns = published, now_ns
         return DiagnosticStatus(f"source {self.id}", level, text, values)
 
     def _evaluate(self, problem: str, now_ns: int) -> tuple[Level, str]:
         report, limit_ns = self._report, self.config.silent_after_s * NS_PER_S
-        topics = " or ".join(self._wanted)
-        recent = [reason for reason, at_ns in report.rejected_ns.items() if now_ns - at_ns <= SHOWN_NS]
-        wrong = "; ".join(f"{reason} {report.rejected[reason]}, as {report.last[reason]}" for reason in sorted(recent))
+        topics = " or ".join(self._required_topics)
+        recent = [reason for reason, at_ns in report.rejected_ns.items() if now_ns - at_ns <= WARNING_NS]
+        wrong = "; ".join(f"{reason} {report.rejected[reason]}, as {report.last_rejected[reason]}" for reason in sorted(recent))
         if problem:
             return Level.ERROR, f"{self.config.place}: {problem}; retried"
         if not now_ns - self._received_ns <= limit_ns:
             return Level.ERROR, f"{self.config.place}: no line for {(now_ns - self._received_ns) / NS_PER_S:.0f} s"
-        if not now_ns - self._given_ns <= limit_ns:
+        if not now_ns - self._published_ns <= limit_ns:
             others = f", of other talkers {_names(report.talkers)}" if report.talkers else ""
             why = wrong or f"received: {_names(report.unused, report.used) or 'no usable sentences'}{others}"
-            return Level.ERROR, f"lines come, but no {topics} for {(now_ns - self._given_ns) / NS_PER_S:.0f} s: {why}"
-        if now_ns - self._dropped_ns <= SHOWN_NS:
+            return Level.ERROR, f"lines come, but no {topics} for {(now_ns - self._published_ns) / NS_PER_S:.0f} s: {why}"
+        if now_ns - self._dropped_ns <= WARNING_NS:
             return Level.ERROR, f"overflow: input faster than processing; {self._dropped} lines were dropped"
-        if now_ns - self._clock_problem_ns <= SHOWN_NS:
+        if now_ns - self._clock_problem_ns <= WARNING_NS:
             advice = f"set the clocks by NTP or PTP, or stamp by time: {ARRIVAL_TIME}"
             return Level.WARN, f"{self._clock_problem}: {advice}"
         if wrong:
             return Level.WARN, wrong
-        if several := self._talkers.texts(self._arrival_ns - SHOWN_NS):
+        if several := self._talkers.texts(self._arrival_ns - WARNING_NS):
             return Level.WARN, f"{'; '.join(several)}: choose one with talkers"
-        if not any(self._given[topic] for topic in self._wanted):
+        if not any(self._published[topic] for topic in self._required_topics):
             return Level.OK, f"{self.config.place}: waiting for the first {topics}"
         return Level.OK, f"publishes {topics}"
 
 
-def shown(text: str) -> str:
+def quoted_text(text: str) -> str:
     """Return a text in quotes, shortened."""
-    return repr(text if len(text) <= _SHOWN_CHARACTERS else f"{text[:_SHOWN_CHARACTERS]}…")
+    return repr(text if len(text) <= _MAX_CHARACTERS else f"{text[:_MAX_CHARACTERS]}…")
 
 
 def _count(counts: Counter[str], name: str) -> None:
     """Count a name; names beyond a maximum are counted together."""
-    counts[name if name in counts or len(counts) < _MOST_NAMES else _OTHERS] += 1
+    counts[name if name in counts or len(counts) < _MAX_NAMES else _OTHERS] += 1
 
 
-def _figures(what: str, counts: Counter[str]) -> dict[str, str]:
-    return {f"{what}: {name}": str(count) for name, count in sorted(counts.items())}
+def _count_values(label: str, counts: Counter[str]) -> dict[str, str]:
+    return {f"{label}: {name}": str(count) for name, count in sorted(counts.items())}
 
 
 def _names(*counts: Iterable[str]) -> str:

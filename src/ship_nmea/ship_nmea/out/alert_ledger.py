@@ -10,9 +10,9 @@ from typing import Any
 from ship_bags.stamps import ns_from_stamp
 from ship_nmea.sentences.alerts import (
     FIRST_IDENTIFIER,
-    GREATEST_INSTANCE,
+    MAX_INSTANCE,
     LAST_IDENTIFIER,
-    MOST_ALERTS,
+    MAX_ALERTS,
     AlertCommand,
     SentenceAlert,
 )
@@ -37,7 +37,7 @@ class _Entry:
     sent: SentenceAlert
 
 
-class AlertLedger:
+class SentAlerts:
     """All alerts of the suite as sent to the bridge.
 
     The number of an alert follows from its id, so that it is the same after a restart and on the sister ship. Revisions
@@ -49,14 +49,14 @@ class AlertLedger:
 
     def __init__(self) -> None:
         self._entries: dict[int, _Entry] = {}
-        self.left_out = 0
+        self.omitted_count = 0
 
     @property
     def all(self) -> list[SentenceAlert]:
         """Return all alerts, the most urgent first."""
         return [entry.sent for entry in self._entries.values()]
 
-    def take(self, alerts: Sequence[Any], now_ns: int) -> list[SentenceAlert]:
+    def update(self, alerts: Sequence[Any], now_ns: int) -> list[SentenceAlert]:
         """Return the changes: new and changed alerts, and alerts that no longer exist as normal.
 
         An instance that is replaced by another one is first returned as normal: the bridge identifies an alert by its
@@ -66,22 +66,22 @@ class AlertLedger:
             alerts: the ship_msgs/Alert of an AlertArray.
             now_ns: time at which those that no longer exist became normal.
         """
-        self.left_out = max(0, len(alerts) - MOST_ALERTS)
+        self.omitted_count = max(0, len(alerts) - MAX_ALERTS)
         before, now = self._entries, dict[int, _Entry]()
         changed = []
-        for alert in alerts[:MOST_ALERTS]:
-            number = _number(alert.id, now)
+        for alert in alerts[:MAX_ALERTS]:
+            number = _identifier(alert.id, now)
             former = before.get(number)
-            entry = now[number] = _entry(number, alert, former)
+            entry = now[number] = _make_entry(number, alert, former)
             if former is not None and former.sent.instance != entry.sent.instance:
-                changed.append(_normal(former.sent, now_ns))
+                changed.append(_normal_alert(former.sent, now_ns))
             if former is None or entry.key != former.key:
                 changed.append(entry.sent)
         # At the end, so that a list that cannot be read changes nothing.
         self._entries = now
-        return changed + [_normal(entry.sent, now_ns) for number, entry in before.items() if number not in now]
+        return changed + [_normal_alert(entry.sent, now_ns) for number, entry in before.items() if number not in now]
 
-    def meant(self, command: AlertCommand) -> tuple[str, int] | None:
+    def alert_key(self, command: AlertCommand) -> tuple[str, int] | None:
         """Return id and instance of the alert of a command; None if there is no such alert.
 
         A command without an instance refers to the present one. An instance that it names is checked by the alert node.
@@ -97,20 +97,20 @@ class AlertLedger:
         return None if entry is None else entry.sent
 
 
-def _number(id_: str, taken: Container[int]) -> int:
+def _identifier(id_: str, used: Container[int]) -> int:
     """Return the number of an alert from its id: the next free one if another alert of the list has it."""
     count = LAST_IDENTIFIER - FIRST_IDENTIFIER + 1
     number = zlib.crc32(id_.encode()) % count
-    while (FIRST_IDENTIFIER + number) in taken:
+    while (FIRST_IDENTIFIER + number) in used:
         number = (number + 1) % count
     return FIRST_IDENTIFIER + number
 
 
-def _normal(alert: SentenceAlert, now_ns: int) -> SentenceAlert:
+def _normal_alert(alert: SentenceAlert, now_ns: int) -> SentenceAlert:
     return dataclasses.replace(alert, state=NORMAL, changed_ns=now_ns, revision=alert.revision % _LAST_REVISION + 1)
 
 
-def _entry(number: int, alert: Any, before: _Entry | None) -> _Entry:
+def _make_entry(number: int, alert: Any, before: _Entry | None) -> _Entry:
     changed_ns = ns_from_stamp(alert.changed)
     key = alert.id, alert.instance, alert.priority, alert.state, alert.text, changed_ns
     if before is not None and before.key == key:
@@ -119,11 +119,11 @@ def _entry(number: int, alert: Any, before: _Entry | None) -> _Entry:
     revision, escalation = 1, 0
     if before is not None:
         revision = before.sent.revision % _LAST_REVISION + 1
-        rose = _PRIORITIES.index(priority) > _PRIORITIES.index(before.sent.priority)
+        is_escalated = _PRIORITIES.index(priority) > _PRIORITIES.index(before.sent.priority)
         # A more urgent alert is another instance (docs/explanation/alerts.md); one that only recurs starts at 0.
-        if rose or before.instance == alert.instance:
-            escalation = min(before.sent.escalation + rose, _LAST_ESCALATION)
-    instance = (alert.instance - 1) % GREATEST_INSTANCE + 1
+        if is_escalated or before.instance == alert.instance:
+            escalation = min(before.sent.escalation + is_escalated, _LAST_ESCALATION)
+    instance = (alert.instance - 1) % MAX_INSTANCE + 1
     sent = SentenceAlert(
         number, instance, revision, escalation, priority, _STATES[alert.state], changed_ns, _title(alert.id),
         alert.text,
@@ -138,12 +138,12 @@ def _title(id_: str) -> str:
     word distinguishes two devices and stays.
     """
     words = id_.upper().replace("_", " ").replace(".", " ").split()
-    while len(" ".join(words)) > _TITLE_LENGTH and (longest := max(map(_letters, words), default=0)) > 1:
-        at = next(at for at, word in enumerate(words) if _letters(word) == longest)
+    while len(" ".join(words)) > _TITLE_LENGTH and (longest := max(map(_length_without_number, words), default=0)) > 1:
+        at = next(at for at, word in enumerate(words) if _length_without_number(word) == longest)
         words[at] = words[at][: longest - 1] + words[at][longest:]
     return " ".join(words)
 
 
-def _letters(word: str) -> int:
+def _length_without_number(word: str) -> int:
     """Return the length of a word without the number at its end."""
     return len(word.rstrip(string.digits))

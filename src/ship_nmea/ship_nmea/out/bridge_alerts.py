@@ -14,11 +14,11 @@ from rclpy.task import Future
 from ship_bags.stamps import NS_PER_S
 from ship_msgs.srv import AcknowledgeAlert
 from ship_nmea.node_shell import NmeaNode
-from ship_nmea.out.alert_ledger import AlertLedger
+from ship_nmea.out.alert_ledger import SentAlerts
 from ship_nmea.out.config import ALC, ALERT_SENTENCES, ALF, HBT, NmeaOutConfig
-from ship_nmea.out.played import PLAYED, is_played, utc_ns
+from ship_nmea.out.played import PLAYBACK_TEXT, is_played, utc_ns
 from ship_nmea.out.sink import Sink
-from ship_nmea.sentences.alerts import ACKNOWLEDGE, REPEAT, AlertCommand, SentenceAlert, alc, alert_command, alf, arc, hbt
+from ship_nmea.sentences.alerts import ACKNOWLEDGE, REPEAT, AlertCommand, SentenceAlert, alc, parse_command, alf, arc, hbt
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.edge.topics import InputTopic
 
@@ -28,15 +28,15 @@ ACKNOWLEDGE_SERVICE = "alerts/acknowledge"
 _COMMANDS_PERIOD_S = 0.05
 _MAX_RECEIVED = 100
 _MAX_PENDING = 50
-_ANSWERED_WITHIN_NS = 3 * NS_PER_S
+_RESPONSE_TIMEOUT_NS = 3 * NS_PER_S
 
 
 @dataclass(frozen=True)
 class _PendingAcknowledgement:
     """A command that was passed on: its pending response, the deadline, and the sink that it came from."""
 
-    answer: Future
-    until_ns: int
+    future: Future
+    deadline_ns: int
     command: AlertCommand
     sink: Sink
 
@@ -55,22 +55,22 @@ class BridgeAlerts:
         self._received: deque[tuple[str, str, str]] = deque(maxlen=_MAX_RECEIVED)
         self._pending: deque[_PendingAcknowledgement] = deque()
         self._counts: Counter[str] = Counter()
-        self._ledger = AlertLedger()
+        self._sent_alerts = SentAlerts()
         self._sequences: Counter[str] = Counter()
 
-    def begin(self, sinks: Mapping[str, Sink]) -> None:
+    def start(self, sinks: Mapping[str, Sink]) -> None:
         """Start sending to the ``sinks`` of the node, by name."""
         self._sinks = sinks
         if self.are_sent:
             self._acknowledger = self._runtime.node.create_client(AcknowledgeAlert, ACKNOWLEDGE_SERVICE)
-            self._runtime.subscribe(ALERTS, self._take, latched=True)
-            self._runtime.every(self._config.alerts_period_s, "alert list", self._send_list)
-            self._runtime.every(_COMMANDS_PERIOD_S, "commands", self._answer_commands)
+            self._runtime.subscribe(ALERTS, self._send_changes, latched=True)
+            self._runtime.add_timer(self._config.alerts_period_s, "alert list", self._send_list)
+            self._runtime.add_timer(_COMMANDS_PERIOD_S, "commands", self._process_commands)
 
     @property
     def are_sent(self) -> bool:
         """True if alerts are sent to any sink."""
-        return any(self._with(name) for name in ALERT_SENTENCES)
+        return any(self._sinks_with(name) for name in ALERT_SENTENCES)
 
     def receive_line(self, name: str, text: str, address: str) -> None:
         """Queue a line received by the named sink; called in the thread of that sink."""
@@ -82,54 +82,54 @@ class BridgeAlerts:
         """Return what was sent, and what was not."""
         values = {name: str(count) for name, count in sorted(self._counts.items())}
         if is_played(self._runtime):
-            return DiagnosticStatus("alerts", Level.WARN, f"no alert is sent, heartbeat status V: {PLAYED}", values)
-        if not self._is_kept():
+            return DiagnosticStatus("alerts", Level.WARN, f"no alert is sent, heartbeat status V: {PLAYBACK_TEXT}", values)
+        if not self._has_publisher():
             text = f"no publisher of {ALERTS.topic}: no list is sent, heartbeat status V"
             return DiagnosticStatus("alerts", Level.WARN, text, values)
-        text = f"{len(self._ledger.all)} alerts"
-        if self._ledger.left_out:
-            text = f"{text} sent, {self._ledger.left_out} more omitted"
+        text = f"{len(self._sent_alerts.all)} alerts"
+        if self._sent_alerts.omitted_count:
+            text = f"{text} sent, {self._sent_alerts.omitted_count} more omitted"
             return DiagnosticStatus("alerts", Level.WARN, text, values)
         return DiagnosticStatus("alerts", Level.OK, text, values)
 
-    def _take(self, message: Any) -> None:
+    def _send_changes(self, message: Any) -> None:
         if is_played(self._runtime):
             return
-        for alert in self._ledger.take(message.alerts, utc_ns(self._runtime)):
-            self._send_alert(alert, self._with(ALF))
+        for alert in self._sent_alerts.update(message.alerts, utc_ns(self._runtime)):
+            self._send_alert(alert, self._sinks_with(ALF))
 
     def _send_alert(self, alert: SentenceAlert, sinks: Iterable[Sink]) -> None:
-        for sentence in alf(alert, self._config.talker, self._config.manufacturer, self._next(ALF)):
-            _put(sentence, sinks)
+        for sentence in alf(alert, self._config.talker, self._config.manufacturer, self._next_sequence(ALF)):
+            _send(sentence, sinks)
         self._counts["told"] += 1
 
     def _send_list(self) -> None:
         """Send the list if live alerts are published; an empty list would report that there is no alert."""
-        is_kept = self._is_kept() and not is_played(self._runtime)
-        sentences = alc(self._ledger.all, self._config.talker, self._config.manufacturer, self._next(ALC))
-        for sentence in sentences if is_kept else ():
-            _put(sentence, self._with(ALC))
-        beat = hbt(is_kept, self._config.talker, self._config.alerts_period_s, self._next(HBT))
-        _put(beat, self._with(HBT))
+        has_publisher = self._has_publisher() and not is_played(self._runtime)
+        sentences = alc(self._sent_alerts.all, self._config.talker, self._config.manufacturer, self._next_sequence(ALC))
+        for sentence in sentences if has_publisher else ():
+            _send(sentence, self._sinks_with(ALC))
+        beat = hbt(has_publisher, self._config.talker, self._config.alerts_period_s, self._next_sequence(HBT))
+        _send(beat, self._sinks_with(HBT))
 
-    def _answer_commands(self) -> None:
+    def _process_commands(self) -> None:
         for _ in range(len(self._received)):
             name, text, address = self._received.popleft()
-            self._take_line(self._sinks[name], text, address)
+            self._process_line(self._sinks[name], text, address)
         now_ns = time.monotonic_ns()
         for _ in range(len(self._pending)):
             pending = self._pending.popleft()
-            if pending.answer.done():
-                self._take_answer(pending)
-            elif now_ns > pending.until_ns:
-                self._acknowledger.remove_pending_request(pending.answer)
+            if pending.future.done():
+                self._process_response(pending)
+            elif now_ns > pending.deadline_ns:
+                self._acknowledger.remove_pending_request(pending.future)
                 self._refuse(pending.sink, pending.command, f"{ACKNOWLEDGE_SERVICE} did not respond")
             else:
                 self._pending.append(pending)
 
-    def _take_line(self, sink: Sink, text: str, address: str) -> None:
+    def _process_line(self, sink: Sink, text: str, address: str) -> None:
         try:
-            command = alert_command(text, self._config.manufacturer)
+            command = parse_command(text, self._config.manufacturer)
         except ValueError as problem:
             self._counts["unreadable"] += 1
             self._runtime.node.get_logger().warning(
@@ -138,7 +138,7 @@ class BridgeAlerts:
             return
         if command is None:
             self._counts["for others"] += 1
-        elif not sink.config.takes_commands_of(address):
+        elif not sink.config.accepts_commands_from(address):
             # No ARC: the bridge would receive it, too, and gave no such command.
             self._counts["not allowed"] += 1
             self._runtime.node.get_logger().warning(
@@ -147,13 +147,13 @@ class BridgeAlerts:
                 throttle_duration_sec=1.0,
             )
         else:
-            self._do(sink, command)
+            self._execute(sink, command)
 
-    def _do(self, sink: Sink, command: AlertCommand) -> None:
-        meant, alert = self._ledger.meant(command), self._ledger.alert_of(command)
+    def _execute(self, sink: Sink, command: AlertCommand) -> None:
+        key, alert = self._sent_alerts.alert_key(command), self._sent_alerts.alert_of(command)
         if not {ALF, ALC} & set(sink.config.sentences):
             self._refuse(sink, command, "this sink sends no alerts")
-        elif meant is None or alert is None:
+        elif key is None or alert is None:
             self._refuse(sink, command, "no such alert")
         elif command.command == REPEAT:
             self._send_alert(alert, [sink])
@@ -162,38 +162,38 @@ class BridgeAlerts:
         elif len(self._pending) >= _MAX_PENDING or not self._acknowledger.service_is_ready():
             self._refuse(sink, command, f"{ACKNOWLEDGE_SERVICE} is not available, or overloaded")
         else:
-            answer = self._acknowledger.call_async(AcknowledgeAlert.Request(id=meant[0], instance=meant[1]))
-            self._pending.append(_PendingAcknowledgement(answer, time.monotonic_ns() + _ANSWERED_WITHIN_NS, command, sink))
+            future = self._acknowledger.call_async(AcknowledgeAlert.Request(id=key[0], instance=key[1]))
+            self._pending.append(_PendingAcknowledgement(future, time.monotonic_ns() + _RESPONSE_TIMEOUT_NS, command, sink))
 
-    def _take_answer(self, pending: _PendingAcknowledgement) -> None:
-        response = pending.answer.result()
+    def _process_response(self, pending: _PendingAcknowledgement) -> None:
+        response = pending.future.result()
         if response is None or not response.success:
-            why = "failed" if response is None else response.message
-            self._refuse(pending.sink, pending.command, why)
+            reason = "failed" if response is None else response.message
+            self._refuse(pending.sink, pending.command, reason)
             return
         self._counts["acknowledged"] += 1
         self._runtime.node.get_logger().info(f"{pending.sink.name}: acknowledged: {response.message}")
 
-    def _refuse(self, sink: Sink, command: AlertCommand, why: str) -> None:
+    def _refuse(self, sink: Sink, command: AlertCommand, reason: str) -> None:
         self._counts["refused"] += 1
         sink.put(arc(command, self._config.talker, self._config.manufacturer, utc_ns(self._runtime)).render())
         self._runtime.node.get_logger().warning(
-            f"{sink.name}: command {command.command} about alert {command.identifier} refused: {why}",
+            f"{sink.name}: command {command.command} about alert {command.identifier} refused: {reason}",
             throttle_duration_sec=1.0,
         )
 
-    def _is_kept(self) -> bool:
+    def _has_publisher(self) -> bool:
         return bool(self._runtime.node.count_publishers(ALERTS.topic) > 0)
 
-    def _with(self, name: str) -> list[Sink]:
+    def _sinks_with(self, name: str) -> list[Sink]:
         return [sink for sink in self._sinks.values() if name in sink.config.sentences]
 
-    def _next(self, name: str) -> int:
+    def _next_sequence(self, name: str) -> int:
         """Return the number of the next message of a kind: the bridge detects a lost one from a gap."""
         self._sequences[name] += 1
         return self._sequences[name]
 
 
-def _put(sentence: Any, sinks: Iterable[Sink]) -> None:
+def _send(sentence: Any, sinks: Iterable[Sink]) -> None:
     for sink in sinks:
         sink.put(sentence.render())

@@ -12,8 +12,8 @@ UDP, TCP_SERVER, SERIAL, FILE = "udp", "tcp_server", "serial", "file"
 ALF, ALC, HBT = "ALF", "ALC", "HBT"
 ALERT_SENTENCES = ALF, ALC, HBT
 
-_NEEDED = {UDP: ("address", "port"), TCP_SERVER: ("port",), SERIAL: ("device",), FILE: ("path",)}
-_ALLOWED = {
+_REQUIRED_PARAMETERS = {UDP: ("address", "port"), TCP_SERVER: ("port",), SERIAL: ("device",), FILE: ("path",)}
+_ALLOWED_PARAMETERS = {
     UDP: ("address", "port", "listen_port", "interface", "from"),
     TCP_SERVER: ("address", "port", "from"),
     SERIAL: ("device", "baud"),
@@ -57,12 +57,12 @@ class SinkConfig:
     )  # fmt: skip
     path: str = parameter("", doc="file: sentences are appended to it")
 
-    def misfit(self) -> tuple[str, str] | None:
+    def first_error(self) -> tuple[str, str] | None:
         """Return the first parameter that does not fit, and what was expected; None if all fit."""
-        for name in _NEEDED[self.kind]:
+        for name in _REQUIRED_PARAMETERS[self.kind]:
             if not getattr(self, name):
                 return name, f"must be given for kind {self.kind}"
-        allowed = _ALLOWED[self.kind]
+        allowed = _ALLOWED_PARAMETERS[self.kind]
         for field in ("address", "port", "listen_port", "interface", "from_", "device", "path"):
             name = field.removesuffix("_")
             if getattr(self, field) and name not in allowed:
@@ -80,13 +80,13 @@ class SinkConfig:
                 return "sentences", f"names {name} twice: expected each sentence once"
         return None
 
-    def takes_commands_of(self, address: str) -> bool:
+    def accepts_commands_from(self, address: str) -> bool:
         """True if commands from an address are executed; a serial line has no address, and its commands are."""
         if not address or address in self.from_:
             return True
         return not self.from_ and self.kind == UDP and address == self.address
 
-    def held(self, name: str) -> MachineResource | None:
+    def held_place(self, name: str) -> MachineResource | None:
         """Return the port, device or file of this machine that it occupies; None if others may share its destination.
 
         Args:
@@ -130,7 +130,7 @@ class NmeaOutConfig:
         if not self.sinks:
             raise ParameterError("parameter 'sinks' names no sink: expected one as 'sinks.bridge.kind'", "sinks")
         for name, sink in self.sinks.items():
-            if misfit := sink.misfit():
+            if misfit := sink.first_error():
                 full_name = f"sinks.{name}.{misfit[0]}"
                 raise ParameterError(f"parameter '{full_name}' {misfit[1]}", full_name)
         _check_letters("talker", self.talker, 2)
@@ -140,7 +140,7 @@ class NmeaOutConfig:
     @property
     def places(self) -> tuple[MachineResource, ...]:
         """Return the ports, devices and files of this machine that the node occupies."""
-        return tuple(filter(None, (sink.held(f"sinks.{name}") for name, sink in self.sinks.items())))
+        return tuple(filter(None, (sink.held_place(f"sinks.{name}") for name, sink in self.sinks.items())))
 
     @property
     def interfaces(self) -> dict[str, str]:

@@ -9,10 +9,10 @@ import termios
 import serial
 
 from ship_nmea.line_splitter import LineSplitter
-from ship_nmea.opening import opened_serial
+from ship_nmea.opening import open_serial
 from ship_nmea.out.outlet import RECEIVE_BYTES, Outlet, command_texts
 
-_UNSENT_S = 0.1
+_MAX_UNSENT_S = 0.1
 """Maximum duration of the unsent data of a serial line at which it accepts the next sentence, s."""
 _BITS_PER_BYTE = 10
 
@@ -27,18 +27,18 @@ class SerialOutlet(Outlet):
         config = self._config
         self._splitter = LineSplitter()
         self._unsent = b""
-        self._port = opened_serial(config.device, config.baud, wait_s=0.0)
+        self._port = open_serial(config.device, config.baud, wait_s=0.0)
         selector.register(self._port.fileno(), selectors.EVENT_READ, self._read)
 
     def send(self, sentence: bytes) -> bool:
         """See :meth:`Outlet.send`."""
         assert self._port is not None
         if self._unsent:
-            self._give()
-        if self._unsent or self._port.out_waiting > self._config.baud / _BITS_PER_BYTE * _UNSENT_S:
+            self._write()
+        if self._unsent or self._port.out_waiting > self._config.baud / _BITS_PER_BYTE * _MAX_UNSENT_S:
             return False
         self._unsent = sentence
-        self._give()
+        self._write()
         return True
 
     def close(self) -> None:
@@ -51,7 +51,7 @@ class SerialOutlet(Outlet):
                 self._port.close()
             self._port = None
 
-    def _give(self) -> None:
+    def _write(self) -> None:
         assert self._port is not None
         with contextlib.suppress(BlockingIOError):
             self._unsent = self._unsent[os.write(self._port.fileno(), self._unsent) :]
@@ -61,8 +61,8 @@ class SerialOutlet(Outlet):
         data = os.read(self._port.fileno(), RECEIVE_BYTES)
         if not data:
             raise OSError(errno.EIO, "the device is gone")
-        for line in command_texts(self._splitter.take(data)):
-            self._hear(line, "")
+        for line in command_texts(self._splitter.split(data)):
+            self._receive(line, "")
 
 
 class FileOutlet(Outlet):

@@ -8,12 +8,12 @@ from ship_nmea.line_splitter import LineSplitter
 from ship_nmea.out.config import SinkConfig
 from ship_nmea.out.outlet import RECEIVE_BYTES, LineReceiver, Outlet, command_texts
 
-MOST_CLIENTS, MOST_OF_A_HOST = 32, 8
+MAX_CLIENTS, MAX_CLIENTS_PER_HOST = 32, 8
 """Maximum number of clients, and of clients of one host, so that it cannot shut out the others."""
-STALLED_S = 10.0
+CLIENT_TIMEOUT_S = 10.0
 """Time without acknowledgement of sent data after which a client is disconnected, s."""
 
-_MOST_READ = 20
+_MAX_READS = 20
 """Maximum number of reads in a row: a flood from one client must not delay the sentences."""
 _SEND_BUFFER_BYTES = 4096
 """Small, because data that waits in the kernel for a slow client is old when it is read."""
@@ -55,13 +55,13 @@ class UdpOutlet(Outlet):
 
     def _read(self) -> None:
         assert self._socket is not None
-        for _ in range(_MOST_READ):
+        for _ in range(_MAX_READS):
             try:
                 data, (address, _) = self._socket.recvfrom(RECEIVE_BYTES)
             except (BlockingIOError, ConnectionRefusedError):
                 return
-            for line in command_texts(LineSplitter().take(data + b"\n")):
-                self._hear(line, address)
+            for line in command_texts(LineSplitter().split(data + b"\n")):
+                self._receive(line, address)
 
 
 class _Client:
@@ -76,12 +76,12 @@ class _Client:
 class TcpOutlet(Outlet):
     """A server; each client receives what it can take, and one that takes nothing is disconnected."""
 
-    def __init__(self, config: SinkConfig, hear: LineReceiver) -> None:
-        super().__init__(config, hear)
+    def __init__(self, config: SinkConfig, receive: LineReceiver) -> None:
+        super().__init__(config, receive)
         self._server: socket.socket | None = None
         self._clients: list[_Client] = []
-        self._skipped = self._sent_away = 0
-        self._crowded = ""
+        self._skipped = self._disconnected = 0
+        self._host_limit_note = ""
 
     def open(self, selector: selectors.BaseSelector) -> None:
         """See :meth:`Outlet.open`."""
@@ -98,12 +98,12 @@ class TcpOutlet(Outlet):
         """See :meth:`Outlet.send`; always True, and clients that are not ready are skipped."""
         for client in list(self._clients):
             if client.unsent:
-                self._give(client)
+                self._write(client)
             if client.unsent:
                 self._skipped += 1
             else:
                 client.unsent = sentence
-                self._give(client)
+                self._write(client)
         return True
 
     def close(self) -> None:
@@ -113,12 +113,12 @@ class TcpOutlet(Outlet):
         if self._server is not None:
             self._server.close()
 
-    def note(self) -> str:
+    def status_note(self) -> str:
         """See :meth:`Outlet.note`."""
         text = f"{len(self._clients)} clients"
         if self._skipped:
             text += f", {self._skipped} sentences skipped for clients that did not read"
-        return text + (f", {self._sent_away} clients disconnected{self._crowded}" if self._sent_away else "")
+        return text + (f", {self._disconnected} clients disconnected{self._host_limit_note}" if self._disconnected else "")
 
     def _accept(self) -> None:
         assert self._server is not None
@@ -127,26 +127,26 @@ class TcpOutlet(Outlet):
         except OSError:
             return  # closed again, or too many open files: the listening socket itself still works
         of_host = sum(client.address == address for client in self._clients)
-        if len(self._clients) >= MOST_CLIENTS or of_host >= MOST_OF_A_HOST:
+        if len(self._clients) >= MAX_CLIENTS or of_host >= MAX_CLIENTS_PER_HOST:
             connection.close()
-            self._send_away()
-            if of_host >= MOST_OF_A_HOST:
-                self._crowded = f", {address} has {MOST_OF_A_HOST} connections, the maximum per host"
+            self._count_disconnection()
+            if of_host >= MAX_CLIENTS_PER_HOST:
+                self._host_limit_note = f", {address} has {MAX_CLIENTS_PER_HOST} connections, the maximum per host"
             return
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
         # At a low rate the send buffer takes minutes to fill; the system detects missing acknowledgements earlier.
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1000 * STALLED_S))
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1000 * CLIENT_TIMEOUT_S))
         client = _Client(connection, address)
         self._clients.append(client)
         self._selector.register(connection, selectors.EVENT_READ, lambda: self._read(client))
 
-    def _send_away(self) -> None:
-        self._sent_away += 1
-        self.lost_ns = time.monotonic_ns()
+    def _count_disconnection(self) -> None:
+        self._disconnected += 1
+        self.client_lost_ns = time.monotonic_ns()
 
-    def _give(self, client: _Client) -> None:
+    def _write(self, client: _Client) -> None:
         try:
             count = client.connection.send(client.unsent)
         except BlockingIOError:
@@ -167,13 +167,13 @@ class TcpOutlet(Outlet):
         if not data:
             self._drop(client)
             return
-        for line in command_texts(client.splitter.take(data)):
-            self._hear(line, client.address)
+        for line in command_texts(client.splitter.split(data)):
+            self._receive(line, client.address)
 
     def _drop(self, client: _Client, problem: OSError | None = None) -> None:
         if client in self._clients:
             if isinstance(problem, TimeoutError):
-                self._send_away()
+                self._count_disconnection()
             self._clients.remove(client)
             self._selector.unregister(client.connection)
             client.connection.close()

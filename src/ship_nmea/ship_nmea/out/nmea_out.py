@@ -15,14 +15,14 @@ from ship_msgs.msg import ShipAttitude
 from ship_nmea.node_shell import NmeaNode
 from ship_nmea.out.bridge_alerts import BridgeAlerts
 from ship_nmea.out.config import NmeaOutConfig
-from ship_nmea.out.played import PLAYED, is_played, utc_ns
+from ship_nmea.out.played import PLAYBACK_TEXT, is_played, utc_ns
 from ship_nmea.out.sink import Sink
 from ship_nmea.sentences.attitude import (
     ATTITUDE_SENTENCES,
     SIMULATION_SENTENCES,
     SentenceAttitude,
-    Worth,
-    as_played,
+    AttitudeQuality,
+    simulated_attitude,
     heading_rate,
 )
 from ship_node.edge.messages_out import DiagnosticStatus, Level
@@ -31,12 +31,12 @@ from ship_node.edge.topics import InputTopic
 ATTITUDE = InputTopic("ship/attitude", "ship_msgs/msg/ShipAttitude", required=True, depth=200)
 
 _VOID_PERIOD_S = 0.1
-_WORTHS = {
-    ShipAttitude.VALID: Worth.NORMAL, ShipAttitude.COASTING: Worth.ESTIMATED, ShipAttitude.DEGRADED: Worth.ESTIMATED
+_QUALITIES = {
+    ShipAttitude.VALID: AttitudeQuality.NORMAL, ShipAttitude.COASTING: AttitudeQuality.ESTIMATED, ShipAttitude.DEGRADED: AttitudeQuality.ESTIMATED
 }  # fmt: skip
 
 
-class Pace:
+class Throttle:
     """Selects the attitudes that are sent to a sink: one per period, up to half a period early or late.
 
     Args:
@@ -71,22 +71,22 @@ class NmeaOut:
     def __init__(self, runtime: NmeaNode) -> None:
         self._runtime = runtime
         self._config: NmeaOutConfig = runtime.config
-        self._longest_ns = round(self._config.longest_age_s * NS_PER_S)
+        self._max_age_ns = round(self._config.longest_age_s * NS_PER_S)
         self._attitude: Any = None
-        self._came_ns = 0
+        self._received_ns = 0
         self._alerts = BridgeAlerts(runtime)
         self._sinks = [
             Sink(name, config, partial(self._alerts.receive_line, name)) for name, config in self._config.sinks.items()
         ]
         try:
-            runtime.require_one_open([sink.refusal for sink in self._sinks if sink.refusal], len(self._sinks))
+            runtime.require_one_open([sink.opening_error for sink in self._sinks if sink.opening_error], len(self._sinks))
         except ValueError:
             self.close()
             raise
-        self._paces = [(sink, Pace(sink.config.rate_hz)) for sink in self._sinks]
-        runtime.subscribe(ATTITUDE, self._take_attitude)
-        runtime.every(_VOID_PERIOD_S, "void sentences", self._send_void)
-        self._alerts.begin({sink.name: sink for sink in self._sinks})
+        self._throttles = [(sink, Throttle(sink.config.rate_hz)) for sink in self._sinks]
+        runtime.subscribe(ATTITUDE, self._receive_attitude)
+        runtime.add_timer(_VOID_PERIOD_S, "void sentences", self._send_void)
+        self._alerts.start({sink.name: sink for sink in self._sinks})
         for sink in self._sinks:
             sink.start()
         descriptions = [f"{sink.name}: {', '.join(sink.config.sentences)} to {sink.place}" for sink in self._sinks]
@@ -95,10 +95,10 @@ class NmeaOut:
     def statuses(self) -> Iterable[DiagnosticStatus]:
         """See :class:`ship_nmea.nmea_node.Work`."""
         yield from (sink.status() for sink in self._sinks)
-        reason = self._why_void(*self._runtime.clock.times())
+        reason = self._void_reason(*self._runtime.clock.times())
         text = f"void: {reason}" if reason else ""
         if not text and is_played(self._runtime):
-            text = f"void except {', '.join(SIMULATION_SENTENCES)}: {PLAYED}"
+            text = f"void except {', '.join(SIMULATION_SENTENCES)}: {PLAYBACK_TEXT}"
         yield DiagnosticStatus("attitude", Level.WARN if text else Level.OK, text or "sent")
         if self._alerts.are_sent:
             yield self._alerts.status()
@@ -108,54 +108,54 @@ class NmeaOut:
         for sink in self._sinks:
             sink.close()
 
-    def _take_attitude(self, message: Any) -> None:
+    def _receive_attitude(self, message: Any) -> None:
         now_ns, waiting_ns = self._runtime.clock.times()
-        self._attitude, self._came_ns = message, waiting_ns
-        self._send_attitude(self._why_void(now_ns, waiting_ns))
+        self._attitude, self._received_ns = message, waiting_ns
+        self._send_attitude(self._void_reason(now_ns, waiting_ns))
 
     def _send_void(self) -> None:
-        if reason := self._why_void(*self._runtime.clock.times()):
+        if reason := self._void_reason(*self._runtime.clock.times()):
             self._send_attitude(reason)
 
-    def _send_attitude(self, why_void: str) -> None:
+    def _send_attitude(self, void_reason: str) -> None:
         steady_ns = time.monotonic_ns()
-        due = [sink for sink, pace in self._paces if pace.is_due(steady_ns)]
+        due = [sink for sink, pace in self._throttles if pace.is_due(steady_ns)]
         if not due:
             return
-        attitude = SentenceAttitude(utc_ns(self._runtime)) if why_void else self._sentence_attitude(self._attitude)
-        as_if_live = not is_played(self._runtime)
+        attitude = SentenceAttitude(utc_ns(self._runtime)) if void_reason else self._sentence_attitude(self._attitude)
+        is_live = not is_played(self._runtime)
         for sink in due:
             for name in sink.config.sentences:
-                if make := ATTITUDE_SENTENCES.get(name):
-                    output = attitude if as_if_live else as_played(name, attitude)
-                    sentence = make(output, self._config.talker, sink.config.decimals)
-                    sink.put(sentence.render(), self._longest_ns)
+                if make_sentence := ATTITUDE_SENTENCES.get(name):
+                    output = attitude if is_live else simulated_attitude(name, attitude)
+                    sentence = make_sentence(output, self._config.talker, sink.config.decimals)
+                    sink.put(sentence.render(), self._max_age_ns)
 
-    def _why_void(self, now_ns: int, waiting_ns: int) -> str:
+    def _void_reason(self, now_ns: int, waiting_ns: int) -> str:
         """Return why there is no valid attitude to send; empty if there is one."""
         message = self._attitude
         if message is None:
             return f"{ATTITUDE.topic}: no message received yet"
-        if message.status not in _WORTHS:
+        if message.status not in _QUALITIES:
             return f"{ATTITUDE.topic} is INVALID"
         if not all(map(math.isfinite, (message.heading, message.pitch, message.roll))):
             return f"{ATTITUDE.topic} has an angle that is not a number"
-        if not waiting_ns - self._came_ns <= self._longest_ns:
-            return f"{ATTITUDE.topic}: no message for {duration_text(waiting_ns - self._came_ns)}"
+        if not waiting_ns - self._received_ns <= self._max_age_ns:
+            return f"{ATTITUDE.topic}: no message for {duration_text(waiting_ns - self._received_ns)}"
         age_ns = now_ns - ns_from_stamp(message.header.stamp)
-        if not abs(age_ns) <= self._longest_ns:
+        if not abs(age_ns) <= self._max_age_ns:
             side = "before" if age_ns > 0 else "after"
             return f"the stamp of {ATTITUDE.topic} is {duration_text(age_ns)} {side} this node's clock"
         return ""
 
     def _sentence_attitude(self, message: Any) -> SentenceAttitude:
-        worth = Worth.SIMULATED if self._runtime.clock.is_simulated() else _WORTHS[message.status]
+        quality = AttitudeQuality.SIMULATED if self._runtime.clock.is_simulated() else _QUALITIES[message.status]
         variances = [float(message.covariance[index]) for index in (0, 4, 8)]
         sigma_heading, sigma_pitch, sigma_roll = (math.sqrt(v) if v >= 0.0 else math.nan for v in variances)
         rate = message.angular_velocity
         return SentenceAttitude(
             ns_from_stamp(message.header.stamp),
-            worth,
+            quality,
             (message.heading, message.pitch, message.roll),
             (sigma_heading, sigma_pitch, sigma_roll),
             heading_rate(message.pitch, message.roll, (rate.x, rate.y, rate.z)),

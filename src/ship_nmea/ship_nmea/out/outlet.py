@@ -31,9 +31,9 @@ class Outlet(ABC):
         hear: called with each received line and its sender's address.
     """
 
-    def __init__(self, config: SinkConfig, hear: LineReceiver) -> None:
-        self._config, self._hear = config, hear
-        self.lost_ns: int | None = None
+    def __init__(self, config: SinkConfig, receive: LineReceiver) -> None:
+        self._config, self._receive = config, receive
+        self.client_lost_ns: int | None = None
         where = {
             UDP: f"{config.address}:{config.port}",
             TCP_SERVER: f"{config.address or '*'}:{config.port}",
@@ -62,7 +62,7 @@ class Outlet(ABC):
     def close(self) -> None:
         """Close it; also after a failed opening."""
 
-    def note(self) -> str:
+    def status_note(self) -> str:
         """Return further text for its status."""
         return ""
 

@@ -4,7 +4,7 @@ import time
 
 from ship_nmea.node_shell import NmeaNode
 
-PLAYED = "this node follows /clock, and tell_simulated is false"
+PLAYBACK_TEXT = "this node follows /clock, and tell_simulated is false"
 
 
 def is_played(runtime: NmeaNode) -> bool:

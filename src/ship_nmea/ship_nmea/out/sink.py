@@ -18,19 +18,19 @@ from ship_nmea.out.network_outlets import TcpOutlet, UdpOutlet
 from ship_nmea.out.outlet import LineReceiver, Outlet
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 
-MOST_WAITING = 200
+MAX_QUEUED = 200
 """Maximum number of queued sentences; more would be old when they are sent."""
 RETRY_S = 2.0
 """Time after which a failed outlet is opened again, s."""
 
-_OFFER_AGAIN_S = 0.02
-_LOOK_S = 0.5
-_ENDS_WITHIN_S = 2.0
-_SHOWN_NS = 10 * NS_PER_S
+_SEND_RETRY_S = 0.02
+_SELECT_TIMEOUT_S = 0.5
+_JOIN_TIMEOUT_S = 2.0
+_WARNING_NS = 10 * NS_PER_S
 """Time for which dropped sentences or disconnected clients remain a warning, ns."""
 
 _OUTLETS: dict[str, type[Outlet]] = {UDP: UdpOutlet, TCP_SERVER: TcpOutlet, SERIAL: SerialOutlet, FILE: FileOutlet}
-_NAMED_BY = {
+_PARAMETER_NAMES = {
     UDP: ("listen_port", "interface"),
     TCP_SERVER: ("port", "address"),
     SERIAL: ("device", "baud"),
@@ -39,11 +39,11 @@ _NAMED_BY = {
 """See :func:`ship_nmea.link_opening.permanent_error`; of UDP only binding and the interface can fail so."""
 
 
-class _Waiting(NamedTuple):
+class _QueuedSentence(NamedTuple):
     """A sentence with its line end, and the steady time at which it expires; 0 for never."""
 
     data: bytes
-    until_ns: int
+    expiry_ns: int
 
 
 class Sink:
@@ -58,25 +58,25 @@ class Sink:
         refusal: error of the first opening if only the user can clear it; otherwise None.
     """
 
-    def __init__(self, name: str, config: SinkConfig, hear: LineReceiver) -> None:
+    def __init__(self, name: str, config: SinkConfig, receive: LineReceiver) -> None:
         self.name, self.config = name, config
-        self.refusal: BadInput | None = None
-        self._outlet: Outlet = _OUTLETS[config.kind](config, hear)
-        self._queue: deque[_Waiting] = deque()
+        self.opening_error: BadInput | None = None
+        self._outlet: Outlet = _OUTLETS[config.kind](config, receive)
+        self._queue: deque[_QueuedSentence] = deque()
         self._lock = threading.Lock()
         self._dropped: Counter[str] = Counter()
-        self._dropped_ns = -_SHOWN_NS
+        self._dropped_ns = -_WARNING_NS
         self._sent = self._failures = 0
         self._failure = ""
         self._is_open = self._is_stopped = False
         self._selector = selectors.DefaultSelector()
-        self._woken, self._waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
-        self._selector.register(self._woken, selectors.EVENT_READ, self._drain)
+        self._wake_reader, self._wake_writer = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        self._selector.register(self._wake_reader, selectors.EVENT_READ, self._drain)
         try:
             self._open()
         except OSError as problem:
             self._fail(problem)
-            self.refusal = permanent_error(problem, f"sinks.{name}", config, _NAMED_BY)
+            self.opening_error = permanent_error(problem, f"sinks.{name}", config, _PARAMETER_NAMES)
         self._thread = threading.Thread(target=self._run, name=f"sink {name}", daemon=True)
 
     @property
@@ -88,40 +88,40 @@ class Sink:
         """Start sending."""
         self._thread.start()
 
-    def put(self, sentence: str, lasts_ns: int = 0) -> None:
+    def put(self, sentence: str, max_wait_ns: int = 0) -> None:
         """Queue a sentence; if the queue is full, the oldest is dropped.
 
         Args:
             sentence: without its line end.
             lasts_ns: maximum time in the queue, ns; 0 for no limit.
         """
-        until_ns = time.monotonic_ns() + lasts_ns if lasts_ns else 0
+        until_ns = time.monotonic_ns() + max_wait_ns if max_wait_ns else 0
         with self._lock:
             if not self._is_open:
                 self._drop("while it was not open")
                 return
-            if len(self._queue) >= MOST_WAITING:
+            if len(self._queue) >= MAX_QUEUED:
                 self._queue.popleft()
-                self._drop(f"the oldest of more than {MOST_WAITING} queued")
-            self._queue.append(_Waiting(f"{sentence}\r\n".encode("ascii", errors="replace"), until_ns))
+                self._drop(f"the oldest of more than {MAX_QUEUED} queued")
+            self._queue.append(_QueuedSentence(f"{sentence}\r\n".encode("ascii", errors="replace"), until_ns))
         self._wake()
 
     def status(self) -> DiagnosticStatus:
         """Return the status of the sink."""
         with self._lock:
             dropped, failure = dict(self._dropped), self._failure
-            waiting, last_ns = len(self._queue), max(self._dropped_ns, self._outlet.lost_ns or self._dropped_ns)
+            waiting, last_ns = len(self._queue), max(self._dropped_ns, self._outlet.client_lost_ns or self._dropped_ns)
         values = {"sent": str(self._sent), "waiting": str(waiting), "failures": str(self._failures)}
         values |= {f"dropped: {why}": str(count) for why, count in dropped.items()}
         text = f"{self._outlet.place}: {self._sent} sent"
-        if note := self._outlet.note():
+        if note := self._outlet.status_note():
             text += f"; {note}"
         if dropped:
             text += f"; {sum(dropped.values())} dropped"
         if not self._is_open:
             text = f"{self._outlet.place}: {failure}; retried every {RETRY_S:g} s"
             return DiagnosticStatus(f"sink {self.name}", Level.ERROR, text, values)
-        is_recent = time.monotonic_ns() - last_ns <= _SHOWN_NS
+        is_recent = time.monotonic_ns() - last_ns <= _WARNING_NS
         return DiagnosticStatus(f"sink {self.name}", Level.WARN if is_recent else Level.OK, text, values)
 
     def close(self) -> None:
@@ -129,21 +129,21 @@ class Sink:
         self._is_stopped = True
         self._wake()
         if not self._thread.ident:
-            self._give_back()
+            self._close_all()
         elif self._thread.is_alive():
-            self._thread.join(_ENDS_WITHIN_S)  # with a disk that hangs, the thread ends with the process
+            self._thread.join(_JOIN_TIMEOUT_S)  # with a disk that hangs, the thread ends with the process
 
     def _run(self) -> None:
         while not self._is_stopped:
-            if problem := self._work_until_it_fails():
+            if problem := self._work_until_failure():
                 self._fail(problem)
                 self._wait(RETRY_S)
         if self._is_open:
             with contextlib.suppress(OSError):
-                self._send_waiting()
-        self._give_back()
+                self._send_queued()
+        self._close_all()
 
-    def _work_until_it_fails(self) -> Exception | None:
+    def _work_until_failure(self) -> Exception | None:
         """Return any exception: the thread must stay alive to try again, and the status reports it."""
         try:
             if not self._is_open:
@@ -154,30 +154,30 @@ class Sink:
         return None
 
     def _work(self) -> None:
-        timeout_s = _LOOK_S
+        timeout_s = _SELECT_TIMEOUT_S
         while not self._is_stopped:
             for key, _ in self._selector.select(timeout_s):
                 key.data()
-            timeout_s = _LOOK_S if self._send_waiting() else _OFFER_AGAIN_S
+            timeout_s = _SELECT_TIMEOUT_S if self._send_queued() else _SEND_RETRY_S
 
-    def _send_waiting(self) -> bool:
+    def _send_queued(self) -> bool:
         """Return True if all queued sentences are sent; expired ones are dropped."""
         while True:
             with self._lock:
                 if not self._queue:
                     return True
-                waiting = self._queue[0]
-                is_late = 0 < waiting.until_ns < time.monotonic_ns()
-                if is_late:
+                queued = self._queue[0]
+                is_expired = 0 < queued.expiry_ns < time.monotonic_ns()
+                if is_expired:
                     self._queue.popleft()
                     self._drop("expired in the queue: the line is too slow for rate_hz")
                     continue
-            if not self._outlet.send(waiting.data):
+            if not self._outlet.send(queued.data):
                 return False
             self._sent += 1
             with self._lock:
                 # The node may have dropped it meanwhile to make room.
-                if self._queue and self._queue[0] is waiting:
+                if self._queue and self._queue[0] is queued:
                     self._queue.popleft()
 
     def _open(self) -> None:
@@ -195,32 +195,32 @@ class Sink:
         with contextlib.suppress(OSError):
             self._outlet.close()
         for fd in list(self._selector.get_map()):
-            if fd != self._woken:
+            if fd != self._wake_reader:
                 self._selector.unregister(fd)
 
-    def _give_back(self) -> None:
+    def _close_all(self) -> None:
         with contextlib.suppress(OSError):
             self._outlet.close()
         self._selector.close()
-        os.close(self._woken)
-        self._woken = -1
-        waker, self._waker = self._waker, -1
+        os.close(self._wake_reader)
+        self._wake_reader = -1
+        waker, self._wake_writer = self._wake_writer, -1
         os.close(waker)
 
     def _wait(self, seconds: float) -> None:
         end_s = time.monotonic() + seconds
         while not self._is_stopped and time.monotonic() < end_s:
-            for key, _ in self._selector.select(min(_LOOK_S, max(0.0, end_s - time.monotonic()))):
+            for key, _ in self._selector.select(min(_SELECT_TIMEOUT_S, max(0.0, end_s - time.monotonic()))):
                 key.data()
 
     def _wake(self) -> None:
         with contextlib.suppress(OSError):
-            os.write(self._waker, b"w")
+            os.write(self._wake_writer, b"w")
 
     def _drain(self) -> None:
         with contextlib.suppress(BlockingIOError):
-            os.read(self._woken, 4096)
+            os.read(self._wake_reader, 4096)
 
-    def _drop(self, why: str) -> None:
-        self._dropped[why] += 1
+    def _drop(self, reason: str) -> None:
+        self._dropped[reason] += 1
         self._dropped_ns = time.monotonic_ns()

@@ -14,8 +14,8 @@ from ship_nmea.sentences.defined import ACN, ALC, ALF, ARC, HBT, LONGEST_BYTES, 
 
 FIRST_IDENTIFIER, LAST_IDENTIFIER = 10_000, 9_999_999
 """Range of alert identifiers that a manufacturer may use."""
-GREATEST_INSTANCE = 999_999
-MOST_ALERTS = 200
+MAX_INSTANCE = 999_999
+MAX_ALERTS = 200
 """Maximum number of alerts sent: ten times the most that a suite has had."""
 
 ACKNOWLEDGE, REPEAT = "A", "Q"
@@ -25,7 +25,7 @@ _TITLE_LENGTH = 16
 _CATEGORY = "B"
 """The alert itself contains all information needed to decide what to do."""
 _TIME_DECIMALS = 2
-_AROUND = len("$*hh\r\n")
+_FRAME_LENGTH = len("$*hh\r\n")
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def alf(alert: SentenceAlert, talker: str, manufacturer: str, sequence: int) -> 
     sentences = [ALF(talker, "ALF", (*head, time_text, _CATEGORY, alert.priority, alert.state, *which, title))]
     if alert.description:
         data = (total, "2", str(sequence % 10), "", "", "", "", *which)
-        room = LONGEST_BYTES - _AROUND - len(f"{talker}ALF,{','.join(data)},")
+        room = LONGEST_BYTES - _FRAME_LENGTH - len(f"{talker}ALF,{','.join(data)},")
         sentences.append(ALF(talker, "ALF", (*data, text_field(alert.description, room))))
     return sentences
 
@@ -96,7 +96,7 @@ def alc(
     alerts: Sequence[SentenceAlert], talker: str, manufacturer: str, sequence: int
 ) -> list[pynmea2.NMEASentence]:
     """Return the list of all alerts, in as many sentences as needed; no alert is split. Arguments as for `alf`."""
-    room = LONGEST_BYTES - _AROUND - len(f"{talker}ALC,01,01,00,99")
+    room = LONGEST_BYTES - _FRAME_LENGTH - len(f"{talker}ALC,01,01,00,99")
     groups: list[list[str]] = [[]]
     for alert in alerts:
         entry = f"{manufacturer},{alert.identifier},{alert.instance},{alert.revision}"
@@ -118,12 +118,12 @@ def arc(command: AlertCommand, talker: str, manufacturer: str, time_ns: int) -> 
     return ARC(talker, "ARC", (time_text, manufacturer, str(command.identifier), instance, command.command))
 
 
-def hbt(is_well: bool, talker: str, period_s: float, sequence: int) -> pynmea2.NMEASentence:
+def hbt(is_operational: bool, talker: str, period_s: float, sequence: int) -> pynmea2.NMEASentence:
     """Return a heartbeat of the source of alerts: its period, s, and whether it works."""
-    return HBT(talker, "HBT", (f"{period_s:g}", "A" if is_well else "V", str(sequence % 10)))
+    return HBT(talker, "HBT", (f"{period_s:g}", "A" if is_operational else "V", str(sequence % 10)))
 
 
-def alert_command(text: str, manufacturer: str) -> AlertCommand | None:
+def parse_command(text: str, manufacturer: str) -> AlertCommand | None:
     """Return the command to this source in a sentence; None for another sentence, or a command to another source.
 
     Raises:

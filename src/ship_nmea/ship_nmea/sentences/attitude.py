@@ -22,11 +22,11 @@ _NAN3 = (math.nan, math.nan, math.nan)
 _FULL_TURN_DEG = 360
 _S_PER_MIN = 60.0
 _TIME_DECIMALS = 3
-_BELOW_ROUNDING = 1.0 - 1e-12
+_ROUNDING_MARGIN = 1.0 - 1e-12
 """Factor that keeps floating-point errors of a whole number of units from being rounded up."""
 
 
-class Worth(Enum):
+class AttitudeQuality(Enum):
     """Quality of an attitude: mode of THS, and quality of PSXN 20 (0 normal, 1 reduced, 2 invalid)."""
 
     NORMAL = "A", 0
@@ -37,12 +37,12 @@ class Worth(Enum):
     VOID = "V", 2
 
     @property
-    def mode(self) -> str:
+    def ths_mode(self) -> str:
         """Return the mode of THS."""
         return self.value[0]
 
     @property
-    def quality(self) -> int:
+    def psxn_quality(self) -> int:
         """Return the quality of PSXN 20."""
         return self.value[1]
 
@@ -60,7 +60,7 @@ class SentenceAttitude:
     """
 
     time_ns: int
-    worth: Worth = Worth.VOID
+    quality: AttitudeQuality = AttitudeQuality.VOID
     angles: tuple[float, float, float] = _NAN3
     sigmas: tuple[float, float, float] = _NAN3
     heading_rate: float = math.nan
@@ -86,17 +86,17 @@ def heading_rate(pitch: float, roll: float, rate_flu: tuple[float, float, float]
 
 def hdt(attitude: SentenceAttitude, talker: str, decimals: int) -> pynmea2.NMEASentence:
     """Return the true heading. It has no status: without a heading the field is void."""
-    return pynmea2.HDT(talker, "HDT", (_heading(attitude.angles[0], decimals), "T"))
+    return pynmea2.HDT(talker, "HDT", (_heading_text(attitude.angles[0], decimals), "T"))
 
 
 def ths(attitude: SentenceAttitude, talker: str, decimals: int) -> pynmea2.NMEASentence:
     """Return true heading and status."""
-    return THS(talker, "THS", (_heading(attitude.angles[0], decimals), attitude.worth.mode))
+    return THS(talker, "THS", (_heading_text(attitude.angles[0], decimals), attitude.quality.ths_mode))
 
 
 def rot(attitude: SentenceAttitude, talker: str, decimals: int) -> pynmea2.NMEASentence:
     """Return the rate of turn, °/min; V if it is unknown."""
-    rate = _signed(attitude.heading_rate * _S_PER_MIN, decimals)
+    rate = _signed_text(attitude.heading_rate * _S_PER_MIN, decimals)
     return pynmea2.ROT(talker, "ROT", (rate, "A" if rate else "V"))
 
 
@@ -106,25 +106,25 @@ def pashr(attitude: SentenceAttitude, _talker: str, decimals: int) -> pynmea2.NM
     The last two fields are 1 if there is an attitude, otherwise 0: "position" and "after alignment" at NovAtel.
     """
     heading, pitch, roll = attitude.angles
-    is_valid = str(int(attitude.worth is not Worth.VOID))
-    sigma_heading, sigma_pitch, sigma_roll = (_accuracy(sigma, decimals + 1) for sigma in attitude.sigmas)
-    heading_text = _heading(heading, decimals)
-    angles = _signed(roll, decimals, "+"), _signed(pitch, decimals, "+")
+    is_valid = str(int(attitude.quality is not AttitudeQuality.VOID))
+    sigma_heading, sigma_pitch, sigma_roll = (_sigma_text(sigma, decimals + 1) for sigma in attitude.sigmas)
+    heading_text = _heading_text(heading, decimals)
+    angles = _signed_text(roll, decimals, "+"), _signed_text(pitch, decimals, "+")
     data = (time_field(attitude.time_ns, _TIME_DECIMALS), heading_text, "T" if heading_text else "", *angles, "")
     return pynmea2.ash.ASHRATT("ASH", ("R", *data, sigma_roll, sigma_pitch, sigma_heading, is_valid, is_valid))
 
 
 def psxn20(attitude: SentenceAttitude, _talker: str, _decimals: int) -> pynmea2.NMEASentence:
     """Return the quality of position, height, heading, roll and pitch; position and height, not sent, are invalid."""
-    quality = str(attitude.worth.quality)
-    invalid = str(Worth.VOID.quality)
+    quality = str(attitude.quality.psxn_quality)
+    invalid = str(AttitudeQuality.VOID.psxn_quality)
     return pynmea2.sxn.SXN20("SXN", ("", "20", invalid, invalid, quality, quality))
 
 
 def psxn23(attitude: SentenceAttitude, _talker: str, decimals: int) -> pynmea2.NMEASentence:
     """Return roll, pitch, heading."""
     heading, pitch, roll = attitude.angles
-    angles = _signed(roll, decimals), _signed(pitch, decimals), _heading(heading, decimals)
+    angles = _signed_text(roll, decimals), _signed_text(pitch, decimals), _heading_text(heading, decimals)
     return pynmea2.sxn.SXN23("SXN", ("", "23", *angles, ""))
 
 
@@ -136,12 +136,12 @@ SIMULATION_SENTENCES = ("THS",)
 """Sentences with a mode for simulated data."""
 
 
-def as_played(name: str, attitude: SentenceAttitude) -> SentenceAttitude:
+def simulated_attitude(name: str, attitude: SentenceAttitude) -> SentenceAttitude:
     """Return a played attitude for a sentence: void, unless the sentence has a mode for simulated data."""
     return attitude if name in SIMULATION_SENTENCES else SentenceAttitude(attitude.time_ns)
 
 
-def _heading(angle: float, decimals: int) -> str:
+def _heading_text(angle: float, decimals: int) -> str:
     """Return a heading from 0 to below 360°; a value that would be rounded to 360 is 0."""
     if not math.isfinite(angle):
         return ""
@@ -149,7 +149,7 @@ def _heading(angle: float, decimals: int) -> str:
     return f"{round(math.degrees(angle) * unit) % (_FULL_TURN_DEG * unit) / unit:.{decimals}f}"
 
 
-def _signed(angle: float, decimals: int, sign: str = "-") -> str:
+def _signed_text(angle: float, decimals: int, sign: str = "-") -> str:
     """Return an angle, °, with a sign if negative, or always if ``sign`` is ``+``; zero has no minus."""
     if not math.isfinite(angle):
         return ""
@@ -157,9 +157,9 @@ def _signed(angle: float, decimals: int, sign: str = "-") -> str:
     return f"{round(math.degrees(angle), decimals) + 0.0:{sign}.{decimals}f}"
 
 
-def _accuracy(sigma: float, decimals: int) -> str:
+def _sigma_text(sigma: float, decimals: int) -> str:
     """Return a standard deviation, °, rounded up to the last decimal."""
     if not math.isfinite(sigma):
         return ""
     unit = 10**decimals
-    return f"{max(1, math.ceil(math.degrees(sigma) * unit * _BELOW_ROUNDING)) / unit:.{decimals}f}"
+    return f"{max(1, math.ceil(math.degrees(sigma) * unit * _ROUNDING_MARGIN)) / unit:.{decimals}f}"

@@ -13,11 +13,11 @@ LONGEST_BYTES = 82
 
 _RESERVED = "!$*,\\^~\x7f\r\n"
 """Reserved characters: in a text they are written as ``^`` and their hexadecimal code."""
-_IN_ASCII = str.maketrans({
+_ASCII_REPLACEMENTS = str.maketrans({
     "″": '"', "′": "'", "°": " deg", "σ": "sigma", "–": "-", "−": "-", "…": "...",
     "×": "x", "·": " ", "µ": "u", "≤": "<=", "≥": ">=", "±": "+-",
 })  # fmt: skip
-_CUT = ".."
+_ELLIPSIS = ".."
 """End of a text that is longer than its field."""
 
 
@@ -87,7 +87,7 @@ class HBT(pynmea2.TalkerSentence):  # type: ignore[misc]
     )
 
 
-def text_field(text: str, most: int) -> str:
+def text_field(text: str, max_length: int) -> str:
     """Return a text as a field: ASCII, reserved characters as codes, at most ``most`` characters.
 
     A character without an equivalent in ASCII is ``?``. A text that is too long ends after a word, with ``..``.
@@ -98,29 +98,29 @@ def text_field(text: str, most: int) -> str:
         >>> text_field("all star sensors out: silent", 20)
         'all star sensors..'
     """
-    words = [_coded(word) for word in _plain(text).split(" ")]
+    words = [_escape(word) for word in _ascii_text(text).split(" ")]
     field = " ".join("".join(word) for word in words)
-    if len(field) <= most:
+    if len(field) <= max_length:
         return field
-    room, kept = most - len(_CUT), ""
+    room, shortened = max_length - len(_ELLIPSIS), ""
     for word in words:
-        longer = f"{kept} {''.join(word)}" if kept else "".join(word)
+        longer = f"{shortened} {''.join(word)}" if shortened else "".join(word)
         if len(longer) > room:
             break
-        kept = longer
-    if not kept:
+        shortened = longer
+    if not shortened:
         # The first word alone is too long: as many of its characters as fit.
         lengths = itertools.accumulate(map(len, words[0]))
-        kept = "".join(code for code, length in zip(words[0], lengths, strict=True) if length <= room)
-    return kept.rstrip(":;") + _CUT
+        shortened = "".join(code for code, length in zip(words[0], lengths, strict=True) if length <= room)
+    return shortened.rstrip(":;") + _ELLIPSIS
 
 
-def _plain(text: str) -> str:
-    parts = unicodedata.normalize("NFKD", text.translate(_IN_ASCII))
+def _ascii_text(text: str) -> str:
+    parts = unicodedata.normalize("NFKD", text.translate(_ASCII_REPLACEMENTS))
     return "".join(part if part.isascii() else "?" for part in parts if not unicodedata.combining(part))
 
 
-def _coded(word: str) -> list[str]:
+def _escape(word: str) -> list[str]:
     """Return the characters of a word as written in a field; a code is never cut."""
     return [f"^{ord(one):02X}" if one in _RESERVED or not one.isprintable() else one for one in word]
 
