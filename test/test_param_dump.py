@@ -17,7 +17,7 @@ from ship_nmea.node_shell import NmeaNode
 from ship_nmea.out.config import NmeaOutConfig
 from ship_nmea.out.nmea_out import NmeaOut
 from ship_node.live.live_node import LiveNode
-from ship_node.parameters.parameter_file import read
+from ship_node.parameters.parameter_file import read_node_parameters
 from ship_replay.offline.nodes import ADAPTERS
 from ship_testing.own_domain import own_domain  # noqa: F401 - a fixture
 
@@ -77,7 +77,7 @@ def test_a_dump_starts_the_node_again(name: str, tmp_path: Path) -> None:
     (tmp_path / "suite.yaml").write_text(SUITE)
     first, types = dump(name, tmp_path / "suite.yaml")
     (tmp_path / "dump.yaml").write_text(first)
-    assert read(tmp_path / "dump.yaml", name).values
+    assert read_node_parameters(tmp_path / "dump.yaml", name).values
     assert dump(name, tmp_path / "dump.yaml") == (first, types)
     assert Parameter.Type.BYTE_ARRAY not in types.values()
     if "integrity.alert_limit_arcsec" in types:

@@ -15,7 +15,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_estimation.outcome import Status
-from ship_node.documents.saved_document import UNTOUCHED
+from ship_node.documents.saved_document import READ_ONLY
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC
 from ship_replay.evaluation.sources import Truth
 from ship_replay.offline.adapter_chain import AdapterChain, suite_config
@@ -94,7 +94,7 @@ def replayed(
     """Return the node after a replay with faults, with dotted parameters changed (``__`` for the dot)."""
     with read_bag(path) as bag:
         config = suite_config(bag, OpticalAxisAdapter, None, "/optical_axis")
-    adapter = node(replaced(config, **changes), RosbagsFactory(), UNTOUCHED)
+    adapter = node(replaced(config, **changes), RosbagsFactory(), READ_ONLY)
     chain = AdapterChain([adapter])
     run = run_class(chain, sink, ReplaySummary(), truth_topics=set())
     taken = {topic.topic for topic in chain.inputs}

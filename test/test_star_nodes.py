@@ -23,7 +23,7 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.ros_axes import horizon_covariance
 from ship_geometry.rotations import log_rotation
 from ship_node.black_box.black_box import BlackBox
-from ship_node.documents.saved_document import NotedFiles
+from ship_node.documents.saved_document import RecordingFiles
 from ship_node.live.adapter_calls import AdapterCalls
 from ship_node.live.node_clock import TickGrid
 from ship_replay.commands.replay import main as replay
@@ -204,7 +204,7 @@ class _Nobody:
 
 
 def test_a_black_box_of_the_node_is_equal_to_the_last_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    config, files = star_voyage.config(), NotedFiles()
+    config, files = star_voyage.config(), RecordingFiles()
     adapter = StarAttitudeAdapter(config, RosidlFactory(), files)
     box = BlackBox(str(tmp_path / "box.mcap"), adapter, config, adapter.outputs, "/", print)
     calls = AdapterCalls(adapter, {output.topic: _Nobody() for output in adapter.outputs}, files, box)

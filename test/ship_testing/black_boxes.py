@@ -18,7 +18,7 @@ from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.message_factory import RosidlFactory, message_class
 from ship_estimation.parameters import ParameterError
 from ship_node.black_box.black_box import BlackBox
-from ship_node.documents.saved_document import NotedFiles
+from ship_node.documents.saved_document import RecordingFiles
 from ship_node.edge.overload import Overload
 from ship_node.live.adapter_calls import AdapterCalls
 from ship_node.live.node_clock import TickGrid
@@ -99,7 +99,7 @@ def make_box(
         section["ros__parameters"] |= node.parameters
         section["ros__parameters"] |= {node.file_parameter: str(saved_path), "alignment_autosave_s": autosave_s}
         config = load_config(node.adapter_class.config_type, yaml.safe_dump(suite), name)
-        files = NotedFiles()
+        files = RecordingFiles()
         adapter = node.adapter_class(config, RosidlFactory(), files)
         kinds = {topic.topic: message_class(topic.type_name) for topic in adapter.inputs}
         start_ns = bag.start_ns or 0
@@ -160,7 +160,7 @@ def _plan(calls: AdapterCalls, node: RecordedNode) -> list[tuple[int, Callable[[
     return [
         (1 * second, lambda ns: calls.set_parameters({"gate.probability": 0.99}, ns)),
         (2 * second, refused),
-        (2 * second, lambda ns: calls.note_refusal({"gate.probability": 5.0}, "out of its range", ns)),
+        (2 * second, lambda ns: calls.record_refusal({"gate.probability": 5.0}, "out of its range", ns)),
         (3 * second, lambda ns: calls.set_parameters(node.noise_change, ns)),
         (4 * second, lambda ns: calls.service("save_alignment", ns)),
         (5 * second, lambda ns: calls.service("reset", ns)),

@@ -12,11 +12,11 @@ from ship_estimation.parameter_fields import mapping_of, parameter, section
 from ship_estimation.parameters import ParameterError
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.edge.adapter import ServiceResult
-from ship_node.edge.input_health import InputHealthBook
+from ship_node.edge.input_health import InputHealthMonitor
 from ship_node.edge.messages_in import MessageRejected, check_frame, stamp_ns, unit_quaternion
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, diagnostic_array
 from ship_node.edge.overload import Overload
-from ship_node.edge.topics import InputTopic, OutputTopic, Published
+from ship_node.edge.topics import InputTopic, OutputTopic, OutputMessage
 
 EXPLOSIVE_FRAME = "explosive"
 
@@ -64,7 +64,7 @@ class RelayAdapter:
             OutputTopic("input_health", "ship_msgs/msg/InputHealth"),
             OutputTopic("ship/calibration", "ship_msgs/msg/AlignmentState", latched=True),
         )
-        self.health = InputHealthBook(self.inputs)
+        self.health = InputHealthMonitor(self.inputs)
         self.start_warnings: tuple[str, ...] = ()
         self.notices: list[str] = []
         self.changes: dict[str, Any] = {}
@@ -76,8 +76,8 @@ class RelayAdapter:
         self.overloads: list[Overload] = []
         self.contested: list[tuple[str, str]] = []
 
-    def handle(self, topic: str, message: Any, receive_ns: int, waiting_ns: int | None = None) -> list[Published]:
-        self.health.arrived(topic, receive_ns if waiting_ns is None else waiting_ns)
+    def handle(self, topic: str, message: Any, receive_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
+        self.health.record_arrival(topic, receive_ns if waiting_ns is None else waiting_ns)
         if message.header.frame_id == EXPLOSIVE_FRAME:
             raise RuntimeError("a defect of the adapter")
         try:
@@ -85,9 +85,9 @@ class RelayAdapter:
             check_frame(message.header.frame_id, self.config.frame_id)
             x, y, z, w = unit_quaternion(message.orientation)
         except MessageRejected as refused:
-            self.health.rejected(topic, refused.rejection, receive_ns)
+            self.health.record_rejected(topic, refused.rejection, receive_ns)
             return []
-        self.health.accepted(topic, time_ns, receive_ns)
+        self.health.record_accepted(topic, time_ns, receive_ns)
         self.handled.append(receive_ns)
         quaternion = self.factory.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
         rate = self.factory.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
@@ -108,25 +108,25 @@ class RelayAdapter:
         )
         return [("ship/attitude", attitude)]
 
-    def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
+    def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
         self.ticks.append(now_ns if waiting_ns is None else waiting_ns)
         self.node_times.append(now_ns)
         statuses = self.health.statuses(now_ns, waiting_ns)
         published = [(DIAGNOSTICS_TOPIC, diagnostic_array(now_ns, self.node_name, statuses))]
         return published + [("input_health", m) for m in self.health.messages(self.factory, now_ns, waiting_ns)]
 
-    def overload(self, change: Overload, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
+    def overload(self, change: Overload, now_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
         self.overloads.append(change)
         for topic, count in change.cut.items():
-            self.health.cut_behind(topic, count, change.text(self.node_name), now_ns)
+            self.health.record_overload_cut(topic, count, change.text(self.node_name), now_ns)
         return []
 
-    def clock_jumped_back(self, now_ns: int) -> list[Published]:
+    def clock_jumped_back(self, now_ns: int) -> list[OutputMessage]:
         self.resets.append(now_ns)
         self.health.restart()
         return []
 
-    def clock_stepped(self, step_ns: int, now_ns: int, waiting_ns: int) -> list[Published]:
+    def clock_stepped(self, step_ns: int, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
         self.clock_steps.append(step_ns)
         return []
 
@@ -137,7 +137,7 @@ class RelayAdapter:
         return ServiceResult(True, "reset")
 
     def set_duplicate_publishers(self, topic: str, text: str) -> None:
-        self.health.contested(topic, text)
+        self.health.set_duplicate_publishers(topic, text)
         self.contested.append((topic, text))
 
     def set_parameters(self, changes: Mapping[str, Any]) -> None:

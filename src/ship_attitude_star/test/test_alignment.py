@@ -14,8 +14,8 @@ from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.errors import BadInput
 from ship_estimation.outcome import Status
 from ship_geometry.rotations import ARCSEC, log_rotation
-from ship_node.documents.saved_document import NotedFiles
-from ship_node.documents.saved_start import worse_in
+from ship_node.documents.saved_document import RecordingFiles
+from ship_node.documents.saved_start import less_certain_quantity
 from ship_testing.adapter_runs import FACTORY, START_NS
 from ship_testing.small_voyage import FORE, INS, clean_run, config, drive, new_adapter, voyage
 
@@ -303,7 +303,7 @@ def test_a_node_saves_by_itself_once_a_period_what_the_service_would_save(tmp_pa
     assert run.results() == clean_run().results()
 
 
-class CountedFiles(NotedFiles):
+class CountedFiles(RecordingFiles):
     """Count the uses, and store the time of the last one."""
 
     last_written_ns = 0
@@ -373,9 +373,9 @@ def test_the_alignment_of_another_sensor_is_not_lost(tmp_path: Path, changes: di
 def test_a_state_that_is_not_finite_is_not_saved(tmp_path: Path) -> None:
     prior = clean_run().adapter.core.alignment_to_save()
     broken = dataclasses.replace(prior, covariance=prior.covariance * np.nan)
-    assert worse_in(broken, prior)
-    assert worse_in(prior, prior) == ""
-    assert worse_in(prior, dataclasses.replace(prior, covariance=prior.covariance / 1.3)).startswith("a smaller sigma of")
+    assert less_certain_quantity(broken, prior)
+    assert less_certain_quantity(prior, prior) == ""
+    assert less_certain_quantity(prior, dataclasses.replace(prior, covariance=prior.covariance / 1.3)).startswith("a smaller sigma of")
 
 
 def test_a_full_disk_is_reported_once_and_again_when_it_recovers(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from ship_bringup.checks.check_line import Result
 from ship_bringup.checks.port_check import PlaceState, check_places, read_place_states
 from ship_bringup.security.rights import load_companions
-from ship_node.parameters.places import PlaceKind, port_resource
+from ship_node.parameters.places import ResourceKind, port_resource
 from ship_testing.listening_node import free_port
 
 STREAM, DATAGRAM = socket.SOCK_STREAM, socket.SOCK_DGRAM
@@ -69,7 +69,7 @@ def test_program_of_a_port_is_named_by_its_script(look, tmp_path):
 
 
 def test_unknown_program_may_be_the_suite():
-    state = PlaceState("/nmea_out", "suite.yaml:4: sinks.a.port", port_resource("", PlaceKind.TCP, 10110), 98)
+    state = PlaceState("/nmea_out", "suite.yaml:4: sinks.a.port", port_resource("", ResourceKind.TCP, 10110), 98)
     (row,) = check_places([state], [])
     assert row.finding.endswith("TCP port 10110 is in use by another program, or by this suite if it already runs")
 

@@ -29,9 +29,9 @@ from ship_node.live.node_clock import NodeClock
 from ship_node.live.node_events import NodeEvents
 from ship_node.live.node_report import ExceptionGuard, StatusLog, name_status
 from ship_node.live.node_shell import run_node
-from ship_node.live.qos import input_qos, output_qos, overridable, overrides_checked
+from ship_node.live.qos import input_qos, output_qos, overriding_options, check_overrides
 from ship_node.live.ros_parameters import NodeParameters, ParameterNode
-from ship_node.parameters.parameter_file import misfit_warnings, placed
+from ship_node.parameters.parameter_file import section_warnings, error_with_location
 
 SPIN_TIMEOUT_S = 0.1
 REPORT_PERIOD_S = 1.0
@@ -121,10 +121,10 @@ class NmeaNode:
         self._full_name = self.node.get_fully_qualified_name()
         self._parameter_files = parameter_files
         self._events = NodeEvents(context, self.guard, time.monotonic_ns)
-        self.clock = NodeClock(self.node, time.monotonic_ns, self._events.came)
+        self.clock = NodeClock(self.node, time.monotonic_ns, self._events.note_event)
         self._status_log = StatusLog(self.node.get_logger())
         try:
-            for warning in misfit_warnings(parameter_files, self._full_name):
+            for warning in section_warnings(parameter_files, self._full_name):
                 self.node.get_logger().warning(warning)
             if BLACK_BOX_PARAMETER in self.node._parameter_overrides:
                 text = f"parameter '{BLACK_BOX_PARAMETER}' is not used: no replay runs this node"
@@ -135,7 +135,7 @@ class NmeaNode:
             self._work = make_work(self)
         except InputError as error:
             self.node.destroy_node()
-            raise placed(error, parameter_files, self._full_name) from error
+            raise error_with_location(error, parameter_files, self._full_name) from error
         self.add_timer(REPORT_PERIOD_S, "report", self._report)
         self._events.start(self.node)
 
@@ -152,7 +152,7 @@ class NmeaNode:
         if len(errors) == count:
             raise errors[0]
         for error in errors:
-            text = placed(error, self._parameter_files, self._full_name)
+            text = error_with_location(error, self._parameter_files, self._full_name)
             self.node.get_logger().error(f"{text}; the others continue, and opening it is retried")
 
     def subscribe(self, topic: InputTopic, callback: Callable[[Any], None], latched: bool = False) -> None:
@@ -169,20 +169,20 @@ class NmeaNode:
                 depth=topic.depth, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
             )
         name = self._parameters.topics.get(topic.topic, topic.topic)
-        with overrides_checked(self.node, name):
+        with check_overrides(self.node, name):
             self.node.create_subscription(
                 message_class(topic.type_name),
                 name,
                 partial(self._call, topic.topic, callback),
                 qos,
-                qos_overriding_options=overridable(),
+                qos_overriding_options=overriding_options(),
             )
 
     def publisher(self, topic: OutputTopic) -> Publisher:
         """Return a publisher of a topic."""
         kind, qos = message_class(topic.type_name), output_qos(topic)
-        with overrides_checked(self.node, topic.topic):
-            return self.node.create_publisher(kind, topic.topic, qos, qos_overriding_options=overridable())
+        with check_overrides(self.node, topic.topic):
+            return self.node.create_publisher(kind, topic.topic, qos, qos_overriding_options=overriding_options())
 
     def add_timer(self, period_s: float, name: str, function: Callable[[], None]) -> None:
         """Call a function periodically, by a steady clock; ``what`` names it in reports of its exceptions."""
@@ -193,7 +193,7 @@ class NmeaNode:
     def spin(self, stop: Callable[[], bool]) -> None:
         """Handle callbacks until ``stop()`` is true or the context ends."""
         while not stop() and self._context.ok():
-            self._events.take(SPIN_TIMEOUT_S)
+            self._events.process_events(SPIN_TIMEOUT_S)
 
     def close(self) -> None:
         """Close the work and destroy the node."""
@@ -202,12 +202,12 @@ class NmeaNode:
         self.node.destroy_node()
 
     def _call(self, name: str, function: Callable[..., None], *arguments: Any) -> None:
-        self._events.came()
+        self._events.note_event()
         self.guard.call(name, function, *arguments)
 
     def _report(self) -> None:
         statuses = [self.clock.status(), name_status(self.node), self._events.status(), *self._work.statuses()]
-        self._status_log.see(statuses)
+        self._status_log.update(statuses)
         statuses += [self.guard.status(), self._parameters.status()]
         now_ns, name = self.clock.now_ns(), self.node.get_name()
         self._diagnostics.publish(diagnostic_array(now_ns, name, statuses, self._full_name).__cdr__)

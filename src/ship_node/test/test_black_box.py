@@ -17,7 +17,7 @@ from ship_bags.mcap.mcap_writer import CHUNK_BYTES
 from ship_bags.message_factory import RosidlFactory
 from ship_estimation.parameters import build
 from ship_node.black_box import black_box
-from ship_node.black_box.black_box import MOST_BEFORE_TIME, BlackBox
+from ship_node.black_box.black_box import MAX_ENTRIES_BEFORE_TIME, BlackBox
 from ship_node.black_box.black_box_format import (
     EVENTS_TOPIC,
     FORMAT,
@@ -27,7 +27,7 @@ from ship_node.black_box.black_box_format import (
     ClockJumpedBack,
     ClockStepped,
     Closed,
-    Contested,
+    DuplicatePublishersChanged,
     EntriesLost,
     Event,
     FileUsed,
@@ -38,7 +38,7 @@ from ship_node.black_box.black_box_format import (
     event_text,
 )
 from ship_node.black_box.box_files import free_path
-from ship_node.documents.saved_document import NotedFiles
+from ship_node.documents.saved_document import RecordingFiles
 from ship_node.edge.messages_out import Level
 from ship_node.live.adapter_calls import AdapterCalls
 from ship_node.parameters.parameter_file import load_config, parameter_text
@@ -50,7 +50,7 @@ EVENTS: list[Event] = [
     Tick(),
     ClockJumpedBack(),
     ClockStepped(-300_000_000_123),
-    Contested("ins/imu", "two publishers send on ins/imu: /a and /b; stop all but one"),
+    DuplicatePublishersChanged("ins/imu", "two publishers send on ins/imu: /a and /b; stop all but one"),
     ParametersChanged({"gate.probability": 0.1 + 0.2, "offsets_s": [1e-300, 2.0]}, None),
     ParametersChanged({"gate.count": 13}, "not wanted"),
     ChangeRefused({"gate.probability": 1.5, "frame_id": "ins"}, "out of range"),
@@ -82,10 +82,10 @@ def test_invalid_event_text_is_bad_input(text: str) -> None:
 
 def test_order_of_use_is_kept_when_the_clock_goes_back(tmp_path: Path) -> None:
     box = new_box(tmp_path / "box.mcap")
-    box.put("ins/imu", b"first", 20 * SECOND_NS)
-    box.put("ship/attitude", b"its result", 20 * SECOND_NS)
-    box.put_event(ClockJumpedBack(), 5 * SECOND_NS)
-    box.put("ins/imu", b"second", 5 * SECOND_NS)
+    box.add("ins/imu", b"first", 20 * SECOND_NS)
+    box.add("ship/attitude", b"its result", 20 * SECOND_NS)
+    box.add_event(ClockJumpedBack(), 5 * SECOND_NS)
+    box.add("ins/imu", b"second", 5 * SECOND_NS)
     box.close()
     assert entries(tmp_path / "box.mcap") == [
         ("ins/imu", b"first", 20 * SECOND_NS),
@@ -102,7 +102,7 @@ def test_order_of_use_with_an_oversized_message_and_a_clock_jump_back(tmp_path: 
     given = []
     for number, time_s in enumerate([20, 20, 25, 3, 3, 25, 4000, 2]):
         data = bytes([number]) * (2 * CHUNK_BYTES if number in (1, 4) else 20)
-        box.put("ins/imu", data, time_s * SECOND_NS)
+        box.add("ins/imu", data, time_s * SECOND_NS)
         given.append(("ins/imu", data, time_s * SECOND_NS))
     box.close()
     assert entries(tmp_path / "box.mcap")[:-1] == given
@@ -110,8 +110,8 @@ def test_order_of_use_with_an_oversized_message_and_a_clock_jump_back(tmp_path: 
 
 def test_entries_before_the_first_time_get_the_first_time(tmp_path: Path) -> None:
     box = new_box(tmp_path / "box.mcap")
-    box.put_event(ParametersChanged({"gate.count": 4}, None), 0)
-    box.put_event(Tick(), 7 * SECOND_NS)
+    box.add_event(ParametersChanged({"gate.count": 4}, None), 0)
+    box.add_event(Tick(), 7 * SECOND_NS)
     box.close()
     assert [ns for _, _, ns in entries(tmp_path / "box.mcap")] == [7 * SECOND_NS] * 3
 
@@ -174,11 +174,11 @@ def test_entries_lost_by_a_slow_disk_are_reported(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(black_box, "FLUSH_PERIOD_S", 60.0)
     box = new_box(tmp_path / "box.mcap")
     for number in range(10):
-        box.put("ins/imu", bytes([number]), SECOND_NS + number)
+        box.add("ins/imu", bytes([number]), SECOND_NS + number)
     assert box.status().level == Level.ERROR
     assert box.status().values["lost"] == "7"
     box._write_all()
-    box.put("ins/imu", b"late", 2 * SECOND_NS)
+    box.add("ins/imu", b"late", 2 * SECOND_NS)
     box.close()
     kept = [(topic, what) for topic, what, _ in entries(box.path)]
     assert kept == [
@@ -194,10 +194,10 @@ def test_queue_for_the_disk_is_bounded_in_bytes(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(black_box, "FLUSH_PERIOD_S", 60.0)
     box = new_box(tmp_path / "box.mcap")
     for number in range(5):
-        box.put("ins/imu", bytes(1000), SECOND_NS + number)
+        box.add("ins/imu", bytes(1000), SECOND_NS + number)
     assert box.status().values["lost"] == "3"
     box._write_all()
-    box.put("ins/imu", bytes(1000), 2 * SECOND_NS)
+    box.add("ins/imu", bytes(1000), 2 * SECOND_NS)
     assert box.status().values["lost"] == "3"
     box.close()
     events = [what for topic, what, _ in entries(box.path) if topic == EVENTS_TOPIC]
@@ -206,12 +206,12 @@ def test_queue_for_the_disk_is_bounded_in_bytes(tmp_path: Path, monkeypatch: pyt
 
 def test_entries_before_the_first_clock_are_bounded(tmp_path: Path) -> None:
     box = new_box(tmp_path / "box.mcap")
-    for number in range(MOST_BEFORE_TIME + 5):
-        box.put("ins/imu", number.to_bytes(4, "little"), 0)
-    box.put("ins/imu", b"last", SECOND_NS)
+    for number in range(MAX_ENTRIES_BEFORE_TIME + 5):
+        box.add("ins/imu", number.to_bytes(4, "little"), 0)
+    box.add("ins/imu", b"last", SECOND_NS)
     box.close()
     kept = [what for topic, what, _ in entries(box.path) if topic == "ins/imu"]
-    assert kept == [number.to_bytes(4, "little") for number in range(5, MOST_BEFORE_TIME + 5)] + [b"last"]
+    assert kept == [number.to_bytes(4, "little") for number in range(5, MAX_ENTRIES_BEFORE_TIME + 5)] + [b"last"]
     assert EntriesLost(5) in [what for topic, what, _ in entries(box.path) if topic == EVENTS_TOPIC]
 
 
@@ -219,16 +219,16 @@ def test_a_full_disk_ends_the_black_box_not_the_node(tmp_path: Path, monkeypatch
     monkeypatch.setattr(black_box, "FLUSH_PERIOD_S", 60.0)
     failures: list[str] = []
     box = new_box(tmp_path / "box.mcap", failures)
-    box.put("ins/imu", b"before", SECOND_NS)
+    box.add("ins/imu", b"before", SECOND_NS)
     box._write_all()
     whole_bytes = box.path.stat().st_size
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (whole_bytes + 10, hard))
     try:
         for number in range(1000):
-            box.put("ins/imu", number.to_bytes(4, "little") * 8, SECOND_NS + number)
-        box._guarded(box._write_all)
-        box.put("ins/imu", b"after", 2 * SECOND_NS)
+            box.add("ins/imu", number.to_bytes(4, "little") * 8, SECOND_NS + number)
+        box._run_write(box._write_all)
+        box.add("ins/imu", b"after", 2 * SECOND_NS)
         box.close()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
@@ -243,22 +243,22 @@ def test_black_box_continues_in_a_new_file_after_a_full_disk(tmp_path: Path, mon
     monkeypatch.setattr(black_box, "RETRY_S", 0.0)
     lines: list[str] = []
     box = new_box(tmp_path / "box.mcap", lines)
-    box.put("ins/imu", b"before", SECOND_NS)
-    box._guarded(box._write_all)
+    box.add("ins/imu", b"before", SECOND_NS)
+    box._run_write(box._write_all)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (box.path.stat().st_size + 10, hard))
     try:
         for number in range(1000):
-            box.put("ins/imu", number.to_bytes(4, "little") * 8, SECOND_NS + number)
-        box._guarded(box._write_all)
+            box.add("ins/imu", number.to_bytes(4, "little") * 8, SECOND_NS + number)
+        box._run_write(box._write_all)
         resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
         for _ in range(3):  # repeated attempts leave no file
-            box.put("ins/imu", b"lost", 2 * SECOND_NS)
-            box._guarded(box._write_all)
+            box.add("ins/imu", b"lost", 2 * SECOND_NS)
+            box._run_write(box._write_all)
         assert [path.name for path in tmp_path.iterdir()] == ["box.mcap"]
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    box.put("ins/imu", b"after", 3 * SECOND_NS)
+    box.add("ins/imu", b"after", 3 * SECOND_NS)
     box.close()
     assert [line.partition(": ")[0] for line in lines] == [
         f"black box {tmp_path}/box.mcap", f"black box continues in {tmp_path}/box.part2.mcap"
@@ -277,9 +277,9 @@ def test_black_box_continues_in_a_new_file_at_the_size_limit(tmp_path: Path) -> 
     random = np.random.default_rng(1)
     given = [(SECOND_NS * number, random.bytes(100)) for number in range(1, 301)]
     for number, (time_ns, data) in enumerate(given):
-        box.put("ins/imu", data, time_ns)
+        box.add("ins/imu", data, time_ns)
         if number % 50 == 0:
-            box._guarded(box._write_all)
+            box._run_write(box._write_all)
     box.close()
     names = sorted(path.name for path in tmp_path.iterdir())
     assert len(names) > 2
@@ -308,7 +308,7 @@ class RaisingRelay(RelayAdapter):
 
 def test_a_call_that_raises_is_recorded(tmp_path: Path) -> None:
     box = new_box(tmp_path / "box.mcap")
-    calls = AdapterCalls(RaisingRelay(CONFIG, RosidlFactory()), {}, NotedFiles(), box)
+    calls = AdapterCalls(RaisingRelay(CONFIG, RosidlFactory()), {}, RecordingFiles(), box)
     with pytest.raises(RuntimeError, match="a defect"):
         calls.handle("ins/imu", b"bytes", String(), SECOND_NS)
     with pytest.raises(RuntimeError, match="a defect of a service"):
@@ -318,7 +318,7 @@ def test_a_call_that_raises_is_recorded(tmp_path: Path) -> None:
 
 
 def test_files_are_recorded_with_content_or_error(tmp_path: Path) -> None:
-    files = NotedFiles()
+    files = RecordingFiles()
     files.write(tmp_path / "new" / "a.yaml", b"content")
     assert files.read(tmp_path / "new" / "a.yaml") == b"content"
     with pytest.raises(FileNotFoundError):

@@ -16,7 +16,7 @@ STATUSES = [
 ]
 
 
-def made(factory, statuses, hardware_id):
+def make_array(factory, statuses, hardware_id):
     """Return the same array by message objects."""
     told = [
         {
@@ -35,15 +35,15 @@ def made(factory, statuses, hardware_id):
 @pytest.mark.parametrize("full_name", ["", "/ship/node"])
 def test_bytes_are_those_of_message_objects(statuses, full_name):
     array = diagnostic_array(NOW_NS, "node", statuses, full_name)
-    assert serialize(array) == serialize(made(RosbagsFactory(), statuses, full_name or "node"))
+    assert serialize(array) == serialize(make_array(RosbagsFactory(), statuses, full_name or "node"))
     by_rclpy = deserialize_message(serialize(array), DiagnosticArray)
-    assert by_rclpy == made(RosidlFactory(), statuses, full_name or "node")
+    assert by_rclpy == make_array(RosidlFactory(), statuses, full_name or "node")
 
 
 @pytest.mark.parametrize("value", ["", "1", "12", "123", "1234", "12345", "12″"])
 def test_the_last_text_is_not_padded(value):
     statuses = [DiagnosticStatus("a", Level.OK, "b", {"key": value})]
-    assert serialize(diagnostic_array(NOW_NS, "node", statuses)) == serialize(made(RosbagsFactory(), statuses, "node"))
+    assert serialize(diagnostic_array(NOW_NS, "node", statuses)) == serialize(make_array(RosbagsFactory(), statuses, "node"))
 
 
 def test_fields_are_those_of_the_bytes():

@@ -5,7 +5,7 @@ import pytest
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import duration_text
 from ship_estimation.refusals import Reason, Rejection
-from ship_node.edge.input_health import InputHealthBook
+from ship_node.edge.input_health import InputHealthMonitor
 from ship_node.edge.messages_out import Level
 from ship_node.edge.topics import InputTopic
 
@@ -16,9 +16,9 @@ IMU, STAR = "ins/imu", "star/fore/horizon_attitude"
 
 
 @pytest.fixture
-def book():
+def health():
     """Return the health of a required INS and an optional star sensor."""
-    return InputHealthBook(
+    return InputHealthMonitor(
         [
             InputTopic(IMU, "sensor_msgs/msg/Imu", required=True, depth=100),
             InputTopic(STAR, "ship_msgs/msg/StarHorizonAttitude", required=False, depth=10),
@@ -88,9 +88,9 @@ def test_first_message_timeout_text_depends_on_the_publishers(book):
 
 def test_a_configured_device_without_messages_is_a_warning():
     """As after a mistyped id: its topic has no publisher."""
-    book = InputHealthBook([InputTopic(STAR, "ship_msgs/msg/StarHorizonAttitude", False, depth=10, named=True)])
+    book = InputHealthMonitor([InputTopic(STAR, "ship_msgs/msg/StarHorizonAttitude", False, depth=10, is_configured=True)])
     book.statuses(START_NS)
-    book.publisher_count(STAR, 0)
+    book.set_publisher_count(STAR, 0)
     (early,), (late,) = book.statuses(START_NS + 4 * S), book.statuses(START_NS + 5 * S)
     assert (early.level, early.message) == (Level.OK, "no message yet")
     assert (late.level, late.message) == (Level.WARN, "no message for 5 s since the start: no publisher")
@@ -254,7 +254,7 @@ def test_too_old_stamps_are_an_error(book):
 
 
 def test_maximum_age_of_stamps():
-    book = InputHealthBook([InputTopic(IMU, "sensor_msgs/msg/Imu", required=True, depth=100)], max_age_s=10.0)
+    book = InputHealthMonitor([InputTopic(IMU, "sensor_msgs/msg/Imu", required=True, depth=100)], max_age_s=10.0)
     assert imu_status(book, feed(book, 3, latency_ns=10 * S)).level == Level.OK
     assert imu_status(book, feed(book, 3, latency_ns=10 * S + 1)).level == Level.ERROR
 
@@ -278,13 +278,13 @@ def test_duration_texts(seconds, text):
 
 def test_occasional_topics_have_no_timeout():
     target = "theodolite/target"
-    book = InputHealthBook([InputTopic(target, "ship_msgs/msg/TargetImage", required=False, depth=10, is_occasional=True)])
+    book = InputHealthMonitor([InputTopic(target, "ship_msgs/msg/TargetImage", required=False, depth=10, is_occasional=True)])
     book.statuses(START_NS)
-    book.publisher_count(target, 1)
+    book.set_publisher_count(target, 1)
     (unheard,) = book.statuses(START_NS + 60 * S)
     assert (unheard.level, unheard.message) == (Level.OK, "no message yet")
     for i in range(10):
-        book.arrived(target, START_NS + i * 100 * MS)
-        book.accepted(target, START_NS + i * 100 * MS, START_NS + i * 100 * MS)
+        book.record_arrival(target, START_NS + i * 100 * MS)
+        book.record_accepted(target, START_NS + i * 100 * MS, START_NS + i * 100 * MS)
     (gone,) = book.statuses(START_NS + 120 * S)
     assert gone.level is Level.OK

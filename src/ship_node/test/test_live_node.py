@@ -28,7 +28,7 @@ from ship_bags.message_store import message_store
 from ship_bags.stamps import ns_from_stamp
 from ship_node.edge.adapter import TICK_PERIOD_NS
 from ship_node.live.node_clock import CLOCK_TIMEOUT_NS
-from ship_node.live.node_events import LARGEST_MESSAGE_BYTES
+from ship_node.live.node_events import MAX_MESSAGE_BYTES
 from ship_testing.live_relay import RELIABLE_INPUT, SIM_TIME, TIMEOUT_S, imu_message
 from ship_testing.relay_adapter import EXPLOSIVE_FRAME
 
@@ -334,7 +334,7 @@ def test_events_waiting_in_bag_time_are_an_overload(live_relay, monkeypatch):
 def test_an_oversized_message_is_counted_and_dropped(live_relay):
     relay = live_relay(*RELIABLE_INPUT)
     publisher = relay.imu_publisher()
-    publisher.publish(imu_message(time.time_ns(), "x" * 2 * LARGEST_MESSAGE_BYTES))
+    publisher.publish(imu_message(time.time_ns(), "x" * 2 * MAX_MESSAGE_BYTES))
     publisher.publish(imu_message(time.time_ns()))
     relay.wait_until(lambda: len(relay.attitudes) == 1)
     name = "relay: input ins/imu"

@@ -12,7 +12,7 @@ from std_msgs.msg import Int32
 from std_srvs.srv import SetBool
 
 from ship_node.edge.messages_out import Level
-from ship_node.live.node_events import LARGEST_MESSAGE_BYTES, MOST_EVENTS, Arrival, Inbox, NodeEvents
+from ship_node.live.node_events import MAX_MESSAGE_BYTES, MAX_EVENTS, Arrival, Inbox, NodeEvents
 from ship_node.live.node_report import ExceptionGuard
 
 DEPTH = 100
@@ -35,7 +35,7 @@ def test_events_do_not_accumulate_in_the_executor(context):
     seen = []
 
     def take(data):
-        events.came()
+        events.note_event()
         seen.append(data)
 
     node.create_subscription(Int32, "data", take, DEPTH, raw=True)
@@ -46,15 +46,15 @@ def test_events_do_not_accumulate_in_the_executor(context):
     while not seen and time.monotonic() < deadline_s:
         # Until both are connected.
         publisher.publish(sent[0])
-        events.take(0.01)
+        events.process_events(0.01)
     assert events.status().level is Level.OK
     rounds = 0
     while events.status().level is Level.OK and rounds < 200:
         # 1.5 times the maximum, each for a message that is soon displaced.
-        for _ in range(MOST_EVENTS * 3 // 2):
+        for _ in range(MAX_EVENTS * 3 // 2):
             publisher.publish(sent[0])
         steady_ns += 200_000_000
-        events.take(0.0)
+        events.process_events(0.0)
         rounds += 1
     status = events.status()
     assert status.level is Level.ERROR
@@ -62,7 +62,7 @@ def test_events_do_not_accumulate_in_the_executor(context):
 
     publisher.publish(sent[1])
     while seen[-1] != sent[1] and time.monotonic() < deadline_s:
-        events.take(0.01)
+        events.process_events(0.01)
     assert seen[-1] == sent[1]
     steady_ns += 60_000_000_000
     assert events.status().level is Level.WARN
@@ -77,18 +77,18 @@ def test_no_message_or_request_is_late_after_dropped_events(context):
     seen, requests = [], []
 
     def take(data):
-        events.came()
+        events.note_event()
         seen.append(deserialize_message(data, Int32).data)
 
     def serve(request, response):
-        events.came()
+        events.note_event()
         requests.append(request.data)
         return response
 
     def take_until(happened):
         deadline_s = time.monotonic() + 15.0
         while not happened() and time.monotonic() < deadline_s:
-            events.take(0.01)
+            events.process_events(0.01)
         assert happened()
 
     node.create_subscription(Int32, "data", take, DEPTH, raw=True)
@@ -119,61 +119,61 @@ def arrivals(topic: str, *numbers: int) -> list[Arrival]:
     return [Arrival(topic, bytes([number]), number, number) for number in numbers]
 
 
-def taken(inbox: Inbox) -> list[tuple[str, int]]:
+def take_all(inbox: Inbox) -> list[tuple[str, int]]:
     return [(arrival.topic, arrival.now_ns) for arrival in iter(lambda: inbox.take() if inbox else None, None)]
 
 
 def test_messages_of_all_topics_are_taken_in_order_of_arrival() -> None:
     inbox = Inbox({"ins": 5, "star": 5})
     for arrival in arrivals("ins", 1) + arrivals("star", 2) + arrivals("ins", 3) + arrivals("star", 4):
-        inbox.put(arrival)
-    assert taken(inbox) == [("ins", 1), ("star", 2), ("ins", 3), ("star", 4)]
+        inbox.add(arrival)
+    assert take_all(inbox) == [("ins", 1), ("star", 2), ("ins", 3), ("star", 4)]
     assert inbox.take_cuts() == {}
 
 
 def test_a_flood_on_one_topic_displaces_only_its_own_oldest_messages() -> None:
     inbox = Inbox({"ins": 3, "star": 2})
     for arrival in arrivals("star", 0) + arrivals("ins", *range(1, 101)) + arrivals("star", 101):
-        inbox.put(arrival)
+        inbox.add(arrival)
     assert len(inbox) == 5
     ((topic, why), count), *others = inbox.take_cuts().items()
     assert (topic, count, others) == ("ins", 97, [])
     assert "the oldest of more than 3" in why
     assert inbox.take_cuts() == {}
-    assert taken(inbox) == [("star", 0), ("ins", 98), ("ins", 99), ("ins", 100), ("star", 101)]
+    assert take_all(inbox) == [("star", 0), ("ins", 98), ("ins", 99), ("ins", 100), ("star", 101)]
 
 
 def test_an_oversized_message_is_not_queued() -> None:
     inbox = Inbox({"star": 2})
-    inbox.put(Arrival("star", bytes(LARGEST_MESSAGE_BYTES + 1), 1, 1))
-    inbox.put(Arrival("star", bytes(LARGEST_MESSAGE_BYTES), 2, 2))
-    assert list(inbox.take_cuts().items()) == [(("star", f"larger than {LARGEST_MESSAGE_BYTES} bytes"), 1)]
-    assert taken(inbox) == [("star", 2)]
+    inbox.add(Arrival("star", bytes(MAX_MESSAGE_BYTES + 1), 1, 1))
+    inbox.add(Arrival("star", bytes(MAX_MESSAGE_BYTES), 2, 2))
+    assert list(inbox.take_cuts().items()) == [(("star", f"larger than {MAX_MESSAGE_BYTES} bytes"), 1)]
+    assert take_all(inbox) == [("star", 2)]
 
 
-def stamped(topic: str, *seconds: int) -> list[Arrival]:
+def arrival_at(topic: str, *seconds: int) -> list[Arrival]:
     stamps = [second.to_bytes(4, "little") + bytes(4) for second in seconds]
     return [Arrival(topic, bytes([0, 1, 0, 0]) + stamp, 7, 7, 7) for stamp in stamps]
 
 
 def test_an_overload_cuts_all_topics_at_one_time() -> None:
-    inbox = Inbox({"ins": 100, "star": 100, "fix": 10}, lasting={"fix"})
-    for arrival in stamped("star", 1) + stamped("ins", *range(1, 50)) + stamped("fix", 2) + stamped("star", 40):
-        inbox.put(arrival)
-    assert inbox.since_ns == 7
-    inbox.cut(now_ns=90 * S, waiting_ns=91, since_ns=92)
-    assert inbox.take_behind() == {"star": 2, "ins": 49}
-    assert inbox.take_behind() == {}
+    inbox = Inbox({"ins": 100, "star": 100, "fix": 10}, valid_until_next={"fix"})
+    for arrival in arrival_at("star", 1) + arrival_at("ins", *range(1, 50)) + arrival_at("fix", 2) + arrival_at("star", 40):
+        inbox.add(arrival)
+    assert inbox.oldest_queued_ns == 7
+    inbox.cut_all(now_ns=90 * S, waiting_ns=91, since_ns=92)
+    assert inbox.take_overload_cuts() == {"star": 2, "ins": 49}
+    assert inbox.take_overload_cuts() == {}
     # A position holds until the next one. It is used now.
     assert [arrival[2:5] for arrival in iter(lambda: inbox.take() if inbox else None, None)] == [(90 * S, 91, 92)]
     # Stars of before the newest INS sample that was cut would be compared with nothing.
-    for arrival in stamped("star", 48, 49, 50) + stamped("ins", 50) + stamped("fix", 3):
-        inbox.put(arrival)
-    assert inbox.take_behind() == {"star": 2}
-    assert [topic for topic, _ in taken(inbox)] == ["star", "ins", "fix"]
+    for arrival in arrival_at("star", 48, 49, 50) + arrival_at("ins", 50) + arrival_at("fix", 3):
+        inbox.add(arrival)
+    assert inbox.take_overload_cuts() == {"star": 2}
+    assert [topic for topic, _ in take_all(inbox)] == ["star", "ins", "fix"]
     assert inbox.take_cuts() == {}
-    inbox.keeps_up()
-    inbox.put(stamped("star", 48)[0])
+    inbox.resume()
+    inbox.add(arrival_at("star", 48)[0])
     assert len(inbox) == 1
 
 
@@ -187,18 +187,18 @@ def test_an_overload_cuts_all_topics_at_one_time() -> None:
 )
 def test_a_future_stamp_at_a_cut_drops_no_later_message(ins_s, first_taken_s) -> None:
     inbox = Inbox({"ins": 100, "star": 100})
-    for arrival in stamped("star", 40) + stamped("ins", *ins_s):
-        inbox.put(arrival)
-    inbox.cut(now_ns=50 * S, waiting_ns=7, since_ns=7)
-    for arrival in stamped("star", first_taken_s - 1, first_taken_s) + stamped("ins", first_taken_s):
-        inbox.put(arrival)
+    for arrival in arrival_at("star", 40) + arrival_at("ins", *ins_s):
+        inbox.add(arrival)
+    inbox.cut_all(now_ns=50 * S, waiting_ns=7, since_ns=7)
+    for arrival in arrival_at("star", first_taken_s - 1, first_taken_s) + arrival_at("ins", first_taken_s):
+        inbox.add(arrival)
     assert [arrival.topic for arrival in iter(lambda: inbox.take() if inbox else None, None)] == ["star", "ins"]
 
 
 def test_a_message_without_a_stamp_is_cut_once() -> None:
     inbox = Inbox({"ins": 10})
-    inbox.put(Arrival("ins", bytes(3), 1, 1))
-    inbox.cut(2, 2, 2)
-    inbox.put(Arrival("ins", bytes(3), 3, 3))
-    assert inbox.take_behind() == {"ins": 1}
-    assert taken(inbox) == [("ins", 3)]
+    inbox.add(Arrival("ins", bytes(3), 1, 1))
+    inbox.cut_all(2, 2, 2)
+    inbox.add(Arrival("ins", bytes(3), 3, 3))
+    assert inbox.take_overload_cuts() == {"ins": 1}
+    assert take_all(inbox) == [("ins", 3)]

@@ -82,27 +82,27 @@ def test_a_change_of_level_is_one_log_line(lines: Lines) -> None:
     well, ill = (Level.OK, "VALID"), (Level.ERROR, "INVALID")
     course = (Level.WARN, "none"), well, (Level.OK, "still"), ill, ill, well
     for level, message in course:
-        log.see([DiagnosticStatus("attitude", level, message)])
+        log.update([DiagnosticStatus("attitude", level, message)])
         assert log.has_open_error("attitude") == (level is Level.ERROR)
     assert lines.lines == ["info attitude: VALID", "error attitude: INVALID", "info attitude: VALID"]
 
 
 def test_each_reason_of_a_lasting_fault_is_logged_once(lines: Lines) -> None:
     log = StatusLog(lines)
-    log.see([DiagnosticStatus("source gyro", Level.OK, "gives")])
+    log.update([DiagnosticStatus("source gyro", Level.OK, "gives")])
     course = "no line for 3 s", "no line for 4 s", "broken, as '$HE'", "no line for 5 s", "broken, as '$HEHDT'"
     for message in course:
-        log.see([DiagnosticStatus("source gyro", Level.ERROR, message)])
+        log.update([DiagnosticStatus("source gyro", Level.ERROR, message)])
     assert lines.lines == ["error source gyro: no line for 3 s", "error source gyro: broken, as '$HE'"]
-    log.see([DiagnosticStatus("source gyro", Level.OK, "gives")])
+    log.update([DiagnosticStatus("source gyro", Level.OK, "gives")])
     for letter in "abcdefghij":
-        log.see([DiagnosticStatus("source gyro", Level.ERROR, letter)])
+        log.update([DiagnosticStatus("source gyro", Level.ERROR, letter)])
     assert lines.lines[2:] == ["info source gyro: gives", *(f"error source gyro: {letter}" for letter in "abcde")]
 
 
 def test_an_error_at_the_start_is_logged(lines: Lines) -> None:
     log = StatusLog(lines)
-    log.see([DiagnosticStatus("name", Level.ERROR, "2 nodes"), DiagnosticStatus("clock", Level.WARN, "waits")])
+    log.update([DiagnosticStatus("name", Level.ERROR, "2 nodes"), DiagnosticStatus("clock", Level.WARN, "waits")])
     assert lines.lines == ["error name: 2 nodes"]
 
 
@@ -111,5 +111,5 @@ def test_start_and_end_of_a_conflict_are_logged(lines: Lines) -> None:
     well = DiagnosticStatus("attitude", Level.OK, "VALID")
     conflict = DiagnosticStatus("conflict star.fore", Level.ERROR, "star.fore and the INS disagree")
     for statuses in ([well], [well, conflict], [well, conflict], [well]):
-        log.see(statuses)
+        log.update(statuses)
     assert lines.lines == ["error conflict star.fore: star.fore and the INS disagree", "info conflict star.fore: over"]

@@ -9,7 +9,7 @@ from rclpy.node import Node
 from ship_bags.errors import BadInput
 from ship_bags.parameter_yaml import in_any_namespace, full_name
 from ship_estimation.parameter_fields import parameter, section
-from ship_node.parameters.parameter_file import load_config, misfit, read, read_whatever_fits
+from ship_node.parameters.parameter_file import load_config, section_warning, read_node_parameters, read_matching_sections
 
 RCLError = rclpy_implementation.RCLError
 
@@ -63,7 +63,7 @@ def test_sections_match_the_same_nodes_as_in_rcl(tmp_path, section, fits):
     path = tmp_path / "suite.yaml"
     path.write_text(in_section(section, "lag_s: 1.5"))
     expected = {node: {"lag_s": 1.5} if node in fits.split() else {} for node in RUNS}
-    assert {node: read_whatever_fits(path, node).values for node in RUNS} == expected
+    assert {node: read_matching_sections(path, node).values for node in RUNS} == expected
     assert {node: given_by_rcl(path, node) for node in RUNS} == expected
 
 
@@ -91,7 +91,7 @@ def test_names_that_rcl_refuses_are_refused_with_their_line(tmp_path, section):
     path = tmp_path / "suite.yaml"
     path.write_text("# a ship\n" + in_section(section, "x: 1"))
     with pytest.raises(BadInput, match=r"suite\.yaml:2: section '.*' is not a node name: expected letters, digits"):
-        read_whatever_fits(path, "/ship")
+        read_matching_sections(path, "/ship")
     with pytest.raises(RCLError):
         rclpy.init(args=["x", "--ros-args", "--params-file", str(path)], context=Context())
 
@@ -119,7 +119,7 @@ def test_a_section_with_a_similar_name_is_refused_with_both_names(section, node,
     text = f"/**/star_attitude: {{ros__parameters: {{x: 1}}}}\n{section}: {{ros__parameters: {{x: 1}}}}\n"
     name = node.rpartition("/")[2]
     said = f"configuration:2: section '/{section.lstrip('/')}' does not fit node '{node}': name it '/**/{name}' to fit "
-    for reading in (misfit, read):
+    for reading in (section_warning, read_node_parameters):
         with pytest.raises(BadInput) as caught:
             reading(text, node)
         assert str(caught.value) == f"{said}in every namespace{advice}"
@@ -129,32 +129,32 @@ def test_an_empty_group_is_refused():
     """rcl drops empty groups, so the reference would be missing."""
     text = "/**/ship_attitude:\n  ros__parameters:\n    references:\n      gyro: {}\n"
     with pytest.raises(BadInput, match=r"configuration:4: group 'references\.gyro' is empty: give it a parameter, or"):
-        read(text, AURORA)
+        read_node_parameters(text, AURORA)
 
 
 def test_a_file_for_other_nodes_is_a_warning():
     text = "/**/star_attitude: {ros__parameters: {x: 1}}\n/ship: {ros__parameters: {x: 1}}\n"
     said = f"no section is for node '{AURORA}', its sections are '/**/star_attitude', '/ship'"
-    assert misfit(text, AURORA) == f"configuration: {said}"
+    assert section_warning(text, AURORA) == f"configuration: {said}"
     with pytest.raises(BadInput, match="no section for node 'ship_attitude'"):
-        read(text, AURORA)
+        read_node_parameters(text, AURORA)
 
 
 def test_a_section_for_all_nodes_matches():
     """As ros2 launch writes inline parameters; a section with the node's name that does not match is a warning."""
     inline = "/**: {ros__parameters: {lag_s: 1.0}}\n"
-    assert misfit(inline, AURORA) == ""
-    assert misfit(f"{inline}/**/ship_attitude: {{ros__parameters: {{x: 1}}}}\n", AURORA) == ""
+    assert section_warning(inline, AURORA) == ""
+    assert section_warning(f"{inline}/**/ship_attitude: {{ros__parameters: {{x: 1}}}}\n", AURORA) == ""
     missed = f"{inline}ship_attitude: {{ros__parameters: {{x: 1}}}}\n"
-    assert misfit(missed, AURORA).startswith(f"configuration:2: section '/ship_attitude' does not fit node '{AURORA}'")
+    assert section_warning(missed, AURORA).startswith(f"configuration:2: section '/ship_attitude' does not fit node '{AURORA}'")
     fleet = f"{inline}/a/ship_attitude: {{ros__parameters: {{x: 1}}}}\n{AURORA}: {{ros__parameters: {{x: 2}}}}\n"
-    assert misfit(fleet, AURORA) == ""
-    assert read(fleet, AURORA).values == {"lag_s": 1.0, "x": 2}
+    assert section_warning(fleet, AURORA) == ""
+    assert read_node_parameters(fleet, AURORA).values == {"lag_s": 1.0, "x": 2}
 
 
 def test_a_node_in_any_namespace():
     for node in ("ship", "/a/ship", "/**"):
-        assert read(f"{node}: {{ros__parameters: {{x: 1}}}}\n", in_any_namespace("ship")).values == {"x": 1}
+        assert read_node_parameters(f"{node}: {{ros__parameters: {{x: 1}}}}\n", in_any_namespace("ship")).values == {"x": 1}
     names = [full_name("ship", namespace) for namespace in ("", "/", "a", "/a/b/")]
     assert names == ["/ship", "/ship", "/a/ship", "/a/b/ship"]
 
@@ -172,19 +172,19 @@ ship:
 boat:
   ros__parameters: {lag_s: 7.0}
 """
-    file = read(text, "ship")
+    file = read_node_parameters(text, "ship")
     assert file.values == {"gate": {"probability": 0.8}, "lag_s": 3.0}
     assert file.lines == {"gate": 4, "gate.probability": 9, "lag_s": 5}
 
 
 def test_a_file_for_other_nodes_may_have_no_section():
-    assert read_whatever_fits("boat:\n  ros__parameters: {x: 1}\n", "ship").values == {}
+    assert read_matching_sections("boat:\n  ros__parameters: {x: 1}\n", "ship").values == {}
 
 
 def test_sections_of_several_namespaces_for_a_node_in_any_namespace():
     text = "a/ship:\n  ros__parameters: {x: 1}\nb/ship:\n  ros__parameters: {x: 2}\n"
     with pytest.raises(BadInput, match="sections /a/ship and /b/ship both fit node 'ship': keep one"):
-        read(text, in_any_namespace("ship"))
+        read_node_parameters(text, in_any_namespace("ship"))
 
 
 def test_configuration_is_built_and_checked():

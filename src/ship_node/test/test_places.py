@@ -6,11 +6,11 @@ import socket
 
 import pytest
 
-from ship_node.parameters.places import PlaceKind, clashes, path_resource, port_resource
+from ship_node.parameters.places import ResourceKind, conflicting_pairs, path_resource, port_resource
 from ship_testing.listening_node import free_port
 
 ADDRESSES = "", "0.0.0.0", "127.0.0.1", "127.0.0.2", "239.192.0.4", "239.192.0.5"
-KINDS = {PlaceKind.UDP: socket.SOCK_DGRAM, PlaceKind.TCP: socket.SOCK_STREAM}
+KINDS = {ResourceKind.UDP: socket.SOCK_DGRAM, ResourceKind.TCP: socket.SOCK_STREAM}
 
 
 def can_have_both(kind, one, other):
@@ -19,13 +19,13 @@ def can_have_both(kind, one, other):
     with contextlib.ExitStack() as stack:
         for address in (one, other):
             opened = stack.enter_context(socket.socket(socket.AF_INET, KINDS[kind]))
-            if kind is PlaceKind.TCP or port_resource("", kind, port, address).is_group:
+            if kind is ResourceKind.TCP or port_resource("", kind, port, address).is_multicast:
                 opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
                 opened.bind((address, port))
             except OSError:
                 return False
-            if kind is PlaceKind.TCP:
+            if kind is ResourceKind.TCP:
                 opened.listen()
     return True
 
@@ -34,7 +34,7 @@ def can_have_both(kind, one, other):
     ("kind", "one", "other"),
     [
         (kind, *pair)
-        for kind, addresses in ((PlaceKind.UDP, ADDRESSES), (PlaceKind.TCP, ADDRESSES[:4]))
+        for kind, addresses in ((ResourceKind.UDP, ADDRESSES), (ResourceKind.TCP, ADDRESSES[:4]))
         for pair in itertools.product(addresses, repeat=2)
     ],
 )
@@ -45,12 +45,12 @@ def test_ports_conflict_as_in_the_kernel(kind, one, other):
 
 def test_resources_of_different_kind_or_name_do_not_conflict():
     places = [
-        port_resource("a", PlaceKind.UDP, 10110),
-        port_resource("b", PlaceKind.TCP, 10110),
-        port_resource("c", PlaceKind.TCP, 10111),
+        port_resource("a", ResourceKind.UDP, 10110),
+        port_resource("b", ResourceKind.TCP, 10110),
+        port_resource("c", ResourceKind.TCP, 10111),
         path_resource("d", "/dev/ttyUSB0"),
         path_resource("e", "/dev/ttyUSB1"),
     ]
-    assert list(clashes(places)) == []
+    assert list(conflicting_pairs(places)) == []
     again = path_resource("f", "/dev//./ttyUSB1")
-    assert list(clashes([*places, again])) == [(places[-1], again)]
+    assert list(conflicting_pairs([*places, again])) == [(places[-1], again)]

@@ -20,8 +20,8 @@ from ship_node.documents.saved_start import SavedStart
 from ship_node.edge.messages_in import ReadMessage, MessageRejected
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.edge.overload import Overload
-from ship_node.edge.reporting_adapter import Feed, ReportingAdapter, untimed
-from ship_node.edge.topics import InputTopic, Published
+from ship_node.edge.reporting_adapter import Feed, ReportingAdapter, ignore_time
+from ship_node.edge.topics import InputTopic, OutputMessage
 
 FACTORY = RosidlFactory()
 NOW_NS = 1_400_000_000_000_000_000
@@ -80,14 +80,14 @@ def read(message: Any, receive_ns: int, scale: int = 1) -> ReadMessage[Value]:
 class TinyAdapter(ReportingAdapter):
     node_name, config_type, services = "tiny", TinyConfig, ("reset", "save_alignment", "load_alignment")
     main_topic, innovation_topic = "tiny/value", "tiny/innovation"
-    always_in = ("fast",)
+    required_sources = ("fast",)
     slow_fails = False
 
     def table(self, config: TinyConfig, core: Any) -> Iterator[Feed]:
-        yield Feed(InputTopic(FAST, "t", True, 10), "fast", read, untimed(partial(core.add, waiting_ns=0)))
+        yield Feed(InputTopic(FAST, "t", True, 10), "fast", read, ignore_time(partial(core.add, waiting_ns=0)))
         yield Feed(InputTopic(JUDGED, "t", False, 10), "device", read, core.add, True, "camera")
 
-    def own_slow_topics(self, now_ns: int) -> list[Published]:
+    def own_slow_topics(self, now_ns: int) -> list[OutputMessage]:
         if self.slow_fails:
             raise RuntimeError("a defect")
         return [("tiny/slow", now_ns)]

@@ -12,9 +12,9 @@ import pytest
 from ship_bags.errors import BadInput
 from ship_node.documents.saved_document import (
     DISK,
-    UNTOUCHED,
+    READ_ONLY,
     DiskFiles,
-    NotedFiles,
+    RecordingFiles,
     SavedFormat,
     finite_numbers,
     joint_covariance,
@@ -172,19 +172,19 @@ def test_an_unusable_file_is_set_aside_and_reported_until_the_next_save(tmp_path
     path = tmp_path / "alignment.yaml"
     raw = text.encode(errors="surrogateescape")
     path.write_bytes(raw)
-    files = NotedFiles()
+    files = RecordingFiles()
     saved = start(path, files, lambda: Content(7))
     assert not saved.is_pending
-    assert str(path) in saved.unreadable
-    assert saved.unreadable.endswith(f"; set aside as {path}.unreadable")
+    assert str(path) in saved.unreadable_reason
+    assert saved.unreadable_reason.endswith(f"; set aside as {path}.unreadable")
     assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == {"alignment.yaml.unreadable": raw}
     # A replay of the black box gets the same.
     recorded = RecordedFiles()
     for use in files.uses:
         recorded.expect(use)
-    assert start(path, recorded).unreadable == saved.unreadable
-    saved.save_by_itself()
-    assert (saved.unreadable, saved.trouble, saved.notices) == ("", "", [])
+    assert start(path, recorded).unreadable_reason == saved.unreadable_reason
+    saved.autosave()
+    assert (saved.unreadable_reason, saved.autosave_problem, saved.notices) == ("", "", [])
     assert STARTS.load(path) == Content(7)
 
 
@@ -202,10 +202,10 @@ def test_a_file_that_becomes_unreadable_while_the_node_runs_is_set_aside_at_the_
     path.write_text(WRITTEN)
     saved = start(path, to_save=lambda: Content(7))
     path.write_text("broken")
-    saved.save_by_itself()
+    saved.autosave()
     assert STARTS.load(path) == Content(7)
     assert any("set aside" in notice for notice in saved.notices)
-    assert (saved.unreadable, saved.trouble) == ("", "")
+    assert (saved.unreadable_reason, saved.autosave_problem) == ("", "")
 
 
 class CannotRename(DiskFiles):
@@ -219,19 +219,19 @@ def test_if_renaming_fails_the_node_starts_and_overwrites_nothing(tmp_path):
     path = tmp_path / "alignment.yaml"
     path.write_text("broken")
     saved = start(path, CannotRename(), lambda: Content(7))
-    assert "it cannot be renamed (Read-only file system): remove it" in saved.unreadable
-    saved.save_by_itself()
-    assert saved.trouble == saved.unreadable
+    assert "it cannot be renamed (Read-only file system): remove it" in saved.unreadable_reason
+    saved.autosave()
+    assert saved.autosave_problem == saved.unreadable_reason
     assert path.read_text() == "broken"
     path.unlink()
-    saved.save_by_itself()
-    assert (saved.trouble, saved.unreadable) == ("", "")
+    saved.autosave()
+    assert (saved.autosave_problem, saved.unreadable_reason) == ("", "")
 
 
 def test_read_only_files_are_not_set_aside(tmp_path):
     path = tmp_path / "alignment.yaml"
     path.write_text("broken")
-    assert "set aside as" in start(path, UNTOUCHED).unreadable
+    assert "set aside as" in start(path, READ_ONLY).unreadable_reason
     assert path.read_text() == "broken"
 
 
@@ -268,14 +268,14 @@ def test_a_file_unreadable_at_the_start_stays_and_is_reported_until_readable(tmp
     path.write_text(WRITTEN)
     saved = start(path, disk, lambda: Content(7, 2.0))
     assert not saved.is_pending
-    assert saved.unreadable.startswith(f"{path}: the alignment cannot be read: {os.strerror(number)}; not saved")
-    saved.save_by_itself()
-    assert (saved.trouble, saved.notices) == (saved.unreadable, [saved.unreadable])
+    assert saved.unreadable_reason.startswith(f"{path}: the alignment cannot be read: {os.strerror(number)}; not saved")
+    saved.autosave()
+    assert (saved.autosave_problem, saved.notices) == (saved.unreadable_reason, [saved.unreadable_reason])
     assert [each.read_text() for each in tmp_path.iterdir()] == [WRITTEN]
     disk.number = 0
-    saved.save_by_itself()
-    assert saved.unreadable == ""
-    assert "has a smaller sigma of angle" in saved.trouble
+    saved.autosave()
+    assert saved.unreadable_reason == ""
+    assert "has a smaller sigma of angle" in saved.autosave_problem
     assert path.read_text() == WRITTEN
     saved.save()
     assert STARTS.load(path) == Content(7, 2.0)
@@ -287,12 +287,12 @@ def test_a_file_unreadable_once_at_run_time_stays(tmp_path, number):
     path.write_text(WRITTEN)
     saved = start(path, disk, lambda: Content(7))
     disk.number = number
-    saved.save_by_itself()
-    assert os.strerror(number) in saved.trouble
+    saved.autosave()
+    assert os.strerror(number) in saved.autosave_problem
     assert [each.read_text() for each in tmp_path.iterdir()] == [WRITTEN]
     disk.number = 0
-    saved.save_by_itself()
-    assert (saved.unreadable, saved.trouble) == ("", "")
+    saved.autosave()
+    assert (saved.unreadable_reason, saved.autosave_problem) == ("", "")
     assert STARTS.load(path) == Content(7)
 
 
@@ -300,8 +300,8 @@ def test_a_repaired_file_is_no_longer_reported(tmp_path):
     path = tmp_path / "alignment.yaml"
     path.write_text("broken")
     saved = start(path, to_save=lambda: Content(7, 2.0))
-    assert "set aside" in saved.unreadable
+    assert "set aside" in saved.unreadable_reason
     path.write_text(WRITTEN)
-    saved.save_by_itself()
-    assert saved.unreadable == ""
-    assert "has a smaller sigma of angle" in saved.trouble
+    saved.autosave()
+    assert saved.unreadable_reason == ""
+    assert "has a smaller sigma of angle" in saved.autosave_problem

@@ -30,7 +30,7 @@ def arrivals(duration_s: float, step_s: Step, delay_s: Delay, **periods_s: float
     yield from sorted(found)
 
 
-def found(
+def detected_steps(
     step_s: Step,
     delay_s: Delay = lambda topic, valid_s: 0.0,
     duration_s: float = 60.0,
@@ -68,7 +68,7 @@ def found(
 def test_a_step_of_all_stamps_is_detected_within_1_3_s(step_s: float, at_s: float) -> None:
     # A small step forward is in the future of the node's clock, or it is the end of a delay.
     follows = step_s < 0.0 or step_s > 10.0
-    steps = found(lambda topic, valid_s: step_s if valid_s >= at_s else 0.0, node_follows=follows)
+    steps = detected_steps(lambda topic, valid_s: step_s if valid_s >= at_s else 0.0, node_follows=follows)
     ((waiting_s, told_s),) = steps
     assert waiting_s - at_s < 1.55, "the fix comes once a second"
     assert told_s == pytest.approx(step_s, abs=1e-6)
@@ -79,7 +79,7 @@ def test_a_step_back_of_the_computers_clock_is_confirmed_by_the_first_input(step
     def stepped(waiting_s: float) -> float:
         return step_s if waiting_s >= 20.0 else 0.0
 
-    ((waiting_s, told_s),) = found(lambda topic, valid_s: stepped(valid_s), computer_s=stepped)
+    ((waiting_s, told_s),) = detected_steps(lambda topic, valid_s: stepped(valid_s), computer_s=stepped)
     assert 20.0 <= waiting_s < 20.02
     assert told_s == step_s
 
@@ -89,13 +89,13 @@ def test_a_step_forward_of_the_computers_clock_is_confirmed_by_all_inputs(step_s
     def stepped(waiting_s: float) -> float:
         return step_s if waiting_s >= 20.0 else 0.0
 
-    ((waiting_s, told_s),) = found(lambda topic, valid_s: stepped(valid_s), computer_s=stepped)
+    ((waiting_s, told_s),) = detected_steps(lambda topic, valid_s: stepped(valid_s), computer_s=stepped)
     assert 20.3 <= waiting_s < 21.5
     assert told_s == step_s
 
 
 def test_an_offset_for_30_s_is_two_steps() -> None:
-    steps = found(lambda topic, valid_s: 900.0 if 20.0 <= valid_s < 50.0 else 0.0, duration_s=80.0)
+    steps = detected_steps(lambda topic, valid_s: 900.0 if 20.0 <= valid_s < 50.0 else 0.0, duration_s=80.0)
     assert [step_s for _, step_s in steps] == [pytest.approx(900.0), pytest.approx(-900.0)]
 
 
@@ -106,7 +106,7 @@ def test_one_device_alone_is_never_a_step_of_the_time_base(alone: str, step_s: f
     def step(topic: str, valid_s: float) -> float:
         return step_s if topic == alone and 20.0 <= valid_s < 20.0 + lasts_s else 0.0
 
-    assert found(step, duration_s=150.0, node_follows=False) == []
+    assert detected_steps(step, duration_s=150.0, node_follows=False) == []
 
 
 @pytest.mark.parametrize("step_s", [-1.0, -5.0])
@@ -119,7 +119,7 @@ def test_an_input_that_moved_and_timed_out_leaves_no_pending_step(step_s: float)
         return 1e6 if topic == "star/fore" and valid_s > 22.0 else -step_s * (topic != "star/fore" and valid_s > 30.0)
 
     clocks = TimeBase()
-    steps = found(lambda topic, valid_s: step_s * (topic == "star/fore" and valid_s > 20.0), delay_s, clocks=clocks)
+    steps = detected_steps(lambda topic, valid_s: step_s * (topic == "star/fore" and valid_s > 20.0), delay_s, clocks=clocks)
     assert steps == []
     assert not clocks.is_step_pending
 
@@ -131,7 +131,7 @@ def test_the_computers_clock_alone_is_no_step_of_the_time_base(later_s: float) -
     def step(topic: str, valid_s: float) -> float:
         return later_s if topic == "star/fore" and valid_s >= 40.0 else 0.0
 
-    assert found(step, computer_s=lambda waiting_s: -300.0 if waiting_s >= 20.0 else 0.0) == []
+    assert detected_steps(step, computer_s=lambda waiting_s: -300.0 if waiting_s >= 20.0 else 0.0) == []
 
 
 @pytest.mark.parametrize("alone_s", [-300.0, 300.0])
@@ -139,14 +139,14 @@ def test_a_device_with_a_long_offset_steps_with_the_others(alone_s: float) -> No
     def step(topic: str, valid_s: float) -> float:
         return alone_s * (topic == "star/fore" and valid_s >= 20.0) - 5.0 * (valid_s >= 120.0)
 
-    ((waiting_s, step_s),) = found(step, duration_s=150.0, node_follows=False)
+    ((waiting_s, step_s),) = detected_steps(step, duration_s=150.0, node_follows=False)
     assert 120.0 < waiting_s < 122.0
     assert step_s == pytest.approx(-5.0)
 
 
 def test_a_clock_that_drifts_ahead_has_not_moved() -> None:
     clocks = TimeBase()
-    assert found(lambda topic, valid_s: 0.02 * valid_s * (topic == "star/fore"), clocks=clocks) == []
+    assert detected_steps(lambda topic, valid_s: 0.02 * valid_s * (topic == "star/fore"), clocks=clocks) == []
     assert not clocks.is_step_pending
 
 
@@ -156,13 +156,13 @@ def test_an_input_with_both_times_confirms_no_step() -> None:
     def step(topic: str, valid_s: float) -> float:
         return 0.0 if topic == "ins/imu" and round(100.0 * valid_s) % 2 else -300.0 * (valid_s >= 20.0)
 
-    assert found(step, node_follows=False, **{"gnss/fix": np.inf, "met/pressure": np.inf}) == []
+    assert detected_steps(step, node_follows=False, **{"gnss/fix": np.inf, "met/pressure": np.inf}) == []
 
 
 def test_devices_that_follow_one_after_another_are_one_step() -> None:
     """The INS first, the star sensor five seconds later, the receiver after ten."""
     at_s = {"ins/imu": 20.0, "star/fore": 25.0, "gnss/fix": 30.0, "met/pressure": 20.0}
-    ((waiting_s, step_s),) = found(lambda topic, valid_s: -300.0 if valid_s >= at_s[topic] else 0.0)
+    ((waiting_s, step_s),) = detected_steps(lambda topic, valid_s: -300.0 if valid_s >= at_s[topic] else 0.0)
     assert 30.0 < waiting_s < 31.6
     assert step_s == pytest.approx(-300.0)
 
@@ -171,14 +171,14 @@ def test_an_input_without_messages_follows_a_step() -> None:
     def delay_s(topic: str, valid_s: float) -> float:
         return 1e6 if topic == "star/fore" and 15.0 <= valid_s < 40.0 else 0.0
 
-    ((waiting_s, _),) = found(lambda topic, valid_s: -300.0 if valid_s >= 20.0 else 0.0, delay_s)
+    ((waiting_s, _),) = detected_steps(lambda topic, valid_s: -300.0 if valid_s >= 20.0 else 0.0, delay_s)
     assert waiting_s < 21.6
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_disorder_within_two_seconds_is_no_step(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    assert found(lambda topic, valid_s: 0.0, lambda topic, valid_s: float(rng.uniform(0.0, 2.0))) == []
+    assert detected_steps(lambda topic, valid_s: 0.0, lambda topic, valid_s: float(rng.uniform(0.0, 2.0))) == []
 
 
 @pytest.mark.parametrize(("periods_s", "late_s", "share", "end_s"), [
@@ -190,12 +190,12 @@ def test_bursts_that_come_late_are_no_step(periods_s, late_s: float, share: floa
     def delay_s(topic: str, valid_s: float) -> float:
         return late_s if 20.0 <= valid_s < end_s and valid_s % 1.0 < share else 0.0
 
-    assert found(lambda topic, valid_s: 0.0, delay_s, **periods_s) == []
+    assert detected_steps(lambda topic, valid_s: 0.0, delay_s, **periods_s) == []
 
 
 def test_a_longer_latency_after_a_step_is_no_further_step() -> None:
     """The clocks step back by 300 s; from 40 s on all messages take a second longer."""
-    steps = found(
+    steps = detected_steps(
         lambda topic, valid_s: -300.0 * (valid_s >= 20.0), lambda topic, valid_s: float(valid_s >= 40.0), 80.0
     )
     assert [step_s for _, step_s in steps] == [-300.0]
@@ -208,7 +208,7 @@ def test_a_slow_input_that_seemed_late_has_stepped_with_the_next_one(step_s: flo
     """
     clocks = TimeBase()
     periods_s = {"ins/imu": np.inf, "gnss/fix": np.inf, "met/pressure": 20.0}
-    steps = found(lambda topic, valid_s: step_s * (valid_s >= 20.0), clocks=clocks, duration_s=50.0, **periods_s)
+    steps = detected_steps(lambda topic, valid_s: step_s * (valid_s >= 20.0), clocks=clocks, duration_s=50.0, **periods_s)
     assert [told_s for _, told_s in steps] == [pytest.approx(step_s)]
     assert steps[0][0] < 22.0
     assert not clocks.is_step_pending
@@ -216,7 +216,7 @@ def test_a_slow_input_that_seemed_late_has_stepped_with_the_next_one(step_s: flo
 
 def test_the_step_is_that_of_the_fastest_input() -> None:
     """The latency of the first fix after it is longer by 0.3 s."""
-    ((_, step_s),) = found(
+    ((_, step_s),) = detected_steps(
         lambda topic, valid_s: -300.0 * (valid_s >= 20.0),
         lambda topic, valid_s: 0.3 if topic == "gnss/fix" and 20.0 <= valid_s < 21.0 else 0.0,
         **{"met/pressure": np.inf},
@@ -231,7 +231,7 @@ def test_an_input_far_ahead_is_unused_while_others_are_present() -> None:
     def ahead_s(topic: str, valid_s: float) -> float:
         return 300.0 if topic == "ins/imu" and valid_s >= 20.0 else 0.0
 
-    assert found(ahead_s, duration_s=150.0, clocks=clocks) == []
+    assert detected_steps(ahead_s, duration_s=150.0, clocks=clocks) == []
     assert clocks.ahead_ns("ins/imu") == 300 * S
 
 
@@ -242,7 +242,7 @@ def test_a_stalled_link_is_no_step(held_up_s: float) -> None:
     def delay_s(topic: str, valid_s: float) -> float:
         return max(20.0 + held_up_s - valid_s, 0.0) if valid_s >= 20.0 else 0.0
 
-    assert found(lambda topic, valid_s: 0.0, delay_s) == []
+    assert detected_steps(lambda topic, valid_s: 0.0, delay_s) == []
 
 
 def test_utc_is_ambiguous_in_a_leap_second() -> None:

@@ -52,7 +52,7 @@ def replayed(run_class: type[ReplayRun], bag_path: Path, injection: Injection) -
             if record.topic in taken:
                 run.take(record.topic, record)
         run.finish()
-        summary.rejected = {a.node_name: a.health.refused_and_noted() for a in chain.adapters}
+        summary.rejected = {a.node_name: a.health.rejection_and_note_counts() for a in chain.adapters}
     return sink.published, summary
 
 

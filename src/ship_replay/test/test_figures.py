@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ship_geometry.rotations import ARCSEC
-from ship_node.documents.figure_files import MOST_ROWS, settled
+from ship_node.documents.figure_files import MAX_ROWS, settled_slice
 from ship_replay.evaluation.figures import attitude_error_figure, innovation_figure, save_figure
 from ship_replay.evaluation.statistics import AttitudeErrors, AcceptedInnovation, SourceInnovations
 from ship_replay.report.drawings import budget_svg
@@ -54,8 +54,8 @@ def test_the_first_sigma_sets_no_scale(share):
         assert all(axes.get_ylim()[1] < 10.0 for axes in figure.axes), [axes.get_ylim() for axes in figure.axes]
         plt.close(figure)
     # An outage later on is no start.
-    assert settled(sigma[::-1]) == slice(0, None)
-    assert settled(np.full(3, np.nan)) == slice(None)
+    assert settled_slice(sigma[::-1]) == slice(0, None)
+    assert settled_slice(np.full(3, np.nan)) == slice(None)
 
 
 def test_a_sensor_beyond_the_scale_or_without_a_measurement_is_named():
@@ -112,6 +112,6 @@ def test_the_drawings_of_a_report_take_no_name_for_a_formula():
 def test_a_figure_of_hundreds_of_sources_has_a_row_for_the_first_of_them():
     many = {f"star.{number}": innovations([2.0] * 20) for number in range(200)}
     figure = innovation_figure(many, "t")
-    assert len(figure.axes) == MOST_ROWS
-    assert f"the first {MOST_ROWS} of 400 components" in figure.get_suptitle()
+    assert len(figure.axes) == MAX_ROWS
+    assert f"the first {MAX_ROWS} of 400 components" in figure.get_suptitle()
     plt.close(figure)

@@ -17,7 +17,7 @@ from ship_bags.suite_commit import COMMIT_RECORD, commit_record
 from ship_estimation.parameter_fields import parameter
 from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.rotations import ARCSEC
-from ship_node.edge.input_health import InputHealthBook
+from ship_node.edge.input_health import InputHealthMonitor
 from ship_node.edge.topics import InputTopic, OutputTopic
 from ship_replay.commands.replay import main
 from ship_replay.offline.replay import replay
@@ -57,17 +57,17 @@ class TinyAdapter:
             OutputTopic("ship/attitude", "ship_msgs/msg/ShipAttitude"),
             OutputTopic("ship/error_arcsec", "ship_msgs/msg/AttitudeErrorArcsec"),
         )
-        self.health = InputHealthBook(self.inputs)
+        self.health = InputHealthMonitor(self.inputs)
         self.latest_header = None
         TinyAdapter.calls = []
 
     def handle(self, topic, message, receive_ns, waiting_ns=None):
         self.calls.append((topic, receive_ns))
-        self.health.arrived(topic, receive_ns)
+        self.health.record_arrival(topic, receive_ns)
         if message.header.frame_id == "wrong":
-            self.health.rejected(topic, Rejection(Reason.FRAME, "wrong frame"), receive_ns)
+            self.health.record_rejected(topic, Rejection(Reason.FRAME, "wrong frame"), receive_ns)
             return []
-        self.health.accepted(topic, ns_from_stamp(message.header.stamp), receive_ns)
+        self.health.record_accepted(topic, ns_from_stamp(message.header.stamp), receive_ns)
         self.latest_header = message.header
         heading = true_heading(ns_from_stamp(message.header.stamp)) + self.config.error_arcsec * ARCSEC
         return [("ship/attitude", ship_attitude(ns_from_stamp(message.header.stamp), heading, factory=self.factory))]

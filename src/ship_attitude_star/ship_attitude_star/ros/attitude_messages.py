@@ -19,19 +19,19 @@ from ship_geometry.compiled_angles import angle_covariances, angles, quaternions
 from ship_geometry.frames import SINGULAR_ELEVATION
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, FLU_FROM_DEVICE, enu_covariance, flu_from_device_vector
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.edge.blocks import PublishedRows
+from ship_node.edge.blocks import OutputRows
 from ship_node.edge.messages_in import NOT_GIVEN
 from ship_node.edge.messages_out import TF_TOPIC, TF_TYPE, ZERO_VECTOR
 from ship_node.edge.output_numbers import (
     Fields,
     MessageFields,
-    as_columns,
-    as_numbers,
-    chosen,
-    joined,
+    column_numbers,
+    single_numbers,
+    select_values,
+    join_fields,
     rows_by_kind,
 )
-from ship_node.edge.topics import Published
+from ship_node.edge.topics import OutputMessage
 
 ATTITUDE_TOPIC, ATTITUDE_TYPE = "ship/attitude", "ship_msgs/msg/ShipAttitude"
 IMU_TOPIC, IMU_TYPE = "ship/imu", "sensor_msgs/msg/Imu"
@@ -57,16 +57,16 @@ class AttitudeNumbers(NamedTuple):
     @classmethod
     def from_runs(cls, series: Sequence[AttitudeSeries]) -> "AttitudeNumbers":
         """Return the quantities of several series, one after another."""
-        return cls(*joined(series, cls._fields))
+        return cls(*join_fields(series, cls._fields))
 
     def subset(self, indices: NDArray[np.int64]) -> "AttitudeNumbers":
         """Return the attitudes with the given indices."""
-        return self if len(indices) == len(self.time_ns) else AttitudeNumbers(*(chosen(each, indices) for each in self))
+        return self if len(indices) == len(self.time_ns) else AttitudeNumbers(*(select_values(each, indices) for each in self))
 
 
 def attitude_messages(
     factory: MessageFactory, estimate: AttitudeEstimate, rate_sigma: float, frames: FrameNames = FRAME_NAMES
-) -> list[Published]:
+) -> list[OutputMessage]:
     """Return the messages of one attitude.
 
     For an INVALID attitude the two ship_msgs messages contain NaN, and the messages for standard tools are omitted.
@@ -77,26 +77,26 @@ def attitude_messages(
         rate_sigma: noise of the angular rate of the INS, each axis, rad/s; 0 if not known.
         frames: frame names.
     """
-    messages = _messages(AttitudeNumbers.from_runs([AttitudeSeries.from_estimate(estimate)]), as_numbers, rate_sigma, frames)
+    messages = _messages(AttitudeNumbers.from_runs([AttitudeSeries.from_estimate(estimate)]), single_numbers, rate_sigma, frames)
     return [(topic, factory.encode(type_name, **fields)) for topic, type_name, fields in messages]
 
 
-def smoothed_message(factory: MessageFactory, estimate: AttitudeEstimate, frames: FrameNames) -> Published:
+def smoothed_message(factory: MessageFactory, estimate: AttitudeEstimate, frames: FrameNames) -> OutputMessage:
     """Return the ship_msgs/ShipAttitude message of a smoothed attitude."""
     attitude = AttitudeNumbers.from_runs([AttitudeSeries.from_estimate(estimate)])
-    _, type_name, fields = next(_messages(attitude, as_numbers, 0.0, frames))
+    _, type_name, fields = next(_messages(attitude, single_numbers, 0.0, frames))
     return SMOOTHED_TOPIC, factory.encode(type_name, **fields)
 
 
 def attitude_rows(
     factory: MessageFactory, attitudes: AttitudeNumbers, rate_sigma: float, frames: FrameNames = FRAME_NAMES
-) -> Iterator[PublishedRows]:
+) -> Iterator[OutputRows]:
     """Yield the messages of N attitudes; those of one attitude are ordered as by :func:`attitude_messages`."""
     known: list[bool] = np.all(np.isfinite(attitudes.rate_d), axis=1).tolist()
     claimed = [status is not Status.INVALID for status in attitudes.status]
     kinds = zip(claimed, known, attitudes.sources, strict=True)
     return rows_by_kind(
-        factory, kinds, lambda _, places: _messages(attitudes.subset(places), as_columns, rate_sigma, frames)
+        factory, kinds, lambda _, places: _messages(attitudes.subset(places), column_numbers, rate_sigma, frames)
     )
 
 

@@ -16,7 +16,7 @@ from ship_geometry import compiled_angles
 from ship_geometry.ros_axes import horizon_covariance
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.blocks import StampArray
-from ship_node.edge.columns_in import ReadRows, angular_covariances, read_of_good, stamps
+from ship_node.edge.columns_in import ReadRows, angular_covariances, read_valid, stamps
 from ship_node.edge.messages_in import ReadMessage, MessageRejected
 
 
@@ -46,4 +46,4 @@ def star_attitudes(messages: CdrRows, receive_ns: StampArray, sensor_id: str, co
         covariances_n = horizon_covariance(totals_enu[good]), horizon_covariance(noises_enu[good])
         return map(attitude, times_ns[good].tolist(), rotations_ns, *covariances_n)
 
-    return read_of_good(messages, config.frame_id, good, attitudes)
+    return read_valid(messages, config.frame_id, good, attitudes)

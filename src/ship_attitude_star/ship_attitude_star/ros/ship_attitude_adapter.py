@@ -49,7 +49,7 @@ from ship_geometry.rotations import ARCSEC
 from ship_geometry.time_scales import SECOND_NS
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.documents.saved_start import SavedStart
-from ship_node.edge.blocks import BatchFeed, PublishedRows, ReadBatch, StampArray
+from ship_node.edge.blocks import BatchFeed, OutputRows, ReadBatch, StampArray
 from ship_node.edge.columns_in import ReadRows
 from ship_node.edge.contested import ATTITUDE, INNOVATION
 from ship_node.edge.ins_messages import sigma_mismatch_text, ins_batch, ins_sample
@@ -67,8 +67,8 @@ from ship_node.edge.messages_out import (
     error_budget_message,
 )
 from ship_node.edge.recovering_adapter import RecoveringAdapter
-from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, untimed
-from ship_node.edge.topics import InputTopic, OutputTopic, Published
+from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ignore_time
+from ship_node.edge.topics import InputTopic, OutputTopic, OutputMessage
 from ship_node.edge.verdict_report import clock_status
 
 INTEGRITY_TOPIC = "ship/integrity"
@@ -156,8 +156,8 @@ class ShipAttitudeAdapter(RecoveringAdapter):
             config.alignment_file,
             files,
             start_from=self.start_from,
-            to_save=self._alignment_to_save,
-            nothing="no alignment to save: no star attitude was used yet",
+            content_to_save=self._alignment_to_save,
+            nothing_text="no alignment to save: no star attitude was used yet",
         )
         self.start_warnings = self._missing_configuration = start_warnings(config)
         self._last_observability: tuple[int, DiagnosticStatus] | None = None
@@ -171,7 +171,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         core: ShipAttitudeCore = self.core
         return core.alignment_to_save()
 
-    def _attitude_messages(self, estimate: AttitudeEstimate) -> list[Published]:
+    def _attitude_messages(self, estimate: AttitudeEstimate) -> list[OutputMessage]:
         """Return the messages of one attitude."""
         messages = attitude_messages(self.factory, estimate, self._rate_sigma, self.config.frames)
         return [each for each in messages if each[0] != TF_TOPIC or self.config.publish_tf]
@@ -189,11 +189,11 @@ class ShipAttitudeAdapter(RecoveringAdapter):
 
     def accepts_batches(self, topic: str) -> bool:
         """See :meth:`BatchAdapter.accepts_batches`; smoothing needs single samples."""
-        return super().takes_blocks(topic) and not isinstance(self.core, SmoothingCore)
+        return super().accepts_batches(topic) and not isinstance(self.core, SmoothingCore)
 
-    def report_outcome(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[Published]:
+    def report_outcome(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
         """See :meth:`ReportingAdapter.report_outcome`; smoothed attitudes follow."""
-        published = super().published(outcome, now_ns, waiting_ns)
+        published = super().report_outcome(outcome, now_ns, waiting_ns)
         if isinstance(self.core, SmoothingCore):
             try:
                 smoothed = [
@@ -202,7 +202,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
             except Exception as error:
                 # Real-time attitudes are published in any case; smoothing restarts.
                 self.core.restart_smoothing()
-                smoothed = [self.failed(SMOOTHED_TOPIC, now_ns, failure_rejection(error))]
+                smoothed = [self.report_failure(SMOOTHED_TOPIC, now_ns, failure_rejection(error))]
             published += smoothed
         return published
 
@@ -211,27 +211,27 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         ins = InputTopic("ins/imu", IMU_TYPE, required=True, depth=1000)
         block = BatchFeed(functools.partial(self._read_ins_block, config=config.ins), core)
         read_ins = functools.partial(self._read_ins, config=config.ins)
-        yield Feed(ins, "ins", read_ins, core.add_ins, batch=block, continuous=ATTITUDE)
+        yield Feed(ins, "ins", read_ins, core.add_ins, batch=block, stream_quantity=ATTITUDE)
         for id_, star in config.star_sensors.items():
-            topic = InputTopic(f"star/{id_}/{star.input}", _STAR_TYPES[star.input], False, depth=1000, named=True)
+            topic = InputTopic(f"star/{id_}/{star.input}", _STAR_TYPES[star.input], False, depth=1000, is_configured=True)
             read, read_rows = self._star_readers(id_, star)
             take, source = core.add_measurement, f"star.{id_}"
-            yield Feed(topic, source, read, take, has_decision=True, read_rows=read_rows, continuous=INNOVATION)
+            yield Feed(topic, source, read, take, has_decision=True, read_rows=read_rows, stream_quantity=INNOVATION)
         for name, reference in config.references.items():
-            topic = InputTopic(f"reference/{name}/imu", IMU_TYPE, False, depth=1000, named=True)
+            topic = InputTopic(f"reference/{name}/imu", IMU_TYPE, False, depth=1000, is_configured=True)
             read = functools.partial(messages_in.reference_measurement, name=name, config=reference)
-            yield Feed(topic, f"reference.{name}", read, core.add_measurement, has_decision=True, continuous=INNOVATION)
+            yield Feed(topic, f"reference.{name}", read, core.add_measurement, has_decision=True, stream_quantity=INNOVATION)
         if config.ship_baseline.is_aboard:
-            antennas = InputTopic("ship/baseline", "ship_msgs/msg/RtkBaseline", False, depth=1000, named=True)
+            antennas = InputTopic("ship/baseline", "ship_msgs/msg/RtkBaseline", False, depth=1000, is_configured=True)
             read_baseline = functools.partial(messages_in.baseline, config=config.ship_baseline)
             yield Feed(antennas, BASELINE, read_baseline, core.add_measurement, has_decision=True)
         if self._sky_model is not None:
-            yield from surroundings_in.surroundings_feeds(config.sky, untimed(core.add_sky_input))
+            yield from surroundings_in.surroundings_feeds(config.sky, ignore_time(core.add_sky_input))
         elif config.needs_vertical:
-            yield surroundings_in.position_feed(config.sky, untimed(core.add_sky_input))
+            yield surroundings_in.position_feed(config.sky, ignore_time(core.add_sky_input))
         if config.gravity.deflection == TOPIC:
-            given = InputTopic("gravity/deflection", DEFLECTION_TYPE, False, depth=100, lasting=True)
-            yield Feed(given, "gravity/deflection", messages_in.deflection, untimed(core.add_deflection))
+            given = InputTopic("gravity/deflection", DEFLECTION_TYPE, False, depth=100, is_valid_until_next=True)
+            yield Feed(given, "gravity/deflection", messages_in.deflection, ignore_time(core.add_deflection))
 
     def _read_ins(self, message: Any, receive_ns: int, config: InsConfig) -> ReadMessage[AttitudeSample]:
         """Return an INS sample; the covariance of its message is stored for the diagnostics."""
@@ -266,12 +266,12 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         read = functools.partial(messages_in.star_measurement, sensor_id=id_, config=star)
         return read, functools.partial(rows_in.star_attitudes, sensor_id=id_, config=star)
 
-    def batch_messages(self, runs: Sequence[AttitudeSeries]) -> Iterator[PublishedRows]:
+    def batch_messages(self, runs: Sequence[AttitudeSeries]) -> Iterator[OutputRows]:
         """See :meth:`BatchAdapter.batch_messages`."""
         rows = attitude_rows(self.factory, AttitudeNumbers.from_runs(runs), self._rate_sigma, self.config.frames)
         return (each for each in rows if each.topic != TF_TOPIC or self.config.publish_tf)
 
-    def own_slow_topics(self, now_ns: int) -> list[Published]:
+    def own_slow_topics(self, now_ns: int) -> list[OutputMessage]:
         """Return error budget and predicted errors of the latest attitude, once each, alignment and installation."""
         factory, estimate, published = self.factory, self.pending_budget, []
         deck, horizon = self.config.frames.deck, self.config.frames.horizon
@@ -309,7 +309,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         where = ", ".join(f"{_PARAMETER_SECTIONS[name.partition('.')[0]]}.{name.partition('.')[2]}" for name in sorted(displaced))
         return f"if it was remounted, ~/reset; otherwise check its clock (time_offset_s of {where}) and its cable"
 
-    def before_adoption(self) -> list[Published]:
+    def before_adoption(self) -> list[OutputMessage]:
         """See :class:`RecoveringAdapter`; returns the remaining smoothed attitudes."""
         if not isinstance(self.core, SmoothingCore):
             return []
@@ -347,7 +347,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
         """Return diagnostics of attitude, alignment, INS, integrity, conflicts, innovations and clocks."""
-        remarks = self.saved_remarks()
+        remarks = self.saved_document_remarks()
         text = "; ".join(remarks) or "as configured or saved"
         return [
             attitude_status(self.latest, self.clock_jumps, self._missing_configuration),

@@ -23,7 +23,7 @@ from ship_geometry.ros_axes import enu_covariance
 from ship_geometry.rotations import ARCSEC
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.edge.block_adapter import BatchAdapter
-from ship_node.edge.blocks import BatchFeed, PublishedRows
+from ship_node.edge.blocks import BatchFeed, OutputRows
 from ship_node.edge.contested import ATTITUDE
 from ship_node.edge.ins_messages import ins_batch, ins_sample
 from ship_node.edge.messages_in import ReadMessage
@@ -35,8 +35,8 @@ from ship_node.edge.messages_out import (
     error_budget_message,
     rejection_message,
 )
-from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, untimed
-from ship_node.edge.topics import InputTopic, OutputTopic, Published
+from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ignore_time
+from ship_node.edge.topics import InputTopic, OutputTopic, OutputMessage
 
 _STARS_TYPE = "ship_msgs/msg/StarObservationArray"
 _SOLUTION_TYPE = "ship_msgs/msg/StarHorizonAttitude"
@@ -106,7 +106,7 @@ class StarAttitudeAdapter(BatchAdapter):
     def table(self, config: StarAttitudeConfig, core: StarCore) -> Iterator[Feed]:
         """Yield the inputs and the methods of a core that take them."""
         for id_, sensor in config.star_sensors.items():
-            topic = InputTopic(f"star/{id_}/observations", _STARS_TYPE, False, depth=100, named=True)
+            topic = InputTopic(f"star/{id_}/observations", _STARS_TYPE, False, depth=100, is_configured=True)
             read_stars = functools.partial(
                 read_exposure,
                 sensor_id=id_,
@@ -118,70 +118,70 @@ class StarAttitudeAdapter(BatchAdapter):
             )
             yield Feed(topic, f"star.{id_}", read_stars, self._take_stars, has_decision=True)
         yield from surroundings_feeds(
-            config.sky, untimed(lambda told: StarOutcome(core.add_surroundings(told)))
+            config.sky, ignore_time(lambda told: StarOutcome(core.add_surroundings(told)))
         )
         if config.use_ins:
             ins = InputTopic("ins/imu", "sensor_msgs/msg/Imu", False, depth=1000)
             read_ins = functools.partial(ins_sample, config=config.ins)
             block = BatchFeed(functools.partial(ins_batch, config=config.ins), core)
-            yield Feed(ins, "ins", read_ins, untimed(core.add_ins), batch=block, continuous=ATTITUDE)
+            yield Feed(ins, "ins", read_ins, ignore_time(core.add_ins), batch=block, stream_quantity=ATTITUDE)
 
     def _take_stars(self, read: ReadExposure, waiting_ns: int) -> StarOutcome:
         core: StarCore = self.core
         return core.add_exposure(read.exposure, read.rejected_stars, waiting_ns)
 
-    def batch_messages(self, _runs: Sequence[Any]) -> Iterator[PublishedRows]:
+    def batch_messages(self, _runs: Sequence[Any]) -> Iterator[OutputRows]:
         """Return no messages: INS samples are not published."""
         return iter(())
 
     # -- results of the core --------------------------------------------------------------------------------
 
-    def report_outcome(self, outcome: StarOutcome, now_ns: int, waiting_ns: int) -> list[Published]:
+    def report_outcome(self, outcome: StarOutcome, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
         """Return solutions, their rejected stars, and exposures too late for the joint solution of their time."""
-        published: list[Published] = []
+        published: list[OutputMessage] = []
         for solved in outcome.solved:
             self._last_solutions[solved.sensor_id] = solved, waiting_ns
             published += self._joint_messages(solved) if solved.sensor_id == JOINT else self._single_messages(solved, now_ns)
         for source, time_ns in outcome.not_joined:
             text = "too late for the joint solution of its time; its single-sensor solution is published"
-            self.health.noted(_topic(source), Reason.LATE)
+            self.health.record_note(_topic(source), Reason.LATE)
             published.append(self.rejection_message(source, time_ns, Rejection(Reason.LATE, text)))
         return published
 
-    def _single_messages(self, solved: AttitudeSolution, now_ns: int) -> list[Published]:
+    def _single_messages(self, solved: AttitudeSolution, now_ns: int) -> list[OutputMessage]:
         """Return the messages of a sensor's solution; the exposure counts as used unless it is rejected as a whole."""
         id_, refusal = solved.sensor_id, solved.solution.rejection
         source, topic = f"star.{id_}", _topic(f"star.{id_}")
         if refusal is not None and refusal.reason in _WHOLE_EXPOSURE_REASONS:
-            self.health.rejected(topic, refusal, now_ns, solved.time_ns)
+            self.health.record_rejected(topic, refusal, now_ns, solved.time_ns)
         else:
-            self.health.accepted(topic, solved.time_ns, now_ns)
+            self.health.record_accepted(topic, solved.time_ns, now_ns)
             for star in solved.rejected_stars:
-                self.health.noted(topic, star.rejection.reason)
+                self.health.record_note(topic, star.rejection.reason)
             if refusal is not None:
-                self.health.noted(topic, refusal.reason)
+                self.health.record_note(topic, refusal.reason)
         published = self._solution_messages(solved, self.config.star_sensors[id_].frame_id or f"star_{id_}")
         if refusal is not None:
             published.append(self.rejection_message(source, solved.time_ns, refusal))
         return published
 
-    def _joint_messages(self, solved: AttitudeSolution) -> list[Published]:
+    def _joint_messages(self, solved: AttitudeSolution) -> list[OutputMessage]:
         self.pending_budget = solved if solved.is_valid else None
         for star in solved.rejected_stars:
-            self.health.noted(_topic(star.source), star.rejection.reason)
+            self.health.record_note(_topic(star.source), star.rejection.reason)
         published, refusal = self._solution_messages(solved, self.config.frames.deck), solved.solution.rejection
         if refusal is not None and refusal.reason is Reason.FAILED:
-            self.health.failed(f"{self.main_topic}: {refusal.text}")
+            self.health.record_failure(f"{self.main_topic}: {refusal.text}")
         if refusal is not None and refusal.reason not in (Reason.NO_FIX, Reason.NO_EARTH_ORIENTATION):
             published.append(self.rejection_message(f"star.{JOINT}", solved.time_ns, refusal))
         return published
 
-    def _solution_messages(self, solved: AttitudeSolution, frame_id: str) -> list[Published]:
+    def _solution_messages(self, solved: AttitudeSolution, frame_id: str) -> list[OutputMessage]:
         message = star_horizon_attitude(self.factory, solved, frame_id)
         refused = map(functools.partial(rejected_star_message, self.factory), solved.rejected_stars)
         return [(f"star/{solved.sensor_id}/solution", message), *((self.innovation_topic, star) for star in refused)]
 
-    def own_slow_topics(self, now_ns: int) -> list[Published]:
+    def own_slow_topics(self, now_ns: int) -> list[OutputMessage]:
         """Return the error budget of the latest joint solution, once."""
         if self.pending_budget is None:
             return []

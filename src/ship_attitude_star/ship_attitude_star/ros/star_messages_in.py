@@ -124,7 +124,7 @@ def star_exposure(
         spatial=camera_config.spatial_errors(camera),
     )
     unused_stars = _unused_stars(message.stars, rejections, named_by_number)
-    return ReadMessage(exposure, columns.sigma_known, unused_stars, empty=not message.stars)
+    return ReadMessage(exposure, columns.sigma_known, unused_stars, is_empty=not message.stars)
 
 
 def _star_columns(stars: Sequence[Any], centroid_sigma_px: float) -> _StarColumns:

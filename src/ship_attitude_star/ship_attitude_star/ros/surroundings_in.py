@@ -152,6 +152,6 @@ def position_feed(config: SkyConfig, take: Callable[[Any, int], Any]) -> Feed:
 
 def _surroundings_feed(topic: str, config: SkyConfig, take: Callable[[Any, int], Any], required: bool) -> Feed:
     required = required and topic == "gnss/fix"
-    needed = InputTopic(topic, SURROUNDINGS[topic], required, depth=100, lasting=True)
+    needed = InputTopic(topic, SURROUNDINGS[topic], required, depth=100, is_valid_until_next=True)
     continuous = POSITION if topic == PositionFix.source else None
-    return Feed(needed, topic, surroundings_reader(topic, config), take, continuous=continuous)
+    return Feed(needed, topic, surroundings_reader(topic, config), take, stream_quantity=continuous)

@@ -187,7 +187,7 @@ class _TopicObserver:
     @property
     def is_awaited(self) -> bool:
         """True if no message of a required topic was received yet."""
-        return not self.has_received and (self._topic.required or self._topic.named)
+        return not self.has_received and (self._topic.required or self._topic.is_configured)
 
     @property
     def is_done(self) -> bool:

@@ -17,12 +17,12 @@ from typing import Any
 
 from ship_bags.parameter_yaml import full_name
 from ship_bringup.checks.check_line import CheckLine, Result
-from ship_node.parameters.parameter_file import read
-from ship_node.parameters.places import MachineResource, PlaceKind, port_resource
+from ship_node.parameters.parameter_file import read_node_parameters
+from ship_node.parameters.places import MachineResource, ResourceKind, port_resource
 
 _CHECK = "ports"
-_SOCKETS = {PlaceKind.UDP: socket.SOCK_DGRAM, PlaceKind.TCP: socket.SOCK_STREAM}
-_TABLES = {PlaceKind.UDP: ("udp", "udp6"), PlaceKind.TCP: ("tcp", "tcp6")}
+_SOCKETS = {ResourceKind.UDP: socket.SOCK_DGRAM, ResourceKind.TCP: socket.SOCK_STREAM}
+_TABLES = {ResourceKind.UDP: ("udp", "udp6"), ResourceKind.TCP: ("tcp", "tcp6")}
 _BLOCKING_STATES = {"udp": "07", "udp6": "07", "tcp": "0A", "tcp6": "0A"}
 """Socket states in the system's table that prevent binding the same port."""
 _ANY_PORT = 0
@@ -57,8 +57,8 @@ def read_place_states(path: Path, namespace: str, companions: Mapping[str, Any])
     """
     for name, config in companions.items():
         node = full_name(name, namespace)
-        file = read(path, node)
-        own = [port_resource(key, PlaceKind.UDP, _ANY_PORT, address) for key, address in config.interfaces.items()]
+        file = read_node_parameters(path, node)
+        own = [port_resource(key, ResourceKind.UDP, _ANY_PORT, address) for key, address in config.interfaces.items()]
         for place in (*config.places, *own):
             named_by = f"{path}:{file.line_of(place.parameter)}: {place.parameter}"
             if place.kind in _SOCKETS:
@@ -92,7 +92,7 @@ def _problem(state: PlaceState) -> tuple[str, str]:
         return "", ""
     if state.error == errno.EADDRINUSE:
         holder = state.holder or "another program, or by this suite if it already runs"
-        other = "device" if state.place.kind is PlaceKind.PATH else "port"
+        other = "device" if state.place.kind is ResourceKind.PATH else "port"
         return f"is in use by {holder}", f"end that one, or give another {other}"
     if state.error == errno.EADDRNOTAVAIL:
         return "is not available: this machine has no such address", "use one of those that 'ip -4 address' shows"
@@ -109,7 +109,7 @@ def _binding_error(place: MachineResource) -> int:
     """Bind a port as the nodes do; return the errno of the failure, 0 if there is none."""
     try:
         with socket.socket(socket.AF_INET, _SOCKETS[place.kind]) as trial_socket:
-            if place.kind is PlaceKind.TCP or place.is_group:
+            if place.kind is ResourceKind.TCP or place.is_multicast:
                 trial_socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             trial_socket.bind((place.address, int(place.name)))
     except socket.gaierror:

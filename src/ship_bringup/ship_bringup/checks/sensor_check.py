@@ -76,7 +76,7 @@ def check_sensors(
         if not observed.publishers and observed.input.topic in own:
             found = f"{observed.input.topic}: not received: no publisher before nmea_in runs, which the suite starts"
             # A configured instrument may be switched off.
-            is_needed = observed.input.required or observed.input.named
+            is_needed = observed.input.required or observed.input.is_configured
             advice = f"start {own_command}, then preflight again, and end it before the suite"
             yield CheckLine(_CHECK, Result.FAIL if is_needed else Result.NOT_CHECKED, found, advice)
             continue
@@ -90,7 +90,7 @@ def _evaluate_input(
     observed: ObservedTopic, limits: Limits, lags_s: Mapping[str, float], requested_qos: Mapping[str, str]
 ) -> tuple[Result, str, str]:
     topic = observed.input.topic
-    severity = Result.FAIL if observed.input.required or observed.input.named else Result.WARN
+    severity = Result.FAIL if observed.input.required or observed.input.is_configured else Result.WARN
     missing_result = Result.NOT_CHECKED if observed.input.is_occasional else severity
     if not observed.publishers:
         return missing_result, "no publisher", "start its driver, or name its topic in the suite file (topics)"

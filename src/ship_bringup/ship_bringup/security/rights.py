@@ -18,7 +18,7 @@ from ship_bags.topic_names import TRUTH_PREFIX
 from ship_estimation.parameters import describe
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, TF_STATIC_TOPIC, TF_TOPIC
-from ship_node.parameters.companions import named_companions
+from ship_node.parameters.companions import configured_companions
 from ship_node.parameters.parameter_file import load_config
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_watch.published_state import STATE_TOPIC, STATE_TYPE
@@ -99,7 +99,7 @@ def load_companions(suite_path: Path, namespace: str) -> dict[str, Any]:
         BadInput: a parameter of one is wrong, or its package is not installed.
     """
     found = {}
-    for companion in named_companions(suite_path, namespace):
+    for companion in configured_companions(suite_path, namespace):
         name = full_name(companion.node_name, namespace)
         try:
             found[companion.node_name] = load_config(companion.config_type, suite_path, name)

@@ -16,7 +16,7 @@ from ship_bringup.security.rights import load_companions, suite_rights
 from ship_bringup.suite.enclaves import add_enclaves
 from ship_bringup.suite.program import Program, Role
 from ship_node.edge.messages_out import TF_STATIC_TOPIC, TF_TOPIC
-from ship_node.parameters.companions import COMPANIONS, Companion, named_companions
+from ship_node.parameters.companions import COMPANIONS, Companion, configured_companions
 from ship_node.parameters.parameter_file import unknown_sections
 from ship_replay.offline.adapter_chain import AdapterChain, suite_text
 from ship_replay.offline.nodes import ADAPTERS
@@ -101,7 +101,7 @@ def make_plan(path: Path, options: SuiteOptions) -> Plan:
         inputs = ("-p", "reliable_inputs:=true") if options.reliable_inputs else ()
         arguments = ("--ros-args", "--params-file", str(path.resolve()), *ros, *box, *inputs)
         programs.append(Program(name, (*executable(packages[name], name), *arguments), has_reserve=True))
-    companions = [one for one in named_companions(path, options.namespace) if options.bag is None or not one.feeds]
+    companions = [one for one in configured_companions(path, options.namespace) if options.bag is None or not one.feeds]
     programs += [_companion_program(one, path, ros, is_alone=not nodes) for one in companions]
     if options.monitor:
         programs += _monitor_programs(options, ros)

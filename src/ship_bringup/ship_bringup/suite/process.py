@@ -17,7 +17,7 @@ from typing import IO
 from ship_bags.live.heartbeat import HEARTBEAT_SOCKET
 from ship_bringup.suite.dds_ports import UDP_ONLY
 from ship_bringup.suite.signs_of_life import HeartbeatAge
-from ship_node.live.start import WAITS
+from ship_node.live.start import WAIT_VARIABLE
 
 _LONGEST_LINE = 65536
 _PR_SET_PDEATHSIG = 1
@@ -51,7 +51,7 @@ class Process:
             if os.getppid() != parent:
                 os._exit(1)
 
-        own = {"PYTHONUNBUFFERED": "1", HEARTBEAT_SOCKET: str(heartbeats)} | ({WAITS: "1"} if waits else {})
+        own = {"PYTHONUNBUFFERED": "1", HEARTBEAT_SOCKET: str(heartbeats)} | ({WAIT_VARIABLE: "1"} if waits else {})
         # A session of its own: Ctrl-C on the terminal reaches only this process, which ends the others in order.
         self._process = subprocess.Popen(
             command,

@@ -10,11 +10,11 @@ from ship_estimation.parameters import ParameterError
 from ship_node.parameters.places import (
     ANY_ADDRESS,
     MachineResource,
-    PlaceKind,
+    ResourceKind,
     path_resource,
     port_resource,
     is_ipv4,
-    refuse_clashes,
+    refuse_conflicts,
 )
 
 UDP, TCP, SERIAL = "udp", "tcp", "serial"
@@ -99,7 +99,7 @@ class NmeaSourceConfig:
         if self.kind == SERIAL:
             return path_resource(f"{name}.device", self.device)
         if self.kind == UDP:
-            return port_resource(f"{name}.port", PlaceKind.UDP, self.port, self.address)
+            return port_resource(f"{name}.port", ResourceKind.UDP, self.port, self.address)
         return None
 
 
@@ -127,7 +127,7 @@ class NmeaInConfig:
             if len(ids) > 1:
                 raise _error(f"sources.{ids[1]}.becomes", role, f"'{ids[0]}' already has this role")
         self._check_shared()
-        refuse_clashes(self.places)
+        refuse_conflicts(self.places)
 
     @property
     def places(self) -> tuple[MachineResource, ...]:

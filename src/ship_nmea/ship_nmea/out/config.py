@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from ship_estimation.parameter_fields import mapping_of, parameter
 from ship_estimation.parameters import ParameterError
 from ship_nmea.sentences.attitude import ATTITUDE_SENTENCES
-from ship_node.parameters.places import MachineResource, PlaceKind, path_resource, port_resource, is_ipv4, refuse_clashes
+from ship_node.parameters.places import MachineResource, ResourceKind, path_resource, port_resource, is_ipv4, refuse_conflicts
 
 UDP, TCP_SERVER, SERIAL, FILE = "udp", "tcp_server", "serial", "file"
 ALF, ALC, HBT = "ALF", "ALC", "HBT"
@@ -93,12 +93,12 @@ class SinkConfig:
             name: of the sink's group of parameters, for example ``sinks.bridge``.
         """
         if self.kind == TCP_SERVER:
-            return port_resource(f"{name}.port", PlaceKind.TCP, self.port, self.address)
+            return port_resource(f"{name}.port", ResourceKind.TCP, self.port, self.address)
         if self.kind == SERIAL:
             return path_resource(f"{name}.device", self.device)
         if self.kind == FILE:
             return path_resource(f"{name}.path", self.path)
-        return port_resource(f"{name}.listen_port", PlaceKind.UDP, self.listen_port) if self.listen_port else None
+        return port_resource(f"{name}.listen_port", ResourceKind.UDP, self.listen_port) if self.listen_port else None
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class NmeaOutConfig:
                 raise ParameterError(f"parameter '{full_name}' {misfit[1]}", full_name)
         _check_letters("talker", self.talker, 2)
         _check_letters("manufacturer", self.manufacturer, 3)
-        refuse_clashes(self.places)
+        refuse_conflicts(self.places)
 
     @property
     def places(self) -> tuple[MachineResource, ...]:

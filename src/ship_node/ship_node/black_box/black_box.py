@@ -36,17 +36,17 @@ from ship_node.parameters.parameter_file import parameter_text
 FLUSH_PERIOD_S = 0.07
 """Flush period, s: with the time of a flush, all data older than 0.1 s are on the disk."""
 
-LONGEST_QUEUE = 50_000
+MAX_QUEUE_ENTRIES = 50_000
 """Maximum number of entries waiting for a slow disk, about a minute of a node at 200 Hz; further ones are lost and
 counted."""
 
-LARGEST_QUEUE_BYTES = 64 * 2**20
+MAX_QUEUE_BYTES = 64 * 2**20
 """Maximum size of the waiting entries, bytes; files that the node read and wrote do not count."""
 
 RETRY_S = 10.0
 """Period of the attempts to open a new file after a failure of the disk, s."""
 
-MOST_BEFORE_TIME = 1000
+MAX_ENTRIES_BEFORE_TIME = 1000
 """Maximum number of entries kept before the node has a time; of more the newest are kept."""
 
 
@@ -103,15 +103,15 @@ class BlackBox:
         self._bytes_put = self._bytes_written = 0
         self._before_time: deque[_Message] = deque()
         self._last_ns = 0
-        self._file_count = self._lost = self._lost_unsaid = 0
+        self._file_count = self._lost = self._lost_unreported = 0
         self._unflushed = self._lost_by_failure = 0
         self._failure, self._retry_s = "", 0.0
         self._on_failure = on_failure
         self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._write_on, name="black box", daemon=True)
+        self._thread = threading.Thread(target=self._write_periodically, name="black box", daemon=True)
         self._thread.start()
 
-    def put(self, topic: str, data: bytes, time_ns: int, waiting_ns: int | None = None) -> None:
+    def add(self, topic: str, data: bytes, time_ns: int, waiting_ns: int | None = None) -> None:
         """Record a message used or published.
 
         Args:
@@ -121,10 +121,10 @@ class BlackBox:
             waiting_ns: timeout-clock time; None if it is equal.
         """
         if time_ns == 0:
-            if len(self._before_time) >= MOST_BEFORE_TIME:
+            if len(self._before_time) >= MAX_ENTRIES_BEFORE_TIME:
                 self._before_time.popleft()
                 self._lost += 1
-                self._lost_unsaid += 1
+                self._lost_unreported += 1
             self._before_time.append(_Message(topic, data, 0, 0))
             return
         self._last_ns = time_ns
@@ -134,25 +134,25 @@ class BlackBox:
             self._before_time.clear()
         self._append(_Message(topic, data, time_ns, time_ns if waiting_ns is None else waiting_ns))
 
-    def put_event(self, event: Event, time_ns: int, waiting_ns: int | None = None) -> None:
+    def add_event(self, event: Event, time_ns: int, waiting_ns: int | None = None) -> None:
         """Record an event; the times are those of :meth:`add`."""
-        self.put(EVENTS_TOPIC, _event_data(event), time_ns, waiting_ns)
+        self.add(EVENTS_TOPIC, _event_data(event), time_ns, waiting_ns)
 
-    def put_file(self, use: FileUse, time_ns: int) -> None:
+    def add_file(self, use: FileUse, time_ns: int) -> None:
         """Record a file read or written, with its content."""
         name = None
         if use.content is not None:
             self._file_count += 1
             name = f"files/{self._file_count:04d}/{Path(use.path).name}"
             self._queue.append(_Attachment(name, use.content))
-        self.put_event(FileUsed(use.path, use.written, name, use.error), time_ns)
+        self.add_event(FileUsed(use.path, use.written, name, use.error), time_ns)
 
     def status(self) -> DiagnosticStatus:
         """Return the status of the black box."""
         if self._failure:
             text = f"{self._files.last_path}: writing failed: {self._failure}; a new file is tried every {RETRY_S:g} s"
             return DiagnosticStatus("black box", Level.ERROR, text)
-        values = {"bytes": str(self._files.whole_bytes), "waiting": str(len(self._queue)), "lost": str(self._lost)}
+        values = {"bytes": str(self._files.flushed_bytes), "waiting": str(len(self._queue)), "lost": str(self._lost)}
         if self._lost:
             text = f"{self._files.last_path}: {self._lost} entries lost: the disk was slow or full"
             return DiagnosticStatus("black box", Level.ERROR, text, values)
@@ -165,31 +165,31 @@ class BlackBox:
         self._stopping.set()
         self._thread.join()
         # If the node never had a time, the entries waiting for it are written now.
-        self.put_event(Closed(), max(self._last_ns, 1))
-        self._guarded(self._write_all)
-        self._guarded(self._files.close)
+        self.add_event(Closed(), max(self._last_ns, 1))
+        self._run_write(self._write_all)
+        self._run_write(self._files.close)
 
     def _append(self, message: _Message) -> None:
         waiting_bytes = self._bytes_put - self._bytes_written
-        if len(self._queue) >= LONGEST_QUEUE or waiting_bytes + len(message.data) > LARGEST_QUEUE_BYTES:
+        if len(self._queue) >= MAX_QUEUE_ENTRIES or waiting_bytes + len(message.data) > MAX_QUEUE_BYTES:
             self._lost += 1
-            self._lost_unsaid += 1
+            self._lost_unreported += 1
             return
-        if self._lost_unsaid:
-            lost = _event_data(EntriesLost(self._lost_unsaid))
-            self._lost_unsaid = 0
-            self._put_in_queue(message._replace(topic=EVENTS_TOPIC, data=lost))
-        self._put_in_queue(message)
+        if self._lost_unreported:
+            lost = _event_data(EntriesLost(self._lost_unreported))
+            self._lost_unreported = 0
+            self._enqueue(message._replace(topic=EVENTS_TOPIC, data=lost))
+        self._enqueue(message)
 
-    def _put_in_queue(self, message: _Message) -> None:
+    def _enqueue(self, message: _Message) -> None:
         self._bytes_put += len(message.data)
         self._queue.append(message)
 
-    def _write_on(self) -> None:
+    def _write_periodically(self) -> None:
         due_s = time.monotonic() + FLUSH_PERIOD_S
         while not self._stopping.wait(max(0.0, due_s - time.monotonic())):
             due_s = time.monotonic() + FLUSH_PERIOD_S
-            self._guarded(self._write_all)
+            self._run_write(self._write_all)
 
     def _write_all(self) -> None:
         """Write the waiting entries to the disk."""
@@ -213,21 +213,21 @@ class BlackBox:
             lost, self._lost_by_failure = _event_data(EntriesLost(self._lost_by_failure)), 0
             self._files.write(EVENTS_TOPIC, lost, entry.time_ns, entry.waiting_ns)
 
-    def _guarded(self, write: Callable[[], None]) -> None:
+    def _run_write(self, write: Callable[[], None]) -> None:
         """Call a write function; a failure does not end the node.
 
         After a failure entries are lost until a new file is open.
         """
         if self._failure and not self._has_new_file():
-            self._drop()
+            self._drop_pending()
             return
         try:
             write()
         except Exception as error:
             self._failure = error.strerror if isinstance(error, OSError) and error.strerror else repr(error)
             self._retry_s = time.monotonic() + RETRY_S
-            self._files.cut()
-            self._drop()
+            self._files.truncate()
+            self._drop_pending()
             self._on_failure(
                 f"black box {self._files.last_path}: writing failed: {self._failure}; it is complete up to the last "
                 f"flush, and a new file is tried every {RETRY_S:g} s"
@@ -238,7 +238,7 @@ class BlackBox:
         if time.monotonic() < self._retry_s:
             return False
         try:
-            self._files.begin_next()
+            self._files.open_next()
         except (OSError, BadInput):
             self._retry_s = time.monotonic() + RETRY_S
             return False
@@ -246,7 +246,7 @@ class BlackBox:
         self._on_failure(f"black box continues in {self._files.last_path}: {self._lost_by_failure} entries were lost")
         return True
 
-    def _drop(self) -> None:
+    def _drop_pending(self) -> None:
         """Count the waiting entries and those written since the last flush as lost."""
         count = len(self._queue)
         for _ in range(count):

@@ -40,7 +40,7 @@ class ClockJumpedBack:
 
 
 @dataclass(frozen=True)
-class Contested:
+class DuplicatePublishersChanged:
     """Two publishers send on an input topic, reported to the adapter; an empty text: no longer."""
 
     topic: str
@@ -116,7 +116,7 @@ Event = (
     | ClockJumpedBack
     | ClockStepped
     | Overload
-    | Contested
+    | DuplicatePublishersChanged
     | ParametersChanged
     | ChangeRefused
     | ServiceCalled
@@ -130,7 +130,7 @@ _KINDS: dict[str, type[Event]] = {
     "clock_jumped_back": ClockJumpedBack,
     "clock_stepped": ClockStepped,
     "overload": Overload,
-    "contested": Contested,
+    "contested": DuplicatePublishersChanged,
     "parameters": ParametersChanged,
     "change_refused": ChangeRefused,
     "service": ServiceCalled,

@@ -52,10 +52,10 @@ class BlackBoxFiles:
         self._id, self._part = secrets.token_hex(8), 1
         self._writer = _open_first(path, head.node)
         self.path = self.last_path = self._writer.path
-        self._begin(self._writer)
+        self._write_header(self._writer)
 
     @property
-    def whole_bytes(self) -> int:
+    def flushed_bytes(self) -> int:
         """Length of the last file at its last flush."""
         return self._writer.flushed_bytes
 
@@ -73,10 +73,10 @@ class BlackBoxFiles:
         self._writer.flush()
         if self._part_bytes and self._writer.flushed_bytes >= self._part_bytes:
             full = self._writer
-            self.begin_next()
+            self.open_next()
             full.close()
 
-    def begin_next(self) -> None:
+    def open_next(self) -> None:
         """Begin a new file.
 
         Raises:
@@ -88,7 +88,7 @@ class BlackBoxFiles:
         writer = _writer(path)
         before, self._part = self._part, self._part + 1
         try:
-            self._begin(writer)
+            self._write_header(writer)
         except BaseException:
             self._part = before
             writer.truncate()
@@ -96,7 +96,7 @@ class BlackBoxFiles:
             raise
         self._writer, self.last_path = writer, path
 
-    def cut(self) -> None:
+    def truncate(self) -> None:
         """Give up the last file after a failed write: it stays valid up to its last flush."""
         self._writer.truncate()
 
@@ -104,7 +104,7 @@ class BlackBoxFiles:
         """Finish the last file."""
         self._writer.close()
 
-    def _begin(self, writer: BagWriter) -> None:
+    def _write_header(self, writer: BagWriter) -> None:
         head = self._head
         entries = {"format": FORMAT, "node": head.node, "namespace": head.namespace}
         writer.add_metadata(METADATA, entries | {"box": self._id, "part": str(self._part), "first": self.path.name})
@@ -129,7 +129,7 @@ def _open_first(text: str, node_name: str) -> BagWriter:
     if text.endswith("/") or path.is_dir():
         path = path / f"{node_name}.mcap"
     if path.suffix != ".mcap":
-        raise _unusable(text, "expected a file ending in .mcap, or a folder")
+        raise _unusable_path_error(text, "expected a file ending in .mcap, or a folder")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         while True:
@@ -141,14 +141,14 @@ def _open_first(text: str, node_name: str) -> BagWriter:
                 if not free.exists():
                     raise
     except (OSError, BadInput) as error:
-        raise _unusable(text, str(error)) from error
+        raise _unusable_path_error(text, str(error)) from error
 
 
 def _writer(path: Path) -> BagWriter:
     return BagWriter(path, atomic=False, define=installed_definition, library="ship_node", exclusive=True)
 
 
-def _unusable(path: str, reason: str) -> BadInput:
+def _unusable_path_error(path: str, reason: str) -> BadInput:
     """Return the error about a path where no black box can be written."""
     name = BLACK_BOX_PARAMETER
     return BadInput(f"parameter '{name}' = '{path}': {reason}", parameters=(name,), value=path)

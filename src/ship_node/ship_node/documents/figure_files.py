@@ -32,17 +32,17 @@ _STYLE = {
 }
 
 
-MOST_ROWS = 60
+MAX_ROWS = 60
 """Maximum number of rows of a figure, one per source or name; tables have all of them."""
 
-_LONGEST_NAME = 40
+_MAX_NAME_LENGTH = 40
 """Maximum length of a name at an axis, characters: longer ones leave no room for the drawing."""
 
-_SETTLED = 3.0
+_SETTLED_RATIO = 3.0
 """Ratio of sigma to its best value below which the start is over."""
 
 
-def settled(sigma: FloatArray) -> slice:
+def settled_slice(sigma: FloatArray) -> slice:
     """Return the part of a time series that scales a figure: all but the start, with its large uncertainty.
 
     Args:
@@ -52,12 +52,12 @@ def settled(sigma: FloatArray) -> slice:
     if not len(known):
         return slice(None)
     # The tenth percentile, because sigma may reach its minimum for a short time only.
-    return slice(int(np.argmax(sigma <= _SETTLED * np.percentile(known, 10.0))), None)
+    return slice(int(np.argmax(sigma <= _SETTLED_RATIO * np.percentile(known, 10.0))), None)
 
 
 def short_name(name: str) -> str:
     """Return a name shortened for a figure; tables have the full name."""
-    return name if len(name) <= _LONGEST_NAME else f"{name[: _LONGEST_NAME - 1]}…"
+    return name if len(name) <= _MAX_NAME_LENGTH else f"{name[: _MAX_NAME_LENGTH - 1]}…"
 
 
 def write_figures(figures: Iterable[tuple[str, Figure]], folder: Path) -> dict[str, Path]:

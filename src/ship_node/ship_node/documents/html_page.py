@@ -38,7 +38,7 @@ dd { margin: 0 0 0.5rem 1.2rem; }
 """Content of the style element."""
 
 
-def image(path: Path, words: str, style: str = "wide") -> str:
+def image(path: Path, alt_text: str, style: str = "wide") -> str:
     """Return an img element with an embedded PNG file.
 
     Args:
@@ -47,7 +47,7 @@ def image(path: Path, words: str, style: str = "wide") -> str:
         style: ``wide`` or ``small``.
     """
     data = base64.b64encode(path.read_bytes()).decode("ascii")
-    return f'<img class="{style}" alt="{escape(words)}" src="data:image/png;base64,{data}">'
+    return f'<img class="{style}" alt="{escape(alt_text)}" src="data:image/png;base64,{data}">'
 
 
 def folded(title: str, content: str, is_open: bool = False) -> str:

@@ -22,7 +22,7 @@ from ship_bags.regular_files import check_regular, open_error_text
 from ship_bags.stamps import END_OF_TIME_NS
 from ship_bags.yaml_text import plain_data
 
-LONGEST_FILE_BYTES = 16_000_000
+MAX_FILE_BYTES = 16_000_000
 """Maximum size of a file, bytes; a saved alignment or calibration has some ten thousand."""
 
 _ROUNDING = 1e-6
@@ -75,11 +75,11 @@ class DiskFiles:
         try:
             check_regular(path)
             with path.open("rb") as stream:
-                content = stream.read(LONGEST_FILE_BYTES + 1)
+                content = stream.read(MAX_FILE_BYTES + 1)
         except OSError as error:
-            raise _plain(error.errno or errno.EIO, path) from error
-        if len(content) > LONGEST_FILE_BYTES:
-            raise _plain(errno.EFBIG, path)
+            raise _plain_os_error(error.errno or errno.EIO, path) from error
+        if len(content) > MAX_FILE_BYTES:
+            raise _plain_os_error(errno.EFBIG, path)
         return content
 
     def write(self, path: Path, content: bytes) -> None:
@@ -88,7 +88,7 @@ class DiskFiles:
         try:
             write_atomically(path, content)
         except OSError as error:
-            raise _plain(error.errno or errno.EIO, path) from error
+            raise _plain_os_error(error.errno or errno.EIO, path) from error
 
     def set_aside(self, path: Path) -> Path:
         """See :meth:`Files.set_aside`."""
@@ -96,11 +96,11 @@ class DiskFiles:
         try:
             path.rename(aside)
         except OSError as error:
-            raise _plain(error.errno or errno.EIO, path) from error
+            raise _plain_os_error(error.errno or errno.EIO, path) from error
         return aside
 
 
-class UntouchedFiles(DiskFiles):
+class ReadOnlyFiles(DiskFiles):
     """Files on the disk, never changed: written content is discarded.
 
     A program that runs an adapter without being the node, such as a replay, must not replace a ship's saved documents.
@@ -114,7 +114,7 @@ class UntouchedFiles(DiskFiles):
         return _free_path(path)
 
 
-class NotedFiles:
+class RecordingFiles:
     """Files on the disk, with a record of each use.
 
     Attributes:
@@ -155,7 +155,7 @@ class NotedFiles:
         return aside
 
 
-DISK, UNTOUCHED = DiskFiles(), UntouchedFiles()
+DISK, READ_ONLY = DiskFiles(), ReadOnlyFiles()
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ class SavedFormat(Generic[Content]):
 
     format: str
     version: int
-    what: str
+    kind_name: str
     document: Callable[[Content], dict[str, Any]]
     content: Callable[[dict[str, Any]], Content]
 
@@ -187,7 +187,7 @@ class SavedFormat(Generic[Content]):
         try:
             files.write(path, written)
         except OSError as error:
-            raise BadInput(f"the {self.what} cannot be written: {error.strerror}", file=path) from error
+            raise BadInput(f"the {self.kind_name} cannot be written: {error.strerror}", file=path) from error
         return written
 
     def load(self, path: Path, files: Files = DISK) -> Content:
@@ -196,9 +196,9 @@ class SavedFormat(Generic[Content]):
         Raises:
             BadInput: names the file and the error.
         """
-        return self.parsed(path, self.read_at(path, files))
+        return self.parse(path, self.read_bytes(path, files))
 
-    def read_at(self, path: Path, files: Files = DISK) -> bytes:
+    def read_bytes(self, path: Path, files: Files = DISK) -> bytes:
         """Return the bytes of a document.
 
         Raises:
@@ -209,7 +209,7 @@ class SavedFormat(Generic[Content]):
         except OSError as error:
             raise self._unreadable(path, error) from error
 
-    def written_at(self, path: Path, files: Files = DISK) -> bytes | None:
+    def read_if_present(self, path: Path, files: Files = DISK) -> bytes | None:
         """Return the bytes of a document; None if the file does not exist.
 
         Raises:
@@ -223,9 +223,9 @@ class SavedFormat(Generic[Content]):
             raise self._unreadable(path, error) from error
 
     def _unreadable(self, path: Path, error: OSError) -> BadInput:
-        return BadInput(f"the {self.what} cannot be read: {open_error_text(error.errno or errno.EIO)}", file=path)
+        return BadInput(f"the {self.kind_name} cannot be read: {open_error_text(error.errno or errno.EIO)}", file=path)
 
-    def parsed(self, path: Path, written: bytes) -> Content:
+    def parse(self, path: Path, written: bytes) -> Content:
         """Return the content of a document's bytes.
 
         Raises:
@@ -235,16 +235,16 @@ class SavedFormat(Generic[Content]):
             document = plain_data(str(path), written.decode())
         except UnicodeDecodeError as error:
             raise BadInput(f"not UTF-8 text: {error.reason} at byte {error.start}", file=path) from error
-        article = "an" if self.what[0] in "aeiou" else "a"
+        article = "an" if self.kind_name[0] in "aeiou" else "a"
         if not isinstance(document, dict) or document.get("format") != self.format:
-            raise BadInput(f"not {article} {self.what}: expected 'format: {self.format}'", file=path)
+            raise BadInput(f"not {article} {self.kind_name}: expected 'format: {self.format}'", file=path)
         if document.get("version") != self.version:
             found = f"{document.get('version')!r:.40}"
-            raise BadInput(f"version {found} of the {self.what}: expected {self.version}", file=path)
+            raise BadInput(f"version {found} of the {self.kind_name}: expected {self.version}", file=path)
         try:
             return self.content(document)
         except ValueError as error:
-            raise BadInput(f"the {self.what} cannot be used: {error}; save it again", file=path) from error
+            raise BadInput(f"the {self.kind_name} cannot be used: {error}; save it again", file=path) from error
 
 
 def section(document: dict[str, Any], key: str, read: Callable[[Any], Value]) -> Value:
@@ -326,6 +326,6 @@ def _free_path(path: Path) -> Path:
     return next((name for name in names if not os.path.lexists(name)), path.with_name(f"{path.name}.unreadable"))
 
 
-def _plain(number: int, path: Path) -> OSError:
+def _plain_os_error(number: int, path: Path) -> OSError:
     """Return the error as a replay of the black box will raise it, which has only its number."""
     return OSError(number, os.strerror(number), str(path))

@@ -11,23 +11,23 @@ import numpy.typing as npt
 from ship_bags.errors import BadInput
 from ship_node.documents.saved_document import Files, SavedFormat
 
-_WORSE = 1.1
+_MAX_SIGMA_RATIO = 1.1
 """Ratio of a sigma to another one above which it counts as worse; smaller changes depend on the stars in view."""
 
-_NO_START = (
+_FATAL_ERRORS = (
     *(errno.EISDIR, errno.ESPIPE),  # the path is wrong
     *(errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.EINTR),  # lack of resources, maybe temporary
 )
 """Errors for which a node does not start."""
 
-_NEVER_READABLE = (errno.EFBIG, errno.ELOOP)
+_CONTENT_ERRORS = (errno.EFBIG, errno.ELOOP)
 """Errors for which a file is set aside, as for a bad content. After any other error the file may be good."""
 
 _NEVER_NS = 1 << 62
 """Time that is never reached, ns."""
 
 
-class Saved(Protocol):
+class SavedContent(Protocol):
     """Content that a node starts from: an alignment, a calibration."""
 
     @property
@@ -40,7 +40,7 @@ class Saved(Protocol):
         ...
 
 
-Prior = TypeVar("Prior", bound=Saved)
+Prior = TypeVar("Prior", bound=SavedContent)
 
 
 class SavedStart(Generic[Prior]):
@@ -71,31 +71,31 @@ class SavedStart(Generic[Prior]):
         path: str,
         files: Files,
         start_from: Callable[[Prior, int], list[str]],
-        to_save: Callable[[], Prior | None],
-        nothing: str,
+        content_to_save: Callable[[], Prior | None],
+        nothing_text: str,
     ) -> None:
         self._kind, self._path, self._files = kind, path, files
-        self._start_from, self._to_save, self._nothing = start_from, to_save, nothing
+        self._start_from, self._content_to_save, self._nothing_text = start_from, content_to_save, nothing_text
         self.notices: list[str] = []
         self.messages: list[str] = []
-        self.trouble = self.unreadable = ""
-        self._is_in_the_way = False
+        self.autosave_problem = self.unreadable_reason = ""
+        self._is_file_kept = False
         # Bytes of the file from which the core's state has developed; None if there is none.
         self._origin: bytes | None = None
         self._saved_ns = 0
         self._last_autosave_ns: int | None = None
-        self._read, self._content = self._usable(Path(path)) if path else (None, None)
+        self._read, self._content = self._read_usable(Path(path)) if path else (None, None)
         self.is_pending = self._content is not None
-        if path and not self.is_pending and not self.unreadable:
-            self.notices.append(f"no {kind.what} at {path} yet: the filter starts as configured")
+        if path and not self.is_pending and not self.unreadable_reason:
+            self.notices.append(f"no {kind.kind_name} at {path} yet: the filter starts as configured")
 
     def start(self, now_ns: int) -> None:
         """Pass the content that was read to the core; its age is relative to the current time, ns."""
         content, self._content, self.is_pending = self._content, None, False
         if content is not None:
-            self._give(content, now_ns)
+            self._start_core(content, now_ns)
 
-    def restarted(self) -> None:
+    def note_core_reset(self) -> None:
         """Record that the core was reset: the file may now contain more than the core."""
         self._origin, self._saved_ns, self._last_autosave_ns = None, 0, None
 
@@ -105,11 +105,11 @@ class SavedStart(Generic[Prior]):
         Raises:
             BadInput: there is no content or no file is named, or it cannot be written.
         """
-        path, content = self._file(), self._to_save()
+        path, content = self._file(), self._content_to_save()
         if content is None:
-            raise BadInput(self._nothing)
+            raise BadInput(self._nothing_text)
         self._write(path, content)
-        return f"{self._kind.what} saved to {path}"
+        return f"{self._kind.kind_name} saved to {path}"
 
     def next_autosave_ns(self, period_s: float) -> int:
         """Return the timeout-clock time before which :meth:`is_autosave_time` is False."""
@@ -124,18 +124,18 @@ class SavedStart(Generic[Prior]):
         is_first, self._last_autosave_ns = self._last_autosave_ns is None, waiting_ns
         return not is_first
 
-    def save_by_itself(self) -> None:
+    def autosave(self) -> None:
         """Write the core's content if it is newer than the last one written and no worse than that of the file.
 
         An obstacle becomes :attr:`autosave_problem`, and a notice when it changes.
         """
         try:
-            trouble = self._saved_unless_worse(self._file())
+            problem = self._save_unless_worse(self._file())
         except BadInput as error:
-            trouble = str(error)
-        if trouble != self.trouble:
-            self.notices.append(trouble or f"{self._kind.what} is saved automatically again to {self._path}")
-        self.trouble = trouble
+            problem = str(error)
+        if problem != self.autosave_problem:
+            self.notices.append(problem or f"{self._kind.kind_name} is saved automatically again to {self._path}")
+        self.autosave_problem = problem
 
     def load(self, now_ns: int) -> str:
         """Read the file again and start from it; return a text about the result.
@@ -144,30 +144,30 @@ class SavedStart(Generic[Prior]):
             BadInput: no file is named, or it cannot be read.
         """
         path = self._file()
-        self._read = self._kind.read_at(path, self._files)
-        self._give(self._kind.parsed(path, self._read), now_ns)
-        self.unreadable = ""
-        return "; ".join([f"{self._kind.what} loaded from {path}", *self.messages])
+        self._read = self._kind.read_bytes(path, self._files)
+        self._start_core(self._kind.parse(path, self._read), now_ns)
+        self.unreadable_reason = ""
+        return "; ".join([f"{self._kind.kind_name} loaded from {path}", *self.messages])
 
-    def _saved_unless_worse(self, path: Path) -> str:
-        content = self._to_save()
+    def _save_unless_worse(self, path: Path) -> str:
+        content = self._content_to_save()
         if content is None or content.time_ns == self._saved_ns:
             return ""
-        unreadable_before = self.unreadable
-        there, known = self._usable(path)
-        if self._is_in_the_way:
-            return self.unreadable
-        if self.unreadable != unreadable_before:
-            self.notices.append(self.unreadable)
+        unreadable_before = self.unreadable_reason
+        existing, known = self._read_usable(path)
+        if self._is_file_kept:
+            return self.unreadable_reason
+        if self.unreadable_reason != unreadable_before:
+            self.notices.append(self.unreadable_reason)
         # The core's state cannot be worse than the file from which it has developed.
-        if known is not None and there != self._origin:
-            worse = worse_in(content, known)
+        if known is not None and existing != self._origin:
+            worse = less_certain_quantity(content, known)
             if worse:
-                return f"{self._kind.what} not saved automatically: {path} has {worse}; ~/save_alignment replaces it"
+                return f"{self._kind.kind_name} not saved automatically: {path} has {worse}; ~/save_alignment replaces it"
         self._write(path, content)
         return ""
 
-    def _usable(self, path: Path) -> tuple[bytes | None, Prior | None]:
+    def _read_usable(self, path: Path) -> tuple[bytes | None, Prior | None]:
         """Return the file's bytes and its content, or None twice.
 
         A file with an unusable content is set aside. One that cannot be read stays in place.
@@ -175,48 +175,48 @@ class SavedStart(Generic[Prior]):
         Raises:
             BadInput: see the class.
         """
-        self._is_in_the_way = False
+        self._is_file_kept = False
         try:
-            written = self._kind.written_at(path, self._files)
+            written = self._kind.read_if_present(path, self._files)
             if written is None:
                 return None, None
-            content = self._kind.parsed(path, written)
-            self.unreadable = ""
+            content = self._kind.parse(path, written)
+            self.unreadable_reason = ""
             return written, content
         except BadInput as error:
             number = error.__cause__.errno if isinstance(error.__cause__, OSError) else None
-            if number in _NO_START:
+            if number in _FATAL_ERRORS:
                 raise
             reason = str(error)
-            if number is not None and number not in _NEVER_READABLE:
-                self._is_in_the_way = True
-                self.unreadable = f"{reason}; not saved automatically until readable; ~/save_alignment replaces it"
+            if number is not None and number not in _CONTENT_ERRORS:
+                self._is_file_kept = True
+                self.unreadable_reason = f"{reason}; not saved automatically until readable; ~/save_alignment replaces it"
                 return None, None
         try:
-            self.unreadable = f"{reason}; set aside as {self._files.set_aside(path)}"
+            self.unreadable_reason = f"{reason}; set aside as {self._files.set_aside(path)}"
         except OSError as error:
-            self._is_in_the_way = True
-            self.unreadable = f"{reason}; it cannot be renamed ({error.strerror}): remove it, so that one can be saved"
+            self._is_file_kept = True
+            self.unreadable_reason = f"{reason}; it cannot be renamed ({error.strerror}): remove it, so that one can be saved"
         return None, None
 
     def _write(self, path: Path, content: Prior) -> None:
         self._origin, self._saved_ns = self._kind.save(path, content, self._files), content.time_ns
-        self.unreadable = ""
+        self.unreadable_reason = ""
 
-    def _give(self, content: Prior, now_ns: int) -> None:
+    def _start_core(self, content: Prior, now_ns: int) -> None:
         self.messages = self._start_from(content, now_ns)
         # Remarks mean that only a part of it was used, or with a wider covariance.
         self._origin, self._saved_ns = None if self.messages else self._read, content.time_ns
-        remark = f"{self._kind.what} {self._path}, {age_words(content.time_ns, now_ns)}"
+        remark = f"{self._kind.kind_name} {self._path}, {age_text(content.time_ns, now_ns)}"
         self.notices.append("; ".join([remark, *self.messages]))
 
     def _file(self) -> Path:
         if not self._path:
-            raise BadInput(f"parameter '{self._kind.what}_file' is empty: set it to the path of the file to use")
+            raise BadInput(f"parameter '{self._kind.kind_name}_file' is empty: set it to the path of the file to use")
         return Path(self._path)
 
 
-def worse_in(content: Saved, there: Saved) -> str:
+def less_certain_quantity(content: SavedContent, other: SavedContent) -> str:
     """Return the first quantity with a larger sigma in a content than in another; empty if there is none.
 
     A quantity that is missing counts as less precise.
@@ -224,16 +224,16 @@ def worse_in(content: Saved, there: Saved) -> str:
     own = content.sigmas()
     if not all(np.all(np.isfinite(sigma)) for sigma in own.values()):
         return "finite numbers, unlike the current state"
-    for name, known in there.sigmas().items():
+    for name, known in other.sigmas().items():
         if name not in own:
             return f"{name}, which is not configured here"
         measured = known > 0.0
-        if not np.all(own[name][measured] <= _WORSE * known[measured]):
+        if not np.all(own[name][measured] <= _MAX_SIGMA_RATIO * known[measured]):
             return f"a smaller sigma of {name}"
     return ""
 
 
-def age_words(time_ns: int, now_ns: int) -> str:
+def age_text(time_ns: int, now_ns: int) -> str:
     """Return the age of a saved document's data as text, by the node's clock."""
     if time_ns <= 0:
         return "of unknown age"

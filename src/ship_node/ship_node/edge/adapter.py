@@ -9,9 +9,9 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 
 from ship_bags.message_factory import MessageFactory
 from ship_node.documents.saved_document import DISK, Files
-from ship_node.edge.input_health import InputHealthBook
+from ship_node.edge.input_health import InputHealthMonitor
 from ship_node.edge.overload import Overload
-from ship_node.edge.topics import InputTopic, OutputTopic, Published
+from ship_node.edge.topics import InputTopic, OutputTopic, OutputMessage
 
 TICK_PERIOD_NS = 100_000_000
 """Period of :meth:`Adapter.tick` in the node's time, ns."""
@@ -43,32 +43,32 @@ class Adapter(Protocol):
     services: ClassVar[tuple[str, ...]]
     inputs: tuple[InputTopic, ...]
     outputs: tuple[OutputTopic, ...]
-    health: InputHealthBook
+    health: InputHealthMonitor
     start_warnings: tuple[str, ...]
     notices: list[str]
 
     def __init__(self, config: Any, factory: MessageFactory, files: Files = DISK) -> None: ...
 
-    def handle(self, topic: str, message: Any, receive_ns: int, waiting_ns: int | None = None) -> list[Published]:
+    def handle(self, topic: str, message: Any, receive_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
         """Process one message of an input topic; return the messages to publish."""
         ...
 
-    def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
+    def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
         """Process timeouts and periodic outputs; called every ``TICK_PERIOD_NS``."""
         ...
 
-    def overload(self, change: Overload, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
+    def overload(self, change: Overload, now_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
         """Publish no valid output while the node is behind its inputs.
 
         Called when messages are cut, and when the node keeps up again.
         """
         ...
 
-    def clock_jumped_back(self, now_ns: int) -> list[Published]:
+    def clock_jumped_back(self, now_ns: int) -> list[OutputMessage]:
         """Restart, because the clock went back, as when a bag is played again."""
         ...
 
-    def clock_stepped(self, step_ns: int, now_ns: int, waiting_ns: int) -> list[Published]:
+    def clock_stepped(self, step_ns: int, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
         """Record that the computer's clock was set by ``step_ns``; ``now_ns`` is the time after the step."""
         ...
 

@@ -10,7 +10,7 @@ from ship_geometry.rotations import FloatArray
 from ship_node.edge.messages_in import MessageRejected, covariance_3x3, check_device_id, finite_vector, check_frame, stamp_ns
 
 _FIXES = ("NONE", "SINGLE", "DGNSS", "FLOAT", "FIXED")
-_LONGEST_M = 1e5
+_MAX_LENGTH_M = 1e5
 
 
 class Antennas(Protocol):
@@ -61,11 +61,11 @@ def baseline_vector(message: Any) -> tuple[FloatArray, FloatArray | None]:
         Refused: with the reason.
     """
     vector_n = ENU_FROM_HORIZON.T @ finite_vector(message.enu, "enu")
-    if np.max(np.abs(vector_n)) > _LONGEST_M:
+    if np.max(np.abs(vector_n)) > _MAX_LENGTH_M:
         raise MessageRejected(Reason.UNITS, f"baseline N, U, E {vector_n.tolist()}: expected metres, 100 km at most")
     covariance_enu = covariance_3x3(message.covariance)
     if covariance_enu is None:
         return vector_n, None
-    if np.max(np.diagonal(covariance_enu)) > _LONGEST_M**2:
+    if np.max(np.diagonal(covariance_enu)) > _MAX_LENGTH_M**2:
         raise MessageRejected(Reason.BAD_COVARIANCE, "a sigma of more than 100 km")
     return vector_n, horizon_covariance(covariance_enu)

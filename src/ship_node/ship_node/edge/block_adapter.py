@@ -9,23 +9,23 @@ from typing import Any, ClassVar
 
 from ship_bags.cdr_template import CdrRows
 from ship_estimation.refusals import Rejection
-from ship_node.edge.blocks import BatchOutput, BlockTurn, PublishedRows, StampArray, outputs_with_levels
+from ship_node.edge.blocks import BatchOutput, PendingBatch, OutputRows, StampArray, outputs_with_levels
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.reporting_adapter import ReportingAdapter
-from ship_node.edge.topics import Published
+from ship_node.edge.topics import OutputMessage
 
 
 class BatchAdapter(ReportingAdapter):
     """Adapter that can also process the messages of some topics in batches; see :class:`ReportingAdapter`."""
 
-    quiet_ticks: ClassVar[bool] = True
+    has_idle_ticks: ClassVar[bool] = True
     """True if a tick among the messages of a batch does not change the core."""
 
-    def takes_blocks(self, topic: str) -> bool:
+    def accepts_batches(self, topic: str) -> bool:
         """Return True if messages of a topic can be processed in batches now."""
         return self.feeds[topic].batch is not None and not self.is_off(topic) and not self.time_base.is_step_pending
 
-    def reads_rows(self, topic: str) -> bool:
+    def can_read_rows(self, topic: str) -> bool:
         """Return True if messages of a topic can be read many at once, for processing one by one."""
         return topic in self.feeds and self.feeds[topic].read_rows is not None
 
@@ -35,22 +35,22 @@ class BatchAdapter(ReportingAdapter):
         assert read is not None
         return read(messages, receive_ns)
 
-    def handle_read(self, topic: str, reading: ReadMessage[Any], receive_ns: int) -> list[Published]:
+    def handle_read(self, topic: str, reading: ReadMessage[Any], receive_ns: int) -> list[OutputMessage]:
         """Process one message of an input topic that was read in advance."""
         feed = self.feeds[topic]
         if self.is_off(topic):
-            return self.set_aside(feed, reading, receive_ns, receive_ns)
+            return self.report_off_source(feed, reading, receive_ns, receive_ns)
         if self.saved is not None and self.saved.is_pending:
             self.saved.start(receive_ns)
         rejection = self.check_clock(feed, reading.value.time_ns, receive_ns, receive_ns)
         if rejection is not None:
-            self.health.turned_away(topic, receive_ns, receive_ns, reading.value.time_ns, rejection)
+            self.health.record_unreadable(topic, receive_ns, receive_ns, reading.value.time_ns, rejection)
             return [self.rejection_message(feed.source, reading.value.time_ns, rejection)]
-        self.see(feed, reading)
+        self.check_single_publisher(feed, reading)
         return self.report_input(feed, reading, feed.take(reading.value, receive_ns), receive_ns, receive_ns)
 
     @property
-    def quiet_until_ns(self) -> int:
+    def idle_until_ns(self) -> int:
         """Timeout-clock time before which a tick only calls the core, while batches are processed as they come."""
         if self.next_slow_ns is None or (self.saved is not None and self.saved.is_pending):
             return 0
@@ -58,7 +58,7 @@ class BatchAdapter(ReportingAdapter):
             return self.next_slow_ns
         return min(self.next_slow_ns, self.saved.next_autosave_ns(self.config.alignment_autosave_s))
 
-    def evaluate_batch(self, topic: str, messages: CdrRows, receive_ns: StampArray) -> BlockTurn | None:
+    def evaluate_batch(self, topic: str, messages: CdrRows, receive_ns: StampArray) -> PendingBatch | None:
         """Read and evaluate the leading messages of a batch; None if the first must be processed by itself.
 
         Until the whole batch is committed, no other message of the topic is processed. Estimates and protection levels,
@@ -70,18 +70,18 @@ class BatchAdapter(ReportingAdapter):
         reading = feed.read(messages, receive_ns)
         samples = reading.samples
         stamps_ns = samples.times_ns.tolist()
-        count = self.time_base.count_unmoved(topic, stamps_ns, receive_ns[: len(stamps_ns)].tolist())
+        count = self.time_base.count_without_step(topic, stamps_ns, receive_ns[: len(stamps_ns)].tolist())
         if count:
             unmoved = samples.some(slice(count))
-            count = self._contested.count_before_change(topic, unmoved.times_ns, unmoved.rotations_nd)
-        ahead = feed.core.evaluate_batch(samples.some(slice(count)), receive_ns[:count]) if count else None
-        if ahead is None:
+            count = self._duplicates.count_before_change(topic, unmoved.times_ns, unmoved.rotations_nd)
+        batch = feed.core.evaluate_batch(samples.some(slice(count)), receive_ns[:count]) if count else None
+        if batch is None:
             return None
-        count = ahead.followed.count
+        count = batch.followed.count
         self.time_base.add_batch(topic, stamps_ns[count - 1], int(receive_ns[count - 1]), count)
-        return BlockTurn(topic, reading, receive_ns[:count], ahead)
+        return PendingBatch(topic, reading, receive_ns[:count], batch)
 
-    def commit_batch(self, pending: BlockTurn, stop: int) -> list[BatchOutput]:
+    def commit_batch(self, pending: PendingBatch, stop: int) -> list[BatchOutput]:
         """Commit the messages of a batch before index ``stop``; return what must be published at once."""
         feed = self.feeds[pending.topic].batch
         assert feed is not None
@@ -93,15 +93,15 @@ class BatchAdapter(ReportingAdapter):
             parts.append(BatchOutput(place, self.report_outcome(outcome, now_ns, now_ns)))
         return parts
 
-    def finish_batch(self, pending: BlockTurn) -> list[BatchOutput]:
+    def finish_batch(self, pending: PendingBatch) -> list[BatchOutput]:
         """Finish a batch whose messages are all committed; return its remaining outputs."""
         feed, usual, known = self.feeds[pending.topic], pending.evaluated.checked.accepted_count, pending.reading.covariance_known
         assert feed.batch is not None
         samples = pending.reading.samples.some(slice(len(pending.receive_ns)))
-        self._contested.add_batch(pending.topic, samples.times_ns, samples.rotations_nd)
+        self._duplicates.add_batch(pending.topic, samples.times_ns, samples.rotations_nd)
         if usual:
             times_ns = pending.reading.samples.times_ns[:usual]
-            self.health.took_block(pending.topic, pending.receive_ns[:usual], times_ns, known)
+            self.health.record_batch(pending.topic, pending.receive_ns[:usual], times_ns, known)
         parts: list[BatchOutput] = []
         for some, found in feed.batch.core.batch_estimates(pending.evaluated):
             parts += self.batch_outputs(some, found, pending.reading.samples.times_ns)
@@ -121,7 +121,7 @@ class BatchAdapter(ReportingAdapter):
         """
         if isinstance(found, Rejection):
             for place in range(some.start, some.stop):
-                yield BatchOutput(place, [self.failed(self.main_topic, int(times_ns[place]), found)])
+                yield BatchOutput(place, [self.report_failure(self.main_topic, int(times_ns[place]), found)])
             return
         if self.integrity_topic:
             redundancy_keys = list(zip(*self.redundancy_key(found), strict=True))
@@ -132,5 +132,5 @@ class BatchAdapter(ReportingAdapter):
         self.latest = self.pending_budget = found.one(len(found.time_ns) - 1)
 
     @abstractmethod
-    def block_messages(self, runs: Sequence[Any]) -> Iterator[PublishedRows]:
+    def batch_messages(self, runs: Sequence[Any]) -> Iterator[OutputRows]:
         """Return the messages of several runs of outputs, those of each output in order of publication."""

@@ -14,7 +14,7 @@ from ship_bags.cdr_template import CdrRows
 from ship_estimation.ins_guard import CheckedBlock
 from ship_estimation.told_levels import PublishedLevels
 from ship_geometry.rotations import FloatArray
-from ship_node.edge.topics import Published
+from ship_node.edge.topics import OutputMessage
 
 StampArray = NDArray[np.int64]
 """Stamps, ns."""
@@ -80,7 +80,7 @@ class BatchFeed(NamedTuple):
     core: BatchCore[Any]
 
 
-class BlockTurn(NamedTuple):
+class PendingBatch(NamedTuple):
     """Batch of messages that were read and evaluated, and are committed in order with messages of other topics.
 
     Attributes:
@@ -107,11 +107,11 @@ class BatchOutput(NamedTuple):
     """
 
     place: int
-    published: list[Published]
+    published: list[OutputMessage]
     estimates: Any = None
 
 
-class PublishedRows(NamedTuple):
+class OutputRows(NamedTuple):
     """Messages of one topic for some of N outputs.
 
     Attributes:
@@ -131,7 +131,7 @@ def outputs_with_levels(
     published: PublishedLevels,
     redundancy_keys: list[tuple[Any, ...]],
     directions: FloatArray,
-    levels_before: Callable[[Any], list[Published]],
+    protection_level_messages: Callable[[Any], list[OutputMessage]],
 ) -> Iterator[BatchOutput]:
     """Yield a run of outputs, split where protection levels are published before one of them.
 
@@ -145,7 +145,7 @@ def outputs_with_levels(
     """
     start, count = 0, len(run.time_ns)
     while start < count:
-        yield BatchOutput(place + start, levels_before(run.one(start)))
+        yield BatchOutput(place + start, protection_level_messages(run.one(start)))
         rest = slice(start + 1, count)
         end = start + 1 + published.covered_count(run.time_ns[rest], run.covariance_n[rest], directions[rest])
         end = next((other for other in range(start + 1, end) if redundancy_keys[other] != published.redundancy_key), end)

@@ -16,12 +16,12 @@ from ship_bags.stamps import NS_PER_S, stamps_of_rows
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.blocks import StampArray
 from ship_node.edge.messages_in import (
-    CLEAR_DETERMINANT,
+    MIN_DEFINITE_DETERMINANT,
     COVARIANCE_TOLERANCE,
     FUTURE_TOLERANCE_NS,
-    LARGEST_RATE,
-    LARGEST_VARIANCE,
-    LEAST_QUATERNION_NORM,
+    MAX_RATE,
+    MAX_VARIANCE,
+    MIN_QUATERNION_NORM,
     NOT_GIVEN,
     QUATERNION_NORM_TOLERANCE,
     ReadMessage,
@@ -30,15 +30,15 @@ from ship_node.edge.messages_in import (
 _ABOVE, _BELOW = [1, 2, 5], [3, 6, 7]
 """Indices of the off-diagonal elements of a 3x3 matrix given as nine numbers."""
 
-Good = NDArray[np.bool_]
+Valid = NDArray[np.bool_]
 """True for each message that passes, shape (N,)."""
 
 ReadRows = list[ReadMessage[Any] | None]
 """Reading of each message; None if it must be read by itself."""
 
 
-def read_of_good(
-    messages: CdrRows, frame_id: str, good: Good, read: Callable[[], Iterator[ReadMessage[Any] | None]]
+def read_valid(
+    messages: CdrRows, frame_id: str, valid: Valid, read: Callable[[], Iterator[ReadMessage[Any] | None]]
 ) -> ReadRows:
     """Return the readings of the valid messages; None for the others, and for all if the frame is wrong.
 
@@ -49,9 +49,9 @@ def read_of_good(
         read: yields the readings of these.
     """
     if frame_id and messages.message(0).header.frame_id != frame_id:
-        return [None] * len(good)
+        return [None] * len(valid)
     readings = read()
-    return [next(readings) if passed else None for passed in good.tolist()]
+    return [next(readings) if passed else None for passed in valid.tolist()]
 
 
 def columns(numbers: np.ndarray, field: str, names: str) -> FloatArray:
@@ -59,38 +59,38 @@ def columns(numbers: np.ndarray, field: str, names: str) -> FloatArray:
     return np.stack([numbers[f"{field}.{name}"] for name in names], axis=1)
 
 
-def stamps(numbers: np.ndarray, receive_ns: StampArray) -> tuple[StampArray, Good]:
+def stamps(numbers: np.ndarray, receive_ns: StampArray) -> tuple[StampArray, Valid]:
     """Return the stamps, ns, shape (N,), and their validity."""
-    times_ns, good = stamps_of_rows(numbers), numbers["header.stamp.nanosec"] < NS_PER_S
-    return times_ns, good & (times_ns > 0) & (times_ns <= receive_ns[: len(numbers)] + FUTURE_TOLERANCE_NS)
+    times_ns, valid = stamps_of_rows(numbers), numbers["header.stamp.nanosec"] < NS_PER_S
+    return times_ns, valid & (times_ns > 0) & (times_ns <= receive_ns[: len(numbers)] + FUTURE_TOLERANCE_NS)
 
 
-def unit_quaternions(numbers: np.ndarray, field: str = "orientation") -> tuple[FloatArray, Good]:
+def unit_quaternions(numbers: np.ndarray, field: str = "orientation") -> tuple[FloatArray, Valid]:
     """Return quaternions x, y, z, w with norm 1, shape (N, 4), and their validity."""
     quaternions = columns(numbers, field, "xyzw")
     x, y, z, w = quaternions.T
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         norms = np.sqrt(x * x + y * y + z * z + w * w)
         unit: FloatArray = quaternions / norms[:, None]
-    good: Good = (norms >= LEAST_QUATERNION_NORM) & (np.abs(norms - 1.0) <= QUATERNION_NORM_TOLERANCE)
-    return unit, good
+    valid: Valid = (norms >= MIN_QUATERNION_NORM) & (np.abs(norms - 1.0) <= QUATERNION_NORM_TOLERANCE)
+    return unit, valid
 
 
-def imu_quaternions(numbers: np.ndarray, accept_unset_covariance: bool) -> tuple[FloatArray, Good]:
+def imu_quaternions(numbers: np.ndarray, accept_unset_covariance: bool) -> tuple[FloatArray, Valid]:
     """Return the orientations of sensor_msgs/Imu, x, y, z, w with norm 1, shape (N, 4), and their validity."""
-    quaternions, good = unit_quaternions(numbers)
-    given: Good = numbers["orientation_covariance"][:, 0] != NOT_GIVEN
-    return quaternions, good & (given | accept_unset_covariance)
+    quaternions, valid = unit_quaternions(numbers)
+    given: Valid = numbers["orientation_covariance"][:, 0] != NOT_GIVEN
+    return quaternions, valid & (given | accept_unset_covariance)
 
 
-def ship_rates(numbers: np.ndarray) -> tuple[FloatArray, Good]:
+def ship_rates(numbers: np.ndarray) -> tuple[FloatArray, Valid]:
     """Return the angular velocities in the axes of the messages, rad/s, shape (N, 3), and their validity."""
     rates_ros = columns(numbers, "angular_velocity", "xyz")
-    good: Good = np.abs(rates_ros).max(axis=1) <= LARGEST_RATE
-    return rates_ros, good
+    valid: Valid = np.abs(rates_ros).max(axis=1) <= MAX_RATE
+    return rates_ros, valid
 
 
-def covariances_3x3(values: FloatArray) -> tuple[FloatArray, Good]:
+def covariances_3x3(values: FloatArray) -> tuple[FloatArray, Valid]:
     """Return symmetric covariances, shape (N, 3, 3), of nine numbers each, shape (N, 9), and their validity.
 
     Unknown covariances are not valid, nor are those that are positive definite only within rounding.
@@ -99,18 +99,18 @@ def covariances_3x3(values: FloatArray) -> tuple[FloatArray, Good]:
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         sigma = np.sqrt(values[:, ::4])
         limits = sigma[:, [0, 0, 1]] * sigma[:, [1, 2, 2]]
-        beside = 0.5 * above + 0.5 * below
-        a, b, c = (beside / limits).T
+        off_diagonal = 0.5 * above + 0.5 * below
+        a, b, c = (off_diagonal / limits).T
         determinant = 1.0 + 2.0 * a * b * c - a * a - b * b - c * c
         symmetric_enough = np.abs(above - below) <= COVARIANCE_TOLERANCE * limits
-    good = np.isfinite(values).all(axis=1) & (limits > 0.0).all(axis=1) & symmetric_enough.all(axis=1)
-    good &= (np.abs(a) < 1.0) & (determinant > CLEAR_DETERMINANT)
+    valid = np.isfinite(values).all(axis=1) & (limits > 0.0).all(axis=1) & symmetric_enough.all(axis=1)
+    valid &= (np.abs(a) < 1.0) & (determinant > MIN_DEFINITE_DETERMINANT)
     symmetric = values.copy()
-    symmetric[:, _ABOVE] = symmetric[:, _BELOW] = beside
-    return symmetric.reshape(-1, 3, 3), good
+    symmetric[:, _ABOVE] = symmetric[:, _BELOW] = off_diagonal
+    return symmetric.reshape(-1, 3, 3), valid
 
 
-def angular_covariances(values: FloatArray) -> tuple[FloatArray, Good]:
+def angular_covariances(values: FloatArray) -> tuple[FloatArray, Valid]:
     """Return :func:`covariances_3x3` of angles or rotation vectors, rad²; too large variances are not valid."""
-    covariances, good = covariances_3x3(values)
-    return covariances, good & (values[:, ::4] <= LARGEST_VARIANCE).all(axis=1)
+    covariances, valid = covariances_3x3(values)
+    return covariances, valid & (values[:, ::4] <= MAX_VARIANCE).all(axis=1)

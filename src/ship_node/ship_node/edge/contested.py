@@ -30,9 +30,9 @@ class StreamQuantity(NamedTuple):
         distance_text: returns a distance as text.
     """
 
-    of: Callable[[Any], FloatArray]
-    least: float
-    words: Callable[[float], str]
+    quantity: Callable[[Any], FloatArray]
+    min_distance: float
+    distance_text: Callable[[float], str]
 
 
 def _degrees(angle_rad: float) -> str:
@@ -50,14 +50,14 @@ ATTITUDE = StreamQuantity(
 )
 """Attitude; 30″ are six times the noise of a coarse system."""
 
-def _in_sigmas(decision: Any) -> FloatArray:
+def _normalised_residual(decision: Any) -> FloatArray:
     """Return the innovation in standard deviations of the measurement's own noise, which is at least 0.1″."""
     in_sigmas: FloatArray = decision.residual / np.sqrt(np.maximum(decision.noise.diagonal(), (0.1 * ARCSEC) ** 2))
     return in_sigmas
 
 
 INNOVATION = StreamQuantity(
-    _in_sigmas,
+    _normalised_residual,
     10.0,
     lambda distance: f"{distance:.0f} sigma of their noise apart",
 )
@@ -75,7 +75,7 @@ ENCODERS = StreamQuantity(
 """Both encoder angles, modulo a full turn."""
 
 
-class ContestedInputs:
+class DuplicatePublishers:
     """Inputs on which two publishers send, by the middleware's information and by the values.
 
     Args:
@@ -83,15 +83,15 @@ class ContestedInputs:
     """
 
     def __init__(self, continuous: dict[str, StreamQuantity]) -> None:
-        self._continuous = continuous
+        self._quantities = continuous
         self.restart()
-        self._named: dict[str, str] = {}
+        self._publisher_texts: dict[str, str] = {}
 
     def restart(self) -> None:
         """Reset the value checks: the clock went back, or the node was reset."""
-        self._streams = {topic: InterleavedStreams(kind.least) for topic, kind in self._continuous.items()}
+        self._streams = {topic: InterleavedStreams(kind.min_distance) for topic, kind in self._quantities.items()}
         # For each topic with two streams: stamp of its newest value, and timeout-clock time at which that was found.
-        self._newest: dict[str, tuple[int | None, int]] = {}
+        self._newest_stamps: dict[str, tuple[int | None, int]] = {}
 
     def end_timed_out(self, waiting_ns: int) -> list[str]:
         """End pairs of streams without values since the timeout; return their topics.
@@ -99,39 +99,39 @@ class ContestedInputs:
         Args:
             waiting_ns: time by the timeout clock.
         """
-        two = {topic: streams.newest_ns for topic, streams in self._streams.items() if streams.distance}
-        self._newest = {topic: self._newest.get(topic, (None, 0)) for topic in two}
+        doubled = {topic: streams.newest_ns for topic, streams in self._streams.items() if streams.distance}
+        self._newest_stamps = {topic: self._newest_stamps.get(topic, (None, 0)) for topic in doubled}
         timed_out = []
-        for topic, newest_ns in two.items():
-            if newest_ns != self._newest[topic][0]:
-                self._newest[topic] = newest_ns, waiting_ns
-            elif waiting_ns - self._newest[topic][1] > _TIMEOUT_NS:
-                self._streams[topic] = InterleavedStreams(self._continuous[topic].least)
+        for topic, newest_ns in doubled.items():
+            if newest_ns != self._newest_stamps[topic][0]:
+                self._newest_stamps[topic] = newest_ns, waiting_ns
+            elif waiting_ns - self._newest_stamps[topic][1] > _TIMEOUT_NS:
+                self._streams[topic] = InterleavedStreams(self._quantities[topic].min_distance)
                 timed_out.append(topic)
         return timed_out
 
-    def name(self, topic: str, text: str) -> None:
+    def set_publisher_text(self, topic: str, text: str) -> None:
         """Set the text of a topic with two publishers by the middleware's information; an empty text ends it.
 
         The value check of the topic restarts then: for slow messages it would need a minute to end.
         """
         if text:
-            self._named[topic] = text
-        elif self._named.pop(topic, None) is not None and topic in self._streams:
-            self._streams[topic] = InterleavedStreams(self._continuous[topic].least)
+            self._publisher_texts[topic] = text
+        elif self._publisher_texts.pop(topic, None) is not None and topic in self._streams:
+            self._streams[topic] = InterleavedStreams(self._quantities[topic].min_distance)
 
     def text(self, topic: str) -> str:
         """Return the text for the user if two publishers send on a topic; empty otherwise."""
         streams = self._streams.get(topic)
-        if topic in self._named or streams is None or not streams.distance:
-            return self._named.get(topic, "")
-        distance = self._continuous[topic].words(streams.distance)
+        if topic in self._publisher_texts or streams is None or not streams.distance:
+            return self._publisher_texts.get(topic, "")
+        distance = self._quantities[topic].distance_text(streams.distance)
         return f"two streams alternate on {topic}, {distance}: stop one of its two publishers"
 
-    def see(self, topic: str, time_ns: int, value: Any) -> bool:
+    def add_value(self, topic: str, time_ns: int, value: Any) -> bool:
         """Add a value of a topic; return True if the text may have changed."""
         streams = self._streams.get(topic)
-        return streams is not None and streams.add(time_ns, self._continuous[topic].of(value))
+        return streams is not None and streams.add(time_ns, self._quantities[topic].quantity(value))
 
     def count_before_change(self, topic: str, times_ns: StampArray, rotations_nd: FloatArray) -> int:
         """Return the number of leading attitudes of a batch that change no text."""

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 from ship_estimation.refusals import Rejection
 from ship_node.edge.block_adapter import BatchAdapter
 from ship_node.edge.blocks import BatchOutput
-from ship_node.edge.topics import Published
+from ship_node.edge.topics import OutputMessage
 
 
 class DeferringCore(Protocol):
@@ -30,30 +30,30 @@ class DeferringCore(Protocol):
 class DeferringAdapter(BatchAdapter):
     """Adapter that can also publish its outputs together; see :class:`BatchAdapter`."""
 
-    def defer(self) -> None:
+    def defer_outputs(self) -> None:
         """Leave the outputs out of the results from now on: :meth:`take_outputs` returns them."""
         self.core.due = []
-        self._parts_made: list[BatchOutput] = []
-        self._made = 0
+        self._computed_outputs: list[BatchOutput] = []
+        self._computed_count = 0
 
     @property
     def pending_count(self) -> int:
         """Number of outputs pending since :meth:`defer_outputs` or :meth:`take_outputs`."""
-        return self._made + len(self.core.due)
+        return self._computed_count + len(self.core.due)
 
     def take_outputs(self) -> list[BatchOutput]:
         """Compute and return all pending outputs by their indices, with the messages published before some of them."""
         self._compute_pending()
-        parts, self._parts_made, self._made = self._parts_made, [], 0
+        parts, self._computed_outputs, self._computed_count = self._computed_outputs, [], 0
         return parts
 
-    def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
+    def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
         """See :class:`ship_node.edge.adapter.Adapter`; periodic messages are those of the last output."""
-        if (now_ns if waiting_ns is None else waiting_ns) >= self.quiet_until_ns:
+        if (now_ns if waiting_ns is None else waiting_ns) >= self.idle_until_ns:
             self._compute_pending()
         return super().tick(now_ns, waiting_ns)
 
-    def published(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[Published]:
+    def report_outcome(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
         """See :class:`ReportingAdapter`; an output that is published at once follows all pending ones."""
         if outcome.estimates:
             self._compute_pending()
@@ -65,5 +65,5 @@ class DeferringAdapter(BatchAdapter):
         times_ns = [due.time_ns for due in self.core.due]
         for some, found in self.core.estimates_due():
             parts = self.batch_outputs(some, found, times_ns)
-            self._parts_made += [part._replace(place=self._made + part.place) for part in parts]
-        self._made += len(times_ns)
+            self._computed_outputs += [part._replace(place=self._computed_count + part.place) for part in parts]
+        self._computed_count += len(times_ns)

@@ -11,7 +11,7 @@ from ship_node.edge.input_record import DELAY_BIN_EDGES_S, MAX_AGE_S, InputRecor
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.edge.topics import InputTopic
 
-WATCHDOG_NS = 5_000_000_000
+FIRST_MESSAGE_TIMEOUT_NS = 5_000_000_000
 """Maximum time from the start to the first message of a required topic or one with publishers, ns."""
 
 REJECTION_SHOWN_NS = 2_000_000_000
@@ -26,7 +26,7 @@ MIN_TIMEOUT_NS = 100_000_000
 
 REJECTIONS_WARN = 5
 REJECTIONS_ERROR = 20
-FUTURE_ERROR = 10
+FUTURE_STAMPS_ERROR = 10
 
 _EXPECTED_REASONS = (Reason.GATE, Reason.REVISED)
 """Rejections that also good data meet occasionally: only several in a row are a warning."""
@@ -36,7 +36,7 @@ _EDGES = (*(f"up to {edge:g} s" for edge in DELAY_BIN_EDGES_S), f"above {DELAY_B
 _Issue = tuple[Level, str]
 
 
-class _State(NamedTuple):
+class _InputState(NamedTuple):
     """State of one input topic at one time.
 
     Attributes:
@@ -53,7 +53,7 @@ class _State(NamedTuple):
     age_s: float
 
 
-class InputHealthBook(InputRecords):
+class InputHealthMonitor(InputRecords):
     """Health of all inputs of a node, from their statistics and from information of the middleware.
 
     The node runtime adds what only the middleware reports; offline that stays unknown.
@@ -71,41 +71,41 @@ class InputHealthBook(InputRecords):
         self._is_clock_unused = False
         self._publishers: dict[str, int] = {}
         self._incompatible: dict[str, str] = {}
-        self._contested: dict[str, str] = {}
-        self.first_contested: dict[str, str] = {}
-        self._names: dict[str, str] = {}
+        self._duplicate_publishers: dict[str, str] = {}
+        self.first_duplicate_publishers: dict[str, str] = {}
+        self._publisher_names: dict[str, str] = {}
         self._lost: dict[str, int] = {}
 
-    def publisher_count(self, topic: str, count: int, names: Sequence[str] = ()) -> None:
+    def set_publisher_count(self, topic: str, count: int, names: Sequence[str] = ()) -> None:
         """Set the number of publishers of a topic, and their names if there are several.
 
         Without a publisher the note of an incompatible QoS is removed.
         """
         self._publishers[topic] = count
-        self._names[topic] = ", ".join(names)
+        self._publisher_names[topic] = ", ".join(names)
         if count == 0:
             self._incompatible.pop(topic, None)
 
-    def contested(self, topic: str, text: str) -> None:
+    def set_duplicate_publishers(self, topic: str, text: str) -> None:
         """Set the text about two publishers of a topic; an empty text ends it."""
-        self._contested[topic] = text
+        self._duplicate_publishers[topic] = text
         if text:
-            self.first_contested.setdefault(topic, text)
+            self.first_duplicate_publishers.setdefault(topic, text)
 
-    def incompatible_qos(self, topic: str, text: str) -> None:
+    def record_incompatible_qos(self, topic: str, text: str) -> None:
         """Record that a publisher's QoS is incompatible: none of its messages will arrive."""
         self._incompatible[topic] = text
 
-    def clock_unused(self, is_unused: bool) -> None:
+    def set_clock_unused(self, is_unused: bool) -> None:
         """Set whether /clock is published although this node does not use it."""
         self._is_clock_unused = is_unused
 
-    def of_another_time(self) -> str:
+    def stale_stamps_text(self) -> str:
         """Return the log text about the first input with too old stamps; empty if there is none."""
         old = [record for record in self.records.values() if record.is_too_old]
         return f"{old[0].input.topic}: {self._age_text(old[0].latency_s)}" if old else ""
 
-    def lost(self, topic: str, count: int) -> None:
+    def record_lost(self, topic: str, count: int) -> None:
         """Record that the middleware lost ``count`` further messages."""
         self._lost[topic] = self._lost.get(topic, 0) + count
 
@@ -124,16 +124,16 @@ class InputHealthBook(InputRecords):
         states = self._states(now_ns, waiting_ns)
         return [_message(factory, state, now_ns) for state in states], [self._status(state) for state in states]
 
-    def _states(self, now_ns: int, waiting_ns: int | None) -> list[_State]:
+    def _states(self, now_ns: int, waiting_ns: int | None) -> list[_InputState]:
         waiting_ns = self._now(now_ns if waiting_ns is None else waiting_ns)
         return [self._state(record, now_ns, waiting_ns) for record in self.records.values()]
 
-    def _state(self, record: InputRecord, now_ns: int, waiting_ns: int) -> _State:
+    def _state(self, record: InputRecord, now_ns: int, waiting_ns: int) -> _InputState:
         latency_s, rate_hz = record.latency_s, record.rate_hz(waiting_ns)
         level, text = self._worst_issue(record, latency_s, rate_hz, waiting_ns)
-        return _State(record, level, text, rate_hz, latency_s, record.age_s(now_ns))
+        return _InputState(record, level, text, rate_hz, latency_s, record.age_s(now_ns))
 
-    def _status(self, state: _State) -> DiagnosticStatus:
+    def _status(self, state: _InputState) -> DiagnosticStatus:
         record = state.record
         values = {
             "received": str(record.received),
@@ -147,7 +147,7 @@ class InputHealthBook(InputRecords):
         values |= {f"late {edge}": str(n) for edge, n in zip(_EDGES, record.late_delays, strict=True) if n}
         topic = record.input.topic
         if topic in self._publishers:
-            names = self._names.get(topic, "")
+            names = self._publisher_names.get(topic, "")
             values["publishers"] = f"{self._publishers[topic]}{f': {names}' if names else ''}"
         if topic in self._lost:
             values["lost by the middleware"] = str(self._lost[topic])
@@ -175,9 +175,9 @@ class InputHealthBook(InputRecords):
         topic, issues = record.input.topic, []
         if topic in self._incompatible:
             issues.append((Level.ERROR, f"incompatible QoS: {self._incompatible[topic]}"))
-        if self._contested.get(topic):
-            issues.append((Level.ERROR, self._contested[topic]))
-        waited = self.start_ns is not None and waiting_ns - self.start_ns >= WATCHDOG_NS
+        if self._duplicate_publishers.get(topic):
+            issues.append((Level.ERROR, self._duplicate_publishers[topic]))
+        waited = self.start_ns is not None and waiting_ns - self.start_ns >= FIRST_MESSAGE_TIMEOUT_NS
         if waited and record.last_arrival_ns is None:
             publishers = self._publishers.get(topic)
             waited_s = (waiting_ns - (self.start_ns or 0)) * 1e-9
@@ -188,12 +188,12 @@ class InputHealthBook(InputRecords):
                 hint += ": no publisher" if publishers == 0 else ""
             if record.input.required:
                 issues.append((Level.ERROR, f"required: {hint}"))
-            elif (publishers and not record.input.is_occasional) or record.input.named:
+            elif (publishers and not record.input.is_occasional) or record.input.is_configured:
                 issues.append((Level.WARN, hint))
         return issues
 
 
-def _message(factory: MessageFactory, state: _State, now_ns: int) -> Any:
+def _message(factory: MessageFactory, state: _InputState, now_ns: int) -> Any:
     record = state.record
     return factory.encode(
         "ship_msgs/msg/InputHealth",
@@ -216,7 +216,7 @@ def _rejection_issues(record: InputRecord, waiting_ns: int) -> list[_Issue]:
     last = record.last_rejection
     if last is None or record.last_rejection_ns is None:
         return []
-    if record.consecutive_future_stamps >= FUTURE_ERROR:
+    if record.consecutive_future_stamps >= FUTURE_STAMPS_ERROR:
         return [(Level.ERROR, f"clock offset: {record.consecutive_future_stamps} stamps in a row in the future; {last.text}")]
     if record.consecutive_rejections >= REJECTIONS_WARN:
         level = Level.ERROR if record.consecutive_rejections >= REJECTIONS_ERROR else Level.WARN
@@ -240,7 +240,7 @@ def _timeout_issues(record: InputRecord, waiting_ns: int) -> list[_Issue]:
         return []
     elapsed_ns = waiting_ns - record.last_arrival_ns
     expected_ns = max(MIN_TIMEOUT_NS, TIMEOUT_PERIODS * record.mean_period_ns)
-    if elapsed_ns <= (WATCHDOG_NS if math.isnan(record.mean_period_ns) else expected_ns):
+    if elapsed_ns <= (FIRST_MESSAGE_TIMEOUT_NS if math.isnan(record.mean_period_ns) else expected_ns):
         return []
     level = Level.ERROR if record.input.required and elapsed_ns > TIMEOUT_ERROR_NS else Level.WARN
     return [(level, f"no data for {elapsed_ns * 1e-9:.1f} s")]

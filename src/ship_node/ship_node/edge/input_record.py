@@ -25,7 +25,7 @@ MAX_AGE_S = 10.0
 DELAY_BIN_EDGES_S = (1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
 """Upper edges of the histogram of the delays of late messages, s."""
 
-_MOST_FAILURES = 20
+_MAX_FAILURES = 20
 
 
 class InputRecord:
@@ -50,7 +50,7 @@ class InputRecord:
         self.input = input_topic
         self.received = self.accepted = self.rejected = 0
         self.reasons: Counter[Reason] = Counter()
-        self.noted: Counter[Reason] = Counter()
+        self.note_counts: Counter[Reason] = Counter()
         self.late_delays = [0] * (len(DELAY_BIN_EDGES_S) + 1)
         self.reset_times()
 
@@ -98,7 +98,7 @@ class InputRecord:
         self.is_too_old = bool(ages_ns[-1] > max_age_ns)
         if too_old:
             self.reasons[Reason.CLOCK] += too_old
-            self.noted[Reason.CLOCK] += too_old
+            self.note_counts[Reason.CLOCK] += too_old
         if self._newest_stamp_ns is None or stamps_ns[-1] > self._newest_stamp_ns:
             self._newest_stamp_ns = int(stamps_ns[-1])
 
@@ -110,7 +110,7 @@ class InputRecord:
         self.is_too_old = receive_ns - stamp_ns > max_age_ns
         if self.is_too_old:
             self.reasons[Reason.CLOCK] += 1
-            self.noted[Reason.CLOCK] += 1
+            self.note_counts[Reason.CLOCK] += 1
         if self._newest_stamp_ns is None or stamp_ns > self._newest_stamp_ns:
             self._newest_stamp_ns = stamp_ns
 
@@ -196,16 +196,16 @@ class InputRecords:
         self.records = {input_topic.topic: InputRecord(input_topic) for input_topic in inputs}
         self.start_ns: int | None = None
         self._waiting_ns: int | None = None
-        self._failures: deque[str] = deque(maxlen=_MOST_FAILURES)
+        self._failures: deque[str] = deque(maxlen=_MAX_FAILURES)
 
-    def took(
+    def record_input(
         self,
         topic: str,
         waiting_ns: int,
         receive_ns: int,
         reading: ReadMessage[Any],
         rejection: Rejection | None,
-        used: bool,
+        is_used: bool,
     ) -> None:
         """Record a message that was read, and the immediate result.
 
@@ -217,17 +217,17 @@ class InputRecords:
             rejection: why it was rejected; None if it was used, or if a decision follows later.
             is_used: True if a message without rejection counts as used already.
         """
-        self.arrived(topic, waiting_ns)
+        self.record_arrival(topic, waiting_ns)
         if not reading.covariance_known:
-            self.noted(topic, Reason.COVARIANCE_UNKNOWN)
+            self.record_note(topic, Reason.COVARIANCE_UNKNOWN)
         for _, part_rejection in reading.rejected_parts:
-            self.noted(topic, part_rejection.reason)
+            self.record_note(topic, part_rejection.reason)
         if rejection is not None:
-            self.rejected(topic, rejection, receive_ns, reading.value.time_ns)
-        elif used:
-            self.accepted(topic, reading.value.time_ns, receive_ns)
+            self.record_rejected(topic, rejection, receive_ns, reading.value.time_ns)
+        elif is_used:
+            self.record_accepted(topic, reading.value.time_ns, receive_ns)
 
-    def took_block(
+    def record_batch(
         self, topic: str, receive_ns: np.ndarray, stamps_ns: np.ndarray, covariance_known: bool
     ) -> None:
         """Record a batch of messages that were all used without remarks, as :meth:`record_input` does for each.
@@ -244,12 +244,12 @@ class InputRecords:
         record.add_batch(receive_ns, stamps_ns, self._max_age_ns)
         if not covariance_known:
             record.reasons[Reason.COVARIANCE_UNKNOWN] += len(receive_ns)
-            record.noted[Reason.COVARIANCE_UNKNOWN] += len(receive_ns)
+            record.note_counts[Reason.COVARIANCE_UNKNOWN] += len(receive_ns)
 
-    def turned_away(self, topic: str, waiting_ns: int, receive_ns: int, stamp_ns: int, rejection: Rejection) -> None:
+    def record_unreadable(self, topic: str, waiting_ns: int, receive_ns: int, stamp_ns: int, rejection: Rejection) -> None:
         """Record a message that could not be read; times as in :meth:`record_input`, and its stamp."""
-        self.arrived(topic, waiting_ns)
-        self.rejected(topic, rejection, receive_ns, stamp_ns)
+        self.record_arrival(topic, waiting_ns)
+        self.record_rejected(topic, rejection, receive_ns, stamp_ns)
 
     def record_decision(self, topic: str, decision: MeasurementDecision[Any], now_ns: int) -> None:
         """Record the decision on a measurement of a topic.
@@ -261,25 +261,25 @@ class InputRecords:
         """
         time_ns = decision.measurement.time_ns
         if decision.revised:
-            self.noted(topic, Reason.REVISED)
+            self.record_note(topic, Reason.REVISED)
         elif decision.accepted:
-            self.accepted(topic, time_ns, now_ns)
+            self.record_accepted(topic, time_ns, now_ns)
             if decision.reason is not Reason.NONE:
-                self.noted(topic, decision.reason)
+                self.record_note(topic, decision.reason)
         else:
-            self.rejected(topic, Rejection(decision.reason, decision.text), now_ns, time_ns)
+            self.record_rejected(topic, Rejection(decision.reason, decision.text), now_ns, time_ns)
         for _, part_rejection in decision.rejected_parts:
-            self.noted(topic, part_rejection.reason)
+            self.record_note(topic, part_rejection.reason)
 
-    def arrived(self, topic: str, waiting_ns: int) -> None:
+    def record_arrival(self, topic: str, waiting_ns: int) -> None:
         """Record the arrival of a message at a timeout-clock time."""
         self.records[topic].add_arrival(self._now(waiting_ns))
 
-    def accepted(self, topic: str, stamp_ns: int, receive_ns: int) -> None:
+    def record_accepted(self, topic: str, stamp_ns: int, receive_ns: int) -> None:
         """Record a used message."""
         self.records[topic].add_accepted(stamp_ns, receive_ns, self._max_age_ns)
 
-    def rejected(self, topic: str, rejection: Rejection, receive_ns: int, stamp_ns: int | None = None) -> None:
+    def record_rejected(self, topic: str, rejection: Rejection, receive_ns: int, stamp_ns: int | None = None) -> None:
         """Record a rejected message.
 
         Args:
@@ -289,16 +289,16 @@ class InputRecords:
             stamp_ns: stamp of the message; None if it is unusable.
         """
         if rejection.reason is Reason.FAILED:
-            self.failed(f"{topic}: {rejection.text}")
+            self.record_failure(f"{topic}: {rejection.text}")
         waiting_ns = receive_ns if self._waiting_ns is None else self._waiting_ns
         self.records[topic].add_rejected(rejection, waiting_ns, receive_ns, stamp_ns)
 
-    def noted(self, topic: str, reason: Reason) -> None:
+    def record_note(self, topic: str, reason: Reason) -> None:
         """Record a remark (such as COVARIANCE_UNKNOWN) on a message that is used."""
         self.records[topic].reasons[reason] += 1
-        self.records[topic].noted[reason] += 1
+        self.records[topic].note_counts[reason] += 1
 
-    def overflowed(self, topic: str, count: int, why: str, waiting_ns: int) -> None:
+    def record_overflow(self, topic: str, count: int, why: str, waiting_ns: int) -> None:
         """Record messages that were cut unread because a bound was exceeded.
 
         Args:
@@ -309,11 +309,11 @@ class InputRecords:
         """
         self.records[topic].add_overflow(count, why, self._now(waiting_ns))
 
-    def cut_behind(self, topic: str, count: int, why: str, waiting_ns: int) -> None:
+    def record_overload_cut(self, topic: str, count: int, why: str, waiting_ns: int) -> None:
         """Record messages that were cut because the node is behind; arguments as in :meth:`record_overflow`."""
         self.records[topic].add_behind(count, why, self._now(waiting_ns))
 
-    def failed(self, text: str) -> None:
+    def record_failure(self, text: str) -> None:
         """Record an exception of the suite's own code that was caught, for the log of a live node."""
         self._failures.append(text)
 
@@ -334,13 +334,13 @@ class InputRecords:
         for record in self.records.values():
             record.reset_stamps()
 
-    def refused_and_noted(self) -> dict[str, tuple[Counter[Reason], Counter[Reason]]]:
+    def rejection_and_note_counts(self) -> dict[str, tuple[Counter[Reason], Counter[Reason]]]:
         """Return topic → reason → numbers of rejected messages and of messages used with a remark.
 
         Topics without either are left out.
         """
         return {
-            topic: (record.reasons - record.noted, record.noted)
+            topic: (record.reasons - record.note_counts, record.note_counts)
             for topic, record in self.records.items()
             if record.reasons
         }

@@ -22,7 +22,7 @@ from ship_node.edge.messages_in import (
     stamp_ns,
 )
 
-CONTRADICTED_FACTOR = 1.5
+SIGMA_MISMATCH_RATIO = 1.5
 """Ratio of the sigma that an INS states to the configured one above which it is reported."""
 
 
@@ -41,7 +41,7 @@ def sigma_mismatch_text(covariance: FloatArray, config: InsInputConfig) -> str:
     return "; ".join(
         f"ins/imu states a sigma of {stated:.0f} arcsec in {name}, ins.{name}_sigma_arcsec is {configured:g}"
         for name, stated, configured in pairs
-        if stated > CONTRADICTED_FACTOR * np.hypot(configured, config.white_sigma_arcsec)
+        if stated > SIGMA_MISMATCH_RATIO * np.hypot(configured, config.white_sigma_arcsec)
     )
 
 
@@ -87,8 +87,8 @@ def ins_batch(messages: CdrRows, receive_ns: StampArray, config: InsInputConfig)
     covariances = numbers["orientation_covariance"].view(np.int64)
     same_covariance = (covariances == covariances[:1]).all(axis=1)
     rate_given = numbers["angular_velocity_covariance"][:, 0] != NOT_GIVEN
-    good = timely & of_norm_1 & of_ship & same_covariance & rate_given
-    count = len(good) if good.all() else int(np.argmin(good))
+    valid = timely & of_norm_1 & of_ship & same_covariance & rate_given
+    count = len(valid) if valid.all() else int(np.argmin(valid))
     rotations_nd = _rotations_nd(quaternions[:count], config)
     samples = SampleBlock(times_ns[:count], rotations_nd, _rates_d(rates_ros[:count], config))
     return ReadBatch(samples, covariance is not None)

@@ -24,18 +24,18 @@ FUTURE_TOLERANCE_NS = 50_000_000
 Value = TypeVar("Value")
 
 _SECOND_NS = 1_000_000_000
-LEAST_QUATERNION_NORM = 1e-6
+MIN_QUATERNION_NORM = 1e-6
 QUATERNION_NORM_TOLERANCE = 1e-2
 COVARIANCE_TOLERANCE = 1e-6
-CLEAR_DETERMINANT = 1e-9
+MIN_DEFINITE_DETERMINANT = 1e-9
 """Determinant of a correlation matrix above which it is positive definite beyond rounding."""
 NOT_GIVEN = -1.0
 """First element of a covariance in sensor_msgs/Imu whose quantity is not given."""
 _LONGEST_ID = 64
-LARGEST_VARIANCE = (2.0 * math.pi) ** 2
+MAX_VARIANCE = (2.0 * math.pi) ** 2
 """Largest accepted variance of an angle, rad²: a sigma of one full turn."""
 
-LARGEST_RATE = 100.0
+MAX_RATE = 100.0
 """Largest accepted angular rate of a ship, rad/s.
 
 Rates in degrees per second stay below it; they are detected by their ratio to the expected ones."""
@@ -55,7 +55,7 @@ class ReadMessage(Generic[Value]):
     value: Value
     covariance_known: bool = True
     rejected_parts: tuple[tuple[str, Rejection], ...] = ()
-    empty: bool = False
+    is_empty: bool = False
 
 
 class MessageRejected(Exception):
@@ -103,17 +103,17 @@ def check_frame(frame_id: str, expected: str) -> None:
         raise MessageRejected(Reason.FRAME, f"frame_id is {quoted_id(frame_id)}: expected '{expected}'")
 
 
-def check_device_id(what: str, given: str, expected: str) -> None:
+def check_device_id(field: str, given: str, expected: str) -> None:
     """Reject a message of another device than the topic's.
 
     Raises:
         Refused: UNKNOWN_SENSOR.
     """
     if given != expected:
-        raise MessageRejected(Reason.UNKNOWN_SENSOR, f"{what} is {quoted_id(given)}: expected '{expected}'")
+        raise MessageRejected(Reason.UNKNOWN_SENSOR, f"{field} is {quoted_id(given)}: expected '{expected}'")
 
 
-def check_finite(what: str, *values: float) -> None:
+def check_finite(field: str, *values: float) -> None:
     """Reject NaN and infinity.
 
     Raises:
@@ -121,7 +121,7 @@ def check_finite(what: str, *values: float) -> None:
     """
     for value in values:
         if not math.isfinite(value):
-            raise MessageRejected(Reason.NON_FINITE, f"{what} holds {value}")
+            raise MessageRejected(Reason.NON_FINITE, f"{field} holds {value}")
 
 
 def exposure_length_s(exposure_s: float, longest_s: float) -> float:
@@ -138,34 +138,34 @@ def exposure_length_s(exposure_s: float, longest_s: float) -> float:
     return float(exposure_s)
 
 
-def finite_vector(vector: Any, what: str) -> FloatArray:
+def finite_vector(vector: Any, field: str) -> FloatArray:
     """Return x, y, z of a message as an array, shape (3,).
 
     Raises:
         Refused: NON_FINITE.
     """
-    check_finite(what, vector.x, vector.y, vector.z)
+    check_finite(field, vector.x, vector.y, vector.z)
     return np.array([vector.x, vector.y, vector.z])
 
 
-def unit_quaternion(quaternion: Any, what: str = "orientation") -> FloatArray:
+def unit_quaternion(quaternion: Any, field: str = "orientation") -> FloatArray:
     """Return x, y, z, w of a quaternion message, normalised to 1, shape (4,).
 
     Raises:
         Refused: NON_FINITE, or BAD_QUATERNION if the norm differs from 1 by more than 1e-2.
     """
     numbers = quaternion.x, quaternion.y, quaternion.z, quaternion.w
-    check_finite(what, *numbers)
+    check_finite(field, *numbers)
     norm = math.sqrt(sum(number * number for number in numbers))
-    if norm < LEAST_QUATERNION_NORM:
-        raise MessageRejected(Reason.BAD_QUATERNION, f"norm of {what} is {norm:.3g}: no orientation is given")
+    if norm < MIN_QUATERNION_NORM:
+        raise MessageRejected(Reason.BAD_QUATERNION, f"norm of {field} is {norm:.3g}: no orientation is given")
     if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE:
         # hypot avoids the overflow of squares.
-        raise MessageRejected(Reason.BAD_QUATERNION, f"norm of {what} is {math.hypot(*numbers):.6g}: expected 1")
+        raise MessageRejected(Reason.BAD_QUATERNION, f"norm of {field} is {math.hypot(*numbers):.6g}: expected 1")
     return np.array(numbers) / norm
 
 
-def sigma_given(sigma: float, largest: float) -> float | None:
+def optional_sigma(sigma: float, largest: float) -> float | None:
     """Return a standard deviation; None if it is not given (NaN or 0).
 
     Raises:
@@ -180,7 +180,7 @@ def sigma_given(sigma: float, largest: float) -> float | None:
     return float(sigma)
 
 
-def covariance_3x3(values: Sequence[float], what: str = "covariance") -> FloatArray | None:
+def covariance_3x3(values: Sequence[float], field: str = "covariance") -> FloatArray | None:
     """Return a covariance given as nine numbers, symmetric, shape (3, 3); None if it is unknown.
 
     Unknown means all zero, or −1 as the first element (sensor_msgs/Imu): the configured sigma is used then.
@@ -192,20 +192,20 @@ def covariance_3x3(values: Sequence[float], what: str = "covariance") -> FloatAr
     try:
         return _covariance_of_bytes(np.array(values, dtype=np.float64).tobytes())
     except MessageRejected as refused:
-        raise MessageRejected(refused.rejection.reason, f"{what} {refused.rejection.text}") from None
+        raise MessageRejected(refused.rejection.reason, f"{field} {refused.rejection.text}") from None
 
 
-def angular_covariance(values: Sequence[float], what: str) -> FloatArray | None:
+def angular_covariance(values: Sequence[float], field: str) -> FloatArray | None:
     """Return a covariance (rad²) of angles or of a rotation vector, shape (3, 3); None if it is unknown.
 
     Raises:
         Refused: as :func:`covariance_3x3`, and BAD_COVARIANCE if a sigma exceeds one full turn.
     """
-    covariance = covariance_3x3(values, what)
+    covariance = covariance_3x3(values, field)
     if covariance is not None:
         largest = max(covariance.diagonal().tolist())
-        if not largest <= LARGEST_VARIANCE:
-            text = f"{what}: a variance of {largest:.3g} rad² is a sigma of more than a full turn"
+        if not largest <= MAX_VARIANCE:
+            text = f"{field}: a variance of {largest:.3g} rad² is a sigma of more than a full turn"
             raise MessageRejected(Reason.BAD_COVARIANCE, text)
     return covariance
 
@@ -232,17 +232,17 @@ def _covariance_of_bytes(content: bytes) -> FloatArray | None:
     asymmetry = [abs(one - other) for one, other in zip(above, below, strict=True)]
     if not all(differs <= COVARIANCE_TOLERANCE * limit for differs, limit in zip(asymmetry, limits, strict=True)):
         raise MessageRejected(Reason.BAD_COVARIANCE, f"is not symmetric: elements differ by {max(asymmetry):.3g}")
-    xy, xz, yz = beside = [0.5 * one + 0.5 * other for one, other in zip(above, below, strict=True)]
-    if not all(abs(one) <= limit * (1.0 + COVARIANCE_TOLERANCE) for one, limit in zip(beside, limits, strict=True)):
+    xy, xz, yz = off_diagonal = [0.5 * one + 0.5 * other for one, other in zip(above, below, strict=True)]
+    if not all(abs(one) <= limit * (1.0 + COVARIANCE_TOLERANCE) for one, limit in zip(off_diagonal, limits, strict=True)):
         raise MessageRejected(Reason.BAD_COVARIANCE, "is not positive semidefinite: a correlation exceeds 1")
     symmetric = np.array([[variances[0], xy, xz], [xy, variances[1], yz], [xz, yz, variances[2]]])
-    if not _clearly_definite(beside, limits):
-        symmetric = _without_negative_variance(symmetric, np.array([first, second, third]))
+    if not _is_clearly_definite(off_diagonal, limits):
+        symmetric = _with_nonnegative_variances(symmetric, np.array([first, second, third]))
     symmetric.flags.writeable = False
     return symmetric
 
 
-def _clearly_definite(beside: Sequence[float], limits: Sequence[float]) -> bool:
+def _is_clearly_definite(off_diagonal: Sequence[float], limits: Sequence[float]) -> bool:
     """True if correlations are those of a positive definite matrix beyond rounding.
 
     The product of the three eigenvalues is the determinant. Their sum is three, so the product of two is at most 9/4,
@@ -254,11 +254,11 @@ def _clearly_definite(beside: Sequence[float], limits: Sequence[float]) -> bool:
     """
     if not min(limits) > 0.0:
         return False
-    a, b, c = [one / limit for one, limit in zip(beside, limits, strict=True)]
-    return abs(a) < 1.0 and 1.0 + 2.0 * a * b * c - a * a - b * b - c * c > CLEAR_DETERMINANT
+    a, b, c = [one / limit for one, limit in zip(off_diagonal, limits, strict=True)]
+    return abs(a) < 1.0 and 1.0 + 2.0 * a * b * c - a * a - b * b - c * c > MIN_DEFINITE_DETERMINANT
 
 
-def _without_negative_variance(symmetric: FloatArray, sigma: FloatArray) -> FloatArray:
+def _with_nonnegative_variances(symmetric: FloatArray, sigma: FloatArray) -> FloatArray:
     """Return a symmetric matrix, shape (3, 3), as a covariance without negative eigenvalues of its correlations.
 
     Raises:
@@ -284,7 +284,7 @@ def ship_rate(angular_velocity: Any) -> FloatArray:
         Refused: NON_FINITE, or UNITS if it is too large for a ship.
     """
     rate_ros = finite_vector(angular_velocity, "angular_velocity")
-    if np.max(np.abs(rate_ros)) > LARGEST_RATE:
+    if np.max(np.abs(rate_ros)) > MAX_RATE:
         raise MessageRejected(Reason.UNITS, f"angular_velocity {rate_ros.tolist()}: too large for a ship in rad/s")
     return rate_ros
 

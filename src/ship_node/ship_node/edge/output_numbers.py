@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_bags.message_factory import MessageFactory
-from ship_node.edge.blocks import PublishedRows
+from ship_node.edge.blocks import OutputRows
 
 Fields = Mapping[str, Any]
 MessageFields = Iterator[tuple[str, str, Fields]]
 """Topic, type and fields of each message that outputs become."""
 
 
-def joined(runs: Sequence[Any], names: Iterable[str]) -> list[Any]:
+def join_fields(runs: Sequence[Any], names: Iterable[str]) -> list[Any]:
     """Return the values of some fields of several runs of outputs, concatenated: arrays or lists.
 
     Example:
@@ -33,17 +33,17 @@ def joined(runs: Sequence[Any], names: Iterable[str]) -> list[Any]:
     return [list(chain(*values)) if isinstance(values[0], list) else np.concatenate(values) for values in columns]
 
 
-def chosen(values: Any, places: NDArray[np.int64]) -> Any:
+def select_values(values: Any, places: NDArray[np.int64]) -> Any:
     """Select values of an array or a list."""
     return [values[place] for place in places] if isinstance(values, list) else values[places]
 
 
-def as_numbers(*arrays: Any) -> list[Any]:
+def single_numbers(*arrays: Any) -> list[Any]:
     """Return for each array, whose first axis counts outputs, the numbers of its only output."""
     return [values[0].tolist() for values in arrays]
 
 
-def as_columns(*arrays: Any) -> list[Any]:
+def column_numbers(*arrays: Any) -> list[Any]:
     """Return for each array, whose first axis counts outputs, the numbers of all outputs by columns."""
     return [values.T for values in arrays]
 
@@ -52,7 +52,7 @@ def rows_by_kind(
     factory: MessageFactory,
     kinds: Iterable[Hashable],
     messages_of: Callable[[Any, NDArray[np.int64]], MessageFields],
-) -> Iterator[PublishedRows]:
+) -> Iterator[OutputRows]:
     """Return the messages of many outputs; those of each output are in the order of ``messages_of``.
 
     Args:
@@ -64,4 +64,4 @@ def rows_by_kind(
     for kind in dict.fromkeys(kinds):
         places = np.array([place for place, other in enumerate(kinds) if other == kind])
         for topic, type_name, fields in messages_of(kind, places):
-            yield PublishedRows(topic, factory.encode_rows(type_name, len(places), **fields), places)
+            yield OutputRows(topic, factory.encode_rows(type_name, len(places), **fields), places)

@@ -18,19 +18,19 @@ from ship_estimation.told_levels import PublishedLevels
 from ship_geometry.rotations import ARCSEC
 from ship_node.edge.adapter import ServiceResult
 from ship_node.edge.block_adapter import BatchAdapter
-from ship_node.edge.blocks import BatchOutput, BlockTurn
+from ship_node.edge.blocks import BatchOutput, PendingBatch
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.edge.reporting_adapter import Feed
-from ship_node.edge.topics import Published
+from ship_node.edge.topics import OutputMessage
 
 _DECISION_PERIOD_NS = 1_000_000_000
 """Period of the decisions by the timeout clock, ns."""
 
-_SHOWN_NS = 60_000_000_000
+_ADOPTION_SHOWN_NS = 60_000_000_000
 """Time for which an adoption is reported as new, by the timeout clock, ns."""
 
-SHOWS_SOURCE = frozenset({
+PRESENCE_REASONS = frozenset({
     *(Reason.NONE, Reason.GATE, Reason.STUCK, Reason.UNITS, Reason.EXCLUDED, Reason.ATTITUDE_CONFLICT),
     *(Reason.LIGHT_CONFLICT, Reason.MISIDENTIFIED, Reason.UNIDENTIFIED, Reason.JUMP),
 })  # fmt: skip
@@ -39,7 +39,7 @@ SHOWS_SOURCE = frozenset({
 _RECOVERY = "recovery"
 """Name of the failed part if a second estimator cannot be started, evaluated or given an input."""
 
-_REFUSED_IN_TROUBLE = "not saved: a second estimator runs, because {}; the state learned since then may be wrong"
+_NOT_SAVED_TEXT = "not saved: a second estimator runs, because {}; the state learned since then may be wrong"
 
 
 class RecoveringAdapter(BatchAdapter):
@@ -72,7 +72,7 @@ class RecoveringAdapter(BatchAdapter):
         return (decision.measurement.source,)
 
     @abstractmethod
-    def may_be_valid(self, there: Set[str]) -> bool:
+    def can_be_valid(self, present_sources: Set[str]) -> bool:
         """Return True if a new estimator would be VALID with these sources."""
 
     @abstractmethod
@@ -83,7 +83,7 @@ class RecoveringAdapter(BatchAdapter):
             displaced: source → shift, rad.
         """
 
-    def before_adoption(self) -> list[Published]:
+    def before_adoption(self) -> list[OutputMessage]:
         """Return the pending outputs of the estimator that is replaced."""
         return []
 
@@ -102,57 +102,57 @@ class RecoveringAdapter(BatchAdapter):
             return
         for feed in self.table(self.config, candidate.core):
             topic = feed.input.topic
-            self.feeds[topic] = replace(self.feeds[topic], take=_by_both(self.feeds[topic].take, feed.take, candidate))
+            self.feeds[topic] = replace(self.feeds[topic], take=_process_in_both(self.feeds[topic].take, feed.take, candidate))
 
-    def told(
+    def report_input(
         self, feed: Feed, reading: ReadMessage[Any], outcome: Any, receive_ns: int, waiting_ns: int
-    ) -> list[Published]:
+    ) -> list[OutputMessage]:
         """See :class:`ReportingAdapter`; a usable message shows that its source is present."""
         rejection = None if outcome is None else outcome.refusal
-        if outcome is not None and (rejection is None or rejection.reason in SHOWS_SOURCE):
+        if outcome is not None and (rejection is None or rejection.reason in PRESENCE_REASONS):
             self._last_usable_ns |= dict.fromkeys(self.sources_of_message(feed, reading.value), waiting_ns)
         return super().report_input(feed, reading, outcome, receive_ns, waiting_ns)
 
-    def end_ahead(self, pending: BlockTurn) -> list[BatchOutput]:
+    def finish_batch(self, pending: PendingBatch) -> list[BatchOutput]:
         """See :class:`BatchAdapter`."""
         self._last_usable_ns[self.feeds[pending.topic].source] = int(pending.receive_ns[-1])
         return super().finish_batch(pending)
 
-    def published(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[Published]:
+    def report_outcome(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
         """See :class:`ReportingAdapter`; a compared measurement shows that its source is present."""
         for decision in outcome.decisions:
-            if decision.reason in SHOWS_SOURCE:
+            if decision.reason in PRESENCE_REASONS:
                 self._last_usable_ns |= dict.fromkeys(self.sources_of_decision(decision), waiting_ns)
         failed = self._note_decisions(outcome.decisions, now_ns)
         return failed + super().report_outcome(outcome, now_ns, waiting_ns)
 
-    def _note_decisions(self, decisions: Iterable[Any], now_ns: int) -> list[Published]:
+    def _note_decisions(self, decisions: Iterable[Any], now_ns: int) -> list[OutputMessage]:
         """Pass decisions to the recovery; return a failure message if that raises."""
         try:
             for decision in decisions:
                 self.recovery.record_decision(self.core, decision)
         except Exception as error:
-            return [self.failed(_RECOVERY, now_ns, failure_rejection(error))]
+            return [self.report_failure(_RECOVERY, now_ns, failure_rejection(error))]
         return []
 
-    def takes_blocks(self, topic: str) -> bool:
+    def accepts_batches(self, topic: str) -> bool:
         """See :class:`BatchAdapter`."""
-        return super().takes_blocks(topic) and self.recovery.candidate is None
+        return super().accepts_batches(topic) and self.recovery.candidate is None
 
     @property
-    def quiet_until_ns(self) -> int:
+    def idle_until_ns(self) -> int:
         """See :class:`BatchAdapter`."""
-        return min(super().quiet_until_ns, 0 if self._last_decision_ns is None else self._last_decision_ns + _DECISION_PERIOD_NS)
+        return min(super().idle_until_ns, 0 if self._last_decision_ns is None else self._last_decision_ns + _DECISION_PERIOD_NS)
 
-    def _pass_on_contested(self, topic: str) -> None:
-        super()._pass_on_contested(topic)
+    def _update_duplicate_publishers(self, topic: str) -> None:
+        super()._update_duplicate_publishers(topic)
         candidate, feed = self.recovery.candidate, self.feeds[topic]
         if candidate is not None and not self.is_off(topic):
-            candidate.core.contest(feed.measured_by or feed.source, self._contested.text(topic))
+            candidate.core.contest(feed.measurement_source or feed.source, self._duplicates.text(topic))
 
     # -- once a second --------------------------------------------------------------------------------------
 
-    def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
+    def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
         """See :class:`ReportingAdapter`; once a second the second estimator is started, continued or adopted."""
         published = super().tick(now_ns, waiting_ns)
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
@@ -165,22 +165,22 @@ class RecoveringAdapter(BatchAdapter):
                 published += self._decide(now_ns, waiting_ns)
             except Exception as error:
                 # The outputs of the current estimator are published nevertheless.
-                published.append(self.failed(_RECOVERY, now_ns, failure_rejection(error)))
+                published.append(self.report_failure(_RECOVERY, now_ns, failure_rejection(error)))
         return published
 
-    def _decide(self, now_ns: int, waiting_ns: int) -> list[Published]:
+    def _decide(self, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
         """Let the recovery decide; return the messages of an adoption or of a failure of the second estimator."""
-        there, before = self._there(waiting_ns), self.recovery.candidate
-        is_as_expected = self._is_valid_or_above_limit() or self.behind is not None or not self.may_be_valid(there)
-        published: list[Published] = []
+        present_sources, before = self._present_sources(waiting_ns), self.recovery.candidate
+        is_as_expected = self._is_valid_or_above_limit() or self.behind is not None or not self.can_be_valid(present_sources)
+        published: list[OutputMessage] = []
         if before is not None and before.failure is not None:
-            published.append(self.failed(_RECOVERY, now_ns, before.failure))
-        if self.recovery.update(waiting_ns, self.core, is_as_expected, there):
+            published.append(self.report_failure(_RECOVERY, now_ns, before.failure))
+        if self.recovery.update(waiting_ns, self.core, is_as_expected, present_sources):
             published += self._adopt(waiting_ns)
         if self.recovery.candidate is not before:
             self._bind()
-            for topic in filter(self._contested.text, self.feeds):
-                self._pass_on_contested(topic)
+            for topic in filter(self._duplicates.text, self.feeds):
+                self._update_duplicate_publishers(topic)
         return published
 
     def _is_valid_or_above_limit(self) -> bool:
@@ -193,7 +193,7 @@ class RecoveringAdapter(BatchAdapter):
             return latest is not None and latest.status is Status.VALID
         return bool(alert_limit_text(self.core.integrity(latest), self.quantities))
 
-    def _there(self, waiting_ns: int) -> frozenset[str]:
+    def _present_sources(self, waiting_ns: int) -> frozenset[str]:
         """Return the sources with a recent usable message."""
         return frozenset(
             source
@@ -202,7 +202,7 @@ class RecoveringAdapter(BatchAdapter):
             if source.startswith(kind) and waiting_ns - arrived_ns <= most_s * 1e9
         )
 
-    def _adopt(self, waiting_ns: int) -> list[Published]:
+    def _adopt(self, waiting_ns: int) -> list[OutputMessage]:
         """Replace the estimator by the second one; outputs continue in order."""
         candidate = self.recovery.candidate
         assert candidate is not None
@@ -223,15 +223,15 @@ class RecoveringAdapter(BatchAdapter):
     def service(self, name: str, now_ns: int) -> ServiceResult:
         """See :class:`ReportingAdapter`; in trouble nothing is saved."""
         if name == "save_alignment" and self.saved is not None and self.recovery.is_in_trouble:
-            return ServiceResult(False, _REFUSED_IN_TROUBLE.format(self._trouble_text()))
+            return ServiceResult(False, _NOT_SAVED_TEXT.format(self._recovery_reason()))
         result = super().service(name, now_ns)
         if name == "load_alignment" and result.success:
-            self._forget_trouble()
+            self._reset_recovery()
         return result
 
-    def _save_by_itself(self, waiting_ns: int) -> None:
+    def _autosave(self, waiting_ns: int) -> None:
         if not self.recovery.is_in_trouble:
-            super()._save_by_itself(waiting_ns)
+            super()._autosave(waiting_ns)
 
     def set_parameters(self, changes: Mapping[str, Any]) -> None:
         """See :class:`ReportingAdapter`."""
@@ -240,10 +240,10 @@ class RecoveringAdapter(BatchAdapter):
             self.recovery.candidate.core.reconfigure(self.config)
 
     def _restart(self, clock_jumped: bool) -> None:
-        self._forget_trouble()
+        self._reset_recovery()
         super()._restart(clock_jumped)
 
-    def _forget_trouble(self) -> None:
+    def _reset_recovery(self) -> None:
         self.recovery.reset()
         self._last_usable_ns.clear()
         self._last_decision_ns = None
@@ -265,19 +265,19 @@ class RecoveringAdapter(BatchAdapter):
     def recovery_status(self, waiting_ns: int) -> DiagnosticStatus:
         """Return the diagnostic status of the recovery."""
         recovery, values = self.recovery, self.recovery_counts
-        if self._adopted_ns is not None and waiting_ns - self._adopted_ns <= _SHOWN_NS:
+        if self._adopted_ns is not None and waiting_ns - self._adopted_ns <= _ADOPTION_SHOWN_NS:
             values["recovered after [s]"] = f"{recovery.recovery_time_s:.0f}"
         for name, moved_rad in sorted(recovery.displaced.items()):
             values[f"{name} moved [arcsec]"] = f"{moved_rad / ARCSEC:.1f}"
         if recovery.is_in_trouble:
-            text = f"a second estimator runs: {self._trouble_text()}"
+            text = f"a second estimator runs: {self._recovery_reason()}"
             return DiagnosticStatus("recovery", Level.WARN, text, values)
         text = "no second estimator runs"
         if recovery.adopted:
             text += f"; the last one was adopted after {recovery.recovery_time_s:.0f} s"
         return DiagnosticStatus("recovery", Level.OK, text, values)
 
-    def _trouble_text(self) -> str:
+    def _recovery_reason(self) -> str:
         """Return why there is trouble, and what ends it."""
         displaced, excluded = self.recovery.displaced, sorted(self.core.excluded)
         if displaced:
@@ -288,7 +288,7 @@ class RecoveringAdapter(BatchAdapter):
         return "the status is worse than the inputs allow"
 
 
-def _by_both(
+def _process_in_both(
     first: Callable[..., Any], second: Callable[..., Any], candidate: SecondEstimator
 ) -> Callable[[Any, int], Any]:
     """Return a function that passes a value to both estimators and returns the first one's outcome."""

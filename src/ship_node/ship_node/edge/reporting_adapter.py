@@ -25,13 +25,13 @@ from ship_node.documents.saved_start import SavedStart
 from ship_node.edge import messages_out
 from ship_node.edge.adapter import ServiceResult
 from ship_node.edge.blocks import BatchFeed, StampArray
-from ship_node.edge.contested import ContestedInputs, StreamQuantity
-from ship_node.edge.input_health import InputHealthBook
+from ship_node.edge.contested import DuplicatePublishers, StreamQuantity
+from ship_node.edge.input_health import InputHealthMonitor
 from ship_node.edge.messages_in import ReadMessage, MessageRejected
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, DiagnosticStatus
 from ship_node.edge.overload import Overload
 from ship_node.edge.time_base import TimeBase
-from ship_node.edge.topics import InputTopic, OutputTopic, Published
+from ship_node.edge.topics import InputTopic, OutputTopic, OutputMessage
 from ship_node.edge.verdict_report import InnovationReport
 
 INPUT_HEALTH_TOPIC = "input_health"
@@ -41,9 +41,9 @@ OWN_OUTPUTS = (
 )
 """Output topics that every node has for its own state."""
 
-_TAKEN_OUT = Rejection(Reason.OFF, "switched off by sources_off")
+_SOURCE_OFF = Rejection(Reason.OFF, "switched off by sources_off")
 _SLOW_TOPICS = "slow topics"
-_OF_ATTITUDE = (3, 3)
+_ATTITUDE_SHAPE = (3, 3)
 """Shape of the covariance of an attitude's innovation."""
 _STARS = "star."
 _LEAP_SECOND = "a leap second is inserted: two seconds have the same UTC, so this stamp is ambiguous"
@@ -83,13 +83,13 @@ class Feed:
     read: Callable[..., ReadMessage[Any]]
     take: Callable[[Any, int], Any]
     has_decision: bool = False
-    measured_by: str = ""
+    measurement_source: str = ""
     batch: BatchFeed | None = None
     read_rows: Callable[[CdrRows, StampArray], Sequence[ReadMessage[Any] | None]] | None = None
-    continuous: StreamQuantity | None = None
+    stream_quantity: StreamQuantity | None = None
 
 
-def untimed(take: Callable[[Any], Any]) -> Callable[[Any, int], Any]:
+def ignore_time(take: Callable[[Any], Any]) -> Callable[[Any, int], Any]:
     """Return a method of a core that needs no receive time as :attr:`Feed.take`."""
     return lambda value, _waiting_ns: take(value)
 
@@ -136,7 +136,7 @@ class ReportingAdapter(ABC):
     directions: ClassVar["attrgetter[np.ndarray]"]
     """Attribute of an output: matrix from the errors of its state to those of its angles."""
     integrity_frame: str = ""
-    always_in: ClassVar[tuple[str, ...]] = ()
+    required_sources: ClassVar[tuple[str, ...]] = ()
     """Sources without which there is no output: they cannot be switched off."""
     reset_text: ClassVar[str] = "the filter was reset"
     start_warnings: tuple[str, ...] = ()
@@ -146,24 +146,24 @@ class ReportingAdapter(ABC):
         config: Any,
         core: Any,
         factory: MessageFactory,
-        estimate_messages: Callable[[Any], list[Published]] = lambda _estimate: [],
+        estimate_messages: Callable[[Any], list[OutputMessage]] = lambda _estimate: [],
         saved: SavedStart[Any] | None = None,
     ) -> None:
         self.config, self.core, self.factory = config, core, factory
         self._estimate_messages, self.saved = estimate_messages, saved
         self._bind()
-        self._topics_off = self._without(config)
-        continuous = {topic: feed.continuous for topic, feed in self.feeds.items() if feed.continuous is not None}
-        self._contested = ContestedInputs(continuous)
+        self._off_topics = self._disabled_topics(config)
+        continuous = {topic: feed.stream_quantity for topic, feed in self.feeds.items() if feed.stream_quantity is not None}
+        self._duplicates = DuplicatePublishers(continuous)
         self.inputs: tuple[InputTopic, ...] = tuple(feed.input for feed in self.feeds.values())
-        self.health = InputHealthBook(self.inputs, config.max_age_s)
+        self.health = InputHealthMonitor(self.inputs, config.max_age_s)
         self.notices: list[str] = [] if saved is None else saved.notices
-        if saved is not None and saved.unreadable:
-            self.start_warnings = (*self.start_warnings, f"{saved.unreadable}; the filter starts as configured")
+        if saved is not None and saved.unreadable_reason:
+            self.start_warnings = (*self.start_warnings, f"{saved.unreadable_reason}; the filter starts as configured")
         self.clock_jumps = 0
         self.time_base = TimeBase()
         # State of the core when an input's clock was first found to have moved, and the timeout-clock time of that.
-        self._unstepped: tuple[Any, int] | None = None
+        self._state_before_step: tuple[Any, int] | None = None
         self._stepped_at_ns = 0
         self.latest: Any = None
         self.pending_budget: Any = None
@@ -181,7 +181,7 @@ class ReportingAdapter(ABC):
         """Return the inputs and the methods of a core that process them."""
 
     @abstractmethod
-    def own_slow_topics(self, now_ns: int) -> list[Published]:
+    def own_slow_topics(self, now_ns: int) -> list[OutputMessage]:
         """Return the node's periodic messages other than health and diagnostics."""
 
     @abstractmethod
@@ -204,7 +204,7 @@ class ReportingAdapter(ABC):
 
     # -- called by the node runtime and the replay ----------------------------------------------------------
 
-    def handle(self, topic: str, message: Any, receive_ns: int, waiting_ns: int | None = None) -> list[Published]:
+    def handle(self, topic: str, message: Any, receive_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
         """See :class:`ship_node.edge.adapter.Adapter`."""
         waiting_ns = receive_ns if waiting_ns is None else waiting_ns
         feed = self.feeds[topic]
@@ -216,29 +216,29 @@ class ReportingAdapter(ABC):
         try:
             reading = feed.read(message, receive_ns=receive_ns)
             if is_off:
-                return self.set_aside(feed, reading, receive_ns, waiting_ns)
+                return self.report_off_source(feed, reading, receive_ns, waiting_ns)
             rejection = self.check_clock(feed, reading.value.time_ns, receive_ns, waiting_ns)
             if rejection is not None:
                 raise MessageRejected(rejection.reason, rejection.text)
-            self.see(feed, reading)
-            outcome = None if reading.empty else feed.take(reading.value, waiting_ns)
+            self.check_single_publisher(feed, reading)
+            outcome = None if reading.is_empty else feed.take(reading.value, waiting_ns)
         except MessageRejected as refused:
             reason = refused.rejection.reason
             time_ns = receive_ns if reason is Reason.BAD_STAMP else ns_from_stamp(message.header.stamp)
             if reading is None and reason is Reason.FUTURE and not is_off:
                 # A stamp ahead of the node's clock may reveal a step of all clocks.
                 self.check_clock(feed, time_ns, receive_ns, waiting_ns)
-            self.health.turned_away(topic, waiting_ns, receive_ns, time_ns, refused.rejection)
+            self.health.record_unreadable(topic, waiting_ns, receive_ns, time_ns, refused.rejection)
             return [self.rejection_message(feed.source, time_ns, refused.rejection)]
         except Exception:
             # The message has arrived nevertheless; the node runtime reports the exception.
-            self.health.arrived(topic, waiting_ns)
+            self.health.record_arrival(topic, waiting_ns)
             raise
         return self.report_input(feed, reading, outcome, receive_ns, waiting_ns)
 
     def report_input(
         self, feed: Feed, reading: ReadMessage[Any], outcome: Any, receive_ns: int, waiting_ns: int
-    ) -> list[Published]:
+    ) -> list[OutputMessage]:
         """Record a message that was read and return the messages about it.
 
         Args:
@@ -251,32 +251,32 @@ class ReportingAdapter(ABC):
         time_ns = reading.value.time_ns
         rejection = None if outcome is None else outcome.refusal
         used = not feed.has_decision or outcome is None
-        self.health.took(feed.input.topic, waiting_ns, receive_ns, reading, rejection, used)
-        published: list[Published] = []
+        self.health.record_input(feed.input.topic, waiting_ns, receive_ns, reading, rejection, used)
+        published: list[OutputMessage] = []
         for name, left_out in reading.rejected_parts:
             published.append(self._rejected_part(feed.source, time_ns, name, left_out))
         if rejection is not None:
             published.append(self.rejection_message(feed.source, time_ns, rejection))
         return published if outcome is None else published + self.report_outcome(outcome, receive_ns, waiting_ns)
 
-    def see(self, feed: Feed, reading: ReadMessage[Any]) -> None:
+    def check_single_publisher(self, feed: Feed, reading: ReadMessage[Any]) -> None:
         """Check, before the core gets a value, that it belongs to one stream."""
-        if feed.continuous is None or feed.has_decision or reading.empty:
+        if feed.stream_quantity is None or feed.has_decision or reading.is_empty:
             return
         topic = feed.input.topic
-        if self._contested.see(topic, reading.value.time_ns, reading.value):
-            self._pass_on_contested(topic)
+        if self._duplicates.add_value(topic, reading.value.time_ns, reading.value):
+            self._update_duplicate_publishers(topic)
 
     def set_duplicate_publishers(self, topic: str, text: str) -> None:
         """See :class:`ship_node.edge.adapter.Adapter`."""
-        self._contested.name(topic, text)
-        self._pass_on_contested(topic)
+        self._duplicates.set_publisher_text(topic, text)
+        self._update_duplicate_publishers(topic)
 
-    def _pass_on_contested(self, topic: str) -> None:
+    def _update_duplicate_publishers(self, topic: str) -> None:
         """Pass the duplicate publishers of an input to health and core; if the source is off, to health only."""
-        feed, text = self.feeds[topic], self._contested.text(topic)
-        self.health.contested(topic, text)
-        self.core.contest(feed.measured_by or feed.source, "" if self.is_off(topic) else text)
+        feed, text = self.feeds[topic], self._duplicates.text(topic)
+        self.health.set_duplicate_publishers(topic, text)
+        self.core.contest(feed.measurement_source or feed.source, "" if self.is_off(topic) else text)
 
     def check_clock(self, feed: Feed, time_ns: int, receive_ns: int, waiting_ns: int) -> Rejection | None:
         """Return why a message with this stamp is rejected, after processing a time step that it reveals."""
@@ -285,10 +285,10 @@ class ReportingAdapter(ABC):
         if step_ns is not None:
             self._step_time_base(step_ns, waiting_ns)
         elif not clocks.is_step_pending:
-            self._unstepped = None
+            self._state_before_step = None
         else:
-            if self._unstepped is None:
-                self._unstepped = getattr(self.core, "state", None), waiting_ns
+            if self._state_before_step is None:
+                self._state_before_step = getattr(self.core, "state", None), waiting_ns
             ahead_ns = clocks.ahead_ns(topic)
             if ahead_ns:
                 text = f"stamp is {duration_text(ahead_ns)} ahead of the other inputs: check the clock of {feed.source}"
@@ -299,53 +299,53 @@ class ReportingAdapter(ABC):
 
     def is_off(self, topic: str) -> bool:
         """Return True if the source of a topic is switched off by ``sources_off``."""
-        return topic in self._topics_off
+        return topic in self._off_topics
 
-    def set_aside(self, feed: Feed, reading: ReadMessage[Any], receive_ns: int, waiting_ns: int) -> list[Published]:
+    def report_off_source(self, feed: Feed, reading: ReadMessage[Any], receive_ns: int, waiting_ns: int) -> list[OutputMessage]:
         """Record a message of a source that is switched off and return the messages about it."""
-        self.health.took(feed.input.topic, waiting_ns, receive_ns, reading, _TAKEN_OUT, used=False)
-        return [self.rejection_message(feed.source, reading.value.time_ns, _TAKEN_OUT)]
+        self.health.record_input(feed.input.topic, waiting_ns, receive_ns, reading, _SOURCE_OFF, is_used=False)
+        return [self.rejection_message(feed.source, reading.value.time_ns, _SOURCE_OFF)]
 
-    def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
+    def tick(self, now_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
         """See :class:`ship_node.edge.adapter.Adapter`; the slow topics are published once a period."""
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         if self.saved is not None and self.saved.is_pending:
             self.saved.start(now_ns)
         published = self.report_outcome(self.core.tick(now_ns, waiting_ns), now_ns, waiting_ns)
         published += self._invalid_while_behind(now_ns, waiting_ns)
-        self._save_by_itself(waiting_ns)
+        self._autosave(waiting_ns)
         if self.next_slow_ns is None or waiting_ns >= self.next_slow_ns:
             self.next_slow_ns = waiting_ns + round(self.config.slow_topics_period_s * _SECOND_NS)
-            for topic in self._contested.end_timed_out(waiting_ns):
-                self._pass_on_contested(topic)
+            for topic in self._duplicates.end_timed_out(waiting_ns):
+                self._update_duplicate_publishers(topic)
             try:
                 published += self._slow_topics(now_ns, waiting_ns)
             except Exception as error:
                 # An INVALID output of this tick must be published nevertheless.
-                published.append(self.failed(_SLOW_TOPICS, now_ns, failure_rejection(error)))
+                published.append(self.report_failure(_SLOW_TOPICS, now_ns, failure_rejection(error)))
         return published
 
-    def overload(self, change: Overload, now_ns: int, waiting_ns: int | None = None) -> list[Published]:
+    def overload(self, change: Overload, now_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
         """See :meth:`ship_node.edge.adapter.Adapter.overload`; cut messages are counted and reported as rejected."""
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         why = (change if change.behind_s else self.behind or change).text(self.node_name)
         published = []
         for topic, count in change.cut.items():
             text = f"{count} messages cut: {why}"
-            self.health.cut_behind(topic, count, text, waiting_ns)
+            self.health.record_overload_cut(topic, count, text, waiting_ns)
             published.append(self.rejection_message(self.feeds[topic].source, now_ns, Rejection(Reason.BEHIND, text)))
         self.behind = change if change.behind_s else None
         self.published_levels = PublishedLevels()  # those published before do not apply to the next output
         self._next_invalid_ns = waiting_ns
         return published + self._invalid_while_behind(now_ns, waiting_ns)
 
-    def clock_jumped_back(self, now_ns: int) -> list[Published]:
+    def clock_jumped_back(self, now_ns: int) -> list[OutputMessage]:
         """Restart at the earlier time."""
         self.clock_jumps += 1
         self._restart(clock_jumped=True)
         return []
 
-    def clock_stepped(self, step_ns: int, now_ns: int, waiting_ns: int) -> list[Published]:
+    def clock_stepped(self, step_ns: int, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
         """Record a step of the computer's clock; whether the time base has stepped, the inputs decide."""
         self.time_base.note_computer_step(step_ns, waiting_ns)
         self.notices.append(f"the computer's clock stepped by {_step_text(step_ns)}")
@@ -376,31 +376,31 @@ class ReportingAdapter(ABC):
             ParameterError: nothing was changed; the text gives the reason.
         """
         config = with_changes(self.config, changes)
-        self._topics_off = self._without(config)
+        self._off_topics = self._disabled_topics(config)
         self.config = config
         self.core.reconfigure(self.config)
         self._bind()
-        for topic in filter(self._contested.text, self.feeds):
-            self._pass_on_contested(topic)
+        for topic in filter(self._duplicates.text, self.feeds):
+            self._update_duplicate_publishers(topic)
 
     # -- results of the core --------------------------------------------------------------------------------
 
-    def report_outcome(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[Published]:
+    def report_outcome(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
         """Record an outcome of the core and return its messages: decisions, failures, estimates."""
         decisions = []
         for decision in outcome.decisions:
-            feed = self._measured_by[decision.measurement.source]
+            feed = self._feeds_by_source[decision.measurement.source]
             self.health.record_decision(feed.input.topic, decision, now_ns)
             if decision.reason is Reason.ATTITUDE_CONFLICT:
                 self.conflicts[feed.source] = decision.text
             elif decision.accepted:
                 self.conflicts.pop(feed.source, None)
-            topic, is_attitude = feed.input.topic, decision.noise.shape == _OF_ATTITUDE and not decision.revised
-            if is_attitude and self._contested.see(topic, decision.measurement.time_ns, decision):
-                self._pass_on_contested(topic)
+            topic, is_attitude = feed.input.topic, decision.noise.shape == _ATTITUDE_SHAPE and not decision.revised
+            if is_attitude and self._duplicates.add_value(topic, decision.measurement.time_ns, decision):
+                self._update_duplicate_publishers(topic)
             decisions.append((feed.source, decision))
         self.innovation_report.pending += decisions
-        published: list[Published] = []
+        published: list[OutputMessage] = []
         for source, decision in decisions:
             time_ns = decision.measurement.time_ns
             for name, left_out in decision.left_out:
@@ -408,7 +408,7 @@ class ReportingAdapter(ABC):
             message = messages_out.decision_message(self.factory, source, decision)
             published.append((self.innovation_topic, message))
         for time_ns, rejection in outcome.failures:
-            published.append(self.failed(self.main_topic, time_ns, rejection))
+            published.append(self.report_failure(self.main_topic, time_ns, rejection))
         for estimate in outcome.estimates if self.behind is None else ():
             self.latest = estimate
             self.pending_budget = None if estimate.status is Status.INVALID else estimate
@@ -417,16 +417,16 @@ class ReportingAdapter(ABC):
             published += self._estimate_messages(estimate)
         return published
 
-    def rejection_message(self, source: str, time_ns: int, rejection: Rejection) -> Published:
+    def rejection_message(self, source: str, time_ns: int, rejection: Rejection) -> OutputMessage:
         """Return the message about a rejected input."""
         return self.innovation_topic, messages_out.rejection_message(self.factory, source, time_ns, rejection)
 
-    def failed(self, what: str, time_ns: int, rejection: Rejection) -> Published:
+    def report_failure(self, what: str, time_ns: int, rejection: Rejection) -> OutputMessage:
         """Record that an output could not be computed and return the message about it."""
-        self.health.failed(f"{what}: {rejection.text}")
+        self.health.record_failure(f"{what}: {rejection.text}")
         return self.rejection_message(what, time_ns, rejection)
 
-    def _rejected_part(self, source: str, time_ns: int, name: str, rejection: Rejection) -> Published:
+    def _rejected_part(self, source: str, time_ns: int, name: str, rejection: Rejection) -> OutputMessage:
         return self.innovation_topic, self.rejected_part_message(source, time_ns, name, rejection)
 
     # -- the node itself ------------------------------------------------------------------------------------
@@ -434,9 +434,9 @@ class ReportingAdapter(ABC):
     def _bind(self) -> None:
         """Build the table with the current parameters."""
         self.feeds = {feed.input.topic: feed for feed in self.table(self.config, self.core)}
-        self._measured_by = {feed.measured_by or feed.source: feed for feed in self.feeds.values()}
+        self._feeds_by_source = {feed.measurement_source or feed.source: feed for feed in self.feeds.values()}
 
-    def _without(self, config: Any) -> frozenset[str]:
+    def _disabled_topics(self, config: Any) -> frozenset[str]:
         """Return the topics whose sources a configuration switches off.
 
         Raises:
@@ -444,13 +444,13 @@ class ReportingAdapter(ABC):
         """
         topics = {feed.source: topic for topic, feed in self.feeds.items()}
         for source in config.sources_off:
-            if source in self.always_in:
+            if source in self.required_sources:
                 reason = (
                     f"'{source}' cannot be switched off: without it there is no output. To test that, stop the "
                     f"publisher of {topics[source]}; to use another device, remap {topics[source]} at the start"
                 )
             elif source not in topics:
-                names = ", ".join(name for name in topics if name not in self.always_in)
+                names = ", ".join(name for name in topics if name not in self.required_sources)
                 reason = f"there is no source {source!r}: expected some of {names}"
             else:
                 continue
@@ -459,11 +459,11 @@ class ReportingAdapter(ABC):
 
     def _off_statuses(self) -> list[DiagnosticStatus]:
         """Return a status with the sources that are switched off; none if all are on."""
-        names = [feed.source for topic, feed in self.feeds.items() if topic in self._topics_off]
+        names = [feed.source for topic, feed in self.feeds.items() if topic in self._off_topics]
         text = f"switched off by sources_off: {', '.join(names)}"
         return [DiagnosticStatus("sources off", messages_out.Level.WARN, text)] if names else []
 
-    def _invalid_while_behind(self, now_ns: int, waiting_ns: int) -> list[Published]:
+    def _invalid_while_behind(self, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
         """Return, once a second, the INVALID output of a node that is behind and the reason."""
         if self.behind is None or waiting_ns < self._next_invalid_ns:
             return []
@@ -487,16 +487,16 @@ class ReportingAdapter(ABC):
         }
         return DiagnosticStatus("overload", messages_out.Level.ERROR, self.behind.text(self.node_name), values)
 
-    def _save_by_itself(self, waiting_ns: int) -> None:
+    def _autosave(self, waiting_ns: int) -> None:
         """Save what the core has learned, once a period, while the output is VALID and undisputed."""
         if self.saved is None or not self.saved.is_autosave_time(waiting_ns, self.config.alignment_autosave_s):
             return
         # A source in conflict or excluded may have biased the state before its rejection.
         is_suspect = self.conflicts or (self.published_levels.report is not None and self.published_levels.report.excluded)
         if self.latest is not None and self.latest.status is Status.VALID and not is_suspect:
-            self.saved.save_by_itself()
+            self.saved.autosave()
 
-    def _slow_topics(self, now_ns: int, waiting_ns: int) -> list[Published]:
+    def _slow_topics(self, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
         published = self.own_slow_topics(now_ns)
         self.pending_budget = None  # each budget is published once
         messages, statuses = self.health.messages_and_statuses(self.factory, now_ns, waiting_ns)
@@ -506,13 +506,13 @@ class ReportingAdapter(ABC):
         array = messages_out.diagnostic_array(now_ns, self.node_name, statuses)
         return [*published, (DIAGNOSTICS_TOPIC, array)]
 
-    def protection_level_messages(self, estimate: Any) -> list[Published]:
+    def protection_level_messages(self, estimate: Any) -> list[OutputMessage]:
         """Return the protection levels of an output if the published ones do not cover it."""
         published, redundancy_key, directions = self.published_levels, self.redundancy_key(estimate), self.directions(estimate)
         # Runs for every output: the fast check comes first.
         if published.state is estimate.state and published.redundancy_key == redundancy_key:
-            one = np.array([estimate.time_ns]), estimate.covariance_n[None], directions[None]
-            if published.covered_count(*one):
+            output = np.array([estimate.time_ns]), estimate.covariance_n[None], directions[None]
+            if published.covered_count(*output):
                 return []
         report, period_ns = self.core.integrity(estimate), round(self.config.slow_topics_period_s * _SECOND_NS)
         published.state, published.redundancy_key, published.directions = estimate.state, redundancy_key, directions
@@ -522,11 +522,11 @@ class ReportingAdapter(ABC):
         message = messages_out.integrity_message(self.factory, report, self.quantities, self.integrity_frame, config)
         return [(self.integrity_topic, message)]
 
-    def saved_remarks(self) -> list[str]:
+    def saved_document_remarks(self) -> list[str]:
         """Return remarks on the saved document: on the start from it, and on obstacles to saving."""
         if self.saved is None:
             return []
-        return [*self.saved.messages, *filter(None, dict.fromkeys([self.saved.unreadable, self.saved.trouble]))]
+        return [*self.saved.messages, *filter(None, dict.fromkeys([self.saved.unreadable_reason, self.saved.autosave_problem]))]
 
     def integrity_statuses(self) -> list[DiagnosticStatus]:
         """Return one status with the published protection levels and the excluded sources."""
@@ -545,29 +545,29 @@ class ReportingAdapter(ABC):
         self._restart_streams()
         self.health.restart()
         self.time_base.restart()
-        self._unstepped = None
+        self._state_before_step = None
         if self.saved is not None:
-            self.saved.restarted()
-        self._forget_outputs()
+            self.saved.note_core_reset()
+        self._reset_outputs()
 
     def _restart_streams(self) -> None:
         """Restart the search for duplicate publishers: the stamps do not continue the earlier ones."""
-        contested = list(filter(self._contested.text, self.feeds))
-        self._contested.restart()
-        for topic in contested:
-            self._pass_on_contested(topic)
+        doubled = list(filter(self._duplicates.text, self.feeds))
+        self._duplicates.restart()
+        for topic in doubled:
+            self._update_duplicate_publishers(topic)
 
     def _step_time_base(self, step_ns: int, waiting_ns: int) -> None:
         """Reset after a step of the time base; mountings, clock offsets and calibration are kept."""
         state = getattr(self.core, "state", None)
-        if self._unstepped is not None and waiting_ns - self._unstepped[1] <= _MAX_PENDING_STEP_NS:
+        if self._state_before_step is not None and waiting_ns - self._state_before_step[1] <= _MAX_PENDING_STEP_NS:
             # Messages after the step may have been used as late ones from before it.
-            state = self._unstepped[0]
-        self._unstepped = None
+            state = self._state_before_step[0]
+        self._state_before_step = None
         self.core.step_time_base(step_ns, state)
         self._restart_streams()
         self.health.reset_stamps()
-        self._forget_outputs()
+        self._reset_outputs()
         self._stepped_at_ns = waiting_ns
         self.notices.append(f"time base stepped by {_step_text(step_ns)}: reset, mountings and calibration kept")
 
@@ -579,7 +579,7 @@ class ReportingAdapter(ABC):
         text = f"stepped by {_step_text(self.time_base.last_step_ns)}: reset, mountings and calibration kept"
         return [DiagnosticStatus("time base", level, text, {"steps": str(self.time_base.steps)})]
 
-    def _forget_outputs(self) -> None:
+    def _reset_outputs(self) -> None:
         self.latest, self.pending_budget, self.next_slow_ns = None, None, None
         self.published_levels = PublishedLevels()
         self.conflicts.clear()

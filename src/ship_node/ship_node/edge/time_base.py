@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 
 from ship_geometry.time_scales import SECOND_NS, leap_seconds
 
-_LEAST_MOVE_NS = SECOND_NS // 2
+_MIN_STEP_NS = SECOND_NS // 2
 """Smallest step of stamps that counts without a step of the computer's clock, ns."""
 
 _LONGEST_DELAY_NS = 10 * SECOND_NS
@@ -32,16 +32,16 @@ _AHEAD_NS = SECOND_NS // 20
 _FOLLOWS_WITHIN_NS = SECOND_NS
 """Longest time between the steps of the computer's clock and of an input that follows it, ns."""
 
-_UNCONTRADICTED_NS = 3 * SECOND_NS // 10
+_CONFIRMATION_NS = 3 * SECOND_NS // 10
 """Time without contradiction after which a step counts, ns."""
 
 _LONGEST_PERIOD_NS = SECOND_NS
 """Longest mean period of an input that a decision waits for, ns."""
 
-_THERE_PERIODS = 3.0
+_PRESENCE_PERIODS = 3.0
 """Number of mean periods without a message after which an input counts as absent."""
 
-_GONE_AFTER_NS = 2 * SECOND_NS
+_ABSENCE_TIMEOUT_NS = 2 * SECOND_NS
 """Minimum timeout after which a moved input no longer keeps a step pending, ns; see :data:`_PRESENCE_PERIODS`."""
 
 _OWN_CLOCK_AFTER_NS = 60 * SECOND_NS
@@ -85,12 +85,12 @@ class _InputClock:
     newest_ns: int
     arrival_ns: int
     period_ns: float = 0.0
-    alone_ns: int = 0
+    own_offset_ns: int = 0
     moved_ns: int = 0
     moved_since_ns: int = 0
-    late_ns: int = 0
-    late_at_ns: int = 0
-    came_back_ns: int | None = None
+    last_delay_ns: int = 0
+    last_delay_at_ns: int = 0
+    last_return_ns: int | None = None
 
 
 @dataclass(slots=True)
@@ -159,8 +159,8 @@ class TimeBase:
             return None
         interval_ns, clock.arrival_ns = waiting_ns - clock.arrival_ns, waiting_ns
         clock.period_ns += (interval_ns - clock.period_ns) / (8.0 if clock.period_ns else 1.0)
-        nothing_moves = self._candidate is None and self._computer is None and not (clock.moved_ns or clock.alone_ns)
-        if nothing_moves and abs(offset_ns - clock.level_ns) < _LEAST_MOVE_NS:
+        nothing_moves = self._candidate is None and self._computer is None and not (clock.moved_ns or clock.own_offset_ns)
+        if nothing_moves and abs(offset_ns - clock.level_ns) < _MIN_STEP_NS:
             # This is the case for nearly all messages.
             clock.level_ns = offset_ns
             if stamp_ns > clock.newest_ns:
@@ -175,15 +175,15 @@ class TimeBase:
         if self._computer is not None and waiting_ns > self._computer[1]:
             self._computer = None
         offset_ns = stamp_ns - waiting_ns
-        if clock.alone_ns and abs(offset_ns - clock.level_ns) < _LEAST_MOVE_NS:
-            clock.alone_ns = 0
-        moved_ns = offset_ns - clock.level_ns - clock.alone_ns
+        if clock.own_offset_ns and abs(offset_ns - clock.level_ns) < _MIN_STEP_NS:
+            clock.own_offset_ns = 0
+        moved_ns = offset_ns - clock.level_ns - clock.own_offset_ns
         if not self._has_moved(clock, moved_ns, stamp_ns, receive_ns, waiting_ns):
             if 0 < abs(clock.moved_ns) < _SMALL_STEP_NS:
-                clock.came_back_ns = waiting_ns
-            if moved_ns <= -_LEAST_MOVE_NS:
-                clock.late_ns, clock.late_at_ns = moved_ns, waiting_ns
-            clock.level_ns, clock.moved_ns = offset_ns - clock.alone_ns, 0
+                clock.last_return_ns = waiting_ns
+            if moved_ns <= -_MIN_STEP_NS:
+                clock.last_delay_ns, clock.last_delay_at_ns = moved_ns, waiting_ns
+            clock.level_ns, clock.moved_ns = offset_ns - clock.own_offset_ns, 0
             clock.newest_ns = max(clock.newest_ns, stamp_ns)
         elif not clock.moved_ns:
             clock.moved_ns, clock.moved_since_ns = moved_ns, waiting_ns
@@ -193,7 +193,7 @@ class TimeBase:
             return None
         return self._decide(topic, clock, waiting_ns)
 
-    def count_unmoved(self, topic: str, stamps_ns: list[int], arrivals_ns: list[int]) -> int:
+    def count_without_step(self, topic: str, stamps_ns: list[int], arrivals_ns: list[int]) -> int:
         """Return the number of leading messages whose clock has not moved.
 
         Args:
@@ -202,12 +202,12 @@ class TimeBase:
             arrivals_ns: receive times, equal by both clocks.
         """
         clock = self._clocks.get(topic)
-        if clock is None or clock.moved_ns or clock.alone_ns or self._computer is not None:
+        if clock is None or clock.moved_ns or clock.own_offset_ns or self._computer is not None:
             return 0
         level_ns = clock.level_ns
         for number, (stamp_ns, arrival_ns) in enumerate(zip(stamps_ns, arrivals_ns, strict=True)):
             offset_ns = stamp_ns - arrival_ns
-            if abs(offset_ns - level_ns) >= _LEAST_MOVE_NS:
+            if abs(offset_ns - level_ns) >= _MIN_STEP_NS:
                 return number
             level_ns = offset_ns
         return len(stamps_ns)
@@ -249,19 +249,19 @@ class TimeBase:
         computer_ns = 0 if self._computer is None else self._computer[0]
         if computer_ns and _are_equal(moved_ns, computer_ns):
             return True
-        if abs(moved_ns) < _LEAST_MOVE_NS:
+        if abs(moved_ns) < _MIN_STEP_NS:
             return False
-        if abs(moved_ns) < _SMALL_STEP_NS and clock.came_back_ns is not None:
+        if abs(moved_ns) < _SMALL_STEP_NS and clock.last_return_ns is not None:
             # Repeated or unordered messages look like a clock that steps back and forth.
-            if waiting_ns - clock.came_back_ns <= _STEADY_AFTER_NS:
+            if waiting_ns - clock.last_return_ns <= _STEADY_AFTER_NS:
                 return False
-            clock.came_back_ns = None
+            clock.last_return_ns = None
         is_future = stamp_ns > receive_ns + _AHEAD_NS
         if clock.moved_ns and _are_equal(moved_ns, clock.moved_ns):
             # A clock ahead of the others is not used while they are present; the node's clock may reject it anyway.
             keeps = moved_ns > _LONGEST_DELAY_NS and not is_future and self._has_unmoved_other(clock, waiting_ns)
             if not keeps and waiting_ns - clock.moved_since_ns > _OWN_CLOCK_AFTER_NS:
-                clock.alone_ns += moved_ns
+                clock.own_offset_ns += moved_ns
                 return False
             return True
         if self._candidate is not None and _are_equal(moved_ns, self._candidate.step_ns):
@@ -272,10 +272,10 @@ class TimeBase:
         """Mark and return the inputs that moved with the first one but seemed late before."""
         found = set()
         for name, clock in self._clocks.items():
-            is_recent = clock.late_ns and waiting_ns - clock.late_at_ns <= _FOLLOWS_WITHIN_NS
-            if is_recent and not clock.moved_ns and _are_equal(clock.late_ns, first.moved_ns):
-                clock.level_ns -= clock.late_ns
-                clock.moved_ns, clock.moved_since_ns, clock.late_ns = clock.late_ns, clock.late_at_ns, 0
+            is_recent = clock.last_delay_ns and waiting_ns - clock.last_delay_at_ns <= _FOLLOWS_WITHIN_NS
+            if is_recent and not clock.moved_ns and _are_equal(clock.last_delay_ns, first.moved_ns):
+                clock.level_ns -= clock.last_delay_ns
+                clock.moved_ns, clock.moved_since_ns, clock.last_delay_ns = clock.last_delay_ns, clock.last_delay_at_ns, 0
                 found.add(name)
         return found
 
@@ -288,9 +288,9 @@ class TimeBase:
         """Return the step if the last message of an input confirms it."""
         for other in self._clocks.values():
             if other.moved_ns and waiting_ns - other.arrival_ns > max(
-                _GONE_AFTER_NS, _THERE_PERIODS * other.period_ns
+                _ABSENCE_TIMEOUT_NS, _PRESENCE_PERIODS * other.period_ns
             ):
-                other.alone_ns, other.moved_ns = other.alone_ns + other.moved_ns, 0
+                other.own_offset_ns, other.moved_ns = other.own_offset_ns + other.moved_ns, 0
         candidate = self._candidate
         if not any(other.moved_ns for other in self._clocks.values()):
             self._candidate = None
@@ -311,7 +311,7 @@ class TimeBase:
             if len(candidate.agree) + with_computer < 2 or not awaited <= candidate.agree:
                 return None
             may_be_disorder = abs(candidate.step_ns) < _SMALL_STEP_NS and candidate.messages < _LEAST_MESSAGES
-            if waiting_ns - candidate.since_ns < _UNCONTRADICTED_NS or (may_be_disorder and not with_computer):
+            if waiting_ns - candidate.since_ns < _CONFIRMATION_NS or (may_be_disorder and not with_computer):
                 return None
         fastest = min(candidate.agree, key=lambda name: (self._clocks[name].period_ns, name))
         return self._accept_step(computer_ns if with_computer else self._clocks[fastest].moved_ns, waiting_ns)
@@ -338,4 +338,4 @@ def _is_awaited(clock: _InputClock, waiting_ns: int) -> bool:
     """True if an input is present and so frequent that a decision waits for its next message."""
     if not 0.0 < clock.period_ns <= _LONGEST_PERIOD_NS:
         return False
-    return waiting_ns - clock.arrival_ns <= _THERE_PERIODS * clock.period_ns
+    return waiting_ns - clock.arrival_ns <= _PRESENCE_PERIODS * clock.period_ns

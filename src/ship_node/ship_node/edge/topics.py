@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-Published = tuple[str, Any]
+OutputMessage = tuple[str, Any]
 """Message to publish: (topic, message)."""
 
 
@@ -26,9 +26,9 @@ class InputTopic:
     type_name: str
     required: bool
     depth: int
-    named: bool = False
+    is_configured: bool = False
     is_occasional: bool = False
-    lasting: bool = False
+    is_valid_until_next: bool = False
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,10 @@ from ship_estimation.verdicts import InnovationDiagnosis, InnovationHistory, Dia
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 
-_MOST_PENDING = 5000
+_MAX_PENDING = 5000
 """Maximum number of pending decisions; of more the newest are evaluated."""
 
-_GOOD = (DiagnosisKind.AS_STATED, DiagnosisKind.UNKNOWN)
+_OK_KINDS = (DiagnosisKind.AS_STATED, DiagnosisKind.UNKNOWN)
 
 
 class InnovationReport:
@@ -28,7 +28,7 @@ class InnovationReport:
     """
 
     def __init__(self) -> None:
-        self.pending: deque[tuple[str, MeasurementDecision[Any]]] = deque(maxlen=_MOST_PENDING)
+        self.pending: deque[tuple[str, MeasurementDecision[Any]]] = deque(maxlen=_MAX_PENDING)
         self._history = InnovationHistory()
 
     def clear(self) -> None:
@@ -60,7 +60,7 @@ def clock_status(model: StateModel, mean: FloatArray, groups: Mapping[str, str])
 
 
 def _status(source: str, diagnosis: InnovationDiagnosis) -> DiagnosticStatus:
-    level = Level.OK if diagnosis.kind in _GOOD else Level.WARN
+    level = Level.OK if diagnosis.kind in _OK_KINDS else Level.WARN
     values = {"measurements": str(diagnosis.count)}
     if diagnosis.nis_band is not None:
         low, high = diagnosis.nis_band

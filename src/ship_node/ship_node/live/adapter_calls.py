@@ -12,17 +12,17 @@ from ship_node.black_box.black_box_format import (
     ChangeRefused,
     ClockJumpedBack,
     ClockStepped,
-    Contested,
+    DuplicatePublishersChanged,
     Event,
     ParametersChanged,
     ServiceCalled,
     Tick,
 )
-from ship_node.documents.saved_document import NotedFiles
+from ship_node.documents.saved_document import RecordingFiles
 from ship_node.edge.adapter import Adapter, ServiceResult
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DiagnosticStatus, Level
 from ship_node.edge.overload import Overload
-from ship_node.edge.topics import Published
+from ship_node.edge.topics import OutputMessage
 from ship_node.live.node_report import StatusLog
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ class AdapterCalls:
         self,
         adapter: Adapter,
         publishers: Mapping[str, Publisher],
-        files: NotedFiles,
+        files: RecordingFiles,
         black_box: "BlackBox | None",
         status_log: StatusLog | None = None,
     ) -> None:
@@ -55,39 +55,39 @@ class AdapterCalls:
         self._files = files
         self._black_box = black_box
         self._status_log = status_log
-        self._note_files(0)
+        self._record_files(0)
 
     def handle(self, topic: str, data: bytes, message: Any, now_ns: int, waiting_ns: int | None = None) -> None:
         """Give the adapter a message; ``data`` are its bytes."""
-        published: list[Published] = []
+        published: list[OutputMessage] = []
         try:
             published = self._adapter.handle(topic, message, now_ns, waiting_ns)
         finally:
             if self._black_box is not None:
-                self._note_files(now_ns)
-                self._black_box.put(topic, data, now_ns, waiting_ns)
+                self._record_files(now_ns)
+                self._black_box.add(topic, data, now_ns, waiting_ns)
         self.publish(published, now_ns)
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> None:
         """Tick the adapter."""
-        published: list[Published] = []
+        published: list[OutputMessage] = []
         try:
             published = self._adapter.tick(now_ns, waiting_ns)
         finally:
-            self._note(Tick(), now_ns, waiting_ns)
+            self._record_event(Tick(), now_ns, waiting_ns)
         self.publish(published, now_ns)
         if self._status_log is not None:
             for topic, message in published:
                 if topic == DIAGNOSTICS_TOPIC:
-                    self._status_log.see(_logged_statuses(message))
+                    self._status_log.update(_logged_statuses(message))
 
     def overload(self, change: Overload, now_ns: int, waiting_ns: int | None = None) -> None:
         """Report to the adapter that the node is behind, or keeps up again."""
-        published: list[Published] = []
+        published: list[OutputMessage] = []
         try:
             published = self._adapter.overload(change, now_ns, waiting_ns)
         finally:
-            self._note(change, now_ns, waiting_ns)
+            self._record_event(change, now_ns, waiting_ns)
         self.publish(published, now_ns)
 
     def set_duplicate_publishers(self, topic: str, text: str, now_ns: int, waiting_ns: int) -> None:
@@ -95,24 +95,24 @@ class AdapterCalls:
         try:
             self._adapter.set_duplicate_publishers(topic, text)
         finally:
-            self._note(Contested(topic, text), now_ns, waiting_ns)
+            self._record_event(DuplicatePublishersChanged(topic, text), now_ns, waiting_ns)
 
     def clock_jumped_back(self, now_ns: int) -> None:
         """Report to the adapter that the clock went back."""
-        published: list[Published] = []
+        published: list[OutputMessage] = []
         try:
             published = self._adapter.clock_jumped_back(now_ns)
         finally:
-            self._note(ClockJumpedBack(), now_ns)
+            self._record_event(ClockJumpedBack(), now_ns)
         self.publish(published, now_ns)
 
     def clock_stepped(self, step_ns: int, now_ns: int, waiting_ns: int) -> None:
         """Report to the adapter that the computer's clock was set."""
-        published: list[Published] = []
+        published: list[OutputMessage] = []
         try:
             published = self._adapter.clock_stepped(step_ns, now_ns, waiting_ns)
         finally:
-            self._note(ClockStepped(step_ns), now_ns, waiting_ns)
+            self._record_event(ClockStepped(step_ns), now_ns, waiting_ns)
         self.publish(published, now_ns)
 
     def service(self, name: str, now_ns: int) -> ServiceResult:
@@ -121,7 +121,7 @@ class AdapterCalls:
         try:
             answer = result = self._adapter.service(name, now_ns)
         finally:
-            self._note(ServiceCalled(name, *answer), now_ns)
+            self._record_event(ServiceCalled(name, *answer), now_ns)
         return result
 
     def set_parameters(self, changes: Mapping[str, Any], now_ns: int) -> None:
@@ -134,31 +134,31 @@ class AdapterCalls:
             refused = str(error)
             raise
         finally:
-            self._note(ParametersChanged(dict(changes), refused), now_ns)
+            self._record_event(ParametersChanged(dict(changes), refused), now_ns)
 
-    def note_refusal(self, changes: Mapping[str, Any], reason: str, now_ns: int) -> None:
+    def record_refusal(self, changes: Mapping[str, Any], reason: str, now_ns: int) -> None:
         """Record live parameters that are refused without calling the adapter."""
-        self._note(ChangeRefused(dict(changes), reason), now_ns)
+        self._record_event(ChangeRefused(dict(changes), reason), now_ns)
 
-    def publish(self, published: list[Published], now_ns: int) -> None:
+    def publish(self, published: list[OutputMessage], now_ns: int) -> None:
         """Publish messages; each is serialised once, for the subscribers and for the black box."""
         outputs = [(topic, message_bytes(message)) for topic, message in published]
         if self._black_box is not None:
             for topic, data in outputs:
-                self._black_box.put(topic, data, now_ns)
+                self._black_box.add(topic, data, now_ns)
         for topic, data in outputs:
             self._publishers[topic].publish(data)
 
-    def _note(self, event: Event, now_ns: int, waiting_ns: int | None = None) -> None:
+    def _record_event(self, event: Event, now_ns: int, waiting_ns: int | None = None) -> None:
         if self._black_box is not None:
-            self._note_files(now_ns)
-            self._black_box.put_event(event, now_ns, waiting_ns)
+            self._record_files(now_ns)
+            self._black_box.add_event(event, now_ns, waiting_ns)
 
-    def _note_files(self, now_ns: int) -> None:
+    def _record_files(self, now_ns: int) -> None:
         """Record the files that the last call, or the construction of the adapter, has used."""
         for use in self._files.uses:
             if self._black_box is not None:
-                self._black_box.put_file(use, now_ns)
+                self._black_box.add_file(use, now_ns)
         self._files.uses.clear()
 
 

@@ -18,22 +18,22 @@ LONG_QUEUE_TIME_NS = 1_000_000_000
 
 With :data:`BEHIND_AFTER_NS` it stays within the default ``lag_s``, so that outputs are not late at the next node."""
 
-WORKED_NS = 1_000_000_000
+BEHIND_AFTER_NS = 1_000_000_000
 """Working time, without standstills, for which waiting times may stay long before the node is behind, ns."""
 
-LONGEST_WAIT_NS = 3_000_000_000
+MAX_QUEUE_TIME_NS = 3_000_000_000
 """Waiting time above which a node is behind at once, ns."""
 
-SHORT_WAIT_NS = 200_000_000
+SHORT_QUEUE_TIME_NS = 200_000_000
 """Maximum waiting time of a node that keeps up, ns: twice the longest wait for an event.
 
 If /clock is faster than real time, this is real time."""
 
-KEPT_UP_NS = 1_000_000_000
+RECOVERED_AFTER_NS = 1_000_000_000
 """Steady time with short waiting times after which a node keeps up again, ns."""
 
 
-class Change(enum.Enum):
+class OverloadChange(enum.Enum):
     """Change of the overload state."""
 
     NONE = enum.auto()
@@ -64,7 +64,7 @@ class Backlog:
         self._worked = TimeoutClock(lambda: self._running_ns)
         self._last_short_ns: int | None = None
 
-    def evaluate(self, waited_ns: int, running_ns: int) -> Change:
+    def evaluate(self, waited_ns: int, running_ns: int) -> OverloadChange:
         """Return the change of the overload state.
 
         Args:
@@ -75,22 +75,22 @@ class Backlog:
         worked_ns = self._worked.now_ns(0)
         if waited_ns < LONG_QUEUE_TIME_NS or self._last_short_ns is None:
             self._last_short_ns = worked_ns
-        if waited_ns > LONGEST_WAIT_NS or worked_ns - self._last_short_ns > WORKED_NS:
+        if waited_ns > MAX_QUEUE_TIME_NS or worked_ns - self._last_short_ns > BEHIND_AFTER_NS:
             self._last_short_ns = worked_ns
             self._last_long_ns, self._last_long_running_ns = self._steady_ns(), running_ns
             self.is_behind = True
-            return Change.BEHIND
+            return OverloadChange.BEHIND
         if not self.is_behind:
-            return Change.NONE
+            return OverloadChange.NONE
         steady_ns = self._steady_ns()
         since_long_ns = steady_ns - self._last_long_ns
         # Scaled by the rate of /clock since the last long wait; a slow or stopped clock shortens no waiting time.
-        if waited_ns * since_long_ns > SHORT_WAIT_NS * max(since_long_ns, running_ns - self._last_long_running_ns):
+        if waited_ns * since_long_ns > SHORT_QUEUE_TIME_NS * max(since_long_ns, running_ns - self._last_long_running_ns):
             self._last_long_ns, self._last_long_running_ns, since_long_ns = steady_ns, running_ns, 0
-        if since_long_ns < KEPT_UP_NS:
-            return Change.NONE
+        if since_long_ns < RECOVERED_AFTER_NS:
+            return OverloadChange.NONE
         self.is_behind = False
-        return Change.KEEPS_UP
+        return OverloadChange.KEEPS_UP
 
 
 def current_overload(behind_ns: int, cut: Mapping[str, int]) -> Overload:

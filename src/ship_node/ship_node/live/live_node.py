@@ -26,30 +26,30 @@ from std_srvs.srv import Trigger
 from ship_bags.cdr_reader import CdrReader
 from ship_bags.message_factory import RosidlFactory, message_class
 from ship_geometry.input_error import InputError
-from ship_node.documents.saved_document import NotedFiles
+from ship_node.documents.saved_document import RecordingFiles
 from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter, ServiceResult
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, diagnostic_array
 from ship_node.edge.topics import InputTopic, OutputTopic
 from ship_node.live.adapter_calls import AdapterCalls
-from ship_node.live.backlog import Backlog, Change, current_overload
+from ship_node.live.backlog import Backlog, OverloadChange, current_overload
 from ship_node.live.node_clock import NodeClock, TickGrid
 from ship_node.live.node_events import Arrival, Inbox, NodeEvents
 from ship_node.live.node_log import NodeLog
 from ship_node.live.node_report import ExceptionGuard, StatusLog, name_status, stamps_status, start_line
-from ship_node.live.qos import input_qos, output_qos, overridable, overrides_checked
+from ship_node.live.qos import input_qos, output_qos, overriding_options, check_overrides
 from ship_node.live.ros_parameters import NodeParameters, ParameterNode
-from ship_node.live.senders import Senders, contested_text, publisher_names
-from ship_node.parameters.parameter_file import misfit_warnings, placed
+from ship_node.live.senders import Senders, duplicate_publishers_text, publisher_names
+from ship_node.parameters.parameter_file import section_warnings, error_with_location
 
 if TYPE_CHECKING:
     from ship_node.black_box.black_box import BlackBox
 
 SPIN_TIMEOUT_S = 0.1
 WATCH_PERIOD_S = 1.0
-JUMP_BACK = Duration(nanoseconds=-100_000_000)
+MIN_JUMP_BACK = Duration(nanoseconds=-100_000_000)
 """Smallest jump back of the clock that restarts the node: /clock from two computers may fluctuate."""
 
-LONGEST_CATCH_UP_NS = 10_000_000_000
+MAX_CATCH_UP_NS = 10_000_000_000
 """Longest jump forward for which missed ticks are made up, ns; after a longer one the tick grid restarts."""
 
 
@@ -76,32 +76,32 @@ class LiveNode:
         self._log = NodeLog(self.node)
         self._guard = ExceptionGuard(self._log, time.monotonic_ns)
         self._events = NodeEvents(context, self._guard, time.monotonic_ns)
-        self._clock = NodeClock(self.node, time.monotonic_ns, self._events.came)
+        self._clock = NodeClock(self.node, time.monotonic_ns, self._events.note_event)
         self._context = context
         self._factory = RosidlFactory()
         try:
-            for warning in misfit_warnings(parameter_files, self._full_name):
+            for warning in section_warnings(parameter_files, self._full_name):
                 self._log.warning(warning)
             self._parameters = NodeParameters(self.node, adapter_class.config_type)
-            files = NotedFiles()
+            files = RecordingFiles()
             self.adapter = adapter_class(self._parameters.config, self._factory, files)
             self._publishers = {o.topic: self._create_publisher(o) for o in _outputs(self.adapter)}
-            wanted = {i: input_qos(i, self._parameters.has_reliable_inputs) for i in self.adapter.inputs}
+            input_qos_profiles = {i: input_qos(i, self._parameters.has_reliable_inputs) for i in self.adapter.inputs}
             self._senders = {i.topic: Senders() for i in self.adapter.inputs}
-            self._contested: dict[str, str] = {}
-            self._subscriptions = {i.topic: self._create_subscription(i, qos) for i, qos in wanted.items()}
+            self._duplicate_publishers: dict[str, str] = {}
+            self._subscriptions = {i.topic: self._create_subscription(i, qos) for i, qos in input_qos_profiles.items()}
             self._readers = {i.topic: CdrReader(i.type_name, self._factory.definition) for i in self.adapter.inputs}
             self._black_box = self._open_black_box()
         except InputError as error:
             self.node.destroy_node()
-            raise placed(error, parameter_files, self._full_name) from error
+            raise error_with_location(error, parameter_files, self._full_name) from error
         self._calls = AdapterCalls(self.adapter, self._publishers, files, self._black_box, StatusLog(self._log))
-        self._parameters.give_changes_to(self._calls, self._clock.now_ns, self._handle_all)
+        self._parameters.connect_adapter(self._calls, self._clock.now_ns, self._handle_all)
         self._grid = TickGrid()
         self._last_node_ns = self._last_ns = self._stepped_ns = 0
         self._status_log = StatusLog(self._log)
-        lasting = {i.topic for i in self.adapter.inputs if i.lasting}
-        self._inbox = Inbox({i.topic: qos.depth for i, qos in wanted.items()}, lasting)
+        valid_until_next = {i.topic for i in self.adapter.inputs if i.is_valid_until_next}
+        self._inbox = Inbox({i.topic: qos.depth for i, qos in input_qos_profiles.items()}, valid_until_next)
         self._backlog = Backlog(time.monotonic_ns)
         # Messages received from now on have arrived after this time, by the clock of waiting times.
         self._queue_empty_ns = 0
@@ -121,11 +121,11 @@ class LiveNode:
         """Run until ``stop()`` returns True or the context ends."""
         self._queue_empty_ns = self._clock.running_ns()
         while not stop() and self._context.ok():
-            if self._events.take(0.0 if self._inbox and self._last_ns else SPIN_TIMEOUT_S):
+            if self._events.process_events(0.0 if self._inbox and self._last_ns else SPIN_TIMEOUT_S):
                 self._queue_empty_ns = self._clock.running_ns()
             self._guard.call("backlog", self._check_backlog)
             self._guard.call("work", self._work)
-            if self._clock.is_dead() and not self._status_log.has_open_error("clock"):
+            if self._clock.is_timed_out() and not self._status_log.has_open_error("clock"):
                 self._guard.call("watch", self._watch)
 
     def close(self) -> None:
@@ -138,24 +138,24 @@ class LiveNode:
 
     def _create_publisher(self, output: OutputTopic) -> Publisher:
         kind, qos = message_class(output.type_name), output_qos(output)
-        with overrides_checked(self.node, output.topic):
-            return self.node.create_publisher(kind, output.topic, qos, qos_overriding_options=overridable())
+        with check_overrides(self.node, output.topic):
+            return self.node.create_publisher(kind, output.topic, qos, qos_overriding_options=overriding_options())
 
     def _create_subscription(self, input_topic: InputTopic, qos: QoSProfile) -> Subscription:
         topic = input_topic.topic
         name = self._parameters.topics.get(topic, topic)
         events = SubscriptionEventCallbacks(
             incompatible_qos=partial(self._guard.call, "QoS event", self._on_incompatible_qos, topic),
-            message_lost=partial(self._guard.call, "QoS event", self._on_lost, topic),
+            message_lost=partial(self._guard.call, "QoS event", self._on_messages_lost, topic),
         )
-        with overrides_checked(self.node, name):
+        with check_overrides(self.node, name):
             subscription = self.node.create_subscription(
                 message_class(input_topic.type_name),
                 name,
                 partial(self._guard.call, topic, self._on_message, topic),
                 qos,
                 event_callbacks=events,
-                qos_overriding_options=overridable(),
+                qos_overriding_options=overriding_options(),
                 # The black box records the received bytes.
                 raw=True,
             )
@@ -180,14 +180,14 @@ class LiveNode:
     def _create_clocks(self) -> None:
         """Create the tick on the node's clock, the watchdog on a steady clock, and the reset for time going back."""
         clock = self.node.get_clock()
-        self.node.create_timer(TICK_PERIOD_NS * 1e-9, self._events.came)
+        self.node.create_timer(TICK_PERIOD_NS * 1e-9, self._events.note_event)
         self.node.create_timer(
             WATCH_PERIOD_S,
             partial(self._guard.call, "watch", self._watch),
             clock=Clock(clock_type=ClockType.STEADY_TIME),
         )
         self._jump_handle = clock.create_jump_callback(
-            JumpThreshold(min_forward=None, min_backward=JUMP_BACK, on_clock_change=False),
+            JumpThreshold(min_forward=None, min_backward=MIN_JUMP_BACK, on_clock_change=False),
             post_callback=partial(self._guard.call, "clock jump", self._on_jump_back),
         )
 
@@ -197,29 +197,29 @@ class LiveNode:
                 self._log.warning(f"parameter '{name}' names no topic and policy of this node")
 
     def _on_message(self, topic: str, message: tuple[bytes, Mapping[str, Any]]) -> None:
-        self._events.came()
+        self._events.note_event()
         data, information = message
         now_ns, waiting_ns = self._clock.times()
         # An EventsExecutor of rclpy 7.1.6 cannot pass on the time of reception.
-        self._inbox.put(Arrival(topic, data, now_ns, waiting_ns, self._queue_empty_ns, self._clock.stepped_ns))
-        are_two = self._senders[topic].came(information["publication_sequence_number"], time.monotonic_ns())
-        if are_two and topic not in self._contested:
+        self._inbox.add(Arrival(topic, data, now_ns, waiting_ns, self._queue_empty_ns, self._clock.stepped_ns))
+        are_two = self._senders[topic].add_message(information["publication_sequence_number"], time.monotonic_ns())
+        if are_two and topic not in self._duplicate_publishers:
             self._check_publishers(topic)
 
     def _check_backlog(self) -> None:
         """Cut the waiting messages if the node is behind; report each change to the adapter."""
-        running_ns, since_ns = self._clock.running_ns(), self._inbox.since_ns
+        running_ns, since_ns = self._clock.running_ns(), self._inbox.oldest_queued_ns
         waited_ns = running_ns - since_ns if since_ns else 0
         change = self._backlog.evaluate(waited_ns, running_ns)
-        if change is Change.NONE:
+        if change is OverloadChange.NONE:
             return
         now_ns, waiting_ns = self._clock.times()
-        if change is Change.BEHIND:
-            self._inbox.cut(now_ns, waiting_ns, running_ns)
+        if change is OverloadChange.BEHIND:
+            self._inbox.cut_all(now_ns, waiting_ns, running_ns)
         else:
-            self._inbox.keeps_up()
+            self._inbox.resume()
             waited_ns = 0
-        self._calls.overload(current_overload(waited_ns, self._inbox.take_behind()), now_ns, waiting_ns)
+        self._calls.overload(current_overload(waited_ns, self._inbox.take_overload_cuts()), now_ns, waiting_ns)
 
     def _check_publishers(self, topic: str) -> None:
         """Report to the adapter whether two publishers send on a topic, by their messages and the graph."""
@@ -227,18 +227,18 @@ class LiveNode:
         count, senders, names = self.node.count_publishers(name), self._senders[topic], []
         if count > 1:
             names = publisher_names(self.node.get_publishers_info_by_topic(name))
-        elif topic in self._contested:
-            senders.end()
-        self.adapter.health.publisher_count(topic, count, names)
-        text = contested_text(topic, names) if senders.are_two(time.monotonic_ns()) else ""
+        elif topic in self._duplicate_publishers:
+            senders.keep_latest()
+        self.adapter.health.set_publisher_count(topic, count, names)
+        text = duplicate_publishers_text(topic, names) if senders.has_two(time.monotonic_ns()) else ""
         now_ns, waiting_ns = self._clock.times()
-        if text == self._contested.get(topic, "") or not now_ns:
+        if text == self._duplicate_publishers.get(topic, "") or not now_ns:
             return
-        self._contested[topic] = text
+        self._duplicate_publishers[topic] = text
         if text:
             self._log.error(text)
         else:
-            del self._contested[topic]
+            del self._duplicate_publishers[topic]
             self._log.info(f"one publisher sends on {topic}")
         self._calls.set_duplicate_publishers(topic, text, now_ns, waiting_ns)
 
@@ -246,17 +246,17 @@ class LiveNode:
         """Give the adapter the next message at its receive time, or the current time if none waits."""
         if not self._inbox:
             times_ns = self._clock.times()
-            self._see_clock_step(self._clock.stepped_ns, *times_ns)
+            self._report_clock_step(self._clock.stepped_ns, *times_ns)
             self._advance(*times_ns)
         elif self._last_ns or self._clock.now_ns():
             arrival = self._inbox.take()
             now_ns, waiting_ns = (arrival.now_ns, arrival.waiting_ns) if arrival.now_ns else self._clock.times()
-            self._see_clock_step(arrival.stepped_ns, now_ns, waiting_ns)
+            self._report_clock_step(arrival.stepped_ns, now_ns, waiting_ns)
             self._advance(now_ns, waiting_ns)
             self._guard.call(arrival.topic, self._handle, arrival.topic, arrival.data, now_ns, waiting_ns)
         self._log_notices()
 
-    def _see_clock_step(self, stepped_ns: int, now_ns: int, waiting_ns: int) -> None:
+    def _report_clock_step(self, stepped_ns: int, now_ns: int, waiting_ns: int) -> None:
         """Report a step of the system's clock to the adapter, in order with the messages."""
         step_ns, self._stepped_ns = stepped_ns - self._stepped_ns, stepped_ns
         if step_ns:
@@ -282,7 +282,7 @@ class LiveNode:
         """Tick up to the current time; both times are 0 while the node waits for its first /clock."""
         if now_ns == 0:
             return
-        if self._last_ns and waiting_ns - self._last_ns > LONGEST_CATCH_UP_NS:
+        if self._last_ns and waiting_ns - self._last_ns > MAX_CATCH_UP_NS:
             self._grid.restart(waiting_ns)
         for tick_ns in self._grid.ticks_until(waiting_ns):
             # The node time of a tick never decreases, also if the clock is frozen or was set back.
@@ -290,15 +290,15 @@ class LiveNode:
             self._guard.call("tick", self._calls.tick, node_ns, tick_ns)
         self._last_node_ns, self._last_ns = now_ns, waiting_ns
         for text in self.adapter.health.take_failures():
-            self._guard.note(text)
+            self._guard.record(text)
         for (topic, why), count in self._inbox.take_cuts().items():
-            self.adapter.health.overflowed(topic, count, why, waiting_ns)
+            self.adapter.health.record_overflow(topic, count, why, waiting_ns)
 
     def _on_jump_back(self, jump: TimeJump) -> None:
         self._handle_all()
         self._clock.reset()
         self._backlog.restart()
-        self._inbox.keeps_up()
+        self._inbox.resume()
         self._queue_empty_ns = self._clock.running_ns()
         now_ns, waiting_ns = self._clock.times()
         self._log.warning(f"clock went back by {-jump.delta.nanoseconds * 1e-9:.3f} s: restarting")
@@ -319,21 +319,21 @@ class LiveNode:
     def _on_incompatible_qos(self, topic: str, event: QoSRequestedIncompatibleQoSInfo) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
         text = f"a publisher of {topic} offers another {policy} than requested; none of its messages will arrive"
-        self.adapter.health.incompatible_qos(topic, text)
+        self.adapter.health.record_incompatible_qos(topic, text)
         self._log.error(f"incompatible QoS: {text}")
 
-    def _on_lost(self, topic: str, event: QoSMessageLostInfo) -> None:
-        self._events.came()
-        self.adapter.health.lost(topic, event.total_count_change)
+    def _on_messages_lost(self, topic: str, event: QoSMessageLostInfo) -> None:
+        self._events.note_event()
+        self.adapter.health.record_lost(topic, event.total_count_change)
 
     def _watch(self) -> None:
         """Run the periodic checks that need no message: publishers of the inputs, clock, exceptions."""
-        self._events.came()
+        self._events.note_event()
         for topic in self._subscriptions:
             self._check_publishers(topic)
-        self.adapter.health.clock_unused(not self._clock.is_simulated() and self.node.count_publishers("/clock") > 0)
+        self.adapter.health.set_clock_unused(not self._clock.is_simulated() and self.node.count_publishers("/clock") > 0)
         statuses = [self._clock.status(), name_status(self.node), self._events.status()]
-        self._status_log.see([*statuses, stamps_status(self.adapter.health)])
+        self._status_log.update([*statuses, stamps_status(self.adapter.health)])
         statuses += [self._guard.status(), self._parameters.status()]
         if self._black_box is not None:
             statuses.append(self._black_box.status())

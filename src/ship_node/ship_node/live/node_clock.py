@@ -19,7 +19,7 @@ CLOCK_TIMEOUT_NS = 2_000_000_000
 _FIRST_CLOCK_TIMEOUT_NS = 5_000_000_000
 """Timeout of the first /clock, ns: its publisher must still be discovered."""
 
-LEAST_STEP_NS = 100_000_000
+MIN_STEP_NS = 100_000_000
 """Smallest step of the system's clock between two readings that counts, ns: no daemon slews so fast."""
 
 _MAX_READING_NS = 10_000_000
@@ -49,11 +49,11 @@ class NodeClock:
         self.stepped_ns = 0
         self._ahead_ns: int | None = None
         self._on_event = on_event
-        self._waiting = TimeoutClock(steady_ns)
+        self._timeout_clock = TimeoutClock(steady_ns)
         self._listening = TimeoutClock(steady_ns)
         self._last_clock_ns, self._has_clock = self._listening.now_ns(0), False
-        self._stood_still_before_ns = 0
-        queue_clock(node, self._hear)
+        self._frozen_before_ns = 0
+        queue_clock(node, self._on_clock)
 
     def now_ns(self) -> int:
         """Return the node time, ns; 0 while the node waits for its first /clock."""
@@ -64,9 +64,9 @@ class NodeClock:
         """Return node time and timeout-clock time, ns; zeros while the node waits for its first /clock."""
         if not self.is_simulated():
             now_ns = self._system_ns()
-            return now_ns, self._waiting.now_ns(now_ns)
+            return now_ns, self._timeout_clock.now_ns(now_ns)
         now_ns = self.now_ns()
-        stood_still_ns = self._stood_still_ns()
+        stood_still_ns = self._frozen_ns()
         return (now_ns, now_ns + stood_still_ns) if now_ns else (0, 0)
 
     def running_ns(self) -> int:
@@ -78,19 +78,19 @@ class NodeClock:
         before_ns, now_ns, after_ns = self._steady_ns(), time.time_ns(), self._steady_ns()
         if after_ns - before_ns <= _MAX_READING_NS:
             last_ns, self._ahead_ns = self._ahead_ns, now_ns - before_ns
-            if last_ns is not None and abs(self._ahead_ns - last_ns) >= LEAST_STEP_NS:
+            if last_ns is not None and abs(self._ahead_ns - last_ns) >= MIN_STEP_NS:
                 self.stepped_ns += self._ahead_ns - last_ns
         return now_ns
 
     def reset(self) -> None:
         """Make both times equal again, because the clock went back."""
-        self._stood_still_before_ns = 0
+        self._frozen_before_ns = 0
 
     def is_simulated(self) -> bool:
         """Return True if the node uses /clock."""
         return bool(self._clock.ros_time_is_active)
 
-    def is_dead(self) -> bool:
+    def is_timed_out(self) -> bool:
         """Return True if /clock is used, has arrived and has timed out."""
         return self._has_clock and self._since_clock_ns() >= CLOCK_TIMEOUT_NS
 
@@ -112,15 +112,15 @@ class NodeClock:
         """Return the listening time since the last /clock, ns."""
         return self._listening.now_ns(0) - self._last_clock_ns
 
-    def _stood_still_ns(self) -> int:
+    def _frozen_ns(self) -> int:
         """Return the time that the timeout clock ran while the node time was frozen, in whole ticks, ns."""
         silence_ns = self._since_clock_ns()
         ticks = silence_ns // TICK_PERIOD_NS if silence_ns >= CLOCK_TIMEOUT_NS else 0
-        return self._stood_still_before_ns + ticks * TICK_PERIOD_NS
+        return self._frozen_before_ns + ticks * TICK_PERIOD_NS
 
-    def _hear(self) -> None:
+    def _on_clock(self) -> None:
         if self._has_clock:
-            self._stood_still_before_ns = self._stood_still_ns()
+            self._frozen_before_ns = self._frozen_ns()
         self._has_clock = True
         self._last_clock_ns = self._listening.now_ns(0)
         self._on_event()
@@ -136,7 +136,7 @@ class TimeoutClock:
         steady_ns: a steady clock, ns.
     """
 
-    LONGEST_STEP_NS = 2 * TICK_PERIOD_NS
+    MAX_STEP_NS = 2 * TICK_PERIOD_NS
     """Maximum time counted for a standstill of the node, ns: messages that arrived meanwhile only wait."""
 
     def __init__(self, steady_ns: Callable[[], int]) -> None:
@@ -150,7 +150,7 @@ class TimeoutClock:
         if self._waiting_ns is None:
             self._waiting_ns = node_ns
         else:
-            self._waiting_ns += min(self._last_ns - last_ns, self.LONGEST_STEP_NS)
+            self._waiting_ns += min(self._last_ns - last_ns, self.MAX_STEP_NS)
         return self._waiting_ns
 
 

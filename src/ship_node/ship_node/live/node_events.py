@@ -21,18 +21,18 @@ from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.live.node_clock import TimeoutClock
 from ship_node.live.node_report import ExceptionGuard
 
-MOST_EVENTS = 1000
+MAX_EVENTS = 1000
 """Maximum number of events processed at once, so that a flood does not stop the node's own work."""
 
-LONGEST_BEHIND_NS = 1_000_000_000
+MAX_BEHIND_NS = 1_000_000_000
 """Time in the queue of events above which all of them are dropped, ns."""
 
-LARGEST_MESSAGE_BYTES = 65_536
+MAX_MESSAGE_BYTES = 65_536
 """Maximum size of a message: an exposure of a thousand stars is smaller, and decoding a larger one takes too long."""
 
 _PULSE_S = 0.2
 
-_AT_ONCE_S = -1e-3
+_NO_WAIT_S = -1e-3
 """Timeout for no waiting: a time in the past. With a timeout of zero Linux lets the thread sleep for 50 us and more."""
 
 _WAITED_NS = 200_000
@@ -64,7 +64,7 @@ class NodeEvents:
         self._guard = guard
         self._steady_ns = steady_ns
         self._heartbeat = heartbeat()
-        self._event_came = False
+        self._has_event = False
         self._dropped_count = 0
         self._dropped_ns = 0
         # A standstill of the node must not count as time in the queue.
@@ -74,7 +74,7 @@ class NodeEvents:
     def start(self, node: Node) -> None:
         """Start calling the node's callbacks."""
         self._node = node
-        node.create_timer(_PULSE_S, self._pulse, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.create_timer(_PULSE_S, self._note_pulse, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._listen()
 
     def _listen(self) -> None:
@@ -87,11 +87,11 @@ class NodeEvents:
         self._executor.remove_node(self._node)
         self._executor.shutdown()
 
-    def came(self) -> None:
+    def note_event(self) -> None:
         """Record that a callback ran, so that another event may wait; every callback calls this."""
-        self._event_came = True
+        self._has_event = True
 
-    def take(self, timeout_s: float) -> bool:
+    def process_events(self, timeout_s: float) -> bool:
         """Process the waiting events; wait for the first one no longer than ``timeout_s``.
 
         If the first event had to be waited for, no other one existed, and none is looked for: that would take 20 us and
@@ -102,21 +102,21 @@ class NodeEvents:
         """
         begin_ns = self._steady_ns()
         self._heartbeat.beat(begin_ns)
-        may_be_more = self._take_one(timeout_s or _AT_ONCE_S)
+        may_be_more = self._process_one(timeout_s or _NO_WAIT_S)
         may_be_more &= not timeout_s or self._steady_ns() - begin_ns < _WAITED_NS
         taken = 1
-        while may_be_more and taken < MOST_EVENTS:
-            may_be_more = self._take_one(_AT_ONCE_S)
+        while may_be_more and taken < MAX_EVENTS:
+            may_be_more = self._process_one(_NO_WAIT_S)
             taken += 1
-        if self._listening.now_ns(0) - self._pulse_ns > LONGEST_BEHIND_NS + round(_PULSE_S * 1e9):
+        if self._listening.now_ns(0) - self._pulse_ns > MAX_BEHIND_NS + round(_PULSE_S * 1e9):
             self._drop()
         return not may_be_more
 
-    def _take_one(self, timeout_s: float) -> bool:
+    def _process_one(self, timeout_s: float) -> bool:
         """Process one event, waiting no longer than ``timeout_s``; return True if there was one."""
-        self._event_came = False
+        self._has_event = False
         self._guard.call("executor", self._executor.spin_once, timeout_s)
-        return self._event_came
+        return self._has_event
 
     def status(self) -> DiagnosticStatus:
         """Return the status of the event queue."""
@@ -136,8 +136,8 @@ class NodeEvents:
             self._guard.call(service.srv_name, _answer_all, service)
         self._listen()
 
-    def _pulse(self) -> None:
-        self.came()
+    def _note_pulse(self) -> None:
+        self.note_event()
         self._pulse_ns = self._listening.now_ns(0)
 
 
@@ -180,7 +180,7 @@ class Arrival(NamedTuple):
     data: bytes
     now_ns: int
     waiting_ns: int
-    since_ns: int = 0
+    queued_ns: int = 0
     stepped_ns: int = 0
 
 
@@ -199,28 +199,28 @@ class Inbox:
         valid_until_next: topics whose messages are valid until the next one: they are not cut if the node is behind.
     """
 
-    def __init__(self, depths: Mapping[str, int], lasting: Collection[str] = ()) -> None:
-        self._depths, self._lasting = depths, lasting
+    def __init__(self, depths: Mapping[str, int], valid_until_next: Collection[str] = ()) -> None:
+        self._depths, self._valid_until_next = depths, valid_until_next
         self._waiting: OrderedDict[int, Arrival] = OrderedDict()
         self._numbers: dict[str, deque[int]] = {topic: deque() for topic in depths}
         self._next_number = 0
         self._cuts: Counter[tuple[str, str]] = Counter()
-        self._behind: Counter[str] = Counter()
+        self._overload_cuts: Counter[str] = Counter()
         self._cut_until_ns: int | None = None
 
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def put(self, arrival: Arrival) -> None:
+    def add(self, arrival: Arrival) -> None:
         """Add a received message, unless it is too large."""
         topic, size = arrival.topic, len(arrival.data)
-        if size > LARGEST_MESSAGE_BYTES:
-            self._cuts[topic, f"larger than {LARGEST_MESSAGE_BYTES} bytes"] += 1
+        if size > MAX_MESSAGE_BYTES:
+            self._cuts[topic, f"larger than {MAX_MESSAGE_BYTES} bytes"] += 1
             return
-        if self._cut_until_ns is not None and topic not in self._lasting:
+        if self._cut_until_ns is not None and topic not in self._valid_until_next:
             stamp_ns = stamp_of_bytes(arrival.data)
             if stamp_ns is not None and stamp_ns <= self._cut_until_ns:
-                self._behind[topic] += 1
+                self._overload_cuts[topic] += 1
                 return
         numbers = self._numbers[topic]
         if len(numbers) == self._depths[topic]:
@@ -237,11 +237,11 @@ class Inbox:
         return arrival
 
     @property
-    def since_ns(self) -> int:
+    def oldest_queued_ns(self) -> int:
         """Start of the waiting time of the oldest message; 0 if none waits."""
-        return next(iter(self._waiting.values())).since_ns if self._waiting else 0
+        return next(iter(self._waiting.values())).queued_ns if self._waiting else 0
 
-    def cut(self, now_ns: int, waiting_ns: int, since_ns: int) -> None:
+    def cut_all(self, now_ns: int, waiting_ns: int, since_ns: int) -> None:
         """Cut all waiting messages at one time, because the node is behind.
 
         Args:
@@ -249,29 +249,29 @@ class Inbox:
             waiting_ns: the same by the timeout clock.
             since_ns: the same by the clock of waiting times.
         """
-        cut = [arrival for arrival in self._waiting.values() if arrival.topic not in self._lasting]
-        kept = [arrival for arrival in self._waiting.values() if arrival.topic in self._lasting]
-        counts = Counter(arrival.topic for arrival in cut)
+        removed = [arrival for arrival in self._waiting.values() if arrival.topic not in self._valid_until_next]
+        kept = [arrival for arrival in self._waiting.values() if arrival.topic in self._valid_until_next]
+        counts = Counter(arrival.topic for arrival in removed)
         if counts:
             most = counts.most_common(1)[0][0]
-            all_ns = [stamp_of_bytes(arrival.data) for arrival in cut if arrival.topic == most]
+            all_ns = [stamp_of_bytes(arrival.data) for arrival in removed if arrival.topic == most]
             stamps_ns = [stamp_ns for stamp_ns in all_ns if stamp_ns is not None]
             # A stamp in the future would drop good messages until its time.
             past_ns = [stamp_ns for stamp_ns in stamps_ns if stamp_ns <= now_ns]
             self._cut_until_ns = max(past_ns, default=now_ns if stamps_ns else None)
-        self._behind += counts
+        self._overload_cuts += counts
         self._waiting.clear()
         for numbers in self._numbers.values():
             numbers.clear()
         for arrival in kept:
-            self.put(arrival._replace(now_ns=now_ns, waiting_ns=waiting_ns, since_ns=since_ns))
+            self.add(arrival._replace(now_ns=now_ns, waiting_ns=waiting_ns, since_ns=since_ns))
 
-    def take_behind(self) -> Counter[str]:
+    def take_overload_cuts(self) -> Counter[str]:
         """Return topic → number of messages cut since the last call because the node is behind."""
-        cut, self._behind = self._behind, Counter()
+        cut, self._overload_cuts = self._overload_cuts, Counter()
         return cut
 
-    def keeps_up(self) -> None:
+    def resume(self) -> None:
         """Accept stamps before the last cut again: the node keeps up, or its clock went back."""
         self._cut_until_ns = None
 

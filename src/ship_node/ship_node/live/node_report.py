@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from ship_estimation.refusals import failure_rejection
 from ship_node.edge.adapter import Adapter
-from ship_node.edge.input_health import InputHealthBook
+from ship_node.edge.input_health import InputHealthMonitor
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ class ExceptionGuard:
         try:
             return function(*arguments)
         except Exception as error:
-            self.note(f"{what}: {failure_rejection(error).text}")
+            self.record(f"{what}: {failure_rejection(error).text}")
             return None
 
     def status(self) -> DiagnosticStatus:
@@ -109,7 +109,7 @@ class ExceptionGuard:
         level = Level.ERROR if recent else Level.WARN
         return DiagnosticStatus("callbacks", level, text, {"exceptions": str(self._count)})
 
-    def note(self, text: str) -> None:
+    def record(self, text: str) -> None:
         """Count, log and report an exception that was caught elsewhere."""
         self._count += 1
         self._last_ns = self._monotonic_ns()
@@ -147,22 +147,22 @@ class StatusLog:
         """Return True if an error of that status was logged and still persists."""
         return name in (logged := self._logged or {}) and logged[name].level is Level.ERROR
 
-    def see(self, statuses: Iterable[DiagnosticStatus]) -> None:
+    def update(self, statuses: Iterable[DiagnosticStatus]) -> None:
         """Process all statuses of a report."""
         before, now = self._logged, {}
         for status in statuses:
             reason = _FIGURES.sub("", status.message)
             # A new status, as of a conflict, counts as OK before.
-            was = (before or {}).get(status.name, _LoggedStatus(Level.OK, set()))
-            is_change = status.level is not was.level
-            now[status.name] = logged = _LoggedStatus(status.level, set()) if is_change else was
+            previous = (before or {}).get(status.name, _LoggedStatus(Level.OK, set()))
+            is_change = status.level is not previous.level
+            now[status.name] = logged = _LoggedStatus(status.level, set()) if is_change else previous
             is_new = reason not in logged.reasons and len(logged.reasons) < _MOST_REASONS and status.level is not Level.OK
             if (is_change or is_new) and (before is not None or status.level is Level.ERROR):
                 self._log(status.level, f"{status.name}: {status.message}")
             if is_new:
                 logged.reasons.add(reason)
-        for name, was in (before or {}).items():
-            if name not in now and was.level is not Level.OK:
+        for name, previous in (before or {}).items():
+            if name not in now and previous.level is not Level.OK:
                 self._log(Level.OK, f"{name}: over")
         self._logged = now
 
@@ -189,9 +189,9 @@ def name_status(node: "Node") -> DiagnosticStatus:
     return DiagnosticStatus("name", Level.ERROR, text)
 
 
-def stamps_status(health: InputHealthBook) -> DiagnosticStatus:
+def stamps_status(health: InputHealthMonitor) -> DiagnosticStatus:
     """Return the status of the stamps: ERROR if the data of an input are of another time."""
-    text = health.of_another_time()
+    text = health.stale_stamps_text()
     if not text:
         return DiagnosticStatus("stamps", Level.OK, "consistent with the node's time")
     return DiagnosticStatus("stamps", Level.ERROR, text)

@@ -21,7 +21,7 @@ from ship_bags.live.dds import prepare_dds
 from ship_bags.message_factory import RosidlFactory
 from ship_node.edge.adapter import Adapter
 from ship_node.live.live_node import LiveNode
-from ship_node.parameters.parameter_file import read_whatever_fits
+from ship_node.parameters.parameter_file import read_matching_sections
 from ship_node.parameters.usage import usage_text
 
 EXIT_DONE, EXIT_BAD_INPUT = 0, 2
@@ -32,7 +32,7 @@ _BAD_START = ValueError, OSError, ImportError, rclpy_implementation.RCLError
 The bad input of every package is a ValueError."""
 
 
-class SpunNode(Protocol):
+class RunnableNode(Protocol):
     """Interface of a node that :func:`run_node` runs."""
 
     def spin(self, stop: Callable[[], bool]) -> None:
@@ -61,7 +61,7 @@ def run(adapter_class: type[Adapter], args: Sequence[str] | None = None) -> int:
     return run_node(adapter_class.node_name, partial(LiveNode, adapter_class), arguments)
 
 
-def run_node(name: str, make: Callable[[Context, tuple[Path, ...]], SpunNode], arguments: Sequence[str]) -> int:
+def run_node(name: str, make: Callable[[Context, tuple[Path, ...]], RunnableNode], arguments: Sequence[str]) -> int:
     """Run a node until SIGINT or SIGTERM.
 
     Args:
@@ -95,12 +95,12 @@ def run_node(name: str, make: Callable[[Context, tuple[Path, ...]], SpunNode], a
 
 
 def _start(
-    name: str, make: Callable[[Context, tuple[Path, ...]], SpunNode], arguments: list[str], context: Context
-) -> SpunNode:
+    name: str, make: Callable[[Context, tuple[Path, ...]], RunnableNode], arguments: list[str], context: Context
+) -> RunnableNode:
     files = tuple(Path(path) for flag, path in pairwise(arguments) if flag == "--params-file")
     for path in files:
         # rcl reads them too, but its errors have no line.
-        read_whatever_fits(path, name)
+        read_matching_sections(path, name)
     prepare_dds()
     # Signals are handled here, so that spin ends between two callbacks and the node closes cleanly.
     rclpy.init(args=[name, *arguments], context=context, signal_handler_options=SignalHandlerOptions.NO)

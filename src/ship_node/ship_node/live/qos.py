@@ -51,13 +51,13 @@ def output_qos(output_topic: OutputTopic) -> QoSProfile:
     )
 
 
-def overridable() -> QoSOverridingOptions:
+def overriding_options() -> QoSOverridingOptions:
     """Return the options that make ``qos_overrides./TOPIC.subscription.reliability`` and the like parameters."""
     return QoSOverridingOptions(_OVERRIDABLE, callback=_check_depth)
 
 
 @contextlib.contextmanager
-def overrides_checked(node: Node, topic: str) -> Iterator[None]:
+def check_overrides(node: Node, topic: str) -> Iterator[None]:
     """Report unusable overrides while the publisher or subscription of a topic is created in this context.
 
     Raises:

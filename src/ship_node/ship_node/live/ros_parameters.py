@@ -88,19 +88,19 @@ class NodeParameters:
         self.config: Any = build(config_type, nest(_overrides(node)))
         self._at_start = flatten(self.config)
         self._last_refusal = ""
-        self.black_box = str(_declared(node, BLACK_BOX_PARAMETER, "", _BLACK_BOX_DOC)) if has_black_box else ""
-        self.black_box_part_bytes = _part_mb(node) * _BYTES_PER_MB if has_black_box else 0
-        self.has_reliable_inputs = bool(_declared(node, RELIABLE_INPUTS_PARAMETER, False, _RELIABLE_INPUTS_DOC))
+        self.black_box = str(_declare_common(node, BLACK_BOX_PARAMETER, "", _BLACK_BOX_DOC)) if has_black_box else ""
+        self.black_box_part_bytes = _declare_part_size(node) * _BYTES_PER_MB if has_black_box else 0
+        self.has_reliable_inputs = bool(_declare_common(node, RELIABLE_INPUTS_PARAMETER, False, _RELIABLE_INPUTS_DOC))
         overrides = node._parameter_overrides
         self.topics = topic_map({name: parameter.value for name, parameter in overrides.items()})
         for name in self.topics:
-            _declared(node, f"{TOPICS_PARAMETER}.{name}", "", f"the ship's name of the topic {name}")
+            _declare_common(node, f"{TOPICS_PARAMETER}.{name}", "", f"the ship's name of the topic {name}")
         self._descriptions = _descriptions(flatten(self.config), config_type)
         for name, value in flatten(self.config).items():
             # The value contains the override already, as a float where the file had an integer.
             _declare(node, name, value, self._descriptions[name])
 
-    def give_changes_to(
+    def connect_adapter(
         self, calls: AdapterCalls, now_ns: Callable[[], int], before_change: Callable[[], None]
     ) -> None:
         """Pass live changes to the adapter from now on; an exception of the adapter refuses them with its text.
@@ -113,7 +113,7 @@ class NodeParameters:
         self._calls = calls
         self._now_ns = now_ns
         self._before_change = before_change
-        self._node.add_on_set_parameters_callback(self._set)
+        self._node.add_on_set_parameters_callback(self._apply)
         self._node.change = self._change
 
     def status(self) -> DiagnosticStatus:
@@ -129,8 +129,8 @@ class NodeParameters:
     ) -> SetParametersResult:
         """Apply a request, or refuse it with a reason for log, diagnostics and black box."""
         self._before_change()
-        parameters = [self._retyped(parameter) for parameter in parameters]
-        requested = {p.name: _plain(p.value) for p in parameters}
+        parameters = [self._with_list_type(parameter) for parameter in parameters]
+        requested = {p.name: _as_plain_value(p.value) for p in parameters}
         self._was_adapter_called = False
         try:
             if isinstance(requested.get(USE_SIM_TIME), bool):
@@ -149,13 +149,13 @@ class NodeParameters:
             self._last_refusal = f"; last refusal: {result.reason}"
             self._log.warning(f"refused: {result.reason}")
             if not self._was_adapter_called:
-                self._calls.note_refusal(requested, result.reason, self._now_ns())
+                self._calls.record_refusal(requested, result.reason, self._now_ns())
         return result
 
-    def _retyped(self, parameter: Parameter) -> Parameter:
+    def _with_list_type(self, parameter: Parameter) -> Parameter:
         """Return an empty list with the parameter's element type, which a request does not contain."""
         description = self._descriptions.get(parameter.name)
-        if description is None or _plain(parameter.value) != []:
+        if description is None or _as_plain_value(parameter.value) != []:
             return parameter
         kind = _LISTS.get(typing.get_args(description.kind)[:1])
         return parameter if kind is None else Parameter(parameter.name, kind, [])
@@ -163,8 +163,8 @@ class NodeParameters:
     def _is_runtime_parameter(self, name: str) -> bool:
         return name not in self._descriptions and self._node.has_parameter(name)
 
-    def _set(self, parameters: list[Parameter]) -> SetParametersResult:
-        changes = {p.name: _plain(p.value) for p in parameters if p.name in self._descriptions}
+    def _apply(self, parameters: list[Parameter]) -> SetParametersResult:
+        changes = {p.name: _as_plain_value(p.value) for p in parameters if p.name in self._descriptions}
         if not changes:
             return SetParametersResult(successful=True)
         before = flatten(self.config)
@@ -189,10 +189,10 @@ def _overrides(node: Node) -> dict[str, Any]:
     For an empty list, as ``ros2 param dump`` writes it, rcl keeps the name and no value.
     """
     given = {name: p for name, p in node._parameter_overrides.items() if not is_runtime_parameter(name)}
-    return {name: [] if p.value is None else _plain(p.value) for name, p in given.items()}
+    return {name: [] if p.value is None else _as_plain_value(p.value) for name, p in given.items()}
 
 
-def _declared(node: Node, name: str, default: Any, description: str) -> Any:
+def _declare_common(node: Node, name: str, default: Any, description: str) -> Any:
     """Declare a parameter that every node has; return its value."""
     descriptor = ParameterDescriptor(description=description, read_only=True)
     try:
@@ -202,9 +202,9 @@ def _declared(node: Node, name: str, default: Any, description: str) -> Any:
         raise BadInput(reason, parameters=(name,)) from error
 
 
-def _part_mb(node: Node) -> int:
+def _declare_part_size(node: Node) -> int:
     name = BLACK_BOX_PART_PARAMETER
-    value = int(_declared(node, name, BLACK_BOX_PART_MB, _BLACK_BOX_PART_DOC))
+    value = int(_declare_common(node, name, BLACK_BOX_PART_MB, _BLACK_BOX_PART_DOC))
     if value < 0:
         raise BadInput(f"parameter '{name}' = {value}: expected 0 MB or more", parameters=(name,), value=value)
     return value
@@ -224,7 +224,7 @@ def _declare(node: Node, name: str, value: Any, description: ParameterDescriptio
     node.set_descriptor(name, descriptor)
 
 
-def _plain(value: Any) -> Any:
+def _as_plain_value(value: Any) -> Any:
     """Return arrays as lists."""
     return value if value is None or isinstance(value, (bool, int, float, str)) else list(value)
 

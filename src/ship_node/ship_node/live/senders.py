@@ -17,10 +17,10 @@ MIN_TIMEOUT_NS = 1_000_000_000
 _TIMEOUT_PERIODS = 3
 """Timeout of a publisher in units of its longest interval between two messages."""
 
-_FORGOTTEN_NS = 10_000_000_000
+_REMOVAL_TIMEOUT_NS = 10_000_000_000
 """Time without a message after which a publisher is removed, ns."""
 
-_RETURNS = 2
+_MIN_RETURNS = 2
 """Number of returns to a publisher after messages of another one that shows two publishers.
 
 A restart gives none, a lost message may give one."""
@@ -58,7 +58,7 @@ class Senders:
         self._latest: _Sender | None = None
         self._returns = 0
 
-    def came(self, number: int, now_ns: int) -> bool:
+    def add_message(self, number: int, now_ns: int) -> bool:
         """Add a message by its sequence number and steady time, ns; return True if two publishers send."""
         if number == UNNUMBERED:
             return False
@@ -68,7 +68,7 @@ class Senders:
             latest.longest_ns = max(latest.longest_ns, now_ns - latest.last_ns)
             latest.number, latest.last_ns = number, now_ns
             return False
-        self._senders = [sender for sender in self._senders if now_ns - sender.last_ns <= _FORGOTTEN_NS]
+        self._senders = [sender for sender in self._senders if now_ns - sender.last_ns <= _REMOVAL_TIMEOUT_NS]
         earlier = [sender for sender in self._senders if sender.number < number]
         # Of two publishers with the same number the latest one continues.
         found = max(earlier, key=lambda sender: (sender.number, sender is latest), default=None)
@@ -81,13 +81,13 @@ class Senders:
             found.longest_ns = max(found.longest_ns, now_ns - found.last_ns)
             found.number, found.last_ns = number, now_ns
         self._latest = found
-        return self.are_two(now_ns)
+        return self.has_two(now_ns)
 
-    def are_two(self, now_ns: int) -> bool:
+    def has_two(self, now_ns: int) -> bool:
         """Return True if two publishers send: each has continued after the other, and neither has timed out."""
-        return self._returns >= _RETURNS and sum(not sender.is_timed_out(now_ns) for sender in self._senders) >= 2
+        return self._returns >= _MIN_RETURNS and sum(not sender.is_timed_out(now_ns) for sender in self._senders) >= 2
 
-    def end(self) -> None:
+    def keep_latest(self) -> None:
         """Keep only the latest publisher: the middleware lists no other one."""
         self._senders, self._returns = [self._latest] if self._latest is not None else [], 0
 
@@ -98,7 +98,7 @@ def publisher_names(publishers: Sequence[Any]) -> list[str]:
     return sorted("a node without a name" if "_UNKNOWN_" in name else name for name in names)
 
 
-def contested_text(topic: str, names: Sequence[str]) -> str:
+def duplicate_publishers_text(topic: str, names: Sequence[str]) -> str:
     """Return the text for the user about two publishers of a topic, with the names of their nodes."""
     publishers = " and ".join(names) if len(names) > 1 else "the middleware does not name both"
     return f"two publishers send on {topic}: {publishers}; stop all but one"

@@ -11,7 +11,7 @@ from typing import NoReturn
 
 from ship_bags.live.heartbeat import HEARTBEAT_PERIOD_NS, heartbeat
 
-WAITS = "SHIP_NODE_WAITS"
+WAIT_VARIABLE = "SHIP_NODE_WAITS"
 """Variable of the environment: if set, a node imports its libraries and waits for a line on stdin before it runs."""
 
 
@@ -37,12 +37,12 @@ def start_node(module: str, adapter: str) -> NoReturn:
 
     gc.freeze()
     gc.enable()
-    if os.environ.pop(WAITS, ""):
-        _wait_for_begin()
+    if os.environ.pop(WAIT_VARIABLE, ""):
+        _wait_for_start()
     sys.exit(run(adapter_class))
 
 
-def _wait_for_begin() -> None:
+def _wait_for_start() -> None:
     """Wait for a line on stdin and send heartbeats, so that a standby process that was stopped is detected."""
     stdin = select.poll()
     stdin.register(sys.stdin.fileno(), select.POLLIN)

@@ -47,7 +47,7 @@ COMPANIONS = (
 )
 
 
-def named_companions(source: Path | str, namespace: str = "") -> Iterator[Companion]:
+def configured_companions(source: Path | str, namespace: str = "") -> Iterator[Companion]:
     """Yield the companions that a suite file has sections for by name.
 
     A section for all nodes (``/**``) does not count.

@@ -17,7 +17,7 @@ from ship_geometry.input_error import InputError
 
 Config = TypeVar("Config")
 
-_NEARLY = 0.8
+_MIN_SIMILARITY = 0.8
 """Similarity of two names from which one may be a misspelling of the other: 'ship_attitude' and 'ship_attitude_node'
 have 0.86, 'ship_attitude' and 'star_attitude' 0.75."""
 
@@ -28,7 +28,7 @@ def load_config(kind: type[Config], source: Path | str, node: str) -> Config:
     Raises:
         BadInput: names the file, the line, the parameter and what was expected.
     """
-    file = read(source, node)
+    file = read_node_parameters(source, node)
     try:
         return build(kind, file.values)
     except ParameterError as error:
@@ -47,7 +47,7 @@ def parameter_text(node_name: str, config: Any) -> str:
     return sections_text({in_any_namespace(node_name): nest(flatten(config))})
 
 
-def read(source: Path | str, node: str) -> ParameterFile:
+def read_node_parameters(source: Path | str, node: str) -> ParameterFile:
     """Return the parameters of a node with their lines.
 
     Args:
@@ -59,29 +59,29 @@ def read(source: Path | str, node: str) -> ParameterFile:
             sections for it in several namespaces.
     """
     name, sections = read_sections(source)
-    fitting = _fitting(sections, node)
+    fitting = _matching_sections(sections, node)
     if not fitting:
-        _refuse_misfits(name, sections, node)
-        expected = f"expected '{in_any_namespace(_last(node))}' or '/**'"
-        raise BadInput(f"no section for node '{_last(node)}': {expected}, found {_names(sections)}", file=name)
+        _refuse_similar_sections(name, sections, node)
+        expected = f"expected '{in_any_namespace(_base_name(node))}' or '/**'"
+        raise BadInput(f"no section for node '{_base_name(node)}': {expected}, found {_section_names(sections)}", file=name)
     exact = sorted({section.node for section in fitting if "*" not in section.node})
     if len(exact) > 1:
-        reason = f"sections {' and '.join(exact)} both fit node '{_last(node)}': keep one in this file"
+        reason = f"sections {' and '.join(exact)} both fit node '{_base_name(node)}': keep one in this file"
         raise BadInput(reason, file=name)
     return merge_sections(name, fitting)
 
 
-def read_whatever_fits(source: Path | str, node: str) -> ParameterFile:
+def read_matching_sections(source: Path | str, node: str) -> ParameterFile:
     """Return :func:`read_node_parameters` without requiring a section: the file may be for other nodes.
 
     Raises:
         BadInput: the file cannot be read or is not a parameter file.
     """
     name, sections = read_sections(source)
-    return merge_sections(name, _fitting(sections, node))
+    return merge_sections(name, _matching_sections(sections, node))
 
 
-def misfit(source: Path | str, node: str) -> str:
+def section_warning(source: Path | str, node: str) -> str:
     """Return a warning about a file that a node was started with; empty if a section matches the node.
 
     Raises:
@@ -89,26 +89,26 @@ def misfit(source: Path | str, node: str) -> str:
             (nearly) the same name and was probably meant for it.
     """
     name, sections = read_sections(source)
-    fitting = _fitting(sections, node)
+    fitting = _matching_sections(sections, node)
     if not fitting:
-        _refuse_misfits(name, sections, node)
-        return f"{name}: no section is for node '{node}', its sections are {_names(sections)}"
-    misfits = _misfits(sections, node)
-    if misfits and not any(_last(section.node) == _last(node) for section in fitting):
-        return str(_misfit(name, misfits, node))
+        _refuse_similar_sections(name, sections, node)
+        return f"{name}: no section is for node '{node}', its sections are {_section_names(sections)}"
+    misfits = _similar_sections(sections, node)
+    if misfits and not any(_base_name(section.node) == _base_name(node) for section in fitting):
+        return str(_wrong_section_error(name, misfits, node))
     return ""
 
 
-def misfit_warnings(sources: Iterable[Path], node: str) -> list[str]:
+def section_warnings(sources: Iterable[Path], node: str) -> list[str]:
     """Return the warnings about the files that a node was started with; see :func:`section_warning`.
 
     Raises:
         BadInput: see :func:`section_warning`: rcl silently ignores sections that do not match.
     """
-    return [warning for source in sources if (warning := misfit(source, node))]
+    return [warning for source in sources if (warning := section_warning(source, node))]
 
 
-def placed(error: InputError, sources: Sequence[Path], node: str) -> BadInput:
+def error_with_location(error: InputError, sources: Sequence[Path], node: str) -> BadInput:
     """Return an error about a parameter with the file that gives it (the last of several) and the line.
 
     Args:
@@ -118,7 +118,7 @@ def placed(error: InputError, sources: Sequence[Path], node: str) -> BadInput:
     """
     if error.parameters and not error.file:
         parameter = error.parameters[0]
-        files = [read_whatever_fits(path, node) for path in reversed(sources)]
+        files = [read_matching_sections(path, node) for path in reversed(sources)]
         naming = [file for file in files if parameter in file.lines] or [f for f in files if f.line_of(parameter)]
         if naming:
             return naming[0].error(error)
@@ -134,7 +134,7 @@ def has_section(source: Path | str, node: str, wildcards: bool = True) -> bool:
         BadInput: the file cannot be read or is not a parameter file.
     """
     _, sections = read_sections(source)
-    return any(wildcards or _last(section.node) == _last(node) for section in _fitting(sections, node))
+    return any(wildcards or _base_name(section.node) == _base_name(node) for section in _matching_sections(sections, node))
 
 
 def unknown_sections(source: Path | str, nodes: Collection[str]) -> list[str]:
@@ -144,32 +144,32 @@ def unknown_sections(source: Path | str, nodes: Collection[str]) -> list[str]:
         BadInput: the file cannot be read or is not a parameter file.
     """
     _, sections = read_sections(source)
-    return [section.node for section in sections if not any(_fits(section.node, node) for node in nodes)]
+    return [section.node for section in sections if not any(_matches_node(section.node, node) for node in nodes)]
 
 
-def _fits(pattern: str, node: str) -> bool:
+def _matches_node(pattern: str, node: str) -> bool:
     """Return True if rcl applies a section of that name to a node.
 
     ``/*`` stands for one part of a name, ``/**`` for any number of parts.
     """
     if node.startswith(ANY_NAMESPACE):
-        return _last(pattern) in (_last(node), "*", "**")
+        return _base_name(pattern) in (_base_name(node), "*", "**")
     expression = pattern.replace("/*", r"(/\w+)")
     return re.fullmatch(expression, node if node.startswith("/") else f"/{node}", re.ASCII) is not None
 
 
-def _fitting(sections: list[Section], node: str) -> list[Section]:
-    return [section for section in sections if _fits(section.node, node)]
+def _matching_sections(sections: list[Section], node: str) -> list[Section]:
+    return [section for section in sections if _matches_node(section.node, node)]
 
 
-def _misfits(sections: list[Section], node: str) -> list[Section]:
+def _similar_sections(sections: list[Section], node: str) -> list[Section]:
     """Return the sections that do not match a node but have its name, or else nearly its name."""
-    others = [section for section in sections if not _fits(section.node, node)]
-    same = [section for section in others if _last(section.node) == _last(node)]
-    return same or [section for section in others if _likeness(_last(section.node), _last(node)) >= _NEARLY]
+    others = [section for section in sections if not _matches_node(section.node, node)]
+    same = [section for section in others if _base_name(section.node) == _base_name(node)]
+    return same or [section for section in others if _similarity(_base_name(section.node), _base_name(node)) >= _MIN_SIMILARITY]
 
 
-def _likeness(one: str, other: str) -> float:
+def _similarity(one: str, other: str) -> float:
     """Return the similarity of two names: 1 if only capitals and underscores differ, 0 if nothing is common."""
     import difflib  # needed for errors only
 
@@ -177,18 +177,18 @@ def _likeness(one: str, other: str) -> float:
     return difflib.SequenceMatcher(None, bare_one, bare_other).ratio()
 
 
-def _refuse_misfits(name: str, sections: list[Section], node: str) -> None:
-    misfits = _misfits(sections, node)
+def _refuse_similar_sections(name: str, sections: list[Section], node: str) -> None:
+    misfits = _similar_sections(sections, node)
     if misfits:
-        raise _misfit(name, misfits, node)
+        raise _wrong_section_error(name, misfits, node)
 
 
-def _misfit(name: str, misfits: list[Section], node: str) -> BadInput:
+def _wrong_section_error(name: str, misfits: list[Section], node: str) -> BadInput:
     """Return the error about a section that was probably meant for a node: both names, and the remedy."""
-    first, last = misfits[0], _last(node)
+    first, last = misfits[0], _base_name(node)
     namespace = first.node.rpartition("/")[0]
     advice = f"name it '/**/{last}' to fit in every namespace"
-    if _last(first.node) == last and "*" not in namespace:
+    if _base_name(first.node) == last and "*" not in namespace:
         where = f"-r __ns:={namespace}, of a tool --namespace {namespace[1:]}" if namespace else "give it no namespace"
         advice += f", or run the node in that of the section ({where})"
     full = node if node.startswith("/") else f"/{node}"
@@ -196,9 +196,9 @@ def _misfit(name: str, misfits: list[Section], node: str) -> BadInput:
     return BadInput(reason, file=name, line=first.line)
 
 
-def _names(sections: list[Section]) -> str:
+def _section_names(sections: list[Section]) -> str:
     return ", ".join(f"'{section.node}'" for section in sections) or "none"
 
 
-def _last(name: str) -> str:
+def _base_name(name: str) -> str:
     return name.rpartition("/")[2]

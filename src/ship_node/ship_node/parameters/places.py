@@ -12,7 +12,7 @@ from ship_estimation.parameters import ParameterError
 ANY_ADDRESS = "0.0.0.0"
 
 
-class PlaceKind(Enum):
+class ResourceKind(Enum):
     """Kind of a resource, with its name in texts."""
 
     UDP = "UDP port"
@@ -32,7 +32,7 @@ class MachineResource:
     """
 
     parameter: str
-    kind: PlaceKind
+    kind: ResourceKind
     name: int | str
     address: str = ""
 
@@ -46,7 +46,7 @@ class MachineResource:
         return f"{self.kind.value} {self.name}" + (f" of {self.address}" if self.address else "")
 
     @property
-    def is_group(self) -> bool:
+    def is_multicast(self) -> bool:
         """True for a port of a multicast group: every listener of a group gets its datagrams."""
         try:
             return ipaddress.ip_address(self.address).is_multicast
@@ -58,7 +58,7 @@ class MachineResource:
         if (self.kind, self.name) != (other.kind, other.name):
             return False
         if self.address == other.address:
-            return not self.is_group
+            return not self.is_multicast
         return not (self.address and other.address)
 
 
@@ -70,7 +70,7 @@ def is_ipv4(text: str) -> bool:
         return False
 
 
-def port_resource(parameter: str, kind: PlaceKind, port: int, address: str = "") -> MachineResource:
+def port_resource(parameter: str, kind: ResourceKind, port: int, address: str = "") -> MachineResource:
     """Return a port of an own address or of a group; without an address, or with 0.0.0.0, of all addresses."""
     return MachineResource(parameter, kind, port, "" if address == ANY_ADDRESS else address)
 
@@ -84,20 +84,20 @@ def path_resource(parameter: str, path: str) -> MachineResource:
         >>> held_path("sinks.log.path", "/var/log//ship/./a.nmea").name
         '/var/log/ship/a.nmea'
     """
-    return MachineResource(parameter, PlaceKind.PATH, os.path.normpath(path))
+    return MachineResource(parameter, ResourceKind.PATH, os.path.normpath(path))
 
 
-def clashes(places: Iterable[MachineResource]) -> Iterator[tuple[MachineResource, MachineResource]]:
+def conflicting_pairs(places: Iterable[MachineResource]) -> Iterator[tuple[MachineResource, MachineResource]]:
     """Yield pairs of resources of which only one can be used, in their order."""
     return ((one, other) for one, other in combinations(places, 2) if one.conflicts_with(other))
 
 
-def refuse_clashes(places: Iterable[MachineResource]) -> None:
+def refuse_conflicts(places: Iterable[MachineResource]) -> None:
     """Refuse conflicting resources of one node.
 
     Raises:
         ParameterError: names both parameters.
     """
-    for one, other in clashes(places):
+    for one, other in conflicting_pairs(places):
         reason = f"parameter '{other.parameter}' = {other.name!r}: '{one.parameter}' has {one} already"
         raise ParameterError(f"{reason}: expected a {one.kind.value} of its own", other.parameter, value=other.name)

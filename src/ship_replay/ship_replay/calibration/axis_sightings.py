@@ -19,7 +19,7 @@ from ship_bags.output_files import write_csv
 from ship_estimation.refusals import Reason
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi, wrap_two_pi
-from ship_node.edge.topics import Published
+from ship_node.edge.topics import OutputMessage
 from ship_replay.offline.adapter_chain import suite_chain
 from ship_replay.offline.replay import Watcher, match_inputs
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
@@ -142,7 +142,7 @@ def axis_sightings(
     found = AxisSightings()
 
     class DecisionRecorder(OpticalAxisAdapter):
-        def published(self, outcome: PointingOutcome, now_ns: int, waiting_ns: int) -> list[Published]:
+        def published(self, outcome: PointingOutcome, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
             for decision in outcome.decisions:
                 found.take(self.core, decision)
             return super().published(outcome, now_ns, waiting_ns)

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ship_geometry.rotations import ARCSEC, wrap_pi
-from ship_node.documents.figure_files import settled, write_figures
+from ship_node.documents.figure_files import settled_slice, write_figures
 from ship_replay.calibration.result import InstallationCalibration, InstalledAngle
 
 _BAND_COLOUR = "#bcd4ea"
@@ -56,7 +56,7 @@ def _draw_history(axes: Axes, calibration: InstallationCalibration, angle: Insta
         f"before ± {angle.sigma_before / ARCSEC:.4g}″"
     )
     # The wide band at the start may lie outside, so that the rest is visible.
-    later = settled(sigma)
+    later = settled_slice(sigma)
     edges = np.concatenate([value[later] - sigma[later], value[later] + sigma[later]])
     edges = edges[np.isfinite(edges)]
     if len(edges):

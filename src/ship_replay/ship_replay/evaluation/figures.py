@@ -17,7 +17,7 @@ from ship_bags.errors import BadInput
 from ship_bags.output_files import write_atomically
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.documents.figure_files import MOST_ROWS, settled, short_name
+from ship_node.documents.figure_files import MAX_ROWS, settled_slice, short_name
 from ship_replay.evaluation.evaluate import Evaluation
 from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
 from ship_watch.orientations import channel_name
@@ -95,10 +95,10 @@ def innovation_figure(
         raise BadInput(f"{title}: no figure: no measurement was accepted")
     empty = [source for source, part in innovations.items() if not part.components()]
     if empty:
-        title = f"{title}\nnothing accepted of: {', '.join(map(short_name, empty[:MOST_ROWS]))}"
-    if len(rows) > MOST_ROWS:
-        title = f"{title}\nthe first {MOST_ROWS} of {len(rows)} components"
-    rows = rows[:MOST_ROWS]
+        title = f"{title}\nnothing accepted of: {', '.join(map(short_name, empty[:MAX_ROWS]))}"
+    if len(rows) > MAX_ROWS:
+        title = f"{title}\nthe first {MAX_ROWS} of {len(rows)} components"
+    rows = rows[:MAX_ROWS]
     start_ns = min(min(part.compared) for _, part, _ in rows)
     with plt.rc_context(_STYLE):
         figure, grid = plt.subplots(
@@ -115,7 +115,7 @@ def innovation_figure(
             # Horizontal: a source's name may be longer than its row is high.
             label = f"{short_name(source)}\n{short_name(component)} [arcsec]"
             axes.set_ylabel(label, rotation="horizontal", ha="right", va="center")
-            later = settled(sigmas)
+            later = settled_slice(sigmas)
             _limit(axes, np.concatenate([residuals[later] / ARCSEC, band[later]]), percentile=100.0)
         grid[-1, 0].set_xlabel("time [s]")
         _legend_below(grid[-1, 0], with_points=False)
@@ -154,7 +154,7 @@ def _draw_band(axes: Axes, errors: AttitudeErrors, column: int, start_ns: int) -
     band = 3.0 * errors.sigma_arcsec[:, column]
     axes.fill_between(time_s, -band, band, color=_BAND_COLOUR, label="±3σ predicted")
     axes.plot(time_s, errors.error_arcsec[:, column], color=_LINE_COLOUR, lw=0.8, label="error")
-    later = settled(band)
+    later = settled_slice(band)
     _limit(axes, np.concatenate([errors.error_arcsec[later, column], band[later]]))
 
 
@@ -166,7 +166,7 @@ def _legend_below(axes: Axes, with_points: bool) -> None:
 def _draw_together(
     axes: Axes, series: Sequence[AttitudeErrors], column: int, start_ns: int, colours: Mapping[str, str]
 ) -> None:
-    settled_errors = [errors.error_arcsec[settled(errors.sigma_arcsec[:, column]), column] for errors in series]
+    settled_errors = [errors.error_arcsec[settled_slice(errors.sigma_arcsec[:, column]), column] for errors in series]
     _limit(axes, np.concatenate(settled_errors))
     top, beyond = axes.get_ylim()[1], 0
     for number, errors in enumerate(series):

@@ -29,7 +29,7 @@ from ship_bags.message_store import RosbagsFactory
 from ship_geometry.rotations import FloatArray
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.edge.reporting_adapter import Feed
-from ship_node.edge.topics import Published
+from ship_node.edge.topics import OutputMessage
 from ship_replay.offline.adapter_chain import suite_chain
 from ship_replay.offline.replay import Watcher, match_inputs
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
@@ -157,7 +157,7 @@ def run_session(
                     feed = replace(feed, take=functools.partial(core.add_ins, estimate=False), block=None)
                 yield feed
 
-        def published(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[Published]:
+        def published(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
             comparisons.take(self.core, outcome.decisions)
             return []
 

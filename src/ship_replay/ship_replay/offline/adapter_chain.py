@@ -14,11 +14,11 @@ from ship_bags.message_factory import MessageFactory
 from ship_bags.parameter_yaml import full_name
 from ship_bags.regular_files import check_regular
 from ship_bags.topic_names import relative_topics
-from ship_node.documents.saved_document import UNTOUCHED
+from ship_node.documents.saved_document import READ_ONLY
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.block_adapter import BatchAdapter
-from ship_node.edge.topics import InputTopic, OutputTopic, Published
-from ship_node.parameters.parameter_file import has_section, load_config, misfit
+from ship_node.edge.topics import InputTopic, OutputTopic, OutputMessage
+from ship_node.parameters.parameter_file import has_section, load_config, section_warning
 
 _DEVICE_PREFIXES = "star/", "theodolite/", "beacon/"
 """Prefixes of device topics. A node whose devices are all missing in a bag is not replayed, unless it is the main one.
@@ -106,7 +106,7 @@ def _checked_nodes(
 ) -> tuple[type[Adapter], ...]:
     for kind in adapter_classes:
         # A file need not have a section for every node.
-        misfit(source, full_name(kind.node_name, namespace))
+        section_warning(source, full_name(kind.node_name, namespace))
     return nodes_of(source, adapter_classes, namespace)
 
 
@@ -150,7 +150,7 @@ class AdapterChain:
         """Names of the nodes."""
         return " and ".join(adapter.node_name for adapter in self.adapters)
 
-    def handle(self, topic: str, message: Any, receive_ns: int) -> list[Published]:
+    def handle(self, topic: str, message: Any, receive_ns: int) -> list[OutputMessage]:
         """Process one message of an input topic."""
         return self._handle(0, topic, message, receive_ns)
 
@@ -160,25 +160,25 @@ class AdapterChain:
             topic
             for adapter, taken in zip(self.adapters, self.taken, strict=True)
             for topic in taken & _names(self.inputs)
-            if isinstance(adapter, BatchAdapter) and (adapter.takes_blocks(topic) or adapter.reads_rows(topic))
+            if isinstance(adapter, BatchAdapter) and (adapter.accepts_batches(topic) or adapter.can_read_rows(topic))
         }
 
-    def tick(self, now_ns: int) -> list[Published]:
+    def tick(self, now_ns: int) -> list[OutputMessage]:
         """Tick all adapters in order; each has already received the outputs of earlier adapters at this tick."""
-        published: list[Published] = []
+        published: list[OutputMessage] = []
         for index, adapter in enumerate(self.adapters):
             published += self._passed_on(index, adapter.tick(now_ns), now_ns)
         return published
 
-    def _handle(self, first: int, topic: str, message: Any, receive_ns: int) -> list[Published]:
-        published: list[Published] = []
+    def _handle(self, first: int, topic: str, message: Any, receive_ns: int) -> list[OutputMessage]:
+        published: list[OutputMessage] = []
         for index in range(first, len(self.adapters)):
             if topic in self.taken[index]:
                 given = self.adapters[index].handle(topic, message, receive_ns)
                 published += self._passed_on(index, given, receive_ns)
         return published
 
-    def _passed_on(self, index: int, given: list[Published], now_ns: int) -> list[Published]:
+    def _passed_on(self, index: int, given: list[OutputMessage], now_ns: int) -> list[OutputMessage]:
         """Return an adapter's outputs and the outputs of later adapters caused by them."""
         published = list(given)
         if self.linked:
@@ -215,7 +215,7 @@ def suite_chain(
     found, adapters, configs, left_out = relative_topics(bag.topics, namespace), [], {}, []
     for kind in meant:
         config = suite_config(bag, kind, config_path, full_name(kind.node_name, namespace))
-        adapter = kind(config, factory, UNTOUCHED)
+        adapter = kind(config, factory, READ_ONLY)
         devices = [t.topic for t in adapter.inputs if t.is_occasional or t.topic.startswith(_DEVICE_PREFIXES)]
         if kind is not meant[0] and not found.keys() & devices:
             wanted = ", ".join(devices) or "the devices that it needs"

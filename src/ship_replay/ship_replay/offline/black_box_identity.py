@@ -16,7 +16,7 @@ from ship_estimation.parameters import build, flatten, nest
 from ship_node.black_box.black_box_format import EVENTS_TOPIC, FORMAT, METADATA, VERSIONS_ATTACHMENT
 from ship_node.black_box.versions import versions
 from ship_node.edge.adapter import Adapter
-from ship_node.parameters.parameter_file import read, read_whatever_fits
+from ship_node.parameters.parameter_file import read_node_parameters, read_matching_sections
 from ship_replay.offline.adapter_chain import suite_config, suite_text
 from ship_replay.offline.verification import ASIDE
 
@@ -137,7 +137,7 @@ def _as_the_node_knew_it(config: Any, bag: Bag, node: str, config_path: Path | N
     A black box holds all parameters of its node, defaults included, so a missing one was unknown to it. A file may
     still set such a parameter.
     """
-    known = _own_parameters(bag) | (set() if config_path is None else set(read(config_path, node).lines))
+    known = _own_parameters(bag) | (set() if config_path is None else set(read_node_parameters(config_path, node).lines))
     values = flatten(config)
     off = {name: _OFF[last] for name in values if (last := name.rpartition(".")[2]) in _OFF and name not in known}
     return build(type(config), nest(values | off)) if off else config
@@ -147,7 +147,7 @@ def _own_parameters(bag: Bag) -> set[str]:
     """Return dotted names of the parameters in the black box and of their groups; empty without its attachment."""
     if SUITE_ATTACHMENT not in bag.attachments:
         return set()
-    return set(read_whatever_fits(suite_text(bag, None), in_any_namespace(bag.metadata[METADATA]["node"])).lines)
+    return set(read_matching_sections(suite_text(bag, None), in_any_namespace(bag.metadata[METADATA]["node"])).lines)
 
 
 def _without_rate_covariance(message: Any) -> Any:

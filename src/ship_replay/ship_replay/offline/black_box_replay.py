@@ -21,7 +21,7 @@ from ship_node.black_box.black_box_format import (
     ClockJumpedBack,
     ClockStepped,
     Closed,
-    Contested,
+    DuplicatePublishersChanged,
     EntriesLost,
     Event,
     FileUsed,
@@ -33,7 +33,7 @@ from ship_node.black_box.black_box_format import (
 from ship_node.documents.saved_document import FileUse
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.overload import Overload
-from ship_node.edge.topics import Published
+from ship_node.edge.topics import OutputMessage
 from ship_replay.offline.adapter_chain import suite_text
 from ship_replay.offline.black_box_identity import (
     black_box_adapter,
@@ -169,7 +169,7 @@ class _BlackBoxReplay:
         self._older_messages = older_message_converters(bag)
         self._inputs: set[str] = set()
         self._outputs: set[str] = set()
-        self._pending_outputs: deque[Published] = deque()
+        self._pending_outputs: deque[OutputMessage] = deque()
         self._closed = False
 
     def run(self, watch: Watcher) -> None:
@@ -216,7 +216,7 @@ class _BlackBoxReplay:
             self._use("clock step", time_ns, lambda: adapter.clock_stepped(step_ns, time_ns, waiting_ns))
         elif isinstance(event, Overload):
             self._use("overload", time_ns, lambda: adapter.overload(event, time_ns, waiting_ns))
-        elif isinstance(event, Contested):
+        elif isinstance(event, DuplicatePublishersChanged):
             self._call("publishers", time_ns, lambda: adapter.set_duplicate_publishers(event.topic, event.text))
         elif isinstance(event, ServiceCalled):
             answer = self._call(f"~/{event.name}", time_ns, lambda: adapter.service(event.name, time_ns))
@@ -234,7 +234,7 @@ class _BlackBoxReplay:
             self._expect_nothing_left(time_ns)
             self._closed = True
 
-    def _use(self, what: str, time_ns: int, call: Callable[[], list[Published]]) -> None:
+    def _use(self, what: str, time_ns: int, call: Callable[[], list[OutputMessage]]) -> None:
         """Call the adapter; its outputs wait for their records in the black box."""
         published = self._call(what, time_ns, call) or []
         for topic, message in published:

@@ -19,7 +19,7 @@ from ship_bags.topic_names import TRUTH_PREFIX
 from ship_geometry.attitude_track import AttitudeSample
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.blocks import StampArray
-from ship_node.edge.topics import Published
+from ship_node.edge.topics import OutputMessage
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.message_times import MessageTimes
 from ship_replay.offline.node_pass import InputEvent, NodePass, Passed, TopicBlock, read_ahead
@@ -157,12 +157,12 @@ class BlockRun(ReplayRun):
 
     def _given(
         self, adapter: Adapter, passed: list[Passed], taken: Container[str], events: list[InputEvent]
-    ) -> dict[int, list[Published]]:
+    ) -> dict[int, list[OutputMessage]]:
         """Return event index → messages of earlier nodes on some topics, in order.
 
         Messages that the adapter can read as a block are already read.
         """
-        found: list[tuple[int, int, int, Published]] = []
+        found: list[tuple[int, int, int, OutputMessage]] = []
         for node, one in enumerate(passed):
             for place, order, published in one.single:
                 found += [(place, node, order, message) for message in published if message[0] in taken]
@@ -175,7 +175,7 @@ class BlockRun(ReplayRun):
                             zip(places.tolist(), orders.tolist(), readings, strict=True)
                         )
                     ]
-        given: dict[int, list[Published]] = defaultdict(list)
+        given: dict[int, list[OutputMessage]] = defaultdict(list)
         for place, _, _, message in sorted(found, key=lambda each: each[:3]):
             given[place].append(message)
         return given
@@ -197,7 +197,7 @@ class BlockRun(ReplayRun):
         truth: Mapping[int, AttitudeSample | None],
     ) -> None:
         """Write the outputs event by event, with the truth and the errors against it."""
-        single: dict[int, list[tuple[int, list[Published]]]] = defaultdict(list)
+        single: dict[int, list[tuple[int, list[OutputMessage]]]] = defaultdict(list)
         runs: dict[int, list[tuple[str, Any]]] = defaultdict(list)
         for node, one in enumerate(passed):
             for place, order, published in one.single:

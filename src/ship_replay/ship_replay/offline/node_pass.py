@@ -14,10 +14,10 @@ import numpy as np
 from ship_bags.cdr_template import CdrRows
 from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter
 from ship_node.edge.block_adapter import BatchAdapter
-from ship_node.edge.blocks import BatchOutput, BlockTurn, PublishedRows, StampArray
+from ship_node.edge.blocks import BatchOutput, PendingBatch, OutputRows, StampArray
 from ship_node.edge.deferring_adapter import DeferringAdapter
 from ship_node.edge.messages_in import ReadMessage
-from ship_node.edge.topics import Published
+from ship_node.edge.topics import OutputMessage
 
 _PATIENCE = 8
 """Number of messages processed one by one after a block could not be started."""
@@ -56,7 +56,7 @@ def read_ahead(
     adapter: Adapter, topic: str, messages: CdrRows, times_ns: StampArray
 ) -> Sequence[ReadMessage[Any] | None]:
     """Return a node's readings of messages before they are processed; None for each that must be read later."""
-    if isinstance(adapter, BatchAdapter) and adapter.reads_rows(topic):
+    if isinstance(adapter, BatchAdapter) and adapter.can_read_rows(topic):
         return adapter.read_rows(topic, messages, times_ns)
     return [None] * len(times_ns)
 
@@ -73,7 +73,7 @@ class EstimateBatch(NamedTuple):
 class MessageBatch(NamedTuple):
     """Messages of estimates on one topic, with the event index and the order of each."""
 
-    rows: PublishedRows
+    rows: OutputRows
     places: StampArray
     orders: StampArray
 
@@ -88,7 +88,7 @@ class Passed:
         message_batches: messages made from the estimates.
     """
 
-    single: list[tuple[int, int, list[Published]]] = field(default_factory=list)
+    single: list[tuple[int, int, list[OutputMessage]]] = field(default_factory=list)
     runs: list[EstimateBatch] = field(default_factory=list)
     message_batches: list[MessageBatch] = field(default_factory=list)
 
@@ -111,7 +111,7 @@ class NodePass:
         taken: Set[str],
         events: list[InputEvent],
         rows: Mapping[str, TopicBlock],
-        given: Mapping[int, list[Published]],
+        given: Mapping[int, list[OutputMessage]],
     ) -> None:
         self._adapter, self._taken, self._events, self._given = adapter, taken, events, given
         self._rows, self._next = rows, dict.fromkeys(rows, 0)
@@ -122,14 +122,14 @@ class NodePass:
         }
         # The same node if it processes blocks; else None.
         self._block_adapter = adapter if isinstance(adapter, BatchAdapter) else None
-        self._batch: BlockTurn | None = None
+        self._batch: PendingBatch | None = None
         self._batch_indices: StampArray = np.empty(0, dtype=np.int64)
         self._arrived = self._patience = self._order = 0
         # The same node if it publishes outputs later, and the event index and order of each pending output.
         self._deferring = adapter if isinstance(adapter, DeferringAdapter) else None
         self._pending_outputs: list[tuple[int, int]] = []
         if self._deferring is not None:
-            self._deferring.defer()
+            self._deferring.defer_outputs()
         self.passed = Passed()
 
     def run(self) -> Passed:
@@ -153,12 +153,12 @@ class NodePass:
     def _make_messages(self, adapter: BatchAdapter, runs: list[EstimateBatch]) -> None:
         places = np.concatenate([run.places for run in runs])
         orders = np.concatenate([run.orders for run in runs])
-        for rows in adapter.block_messages([run.estimates for run in runs]):
+        for rows in adapter.batch_messages([run.estimates for run in runs]):
             self.passed.message_batches.append(MessageBatch(rows, places[rows.places], orders[rows.places]))
 
     def _tick(self, place: int, now_ns: int) -> None:
         # Within a block a tick has no effect on the node, or the block would end before it.
-        if self._batch is not None and self._block_adapter is not None and self._block_adapter.quiet_ticks:
+        if self._batch is not None and self._block_adapter is not None and self._block_adapter.has_idle_ticks:
             return
         self._commit_arrived()
         self._publish(place, self._adapter.tick(now_ns))
@@ -182,7 +182,7 @@ class NodePass:
         """Process a message of a topic block."""
         number = self._next[event.topic]
         self._next[event.topic] += 1
-        if self._batch is None and self._block_adapter is not None and self._block_adapter.takes_blocks(event.topic):
+        if self._batch is None and self._block_adapter is not None and self._block_adapter.accepts_batches(event.topic):
             self._batch = self._start_batch(self._block_adapter, event.topic, number)
         if self._block_adapter is None or self._batch is None or self._batch.topic != event.topic:
             reading = self._read[event.topic][number]
@@ -195,14 +195,14 @@ class NodePass:
             self._publish_parts(self._block_adapter.commit_batch(batch, self._arrived))
             self._publish_parts(self._block_adapter.finish_batch(batch))
 
-    def _start_batch(self, adapter: BatchAdapter, topic: str, number: int) -> BlockTurn | None:
+    def _start_batch(self, adapter: BatchAdapter, topic: str, number: int) -> PendingBatch | None:
         """Start a block with a message, if possible."""
         if self._patience:
             self._patience -= 1
             return None
         rows, batch = self._rows[topic], None
         # The first tick with an effect comes before the message logged at the same time.
-        tick_ns = -(-adapter.quiet_until_ns // TICK_PERIOD_NS) * TICK_PERIOD_NS
+        tick_ns = -(-adapter.idle_until_ns // TICK_PERIOD_NS) * TICK_PERIOD_NS
         some = slice(number, int(np.searchsorted(rows.times_ns, tick_ns)))
         if some.stop > some.start:
             batch = adapter.evaluate_batch(topic, rows.messages.some(some), rows.times_ns[some])
@@ -211,7 +211,7 @@ class NodePass:
         self._batch_indices, self._arrived = rows.places[some], 0
         return batch
 
-    def _publish(self, place: int, published: list[Published]) -> None:
+    def _publish(self, place: int, published: list[OutputMessage]) -> None:
         if published:
             self.passed.single.append((place, self._order, published))
             self._order += 1

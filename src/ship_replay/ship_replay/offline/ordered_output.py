@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from ship_bags.message_store import serialize
-from ship_node.edge.blocks import PublishedRows, StampArray
+from ship_node.edge.blocks import OutputRows, StampArray
 
 
 class ManySink(Protocol):
@@ -66,7 +66,7 @@ class OrderedOutput:
         self._data.append(data)
 
     def add_rows(
-        self, rows: PublishedRows, places: StampArray, orders: StampArray, log_times_ns: StampArray
+        self, rows: OutputRows, places: StampArray, orders: StampArray, log_times_ns: StampArray
     ) -> None:
         """Add messages of one topic, with event index, order and log time of each."""
         topic = np.full(len(places), self._topic(rows.topic, rows.messages.type_name))

@@ -101,7 +101,7 @@ def _summarise_node(
         if output.topic in summary.status_histories:
             history = summary.status_histories[output.topic]
             summary.reasons += poor_status_reasons(history, adapter, config, summary.times, health)
-    for topic, counts in adapter.health.refused_and_noted().items():
+    for topic, counts in adapter.health.rejection_and_note_counts().items():
         name = topic if is_alone else f"{adapter.node_name}: {topic}"
         for kept, reasons in zip((summary.rejected, summary.noted), counts, strict=True):
             if reasons:

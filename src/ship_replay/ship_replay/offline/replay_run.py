@@ -12,7 +12,7 @@ from ship_bags.topic_names import TRUTH_PREFIX
 from ship_geometry.attitude_track import AttitudeSample
 from ship_node.edge.adapter import TICK_PERIOD_NS
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC
-from ship_node.edge.topics import Published
+from ship_node.edge.topics import OutputMessage
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.exclusion_history import INTEGRITY, ExclusionHistory
 from ship_replay.offline.message_times import LogDelays, MessageTimes
@@ -164,7 +164,7 @@ class ReplayRun:
         end_ns = min(time_ns, last_ns + _MAX_TICK_GAP_NS)
         return range((last_ns // TICK_PERIOD_NS + 1) * TICK_PERIOD_NS, end_ns + 1, TICK_PERIOD_NS)
 
-    def _publish(self, published: list[Published], time_ns: int) -> None:
+    def _publish(self, published: list[OutputMessage], time_ns: int) -> None:
         for topic, message in published:
             if not self._held_back(topic, message, time_ns):
                 self._write(topic, message, time_ns)

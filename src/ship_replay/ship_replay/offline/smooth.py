@@ -34,8 +34,8 @@ from ship_estimation.frame_names import FrameNames
 from ship_estimation.outcome import Status
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.documents.saved_document import DISK, UNTOUCHED, Files
-from ship_node.edge.topics import OutputTopic, Published
+from ship_node.documents.saved_document import DISK, READ_ONLY, Files
+from ship_node.edge.topics import OutputTopic, OutputMessage
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain, suite_text
 from ship_replay.offline.message_times import in_order_of_stamps
 from ship_replay.offline.replay import Watcher, announce, match_inputs, truth_topic_names, median_delay_ns
@@ -117,7 +117,7 @@ class _WholeVoyage(ShipAttitudeAdapter):
         super().__init__(config, factory, files)
         self.ended: list[AttitudeEstimate] = []
 
-    def before_adoption(self) -> list[Published]:
+    def before_adoption(self) -> list[OutputMessage]:
         """See :class:`RecoveringAdapter`; the attitudes are written at the end."""
         self.ended += self.core.smoothed_to_the_end()
         return []
@@ -213,7 +213,7 @@ def smooth(
         if axis is not None:
             # The attitudes are both an input and an output.
             attitudes = list(attitudes)
-            again = _WholeSession(chain.configs[axis.node_name], factory, UNTOUCHED)
+            again = _WholeSession(chain.configs[axis.node_name], factory, READ_ONLY)
             session = AdapterChain([again])
             of_session = {name: relative for name, relative in names.items() if relative in session.taken[0]}
             records = heapq.merge(records_of(of_session), attitudes, key=attrgetter("log_time_ns"))

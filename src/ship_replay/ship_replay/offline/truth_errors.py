@@ -9,7 +9,7 @@ from typing import Any
 from ship_bags.stamps import ns_from_stamp, stamps_of_rows
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.rotations import FloatArray
-from ship_node.edge.blocks import PublishedRows
+from ship_node.edge.blocks import OutputRows
 from ship_watch.orientations import Orientation
 
 _TRUTH_GAP_NS = 1_000_000_000
@@ -38,7 +38,7 @@ class TruthErrors:
         """Add a published message of the orientation."""
         self._attitudes[ns_from_stamp(message.header.stamp)] = self.orientation.angles_of(message)
 
-    def add_rows(self, rows: PublishedRows) -> None:
+    def add_rows(self, rows: OutputRows) -> None:
         """Add published messages; those of other topics are ignored."""
         if rows.topic == self.orientation.topic:
             numbers = rows.messages.numbers

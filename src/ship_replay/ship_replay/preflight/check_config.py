@@ -19,10 +19,10 @@ from ship_bags.parameter_yaml import ParameterFile, in_any_namespace, full_name
 from ship_bags.renamed_topics import ship_names
 from ship_bags.topic_names import relative_topics
 from ship_estimation.parameters import ParameterDescription, ParameterError, build, describe
-from ship_node.documents.saved_document import UNTOUCHED
+from ship_node.documents.saved_document import READ_ONLY
 from ship_node.edge.adapter import Adapter
-from ship_node.parameters.companions import COMPANIONS, Companion, named_companions
-from ship_node.parameters.parameter_file import has_section, misfit, read, unknown_sections
+from ship_node.parameters.companions import COMPANIONS, Companion, configured_companions
+from ship_node.parameters.parameter_file import has_section, section_warning, read_node_parameters, unknown_sections
 from ship_node.parameters.places import MachineResource
 from ship_replay.offline.adapter_chain import nodes_of
 
@@ -126,7 +126,7 @@ def check_file(
     misfits = [problem for name in known for problem in _misfit(path, name)]
     findings.errors += misfits
     strange = unknown_sections(path, known)
-    companions = list(named_companions(path, namespace))
+    companions = list(configured_companions(path, namespace))
     if not (misfits or companions or any(has_section(path, name) for name in names.values())):
         found = ", ".join(f"'{name}'" for name in strange) or "none"
         raise BadInput(f"no section for a node of this suite: {_expected(adapter_classes)}, found {found}", file=path)
@@ -166,19 +166,19 @@ def _expected(adapter_classes: Sequence[type[Adapter]]) -> str:
 def _misfit(path: Path, name: str) -> list[str]:
     """Return the error about a section that nearly fits a node: the node would not start with it."""
     try:
-        misfit(path, name)
+        section_warning(path, name)
     except BadInput as problem:
         return [str(problem)]
     return []
 
 
 def _checked(path: Path, adapter_class: type[Adapter], name: str, findings: Findings) -> CheckedNode | None:
-    file = read(path, name)
+    file = read_node_parameters(path, name)
     config, replaced = _configured(file, adapter_class.config_type, findings)
     if config is None:
         return None
     try:
-        adapter = adapter_class(config, RosbagsFactory(), UNTOUCHED)
+        adapter = adapter_class(config, RosbagsFactory(), READ_ONLY)
         findings.warnings += [f"{path}: {warning}" for warning in adapter.start_warnings]
         return CheckedNode(file, config, adapter, frozenset(replaced))
     except ParameterError as problem:
@@ -201,7 +201,7 @@ def _companion_places(
         findings.warnings.append(text)
         return
     node = full_name(companion.node_name, namespace)
-    file = read(path, node)
+    file = read_node_parameters(path, node)
     config, replaced = _configured(file, kind, findings)
     for place in () if replaced else config.places:
         yield node, file, place

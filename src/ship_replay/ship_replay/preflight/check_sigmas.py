@@ -70,7 +70,7 @@ def _check_source(
     record = adapter.health.records[feed.input.topic]
     text_of_factor = f"the innovations of {source} in {check.bag.path} fit {factor:.2g} times this noise"
     names = list(_parameters(node.config, source))
-    if not names or 2 * record.noted[Reason.COVARIANCE_UNKNOWN] < record.received:
+    if not names or 2 * record.note_counts[Reason.COVARIANCE_UNKNOWN] < record.received:
         text = f"{check.bag.path}: topic '{feed.input.topic}' states a noise, but {text_of_factor} ({diagnosis.count} measurements)"
         check.say(False, f"{text}: {factor**2:.2g} times its variance fits")
         return

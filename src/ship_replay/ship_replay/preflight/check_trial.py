@@ -90,7 +90,7 @@ def check_trial(check: BagCheck) -> None:
 
 def _check_use(check: BagCheck, node: CheckedNode, last_ns: int, span: str) -> None:
     """Report inputs of which a node used at most half, and those with two publishers."""
-    for text in node.adapter.health.first_contested.values():
+    for text in node.adapter.health.first_duplicate_publishers.values():
         check.say(False, f"{check.bag.path}: {span}{text}; outputs based on both are not VALID")
     records, factory = node.adapter.health.records, RosbagsFactory()
     for health in node.adapter.health.messages(factory, last_ns):

@@ -22,7 +22,7 @@ from matplotlib.transforms import blended_transform_factory
 
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.documents.figure_files import MOST_ROWS, short_name
+from ship_node.documents.figure_files import MAX_ROWS, short_name
 from ship_replay.evaluation.evaluate import Evaluation
 from ship_replay.evaluation.figures import attitude_error_figure, innovation_figure
 from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
@@ -193,11 +193,11 @@ def rejections_svg(recording: Recording, colours: Mapping[str, str]) -> str:
     if not rows:
         return ""
     start_s, count = recording.start_utc_ns / NS_PER_S, len(rows)
-    rows = dict(sorted(rows.items())[:MOST_ROWS])
+    rows = dict(sorted(rows.items())[:MAX_ROWS])
     with plt.rc_context(SVG_STYLE):
         figure, axes = plt.subplots(figsize=(9.2, 0.7 + 0.27 * len(rows)), layout="constrained")
-        if count > MOST_ROWS:
-            axes.set_title(f"the first {MOST_ROWS} of {count} sources", fontsize=8)
+        if count > MAX_ROWS:
+            axes.set_title(f"the first {MAX_ROWS} of {count} sources", fontsize=8)
         for row, (name, seconds) in enumerate(rows.items()):
             colour = colours.get(source_of(name.rpartition(" (")[0]), _SERIES[0])
             bars = [(start - start_s, max(length, 1)) for start, length in _runs(sorted(seconds))]

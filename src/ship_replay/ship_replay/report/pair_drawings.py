@@ -11,7 +11,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 from ship_bags.stamps import NS_PER_S
 from ship_estimation.protection import NORMAL_95
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.documents.figure_files import MOST_ROWS, short_name
+from ship_node.documents.figure_files import MAX_ROWS, short_name
 from ship_replay.report.drawings import (
     MOST_POINTS,
     ROUND_NUMBERS,
@@ -123,7 +123,7 @@ def sides_svg(pair: Pair) -> str:
     if not names:
         return ""
     start_ns, end_ns = pair.span_ns
-    count, names = len(names), names[:MOST_ROWS]
+    count, names = len(names), names[:MAX_ROWS]
     with plt.rc_context(SVG_STYLE):
         figure, grid = plt.subplots(
             len(names), 2, figsize=(9.2, 1.25 * len(names) + 0.6), sharex=True, sharey="row", squeeze=False,
@@ -141,8 +141,8 @@ def sides_svg(pair: Pair) -> str:
             _limit(row[0], [part for _, line in found for part in (line.value, 3.0 * line.sigma)])
             label = "\n".join(map(short_name, name.split("\n")))
             row[0].set_ylabel(label, fontsize=8, rotation="horizontal", ha="right", va="center")
-        if count > MOST_ROWS:
-            figure.suptitle(f"the first {MOST_ROWS} of {count} sources", fontsize=8)
+        if count > MAX_ROWS:
+            figure.suptitle(f"the first {MAX_ROWS} of {count} sources", fontsize=8)
         for letter, axes in zip("AB", grid[0], strict=True):
             axes.set_title(letter, fontsize=10, fontweight="bold")
         grid[0, 0].set_xlim(0.0, max((end_ns - start_ns) / NS_PER_S, 1.0))

@@ -19,7 +19,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.edge.baselines import baseline_stamp_ns, baseline_vector, fix_rejection
 from ship_node.edge.ins_messages import ins_sample
 from ship_node.edge.messages_in import (
-    LARGEST_VARIANCE,
+    MAX_VARIANCE,
     ReadMessage,
     MessageRejected,
     covariance_3x3,
@@ -30,7 +30,7 @@ from ship_node.edge.messages_in import (
     imu_rotation,
     quoted_id,
     ship_rate,
-    sigma_given,
+    optional_sigma,
     stamp_ns,
     unit_quaternion,
 )
@@ -67,7 +67,7 @@ def encoder(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMes
     if message.status == ENCODER_INVALID:
         raise MessageRejected(Reason.GAP, "the encoder itself reports a fault")
     check_finite("azimuth, elevation", message.azimuth, message.elevation)
-    sigma = sigma_given(message.sigma, 2.0 * np.pi)
+    sigma = optional_sigma(message.sigma, 2.0 * np.pi)
     angles = np.array([message.azimuth, message.elevation])
     known = sigma is not None
     return ReadMessage(EncoderSample(time_ns, angles, sigma or config.encoder.sigma_arcsec * ARCSEC), known)
@@ -164,7 +164,7 @@ def exposure(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMe
         text = f"{len(message.beacons)} lights in one image: only the first {MAX_BEACONS} are used"
         rejected.append((message.beacons[MAX_BEACONS].beacon_id, Rejection(Reason.OVERFLOW, text)))
     ordered = tuple(lights[name] for name in sorted(lights))
-    return ReadMessage(Exposure(time_ns, ordered, exposure_s), known, tuple(rejected), empty=not lights)
+    return ReadMessage(Exposure(time_ns, ordered, exposure_s), known, tuple(rejected), is_empty=not lights)
 
 
 def target(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMessage[TargetSample]:
@@ -184,7 +184,7 @@ def target(message: Any, config: OpticalAxisConfig, receive_ns: int) -> ReadMess
         raise MessageRejected(Reason.UNITS, f"x {message.x:.6g}, z {message.z:.6g}: expected metres on the detector")
     if abs(message.detector_rotation) > 2.0 * np.pi:
         raise MessageRejected(Reason.UNITS, f"detector_rotation {message.detector_rotation:.6g}: expected radians")
-    sigma = sigma_given(message.sigma, _LARGEST_DETECTOR_M)
+    sigma = optional_sigma(message.sigma, _LARGEST_DETECTOR_M)
     sample = TargetSample(
         time_ns=time_ns,
         target_id=shorten(message.target_id, LONGEST_TARGET_ID),
@@ -226,7 +226,7 @@ def _detected_beacon(sighting: Any, names: list[str], config: OpticalAxisConfig)
     check_finite("x, z", sighting.x, sighting.z)
     if max(abs(sighting.x), abs(sighting.z)) > _LARGEST_DETECTOR_M:
         raise MessageRejected(Reason.UNITS, f"x {sighting.x:.6g}, z {sighting.z:.6g}: expected metres on the detector")
-    sigma = sigma_given(sighting.sigma, _LARGEST_DETECTOR_M)
+    sigma = optional_sigma(sighting.sigma, _LARGEST_DETECTOR_M)
     point_m = np.array([sighting.x, sighting.z])
     return DetectedBeacon(name, point_m, sigma or config.telescope.sigma_m), sigma is not None
 
@@ -243,7 +243,7 @@ def _ship_covariance(message: Any, rotation_nd: FloatArray) -> FloatArray | None
         heading, pitch, _ = angles_from_rotation(rotation_nd)
         total_n = rotation_vector_covariance(angles, heading, pitch)
     largest = float(np.max(np.diagonal(total_n)))
-    if not largest <= LARGEST_VARIANCE:
+    if not largest <= MAX_VARIANCE:
         raise MessageRejected(Reason.BAD_COVARIANCE, f"a variance of {largest:.3g} rad² is a sigma of more than a full turn")
     return total_n
 

@@ -19,7 +19,7 @@ from ship_geometry.ros_axes import flu_from_device_vector
 from ship_geometry.rotations import ARCSEC
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.documents.saved_start import SavedStart
-from ship_node.edge.blocks import PublishedRows, StampArray
+from ship_node.edge.blocks import OutputRows, StampArray
 from ship_node.edge.contested import ATTITUDE, BASELINE, ENCODERS
 from ship_node.edge.deferring_adapter import DeferringAdapter
 from ship_node.edge.messages_in import ReadMessage
@@ -33,9 +33,9 @@ from ship_node.edge.messages_out import (
     Level,
     rejection_message,
 )
-from ship_node.edge.recovering_adapter import SHOWS_SOURCE, RecoveringAdapter
-from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, untimed
-from ship_node.edge.topics import InputTopic, OutputTopic, Published
+from ship_node.edge.recovering_adapter import PRESENCE_REASONS, RecoveringAdapter
+from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ignore_time
+from ship_node.edge.topics import InputTopic, OutputTopic, OutputMessage
 from ship_node.edge.verdict_report import clock_status
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.alternatives import BEACON, ENCODER, SHIP
@@ -143,14 +143,14 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
             config.calibration_file,
             files,
             start_from=self.start_from,
-            to_save=self._calibration_to_save,
-            nothing="no light or star was used yet: there is no calibration to save",
+            content_to_save=self._calibration_to_save,
+            nothing_text="no light or star was used yet: there is no calibration to save",
         )
         self._lever = dict(zip("xyz", flu_from_device_vector(config.lever.vector_m).tolist(), strict=True))
         super().__init__(config, core, factory, self._pointing_messages, saved)
         self.outputs = tuple(output for output in self.outputs if output.type_name != TF_TYPE or config.publish_tf)
 
-    def _pointing_messages(self, estimate: PointingEstimate) -> list[Published]:
+    def _pointing_messages(self, estimate: PointingEstimate) -> list[OutputMessage]:
         """Return the messages of one pointing."""
         messages = pointing_messages(self.factory, self._lever, estimate, self.config.frames)
         return [each for each in messages if each[0] != TF_TOPIC or self.config.publish_tf]
@@ -169,16 +169,16 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         encoder = InputTopic("theodolite/encoder", "ship_msgs/msg/TheodoliteEncoder", required=True, depth=1000)
         read_encoder = functools.partial(messages_in.encoder, config=config)
         read_encoders = functools.partial(rows_in.encoders, config=config)
-        yield Feed(encoder, "encoder", read_encoder, core.add_encoder, read_rows=read_encoders, continuous=ENCODERS)
+        yield Feed(encoder, "encoder", read_encoder, core.add_encoder, read_rows=read_encoders, stream_quantity=ENCODERS)
         type_name, read_ship = _SHIP[config.ship.source]
         ship = InputTopic(config.ship.source, type_name, required=True, depth=1000)
         by_ins = config.ship.source == "ins/imu"
         read_ships = None if by_ins else functools.partial(self._read_ships, config=config)
         read_ship = functools.partial(read_ship, config=config)
-        yield Feed(ship, "ship", read_ship, core.add_ship, read_rows=read_ships, continuous=ATTITUDE)
+        yield Feed(ship, "ship", read_ship, core.add_ship, read_rows=read_ships, stream_quantity=ATTITUDE)
         image = InputTopic("theodolite/beacons", "ship_msgs/msg/BeaconImage", required=False, depth=1000)
-        read_image, take_image = functools.partial(messages_in.exposure, config=config), untimed(core.add_exposure)
-        yield Feed(image, "lights", read_image, take_image, has_decision=True, measured_by=Exposure.source)
+        read_image, take_image = functools.partial(messages_in.exposure, config=config), ignore_time(core.add_exposure)
+        yield Feed(image, "lights", read_image, take_image, has_decision=True, measurement_source=Exposure.source)
         target = InputTopic(
             TARGET_IMAGE_TOPIC, "ship_msgs/msg/TargetImage", required=False, depth=1000, is_occasional=True
         )
@@ -188,14 +188,14 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         for id_, beacon in config.beacons.items():
             topic = InputTopic(f"beacon/{id_}/baseline", "ship_msgs/msg/RtkBaseline", required=False, depth=1000)
             read_baseline = functools.partial(messages_in.baseline, beacon=beacon, least_fix=config.least_fix)
-            take = untimed(functools.partial(core.add_baseline, id_))
-            yield Feed(topic, f"baseline.{id_}", read_baseline, take, continuous=BASELINE)
+            take = ignore_time(functools.partial(core.add_baseline, id_))
+            yield Feed(topic, f"baseline.{id_}", read_baseline, take, stream_quantity=BASELINE)
         for id_, beacon in config.beacons.items():
             topic = InputTopic(f"beacon/{id_}/imu", _IMU_TYPE, required=False, depth=1000)
             read_imu = functools.partial(messages_in.drone_attitude, beacon=beacon)
             read_imus = functools.partial(rows_in.drone_attitudes, beacon=beacon)
-            take = untimed(functools.partial(core.add_drone_attitude, id_))
-            yield Feed(topic, f"drone.{id_}", read_imu, take, read_rows=read_imus, continuous=ATTITUDE)
+            take = ignore_time(functools.partial(core.add_drone_attitude, id_))
+            yield Feed(topic, f"drone.{id_}", read_imu, take, read_rows=read_imus, stream_quantity=ATTITUDE)
 
     def _star_feeds(self, config: OpticalAxisConfig, core: OpticalAxisCore) -> Iterator[Feed]:
         """Yield the inputs of star cameras on the theodolite, and of position and air for the sky model."""
@@ -213,7 +213,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
                 catalogue=self._sky.catalogue,
             )
             yield Feed(topic, f"star.{id_}", read, core.add_stars, has_decision=True)
-        yield from surroundings_feeds(config.sky, untimed(core.add_surroundings), position_required=False)
+        yield from surroundings_feeds(config.sky, ignore_time(core.add_surroundings), position_required=False)
 
     def _read_ships(
         self, messages: CdrRows, receive_ns: StampArray, config: OpticalAxisConfig
@@ -223,19 +223,19 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         self.core.expect_ships([reading.value for reading in readings if reading is not None])
         return readings
 
-    def published(self, outcome: PointingOutcome, now_ns: int, waiting_ns: int) -> list[Published]:
+    def published(self, outcome: PointingOutcome, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
         """See :class:`DeferringAdapter`; the directions of targets come first.
 
         A direction has no innovation: nothing was compared with its image.
         """
-        published: list[Published] = []
+        published: list[OutputMessage] = []
         for target in outcome.targets:
             if target.status is not Status.INVALID:
-                self.health.accepted(TARGET_IMAGE_TOPIC, target.time_ns, now_ns)
+                self.health.record_accepted(TARGET_IMAGE_TOPIC, target.time_ns, now_ns)
             published.append((TARGET_TOPIC, target_message(self.factory, target, self.config.frames.horizon)))
-        return published + super().published(outcome, now_ns, waiting_ns)
+        return published + super().report_outcome(outcome, now_ns, waiting_ns)
 
-    def block_messages(self, runs: Sequence[PointingRun]) -> Iterator[PublishedRows]:
+    def block_messages(self, runs: Sequence[PointingRun]) -> Iterator[OutputRows]:
         """See :meth:`BlockAdapter.block_messages`."""
         rows = pointing_rows(self.factory, self._lever, PointingNumbers.of(runs), self.config.frames)
         return (each for each in rows if each.topic != TF_TOPIC or self.config.publish_tf)
@@ -246,7 +246,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
             return super().rejected_part_message(source, time_ns, name, rejection)
         return rejection_message(self.factory, f"light.{name}", time_ns, rejection)
 
-    def own_slow_topics(self, now_ns: int) -> list[Published]:
+    def own_slow_topics(self, now_ns: int) -> list[OutputMessage]:
         """Return budget and errors of the latest pointing, advice for the drones, and the calibration."""
         factory, estimate, published = self.factory, self.pending_budget, []
         if estimate is not None:
@@ -282,7 +282,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         exposure = decision.measurement
         if not isinstance(exposure, Exposure):
             return ()
-        lacking = {name for name, rejection in decision.rejected_parts if rejection.reason not in SHOWS_SOURCE}
+        lacking = {name for name, rejection in decision.rejected_parts if rejection.reason not in PRESENCE_REASONS}
         return [BEACON + light.beacon_id for light in exposure.beacons if light.beacon_id not in lacking]
 
     def may_be_valid(self, there: Set[str]) -> bool:
@@ -300,7 +300,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         drones = ", ".join(f"beacons.{source.removeprefix(BEACON)}.light" for source in sorted(displaced))
         return f"if an antenna or light was remounted, set {drones} and ~/reset; otherwise check the RTK receiver"
 
-    def before_adoption(self) -> list[Published]:
+    def before_adoption(self) -> list[OutputMessage]:
         """See :class:`RecoveringAdapter`: all pending pointings are those of the estimator that ends."""
         self._compute_pending()
         return []
@@ -309,7 +309,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         """Return the status of pointing, calibration, beacon conflicts, innovation diagnosis, recovery and clocks."""
         return [
             pointing_status(self.latest, self.clock_jumps),
-            calibration_status(self.core.calibration(), self.saved_remarks()),
+            calibration_status(self.core.calibration(), self.saved_document_remarks()),
             *self.integrity_statuses(),
             *self.conflict_statuses(),
             *self.innovation_report.statuses(),

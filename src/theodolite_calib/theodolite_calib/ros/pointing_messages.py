@@ -18,18 +18,18 @@ from ship_geometry.compiled_angles import angle_covariances, angles, quaternions
 from ship_geometry.frames import SINGULAR_ELEVATION, angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, FLU_FROM_DEVICE, enu_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.edge.blocks import PublishedRows
+from ship_node.edge.blocks import OutputRows
 from ship_node.edge.messages_out import TF_TOPIC, TF_TYPE, ZERO_VECTOR, error_budget_message
 from ship_node.edge.output_numbers import (
     Fields,
     MessageFields,
-    as_columns,
-    as_numbers,
-    chosen,
-    joined,
+    column_numbers,
+    single_numbers,
+    select_values,
+    join_fields,
     rows_by_kind,
 )
-from ship_node.edge.topics import Published
+from ship_node.edge.topics import OutputMessage
 from theodolite_calib.measured.samples import PointingEstimate, PointingRun, StampArray
 
 MAIN_FRAME = "theodolite_main"
@@ -53,7 +53,7 @@ class PointingNumbers(NamedTuple):
     @classmethod
     def of(cls, runs: Sequence[PointingRun]) -> "PointingNumbers":
         """Return the numbers of several series, one after another."""
-        return cls(*joined(runs, cls._fields))
+        return cls(*join_fields(runs, cls._fields))
 
     @classmethod
     def of_one(cls, estimate: PointingEstimate) -> "PointingNumbers":
@@ -71,12 +71,12 @@ class PointingNumbers(NamedTuple):
 
     def some(self, places: NDArray[np.int64]) -> "PointingNumbers":
         """Return the numbers of a subset."""
-        return self if len(places) == len(self.time_ns) else PointingNumbers(*(chosen(each, places) for each in self))
+        return self if len(places) == len(self.time_ns) else PointingNumbers(*(select_values(each, places) for each in self))
 
 
 def pointing_messages(
     factory: MessageFactory, lever: Mapping[str, float], estimate: PointingEstimate, frames: FrameNames = FRAME_NAMES
-) -> list[Published]:
+) -> list[OutputMessage]:
     """Return the messages of one pointing.
 
     If it is INVALID the first is all NaN, and the second is not made.
@@ -90,26 +90,26 @@ def pointing_messages(
     pointing, in_deck = PointingNumbers.of_one(estimate), math.isfinite(estimate.rotation_dm[0, 0])
     return [
         (topic, factory.encode(type_name, **fields))
-        for topic, type_name, fields in _messages(pointing, lever, in_deck, as_numbers, frames)
+        for topic, type_name, fields in _messages(pointing, lever, in_deck, single_numbers, frames)
     ]
 
 
-def smoothed_pointing(factory: MessageFactory, estimate: PointingEstimate) -> Published:
+def smoothed_pointing(factory: MessageFactory, estimate: PointingEstimate) -> OutputMessage:
     """Return the message of a smoothed pointing: the first of those of :func:`pointing_messages`."""
     pointing = PointingNumbers.of_one(estimate)
-    _, type_name, fields = next(_messages(pointing, ZERO_VECTOR, False, as_numbers, FRAME_NAMES))
+    _, type_name, fields = next(_messages(pointing, ZERO_VECTOR, False, single_numbers, FRAME_NAMES))
     return SMOOTHED_POINTING_TOPIC, factory.encode(type_name, **fields)
 
 
 def pointing_rows(
     factory: MessageFactory, lever: Mapping[str, float], pointings: PointingNumbers, frames: FrameNames = FRAME_NAMES
-) -> Iterator[PublishedRows]:
+) -> Iterator[OutputRows]:
     """Yield the messages of N pointings; those of one are in the order of :func:`pointing_messages`."""
     in_deck: list[bool] = np.isfinite(pointings.rotation_dm[:, 0, 0]).tolist()
     claimed = [status is not Status.INVALID for status in pointings.status]
     kinds = zip(claimed, in_deck, strict=True)
     return rows_by_kind(
-        factory, kinds, lambda kind, places: _messages(pointings.some(places), lever, kind[1], as_columns, frames)
+        factory, kinds, lambda kind, places: _messages(pointings.some(places), lever, kind[1], column_numbers, frames)
     )
 
 

@@ -19,7 +19,7 @@ from ship_node.edge.columns_in import (
     ReadRows,
     angular_covariances,
     imu_quaternions,
-    read_of_good,
+    read_valid,
     ship_rates,
     stamps,
     unit_quaternions,
@@ -45,7 +45,7 @@ def encoders(messages: CdrRows, receive_ns: StampArray, config: OpticalAxisConfi
         read = map(EncoderSample, times_ns[good].tolist(), angles[good], sigma[good].tolist())
         return map(ReadMessage, read, (~unknown[good]).tolist())
 
-    return read_of_good(messages, config.encoder.frame_id, good, samples)
+    return read_valid(messages, config.encoder.frame_id, good, samples)
 
 
 def ship_attitudes(messages: CdrRows, receive_ns: StampArray, config: OpticalAxisConfig) -> ReadRows:
@@ -64,7 +64,7 @@ def ship_attitudes(messages: CdrRows, receive_ns: StampArray, config: OpticalAxi
         status = map(Status, numbers["status"][good].tolist())
         return map(ReadMessage, map(ShipSample, times_ns[good].tolist(), rotations_nd, rates_d, slow_n, status))
 
-    return read_of_good(messages, config.ship.frame_id, good, samples)
+    return read_valid(messages, config.ship.frame_id, good, samples)
 
 
 def drone_attitudes(messages: CdrRows, receive_ns: StampArray, beacon: BeaconConfig) -> ReadRows:
@@ -77,4 +77,4 @@ def drone_attitudes(messages: CdrRows, receive_ns: StampArray, beacon: BeaconCon
         rotations_nb = rotation_from_quaternion(quaternions[good], beacon.imu.convention)
         return map(ReadMessage, map(AttitudeSample, times_ns[good].tolist(), rotations_nb))
 
-    return read_of_good(messages, beacon.imu.frame_id, good, samples)
+    return read_valid(messages, beacon.imu.frame_id, good, samples)

@@ -12,7 +12,7 @@ from ship_estimation.outcome import Status
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.edge.messages_out import INNOVATION_TYPE, DiagnosticStatus, Level, rejection_message
 from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ReportingAdapter
-from ship_node.edge.topics import InputTopic, OutputTopic, Published
+from ship_node.edge.topics import InputTopic, OutputTopic, OutputMessage
 from theodolite_calib.measured.samples import TargetEstimate
 from theodolite_calib.ros.direction_messages_in import direction
 from theodolite_calib.ros.target_messages import TARGET_TYPE, target_message
@@ -67,13 +67,13 @@ class TriangulationAdapter(ReportingAdapter):
             read = functools.partial(direction, station=name, horizon=config.frames.horizon)
             yield Feed(topic, f"station.{name}", read, core.add_direction)
 
-    def published(self, outcome: PlacingOutcome, now_ns: int, waiting_ns: int) -> list[Published]:
+    def published(self, outcome: PlacingOutcome, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
         """See :class:`ReportingAdapter`."""
         if outcome.estimates:
             self._published_ns = waiting_ns
         return super().report_outcome(outcome, now_ns, waiting_ns)
 
-    def own_slow_topics(self, now_ns: int) -> list[Published]:
+    def own_slow_topics(self, now_ns: int) -> list[OutputMessage]:
         """Return nothing: a position has no budget besides its covariance."""
         return []
 
@@ -99,7 +99,7 @@ class TriangulationAdapter(ReportingAdapter):
         return DiagnosticStatus("position", _LEVELS[last.status], text, values)
 
 
-def place_messages(factory: MessageFactory, estimate: PlaceEstimate) -> list[Published]:
+def place_messages(factory: MessageFactory, estimate: PlaceEstimate) -> list[OutputMessage]:
     """Return the messages of a position: ship_msgs/TargetDirection without a direction; if INVALID also the reason."""
     unknown = np.full(3, np.nan)
     target = TargetEstimate(
@@ -112,7 +112,7 @@ def place_messages(factory: MessageFactory, estimate: PlaceEstimate) -> list[Pub
         status=estimate.status,
         text=estimate.text,
     )
-    published: list[Published] = [(POSITION_TOPIC, target_message(factory, target, ORIGIN_FRAME))]
+    published: list[OutputMessage] = [(POSITION_TOPIC, target_message(factory, target, ORIGIN_FRAME))]
     if estimate.rejection is not None:
         nis = math.nan if estimate.compared is None else estimate.compared.chi_square
         rejected = rejection_message(factory, "stations", estimate.time_ns, estimate.rejection, nis=nis)
