@@ -68,9 +68,9 @@ def test_an_offline_replay_meets_the_bounds(replayed):
     path, out, problems = replayed
     assert problems == []
     bounds = read_bounds(path.with_suffix(".expected.yaml"))
-    judged = check_bounds(evaluate(out, path, bounds.skip_s).flat(), bounds, path.name)
+    judged = check_bounds(evaluate(out, path, bounds.skip_s).quantities(), bounds, path.name)
     assert judged
-    assert [bound.line for bound in judged if not bound.met] == []
+    assert [bound.line for bound in judged if not bound.is_met] == []
 
 
 @pytest.mark.slow

@@ -38,4 +38,4 @@ def test_a_node_that_ends_during_the_run(tmp_path):
                 run.node.end(signal.SIGKILL)
 
         with pytest.raises(LiveFailure, match=r"the node ended with exit code -9; its log .*ship_attitude\.log ends:"):
-            run.play(1.0, watch=kill_after_a_second)
+            run.play(1.0, report_elapsed=kill_after_a_second)

@@ -103,7 +103,7 @@ def replayed(
             if record.log_time_ns > (bag.start_ns or 0) + SESSION_S * NS_PER_S:
                 break
             if record.topic in taken:
-                run.take(record.topic, record)
+                run.process_message(record.topic, record)
     run.finish()
     return adapter
 
@@ -128,7 +128,7 @@ def found(path: Path, *faults: Fault, **changes: object) -> Found:
         if statuses[first] != 0
     ]
     long = [end_s for begin_s, end_s in spans if end_s - begin_s > 1.0]
-    levels = [claim.over_level for claim in sink.outputs.claims]
+    levels = [claim.level_ratio for claim in sink.outputs.valid_outputs]
     return Found(adapter, max(long, default=0.0), float(np.nanmax(levels)), sink.texts)
 
 

@@ -45,8 +45,8 @@ def replayed(scenario: Scenario, folder: Path, seed: int = 1) -> tuple[Path, dic
     write_bag(scenario, seed, folder / "in.mcap", b"")
     summary = replay(folder / "in.mcap", folder / "out.mcap", ADAPTERS)
     assert summary.problems == []
-    topics = {*summary.rejected, *summary.noted}
-    return folder / "out.mcap", {t: summary.rejected.get(t, {}) | summary.noted.get(t, {}) for t in topics}
+    topics = {*summary.rejected, *summary.accepted_with_note}
+    return folder / "out.mcap", {t: summary.rejected.get(t, {}) | summary.accepted_with_note.get(t, {}) for t in topics}
 
 
 def worst_valid_sigmas(path: Path) -> float:
@@ -104,7 +104,7 @@ def test_a_hidden_light_and_late_baselines_cause_no_rejection(scenario, tmp_path
     # Exposures wait for their baselines, those of the last moments in vain.
     assert set(refused.get(IMAGE, {})) <= {"gap", "revised"}
     assert worst_valid_sigmas(path) < 4.5
-    assert evaluate(path).flat()["pointing.invalid"] == 0
+    assert evaluate(path).quantities()["pointing.invalid"] == 0
 
 
 def test_stars_ins_and_lights_in_one_replay(tmp_path):
@@ -117,7 +117,7 @@ def test_stars_ins_and_lights_in_one_replay(tmp_path):
     )
     path, refused = replayed(scenario, tmp_path)
     assert refused == {}
-    values = evaluate(path, skip_s=5.0).flat()
+    values = evaluate(path, skip_s=5.0).quantities()
     assert values["fused.heading.rms_arcsec"] < 15.0
     assert values["pointing.two_lights.samples"] == values["pointing.samples"] == 151
     # 99.9 % of chi square with three degrees of freedom, for errors that hardly change in fifteen seconds.

@@ -17,7 +17,7 @@ from ship_estimation.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.outcome import Status
 from ship_estimation.parameters import build
 from ship_geometry.rotations import ARCSEC, log_rotation
-from ship_replay.trials.monte_carlo import attitude_outcomes, give_pointing
+from ship_replay.trials.monte_carlo import attitude_outcomes, feed_arrival
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario import Scenario
@@ -113,7 +113,7 @@ def session() -> Scenario:
 
 def fed(core: OpticalAxisCore, run: SimulatedRun) -> Iterator[PointingOutcome]:
     for _, source, index in run.pointing_arrivals():
-        yield give_pointing(core, run, source, index)
+        yield feed_arrival(core, run, source, index)
 
 
 @pytest.fixture(scope="module")
@@ -278,7 +278,7 @@ def sailed(seed: int) -> EstimatePair:
     def outcomes() -> Iterator[PointingOutcome]:
         for _, source, index in run.pointing_arrivals():
             given = samples.get(int(run.ins.time_ns[index])) if source == "ins" else None
-            yield give_pointing(core, run, source, index) if given is None else core.add_ship(given)
+            yield feed_arrival(core, run, source, index) if given is None else core.add_ship(given)
 
     return smoothed_pointings(core, outcomes(), run)
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from bench_rows import WITH_INTEGRITY, Row, by_turns, own_cpu_s
 from ship_replay.campaign.items import campaign_items
-from ship_replay.campaign.one_item import make
-from ship_replay.campaign.processes import in_processes
+from ship_replay.campaign.one_item import run_item
+from ship_replay.campaign.processes import run_in_processes
 from ship_replay.trials.monte_carlo import final_error
 from ship_simulation.scenario.scenario_file import load_scenario
 
@@ -64,5 +64,5 @@ def monte_carlo_cost() -> list[Row]:
 
 def _wall_s(items: Sequence[Any], workers: int) -> float:
     begin_s = time.monotonic()
-    list(in_processes(make, items, workers))
+    list(run_in_processes(run_item, items, workers))
     return time.monotonic() - begin_s

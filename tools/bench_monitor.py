@@ -92,7 +92,7 @@ def _add_run(cost: Cost, folder: Path, pages: int | None) -> None:
             stack.enter_context(_open_pages(pages))
         begin_s, node_s = time.monotonic(), process_cpu_s(run.node.pid)
         monitor_s = process_cpu_s(monitor.pid) if monitor else 0.0
-        run.play(RATE, watch=lambda _: _serve(run, 0.1))
+        run.play(RATE, report_elapsed=lambda _: _serve(run, 0.1))
         _serve(run, 1.0)
         cost.node_s.append(process_cpu_s(run.node.pid) - node_s)
         if monitor:

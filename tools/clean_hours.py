@@ -24,9 +24,9 @@ from ship_replay.trials.clean_hours import (
     THEODOLITE,
     by_kind,
     clean_voyages,
-    make_clean_voyage,
+    run_clean_voyage,
 )
-from ship_replay.trials.results_file import Result, ResultsFile, add_as_made
+from ship_replay.trials.results_file import Result, ResultsFile, run_and_record
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENARIOS = ROOT / "bags" / "scenarios"
@@ -57,17 +57,17 @@ def _run(options: argparse.Namespace) -> int:
     )
     if not options.table:
         _make(options, results)
-    return _report(results.all())
+    return _report(results.results())
 
 
 def _make(options: argparse.Namespace, results: ResultsFile) -> None:
     wanted = clean_voyages(math.ceil(options.hours * 3600.0 / options.length_s))
-    wanted = [voyage for voyage in wanted if not results.holds((voyage.number, options.length_s))]
+    wanted = [voyage for voyage in wanted if not results.contains((voyage.number, options.length_s))]
 
     def submit(pool: Executor) -> list[Future[Result]]:
-        return [pool.submit(make_clean_voyage, voyage, SCENARIOS, options.length_s) for voyage in wanted]
+        return [pool.submit(run_clean_voyage, voyage, SCENARIOS, options.length_s) for voyage in wanted]
 
-    add_as_made(results, options.processes, submit)
+    run_and_record(results, options.processes, submit)
 
 
 def _report(results: list[Result]) -> int:

@@ -136,7 +136,7 @@ def _sail(leg: Leg, rate: float, console: Console) -> Path:
     with LiveRun(leg.bag_path, leg.adapter, leg.package, FOLDER / leg.bag) as run:
         with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
             task = progress.add_task("sailing", total=length_s)
-            run.play(rate, watch=lambda elapsed_s: progress.update(task, completed=elapsed_s * rate))
+            run.play(rate, report_elapsed=lambda elapsed_s: progress.update(task, completed=elapsed_s * rate))
         recorded_path, played_topics = run.recorded_path, run.played_topics
     _print_losses(leg, recorded_path, played_topics)
     return recorded_path

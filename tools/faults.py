@@ -23,9 +23,9 @@ from ship_replay.trials.fault_results import (
     results_file,
     totals,
 )
-from ship_replay.trials.fault_voyage import Voyage, clean_voyage, make_bag, run_voyage, voyages
+from ship_replay.trials.fault_voyage import Voyage, replay_fault_free, make_bag, run_voyage, voyages
 from ship_replay.trials.one_fault import one_fault_lines
-from ship_replay.trials.results_file import Result, ResultsFile, add_as_made
+from ship_replay.trials.results_file import Result, ResultsFile, run_and_record
 from ship_replay.trials.threats import OVERLAPPING, SINGLE
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -70,8 +70,8 @@ def _run(options: argparse.Namespace) -> int:
         for (name, seed), path in paths.items():
             _bag(name, seed, path)
         wanted = voyages(list(paths.values()), options.voyages, modes)
-        _make([voyage for voyage in wanted if not results.holds(voyage.key)], results, options.processes)
-    return _report(results.all())
+        _make([voyage for voyage in wanted if not results.contains(voyage.key)], results, options.processes)
+    return _report(results.results())
 
 
 def _bag(name: str, seed: int, path: Path) -> None:
@@ -83,10 +83,10 @@ def _make(wanted: list[Voyage], results: ResultsFile, processes: int) -> None:
 
     def submit(pool: Executor) -> list[Future[Result]]:
         bags = sorted({voyage.bag for voyage in wanted})
-        clean = dict(zip(bags, pool.map(clean_voyage, bags), strict=True))
+        clean = dict(zip(bags, pool.map(replay_fault_free, bags), strict=True))
         return [pool.submit(run_voyage, voyage, clean[voyage.bag]) for voyage in wanted]
 
-    add_as_made(results, processes, submit)
+    run_and_record(results, processes, submit)
 
 
 def _report(results: list[Result]) -> int:
@@ -97,7 +97,7 @@ def _report(results: list[Result]) -> int:
     found = totals(results)
     for line in found.lines:
         console.print(line, soft_wrap=True, highlight=False)
-    return EXIT_DONE if found.sound else EXIT_BOUND_NOT_MET
+    return EXIT_DONE if found.all_met else EXIT_BOUND_NOT_MET
 
 
 def _table(head: Row, rows: Iterable[Row]) -> Table:

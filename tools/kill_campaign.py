@@ -55,7 +55,7 @@ def main() -> int:
             continue
         with tempfile.TemporaryDirectory() as folder:
             trials = [kill(Path(folder), seed) for seed in track(seeds, name, console=Console(stderr=True))]
-        bad = [seed for seed, trial in zip(seeds, trials, strict=True) if not trial.keeps(period_s)]
+        bad = [seed for seed, trial in zip(seeds, trials, strict=True) if not trial.is_within_flush_period(period_s)]
         kept &= not bad
         table.add_row(
             name,
@@ -70,10 +70,10 @@ def main() -> int:
 
 def _figures(trials: list[KillTrial]) -> tuple[str, ...]:
     lost_ms = sorted(trial.lost_s * 1e3 for trial in trials)
-    reread = sum(trial.recovered == trial.readable[0] == trial.readable[1] for trial in trials)
+    reread = sum(trial.recovered_count == trial.readable_counts[0] == trial.readable_counts[1] for trial in trials)
     return (
         f"{lost_ms[len(lost_ms) // 2]:.0f}, {lost_ms[-1]:.0f}",
-        f"{max(trial.sent - trial.kept for trial in trials)} at most",
+        f"{max(trial.sent_count - trial.kept_count for trial in trials)} at most",
         str(sum(trial.has_gap for trial in trials)),
         f"{reread} of {len(trials)}",
     )

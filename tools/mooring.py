@@ -115,7 +115,7 @@ def stars_minus_ins(bag_path: Path, replayed_path: Path) -> Differences:
         for message in _messages(bag, SHIP_ATTITUDE.truth_topic):
             truth.add(message)
         for message in _messages(bag, _INS):
-            ins.take(message)
+            ins.add_message(message)
     rows = []
     with read_bag(replayed_path) as bag:
         for message in _messages(bag, JOINT_SOLUTION):
@@ -126,7 +126,7 @@ def stars_minus_ins(bag_path: Path, replayed_path: Path) -> Differences:
             told = angles_from_rotation(by_ins.rotation_nd)
             by_stars = np.array([message.azimuth, message.elevation, message.roll])
             sigma = np.sqrt(np.diagonal(np.asarray(message.covariance).reshape(3, 3)))
-            true_nd = truth.around(time_ns)
+            true_nd = truth.interpolated_rotation(time_ns)
             true = np.full(3, np.nan) if true_nd is None else wrap_pi(angles_from_rotation(true_nd) - told)
             rows.append((time_ns, wrap_pi(by_stars - told), sigma, true))
     if not rows:

@@ -103,7 +103,7 @@ def _squares(scenario: Scenario, seed: int) -> FloatArray:
 
 def _of_span(errors: PointingErrors, span: Span) -> list[float]:
     inside = (errors.time_s > span.start_s) & (errors.time_s <= span.end_s)
-    quantities = (errors.on_sky, errors.sigma_on_sky, errors.ins_encoder)
+    quantities = (errors.error_on_sky, errors.sigma_on_sky, errors.ins_encoder)
     return [float(np.mean(values[inside] ** 2)) for values in quantities]
 
 

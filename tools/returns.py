@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
-from ship_replay.trials.results_file import Result, add_as_made
+from ship_replay.trials.results_file import Result, run_and_record
 
 ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT / "test") not in sys.path:
@@ -49,18 +49,18 @@ def main(arguments: list[str] | None = None) -> int:
 def _run(options: argparse.Namespace) -> int:
     results = results_file(options.out / "returns.jsonl", options.fresh)
     if options.table:
-        write_table(PAGE, results.all())
+        write_table(PAGE, results.results())
         return EXIT_DONE
     paths = {name: make_bag(name, options.out / "bags") for name in VOYAGES}
     cells = all_cells({name: load_voyage(path) for name, path in paths.items()})
     cells = [cell for cell in some_cells(cells, options.cells or len(cells)) if options.only in cell.name]
 
     def submit(pool: Executor) -> list[Future[Result]]:
-        return [pool.submit(run_cell, cell, paths[cell.voyage]) for cell in cells if not results.holds(cell.key)]
+        return [pool.submit(run_cell, cell, paths[cell.voyage]) for cell in cells if not results.contains(cell.key)]
 
-    add_as_made(results, options.processes, submit)
+    run_and_record(results, options.processes, submit)
     keys = {cell.key for cell in cells}
-    return _report([result for result in results.all() if (result["voyage"], result["cell"]) in keys])
+    return _report([result for result in results.results() if (result["voyage"], result["cell"]) in keys])
 
 
 def _report(results: list[Result]) -> int:

@@ -5,14 +5,14 @@ import signal
 from pathlib import Path
 
 from ship_replay.campaign.items import Item
-from ship_replay.campaign.one_item import Result, failed
+from ship_replay.campaign.one_item import Result, failed_result
 
 DEADLY_SEED = 2
 
 
 def quick(item: Item, _folder: Path) -> Result:
     """Return a result at once."""
-    return failed("") | {"error": None, "values": {"seed": float(item.seed or 0)}}
+    return failed_result("") | {"error": None, "values": {"seed": float(item.seed or 0)}}
 
 
 def dies_once(item: Item, folder: Path) -> Result:

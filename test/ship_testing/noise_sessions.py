@@ -67,7 +67,7 @@ def noise_session(of: Scenario, seed: int, ins_changes: dict[str, Any] | None = 
     core, pairs, run = ShipAttitudeCore(session_config(config)), StarComparisons(), simulate(of, seed)
     source: Any = _WithFixes(run) if with_fixes else run
     for outcome in attitude_outcomes(core, source, set()):
-        pairs.take(core, outcome.decisions)
+        pairs.add_decisions(core, outcome.decisions)
     return noise_session("voyage", config, core, pairs, [])
 
 
@@ -89,7 +89,7 @@ def drawn(session: NoiseSession, seed: int, process: GaussMarkovProcess) -> Nois
     time_s = np.array([process.tilt_s, process.heading_s, process.tilt_s])
     installed = {id_: rng.standard_normal(3) for id_ in ("star.fore", "star.starboard")}
     slow, white, last_ns, pairs = steady * rng.standard_normal(3), np.zeros(3), None, []
-    for pair in session.pairs:
+    for pair in session.comparisons:
         if pair.time_ns != last_ns:
             decay = np.exp(-((pair.time_ns - (last_ns or pair.time_ns)) * 1e-9) / time_s)
             slow = decay * slow + steady * np.sqrt(1.0 - decay**2) * rng.standard_normal(3)

@@ -17,7 +17,7 @@ from ship_estimation.outcome import Status
 from ship_estimation.parameters import build, flatten, nest
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
-from ship_replay.trials.monte_carlo import give_pointing
+from ship_replay.trials.monte_carlo import feed_arrival
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.suite.suite import optical_axis_configuration
 from ship_testing.theodolite_scenes import bag_scenario, replaced, with_beacons, with_theodolite
@@ -201,7 +201,7 @@ class CoreRun:
 
     def give(self, run: SimulatedRun, arrivals: list[tuple[int, str, int]], stamps: Container[int]) -> None:
         for _, source, index in arrivals:
-            outcome = give_pointing(self.core, run, source, index)
+            outcome = feed_arrival(self.core, run, source, index)
             self.outcomes.append(outcome)
             known = [estimate for estimate in outcome.estimates if estimate.time_ns in stamps]
             self.levels |= {estimate.time_ns: self.core.integrity(estimate).level for estimate in known}

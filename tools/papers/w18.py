@@ -106,7 +106,7 @@ class SuiteError:
 def suite_error_arcsec(scenario: str, seeds: range) -> SuiteError:
     """Simulate voyages of a scenario in bags/scenarios, and filter them; return the errors."""
     voyages = [pointing_errors(load_scenario(ROOT / "bags" / "scenarios" / f"{scenario}.yaml"), seed) for seed in seeds]
-    ends = np.array([[voyage.on_sky[-1], voyage.sigma_on_sky[-1]] for voyage in voyages]) / ARCSEC
+    ends = np.array([[voyage.error_on_sky[-1], voyage.sigma_on_sky[-1]] for voyage in voyages]) / ARCSEC
     error_arcsec, sigma_arcsec = np.sqrt(np.mean(ends**2, axis=0))
     return SuiteError(float(error_arcsec), float(sigma_arcsec), sum(voyage.rejected_count for voyage in voyages))
 

@@ -74,8 +74,8 @@ def test_node_loads_the_fit_from_its_calibration_file(fitted, tmp_path):
     def without_lights(records, bag):
         return (record for record in records if not record.topic.endswith("theodolite/beacons"))
 
-    replay(BAGS / "theodolite.mcap", out, (OpticalAxisAdapter,), config, watch=without_lights)
-    values = evaluate(out, against=BAGS / "theodolite.mcap", skip_s=1.0).flat()
+    replay(BAGS / "theodolite.mcap", out, (OpticalAxisAdapter,), config, progress=without_lights)
+    values = evaluate(out, against=BAGS / "theodolite.mcap", skip_s=1.0).quantities()
     assert values["pointing.encoder.nees_mean"] < 11.3
     # Without any calibration the elevation is off by 27″ and the sigma is 40″.
     assert values["pointing.encoder.elevation.sigma_arcsec"] < 35.0

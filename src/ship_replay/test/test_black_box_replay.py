@@ -334,7 +334,7 @@ def test_a_bag_replayed_or_checked_does_not_replace_what_a_ship_has_saved(tmp_pa
     assert not saved.exists()
 
 
-def nth(topic, number, change):
+def change_nth(topic, number, change):
     """Return a change of the nth message (from 1) on a topic."""
     seen = 0
 
@@ -364,7 +364,7 @@ def test_one_bit_of_one_field_is_found_and_named(box, tmp_path, capsys):
     with read_bag(box) as bag:
         attitude = [r for r in bag.records_in_file_order() if r.topic == "ship/attitude"][99].decode()
     stamp = attitude.header.stamp.sec * 10**9 + attitude.header.stamp.nanosec
-    other = write_changed_copy(box, tmp_path / "b.mcap", nth("ship/attitude", 100, with_last_bit_flipped("pitch")))
+    other = write_changed_copy(box, tmp_path / "b.mcap", change_nth("ship/attitude", 100, with_last_bit_flipped("pitch")))
     code, out, _ = verify(capsys, other)
     assert code == 1
     line = next(line for line in out.splitlines() if line.startswith("first difference: "))
@@ -380,20 +380,20 @@ def test_an_input_changed_by_one_bit_shows_in_the_output_that_follows(box, tmp_p
         imu.orientation.x += 1e-9
         return replace(message, data=bytes(store.serialize_cdr(imu, "sensor_msgs/msg/Imu")))
 
-    code, out, _ = verify(capsys, write_changed_copy(box, tmp_path / "b.mcap", nth("ins/imu", 50, change)))
+    code, out, _ = verify(capsys, write_changed_copy(box, tmp_path / "b.mcap", change_nth("ins/imu", 50, change)))
     assert code == 1
     assert "first difference: ship/attitude, stamp" in out
 
 
 def test_an_output_too_many_is_a_difference(box, tmp_path, capsys):
-    copy = write_changed_copy(box, tmp_path / "b.mcap", nth("ship/attitude", 30, lambda m: [m, m]), renumber=True)
+    copy = write_changed_copy(box, tmp_path / "b.mcap", change_nth("ship/attitude", 30, lambda m: [m, m]), renumber=True)
     code, out, _ = verify(capsys, copy)
     assert code == 1
     assert "recorded a message, replayed a message on ship/imu" in out
 
 
 def test_an_output_too_few_is_a_difference(box, tmp_path, capsys):
-    copy = write_changed_copy(box, tmp_path / "b.mcap", nth("/tf", 30, lambda message: None), renumber=True)
+    copy = write_changed_copy(box, tmp_path / "b.mcap", change_nth("/tf", 30, lambda message: None), renumber=True)
     code, out, _ = verify(capsys, copy)
     assert code == 1
     assert "first difference: /tf, " in out
@@ -413,7 +413,7 @@ def test_another_saved_file_is_a_difference(box, tmp_path, capsys):
 
 
 def test_missing_entries_end_the_verification_and_are_reported(box, tmp_path, capsys):
-    code, out, _ = verify(capsys, write_changed_copy(box, tmp_path / "b.mcap", nth("ins/imu", 400, lambda message: None)))
+    code, out, _ = verify(capsys, write_changed_copy(box, tmp_path / "b.mcap", change_nth("ins/imu", 400, lambda message: None)))
     assert code == 1
     assert "verified up to this point: entries are missing before 2014-07-09T11:50:11.79" in out
     assert "first difference" not in out

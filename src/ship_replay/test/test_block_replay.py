@@ -25,7 +25,7 @@ from ship_replay.offline.adapter_chain import suite_chain
 from ship_replay.offline.block_run import BlockRun
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
-from ship_replay.trials.fault_voyage import make_bag, taken_topics
+from ship_replay.trials.fault_voyage import make_bag, input_topics
 from ship_replay.trials.threats import OVERLAPPING, SINGLE, draw_faults
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.faults.injection import Injection
@@ -41,7 +41,7 @@ NAMES = [
 FAULTED_BAGS = int(os.environ.get("FAULTED_BAGS", "6"))
 FAULT_SECONDS, SUITE_SECONDS = 45.0, 30.0
 
-def replayed(run_class: type[ReplayRun], bag_path: Path, injection: Injection) -> tuple[Published, ReplaySummary]:
+def replay_faults(run_class: type[ReplayRun], bag_path: Path, injection: Injection) -> tuple[Published, ReplaySummary]:
     with read_bag(bag_path) as bag:
         chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory())
         truth = {topic for topic in bag.topics if topic.startswith("truth/")}
@@ -50,7 +50,7 @@ def replayed(run_class: type[ReplayRun], bag_path: Path, injection: Injection) -
         records: Iterator[BagRecord] = injection.records(bag)
         for record in records:
             if record.topic in taken:
-                run.take(record.topic, record)
+                run.process_message(record.topic, record)
         run.finish()
         summary.rejected = {a.node_name: a.health.rejection_and_note_counts() for a in chain.adapters}
     return sink.published, summary
@@ -58,8 +58,8 @@ def replayed(run_class: type[ReplayRun], bag_path: Path, injection: Injection) -
 
 def assert_equal(bag_path: Path, injection: Injection | None = None) -> None:
     injection = injection or Injection(bag_path, {}, 0)
-    expected, told = replayed(ReplayRun, bag_path, injection)
-    found, also_told = replayed(BlockRun, bag_path, injection)
+    expected, told = replay_faults(ReplayRun, bag_path, injection)
+    found, also_told = replay_faults(BlockRun, bag_path, injection)
     assert {topic: len(messages) for topic, messages in found.items()} == {
         topic: len(messages) for topic, messages in expected.items()
     }
@@ -74,8 +74,8 @@ def assert_equal(bag_path: Path, injection: Injection | None = None) -> None:
     for topic, times in told.times.items():
         for one, other in zip(_gaps(times), _gaps(also_told.times[topic]), strict=True):
             np.testing.assert_array_equal(one, other)
-    assert also_told.log_times.held_up() == told.log_times.held_up()
-    assert also_told.log_times.usual_ns() == told.log_times.usual_ns()
+    assert also_told.log_delays.irregularity_text() == told.log_delays.irregularity_text()
+    assert also_told.log_delays.median_ns() == told.log_delays.median_ns()
 
 
 def _gaps(times: Any) -> list[np.ndarray]:
@@ -111,25 +111,25 @@ def suite_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_bag(SCENARIOS / "everything.yaml", SUITE_SECONDS, 2, path)
 
 
-def drawn_faults(bag_path: Path, seed: int) -> Injection:
+def draw_injection(bag_path: Path, seed: int) -> Injection:
     mode = (SINGLE, OVERLAPPING)[seed % 2]
     with read_bag(bag_path) as bag:
         rng = random_stream(seed, f"voyage.{mode}")
         length_s = ((bag.end_ns or 0) - (bag.start_ns or 0)) / NS_PER_S
-        drawn = draw_faults(taken_topics(bag), length_s, mode, IntegrityConfig().return_after_s, rng)
+        drawn = draw_faults(input_topics(bag), length_s, mode, IntegrityConfig().return_after_s, rng)
     return Injection(bag_path, {f"f{number}": one.fault for number, one in enumerate(drawn)}, seed)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(FAULTED_BAGS))
 def test_faulted_bags(clean_bag: Path, seed: int) -> None:
-    assert_equal(clean_bag, drawn_faults(clean_bag, seed))
+    assert_equal(clean_bag, draw_injection(clean_bag, seed))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(FAULTED_BAGS // 2))
 def test_faulted_bags_of_all_nodes(suite_bag: Path, seed: int) -> None:
-    assert_equal(suite_bag, drawn_faults(suite_bag, seed))
+    assert_equal(suite_bag, draw_injection(suite_bag, seed))
 
 
 @pytest.mark.slow
@@ -179,7 +179,7 @@ def test_most_of_a_healthy_ins_is_taken_in_blocks(
         return end_ahead(self, ahead)
 
     monkeypatch.setattr(core, "end_ahead", counted)
-    _, summary = replayed(BlockRun, suite_bag, Injection(suite_bag, {}, 0))
+    _, summary = replay_faults(BlockRun, suite_bag, Injection(suite_bag, {}, 0))
     assert sum(taken) > 0.8 * summary.inputs["ins/imu"]
 
 
@@ -193,6 +193,6 @@ def test_nearly_all_pointings_are_put_out_together(suite_bag: Path, monkeypatch:
         return of_due(self, due)
 
     monkeypatch.setattr(PointingOutput, "of_due", counted)
-    _, summary = replayed(BlockRun, suite_bag, Injection(suite_bag, {}, 0))
+    _, summary = replay_faults(BlockRun, suite_bag, Injection(suite_bag, {}, 0))
     assert sum(counts) > 0.8 * summary.inputs["theodolite/encoder"]
     assert max(counts) > 10

@@ -50,7 +50,7 @@ def calibrate(folder: Path, capsys: pytest.CaptureFixture[str], scenario=None, a
     return Calibrated(run, out, report, capsys.readouterr().out)
 
 
-def observed(calibrated: Calibrated) -> dict[str, str]:
+def observability(calibrated: Calibrated) -> dict[str, str]:
     return {entry["what"].split(" (")[0]: entry["observed"] for entry in calibrated.values["combinations"].values()}
 
 
@@ -59,7 +59,7 @@ AZIMUTH, PITCH, ROLL = (f"all sensors rotated together in {angle}" for angle in 
 
 def test_at_constant_heading_the_common_turns_are_named(tmp_path, capsys):
     result = calibrate(tmp_path, capsys)
-    assert observed(result) == {ROLL: "no", AZIMUTH: "no", PITCH: "no"}
+    assert observability(result) == {ROLL: "no", AZIMUTH: "no", PITCH: "no"}
     # 20" twice, and an INS good to 72" in heading, 10" in tilt: 1 / sqrt(2 / 20² + 1 / 72²) = 13.88".
     text = " ".join(result.lines)
     assert f"(2) not observed, 13.88″ of 13.88″: {AZIMUTH} (about the deck's up axis); add a reference" in text
@@ -72,20 +72,20 @@ def test_at_constant_heading_the_common_turns_are_named(tmp_path, capsys):
 @pytest.mark.slow
 def test_a_turn_makes_tilt_observable_and_not_azimuth(tmp_path, capsys):
     result = calibrate(tmp_path, capsys, session(TURN))
-    assert observed(result) == {ROLL: "yes", AZIMUTH: "no", PITCH: "yes"}
+    assert observability(result) == {ROLL: "yes", AZIMUTH: "no", PITCH: "yes"}
     text = " ".join(result.lines)
     assert "turning the ship in calm water does not help: the INS's heading error turns with it" in text
 
 
 def test_a_turn_in_a_swell_makes_all_observable(tmp_path, capsys):
     result = calibrate(tmp_path, capsys, session(HEELING))
-    assert observed(result) == {ROLL: "yes", AZIMUTH: "yes", PITCH: "yes"}
+    assert observability(result) == {ROLL: "yes", AZIMUTH: "yes", PITCH: "yes"}
     assert "all combinations of the installation angles were observed" in result.lines
 
 
 def test_with_a_reference_the_node_starts_from_the_true_angles(tmp_path, capsys):
     result = calibrate(tmp_path, capsys, session(STILL, reference=True))
-    assert set(observed(result).values()) == {"yes"}
+    assert set(observability(result).values()) == {"yes"}
     assert set(ALIGNMENT_FILE.load(result.alignment).names) == {
         "ins.time_offset", "star.fore.installation", "star.starboard.installation", "reference.plate.installation",
         "reference.plate.time_offset",
@@ -138,7 +138,7 @@ def test_a_sensor_at_the_zenith_has_no_azimuth_of_its_own(tmp_path, capsys):
     result = calibrate(tmp_path, capsys, replace(scenario, star_sensors=sensors))
     said = {angle: result.values["angles"][f"star.fore.{angle}"] for angle in ("azimuth", "elevation", "roll")}
     assert said["azimuth"]["sigma_arcsec"] is said["roll"]["sigma_arcsec"] is said["azimuth"]["observed"] is None
-    assert set(observed(result).values()) == {"yes"}
+    assert set(observability(result).values()) == {"yes"}
     assert result.report.joinpath("installation.png").exists()
     saved = ALIGNMENT_FILE.load(result.alignment)
     true_dv = result.run.truth.stars["fore"].rotation_dv
@@ -168,7 +168,7 @@ def test_an_installation_far_from_the_configured_one_needs_a_wider_prior(tmp_pat
         said = result.values["angles"][f"star.{id_}.elevation"]
         true_deg = np.rad2deg(angles_from_rotation(truth.rotation_dv))[1]
         assert abs(said["installed_deg"] - true_deg) * 3600.0 < 4.0 * said["sigma_arcsec"] < 60.0
-    assert observed(result)[AZIMUTH] == "no"
+    assert observability(result)[AZIMUTH] == "no"
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from ship_estimation.gates import mean_nees_band, normalized_error_squared, sigm
 from ship_estimation.parameters import build
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import ARCSEC, log_rotation, wrap_pi
-from ship_replay.calibration.result import InstallationCalibration, calibration_of
+from ship_replay.calibration.result import InstallationCalibration, calibrate
 from ship_replay.calibration.session import Session
 from ship_replay.trials.monte_carlo import core_for, feed_attitude
 from ship_simulation.run import SimulatedRun, simulate
@@ -31,7 +31,7 @@ SENSORS = "fore", "starboard"
 def calibrated(run: SimulatedRun, core: ShipAttitudeCore) -> InstallationCalibration:
     """Return the result of the command for a run, without a bag."""
     feed_attitude(core, run)
-    return calibration_of(Session("run", core.config, core, {}, np.array([]), {}, run.scenario.duration_s, []))
+    return calibrate(Session("run", core.config, core, {}, np.array([]), {}, run.scenario.duration_s, []))
 
 
 def angle_errors(calibration: InstallationCalibration, run: SimulatedRun) -> np.ndarray:
@@ -66,7 +66,7 @@ def test_errors_fit_their_covariance(scenario: Scenario, observed: dict[str, str
     for seed in range(SEEDS):
         run = simulate(scenario, seed)
         calibration = calibrated(run, core_for(scenario))
-        assert {c.axis: c.observed for c in calibration.combinations.values() if c.axis} == observed
+        assert {c.axis: c.observability for c in calibration.combinations.values() if c.axis} == observed
         values.append(nees(calibration, run))
         ratios.append(angle_errors(calibration, run) / [angle.sigma for angle in calibration.angles])
     low, high = mean_nees_band(SEEDS, degrees=6)

@@ -13,7 +13,7 @@ PRIOR = np.full((2, 3), 20.0) * ARCSEC
 PRIOR_COVARIANCE = np.diag(PRIOR.ravel() ** 2)
 
 
-def updated(covariance: np.ndarray, jacobian: np.ndarray, noise: np.ndarray) -> np.ndarray:
+def update_covariance(covariance: np.ndarray, jacobian: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """Return a covariance after a measurement."""
     return np.linalg.inv(np.linalg.inv(covariance) + jacobian.T @ np.linalg.solve(noise, jacobian))
 
@@ -23,10 +23,10 @@ def against_ins(covariance: np.ndarray, sigma_arcsec: float) -> np.ndarray:
     noise = np.tile(np.diag(INS**2), (2, 2)) + (sigma_arcsec * ARCSEC) ** 2 * np.eye(6)
     to_deck = np.zeros((6, 6))
     to_deck[:3, :3], to_deck[3:, 3:] = LAYOUT
-    return updated(covariance, to_deck, noise)
+    return update_covariance(covariance, to_deck, noise)
 
 
-def found(covariance: np.ndarray, prior: np.ndarray = PRIOR, layout: np.ndarray = LAYOUT) -> list:
+def find_combinations(covariance: np.ndarray, prior: np.ndarray = PRIOR, layout: np.ndarray = LAYOUT) -> list:
     return combinations(prior, covariance[None], layout, INS)
 
 
@@ -37,7 +37,7 @@ def test_verdicts() -> None:
 
 
 def test_nothing_measured_leaves_everything_open() -> None:
-    combos = found(PRIOR_COVARIANCE)
+    combos = find_combinations(PRIOR_COVARIANCE)
     assert [combo.axis for combo in combos] == [*DECK_AXES, None, None, None]
     assert {combo.observed for combo in combos} == {"no"}
     # Two sensors of 20": the turn of both is known to 20" / sqrt 2.
@@ -45,7 +45,7 @@ def test_nothing_measured_leaves_everything_open() -> None:
 
 
 def test_at_constant_heading_the_turn_of_all_is_open_and_the_rest_is_not() -> None:
-    combos = found(against_ins(PRIOR_COVARIANCE, sigma_arcsec=0.1))
+    combos = find_combinations(against_ins(PRIOR_COVARIANCE, sigma_arcsec=0.1))
     # 1 / sqrt(2 / 20² + 1 / 10²) and 1 / sqrt(2 / 20² + 1 / 72²): prior and INS, by hand.
     assert [combo.axis for combo in combos] == list(DECK_AXES)
     assert [combo.sigma_before / ARCSEC for combo in combos] == pytest.approx([8.165, 13.877, 8.165], abs=1e-3)
@@ -58,36 +58,36 @@ def test_at_constant_heading_the_turn_of_all_is_open_and_the_rest_is_not() -> No
 def test_one_observation_bounds_a_wide_prior() -> None:
     """The sum of INS and installation is not an observation, however wide the prior."""
     wide = 180.0 * PRIOR
-    combos = found(against_ins(np.diag(wide.ravel() ** 2), sigma_arcsec=0.1), wide)
+    combos = find_combinations(against_ins(np.diag(wide.ravel() ** 2), sigma_arcsec=0.1), wide)
     assert [combo.sigma / ARCSEC for combo in combos] == pytest.approx([10.0, 72.0, 10.0], rel=1e-3)
     assert {combo.observed for combo in combos} == {"no"}
 
 
 def test_an_independent_deck_is_observed() -> None:
     fore_on_deck = np.hstack([LAYOUT[0], np.zeros((3, 3))])
-    known = updated(against_ins(PRIOR_COVARIANCE, 0.1), fore_on_deck, (0.5 * ARCSEC) ** 2 * np.eye(3))
-    assert [(combo.axis, combo.observed) for combo in found(known)] == [(axis, "yes") for axis in DECK_AXES]
+    known = update_covariance(against_ins(PRIOR_COVARIANCE, 0.1), fore_on_deck, (0.5 * ARCSEC) ** 2 * np.eye(3))
+    assert [(combo.axis, combo.observed) for combo in find_combinations(known)] == [(axis, "yes") for axis in DECK_AXES]
 
 
 def test_an_ins_without_errors_is_the_deck() -> None:
     known = np.diag((0.1 * ARCSEC) ** 2 * np.ones(6))
     combos = combinations(PRIOR, known[None], LAYOUT, np.array([0.0, 72.0, 0.0]) * ARCSEC)
     assert [combo.sigma_before / ARCSEC for combo in combos] == pytest.approx([14.142, 13.877, 14.142], abs=1e-3)
-    assert {combo.observed for combo in combos} == {"yes"}
+    assert {combo.observability for combo in combos} == {"yes"}
 
 
 def test_a_boresight_that_was_not_observed_is_named() -> None:
     """All is known except the rotation of the second sensor about its boresight."""
     # 0.1" about five axes; the sixth, forward of the second sensor, not at all.
     measured = np.delete(np.eye(6), 3, axis=0)
-    combos = found(updated(PRIOR_COVARIANCE, measured, (0.1 * ARCSEC) ** 2 * np.eye(5)))
+    combos = find_combinations(update_covariance(PRIOR_COVARIANCE, measured, (0.1 * ARCSEC) ** 2 * np.eye(5)))
     (open_one,) = [combo for combo in combos if combo.observed != "yes"]
     assert open_one.axis is None
     assert np.unravel_index(np.argmax(np.abs(open_one.run_s)), (2, 3)) == (1, 0)
 
 
 def test_a_single_sensor_has_no_relative_rotation() -> None:
-    one = found(PRIOR_COVARIANCE[:3, :3], PRIOR[:1], LAYOUT[:1])
+    one = find_combinations(PRIOR_COVARIANCE[:3, :3], PRIOR[:1], LAYOUT[:1])
     assert [combo.axis for combo in one] == list(DECK_AXES)
     assert {combo.observed for combo in one} == {"no"}
 

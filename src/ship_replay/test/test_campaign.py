@@ -16,12 +16,12 @@ from pathlib import Path
 import pytest
 from distributed import LocalCluster
 
-from ship_replay.campaign.cluster import in_cluster
-from ship_replay.campaign.items import campaign_items, seeds_of
-from ship_replay.campaign.one_item import failed, make
+from ship_replay.campaign.cluster import run_in_cluster
+from ship_replay.campaign.items import campaign_items, parse_seeds
+from ship_replay.campaign.one_item import failed_result, run_item
 from ship_replay.campaign.page import page
 from ship_replay.campaign.pooled import pools, worst_items
-from ship_replay.campaign.processes import MOST_DEATHS, in_processes
+from ship_replay.campaign.processes import MAX_WORKER_FAILURES, run_in_processes
 from ship_replay.campaign.results import PAGE, TABLE, ResultFolder, csv_table
 from ship_replay.commands.campaign import main
 from ship_replay.commands.evaluate import main as evaluate
@@ -128,7 +128,7 @@ class TestKeys:
     def test_an_item_whose_file_was_changed_meanwhile_fails(self, given):
         (item,) = campaign_items([given / "night.mcap"], [], [])
         (given / "night.mcap").write_bytes(b"another night")
-        ((_, result),) = in_processes(make, [item], 1)
+        ((_, result),) = run_in_processes(run_item, [item], 1)
         assert result["error"] == f"{given}/night.mcap: has changed since the campaign began"
 
 
@@ -136,13 +136,13 @@ class TestKeys:
     ("text", "seeds"), [("7", [7]), ("1-3", [1, 2, 3]), ("5,1-2,2", [5, 1, 2]), ("0", [0]), ("3-3", [3])]
 )
 def test_seeds(text, seeds):
-    assert seeds_of(text) == seeds
+    assert parse_seeds(text) == seeds
 
 
 @pytest.mark.parametrize("text", ["", "1-", "-1", "3-1", "1.5", "a", "1,,2"])
 def test_what_are_no_seeds(text):
     with pytest.raises(ValueError, match=r"no seeds|before it begins"):
-        seeds_of(text)
+        parse_seeds(text)
 
 
 class TestResults:
@@ -218,7 +218,7 @@ class TestKilled:
     def made(self, make, scenario, tmp_path, workers=2):
         path = tmp_path / "short.yaml"
         shutil.copy(scenario, path)
-        made = list(in_processes(make, campaign_items([path], [], range(1, 5)), workers))
+        made = list(run_in_processes(make, campaign_items([path], [], range(1, 5)), workers))
         return {item.seed: result for item, result in made}
 
     def test_the_item_of_a_killed_worker_is_made_again(self, scenario, tmp_path):
@@ -232,10 +232,10 @@ class TestKilled:
     def test_an_item_that_kills_its_worker_each_time_fails_alone(self, scenario, tmp_path, workers):
         found = self.made(dies_always, scenario, tmp_path, workers)
         folders = (tmp_path / "deaths").read_text().splitlines()
-        assert len(folders) == MOST_DEATHS
+        assert len(folders) == MAX_WORKER_FAILURES
         assert not any(Path(folder).exists() for folder in folders)
         assert {seed: result["error"] for seed, result in found.items()} == {
-            1: None, 2: f"its worker died {MOST_DEATHS} times, the last time with signal 9", 3: None, 4: None,
+            1: None, 2: f"its worker died {MAX_WORKER_FAILURES} times, the last time with signal 9", 3: None, 4: None,
         }  # fmt: skip
 
     @pytest.mark.slow
@@ -328,7 +328,7 @@ class TestCluster:
     def test_the_item_of_a_killed_worker_is_made_again(self, scenario, tmp_path, address):
         path = tmp_path / "short.yaml"
         shutil.copy(scenario, path)
-        made = list(in_cluster(dies_once, campaign_items([path], [], range(1, 5)), address))
+        made = list(run_in_cluster(dies_once, campaign_items([path], [], range(1, 5)), address))
         assert (tmp_path / "died").exists()
         assert sorted((item.seed, result["error"], result["values"]["seed"]) for item, result in made) == [
             (seed, None, float(seed)) for seed in range(1, 5)
@@ -379,7 +379,7 @@ class TestPooled:
         return [
             (items[0], self.result(samples=100.0, rms=3.0, sigma=2.0, nees=6.0, independent=10.0, valid=90)),
             (items[1], self.result(samples=300.0, rms=5.0, sigma=5.0, nees=2.0, independent=30.0, valid=10)),
-            (items[2], failed("no bag")),
+            (items[2], failed_result("no bag")),
         ]
 
     def result(self, samples, rms, sigma, nees, independent, valid):
@@ -424,7 +424,7 @@ class TestPooled:
 def test_a_result_of_another_item_is_refused(scenario, tmp_path):
     one, two = campaign_items([scenario], [], [1, 2])
     folder = ResultFolder(tmp_path / "out")
-    folder.keep(one, failed("") | {"error": None})
+    folder.save(one, failed_result("") | {"error": None})
     folder.path(one).rename(folder.path(two))
     assert folder.result(one) is None
     with pytest.raises(ValueError, match="is the result of another item"):

@@ -81,7 +81,7 @@ def check(tmp_path, capsys):
     return run
 
 
-def changed(bag, folder, topic, change):
+def change_bag(bag, folder, topic, change):
     """A copy of a bag with each star of a topic changed."""
     copy = folder / "changed.mcap"
     with read_bag(bag) as whole, BagWriter(copy) as writer:
@@ -128,7 +128,7 @@ MIRRORS = pytest.mark.parametrize(
 )
 
 
-def held_focal_length(lines, name):
+def hold_focal_length(lines, name):
     """The one line about a focal length: the value that fits and its sigma, m."""
     (line,) = lines
     found = re.fullmatch(
@@ -149,7 +149,7 @@ def test_cameras_as_configured_are_not_named(check, deck, mount):
 def test_a_focal_length_a_twentieth_of_a_percent_off_is_named_with_the_value_that_fits(check, deck, scale):
     bag, text = deck
     wrong = text.replace("focal_length_m: 0.05", f"focal_length_m: {0.05 * (1.0 - scale):.7f}", 1)
-    fits_m, sigma_m, percent = held_focal_length(check(wrong, bag), "star_sensors.fore.camera.focal_length_m")
+    fits_m, sigma_m, percent = hold_focal_length(check(wrong, bag), "star_sensors.fore.camera.focal_length_m")
     assert abs(fits_m - 0.05) < 3.3 * sigma_m + 5e-8
     assert 1e-7 < sigma_m < 1e-6
     assert percent == pytest.approx(100.0 * scale, abs=0.006)
@@ -161,7 +161,7 @@ def test_the_focal_length_of_a_camera_on_the_theodolite_is_named(check, mount, s
     camera = text.index("principal_u_px: 1100.0")
     at = text.rindex("focal_length_m: 0.1", 0, camera)
     wrong = text[:at] + f"focal_length_m: {0.1 * (1.0 - scale):.7f}" + text[at + len("focal_length_m: 0.1") :]
-    fits_m, sigma_m, percent = held_focal_length(check(wrong, bag), "telescopes.night.camera.focal_length_m")
+    fits_m, sigma_m, percent = hold_focal_length(check(wrong, bag), "telescopes.night.camera.focal_length_m")
     assert abs(fits_m - 0.1) < 3.3 * sigma_m + 1e-7
     assert 1e-7 < sigma_m < 3e-6
     assert percent == pytest.approx(100.0 * scale, abs=0.01)
@@ -170,7 +170,7 @@ def test_the_focal_length_of_a_camera_on_the_theodolite_is_named(check, mount, s
 @MIRRORS
 def test_mirrored_axes_are_named(check, deck, tmp_path, mirror, words):
     bag, text = deck
-    lines = check(text, changed(bag, tmp_path, FORE, lambda star: mirror(star, IMAGE_PX[FORE])))
+    lines = check(text, change_bag(bag, tmp_path, FORE, lambda star: mirror(star, IMAGE_PX[FORE])))
     expected = "expected u to the right and v down, looking out of the sensor"
     said = f"stars on '{FORE}' in BAG fit the sky only in a mirrored image: {words}; {expected}"
     assert lines[0] == f"error: star_sensors.fore.camera: {said}"
@@ -180,7 +180,7 @@ def test_mirrored_axes_are_named(check, deck, tmp_path, mirror, words):
 def test_mirrored_axes_without_an_ins_are_named_as_such(check, tmp_path):
     """Which of the axes is reversed is not stated: there is no predicted attitude."""
     bag, text = simulated(tmp_path, deck_scenario(True))
-    mirrored = changed(bag, tmp_path, FORE, lambda star: v_upwards(star, IMAGE_PX[FORE]))
+    mirrored = change_bag(bag, tmp_path, FORE, lambda star: v_upwards(star, IMAGE_PX[FORE]))
     alone = tmp_path / "alone.mcap"
     with read_bag(mirrored) as whole, BagWriter(alone) as writer:
         for record in whole.records():
@@ -193,7 +193,7 @@ def test_mirrored_axes_without_an_ins_are_named_as_such(check, tmp_path):
 @MIRRORS
 def test_mirrored_axes_of_a_camera_on_the_theodolite_are_named(check, mount, tmp_path, mirror, words):
     bag, text = mount
-    lines = check(text, changed(bag, tmp_path, NIGHT, lambda star: mirror(star, IMAGE_PX[NIGHT])))
+    lines = check(text, change_bag(bag, tmp_path, NIGHT, lambda star: mirror(star, IMAGE_PX[NIGHT])))
     assert len(lines) == 1
     assert lines[0].startswith(f"error: telescopes.night.camera: stars on '{NIGHT}' in BAG fit the sky only in a mirr")
     assert f"mirrored image: {words}; expected" in lines[0]
@@ -202,7 +202,7 @@ def test_mirrored_axes_of_a_camera_on_the_theodolite_are_named(check, mount, tmp
 @pytest.mark.parametrize(("change", "offset"), [(instrumental, 7.5), (in_blue, 0.7)])
 def test_magnitudes_that_are_not_the_catalogues_are_named(check, deck, mount, tmp_path, change, offset):
     for (bag, text), topic, section in ((deck, FORE, "star_sensors.fore"), (mount, NIGHT, "telescopes.night")):
-        (line,) = check(text, changed(bag, tmp_path, topic, change))
+        (line,) = check(text, change_bag(bag, tmp_path, topic, change))
         said = re.fullmatch(
             rf"warning: {section}: magnitudes of stars on '{topic}' in BAG are (\S+) fainter than the catalogue's "
             r"\(Hp\), sigma \S+: instrumental, or of another band; subtract \S+, or give NaN",
@@ -215,7 +215,7 @@ def test_magnitudes_that_are_not_the_catalogues_are_named(check, deck, mount, tm
 
 def test_pixels_counted_from_one_are_named(check, deck, tmp_path):
     bag, text = deck
-    (line,) = check(text, changed(bag, tmp_path, STARBOARD, shifted))
+    (line,) = check(text, change_bag(bag, tmp_path, STARBOARD, shifted))
     assert line.startswith("warning: parameter 'star_sensors.starboard.camera.principal_u_px': by ")
     assert line.endswith("one pixel to the right and down: if pixels are counted from 1, subtract 1 from u and v")
 

@@ -44,7 +44,7 @@ def simulated(folder, name, duration_s, change=lambda scenario: None):
     return bag
 
 
-def rewritten(path, source, change, until_s=30.0):
+def rewrite_bag(path, source, change, until_s=30.0):
     """A copy of the beginning of a bag with each message changed in place by its topic."""
     with read_bag(source) as bag, BagWriter(path) as out:
         for name, content in bag.attachments.items():
@@ -71,7 +71,7 @@ def test_an_ins_that_stamps_gps_time_is_reported_with_advice(check, tmp_path):
         if topic == "ins/imu":
             message.header.stamp.sec += 18
 
-    code, lines = check(rewritten(tmp_path / "ahead.mcap", BAGS / "demo.mcap", ahead))
+    code, lines = check(rewrite_bag(tmp_path / "ahead.mcap", BAGS / "demo.mcap", ahead))
     assert code == 1
     assert lines[0].startswith("not used: BAG: ship_attitude: of 3000 messages on 'ins/imu' 0 were used, 3000 times")
     assert re.search(r"\(100 % not used\): stamp is 1[78]\.\d+ s ahead", lines[0])
@@ -89,7 +89,7 @@ def test_an_input_refused_for_the_second_half_of_the_bag_ends_with_one(check, tm
         if topic == "star/fore/horizon_attitude" and ns_from_stamp(message.header.stamp) > first_ns[0] + 10e9:
             message.header.stamp.sec += 18
 
-    code, lines = check(rewritten(tmp_path / "later.mcap", BAGS / "demo.mcap", from_10_s_on))
+    code, lines = check(rewrite_bag(tmp_path / "later.mcap", BAGS / "demo.mcap", from_10_s_on))
     assert code == 1
     (line,) = [line for line in lines if line.startswith("not used: ")]
     assert re.search(r"of 1\d\d messages on 'star/fore/horizon_attitude' \d+ were used, \d+ times for future", line)
@@ -102,7 +102,7 @@ def test_stars_without_fixes_end_with_one(check, tmp_path):
         if topic == "gnss/fix":
             message.status.status = -1
 
-    code, lines = check(rewritten(tmp_path / "no_fix.mcap", bag, no_fix))
+    code, lines = check(rewrite_bag(tmp_path / "no_fix.mcap", bag, no_fix))
     assert code == 1
     assert any(re.search(r"for no_fix \(100 % not used\): .*; provide position fixes on gnss", line) for line in lines)
 
@@ -125,7 +125,7 @@ def test_a_wrong_centroid_sigma_is_named_with_the_value_that_fits(check, tmp_pat
                 star.sigma_px = 0.0
 
     assert check(bag)[0] == 0
-    code, lines = check(rewritten(tmp_path / "bare.mcap", bag, without_sigma), change)
+    code, lines = check(rewrite_bag(tmp_path / "bare.mcap", bag, without_sigma), change)
     assert code == 0
     told = [re.fullmatch(r".*'star_sensors.(\w+).camera.centroid_sigma_px' = .*: (\S+) fits", line) for line in lines]
     fits = {match[1]: float(match[2]) for match in told if match}
@@ -140,7 +140,7 @@ def test_stars_that_state_too_small_a_noise_are_named_with_the_factor_of_their_v
         if topic == "star/fore/horizon_attitude":
             message.noise_covariance = np.array(message.noise_covariance) / 9.0
 
-    _, lines = check(rewritten(tmp_path / "small.mcap", BAGS / "demo.mcap", smaller))
+    _, lines = check(rewrite_bag(tmp_path / "small.mcap", BAGS / "demo.mcap", smaller))
     (line,) = [line for line in lines if "topic 'star/fore/horizon_attitude' states a noise" in line]
     assert 6.0 < float(re.search(r"(\S+) times its variance fits", line)[1]) < 12.0
 
@@ -152,7 +152,7 @@ def test_a_coarse_ins_is_named_with_the_value_that_fits_and_no_star_with_it(chec
             for axis in "xyzw":
                 setattr(message.orientation, axis, round(getattr(message.orientation, axis), 4))
 
-    _, lines = check(rewritten(tmp_path / "coarse.mcap", BAGS / "demo.mcap", coarse))
+    _, lines = check(rewrite_bag(tmp_path / "coarse.mcap", BAGS / "demo.mcap", coarse))
     (line,) = [line for line in lines if line.startswith("warning: ")]
     assert "parameter 'ins.white_sigma_arcsec' = 1 arcsec, but 'ins/imu' in BAG: attitudes scatter" in line
     # Three of the four numbers turn by 2 · 1e-4 / sqrt(12) each.
@@ -168,5 +168,5 @@ def test_attitude_noise_and_rate_noise_of_an_ins_are_separated(white_arcsec, rat
     rates = rates + rate_arcsec_per_s * ARCSEC * rng.standard_normal((count, 3))
     rotations = exp_rotation(angles) @ exp_rotation(white_arcsec * ARCSEC * rng.standard_normal((count, 3)))
     noise = ins_noise(np.rint(1e9 * t_s).astype(int), rotations, rates)
-    assert noise.white_rad / ARCSEC == pytest.approx(white_arcsec, rel=0.2)
-    assert noise.rate_rad_per_s / ARCSEC == pytest.approx(rate_arcsec_per_s, rel=0.1)
+    assert noise.attitude_sigma_rad / ARCSEC == pytest.approx(white_arcsec, rel=0.2)
+    assert noise.rate_sigma_rad_per_s / ARCSEC == pytest.approx(rate_arcsec_per_s, rel=0.1)

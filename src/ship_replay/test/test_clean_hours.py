@@ -13,7 +13,7 @@ from ship_replay.trials.clean_hours import (
     CleanVoyage,
     VoyageStatistics,
     clean_voyages,
-    make_clean_voyage,
+    run_clean_voyage,
     scenario_of,
 )
 from ship_testing.places import ROOT
@@ -38,7 +38,7 @@ def test_three_sensors_stand_at_120_degrees():
 
 @pytest.mark.parametrize("kind", [TWO, THREE, THEODOLITE])
 def test_a_voyage_is_made_and_repeats(kind):
-    first, again = (make_clean_voyage(CleanVoyage(3, kind, False), SCENARIOS, 25.0) for _ in range(2))
+    first, again = (run_clean_voyage(CleanVoyage(3, kind, False), SCENARIOS, 25.0) for _ in range(2))
     assert first.pop("cpu_s") > 0.0
     again.pop("cpu_s")
     assert first == again
@@ -51,7 +51,7 @@ def test_a_voyage_is_made_and_repeats(kind):
 @pytest.mark.statistics
 def test_three_sensors_meet_twelve_arcseconds_after_ten_minutes():
     """The original requirement: 99.5 % of the time, in the reference motion."""
-    found = make_clean_voyage(CleanVoyage(1, THREE, False), SCENARIOS, 660.0)
+    found = run_clean_voyage(CleanVoyage(1, THREE, False), SCENARIOS, 660.0)
     assert found["settled"] >= 60
     assert found["available"] == found["settled"]
 

@@ -21,7 +21,7 @@ from ship_replay.offline.replay import replay
 from ship_replay.report.configurations import parameter_differences, text_differences
 from ship_replay.report.pair import input_sentences, read_pair
 from ship_replay.report.pair_page import PAIR_SECTIONS, pair_page
-from ship_replay.report.pair_tables import alignment_tables, budget_tables, error_rows, only_one_has
+from ship_replay.report.pair_tables import alignment_tables, budget_tables, error_rows, events_of_one
 from ship_replay.report.pair_verdict import pair_summary
 from ship_replay.report.pair_warnings import pair_warnings
 from ship_replay.report.published import differences, read_published
@@ -181,7 +181,7 @@ class TestTheSameRecording:
         assert found.all_equal
         assert found.channels_equal == (True, True, True)
         assert f"ship/attitude: all {len(found.time_ns)} messages are equal to the last bit." in sentences(twice)
-        assert only_one_has(twice)[0] == []
+        assert events_of_one(twice)[0] == []
         text = pair_page(twice)
         assert text.count("equal to the last bit") == 1 + 3
         assert {row["apart"] for _, rows in alignment_tables(twice) for row in rows} == {"equal"}
@@ -253,7 +253,7 @@ def test_a_sensor_out_in_one_only(plain, given, folder):
     # The bag begins at 11:50:07.8; of a star sensor three seconds of silence are an outage.
     assert any(re.match(r"star.fore was out in B and not in A: 11:50:1\d to the end \(", one) for one in told)
     assert any(re.search(rf"{topic} \d+ in A, \d+ in B", text) for text in told)
-    events, both = only_one_has(pair)
+    events, both = events_of_one(pair)
     assert any(row["side"] == "B" and "star.fore OUT" in row["text"] for row in events)
     assert both > 0
 
@@ -337,7 +337,7 @@ def test_partly_at_other_times(tmp_path):
     b = write_attitudes(tmp_path / "b.mcap", 40, start_s=30, offset_rad=-1 * ARCSEC)
     pair = read_pair(a, b)
     assert any("The times differ" in text and "10 s in common" in text for text in input_sentences(pair))
-    assert pair.differences[0].alone == (300, 300)
+    assert pair.differences[0].unpaired_counts == (300, 300)
     assert pair.differences[0].difference_arcsec[:, 0] == pytest.approx([-3.0] * 100)
     heading = error_rows(pair)[0]
     assert heading.rms == pytest.approx((2.0, 1.0))
@@ -394,7 +394,7 @@ def test_events_match_by_text_and_time(pair):
         pair, **{side: replace(told, night=replace(told.night, events=nights[side]))
                  for side, told in (("a", pair.a), ("b", pair.b))}
     )
-    rows, both = only_one_has(changed)
+    rows, both = events_of_one(changed)
     assert both == 1
     assert [(row["side"], row["when"]) for row in rows] == [("B", "00:00:15")]
 

@@ -49,7 +49,7 @@ def write_run(path, errors_arcsec, headings=None, suite=None, ins_heading_arcsec
 def test_errors_by_hand(tmp_path):
     # Heading ±4 about +1, pitch 2, roll −3 and 3: by hand.
     errors = [(5.0, 2.0, -3.0), (-3.0, 2.0, 3.0), (5.0, 2.0, -3.0), (-3.0, 2.0, 3.0)]
-    values = evaluate(write_run(tmp_path / "a.mcap", errors)).flat()
+    values = evaluate(write_run(tmp_path / "a.mcap", errors)).quantities()
     expected = {
         "fused.samples": 4,
         "fused.invalid": 0,
@@ -76,12 +76,12 @@ def test_errors_by_hand(tmp_path):
 def test_heading_errors_are_wrapped_at_north(tmp_path):
     headings = np.array([0.0, 0.0, 2 * np.pi - 1e-6])
     run = write_run(tmp_path / "a.mcap", [(-5.0, 0.0, 0.0), (5.0, 0.0, 0.0), (3.0, 0.0, 0.0)], headings)
-    assert evaluate(run).flat()["fused.heading.rms_arcsec"] == pytest.approx(np.sqrt(59.0 / 3.0), abs=1e-6)
+    assert evaluate(run).quantities()["fused.heading.rms_arcsec"] == pytest.approx(np.sqrt(59.0 / 3.0), abs=1e-6)
 
 
 def test_covariance_turns_with_the_heading(tmp_path):
     """Heading East, pitch is about North: its sigma is the second one then."""
-    values = evaluate(write_run(tmp_path / "a.mcap", [(0.0, 3.0, 2.0)] * 2, [np.pi / 2] * 2)).flat()
+    values = evaluate(write_run(tmp_path / "a.mcap", [(0.0, 3.0, 2.0)] * 2, [np.pi / 2] * 2)).quantities()
     assert values["fused.pitch.sigma_arcsec"] == pytest.approx(3.0)
     assert values["fused.roll.sigma_arcsec"] == pytest.approx(2.0)
     assert values["fused.nees_mean"] == pytest.approx(2.0, abs=1e-6)
@@ -95,14 +95,14 @@ def test_only_equal_stamps_and_claimed_attitudes_count(tmp_path):
             bag.write("truth/attitude", ship_attitude(stamp_ns), stamp_ns)
             bag.write("ship/attitude", ship_attitude(stamp_ns, status=3 if number == 0 else 0), stamp_ns)
             bag.write("ship/attitude", ship_attitude(stamp_ns + 1, heading=1.0), stamp_ns + 1)
-    values = evaluate(path).flat()
+    values = evaluate(path).quantities()
     assert values["fused.samples"] == 3
     assert values["fused.invalid"] == 1
     assert values["fused.heading.rms_arcsec"] == 0.0
 
 
 def test_ins_alone(tmp_path):
-    values = evaluate(write_run(tmp_path / "a.mcap", [(0.0, 0.0, 0.0)] * 3, ins_heading_arcsec=36.0)).flat()
+    values = evaluate(write_run(tmp_path / "a.mcap", [(0.0, 0.0, 0.0)] * 3, ins_heading_arcsec=36.0)).quantities()
     assert values["ins.heading.rms_arcsec"] == pytest.approx(36.0)
     assert values["ins.heading.sigma_arcsec"] == pytest.approx(72.0)
     assert values["ins.nees_mean"] == pytest.approx(0.25)
@@ -124,7 +124,7 @@ def test_a_star_sensor_alone_is_carried_to_the_deck_by_its_nominal_installation(
         stamp_ns = START_NS + 50_000_000
         message = star_message(stamp_ns, reported_nd @ rotation_dv, np.eye(3) * ARCSEC**2)
         bag.write("star/fore/horizon_attitude", message, stamp_ns)
-    values = evaluate(path).flat()
+    values = evaluate(path).quantities()
     assert values["star.fore.samples"] == 1
     assert values["star.fore.heading.bias_arcsec"] == pytest.approx(7.0, abs=1e-6)
     assert values["star.fore.pitch.rms_arcsec"] == pytest.approx(0.0, abs=1e-6)
@@ -167,7 +167,7 @@ def write_solutions(path, error_arcsec, truth=True):
 
 
 def test_solutions_of_the_stars(tmp_path):
-    values = evaluate(write_solutions(tmp_path / "a.mcap", 7.0)).flat()
+    values = evaluate(write_solutions(tmp_path / "a.mcap", 7.0)).quantities()
     for source in ("star.fore", "star.joint"):
         assert values[f"{source}.samples"] == 2
         assert values[f"{source}.heading.bias_arcsec"] == pytest.approx(7.0, abs=1e-6)
@@ -181,7 +181,7 @@ def test_solutions_of_the_stars(tmp_path):
 def test_solutions_of_the_run_come_before_those_of_another_bag(tmp_path):
     recorded = write_solutions(tmp_path / "recorded.mcap", 5.0)
     replayed = write_solutions(tmp_path / "replayed.mcap", 2.0, truth=False)
-    values = evaluate(replayed, against=recorded).flat()
+    values = evaluate(replayed, against=recorded).quantities()
     assert values["star.fore.heading.bias_arcsec"] == pytest.approx(2.0, abs=1e-6)
     assert values["star.joint.heading.bias_arcsec"] == pytest.approx(2.0, abs=1e-6)
 
@@ -193,7 +193,7 @@ def test_truth_and_inputs_from_another_bag(tmp_path):
         for number in range(3):
             stamp_ns = START_NS + number * SECOND_NS
             bag.write("ship/attitude", ship_attitude(stamp_ns, heading=2.0 * ARCSEC), stamp_ns)
-    values = evaluate(out, against=truth).flat()
+    values = evaluate(out, against=truth).quantities()
     assert values["fused.heading.bias_arcsec"] == pytest.approx(2.0)
     assert values["ins.heading.bias_arcsec"] == pytest.approx(36.0)
     assert values["ins.samples"] == 3
@@ -203,8 +203,8 @@ def test_truth_and_inputs_from_another_bag(tmp_path):
 
 def test_the_start_can_be_left_out(tmp_path):
     run = write_run(tmp_path / "a.mcap", [(100.0, 0.0, 0.0)] * 2 + [(1.0, 0.0, 0.0)] * 3)
-    assert evaluate(run, skip_s=2.0).flat()["fused.heading.rms_arcsec"] == pytest.approx(1.0)
-    assert evaluate(run, skip_s=2.0).flat()["fused.samples"] == 3
+    assert evaluate(run, skip_s=2.0).quantities()["fused.heading.rms_arcsec"] == pytest.approx(1.0)
+    assert evaluate(run, skip_s=2.0).quantities()["fused.samples"] == 3
 
 
 def write_innovations(path):
@@ -237,7 +237,7 @@ def alignment(stamp_ns):
 
 
 def test_innovations_and_alignment_without_truth(tmp_path):
-    values = evaluate(write_innovations(tmp_path / "a.mcap")).flat()
+    values = evaluate(write_innovations(tmp_path / "a.mcap")).quantities()
     assert values["innovation.reference.b.accepted"] == 240
     assert values["innovation.reference.b.refused"] == 1
     assert values["innovation.star.fore.accepted"] == 0
@@ -266,7 +266,7 @@ def test_a_measurement_with_two_decisions_counts_once(tmp_path):
                 START_NS + 1, "star.fore", [9.0], [1.0], 81.0, accepted, 0 if accepted else 19, ("up",)
             )
             bag.write("ship/innovation", message, START_NS + 1)
-    values = evaluate(path).flat()
+    values = evaluate(path).quantities()
     assert values["innovation.star.fore.accepted"] == 1
     assert values["innovation.star.fore.nis_mean"] == pytest.approx(9.0)
 
@@ -409,5 +409,5 @@ def test_a_claimed_attitude_that_is_infinite_is_left_out_by_name(tmp_path, angle
         bag.write("truth/attitude", ship_attitude(stamp_ns), stamp_ns)
         bag.write("ship/attitude", bad, stamp_ns)
     found = evaluate(tmp_path / "with.mcap")
-    assert found.flat() == without.flat()
+    assert found.quantities() == without.quantities()
     assert found.problems == [f"topic 'ship/attitude': messages excluded: 1, the first because non_finite: {text}"]

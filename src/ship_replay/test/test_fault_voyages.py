@@ -16,13 +16,13 @@ import pytest
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.stamps import NS_PER_S
-from ship_replay.trials.fault_judge import beyond, first_named, is_source, judged
+from ship_replay.trials.fault_judge import exceedance_durations, first_named_sources, is_faulty_source, evaluate_fault
 from ship_replay.trials.fault_results import threat_rows, pair_rows, results_file, totals
-from ship_replay.trials.fault_voyage import Voyage, clean_voyage, make_bag, replayed, run_voyage, taken_topics, voyages
+from ship_replay.trials.fault_voyage import Voyage, replay_fault_free, make_bag, replay_injection, run_voyage, input_topics, voyages
 from ship_replay.trials.one_fault import one_fault_lines
-from ship_replay.trials.passage import UNDETECTABLE_CASES, UNREPORTED_CASES, Passage
+from ship_replay.trials.passage import UNDETECTABLE_CASES, UNREPORTED_CASES, FaultFreeReplay
 from ship_replay.trials.threats import BY_FORM, DATA_LIKE, OVERLAPPING, SINGLE, draw_faults
-from ship_replay.trials.voyage_told import EXCLUSION, NO_DATA, Claim, HealthBook, Sign, VoyageOutputs, VoyageSink
+from ship_replay.trials.voyage_told import EXCLUSION, NO_DATA, ValidOutput, HealthHistory, FaultIndication, VoyageOutputs, VoyageSink
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.faults.injection import Injection
 from ship_simulation.scenario.fault import KINDS, Fault, size_problems
@@ -49,7 +49,7 @@ def topics():
     return simulated_topics(load_scenario(SCENARIOS / "everything.yaml"))
 
 
-def drawn(topics, number, mode, length_s=180.0):
+def draw(topics, number, mode, length_s=180.0):
     return draw_faults(topics, length_s, mode, 60.0, random_stream(number, "test"))
 
 
@@ -67,8 +67,8 @@ def test_the_page_lists_every_kind_with_the_rows_that_it_is_drawn_for():
 @pytest.mark.parametrize("mode", [SINGLE, OVERLAPPING])
 def test_what_is_drawn_repeats_and_can_happen(topics, mode):
     for number in range(200):
-        found = drawn(topics, number, mode)
-        assert found == drawn(topics, number, mode)
+        found = draw(topics, number, mode)
+        assert found == draw(topics, number, mode)
         assert 1 <= len(found) <= 5
         faults = {f"f{i}": one.fault for i, one in enumerate(found)}
         assert list(fault_problems(faults, topics, "there")) == []
@@ -77,13 +77,13 @@ def test_what_is_drawn_repeats_and_can_happen(topics, mode):
 
 def test_single_faults_leave_time_to_return(topics):
     for number in range(200):
-        found = [one.fault for one in drawn(topics, number, SINGLE, 600.0)]
+        found = [one.fault for one in draw(topics, number, SINGLE, 600.0)]
         assert all(later.start_s >= before.end_s + 60.0 for before, later in pairwise(found))
 
 
 @pytest.mark.slow
 def test_every_threat_is_drawn_on_everything(topics):
-    labels = {one.threat.label for number in range(1500) for one in drawn(topics, number, OVERLAPPING)}
+    labels = {one.threat.label for number in range(1500) for one in draw(topics, number, OVERLAPPING)}
     fed_by_the_filter = {"ship step", "ship drift", "ship frozen"}
     assert labels == {threat.label for threat in DATA_LIKE + BY_FORM} - fed_by_the_filter
 
@@ -95,41 +95,41 @@ def test_bags_and_modes_take_turns():
     ]  # fmt: skip
 
 
-def outputs_of(claims=(), not_valid=(), signs=()):
+def outputs_of(valid_outputs=(), not_valid=(), indications=()):
     """Return outputs with times in s after the start at 0."""
     ns = NS_PER_S
     return VoyageOutputs(
-        claims=[Claim("ship/attitude", round(t * ns), round(t * ns), sigmas, level) for t, sigmas, level in claims],
+        valid_outputs=[ValidOutput("ship/attitude", round(t * ns), round(t * ns), sigmas, level) for t, sigmas, level in valid_outputs],
         not_valid=[("ship/attitude", round(t * ns), round(t * ns), 2) for t in not_valid],
-        signs=[Sign(source, round(t * ns), round(t * ns), reason) for source, t, reason in signs],
+        indications=[FaultIndication(source, round(t * ns), round(t * ns), reason) for source, t, reason in indications],
     )
 
 
 FAULT = Fault(topic="ins/imu", kind="bias", start_s=10.0, end_s=20.0, up_arcsec=30.0)
 
 
-def passage(outputs=None, arrivals_ns=None, lights_s=(), encoder_sigma_arcsec=math.nan, ins_sigma_arcsec=math.nan):
+def fault_free_replay(outputs=None, arrivals_ns=None, lights_s=(), encoder_sigma_arcsec=math.nan, ins_sigma_arcsec=math.nan):
     """Return a minute without faults."""
     lights_ns = (np.array(lights_s) * NS_PER_S).astype(np.int64)
     sigmas_arcsec = encoder_sigma_arcsec, ins_sigma_arcsec
-    return Passage(outputs or outputs_of(), arrivals_ns or {}, lights_ns, *sigmas_arcsec, 0, 60 * NS_PER_S)
+    return FaultFreeReplay(outputs or outputs_of(), arrivals_ns or {}, lights_ns, *sigmas_arcsec, 0, 60 * NS_PER_S)
 
 
 def outcome(outputs, clean=None, until_s=60.0, first_s=10.02):
     """Return the outcome of a fault whose changed messages arrive every 0.1 s from 10.02 s on."""
     changed_ns = np.arange(round(first_s * NS_PER_S), 20 * NS_PER_S, NS_PER_S // 10)
-    return judged(FAULT, changed_ns, outputs, passage(clean), until_s)
+    return evaluate_fault(FAULT, changed_ns, outputs, fault_free_replay(clean), until_s)
 
 
 def test_time_limit_for_detection():
-    known = passage(arrivals_ns={"ins/imu": np.arange(60) * NS_PER_S, "met/pressure": np.array([0])})
+    known = fault_free_replay(arrivals_ns={"ins/imu": np.arange(60) * NS_PER_S, "met/pressure": np.array([0])})
     assert known.alert_limit_s(FAULT) == 3.0
     assert known.alert_limit_s(Fault(topic="met/pressure", kind="drop", start_s=10.0)) == 1.0
 
 
 def test_a_fault_counts_from_the_first_message_that_it_changed():
     """Earlier indications do not count, and the time to detection begins there."""
-    before = outputs_of(not_valid=[12.0], signs=[("ins", 12.0, "gate"), ("ins", 12.1, "gate")])
+    before = outputs_of(not_valid=[12.0], indications=[("ins", 12.0, "gate"), ("ins", 12.1, "gate")])
     assert outcome(before).detected
     assert not outcome(before, first_s=13.0).detected
     found = outcome(outputs_of(not_valid=[12.0, 14.5]), first_s=14.0)
@@ -145,7 +145,7 @@ def test_effects_of_an_earlier_fault_do_not_count():
 
 
 def test_an_excluded_wrong_source_is_detected_and_not_attributed():
-    found = outcome(outputs_of(signs=[("star.bow", 10.5, EXCLUSION)]))
+    found = outcome(outputs_of(indications=[("star.bow", 10.5, EXCLUSION)]))
     assert (found.detected, found.attributed) == (True, False)
 
 
@@ -156,17 +156,17 @@ def slip(arcsec):
 def test_only_a_slip_below_thirteen_sigmas_without_lights_is_undetectable():
     arrivals_ns = {"theodolite/encoder": np.arange(0, 60 * NS_PER_S, NS_PER_S // 50)}
     begin_ns = 10 * NS_PER_S
-    dark = passage(arrivals_ns=arrivals_ns, lights_s=[9.9, 11.1], encoder_sigma_arcsec=2.0)
-    assert dark.unseen(slip(-25.9), begin_ns) == "encoder slip, no lights"
-    assert dark.unseen(slip(26.1), begin_ns) == ""
-    assert dark.unseen(Fault(topic="theodolite/encoder", kind="freeze", start_s=10.0), begin_ns) == ""
-    assert dark.unseen(FAULT, begin_ns) == ""
+    dark = fault_free_replay(arrivals_ns=arrivals_ns, lights_s=[9.9, 11.1], encoder_sigma_arcsec=2.0)
+    assert dark.undetectable_case(slip(-25.9), begin_ns) == "encoder slip, no lights"
+    assert dark.undetectable_case(slip(26.1), begin_ns) == ""
+    assert dark.undetectable_case(Fault(topic="theodolite/encoder", kind="freeze", start_s=10.0), begin_ns) == ""
+    assert dark.undetectable_case(FAULT, begin_ns) == ""
     knocks = [Fault(topic="theodolite/beacons", kind="knock", start_s=10.0, up_arcsec=size) for size in (-12.9, 13.1)]
-    assert [dark.unseen(knock, begin_ns) for knock in knocks] == ["telescope knock, small", ""]
-    lit = passage(arrivals_ns=arrivals_ns, lights_s=[9.9, 10.9], encoder_sigma_arcsec=2.0)
-    assert lit.unseen(slip(-25.9), begin_ns) == ""
-    unknown = passage(arrivals_ns=arrivals_ns, lights_s=[])
-    assert unknown.unseen(slip(1.0), begin_ns) == ""
+    assert [dark.undetectable_case(knock, begin_ns) for knock in knocks] == ["telescope knock, small", ""]
+    lit = fault_free_replay(arrivals_ns=arrivals_ns, lights_s=[9.9, 10.9], encoder_sigma_arcsec=2.0)
+    assert lit.undetectable_case(slip(-25.9), begin_ns) == ""
+    unknown = fault_free_replay(arrivals_ns=arrivals_ns, lights_s=[])
+    assert unknown.undetectable_case(slip(1.0), begin_ns) == ""
 
 
 @pytest.mark.parametrize(
@@ -186,30 +186,30 @@ def test_only_a_slip_below_thirteen_sigmas_without_lights_is_undetectable():
 def test_fast_drifts_are_detected_late(topic, size, row):
     fault = Fault(topic=topic, kind="drift", start_s=10.0, **size)
     two, three = (
-        passage(arrivals_ns={f"star/{name}/{kind}": [] for name in names for kind in ("observations", "solution")})
+        fault_free_replay(arrivals_ns={f"star/{name}/{kind}": [] for name in names for kind in ("observations", "solution")})
         for names in (("bow", "port"), ("aft", "bow", "port"))
     )
-    assert two.unseen(fault, 10 * NS_PER_S) == row
-    assert three.unseen(fault, 10 * NS_PER_S) == ("" if topic.startswith(("ins", "star")) else row)
+    assert two.undetectable_case(fault, 10 * NS_PER_S) == row
+    assert three.undetectable_case(fault, 10 * NS_PER_S) == ("" if topic.startswith(("ins", "star")) else row)
 
 
 def test_an_ins_step_below_the_sample_noise_is_small():
-    found = passage(ins_sigma_arcsec=2.0)
+    found = fault_free_replay(ins_sigma_arcsec=2.0)
     steps = [Fault(topic="ins/imu", kind="bias", start_s=10.0, east_arcsec=size) for size in (-21.9, 22.1)]
-    assert [found.unseen(step, 10 * NS_PER_S) for step in steps] == ["ins step, small", ""]
-    assert passage().unseen(steps[0], 10 * NS_PER_S) == ""
+    assert [found.undetectable_case(step, 10 * NS_PER_S) for step in steps] == ["ins step, small", ""]
+    assert fault_free_replay().undetectable_case(steps[0], 10 * NS_PER_S) == ""
 
 
 def test_a_mounting_shift_without_stars_is_undetectable():
     """Stars from 0 to 8 s and from 20 s on: the first changed message comes after 12 s without stars."""
     seen_ns = np.r_[0:9, 20:40] * NS_PER_S
-    clouded = passage(arrivals_ns={"star/bow/observations": seen_ns[:9], "star/port/observations": seen_ns})
+    clouded = fault_free_replay(arrivals_ns={"star/bow/observations": seen_ns[:9], "star/port/observations": seen_ns})
     knock = Fault(topic="star/port/observations", kind="knock", start_s=10.0, up_arcsec=15.0)
-    assert clouded.unseen(knock, 20 * NS_PER_S) == "star knock, no stars"
-    assert clouded.unseen(knock, 21 * NS_PER_S) == ""
-    assert clouded.unseen(FAULT, 20 * NS_PER_S) == ""
-    other = passage(arrivals_ns={"star/bow/observations": np.r_[0:40] * NS_PER_S, "star/port/observations": seen_ns})
-    assert other.unseen(knock, 20 * NS_PER_S) == ""
+    assert clouded.undetectable_case(knock, 20 * NS_PER_S) == "star knock, no stars"
+    assert clouded.undetectable_case(knock, 21 * NS_PER_S) == ""
+    assert clouded.undetectable_case(FAULT, 20 * NS_PER_S) == ""
+    other = fault_free_replay(arrivals_ns={"star/bow/observations": np.r_[0:40] * NS_PER_S, "star/port/observations": seen_ns})
+    assert other.undetectable_case(knock, 20 * NS_PER_S) == ""
 
 
 def test_undetectable_cases_are_those_of_the_page():
@@ -223,67 +223,67 @@ def test_a_fault_is_detected_by_status_or_by_name_in_time():
     assert not outcome(outputs_of()).detected
     found = outcome(outputs_of(not_valid=[10.5]))
     assert (found.detected, found.attributed, round(found.alert_s, 2)) == (True, False, 0.48)
-    found = outcome(outputs_of(signs=[("ins", 10.1, "gate"), ("ins", 10.2, "gate")]))
+    found = outcome(outputs_of(indications=[("ins", 10.1, "gate"), ("ins", 10.2, "gate")]))
     assert (found.detected, found.attributed, round(found.alert_s, 2)) == (True, True, 0.08)
     # Another source's name alone is no alert of the faulty one, and after the time nothing is.
-    assert not outcome(outputs_of(signs=[("star.bow", 10.1, "gate")])).detected
-    assert not outcome(outputs_of(not_valid=[23.1], signs=[("ins", 23.1, "gate")])).detected
+    assert not outcome(outputs_of(indications=[("star.bow", 10.1, "gate")])).detected
+    assert not outcome(outputs_of(not_valid=[23.1], indications=[("ins", 23.1, "gate")])).detected
 
 
 def test_indications_of_the_fault_free_voyage_do_not_count():
     signs, not_valid = [("ins", 12.0, "gate")], [15.0, 15.5]
-    clean = outputs_of(not_valid=not_valid, signs=signs)
-    assert not outcome(outputs_of(not_valid=[15.3], signs=signs), clean).detected
-    assert outcome(outputs_of(not_valid=[14.4], signs=signs), clean).detected
+    clean = outputs_of(not_valid=not_valid, indications=signs)
+    assert not outcome(outputs_of(not_valid=[15.3], indications=signs), clean).detected
+    assert outcome(outputs_of(not_valid=[14.4], indications=signs), clean).detected
 
 
-def named(*signs):
-    return first_named(outputs_of(signs=signs).signs)
+def named_sources(*signs):
+    return first_named_sources(outputs_of(indications=signs).indications)
 
 
 STARS_REFUSED = [("star.bow", 10.1 + 0.1 * i, "gate") for i in range(5)]
 
 
 def test_exclusion_precedes_rejection_in_comparison():
-    assert named(*STARS_REFUSED) == {"star.bow"}
-    assert named(*STARS_REFUSED, ("ins", 11.0, EXCLUSION)) == {"ins"}
+    assert named_sources(*STARS_REFUSED) == {"star.bow"}
+    assert named_sources(*STARS_REFUSED, ("ins", 11.0, EXCLUSION)) == {"ins"}
     # With several exclusions, all are named.
-    assert named(("ins", 11.0, EXCLUSION), ("star.bow", 12.0, EXCLUSION)) == {"ins", "star.bow"}
+    assert named_sources(("ins", 11.0, EXCLUSION), ("star.bow", 12.0, EXCLUSION)) == {"ins", "star.bow"}
 
 
 def test_repeated_own_rejections_precede_later_exclusions():
     ins = [("ins", 10.0, "gate"), ("ins", 10.1, "gate")]
     aside = [("star.bow", 10.5, EXCLUSION), ("star.port", 10.5, EXCLUSION)]
-    assert named(*ins, *aside) == {"ins"}
-    assert named(*aside, *((source, t + 1.0, why) for source, t, why in ins)) == {"star.bow", "star.port"}
+    assert named_sources(*ins, *aside) == {"ins"}
+    assert named_sources(*aside, *((source, t + 1.0, why) for source, t, why in ins)) == {"star.bow", "star.port"}
     # Once is no pattern; and a star in the gate is refused by comparison, which may be the others' fault.
-    assert named(ins[0], *aside) == {"star.bow", "star.port"}
-    assert named(*STARS_REFUSED, *ins) == {"ins"}
-    assert named(("theodolite/encoder", 10.2, NO_DATA), *STARS_REFUSED, ("theodolite/encoder", 11.2, NO_DATA)) == {
+    assert named_sources(ins[0], *aside) == {"star.bow", "star.port"}
+    assert named_sources(*STARS_REFUSED, *ins) == {"ins"}
+    assert named_sources(("theodolite/encoder", 10.2, NO_DATA), *STARS_REFUSED, ("theodolite/encoder", 11.2, NO_DATA)) == {
         "theodolite/encoder"
     }
-    assert named(("star.bow", 10.0, "frame"), ("star.bow", 10.1, "frame"), *aside) == {"star.bow"}
+    assert named_sources(("star.bow", 10.0, "frame"), ("star.bow", 10.1, "frame"), *aside) == {"star.bow"}
 
 
 def test_repeated_rejections_precede_a_single_one():
-    assert named(("lights", 10.0, "gate"), *STARS_REFUSED) == {"star.bow"}
-    assert named(("lights", 10.0, "gate"), ("star.bow", 10.1, "gate")) == {"lights"}
-    assert named() == set()
+    assert named_sources(("lights", 10.0, "gate"), *STARS_REFUSED) == {"star.bow"}
+    assert named_sources(("lights", 10.0, "gate"), ("star.bow", 10.1, "gate")) == {"lights"}
+    assert named_sources() == set()
 
 
 def test_claims_beyond_five_sigmas_are_counted_until_the_next_fault():
     claims = [(t / 10.0, 6.0 if 300 <= t < 325 or 400 <= t < 410 else 1.0, 0.5) for t in range(100, 600)]
-    found = outcome(outputs_of(claims=claims))
+    found = outcome(outputs_of(valid_outputs=claims))
     assert (found.worst_sigmas, found.beyond_s, found.longest_beyond_s) == (6.0, pytest.approx(3.5), pytest.approx(2.5))
-    assert outcome(outputs_of(claims=claims), until_s=30.0).beyond_s == 0.0
+    assert outcome(outputs_of(valid_outputs=claims), until_s=30.0).beyond_s == 0.0
     assert found.worst_over_level == 0.5
-    assert math.isnan(outcome(outputs_of(claims=[(11.0, 1.0, math.nan)])).worst_over_level)
+    assert math.isnan(outcome(outputs_of(valid_outputs=[(11.0, 1.0, math.nan)])).worst_over_level)
 
 
 def test_an_output_that_was_not_valid_in_between_is_a_break():
     """Two wrong outputs ten seconds apart are not continuous."""
-    claims = outputs_of(claims=[(10.0, 9.0, 0.1), (10.1, 9.0, 0.1), (20.0, math.inf, 0.1), (20.1, 1.0, 0.1)]).claims
-    assert beyond(claims) == (pytest.approx(0.3), pytest.approx(0.2))
+    claims = outputs_of(valid_outputs=[(10.0, 9.0, 0.1), (10.1, 9.0, 0.1), (20.0, math.inf, 0.1), (20.1, 1.0, 0.1)]).valid_outputs
+    assert exceedance_durations(claims) == (pytest.approx(0.3), pytest.approx(0.2))
 
 
 @pytest.mark.parametrize(
@@ -309,8 +309,8 @@ def test_an_output_that_was_not_valid_in_between_is_a_break():
 )
 def test_the_names_of_the_device_behind_a_topic(topic, own, other):
     fault = Fault(topic=topic, kind="knock", start_s=10.0, up_arcsec=9.0)
-    assert is_source(own, fault)
-    assert not is_source(other, fault)
+    assert is_faulty_source(own, fault)
+    assert not is_faulty_source(other, fault)
 
 
 @pytest.mark.parametrize(
@@ -318,10 +318,10 @@ def test_the_names_of_the_device_behind_a_topic(topic, own, other):
 )
 def test_a_light_that_is_wrong_is_held_by_its_drone(changes):
     fault = Fault(topic="theodolite/beacons", start_s=10.0, **changes)
-    assert is_source("beacon.a", fault)
-    assert is_source("light.b", fault)
-    assert not is_source("ship_attitude", fault)
-    assert not is_source("encoder", fault)
+    assert is_faulty_source("beacon.a", fault)
+    assert is_faulty_source("light.b", fault)
+    assert not is_faulty_source("ship_attitude", fault)
+    assert not is_faulty_source("encoder", fault)
 
 
 class Message:
@@ -329,7 +329,7 @@ class Message:
         self.__dict__ |= fields
 
 
-def reported(book, second, topic, received, reasons=(), level=0):
+def report_indications(book, second, topic, received, reasons=(), level=0):
     report = Message(
         header=Message(stamp=Message(sec=second, nanosec=0)), topic=topic, received=received, level=level,
         reasons=list(dict(reasons)), reason_counts=list(dict(reasons).values()),
@@ -338,26 +338,26 @@ def reported(book, second, topic, received, reasons=(), level=0):
 
 
 def test_reports_on_inputs_name_what_is_new_in_them_for_each_node():
-    book = HealthBook()
-    assert reported(book, 1, "ins/imu", 100) == []
-    assert reported(book, 1, "ins/imu", 90) == []
-    assert reported(book, 2, "ins/imu", 200, {"frame": 2, "revised": 3}) == [("ins/imu", "frame")]
-    assert reported(book, 2, "ins/imu", 190) == []
+    book = HealthHistory()
+    assert report_indications(book, 1, "ins/imu", 100) == []
+    assert report_indications(book, 1, "ins/imu", 90) == []
+    assert report_indications(book, 2, "ins/imu", 200, {"frame": 2, "revised": 3}) == [("ins/imu", "frame")]
+    assert report_indications(book, 2, "ins/imu", 190) == []
     # The same counts again, and refusals that rest on others, say nothing new of the input itself.
-    assert reported(book, 3, "ins/imu", 300, {"frame": 2, "excluded": 4}) == []
-    assert reported(book, 3, "ins/imu", 290, {"frame": 1}) == [("ins/imu", "frame")]
-    assert reported(book, 4, "ins/imu", 300, {"frame": 2}, level=1) == [("ins/imu", NO_DATA)]
-    assert reported(book, 4, "ins/imu", 290, {"frame": 1}) == []
+    assert report_indications(book, 3, "ins/imu", 300, {"frame": 2, "excluded": 4}) == []
+    assert report_indications(book, 3, "ins/imu", 290, {"frame": 1}) == [("ins/imu", "frame")]
+    assert report_indications(book, 4, "ins/imu", 300, {"frame": 2}, level=1) == [("ins/imu", NO_DATA)]
+    assert report_indications(book, 4, "ins/imu", 290, {"frame": 1}) == []
 
 
 def test_own_faults_among_rejections():
     """A star rejected by the gate, or without a known position, may be correct; a rejected fix is not."""
     stars = {"gate": 3, "attitude_conflict": 1, "gap": 1, "no_fix": 1}
-    assert reported(HealthBook(), 1, "star/bow/observations", 9, stars) == []
-    assert reported(HealthBook(), 1, "theodolite/beacons", 9, stars) == []
-    assert reported(HealthBook(), 1, "star/bow/observations", 9, {"stuck": 1}) == [("star/bow/observations", "stuck")]
-    assert reported(HealthBook(), 1, "gnss/fix", 9, {"no_fix": 1}) == [("gnss/fix", "no_fix")]
-    assert reported(HealthBook(), 1, "ins/imu", 9, {"gate": 1, "excluded": 1}) == [("ins/imu", "gate")]
+    assert report_indications(HealthHistory(), 1, "star/bow/observations", 9, stars) == []
+    assert report_indications(HealthHistory(), 1, "theodolite/beacons", 9, stars) == []
+    assert report_indications(HealthHistory(), 1, "star/bow/observations", 9, {"stuck": 1}) == [("star/bow/observations", "stuck")]
+    assert report_indications(HealthHistory(), 1, "gnss/fix", 9, {"no_fix": 1}) == [("gnss/fix", "no_fix")]
+    assert report_indications(HealthHistory(), 1, "ins/imu", 9, {"gate": 1, "excluded": 1}) == [("ins/imu", "gate")]
 
 
 def test_levels_and_exclusions_are_those_of_the_last_integrity_message():
@@ -366,13 +366,13 @@ def test_levels_and_exclusions_are_those_of_the_last_integrity_message():
     for excluded in ([], ["ins"], ["ins"], [], ["ins"]):
         integrity = Message(header=Message(stamp=stamp), protection_level=[1e-4] * 3, excluded=excluded)
         sink.write("ship/integrity", integrity, 5)
-    assert [sign[0] for sign in sink.outputs.signs] == ["ins", "ins"]
+    assert [sign[0] for sign in sink.outputs.indications] == ["ins", "ins"]
 
 
 @pytest.mark.slow
 def test_a_voyage_is_evaluated_reproducibly(bag):
     voyage = Voyage(5, bag, OVERLAPPING)
-    clean = clean_voyage(bag)
+    clean = replay_fault_free(bag)
     first, again = run_voyage(voyage, clean), run_voyage(voyage, clean)
     assert first.pop("elapsed_s") > 0.0
     again.pop("elapsed_s")
@@ -383,25 +383,25 @@ def test_a_voyage_is_evaluated_reproducibly(bag):
 
 
 def test_an_exception_is_recorded_with_its_faults(bag, monkeypatch):
-    clean = clean_voyage(bag)
+    clean = replay_fault_free(bag)
     monkeypatch.setattr(VoyageSink, "write", lambda *_: 1 / 0)
     result = run_voyage(Voyage(5, bag, SINGLE), clean)
     assert "ZeroDivisionError" in result["exception"]
     assert result["faults"]
-    assert not totals([result]).sound
+    assert not totals([result]).all_met
     assert "ZeroDivisionError" in "\n".join(totals([result]).lines)
 
 
 def test_a_replay_without_faults_is_that_of_the_bag(bag):
-    told, clean = replayed(Injection(bag, {}, 1)), clean_voyage(bag)
-    assert [claim[:4] for claim in told.claims] == [claim[:4] for claim in clean.outputs.claims]
+    told, clean = replay_injection(Injection(bag, {}, 1)), replay_fault_free(bag)
+    assert [claim[:4] for claim in told.valid_outputs] == [claim[:4] for claim in clean.outputs.valid_outputs]
     assert round(clean.length_s) == 40
     assert len(clean.arrivals_ns["ins/imu"]) == 1001
     assert clean.beacon_times_ns.size == 0
     assert math.isnan(clean.encoder_sigma_arcsec)
-    assert len(told.claims) == pytest.approx(401, abs=3)
-    assert np.median([claim[3] for claim in told.claims]) < 3.0
-    assert told.failures == 0
+    assert len(told.valid_outputs) == pytest.approx(401, abs=3)
+    assert np.median([claim[3] for claim in told.valid_outputs]) < 3.0
+    assert told.failure_count == 0
 
 
 @pytest.mark.slow
@@ -470,7 +470,7 @@ def overlapping(number, **changes):
 )
 def test_each_bound_is_printed_with_its_result(others, unmet):
     found = totals([result(100 + i) for i in range(49)] + others)
-    assert found.sound == (not unmet)
+    assert found.all_met == (not unmet)
     lines = [line for line in found.lines if line.startswith("NOT MET")]
     assert len(lines) == len(unmet)
     assert all(words in line for words, line in zip(unmet, lines, strict=True))
@@ -478,7 +478,7 @@ def test_each_bound_is_printed_with_its_result(others, unmet):
 
 
 def test_without_a_voyage_no_bound_is_broken():
-    assert totals([]).sound
+    assert totals([]).all_met
 
 
 def test_pairs_are_those_that_overlap_the_longest_wrong_claim_first():
@@ -504,9 +504,9 @@ def test_results_outlive_a_torn_line_and_a_file_of_something_else_is_refused(tmp
     with open(path, "a", encoding="utf-8") as file:
         file.write('{"voyage": 7, "ba')
     again = results_file(path)
-    assert [one["voyage"] for one in again.all()] == [0, 1]
-    assert again.holds(Voyage(1, Path("x/demo_1.mcap"), SINGLE).key)
-    assert not again.holds(Voyage(1, Path("x/demo_2.mcap"), SINGLE).key)
+    assert [one["voyage"] for one in again.results()] == [0, 1]
+    assert again.contains(Voyage(1, Path("x/demo_1.mcap"), SINGLE).key)
+    assert not again.contains(Voyage(1, Path("x/demo_2.mcap"), SINGLE).key)
     again.add(result(2))
     assert len(path.read_text().splitlines()) == 3
     older = result(3)
@@ -517,7 +517,7 @@ def test_results_outlive_a_torn_line_and_a_file_of_something_else_is_refused(tmp
     path.write_text("hello\n" + path.read_text())
     with pytest.raises(BadInput, match=r"single.jsonl:1: no result of a voyage"):
         results_file(path)
-    assert results_file(path, fresh=True).all() == []
+    assert results_file(path, fresh=True).results() == []
 
 
 @pytest.mark.slow
@@ -552,8 +552,8 @@ def test_the_last_published_levels_hold_at_every_valid_output(scenario, words, t
     bag = tmp_path_factory.getbasetemp() / f"{scenario}_1.mcap"
     make_bag(SCENARIOS / f"{scenario}.yaml", 45.0, 1, bag)
     with read_bag(bag) as opened:
-        faults = load_faults(f"faults: {{one: {{{words}}}}}", taken_topics(opened), "an input of the nodes")
-    shares = [claim.over_level for claim in replayed(Injection(bag, faults, 1)).claims]
+        faults = load_faults(f"faults: {{one: {{{words}}}}}", input_topics(opened), "an input of the nodes")
+    shares = [claim.level_ratio for claim in replay_injection(Injection(bag, faults, 1)).valid_outputs]
     shares = [share for share in shares if np.isfinite(share)]
     assert len(shares) > 100
     assert max(shares) <= 1.0
@@ -586,6 +586,6 @@ def test_a_run_that_was_killed_goes_on_and_ends_with_the_same_results(tmp_path, 
     done = subprocess.run(command, capture_output=True, check=False)
     assert done.returncode in (0, 1)
     assert path.read_bytes().startswith(kept)
-    results = results_file(path).all()
+    results = results_file(path).results()
     assert [one["voyage"] for one in results] == [0, 1, 2]
     assert b"3 voyages" in done.stdout

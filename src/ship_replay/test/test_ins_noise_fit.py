@@ -71,7 +71,7 @@ def test_the_right_model_is_consistent_without_stars(three_hours: Identification
     checks = three_hours.outages["gauss_markov"]
     assert [check.intervals for check in checks] == [1, 3, 7, 15]
     assert [check.horizon_s for check in checks] == pytest.approx([5400.0, 2700.0, 1350.0, 675.0])
-    assert all(missed.is_honest for check in checks for missed in check.parts.values())
+    assert all(missed.is_consistent for check in checks for missed in check.parts.values())
     assert not any("are inconsistent" in line for line in three_hours.warnings)
 
 

@@ -52,7 +52,7 @@ class Still:
 
 def joint_density(session: NoiseSession, of_ins, white_arcsec: float) -> float:
     """Return log p of all comparisons; of_ins(i, j) is the covariance of the INS's error at i with that at j, rad²."""
-    model, pairs = session.model, session.pairs
+    model, pairs = session.model, session.comparisons
     attitude, noise = model.slices["ins.attitude"], model.slices["ins.noise"]
     first_ns = pairs[0].time_ns
     sizes = np.cumsum([0, *(len(pair.value) for pair in pairs)])
@@ -85,7 +85,7 @@ def joint_density(session: NoiseSession, of_ins, white_arcsec: float) -> float:
 def test_every_kind_of_nuisance_is_there(session: NoiseSession) -> None:
     kinds = {name.rpartition(".")[2] for name in star_record(session).names}
     assert kinds == {"installation", "common", "time_offset"}
-    assert len(session.pairs) == 24
+    assert len(session.comparisons) == 24
     # Half-way between two samples their noise is less by the square root of two.
     np.testing.assert_allclose(star_record(session).white_gain, 0.5, rtol=1e-3)
 
@@ -97,7 +97,7 @@ def test_gauss_markov_is_the_joint_density(session: NoiseSession) -> None:
     model = GaussMarkovModel(session.config.ins)
 
     def of_ins(i: int, j: int) -> np.ndarray:
-        apart_s = (session.pairs[i].time_ns - session.pairs[j].time_ns) * 1e-9
+        apart_s = (session.comparisons[i].time_ns - session.comparisons[j].time_ns) * 1e-9
         variances = (ARCSEC * np.array([tilt, heading, tilt])) ** 2
         return np.diag(variances * np.exp(-apart_s / np.array([tilt_s, heading_s, tilt_s])))
 
@@ -123,7 +123,7 @@ class Sensors(NamedTuple):
 
 @pytest.mark.parametrize("damping_time_s", [0.0, 100.0])
 def test_schuler_is_the_joint_density(session: NoiseSession, damping_time_s: float) -> None:
-    sensors, here = Sensors(), mean_location(session.pairs)
+    sensors, here = Sensors(), mean_location(session.comparisons)
     assert here is not None
     assert here.latitude == pytest.approx(np.deg2rad(40.0), abs=1e-4)
     # 8 m/s, which the first of twelve epochs does not know yet: it takes two fixes.
@@ -141,7 +141,7 @@ def test_schuler_is_the_joint_density(session: NoiseSession, damping_time_s: flo
     start = np.concatenate(
         [sigma, [sensors.velocity] * 2, [config.latitude_sigma], [config.gyro_drift] * 3, [sensors.bias] * 2]
     )
-    stamps = sorted({pair.time_ns for pair in session.pairs})
+    stamps = sorted({pair.time_ns for pair in session.comparisons})
 
     def way(since_ns: int, until_ns: int) -> tuple[np.ndarray, np.ndarray]:
         carried = process.propagation(since_ns, here, [until_ns], Still(here))
@@ -154,7 +154,7 @@ def test_schuler_is_the_joint_density(session: NoiseSession, damping_time_s: flo
     transitions = {(a, b): way(a, b)[0] for a in stamps for b in stamps if b >= a}
 
     def of_ins(i: int, j: int) -> np.ndarray:
-        before, after = session.pairs[j].time_ns, session.pairs[i].time_ns
+        before, after = session.comparisons[j].time_ns, session.comparisons[i].time_ns
         return (transitions[before, after] @ at[before])[:3, :3]
 
     ins = session.config.ins
@@ -169,7 +169,7 @@ def test_schuler_is_the_joint_density(session: NoiseSession, damping_time_s: flo
 
 def test_a_long_record_is_thinned_with_a_warning() -> None:
     session = noise_session(scenario(400.0), 2)
-    assert star_record(session).every == 1
+    assert star_record(session).epoch_step == 1
     thinned = star_record(session, most_epochs=15)
-    assert (thinned.every, len(thinned.times_s)) == (3, 14)
+    assert (thinned.epoch_step, len(thinned.times_s)) == (3, 14)
     np.testing.assert_allclose(np.diff(thinned.times_s), 30.0)

@@ -20,8 +20,8 @@ def this_machine_only(monkeypatch):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_killed_recorder_loses_one_flush_period_at_most(tmp_path, seed):
     trial = kill_recorder(tmp_path, seed, flush_period_s=0.3)
-    assert trial.keeps(0.3), trial
-    assert trial.sent > 50
+    assert trial.is_within_flush_period(0.3), trial
+    assert trial.sent_count > 50
 
 
 @pytest.mark.live
@@ -29,9 +29,9 @@ def test_a_killed_recorder_loses_one_flush_period_at_most(tmp_path, seed):
 def test_a_killed_node_has_its_inputs_in_the_box(tmp_path, seed):
     trial = kill_node(tmp_path, seed)
     # It is flushed every 0.1 s; as much again is allowed to a loaded machine.
-    assert trial.keeps(0.2), trial
+    assert trial.is_within_flush_period(0.2), trial
     # The outputs are there too: more than the inputs alone.
-    assert trial.recovered > 1.5 * trial.kept
+    assert trial.recovered_count > 1.5 * trial.kept_count
 
 
 @pytest.mark.parametrize(
@@ -46,5 +46,5 @@ def test_a_killed_node_has_its_inputs_in_the_box(tmp_path, seed):
     ids=["more than a period", "a gap", "rosbags reads less", "mcap reads less", "nothing is left"],
 )
 def test_a_failed_trial_is_reported(lost_s, has_gap, recovered, readable):
-    assert KillTrial(100, 90, 0.05, False, 90, (90, 90)).keeps(0.1)
-    assert not KillTrial(100, 90, lost_s, has_gap, recovered, readable).keeps(0.1)
+    assert KillTrial(100, 90, 0.05, False, 90, (90, 90)).is_within_flush_period(0.1)
+    assert not KillTrial(100, 90, lost_s, has_gap, recovered, readable).is_within_flush_period(0.1)

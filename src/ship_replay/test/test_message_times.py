@@ -12,7 +12,7 @@ from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.message_store import message_store, serialize
 from ship_bags.stamps import ns_from_stamp
 from ship_replay.commands.replay import main
-from ship_replay.offline.message_times import Gaps, LogDelays, in_order_of_stamps
+from ship_replay.offline.message_times import Gaps, LogDelays, sort_by_stamp
 from ship_replay.offline.replay import replay
 from ship_testing.hand_made_bags import START_NS, imu
 
@@ -87,9 +87,9 @@ def test_messages_without_a_usable_stamp_keep_their_place():
     times = LogDelays()
     for record in records:
         times.add(record.topic, record)
-    assert times.usual_ns() >= 5 * 10**8
-    places = [int(log) - times.usual_ns() for log in logged]
-    arrived = [record.log_time_ns for record in in_order_of_stamps(iter(records), times.usual_ns())]
+    assert times.median_ns() >= 5 * 10**8
+    places = [int(log) - times.median_ns() for log in logged]
+    arrived = [record.log_time_ns for record in sort_by_stamp(iter(records), times.median_ns())]
     assert arrived == sorted(arrived)
     expected = Counter(int(stamp) for number, stamp in enumerate(stamps) if number not in (40, 70))
     assert Counter(arrived) == expected + Counter([places[40], places[70]])
@@ -122,4 +122,4 @@ def test_of_messages_noted_together_one_without_a_stamp_is_left_out():
     times = LogDelays()
     times.add_block("ins/imu", stamps_ns, log_times_ns)
     times.add_block("ins/imu", stamps_ns[1:2], log_times_ns[1:2])
-    assert (times.usual_ns(), times.held_up()) == (2_000_000, "")
+    assert (times.median_ns(), times.irregularity_text()) == (2_000_000, "")

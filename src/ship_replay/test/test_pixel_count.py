@@ -7,7 +7,7 @@ from scipy.stats import binom, f, norm
 
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC
-from ship_replay.preflight.pixel_count import CameraTurn, counted_from_one, turn_at_rest
+from ship_replay.preflight.pixel_count import CameraTurn, cameras_counting_from_one, rate_corrected_turn
 
 PIXEL = 22.7 * ARCSEC
 INS_D = np.diag([10.0, 72.0, 10.0]) * ARCSEC
@@ -24,14 +24,14 @@ def camera(rng, ins_d, rotation_ds, installation_arcsec, counts_from_one):
     return CameraTurn(turn_d + counts_from_one * pixel_d, covariance_d, pixel_d)
 
 
-def named(seed, of_fore, of_starboard, installation_arcsec=(20.0, 1.0, 1.0)):
+def find_counted_from_one(seed, of_fore, of_starboard, installation_arcsec=(20.0, 1.0, 1.0)):
     rng = np.random.default_rng([63, seed])
     ins_d = INS_D @ rng.standard_normal(3)
     cameras = [
         camera(rng, ins_d, FORE, installation_arcsec, of_fore),
         camera(rng, ins_d, STARBOARD, installation_arcsec, of_starboard),
     ]
-    return counted_from_one(cameras, INS_D**2)
+    return cameras_counting_from_one(cameras, INS_D**2)
 
 
 def separation(of_fore, of_starboard):
@@ -45,7 +45,7 @@ def separation(of_fore, of_starboard):
 @pytest.mark.parametrize(("of_fore", "of_starboard"), [(True, False), (False, True), (True, True)])
 def test_pixels_counted_from_one_are_named(of_fore, of_starboard):
     """The difference of chi² between two counts d apart is normal: mean d², standard deviation 2 d."""
-    found = [named(seed, of_fore, of_starboard) for seed in range(500)]
+    found = [find_counted_from_one(seed, of_fore, of_starboard) for seed in range(500)]
     true = tuple(np.flatnonzero([of_fore, of_starboard]))
     apart = [
         separation(of_fore - other_fore, of_starboard - other_starboard)
@@ -63,7 +63,7 @@ def test_pixels_counted_from_one_are_named(of_fore, of_starboard):
 @pytest.mark.parametrize("installation_arcsec", [(20.0, 1.0, 1.0), (20.0, 5.0, 5.0), (60.0, 60.0, 60.0)])
 def test_pixels_counted_from_zero_are_hardly_ever_named(installation_arcsec):
     """At most 3 in 10 000 of 2000 draws for each of three alternatives, by the binomial bound of 99.9 %."""
-    found = [named(seed, False, False, installation_arcsec) for seed in range(2000)]
+    found = [find_counted_from_one(seed, False, False, installation_arcsec) for seed in range(2000)]
     assert len(found) - found.count(()) <= binom.ppf(0.999, len(found), 9e-4)
 
 
@@ -72,8 +72,8 @@ def test_an_installation_that_is_off_is_no_count_from_one():
     turned = camera(rng, np.zeros(3), FORE, (20.0, 1.0, 1.0), False)
     off_d = FORE @ (PIXEL * np.array([0.0, -1.0, -1.0]))
     cameras = [CameraTurn(turned.turn_d + off_d, turned.covariance_d, turned.pixel_d)]
-    assert counted_from_one(cameras, np.eye(3) * ARCSEC**2) == ()
-    assert counted_from_one([], INS_D**2) == ()
+    assert cameras_counting_from_one(cameras, np.eye(3) * ARCSEC**2) == ()
+    assert cameras_counting_from_one([], INS_D**2) == ()
 
 
 def test_a_time_offset_of_the_ins_is_no_turn():
@@ -84,7 +84,7 @@ def test_a_time_offset_of_the_ins_is_no_turn():
         rng = np.random.default_rng([64, seed])
         true_d, offset_s = 10.0 * ARCSEC * rng.standard_normal(3), 0.005 * rng.standard_normal()
         turns_d = true_d + offset_s * rates_d + 3.0 * ARCSEC * rng.standard_normal((30, 3))
-        turn_d, covariance_d = turn_at_rest(turns_d, rates_d)
+        turn_d, covariance_d = rate_corrected_turn(turns_d, rates_d)
         squares.append((turn_d - true_d) @ np.linalg.solve(covariance_d, turn_d - true_d))
     # The covariance is itself estimated, from 29 degrees of freedom: Hotelling's T², a multiple of an F.
     hotelling = f(3, 27, scale=3.0 * 29.0 / 27.0)
@@ -93,6 +93,6 @@ def test_a_time_offset_of_the_ins_is_no_turn():
 
 def test_a_ship_at_rest_has_a_mean_and_its_noise():
     turns_d = 3.0 * ARCSEC * np.random.default_rng(5).standard_normal((30, 3))
-    turn_d, covariance_d = turn_at_rest(turns_d, np.zeros((30, 3)))
+    turn_d, covariance_d = rate_corrected_turn(turns_d, np.zeros((30, 3)))
     np.testing.assert_array_equal(turn_d, turns_d.mean(axis=0))
     np.testing.assert_allclose(covariance_d, np.cov(turns_d.T) / 30.0, rtol=1e-12)

@@ -9,7 +9,7 @@ from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.suite_commit import COMMIT_RECORD, suite_commit
 from ship_replay.commands.report import main
 from ship_replay.evaluation.evaluate import evaluate
-from ship_replay.report.drawings import MOST_POINTS, source_colours, thin_errors, thinned
+from ship_replay.report.drawings import MAX_POINTS, source_colours, decimate_errors, decimation_mask
 from ship_replay.report.event_groups import event_rows
 from ship_replay.report.night import read_recording
 from ship_replay.report.page import SECTIONS, page
@@ -68,7 +68,7 @@ def test_states_follow_the_limits(night_path):
 
 
 def test_no_state_without_output(night_path):
-    told = {second for second, _ in read_recording(night_path).words["heading"]}
+    told = {second for second, _ in read_recording(night_path).safety_states["heading"]}
     start_s = START_NS // SECOND_NS
     # The limit of age is 1 s: from 22 s on the last value is old, until one comes at 25 s.
     assert not told & {start_s + 22, start_s + 23, start_s + 24}
@@ -174,8 +174,8 @@ def test_thinned_lines_keep_their_extremes():
     values = rng.normal(size=(50_000, 2))
     values[31_234, 0], values[7, 1] = 40.0, -50.0
     values[100:300] = np.nan
-    kept = thinned(values, MOST_POINTS)
-    assert kept.sum() <= MOST_POINTS
+    kept = decimation_mask(values, MAX_POINTS)
+    assert kept.sum() <= MAX_POINTS
     assert kept[31_234]
     assert kept[7]
     assert np.isfinite(values[kept]).all()
@@ -183,7 +183,7 @@ def test_thinned_lines_keep_their_extremes():
 
 def test_thinned_errors_keep_the_largest(night_path):
     errors = evaluate(night_path).errors[0]
-    assert np.nanmax(np.abs(thin_errors(errors).error_arcsec)) == np.abs(errors.error_arcsec).max()
+    assert np.nanmax(np.abs(decimate_errors(errors).error_arcsec)) == np.abs(errors.error_arcsec).max()
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(3.0, "3 s"), (65.2, "1 min 05 s"), (3720.0, "1 h 02 min")])
@@ -263,7 +263,7 @@ class TestEvents:
 
 def test_no_line_through_a_gap(night_path):
     """No data from 20 s to 25 s."""
-    errors = thin_errors(evaluate(night_path).errors[0])
+    errors = decimate_errors(evaluate(night_path).errors[0])
     empty = np.isnan(errors.error_arcsec).all(axis=1)
     (second,) = (errors.time_ns[empty] - START_NS) / SECOND_NS
     assert 20.0 <= second < 25.0

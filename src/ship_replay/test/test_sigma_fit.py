@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 from scipy.stats import binom, chi2
 
 from ship_replay.evaluation.statistics import AttitudeErrors, AcceptedInnovation, SourceInnovations, independent_count
-from ship_replay.report.consistency import TOO_FEW, TOO_FEW_INDEPENDENT, nees_fit, nis_fit
+from ship_replay.report.consistency import TOO_FEW_TEXT, TOO_FEW_INDEPENDENT_TEXT, nees_fit, nis_fit
 from ship_watch.verdict import NisWindow
 
 RATE_HZ = 10
@@ -41,7 +41,7 @@ def innovations(seed: int, sigma_ratios: list[float], a_minute: int = 300) -> So
         for index in range(a_minute):
             residual = rng.standard_normal(3) * ratio
             stamp_ns = 60 * NS * minute + 60 * NS * index // a_minute
-            part.compared[stamp_ns] = AcceptedInnovation(("x", "y", "z"), residual, np.ones(3), float(residual @ residual))
+            part.accepted[stamp_ns] = AcceptedInnovation(("x", "y", "z"), residual, np.ones(3), float(residual @ residual))
     return part
 
 
@@ -90,11 +90,11 @@ def test_a_false_sigma_is_named(ratio: float, word: str) -> None:
 
 def test_errors_correlated_over_the_run_give_no_result() -> None:
     fit = nees_fit(errors(np.full((FIVE_MINUTES, 3), 2.0)))
-    assert fit.words == TOO_FEW_INDEPENDENT
+    assert fit.words == TOO_FEW_INDEPENDENT_TEXT
     assert fit.ratio == pytest.approx(2.0)
     assert fit.independent < 2.0
     said = [nees_fit(errors(ar1(seed, 100.0))).words for seed in range(100)]
-    assert said.count(TOO_FEW_INDEPENDENT) > 90
+    assert said.count(TOO_FEW_INDEPENDENT_TEXT) > 90
 
 
 def test_missing_sigmas_are_reported() -> None:
@@ -134,15 +134,15 @@ def test_minutes_with_a_false_sigma_are_counted() -> None:
 def test_one_minute_equals_the_live_page() -> None:
     part = innovations(3, [1.6])
     window = NisWindow()
-    for stamp_ns, judged in sorted(part.compared.items()):
+    for stamp_ns, judged in sorted(part.accepted.items()):
         window.add(stamp_ns, judged.nis, 3)
     assert nis_fit("star.bow", part).words == f"{window.consistency(60 * NS - 1).text} in 1 of 1 minutes"
 
 
 def test_few_or_non_finite_innovations_give_no_result() -> None:
-    assert nis_fit("reference", innovations(4, [3.0], 5)).words == TOO_FEW
+    assert nis_fit("reference", innovations(4, [3.0], 5)).words == TOO_FEW_TEXT
     part = innovations(5, [1.0] * 3)
-    part.compared[10 * NS] = AcceptedInnovation(("x",), np.array([1.0]), np.ones(1), math.nan)
+    part.accepted[10 * NS] = AcceptedInnovation(("x",), np.array([1.0]), np.ones(1), math.nan)
     fit = nis_fit("star.bow", part)
     assert math.isfinite(fit.ratio)
-    assert fit.count == 900 - (10 * NS in innovations(5, [1.0] * 3).compared)
+    assert fit.count == 900 - (10 * NS in innovations(5, [1.0] * 3).accepted)

@@ -69,7 +69,7 @@ def write_run(path, errors_arcsec, modes):
 def test_errors_of_all_and_by_mode_by_hand(tmp_path):
     # At 60° the azimuth counts half. Two lights: -4, 2, then encoder: 8 and 6 (azimuth), across North.
     errors = [(-8.0, 1.0, 20.0), (4.0, -1.0, -20.0), (16.0, 5.0, 0.0), (12.0, 5.0, 0.0)]
-    values = evaluate(write_run(tmp_path / "a.mcap", errors, [0, 0, 2, 2])).flat()
+    values = evaluate(write_run(tmp_path / "a.mcap", errors, [0, 0, 2, 2])).quantities()
     expected = {
         "pointing.samples": 4,
         "pointing.invalid": 0,
@@ -92,7 +92,7 @@ def test_errors_of_all_and_by_mode_by_hand(tmp_path):
 
 def test_pointings_by_stars_stand_by_themselves(tmp_path):
     errors = [(0.0, 1.0, 0.0), (0.0, 2.0, 0.0), (0.0, 3.0, 0.0)]
-    values = evaluate(write_run(tmp_path / "a.mcap", errors, [3, 4, 4])).flat()
+    values = evaluate(write_run(tmp_path / "a.mcap", errors, [3, 4, 4])).quantities()
     assert values["pointing.stars.elevation.rms_arcsec"] == pytest.approx(1.0, rel=1e-4)
     assert values["pointing.stars_and_lights.samples"] == 2
 
@@ -103,7 +103,7 @@ def test_what_claims_nothing_is_counted_and_left_out(tmp_path):
         for number in range(2):
             stamp_ns = START_NS + number * SECOND_NS
             bag.write("theodolite/pointing", pointing(stamp_ns, np.nan, np.nan, status=3 * number), stamp_ns)
-    values = evaluate(tmp_path / "b.mcap", against=path).flat()
+    values = evaluate(tmp_path / "b.mcap", against=path).quantities()
     assert values["pointing.invalid"] == 1
     assert values["pointing.samples"] == 1
 
@@ -145,10 +145,10 @@ def test_errors_are_filled_in_at_stamps_and_between_them():
         shifted = pointing(stamp_ns, azimuth + 10.0 * ARCSEC, elevation - 4.0 * ARCSEC, rotation + 7.0 * ARCSEC)
         filler.add_attitude(shifted)
         filler.add_error(error_message(stamp_ns), stamp_ns)
-    assert filler.filled(stamps_ns[0]) == []
+    assert filler.pop_ready(stamps_ns[0]) == []
     for _, message in found:
         filler.add_truth(POINTING.sample(message))
-    ready = [message for _, message in filler.filled(None)]
+    ready = [message for _, message in filler.pop_ready(None)]
     values = np.array([[getattr(message, f"error_{channel}") for channel in POINTING.channels] for message in ready])
     cosines = np.array([np.cos(np.arcsin(truth[1, 0])) for truth in truths])
     expected = np.stack([10.0 * cosines, [-4.0, -4.0], [7.0, 7.0]], axis=-1)
@@ -158,9 +158,9 @@ def test_errors_are_filled_in_at_stamps_and_between_them():
     assert np.isnan(values[2]).all()
 
 
-def evaluated(scenario, path):
+def evaluate_scenario(scenario, path):
     write_bag(scenario, 1, path, b"")
-    return evaluate(path).flat()
+    return evaluate(path).quantities()
 
 
 def test_encoder_and_ins_alone_are_held_against_the_truth_too(tmp_path):
@@ -168,19 +168,19 @@ def test_encoder_and_ins_alone_are_held_against_the_truth_too(tmp_path):
     quiet = Ins(
         rate_hz=20.0, tilt_sigma_arcsec=0.0, heading_sigma_arcsec=0.0, white_sigma_arcsec=0.0, time_offset_sigma_s=0.0
     )
-    values = evaluated(dataclasses.replace(exact, ins=quiet), tmp_path / "exact.mcap")
+    values = evaluate_scenario(dataclasses.replace(exact, ins=quiet), tmp_path / "exact.mcap")
     assert values["ins_encoder.samples"] == 201
     for channel in POINTING.channels:
         # Axis errors are known; what is left is the INS between its samples.
         assert values[f"ins_encoder.{channel}.rms_arcsec"] < 0.3
     # The heading's error is an angle on the sky by the cosine of the elevation, here 10° to 20°.
     turned = dataclasses.replace(quiet, heading_sigma_arcsec=72.0, heading_time_s=1e6)
-    values = evaluated(dataclasses.replace(exact, ins=turned), tmp_path / "turned.mcap")
+    values = evaluate_scenario(dataclasses.replace(exact, ins=turned), tmp_path / "turned.mcap")
     heading, across = values["ins.heading.rms_arcsec"], values["ins_encoder.azimuth_cos_elevation.rms_arcsec"]
     assert heading > 10.0
     assert 0.9 * heading < across < 0.99 * heading
     # Unknown axis errors, and the hull's deformation.
-    values = evaluated(bag_scenario(duration_s=20.0), tmp_path / "usual.mcap")
+    values = evaluate_scenario(bag_scenario(duration_s=20.0), tmp_path / "usual.mcap")
     assert 10.0 < values["ins_encoder.elevation.rms_arcsec"] < 120.0
 
 
@@ -208,7 +208,7 @@ def test_the_last_calibration_and_the_lights_residuals_are_evaluated(tmp_path, c
             bag.write("theodolite/innovation", found, stamp_ns)
     assert main([str(tmp_path / "a.mcap")]) == 0
     assert "Calibration at the end" in capsys.readouterr().out
-    values = evaluate(tmp_path / "a.mcap").flat()
+    values = evaluate(tmp_path / "a.mcap").quantities()
     expected = {
         "calibration.c_arcsec": -4.0,
         "calibration.c_sigma_arcsec": 2.0,

@@ -34,7 +34,7 @@ CASES = [
 ]
 
 
-def replayed(run_class: type[ReplayRun], bag_path: Path, config_path: Path | None, without: str = "") -> Published:
+def replay_published(run_class: type[ReplayRun], bag_path: Path, config_path: Path | None, without: str = "") -> Published:
     """Return the outputs for the beginning of a bag without one topic."""
     with read_bag(bag_path) as bag:
         chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory(), config_path)
@@ -45,7 +45,7 @@ def replayed(run_class: type[ReplayRun], bag_path: Path, config_path: Path | Non
             if record.log_time_ns > bag.start_ns + LENGTH_NS:
                 break
             if record.topic in taken:
-                run.take(record.topic, record)
+                run.process_message(record.topic, record)
         run.finish()
     return sink.published
 
@@ -86,15 +86,15 @@ def is_reported_off(data: bytes, source: str) -> bool:
 def test_off_from_the_start_is_as_without_the_topic(
     run_class: type[ReplayRun], bag_path: Path, node: str, source: str, topic: str, tmp_path: Path
 ) -> None:
-    off, told = estimates(replayed(run_class, bag_path, suite_without(bag_path, node, source, tmp_path)), source)
-    without, untold = estimates(replayed(run_class, bag_path, None, without=topic), source)
+    off, told = estimates(replay_published(run_class, bag_path, suite_without(bag_path, node, source, tmp_path)), source)
+    without, untold = estimates(replay_published(run_class, bag_path, None, without=topic), source)
     assert untold == 0
     assert told > 20
     assert {topic: len(messages) for topic, messages in off.items()} == {
         topic: len(messages) for topic, messages in without.items()
     }
     assert off == without
-    assert off != estimates(replayed(run_class, bag_path, None), source)[0]
+    assert off != estimates(replay_published(run_class, bag_path, None), source)[0]
 
 
 @pytest.mark.slow
@@ -103,4 +103,4 @@ def test_blocks_equal_one_by_one(
     bag_path: Path, node: str, source: str, _topic: str, tmp_path: Path
 ) -> None:
     suite = suite_without(bag_path, node, source, tmp_path)
-    assert replayed(BlockRun, bag_path, suite) == replayed(ReplayRun, bag_path, suite)
+    assert replay_published(BlockRun, bag_path, suite) == replay_published(ReplayRun, bag_path, suite)

@@ -13,7 +13,7 @@ from ship_bags.stamps import make_header
 from ship_estimation.outcome import Status
 from ship_geometry.rotations import ARCSEC
 from ship_replay.commands.stanford import main
-from ship_replay.evaluation.stanford import Epochs, Region, epochs_of
+from ship_replay.evaluation.stanford import Epochs, Region, read_epochs
 from ship_replay.evaluation.stanford_figure import stanford_figure
 from ship_testing.hand_made_bags import FACTORY, START_NS, ship_attitude
 from ship_watch.orientations import POINTING, SHIP_ATTITUDE
@@ -87,7 +87,7 @@ def _run(tmp_path):
 
 
 def test_each_epoch_falls_into_the_region_worked_out_by_hand(run):
-    (found,) = epochs_of([run])
+    (found,) = read_epochs([run])
     n, m, h, u = NOMINAL, MISLEADING, HAZARDOUS, UNAVAILABLE
     expected = [
         [u, u, u], [n, n, n], [m, n, n], [n, h, n], [u, u, u], [u, u, u], [n, n, n], [u, n, m], [u, n, n], [u, u, u],
@@ -106,7 +106,7 @@ def test_each_epoch_falls_into_the_region_worked_out_by_hand(run):
 
 
 def test_limits_of_the_command_line_take_the_place_of_those_in_the_bag(run):
-    (found,) = epochs_of([run], limits_arcsec={"fused": (60.0, 15.0, 60.0)})
+    (found,) = read_epochs([run], limits_arcsec={"fused": (60.0, 15.0, 60.0)})
     counts = found.counts()
     assert counts["heading"] == {NOMINAL: 5, MISLEADING: 1, HAZARDOUS: 0, UNAVAILABLE: 4}
     assert counts["pitch"] == {NOMINAL: 0, MISLEADING: 0, HAZARDOUS: 0, UNAVAILABLE: 10}
@@ -122,7 +122,7 @@ def test_several_bags_come_together_and_between_the_truths_the_truth_is_interpol
             if number % 10 == 0:
                 bag.write("truth/attitude", ship_attitude(stamp_ns), stamp_ns)
             bag.write("ship/attitude", ship_attitude(stamp_ns, pitch=2.0 * ARCSEC), stamp_ns)
-    (alone,), (together,) = epochs_of([path]), epochs_of([run, path])
+    (alone,), (together,) = read_epochs([path]), read_epochs([run, path])
     assert alone.counts()["pitch"] == {NOMINAL: 21, MISLEADING: 0, HAZARDOUS: 0, UNAVAILABLE: 0}
     np.testing.assert_allclose(alone.error_arcsec[:, 1], 2.0, atol=1e-6)
     assert together.statistics()["epochs"] == 31
@@ -156,7 +156,7 @@ def test_azimuth_counts_on_the_sky_at_stamps_of_the_truth(tmp_path):
             if number % 2 == 0:
                 bag.write("truth/pointing", pointing(stamp_ns, 0.0, elevation), stamp_ns)
             bag.write("theodolite/pointing", pointing(stamp_ns, 18.0 * ARCSEC, elevation + 6.0 * ARCSEC), stamp_ns)
-    (found,) = epochs_of([path])
+    (found,) = read_epochs([path])
     assert found.orientation is POINTING
     assert found.counts() == {
         "azimuth_cos_elevation": {NOMINAL: 3, MISLEADING: 0, HAZARDOUS: 0, UNAVAILABLE: 0},
@@ -167,7 +167,7 @@ def test_azimuth_counts_on_the_sky_at_stamps_of_the_truth(tmp_path):
 
 def test_a_quantity_without_a_level_is_unavailable(tmp_path):
     levels = {0: lambda stamp_ns: integrity(stamp_ns, (10.0,), (math.nan,), quantities=("heading",))}
-    (found,) = epochs_of([write_run(tmp_path / "a.mcap", [((0.0, 0.0, 0.0), Status.VALID)], levels)])
+    (found,) = read_epochs([write_run(tmp_path / "a.mcap", [((0.0, 0.0, 0.0), Status.VALID)], levels)])
     assert [counts[UNAVAILABLE] for counts in found.counts().values()] == [0, 1, 1]
 
 
@@ -206,7 +206,7 @@ def test_alert_limits_of_nothing_are_refused(run, limits, capsys):
 def test_a_bag_without_levels_is_refused_by_the_topics_that_it_lacks(tmp_path):
     path = write_run(tmp_path / "a.mcap", [((0.0, 0.0, 0.0), Status.VALID)], {})
     with pytest.raises(BadInput, match="ship/integrity"):
-        epochs_of([path])
+        read_epochs([path])
 
 
 def drawn_words(epochs):

@@ -172,7 +172,7 @@ def test_a_replay_gives_the_reason_that_the_node_itself_gave(tmp_path, capsys):
 def test_diagnostics_are_counted_without_numbers_and_only_if_poor() -> None:
     course = history_of((0.0, DEGRADED))
     for saying in ("above its limit: 3.5″", "above its limit: 12″", "INS alone"):
-        course.note(saying)
+        course.add_diagnostic(saying)
     course.add(Output(make_header(RosbagsFactory(), START_NS + SECOND_NS, ""), VALID))
-    course.note("VALID")
-    assert course.sayings == ["diagnostics, 2 of 3: above its limit: 12″", "diagnostics, 1 of 3: INS alone"]
+    course.add_diagnostic("VALID")
+    assert course.diagnostic_lines == ["diagnostics, 2 of 3: above its limit: 12″", "diagnostics, 1 of 3: INS alone"]

@@ -74,7 +74,7 @@ def calibration() -> Any:
 
 
 def test_errors_are_those_by_hand(bag: Path) -> None:
-    values = evaluate(bag).flat()
+    values = evaluate(bag).quantities()
     expected = {
         "target.buoy.samples": 2,
         # INVALID at 2 s, and no answer at 3 s.
@@ -95,7 +95,7 @@ def test_errors_are_those_by_hand(bag: Path) -> None:
 
 
 def test_what_is_skipped_is_left_out_with_its_target(bag: Path) -> None:
-    values = evaluate(bag, skip_s=1.5).flat()
+    values = evaluate(bag, skip_s=1.5).quantities()
     # No direction of the buoy was published since: it is listed without statistics.
     assert (values["target.buoy.samples"], values["target.buoy.not_claimed"]) == (0, 2)
     assert "target.buoy.direction.rms_arcsec" not in values
@@ -114,7 +114,7 @@ def test_without_truth_there_are_none(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "run.mcap") as bag:
         bag.write(TARGET_DIRECTION, target_direction(0), START_NS)
         bag.write("theodolite/calibration", calibration(), START_NS)
-    assert not any(name.startswith("target.") for name in evaluate(tmp_path / "run.mcap").flat())
+    assert not any(name.startswith("target.") for name in evaluate(tmp_path / "run.mcap").quantities())
 
 
 def vector3(x: float, y: float, z: float) -> Any:
@@ -158,7 +158,7 @@ def test_a_truth_that_is_no_number_is_left_out_by_name(tmp_path: Path) -> None:
             bag.write(TARGET_DIRECTION, target_direction(number), START_NS + number * SECOND_NS)
         bag.write("theodolite/calibration", calibration(), START_NS + 5 * SECOND_NS)
     found = evaluate(tmp_path / "run.mcap")
-    assert found.flat()["target.buoy.samples"] == 1.0
+    assert found.quantities()["target.buoy.samples"] == 1.0
     assert found.problems == [
         f"topic '{TARGET_TRUTH}': messages excluded: 1, the first because non_finite: direction of the truth holds inf"
     ]

@@ -36,7 +36,7 @@ def parts(tmp_path_factory):
         return inputs, list(bag.records()), suite
 
 
-def joined(path, parts, namespace="", change=lambda records: records):
+def join_parts(path, parts, namespace="", change=lambda records: records):
     """Return the bag that a recorder of all topics would have written."""
     inputs, outputs, suite = parts
     with BagWriter(path) as writer:
@@ -53,7 +53,7 @@ def verify(capsys, path, *options):
 
 @pytest.mark.parametrize(("namespace", "options"), [("", ()), ("/", ()), ("/ship_1/", ("--namespace", "ship_1"))])
 def test_outputs_that_are_the_same_are_equal(parts, tmp_path, capsys, namespace, options):
-    code, out, _ = verify(capsys, joined(tmp_path / "b.mcap", parts, namespace), *options)
+    code, out, _ = verify(capsys, join_parts(tmp_path / "b.mcap", parts, namespace), *options)
     assert code == 0, out
     count = sum(1 for r in parts[1] if r.topic == ATTITUDE)
     assert count > 400
@@ -72,7 +72,7 @@ def test_the_first_changed_field_is_named_with_both_values(parts, tmp_path, caps
 
     originals = [r.decode() for r in parts[1] if r.topic == ATTITUDE]
     stamp = originals[100].header.stamp
-    code, out, _ = verify(capsys, joined(tmp_path / "b.mcap", parts, change=change))
+    code, out, _ = verify(capsys, join_parts(tmp_path / "b.mcap", parts, change=change))
     assert code == 1
     value = float(originals[100].rotation_covariance[4])
     expected = f"({stamp.sec}{stamp.nanosec:09d} ns), field rotation_covariance[4]: recorded 7.0, replayed {value!r}"
@@ -96,7 +96,7 @@ def rename_components(message):
 
 def test_texts_that_differ_are_counted_and_no_difference(parts, tmp_path, capsys):
     change = partial(with_changed_innovations, change=rename_components)
-    path = joined(tmp_path / "b.mcap", parts, change=change)
+    path = join_parts(tmp_path / "b.mcap", parts, change=change)
     code, out, _ = verify(capsys, path)
     assert code == 0, out
     assert "other texts: ship/innovation 10; the first: ship/innovation, stamp 2014-" in out
@@ -110,7 +110,7 @@ def test_a_number_that_differs_beside_a_text_is_the_difference(parts, tmp_path, 
         message.nis = np.nextafter(message.nis, 1e9)
 
     change = partial(with_changed_innovations, change=change_both)
-    path = joined(tmp_path / "b.mcap", parts, change=change)
+    path = join_parts(tmp_path / "b.mcap", parts, change=change)
     code, out, _ = verify(capsys, path)
     assert code == 1
     assert re.search(r"first difference: ship/innovation, stamp .*, field nis: recorded", out)
@@ -121,13 +121,13 @@ def test_what_is_missing_at_the_end_is_a_difference(parts, tmp_path, capsys):
         del outputs[max(i for i, r in enumerate(outputs) if r.topic == ATTITUDE)]
         return outputs
 
-    code, out, _ = verify(capsys, joined(tmp_path / "b.mcap", parts, change=change))
+    code, out, _ = verify(capsys, join_parts(tmp_path / "b.mcap", parts, change=change))
     assert code == 1
     assert f"first difference: {ATTITUDE}, stamp" in out
     assert "recorded nothing, replayed a message" in out
 
 
 def test_a_bag_without_outputs_is_refused(parts, tmp_path, capsys):
-    code, _, err = verify(capsys, joined(tmp_path / "b.mcap", parts, change=lambda outputs: []))
+    code, _, err = verify(capsys, join_parts(tmp_path / "b.mcap", parts, change=lambda outputs: []))
     assert code == 2
     assert "it holds no outputs of ship_attitude: there is nothing to verify" in err

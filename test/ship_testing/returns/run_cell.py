@@ -22,7 +22,7 @@ from ship_bags.stamps import NS_PER_S, ns_from_stamp, stamp_fields
 from ship_node.edge.adapter import TICK_PERIOD_NS
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC
 from ship_replay.evaluation.sources import JOINT_SOLUTION, Truth
-from ship_replay.offline.exclusion_history import INTEGRITY
+from ship_replay.offline.exclusion_history import INTEGRITY_TOPICS
 from ship_replay.trials.voyage_told import VoyageSink
 from ship_simulation.faults.faults import Delivery, spoilt
 from ship_simulation.scenario.fault import Fault
@@ -115,7 +115,7 @@ class ReturnSink(VoyageSink):
             elif self.valid_since_ns[topic] is None or gap_ns > _LONGEST_GAP_NS:
                 self.valid_since_ns[topic] = log_time_ns
             self.last_ns[topic] = log_time_ns
-        elif topic in INTEGRITY.values():
+        elif topic in INTEGRITY_TOPICS.values():
             self.states[topic] = int(message.state)
             self.excluded[topic] = list(message.excluded)
         elif topic == DIAGNOSTICS_TOPIC:
@@ -172,15 +172,15 @@ def _evaluate(cell: Cell, run: "_Run") -> dict[str, Any]:
     for topic, since_ns in sink.valid_since_ns.items():
         is_there = since_ns is not None and now_ns - sink.last_ns[topic] <= _LONGEST_GAP_NS
         returns_s[topic] = round(max(since_ns - consistent_ns, 0) / NS_PER_S, 2) if is_there else None
-    claims = [claim for claim in sink.outputs.claims if claim.log_ns >= data.time_ns(cell.starts_s)]
-    worst = max(claims, key=lambda claim: np.nan_to_num(claim.over_level), default=None)
+    claims = [claim for claim in sink.outputs.valid_outputs if claim.log_ns >= data.time_ns(cell.starts_s)]
+    worst = max(claims, key=lambda claim: np.nan_to_num(claim.level_ratio), default=None)
     return {
         "returned": all(time_s is not None and time_s <= bounds_s[topic] for topic, time_s in returns_s.items()),
         "returns_s": returns_s,
         "ran_s": round((now_ns - consistent_ns) / NS_PER_S, 1),
-        "worst_over_level": round(float(np.nan_to_num(worst.over_level)), 3) if worst else 0.0,
+        "worst_over_level": round(float(np.nan_to_num(worst.level_ratio)), 3) if worst else 0.0,
         "worst_at_s": round((worst.log_ns - data.start_ns) / NS_PER_S, 2) if worst else 0.0,
-        "failures": sink.outputs.failures,
+        "failures": sink.outputs.failure_count,
         "excluded": sorted({source for sources in sink.excluded.values() for source in sources}),
         "texts": sink.texts,
     }
@@ -205,7 +205,7 @@ class _Run:
     def __init__(self, data: VoyageData) -> None:
         chain = data.chain()
         self.data, self.steps, self.next_ns = data, list[tuple[int, int]](), data.start_ns
-        self._adapters = list(zip(chain.adapters, chain.taken, strict=True))
+        self._adapters = list(zip(chain.adapters, chain.input_topics, strict=True))
         self._truths = {topic: SteppedTruth(truth) for topic, truth in data.truths.items()}
         published = {output.topic for output in chain.outputs}
         self.sink = ReturnSink(self._truths, [topic for topic in BOUND_S if topic in published])

@@ -21,7 +21,7 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_pi, wrap_two_pi
 from ship_node.edge.topics import OutputMessage
 from ship_replay.offline.adapter_chain import suite_chain
-from ship_replay.offline.replay import Watcher, match_inputs
+from ship_replay.offline.replay import ProgressWrapper, match_inputs
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 from theodolite_calib.axis_fit.exposure_errors import correlated_effects
 from theodolite_calib.axis_fit.sighting_file import COLUMNS, LABEL_COLUMN, TIME_COLUMN, correlated_column
@@ -36,7 +36,7 @@ _LEAST_LIGHTS = 2
 _LEAST_EFFECT_ARCSEC = 0.01
 
 
-class _Sink:
+class _NullSink:
     """Sink that discards the outputs: only the node's decisions are needed."""
 
     def write(self, topic: str, message: Any, log_time_ns: int) -> None:
@@ -70,10 +70,10 @@ class AxisSightings:
     """
 
     rows: dict[int, AxisSighting] = field(default_factory=dict)
-    unused: int = 0
+    unused_count: int = 0
 
     @property
-    def chosen(self) -> list[int]:
+    def selected_stamps(self) -> list[int]:
         """Stamps of the rows to write, in order: all, or evenly spread as many as a fit reads."""
         stamps = sorted(self.rows)
         if len(stamps) <= MOST_SIGHTINGS:
@@ -82,8 +82,8 @@ class AxisSightings:
 
     def write(self, path: Path) -> None:
         """Write the table as CSV, in order of time."""
-        chosen = self.chosen
-        correlated_errors = [key for key in self._correlated_errors() if self._moves(key, chosen)]
+        stamps = self.selected_stamps
+        correlated_errors = [key for key in self._correlated_errors() if self._has_effect(key, stamps)]
         names = [correlated_column(side, *key) for key in correlated_errors for side in (0, 1)]
         # Angles in degrees and times need more decimals than a table in arcseconds.
         write_csv(
@@ -91,28 +91,28 @@ class AxisSightings:
             [LABEL_COLUMN, TIME_COLUMN, *COLUMNS, *names],
             (
                 (number, f"{stamp // 10**9}.{stamp % 10**9:09d}", *self._cells(self.rows[stamp], correlated_errors))
-                for number, stamp in enumerate(chosen, start=1)
+                for number, stamp in enumerate(stamps, start=1)
             ),
         )
 
-    def take(self, core: OpticalAxisCore, decision: ExposureDecision) -> None:
+    def add_decision(self, core: OpticalAxisCore, decision: ExposureDecision) -> None:
         """Add an exposure if the core used all its lights as named."""
         exposure = decision.measurement
         if not isinstance(exposure, Exposure):
             return  # stars, or a target
         time_ns = exposure.time_ns
         self.rows.pop(time_ns, None)
-        row = _row(core, exposure, decision)
+        row = _sighting(core, exposure, decision)
         if row is None:
-            self.unused += 1
+            self.unused_count += 1
         else:
             self.rows[time_ns] = row
 
     def _correlated_errors(self) -> list[tuple[str, float]]:
         return list(dict.fromkeys(key for row in self.rows.values() for key in row.correlated_effects))
 
-    def _moves(self, key: tuple[str, float], chosen: list[int]) -> bool:
-        effects = [self.rows[stamp].correlated_effects[key] for stamp in chosen if key in self.rows[stamp].correlated_effects]
+    def _has_effect(self, key: tuple[str, float], stamps: list[int]) -> bool:
+        effects = [self.rows[stamp].correlated_effects[key] for stamp in stamps if key in self.rows[stamp].correlated_effects]
         return bool(np.max(np.abs(effects)) > _LEAST_EFFECT_ARCSEC * ARCSEC)
 
     @staticmethod
@@ -126,7 +126,7 @@ def axis_sightings(
     bag_path: Path,
     config_path: Path | None = None,
     namespace: str = "",
-    watch: Watcher = lambda records, bag: records,
+    progress: ProgressWrapper = lambda records, bag: records,
 ) -> AxisSightings:
     """Return the sightings of a bag.
 
@@ -142,24 +142,24 @@ def axis_sightings(
     found = AxisSightings()
 
     class DecisionRecorder(OpticalAxisAdapter):
-        def published(self, outcome: PointingOutcome, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
+        def report_outcome(self, outcome: PointingOutcome, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
             for decision in outcome.decisions:
-                found.take(self.core, decision)
+                found.add_decision(self.core, decision)
             return super().published(outcome, now_ns, waiting_ns)
 
     with read_bag(bag_path) as bag:
         chain, _ = suite_chain(bag, (DecisionRecorder,), RosbagsFactory(), config_path, namespace)
         names = {name: relative for relative, name in match_inputs(bag, chain, namespace).items()}
-        run = ReplayRun(chain, _Sink(), ReplaySummary(), ())
-        for record in watch(bag.records(names), bag):
-            run.take(names[record.topic], record)
+        run = ReplayRun(chain, _NullSink(), ReplaySummary(), ())
+        for record in progress(bag.records(names), bag):
+            run.process_message(names[record.topic], record)
     if not found.rows:
-        others = f"{found.unused} others"
+        others = f"{found.unused_count} others"
         raise BadInput(f"no exposure of two lights was used ({others}): axes cannot be fitted", file=bag_path)
     return found
 
 
-def _row(core: OpticalAxisCore, exposure: Exposure, decision: ExposureDecision) -> AxisSighting | None:
+def _sighting(core: OpticalAxisCore, exposure: Exposure, decision: ExposureDecision) -> AxisSighting | None:
     """Return the sighting of an exposure; None if not all its lights were used, or if they are too few."""
     sighting = core.sighting(exposure)
     usable = decision.accepted and decision.reason is Reason.NONE and not decision.rejected_parts

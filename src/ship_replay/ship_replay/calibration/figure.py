@@ -15,7 +15,7 @@ from ship_replay.calibration.result import InstallationCalibration, InstalledAng
 _BAND_COLOUR = "#bcd4ea"
 _LINE_COLOUR = "#0b3c6f"
 _CONFIGURED_COLOUR = "#d55e00"
-_ROOM = 1.15
+_MARGIN = 1.15
 
 
 def draw_history(calibration: InstallationCalibration, folder: Path) -> Path:
@@ -61,4 +61,4 @@ def _draw_history(axes: Axes, calibration: InstallationCalibration, angle: Insta
     edges = edges[np.isfinite(edges)]
     if len(edges):
         middle, half = 0.5 * (edges.max() + edges.min()), 0.5 * (edges.max() - edges.min())
-        axes.set_ylim(middle - _ROOM * half, middle + _ROOM * half)
+        axes.set_ylim(middle - _MARGIN * half, middle + _MARGIN * half)

@@ -26,16 +26,16 @@ from ship_replay.calibration.session import InputCount, Session
 
 ANGLES = ("azimuth", "elevation", "roll")
 
-_TAKES_PART = 0.25
+_MIN_VARIANCE_SHARE = 0.25
 """Share of an angle's variance from which on a combination leaves the angle unresolved."""
 
 _EXPECTED_SHARE = 0.01
 """Share of messages that the gate may reject without a warning: ten times the share expected by chance."""
 
-NOT_OBSERVED = 0.9
+NOT_OBSERVED_RATIO = 0.9
 """Ratio of the sigmas, after / before, from which on a quantity is not observed."""
 
-WELL_OBSERVED = 0.5
+WELL_OBSERVED_RATIO = 0.5
 """Ratio up to which a quantity is observed: three quarters of the variance are removed."""
 
 DECK_AXES = ("bow", "up", "starboard")
@@ -55,7 +55,7 @@ class JointRotation:
     """
 
     axis: str | None
-    run_s: FloatArray
+    rotation_s: FloatArray
     sigma_before: float
     sigma: float
     shares: FloatArray
@@ -66,7 +66,7 @@ class JointRotation:
         return self.sigma / self.sigma_before
 
     @property
-    def observed(self) -> str:
+    def observability(self) -> str:
         """Observability: yes, partly or no."""
         return observability(self.ratio)
 
@@ -113,7 +113,7 @@ def _relative_rotations(whitened: FloatArray, scale: FloatArray, basis: FloatArr
     for vector in (basis @ vectors[:, ::-1]).T:
         variances = _variances(whitened, vector)
         ratio = float(np.sqrt(variances.sum()))
-        if ratio > WELL_OBSERVED:
+        if ratio > WELL_OBSERVED_RATIO:
             run = ratio * scale * vector * np.sign(vector[np.argmax(np.abs(scale * vector))])
             sigma = float(np.linalg.norm(run))
             found.append(JointRotation(None, run.reshape(-1, 3), sigma / ratio, sigma, variances / variances.sum()))
@@ -128,9 +128,9 @@ def _variances(covariance_by_source: FloatArray, functional: FloatArray) -> Floa
 
 def observability(ratio: float) -> str:
     """Return the observability for a ratio of sigmas, after / before: yes, partly or no."""
-    if ratio >= NOT_OBSERVED:
+    if ratio >= NOT_OBSERVED_RATIO:
         return "no"
-    return "partly" if ratio > WELL_OBSERVED else "yes"
+    return "partly" if ratio > WELL_OBSERVED_RATIO else "yes"
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,7 @@ class InstalledAngle:
         return float(wrap_pi(self.installed - self.configured)) / ARCSEC
 
     @property
-    def observed(self) -> str:
+    def observability(self) -> str:
         """Observability: yes, partly or no; empty if the angle is not separable from another."""
         if not np.isfinite(self.sigma):
             return ""
@@ -200,7 +200,7 @@ class InstallationCalibration:
         return [*(line for line in lines if line), *self.session.problems]
 
 
-def calibration_of(session: Session) -> InstallationCalibration:
+def calibrate(session: Session) -> InstallationCalibration:
     """Return the calibration of all installations from a session.
 
     Raises:
@@ -253,9 +253,9 @@ def _installed_angles(
     sigma_before, sigma = (np.sqrt(np.diagonal(alignment.covariance)[index]) for alignment in (before, after))
     open_in: list[list[str]] = [[] for _ in index]
     for label, combination in labelled.items():
-        if combination.observed != "yes":
+        if combination.observability != "yes":
             shares = (_angle_changes(combination, installed) / sigma) ** 2
-            for row in np.flatnonzero(shares > _TAKES_PART).tolist():
+            for row in np.flatnonzero(shares > _MIN_VARIANCE_SHARE).tolist():
                 open_in[row].append(label)
     names = [(sensor, angle) for sensor in sensors for angle in ANGLES]
     return [
@@ -275,7 +275,7 @@ def _installed_angles(
 def _angle_changes(combination: JointRotation, angles: FloatArray) -> FloatArray:
     """Return the change of all angles by one sigma of a combination, rad, shape (3 N,)."""
     changes = []
-    for run_s, (azimuth, elevation, roll) in zip(combination.run_s, angles.reshape(-1, 3), strict=True):
+    for run_s, (azimuth, elevation, roll) in zip(combination.rotation_s, angles.reshape(-1, 3), strict=True):
         run_d = rotation_from_angles(azimuth, elevation, roll) @ run_s
         changes.append(angle_errors_from_rotation_vector(azimuth, elevation) @ run_d)
     return np.concatenate(changes)
@@ -283,7 +283,7 @@ def _angle_changes(combination: JointRotation, angles: FloatArray) -> FloatArray
 
 def _gate_warning(source: str, count: InputCount) -> str:
     """Return a warning if too many messages of a device were too improbable; else an empty text."""
-    total = count.used + count.improbable
+    total = count.used_count + count.improbable
     if count.improbable <= _EXPECTED_SHARE * total:
         return ""
     return (

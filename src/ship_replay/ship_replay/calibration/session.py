@@ -25,7 +25,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.edge.adapter import Adapter
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
-from ship_replay.offline.replay import Watcher, match_inputs
+from ship_replay.offline.replay import ProgressWrapper, match_inputs
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 
 _ALIGNMENT_TOPIC = "ship/alignment"
@@ -43,7 +43,7 @@ class InputCount:
         reasons: reason → count; includes messages used with a note (single stars rejected).
     """
 
-    used: int
+    used_count: int
     rejected_count: int
     reasons: dict[str, int]
 
@@ -53,7 +53,7 @@ class InputCount:
         return min(self.rejected_count, sum(self.reasons.get(reason, 0) for reason in _IMPROBABLE))
 
     @property
-    def words(self) -> str:
+    def reasons_text(self) -> str:
         """Reasons with their counts, as text."""
         return ", ".join(f"{reason} {count}" for reason, count in self.reasons.items()) or "no message received"
 
@@ -88,7 +88,7 @@ def run_session(
     config_path: Path | None = None,
     prior_sigma_arcsec: float | None = None,
     namespace: str = "",
-    watch: Watcher = lambda records, bag: records,
+    progress: ProgressWrapper = lambda records, bag: records,
 ) -> Session:
     """Process a bag with the suite's nodes.
 
@@ -113,8 +113,8 @@ def run_session(
         _check_star_topics(bag, config, {*names.values(), *(topic.topic for topic in chain.outputs)})
         history, summary = AlignmentHistory(), ReplaySummary()
         run = ReplayRun(chain, history, summary, ())
-        for record in watch(bag.records(names), bag):
-            run.take(names[record.topic], record)
+        for record in progress(bag.records(names), bag):
+            run.process_message(names[record.topic], record)
         last_ns = bag.last_time_ns or 0
         last = adapter.core.alignment()
         history.add(last_ns, last.names, last.values, last.covariance)
@@ -205,7 +205,7 @@ def _check_used(bag: Bag, core: ShipAttitudeCore, counts: Mapping[str, InputCoun
         count = counts[source]
         if device.is_star and source not in core.state.last_used_ns:
             hint = ": its installation error exceeds its sigma: use --prior-sigma" if count.improbable else ""
-            raise BadInput(f"no message of {source} was used: {count.words}{hint}", file=bag.path)
+            raise BadInput(f"no message of {source} was used: {count.reasons_text}{hint}", file=bag.path)
 
 
 @dataclass

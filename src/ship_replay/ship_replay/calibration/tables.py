@@ -11,13 +11,13 @@ from rich.table import Table
 from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_replay.calibration.result import InstallationCalibration, JointRotation
 
-_TOGETHER = {
+_JOINT_ROTATION_TEXTS = {
     "bow": "rotated together in roll (about the deck's bow axis)",
     "up": "rotated together in azimuth (about the deck's up axis)",
     "starboard": "rotated together in pitch (about the deck's starboard axis)",
 }
 _SENSOR_AXES = "boresight", "up axis", "right axis"
-_TAKES_PART = 0.3
+_MIN_ROTATION_SHARE = 0.3
 """Minimum share of the largest component of a rotation for a component to be named."""
 
 _TILT_REMEDY = "turn the ship by 180 deg or more, or add a reference of known installation"
@@ -31,7 +31,7 @@ _RELATIVE_REMEDY = "record longer, or observe more stars"
 def print_calibration(calibration: InstallationCalibration, console: Console) -> None:
     """Print the result of a session."""
     session = calibration.session
-    counts = ", ".join(f"{source} {count.used} messages" for source, count in session.counts.items())
+    counts = ", ".join(f"{source} {count.used_count} messages" for source, count in session.counts.items())
     console.print(f"{session.name}: {session.duration_s:.0f} s; used: {counts}", highlight=False)
     console.print(_angle_table(calibration))
     console.print(_combination_table(calibration))
@@ -48,28 +48,28 @@ def json_text(calibration: InstallationCalibration) -> str:
     document = {
         "bag": session.name,
         "duration_s": session.duration_s,
-        "used": {source: count.used for source, count in session.counts.items()},
+        "used": {source: count.used_count for source, count in session.counts.items()},
         "not_used_or_noted": {source: count.reasons for source, count in session.counts.items()},
         "angles": {
             f"star.{angle.sensor}.{angle.angle}": {
-                "configured_deg": _shown_deg(angle.configured),
-                "installed_deg": _shown_deg(angle.installed),
+                "configured_deg": _wrapped_deg(angle.configured),
+                "installed_deg": _wrapped_deg(angle.installed),
                 "correction_arcsec": angle.correction_arcsec,
                 "sigma_before_arcsec": _number(angle.sigma_before / ARCSEC),
                 "sigma_arcsec": _number(angle.sigma / ARCSEC),
-                "observed": angle.observed or None,
+                "observed": angle.observability or None,
                 "open_in": list(angle.unresolved_in),
             }
             for angle in calibration.angles
         },
         "combinations": {
             label: {
-                "what": combination_words(combination, calibration.sensors),
+                "what": combination_text(combination, calibration.sensors),
                 "sigma_before_arcsec": combination.sigma_before / ARCSEC,
                 "sigma_arcsec": combination.sigma / ARCSEC,
-                "observed": combination.observed,
+                "observed": combination.observability,
                 "turn_forward_up_right_arcsec": dict(
-                    zip(calibration.sensors, (combination.run_s / ARCSEC).tolist(), strict=True)
+                    zip(calibration.sensors, (combination.rotation_s / ARCSEC).tolist(), strict=True)
                 ),
                 "variance_shares": dict(zip(calibration.sources, combination.shares.tolist(), strict=True)),
             }
@@ -94,12 +94,12 @@ def _angle_table(calibration: InstallationCalibration) -> Table:
         table.add_row(
             angle.sensor if number % 3 == 0 else "",
             angle.angle,
-            f"{_shown_deg(angle.configured):.5f}",
-            f"{_shown_deg(angle.installed):.5f}",
+            f"{_wrapped_deg(angle.configured):.5f}",
+            f"{_wrapped_deg(angle.installed):.5f}",
             f"{angle.correction_arcsec:+.2f}",
             _text(angle.sigma_before / ARCSEC),
             _text(angle.sigma / ARCSEC),
-            angle.observed or "-",
+            angle.observability or "-",
             " ".join(angle.unresolved_in),
             end_section=number % 3 == 2,
         )
@@ -117,16 +117,16 @@ def _combination_table(calibration: InstallationCalibration) -> Table:
     for label, combination in calibration.combinations.items():
         table.add_row(
             label,
-            combination_words(combination, calibration.sensors),
+            combination_text(combination, calibration.sensors),
             _text(combination.sigma_before / ARCSEC),
             _text(combination.sigma / ARCSEC),
-            combination.observed,
-            limit_words(calibration, combination),
+            combination.observability,
+            largest_error_text(calibration, combination),
         )
     return table
 
 
-def _shown_deg(angle: float) -> float:
+def _wrapped_deg(angle: float) -> float:
     """Return an angle in degrees from -180 to 180."""
     return math.degrees(float(wrap_pi(angle)))
 
@@ -139,17 +139,17 @@ def _text(value: float) -> str:
     return f"{value:.2f}" if math.isfinite(value) else "-"
 
 
-def combination_words(combination: JointRotation, sensors: tuple[str, ...]) -> str:
+def combination_text(combination: JointRotation, sensors: tuple[str, ...]) -> str:
     """Return a description of a combination."""
     if combination.axis is not None:
-        who = sensors[0] if len(sensors) == 1 else "all sensors"
-        return f"{who} {_TOGETHER[combination.axis]}"
-    run_arcsec = combination.run_s / ARCSEC
+        subject = sensors[0] if len(sensors) == 1 else "all sensors"
+        return f"{subject} {_JOINT_ROTATION_TEXTS[combination.axis]}"
+    run_arcsec = combination.rotation_s / ARCSEC
     parts = []
     for number in np.argsort(-np.abs(run_arcsec.ravel())).tolist():
         sensor, axis = divmod(number, 3)
         value = run_arcsec[sensor, axis]
-        if abs(value) > _TAKES_PART * np.max(np.abs(run_arcsec)):
+        if abs(value) > _MIN_ROTATION_SHARE * np.max(np.abs(run_arcsec)):
             parts.append(f"{sensors[sensor]} about its {_SENSOR_AXES[axis]} {value:+.2f}″")
     return f"relative rotation: {', '.join(parts)}"
 
@@ -161,7 +161,7 @@ def remedy(combination: JointRotation) -> str:
     return _AZIMUTH_REMEDY if combination.axis == "up" else _TILT_REMEDY
 
 
-def limit_words(calibration: InstallationCalibration, combination: JointRotation) -> str:
+def largest_error_text(calibration: InstallationCalibration, combination: JointRotation) -> str:
     """Return the source of error with the largest share in the remaining variance."""
     largest = int(np.argmax(combination.shares))
     return f"{calibration.sources[largest].replace('_', ' ')} {combination.shares[largest]:.0%}"
@@ -171,10 +171,10 @@ def statements(calibration: InstallationCalibration) -> list[str]:
     """Return one line for each combination that was not well observed; a single line if there is none."""
     lines = []
     for label, combination in calibration.combinations.items():
-        if combination.observed != "yes":
-            how = "not observed" if combination.observed == "no" else "partly observed"
+        if combination.observability != "yes":
+            how = "not observed" if combination.observability == "no" else "partly observed"
             lines.append(
                 f"({label}) {how}, {combination.sigma / ARCSEC:.2f}″ of {combination.sigma_before / ARCSEC:.2f}″: "
-                f"{combination_words(combination, calibration.sensors)}; {remedy(combination)}"
+                f"{combination_text(combination, calibration.sensors)}; {remedy(combination)}"
             )
     return lines or ["all combinations of the installation angles were observed"]

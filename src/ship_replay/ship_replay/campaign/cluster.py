@@ -7,14 +7,14 @@ from tempfile import TemporaryDirectory
 
 from ship_bags.errors import BadInput
 from ship_replay.campaign.items import Item
-from ship_replay.campaign.one_item import Result, failed
+from ship_replay.campaign.one_item import Result, failed_result
 from ship_replay.campaign.processes import Make
 
 _ONE_AT_A_TIME = threading.Lock()
 """Lock between the threads of a worker: an item uses the interpreter all the time, so parallel threads gain nothing."""
 
 
-def in_cluster(make: Make, items: Sequence[Item], address: str) -> Iterator[tuple[Item, Result]]:
+def run_in_cluster(make: Make, items: Sequence[Item], address: str) -> Iterator[tuple[Item, Result]]:
     """Yield each item with its result on completion; the cluster repeats the items of a worker that died.
 
     Args:
@@ -31,15 +31,15 @@ def in_cluster(make: Make, items: Sequence[Item], address: str) -> Iterator[tupl
     except ImportError as problem:
         raise BadInput("--scheduler needs dask.distributed: install it with pip install distributed") from problem
     with Client(address) as client:
-        futures = {client.submit(_make, make, item, pure=False): item for item in items}
+        futures = {client.submit(_run_item, make, item, pure=False): item for item in items}
         try:
             for future in as_completed(list(futures)):
-                died = future.exception()
-                yield futures.pop(future), failed(str(died)) if died is not None else future.result()
+                error = future.exception()
+                yield futures.pop(future), failed_result(str(error)) if error is not None else future.result()
         finally:
             client.cancel(list(futures))
 
 
-def _make(make: Make, item: Item) -> Result:
+def _run_item(make: Make, item: Item) -> Result:
     with _ONE_AT_A_TIME, TemporaryDirectory(prefix="campaign-") as folder:
         return make(item, Path(folder))

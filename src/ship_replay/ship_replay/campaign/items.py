@@ -20,7 +20,7 @@ _SEEDS = re.compile(r"\d+(?:-\d+)?(?:,\d+(?:-\d+)?)*")
 
 
 @dataclass(frozen=True)
-class GivenFile:
+class InputFile:
     """A file named on the command line.
 
     Attributes:
@@ -68,8 +68,8 @@ class Item:
         code: hash of the code that runs it.
     """
 
-    source: GivenFile
-    parameters: GivenFile | None
+    source: InputFile
+    parameters: InputFile | None
     seed: int | None
     skip_s: float
     namespace: str
@@ -77,7 +77,7 @@ class Item:
     code: str
 
     @property
-    def ingredients(self) -> dict[str, Any]:
+    def key_fields(self) -> dict[str, Any]:
         """Everything the result depends on, without names and places of files."""
         return {
             "source_sha256": self.source.sha256,
@@ -92,7 +92,7 @@ class Item:
     @property
     def key(self) -> str:
         """Name of the result."""
-        return hashlib.sha256(json.dumps(self.ingredients).encode()).hexdigest()[:_KEY_LENGTH]
+        return hashlib.sha256(json.dumps(self.key_fields).encode()).hexdigest()[:_KEY_LENGTH]
 
     @property
     def parameters_name(self) -> str:
@@ -100,7 +100,7 @@ class Item:
         return "as attached" if self.parameters is None else self.parameters.name
 
     @property
-    def order(self) -> tuple[str, str, int]:
+    def sort_key(self) -> tuple[str, str, int]:
         """Sort key in tables."""
         return self.source.name, self.parameters_name, -1 if self.seed is None else self.seed
 
@@ -133,19 +133,19 @@ def campaign_items(
         BadInput: a scenario or suite file is invalid. Problems of a bag are reported by its run.
         OSError: a file cannot be read.
     """
-    given = [_source(path) for path in dict.fromkeys(sources)]
-    sets: list[GivenFile | None] = [_parameter_set(path) for path in dict.fromkeys(parameter_sets)]
+    sources_with_hash = [_source(path) for path in dict.fromkeys(sources)]
+    sets: list[InputFile | None] = [_parameter_set(path) for path in dict.fromkeys(parameter_sets)]
     code = code_sha256()
     items = [
         Item(source, parameters, seed, skip_s, *(("", ()) if source.is_scenario else (namespace, tuple(remaps))), code)
-        for source in given
+        for source in sources_with_hash
         for parameters in sets or [None]
         for seed in (dict.fromkeys(seeds) if source.is_scenario else (None,))
     ]
-    return sorted(items, key=lambda item: item.order)
+    return sorted(items, key=lambda item: item.sort_key)
 
 
-def seeds_of(text: str) -> list[int]:
+def parse_seeds(text: str) -> list[int]:
     """Return the seeds in a text such as "1-200" or "1,5,7-9".
 
     Raises:
@@ -163,19 +163,19 @@ def seeds_of(text: str) -> list[int]:
     return list(dict.fromkeys(seed for ends in ranges for seed in range(ends[0], ends[-1] + 1)))
 
 
-def _source(path: Path) -> GivenFile:
-    source = _given(path)
+def _source(path: Path) -> InputFile:
+    source = _input_file(path)
     if not source.is_scenario:
         return source
     carrier = load_scenario(path).carrier
-    return _given(path, Path(carrier.recording.bag)) if carrier.kind == "recorded" else source
+    return _input_file(path, Path(carrier.recording.bag)) if carrier.kind == "recorded" else source
 
 
-def _parameter_set(path: Path) -> GivenFile:
+def _parameter_set(path: Path) -> InputFile:
     nodes_of(path, ADAPTERS)
-    return _given(path)
+    return _input_file(path)
 
 
-def _given(path: Path, *others: Path) -> GivenFile:
+def _input_file(path: Path, *others: Path) -> InputFile:
     contents = tuple((each.resolve(), content_sha256(each)) for each in (path, *others))
-    return GivenFile(str(path), path.resolve(), contents)
+    return InputFile(str(path), path.resolve(), contents)

@@ -30,7 +30,7 @@ Result = dict[str, Any]
 """
 
 
-def make(item: Item, folder: Path) -> Result:
+def run_item(item: Item, folder: Path) -> Result:
     """Run an item; errors are reported in the result.
 
     Args:
@@ -38,7 +38,7 @@ def make(item: Item, folder: Path) -> Result:
         folder: empty folder for intermediate bags.
     """
     try:
-        return _made(item, folder)
+        return _run(item, folder)
     except InputError as problem:
         error = str(problem)
     except Exception as problem:
@@ -48,19 +48,19 @@ def make(item: Item, folder: Path) -> Result:
     error = error.replace(f"{folder}/", "").replace(str(item.source.path), item.source.name)
     if item.parameters is not None:
         error = error.replace(str(item.parameters.path), item.parameters.name)
-    return failed(error)
+    return failed_result(error)
 
 
-def failed(error: str) -> Result:
+def failed_result(error: str) -> Result:
     """Return the result of an item that failed."""
     return {"error": error, "errors": {}, "values": {}, "statuses": {}, "refused": {}}
 
 
-def _made(item: Item, folder: Path) -> Result:
+def _run(item: Item, folder: Path) -> Result:
     if item.code != code_sha256():
         raise InputError("the worker's version of the suite or of its libraries differs from that of the campaign")
-    given = [item.source] if item.parameters is None else [item.source, item.parameters]
-    for file in given:
+    input_files = [item.source] if item.parameters is None else [item.source, item.parameters]
+    for file in input_files:
         file.check()
     bag, out = item.source.path, folder / "out.mcap"
     if item.seed is not None:
@@ -76,7 +76,7 @@ def _as_result(evaluation: Evaluation, summary: ReplaySummary) -> Result:
     return {
         "error": None,
         "errors": {errors.label: _statistics(errors) for errors in evaluation.errors},
-        "values": _plain(evaluation.flat()),
+        "values": _json_values(evaluation.quantities()),
         "statuses": {topic: dict(sorted(history.counts.items())) for topic, history in sorted(summary.status_histories.items())},
         "refused": {topic: dict(sorted(reasons.items())) for topic, reasons in sorted(summary.rejected.items())},
     }
@@ -86,9 +86,9 @@ def _statistics(errors: AttitudeErrors) -> dict[str, Any]:
     nees = errors.nees[np.isfinite(errors.nees)]
     values = errors.statistics() | {"nees_mean": float(np.mean(nees)) if len(nees) else math.nan}
     counts = {"nees_count": float(len(nees)), "nees_independent": errors.independent_count()}
-    return {"channels": list(errors.channels), **_plain(values | counts)}
+    return {"channels": list(errors.channels), **_json_values(values | counts)}
 
 
-def _plain(values: Mapping[str, float]) -> dict[str, float | None]:
+def _json_values(values: Mapping[str, float]) -> dict[str, float | None]:
     """Return values for JSON: null for NaN."""
     return {name: float(value) if math.isfinite(value) else None for name, value in values.items()}

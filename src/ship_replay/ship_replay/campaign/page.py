@@ -4,9 +4,9 @@ from collections.abc import Iterable, Sequence
 
 from rich.table import Table
 
-from ship_replay.campaign.items import GivenFile, Item
+from ship_replay.campaign.items import InputFile, Item
 from ship_replay.campaign.pooled import Pool, pools, worst_items
-from ship_replay.campaign.results import Made
+from ship_replay.campaign.results import ItemResult
 from ship_replay.report.page import render, versions
 from ship_replay.report.wording import number
 
@@ -22,9 +22,9 @@ SECTIONS = (
 """Ids and titles of the sections, in order."""
 
 
-def page(made: Sequence[Made]) -> str:
+def page(results: Sequence[ItemResult]) -> str:
     """Return the campaign as a single HTML file; the same results give the same text."""
-    in_order = sorted(made, key=lambda each: each[0].order)
+    in_order = sorted(results, key=lambda each: each[0].sort_key)
     items = [item for item, _ in in_order]
     return render(
         "campaign.html.j2",
@@ -32,11 +32,11 @@ def page(made: Sequence[Made]) -> str:
         title="Campaign",
         items=items,
         failed=[(item, result["error"]) for item, result in in_order if result["error"] is not None],
-        sources=_given({item.source for item in items}),
-        parameter_sets=_given({item.parameters for item in items if item.parameters is not None}),
+        sources=_file_hashes({item.source for item in items}),
+        parameter_sets=_file_hashes({item.parameters for item in items if item.parameters is not None}),
         seeds=_seeds_text(items),
-        by_parameters=pools_by_parameters(made),
-        by_source=pools(made, lambda item: f"{item.source.name}, {item.parameters_name}"),
+        by_parameters=pools_by_parameters(results),
+        by_source=pools(results, lambda item: f"{item.source.name}, {item.parameters_name}"),
         worst=worst_items(in_order),
         code=items[0].code,
         skip_s=items[0].skip_s,
@@ -44,9 +44,9 @@ def page(made: Sequence[Made]) -> str:
     )
 
 
-def pools_by_parameters(made: Sequence[Made]) -> list[Pool]:
+def pools_by_parameters(results: Sequence[ItemResult]) -> list[Pool]:
     """Return the results of each parameter set, pooled over all its items."""
-    return pools(made, lambda item: item.parameters_name)
+    return pools(results, lambda item: item.parameters_name)
 
 
 def pooled_table(pooled: Sequence[Pool]) -> Table:
@@ -72,7 +72,7 @@ def pooled_table(pooled: Sequence[Pool]) -> Table:
     return table
 
 
-def _given(files: Iterable[GivenFile]) -> list[tuple[str, str]]:
+def _file_hashes(files: Iterable[InputFile]) -> list[tuple[str, str]]:
     return sorted((file.name, file.sha256) for file in files)
 
 

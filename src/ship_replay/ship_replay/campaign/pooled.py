@@ -8,10 +8,10 @@ from itertools import groupby
 from typing import Any
 
 from ship_replay.campaign.items import Item
-from ship_replay.campaign.results import Made
+from ship_replay.campaign.results import ItemResult
 from ship_replay.report.consistency import SigmaFit, mean_nees_fit, nees_band
 
-MOST_WORST = 10
+MAX_WORST_ITEMS = 10
 
 
 @dataclass(frozen=True)
@@ -88,16 +88,16 @@ class WorstItem:
     ratio: float
 
 
-def pools(made: Sequence[Made], name: Callable[[Item], str]) -> list[Pool]:
+def pools(results: Sequence[ItemResult], name: Callable[[Item], str]) -> list[Pool]:
     """Return the items pooled by a common name, in the order of the names."""
-    by_name = sorted(made, key=lambda each: (name(each[0]), each[0].order))
+    by_name = sorted(results, key=lambda each: (name(each[0]), each[0].sort_key))
     return [_pool(shared, list(group)) for shared, group in groupby(by_name, key=lambda each: name(each[0]))]
 
 
-def worst_items(made: Sequence[Made]) -> list[WorstItem]:
+def worst_items(results: Sequence[ItemResult]) -> list[WorstItem]:
     """Return the items with the largest ratios of RMS to predicted sigma, the worst first."""
     worst = []
-    for item, result in made:
+    for item, result in results:
         ratios = [
             (values[f"{channel}.rms_over_sigma"], label, channel)
             for label, values in result["errors"].items()
@@ -112,11 +112,11 @@ def worst_items(made: Sequence[Made]) -> list[WorstItem]:
                     item, label, channel, values[f"{channel}.rms_arcsec"], values[f"{channel}.sigma_arcsec"], ratio
                 )
             )
-    return sorted(worst, key=lambda each: (-each.ratio, each.item.order))[:MOST_WORST]
+    return sorted(worst, key=lambda each: (-each.ratio, each.item.order))[:MAX_WORST_ITEMS]
 
 
-def _pool(name: str, made: list[Made]) -> Pool:
-    results = [result for _, result in made if result["error"] is None]
+def _pool(name: str, item_results: list[ItemResult]) -> Pool:
+    results = [result for _, result in item_results if result["error"] is None]
     labels = dict.fromkeys(label for result in results for label in result["errors"])
     counts: dict[str, Counter[str]] = {}
     for result in results:
@@ -125,7 +125,7 @@ def _pool(name: str, made: list[Made]) -> Pool:
     return Pool(
         name=name,
         items=len(results),
-        failed=len(made) - len(results),
+        failed=len(item_results) - len(results),
         errors=[
             _pooled_errors(label, [result["errors"][label] for result in results if label in result["errors"]])
             for label in labels

@@ -17,15 +17,15 @@ from typing import Any
 
 from ship_bags.command_line import start_worker_process
 from ship_replay.campaign.items import Item
-from ship_replay.campaign.one_item import Result, failed
+from ship_replay.campaign.one_item import Result, failed_result
 
-MOST_DEATHS = 3
+MAX_WORKER_FAILURES = 3
 """Number of worker failures after which an item counts as failed."""
 
 Make = Callable[[Item, Path], Result]
 
 
-def in_processes(make: Make, items: Sequence[Item], workers: int) -> Iterator[tuple[Item, Result]]:
+def run_in_processes(make: Make, items: Sequence[Item], workers: int) -> Iterator[tuple[Item, Result]]:
     """Yield each item with its result on completion.
 
     Args:
@@ -39,7 +39,7 @@ def in_processes(make: Make, items: Sequence[Item], workers: int) -> Iterator[tu
     context = get_context("forkserver")
     context.set_forkserver_preload(["__main__", make.__module__])
     _start_server()
-    waiting, deaths = deque(items), dict.fromkeys((item.key for item in items), 0)
+    waiting, failure_counts = deque(items), dict.fromkeys((item.key for item in items), 0)
     running: dict[Any, _Worker] = {}
     try:
         while waiting or running:
@@ -50,11 +50,11 @@ def in_processes(make: Make, items: Sequence[Item], workers: int) -> Iterator[tu
                 worker = running.pop(connection)
                 item, result = worker.item, worker.result()
                 if result is None:
-                    deaths[item.key] += 1
-                    if deaths[item.key] < MOST_DEATHS:
+                    failure_counts[item.key] += 1
+                    if failure_counts[item.key] < MAX_WORKER_FAILURES:
                         waiting.append(item)
                         continue
-                    result = failed(f"its worker died {MOST_DEATHS} times, the last time with {worker.exit_text}")
+                    result = failed_result(f"its worker died {MAX_WORKER_FAILURES} times, the last time with {worker.exit_text}")
                 yield item, result
     finally:
         for worker in running.values():
@@ -79,11 +79,11 @@ class _Worker:
     def __init__(self, context: Any, make: Make, item: Item) -> None:
         self.item = item
         self._folder = TemporaryDirectory(prefix="campaign-")
-        self.connection, given = context.Pipe(duplex=False)
-        self._process = context.Process(target=_serve, args=(make, item, Path(self._folder.name), given), daemon=True)
+        self.connection, write_end = context.Pipe(duplex=False)
+        self._process = context.Process(target=_serve, args=(make, item, Path(self._folder.name), write_end), daemon=True)
         self._process.start()
         # With this end closed here, the pipe ends if the process dies.
-        given.close()
+        write_end.close()
 
     def result(self) -> Result | None:
         """Return the result; None if the process died before sending it."""
@@ -92,7 +92,7 @@ class _Worker:
         except EOFError:
             result_or_none = None
         self._process.join()
-        self._leave()
+        self._clean_up()
         return result_or_none
 
     @property
@@ -105,9 +105,9 @@ class _Worker:
         """Kill the process."""
         self._process.kill()
         self._process.join()
-        self._leave()
+        self._clean_up()
 
-    def _leave(self) -> None:
+    def _clean_up(self) -> None:
         self.connection.close()
         self._folder.cleanup()
 

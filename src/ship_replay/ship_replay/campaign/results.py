@@ -14,7 +14,7 @@ from ship_replay.campaign.one_item import Result
 
 TABLE, PAGE = "table.csv", "campaign.html"
 
-Made = tuple[Item, Result]
+ItemResult = tuple[Item, Result]
 
 
 class ResultFolder:
@@ -50,28 +50,28 @@ class ResultFolder:
             return None
         except (ValueError, KeyError, TypeError) as problem:
             raise BadInput("is no result of a campaign: remove it", file=path) from problem
-        if ingredients != item.ingredients:
+        if ingredients != item.key_fields:
             raise BadInput("is the result of another item: remove it", file=path)
         item_result: Result = result
         return item_result
 
-    def keep(self, item: Item, result: Result) -> None:
+    def save(self, item: Item, result: Result) -> None:
         """Write a result; it is completely on the disk on return.
 
         A failed one is not stored: a killed worker or a full disk may be a temporary problem.
         """
         if result["error"] is None:
-            text = json.dumps({"item": item.ingredients, "result": result}, indent=1)
+            text = json.dumps({"item": item.key_fields, "result": result}, indent=1)
             write_atomically(self.path(item), text + "\n")
 
 
-def csv_table(made: Sequence[Made]) -> str:
+def csv_table(results: Sequence[ItemResult]) -> str:
     """Return all results as CSV, one line each in the order of the items.
 
     The columns are those of ``evaluate --json``, then ``status.<topic>.<status>``, outputs, and
     ``refused.<topic>.<reason>``, messages.
     """
-    in_order = sorted(made, key=lambda each: each[0].order)
+    in_order = sorted(results, key=lambda each: each[0].sort_key)
     rows = [_flat(result) for _, result in in_order]
     columns = list(dict.fromkeys(name for values in rows for name in values))
     text = io.StringIO()

@@ -42,9 +42,9 @@ def _run(options: argparse.Namespace) -> int:
     if options.out.suffix.lower() != ".csv":
         raise BadInput("fit_axes reads .csv: use this extension", file=options.out)
     check_file(options.out, options.force)
-    sightings = axis_sightings(options.bag, options.config, options.namespace, watch=with_bag_progress)
+    sightings = axis_sightings(options.bag, options.config, options.namespace, progress=with_bag_progress)
     sightings.write(options.out)
-    count, written = len(sightings.rows), len(sightings.chosen)
+    count, written = len(sightings.rows), len(sightings.selected_stamps)
     spread = "" if written == count else f" ({written} of them written, evenly spread: the most that fit_axes reads)"
-    sys.stdout.write(f"{options.out}: {count} sightings{spread}, {sightings.unused} exposures not used\n")
+    sys.stdout.write(f"{options.out}: {count} sightings{spread}, {sightings.unused_count} exposures not used\n")
     return EXIT_DONE

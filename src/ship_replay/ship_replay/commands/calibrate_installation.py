@@ -11,7 +11,7 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import with_bag_progress
 from ship_bags.output_files import add_force_option, check_file, check_folder, write_atomically
 from ship_bags.renamed_topics import add_bag_name_options
-from ship_replay.calibration.result import InstallationCalibration, calibration_of
+from ship_replay.calibration.result import InstallationCalibration, calibrate
 from ship_replay.calibration.session import run_session
 from ship_replay.calibration.tables import json_text, print_calibration
 from ship_replay.evaluation.tables import table_console
@@ -67,8 +67,8 @@ def _run(options: argparse.Namespace) -> int:
     check_file(options.out, options.force)
     if options.report is not None:
         check_folder(options.report, ("installation.json", "installation.png"), options.force)
-    session = run_session(options.bag, options.config, options.prior_sigma, options.namespace, watch=with_bag_progress)
-    calibration = calibration_of(session)
+    session = run_session(options.bag, options.config, options.prior_sigma, options.namespace, progress=with_bag_progress)
+    calibration = calibrate(session)
     ALIGNMENT_FILE.save(options.out, calibration.prior)
     print_calibration(calibration, table_console())
     for warning in calibration.warnings:

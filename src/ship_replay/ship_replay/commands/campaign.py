@@ -11,11 +11,11 @@ from ship_bags.errors import BadInput
 from ship_bags.output_files import write_atomically
 from ship_bags.progress import with_count
 from ship_bags.renamed_topics import add_bag_name_options
-from ship_replay.campaign.cluster import in_cluster
-from ship_replay.campaign.items import Item, campaign_items, seeds_of
-from ship_replay.campaign.one_item import Result, make
-from ship_replay.campaign.processes import in_processes
-from ship_replay.campaign.results import PAGE, TABLE, Made, ResultFolder, csv_table
+from ship_replay.campaign.cluster import run_in_cluster
+from ship_replay.campaign.items import Item, campaign_items, parse_seeds
+from ship_replay.campaign.one_item import Result, run_item
+from ship_replay.campaign.processes import run_in_processes
+from ship_replay.campaign.results import PAGE, TABLE, ItemResult, ResultFolder, csv_table
 from ship_replay.evaluation.tables import table_console
 
 _MAX_FAILURES_PRINTED = 10
@@ -63,7 +63,7 @@ def _parser() -> CommandParser:
 
 def _seeds(text: str) -> list[int]:
     try:
-        return seeds_of(text)
+        return parse_seeds(text)
     except ValueError as problem:
         raise argparse.ArgumentTypeError(str(problem)) from problem
 
@@ -82,22 +82,22 @@ def _run(options: argparse.Namespace) -> int:
     if not options.skip >= 0.0:
         raise BadInput(f"--skip {options.skip:g}: expected 0 s or more")
     folder = ResultFolder(options.out)
-    made = _made(items, folder, _maker(options))
+    results = _run_missing_items(items, folder, _maker(options))
     # Importing the page libraries is slow: check the arguments first.
     from ship_replay.campaign.page import page
 
-    for name, text in ((TABLE, csv_table(made)), (PAGE, page(made))):
+    for name, text in ((TABLE, csv_table(results)), (PAGE, page(results))):
         write_atomically(folder.folder / name, text)
-    return _print_summary(made, folder.folder)
+    return _print_summary(results, folder.folder)
 
 
 def _maker(options: argparse.Namespace) -> Maker:
     if options.scheduler is not None:
-        return functools.partial(in_cluster, make, address=options.scheduler)
-    return functools.partial(in_processes, make, workers=options.workers or len(os.sched_getaffinity(0)))
+        return functools.partial(run_in_cluster, run_item, address=options.scheduler)
+    return functools.partial(run_in_processes, run_item, workers=options.workers or len(os.sched_getaffinity(0)))
 
 
-def _made(items: Sequence[Item], folder: ResultFolder, maker: Maker) -> list[Made]:
+def _run_missing_items(items: Sequence[Item], folder: ResultFolder, maker: Maker) -> list[ItemResult]:
     """Return every item with its result; missing items are run, with progress on stderr, and their results saved."""
     known = ((item.key, folder.result(item)) for item in items)
     found = {key: result for key, result in known if result is not None}
@@ -105,19 +105,19 @@ def _made(items: Sequence[Item], folder: ResultFolder, maker: Maker) -> list[Mad
     print(f"{len(items)} items: {len(found)} results exist, {len(missing)} to run", flush=True)
     if missing:
         for item, result in with_count(maker(list(missing.values())), "campaign", len(missing)):
-            folder.keep(item, result)
+            folder.save(item, result)
             found[item.key] = result
     return [(item, found[item.key]) for item in items]
 
 
-def _print_summary(made: Sequence[Made], folder: Path) -> int:
+def _print_summary(results: Sequence[ItemResult], folder: Path) -> int:
     """Print the summary of the campaign; return the exit code."""
     from ship_replay.campaign.page import pools_by_parameters, pooled_table
 
-    pooled = pools_by_parameters(made)
+    pooled = pools_by_parameters(results)
     if any(pool.errors for pool in pooled):
         table_console().print(pooled_table(pooled))
-    failures = [(item, result["error"]) for item, result in made if result["error"] is not None]
+    failures = [(item, result["error"]) for item, result in results if result["error"] is not None]
     for item, error in failures[:_MAX_FAILURES_PRINTED]:
         print(f"failed: {item.name}: {error}")
     if len(failures) > _MAX_FAILURES_PRINTED:

@@ -63,16 +63,16 @@ def _run(options: argparse.Namespace) -> int:
                 check_trial(check)
     for line in findings.errors:
         print(f"error: {one_line(line)}", file=sys.stderr)
-    for line in findings.unused:
+    for line in findings.unused_inputs:
         print(f"not used: {one_line(line)}", file=sys.stderr)
     for line in findings.warnings:
         print(f"warning: {one_line(line)}")
-    if not (findings.errors or findings.unused):
+    if not (findings.errors or findings.unused_inputs):
         for line in findings.notes:
             print(line)
         print(f"{options.config}: good" + (f" for {options.bag}" if options.bag is not None else ""))
         return EXIT_DONE
-    found = {"errors": findings.errors, "inputs not used": findings.unused, "warnings": findings.warnings}
+    found = {"errors": findings.errors, "inputs not used": findings.unused_inputs, "warnings": findings.warnings}
     counts = ", ".join(f"{kind}: {len(lines)}" for kind, lines in found.items() if lines or kind != "inputs not used")
     print(f"check_config: {options.config}: {counts}", file=sys.stderr)
     return EXIT_BAD_INPUT if findings.errors else EXIT_BOUND_NOT_MET

@@ -58,10 +58,10 @@ def _run(options: argparse.Namespace) -> int:
         write_atomically(options.json, evaluation.json_text())
     if options.figure is not None:
         _draw(evaluation, options.bag.name, options.figure)
-    checks = check_bounds(evaluation.flat(), bounds, str(options.bounds))
+    checks = check_bounds(evaluation.quantities(), bounds, str(options.bounds))
     for bound in checks:
         print(bound.line)
-    return EXIT_DONE if all(bound.met for bound in checks) else EXIT_BOUND_NOT_MET
+    return EXIT_DONE if all(bound.is_met for bound in checks) else EXIT_BOUND_NOT_MET
 
 
 def _draw(evaluation: Evaluation, title: str, path: Path) -> None:

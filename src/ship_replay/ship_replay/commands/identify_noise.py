@@ -48,10 +48,10 @@ def _run(options: argparse.Namespace) -> int:
         if options.out.resolve() == options.bag.resolve():
             raise BadInput("the output would overwrite the input", file=options.out)
         check_file(options.out, options.force)
-    found = identify(run_session(options.bag, options.config, options.namespace, watch=with_bag_progress))
-    sys.stdout.writelines(f"{line}\n" for line in result_lines(found))
-    sys.stdout.writelines(f"warning: {line}\n" for line in found.warnings)
+    identification = identify(run_session(options.bag, options.config, options.namespace, progress=with_bag_progress))
+    sys.stdout.writelines(f"{line}\n" for line in result_lines(identification))
+    sys.stdout.writelines(f"warning: {line}\n" for line in identification.warnings)
     if options.out is not None:
-        write_atomically(options.out, parameter_file_text(found))
+        write_atomically(options.out, parameter_file_text(identification))
         sys.stdout.write(f"parameters: {options.out}\n")
     return EXIT_DONE

@@ -17,7 +17,7 @@ from ship_replay.offline.replay import replay
 from ship_replay.offline.replay_run import ReplaySummary
 from ship_replay.offline.verification import Verification, verify_bag
 
-_replaying = partial(with_bag_progress, doing="replaying")
+_with_progress = partial(with_bag_progress, doing="replaying")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -88,12 +88,12 @@ def _run(options: argparse.Namespace) -> int:
         if is_box and by_stamps:
             raise BadInput("a black box has its own order of arrival: omit --arrival stamps", file=options.bag)
         if is_box:
-            verification = replay_black_box(bag, ADAPTERS, options.config, options.out, _replaying)
+            verification = replay_black_box(bag, ADAPTERS, options.config, options.out, _with_progress)
         elif options.verify:
-            verification = verify_bag(bag, ADAPTERS, options.config, options.namespace, _replaying)
+            verification = verify_bag(bag, ADAPTERS, options.config, options.namespace, _with_progress)
     if options.out is not None and not is_box:
         arrival = by_stamps, options.one_by_one
-        _print(replay(options.bag, options.out, ADAPTERS, options.config, options.namespace, _replaying, *arrival))
+        _print_summary(replay(options.bag, options.out, ADAPTERS, options.config, options.namespace, _with_progress, *arrival))
     if options.report is not None:
         _report(options)
     return EXIT_DONE if verification is None else _print_verification(verification, options.verify)
@@ -119,12 +119,12 @@ def _report(options: argparse.Namespace) -> None:
     print(f"report: {page_path}, {values_path}")
 
 
-def _print(summary: ReplaySummary) -> None:
+def _print_summary(summary: ReplaySummary) -> None:
     print(f"in:  {_counts(summary.inputs)}")
     print(f"out: {_counts(summary.outputs)}")
     for topic, reasons in sorted(summary.rejected.items()):
         print(f"rejected: {topic}: {_counts(reasons)}")
-    for topic, reasons in sorted(summary.noted.items()):
+    for topic, reasons in sorted(summary.accepted_with_note.items()):
         print(f"noted: {topic}: {_counts(reasons)}")
     for topic, count in sorted(summary.undecodable.items()):
         print(f"not decodable: {topic}: {count}")
@@ -132,7 +132,7 @@ def _print(summary: ReplaySummary) -> None:
         print(f"not in the bag: {', '.join(summary.absent)}")
     for problem in summary.problems:
         print(f"warning: {problem}")
-    irregularity = summary.log_times.held_up()
+    irregularity = summary.log_delays.irregularity_text()
     if irregularity:
         print(f"warning: {irregularity}; --arrival stamps uses the stamps as arrival times")
     rate = summary.duration_s / summary.elapsed_s
@@ -141,22 +141,22 @@ def _print(summary: ReplaySummary) -> None:
         print(line)
 
 
-def _print_verification(verification: Verification, decides: bool) -> int:
+def _print_verification(verification: Verification, is_requested: bool) -> int:
     """Print the result of a comparison and return the exit code: a difference counts only with --verify."""
-    print(f"used:  {_counts(verification.used)}")
-    print(f"equal: {_counts(verification.equal)}")
+    print(f"used:  {_counts(verification.input_counts)}")
+    print(f"equal: {_counts(verification.equal_counts)}")
     for note in verification.notes:
         print(f"note: {note}")
-    if verification.unverified:
-        print(f"verified up to this point: {verification.unverified}")
+    if verification.incomplete_reason:
+        print(f"verified up to this point: {verification.incomplete_reason}")
     if verification.text_difference is not None:
         print(f"other texts: {_counts(verification.other_texts)}; the first: {verification.text_difference.line}")
     if verification.difference is not None:
         print(f"first difference: {verification.difference.line}")
-    elif verification.holds:
+    elif verification.is_verified:
         numbers = "the numbers of " if verification.other_texts else ""
-        print(f"verified: {numbers}{verification.equal.total()} outputs are equal to the last bit")
-    return EXIT_DONE if verification.holds or not decides else EXIT_BOUND_NOT_MET
+        print(f"verified: {numbers}{verification.equal_counts.total()} outputs are equal to the last bit")
+    return EXIT_DONE if verification.is_verified or not is_requested else EXIT_BOUND_NOT_MET
 
 
 def _counts(counts: Mapping[str, int]) -> str:

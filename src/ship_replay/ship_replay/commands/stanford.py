@@ -13,7 +13,7 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import with_bag_progress
 from ship_bags.output_files import add_force_option, check_file, write_atomically
 from ship_bags.renamed_topics import add_bag_name_options
-from ship_replay.evaluation.stanford import Epochs, Region, epochs_of
+from ship_replay.evaluation.stanford import Epochs, Region, read_epochs
 from ship_replay.evaluation.tables import table_console
 from ship_watch.orientations import POINTING, SHIP_ATTITUDE
 
@@ -61,7 +61,7 @@ def _parser() -> CommandParser:
 def _run(options: argparse.Namespace) -> int:
     for path in filter(None, (options.figure, options.json)):
         check_file(path, options.force)
-    found = epochs_of(options.bags, options.namespace, _limits(options), with_bag_progress)
+    found = read_epochs(options.bags, options.namespace, _limits(options), with_bag_progress)
     table_console().print(stanford_table(found))
     if options.json is not None:
         values = {f"{part.orientation.label}.{name}": v for part in found for name, v in part.statistics().items()}
@@ -70,8 +70,8 @@ def _run(options: argparse.Namespace) -> int:
     if options.figure is not None:
         _draw(found, len(options.bags), options.figure)
     all_counts = [counts for part in found for counts in part.counts().values()]
-    misled = sum(counts[Region.MISLEADING] + counts[Region.HAZARDOUS] for counts in all_counts)
-    return EXIT_BOUND_NOT_MET if misled else EXIT_DONE
+    misleading_count = sum(counts[Region.MISLEADING] + counts[Region.HAZARDOUS] for counts in all_counts)
+    return EXIT_BOUND_NOT_MET if misleading_count else EXIT_DONE
 
 
 def _limits(options: argparse.Namespace) -> dict[str, Sequence[float]]:
@@ -93,7 +93,7 @@ def stanford_table(found: Sequence[Epochs]) -> Table:
     table = Table(title="Epochs by error and protection level")
     for column in ("output", "angle"):
         table.add_column(column)
-    shown = [region.words for region in Region]
+    shown = [region.label for region in Region]
     for column in (*shown, "available", "median level [arcsec]", "worst error/level"):
         table.add_column(column, justify="right")
     for part in found:

@@ -22,9 +22,9 @@ from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_node.edge.messages_in import MessageRejected
 from ship_node.parameters.parameter_file import has_section, load_config
 from ship_replay.evaluation.sources import JOINT_SOLUTION, AttitudeSource, PublishedAttitude, Truth, attitude_sources
-from ship_replay.evaluation.statistics import AttitudeErrors, InnovationBook, SourceInnovations
+from ship_replay.evaluation.statistics import AttitudeErrors, InnovationCollector, SourceInnovations
 from ship_replay.evaluation.targets import TARGET_DIRECTION, TARGET_TRUTH, TargetDirections, TargetErrors
-from ship_replay.offline.adapter_chain import attached
+from ship_replay.offline.adapter_chain import attachment_error
 from ship_watch.orientations import ORIENTATIONS
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.ros.pointing_messages import SMOOTHED_POINTING_TOPIC
@@ -37,10 +37,10 @@ _ESTIMATES = {"ship/alignment": "alignment", "theodolite/calibration": "calibrat
 _RESULTS = (*_INNOVATION_TOPICS, *_ESTIMATES)
 _SMOOTHED = (SMOOTHED_TOPIC, SMOOTHED_POINTING_TOPIC)
 _PUBLISHED = (*(orientation.topic for orientation in ORIENTATIONS), *_SMOOTHED, JOINT_SOLUTION, TARGET_DIRECTION)
-_OF_THE_RUN = (*_PUBLISHED, *_RESULTS)
+_RUN_TOPICS = (*_PUBLISHED, *_RESULTS)
 """Topics taken from the run's own bag only: in another bag they are inputs of this run, or results of another run."""
 
-_INSTALLED = "star.", "reference."
+_INSTALLATION_PREFIXES = "star.", "reference."
 """Prefixes of the names of installation angles."""
 
 
@@ -85,7 +85,7 @@ class Evaluation:
     problems: list[str]
     start_ns: int
 
-    def flat(self) -> dict[str, float]:
+    def quantities(self) -> dict[str, float]:
         """Return name → value of each quantity, with the names used in bounds (bags/README.md)."""
         values: dict[str, float] = {}
         for errors in self.errors:
@@ -102,7 +102,7 @@ class Evaluation:
 
     def json_text(self) -> str:
         """Return all quantities as JSON; null where a value is undefined."""
-        values = {name: value if math.isfinite(value) else None for name, value in self.flat().items()}
+        values = {name: value if math.isfinite(value) else None for name, value in self.quantities().items()}
         return json.dumps(values, indent=1) + "\n"
 
 
@@ -112,10 +112,10 @@ class MalformedMessages:
     def __init__(self) -> None:
         self._texts: dict[str, list[str]] = {}
 
-    def offer(self, topic: str, take: Callable[[Any], None], message: Any) -> None:
+    def try_add(self, topic: str, add: Callable[[Any], None], message: Any) -> None:
         """Add a message to the collector of its topic; record it if it is malformed."""
         try:
-            take(message)
+            add(message)
         except MessageRejected as refused:
             self._texts.setdefault(topic, []).append(str(refused))
 
@@ -151,7 +151,7 @@ def evaluate(bag_path: Path, against: Path | None = None, skip_s: float = 0.0, n
 def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Evaluation:
     bags = [*others, bag]
     named = {other: relative_topics(other.topics, namespace) for other in others}
-    named[bag] = relative_topics(bag.topics, namespace_of_outputs(bag.topics, namespace, _OF_THE_RUN))
+    named[bag] = relative_topics(bag.topics, namespace_of_outputs(bag.topics, namespace, _RUN_TOPICS))
     length_s = ((bag.end_ns or 0) - (bag.start_ns or 0)) / NS_PER_S
     if not 0.0 <= skip_s <= length_s:
         text = f"{skip_s:g} s to skip: expected from 0 to {length_s:.1f} s, the length of the bag"
@@ -162,7 +162,7 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
     collectors = attitude_sources(_truths(named), ship, star, theodolite)
     malformed = MalformedMessages()
     targets = _true_targets(named, malformed)
-    innovations = InnovationBook()
+    innovations = InnovationCollector()
     last: dict[str, BagRecord] = {}
     for candidate, topics in _reading_plan(named, bag, [*collectors, *_RESULTS, TARGET_DIRECTION]):
         for record in with_bag_progress(candidate.records(topics), candidate, "evaluating"):
@@ -170,11 +170,11 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
             if topic in _INNOVATION_TOPICS:
                 innovations.add(record.decode())
             elif topic == TARGET_DIRECTION:
-                malformed.offer(topic, targets.take, record.decode())
+                malformed.try_add(topic, targets.add_message, record.decode())
             elif topic in _ESTIMATES:
                 last[_ESTIMATES[topic]] = record
             else:
-                malformed.offer(topic, collectors[topic].take, record.decode())
+                malformed.try_add(topic, collectors[topic].add_message, record.decode())
     start_ns = bag.start_ns or 0
     skip_to_ns = start_ns + round(skip_s * NS_PER_S)
     found = [errors for source in collectors.values() for errors in source.errors()]
@@ -194,7 +194,7 @@ def _evaluate(bag: Bag, others: list[Bag], skip_s: float, namespace: str) -> Eva
         innovations={name: innovations.sources[name].since(skip_to_ns) for name in sorted(innovations.sources)},
         targets=targets.since(skip_to_ns),
         estimates={kind: alignment_values(last[kind].decode()) for kind in _ESTIMATES.values() if kind in last},
-        invalid_counts={source.label: source.invalid_count for source in published if source.seen},
+        invalid_counts={source.label: source.invalid_count for source in published if source.has_messages},
         problems=problems,
         start_ns=start_ns,
     )
@@ -210,11 +210,11 @@ def _missing_source_lines(collectors: Mapping[str, AttitudeSource], errors: list
     ]
 
 
-_Named = Mapping[Bag, Mapping[str, str]]
+_TopicNames = Mapping[Bag, Mapping[str, str]]
 """Bag → relative topic → its name there; the run's own bag last."""
 
 
-def _reading_plan(named: _Named, own: Bag, topics: list[str]) -> list[tuple[Bag, dict[str, str]]]:
+def _reading_plan(named: _TopicNames, own: Bag, topics: list[str]) -> list[tuple[Bag, dict[str, str]]]:
     """Return which topics to read from which bag (name in the bag → relative name).
 
     Results come from the run's own bag, inputs from the bag given by ``against`` if it has them. A sensor's solutions
@@ -224,13 +224,13 @@ def _reading_plan(named: _Named, own: Bag, topics: list[str]) -> list[tuple[Bag,
     for topic in topics:
         for candidate, served in reversed(plan) if topic.endswith("/solution") else plan:
             name = named[candidate].get(topic)
-            if name is not None and (candidate is own or topic not in _OF_THE_RUN):
+            if name is not None and (candidate is own or topic not in _RUN_TOPICS):
                 served[name] = topic
                 break
     return plan
 
 
-def _truths(named: _Named) -> dict[str, Truth]:
+def _truths(named: _TopicNames) -> dict[str, Truth]:
     """Return topic → truth of the first bag that contains any."""
     truths: dict[str, Truth] = {}
     for bag, names in named.items():
@@ -245,13 +245,13 @@ def _truths(named: _Named) -> dict[str, Truth]:
     return truths
 
 
-def _true_targets(named: _Named, malformed: MalformedMessages) -> TargetDirections:
+def _true_targets(named: _TopicNames, malformed: MalformedMessages) -> TargetDirections:
     """Return targets with the truth of the first bag that contains any."""
     targets = TargetDirections()
     for bag, names in named.items():
         if TARGET_TRUTH in names and not len(targets):
             for record in bag.records({names[TARGET_TRUTH]}):
-                malformed.offer(TARGET_TRUTH, targets.add_truth, record.decode())
+                malformed.try_add(TARGET_TRUTH, targets.add_truth, record.decode())
     return targets
 
 
@@ -263,7 +263,7 @@ def _config(bags: list[Bag], kind: type[Config], node_name: str) -> Config | Non
             try:
                 return named_config(text, kind, node_name)
             except BadInput as problem:
-                raise attached(bag, problem) from problem
+                raise attachment_error(bag, problem) from problem
     return None
 
 
@@ -288,7 +288,7 @@ def alignment_values(message: Any) -> list[AlignmentValue]:
         scale, shown_unit = 1.0, unit
         if unit == "rad":
             value = float(wrap_pi(value))
-            installed = name.startswith(_INSTALLED)
-            scale, shown_unit = (np.pi / 180.0, "deg") if installed else (ARCSEC, "arcsec")
+            is_installation = name.startswith(_INSTALLATION_PREFIXES)
+            scale, shown_unit = (np.pi / 180.0, "deg") if is_installation else (ARCSEC, "arcsec")
         values.append(AlignmentValue(name, float(value) / scale, float(sigma) / scale, shown_unit))
     return values

@@ -37,9 +37,9 @@ _BAND_COLOUR = "#bcd4ea"
 _LINE_COLOUR = "#0b3c6f"
 # Readable in print and with colour blindness (Okabe and Ito).
 _OTHER_COLOURS = ("#d55e00", "#009e73", "#cc79a7", "#e69f00")
-_ROOM = 1.3
+_MARGIN = 1.3
 # Metadata that would make the file depend on the date or the version.
-_DATED = {".png": "Software", ".pdf": "CreationDate", ".svg": "Date"}
+_DATE_METADATA = {".png": "Software", ".pdf": "CreationDate", ".svg": "Date"}
 
 
 def evaluation_figure(evaluation: Evaluation, title: str) -> Figure:
@@ -99,7 +99,7 @@ def innovation_figure(
     if len(rows) > MAX_ROWS:
         title = f"{title}\nthe first {MAX_ROWS} of {len(rows)} components"
     rows = rows[:MAX_ROWS]
-    start_ns = min(min(part.compared) for _, part, _ in rows)
+    start_ns = min(min(part.accepted) for _, part, _ in rows)
     with plt.rc_context(_STYLE):
         figure, grid = plt.subplots(
             len(rows), 1, figsize=(9, 2.4 * len(rows) + 1), sharex=True, squeeze=False, layout="constrained"
@@ -116,7 +116,7 @@ def innovation_figure(
             label = f"{short_name(source)}\n{short_name(component)} [arcsec]"
             axes.set_ylabel(label, rotation="horizontal", ha="right", va="center")
             later = settled_slice(sigmas)
-            _limit(axes, np.concatenate([residuals[later] / ARCSEC, band[later]]), percentile=100.0)
+            _set_limits(axes, np.concatenate([residuals[later] / ARCSEC, band[later]]), percentile=100.0)
         grid[-1, 0].set_xlabel("time [s]")
         _legend_below(grid[-1, 0], with_points=False)
     return figure
@@ -128,7 +128,7 @@ def save_figure(figure: Figure, path: Path) -> None:
     Raises:
         BadInput: the format is unknown or the file cannot be written.
     """
-    metadata = {_DATED[path.suffix.lower()]: None} if path.suffix.lower() in _DATED else {}
+    metadata = {_DATE_METADATA[path.suffix.lower()]: None} if path.suffix.lower() in _DATE_METADATA else {}
     content = io.BytesIO()
     try:
         figure.savefig(content, dpi=110, metadata=metadata, format=path.suffix[1:] or None)
@@ -155,7 +155,7 @@ def _draw_band(axes: Axes, errors: AttitudeErrors, column: int, start_ns: int) -
     axes.fill_between(time_s, -band, band, color=_BAND_COLOUR, label="±3σ predicted")
     axes.plot(time_s, errors.error_arcsec[:, column], color=_LINE_COLOUR, lw=0.8, label="error")
     later = settled_slice(band)
-    _limit(axes, np.concatenate([errors.error_arcsec[later, column], band[later]]))
+    _set_limits(axes, np.concatenate([errors.error_arcsec[later, column], band[later]]))
 
 
 def _legend_below(axes: Axes, with_points: bool) -> None:
@@ -167,7 +167,7 @@ def _draw_together(
     axes: Axes, series: Sequence[AttitudeErrors], column: int, start_ns: int, colours: Mapping[str, str]
 ) -> None:
     settled_errors = [errors.error_arcsec[settled_slice(errors.sigma_arcsec[:, column]), column] for errors in series]
-    _limit(axes, np.concatenate(settled_errors))
+    _set_limits(axes, np.concatenate(settled_errors))
     top, beyond = axes.get_ylim()[1], 0
     for number, errors in enumerate(series):
         time_s = (errors.time_ns - start_ns) / NS_PER_S
@@ -184,9 +184,9 @@ def _draw_together(
             beyond += 1
 
 
-def _limit(axes: Axes, values: FloatArray, percentile: float = 98.0) -> None:
+def _set_limits(axes: Axes, values: FloatArray, percentile: float = 98.0) -> None:
     """Set symmetric limits. By default rare large values, as at the start, lie outside, so that the rest is visible."""
     values = np.abs(values[np.isfinite(values)])
-    top = float(np.percentile(values, percentile)) * _ROOM if len(values) else 0.0
+    top = float(np.percentile(values, percentile)) * _MARGIN if len(values) else 0.0
     if top > 0.0:
         axes.set_ylim(-top, top)

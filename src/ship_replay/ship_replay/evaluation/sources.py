@@ -58,9 +58,9 @@ class Truth:
     def rotation_at(self, stamp_ns: int) -> FloatArray | None:
         """Return the rotation horizon from deck, shape (3, 3), at a stamp, or interpolated if the truth has rates."""
         exact = self.rotation_at_stamp(stamp_ns)
-        return self.around(stamp_ns) if exact is None and self._has_rates else exact
+        return self.interpolated_rotation(stamp_ns) if exact is None and self._has_rates else exact
 
-    def around(self, stamp_ns: int) -> FloatArray | None:
+    def interpolated_rotation(self, stamp_ns: int) -> FloatArray | None:
         """Return the rotation horizon from deck, shape (3, 3), interpolated; None outside the truth."""
         found = self._track.at(stamp_ns)
         return None if found is None else found.rotation_nd
@@ -86,7 +86,7 @@ class AttitudeSource(ABC):
         self._covariances: list[FloatArray] = []
 
     @abstractmethod
-    def take(self, message: Any) -> None:
+    def add_message(self, message: Any) -> None:
         """Add a message's attitude if the truth is known.
 
         Raises:
@@ -104,7 +104,7 @@ class AttitudeSource(ABC):
         )
         return [attitude_errors(self.label, self._truth.orientation, time_ns, estimates, truths, covariances)]
 
-    def _keep(self, time_ns: int, estimate_nd: FloatArray, truth_nd: FloatArray, covariance_n: FloatArray) -> None:
+    def _add_sample(self, time_ns: int, estimate_nd: FloatArray, truth_nd: FloatArray, covariance_n: FloatArray) -> None:
         self._time_ns.append(time_ns)
         self._estimates.append(estimate_nd)
         self._truths.append(truth_nd)
@@ -122,11 +122,11 @@ class PublishedAttitude(AttitudeSource):
     def __init__(self, truth: Truth, label: str = "") -> None:
         super().__init__(label or truth.orientation.label, truth)
         self.invalid_count = 0
-        self.seen = False
+        self.has_messages = False
 
-    def take(self, message: Any) -> None:
+    def add_message(self, message: Any) -> None:
         """Add a ShipAttitude or an OpticalAxisPointing."""
-        self.seen = True
+        self.has_messages = True
         if message.status == message.INVALID:
             self.invalid_count += 1
             return
@@ -141,7 +141,7 @@ class PublishedAttitude(AttitudeSource):
                 if np.any(np.isinf(numbers)):
                     raise MessageRejected(Reason.NON_FINITE, f"{what} is infinite")
             covariance_n = _total_covariance_n(message, angles[0], angles[1])
-            self._keep(stamp_ns, rotation_from_angles(*angles), truth_nd, covariance_n)
+            self._add_sample(stamp_ns, rotation_from_angles(*angles), truth_nd, covariance_n)
 
 
 class InsAttitude(AttitudeSource):
@@ -158,7 +158,7 @@ class InsAttitude(AttitudeSource):
         self._convention = config.convention
         self.track = AttitudeTrack(round(config.max_gap_s * NS_PER_S))
 
-    def take(self, message: Any) -> None:
+    def add_message(self, message: Any) -> None:
         """Add a sensor_msgs/Imu."""
         stamp_ns = ns_from_stamp(message.header.stamp)
         q = message.orientation
@@ -172,7 +172,7 @@ class InsAttitude(AttitudeSource):
             covariance = message.orientation_covariance.reshape(3, 3)
             unknown = covariance[0, 0] < 0.0 or not covariance.any() or self._convention != "enu_flu"
             covariance_n = np.full((3, 3), np.nan) if unknown else horizon_covariance(covariance)
-            self._keep(stamp_ns, estimate_nd, truth_nd, covariance_n)
+            self._add_sample(stamp_ns, estimate_nd, truth_nd, covariance_n)
 
 
 class StarAttitude(AttitudeSource):
@@ -193,17 +193,17 @@ class StarAttitude(AttitudeSource):
             self._rotation_dv = mounting.rotation_ds
             self._installation_covariance_v = np.diag(np.square(mounting.installation_sigma_s))
 
-    def take(self, message: Any) -> None:
+    def add_message(self, message: Any) -> None:
         """Add a StarHorizonAttitude; one without an attitude (NaN) is ignored."""
         stamp_ns = ns_from_stamp(message.header.stamp)
-        truth_nd = self._truth.around(stamp_ns)
+        truth_nd = self._truth.interpolated_rotation(stamp_ns)
         angles = (message.azimuth, message.elevation, message.roll)
         if truth_nd is None or not np.all(np.isfinite(angles)):
             return
         rotation_nv = rotation_from_angles(*angles)
         installation_n = rotation_nv @ self._installation_covariance_v @ rotation_nv.T
         own_n = _total_covariance_n(message, message.azimuth, message.elevation)
-        self._keep(stamp_ns, rotation_nv @ self._rotation_dv.T, truth_nd, own_n + installation_n)
+        self._add_sample(stamp_ns, rotation_nv @ self._rotation_dv.T, truth_nd, own_n + installation_n)
 
 
 class PublishedPointing(PublishedAttitude):
@@ -215,9 +215,9 @@ class PublishedPointing(PublishedAttitude):
         super().__init__(truth, label)
         self._modes: dict[int, int] = {}
 
-    def take(self, message: Any) -> None:
+    def add_message(self, message: Any) -> None:
         """Add an OpticalAxisPointing."""
-        super().take(message)
+        super().add_message(message)
         self._modes[ns_from_stamp(message.header.stamp)] = message.mode
 
     def errors(self) -> list[AttitudeErrors]:
@@ -233,7 +233,7 @@ class PublishedPointing(PublishedAttitude):
         return every
 
 
-class EncoderAlone(AttitudeSource):
+class InsEncoderPointing(AttitudeSource):
     """``theodolite/encoder`` with the configured axis errors, transformed to the horizon by the INS alone."""
 
     def __init__(self, truth: Truth, ins: AttitudeTrack, config: AxesConfig) -> None:
@@ -242,7 +242,7 @@ class EncoderAlone(AttitudeSource):
         self._axis_errors = AxisErrors.from_vector(config.values)
         self._readings: dict[int, tuple[float, float]] = {}
 
-    def take(self, message: Any) -> None:
+    def add_message(self, message: Any) -> None:
         """Add a TheodoliteEncoder."""
         self._readings[ns_from_stamp(message.header.stamp)] = message.azimuth, message.elevation
 
@@ -252,7 +252,7 @@ class EncoderAlone(AttitudeSource):
             truth_nm, ship = self._truth.rotation_at_stamp(stamp_ns), self._ins.at(stamp_ns)
             if truth_nm is not None and ship is not None and np.isfinite(azimuth) and np.isfinite(elevation):
                 rotation_dm = main_axis_rotation(self._axis_errors, azimuth, elevation)
-                self._keep(stamp_ns, ship.rotation_nd @ rotation_dm, truth_nm, np.full((3, 3), np.nan))
+                self._add_sample(stamp_ns, ship.rotation_nd @ rotation_dm, truth_nm, np.full((3, 3), np.nan))
         return super().errors()
 
 
@@ -290,7 +290,7 @@ def attitude_sources(
         collectors[POINTING.topic] = PublishedPointing(axis)
         collectors[SMOOTHED_POINTING_TOPIC] = PublishedPointing(axis, "smoothed_pointing")
         if deck is not None and theodolite is not None:
-            collectors["theodolite/encoder"] = EncoderAlone(axis, ins.track, theodolite.axes)
+            collectors["theodolite/encoder"] = InsEncoderPointing(axis, ins.track, theodolite.axes)
     return collectors
 
 

@@ -24,7 +24,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_replay.evaluation.sources import Truth
 from ship_watch.orientations import ORIENTATIONS, Orientation
 
-Watcher = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
+ProgressWrapper = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
 
 
 class Region(enum.IntEnum):
@@ -40,7 +40,7 @@ class Region(enum.IntEnum):
     """No level, a level above the alert limit, or an output that is DEGRADED or INVALID."""
 
     @property
-    def words(self) -> str:
+    def label(self) -> str:
         """Name of the region for people."""
         return "hazardously misleading" if self is Region.HAZARDOUS else self.name.lower()
 
@@ -61,13 +61,13 @@ class Epochs:
     error_arcsec: FloatArray
     level_arcsec: FloatArray
     limit_arcsec: FloatArray
-    offered: NDArray[np.bool_]
+    is_usable: NDArray[np.bool_]
 
     def regions(self) -> NDArray[np.intp]:
         """Return the :class:`Region` of each angle of each epoch, shape (n, 3)."""
         error, level, limit = self.error_arcsec, self.level_arcsec, self.limit_arcsec
         # A level that is NaN is unavailable, and an error that is NaN is misleading.
-        available = self.offered[:, None] & (level <= limit)
+        available = self.is_usable[:, None] & (level <= limit)
         regions = np.where(error <= level, Region.NOMINAL, Region.MISLEADING)
         regions = np.where((regions == Region.MISLEADING) & ~(error <= limit), Region.HAZARDOUS, regions)
         return np.where(available, regions, Region.UNAVAILABLE)
@@ -82,11 +82,11 @@ class Epochs:
 
     def statistics(self) -> dict[str, float]:
         """Return quantity → value: epochs and, by channel, counts by region, availability, largest error/level."""
-        values = {"epochs": float(len(self.offered))}
+        values = {"epochs": float(len(self.is_usable))}
         regions = self.regions()
         for axis, (channel, counts) in enumerate(self.counts().items()):
             for region, count in counts.items():
-                values[f"{channel}.{region.words.replace(' ', '_')}"] = float(count)
+                values[f"{channel}.{region.label.replace(' ', '_')}"] = float(count)
             available = regions[:, axis] != Region.UNAVAILABLE
             values[f"{channel}.availability"] = float(np.mean(available))
             ratio = self.error_arcsec[available, axis] / self.level_arcsec[available, axis]
@@ -96,11 +96,11 @@ class Epochs:
         return values
 
 
-def epochs_of(
+def read_epochs(
     bags: Sequence[Path],
     namespace: str = "",
     limits_arcsec: Mapping[str, Sequence[float]] | None = None,
-    watch: Watcher = lambda records, bag: records,
+    progress: ProgressWrapper = lambda records, bag: records,
 ) -> list[Epochs]:
     """Read the epochs of several bags; return one entry for each orientation that has truth and levels.
 
@@ -117,17 +117,17 @@ def epochs_of(
     for path in bags:
         with read_bag(path) as bag:
             for orientation in ORIENTATIONS:
-                part = _epochs_of_bag(bag, orientation, namespace, watch)
+                part = _epochs_of_bag(bag, orientation, namespace, progress)
                 if part is not None:
                     found.setdefault(orientation.label, []).append(part)
     if not found:
         needed = "; ".join(", ".join(_topics(orientation)) for orientation in ORIENTATIONS)
         raise BadInput(f"no epoch to draw: expected {needed} in one of the bags", file=bags[0])
-    joined = [_joined(parts) for parts in found.values()]
-    given = limits_arcsec or {}
+    joined = [_concatenate(parts) for parts in found.values()]
+    limits = limits_arcsec or {}
     return [
-        replace(part, limit_arcsec=np.broadcast_to(np.asarray(given[label], dtype=float), part.error_arcsec.shape))
-        if (label := part.orientation.label) in given
+        replace(part, limit_arcsec=np.broadcast_to(np.asarray(limits[label], dtype=float), part.error_arcsec.shape))
+        if (label := part.orientation.label) in limits
         else part
         for part in joined
     ]
@@ -138,7 +138,7 @@ def _topics(orientation: Orientation) -> tuple[str, str, str]:
     return orientation.topic, f"{orientation.topic.partition('/')[0]}/integrity", orientation.truth_topic
 
 
-def _epochs_of_bag(bag: Bag, orientation: Orientation, namespace: str, watch: Watcher) -> Epochs | None:
+def _epochs_of_bag(bag: Bag, orientation: Orientation, namespace: str, progress: ProgressWrapper) -> Epochs | None:
     """Return the epochs of one orientation in a bag; None if a topic is missing or no epoch has a truth."""
     names = [relative_topics(bag.topics, namespace).get(topic) for topic in _topics(orientation)]
     output_name, level_name, truth_name = names
@@ -149,7 +149,7 @@ def _epochs_of_bag(bag: Bag, orientation: Orientation, namespace: str, watch: Wa
         truth.add(record.decode())
     levels = _PublishedLevels(orientation.channels)
     outputs: list[tuple[int, int, FloatArray]] = []
-    for record in watch(bag.records({output_name, level_name}), bag):
+    for record in progress(bag.records({output_name, level_name}), bag):
         message = record.decode()
         if record.topic == level_name:
             levels.add(message)
@@ -201,12 +201,12 @@ class _PublishedLevels:
         return self._by_time[self._times_ns[index]] if index >= 0 else (np.full(3, math.nan), np.full(3, math.inf))
 
 
-def _joined(parts: Sequence[Epochs]) -> Epochs:
+def _concatenate(parts: Sequence[Epochs]) -> Epochs:
     """Concatenate the epochs of several bags."""
     return Epochs(
         parts[0].orientation,
         np.concatenate([part.error_arcsec for part in parts]),
         np.concatenate([part.level_arcsec for part in parts]),
         np.concatenate([part.limit_arcsec for part in parts]),
-        np.concatenate([part.offered for part in parts]),
+        np.concatenate([part.is_usable for part in parts]),
     )

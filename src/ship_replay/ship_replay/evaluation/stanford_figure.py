@@ -33,9 +33,9 @@ _BINS_PER_DECADE = 16
 _LEAST_ARCSEC = 1e-3
 _ERRORS_BELOW_LEVEL = 300.0
 """Ratio of the smallest level to the smallest error drawn; smaller errors are drawn at the left edge."""
-_ROOM = 2.0
+_MARGIN = 2.0
 _IN_FIRST_CELL = 1.001
-_MISLED_COLOUR = "#d55e00"
+_MISLEADING_COLOUR = "#d55e00"
 _NAME_BOX = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 2.0}
 
 
@@ -59,7 +59,7 @@ def _draw(axes: Axes, epochs: Epochs, axis: int) -> None:
     limits = epochs.limit_arcsec[:, axis]
     limit = _common_limit(limits[np.isfinite(level)], name)
     # Outputs DEGRADED for another reason than the level are not drawn.
-    drawn = np.isfinite(error) & np.isfinite(level) & (epochs.offered | (level > limits))
+    drawn = np.isfinite(error) & np.isfinite(level) & (epochs.is_usable | (level > limits))
     axes.set(xscale="log", yscale="log", xlabel="size of the error [arcsec]", ylabel="protection level [arcsec]")
     axes.set_title(_title(name, epochs, channel))
     if not drawn.any():
@@ -67,8 +67,8 @@ def _draw(axes: Axes, epochs: Epochs, axis: int) -> None:
         return
     bounds = _bounds(error[drawn], level[drawn], limit)
     _draw_regions(axes, bounds, limit)
-    misled = (error > level) & (level <= limits)
-    _draw_counts(axes, error[drawn], level[drawn], misled[drawn], bounds)
+    misleading = (error > level) & (level <= limits)
+    _draw_counts(axes, error[drawn], level[drawn], misleading[drawn], bounds)
     _name_regions(axes, bounds, limit, epochs.counts()[channel])
     axes.set(xlim=bounds[:2], ylim=bounds[2:])
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -94,16 +94,16 @@ def _title(name: str, epochs: Epochs, channel: str) -> str:
     counts = epochs.counts()[channel]
     total = sum(counts.values())
     available = 1.0 - counts[Region.UNAVAILABLE] / total
-    return f"{name}: {_grouped(total)} epochs, {100.0 * available:.2f} % available"
+    return f"{name}: {_with_digit_groups(total)} epochs, {100.0 * available:.2f} % available"
 
 
 def _bounds(error: FloatArray, level: FloatArray, limit: float) -> tuple[float, float, float, float]:
     """Return minimum and maximum error, minimum and maximum level of a panel, arcsec."""
     least = max(float(np.min(level)), _LEAST_ARCSEC)
     known_limit = limit if math.isfinite(limit) else 0.0
-    top = _ROOM * max(float(np.max(level)), known_limit)
+    top = _MARGIN * max(float(np.max(level)), known_limit)
     right = max(top, 1.2 * float(np.max(error)))
-    bottom = min(least, known_limit or least) / (2.0 * _ROOM)
+    bottom = min(least, known_limit or least) / (2.0 * _MARGIN)
     return least / _ERRORS_BELOW_LEVEL, right, bottom, top
 
 
@@ -125,7 +125,7 @@ def _draw_counts(
     axes: Axes,
     error: FloatArray,
     level: FloatArray,
-    misled: NDArray[np.bool_],
+    misleading: NDArray[np.bool_],
     bounds: tuple[float, float, float, float],
 ) -> None:
     """Draw the counts by cell, dark for many, and a mark on each cell with a misleading epoch."""
@@ -135,15 +135,15 @@ def _draw_counts(
         for least, most in ((left, right), (bottom, top))
     ]
     error = np.maximum(error, left * _IN_FIRST_CELL)
-    counts, *_ = np.histogram2d(error[~misled], level[~misled], bins=edges)
+    counts, *_ = np.histogram2d(error[~misleading], level[~misleading], bins=edges)
     # The colour order is kept in grey; the lightest colours would vanish on white paper.
     colours = ListedColormap(matplotlib.colormaps["cividis_r"](np.linspace(0.12, 1.0, 256)))
     norm = LogNorm(1, max(counts.max(), 10))
     mesh = axes.pcolormesh(*edges, np.ma.masked_equal(counts.T, 0), cmap=colours, norm=norm, zorder=2)
     axes.figure.colorbar(mesh, ax=axes, label="epochs", pad=0.02)
-    cells = np.nonzero(np.histogram2d(error[misled], level[misled], bins=edges)[0])
+    cells = np.nonzero(np.histogram2d(error[misleading], level[misleading], bins=edges)[0])
     x, y = (np.sqrt(edge[:-1] * edge[1:])[cell] for edge, cell in zip(edges, cells, strict=True))
-    axes.scatter(x, y, s=36, marker="o", facecolor=_MISLED_COLOUR, edgecolor="black", linewidth=1.2, zorder=5)
+    axes.scatter(x, y, s=36, marker="o", facecolor=_MISLEADING_COLOUR, edgecolor="black", linewidth=1.2, zorder=5)
 
 
 def _name_regions(
@@ -153,7 +153,7 @@ def _name_regions(
     limited = math.isfinite(limit)
 
     def name(region: Region, x: float, y: float, remark: str = "", **how: Any) -> None:
-        words = f"{region.words}\n{_grouped(counts[region])}{remark}".replace("hazardously ", "hazardously\n")
+        words = f"{region.label}\n{_with_digit_groups(counts[region])}{remark}".replace("hazardously ", "hazardously\n")
         axes.annotate(words, xytext=(x, y), fontsize=13, fontweight="bold", bbox=_NAME_BOX, zorder=6, **how)
 
     foot, corner = bottom * 1.1, (left, bottom)
@@ -171,6 +171,6 @@ def _name_regions(
     name(Region.MISLEADING, bottom / 1.3, bottom * 1.8, xy=where, ha="right", va="bottom", arrowprops=arrow)
 
 
-def _grouped(count: int) -> str:
+def _with_digit_groups(count: int) -> str:
     """Return a number in groups of three digits."""
     return f"{count:,}".replace(",", "\u202f")

@@ -183,23 +183,23 @@ class SourceInnovations:
         rejected: reason → number of rejected measurements.
     """
 
-    compared: dict[int, AcceptedInnovation] = field(default_factory=dict)
+    accepted: dict[int, AcceptedInnovation] = field(default_factory=dict)
     rejected: Counter[str] = field(default_factory=Counter)
 
     def since(self, start_ns: int) -> "SourceInnovations":
         """Return the innovations stamped at or after a time; the rejections remain those of the whole run."""
-        kept = {stamp_ns: value for stamp_ns, value in self.compared.items() if stamp_ns >= start_ns}
+        kept = {stamp_ns: value for stamp_ns, value in self.accepted.items() if stamp_ns >= start_ns}
         return SourceInnovations(kept, self.rejected)
 
     def components(self) -> list[str]:
         """Return the names of all components, in order of their first occurrence."""
-        return list(dict.fromkeys(name for innovation in self.compared.values() for name in innovation.components))
+        return list(dict.fromkeys(name for innovation in self.accepted.values() for name in innovation.components))
 
     def series(self, component: str) -> tuple[np.ndarray, FloatArray, FloatArray]:
         """Return stamps (ns), residuals and sigmas (rad) of a component, in order of stamps, if measured."""
         rows = [
             (stamp_ns, residual, sigma)
-            for stamp_ns, innovation in sorted(self.compared.items())
+            for stamp_ns, innovation in sorted(self.accepted.items())
             for name, residual, sigma in zip(innovation.components, innovation.residual, innovation.sigma, strict=True)
             if name == component and np.isfinite(residual)
         ]
@@ -208,17 +208,17 @@ class SourceInnovations:
 
     def statistics(self) -> dict[str, float]:
         """Return quantity → value: counts, mean and standard deviation of each residual, NIS."""
-        values = {"accepted": float(len(self.compared)), "refused": float(sum(self.rejected.values()))}
+        values = {"accepted": float(len(self.accepted)), "refused": float(sum(self.rejected.values()))}
         for name in self.components():
             _, residual, sigma = self.series(name)
             if len(residual):
                 values[f"{name}.mean_arcsec"] = float(np.mean(residual)) / ARCSEC
                 values[f"{name}.std_arcsec"] = float(np.std(residual)) / ARCSEC
                 values[f"{name}.sigma_arcsec"] = float(np.sqrt(np.mean(sigma**2))) / ARCSEC
-        if self.compared:
-            time_ns = np.array(sorted(self.compared), dtype=np.int64)
-            nis = np.array([self.compared[stamp].nis for stamp in time_ns.tolist()])
-            degrees = np.array([np.isfinite(self.compared[stamp].residual).sum() for stamp in time_ns.tolist()])
+        if self.accepted:
+            time_ns = np.array(sorted(self.accepted), dtype=np.int64)
+            nis = np.array([self.accepted[stamp].nis for stamp in time_ns.tolist()])
+            degrees = np.array([np.isfinite(self.accepted[stamp].residual).sum() for stamp in time_ns.tolist()])
             values["nis_mean"] = float(np.mean(nis))
             values["nis_degrees"] = float(np.mean(degrees))
             share = windows_in_band(time_ns, nis, degrees)
@@ -227,7 +227,7 @@ class SourceInnovations:
         return values
 
 
-class InnovationBook:
+class InnovationCollector:
     """Collector of Innovation messages by source."""
 
     def __init__(self) -> None:
@@ -240,13 +240,13 @@ class InnovationBook:
         if message.accepted and len(message.residual):
             axes = tuple(name.rpartition(" ")[2] for name in message.components)
             residual, sigma = np.array(message.residual), np.array(message.sigma)
-            source.compared[stamp_ns] = AcceptedInnovation(axes, residual, sigma, float(message.nis))
+            source.accepted[stamp_ns] = AcceptedInnovation(axes, residual, sigma, float(message.nis))
             return
         if not message.accepted:
             source.rejected[reason_name(message)] += 1
             if message.reason == message.GATE or message.reason == message.REVISED:
                 # A later decision on a measurement that was accepted at first.
-                source.compared.pop(stamp_ns, None)
+                source.accepted.pop(stamp_ns, None)
 
 
 def reason_name(message: Any) -> str:

@@ -33,39 +33,39 @@ class TargetErrors:
         position_nees: normalised error squared of the position (3 degrees of freedom).
     """
 
-    claimed_nothing_ns: list[int] = field(default_factory=list)
+    unavailable_ns: list[int] = field(default_factory=list)
     time_ns: list[int] = field(default_factory=list)
-    across_arcsec: list[FloatArray] = field(default_factory=list)
+    direction_error_arcsec: list[FloatArray] = field(default_factory=list)
     sigma_arcsec: list[float] = field(default_factory=list)
     nees: list[float] = field(default_factory=list)
-    off_m: list[float] = field(default_factory=list)
-    off_sigma_m: list[float] = field(default_factory=list)
-    place_nees: list[float] = field(default_factory=list)
+    position_error_m: list[float] = field(default_factory=list)
+    position_sigma_m: list[float] = field(default_factory=list)
+    position_nees: list[float] = field(default_factory=list)
 
     def since(self, start_ns: int) -> "TargetErrors":
         """Return the errors stamped at or after a time."""
         kept = [row for row, time_ns in enumerate(self.time_ns) if time_ns >= start_ns]
-        of_nothing = [time_ns for time_ns in self.claimed_nothing_ns if time_ns >= start_ns]
+        unavailable_ns = [time_ns for time_ns in self.unavailable_ns if time_ns >= start_ns]
         _, *columns = vars(self).values()
-        return TargetErrors(of_nothing, *([values[row] for row in kept] for values in columns))
+        return TargetErrors(unavailable_ns, *([values[row] for row in kept] for values in columns))
 
     def statistics(self) -> dict[str, float]:
         """Return quantity → value; for directions and positions only if some were published."""
-        values = {"samples": float(len(self.time_ns)), "not_claimed": float(len(self.claimed_nothing_ns))}
+        values = {"samples": float(len(self.time_ns)), "not_claimed": float(len(self.unavailable_ns))}
         if not self.time_ns:
             return values
         values |= {
-            "direction.rms_arcsec": _rms(np.linalg.norm(self.across_arcsec, axis=-1) / np.sqrt(2.0)),
+            "direction.rms_arcsec": _rms(np.linalg.norm(self.direction_error_arcsec, axis=-1) / np.sqrt(2.0)),
             "direction.sigma_arcsec": _rms(self.sigma_arcsec),
             "direction.nees_mean": float(np.mean(self.nees)),
         }
-        has_position = np.isfinite(self.off_m)
+        has_position = np.isfinite(self.position_error_m)
         if np.any(has_position):
             values |= {
                 "position.samples": float(np.sum(has_position)),
-                "position.rms_m": _rms(np.array(self.off_m)[has_position]),
-                "position.sigma_m": _rms(np.array(self.off_sigma_m)[has_position]),
-                "position.nees_mean": float(np.mean(np.array(self.place_nees)[has_position])),
+                "position.rms_m": _rms(np.array(self.position_error_m)[has_position]),
+                "position.sigma_m": _rms(np.array(self.position_sigma_m)[has_position]),
+                "position.nees_mean": float(np.mean(np.array(self.position_nees)[has_position])),
             }
         return values
 
@@ -76,16 +76,16 @@ class TargetDirections:
     def __init__(self) -> None:
         self._truths: dict[tuple[str, int], Any] = {}
         self._errors: dict[str, TargetErrors] = {}
-        self._claimed: set[tuple[str, int]] = set()
+        self._available: set[tuple[str, int]] = set()
 
     def since(self, start_ns: int) -> dict[str, TargetErrors]:
         """Return the errors stamped at or after a time, by target_id, for all targets in the truth of that time."""
         errors = {target_id: TargetErrors() for target_id, _ in sorted(self._truths)} | self._errors
         for target_id, time_ns in sorted(self._truths):
-            if (target_id, time_ns) not in self._claimed:
-                errors[target_id].claimed_nothing_ns.append(time_ns)
+            if (target_id, time_ns) not in self._available:
+                errors[target_id].unavailable_ns.append(time_ns)
         found = {target_id: of_target.since(start_ns) for target_id, of_target in errors.items()}
-        return {target_id: one for target_id, one in found.items() if one.time_ns or one.claimed_nothing_ns}
+        return {target_id: one for target_id, one in found.items() if one.time_ns or one.unavailable_ns}
 
     def __len__(self) -> int:
         return len(self._truths)
@@ -99,7 +99,7 @@ class TargetDirections:
         finite_vector(message.direction, "direction of the truth")
         self._truths[message.target_id, ns_from_stamp(message.header.stamp)] = message
 
-    def take(self, message: Any) -> None:
+    def add_message(self, message: Any) -> None:
         """Add a published TargetDirection.
 
         Raises:
@@ -115,19 +115,19 @@ class TargetDirections:
         if not np.all(np.isnan(place)):
             place = finite_vector(message.position, "position")
             place_covariance = _covariance(message.position_covariance, "position_covariance")
-        self._claimed.add((message.target_id, time_ns))
+        self._available.add((message.target_id, time_ns))
         across = np.linalg.svd(_vector(truth.direction)[None])[2][1:]
         error = across @ (direction - _vector(truth.direction))
         covariance = across @ direction_covariance @ across.T
         off_m = place - _vector(truth.position)
         errors = self._errors.setdefault(message.target_id, TargetErrors())
         errors.time_ns.append(time_ns)
-        errors.across_arcsec.append(error / ARCSEC)
+        errors.direction_error_arcsec.append(error / ARCSEC)
         errors.sigma_arcsec.append(float(np.sqrt(0.5 * np.trace(covariance)) / ARCSEC))
         errors.nees.append(_square(error, covariance))
-        errors.off_m.append(float(np.linalg.norm(off_m)))
-        errors.off_sigma_m.append(float(np.sqrt(np.trace(place_covariance))))
-        errors.place_nees.append(_square(off_m, place_covariance))
+        errors.position_error_m.append(float(np.linalg.norm(off_m)))
+        errors.position_sigma_m.append(float(np.sqrt(np.trace(place_covariance))))
+        errors.position_nees.append(_square(off_m, place_covariance))
 
 
 def _covariance(values: Any, what: str) -> FloatArray:

@@ -24,13 +24,13 @@ _GRADIENT_STEP, _CURVATURE_STEP = 1e-4, 0.02
 _LEAST_GAIN = 0.01
 """Gain in log likelihood per step at which a search ends. One sigma off the maximum costs 0.5."""
 
-_MOST_TOGETHER = 12
+_MAX_BATCH = 12
 """Maximum number of parameter sets computed together: more need more memory and gain little."""
 
-_NOTHING_KNOWN = 10.0
+_UNKNOWN_LOG_SIGMA = 10.0
 """Sigma of the logarithm of a parameter that a record does not determine."""
 
-_QUICKER = 0.03
+_SECOND_START_FACTOR = 0.03
 """Factor on the configured correlation times at the start of a second search: a single one may stop near a saddle."""
 
 _STEPS = np.array([0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0])
@@ -68,25 +68,25 @@ class FittedModel:
         sigmas: FloatArray = np.sqrt(np.diagonal(self.covariance))
         return sigmas
 
-    def suite_value(self, what: SuiteParameter) -> tuple[float, float]:
+    def suite_value(self, parameter: SuiteParameter) -> tuple[float, float]:
         """Return the value of a suite parameter, and the sigma of its logarithm."""
-        value = float(np.exp(what.constant + what.weights @ np.log(self.values)))
-        return value, float(np.sqrt(what.weights @ self.covariance @ what.weights))
+        value = float(np.exp(parameter.constant + parameter.weights @ np.log(self.values)))
+        return value, float(np.sqrt(parameter.weights @ self.covariance @ parameter.weights))
 
 
 def fit(record: StarRecord, model: InsErrorModel) -> FittedModel:
     """Return the model's most likely parameters for a record."""
-    few = _Search(record.thinned(-(-len(record.times_s) // _FIRST_EPOCHS)), model)
+    few = _Search(record.with_every_nth_epoch(-(-len(record.times_s) // _FIRST_EPOCHS)), model)
     starts = np.log([parameter.start for parameter in model.parameters])
-    quicker = starts + np.log(_QUICKER) * _is_time(model)
-    candidates = [few.climbed(start) for start in np.unique([starts, quicker], axis=0)]
+    quicker = starts + np.log(_SECOND_START_FACTOR) * _is_time(model)
+    candidates = [few.find_minimum(start) for start in np.unique([starts, quicker], axis=0)]
     all_ = _Search(record, model)
-    best = all_.climbed(min(candidates, key=few.cost))
-    point, covariance = _with_mean_times(all_, best, all_.covariance(best))
+    best = all_.find_minimum(min(candidates, key=few.cost))
+    point, covariance = _use_mean_times(all_, best, all_.covariance(best))
     return FittedModel(model, np.exp(point), covariance, -all_.cost(best))
 
 
-def _with_mean_times(search: "_Search", best: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _use_mean_times(search: "_Search", best: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return parameter logarithms and covariance with the mean and variance of each correlation time.
 
     The other parameters are shifted by their correlation with the time.
@@ -117,12 +117,12 @@ class _Search:
         """Return minus the log likelihood at logarithms of parameters, shape (p,)."""
         return float(self.costs(point[None])[0])
 
-    def climbed(self, start: FloatArray) -> FloatArray:
+    def find_minimum(self, start: FloatArray) -> FloatArray:
         """Return the most likely point found by a search from a start, shape (p,)."""
 
         def cost_and_slope(point: FloatArray) -> tuple[float, FloatArray]:
-            at, *beside = self.costs(np.vstack([point, point + _GRADIENT_STEP * np.eye(len(point))]))
-            return float(at), (np.array(beside) - at) / _GRADIENT_STEP
+            at, *shifted = self.costs(np.vstack([point, point + _GRADIENT_STEP * np.eye(len(point))]))
+            return float(at), (np.array(shifted) - at) / _GRADIENT_STEP
 
         inside = np.clip(start, *self.bounds.T)
         relative = _LEAST_GAIN / abs(self.cost(inside))
@@ -148,8 +148,8 @@ class _Search:
         curvature[np.diag_indices(len(free))] = (up - 2.0 * at + down) / step**2
         values, vectors = np.linalg.eigh(curvature)
         # A direction with a flat likelihood, or negative curvature from numerical noise, is not determined.
-        inverse = (vectors / np.maximum(values, _NOTHING_KNOWN**-2)) @ vectors.T
-        covariance = _NOTHING_KNOWN**2 * np.eye(count)
+        inverse = (vectors / np.maximum(values, _UNKNOWN_LOG_SIGMA**-2)) @ vectors.T
+        covariance = _UNKNOWN_LOG_SIGMA**2 * np.eye(count)
         covariance[np.ix_(free, free)] = inverse
         return covariance
 
@@ -161,8 +161,8 @@ class _Search:
     def costs(self, points: FloatArray) -> FloatArray:
         """Return minus the log likelihood at N sets of logarithms of parameters, shape (N,)."""
         found = []
-        for begin in range(0, len(points), _MOST_TOGETHER):
-            values = np.exp(points[begin : begin + _MOST_TOGETHER])
+        for begin in range(0, len(points), _MAX_BATCH):
+            values = np.exp(points[begin : begin + _MAX_BATCH])
             steps = self.model.steps(values, self._record.times_s)
             found.append(-log_likelihoods(self._record, steps))
         return np.concatenate(found)

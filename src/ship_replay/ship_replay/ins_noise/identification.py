@@ -63,33 +63,33 @@ class Identification:
     def warnings(self) -> list[str]:
         """Limitations of the result, one line each."""
         return [
-            *(line for fitted in self.fitted for line in self._dishonest(fitted.model.name)),
-            *self._too_short(),
-            *self._of_input(),
+            *(line for fitted in self.fitted for line in self._inconsistent_predictions(fitted.model.name)),
+            *self._short_record_warnings(),
+            *self._input_warnings(),
             *self.session.problems,
         ]
 
-    def _dishonest(self, model: str) -> list[str]:
+    def _inconsistent_predictions(self, model: str) -> list[str]:
         """Return warnings for predictions of a model with too large errors; the worst of tilt and of heading."""
         if model not in (GAUSS_MARKOV, self.best.model.name):
             return []
         lines = []
         for part in ("tilt", "heading"):
-            wrong = [check for check in self.outages[model] if not check.parts[part].is_honest]
+            wrong = [check for check in self.outages[model] if not check.parts[part].is_consistent]
             if wrong:
-                worst = max(wrong, key=lambda check: check.parts[part].nees / check.parts[part].most)
+                worst = max(wrong, key=lambda check: check.parts[part].nees / check.parts[part].nees_limit)
                 missed = worst.parts[part]
                 had, sigma = missed.rms_arcsec, missed.sigma_arcsec
                 text = (
                     f"the most likely parameters of {model} are inconsistent in an outage: {part} "
                     f"predicted over {worst.horizon_s:.0f} s, {worst.intervals} times: RMS error {had:.1f}″, "
                     f"{had / sigma:.1f} × its σ of "
-                    f"{sigma:.1f}″ (mean NEES {missed.nees:.1f}, at most {missed.most:.1f} with 99.9 %)"
+                    f"{sigma:.1f}″ (mean NEES {missed.nees:.1f}, at most {missed.nees_limit:.1f} with 99.9 %)"
                 )
                 lines.append(text)
         return lines
 
-    def _too_short(self) -> list[str]:
+    def _short_record_warnings(self) -> list[str]:
         """Return warnings for a record too short to separate sigma and time of a Gauss-Markov process."""
         fitted = next(found for found in self.fitted if found.model.name == GAUSS_MARKOV)
         suite_values = {what.name: fitted.suite_value(what) for what in fitted.model.suite_parameters}
@@ -105,7 +105,7 @@ class Identification:
                 )
         return lines
 
-    def _of_input(self) -> list[str]:
+    def _input_warnings(self) -> list[str]:
         session, record, lines = self.session, self.record, []
         if len(self.fitted) == 1:
             lines.append("schuler was not tried: the latitude is unknown without position fixes")
@@ -115,15 +115,15 @@ class Identification:
                 f"the record does not determine white_sigma_arcsec ({white:.2g}″, {uncertainty_text(log_sigma)}): the star "
                 "sensors' own noise hides it, or their messages state too much noise"
             )
-        used = len(session.pairs)
+        used = len(session.comparisons)
         if session.rejected_count > _EXPECTED_REFUSED * (used + session.rejected_count):
             lines.append(
                 f"{session.rejected_count} of {used + session.rejected_count} star measurements were not used: see replay --report"
             )
         if not session.config.gravity.is_modelled:
             lines.append("gravity.deflection is none: the deflection of the vertical is part of the error found")
-        if record.every > 1:
-            lines.append(f"one of every {record.every} epochs was used: these are enough")
+        if record.epoch_step > 1:
+            lines.append(f"one of every {record.epoch_step} epochs was used: these are enough")
         return lines
 
 
@@ -145,7 +145,7 @@ def identify(session: NoiseSession) -> Identification:
     if len(record.times_s) < _LEAST_EPOCHS:
         text = f"{len(record.times_s)} epochs of stars: expected at least {_LEAST_EPOCHS}, better hours of them"
         raise BadInput(f"{session.name}: {text}")
-    place = mean_location(session.pairs)
+    place = mean_location(session.comparisons)
     fitted = sorted((fit(record, model) for model in candidate_models(session.config.ins, place)), key=lambda one: one.aic)
     outages = {one.model.name: outage_checks(record, one) for one in fitted}
     return Identification(session, record, fitted, outages)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ship_geometry.rotations import FloatArray
-from ship_replay.ins_noise.star_record import StarRecord, white_taken_out
+from ship_replay.ins_noise.star_record import StarRecord, marginalise_white_noise
 
 
 class ProcessSteps(NamedTuple):
@@ -34,7 +34,7 @@ class ProcessSteps(NamedTuple):
     white: FloatArray
 
 
-class Known(NamedTuple):
+class StateEstimate(NamedTuple):
     """Estimate of states and constants together.
 
     Attributes:
@@ -60,10 +60,10 @@ class EpochFilter:
     """
 
     def __init__(self, record: StarRecord, steps: ProcessSteps) -> None:
-        marginalised = [white_taken_out(record, white) for white in steps.white]
+        marginalised = [marginalise_white_noise(record, white) for white in steps.white]
         self._record, self._sets = record, len(steps.start)
         self.times_s = record.times_s
-        self._seen = 3 + record.moving.count
+        self._observed_size = 3 + record.time_varying.count
         self._information = np.array([matrix for matrix, _ in marginalised])
         self._log_factors = np.array([log_factor for _, log_factor in marginalised])
         self._start, self._transition, self._noise = _with_time_varying(record, steps)
@@ -71,37 +71,37 @@ class EpochFilter:
 
     def _run(self) -> None:
         """Propagate and update means and covariances through all epochs."""
-        seen, information, count = self._seen, self._information, len(self._record.times_s)
-        matrices = information[:, :, :seen, :seen]
+        observed_size, information, count = self._observed_size, self._information, len(self._record.times_s)
+        matrices = information[:, :, :observed_size, :observed_size]
         # Information vector of an epoch on the states, and its derivatives with respect to the constants.
-        vectors = np.concatenate([information[:, :, :seen, -1:], -information[:, :, :seen, seen:-1]], axis=-1)
+        vectors = np.concatenate([information[:, :, :observed_size, -1:], -information[:, :, :observed_size, observed_size:-1]], axis=-1)
         transitions, back = self._transition, np.swapaxes(self._transition, -1, -2)
         size, columns = self._start.shape[-1], vectors.shape[-1]
         self._means = np.zeros((self._sets, count, size, columns))
         self._covariances = np.zeros((self._sets, count, size, size))
-        self._before = np.zeros((self._sets, count, seen, columns))
-        self._spreads = np.zeros((self._sets, count, seen, seen))
-        mean, covariance, unit = np.zeros((self._sets, size, columns)), self._start, np.eye(seen)
+        self._before = np.zeros((self._sets, count, observed_size, columns))
+        self._spreads = np.zeros((self._sets, count, observed_size, observed_size))
+        mean, covariance, unit = np.zeros((self._sets, size, columns)), self._start, np.eye(observed_size)
         for epoch in range(count):
             if epoch:
                 transition = transitions[:, epoch - 1]
                 mean = transition @ mean
                 covariance = transition @ covariance @ back[:, epoch - 1] + self._noise[:, epoch - 1]
             matrix = matrices[:, epoch]
-            beside, before = covariance[:, :, :seen], mean[:, :seen]
-            spread = unit + matrix @ beside[:, :seen]
+            observed_covariance, before = covariance[:, :, :observed_size], mean[:, :observed_size]
+            spread = unit + matrix @ observed_covariance[:, :observed_size]
             rest = vectors[:, epoch] - matrix @ before
             solved = np.linalg.solve(spread, np.concatenate([matrix, rest], axis=-1))
             self._before[:, epoch], self._spreads[:, epoch] = before, spread
-            mean = mean + beside @ solved[:, :, seen:]
-            covariance = covariance - beside @ solved[:, :, :seen] @ np.swapaxes(beside, -1, -2)
+            mean = mean + observed_covariance @ solved[:, :, observed_size:]
+            covariance = covariance - observed_covariance @ solved[:, :, :observed_size] @ np.swapaxes(observed_covariance, -1, -2)
             # Without this, asymmetry by rounding grows from step to step.
             covariance = 0.5 * (covariance + np.swapaxes(covariance, -1, -2))
             self._means[:, epoch], self._covariances[:, epoch] = mean, covariance
-        after = self._means[:, :, :seen]
+        after = self._means[:, :, :observed_size]
         rests = vectors - matrices @ self._before
         self._squares = (
-            _as_function_of_constants(information[:, :, seen:, seen:])
+            _as_function_of_constants(information[:, :, observed_size:, observed_size:])
             - np.swapaxes(vectors, -1, -2) @ self._before
             - np.swapaxes(self._before, -1, -2) @ rests
             - np.swapaxes(rests, -1, -2) @ (after - self._before)
@@ -118,7 +118,7 @@ class EpochFilter:
         found: FloatArray = of_record - 0.5 * (squares[:, 0, 0] - explained[:, 0, 0] + determinants)
         return found
 
-    def known(self, epoch: int) -> Known:
+    def estimate_at(self, epoch: int) -> StateEstimate:
         """Return the estimate after an epoch, from all epochs up to it, for the first parameter set."""
         squares, prior = self._squares[0, : epoch + 1].sum(axis=0), self._record.constants
         covariance = np.linalg.solve(np.eye(len(prior)) + prior @ squares[1:, 1:], prior)
@@ -126,33 +126,33 @@ class EpochFilter:
         mean, by_constants = self._means[0, epoch, :, 0], self._means[0, epoch, :, 1:]
         shared = by_constants @ covariance
         of_states = self._covariances[0, epoch] + shared @ by_constants.T
-        return Known(
+        return StateEstimate(
             np.concatenate([mean + by_constants @ constants, constants]),
             np.block([[of_states, shared], [shared.T, covariance]]),
         )
 
-    def ahead(self, known: Known, epoch: int, later: int) -> Known:
+    def predict(self, estimate: StateEstimate, epoch: int, later: int) -> StateEstimate:
         """Propagate an estimate from an epoch to a later one."""
         size = self._start.shape[-1]
-        mean, covariance = known.mean.copy(), known.covariance.copy()
+        mean, covariance = estimate.mean.copy(), estimate.covariance.copy()
         for step in range(epoch, later):
             transition = self._transition[0, step]
             mean[:size] = transition @ mean[:size]
             covariance[:size] = transition @ covariance[:size]
             covariance[:, :size] = covariance[:, :size] @ transition.T
             covariance[:size, :size] += self._noise[0, step]
-        return Known(mean, covariance)
+        return StateEstimate(mean, covariance)
 
-    def with_epoch(self, known: Known, epoch: int) -> Known:
+    def update(self, estimate: StateEstimate, epoch: int) -> StateEstimate:
         """Update an estimate with the information of its epoch."""
         information = self._information[0, epoch]
         size = self._start.shape[-1]
-        rows = np.r_[0 : self._seen, size : len(known.mean)]
+        rows = np.r_[0 : self._observed_size, size : len(estimate.mean)]
         matrix, vector = information[:-1, :-1], information[:-1, -1]
-        beside = known.covariance[:, rows]
-        spread = np.eye(len(rows)) + matrix @ beside[rows]
-        after = known.covariance - beside @ np.linalg.solve(spread, matrix @ beside.T)
-        return Known(known.mean + after[:, rows] @ (vector - matrix @ known.mean[rows]), after)
+        observed_covariance = estimate.covariance[:, rows]
+        spread = np.eye(len(rows)) + matrix @ observed_covariance[rows]
+        after = estimate.covariance - observed_covariance @ np.linalg.solve(spread, matrix @ observed_covariance.T)
+        return StateEstimate(estimate.mean + after[:, rows] @ (vector - matrix @ estimate.mean[rows]), after)
 
 
 def log_likelihoods(record: StarRecord, steps: ProcessSteps) -> FloatArray:
@@ -162,8 +162,8 @@ def log_likelihoods(record: StarRecord, steps: ProcessSteps) -> FloatArray:
 
 def _with_time_varying(record: StarRecord, steps: ProcessSteps) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return start, transitions and noise of the process and the other time-varying states, in the filter's order."""
-    time_varying = record.moving
-    decay, fresh = time_varying.over(np.diff(record.times_s))
+    time_varying = record.time_varying
+    decay, fresh = time_varying.propagation(np.diff(record.times_s))
     size = steps.start.shape[-1]
     others = np.arange(3, 3 + time_varying.count)
     own = np.r_[0:3, 3 + time_varying.count : size + time_varying.count]

@@ -19,19 +19,19 @@ from ship_replay.ins_noise.star_record import StarRecord
 SHARES = (2, 4, 8, 16)
 """Numbers of intervals in a record: longer horizons are too rare to test, and much shorter ones are no outage."""
 
-_LATE = 1.25
+_MAX_INTERVAL_RATIO = 1.25
 """Maximum length of an interval, in horizons: if stars return later, it is excluded."""
 
-_LAST = 0.125
+_CHECKED_SHARE = 0.125
 """Share of an interval at its end whose stars determine the prediction error."""
 
-_MOST_LAST = 50
+_MAX_CHECKED_EPOCHS = 50
 """Maximum number of epochs of it: more do not improve the comparison."""
 
 _PARTS = {"tilt": [0, 2], "heading": [1]}
 
 
-class Missed(NamedTuple):
+class PredictionError(NamedTuple):
     """Error of predictions of tilt or heading.
 
     Attributes:
@@ -44,12 +44,12 @@ class Missed(NamedTuple):
     rms_arcsec: float
     sigma_arcsec: float
     nees: float
-    most: float
+    nees_limit: float
 
     @property
-    def is_honest(self) -> bool:
+    def is_consistent(self) -> bool:
         """True if the errors are no larger than predicted; False for NaN."""
-        return self.nees <= self.most
+        return self.nees <= self.nees_limit
 
 
 class OutageCheck(NamedTuple):
@@ -63,7 +63,7 @@ class OutageCheck(NamedTuple):
 
     horizon_s: float
     intervals: int
-    parts: dict[str, Missed]
+    parts: dict[str, PredictionError]
 
 
 def outage_checks(record: StarRecord, fitted: FittedModel) -> list[OutageCheck]:
@@ -77,39 +77,39 @@ def outage_checks(record: StarRecord, fitted: FittedModel) -> list[OutageCheck]:
             begin = int(np.searchsorted(times_s, begin_s, side="right")) - 1
             # By rounding, the last interval may end slightly after the record.
             end = int(np.searchsorted(times_s, begin_s + horizon_s - 1e-6))
-            is_there = end < len(times_s) and times_s[end] - begin_s <= _LATE * horizon_s
+            is_there = end < len(times_s) and times_s[end] - begin_s <= _MAX_INTERVAL_RATIO * horizon_s
             if is_there and end > begin:
-                found.append(_missed(epochs, begin, end))
+                found.append(_prediction_error(epochs, begin, end))
         if found:
-            checks.append(_check(horizon_s, *(np.array(column) for column in zip(*found, strict=True))))
+            checks.append(_outage_check(horizon_s, *(np.array(column) for column in zip(*found, strict=True))))
     return checks
 
 
-def _missed(epochs: EpochFilter, begin: int, end: int) -> tuple[FloatArray, FloatArray]:
+def _prediction_error(epochs: EpochFilter, begin: int, end: int) -> tuple[FloatArray, FloatArray]:
     """Return the correction of a prediction by the last stars, arcsec, shape (3,), and its covariance, (3, 3).
 
     Directions that the stars do not observe, such as a rotation about the only boresight, are not corrected and not
     tested.
     """
-    known = epochs.known(begin)
-    predicted = epochs.ahead(known, begin, end)
-    since_s = epochs.times_s[end] - _LAST * (epochs.times_s[end] - epochs.times_s[begin])
-    last = max(int(np.searchsorted(epochs.times_s, since_s)), end + 1 - _MOST_LAST, begin + 1)
-    seen, at = known, begin
+    estimate = epochs.estimate_at(begin)
+    predicted = epochs.predict(estimate, begin, end)
+    since_s = epochs.times_s[end] - _CHECKED_SHARE * (epochs.times_s[end] - epochs.times_s[begin])
+    last = max(int(np.searchsorted(epochs.times_s, since_s)), end + 1 - _MAX_CHECKED_EPOCHS, begin + 1)
+    corrected, at = estimate, begin
     for epoch in range(last, end + 1):
-        seen, at = epochs.with_epoch(epochs.ahead(seen, at, epoch), epoch), epoch
+        corrected, at = epochs.update(epochs.predict(corrected, at, epoch), epoch), epoch
     # The covariance of the correction is the reduction of the covariance.
-    return seen.mean[:3] - predicted.mean[:3], predicted.covariance[:3, :3] - seen.covariance[:3, :3]
+    return corrected.mean[:3] - predicted.mean[:3], predicted.covariance[:3, :3] - corrected.covariance[:3, :3]
 
 
-def _check(horizon_s: float, missed: FloatArray, covariance: FloatArray) -> OutageCheck:
+def _outage_check(horizon_s: float, errors_by_interval: FloatArray, covariance: FloatArray) -> OutageCheck:
     parts = {}
     for name, axes in _PARTS.items():
-        errors, claimed = missed[:, axes], covariance[:, axes][:, :, axes]
-        parts[name] = Missed(
+        errors, claimed = errors_by_interval[:, axes], covariance[:, axes][:, :, axes]
+        parts[name] = PredictionError(
             rms_arcsec=float(np.sqrt(np.mean(errors**2))),
             sigma_arcsec=float(np.sqrt(np.mean(np.diagonal(claimed, axis1=1, axis2=2)))),
             nees=float(np.mean(normalized_error_squared(errors, claimed))),
-            most=mean_nees_band(len(errors), len(axes))[1],
+            nees_limit=mean_nees_band(len(errors), len(axes))[1],
         )
-    return OutageCheck(horizon_s, len(missed), parts)
+    return OutageCheck(horizon_s, len(errors_by_interval), parts)

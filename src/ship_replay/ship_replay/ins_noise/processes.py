@@ -70,7 +70,7 @@ class InsErrorModel(Protocol):
 
     parameters: tuple[Parameter, ...]
     suite_parameters: tuple[SuiteParameter, ...]
-    fixed: dict[str, float]
+    configured_values: dict[str, float]
 
     @property
     def name(self) -> str:
@@ -108,7 +108,7 @@ class GaussMarkovModel:
             SuiteParameter("heading_sigma_arcsec", "arcsec", half, np.array([0.0, 0.0, 0.5, 0.5, 0.0])),
             SuiteParameter("heading_time_s", "s", 0.0, np.eye(5)[3]),
         )
-        self.fixed: dict[str, float] = {}
+        self.configured_values: dict[str, float] = {}
 
     def steps(self, values: FloatArray, times_s: FloatArray) -> ProcessSteps:
         """See :class:`InsErrorModel`."""
@@ -157,7 +157,7 @@ class SchulerModel:
             SuiteParameter("white_sigma_arcsec", "arcsec", 0.0, unit[-1]),
             *(SuiteParameter(name, _unit(name), 0.0, unit[row]) for row, name in enumerate(names)),
         )
-        self.fixed = {
+        self.configured_values = {
             "schuler.position_sigma_m": schuler.position_sigma_m,
             "schuler.gyro_drift_time_s": schuler.gyro_drift_time_s,
             "schuler.accelerometer_bias_time_s": schuler.accelerometer_bias_time_s,
@@ -169,7 +169,7 @@ class SchulerModel:
 
     def steps(self, values: FloatArray, times_s: FloatArray) -> ProcessSteps:
         """See :class:`InsErrorModel`."""
-        transition, fresh = self._ways(times_s)
+        transition, fresh = self._discretised(times_s)
         count = len(values)
         tilt, heading, velocity, drift, angle_walk, bias, velocity_walk, white = values.T
         configs = [
@@ -202,7 +202,7 @@ class SchulerModel:
         """Units of the states: the effect of an arcsecond of tilt on each over about one oscillation."""
         return np.array([ARCSEC] * 3 + [0.04] * 2 + [ARCSEC] + [1e-3 * ARCSEC] * 3 + [10.0 * ARCSEC] * 2)
 
-    def _ways(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _discretised(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the discretised process between epochs, for unit densities of attitude, velocity, drift and bias.
 
         Returns:
@@ -213,14 +213,14 @@ class SchulerModel:
             kinds, of = np.unique(steps, return_inverse=True)
             process = SchulerIns(self._config, np.ones(3), None)
             rates = process.system_matrix(self._here) * self._scale / self._scale[:, None]
-            found = [_way(rates, kind * _STEP_S) for kind in kinds.tolist()]
+            found = [_discretise(rates, kind * _STEP_S) for kind in kinds.tolist()]
             transition = np.array([way[0] for way in found]).reshape(-1, 11, 11)[of]
             fresh = np.array([way[1] for way in found]).reshape(-1, 4, 11, 11)[of]
             self._cached = times_s, transition, np.moveaxis(fresh, 0, 1)
         return self._cached[1:]
 
 
-def _way(rates: FloatArray, dt_s: float) -> tuple[FloatArray, FloatArray]:
+def _discretise(rates: FloatArray, dt_s: float) -> tuple[FloatArray, FloatArray]:
     """Return the transition over a time, (n, n), and the covariances of unit densities, (4, n, n) (Van Loan 1978)."""
     size = len(rates)
     fresh = []

@@ -31,14 +31,14 @@ from ship_node.documents.saved_document import DISK, Files
 from ship_node.edge.reporting_adapter import Feed
 from ship_node.edge.topics import OutputMessage
 from ship_replay.offline.adapter_chain import suite_chain
-from ship_replay.offline.replay import Watcher, match_inputs
+from ship_replay.offline.replay import ProgressWrapper, match_inputs
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 
-_WIDER = 3.0
+_SIGMA_FACTOR = 3.0
 """Factor on the configured sigmas, so that sigmas too small by this factor cause no rejections."""
 
 
-class StarPair(NamedTuple):
+class StarComparison(NamedTuple):
     """A star measurement compared with the INS: value = jacobian @ (errors of the filter's model) + noise.
 
     Attributes:
@@ -67,18 +67,18 @@ class StarComparisons:
         rejected: measurements that the node did not use.
     """
 
-    found: dict[tuple[str, int], StarPair] = field(default_factory=dict)
+    accepted: dict[tuple[str, int], StarComparison] = field(default_factory=dict)
     rejected: set[tuple[str, int]] = field(default_factory=set)
 
-    def take(self, core: ShipAttitudeCore, decisions: Iterable[AttitudeDecision]) -> None:
+    def add_decisions(self, core: ShipAttitudeCore, decisions: Iterable[AttitudeDecision]) -> None:
         """Add the decisions of a node; a revised decision replaces the earlier one."""
         for decision in decisions:
-            self._take(core, decision)
+            self._add_decision(core, decision)
 
-    def _take(self, core: ShipAttitudeCore, decision: AttitudeDecision) -> None:
+    def _add_decision(self, core: ShipAttitudeCore, decision: AttitudeDecision) -> None:
         measurement = decision.measurement
         key = measurement.source, measurement.time_ns
-        self.found.pop(key, None)
+        self.accepted.pop(key, None)
         self.rejected.discard(key)
         linearised = core.linearise(measurement) if decision.accepted else None
         if linearised is None:
@@ -91,7 +91,7 @@ class StarComparisons:
             # The INS is levelled by gravity: the given deflection is no error of the INS.
             attitude = core.filter.model.slices["ins.attitude"]
             value = value - linear.jacobian[:, attitude] @ (here.deflection_jacobian @ here.given_deflection)
-        self.found[key] = StarPair(measurement.time_ns, measurement.source, value, linear.jacobian, linear.noise, here)
+        self.accepted[key] = StarComparison(measurement.time_ns, measurement.source, value, linear.jacobian, linear.noise, here)
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class NoiseSession:
     name: str
     config: ShipAttitudeConfig
     model: ShipStateModel
-    pairs: list[StarPair]
+    comparisons: list[StarComparison]
     common_n: Mapping[str, FloatArray]
     rejected_count: int
     problems: list[str]
@@ -121,7 +121,7 @@ def noise_session(
     name: str, config: ShipAttitudeConfig, core: ShipAttitudeCore, comparisons: StarComparisons, problems: list[str]
 ) -> NoiseSession:
     """Return the session of a core that has processed a whole bag."""
-    pairs = sorted(comparisons.found.values(), key=lambda pair: (pair.time_ns, pair.source))
+    pairs = sorted(comparisons.accepted.values(), key=lambda pair: (pair.time_ns, pair.source))
     return NoiseSession(name, config, core.filter.model, pairs, dict(core.state.common_n), len(comparisons.rejected), problems)
 
 
@@ -129,7 +129,7 @@ def run_session(
     bag_path: Path,
     config_path: Path | None = None,
     namespace: str = "",
-    watch: Watcher = lambda records, bag: records,
+    progress: ProgressWrapper = lambda records, bag: records,
 ) -> NoiseSession:
     """Process a bag with the suite's nodes.
 
@@ -142,13 +142,13 @@ def run_session(
     Raises:
         BadInput: the bag or the configuration cannot be used, or no star measurement was used.
     """
-    comparisons, listening = StarComparisons(), []
+    comparisons, adapters = StarComparisons(), []
 
     class DecisionRecorder(ShipAttitudeAdapter):
         def __init__(self, config: ShipAttitudeConfig, factory: MessageFactory, files: Files = DISK) -> None:
             super().__init__(session_config(config), factory, files)
             self.configured = config
-            listening.append(self)
+            adapters.append(self)
 
         def table(self, config: ShipAttitudeConfig, core: ShipAttitudeCore) -> Iterator[Feed]:
             for feed in super().table(config, core):
@@ -157,24 +157,24 @@ def run_session(
                     feed = replace(feed, take=functools.partial(core.add_ins, estimate=False), block=None)
                 yield feed
 
-        def published(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
-            comparisons.take(self.core, outcome.decisions)
+        def report_outcome(self, outcome: Any, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
+            comparisons.add_decisions(self.core, outcome.decisions)
             return []
 
     with read_bag(bag_path) as bag:
         chain, left_out = suite_chain(bag, (DecisionRecorder, StarAttitudeAdapter), RosbagsFactory(), config_path, namespace)
-        if not listening or not listening[0].config.star_sensors:
+        if not adapters or not adapters[0].config.star_sensors:
             text = f"the configuration has no star_sensors of {ShipAttitudeAdapter.node_name}: the error of"
             raise BadInput(f"{text} the INS is not observable", file=bag.path)
-        adapter = listening[0]
+        adapter = adapters[0]
         names = {name: relative for relative, name in match_inputs(bag, chain, namespace).items()}
         summary = ReplaySummary()
-        run = ReplayRun(chain, _Nowhere(), summary, ())
-        for record in watch(bag.records(names), bag):
-            run.take(names[record.topic], record)
+        run = ReplayRun(chain, _NullSink(), summary, ())
+        for record in progress(bag.records(names), bag):
+            run.process_message(names[record.topic], record)
         unread = [f"topic '{topic}': {count} messages cannot be read" for topic, count in summary.undecodable.items()]
         problems = [*left_out, *bag.problems, *unread]
-        if not comparisons.found:
+        if not comparisons.accepted:
             counts = f"{len(comparisons.rejected)} received, all rejected" if comparisons.rejected else "none received"
             raise BadInput(f"no star measurement was used ({counts}): the INS error is not observable", file=bag.path)
         return noise_session(bag_path.name, adapter.configured, adapter.core, comparisons, problems)
@@ -187,20 +187,20 @@ def session_config(config: ShipAttitudeConfig) -> ShipAttitudeConfig:
     modelled, whether it is relevant or not.
     """
     gravity = config.gravity if config.gravity.is_modelled else GravityConfig(deflection=UNKNOWN)
-    return replace(config, ins=_wider(config.ins), gravity=gravity, references={}, alignment_file="", sources_off=())
+    return replace(config, ins=_with_wider_sigmas(config.ins), gravity=gravity, references={}, alignment_file="", sources_off=())
 
 
-def _wider(ins: InsConfig) -> InsConfig:
+def _with_wider_sigmas(ins: InsConfig) -> InsConfig:
     return replace(
         ins,
         model=GAUSS_MARKOV,
-        tilt_sigma_arcsec=_WIDER * ins.tilt_sigma_arcsec,
-        heading_sigma_arcsec=_WIDER * ins.heading_sigma_arcsec,
-        white_sigma_arcsec=_WIDER * ins.white_sigma_arcsec,
+        tilt_sigma_arcsec=_SIGMA_FACTOR * ins.tilt_sigma_arcsec,
+        heading_sigma_arcsec=_SIGMA_FACTOR * ins.heading_sigma_arcsec,
+        white_sigma_arcsec=_SIGMA_FACTOR * ins.white_sigma_arcsec,
     )
 
 
-class _Nowhere:
+class _NullSink:
     """Sink that discards the outputs of the other nodes."""
 
     def write(self, topic: str, message: Any, log_time_ns: int) -> None:
@@ -210,7 +210,7 @@ class _Nowhere:
         """Ignore the truth: an identification must not use it."""
 
 
-def mean_location(pairs: Iterable[StarPair]) -> LocalVertical | None:
+def mean_location(pairs: Iterable[StarComparison]) -> LocalVertical | None:
     """Return mean latitude and velocity of the ship over the comparisons; None without any position fix."""
     places = [pair.here for pair in pairs if not np.isnan(pair.here.latitude)]
     if not places:

@@ -17,17 +17,17 @@ from numpy.typing import NDArray
 from ship_estimation.kalman import StateModel
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
-from ship_replay.ins_noise.session import NoiseSession, StarPair
+from ship_replay.ins_noise.session import NoiseSession, StarComparison
 
 MOST_EPOCHS = 6000
 """Maximum number of epochs of a record, more than three hours at 0.5 Hz; longer records are thinned."""
 
-_OF_INS = ("ins.attitude", "ins.noise", "gravity.deflection")
+_INS_BLOCKS = ("ins.attitude", "ins.noise", "gravity.deflection")
 """States to be identified, or part of them."""
 
 
 @dataclass(frozen=True)
-class Moving:
+class TimeVaryingStates:
     """Time-varying states other than the INS's error, in units of their own sigmas at the start.
 
     Attributes:
@@ -45,7 +45,7 @@ class Moving:
         """Number of the states."""
         return len(self.time_s)
 
-    def over(self, dt_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def propagation(self, dt_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the decay factors of the states over times, shape (e, c), and the process noise, shape (e, c, c)."""
         decay = np.exp(-dt_s[:, None] / self.time_s)
         fresh = self.covariance * (1.0 - decay[:, :, None] * decay[:, None, :])
@@ -73,72 +73,72 @@ class StarRecord:
     information: FloatArray
     white_gain: FloatArray
     log_constant: float
-    moving: Moving
+    time_varying: TimeVaryingStates
     constants: FloatArray
     names: tuple[str, ...]
-    every: int
+    epoch_step: int
 
     @property
     def duration_s(self) -> float:
         """Time from the first to the last epoch."""
         return float(self.times_s[-1])
 
-    def thinned(self, every: int) -> "StarRecord":
+    def with_every_nth_epoch(self, step: int) -> "StarRecord":
         """Return the record with every nth epoch; its likelihood lacks a constant."""
-        kept = slice(None, None, every)
+        kept = slice(None, None, step)
         return replace(
             self,
             times_s=self.times_s[kept],
             information=self.information[kept],
             white_gain=self.white_gain[kept],
-            every=self.every * every,
+            every=self.epoch_step * step,
         )
 
 
 def star_record(session: NoiseSession, most_epochs: int = MOST_EPOCHS) -> StarRecord:
     """Return the record of a session's comparisons."""
-    model, pairs, beside = session.model, session.pairs, _beside(session)
+    model, pairs, others = session.model, session.comparisons, _other_states(session)
     stamps = np.array([pair.time_ns for pair in pairs], dtype=np.int64)
     kept, of_epoch = np.unique(stamps, return_inverse=True)
     every = -(-len(kept) // most_epochs)
     kept = kept[::every]
-    size = 3 + len(beside.rows) + 1
+    size = 3 + len(others.rows) + 1
     information, gains = np.zeros((len(kept), size, size)), np.ones(len(kept))
     log_constant = 0.0
     for pair, epoch in zip(pairs, of_epoch.tolist(), strict=True):
         if epoch % every:
             continue
-        columns = _columns(pair, model, beside)
+        columns = _columns(pair, model, others)
         information[epoch // every] += columns.T @ np.linalg.solve(pair.noise, columns)
         gains[epoch // every] = _white_gain(pair, model)
         log_constant -= 0.5 * (len(pair.value) * np.log(2.0 * np.pi) + float(np.linalg.slogdet(pair.noise)[1]))
     times_s = (kept - kept[0]) / SECOND_NS
-    return StarRecord(times_s, information, gains, log_constant, beside.moving, beside.constants, beside.names, every)
+    return StarRecord(times_s, information, gains, log_constant, others.time_varying, others.constants, others.names, every)
 
 
-def _columns(pair: StarPair, model: StateModel, beside: "_Beside") -> FloatArray:
+def _columns(pair: StarComparison, model: StateModel, others: "_OtherStates") -> FloatArray:
     """Return the Jacobian by u and the other states, in their units, and the value, shape (m, s)."""
     by_attitude = ARCSEC * pair.jacobian[:, model.slices["ins.attitude"]]
-    return np.column_stack([by_attitude, pair.jacobian[:, beside.rows] * beside.scale, pair.value])
+    return np.column_stack([by_attitude, pair.jacobian[:, others.rows] * others.scale, pair.value])
 
 
-def _white_gain(pair: StarPair, model: StateModel) -> float:
+def _white_gain(pair: StarComparison, model: StateModel) -> float:
     """Return the variance of the white noise in a comparison over that of a sample; interpolation reduces it."""
     by_white, by_slow = (pair.jacobian[:, model.slices[name]] for name in ("ins.noise", "ins.attitude"))
     return float((np.sum(by_white * by_slow) / np.sum(by_slow**2)) ** 2)
 
 
-class _Beside(NamedTuple):
+class _OtherStates(NamedTuple):
     """States other than the INS's error, time-varying ones first: indices, sigmas and models."""
 
     rows: NDArray[np.intp]
     scale: FloatArray
     names: tuple[str, ...]
-    moving: Moving
+    time_varying: TimeVaryingStates
     constants: FloatArray
 
 
-def _beside(session: NoiseSession) -> _Beside:
+def _other_states(session: NoiseSession) -> _OtherStates:
     """Return the states with a non-zero sigma that some comparison depends on."""
     model = session.model
     covariance, time_s, walk = np.zeros((model.size, model.size)), np.zeros(model.size), np.zeros(model.size)
@@ -149,9 +149,9 @@ def _beside(session: NoiseSession) -> _Beside:
         is_common = kind == "common" and source in session.common_n
         covariance[states, states] = session.common_n[source] if is_common else np.diag(block.sigma**2)
         time_s[states], walk[states], names[states] = block.time_s, block.walk, name
-    matters = np.any([np.any(pair.jacobian != 0.0, axis=0) for pair in session.pairs], axis=0)
+    matters = np.any([np.any(pair.jacobian != 0.0, axis=0) for pair in session.comparisons], axis=0)
     matters &= (np.diagonal(covariance) > 0.0) | (walk > 0.0)
-    for name in _OF_INS:
+    for name in _INS_BLOCKS:
         if name in model.slices:
             matters[model.slices[name]] = False
     moves = np.isfinite(time_s) | (walk > 0.0)
@@ -162,12 +162,12 @@ def _beside(session: NoiseSession) -> _Beside:
     scaled = covariance[np.ix_(rows, rows)] / np.outer(scale, scale)
     count = len(moving)
     walking = np.where(np.isinf(time_s[moving]), walk[moving], 0.0) / scale[:count]
-    return _Beside(
-        rows, scale, tuple(names[rows]), Moving(scaled[:count, :count], time_s[moving], walking), scaled[count:, count:]
+    return _OtherStates(
+        rows, scale, tuple(names[rows]), TimeVaryingStates(scaled[:count, :count], time_s[moving], walking), scaled[count:, count:]
     )
 
 
-def white_taken_out(record: StarRecord, white: FloatArray) -> tuple[FloatArray, FloatArray]:
+def marginalise_white_noise(record: StarRecord, white: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the information of the epochs with the INS's white noise integrated out.
 
     Args:
@@ -180,5 +180,5 @@ def white_taken_out(record: StarRecord, white: FloatArray) -> tuple[FloatArray, 
     root = np.sqrt(record.white_gain[:, None] * white)
     by_u = root[:, :, None] * record.information[:, :3]
     with_noise = np.eye(3) + by_u[:, :, :3] * root[:, None, :]
-    taken = np.swapaxes(by_u, -1, -2) @ np.linalg.solve(with_noise, by_u)
-    return record.information - taken, -0.5 * np.linalg.slogdet(with_noise)[1]
+    marginal = np.swapaxes(by_u, -1, -2) @ np.linalg.solve(with_noise, by_u)
+    return record.information - marginal, -0.5 * np.linalg.slogdet(with_noise)[1]

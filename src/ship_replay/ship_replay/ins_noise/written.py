@@ -19,8 +19,8 @@ def parameter_file_text(identification: Identification) -> str:
     values: dict[str, tuple[str, str]] = {"model": (f'"{best.model.name}"', "")}
     for what in best.model.suite_parameters:
         value, log_sigma = best.suite_value(what)
-        values[what.name] = _number(value), f"{_known(value, log_sigma)} [{what.unit}]"
-    for name, value in best.model.fixed.items():
+        values[what.name] = _number(value), f"{_sigma_text(value, log_sigma)} [{what.unit}]"
+    for name, value in best.model.configured_values.items():
         values[name] = _number(value), "as configured"
     head = [f"By identify_noise from {session.name}. {identification.model_choice}.", *identification.warnings]
     lines = [*(f"# {line}" for line in head), f"{in_any_namespace(ShipAttitudeAdapter.node_name)}:", f"  {PARAMETERS_KEY}:"]
@@ -47,7 +47,7 @@ def _number(value: float) -> str:
     return repr(float(f"{value:.4g}"))
 
 
-def _known(value: float, log_sigma: float) -> str:
+def _sigma_text(value: float, log_sigma: float) -> str:
     """Return the sigma of a value as text, or that it is hardly known."""
     known = uncertainty_text(log_sigma)
     return f"± {value * log_sigma:.2g}, 1 sigma" if known.startswith("±") else f"{known}, 1 sigma"
@@ -57,16 +57,16 @@ def result_lines(identification: Identification) -> list[str]:
     """Return the result line by line, without the warnings."""
     session, record = identification.session, identification.record
     hours, epochs = record.duration_s / 3600.0, len(record.times_s)
-    lines = [f"{session.name}: {len(session.pairs)} star measurements, {epochs} epochs used over {hours:.2f} h"]
+    lines = [f"{session.name}: {len(session.comparisons)} star measurements, {epochs} epochs used over {hours:.2f} h"]
     for fitted in identification.fitted:
         name = fitted.model.name
         lines.append(f"{name}: log likelihood {fitted.log_likelihood:.1f}, {len(fitted.values)} parameters")
-        lines += [f"  {line}" for line in _parameters(fitted)]
-        lines += [f"  {_outage(check)}" for check in identification.outages[name]]
+        lines += [f"  {line}" for line in _parameter_lines(fitted)]
+        lines += [f"  {_outage_line(check)}" for check in identification.outages[name]]
     return [*lines, identification.model_choice]
 
 
-def _parameters(fitted: FittedModel) -> Iterator[str]:
+def _parameter_lines(fitted: FittedModel) -> Iterator[str]:
     for what in fitted.model.suite_parameters:
         value, log_sigma = fitted.suite_value(what)
         yield f"{what.name:45}{value:12.4g} {what.unit:12}{uncertainty_text(log_sigma)}"
@@ -74,14 +74,14 @@ def _parameters(fitted: FittedModel) -> Iterator[str]:
         if parameter.name.startswith("2 σ²/τ"):
             low, high = (value * math.exp(sign * _SIGMAS * log_sigma) for sign in (-1.0, 1.0))
             yield f"{parameter.name:45}{value:12.4g} {'':12}{uncertainty_text(float(log_sigma))}, 99.9 %: {low:.3g} to {high:.3g}"
-    for name, fixed in fitted.model.fixed.items():
+    for name, fixed in fitted.model.configured_values.items():
         yield f"{name:45}{fixed:12.4g} {'':12}as configured"
 
 
-def _outage(check: OutageCheck) -> str:
+def _outage_line(check: OutageCheck) -> str:
     parts = [
         f"{name} {missed.rms_arcsec:.1f}″ (σ {missed.sigma_arcsec:.1f}″, NEES {missed.nees:.1f} of at most "
-        f"{missed.most:.1f})"
+        f"{missed.nees_limit:.1f})"
         for name, missed in check.parts.items()
     ]
     return f"{check.horizon_s:.0f} s without stars, {check.intervals} times: {', '.join(parts)}"

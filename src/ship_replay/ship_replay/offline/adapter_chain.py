@@ -57,7 +57,7 @@ def suite_config(bag: Bag, adapter_class: type[Adapter], config_path: Path | Non
     try:
         return load_config(adapter_class.config_type, text, node)
     except BadInput as problem:
-        raise attached(bag, problem) from problem
+        raise attachment_error(bag, problem) from problem
 
 
 def suite_nodes(
@@ -79,7 +79,7 @@ def suite_nodes(
     try:
         return _checked_nodes(suite_text(bag, None), adapter_classes, namespace)
     except BadInput as problem:
-        raise attached(bag, problem) from problem
+        raise attachment_error(bag, problem) from problem
 
 
 def nodes_of(
@@ -110,7 +110,7 @@ def _checked_nodes(
     return nodes_of(source, adapter_classes, namespace)
 
 
-def attached(bag: Bag, problem: BadInput) -> BadInput:
+def attachment_error(bag: Bag, problem: BadInput) -> BadInput:
     """Return an error about the suite configuration attached to a bag, as bad input that names the bag."""
     text = f"attachment {SUITE_ATTACHMENT}: {problem}"
     return BadInput(text, file=bag.path, parameters=problem.parameters, value=problem.value)
@@ -135,15 +135,15 @@ class AdapterChain:
     def __init__(
         self, adapters: Sequence[Adapter], linked: bool = True, configs: Mapping[str, Any] | None = None
     ) -> None:
-        self.adapters = _in_order_of_flow(adapters)
+        self.adapters = _sort_by_flow(adapters)
         self.configs = dict(configs or {})
         self.linked = linked
-        self.taken = [_names(adapter.inputs) for adapter in self.adapters]
-        self.outputs: tuple[OutputTopic, ...] = _by_topic(t for adapter in self.adapters for t in adapter.outputs)
+        self.input_topics = [_names(adapter.inputs) for adapter in self.adapters]
+        self.outputs: tuple[OutputTopic, ...] = _first_by_topic(t for adapter in self.adapters for t in adapter.outputs)
         inside = _names(self.outputs) if linked else set()
         wanted = [t for adapter in self.adapters for t in adapter.inputs if t.topic not in inside]
         # Required ones come first: a topic is required if any adapter requires it.
-        self.inputs: tuple[InputTopic, ...] = _by_topic(sorted(wanted, key=lambda topic: not topic.required))
+        self.inputs: tuple[InputTopic, ...] = _first_by_topic(sorted(wanted, key=lambda topic: not topic.required))
 
     @property
     def name(self) -> str:
@@ -154,12 +154,12 @@ class AdapterChain:
         """Process one message of an input topic."""
         return self._handle(0, topic, message, receive_ns)
 
-    def topics_in_blocks(self) -> set[str]:
+    def block_topics(self) -> set[str]:
         """Return the topics from outside that an adapter can process in blocks."""
         return {
             topic
-            for adapter, taken in zip(self.adapters, self.taken, strict=True)
-            for topic in taken & _names(self.inputs)
+            for adapter, input_topics in zip(self.adapters, self.input_topics, strict=True)
+            for topic in input_topics & _names(self.inputs)
             if isinstance(adapter, BatchAdapter) and (adapter.accepts_batches(topic) or adapter.can_read_rows(topic))
         }
 
@@ -167,22 +167,22 @@ class AdapterChain:
         """Tick all adapters in order; each has already received the outputs of earlier adapters at this tick."""
         published: list[OutputMessage] = []
         for index, adapter in enumerate(self.adapters):
-            published += self._passed_on(index, adapter.tick(now_ns), now_ns)
+            published += self._forward(index, adapter.tick(now_ns), now_ns)
         return published
 
     def _handle(self, first: int, topic: str, message: Any, receive_ns: int) -> list[OutputMessage]:
         published: list[OutputMessage] = []
         for index in range(first, len(self.adapters)):
-            if topic in self.taken[index]:
-                given = self.adapters[index].handle(topic, message, receive_ns)
-                published += self._passed_on(index, given, receive_ns)
+            if topic in self.input_topics[index]:
+                outputs = self.adapters[index].handle(topic, message, receive_ns)
+                published += self._forward(index, outputs, receive_ns)
         return published
 
-    def _passed_on(self, index: int, given: list[OutputMessage], now_ns: int) -> list[OutputMessage]:
+    def _forward(self, index: int, outputs: list[OutputMessage], now_ns: int) -> list[OutputMessage]:
         """Return an adapter's outputs and the outputs of later adapters caused by them."""
-        published = list(given)
+        published = list(outputs)
         if self.linked:
-            for topic, message in given:
+            for topic, message in outputs:
                 published += self._handle(index + 1, topic, message, now_ns)
         return published
 
@@ -211,13 +211,13 @@ def suite_chain(
     Raises:
         BadInput: the configuration cannot be used.
     """
-    meant = suite_nodes(bag, adapter_classes, config_path, namespace)
+    configured = suite_nodes(bag, adapter_classes, config_path, namespace)
     found, adapters, configs, left_out = relative_topics(bag.topics, namespace), [], {}, []
-    for kind in meant:
+    for kind in configured:
         config = suite_config(bag, kind, config_path, full_name(kind.node_name, namespace))
         adapter = kind(config, factory, READ_ONLY)
         devices = [t.topic for t in adapter.inputs if t.is_occasional or t.topic.startswith(_DEVICE_PREFIXES)]
-        if kind is not meant[0] and not found.keys() & devices:
+        if kind is not configured[0] and not found.keys() & devices:
             wanted = ", ".join(devices) or "the devices that it needs"
             left_out.append(f"{kind.node_name} is not replayed: the bag has no {wanted}")
         else:
@@ -226,7 +226,7 @@ def suite_chain(
     return AdapterChain(adapters, linked, configs), left_out
 
 
-def _in_order_of_flow(adapters: Sequence[Adapter]) -> tuple[Adapter, ...]:
+def _sort_by_flow(adapters: Sequence[Adapter]) -> tuple[Adapter, ...]:
     """Sort the adapters so that each comes after those that publish its inputs."""
     ordered, rest = [], list(adapters)
     while rest:
@@ -244,7 +244,7 @@ def _names(topics: Iterable[InputTopic | OutputTopic]) -> set[str]:
     return {topic.topic for topic in topics}
 
 
-def _by_topic(topics: Any) -> tuple[Any, ...]:
+def _first_by_topic(topics: Any) -> tuple[Any, ...]:
     """Return the first entry of each topic."""
     first: dict[str, Any] = {}
     for topic in topics:

@@ -18,12 +18,12 @@ from ship_node.black_box.versions import versions
 from ship_node.edge.adapter import Adapter
 from ship_node.parameters.parameter_file import read_node_parameters, read_matching_sections
 from ship_replay.offline.adapter_chain import suite_config, suite_text
-from ship_replay.offline.verification import ASIDE
+from ship_replay.offline.verification import UNCOMPARED_TYPES
 
-_OFF = {"alignment_autosave_s": 0.0, "accept_unset_covariance": True}
+_OFF_VALUES = {"alignment_autosave_s": 0.0, "accept_unset_covariance": True}
 """Parameters introduced after the first black boxes, by the last part of their names, with the value for the old
 behaviour."""
-_SINCE_RATE_COVARIANCE = "ins.accept_unset_covariance"
+_RATE_COVARIANCE_PARAMETER = "ins.accept_unset_covariance"
 """Parameter introduced together with the covariance of the rates in ``ship/imu``."""
 
 
@@ -71,17 +71,17 @@ def black_box_config(bag: Bag, adapter_class: type[Adapter], config_path: Path |
     name = adapter_class.node_name
     # Its own parameters fit in any namespace; a file must fit the node's full name.
     node = in_any_namespace(name) if config_path is None else full_name(name, bag.metadata[METADATA].get("namespace", ""))
-    config = _as_the_node_knew_it(suite_config(bag, adapter_class, config_path, node), bag, node, config_path)
+    config = _without_later_parameters(suite_config(bag, adapter_class, config_path, node), bag, node, config_path)
     if config_path is not None:
-        changes = _changes(bag, config, adapter_class)
+        changes = _parameter_changes(bag, config, adapter_class)
         notes.append(f"replayed with {config_path} instead of the black box's own parameters{changes}")
     return config
 
 
 def older_message_converters(bag: Bag) -> dict[str, Callable[[Any], Any]]:
     """Return output topic → function that converts a message to the recording release; empty for this release."""
-    own = _own_parameters(bag)
-    return {"ship/imu": _without_rate_covariance} if own and _SINCE_RATE_COVARIANCE not in own else {}
+    own = _recorded_parameters(bag)
+    return {"ship/imu": _without_rate_covariance} if own and _RATE_COVARIANCE_PARAMETER not in own else {}
 
 
 def check_definitions(bag: Bag) -> None:
@@ -91,7 +91,7 @@ def check_definitions(bag: Bag) -> None:
         BadInput: names the fields that differ.
     """
     for topic, type_name in sorted(bag.topics.items()):
-        if type_name not in ASIDE and type_name in bag.differences:
+        if type_name not in UNCOMPARED_TYPES and type_name in bag.differences:
             lines = "; ".join(bag.differences[type_name])
             raise BadInput(f"topic '{topic}': the message definition has changed: {lines}", file=bag.path)
     for topic, why in sorted(bag.skipped_topics.items()):
@@ -107,7 +107,7 @@ def check_topics(bag: Bag, adapter: Adapter, notes: list[str], other_config: boo
     expected = {topic.topic: topic.type_name for topic in adapter.inputs}
     expected |= {topic.topic: topic.type_name for topic in adapter.outputs}
     for topic, type_name in sorted(bag.topics.items()):
-        if topic == EVENTS_TOPIC or type_name in ASIDE or expected.get(topic) == type_name:
+        if topic == EVENTS_TOPIC or type_name in UNCOMPARED_TYPES or expected.get(topic) == type_name:
             continue
         text = f"topic '{topic}' ({type_name}) is no topic of {adapter.node_name} with these parameters"
         if not other_config:
@@ -118,32 +118,32 @@ def check_topics(bag: Bag, adapter: Adapter, notes: list[str], other_config: boo
 def _check_versions(bag: Bag, adapter_class: type[Adapter], config_path: Path | None, notes: list[str]) -> None:
     here = versions(adapter_class.__module__.partition(".")[0], {})
     if VERSIONS_ATTACHMENT not in bag.attachments:
-        _refuse_or_note(bag, f"attachment {VERSIONS_ATTACHMENT} is missing", config_path, notes)
+        _raise_or_note(bag, f"attachment {VERSIONS_ATTACHMENT} is missing", config_path, notes)
         return
     try:
         there = json.loads(bag.attachments[VERSIONS_ATTACHMENT])
         suite, others = dict(there["suite"]), {key: there[key] for key in ("python", "machine", "libraries")}
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise BadInput(f"attachment {VERSIONS_ATTACHMENT} cannot be read: {error!r}", file=bag.path) from error
-    if differing := _differing(suite, here["suite"]):
-        _refuse_or_note(bag, f"written by another version of the suite ({differing})", config_path, notes)
-    if differing := _differing(others, {key: here[key] for key in others}):
+    if differing := _version_differences(suite, here["suite"]):
+        _raise_or_note(bag, f"written by another version of the suite ({differing})", config_path, notes)
+    if differing := _version_differences(others, {key: here[key] for key in others}):
         notes.append(f"written elsewhere ({differing}): the last bits may differ")
 
 
-def _as_the_node_knew_it(config: Any, bag: Bag, node: str, config_path: Path | None) -> Any:
+def _without_later_parameters(config: Any, bag: Bag, node: str, config_path: Path | None) -> Any:
     """Return the configuration without functions unknown to the release that wrote the black box.
 
     A black box holds all parameters of its node, defaults included, so a missing one was unknown to it. A file may
     still set such a parameter.
     """
-    known = _own_parameters(bag) | (set() if config_path is None else set(read_node_parameters(config_path, node).lines))
+    known = _recorded_parameters(bag) | (set() if config_path is None else set(read_node_parameters(config_path, node).lines))
     values = flatten(config)
-    off = {name: _OFF[last] for name in values if (last := name.rpartition(".")[2]) in _OFF and name not in known}
+    off = {name: _OFF_VALUES[last] for name in values if (last := name.rpartition(".")[2]) in _OFF_VALUES and name not in known}
     return build(type(config), nest(values | off)) if off else config
 
 
-def _own_parameters(bag: Bag) -> set[str]:
+def _recorded_parameters(bag: Bag) -> set[str]:
     """Return dotted names of the parameters in the black box and of their groups; empty without its attachment."""
     if SUITE_ATTACHMENT not in bag.attachments:
         return set()
@@ -158,20 +158,20 @@ def _without_rate_covariance(message: Any) -> Any:
     return imu
 
 
-def _refuse_or_note(bag: Bag, text: str, config_path: Path | None, notes: list[str]) -> None:
+def _raise_or_note(bag: Bag, text: str, config_path: Path | None, notes: list[str]) -> None:
     if config_path is None:
         raise BadInput(f"{text}: give the parameters by --config FILE to replay it nevertheless", file=bag.path)
     notes.append(text)
 
 
-def _differing(there: dict[str, Any], here: dict[str, Any]) -> str:
+def _version_differences(there: dict[str, Any], here: dict[str, Any]) -> str:
     names = sorted(there.keys() | here.keys())
     return ", ".join(
         f"{name} {there.get(name)} there, {here.get(name)} here" for name in names if there.get(name) != here.get(name)
     )
 
 
-def _changes(bag: Bag, config: Any, adapter_class: type[Adapter]) -> str:
+def _parameter_changes(bag: Bag, config: Any, adapter_class: type[Adapter]) -> str:
     """Return the parameters that differ from those of the black box, as text; empty if it does not contain its own."""
     try:
         own, now = flatten(suite_config(bag, adapter_class, None, in_any_namespace(adapter_class.node_name))), flatten(config)

@@ -42,12 +42,12 @@ from ship_replay.offline.black_box_identity import (
     check_topics,
     older_message_converters,
 )
-from ship_replay.offline.verification import ASIDE, Difference, Verification, message_difference, stamp_of
+from ship_replay.offline.verification import UNCOMPARED_TYPES, Difference, Verification, message_difference, stamp_of
 
-Watcher = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
+ProgressWrapper = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
 
 
-class AnotherFileUse(Exception):
+class FileUseMismatch(Exception):
     """The replay used a file differently from the node."""
 
     def __init__(self, difference: Difference) -> None:
@@ -76,7 +76,7 @@ class RecordedFiles:
             OSError: as recorded for the node.
             AnotherFileUse: the node read nothing, or another file.
         """
-        return self._next(path, written=False).content or b""
+        return self._next_use(path, written=False).content or b""
 
     def write(self, path: Path, content: bytes) -> None:
         """Compare with the content that the node wrote at this time.
@@ -85,9 +85,9 @@ class RecordedFiles:
             OSError: as recorded for the node.
             AnotherFileUse: the node wrote nothing, another file or other bytes.
         """
-        recorded = self._next(path, written=True).content or b""
+        recorded = self._next_use(path, written=True).content or b""
         if recorded != content:
-            raise AnotherFileUse(_content_difference(path, self.time_ns, recorded, content))
+            raise FileUseMismatch(_content_difference(path, self.time_ns, recorded, content))
 
     def set_aside(self, path: Path) -> Path:
         """Return the path to which the node renamed a file at this time.
@@ -96,12 +96,12 @@ class RecordedFiles:
             OSError: as recorded for the node.
             AnotherFileUse: the node set nothing aside, or another file.
         """
-        return Path((self._next(path, written=True).content or b"").decode())
+        return Path((self._next_use(path, written=True).content or b"").decode())
 
-    def _next(self, path: Path, written: bool) -> FileUse:
+    def _next_use(self, path: Path, written: bool) -> FileUse:
         use = self._uses.popleft() if self._uses else None
         if use is None or (use.path, use.written) != (str(path), written):
-            raise AnotherFileUse(
+            raise FileUseMismatch(
                 Difference(f"file {path}", self.time_ns, "", _use_text(use), f"{'written' if written else 'read'}")
             )
         if use.error is not None:
@@ -114,7 +114,7 @@ def replay_black_box(
     adapters: tuple[type[Adapter], ...],
     config_path: Path | None = None,
     out_path: Path | None = None,
-    watch: Watcher = lambda records, bag: records,
+    progress: ProgressWrapper = lambda records, bag: records,
 ) -> Verification:
     """Replay a black box up to its end or to the first missing entry.
 
@@ -140,11 +140,11 @@ def replay_black_box(
         return adapter
 
     if out_path is None:
-        _BlackBoxReplay(bag, make_adapter, files, result, None).run(watch)
+        _BlackBoxReplay(bag, make_adapter, files, result, None).run(progress)
     else:
         with BagWriter(out_path) as writer:
             writer.add_attachment(SUITE_ATTACHMENT, suite_text(bag, config_path))
-            _BlackBoxReplay(bag, make_adapter, files, result, writer).run(watch)
+            _BlackBoxReplay(bag, make_adapter, files, result, writer).run(progress)
     result.notes += bag.problems
     return result
 
@@ -172,41 +172,41 @@ class _BlackBoxReplay:
         self._pending_outputs: deque[OutputMessage] = deque()
         self._closed = False
 
-    def run(self, watch: Watcher) -> None:
+    def run(self, progress: ProgressWrapper) -> None:
         """Process all entries of the black box."""
-        for number, record in enumerate(watch(self._bag.records_in_file_order(), self._bag), 1):
+        for number, record in enumerate(progress(self._bag.records_in_file_order(), self._bag), 1):
             if record.sequence != number:
-                self._result.unverified = f"entries are missing before {utc_text(record.log_time_ns)}"
+                self._result.incomplete_reason = f"entries are missing before {utc_text(record.log_time_ns)}"
                 return
             try:
-                self._take(record)
-            except AnotherFileUse as problem:
+                self._process_entry(record)
+            except FileUseMismatch as problem:
                 self._result.add_difference(problem.difference)
-            if self._result.unverified or (self._result.difference is not None and self._writer is None):
+            if self._result.incomplete_reason or (self._result.difference is not None and self._writer is None):
                 return
         if not self._closed:
-            self._result.cut = True
-            self._result.unverified = f"the black box ends suddenly, at {utc_text(self._files.time_ns)}"
+            self._result.is_truncated = True
+            self._result.incomplete_reason = f"the black box ends suddenly, at {utc_text(self._files.time_ns)}"
 
-    def _take(self, record: BagRecord) -> None:
+    def _process_entry(self, record: BagRecord) -> None:
         """Process one entry of the black box."""
         time_ns = self._files.time_ns = record.log_time_ns
         if record.topic == EVENTS_TOPIC:
-            self._take_event(event_from_text(record.decode().data), time_ns, record.publish_time_ns)
+            self._process_event(event_from_text(record.decode().data), time_ns, record.publish_time_ns)
             return
-        adapter = self._ready_adapter()
+        adapter = self._get_adapter()
         if record.topic in self._inputs:
             message, waiting_ns = record.decode(), record.publish_time_ns
             self._use(record.topic, time_ns, lambda: adapter.handle(record.topic, message, time_ns, waiting_ns))
         elif record.topic in self._outputs:
             self._compare(record)
 
-    def _take_event(self, event: Event, time_ns: int, waiting_ns: int) -> None:
+    def _process_event(self, event: Event, time_ns: int, waiting_ns: int) -> None:
         if isinstance(event, FileUsed):
             # Files used by the constructor are recorded before the adapter exists.
-            self._files.expect(FileUse(event.path, event.written, self._attached(event), event.error))
+            self._files.expect(FileUse(event.path, event.written, self._attached_content(event), event.error))
             return
-        adapter = self._ready_adapter()
+        adapter = self._get_adapter()
         if isinstance(event, Tick):
             self._use("tick", time_ns, lambda: adapter.tick(time_ns, waiting_ns))
         elif isinstance(event, ClockJumpedBack):
@@ -227,11 +227,11 @@ class _BlackBoxReplay:
             refused = self._call("parameters", time_ns, lambda: _parameter_error(adapter, event))
             self._compare_values("parameters", time_ns, "refused", event.refused, refused)
         elif isinstance(event, ChangeRefused):
-            self._result.used["parameters refused"] += 1
+            self._result.input_counts["parameters refused"] += 1
         elif isinstance(event, EntriesLost):
-            self._result.unverified = f"the disk was too slow or full for {event.count} entries at {utc_text(time_ns)}"
+            self._result.incomplete_reason = f"the disk was too slow or full for {event.count} entries at {utc_text(time_ns)}"
         elif isinstance(event, Closed):
-            self._expect_nothing_left(time_ns)
+            self._check_no_pending_outputs(time_ns)
             self._closed = True
 
     def _use(self, what: str, time_ns: int, call: Callable[[], list[OutputMessage]]) -> None:
@@ -247,17 +247,17 @@ class _BlackBoxReplay:
 
     def _call(self, what: str, time_ns: int, call: Callable[[], Any]) -> Any:
         """Return the result of a call; None if it raised an error, which did not end the node either."""
-        self._expect_nothing_left(time_ns)
-        self._result.used[what] += 1
+        self._check_no_pending_outputs(time_ns)
+        self._result.input_counts[what] += 1
         try:
             return call()
-        except AnotherFileUse:
+        except FileUseMismatch:
             raise
         except Exception as error:
             self._result.notes.append(f"{what} at {utc_text(time_ns)} raised {type(error).__name__}: {error}")
             return None
 
-    def _ready_adapter(self) -> Adapter:
+    def _get_adapter(self) -> Adapter:
         """Return the adapter, created at its first use: by then the files read at start are known."""
         if self._adapter is None:
             self._adapter = self._make_adapter()
@@ -266,11 +266,11 @@ class _BlackBoxReplay:
             self._outputs = {
                 topic.topic
                 for topic in self._adapter.outputs
-                if topic.type_name not in ASIDE and topic.topic in self._bag.topics
+                if topic.type_name not in UNCOMPARED_TYPES and topic.topic in self._bag.topics
             }
         return self._adapter
 
-    def _attached(self, event: FileUsed) -> bytes | None:
+    def _attached_content(self, event: FileUsed) -> bytes | None:
         if event.attachment is None:
             return None
         if event.attachment not in self._bag.attachments:
@@ -284,8 +284,8 @@ class _BlackBoxReplay:
         recorded, time_ns = record.decode(), record.log_time_ns
         topic, replayed = self._pending_outputs.popleft() if self._pending_outputs else ("", None)
         if topic != record.topic:
-            given = f"a message on {topic}" if topic else "nothing"
-            self._result.add_difference(Difference(record.topic, stamp_of(recorded, time_ns), "", "a message", given))
+            replayed_text = f"a message on {topic}" if topic else "nothing"
+            self._result.add_difference(Difference(record.topic, stamp_of(recorded, time_ns), "", "a message", replayed_text))
         else:
             self._result.add(topic, message_difference(topic, recorded, replayed, time_ns))
 
@@ -295,7 +295,7 @@ class _BlackBoxReplay:
             difference = Difference(what, time_ns, field, repr(recorded), repr(replayed), is_text=are_texts)
             self._result.add_difference(difference)
 
-    def _expect_nothing_left(self, time_ns: int) -> None:
+    def _check_no_pending_outputs(self, time_ns: int) -> None:
         """Check that the black box contains all outputs of the last call."""
         if self._pending_outputs:
             topic, message = self._pending_outputs.popleft()

@@ -22,57 +22,57 @@ from ship_node.edge.blocks import StampArray
 from ship_node.edge.topics import OutputMessage
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.message_times import MessageTimes
-from ship_replay.offline.node_pass import InputEvent, NodePass, Passed, TopicBlock, read_ahead
-from ship_replay.offline.ordered_output import ManySink, OrderedOutput
+from ship_replay.offline.node_pass import InputEvent, NodePass, NodeOutputs, TopicBlock, read_ahead
+from ship_replay.offline.ordered_output import BatchSink, OrderedOutput
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 from ship_replay.offline.status_course import StatusHistory
 
-_MOST = 1000
+_MAX_BATCH = 1000
 """Maximum number of messages per batch."""
-_LEAST = 3
+_MIN_BLOCK = 3
 """Minimum number of messages of one topic for a block; fewer are processed one by one."""
 
 _NODE_BITS = 32
 """Number of bits of the order below the node number in the order of one event's outputs."""
-_BEHIND_ALL = 1 << 62
+_LAST_INDEX = 1 << 62
 
 
 class BlockRun(ReplayRun):
     """Replay of a chain of adapters in blocks; arguments as of :class:`ReplayRun`, with a sink that accepts batches."""
 
     def __init__(
-        self, chain: AdapterChain, writer: ManySink, summary: ReplaySummary, truth_topics: Container[str]
+        self, chain: AdapterChain, writer: BatchSink, summary: ReplaySummary, truth_topics: Container[str]
     ) -> None:
         self._output = OrderedOutput(writer, summary.outputs)
         super().__init__(chain, self._output, summary, truth_topics)
-        self._waiting: list[tuple[str, BagRecord]] = []
+        self._pending: list[tuple[str, BagRecord]] = []
         self._templates: dict[tuple[str, int], CdrTemplate | None] = {}
 
-    def take(self, topic: str, record: BagRecord) -> None:
+    def process_message(self, topic: str, record: BagRecord) -> None:
         """Buffer one message of the bag, in order of log time; process the batch when it is full."""
-        self._waiting.append((topic, record))
-        if len(self._waiting) == _MOST:
-            self._take_waiting()
+        self._pending.append((topic, record))
+        if len(self._pending) == _MAX_BATCH:
+            self._process_pending()
 
     def finish(self) -> None:
         """Process the buffered messages and write all pending outputs."""
-        self._take_waiting()
-        self._output.place = _BEHIND_ALL, 0
+        self._process_pending()
+        self._output.position = _LAST_INDEX, 0
         super().finish()
         self._output.flush()
 
-    def _take_waiting(self) -> None:
+    def _process_pending(self) -> None:
         """Process the buffered messages by one node after another, then write the outputs."""
-        records, self._waiting = self._waiting, []
+        records, self._pending = self._pending, []
         events, event_records = self._events(records)
         rows = self._topic_blocks(events, event_records)
-        self._note(events, event_records, rows)
-        passed: list[Passed] = []
-        for adapter, taken in zip(self._chain.adapters, self._chain.taken, strict=True):
-            given = self._given(adapter, passed, taken, events) if self._chain.linked else {}
-            passed.append(NodePass(adapter, taken, events, rows, given).run())
-            self._add_message_batches(len(passed) - 1, passed[-1], events)
-        self._hand_on(events, event_records, passed, self._truth(events, event_records))
+        self._count_messages(events, event_records, rows)
+        node_outputs: list[NodeOutputs] = []
+        for adapter, input_topics in zip(self._chain.adapters, self._chain.input_topics, strict=True):
+            forwarded = self._forwarded_messages(adapter, node_outputs, input_topics, events) if self._chain.linked else {}
+            node_outputs.append(NodePass(adapter, input_topics, events, rows, forwarded).run())
+            self._add_message_batches(len(node_outputs) - 1, node_outputs[-1], events)
+        self._publish_batch(events, event_records, node_outputs, self._truth(events, event_records))
         self._output.flush()
 
     # -- what goes in ---------------------------------------------------------------------------------------
@@ -90,7 +90,7 @@ class BlockRun(ReplayRun):
 
     def _topic_blocks(self, events: list[InputEvent], event_records: list[BagRecord | None]) -> dict[str, TopicBlock]:
         """Return the messages of topics that may be processed in blocks; all others are decoded."""
-        blocks = self._chain.topics_in_blocks()
+        blocks = self._chain.block_topics()
         places: dict[str, list[int]] = defaultdict(list)
         for place, (event, record) in enumerate(zip(events, event_records, strict=True)):
             if event.topic in blocks:
@@ -100,7 +100,7 @@ class BlockRun(ReplayRun):
         rows = {}
         for topic, of_topic in places.items():
             records = [record for place in of_topic if (record := event_records[place]) is not None]
-            messages = self._laid_out(records)
+            messages = self._as_rows(records)
             if messages is not None:
                 times_ns = np.array([record.log_time_ns for record in records])
                 rows[topic] = TopicBlock(messages, times_ns, np.array(of_topic))
@@ -115,7 +115,7 @@ class BlockRun(ReplayRun):
         for errors in self._errors:
             truth_topic = errors.orientation.truth_topic
             places = [place for place, event in enumerate(events) if event.topic == truth_topic]
-            messages = self._laid_out([record for place in places if (record := event_records[place]) is not None])
+            messages = self._as_rows([record for place in places if (record := event_records[place]) is not None])
             if messages is not None:
                 found |= zip(places, errors.orientation.samples(messages), strict=True)
         return found
@@ -126,9 +126,9 @@ class BlockRun(ReplayRun):
         except BadInput:
             self._summary.undecodable[event.topic] += 1
 
-    def _laid_out(self, records: list[BagRecord]) -> CdrRows | None:
+    def _as_rows(self, records: list[BagRecord]) -> CdrRows | None:
         """Return messages as rows; None if they are too few, differ in layout, or have an unknown layout."""
-        if len(records) < _LEAST:
+        if len(records) < _MIN_BLOCK:
             return None
         first, length = records[0], len(records[0].data)
         if any(len(record.data) != length for record in records):
@@ -142,32 +142,32 @@ class BlockRun(ReplayRun):
         rows = np.frombuffer(b"".join([record.data for record in records]), dtype=np.uint8).reshape(len(records), -1)
         return CdrRows(template, rows) if template.matching_rows(rows).all() else None
 
-    def _note(self, events: list[InputEvent], event_records: list[BagRecord | None], rows: dict[str, TopicBlock]) -> None:
+    def _count_messages(self, events: list[InputEvent], event_records: list[BagRecord | None], rows: dict[str, TopicBlock]) -> None:
         """Add the messages to the statistics of the inputs."""
         for topic, (messages, times_ns, _) in rows.items():
             stamps_ns = stamps_of_rows(messages.numbers)
             self._summary.inputs[topic] += len(times_ns)
             self._summary.times.setdefault(topic, MessageTimes()).add_block(stamps_ns, times_ns)
-            self._summary.log_times.add_block(topic, stamps_ns, times_ns)
+            self._summary.log_delays.add_block(topic, stamps_ns, times_ns)
         for event, record in zip(events, event_records, strict=True):
             if event.message is not None and record is not None:
-                self._note_message(event.topic, record)
+                self._count_message(event.topic, record)
 
     # -- from node to node ----------------------------------------------------------------------------------
 
-    def _given(
-        self, adapter: Adapter, passed: list[Passed], taken: Container[str], events: list[InputEvent]
+    def _forwarded_messages(
+        self, adapter: Adapter, node_outputs: list[NodeOutputs], input_topics: Container[str], events: list[InputEvent]
     ) -> dict[int, list[OutputMessage]]:
         """Return event index → messages of earlier nodes on some topics, in order.
 
         Messages that the adapter can read as a block are already read.
         """
         found: list[tuple[int, int, int, OutputMessage]] = []
-        for node, one in enumerate(passed):
-            for place, order, published in one.single:
-                found += [(place, node, order, message) for message in published if message[0] in taken]
+        for node, one in enumerate(node_outputs):
+            for place, order, published in one.messages:
+                found += [(place, node, order, message) for message in published if message[0] in input_topics]
             for rows, places, orders in one.message_batches:
-                if rows.topic in taken:
+                if rows.topic in input_topics:
                     readings = read_ahead(adapter, rows.topic, rows.messages, _times_ns(events, places))
                     found += [
                         (place, node, order, (rows.topic, rows.messages.message(number) if read is None else read))
@@ -175,52 +175,52 @@ class BlockRun(ReplayRun):
                             zip(places.tolist(), orders.tolist(), readings, strict=True)
                         )
                     ]
-        given: dict[int, list[OutputMessage]] = defaultdict(list)
+        forwarded: dict[int, list[OutputMessage]] = defaultdict(list)
         for place, _, _, message in sorted(found, key=lambda each: each[:3]):
-            given[place].append(message)
-        return given
+            forwarded[place].append(message)
+        return forwarded
 
-    def _add_message_batches(self, node: int, passed: Passed, events: list[InputEvent]) -> None:
+    def _add_message_batches(self, node: int, node_outputs: NodeOutputs, events: list[InputEvent]) -> None:
         """Queue the messages made from a node's estimates."""
-        for rows, places, orders in passed.message_batches:
+        for rows, places, orders in node_outputs.message_batches:
             self._output.add_rows(rows, places, (node << _NODE_BITS) + orders, _times_ns(events, places))
             for errors in self._errors:
                 errors.add_rows(rows)
 
     # -- what goes out --------------------------------------------------------------------------------------
 
-    def _hand_on(
+    def _publish_batch(
         self,
         events: list[InputEvent],
         event_records: list[BagRecord | None],
-        passed: list[Passed],
+        node_outputs: list[NodeOutputs],
         truth: Mapping[int, AttitudeSample | None],
     ) -> None:
         """Write the outputs event by event, with the truth and the errors against it."""
         single: dict[int, list[tuple[int, list[OutputMessage]]]] = defaultdict(list)
         runs: dict[int, list[tuple[str, Any]]] = defaultdict(list)
-        for node, one in enumerate(passed):
-            for place, order, published in one.single:
+        for node, one in enumerate(node_outputs):
+            for place, order, published in one.messages:
                 single[place].append(((node << _NODE_BITS) + order, published))
-            for run in one.runs:
-                runs[int(run.places[0])].append((run.topic, run.estimates))
+            for run in one.estimates:
+                runs[int(run.event_indices[0])].append((run.topic, run.estimates))
         copied = {place for place, event in enumerate(events) if event.topic.startswith(TRUTH_PREFIX)}
-        waits = self._has_pending_errors
+        has_pending = self._has_pending_errors
         for place, (moment, record) in enumerate(zip(events, event_records, strict=True)):
-            if not waits and place not in single and place not in runs and place not in copied:
+            if not has_pending and place not in single and place not in runs and place not in copied:
                 continue
             for topic, estimates in runs.get(place, ()):
                 history = self._summary.status_histories.setdefault(topic, StatusHistory())
                 history.add_run(estimates.status, estimates.time_ns)
             for order, published in sorted(single.get(place, ()), key=lambda each: each[0]):
-                self._output.place = place, order
+                self._output.position = place, order
                 self._publish(published, moment.now_ns)
-            self._output.place = place, _BEHIND_ALL
+            self._output.position = place, _LAST_INDEX
             if record is not None:
                 if place in copied:
                     self._copy_truth(moment.topic, record, truth.get(place))
                 self._write_errors(moment.now_ns)
-            waits = self._has_pending_errors
+            has_pending = self._has_pending_errors
 
 
 def _times_ns(events: list[InputEvent], places: StampArray) -> StampArray:

@@ -5,7 +5,7 @@ from typing import Any
 
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 
-INTEGRITY = {"ship/attitude": "ship/integrity", "theodolite/pointing": "theodolite/integrity"}
+INTEGRITY_TOPICS = {"ship/attitude": "ship/integrity", "theodolite/pointing": "theodolite/integrity"}
 """Topic of an output → topic of its protection levels and excluded sources."""
 
 

@@ -22,10 +22,10 @@ _MAJORITY_SHARE = 0.5
 """Share of the time in gaps longer than a limit from which on the configuration is an error."""
 
 _MIN_REPORTED_SHARE = 0.01
-_TOO_NEAR = 0.5
+_MARGIN_SHARE = 0.5
 """Share of a limit above which usual gaps exceed it now and then without any loss."""
 
-_REACH = 1000
+_REORDER_DEPTH = 1000
 """Number of times buffered for sorting."""
 
 _GAP_RESOLUTION_NS = 100_000
@@ -33,7 +33,7 @@ _GAP_RESOLUTION_NS = 100_000
 LATE_NS = NS_PER_S // 2
 """Delay, beyond its topic's median, above which a message counts as logged late, ns."""
 
-FAR_NS = 60 * NS_PER_S
+MAX_STAMP_OFFSET_NS = 60 * NS_PER_S
 """Maximum difference between a stamp and the time expected from the log time, ns; beyond it the stamp is not used."""
 
 _DELAY_RESOLUTION_NS = 1_000_000
@@ -57,7 +57,7 @@ class GapLimit:
 
 
 @dataclass(frozen=True)
-class Exceeded:
+class ExceededLimit:
     """A limit exceeded by the gaps between the messages of its topic.
 
     Attributes:
@@ -68,7 +68,7 @@ class Exceeded:
 
     limit: GapLimit
     text: str
-    mostly: bool
+    is_most_of_the_time: bool
 
 
 class Gaps:
@@ -82,8 +82,8 @@ class Gaps:
     def add(self, time_ns: int) -> None:
         """Add a time. A time that arrives more than `_REORDER_DEPTH` times too late is ignored."""
         heappush(self._pending, time_ns)
-        if len(self._pending) > _REACH:
-            self._take(heappop(self._pending))
+        if len(self._pending) > _REORDER_DEPTH:
+            self._count_gap(heappop(self._pending))
 
     def add_block(self, times_ns: np.ndarray) -> None:
         """Add times; the result is that of :meth:`add` for each."""
@@ -92,11 +92,11 @@ class Gaps:
                 self.add(time_ns)
             return
         ordered = sorted([*self._pending, *times_ns.tolist()])
-        taken, self._pending = ordered[:-_REACH], ordered[-_REACH:]  # a list in order is a heap
-        if not taken:
+        counted, self._pending = ordered[:-_REORDER_DEPTH], ordered[-_REORDER_DEPTH:]  # a list in order is a heap
+        if not counted:
             return
-        last_ns = taken[0] if self._last_ns is None else self._last_ns
-        later_ns = np.maximum.accumulate([last_ns, *taken])
+        last_ns = counted[0] if self._last_ns is None else self._last_ns
+        later_ns = np.maximum.accumulate([last_ns, *counted])
         gaps_ns = np.diff(later_ns)
         lengths, counts = np.unique(np.rint(gaps_ns[gaps_ns > 0] / _GAP_RESOLUTION_NS), return_counts=True)
         for length, count in zip(lengths.tolist(), counts.tolist(), strict=True):
@@ -106,7 +106,7 @@ class Gaps:
     def seconds(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the lengths of the gaps in ascending order, s, and the count of each. Equal times make no gap."""
         while self._pending:
-            self._take(heappop(self._pending))
+            self._count_gap(heappop(self._pending))
         lengths = sorted(self._counts)
         return np.array(lengths) * _GAP_RESOLUTION_NS / NS_PER_S, np.array([self._counts[length] for length in lengths])
 
@@ -119,7 +119,7 @@ class Gaps:
         median_s = lengths_s[np.searchsorted(np.cumsum(counts), 0.5 * counts.sum())]
         return float(1.0 / median_s) if median_s > 0.0 else 0.0
 
-    def _take(self, time_ns: int) -> None:
+    def _count_gap(self, time_ns: int) -> None:
         if self._last_ns is not None and time_ns > self._last_ns:
             self._counts[round((time_ns - self._last_ns) / _GAP_RESOLUTION_NS)] += 1
         self._last_ns = time_ns if self._last_ns is None else max(time_ns, self._last_ns)
@@ -163,7 +163,7 @@ def gap_limits(config: Any) -> Iterator[GapLimit]:
         yield GapLimit("ins/imu", "ins.silence_s", True, "the INS times out, and without stars the output is INVALID")
 
 
-def exceeded(config: Any, times: dict[str, MessageTimes], source: str) -> Iterator[Exceeded]:
+def exceeded_limits(config: Any, times: dict[str, MessageTimes], source: str) -> Iterator[ExceededLimit]:
     """Yield the limits of a node that the gaps between its inputs exceed.
 
     Args:
@@ -181,18 +181,18 @@ def exceeded(config: Any, times: dict[str, MessageTimes], source: str) -> Iterat
         # All gaps may be shorter than the resolution.
         share = times_s[lengths_s > allowed_s].sum() / max(times_s.sum(), 1e-9)
         if share > _MIN_REPORTED_SHARE:
-            yield Exceeded(limit, _words(limit, allowed_s, lengths_s, counts, source), share > _MAJORITY_SHARE)
+            yield ExceededLimit(limit, _limit_text(limit, allowed_s, lengths_s, counts, source), share > _MAJORITY_SHARE)
 
 
 def _between_stamps(topic: str, parameter: str, meaning: str) -> GapLimit:
     return GapLimit(topic, parameter, False, f"no interpolation across such a gap, and {meaning}")
 
 
-def _words(limit: GapLimit, allowed_s: float, lengths_s: np.ndarray, counts: np.ndarray, source: str) -> str:
+def _limit_text(limit: GapLimit, allowed_s: float, lengths_s: np.ndarray, counts: np.ndarray, source: str) -> str:
     usual_s = float(lengths_s[np.searchsorted(np.cumsum(counts), counts.sum() / 2)])
     how_far = f"{usual_s:.4g} s apart" if usual_s > allowed_s else f"up to {lengths_s[-1]:.4g} s apart"
     advice = "look for lost messages"
-    if usual_s > _TOO_NEAR * allowed_s:
+    if usual_s > _MARGIN_SHARE * allowed_s:
         resample = " (import_nmea --resample HZ)" if limit.topic == "ins/imu" else ""
         advice = f"record it faster{resample}, or set '{limit.parameter}' to {1.5 * max(usual_s, allowed_s):.2g}"
     longer = f"{counts[lengths_s > allowed_s].sum()} of {counts.sum()} gaps are longer"
@@ -233,11 +233,11 @@ class LogDelays:
         latest = int(delays_ns[place]), int(log_times_ns[place])
         self._latest[topic] = max(self._latest.get(topic, (latest[0], 0)), latest)
 
-    def usual_ns(self) -> int:
+    def median_ns(self) -> int:
         """Return the median of log time minus stamp over all messages; 0 if none has a stamp."""
         return _median_ns(sum(self._delays.values(), Counter[int]()))
 
-    def held_up(self) -> str:
+    def irregularity_text(self) -> str:
         """Return one line about messages logged late; empty if there are none."""
         late, most_ns, topic_of_most, at_ns = 0, 0, "", 0
         for topic, delays in self._delays.items():
@@ -256,7 +256,7 @@ class LogDelays:
         )
 
 
-def in_order_of_stamps(records: Iterator[BagRecord], usual_ns: int) -> Iterator[BagRecord]:
+def sort_by_stamp(records: Iterator[BagRecord], usual_ns: int) -> Iterator[BagRecord]:
     """Yield the records of a bag in order of their stamps, with these as log times; equal ones keep their order.
 
     A message without a stamp, or with one far from its log time, gets its log time minus the usual delay.
@@ -265,17 +265,17 @@ def in_order_of_stamps(records: Iterator[BagRecord], usual_ns: int) -> Iterator[
         records: in order of log time.
         usual_ns: median of log time minus stamp.
     """
-    waiting: list[tuple[int, int, BagRecord]] = []
+    pending: list[tuple[int, int, BagRecord]] = []
     for number, record in enumerate(records):
         logged_ns = record.log_time_ns - usual_ns
         stamp_ns = stamp_of_bytes(record.data)
-        record.log_time_ns = stamp_ns if stamp_ns and abs(stamp_ns - logged_ns) <= FAR_NS else logged_ns
-        heappush(waiting, (record.log_time_ns, number, record))
+        record.log_time_ns = stamp_ns if stamp_ns and abs(stamp_ns - logged_ns) <= MAX_STAMP_OFFSET_NS else logged_ns
+        heappush(pending, (record.log_time_ns, number, record))
         # No later record can be earlier.
-        while waiting[0][0] < logged_ns - FAR_NS:
-            yield heappop(waiting)[2]
-    while waiting:
-        yield heappop(waiting)[2]
+        while pending[0][0] < logged_ns - MAX_STAMP_OFFSET_NS:
+            yield heappop(pending)[2]
+    while pending:
+        yield heappop(pending)[2]
 
 
 def _median_ns(delays: Counter[int]) -> int:

@@ -19,7 +19,7 @@ from ship_node.edge.deferring_adapter import DeferringAdapter
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.topics import OutputMessage
 
-_PATIENCE = 8
+_BACKOFF_MESSAGES = 8
 """Number of messages processed one by one after a block could not be started."""
 
 
@@ -49,7 +49,7 @@ class TopicBlock(NamedTuple):
 
     messages: CdrRows
     times_ns: StampArray
-    places: StampArray
+    event_indices: StampArray
 
 
 def read_ahead(
@@ -65,7 +65,7 @@ class EstimateBatch(NamedTuple):
     """Estimates of several events; ``orders`` are their positions among the other outputs of the event."""
 
     topic: str
-    places: StampArray
+    event_indices: StampArray
     orders: StampArray
     estimates: Any
 
@@ -74,12 +74,12 @@ class MessageBatch(NamedTuple):
     """Messages of estimates on one topic, with the event index and the order of each."""
 
     rows: OutputRows
-    places: StampArray
+    event_indices: StampArray
     orders: StampArray
 
 
 @dataclass
-class Passed:
+class NodeOutputs:
     """Outputs of a node.
 
     Attributes:
@@ -88,8 +88,8 @@ class Passed:
         message_batches: messages made from the estimates.
     """
 
-    single: list[tuple[int, int, list[OutputMessage]]] = field(default_factory=list)
-    runs: list[EstimateBatch] = field(default_factory=list)
+    messages: list[tuple[int, int, list[OutputMessage]]] = field(default_factory=list)
+    estimates: list[EstimateBatch] = field(default_factory=list)
     message_batches: list[MessageBatch] = field(default_factory=list)
 
 
@@ -108,60 +108,60 @@ class NodePass:
     def __init__(
         self,
         adapter: Adapter,
-        taken: Set[str],
+        input_topics: Set[str],
         events: list[InputEvent],
         rows: Mapping[str, TopicBlock],
-        given: Mapping[int, list[OutputMessage]],
+        forwarded: Mapping[int, list[OutputMessage]],
     ) -> None:
-        self._adapter, self._taken, self._events, self._given = adapter, taken, events, given
+        self._adapter, self._input_topics, self._events, self._forwarded = adapter, input_topics, events, forwarded
         self._rows, self._next = rows, dict.fromkeys(rows, 0)
-        self._read = {
+        self._read_messages = {
             topic: read_ahead(adapter, topic, block.messages, block.times_ns)
             for topic, block in rows.items()
-            if topic in taken
+            if topic in input_topics
         }
         # The same node if it processes blocks; else None.
         self._block_adapter = adapter if isinstance(adapter, BatchAdapter) else None
         self._batch: PendingBatch | None = None
         self._batch_indices: StampArray = np.empty(0, dtype=np.int64)
-        self._arrived = self._patience = self._order = 0
+        self._arrived = self._backoff = self._order = 0
         # The same node if it publishes outputs later, and the event index and order of each pending output.
-        self._deferring = adapter if isinstance(adapter, DeferringAdapter) else None
+        self._deferring_adapter = adapter if isinstance(adapter, DeferringAdapter) else None
         self._pending_outputs: list[tuple[int, int]] = []
-        if self._deferring is not None:
-            self._deferring.defer_outputs()
-        self.passed = Passed()
+        if self._deferring_adapter is not None:
+            self._deferring_adapter.defer_outputs()
+        self.outputs = NodeOutputs()
 
-    def run(self) -> Passed:
+    def run(self) -> NodeOutputs:
         """Process all events, then make the messages of the estimates."""
-        for place, event in enumerate(self._events):
-            for topic, message in self._given.get(place, ()):
-                self._handle(place, topic, message)
+        for index, event in enumerate(self._events):
+            for topic, message in self._forwarded.get(index, ()):
+                self._handle(index, topic, message)
             if not event.topic:
-                self._tick(place, event.now_ns)
-            elif event.topic in self._taken:
+                self._tick(index, event.now_ns)
+            elif event.topic in self._input_topics:
                 if event.topic in self._rows:
-                    self._arrive(place, event)
+                    self._add_block_message(index, event)
                 elif event.message is not None:
-                    self._handle(place, event.topic, event.message)
-        if self._deferring is not None and self._pending_outputs:
-            self._publish_deferred(self._deferring)
-        if self._block_adapter is not None and self.passed.runs:
-            self._make_messages(self._block_adapter, self.passed.runs)
-        return self.passed
+                    self._handle(index, event.topic, event.message)
+        if self._deferring_adapter is not None and self._pending_outputs:
+            self._publish_deferred(self._deferring_adapter)
+        if self._block_adapter is not None and self.outputs.estimates:
+            self._make_messages(self._block_adapter, self.outputs.estimates)
+        return self.outputs
 
     def _make_messages(self, adapter: BatchAdapter, runs: list[EstimateBatch]) -> None:
-        places = np.concatenate([run.places for run in runs])
+        places = np.concatenate([run.event_indices for run in runs])
         orders = np.concatenate([run.orders for run in runs])
         for rows in adapter.batch_messages([run.estimates for run in runs]):
-            self.passed.message_batches.append(MessageBatch(rows, places[rows.places], orders[rows.places]))
+            self.outputs.message_batches.append(MessageBatch(rows, places[rows.places], orders[rows.places]))
 
-    def _tick(self, place: int, now_ns: int) -> None:
+    def _tick(self, index: int, now_ns: int) -> None:
         # Within a block a tick has no effect on the node, or the block would end before it.
         if self._batch is not None and self._block_adapter is not None and self._block_adapter.has_idle_ticks:
             return
         self._commit_arrived()
-        self._publish(place, self._adapter.tick(now_ns))
+        self._publish(index, self._adapter.tick(now_ns))
 
     def _commit_arrived(self) -> None:
         """Commit the messages of the block that arrived so far, before another input is processed."""
@@ -169,25 +169,25 @@ class NodePass:
             assert self._block_adapter is not None
             self._publish_parts(self._block_adapter.commit_batch(self._batch, self._arrived))
 
-    def _handle(self, place: int, topic: str, message: Any) -> None:
+    def _handle(self, index: int, topic: str, message: Any) -> None:
         self._commit_arrived()
-        now_ns = self._events[place].now_ns
+        now_ns = self._events[index].now_ns
         if isinstance(message, ReadMessage):
             assert self._block_adapter is not None
-            self._publish(place, self._block_adapter.handle_read(topic, message, now_ns))
+            self._publish(index, self._block_adapter.handle_read(topic, message, now_ns))
         else:
-            self._publish(place, self._adapter.handle(topic, message, now_ns))
+            self._publish(index, self._adapter.handle(topic, message, now_ns))
 
-    def _arrive(self, place: int, event: InputEvent) -> None:
+    def _add_block_message(self, index: int, event: InputEvent) -> None:
         """Process a message of a topic block."""
         number = self._next[event.topic]
         self._next[event.topic] += 1
         if self._batch is None and self._block_adapter is not None and self._block_adapter.accepts_batches(event.topic):
             self._batch = self._start_batch(self._block_adapter, event.topic, number)
         if self._block_adapter is None or self._batch is None or self._batch.topic != event.topic:
-            reading = self._read[event.topic][number]
+            reading = self._read_messages[event.topic][number]
             message = self._rows[event.topic].messages.message(number) if reading is None else reading
-            self._handle(place, event.topic, message)
+            self._handle(index, event.topic, message)
             return
         self._arrived += 1
         if self._arrived == self._batch.evaluated.checked.count:
@@ -197,8 +197,8 @@ class NodePass:
 
     def _start_batch(self, adapter: BatchAdapter, topic: str, number: int) -> PendingBatch | None:
         """Start a block with a message, if possible."""
-        if self._patience:
-            self._patience -= 1
+        if self._backoff:
+            self._backoff -= 1
             return None
         rows, batch = self._rows[topic], None
         # The first tick with an effect comes before the message logged at the same time.
@@ -207,17 +207,17 @@ class NodePass:
         if some.stop > some.start:
             batch = adapter.evaluate_batch(topic, rows.messages.some(some), rows.times_ns[some])
         if batch is None:
-            self._patience = _PATIENCE
-        self._batch_indices, self._arrived = rows.places[some], 0
+            self._backoff = _BACKOFF_MESSAGES
+        self._batch_indices, self._arrived = rows.event_indices[some], 0
         return batch
 
-    def _publish(self, place: int, published: list[OutputMessage]) -> None:
+    def _publish(self, index: int, published: list[OutputMessage]) -> None:
         if published:
-            self.passed.single.append((place, self._order, published))
+            self.outputs.messages.append((index, self._order, published))
             self._order += 1
-        if self._deferring is not None:
-            while len(self._pending_outputs) < self._deferring.pending_count:
-                self._pending_outputs.append((place, self._order))
+        if self._deferring_adapter is not None:
+            while len(self._pending_outputs) < self._deferring_adapter.pending_count:
+                self._pending_outputs.append((index, self._order))
                 self._order += 2  # for what is published before it, and itself
 
     def _publish_deferred(self, adapter: DeferringAdapter) -> None:
@@ -225,11 +225,11 @@ class NodePass:
         places, orders = np.array(self._pending_outputs, dtype=np.int64).T
         for part in adapter.take_outputs():
             if part.published:
-                self.passed.single.append((int(places[part.place]), int(orders[part.place]), part.published))
+                self.outputs.messages.append((int(places[part.place]), int(orders[part.place]), part.published))
             if part.estimates is not None:
                 some = slice(part.place, part.place + len(part.estimates.time_ns))
                 run = EstimateBatch(adapter.main_topic, places[some], orders[some] + 1, part.estimates)
-                self.passed.runs.append(run)
+                self.outputs.estimates.append(run)
 
     def _publish_parts(self, parts: list[BatchOutput]) -> None:
         assert self._block_adapter is not None
@@ -238,5 +238,5 @@ class NodePass:
             if part.estimates is not None:
                 places = self._batch_indices[part.place : part.place + len(part.estimates.time_ns)]
                 orders = np.full(len(places), self._order)
-                self.passed.runs.append(EstimateBatch(self._block_adapter.main_topic, places, orders, part.estimates))
+                self.outputs.estimates.append(EstimateBatch(self._block_adapter.main_topic, places, orders, part.estimates))
                 self._order += 1

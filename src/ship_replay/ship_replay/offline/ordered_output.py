@@ -10,7 +10,7 @@ from ship_bags.message_store import serialize
 from ship_node.edge.blocks import OutputRows, StampArray
 
 
-class ManySink(Protocol):
+class BatchSink(Protocol):
     """Receiver of many messages at once: a bag writer."""
 
     def write_many(
@@ -20,7 +20,7 @@ class ManySink(Protocol):
         ...
 
 
-class _Messages(NamedTuple):
+class _PendingMessages(NamedTuple):
     """Buffered messages; each attribute has one element per message.
 
     Attributes:
@@ -30,7 +30,7 @@ class _Messages(NamedTuple):
         log_times_ns: log time.
     """
 
-    places: StampArray
+    indices: StampArray
     orders: StampArray
     topics: StampArray
     log_times_ns: StampArray
@@ -47,13 +47,13 @@ class OrderedOutput:
         position: event index and order of messages written one by one.
     """
 
-    def __init__(self, sink: ManySink, counts: Counter[str]) -> None:
+    def __init__(self, sink: BatchSink, counts: Counter[str]) -> None:
         self._sink, self._counts = sink, counts
         self._topics: dict[tuple[str, str], int] = {}
-        self.place = 0, 0
+        self.position = 0, 0
         self._single: list[tuple[int, int, int, int]] = []
         self._data: list[bytes] = []
-        self._rows: list[_Messages] = []
+        self._rows: list[_PendingMessages] = []
         self._row_data: list[bytes] = []
 
     def write(self, topic: str, message: Any, log_time_ns: int) -> None:
@@ -62,7 +62,7 @@ class OrderedOutput:
 
     def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
         """Add a serialised message."""
-        self._single.append((*self.place, self._topic(topic, type_name), log_time_ns))
+        self._single.append((*self.position, self._topic(topic, type_name), log_time_ns))
         self._data.append(data)
 
     def add_rows(
@@ -70,7 +70,7 @@ class OrderedOutput:
     ) -> None:
         """Add messages of one topic, with event index, order and log time of each."""
         topic = np.full(len(places), self._topic(rows.topic, rows.messages.type_name))
-        self._rows.append(_Messages(places, orders, topic, log_times_ns))
+        self._rows.append(_PendingMessages(places, orders, topic, log_times_ns))
         self._row_data += rows.messages.message_bytes()
         self._counts[rows.topic] += len(places)
 

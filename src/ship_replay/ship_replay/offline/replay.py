@@ -22,11 +22,11 @@ from ship_node.edge.adapter import Adapter
 from ship_node.edge.topics import OutputTopic
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain, suite_text
 from ship_replay.offline.block_run import BlockRun
-from ship_replay.offline.message_times import LogDelays, in_order_of_stamps
+from ship_replay.offline.message_times import LogDelays, sort_by_stamp
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 from ship_replay.offline.status_course import poor_status_reasons
 
-Watcher = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
+ProgressWrapper = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
 
 
 def replay(
@@ -35,7 +35,7 @@ def replay(
     adapter_classes: Sequence[type[Adapter]],
     config_path: Path | None = None,
     namespace: str = "",
-    watch: Watcher = lambda records, bag: records,
+    progress: ProgressWrapper = lambda records, bag: records,
     by_stamps: bool = False,
     one_by_one: bool = False,
 ) -> ReplaySummary:
@@ -66,15 +66,15 @@ def replay(
         names = input_names | truth_topic_names(bag, namespace)
         summary = ReplaySummary(absent=[topic.topic for topic in chain.inputs if topic.topic not in input_names])
         with BagWriter(out_path) as writer:
-            announce(writer, bag, chain.outputs, config_text)
+            write_head(writer, bag, chain.outputs, config_text)
             run_class = ReplayRun if one_by_one else BlockRun
             run = run_class(chain, writer, summary, truth_topics=names)
             relative_names = {name: relative for relative, name in names.items()}
-            records = watch(bag.records(relative_names), bag)
+            records = progress(bag.records(relative_names), bag)
             if by_stamps:
-                records = in_order_of_stamps(records, median_delay_ns(bag_path, relative_names))
+                records = sort_by_stamp(records, median_delay_ns(bag_path, relative_names))
             for record in records:
-                run.take(relative_names[record.topic], record)
+                run.process_message(relative_names[record.topic], record)
             if bag.last_time_ns is None or bag.start_ns is None:
                 problem_text = "".join(f"; {problem}" for problem in bag.problems)
                 looked_for = sorted(relative_names) or sorted({topic.topic for topic in chain.inputs})
@@ -103,9 +103,9 @@ def _summarise_node(
             summary.reasons += poor_status_reasons(history, adapter, config, summary.times, health)
     for topic, counts in adapter.health.rejection_and_note_counts().items():
         name = topic if is_alone else f"{adapter.node_name}: {topic}"
-        for kept, reasons in zip((summary.rejected, summary.noted), counts, strict=True):
+        for target, reasons in zip((summary.rejected, summary.accepted_with_note), counts, strict=True):
             if reasons:
-                kept[name] = {reason.word: count for reason, count in reasons.items()}
+                target[name] = {reason.word: count for reason, count in reasons.items()}
 
 
 def median_delay_ns(bag_path: Path, relative_names: Mapping[str, str]) -> int:
@@ -114,7 +114,7 @@ def median_delay_ns(bag_path: Path, relative_names: Mapping[str, str]) -> int:
     with read_bag(bag_path) as bag:
         for record in bag.records(relative_names):
             times.add(record.topic, record)
-    return times.usual_ns()
+    return times.median_ns()
 
 
 def match_inputs(bag: Bag, adapter: Adapter | AdapterChain, namespace: str) -> dict[str, str]:
@@ -164,7 +164,7 @@ def truth_topic_names(bag: Bag, namespace: str) -> dict[str, str]:
     return names
 
 
-def announce(writer: BagWriter, bag: Bag, outputs: Sequence[OutputTopic], config_text: str) -> None:
+def write_head(writer: BagWriter, bag: Bag, output_topics: Sequence[OutputTopic], config_text: str) -> None:
     """Write the head of the output: attachments, metadata, topics."""
     writer.add_attachment(SUITE_ATTACHMENT, config_text)
     if SCENARIO_ATTACHMENT in bag.attachments:
@@ -175,5 +175,5 @@ def announce(writer: BagWriter, bag: Bag, outputs: Sequence[OutputTopic], config
             writer.add_metadata(name, entries)
     if commit := commit_record():
         writer.add_metadata(COMMIT_RECORD, commit)
-    for output in outputs:
+    for output in output_topics:
         writer.add_topic(output.topic, output.type_name, output.latched)

@@ -14,7 +14,7 @@ from ship_node.edge.adapter import TICK_PERIOD_NS
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC
 from ship_node.edge.topics import OutputMessage
 from ship_replay.offline.adapter_chain import AdapterChain
-from ship_replay.offline.exclusion_history import INTEGRITY, ExclusionHistory
+from ship_replay.offline.exclusion_history import INTEGRITY_TOPICS, ExclusionHistory
 from ship_replay.offline.message_times import LogDelays, MessageTimes
 from ship_replay.offline.status_course import STATUS_TOPICS, StatusHistory
 from ship_replay.offline.truth_errors import TruthErrors
@@ -52,12 +52,12 @@ class ReplaySummary:
     inputs: Counter[str] = field(default_factory=Counter)
     outputs: Counter[str] = field(default_factory=Counter)
     rejected: dict[str, dict[str, int]] = field(default_factory=dict)
-    noted: dict[str, dict[str, int]] = field(default_factory=dict)
+    accepted_with_note: dict[str, dict[str, int]] = field(default_factory=dict)
     undecodable: Counter[str] = field(default_factory=Counter)
     status_histories: dict[str, StatusHistory] = field(default_factory=dict)
     exclusions: dict[str, ExclusionHistory] = field(default_factory=dict)
     times: dict[str, MessageTimes] = field(default_factory=dict)
-    log_times: LogDelays = field(default_factory=LogDelays)
+    log_delays: LogDelays = field(default_factory=LogDelays)
     reasons: list[str] = field(default_factory=list)
     absent: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
@@ -70,7 +70,7 @@ class ReplaySummary:
         lines = []
         for topic, status_history in sorted(self.status_histories.items()):
             lines += status_history.lines(topic)
-            history = self.exclusions.get(INTEGRITY.get(topic, ""))
+            history = self.exclusions.get(INTEGRITY_TOPICS.get(topic, ""))
             if history is not None and status_history.spans:
                 lines += history.lines(status_history.spans[0].start_ns)
         return lines
@@ -117,36 +117,36 @@ class ReplayRun:
         self._errors = [TruthErrors(orientation) for orientation in known]
         self.last_time_ns: int | None = None
 
-    def take(self, topic: str, record: BagRecord) -> None:
+    def process_message(self, topic: str, record: BagRecord) -> None:
         """Process one message of the bag."""
         self._tick_until(record.log_time_ns)
         if topic.startswith(TRUTH_PREFIX):
             self._copy_truth(topic, record)
         else:
-            self._hand_over(topic, record)
+            self._process_input(topic, record)
         self._write_errors(record.log_time_ns)
 
-    def _copy_truth(self, topic: str, record: BagRecord, read: AttitudeSample | None = None) -> None:
+    def _copy_truth(self, topic: str, record: BagRecord, sample: AttitudeSample | None = None) -> None:
         """Copy a message of the truth; `sample` is its decoded content if already known."""
         self._writer.write_raw(topic, record.type_name, record.data, record.log_time_ns)
         self._summary.outputs[topic] += 1
         for errors in self._errors:
             if topic == errors.orientation.truth_topic:
-                errors.add_truth(errors.orientation.sample(record.decode()) if read is None else read)
+                errors.add_truth(errors.orientation.sample(record.decode()) if sample is None else sample)
 
-    def _hand_over(self, topic: str, record: BagRecord) -> None:
+    def _process_input(self, topic: str, record: BagRecord) -> None:
         try:
             message = record.decode()
         except BadInput:
             self._summary.undecodable[topic] += 1
             return
-        self._note_message(topic, record)
+        self._count_message(topic, record)
         self._publish(self._chain.handle(topic, message, record.log_time_ns), record.log_time_ns)
 
-    def _note_message(self, topic: str, record: BagRecord) -> None:
+    def _count_message(self, topic: str, record: BagRecord) -> None:
         self._summary.inputs[topic] += 1
         self._summary.times.setdefault(topic, MessageTimes()).add(record)
-        self._summary.log_times.add(topic, record)
+        self._summary.log_delays.add(topic, record)
 
     def finish(self) -> None:
         """Write the error messages that still wait for the truth."""
@@ -166,10 +166,10 @@ class ReplayRun:
 
     def _publish(self, published: list[OutputMessage], time_ns: int) -> None:
         for topic, message in published:
-            if not self._held_back(topic, message, time_ns):
+            if not self._defer_error(topic, message, time_ns):
                 self._write(topic, message, time_ns)
 
-    def _held_back(self, topic: str, message: Any, time_ns: int) -> bool:
+    def _defer_error(self, topic: str, message: Any, time_ns: int) -> bool:
         """Defer an error message until the truth is known; True if the message was deferred."""
         for errors in self._errors:
             if topic == errors.orientation.error_topic:
@@ -182,11 +182,11 @@ class ReplayRun:
     @property
     def _has_pending_errors(self) -> bool:
         """True if an error message waits for the truth."""
-        return any(errors.waits for errors in self._errors)
+        return any(errors.has_pending for errors in self._errors)
 
     def _write_errors(self, now_ns: int | None) -> None:
         for errors in self._errors:
-            for log_time_ns, message in errors.filled(now_ns):
+            for log_time_ns, message in errors.pop_ready(now_ns):
                 self._write(errors.orientation.error_topic, message, log_time_ns)
 
     def _write(self, topic: str, message: Any, time_ns: int) -> None:
@@ -194,14 +194,14 @@ class ReplayRun:
         self._summary.outputs[topic] += 1
         if topic in STATUS_TOPICS:
             self._summary.status_histories.setdefault(topic, StatusHistory()).add(message)
-        elif topic in INTEGRITY.values():
+        elif topic in INTEGRITY_TOPICS.values():
             self._summary.exclusions.setdefault(topic, ExclusionHistory()).add(message)
         elif topic == DIAGNOSTICS_TOPIC:
-            self._note_sayings(message)
+            self._record_diagnostics(message)
 
-    def _note_sayings(self, diagnostics: Any) -> None:
+    def _record_diagnostics(self, diagnostics: Any) -> None:
         """Record the diagnostics about statuses: "ship_attitude: attitude" is about ship/attitude."""
         for status in diagnostics.status:
             history = self._summary.status_histories.get(self._status_topics.get(status.name, ""))
             if history is not None:
-                history.note(status.message)
+                history.add_diagnostic(status.message)

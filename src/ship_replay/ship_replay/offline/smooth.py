@@ -37,8 +37,8 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.documents.saved_document import DISK, READ_ONLY, Files
 from ship_node.edge.topics import OutputTopic, OutputMessage
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain, suite_text
-from ship_replay.offline.message_times import in_order_of_stamps
-from ship_replay.offline.replay import Watcher, announce, match_inputs, truth_topic_names, median_delay_ns
+from ship_replay.offline.message_times import sort_by_stamp
+from ship_replay.offline.replay import ProgressWrapper, write_head, match_inputs, truth_topic_names, median_delay_ns
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.optical_axis.core import OpticalAxisCore
@@ -55,7 +55,7 @@ Three = tuple[float, float, float]
 
 
 @dataclass
-class Smoothed:
+class SmoothedOutput:
     """Smoothed messages of one output.
 
     Attributes:
@@ -103,10 +103,10 @@ class SmoothSummary:
     """
 
     problems: list[str]
-    outputs: list[Smoothed] = field(default_factory=list)
+    outputs: list[SmoothedOutput] = field(default_factory=list)
 
 
-class _WholeVoyage(ShipAttitudeAdapter):
+class _SmoothingShipAdapter(ShipAttitudeAdapter):
     """Node whose core returns all attitudes, smoothed, at the end.
 
     Attributes:
@@ -115,11 +115,11 @@ class _WholeVoyage(ShipAttitudeAdapter):
 
     def __init__(self, config: ShipAttitudeConfig, factory: MessageFactory, files: Files = DISK) -> None:
         super().__init__(config, factory, files)
-        self.ended: list[AttitudeEstimate] = []
+        self.finished_estimates: list[AttitudeEstimate] = []
 
     def before_adoption(self) -> list[OutputMessage]:
         """See :class:`RecoveringAdapter`; the attitudes are written at the end."""
-        self.ended += self.core.smoothed_to_the_end()
+        self.finished_estimates += self.core.smoothed_to_the_end()
         return []
 
     def make_core(self, config: ShipAttitudeConfig, sky_model: SkyModel | None) -> ShipAttitudeCore:
@@ -127,7 +127,7 @@ class _WholeVoyage(ShipAttitudeAdapter):
         return SmoothingCore(config, sky_model, None)
 
 
-class _WholeSession(OpticalAxisAdapter):
+class _SmoothingAxisAdapter(OpticalAxisAdapter):
     """Node whose core returns all pointings, smoothed, at the end."""
 
     def make_core(self, config: OpticalAxisConfig, sky_model: SkyModel | None) -> OpticalAxisCore:
@@ -156,9 +156,9 @@ class _RealTimeOutputs:
             first, second, third = message.covariance[::4].tolist()
             if topic == POINTING_TOPIC:
                 first *= math.cos(message.elevation) ** 2
-            kept = self.attitudes if topic == ATTITUDE_TOPIC else self.pointings
-            at_once = _RealTimeOutput(log_time_ns, Status(message.status), (first, second, third))
-            kept[ns_from_stamp(message.header.stamp)] = at_once
+            target = self.attitudes if topic == ATTITUDE_TOPIC else self.pointings
+            output = _RealTimeOutput(log_time_ns, Status(message.status), (first, second, third))
+            target[ns_from_stamp(message.header.stamp)] = output
 
     def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
         """Ignore a message of the truth."""
@@ -169,7 +169,7 @@ def smooth(
     out_path: Path,
     config_path: Path | None = None,
     namespace: str = "",
-    watch: Watcher = lambda records, bag: records,
+    progress: ProgressWrapper = lambda records, bag: records,
     by_stamps: bool = False,
 ) -> SmoothSummary:
     """Write ``ship/attitude_smoothed``, ``theodolite/pointing_smoothed`` and the unchanged truth.
@@ -189,9 +189,9 @@ def smooth(
         if out_path.resolve() == bag_path.resolve():
             raise BadInput("the output would overwrite the input", file=out_path)
         config_text, factory, real_time = suite_text(bag, config_path), RosbagsFactory(), _RealTimeOutputs()
-        kinds = (_WholeVoyage, StarAttitudeAdapter, OpticalAxisAdapter)
+        kinds = (_SmoothingShipAdapter, StarAttitudeAdapter, OpticalAxisAdapter)
         chain, left_out = suite_chain(bag, kinds, factory, config_path, namespace)
-        ship = next((one for one in chain.adapters if isinstance(one, _WholeVoyage)), None)
+        ship = next((one for one in chain.adapters if isinstance(one, _SmoothingShipAdapter)), None)
         axis = next((one for one in chain.adapters if isinstance(one, OpticalAxisAdapter)), None)
         if ship is None and axis is None:
             text = "the configuration has no section of ship_attitude or optical_axis: there is nothing to smooth"
@@ -199,30 +199,30 @@ def smooth(
         names = {name: relative for relative, name in match_inputs(bag, chain, namespace).items()}
 
         def records_of(some_names: Mapping[str, str]) -> Iterator[BagRecord]:
-            records = watch(bag.records(some_names), bag)
-            return in_order_of_stamps(records, median_delay_ns(bag_path, names)) if by_stamps else records
+            records = progress(bag.records(some_names), bag)
+            return sort_by_stamp(records, median_delay_ns(bag_path, names)) if by_stamps else records
 
-        _hand_over(chain, records_of(names), names, real_time)
+        _feed(chain, records_of(names), names, real_time)
         summary = SmoothSummary([*left_out, *bag.problems])
         attitudes: Iterable[BagRecord] = []
         pointings: Iterable[BagRecord] = []
         if ship is not None:
-            summary.outputs.append(Smoothed(SMOOTHED_TOPIC, ATTITUDE_TYPE, ("heading", "pitch", "roll")))
-            estimates = itertools.chain(ship.ended, ship.core.smoothed_to_the_end())
-            attitudes = _attitudes(estimates, real_time.attitudes, factory, ship.config.frames, summary.outputs[-1])
+            summary.outputs.append(SmoothedOutput(SMOOTHED_TOPIC, ATTITUDE_TYPE, ("heading", "pitch", "roll")))
+            estimates = itertools.chain(ship.finished_estimates, ship.core.smoothed_to_the_end())
+            attitudes = _smoothed_attitudes(estimates, real_time.attitudes, factory, ship.config.frames, summary.outputs[-1])
         if axis is not None:
             # The attitudes are both an input and an output.
             attitudes = list(attitudes)
-            again = _WholeSession(chain.configs[axis.node_name], factory, READ_ONLY)
+            again = _SmoothingAxisAdapter(chain.configs[axis.node_name], factory, READ_ONLY)
             session = AdapterChain([again])
-            of_session = {name: relative for name, relative in names.items() if relative in session.taken[0]}
+            of_session = {name: relative for name, relative in names.items() if relative in session.input_topics[0]}
             records = heapq.merge(records_of(of_session), attitudes, key=attrgetter("log_time_ns"))
-            _hand_over(session, records, of_session | {SMOOTHED_TOPIC: ATTITUDE_TOPIC}, _RealTimeOutputs())
+            _feed(session, records, of_session | {SMOOTHED_TOPIC: ATTITUDE_TOPIC}, _RealTimeOutputs())
             angles = ("azimuth cos elevation", "elevation", "image rotation")
-            summary.outputs.append(Smoothed(SMOOTHED_POINTING_TOPIC, POINTING_TYPE, angles))
-            pointings = _pointings(again.core, real_time.pointings, factory, summary.outputs[-1])
+            summary.outputs.append(SmoothedOutput(SMOOTHED_POINTING_TOPIC, POINTING_TYPE, angles))
+            pointings = _smoothed_pointings(again.core, real_time.pointings, factory, summary.outputs[-1])
         with BagWriter(out_path) as writer:
-            announce(writer, bag, [OutputTopic(one.topic, one.type_name) for one in summary.outputs], config_text)
+            write_head(writer, bag, [OutputTopic(one.topic, one.type_name) for one in summary.outputs], config_text)
             for record in heapq.merge(_truth(bag, namespace), attitudes, pointings, key=attrgetter("log_time_ns")):
                 writer.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)
             if not any(one.count for one in summary.outputs):
@@ -230,13 +230,13 @@ def smooth(
         return summary
 
 
-def _hand_over(
+def _feed(
     chain: AdapterChain, records: Iterable[BagRecord], relative_names: Mapping[str, str], sink: _RealTimeOutputs
 ) -> None:
     """Process the inputs one by one, under their relative names."""
     run = ReplayRun(chain, sink, ReplaySummary(), truth_topics=())
     for record in records:
-        run.take(relative_names[record.topic], record)
+        run.process_message(relative_names[record.topic], record)
 
 
 def _truth(bag: Bag, namespace: str) -> Iterator[BagRecord]:
@@ -245,12 +245,12 @@ def _truth(bag: Bag, namespace: str) -> Iterator[BagRecord]:
         yield replace(record, topic=names[record.topic])
 
 
-def _attitudes(
+def _smoothed_attitudes(
     estimates: Iterable[AttitudeEstimate],
     real_time: Mapping[int, _RealTimeOutput],
     factory: RosbagsFactory,
     frames: FrameNames,
-    smoothed: Smoothed,
+    smoothed: SmoothedOutput,
 ) -> Iterator[BagRecord]:
     """Yield the smoothed attitudes of the ship and fill their summary."""
     for estimate in estimates:
@@ -260,18 +260,18 @@ def _attitudes(
         yield smoothed.record(real_time[estimate.time_ns], message, covariance)
 
 
-def _pointings(
-    core: SmoothingAxisCore, real_time: Mapping[int, _RealTimeOutput], factory: RosbagsFactory, smoothed: Smoothed
+def _smoothed_pointings(
+    core: SmoothingAxisCore, real_time: Mapping[int, _RealTimeOutput], factory: RosbagsFactory, smoothed: SmoothedOutput
 ) -> Iterator[BagRecord]:
     """Yield the smoothed pointings at the stamps of real-time ones and fill their summary.
 
     The status is the worse of the real-time and the smoothed one.
     """
     for estimate in core.smoothed_to_the_end():
-        at_once = real_time.get(estimate.time_ns)
-        if at_once is not None:
-            _, message = smoothed_pointing(factory, replace(estimate, status=max(at_once.status, estimate.status)))
+        output = real_time.get(estimate.time_ns)
+        if output is not None:
+            _, message = smoothed_pointing(factory, replace(estimate, status=max(output.status, estimate.status)))
             azimuth, elevation, _ = angles_from_rotation(estimate.rotation_nm)
             covariance = angle_covariance(estimate.covariance_n, azimuth, elevation)
             covariance[0] *= math.cos(elevation) ** 2
-            yield smoothed.record(at_once, message, covariance)
+            yield smoothed.record(output, message, covariance)

@@ -13,7 +13,7 @@ from ship_node.edge.blocks import OutputRows
 from ship_watch.orientations import Orientation
 
 _TRUTH_GAP_NS = 1_000_000_000
-_PATIENCE_NS = 2_000_000_000
+_MAX_TRUTH_DELAY_NS = 2_000_000_000
 """Maximum delay of the truth after an output; an error message is written without errors after it, ns."""
 
 
@@ -27,7 +27,7 @@ class TruthErrors:
         self.orientation = orientation
         self._truth = AttitudeTrack(_TRUTH_GAP_NS)
         self._attitudes: dict[int, FloatArray] = {}
-        self._waiting: deque[tuple[int, Any]] = deque()
+        self._pending: deque[tuple[int, Any]] = deque()
 
     def add_truth(self, sample: AttitudeSample | None) -> None:
         """Add a sample of the truth; None, from a message without an orientation, is ignored."""
@@ -46,27 +46,27 @@ class TruthErrors:
             self._attitudes.update(zip(stamps_ns.tolist(), angles, strict=True))
 
     @property
-    def waits(self) -> bool:
+    def has_pending(self) -> bool:
         """True if an error message waits for the truth."""
-        return bool(self._waiting)
+        return bool(self._pending)
 
     def is_ready(self, now_ns: int | None) -> bool:
         """True if an error message is ready at `now_ns`."""
-        if not self.waits:
+        if not self.has_pending:
             return False
-        log_time_ns, message = self._waiting[0]
-        patient = now_ns is not None and now_ns - log_time_ns < _PATIENCE_NS
-        return not patient or self._truth.at(ns_from_stamp(message.header.stamp)) is not None
+        log_time_ns, message = self._pending[0]
+        may_wait = now_ns is not None and now_ns - log_time_ns < _MAX_TRUTH_DELAY_NS
+        return not may_wait or self._truth.at(ns_from_stamp(message.header.stamp)) is not None
 
     def add_error(self, message: Any, log_time_ns: int) -> None:
         """Add a published error message, without errors."""
-        self._waiting.append((log_time_ns, message))
+        self._pending.append((log_time_ns, message))
 
-    def filled(self, now_ns: int | None) -> list[tuple[int, Any]]:
+    def pop_ready(self, now_ns: int | None) -> list[tuple[int, Any]]:
         """Return (log time, message) of the error messages ready at ``now_ns``; None: no more truth will come."""
         ready: list[tuple[int, Any]] = []
         while self.is_ready(now_ns):
-            log_time_ns, message = self._waiting.popleft()
+            log_time_ns, message = self._pending.popleft()
             stamp_ns = ns_from_stamp(message.header.stamp)
             truth, attitude = self._truth.at(stamp_ns), self._attitudes.get(stamp_ns)
             if truth is not None and attitude is not None:
@@ -74,9 +74,9 @@ class TruthErrors:
                 for channel, error in zip(self.orientation.channels, errors_arcsec.tolist(), strict=True):
                     setattr(message, f"error_{channel}", error)
             ready.append((log_time_ns, message))
-            self._forget(stamp_ns)
+            self._drop_before(stamp_ns)
         return ready
 
-    def _forget(self, stamp_ns: int) -> None:
+    def _drop_before(self, stamp_ns: int) -> None:
         self._truth.drop_before(stamp_ns)
         self._attitudes = {time: value for time, value in self._attitudes.items() if time >= stamp_ns}

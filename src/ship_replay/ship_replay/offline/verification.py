@@ -17,10 +17,10 @@ from ship_node.edge.adapter import Adapter
 from ship_node.edge.messages_out import DIAGNOSTICS_TYPE
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
 from ship_replay.offline.message_values import values
-from ship_replay.offline.replay import Watcher, match_inputs
+from ship_replay.offline.replay import ProgressWrapper, match_inputs
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 
-ASIDE = DIAGNOSTICS_TYPE, "ship_msgs/msg/InputHealth"
+UNCOMPARED_TYPES = DIAGNOSTICS_TYPE, "ship_msgs/msg/InputHealth"
 """Types of messages that also tell of the middleware, which no replay knows: not compared."""
 
 
@@ -109,19 +109,19 @@ class Verification:
         cut: whether that is nothing but the file's sudden end.
     """
 
-    used: Counter[str] = field(default_factory=Counter)
-    equal: Counter[str] = field(default_factory=Counter)
+    input_counts: Counter[str] = field(default_factory=Counter)
+    equal_counts: Counter[str] = field(default_factory=Counter)
     other_texts: Counter[str] = field(default_factory=Counter)
     difference: Difference | None = None
     text_difference: Difference | None = None
     notes: list[str] = field(default_factory=list)
-    unverified: str = ""
-    cut: bool = False
+    incomplete_reason: str = ""
+    is_truncated: bool = False
 
     @property
-    def holds(self) -> bool:
+    def is_verified(self) -> bool:
         """Whether all outputs are the same, at least up to the sudden end of a file."""
-        return self.difference is None and (self.cut or not self.unverified)
+        return self.difference is None and (self.is_truncated or not self.incomplete_reason)
 
     def add(self, topic: str, difference: Difference | None) -> None:
         """Add the comparison of two messages.
@@ -133,7 +133,7 @@ class Verification:
         if difference is not None:
             self.add_difference(difference)
         if self.difference is None:
-            self.equal[topic] += 1
+            self.equal_counts[topic] += 1
 
     def add_difference(self, difference: Difference) -> None:
         """Add a difference: the first one in a number is kept, those in texts are counted."""
@@ -149,7 +149,7 @@ def verify_bag(
     adapter_classes: Sequence[type[Adapter]],
     config_path: Path | None = None,
     namespace: str = "",
-    watch: Watcher = lambda records, bag: records,
+    progress: ProgressWrapper = lambda records, bag: records,
 ) -> Verification:
     """Compare what a replay gives with what a bag holds.
 
@@ -173,16 +173,16 @@ def verify_bag(
     comparison = _Comparison(set(outputs.values()))
     summary = ReplaySummary()
     run = ReplayRun(chain, comparison, summary, truth_topics=())
-    for record in watch(bag.records(inputs | outputs), bag):
+    for record in progress(bag.records(inputs | outputs), bag):
         if record.topic in inputs:
-            run.take(inputs[record.topic], record)
+            run.process_message(inputs[record.topic], record)
         if record.topic in outputs:
             comparison.add_recorded(outputs[record.topic], record.decode(), record.log_time_ns)
         if comparison.result.difference is not None:
             break
     else:
         comparison.finish()
-    comparison.result.used.update(summary.inputs)
+    comparison.result.input_counts.update(summary.inputs)
     comparison.result.notes += left_out + bag.problems
     return comparison.result
 
@@ -195,7 +195,7 @@ def _recorded_outputs(bag: Bag, chain: AdapterChain, namespace: str) -> dict[str
     found = relative_topics(bag.topics, namespace)
     outputs = {}
     for output in chain.outputs:
-        if output.topic in found and output.type_name not in ASIDE:
+        if output.topic in found and output.type_name not in UNCOMPARED_TYPES:
             name = found[output.topic]
             if lines := bag.differences.get(bag.topics[name]):
                 raise BadInput(f"topic '{name}': the message definition has changed: {'; '.join(lines)}", file=bag.path)
@@ -232,14 +232,14 @@ class _Comparison:
 
     def finish(self) -> None:
         """End the comparison: a message that is left over on one side is a difference."""
-        left = []
+        unmatched = []
         for side, found in ((self._recorded, ("a message", "nothing")), (self._replayed, ("nothing", "a message"))):
             for topic, rest in side.items():
                 if rest:
                     message, time_ns = rest[0]
-                    left.append((time_ns, topic, Difference(topic, stamp_of(message, time_ns), "", *found)))
-        if left and self.result.difference is None:
-            _, _, self.result.difference = min(left, key=lambda entry: entry[:2])
+                    unmatched.append((time_ns, topic, Difference(topic, stamp_of(message, time_ns), "", *found)))
+        if unmatched and self.result.difference is None:
+            _, _, self.result.difference = min(unmatched, key=lambda entry: entry[:2])
 
     def _compare(self, topic: str) -> None:
         if self._recorded[topic] and self._replayed[topic]:

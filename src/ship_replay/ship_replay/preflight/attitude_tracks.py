@@ -45,7 +45,7 @@ class AttitudeTracks:
         """Topics of the samples."""
         return (self.ship_topic, ENCODER_TOPIC) if isinstance(self.config, OpticalAxisConfig) else (self.ship_topic,)
 
-    def prior(self, device: Any, time_ns: int) -> StarPrior | None:
+    def predicted_attitude(self, device: Any, time_ns: int) -> StarPrior | None:
         """Return the attitude of a camera (horizon from sensor) with its configured errors; None if unknown."""
         ship, ins = self.ship.at(time_ns + offset_ns(device)), self.config.ins
         if ship is None:

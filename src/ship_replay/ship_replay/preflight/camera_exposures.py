@@ -41,7 +41,7 @@ class ImageAxes(NamedTuple):
     expected_s: FloatArray
 
 
-AS_EXPECTED = ImageAxes("", np.eye(3))
+EXPECTED_AXES = ImageAxes("", np.eye(3))
 
 MIRRORED = (
     ImageAxes("u counts to the left", np.diag([1.0, 1.0, -1.0])),
@@ -65,10 +65,10 @@ class CameraRecord:
     topic: str
     camera: CameraConfig
     messages: Sequence[tuple[Any, int]]
-    prior_at: Callable[[int], StarPrior | None]
+    predicted_attitude_at: Callable[[int], StarPrior | None]
 
 
-def fitted_camera(
+def fit_camera(
     record: CameraRecord, axes: ImageAxes, sky_model: SkyModel
 ) -> tuple[CameraConfig | None, list[StarExposure]]:
     """Return the camera whose focal length fits the angles between stars, and the exposures with it.
@@ -102,9 +102,9 @@ def _exposures(record: CameraRecord, camera: CameraConfig, axes: ImageAxes, sky_
         sky = sky_model.sky_at(exposure.time_ns)
         if isinstance(sky, Rejection):
             continue
-        if axes is not AS_EXPECTED:
+        if axes is not EXPECTED_AXES:
             exposure = replace(exposure, directions_s=exposure.directions_s @ axes.expected_s.T)
-        prior = None if exposure.is_identified.all() else record.prior_at(exposure.time_ns)
+        prior = None if exposure.is_identified.all() else record.predicted_attitude_at(exposure.time_ns)
         if prior is not None:
             widened_n = prior.covariance_n + _PRIOR_SIGMA**2 * np.eye(3)
             unknown = np.full(len(exposure), np.nan)

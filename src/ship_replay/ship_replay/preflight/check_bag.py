@@ -7,7 +7,7 @@ from typing import Any
 
 from ship_bags.renamed_topics import remap_advice
 from ship_bags.topic_names import likely_namespace
-from ship_replay.offline.message_times import MessageTimes, exceeded
+from ship_replay.offline.message_times import MessageTimes, exceeded_limits
 from ship_replay.preflight.check_config import BagCheck, CheckedNode
 from ship_replay.preflight.load import load_text, load_warnings, node_loads, measured_slowness
 
@@ -20,14 +20,14 @@ _GROUPS = {"star": "star_sensors", "reference": "references"}
 
 def check_bag(check: BagCheck) -> None:
     """Check a configuration against the topics of a bag: presence, type, definition, frame_id."""
-    given = {topic.topic for node in check.nodes for topic in node.adapter.outputs}
-    _check_presence(check, check.found.keys() | given)
+    published = {topic.topic for node in check.nodes for topic in node.adapter.outputs}
+    _check_presence(check, check.topic_names.keys() | published)
     for node in check.nodes:
         _check_inputs(check, node)
     # A problem of the bag is found for each node that uses it: report it once.
     check.findings.errors = list(dict.fromkeys(check.findings.errors))
-    taken = {topic.topic for node in check.nodes for topic in node.adapter.inputs}
-    check.findings.warnings += [*_not_configured(check, taken | given), *check.bag.problems]
+    input_topics = {topic.topic for node in check.nodes for topic in node.adapter.inputs}
+    check.findings.warnings += [*_not_configured(check, input_topics | published), *check.bag.problems]
 
 
 def _check_presence(check: BagCheck, present: Collection[str]) -> None:
@@ -49,7 +49,7 @@ def _check_presence(check: BagCheck, present: Collection[str]) -> None:
         similar = remap_advice(name, kinds[name], check.bag.topics, kinds, check.namespace)
         advice = f" (found in namespace '{hint}')" if hint else f" ({similar})" if similar else ""
         place = takers[0][0].place(check.path, _section(name))
-        check.say(bool(needing), f"{place}: topic '{name}' is not in {check.bag.path}: {whose}{advice}")
+        check.report(bool(needing), f"{place}: topic '{name}' is not in {check.bag.path}: {whose}{advice}")
 
 
 def _check_inputs(check: BagCheck, node: CheckedNode) -> None:
@@ -57,25 +57,25 @@ def _check_inputs(check: BagCheck, node: CheckedNode) -> None:
     bag, errors = check.bag, check.findings.errors
     readable: dict[str, str] = {}
     for topic in node.adapter.inputs:
-        if topic.topic not in check.found:
+        if topic.topic not in check.topic_names:
             continue
-        type_name = bag.topics[check.found[topic.topic]]
+        type_name = bag.topics[check.topic_names[topic.topic]]
         if type_name != topic.type_name:
             place = node.place(check.path, _section(topic.topic))
             errors.append(f"{place}: topic '{topic.topic}' in {bag.path} is {type_name}: expected {topic.type_name}")
             continue
         errors += [f"{bag.path}: topic '{topic.topic}': {line}" for line in bag.differences.get(type_name, [])]
         if type_name not in bag.differences:
-            readable[topic.topic] = check.found[topic.topic]
+            readable[topic.topic] = check.topic_names[topic.topic]
     errors += _frame_errors(check, node, readable)
 
 
 def _frame_errors(check: BagCheck, node: CheckedNode, readable: dict[str, str]) -> Iterator[str]:
     """Yield errors for messages that would be rejected because of their frame_id."""
     expected = {topic: _frame_id(node.config, topic) for topic in readable}
-    waiting = {readable[topic]: topic for topic, frame in expected.items() if frame}
-    for record in check.bag.records(waiting) if waiting else ():
-        topic = waiting.pop(record.topic, None)
+    pending = {readable[topic]: topic for topic, frame in expected.items() if frame}
+    for record in check.bag.records(pending) if pending else ():
+        topic = pending.pop(record.topic, None)
         if topic is not None:
             frame = record.decode().header.frame_id
             if frame != expected[topic]:
@@ -84,7 +84,7 @@ def _frame_errors(check: BagCheck, node: CheckedNode, readable: dict[str, str]) 
                     f"{node.place(check.path, name)}: parameter '{name}' = '{expected[topic]}', but "
                     f"topic '{topic}' in {check.bag.path} carries frame_id '{frame}'"
                 )
-        if not waiting:
+        if not pending:
             break
 
 
@@ -98,7 +98,7 @@ def _frame_id(config: Any, topic: str) -> str:
 
 def _not_configured(check: BagCheck, known: set[str]) -> Iterator[str]:
     """Yield warnings for sensors in the bag that the configuration does not use."""
-    found, where = check.found, check.bag.path
+    found, where = check.topic_names, check.bag.path
     for topic in sorted(found.keys() - known):
         match = _SENSOR_TOPIC.fullmatch(topic)
         if match is None:
@@ -118,14 +118,14 @@ def _section(topic: str) -> str:
 
 def check_rates(check: BagCheck) -> None:
     """Compare the gaps between messages of a bag with the parameters, and estimate the load from the rates."""
-    taken = {topic.topic for node in check.nodes for topic in node.adapter.inputs} & check.found.keys()
-    times = {topic: MessageTimes() for topic in taken}
-    relative_names = {check.found[topic]: topic for topic in taken}
-    for record in check.bag.records(relative_names) if taken else ():
+    input_topics = {topic.topic for node in check.nodes for topic in node.adapter.inputs} & check.topic_names.keys()
+    times = {topic: MessageTimes() for topic in input_topics}
+    relative_names = {check.topic_names[topic]: topic for topic in input_topics}
+    for record in check.bag.records(relative_names) if input_topics else ():
         times[relative_names[record.topic]].add(record)
     for node in check.nodes:
-        for excess in exceeded(node.config, times, str(check.bag.path)):
-            check.say(excess.mostly, f"{node.place(check.path, excess.limit.parameter)}: {excess.text}")
+        for excess in exceeded_limits(node.config, times, str(check.bag.path)):
+            check.report(excess.is_most_of_the_time, f"{node.place(check.path, excess.limit.parameter)}: {excess.text}")
     rates_hz = {topic: found.arrivals.rate_hz for topic, found in times.items()}
     if any(rates_hz.values()):
         found = node_loads([node.adapter for node in check.nodes], rates_hz, measured_slowness())

@@ -9,7 +9,7 @@ _SIGMAS = 5.0
 _FOCAL_LENGTH_TOLERANCE = 0.01
 """Relative error of the focal length above which stars near the edge of the image are lost."""
 
-_LIKELY_SIGMAS = 2.0
+_ACCEPTED_SIGMAS = 2.0
 """Error of the focal length, in stated standard deviations, that is accepted without a warning."""
 
 _OTHER_BAND = 0.4
@@ -46,7 +46,7 @@ def _focal_length(mounting: MeasuredMounting, bag: Bag) -> Iterator[tuple[bool, 
     if not abs(off) <= _FOCAL_LENGTH_TOLERANCE:
         yield True, name, f"{start} are those of {camera.focal_length_m:.4g} m with pixels of {pitch_m:g} m"
         return
-    least = _LIKELY_SIGMAS * mounting.device.camera.focal_sigma
+    least = _ACCEPTED_SIGMAS * mounting.device.camera.focal_sigma
     if camera.optics is not None and abs(off) > max(_SIGMAS * camera.optics.scale_sigma, least):
         sigma_m = camera.optics.scale_sigma * configured_m
         text = (

@@ -26,7 +26,7 @@ from ship_node.parameters.parameter_file import has_section, section_warning, re
 from ship_node.parameters.places import MachineResource
 from ship_replay.offline.adapter_chain import nodes_of
 
-_OF_ONE_NODE = ("magnitude_limit", "refraction_time_s", "position_time_s")
+_NODE_SPECIFIC_SKY_PARAMETERS = ("magnitude_limit", "refraction_time_s", "position_time_s")
 """Sky parameters that may differ between nodes: which stars a node identifies, and time constants of its filter."""
 
 
@@ -42,7 +42,7 @@ class Findings:
     """
 
     errors: list[str] = field(default_factory=list)
-    unused: list[str] = field(default_factory=list)
+    unused_inputs: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -88,16 +88,16 @@ class BagCheck:
     findings: Findings
 
     @cached_property
-    def found(self) -> dict[str, str]:
+    def topic_names(self) -> dict[str, str]:
         """Relative topic → name in the bag."""
         return relative_topics(self.bag.topics, self.namespace)
 
     @property
     def usable(self) -> dict[str, str]:
         """Relative topic → name in the bag, for topics with the same message definition here."""
-        return {topic: name for topic, name in self.found.items() if self.bag.topics[name] not in self.bag.differences}
+        return {topic: name for topic, name in self.topic_names.items() if self.bag.topics[name] not in self.bag.differences}
 
-    def say(self, is_error: bool, text: str) -> None:
+    def report(self, is_error: bool, text: str) -> None:
         """Add a finding once: two nodes may share a parameter."""
         lines = self.findings.errors if is_error else self.findings.warnings
         if text not in lines:
@@ -123,7 +123,7 @@ def check_file(
     """
     names = {kind: full_name(kind.node_name, namespace) for kind in adapter_classes}
     known = [*names.values(), *(full_name(companion.node_name, namespace) for companion in COMPANIONS)]
-    misfits = [problem for name in known for problem in _misfit(path, name)]
+    misfits = [problem for name in known for problem in _misfit_lines(path, name)]
     findings.errors += misfits
     strange = unknown_sections(path, known)
     companions = list(configured_companions(path, namespace))
@@ -134,7 +134,7 @@ def check_file(
         expected_text = _expected(adapter_classes)
         findings.warnings += [f"{path}: section '{name}' fits no node of this suite: {expected_text}" for name in strange]
     named = [kind for kind in nodes_of(path, adapter_classes, namespace) if has_section(path, names[kind])]
-    checked = (_checked(path, kind, names[kind], findings) for kind in named)
+    checked = (_check_node(path, kind, names[kind], findings) for kind in named)
     nodes = [node for node in checked if node is not None]
     places = [place for companion in companions for place in _companion_places(path, companion, namespace, findings)]
     findings.errors += list(_place_conflicts(path, places))
@@ -163,7 +163,7 @@ def _expected(adapter_classes: Sequence[type[Adapter]]) -> str:
     return f"expected one of {names} or '/**'"
 
 
-def _misfit(path: Path, name: str) -> list[str]:
+def _misfit_lines(path: Path, name: str) -> list[str]:
     """Return the error about a section that nearly fits a node: the node would not start with it."""
     try:
         section_warning(path, name)
@@ -172,9 +172,9 @@ def _misfit(path: Path, name: str) -> list[str]:
     return []
 
 
-def _checked(path: Path, adapter_class: type[Adapter], name: str, findings: Findings) -> CheckedNode | None:
+def _check_node(path: Path, adapter_class: type[Adapter], name: str, findings: Findings) -> CheckedNode | None:
     file = read_node_parameters(path, name)
-    config, replaced = _configured(file, adapter_class.config_type, findings)
+    config, replaced = _build_config(file, adapter_class.config_type, findings)
     if config is None:
         return None
     try:
@@ -202,7 +202,7 @@ def _companion_places(
         return
     node = full_name(companion.node_name, namespace)
     file = read_node_parameters(path, node)
-    config, replaced = _configured(file, kind, findings)
+    config, replaced = _build_config(file, kind, findings)
     for place in () if replaced else config.places:
         yield node, file, place
 
@@ -217,7 +217,7 @@ def _place_conflicts(path: Path, places: Sequence[tuple[str, ParameterFile, Mach
             yield f"{path}:{line}: {reason}: expected a {place.kind.value} of its own"
 
 
-def _configured(file: ParameterFile, kind: type[Any], findings: Findings) -> tuple[Any, set[str]]:
+def _build_config(file: ParameterFile, kind: type[Any], findings: Findings) -> tuple[Any, set[str]]:
     """Return the configuration with invalid values replaced, or None, and the names of reported parameters."""
     values = copy.deepcopy(file.values)
     descriptions = list(describe(kind))
@@ -230,7 +230,7 @@ def _configured(file: ParameterFile, kind: type[Any], findings: Findings) -> tup
                 return None, replaced  # caused by the removed value
             findings.errors.append(str(file.error(problem)))
             replaced.update(problem.parameters[:1])
-            if not _put_right(values, problem, descriptions):
+            if not _replace_value(values, problem, descriptions):
                 return None, replaced
 
 
@@ -257,7 +257,7 @@ def _skies(one: Any, other: Any) -> Iterator[tuple[str, Any, Any]]:
     The sky must be the same because errors shared by solutions and other sensors are separated by it.
     """
     if _needs_sky(one) and _needs_sky(other):
-        for name in (field.name for field in dataclasses.fields(SkyConfig) if field.name not in _OF_ONE_NODE):
+        for name in (field.name for field in dataclasses.fields(SkyConfig) if field.name not in _NODE_SPECIFIC_SKY_PARAMETERS):
             yield f"sky.{name}", getattr(one.sky, name), getattr(other.sky, name)
 
 
@@ -267,7 +267,7 @@ def _needs_sky(config: Any) -> bool:
     return hasattr(config, "sky") and (on_deck or bool(getattr(config, "telescopes", {})))
 
 
-def _put_right(values: dict[str, Any], problem: ParameterError, descriptions: list[ParameterDescription]) -> bool:
+def _replace_value(values: dict[str, Any], problem: ParameterError, descriptions: list[ParameterDescription]) -> bool:
     """Remove the value named by a problem, and insert an allowed one if the parameter is required.
 
     Returns:
@@ -284,12 +284,12 @@ def _put_right(values: dict[str, Any], problem: ParameterError, descriptions: li
     for description in descriptions:
         pattern = re.escape(description.name).replace("<id>", r"[^.]+")
         if description.default is None and re.fullmatch(pattern, parameter):
-            level[leaf] = _allowed(description)
+            level[leaf] = _allowed_value(description)
             return True
     return removed
 
 
-def _allowed(description: ParameterDescription) -> Any:
+def _allowed_value(description: ParameterDescription) -> Any:
     if description.choices:
         return description.choices[0]
     if description.kind in (int, float):

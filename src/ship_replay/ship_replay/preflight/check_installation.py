@@ -16,25 +16,25 @@ from ship_bags.mcap.bag_reader import Bag
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, log_rotation
-from ship_replay.preflight.camera_exposures import AS_EXPECTED
+from ship_replay.preflight.camera_exposures import EXPECTED_AXES
 from ship_replay.preflight.check_camera import camera_contradictions
 from ship_replay.preflight.check_config import BagCheck
 from ship_replay.preflight.measured_mounting import MeasuredMounting, measured_mountings
-from ship_replay.preflight.pixel_count import CameraTurn, counted_from_one, turn_at_rest
+from ship_replay.preflight.pixel_count import CameraTurn, cameras_counting_from_one, rate_corrected_turn
 from theodolite_calib.config import OpticalAxisConfig
 
 _SIGMAS = 5.0
-_TOO_FAR = np.deg2rad(1.0)
+_LARGE_ERROR = np.deg2rad(1.0)
 """Installation error that no sigma explains, rad: no star would be used."""
 
 _MIN_REPORTED_ANGLE = np.deg2rad(0.01)
-_FEWEST = 3
+_MIN_ATTITUDES = 3
 _LOOKS_LIKE_RADIANS_DEG = 1.0
 
 _IMAGES = 30
 _NEAR_NS = NS_PER_S // 5
-_FEWEST_PAIRS = 5
-_LEAST_ANGLE = np.deg2rad(0.1)
+_MIN_PAIRS = 5
+_MIN_ANGLE = np.deg2rad(0.1)
 _TOLERANCE = 0.2
 """Relative tolerance of the focal length. Baselines start at the ship's antenna, not at the telescope: a few percent at
 some hundred metres."""
@@ -43,7 +43,7 @@ _IMAGE_TOPIC = "theodolite/beacons"
 
 
 @dataclass(frozen=True)
-class _Residual:
+class _InstallationResidual:
     """Difference between measured and configured installation.
 
     Attributes:
@@ -57,7 +57,7 @@ class _Residual:
     mounting: MeasuredMounting
     measured_dv: FloatArray
     turn_d: FloatArray
-    kept: NDArray[np.bool_]
+    is_inlier: NDArray[np.bool_]
     sigmas: float
 
 
@@ -77,7 +77,7 @@ def check_installation(check: BagCheck) -> None:
             # Replaced values are already reported.
             if line not in reported and parameter not in node.replaced_parameters:
                 reported.add(line)
-                check.say(is_error, line)
+                check.report(is_error, line)
 
 
 def _contradictions(
@@ -87,19 +87,19 @@ def _contradictions(
     residuals = []
     for mounting in mountings:
         yield from camera_contradictions(mounting, bag)
-        if len(mounting.rotations_dv) >= _FEWEST:
+        if len(mounting.rotations_dv) >= _MIN_ATTITUDES:
             residuals.append(_residual(mounting, config))
-    far = [residual for residual in residuals if np.linalg.norm(residual.turn_d) > _TOO_FAR]
+    far = [residual for residual in residuals if np.linalg.norm(residual.turn_d) > _LARGE_ERROR]
     common = _common_rotation(far) if len(far) == len(residuals) else None
     if common is not None:
-        yield True, "ins", _words_of_ins(common, far, bag)
+        yield True, "ins", _ins_rotation_text(common, far, bag)
         return
     for residual in residuals:
         yield from _installation(residual, bag)
     yield from _pixel_count(residuals, config, bag)
 
 
-def _residual(mounting: MeasuredMounting, config: Any) -> _Residual:
+def _residual(mounting: MeasuredMounting, config: Any) -> _InstallationResidual:
     rotations_dv = mounting.rotations_dv
     # Exclude outliers: misidentified stars, and times of a wrong clock.
     middle = _mean(rotations_dv)
@@ -107,14 +107,14 @@ def _residual(mounting: MeasuredMounting, config: Any) -> _Residual:
     kept = distances <= 3.0 * np.median(distances) + ARCSEC
     middle = _mean(rotations_dv[kept])
     scatter_v = log_rotation(middle.T @ rotations_dv[kept]).std(axis=0)
-    configured_dv, installation_sigma_v = _configured(mounting.device)
+    configured_dv, installation_sigma_v = _configured_installation(mounting.device)
     ins = config.ins
     ins_sigma = ARCSEC * np.hypot(max(ins.tilt_sigma_arcsec, ins.heading_sigma_arcsec), ins.white_sigma_arcsec)
     sigma_v = np.sqrt(installation_sigma_v**2 + ins_sigma**2 + scatter_v**2)
     turn_v = log_rotation(configured_dv.T @ middle)
     # Both sigmas may be 0: then any rotation is a contradiction.
     sigmas = float(np.max(np.abs(turn_v) / np.maximum(sigma_v, 0.1 * ARCSEC)))
-    return _Residual(mounting, middle, log_rotation(middle @ configured_dv.T), kept, sigmas)
+    return _InstallationResidual(mounting, middle, log_rotation(middle @ configured_dv.T), kept, sigmas)
 
 
 def _mean(rotations: FloatArray) -> FloatArray:
@@ -125,7 +125,7 @@ def _mean(rotations: FloatArray) -> FloatArray:
     return mean
 
 
-def _configured(device: Any) -> tuple[FloatArray, FloatArray]:
+def _configured_installation(device: Any) -> tuple[FloatArray, FloatArray]:
     """Return deck from device by the parameters, and its sigma about the device's axes, rad."""
     if isinstance(device, ReferenceConfig):
         angles_deg = device.heading_deg, device.pitch_deg, device.roll_deg
@@ -133,16 +133,16 @@ def _configured(device: Any) -> tuple[FloatArray, FloatArray]:
     return device.rotation_ds, device.installation_sigma_s
 
 
-def _common_rotation(far: Sequence[_Residual]) -> FloatArray | None:
+def _common_rotation(far: Sequence[_InstallationResidual]) -> FloatArray | None:
     """Return the common rotation of the deck in two or more devices, rad, shape (3,); None if there is none."""
     if len(far) < 2:
         return None
     turns = np.array([residual.turn_d for residual in far])
-    are_equal = np.linalg.norm(turns - turns.mean(axis=0), axis=-1) < _TOO_FAR
+    are_equal = np.linalg.norm(turns - turns.mean(axis=0), axis=-1) < _LARGE_ERROR
     return turns.mean(axis=0) if np.all(are_equal) else None
 
 
-def _words_of_ins(turn_d: FloatArray, far: Sequence[_Residual], bag: Bag) -> str:
+def _ins_rotation_text(turn_d: FloatArray, far: Sequence[_InstallationResidual], bag: Bag) -> str:
     # Right-handed about up is to port; headings count the opposite way.
     forward, up, right = np.rad2deg(turn_d)
     topics = ", ".join(f"'{residual.mounting.topic}'" for residual in far)
@@ -153,13 +153,13 @@ def _words_of_ins(turn_d: FloatArray, far: Sequence[_Residual], bag: Bag) -> str
     )
 
 
-def _installation(residual: _Residual, bag: Bag) -> Iterator[tuple[bool, str, str]]:
+def _installation(residual: _InstallationResidual, bag: Bag) -> Iterator[tuple[bool, str, str]]:
     angle = float(np.linalg.norm(residual.turn_d))
     if not (residual.sigmas > _SIGMAS and angle > _MIN_REPORTED_ANGLE):
         return
     mounting = residual.mounting
     where = f"'{mounting.topic}' and 'ins/imu' in {bag.path}"
-    if angle <= _TOO_FAR:
+    if angle <= _LARGE_ERROR:
         text = (
             f"{mounting.section}: by {where} the installation is {np.rad2deg(angle):.3f} deg off, "
             f"{residual.sigmas:.0f} of its sigmas: run calibrate_installation"
@@ -172,7 +172,7 @@ def _installation(residual: _Residual, bag: Bag) -> Iterator[tuple[bool, str, st
     measured_deg = np.rad2deg(angles_from_rotation(residual.measured_dv))
     for name, measured in zip(names, measured_deg, strict=True):
         configured = getattr(mounting.device, name)
-        if abs(_wrap_deg(configured - measured)) > np.rad2deg(_TOO_FAR):
+        if abs(_wrap_deg(configured - measured)) > np.rad2deg(_LARGE_ERROR):
             in_radians = abs(_wrap_deg(np.rad2deg(configured) - measured)) < _LOOKS_LIKE_RADIANS_DEG
             hint = ": radians for degrees?" if in_radians else ""
             parameter = f"{mounting.section}.{name}"
@@ -180,12 +180,12 @@ def _installation(residual: _Residual, bag: Bag) -> Iterator[tuple[bool, str, st
             yield True, parameter, text
 
 
-def _pixel_count(residuals: Sequence[_Residual], config: Any, bag: Bag) -> Iterator[tuple[bool, str, str]]:
+def _pixel_count(residuals: Sequence[_InstallationResidual], config: Any, bag: Bag) -> Iterator[tuple[bool, str, str]]:
     """Yield the cameras whose pixels are counted from 1."""
     ins = config.ins
     cameras = [residual for residual in residuals if _has_expected_axes(residual.mounting)]
     ins_sigma_d = ARCSEC * np.array([ins.tilt_sigma_arcsec, ins.heading_sigma_arcsec, ins.tilt_sigma_arcsec])
-    for number in counted_from_one([_camera_turn(residual) for residual in cameras], np.diag(ins_sigma_d**2)):
+    for number in cameras_counting_from_one([_camera_turn(residual) for residual in cameras], np.diag(ins_sigma_d**2)):
         mounting = cameras[number].mounting
         name = f"{mounting.section}.camera.principal_u_px"
         text = (
@@ -197,14 +197,14 @@ def _pixel_count(residuals: Sequence[_Residual], config: Any, bag: Bag) -> Itera
 
 def _has_expected_axes(mounting: MeasuredMounting) -> bool:
     """True if the device is a camera, and its image is not mirrored."""
-    return mounting.camera is not None and mounting.camera.axes is AS_EXPECTED
+    return mounting.camera is not None and mounting.camera.axes is EXPECTED_AXES
 
 
-def _camera_turn(residual: _Residual) -> CameraTurn:
-    mounting, kept = residual.mounting, residual.kept
+def _camera_turn(residual: _InstallationResidual) -> CameraTurn:
+    mounting, kept = residual.mounting, residual.is_inlier
     device, camera = mounting.device, mounting.device.camera
     turns_d = log_rotation(mounting.rotations_dv[kept] @ device.rotation_ds.T)
-    turn_d, noise_d = turn_at_rest(turns_d, mounting.rates_d[kept])
+    turn_d, noise_d = rate_corrected_turn(turns_d, mounting.rates_d[kept])
     installation_d = device.rotation_ds * device.installation_sigma_s
     flexure = ARCSEC * getattr(device, "flexure_sigma_arcsec", 0.0)
     pixel = camera.pixel_pitch_m / camera.focal_length_m
@@ -235,19 +235,19 @@ def check_telescope(check: BagCheck) -> None:
 
 def _focal_length_m(config: OpticalAxisConfig, bag: Bag, usable: dict[str, str]) -> float | None:
     """Return the median focal length over pairs of lights, m; None if there are too few."""
-    images, baselines = _collected(config, bag, usable)
+    images, baselines = _collect_images(config, bag, usable)
     ratios_m: list[float] = []
     for time_ns, points_m in images:
-        lines = {id_: line for id_ in points_m if (line := _nearest(baselines.get(id_, []), time_ns)) is not None}
+        lines = {id_: line for id_ in points_m if (line := _nearest_direction(baselines.get(id_, []), time_ns)) is not None}
         for one, other in combinations(sorted(lines), 2):
             angle = float(angle_between(lines[one], lines[other]))
             distance_m = float(np.linalg.norm(points_m[one] - points_m[other]))
-            if angle > _LEAST_ANGLE and distance_m > 0.0:
+            if angle > _MIN_ANGLE and distance_m > 0.0:
                 ratios_m.append(distance_m / angle)
-    return float(np.median(ratios_m)) if len(ratios_m) >= _FEWEST_PAIRS else None
+    return float(np.median(ratios_m)) if len(ratios_m) >= _MIN_PAIRS else None
 
 
-def _collected(
+def _collect_images(
     config: OpticalAxisConfig, bag: Bag, usable: dict[str, str]
 ) -> tuple[list[tuple[int, dict[str, FloatArray]]], dict[str, list[tuple[int, FloatArray]]]]:
     """Return images with several lights, spread over the bag, and the unit vectors to the drones by time."""
@@ -274,7 +274,7 @@ def _collected(
     return images, baselines
 
 
-def _nearest(baselines: list[tuple[int, FloatArray]], time_ns: int) -> FloatArray | None:
+def _nearest_direction(baselines: list[tuple[int, FloatArray]], time_ns: int) -> FloatArray | None:
     """Return the unit vector nearest in time; None if none is within the limit."""
     index = bisect_left(baselines, time_ns, key=lambda entry: entry[0])
     near = [entry for entry in baselines[max(index - 1, 0) : index + 1] if abs(entry[0] - time_ns) <= _NEAR_NS]

@@ -35,8 +35,8 @@ class InsNoise(NamedTuple):
         rate_sigma_rad_per_s: of a single rate, rad/s; 0 if hidden by the attitude noise, NaN if by correlated errors.
     """
 
-    white_rad: float
-    rate_rad_per_s: float
+    attitude_sigma_rad: float
+    rate_sigma_rad_per_s: float
 
 
 def check_sigmas(check: BagCheck, until_ns: int) -> None:
@@ -72,12 +72,12 @@ def _check_source(
     names = list(_parameters(node.config, source))
     if not names or 2 * record.note_counts[Reason.COVARIANCE_UNKNOWN] < record.received:
         text = f"{check.bag.path}: topic '{feed.input.topic}' states a noise, but {text_of_factor} ({diagnosis.count} measurements)"
-        check.say(False, f"{text}: {factor**2:.2g} times its variance fits")
+        check.report(False, f"{text}: {factor**2:.2g} times its variance fits")
         return
     for name in names:
         value = _value(node.config, name)
         text = f"{node.place(check.path, name)}: parameter '{name}' = {value:.3g}, but {text_of_factor}"
-        check.say(False, f"{text} ({diagnosis.count} measurements): {factor * value:.2g} fits")
+        check.report(False, f"{text} ({diagnosis.count} measurements): {factor * value:.2g} fits")
 
 
 def _parameters(config: Any, source: str) -> Iterator[str]:
@@ -111,7 +111,7 @@ def _check_ins_noise(check: BagCheck, node: CheckedNode, until_ns: int) -> bool:
     Smaller measured noise is no contradiction: it does not include correlated errors.
     """
     times, rotations, rates = [], [], []
-    for record in check.bag.records({check.found[_INS_TOPIC]}):
+    for record in check.bag.records({check.topic_names[_INS_TOPIC]}):
         if record.log_time_ns > until_ns:
             break
         try:
@@ -126,8 +126,8 @@ def _check_ins_noise(check: BagCheck, node: CheckedNode, until_ns: int) -> bool:
     if noise is None:
         return False
     measured = {
-        "ins.white_sigma_arcsec": (noise.white_rad / ARCSEC, "arcsec"),
-        "ins.rate_sigma_arcsec_per_s": (noise.rate_rad_per_s / ARCSEC, "arcsec/s"),
+        "ins.white_sigma_arcsec": (noise.attitude_sigma_rad / ARCSEC, "arcsec"),
+        "ins.rate_sigma_arcsec_per_s": (noise.rate_sigma_rad_per_s / ARCSEC, "arcsec/s"),
     }
     found = False
     for name, (value, unit) in measured.items():
@@ -136,7 +136,7 @@ def _check_ins_noise(check: BagCheck, node: CheckedNode, until_ns: int) -> bool:
         if stated > 0.0 and value >= CONTRADICTED_FACTOR * stated:
             text = f"{node.place(check.path, name)}: parameter '{name}' = {stated:.3g} {unit}, but '{_INS_TOPIC}'"
             against = "attitudes scatter against their own rates" if "white" in name else "rates scatter"
-            check.say(False, f"{text} in {check.bag.path}: {against} by {value:.2g} {unit}, 1 sigma: that fits")
+            check.report(False, f"{text} in {check.bag.path}: {against} by {value:.2g} {unit}, 1 sigma: that fits")
             found = True
     return found
 
@@ -160,16 +160,16 @@ def ins_noise(times_ns: Any, rotations_nd: FloatArray, rates_d: FloatArray) -> I
     usual_s = float(np.median(steps_s))
     turns = log_rotation(np.swapaxes(rotations_nd[:-1], 1, 2) @ rotations_nd[1:])
     coning = np.cross(rates_d[:-1], rates_d[1:]) * steps_s[:, None] ** 2 / 12.0
-    left = turns - 0.5 * (rates_d[:-1] + rates_d[1:]) * steps_s[:, None] - coning
-    left -= np.median(left, axis=0)
-    size = np.linalg.norm(left, axis=1)
+    residuals = turns - 0.5 * (rates_d[:-1] + rates_d[1:]) * steps_s[:, None] - coning
+    residuals -= np.median(residuals, axis=0)
+    size = np.linalg.norm(residuals, axis=1)
     good = (np.abs(steps_s - usual_s) <= 0.5 * usual_s) & (size <= _OUTLIER * np.median(size))
     pairs, skipping = good[1:] & good[:-1], good[2:] & good[:-2]
     if not 0.0 < usual_s <= _LONGEST_STEP_S or np.count_nonzero(pairs) < _FEWEST_STEPS:
         return None
-    variance = float(np.mean(left[good] ** 2))
-    next_one = float(np.mean((left[1:] * left[:-1])[pairs]))
-    one_further = float(np.mean((left[2:] * left[:-2])[skipping]))
+    variance = float(np.mean(residuals[good] ** 2))
+    next_one = float(np.mean((residuals[1:] * residuals[:-1])[pairs]))
+    one_further = float(np.mean((residuals[2:] * residuals[:-2])[skipping]))
     of_rates = variance + 2.0 * next_one
     if of_rates < _RATE_SIGMAS * variance * np.sqrt(2.0 / np.count_nonzero(pairs)):
         of_rates = 0.0

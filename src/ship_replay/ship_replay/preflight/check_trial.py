@@ -11,7 +11,7 @@ from ship_node.edge.blocks import StampArray
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.block_run import BlockRun
 from ship_replay.offline.replay_run import ReplaySummary
-from ship_replay.offline.status_course import hardly_used, most_frequent_rejection
+from ship_replay.offline.status_course import low_use_text, most_frequent_rejection
 from ship_replay.preflight.check_config import BagCheck, CheckedNode
 from ship_replay.preflight.check_sigmas import check_sigmas
 
@@ -19,7 +19,7 @@ TRIAL_S = 600.0
 """Length of the part of a bag that is tried, s: ten minutes of data take half a minute."""
 
 _FEWEST = 10
-_OF_THE_CONFIGURATION = (
+_CONFIGURATION_REASONS = (
     Reason.ATTITUDE_CONFLICT,
     Reason.BAD_QUATERNION,
     Reason.EXCLUDED,
@@ -31,7 +31,7 @@ _OF_THE_CONFIGURATION = (
 )
 """Rejection reasons that indicate a wrong configuration if they affect a whole input."""
 
-_OF_THE_WEATHER = (Reason.TOO_FEW_STARS, Reason.BELOW_HORIZON, Reason.DUPLICATE, Reason.OFF)
+_WEATHER_REASONS = (Reason.TOO_FEW_STARS, Reason.BELOW_HORIZON, Reason.DUPLICATE, Reason.OFF)
 """Rejection reasons that indicate no fault even if they affect most of an input."""
 
 _ADVICE = {
@@ -46,7 +46,7 @@ _ADVICE = {
 """Advice by rejection reason."""
 
 
-class _NoOutput:
+class _NullSink:
     """Sink that discards the outputs of a trial."""
 
     def write(self, topic: str, message: Any, log_time_ns: int) -> None:
@@ -68,15 +68,15 @@ def check_trial(check: BagCheck) -> None:
     """
     bag = check.bag
     chain = AdapterChain([node.adapter for node in check.nodes])
-    names = {check.found[topic.topic]: topic.topic for topic in chain.inputs if topic.topic in check.found}
-    run = BlockRun(chain, _NoOutput(), ReplaySummary(), truth_topics=())
+    names = {check.topic_names[topic.topic]: topic.topic for topic in chain.inputs if topic.topic in check.topic_names}
+    run = BlockRun(chain, _NullSink(), ReplaySummary(), truth_topics=())
     is_cut, until_ns = False, (bag.start_ns or 0) + round(TRIAL_S * NS_PER_S)
     try:
         for record in bag.records(names) if names else ():
             if record.log_time_ns > until_ns:
                 is_cut = True
                 break
-            run.take(names[record.topic], record)
+            run.process_message(names[record.topic], record)
         run.finish()
     except BadInput as problem:
         check.findings.errors.append(f"{bag.path}: {problem}")
@@ -91,24 +91,24 @@ def check_trial(check: BagCheck) -> None:
 def _check_use(check: BagCheck, node: CheckedNode, last_ns: int, span: str) -> None:
     """Report inputs of which a node used at most half, and those with two publishers."""
     for text in node.adapter.health.first_duplicate_publishers.values():
-        check.say(False, f"{check.bag.path}: {span}{text}; outputs based on both are not VALID")
+        check.report(False, f"{check.bag.path}: {span}{text}; outputs based on both are not VALID")
     records, factory = node.adapter.health.records, RosbagsFactory()
     for health in node.adapter.health.messages(factory, last_ns):
-        line = hardly_used(health) if health.received >= _FEWEST else ""
+        line = low_use_text(health) if health.received >= _FEWEST else ""
         if not line:
             continue
         word = most_frequent_rejection(health)[0]
         line_text = f"{check.bag.path}: {span}{node.adapter.node_name}: {line}"
-        if not health.accepted and word in _words(_OF_THE_CONFIGURATION):
+        if not health.accepted and word in _reason_names(_CONFIGURATION_REASONS):
             check.findings.errors.append(line_text)
-        elif 2 * health.rejected <= health.received or word in _words(_OF_THE_WEATHER):
+        elif 2 * health.rejected <= health.received or word in _reason_names(_WEATHER_REASONS):
             check.findings.warnings.append(line_text)
         else:
             share = f" ({100.0 * health.rejected / health.received:.0f} % not used)"
-            check.findings.unused.append(line_text + share + _reason_and_advice(records[health.topic].last_rejection, word))
+            check.findings.unused_inputs.append(line_text + share + _reason_and_advice(records[health.topic].last_rejection, word))
 
 
-def _words(reasons: Sequence[Reason]) -> Iterator[str]:
+def _reason_names(reasons: Sequence[Reason]) -> Iterator[str]:
     return (reason.word for reason in reasons)
 
 

@@ -114,14 +114,14 @@ def measured_slowness() -> float:
     for _ in range(_SLICES):
         begin_s, count = time.process_time(), 0
         while time.process_time() - begin_s < _MEASURED_S / _SLICES:
-            _sum(matrix)
+            _reference_step(matrix)
             count += 1
         times_s.append((time.process_time() - begin_s) / count)
     # Other programs can only increase the time.
     return min(times_s) / _REFERENCE_S
 
 
-def _sum(matrix: np.ndarray) -> None:
+def _reference_step(matrix: np.ndarray) -> None:
     """Do a computation typical of a filter step: small matrices, and Python around them."""
     known = {str(number): 0.5 * number for number in range(40)}
     matrix = matrix @ (known["2"] * (matrix + matrix.T))

@@ -19,11 +19,11 @@ from ship_attitude_star.stars.field_scale import OpticsEstimate, estimate_optics
 from ship_attitude_star.stars.selection import MIN_VERIFIED_STARS
 from ship_attitude_star.stars.solution import SolutionStatus, StarSolution
 from ship_geometry.rotations import FloatArray, log_rotation
-from ship_replay.preflight.camera_exposures import AS_EXPECTED, MIRRORED, CameraRecord, ImageAxes, fitted_camera
+from ship_replay.preflight.camera_exposures import EXPECTED_AXES, MIRRORED, CameraRecord, ImageAxes, fit_camera
 
 _FEWEST_MAGNITUDES = 5
 
-_MOST_OF_THE_STARS = 0.5
+_MIN_STAR_SHARE = 0.5
 """Minimum share of stars consistent with one attitude per exposure for the axes of an image to be accepted."""
 
 _AMBIGUOUS_AXES = "u or v is reversed, or both are exchanged"
@@ -62,7 +62,7 @@ class MeasuredCamera:
 
 
 @dataclass(frozen=True)
-class _Reading:
+class _AxesHypothesis:
     """Exposures of a camera under one hypothesis about its axes.
 
     Attributes:
@@ -74,22 +74,22 @@ class _Reading:
 
     axes: ImageAxes
     camera: CameraConfig | None
-    solved: list[tuple[PlacedExposure, StarSolution]]
+    solutions: list[tuple[PlacedExposure, StarSolution]]
     star_count: int
 
     @property
     def used_count(self) -> int:
         """Number of stars consistent with the attitudes of their exposures, where other stars verify these."""
-        return sum(solution.star_count for _, solution in self.verified)
+        return sum(solution.star_count for _, solution in self.verified_solutions)
 
     @property
-    def verified(self) -> list[tuple[PlacedExposure, StarSolution]]:
+    def verified_solutions(self) -> list[tuple[PlacedExposure, StarSolution]]:
         """Exposures in which the stars verify one another."""
-        return [entry for entry in self.solved if entry[1].star_count >= MIN_VERIFIED_STARS]
+        return [entry for entry in self.solutions if entry[1].star_count >= MIN_VERIFIED_STARS]
 
     def median_rotation(self, record: CameraRecord) -> float:
         """Return the median angle between the attitudes and the predicted ones, rad; NaN without predictions."""
-        pairs = [(record.prior_at(placed.time_ns), solution.rotation_nb) for placed, solution in self.verified]
+        pairs = [(record.predicted_attitude_at(placed.time_ns), solution.rotation_nb) for placed, solution in self.verified_solutions]
         angles = [
             float(np.linalg.norm(log_rotation(prior.rotation_nb.T @ rotation_ns)))
             for prior, rotation_ns in pairs
@@ -105,39 +105,39 @@ def measure_camera(record: CameraRecord, sky_model: SkyModel) -> MeasuredCamera:
         record: messages of the camera.
         sky_model: the sky, with place and air.
     """
-    reading = _read(record, AS_EXPECTED, sky_model)
-    if reading.used_count < _MOST_OF_THE_STARS * reading.star_count:
-        reading = _mirrored(record, reading, sky_model)
-    optics = _optics(record.camera, reading)
+    hypothesis = _evaluate_axes(record, EXPECTED_AXES, sky_model)
+    if hypothesis.used_count < _MIN_STAR_SHARE * hypothesis.star_count:
+        hypothesis = _best_mirrored(record, hypothesis, sky_model)
+    optics = _optics(record.camera, hypothesis)
     return MeasuredCamera(
-        axes=reading.axes,
-        focal_length_m=_focal_length_m(record.camera, reading, optics),
+        axes=hypothesis.axes,
+        focal_length_m=_focal_length_m(record.camera, hypothesis, optics),
         optics=optics,
-        magnitudes=_magnitudes(reading, sky_model),
-        attitudes=[(placed.time_ns, solution.rotation_nb) for placed, solution in reading.solved],
+        magnitudes=_magnitudes(hypothesis, sky_model),
+        attitudes=[(placed.time_ns, solution.rotation_nb) for placed, solution in hypothesis.solutions],
     )
 
 
-def _mirrored(record: CameraRecord, expected: _Reading, sky_model: SkyModel) -> _Reading:
+def _best_mirrored(record: CameraRecord, expected: _AxesHypothesis, sky_model: SkyModel) -> _AxesHypothesis:
     """Return the hypothesis of mirrored axes that fits the stars; the expected axes if none does."""
-    found = [reading for axes in MIRRORED if _explains(reading := _read(record, axes, sky_model), expected)]
+    found = [reading for axes in MIRRORED if _explains(reading := _evaluate_axes(record, axes, sky_model), expected)]
     nearest = min(found, key=lambda reading: reading.median_rotation(record), default=expected)
     if found and np.isnan(nearest.median_rotation(record)):
         return replace(nearest, axes=nearest.axes._replace(text=_AMBIGUOUS_AXES))
     return nearest
 
 
-def _explains(mirrored: _Reading, expected: _Reading) -> bool:
+def _explains(mirrored: _AxesHypothesis, expected: _AxesHypothesis) -> bool:
     """True if most stars are consistent with the mirrored axes, and far fewer with the expected ones."""
-    least = max(_MOST_OF_THE_STARS * mirrored.star_count, 2 * expected.used_count, MIN_VERIFIED_STARS)
+    least = max(_MIN_STAR_SHARE * mirrored.star_count, 2 * expected.used_count, MIN_VERIFIED_STARS)
     return mirrored.used_count >= least
 
 
-def _read(record: CameraRecord, axes: ImageAxes, sky_model: SkyModel) -> _Reading:
-    camera, exposures = fitted_camera(record, axes, sky_model)
+def _evaluate_axes(record: CameraRecord, axes: ImageAxes, sky_model: SkyModel) -> _AxesHypothesis:
+    camera, exposures = fit_camera(record, axes, sky_model)
     results = [solve_exposure(exposure, (), None, sky_model) for exposure in exposures]
     solved = [(placed, result.solution) for placed, result in results]
-    return _Reading(
+    return _AxesHypothesis(
         axes,
         camera,
         [entry for entry in solved if entry[1].status is not SolutionStatus.INVALID],
@@ -145,14 +145,14 @@ def _read(record: CameraRecord, axes: ImageAxes, sky_model: SkyModel) -> _Readin
     )
 
 
-def _optics(configured: CameraConfig, reading: _Reading) -> OpticsEstimate | None:
+def _optics(configured: CameraConfig, hypothesis: _AxesHypothesis) -> OpticsEstimate | None:
     """Return the correction of the configured optics by least squares over the angles between stars."""
-    if reading.camera is None:
+    if hypothesis.camera is None:
         return None
-    fitted = reading.camera.camera("camera")
+    fitted = hypothesis.camera.camera("camera")
     fields = [
         field_information(fitted, placed.stars, solution.members)
-        for placed, solution in reading.verified
+        for placed, solution in hypothesis.verified_solutions
         if placed.stars is not None
     ]
     known = [field for field in fields if field is not None]
@@ -168,16 +168,16 @@ def _optics(configured: CameraConfig, reading: _Reading) -> OpticsEstimate | Non
     )
 
 
-def _focal_length_m(configured: CameraConfig, reading: _Reading, optics: OpticsEstimate | None) -> float | None:
+def _focal_length_m(configured: CameraConfig, hypothesis: _AxesHypothesis, optics: OpticsEstimate | None) -> float | None:
     if optics is not None:
         return configured.focal_length_m * (1.0 + optics.scale)
-    return None if reading.camera is None else reading.camera.focal_length_m
+    return None if hypothesis.camera is None else hypothesis.camera.focal_length_m
 
 
-def _magnitudes(reading: _Reading, sky_model: SkyModel) -> MagnitudeOffset | None:
+def _magnitudes(hypothesis: _AxesHypothesis, sky_model: SkyModel) -> MagnitudeOffset | None:
     """Return the magnitude offset of stars consistent with the attitude of their exposure."""
     differences: dict[int, list[float]] = {}
-    for placed, solution in reading.verified:
+    for placed, solution in hypothesis.verified_solutions:
         used = placed.exposure[solution.members]
         rows = sky_model.catalogue.rows(used.hip)
         for hip, row, magnitude in zip(used.hip.tolist(), rows.tolist(), used.magnitude.tolist(), strict=True):

@@ -78,11 +78,11 @@ def measured_mountings(config: Config, bag: Bag, found: dict[str, str]) -> Itera
     observing = [topic for topic in devices if topic.endswith(("/observations", "/inertial_attitude", "/stars"))]
     sky_model = load_sky_model(config.sky) if observing else None
     tracks = AttitudeTracks(config, _ship_topic(config, found))
-    messages = _collected(tracks, bag, found, epochs, sky_model)
+    messages = _collect_messages(tracks, bag, found, epochs, sky_model)
     for topic, (section, device) in devices.items():
         camera = None
         if topic.endswith(("/observations", "/stars")) and sky_model is not None:
-            prior_at = functools.partial(tracks.prior, device)
+            prior_at = functools.partial(tracks.predicted_attitude, device)
             camera = measure_camera(CameraRecord(topic, device.camera, messages[topic], prior_at), sky_model)
             attitudes = [] if isinstance(device, StarCameraConfig) else camera.attitudes
         else:
@@ -128,7 +128,7 @@ def _sample_stamps(bag: Bag, topics: dict[str, str]) -> dict[str, list[int]]:
     return stamps
 
 
-def _collected(
+def _collect_messages(
     tracks: AttitudeTracks, bag: Bag, found: dict[str, str], epochs: dict[str, list[int]], sky_model: SkyModel | None
 ) -> dict[str, list[tuple[Any, int]]]:
     """Return the messages at the stamps, with arrival times; add samples around these times to tracks and sky."""
@@ -144,14 +144,14 @@ def _collected(
         if stamp_ns is None:
             continue
         if topic in wanted:
-            if stamp_ns in wanted[topic] and (message := _decoded(record)) is not None:
+            if stamp_ns in wanted[topic] and (message := _decode(record)) is not None:
                 messages[topic].append((message, max(record.log_time_ns, stamp_ns)))
-        elif topic in sky_topics or _near(all_epochs, stamp_ns, reach_ns):
-            _take(topic, record, stamp_ns, tracks, sky_model)
+        elif topic in sky_topics or _is_near(all_epochs, stamp_ns, reach_ns):
+            _add_sample(topic, record, stamp_ns, tracks, sky_model)
     return messages
 
 
-def _take(topic: str, record: BagRecord, stamp_ns: int, tracks: AttitudeTracks, sky_model: SkyModel | None) -> None:
+def _add_sample(topic: str, record: BagRecord, stamp_ns: int, tracks: AttitudeTracks, sky_model: SkyModel | None) -> None:
     """Add a message to its track or to the sky, unless a node would reject it."""
     receive_ns, config = max(record.log_time_ns, stamp_ns), tracks.config
     try:
@@ -169,12 +169,12 @@ def _take(topic: str, record: BagRecord, stamp_ns: int, tracks: AttitudeTracks, 
         return
 
 
-def _near(epochs: list[int], stamp_ns: int, reach_ns: int) -> bool:
+def _is_near(epochs: list[int], stamp_ns: int, reach_ns: int) -> bool:
     index = bisect_left(epochs, stamp_ns - reach_ns)
     return index < len(epochs) and epochs[index] <= stamp_ns + reach_ns
 
 
-def _decoded(record: BagRecord) -> Any:
+def _decode(record: BagRecord) -> Any:
     try:
         return record.decode()
     except BadInput:

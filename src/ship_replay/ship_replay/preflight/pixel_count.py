@@ -37,7 +37,7 @@ class CameraTurn:
     pixel_d: FloatArray
 
 
-def counted_from_one(cameras: Sequence[CameraTurn], ins_covariance_d: FloatArray) -> tuple[int, ...]:
+def cameras_counting_from_one(cameras: Sequence[CameraTurn], ins_covariance_d: FloatArray) -> tuple[int, ...]:
     """Return the cameras that count their pixels from 1, as far as the rotations show it.
 
     Hypotheses are each camera alone, and all together. The result is the intersection of all hypotheses that are not
@@ -68,7 +68,7 @@ def counted_from_one(cameras: Sequence[CameraTurn], ins_covariance_d: FloatArray
     return tuple(number for number in range(count) if all(number in chosen for chosen in likely))
 
 
-def turn_at_rest(turns_d: FloatArray, rates_d: FloatArray) -> tuple[FloatArray, FloatArray]:
+def rate_corrected_turn(turns_d: FloatArray, rates_d: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the mean rotation of a camera, corrected for the effect of a time offset on rates, and its covariance.
 
     Args:

@@ -16,8 +16,8 @@ from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
 from ship_watch.picture import NisConsistency
 from ship_watch.verdict import BAND_SIGMAS, WIDEST_BAND, WINDOW_NS, NisWindow, consistent_text, inconsistent_text
 
-TOO_FEW = "too few"
-TOO_FEW_INDEPENDENT = "too few independent errors"
+TOO_FEW_TEXT = "too few"
+TOO_FEW_INDEPENDENT_TEXT = "too few independent errors"
 
 _BAND = 0.999
 _NEES_DEGREES = 3
@@ -59,7 +59,7 @@ class SigmaFit:
 def consistency(evaluation: Evaluation) -> list[SigmaFit]:
     """Return a result for each source of errors, then for each source of innovations."""
     fits = [nees_fit(errors) for errors in evaluation.errors]
-    return fits + [nis_fit(name, part) for name, part in evaluation.innovations.items() if part.compared]
+    return fits + [nis_fit(name, part) for name, part in evaluation.innovations.items() if part.accepted]
 
 
 def nees_fit(errors: AttitudeErrors) -> SigmaFit:
@@ -87,7 +87,7 @@ def mean_nees_fit(name: str, mean: float, count: int, independent: float) -> Sig
     ratio_square = mean / _NEES_DEGREES
     spread = BAND_SIGMAS / math.sqrt(2.0 * _NEES_DEGREES * independent)
     if not spread <= WIDEST_BAND or not 0.0 < ratio_square < math.inf:
-        words = TOO_FEW_INDEPENDENT
+        words = TOO_FEW_INDEPENDENT_TEXT
     else:
         ratio = math.sqrt(ratio_square)
         words = f"σ {consistent_text(ratio) if low <= mean <= high else inconsistent_text(ratio)}"
@@ -112,8 +112,8 @@ def nis_fit(name: str, part: SourceInnovations) -> SigmaFit:
     With a correct sigma, one minute in a thousand is outside its band by chance. σ is as stated if the number of such
     minutes does not exceed the 99.9 % quantile of the binomial distribution.
     """
-    stamps = np.array(sorted(part.compared), dtype=np.int64)
-    accepted = [part.compared[stamp] for stamp in stamps.tolist()]
+    stamps = np.array(sorted(part.accepted), dtype=np.int64)
+    accepted = [part.accepted[stamp] for stamp in stamps.tolist()]
     nis = np.array([one.nis for one in accepted])
     degrees = np.array([int(np.isfinite(one.residual).sum()) for one in accepted])
     number = (stamps - stamps[0]) // WINDOW_NS
@@ -133,16 +133,16 @@ def nis_fit(name: str, part: SourceInnovations) -> SigmaFit:
     known = np.isfinite(nis) & (degrees > 0)
     mean, freedom = (float(np.mean(values[known])) if known.any() else math.nan for values in (nis, degrees))
     if not diagnoses:
-        words = TOO_FEW
+        words = TOO_FEW_TEXT
     elif sum(minutes.values()) <= binom.ppf(_BAND, len(diagnoses), _MINUTE_OUTSIDE):
         words = f"σ {consistent_text(math.sqrt(mean / freedom))}"
     else:
-        parts = [f"{inconsistent_text(_together(found))} in {len(found)}" for found in outside.values() if found]
+        parts = [f"{inconsistent_text(_combined_ratio(found))} in {len(found)}" for found in outside.values() if found]
         words = f"σ {', '.join(parts)} of {len(diagnoses)} minutes"
     return SigmaFit("NIS", name, mean, freedom, int(known.sum()), math.nan, minutes_by_result, words)
 
 
-def _together(diagnoses: list[NisConsistency]) -> float:
+def _combined_ratio(diagnoses: list[NisConsistency]) -> float:
     """Return the actual over stated sigma of several minutes together."""
     degrees = sum(verdict.degrees for verdict in diagnoses)
     return math.sqrt(sum(verdict.ratio**2 * verdict.degrees for verdict in diagnoses) / degrees)

@@ -27,12 +27,12 @@ from ship_replay.evaluation.evaluate import Evaluation
 from ship_replay.evaluation.figures import attitude_error_figure, innovation_figure
 from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
 from ship_replay.report.night import Recording
-from ship_replay.report.time_axis import gap_times, interrupted, utc_axis
+from ship_replay.report.time_axis import gap_times, with_gaps, utc_axis
 from ship_watch.history import BudgetPoint, extreme_rows
 from ship_watch.picture import ANGLES, Safety
 from ship_watch.topics import source_of_name, source_of_topic
 
-MOST_POINTS = 1200
+MAX_POINTS = 1200
 """Maximum number of points of a line."""
 
 STATE_STYLES = {
@@ -45,7 +45,7 @@ STATE_STYLES = {
 ROUND_NUMBERS = [digit * 10.0**power for power in range(-4, 7) for digit in (1, 2, 5)]
 """Tick values of a logarithmic axis."""
 
-MARK = "mark-"
+MARK_ID_PREFIX = "mark-"
 """Prefix of the id of the line that marks a second in the status figure; the POSIX second follows."""
 
 _SERIES = ("#0b3c6f", "#7a5fa8", "#1f8a82", "#8a9bb0", "#b08d57", "#c9cfd6")
@@ -95,7 +95,7 @@ def status_svg(recording: Recording, marked: Iterable[int] = ()) -> str:
         recording: the recording.
         marked: POSIX seconds that links lead to: a line for each, visible while it is the target of the page.
     """
-    shown = [name for name in ANGLES if recording.words.get(name)]
+    shown = [name for name in ANGLES if recording.safety_states.get(name)]
     if not shown:
         return ""
     with plt.rc_context(SVG_STYLE):
@@ -105,7 +105,7 @@ def status_svg(recording: Recording, marked: Iterable[int] = ()) -> str:
         )
         start_ns = recording.start_utc_ns
         for row, name in enumerate(shown):
-            draw_ribbon(grid[0], row, recording.words[name], start_ns)
+            draw_ribbon(grid[0], row, recording.safety_states[name], start_ns)
         grid[0].set_yticks(range(len(shown)), shown)
         grid[0].invert_yaxis()
         grid[0].tick_params(length=0)
@@ -114,8 +114,8 @@ def status_svg(recording: Recording, marked: Iterable[int] = ()) -> str:
             accuracy = np.array(recording.accuracy.get(name, []), dtype=float).reshape(-1, 2)
             accuracy = accuracy[accuracy[:, 1] > 0.0]
             drawn += len(accuracy)
-            kept = np.flatnonzero(thinned(accuracy[:, 1:], MOST_POINTS))
-            time_ns, (value,) = interrupted(accuracy[kept, 0], gap_times(accuracy[:, 0]), accuracy[kept, 1])
+            kept = np.flatnonzero(decimation_mask(accuracy[:, 1:], MAX_POINTS))
+            time_ns, (value,) = with_gaps(accuracy[kept, 0], gap_times(accuracy[:, 0]), accuracy[kept, 1])
             grid[1].plot((time_ns - start_ns) / NS_PER_S, value / ARCSEC, color=_SERIES[number % 5], lw=1.0,
                          ls=("-", "--", "-.", ":", "-")[number], label=name)
         grid[1].set_yscale("log" if drawn else "linear")
@@ -130,14 +130,14 @@ def status_svg(recording: Recording, marked: Iterable[int] = ()) -> str:
         grid[1].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         grid[1].legend(ncols=5, fontsize=8, frameon=False, loc="upper right")
         grid[1].set_xlim(0.0, (recording.end_ns - recording.start_ns) / NS_PER_S)
-        plain(grid)
+        style_axes(grid)
         utc_axis(grid[1], start_ns)
         across = blended_transform_factory(grid[0].transData, figure.transFigure)
         for second in sorted(set(marked)):
             place_s = second - start_ns / NS_PER_S
             line = Line2D([place_s, place_s], [0.14, 1.0], color="#1b2430", lw=2.0, transform=across)
             line.set_in_layout(False)
-            line.set_gid(f"{MARK}{second}")
+            line.set_gid(f"{MARK_ID_PREFIX}{second}")
             figure.add_artist(line)
     return svg(figure, "status")
 
@@ -149,14 +149,14 @@ def errors_svg(evaluation: Evaluation, colours: Mapping[str, str]) -> list[str]:
     """
     groups: dict[tuple[str, ...], list[AttitudeErrors]] = {}
     for errors in evaluation.errors:
-        groups.setdefault(errors.channels, []).append(thin_errors(errors))
+        groups.setdefault(errors.channels, []).append(decimate_errors(errors))
     figures = [
         (attitude_error_figure(series, "", colours), min(int(errors.time_ns[0]) for errors in series))
         for series in groups.values()
     ]
-    innovations = {name: thin_innovations(part) for name, part in evaluation.innovations.items()}
+    innovations = {name: decimate_innovations(part) for name, part in evaluation.innovations.items()}
     if not figures and any(part.components() for part in innovations.values()):
-        start_ns = min(min(part.compared) for part in innovations.values() if part.compared)
+        start_ns = min(min(part.accepted) for part in innovations.values() if part.accepted)
         figures = [(innovation_figure(innovations, "", colours), start_ns)]
     for figure, start_ns in figures:
         last_row = {axes: place.rowspan.stop for axes in figure.axes if (place := axes.get_subplotspec()) is not None}
@@ -179,7 +179,7 @@ def budget_svg(topic: str, points: Sequence[BudgetPoint], start_ns: int) -> str:
         )
         for axes, angle in zip(grid[:, 0], angles, strict=True):
             _draw_budget(axes, points, angle, start_ns, colours)
-        plain(grid[:, 0])
+        style_axes(grid[:, 0])
         utc_axis(grid[-1, 0], start_ns)
     return svg(figure, "budget-" + topic.partition("/")[0])
 
@@ -205,7 +205,7 @@ def rejections_svg(recording: Recording, colours: Mapping[str, str]) -> str:
         axes.set_yticks(range(len(rows)), [short_name(name) for name in rows], fontsize=8)
         axes.invert_yaxis()
         axes.set_xlim(0.0, (recording.end_ns - recording.start_ns) / NS_PER_S)
-        plain([axes])
+        style_axes([axes])
         utc_axis(axes, recording.start_utc_ns)
     return svg(figure, "refusals")
 
@@ -218,7 +218,7 @@ def draw_ribbon(axes: Axes, row: int, words: Sequence[tuple[int, Safety]], start
         axes.broken_barh(bars, (row - 0.4, 0.8), facecolor=fill, hatch=hatch, edgecolor="white", lw=0)
 
 
-def thinned(values: FloatArray, most: int) -> np.ndarray:
+def decimation_mask(values: FloatArray, most: int) -> np.ndarray:
     """Return the rows that a decimated line keeps: the minimum and maximum of each column in equal intervals.
 
     Args:
@@ -237,32 +237,32 @@ def thinned(values: FloatArray, most: int) -> np.ndarray:
     return kept
 
 
-def thin_errors(errors: AttitudeErrors) -> AttitudeErrors:
+def decimate_errors(errors: AttitudeErrors) -> AttitudeErrors:
     """Return errors decimated to their extremes; NaN where the output was INVALID or missing."""
     together = np.hstack([errors.error_arcsec, errors.sigma_arcsec])
-    kept = thinned(together, MOST_POINTS)
+    kept = decimation_mask(together, MAX_POINTS)
     kept[0] = True
     thin = errors.select(kept, errors.label)
     columns = thin.error_arcsec, thin.sigma_arcsec, thin.nees
-    time_ns, (error, sigma, nees) = interrupted(thin.time_ns, gap_times(errors.time_ns), *columns)
+    time_ns, (error, sigma, nees) = with_gaps(thin.time_ns, gap_times(errors.time_ns), *columns)
     return replace(thin, time_ns=time_ns, error_arcsec=error, sigma_arcsec=sigma, nees=nees)
 
 
-def thin_innovations(part: SourceInnovations) -> SourceInnovations:
+def decimate_innovations(part: SourceInnovations) -> SourceInnovations:
     """Return innovations decimated to the extremes of each component."""
-    stamps = np.array(sorted(part.compared))
-    if len(stamps) <= MOST_POINTS:
+    stamps = np.array(sorted(part.accepted))
+    if len(stamps) <= MAX_POINTS:
         return part
     # One array for all stamps, each preceded by a zero: one numpy call per stamp would be far slower.
     residuals: list[float] = []
     starts: list[int] = []
     for stamp in stamps.tolist():
         starts.append(len(residuals))
-        residuals += [0.0, *part.compared[stamp].residual]
+        residuals += [0.0, *part.accepted[stamp].residual]
     values = np.array(residuals)
     worst, least = np.fmax.reduceat(np.abs(values), starts), np.fmin.reduceat(values, starts)
-    kept = thinned(np.column_stack([worst, least]), MOST_POINTS)
-    return SourceInnovations({stamp: part.compared[stamp] for stamp in stamps[kept].tolist()}, part.rejected)
+    kept = decimation_mask(np.column_stack([worst, least]), MAX_POINTS)
+    return SourceInnovations({stamp: part.accepted[stamp] for stamp in stamps[kept].tolist()}, part.rejected)
 
 
 def _budget_colours(points: Sequence[BudgetPoint]) -> dict[str, str]:
@@ -287,9 +287,9 @@ def _draw_budget(
     top, rest = order[:5], order[5:]
     stack = [variances[:, index] for index in top] + ([variances[:, rest].sum(axis=1)] if len(rest) else [])
     labels = [short_name(names[index]) for index in top] + (["other"] if len(rest) else [])
-    kept = thinned(np.sum(stack, axis=0)[:, None], MOST_POINTS)
+    kept = decimation_mask(np.sum(stack, axis=0)[:, None], MAX_POINTS)
     stamps_ns = np.array([point.utc_ns for point in points])
-    time_ns, bands = interrupted(stamps_ns[kept], gap_times(stamps_ns), *[part[kept] for part in stack])
+    time_ns, bands = with_gaps(stamps_ns[kept], gap_times(stamps_ns), *[part[kept] for part in stack])
     drawn = [*(colours[names[index]] for index in top), _SERIES[-1]]
     axes.stackplot((time_ns - start_ns) / NS_PER_S, bands, colors=drawn, labels=labels, lw=0)
     total = np.sum(stack, axis=0)
@@ -319,7 +319,7 @@ def _runs(seconds: Sequence[int]) -> list[tuple[int, int]]:
     return runs
 
 
-def plain(grid: Iterable[Axes]) -> None:
+def style_axes(grid: Iterable[Axes]) -> None:
     """Set a grid of times and no frame."""
     for axes in grid:
         axes.spines[["top", "right"]].set_visible(False)

@@ -10,10 +10,10 @@ from ship_bags.stamps import NS_PER_S
 from ship_replay.report.wording import duration, utc
 from ship_watch.picture import Event
 
-LEAST_REPEATED = 6
+MIN_REPEATED = 6
 """Minimum number of changes between two states that are combined in one row: there and back, three times."""
 
-LONGEST_STAY_NS = 60 * NS_PER_S
+MAX_INTERVAL_NS = 60 * NS_PER_S
 """Maximum time between two changes combined in one row, ns."""
 
 _ORDER = ("IN", "OUT", "SAFE", "CAUTION", "UNSAFE", "VALID", "COASTING", "DEGRADED", "INVALID")
@@ -58,7 +58,7 @@ def event_rows(events: Sequence[Event]) -> list[EventRow]:
     places = {id(event): place for place, event in enumerate(events)}
     for of_subject in by_subject.values():
         for run in _runs(of_subject):
-            shown = [_row(run)] if len(run) >= LEAST_REPEATED else [_single(event) for event in run]
+            shown = [_row(run)] if len(run) >= MIN_REPEATED else [_single_row(event) for event in run]
             rows += [(places[id(event)], row) for event, row in zip(run, shown, strict=False)]
     return [row for _, row in sorted(rows, key=lambda entry: (entry[1].from_ns, entry[0]))]
 
@@ -85,7 +85,7 @@ def _runs(events: Sequence[Event]) -> list[list[Event]]:
     for event in events:
         before, after, _ = states_of(event)
         here = frozenset((before, after))
-        is_soon = event.utc_ns - last_ns <= LONGEST_STAY_NS
+        is_soon = event.utc_ns - last_ns <= MAX_INTERVAL_NS
         if runs and before and is_soon and here == pair and before == last:
             runs[-1].append(event)
         else:
@@ -107,5 +107,5 @@ def _row(run: Sequence[Event]) -> EventRow:
     return EventRow(first.utc_ns, last.utc_ns, first.kind, first.subject, text, len(run))
 
 
-def _single(event: Event) -> EventRow:
+def _single_row(event: Event) -> EventRow:
     return EventRow(event.utc_ns, event.utc_ns, event.kind, event.subject, event.text)

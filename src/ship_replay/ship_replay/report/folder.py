@@ -105,14 +105,14 @@ def index_page(folder: Path, rows: Sequence[SessionRow], reports: str) -> str:
         title=folder.resolve().name,
         reports=reports,
         columns=columns,
-        sessions=[_shown(row, last, columns) for row, last in zip(sessions, before, strict=False)],
+        sessions=[_row_texts(row, last, columns) for row, last in zip(sessions, before, strict=False)],
         failed=[row for row in rows if row.error],
         count=len(rows),
         versions=versions(),
     )
 
 
-def _shown(row: SessionRow, before: SessionRow | None, columns: Sequence[str]) -> dict[str, object]:
+def _row_texts(row: SessionRow, before: SessionRow | None, columns: Sequence[str]) -> dict[str, object]:
     """Return the texts of a row, each value with its difference to the previous session."""
     cells = []
     for name in columns:

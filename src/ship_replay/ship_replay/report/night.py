@@ -18,7 +18,7 @@ from ship_bags.topic_names import TRUTH_PREFIX, namespace_of_outputs, relative_t
 from ship_replay.evaluation.sources import JOINT_SOLUTION
 from ship_replay.evaluation.statistics import reason_name
 from ship_replay.offline.digests import content_sha256
-from ship_replay.offline.status_course import STATUS_WORDS
+from ship_replay.offline.status_course import STATUS_NAMES
 from ship_watch.alert_conditions import conditions
 from ship_watch.alert_states import AlertState
 from ship_watch.alerts import AlertBook, AlertChange
@@ -37,13 +37,13 @@ OUTPUT_OF_ANGLE = {
 }
 """Angle → topic of the output that publishes it."""
 
-_LONGEST_S = 1.0
+_MAX_STATUS_AGE_S = 1.0
 """Maximum time for which the last status of an output counts, s: its age limit."""
 
 _SAMPLE_PERIOD_NS = NS_PER_S // 2
 """Sampling period of the displayed state, and time resolution of alerts computed here, ns."""
 
-_OFTEN_ENOUGH_NS = NS_PER_S // 5
+_MIN_READ_PERIOD_NS = NS_PER_S // 5
 """Reading period of topics of which only the newest message matters, ns."""
 
 
@@ -106,7 +106,7 @@ class Recording:
     topics: Mapping[str, str]
     attachments: Mapping[str, bytes]
     metadata: Mapping[str, Mapping[str, str]]
-    words: dict[str, list[tuple[int, Safety]]] = field(default_factory=dict)
+    safety_states: dict[str, list[tuple[int, Safety]]] = field(default_factory=dict)
     accuracy: dict[str, list[tuple[int, float]]] = field(default_factory=dict)
     status_s: dict[str, dict[str, float]] = field(default_factory=dict)
     events: list[Event] = field(default_factory=list)
@@ -114,15 +114,15 @@ class Recording:
     alerts_are_recorded: bool = False
     rejections: list[Rejection] = field(default_factory=list)
     budgets: dict[str, list[BudgetPoint]] = field(default_factory=dict)
-    before: dict[str, tuple[ParameterShown, ...]] = field(default_factory=dict)
-    after: dict[str, tuple[ParameterShown, ...]] = field(default_factory=dict)
+    first_estimates: dict[str, tuple[ParameterShown, ...]] = field(default_factory=dict)
+    last_estimates: dict[str, tuple[ParameterShown, ...]] = field(default_factory=dict)
     last: SuiteState | None = None
     problems: list[str] = field(default_factory=list)
 
     @property
     def start_utc_ns(self) -> int:
         """UTC of the first published state; log time of the first message if there is none."""
-        first_s = min((words[0][0] for words in self.words.values() if words), default=self.start_ns // NS_PER_S)
+        first_s = min((words[0][0] for words in self.safety_states.values() if words), default=self.start_ns // NS_PER_S)
         return first_s * NS_PER_S
 
     @property
@@ -132,7 +132,7 @@ class Recording:
 
     def seconds(self, angle: str) -> Counter[Safety]:
         """Return the number of seconds of each state, the worst of each second."""
-        return Counter(word for _, word in self.words.get(angle, ()))
+        return Counter(word for _, word in self.safety_states.get(angle, ()))
 
 
 def read_recording(path: Path, limits: Limits | None = None, namespace: str = "") -> Recording:
@@ -154,12 +154,12 @@ def read_recording(path: Path, limits: Limits | None = None, namespace: str = ""
             path, content_sha256(path), bag.start_ns or 0, bag.end_ns or 0, limits,
             {topic: bag.topics[name] for topic, name in topics.items()}, dict(bag.attachments), dict(bag.metadata),
         )
-        _Reading(recording, ALERTS in topics).read(bag, {name: topic for topic, name in topics.items()})
+        _RecordingReader(recording, ALERTS in topics).read(bag, {name: topic for topic, name in topics.items()})
         recording.problems = bag.problems
     return recording
 
 
-class _FewKept(HistoryKeeper):
+class _ReportHistoryKeeper(HistoryKeeper):
     """History of states, budgets and parameters only: errors and innovations come from the evaluation."""
 
     def note_error(self, topic: str, message: Any) -> None:
@@ -172,20 +172,20 @@ class _FewKept(HistoryKeeper):
         """Ignore a star or light that was seen."""
 
 
-class _Reading:
+class _RecordingReader:
     """Reader of one bag, in one pass."""
 
     def __init__(self, recording: Recording, alerts_are_recorded: bool) -> None:
-        self._recording, self._watch = recording, SuiteMonitor(recording.limits, _FewKept)
+        self._recording, self._watch = recording, SuiteMonitor(recording.limits, _ReportHistoryKeeper)
         recording.alerts_are_recorded = alerts_are_recorded
-        self._book = AlertBook(recording.limits.alerts, (), recording.start_ns)
+        self._alert_states = AlertBook(recording.limits.alerts, (), recording.start_ns)
         self._last_alerts: dict[tuple[str, int], AlertShown] = {}
         self._history = self._watch.history
         self._last_event: Event | None = None
         self._last_point_ns: dict[str, int] = {}
         self._rejected: dict[str, int] = {}
-        self._counts: dict[tuple[str, str], int] = {}
-        self._status: dict[str, tuple[int, str]] = {}
+        self._reason_counts: dict[tuple[str, str], int] = {}
+        self._last_status: dict[str, tuple[int, str]] = {}
 
     def read(self, bag: Bag, topics: Mapping[str, str]) -> None:
         # Errors against the truth come from evaluate.
@@ -201,31 +201,31 @@ class _Reading:
             while next_ns <= now_ns:
                 self._sample_state(next_ns)
                 next_ns += _SAMPLE_PERIOD_NS
-            if rows[record.topic].keeps_every_message or now_ns - newest.get(record.topic, 0) >= _OFTEN_ENOUGH_NS:
+            if rows[record.topic].keeps_every_message or now_ns - newest.get(record.topic, 0) >= _MIN_READ_PERIOD_NS:
                 newest[record.topic] = now_ns
-                self._take(topics[record.topic], record)
+                self._process_message(topics[record.topic], record)
         self._sample_state(self._recording.end_ns)
 
-    def _take(self, topic: str, record: BagRecord) -> None:
+    def _process_message(self, topic: str, record: BagRecord) -> None:
         message = record.decode()
         if topic.endswith("/innovation"):
-            self._note_innovation(message)
+            self._record_rejection(message)
         elif topic == "input_health":
-            self._note_health(message)
+            self._record_health(message)
         elif topic in OUTPUT_OF_ANGLE.values():
-            self._note_status(topic, message, record.log_time_ns)
+            self._count_status(topic, message, record.log_time_ns)
         self._watch.take(topic, message, record.log_time_ns)
         if topic == ALERTS:
-            self._note_recorded(self._watch.current_state(record.log_time_ns))
+            self._record_alerts(self._watch.current_state(record.log_time_ns))
         if self._watch.history is not self._history:
-            self._empty()
+            self._collect_history()
             self._history = self._watch.history
 
     def _sample_state(self, now_ns: int) -> None:
         state = self._watch.current_state(now_ns)
         recording = self._recording
         for angle in state.angles:
-            is_invalid = self._status.get(OUTPUT_OF_ANGLE[angle.name], (0, ""))[1] == "INVALID"
+            is_invalid = self._last_status.get(OUTPUT_OF_ANGLE[angle.name], (0, ""))[1] == "INVALID"
             if state.utc_ns and not angle.is_old and not is_invalid and math.isfinite(angle.accuracy_95):
                 recording.accuracy.setdefault(angle.name, []).append((state.utc_ns, angle.accuracy_95))
         fresh: list[Event] = []
@@ -237,48 +237,48 @@ class _Reading:
             self._last_event = fresh[0]
             recording.events += reversed(fresh)
         if not recording.alerts_are_recorded and state.utc_ns:
-            changes = self._book.take(conditions(state, recording.limits), now_ns, state.utc_ns)
-            recording.alerts += [RecordedAlert(state.utc_ns, change.what, change.alert) for change in _grave(changes)]
+            changes = self._alert_states.take(conditions(state, recording.limits), now_ns, state.utc_ns)
+            recording.alerts += [RecordedAlert(state.utc_ns, change.what, change.alert) for change in _without_repetitions(changes)]
         recording.last = state
-        self._empty()
+        self._collect_history()
 
-    def _empty(self) -> None:
+    def _collect_history(self) -> None:
         """Append the new entries of the buffers to the recording."""
         recording = self._recording
-        for point in self._newer("", self._history.ribbons):
+        for point in self._new_points("", self._history.ribbons):
             for name in ANGLES:
                 if (word := point.words.get(name)) is not None:
-                    recording.words.setdefault(name, []).append((point.utc_ns // NS_PER_S, word))
+                    recording.safety_states.setdefault(name, []).append((point.utc_ns // NS_PER_S, word))
         for topic, points in self._history.budgets.items():
-            recording.budgets.setdefault(topic, []).extend(self._newer(topic, points))
+            recording.budgets.setdefault(topic, []).extend(self._new_points(topic, points))
         for topic, shown in (
             ("ship/alignment", self._history.alignment), ("theodolite/calibration", self._history.calibration)
         ):
             if shown:
-                recording.before.setdefault(topic, shown)
-                recording.after[topic] = shown
+                recording.first_estimates.setdefault(topic, shown)
+                recording.last_estimates[topic] = shown
 
-    def _newer(self, name: str, points: Sequence[Any]) -> list[Any]:
+    def _new_points(self, name: str, points: Sequence[Any]) -> list[Any]:
         found = newer(points, self._last_point_ns.get(name))
         if found:
             self._last_point_ns[name] = found[-1].utc_ns
         return found
 
-    def _note_status(self, topic: str, message: Any, now_ns: int) -> None:
+    def _count_status(self, topic: str, message: Any, now_ns: int) -> None:
         """Add the duration of the previous status; after the output stops, one second of it counts."""
-        since_ns, word = self._status.get(topic, (now_ns, ""))
+        since_ns, word = self._last_status.get(topic, (now_ns, ""))
         if word:
-            stood_s = min((now_ns - since_ns) / NS_PER_S, _LONGEST_S)
+            stood_s = min((now_ns - since_ns) / NS_PER_S, _MAX_STATUS_AGE_S)
             of_topic = self._recording.status_s.setdefault(topic, {})
             of_topic[word] = of_topic.get(word, 0.0) + stood_s
-        self._status[topic] = now_ns, STATUS_WORDS[message.status] if message.status < len(STATUS_WORDS) else "unknown"
+        self._last_status[topic] = now_ns, STATUS_NAMES[message.status] if message.status < len(STATUS_NAMES) else "unknown"
 
-    def _note_innovation(self, message: Any) -> None:
+    def _record_rejection(self, message: Any) -> None:
         if not message.accepted:
             stamp_ns = ns_from_stamp(message.header.stamp)
             self._recording.rejections.append(Rejection(stamp_ns, str(message.source), reason_name(message), "filter"))
 
-    def _note_health(self, message: Any) -> None:
+    def _record_health(self, message: Any) -> None:
         """Record rejections and notes from input_health.
 
         A count below the previous one means that the node restarted.
@@ -288,13 +288,13 @@ class _Reading:
         is_note = rejected == self._rejected.get(topic, 0)
         self._rejected[topic] = rejected
         for reason, count in zip(message.reasons, message.reason_counts, strict=False):
-            before = self._counts.get((topic, str(reason)), 0)
-            self._counts[topic, str(reason)] = int(count)
+            before = self._reason_counts.get((topic, str(reason)), 0)
+            self._reason_counts[topic, str(reason)] = int(count)
             more = int(count) - (before if count >= before else 0)
             if more:
                 self._recording.rejections.append(Rejection(stamp_ns, topic, str(reason), "node", more, is_note))
 
-    def _note_recorded(self, state: SuiteState) -> None:
+    def _record_alerts(self, state: SuiteState) -> None:
         """Record the changes of published alerts."""
         alerts = {(alert.id, alert.instance): alert for alert in state.alerts or ()}
         for key, alert in alerts.items():
@@ -307,6 +307,6 @@ class _Reading:
         self._last_alerts = alerts
 
 
-def _grave(changes: Iterable[AlertChange]) -> list[AlertChange]:
+def _without_repetitions(changes: Iterable[AlertChange]) -> list[AlertChange]:
     """Return the changes without repetitions for missing acknowledgement: computed alerts are never acknowledged."""
     return [change for change in changes if not change.what.startswith("repeated")]

@@ -18,7 +18,7 @@ from ship_replay.report.drawings import budget_svg, errors_svg, rejections_svg, 
 from ship_replay.report.event_groups import event_rows
 from ship_replay.report.night import Recording
 from ship_replay.report.summary import summary
-from ship_replay.report.tables import before_after, outage_rows, rejection_rows, shares
+from ship_replay.report.tables import alignment_changes, outage_rows, rejection_rows, shares
 from ship_replay.report.told import ReportData
 from ship_replay.report.wording import duration, number, utc
 
@@ -49,7 +49,7 @@ def page(report_data: ReportData) -> str:
     recording, evaluation = report_data.recording, report_data.evaluation
     start_ns = recording.start_utc_ns
     events, colours = event_rows(recording.events), source_colours(recording, evaluation)
-    drawn = _drawn({
+    drawn = _draw_all({
         "status": partial(status_svg, recording, [row.from_ns // NS_PER_S for row in events]),
         "errors": partial(errors_svg, evaluation, colours),
         "refusals": partial(rejections_svg, recording, colours),
@@ -74,7 +74,7 @@ def page(report_data: ReportData) -> str:
         status=drawn["status"],
         drawn_errors=drawn["errors"],
         budgets=[(topic, drawn[topic]) for topic in sorted(recording.budgets)],
-        alignment=[(topic, before_after(recording.before[topic], recording.after[topic])) for topic in sorted(recording.after)],
+        alignment=[(topic, alignment_changes(recording.first_estimates[topic], recording.last_estimates[topic])) for topic in sorted(recording.last_estimates)],
         refusals=rejection_rows(recording),
         refusal_drawing=drawn["refusals"],
         suite={name: data.decode(errors="replace") for name, data in sorted(recording.attachments.items())
@@ -86,7 +86,7 @@ def page(report_data: ReportData) -> str:
     )
 
 
-def _drawn(drawings: Mapping[str, Callable[[], Any]]) -> dict[str, Any]:
+def _draw_all(drawings: Mapping[str, Callable[[], Any]]) -> dict[str, Any]:
     """Draw the figures of a page, with progress on stderr."""
     return {name: draw() for name, draw in with_count(drawings.items(), "drawing", len(drawings))}
 

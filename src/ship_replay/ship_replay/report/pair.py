@@ -9,7 +9,7 @@ from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT
 from ship_replay.evaluation.evaluate import evaluate
 from ship_replay.report.night import Recording, read_recording
 from ship_replay.report.published import OutputDifference, PublishedOutputs, differences, overlap_s, read_published, span
-from ship_replay.report.told import ReportData, check_truth, is_short, other_processes, read_report_data
+from ship_replay.report.told import ReportData, check_truth, is_short, process_pool, read_report_data
 from ship_replay.report.wording import duration, utc
 from ship_watch.limits import Limits
 
@@ -59,24 +59,24 @@ def read_pair(
         BadInput: a bag cannot be read or lacks a required topic, or the two have no time in common.
     """
     if is_short(a) and is_short(b):
-        first, other = (read_report_data(path, truth, limits, namespace) for path in (a, b))
+        first, second = (read_report_data(path, truth, limits, namespace) for path in (a, b))
         published = read_published(a, namespace), read_published(b, namespace)
     else:
-        first, other, published = _read_beside(a, b, truth, limits, namespace)
-    pair = Pair(first, other, published, differences(*published))
+        first, second, published = _read_in_parallel(a, b, truth, limits, namespace)
+    pair = Pair(first, second, published, differences(*published))
     _check_overlap(pair)
     return pair
 
 
-def _read_beside(
+def _read_in_parallel(
     a: Path, b: Path, truth: Path | None, limits: Limits | None, namespace: str
 ) -> tuple[ReportData, ReportData, tuple[PublishedOutputs, PublishedOutputs]]:
     """Read both bags in parallel, with additional processes."""
     check_truth(truth, namespace)
-    with other_processes(5) as others:
-        evaluated = [others.submit(evaluate, path, against=truth, namespace=namespace) for path in (a, b)]
-        recording_b = others.submit(read_recording, b, limits, namespace)
-        published = [others.submit(read_published, path, namespace) for path in (a, b)]
+    with process_pool(5) as pool:
+        evaluated = [pool.submit(evaluate, path, against=truth, namespace=namespace) for path in (a, b)]
+        recording_b = pool.submit(read_recording, b, limits, namespace)
+        published = [pool.submit(read_published, path, namespace) for path in (a, b)]
         recording_a = read_recording(a, limits, namespace)
         return (
             ReportData(recording_a, evaluated[0].result()),
@@ -89,8 +89,8 @@ def input_sentences(pair: Pair) -> list[str]:
     """Return sentences about the inputs of both recordings: whether they are the same, and their times."""
     if pair.is_same:
         return ["A and B are the same recording (same SHA-256)."]
-    sentences = [_stem(pair)]
-    counts_a, counts_b = (one.received for one in pair.published)
+    sentences = [_same_inputs_sentence(pair)]
+    counts_a, counts_b = (one.received_counts for one in pair.published)
     counted = [
         f"{topic} {counts_a.get(topic, 0)} in A, {counts_b.get(topic, 0)} in B"
         for topic in sorted(counts_a.keys() | counts_b.keys())
@@ -109,9 +109,9 @@ def input_sentences(pair: Pair) -> list[str]:
     return sentences
 
 
-def _stem(pair: Pair) -> str:
+def _same_inputs_sentence(pair: Pair) -> str:
     """Return the sentence about the inputs, by the strongest evidence in the bags."""
-    given_a, given_b = (one.given for one in pair.published)
+    given_a, given_b = (one.input_digests for one in pair.published)
     shared = sorted(given_a.keys() & given_b.keys())
     unequal = [topic for topic in shared if given_a[topic] != given_b[topic]]
     if unequal:

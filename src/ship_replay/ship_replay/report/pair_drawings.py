@@ -13,19 +13,19 @@ from ship_estimation.protection import NORMAL_95
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.documents.figure_files import MAX_ROWS, short_name
 from ship_replay.report.drawings import (
-    MOST_POINTS,
+    MAX_POINTS,
     ROUND_NUMBERS,
     SVG_STYLE,
     draw_ribbon,
-    plain,
+    style_axes,
     svg,
-    thin_errors,
-    thin_innovations,
-    thinned,
+    decimate_errors,
+    decimate_innovations,
+    decimation_mask,
 )
 from ship_replay.report.pair import Pair
 from ship_replay.report.published import OutputDifference
-from ship_replay.report.time_axis import gap_times, interrupted, utc_axis
+from ship_replay.report.time_axis import gap_times, with_gaps, utc_axis
 from ship_replay.report.told import ReportData
 from ship_watch.orientations import ORIENTATIONS, channel_name
 from ship_watch.picture import ANGLES
@@ -41,7 +41,7 @@ def states_svg(pair: Pair) -> str:
 
     The text is empty if no angle was published.
     """
-    shown = [name for name in ANGLES if any(recording.words.get(name) for recording in pair.recordings)]
+    shown = [name for name in ANGLES if any(recording.safety_states.get(name) for recording in pair.recordings)]
     if not shown:
         return ""
     start_ns, end_ns = pair.span_ns
@@ -54,7 +54,7 @@ def states_svg(pair: Pair) -> str:
         top, *others = grid[:, 0]
         for row, name in enumerate(shown):
             for below, night in enumerate(pair.recordings):
-                draw_ribbon(top, 2 * row + below, night.words.get(name, []), start_ns)
+                draw_ribbon(top, 2 * row + below, night.safety_states.get(name, []), start_ns)
         top.set_yticks(range(ribbons), [f"{name} {one}" for name in shown for one in "AB"], fontsize=8)
         top.set_ylim(ribbons - 0.5, -0.5)
         top.tick_params(length=0)
@@ -63,7 +63,7 @@ def states_svg(pair: Pair) -> str:
         for axes in others[:1]:
             axes.legend(ncols=2, fontsize=8, frameon=False, loc="upper right")
         top.set_xlim(0.0, max((end_ns - start_ns) / NS_PER_S, 1.0))
-        plain(grid[:, 0])
+        style_axes(grid[:, 0])
         utc_axis(grid[-1, 0], start_ns)
     return svg(figure, "states")
 
@@ -82,9 +82,9 @@ def difference_svg(difference: OutputDifference, span_ns: tuple[int, int]) -> st
             len(channels), 1, figsize=(9.2, 1.6 * len(channels) + 0.4), sharex=True, squeeze=False, layout="constrained"
         )
         drawn = np.hstack([difference.difference_arcsec, *difference.sigma_arcsec])
-        kept = np.flatnonzero(thinned(drawn, 4 * MOST_POINTS))
+        kept = np.flatnonzero(decimation_mask(drawn, 4 * MAX_POINTS))
         columns = difference.difference_arcsec[kept], *(sigma[kept] for sigma in difference.sigma_arcsec)
-        time_ns, (differences, *sigmas) = interrupted(difference.time_ns[kept], gap_times(difference.time_ns), *columns)
+        time_ns, (differences, *sigmas) = with_gaps(difference.time_ns[kept], gap_times(difference.time_ns), *columns)
         time_s = (time_ns - start_ns) / NS_PER_S
         for channel, axes in enumerate(grid[:, 0]):
             band_a, band_b = (NORMAL_95 * sigma[:, channel] for sigma in sigmas)
@@ -93,18 +93,18 @@ def difference_svg(difference: OutputDifference, span_ns: tuple[int, int]) -> st
                 axes.plot(time_s, sign * band_b, color=_B[0], ls=_B[1], lw=0.8, label="±1.96σ of B" if sign > 0 else "")
             values = differences[:, channel]
             axes.plot(time_s, values, color="#1b2430", lw=0.9, label="B − A")
-            _limit(axes, [values, band_a, band_b])
+            _set_limits(axes, [values, band_a, band_b])
             axes.set_ylabel(f"{channel_name(channels[channel])}\n[arcsec]", fontsize=8)
         figure.legend(*grid[0, 0].get_legend_handles_labels(), ncols=3, fontsize=8, frameon=False,
                       loc="outside upper right")
         grid[0, 0].set_xlim(0.0, max((end_ns - start_ns) / NS_PER_S, 1.0))
-        plain(grid[:, 0])
+        style_axes(grid[:, 0])
         utc_axis(grid[-1, 0], start_ns)
     return svg(figure, "difference-" + difference.orientation.label)
 
 
 @dataclass(frozen=True)
-class _Line:
+class _Series:
     """Residuals or errors with their sigmas, arcsec, and their stamps."""
 
     time_ns: np.ndarray
@@ -138,7 +138,7 @@ def sides_svg(pair: Pair) -> str:
             for axes, side in zip(row, sides, strict=True):
                 if name not in side:
                     axes.text(0.5, 0.5, "no data", transform=axes.transAxes, ha="center", color="#888888")
-            _limit(row[0], [part for _, line in found for part in (line.value, 3.0 * line.sigma)])
+            _set_limits(row[0], [part for _, line in found for part in (line.value, 3.0 * line.sigma)])
             label = "\n".join(map(short_name, name.split("\n")))
             row[0].set_ylabel(label, fontsize=8, rotation="horizontal", ha="right", va="center")
         if count > MAX_ROWS:
@@ -146,7 +146,7 @@ def sides_svg(pair: Pair) -> str:
         for letter, axes in zip("AB", grid[0], strict=True):
             axes.set_title(letter, fontsize=10, fontweight="bold")
         grid[0, 0].set_xlim(0.0, max((end_ns - start_ns) / NS_PER_S, 1.0))
-        plain(grid.ravel())
+        style_axes(grid.ravel())
         for axes in grid[-1]:
             utc_axis(axes, start_ns, 3)
             axes.tick_params(axis="x", labelsize=8)
@@ -158,9 +158,9 @@ def _draw_accuracies(axes: Axes, pair: Pair, name: str, start_ns: int) -> None:
     for letter, recording, (colour, dash) in zip("AB", pair.recordings, (_A, _B), strict=True):
         accuracy = np.array(recording.accuracy.get(name, []), dtype=float).reshape(-1, 2)
         accuracy = accuracy[accuracy[:, 1] > 0.0]  # a covariance of zeros was not given
-        kept = np.flatnonzero(thinned(accuracy[:, 1:], MOST_POINTS))
+        kept = np.flatnonzero(decimation_mask(accuracy[:, 1:], MAX_POINTS))
         drawn += len(kept)
-        time_ns, (value,) = interrupted(accuracy[kept, 0], gap_times(accuracy[:, 0]), accuracy[kept, 1])
+        time_ns, (value,) = with_gaps(accuracy[kept, 0], gap_times(accuracy[:, 0]), accuracy[kept, 1])
         axes.plot((time_ns - start_ns) / NS_PER_S, value / ARCSEC, color=colour, ls=dash, lw=1.0, label=letter)
     limit = pair.a.recording.limits.angle_limit(name) / ARCSEC
     axes.axhline(limit, color="#888888", lw=0.7, ls=(0, (6, 3)))
@@ -175,31 +175,31 @@ def _draw_accuracies(axes: Axes, pair: Pair, name: str, start_ns: int) -> None:
     axes.set_ylabel(f"{name}\n95 % [″]", fontsize=8)
 
 
-def _errors(report_data: ReportData) -> dict[str, _Line]:
+def _errors(report_data: ReportData) -> dict[str, _Series]:
     lines = {}
     outputs = [orientation.label for orientation in ORIENTATIONS]
     for series in report_data.evaluation.errors:
         if series.label in outputs:
-            thin = thin_errors(series)
+            thin = decimate_errors(series)
             for channel, name in enumerate(series.channels):
-                lines[f"{series.label}\n{channel_name(name)}"] = _Line(
+                lines[f"{series.label}\n{channel_name(name)}"] = _Series(
                     thin.time_ns, thin.error_arcsec[:, channel], thin.sigma_arcsec[:, channel]
                 )
     return lines
 
 
-def _innovations(report_data: ReportData) -> dict[str, _Line]:
+def _innovations(report_data: ReportData) -> dict[str, _Series]:
     lines = {}
     for source, part in report_data.evaluation.innovations.items():
-        thin = thin_innovations(part)
+        thin = decimate_innovations(part)
         for component in thin.components():
             stamps, residual, sigma = thin.series(component)
             if len(stamps):
-                lines[f"{source}\n{component}"] = _Line(stamps, residual / ARCSEC, sigma / ARCSEC)
+                lines[f"{source}\n{component}"] = _Series(stamps, residual / ARCSEC, sigma / ARCSEC)
     return lines
 
 
-def _limit(axes: Axes, parts: Sequence[FloatArray]) -> None:
+def _set_limits(axes: Axes, parts: Sequence[FloatArray]) -> None:
     """Set symmetric limits from the 99th percentile; larger values, as at the start, may lie outside."""
     sizes = [np.percentile(np.abs(part[np.isfinite(part)]), 99.0) for part in parts if np.isfinite(part).any()]
     high = 1.25 * max(sizes, default=0.0)

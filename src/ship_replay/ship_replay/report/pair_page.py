@@ -9,13 +9,13 @@ from ship_replay.report.page import recorded_versions, render, versions
 from ship_replay.report.pair import Pair
 from ship_replay.report.pair_drawings import difference_svg, sides_svg, states_svg
 from ship_replay.report.pair_tables import (
-    alerts_only_one_has,
+    alerts_of_one,
     alignment_tables,
     budget_tables,
     consistency_rows,
     difference_rows,
     error_rows,
-    only_one_has,
+    events_of_one,
     rejection_rows_of_both,
 )
 from ship_replay.report.pair_verdict import pair_summary
@@ -72,16 +72,16 @@ def pair_page(pair: Pair) -> str:
         budgets=budget_tables(pair),
         consistency=consistency_rows(pair),
         alignment=alignment_tables(pair),
-        alerts=alerts_only_one_has(pair),
-        events=only_one_has(pair),
+        alerts=alerts_of_one(pair),
+        events=events_of_one(pair),
         refusals=rejection_rows_of_both(pair),
         parameters=parameters,
         texts=text_differences(a, b),
         only_topics=[(letter, sorted(mine.keys() - others.keys()))
                      for letter, mine, others in (("A", a.topics, b.topics), ("B", b.topics, a.topics))],
-        metadata=_of_both(*({name: " ".join(f"{key} {value}" for key, value in sorted(entries.items()))
+        metadata=_rows_of_both(*({name: " ".join(f"{key} {value}" for key, value in sorted(entries.items()))
                              for name, entries in sorted(recording.metadata.items())} for recording in (a, b))),
-        recorded_versions=_of_both(*(dict(recorded_versions(night)) for night in (a, b))),
+        recorded_versions=_rows_of_both(*(dict(recorded_versions(night)) for night in (a, b))),
         versions=versions(),
     )
 
@@ -101,6 +101,6 @@ def _shares_of_both(a: Recording, b: Recording) -> list[tuple[str, dict[str, flo
     return [(name, of_a.get(name), of_b.get(name)) for name in ANGLES if name in of_a or name in of_b]
 
 
-def _of_both(a: Mapping[str, str], b: Mapping[str, str]) -> list[tuple[str, str, str]]:
+def _rows_of_both(a: Mapping[str, str], b: Mapping[str, str]) -> list[tuple[str, str, str]]:
     """Return each name with its values in A and in B; empty where it is missing."""
     return [(name, a.get(name, ""), b.get(name, "")) for name in dict.fromkeys([*a, *b])]

@@ -17,7 +17,7 @@ from ship_replay.report.night import Recording
 from ship_replay.report.pair import Pair
 from ship_replay.report.published import OutputDifference
 from ship_replay.report.tables import shown_scale, shown_value
-from ship_replay.report.wording import number, placed, utc
+from ship_replay.report.wording import number, rounded_to_sigma, utc
 from ship_watch.history import BudgetPoint, ParameterShown
 from ship_watch.orientations import channel_name
 
@@ -142,7 +142,7 @@ def budget_tables(pair: Pair) -> list[BudgetTable]:
 
 
 @dataclass(frozen=True)
-class FitOfBoth:
+class SigmaFitPair:
     """Consistency test of a source's sigma in A and in B; None where a run has none.
 
     Attributes:
@@ -164,19 +164,19 @@ class FitOfBoth:
         return len(words) > 1
 
 
-def consistency_rows(pair: Pair) -> list[FitOfBoth]:
+def consistency_rows(pair: Pair) -> list[SigmaFitPair]:
     """Return a row for each NEES, then for each NIS."""
     a, b = ({(fit.kind, fit.name): fit for fit in consistency(report_data.evaluation)} for report_data in (pair.a, pair.b))
     keys = sorted({**a, **b}, key=lambda key: key[0])
-    return [FitOfBoth(*key, a.get(key), b.get(key)) for key in keys]
+    return [SigmaFitPair(*key, a.get(key), b.get(key)) for key in keys]
 
 
 def alignment_tables(pair: Pair) -> list[tuple[str, list[dict[str, str]]]]:
     """Return topic, and a row for each parameter: the last estimates of A and B with their σ, and their difference."""
     a, b = pair.recordings
     tables = []
-    for topic in sorted(a.after.keys() | b.after.keys()):
-        shown_a, shown_b = ({shown.name: shown for shown in recording.after.get(topic, ())} for recording in (a, b))
+    for topic in sorted(a.last_estimates.keys() | b.last_estimates.keys()):
+        shown_a, shown_b = ({shown.name: shown for shown in recording.last_estimates.get(topic, ())} for recording in (a, b))
         either = {**shown_b, **shown_a}
         names = dict.fromkeys([*shown_a, *shown_b])
         rows = [_alignment_row(either[name], shown_a.get(name), shown_b.get(name)) for name in names]
@@ -184,7 +184,7 @@ def alignment_tables(pair: Pair) -> list[tuple[str, list[dict[str, str]]]]:
     return tables
 
 
-def only_one_has(pair: Pair) -> tuple[list[dict[str, str]], int]:
+def events_of_one(pair: Pair) -> tuple[list[dict[str, str]], int]:
     """Return the events of one run only, in order of time, and the number of events of both.
 
     Two events are the same if kind and text agree except for numbers, and the times differ by at most two seconds.
@@ -197,7 +197,7 @@ def only_one_has(pair: Pair) -> tuple[list[dict[str, str]], int]:
     ], both
 
 
-def alerts_only_one_has(pair: Pair) -> tuple[list[dict[str, str]], int]:
+def alerts_of_one(pair: Pair) -> tuple[list[dict[str, str]], int]:
     """Return the alert changes of one run only, in order of time, and the number of those of both."""
     a, b = ([(alert_record.utc_ns, (alert_record.alert.id, alert_record.what), alert_record) for alert_record in recording.alerts] for recording in pair.recordings)
     alone, both = _unmatched(a, b)
@@ -252,7 +252,7 @@ def _alignment_row(
     scale, unit = shown_scale(either)
     row = {"name": either.name, "unit": unit, "apart": "", "differs": "", "note": ""}
     for side, shown in (("a", a), ("b", b)):
-        row[side] = "–" if shown is None else placed(shown_value(shown) / scale, shown.sigma / scale)
+        row[side] = "–" if shown is None else rounded_to_sigma(shown_value(shown) / scale, shown.sigma / scale)
         row[f"{side}_sigma"] = "" if shown is None else number(shown.sigma / scale)
     if a is not None and b is not None:
         difference = float(wrap_pi(b.value - a.value)) if a.unit == "rad" else b.value - a.value
@@ -281,7 +281,7 @@ def _unmatched(
     waiting: dict[object, list[tuple[int, _PART]]] = {}
     for time_ns, key, part in b:
         waiting.setdefault(key, []).append((time_ns, part))
-    alone: list[tuple[int, str, _PART]] = []
+    unmatched: list[tuple[int, str, _PART]] = []
     both = 0
     for time_ns, key, part in a:
         candidates = waiting.get(key, [])
@@ -290,6 +290,6 @@ def _unmatched(
             candidates.remove(near)
             both += 1
         else:
-            alone.append((time_ns, "A", part))
-    alone += [(time_ns, "B", part) for candidates in waiting.values() for time_ns, part in candidates]
-    return sorted(alone, key=lambda entry: entry[:2]), both
+            unmatched.append((time_ns, "A", part))
+    unmatched += [(time_ns, "B", part) for candidates in waiting.values() for time_ns, part in candidates]
+    return sorted(unmatched, key=lambda entry: entry[:2]), both

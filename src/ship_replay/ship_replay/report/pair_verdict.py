@@ -35,15 +35,15 @@ def pair_summary(pair: Pair, errors: Sequence[ErrorRow], parameters: Sequence[Pa
     """
     sentences = input_sentences(pair)
     if not pair.is_same:
-        sentences.append(_configuration(parameters))
-    sentences += [*_safe_for_longer(pair), *_which_is_better(errors)]
-    sentences += [text for name in ANGLES if (text := _angle(pair, name, errors))]
-    sentences += [_outputs(found) for found in pair.differences]
-    sentences += _not_compared(pair)
-    return [*sentences, *_sources(pair)]
+        sentences.append(_configuration_sentence(parameters))
+    sentences += [*_safe_share_sentences(pair), *_accuracy_sentences(errors)]
+    sentences += [text for name in ANGLES if (text := _angle_sentence(pair, name, errors))]
+    sentences += [_difference_sentence(found) for found in pair.differences]
+    sentences += _missing_sentences(pair)
+    return [*sentences, *_outage_sentences(pair)]
 
 
-def _configuration(parameters: Sequence[ParameterDifference]) -> str:
+def _configuration_sentence(parameters: Sequence[ParameterDifference]) -> str:
     if not parameters:
         return "No parameter differs."
     named = [
@@ -55,20 +55,20 @@ def _configuration(parameters: Sequence[ParameterDifference]) -> str:
     return f"{count}: {'; '.join(named)}{f'; {rest} more below' if rest else ''}."
 
 
-def _safe_for_longer(pair: Pair) -> list[str]:
+def _safe_share_sentences(pair: Pair) -> list[str]:
     """Return which run was SAFE for more of the time, and in which of the angles that both published."""
     longer: dict[str, list[str]] = {"A": [], "B": []}
     for name in ANGLES:
-        a, b = (_share_safe(recording, name) for recording in pair.recordings)
+        a, b = (_safe_share(recording, name) for recording in pair.recordings)
         if a != b and math.isfinite(a) and math.isfinite(b):
             longer["A" if a > b else "B"].append(name)
     parts = [f"{letter} was SAFE longer in {', '.join(names)}" for letter, names in longer.items() if names]
     return [f"{'; '.join(parts)}."] if parts else []
 
 
-def _which_is_better(errors: Sequence[ErrorRow]) -> list[str]:
+def _accuracy_sentences(errors: Sequence[ErrorRow]) -> list[str]:
     """Return which run has the smaller RMS error in which channel of the outputs."""
-    ratios = {row.channel: row.ratio for row in _of_outputs(errors) if math.isfinite(row.ratio)}
+    ratios = {row.channel: row.ratio for row in _output_rows(errors) if math.isfinite(row.ratio)}
     if not ratios:
         return []
     nearer = {
@@ -82,9 +82,9 @@ def _which_is_better(errors: Sequence[ErrorRow]) -> list[str]:
     return [f"{sentence[0].upper()}{sentence[1:]}."]
 
 
-def _angle(pair: Pair, name: str, errors: Sequence[ErrorRow]) -> str:
+def _angle_sentence(pair: Pair, name: str, errors: Sequence[ErrorRow]) -> str:
     """Return for how long an angle was SAFE in each run, and its error."""
-    safe = [_share_safe(recording, name) for recording in pair.recordings]
+    safe = [_safe_share(recording, name) for recording in pair.recordings]
     if not any(map(math.isfinite, safe)):
         return ""
     if all(map(math.isfinite, safe)):
@@ -93,7 +93,7 @@ def _angle(pair: Pair, name: str, errors: Sequence[ErrorRow]) -> str:
         has, lacks = ("A", "B") if math.isfinite(safe[0]) else ("B", "A")
         share = safe["AB".index(has)]
         return f"{name.capitalize()}: published in {has} (SAFE {_percent(share)} of the time), not in {lacks}."
-    for row in _of_outputs(errors):
+    for row in _output_rows(errors):
         if row.channel.removesuffix(_ON_SKY) == name and math.isfinite(row.ratio):
             text += (
                 f"; RMS error {number(row.rms[0])}″ in A, {number(row.rms[1])}″ in B (B/A {row.ratio:.2f}), "
@@ -102,12 +102,12 @@ def _angle(pair: Pair, name: str, errors: Sequence[ErrorRow]) -> str:
     return f"{text}."
 
 
-def _outputs(found: OutputDifference) -> str:
+def _difference_sentence(found: OutputDifference) -> str:
     topic, stamps = found.orientation.topic, len(found.time_ns)
     if found.all_equal:
         return f"{topic}: all {stamps} messages are equal to the last bit."
-    alone = ", ".join(f"{count} only in {letter}" for letter, count in zip("AB", found.alone, strict=True) if count)
-    text = f"{topic}: {stamps} equal stamps{f' ({alone})' if alone else ''}"
+    unpaired_text = ", ".join(f"{count} only in {letter}" for letter, count in zip("AB", found.unpaired_counts, strict=True) if count)
+    text = f"{topic}: {stamps} equal stamps{f' ({unpaired_text})' if unpaired_text else ''}"
     if all(found.channels_equal):
         rest = stamps - found.messages_equal
         rest_text = f"; other fields differ in {rest} messages" if rest else ""
@@ -122,12 +122,12 @@ def _outputs(found: OutputDifference) -> str:
     return f"{text}; B differs from A in {', '.join(parts)}."
 
 
-def _not_compared(pair: Pair) -> list[str]:
+def _missing_sentences(pair: Pair) -> list[str]:
     """Return a sentence for each output published in one run only, or without a common stamp."""
     sentences = []
     compared = {found.orientation.label for found in pair.differences}
     for known in ORIENTATIONS:
-        claims = [known.label in one.claims for one in pair.published]
+        claims = [known.label in one.series for one in pair.published]
         if all(claims) and known.label not in compared:
             sentences.append(f"{known.topic}: A and B have no stamp in common, so no difference is shown.")
         elif claims[0] != claims[1]:
@@ -135,14 +135,14 @@ def _not_compared(pair: Pair) -> list[str]:
     return sentences
 
 
-def _sources(pair: Pair) -> list[str]:
+def _outage_sentences(pair: Pair) -> list[str]:
     """Return which source was out in one run only, for the time that both cover."""
     a, b = (outages(recording) for recording in pair.recordings)
     sentences, named = [], set()
     for source in dict.fromkeys(outage.source for outage in (*a, *b)):
         for letter, other, mine, others in (("A", "B", a, b), ("B", "A", b, a)):
-            found = _beyond([one for one in mine if one.source == source],
-                            [*(one for one in others if one.source == source), *_unrecorded(pair, other, source)])
+            found = _outages_only_here([one for one in mine if one.source == source],
+                            [*(one for one in others if one.source == source), *_unrecorded_spans(pair, other, source)])
             if found:
                 named.add(source)
                 more = f" and {len(found) - _MOST_NAMED} times more" if len(found) > _MOST_NAMED else ""
@@ -154,14 +154,14 @@ def _sources(pair: Pair) -> list[str]:
     return sentences if a or b else ["No source was out in either."]
 
 
-def _beyond(outages_here: list[SourceOutage], elsewhere: list[SourceOutage]) -> list[SourceOutage]:
+def _outages_only_here(outages_here: list[SourceOutage], elsewhere: list[SourceOutage]) -> list[SourceOutage]:
     """Return the parts of outages that the other run does not have; parts of two seconds or less are ignored."""
     for other in elsewhere:
-        outages_here = [left for outage in outages_here for left in _without(outage, other)]
+        outages_here = [left for outage in outages_here for left in _split_outage(outage, other)]
     return [one for one in outages_here if (one.to_ns or _NEVER_NS) - one.from_ns > SAME_TIME_NS]
 
 
-def _without(outage: SourceOutage, other: SourceOutage) -> list[SourceOutage]:
+def _split_outage(outage: SourceOutage, other: SourceOutage) -> list[SourceOutage]:
     """Split an outage at another one; return the parts before and after it."""
     end_ns, other_end_ns = outage.to_ns or _NEVER_NS, other.to_ns or _NEVER_NS
     left = []
@@ -173,7 +173,7 @@ def _without(outage: SourceOutage, other: SourceOutage) -> list[SourceOutage]:
     return left
 
 
-def _unrecorded(pair: Pair, letter: str, source: str) -> list[SourceOutage]:
+def _unrecorded_spans(pair: Pair, letter: str, source: str) -> list[SourceOutage]:
     """Return the times that the other recording does not cover, as outages of the source."""
     (start_ns, end_ns), (_, other_end_ns) = (
         recording.span_ns for recording in (pair.recordings if letter == "A" else reversed(pair.recordings))
@@ -182,12 +182,12 @@ def _unrecorded(pair: Pair, letter: str, source: str) -> list[SourceOutage]:
     return [before, after] if other_end_ns > end_ns + SAME_TIME_NS else [before]
 
 
-def _of_outputs(errors: Sequence[ErrorRow]) -> list[ErrorRow]:
+def _output_rows(errors: Sequence[ErrorRow]) -> list[ErrorRow]:
     labels = [orientation.label for orientation in ORIENTATIONS]
     return [row for row in errors if row.label in labels]
 
 
-def _share_safe(recording: Recording, angle: str) -> float:
+def _safe_share(recording: Recording, angle: str) -> float:
     """Return the SAFE share of the time in which an angle was published; NaN if it never was."""
     seconds = recording.seconds(angle)
     total = sum(seconds.values())

@@ -71,17 +71,17 @@ def pair_warnings(pair: Pair, problems: Sequence[str]) -> list[PairWarning]:
         pair: both recordings.
         problems: problems of the bags, each preceded by the letters of the bags that have it.
     """
-    found = [_explained(text) for text in [*input_sentences(pair), *_commits(pair)]]
-    return [one for one in found if one.why] + [_explained(text) for text in problems]
+    found = [_with_explanation(text) for text in [*input_sentences(pair), *_commit_sentences(pair)]]
+    return [one for one in found if one.why] + [_with_explanation(text) for text in problems]
 
 
-def _explained(text: str) -> PairWarning:
+def _with_explanation(text: str) -> PairWarning:
     for pattern, why, do in _EXPLANATIONS:
         if re.search(pattern, text):
             return PairWarning(text, f"{why[0].upper()}{why[1:]}.", f"{do[0].upper()}{do[1:]}.")
     return PairWarning(text)
 
 
-def _commits(pair: Pair) -> list[str]:
+def _commit_sentences(pair: Pair) -> list[str]:
     a, b = (recording.metadata.get(COMMIT_RECORD, {}).get("commit", "") for recording in pair.recordings)
     return [f"A and B were made by different commits of the suite: {a} and {b}."] if a and b and a != b else []

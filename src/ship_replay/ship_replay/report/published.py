@@ -19,7 +19,7 @@ _DIGEST_BYTES = 8
 
 
 @dataclass(frozen=True)
-class Claims:
+class OutputSeries:
     """Outputs of one orientation in one bag, without INVALID messages.
 
     Attributes:
@@ -45,9 +45,9 @@ class PublishedOutputs:
         input_digests: topic that no node publishes (truth, ``ins/imu``) → hash of all its messages.
     """
 
-    claims: dict[str, Claims] = field(default_factory=dict)
-    received: dict[str, int] = field(default_factory=dict)
-    given: dict[str, str] = field(default_factory=dict)
+    series: dict[str, OutputSeries] = field(default_factory=dict)
+    received_counts: dict[str, int] = field(default_factory=dict)
+    input_digests: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -71,12 +71,12 @@ class OutputDifference:
     sigma_arcsec: FloatArray
     channels_equal: tuple[bool, bool, bool]
     messages_equal: int
-    alone: tuple[int, int]
+    unpaired_counts: tuple[int, int]
 
     @property
     def all_equal(self) -> bool:
         """True if both published the same messages and no others."""
-        return self.messages_equal == len(self.time_ns) and self.alone == (0, 0)
+        return self.messages_equal == len(self.time_ns) and self.unpaired_counts == (0, 0)
 
     def largest(self, channel: int) -> tuple[float, int]:
         """Return the largest difference, arcsec, with its sign, and its stamp; at least one stamp is required."""
@@ -103,7 +103,7 @@ def read_published(path: Path, namespace: str = "") -> PublishedOutputs:
     with read_bag(path) as bag:
         names = {name: topic for topic, name in relative_topics(bag.topics, namespace).items()}
         orientations = {known.topic: known for known in ORIENTATIONS}
-        claims: dict[str, dict[int, tuple[bytes, FloatArray, FloatArray]]] = {}
+        messages: dict[str, dict[int, tuple[bytes, FloatArray, FloatArray]]] = {}
         digests: dict[str, Any] = {}
         wanted = {
             name for name, topic in names.items()
@@ -112,15 +112,15 @@ def read_published(path: Path, namespace: str = "") -> PublishedOutputs:
         for record in bag.records(wanted):
             topic = names[record.topic]
             if topic in orientations:
-                _note_claim(claims.setdefault(orientations[topic].label, {}), orientations[topic], record)
+                _add_output(messages.setdefault(orientations[topic].label, {}), orientations[topic], record)
             elif topic == _HEALTH:
                 message = record.decode()
-                before = published.received.get(str(message.topic), 0)
-                published.received[str(message.topic)] = max(before, int(message.received))
+                before = published.received_counts.get(str(message.topic), 0)
+                published.received_counts[str(message.topic)] = max(before, int(message.received))
             else:
                 digests.setdefault(topic, hashlib.sha256()).update(record.data)
-    published.claims = {label: _claims(rows) for label, rows in claims.items() if rows}
-    published.given = {topic: digest.hexdigest() for topic, digest in digests.items()}
+    published.series = {label: _output_series(rows) for label, rows in messages.items() if rows}
+    published.input_digests = {topic: digest.hexdigest() for topic, digest in digests.items()}
     return published
 
 
@@ -129,12 +129,12 @@ def differences(first: PublishedOutputs, second: PublishedOutputs) -> list[Outpu
     return [
         found
         for orientation in ORIENTATIONS
-        if orientation.label in first.claims and orientation.label in second.claims
-        if (found := _difference(orientation, first.claims[orientation.label], second.claims[orientation.label]))
+        if orientation.label in first.series and orientation.label in second.series
+        if (found := _difference(orientation, first.series[orientation.label], second.series[orientation.label]))
     ]
 
 
-def _difference(orientation: Orientation, a: Claims, b: Claims) -> OutputDifference | None:
+def _difference(orientation: Orientation, a: OutputSeries, b: OutputSeries) -> OutputDifference | None:
     time_ns, in_a, in_b = np.intersect1d(a.time_ns, b.time_ns, assume_unique=True, return_indices=True)
     if not len(time_ns):
         return None
@@ -154,7 +154,7 @@ def _difference(orientation: Orientation, a: Claims, b: Claims) -> OutputDiffere
     )
 
 
-def _note_claim(
+def _add_output(
     rows: dict[int, tuple[bytes, FloatArray, FloatArray]], orientation: Orientation, record: BagRecord
 ) -> None:
     message = record.decode()
@@ -165,10 +165,10 @@ def _note_claim(
         rows[ns_from_stamp(message.header.stamp)] = digest, angles, variances
 
 
-def _claims(rows: dict[int, tuple[bytes, FloatArray, FloatArray]]) -> Claims:
+def _output_series(rows: dict[int, tuple[bytes, FloatArray, FloatArray]]) -> OutputSeries:
     ordered = sorted(rows)
     variances = np.array([rows[stamp][2] for stamp in ordered])
-    return Claims(
+    return OutputSeries(
         np.array(ordered, dtype=np.int64),
         np.array([rows[stamp][1] for stamp in ordered]),
         np.sqrt(np.where(variances > 0.0, variances, np.nan)),
@@ -178,7 +178,7 @@ def _claims(rows: dict[int, tuple[bytes, FloatArray, FloatArray]]) -> Claims:
 
 def span(published: PublishedOutputs) -> tuple[int, int] | None:
     """Return first and last stamp of all outputs, UTC in ns; None if there are none."""
-    claims = published.claims.values()
+    claims = published.series.values()
     if not claims:
         return None
     return min(int(one.time_ns[0]) for one in claims), max(int(one.time_ns[-1]) for one in claims)

@@ -16,16 +16,16 @@ _MOST_NAMED = 3
 _SHIFTED = "mounting shifted by"
 _MUCH_CHANGED_SIGMAS = 3.0
 _ADVISED = 2
-_CONSEQUENCE = ".degraded"
+_CONSEQUENCE_SUFFIX = ".degraded"
 """Suffix of alerts about an output over its limit: the source that caused it has its own alert."""
 
 
 def summary(recording: Recording) -> list[str]:
     """Return the five sentences; one if no output was published."""
-    if not any(recording.words.get(name) for name in ANGLES):
+    if not any(recording.safety_states.get(name) for name in ANGLES):
         return ["Availability: no attitude and no pointing was published."]
     found = outages(recording)
-    return [_availability(recording), _worst_source(recording, found), _causes(recording, found), _mountings(recording), _advice(recording)]
+    return [_availability_sentence(recording), _worst_source_sentence(recording, found), _cause_sentence(recording, found), _mounting_sentence(recording), _advice_sentence(recording)]
 
 
 def worst_source(recording: Recording) -> str:
@@ -40,7 +40,7 @@ def valid_shares(recording: Recording) -> dict[str, float]:
     return {topic: min(seconds.get("VALID", 0.0) / length_s, 1.0) for topic, seconds in sorted(recording.status_s.items())}
 
 
-def _availability(recording: Recording) -> str:
+def _availability_sentence(recording: Recording) -> str:
     parts = [
         f"{name} SAFE {100.0 * seconds[Safety.SAFE] / total:.1f} %"
         for name in ANGLES if (total := (seconds := recording.seconds(name)).total())
@@ -49,7 +49,7 @@ def _availability(recording: Recording) -> str:
     return f"Availability: {', '.join(parts)} of the time."
 
 
-def _worst_source(recording: Recording, found: Sequence[SourceOutage]) -> str:
+def _worst_source_sentence(recording: Recording, found: Sequence[SourceOutage]) -> str:
     roots = root_outages(found)
     source = worst_source(recording)
     if not source:
@@ -62,12 +62,12 @@ def _worst_source(recording: Recording, found: Sequence[SourceOutage]) -> str:
     return f"Worst source: {source}, out {times}, {length}, {mine[0].text}."
 
 
-def _causes(recording: Recording, found: Sequence[SourceOutage]) -> str:
+def _cause_sentence(recording: Recording, found: Sequence[SourceOutage]) -> str:
     """Return the sentence about each source that failed, and the sources and angles affected by it."""
     roots = list(dict.fromkeys(outage.source for outage in root_outages(found)))
     if not roots:
-        unsafe = [name for name in ANGLES if _is_ever(recording, name)]
-        return f"Cause: no source failed; {_listed(unsafe)} not SAFE because of accuracy." if unsafe else \
+        unsafe = [name for name in ANGLES if _was_not_always_safe(recording, name)]
+        return f"Cause: no source failed; {_joined_names(unsafe)} not SAFE because of accuracy." if unsafe else \
             "Cause: nothing failed."
     texts = []
     for source in roots[:_MOST_NAMED]:
@@ -78,21 +78,21 @@ def _causes(recording: Recording, found: Sequence[SourceOutage]) -> str:
             if event.kind == "state" and states_of(event)[1] in ("CAUTION", "UNSAFE")
             and re.search(rf"(^|\W){re.escape(source)}(\W|$)", states_of(event)[2])
         ]
-        effects = [f"{_listed(list(dict.fromkeys(angles)))} not SAFE"] if angles else []
-        effects += [f"{_listed(list(dict.fromkeys(needs)))} not usable"] if needs else []
+        effects = [f"{_joined_names(list(dict.fromkeys(angles)))} not SAFE"] if angles else []
+        effects += [f"{_joined_names(list(dict.fromkeys(needs)))} not usable"] if needs else []
         texts.append(f"{source} {first.why} at {utc(first.from_ns)}" + (f" → {', '.join(effects)}" if effects else ""))
     more = f"; {len(roots) - _MOST_NAMED} more in the table" if len(roots) > _MOST_NAMED else ""
     return f"Cause → consequence: {'; '.join(texts)}{more}."
 
 
-def _mountings(recording: Recording) -> str:
+def _mounting_sentence(recording: Recording) -> str:
     """Return the sentence about shifted mountings, or about estimates far from their first values."""
     shifted = [event for event in recording.events if event.kind == "source" and _SHIFTED in event.text]
     if shifted:
         return f"Mountings: {'; '.join(f'{event.text} at {utc(event.utc_ns)}' for event in shifted[:_MOST_NAMED])}."
     changed: dict[str, float] = {}
-    for topic, after in recording.after.items():
-        before = {shown.name: shown for shown in recording.before[topic]}
+    for topic, after in recording.last_estimates.items():
+        before = {shown.name: shown for shown in recording.first_estimates[topic]}
         for shown in after:
             start = before.get(shown.name, shown)
             sigmas = abs(math.remainder(shown.value - start.value, math.tau)) / start.sigma if (
@@ -106,10 +106,10 @@ def _mountings(recording: Recording) -> str:
     return f"Mountings: no source was reinstated with a shifted mounting, but {', '.join(texts)}."
 
 
-def _advice(recording: Recording) -> str:
+def _advice_sentence(recording: Recording) -> str:
     """Return the advice of the raised alerts, causes first, then by priority."""
     raised = [record.alert for record in recording.alerts if record.what in ("raised", "active not acknowledged")]
-    raised.sort(key=lambda alert: (alert.id.endswith(_CONSEQUENCE), -int(alert.priority)))
+    raised.sort(key=lambda alert: (alert.id.endswith(_CONSEQUENCE_SUFFIX), -int(alert.priority)))
     texts = [
         f"{alert.source or alert.id}: {alert.advice[:1].lower()}{alert.advice[1:]}" for alert in raised if alert.advice
     ]
@@ -126,11 +126,11 @@ def _seconds_out(recording: Recording, found: Sequence[SourceOutage]) -> Counter
     return seconds
 
 
-def _is_ever(recording: Recording, name: str) -> bool:
+def _was_not_always_safe(recording: Recording, name: str) -> bool:
     """True if an angle was published and not always SAFE."""
     seconds = recording.seconds(name)
     return seconds.total() > seconds[Safety.SAFE]
 
 
-def _listed(names: Sequence[str]) -> str:
+def _joined_names(names: Sequence[str]) -> str:
     return " and ".join(([", ".join(names[:-1])] if len(names) > 1 else []) + list(names[-1:]))

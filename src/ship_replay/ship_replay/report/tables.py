@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_replay.report.night import Recording
-from ship_replay.report.wording import duration, number, placed, utc
+from ship_replay.report.wording import duration, number, rounded_to_sigma, utc
 from ship_watch.history import ParameterShown
 from ship_watch.picture import ANGLES, Safety
 
@@ -82,7 +82,7 @@ def shares(recording: Recording) -> list[tuple[str, dict[str, float], Counter[Sa
     return rows
 
 
-def before_after(before: Sequence[ParameterShown], after: Sequence[ParameterShown]) -> list[dict[str, str]]:
+def alignment_changes(before: Sequence[ParameterShown], after: Sequence[ParameterShown]) -> list[dict[str, str]]:
     """Return a row for each parameter: first and last estimate with their σ, and the change in sigmas of the first."""
     first = {shown.name: shown for shown in before}
     rows = []
@@ -93,9 +93,9 @@ def before_after(before: Sequence[ParameterShown], after: Sequence[ParameterShow
         rows.append({
             "name": shown.name,
             "unit": unit,
-            "before": placed(shown_value(start) / scale, start.sigma / scale),
+            "before": rounded_to_sigma(shown_value(start) / scale, start.sigma / scale),
             "before_sigma": number(start.sigma / scale),
-            "after": placed(shown_value(shown) / scale, shown.sigma / scale),
+            "after": rounded_to_sigma(shown_value(shown) / scale, shown.sigma / scale),
             "after_sigma": number(shown.sigma / scale),
             "change": f"{change / start.sigma:+.1f} σ".replace("-", "−") if start.sigma > 0.0 else "",
             "note": "" if shown.is_observable else "not observable",

@@ -75,7 +75,7 @@ def gap_times(time_ns: np.ndarray) -> np.ndarray:
     return middle
 
 
-def interrupted(
+def with_gaps(
     time_ns: np.ndarray, gaps_ns: np.ndarray, *columns: FloatArray
 ) -> tuple[np.ndarray, tuple[FloatArray, ...]]:
     """Return stamps and values with a NaN at each gap, so that no line is drawn through it.

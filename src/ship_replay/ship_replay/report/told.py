@@ -44,14 +44,14 @@ def read_report_data(
     if is_short(path):
         return ReportData(read_recording(path, limits, namespace), evaluate(path, against=truth, namespace=namespace))
     # Both take equally long and are independent.
-    with other_processes(1) as others:
+    with process_pool(1) as others:
         evaluated = others.submit(evaluate, path, against=truth, namespace=namespace)
         recording = read_recording(path, limits, namespace)
         return ReportData(recording, evaluated.result())
 
 
 @contextlib.contextmanager
-def other_processes(count: int) -> Iterator[ProcessPoolExecutor]:
+def process_pool(count: int) -> Iterator[ProcessPoolExecutor]:
     """Start a pool of processes; they are terminated if this process fails or is interrupted.
 
     The processes are spawned: a fork would copy locks held by threads. They must not start processes of their own,

@@ -23,7 +23,7 @@ def number(value: float) -> str:
     return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.3g}".replace("-", "−")
 
 
-def placed(value: float, sigma: float) -> str:
+def rounded_to_sigma(value: float, sigma: float) -> str:
     """Return a value with as many decimals as its sigma justifies."""
     if not math.isfinite(value):
         return "–"

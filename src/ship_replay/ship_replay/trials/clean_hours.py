@@ -159,7 +159,7 @@ class VoyageStatistics:
                 self.worst_over_level = max(self.worst_over_level, over)
 
 
-def make_clean_voyage(voyage: CleanVoyage, folder: Path, length_s: float) -> Result:
+def run_clean_voyage(voyage: CleanVoyage, folder: Path, length_s: float) -> Result:
     """Run a voyage; return its statistics as plain data."""
     start_s, result = time.process_time(), dataclasses.asdict(voyage)
     result["voyage"] = result.pop("number")
@@ -167,7 +167,7 @@ def make_clean_voyage(voyage: CleanVoyage, folder: Path, length_s: float) -> Res
     try:
         run = simulate(scenario_of(voyage, folder, length_s), voyage.number)
         statistics = VoyageStatistics(ALERT_LIMIT_ARCSEC.get(voyage.kind, np.inf) * ARCSEC)
-        (_sail_theodolite if voyage.kind == THEODOLITE else _sail_ship)(run, statistics)
+        (_run_theodolite if voyage.kind == THEODOLITE else _run_ship)(run, statistics)
         fields = {name: value for name, value in vars(statistics).items() if name[0] != "_" and name != "limit"}
         result |= fields | {
             "squares": (statistics.squares / ARCSEC**2).tolist(),
@@ -179,7 +179,7 @@ def make_clean_voyage(voyage: CleanVoyage, folder: Path, length_s: float) -> Res
     return result | {"cpu_s": round(time.process_time() - start_s, 2)}
 
 
-def _sail_ship(run: SimulatedRun, statistics: VoyageStatistics) -> None:
+def _run_ship(run: SimulatedRun, statistics: VoyageStatistics) -> None:
     core = core_for(run.scenario)
     rows = {int(run.ins.time_ns[index]): row for row, index in enumerate(run.truth.ins_index)}
     for outcome in attitude_outcomes(core, run, _stamps_each_second(run, rows)):
@@ -201,7 +201,7 @@ def _stamps_each_second(run: SimulatedRun, rows: dict[int, int]) -> set[int]:
     return set(first.values())
 
 
-def _sail_theodolite(run: SimulatedRun, statistics: VoyageStatistics) -> None:
+def _run_theodolite(run: SimulatedRun, statistics: VoyageStatistics) -> None:
     core = pointing_core_for(run.scenario)
     theodolite = theodolite_of(run)
     truth, encoder_ns = theodolite.truth, theodolite.encoder.time_ns

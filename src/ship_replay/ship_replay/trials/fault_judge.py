@@ -24,20 +24,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_bags.stamps import NS_PER_S
-from ship_replay.offline.exclusion_history import INTEGRITY
-from ship_replay.trials.passage import Passage
-from ship_replay.trials.voyage_told import EXCLUSION, Claim, Sign, VoyageOutputs
+from ship_replay.offline.exclusion_history import INTEGRITY_TOPICS
+from ship_replay.trials.passage import FaultFreeReplay
+from ship_replay.trials.voyage_told import EXCLUSION, ValidOutput, FaultIndication, VoyageOutputs
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.names import ENCODER_TOPIC, FUSED_TOPIC, IMAGE_TOPIC
 
 SETTLING_S = 3.0
 """Time after the end of a fault within which its effects are still reported, s."""
 
-_BESIDE_NS = NS_PER_S // 2
+_SAME_TIME_NS = NS_PER_S // 2
 """Maximum time to a non-VALID status of the fault-free voyage for a status to be ignored, ns."""
 
 _LEAST_REFUSALS = 2
-BEYOND = 5.0
+EXCEEDANCE_SIGMAS = 5.0
 """Error of a VALID output, in sigmas, above which it is wrong."""
 
 _PERIOD_S = 0.1
@@ -74,7 +74,7 @@ class FaultOutcome:
     longest_beyond_s: float
 
 
-def judged(fault: Fault, changed_ns: np.ndarray, outputs: VoyageOutputs, clean: Passage, until_s: float) -> FaultOutcome:
+def evaluate_fault(fault: Fault, changed_ns: np.ndarray, outputs: VoyageOutputs, fault_free: FaultFreeReplay, until_s: float) -> FaultOutcome:
     """Evaluate a fault.
 
     Args:
@@ -84,28 +84,28 @@ def judged(fault: Fault, changed_ns: np.ndarray, outputs: VoyageOutputs, clean: 
         fault_free: the same voyage without faults.
         until_s: beginning of the next fault, or the end of the voyage.
     """
-    start_ns, first_ns = clean.start_ns, int(changed_ns[0])
+    start_ns, first_ns = fault_free.start_ns, int(changed_ns[0])
     begin_ns, until_ns = start_ns + round(fault.start_s * NS_PER_S), start_ns + round(until_s * NS_PER_S)
     end_ns = min(start_ns + round((fault.end_s + SETTLING_S) * NS_PER_S), until_ns)
-    known = {(sign.source, sign.stamp_ns) for sign in clean.outputs.signs}
-    signs = [
+    known = {(sign.source, sign.stamp_ns) for sign in fault_free.outputs.indications}
+    indications = [
         sign
-        for sign in outputs.signs
+        for sign in outputs.indications
         if first_ns <= sign.log_ns < end_ns and (sign.source, sign.stamp_ns) not in known
     ]  # fmt: skip
-    left_ns, is_new = _first_left(outputs, clean.outputs, first_ns, end_ns)
-    own = [sign.log_ns for sign in signs if is_source(sign.source, fault)]
-    alerts_ns = [*own[:1], *([] if left_ns is None else [left_ns])]
-    after = [claim for claim in outputs.claims if begin_ns <= claim.stamp_ns < until_ns]
-    beyond_s, longest_s = beyond(after)
-    levels = [claim.over_level for claim in after if np.isfinite(claim.over_level)]
-    names = first_named(signs)
+    not_valid_ns, is_new = _first_not_valid(outputs, fault_free.outputs, first_ns, end_ns)
+    own = [sign.log_ns for sign in indications if is_faulty_source(sign.source, fault)]
+    alerts_ns = [*own[:1], *([] if not_valid_ns is None else [not_valid_ns])]
+    after = [claim for claim in outputs.valid_outputs if begin_ns <= claim.stamp_ns < until_ns]
+    beyond_s, longest_s = exceedance_durations(after)
+    levels = [claim.level_ratio for claim in after if np.isfinite(claim.level_ratio)]
+    names = first_named_sources(indications)
     return FaultOutcome(
         changed=len(changed_ns),
-        detected=bool(own) or is_new or any(sign.reason == EXCLUSION for sign in signs),
-        attributed=bool(names) and all(is_source(name, fault) for name in names),
+        detected=bool(own) or is_new or any(sign.reason == EXCLUSION for sign in indications),
+        attributed=bool(names) and all(is_faulty_source(name, fault) for name in names),
         alert_s=(min(alerts_ns) - first_ns) / NS_PER_S if alerts_ns else float("nan"),
-        named=dict(Counter(sign.source for sign in signs)),
+        named=dict(Counter(sign.source for sign in indications)),
         worst_sigmas=max((claim.sigmas for claim in after), default=0.0),
         worst_over_level=max(levels, default=float("nan")),
         beyond_s=beyond_s,
@@ -113,24 +113,24 @@ def judged(fault: Fault, changed_ns: np.ndarray, outputs: VoyageOutputs, clean: 
     )
 
 
-def first_named(signs: Sequence[Sign]) -> set[str]:
+def first_named_sources(indications: Sequence[FaultIndication]) -> set[str]:
     """Return the sources named first, by the rule of this module; empty without indications.
 
     Args:
         indications: indications in order of time.
     """
-    times = Counter(sign.source for sign in signs if sign.is_by_itself)
-    for sign in signs:
+    times = Counter(sign.source for sign in indications if sign.is_own_fault)
+    for sign in indications:
         if sign.reason == EXCLUSION:
-            return {other.source for other in signs if other.reason == EXCLUSION}
-        if sign.is_by_itself and times[sign.source] >= _LEAST_REFUSALS:
+            return {other.source for other in indications if other.reason == EXCLUSION}
+        if sign.is_own_fault and times[sign.source] >= _LEAST_REFUSALS:
             return {sign.source}
-    times = Counter(sign.source for sign in signs)
-    repeated = [sign.source for sign in signs if times[sign.source] >= _LEAST_REFUSALS]
-    return set(repeated[:1] or [sign.source for sign in signs[:1]])
+    times = Counter(sign.source for sign in indications)
+    repeated = [sign.source for sign in indications if times[sign.source] >= _LEAST_REFUSALS]
+    return set(repeated[:1] or [sign.source for sign in indications[:1]])
 
 
-def is_source(name: str, fault: Fault) -> bool:
+def is_faulty_source(name: str, fault: Fault) -> bool:
     """True if a name in the outputs refers to a source that contains the fault.
 
     A node names the topic, or its source. ``beacon.a`` is a wrong baseline or light of drone a. It contains the fault
@@ -158,40 +158,40 @@ def _drone_names(id_: str) -> tuple[str, ...]:
     return tuple(f"{kind}.{id_}" for kind in ("beacon", "baseline", "drone", "light"))
 
 
-def _first_left(outputs: VoyageOutputs, clean: VoyageOutputs, begin_ns: int, end_ns: int) -> tuple[int | None, bool]:
+def _first_not_valid(outputs: VoyageOutputs, fault_free: VoyageOutputs, begin_ns: int, end_ns: int) -> tuple[int | None, bool]:
     """Return log time and novelty of the first output worse than VALID and than in the fault-free voyage.
 
     The second value is True if it is not the remaining effect of an earlier fault.
     """
-    usual: dict[tuple[str, int], np.ndarray] = {}
+    fault_free_stamps_ns: dict[tuple[str, int], np.ndarray] = {}
     last_worse_ns: dict[str, int] = {}
     first_ns, is_new = None, False
     for name, stamp_ns, log_ns, status in outputs.not_valid:
-        if name not in INTEGRITY or log_ns >= end_ns:
+        if name not in INTEGRITY_TOPICS or log_ns >= end_ns:
             continue
-        if (name, status) not in usual:
-            stamps = sorted(stamp for other, stamp, _, bad in clean.not_valid if other == name and bad >= status)
-            usual[name, status] = np.array(stamps)
-        stamps_ns = usual[name, status]
-        place = int(np.searchsorted(stamps_ns, stamp_ns - _BESIDE_NS))
-        if place < len(stamps_ns) and stamps_ns[place] <= stamp_ns + _BESIDE_NS:
+        if (name, status) not in fault_free_stamps_ns:
+            stamps = sorted(stamp for other, stamp, _, bad in fault_free.not_valid if other == name and bad >= status)
+            fault_free_stamps_ns[name, status] = np.array(stamps)
+        stamps_ns = fault_free_stamps_ns[name, status]
+        place = int(np.searchsorted(stamps_ns, stamp_ns - _SAME_TIME_NS))
+        if place < len(stamps_ns) and stamps_ns[place] <= stamp_ns + _SAME_TIME_NS:
             continue
         if log_ns >= begin_ns:
             first_ns = log_ns if first_ns is None else first_ns
-            is_new = is_new or log_ns - last_worse_ns.get(name, 0) > _BESIDE_NS
+            is_new = is_new or log_ns - last_worse_ns.get(name, 0) > _SAME_TIME_NS
         last_worse_ns[name] = log_ns
     return first_ns, is_new
 
 
-def beyond(claims: Sequence[Claim]) -> tuple[float, float]:
+def exceedance_durations(valid_outputs: Sequence[ValidOutput]) -> tuple[float, float]:
     """Return total and longest time with VALID outputs above five sigmas, s; the worse of the outputs.
 
     An output that was not VALID in between is a break.
     """
     total, longest, most_ns = 0, 0, round(1.5 * _PERIOD_S * NS_PER_S)
-    for topic in INTEGRITY:
+    for topic in INTEGRITY_TOPICS:
         run, last_ns = 0, 0
-        wrong = sorted(claim.stamp_ns for claim in claims if claim.topic == topic and not claim.sigmas <= BEYOND)
+        wrong = sorted(claim.stamp_ns for claim in valid_outputs if claim.topic == topic and not claim.sigmas <= EXCEEDANCE_SIGMAS)
         for stamp_ns in wrong:
             run = run + 1 if run and stamp_ns - last_ns <= most_ns else 1
             longest, last_ns = max(longest, run), stamp_ns

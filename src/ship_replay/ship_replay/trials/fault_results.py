@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ship_replay.trials.fault_judge import BEYOND
+from ship_replay.trials.fault_judge import EXCEEDANCE_SIGMAS
 from ship_replay.trials.passage import MEASUREMENTS, UNDETECTABLE_CASES, UNREPORTED_CASES
 from ship_replay.trials.results_file import Result, ResultsFile
 from ship_replay.trials.threats import DATA_LIKE, OVERLAPPING, SINGLE
@@ -72,7 +72,7 @@ def _threat_row(threat: str, faults: Sequence[Result]) -> Row:
         _number(np.median(alerts_s)) if alerts_s else "-",
         _number(np.quantile(alerts_s, 0.99)) if alerts_s else "-",
         _number(max(fault["worst_sigmas"] for fault in faults)),
-        str(sum(fault["worst_sigmas"] > BEYOND for fault in faults)),
+        str(sum(fault["worst_sigmas"] > EXCEEDANCE_SIGMAS for fault in faults)),
         _number(max(fault["longest_beyond_s"] for fault in faults)),
         _number(max(levels)) if levels else "-",
         str(sum(level > 1.0 for level in levels)),
@@ -90,7 +90,7 @@ def pair_rows(results: Sequence[Result]) -> list[Row]:
                 # Outputs after the later beginning count for the pair.
                 pairs[key[0], key[1]].append(max(first, second, key=lambda fault: float(fault["start_s"])))
     rows = [
-        (f"{pair[0]} + {pair[1]}", len(faults), [_most(faults, name) for name in _PAIR_VALUES])
+        (f"{pair[0]} + {pair[1]}", len(faults), [_maximum(faults, name) for name in _PAIR_VALUES])
         for pair, faults in pairs.items()
     ]
     # The longest wrong output first, then the largest; NaN last.
@@ -108,7 +108,7 @@ class Totals:
     """
 
     lines: list[str]
-    sound: bool
+    all_met: bool
 
 
 def totals(results: Sequence[Result]) -> Totals:
@@ -129,9 +129,9 @@ def totals(results: Sequence[Result]) -> Totals:
         ),
     ]
     lines = [f"{'met' if met else 'NOT MET':7}  {text}" for met, text in bounds]
-    lines += [f"voyage {one['voyage']} ({one['bag']}): {_last_line(one)}" for one in raised]
+    lines += [f"voyage {one['voyage']} ({one['bag']}): {_failure_text(one)}" for one in raised]
     pairs = [fault for fault in _evaluated_faults(results) if fault["mode"] == OVERLAPPING]
-    over, worst, level = _above(pairs, "worst_sigmas", BEYOND), _most(pairs, "worst_sigmas"), _most(pairs, _LEVEL)
+    over, worst, level = _count_above(pairs, "worst_sigmas", EXCEEDANCE_SIGMAS), _maximum(pairs, "worst_sigmas"), _maximum(pairs, _LEVEL)
     lines.append(
         f"         overlapping faults: {over} of {len(pairs)} beyond 5σ; worst {_number(worst)} σ, "
         f"{_number(level)} of the level"
@@ -141,38 +141,38 @@ def totals(results: Sequence[Result]) -> Totals:
 
 def _single_bounds(single: Sequence[Result]) -> list[tuple[bool, str]]:
     """Return for each bound of single faults True if it is met, and its text."""
-    unseen = [fault for fault in single if fault["threat"] in UNDETECTABLE_CASES]
-    seen = [fault for fault in single if fault["threat"] not in UNDETECTABLE_CASES]
-    exceeded, beyond = _above(single, _LEVEL, 1.0), _above(seen, "worst_sigmas", BEYOND)
+    undetectable = [fault for fault in single if fault["threat"] in UNDETECTABLE_CASES]
+    detectable = [fault for fault in single if fault["threat"] not in UNDETECTABLE_CASES]
+    exceeded, exceeding = _count_above(single, _LEVEL, 1.0), _count_above(detectable, "worst_sigmas", EXCEEDANCE_SIGMAS)
     all_large = [fault for fault in single if (fault["sigmas"] or 0.0) >= _LARGE_STEP]
     large = [fault for fault in all_large if fault["threat"] not in UNREPORTED_CASES]
     # With fewer measurements the time for detection was not over.
     steps = [fault for fault in large if fault["changed"] >= MEASUREMENTS]
     detected = [fault for fault in single if fault["detected"]]
     data_like = [fault for fault in detected if fault["threat"] in _DATA_LIKE]
-    in_time, named = sum(map(_in_time, steps)), sum(map(_attributed, detected))
+    in_time, named = sum(map(_is_in_time, steps)), sum(map(_is_attributed, detected))
     return [
         (not exceeded, f"single faults, {len(single)}: {exceeded} VALID beyond the protection level; bound 0"),
         (
-            not beyond,
+            not exceeding,
             (
-                f"  VALID beyond 5σ: {beyond}; bound 0, without the {len(unseen)} undetectable ones "
-                f"({_above(unseen, 'worst_sigmas', BEYOND)} beyond)"
+                f"  VALID beyond 5σ: {exceeding}; bound 0, without the {len(undetectable)} undetectable ones "
+                f"({_count_above(undetectable, 'worst_sigmas', EXCEEDANCE_SIGMAS)} beyond)"
             ),
         ),
         (
             in_time >= _IN_TIME * len(steps),
             (
                 f"  of {len(steps)} steps ≥ {_LARGE_STEP:g}σ detected within 1 s or {MEASUREMENTS} measurements: "
-                f"{_share(steps, _in_time)}, at any time {_share(steps, _is_reported)}; bound {_IN_TIME:.0%}; "
+                f"{_share(steps, _is_in_time)}, at any time {_share(steps, _is_reported)}; bound {_IN_TIME:.0%}; "
                 f"{len(large) - len(steps)} more ended before, {len(all_large) - len(large)} undetectable"
             ),
         ),
         (
             named >= _NAMED * len(detected),
             (
-                f"  of {len(detected)} detected, attributed to the right source: {_share(detected, _attributed)}; "
-                f"bound {_NAMED:.0%}; of the {len(data_like)} that look like data {_share(data_like, _attributed)}"
+                f"  of {len(detected)} detected, attributed to the right source: {_share(detected, _is_attributed)}; "
+                f"bound {_NAMED:.0%}; of the {len(data_like)} that look like data {_share(data_like, _is_attributed)}"
             ),
         ),
     ]
@@ -185,11 +185,11 @@ def _evaluated_faults(results: Sequence[Result]) -> list[Result]:
     ]
 
 
-def _above(faults: Sequence[Result], name: str, limit: float) -> int:
+def _count_above(faults: Sequence[Result], name: str, limit: float) -> int:
     return sum(fault[name] is not None and fault[name] > limit for fault in faults)
 
 
-def _most(faults: Sequence[Result], name: str) -> float:
+def _maximum(faults: Sequence[Result], name: str) -> float:
     return max((fault[name] for fault in faults if fault[name] is not None), default=math.nan)
 
 
@@ -201,15 +201,15 @@ def _is_reported(fault: Result) -> bool:
     return fault["alert_s"] is not None
 
 
-def _attributed(fault: Result) -> bool:
+def _is_attributed(fault: Result) -> bool:
     return bool(fault["attributed"])
 
 
-def _in_time(fault: Result) -> bool:
+def _is_in_time(fault: Result) -> bool:
     return fault["alert_s"] is not None and fault["alert_s"] <= fault["alert_limit_s"]
 
 
-def _last_line(result: Result) -> str:
+def _failure_text(result: Result) -> str:
     if not result["exception"]:
         return f"{result['failures']} messages on which the software failed"
     return str(result["exception"]).strip().splitlines()[-1]

@@ -21,8 +21,8 @@ from ship_replay.evaluation.sources import Truth
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
-from ship_replay.trials.fault_judge import beyond, judged
-from ship_replay.trials.passage import Passage
+from ship_replay.trials.fault_judge import exceedance_durations, evaluate_fault
+from ship_replay.trials.passage import FaultFreeReplay
 from ship_replay.trials.threats import OVERLAPPING, SINGLE, DrawnFault, draw_faults
 from ship_replay.trials.voyage_told import VoyageOutputs, VoyageSink
 from ship_simulation.draws.noise import random_stream
@@ -71,7 +71,7 @@ def make_bag(scenario_path: Path, duration_s: float, seed: int, path: Path) -> P
     return path
 
 
-def run_voyage(voyage: Voyage, clean: Passage) -> dict[str, Any]:
+def run_voyage(voyage: Voyage, fault_free: FaultFreeReplay) -> dict[str, Any]:
     """Run a voyage; return its result and the outcome of each fault as plain data.
 
     Args:
@@ -81,7 +81,7 @@ def run_voyage(voyage: Voyage, clean: Passage) -> dict[str, Any]:
     start_s = time.monotonic()
     with read_bag(voyage.bag) as bag:
         length_s = ((bag.end_ns or 0) - (bag.start_ns or 0)) / NS_PER_S
-        topics = taken_topics(bag)
+        topics = input_topics(bag)
         rng = random_stream(voyage.number, f"voyage.{voyage.mode}")
         drawn = draw_faults(topics, length_s, voyage.mode, IntegrityConfig().return_after_s, rng)
     result: dict[str, Any] = {
@@ -93,40 +93,40 @@ def run_voyage(voyage: Voyage, clean: Passage) -> dict[str, Any]:
         "faults": [],
     }
     try:
-        outcomes, outputs = fly(voyage.bag, drawn, voyage.number, clean)
-        result |= {"failures": outputs.failures, "faults": outcomes, "longest_beyond_s": round(beyond(outputs.claims)[1], 4)}
+        outcomes, outputs = replay_with_faults(voyage.bag, drawn, voyage.number, fault_free)
+        result |= {"failures": outputs.failure_count, "faults": outcomes, "longest_beyond_s": round(exceedance_durations(outputs.valid_outputs)[1], 4)}
     except Exception:
         # Software defects are recorded, and the other voyages continue.
-        result |= {"exception": traceback.format_exc(limit=-4), "faults": [_described(one) for one in drawn]}
+        result |= {"exception": traceback.format_exc(limit=-4), "faults": [_fault_as_dict(one) for one in drawn]}
     result["elapsed_s"] = round(time.monotonic() - start_s, 2)
     return result
 
 
-def taken_topics(bag: Bag) -> dict[str, str]:
+def input_topics(bag: Bag) -> dict[str, str]:
     """Return topic → type of the inputs that the nodes use from a bag."""
     chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory())
     return {topic.topic: topic.type_name for topic in chain.inputs if topic.topic in bag.topics}
 
 
-def fly(path: Path, drawn: Sequence[DrawnFault], seed: int, clean: Passage) -> tuple[list[dict[str, Any]], VoyageOutputs]:
+def replay_with_faults(path: Path, drawn: Sequence[DrawnFault], seed: int, fault_free: FaultFreeReplay) -> tuple[list[dict[str, Any]], VoyageOutputs]:
     """Replay a bag with faults; return the outcome of each fault that changed a message, and the outputs."""
     faults = {f"f{number}": one.fault for number, one in enumerate(drawn)}
     injection = Injection(path, faults, seed)
-    outputs = replayed(injection)
+    outputs = replay_injection(injection)
     outcomes = []
     for number, (name, one) in enumerate(zip(faults, drawn, strict=True)):
         changed_ns = np.array(injection.effect(name).times_ns)
         if not changed_ns.size:
             continue
         later = [other.fault.start_s for other in drawn[number + 1 :]]
-        outcome = judged(one.fault, changed_ns, outputs, clean, min([*later, clean.length_s]))
-        plain = {key: _plain(value) for key, value in dataclasses.asdict(outcome).items()}
-        row = {"threat": clean.unseen(one.fault, int(changed_ns[0])) or one.threat.label}
-        outcomes.append(_described(one) | row | plain | {"alert_limit_s": clean.alert_limit_s(one.fault)})
+        outcome = evaluate_fault(one.fault, changed_ns, outputs, fault_free, min([*later, fault_free.length_s]))
+        plain = {key: _json_value(value) for key, value in dataclasses.asdict(outcome).items()}
+        row = {"threat": fault_free.undetectable_case(one.fault, int(changed_ns[0])) or one.threat.label}
+        outcomes.append(_fault_as_dict(one) | row | plain | {"alert_limit_s": fault_free.alert_limit_s(one.fault)})
     return outcomes, outputs
 
 
-def clean_voyage(path: Path) -> Passage:
+def replay_fault_free(path: Path) -> FaultFreeReplay:
     """Replay a voyage without faults."""
     arrivals: dict[str, list[int]] = {}
     beacon_times_ns: list[int] = []
@@ -138,8 +138,8 @@ def clean_voyage(path: Path) -> Passage:
                 beacon_times_ns.append(record.log_time_ns)
         ship = chain.configs.get(ShipAttitudeAdapter.node_name)
         pointing = chain.configs.get(OpticalAxisAdapter.node_name)
-        return Passage(
-            outputs=replayed(Injection(path, {}, 0)),
+        return FaultFreeReplay(
+            outputs=replay_injection(Injection(path, {}, 0)),
             arrivals_ns={topic: np.array(times) for topic, times in arrivals.items()},
             beacon_times_ns=np.array(beacon_times_ns),
             encoder_sigma_arcsec=math.nan if pointing is None else pointing.encoder.sigma_arcsec,
@@ -149,21 +149,21 @@ def clean_voyage(path: Path) -> Passage:
         )
 
 
-def replayed(injection: Injection) -> VoyageOutputs:
+def replay_injection(injection: Injection) -> VoyageOutputs:
     """Return the outputs of the nodes, in this process, for a bag with faults."""
     with read_bag(injection.path) as bag:
         chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory())
-        taken = {topic.topic for topic in chain.inputs}
+        input_topic_names = {topic.topic for topic in chain.inputs}
         sink = VoyageSink(_truths(bag))
-        run = ReplayRun(_Quiet(chain), sink, ReplaySummary(), truth_topics=())
+        run = ReplayRun(_TopicErrorChain(chain), sink, ReplaySummary(), truth_topics=())
         for record in injection.records(bag):
-            if record.topic in taken:
-                run.take(record.topic, record)
+            if record.topic in input_topic_names:
+                run.process_message(record.topic, record)
         run.finish()
     return sink.outputs
 
 
-class _Quiet(AdapterChain):
+class _TopicErrorChain(AdapterChain):
     """Copy of a chain that adds the topic to an exception."""
 
     def __init__(self, chain: AdapterChain) -> None:
@@ -194,7 +194,7 @@ def _truths(bag: Bag) -> dict[str, Truth]:
     return _truths_of(bag.path)
 
 
-def _described(one: DrawnFault) -> dict[str, Any]:
+def _fault_as_dict(one: DrawnFault) -> dict[str, Any]:
     """Return a fault as plain data, without unused sizes."""
     given = {name: getattr(one.fault, name) for name in one.fault.sizes}
     if one.fault.share < 1.0:
@@ -210,7 +210,7 @@ def _described(one: DrawnFault) -> dict[str, Any]:
     }
 
 
-def _plain(value: Any) -> Any:
+def _json_value(value: Any) -> Any:
     """Return a value for JSON: null for NaN."""
     if isinstance(value, float):
         return round(value, 4) if math.isfinite(value) else None if math.isnan(value) else 1e300

@@ -52,16 +52,16 @@ class KillTrial:
             ``mcap`` reader.
     """
 
-    sent: int
-    kept: int
+    sent_count: int
+    kept_count: int
     lost_s: float
     has_gap: bool
-    recovered: int
-    readable: tuple[int, int]
+    recovered_count: int
+    readable_counts: tuple[int, int]
 
-    def keeps(self, flush_period_s: float) -> bool:
+    def is_within_flush_period(self, flush_period_s: float) -> bool:
         """True if at most a flush period is lost and both readers can read everything left."""
-        whole = set(self.readable) == {self.recovered} and self.recovered > 0
+        whole = set(self.readable_counts) == {self.recovered_count} and self.recovered_count > 0
         return whole and not self.has_gap and self.lost_s <= flush_period_s
 
 
@@ -115,16 +115,16 @@ def _trial(command: Sequence[str], folder: Path, path: Path, seed: int, output_t
     stamps = {
         ns_from_stamp(record.decode().header.stamp) for record in records if record.topic.lstrip("/") == topic
     }
-    expected = sender.given_out if output_topic else sender.sent
+    expected = sender.attitudes if output_topic else sender.samples
     missing = [number for number, (stamp_ns, _) in enumerate(expected) if stamp_ns not in stamps]
     recovered = recover(path, recovered_path(path)).path
     return KillTrial(
-        sent=len(expected),
-        kept=len(expected) - len(missing),
+        sent_count=len(expected),
+        kept_count=len(expected) - len(missing),
         lost_s=expected[-1][1] - expected[missing[0]][1] + 1.0 / RATE_HZ if missing else 0.0,
         has_gap=bool(missing) and len(expected) - missing[0] > len(missing),
-        recovered=_count_by_rosbags(recovered),
-        readable=(len(records), _count_by_mcap(recovered)),
+        recovered_count=_count_by_rosbags(recovered),
+        readable_counts=(len(records), _count_by_mcap(recovered)),
     )
 
 
@@ -137,8 +137,8 @@ class _Sender:
     """
 
     def __init__(self, graph: GraphObserver, output_topic: str | None) -> None:
-        self.sent: list[tuple[int, float]] = []
-        self.given_out: list[tuple[int, float]] = []
+        self.samples: list[tuple[int, float]] = []
+        self.attitudes: list[tuple[int, float]] = []
         self._graph = graph
         self._publisher = graph.node.create_publisher(Imu, _TOPIC, QoSProfile(depth=1000))
         if output_topic is not None:
@@ -154,14 +154,14 @@ class _Sender:
         while (now_s := time.monotonic()) - start_s < duration_s:
             time_ns = time.time_ns()
             self._message.header.stamp.sec, self._message.header.stamp.nanosec = divmod(time_ns, NS_PER_S)
-            self.sent.append((time_ns, now_s))
+            self.samples.append((time_ns, now_s))
             self._publisher.publish(self._message)
             due_s += 1.0 / RATE_HZ
             while (left_s := due_s - time.monotonic()) > 0.0:
                 self._graph.executor.spin_once(timeout_sec=left_s)
 
     def _receive(self, message: ShipAttitude) -> None:
-        self.given_out.append((ns_from_stamp(message.header.stamp), time.monotonic()))
+        self.attitudes.append((ns_from_stamp(message.header.stamp), time.monotonic()))
 
 
 def _shared_memory(pid: int) -> list[Path]:
@@ -178,8 +178,8 @@ def _wait_for_disk(sender: _Sender, path: Path, process: LiveProcess) -> None:
         if process.exit_code is not None or time.monotonic() > deadline_s:
             raise LiveFailure(f"{path}: no data written: {process.log_text()}")
         sender.send(_WARM_UP_S)
-    sender.sent.clear()
-    sender.given_out.clear()
+    sender.samples.clear()
+    sender.attitudes.clear()
 
 
 def _has_samples(path: Path) -> bool:

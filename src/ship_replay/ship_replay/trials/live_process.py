@@ -22,7 +22,7 @@ _FIRST_PORT = 7410
 _PORTS_PER_DOMAIN = 250
 _PARTICIPANTS = 120
 _LAST_DOMAIN = 101
-_STEP = 37
+_DOMAIN_STEP = 37
 _END_S = 15.0
 
 _POLL_S = 0.02
@@ -36,7 +36,7 @@ def free_domain_id() -> int:
     """
     # Parallel runs search in different orders, so that they do not collide.
     for step in range(_LAST_DOMAIN):
-        domain = 1 + (os.getpid() + _STEP * step) % _LAST_DOMAIN
+        domain = 1 + (os.getpid() + _DOMAIN_STEP * step) % _LAST_DOMAIN
         # All ports: the first participant may have left before the others.
         if all(_is_port_free(_FIRST_PORT + _PORTS_PER_DOMAIN * domain + 2 * number) for number in range(_PARTICIPANTS)):
             return domain

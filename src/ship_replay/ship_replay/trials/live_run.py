@@ -26,7 +26,7 @@ _POLL_S = 0.1
 _LOG_LINES = 15
 # The recording is complete if it grows in this time by no more than a node's periodic output: after the last /clock a
 # node continues to publish INVALID and its status once a second.
-_STILL_S = 1.0
+_QUIET_PERIOD_S = 1.0
 _IDLE_GROWTH_BYTES = 20_000
 
 
@@ -84,7 +84,7 @@ class LiveRun:
             self._recorder = self._start_recorder(stack)
             self._close = stack.pop_all().close
 
-    def play(self, rate: float, watch: Callable[[float], None] = lambda elapsed_s: None) -> None:
+    def play(self, rate: float, report_elapsed: Callable[[float], None] = lambda elapsed_s: None) -> None:
         """Play the bag to its end and wait until node and recorder have finished.
 
         Args:
@@ -101,10 +101,10 @@ class LiveRun:
         with self._start(command, "play") as player:
             while player.exit_code is None:
                 self._check_alive()
-                watch(time.monotonic() - begin_s)
+                report_elapsed(time.monotonic() - begin_s)
                 time.sleep(_POLL_S)
             if player.exit_code != 0:
-                raise LiveFailure(_end_of(player, "play"))
+                raise LiveFailure(_failure_text(player, "play"))
         self._wait_for_node()
         self._wait_for_recorder()
 
@@ -118,18 +118,18 @@ class LiveRun:
             if self.observer.spin_until(lambda: answer.done() or self.node.exit_code is not None, _ANSWER_S):
                 self._check_alive()
                 return
-        raise LiveFailure(_end_of(self.node, "the node"))
+        raise LiveFailure(_failure_text(self.node, "the node"))
 
     def _wait_for_recorder(self) -> None:
         """Wait until the recording stops growing, then end the recorder."""
         size, still_since_s = 0, time.monotonic()
-        while time.monotonic() - still_since_s < _STILL_S:
+        while time.monotonic() - still_since_s < _QUIET_PERIOD_S:
             self._check_alive()
             time.sleep(_POLL_S)
             if self.recorded_path.stat().st_size > size + _IDLE_GROWTH_BYTES:
                 size, still_since_s = self.recorded_path.stat().st_size, time.monotonic()
         if self._recorder.end() != 0:
-            raise LiveFailure(_end_of(self._recorder, "record"))
+            raise LiveFailure(_failure_text(self._recorder, "record"))
 
     def __enter__(self) -> "LiveRun":
         return self
@@ -160,7 +160,7 @@ class LiveRun:
         """Start the recorder once the node is running; both are connected on return."""
         there = {f"/{topic}": 1 for topic in self._outputs}
         if not self.observer.wait_for(there, timeout_s=_START_S, unless=lambda: self.node.exit_code is not None):
-            raise LiveFailure(_end_of(self.node, "the node"))
+            raise LiveFailure(_failure_text(self.node, "the node"))
         self.recorded_path.unlink(missing_ok=True)
         topics = [*self.played_topics, *self._outputs]
         command = [*executable("ship_bags", "record"), "--out", str(self.recorded_path), "--use-sim-time"]
@@ -169,16 +169,16 @@ class LiveRun:
         if not self.observer.wait_for(
             subscribers=there, timeout_s=_START_S, unless=lambda: recorder.exit_code is not None
         ):
-            raise LiveFailure(_end_of(recorder, "record"))
+            raise LiveFailure(_failure_text(recorder, "record"))
         return recorder
 
     def _check_alive(self) -> None:
         for process, name in ((self.node, "the node"), (self._recorder, "record")):
             if process.exit_code is not None:
-                raise LiveFailure(_end_of(process, name))
+                raise LiveFailure(_failure_text(process, name))
 
 
-def _end_of(process: LiveProcess, name: str) -> str:
+def _failure_text(process: LiveProcess, name: str) -> str:
     code = process.exit_code
     what = f"{name} does not respond" if code is None else f"{name} ended with exit code {code}"
     tail = "\n".join(process.log_text().splitlines()[-_LOG_LINES:])

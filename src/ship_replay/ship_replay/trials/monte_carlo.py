@@ -125,7 +125,7 @@ def attitude_outcomes(
     ins = _InsBatches(core, run, wanted_ns)
     for _, source, index in run.arrivals():
         if source == "ins":
-            yield from ins.arrive(index)
+            yield from ins.add_sample(index)
             continue
         yield from ins.commit()
         if source in SKY_SOURCES:
@@ -156,7 +156,7 @@ class _InsBatches:
         self._batch: InsBatch | None = None
         self._arrived = 0
 
-    def arrive(self, index: int) -> Iterator[AttitudeOutcome]:
+    def add_sample(self, index: int) -> Iterator[AttitudeOutcome]:
         """Add a sample that arrived."""
         if self._batch is None:
             next_wanted = int(self._wanted[np.searchsorted(self._wanted, index)])
@@ -226,10 +226,10 @@ def star_exposure(run: SimulatedRun, sensor_id: str, index: int) -> StarExposure
     """Return one exposure of a sensor with single stars in the estimator's form."""
     sightings = run.stars[sensor_id]
     assert isinstance(sightings, StarSightings)
-    return _seen_stars(f"star.{sensor_id}", run.scenario.star_sensors[sensor_id], sightings, index)
+    return _exposure_of(f"star.{sensor_id}", run.scenario.star_sensors[sensor_id], sightings, index)
 
 
-def _seen_stars(source: str, config: StarImaging, sightings: StarSightings, index: int) -> StarExposure:
+def _exposure_of(source: str, config: StarImaging, sightings: StarSightings, index: int) -> StarExposure:
     exposure_s, camera, length = float(np.float32(config.exposure_s)), config.camera.camera(source), None
     if exposure_s:
         length = ExposureLength(exposure_s, camera, config.camera.psf_sigma_px)
@@ -270,7 +270,7 @@ class PointingErrors:
     rejected_count: int
 
     @property
-    def on_sky(self) -> FloatArray:
+    def error_on_sky(self) -> FloatArray:
         """Error of the axis, an angle on the sky, rad, shape (k,)."""
         angle: FloatArray = np.linalg.norm(np.cross(self.error_n, self.axis_n), axis=-1)
         return angle
@@ -352,10 +352,10 @@ def feed_pointing(core: OpticalAxisCore, run: SimulatedRun) -> tuple[list[Pointi
 def pointing_outcomes(core: OpticalAxisCore, run: SimulatedRun) -> Iterator[PointingOutcome]:
     """Yield the outcome of each arrival of a run."""
     for _, source, index in run.pointing_arrivals():
-        yield give_pointing(core, run, source, index)
+        yield feed_arrival(core, run, source, index)
 
 
-def give_pointing(core: OpticalAxisCore, run: SimulatedRun, source: str, index: int) -> PointingOutcome:
+def feed_arrival(core: OpticalAxisCore, run: SimulatedRun, source: str, index: int) -> PointingOutcome:
     """Process one arrival of a run, named as in :meth:`SimulatedRun.pointing_arrivals`."""
     kind, _, name = source.partition(".")
     if kind == "fused" and run.fused is not None:
@@ -379,7 +379,7 @@ def give_pointing(core: OpticalAxisCore, run: SimulatedRun, source: str, index: 
         exposure = Exposure(int(images.time_ns[index]), lights, run.scenario.theodolite.telescope.exposure_s)
         return core.add_exposure(exposure) if lights else PointingOutcome()
     if kind == "star":
-        return core.add_stars(_seen_stars(source, run.scenario.telescopes[name], theodolite.stars[name], index))
+        return core.add_stars(_exposure_of(source, run.scenario.telescopes[name], theodolite.stars[name], index))
     if kind in SKY_SOURCES:
         return core.add_surroundings(sky_input(run, source, index))
     # ins: contained in the fused attitude; target: its direction changes no pointing.

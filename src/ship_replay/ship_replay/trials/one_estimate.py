@@ -61,7 +61,7 @@ class SightingStepWithoutSubfilters(SightingStep):
         super().__init__(config, filter_)
         filter_.subfilters = _NoSubfilters(filter_.subfilters)  # type: ignore[assignment]
 
-    def _learnt(
+    def _record_accepted(
         self,
         before: CalibrationState,
         after: CalibrationState,

@@ -21,7 +21,7 @@ MEASUREMENTS = 3
 _DETECTABLE_SHIFT_ARCSEC = 13.0
 """Mounting shift of the telescope detected by the next lights, arcsec: three times the scatter of one sighting."""
 
-_SLIP_SEEN_SIGMAS = 13.0
+_DETECTABLE_SLIP_SIGMAS = 13.0
 """Encoder slip, in sigmas of a reading, detected from the readings themselves
 (:mod:`theodolite_calib.measured.encoder_steps`)."""
 
@@ -32,14 +32,14 @@ _SMALL_STEP_SIGMAS = 11.0
 """INS step, in sigmas of a sample, below which several samples may be needed for detection
 (:mod:`ship_estimation.integrated_rates`)."""
 
-_CHECK_EACH_OTHER = 3
+_MIN_SENSORS_TO_ISOLATE = 3
 """Minimum number of star sensors to isolate a faulty sensor or a faulty INS."""
 
 _STARS, _INS = "star/", "ins/imu"
 
 
 @dataclass
-class Passage:
+class FaultFreeReplay:
     """Replay of one voyage without faults, and properties of its bag needed for the evaluation.
 
     Attributes:
@@ -69,23 +69,23 @@ class Passage:
         """Return the maximum time to detection of a large step: a second, or three measurements of the source."""
         return max(1.0, MEASUREMENTS * self._period_s(fault.topic))
 
-    def unseen(self, fault: Fault, first_ns: int) -> str:
+    def undetectable_case(self, fault: Fault, first_ns: int) -> str:
         """Return the undetectable case that a fault belongs to; empty if it is detectable.
 
         Args:
             fault: the fault; it changes at least one message.
             first_ns: arrival time of the first of these.
         """
-        return next((row for row, holds in _UNSEEN.items() if holds(self, fault, first_ns)), "")
+        return next((row for row, holds in _UNDETECTABLE.items() if holds(self, fault, first_ns)), "")
 
-    def _slips_without_lights(self, fault: Fault, first_ns: int) -> bool:
+    def _is_slip_without_lights(self, fault: Fault, first_ns: int) -> bool:
         """True for an encoder slip too small for the readings themselves while no light is in view."""
         if fault.kind != "slip":
             return False
         size_arcsec = max(abs(fault.azimuth_arcsec), abs(fault.elevation_arcsec))
         end_ns = first_ns + round(self.alert_limit_s(fault) * NS_PER_S)
         in_view = (self.beacon_times_ns >= first_ns) & (self.beacon_times_ns < end_ns)
-        return not in_view.any() and size_arcsec < _SLIP_SEEN_SIGMAS * self.encoder_sigma_arcsec
+        return not in_view.any() and size_arcsec < _DETECTABLE_SLIP_SIGMAS * self.encoder_sigma_arcsec
 
     def _is_encoder_drift(self, fault: Fault, first_ns: int) -> bool:
         """True for an azimuth drift of the encoders: lights and axis errors absorb it until the subfilters separate."""
@@ -112,9 +112,9 @@ class Passage:
             return False
         rates = fault.forward_arcsec_per_min, fault.up_arcsec_per_min, fault.right_arcsec_per_min
         sensors = {topic.split("/")[1] for topic in self.arrivals_ns if topic.startswith(_STARS)}
-        return max(map(abs, rates)) > arcsec_per_min and len(sensors) < _CHECK_EACH_OTHER
+        return max(map(abs, rates)) > arcsec_per_min and len(sensors) < _MIN_SENSORS_TO_ISOLATE
 
-    def _ins_steps_a_little(self, fault: Fault, first_ns: int) -> bool:
+    def _is_small_ins_step(self, fault: Fault, first_ns: int) -> bool:
         """True for an INS step too small for a single sample."""
         size_arcsec = max(abs(fault.north_arcsec), abs(fault.up_arcsec), abs(fault.east_arcsec))
         return fault.kind == "bias" and fault.topic == _INS and size_arcsec < _SMALL_STEP_SIGMAS * self.ins_sigma_arcsec
@@ -138,17 +138,17 @@ class Passage:
         return float(np.median(periods_ns)) / NS_PER_S if periods_ns.size else 0.0
 
 
-_UNSEEN: dict[str, Callable[[Passage, Fault, int], bool]] = {
-    "encoder slip, no lights": Passage._slips_without_lights,
-    "encoder drift, detected late": Passage._is_encoder_drift,
-    "ins drift, detected late": Passage._is_ins_drift,
-    "ins step, small": Passage._ins_steps_a_little,
-    "star drift, detected late": Passage._is_star_drift,
-    "telescope knock, small": Passage._is_small_telescope_shift,
-    "star knock, no stars": Passage._is_star_shift_without_stars,
+_UNDETECTABLE: dict[str, Callable[[FaultFreeReplay, Fault, int], bool]] = {
+    "encoder slip, no lights": FaultFreeReplay._is_slip_without_lights,
+    "encoder drift, detected late": FaultFreeReplay._is_encoder_drift,
+    "ins drift, detected late": FaultFreeReplay._is_ins_drift,
+    "ins step, small": FaultFreeReplay._is_small_ins_step,
+    "star drift, detected late": FaultFreeReplay._is_star_drift,
+    "telescope knock, small": FaultFreeReplay._is_small_telescope_shift,
+    "star knock, no stars": FaultFreeReplay._is_star_shift_without_stars,
 }
 
-UNDETECTABLE_CASES = tuple(_UNSEEN)
+UNDETECTABLE_CASES = tuple(_UNDETECTABLE)
 """Undetectable cases, as listed in ``docs/explanation/integrity.md``; each has its own row in the table."""
 
 UNREPORTED_CASES = ("encoder slip, no lights", "telescope knock, small", "star knock, no stars")

@@ -34,11 +34,11 @@ class ResultsFile:
         self._results = self._read() if path.exists() else []
         self._known = {self._key(result) for result in self._results}
 
-    def holds(self, key: Hashable) -> bool:
+    def contains(self, key: Hashable) -> bool:
         """True if there is a result with this key."""
         return key in self._known
 
-    def all(self) -> list[Result]:
+    def results(self) -> list[Result]:
         """Return the results, by the numbers of their voyages."""
         return sorted(self._results, key=lambda result: int(result["voyage"]))
 
@@ -67,7 +67,7 @@ class ResultsFile:
         return results
 
 
-def add_as_made(results: ResultsFile, processes: int, submit: Callable[[Executor], list[Future[Result]]]) -> None:
+def run_and_record(results: ResultsFile, processes: int, submit: Callable[[Executor], list[Future[Result]]]) -> None:
     """Run voyages in worker processes and append each result, with progress on stderr.
 
     Args:
@@ -77,8 +77,8 @@ def add_as_made(results: ResultsFile, processes: int, submit: Callable[[Executor
     """
     with ProcessPoolExecutor(processes) as pool:
         try:
-            made = submit(pool)
-            for done in with_count(as_completed(made), "voyages", len(made)):
+            futures = submit(pool)
+            for done in with_count(as_completed(futures), "voyages", len(futures)):
                 results.add(done.result())
         except BaseException:
             pool.shutdown(cancel_futures=True)

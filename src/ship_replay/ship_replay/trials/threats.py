@@ -80,44 +80,44 @@ _DEVICE = ("forward_arcsec", "up_arcsec", "right_arcsec")
 _VECTOR = ("east_m", "north_m", "up_m")
 
 
-def _each(names: tuple[str, ...], sigma: float) -> dict[str, float]:
+def _sigma_of_each(names: tuple[str, ...], sigma: float) -> dict[str, float]:
     return dict.fromkeys(names, sigma)
 
 
 DATA_LIKE = (
-    Threat("ins step", _INS, "bias", _size(_HORIZON, 5.0, 300.0), _each(_HORIZON, 1.0), 4.0),
+    Threat("ins step", _INS, "bias", _size(_HORIZON, 5.0, 300.0), _sigma_of_each(_HORIZON, 1.0), 4.0),
     Threat("ins drift", _INS, "drift", _size(_TURNING, 10.0, 200.0), weight=2.0),
     Threat("ins frozen", _INS, "freeze"),
     Threat("ins axes", _INS, "axes", _one_of(axes=("exchanged", "ned_frd"))),
     Threat("ins clock", _INS, "clock_step", _size(("step_s",), 0.02, 1.0), weight=2.0),
     Threat("ins rates in degrees", _INS, "units"),
-    Threat("star knock", _STAR, "knock", _size(_ACROSS, 10.0, 100.0), _each(_ACROSS, 3.0), 4.0),
+    Threat("star knock", _STAR, "knock", _size(_ACROSS, 10.0, 100.0), _sigma_of_each(_ACROSS, 3.0), 4.0),
     Threat("star drift", _STAR, "drift", _size(_TURNING[1:], 2.0, 30.0), weight=2.0),
     Threat("star frozen", _STAR, "freeze"),
     Threat("star clock", _STAR, "clock_step", _size(("step_s",), 0.05, 1.0)),
     Threat("false stars", _STAR, "false_stars", _one_of(count=(1, 2, 5)), weight=2.0),
     Threat("stars swapped", _STAR, "swap", weight=2.0),
-    Threat("reference knock", _REFERENCE, "knock", _size(_DEVICE, 200.0, 3000.0), _each(_DEVICE, 60.0), 2.0),
+    Threat("reference knock", _REFERENCE, "knock", _size(_DEVICE, 200.0, 3000.0), _sigma_of_each(_DEVICE, 60.0), 2.0),
     Threat("reference drift", _REFERENCE, "drift", _size(_TURNING, 60.0, 600.0)),
     Threat("reference frozen", _REFERENCE, "freeze"),
     Threat("reference clock", _REFERENCE, "clock_step", _size(("step_s",), 0.1, 2.0)),
     Threat("position off", _FIX, "position_off", _size(_VECTOR[:2], 300.0, 10_000.0), weight=2.0),
     Threat("air pressure off", "met/pressure", "offset", _one_of(field=("fluid_pressure",), value=(-3e3, 2e3))),
-    Threat("ship step", _SHIP, "bias", _size(_HORIZON, 10.0, 300.0), _each(_HORIZON, 1.0), 4.0),
+    Threat("ship step", _SHIP, "bias", _size(_HORIZON, 10.0, 300.0), _sigma_of_each(_HORIZON, 1.0), 4.0),
     Threat("ship drift", _SHIP, "drift", _size(_TURNING, 10.0, 200.0), weight=2.0),
     Threat("ship frozen", _SHIP, "freeze"),
     Threat("encoder slip", _ENCODER, "slip", _size(("azimuth_arcsec", "elevation_arcsec"), 20.0, 300.0),
-           _each(("azimuth_arcsec", "elevation_arcsec"), 1.0), 4.0),
+           _sigma_of_each(("azimuth_arcsec", "elevation_arcsec"), 1.0), 4.0),
     Threat("encoder drift", _ENCODER, "drift",
            _size(("azimuth_arcsec_per_min", "elevation_arcsec_per_min"), 20.0, 300.0), weight=2.0),
     Threat("encoder frozen", _ENCODER, "freeze"),
-    Threat("wrong fix", _BASELINE, "wrong_fix", _size(_VECTOR, 0.1, 3.0), _each(_VECTOR, 0.02), 4.0),
+    Threat("wrong fix", _BASELINE, "wrong_fix", _size(_VECTOR, 0.1, 3.0), _sigma_of_each(_VECTOR, 0.02), 4.0),
     Threat("baseline frozen", _BASELINE, "freeze"),
     Threat("drone knock", _DRONE, "knock", _size(_DEVICE, 3600.0, 36_000.0), weight=1.0),
     Threat("lights swapped", _LIGHTS, "swap"),
     Threat("false lights", _LIGHTS, "false_lights", _one_of(count=(1, 2, 3)), weight=2.0),
     Threat("light hidden", _LIGHTS, "hide"),
-    Threat("telescope knock", _LIGHTS, "knock", _size(_ACROSS, 10.0, 300.0), _each(_ACROSS, 1.34), 2.0),
+    Threat("telescope knock", _LIGHTS, "knock", _size(_ACROSS, 10.0, 300.0), _sigma_of_each(_ACROSS, 1.34), 2.0),
 )  # fmt: skip
 """Faults that look like data."""
 
@@ -178,25 +178,25 @@ def draw_faults(
         if start_s > length_s - _LAST_START_BEFORE_END_S:
             break
         end_s = start_s + float(rng.uniform(SHORTEST_S, LONGEST_S))
-        drawn.append(_drawn(topics, round(start_s, 3), round(end_s, 3), rng))
+        drawn.append(_draw_fault(topics, round(start_s, 3), round(end_s, 3), rng))
         start_s = end_s + return_after_s + float(rng.uniform(0.0, 5.0))
     return sorted(drawn, key=lambda one: one.fault.start_s)
 
 
-def _drawn(topics: Mapping[str, str], start_s: float, end_s: float, rng: np.random.Generator) -> DrawnFault:
+def _draw_fault(topics: Mapping[str, str], start_s: float, end_s: float, rng: np.random.Generator) -> DrawnFault:
     """Draw a fault: first the threat, among those possible with the topics, then the affected topic."""
     table = BY_FORM if rng.random() < _SHARE_BY_FORM else DATA_LIKE
-    possible = [(threat, fitting) for threat in table if (fitting := _fitting(threat, topics))]
+    possible = [(threat, fitting) for threat in table if (fitting := _matching_topics(threat, topics))]
     weights = np.array([threat.weight for threat, _ in possible])
     threat, fitting = possible[int(rng.choice(len(possible), p=weights / weights.sum()))]
     topic = fitting[int(rng.integers(len(fitting)))]
     sizes = threat.draw(rng)
     if threat.kind in ("nan", "infinite", "corrupt"):
-        sizes = _drawn_field(threat.kind, topics[topic], rng)
+        sizes = _draw_field(threat.kind, topics[topic], rng)
     return DrawnFault(threat, Fault(topic=topic, kind=threat.kind, start_s=start_s, end_s=end_s, **sizes))
 
 
-def _drawn_field(kind: str, type_name: str, rng: np.random.Generator) -> Sizes:
+def _draw_field(kind: str, type_name: str, rng: np.random.Generator) -> Sizes:
     """Draw a numeric field of a message, and a value it can hold."""
     fields = numeric_fields(type_name)
     floats = [path for path, base in fields.items() if base.startswith("float")]
@@ -210,7 +210,7 @@ def _drawn_field(kind: str, type_name: str, rng: np.random.Generator) -> Sizes:
     return {"field": path, "value": float(rng.choice([0, 1, limits.min, limits.max]))}
 
 
-def _fitting(threat: Threat, topics: Mapping[str, str]) -> list[str]:
+def _matching_topics(threat: Threat, topics: Mapping[str, str]) -> list[str]:
     return [
         topic
         for topic, type_name in sorted(topics.items())

@@ -14,7 +14,7 @@ import numpy as np
 from ship_bags.stamps import ns_from_stamp
 from ship_estimation.refusals import Reason
 from ship_replay.evaluation.sources import Truth
-from ship_replay.offline.exclusion_history import INTEGRITY
+from ship_replay.offline.exclusion_history import INTEGRITY_TOPICS
 from ship_watch.orientations import ORIENTATIONS, Orientation
 
 EXCLUSION = "excluded from the estimate"
@@ -34,7 +34,7 @@ _IN_COMPARISON = frozenset(
 )
 """Reasons for which a correct measurement may be rejected: the values it was compared with were wrong or missing."""
 
-_COMPARED = ("star", "reference", "light", "telescope", "beacon", "baseline", "drone", "theodolite/beacons")
+_COMPARED_PREFIXES = ("star", "reference", "light", "telescope", "beacon", "baseline", "drone", "theodolite/beacons")
 """Prefixes of the names of sources that are compared with an estimate. INS, encoders, fix and weather are not: their
 rejections refer to their own sequence of values."""
 
@@ -46,7 +46,7 @@ _WARN = 1
 _VALID = 0
 
 
-class Sign(NamedTuple):
+class FaultIndication(NamedTuple):
     """A source was named: rejected, excluded, or without data.
 
     Attributes:
@@ -62,14 +62,14 @@ class Sign(NamedTuple):
     reason: str
 
     @property
-    def is_by_itself(self) -> bool:
+    def is_own_fault(self) -> bool:
         """True if the source is rejected, or without data, for its own fault."""
         if self.reason in _CONSEQUENCES:
             return False
-        return self.reason not in _IN_COMPARISON or not self.source.startswith(_COMPARED)
+        return self.reason not in _IN_COMPARISON or not self.source.startswith(_COMPARED_PREFIXES)
 
 
-class Claim(NamedTuple):
+class ValidOutput(NamedTuple):
     """A VALID output at a stamp of the truth.
 
     Attributes:
@@ -84,7 +84,7 @@ class Claim(NamedTuple):
     stamp_ns: int
     log_ns: int
     sigmas: float
-    over_level: float
+    level_ratio: float
 
 
 @dataclass
@@ -100,11 +100,11 @@ class VoyageOutputs:
         output_count: number of statuses.
     """
 
-    claims: list[Claim] = field(default_factory=list)
+    valid_outputs: list[ValidOutput] = field(default_factory=list)
     not_valid: list[tuple[str, int, int, int]] = field(default_factory=list)
-    signs: list[Sign] = field(default_factory=list)
-    failures: int = 0
-    outputs: int = 0
+    indications: list[FaultIndication] = field(default_factory=list)
+    failure_count: int = 0
+    output_count: int = 0
 
 
 class VoyageSink:
@@ -120,7 +120,7 @@ class VoyageSink:
         self._orientations = {known.topic: known for known in ORIENTATIONS}
         self._levels: dict[str, np.ndarray] = {}
         self._excluded: dict[str, set[str]] = {}
-        self._health = HealthBook()
+        self._health = HealthHistory()
 
     def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
         """Ignore the truth, which is known."""
@@ -128,32 +128,32 @@ class VoyageSink:
     def write(self, topic: str, message: Any, log_time_ns: int) -> None:
         """Add an output."""
         if topic in _INNOVATIONS:
-            self._innovation(message, log_time_ns)
-        elif topic in INTEGRITY.values():
-            self._integrity(topic, message, log_time_ns)
+            self._add_innovation(message, log_time_ns)
+        elif topic in INTEGRITY_TOPICS.values():
+            self._add_integrity(topic, message, log_time_ns)
         elif topic == _HEALTH:
-            self.outputs.signs += self._health.signs(message, log_time_ns)
+            self.outputs.indications += self._health.new_indications(message, log_time_ns)
         elif topic in self._orientations:
-            self._claim(self._orientations[topic], message, log_time_ns)
+            self._add_output(self._orientations[topic], message, log_time_ns)
 
-    def _innovation(self, message: Any, log_time_ns: int) -> None:
+    def _add_innovation(self, message: Any, log_time_ns: int) -> None:
         reason = Reason(message.reason)
         if reason is Reason.FAILED:
-            self.outputs.failures += 1
+            self.outputs.failure_count += 1
         if not message.accepted and reason not in (Reason.NONE, Reason.REVISED):
             stamp_ns = ns_from_stamp(message.header.stamp)
-            self.outputs.signs.append(Sign(message.source, log_time_ns, stamp_ns, reason.word))
+            self.outputs.indications.append(FaultIndication(message.source, log_time_ns, stamp_ns, reason.word))
 
-    def _integrity(self, topic: str, message: Any, log_time_ns: int) -> None:
+    def _add_integrity(self, topic: str, message: Any, log_time_ns: int) -> None:
         self._levels[topic] = np.array(message.protection_level, dtype=float)
         now = set(message.excluded)
         for source in sorted(now - self._excluded.get(topic, set())):
-            self.outputs.signs.append(Sign(source, log_time_ns, ns_from_stamp(message.header.stamp), EXCLUSION))
+            self.outputs.indications.append(FaultIndication(source, log_time_ns, ns_from_stamp(message.header.stamp), EXCLUSION))
         self._excluded[topic] = now
 
-    def _claim(self, orientation: Orientation, message: Any, log_time_ns: int) -> None:
+    def _add_output(self, orientation: Orientation, message: Any, log_time_ns: int) -> None:
         stamp_ns, status = ns_from_stamp(message.header.stamp), int(message.status)
-        self.outputs.outputs += 1
+        self.outputs.output_count += 1
         if status != _VALID:
             self.outputs.not_valid.append((orientation.topic, stamp_ns, log_time_ns, status))
             return
@@ -164,14 +164,14 @@ class VoyageSink:
         angles = orientation.angles_of(message)
         error = np.abs(orientation.errors_arcsec(angles, truth_nd)) * np.pi / 648_000.0
         sigma = orientation.scale(angles) * np.sqrt(np.diagonal(np.asarray(message.covariance).reshape(3, 3)))
-        level = self._levels.get(INTEGRITY[orientation.topic], np.full(3, np.nan))
+        level = self._levels.get(INTEGRITY_TOPICS[orientation.topic], np.full(3, np.nan))
         over_level = error / level if np.all(np.isfinite(level)) else np.full(3, np.nan)
         # A NaN error counts as wrong.
         sigmas = float(np.max(np.nan_to_num(error / sigma, nan=np.inf)))
-        self.outputs.claims.append(Claim(orientation.topic, stamp_ns, log_time_ns, sigmas, float(np.max(over_level))))
+        self.outputs.valid_outputs.append(ValidOutput(orientation.topic, stamp_ns, log_time_ns, sigmas, float(np.max(over_level))))
 
 
-class HealthBook:
+class HealthHistory:
     """New entries in reports on inputs, each compared with the previous one of the same node and topic.
 
     A report does not name its node. Nodes report at the same times in the same order, so the position of a report among
@@ -182,7 +182,7 @@ class HealthBook:
         self._place: dict[str, tuple[int, int]] = {}
         self._before: dict[tuple[str, int], tuple[int, Counter[str]]] = {}
 
-    def signs(self, report: Any, log_time_ns: int) -> list[Sign]:
+    def new_indications(self, report: Any, log_time_ns: int) -> list[FaultIndication]:
         """Return the indications in a report: no data on its topic, or rejections for the source's own fault.
 
         Rejections in comparison with others are contained in the innovations.
@@ -198,5 +198,5 @@ class HealthBook:
         new = sorted(counts - before)
         if received == had_received and report.level >= _WARN:
             new.append(NO_DATA)
-        signs = [Sign(topic, log_time_ns, stamp_ns, reason) for reason in new]
-        return [sign for sign in signs if sign.is_by_itself]
+        signs = [FaultIndication(topic, log_time_ns, stamp_ns, reason) for reason in new]
+        return [sign for sign in signs if sign.is_own_fault]
