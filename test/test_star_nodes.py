@@ -28,7 +28,7 @@ from ship_node.live.adapter_calls import AdapterCalls
 from ship_node.live.node_clock import TickGrid
 from ship_replay.commands.replay import main as replay
 from ship_replay.trials.live_run import LiveRun
-from ship_simulation.messages.to_messages import messages
+from ship_simulation.messages.to_messages import generate_messages
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import star_attitude_configuration
@@ -183,7 +183,7 @@ def joint_nees(seeds: int, exposure_s: float = 0.0, configured_psf_px: float | N
     for seed in range(seeds):
         adapter, truth, joint = StarAttitudeAdapter(config, RosbagsFactory()), {}, []
         topics = {topic.topic for topic in adapter.inputs}
-        for topic, message, log_time_ns in messages([simulate(scenario, seed)], RosbagsFactory()):
+        for topic, message, log_time_ns in generate_messages([simulate(scenario, seed)], RosbagsFactory()):
             if topic == "truth/attitude":
                 rotation_nd = rotation_from_angles(message.heading, message.pitch, message.roll)
                 truth[ns_from_stamp(message.header.stamp)] = rotation_nd

@@ -21,7 +21,7 @@ from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_msgs.msg import AlignmentState
 from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 from ship_replay.trials.live_run import LiveFailure
-from ship_simulation.scenario.scenario import start_of
+from ship_simulation.scenario.scenario import start_time_ns
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
 from ship_simulation.suite.suite import suite_yaml
@@ -110,7 +110,7 @@ def node_memory(folder: Path, length_h: float, rate: float) -> tuple[np.ndarray,
             samples, told_ns = _watched(node, player, observer, rate)
         if player.exit_code != 0:
             raise LiveFailure(f"play ended with exit code {player.exit_code}:\n{player.log_text()}")
-    missed_s = scenario.duration_s - (told_ns - start_of(scenario.start_utc)) / NS_PER_S
+    missed_s = scenario.duration_s - (told_ns - start_time_ns(scenario.start_utc)) / NS_PER_S
     if missed_s > _MOST_MISSED_S:
         raise LiveFailure(f"the node published its last alignment {missed_s:.0f} s before the voyage's end")
     return np.array([hours for hours, _ in samples]), np.array([resident_mb for _, resident_mb in samples])

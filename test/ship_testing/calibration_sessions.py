@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.message_store import RosbagsFactory
-from ship_simulation.messages.to_messages import messages
+from ship_simulation.messages.to_messages import generate_messages
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.motion_scenario import AngleMotion, CarrierMotion, Turn, Wave
 from ship_simulation.scenario.scenario import Ins, Reference, Scenario, StarSensor
@@ -76,7 +76,7 @@ def write_session(
     with BagWriter(path) as bag:
         if suite is not None:
             bag.add_attachment(SUITE_ATTACHMENT, suite(suite_yaml(scenario)))
-        for topic, message, log_time_ns in messages([run], RosbagsFactory()):
+        for topic, message, log_time_ns in generate_messages([run], RosbagsFactory()):
             if topic not in leave_out:
                 bag.write(topic, message, log_time_ns)
     return run

@@ -23,7 +23,7 @@ from ship_geometry.ros_axes import ENU_FROM_HORIZON
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_node.edge.reporting_adapter import ReportingAdapter
 from ship_node.parameters.parameter_file import load_config
-from ship_simulation.messages.to_messages import messages
+from ship_simulation.messages.to_messages import generate_messages
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import Reference, Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
@@ -92,7 +92,7 @@ def voyage_of(node: str, given: Scenario) -> Voyage:
         return adapter_class(config, FACTORY)
 
     input_topics = {feed.topic for feed in new_adapter().inputs}
-    logged = list(messages([simulate(given, _SEED)], FACTORY))
+    logged = list(generate_messages([simulate(given, _SEED)], FACTORY))
     arrivals = tuple(Arrival(topic, message, log_ns) for topic, message, log_ns in logged if topic in input_topics)
     kind = "truth/pointing" if node.startswith("optical_axis") else "truth/attitude"
     return Voyage(new_adapter, arrivals, {log_ns: message for topic, message, log_ns in logged if topic == kind})

@@ -136,7 +136,7 @@ def stars_seen(
         seen_s = camera.directions(lens.pixels(seen_s))
     if detector is not None:
         pixels = camera.pixels(seen_s)
-        seen_s = camera.directions(pixels + detector.at(pixels))
+        seen_s = camera.directions(pixels + detector.errors_at(pixels))
     seen_s = seen_s + STAR_SIGMA * rng.standard_normal(seen_s.shape)
     rows = rows[kept]
     return StarExposure(

@@ -22,7 +22,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotati
 from ship_replay.trials.monte_carlo import core_for
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_simulation.ship.motion import carrier_of
+from ship_simulation.ship.motion import make_carrier
 
 PAPER = Path(__file__).parents[2] / "bags" / "scenarios" / "paper.yaml"
 
@@ -142,7 +142,7 @@ def claims(
         from_s: time of the first attitude that is computed.
         levels: whether errors are compared with their protection levels.
     """
-    core, carrier, found = core_for(run.scenario), carrier_of(run.scenario.carrier, run.seed), []
+    core, carrier, found = core_for(run.scenario), make_carrier(run.scenario.carrier, run.seed), []
     for log_ns, source, index in run.arrivals():
         if source == "ins":
             time_ns = int(run.ins.time_ns[index])

@@ -14,7 +14,7 @@ from ship_bags.topic_names import relative_topics
 from ship_simulation.faults.injection import Injection, injectable_topics, optics_of_bag
 from ship_simulation.scenario.fault import kind_rows
 from ship_simulation.scenario.fault_file import load_faults
-from ship_simulation.simulate_command import seed_of
+from ship_simulation.simulate_command import parse_seed
 
 FAULTS_ATTACHMENT = "faults.yaml"
 """Name of the attachment that contains the file of faults."""
@@ -47,7 +47,7 @@ def _parser() -> CommandParser:
     parser.add_argument("bag", type=Path, metavar="BAG", help=".mcap file or rosbag2 folder")
     parser.add_argument("--faults", type=Path, required=True, metavar="FILE", help="faults to add (YAML)")
     parser.add_argument("--out", type=Path, required=True, metavar="OUT.mcap", help="bag to write")
-    parser.add_argument("--seed", type=seed_of, default=1, metavar="N", help="seed of the faults' random draws (1)")
+    parser.add_argument("--seed", type=parse_seed, default=1, metavar="N", help="seed of the faults' random draws (1)")
     add_bag_name_options(parser)
     add_force_option(parser)
     return parser
@@ -77,7 +77,7 @@ def _write(bag: Bag, injection: Injection, path: Path, text: bytes) -> int:
         return TypeDefinition(bag.store.generate_msgdef(type_name, ros_version=2)[0], bag.store.hash_rihs01(type_name))
 
     names = relative_topics(bag.topics, injection.namespace)
-    hit = {names[fault.topic] for fault in injection.faults.values()}
+    affected_topics = {names[fault.topic] for fault in injection.faults.values()}
     with BagWriter(path, define=define) as writer:
         for name, content in bag.attachments.items():
             writer.add_attachment(name, content)
@@ -89,7 +89,7 @@ def _write(bag: Bag, injection: Injection, path: Path, text: bytes) -> int:
         for topic, type_name in bag.topics.items():
             writer.add_topic(topic, type_name, topic in bag.latched_topics)
         for record in with_bag_progress(injection.records(bag), bag):
-            sequence = None if record.topic in hit else record.sequence
+            sequence = None if record.topic in affected_topics else record.sequence
             writer.write_raw(
                 record.topic, record.type_name, record.data, record.log_time_ns, record.publish_time_ns, sequence
             )

@@ -10,23 +10,23 @@ import numpy as np
 
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
-from ship_simulation.draws.noise import truth_index
-from ship_simulation.draws.stretch import STRETCH_S, Draws, Stretch, stretches_of
-from ship_simulation.scenario.scenario import Scenario, start_of
+from ship_simulation.draws.noise import truth_indices
+from ship_simulation.draws.stretch import STRETCH_S, Draws, Stretch, split_voyage
+from ship_simulation.scenario.scenario import Scenario, start_time_ns
 from ship_simulation.ship.attitude_device import (
     DeviceSamples,
     DeviceTruth,
     FusedSamples,
     InsSamples,
     InsTruth,
-    motion_of_star_sensor,
+    star_sensor_motion,
     simulate_fused_attitude,
     simulate_ins,
     simulate_reference,
     simulate_star_sensor,
 )
 from ship_simulation.ship.deflection import Deflection, DeflectionSamples, simulate_deflections
-from ship_simulation.ship.motion import Carrier, carrier_of
+from ship_simulation.ship.motion import Carrier, make_carrier
 from ship_simulation.ship.rtk import BaselineSamples, simulate_ship_baseline
 from ship_simulation.ship.ship_track import FixSamples, ShipTrack, simulate_fixes
 from ship_simulation.stars.sky import TrueSky, draw_sky
@@ -120,7 +120,7 @@ class SimulatedRun:
         sources = {"ins": self.ins.log_time_ns}
         sources |= {f"star.{key}": samples.log_time_ns for key, samples in self.stars.items()}
         sources |= {f"reference.{key}": samples.log_time_ns for key, samples in self.references.items()}
-        if self.scenario.needs_place:
+        if self.scenario.needs_position:
             sources[SKY_SOURCES[0]] = self.fixes.log_time_ns
         if self.scenario.needs_sky:
             sources |= self._sky_sources()
@@ -128,7 +128,7 @@ class SimulatedRun:
             sources[BASELINE_SOURCE] = self.ship_baseline.log_time_ns
         if self.deflections is not None:
             sources[DEFLECTION_SOURCE] = self.deflections.time_ns
-        return _in_order(sources)
+        return _sort_arrivals(sources)
 
     def _sky_sources(self) -> dict[str, np.ndarray]:
         fix, *weather = SKY_SOURCES
@@ -152,7 +152,7 @@ class SimulatedRun:
             sources |= {f"star.{key}": samples.log_time_ns for key, samples in self.theodolite.stars.items()}
             if self.theodolite.stars:
                 sources |= self._sky_sources()
-        return _in_order(sources)
+        return _sort_arrivals(sources)
 
 
 def simulate(scenario: Scenario, seed: int) -> SimulatedRun:
@@ -179,7 +179,7 @@ def simulate_stretches(scenario: Scenario, seed: int, length_s: int = STRETCH_S)
         BadInput: as :func:`simulate`.
     """
     voyage = _Voyage(scenario, seed)
-    for stretch in stretches_of(voyage.track.start_ns, scenario.duration_s, length_s):
+    for stretch in split_voyage(voyage.track.start_ns, scenario.duration_s, length_s):
         yield voyage.samples(stretch)
 
 
@@ -188,9 +188,9 @@ class _Voyage:
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
         self.scenario = scenario
-        self.track = ShipTrack(scenario.position, start_of(scenario.start_utc))
+        self.track = ShipTrack(scenario.position, start_time_ns(scenario.start_utc))
         self._draws = Draws(seed)
-        self._carrier = carrier_of(scenario.carrier, seed)
+        self._carrier = make_carrier(scenario.carrier, seed)
         # Refuse a motion that is too short before the first sample.
         self._carrier.attitude(np.array([0.0, scenario.duration_s]))
         self._deflection = Deflection(scenario, self.track, self._draws)
@@ -207,7 +207,7 @@ class _Voyage:
             key: simulate_reference(key, scenario, carrier, ins_truth.time_offset_s, stretch, draws, deflection)
             for key in scenario.references
         }
-        index = truth_index(ins.time_ns, stretch.start_ns, stretch.holds_last(scenario.ins.rate_hz, 0.0))
+        index = truth_indices(ins.time_ns, stretch.start_ns, stretch.contains_last(scenario.ins.rate_hz, 0.0))
         since_start_s = (ins.time_ns[index] - stretch.start_ns) / SECOND_NS
         truth = VoyageTruth(
             ins_index=index,
@@ -218,7 +218,7 @@ class _Voyage:
             sightings=sightings_truth,
             references={key: device_truth for key, (_, device_truth) in references.items()},
             track=self.track,
-            deflection=deflection.at(since_start_s),
+            deflection=deflection.deflection_at(since_start_s),
             sky=self._sky,
         )
         fused, aboard = scenario.fused_attitude.written, scenario.theodolite.aboard
@@ -240,7 +240,7 @@ class _Voyage:
         )
 
 
-def _in_order(sources: dict[str, np.ndarray]) -> list[tuple[int, str, int]]:
+def _sort_arrivals(sources: dict[str, np.ndarray]) -> list[tuple[int, str, int]]:
     """Return (log time, source, index) of all samples; equal times in the order of the sources, then of the stamps."""
     arrivals = [
         (int(log_time_ns), source, index)
@@ -256,15 +256,15 @@ def _simulate_stars(
 ) -> tuple[dict[str, StarSamples], dict[str, DeviceTruth], dict[str, SightingsTruth]]:
     """Return samples and mounting of each star sensor, and the true identities of single stars."""
     samples: dict[str, StarSamples] = {}
-    mounted: dict[str, DeviceTruth] = {}
+    star_truth: dict[str, DeviceTruth] = {}
     sightings: dict[str, SightingsTruth] = {}
     for key, config in scenario.star_sensors.items():
-        motion = motion_of_star_sensor(key, scenario, carrier, stretch, draws)
-        mounted[key] = motion.truth
+        motion = star_sensor_motion(key, scenario, carrier, stretch, draws)
+        star_truth[key] = motion.truth
         if sky is None or config.output == "horizon_attitude":
             samples[key] = simulate_star_sensor(key, scenario, motion, draws)
         elif config.output == "observations":
             samples[key], sightings[key] = simulate_sightings(f"star.{key}", config, motion, sky, draws)
         else:
             samples[key] = simulate_inertial_sensor(key, scenario, motion, sky, draws)
-    return samples, mounted, sightings
+    return samples, star_truth, sightings

@@ -11,10 +11,10 @@ from ship_bags.output_files import add_force_option, check_file
 from ship_bags.progress import with_progress
 from ship_estimation.parameter_rows import key_rows
 from ship_geometry.time_scales import SECOND_NS
-from ship_simulation.messages.to_messages import messages
+from ship_simulation.messages.to_messages import generate_messages
 from ship_simulation.run import simulate_stretches
 from ship_simulation.scenario.fault import kind_rows
-from ship_simulation.scenario.scenario import Scenario, start_of
+from ship_simulation.scenario.scenario import Scenario, start_time_ns
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import suite_yaml
 
@@ -46,7 +46,7 @@ def _parser() -> CommandParser:
     )
     parser.add_argument("scenario", type=Path, metavar="SCENARIO.yaml", help="scenario to simulate")
     parser.add_argument("--out", type=Path, required=True, metavar="BAG.mcap", help="bag to write")
-    parser.add_argument("--seed", type=seed_of, default=1, metavar="N", help="seed of all random parts, 0 or more (1)")
+    parser.add_argument("--seed", type=parse_seed, default=1, metavar="N", help="seed of all random parts, 0 or more (1)")
     parser.add_argument(
         "--carrier", type=Path, metavar="BAG", help="follow the recorded attitude of this bag, not the scenario's"
     )
@@ -58,7 +58,7 @@ def _keys() -> str:
     return "\n".join(key_rows(Scenario))
 
 
-def seed_of(text: str) -> int:
+def parse_seed(text: str) -> int:
     """Return the seed of an argument.
 
     Raises:
@@ -84,9 +84,9 @@ def write_bag(scenario: Scenario, seed: int, path: Path, scenario_text: bytes) -
         BadInput: the voyage cannot be simulated, or the file cannot be written.
     """
     runs = simulate_stretches(scenario, seed)
-    start_ns = start_of(scenario.start_utc)
+    start_ns = start_time_ns(scenario.start_utc)
     end_ns = start_ns + round(scenario.duration_s * SECOND_NS)
-    entries = with_progress(messages(runs, RosbagsFactory()), path.name, start_ns, end_ns, lambda entry: entry[2])
+    entries = with_progress(generate_messages(runs, RosbagsFactory()), path.name, start_ns, end_ns, lambda entry: entry[2])
     with BagWriter(path) as bag:
         bag.add_attachment(SCENARIO_ATTACHMENT, scenario_text)
         bag.add_attachment(SUITE_ATTACHMENT, suite_yaml(scenario))

@@ -14,7 +14,7 @@ from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import AngleMotion, Outage
 from ship_simulation.scenario.scenario import Ins, Position, Reference, Scenario, StarSensor
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_simulation.ship.motion import carrier_of
+from ship_simulation.ship.motion import make_carrier
 
 SCENARIOS = Path(__file__).resolve().parents[3] / "bags" / "scenarios"
 QUIET_INS = Ins(
@@ -56,7 +56,7 @@ def test_a_run_starts_at_its_moment_and_keeps_its_rates():
 def test_ins_samples_obey_the_equation_of_the_model():
     run = simulate(paper(duration_s=60.0), seed=5)
     truth = run.truth.ins
-    true_nd = carrier_of(run.scenario.carrier, run.seed).attitude(
+    true_nd = make_carrier(run.scenario.carrier, run.seed).attitude(
         (run.ins.time_ns - run.start_ns) / SECOND_NS + truth.time_offset_s
     )
     # R_true(s + tau) = exp(a) exp(w) R_ins(s), so w is the remainder.
@@ -71,7 +71,7 @@ def test_ins_rates_are_those_at_the_moment_of_validity():
     run = simulate(with_ins(paper(duration_s=5.0), time_offset_s=0.5), seed=2)
     moments_s = (run.ins.time_ns - run.start_ns) / SECOND_NS + run.truth.ins.time_offset_s
     assert 0.4 < run.truth.ins.time_offset_s < 0.6
-    expected = carrier_of(run.scenario.carrier, run.seed).body_rate(moments_s)
+    expected = make_carrier(run.scenario.carrier, run.seed).body_rate(moments_s)
     np.testing.assert_array_equal(run.ins.rate_d, expected)
     noisy = simulate(with_ins(paper(duration_s=60.0), rate_sigma_arcsec_per_s=4.0), seed=2)
     quiet = simulate(paper(duration_s=60.0), seed=2)
@@ -104,7 +104,7 @@ def test_gyroscopes_at_rest_measure_the_earth_rate():
 def test_truth_is_the_attitude_at_the_stamp_itself():
     run = simulate(with_ins(paper(duration_s=5.0), time_offset_s=0.5), seed=2)
     since_start_s = (run.ins.time_ns[run.truth.ins_index] - run.start_ns) / SECOND_NS
-    carrier = carrier_of(run.scenario.carrier, run.seed)
+    carrier = make_carrier(run.scenario.carrier, run.seed)
     np.testing.assert_array_equal(run.truth.rotation_nd, carrier.attitude(since_start_s))
     np.testing.assert_array_equal(run.truth.rate_d, carrier.body_rate(since_start_s))
 
@@ -133,7 +133,7 @@ def test_star_samples_obey_the_equation_of_the_model():
     moments_s = (samples.time_ns - run.start_ns) / SECOND_NS + 0.3
     mounted = rotation_from_angles(*np.deg2rad([90.0, 45.0, 30.0])) @ exp_rotation(truth.installation_error_v)
     np.testing.assert_allclose(truth.rotation_dv, mounted, rtol=0.0, atol=1e-15)
-    clean_nv = carrier_of(scenario.carrier, run.seed).attitude(moments_s) @ mounted
+    clean_nv = make_carrier(scenario.carrier, run.seed).attitude(moments_s) @ mounted
     noise_v = log_rotation(np.swapaxes(clean_nv, -1, -2) @ samples.rotation_nv)
     for axis, sigma_arcsec in enumerate([100.0, 3.0, 3.0]):
         assert_sigma(noise_v[:, axis], sigma_arcsec * ARCSEC)
@@ -148,7 +148,7 @@ def test_flexure_and_common_error_are_correlated_and_in_their_own_frames():
         **dict.fromkeys(("sigma_forward_arcsec", "sigma_up_arcsec", "sigma_right_arcsec"), 0.0),
     )
     without = simulate(clean, seed=1).stars["fore"].rotation_nv
-    true_nd = carrier_of(clean.carrier, 1).attitude(np.arange(3001) / 5.0)
+    true_nd = make_carrier(clean.carrier, 1).attitude(np.arange(3001) / 5.0)
     bent = simulate(with_star(clean, "fore", flexure_sigma_arcsec=5.0, flexure_time_s=0.2), seed=1).stars["fore"]
     bend_n = log_rotation(bent.rotation_nv @ np.swapaxes(without, -1, -2))
     bend_d = (np.swapaxes(true_nd, -1, -2) @ bend_n[..., None])[..., 0]
@@ -189,7 +189,7 @@ def test_noise_of_a_reference_belongs_to_its_axes():
     run = simulate(paper(duration_s=200.0, references={"gyro": reference}), seed=1)
     truth, samples = run.truth.references["gyro"], run.references["gyro"]
     moments_s = (samples.time_ns - run.start_ns) / SECOND_NS - truth.time_offset_s + run.truth.ins.time_offset_s
-    clean = carrier_of(run.scenario.carrier, 1).attitude(moments_s) @ truth.rotation_dv
+    clean = make_carrier(run.scenario.carrier, 1).attitude(moments_s) @ truth.rotation_dv
     noise_v = log_rotation(np.swapaxes(clean, -1, -2) @ samples.rotation_nv)
     # About forward (roll), up (heading), right (pitch).
     for axis, sigma_arcsec in enumerate([10.0, 40.0, 20.0]):

@@ -15,7 +15,7 @@ DETECTOR = {"focal_length_m": 0.05, "pixel_pitch_m": 5.5e-6, "principal_u_px": 4
 SIDES = {"width_px": 1000, "height_px": 600}
 
 
-def drawn(seed: int, field_px: float = 0.0, pixel_px: float = 0.0) -> DetectorErrors:
+def draw_errors(seed: int, field_px: float = 0.0, pixel_px: float = 0.0) -> DetectorErrors:
     own = {"field_spatial_sigma_px": field_px, "pixel_spatial_sigma_px": pixel_px}
     return DetectorErrors(np.random.default_rng([9, seed]), Detector(**DETECTOR, **SIDES, **own))
 
@@ -35,7 +35,7 @@ def test_the_field_errors_covariance_is_the_stated_one():
     to_grid, of_grid = correlation(places, grid).mean(axis=1), correlation(grid, grid).mean()
     covariance = (correlation(places, places) - to_grid[:, None] - to_grid + of_grid) / (1.0 - of_grid)
     pixels = np.array([499.5, 299.5]) + places * np.array([500.0, 300.0])
-    errors = np.array([drawn(seed, field_px=FIELD_PX).at(pixels) for seed in range(SEEDS)])
+    errors = np.array([draw_errors(seed, field_px=FIELD_PX).errors_at(pixels) for seed in range(SEEDS)])
     low, high = chi2.ppf([0.0005, 0.9995], SEEDS) / SEEDS
     for axis in range(2):
         root = np.linalg.cholesky(FIELD_PX**2 * covariance)
@@ -51,18 +51,18 @@ def test_the_field_errors_covariance_is_the_stated_one():
 
 def test_a_maps_mean_over_the_detector_is_zero():
     pixels = np.stack(np.meshgrid(np.arange(5.0, 1000.0, 10.0), np.arange(5.0, 600.0, 10.0)), axis=-1).reshape(-1, 2)
-    found = drawn(1, field_px=FIELD_PX).at(pixels - 0.5)
+    found = draw_errors(1, field_px=FIELD_PX).errors_at(pixels - 0.5)
     np.testing.assert_allclose(found.mean(axis=0), 0.0, atol=1e-4)
 
 
 def test_each_pixel_has_its_own_error():
-    errors = drawn(2, pixel_px=PIXEL_PX)
+    errors = draw_errors(2, pixel_px=PIXEL_PX)
     whole = np.stack(np.meshgrid(np.arange(100.0), np.arange(100.0)), axis=-1).reshape(-1, 2)
-    found = errors.at(whole)
-    np.testing.assert_array_equal(errors.at(whole + 0.4), found)
+    found = errors.errors_at(whole)
+    np.testing.assert_array_equal(errors.errors_at(whole + 0.4), found)
     low, high = chi2.ppf([0.0005, 0.9995], found.size) / found.size
     assert low <= np.mean((found / PIXEL_PX) ** 2) <= high
-    assert not np.any(errors.at(whole + 1.0) == found)
+    assert not np.any(errors.errors_at(whole + 1.0) == found)
 
 
 @pytest.mark.parametrize("kind", ["field_spatial_sigma_px", "pixel_spatial_sigma_px"])
@@ -77,4 +77,4 @@ def test_centroids_of_a_run_contain_constant_detector_errors(kind: str):
     clean = simulate(with_sensor(paper_stars(), camera={"centroid_sigma_px": 1e-6}), seed=5)
     np.testing.assert_allclose(clean.stars["fore"].pixel, true_px, atol=1e-5)
     errors = DetectorErrors(random_stream(5, "star.fore.detector"), detector)
-    np.testing.assert_allclose(added_px, errors.at(true_px), atol=1e-5)
+    np.testing.assert_allclose(added_px, errors.errors_at(true_px), atol=1e-5)

@@ -12,7 +12,7 @@ from ship_bags.stamps import NS_PER_S
 from ship_simulation.faults.injection import Injection
 from ship_simulation.scenario.fault import KINDS, Fault, size_problems
 from ship_simulation.scenario.fault_file import fault_problems
-from ship_simulation.scenario.names import COVARIANCES, FIRST_VALUE, can_happen
+from ship_simulation.scenario.names import COVARIANCES, FIRST_VALUE, is_applicable
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
 from ship_testing.every_case import check_every_case
@@ -111,7 +111,7 @@ def test_a_kind_changes_messages_of_a_type_in_its_time_or_is_refused(bag, start_
 
 def check_a_kind(bag, start_ns, kind, topic):
     fault = fault_of(kind, topic)
-    if not can_happen(kind, TOPICS[topic]):
+    if not is_applicable(kind, TOPICS[topic]):
         problems = [str(problem) for problem in fault_problems({"f": fault}, TOPICS, "in the bag")]
         assert problems == [f"'faults.f.kind' = {kind} does not apply to {TOPICS[topic]}"]
         return
@@ -131,7 +131,7 @@ def test_covariance_faults_apply_to_all_types_with_covariances(topic):
     taken = [name for name in names if name not in ("angular_velocity_covariance", "linear_acceleration_covariance")]
     assert list(COVARIANCES.get(TOPICS[topic], ())) == taken
     for kind in ("covariance_unknown", "covariance_negative"):
-        assert can_happen(kind, TOPICS[topic]) == bool(taken)
+        assert is_applicable(kind, TOPICS[topic]) == bool(taken)
 
 
 def test_a_fault_may_change_nothing(bag):

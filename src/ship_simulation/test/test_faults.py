@@ -9,7 +9,7 @@ import pytest
 from ship_bags.message_store import RosbagsFactory, serialize
 from ship_bags.stamps import ns_from_stamp
 from ship_geometry.time_scales import SECOND_NS
-from ship_simulation.messages.to_messages import messages
+from ship_simulation.messages.to_messages import generate_messages
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import Fault
 from ship_simulation.scenario.scenario_file import load_scenario
@@ -23,7 +23,7 @@ def entries_under(faults, topic):
     scenario = load_scenario(PAPER)
     ins = dataclasses.replace(scenario.ins, rate_hz=20.0)
     run = simulate(dataclasses.replace(scenario, duration_s=3.0, ins=ins, faults=faults), seed=1)
-    return [(message, log) for name, message, log in messages([run], RosbagsFactory()) if name == topic]
+    return [(message, log) for name, message, log in generate_messages([run], RosbagsFactory()) if name == topic]
 
 
 def quaternion(message):

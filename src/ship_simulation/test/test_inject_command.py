@@ -42,7 +42,7 @@ def bag(tmp_path_factory):
     return path
 
 
-def injected(bag, folder, faults, seed=1, *more):
+def inject(bag, folder, faults, seed=1, *more):
     """Return the bag with faults given as text in flow style."""
     file = folder / "faults.yaml"
     file.write_text("faults:\n" + "".join(f"  f{i}: {{{fault}}}\n" for i, fault in enumerate(faults)))
@@ -86,7 +86,7 @@ WINDOW = "start_s: 2.0, end_s: 3.0"
 
 
 def only(bag, folder, topic, kind, sizes=""):
-    out = injected(bag, folder, [f"topic: {topic}, kind: {kind}, {WINDOW}{', ' if sizes else ''}{sizes}"])
+    out = inject(bag, folder, [f"topic: {topic}, kind: {kind}, {WINDOW}{', ' if sizes else ''}{sizes}"])
     return pairs(bag, out, topic)
 
 
@@ -216,7 +216,7 @@ def test_every_number_of_a_message_can_be_corrupted(bag, tmp_path, topic):
         paths = numeric_fields(whole.topics[topic])
     assert "header.stamp.nanosec" in paths
     faults = [f"topic: {topic}, kind: corrupt, {WINDOW}, field: '{path}', value: 3" for path in paths]
-    for _, after in pairs(bag, injected(bag, tmp_path, faults), topic):
+    for _, after in pairs(bag, inject(bag, tmp_path, faults), topic):
         for path in paths:
             value = after
             for name, index in field_steps(path):
@@ -292,7 +292,7 @@ def test_false_lights_are_moved_and_swapped_stars_exchange_their_numbers(bag, tm
 
 
 def test_reordered_messages_are_all_there_in_another_order(bag, tmp_path):
-    out = injected(bag, tmp_path, [f"topic: {INS}, kind: reorder, {WINDOW}, delay_s: 0.5"])
+    out = inject(bag, tmp_path, [f"topic: {INS}, kind: reorder, {WINDOW}, delay_s: 0.5"])
     before, after = records_of(bag, INS), records_of(out, INS)
     assert Counter(r.data for r in before) == Counter(r.data for r in after)
     assert [r.data for r in before] != [r.data for r in after]
@@ -303,7 +303,7 @@ def test_reordered_messages_are_all_there_in_another_order(bag, tmp_path):
 
 
 def test_a_flood_has_the_configured_number_of_messages_with_earlier_stamps(bag, tmp_path):
-    out = injected(bag, tmp_path, [f"topic: {BOW}, kind: flood, {WINDOW}, times: 20, spread_s: 1.5"])
+    out = inject(bag, tmp_path, [f"topic: {BOW}, kind: flood, {WINDOW}, times: 20, spread_s: 1.5"])
     before, after = records_of(bag, BOW), records_of(out, BOW)
     assert len(after) - len(before) == 5 * 19
     kept = {r.data for r in before}
@@ -320,7 +320,7 @@ def test_a_flood_has_the_configured_number_of_messages_with_earlier_stamps(bag, 
 def test_a_share_of_the_messages_is_drawn_by_the_seed(bag, tmp_path):
     counts = []
     for seed in (1, 1, 2):
-        out = injected(bag, tmp_path, [f"topic: {INS}, kind: drop, start_s: 0.0, share: 0.4"], seed)
+        out = inject(bag, tmp_path, [f"topic: {INS}, kind: drop, start_s: 0.0, share: 0.4"], seed)
         counts.append([r.log_time_ns for r in records_of(out, INS)])
     total = len(records_of(bag, INS))
     # 251 messages: 0.6 ± 5 sigma of a binomial share.
@@ -330,15 +330,15 @@ def test_a_share_of_the_messages_is_drawn_by_the_seed(bag, tmp_path):
 
 def test_the_same_seed_gives_the_same_bytes_and_another_fault_does_not_change_what_is_drawn(bag, tmp_path):
     flood = f"topic: {BOW}, kind: flood, {WINDOW}, times: 5"
-    first = injected(bag, tmp_path, [flood], 4).read_bytes()
-    assert injected(bag, tmp_path, [flood], 4).read_bytes() == first
-    alone = [r.data for r in records_of(injected(bag, tmp_path, [flood], 4), BOW)]
-    beside = injected(bag, tmp_path, [flood, f"topic: {INS}, kind: reorder, {WINDOW}, delay_s: 0.2"], 4)
+    first = inject(bag, tmp_path, [flood], 4).read_bytes()
+    assert inject(bag, tmp_path, [flood], 4).read_bytes() == first
+    alone = [r.data for r in records_of(inject(bag, tmp_path, [flood], 4), BOW)]
+    beside = inject(bag, tmp_path, [flood, f"topic: {INS}, kind: reorder, {WINDOW}, delay_s: 0.2"], 4)
     assert [r.data for r in records_of(beside, BOW)] == alone
 
 
 def test_faults_of_one_topic_combine_and_may_change_only_one_of_two_copies(bag, tmp_path):
-    out = injected(
+    out = inject(
         bag,
         tmp_path,
         [
@@ -372,7 +372,7 @@ def test_a_recording_in_a_folder_keeps_its_other_content(bag, tmp_path):
             folder.write_raw("/aurora/" + record.topic, record.type_name, record.data, record.log_time_ns)
     folder.close()
     fault = f"topic: {INS}, kind: bias, {WINDOW}, up_arcsec: 30"
-    out = injected(tmp_path / "voyage", tmp_path, [fault], 1, "--namespace", "aurora")
+    out = inject(tmp_path / "voyage", tmp_path, [fault], 1, "--namespace", "aurora")
     with read_bag(out) as faulty:
         assert faulty.latched_topics == {"/aurora/ship/note"}
         assert faulty.topics["/aurora/ship/note"] == "std_msgs/msg/String"
@@ -395,7 +395,7 @@ def test_each_fault_is_summarised_in_one_line(bag, tmp_path, capsys):
         for topic, since, until in [(BOW, 2.0, 9.0), (INS, 2.0, 3.0), (ENCODER, 2.0, 3.0), (FIX, 2.0, 3.0)]
     ]
     assert min(counts) > 0
-    injected(bag, tmp_path, faults)
+    inject(bag, tmp_path, faults)
     heading, *lines = capsys.readouterr().out.splitlines()
     assert heading.endswith("5 faults, seed 1")
     assert lines == [
@@ -414,7 +414,7 @@ def stamp_s(record, path):
 
 
 def test_attachments_and_metadata_are_copied_and_the_faults_are_printed(bag, tmp_path):
-    out = injected(bag, tmp_path, [f"topic: {INS}, kind: drop, {WINDOW}"], 7)
+    out = inject(bag, tmp_path, [f"topic: {INS}, kind: drop, {WINDOW}"], 7)
     with read_bag(bag) as before, read_bag(out) as after:
         assert after.attachments["suite.yaml"] == before.attachments["suite.yaml"]
         assert after.attachments["scenario.yaml"] == b"scenario: here\n"

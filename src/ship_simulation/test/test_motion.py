@@ -9,7 +9,7 @@ from ship_bags.errors import BadInput
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import log_rotation, wrap_pi
 from ship_simulation.scenario.motion_scenario import AngleMotion, CarrierMotion, Sea, Turn, Wave
-from ship_simulation.ship.motion import HarmonicMotion, RecordedMotion, SteadyTurn, carrier_of, sea_responses
+from ship_simulation.ship.motion import HarmonicMotion, RecordedMotion, SteadyTurn, make_carrier, sea_responses
 
 PAPER = CarrierMotion(
     kind="sinusoids",
@@ -28,13 +28,13 @@ STEEP = CarrierMotion(
 
 def recorded() -> RecordedMotion:
     time_s = np.arange(0.0, 61.0)
-    return RecordedMotion(time_s, carrier_of(STEEP, seed=1).attitude(time_s), start_s=2.0)
+    return RecordedMotion(time_s, make_carrier(STEEP, seed=1).attitude(time_s), start_s=2.0)
 
 
 CARRIERS = {
-    "paper": carrier_of(PAPER, seed=1),
-    "steep": carrier_of(STEEP, seed=1),
-    "sea": carrier_of(CarrierMotion(kind="sea_state"), seed=1),
+    "paper": make_carrier(PAPER, seed=1),
+    "steep": make_carrier(STEEP, seed=1),
+    "sea": make_carrier(CarrierMotion(kind="sea_state"), seed=1),
     "recorded": recorded(),
 }
 
@@ -122,7 +122,7 @@ def test_the_ships_response_has_the_variance_of_the_integral_over_the_spectrum()
     spectrum = elevation_spectrum(w, sea.significant_height_m, sea.modal_period_s)
     expected = [trapezoid(spectrum * np.abs(r.transfer(w)) ** 2, w) for r in sea_responses(sea)]
     # Random frequencies in their bands make realisations scatter; the mean of 50 scatters by a seventh of that.
-    motions = [carrier_of(CarrierMotion(kind="sea_state", sea=sea), seed) for seed in range(50)]
+    motions = [make_carrier(CarrierMotion(kind="sea_state", sea=sea), seed) for seed in range(50)]
     variance = np.mean([0.5 * np.sum(np.abs(m.phasor) ** 2, axis=0) for m in motions], axis=0)
     np.testing.assert_allclose(variance, expected, rtol=0.02)
     # Variance in time: an hour of one realisation, with about 350 waves.
@@ -131,7 +131,7 @@ def test_the_ships_response_has_the_variance_of_the_integral_over_the_spectrum()
 
 
 def test_sea_state_5_moves_the_ship_by_degrees():
-    angles = wrap_pi(carrier_of(CarrierMotion(kind="sea_state"), seed=3).angles(np.arange(0.0, 600.0, 0.5)))
+    angles = wrap_pi(make_carrier(CarrierMotion(kind="sea_state"), seed=3).angles(np.arange(0.0, 600.0, 0.5)))
     heading_deg, pitch_deg, roll_deg = np.rad2deg(angles.std(axis=0))
     assert 0.2 < heading_deg < 1.5
     assert 0.7 < pitch_deg < 2.5
@@ -139,14 +139,14 @@ def test_sea_state_5_moves_the_ship_by_degrees():
 
 
 def test_beam_waves_roll_and_do_not_pitch():
-    sea = carrier_of(CarrierMotion(kind="sea_state", sea=Sea(direction_deg=90.0)), seed=1)
+    sea = make_carrier(CarrierMotion(kind="sea_state", sea=Sea(direction_deg=90.0)), seed=1)
     _, pitch, roll = np.sqrt(np.sum(np.abs(sea.phasor) ** 2, axis=0))
     assert pitch < 1e-12
     assert roll > 0.02
 
 
 def test_a_sea_does_not_repeat_itself_and_follows_its_seed():
-    first, again, other = (carrier_of(CarrierMotion(kind="sea_state"), seed) for seed in (7, 7, 8))
+    first, again, other = (make_carrier(CarrierMotion(kind="sea_state"), seed) for seed in (7, 7, 8))
     t_s = np.array([0.0, 12.3])
     np.testing.assert_array_equal(first.attitude(t_s), again.attitude(t_s))
     assert np.abs(first.attitude(t_s) - other.attitude(t_s)).max() > 1e-3

@@ -9,7 +9,7 @@ from ship_bags.message_store import RosbagsFactory
 from ship_estimation.gates import sigma_ratio_band
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC
-from ship_simulation.messages.to_messages import messages
+from ship_simulation.messages.to_messages import generate_messages
 from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario_file import load_scenario
@@ -29,7 +29,7 @@ def short_run(duration_s=4.0, **changes):
 
 
 def stars_of(run):
-    return [message for topic, message, _ in messages([run], RosbagsFactory()) if topic == STARS]
+    return [message for topic, message, _ in generate_messages([run], RosbagsFactory()) if topic == STARS]
 
 
 @pytest.mark.parametrize("exposure_s", [0.0, 0.8])
@@ -91,7 +91,7 @@ def test_parallelism_is_drawn_with_its_sigma_and_published_as_truth():
     for column, sigma in zip(drawn.T, np.array([2.0, 3.0, 40.0]) * ARCSEC, strict=True):
         assert low < np.sqrt(np.mean(column**2)) / sigma < high
     run = simulate(scenario, seed=5)
-    told = [message for topic, message, _ in messages([run], RosbagsFactory()) if topic == "truth/calibration"][-1]
+    told = [message for topic, message, _ in generate_messages([run], RosbagsFactory()) if topic == "truth/calibration"][-1]
     values = dict(zip(told.names, told.values, strict=True))
     of_camera = [values[f"telescopes.night.{angle}"] for angle in ("azimuth", "elevation", "roll")]
     np.testing.assert_array_equal(of_camera, known + drawn[5])

@@ -6,8 +6,8 @@ import pytest
 from ship_estimation.gates import sigma_ratio_band
 from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import GaussMarkov, CorrelatedError, arrival_times, random_stream
-from ship_simulation.draws.stretch import Draws, Stretch, stretches_of
-from ship_simulation.scenario.scenario import start_of
+from ship_simulation.draws.stretch import Draws, Stretch, split_voyage
+from ship_simulation.scenario.scenario import start_time_ns
 
 
 def assert_sigma(values, sigma):
@@ -50,10 +50,10 @@ def test_stamps_of_a_rate_that_does_not_divide_the_second_do_not_drift():
 @pytest.mark.parametrize(("rate_hz", "phase_s"), [(30.0, 0.01), (7.0, 0.0), (0.03, 12.0), (1.0, 0.5), (0.001, 0.0)])
 def test_stretches_contain_each_stamp_once_and_identify_the_last(rate_hz, phase_s):
     whole = Stretch(5, 101.5).stamps(rate_hz, phase_s)
-    parts = list(stretches_of(5, 101.5, 4))
+    parts = list(split_voyage(5, 101.5, 4))
     np.testing.assert_array_equal(np.concatenate([part.stamps(rate_hz, phase_s) for part in parts]), whole)
     assert len(whole) == parts[0].count(rate_hz, phase_s)
-    holders = [part for part in parts if part.holds_last(rate_hz, phase_s)]
+    holders = [part for part in parts if part.contains_last(rate_hz, phase_s)]
     assert [part.stamps(rate_hz, phase_s)[-1] for part in holders] == [whole[-1]]
 
 
@@ -72,13 +72,13 @@ def test_a_correlated_error_drops_no_part_that_is_still_requested():
     moments_s = np.linspace(0.0, 400.0, 1001)
     whole = CorrelatedError(random_stream(1, "test"), 390.0, np.array([1.0, 2.0]), 6.0)
     forgetful = CorrelatedError(random_stream(1, "test"), 390.0, np.array([1.0, 2.0]), 6.0)
-    expected = whole.at(moments_s)
+    expected = whole.values_at(moments_s)
     for first in range(0, 1001, 77):
         part = slice(first, first + 77)
-        forgetful.forget(moments_s[first] - 1.0)
-        np.testing.assert_array_equal(forgetful.at(moments_s[part]), expected[part])
+        forgetful.drop_before(moments_s[first] - 1.0)
+        np.testing.assert_array_equal(forgetful.values_at(moments_s[part]), expected[part])
     with pytest.raises(ValueError, match="dropped"):
-        forgetful.at(np.array([3.0]))
+        forgetful.values_at(np.array([3.0]))
 
 
 @pytest.mark.parametrize(
@@ -90,15 +90,15 @@ def test_a_correlated_error_drops_no_part_that_is_still_requested():
     ],
 )
 def test_start_of(text, ns):
-    assert start_of(text) == ns
+    assert start_time_ns(text) == ns
 
 
 @pytest.mark.parametrize("text", ["2014-07-09T11:50:07.8", "2014-07-09", "11:50:07Z", "yesterday"])
 def test_start_of_refuses_texts_that_are_no_utc_time(text):
     with pytest.raises(ValueError, match="expected YYYY-MM-DDThh:mm:ss"):
-        start_of(text)
+        start_time_ns(text)
 
 
 def test_start_of_refuses_a_thirteenth_month():
     with pytest.raises(ValueError, match="month"):
-        start_of("2014-13-09T11:50:07Z")
+        start_time_ns("2014-13-09T11:50:07Z")

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ship_geometry.ros_axes import quaternion_from_rotation
-from ship_simulation.messages.rows import BLOCK_ROWS, Rows
+from ship_simulation.messages.rows import BLOCK_ROWS, LazyRows
 from ship_simulation.messages.ship_messages import quaternion_rows
 
 COUNT = 2 * BLOCK_ROWS + 5
@@ -30,7 +30,7 @@ def test_rows_equal_those_computed_all_at_once():
 
 def test_blocks_are_computed_once_in_order_of_time():
     asked = CountedRows()
-    rows = Rows(asked)
+    rows = LazyRows(asked)
     # Order of arrival: some samples out of the order of their stamps, here across the ends of blocks.
     order = np.argsort(np.arange(COUNT) + np.random.default_rng(1).uniform(0.0, 50.0, COUNT))
     assert [rows[int(row)] for row in order] == (order**2).tolist()
@@ -39,11 +39,11 @@ def test_blocks_are_computed_once_in_order_of_time():
 
 def test_a_row_far_back_is_computed_again():
     asked = CountedRows()
-    rows = Rows(asked)
+    rows = LazyRows(asked)
     assert [rows[0], rows[BLOCK_ROWS], rows[2 * BLOCK_ROWS], rows[3]] == [0, BLOCK_ROWS**2, 4 * BLOCK_ROWS**2, 9]
     assert len(asked.parts) == 4
 
 
 def test_a_row_beyond_the_last_is_an_error():
     with pytest.raises(IndexError):
-        Rows(CountedRows())[COUNT]
+        LazyRows(CountedRows())[COUNT]

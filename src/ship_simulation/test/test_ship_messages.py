@@ -12,7 +12,7 @@ from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_geometry.time_scales import SECOND_NS
-from ship_simulation.messages.to_messages import messages
+from ship_simulation.messages.to_messages import generate_messages
 from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import AngleMotion
 from ship_simulation.scenario.scenario import Reference, StarSensor
@@ -29,7 +29,7 @@ def short_run(duration_s=3.0, **changes):
 
 
 def entries_of(run, topic):
-    return [(message, log) for name, message, log in messages([run], RosbagsFactory()) if name == topic]
+    return [(message, log) for name, message, log in generate_messages([run], RosbagsFactory()) if name == topic]
 
 
 def quaternion(message):
@@ -43,7 +43,7 @@ def vector(value):
 
 def test_entries_come_in_order_of_log_time_with_every_topic():
     run = short_run(references={"gyro": Reference()})
-    entries = list(messages([run], RosbagsFactory()))
+    entries = list(generate_messages([run], RosbagsFactory()))
     logs = [log for _, _, log in entries]
     assert logs == sorted(logs)
     counts = {topic: sum(name == topic for name, _, _ in entries) for topic, _, _ in entries}

@@ -17,17 +17,17 @@ from ship_geometry.rotations import ARCSEC, angle_between, log_rotation
 from ship_geometry.star_directions import Observer, directions, fixed_stars
 from ship_geometry.time_scales import SECOND_NS, julian_date, tt_julian_date
 from ship_simulation.run import simulate
-from ship_simulation.scenario.scenario import start_of
+from ship_simulation.scenario.scenario import start_time_ns
 from ship_simulation.ship.ship_track import ShipTrack
-from ship_simulation.stars.sky import draw_sky, place_of_date
+from ship_simulation.stars.sky import draw_sky, position_of_date
 from ship_testing.horizon_vectors import vector_between
 from ship_testing.paper_stars import paper_stars, with_position
 
 MAS = 1e-3 * ARCSEC
-START_NS = start_of("2014-07-09T11:50:07.8Z")
+START_NS = start_time_ns("2014-07-09T11:50:07.8Z")
 
 
-def drawn(seed, **changes):
+def draw(seed, **changes):
     scenario = paper_stars(**changes)
     return draw_sky(scenario, ShipTrack(scenario.position, START_NS), seed)
 
@@ -71,7 +71,7 @@ def by_atco13(sky, rows, time_ns):
 def test_directions_with_air_are_those_of_atco13():
     # UT1 1 s off and air far from the known one: the drawn values are used.
     weather = dataclasses.replace(paper_stars().weather, pressure_sigma_hpa=30.0, temperature_sigma_k=10.0)
-    sky = drawn(1, earth_rotation_sigma_s=1.0, weather=weather)
+    sky = draw(1, earth_rotation_sigma_s=1.0, weather=weather)
     assert abs(sky.ut1_error_s) > 0.1
     rows = sky.catalogue.rows_brighter_than(4.0)
     time_ns = np.array([START_NS, START_NS + 3600 * SECOND_NS])
@@ -97,14 +97,14 @@ def test_a_moving_ship_has_its_position_and_aberration():
     towards = velocity - at_rest * (at_rest @ velocity)[:, None]
     np.testing.assert_allclose(ours - at_rest, towards, rtol=0.0, atol=0.2 * MAS)
     # The position moves with the velocity: 9 km in ten minutes, by the chord on the ellipsoid.
-    start, end = (sky.track.at(np.array(time_ns)) for time_ns in (START_NS, later_ns))
+    start, end = (sky.track.position_at(np.array(time_ns)) for time_ns in (START_NS, later_ns))
     way_m = vector_between(start, end)
     assert way_m[[0, 2]] == pytest.approx([4500.0, 4500.0 * np.sqrt(3.0)], rel=1e-3)
 
 
 def test_the_almanacs_refraction_is_another():
     weather = dataclasses.replace(paper_stars().weather, refraction_model="almanac")
-    erfas, almanacs = drawn(1), drawn(1, weather=weather)
+    erfas, almanacs = draw(1), draw(1, weather=weather)
     rows = erfas.catalogue.rows_brighter_than(2.0)
     ours, theirs = (sky.directions(sky.positions[rows], np.array(START_NS)) for sky in (erfas, almanacs))
     elevation = elevation_of(ours)
@@ -117,9 +117,9 @@ def test_the_almanacs_refraction_is_another():
 
 def test_the_horizon_rotation_equals_that_of_erfas_cirs_chain():
     """Without aberration and deflection, ICRS → CIRS → observed by angles must be the one rotation."""
-    sky = drawn(2)
+    sky = draw(2)
     time_ns = np.array(START_NS + 1234 * SECOND_NS)
-    place, orientation = sky.track.at(time_ns), sky.orientation(time_ns)
+    place, orientation = sky.track.position_at(time_ns), sky.orientation(time_ns)
     stars = fixed_stars(*np.random.default_rng(1).uniform([0.0, -1.5], [6.2, 1.5], (50, 2)).T)
     astrom = erfa.apco(
         *tt_julian_date(time_ns),
@@ -147,23 +147,23 @@ def test_the_horizon_rotation_equals_that_of_erfas_cirs_chain():
 
 
 def test_the_refraction_rotation_is_about_the_horizontal():
-    sky = drawn(1)
+    sky = draw(1)
     rows = sky.catalogue.rows_brighter_than(3.0)
     stars = sky.positions[rows]
     seen = sky.directions(stars, np.array(START_NS))
     without_air = directions(stars, np.array(START_NS), observer_of(sky), sky.orientation(np.array(START_NS)))
     visible = np.isfinite(seen[:, 0])
-    lifted = (sky.lift(seen[visible]) @ without_air[visible][..., None])[..., 0]
+    lifted = (sky.refraction_rotation(seen[visible]) @ without_air[visible][..., None])[..., 0]
     assert np.max(angle_between(lifted, seen[visible])) < 0.01 * MAS
     # Its axis is horizontal, to the sensor's right: no rotation about the boresight or about Up.
-    turns_n = log_rotation(sky.lift(seen[visible]))
+    turns_n = log_rotation(sky.refraction_rotation(seen[visible]))
     np.testing.assert_allclose(turns_n[:, 1], 0.0, atol=1e-12)
     np.testing.assert_allclose(np.sum(turns_n * seen[visible], axis=1), 0.0, atol=1e-12)
-    assert np.isnan(sky.lift(np.array([1.0, 0.01, 0.0]))).all()
+    assert np.isnan(sky.refraction_rotation(np.array([1.0, 0.01, 0.0]))).all()
 
 
 def test_the_sun_is_where_skyfield_sees_it():
-    sky = drawn(1)
+    sky = draw(1)
     loader = Loader(Path(skyfield_data.__file__).parent / "data", verbose=False)
     ephemeris, timescale = loader("de421.bsp"), loader.timescale(builtin=True)
     place = wgs84.latlon(31.945213, 120.293086, elevation_m=20.0)
@@ -177,7 +177,7 @@ def test_the_sun_is_where_skyfield_sees_it():
 
 
 def test_the_date_of_the_reference_case_is_night():
-    elevation_deg = np.rad2deg(drawn(1).sun_elevation(START_NS + np.array([0, 600 * SECOND_NS])))
+    elevation_deg = np.rad2deg(draw(1).sun_elevation(START_NS + np.array([0, 600 * SECOND_NS])))
     assert elevation_deg[0] < -8.0
     assert elevation_deg[1] < elevation_deg[0]
 
@@ -185,7 +185,7 @@ def test_the_date_of_the_reference_case_is_night():
 @pytest.mark.statistics
 def test_errors_common_to_all_stars_have_their_sigmas():
     weather = dataclasses.replace(paper_stars().weather, pressure_sigma_hpa=2.0, temperature_sigma_k=3.0)
-    skies = [drawn(seed, weather=weather, earth_rotation_sigma_s=0.01) for seed in range(300)]
+    skies = [draw(seed, weather=weather, earth_rotation_sigma_s=0.01) for seed in range(300)]
     assert_sigma([sky.weather.pressure_hpa - 1008.3 for sky in skies], 2.0)
     assert_sigma([sky.weather.temperature_c - 28.2 for sky in skies], 3.0)
     assert_sigma([sky.ut1_error_s for sky in skies], 0.01)
@@ -194,14 +194,14 @@ def test_errors_common_to_all_stars_have_their_sigmas():
 
 def test_without_a_sigma_ut1_has_the_error_of_its_table():
     told = earth_orientation_table().at(START_NS)
-    skies = [drawn(seed) for seed in range(100)]
+    skies = [draw(seed) for seed in range(100)]
     assert_sigma([sky.ut1_error_s for sky in skies], float(told.ut1_sigma_s))
     true = skies[0].orientation(np.array(START_NS))
     assert true.ut1_minus_utc_s - told.ut1_minus_utc_s == pytest.approx(skies[0].ut1_error_s, abs=1e-15)
 
 
 def test_star_positions_have_the_errors_of_the_catalogue():
-    sky = drawn(3)
+    sky = draw(3)
     known, true = sky.catalogue.at_j2000, sky.positions
     # Independent of the implementation: 2014.52 is 23.27 years after 1991.25.
     sigma = np.hypot(sky.catalogue.position_sigma, 23.27 * sky.catalogue.pm_sigma)
@@ -212,11 +212,11 @@ def test_star_positions_have_the_errors_of_the_catalogue():
 
 
 def test_a_position_of_date_needs_no_proper_motion():
-    sky = drawn(1)
+    sky = draw(1)
     # Arcturus has moved by 33″ since 2000; Polaris is near the pole.
     rows = sky.catalogue.rows([69673, 11767])
     known = sky.catalogue.at_j2000[rows]
-    of_date = place_of_date(known, START_NS)
+    of_date = position_of_date(known, START_NS)
     args = (np.array(START_NS), observer_of(sky), sky.orientation(np.array(START_NS)))
     np.testing.assert_array_less(angle_between(directions(of_date, *args), directions(known, *args)), 0.01 * MAS)
     moved = angle_between(
@@ -230,7 +230,7 @@ def test_fixes_have_a_white_and_a_correlated_error_and_state_them():
         paper_stars(duration_s=3600.0), sigma_m=2.0, slow_sigma_m=10.0, slow_time_s=1.0, speed_m_per_s=10.0
     )
     fixes = simulate(dataclasses.replace(scenario, star_sensors={}), seed=1).fixes
-    true = ShipTrack(scenario.position, START_NS).at(fixes.time_ns)
+    true = ShipTrack(scenario.position, START_NS).position_at(fixes.time_ns)
     told = GeodeticPosition(np.deg2rad(fixes.latitude_deg), np.deg2rad(fixes.longitude_deg), fixes.height_m)
     error_m = vector_between(true, told)
     sigma_m = np.sqrt(2.0**2 + 10.0**2)

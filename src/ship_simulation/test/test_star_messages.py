@@ -10,7 +10,7 @@ from ship_bags.message_store import RosbagsFactory, message_store, serialize
 from ship_bags.stamps import ns_from_stamp
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.time_scales import SECOND_NS
-from ship_simulation.messages.to_messages import messages
+from ship_simulation.messages.to_messages import generate_messages
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import Fault
 from ship_simulation.simulate_command import write_bag
@@ -22,7 +22,7 @@ OBSERVATIONS, INERTIAL = "star/fore/observations", "star/fore/inertial_attitude"
 def entries_of(run, topic):
     """Return (message, log time) of one topic, through the bytes of a bag."""
     store = message_store()
-    found = [(message, log) for name, message, log in messages([run], RosbagsFactory()) if name == topic]
+    found = [(message, log) for name, message, log in generate_messages([run], RosbagsFactory()) if name == topic]
     return [(store.deserialize_cdr(serialize(message), message.__msgtype__), log) for message, log in found]
 
 

@@ -15,7 +15,7 @@ from ship_geometry.rotations import ARCSEC, angle_between, exp_rotation, log_rot
 from ship_geometry.time_scales import SECOND_NS, julian_date
 from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage
-from ship_simulation.ship.motion import carrier_of
+from ship_simulation.ship.motion import make_carrier
 from ship_testing.paper_stars import paper_stars, with_position, with_sensor
 
 MAS = 1e-3 * ARCSEC
@@ -97,7 +97,7 @@ def test_each_star_is_imaged_according_to_attitude_and_erfa():
     nominal = rotation_from_angles(0.0, np.deg2rad(45.0), 0.0)
     np.testing.assert_allclose(mounted.rotation_dv, nominal @ exp_rotation(mounted.installation_error_v))
     moments_s = (said.time_ns - run.start_ns) / SECOND_NS + 0.3
-    stiff = carrier_of(scenario.carrier, 3).attitude(moments_s) @ mounted.rotation_dv
+    stiff = make_carrier(scenario.carrier, 3).attitude(moments_s) @ mounted.rotation_dv
     bend = log_rotation(np.swapaxes(truth.rotation_nv, -1, -2) @ stiff)
     assert 10.0 < np.sqrt(np.mean(bend**2)) / ARCSEC < 250.0
     exposure = np.repeat(np.arange(said.time_ns.size), np.diff(said.first))
@@ -149,9 +149,9 @@ def test_centroids_scatter_by_their_sigma_and_magnitudes_too():
     assert_sigma(said.stars.magnitude - sky.catalogue.magnitude[sky.catalogue.rows(truth.hip)], 0.2)
 
 
-def ways_of(scenario, sightings, truth, count=200):
+def paths_of(scenario, sightings, truth, count=200):
     """Return the true points of each star at many times of its exposure, shape (count, k, 2)."""
-    sensor, carrier = scenario.star_sensors[FORE], carrier_of(scenario.carrier, 1)
+    sensor, carrier = scenario.star_sensors[FORE], make_carrier(scenario.carrier, 1)
     camera, first_ns = sensor.camera.camera("camera"), sightings.time_ns[0]
     exposure = np.repeat(np.arange(sightings.time_ns.size), np.diff(sightings.first))
     middle_s = (sightings.time_ns - first_ns)[exposure] / SECOND_NS
@@ -166,7 +166,7 @@ def ways_of(scenario, sightings, truth, count=200):
 def test_a_simulated_centroid_is_the_mean_of_the_star_s_true_path(exposure_s):
     scenario = paper_stars_one(exposure_s=exposure_s, camera={**QUIET, **DISTORTED})
     said, truth, _ = sightings_of(scenario)
-    way = ways_of(scenario, said, truth)
+    way = paths_of(scenario, said, truth)
     off = np.abs(way.mean(axis=0) - way[100]).max()
     np.testing.assert_allclose(said.pixel, way.mean(axis=0), atol=max(2e-3, 1e-4 * off))
     # Points without an exposure are unchanged.
@@ -177,7 +177,7 @@ def test_a_simulated_centroid_is_the_mean_of_the_star_s_true_path(exposure_s):
 def test_a_simulated_centroid_scatters_more_along_its_streak():
     scenario = paper_stars_one(duration_s=60.0, exposure_s=0.05)
     said, truth, _ = sightings_of(scenario)
-    way = ways_of(scenario, said, truth, 20)
+    way = paths_of(scenario, said, truth, 20)
     streak = (way[-1] - way[0]) * 20.0 / 19.0
     length = np.linalg.norm(streak, axis=-1)
     along = streak / length[:, None]
@@ -261,7 +261,7 @@ def test_swapped_identities_are_exchanged_within_their_exposure():
     for index in range(said.time_ns.size):
         rows = said.rows(index)
         wrong = said.stars.hip[rows] != truth.hip[rows]
-        np.testing.assert_array_equal(wrong, truth.swapped[rows])
+        np.testing.assert_array_equal(wrong, truth.is_swapped[rows])
         assert wrong.sum() in (0, 2)
         assert sorted(said.stars.hip[rows]) == sorted(truth.hip[rows])
         swapped_exposures += bool(wrong.any())
@@ -332,7 +332,7 @@ def test_the_boresight_of_an_inertial_attitude_is_without_aberration_and_with_re
     scenario = with_position(scenario, speed_m_per_s=15.0)
     run = simulate(scenario, seed=2)
     said, sky = run.stars[FORE], run.truth.sky
-    true_nv = carrier_of(scenario.carrier, 2).attitude((said.time_ns - run.start_ns) / SECOND_NS)
+    true_nv = make_carrier(scenario.carrier, 2).attitude((said.time_ns - run.start_ns) / SECOND_NS)
     true_nv = true_nv @ run.truth.stars[FORE].rotation_dv
     rotation_nc = sky.rotation_horizon_from_icrs(said.time_ns)
     bare_nv = rotation_nc @ said.rotation_cv

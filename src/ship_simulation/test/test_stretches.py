@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from ship_bags.message_store import RosbagsFactory, serialize
-from ship_simulation.messages.to_messages import messages
+from ship_simulation.messages.to_messages import generate_messages
 from ship_simulation.run import simulate, simulate_stretches
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.motion_scenario import Outage
@@ -41,7 +41,7 @@ def everything(**changes):
 
 
 def logged(runs):
-    return [(topic, serialize(message), log_ns) for topic, message, log_ns in messages(runs, RosbagsFactory())]
+    return [(topic, serialize(message), log_ns) for topic, message, log_ns in generate_messages(runs, RosbagsFactory())]
 
 
 @pytest.mark.parametrize("length_s", [2, 4, 6])

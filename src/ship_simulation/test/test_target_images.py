@@ -10,7 +10,7 @@ from ship_estimation.gates import sigma_ratio_band
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.ros_axes import ENU_FROM_HORIZON
 from ship_geometry.rotations import ARCSEC
-from ship_simulation.messages.to_messages import messages
+from ship_simulation.messages.to_messages import generate_messages
 from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario_file import load_scenario
@@ -41,7 +41,7 @@ def exact(**target):
 def target_messages(run):
     """Return topic → its messages."""
     found = {}
-    for topic, message, _ in messages([run], RosbagsFactory()):
+    for topic, message, _ in generate_messages([run], RosbagsFactory()):
         found.setdefault(topic, []).append(message)
     return found
 

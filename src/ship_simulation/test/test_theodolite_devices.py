@@ -13,7 +13,7 @@ from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.ship.rtk import FIXED, FLOAT, NONE
 from ship_simulation.theodolite.devices import points_on_detector
-from ship_simulation.theodolite.scene import axis_errors_of, draw_theodolite, parallelism_of, surveyed
+from ship_simulation.theodolite.scene import axis_errors_of, draw_theodolite, parallelism_of, surveyed_vector
 from ship_testing.theodolite_scenes import bag_scenario, replaced, with_beacons, with_theodolite
 
 SEEDS = 400
@@ -46,8 +46,8 @@ def test_constants_are_drawn_with_their_sigmas():
     parallelism, parallelism_sigma = parallelism_of(config.telescope)
     assert_sigma([(true.parallelism - parallelism) / parallelism_sigma for true in drawn], 1.0)
     assert_sigma([true.focal_length_m - 0.1 for true in drawn], 1e-4)
-    assert_sigma([true.lever_d - surveyed(config.lever) for true in drawn], 0.005)
-    assert_sigma([true.lens_m - surveyed(config.telescope.lens) for true in drawn], 0.002)
+    assert_sigma([true.lever_d - surveyed_vector(config.lever) for true in drawn], 0.005)
+    assert_sigma([true.lens_m - surveyed_vector(config.telescope.lens) for true in drawn], 0.002)
 
 
 def test_uniform_axis_errors_fill_their_range_and_no_more():
@@ -65,7 +65,7 @@ def test_correlated_errors_are_gauss_markov_at_any_time():
     # Independent at twenty correlation times; between grid points as on them.
     moments_s = 10.0 * np.arange(2000) + 0.005
     process = CorrelatedError(random_stream(1, "test"), moments_s[-1] + 1.0, np.array([3.0]), 0.5)
-    first, later = process.at(moments_s)[:, 0], process.at(moments_s + 0.15)[:, 0]
+    first, later = process.values_at(moments_s)[:, 0], process.values_at(moments_s + 0.15)[:, 0]
     assert_sigma(first, 3.0)
     # exp(-0.15/0.5), with the standard deviation of a correlation of 2000 pairs.
     assert np.corrcoef(first, later)[0, 1] == pytest.approx(np.exp(-0.3), abs=3.3 * (1 - np.exp(-0.6)) / np.sqrt(2000))
@@ -90,9 +90,9 @@ def test_deformation_and_refraction_have_their_sigmas_over_runs():
     scenario = with_theodolite(bag_scenario(duration_s=1.0), air__light_sigma=0.03)
     scenes = [simulate(scenario, seed).theodolite.truth.scene for seed in range(60)]
     moment = np.array([0.7])
-    assert_sigma([scene.deformation.at(moment) for scene in scenes], 20.0 * ARCSEC)
-    assert_sigma([scene.refraction.at(moment) for scene in scenes], 0.06)
-    own = np.array([[light.refraction.at(moment)[0, 0] for light in scene.beacons.values()] for scene in scenes])
+    assert_sigma([scene.deformation.values_at(moment) for scene in scenes], 20.0 * ARCSEC)
+    assert_sigma([scene.refraction.values_at(moment) for scene in scenes], 0.06)
+    own = np.array([[light.refraction.values_at(moment)[0, 0] for light in scene.beacons.values()] for scene in scenes])
     assert_sigma(own, 0.03)
     assert abs(np.corrcoef(own.T)[0, 1]) < 3.3 / np.sqrt(60)
 

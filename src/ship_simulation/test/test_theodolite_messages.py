@@ -12,7 +12,7 @@ from ship_bags.stamps import ns_from_stamp
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.time_scales import SECOND_NS
-from ship_simulation.messages.to_messages import messages
+from ship_simulation.messages.to_messages import generate_messages
 from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario import Fault
@@ -29,11 +29,11 @@ def run():
 
 
 def entries_of(run, topic):
-    return [(message, log) for name, message, log in messages([run], RosbagsFactory()) if name == topic]
+    return [(message, log) for name, message, log in generate_messages([run], RosbagsFactory()) if name == topic]
 
 
 def test_every_topic_is_there_in_order_of_arrival(run):
-    entries = list(messages([run], RosbagsFactory()))
+    entries = list(generate_messages([run], RosbagsFactory()))
     assert [log for _, _, log in entries] == sorted(log for _, _, log in entries)
     counts = {topic: sum(name == topic for name, _, _ in entries) for topic, _, _ in entries}
     drones = {f"beacon/{key}/{what}": 31 for key in "ab" for what in ("baseline", "imu")}
@@ -135,7 +135,7 @@ def faulty(topic, kind, **changes):
     return clean, entries_of(simulate(dataclasses.replace(scenario, faults={"f": fault}), seed=1), topic)
 
 
-def changed(clean, spoilt):
+def changed_entries(clean, spoilt):
     """Return the pairs (clean, faulty) that differ; they are those from 1 s to 2 s."""
     assert len(clean) == len(spoilt)
     start_ns = 1_404_906_607_800_000_000
@@ -160,7 +160,7 @@ def test_a_stuck_encoder_has_new_stamps_and_the_old_angles():
 
 
 def test_encoders_in_degrees():
-    pairs = changed(*faulty(ENCODER, "angles_in_degrees"))
+    pairs = changed_entries(*faulty(ENCODER, "angles_in_degrees"))
     assert len(pairs) == 50
     for before, after in pairs:
         assert after.elevation == pytest.approx(np.rad2deg(before.elevation))
@@ -168,20 +168,20 @@ def test_encoders_in_degrees():
 
 
 def test_swapped_lights_keep_their_points():
-    for before, after in changed(*faulty(IMAGE, "swap")):
+    for before, after in changed_entries(*faulty(IMAGE, "swap")):
         assert [light.beacon_id for light in after.beacons] == ["b", "a"]
         assert [(light.x, light.z) for light in after.beacons] == [(light.x, light.z) for light in before.beacons]
 
 
 def test_a_hidden_light_is_missing():
-    for _, after in changed(*faulty(IMAGE, "hide")):
+    for _, after in changed_entries(*faulty(IMAGE, "hide")):
         assert [light.beacon_id for light in after.beacons] == ["b"]
 
 
 def test_a_wrong_id_in_the_image_and_in_the_baseline():
-    for _, after in changed(*faulty(IMAGE, "wrong_id")):
+    for _, after in changed_entries(*faulty(IMAGE, "wrong_id")):
         assert [light.beacon_id for light in after.beacons] == ["a_other", "b"]
-    for before, after in changed(*faulty(BASELINE, "wrong_id")):
+    for before, after in changed_entries(*faulty(BASELINE, "wrong_id")):
         assert (before.rover_id, after.rover_id) == ("a", "a_other")
 
 
@@ -192,7 +192,7 @@ def test_a_late_baseline_keeps_its_stamp_and_a_late_stamp_its_arrival():
     assert {serialize(m) for m, _ in clean} == {serialize(m) for m, _ in late}
     clean, stamped = faulty(BASELINE, "stamp_late", delay_s=1.0)
     assert [log for _, log in clean] == [log for _, log in stamped]
-    for before, after in changed(clean, stamped):
+    for before, after in changed_entries(clean, stamped):
         assert ns_from_stamp(after.header.stamp) - ns_from_stamp(before.header.stamp) == SECOND_NS
         assert after.enu == before.enu
 
@@ -208,18 +208,18 @@ def test_a_late_baseline_keeps_its_stamp_and_a_late_stamp_its_arrival():
     ],
 )
 def test_nan_and_frame_reach_every_topic(topic, value):
-    for before, after in changed(*faulty(topic, "nan")):
+    for before, after in changed_entries(*faulty(topic, "nan")):
         assert np.isnan(value(after))
         assert not np.isnan(value(before))
-    for before, after in changed(*faulty(topic, "frame")):
+    for before, after in changed_entries(*faulty(topic, "frame")):
         assert after.header.frame_id == before.header.frame_id + "_other"
 
 
 @pytest.mark.parametrize("topic", [BASELINE, "ship/attitude"])
 def test_covariances_unknown_and_negative(topic):
-    for _, after in changed(*faulty(topic, "covariance_unknown")):
+    for _, after in changed_entries(*faulty(topic, "covariance_unknown")):
         assert not after.covariance.any()
-    for before, after in changed(*faulty(topic, "covariance_negative")):
+    for before, after in changed_entries(*faulty(topic, "covariance_negative")):
         assert after.covariance[4] == -before.covariance[4] < 0.0
 
 

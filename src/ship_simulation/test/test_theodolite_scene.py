@@ -13,7 +13,7 @@ from ship_simulation.run import simulate
 from ship_simulation.scenario.theodolite_scenario import Flight, Hover, Orbit, Programme, Waypoint
 from ship_simulation.theodolite.devices import points_on_detector
 from ship_simulation.theodolite.flight import flight_path
-from ship_simulation.theodolite.scene import axis_errors_of, parallelism_of, surveyed
+from ship_simulation.theodolite.scene import axis_errors_of, parallelism_of, surveyed_vector
 from ship_testing.theodolite_scenes import (
     bag_scenario,
     replaced,
@@ -31,10 +31,10 @@ NONE = np.zeros(3)
 
 def survey_of(scenario):
     config = scenario.theodolite
-    lights = [surveyed(beacon.light) for _, beacon in sorted(scenario.beacons.items())]
+    lights = [surveyed_vector(beacon.light) for _, beacon in sorted(scenario.beacons.items())]
     return Survey(
-        theodolite_lever=LeverArm(surveyed(config.lever), NONE),
-        principal_point=LeverArm(surveyed(config.telescope.lens), NONE),
+        theodolite_lever=LeverArm(surveyed_vector(config.lever), NONE),
+        principal_point=LeverArm(surveyed_vector(config.telescope.lens), NONE),
         beacon_lever=LeverArm(np.array(lights), NONE),
         rtk_base_sigma_m=NONE,
         rtk_bias_sigma_m=NONE,

@@ -30,7 +30,7 @@ from ship_simulation.scenario.names import (
     STAR,
     TARGET,
     TEMPERATURE,
-    can_happen,
+    is_applicable,
 )
 from ship_testing.returns.voyages import VOYAGES, VoyageData
 
@@ -215,7 +215,7 @@ def _kinds(voyages: Mapping[str, VoyageData]) -> Iterator[tuple[str, str, str, d
     for voyage, data in voyages.items():
         for topic, kind in itertools.product(_own_topics(voyage, data), KINDS):
             type_name = data.topics[topic]
-            if can_happen(kind, type_name):
+            if is_applicable(kind, type_name):
                 yield voyage, kind, topic, sizes_of(kind, topic, type_name)
 
 

@@ -24,7 +24,7 @@ from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC
 from ship_replay.evaluation.sources import JOINT_SOLUTION, Truth
 from ship_replay.offline.exclusion_history import INTEGRITY_TOPICS
 from ship_replay.trials.voyage_told import VoyageSink
-from ship_simulation.faults.faults import Delivery, spoilt
+from ship_simulation.faults.faults import Delivery, apply_faults
 from ship_simulation.scenario.fault import Fault
 from ship_testing.returns.cells import FIX_TOPIC, START_S, Cell
 from ship_testing.returns.voyages import BOUND_S, VOYAGES, Message, VoyageData, load_voyage
@@ -273,7 +273,7 @@ def delivered(cell: Cell, data: VoyageData) -> Iterator[Message]:
 def _spoilt(topic: str, faults: dict[str, Fault], seed: int, data: VoyageData) -> Iterator[Message]:
     """Return the messages of a topic with its faults."""
     given = _deliveries(topic, list(faults.values()), data)
-    for one in spoilt(given, data.topics[topic], faults, data.start_ns, seed, data.optics):
+    for one in apply_faults(given, data.topics[topic], faults, data.start_ns, seed, data.optics):
         yield Message(topic, one.message, one.stamp_ns or 0, one.log_time_ns, one.order)
 
 

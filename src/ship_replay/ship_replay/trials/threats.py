@@ -13,7 +13,7 @@ import numpy as np
 
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.fault_file import numeric_fields
-from ship_simulation.scenario.names import FIRST_VALUE, can_happen
+from ship_simulation.scenario.names import FIRST_VALUE, is_applicable
 
 Sizes = dict[str, Any]
 Draw = Callable[[np.random.Generator], Sizes]
@@ -214,5 +214,5 @@ def _matching_topics(threat: Threat, topics: Mapping[str, str]) -> list[str]:
     return [
         topic
         for topic, type_name in sorted(topics.items())
-        if re.fullmatch(threat.topics, topic) and can_happen(threat.kind, type_name) and type_name in FIRST_VALUE
+        if re.fullmatch(threat.topics, topic) and is_applicable(threat.kind, type_name) and type_name in FIRST_VALUE
     ]

@@ -15,14 +15,14 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.scenario.motion_scenario import Outage
 
-_LONGEST_STEP_S = 0.1
-_LEAST_STEPS = 50
+_MAX_STEP_S = 0.1
+_MIN_STEPS = 50
 """Grid steps per correlation time: the variance halfway between two grid points is then 1 % too small."""
 
 TRUTH_RATE_HZ = 10.0
 """Rate of the truth in a simulated bag, Hz."""
 
-_FEWEST_NODES, _NODES_PER_SECOND = 7, 5.0
+_MIN_NODES, _NODES_PER_SECOND = 7, 5.0
 """Number of nodes of the sum over an exposure: the least, and the additional nodes per second."""
 
 
@@ -77,32 +77,32 @@ class CorrelatedError:
     """
 
     def __init__(self, rng: np.random.Generator, duration_s: float, sigma: FloatArray, time_s: float) -> None:
-        self._period_s = min(_LONGEST_STEP_S, time_s / _LEAST_STEPS)
+        self._period_s = min(_MAX_STEP_S, time_s / _MIN_STEPS)
         self._count = int(np.ceil(duration_s / self._period_s)) + 1
         self._process = GaussMarkov(rng, self._period_s, sigma, np.full(len(sigma), time_s))
         self._first = 0
         self._values = self._process.take(1)
 
-    def at(self, t_s: FloatArray) -> FloatArray:
+    def values_at(self, t_s: FloatArray) -> FloatArray:
         """Return the processes at times, shape (k, n).
 
         Raises:
             ValueError: a time is before the dropped part.
         """
         if np.size(t_s):
-            self._reach(float(np.max(t_s)))
+            self._extend_to(float(np.max(t_s)))
         moments_s = self._period_s * np.arange(self._first, self._first + len(self._values))
         if self._first and np.any(t_s < moments_s[0]):
             raise ValueError(f"the correlated error before {moments_s[0]:.1f} s has been dropped")
         return np.stack([np.interp(t_s, moments_s, column) for column in self._values.T], axis=-1)
 
-    def forget(self, before_s: float) -> None:
+    def drop_before(self, before_s: float) -> None:
         """Drop the part before a time; earlier times may not be requested any more."""
         first = min(int(before_s / self._period_s), self._first + len(self._values) - 1)
         if first > self._first:
             self._values, self._first = self._values[first - self._first :].copy(), first
 
-    def _reach(self, t_s: float) -> None:
+    def _extend_to(self, t_s: float) -> None:
         wanted = min(int(t_s / self._period_s) + 2, self._count)
         more = wanted - (self._first + len(self._values))
         if more > 0:
@@ -115,7 +115,7 @@ def arrival_times(stamp_ns: np.ndarray, latency_s: float, jitter_s: float, rng: 
     return stamp_ns + np.rint(delay_s * SECOND_NS).astype(np.int64)
 
 
-def outside(since_start_s: FloatArray, outages: dict[str, Outage]) -> np.ndarray:
+def is_outside(since_start_s: FloatArray, outages: dict[str, Outage]) -> np.ndarray:
     """True for each time (seconds after the start) outside all outages, shape (n,)."""
     keep = np.ones(since_start_s.size, dtype=bool)
     for outage in outages.values():
@@ -123,12 +123,12 @@ def outside(since_start_s: FloatArray, outages: dict[str, Outage]) -> np.ndarray
     return keep
 
 
-def truth_index(time_ns: np.ndarray, start_ns: int, ends: bool = True) -> np.ndarray:
+def truth_indices(time_ns: np.ndarray, start_ns: int, ends: bool = True) -> np.ndarray:
     """Return the first sample in each tenth of a second, and the last one if the samples end here, shape (m,)."""
     return _first_in_each(round(SECOND_NS / TRUTH_RATE_HZ), time_ns, start_ns, ends)
 
 
-def once_a_second(time_ns: np.ndarray, start_ns: int, ends: bool = True) -> np.ndarray:
+def first_in_each_second(time_ns: np.ndarray, start_ns: int, ends: bool = True) -> np.ndarray:
     """Return the first sample in each second, and the last one if the samples end here, shape (m,)."""
     return _first_in_each(SECOND_NS, time_ns, start_ns, ends)
 
@@ -148,19 +148,19 @@ class ExposureTimes:
     """
 
     since_middle_s: FloatArray
-    share: FloatArray
+    weight: FloatArray
 
 
 def exposure_times(exposure_s: float) -> ExposureTimes:
     """Return the quadrature nodes of an exposure; an exposure of length 0 has its middle only."""
     if exposure_s == 0.0:
         return ExposureTimes(np.zeros(1), np.ones(1))
-    count = _FEWEST_NODES + math.ceil(_NODES_PER_SECOND * exposure_s)
+    count = _MIN_NODES + math.ceil(_NODES_PER_SECOND * exposure_s)
     place, weight = np.polynomial.legendre.leggauss(count)
     return ExposureTimes(0.5 * exposure_s * place, 0.5 * weight)
 
 
-def centroids(times: ExposureTimes, way: FloatArray, psf_sigma: float, sigma: float, noise: FloatArray) -> FloatArray:
+def centroids(times: ExposureTimes, path: FloatArray, psf_sigma: float, sigma: float, noise: FloatArray) -> FloatArray:
     """Return centroids of points that move during an exposure, with their errors, shape (..., 2).
 
     Args:
@@ -170,10 +170,10 @@ def centroids(times: ExposureTimes, way: FloatArray, psf_sigma: float, sigma: fl
         sigma: error of the centroid of an image at rest, each axis.
         noise: standard normal numbers, shape (..., 2).
     """
-    mean = np.tensordot(times.share, way, axes=1)
-    if len(times.share) > 1:
-        off = (way - mean) / psf_sigma
-        spread = np.einsum("m,m...i,m...j->...ij", times.share, off, off)
+    mean = np.tensordot(times.weight, path, axes=1)
+    if len(times.weight) > 1:
+        off = (path - mean) / psf_sigma
+        spread = np.einsum("m,m...i,m...j->...ij", times.weight, off, off)
         # Root of the light's covariance in units of the image of a point at rest.
         value, vector = np.linalg.eigh(np.eye(2) + np.where(np.isfinite(spread), spread, 0.0))
         noise = ((vector * np.sqrt(value)[..., None, :]) @ np.swapaxes(vector, -1, -2) @ noise[..., None])[..., 0]

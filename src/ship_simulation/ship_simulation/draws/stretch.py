@@ -22,7 +22,7 @@ STRETCH_S = 20
 _HISTORY_S = 10.0
 """Longest time before a stretch for which a correlated error is requested; exposures and offsets are shorter."""
 
-_NORMALS_AT_ONCE = 4096
+_NORMALS_PER_BATCH = 4096
 
 
 @dataclass(frozen=True)
@@ -42,14 +42,14 @@ class Stretch:
     end_s: float = math.inf
 
     @property
-    def ends(self) -> bool:
+    def is_last(self) -> bool:
         """True if it is the last stretch of the voyage."""
         return math.isinf(self.end_s)
 
     @property
     def end_ns(self) -> float:
         """End of the stretch, ns; infinite for the last one."""
-        return self.end_s if self.ends else self.start_ns + round(self.end_s * SECOND_NS)
+        return self.end_s if self.is_last else self.start_ns + round(self.end_s * SECOND_NS)
 
     def count(self, rate_hz: float, phase_s: float) -> int:
         """Return the number of regular samples from ``phase_s`` after the start to the end of the voyage."""
@@ -61,7 +61,7 @@ class Stretch:
         numbers, offsets_ns = self._samples(rate_hz, phase_s)
         return self.start_ns + offsets_ns[numbers < self.count(rate_hz, phase_s)]
 
-    def holds_last(self, rate_hz: float, phase_s: float) -> bool:
+    def contains_last(self, rate_hz: float, phase_s: float) -> bool:
         """True if the last one of these samples is in the stretch."""
         numbers, _ = self._samples(rate_hz, phase_s)
         return self.count(rate_hz, phase_s) - 1 in numbers
@@ -79,7 +79,7 @@ class Stretch:
         return numbers[inside], offsets_ns[inside]
 
 
-def stretches_of(start_ns: int, duration_s: float, length_s: int) -> Iterator[Stretch]:
+def split_voyage(start_ns: int, duration_s: float, length_s: int) -> Iterator[Stretch]:
     """Divide a voyage into stretches of ``length_s``; the last stretch contains the remainder."""
     last = max(math.ceil(duration_s / length_s) - 1, 0)
     for number in range(last + 1):
@@ -87,14 +87,14 @@ def stretches_of(start_ns: int, duration_s: float, length_s: int) -> Iterator[St
         yield Stretch(start_ns, duration_s, begin_s, begin_s + length_s if number < last else math.inf)
 
 
-class Lasting(Protocol):
+class PersistentDraw(Protocol):
     """A drawn quantity that continues through a voyage."""
 
-    def forget(self, before_s: float) -> None:
+    def drop_before(self, before_s: float) -> None:
         """Drop the part before a time; earlier times may not be requested any more."""
 
 
-LastingT = TypeVar("LastingT", bound=Lasting)
+PersistentDrawT = TypeVar("PersistentDrawT", bound=PersistentDraw)
 
 
 class Draws:
@@ -108,16 +108,16 @@ class Draws:
         self.seed = seed
         self._streams: dict[tuple[str, int], np.random.Generator] = {}
         self._processes: dict[str, GaussMarkov] = {}
-        self._lasting: dict[str, Lasting] = {}
+        self._persistent_draws: dict[str, PersistentDraw] = {}
 
     def stream(self, component: str, after: int = 0) -> np.random.Generator:
         """Return the random stream of a component, advanced by ``after`` standard normal numbers."""
-        found = self._streams.get((component, after))
-        if found is None:
-            found = self._streams[component, after] = random_stream(self.seed, component)
-            for begin in range(0, after, _NORMALS_AT_ONCE):
-                found.standard_normal(min(_NORMALS_AT_ONCE, after - begin))
-        return found
+        generator = self._streams.get((component, after))
+        if generator is None:
+            generator = self._streams[component, after] = random_stream(self.seed, component)
+            for begin in range(0, after, _NORMALS_PER_BATCH):
+                generator.standard_normal(min(_NORMALS_PER_BATCH, after - begin))
+        return generator
 
     def gauss_markov(
         self, component: str, count: int, period_s: float, sigma: FloatArray, time_s: FloatArray
@@ -130,15 +130,15 @@ class Draws:
     def correlated_error(self, component: str, duration_s: float, sigma: FloatArray, time_s: float) -> CorrelatedError:
         """Return a component's correlated error, the same object at each call."""
         make = functools.partial(CorrelatedError, duration_s=duration_s, sigma=sigma, time_s=time_s)
-        return self.lasting(component, make)
+        return self.persistent_draw(component, make)
 
-    def lasting(self, component: str, make: Callable[[np.random.Generator], LastingT]) -> LastingT:
+    def persistent_draw(self, component: str, make: Callable[[np.random.Generator], PersistentDrawT]) -> PersistentDrawT:
         """Return a component's draw with a random stream of its own, the same object at each call."""
-        if component not in self._lasting:
-            self._lasting[component] = make(random_stream(self.seed, component))
-        return cast(LastingT, self._lasting[component])
+        if component not in self._persistent_draws:
+            self._persistent_draws[component] = make(random_stream(self.seed, component))
+        return cast(PersistentDrawT, self._persistent_draws[component])
 
     def begin_stretch(self, stretch: Stretch) -> None:
         """Drop the parts of all draws that a stretch and later ones do not need."""
-        for lasting in self._lasting.values():
-            lasting.forget(stretch.begin_s - _HISTORY_S)
+        for lasting in self._persistent_draws.values():
+            lasting.drop_before(stretch.begin_s - _HISTORY_S)

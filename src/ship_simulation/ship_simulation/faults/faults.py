@@ -17,13 +17,13 @@ from ship_bags.stamps import stamp_fields
 from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.faults.optics import Optics
-from ship_simulation.faults.values import Spoiler
+from ship_simulation.faults.values import ValueFault
 from ship_simulation.scenario.fault import Fault
 
 _REPETITION_AFTER_NS = 1_000_000
 _LONGEST_PERIOD_NS = SECOND_NS
 
-PASSED = object()
+WATERMARK = object()
 """Marks a time without a message: all further deliveries arrive later. Faults do not affect it."""
 
 
@@ -49,7 +49,7 @@ class Delivery:
 Deliveries = Iterator[Delivery]
 
 
-def spoilt(
+def apply_faults(
     deliveries: Deliveries, type_name: str, faults: Mapping[str, Fault], start_ns: int, seed: int, optics: Optics
 ) -> Deliveries:
     """Return the deliveries of one topic with its faults, in order of arrival.
@@ -69,7 +69,7 @@ def spoilt(
         if stream is not None:
             deliveries = stream(deliveries, window)
         else:
-            deliveries = _values(deliveries, window, Spoiler(fault, type_name, optics, rng))
+            deliveries = _apply_to_values(deliveries, window, ValueFault(fault, type_name, optics, rng))
     return deliveries
 
 
@@ -81,7 +81,7 @@ class _FaultWindow:
     start_ns: int
     rng: np.random.Generator
 
-    def since_s(self, delivery: Delivery) -> float | None:
+    def elapsed_s(self, delivery: Delivery) -> float | None:
         """Return the time from the fault's start to the stamp of an affected message, s; None if it is not affected."""
         if delivery.stamp_ns is None:
             return None
@@ -92,9 +92,9 @@ class _FaultWindow:
             return None
         return since_start_s - self.fault.start_s
 
-    def hits(self, delivery: Delivery) -> bool:
+    def is_hit(self, delivery: Delivery) -> bool:
         """True if the fault affects a message."""
-        return self.since_s(delivery) is not None
+        return self.elapsed_s(delivery) is not None
 
 
 class _DeliveryQueue:
@@ -104,73 +104,73 @@ class _DeliveryQueue:
         self._heap: list[tuple[int, int, Delivery]] = []
         self._count = 0
 
-    def put(self, delivery: Delivery) -> None:
+    def push(self, delivery: Delivery) -> None:
         heapq.heappush(self._heap, (delivery.log_time_ns, self._count, delivery))
         self._count += 1
 
-    def ready(self, now_ns: int | None) -> Deliveries:
+    def pop_until(self, now_ns: int | None) -> Deliveries:
         """Yield the deliveries that have arrived by a time; None: all."""
         while self._heap and (now_ns is None or self._heap[0][0] <= now_ns):
             yield heapq.heappop(self._heap)[2]
 
 
-def _values(deliveries: Deliveries, window: _FaultWindow, spoiler: Spoiler) -> Deliveries:
+def _apply_to_values(deliveries: Deliveries, window: _FaultWindow, spoiler: ValueFault) -> Deliveries:
     for delivery in deliveries:
-        since_s = window.since_s(delivery)
+        since_s = window.elapsed_s(delivery)
         if since_s is not None:
-            spoiler.spoil(delivery.message, since_s)
+            spoiler.apply(delivery.message, since_s)
             delivery.data = None
         yield delivery
 
 
 def _drop(deliveries: Deliveries, window: _FaultWindow) -> Deliveries:
-    return (delivery for delivery in deliveries if not window.hits(delivery))
+    return (delivery for delivery in deliveries if not window.is_hit(delivery))
 
 
 def _delay(deliveries: Deliveries, window: _FaultWindow) -> Deliveries:
     queue = _DeliveryQueue()
     for delivery in deliveries:
         now_ns = delivery.log_time_ns
-        if window.hits(delivery):
+        if window.is_hit(delivery):
             share = window.rng.random() if window.fault.kind == "reorder" else 1.0
             delivery.log_time_ns += round(share * window.fault.delay_s * SECOND_NS)
-        queue.put(delivery)
+        queue.push(delivery)
         # Later deliveries arrive later than this one did without the fault.
-        yield from queue.ready(now_ns)
-    yield from queue.ready(None)
+        yield from queue.pop_until(now_ns)
+    yield from queue.pop_until(None)
 
 
 def _duplicate(deliveries: Deliveries, window: _FaultWindow) -> Deliveries:
     queue = _DeliveryQueue()
     for delivery in deliveries:
-        queue.put(delivery)
-        if window.hits(delivery):
-            queue.put(_again(delivery, delivery.log_time_ns + _REPETITION_AFTER_NS))
-        yield from queue.ready(delivery.log_time_ns)
-    yield from queue.ready(None)
+        queue.push(delivery)
+        if window.is_hit(delivery):
+            queue.push(_repeat(delivery, delivery.log_time_ns + _REPETITION_AFTER_NS))
+        yield from queue.pop_until(delivery.log_time_ns)
+    yield from queue.pop_until(None)
 
 
 def _conflict(deliveries: Deliveries, window: _FaultWindow) -> Deliveries:
     queue = _DeliveryQueue()
     waiting: Delivery | None = None
     for delivery in deliveries:
-        if delivery.message is PASSED:
+        if delivery.message is WATERMARK:
             # The waiting delivery is still pending, so the watermark must not pass it.
             delivery.log_time_ns = delivery.log_time_ns if waiting is None else waiting.log_time_ns
-            queue.put(delivery)
+            queue.push(delivery)
         else:
             if waiting is not None:
-                queue.put(_with_values(waiting, delivery))
-            queue.put(delivery)
-            waiting = _again(delivery, delivery.log_time_ns) if window.hits(delivery) else None
-        yield from queue.ready(delivery.log_time_ns)
-    yield from queue.ready(None)
+                queue.push(_copy_with_values(waiting, delivery))
+            queue.push(delivery)
+            waiting = _repeat(delivery, delivery.log_time_ns) if window.is_hit(delivery) else None
+        yield from queue.pop_until(delivery.log_time_ns)
+    yield from queue.pop_until(None)
 
 
 def _freeze(deliveries: Deliveries, window: _FaultWindow) -> Deliveries:
     frozen_message: Any = None
     for delivery in deliveries:
-        if window.hits(delivery):
+        if window.is_hit(delivery):
             if frozen_message is None:
                 frozen_message = copy.deepcopy(delivery.message)
             else:
@@ -185,27 +185,27 @@ def _flood(deliveries: Deliveries, window: _FaultWindow) -> Deliveries:
     last_ns: int | None = None
     for delivery in deliveries:
         now_ns = delivery.log_time_ns
-        queue.put(delivery)
+        queue.push(delivery)
         period_ns = 0 if last_ns is None else min(now_ns - last_ns, _LONGEST_PERIOD_NS)
-        if window.hits(delivery):
+        if window.is_hit(delivery):
             for number in range(1, window.fault.times):
-                other = _again(delivery, now_ns + period_ns * number // window.fault.times)
+                other = _repeat(delivery, now_ns + period_ns * number // window.fault.times)
                 back_ns = round(window.rng.random() * window.fault.spread_s * SECOND_NS)
                 stamp = other.message.header.stamp
                 stamp.sec, stamp.nanosec = stamp_fields((delivery.stamp_ns or 0) - back_ns)
                 other.data = None
-                queue.put(other)
-        last_ns = last_ns if delivery.message is PASSED else now_ns
-        yield from queue.ready(now_ns)
-    yield from queue.ready(None)
+                queue.push(other)
+        last_ns = last_ns if delivery.message is WATERMARK else now_ns
+        yield from queue.pop_until(now_ns)
+    yield from queue.pop_until(None)
 
 
-def _again(delivery: Delivery, log_time_ns: int) -> Delivery:
+def _repeat(delivery: Delivery, log_time_ns: int) -> Delivery:
     """Return a copy of the delivery: a further fault may change one and not the other."""
     return replace(delivery, message=copy.deepcopy(delivery.message), log_time_ns=log_time_ns)
 
 
-def _with_values(delivery: Delivery, other: Delivery) -> Delivery:
+def _copy_with_values(delivery: Delivery, other: Delivery) -> Delivery:
     """Return a message with the stamp of one delivery and the values of another, shortly after the first one."""
     message = copy.deepcopy(other.message)
     message.header = delivery.message.header

@@ -11,15 +11,15 @@ from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.stamps import ns_from_stamp
 from ship_bags.topic_names import TRUTH_PREFIX, relative_topics
-from ship_simulation.faults.faults import Delivery, spoilt
+from ship_simulation.faults.faults import Delivery, apply_faults
 from ship_simulation.faults.optics import Optics, optics_of_suite
 from ship_simulation.scenario.fault import Fault
 
 
 def injectable_topics(bag: Bag, namespace: str = "") -> dict[str, str]:
     """Return relative topic → type of the topics that faults may affect: all but the truth."""
-    found = relative_topics(bag.topics, namespace)
-    return {name: bag.topics[full] for name, full in found.items() if not name.startswith(TRUTH_PREFIX)}
+    topics = relative_topics(bag.topics, namespace)
+    return {name: bag.topics[full] for name, full in topics.items() if not name.startswith(TRUTH_PREFIX)}
 
 
 def optics_of_bag(bag: Bag, faults: Mapping[str, Fault], namespace: str = "") -> Optics:
@@ -91,13 +91,13 @@ class Injection:
         """
         optics = optics_of_bag(bag, self.faults, self.namespace)
         names = relative_topics(bag.topics, self.namespace)
-        hit = {names[fault.topic] for fault in self.faults.values()}
+        affected_topics = {names[fault.topic] for fault in self.faults.values()}
         with ExitStack() as stack:
-            streams = [_untouched(bag, hit)]
+            streams = [_unaffected_records(bag, affected_topics)]
             # Each topic with faults is read separately, so that its delayed messages do not block other topics.
-            for name in sorted(hit):
+            for name in sorted(affected_topics):
                 other = stack.enter_context(read_bag(self.path))
-                streams.append(self._spoilt(other, name, _deliveries(other, name), optics))
+                streams.append(self._faulty_records(other, name, _deliveries(other, name), optics))
             for _, _, record in heapq.merge(*streams, key=lambda entry: entry[:2]):
                 yield record
 
@@ -117,12 +117,12 @@ class Injection:
             given: dict[int, tuple[int, bytes | None]] = {}
             found: dict[int, list[tuple[int, bytes | None]]] = {}
 
-            def noted() -> Iterator[Delivery]:
+            def record_inputs() -> Iterator[Delivery]:
                 for delivery in _deliveries(bag, topic):
                     given[delivery.order] = delivery.log_time_ns, delivery.data
                     yield delivery
 
-            for at_ns, order, record in alone._spoilt(bag, topic, noted(), optics):
+            for at_ns, order, record in alone._faulty_records(bag, topic, record_inputs(), optics):
                 found.setdefault(order, []).append((at_ns, record.data))
         pairs = [(given[order], found.get(order, [])) for order in sorted(given)]
         affected = [(message, others) for message, others in pairs if others != [message]]
@@ -135,7 +135,7 @@ class Injection:
             delayed=sum(first[1] == message[1] for message, first in replaced),
         )
 
-    def _spoilt(
+    def _faulty_records(
         self, bag: Bag, name: str, deliveries: Iterator[Delivery], optics: Optics
     ) -> Iterator[tuple[int, int, BagRecord]]:
         faults = {
@@ -144,7 +144,7 @@ class Injection:
             if relative_topics([name], self.namespace).get(fault.topic) == name
         }
         type_name, store = bag.topics[name], bag.store
-        for delivery in spoilt(deliveries, type_name, faults, bag.start_ns or 0, self.seed, optics):
+        for delivery in apply_faults(deliveries, type_name, faults, bag.start_ns or 0, self.seed, optics):
             data = delivery.data
             if data is None:
                 data = bytes(store.serialize_cdr(delivery.message, type_name, little_endian=True))
@@ -153,7 +153,7 @@ class Injection:
             yield at_ns, delivery.order, record
 
 
-def _untouched(bag: Bag, hit: set[str]) -> Iterator[tuple[int, int, BagRecord]]:
+def _unaffected_records(bag: Bag, hit: set[str]) -> Iterator[tuple[int, int, BagRecord]]:
     for order, record in enumerate(bag.records()):
         if record.topic not in hit:
             yield record.log_time_ns, order, record

@@ -54,7 +54,7 @@ def turn_in_horizon(message: Any, type_name: str, turn: FloatArray) -> None:
     _set_attitude(message, type_name, exp_rotation(turn) @ _attitude(message, type_name))
 
 
-def other_axes(message: Any, type_name: str, axes: str) -> None:
+def convert_axes(message: Any, type_name: str, axes: str) -> None:
     """Convert an attitude or a baseline to the axes of a wrong driver."""
     ned = axes == "ned_frd"
     if not hasattr(message, "orientation"):

@@ -16,7 +16,7 @@ from ship_bags.stamps import END_OF_TIME_NS, ns_from_stamp, stamp_fields
 from ship_geometry.rotations import ARCSEC, FloatArray, wrap_two_pi
 from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.faults.optics import Optics
-from ship_simulation.faults.turns import other_axes, turn_in_device, turn_in_horizon
+from ship_simulation.faults.turns import convert_axes, turn_in_device, turn_in_horizon
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.fault_file import field_steps
 from ship_simulation.scenario.names import (
@@ -66,7 +66,7 @@ _UNITS: dict[str, tuple[tuple[str, ...], float, float]] = {
 
 
 @dataclass(frozen=True)
-class Spoiler:
+class ValueFault:
     """A fault of messages of one type.
 
     Attributes:
@@ -81,14 +81,14 @@ class Spoiler:
     optics: Optics
     rng: np.random.Generator
 
-    def spoil(self, message: Any, since_s: float) -> None:
+    def apply(self, message: Any, since_s: float) -> None:
         """Apply the fault to a message stamped ``since_s`` after its start."""
-        _SPOILERS[self.fault.kind](self, message, since_s)
+        _VALUE_FAULTS[self.fault.kind](self, message, since_s)
 
 
-def _field(spoiler: Spoiler, message: Any, since_s: float) -> None:
-    fault = spoiler.fault
-    path = fault.field or FIRST_VALUE[spoiler.type_name]
+def _change_field(value_fault: ValueFault, message: Any, since_s: float) -> None:
+    fault = value_fault.fault
+    path = fault.field or FIRST_VALUE[value_fault.type_name]
     fixed = {"nan": math.nan, "infinite": math.inf, "corrupt": fault.value}
     if fault.kind in fixed:
         _change(message, path, lambda value: fixed[fault.kind])
@@ -101,7 +101,7 @@ def _change(message: Any, path: str, new: Callable[[float], float]) -> None:
     holders = [message]
     *parents, (name, index) = field_steps(path)
     for parent, chosen in parents:
-        holders = [part for holder in holders for part in _chosen(getattr(holder, parent), chosen or "0")]
+        holders = [part for holder in holders for part in _select_items(getattr(holder, parent), chosen or "0")]
     for holder in holders:
         old = getattr(holder, name)
         if not index:
@@ -114,109 +114,109 @@ def _change(message: Any, path: str, new: Callable[[float], float]) -> None:
         setattr(holder, name, values)
 
 
-def _chosen(value: Any, index: str) -> list[Any]:
+def _select_items(value: Any, index: str) -> list[Any]:
     """Return the messages of a list by an index; a single message is its own list."""
     if not isinstance(value, list):
         return [value]
     return value if index == "*" else value[int(index) : int(index) + 1]
 
 
-def _stamp_zero(spoiler: Spoiler, message: Any, since_s: float) -> None:
+def _set_stamp_zero(value_fault: ValueFault, message: Any, since_s: float) -> None:
     message.header.stamp.sec, message.header.stamp.nanosec = 0, 0
 
 
-def _stamp_off(spoiler: Spoiler, message: Any, since_s: float) -> None:
-    off_s = spoiler.fault.delay_s + spoiler.fault.step_s
+def _shift_stamp(value_fault: ValueFault, message: Any, since_s: float) -> None:
+    off_s = value_fault.fault.delay_s + value_fault.fault.step_s
     stamp_ns = ns_from_stamp(message.header.stamp) + round(off_s * SECOND_NS)
     stamp_ns = max(-END_OF_TIME_NS, min(stamp_ns, END_OF_TIME_NS - 1))
     message.header.stamp.sec, message.header.stamp.nanosec = stamp_fields(stamp_ns)
 
 
-def _frame(spoiler: Spoiler, message: Any, since_s: float) -> None:
+def _change_frame(value_fault: ValueFault, message: Any, since_s: float) -> None:
     message.header.frame_id += _OTHER
 
 
-def _units(spoiler: Spoiler, message: Any, since_s: float) -> None:
-    fields, factor, offset = _UNITS[spoiler.type_name]
+def _convert_units(value_fault: ValueFault, message: Any, since_s: float) -> None:
+    fields, factor, offset = _UNITS[value_fault.type_name]
     for path in fields:
-        if spoiler.fault.kind != "angles_in_degrees" or path not in _RATES:
+        if value_fault.fault.kind != "angles_in_degrees" or path not in _RATES:
             _change(message, path, lambda value: value * factor + offset)
 
 
-def _covariance(spoiler: Spoiler, message: Any, since_s: float) -> None:
-    for name in COVARIANCES[spoiler.type_name]:
+def _change_covariance(value_fault: ValueFault, message: Any, since_s: float) -> None:
+    for name in COVARIANCES[value_fault.type_name]:
         given = np.asarray(getattr(message, name), dtype=float)
-        spoilt = np.zeros(given.size)
-        if spoiler.fault.kind == "covariance_negative":
-            spoilt[:] = given
+        faulty = np.zeros(given.size)
+        if value_fault.fault.kind == "covariance_negative":
+            faulty[:] = given
             # The second variance is used, because a negative first one means "not given" in ROS.
             second = math.isqrt(given.size) + 1
-            spoilt[second] = -abs(spoilt[second])
-        setattr(message, name, spoilt)
+            faulty[second] = -abs(faulty[second])
+        setattr(message, name, faulty)
 
 
-def _axes(spoiler: Spoiler, message: Any, since_s: float) -> None:
-    other_axes(message, spoiler.type_name, spoiler.fault.axes)
+def _exchange_axes(value_fault: ValueFault, message: Any, since_s: float) -> None:
+    convert_axes(message, value_fault.type_name, value_fault.fault.axes)
 
 
-def _bias(spoiler: Spoiler, message: Any, since_s: float) -> None:
-    fault = spoiler.fault
+def _turn_in_horizon(value_fault: ValueFault, message: Any, since_s: float) -> None:
+    fault = value_fault.fault
     turn_n = ARCSEC * np.array([fault.north_arcsec, fault.up_arcsec, fault.east_arcsec])
-    turn_in_horizon(message, spoiler.type_name, turn_n)
+    turn_in_horizon(message, value_fault.type_name, turn_n)
 
 
-def _turn_in_device(spoiler: Spoiler, message: Any, since_s: float) -> None:
-    fault = spoiler.fault
-    _turn(spoiler, message, ARCSEC * np.array([fault.forward_arcsec, fault.up_arcsec, fault.right_arcsec]))
+def _turn_in_device(value_fault: ValueFault, message: Any, since_s: float) -> None:
+    fault = value_fault.fault
+    _turn(value_fault, message, ARCSEC * np.array([fault.forward_arcsec, fault.up_arcsec, fault.right_arcsec]))
 
 
-def _drift(spoiler: Spoiler, message: Any, since_s: float) -> None:
-    fault, minutes = spoiler.fault, since_s / _MINUTE_S
-    if spoiler.type_name == ENCODER:
-        _encoders(message, fault.azimuth_arcsec_per_min * minutes, fault.elevation_arcsec_per_min * minutes)
+def _drift(value_fault: ValueFault, message: Any, since_s: float) -> None:
+    fault, minutes = value_fault.fault, since_s / _MINUTE_S
+    if value_fault.type_name == ENCODER:
+        _offset_encoders(message, fault.azimuth_arcsec_per_min * minutes, fault.elevation_arcsec_per_min * minutes)
         return
     rates = [fault.forward_arcsec_per_min, fault.up_arcsec_per_min, fault.right_arcsec_per_min]
-    _turn(spoiler, message, ARCSEC * minutes * np.array(rates))
+    _turn(value_fault, message, ARCSEC * minutes * np.array(rates))
 
 
-def _turn(spoiler: Spoiler, message: Any, turn: FloatArray) -> None:
-    turn_in_device(message, spoiler.type_name, turn, spoiler.fault.topic, spoiler.optics)
+def _turn(value_fault: ValueFault, message: Any, turn: FloatArray) -> None:
+    turn_in_device(message, value_fault.type_name, turn, value_fault.fault.topic, value_fault.optics)
 
 
-def _slip_encoders(spoiler: Spoiler, message: Any, since_s: float) -> None:
-    _encoders(message, spoiler.fault.azimuth_arcsec, spoiler.fault.elevation_arcsec)
+def _slip_encoders(value_fault: ValueFault, message: Any, since_s: float) -> None:
+    _offset_encoders(message, value_fault.fault.azimuth_arcsec, value_fault.fault.elevation_arcsec)
 
 
-def _encoders(message: Any, azimuth_arcsec: float, elevation_arcsec: float) -> None:
+def _offset_encoders(message: Any, azimuth_arcsec: float, elevation_arcsec: float) -> None:
     message.azimuth = float(wrap_two_pi(message.azimuth + azimuth_arcsec * ARCSEC))
     message.elevation += elevation_arcsec * ARCSEC
 
 
-def _position_off(spoiler: Spoiler, message: Any, since_s: float) -> None:
-    fault = spoiler.fault
+def _shift_position(value_fault: ValueFault, message: Any, since_s: float) -> None:
+    fault = value_fault.fault
     to_deg = math.degrees(1.0 / _EARTH_RADIUS_M)
     message.longitude += fault.east_m * to_deg / math.cos(math.radians(message.latitude))
     message.latitude += fault.north_m * to_deg
     message.altitude += fault.up_m
 
 
-def _wrong_fix(spoiler: Spoiler, message: Any, since_s: float) -> None:
-    fault = spoiler.fault
+def _shift_baseline(value_fault: ValueFault, message: Any, since_s: float) -> None:
+    fault = value_fault.fault
     message.fix = _FIXED
     message.enu.x += fault.east_m
     message.enu.y += fault.north_m
     message.enu.z += fault.up_m
 
 
-def _false_stars(spoiler: Spoiler, message: Any, since_s: float) -> None:
+def _add_false_stars(value_fault: ValueFault, message: Any, since_s: float) -> None:
     """Add spots anywhere on the detector, each identified as any star of the sky if the sensor identifies stars."""
     if not message.stars:
         return
-    camera, rng = spoiler.optics.stars[spoiler.fault.topic], spoiler.rng
+    camera, rng = value_fault.optics.stars[value_fault.fault.topic], value_fault.rng
     bright = hipparcos().rows_brighter_than(_BRIGHT)
     edge_px = 2.0 * np.array([camera.principal_u_px, camera.principal_v_px])
     false = []
-    for _ in range(spoiler.fault.count):
+    for _ in range(value_fault.fault.count):
         star, row = copy.copy(message.stars[0]), int(rng.choice(bright))
         star.u, star.v = (edge_px * rng.random(2)).tolist()
         star.magnitude = float(hipparcos().magnitude[row])
@@ -229,27 +229,27 @@ def _false_stars(spoiler: Spoiler, message: Any, since_s: float) -> None:
     message.stars = [*message.stars, *false]
 
 
-def _false_lights(spoiler: Spoiler, message: Any, since_s: float) -> None:
-    telescope = spoiler.optics.telescope
+def _add_false_lights(value_fault: ValueFault, message: Any, since_s: float) -> None:
+    telescope = value_fault.optics.telescope
     if telescope is None or not message.beacons:
         return
     half_field_m = _HALF_FIELD * float(telescope.focal_length_m)
     lights = [copy.copy(light) for light in message.beacons]
-    for number in range(len(lights), spoiler.fault.count):
+    for number in range(len(lights), value_fault.fault.count):
         lights.append(copy.copy(lights[0]))
         lights[-1].beacon_id = f"false_{number}"
-    for light in lights[: spoiler.fault.count]:
-        place_m = telescope.principal_point_m + half_field_m * spoiler.rng.uniform(-1.0, 1.0, 2)
+    for light in lights[: value_fault.fault.count]:
+        place_m = telescope.principal_point_m + half_field_m * value_fault.rng.uniform(-1.0, 1.0, 2)
         light.x, light.z = place_m.tolist()
     message.beacons = lights
 
 
-def _hide_first_light(spoiler: Spoiler, message: Any, since_s: float) -> None:
+def _hide_first_light(value_fault: ValueFault, message: Any, since_s: float) -> None:
     message.beacons = message.beacons[1:]
 
 
-def _swap_identities(spoiler: Spoiler, message: Any, since_s: float) -> None:
-    seen_lights = spoiler.type_name == IMAGE
+def _swap_identities(value_fault: ValueFault, message: Any, since_s: float) -> None:
+    seen_lights = value_fault.type_name == IMAGE
     spots = (message.beacons if seen_lights else message.stars)[:2]
     names = ["beacon_id"] if seen_lights else ["catalogue_id", "right_ascension", "declination"]
     identities = [[getattr(spot, name) for name in names] for spot in reversed(spots)]
@@ -258,38 +258,38 @@ def _swap_identities(spoiler: Spoiler, message: Any, since_s: float) -> None:
             setattr(spot, name, value)
 
 
-def _wrong_id(spoiler: Spoiler, message: Any, since_s: float) -> None:
-    if spoiler.type_name == BASELINE:
+def _change_id(value_fault: ValueFault, message: Any, since_s: float) -> None:
+    if value_fault.type_name == BASELINE:
         message.rover_id += _OTHER
     else:
         for light in message.beacons[:1]:
             light.beacon_id += _OTHER
 
 
-_SPOILERS: dict[str, Callable[[Spoiler, Any, float], None]] = {
-    "nan": _field,
-    "infinite": _field,
-    "corrupt": _field,
-    "offset": _field,
-    "stamp_zero": _stamp_zero,
-    "stamp_late": _stamp_off,
-    "clock_step": _stamp_off,
-    "frame": _frame,
-    "covariance_unknown": _covariance,
-    "covariance_negative": _covariance,
-    "rate_in_degrees": _units,
-    "angles_in_degrees": _units,
-    "units": _units,
-    "axes": _axes,
-    "bias": _bias,
-    "position_off": _position_off,
+_VALUE_FAULTS: dict[str, Callable[[ValueFault, Any, float], None]] = {
+    "nan": _change_field,
+    "infinite": _change_field,
+    "corrupt": _change_field,
+    "offset": _change_field,
+    "stamp_zero": _set_stamp_zero,
+    "stamp_late": _shift_stamp,
+    "clock_step": _shift_stamp,
+    "frame": _change_frame,
+    "covariance_unknown": _change_covariance,
+    "covariance_negative": _change_covariance,
+    "rate_in_degrees": _convert_units,
+    "angles_in_degrees": _convert_units,
+    "units": _convert_units,
+    "axes": _exchange_axes,
+    "bias": _turn_in_horizon,
+    "position_off": _shift_position,
     "knock": _turn_in_device,
     "drift": _drift,
     "slip": _slip_encoders,
-    "wrong_fix": _wrong_fix,
-    "false_stars": _false_stars,
-    "false_lights": _false_lights,
+    "wrong_fix": _shift_baseline,
+    "false_stars": _add_false_stars,
+    "false_lights": _add_false_lights,
     "hide": _hide_first_light,
     "swap": _swap_identities,
-    "wrong_id": _wrong_id,
+    "wrong_id": _change_id,
 }

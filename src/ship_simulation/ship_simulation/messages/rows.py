@@ -13,21 +13,21 @@ _KEPT_BLOCKS = 2
 """Number of cached blocks: samples are used in order of arrival, which differs slightly from that of stamps."""
 
 
-class Rows(Generic[Row]):
+class LazyRows(Generic[Row]):
     """One row per sample, with a cache of the last blocks.
 
     Args:
         compute: returns the rows of a slice of samples; each row depends on its own sample only.
     """
 
-    def __init__(self, of: Callable[[slice], Sequence[Row]]) -> None:
-        self._of = of
-        self._block = lru_cache(_KEPT_BLOCKS)(self._computed)
+    def __init__(self, compute: Callable[[slice], Sequence[Row]]) -> None:
+        self._of = compute
+        self._block = lru_cache(_KEPT_BLOCKS)(self._compute_block)
 
     def __getitem__(self, row: int) -> Row:
         """Return the row of a sample."""
         number, place = divmod(row, BLOCK_ROWS)
         return self._block(number)[place]
 
-    def _computed(self, number: int) -> Sequence[Row]:
+    def _compute_block(self, number: int) -> Sequence[Row]:
         return self._of(slice(number * BLOCK_ROWS, (number + 1) * BLOCK_ROWS))

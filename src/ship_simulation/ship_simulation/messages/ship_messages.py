@@ -14,7 +14,7 @@ from ship_bags.stamps import make_header
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import enu_covariance, flu_from_device_vector, quaternion_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_simulation.messages.rows import BLOCK_ROWS, Rows
+from ship_simulation.messages.rows import BLOCK_ROWS, LazyRows
 from ship_simulation.scenario.names import DECK_FRAME, DEFLECTION, IMU, INS_FRAME, SHIP_ATTITUDE
 from ship_simulation.scenario.scenario import Ins, WeatherStation
 from ship_simulation.ship.attitude_device import DeviceSamples, FusedSamples, InsSamples
@@ -52,7 +52,7 @@ def ins_maker(samples: InsSamples, config: Ins, factory: MessageFactory) -> Make
 def reference_maker(name: str, samples: DeviceSamples, factory: MessageFactory) -> Maker:
     """Return the maker of reference/<name>/imu. Its covariance is that of the white noise only; it has no rate."""
     quaternions = quaternion_rows(samples.rotation_nv)
-    covariances = Rows(lambda part: list(enu_covariance(white_covariance_in_horizon(samples, part)).reshape(-1, 9)))
+    covariances = LazyRows(lambda part: list(enu_covariance(white_covariance_in_horizon(samples, part)).reshape(-1, 9)))
 
     def make(stamp: int, value: int) -> Any:
         header = make_header(factory, int(samples.time_ns[stamp]), name)
@@ -67,19 +67,19 @@ def white_covariance_in_horizon(samples: DeviceSamples, part: slice) -> FloatArr
     return rotation_nv @ samples.noise_v @ np.swapaxes(rotation_nv, -1, -2)
 
 
-def quaternion_rows(rotation: FloatArray) -> Rows[list[float]]:
+def quaternion_rows(rotation: FloatArray) -> LazyRows[list[float]]:
     """Return quaternions x, y, z, w, ENU <- FLU, of rotations "horizon from device", shape (n, 3, 3)."""
-    return Rows(lambda part: quaternion_from_rotation(rotation[part]).tolist())
+    return LazyRows(lambda part: quaternion_from_rotation(rotation[part]).tolist())
 
 
-def angle_rows(rotation: FloatArray) -> Rows[list[float]]:
+def angle_rows(rotation: FloatArray) -> LazyRows[list[float]]:
     """Return the three angles of rotations, rad, shape (n, 3, 3)."""
-    return Rows(lambda part: angles_from_rotation(rotation[part]).tolist())
+    return LazyRows(lambda part: angles_from_rotation(rotation[part]).tolist())
 
 
-def rate_rows(rate: FloatArray) -> Rows[list[float]]:
+def rate_rows(rate: FloatArray) -> LazyRows[list[float]]:
     """Return angular velocities in FLU from those in the axes of the device, rad/s, shape (n, 3)."""
-    return Rows(lambda part: flu_from_device_vector(rate[part]).tolist())
+    return LazyRows(lambda part: flu_from_device_vector(rate[part]).tolist())
 
 
 def make_imu(
@@ -124,7 +124,7 @@ def fused_maker(samples: FusedSamples, factory: MessageFactory) -> Maker:
 
     total = enu_covariance(samples.covariance_n).ravel()
     constant_fields = {"rotation_covariance": total, "sources": ["ins", "star"], "star_age_s": 0.0}
-    return _ship_attitude_maker(samples.time_ns, samples.rotation_nd, samples.rate_d, Rows(covariances), constant_fields, factory)
+    return _ship_attitude_maker(samples.time_ns, samples.rotation_nd, samples.rate_d, LazyRows(covariances), constant_fields, factory)
 
 
 def true_attitude_maker(
@@ -132,14 +132,14 @@ def true_attitude_maker(
 ) -> Maker:
     """Return the maker of truth/attitude."""
     constant_fields = {"rotation_covariance": np.zeros(9), "sources": ["truth"], "star_age_s": float("nan")}
-    return _ship_attitude_maker(time_ns, rotation_nd, rate_d, Rows(lambda part: [_EXACT] * BLOCK_ROWS), constant_fields, factory)
+    return _ship_attitude_maker(time_ns, rotation_nd, rate_d, LazyRows(lambda part: [_EXACT] * BLOCK_ROWS), constant_fields, factory)
 
 
 def _ship_attitude_maker(
     time_ns: np.ndarray,
     rotation_nd: FloatArray,
     rate_d: FloatArray,
-    covariances: Rows[FloatArray],
+    covariances: LazyRows[FloatArray],
     constant_fields: dict[str, Any],
     factory: MessageFactory,
 ) -> Maker:

@@ -11,7 +11,7 @@ from ship_bags.stamps import make_header
 from ship_geometry.frames import SINGULAR_ELEVATION, angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import FLU_FROM_DEVICE, enu_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_simulation.messages.rows import Rows
+from ship_simulation.messages.rows import LazyRows
 from ship_simulation.messages.ship_messages import Maker, angle_rows, make_quaternion, white_covariance_in_horizon
 from ship_simulation.scenario.names import INERTIAL, OBSERVATIONS, STAR, star_frame
 from ship_simulation.scenario.scenario import StarSensor
@@ -31,10 +31,10 @@ def star_maker(sensor_id: str, samples: DeviceSamples, config: StarSensor, facto
         total_n = noise_n + samples.common_n
         azimuths, elevations, _ = angles_from_rotation(samples.rotation_nv[part]).T
         of_angles = angle_covariance(total_n, azimuths, elevations)
-        found = (each.reshape(-1, 9) for each in (of_angles, enu_covariance(total_n), enu_covariance(noise_n)))
-        return list(zip(*found, strict=True))
+        blocks = (each.reshape(-1, 9) for each in (of_angles, enu_covariance(total_n), enu_covariance(noise_n)))
+        return list(zip(*blocks, strict=True))
 
-    rows = Rows(covariances)
+    rows = LazyRows(covariances)
     # The solution's error across the boresight is that of one star over the root of their number.
     residual_rms = ARCSEC * np.hypot(config.sigma_up_arcsec, config.sigma_right_arcsec) * np.sqrt(config.star_count)
 
@@ -104,7 +104,7 @@ def inertial_maker(sensor_id: str, samples: InertialSamples, factory: MessageFac
         xyzw: list[list[float]] = rotations.as_quat(canonical=True).tolist()
         return xyzw
 
-    quaternions = Rows(quaternions_of)
+    quaternions = LazyRows(quaternions_of)
     covariance = (FLU_FROM_DEVICE @ samples.noise_v @ FLU_FROM_DEVICE.T).ravel()
 
     def make(stamp: int, value: int) -> Any:

@@ -8,8 +8,8 @@ import numpy as np
 from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import make_header
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, enu_covariance
-from ship_simulation.draws.noise import once_a_second
-from ship_simulation.messages.rows import Rows
+from ship_simulation.draws.noise import first_in_each_second
+from ship_simulation.messages.rows import LazyRows
 from ship_simulation.messages.ship_messages import Maker, angle_rows, make_imu, make_vector, quaternion_rows, rate_rows
 from ship_simulation.messages.star_messages import observations_maker
 from ship_simulation.scenario.names import (
@@ -132,8 +132,8 @@ def image_maker(samples: ImageSamples, exposure_s: float, factory: MessageFactor
 
 def baseline_maker(rover_id: str, samples: BaselineSamples, factory: MessageFactory) -> Maker:
     """Return the maker of beacon/<id>/baseline, and of ship/baseline."""
-    enu_m: Rows[list[float]] = Rows(lambda part: (samples.baseline_n[part] @ ENU_FROM_HORIZON.T).tolist())
-    covariances = Rows(lambda part: list(enu_covariance(samples.covariance_n[part]).reshape(-1, 9)))
+    enu_m: LazyRows[list[float]] = LazyRows(lambda part: (samples.baseline_n[part] @ ENU_FROM_HORIZON.T).tolist())
+    covariances = LazyRows(lambda part: list(enu_covariance(samples.covariance_n[part]).reshape(-1, 9)))
 
     def make(stamp: int, value: int) -> Any:
         return factory.make(
@@ -244,7 +244,7 @@ def true_calibrations(
     of_cameras = [angle for angles in truth.star_parallelism.values() for angle in angles.tolist()]
     names = [*CALIBRATION_NAMES]
     names += [f"telescopes.{id_}.{angle}" for id_ in truth.star_parallelism for angle in _CAMERA_ANGLES]
-    for row in once_a_second(time_ns, start_ns, ends).tolist():
+    for row in first_in_each_second(time_ns, start_ns, ends).tolist():
         stamp_ns = int(time_ns[row])
         yield (
             stamp_ns,

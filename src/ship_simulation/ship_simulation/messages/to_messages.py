@@ -11,8 +11,8 @@ from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import make_header
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.rotations import wrap_pi
-from ship_simulation.draws.noise import once_a_second
-from ship_simulation.faults.faults import PASSED, Delivery, spoilt
+from ship_simulation.draws.noise import first_in_each_second
+from ship_simulation.faults.faults import WATERMARK, Delivery, apply_faults
 from ship_simulation.faults.optics import Optics, telescope_camera
 from ship_simulation.messages.ship_messages import (
     Maker,
@@ -67,7 +67,7 @@ LogEntry = tuple[str, Any, int]
 """(topic, message, log time in ns)."""
 
 
-def messages(runs: Iterable[SimulatedRun], factory: MessageFactory) -> Iterator[LogEntry]:
+def generate_messages(runs: Iterable[SimulatedRun], factory: MessageFactory) -> Iterator[LogEntry]:
     """Yield all messages of a voyage's stretches in order of log time; the truth is logged at its stamps."""
     topics: dict[str, _Topic] = {}
     pending: dict[str, list[LogEntry]] = {}
@@ -76,37 +76,37 @@ def messages(runs: Iterable[SimulatedRun], factory: MessageFactory) -> Iterator[
         for topic, (time_ns, log_time_ns, maker) in _sources(run, factory).items():
             if topic not in topics:
                 topics[topic] = _Topic(run, topic)
-            streams[topic] = topics[topic].delivered(run, time_ns, log_time_ns, maker)
+            streams[topic] = topics[topic].deliver(run, time_ns, log_time_ns, maker)
         streams = {topic: chain(pending.get(topic, ()), stream) for topic, stream in streams.items()}
-        if run.stretch.ends:
-            yield from _in_order(streams)
+        if run.stretch.is_last:
+            yield from _merge_by_log_time(streams)
             return
         pending = {topic: list(stream) for topic, stream in streams.items()}
-        until_ns = min(run.stretch.end_ns - 1, *(topic.passed_ns for topic in topics.values()))
-        yield from _in_order({topic: [e for e in entries if e[2] <= until_ns] for topic, entries in pending.items()})
+        until_ns = min(run.stretch.end_ns - 1, *(topic.watermark_ns for topic in topics.values()))
+        yield from _merge_by_log_time({topic: [e for e in entries if e[2] <= until_ns] for topic, entries in pending.items()})
         pending = {topic: [entry for entry in entries if entry[2] > until_ns] for topic, entries in pending.items()}
 
 
-def _in_order(streams: Mapping[str, Iterable[LogEntry]]) -> Iterator[LogEntry]:
+def _merge_by_log_time(streams: Mapping[str, Iterable[LogEntry]]) -> Iterator[LogEntry]:
     """Merge messages by log time; those of equal time are in the order of the topics."""
     return heapq.merge(*streams.values(), key=lambda entry: entry[2])
 
 
 def _truths(run: SimulatedRun, factory: MessageFactory) -> Iterator[tuple[str, Iterator[LogEntry]]]:
     """Yield topic and messages of the truth."""
-    yield TRUTH_ALIGNMENT, _logged_at_stamp(TRUTH_ALIGNMENT, truth_alignments(run, factory))
-    yield TRUTH_ATTITUDE, _logged_at_stamp(TRUTH_ATTITUDE, truth_attitudes(run, factory))
+    yield TRUTH_ALIGNMENT, _log_at_stamp(TRUTH_ALIGNMENT, truth_alignments(run, factory))
+    yield TRUTH_ATTITUDE, _log_at_stamp(TRUTH_ATTITUDE, truth_attitudes(run, factory))
     if not run.scenario.gravity.is_level:
-        yield TRUTH_DEFLECTION, _logged_at_stamp(TRUTH_DEFLECTION, truth_deflections(run, factory))
+        yield TRUTH_DEFLECTION, _log_at_stamp(TRUTH_DEFLECTION, truth_deflections(run, factory))
     if run.theodolite is not None:
         encoder = run.scenario.theodolite.encoder
-        ends = run.stretch.holds_last(encoder.rate_hz, encoder.phase_s)
+        ends = run.stretch.contains_last(encoder.rate_hz, encoder.phase_s)
         calibrations = true_calibrations(run.theodolite, run.start_ns, ends, factory)
-        yield TRUTH_CALIBRATION, _logged_at_stamp(TRUTH_CALIBRATION, calibrations)
+        yield TRUTH_CALIBRATION, _log_at_stamp(TRUTH_CALIBRATION, calibrations)
         if run.scenario.targets:
             directions = true_directions(run.theodolite.targets, factory)
-            yield TRUTH_DIRECTION, _logged_at_stamp(TRUTH_DIRECTION, directions)
-        yield TRUTH_POINTING, _logged_at_stamp(TRUTH_POINTING, true_pointings(run.theodolite, factory))
+            yield TRUTH_DIRECTION, _log_at_stamp(TRUTH_DIRECTION, directions)
+        yield TRUTH_POINTING, _log_at_stamp(TRUTH_POINTING, true_pointings(run.theodolite, factory))
 
 
 def _sources(run: SimulatedRun, factory: MessageFactory) -> dict[str, tuple[np.ndarray, np.ndarray, Maker]]:
@@ -143,7 +143,7 @@ def _sources(run: SimulatedRun, factory: MessageFactory) -> dict[str, tuple[np.n
     return sources
 
 
-def _logged_at_stamp(topic: str, stamped: Iterator[tuple[int, Any]]) -> Iterator[LogEntry]:
+def _log_at_stamp(topic: str, stamped: Iterator[tuple[int, Any]]) -> Iterator[LogEntry]:
     for time_ns, message in stamped:
         yield topic, message, time_ns
 
@@ -160,48 +160,48 @@ class _Topic:
     """
 
     def __init__(self, run: SimulatedRun, topic: str) -> None:
-        self.passed_ns = run.start_ns
+        self.watermark_ns = run.start_ns
         self._topic = topic
-        self._waiting: list[Delivery] = []
-        self._coming: Iterator[Delivery] = iter(())
+        self._pending: list[Delivery] = []
+        self._stretch_deliveries: Iterator[Delivery] = iter(())
         faults = {name: fault for name, fault in run.scenario.faults.items() if fault.topic == topic}
         type_name = simulated_topics(run.scenario)[topic]
-        self._spoilt = spoilt(self._arriving(), type_name, faults, run.start_ns, run.seed, _optics_of_scenario(run.scenario))
+        self._faulty_deliveries = apply_faults(self._all_deliveries(), type_name, faults, run.start_ns, run.seed, _optics_of_scenario(run.scenario))
 
-    def delivered(
+    def deliver(
         self, run: SimulatedRun, time_ns: np.ndarray, log_time_ns: np.ndarray, maker: Maker
     ) -> Iterator[LogEntry]:
         """Yield the messages that arrive in a stretch, in order of arrival."""
-        self._coming = self._of_stretch(run, time_ns, log_time_ns, maker)
-        for delivery in self._spoilt:
-            if delivery.message is PASSED:
-                self.passed_ns = delivery.log_time_ns
+        self._stretch_deliveries = self._deliveries_of_stretch(run, time_ns, log_time_ns, maker)
+        for delivery in self._faulty_deliveries:
+            if delivery.message is WATERMARK:
+                self.watermark_ns = delivery.log_time_ns
                 return
             yield self._topic, delivery.message, delivery.log_time_ns
 
-    def _arriving(self) -> Iterator[Delivery]:
+    def _all_deliveries(self) -> Iterator[Delivery]:
         """Yield the deliveries of all stretches; WATERMARK follows each one but the last."""
-        passed = True
-        while passed:
-            passed = False
-            for delivery in self._coming:
-                passed = delivery.message is PASSED
+        is_watermark = True
+        while is_watermark:
+            is_watermark = False
+            for delivery in self._stretch_deliveries:
+                is_watermark = delivery.message is WATERMARK
                 yield delivery
 
-    def _of_stretch(
+    def _deliveries_of_stretch(
         self, run: SimulatedRun, time_ns: np.ndarray, log_time_ns: np.ndarray, maker: Maker
     ) -> Iterator[Delivery]:
         order = np.argsort(log_time_ns, kind="stable").tolist()
         made = (Delivery(maker(i, i), int(log_time_ns[i]), int(time_ns[i]), i) for i in order)
-        waited, self._waiting = self._waiting, []
+        pending, self._pending = self._pending, []
         # Of deliveries with equal arrival times, the one with the earlier stamp comes first.
-        for delivery in heapq.merge(waited, made, key=lambda delivery: delivery.log_time_ns):
+        for delivery in heapq.merge(pending, made, key=lambda delivery: delivery.log_time_ns):
             if delivery.log_time_ns < run.stretch.end_ns:
                 yield delivery
             else:
-                self._waiting.append(delivery)
-        if not run.stretch.ends:
-            yield Delivery(PASSED, int(run.stretch.end_ns) - 1, None, 0)
+                self._pending.append(delivery)
+        if not run.stretch.is_last:
+            yield Delivery(WATERMARK, int(run.stretch.end_ns) - 1, None, 0)
 
 
 def _optics_of_scenario(scenario: Scenario) -> Optics:
@@ -230,16 +230,16 @@ def truth_deflections(run: SimulatedRun, factory: MessageFactory) -> Iterator[tu
     """Yield (stamp, Deflection) once per second at stamps of the truth, and at the last one of the voyage."""
     time_ns = run.ins.time_ns[run.truth.ins_index]
     make = deflection_maker(time_ns, run.truth.deflection, np.zeros((2, 2)), factory)
-    ends = run.stretch.holds_last(run.scenario.ins.rate_hz, 0.0)
-    for row in once_a_second(time_ns, run.start_ns, ends).tolist():
+    ends = run.stretch.contains_last(run.scenario.ins.rate_hz, 0.0)
+    for row in first_in_each_second(time_ns, run.start_ns, ends).tolist():
         yield int(time_ns[row]), make(row, row)
 
 
 def truth_alignments(run: SimulatedRun, factory: MessageFactory) -> Iterator[tuple[int, Any]]:
     """Yield (stamp, AlignmentState) once per second at stamps of the truth, and at the last one of the voyage."""
     index = run.truth.ins_index
-    ends = run.stretch.holds_last(run.scenario.ins.rate_hz, 0.0)
-    chosen = index[once_a_second(run.ins.time_ns[index], run.start_ns, ends)]
+    ends = run.stretch.contains_last(run.scenario.ins.rate_hz, 0.0)
+    chosen = index[first_in_each_second(run.ins.time_ns[index], run.start_ns, ends)]
     constant = _constant_values(run)
     names = ["ins.north", "ins.up", "ins.east", *constant]
     units = ["s" if name.endswith("time_offset") else "rad" for name in names]

@@ -35,13 +35,13 @@ class FaultKind(NamedTuple):
     """
 
     doc: str
-    needs: tuple[tuple[str, ...], ...] = ()
-    may: tuple[str, ...] = ()
+    required: tuple[tuple[str, ...], ...] = ()
+    optional: tuple[str, ...] = ()
 
     @property
     def sizes(self) -> tuple[str, ...]:
         """All sizes that belong to the kind."""
-        return (*(name for group in self.needs for name in group), *self.may)
+        return (*(name for group in self.required for name in group), *self.optional)
 
 
 KINDS = {
@@ -143,7 +143,7 @@ def size_problems(key: str, fault: Fault) -> Iterator[ParameterError]:
         name = f"{key}.end_s"
         yield ParameterError(f"'{name}' = {fault.end_s} s must be after start_s = {fault.start_s} s", name)
     kind = KINDS[fault.kind]
-    for group in kind.needs:
+    for group in kind.required:
         if all(getattr(fault, name) == _DEFAULTS[name] for name in group):
             wanted = " or ".join(group)
             yield ParameterError(f"'{key}' of kind {fault.kind} needs {wanted}", f"{key}.{group[0]}")
@@ -159,6 +159,6 @@ def kind_rows() -> list[str]:
     width = max(map(len, KINDS))
     rows = []
     for name, kind in KINDS.items():
-        needed = "; needs " + ", ".join(" or ".join(group) for group in kind.needs) if kind.needs else ""
+        needed = "; needs " + ", ".join(" or ".join(group) for group in kind.required) if kind.required else ""
         rows.append(f"  {name:{width}}  {kind.doc}{needed}")
     return rows

@@ -14,7 +14,7 @@ from ship_bags.parameter_yaml import read_nested_parameters
 from ship_estimation.parameter_fields import mapping_of
 from ship_estimation.parameters import ParameterError, build
 from ship_simulation.scenario.fault import Fault, size_problems
-from ship_simulation.scenario.names import FIRST_VALUE, can_happen
+from ship_simulation.scenario.names import FIRST_VALUE, is_applicable
 
 _STEP = re.compile(r"([A-Za-z_]\w*)(?:\[(\d{1,6}|\*)\])?")
 _NO_NUMBERS = ("string", "wstring", "bool")
@@ -28,7 +28,7 @@ class FaultFile:
     faults: dict[str, Fault] = mapping_of("faults by name")
 
 
-def load_faults(source: Path | str, topics: Mapping[str, str], place: str) -> dict[str, Fault]:
+def load_faults(source: Path | str, topics: Mapping[str, str], location: str) -> dict[str, Fault]:
     """Return the checked faults of a file.
 
     Args:
@@ -44,25 +44,25 @@ def load_faults(source: Path | str, topics: Mapping[str, str], place: str) -> di
         faults = build(FaultFile, file.values).faults
         if not faults:
             raise ParameterError("parameter 'faults' must be a group with at least one fault", "faults")
-        for problem in fault_problems(faults, topics, place):
+        for problem in fault_problems(faults, topics, location):
             raise problem
     except ParameterError as problem:
         raise file.error(problem) from problem
     return faults
 
 
-def fault_problems(faults: Mapping[str, Fault], topics: Mapping[str, str], place: str) -> Iterator[ParameterError]:
+def fault_problems(faults: Mapping[str, Fault], topics: Mapping[str, str], location: str) -> Iterator[ParameterError]:
     """Yield the errors of faults whose values are each valid by themselves."""
     for name, fault in faults.items():
         key = f"faults.{name}"
         yield from size_problems(key, fault)
         if fault.topic not in topics:
             known = ", ".join(topics)
-            text = f"'{key}.topic' = {fault.topic} is not {place}: expected one of {known}"
+            text = f"'{key}.topic' = {fault.topic} is not {location}: expected one of {known}"
             yield ParameterError(text, f"{key}.topic")
             continue
         type_name = topics[fault.topic]
-        if not can_happen(fault.kind, type_name):
+        if not is_applicable(fault.kind, type_name):
             yield ParameterError(f"'{key}.kind' = {fault.kind} does not apply to {type_name}", f"{key}.kind")
         if "field" in fault.sizes:
             problem = _field_problem(fault, type_name)

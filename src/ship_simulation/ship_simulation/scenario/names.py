@@ -111,7 +111,7 @@ def simulated_topics(scenario: Scenario) -> dict[str, str]:
     return topics
 
 
-def can_happen(kind: str, type_name: str) -> bool:
+def is_applicable(kind: str, type_name: str) -> bool:
     """True if a kind of fault applies to a message type."""
     return kind not in _TYPES_OF_KIND or type_name in _TYPES_OF_KIND[kind]
 

@@ -94,7 +94,7 @@ class Detector(CameraConfig):
         columns, rows = np.linspace(least, greatest, _FIELD_POINTS).T
         return self.camera(prefix).directions(np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2))
 
-    def holds(self, pixels: FloatArray) -> np.ndarray:
+    def contains(self, pixels: FloatArray) -> np.ndarray:
         """True where pixels (u, v), shape (..., 2), are on the detector; False for NaN."""
         least, greatest = self.edges_px
         inside: np.ndarray = np.all((pixels >= least) & (pixels < greatest), axis=-1)
@@ -339,19 +339,19 @@ class Scenario:
         return self.needs_sky or bool(self.telescopes)
 
     @property
-    def needs_place(self) -> bool:
+    def needs_position(self) -> bool:
         """True if the suite needs the ship's position."""
         return self.needs_sky or self.gravity.told != "none" or self.ins.model == SCHULER
 
 
-def start_of(start_utc: str) -> int:
+def start_time_ns(start_utc: str) -> int:
     """Return POSIX nanoseconds of a time such as ``2014-07-09T11:50:07.8Z``.
 
     Raises:
         ValueError: it is not such a time.
     """
-    found = _START_PATTERN.fullmatch(start_utc)
-    if found is None:
+    match = _START_PATTERN.fullmatch(start_utc)
+    if match is None:
         raise ValueError("expected YYYY-MM-DDThh:mm:ss, at most nine decimals, and the letter Z")
-    whole = datetime.fromisoformat(found[1]).replace(tzinfo=timezone.utc)
-    return round(whole.timestamp()) * SECOND_NS + int(f"{found[2] or '0':0<9}")
+    whole = datetime.fromisoformat(match[1]).replace(tzinfo=timezone.utc)
+    return round(whole.timestamp()) * SECOND_NS + int(f"{match[2] or '0':0<9}")

@@ -15,7 +15,7 @@ from ship_geometry.time_scales import DAY_NS, SECOND_NS
 from ship_simulation.scenario.fault_file import fault_problems
 from ship_simulation.scenario.motion_scenario import SECTIONS_OF_KIND, CarrierMotion, Outage
 from ship_simulation.scenario.names import TELESCOPE_ID, simulated_topics
-from ship_simulation.scenario.scenario import Scenario, StarImaging, StarSensor, StarTelescope, start_of
+from ship_simulation.scenario.scenario import Scenario, StarImaging, StarSensor, StarTelescope, start_time_ns
 from ship_simulation.scenario.theodolite_scenario import SECTIONS_OF_COURSE, Beacon, Course, Target
 
 FIELDS_OF_OUTPUTS = {
@@ -77,7 +77,7 @@ def _with_recording(scenario: Scenario, folder: Path, recording: Path | None) ->
 def _problems(scenario: Scenario, file: ParameterFile) -> Iterator[ParameterError]:
     """Yield the errors of a scenario whose values are each valid by themselves."""
     try:
-        start_of(scenario.start_utc)
+        start_time_ns(scenario.start_utc)
     except ValueError as problem:
         yield _parameter_error("start_utc", f"= {scenario.start_utc} is not a time such as 2014-07-09T11:50:07.8Z: {problem}")
     yield from _carrier_problems(scenario.carrier, file)
@@ -135,7 +135,7 @@ def _mask_problems(key: str, sensor: StarSensor) -> Iterator[ParameterError]:
 
 
 def _sky_problems(scenario: Scenario) -> Iterator[ParameterError]:
-    start_ns = start_of(scenario.start_utc)
+    start_ns = start_time_ns(scenario.start_utc)
     ends_ns = np.array([start_ns, start_ns + round(scenario.duration_s * SECOND_NS)])
     # With a margin of one day for time offsets.
     reason = earth_orientation_table().unavailable_text(ends_ns + np.array([-DAY_NS, DAY_NS]))

@@ -19,7 +19,7 @@ from ship_simulation.draws.noise import (
     ExposureTimes,
     arrival_times,
     exposure_times,
-    outside,
+    is_outside,
     random_stream,
 )
 from ship_simulation.draws.stretch import Draws, Stretch
@@ -91,7 +91,7 @@ def _correlated_ins_error(scenario: Scenario, stretch: Stretch, draws: Draws, de
     sigma = ARCSEC * np.array([config.tilt_sigma_arcsec, config.heading_sigma_arcsec, config.tilt_sigma_arcsec])
     if config.model == SCHULER:
         make = functools.partial(SchulerError, scenario=scenario, sigma=sigma, deflection=gravity)
-        return draws.lasting("ins.schuler", make).at(since_start_s)
+        return draws.persistent_draw("ins.schuler", make).errors_at(since_start_s)
     time_s = np.array([config.tilt_time_s, config.heading_time_s, config.tilt_time_s])
     slow_n = draws.gauss_markov("ins.attitude_error", time_ns.size, 1.0 / config.rate_hz, sigma, time_s)
     return slow_n if gravity is None else slow_n + gravity.horizon_rotation_n(since_start_s)
@@ -161,7 +161,7 @@ class DeviceTruth:
 
 
 @dataclass(frozen=True)
-class ExposedMotion:
+class ExposureMotion:
     """The exposures of a device that observes stars, and its true attitude at each.
 
     Attributes:
@@ -178,11 +178,11 @@ class ExposedMotion:
     valid_ns: np.ndarray
     rotation_nv: FloatArray
     times: ExposureTimes
-    passing_nv: FloatArray
+    exposure_nv: FloatArray
 
 
 @dataclass(frozen=True)
-class MountedMotion(ExposedMotion):
+class StarSensorMotion(ExposureMotion):
     """A star sensor's exposures.
 
     Attributes:
@@ -192,9 +192,9 @@ class MountedMotion(ExposedMotion):
     truth: DeviceTruth
 
 
-def motion_of_star_sensor(
+def star_sensor_motion(
     sensor_id: str, scenario: Scenario, carrier: Carrier, stretch: Stretch, draws: Draws
-) -> MountedMotion:
+) -> StarSensorMotion:
     """Return the attitude of a star sensor: R_star(t) = exp(c) R_true(t + offset) exp(f) R0 exp(m)."""
     config, name = scenario.star_sensors[sensor_id], f"star.{sensor_id}"
     nominal_dv = rotation_from_angles(*np.deg2rad([config.azimuth_deg, config.elevation_deg, config.roll_deg]))
@@ -220,25 +220,25 @@ def motion_of_star_sensor(
 
     middle_nv = rotation_nv(carrier.attitude(valid_s))
     moves = config.exposure_s > 0.0
-    return MountedMotion(
+    return StarSensorMotion(
         time_ns=time_ns,
         since_start_s=since_start_s,
         valid_ns=time_ns + round(truth.time_offset_s * SECOND_NS),
         rotation_nv=middle_nv,
         times=times,
-        passing_nv=rotation_nv(carrier.attitude(valid_s + times.since_middle_s[:, None])) if moves else middle_nv[None],
+        exposure_nv=rotation_nv(carrier.attitude(valid_s + times.since_middle_s[:, None])) if moves else middle_nv[None],
         truth=truth,
     )
 
 
-def simulate_star_sensor(sensor_id: str, scenario: Scenario, motion: MountedMotion, draws: Draws) -> DeviceSamples:
+def simulate_star_sensor(sensor_id: str, scenario: Scenario, motion: StarSensorMotion, draws: Draws) -> DeviceSamples:
     """Return horizon attitudes by R_star(t) exp(n)."""
     config = scenario.star_sensors[sensor_id]
     common_sigma = config.common_sigma_arcsec * ARCSEC
     samples = _samples(
         f"star.{sensor_id}", draws, motion.time_ns, motion.rotation_nv, sigma_of_attitudes(config), common_sigma, config
     )
-    return _kept(samples, outside(motion.since_start_s, config.outages))
+    return _select_samples(samples, is_outside(motion.since_start_s, config.outages))
 
 
 def sigma_of_attitudes(config: StarSensor) -> FloatArray:
@@ -265,10 +265,10 @@ def simulate_reference(
     sigma_v = ARCSEC * np.array([config.sigma_roll_arcsec, config.sigma_heading_arcsec, config.sigma_pitch_arcsec])
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     valid_s = (time_ns - stretch.start_ns) / SECOND_NS - truth.time_offset_s + ins_time_offset_s
-    clean_nv = carrier.attitude(valid_s) @ truth.rotation_dv
+    true_nv = carrier.attitude(valid_s) @ truth.rotation_dv
     if not scenario.gravity.is_level:
-        clean_nv = exp_rotation(-deflection.horizon_rotation_n(np.maximum(valid_s, 0.0))) @ clean_nv
-    return _samples(f"reference.{name}", draws, time_ns, clean_nv, sigma_v, 0.0, config), truth
+        true_nv = exp_rotation(-deflection.horizon_rotation_n(np.maximum(valid_s, 0.0))) @ true_nv
+    return _samples(f"reference.{name}", draws, time_ns, true_nv, sigma_v, 0.0, config), truth
 
 
 def _draw_truth(
@@ -295,7 +295,7 @@ def _samples(
     name: str,
     draws: Draws,
     time_ns: np.ndarray,
-    clean_nv: FloatArray,
+    true_nv: FloatArray,
     sigma_v: FloatArray,
     common_sigma: float,
     config: StarSensor | Reference,
@@ -306,13 +306,13 @@ def _samples(
     return DeviceSamples(
         time_ns=time_ns,
         log_time_ns=arrival_times(time_ns, config.latency_s, config.jitter_s, arrival),
-        rotation_nv=clean_nv @ exp_rotation(noise_v),
+        rotation_nv=true_nv @ exp_rotation(noise_v),
         noise_v=np.diag(sigma_v**2),
         common_n=common_sigma**2 * np.eye(3),
     )
 
 
-def _kept(samples: DeviceSamples, keep: np.ndarray) -> DeviceSamples:
+def _select_samples(samples: DeviceSamples, keep: np.ndarray) -> DeviceSamples:
     return DeviceSamples(
         samples.time_ns[keep], samples.log_time_ns[keep], samples.rotation_nv[keep], samples.noise_v, samples.common_n
     )
@@ -350,7 +350,7 @@ def simulate_fused_attitude(scenario: Scenario, carrier: Carrier, stretch: Stret
     return FusedSamples(
         time_ns=time_ns,
         log_time_ns=arrival_times(time_ns, config.latency_s, config.jitter_s, arrival),
-        rotation_nd=exp_rotation(-white_n) @ exp_rotation(-error.at(since_start_s)) @ carrier.attitude(since_start_s),
+        rotation_nd=exp_rotation(-white_n) @ exp_rotation(-error.values_at(since_start_s)) @ carrier.attitude(since_start_s),
         rate_d=carrier.body_rate(since_start_s),
         covariance_n=np.diag(sigma**2 + white_sigma**2),
     )

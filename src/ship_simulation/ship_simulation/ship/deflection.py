@@ -8,7 +8,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.draws.stretch import Draws, Stretch
-from ship_simulation.scenario.scenario import Gravity, Scenario, start_of
+from ship_simulation.scenario.scenario import Gravity, Scenario, start_time_ns
 from ship_simulation.ship.ship_track import ShipTrack
 
 _UNKNOWN = "gravity.unknown"
@@ -27,7 +27,7 @@ class Deflection:
         self._gravity, self._track, self._draws = scenario.gravity, track, draws
         self._duration_s = scenario.duration_s
 
-    def at(self, since_start_s: FloatArray) -> FloatArray:
+    def deflection_at(self, since_start_s: FloatArray) -> FloatArray:
         """Return the true deflection at times, rad, shape (n, 2)."""
         gravity, speed = self._gravity, self._track.position.speed_m_per_s
         known = known_deflection(gravity, speed * since_start_s)
@@ -37,11 +37,11 @@ class Deflection:
         if not speed:
             return known + sigma * random_stream(self._draws.seed, _UNKNOWN).standard_normal(2)
         time_s = gravity.correlation_length_m / speed
-        return known + self._draws.correlated_error(_UNKNOWN, self._duration_s, sigma, time_s).at(since_start_s)
+        return known + self._draws.correlated_error(_UNKNOWN, self._duration_s, sigma, time_s).values_at(since_start_s)
 
     def horizon_rotation_n(self, since_start_s: FloatArray) -> FloatArray:
         """Return the rotation vector of the geodetic horizon against gravity's, (North, Up, East), rad, (n, 3)."""
-        xi, eta = self.at(since_start_s).T
+        xi, eta = self.deflection_at(since_start_s).T
         time_ns = self._track.start_ns + np.rint(since_start_s * SECOND_NS).astype(np.int64)
         latitude_deg, _ = self._track.latitude_longitude_deg(time_ns)
         return np.column_stack([eta, eta * np.tan(np.deg2rad(latitude_deg)), -xi])
@@ -66,14 +66,14 @@ def simulate_deflections(scenario: Scenario, stretch: Stretch) -> DeflectionSamp
     """Return the deflection known from maps at the ship's position, at regular stamps."""
     gravity = scenario.gravity
     time_ns = stretch.stamps(gravity.rate_hz, 0.0)
-    way_m = scenario.position.speed_m_per_s * (time_ns - stretch.start_ns) / SECOND_NS
+    distance_m = scenario.position.speed_m_per_s * (time_ns - stretch.start_ns) / SECOND_NS
     covariance = (gravity.sigma_arcsec * ARCSEC) ** 2 * np.eye(2)
-    return DeflectionSamples(time_ns, known_deflection(gravity, way_m), covariance)
+    return DeflectionSamples(time_ns, known_deflection(gravity, distance_m), covariance)
 
 
-def known_deflection(gravity: Gravity, way_m: FloatArray) -> FloatArray:
+def known_deflection(gravity: Gravity, distance_m: FloatArray) -> FloatArray:
     """Return the deflection known from maps at distances along the track, rad, shape (n, 2)."""
-    along = np.clip((np.asarray(way_m) - gravity.change_start_m) / gravity.change_length_m, 0.0, 1.0)
+    along = np.clip((np.asarray(distance_m) - gravity.change_start_m) / gravity.change_length_m, 0.0, 1.0)
     share = 0.5 * (1.0 - np.cos(np.pi * along))
     change_arcsec = np.array([gravity.change_xi_arcsec, gravity.change_eta_arcsec])
     known: FloatArray = ARCSEC * (np.array([gravity.xi_arcsec, gravity.eta_arcsec]) + share[..., None] * change_arcsec)
@@ -82,13 +82,13 @@ def known_deflection(gravity: Gravity, way_m: FloatArray) -> FloatArray:
 
 def deflection_table(scenario: Scenario) -> dict[str, list[float]]:
     """Return the table of the deflection known from maps, with the suite's parameter names ``gravity.table_...``."""
-    gravity, track = scenario.gravity, ShipTrack(scenario.position, start_of(scenario.start_utc))
+    gravity, track = scenario.gravity, ShipTrack(scenario.position, start_time_ns(scenario.start_utc))
     speed = scenario.position.speed_m_per_s
     end_m = speed * scenario.duration_s
-    way_m = np.linspace(0.0, end_m, max(int(np.ceil(end_m / gravity.table_step_m)), 1) + 1)
-    since_start_s = way_m / speed if speed else np.array([0.0, scenario.duration_s])
+    distance_m = np.linspace(0.0, end_m, max(int(np.ceil(end_m / gravity.table_step_m)), 1) + 1)
+    since_start_s = distance_m / speed if speed else np.array([0.0, scenario.duration_s])
     latitude_deg, longitude_deg = track.latitude_longitude_deg(track.start_ns + np.rint(since_start_s * SECOND_NS).astype(np.int64))
-    xi_arcsec, eta_arcsec = known_deflection(gravity, way_m).T / ARCSEC
+    xi_arcsec, eta_arcsec = known_deflection(gravity, distance_m).T / ARCSEC
     columns = {
         "table_latitude_deg": latitude_deg,
         "table_longitude_deg": longitude_deg,

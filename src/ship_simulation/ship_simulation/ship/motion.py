@@ -189,7 +189,7 @@ class RecordedMotion:
         return moments
 
 
-def carrier_of(motion: CarrierMotion, seed: int) -> Carrier:
+def make_carrier(motion: CarrierMotion, seed: int) -> Carrier:
     """Return the motion of the ship; the phases of a sea depend on the seed.
 
     Raises:

@@ -6,7 +6,7 @@ import numpy as np
 
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
-from ship_simulation.draws.noise import CorrelatedError, arrival_times, outside, random_stream
+from ship_simulation.draws.noise import CorrelatedError, arrival_times, is_outside, random_stream
 from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.theodolite_scenario import Rtk
@@ -34,7 +34,7 @@ class BaselineSamples:
     covariance_n: FloatArray
     fix: np.ndarray
 
-    def some(self, which: np.ndarray) -> "BaselineSamples":
+    def select(self, which: np.ndarray) -> "BaselineSamples":
         """Return some of the samples."""
         return BaselineSamples(
             self.time_ns[which],
@@ -45,7 +45,7 @@ class BaselineSamples:
         )
 
 
-def solved(
+def simulate_solutions(
     name: str, config: Rtk, time_ns: np.ndarray, true_n: FloatArray, stretch: Stretch, draws: Draws
 ) -> BaselineSamples:
     """Return solutions of true baselines (North, Up, East), m, shape (n, 3), with white and correlated errors.
@@ -60,17 +60,17 @@ def solved(
     """
     t_s = (time_ns - stretch.start_ns) / SECOND_NS
     bias = _correlated_error(name + ".bias", stretch, config.bias_sigma_m, config.bias_time_s, draws)
-    unfixed = _correlated_error(name + ".float", stretch, config.float_sigma_m, config.float_time_s, draws)
-    is_float = ~outside(t_s, config.float_times)
+    float_error = _correlated_error(name + ".float", stretch, config.float_sigma_m, config.float_time_s, draws)
+    is_float = ~is_outside(t_s, config.float_times)
     white_n = config.sigma_m * draws.stream(name + ".white").standard_normal((time_ns.size, 3))
-    error_n = white_n + bias.at(t_s) + is_float[:, None] * unfixed.at(t_s)
+    error_n = white_n + bias.values_at(t_s) + is_float[:, None] * float_error.values_at(t_s)
     variance = config.sigma_m**2 + is_float * config.float_sigma_m**2
     # NaN where there is no solution.
-    unsolved = ~outside(t_s, config.no_solution_times)
+    unsolved = ~is_outside(t_s, config.no_solution_times)
     blank = np.where(unsolved, np.nan, 1.0)
     arrival = draws.stream(name + ".arrival")
     log_time_ns = arrival_times(time_ns, config.latency_s, config.jitter_s, arrival)
-    sent = outside(t_s, config.outages)
+    sent = is_outside(t_s, config.outages)
     return BaselineSamples(
         time_ns=time_ns[sent],
         log_time_ns=log_time_ns[sent],
@@ -87,7 +87,7 @@ def simulate_ship_baseline(scenario: Scenario, carrier: Carrier, stretch: Stretc
     surveyed_off_d = config.sigma_m * random_stream(draws.seed, name + ".survey").standard_normal(3)
     vector_d = np.array([config.forward_m, config.up_m, config.right_m]) + surveyed_off_d
     true_n = carrier.attitude((time_ns - stretch.start_ns) / SECOND_NS) @ vector_d
-    return solved(name + ".rtk", config.rtk, time_ns, true_n, stretch, draws)
+    return simulate_solutions(name + ".rtk", config.rtk, time_ns, true_n, stretch, draws)
 
 
 def _correlated_error(name: str, stretch: Stretch, sigma_m: float, time_s: float, draws: Draws) -> CorrelatedError:

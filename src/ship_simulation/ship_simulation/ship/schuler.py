@@ -13,12 +13,12 @@ from scipy.linalg import expm
 from ship_geometry.geodetic import EARTH_RATE_RAD_PER_S, GeodeticPosition, horizon_radii_m, normal_gravity
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
-from ship_simulation.scenario.scenario import Scenario, start_of
+from ship_simulation.scenario.scenario import Scenario, start_time_ns
 from ship_simulation.ship.deflection import Deflection
 from ship_simulation.ship.ship_track import ShipTrack
 
 _STEP_S = 1.0
-_STEPS_AT_A_PLACE = 300
+_STEPS_PER_LATITUDE = 300
 """Number of steps with the same latitude: in five minutes a ship changes it by a few miles."""
 
 _STATES = 11
@@ -43,7 +43,7 @@ class SchulerError:
         self, rng: np.random.Generator, scenario: Scenario, sigma: FloatArray, deflection: Deflection | None
     ) -> None:
         self._rng, self._config, self._deflection = rng, scenario.ins.schuler, deflection
-        self._track = ShipTrack(scenario.position, start_of(scenario.start_utc))
+        self._track = ShipTrack(scenario.position, start_time_ns(scenario.start_utc))
         course = math.radians(scenario.position.course_deg)
         speed = scenario.position.speed_m_per_s
         self._velocity = speed * math.cos(course), speed * math.sin(course)
@@ -64,27 +64,27 @@ class SchulerError:
         self._values = self._state[None, :3]
         self._step: tuple[FloatArray, FloatArray, FloatArray]
 
-    def at(self, since_start_s: FloatArray) -> FloatArray:
+    def errors_at(self, since_start_s: FloatArray) -> FloatArray:
         """Return the error at times, rad, shape (n, 3)."""
         if np.size(since_start_s):
-            self._reach(math.ceil(float(np.max(since_start_s)) / _STEP_S))
+            self._extend_to(math.ceil(float(np.max(since_start_s)) / _STEP_S))
         moments_s = _STEP_S * (self._first + np.arange(len(self._values)))
         return np.stack([np.interp(since_start_s, moments_s, column) for column in self._values.T], axis=-1)
 
-    def forget(self, before_s: float) -> None:
+    def drop_before(self, before_s: float) -> None:
         """Drop the part before a time; earlier times may not be requested any more."""
         first = min(math.floor(before_s / _STEP_S), self._first + len(self._values) - 1)
         if first > self._first:
             self._values, self._first = self._values[first - self._first :].copy(), first
 
-    def _reach(self, last: int) -> None:
+    def _extend_to(self, last: int) -> None:
         done = self._first + len(self._values) - 1
-        pulls = np.zeros((max(last - done, 0), 2))
-        if self._deflection is not None and len(pulls):
-            pulls = self._deflection.at(_STEP_S * np.arange(done + 0.5, last, dtype=np.float64))
+        deflections = np.zeros((max(last - done, 0), 2))
+        if self._deflection is not None and len(deflections):
+            deflections = self._deflection.deflection_at(_STEP_S * np.arange(done + 0.5, last, dtype=np.float64))
         more = []
-        for number, pull in zip(range(done, last), pulls, strict=True):
-            if number % _STEPS_AT_A_PLACE == 0:
+        for number, pull in zip(range(done, last), deflections, strict=True):
+            if number % _STEPS_PER_LATITUDE == 0:
                 self._step = self._step_at(number * _STEP_S)
             transition, by_deflection, root = self._step
             fresh = root @ self._rng.standard_normal(_STATES)
@@ -99,7 +99,7 @@ class SchulerError:
             np.array([self._track.start_ns + round(since_start_s * SECOND_NS)])
         )
         latitude = math.radians(float(latitude_deg[0]))
-        rates = np.column_stack([self._rates(column, latitude) for column in np.eye(_STATES + 2)])
+        rates = np.column_stack([self._state_derivative(column, latitude) for column in np.eye(_STATES + 2)])
         whole = np.vstack([rates, np.zeros((2, _STATES + 2))])
         moved = expm(_STEP_S * whole)
         own, config = rates[:, :_STATES], self._config
@@ -116,7 +116,7 @@ class SchulerError:
         values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
         return transition, moved[:_STATES, _STATES:], vectors * np.sqrt(np.maximum(values, 0.0))
 
-    def _rates(self, state: FloatArray, latitude: float) -> FloatArray:
+    def _state_derivative(self, state: FloatArray, latitude: float) -> FloatArray:
         """Return the derivative of the states, with the deflection (xi, eta) at their end; linear in all."""
         tilt, (north, east), own_latitude, drift = state[:3], state[3:5], state[5], state[6:9]
         (bias_north, bias_east), (xi, eta) = state[9:11], state[11:]

@@ -49,7 +49,7 @@ class ShipTrack:
             place.longitude_deg + np.rad2deg(longitude_rate) * since_start_s,
         )
 
-    def at(self, time_ns: np.ndarray) -> GeodeticPosition:
+    def position_at(self, time_ns: np.ndarray) -> GeodeticPosition:
         """Return the position at times."""
         latitude_deg, longitude_deg = self.latitude_longitude_deg(time_ns)
         height_m = np.full(np.shape(time_ns), self.position.height_m)

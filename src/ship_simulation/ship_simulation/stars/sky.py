@@ -62,19 +62,19 @@ class TrueSky:
             stars: true positions, broadcast against the times.
             time_ns: times.
         """
-        observer = Observer(self.track.at(time_ns), self.track.velocity_n_m_per_s)
+        observer = Observer(self.track.position_at(time_ns), self.track.velocity_n_m_per_s)
         without_air = directions(stars, time_ns, observer, self.orientation(time_ns))
         return raised_directions(without_air, refraction(self.model, elevation_of(without_air), self.weather).angle)
 
     def rotation_horizon_from_icrs(self, time_ns: np.ndarray) -> FloatArray:
         """Return the rotation "horizon from ICRS", without aberration, shape (n, 3, 3)."""
-        orientation, position = self.orientation(time_ns), self.track.at(time_ns)
+        orientation, position = self.orientation(time_ns), self.track.position_at(time_ns)
         ut1 = julian_date(time_ns, orientation.ut1_minus_utc_s)
         rotation_ec = erfa.c2t06a(*tt_julian_date(time_ns), *ut1, orientation.pole_x, orientation.pole_y)
         rotation_ne: FloatArray = rotation_horizon_from_ecef(position.latitude, position.longitude) @ rotation_ec
         return rotation_ne
 
-    def lift(self, direction_n: FloatArray) -> FloatArray:
+    def refraction_rotation(self, direction_n: FloatArray) -> FloatArray:
         """Return the rotation by refraction at apparent directions (N, U, E), shape (..., 3): shape (..., 3, 3).
 
         It is a rotation about the horizontal axis across the direction. NaN below the range of the refraction model.
@@ -111,17 +111,17 @@ def draw_sky(scenario: Scenario, track: ShipTrack, seed: int) -> TrueSky:
         weather=_true_air(scenario.weather, seed),
         ut1_error_s=ut1_sigma_s * random_stream(seed, "sky.earth_rotation").standard_normal(),
         catalogue=catalogue,
-        positions=_displaced(catalogue, year_of(track.start_ns), random_stream(seed, "sky.catalogue")),
+        positions=_draw_true_positions(catalogue, julian_year(track.start_ns), random_stream(seed, "sky.catalogue")),
     )
 
 
-def year_of(time_ns: int) -> float:
+def julian_year(time_ns: int) -> float:
     """Return the Julian year of a time, such as 2014.5."""
     whole, fraction = julian_date(time_ns)
     return float(2000.0 + (whole - _J2000 + fraction) / _JULIAN_YEAR_D)
 
 
-def place_of_date(stars: StarPositions, time_ns: int) -> StarPositions:
+def position_of_date(stars: StarPositions, time_ns: int) -> StarPositions:
     """Return the ICRS positions of stars at a time, with proper motion and parallax applied."""
     tt = tt_julian_date(time_ns)
     earth_au = erfa.epv00(*tt)[1]["p"]
@@ -144,7 +144,7 @@ def _true_air(station: WeatherStation, seed: int) -> Weather:
     )
 
 
-def _displaced(catalogue: StarCatalogue, year: float, rng: np.random.Generator) -> StarPositions:
+def _draw_true_positions(catalogue: StarCatalogue, year: float, rng: np.random.Generator) -> StarPositions:
     """Return the catalogue's positions, each with an error of its standard deviation in that year."""
     stars = catalogue.at_j2000
     east, north = catalogue.position_sigma_at(np.arange(len(catalogue.hip)), year) * rng.standard_normal((2, len(catalogue.hip)))

@@ -40,7 +40,7 @@ class DetectorErrors:
         tile_px = _TILE_PX if detector.pixel_spatial_sigma_px > 0.0 else 1
         self._pixel = detector.pixel_spatial_sigma_px * rng.standard_normal((tile_px, tile_px, 2))
 
-    def at(self, pixels: FloatArray) -> FloatArray:
+    def errors_at(self, pixels: FloatArray) -> FloatArray:
         """Return errors in (u, v) of centroids at pixels, shape (..., 2); NaN if a pixel is not finite."""
         found = np.full(pixels.shape, np.nan)
         finite = np.all(np.isfinite(pixels), axis=-1)
@@ -51,5 +51,5 @@ class DetectorErrors:
         found[finite] = field + self._pixel[row, column]
         return found
 
-    def forget(self, before_s: float) -> None:
+    def drop_before(self, before_s: float) -> None:
         """Do nothing: the errors of a detector do not depend on time."""

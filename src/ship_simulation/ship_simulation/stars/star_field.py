@@ -52,8 +52,8 @@ def stars_in_field(
     camera, masks = sensor.camera.camera("camera"), sensor.sight_masks
     bright = sky.catalogue.rows_brighter_than(sensor.magnitude_limit)
     bright = bright[np.argsort(sky.catalogue.magnitude[bright], kind="stable")]
-    places = sky.positions[bright]
-    place_c = erfa.s2c(places.right_ascension, places.declination)
+    positions = sky.positions[bright]
+    place_c = erfa.s2c(positions.right_ascension, positions.declination)
     least_cosine = np.cos(_radius(camera, sensor.camera) + _MARGIN)
     parts = []
     starts = np.flatnonzero(np.diff(since_start_s // _BLOCK_S, prepend=-1.0))
@@ -66,7 +66,7 @@ def stars_in_field(
         # R^T v of each star, as rows.
         direction_s = direction_n @ rotation_nv[exposures]
         pixel = camera.pixels(direction_s)
-        inside = sensor.camera.holds(pixel)
+        inside = sensor.camera.contains(pixel)
         if masks is not None:
             inside[inside] = ~masks.is_hidden(direction_s[inside])
         # Columns run from bright to faint.
@@ -88,7 +88,7 @@ def _radius(camera: StarCamera, detector: Detector) -> float:
     return float(np.arccos(corners_s[:, 0].min()))
 
 
-def swapped_identities(
+def swap_identities(
     rows: Rows, exposure: NDArray[np.int64], probability: float, rng: np.random.Generator
 ) -> Rows:
     """Return star identities in which two are swapped in some exposures.

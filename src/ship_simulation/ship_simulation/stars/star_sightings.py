@@ -14,13 +14,13 @@ from ship_attitude_star.sky.catalogue import UNKNOWN
 from ship_attitude_star.stars.camera import equivalent_sigma
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_geometry.star_directions import StarPositions, fixed_stars
-from ship_simulation.draws.noise import arrival_times, centroids, outside, random_stream
+from ship_simulation.draws.noise import arrival_times, centroids, is_outside, random_stream
 from ship_simulation.draws.stretch import Draws
 from ship_simulation.scenario.scenario import Scenario, StarImaging
-from ship_simulation.ship.attitude_device import ExposedMotion, MountedMotion, sigma_of_attitudes
-from ship_simulation.stars.sky import TrueSky, place_of_date, year_of
+from ship_simulation.ship.attitude_device import ExposureMotion, StarSensorMotion, sigma_of_attitudes
+from ship_simulation.stars.sky import TrueSky, position_of_date, julian_year
 from ship_simulation.stars.spatial_errors import DetectorErrors
-from ship_simulation.stars.star_field import stars_in_field, swapped_identities
+from ship_simulation.stars.star_field import stars_in_field, swap_identities
 from ship_simulation.stars.true_optics import draw_optics
 
 MAGNITUDE_SIGMA = 0.2
@@ -99,11 +99,11 @@ class SightingsTruth:
     rotation_nv: FloatArray
     hip: NDArray[np.int64]
     direction_s: FloatArray
-    swapped: NDArray[np.bool_]
+    is_swapped: NDArray[np.bool_]
 
 
 def simulate_sightings(
-    source: str, config: StarImaging, motion: ExposedMotion, sky: TrueSky, draws: Draws
+    source: str, config: StarImaging, motion: ExposureMotion, sky: TrueSky, draws: Draws
 ) -> tuple[StarSightings, SightingsTruth]:
     """Return all exposures of a star sensor, or of a camera on the theodolite; empty by day, and in outages.
 
@@ -115,9 +115,9 @@ def simulate_sightings(
         draws: of the run.
     """
     dark = sky.sun_elevation(motion.valid_ns) < np.deg2rad(config.sun_limit_deg)
-    seeing = dark & outside(motion.since_start_s, config.outages)
-    true = _true_spots(source, config, motion, sky, seeing, draws)
-    spots = _as_read_out([true, _false_spots(source, config, sky, seeing, draws)])
+    is_observing = dark & is_outside(motion.since_start_s, config.outages)
+    true = _true_spots(source, config, motion, sky, is_observing, draws)
+    spots = _in_readout_order([true, _false_spots(source, config, sky, is_observing, draws)])
     arrival = draws.stream(source + ".arrival")
     # The message field has single precision.
     sigma_px = float(np.float32(config.camera.centroid_sigma_px))
@@ -163,47 +163,47 @@ class _Spots:
 
 
 def _true_spots(
-    source: str, config: StarImaging, motion: ExposedMotion, sky: TrueSky, seeing: NDArray[np.bool_], draws: Draws
+    source: str, config: StarImaging, motion: ExposureMotion, sky: TrueSky, is_observing: NDArray[np.bool_], draws: Draws
 ) -> _Spots:
     """Return stars with errors in their centroids and magnitudes, and some swapped identities."""
     field = stars_in_field(
-        config, sky, motion.rotation_nv[seeing], motion.valid_ns[seeing], motion.since_start_s[seeing]
+        config, sky, motion.rotation_nv[is_observing], motion.valid_ns[is_observing], motion.since_start_s[is_observing]
     )
-    exposure = np.flatnonzero(seeing)[field.exposure]
+    exposure = np.flatnonzero(is_observing)[field.exposure]
     # Path of each star on the detector; the sky is fixed during the exposure.
-    way_s = field.direction_s[None]
+    path_s = field.direction_s[None]
     if config.exposure_s > 0.0:
         place_n = (motion.rotation_nv[exposure] @ field.direction_s[..., None])[..., 0]
-        way_s = np.einsum("mkji,kj->mki", motion.passing_nv[:, exposure], place_n)
+        path_s = np.einsum("mkji,kj->mki", motion.exposure_nv[:, exposure], place_n)
     detector = config.camera
-    way = draw_optics(random_stream(draws.seed, source + ".optics"), detector, source).pixels(way_s)
+    path = draw_optics(random_stream(draws.seed, source + ".optics"), detector, source).pixels(path_s)
     if detector.field_spatial_sigma_px or detector.pixel_spatial_sigma_px:
-        errors = draws.lasting(source + ".detector", lambda rng: DetectorErrors(rng, detector))
-        way = way + errors.at(way)
+        errors = draws.persistent_draw(source + ".detector", lambda rng: DetectorErrors(rng, detector))
+        path = path + errors.errors_at(path)
     noise_px = draws.stream(source + ".centroid").standard_normal(field.pixel.shape)
     magnitude_noise = draws.stream(source + ".magnitude").standard_normal(field.row.size)
     swaps = draws.stream(source + ".swaps")
     return _Spots(
         exposure=exposure,
         row=field.row,
-        claimed=swapped_identities(field.row, exposure, config.swapped_probability, swaps),
+        claimed=swap_identities(field.row, exposure, config.swapped_probability, swaps),
         direction_s=field.direction_s,
         pixel=centroids(
-            motion.times, way, config.camera.psf_sigma_px, config.camera.centroid_sigma_px, noise_px
+            motion.times, path, config.camera.psf_sigma_px, config.camera.centroid_sigma_px, noise_px
         ),
         magnitude=sky.catalogue.magnitude[field.row] + MAGNITUDE_SIGMA * magnitude_noise,
     )
 
 
-def _false_spots(source: str, config: StarImaging, sky: TrueSky, seeing: NDArray[np.bool_], draws: Draws) -> _Spots:
+def _false_spots(source: str, config: StarImaging, sky: TrueSky, is_observing: NDArray[np.bool_], draws: Draws) -> _Spots:
     """Return spots anywhere on the detector, each identified as any star of the sky."""
     name = source + ".false_stars"
-    count = draws.stream(name).poisson(config.false_stars, seeing.size) * seeing
+    count = draws.stream(name).poisson(config.false_stars, is_observing.size) * is_observing
     total = int(count.sum())
     bright = sky.catalogue.rows_brighter_than(config.magnitude_limit)
     least, greatest = config.camera.edges_px
     return _Spots(
-        exposure=np.repeat(np.arange(seeing.size), count),
+        exposure=np.repeat(np.arange(is_observing.size), count),
         row=np.full(total, UNKNOWN),
         claimed=draws.stream(name + ".claimed").choice(bright, total),
         direction_s=np.full((total, 3), np.nan),
@@ -212,7 +212,7 @@ def _false_spots(source: str, config: StarImaging, sky: TrueSky, seeing: NDArray
     )
 
 
-def _as_read_out(kinds: list[_Spots]) -> _Spots:
+def _in_readout_order(kinds: list[_Spots]) -> _Spots:
     """Return all spots in readout order, row after row, so that the order does not depend on their kinds."""
     spots = _Spots(*(np.concatenate([getattr(kind, field) for kind in kinds]) for field in vars(kinds[0])))
     return spots[np.lexsort((spots.pixel[:, 1], spots.exposure))]
@@ -224,9 +224,9 @@ def _identities(
     """Return the reported HIP number and position of each star, and the error of the position."""
     catalogue, start_ns = sky.catalogue, sky.track.start_ns
     if config.identified and not config.direction_given:
-        return catalogue.hip[claimed], catalogue.at_j2000[claimed], catalogue.position_sigma_at(claimed, year_of(start_ns))
+        return catalogue.hip[claimed], catalogue.at_j2000[claimed], catalogue.position_sigma_at(claimed, julian_year(start_ns))
     if config.identified:
-        positions = place_of_date(catalogue.at_j2000[claimed], start_ns)
+        positions = position_of_date(catalogue.at_j2000[claimed], start_ns)
     else:
         positions = fixed_stars(*np.full((2, claimed.size), np.nan))
     return np.zeros_like(claimed), positions, np.full(claimed.size, _GIVEN_DIRECTION_SIGMA)
@@ -250,7 +250,7 @@ class InertialSamples:
 
 
 def simulate_inertial_sensor(
-    sensor_id: str, scenario: Scenario, motion: MountedMotion, sky: TrueSky, draws: Draws
+    sensor_id: str, scenario: Scenario, motion: StarSensorMotion, sky: TrueSky, draws: Draws
 ) -> InertialSamples:
     """Return samples by R_cv = R_nc^T L^T R_star exp(n), L the rotation by refraction at the boresight.
 
@@ -264,8 +264,8 @@ def simulate_inertial_sensor(
     arrival = draws.stream(name + ".arrival")
     log_time_ns = arrival_times(motion.time_ns, config.latency_s, config.jitter_s, arrival)
     rotation_nc = sky.rotation_horizon_from_icrs(motion.valid_ns)
-    rotation_nv = np.swapaxes(sky.lift(motion.rotation_nv[..., 0]), -1, -2) @ motion.rotation_nv
+    rotation_nv = np.swapaxes(sky.refraction_rotation(motion.rotation_nv[..., 0]), -1, -2) @ motion.rotation_nv
     rotation_cv = np.swapaxes(rotation_nc, -1, -2) @ rotation_nv @ exp_rotation(noise_v)
     dark = sky.sun_elevation(motion.valid_ns) < np.deg2rad(config.sun_limit_deg)
-    kept = dark & outside(motion.since_start_s, config.outages) & np.isfinite(rotation_cv[:, 0, 0])
+    kept = dark & is_outside(motion.since_start_s, config.outages) & np.isfinite(rotation_cv[:, 0, 0])
     return InertialSamples(motion.time_ns[kept], log_time_ns[kept], rotation_cv[kept], np.diag(sigma_v**2))

@@ -40,7 +40,7 @@ _INS = (
     "time_offset_s",
     "time_offset_sigma_s",
 )
-_INS_BESIDE_STARS = tuple(name for name in _INS if name not in ("tilt_time_s", "heading_time_s"))
+_INS_FOR_STAR_ATTITUDE = tuple(name for name in _INS if name not in ("tilt_time_s", "heading_time_s"))
 """Parameters of the INS for ``star_attitude``, which needs no correlation time longer than an exposure."""
 _STAR_MOUNTING = (
     "azimuth_deg",
@@ -125,7 +125,7 @@ _STAR_TELESCOPE = (
 )
 _REFRACTION = ("coefficient", "sigma", "light_sigma", "time_s")
 
-_LEAST_POSITION_TIME_S = 1.0
+_MIN_POSITION_TIME_S = 1.0
 """Minimum of the estimator's parameter."""
 
 
@@ -194,7 +194,7 @@ def _gravity(scenario: Scenario) -> dict[str, Any]:
 def star_attitude_configuration(scenario: Scenario) -> dict[str, Any]:
     """Return the parameters of ``star_attitude``, for the sensors that give single stars."""
     return {
-        "ins": {"frame_id": INS_FRAME, **_select_parameters(scenario.ins, _INS_BESIDE_STARS), **_rates(scenario)},
+        "ins": {"frame_id": INS_FRAME, **_select_parameters(scenario.ins, _INS_FOR_STAR_ATTITUDE), **_rates(scenario)},
         "star_sensors": {
             key: {
                 "frame_id": star_frame(key),
@@ -293,7 +293,7 @@ def _sky(scenario: Scenario, magnitude_limits: list[float]) -> dict[str, Any]:
         "fix_sigma_m": math.hypot(position.sigma_m, position.slow_sigma_m),
     }
     if position.slow_sigma_m > 0.0:
-        known["position_time_s"] = max(position.slow_time_s, _LEAST_POSITION_TIME_S)
+        known["position_time_s"] = max(position.slow_time_s, _MIN_POSITION_TIME_S)
     return known
 
 

@@ -14,7 +14,7 @@ from ship_simulation.draws.noise import (
 )
 from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.theodolite_scenario import Encoder, Telescope
-from ship_simulation.ship.rtk import BaselineSamples, solved
+from ship_simulation.ship.rtk import BaselineSamples, simulate_solutions
 from ship_simulation.theodolite.scene import MountState, Scene, TrueBeacon
 from theodolite_calib.lights.image import Camera
 
@@ -38,7 +38,7 @@ class EncoderSamples:
     sigma: float
 
 
-def read_encoders(config: Encoder, mount: MountState, stretch: Stretch, draws: Draws) -> EncoderSamples:
+def simulate_encoders(config: Encoder, mount: MountState, stretch: Stretch, draws: Draws) -> EncoderSamples:
     """Return readings of the mount at the stamps of the encoders, with their noise."""
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     sigma = config.sigma_arcsec * ARCSEC
@@ -85,15 +85,15 @@ class ImageSamples:
         return [(self.beacon_ids[self.beacon_index[row]], self.point_m[row]) for row in rows]
 
 
-def expose(config: Telescope, scene: Scene, stretch: Stretch, draws: Draws) -> ImageSamples:
+def simulate_images(config: Telescope, scene: Scene, stretch: Stretch, draws: Draws) -> ImageSamples:
     """Return the exposures of a stretch, including those without lights."""
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     t_s = (time_ns - stretch.start_ns) / SECOND_NS
     noise = draws.stream("theodolite.detection").standard_normal((time_ns.size, len(scene.beacons), 2))
     times = exposure_times(config.exposure_s)
-    way_m = np.array([points_on_detector(config, scene, t_s + t, scene.mount(t_s + t)) for t in times.since_middle_s])
-    point_m = centroids(times, way_m, config.psf_sigma_m, config.sigma_m, noise)
-    seen = in_view(config, scene, t_s, point_m)
+    path_m = np.array([points_on_detector(config, scene, t_s + t, scene.mount(t_s + t)) for t in times.since_middle_s])
+    point_m = centroids(times, path_m, config.psf_sigma_m, config.sigma_m, noise)
+    seen = is_in_view(config, scene, t_s, point_m)
     arrival = draws.stream("theodolite.telescope.arrival")
     return ImageSamples(
         time_ns=time_ns,
@@ -113,15 +113,15 @@ def points_on_detector(config: Telescope, scene: Scene, t_s: FloatArray, mount: 
     return camera.points(scene.directions_n(t_s, mount) @ scene.rotation_nt(mount))
 
 
-def in_view(config: Telescope, scene: Scene, t_s: FloatArray, point_m: FloatArray) -> np.ndarray:
+def is_in_view(config: Telescope, scene: Scene, t_s: FloatArray, point_m: FloatArray) -> np.ndarray:
     """True if a light is present, not hidden, and on the detector, shape (k, N)."""
     on_detector = np.all(np.abs(point_m) <= 0.5 * np.array([config.width_m, config.height_m]), axis=-1)
-    shown = [light.shows(t_s) for light in scene.beacons.values()]
+    shown = [light.is_visible(t_s) for light in scene.beacons.values()]
     seen: np.ndarray = on_detector & (np.stack(shown, axis=-1) if shown else np.empty((t_s.size, 0), dtype=bool))
     return seen
 
 
-def solve_baselines(
+def simulate_baselines(
     beacon_id: str, scene: Scene, ship_antenna: CorrelatedError, stretch: Stretch, draws: Draws
 ) -> BaselineSamples:
     """Return solutions for the baseline from the ship's antenna to a drone's, with the error of the former."""
@@ -130,8 +130,8 @@ def solve_baselines(
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     t_s = (time_ns - stretch.start_ns) / SECOND_NS
     true_n = beacon.path(t_s) + scene.carrier.attitude(t_s) @ scene.theodolite.lever_d
-    found = solved(f"beacon.{beacon_id}.rtk", config, time_ns, true_n + ship_antenna.at(t_s), stretch, draws)
-    return found.some(found.time_ns - stretch.start_ns < beacon.config.leaves_s * SECOND_NS)
+    found = simulate_solutions(f"beacon.{beacon_id}.rtk", config, time_ns, true_n + ship_antenna.values_at(t_s), stretch, draws)
+    return found.select(found.time_ns - stretch.start_ns < beacon.config.leaves_s * SECOND_NS)
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ def simulate_drone_attitude(
     arrival = draws.stream(name + ".arrival")
     log_time_ns = arrival_times(time_ns, config.latency_s, config.jitter_s, arrival)
     there = t_s < beacon.config.leaves_s
-    measured = exp_rotation(-white_n) @ exp_rotation(-slow.at(t_s)) @ beacon.attitude.attitude(t_s)
+    measured = exp_rotation(-white_n) @ exp_rotation(-slow.values_at(t_s)) @ beacon.attitude.attitude(t_s)
     return DroneSamples(
         time_ns=time_ns[there],
         log_time_ns=log_time_ns[there],

@@ -24,15 +24,15 @@ _RAMP_S = 20.0
 def flight_path(course: Course, programme: Programme) -> FlightPath:
     """Return the path of a drone or a target; an escort follows ``programme``."""
     paths: dict[str, FlightPath] = {
-        "escort": lambda t_s: _escorting(course.escort, programme, t_s),
-        "hover": lambda t_s: _hovering(course.hover, t_s),
-        "orbit": lambda t_s: _orbiting(course.orbit, t_s),
-        "legs": lambda t_s: _on_legs(list(course.waypoints.values()), t_s),
+        "escort": lambda t_s: _escort_path(course.escort, programme, t_s),
+        "hover": lambda t_s: _hover_path(course.hover, t_s),
+        "orbit": lambda t_s: _orbit_path(course.orbit, t_s),
+        "legs": lambda t_s: _leg_path(list(course.waypoints.values()), t_s),
     }
     return paths[course.kind]
 
 
-def swaying(flight: Flight, rng: np.random.Generator) -> HarmonicMotion:
+def sway_motion(flight: Flight, rng: np.random.Generator) -> HarmonicMotion:
     """Return the attitude of a drone (nose, up, right): constant yaw, and a sway in pitch and roll."""
     mean = np.array([np.deg2rad(flight.yaw_deg), 0.0, 0.0])
     phasor = np.zeros((2, 3), dtype=complex)
@@ -62,7 +62,7 @@ def direction(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
     )
 
 
-def _escorting(escort: Escort, programme: Programme, t_s: FloatArray) -> FloatArray:
+def _escort_path(escort: Escort, programme: Programme, t_s: FloatArray) -> FloatArray:
     azimuth, elevation = sweep_angles(programme, t_s)
     beside = np.array([1.0, np.tan(np.deg2rad(escort.up_deg)), np.tan(np.deg2rad(escort.right_deg))])
     upright = rotation_from_angles(azimuth, elevation, np.zeros_like(azimuth))
@@ -70,28 +70,28 @@ def _escorting(escort: Escort, programme: Programme, t_s: FloatArray) -> FloatAr
     return place
 
 
-def _hovering(hover: Hover, t_s: FloatArray) -> FloatArray:
+def _hover_path(hover: Hover, t_s: FloatArray) -> FloatArray:
     drift_m_per_s = np.array([hover.north_m_per_s, hover.up_m_per_s, hover.east_m_per_s])
-    return _place(hover.azimuth_deg, hover.elevation_deg, hover.distance_m) + drift_m_per_s * t_s[:, None]
+    return _position(hover.azimuth_deg, hover.elevation_deg, hover.distance_m) + drift_m_per_s * t_s[:, None]
 
 
-def _orbiting(orbit: Orbit, t_s: FloatArray) -> FloatArray:
+def _orbit_path(orbit: Orbit, t_s: FloatArray) -> FloatArray:
     azimuth_deg = orbit.azimuth_deg + orbit.rate_deg_per_s * t_s
-    return _place(azimuth_deg, np.full_like(t_s, orbit.elevation_deg), orbit.distance_m)
+    return _position(azimuth_deg, np.full_like(t_s, orbit.elevation_deg), orbit.distance_m)
 
 
-def _on_legs(waypoints: list[Waypoint], t_s: FloatArray) -> FloatArray:
+def _leg_path(waypoints: list[Waypoint], t_s: FloatArray) -> FloatArray:
     """Return straight legs with a stop at each end; constant before the first waypoint and after the last."""
     waypoints = sorted(waypoints, key=lambda waypoint: waypoint.time_s)
     moments_s = np.array([waypoint.time_s for waypoint in waypoints])
-    places = np.array([_place(w.azimuth_deg, w.elevation_deg, w.distance_m) for w in waypoints])
+    places = np.array([_position(w.azimuth_deg, w.elevation_deg, w.distance_m) for w in waypoints])
     leg = np.clip(np.searchsorted(moments_s, t_s, side="right") - 1, 0, len(waypoints) - 2)
     flown = smooth_step((t_s - moments_s[leg]) / (moments_s[leg + 1] - moments_s[leg]))
     place: FloatArray = places[leg] + flown[:, None] * (places[leg + 1] - places[leg])
     return place
 
 
-def _place(azimuth_deg: FloatArray | float, elevation_deg: FloatArray | float, distance_m: float) -> FloatArray:
+def _position(azimuth_deg: FloatArray | float, elevation_deg: FloatArray | float, distance_m: float) -> FloatArray:
     return distance_m * direction(np.deg2rad(azimuth_deg), np.deg2rad(elevation_deg))
 
 
@@ -107,16 +107,16 @@ class Aim:
 
     programme: Programme
     paths: Sequence[FlightPath]
-    gone_s: float
+    last_departure_s: float
 
     def direction_n(self, t_s: FloatArray) -> FloatArray:
         """Return unit vectors of the required line of sight in (North, Up, East), shape (k, 3)."""
         if not (self.programme.follows_lights and self.paths):
             return direction(*sweep_angles(self.programme, t_s))
-        following = t_s <= self.gone_s
+        following = t_s <= self.last_departure_s
         directions_n = np.empty((t_s.size, 3))
         directions_n[following] = self._middle_of_beacons(t_s[following])
-        directions_n[~following] = direction(*self._angles_after(t_s[~following]))
+        directions_n[~following] = direction(*self._sweep_angles_after(t_s[~following]))
         return directions_n
 
     def _middle_of_beacons(self, t_s: FloatArray) -> FloatArray:
@@ -126,10 +126,10 @@ class Aim:
         middle_n: FloatArray = summed / np.linalg.norm(summed, axis=-1, keepdims=True)
         return middle_n
 
-    def _angles_after(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _sweep_angles_after(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return azimuth and elevation of the sweep that starts at the last direction of the lights, rad."""
-        left_n = self._middle_of_beacons(np.array([self.gone_s]))[0]
-        since_s = t_s - self.gone_s
+        left_n = self._middle_of_beacons(np.array([self.last_departure_s]))[0]
+        since_s = t_s - self.last_departure_s
         swept_s = np.where(since_s < _RAMP_S, 0.5 * since_s**2 / _RAMP_S, since_s - 0.5 * _RAMP_S)
         north, up, east = left_n
         azimuth = np.arctan2(east, north) + np.deg2rad(self.programme.azimuth_rate_deg_per_s) * swept_s

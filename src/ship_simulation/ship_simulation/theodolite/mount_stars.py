@@ -8,7 +8,7 @@ from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import exposure_times, random_stream
 from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.scenario import StarTelescope
-from ship_simulation.ship.attitude_device import ExposedMotion
+from ship_simulation.ship.attitude_device import ExposureMotion
 from ship_simulation.stars.sky import TrueSky
 from ship_simulation.stars.star_sightings import StarSightings, simulate_sightings
 from ship_simulation.theodolite.scene import Scene
@@ -22,7 +22,7 @@ def draw_parallelism(camera_id: str, config: StarTelescope, seed: int) -> FloatA
     return drawn
 
 
-def see_stars(
+def simulate_mount_stars(
     camera_id: str,
     config: StarTelescope,
     parallelism: FloatArray,
@@ -37,7 +37,7 @@ def see_stars(
     return sightings
 
 
-def _motion(config: StarTelescope, parallelism: FloatArray, scene: Scene, stretch: Stretch) -> ExposedMotion:
+def _motion(config: StarTelescope, parallelism: FloatArray, scene: Scene, stretch: Stretch) -> ExposureMotion:
     """Return the attitude of a camera: R_camera(t) = R_main(t) R(azimuth, elevation, roll)^T."""
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     since_start_s = (time_ns - stretch.start_ns) / SECOND_NS
@@ -50,13 +50,13 @@ def _motion(config: StarTelescope, parallelism: FloatArray, scene: Scene, stretc
 
     middle_ns = rotation_ns(since_start_s)
     passing = [rotation_ns(since_start_s + t_s) for t_s in times.since_middle_s] if config.exposure_s else [middle_ns]
-    return ExposedMotion(
+    return ExposureMotion(
         time_ns=time_ns,
         since_start_s=since_start_s,
         valid_ns=time_ns,
         rotation_nv=middle_ns,
         times=times,
-        passing_nv=np.array(passing),
+        exposure_nv=np.array(passing),
     )
 
 

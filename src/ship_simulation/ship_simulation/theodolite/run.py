@@ -6,7 +6,7 @@ import numpy as np
 
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
-from ship_simulation.draws.noise import truth_index
+from ship_simulation.draws.noise import truth_indices
 from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.ship.motion import Carrier
@@ -17,16 +17,16 @@ from ship_simulation.theodolite.devices import (
     DroneSamples,
     EncoderSamples,
     ImageSamples,
-    expose,
-    in_view,
+    simulate_images,
+    is_in_view,
     points_on_detector,
-    read_encoders,
+    simulate_encoders,
     simulate_drone_attitude,
-    solve_baselines,
+    simulate_baselines,
 )
-from ship_simulation.theodolite.mount_stars import draw_parallelism, see_stars
+from ship_simulation.theodolite.mount_stars import draw_parallelism, simulate_mount_stars
 from ship_simulation.theodolite.scene import MountState, Scene, draw_scene
-from ship_simulation.theodolite.targets import TargetSamples, draw_targets, see_targets
+from ship_simulation.theodolite.targets import TargetSamples, draw_targets, simulate_targets
 
 
 @dataclass(frozen=True)
@@ -82,15 +82,15 @@ def simulate_theodolite(
     mount = scene.mount((time_ns - stretch.start_ns) / SECOND_NS)
     parallelism = {key: draw_parallelism(key, camera, draws.seed) for key, camera in scenario.telescopes.items()}
     return TheodoliteRun(
-        encoder=read_encoders(config.encoder, mount, stretch, draws),
-        images=expose(config.telescope, scene, stretch, draws),
-        targets=see_targets(config.main_detector, draw_targets(scenario, draws), scene, stretch, draws),
+        encoder=simulate_encoders(config.encoder, mount, stretch, draws),
+        images=simulate_images(config.telescope, scene, stretch, draws),
+        targets=simulate_targets(config.main_detector, draw_targets(scenario, draws), scene, stretch, draws),
         stars={
-            key: see_stars(key, camera, parallelism[key], scene, sky, stretch, draws)
+            key: simulate_mount_stars(key, camera, parallelism[key], scene, sky, stretch, draws)
             for key, camera in scenario.telescopes.items()
             if sky is not None
         },
-        baselines={key: solve_baselines(key, scene, ship_antenna, stretch, draws) for key in scene.beacons},
+        baselines={key: simulate_baselines(key, scene, ship_antenna, stretch, draws) for key in scene.beacons},
         drones={key: simulate_drone_attitude(key, light, stretch, draws) for key, light in scene.beacons.items()},
         truth=_truth(scenario, scene, parallelism, mount, time_ns, stretch),
     )
@@ -105,7 +105,7 @@ def _truth(
     stretch: Stretch,
 ) -> PointingTruth:
     encoder = scenario.theodolite.encoder
-    index = truth_index(time_ns, stretch.start_ns, stretch.holds_last(encoder.rate_hz, encoder.phase_s))
+    index = truth_indices(time_ns, stretch.start_ns, stretch.contains_last(encoder.rate_hz, encoder.phase_s))
     chosen = MountState(*(getattr(mount, field)[index] for field in vars(mount)))
     t_s = (time_ns[index] - stretch.start_ns) / SECOND_NS
     telescope = scenario.theodolite.telescope
@@ -114,7 +114,7 @@ def _truth(
         encoder_index=index,
         mount=chosen,
         rotation_nt=scene.rotation_nt(chosen),
-        beacon_count=in_view(telescope, scene, t_s, point_m).sum(axis=1),
+        beacon_count=is_in_view(telescope, scene, t_s, point_m).sum(axis=1),
         scene=scene,
         star_parallelism=parallelism,
     )

@@ -11,7 +11,7 @@ import numpy as np
 from ship_bags.errors import BadInput
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
-from ship_simulation.draws.noise import CorrelatedError, outside, random_stream
+from ship_simulation.draws.noise import CorrelatedError, is_outside, random_stream
 from ship_simulation.draws.stretch import Draws
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.theodolite_scenario import (
@@ -24,7 +24,7 @@ from ship_simulation.scenario.theodolite_scenario import (
     SurveyError,
 )
 from ship_simulation.ship.motion import Carrier
-from ship_simulation.theodolite.flight import Aim, FlightPath, direction, flight_path, swaying
+from ship_simulation.theodolite.flight import Aim, FlightPath, direction, flight_path, sway_motion
 from theodolite_calib.chain.axes import NAMES, AxisErrors, encoder_angles, main_axis_rotation
 from theodolite_calib.lights.line_of_sight import EARTH_RADIUS_M
 
@@ -76,7 +76,7 @@ def parallelism_of(telescope: Telescope) -> tuple[FloatArray, FloatArray]:
     return ARCSEC * np.array(known), ARCSEC * np.array(sigma)
 
 
-def surveyed(lever: Lever) -> FloatArray:
+def surveyed_vector(lever: Lever) -> FloatArray:
     """Return the surveyed vector, m, shape (3,)."""
     return np.array([lever.forward_m, lever.up_m, lever.right_m])
 
@@ -88,7 +88,7 @@ def survey_error(vector: SurveyError) -> FloatArray:
 
 def draw_lever(lever: Lever, name: str, seed: int) -> FloatArray:
     """Return the true vector, m, shape (3,)."""
-    return surveyed(lever) + lever.sigma_m * random_stream(seed, name).standard_normal(3)
+    return surveyed_vector(lever) + lever.sigma_m * random_stream(seed, name).standard_normal(3)
 
 
 def _draw_axis_errors(axes: Axes, seed: int) -> FloatArray:
@@ -101,7 +101,7 @@ def _draw_axis_errors(axes: Axes, seed: int) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class SeenBody:
+class ObservedBody:
     """A body that the theodolite observes.
 
     Attributes:
@@ -114,14 +114,14 @@ class SeenBody:
     path: FlightPath
     refraction: CorrelatedError
 
-    def shows(self, t_s: FloatArray) -> np.ndarray:
+    def is_visible(self, t_s: FloatArray) -> np.ndarray:
         """True if the body is present and not hidden, shape (k,)."""
-        shown: np.ndarray = (t_s < self.config.leaves_s) & outside(t_s, self.config.hidden)
+        shown: np.ndarray = (t_s < self.config.leaves_s) & is_outside(t_s, self.config.hidden)
         return shown
 
 
 @dataclass(frozen=True)
-class TrueBeacon(SeenBody):
+class TrueBeacon(ObservedBody):
     """A drone with its light; ``path`` is that of its antenna.
 
     Attributes:
@@ -183,7 +183,7 @@ class Scene:
             BadInput: the line of sight is outside the range of the axes.
         """
         rotation_nd = self.carrier.attitude(t_s)
-        deformation_d = self.deformation.at(t_s)
+        deformation_d = self.deformation.values_at(t_s)
         rotation_nf = rotation_nd @ exp_rotation(deformation_d)
         wanted_f = (self.aim.direction_n(t_s)[:, None, :] @ rotation_nf)[:, 0, :]
         errors = self.theodolite.axis_errors
@@ -202,18 +202,18 @@ class Scene:
     def directions_n(self, t_s: FloatArray, mount: MountState) -> FloatArray:
         """Return unit vectors along which the lights are observed, shape (k, N, 3)."""
         lens_n = mount.rotation_nm @ self.theodolite.lens_m
-        common = self.coefficient + self.refraction.at(t_s)[:, 0]
+        common = self.coefficient + self.refraction.values_at(t_s)[:, 0]
         seen = [
-            raised(
+            refracted_directions(
                 light.path(t_s) + light.attitude.attitude(t_s) @ light.lever_b - lens_n,
-                common + light.refraction.at(t_s)[:, 0],
+                common + light.refraction.values_at(t_s)[:, 0],
             )
             for light in self.beacons.values()
         ]
         return np.stack(seen, axis=1) if seen else np.empty((t_s.size, 0, 3))
 
 
-def raised(path_n: FloatArray, coefficient: FloatArray) -> FloatArray:
+def refracted_directions(path_n: FloatArray, coefficient: FloatArray) -> FloatArray:
     """Return directions of paths, raised by k · (horizontal distance) / (2 R)."""
     north_m, up_m, east_m = path_n.T
     horizontal_m = np.hypot(north_m, east_m)
@@ -228,7 +228,7 @@ def draw_scene(scenario: Scenario, carrier: Carrier, draws: Draws) -> Scene:
         key: TrueBeacon(
             config=beacon,
             path=flight_path(beacon.flight, config.programme),
-            attitude=swaying(beacon.flight, random_stream(seed, f"beacon.{key}.sway")),
+            attitude=sway_motion(beacon.flight, random_stream(seed, f"beacon.{key}.sway")),
             lever_b=draw_lever(beacon.light, f"beacon.{key}.light", seed),
             refraction=draws.correlated_error(
                 f"beacon.{key}.refraction",
@@ -251,7 +251,7 @@ def draw_scene(scenario: Scenario, carrier: Carrier, draws: Draws) -> Scene:
         aim=Aim(
             programme=config.programme,
             paths=[light.path for light in beacons.values()],
-            gone_s=max((light.config.leaves_s for light in beacons.values()), default=0.0),
+            last_departure_s=max((light.config.leaves_s for light in beacons.values()), default=0.0),
         ),
         beacons=beacons,
         refraction=draws.correlated_error(

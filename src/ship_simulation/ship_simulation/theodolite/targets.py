@@ -17,12 +17,12 @@ from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.theodolite_scenario import MainDetector, Target
 from ship_simulation.theodolite.flight import flight_path
-from ship_simulation.theodolite.scene import Scene, SeenBody, raised
+from ship_simulation.theodolite.scene import Scene, ObservedBody, refracted_directions
 from theodolite_calib.lights.image import Camera
 
 
 @dataclass(frozen=True)
-class TrueTarget(SeenBody):
+class TrueTarget(ObservedBody):
     """A target; ``config`` is its part of the scenario."""
 
     config: Target
@@ -72,7 +72,7 @@ def draw_targets(scenario: Scenario, draws: Draws) -> dict[str, TrueTarget]:
     }
 
 
-def see_targets(
+def simulate_targets(
     config: MainDetector, targets: dict[str, TrueTarget], scene: Scene, stretch: Stretch, draws: Draws
 ) -> TargetSamples:
     """Return the images of a stretch, of each target that is present, not hidden, and on the detector."""
@@ -84,15 +84,15 @@ def see_targets(
     noise = np.stack(drawn, axis=1) if drawn else np.empty((time_ns.size, 0, 3))
     times = exposure_times(config.exposure_s)
     camera, rotation_error = _true_detector(config, draws.seed)
-    way_m = np.array([
+    path_m = np.array([
         _points(camera, scene, targets, t_s + t, reported_rotation + rotation_error) for t in times.since_middle_s
     ])  # fmt: skip
     # The effect of streaks on the centroid is part of sigma_m, the only error that the main detector states.
-    point_m = centroids(times, way_m, np.inf, config.sigma_m, noise[..., :2])
+    point_m = centroids(times, path_m, np.inf, config.sigma_m, noise[..., :2])
     on_detector = np.all(np.abs(point_m) <= 0.5 * np.array([config.width_m, config.height_m]), axis=-1)
-    shown = _of_each(targets, lambda one: one.shows(t_s), (t_s.size, 0))
+    shown = _stack_by_target(targets, lambda one: one.is_visible(t_s), (t_s.size, 0))
     exposure, target = np.nonzero(on_detector & shown.astype(bool))
-    paths_n = _of_each(targets, lambda one: one.path(t_s), (t_s.size, 0, 3))
+    paths_n = _stack_by_target(targets, lambda one: one.path(t_s), (t_s.size, 0, 3))
     range_sigma_m = np.array([one.config.range_sigma_m or np.nan for one in targets.values()])
     range_m = np.linalg.norm(paths_n, axis=-1) + range_sigma_m * noise[..., 2]
     lever_n = scene.carrier.attitude(t_s) @ scene.theodolite.lever_d
@@ -131,11 +131,11 @@ def _points(
 
 def _directions_n(scene: Scene, targets: dict[str, TrueTarget], t_s: FloatArray) -> FloatArray:
     """Return unit vectors along which the targets are observed, shape (k, N, 3)."""
-    common = scene.coefficient + scene.refraction.at(t_s)[:, 0]
-    return _of_each(targets, lambda one: raised(one.path(t_s), common + one.refraction.at(t_s)[:, 0]), (t_s.size, 0, 3))
+    common = scene.coefficient + scene.refraction.values_at(t_s)[:, 0]
+    return _stack_by_target(targets, lambda one: refracted_directions(one.path(t_s), common + one.refraction.values_at(t_s)[:, 0]), (t_s.size, 0, 3))
 
 
-def _of_each(
+def _stack_by_target(
     targets: dict[str, TrueTarget], of: Callable[[TrueTarget], np.ndarray], none: tuple[int, ...]
 ) -> np.ndarray:
     """Return a quantity of each target, along a second axis; of the shape ``none`` if there is no target."""
