@@ -163,8 +163,8 @@ def test_a_recording_shows_the_same_as_live(clean: tuple[Path, Path]) -> None:
     recorded, live, shift_ns = SuiteMonitor(), SuiteMonitor(), -1_404_906_000_123_456_700_000
     end_ns = 0
     for number, (time_ns, topic, message) in enumerate(records(clean[1])):
-        recorded.take(topic, message, time_ns)
-        live.take(topic, message, time_ns + shift_ns)
+        recorded.process_message(topic, message, time_ns)
+        live.process_message(topic, message, time_ns + shift_ns)
         if number % 1000 == 0:
             live.current_state(time_ns + shift_ns)
         end_ns = time_ns
@@ -189,7 +189,7 @@ def test_missing_errors_against_truth_are_computed(clean: tuple[Path, Path]) -> 
             message.error_heading, message.error_pitch, message.error_roll = nan, nan, nan
         # The truth has other stamps than these, so that it is interpolated.
         if topic != "ship/attitude" or ns_from_stamp(message.header.stamp) in filled:
-            live.take(topic, message, time_ns)
+            live.process_message(topic, message, time_ns)
     points = live.history.errors["ship/error_arcsec"]
     assert len(points) >= 110
     for point in points:
@@ -207,7 +207,7 @@ def test_history_has_the_data_of_plots(theodolite: MonitoredVoyage) -> None:
     assert all(math.isfinite(point.x_residual) for point in used)
     assert all(abs(point.x) < 0.02 and abs(point.z) < 0.02 for point in used)
     assert [point.utc_ns for point in used] == sorted(point.utc_ns for point in used)
-    assert len(history.ribbons) == pytest.approx(120, abs=2)
+    assert len(history.safety) == pytest.approx(120, abs=2)
     assert words_between(theodolite, 62.0, 65.0) == {Safety.UNSAFE}
     budget = history.budgets["theodolite/error_budget"][-1]
     assert sum(budget.variances.values())[2] == pytest.approx(budget.total[2], rel=1e-6)
@@ -218,8 +218,8 @@ def test_history_has_the_data_of_plots(theodolite: MonitoredVoyage) -> None:
 
 def words_between(seen: MonitoredVoyage, start_s: float, end_s: float) -> set[Safety | None]:
     """Return the states of the azimuth in the ribbon."""
-    points = [point for point in seen.watch.history.ribbons if start_s <= (point.utc_ns - seen.start_ns) * 1e-9 < end_s]
-    return {point.words["azimuth"] for point in points}
+    points = [point for point in seen.watch.history.safety if start_s <= (point.utc_ns - seen.start_ns) * 1e-9 < end_s]
+    return {point.safety["azimuth"] for point in points}
 
 
 def _first_fix() -> tuple[float, float]:

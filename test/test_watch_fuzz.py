@@ -55,24 +55,24 @@ def test_no_message_raises_or_is_safe_with_nan(bag: str, tmp_path: Path) -> None
     voyage = recorded_messages(out, given) if bag == "theodolite" else recorded_messages(out)
     tried = 0
     for time_ns, topic, message in voyage:
-        watch.take(topic, message, time_ns)
+        watch.process_message(topic, message, time_ns)
         pickled, fields = pickle.dumps(message), paths(message)
         for _ in range(COPIES):
             bad = pickle.loads(pickled)
             spoil(bad, fields, rng)
-            watch.take(topic, bad, time_ns)
+            watch.process_message(topic, bad, time_ns)
             tried += 1
         if tried % 30 == 0:
             for angle in watch.current_state(time_ns).angles:
                 sound = math.isfinite(angle.value) and angle.accuracy_95 <= 3.0 * angle.limit and not angle.is_old
                 assert sound or angle.safety is Safety.UNSAFE
     assert tried > 2000
-    watch.take("ship/alerts", AlertArray(), voyage[-1][0])  # alerts are what outlives a fresh start
+    watch.process_message("ship/alerts", AlertArray(), voyage[-1][0])  # alerts are what outlives a fresh start
     watch.reset()
     fresh = SuiteMonitor()
     for time_ns, topic, message in voyage:
-        watch.take(topic, message, time_ns)
-        fresh.take(topic, message, time_ns)
+        watch.process_message(topic, message, time_ns)
+        fresh.process_message(topic, message, time_ns)
     end_ns = voyage[-1][0]
     assert repr(watch.current_state(end_ns)) == repr(fresh.current_state(end_ns))  # NaN equals NaN as text
     assert repr(watch.history) == repr(fresh.history)

@@ -113,7 +113,7 @@ def test_all_outputs_name_the_right_source_in_a_replay(bag: str, tmp_path: Path)
             for branch in keeper.diagnostic_entries():
                 named.note_branch(branch.path, branch.text, due_ns)
             due_ns += LOOK_NS
-        watch.take(topic, message, time_ns)
+        watch.process_message(topic, message, time_ns)
         keeper.process_message(topic, message, time_ns)
     named.check(within_s)
 

@@ -12,16 +12,16 @@ from ship_watch.history import History, SafetyPoint
 from ship_watch.limits import Limits
 from ship_watch.picture import (
     ANGLES,
-    AlertShown,
-    AngleShown,
+    AlertEntry,
+    AngleState,
     Event,
-    InputShown,
+    InputState,
     NisConsistency,
     SuiteState,
     Presence,
     Priority,
     Safety,
-    SourceShown,
+    SourceDetails,
 )
 
 NS = 1_000_000_000
@@ -37,9 +37,9 @@ _AGES = {"ins": 0.1, "star.fore": 0.6, "star.starboard": 0.6, "lights": 0.6, "en
 _AGES |= {"gnss": 0.1, "weather": 1.1}
 
 
-def angle(name: str, **changes: Any) -> AngleShown:
+def angle(name: str, **changes: Any) -> AngleState:
     """Return an angle in normal state."""
-    well = AngleShown(
+    well = AngleState(
         name=name,
         value=float(np.deg2rad(_VALUES_DEG[name])),
         accuracy_95=_ACCURACIES[name] * ARCSEC,
@@ -55,33 +55,33 @@ def angle(name: str, **changes: Any) -> AngleShown:
     return replace(well, **changes)
 
 
-def lost(name: str, because_of: str = "") -> AngleShown:
+def lost(name: str, because_of: str = "") -> AngleState:
     """Return an angle that is UNSAFE."""
     return angle(name, accuracy_95=math.nan, safety=Safety.UNSAFE, reason="invalid", because_of=because_of)
 
 
-def over(name: str, because_of: str = "", share: float = 1.5) -> AngleShown:
+def over(name: str, because_of: str = "", share: float = 1.5) -> AngleState:
     """Return an angle above its limit, by this share."""
     limit = LIMITS.angle_limit(name)
     changes = {"accuracy_95": share * limit, "safety": Safety.CAUTION, "reason": "over the limit", "over_s": 7.0}
     return angle(name, because_of=because_of, **changes)
 
 
-def angles_without_data(*names: str) -> list[AngleShown]:
+def angles_without_data(*names: str) -> list[AngleState]:
     """Return angles that were never received."""
     changes = {"value": math.nan, "accuracy_95": math.nan, "safety": Safety.UNSAFE, "reason": "waiting"}
     return [angle(name, age_s=math.inf, is_old=True, **changes) for name in names]
 
 
-def angles_timed_out(*names: str, age_s: float = 7.0, reason: str = "no data") -> list[AngleShown]:
+def angles_timed_out(*names: str, age_s: float = 7.0, reason: str = "no data") -> list[AngleState]:
     """Return angles that were not received for some seconds."""
     return [angle(name, safety=Safety.UNSAFE, reason=reason, age_s=age_s, is_old=True) for name in names]
 
 
-def source(name: str, **changes: Any) -> SourceShown:
+def source(name: str, **changes: Any) -> SourceDetails:
     """Return a source in normal state."""
     verdict = NisConsistency(1.01, 400, "σ as stated (1.01)", True) if name.startswith(("star", "lights")) else None
-    well = SourceShown(
+    well = SourceDetails(
         name=name,
         presence=Presence.IN,
         reason="",
@@ -98,19 +98,19 @@ def source(name: str, **changes: Any) -> SourceShown:
     return replace(well, **changes)
 
 
-def out(name: str, reason: str, **changes: Any) -> SourceShown:
+def out(name: str, reason: str, **changes: Any) -> SourceDetails:
     """Return a source that is OUT."""
     return source(name, presence=Presence.OUT, reason=reason, **changes)
 
 
-def late_input(topic: str, latency_s: float) -> InputShown:
+def late_input(topic: str, latency_s: float) -> InputState:
     """Return an input topic whose stamps are this far behind the clock, negative ahead of it."""
-    return InputShown(topic, 2.0, latency_s, 0.1, 0, 0, {})
+    return InputState(topic, 2.0, latency_s, 0.1, 0, 0, {})
 
 
-def alert(subject: str, text: str, raised_ns: int, priority: Priority = Priority.WARNING, state: int = 1) -> AlertShown:
+def alert(subject: str, text: str, raised_ns: int, priority: Priority = Priority.WARNING, state: int = 1) -> AlertEntry:
     """Return an alert."""
-    return AlertShown(
+    return AlertEntry(
         id=subject,
         instance=1,
         priority=priority,
@@ -125,7 +125,7 @@ def alert(subject: str, text: str, raised_ns: int, priority: Priority = Priority
     )
 
 
-def suite_state(*changed: AngleShown | SourceShown, **changes: Any) -> SuiteState:
+def suite_state(*changed: AngleState | SourceDetails, **changes: Any) -> SuiteState:
     """Return a suite with a theodolite in normal state: five angles SAFE, eight sources IN, no alert.
 
     The given angles and sources replace those of their names; sources that are OUT are first.
@@ -133,7 +133,7 @@ def suite_state(*changed: AngleShown | SourceShown, **changes: Any) -> SuiteStat
     angles = {name: angle(name) for name in ANGLES}
     sources = {name: source(name) for name in _AGES}
     for one in changed:
-        if isinstance(one, AngleShown):
+        if isinstance(one, AngleState):
             angles[one.name] = one
         else:
             sources[one.name] = one
@@ -164,10 +164,10 @@ SHIFTED_SENSOR = out(
 SHIFTED_SENSOR_ALERT = replace(
     alert("star.starboard", "star.starboard out", NOW_NS - 38 * NS), id="star.starboard.out", instance=2
 )
-SHIFTED_SENSOR_INPUT = InputShown(SHIFTED_SENSOR.topics[0], 2.0, 0.1, 0.6, 1, 81, {"gate": 9, "attitude_conflict": 72})
+SHIFTED_SENSOR_INPUT = InputState(SHIFTED_SENSOR.topics[0], 2.0, 0.1, 0.6, 1, 81, {"gate": 9, "attitude_conflict": 72})
 
 
-def state_with_mounting_shift(*changed: AngleShown | SourceShown, **changes: Any) -> SuiteState:
+def state_with_mounting_shift(*changed: AngleState | SourceDetails, **changes: Any) -> SuiteState:
     """Return a displaced star sensor: the first fault of the design of the page and of the terminal."""
     text = "WARNING star.starboard out: 5 rejected in a row, residual 8.1 σ"
     well = {
@@ -203,4 +203,4 @@ def history(*, is_faulty: bool = False) -> History:
         if is_faulty and second >= 588:
             words |= dict.fromkeys(("azimuth", "elevation"), Safety.UNSAFE)
         points.append(SafetyPoint(NOW_NS - (599 - second) * NS, words))
-    return History(ribbons=points)
+    return History(safety=points)

@@ -17,8 +17,8 @@ from ship_watch.history import (
     History,
     InnovationPoint,
     BeaconPoint,
-    ParameterShown,
-    StarsSeen,
+    ParameterEstimate,
+    StarExposure,
 )
 from ship_watch.picture import Event, SuiteState
 
@@ -46,17 +46,17 @@ def watched_history(seed: int = 3, length_s: float = 600.0, *, has_truth: bool =
     history.budgets["ship/error_budget"] = deque(_budget(at_second) for at_second in at_s)
     for name, x, z in (("a", -5e-3, -4e-3), ("b", 3.6e-3, 5.0e-3)):
         history.beacons[name] = deque(_beacon_points(rng, x, z))
-    history.stars = {
+    history.star_exposures = {
         "star.fore": _stars(rng, 0.45, 0.92),
         "star.starboard": _stars(rng, 2.17, 0.85, SHIFT_RIGHT_ARCSEC),
     }
     aligned = (("ins.north", 3.5), ("ins.up", 62.9), ("ins.east", 19.3), ("star.fore.azimuth", -2.5))
     history.alignment = (
-        *(ParameterShown(name, value * ARCSEC, 0.6 * ARCSEC, "rad", True, 0.0) for name, value in aligned),
-        ParameterShown("ins.time_offset", 3.5e-4, 2e-5, "s", True, 0.0),
+        *(ParameterEstimate(name, value * ARCSEC, 0.6 * ARCSEC, "rad", True, 0.0) for name, value in aligned),
+        ParameterEstimate("ins.time_offset", 3.5e-4, 2e-5, "s", True, 0.0),
     )
     history.calibration = tuple(
-        ParameterShown(name, value * ARCSEC, sigma * ARCSEC, "rad", name != "beta_y", 0.0)
+        ParameterEstimate(name, value * ARCSEC, sigma * ARCSEC, "rad", name != "beta_y", 0.0)
         for name, value, sigma in (
             ("g", 19.3, 6.8), ("h", 24.5, 1.1), ("c", -21.1, 2.0), ("beta_x", -23.8, 4.8), ("beta_y", -5.5, 90.0)
         )
@@ -149,9 +149,9 @@ def _beacon_points(rng: np.random.Generator, x: float, z: float) -> list[BeaconP
     return points
 
 
-def _stars(rng: np.random.Generator, azimuth: float, elevation: float, right_arcsec: float = 0.0) -> StarsSeen:
+def _stars(rng: np.random.Generator, azimuth: float, elevation: float, right_arcsec: float = 0.0) -> StarExposure:
     right = (right_arcsec + rng.normal(0.0, 4.0, 8)) * ARCSEC
-    return StarsSeen(
+    return StarExposure(
         utc_ns=NOW_NS,
         u=rng.uniform(60.0, 2000.0, 8),
         v=rng.uniform(60.0, 2000.0, 8),

@@ -143,7 +143,7 @@ def watched(*paths: Path) -> MonitoredVoyage:
             picture = seen.watch.current_state(due_ns)
             before = _note(seen, picture, before, (due_ns - seen.start_ns) * 1e-9)
             due_ns += STEP_NS
-        seen.watch.take(topic, message, time_ns)
+        seen.watch.process_message(topic, message, time_ns)
         seen.end_ns = time_ns
     assert seen is not None
     return seen

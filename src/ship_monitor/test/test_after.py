@@ -13,7 +13,7 @@ from ship_monitor.after.recorded_pictures import BagPlayback
 from ship_monitor.after.recorded_suite import THINNING_PERIOD_NS, RecordedSuite
 from ship_testing.hand_made_bags import FACTORY, START_NS, ship_attitude, write_imu_bag
 from ship_testing.recorded_suites import TURN_RAD_PER_S, write_suite
-from ship_watch.history import KEPT_S
+from ship_watch.history import HISTORY_S
 from ship_watch.limits import Limits
 from ship_watch.picture import Presence
 from ship_watch.watch import SuiteMonitor
@@ -52,7 +52,7 @@ def monitor_after(suite, since_ns, until_ns):
     for each in suite.messages(since_ns):
         if each.log_time_ns > until_ns:
             break
-        monitor.take(each.topic, each.message, each.log_time_ns)
+        monitor.process_message(each.topic, each.message, each.log_time_ns)
     return monitor
 
 
@@ -133,9 +133,9 @@ class TestBagPlayback:
         pictures.go_to(at_s)
         shown = whole(pictures)
         time_ns = min(START_NS + round(at_s * NS_PER_S), suite.end_ns)
-        watch = monitor_after(suite, max(time_ns - round(KEPT_S * NS_PER_S), 0), time_ns)
+        watch = monitor_after(suite, max(time_ns - round(HISTORY_S * NS_PER_S), 0), time_ns)
         assert shown == watch.current_state(time_ns)
-        assert pictures.history.ribbons == watch.history.ribbons
+        assert pictures.history.ribbons == watch.history.safety
         heading = next(angle for angle in shown.angles if angle.name == "heading")
         assert heading.value == pytest.approx(TURN_RAD_PER_S * (time_ns - START_NS) / NS_PER_S, abs=2e-5)
 
@@ -166,7 +166,7 @@ class TestBagPlayback:
         """The messages are counted; each update of the ten minutes ends at its deadline."""
         monkeypatch.setattr(recorded_pictures, "LOOK_S", 0.0)
         heard = []
-        original = SuiteMonitor.take
+        original = SuiteMonitor.process_message
         monkeypatch.setattr(SuiteMonitor, "take", lambda self, *given: heard.append(given) or original(self, *given))
         pictures.go_to(850.0)
         pictures.look()

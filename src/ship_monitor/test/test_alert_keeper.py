@@ -115,7 +115,7 @@ def test_clean_voyage_has_no_alert_of_a_source(tmp_path: Path) -> None:
     voyage = Voyage(replayed(tmp_path, "demo")[1])
     assert {change.alert.id for _, change in voyage.changes} == {"stars.out"}
     assert all(change.alert.priority is not Priority.ALARM for _, change in voyage.changes)
-    assert all(change.what != "raised" or time_s >= 10.0 for time_s, change in voyage.changes)
+    assert all(change.description != "raised" or time_s >= 10.0 for time_s, change in voyage.changes)
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ from bokeh.document import Document
 
 from ship_monitor.page.curves import next_step, gap_rows, label_positions, signed_text, rows_to_draw
 from ship_monitor.page.trails import TimeAxis, StreamedLine
-from ship_watch.history import newer
+from ship_watch.history import points_after
 
 SECOND_NS = 1_000_000_000
 
@@ -34,9 +34,9 @@ def rows(points):
 
 def test_only_newer_points_are_returned() -> None:
     points = samples(2.0, 5.0)
-    assert newer(points, None) == points
-    assert newer(points, points[3].utc_ns) == points[4:]
-    assert newer(points, points[-1].utc_ns) == []
+    assert points_after(points, None) == points
+    assert points_after(points, points[3].utc_ns) == points[4:]
+    assert points_after(points, points[-1].utc_ns) == []
 
 
 def test_each_second_keeps_its_minimum_and_maximum() -> None:

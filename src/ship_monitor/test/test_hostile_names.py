@@ -12,8 +12,8 @@ from ship_testing import pictures
 from ship_testing.browser import Browser
 from ship_testing.page_runs import StateSource, served
 from ship_testing.watched_minutes import watched_history, simulated_state
-from ship_watch.history import ParameterShown
-from ship_watch.picture import Event, InputShown, Presence
+from ship_watch.history import ParameterEstimate
+from ship_watch.picture import Event, InputState, Presence
 
 NAMES = {
     "markup": "</script></style><img src=x onerror=window.hit=1><svg onload=window.hit=1>&lt;b&gt;",
@@ -34,15 +34,15 @@ def hostile(name):
         angles=tuple(replace(each, reason=name) for each in well.angles),
         alerts=(replace(pictures.SHIFTED_SENSOR_ALERT, id=name, source=name, text=name, unit=name),),
         events=(Event(pictures.NOW_NS, "alert", name, name), Event(pictures.NOW_NS, "state", name, "x")),
-        inputs=(InputShown(name, 2.0, 0.1, 0.6, 1, 81, {name: 9}),),
+        inputs=(InputState(name, 2.0, 0.1, 0.6, 1, 81, {name: 9}),),
         pointing_by=name,
         horizon=name,
     )
     history = watched_history()
     points = history.innovations.pop("star.fore")
-    stars = history.stars.pop("star.fore")
+    stars = history.star_exposures.pop("star.fore")
     history.innovations[f"star.{name}"] = deque(replace(each, part_names=(name,)) for each in points)
-    history.stars[f"star.{name}"] = stars
+    history.star_exposures[f"star.{name}"] = stars
     history.beacons[name] = history.beacons.pop("a")
     for topic, budget in history.budgets.items():
         history.budgets[topic] = deque(
@@ -53,7 +53,7 @@ def hostile(name):
             )
             for each in budget
         )
-    history.alignment = (*history.alignment, ParameterShown(name, 0.5, 0.1, name, False, 0.0))
+    history.alignment = (*history.alignment, ParameterEstimate(name, 0.5, 0.1, name, False, 0.0))
     return picture, history
 
 
@@ -119,4 +119,4 @@ def test_names_are_never_executed_in_the_page(browser, kind, caplog):
 
 
 def test_state_in_an_unknown_unit_is_shown_in_it():
-    assert state_text(ParameterShown("x", 0.5, 0.1, "furlong", True, 0.0)) == "+0.500 ± 0.200 furlong"
+    assert state_text(ParameterEstimate("x", 0.5, 0.1, "furlong", True, 0.0)) == "+0.500 ± 0.200 furlong"

@@ -17,8 +17,8 @@ from ship_monitor.page.sky_panel import positions_in_field, used_star_mask
 from ship_monitor.page.tables import event_row, input_row, reasons_text
 from ship_monitor.page.themes import THEMES
 from ship_testing.watched_minutes import SHIFT_AGE_S, NOW_NS, watched_history, simulated_state
-from ship_watch.history import History, ParameterShown
-from ship_watch.picture import Event, InputShown, Presence
+from ship_watch.history import History, ParameterEstimate
+from ship_watch.picture import Event, InputState, Presence
 
 PICTURE = simulated_state()
 GUILTY, GOOD = PICTURE.sources[0], PICTURE.sources[1]
@@ -202,7 +202,7 @@ def test_new_points_do_not_recompute_the_document_models(panels, monkeypatch) ->
 
 
 def test_rejected_stars_differ_and_rows_count_downward() -> None:
-    seen = watched_history().stars["star.fore"]
+    seen = watched_history().star_exposures["star.fore"]
     seen = replace(
         seen,
         u=np.array([0.0, 1000.0]),
@@ -230,7 +230,7 @@ def test_rejected_stars_differ_and_rows_count_downward() -> None:
 )
 def test_boresight_from_installation_and_attitude(installed_deg, deck_deg, expected_deg) -> None:
     alignment = [
-        ParameterShown(f"star.aft.{name}", np.deg2rad(value), 0.0, "rad", True)
+        ParameterEstimate(f"star.aft.{name}", np.deg2rad(value), 0.0, "rad", True)
         for name, value in zip(("azimuth", "elevation"), installed_deg, strict=True)
     ]
     angles = [
@@ -243,16 +243,16 @@ def test_boresight_from_installation_and_attitude(installed_deg, deck_deg, expec
 
 
 def test_states_are_deviations_from_nominal_with_two_sigma() -> None:
-    angle = ParameterShown("star.a.azimuth", 2 * np.pi - 1 * ARCSEC, 0.6 * ARCSEC, "rad", True, 1.5 * ARCSEC)
+    angle = ParameterEstimate("star.a.azimuth", 2 * np.pi - 1 * ARCSEC, 0.6 * ARCSEC, "rad", True, 1.5 * ARCSEC)
     low, value, high = bars_arcsec([angle, replace(angle, unit="s"), replace(angle, nominal=float("nan"))])
     assert (low[0], value[0], high[0]) == pytest.approx((-3.7, -2.5, -1.3), abs=1e-6)
     assert np.isnan(value[1:]).all()
     assert state_text(angle) == "−2.5 ± 1.2″"
     assert state_text(replace(angle, is_observable=False)) == "(−2.5 ± 1.2″)"
-    assert state_text(ParameterShown("t", 3.5e-4, 2e-5, "s", True, 0.0)) == "+0.35 ± 0.04 ms"
-    assert state_text(ParameterShown("f", 0.100027, 5.5e-6, "m", True, 0.1)) == "+27 ± 11 µm"
-    assert state_text(ParameterShown("u", 0.25, 0.4, "px", True, 0.0)) == "+0.25 ± 0.80 px"
-    assert state_text(ParameterShown("star.a.focal_length", 2e-4, 1e-5, "1", True, 0.0)) == "+0.0200 ± 0.0020 %"
+    assert state_text(ParameterEstimate("t", 3.5e-4, 2e-5, "s", True, 0.0)) == "+0.35 ± 0.04 ms"
+    assert state_text(ParameterEstimate("f", 0.100027, 5.5e-6, "m", True, 0.1)) == "+27 ± 11 µm"
+    assert state_text(ParameterEstimate("u", 0.25, 0.4, "px", True, 0.0)) == "+0.25 ± 0.80 px"
+    assert state_text(ParameterEstimate("star.a.focal_length", 2e-4, 1e-5, "1", True, 0.0)) == "+0.0200 ± 0.0020 %"
 
 
 def test_axis_of_the_states_contains_all_values_and_most_bars() -> None:
@@ -268,7 +268,7 @@ def test_large_deviation_has_its_own_scale(panels) -> None:
     states = panels._alignment
     before, rows = states._x.end, len(history.alignment)
     others = dict(states._values._axis.major_label_overrides)
-    gyro = ParameterShown("reference.gyro.heading", 1000.0 * ARCSEC, 30.0 * ARCSEC, "rad", True, 0.0)
+    gyro = ParameterEstimate("reference.gyro.heading", 1000.0 * ARCSEC, 30.0 * ARCSEC, "rad", True, 0.0)
     history.alignment = (*history.alignment, gyro)
     panels.update(history, PICTURE)
     assert states._x.end == before
@@ -287,7 +287,7 @@ def test_missing_position_is_stated_in_the_sky_panel() -> None:
 
 
 def test_input_of_a_faulty_source_is_highlighted() -> None:
-    shown = InputShown("star/starboard/observations", 2.0, 0.1, 0.6, 0, 0, {})
+    shown = InputState("star/starboard/observations", 2.0, 0.1, 0.6, 0, 0, {})
     row = input_row(shown, {shown.topic: GUILTY})
     assert "class='guilty'" in row
     assert "<td class='n'>81" in row
@@ -384,7 +384,7 @@ def test_reasons_are_sorted_and_names_are_escaped() -> None:
     assert reasons_text({"gate": 9, "too_few_stars": 56, "late": 0}) == "too few stars 56, gate 9"
     assert reasons_text({}) == "—"
     assert reasons_text(dict.fromkeys("abcdef", 9)).endswith(", 2 more")
-    shown = InputShown("<script>alert(1)</script>", 2.0, 0.1, 0.6, 0, 0, {"<b>": 1})
+    shown = InputState("<script>alert(1)</script>", 2.0, 0.1, 0.6, 0, 0, {"<b>": 1})
     assert "<script>" not in input_row(shown, {})
     assert "&lt;b&gt;" in input_row(shown, {})
     event = event_row(Event(NOW_NS, "mode", "theodolite/pointing", "<i>2 lights"))

@@ -195,7 +195,7 @@ def ribbon(words, start_s=0, name="heading"):
         for second, word in enumerate(words)
         if word != "-"
     )
-    return first_screen(WELL, History(ribbons=points), "LIVE", "")["ribbons"]["rows"][0]
+    return first_screen(WELL, History(safety=points), "LIVE", "")["ribbons"]["rows"][0]
 
 
 SAFE, CAUTION = Safety.SAFE, Safety.CAUTION

@@ -39,7 +39,7 @@ ADVICE = {
 """Kind of an alert → advice."""
 
 _ENDINGS = {"unreported": "SOURCE", "mended": "SOURCE", "rate": "SOURCE"}
-_OF_NODES = ("box", "clock", "stamps", "name", "overload", "recovered", "software")
+_NODE_ENDINGS = ("box", "clock", "stamps", "name", "overload", "recovered", "software")
 
 
 def kind_of(alert_id: str) -> str:
@@ -54,7 +54,7 @@ def kind_of(alert_id: str) -> str:
     device = first.partition(".")[0]
     if device in ("star", "reference"):
         return f"{device}.ID.{ending}"
-    return f"NODE.{ending}" if ending in _OF_NODES else ""
+    return f"NODE.{ending}" if ending in _NODE_ENDINGS else ""
 
 
 def advice_for(alert_id: str) -> str:

@@ -10,13 +10,13 @@ from dataclasses import dataclass, field, replace
 
 from ship_geometry.rotations import ARCSEC
 from ship_watch.alert_states import Condition
-from ship_watch.functions import ATTITUDE, POINTING, FunctionShown, functions, still
+from ship_watch.functions import ATTITUDE, POINTING, FunctionState, functions, without_changing_figures
 from ship_watch.limits import InputLimits, Limits
-from ship_watch.picture import ITS_NODE, SuiteState, Presence, Priority, SourceShown
+from ship_watch.picture import CAUSE_NODE, SuiteState, Presence, Priority, SourceDetails
 
 STARS_OUT = "stars.out"
 
-_OUT_PRIORITY = {
+_SOURCE_PRIORITY = {
     "ins": Priority.WARNING,
     "star": Priority.WARNING,
     "reference": Priority.WARNING,
@@ -34,7 +34,7 @@ _EXTERNAL_REASONS = ("no stars", "no lights")
 """Reasons of a source that is OUT without a defect: clouds, daylight, drones on deck."""
 
 _VERBS = {"no stars": "sees ", "no lights": "sees "}
-_LATE = ": late"
+_LATE_ENDING = ": late"
 """Ending of the reason of a source whose data arrive too late to be used; the alert's value is then their delay."""
 
 _NO_DATA_ENDINGS = ("no data", "never received", "not reported")
@@ -77,7 +77,7 @@ class NodeStatus:
 
 
 @dataclass(frozen=True)
-class Machine:
+class ComputerState:
     """State of the computer and of the nodes on it.
 
     Attributes:
@@ -89,7 +89,7 @@ class Machine:
     disk_free_gb: float = math.nan
 
 
-def conditions(state: SuiteState, limits: Limits, machine: Machine | None = None) -> list[Condition]:
+def conditions(state: SuiteState, limits: Limits, computer: ComputerState | None = None) -> list[Condition]:
     """Return all present situations, for :meth:`ship_watch.alerts.AlertList.update`.
 
     They are derived from the safety without hold: the list of alerts has delays of its own. An accuracy over its limit
@@ -100,52 +100,52 @@ def conditions(state: SuiteState, limits: Limits, machine: Machine | None = None
         limits: limits of the ship.
         computer: state of the computer; None for no data.
     """
-    shown = functions(replace(state, angles=tuple(angle.without_hold for angle in state.angles)))
-    machine = machine or Machine()
+    function_states = functions(replace(state, angles=tuple(angle.without_hold for angle in state.angles)))
+    computer = computer or ComputerState()
     return [
-        *_output_conditions(state, shown, limits),
-        *_source_conditions(state, shown),
-        *_unreported(state),
+        *_output_conditions(state, function_states, limits),
+        *_source_conditions(state, function_states),
+        *_unreported_conditions(state),
         *_age_conditions(state, limits),
         *(found for source in state.sources for found in _rate_conditions(source, limits.input_limits(source.name))),
         *_clock_conditions(state, limits),
-        *_node_conditions(machine.statuses, limits),
-        *_disk_conditions(machine, limits),
+        *_node_conditions(computer.statuses, limits),
+        *_disk_conditions(computer, limits),
     ]
 
 
-def _output_conditions(suite_state: SuiteState, shown: tuple[FunctionShown, ...], limits: Limits) -> Iterable[Condition]:
+def _output_conditions(suite_state: SuiteState, function_states: tuple[FunctionState, ...], limits: Limits) -> Iterable[Condition]:
     """Yield the situations of outputs without data and of functions not SAFE; a source that is OUT may explain them."""
     outs = (STARS_OUT, *(f"{source.name}.out" for source in suite_state.sources))
     for output, topic in ((ATTITUDE, "ship/attitude"), (POINTING, "theodolite/pointing")):
-        members = [one for one in shown if one.output == output and one.safety]
+        members = [one for one in function_states if one.output == output and one.safety]
         above = () if output == ATTITUDE else ("attitude.silent", "attitude.degraded")
         if missing := [one for one in members if one.is_output_missing or math.isinf(one.angle.age_s)]:
             never = all(math.isinf(one.angle.age_s) for one in missing)
             yield Condition(
                 f"{output}.silent", Priority.WARNING if never else Priority.ALARM, "",
                 f"{topic} never received" if never else _alert_text(missing, f"no data on {topic}"),
-                becomes_alarm=never, may_be_startup=never, is_blind=never,
-                under=above[:1] if never else (), lost_functions=_lost(missing),
+                becomes_alarm=never, may_be_startup=never, is_never_received=never,
+                explained_by=above[:1] if never else (), lost_functions=_lost_functions(missing),
             )
             continue
-        members = [one for one in members if not _is_over_for_a_moment(one, limits)]
+        members = [one for one in members if not _is_over_briefly(one, limits)]
         if members:
             worst = max(members, key=lambda one: (one.priority or 0, one.accuracy_arcsec))
             priority = worst.priority or Priority.CAUTION
             yield Condition(
                 f"{output}.degraded", priority, "", _alert_text(members, worst.reason), worst.accuracy_arcsec,
                 worst.limit_arcsec, "arcsec", becomes_alarm=priority is Priority.WARNING,
-                may_be_startup=True, under=(*above, *outs), lost_functions=_lost(members),
+                may_be_startup=True, explained_by=(*above, *outs), lost_functions=_lost_functions(members),
             )
 
 
-def _is_over_for_a_moment(function: FunctionShown, limits: Limits) -> bool:
+def _is_over_briefly(function: FunctionState, limits: Limits) -> bool:
     """True if a function is over its limit, but not lost, for less than ``alerts.over_after_s``."""
-    return function.priority is Priority.WARNING and function.over_s < limits.alerts.over_after_s
+    return function.priority is Priority.WARNING and function.over_limit_s < limits.alerts.over_after_s
 
 
-def _source_conditions(suite_state: SuiteState, shown: tuple[FunctionShown, ...]) -> Iterable[Condition]:
+def _source_conditions(suite_state: SuiteState, function_states: tuple[FunctionState, ...]) -> Iterable[Condition]:
     """Yield the situations of sources: OUT by a fault of their own, corrected, or reinstated with a shifted mounting.
 
     All star sensors OUT for the same reason are one situation.
@@ -153,13 +153,13 @@ def _source_conditions(suite_state: SuiteState, shown: tuple[FunctionShown, ...]
     faulty = _faulty_sources(suite_state)
     stars = [source for source in suite_state.sources if source.name.startswith("star.")]
     stars_out = [source for source in faulty if source.name.startswith("star.")]
-    if len(stars) == len(stars_out) >= 2 and len({still(source.reason) for source in stars_out}) == 1:
+    if len(stars) == len(stars_out) >= 2 and len({without_changing_figures(source.reason) for source in stars_out}) == 1:
         names = {source.name for source in stars_out}
-        yield _out(STARS_OUT, "", stars_out[0], [one for one in shown if one.because_of in names], suite_state, ())
+        yield _source_out_condition(STARS_OUT, "", stars_out[0], [one for one in function_states if one.because_of in names], suite_state, ())
     for source in faulty:
         under = (STARS_OUT,) if source in stars else ()
-        taken = [one for one in shown if one.because_of == source.name]
-        yield _out(f"{source.name}.out", source.name, source, taken, suite_state, under)
+        affected = [one for one in function_states if one.because_of == source.name]
+        yield _source_out_condition(f"{source.name}.out", source.name, source, affected, suite_state, under)
     for source in suite_state.sources:
         if source.presence is Presence.IN and source.disagreement:
             text = f"{source.name}: {source.disagreement}, corrected"
@@ -172,35 +172,35 @@ def _source_conditions(suite_state: SuiteState, shown: tuple[FunctionShown, ...]
             )
 
 
-def _unreported(suite_state: SuiteState) -> Iterable[Condition]:
+def _unreported_conditions(suite_state: SuiteState) -> Iterable[Condition]:
     """Yield the sources whose state is unknown because the node that reads them has stopped reporting."""
     for source in suite_state.sources:
-        if source.presence is Presence.OUT and source.because_of == ITS_NODE:
+        if source.presence is Presence.OUT and source.because_of == CAUSE_NODE:
             yield Condition(
                 f"{source.name}.unreported", Priority.WARNING, source.name,
                 f"{source.name} not reported: its node has stopped reporting", source.age_s, unit="s",
-                under=("attitude.silent", "pointing.silent"),
+                explained_by=("attitude.silent", "pointing.silent"),
             )
 
 
-def _out(
-    id_: str, name: str, source: SourceShown, taken: list[FunctionShown], suite_state: SuiteState, under: tuple[str, ...]
+def _source_out_condition(
+    id_: str, name: str, source: SourceDetails, affected: list[FunctionState], suite_state: SuiteState, under: tuple[str, ...]
 ) -> Condition:
-    base = _OUT_PRIORITY.get(source.name.partition(".")[0], Priority.WARNING)
+    base = _SOURCE_PRIORITY.get(source.name.partition(".")[0], Priority.WARNING)
     if source.reason in _EXTERNAL_REASONS:
         base = Priority.CAUTION
-    priority = max([base, *(one.priority for one in taken if one.priority is not None)])
-    lost, shown_name, reason = _lost(taken), name or "all star sensors", still(source.reason)
-    is_late = reason.endswith(_LATE)
+    priority = max([base, *(one.priority for one in affected if one.priority is not None)])
+    lost, shown_name, reason = _lost_functions(affected), name or "all star sensors", without_changing_figures(source.reason)
+    is_late = reason.endswith(_LATE_ENDING)
     cause = f"{shown_name} arrives late" if is_late else f"{shown_name} {_VERBS.get(reason, '')}{reason}"
-    text = _alert_text(taken, cause) if lost else f"{shown_name} out: {'arrives late' if is_late else reason}"
+    text = _alert_text(affected, cause) if lost else f"{shown_name} out: {'arrives late' if is_late else reason}"
     value, unit = (source.residual, "sigma") if math.isfinite(source.residual) else (math.nan, "")
     if source.reason.endswith(_NO_DATA_ENDINGS):
         value, unit = source.age_s, "s"
     if is_late:
         delays_s = [one.latency_s for one in suite_state.inputs if one.topic in source.topics]
         value, unit = max(delays_s, default=math.nan), "s"
-    return Condition(id_, priority, name, text, value, unit=unit, becomes_alarm=bool(lost), under=under, lost_functions=lost)
+    return Condition(id_, priority, name, text, value, unit=unit, becomes_alarm=bool(lost), explained_by=under, lost_functions=lost)
 
 
 def _age_conditions(suite_state: SuiteState, limits: Limits) -> Iterable[Condition]:
@@ -214,15 +214,15 @@ def _age_conditions(suite_state: SuiteState, limits: Limits) -> Iterable[Conditi
         if math.isfinite(age_s) and age_s > limit_s:
             yield Condition(
                 f"{what}.old", Priority.CAUTION, "", f"no {what} used for more than {limit_s:g} s", age_s, limit_s, "s",
-                under=(*above, STARS_OUT, *outs),
+                explained_by=(*above, STARS_OUT, *outs),
             )
 
 
-def _rate_conditions(source: SourceShown, limits: InputLimits) -> Iterable[Condition]:
+def _rate_conditions(source: SourceDetails, limits: InputLimits) -> Iterable[Condition]:
     if source.presence is Presence.IN and source.rate_hz < limits.rate_hz:
         yield Condition(
             f"{source.name}.rate", Priority.CAUTION, source.name, f"rate of {source.name} too low",
-            source.rate_hz, limits.rate_hz, "Hz", under=(f"{source.name}.out",),
+            source.rate_hz, limits.rate_hz, "Hz", explained_by=(f"{source.name}.out",),
         )
 
 
@@ -268,32 +268,32 @@ def _overload_condition(status: NodeStatus) -> Condition:
     output = POINTING if status.node == "optical_axis" else ATTITUDE
     value = float(status.values.get("behind [s]", "nan"))
     return Condition(
-        f"{status.node}.{_OVERLOAD}", Priority.WARNING, "", still(status.text), value, unit="s",
-        under=(f"{output}.degraded",),
+        f"{status.node}.{_OVERLOAD}", Priority.WARNING, "", without_changing_figures(status.text), value, unit="s",
+        explained_by=(f"{output}.degraded",),
     )
 
 
-def _disk_conditions(machine: Machine, limits: Limits) -> Iterable[Condition]:
-    if machine.disk_free_gb < limits.machine.disk_free_gb:
+def _disk_conditions(computer: ComputerState, limits: Limits) -> Iterable[Condition]:
+    if computer.disk_free_gb < limits.machine.disk_free_gb:
         yield Condition(
             "disk.full", Priority.WARNING, "", f"the disk of {limits.machine.disk_path} is nearly full",
-            machine.disk_free_gb, limits.machine.disk_free_gb, "GB", becomes_alarm=True,
+            computer.disk_free_gb, limits.machine.disk_free_gb, "GB", becomes_alarm=True,
         )
 
 
-def _faulty_sources(suite_state: SuiteState) -> list[SourceShown]:
+def _faulty_sources(suite_state: SuiteState) -> list[SourceDetails]:
     return [one for one in suite_state.sources if one.presence is Presence.OUT and not one.because_of]
 
 
-def _alert_text(taken: Iterable[FunctionShown], cause: str) -> str:
+def _alert_text(affected: Iterable[FunctionState], cause: str) -> str:
     """Return the text of an alert from its functions, the worst first, and its cause.
 
     Functions that are only unchecked are named if no other is worse. An example is "Heading lost, tilt over its limit:
     ins no data".
     """
-    taken = list(taken)
+    affected = list(affected)
     by_words: dict[str, list[str]] = {}
-    for one in sorted([one for one in taken if one.is_over] or taken, key=lambda one: -(one.priority or 0)):
+    for one in sorted([one for one in affected if one.is_over_limit] or affected, key=lambda one: -(one.priority or 0)):
         by_words.setdefault(one.text.partition(" ")[2], []).append(one.name)
     text = ", ".join(f"{_joined_names(names)} {words}" for words, names in by_words.items())
     return f"{text[:1].upper()}{text[1:]}: {cause}"
@@ -303,5 +303,5 @@ def _joined_names(names: list[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-def _lost(shown: Iterable[FunctionShown]) -> frozenset[str]:
-    return frozenset(one.name for one in shown if one.is_over)
+def _lost_functions(function_states: Iterable[FunctionState]) -> frozenset[str]:
+    return frozenset(one.name for one in function_states if one.is_over_limit)

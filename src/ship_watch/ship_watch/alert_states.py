@@ -43,8 +43,8 @@ class Condition:
     unit: str = ""
     becomes_alarm: bool = False
     may_be_startup: bool = False
-    is_blind: bool = False
-    under: tuple[str, ...] = ()
+    is_never_received: bool = False
+    explained_by: tuple[str, ...] = ()
     lost_functions: frozenset[str] = frozenset()
 
 
@@ -97,10 +97,10 @@ CAUTION_TRANSITIONS: Mapping[tuple[AlertState, AlertEvent], AlertState] = {
 }
 """State of a caution after an event; it needs no acknowledgement."""
 
-UNANSWERED = frozenset((_S.ACTIVE_UNACKNOWLEDGED, _S.ACTIVE_SILENCED))
+UNACKNOWLEDGED = frozenset((_S.ACTIVE_UNACKNOWLEDGED, _S.ACTIVE_SILENCED))
 """States of a present situation that is not acknowledged."""
 
-ACTIVE = UNANSWERED | {_S.ACTIVE_ACKNOWLEDGED}
+ACTIVE = UNACKNOWLEDGED | {_S.ACTIVE_ACKNOWLEDGED}
 """States of a present situation."""
 
 

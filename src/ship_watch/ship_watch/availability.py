@@ -14,16 +14,16 @@ import numpy as np
 
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC
-from ship_watch.functions import still
+from ship_watch.functions import without_changing_figures
 from ship_watch.limits import Limits
-from ship_watch.picture import AngleShown, Safety
-from ship_watch.states import MARGIN, AngleWord, SafetyHysteresis, words_by_accuracy
+from ship_watch.picture import AngleState, Safety
+from ship_watch.states import HYSTERESIS_MARGIN, AngleSafety, SafetyHysteresis, safety_by_accuracy
 from ship_watch.watch import SuiteMonitor
 
 QUANTITIES = {"heading": ("heading",), "tilt": ("pitch", "roll"), "pointing": ("azimuth", "elevation")}
 """Quantity with its own limit → its angles."""
 
-WANTED_SHARE = 0.95
+REQUIRED_SHARE = 0.95
 """Fraction of the time within a proposed limit."""
 
 START_UP_S = 30.0
@@ -57,7 +57,7 @@ class Availability:
     median_arcsec: float
     proposed_arcsec: float
     proposed_share: float
-    decided_share: float
+    decisive_share: float
     other: dict[str, float]
 
 
@@ -67,7 +67,7 @@ class _Sample:
 
     time_ns: int
     is_start: bool
-    angles: tuple[AngleShown, ...]
+    angles: tuple[AngleState, ...]
 
     @property
     def is_limit_decisive(self) -> bool:
@@ -85,11 +85,11 @@ class AvailabilityRecord:
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
         no_limit = {f"{quantity}_arcsec": _NO_LIMIT_ARCSEC for quantity in QUANTITIES}
-        self._watch = SuiteMonitor(replace(limits, **no_limit))  # type: ignore[arg-type]
+        self._monitor = SuiteMonitor(replace(limits, **no_limit))  # type: ignore[arg-type]
         self._next_sample_ns: int | None = None
         self._samples: dict[str, list[_Sample]] = {quantity: [] for quantity in QUANTITIES}
 
-    def take(self, topic: str, message: Any, arrival_ns: int) -> None:
+    def process_message(self, topic: str, message: Any, arrival_ns: int) -> None:
         """Process a message of the recording; messages must come in the order of arrival.
 
         Args:
@@ -101,7 +101,7 @@ class AvailabilityRecord:
             self._sample(self._next_sample_ns)
             self._next_sample_ns += STEP_NS
         self._next_sample_ns = self._next_sample_ns or arrival_ns
-        self._watch.take(topic, message, arrival_ns)
+        self._monitor.process_message(topic, message, arrival_ns)
 
     def availability(self, quantity: str) -> Availability | None:
         """Return the expected availability of a quantity; None if the limit is never decisive."""
@@ -113,7 +113,7 @@ class AvailabilityRecord:
         limit_arcsec = float(np.degrees(self._limits.angle_limit(QUANTITIES[quantity][0])) * 3600.0)
         for proposed_arcsec in _round_limits(float(np.min(accuracies))):
             share = self._share(quantity, proposed_arcsec)
-            if share >= WANTED_SHARE or (1.0 - MARGIN) * proposed_arcsec > np.max(accuracies):
+            if share >= REQUIRED_SHARE or (1.0 - HYSTERESIS_MARGIN) * proposed_arcsec > np.max(accuracies):
                 break
         later = [sample for sample in samples if not sample.is_start]
         reasons = Counter(_reason(sample.angles) for sample in later if not sample.is_limit_decisive)
@@ -124,7 +124,7 @@ class AvailabilityRecord:
         )
 
     def _sample(self, time_ns: int) -> None:
-        angles = {angle.name: angle for angle in self._watch.current_state(time_ns).angles if math.isfinite(angle.age_s)}
+        angles = {angle.name: angle for angle in self._monitor.current_state(time_ns).angles if math.isfinite(angle.age_s)}
         for quantity, names in QUANTITIES.items():
             if all(name in angles for name in names):
                 before = self._samples[quantity]
@@ -133,20 +133,20 @@ class AvailabilityRecord:
 
     def _share(self, quantity: str, limit_arcsec: float) -> float:
         """Return the fraction with a SAFE quantity of the time in which the limit is decisive."""
-        words = [SafetyHysteresis(self._limits.better_after_s) for _ in QUANTITIES[quantity]]
+        filters = [SafetyHysteresis(self._limits.better_after_s) for _ in QUANTITIES[quantity]]
         safe: list[bool] = []
         for sample in self._samples[quantity]:
-            for hysteresis, angle in zip(words, sample.angles, strict=True):
-                hysteresis.note(self._angle_word(angle, limit_arcsec * ARCSEC), sample.time_ns)
+            for hysteresis, angle in zip(filters, sample.angles, strict=True):
+                hysteresis.update(self._angle_safety(angle, limit_arcsec * ARCSEC), sample.time_ns)
             if sample.is_limit_decisive:
-                safe.append(all(held.word is Safety.SAFE for held in words))
+                safe.append(all(held.safety is Safety.SAFE for held in filters))
         return sum(safe) / len(safe)
 
-    def _angle_word(self, angle: AngleShown, limit: float) -> AngleWord:
+    def _angle_safety(self, angle: AngleState, limit: float) -> AngleSafety:
         """Return the safety of an angle with another limit of its accuracy, rad."""
-        by_accuracy, by_margin = words_by_accuracy(angle.accuracy_95, limit, self._limits.unsafe_factor)
-        word, reason = angle.now or (angle.safety, angle.reason)
-        return AngleWord(max(word, by_accuracy), reason, by_accuracy, by_margin)
+        by_accuracy, by_margin = safety_by_accuracy(angle.accuracy_95, limit, self._limits.unsafe_factor)
+        safety, reason = angle.unheld_safety or (angle.safety, angle.reason)
+        return AngleSafety(max(safety, by_accuracy), reason, by_accuracy, by_margin)
 
 
 def _round_limits(least_arcsec: float) -> Iterator[float]:
@@ -159,7 +159,7 @@ def _round_limits(least_arcsec: float) -> Iterator[float]:
         exponent += 1
 
 
-def _reason(angles: Sequence[AngleShown]) -> str:
+def _reason(angles: Sequence[AngleState]) -> str:
     """Return why a quantity is not SAFE with any limit, without changing figures."""
     worst = max(angles, key=lambda angle: angle.safety)
-    return "hold time" if worst.is_recovering else still(worst.reason)
+    return "hold time" if worst.is_recovering else without_changing_figures(worst.reason)

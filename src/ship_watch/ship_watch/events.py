@@ -6,26 +6,26 @@ from collections.abc import Iterable
 from typing import Any
 
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
-from ship_watch.names import MOST_NAMES
-from ship_watch.picture import AlertShown, Event, Presence, Priority, SourceStanding
+from ship_watch.names import MAX_NAMES
+from ship_watch.picture import AlertEntry, Event, Presence, Priority, SourceState
 
-EVENTS_KEPT = 200
+MAX_EVENTS = 200
 """Number of events that are kept."""
 
-SETTLED_NS = 3 * NS_PER_S
+START_UP_NS = 3 * NS_PER_S
 """Time after the start of monitoring within which all running nodes have reported, ns."""
 
 _NUMBER = re.compile(r"\d+ ")
 _PRIORITIES = {int(priority) for priority in Priority}
-_ALERT_WORDS = {0: "over", 1: "raised", 2: "silenced", 3: "acknowledged", 4: "rectified, not acknowledged"}
+_ALERT_STATE_TEXTS = {0: "over", 1: "raised", 2: "silenced", 3: "acknowledged", 4: "rectified, not acknowledged"}
 """State of an alert, as in ship_msgs/Alert → its text."""
 
 
-class EventBook:
+class EventLog:
     """Events of a suite, the newest first."""
 
     def __init__(self) -> None:
-        self.events: deque[Event] = deque(maxlen=EVENTS_KEPT)
+        self.events: deque[Event] = deque(maxlen=MAX_EVENTS)
         self._presence: dict[str, tuple[Presence, str]] = {}
 
     def add(self, kind: str, subject: str, text: str, utc_ns: int) -> None:
@@ -34,11 +34,11 @@ class EventBook:
 
     def add_node_start(self, node: str, utc_ns: int) -> None:
         """Add the start of a node, once for all of its topics."""
-        is_reported = any(event.kind == "node" and utc_ns - event.utc_ns < SETTLED_NS for event in self.events)
+        is_reported = any(event.kind == "node" and utc_ns - event.utc_ns < START_UP_NS for event in self.events)
         if not is_reported:
             self.add("node", node, f"{node} started", utc_ns)
 
-    def add_source_changes(self, sources: Iterable[SourceStanding], utc_ns: int) -> None:
+    def add_source_changes(self, sources: Iterable[SourceState], utc_ns: int) -> None:
         """Add the sources that went OUT or IN, and those whose reason or correction changed."""
         for source in sources:
             is_out = source.presence is Presence.OUT
@@ -55,24 +55,24 @@ class EventBook:
                 text = f"{source.name} {source.presence.value}" + (f", {kind}" if kind else "")
                 self.add("source", source.name, text, utc_ns)
 
-    def add_alert_changes(self, before: Iterable[AlertShown], now: Iterable[AlertShown], utc_ns: int) -> None:
+    def add_alert_changes(self, before: Iterable[AlertEntry], now: Iterable[AlertEntry], utc_ns: int) -> None:
         """Add the alerts whose state changed, and those that are over."""
         states = {(alert.id, alert.instance): alert.state for alert in before}
         for alert in now:
             if states.pop((alert.id, alert.instance), None) != alert.state:
-                text = f"{alert.priority.name} {_ALERT_WORDS.get(alert.state, '')}: {alert.text}"
+                text = f"{alert.priority.name} {_ALERT_STATE_TEXTS.get(alert.state, '')}: {alert.text}"
                 self.add("alert", alert.id, text, alert.changed_ns)
         for name, _ in states:
             self.add("alert", name, f"{name} is over", utc_ns)
 
 
-def alerts_shown(message: Any) -> list[AlertShown]:
+def alerts_from_message(message: Any) -> list[AlertEntry]:
     """Return the alerts of an AlertArray in its order, without those of an unknown priority."""
-    return [_alert_from_message(alert) for alert in message.alerts[:MOST_NAMES] if alert.priority in _PRIORITIES]
+    return [_alert_from_message(alert) for alert in message.alerts[:MAX_NAMES] if alert.priority in _PRIORITIES]
 
 
-def _alert_from_message(alert: Any) -> AlertShown:
-    return AlertShown(
+def _alert_from_message(alert: Any) -> AlertEntry:
+    return AlertEntry(
         id=str(alert.id),
         instance=int(alert.instance),
         priority=Priority(alert.priority),

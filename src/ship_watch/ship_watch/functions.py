@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_watch.limits import Limits
-from ship_watch.picture import AngleShown, SuiteState, Presence, Priority, Safety, SourceShown
+from ship_watch.picture import AngleState, SuiteState, Presence, Priority, Safety, SourceDetails
 from ship_watch.states import OVER_THE_LIMIT
 
 ATTITUDE, POINTING = "attitude", "pointing"
@@ -21,14 +21,14 @@ _ANGLES = {"heading": ("heading",), "tilt": ("pitch", "roll"), "pointing": ("azi
 _SHIP = ("ins", "star", "reference", "gnss", "weather")
 _THEODOLITE = ("encoder", "lights", "baselines", "ship_attitude")
 
-_WORDS = {None: "safe", Priority.ALARM: "lost", Priority.WARNING: "over its limit", Priority.CAUTION: "unchecked"}
+_PRIORITY_TEXTS = {None: "safe", Priority.ALARM: "lost", Priority.WARNING: "over its limit", Priority.CAUTION: "unchecked"}
 
-_RUNNING = re.compile(r" for \d+ s\b|\b\d+ (?=rejected|accepted)|\b[\d.]+ s (?=behind)|, load \d+")
+_CHANGING_FIGURES = re.compile(r" for \d+ s\b|\b\d+ (?=rejected|accepted)|\b[\d.]+ s (?=behind)|, load \d+")
 """Figures of a reason that change while the situation stays the same."""
 
 
 @dataclass(frozen=True)
-class FunctionShown:
+class FunctionState:
     """State of one function of the suite.
 
     Attributes:
@@ -46,11 +46,11 @@ class FunctionShown:
     name: str
     output: str
     safety: Safety | None
-    angle: AngleShown
+    angle: AngleState
     because_of: str
     is_output_missing: bool
-    over_s: float
-    sources: tuple[SourceShown, ...]
+    over_limit_s: float
+    sources: tuple[SourceDetails, ...]
 
     @property
     def accuracy_arcsec(self) -> float:
@@ -63,7 +63,7 @@ class FunctionShown:
         return float(np.degrees(self.angle.limit)) * 3600.0
 
     @property
-    def is_over(self) -> bool:
+    def is_over_limit(self) -> bool:
         """True if the accuracy is not within the limit, or the angle is UNSAFE."""
         return self.safety is Safety.UNSAFE or not self.angle.accuracy_95 <= self.angle.limit
 
@@ -74,7 +74,7 @@ class FunctionShown:
             return None
         if self.safety is Safety.UNSAFE:
             return Priority.ALARM
-        return Priority.WARNING if self.is_over else Priority.CAUTION
+        return Priority.WARNING if self.is_over_limit else Priority.CAUTION
 
     @property
     def text(self) -> str:
@@ -83,20 +83,20 @@ class FunctionShown:
             return f"{self.name} off"
         if self.angle.is_recovering:
             return f"{self.name} good again"
-        return f"{self.name} {_WORDS[self.priority]}"
+        return f"{self.name} {_PRIORITY_TEXTS[self.priority]}"
 
     @property
     def reason(self) -> str:
         """Reason of the worst angle without changing figures; for an accuracy over its limit, where to find causes."""
-        return "see its error budget" if self.angle.reason == OVER_THE_LIMIT else still(self.angle.reason)
+        return "see its error budget" if self.angle.reason == OVER_THE_LIMIT else without_changing_figures(self.angle.reason)
 
 
-def still(text: str) -> str:
+def without_changing_figures(text: str) -> str:
     """Return a text without changing figures: "rejected in a row" for "81 rejected in a row"."""
-    return _RUNNING.sub("", text).replace("accepted again", "rejected in a row")
+    return _CHANGING_FIGURES.sub("", text).replace("accepted again", "rejected in a row")
 
 
-def functions(suite_state: SuiteState) -> tuple[FunctionShown, ...]:
+def functions(suite_state: SuiteState) -> tuple[FunctionState, ...]:
     """Return the functions of a suite; the pointing only if the suite has a theodolite."""
     angles = {angle.name: angle for angle in suite_state.angles}
     is_asked = {
@@ -104,29 +104,29 @@ def functions(suite_state: SuiteState) -> tuple[FunctionShown, ...]:
         if "azimuth" in angles else True,
         POINTING: True,
     }
-    found: list[FunctionShown] = []
+    found: list[FunctionState] = []
     for name, members in _ANGLES.items():
         if not all(member in angles for member in members):
             continue
         output = POINTING if name == "pointing" else ATTITUDE
-        worst = max((angles[member] for member in members), key=_badness)
+        worst = max((angles[member] for member in members), key=_severity)
         safety = worst.safety if is_asked[output] else None
         because_of = worst.because_of if safety else ""
         lost_before = [one for one in found if one.safety is Safety.UNSAFE]
         if output == POINTING and safety is Safety.UNSAFE and lost_before:
             # Without the attitude there is no pointing: it has the cause of the lost attitude.
             because_of = next((one.because_of for one in lost_before if one.because_of), ATTITUDE)
-        words = (*_THEODOLITE, *_SHIP) if output == POINTING else _SHIP
-        sources = tuple(one for one in suite_state.sources if one.name.partition(".")[0] in words)
-        over_s = max(angles[member].over_s for member in members)
+        kinds = (*_THEODOLITE, *_SHIP) if output == POINTING else _SHIP
+        sources = tuple(one for one in suite_state.sources if one.name.partition(".")[0] in kinds)
+        over_s = max(angles[member].over_limit_s for member in members)
         found.append(
-            FunctionShown(name, output, safety, worst, because_of, bool(safety) and worst.is_old, over_s, sources)
+            FunctionState(name, output, safety, worst, because_of, bool(safety) and worst.is_old, over_s, sources)
         )
     return tuple(found)
 
 
 @dataclass(frozen=True)
-class Branch:
+class DiagnosticEntry:
     """One entry of the tree in `/diagnostics`.
 
     Attributes:
@@ -140,32 +140,32 @@ class Branch:
     text: str
 
 
-def diagnostic_entries(suite_state: SuiteState, limits: Limits) -> tuple[Branch, ...]:
+def diagnostic_entries(suite_state: SuiteState, limits: Limits) -> tuple[DiagnosticEntry, ...]:
     """Return the functions with their limits, each followed by the sources it depends on."""
     limit_arcsec = {
         "heading": limits.heading_arcsec, "tilt": limits.tilt_arcsec, "pointing": limits.pointing_arcsec
     }
-    branches = []
+    entries = []
     for function in functions(suite_state):
         path = f"{function.name} within {limit_arcsec[function.name]:g}″"
-        branches.append(Branch(path, _diagnostic_level(function), _function_text(function)))
+        entries.append(DiagnosticEntry(path, _diagnostic_level(function), _function_text(function)))
         configured = (source for source in function.sources if source.presence is not Presence.OFF)
-        branches += [_source_branch(path, function, source) for source in configured]
-    return tuple(branches)
+        entries += [_source_entry(path, function, source) for source in configured]
+    return tuple(entries)
 
 
-def _source_branch(path: str, function: FunctionShown, source: SourceShown) -> Branch:
+def _source_entry(path: str, function: FunctionState, source: SourceDetails) -> DiagnosticEntry:
     if source.presence is Presence.IN:
-        return Branch(f"{path}/{source.name}", 0, ", ".join(filter(None, ["in", source.disagreement])))
+        return DiagnosticEntry(f"{path}/{source.name}", 0, ", ".join(filter(None, ["in", source.disagreement])))
     parts = [f"out: {source.reason}", source.disagreement]
     is_cause = source.name == function.because_of and function.safety is not None
     if is_cause:
         parts.append(f"therefore {function.text}")
     level = 2 if is_cause and function.safety is Safety.UNSAFE else 1
-    return Branch(f"{path}/{source.name}", level, ", ".join(filter(None, parts)))
+    return DiagnosticEntry(f"{path}/{source.name}", level, ", ".join(filter(None, parts)))
 
 
-def _function_text(function: FunctionShown) -> str:
+def _function_text(function: FunctionState) -> str:
     if function.safety is None:
         return "not in use: only a pointing was received, no attitude"
     accuracy = f"{function.accuracy_arcsec:.1f}″ (95 %)" if math.isfinite(function.accuracy_arcsec) else "no accuracy"
@@ -177,12 +177,12 @@ def _function_text(function: FunctionShown) -> str:
     return ", ".join(filter(None, [lost, because, function.angle.reason, known]))
 
 
-def _diagnostic_level(function: FunctionShown) -> int:
+def _diagnostic_level(function: FunctionState) -> int:
     if function.safety is None:
         return 0
     return 3 if function.is_output_missing else int(function.safety)
 
 
-def _badness(angle: AngleShown) -> tuple[int, float]:
+def _severity(angle: AngleState) -> tuple[int, float]:
     share = angle.accuracy_95 / angle.limit
     return int(angle.safety), math.inf if math.isnan(share) else share

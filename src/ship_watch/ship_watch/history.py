@@ -17,12 +17,12 @@ from ship_geometry.rotations import FloatArray
 from ship_watch.names import has_room
 from ship_watch.picture import Safety
 
-KEPT_S = 600.0
+HISTORY_S = 600.0
 """Length of the buffers, s."""
 
-_KEPT_NS = round(KEPT_S * 1e9)
+_HISTORY_NS = round(HISTORY_S * 1e9)
 
-MOST_KEPT = 30_000
+MAX_POINTS = 30_000
 """Maximum number of points of a buffer: 50 a second."""
 
 
@@ -89,7 +89,7 @@ class SafetyPoint:
     """Worst safety of each angle within one second; None if the angle was not published."""
 
     utc_ns: int
-    words: Mapping[str, Safety | None]
+    safety: Mapping[str, Safety | None]
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class BeaconPoint:
 
 
 @dataclass(frozen=True)
-class StarsSeen:
+class StarExposure:
     """Last exposure of a star sensor, with arrays of shape (n,) for its stars.
 
     Attributes:
@@ -135,7 +135,7 @@ class StarsSeen:
 
 
 @dataclass(frozen=True)
-class ParameterShown:
+class ParameterEstimate:
     """An estimated alignment or calibration state, its sigma and its nominal value, in ``unit`` (rad, s, m, px, 1).
 
     States that are errors are nominally zero. The nominal values of installation angles and of a focal length are in
@@ -169,11 +169,11 @@ class History:
     innovations: dict[str, deque[InnovationPoint]] = field(default_factory=dict)
     errors: dict[str, deque[ErrorPoint]] = field(default_factory=dict)
     budgets: dict[str, deque[BudgetPoint]] = field(default_factory=dict)
-    ribbons: deque[SafetyPoint] = field(default_factory=deque)
+    safety: deque[SafetyPoint] = field(default_factory=deque)
     beacons: dict[str, deque[BeaconPoint]] = field(default_factory=dict)
-    stars: dict[str, StarsSeen] = field(default_factory=dict)
-    alignment: tuple[ParameterShown, ...] = ()
-    calibration: tuple[ParameterShown, ...] = ()
+    star_exposures: dict[str, StarExposure] = field(default_factory=dict)
+    alignment: tuple[ParameterEstimate, ...] = ()
+    calibration: tuple[ParameterEstimate, ...] = ()
     position: tuple[float, float] | None = None
 
 
@@ -195,7 +195,7 @@ def append(buffers: dict[str, deque[Point]], name: str, point: Point) -> None:
     if buffer is None:
         if not has_room(buffers, name, "plotted name"):
             return
-        buffer = buffers[name] = deque(maxlen=MOST_KEPT)
+        buffer = buffers[name] = deque(maxlen=MAX_POINTS)
     append_point(buffer, point)
 
 
@@ -206,9 +206,9 @@ def append_point(buffer: deque[Point], point: Point) -> None:
         place -= 1
     if place == len(buffer):
         buffer.append(point)
-    elif len(buffer) < MOST_KEPT:
+    elif len(buffer) < MAX_POINTS:
         buffer.insert(place, point)
-    while buffer[-1].utc_ns - buffer[0].utc_ns > _KEPT_NS:
+    while buffer[-1].utc_ns - buffer[0].utc_ns > _HISTORY_NS:
         buffer.popleft()
 
 
@@ -224,17 +224,17 @@ def replace_or_append(buffers: dict[str, deque[Point]], name: str, point: Point)
     append(buffers, name, point)
 
 
-def newer(points: Sequence[Point], taken_ns: int | None) -> list[Point]:
+def points_after(points: Sequence[Point], after_ns: int | None) -> list[Point]:
     """Return the points after a time, in their order; all points for None.
 
     Args:
         points: points in the order of their times.
         after_ns: time of the last point that a plot has, ns.
     """
-    if taken_ns is None:
+    if after_ns is None:
         return list(points)
     # From the end: few of the points of ten minutes are new.
-    return list(takewhile(lambda point: point.utc_ns > taken_ns, reversed(points)))[::-1]
+    return list(takewhile(lambda point: point.utc_ns > after_ns, reversed(points)))[::-1]
 
 
 def extreme_rows(values: FloatArray, starts: Sequence[int]) -> NDArray[np.intp]:

@@ -18,20 +18,20 @@ from ship_watch.history import (
     ErrorPoint,
     History,
     InnovationPoint,
-    ParameterShown,
+    ParameterEstimate,
     SafetyPoint,
     append,
     append_point,
     replace_or_append,
 )
-from ship_watch.names import LONGEST_NAME, MOST_NAMES, has_room
+from ship_watch.names import MAX_NAME_LENGTH, MAX_NAMES, has_room
 from ship_watch.orientations import POINTING, SHIP_ATTITUDE, Orientation
 from ship_watch.picture import ANGLES, Safety
-from ship_watch.seen import BeaconDetections, StarsSeenBook
+from ship_watch.seen import BeaconDetections, StarExposures
 from ship_watch.topics import source_of_name, source_of_topic
 
 _TRUTH_GAP_NS = NS_PER_S
-_LEAST_BETWEEN_ERRORS_NS = NS_PER_S // 2
+_ERROR_PERIOD_NS = NS_PER_S // 2
 """Minimum interval between errors against truth, ns."""
 
 _MAX_PENDING = 20
@@ -44,7 +44,7 @@ _ERRORS = ".time_offset", ".focal_length", ".principal_u", ".principal_v", ".dis
 """Endings of a device's states that are errors in spite of their prefix."""
 
 
-class ErrorsBeside:
+class ErrorsAgainstTruth:
     """Errors of an output, from its error topic or computed against a truth that is played with it.
 
     An estimator has no truth, so that live its error topic contains NaN. The outputs are then compared with the truth
@@ -56,30 +56,30 @@ class ErrorsBeside:
         self._truth = AttitudeTrack(_TRUTH_GAP_NS)
         self._pending: deque[tuple[int, FloatArray, FloatArray]] = deque(maxlen=_MAX_PENDING)
         self._last_ns = 0
-        self._topic_knows = False
+        self._has_published_errors = False
 
     def record_published_error(self, message: Any) -> None:
         """Record a message of the output's own error topic."""
         channels = self._orientation.channels
         error = {name: float(getattr(message, f"error_{name}")) for name in channels}
         knows = any(math.isfinite(value) for value in error.values())
-        self._topic_knows = self._topic_knows or knows
+        self._has_published_errors = self._has_published_errors or knows
         if knows or len(self._truth) == 0:
             sigma = {name: float(getattr(message, f"sigma_{name}")) for name in channels}
             self._append(ErrorPoint(ns_from_stamp(message.header.stamp), error, sigma))
 
-    def note_output(self, message: Any, stamp_ns: int) -> None:
+    def record_output(self, message: Any, stamp_ns: int) -> None:
         """Record an output for the comparison with the truth."""
-        if self._topic_knows or len(self._truth) == 0 or message.status == Status.INVALID:
+        if self._has_published_errors or len(self._truth) == 0 or message.status == Status.INVALID:
             return
-        if stamp_ns - self._last_ns >= _LEAST_BETWEEN_ERRORS_NS:
+        if stamp_ns - self._last_ns >= _ERROR_PERIOD_NS:
             self._last_ns = stamp_ns
             variances = np.array([message.covariance[0], message.covariance[4], message.covariance[8]])
             angles = self._orientation.angles_of(message)
             if np.all(np.isfinite(angles)):
                 self._pending.append((stamp_ns, angles, variances))
 
-    def note_truth(self, message: Any) -> None:
+    def record_truth(self, message: Any) -> None:
         """Record a sample of the truth, and add the errors of the outputs before it."""
         sample = self._orientation.sample(message)
         if sample is not None:
@@ -92,18 +92,18 @@ class ErrorsBeside:
                 errors = self._orientation.errors_arcsec(angles, truth.rotation_nd)
                 given = np.where(variances > 0.0, variances, np.nan)
                 sigmas = np.sqrt(given) * np.abs(self._orientation.scale(angles)) / ARCSEC
-                self._append(ErrorPoint(stamp_ns, self._named(errors), self._named(sigmas)))
+                self._append(ErrorPoint(stamp_ns, self._by_channel(errors), self._by_channel(sigmas)))
         if newest is not None:
             self._truth.drop_before(newest.time_ns - 2 * _TRUTH_GAP_NS)
 
-    def _named(self, values: FloatArray) -> Mapping[str, float]:
+    def _by_channel(self, values: FloatArray) -> Mapping[str, float]:
         return dict(zip(self._orientation.channels, values.tolist(), strict=True))
 
     def _append(self, point: ErrorPoint) -> None:
         append(self._history.errors, self._orientation.error_topic, point)
 
 
-class HistoryKeeper:
+class HistoryRecorder:
     """Records the messages for the plots.
 
     Attributes:
@@ -113,33 +113,33 @@ class HistoryKeeper:
     def __init__(self) -> None:
         self.history = History()
         self._errors = {
-            orientation.topic: ErrorsBeside(orientation, self.history) for orientation in (SHIP_ATTITUDE, POINTING)
+            orientation.topic: ErrorsAgainstTruth(orientation, self.history) for orientation in (SHIP_ATTITUDE, POINTING)
         }
-        self._stars, self._lights = StarsSeenBook(self.history), BeaconDetections(self.history)
+        self._stars, self._lights = StarExposures(self.history), BeaconDetections(self.history)
         self._directions: dict[str, tuple[float, float]] = {}
         self._nominal: dict[str, float] = {}
         self._second = 0
-        self._words: dict[str, Safety | None] = {}
+        self._safety: dict[str, Safety | None] = {}
 
-    def note_output(self, topic: str, message: Any, stamp_ns: int) -> None:
+    def record_output(self, topic: str, message: Any, stamp_ns: int) -> None:
         """Record a ShipAttitude or an OpticalAxisPointing."""
         if message.status != Status.INVALID:
             is_ship = topic == SHIP_ATTITUDE.topic
             fields = ("heading", "pitch") if is_ship else ("azimuth", "elevation")
             self._directions[topic] = float(getattr(message, fields[0])), float(getattr(message, fields[1]))
-        self._errors[topic].note_output(message, stamp_ns)
+        self._errors[topic].record_output(message, stamp_ns)
 
-    def note_truth(self, topic: str, message: Any) -> None:
+    def record_truth(self, topic: str, message: Any) -> None:
         """Record a message of truth/attitude or truth/pointing."""
         orientation = SHIP_ATTITUDE if topic == SHIP_ATTITUDE.truth_topic else POINTING
-        self._errors[orientation.topic].note_truth(message)
+        self._errors[orientation.topic].record_truth(message)
 
-    def note_error(self, topic: str, message: Any) -> None:
+    def record_error(self, topic: str, message: Any) -> None:
         """Record a message of ship/error_arcsec or theodolite/error_arcsec."""
         orientation = SHIP_ATTITUDE if topic == SHIP_ATTITUDE.error_topic else POINTING
         self._errors[orientation.topic].record_published_error(message)
 
-    def note_innovation(self, source: str, message: Any, now_ns: int) -> None:
+    def record_innovation(self, source: str, message: Any, now_ns: int) -> None:
         """Record an Innovation of a source; rejections without a residual are not plotted."""
         if not len(message.components):
             return
@@ -153,24 +153,24 @@ class HistoryKeeper:
         elif source_of_name(str(message.source)) == "lights":
             self._lights.add_innovation(message, now_ns)
 
-    def note_seen(self, topic: str, message: Any, now_ns: int) -> None:
+    def record_input(self, topic: str, message: Any, now_ns: int) -> None:
         """Record stars, a star solution, lights or a GNSS fix."""
         source = source_of_topic(topic)
         if topic == "theodolite/beacons":
-            self._lights.note_image(message, now_ns)
+            self._lights.add_image(message, now_ns)
         elif topic == "gnss/fix":
             if math.isfinite(message.latitude) and math.isfinite(message.longitude):
                 self.history.position = math.radians(message.latitude), math.radians(message.longitude)
         elif topic.endswith("/observations"):
-            self._stars.note_exposure(source, message)
+            self._stars.add_exposure(source, message)
         else:
-            self._stars.note_solution(source, message)
+            self._stars.add_solution(source, message)
 
-    def note_budget(self, topic: str, message: Any) -> None:
+    def record_budget(self, topic: str, message: Any) -> None:
         """Record an ErrorBudget."""
-        if len(message.sources) > MOST_NAMES:
+        if len(message.sources) > MAX_NAMES:
             return
-        names = [str(name)[:LONGEST_NAME] for name in message.sources]
+        names = [str(name)[:MAX_NAME_LENGTH] for name in message.sources]
         parts = np.asarray(message.covariances, dtype=float)
         if parts.size != 9 * len(names):
             return
@@ -185,36 +185,36 @@ class HistoryKeeper:
         point = BudgetPoint(ns_from_stamp(message.header.stamp), variances, total, by_angle)
         append(self.history.budgets, topic, point)
 
-    def note_parameters(self, topic: str, message: Any) -> None:
+    def record_parameters(self, topic: str, message: Any) -> None:
         """Record an AlignmentState or a TheodoliteCalibration."""
-        if len(message.names) > MOST_NAMES:
+        if len(message.names) > MAX_NAMES:
             return
         unobservable = {name for combination in getattr(message, "unobservable", ()) for name in str(combination).split()}
         names, count = [str(name) for name in message.names], len(message.names)
         covariance = np.asarray(message.covariance, dtype=float)
         variances = covariance.reshape(count, count).diagonal() if covariance.size == count**2 else [math.nan] * count
-        shown = []
+        estimates = []
         for name, value, variance, unit in zip(names, message.values, variances, message.units, strict=False):
             sigma = math.sqrt(variance) if variance >= 0.0 else math.nan
             is_observable = name not in unobservable and math.isfinite(value) and math.isfinite(sigma)
             nominal = self._nominal_of(name, float(value))
-            shown.append(ParameterShown(name, float(value), sigma, str(unit), is_observable, nominal))
+            estimates.append(ParameterEstimate(name, float(value), sigma, str(unit), is_observable, nominal))
         if topic == "ship/alignment":
-            self.history.alignment = tuple(shown)
+            self.history.alignment = tuple(estimates)
         else:
-            self.history.calibration = tuple(shown)
+            self.history.calibration = tuple(estimates)
 
-    def note_words(self, utc_ns: int, words: Mapping[str, Safety | None]) -> None:
+    def record_safety(self, utc_ns: int, safety: Mapping[str, Safety | None]) -> None:
         """Record the safety of each angle; the worst of each second is added when the second is over."""
         second = utc_ns // NS_PER_S
         if second != self._second:
-            if self._words and second > self._second:
-                append_point(self.history.ribbons, SafetyPoint(self._second * NS_PER_S, self._words))
-            self._second, self._words = second, dict.fromkeys(ANGLES)
-        for name, word in words.items():
-            known = self._words.get(name)
-            if word is not None and (known is None or word > known):
-                self._words[name] = word
+            if self._safety and second > self._second:
+                append_point(self.history.safety, SafetyPoint(self._second * NS_PER_S, self._safety))
+            self._second, self._safety = second, dict.fromkeys(ANGLES)
+        for name, angle_safety in safety.items():
+            known = self._safety.get(name)
+            if angle_safety is not None and (known is None or angle_safety > known):
+                self._safety[name] = angle_safety
 
     def _nominal_of(self, name: str, value: float) -> float:
         """Return the nominal value of a state: zero for an error, else the first received value."""

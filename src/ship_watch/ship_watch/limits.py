@@ -24,7 +24,7 @@ from ship_estimation.parameters import ParameterError, build
 INPUT_KINDS = ("ins", "star", "reference", "lights", "encoder", "baselines", "ship_attitude", "gnss", "weather")
 """Kinds of sources: the name of a source, or its part before the id, as in ``star.bow``."""
 
-_NO_SHORT_ID = re.compile(r"(star|reference)_.+")
+_DEVICE_NAME = re.compile(r"(star|reference)_.+")
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ class Limits:
 
     def __post_init__(self) -> None:
         for name in self.inputs:
-            if name not in INPUT_KINDS and not _NO_SHORT_ID.fullmatch(name):
+            if name not in INPUT_KINDS and not _DEVICE_NAME.fullmatch(name):
                 near = difflib.get_close_matches(name.partition("_")[0], INPUT_KINDS, n=1)
                 meant = f"; did you mean '{near[0]}'?" if near else ""
                 raise ParameterError(

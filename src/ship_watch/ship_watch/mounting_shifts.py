@@ -11,11 +11,11 @@ import numpy as np
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_geometry.frames import rotation_from_angles, rotation_vector_covariance
 from ship_geometry.rotations import FloatArray, log_rotation
-from ship_watch.names import MOST_NAMES, has_room
-from ship_watch.picture import Presence, SourceStanding
+from ship_watch.names import MAX_NAMES, has_room
+from ship_watch.picture import Presence, SourceState
 from ship_watch.streak import angle_text
 
-SHOWN_NS = 600 * NS_PER_S
+DISPLAY_TIME_NS = 600 * NS_PER_S
 """Time for which a shift is shown after the reinstatement, ns."""
 
 _ANGLES = {"star": ("azimuth", "elevation", "roll"), "reference": ("heading", "pitch", "roll")}
@@ -32,7 +32,7 @@ contain the fault."""
 
 
 @dataclass(frozen=True)
-class Mounting:
+class MountingEstimate:
     """Estimated installation angles of a device at one time: azimuth, elevation, roll, rad, and covariance, rad²."""
 
     utc_ns: int
@@ -44,16 +44,16 @@ class MountingShifts:
     """Mounting shifts of all devices, from ``ship/alignment`` and the presence of the sources."""
 
     def __init__(self) -> None:
-        self._estimates: dict[str, deque[Mounting]] = {}
-        self._before: dict[str, Mounting] = {}
+        self._estimates: dict[str, deque[MountingEstimate]] = {}
+        self._before: dict[str, MountingEstimate] = {}
         self._reinstated_ns: dict[str, int] = {}
         self._shifts: dict[str, tuple[float, int]] = {}
 
-    def note_alignment(self, message: Any) -> None:
+    def record_alignment(self, message: Any) -> None:
         """Record the installation angles in an AlignmentState, once a second."""
         count = len(message.names)
         covariance = np.asarray(message.covariance, dtype=float)
-        if count > MOST_NAMES or covariance.size != count**2:
+        if count > MAX_NAMES or covariance.size != count**2:
             return
         covariance, utc_ns = covariance.reshape(count, count), ns_from_stamp(message.header.stamp)
         places = {str(name): place for place, name in enumerate(message.names)}
@@ -65,9 +65,9 @@ class MountingShifts:
                 kept = self._estimates.setdefault(device, deque(maxlen=_KEPT))
                 angles = np.array([float(message.values[row]) for row in rows])
                 if not kept or utc_ns - kept[-1].utc_ns >= _PERIOD_NS:
-                    kept.append(Mounting(utc_ns, angles, covariance[np.ix_(rows, rows)]))
+                    kept.append(MountingEstimate(utc_ns, angles, covariance[np.ix_(rows, rows)]))
 
-    def note_sources(self, sources: Iterable[SourceStanding], utc_ns: int) -> list[tuple[str, str]]:
+    def record_sources(self, sources: Iterable[SourceState], utc_ns: int) -> list[tuple[str, str]]:
         """Record the presence of the sources; return name and text of each device reinstated with a shifted mounting.
 
         The shift of a reinstated device is computed from the first alignment estimated after its reinstatement.
@@ -76,7 +76,7 @@ class MountingShifts:
             name, kept = source.name, self._estimates.get(source.name)
             if source.presence is Presence.OUT and not source.because_of and kept:
                 self._reinstated_ns.pop(name, None)
-                self._before.setdefault(name, _estimated_before(kept, source.out_since_ns))
+                self._before.setdefault(name, _estimate_before(kept, source.out_since_ns))
             elif source.presence is Presence.IN and name in self._before:
                 self._reinstated_ns.setdefault(name, utc_ns)
         found = []
@@ -92,10 +92,10 @@ class MountingShifts:
     def shift_of(self, name: str, utc_ns: int) -> float:
         """Return the shift of a device that was reinstated within the last ten minutes, rad; NaN without one."""
         shift, since_ns = self._shifts.get(name, (math.nan, 0))
-        return shift if utc_ns - since_ns <= SHOWN_NS else math.nan
+        return shift if utc_ns - since_ns <= DISPLAY_TIME_NS else math.nan
 
 
-def significant_shift(before: Mounting, after: Mounting) -> float:
+def significant_shift(before: MountingEstimate, after: MountingEstimate) -> float:
     """Return the angle between two mountings, rad; 0 if it is not significant, or a covariance is unknown."""
     rotation = rotation_from_angles(*after.angles.tolist()) @ rotation_from_angles(*before.angles.tolist()).T
     shift_v = log_rotation(rotation)
@@ -107,6 +107,6 @@ def significant_shift(before: Mounting, after: Mounting) -> float:
     return float(np.linalg.norm(shift_v)) if squared > _THRESHOLD else 0.0
 
 
-def _estimated_before(kept: deque[Mounting], out_since_ns: int) -> Mounting:
+def _estimate_before(kept: deque[MountingEstimate], out_since_ns: int) -> MountingEstimate:
     """Return the newest mounting estimated before the fault of a source; the oldest one if there is none."""
     return next((each for each in reversed(kept) if each.utc_ns <= out_since_ns - _BEFORE_NS), kept[0])

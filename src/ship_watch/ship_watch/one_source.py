@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ship_estimation.refusals import Reason
-from ship_watch.picture import ITS_NODE, Presence, SourceShown, SourceStanding
+from ship_watch.picture import CAUSE_NODE, Presence, SourceDetails, SourceState
 from ship_watch.reports import TopicReports
-from ship_watch.streak import NO_DISAGREEMENT, SHOWN_NS, DecisionHistory
+from ship_watch.streak import NO_DISAGREEMENT, MIN_DISPLAY_NS, DecisionHistory
 from ship_watch.topics import source_member
 from ship_watch.verdict import NisWindow
 
@@ -25,10 +25,10 @@ _NEEDS: dict[Reason, dict[str, tuple[str, ...]]] = {
 _SELF_REPORTED = {(Reason.GAP, "encoder"), (Reason.GAP, "ship_attitude"), (Reason.NO_FIX, "gnss")}
 """Reason and source for which the device itself reports that it has no value."""
 
-_PUT_RIGHT = {int(Reason.LIGHT_CONFLICT): "names exchanged"}
+_CORRECTIONS = {int(Reason.LIGHT_CONFLICT): "names exchanged"}
 """Reason of an accepted measurement → text of what was corrected in it."""
 
-_NOTHING_USABLE = {"star": "no stars", "lights": "no lights", "reference": "invalid"}
+_NO_USABLE_DATA = {"star": "no stars", "lights": "no lights", "reference": "invalid"}
 """Kind of source → reason while it sends data of which none can be used."""
 
 _UNUSABLE_PERIODS = 5.0
@@ -74,17 +74,17 @@ class SourceRecord:
         self.excluded_since: dict[str, int] = {}
         self.evaluated_ns: int | None = None
         self.used_ns: int | None = None
-        self.put_right_ns: int | None = None
-        self.put_right = ""
+        self.corrected_ns: int | None = None
+        self.correction = ""
         self.last_cause = ""
         self.first_word = name.partition(".")[0]
-        self._well = SourceStanding(name, Presence.IN, "", "", math.nan, 0, "")
+        self._in_state = SourceState(name, Presence.IN, "", "", math.nan, 0, "")
 
     def add_topic(self, reports: TopicReports) -> None:
         """Add a topic on which the source publishes."""
         self.topics = dict(sorted({**self.topics, reports.topic: reports}.items()))
 
-    def note_reports(self) -> None:
+    def update_from_reports(self) -> None:
         """Update period and count of used messages from the reports on its topics."""
         periods = [topic.period_ns for topic in self.topics.values() if not math.isnan(topic.period_ns)]
         self.period_ns = min(periods, default=math.nan)
@@ -94,18 +94,18 @@ class SourceRecord:
         """Return the time since the last message of the source, s; infinite before the first."""
         return min((topic.age_s(now_ns) for topic in self.topics.values()), default=math.inf)
 
-    def note_use(self, topic: str, stamp_ns: int, message: Any, now_ns: int) -> None:
+    def record_use(self, topic: str, stamp_ns: int, message: Any, now_ns: int) -> None:
         """Record an accepted Innovation; of lights also for each light named in its components."""
         degrees = sum(1 for residual in message.residual if math.isfinite(residual))
         if message.reason != Reason.REVISED:
             self.nis_window.add(now_ns, float(message.nis), degrees)
         self.used_ns = now_ns
-        if word := _PUT_RIGHT.get(int(message.reason)):
-            self.put_right, self.put_right_ns = word, now_ns
+        if word := _CORRECTIONS.get(int(message.reason)):
+            self.correction, self.corrected_ns = word, now_ns
         if self.name == "lights":
             for light in {str(name).partition(" ")[0] for name in message.components}:
-                if streak := self.decisions.get((topic, f"light.{light}")):
-                    streak.note_whole(stamp_ns, True, now_ns)
+                if history := self.decisions.get((topic, f"light.{light}")):
+                    history.record_exposure(stamp_ns, True, now_ns)
 
     def fault(self, now_ns: int, utc_offset_ns: int) -> SourceFault | None:
         """Return the reason why the source is OUT; None if it is IN.
@@ -117,18 +117,18 @@ class SourceRecord:
             utc_offset_ns: UTC minus caller's time, ns.
         """
         topics = list(self.topics.values())
-        if missed := [topic for topic in topics if topic.is_never_received]:
-            return SourceFault(_with_members("never received", missed, topics))
+        if never_received := [topic for topic in topics if topic.is_never_received]:
+            return SourceFault(_with_members("never received", never_received, topics))
         if timed_out := [topic for topic in topics if topic.is_timed_out(now_ns)]:
             since_ns = min(topic.arrived_ns or 0 for topic in timed_out) + utc_offset_ns
-            if all(topic.is_untold(now_ns) for topic in timed_out):
-                return SourceFault("not reported", since_ns, ITS_NODE)
+            if all(topic.is_report_overdue(now_ns) for topic in timed_out):
+                return SourceFault("not reported", since_ns, CAUSE_NODE)
             return SourceFault(_with_members("no data", timed_out, topics), since_ns)
         worst: tuple[str, DecisionHistory] | None = None
-        for key, streak in self.decisions.items():
-            streak.reinstate_if_used(now_ns, self.period_ns, self.used - self.used_at_rejection.get(key, 0))
-            if streak.is_out and (worst is None or streak.rejected_in_a_row > worst[1].rejected_in_a_row):
-                worst = key[1], streak
+        for key, history in self.decisions.items():
+            history.reinstate_if_used(now_ns, self.period_ns, self.used - self.used_at_rejection.get(key, 0))
+            if history.is_out and (worst is None or history.rejected_in_a_row > worst[1].rejected_in_a_row):
+                worst = key[1], history
         since_ns = min(worst[1].out_since_ns, now_ns + utc_offset_ns) if worst else 0  # stamps may lie in the future
         if self.excluded_since:
             return SourceFault("excluded", since_ns or min(self.excluded_since.values()))
@@ -138,7 +138,7 @@ class SourceRecord:
 
     def _no_usable_data(self, now_ns: int, utc_offset_ns: int) -> SourceFault | None:
         """Return the fault of a source that sends data but none that can be evaluated; None otherwise."""
-        word = _NOTHING_USABLE.get(self.first_word)
+        word = _NO_USABLE_DATA.get(self.first_word)
         if word is None or self.evaluated_ns is None or math.isnan(self.period_ns):
             return None
         if not all(topic.is_report_recent(now_ns) for topic in self.topics.values()):
@@ -155,11 +155,11 @@ class SourceRecord:
             faulty_names: names of the sources that are OUT by a fault of their own.
         """
         reasons = {
-            streak.reason
-            for key, streak in self.decisions.items()
-            if streak.is_out and fault.reason == _rejection_text(self.name, key[1], streak)
+            history.reason
+            for key, history in self.decisions.items()
+            if history.is_out and fault.reason == _rejection_text(self.name, key[1], history)
         }
-        if fault.reason == _NOTHING_USABLE.get(self.first_word):
+        if fault.reason == _NO_USABLE_DATA.get(self.first_word):
             reasons = {Reason.GAP}  # measurements that wait for another source are rejected only after a long wait
         needed = [name for reason in reasons for name in _NEEDS.get(reason, {}).get(self.first_word, ())]
         cause = next((name for name in needed if name in faulty_names), "")
@@ -168,51 +168,51 @@ class SourceRecord:
         self.last_cause = cause
         return replace(fault, reason=f"needs {cause}", because_of=cause) if cause else fault
 
-    def standing(self, fault: SourceFault | None, now_ns: int) -> SourceStanding:
+    def source_state(self, fault: SourceFault | None, now_ns: int) -> SourceState:
         """Return the state of the source with this fault: IN without one, OFF if nothing was ever received."""
         if fault is None:
             if not self.decisions and all(topic.arrived_ns is None for topic in self.topics.values()):
-                return standing_off(self.name)
-            is_put_right = self.put_right_ns is not None and now_ns - self.put_right_ns <= SHOWN_NS
-            return replace(self._well, disagreement=self.put_right) if is_put_right else self._well
-        off = [] if fault.because_of else [streak.disagreement for streak in self.decisions.values()]
-        furthest = max(off, key=lambda one: abs(one.sigmas) if one.text else -1.0, default=NO_DISAGREEMENT)
-        return SourceStanding(
-            self.name, Presence.OUT, fault.reason, furthest.text, furthest.sigmas, fault.since_ns, fault.because_of
+                return unconfigured_source(self.name)
+            is_put_right = self.corrected_ns is not None and now_ns - self.corrected_ns <= MIN_DISPLAY_NS
+            return replace(self._in_state, disagreement=self.correction) if is_put_right else self._in_state
+        disagreements = [] if fault.because_of else [history.disagreement for history in self.decisions.values()]
+        largest = max(disagreements, key=lambda one: abs(one.sigmas) if one.text else -1.0, default=NO_DISAGREEMENT)
+        return SourceState(
+            self.name, Presence.OUT, fault.reason, largest.text, largest.sigmas, fault.since_ns, fault.because_of
         )
 
-    def shown(self, standing: SourceStanding, now_ns: int) -> SourceShown:
+    def source_details(self, state: SourceState, now_ns: int) -> SourceDetails:
         """Return the displayed data of the source in this state."""
-        streaks = self.decisions.values()
+        histories = self.decisions.values()
         rates = [topic.rate_hz for topic in self.topics.values() if not math.isnan(topic.rate_hz)]
-        has_acceptances = any(streak.has_acceptances for streak in streaks)
-        return SourceShown(
-            **vars(standing),
+        has_acceptances = any(history.has_acceptances for history in histories)
+        return SourceDetails(
+            **vars(state),
             nis_consistency=self.nis_window.consistency(now_ns) if has_acceptances else None,
             age_s=self.age_s(now_ns),
             rate_hz=max(rates, default=math.nan),
-            rejected_in_a_row=max((streak.rejected_in_a_row for streak in streaks), default=0),
+            rejected_in_a_row=max((streak.rejected_in_a_row for streak in histories), default=0),
             topics=tuple(self.topics),
         )
 
 
-def standing_off(name: str) -> SourceStanding:
+def unconfigured_source(name: str) -> SourceState:
     """Return the state of a source that is not configured."""
-    return SourceStanding(name, Presence.OFF, "", "", math.nan, 0, "")
+    return SourceState(name, Presence.OFF, "", "", math.nan, 0, "")
 
 
-def _rejection_text(source: str, name: str, streak: DecisionHistory) -> str:
+def _rejection_text(source: str, name: str, history: DecisionHistory) -> str:
     """Return the text of a run of rejections; a rejection by the gate is not named."""
-    if (streak.reason, source) in _SELF_REPORTED:
+    if (history.reason, source) in _SELF_REPORTED:
         return "invalid"
-    if streak.reason is Reason.EXCLUDED:
+    if history.reason is Reason.EXCLUDED:
         return "excluded"
-    if streak.reason is Reason.OFF:
+    if history.reason is Reason.OFF:
         return "switched off"
-    if not streak.rejected_in_a_row:
-        return _with_member(f"{streak.accepted_in_a_row} accepted again", name)
-    has_reason = streak.reason not in (Reason.GATE, Reason.NONE)
-    text = f"{streak.rejected_in_a_row} rejected in a row" + (f": {streak.reason.word.replace('_', ' ')}" if has_reason else "")
+    if not history.rejected_in_a_row:
+        return _with_member(f"{history.accepted_in_a_row} accepted again", name)
+    has_reason = history.reason not in (Reason.GATE, Reason.NONE)
+    text = f"{history.rejected_in_a_row} rejected in a row" + (f": {history.reason.word.replace('_', ' ')}" if has_reason else "")
     return _with_member(text, name)
 
 

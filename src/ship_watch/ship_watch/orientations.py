@@ -69,9 +69,9 @@ class Orientation:
         rates_d: Sequence[FloatArray | None] = [None] * len(times_ns)
         if hasattr(messages.message(0), _RATE):
             measured_d = device_vector_from_ros(np.stack([numbers[f"{_RATE}.{axis}"] for axis in "xyz"], axis=1))
-            rates_d = [rate_d if known else None for rate_d, known in zip(measured_d, _finite(measured_d), strict=True)]
+            rates_d = [rate_d if known else None for rate_d, known in zip(measured_d, _is_row_finite(measured_d), strict=True)]
         samples = map(AttitudeSample, times_ns, compiled_angles.rotations(angles), rates_d)
-        return [sample if known else None for sample, known in zip(samples, _finite(angles), strict=True)]
+        return [sample if known else None for sample, known in zip(samples, _is_row_finite(angles), strict=True)]
 
     def scale(self, angles: FloatArray) -> FloatArray:
         """Return the factors from errors of the angles to errors of the channels, shape (..., 3)."""
@@ -91,7 +91,7 @@ class Orientation:
         return self.scale(angles) * errors / ARCSEC
 
 
-def _finite(rows: FloatArray) -> list[bool]:
+def _is_row_finite(rows: FloatArray) -> list[bool]:
     """Return for each row True if all its numbers are finite."""
     finite: list[bool] = np.logical_and.reduce(np.isfinite(rows), axis=1).tolist()
     return finite

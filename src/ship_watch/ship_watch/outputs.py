@@ -40,8 +40,8 @@ class OutputRecord:
     quantities: ClassVar[dict[str, str]]
     """Angle → its name in Integrity messages."""
 
-    def __init__(self, longest_age_s: float) -> None:
-        self._longest_age_ns = round(longest_age_s * 1e9)
+    def __init__(self, max_age_s: float) -> None:
+        self._max_age_ns = round(max_age_s * 1e9)
         self._arrived_ns: int | None = None
         self.values: dict[str, float] = {}
         self.accuracies_95: dict[str, float] = {}
@@ -62,10 +62,10 @@ class OutputRecord:
 
     def is_old(self, now_ns: int) -> bool:
         """True if the last message is older than its limit; one second is added while INVALID, sent once a second."""
-        longest_ns = self._longest_age_ns + (_INVALID_PERIOD_NS if self.status is Status.INVALID else 0)
+        longest_ns = self._max_age_ns + (_INVALID_PERIOD_NS if self.status is Status.INVALID else 0)
         return self._arrived_ns is None or now_ns - self._arrived_ns >= longest_ns
 
-    def is_claimed(self, now_ns: int) -> bool:
+    def is_available(self, now_ns: int) -> bool:
         """True if the output is neither old nor INVALID."""
         return self.status not in (None, Status.INVALID) and not self.is_old(now_ns)
 
@@ -75,7 +75,7 @@ class OutputRecord:
             return AngleProtection(None)
         return self._protection.get(angle, AngleProtection(None))
 
-    def note_integrity(self, message: Any, now_ns: int) -> None:
+    def record_integrity(self, message: Any, now_ns: int) -> None:
         """Record an Integrity message."""
         if self._integrity_ns is not None:
             self._integrity_age_ns = max(INTEGRITY_AGE_NS, 3 * (now_ns - self._integrity_ns))
@@ -89,7 +89,7 @@ class OutputRecord:
             if places.get(quantity, math.inf) < min(len(levels), len(limits))
         }
 
-    def note(self, message: Any, stamp_ns: int, now_ns: int) -> list[tuple[str, str]]:
+    def record(self, message: Any, stamp_ns: int, now_ns: int) -> list[tuple[str, str]]:
         """Record a message of the output; return the changes: kind of event and text."""
         raise NotImplementedError
 
@@ -97,11 +97,11 @@ class OutputRecord:
         """Return the cause of a reduced quality that the output itself states; empty without one."""
         raise NotImplementedError
 
-    def is_lessened(self, beacon_count: int) -> bool:
+    def has_reduced_input(self, beacon_count: int) -> bool:
         """True if the output is VALID but uses fewer lights than there are."""
         return False
 
-    def _note(self, message: Any, stamp_ns: int, now_ns: int) -> list[tuple[str, str]]:
+    def _record_common(self, message: Any, stamp_ns: int, now_ns: int) -> list[tuple[str, str]]:
         """Record the fields common to both outputs; return the changes as :meth:`record` does."""
         # A repeated message is no newer: the arrival counts only with a new stamp or status.
         status = _STATUSES.get(int(message.status))
@@ -124,18 +124,18 @@ class AttitudeRecord(OutputRecord):
         super().__init__(limits.attitude_age_s)
         self.horizon = ""
         self._star_age_s = math.inf
-        self._rests_on_ins = False
+        self._uses_ins = False
 
-    def note(self, message: Any, stamp_ns: int, now_ns: int) -> list[tuple[str, str]]:
+    def record(self, message: Any, stamp_ns: int, now_ns: int) -> list[tuple[str, str]]:
         """Record a ShipAttitude; return the changes."""
         covariance = message.covariance
         self.values = {name: float(getattr(message, name)) for name in self.quantities}
         self.accuracies_95 = {name: _accuracy_95(covariance[4 * i]) for i, name in enumerate(self.quantities)}
         star_age_s = float(message.star_age_s)
         self._star_age_s = star_age_s if math.isfinite(star_age_s) else math.inf
-        self._rests_on_ins = "ins" in message.sources
+        self._uses_ins = "ins" in message.sources
         horizon, before = _HORIZONS.get(int(message.horizon), ""), self.horizon
-        changes = self._note(message, stamp_ns, now_ns)
+        changes = self._record_common(message, stamp_ns, now_ns)
         if before and horizon != before and self.status is not Status.INVALID:
             changes.append(("mode", f"horizon {before} → {horizon}"))
         self.horizon = horizon
@@ -147,7 +147,7 @@ class AttitudeRecord(OutputRecord):
 
     def ins_age_s(self, reported_s: float, now_ns: int) -> float:
         """Return the time since the last INS sample, s: an attitude from the INS is published at each sample."""
-        return min(reported_s, self.age_s(now_ns)) if self._rests_on_ins else reported_s
+        return min(reported_s, self.age_s(now_ns)) if self._uses_ins else reported_s
 
     def diagnosis_hint(self, now_ns: int, beacon_count: int) -> str:
         """Return the time without stars; empty if stars are used."""
@@ -168,17 +168,17 @@ class PointingRecord(OutputRecord):
         self._mode, self._lights = _ENCODER, 0
 
     @property
-    def by(self) -> str:
+    def pointing_method(self) -> str:
         """Method of the pointing, for people: "2 lights", "encoder"; empty before the first."""
         if not self.is_received:
             return ""
         if self.status is Status.INVALID:
             return "no pointing"
         lights = f"{self._lights} light{'s' if self._lights > 1 else ''}"
-        words = {_ENCODER: "encoder", _STARS: "stars", _STARS_AND_LIGHTS: f"stars, {lights}"}
-        return words.get(self._mode, lights)
+        texts = {_ENCODER: "encoder", _STARS: "stars", _STARS_AND_LIGHTS: f"stars, {lights}"}
+        return texts.get(self._mode, lights)
 
-    def note(self, message: Any, stamp_ns: int, now_ns: int) -> list[tuple[str, str]]:
+    def record(self, message: Any, stamp_ns: int, now_ns: int) -> list[tuple[str, str]]:
         """Record an OpticalAxisPointing; return the changes."""
         azimuth, elevation = float(message.azimuth), float(message.elevation)
         self.values = {"azimuth": azimuth, "elevation": elevation}
@@ -186,20 +186,20 @@ class PointingRecord(OutputRecord):
             "azimuth": _accuracy_95(message.covariance[0]) * abs(float(np.cos(elevation))),
             "elevation": _accuracy_95(message.covariance[4]),
         }
-        before = self.by
+        before = self.pointing_method
         self._mode, self._lights = int(message.mode), int(message.light_count)
-        changes = self._note(message, stamp_ns, now_ns)
-        if before and self.by != before:
-            changes.append(("mode", f"pointing by {before} → {self.by}"))
+        changes = self._record_common(message, stamp_ns, now_ns)
+        if before and self.pointing_method != before:
+            changes.append(("mode", f"pointing by {before} → {self.pointing_method}"))
         return changes
 
     def diagnosis_hint(self, now_ns: int, beacon_count: int) -> str:
         """Return the number of used lights if it is too low; empty otherwise."""
-        if self.is_lessened(beacon_count):
+        if self.has_reduced_input(beacon_count):
             return f"one of {_COUNTS.get(beacon_count, beacon_count)} lights"
         return "no lights" if self._mode == _ENCODER else ""
 
-    def is_lessened(self, beacon_count: int) -> bool:
+    def has_reduced_input(self, beacon_count: int) -> bool:
         """True if one light is used although there are several."""
         return self._mode == _ONE_LIGHT and beacon_count > 1
 

@@ -16,7 +16,7 @@ from ship_watch.alert_advice import advice_for
 ANGLES = ("heading", "pitch", "roll", "azimuth", "elevation")
 """Names of the angles, in the order in which they are displayed."""
 
-ITS_NODE = "its node"
+CAUSE_NODE = "its node"
 """Cause of a source that is OUT because the node that reads it has stopped reporting."""
 
 
@@ -46,7 +46,7 @@ class Priority(enum.IntEnum):
 
 
 @dataclass(frozen=True)
-class AngleShown:
+class AngleState:
     """State of one angle.
 
     Attributes:
@@ -80,20 +80,20 @@ class AngleShown:
     stamp_ns: int
     since_ns: int
     because_of: str = ""
-    over_s: float = 0.0
-    now: tuple[Safety, str] | None = None
+    over_limit_s: float = 0.0
+    unheld_safety: tuple[Safety, str] | None = None
 
     @property
     def is_recovering(self) -> bool:
         """True if the safety without hold is SAFE and the displayed one is not yet."""
-        return self.now is not None and self.now[0] is Safety.SAFE and self.safety is not Safety.SAFE
+        return self.unheld_safety is not None and self.unheld_safety[0] is Safety.SAFE and self.safety is not Safety.SAFE
 
     @property
-    def without_hold(self) -> "AngleShown":
+    def without_hold(self) -> "AngleState":
         """The angle with its safety without hold, for users with a hold of their own."""
-        if self.now is None:
+        if self.unheld_safety is None:
             return self
-        safety, reason = self.now
+        safety, reason = self.unheld_safety
         return replace(self, safety=safety, reason=reason, because_of=self.because_of if safety else "", now=None)
 
 
@@ -109,13 +109,13 @@ class NisConsistency:
     """
 
     ratio: float
-    degrees: int
+    degrees_of_freedom: int
     text: str
     is_consistent: bool
 
 
 @dataclass(frozen=True)
-class SourceStanding:
+class SourceState:
     """Presence and fault of a source. The safety of angles and the events are derived from it.
 
     Attributes:
@@ -140,7 +140,7 @@ class SourceStanding:
 
 
 @dataclass(frozen=True)
-class SourceShown(SourceStanding):
+class SourceDetails(SourceState):
     """State of a source with its ages, rates and NIS consistency.
 
     Attributes:
@@ -162,7 +162,7 @@ class SourceShown(SourceStanding):
 
 
 @dataclass(frozen=True)
-class AlertShown:
+class AlertEntry:
     """One alert as published by the alert node; ``state`` as in ship_msgs/Alert, times UTC as POSIX time."""
 
     id: str
@@ -200,7 +200,7 @@ class AlertShown:
 
 
 @dataclass(frozen=True)
-class InputShown:
+class InputState:
     """State of one input topic, with the rejections of the nodes that read it in the last 60 s."""
 
     topic: str
@@ -261,13 +261,13 @@ class SuiteState:
     """
 
     utc_ns: int
-    angles: tuple[AngleShown, ...]
+    angles: tuple[AngleState, ...]
     ages_s: Mapping[str, float]
     pointing_by: str
     horizon: str
-    sources: tuple[SourceShown, ...]
-    alerts: tuple[AlertShown, ...] | None
-    inputs: tuple[InputShown, ...]
+    sources: tuple[SourceDetails, ...]
+    alerts: tuple[AlertEntry, ...] | None
+    inputs: tuple[InputState, ...]
     events: tuple[Event, ...]
     waiting_for: str
 
@@ -304,7 +304,7 @@ class SuiteStateSource(Protocol):
         ...
 
     @property
-    def place(self) -> str:
+    def location(self) -> str:
         """Namespace and domain, or bag, for the display while it waits for data."""
         ...
 

@@ -11,8 +11,8 @@ from itertools import islice
 from typing import Any
 
 from ship_bags.stamps import ns_from_stamp
-from ship_watch.names import LONGEST_NAME, MOST_NAMES
-from ship_watch.picture import AngleShown, NisConsistency, SuiteState, Presence, Safety, SourceShown
+from ship_watch.names import MAX_NAME_LENGTH, MAX_NAMES
+from ship_watch.picture import AngleState, NisConsistency, SuiteState, Presence, Safety, SourceDetails
 
 STATE_TOPIC = "ship/suite_state"
 STATE_TYPE = "ship_msgs/msg/SuiteState"
@@ -20,11 +20,11 @@ STATE_TYPE = "ship_msgs/msg/SuiteState"
 PERIOD_NS = 500_000_000
 """Time between two messages while nothing changes, ns."""
 
-LONGEST_AGE_NS = 4 * PERIOD_NS
+MAX_AGE_NS = 4 * PERIOD_NS
 """Maximum age of a state that is displayed, ns: an older one means that its node or the network has failed."""
 
 _PRESENCES = tuple(Presence)
-_LONGEST_TEXT = 4 * LONGEST_NAME
+_MAX_TEXT_LENGTH = 4 * MAX_NAME_LENGTH
 
 
 def suite_state_fields(state: SuiteState) -> dict[str, Any]:
@@ -40,7 +40,7 @@ def suite_state_fields(state: SuiteState) -> dict[str, Any]:
     }
 
 
-def change_of_state(state: SuiteState) -> tuple[Any, ...]:
+def change_key(state: SuiteState) -> tuple[Any, ...]:
     """Return the part of a state whose change is published at once: safety of angles, presence and order of sources."""
     angles = tuple((angle.name, angle.safety, angle.is_old) for angle in state.angles)
     return angles, tuple((source.name, source.presence, source.because_of) for source in state.sources)
@@ -50,9 +50,9 @@ def change_of_state(state: SuiteState) -> tuple[Any, ...]:
 class PublishedState:
     """Content of a SuiteState message, with its time of arrival by the caller's clock."""
 
-    angles: tuple[AngleShown, ...]
+    angles: tuple[AngleState, ...]
     ages_s: Mapping[str, float]
-    sources: tuple[SourceShown, ...]
+    sources: tuple[SourceDetails, ...]
     pointing_by: str
     horizon: str
     waiting_for: str
@@ -60,9 +60,9 @@ class PublishedState:
 
     def is_current(self, now_ns: int) -> bool:
         """True if it is young enough to be shown."""
-        return now_ns - self.arrived_ns <= LONGEST_AGE_NS
+        return now_ns - self.arrived_ns <= MAX_AGE_NS
 
-    def shown_in(self, state: SuiteState, now_ns: int) -> SuiteState:
+    def merge_into(self, state: SuiteState, now_ns: int) -> SuiteState:
         """Return a state with this published one in it. Ages grow only if the next message is overdue."""
         overdue_s = max(0, now_ns - self.arrived_ns - PERIOD_NS) * 1e-9
         return replace(
@@ -81,9 +81,9 @@ def published_state(message: Any, arrived_ns: int) -> PublishedState:
         ValueError: the message contains a safety or a presence that does not exist.
     """
     return PublishedState(
-        angles=tuple(_angle(each) for each in islice(message.angles, MOST_NAMES)),
+        angles=tuple(_angle(each) for each in islice(message.angles, MAX_NAMES)),
         ages_s={name: float(getattr(message, f"{name}_age_s")) for name in ("stars", "lights", "ins")},
-        sources=tuple(_source(each) for each in islice(message.sources, MOST_NAMES)),
+        sources=tuple(_source(each) for each in islice(message.sources, MAX_NAMES)),
         pointing_by=_text(message.pointing_by),
         horizon=_text(message.horizon),
         waiting_for=_text(message.waiting_for),
@@ -91,7 +91,7 @@ def published_state(message: Any, arrived_ns: int) -> PublishedState:
     )
 
 
-def _angle_fields(angle: AngleShown) -> dict[str, Any]:
+def _angle_fields(angle: AngleState) -> dict[str, Any]:
     return {
         "name": angle.name,
         "value": angle.value,
@@ -108,8 +108,8 @@ def _angle_fields(angle: AngleShown) -> dict[str, Any]:
     }
 
 
-def _angle(message: Any) -> AngleShown:
-    return AngleShown(
+def _angle(message: Any) -> AngleState:
+    return AngleState(
         name=_text(message.name),
         value=float(message.value),
         accuracy_95=float(message.accuracy_95),
@@ -125,7 +125,7 @@ def _angle(message: Any) -> AngleShown:
     )
 
 
-def _source_fields(source: SourceShown) -> dict[str, Any]:
+def _source_fields(source: SourceDetails) -> dict[str, Any]:
     consistency = source.nis_consistency or NisConsistency(math.nan, -1, "", False)
     return {
         "name": source.name,
@@ -135,7 +135,7 @@ def _source_fields(source: SourceShown) -> dict[str, Any]:
         "disagreement": source.disagreement,
         "residual": source.residual,
         "out_since": max(source.out_since_ns, 0),
-        "nis_degrees": consistency.degrees,
+        "nis_degrees": consistency.degrees_of_freedom,
         "nis_ratio": consistency.ratio,
         "nis_text": consistency.text,
         "is_as_stated": consistency.is_consistent,
@@ -147,13 +147,13 @@ def _source_fields(source: SourceShown) -> dict[str, Any]:
     }
 
 
-def _source(message: Any) -> SourceShown:
+def _source(message: Any) -> SourceDetails:
     consistency = NisConsistency(
         float(message.nis_ratio), int(message.nis_degrees), _text(message.nis_text), bool(message.is_as_stated)
     )
     if not 0 <= message.presence < len(_PRESENCES):
         raise ValueError(f"presence {message.presence} of source '{_text(message.name)}' does not exist")
-    return SourceShown(
+    return SourceDetails(
         name=_text(message.name),
         presence=_PRESENCES[message.presence],
         reason=_text(message.reason),
@@ -165,10 +165,10 @@ def _source(message: Any) -> SourceShown:
         age_s=float(message.age_s),
         rate_hz=float(message.rate_hz),
         rejected_in_a_row=int(message.rejected_in_a_row),
-        topics=tuple(_text(topic) for topic in islice(message.topics, MOST_NAMES)),
+        topics=tuple(_text(topic) for topic in islice(message.topics, MAX_NAMES)),
         mounting_shift=float(message.mounting_shift),
     )
 
 
 def _text(text: Any) -> str:
-    return str(text)[:_LONGEST_TEXT]
+    return str(text)[:_MAX_TEXT_LENGTH]

@@ -7,8 +7,8 @@ from itertools import islice
 from typing import Any
 
 from ship_bags.stamps import ns_from_stamp
-from ship_watch.names import LONGEST_NAME, MOST_NAMES
-from ship_watch.picture import InputShown
+from ship_watch.names import MAX_NAME_LENGTH, MAX_NAMES
+from ship_watch.picture import InputState
 
 WINDOW_NS = 60_000_000_000
 """Time over which rejections are counted, ns."""
@@ -25,10 +25,10 @@ UNKNOWN_RATE_TIMEOUT_NS = 5_000_000_000
 _REPORTER_TIMEOUT_NS = 10_000_000_000
 """Time without a report after which a node no longer counts as reporting, ns."""
 
-_MOST_REPORTERS = 16
+_MAX_REPORTERS = 16
 """Maximum number of nodes that report on one topic."""
 
-_MOST_REPORTS = 1000
+_MAX_REPORTS = 1000
 """Maximum number of reports with rejections that are kept: one a second from sixteen nodes for a minute."""
 
 _REPORT_PERIOD_NS = 1_000_000_000.0
@@ -47,7 +47,7 @@ class _Reporter:
     rejected: int
     reasons: dict[str, int]
 
-    def may_go_on_with(self, other: "_Reporter") -> bool:
+    def may_precede(self, other: "_Reporter") -> bool:
         """True if ``other`` may be the next report of the same node: its counters never decrease."""
         return (
             other.stamp_ns > self.stamp_ns
@@ -85,13 +85,13 @@ class TopicReports:
         self._latency_s = math.nan
         self._report_period_ns = _REPORT_PERIOD_NS
         self._level = 0
-        self._has_come = False
+        self._has_new_messages = False
         self._reporters: list[_Reporter] = []
         self._timeout_ns = self._computed_timeout_ns()
-        self._nodes = 0
-        self._rejections: deque[tuple[int, int, int, dict[str, int]]] = deque(maxlen=_MOST_REPORTS)
+        self._node_count = 0
+        self._rejections: deque[tuple[int, int, int, dict[str, int]]] = deque(maxlen=_MAX_REPORTS)
 
-    def note(self, message: Any, now_ns: int) -> bool:
+    def record_report(self, message: Any, now_ns: int) -> bool:
         """Record a report; return True if it comes from a node that has started since the last one."""
         reasons = zip(message.reasons, message.reason_counts, strict=False)
         report = _Reporter(
@@ -101,13 +101,13 @@ class TopicReports:
             int(message.received),
             int(message.accepted),
             int(message.rejected),
-            {str(word)[:LONGEST_NAME]: int(count) for word, count in islice(reasons, MOST_NAMES)},
+            {str(word)[:MAX_NAME_LENGTH]: int(count) for word, count in islice(reasons, MAX_NAMES)},
         )
         self.reported_ns = now_ns
         self.rate_hz, self._latency_s, self._level = float(message.rate_hz), float(message.latency_s), message.level
         is_new, before = self._match_reporter(report)
         if report.received:
-            self._note_arrival(message, report, before)
+            self._update_arrival(message, report, before)
         self.used = max(reporter.accepted for reporter in self._reporters)
         self._timeout_ns = self._computed_timeout_ns()
         return is_new
@@ -128,7 +128,7 @@ class TopicReports:
         """
         if self.arrived_ns is None:
             return math.inf
-        if self._has_come and self.reported_ns is not None and self.is_report_recent(now_ns):
+        if self._has_new_messages and self.reported_ns is not None and self.is_report_recent(now_ns):
             now_ns = self.reported_ns
         return max(0, now_ns - self.arrived_ns) * 1e-9
 
@@ -138,7 +138,7 @@ class TopicReports:
         After a report with new messages, only the next report can show that they have stopped. A late report, as on a
         busy computer, is no timeout of the topic; an overdue one is (:meth:`is_report_overdue`).
         """
-        if self.arrived_ns is None or (self._has_come and not self.is_untold(now_ns)):
+        if self.arrived_ns is None or (self._has_new_messages and not self.is_report_overdue(now_ns)):
             return False
         return now_ns - self.arrived_ns >= self._timeout_ns
 
@@ -153,7 +153,7 @@ class TopicReports:
         limit_ns = self._configured_timeout_ns or max(least_ns, TIMEOUT_PERIODS * period_ns)
         return max(limit_ns, 1.5 * self._report_period_ns + period_ns)
 
-    def is_untold(self, now_ns: int) -> bool:
+    def is_report_overdue(self, now_ns: int) -> bool:
         """True if the node that reads the topic has not reported for three report periods."""
         return self.reported_ns is not None and now_ns - self.reported_ns > 3.0 * self._report_period_ns
 
@@ -161,7 +161,7 @@ class TopicReports:
         """True if the last report is at most 1.5 report periods old."""
         return self.reported_ns is not None and now_ns - self.reported_ns <= 1.5 * self._report_period_ns
 
-    def shown(self, now_ns: int) -> InputShown:
+    def input_state(self, now_ns: int) -> InputState:
         """Return the displayed state of the topic."""
         while self._rejections and now_ns - self._rejections[0][0] > WINDOW_NS:
             self._rejections.popleft()
@@ -177,22 +177,22 @@ class TopicReports:
             reasons[word] = max(reasons.get(word, 0), count)
         refused = max(refused_by.values(), default=0)
         age_s = self.age_s(now_ns)
-        return InputShown(self.topic, self.rate_hz, self._latency_s, age_s, int(self._level), refused, reasons)
+        return InputState(self.topic, self.rate_hz, self._latency_s, age_s, int(self._level), refused, reasons)
 
-    def _note_arrival(self, message: Any, report: _Reporter, before: _Reporter | None) -> None:
+    def _update_arrival(self, message: Any, report: _Reporter, before: _Reporter | None) -> None:
         """Compute the arrival of the last message: the report minus its age beyond the mean latency.
 
         A report contains no stamp of rejected messages: they are assumed to arrive after the report before, one period
         apart. Without new messages the mean rate decreases; the period is then not updated.
         """
         come = report.received - (before.received if before else 0)
-        self._has_come = come > 0
-        if self._has_come and message.rate_hz > 0.0:
+        self._has_new_messages = come > 0
+        if self._has_new_messages and message.rate_hz > 0.0:
             self.period_ns = 1e9 / float(message.rate_hz)
         since_s = float(message.age_s - message.latency_s)
         if math.isfinite(since_s):
             self.record_arrival(report.received_ns - round(max(since_s, 0.0) * 1e9))
-        if before and self._has_come and (self.arrived_ns is None or self.arrived_ns <= before.received_ns):
+        if before and self._has_new_messages and (self.arrived_ns is None or self.arrived_ns <= before.received_ns):
             passed_ns = 0.0 if math.isnan(self.period_ns) else come * self.period_ns
             self.record_arrival(min(report.received_ns, before.received_ns + round(passed_ns)))
 
@@ -203,16 +203,16 @@ class TopicReports:
             True if it comes from a new node, and the report before it, None without one.
         """
         before = min(
-            (known for known in self._reporters if known.may_go_on_with(report)),
+            (known for known in self._reporters if known.may_precede(report)),
             key=lambda known: known.stamp_ns,
             default=None,
         )
         if before is None:
             is_new = bool(self._reporters)
             fresh = [known for known in self._reporters if report.received_ns - known.received_ns < _REPORTER_TIMEOUT_NS]
-            self._reporters = fresh[-_MOST_REPORTERS:]
-            self._nodes += 1
-            report.number = self._nodes
+            self._reporters = fresh[-_MAX_REPORTERS:]
+            self._node_count += 1
+            report.number = self._node_count
             self._reporters.append(report)
             return is_new, None
         if before.received_ns < report.received_ns:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ship_bags.stamps import ns_from_stamp
 from ship_geometry.rotations import FloatArray
-from ship_watch.history import History, BeaconPoint, StarsSeen, append
+from ship_watch.history import History, BeaconPoint, StarExposure, append
 
 _PENDING_MESSAGES = 8
 """Number of messages that wait for their counterpart."""
@@ -20,10 +20,10 @@ _PENDING_MESSAGES = 8
 _INNOVATION_TIMEOUT_NS = 3_000_000_000
 """Time without an innovation after which lights are shown without residuals, ns."""
 
-_NOWHERE = np.empty(0)
+_NO_VALUES = np.empty(0)
 
 
-class StarsSeenBook:
+class StarExposures:
     """Last exposure of each star sensor, stored in :attr:`ship_watch.history.History.star_exposures` by source."""
 
     def __init__(self, history: History) -> None:
@@ -32,12 +32,12 @@ class StarsSeenBook:
         self._innovations: dict[str, deque[Any]] = {}
         self._solutions: dict[str, Any] = {}
 
-    def note_exposure(self, source: str, message: Any) -> None:
+    def add_exposure(self, source: str, message: Any) -> None:
         """Add a StarObservationArray."""
         self._exposures.setdefault(source, deque(maxlen=_PENDING_MESSAGES)).append(message)
         self._join(source)
 
-    def note_solution(self, source: str, message: Any) -> None:
+    def add_solution(self, source: str, message: Any) -> None:
         """Add a StarHorizonAttitude."""
         self._solutions[source] = message
 
@@ -62,7 +62,7 @@ class StarsSeenBook:
 
     def _store(self, source: str, innovation: Any, exposure: Any) -> None:
         utc_ns, solution = ns_from_stamp(innovation.header.stamp), self._solutions.get(source)
-        known = self._history.stars.get(source)
+        known = self._history.star_exposures.get(source)
         if known is not None and known.utc_ns > utc_ns:
             return
         stars = exposure.stars if exposure is not None else ()
@@ -72,7 +72,7 @@ class StarsSeenBook:
         if not used and solution is not None:
             used = int(solution.star_count)
         excluded = len(names) - used if names else int(solution.rejected_count) if solution is not None else 0
-        self._history.stars[source] = StarsSeen(
+        self._history.star_exposures[source] = StarExposure(
             utc_ns=utc_ns,
             u=np.array([star.u for star in stars], dtype=float),
             v=np.array([star.v for star in stars], dtype=float),
@@ -94,7 +94,7 @@ class BeaconDetections:
         self._images: deque[tuple[int, int, Any]] = deque()
         self._innovations: deque[tuple[int, Any]] = deque(maxlen=_PENDING_MESSAGES)
 
-    def note_image(self, message: Any, now_ns: int) -> None:
+    def add_image(self, message: Any, now_ns: int) -> None:
         """Add a BeaconImage."""
         self._images.append((ns_from_stamp(message.header.stamp), now_ns, message))
         self._join(now_ns)
@@ -140,5 +140,5 @@ def _residuals_by_object(innovation: Any) -> Mapping[str, dict[str, float]]:
 def _star_residuals(names: list[str], residuals: Mapping[str, dict[str, float]], axis: str) -> FloatArray:
     """Return the residuals of stars along an axis, rad, NaN for stars without one; empty if no star has one."""
     if not any(name in residuals for name in names):
-        return _NOWHERE
+        return _NO_VALUES
     return np.array([residuals.get(name, {}).get(axis, math.nan) for name in names])

@@ -11,9 +11,9 @@ from typing import Any
 
 from ship_bags.stamps import ns_from_stamp
 from ship_watch.limits import Limits
-from ship_watch.names import MOST_NAMES, has_room
-from ship_watch.one_source import SourceRecord, SourceFault, standing_off
-from ship_watch.picture import Presence, SourceShown, SourceStanding
+from ship_watch.names import MAX_NAMES, has_room
+from ship_watch.one_source import SourceRecord, SourceFault, unconfigured_source
+from ship_watch.picture import Presence, SourceDetails, SourceState
 from ship_watch.reports import TopicReports
 from ship_watch.streak import DecisionHistory
 from ship_watch.topics import display_order, source_of_name, source_of_topic
@@ -30,7 +30,7 @@ _UNUSED_S = 5.0
 """Difference between time since last use and age from which an arriving source counts as unused, s."""
 
 
-class SourceBook:
+class SourceRecords:
     """Records of all sources, from innovations, input health and integrity, with the limits of the ship.
 
     Attributes:
@@ -49,7 +49,7 @@ class SourceBook:
         """Reports on input topics, in the order of the topics' names."""
         return [self._reports[topic] for topic in sorted(self._reports)]
 
-    def reads(self, topic: str) -> bool:
+    def is_reported(self, topic: str) -> bool:
         """True if a node reports on an input topic."""
         return topic in self._reports
 
@@ -65,7 +65,7 @@ class SourceBook:
 
     # -- messages -------------------------------------------------------------------------------------------
 
-    def note_health(self, message: Any, now_ns: int) -> bool:
+    def record_health(self, message: Any, now_ns: int) -> bool:
         """Record an InputHealth; return True if its node has started since the last one."""
         topic = str(message.topic)
         if not has_room(self._reports, topic, "input topic"):
@@ -77,9 +77,9 @@ class SourceBook:
                 self._source_record(name).add_topic(reports)
             self.has_theodolite |= topic.startswith("theodolite/")
             self.beacon_count += topic.startswith("beacon/") and topic.endswith("/baseline")
-        has_started = self._reports[topic].note(message, now_ns)
+        has_started = self._reports[topic].record_report(message, now_ns)
         if (name := source_of_topic(topic)) in self._sources:
-            self._source_record(name).note_reports()
+            self._source_record(name).update_from_reports()
         return has_started
 
     def record_arrival(self, topic: str, now_ns: int) -> None:
@@ -87,34 +87,34 @@ class SourceBook:
         if topic in self._reports:
             self._reports[topic].record_arrival(now_ns)
 
-    def note_innovation(self, topic: str, message: Any, now_ns: int) -> str:
+    def record_innovation(self, topic: str, message: Any, now_ns: int) -> str:
         """Record an Innovation received on a topic; return the name of its source, empty if it has none."""
-        name, key = self._who(str(message.source)), (topic, str(message.source))
+        name, key = self._source_name(str(message.source)), (topic, str(message.source))
         if not name or not has_room(self._sources, name, "source"):
             return ""
         source, stamp_ns = self._source_record(name), ns_from_stamp(message.header.stamp)
         if not has_room(source.decisions, key, "name of a source"):
             return ""
-        streak = self._streak(source, key)
-        streak.note(stamp_ns, message, now_ns, source.period_ns)
+        history = self._decision_history(source, key)
+        history.record(stamp_ns, message, now_ns, source.period_ns)
         if message.accepted:
-            source.note_use(topic, stamp_ns, message, now_ns)
+            source.record_use(topic, stamp_ns, message, now_ns)
         else:
             source.used_at_rejection[key] = source.used
         if len(message.components):
             source.evaluated_ns = now_ns
         return name
 
-    def note_solution(self, name: str, message: Any, now_ns: int) -> None:
+    def record_solution(self, name: str, message: Any, now_ns: int) -> None:
         """Record the solution of a star sensor: `star/innovation` contains only rejected stars, not accepted ones."""
         if name and has_room(self._sources, name, "source"):
-            streak = self._streak(self._source_record(name), (STAR_INNOVATION, name))
+            history = self._decision_history(self._source_record(name), (STAR_INNOVATION, name))
             is_used = message.status != _STAR_INVALID
-            streak.note_whole(ns_from_stamp(message.header.stamp), is_used, now_ns)
+            history.record_exposure(ns_from_stamp(message.header.stamp), is_used, now_ns)
 
-    def note_integrity(self, topic: str, message: Any, utc_ns: int) -> None:
+    def record_integrity(self, topic: str, message: Any, utc_ns: int) -> None:
         """Record the excluded sources of an Integrity; sources no longer excluded are cleared."""
-        excluded = {self._who(str(name)) for name in message.excluded[:MOST_NAMES]} - {""}
+        excluded = {self._source_name(str(name)) for name in message.excluded[:MAX_NAMES]} - {""}
         excluded = {name for name in excluded if has_room(self._sources, name, "source")}
         for name in excluded:
             self._source_record(name).excluded_since.setdefault(topic, utc_ns)
@@ -124,7 +124,7 @@ class SourceBook:
 
     # -- results --------------------------------------------------------------------------------------------
 
-    def standings(self, now_ns: int, utc_offset_ns: int) -> list[SourceStanding]:
+    def source_states(self, now_ns: int, utc_offset_ns: int) -> list[SourceState]:
         """Return the states of all sources: OUT first, each cause directly before its consequences, in a fixed order.
 
         Args:
@@ -138,28 +138,28 @@ class SourceBook:
                 faults[name] = fault
         faulty_names = {name for name, fault in faults.items() if not fault.because_of}
         because = {name: self._sources[name].attribute_fault(fault, faulty_names) for name, fault in faults.items()}
-        standings = [source.standing(because.get(name), now_ns) for name, source in self._sources.items()]
-        standings += [standing_off(name) for name in self._not_configured()]
-        return _causes_first(sorted(standings, key=_order))
+        states = [source.source_state(because.get(name), now_ns) for name, source in self._sources.items()]
+        states += [unconfigured_source(name) for name in self._unconfigured_names()]
+        return _causes_first(sorted(states, key=_order))
 
-    def shown(self, standings: Iterable[SourceStanding], now_ns: int) -> list[SourceShown]:
+    def source_details(self, states: Iterable[SourceState], now_ns: int) -> list[SourceDetails]:
         """Return the displayed data of all sources, for states from :meth:`source_states`."""
-        return [(self._sources.get(each.name) or SourceRecord(each.name)).shown(each, now_ns) for each in standings]
+        return [(self._sources.get(each.name) or SourceRecord(each.name)).source_details(each, now_ns) for each in states]
 
-    def _not_configured(self) -> list[str]:
+    def _unconfigured_names(self) -> list[str]:
         """Return the usual instruments of a ship for which no node has reported a topic."""
         usual = ["ins", "gnss", "weather"] if "ins" in self._sources else []
         usual += ["lights", "encoder", "baselines"] if self.has_theodolite else []
         return [name for name in usual if name not in self._sources]
 
-    def _streak(self, source: SourceRecord, key: tuple[str, str]) -> DecisionHistory:
-        streak = source.decisions.get(key)
-        if streak is None:
+    def _decision_history(self, source: SourceRecord, key: tuple[str, str]) -> DecisionHistory:
+        history = source.decisions.get(key)
+        if history is None:
             limits = self._limits.input_limits(source.name)
-            streak = source.decisions[key] = DecisionHistory(limits.refusals, limits.accepted)
-        return streak
+            history = source.decisions[key] = DecisionHistory(limits.refusals, limits.accepted)
+        return history
 
-    def _who(self, name: str) -> str:
+    def _source_name(self, name: str) -> str:
         """Return the source of a name in a message; "ship_attitude" is the INS for a theodolite that reads the INS."""
         source = source_of_name(name)
         is_ins = source == "ship_attitude" and "ship/attitude" not in self._reports and "ins/imu" in self._reports
@@ -171,15 +171,15 @@ class SourceBook:
         return self._sources[name]
 
 
-def first_faulty_source(sources: Iterable[SourceStanding], words: tuple[str, ...]) -> SourceStanding | None:
+def first_faulty_source(sources: Iterable[SourceState], kinds: tuple[str, ...]) -> SourceState | None:
     """Return the first source of some kinds that is OUT by a fault of its own; None if there is none."""
     for source in sources:
-        if source.presence is Presence.OUT and not source.because_of and source.name.partition(".")[0] in words:
+        if source.presence is Presence.OUT and not source.because_of and source.name.partition(".")[0] in kinds:
             return source
     return None
 
 
-def newest_age_s(first_word: str, sources: Iterable[SourceShown], used_age_s: float) -> float:
+def newest_age_s(kind: str, sources: Iterable[SourceDetails], used_age_s: float) -> float:
     """Return the age of a kind of source, s: the age of its newest source that is IN.
 
     Args:
@@ -188,20 +188,20 @@ def newest_age_s(first_word: str, sources: Iterable[SourceShown], used_age_s: fl
         used_age_s: time since one of the kind was used, s. It is returned if all of them are OUT, and if they
             arrive without being used.
     """
-    is_in = (each for each in sources if each.presence is Presence.IN and each.name.partition(".")[0] == first_word)
+    is_in = (each for each in sources if each.presence is Presence.IN and each.name.partition(".")[0] == kind)
     age_s = min((each.age_s for each in is_in), default=used_age_s)
     return age_s if used_age_s - age_s <= _UNUSED_S else used_age_s
 
 
-def _order(source: SourceStanding) -> tuple[bool, bool, bool, tuple[int, str]]:
+def _order(source: SourceState) -> tuple[bool, bool, bool, tuple[int, str]]:
     presence = source.presence
     return presence is not Presence.OUT, presence is Presence.OFF, bool(source.because_of), display_order(source.name)
 
 
-def _causes_first(sources: list[SourceStanding]) -> list[SourceStanding]:
+def _causes_first(sources: list[SourceState]) -> list[SourceState]:
     """Return the sources with each consequence directly after the source that causes it."""
     causes = {source.name for source in sources if source.presence is Presence.OUT and not source.because_of}
-    consequences: dict[str, list[SourceStanding]] = {}
+    consequences: dict[str, list[SourceState]] = {}
     for source in sources:
         if source.because_of in causes:
             consequences.setdefault(source.because_of, []).append(source)

@@ -18,12 +18,12 @@ from ship_bags.stamps import NS_PER_S
 from ship_estimation.outcome import Status
 from ship_estimation.protection import IntegrityState
 from ship_watch import words
-from ship_watch.picture import Safety, SourceStanding
+from ship_watch.picture import Safety, SourceState
 
-MARGIN = 0.1
+HYSTERESIS_MARGIN = 0.1
 """Margin below the limit, as a fraction of it, that ends the hold of an accuracy that was over the limit."""
 
-WITHIN_MARGIN_TIMES = 6
+WITHIN_MARGIN_FACTOR = 6
 """Number of hold times after which an accuracy within the limit, but not within the margin, counts as better."""
 
 BRIEF_DIP_NS = 1_000_000_000
@@ -51,7 +51,7 @@ class AngleProtection:
 
 
 @dataclass(frozen=True)
-class AngleClaim:
+class AngleInputs:
     """Data of one angle at one time from which its safety is determined.
 
     Attributes:
@@ -79,41 +79,41 @@ class AngleClaim:
     unsafe_factor: float
     status: Status | None
     diagnosis_hint: str
-    is_lessened: bool
+    has_reduced_input: bool
     protection: AngleProtection
-    faulty_source: SourceStanding | None
-    behind: str = ""
+    faulty_source: SourceState | None
+    overload: str = ""
 
 
-def word_and_reason(claim: AngleClaim) -> tuple[Safety, str]:
+def safety_and_reason(inputs: AngleInputs) -> tuple[Safety, str]:
     """Return the safety of an angle and the reason why it is not SAFE, empty if it is."""
-    word, reason = _word_and_reason(claim)
-    return word, (claim.behind or reason) if word else ""
+    safety, reason = _safety_and_reason(inputs)
+    return safety, (inputs.overload or reason) if safety else ""
 
 
-def _word_and_reason(claim: AngleClaim) -> tuple[Safety, str]:
-    if not claim.is_received:
-        return Safety.UNSAFE, f"waiting for {claim.topic}"
-    fault_text = _fault_text(claim.faulty_source)
-    if claim.is_old:
-        return Safety.UNSAFE, fault_text or f"no data on {claim.topic}"
-    if claim.status is None or claim.status is Status.INVALID or not math.isfinite(claim.value):
+def _safety_and_reason(inputs: AngleInputs) -> tuple[Safety, str]:
+    if not inputs.is_received:
+        return Safety.UNSAFE, f"waiting for {inputs.topic}"
+    fault_text = _fault_text(inputs.faulty_source)
+    if inputs.is_old:
+        return Safety.UNSAFE, fault_text or f"no data on {inputs.topic}"
+    if inputs.status is None or inputs.status is Status.INVALID or not math.isfinite(inputs.value):
         return Safety.UNSAFE, fault_text or "invalid"
-    if not claim.accuracy_95 <= claim.unsafe_factor * claim.limit:
-        over = f"over {claim.unsafe_factor:g} × the limit"
-        return Safety.UNSAFE, fault_text or over if math.isfinite(claim.accuracy_95) else "accuracy unknown"
-    state, protection = claim.protection.state, claim.protection
+    if not inputs.accuracy_95 <= inputs.unsafe_factor * inputs.limit:
+        over = f"over {inputs.unsafe_factor:g} × the limit"
+        return Safety.UNSAFE, fault_text or over if math.isfinite(inputs.accuracy_95) else "accuracy unknown"
+    state, protection = inputs.protection.state, inputs.protection
     if state is IntegrityState.EXCEEDED and not _is_within(protection):
         return Safety.UNSAFE, fault_text or "protection level over its alert limit"
-    if claim.status is not Status.VALID:
-        return Safety.CAUTION, fault_text or claim.diagnosis_hint or claim.status.name.lower()
-    if not claim.accuracy_95 <= claim.limit:
+    if inputs.status is not Status.VALID:
+        return Safety.CAUTION, fault_text or inputs.diagnosis_hint or inputs.status.name.lower()
+    if not inputs.accuracy_95 <= inputs.limit:
         return Safety.CAUTION, fault_text or OVER_THE_LIMIT
     if state is None:
         return Safety.CAUTION, "no integrity data"
     if state is IntegrityState.UNAVAILABLE or not math.isfinite(protection.level):
-        return Safety.CAUTION, fault_text or claim.diagnosis_hint or "no independent check"
-    return (Safety.CAUTION, fault_text or claim.diagnosis_hint) if claim.is_lessened else (Safety.SAFE, "")
+        return Safety.CAUTION, fault_text or inputs.diagnosis_hint or "no independent check"
+    return (Safety.CAUTION, fault_text or inputs.diagnosis_hint) if inputs.has_reduced_input else (Safety.SAFE, "")
 
 
 def _is_within(protection: AngleProtection) -> bool:
@@ -121,15 +121,15 @@ def _is_within(protection: AngleProtection) -> bool:
     return protection.level <= protection.alert_limit or math.isnan(protection.alert_limit)
 
 
-def _fault_text(source: SourceStanding | None) -> str:
+def _fault_text(source: SourceState | None) -> str:
     """Return name and reason of a source that is OUT, without the count of rejections; empty for None."""
-    return "" if source is None else f"{source.name} {_RUN.sub('rejected', source.reason)}"
+    return "" if source is None else f"{source.name} {_REJECTION_COUNT.sub('rejected', source.reason)}"
 
 
-_RUN = re.compile(r"\d+ rejected in a row")
+_REJECTION_COUNT = re.compile(r"\d+ rejected in a row")
 
 
-class AngleWord(NamedTuple):
+class AngleSafety(NamedTuple):
     """Safety of an angle at one time, without hold.
 
     Attributes:
@@ -139,20 +139,20 @@ class AngleWord(NamedTuple):
         by_margin: safety from the accuracy alone with the limit reduced by :data:`HYSTERESIS_MARGIN`.
     """
 
-    word: Safety
+    safety: Safety
     reason: str
     by_accuracy: Safety = Safety.SAFE
     by_margin: Safety = Safety.SAFE
 
 
-def angle_word(claim: AngleClaim) -> AngleWord:
+def angle_safety(inputs: AngleInputs) -> AngleSafety:
     """Return the safety of an angle, with the safety from its accuracy alone."""
-    return AngleWord(
-        *word_and_reason(claim), *words_by_accuracy(claim.accuracy_95, claim.limit, claim.unsafe_factor)
+    return AngleSafety(
+        *safety_and_reason(inputs), *safety_by_accuracy(inputs.accuracy_95, inputs.limit, inputs.unsafe_factor)
     )
 
 
-def words_by_accuracy(accuracy_95: float, limit: float, unsafe_factor: float) -> tuple[Safety, Safety]:
+def safety_by_accuracy(accuracy_95: float, limit: float, unsafe_factor: float) -> tuple[Safety, Safety]:
     """Return the safety from an accuracy alone, with the limit and with the limit reduced by the margin.
 
     Args:
@@ -160,18 +160,18 @@ def words_by_accuracy(accuracy_95: float, limit: float, unsafe_factor: float) ->
         limit: limit of the accuracy, rad.
         unsafe_factor: ratio of accuracy to limit above which the angle is UNSAFE.
     """
-    lower = (1.0 - MARGIN) * limit
-    return _accuracy_word(accuracy_95, limit, unsafe_factor), _accuracy_word(accuracy_95, lower, unsafe_factor)
+    lower = (1.0 - HYSTERESIS_MARGIN) * limit
+    return _safety_within(accuracy_95, limit, unsafe_factor), _safety_within(accuracy_95, lower, unsafe_factor)
 
 
-def _accuracy_word(accuracy_95: float, limit: float, unsafe_factor: float) -> Safety:
+def _safety_within(accuracy_95: float, limit: float, unsafe_factor: float) -> Safety:
     """Return the safety from an accuracy alone; UNSAFE for NaN."""
     if not accuracy_95 <= unsafe_factor * limit:
         return Safety.UNSAFE
     return Safety.SAFE if accuracy_95 <= limit else Safety.CAUTION
 
 
-class ShownWord(NamedTuple):
+class DisplayedSafety(NamedTuple):
     """Safety of an angle as displayed, with hold.
 
     Attributes:
@@ -181,12 +181,12 @@ class ShownWord(NamedTuple):
         next_in_ns: time until ``next_safety``, ns.
     """
 
-    word: Safety
+    safety: Safety
     cause: str
     next_safety: Safety | None = None
     next_in_ns: int = 0
 
-    def reason(self, now: AngleWord, limit: float) -> str:
+    def reason(self, now: AngleSafety, limit: float) -> str:
         """Return the current reason, with the time until the safety gets better.
 
         Args:
@@ -195,8 +195,8 @@ class ShownWord(NamedTuple):
         """
         if self.next_safety is None:
             return now.reason
-        good = f"within {words.limit_text(limit)} again" if self.cause.startswith("over ") else "good again"
-        return f"{now.reason or good}{COUNTDOWN}{self.next_safety.name} in {-(-self.next_in_ns // NS_PER_S)} s"
+        text = f"within {words.limit_text(limit)} again" if self.cause.startswith("over ") else "good again"
+        return f"{now.reason or text}{COUNTDOWN}{self.next_safety.name} in {-(-self.next_in_ns // NS_PER_S)} s"
 
 
 class SafetyHysteresis:
@@ -210,50 +210,50 @@ class SafetyHysteresis:
         since_ns: time of its last change, caller's time, ns.
     """
 
-    def __init__(self, better_after_s: float) -> None:
-        self._hold_ns = round(better_after_s * 1e9)
+    def __init__(self, hold_s: float) -> None:
+        self._hold_ns = round(hold_s * 1e9)
         self._holds: dict[Safety, _Hold] = {}
-        self.word: Safety | None = None
+        self.safety: Safety | None = None
         self.since_ns = 0
 
-    def note(self, now: AngleWord, now_ns: int) -> bool:
+    def update(self, now: AngleSafety, now_ns: int) -> bool:
         """Update with the current safety; return True if the displayed safety changed."""
         for level in (Safety.CAUTION, Safety.UNSAFE):
             hold = self._holds.get(level)
-            if now.word >= level:
+            if now.safety >= level:
                 was_over = now.by_accuracy >= level or (hold is not None and hold.was_over)
                 self._holds[level] = _Hold(now_ns, now_ns, was_over, now.reason)
             elif hold is not None and now_ns >= self._hold_end_ns(level, now, now_ns):
                 del self._holds[level]
             elif hold is not None and now.by_margin >= level:
                 self._holds[level] = hold._replace(near_ns=now_ns)
-        shown = self.shown_word(now, now_ns).word
-        changed = shown is not self.word
+        displayed = self.displayed_safety(now, now_ns).safety
+        changed = displayed is not self.safety
         if changed:
-            self.word, self.since_ns = shown, now_ns
+            self.safety, self.since_ns = displayed, now_ns
         return changed
 
-    def shown_word(self, now: AngleWord, now_ns: int) -> ShownWord:
+    def displayed_safety(self, now: AngleSafety, now_ns: int) -> DisplayedSafety:
         """Return the displayed safety for the current one: the worst within the hold time."""
         for level in (Safety.UNSAFE, Safety.CAUTION):
-            if now.word >= level:
-                return ShownWord(now.word, now.reason)
+            if now.safety >= level:
+                return DisplayedSafety(now.safety, now.reason)
             end_ns = self._hold_end_ns(level, now, now_ns)
             if now_ns < end_ns:
                 is_caution_next = level is Safety.UNSAFE and end_ns < self._hold_end_ns(Safety.CAUTION, now, now_ns)
-                better = Safety.CAUTION if is_caution_next or now.word >= Safety.CAUTION else Safety.SAFE
-                return ShownWord(level, self._holds[level].cause, better, end_ns - now_ns)
-        return ShownWord(Safety.SAFE, "")
+                better = Safety.CAUTION if is_caution_next or now.safety >= Safety.CAUTION else Safety.SAFE
+                return DisplayedSafety(level, self._holds[level].cause, better, end_ns - now_ns)
+        return DisplayedSafety(Safety.SAFE, "")
 
-    def _hold_end_ns(self, level: Safety, now: AngleWord, now_ns: int) -> int:
+    def _hold_end_ns(self, level: Safety, now: AngleSafety, now_ns: int) -> int:
         """Return the time at which the hold of a level ends if nothing changes; ``now_ns`` without a hold."""
         hold = self._holds.get(level)
         if hold is None:
             return now_ns
         if not hold.was_over:
             return hold.last_ns + self._hold_ns
-        latest_ns = hold.last_ns + WITHIN_MARGIN_TIMES * self._hold_ns
-        return latest_ns if now.by_margin >= level else min(hold.near_ns + self._hold_ns, latest_ns)
+        latest_ns = hold.last_ns + WITHIN_MARGIN_FACTOR * self._hold_ns
+        return latest_ns if now.by_margin >= level else min(hold.last_near_ns + self._hold_ns, latest_ns)
 
 
 class _Hold(NamedTuple):
@@ -267,24 +267,24 @@ class _Hold(NamedTuple):
     """
 
     last_ns: int
-    near_ns: int
+    last_near_ns: int
     was_over: bool
     cause: str
 
 
-class TimeOver:
+class TimeOverLimit:
     """Duration for which an accuracy has been over its limit; a dip below it of less than a second is ignored."""
 
     def __init__(self) -> None:
         self._first_ns = self._last_ns = -BRIEF_DIP_NS
 
-    def note(self, claim: AngleClaim, now_ns: int) -> None:
+    def update(self, inputs: AngleInputs, now_ns: int) -> None:
         """Update with the current accuracy and limit."""
-        if not claim.accuracy_95 <= claim.limit:
+        if not inputs.accuracy_95 <= inputs.limit:
             if now_ns - self._last_ns >= BRIEF_DIP_NS:
                 self._first_ns = now_ns
             self._last_ns = now_ns
 
-    def lasted_s(self, now_ns: int) -> float:
+    def duration_s(self, now_ns: int) -> float:
         """Return the time from the first to the last sample over the limit, s; 0 after a second below it."""
         return (self._last_ns - self._first_ns) * 1e-9 if now_ns - self._last_ns < BRIEF_DIP_NS else 0.0

@@ -10,10 +10,10 @@ import numpy as np
 from ship_estimation.refusals import Reason
 from ship_geometry.rotations import ARCSEC
 
-_LOOKED_AT = 5
+_REJECTIONS_KEPT = 5
 """Number of rejected messages from which the disagreement of a source is computed."""
 
-SHOWN_NS = 2_000_000_000
+MIN_DISPLAY_NS = 2_000_000_000
 """Minimum time for which a fault is displayed after its last report, ns."""
 
 _DECISIONS_KEPT = 24
@@ -58,13 +58,13 @@ class DecisionHistory:
         self._out_after, self._in_after = rejections_until_out, acceptances_until_in
         self._kept = max(_DECISIONS_KEPT, acceptances_until_in)
         self._decisions: list[tuple[int, bool]] = []
-        self._rejected_messages: deque[Any] = deque(maxlen=_LOOKED_AT)
+        self._rejected_messages: deque[Any] = deque(maxlen=_REJECTIONS_KEPT)
         self.is_out, self.rejected_in_a_row, self.out_since_ns = False, 0, 0
         self.last_rejection_ns: int | None = None
         self.reason = Reason.NONE
         self.has_acceptances = False
 
-    def note(self, stamp_ns: int, message: Any, now_ns: int, period_ns: float) -> None:
+    def record(self, stamp_ns: int, message: Any, now_ns: int, period_ns: float) -> None:
         """Record an Innovation; ``period_ns`` is the usual time between measurements, NaN if unknown."""
         accepted, revised = bool(message.accepted), message.reason == Reason.REVISED
         self.has_acceptances = self.has_acceptances or accepted
@@ -78,7 +78,7 @@ class DecisionHistory:
         self._add_decision(stamp_ns, accepted, revised, period_ns)
         self._update_presence()
 
-    def note_whole(self, stamp_ns: int, is_used: bool, now_ns: int) -> None:
+    def record_exposure(self, stamp_ns: int, is_used: bool, now_ns: int) -> None:
         """Record the decision on a whole exposure, after rejections of single stars or lights in it."""
         self.has_acceptances = self.has_acceptances or is_used
         if not is_used:
@@ -96,7 +96,7 @@ class DecisionHistory:
         """
         if self.has_acceptances or self.last_rejection_ns is None:
             return
-        least_ns = SHOWN_NS if math.isnan(period_ns) else max(SHOWN_NS, self._in_after * period_ns)
+        least_ns = MIN_DISPLAY_NS if math.isnan(period_ns) else max(MIN_DISPLAY_NS, self._in_after * period_ns)
         if now_ns - self.last_rejection_ns >= least_ns and used_since >= self._in_after:
             self._decisions.clear()
             self._reinstate()
@@ -105,7 +105,7 @@ class DecisionHistory:
     @property
     def accepted_in_a_row(self) -> int:
         """Current number of acceptances in a row."""
-        return self._last_in_a_row(True)
+        return self._run_length(True)
 
     @property
     def disagreement(self) -> Disagreement:
@@ -115,9 +115,9 @@ class DecisionHistory:
     def _add_decision(self, stamp_ns: int, accepted: bool, revised: bool, period_ns: float) -> None:
         """Append a decision in the order of arrival, whatever its stamp, or revise the one with the same stamp."""
         decisions = self._decisions
-        known = next((place for place in range(len(decisions) - 1, -1, -1) if decisions[place][0] == stamp_ns), None)
-        if known is not None:
-            self._revise_decision(known, accepted, revised)
+        index = next((place for place in range(len(decisions) - 1, -1, -1) if decisions[place][0] == stamp_ns), None)
+        if index is not None:
+            self._revise_decision(index, accepted, revised)
             return
         if revised:
             return
@@ -133,12 +133,12 @@ class DecisionHistory:
         if len(decisions) > self._kept:
             del decisions[0]
 
-    def _revise_decision(self, place: int, accepted: bool, revised: bool) -> None:
+    def _revise_decision(self, index: int, accepted: bool, revised: bool) -> None:
         """Update a decision: a measurement is accepted if any part of it is, unless the message revises it."""
         decisions = self._decisions
-        stamp_ns, known = decisions[place]
-        decisions[place] = (stamp_ns, accepted if revised else accepted or known)
-        run = self._last_in_a_row(False)
+        stamp_ns, was_accepted = decisions[index]
+        decisions[index] = (stamp_ns, accepted if revised else accepted or was_accepted)
+        run = self._run_length(False)
         self.rejected_in_a_row = max(run, self.rejected_in_a_row) if run == len(decisions) else run
 
     def _update_presence(self) -> None:
@@ -152,7 +152,7 @@ class DecisionHistory:
         self.is_out, self.out_since_ns = False, 0
         self._rejected_messages.clear()
 
-    def _last_in_a_row(self, accepted: bool) -> int:
+    def _run_length(self, accepted: bool) -> int:
         run = 0
         for _, decision in reversed(self._decisions):
             if decision is not accepted:

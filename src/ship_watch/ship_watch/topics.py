@@ -24,7 +24,7 @@ class MonitoredTopic:
     type_name: str
     keeps_every_message: bool
 
-    def fits(self, topic: str) -> bool:
+    def matches(self, topic: str) -> bool:
         """True if a topic's name matches the pattern."""
         return re.fullmatch(self.pattern.replace("<id>", "[^/]+"), topic) is not None
 
@@ -59,7 +59,7 @@ TOPICS = (
 def monitored_topic(topic: str, type_name: str | None = None) -> MonitoredTopic | None:
     """Return the entry of a topic; None if it is not monitored, or if its messages have another type."""
     for row in TOPICS:
-        if row.fits(topic):
+        if row.matches(topic):
             return row if type_name in (None, row.type_name) else None
     return None
 
@@ -118,11 +118,11 @@ def source_member(name: str) -> str:
     return rest if first in ("baseline", "drone", "beacon", "light") else ""
 
 
-_PLACES = ("ins", "star", "reference", "lights", "encoder", "baselines", "ship_attitude", "gnss", "weather")
+_DISPLAY_ORDER = ("ins", "star", "reference", "lights", "encoder", "baselines", "ship_attitude", "gnss", "weather")
 
 
 @functools.lru_cache(256)
 def display_order(source: str) -> tuple[int, str]:
     """Return the sort key of a source in the fixed order of all sources."""
     first = source.partition(".")[0]
-    return (_PLACES.index(first) if first in _PLACES else len(_PLACES), source)
+    return (_DISPLAY_ORDER.index(first) if first in _DISPLAY_ORDER else len(_DISPLAY_ORDER), source)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from zoneinfo import ZoneInfo
 
 from ship_geometry.rotations import ARCSEC
-from ship_watch.picture import AngleShown
+from ship_watch.picture import AngleState
 
 NO_VALUE = "—"
 """Text for a missing number."""
@@ -27,7 +27,7 @@ class Reading(NamedTuple):
     sense: str
 
 
-def angle_reading(angle: AngleShown) -> Reading:
+def angle_reading(angle: AngleState) -> Reading:
     """Return an angle in degrees: 034.39° true, 0.1° bow down, 359.88°, +68.74°; a dash if unknown or too old."""
     if not math.isfinite(angle.value) or (angle.is_old and angle.age_s > DASHES_AFTER_S):
         return Reading(NO_VALUE, "true" if angle.name == "heading" else "")
@@ -61,7 +61,7 @@ def limit_text(value: float) -> str:
     return f"{abs(value) / ARCSEC:.6g}″" if math.isfinite(value) else NO_VALUE
 
 
-def accuracy_text(angle: AngleShown) -> str:
+def accuracy_text(angle: AngleState) -> str:
     """Return the 95 % accuracy of an angle, ±4.2″; for an old value its age, OLD 12 s."""
     if angle.is_old:
         return f"OLD {age_text(angle.age_s)}" if math.isfinite(angle.age_s) else NO_VALUE

@@ -19,9 +19,9 @@ from ship_testing.pictures import (
     source,
 )
 from ship_watch.alert_advice import ADVICE, kind_of
-from ship_watch.alert_conditions import Machine, NodeStatus, conditions
+from ship_watch.alert_conditions import ComputerState, NodeStatus, conditions
 from ship_watch.alert_states import Condition
-from ship_watch.alerts import AlertBook
+from ship_watch.alerts import AlertList
 from ship_watch.functions import functions, diagnostic_entries
 from ship_watch.limits import InputLimits, Limits
 from ship_watch.picture import SuiteState, Presence, Priority, Safety
@@ -32,14 +32,14 @@ UNCHECKED = {"safety": Safety.CAUTION, "reason": "no independent check"}
 LIMITS = replace(Limits(), inputs={"gnss": InputLimits(rate_hz=1.5)})
 
 
-def node(name: str, level: int = 2, **values: str) -> Machine:
+def node(name: str, level: int = 2, **values: str) -> ComputerState:
     """Return a computer with one status of a node."""
-    return Machine((NodeStatus("ship_attitude", name, level, "text of the node", values),))
+    return ComputerState((NodeStatus("ship_attitude", name, level, "text of the node", values),))
 
 
 ATTITUDE, ANGLES_OF_POINTING = ("heading", "pitch", "roll"), ("azimuth", "elevation")
 
-CASES: dict[tuple[str, str], tuple[SuiteState, Machine | None]] = {
+CASES: dict[tuple[str, str], tuple[SuiteState, ComputerState | None]] = {
     ("attitude.silent", "alarm"): (suite_state(*angles_timed_out(*ATTITUDE)), None),
     ("attitude.silent", "warning"): (suite_state(*angles_without_data(*ATTITUDE, *ANGLES_OF_POINTING)), None),
     ("attitude.degraded", "alarm"): (suite_state(lost("heading")), None),
@@ -78,16 +78,16 @@ CASES: dict[tuple[str, str], tuple[SuiteState, Machine | None]] = {
     ("NODE.software", "caution"): (suite_state(), node("callbacks")),
     ("NODE.sink.ID", "warning"): (suite_state(), node("sink bridge")),
     ("NODE.source.ID", "caution"): (suite_state(), node("source gyro")),
-    ("disk.full", "warning"): (suite_state(), Machine(disk_free_gb=9.0)),
+    ("disk.full", "warning"): (suite_state(), ComputerState(disk_free_gb=9.0)),
 }
 
 
-def alerts_of(shown: SuiteState, machine: Machine | None = None) -> dict[str, Condition]:
+def alerts_of(shown: SuiteState, machine: ComputerState | None = None) -> dict[str, Condition]:
     """Return id → situation of those that have an alert after 20 s."""
-    book = AlertBook(Limits().alerts)
+    book = AlertList(Limits().alerts)
     found = conditions(shown, LIMITS, machine)
     for tenth in range(200):
-        book.take(found, tenth * S // 10, 0)
+        book.update(found, tenth * S // 10, 0)
     ids = {alert.id for alert in book.alerts}
     return {each.id: each for each in found if each.id in ids}
 

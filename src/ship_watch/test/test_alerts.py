@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from ship_watch.alert_states import AlertState, Condition
-from ship_watch.alerts import AlertBook, AlertChange
+from ship_watch.alerts import AlertList, AlertChange
 from ship_watch.limits import AlertTimes
-from ship_watch.picture import AlertShown, Priority
+from ship_watch.picture import AlertEntry, Priority
 
 S = 1_000_000_000
 UTC = 1_700_000_000 * S
@@ -21,8 +21,8 @@ OUT = Condition("star.bow.out", Priority.WARNING, "star.bow", "star.bow out: ref
 class Voyage:
     """A list of alerts that is updated four times a second."""
 
-    def __init__(self, book: AlertBook | None = None, start_s: float = 0.0) -> None:
-        self.book = book or AlertBook(TIMES)
+    def __init__(self, book: AlertList | None = None, start_s: float = 0.0) -> None:
+        self.book = book or AlertList(TIMES)
         self.now_s = start_s
         self.changes: list[AlertChange] = []
 
@@ -32,7 +32,7 @@ class Voyage:
         for _ in range(round(4 * seconds)):
             self.now_s += 0.25
             now_ns = round(self.now_s * S)
-            self.changes += self.book.take(conditions, now_ns, UTC + now_ns)
+            self.changes += self.book.update(conditions, now_ns, UTC + now_ns)
         return self.changes[before:]
 
     def acknowledge(self, id_: str, instance: int = 1) -> str:
@@ -48,7 +48,7 @@ def test_situation_is_raised_once_and_over_after_its_hold() -> None:
     """A warning is raised, acknowledged, and over five seconds after its situation."""
     voyage = Voyage()
     changes = voyage.go(30.0, OUT)
-    assert [change.what for change in changes] == ["raised"]
+    assert [change.description for change in changes] == ["raised"]
     assert voyage.states() == {"star.bow.out": "WARNING ACTIVE_UNACKNOWLEDGED"}
     assert voyage.acknowledge("star.bow.out") == "'star.bow.out' acknowledged"
     assert voyage.go(4.75) == []
@@ -73,7 +73,7 @@ def test_flapping_input_gives_one_alert(period_s: float) -> None:
     for _ in range(round(3600.0 / period_s)):
         voyage.go(period_s / 2.0, OUT)
         voyage.go(period_s / 2.0)
-    assert sum(change.what == "raised" for change in voyage.changes) == 1
+    assert sum(change.description == "raised" for change in voyage.changes) == 1
     assert [(alert.id, alert.instance) for alert in voyage.book.alerts] == [("star.bow.out", 1)]
     voyage.acknowledge("star.bow.out")
     before = len(voyage.changes)
@@ -91,7 +91,7 @@ def test_slow_flapping_is_held_longer_each_time() -> None:
             voyage.acknowledge("star.bow.out", change.alert.instance)
         voyage.go(30.0)
     # Holds of 5, 10 and 20 s are shorter than the pauses of 30 s, that of 40 s is not.
-    assert [change.what for change in voyage.changes] == ["raised", "over"] * 3 + ["raised"]
+    assert [change.description for change in voyage.changes] == ["raised", "over"] * 3 + ["raised"]
     assert voyage.book.alerts[0].instance == 4
 
 
@@ -104,7 +104,7 @@ def test_random_flapping_never_gives_two_alerts_of_one_situation() -> None:
             there = bool(draws.integers(2))
             voyage.go(float(draws.exponential(4.0)), *([OUT] if there else []))
             assert len(voyage.book.alerts) <= 1
-        raised = [change.alert.instance for change in voyage.changes if change.what == "raised"]
+        raised = [change.alert.instance for change in voyage.changes if change.description == "raised"]
         assert raised == list(range(1, len(raised) + 1))
         assert all(change.alert.state != AlertState.NORMAL for change in voyage.changes)
 
@@ -128,7 +128,7 @@ def test_random_situations_keep_the_rules() -> None:
                     voyage.acknowledge(alert.id, voyage.book.alerts[0].instance if voyage.book.alerts else 0)
             for change in voyage.changes:
                 assert change.alert.priority is not Priority.CAUTION or change.alert.state in (0, 3)
-        raised = [change.alert.instance for change in voyage.changes if change.what == "raised"]
+        raised = [change.alert.instance for change in voyage.changes if change.description == "raised"]
         assert len(set(raised)) == len(raised)
 
 
@@ -145,7 +145,7 @@ def test_more_lost_functions_than_acknowledged_give_a_new_instance() -> None:
         voyage.go(0.5, both)
     assert voyage.book.alerts[0].instance == 1
     pointing = replace(both, lost=both.lost_functions | {"pointing"})
-    assert [change.what for change in voyage.go(1.0, pointing)] == ["now also affects pointing"]
+    assert [change.description for change in voyage.go(1.0, pointing)] == ["now also affects pointing"]
     assert voyage.states() == {"star.bow.out": "WARNING ACTIVE_UNACKNOWLEDGED"}
     assert voyage.book.alerts[0].instance == 2
 
@@ -193,7 +193,7 @@ def test_unacknowledged_warning_becomes_an_alarm() -> None:
     voyage.go(60.0, lost)
     assert voyage.states() == {"star.bow.out": "WARNING ACTIVE_UNACKNOWLEDGED"}
     changes = voyage.go(0.5, lost)
-    assert [change.what for change in changes] == ["became an alarm: not acknowledged for 60 s"]
+    assert [change.description for change in changes] == ["became an alarm: not acknowledged for 60 s"]
     # An acknowledgement of the warning does not count for the alarm.
     assert voyage.book.acknowledge("star.bow.out", 1, 0)[0] is None
     voyage.go(600.0, lost)
@@ -207,7 +207,7 @@ def test_unacknowledged_warning_is_repeated() -> None:
     """An unacknowledged warning without lost functions is repeated each minute; an acknowledged one is not."""
     voyage = Voyage()
     changes = voyage.go(301.0, OUT)
-    assert [change.what[:8] for change in changes] == ["raised"] + ["repeated"] * 5
+    assert [change.description[:8] for change in changes] == ["raised"] + ["repeated"] * 5
     times = [change.alert.changed_ns for change in changes]
     assert np.diff(times).tolist() == [60 * S] * 5
     assert len({change.alert.raised_ns for change in changes}) == 1
@@ -226,14 +226,14 @@ def test_silence_lasts_half_a_minute_and_covers_no_new_alert() -> None:
         "star.bow.out": "WARNING ACTIVE_SILENCED", "gnss.out": "WARNING ACTIVE_UNACKNOWLEDGED"
     }
     changes = voyage.go(21.0, OUT, other)
-    assert [(change.alert.id, change.what) for change in changes] == [("star.bow.out", "sounds again")]
+    assert [(change.alert.id, change.description) for change in changes] == [("star.bow.out", "sounds again")]
 
 
 def test_caution_needs_no_acknowledgement() -> None:
     """A caution is acknowledged from the start, never repeated, and ends with its situation."""
     voyage = Voyage()
     caution = replace(OUT, priority=Priority.CAUTION)
-    assert [change.what for change in voyage.go(600.0, caution)] == ["raised"]
+    assert [change.description for change in voyage.go(600.0, caution)] == ["raised"]
     assert voyage.states() == {"star.bow.out": "CAUTION ACTIVE_ACKNOWLEDGED"}
     assert "needs no acknowledgement" in voyage.acknowledge("star.bow.out")
     voyage.go(6.0)
@@ -246,7 +246,7 @@ def test_escalation_is_a_new_instance_and_deescalation_waits() -> None:
     voyage.go(1.0, OUT)
     voyage.acknowledge("star.bow.out")
     alarm = replace(OUT, priority=Priority.ALARM)
-    assert [change.what for change in voyage.go(1.0, alarm)] == ["was a warning, is an alarm now"]
+    assert [change.description for change in voyage.go(1.0, alarm)] == ["was a warning, is an alarm now"]
     assert "now instance 2, not 1" in voyage.acknowledge("star.bow.out", 1)
     assert voyage.states() == {"star.bow.out": "ALARM ACTIVE_UNACKNOWLEDGED"}
     voyage.go(20.0, OUT)
@@ -262,7 +262,7 @@ def test_escalation_is_a_new_instance_and_deescalation_waits() -> None:
 
 def test_situation_explained_by_another_alert_has_no_alert() -> None:
     """Angles lost by a source are covered by its alert, unless their priority is higher."""
-    lost = Condition("heading.lost", Priority.WARNING, "star.bow", "heading lost", under=("star.bow.out",))
+    lost = Condition("heading.lost", Priority.WARNING, "star.bow", "heading lost", explained_by=("star.bow.out",))
     voyage = Voyage()
     voyage.go(10.0, lost, OUT)
     assert list(voyage.states()) == ["star.bow.out"]
@@ -272,14 +272,14 @@ def test_situation_explained_by_another_alert_has_no_alert() -> None:
     at_once.go(5.0, replace(lost, priority=Priority.CAUTION))
     # At the update in which the cause appears it is not escalated first.
     assert [change.alert.id for change in at_once.go(0.25, lost, OUT)] == []
-    assert {(change.alert.id, change.what) for change in at_once.go(0.25, lost, OUT)} == {
+    assert {(change.alert.id, change.description) for change in at_once.go(0.25, lost, OUT)} == {
         ("star.bow.out", "raised"), ("heading.lost", "covered by another alert")
     }
     late = Voyage()
     late.go(10.0, lost)
     assert list(late.states()) == ["heading.lost"]
     changes = late.go(10.0, lost, OUT)
-    assert {(change.alert.id, change.what) for change in changes} == {
+    assert {(change.alert.id, change.description) for change in changes} == {
         ("star.bow.out", "raised"), ("heading.lost", "covered by another alert")
     }
     late.go(10.0, lost)
@@ -291,7 +291,7 @@ def test_start_of_the_suite_is_no_alert() -> None:
     voyage = Voyage()
     silent = replace(OUT, needs_start=True)
     assert voyage.go(9.0, silent) == []
-    assert [change.what for change in voyage.go(2.0, silent)] == ["raised"]
+    assert [change.description for change in voyage.go(2.0, silent)] == ["raised"]
 
 
 def test_restart_keeps_alerts_and_acknowledgements() -> None:
@@ -302,12 +302,12 @@ def test_restart_keeps_alerts_and_acknowledgements() -> None:
     voyage.acknowledge("star.bow.out")
     voyage.acknowledge("gnss.out")
     before = voyage.states()
-    saved = json.loads(json.dumps(voyage.book.saved()))
-    again = Voyage(AlertBook(TIMES, saved, round(100.0 * S)), 100.0)
+    saved = json.loads(json.dumps(voyage.book.serialise()))
+    again = Voyage(AlertList(TIMES, saved, round(100.0 * S)), 100.0)
     assert again.states() == before
     # The suite has no data for some seconds after a start: no alert ends meanwhile.
     assert again.go(9.0) == []
-    assert [(change.alert.id, change.what) for change in again.go(20.0, OUT, ins)] == [("gnss.out", "over")]
+    assert [(change.alert.id, change.description) for change in again.go(20.0, OUT, ins)] == [("gnss.out", "over")]
     assert again.states() == {
         "ins.out": "WARNING ACTIVE_UNACKNOWLEDGED", "star.bow.out": "WARNING ACTIVE_ACKNOWLEDGED"
     }
@@ -321,7 +321,7 @@ def test_restart_without_data_changes_nothing() -> None:
     voyage = Voyage()
     voyage.go(5.0, replace(OUT, priority=Priority.ALARM, text="no data"))
     voyage.acknowledge("star.bow.out")
-    again = Voyage(AlertBook(TIMES, voyage.book.saved(), round(100.0 * S)), 100.0)
+    again = Voyage(AlertList(TIMES, voyage.book.serialise(), round(100.0 * S)), 100.0)
     never = replace(OUT, text="never received", needs_start=True, is_blind=True, becomes_alarm=True)
     assert again.go(300.0, never) == []
     assert again.states() == {"star.bow.out": "ALARM ACTIVE_ACKNOWLEDGED"}
@@ -335,7 +335,7 @@ def test_corrupt_file_is_refused(spoilt: dict[str, object]) -> None:
     voyage = Voyage()
     voyage.go(5.0, OUT)
     with pytest.raises(ValueError, match="not a saved alert"):
-        AlertBook(TIMES, [{**voyage.book.saved()[0], **spoilt}])
+        AlertList(TIMES, [{**voyage.book.serialise()[0], **spoilt}])
 
 
 def test_most_urgent_comes_first() -> None:
@@ -344,7 +344,7 @@ def test_most_urgent_comes_first() -> None:
     kinds = {"a": Priority.CAUTION, "b": Priority.ALARM, "c": Priority.WARNING, "d": Priority.ALARM}
     voyage.go(2.0, *(replace(OUT, id=id_, priority=priority) for id_, priority in kinds.items()))
     voyage.acknowledge("b")
-    told: tuple[AlertShown, ...] = voyage.book.alerts
+    told: tuple[AlertEntry, ...] = voyage.book.alerts
     assert [alert.id for alert in told] == ["d", "c", "b", "a"]
     voyage.go(10.0, *(replace(OUT, id=id_, priority=priority) for id_, priority in kinds.items() if id_ != "d"))
     assert [alert.id for alert in voyage.book.alerts] == ["c", "d", "b", "a"]
@@ -358,5 +358,5 @@ def test_last_change_comes_first_among_equals() -> None:
     voyage.go(20.0, older, newer)
     assert [alert.id for alert in voyage.book.alerts] == ["newer", "older"]
     changes = voyage.go(21.0, older, newer)
-    assert [(change.alert.id, change.what[:8]) for change in changes] == [("older", "repeated")]
+    assert [(change.alert.id, change.description[:8]) for change in changes] == [("older", "repeated")]
     assert [alert.id for alert in voyage.book.alerts] == ["older", "newer"]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ship_testing.watched_voyages import records, replayed
-from ship_watch.availability import START_UP_S, WANTED_SHARE, AvailabilityRecord
+from ship_watch.availability import START_UP_S, REQUIRED_SHARE, AvailabilityRecord
 from ship_watch.limits import Limits
 from ship_watch.picture import Safety
 from ship_watch.watch import SuiteMonitor
@@ -18,24 +18,24 @@ SECOND = 1_000_000_000
 def record_of(outputs: Path, limits: Limits) -> AvailabilityRecord:
     record = AvailabilityRecord(limits)
     for time_ns, topic, message in records(outputs):
-        record.take(topic, message, time_ns)
+        record.process_message(topic, message, time_ns)
     return record
 
 
 def safe_share(outputs: Path, limits: Limits) -> float:
     """Return the fraction of the time, without start and star outage, for which pitch and roll are SAFE."""
-    watch, due_ns, first_ns = SuiteMonitor(limits), 0, 0
-    words: list[bool] = []
+    monitor, due_ns, first_ns = SuiteMonitor(limits), 0, 0
+    safety: list[bool] = []
     for time_ns, topic, message in records(outputs):
         first_ns = first_ns or time_ns
         due_ns = due_ns or time_ns + round(START_UP_S * SECOND)
         while due_ns <= time_ns:
             if not 69.0 < (due_ns - first_ns) * 1e-9 < 100.0:
-                angles = watch.current_state(due_ns).angles
-                words.append(all(angle.safety is Safety.SAFE for angle in angles[1:3]))
+                angles = monitor.current_state(due_ns).angles
+                safety.append(all(angle.safety is Safety.SAFE for angle in angles[1:3]))
             due_ns += SECOND // 10
-        watch.take(topic, message, time_ns)
-    return sum(words) / len(words)
+        monitor.process_message(topic, message, time_ns)
+    return sum(safety) / len(safety)
 
 
 @pytest.mark.parametrize("tilt_arcsec", [2.0, 3.0, 3.2, 4.0])
@@ -55,15 +55,15 @@ def test_proposed_limit_is_the_lowest_round_one_that_is_met(tmp_path: Path) -> N
     for quantity in ("heading", "tilt"):
         found = record_of(outputs, Limits()).availability(quantity)
         assert found is not None
-        assert found.proposed_share >= WANTED_SHARE
+        assert found.proposed_share >= REQUIRED_SHARE
         proposed[quantity] = found.proposed_arcsec
         assert found.other
-        assert 0.6 < found.decided_share < 0.8
+        assert 0.6 < found.decisive_share < 0.8
     assert proposed == {"heading": 5.0, "tilt": 4.0}
     lower = record_of(outputs, Limits(heading_arcsec=4.0, tilt_arcsec=3.0))
     shares = [found.share for name in proposed if (found := lower.availability(name)) is not None]
     assert len(shares) == 2
-    assert max(shares) < WANTED_SHARE
+    assert max(shares) < REQUIRED_SHARE
 
 
 def test_unpublished_quantity_has_no_availability(tmp_path: Path) -> None:
@@ -80,8 +80,8 @@ def test_unknown_accuracy_is_within_no_limit(tmp_path: Path) -> None:
         start_ns = start_ns or time_ns
         if topic == "ship/attitude" and (time_ns - start_ns) // (10 * SECOND) % 2:
             message.covariance = np.full(9, math.nan)
-        record.take(topic, message, time_ns)
+        record.process_message(topic, message, time_ns)
     found = record.availability("heading")
     assert found is not None
     assert found.other["accuracy unknown"] == pytest.approx(0.5, abs=0.06)
-    assert found.decided_share < 0.4
+    assert found.decisive_share < 0.4

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from ship_geometry.rotations import ARCSEC
-from ship_watch.mounting_shifts import SHOWN_NS, MountingShifts
-from ship_watch.picture import Presence, SourceStanding
+from ship_watch.mounting_shifts import DISPLAY_TIME_NS, MountingShifts
+from ship_watch.picture import Presence, SourceState
 
 SECOND = 1_000_000_000
 UTC = 1_404_906_607 * SECOND
-IN = SourceStanding("star.bow", Presence.IN, "", "", math.nan, 0, "")
-OUT = SourceStanding("star.bow", Presence.OUT, "excluded", "", math.nan, UTC + 20 * SECOND, "")
+IN = SourceState("star.bow", Presence.IN, "", "", math.nan, 0, "")
+OUT = SourceState("star.bow", Presence.OUT, "excluded", "", math.nan, UTC + 20 * SECOND, "")
 NOMINAL = np.deg2rad([30.0, 60.0, 5.0])
 
 
@@ -41,9 +41,9 @@ def texts(shift: Any, sigma: float = 3.0, device: str = "star.bow") -> tuple[lis
         is_out = 21 <= second < 80
         # From 20 s on the fault has changed the estimate, and its covariance is inflated.
         wide = 20 <= second < 80
-        shifts.note_alignment(alignment(second, shift if second >= 20 else 0.0, 200.0 if wide else sigma, device))
+        shifts.record_alignment(alignment(second, shift if second >= 20 else 0.0, 200.0 if wide else sigma, device))
         source = replace(OUT if is_out else IN, name=device)
-        found += [text for _, text in shifts.note_sources([source], UTC + second * SECOND)]
+        found += [text for _, text in shifts.record_sources([source], UTC + second * SECOND)]
     return found, shifts
 
 
@@ -53,7 +53,7 @@ def test_reinstatement_with_a_shift_is_an_event(device: str) -> None:
     found, shifts = texts([0.0, 50.0, 0.0], device=device)
     assert found == [f"{device} reinstated, mounting shifted by 50″"]
     assert shifts.shift_of(device, UTC + 200 * SECOND) / ARCSEC == pytest.approx(50.0, abs=1e-6)
-    assert math.isnan(shifts.shift_of(device, UTC + 80 * SECOND + 2 * SHOWN_NS))
+    assert math.isnan(shifts.shift_of(device, UTC + 80 * SECOND + 2 * DISPLAY_TIME_NS))
 
 
 def test_azimuth_shift_is_an_angle_of_rotation() -> None:
@@ -72,6 +72,6 @@ def test_source_out_because_of_another_has_no_shift() -> None:
     """Star sensors that are OUT because of the INS have no mounting shift."""
     shifts = MountingShifts()
     for second in range(40):
-        shifts.note_alignment(alignment(second, [0.0, 50.0 if second > 20 else 0.0, 0.0]))
+        shifts.record_alignment(alignment(second, [0.0, 50.0 if second > 20 else 0.0, 0.0]))
         needs = replace(OUT, reason="needs ins", because_of="ins") if 10 < second < 30 else IN
-        assert shifts.note_sources([needs], UTC + second * SECOND) == []
+        assert shifts.record_sources([needs], UTC + second * SECOND) == []

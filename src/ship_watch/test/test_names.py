@@ -10,9 +10,9 @@ from ship_bags.stamps import make_header
 from ship_testing.hand_made_bags import FACTORY, innovation
 from ship_watch import names
 from ship_watch.alert_states import Condition
-from ship_watch.alerts import MOST_KEPT, AlertBook
+from ship_watch.alerts import MAX_ALERTS, AlertList
 from ship_watch.limits import AlertTimes, Limits
-from ship_watch.names import LONGEST_NAME, MOST_NAMES, has_room
+from ship_watch.names import MAX_NAME_LENGTH, MAX_NAMES, has_room
 from ship_watch.picture import Priority
 from ship_watch.watch import SuiteMonitor
 
@@ -58,35 +58,35 @@ def test_memory_is_bounded_for_unlimited_names(caplog):
     watch, sizes = SuiteMonitor(Limits()), []
     known = "star.fore"
     tracemalloc.start()
-    for number in range(3 * MOST_NAMES):
+    for number in range(3 * MAX_NAMES):
         now_ns = number * NS // 100
-        watch.take("ship/innovation", innovation(START_NS + now_ns, known, [0.0, 0.0], [1.0, 1.0], 1.0,
+        watch.process_message("ship/innovation", innovation(START_NS + now_ns, known, [0.0, 0.0], [1.0, 1.0], 1.0,
                                                  components=("right", "up")), now_ns)  # fmt: skip
         for topic, message in invented(number, START_NS + now_ns):
-            watch.take(topic, message, now_ns)
-        if number % MOST_NAMES == MOST_NAMES - 1:
+            watch.process_message(topic, message, now_ns)
+        if number % MAX_NAMES == MAX_NAMES - 1:
             sizes.append(tracemalloc.get_traced_memory()[0])
     tracemalloc.stop()
     picture, history = watch.current_state(now_ns), watch.history
-    assert len(picture.sources) <= MOST_NAMES + 3
-    assert len(picture.inputs) <= MOST_NAMES
-    assert all(len(of) <= MOST_NAMES for of in (history.innovations, history.beacons, history.stars, history.budgets))
+    assert len(picture.sources) <= MAX_NAMES + 3
+    assert len(picture.inputs) <= MAX_NAMES
+    assert all(len(of) <= MAX_NAMES for of in (history.innovations, history.beacons, history.star_exposures, history.budgets))
     # The second set of names needs only the memory for the points of the known source.
     assert sizes[2] - sizes[1] < 0.25 * sizes[0]
-    assert len(history.innovations[known]) == 3 * MOST_NAMES
+    assert len(history.innovations[known]) == 3 * MAX_NAMES
     lines = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
     assert any(line.startswith("source '") and "and others are not shown: limit of 256 names" in line for line in lines)
     assert len(lines) == len({line.partition(" '")[0] for line in lines})
 
 
 def test_number_of_past_alerts_is_bounded():
-    book = AlertBook(AlertTimes(raise_after_s=0.0, clear_after_s=0.0, start_s=0.0))
-    for number in range(2 * MOST_KEPT):
-        book.take([Condition(f"node{number}.lost", Priority.CAUTION, "", "lost")], number * NS, START_NS)
-    assert len(book.saved()) <= MOST_KEPT + 2
+    book = AlertList(AlertTimes(raise_after_s=0.0, clear_after_s=0.0, start_s=0.0))
+    for number in range(2 * MAX_ALERTS):
+        book.update([Condition(f"node{number}.lost", Priority.CAUTION, "", "lost")], number * NS, START_NS)
+    assert len(book.serialise()) <= MAX_ALERTS + 2
 
 
-@pytest.mark.parametrize("name", ["x" * (LONGEST_NAME + 1), ("node", "x" * LONGEST_NAME)])
+@pytest.mark.parametrize("name", ["x" * (MAX_NAME_LENGTH + 1), ("node", "x" * MAX_NAME_LENGTH)])
 def test_too_long_name_is_not_stored(name):
     assert not has_room({}, name, "name")
     assert has_room({name}, name, "name")

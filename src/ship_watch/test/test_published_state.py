@@ -11,10 +11,10 @@ from ship_geometry.rotations import ARCSEC
 from ship_testing.pictures import NOW_NS, lost, out, over, suite_state, angles_timed_out, source
 from ship_watch.picture import SuiteState, Presence, Safety
 from ship_watch.published_state import (
-    LONGEST_AGE_NS,
+    MAX_AGE_NS,
     PERIOD_NS,
     STATE_TYPE,
-    change_of_state,
+    change_key,
     published_state,
     suite_state_fields,
 )
@@ -30,14 +30,14 @@ PICTURES = {
 }
 
 
-def through_a_message(shown: SuiteState, elapsed_ns: int = 0) -> SuiteState:
+def received_state(shown: SuiteState, elapsed_ns: int = 0) -> SuiteState:
     """Return the state of a viewer whose own state is different, after receiving the published one."""
     message = RosidlFactory().make(STATE_TYPE, **suite_state_fields(shown))
     own = replace(shown, angles=(), sources=(), ages_s={}, pointing_by="?", horizon="?", waiting_for="?")
-    return published_state(message, NOW_NS).shown_in(own, NOW_NS + elapsed_ns)
+    return published_state(message, NOW_NS).merge_into(own, NOW_NS + elapsed_ns)
 
 
-def same(first: object, second: object) -> bool:
+def are_equal(first: object, second: object) -> bool:
     """True if two values are equal where NaN equals NaN."""
     return repr(first) == repr(second)
 
@@ -45,10 +45,10 @@ def same(first: object, second: object) -> bool:
 @pytest.mark.parametrize("shown", PICTURES.values(), ids=list(PICTURES))
 def test_received_state_equals_the_published_one(shown: SuiteState) -> None:
     """All fields of angles, ages and sources are equal, except fields of an angle that only alerts use."""
-    received = through_a_message(shown)
-    assert same(received.sources, shown.sources)
-    assert same(received.angles, tuple(replace(angle, over_s=0.0, now=None) for angle in shown.angles))
-    assert same(dict(received.ages_s), {name: shown.ages_s.get(name, math.inf) for name in ("stars", "lights", "ins")})
+    received = received_state(shown)
+    assert are_equal(received.sources, shown.sources)
+    assert are_equal(received.angles, tuple(replace(angle, over_s=0.0, now=None) for angle in shown.angles))
+    assert are_equal(dict(received.ages_s), {name: shown.ages_s.get(name, math.inf) for name in ("stars", "lights", "ins")})
     assert (received.pointing_by, received.horizon) == (shown.pointing_by, shown.horizon)
     assert received.overall == shown.overall
 
@@ -56,11 +56,11 @@ def test_received_state_equals_the_published_one(shown: SuiteState) -> None:
 def test_ages_grow_only_while_a_message_is_overdue() -> None:
     """Ages are as published for half a second; then they grow by the delay."""
     shown = PICTURES["all well"]
-    ages = {late: through_a_message(shown, late).angles[0].age_s for late in (0, PERIOD_NS, PERIOD_NS + 10**9)}
+    ages = {late: received_state(shown, late).angles[0].age_s for late in (0, PERIOD_NS, PERIOD_NS + 10**9)}
     assert [round(age_s - shown.angles[0].age_s, 6) for age_s in ages.values()] == [0.0, 0.0, 1.0]
     state = published_state(RosidlFactory().make(STATE_TYPE, **suite_state_fields(shown)), NOW_NS)
-    assert state.is_current(NOW_NS + LONGEST_AGE_NS)
-    assert not state.is_current(NOW_NS + LONGEST_AGE_NS + 1)
+    assert state.is_current(NOW_NS + MAX_AGE_NS)
+    assert not state.is_current(NOW_NS + MAX_AGE_NS + 1)
 
 
 @pytest.mark.parametrize("what", ["safety", "presence"])
@@ -86,7 +86,7 @@ def test_safety_and_presence_are_changes_and_figures_are_not() -> None:
     """Changes of safety or presence are published at once, other changes after half a second."""
     well = PICTURES["all well"]
     running = replace(well, angles=tuple(replace(angle, accuracy_95=np.pi, age_s=0.3) for angle in well.angles))
-    assert change_of_state(running) == change_of_state(well)
+    assert change_key(running) == change_key(well)
     worse = replace(well, angles=(replace(well.angles[0], safety=Safety.CAUTION), *well.angles[1:]))
-    assert change_of_state(worse) != change_of_state(well)
-    assert change_of_state(suite_state(out("ins", "no data"))) != change_of_state(well)
+    assert change_key(worse) != change_key(well)
+    assert change_key(suite_state(out("ins", "no data"))) != change_key(well)

@@ -30,7 +30,7 @@ def at(second: float) -> int:
 def received_reports(seconds: int, longest_s: float = 0.0, **of_report: float) -> TopicReports:
     reports = TopicReports("star/bow/solution", longest_s)
     for second in range(seconds + 1):
-        reports.note(report(second, 5 * second, **of_report), at(second))  # type: ignore[arg-type]
+        reports.record_report(report(second, 5 * second, **of_report), at(second))  # type: ignore[arg-type]
     return reports
 
 
@@ -47,19 +47,19 @@ def test_stamps_of_another_time_are_no_timeout() -> None:
     for second in range(11):
         message = report(second, 100 * second, age_s=26_784_000.01, rate_hz=100.0)
         message.latency_s = 26_784_000.0
-        reports.note(message, at(second))
+        reports.record_report(message, at(second))
     assert reports.age_s(at(10.0)) == pytest.approx(0.01, abs=1e-6)
     assert not reports.is_timed_out(at(10.9))
 
 
 def test_timeout_after_two_seconds_or_three_periods() -> None:
     reports = received_reports(10)
-    reports.note(report(11, 50, age_s=1.2), at(11))
+    reports.record_report(report(11, 50, age_s=1.2), at(11))
     assert not reports.is_timed_out(at(11.8))
     assert reports.is_timed_out(at(11.9))
     slow = TopicReports("met/pressure")
     for second in range(42):
-        slow.note(report(second, 1 + second // 4, age_s=0.1 + second % 4, rate_hz=0.25), at(second))
+        slow.record_report(report(second, 1 + second // 4, age_s=0.1 + second % 4, rate_hz=0.25), at(second))
     assert not slow.is_timed_out(at(51.9))
     assert slow.is_timed_out(at(52.1))
 
@@ -68,11 +68,11 @@ def test_late_report_is_no_timeout_of_the_topic() -> None:
     """After a report with new messages, a timeout needs the next report, or a long time without one."""
     reports = received_reports(10)
     assert not reports.is_timed_out(at(12.9))
-    assert not reports.is_untold(at(12.9))
-    reports.note(report(12.9, 64), at(12.9))
+    assert not reports.is_report_overdue(at(12.9))
+    reports.record_report(report(12.9, 64), at(12.9))
     assert not reports.is_timed_out(at(15.8))
     assert reports.is_timed_out(at(30.0))
-    assert reports.is_untold(at(30.0))
+    assert reports.is_report_overdue(at(30.0))
 
 
 def test_timeout_can_be_configured() -> None:
@@ -84,7 +84,7 @@ def test_timeout_can_be_configured() -> None:
 def test_decreasing_mean_rate_does_not_lengthen_the_timeout() -> None:
     reports = received_reports(10)
     for second in range(11, 15):
-        reports.note(report(second, 50, age_s=second - 9.8, rate_hz=5.0 * (20 - second) / 20), at(second))
+        reports.record_report(report(second, 50, age_s=second - 9.8, rate_hz=5.0 * (20 - second) / 20), at(second))
     assert reports.period_ns == pytest.approx(0.2e9)
     assert reports.is_timed_out(at(11.9))
 
@@ -93,11 +93,11 @@ def test_rejected_messages_count_as_arrived() -> None:
     reports = received_reports(10)
     for second in range(11, 31):
         told = report(second, 5 * second, age_s=second - 9.8, rejected=5 * (second - 10), excluded=5 * (second - 10))
-        reports.note(told, at(second))
+        reports.record_report(told, at(second))
         assert not reports.is_timed_out(at(second + 0.9))
-    assert reports.shown(at(30.5)).rejected_60s == 100
-    assert reports.shown(at(30.5)).reasons == {"excluded": 100}
-    assert reports.shown(at(89.0)).rejected_60s == pytest.approx(10, abs=5)  # those of the last two seconds
+    assert reports.input_state(at(30.5)).rejected_60s == 100
+    assert reports.input_state(at(30.5)).reasons == {"excluded": 100}
+    assert reports.input_state(at(89.0)).rejected_60s == pytest.approx(10, abs=5)  # those of the last two seconds
 
 
 def test_two_nodes_on_one_topic_are_no_restarts() -> None:
@@ -106,39 +106,39 @@ def test_two_nodes_on_one_topic_are_no_restarts() -> None:
         # The second node started 30 s after the first, and reports 0.4 s later; both reject one message a second.
         first = report(second, 5 * (second + 30), rejected=second, gate=second)
         other = report(second + 0.4, 5 * second, rejected=second, gate=second)
-        started += [reports.note(first, at(second)), reports.note(other, at(second + 0.4))]
+        started += [reports.record_report(first, at(second)), reports.record_report(other, at(second + 0.4))]
     assert not any(started[2:])
-    assert reports.shown(at(59.4)).rejected_60s == 59
-    assert reports.shown(at(59.4)).reasons == {"gate": 59}
+    assert reports.input_state(at(59.4)).rejected_60s == 59
+    assert reports.input_state(at(59.4)).reasons == {"gate": 59}
 
 
 def test_restart_of_a_node_is_reported_once() -> None:
     reports = received_reports(10)
-    started = [reports.note(report(second, 5 * (second - 12)), at(second)) for second in range(13, 20)]
+    started = [reports.record_report(report(second, 5 * (second - 12)), at(second)) for second in range(13, 20)]
     assert started == [True, False, False, False, False, False, False]
-    assert reports.shown(at(19.0)).rejected_60s == 0
+    assert reports.input_state(at(19.0)).rejected_60s == 0
 
 
 def test_timeout_is_longer_before_the_rate_is_known() -> None:
     reports = TopicReports("met/pressure")
-    reports.note(report(0, 1, age_s=0.1, rate_hz=math.nan), at(0))
+    reports.record_report(report(0, 1, age_s=0.1, rate_hz=math.nan), at(0))
     assert not reports.is_timed_out(at(4.9))
     assert reports.is_timed_out(at(5.1))
 
 
 def test_topic_that_was_never_received() -> None:
     reports = TopicReports("gnss/fix")
-    reports.note(report(0, 0, age_s=math.nan, rate_hz=math.nan), at(0))
+    reports.record_report(report(0, 0, age_s=math.nan, rate_hz=math.nan), at(0))
     assert math.isinf(reports.age_s(at(1.0)))
     assert not reports.is_timed_out(at(100.0))
     assert not reports.is_never_received
     told = report(6, 0, age_s=math.nan, rate_hz=math.nan)
     told.level = 2
-    reports.note(told, at(6))
+    reports.record_report(told, at(6))
     assert reports.is_never_received
     # The monitor may receive a topic that the node does not, because of another quality of service.
     reports.record_arrival(at(6.5))
     assert reports.is_never_received
     came = report(7, 3, age_s=0.1)
-    reports.note(came, at(7))
+    reports.record_report(came, at(7))
     assert not reports.is_never_received

@@ -11,7 +11,7 @@ from ship_watch.verdict import BAND_SIGMAS, NisWindow
 SECOND = 1_000_000_000
 
 
-def filled(sigma_ratio: float, seed: int, count: int = 300, degrees: int = 3) -> NisWindow:
+def filled_window(sigma_ratio: float, seed: int, count: int = 300, degrees: int = 3) -> NisWindow:
     window = NisWindow()
     for i, nis in enumerate(np.random.default_rng(seed).chisquare(degrees, count) * sigma_ratio**2):
         window.add(i * SECOND // 5, float(nis), degrees)
@@ -20,8 +20,8 @@ def filled(sigma_ratio: float, seed: int, count: int = 300, degrees: int = 3) ->
 
 def test_correct_sigmas_are_consistent() -> None:
     # One run in a thousand is outside 3.3 sigma: about 2 of 2000, more than 9 in one of 20 000 such tests (Poisson).
-    found = [filled(1.0, seed, count=60, degrees=15).consistency(12 * SECOND) for seed in range(2000)]
-    assert all(verdict.degrees == 900 for verdict in found)
+    found = [filled_window(1.0, seed, count=60, degrees=15).consistency(12 * SECOND) for seed in range(2000)]
+    assert all(verdict.degrees_of_freedom == 900 for verdict in found)
     assert 1 <= sum(not verdict.is_consistent for verdict in found) <= 9
     stated = next(verdict for verdict in found if verdict.is_consistent)
     assert stated.text == f"σ as stated ({stated.ratio:.2f})"
@@ -29,7 +29,7 @@ def test_correct_sigmas_are_consistent() -> None:
 
 @pytest.mark.parametrize(("ratio", "text"), [(1.6, "σ optimistic by 1.6"), (0.5, "σ pessimistic by 2.0")])
 def test_wrong_sigma_is_reported_with_its_factor(ratio: float, text: str) -> None:
-    found = filled(ratio, 3, count=299, degrees=100).consistency(60 * SECOND)
+    found = filled_window(ratio, 3, count=299, degrees=100).consistency(60 * SECOND)
     assert not found.is_consistent
     assert found.text == text
 
@@ -43,11 +43,11 @@ def test_probability_of_the_band(degrees: int) -> None:
 
 
 def test_window_is_one_minute() -> None:
-    window = filled(3.0, 1)
+    window = filled_window(3.0, 1)
     for i in range(300):
         window.add((61 + i) * SECOND, 3.0, 3)
     found = window.consistency(361 * SECOND)
-    assert found.degrees == 60 * 3  # from 301 s to 360 s
+    assert found.degrees_of_freedom == 60 * 3  # from 301 s to 360 s
     assert found.ratio == pytest.approx(1.0)
 
 
@@ -58,4 +58,4 @@ def test_too_few_innovations_give_no_text_and_none_gives_nan() -> None:
     assert window.consistency(0).text == ""
     window.add(0, math.nan, 3)
     window.add(0, math.inf, 3)
-    assert window.consistency(0).degrees == 3
+    assert window.consistency(0).degrees_of_freedom == 3

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ship_watch import words
-from ship_watch.picture import ANGLES, AngleShown, Safety
+from ship_watch.picture import ANGLES, AngleState, Safety
 
 ARCSEC = math.pi / 648000
 NOON_NS = 1_777_636_807_250_999_999  # 2026-05-01 12:00:07.250999999 by `date -u -d @1777636807`
@@ -28,7 +28,7 @@ def angle(name, degrees, **changed):
         "stamp_ns": NOON_NS,
         "since_ns": NOON_NS,
     }
-    return AngleShown(**fields | changed)
+    return AngleState(**fields | changed)
 
 
 @pytest.mark.parametrize(

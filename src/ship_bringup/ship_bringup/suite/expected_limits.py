@@ -10,7 +10,7 @@ from ship_bags.mcap.bag_reader import read_bag, with_bag_progress
 from ship_bags.topic_names import TRUTH_PREFIX
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
-from ship_watch.availability import QUANTITIES, START_UP_S, WANTED_SHARE, Availability, AvailabilityRecord
+from ship_watch.availability import QUANTITIES, START_UP_S, REQUIRED_SHARE, Availability, AvailabilityRecord
 from ship_watch.limits import Limits
 from ship_watch.topics import monitored_topic
 
@@ -38,7 +38,7 @@ def expected_limits(suite_file: Path | None, bag: Path, namespace: str, limits: 
                 if monitored_topic(name, kind) and not name.startswith(TRUTH_PREFIX)
             }
             for each in with_bag_progress(replayed.records(topics), replayed):
-                record.take(each.topic, each.decode(), each.log_time_ns)
+                record.process_message(each.topic, each.decode(), each.log_time_ns)
     found = [one for one in map(record.availability, QUANTITIES) if one is not None]
     if not found:
         reason = f"no limit can be proposed: after the first {START_UP_S:.0f} s no output was VALID and checked"
@@ -66,12 +66,12 @@ def _table(found: Sequence[Availability]) -> Iterator[str]:
 
 def _explanation(found: Sequence[Availability]) -> Iterator[str]:
     yield "held: share of time with page and alerts SAFE, of the time in which the limit decides."
-    yield f"proposed: the lowest round limit that is held for {_percent(WANTED_SHARE)} of it."
+    yield f"proposed: the lowest round limit that is held for {_percent(REQUIRED_SHARE)} of it."
     for one in found:
         if one.other:
             first, share = next(iter(one.other.items()))
             yield (
-                f"{one.quantity}: not SAFE for {_percent(1.0 - one.decided_share)} of the time with any limit, "
+                f"{one.quantity}: not SAFE for {_percent(1.0 - one.decisive_share)} of the time with any limit, "
                 f"{_percent(share)} by: {first}."
             )
     yield "The accuracies are those that the filters publish. In another sea, sky or suite they differ."

@@ -15,7 +15,7 @@ from bokeh.models.ui import UIElement
 from ship_bags.stamps import NS_PER_S
 from ship_monitor.after.recorded_suite import RecordedMessage, RecordedSuite
 from ship_monitor.after.time_controls import TimeControls
-from ship_watch.history import KEPT_S, History
+from ship_watch.history import HISTORY_S, History
 from ship_watch.limits import Limits
 from ship_watch.picture import SuiteState
 from ship_watch.watch import SuiteMonitor
@@ -40,7 +40,7 @@ class _Replay:
         """Read messages until a log time; return False if the deadline, monotonic time in s, came first."""
         while self._next is not None and self._next.log_time_ns <= until_ns:
             message = self._next
-            self.monitor.take(message.topic, message.message, message.log_time_ns)
+            self.monitor.process_message(message.topic, message.message, message.log_time_ns)
             self.time_ns = message.log_time_ns
             self._next = next(self._messages, None)
             if time.monotonic() > deadline_s:
@@ -132,7 +132,7 @@ class BagPlayback:
     def _current_replay(self) -> _Replay:
         """Return the replay for the displayed time, a new one after a change of the time."""
         if self._displayed_replay is None:
-            kept_ns = self._time_ns - round(KEPT_S * NS_PER_S)
+            kept_ns = self._time_ns - round(HISTORY_S * NS_PER_S)
             quick_ns = self._time_ns - SHORT_HISTORY_NS
             self._displayed_replay = _Replay(self._suite, self._limits, quick_ns)
             self._displayed_replay.read_until(self._time_ns)

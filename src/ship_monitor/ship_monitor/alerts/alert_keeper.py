@@ -10,12 +10,12 @@ from typing import Any
 from ship_bags.errors import BadInput
 from ship_bags.stamps import NS_PER_S
 from ship_node.documents.saved_document import DISK, Files
-from ship_watch.alert_conditions import Machine, NodeStatus, conditions
-from ship_watch.alerts import AlertBook, AlertChange
-from ship_watch.functions import Branch, diagnostic_entries
+from ship_watch.alert_conditions import ComputerState, NodeStatus, conditions
+from ship_watch.alerts import AlertList, AlertChange
+from ship_watch.functions import DiagnosticEntry, diagnostic_entries
 from ship_watch.limits import Limits
 from ship_watch.names import has_room
-from ship_watch.picture import AlertShown, SuiteState
+from ship_watch.picture import AlertEntry, SuiteState
 from ship_watch.watch import SuiteMonitor
 
 MAX_PAUSE_NS = 5 * NS_PER_S
@@ -58,13 +58,13 @@ class AlertManager:
         self.suite_state: SuiteState = self._monitor.current_state(now_ns)
 
     @property
-    def alerts(self) -> tuple[AlertShown, ...]:
+    def alerts(self) -> tuple[AlertEntry, ...]:
         """Alerts that are not NORMAL, the most urgent first."""
         return self._alert_list.alerts
 
     def process_message(self, topic: str, message: Any, arrival_ns: int) -> None:
         """Process one message; the topic is relative to the namespace, the arrival a steady time, ns."""
-        self._monitor.take(topic, message, arrival_ns)
+        self._monitor.process_message(topic, message, arrival_ns)
 
     def process_status(self, status: NodeStatus, arrival_ns: int) -> None:
         """Process a diagnostic status of a node."""
@@ -76,7 +76,7 @@ class AlertManager:
         """Reset all data except the alerts, after the suite's time went back or the computer slept."""
         self._monitor.reset()
         self._statuses.clear()
-        self._alert_list = AlertBook(self._limits.alerts, self._alert_list.saved(), now_ns)
+        self._alert_list = AlertList(self._limits.alerts, self._alert_list.serialise(), now_ns)
         self._updated_ns = now_ns
 
     def update(self, now_ns: int, clock_ns: int) -> tuple[AlertChange, ...]:
@@ -91,7 +91,7 @@ class AlertManager:
         self._updated_ns = now_ns
         self.suite_state = self._monitor.current_state(now_ns)
         found = conditions(self.suite_state, self._limits, self._computer_state(now_ns))
-        return self._save_changes(self._alert_list.take(found, now_ns, self._utc_ns(clock_ns)))
+        return self._save_changes(self._alert_list.update(found, now_ns, self._utc_ns(clock_ns)))
 
     def acknowledge(self, id_: str, instance: int, clock_ns: int) -> tuple[AlertChange | None, str]:
         """Acknowledge one instance of an alert; return the change, None without one, and the result in words."""
@@ -104,14 +104,14 @@ class AlertManager:
         """Silence all sounding alerts for a while; return the changes."""
         return self._save_changes(self._alert_list.silence(now_ns, self._utc_ns(clock_ns)))
 
-    def diagnostic_entries(self) -> tuple[Branch, ...]:
+    def diagnostic_entries(self) -> tuple[DiagnosticEntry, ...]:
         """Return functions and their inputs as diagnostic entries, from the last update."""
         return diagnostic_entries(self.suite_state, self._limits)
 
     def _utc_ns(self, clock_ns: int) -> int:
         return self.suite_state.utc_ns or clock_ns
 
-    def _computer_state(self, now_ns: int) -> Machine:
+    def _computer_state(self, now_ns: int) -> ComputerState:
         if self._limits.machine.disk_path and now_ns - self._disk_checked_ns >= _DISK_PERIOD_NS:
             self._disk_checked_ns = now_ns
             try:
@@ -125,27 +125,27 @@ class AlertManager:
             for key, (status, told_ns) in self._statuses.items()
             if now_ns - told_ns <= MAX_STATUS_AGE_NS
         }
-        return Machine(tuple(status for status, _ in self._statuses.values()), self._disk_free_gb)
+        return ComputerState(tuple(status for status, _ in self._statuses.values()), self._disk_free_gb)
 
-    def _read_alerts(self, now_ns: int) -> AlertBook:
+    def _read_alerts(self, now_ns: int) -> AlertList:
         """Return the alerts of the file; an empty list without a file, or if it cannot be read."""
         try:
             if self._state_file is None:
-                return AlertBook(self._limits.alerts, (), now_ns)
+                return AlertList(self._limits.alerts, (), now_ns)
             document: dict[str, Any] = json.loads(self._files.read(self._state_file))
             if (document["format"], document["version"]) != (_FORMAT, _VERSION):
                 raise ValueError(f"expected format {_FORMAT}, version {_VERSION}")
-            return AlertBook(self._limits.alerts, document["alerts"], now_ns)
+            return AlertList(self._limits.alerts, document["alerts"], now_ns)
         except FileNotFoundError:
-            return AlertBook(self._limits.alerts, (), now_ns)
+            return AlertList(self._limits.alerts, (), now_ns)
         except (OSError, ValueError, TypeError, KeyError) as problem:
             self._log_problem(str(BadInput(f"saved alerts cannot be read, starting without: {problem}", file=self._state_file)))
-            return AlertBook(self._limits.alerts, (), now_ns)
+            return AlertList(self._limits.alerts, (), now_ns)
 
     def _save_changes(self, changes: tuple[AlertChange, ...]) -> tuple[AlertChange, ...]:
         """Return the changes after writing the file, if there are any or the last write failed."""
         if self._state_file is not None and (changes or self._is_unsaved):
-            document = {"format": _FORMAT, "version": _VERSION, "alerts": self._alert_list.saved()}
+            document = {"format": _FORMAT, "version": _VERSION, "alerts": self._alert_list.serialise()}
             try:
                 self._files.write(self._state_file, json.dumps(document, indent=1).encode())
                 self._is_unsaved = False

@@ -34,8 +34,8 @@ from ship_node.live.node_report import ExceptionGuard
 from ship_watch.alert_conditions import NodeStatus
 from ship_watch.alerts import AlertChange
 from ship_watch.limits import Limits, read_limits
-from ship_watch.picture import AlertShown, Priority
-from ship_watch.published_state import PERIOD_NS, STATE_TOPIC, STATE_TYPE, change_of_state, suite_state_fields
+from ship_watch.picture import AlertEntry, Priority
+from ship_watch.published_state import PERIOD_NS, STATE_TOPIC, STATE_TYPE, change_key, suite_state_fields
 from ship_watch.topics import monitored_topic
 
 UPDATE_PERIOD_NS = NS_PER_S // 5
@@ -210,7 +210,7 @@ class AlertNode:
     def _report_changes(self, changes: Sequence[AlertChange]) -> None:
         for change in changes:
             alert = change.alert
-            line = f"{alert.priority.name} {alert.id} {alert.instance}: {alert.text}: {change.what}"
+            line = f"{alert.priority.name} {alert.id} {alert.instance}: {alert.text}: {change.description}"
             # Three calls: in rclpy a line of code keeps the severity with which it first logged.
             if alert.is_acknowledged or alert.priority is Priority.CAUTION:
                 self._node.get_logger().info(line)
@@ -230,7 +230,7 @@ class AlertNode:
     def _publish_state(self, now_ns: int) -> None:
         """Publish the state from which the alerts are derived: at once after a change, else twice a second."""
         suite_state = self._manager.suite_state
-        change = change_of_state(suite_state)
+        change = change_key(suite_state)
         if change != self._published_change or now_ns - self._published_ns >= PERIOD_NS:
             self._published_ns, self._published_change = now_ns, change
             self._states.publish(self._factory.make(STATE_TYPE, **suite_state_fields(suite_state)))
@@ -261,7 +261,7 @@ def _queue_depth(topic: str, type_name: str) -> int:
     return 0 if row is None else MAX_QUEUE_DEPTH if row.keeps_every_message else 1
 
 
-def _alert_fields(alert: AlertShown) -> dict[str, Any]:
+def _alert_fields(alert: AlertEntry) -> dict[str, Any]:
     """Return the fields of a ship_msgs/Alert."""
     return {
         "id": alert.id,

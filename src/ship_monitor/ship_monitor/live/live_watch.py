@@ -67,17 +67,17 @@ class LiveSuite:
             if batch.time_went_back:
                 self._monitor.reset()
             if batch.alerts_ended:
-                self._monitor.forget_alerts()
+                self._monitor.clear_alerts()
             for received in batch.messages:
                 if received.topic == STATE_TOPIC:
                     self._process_suite_state(received.message, received.arrival_ns)
                 else:
-                    self._monitor.take(received.topic, received.message, received.arrival_ns)
+                    self._monitor.process_message(received.topic, received.message, received.arrival_ns)
 
     def _process_suite_state(self, message: Any, arrival_ns: int) -> None:
         """Process a SuiteState message; an invalid one is dropped with a warning."""
         try:
-            self._monitor.take_state(message, arrival_ns)
+            self._monitor.process_suite_state(message, arrival_ns)
         except ValueError as problem:
             if not self._has_rejected_state:
                 text = "%s is not shown: %s; do the alert node and this viewer have the same version?"

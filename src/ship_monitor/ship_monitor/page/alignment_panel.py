@@ -14,7 +14,7 @@ from ship_monitor.page.curves import next_step, signed_text
 from ship_monitor.page.figures import ARCSEC_PER_RAD, PanelBox, SideLabels, empty_plot, without_formulas
 from ship_monitor.page.marking import belongs_to_source, with_mark
 from ship_monitor.page.themes import Theme
-from ship_watch.history import History, ParameterShown
+from ship_watch.history import History, ParameterEstimate
 
 STEPS_ARCSEC = (30.0, 60.0, 120.0, 300.0, 600.0, 1200.0, 3600.0, 18_000.0, 90_000.0, 648_000.0)
 """Possible half widths of the axis, arcsec."""
@@ -93,7 +93,7 @@ _UNITS = {
 """Unit of a state → factor to the displayed unit, displayed unit, decimals."""
 
 
-def bars_arcsec(states: Sequence[ParameterShown]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def bars_arcsec(states: Sequence[ParameterEstimate]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return lower end, value and upper end of each bar, arcsec; NaN for states that are no angle or lack a nominal."""
     scale = np.array([ARCSEC_PER_RAD if state.unit == "rad" else np.nan for state in states])
     value = scale * np.array([deviation_from_nominal(state) for state in states])
@@ -101,7 +101,7 @@ def bars_arcsec(states: Sequence[ParameterShown]) -> tuple[np.ndarray, np.ndarra
     return value - reach, value, value + reach
 
 
-def deviation_from_nominal(state: ParameterShown) -> float:
+def deviation_from_nominal(state: ParameterEstimate) -> float:
     """Return estimate minus nominal value, in the state's unit; an angle is wrapped to ±π."""
     off = state.value - state.nominal
     return math.remainder(off, 2.0 * math.pi) if state.unit == "rad" and math.isfinite(off) else off
@@ -123,7 +123,7 @@ def own_half_widths(low: np.ndarray, value: np.ndarray, high: np.ndarray, half: 
     return np.array([half if not need > half else next_step(need, STEPS_ARCSEC) for need in needed])
 
 
-def state_text(state: ParameterShown) -> str:
+def state_text(state: ParameterEstimate) -> str:
     """Return deviation ± 2σ in the displayed unit; in brackets if the state is not observable."""
     scale, unit, digits = _UNITS.get(state.unit, (1.0, f" {state.unit}", 3))
     text = f"{signed_text(scale * deviation_from_nominal(state), digits)} ± {2.0 * scale * state.sigma:.{digits}f}{unit}"

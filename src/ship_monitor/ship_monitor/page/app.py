@@ -124,7 +124,7 @@ class Page:
         source = self._source
         self._suite_state = source.current_state()
         local = local_clock(self._suite_state.utc_ns, self._zone)
-        content = first_screen(self._suite_state, source.history, source.label, source.place, local)
+        content = first_screen(self._suite_state, source.history, source.label, source.location, local)
         content["is_paused"] = self._is_paused or (self._panels is not None and self._panels.times.is_paused)
         return json.dumps(content, allow_nan=False)
 

@@ -25,7 +25,7 @@ from ship_monitor.page.figures import (
 from ship_monitor.page.marking import is_budget_part_of, with_mark
 from ship_monitor.page.themes import FONT, Theme
 from ship_monitor.page.trails import TimeAxis, StreamedLine
-from ship_watch.history import KEPT_S, BudgetPoint, History
+from ship_watch.history import HISTORY_S, BudgetPoint, History
 from ship_watch.picture import ANGLES
 
 MAX_BANDS = 5
@@ -145,7 +145,7 @@ class BudgetPanel:
         self._figure.yaxis[0].major_label_overrides = {tick**2: f"{tick:g}″" for tick in ticks}
         times = np.asarray(columns["t"], float)
         found = peaks(times, totals, top)
-        is_late = [at > self._times.range.end - 0.3e3 * KEPT_S for at, _ in found]  # no room for text to the right
+        is_late = [at > self._times.range.end - 0.3e3 * HISTORY_S for at, _ in found]  # no room for text to the right
         peak_labels = {
             "x": [at for at, _ in found],
             "y": [top**2] * len(found),
@@ -235,7 +235,7 @@ def peaks(times: FloatArray, totals: FloatArray, top: float) -> list[tuple[float
     for start, end in zip(edges[::2], edges[1::2], strict=True):
         at = int(start) + int(np.argmax(totals[start:end]))
         found.append((float(times[at]), float(totals[at])))
-    least = 0.15 * 1e3 * KEPT_S
+    least = 0.15 * 1e3 * HISTORY_S
     kept: list[tuple[float, float]] = []
     for peak in sorted(found, key=lambda one: -one[1]):  # two texts must not overlap
         if all(abs(peak[0] - other[0]) >= least for other in kept):

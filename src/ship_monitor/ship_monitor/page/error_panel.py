@@ -12,7 +12,7 @@ from ship_monitor.page.figures import GrowingRows, PanelBox, SideLabels, draw_fr
 from ship_monitor.page.marking import with_mark
 from ship_monitor.page.themes import Theme
 from ship_monitor.page.trails import BAND, TimeAxis, StreamedLine, three_sigma_band
-from ship_watch.history import ErrorPoint, History, newer
+from ship_watch.history import ErrorPoint, History, points_after
 
 CHANNELS: Mapping[tuple[str, str], str] = {
     ("ship/error_arcsec", "heading"): "heading",
@@ -89,10 +89,10 @@ class _ErrorRow:
         """Draw the new points; return half the height of the axis, arcsec."""
         self._trail.stream_new(points, self._columns)
         newest_ns = points[-1].utc_ns
-        error, sigma = self._finite_values(newer(points, newest_ns - STATISTICS_WINDOW_NS))
+        error, sigma = self._finite_values(points_after(points, newest_ns - STATISTICS_WINDOW_NS))
         rms = float(np.sqrt(np.mean(error**2))) if len(error) else float("nan")
         mean_sigma = float(np.mean(sigma)) if len(sigma) else float("nan")
-        now, sigma_now = self._finite_values(newer(points, newest_ns - AXIS_WINDOW_NS))
+        now, sigma_now = self._finite_values(points_after(points, newest_ns - AXIS_WINDOW_NS))
         largest = max(
             (float(np.quantile(np.abs(some), 0.9)) for some in (now, 3.0 * sigma_now) if len(some)), default=0.0
         )

@@ -25,8 +25,8 @@ from ship_monitor.page.figures import (
 from ship_monitor.page.marking import with_mark
 from ship_monitor.page.themes import Theme
 from ship_monitor.page.trails import BAND, MS, TimeAxis, StreamedLine, three_sigma_band
-from ship_watch.history import History, InnovationPoint, newer
-from ship_watch.picture import SuiteState, Presence, SourceShown
+from ship_watch.history import History, InnovationPoint, points_after
+from ship_watch.picture import SuiteState, Presence, SourceDetails
 
 MEAN_WINDOW_NS = 10_000_000_000
 """Window of the means at a plot, ns; its height is determined by six windows."""
@@ -109,15 +109,15 @@ class _SourceRow:
         add_hover(theme, self.figure, "@value{+0.0}″, ±3σ to @edge_high{0.0}″", [dots, crosses])
 
     def update(
-        self, points: Sequence[InnovationPoint], source: SourceShown | None, utc_ns: int, *, is_marked: bool
+        self, points: Sequence[InnovationPoint], source: SourceDetails | None, utc_ns: int, *, is_marked: bool
     ) -> None:
         """Draw the new points of the source."""
         for trail, axes in zip(self._trails, AXES_DRAWN, strict=True):
             trail.stream_new(points, partial(_columns, axes=axes))
-        recent = newer(points, utc_ns - 6 * MEAN_WINDOW_NS)
+        recent = points_after(points, utc_ns - 6 * MEAN_WINDOW_NS)
         step = next_step(_axis_limit(recent))
         self._height.update(start=-step, end=step)
-        self._labels.write(_side_texts(newer(points, utc_ns - MEAN_WINDOW_NS), step))
+        self._labels.write(_side_texts(points_after(points, utc_ns - MEAN_WINDOW_NS), step))
         text, is_out = source_line(self._name, source, step)
         colour = self._theme.caution_border if is_out else self._theme.text
         self.figure.title.update(text=without_formulas(with_mark(text, is_marked)), text_color=colour)
@@ -125,7 +125,7 @@ class _SourceRow:
         self.figure.title.text_font_style = "bold" if is_out else "normal"
         self._shade_outages(source, utc_ns)
 
-    def _shade_outages(self, source: SourceShown | None, utc_ns: int) -> None:
+    def _shade_outages(self, source: SourceDetails | None, utc_ns: int) -> None:
         """Shade the times for which the source was OUT; times after now are removed."""
         now = MS * utc_ns
         spans = [
@@ -141,7 +141,7 @@ class _SourceRow:
             self._out.data = shade
 
 
-def source_line(name: str, source: SourceShown | None, step: float) -> tuple[str, bool]:
+def source_line(name: str, source: SourceDetails | None, step: float) -> tuple[str, bool]:
     """Return the title of a source's plot, with presence and reason or NIS consistency, and True if it is OUT.
 
     Args:

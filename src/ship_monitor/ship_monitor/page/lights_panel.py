@@ -8,7 +8,7 @@ from bokeh.models import ColumnDataSource, Range1d
 from ship_monitor.page.curves import next_step, signed_text
 from ship_monitor.page.figures import ARCSEC_PER_RAD, PanelBox, ResidualBars, draw_frame, narrow_height, empty_plot, draw_texts
 from ship_monitor.page.themes import Theme
-from ship_watch.history import History, BeaconPoint, newer
+from ship_watch.history import History, BeaconPoint, points_after
 from ship_watch.picture import SuiteState
 
 WINDOW_NS = 60_000_000_000
@@ -61,7 +61,7 @@ class LightsPanel:
         recent_points = {
             name: recent
             for name, points in sorted(history.beacons.items())
-            if (recent := newer(points, suite_state.utc_ns - WINDOW_NS))
+            if (recent := points_after(points, suite_state.utc_ns - WINDOW_NS))
         }
         if not recent_points:
             for source in (self._past_points, self._newest_points, self._scale_bar):

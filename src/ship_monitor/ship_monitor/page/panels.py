@@ -19,7 +19,7 @@ from ship_monitor.page.sky_panel import SkyPanel
 from ship_monitor.page.tables import EventsPanel, InputsPanel
 from ship_monitor.page.themes import Theme
 from ship_monitor.page.trails import TimeAxis
-from ship_watch.history import KEPT_S, History
+from ship_watch.history import HISTORY_S, History
 from ship_watch.picture import SuiteState
 
 
@@ -40,7 +40,7 @@ class Panels:
     """
 
     def __init__(self, theme: Theme, *, is_stepwise: bool = False, is_bag: bool = False) -> None:
-        self.times = TimeAxis(KEPT_S)
+        self.times = TimeAxis(HISTORY_S)
         self.marked = ""
         self.visible_panels: Collection[str] | None = frozenset() if is_stepwise else None
         self._innovations, self._errors = InnovationPanel(theme, self.times), ErrorPanel(theme, self.times)

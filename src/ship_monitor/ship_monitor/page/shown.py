@@ -9,7 +9,7 @@ from typing import Any
 from ship_geometry.rotations import ARCSEC
 from ship_watch import words
 from ship_watch.history import History, SafetyPoint
-from ship_watch.picture import ANGLES, ITS_NODE, AlertShown, AngleShown, SuiteState, Presence, Safety, SourceShown
+from ship_watch.picture import ANGLES, CAUSE_NODE, AlertEntry, AngleState, SuiteState, Presence, Safety, SourceDetails
 from ship_watch.states import OVER_THE_LIMIT
 
 RIBBON_S = 600
@@ -62,7 +62,7 @@ def first_screen(suite_state: SuiteState, history: History, label: str, location
     }
 
 
-def _tile(angle: AngleShown) -> dict[str, Any]:
+def _tile(angle: AngleState) -> dict[str, Any]:
     reading = words.angle_reading(angle)
     limit = words.limit_text(angle.limit)
     ratio = angle.accuracy_95 / (2.0 * angle.limit) if angle.limit > 0.0 else float("nan")
@@ -84,7 +84,7 @@ def _tile(angle: AngleShown) -> dict[str, Any]:
     }
 
 
-def _tip(angle: AngleShown) -> list[str]:
+def _tip(angle: AngleState) -> list[str]:
     """Return lines with all digits, sigma, protection level and stamp."""
     degrees = angle.value / (3600.0 * ARCSEC)
     lines = [
@@ -106,7 +106,7 @@ def _ages_footer(suite_state: SuiteState) -> str:
     return " · ".join(filter(None, parts))
 
 
-def _alert_line(alerts: tuple[AlertShown, ...] | None) -> dict[str, Any]:
+def _alert_line(alerts: tuple[AlertEntry, ...] | None) -> dict[str, Any]:
     if alerts is None:
         return _NO_ALERT | {"text": "No alert node", "sub": "alerts are not evaluated"}
     if not alerts:
@@ -116,7 +116,7 @@ def _alert_line(alerts: tuple[AlertShown, ...] | None) -> dict[str, Any]:
     return {**entries[0], "unack": unack, "all": entries}
 
 
-def _alert(alert: AlertShown) -> dict[str, str]:
+def _alert(alert: AlertEntry) -> dict[str, str]:
     state, text = _ALERT_STATES.get(alert.state, ("", ""))
     said = alert.text if alert.source in alert.text else f"{alert.source} {alert.text}"
     return {
@@ -128,7 +128,7 @@ def _alert(alert: AlertShown) -> dict[str, str]:
     }
 
 
-def _sources(sources: tuple[SourceShown, ...], *, is_known: bool) -> dict[str, Any]:
+def _sources(sources: tuple[SourceDetails, ...], *, is_known: bool) -> dict[str, Any]:
     """Return banners of the sources that are OUT, then the list; sources not configured come last, not counted.
 
     A source that is OUT because of another one, or of an overloaded node, is listed below that one without a banner.
@@ -136,7 +136,7 @@ def _sources(sources: tuple[SourceShown, ...], *, is_known: bool) -> dict[str, A
     used = [source for source in sources if source.presence is not Presence.OFF]
     out = [source for source in used if source.presence is Presence.OUT]
     names = {source.name for source in sources}
-    roots = [source for source in out if not source.because_of or source.because_of == ITS_NODE]
+    roots = [source for source in out if not source.because_of or source.because_of == CAUSE_NODE]
     # Sources whose cause is IN again.
     roots += [source for source in out if source.because_of in names - {each.name for each in out}]
     below = [source for source in out if source not in roots]
@@ -159,7 +159,7 @@ def _more_banner(banners: list[tuple[str, str]]) -> tuple[str, str]:
     return banners[0][0], f"{len(banners)} more OUT"
 
 
-def _reason_lines(source: SourceShown) -> list[str]:
+def _reason_lines(source: SourceDetails) -> list[str]:
     """Return two lines about the only source that is OUT by a fault of its own."""
     since = f"since {words.utc_clock(source.out_since_ns)}"
     rejected = f"{source.rejected_in_a_row} rejected" if source.rejected_in_a_row else ""
@@ -168,7 +168,7 @@ def _reason_lines(source: SourceShown) -> list[str]:
     return [f"disagrees: {source.disagreement}", " · ".join(filter(None, (since, rejected)))]
 
 
-def _source_row(source: SourceShown, *, is_because: bool, is_alone: bool) -> dict[str, Any]:
+def _source_row(source: SourceDetails, *, is_because: bool, is_alone: bool) -> dict[str, Any]:
     consistency = source.nis_consistency.text if source.nis_consistency is not None else ""
     shift = f"mounting shifted by {words.small_angle(source.mounting_shift)}" if source.mounting_shift > 0.0 else ""
     sub = source.disagreement or shift or consistency
@@ -196,7 +196,7 @@ def _ribbons(history: History, suite_state: SuiteState) -> dict[str, Any]:
     """Return the intervals of equal safety of each angle, as fractions of the last ten minutes: 0 start, 1 now."""
     end_s = suite_state.utc_ns // _NS_PER_S
     start_s = end_s - RIBBON_S
-    points = [point for point in history.ribbons if point.utc_ns // _NS_PER_S >= start_s]
+    points = [point for point in history.safety if point.utc_ns // _NS_PER_S >= start_s]
     ticks = range(-(-start_s // _TICK_S) * _TICK_S, end_s + 1, _TICK_S) if end_s else ()
     angle_names = {angle.name for angle in suite_state.angles}
     return {
@@ -222,7 +222,7 @@ def _intervals(points: list[SafetyPoint], name: str) -> Iterator[tuple[int, int,
     first_s = last_s = 0
     safety: Safety | None = None
     for point in points:
-        now_s, now = point.utc_ns // _NS_PER_S, point.words.get(name)
+        now_s, now = point.utc_ns // _NS_PER_S, point.safety.get(name)
         if safety is not None and (now is not safety or now_s > last_s + 1):
             yield first_s, last_s, safety
             safety = None

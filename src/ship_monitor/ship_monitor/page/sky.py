@@ -16,8 +16,8 @@ from ship_geometry.frames import rotation_from_angles
 from ship_geometry.geodetic import GeodeticPosition, ecef_from_geodetic, rotation_horizon_from_ecef
 from ship_geometry.star_directions import RefreshedSky
 from ship_geometry.time_scales import tt_julian_date
-from ship_watch.history import ParameterShown
-from ship_watch.picture import AngleShown
+from ship_watch.history import ParameterEstimate
+from ship_watch.picture import AngleState
 
 _AU_M = 149_597_870_700.0
 
@@ -43,7 +43,7 @@ def map_position(azimuth: float, elevation: float) -> tuple[float, float]:
     return radius * math.sin(azimuth), radius * math.cos(azimuth)
 
 
-def boresight(name: str, alignment: Sequence[ParameterShown], angles: Sequence[AngleShown]) -> tuple[float, float]:
+def boresight(name: str, alignment: Sequence[ParameterEstimate], angles: Sequence[AngleState]) -> tuple[float, float]:
     """Return azimuth and elevation of a star sensor's boresight, rad, from its installation and the attitude.
 
     It is used for sensors that publish attitudes without stars, which have no solution. NaN if an angle is unknown.

@@ -12,8 +12,8 @@ from ship_monitor.page.figures import NARROW, PanelBox, ResidualBars, draw_frame
 from ship_monitor.page.marking import with_mark
 from ship_monitor.page.sky import boresight, moon_direction, map_position
 from ship_monitor.page.themes import Theme
-from ship_watch.history import History, StarsSeen
-from ship_watch.picture import SuiteState, Presence, SourceShown
+from ship_watch.history import History, StarExposure
+from ship_watch.picture import SuiteState, Presence, SourceDetails
 
 MAX_FIELDS = 3
 """Maximum number of fields of view."""
@@ -54,14 +54,14 @@ class SkyPanel:
             marked: marked source; its field is drawn before those of other sources that are IN. Empty for none.
         """
         sources = {source.name: source for source in suite_state.sources}
-        names = [name for name, exposure in sorted(history.stars.items()) if len(exposure.u)]
+        names = [name for name, exposure in sorted(history.star_exposures.items()) if len(exposure.u)]
         names = sorted(names, key=lambda name: (not _is_out(sources.get(name)), name != marked))[:MAX_FIELDS]
         if names != list(self._fields):
             self._fields = {name: self._fields.get(name) or _Field(self._theme) for name in names}
             self._column.children = [field.figure for field in self._fields.values()]
             self._columns.css = _columns_css(has_fields=bool(names))
         for name, field in self._fields.items():
-            field.update(_short_name(name), history.stars[name], sources.get(name), len(names), is_marked=name == marked)
+            field.update(_short_name(name), history.star_exposures[name], sources.get(name), len(names), is_marked=name == marked)
         note = self._map.update(history, suite_state, sources, marked)
         self.box.set_subtitle(f"fields of view not to scale · bars: residuals{note}")
 
@@ -118,13 +118,13 @@ class _SkyMap:
         )
         draw_texts(self.figure, self._names, text_color="colour", text_baseline="middle")
 
-    def update(self, history: History, suite_state: SuiteState, sources: dict[str, SourceShown], marked: str) -> str:
+    def update(self, history: History, suite_state: SuiteState, sources: dict[str, SourceDetails], marked: str) -> str:
         """Draw the directions of the sensors; return an addition to the subtitle."""
         theme = self._theme
         squares: dict[str, list[object]] = {"xs": [], "ys": [], "colour": [], "dash": [], "width": []}
         stars: dict[str, list[object]] = {"x": [], "y": [], "colour": [], "marker": []}
         names: dict[str, list[object]] = {"x": [], "y": [], "text": [], "colour": []}
-        for name, exposure in sorted(history.stars.items()):
+        for name, exposure in sorted(history.star_exposures.items()):
             direction = (exposure.azimuth, exposure.elevation)
             if not np.isfinite(direction).all():
                 direction = boresight(name, history.alignment, suite_state.angles)
@@ -190,7 +190,7 @@ class _Field:
         self.figure.ray("x", "y", source=self._scale, line_color=theme.second_text, line_width=2.5, **scale)
         draw_texts(self.figure, self._scale_text, text_color=theme.second_text, y_offset=-2, text_baseline="bottom")
 
-    def update(self, name: str, exposure: StarsSeen, source: SourceShown | None, field_count: int, *, is_marked: bool) -> None:
+    def update(self, name: str, exposure: StarExposure, source: SourceDetails | None, field_count: int, *, is_marked: bool) -> None:
         """Draw the last exposure; the size of the detector is estimated from all stars so far."""
         theme, is_bad = self._theme, _is_out(source) or not exposure.is_accepted
         width, height = max(self._size[0], _detector_side(exposure.u)), max(self._size[1], _detector_side(exposure.v))
@@ -215,20 +215,20 @@ class _Field:
         self.figure.title.text_color = theme.caution_border if is_bad else theme.text
 
 
-def residual_star_mask(exposure: StarsSeen) -> np.ndarray:
+def residual_star_mask(exposure: StarExposure) -> np.ndarray:
     """Return a mask of the stars with a residual, shape (n,)."""
     if len(exposure.residual_right) != len(exposure.u):
         return np.zeros(len(exposure.u), bool)
     return np.asarray(np.isfinite(exposure.residual_right) & np.isfinite(exposure.residual_up))
 
 
-def used_star_mask(exposure: StarsSeen) -> np.ndarray:
+def used_star_mask(exposure: StarExposure) -> np.ndarray:
     """Return a mask of the stars drawn as used, shape (n,): those with a residual; all if no star has one."""
     mask = residual_star_mask(exposure)
     return mask if mask.any() else np.ones(len(exposure.u), bool)
 
 
-def positions_in_field(exposure: StarsSeen) -> tuple[np.ndarray, np.ndarray]:
+def positions_in_field(exposure: StarExposure) -> tuple[np.ndarray, np.ndarray]:
     """Return the positions of the stars, across and up, in a field of view with half side 1."""
     if not len(exposure.u):
         return np.empty(0), np.empty(0)
@@ -245,7 +245,7 @@ def _short_name(name: str) -> str:
     return name.removeprefix("star.")
 
 
-def _is_out(source: SourceShown | None) -> bool:
+def _is_out(source: SourceDetails | None) -> bool:
     return source is not None and source.presence is Presence.OUT
 
 

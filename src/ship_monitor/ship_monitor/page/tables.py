@@ -10,7 +10,7 @@ from ship_geometry.time_scales import utc_text
 from ship_monitor.page.figures import NARROW, PanelBox
 from ship_monitor.page.marking import is_event_of_source, with_mark
 from ship_monitor.page.themes import FONT, Theme
-from ship_watch.picture import Event, InputShown, SuiteState, Presence, SourceShown
+from ship_watch.picture import Event, InputState, SuiteState, Presence, SourceDetails
 
 MAX_EVENTS = 16
 MAX_REASONS = 4
@@ -73,7 +73,7 @@ def event_row(event: Event, marked: str = "") -> str:
     return f"<tr{row_class}><td class=time>{time}<td>{f'<b>{text}</b>' if event.kind == 'alert' else text}"
 
 
-def input_row(state: InputShown, faulty_sources: Mapping[str, SourceShown], *, is_marked: bool = False) -> str:
+def input_row(state: InputState, faulty_sources: Mapping[str, SourceDetails], *, is_marked: bool = False) -> str:
     """Return a row of the inputs; rejections at the input and by the filter are one number.
 
     The row of a source that is OUT by a fault of its own is highlighted, not that of a source that needs it.

@@ -7,7 +7,7 @@ from bokeh.models import ColumnDataSource, Range1d
 
 from ship_geometry.rotations import FloatArray
 from ship_monitor.page.curves import MAX_ROWS, gap_rows, rows_to_draw, median_period_ns, first_pending_row
-from ship_watch.history import Point, newer
+from ship_watch.history import Point, points_after
 
 MS = 1e-6
 """Milliseconds, the browser's unit of time, per nanosecond."""
@@ -47,7 +47,7 @@ class StreamedLine:
             self._streamed_ns = self._last_row_ns = None
             self.source.data = {name: np.empty(0) for name in self.source.data}
         self._oldest_ns = points[0].utc_ns if points else 0
-        new = newer(points, self._streamed_ns)
+        new = points_after(points, self._streamed_ns)
         time_ns = np.array([point.utc_ns for point in new], np.int64)
         over = first_pending_row(time_ns)
         if not over:

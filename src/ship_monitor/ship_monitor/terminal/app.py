@@ -129,7 +129,7 @@ class TerminalApp(App[int]):
             height=self.size.height,
             name=self._suite.name,
             label=self._suite.label,
-            location=self._suite.place,
+            location=self._suite.location,
             paused_s=now_s - self._paused_s,
             chosen=self._chosen,
             note=self._note if now_s < self._note_until_s else "",

@@ -16,7 +16,7 @@ from ship_monitor.terminal.screen import (
     safety_line,
 )
 from ship_watch import words
-from ship_watch.picture import AlertShown, AngleShown, SuiteState, SourceShown
+from ship_watch.picture import AlertEntry, AngleState, SuiteState, SourceDetails
 
 _BACK = " Enter or Escape: back   a acknowledge   t theme   p pause   q quit"
 
@@ -46,7 +46,7 @@ def help_page(suite_state: SuiteState, view: View) -> tuple[Line, ...]:
     return _page(suite_state, view, "help", [view.formatter.styled_line(text) for text in texts])
 
 
-def details(suite_state: SuiteState, alerts: tuple[AlertShown, ...] | None, view: View) -> tuple[Line, ...]:
+def details(suite_state: SuiteState, alerts: tuple[AlertEntry, ...] | None, view: View) -> tuple[Line, ...]:
     """Return the details of the selected angle or source; without a selection those of alerts and inputs."""
     for angle in suite_state.angles:
         if angle.name == view.chosen:
@@ -69,7 +69,7 @@ def _row(formatter: LineFormatter, name: str, text: str) -> Line:
     return formatter.styled_line(StyledText(f" {formatter.fit(name, 18)}", TextStyle.SECOND), StyledText(text, TextStyle.TEXT))
 
 
-def _angle_rows(angle: AngleShown, suite_state: SuiteState, formatter: LineFormatter) -> list[Line]:
+def _angle_rows(angle: AngleState, suite_state: SuiteState, formatter: LineFormatter) -> list[Line]:
     known = math.isfinite(angle.value) and not (angle.is_old and angle.age_s > words.DASHES_AFTER_S)
     value = f"{math.degrees(angle.value):.6f}°" if known else words.NO_VALUE
     rows = {
@@ -88,7 +88,7 @@ def _angle_rows(angle: AngleShown, suite_state: SuiteState, formatter: LineForma
     return [*made, formatter.rule("events"), *event_lines(suite_state, formatter, 200, angle.name)]
 
 
-def _source_rows(source: SourceShown, suite_state: SuiteState, formatter: LineFormatter) -> list[Line]:
+def _source_rows(source: SourceDetails, suite_state: SuiteState, formatter: LineFormatter) -> list[Line]:
     consistency = source.nis_consistency
     residual = f"{source.residual:.1f} σ" if math.isfinite(source.residual) else words.NO_VALUE
     rows = {
@@ -98,7 +98,7 @@ def _source_rows(source: SourceShown, suite_state: SuiteState, formatter: LineFo
         "out since": words.date_and_clock(source.out_since_ns) if source.out_since_ns else words.NO_VALUE,
         "because of": source.because_of or words.NO_VALUE,
         "rejected in a row": str(source.rejected_in_a_row),
-        "sigma": (consistency.text or f"{consistency.degrees} degrees of freedom") if consistency else words.NO_VALUE,
+        "sigma": (consistency.text or f"{consistency.degrees_of_freedom} degrees of freedom") if consistency else words.NO_VALUE,
     }
     inputs = []
     for each in suite_state.inputs:
@@ -109,7 +109,7 @@ def _source_rows(source: SourceShown, suite_state: SuiteState, formatter: LineFo
     return [*made, formatter.rule("events"), *event_lines(suite_state, formatter, 200, source.name)]
 
 
-def _alert_rows(alerts: tuple[AlertShown, ...] | None, suite_state: SuiteState, formatter: LineFormatter) -> list[Line]:
+def _alert_rows(alerts: tuple[AlertEntry, ...] | None, suite_state: SuiteState, formatter: LineFormatter) -> list[Line]:
     none = "no alerts" if alerts is not None else "no alert node"
     made: list[Line] = []
     for alert in alerts or ():

@@ -10,7 +10,7 @@ from zoneinfo import ZoneInfo
 
 from ship_monitor.terminal.pen import StyledText, Line, TextStyle, LineFormatter
 from ship_watch import words
-from ship_watch.picture import AlertShown, AngleShown, InputShown, SuiteState, Presence, Priority, Safety, SourceShown
+from ship_watch.picture import AlertEntry, AngleState, InputState, SuiteState, Presence, Priority, Safety, SourceDetails
 
 MIN_WIDTH, MIN_HEIGHT = 64, 15
 """Smallest terminal with a full screen; a smaller one has one line."""
@@ -64,7 +64,7 @@ class View:
         return LineFormatter(self.width, self.is_ascii)
 
 
-def screen(suite_state: SuiteState, alerts: tuple[AlertShown, ...] | None, view: View) -> tuple[Line, ...]:
+def screen(suite_state: SuiteState, alerts: tuple[AlertEntry, ...] | None, view: View) -> tuple[Line, ...]:
     """Return the first screen: exactly ``view.height`` lines, each as wide as the view.
 
     Args:
@@ -90,7 +90,7 @@ def screen(suite_state: SuiteState, alerts: tuple[AlertShown, ...] | None, view:
     return (*_pad_to_height([*top, *middle, *bottom], view)[: view.height - 1], keys)
 
 
-def alert_to_show(alerts: tuple[AlertShown, ...] | None) -> AlertShown | None:
+def alert_to_show(alerts: tuple[AlertEntry, ...] | None) -> AlertEntry | None:
     """Return the alert of the alert line: the most urgent unacknowledged one, else the most urgent."""
     return min(alerts or (), key=lambda alert: alert.urgency, default=None)
 
@@ -131,7 +131,7 @@ def safety_line(suite_state: SuiteState, formatter: LineFormatter) -> Line:
     return formatter.styled_line(*pieces)
 
 
-def alert_pieces(alert: AlertShown, formatter: LineFormatter, text_width: int) -> list[StyledText]:
+def alert_pieces(alert: AlertEntry, formatter: LineFormatter, text_width: int) -> list[StyledText]:
     """Return icon, priority, text, time and state of an alert."""
     style = _ALERT_LOOKS[alert.priority]
     head = f" {_ALERT_MARKS[alert.priority]} {alert.priority.name} "
@@ -141,7 +141,7 @@ def alert_pieces(alert: AlertShown, formatter: LineFormatter, text_width: int) -
     return [StyledText(head + text, style), StyledText(f" {words.utc_clock(alert.raised_ns)}  ", TextStyle.SECOND), StyledText(state, state_look)]
 
 
-def source_line(source: SourceShown, suite_state: SuiteState, formatter: LineFormatter, *, is_chosen: bool) -> Line:
+def source_line(source: SourceDetails, suite_state: SuiteState, formatter: LineFormatter, *, is_chosen: bool) -> Line:
     """Return the row of a source: presence, age, rate, reason; indented below the source that causes it.
 
     Without any current output the row is struck through and has no tick.
@@ -166,7 +166,7 @@ def source_line(source: SourceShown, suite_state: SuiteState, formatter: LineFor
     )
 
 
-def input_line(state: InputShown, formatter: LineFormatter) -> Line:
+def input_line(state: InputState, formatter: LineFormatter) -> Line:
     """Return the row of an input topic: rate, latency, age and rejections."""
     latency = f"{state.latency_s:7.3f} s" if math.isfinite(state.latency_s) else f"{words.NO_VALUE:>9}"
     rate = f"{state.rate_hz:7.1f} Hz" if math.isfinite(state.rate_hz) else f"{words.NO_VALUE:>10}"
@@ -178,7 +178,7 @@ def input_line(state: InputShown, formatter: LineFormatter) -> Line:
     )
 
 
-def reasons_text(state: InputShown) -> str:
+def reasons_text(state: InputState) -> str:
     """Return the reasons of rejections of an input with their counts: "gate 9, misidentified 4"."""
     return ", ".join(f"{name} {count}" for name, count in sorted(state.reasons.items()) if count)
 
@@ -219,7 +219,7 @@ def _waiting(suite_state: SuiteState, view: View) -> list[Line]:
     return [view.formatter.styled_line(StyledText(text, TextStyle.MARKED))]
 
 
-def _alert_line(alerts: tuple[AlertShown, ...] | None, formatter: LineFormatter) -> Line:
+def _alert_line(alerts: tuple[AlertEntry, ...] | None, formatter: LineFormatter) -> Line:
     alert = alert_to_show(alerts)
     if alerts is None or alert is None:
         return formatter.styled_line(StyledText(" no alerts" if alerts is not None else " no alert node", TextStyle.SECOND))
@@ -234,7 +234,7 @@ def _angles(suite_state: SuiteState, view: View) -> list[Line]:
     return [view.formatter.styled_line(StyledText(header, TextStyle.SECOND)), *(_angle(angle, suite_state, view) for angle in suite_state.angles)]
 
 
-def _angle(angle: AngleShown, suite_state: SuiteState, view: View) -> Line:
+def _angle(angle: AngleState, suite_state: SuiteState, view: View) -> Line:
     formatter = view.formatter
     number, sense = words.angle_reading(angle)
     # Decimal points and signs are aligned: 034.39, 0.1, +68.74.

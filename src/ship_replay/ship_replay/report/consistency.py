@@ -14,7 +14,7 @@ from scipy.stats import binom, chi2, norm
 from ship_replay.evaluation.evaluate import Evaluation
 from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
 from ship_watch.picture import NisConsistency
-from ship_watch.verdict import BAND_SIGMAS, WIDEST_BAND, WINDOW_NS, NisWindow, consistent_text, inconsistent_text
+from ship_watch.verdict import BAND_SIGMAS, MAX_BAND, WINDOW_NS, NisWindow, consistent_text, inconsistent_text
 
 TOO_FEW_TEXT = "too few"
 TOO_FEW_INDEPENDENT_TEXT = "too few independent errors"
@@ -86,7 +86,7 @@ def mean_nees_fit(name: str, mean: float, count: int, independent: float) -> Sig
     low, high = nees_band(independent)
     ratio_square = mean / _NEES_DEGREES
     spread = BAND_SIGMAS / math.sqrt(2.0 * _NEES_DEGREES * independent)
-    if not spread <= WIDEST_BAND or not 0.0 < ratio_square < math.inf:
+    if not spread <= MAX_BAND or not 0.0 < ratio_square < math.inf:
         words = TOO_FEW_INDEPENDENT_TEXT
     else:
         ratio = math.sqrt(ratio_square)
@@ -144,5 +144,5 @@ def nis_fit(name: str, part: SourceInnovations) -> SigmaFit:
 
 def _combined_ratio(diagnoses: list[NisConsistency]) -> float:
     """Return the actual over stated sigma of several minutes together."""
-    degrees = sum(verdict.degrees for verdict in diagnoses)
-    return math.sqrt(sum(verdict.ratio**2 * verdict.degrees for verdict in diagnoses) / degrees)
+    degrees = sum(verdict.degrees_of_freedom for verdict in diagnoses)
+    return math.sqrt(sum(verdict.ratio**2 * verdict.degrees_of_freedom for verdict in diagnoses) / degrees)

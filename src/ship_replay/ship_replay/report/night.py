@@ -21,11 +21,11 @@ from ship_replay.offline.digests import content_sha256
 from ship_replay.offline.status_course import STATUS_NAMES
 from ship_watch.alert_conditions import conditions
 from ship_watch.alert_states import AlertState
-from ship_watch.alerts import AlertBook, AlertChange
-from ship_watch.history import BudgetPoint, ParameterShown, newer
-from ship_watch.history_keeper import HistoryKeeper
+from ship_watch.alerts import AlertList, AlertChange
+from ship_watch.history import BudgetPoint, ParameterEstimate, points_after
+from ship_watch.history_keeper import HistoryRecorder
 from ship_watch.limits import Limits
-from ship_watch.picture import ANGLES, AlertShown, Event, SuiteState, Safety
+from ship_watch.picture import ANGLES, AlertEntry, Event, SuiteState, Safety
 from ship_watch.topics import monitored_topic
 from ship_watch.watch import SuiteMonitor
 
@@ -53,7 +53,7 @@ class RecordedAlert:
 
     utc_ns: int
     what: str
-    alert: AlertShown
+    alert: AlertEntry
 
 
 @dataclass(frozen=True)
@@ -114,8 +114,8 @@ class Recording:
     alerts_are_recorded: bool = False
     rejections: list[Rejection] = field(default_factory=list)
     budgets: dict[str, list[BudgetPoint]] = field(default_factory=dict)
-    first_estimates: dict[str, tuple[ParameterShown, ...]] = field(default_factory=dict)
-    last_estimates: dict[str, tuple[ParameterShown, ...]] = field(default_factory=dict)
+    first_estimates: dict[str, tuple[ParameterEstimate, ...]] = field(default_factory=dict)
+    last_estimates: dict[str, tuple[ParameterEstimate, ...]] = field(default_factory=dict)
     last: SuiteState | None = None
     problems: list[str] = field(default_factory=list)
 
@@ -159,7 +159,7 @@ def read_recording(path: Path, limits: Limits | None = None, namespace: str = ""
     return recording
 
 
-class _ReportHistoryKeeper(HistoryKeeper):
+class _ReportHistoryKeeper(HistoryRecorder):
     """History of states, budgets and parameters only: errors and innovations come from the evaluation."""
 
     def note_error(self, topic: str, message: Any) -> None:
@@ -178,8 +178,8 @@ class _RecordingReader:
     def __init__(self, recording: Recording, alerts_are_recorded: bool) -> None:
         self._recording, self._watch = recording, SuiteMonitor(recording.limits, _ReportHistoryKeeper)
         recording.alerts_are_recorded = alerts_are_recorded
-        self._alert_states = AlertBook(recording.limits.alerts, (), recording.start_ns)
-        self._last_alerts: dict[tuple[str, int], AlertShown] = {}
+        self._alert_states = AlertList(recording.limits.alerts, (), recording.start_ns)
+        self._last_alerts: dict[tuple[str, int], AlertEntry] = {}
         self._history = self._watch.history
         self._last_event: Event | None = None
         self._last_point_ns: dict[str, int] = {}
@@ -214,7 +214,7 @@ class _RecordingReader:
             self._record_health(message)
         elif topic in OUTPUT_OF_ANGLE.values():
             self._count_status(topic, message, record.log_time_ns)
-        self._watch.take(topic, message, record.log_time_ns)
+        self._watch.process_message(topic, message, record.log_time_ns)
         if topic == ALERTS:
             self._record_alerts(self._watch.current_state(record.log_time_ns))
         if self._watch.history is not self._history:
@@ -237,15 +237,15 @@ class _RecordingReader:
             self._last_event = fresh[0]
             recording.events += reversed(fresh)
         if not recording.alerts_are_recorded and state.utc_ns:
-            changes = self._alert_states.take(conditions(state, recording.limits), now_ns, state.utc_ns)
-            recording.alerts += [RecordedAlert(state.utc_ns, change.what, change.alert) for change in _without_repetitions(changes)]
+            changes = self._alert_states.update(conditions(state, recording.limits), now_ns, state.utc_ns)
+            recording.alerts += [RecordedAlert(state.utc_ns, change.description, change.alert) for change in _without_repetitions(changes)]
         recording.last = state
         self._collect_history()
 
     def _collect_history(self) -> None:
         """Append the new entries of the buffers to the recording."""
         recording = self._recording
-        for point in self._new_points("", self._history.ribbons):
+        for point in self._new_points("", self._history.safety):
             for name in ANGLES:
                 if (word := point.words.get(name)) is not None:
                     recording.safety_states.setdefault(name, []).append((point.utc_ns // NS_PER_S, word))
@@ -259,7 +259,7 @@ class _RecordingReader:
                 recording.last_estimates[topic] = shown
 
     def _new_points(self, name: str, points: Sequence[Any]) -> list[Any]:
-        found = newer(points, self._last_point_ns.get(name))
+        found = points_after(points, self._last_point_ns.get(name))
         if found:
             self._last_point_ns[name] = found[-1].utc_ns
         return found
@@ -309,4 +309,4 @@ class _RecordingReader:
 
 def _without_repetitions(changes: Iterable[AlertChange]) -> list[AlertChange]:
     """Return the changes without repetitions for missing acknowledgement: computed alerts are never acknowledged."""
-    return [change for change in changes if not change.what.startswith("repeated")]
+    return [change for change in changes if not change.description.startswith("repeated")]

@@ -18,7 +18,7 @@ from ship_replay.report.pair import Pair
 from ship_replay.report.published import OutputDifference
 from ship_replay.report.tables import shown_scale, shown_value
 from ship_replay.report.wording import number, rounded_to_sigma, utc
-from ship_watch.history import BudgetPoint, ParameterShown
+from ship_watch.history import BudgetPoint, ParameterEstimate
 from ship_watch.orientations import channel_name
 
 SAME_TIME_NS = 2 * NS_PER_S
@@ -247,7 +247,7 @@ def _sigma_text(variance: float | None) -> str:
 
 
 def _alignment_row(
-    either: ParameterShown, a: ParameterShown | None, b: ParameterShown | None
+    either: ParameterEstimate, a: ParameterEstimate | None, b: ParameterEstimate | None
 ) -> dict[str, str]:
     scale, unit = shown_scale(either)
     row = {"name": either.name, "unit": unit, "apart": "", "differs": "", "note": ""}

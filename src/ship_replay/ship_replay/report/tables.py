@@ -9,7 +9,7 @@ from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_replay.report.night import Recording
 from ship_replay.report.wording import duration, number, rounded_to_sigma, utc
-from ship_watch.history import ParameterShown
+from ship_watch.history import ParameterEstimate
 from ship_watch.picture import ANGLES, Safety
 
 _NEEDS = "needs "
@@ -82,7 +82,7 @@ def shares(recording: Recording) -> list[tuple[str, dict[str, float], Counter[Sa
     return rows
 
 
-def alignment_changes(before: Sequence[ParameterShown], after: Sequence[ParameterShown]) -> list[dict[str, str]]:
+def alignment_changes(before: Sequence[ParameterEstimate], after: Sequence[ParameterEstimate]) -> list[dict[str, str]]:
     """Return a row for each parameter: first and last estimate with their σ, and the change in sigmas of the first."""
     first = {shown.name: shown for shown in before}
     rows = []
@@ -121,12 +121,12 @@ def rejection_rows(recording: Recording) -> list[dict[str, str]]:
     ]
 
 
-def shown_value(shown: ParameterShown) -> float:
+def shown_value(shown: ParameterEstimate) -> float:
     """Return the value of a parameter, an angle wrapped to -pi to pi, so that azimuths around 0 do not jump to 360°."""
     return float(wrap_pi(shown.value)) if shown.unit == "rad" else shown.value
 
 
-def shown_scale(shown: ParameterShown) -> tuple[float, str]:
+def shown_scale(shown: ParameterEstimate) -> tuple[float, str]:
     """Return the divisor for display and the unit of the result."""
     if shown.unit == "rad":
         large = abs(float(wrap_pi(shown.value))) > math.radians(1.0)
