@@ -19,7 +19,7 @@ from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_testing import availability_study as trials
 from ship_testing.pan_peers import (
-    FEWEST_BY_GEOMETRY,
+    MIN_STARS_BY_GEOMETRY,
     SensorView,
     refraction_on_observed,
     refraction_on_reference,
@@ -137,12 +137,12 @@ def test_all_star_vectors_in_scipys_solution_of_wahbas_problem_give_what_star_at
 def test_two_stars_suffice_for_a_boresight_by_geometry_and_one_does_not() -> None:
     scene = scenes()[0]
     seen = trials.views(scene, trials.some_stars(scene, (2, 2)))
-    found = two_boresights(seen, scene.erfa_sky, FEWEST_BY_GEOMETRY)
+    found = two_boresights(seen, scene.erfa_sky, MIN_STARS_BY_GEOMETRY)
     assert found is not None
     apart = wrap_pi(angles_from_rotation(found) - angles_from_rotation(scene.rotation_nd))
     assert np.max(np.abs(apart)) < 60.0 * ARCSEC
     one = trials.views(scene, trials.some_stars(scene, (1, 8)))
-    assert two_boresights(one, scene.erfa_sky, FEWEST_BY_GEOMETRY) is None
+    assert two_boresights(one, scene.erfa_sky, MIN_STARS_BY_GEOMETRY) is None
 
 
 # -- clouds -----------------------------------------------------------------------------------------------------
@@ -218,7 +218,7 @@ def test_the_whole_table_agrees_with_the_small_part() -> None:
     n = availability.SMALL_PART
     for key, shares in whole.items():
         values = small_part()[key]
-        for share, found in zip(shares, (trials.available(values), trials.given(values)), strict=True):
+        for share, found in zip(shares, (trials.availability(values), trials.solved_share(values)), strict=True):
             # A share of 0 or 100 % of a thousand may be one of 0.1 % or 99.9 %.
             low, high = binom.interval(1.0 - FALSE_ALARM, n, np.clip(share / 100.0, 1e-3, 1.0 - 1e-3))
             assert low <= round(found * n) <= high, (key, share, found)

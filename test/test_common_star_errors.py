@@ -12,16 +12,16 @@ import pytest
 from ship_estimation.outcome import Status
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_testing.every_case import check_every_case
-from ship_testing.ship_faults import claims, stars_turned, voyage
-from ship_testing.small_voyage import assert_honest, drive, new_adapter, since_start_s, turned
+from ship_testing.ship_faults import run_core, turn_stars, voyage
+from ship_testing.small_voyage import assert_consistent, run_adapter, new_adapter, since_start_s, turn_star_messages
 from ship_testing.small_voyage import voyage as small_voyage
 
 RATE_HZ, LASTS_S = 20.0, 60.0
 NORTH, UP, EAST = np.eye(3) * ARCSEC
 
 
-def found_with(turn_n: FloatArray, from_s: float, seed: int):
-    return claims(stars_turned(voyage(from_s + LASTS_S, RATE_HZ, seed), turn_n, from_s, np.inf), levels=True)
+def run_with_common_error(turn_n: FloatArray, from_s: float, seed: int):
+    return run_core(turn_stars(voyage(from_s + LASTS_S, RATE_HZ, seed), turn_n, from_s, np.inf), levels=True)
 
 
 @pytest.mark.parametrize(
@@ -33,9 +33,9 @@ def found_with(turn_n: FloatArray, from_s: float, seed: int):
     ],
 )
 def test_equally_rotated_stars_do_not_exclude_the_ins(turn_n: FloatArray, from_s: float, seed: int) -> None:
-    found = found_with(turn_n, from_s, seed)
-    assert found.worst() < 5.0
-    assert found.worst_of_level() < 1.0
+    found = run_with_common_error(turn_n, from_s, seed)
+    assert found.worst_in_sigmas() < 5.0
+    assert found.worst_level_ratio() < 1.0
     assert found.excluded() == {"star.fore", "star.starboard"}
     assert found.statuses(from_s + 4.0) == {Status.DEGRADED}
     # What the estimate had followed is taken back: the INS alone wanders by a part of it.
@@ -47,12 +47,12 @@ def test_no_common_error_of_any_size_axis_and_time_is_valid_beyond_five_sigmas_o
     """[Of 45 cases 30 beyond 5 sigma, by up to 13.0; 19 beyond the level, by up to 1.79; in 26 the INS excluded]"""
 
     def check(turn_n: FloatArray, from_s: float, seed: int) -> None:
-        found = found_with(turn_n, from_s, seed)
-        assert found.worst_of_level() < 1.0
+        found = run_with_common_error(turn_n, from_s, seed)
+        assert found.worst_level_ratio() < 1.0
         assert "ins" not in found.excluded()
         # About Up the INS drifts by 1 arcsec in a second: 10 arcsec are five of its standard deviations.
         if abs(turn_n[1]) != 10.0 * ARCSEC:
-            assert found.worst() < 5.0
+            assert found.worst_in_sigmas() < 5.0
 
     turns_n = [size * axis for size in (10.0, 20.0, 40.0) for axis in (NORTH, UP, EAST)]
     check_every_case(product(turns_n, (5.0, 15.0, 60.0), (1, 2, 3, 4, 5)), check)
@@ -63,11 +63,11 @@ def test_after_a_common_error_has_ended_the_attitude_is_valid_within_two_minutes
     """An error of 30 s, with the node's outputs. The first estimator alone returns stars only from 40″ of tilt."""
 
     def check(turn_n: FloatArray) -> None:
-        run = drive(new_adapter(), turned(small_voyage(120.0), turn_n, 20.0, 50.0))
+        run = run_adapter(new_adapter(), turn_star_messages(small_voyage(120.0), turn_n, 20.0, 50.0))
         late = {m.status for m in run.messages("ship/attitude") if since_start_s(m) >= 117.0}
         assert late == {Status.VALID}
         for message in run.messages("ship/attitude"):
             if message.status == Status.VALID:
-                assert_honest(message)
+                assert_consistent(message)
 
     check_every_case([(size * axis,) for size in (20.0, 40.0) for axis in (NORTH, UP, EAST)], check)

@@ -113,15 +113,15 @@ def angle_sigmas(covariance_n: np.ndarray, rotation_nd: np.ndarray) -> np.ndarra
     return np.sqrt(np.diagonal(to_angles @ covariance_n @ to_angles.T)) / ARCSEC
 
 
-def arriving_within(run: SimulatedRun, longest_s: float, seed: int) -> SimulatedRun:
+def with_random_delays(run: SimulatedRun, longest_s: float, seed: int) -> SimulatedRun:
     """Return the same run with every sample of every source delayed by a random time."""
     rng = np.random.default_rng(seed)
 
-    def delayed(samples: InsSamples | DeviceSamples) -> InsSamples | DeviceSamples:
+    def delay_samples(samples: InsSamples | DeviceSamples) -> InsSamples | DeviceSamples:
         delays_ns = rng.uniform(0.0, longest_s * 1e9, samples.time_ns.size).astype(np.int64)
         return replace(samples, log_time_ns=samples.time_ns + delays_ns)
 
-    return replace(run, ins=delayed(run.ins), stars={id_: delayed(star) for id_, star in run.stars.items()})
+    return replace(run, ins=delay_samples(run.ins), stars={id_: delay_samples(star) for id_, star in run.stars.items()})
 
 
 @pytest.mark.statistics
@@ -167,7 +167,7 @@ def test_any_order_of_arrival_ends_in_the_same_state(name: str) -> None:
     configuration = build(ShipAttitudeConfig, suite_configuration(short))
     states = []
     for order in range(4):
-        shuffled = run if order == 0 else arriving_within(run, 1.9, order)
+        shuffled = run if order == 0 else with_random_delays(run, 1.9, order)
         core = ShipAttitudeCore(configuration)
         feed_attitude(core, shuffled)
         states.append(core.state)

@@ -62,7 +62,7 @@ def error_n(run: SimulatedRun, estimate: AttitudeEstimate) -> np.ndarray:
     return log_rotation(run.truth.rotation_nd[-1] @ estimate.rotation_nd.T)
 
 
-def cleared(scenario: Scenario) -> Scenario:
+def without_clouds(scenario: Scenario) -> Scenario:
     """Return the same without clouds."""
     return replace(scenario, star_sensors={id_: replace(one, outages={}) for id_, one in scenario.star_sensors.items()})
 
@@ -103,7 +103,7 @@ def test_alongside_an_hour_of_stars_determines_the_deflection() -> None:
     # Issue: at most 1.5 arcseconds in an hour where the INS's tilt is 1 arcsecond.
     squares = []
     for seed in range(SEEDS):
-        scenario = cleared(voyage(Gravity(sigma_arcsec=7.7, told="unknown"), duration_s=3600.0))
+        scenario = without_clouds(voyage(Gravity(sigma_arcsec=7.7, told="unknown"), duration_s=3600.0))
         position, ins = replace(scenario.position, speed_m_per_s=0.0), replace(scenario.ins, tilt_sigma_arcsec=1.0)
         scenario = replace(scenario, position=position, ins=ins)
         run, core = simulate(scenario, 200 + seed), core_of(scenario)
@@ -120,7 +120,7 @@ def test_alongside_an_hour_of_stars_determines_the_deflection() -> None:
 def test_gravitys_horizon_differs_by_the_deflection_and_is_consistent() -> None:
     nees = []
     for seed in range(SEEDS):
-        scenario = cleared(voyage(duration_s=2400.0))
+        scenario = without_clouds(voyage(duration_s=2400.0))
         run = simulate(scenario, 300 + seed)
         estimates = [last_estimate(core_of(scenario, horizon=horizon), run) for horizon in ("geodetic", "gravity")]
         geodetic, gravity = estimates
@@ -140,7 +140,7 @@ def test_gravitys_horizon_differs_by_the_deflection_and_is_consistent() -> None:
 
 
 def test_a_topic_gives_the_same_as_the_table() -> None:
-    scenario = cleared(voyage(duration_s=2400.0))
+    scenario = without_clouds(voyage(duration_s=2400.0))
     by_topic = replace(scenario, gravity=replace(scenario.gravity, told="topic"))
     table, topic = (
         last_estimate(core_of(one), simulate(one, 400)) for one in (scenario, by_topic)
@@ -152,7 +152,7 @@ def test_a_topic_gives_the_same_as_the_table() -> None:
 
 def test_another_attitude_system_follows_gravity_too() -> None:
     # A reference that were compared against the ellipsoid would contradict the stars by 51 arcseconds.
-    scenario = cleared(voyage(Gravity(xi_arcsec=-51.0, told="constant", sigma_arcsec=1.0), duration_s=600.0))
+    scenario = without_clouds(voyage(Gravity(xi_arcsec=-51.0, told="constant", sigma_arcsec=1.0), duration_s=600.0))
     reference = Reference(
         installation_sigma_arcsec=1.0,
         sigma_roll_arcsec=2.0,
@@ -208,7 +208,7 @@ def test_fixes_in_another_order_end_in_the_same() -> None:
             (time_ns + (round(late_s * 1e9) if source == "fix" else 0), source, index)
             for time_ns, source, index in run.arrivals()
         ]
-        changed = _Rearranged(replace(run, fixes=fixes), sorted(delayed, key=lambda one: one[0]))
+        changed = _RearrangedRun(replace(run, fixes=fixes), sorted(delayed, key=lambda one: one[0]))
         for _ in attitude_outcomes(core, changed, ()):
             pass
         ends.append(core.state)
@@ -216,7 +216,7 @@ def test_fixes_in_another_order_end_in_the_same() -> None:
     np.testing.assert_array_equal(ends[0].stack, ends[1].stack)
 
 
-class _Rearranged:
+class _RearrangedRun:
     """Run whose inputs arrive in another order."""
 
     def __init__(self, run: SimulatedRun, arrivals: list[tuple[int, str, int]]) -> None:

@@ -16,7 +16,7 @@ import pytest
 from ship_bags.mcap.bag_reader import read_bag
 from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment
 from ship_replay.trials.live_run import executable
-from ship_testing.bag_parts import beginning
+from ship_testing.bag_parts import write_beginning
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "bags" / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -53,7 +53,7 @@ def checkout(tmp_path: Path) -> Path:
     folder = linked_checkout(tmp_path, "bags")
     (folder / "bags").mkdir()
     for path in (ROOT / "bags").glob("*.mcap"):
-        beginning(path, folder / "bags" / path.name, KEPT_S)
+        write_beginning(path, folder / "bags" / path.name, KEPT_S)
     return folder
 
 

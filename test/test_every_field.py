@@ -19,8 +19,8 @@ from ship_geometry.attitude_track import AttitudeSample
 from ship_node.edge.adapter import Adapter
 from ship_node.live.adapter_calls import message_bytes
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, AdapterRun, Arrival, changed_copy, hand_over
-from ship_testing.every_input import topics, voyage, worst_claim
-from ship_testing.garbage import Path, inside, paths
+from ship_testing.every_input import topics, voyage, worst_error_in_sigmas
+from ship_testing.garbage import Path, value_at, paths
 from theodolite_calib.filter.filter import CalibrationState
 from theodolite_calib.measured.samples import BaselineSample, EncoderSample, Mode, ShipSample
 
@@ -64,10 +64,10 @@ def arrivals(one_light: bool) -> tuple[Arrival, ...]:
     everything = voyage(NODE).arrivals
     if not one_light:
         return everything
-    return tuple(changed_copy(a, hide_b) if a.topic == "theodolite/beacons" else a for a in everything)
+    return tuple(changed_copy(a, remove_beacon_b) if a.topic == "theodolite/beacons" else a for a in everything)
 
 
-def hide_b(message: Any) -> None:
+def remove_beacon_b(message: Any) -> None:
     message.beacons = [light for light in message.beacons if light.beacon_id != "b"]
 
 
@@ -75,9 +75,9 @@ def since_start_s(arrival: Arrival) -> float:
     return (arrival.receive_ns - voyage(NODE).arrivals[0].receive_ns) / SECOND_NS
 
 
-def put(message: Any, path: Path, value: Any) -> None:
+def set_field(message: Any, path: Path, value: Any) -> None:
     *parents, name = path
-    holder = functools.reduce(inside, parents, message)
+    holder = functools.reduce(value_at, parents, message)
     # Beyond what a field of single precision or of eight bits can hold, nothing can come over the wire.
     with contextlib.suppress(AssertionError):
         setattr(holder, str(name), value)
@@ -87,7 +87,7 @@ def put(message: Any, path: Path, value: Any) -> None:
 @pytest.mark.parametrize("one_light", [False, True], ids=["two lights", "one light"])
 def test_the_voyage_is_consistent_without_faults(one_light: bool) -> None:
     run = voyage(NODE).run(arrivals(one_light))
-    assert 0.1 < worst_claim(voyage(NODE), run) < 4.0
+    assert 0.1 < worst_error_in_sigmas(voyage(NODE), run) < 4.0
     last = run.messages("theodolite/pointing")[-40]
     assert (last.mode, last.status) == (Mode.ONE_LIGHT if one_light else Mode.TWO_LIGHTS, Status.VALID)
 
@@ -95,7 +95,7 @@ def test_the_voyage_is_consistent_without_faults(one_light: bool) -> None:
 def cases(topic: str, one_light: bool) -> Iterator[tuple[Path, Any]]:
     message = next(a for a in arrivals(one_light) if a.topic == topic and since_start_s(a) > BEFORE_S).message
     for path in paths(message):
-        for value in bad_values(functools.reduce(inside, path, message)):
+        for value in bad_values(functools.reduce(value_at, path, message)):
             yield path, value
 
 
@@ -112,10 +112,10 @@ def test_no_value_of_any_field_raises_or_makes_an_output_inconsistent(topic: str
         spoilt = concerned[:1] if one_light else concerned
         heard = list(rest)
         for index in spoilt:
-            heard[index] = changed_copy(rest[index], lambda message, p=path, v=value: put(message, p, v))
+            heard[index] = changed_copy(rest[index], lambda message, p=path, v=value: set_field(message, p, v))
         hand_over(run, heard)
         for _, _, message in run.published:
             message_bytes(message)
-        if not worst_claim(voyage(NODE), run) < 5.0:
-            wrong.append((path, value, worst_claim(voyage(NODE), run)))
+        if not worst_error_in_sigmas(voyage(NODE), run) < 5.0:
+            wrong.append((path, value, worst_error_in_sigmas(voyage(NODE), run)))
     assert not wrong

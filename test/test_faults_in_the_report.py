@@ -19,7 +19,7 @@ from ship_replay.report.told import ReportData, read_report_data
 from ship_replay.report.wording import utc
 from ship_testing.browser import CHROMIUM, Browser
 from ship_testing.reported_nights import section
-from ship_testing.watched_voyages import END_S, FAULTS, KNOWN_S, replayed, within_s
+from ship_testing.watched_voyages import END_S, FAULTS, DETECTABLE_S, replay_with_faults, detection_limit_s
 from ship_watch.picture import Event
 
 # The report looks twice a second, and an alert is raised at the look after the one that found its reason.
@@ -39,7 +39,7 @@ BACK_S = {"star.fore": (44.0, 46.0), "baselines": (14.0, 17.0), "encoder": (36.0
 
 
 @dataclass(frozen=True)
-class Reported:
+class FaultReport:
     """Faulty voyage: the time of its first message, the data read from its outputs, and its page."""
 
     bag: str
@@ -53,21 +53,21 @@ class Reported:
 
 
 @pytest.fixture(scope="module", params=list(FAULTS))
-def reported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Reported:
+def reported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> FaultReport:
     folder = tmp_path_factory.mktemp(request.param)
-    given, out = replayed(folder, request.param, FAULTS[request.param])
+    given, out = replay_with_faults(folder, request.param, FAULTS[request.param])
     with read_bag(given) as played:
         start_ns = played.start_ns or 0
     told = read_report_data(out, given)
     (folder / "report.html").write_text(page(told))
-    return Reported(request.param, start_ns, told, folder / "report.html")
+    return FaultReport(request.param, start_ns, told, folder / "report.html")
 
 
 @pytest.mark.slow
-def test_the_report_lists_each_fault_with_its_time_and_source(reported: Reported) -> None:
+def test_the_report_lists_each_fault_with_its_time_and_source(reported: FaultReport) -> None:
     bag, night, seconds = reported.bag, reported.events.recording, reported.seconds
     text = reported.path.read_text()
-    known_s = KNOWN_S[bag]
+    known_s = DETECTABLE_S[bag]
     # Affected sources are reported with the faulty one, and none before the first fault.
     by_source: dict[str, list[Event]] = {}
     for event in night.events:
@@ -76,12 +76,12 @@ def test_the_report_lists_each_fault_with_its_time_and_source(reported: Reported
     assert set(by_source) == set(known_s)
     for source, fault_s in known_s.items():
         event = next(one for one in by_source[source] if seconds(one.utc_ns) >= fault_s)
-        assert fault_s <= seconds(event.utc_ns) <= fault_s + within_s(source), event
+        assert fault_s <= seconds(event.utc_ns) <= fault_s + detection_limit_s(source), event
         assert re.fullmatch(TEXTS[source], event.text)
         link = f'<a href="#status-mark-{event.utc_ns // NS_PER_S}">{utc(event.utc_ns)}</a>'
         assert f'<tr><td class="w">{link}</td><td>source</td><td>{event.text}</td></tr>' in text
         raised = [one for one in night.alerts if one.what == "raised" and one.alert.source == source]
-        assert fault_s <= seconds(raised[0].utc_ns) <= fault_s + within_s(source) + ALERTS_LATER_S, raised[0]
+        assert fault_s <= seconds(raised[0].utc_ns) <= fault_s + detection_limit_s(source) + ALERTS_LATER_S, raised[0]
         assert f'<tr><td class="w">{utc(raised[0].utc_ns)}</td>' in text
     assert {one.alert.source for one in night.alerts if seconds(one.utc_ns) < END_S[bag]} <= {*known_s, ""}
 
@@ -97,7 +97,7 @@ def test_the_report_lists_each_fault_with_its_time_and_source(reported: Reported
 
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
-def test_the_page_opens_without_network_fits_its_window_and_prints(reported: Reported) -> None:
+def test_the_page_opens_without_network_fits_its_window_and_prints(reported: FaultReport) -> None:
     browser = Browser()
     try:
         for width, height in ((1280, 800), (390, 844)):
@@ -106,9 +106,9 @@ def test_the_page_opens_without_network_fits_its_window_and_prints(reported: Rep
             assert [address for address in browser.addresses if not address.startswith("file:")] == []
             # Nothing but tables and figures, which have scroll bars of their own, is wider than the window.
             assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth")
-            browser.photograph(reported.path.with_name(f"report_{width}.png"))
+            browser.take_screenshot(reported.path.with_name(f"report_{width}.png"))
         browser.open(reported.path.as_uri(), 1000, 1180)
-        browser.photograph(reported.path.with_name("report.png"))
+        browser.take_screenshot(reported.path.with_name("report.png"))
         printed = base64.b64decode(browser.call("Page.printToPDF", preferCSSPageSize=True)["data"])
     finally:
         browser.close()

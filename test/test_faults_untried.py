@@ -10,7 +10,7 @@ import pytest
 from ship_estimation.outcome import Status
 from ship_simulation.scenario.fault import Fault
 from ship_testing.adapter_runs import stamp_of
-from ship_testing.every_input import scenario, sigmas, voyage_of, worst_claim
+from ship_testing.every_input import scenario, error_in_sigmas, voyage_of, worst_error_in_sigmas
 from theodolite_calib.measured.samples import Mode
 
 DURATION_S, BEGIN_S, END_S = 12.0, 6.0, 9.0
@@ -53,7 +53,7 @@ def test_a_reference_and_a_star_tracker_under_faults(topic: str, kind: str, size
     faults = {"one": fault(topic, kind, sizes)}
     known = voyage_of("ship_attitude", scenario("ship_attitude", duration_s=DURATION_S, faults=faults))
     run = known.run()
-    assert worst_claim(known, run) < SIGMAS
+    assert worst_error_in_sigmas(known, run) < SIGMAS
     claimed = [message for message in run.messages("ship/attitude") if message.status != Status.INVALID]
     # A source that contradicted itself remains suspect for ten more seconds.
     assert claimed[-1].status == (Status.DEGRADED if kind == "conflict" and "reference" not in topic else Status.VALID)
@@ -70,4 +70,4 @@ def test_the_theodolite_with_one_light_under_faults(topic: str, kind: str, sizes
     pointings = run.messages("theodolite/pointing")
     assert {message.mode for message in pointings[100:200]} == {Mode.ONE_LIGHT}
     claimed = [m for m in pointings if m.status in (Status.VALID, Status.COASTING)]
-    assert not [stamp_of(message) for message in claimed if not sigmas(known, message) < SIGMAS]
+    assert not [stamp_of(message) for message in claimed if not error_in_sigmas(known, message) < SIGMAS]

@@ -12,9 +12,9 @@ from ship_estimation.parameters import ParameterError, build
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
 from ship_replay.offline.smooth import smooth
-from ship_testing.bag_parts import beginning
+from ship_testing.bag_parts import write_beginning
 from ship_testing.places import ROOT
-from ship_testing.small_voyage import clean_run, drive, new_adapter, voyage
+from ship_testing.small_voyage import fault_free_run, run_adapter, new_adapter, voyage
 
 FRAMES = {"deck": "base_link", "horizon": "enu"}
 
@@ -32,7 +32,7 @@ def links(messages):
 
 
 def test_every_message_of_the_ship_names_the_frames_as_configured():
-    run = drive(new_adapter(frames__deck="base_link", frames__horizon="enu"), voyage())
+    run = run_adapter(new_adapter(frames__deck="base_link", frames__horizon="enu"), voyage())
     assert links(run.messages("/tf")) == {("enu", "base_link")}
     assert links(run.messages("/tf_static")) == {("base_link", "star_fore"), ("base_link", "star_starboard")}
     named = {(topic, frame) for _, topic, message in run.published for frame in frames_of(message)}
@@ -44,16 +44,16 @@ def test_every_message_of_the_ship_names_the_frames_as_configured():
 
 @pytest.mark.parametrize(("publish_tf", "told"), [(True, {"/tf", "/tf_static"}), (False, set())])
 def test_transforms_are_left_to_another_node(publish_tf, told):
-    run = drive(new_adapter(publish_tf=publish_tf), voyage())
+    run = run_adapter(new_adapter(publish_tf=publish_tf), voyage())
     assert {topic for _, topic, _ in run.published if topic.startswith("/tf")} == told
     assert {output.topic for output in run.adapter.outputs if output.topic.startswith("/tf")} == told
-    others = [(ns, topic, message) for ns, topic, message in clean_run().published if not topic.startswith("/tf")]
+    others = [(ns, topic, message) for ns, topic, message in fault_free_run().published if not topic.startswith("/tf")]
     assert [topic for _, topic, _ in run.published if not topic.startswith("/tf")] == [topic for _, topic, _ in others]
 
 
 def part_and_suite(tmp_path, publish_tf=True):
     """Return the first seconds of the theodolite's bag, and its suite with a ship's attitude and other frame names."""
-    part, suite = beginning(ROOT / "bags" / "theodolite.mcap", tmp_path / "part.mcap", 3.0), tmp_path / "suite.yaml"
+    part, suite = write_beginning(ROOT / "bags" / "theodolite.mcap", tmp_path / "part.mcap", 3.0), tmp_path / "suite.yaml"
     with read_bag(part) as bag:
         values = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT].decode())
     values["/**/ship_attitude"] = {"ros__parameters": {"ins": {"frame_id": "ins"}, "frames": FRAMES}}

@@ -12,8 +12,8 @@ import pytest
 
 from ship_node.live.adapter_calls import message_bytes
 from ship_testing.adapter_runs import SECOND_NS, AdapterRun, Arrival, stamp_of
-from ship_testing.every_input import NODES, Voyage, clean_run, voyage
-from ship_testing.garbage import paths, spoil
+from ship_testing.every_input import NODES, Voyage, fault_free_run, voyage
+from ship_testing.garbage import paths, put_garbage
 
 MESSAGES = int(os.environ.get("FUZZED_MESSAGES", "5000")) // len(NODES)
 
@@ -40,7 +40,7 @@ def test_no_message_raises_or_has_an_effect_after_a_reset(node: str) -> None:
         "bad_covariance", "bad_stamp", "conflict", "duplicate", "frame", "future", "late", "non_finite", "units",
     }  # fmt: skip
     adapter.clock_jumped_back(start_ns)
-    assert again(everything, adapter).results() == clean_run(node).results()
+    assert run_all(everything, adapter).results() == fault_free_run(node).results()
 
 
 def garbage(arrival: Arrival, count: int, rng: np.random.Generator) -> list[Any]:
@@ -49,10 +49,10 @@ def garbage(arrival: Arrival, count: int, rng: np.random.Generator) -> list[Any]
     for number in range(count):
         bad = pickle.loads(pickled)
         bad.header.stamp.sec, bad.header.stamp.nanosec = divmod(stamp_of(bad) - 1_000_000 * number, SECOND_NS)
-        spoil(bad, fields, rng)
+        put_garbage(bad, fields, rng)
         copies.append(bad)
     return copies
 
 
-def again(everything: Voyage, adapter: Any) -> AdapterRun:
+def run_all(everything: Voyage, adapter: Any) -> AdapterRun:
     return Voyage(lambda: adapter, everything.arrivals, everything.truth).run()

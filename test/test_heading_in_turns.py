@@ -21,7 +21,7 @@ BEGIN_S, RAMP_S, END_S = 30.0, 5.0, 45.0
 SEEDS = 12
 
 
-def turning(rate_deg_per_s: float) -> Scenario:
+def turn_scenario(rate_deg_per_s: float) -> Scenario:
     """Return the scenario ``turn``, shortened: waves for thirty seconds, then a turn to the end."""
     whole = load_scenario(SCENARIO)
     turn = Turn(BEGIN_S, rate_deg_per_s * (END_S - BEGIN_S + RAMP_S), max(rate_deg_per_s, 0.001), RAMP_S)
@@ -32,7 +32,7 @@ def turning(rate_deg_per_s: float) -> Scenario:
 @pytest.mark.statistics
 @pytest.mark.parametrize("rate_deg_per_s", [0.0, 10.0, 20.0])
 def test_the_heading_error_fits_its_sigma_in_a_turn(rate_deg_per_s: float) -> None:
-    ends = [final_error(turning(rate_deg_per_s), seed) for seed in range(SEEDS)]
+    ends = [final_error(turn_scenario(rate_deg_per_s), seed) for seed in range(SEEDS)]
     errors, sigmas = (np.array([getattr(end, name)[0] for end in ends]) / ARCSEC for name in ("angles", "sigma"))
     rms, sigma, most = np.sqrt(np.mean(errors**2)), np.sqrt(np.mean(sigmas**2)), np.max(np.abs(errors))
     print(f"\n{rate_deg_per_s:.0f}°/s: RMS {rms:.2f}″, σ {sigma:.2f}″, largest {most:.2f}″, {SEEDS} seeds")

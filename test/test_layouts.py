@@ -16,10 +16,10 @@ import pytest
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_replay.commands.replay import main as replay
-from ship_testing.foxglove_layouts import SCRIPTS, MessagesByTopic, Scripts, check_foxglove, look_up, paths
+from ship_testing.foxglove_layouts import SCRIPTS, MessagesByTopic, Scripts, check_foxglove, check_path, paths
 from ship_testing.hand_made_bags import START_NS
 from ship_testing.plotjuggler_layouts import check_plotjuggler
-from ship_testing.recorded_suites import one_alert
+from ship_testing.recorded_suites import alert_array
 
 ROOT = Path(__file__).parents[1]
 LAYOUTS = ROOT / "src" / "ship_bringup" / "layouts"
@@ -43,10 +43,10 @@ def messages_of(bag_name: str, folder: Path) -> MessagesByTopic:
     with read_bag(result) as bag:
         for record in bag.records([topic for topic in bag.topics if not topic.startswith("truth/")]):
             found.setdefault(f"/{record.topic.removeprefix('/')}", []).append(record.decode())
-    return {topic: spread(messages) for topic, messages in found.items()}
+    return {topic: sample_evenly(messages) for topic, messages in found.items()}
 
 
-def spread(messages: list[Any]) -> list[Any]:
+def sample_evenly(messages: list[Any]) -> list[Any]:
     """Return some of the messages, from first to last."""
     return messages[:: -(-len(messages) // MESSAGES_A_TOPIC)] + messages[-3:]
 
@@ -59,7 +59,7 @@ def night(tmp_path_factory: pytest.TempPathFactory) -> MessagesByTopic:
     for bag_name in ("demo", "theodolite"):
         for topic, messages in messages_of(bag_name, folder).items():
             found[topic] = found.get(topic, []) + messages
-    return found | {"/ship/alerts": [one_alert(START_NS)]}
+    return found | {"/ship/alerts": [alert_array(START_NS)]}
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_each_word_of_each_path_is_checked(foxglove: dict[str, Any], night: Mess
             if word[0].isdigit() and path.startswith(SCRIPTS):
                 continue  # the length of a script's array is known only in the viewer
             with pytest.raises(AssertionError):
-                look_up(path[: word.start()] + wrong + path[word.end() :], foxglove, night, scripts, (object,))
+                check_path(path[: word.start()] + wrong + path[word.end() :], foxglove, night, scripts, (object,))
 
 
 @pytest.mark.parametrize(
@@ -160,12 +160,12 @@ def test_the_printed_commands_rename_every_topic(night: MessagesByTopic, tmp_pat
     lines = re.findall(r"^sed -E .*$", HOW_TO.read_text(encoding="utf-8"), re.MULTILINE)
     subprocess.run("\n".join(lines).replace(" out/", f" {tmp_path}/"), shell=True, cwd=ROOT, check=True)
     for name, prefix in PREFIXES.items():
-        own = {renamed(topic, prefix): messages for topic, messages in night.items()}
+        own = {with_prefix(topic, prefix): messages for topic, messages in night.items()}
         check_foxglove(json.loads((tmp_path / f"{name}.json").read_text(encoding="utf-8")), own)
         check_plotjuggler(ET.parse(tmp_path / f"{name}.xml").getroot(), own)
     assert len(lines) == len(list(tmp_path.iterdir())) == 2 * len(PREFIXES)
 
 
-def renamed(topic: str, prefix: str) -> str:
+def with_prefix(topic: str, prefix: str) -> str:
     """Return the name of a topic in another suite; /diagnostics is the same for all."""
     return topic if topic == "/diagnostics" else f"{prefix}{topic}".removeprefix("" if prefix else "/")

@@ -40,7 +40,7 @@ def voyages(name: str) -> list[PointingErrors]:
     return [pointing_errors(scenario_of(name), seed) for seed in range(SEEDS)]
 
 
-def at_the_end(name: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+def final_errors(name: str) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return error on the sky and its sigma, arcsec, and NEES after sixty sightings, shape (SEEDS,) each."""
     runs = voyages(name)
     nees = [normalized_error_squared(run.error_n[-1], run.covariance_n[-1]) for run in runs]
@@ -56,7 +56,7 @@ def test_no_more_sightings_are_rejected_than_by_chance(name):
 
 
 def test_a_surveyed_lens_gives_a_consistent_pointing():
-    on_sky, sigma, nees = at_the_end("lens_surveyed")
+    on_sky, sigma, nees = final_errors("lens_surveyed")
     low, high = mean_nees_band(SEEDS, degrees=3)
     assert low < nees.mean() < high
     low, high = sigma_ratio_band(2 * SEEDS)
@@ -65,7 +65,7 @@ def test_a_surveyed_lens_gives_a_consistent_pointing():
 
 
 def test_an_unsurveyed_lens_is_a_constant_error_beyond_the_sigma():
-    on_sky, sigma, nees = at_the_end("lens_unsurveyed")
+    on_sky, sigma, nees = final_errors("lens_unsurveyed")
     # The remainder without the constant is the published sigma, in both directions of the sky.
     expected = np.sqrt(CONSTANT_ARCSEC**2 + np.mean(sigma**2))
     spread = 2.0 * CONSTANT_ARCSEC * np.sqrt(0.5 * np.mean(sigma**2)) / np.sqrt(SEEDS)

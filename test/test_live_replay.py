@@ -101,7 +101,7 @@ class Outcome:
     attitudes: dict[int, tuple[np.ndarray, float]]
     saved: dict
     counts: dict[str, int]
-    unclaimed: int
+    invalid_count: int
     cut: int = 0
 
 
@@ -113,7 +113,7 @@ def runs(request, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         offline = run_offline(node, request.param, folder / "offline.yaml")
-        live, recorded_path = run_live(node, request.param, folder, offline.unclaimed)
+        live, recorded_path = run_live(node, request.param, folder, offline.invalid_count)
     return request.param, node, offline, live, recorded_path
 
 
@@ -141,7 +141,7 @@ def run_offline(node: Node, path: Path, saved_path: Path) -> Outcome:
     assert result.success, result.message
     attitudes = [message for topic, message in published if topic == node.topic]
     saved = yaml.safe_load(saved_path.read_text(encoding="utf-8"))
-    return Outcome(by_stamp(node, attitudes), saved, {}, unclaimed(attitudes))
+    return Outcome(by_stamp(node, attitudes), saved, {}, count_invalid(attitudes))
 
 
 def run_live(node: Node, path: Path, folder: Path, unclaimed_offline: int) -> tuple[Outcome, Path]:
@@ -153,7 +153,7 @@ def run_live(node: Node, path: Path, folder: Path, unclaimed_offline: int) -> tu
     for slower in (1, 2, 4):
         run_folder = folder / f"live_{slower}"
         outcome, recorded_path = run_live_once(node, path, run_folder, node.rate / slower)
-        if outcome.cut == 0 and outcome.unclaimed <= unclaimed_offline:
+        if outcome.cut == 0 and outcome.invalid_count <= unclaimed_offline:
             break
     return outcome, recorded_path
 
@@ -185,7 +185,7 @@ def run_live_once(node: Node, path: Path, folder: Path, rate: float) -> tuple[Ou
                 cut[health.topic] = dict(zip(health.reasons, health.reason_counts, strict=True)).get("overflow", 0)
         assert bag.problems == []
     saved = yaml.safe_load(saved_path.read_text(encoding="utf-8"))
-    outcome = Outcome(by_stamp(node, attitudes), saved, counts, unclaimed(attitudes), int(sum(cut.values())))
+    outcome = Outcome(by_stamp(node, attitudes), saved, counts, count_invalid(attitudes), int(sum(cut.values())))
     return outcome, run.recorded_path
 
 
@@ -205,7 +205,7 @@ def by_stamp(node: Node, messages) -> dict[int, tuple[np.ndarray, float]]:
     return {stamp: node.read(message) for stamp, message in zip(stamps, claimed, strict=True)}
 
 
-def unclaimed(messages) -> int:
+def count_invalid(messages) -> int:
     """Return the number of INVALID messages after the first that is not."""
     claims = [message.status != INVALID for message in messages]
     return claims[claims.index(True) :].count(False) if True in claims else len(claims)

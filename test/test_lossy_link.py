@@ -20,11 +20,11 @@ from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_bags.topic_names import TRUTH_PREFIX
 from ship_msgs.msg import ShipAttitude
-from ship_testing.lossy_link import FAR, NEAR, LossyLink, why_there_is_none
+from ship_testing.lossy_link import FAR, NEAR, LossyLink, unavailability_reason
 
 pytestmark = [
     pytest.mark.live,
-    pytest.mark.skipif(bool(why_there_is_none()), reason=f"no lossy link: {why_there_is_none()}"),
+    pytest.mark.skipif(bool(unavailability_reason()), reason=f"no lossy link: {unavailability_reason()}"),
 ]
 
 DEMO = Path(__file__).parents[1] / "bags" / "demo.mcap"
@@ -39,16 +39,16 @@ BACK_S = 18.0
 MOST_START_S = 60.0
 
 
-class Crossing(NamedTuple):
+class LinkRun(NamedTuple):
     """One run: stamps (ns) and times of receipt at the near end (ns)."""
 
     sent: set[int]
     sample_times: dict[int, int]
     attitude_times: dict[int, int]
     samples_used: set[int]
-    attitudes_given: set[int]
+    attitudes_published: set[int]
     cut_ns: int
-    mended_ns: int
+    restored_ns: int
 
     def latencies_s(self, begin_ns, end_ns):
         """Return the times from the receipt of each sample to that of its attitude, s; infinite if that is missing.
@@ -79,12 +79,12 @@ def crossing(tmp_path_factory):
         time.sleep(BEFORE_S)
         cut_ns = link.cut()
         time.sleep(CUT_S)
-        mended_ns = link.mend()
+        mended_ns = link.restore()
         assert player.wait(MOST_START_S) == 0, player.log_text()
         assert recorder.end() == 0, recorder.log_text()
         assert started.end() == 0, started.log_text()
     (box,) = (folder / "box").glob("ship_attitude*.mcap")
-    return Crossing(
+    return LinkRun(
         sent,
         times(recorded, "ins/imu"),
         times(recorded, "ship/attitude"),

@@ -20,7 +20,7 @@ from ship_replay.offline.replay import replay
 from ship_replay.trials.live_run import LiveRun
 from ship_simulation.simulate_command import write_bag
 from ship_testing.theodolite_scenes import bag_scenario, with_stars_and_targets
-from ship_testing.theodolite_stations import buoy_n, buoy_seen, direction_message, placing_values
+from ship_testing.theodolite_stations import buoy_n, buoy_direction, direction_message, triangulation_values
 from theodolite_calib.measured.samples import Mode
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 from theodolite_calib.ros.triangulation_adapter import POSITION_TOPIC, TriangulationAdapter
@@ -107,10 +107,10 @@ def _stations(tmp_path_factory: pytest.TempPathFactory) -> tuple[Messages, Messa
     folder, rng = tmp_path_factory.mktemp("stations"), np.random.default_rng(5)
     moments = [(START_NS + index * PERIOD_NS + 10_000_000 * n, n) for index in range(100) for n in range(3)]
     with BagWriter(folder / "in.mcap") as bag:
-        suite = {"/**/triangulation": {"ros__parameters": placing_values(3)}}
+        suite = {"/**/triangulation": {"ros__parameters": triangulation_values(3)}}
         bag.add_attachment(SUITE_ATTACHMENT, yaml.safe_dump(suite))
         for time_ns, number in moments:
-            seen_n = exp_rotation(SIGMA * rng.standard_normal(3)) @ buoy_seen(number, (time_ns - START_NS) * 1e-9)
+            seen_n = exp_rotation(SIGMA * rng.standard_normal(3)) @ buoy_direction(number, (time_ns - START_NS) * 1e-9)
             message = direction_message(time_ns, seen_n, SIGMA)
             bag.write(f"t{number}/theodolite/target_direction", message, time_ns + LATENCY_NS)
     box = folder / "box.mcap"

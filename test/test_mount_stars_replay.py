@@ -23,7 +23,7 @@ from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
 from ship_simulation.simulate_command import write_bag
 from ship_simulation.suite.suite import suite_yaml
-from ship_testing.theodolite_scenes import bag_scenario, replaced, with_stars_and_targets
+from ship_testing.theodolite_scenes import bag_scenario, replace_nested, with_stars_and_targets
 from theodolite_calib.measured.samples import Mode
 
 ENDS_NS = 2_000_000_000
@@ -38,8 +38,8 @@ LIGHTS = ("theodolite/beacons", "beacon/a/baseline", "beacon/b/baseline", "beaco
 def _voyage(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[int, np.ndarray]]:
     """Return a folder with bags and their suite file; the true main axis (horizon from main frame) by stamp."""
     folder, scenario = tmp_path_factory.mktemp("mount"), with_stars_and_targets(bag_scenario(duration_s=8.0))
-    points = replaced(scenario.telescopes["night"], exposure_s=0.0, false_stars=0.0)
-    cameras = {NAMED: replaced(points, identified=True, phase_s=0.1), UNNAMED: replaced(points, phase_s=0.0)}
+    points = replace_nested(scenario.telescopes["night"], exposure_s=0.0, false_stars=0.0)
+    cameras = {NAMED: replace_nested(points, identified=True, phase_s=0.1), UNNAMED: replace_nested(points, phase_s=0.0)}
     scenario = dataclasses.replace(scenario, telescopes=cameras, targets={})
     write_bag(scenario, 3, folder / "both.mcap", b"")
     truth_nm = {}
@@ -65,7 +65,7 @@ def _voyage(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[int, n
     return folder, truth_nm
 
 
-def replayed(folder: Path, bag: str, *, one_by_one: bool = False) -> list[tuple[str, Any, bytes]]:
+def replay_bag(folder: Path, bag: str, *, one_by_one: bool = False) -> list[tuple[str, Any, bytes]]:
     out = folder / f"out_{one_by_one}_{bag}"
     if not out.exists():
         summary = replay(folder / bag, out, ADAPTERS, folder / "suite.yaml", one_by_one=one_by_one)
@@ -97,7 +97,7 @@ def errors(pointings: list[Any], truth_nm: dict[int, np.ndarray]) -> tuple[np.nd
 @pytest.mark.statistics
 def test_by_stars_alone_the_error_of_the_pointing_fits_its_covariance(voyage) -> None:
     folder, truth_nm = voyage
-    told = replayed(folder, "stars.mcap")
+    told = replay_bag(folder, "stars.mcap")
     pointings = [message for message in decode_topic(told, POINTING) if message.mode == Mode.STARS]
     assert len(pointings) > 300
     assert {message.status for message in pointings} == {Status.VALID}
@@ -116,7 +116,7 @@ def test_by_stars_alone_the_error_of_the_pointing_fits_its_covariance(voyage) ->
 
 def test_with_lights_too_the_mode_is_that_of_both(voyage) -> None:
     folder, truth_nm = voyage
-    told = replayed(folder, "both.mcap")
+    told = replay_bag(folder, "both.mcap")
     modes = {message.mode for message in decode_topic(told, POINTING)}
     assert Mode.STARS_AND_LIGHTS in modes
     pointings = [message for message in decode_topic(told, POINTING) if message.mode == Mode.STARS_AND_LIGHTS]
@@ -132,14 +132,14 @@ def test_with_lights_too_the_mode_is_that_of_both(voyage) -> None:
 @pytest.mark.slow
 def test_a_replay_in_blocks_gives_what_one_by_one_gives(voyage) -> None:
     folder, _ = voyage
-    in_blocks, one_by_one = (replayed(folder, "both.mcap", one_by_one=single) for single in (False, True))
+    in_blocks, one_by_one = (replay_bag(folder, "both.mcap", one_by_one=single) for single in (False, True))
     assert [(topic, data) for topic, _, data in in_blocks] == [(topic, data) for topic, _, data in one_by_one]
 
 
 @pytest.mark.slow
 def test_without_a_fix_no_star_is_used_and_the_pointing_is_that_without_stars(voyage) -> None:
     folder, _ = voyage
-    told, without = replayed(folder, "no_fix.mcap"), replayed(folder, "lights.mcap")
+    told, without = replay_bag(folder, "no_fix.mcap"), replay_bag(folder, "lights.mcap")
     stars = [message for message in decode_topic(told, INNOVATION) if message.source in SOURCES]
     assert len(stars) > 70
     assert {message.reason for message in stars} == {Reason.NO_FIX}
@@ -152,7 +152,7 @@ def test_without_a_fix_no_star_is_used_and_the_pointing_is_that_without_stars(vo
 @pytest.mark.parametrize("bag", ["no_ship.mcap", "no_mount.mcap"])
 def test_without_ship_or_encoders_identified_stars_give_the_pointing(voyage, bag: str) -> None:
     folder, truth_nm = voyage
-    told = replayed(folder, bag)
+    told = replay_bag(folder, bag)
     alone_ns = min(truth_nm) + ENDS_NS + 1_200_000_000
     pointings = [message for message in decode_topic(told, POINTING) if ns_from_stamp(message.header.stamp) > alone_ns]
     assert {(message.mode, message.status) for message in pointings} == {(Mode.STARS, Status.DEGRADED)}
@@ -163,5 +163,5 @@ def test_without_ship_or_encoders_identified_stars_give_the_pointing(voyage, bag
     assert np.max(nees) < 30.7
     low, high = 1.5, 5.0  # of 3: the shared errors are one draw
     assert low < np.mean(nees) < high
-    one_by_one = replayed(folder, bag, one_by_one=True)
+    one_by_one = replay_bag(folder, bag, one_by_one=True)
     assert [(topic, data) for topic, _, data in told] == [(topic, data) for topic, _, data in one_by_one]

@@ -63,18 +63,18 @@ class NodeObserver:
         self.worst_sigmas = 0.0
         self._truth = truth
         node = observer.node
-        node.create_subscription(ShipAttitude, "ship/attitude", self._take_attitude, 2000)
+        node.create_subscription(ShipAttitude, "ship/attitude", self._receive_attitude, 2000)
         pointing = self.claims["theodolite/pointing"]
         node.create_subscription(
             OpticalAxisPointing, "theodolite/pointing", lambda message: pointing.append(message.status), 2000
         )
         for topic in ("ship/innovation", "theodolite/innovation", "star/innovation"):
-            node.create_subscription(Innovation, topic, self._take_innovation, 2000)
+            node.create_subscription(Innovation, topic, self._receive_innovation, 2000)
         for topic in ("ship/integrity", "theodolite/integrity"):
             node.create_subscription(Integrity, topic, lambda message: self.excluded.update(message.excluded), 2000)
-        node.create_subscription(DiagnosticArray, "/diagnostics", self._take_statuses, 2000)
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._receive_statuses, 2000)
 
-    def _take_attitude(self, message: ShipAttitude) -> None:
+    def _receive_attitude(self, message: ShipAttitude) -> None:
         self.claims["ship/attitude"].append(message.status)
         true = self._truth.get(ns_from_stamp(message.header.stamp))
         if message.status == Status.VALID and true is not None:
@@ -88,14 +88,14 @@ class NodeObserver:
         claims = {topic: Counter(statuses) for topic, statuses in self.claims.items()}
         return f"{claims}\nexcluded: {self.excluded}\noverload: {self.overload}\nrefusals: {self.refusals}"
 
-    def _take_innovation(self, message: Innovation) -> None:
+    def _receive_innovation(self, message: Innovation) -> None:
         if message.reason_text:
             count, _ = self.refusals.get(message.source, (0, ""))
             self.refusals[message.source] = count + 1, message.reason_text
         if message.reason == Reason.BEHIND:
             self.behind[message.source].append(message.reason_text)
 
-    def _take_statuses(self, message: DiagnosticArray) -> None:
+    def _receive_statuses(self, message: DiagnosticArray) -> None:
         for status in message.status:
             node, _, name = status.name.partition(": ")
             if name == "overload":

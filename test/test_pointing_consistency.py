@@ -16,7 +16,7 @@ from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import optical_axis_configuration
 from ship_simulation.theodolite.devices import points_on_detector
-from ship_testing.theodolite_scenes import replaced, sweeping_over, with_beacons, with_theodolite
+from ship_testing.theodolite_scenes import replace_nested, sweep_over_beacons, with_beacons, with_theodolite
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.samples import Exposure, Mode, DetectedBeacon
 from theodolite_calib.optical_axis.core import OpticalAxisCore
@@ -45,8 +45,8 @@ def sessions() -> list[PointingErrors]:
     scenario = dataclasses.replace(
         scenario,
         duration_s=END_S,
-        ins=replaced(scenario.ins, rate_hz=1.0),
-        fused_attitude=replaced(scenario.fused_attitude, rate_hz=5.0),
+        ins=replace_nested(scenario.ins, rate_hz=1.0),
+        fused_attitude=replace_nested(scenario.fused_attitude, rate_hz=5.0),
     )
     return [pointing_errors(scenario, seed) for seed in range(SEEDS)]
 
@@ -86,21 +86,21 @@ def test_the_error_grows_as_the_deformation_drifts(sessions):
         assert deformation < sigmas_arcsec[moment] < np.hypot(deformation, 8.0)
 
 
-def streaking(exposure_s: float, **changes: Any) -> Scenario:
+def streak_scenario(exposure_s: float, **changes: Any) -> Scenario:
     """Return a minute of the sweep with an exposure time, in a sea that turns the image about the line of sight."""
     scenario = load_scenario(ROOT / "bags" / "scenarios" / "theodolite_sweep.yaml")
     scenario = with_theodolite(scenario, encoder__rate_hz=20.0, telescope__exposure_s=exposure_s, **changes)
     swell = dataclasses.replace(scenario.carrier.roll.waves["swell"], amplitude_deg=8.0)
-    carrier = replaced(scenario.carrier, roll__waves={"swell": swell})
+    carrier = replace_nested(scenario.carrier, roll__waves={"swell": swell})
     return dataclasses.replace(
         with_beacons(scenario, imu__rate_hz=5.0),
         carrier=carrier,
         duration_s=25.0,
-        ins=replaced(scenario.ins, rate_hz=1.0),
+        ins=replace_nested(scenario.ins, rate_hz=1.0),
     )
 
 
-def nees_at_the_end(scenario: Scenario, seed: int, configured: Scenario) -> tuple[float, int]:
+def final_nees(scenario: Scenario, seed: int, configured: Scenario) -> tuple[float, int]:
     """Return NEES of a session with another exposure time configured in the core, and the number of its rejections."""
     run = simulate(scenario, seed)
     core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(scenario)))
@@ -111,13 +111,13 @@ def nees_at_the_end(scenario: Scenario, seed: int, configured: Scenario) -> tupl
 
 @pytest.mark.statistics
 def test_errors_of_streaked_lights_fit_their_covariance():
-    scenario = streaking(0.5)
-    found = [nees_at_the_end(scenario, seed, scenario) for seed in range(SEEDS)]
+    scenario = streak_scenario(0.5)
+    found = [final_nees(scenario, seed, scenario) for seed in range(SEEDS)]
     low, high = mean_nees_band(SEEDS, degrees=3)
     assert low < np.mean([nees for nees, _ in found]) < high
     assert sum(refused for _, refused in found) < 3
     # Without the exposure time the points contradict one another.
-    lies = [nees_at_the_end(scenario, seed, streaking(0.0)) for seed in range(4)]
+    lies = [final_nees(scenario, seed, streak_scenario(0.0)) for seed in range(4)]
     assert np.mean([nees for nees, _ in lies]) > mean_nees_band(len(lies), degrees=3)[1]
     assert sum(refused for _, refused in lies) > 20
 
@@ -125,7 +125,7 @@ def test_errors_of_streaked_lights_fit_their_covariance():
 @pytest.mark.parametrize("exposure_s", [0.2, 1.0])
 def test_points_of_moving_lights_refer_to_the_middle_of_the_exposure(exposure_s):
     """A telescope that sweeps over two lights; the truth at the middle is the simulator's own."""
-    scenario = sweeping_over(exposure_s)
+    scenario = sweep_over_beacons(exposure_s)
     run = simulate(scenario, seed=3)
     telescope, scene, images = scenario.theodolite.telescope, run.theodolite.truth.scene, run.theodolite.images
     # The estimator takes no baseline for exact.

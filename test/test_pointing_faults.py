@@ -12,14 +12,14 @@ from ship_estimation.outcome import Status
 from ship_geometry.rotations import ARCSEC
 from ship_testing.pointing_faults import (
     FAULT_S,
-    baseline_moved,
-    claims,
-    clean_session,
+    move_baseline,
+    run_core,
+    fault_free_session,
     drift_encoders,
-    encoders_slipped,
+    offset_encoders,
     shift_beacon_stamps,
     drift_ship_attitude,
-    ship_turned,
+    turn_ship_attitude,
     shift_telescope,
 )
 
@@ -42,17 +42,17 @@ SEEDS = range(1, 1 + int(os.environ.get("FAULT_SEEDS", "1")))
 )
 def test_a_step_of_the_ship_attitude_is_detected_by_its_rates(seed, arcsec_n, until_s):
     """At 20 Hz with white noise of 1" its rates show steps of 20" and more at the sample."""
-    found = claims(ship_turned(clean_session(seed), arcsec_n, until_s))
+    found = run_core(turn_ship_attitude(fault_free_session(seed), arcsec_n, until_s))
     assert found.worst(Status.VALID) < 4.0
     assert found.worst(Status.DEGRADED) < 4.0
     # DEGRADED until lights agree: a step a time, the pointing goes on.
-    assert 0.1 < found.seconds(Status.DEGRADED) < 2.0
+    assert 0.1 < found.duration_s(Status.DEGRADED) < 2.0
     assert found.status[-1] == Status.VALID
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_nothing_is_rejected_without_faults(seed):
-    found = claims(clean_session(seed))
+    found = run_core(fault_free_session(seed))
     assert found.rejected_count == 0
     assert set(found.status[found.time_s > 5.0]) == {Status.VALID}
     assert found.worst(Status.VALID, from_s=0.0) < 4.0
@@ -71,9 +71,9 @@ def test_nothing_is_rejected_without_faults(seed):
     ],
 )
 def test_one_wrong_fixed_baseline_is_excluded_and_the_other_light_is_used(seed, moved_n, until_s):
-    found = claims(baseline_moved(clean_session(seed), "a", moved_n, until_s), integrity__return_after_s=20.0)
+    found = run_core(move_baseline(fault_free_session(seed), "a", moved_n, until_s), integrity__return_after_s=20.0)
     assert found.worst(Status.VALID) < 5.0
-    assert found.seconds(Status.DEGRADED) < 1.0
+    assert found.duration_s(Status.DEGRADED) < 1.0
     during = [e.light_count for e in found.estimates if FAULT_S + 1.0 < (e.time_ns - found.start_ns) * 1e-9 < 59.0]
     assert set(during) == {1}
     lasts = until_s > 1e6
@@ -86,22 +86,22 @@ def test_one_wrong_fixed_baseline_is_excluded_and_the_other_light_is_used(seed, 
 @pytest.mark.parametrize("moved_b", [(0.0, 0.3, 0.0), (-0.3, 0.0, 0.0)])
 def test_two_wrong_fixed_baselines_are_not_accepted_again(seed, moved_b):
     """Before: VALID beyond 5 sigma for 33 s of 60, up to 10.3, when the covariance had grown enough to accept them."""
-    run = baseline_moved(clean_session(seed, duration_s=100.0), "a", (0.0, 0.3, 0.0))
-    found = claims(baseline_moved(run, "b", moved_b), integrity__return_after_s=10.0)
+    run = move_baseline(fault_free_session(seed, duration_s=100.0), "a", (0.0, 0.3, 0.0))
+    found = run_core(move_baseline(run, "b", moved_b), integrity__return_after_s=10.0)
     assert found.worst(Status.VALID) < 4.0
     assert found.worst(Status.DEGRADED) < 4.0
-    assert found.seconds(Status.VALID) < 1.0
+    assert found.duration_s(Status.VALID) < 1.0
     assert {"beacon.a", "beacon.b"} == set(found.core.state.fault_state.excluded)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_two_baselines_that_jump_back_are_used_again(seed):
-    run = baseline_moved(clean_session(seed), "a", (0.0, 0.3, 0.0), until_s=60.0)
-    found = claims(baseline_moved(run, "b", (0.0, 0.3, 0.0), until_s=60.0), integrity__return_after_s=10.0)
+    run = move_baseline(fault_free_session(seed), "a", (0.0, 0.3, 0.0), until_s=60.0)
+    found = run_core(move_baseline(run, "b", (0.0, 0.3, 0.0), until_s=60.0), integrity__return_after_s=10.0)
     assert found.worst(Status.VALID, Status.DEGRADED) < 4.0
     assert found.status[-1] == Status.VALID
     assert found.estimates[-1].light_count == 2
-    assert 25.0 < found.seconds(Status.DEGRADED) < 35.0
+    assert 25.0 < found.duration_s(Status.DEGRADED) < 35.0
 
 
 @pytest.mark.slow
@@ -117,30 +117,30 @@ def test_two_baselines_that_jump_back_are_used_again(seed):
 )
 def test_encoders_that_step_in_place_are_suspect_until_lights_are_seen(seed, azimuth_arcsec, elevation_arcsec):
     """At 20 Hz a mount of 100 deg/s² moves 225" and stands again between two readings: it may be no slip."""
-    run = encoders_slipped(clean_session(seed), azimuth_arcsec, elevation_arcsec)
-    found = claims(run, integrity__return_after_s=20.0)
+    run = offset_encoders(fault_free_session(seed), azimuth_arcsec, elevation_arcsec)
+    found = run_core(run, integrity__return_after_s=20.0)
     assert found.worst(Status.VALID) < 4.0
     assert found.worst(Status.DEGRADED) < 4.0
-    assert 20.0 < found.seconds(Status.DEGRADED) < 22.0
+    assert 20.0 < found.duration_s(Status.DEGRADED) < 22.0
     assert found.status[-1] == Status.VALID
-    assert found.named == {"encoder"}
+    assert found.excluded_sources == {"encoder"}
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_encoder_steps_beyond_the_mounts_acceleration_are_detected(seed):
     """424", before VALID at 106 sigma until the next lights: the zero points are open, and lights find them."""
-    found = claims(encoders_slipped(clean_session(seed), 300.0, -300.0))
+    found = run_core(offset_encoders(fault_free_session(seed), 300.0, -300.0))
     assert found.worst(Status.VALID, Status.DEGRADED) < 4.0
     # Until lights of two moments, 0.2 s apart, have agreed.
-    assert found.seconds(Status.DEGRADED) < 0.7
+    assert found.duration_s(Status.DEGRADED) < 0.7
     assert found.status[-1] == Status.VALID
-    assert found.named == set()
+    assert found.excluded_sources == set()
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_encoders_that_step_without_lights_are_suspect_to_the_end(seed):
     """Before: COASTING, wrong by 42" at a sigma of 8"."""
-    found = claims(encoders_slipped(clean_session(seed, lights_leave_s=30.0), 0.0, 40.0))
+    found = run_core(offset_encoders(fault_free_session(seed, lights_leave_s=30.0), 0.0, 40.0))
     assert set(found.status[found.time_s >= FAULT_S]) == {Status.DEGRADED}
     assert found.worst(Status.DEGRADED) < 4.0
 
@@ -150,19 +150,19 @@ def test_encoders_that_step_without_lights_are_suspect_to_the_end(seed):
 @pytest.mark.parametrize("knock_arcsec", [(0.0, 20.0), (-30.0, 0.0), (0.0, -300.0)])
 def test_a_displaced_telescope_is_named_if_neither_encoders_nor_ship_have_stepped(seed, knock_arcsec):
     """Before: the encoders were excluded, or the ship's attitude; all three have similar effects on the lights."""
-    found = claims(shift_telescope(clean_session(seed), *knock_arcsec), integrity__return_after_s=20.0)
-    assert found.named == {"telescope"}
+    found = run_core(shift_telescope(fault_free_session(seed), *knock_arcsec), integrity__return_after_s=20.0)
+    assert found.excluded_sources == {"telescope"}
     assert found.worst(Status.VALID, Status.DEGRADED) < 4.0
     # Its new place on the axis is learnt meanwhile.
-    assert 20.0 < found.seconds(Status.DEGRADED) < 22.0
+    assert 20.0 < found.duration_s(Status.DEGRADED) < 22.0
     assert found.status[-1] == Status.VALID
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_late_stamps_of_lights_do_not_exclude_the_ship(seed):
     """A tenth of a second: the image turns with the roll of the ship, which neither encoders nor ship explain."""
-    found = claims(shift_beacon_stamps(clean_session(seed), 0.1))
-    assert found.named == {"telescope"}
+    found = run_core(shift_beacon_stamps(fault_free_session(seed), 0.1))
+    assert found.excluded_sources == {"telescope"}
     assert found.worst(Status.VALID) < 5.0
 
 
@@ -170,8 +170,8 @@ def test_late_stamps_of_lights_do_not_exclude_the_ship(seed):
 @pytest.mark.parametrize("arcsec_per_s", [3.3, -2.5])
 def test_encoders_that_creep_are_named_and_no_drone_is(seed, arcsec_per_s):
     """Before, in theodolite_1 at 3.3"/s: both drones were excluded one after the other; VALID at 1.42 of the level."""
-    found = claims(drift_encoders(clean_session(seed), arcsec_per_s))
-    assert found.named == {"encoder"}
+    found = run_core(drift_encoders(fault_free_session(seed), arcsec_per_s))
+    assert found.excluded_sources == {"encoder"}
     assert found.worst_of_level() < 0.8
     assert found.worst(Status.DEGRADED) < 5.0
 
@@ -187,8 +187,8 @@ def test_encoders_that_creep_are_named_and_no_drone_is(seed, arcsec_per_s):
     ],
 )
 def test_a_creeping_ship_attitude_is_named_by_its_rates(seed, arcsec_n_per_s):
-    found = claims(drift_ship_attitude(clean_session(seed), arcsec_n_per_s))
-    assert found.named == {"ship_attitude"}
+    found = run_core(drift_ship_attitude(fault_free_session(seed), arcsec_n_per_s))
+    assert found.excluded_sources == {"ship_attitude"}
     assert found.worst(Status.VALID) < 4.5
     assert found.worst_of_level() < 0.8
     assert found.worst(Status.DEGRADED) < 5.0
@@ -197,7 +197,7 @@ def test_a_creeping_ship_attitude_is_named_by_its_rates(seed, arcsec_n_per_s):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_levels_hold_with_lights_and_there_is_none_without(seed):
     leave_s = 70.0
-    found = claims(clean_session(seed, lights_leave_s=leave_s))
+    found = run_core(fault_free_session(seed, lights_leave_s=leave_s))
     # Before the first sightings nothing is known; three seconds after the last light nothing is checked any more.
     with_lights = (found.time_s > 5.0) & (found.time_s < leave_s)
     levels_arcsec = found.levels / ARCSEC
@@ -220,28 +220,28 @@ def test_levels_hold_with_lights_and_there_is_none_without(seed):
     ],
 )
 def test_no_valid_error_exceeds_its_level(arcsec_n, moved_a, moved_b):
-    run = baseline_moved(baseline_moved(clean_session(1), "a", moved_a), "b", moved_b)
-    found = claims(ship_turned(run, arcsec_n))
+    run = move_baseline(move_baseline(fault_free_session(1), "a", moved_a), "b", moved_b)
+    found = run_core(turn_ship_attitude(run, arcsec_n))
     assert found.worst_of_level() < 0.8
 
 
 def test_a_small_wrong_fix_is_excluded_by_its_hypothesis():
     """0.15 m are 15", too little for its continuity check; the angle to the other light shows it."""
-    found = claims(baseline_moved(clean_session(1), "a", (0.15, 0.0, 0.0)))
-    assert found.named == {"beacon.a"}
+    found = run_core(move_baseline(fault_free_session(1), "a", (0.15, 0.0, 0.0)))
+    assert found.excluded_sources == {"beacon.a"}
     assert found.worst(Status.VALID) < 5.0
 
 
 @pytest.mark.slow
 def test_an_alert_limit_caps_the_status():
-    run = clean_session(1, lights_leave_s=70.0)
-    wide = claims(run, integrity__alert_limit_arcsec=[200.0, 200.0, 1000.0])
+    run = fault_free_session(1, lights_leave_s=70.0)
+    wide = run_core(run, integrity__alert_limit_arcsec=[200.0, 200.0, 1000.0])
     with_lights = (wide.time_s > 5.0) & (wide.time_s < 70.0)
     assert set(wide.status[with_lights]) == {Status.VALID}
     # Without lights there is no level, and a limit is configured.
     assert set(wide.status[wide.time_s > 75.0]) == {Status.DEGRADED}
     why_none = "there is no protection level, and alert limits are configured: too few sources check one another"
     assert wide.estimates[-1].text.startswith(why_none)
-    narrow = claims(run, integrity__alert_limit_arcsec=[20.0, 20.0, 1000.0])
+    narrow = run_core(run, integrity__alert_limit_arcsec=[20.0, 20.0, 1000.0])
     assert set(narrow.status[with_lights]) == {Status.DEGRADED}
     assert "above its alert limit: azimuth_cos_elevation" in narrow.estimates[400].text

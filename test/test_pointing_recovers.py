@@ -24,9 +24,9 @@ from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 from ship_replay.trials.voyage_told import VoyageSink
 from ship_simulation.faults.injection import Injection
 from ship_simulation.scenario.fault import Fault
-from ship_testing.kept_sink import KeptSink
+from ship_testing.kept_sink import MemorySink
 from ship_testing.returns.voyages import make_bag
-from ship_testing.theodolite_scenes import replaced
+from ship_testing.theodolite_scenes import replace_nested
 from ship_watch.orientations import ORIENTATIONS
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
@@ -67,7 +67,7 @@ class _Sink(VoyageSink):
 
 
 @dataclass(frozen=True)
-class Found:
+class ReplayResult:
     """Results of a replay.
 
     Attributes:
@@ -78,12 +78,12 @@ class Found:
     """
 
     adapter: OpticalAxisAdapter
-    returned_s: float
+    recovery_s: float
     worst_over_level: float
     texts: set[str]
 
 
-def replayed(
+def replay_with_faults(
     run_class: type[ReplayRun],
     path: Path,
     faults: Sequence[Fault],
@@ -94,7 +94,7 @@ def replayed(
     """Return the node after a replay with faults, with dotted parameters changed (``__`` for the dot)."""
     with read_bag(path) as bag:
         config = suite_config(bag, OpticalAxisAdapter, None, "/optical_axis")
-    adapter = node(replaced(config, **changes), RosbagsFactory(), READ_ONLY)
+    adapter = node(replace_nested(config, **changes), RosbagsFactory(), READ_ONLY)
     chain = AdapterChain([adapter])
     run = run_class(chain, sink, ReplaySummary(), truth_topics=set())
     taken = {topic.topic for topic in chain.inputs}
@@ -108,7 +108,7 @@ def replayed(
     return adapter
 
 
-def found(path: Path, *faults: Fault, **changes: object) -> Found:
+def read_result(path: Path, *faults: Fault, **changes: object) -> ReplayResult:
     truths = {}
     with read_bag(path) as bag:
         start_ns = bag.start_ns or 0
@@ -117,7 +117,7 @@ def found(path: Path, *faults: Fault, **changes: object) -> Found:
             for record in bag.records({orientation.truth_topic}):
                 truths[orientation.topic].add(record.decode())
     sink = _Sink(truths)
-    adapter = replayed(ReplayRun, path, faults, sink, **changes)
+    adapter = replay_with_faults(ReplayRun, path, faults, sink, **changes)
     times_s, statuses = (np.array(column) for column in zip(*sink.statuses, strict=True))
     times_s = (times_s - start_ns) / NS_PER_S
     begins = np.flatnonzero(np.diff(statuses != 0, prepend=0))
@@ -129,7 +129,7 @@ def found(path: Path, *faults: Fault, **changes: object) -> Found:
     ]
     long = [end_s for begin_s, end_s in spans if end_s - begin_s > 1.0]
     levels = [claim.level_ratio for claim in sink.outputs.valid_outputs]
-    return Found(adapter, max(long, default=0.0), float(np.nanmax(levels)), sink.texts)
+    return ReplayResult(adapter, max(long, default=0.0), float(np.nanmax(levels)), sink.texts)
 
 
 CLOCKS = [
@@ -154,35 +154,35 @@ ANTENNA = [
     ("faults", "end_s", "within_s"), [(CLOCKS, END_S, 75.0), (HISTORY, 144.3, 130.0)], ids=["clocks", "history"]
 )
 def test_the_pointing_returns_where_the_first_estimator_does_not(session, faults, end_s, within_s):
-    without, recovers = found(session, *faults, recovery__after_s=NEVER_S), found(session, *faults)
-    assert without.returned_s > end_s + RETURNS_S
-    assert recovers.returned_s < end_s + within_s
+    without, recovers = read_result(session, *faults, recovery__after_s=NEVER_S), read_result(session, *faults)
+    assert without.recovery_s > end_s + RETURNS_S
+    assert recovers.recovery_s < end_s + within_s
     assert (without.adapter.recovery.adopted, recovers.adapter.recovery.adopted) == (0, 1)
     assert recovers.worst_over_level < 1.0
 
 
 def test_a_moved_antenna_of_the_ship_is_not_adopted(session):
-    moved = found(session, *ANTENNA)
+    moved = read_result(session, *ANTENNA)
     assert moved.adapter.recovery.adopted == 0
-    assert moved.returned_s == np.inf
+    assert moved.recovery_s == np.inf
     assert moved.worst_over_level < 1.0
     assert any("if the ship's antenna" in text and "~/reset" in text for text in moved.texts)
 
 
 def test_without_a_fault_there_is_no_second_estimator_and_the_outputs_are_those_without_recovery(session):
-    with_recovery, without = KeptSink(), KeptSink()
-    adapter = replayed(BlockRun, session, [], with_recovery)
-    replayed(BlockRun, session, [], without, recovery__after_s=NEVER_S)
+    with_recovery, without = MemorySink(), MemorySink()
+    adapter = replay_with_faults(BlockRun, session, [], with_recovery)
+    replay_with_faults(BlockRun, session, [], without, recovery__after_s=NEVER_S)
     assert adapter.recovery.started == 0
     assert with_recovery.published == without.published
 
 
 @pytest.mark.parametrize("faults", [CLOCKS, ANTENNA], ids=["adopted", "not adopted"])
 def test_blocks_publish_the_same_as_messages_one_by_one(session, faults):
-    by_blocks, one_by_one = KeptSink(), KeptSink()
+    by_blocks, one_by_one = MemorySink(), MemorySink()
     adapters = [
-        replayed(BlockRun, session, faults, by_blocks),
-        replayed(ReplayRun, session, faults, one_by_one),
+        replay_with_faults(BlockRun, session, faults, by_blocks),
+        replay_with_faults(ReplayRun, session, faults, one_by_one),
     ]
     assert [adapter.recovery.started for adapter in adapters] in ([1, 1], [2, 2])
     assert [adapter.recovery.adopted for adapter in adapters] == [int(faults is CLOCKS)] * 2
@@ -190,7 +190,7 @@ def test_blocks_publish_the_same_as_messages_one_by_one(session, faults):
 
 
 def test_pointings_above_the_alert_limit_are_no_trouble(session):
-    adapter = replayed(ReplayRun, session, [], KeptSink(), integrity__alert_limit_arcsec=(10.0, 10.0, 10.0))
+    adapter = replay_with_faults(ReplayRun, session, [], MemorySink(), integrity__alert_limit_arcsec=(10.0, 10.0, 10.0))
     assert adapter.latest.status is Status.DEGRADED
     assert adapter.recovery.started == 0
 
@@ -202,7 +202,7 @@ class _Smoothing(OpticalAxisAdapter):
 
 def test_smoothing_has_the_pointings_of_both_estimators(session):
     sink = _Sink({})
-    adapter = replayed(ReplayRun, session, CLOCKS, sink, _Smoothing)
+    adapter = replay_with_faults(ReplayRun, session, CLOCKS, sink, _Smoothing)
     assert adapter.recovery.adopted == 1
     smoothed_ns = [estimate.time_ns for estimate in adapter.core.smoothed_to_the_end()]
     assert smoothed_ns == [stamp_ns for stamp_ns, status in sink.stamps if status != Status.INVALID]

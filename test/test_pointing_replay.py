@@ -19,7 +19,7 @@ from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario import Fault, FusedAttitude, Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
-from ship_testing.theodolite_scenes import bag_scenario, replaced
+from ship_testing.theodolite_scenes import bag_scenario, replace_nested
 from ship_watch.orientations import POINTING
 
 ROOT = Path(__file__).parents[1]
@@ -36,11 +36,11 @@ def with_fault(topic: str, kind: str, **changes: float) -> Scenario:
 
 def with_windows(name: str) -> Scenario:
     scenario = bag_scenario(duration_s=14.0)
-    a = replaced(scenario.beacons["a"], **{f"rtk__{name}": {"x": Outage(START_S, END_S)}})
+    a = replace_nested(scenario.beacons["a"], **{f"rtk__{name}": {"x": Outage(START_S, END_S)}})
     return dataclasses.replace(scenario, beacons={**scenario.beacons, "a": a})
 
 
-def replayed(scenario: Scenario, folder: Path, seed: int = 1) -> tuple[Path, dict[str, dict[str, int]]]:
+def replay_scenario(scenario: Scenario, folder: Path, seed: int = 1) -> tuple[Path, dict[str, dict[str, int]]]:
     """Return the replayed bag, and the rejections and notes by topic and reason."""
     write_bag(scenario, seed, folder / "in.mcap", b"")
     summary = replay(folder / "in.mcap", folder / "out.mcap", ADAPTERS)
@@ -91,7 +91,7 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_a_fault_has_its_reason_and_no_wrong_pointing_is_valid(case, tmp_path):
     scenario, topic, reason = CASES[case]
-    path, refused = replayed(scenario, tmp_path)
+    path, refused = replay_scenario(scenario, tmp_path)
     assert refused[topic][reason] > 5
     assert reason in reasons(path)
     # Of 700 pointings with three correlated channels.
@@ -100,7 +100,7 @@ def test_a_fault_has_its_reason_and_no_wrong_pointing_is_valid(case, tmp_path):
 
 @pytest.mark.parametrize("scenario", [with_fault(IMAGE, "hide"), with_fault(BASELINE, "delay", delay_s=1.0)])
 def test_a_hidden_light_and_late_baselines_cause_no_rejection(scenario, tmp_path):
-    path, refused = replayed(scenario, tmp_path)
+    path, refused = replay_scenario(scenario, tmp_path)
     # Exposures wait for their baselines, those of the last moments in vain.
     assert set(refused.get(IMAGE, {})) <= {"gap", "revised"}
     assert worst_valid_sigmas(path) < 4.5
@@ -115,7 +115,7 @@ def test_stars_ins_and_lights_in_one_replay(tmp_path):
         star_sensors=paper.star_sensors,
         fused_attitude=FusedAttitude(),
     )
-    path, refused = replayed(scenario, tmp_path)
+    path, refused = replay_scenario(scenario, tmp_path)
     assert refused == {}
     values = evaluate(path, skip_s=5.0).quantities()
     assert values["fused.heading.rms_arcsec"] < 15.0

@@ -8,12 +8,12 @@ import pytest
 from ship_estimation.outcome import Status
 from ship_testing.pointing_faults import (
     FAULT_S,
-    claims,
-    clean_session,
-    encoders_read_twice,
-    encoders_slipped,
-    encoders_stamped_late,
-    encoders_stand,
+    run_core,
+    fault_free_session,
+    duplicate_encoder_readings,
+    offset_encoders,
+    shift_encoder_stamps,
+    freeze_encoders,
     shift_beacon_stamps,
     shift_telescope,
 )
@@ -26,10 +26,10 @@ RETURNS_S = 62.0
 DEGREE_ARCSEC, TURN_ARCSEC = 3600.0, 360.0 * 3600.0
 
 FAULTS = {
-    "encoders stand": lambda run: encoders_stand(run, END_S),
-    "encoders 30 degrees off": lambda run: encoders_slipped(run, 30.0 * DEGREE_ARCSEC, 0.0, END_S),
-    "two readings of one stamp": lambda run: encoders_read_twice(run, 20.0, END_S),
-    "encoders stamped early": lambda run: encoders_stamped_late(run, -0.1, END_S),
+    "encoders stand": lambda run: freeze_encoders(run, END_S),
+    "encoders 30 degrees off": lambda run: offset_encoders(run, 30.0 * DEGREE_ARCSEC, 0.0, END_S),
+    "two readings of one stamp": lambda run: duplicate_encoder_readings(run, 20.0, END_S),
+    "encoders stamped early": lambda run: shift_encoder_stamps(run, -0.1, END_S),
     "lights stamped early": lambda run: shift_beacon_stamps(run, -0.1, END_S),
     "telescope knocked by a degree": lambda run: shift_telescope(run, DEGREE_ARCSEC, 0.0, END_S),
 }
@@ -39,19 +39,19 @@ FAULTS = {
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_that_ends_leaves_no_source_excluded(fault, seed):
-    clean = clean_session(seed, duration_s=SESSION_S)
-    found = claims(FAULTS[fault](clean), stamps_of=clean)
+    clean = fault_free_session(seed, duration_s=SESSION_S)
+    found = run_core(FAULTS[fault](clean), stamps_of=clean)
     not_valid_s = found.time_s[found.status != Status.VALID]
     assert not_valid_s[-1] < END_S + RETURNS_S
     assert found.worst(Status.VALID) < 5.0
     assert not found.core.state.fault_state.excluded
-    assert "ship_attitude" not in found.named
+    assert "ship_attitude" not in found.excluded_sources
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("turns", [-2, 1, 5])
 def test_encoders_that_count_turns_are_taken_modulo_a_turn(turns):
-    clean = clean_session(1)
-    found = claims(encoders_slipped(clean, turns * TURN_ARCSEC, 0.0, 60.0))
+    clean = fault_free_session(1)
+    found = run_core(offset_encoders(clean, turns * TURN_ARCSEC, 0.0, 60.0))
     assert set(found.status[found.time_s > 5.0]) == {Status.VALID}
     assert found.worst(Status.VALID) < 4.0

@@ -76,7 +76,7 @@ def preflight(observer, environment, *arguments):
     return process.returncode, row.findall(said), told
 
 
-def failed(rows):
+def failed_checks(rows):
     """Return the failed checks and their findings."""
     return [f"{check}: {found}" for check, result, found in rows if result == "FAIL"]
 
@@ -90,7 +90,7 @@ def test_a_ship_that_is_ready(tmp_path, domain):
         for sensor in ("fore", "starboard"):
             publish(observer.node, f"/demo/star/{sensor}/horizon_attitude", StarHorizonAttitude, 5.0)
         code, rows, told = preflight(observer, environment, EXAMPLE, "--namespace", "demo", "--listen", "2")
-    assert (code, told, failed(rows)) == (0, "", [])
+    assert (code, told, failed_checks(rows)) == (0, "", [])
     sensors = [found for check, result, found in rows if (check, result) == ("sensors", "OK")]
     assert len(sensors) == 3
     rates_hz = {found.split(":")[0]: float(re.search(r": ([\d.]+) Hz", found)[1]) for found in sensors}
@@ -115,7 +115,7 @@ def test_late_sensors_are_waited_for(are_there, tmp_path, domain):
             else:
                 after_link(observer.node, imu, late_s, star)
         code, rows, told = preflight(observer, environment, EXAMPLE, "--namespace", "demo", "--listen", "1")
-    assert (code, told, failed(rows)) == (0, "", [])
+    assert (code, told, failed_checks(rows)) == (0, "", [])
     assert len([found for check, result, found in rows if (check, result) == ("sensors", "OK")]) == 3
 
 
@@ -136,7 +136,7 @@ def test_simultaneous_faults_are_all_reported(tmp_path, domain):
         code, rows, told = preflight(
             observer, environment, path, "--limits", limits, "--listen", "1", "--hours", "1e7", "--box", "/proc/boxes"
         )
-    lines = failed(rows)
+    lines = failed_checks(rows)
     assert (code, told) == (1, "")
     for expected in (
         rf"parameters: {re.escape(str(path))}:\d+: parameter 'lag_s'",
@@ -174,7 +174,7 @@ def test_an_ins_that_nmea_in_will_read_is_not_ready_before_it_is_received(tmp_pa
         by_hand.destroy_node()
     assert ("parameters", "OK", f"{path}: good for ship_attitude, nmea_in") in rows
     unheard = "sensors: ins/imu: not received: no publisher before nmea_in runs, which the suite starts"
-    assert (code, failed(rows)) == (1, [unheard])
+    assert (code, failed_checks(rows)) == (1, [unheard])
     assert ("domain", "WARN", "/demo/nmea_in is running already") in rows
 
 

@@ -7,19 +7,19 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 
 
-def printed(*arguments: str) -> str:
+def printed_table(*arguments: str) -> str:
     command = [sys.executable, "tools/refraction_models.py", *arguments]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True, timeout=120).stdout
 
 
 def test_the_table_of_the_docs_is_printed() -> None:
-    table = printed()
+    table = printed_table()
     assert len(table.splitlines()) == 12
     assert table in (ROOT / "docs" / "explanation" / "stars.md").read_text(encoding="utf-8"), "run refraction_models.py"
 
 
 def test_costs_and_figure_are_written_and_a_star_costs_the_same_by_each_model(tmp_path: Path) -> None:
-    lines = printed("--costs", "--figure", str(tmp_path / "drawn.png")).splitlines()[-3:]
+    lines = printed_table("--costs", "--figure", str(tmp_path / "drawn.png")).splitlines()[-3:]
     a_star = [float(line.split("|")[3].split()[0]) for line in lines]
     assert [line.split("`")[1] for line in lines] == ["erfa", "almanac", "ray_trace"]
     # The docs: a star costs the same. Other work on the machine may take its time meanwhile.

@@ -16,11 +16,11 @@ from ship_testing.adapter_runs import (
     Arrival,
     Arrivals,
     changed_copy,
-    flooded,
-    in_order,
+    flood_topic,
+    sort_by_arrival,
     without_rejected,
 )
-from ship_testing.every_input import NODES, clean_run, topics, voyage
+from ship_testing.every_input import NODES, fault_free_run, topics, voyage
 from ship_testing.message_values import type_name_of
 
 Change = Callable[[Arrival], Arrival]
@@ -44,7 +44,7 @@ FIRST_NUMBER = {
 """By type, a number that every message must have."""
 
 
-def stamped(time_ns: Callable[[Arrival], int]) -> Change:
+def with_stamp(time_ns: Callable[[Arrival], int]) -> Change:
     """Return the same message with another stamp."""
 
     def change(arrival: Arrival) -> Arrival:
@@ -60,7 +60,7 @@ def another_frame(arrival: Arrival) -> Arrival:
     return changed_copy(arrival, lambda message: setattr(message.header, "frame_id", "elsewhere"))
 
 
-def infinite(arrival: Arrival) -> Arrival:
+def set_infinite(arrival: Arrival) -> Arrival:
     *parents, leaf = FIRST_NUMBER[type_name_of(arrival.message)].split(".")
 
     def put(message: Any) -> None:
@@ -71,7 +71,7 @@ def infinite(arrival: Arrival) -> Arrival:
     return changed_copy(arrival, put)
 
 
-def again(after_s: float) -> Change:
+def repeat_after(after_s: float) -> Change:
     return lambda arrival: changed_copy(arrival, lambda message: None, arrival.receive_ns + round(after_s * SECOND_NS))
 
 
@@ -107,21 +107,21 @@ VARIANCES = (
     *("covariance", "variance", "sigma"),
 )
 UNUSABLE: dict[str, tuple[str, Change]] = {
-    "stamp zero": ("bad_stamp", stamped(lambda arrival: 0)),
-    "late": ("late", stamped(lambda arrival: arrival.stamp_ns - 5 * SECOND_NS // 2)),
-    "future": ("future", stamped(lambda arrival: arrival.receive_ns + SECOND_NS // 10)),
-    "infinite": ("non_finite", infinite),
+    "stamp zero": ("bad_stamp", with_stamp(lambda arrival: 0)),
+    "late": ("late", with_stamp(lambda arrival: arrival.stamp_ns - 5 * SECOND_NS // 2)),
+    "future": ("future", with_stamp(lambda arrival: arrival.receive_ns + SECOND_NS // 10)),
+    "infinite": ("non_finite", set_infinite),
     "frame": ("frame", another_frame),
     "quaternion": ("bad_quaternion", bad_quaternion),
     "variance": ("bad_covariance", negative_variance),
     "orientation": ("not_given", no_orientation),
-    "again at once": ("duplicate", again(1e-6)),
-    "again later": ("duplicate", again(0.7)),
-    "again too late": ("late", again(2.5)),
+    "again at once": ("duplicate", repeat_after(1e-6)),
+    "again later": ("duplicate", repeat_after(0.7)),
+    "again too late": ("late", repeat_after(2.5)),
 }
 
 
-def lacks(topic: str) -> tuple[str, ...]:
+def missing_changes(topic: str) -> tuple[str, ...]:
     """Return the faults that do not make a message of a topic unusable.
 
     Old positions and weather readings are used if none is newer, and may be in any frame; the covariance of a drone's
@@ -143,9 +143,9 @@ def lacks(topic: str) -> tuple[str, ...]:
 def test_outputs_are_bit_equal_to_those_without_the_rejected_messages(node: str, kind: str) -> None:
     reason, change = UNUSABLE[kind]
     arrivals = voyage(node).arrivals
-    concerned = [topic for topic in topics(node) if kind not in lacks(topic)]
-    run = voyage(node).run(in_order((*arrivals, *(change(a) for a in arrivals if a.topic in concerned))))
-    clean = clean_run(node)
+    concerned = [topic for topic in topics(node) if kind not in missing_changes(topic)]
+    run = voyage(node).run(sort_by_arrival((*arrivals, *(change(a) for a in arrivals if a.topic in concerned))))
+    clean = fault_free_run(node)
     for topic in concerned:
         count = sum(arrival.topic == topic for arrival in arrivals)
         assert reason in run.reasons(topic)
@@ -166,11 +166,11 @@ def test_outputs_are_bit_equal_to_those_without_the_rejected_messages(node: str,
 def test_current_values_with_old_stamps_have_no_effect(node: str, topic: str) -> None:
     """Stamps are 0.3 s old: if ship or mount has moved, the neighbouring samples show it, and it is rejected."""
     arrivals = voyage(node).arrivals
-    back = stamped(lambda arrival: arrival.stamp_ns - 3 * SECOND_NS // 10 - 1)
+    back = with_stamp(lambda arrival: arrival.stamp_ns - 3 * SECOND_NS // 10 - 1)
     moved = [a for a in arrivals if a.topic == topic and a.stamp_ns > arrivals[0].stamp_ns + 2 * SECOND_NS]
-    run = voyage(node).run(in_order((*arrivals, *map(back, moved))))
+    run = voyage(node).run(sort_by_arrival((*arrivals, *map(back, moved))))
     assert run.reasons(topic)["gate"] == len(moved)
-    assert run.results() == clean_run(node).results()
+    assert run.results() == fault_free_run(node).results()
 
 
 def flood_cases() -> list[tuple[str, str]]:
@@ -189,7 +189,7 @@ def flood_cases() -> list[tuple[str, str]]:
 def test_messages_at_a_too_high_rate_have_no_effect(node: str, topic: str) -> None:
     everything = voyage(node).arrivals
     three_seconds = [a for a in everything if a.receive_ns < everything[0].receive_ns + 3 * SECOND_NS]
-    arrivals = flooded(tuple(three_seconds), topic, 20, up_to_s=1.9)
+    arrivals = flood_topic(tuple(three_seconds), topic, 20, up_to_s=1.9)
     run = voyage(node).run(arrivals)
     overflow = run.innovations(Reason.OVERFLOW)
     assert run.reasons(topic)["overflow"] == len(overflow) > 30
@@ -207,7 +207,7 @@ def test_a_baseline_without_fixed_solution_only_makes_its_light_unusable(count: 
     chosen = [a for a in everything.arrivals if a.topic == topic][30 : 30 + count]
     others = tuple(a for a in everything.arrivals if a not in chosen)
     runs = [
-        everything.run(in_order((*others, *(changed_copy(a, floating(enu_m)) for a in chosen))))
+        everything.run(sort_by_arrival((*others, *(changed_copy(a, set_floating_fix(enu_m)) for a in chosen))))
         for enu_m in (0.0, 1e300, np.nan)
     ]
     assert runs[0].results() == runs[1].results() == runs[2].results()
@@ -233,7 +233,7 @@ def others_around_s(others: Arrivals, topic: str, chosen: list[Arrival]) -> floa
     return (after_ns - before_ns) / SECOND_NS
 
 
-def floating(enu_x: float) -> Callable[[Any], None]:
+def set_floating_fix(enu_x: float) -> Callable[[Any], None]:
     def change(message: Any) -> None:
         message.fix, message.enu.x = 3, enu_x
 

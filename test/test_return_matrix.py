@@ -9,9 +9,9 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.message_store import serialize
 from ship_simulation.faults.injection import Injection
 from ship_simulation.scenario.fault import KINDS
-from ship_testing.returns.cells import Cell, all_cells, some_cells
-from ship_testing.returns.run_cell import delivered, run_cell
-from ship_testing.returns.table import failed, failure_lines
+from ship_testing.returns.cells import Cell, all_cells, sample_cells
+from ship_testing.returns.run_cell import deliver_messages, run_cell
+from ship_testing.returns.table import failed_results, failure_lines
 from ship_testing.returns.voyages import VOYAGES, VoyageData, load_voyage, make_bag
 
 SHARE, PARTS = 50, 8
@@ -30,7 +30,7 @@ def cells(voyages: dict[str, VoyageData]) -> list[Cell]:
 
 def assert_returned(cells: list[Cell], voyages: dict[str, VoyageData]) -> None:
     results = [run_cell(cell, voyages[cell.voyage].path) for cell in cells]
-    lines = [line for result in failed(results) for line in failure_lines(result)]
+    lines = [line for result in failed_results(results) for line in failure_lines(result)]
     assert not lines, "\n".join(lines)
 
 
@@ -50,7 +50,7 @@ def test_faults_made_in_memory_are_those_of_an_injected_bag(
     injection = Injection(data.path, {"f0": fault}, cell.number)
     with read_bag(data.path) as bag:
         injected = [(one.log_time_ns, one.data) for one in injection.records(bag) if one.topic == fault.topic]
-    made = [(one.log_ns, serialize(one.content)) for one in delivered(cell, data) if one.topic == fault.topic]
+    made = [(one.log_ns, serialize(one.content)) for one in deliver_messages(cell, data) if one.topic == fault.topic]
     assert made == injected
 
 
@@ -81,4 +81,4 @@ def test_a_cell_that_once_failed_returns(name: str, cells: list[Cell], voyages: 
 @pytest.mark.slow
 @pytest.mark.parametrize("part", range(PARTS))
 def test_a_seeded_fiftieth_of_all_cells_returns(part: int, cells: list[Cell], voyages: dict[str, VoyageData]) -> None:
-    assert_returned(some_cells(cells, len(cells) // SHARE)[part::PARTS], voyages)
+    assert_returned(sample_cells(cells, len(cells) // SHARE)[part::PARTS], voyages)

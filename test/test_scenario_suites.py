@@ -56,54 +56,54 @@ def test_the_nodes_accept_the_suite_file_of_each_scenario(scenario):
     nodes = configured_nodes(scenario)
     assert nodes
     for config, values in nodes.values():
-        loaded, told = flatten(config), dict(flat(values))
+        loaded, told = flatten(config), dict(flatten_names(values))
         assert {name: loaded[name] for name in told} == told
 
 
 def test_parameters_with_the_name_of_a_scenario_key_are_written(scenario):
     for config, values in configured_nodes(scenario).values():
         for device, told, kind in devices(scenario, config, values):
-            missing = {name for name in shared_names(device, kind) - told.keys() if differs(name, device, kind)}
+            missing = {name for name in shared_names(device, kind) - told.keys() if has_other_default(name, device, kind)}
             assert not missing, (type(device).__name__, kind.__name__, missing)
 
 
-def differs(name, device, kind):
+def has_other_default(name, device, kind):
     """True if a node's default differs from the scenario's value."""
     (field,) = (field for field in dataclasses.fields(kind) if field.name == name)
     return getattr(device, name) != field.default
 
 
-def flat(values, prefix=""):
+def flatten_names(values, prefix=""):
     for name, value in values.items():
         if isinstance(value, dict):
-            yield from flat(value, f"{prefix}{name}.")
+            yield from flatten_names(value, f"{prefix}{name}.")
         else:
             yield prefix + name, value
 
 
 def devices(scenario, config, values):
     """Yield (device of the scenario, its parameters of the node, the node's dataclass), its groups likewise."""
-    yield from grouped(scenario.ins, values["ins"], type(config.ins))
+    yield from grouped_parameters(scenario.ins, values["ins"], type(config.ins))
     for key, told in values.get("star_sensors", {}).items():
-        yield from grouped(scenario.star_sensors[key], told, type(config.star_sensors[key]))
+        yield from grouped_parameters(scenario.star_sensors[key], told, type(config.star_sensors[key]))
     for key, told in values.get("references", {}).items():
-        yield from grouped(scenario.references[key], told, type(config.references[key]))
+        yield from grouped_parameters(scenario.references[key], told, type(config.references[key]))
     for key, told in values.get("beacons", {}).items():
-        yield from grouped(scenario.beacons[key], told, type(config.beacons[key]))
+        yield from grouped_parameters(scenario.beacons[key], told, type(config.beacons[key]))
     for key, told in values.get("telescopes", {}).items():
-        yield from grouped(scenario.telescopes[key], told, type(config.telescopes[key]))
+        yield from grouped_parameters(scenario.telescopes[key], told, type(config.telescopes[key]))
     if "telescope" in values:
-        yield from grouped(scenario.theodolite, values, type(config))
+        yield from grouped_parameters(scenario.theodolite, values, type(config))
 
 
-def grouped(device, values, kind):
+def grouped_parameters(device, values, kind):
     yield device, values, kind
     for name, group in typing.get_type_hints(kind).items():
         # A camera belongs to sensors that give single stars, Schuler's sensors to an INS that oscillates, a main
         # detector to a theodolite with targets: only they have these groups.
         belongs = name not in ("camera", "schuler", "main_detector") or name in values
         if dataclasses.is_dataclass(group) and hasattr(device, name) and belongs:
-            yield from grouped(getattr(device, name), values[name], group)
+            yield from grouped_parameters(getattr(device, name), values[name], group)
 
 
 def shared_names(device, kind):

@@ -9,12 +9,12 @@ import pytest
 from ship_estimation.outcome import Status
 from ship_testing.every_case import check_every_case
 from ship_testing.ship_faults import (
-    Claims,
-    claims,
-    ins_rounded,
-    ins_stamped_late,
-    ins_turned,
-    stars_turned,
+    AttitudeErrors,
+    run_core,
+    round_ins,
+    delay_ins_stamps,
+    turn_ins,
+    turn_stars,
     up,
     voyage,
 )
@@ -24,10 +24,10 @@ RETURNS_S = 75.0
 """An excluded source must agree for a minute (``integrity.return_after_s``)."""
 
 
-def assert_returned(found: Claims, end_s: float) -> None:
+def assert_returned(found: AttitudeErrors, end_s: float) -> None:
     assert found.not_valid_until_s < end_s + RETURNS_S
     assert not found.core.state.excluded
-    assert found.worst() < 5.0
+    assert found.worst_in_sigmas() < 5.0
 
 
 @pytest.mark.slow
@@ -44,14 +44,14 @@ def assert_returned(found: Claims, end_s: float) -> None:
 )
 def test_all_stars_turned_about_up_for_a_while(arcsec, lasts_s):
     end_s = FROM_S + lasts_s
-    found = claims(stars_turned(voyage(end_s + 80.0, RATE_HZ), up(arcsec), FROM_S, end_s))
+    found = run_core(turn_stars(voyage(end_s + 80.0, RATE_HZ), up(arcsec), FROM_S, end_s))
     assert found.statuses(FROM_S + 2.0, end_s) == {Status.DEGRADED}
     assert_returned(found, end_s)
 
 
 def test_the_cables_of_two_star_sensors_exchanged_for_a_while():
     end_s = FROM_S + 30.0
-    found = claims(voyage(end_s + 80.0, RATE_HZ), exchanged_s=(FROM_S, end_s))
+    found = run_core(voyage(end_s + 80.0, RATE_HZ), exchanged_s=(FROM_S, end_s))
     assert found.statuses(FROM_S + 2.0, end_s) == {Status.DEGRADED}
     assert_returned(found, end_s)
 
@@ -63,8 +63,8 @@ def test_an_ins_whose_heading_flips_by_about_half_a_turn_and_back():
 
     def check(degrees: float, lasts_s: float) -> None:
         end_s = FROM_S + lasts_s
-        found = claims(ins_turned(run, up(3600.0 * degrees), FROM_S, end_s))
-        assert found.worst() < 5.0
+        found = run_core(turn_ins(run, up(3600.0 * degrees), FROM_S, end_s))
+        assert found.worst_in_sigmas() < 5.0
         assert found.statuses(end_s + 2.0) == {Status.VALID}
 
     degrees = np.linspace(179.9, 180.1, 21)
@@ -80,8 +80,8 @@ def test_an_ins_whose_heading_flips_by_about_half_a_turn_and_back():
 def test_stamps_of_an_ins_that_are_late_at_random(most_ms, from_s, seed):
     """Once for 60 s, from the start or later. [0 to 12 ms from the start: VALID 4 s with NEES 65, then never again]"""
     end_s = from_s + 60.0
-    found = claims(ins_stamped_late(voyage(end_s + 20.0, RATE_HZ, seed), 1e-3 * most_ms, from_s, end_s, seed))
-    assert found.worst(from_s + 2.5) < 5.0
+    found = run_core(delay_ins_stamps(voyage(end_s + 20.0, RATE_HZ, seed), 1e-3 * most_ms, from_s, end_s, seed))
+    assert found.worst_in_sigmas(from_s + 2.5) < 5.0
     assert found.statuses(from_s + 4.0) == {Status.VALID}
     assert found.core.excess_noise == ""
 
@@ -91,19 +91,19 @@ def test_stamps_of_an_ins_that_are_late_at_random(most_ms, from_s, seed):
 def test_quaternions_of_an_ins_with_four_decimals(from_s):
     """[From the start: VALID 3 s with 14 sigma, then never again]"""
     end_s = from_s + 60.0
-    found = claims(ins_rounded(voyage(end_s + 20.0, RATE_HZ), 4, from_s, end_s))
-    assert found.worst(from_s + 2.5) < 5.0
+    found = run_core(round_ins(voyage(end_s + 20.0, RATE_HZ), 4, from_s, end_s))
+    assert found.worst_in_sigmas(from_s + 2.5) < 5.0
     assert found.statuses(from_s + 4.0) == {Status.VALID}
     assert found.core.excess_noise == ""
 
 
 def test_more_noise_than_stated_is_named_with_its_kind_and_size():
     run = voyage(40.0, RATE_HZ)
-    jitter = claims(ins_stamped_late(run, 0.012, FROM_S), from_s=39.0).core.excess_noise
-    coarse = claims(ins_rounded(run, 4, FROM_S), from_s=39.0).core.excess_noise
+    jitter = run_core(delay_ins_stamps(run, 0.012, FROM_S), from_s=39.0).core.excess_noise
+    coarse = run_core(round_ins(run, 4, FROM_S), from_s=39.0).core.excess_noise
     # Uniform from 0 to 12 ms; a step of 1e-4 in each component turns by 2e-4 rad, uniform to both sides.
     assert 12.0 / 12.0**0.5 * 0.8 < float(jitter.split("jitter by ")[1].split(" ms")[0]) < 12.0 / 12.0**0.5 * 1.25
     assert 41.3 / 12.0**0.5 * 0.8 < float(coarse.split("noise is ")[1].split("″")[0]) < 41.3 / 12.0**0.5 * 1.3
     assert "stated 1.0″" in jitter
     assert "stated 1.0″" in coarse
-    assert claims(run, from_s=39.0).core.excess_noise == ""
+    assert run_core(run, from_s=39.0).core.excess_noise == ""

@@ -28,8 +28,8 @@ from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import suite_configuration
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, stamp_of
-from ship_testing.ins_streams import SWELL, attitudes, stepped, stream
-from ship_testing.small_voyage import drive, new_adapter, voyage
+from ship_testing.ins_streams import SWELL, attitudes, with_step, stream
+from ship_testing.small_voyage import run_adapter, new_adapter, voyage
 
 SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"
 SEEDS = 16
@@ -38,21 +38,21 @@ SEEDS = 16
 class EstimatePair(NamedTuple):
     """The attitude of each stamp, filtered and smoothed."""
 
-    at_once: list[AttitudeEstimate]
+    filtered: list[AttitudeEstimate]
     smoothed: list[AttitudeEstimate]
 
 
 # -- drawn voyages ------------------------------------------------------------------------------------------------
 
 
-def thin(name: str, duration_s: float, gap_s: tuple[float, float]) -> Scenario:
+def reduced_scenario(name: str, duration_s: float, gap_s: tuple[float, float]) -> Scenario:
     """Return a scenario with fewer samples, and with clouds for a time span."""
     whole, clouds = load_scenario(SCENARIOS / name), {"gap": Outage(*gap_s)}
     sensors = {id_: replace(one, rate_hz=1.0, outages=clouds) for id_, one in whole.star_sensors.items()}
     return replace(whole, duration_s=duration_s, ins=replace(whole.ins, rate_hz=10.0), star_sensors=sensors)
 
 
-def sailed(scenario: Scenario, seed: int, output_times_s: list[float]) -> tuple[EstimatePair, np.ndarray]:
+def run_voyage(scenario: Scenario, seed: int, output_times_s: list[float]) -> tuple[EstimatePair, np.ndarray]:
     """Return the outputs at some times, and the true attitudes, shape (n, 3, 3)."""
     run = simulate(scenario, seed)
     stamps = run.ins.time_ns[run.truth.ins_index]
@@ -60,10 +60,10 @@ def sailed(scenario: Scenario, seed: int, output_times_s: list[float]) -> tuple[
     core = SmoothingCore(build(ShipAttitudeConfig, suite_configuration(scenario)), None, None)
     told = EstimatePair([], [])
     for outcome in attitude_outcomes(core, run, set(stamps[rows].tolist())):
-        told.at_once.extend(outcome.estimates)
+        told.filtered.extend(outcome.estimates)
         assert core.take_smoothed() == []
     told.smoothed.extend(core.smoothed_estimates())
-    assert [one.time_ns for one in told.smoothed] == [one.time_ns for one in told.at_once] == stamps[rows].tolist()
+    assert [one.time_ns for one in told.smoothed] == [one.time_ns for one in told.filtered] == stamps[rows].tolist()
     return told, run.truth.rotation_nd[rows]
 
 
@@ -88,12 +88,12 @@ def sigmas_arcsec(estimates: list[AttitudeEstimate]) -> np.ndarray:
     ],
 )
 def test_smoothed_attitudes_are_consistent(name: str, asked_s: list[float]) -> None:
-    scenario, found, worth = thin(name, 60.0, (20.0, 40.0)), [], []
+    scenario, found, worth = reduced_scenario(name, 60.0, (20.0, 40.0)), [], []
     for seed in range(SEEDS):
-        told, true_nd = sailed(scenario, 100 + seed, asked_s)
-        at_once, smoothed = sigmas_arcsec(told.at_once), sigmas_arcsec(told.smoothed)
+        told, true_nd = run_voyage(scenario, 100 + seed, asked_s)
+        at_once, smoothed = sigmas_arcsec(told.filtered), sigmas_arcsec(told.smoothed)
         assert np.all(smoothed <= at_once * (1.0 + 1e-6))
-        assert [one.status for one in told.smoothed] == [one.status for one in told.at_once]
+        assert [one.status for one in told.smoothed] == [one.status for one in told.filtered]
         worth.append(smoothed / at_once)
         found.append(nees(told.smoothed, true_nd))
     low, high = mean_nees_band(SEEDS, 3)
@@ -129,7 +129,7 @@ CONFIG = build(
 )
 
 
-def with_hindsight(ins: list[AttitudeSample], fault_arcsec: float, seed: int) -> tuple[EstimatePair, np.ndarray]:
+def smooth_faulty_voyage(ins: list[AttitudeSample], fault_arcsec: float, seed: int) -> tuple[EstimatePair, np.ndarray]:
     """Return thirty seconds with three sensors, one rotated from 15 s on; smoothed each half second and at JUMP - 1."""
     rng, core, told, first_ns = np.random.default_rng(seed), SmoothingCore(CONFIG, None, None), EstimatePair([], []), 10**18
     mounted = {id_: exp_rotation(MOUNTED * rng.standard_normal(3)) for id_ in SENSORS}
@@ -144,11 +144,11 @@ def with_hindsight(ins: list[AttitudeSample], fault_arcsec: float, seed: int) ->
                 rotation = true_nd @ sensor @ exp_rotation(NOISE * rng.standard_normal(3))
                 core.add_measurement(AttitudeMeasurement(f"star.{id_}", sample.time_ns, rotation, np.diag(NOISE**2)))
         outcome = core.add_ins(sample, estimate=number % 25 == 5 or number == JUMP - 1)
-        told.at_once.extend(outcome.estimates)
+        told.filtered.extend(outcome.estimates)
         asked_s += [since_s] * len(outcome.estimates)
         core.take_smoothed()
     told.smoothed.extend(core.smoothed_estimates())
-    assert len(told.smoothed) == len(told.at_once) == 61
+    assert len(told.smoothed) == len(told.filtered) == 61
     return told, attitudes(np.array(asked_s), SWELL)
 
 
@@ -163,9 +163,9 @@ def test_smoothing_across_a_jump_of_the_ins_is_consistent() -> None:
     # increased five sigma of the clock earlier; the sample before the jump still determines the time before it.
     found = []
     for seed in range(SEEDS // 2):
-        ins = stepped(stream(30.0, 50.0, seed=seed), 0, slow_error(seed))
-        told, true_nd = with_hindsight(stepped(ins, JUMP, (20.0, 200.0, -30.0)), 0.0, seed)
-        assert np.all(sigmas_arcsec(told.smoothed) <= sigmas_arcsec(told.at_once) * (1.0 + 1e-6))
+        ins = with_step(stream(30.0, 50.0, seed=seed), 0, slow_error(seed))
+        told, true_nd = smooth_faulty_voyage(with_step(ins, JUMP, (20.0, 200.0, -30.0)), 0.0, seed)
+        assert np.all(sigmas_arcsec(told.smoothed) <= sigmas_arcsec(told.filtered) * (1.0 + 1e-6))
         found.append(nees(told.smoothed, true_nd))
     low, high = mean_nees_band(SEEDS // 2, 3)
     before_the_jump = [number for number in range(JUMP) if number % 25 == 5 or number == JUMP - 1].index(JUMP - 1)
@@ -175,10 +175,10 @@ def test_smoothing_across_a_jump_of_the_ins_is_consistent() -> None:
 
 def test_an_excluded_sensor_has_no_effect_on_smoothing() -> None:
     # A minute of arc, with an effect for a second; after the exclusion the rows start again, and the chain with them.
-    ins = stepped(stream(30.0, 50.0), 0, slow_error(0))
-    told, true_nd = with_hindsight(ins, 60.0, 0)
-    assert any("star.aft" not in one.sources for one in told.at_once[35:])
-    assert [one.status for one in told.smoothed] == [one.status for one in told.at_once]
+    ins = with_step(stream(30.0, 50.0), 0, slow_error(0))
+    told, true_nd = smooth_faulty_voyage(ins, 60.0, 0)
+    assert any("star.aft" not in one.sources for one in told.filtered[35:])
+    assert [one.status for one in told.smoothed] == [one.status for one in told.filtered]
     # Chi-square of three degrees of freedom exceeds it once in ten thousand.
     assert max(nees(told.smoothed, true_nd)) < 21.1
 
@@ -188,7 +188,7 @@ def test_an_excluded_sensor_has_no_effect_on_smoothing() -> None:
 
 def test_with_a_lag_each_attitude_is_also_published_smoothed_and_nothing_else_changes() -> None:
     arrivals, lag_s = voyage(12.0), 4.0
-    run, plain = drive(new_adapter(smoothing_lag_s=lag_s), arrivals), drive(new_adapter(), arrivals)
+    run, plain = run_adapter(new_adapter(smoothing_lag_s=lag_s), arrivals), run_adapter(new_adapter(), arrivals)
     assert [told for told in run.results() if told[1] != SMOOTHED_TOPIC] == plain.results()
     assert not plain.messages(SMOOTHED_TOPIC)
     at_once = {stamp_of(message): message for message in run.messages("ship/attitude")}
@@ -207,7 +207,7 @@ def test_with_a_lag_each_attitude_is_also_published_smoothed_and_nothing_else_ch
         assert np.all(variances <= np.diagonal(at_once[stamp_ns].covariance.reshape(3, 3)) * (1.0 + 1e-6))
         # Two seconds of stars more, and all that came later besides.
         assert np.all(np.diagonal(at_last.covariance.reshape(3, 3)) <= variances * (1.0 + 1e-6))
-    again = drive(new_adapter(smoothing_lag_s=lag_s), arrivals)
+    again = run_adapter(new_adapter(smoothing_lag_s=lag_s), arrivals)
     assert again.results() == run.results()
 
 
@@ -216,13 +216,13 @@ def whole_run(arrivals: tuple) -> dict[int, object]:
     adapter = new_adapter()
     core = adapter.core = SmoothingCore(adapter.config, None, None)
     adapter.set_parameters({})  # the methods that feed the core are bound again
-    drive(adapter, arrivals)
+    run_adapter(adapter, arrivals)
     return {one.time_ns: smoothed_message(FACTORY, one, FRAME_NAMES)[1] for one in core.smoothed_estimates()}
 
 
 def test_a_lag_shorter_than_late_data_waits_for_them() -> None:
     # Data may come 2 s late, and a gap of the INS may be as long as 0.5 s: before that nothing is final.
-    run = drive(new_adapter(smoothing_lag_s=0.1), voyage(8.0))
+    run = run_adapter(new_adapter(smoothing_lag_s=0.1), voyage(8.0))
     delays_s = [(now_ns - stamp_of(m)) / SECOND_NS for now_ns, topic, m in run.published if topic == SMOOTHED_TOPIC]
     assert delays_s
     assert min(delays_s) > 2.5
@@ -230,12 +230,12 @@ def test_a_lag_shorter_than_late_data_waits_for_them() -> None:
 
 def test_smoothing_continues_after_parameter_changes_and_a_reset() -> None:
     adapter, arrivals = new_adapter(smoothing_lag_s=3.0), voyage(16.0)
-    drive(adapter, arrivals[: len(arrivals) // 4])
+    run_adapter(adapter, arrivals[: len(arrivals) // 4])
     adapter.set_parameters({"star_sensors.fore.sigma_up_arcsec": 4.0})
-    second = drive(adapter, arrivals[len(arrivals) // 4 : len(arrivals) // 2])
+    second = run_adapter(adapter, arrivals[len(arrivals) // 4 : len(arrivals) // 2])
     assert second.messages(SMOOTHED_TOPIC)
     assert adapter.service("reset", second.now_ns).success
-    third = drive(adapter, arrivals[len(arrivals) // 2 :])
+    third = run_adapter(adapter, arrivals[len(arrivals) // 2 :])
     assert not third.innovations(Reason.FAILED)
     # Pending attitudes at the reset are not published again.
     stamps = [stamp_of(message) for message in third.messages(SMOOTHED_TOPIC)]
@@ -254,9 +254,9 @@ def test_a_failed_smoothing_is_reported(monkeypatch: pytest.MonkeyPatch) -> None
 
     smoothed_until = SmoothingCore._smoothed_until
     monkeypatch.setattr(SmoothingCore, "_smoothed_until", fails_once)
-    run = drive(adapter, arrivals)
+    run = run_adapter(adapter, arrivals)
     assert [message.source for message in run.innovations(Reason.FAILED)] == [SMOOTHED_TOPIC]
-    assert len(run.messages("ship/attitude")) == len(drive(new_adapter(), arrivals).messages("ship/attitude"))
+    assert len(run.messages("ship/attitude")) == len(run_adapter(new_adapter(), arrivals).messages("ship/attitude"))
     stamps = [stamp_of(message) for message in run.messages(SMOOTHED_TOPIC)]
     assert stamps == sorted(set(stamps))
     assert max(stamps) > START_NS + 8 * SECOND_NS

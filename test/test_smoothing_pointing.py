@@ -23,9 +23,9 @@ from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import optical_axis_configuration, suite_configuration
-from ship_testing.mount_stars import MountSession, at_anchor, drawn_errors, mount_config, mount_sky, random_field
+from ship_testing.mount_stars import MountSession, anchored_readings, draw_errors, mount_config, mount_sky, random_field
 from ship_testing.star_sky import TIME_NS
-from ship_testing.theodolite_scenes import SCENARIOS, replaced, with_beacons, with_theodolite
+from ship_testing.theodolite_scenes import SCENARIOS, replace_nested, with_beacons, with_theodolite
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.alternatives import BEACON, ENCODER
 from theodolite_calib.measured.samples import Mode, PointingEstimate, PointingOutcome, ShipSample
@@ -40,18 +40,18 @@ SEEDS = 16
 class EstimatePair(NamedTuple):
     """Pointing of each reading, filtered and smoothed, the true main axes, shape (N, 3, 3), and faulty sources."""
 
-    at_once: list[PointingEstimate]
+    filtered: list[PointingEstimate]
     smoothed: list[PointingEstimate]
     true_nm: np.ndarray
     excluded: set[str]
 
     def place(self, second: float) -> int:
         """Return the number of the pointing nearest to a time after the first one."""
-        times_ns = np.array([one.time_ns for one in self.at_once])
+        times_ns = np.array([one.time_ns for one in self.filtered])
         return int(np.argmin(np.abs(times_ns - times_ns[0] - second * 1e9)))
 
 
-def off_n(estimates: list[PointingEstimate], true_nm: np.ndarray) -> np.ndarray:
+def error_vectors_n(estimates: list[PointingEstimate], true_nm: np.ndarray) -> np.ndarray:
     return log_rotation(true_nm @ np.array([one.rotation_nm for one in estimates]).swapaxes(1, 2))
 
 
@@ -60,7 +60,7 @@ def covariances(estimates: list[PointingEstimate]) -> np.ndarray:
 
 
 def nees(estimates: list[PointingEstimate], true_nm: np.ndarray) -> np.ndarray:
-    return normalized_error_squared(off_n(estimates, true_nm), covariances(estimates))
+    return normalized_error_squared(error_vectors_n(estimates, true_nm), covariances(estimates))
 
 
 def rms_arcsec(errors_n: np.ndarray) -> float:
@@ -106,12 +106,12 @@ def session() -> Scenario:
     return replace(
         scenario,
         duration_s=END_S,
-        ins=replaced(scenario.ins, rate_hz=1.0),
-        fused_attitude=replaced(scenario.fused_attitude, rate_hz=5.0),
+        ins=replace_nested(scenario.ins, rate_hz=1.0),
+        fused_attitude=replace_nested(scenario.fused_attitude, rate_hz=5.0),
     )
 
 
-def fed(core: OpticalAxisCore, run: SimulatedRun) -> Iterator[PointingOutcome]:
+def run_core(core: OpticalAxisCore, run: SimulatedRun) -> Iterator[PointingOutcome]:
     for _, source, index in run.pointing_arrivals():
         yield feed_arrival(core, run, source, index)
 
@@ -121,7 +121,7 @@ def sessions() -> list[EstimatePair]:
     scenario, told = session(), []
     for seed in range(SEEDS):
         run, core = simulate(scenario, seed), axis_core(scenario)
-        told.append(smoothed_pointings(core, fed(core, run), run))
+        told.append(smoothed_pointings(core, run_core(core, run), run))
     return told
 
 
@@ -139,14 +139,14 @@ def test_no_variance_grows_and_later_measurements_improve_earlier_pointings(sess
     kept = [told for told in sessions if not told.excluded]
     assert len(kept) > SEEDS // 2
     for told in kept:
-        at_once, smoothed = covariances(told.at_once), covariances(told.smoothed)
+        at_once, smoothed = covariances(told.filtered), covariances(told.smoothed)
         scale = np.trace(at_once, axis1=1, axis2=2)
         assert np.all(np.linalg.eigvalsh(at_once - smoothed)[:, 0] > -1e-9 * scale)
     # By encoders alone, in the thirty seconds before the first lights.
     before = slice(sessions[0].place(0.0), sessions[0].place(FIRST_S))
-    assert {one.mode for one in sessions[0].at_once[before]} == {Mode.ENCODER}
+    assert {one.mode for one in sessions[0].filtered[before]} == {Mode.ENCODER}
     errors = {
-        name: rms_arcsec(np.array([off_n(getattr(told, name)[before], told.true_nm[before]) for told in sessions]))
+        name: rms_arcsec(np.array([error_vectors_n(getattr(told, name)[before], told.true_nm[before]) for told in sessions]))
         for name in ("at_once", "smoothed")
     }
     print(f"before the first lights: at once {errors['at_once']:.1f} arcsec, smoothed {errors['smoothed']:.1f} arcsec")
@@ -156,7 +156,7 @@ def test_no_variance_grows_and_later_measurements_improve_earlier_pointings(sess
     last = sessions[0]
     np.testing.assert_allclose(
         covariances(last.smoothed)[last.place(LEAVE_S + 5.0) :],
-        covariances(last.at_once)[last.place(LEAVE_S + 5.0) :],
+        covariances(last.filtered)[last.place(LEAVE_S + 5.0) :],
         rtol=1e-9,
         atol=1e-6 * ARCSEC**2,
     )
@@ -165,8 +165,8 @@ def test_no_variance_grows_and_later_measurements_improve_earlier_pointings(sess
 def test_filtered_pointings_are_the_same_to_the_last_bit(sessions: list[EstimatePair]) -> None:
     scenario = session()
     core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(scenario)))
-    plain = [one for outcome in fed(core, simulate(scenario, 0)) for one in outcome.estimates]
-    for one, other in zip(plain, sessions[0].at_once, strict=True):
+    plain = [one for outcome in run_core(core, simulate(scenario, 0)) for one in outcome.estimates]
+    for one, other in zip(plain, sessions[0].filtered, strict=True):
         for name in ("rotation_nm", "covariance_n", "parts_n", "rotation_nt", "by_error_n"):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
         assert (one.time_ns, one.status, one.text) == (other.time_ns, other.status, other.text)
@@ -188,10 +188,10 @@ def test_smoothing_before_a_slip_of_the_encoders_is_consistent() -> None:
         late = readings.time_ns > run.start_ns + round(FAULT_S * 1e9)
         slipped = replace(readings, azimuth=np.mod(readings.azimuth + np.deg2rad(2.0) * late, 2.0 * np.pi))
         run = replace(run, theodolite=replace(run.theodolite, encoder=slipped))
-        told = smoothed_pointings(core, fed(core, run), run)
+        told = smoothed_pointings(core, run_core(core, run), run)
         places = [told.place(second) for second in (5.0, 25.0, 40.0, 55.0, FAULT_S)]
         found.append(nees([told.smoothed[place] for place in places], told.true_nm[places]))
-        variances = [np.trace(covariances(all_), axis1=1, axis2=2)[places] for all_ in (told.at_once, told.smoothed)]
+        variances = [np.trace(covariances(all_), axis1=1, axis2=2)[places] for all_ in (told.filtered, told.smoothed)]
         gained.append(np.sqrt(variances[1] / variances[0]))
     low, high = mean_nees_band(6, 3)
     for mean_nees in np.mean(found, axis=0):
@@ -210,13 +210,13 @@ def test_an_excluded_drone_has_no_effect_on_smoothing() -> None:
     baseline_n = baselines["a"].baseline_n + np.array([0.6, -0.4, 0.5]) * late[:, None]
     baselines["a"] = replace(baselines["a"], baseline_n=baseline_n)
     run = replace(run, theodolite=replace(run.theodolite, baselines=baselines))
-    told = smoothed_pointings(core, fed(core, run), run)
+    told = smoothed_pointings(core, run_core(core, run), run)
     assert told.excluded == {BEACON + "a"}
     # Chi-square of three degrees of freedom exceeds it once in ten thousand.
     assert np.max(nees(told.smoothed, told.true_nm)) < 21.1
     # The other drone's lights continue to improve the axes, but not those before: the estimate is another one.
-    assert is_as_it_was(told, 40.0, 40.5)
-    assert not is_as_it_was(told, 45.0, 80.0)
+    assert is_unchanged(told, 40.0, 40.5)
+    assert not is_unchanged(told, 45.0, 80.0)
 
 
 def test_excluded_encoders_change_no_smoothed_pointing() -> None:
@@ -227,19 +227,19 @@ def test_excluded_encoders_change_no_smoothed_pointing() -> None:
     late = readings.time_ns > run.start_ns + round(FAULT_S * 1e9)
     slipped = replace(readings, azimuth=np.mod(readings.azimuth + np.deg2rad(0.5) * late, 2.0 * np.pi))
     run = replace(run, theodolite=replace(run.theodolite, encoder=slipped))
-    told = smoothed_pointings(core, fed(core, run), run)
+    told = smoothed_pointings(core, run_core(core, run), run)
     assert told.excluded == {ENCODER}
     assert np.max(nees(told.smoothed, told.true_nm)) < 21.1
     # From the last lights before on; and each later sighting is independent.
-    assert not is_as_it_was(told, 45.0, 49.0)
-    assert is_as_it_was(told, 50.0, FAULT_S)
-    assert is_as_it_was(told, 70.0, 88.0)
+    assert not is_unchanged(told, 45.0, 49.0)
+    assert is_unchanged(told, 50.0, FAULT_S)
+    assert is_unchanged(told, 70.0, 88.0)
 
 
-def is_as_it_was(estimates: EstimatePair, start_s: float, end_s: float) -> bool:
+def is_unchanged(estimates: EstimatePair, start_s: float, end_s: float) -> bool:
     """True if the smoothed pointings of a time span equal the filtered ones to rounding."""
     some = slice(estimates.place(start_s), estimates.place(end_s))
-    at_once, smoothed = (covariances(all_)[some] for all_ in (estimates.at_once, estimates.smoothed))
+    at_once, smoothed = (covariances(all_)[some] for all_ in (estimates.filtered, estimates.smoothed))
     return bool(np.all(np.abs(smoothed - at_once) <= 1e-6 * np.trace(at_once, axis1=1, axis2=2)[:, None, None]))
 
 
@@ -257,12 +257,12 @@ def voyage() -> Scenario:
         duration_s=75.0,
         ins=replace(whole.ins, rate_hz=5.0, time_offset_sigma_s=0.0),
         star_sensors=sensors,
-        theodolite=replaced(lights.theodolite, deformation__sigma_arcsec=5.0),
+        theodolite=replace_nested(lights.theodolite, deformation__sigma_arcsec=5.0),
         beacons=lights.beacons,
     )
 
 
-def sailed(seed: int) -> EstimatePair:
+def run_voyage(seed: int) -> EstimatePair:
     scenario = voyage()
     run = simulate(scenario, seed)
     ship = SmoothingCore(build(ShipAttitudeConfig, suite_configuration(scenario)), None, None)
@@ -287,7 +287,7 @@ def sailed(seed: int) -> EstimatePair:
 def test_smoothing_with_the_smoothed_ship_attitude_is_consistent() -> None:
     found = []
     for seed in range(SEEDS // 2):
-        told = sailed(seed)
+        told = run_voyage(seed)
         # Before the first lights, with all, without stars, without stars and lights, without lights, at the end.
         places = [told.place(second) for second in (2.0, 14.0, 28.0, 34.0, 42.0, 55.0, 74.0)]
         found.append(nees([told.smoothed[place] for place in places], told.true_nm[places]))
@@ -304,9 +304,9 @@ def test_later_stars_improve_earlier_pointings() -> None:
     found, errors = [], {"at_once": [], "smoothed": []}
     for seed in range(SEEDS // 2):
         rng = np.random.default_rng(seed)
-        night = MountSession(settings, drawn_errors(settings, rng), mount_sky(settings), rng)
+        night = MountSession(settings, draw_errors(settings, rng), mount_sky(settings), rng)
         core, told, true_nm = SmoothingAxisCore(settings, load_sky_model(settings.sky)), [], []
-        for given in at_anchor():
+        for given in anchored_readings():
             core.add_surroundings(given)
         for number in range(80):
             time_ns = TIME_NS + number * 250_000_000
@@ -325,7 +325,7 @@ def test_later_stars_improve_earlier_pointings() -> None:
         first = slice(2, 12)
         assert {one.mode for one in told[first]} == {Mode.ENCODER}
         for name, estimates in (("at_once", told), ("smoothed", smoothed)):
-            errors[name].append(off_n(estimates[first], np.array(true_nm[first])))
+            errors[name].append(error_vectors_n(estimates[first], np.array(true_nm[first])))
         places = [5, 30, 50, len(told) - 2]
         found.append(nees([smoothed[place] for place in places], np.array(true_nm)[places]))
     low, high = mean_nees_band(SEEDS // 2, 3)

@@ -26,7 +26,7 @@ from ship_testing.paper_stars import paper_stars, with_sensor
 LARGE = {"field_spatial_sigma_px": 0.3, "pixel_spatial_sigma_px": 0.2}
 """7″ and 5″, with a noise of 3″."""
 
-def solved(run: SimulatedRun):
+def solve_first_exposure(run: SimulatedRun):
     """Return the attitude of the sensor by the first exposure of a run, and the true one (horizon from sensor)."""
     config = build(StarAttitudeConfig, star_attitude_configuration(run.scenario))
     watch = load_sky_model(config.sky)
@@ -42,7 +42,7 @@ def test_an_attitude_by_one_exposure_has_them_in_its_covariance_by_name():
     scenario = with_sensor(paper_stars(duration_s=0.2), camera=LARGE)
     nees, parts = [], []
     for seed in range(60):
-        solution, true_nv = solved(simulate(scenario, seed))
+        solution, true_nv = solve_first_exposure(simulate(scenario, seed))
         # One in a thousand exposures disagrees with itself by chance, and is refused.
         if solution.status is SolutionStatus.INVALID:
             continue

@@ -47,7 +47,7 @@ def configured_sky(run: SimulatedRun, configuration: ShipAttitudeConfig) -> SkyM
     return watch
 
 
-def sighted(exposures: dict[str, StarExposure], watch: SkyModel, configuration: ShipAttitudeConfig) -> MatchedStars:
+def sighted_stars(exposures: dict[str, StarExposure], watch: SkyModel, configuration: ShipAttitudeConfig) -> MatchedStars:
     """Return all stars of several sensors in the deck."""
     parts, mounting_b, field_b, field_sources = [], [], [], ()
     for index, (id_, exposure) in enumerate(exposures.items()):
@@ -99,7 +99,7 @@ def joint_errors(scenario: Scenario, configured: Scenario | None = None, **sky: 
     for seed in range(SEEDS):
         run = simulate(scenario, seed)
         exposures = {id_: star_exposure(run, id_, 0) for id_ in run.stars}
-        solution = solve_stars(sighted(exposures, configured_sky(run, configuration), configuration))
+        solution = solve_stars(sighted_stars(exposures, configured_sky(run, configuration), configuration))
         assert solution.status is SolutionStatus.VALID
         # The sensors have no time offset: the truth at the first stamp is theirs.
         error_n = log_rotation(run.truth.rotation_nd[0] @ solution.rotation_nb.T)
@@ -130,7 +130,7 @@ def test_unmodelled_errors_are_detected() -> None:
     assert np.mean(values) > mean_nees_band(SEEDS, degrees=3)[1]
 
 
-def low(model: str) -> Scenario:
+def low_elevation_scenario(model: str) -> Scenario:
     """Return two sensors at low elevation: most stars are at 5° to 11°, with refraction by a model."""
     sensors = {id_: replace(sensor, elevation_deg=7.0) for id_, sensor in BASE.star_sensors.items()}
     return replace(BASE, star_sensors=sensors, weather=replace(BASE.weather, refraction_model=model))
@@ -142,9 +142,9 @@ def test_errors_of_low_stars_fit_their_covariance_by_erfa_and_are_smaller_by_tra
 
     It is the same in each seed, so that NEES is no mean over its sigma: only the upper bound applies.
     """
-    truth = low("ray_trace")
+    truth = low_elevation_scenario("ray_trace")
     low_bound, high_bound = mean_nees_band(SEEDS, degrees=3)
-    by_formula, by_rays = (joint_errors(truth, told) for told in (low("erfa"), truth))
+    by_formula, by_rays = (joint_errors(truth, told) for told in (low_elevation_scenario("erfa"), truth))
     nees = [float(np.mean(each_nees(*found))) for found in (by_formula, by_rays)]
     rms = [np.sqrt(np.mean(errors_n[:, [0, 2]] ** 2)) / ARCSEC for errors_n, _ in (by_formula, by_rays)]
     print(f"erfa: NEES {nees[0]:.2f}, tilt {rms[0]:.2f}″; ray_trace: NEES {nees[1]:.2f}, tilt {rms[1]:.2f}″")

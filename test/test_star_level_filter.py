@@ -27,7 +27,7 @@ from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.motion_scenario import AngleMotion, Wave
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_testing.solved_voyages import sail_by_solutions
+from ship_testing.solved_voyages import run_with_solutions
 
 SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"
 SEEDS = int(os.environ.get("SKY_SEEDS", "8"))
@@ -38,7 +38,7 @@ SURELY_WRONG = 6.0
 """Mean NEES that the issue asks for at least where a part of the chain is missing; honest is 3."""
 
 
-def short(**changes) -> Scenario:
+def short_scenario(**changes) -> Scenario:
     """Return the reference case at star level, shortened."""
     whole = load_scenario(SCENARIOS / "paper_stars.yaml")
     sensors = {id_: replace(sensor, rate_hz=2.0) for id_, sensor in whole.star_sensors.items()}
@@ -48,7 +48,7 @@ def short(**changes) -> Scenario:
 
 @pytest.fixture(scope="module")
 def runs() -> list[SimulatedRun]:
-    scenario = short()
+    scenario = short_scenario()
     return [simulate(scenario, seed) for seed in range(FEW)]
 
 
@@ -56,10 +56,10 @@ def final_nees(
     run: SimulatedRun, watch: type[SkyModel] = SkyModel, table: EarthOrientationTable | None = None
 ) -> float:
     """Return NEES of the fused attitude at the end, by an estimator with another sky if given."""
-    return normalised(run, final(run, watch, table)[1])
+    return final_error_squared(run, run_to_end(run, watch, table)[1])
 
 
-def final(
+def run_to_end(
     run: SimulatedRun, watch: type[SkyModel] = SkyModel, table: EarthOrientationTable | None = None
 ) -> tuple[ShipAttitudeCore, AttitudeEstimate]:
     """Return the estimator at the end, and its last attitude."""
@@ -68,7 +68,7 @@ def final(
     return core, feed_attitude(core, run)[0]
 
 
-def normalised(run: SimulatedRun, estimate: AttitudeEstimate) -> float:
+def final_error_squared(run: SimulatedRun, estimate: AttitudeEstimate) -> float:
     error_n = log_rotation(run.truth.rotation_nd[-1] @ estimate.rotation_nd.T)
     return float(normalized_error_squared(error_n, estimate.covariance_n))
 
@@ -93,9 +93,9 @@ def test_a_fix_in_time_rewinds_nothing() -> None:
     assert steps <= 1.1 * sum(len(samples.time_ns) for samples in run.stars.values())
 
 
-def by_solutions(run: SimulatedRun) -> AttitudeEstimate:
+def final_attitude_with_solutions(run: SimulatedRun) -> AttitudeEstimate:
     """Return the fused attitude at the end if ship_attitude uses the solutions of star_attitude."""
-    outcomes = sail_by_solutions(run)
+    outcomes = run_with_solutions(run)
     # An exposure at the very start has no INS sample before it.
     assert {one.reason for outcome in outcomes for one in outcome.decisions} <= {Reason.NONE, Reason.GAP}
     return [estimate for outcome in outcomes for estimate in outcome.estimates][-1]
@@ -104,23 +104,23 @@ def by_solutions(run: SimulatedRun) -> AttitudeEstimate:
 @pytest.mark.statistics
 def test_with_a_poor_fix_solutions_have_the_sigma_of_the_stars() -> None:
     """A fix of sigma 100 m. As each sensor's own error, its part of sigma was 0.7 of the true one."""
-    scenario = short()
+    scenario = short_scenario()
     scenario = replace(scenario, position=replace(scenario.position, slow_sigma_m=100.0))
     nees = []
     for seed in range(SEEDS):
         run = simulate(scenario, seed)
         by_stars, _ = feed_attitude(core_for(scenario), run)
-        by_solution = by_solutions(run)
+        by_solution = final_attitude_with_solutions(run)
         sigmas = [np.sqrt(np.diagonal(found.covariance_n)) for found in (by_stars, by_solution)]
         np.testing.assert_allclose(sigmas[1], sigmas[0], rtol=0.03)
-        nees.append([normalised(run, found) for found in (by_stars, by_solution)])
+        nees.append([final_error_squared(run, found) for found in (by_stars, by_solution)])
     low, high = mean_nees_band(SEEDS, 3)
     assert np.all((low <= np.mean(nees, axis=0)) & (np.mean(nees, axis=0) <= high))
 
 
-def streaked(exposure_s: float, seeds: int) -> list[SimulatedRun]:
+def run_with_streaks(exposure_s: float, seeds: int) -> list[SimulatedRun]:
     """Return the reference case with an exposure time: its ship rolls 4° in 11 s."""
-    scenario = short()
+    scenario = short_scenario()
     sensors = {id_: replace(star, exposure_s=exposure_s) for id_, star in scenario.star_sensors.items()}
     return [simulate(replace(scenario, star_sensors=sensors), seed) for seed in range(seeds)]
 
@@ -134,22 +134,22 @@ def without_exposure_length(run: SimulatedRun) -> SimulatedRun:
 def test_with_streaks_of_a_fifth_of_a_second_the_error_fits_its_covariance():
     # Of a tenth of a second: test_campaign_cases.py.
     low, high = mean_nees_band(SEEDS, 3)
-    assert low <= np.mean([final_nees(run) for run in streaked(0.2, SEEDS)]) <= high
+    assert low <= np.mean([final_nees(run) for run in run_with_streaks(0.2, SEEDS)]) <= high
 
 
 @pytest.mark.parametrize("exposure_s", [0.1, 0.2])
 def test_streaks_without_exposure_time_are_detected(exposure_s):
     """The errors are larger than they say; or the sensors are found to contradict it."""
-    lies = [without_exposure_length(run) for run in streaked(exposure_s, 3)]
-    found = [(*final(lie), lie) for lie in lies]
+    lies = [without_exposure_length(run) for run in run_with_streaks(exposure_s, 3)]
+    found = [(*run_to_end(lie), lie) for lie in lies]
     told = [core.state.unresolved_fault is not None or bool(core.state.exclusion_counts) for core, _, _ in found]
-    nees = [normalised(lie, estimate) for _, estimate, lie in found]
+    nees = [final_error_squared(lie, estimate) for _, estimate, lie in found]
     assert any(told) or np.mean(nees) > mean_nees_band(len(nees), 3)[1], (told, nees)
 
 
-def rolling_far(ins_rate_hz: float) -> Scenario:
+def large_roll_scenario(ins_rate_hz: float) -> Scenario:
     """Return a roll of 20° in 8 s, exposures of a quarter of a second: streaks of up to 600 pixels."""
-    scenario = short()
+    scenario = short_scenario()
     sensors = {id_: replace(star, exposure_s=0.25, rate_hz=1.0) for id_, star in scenario.star_sensors.items()}
     roll = AngleMotion(waves={"swell": Wave(amplitude_deg=20.0, period_s=8.0, phase_rad=0.3)})
     ins = replace(scenario.ins, rate_hz=ins_rate_hz)
@@ -164,7 +164,7 @@ def test_a_higher_ins_rate_does_not_reduce_the_sigma_of_its_clock() -> None:
     """
     claimed_s = []
     for ins_rate_hz in (20.0, 100.0):
-        scenario = rolling_far(ins_rate_hz)
+        scenario = large_roll_scenario(ins_rate_hz)
         core = core_for(scenario)
         feed_attitude(core, simulate(scenario, 0))
         (clock,) = core.filter.model.state_indices("ins.time_offset")
@@ -175,7 +175,7 @@ def test_a_higher_ins_rate_does_not_reduce_the_sigma_of_its_clock() -> None:
 @pytest.mark.statistics
 def test_errors_of_long_streaks_fit_their_covariance() -> None:
     """With the noise of two samples in the rate, the roll's RMS was 1.19 sigma and NEES 3.54."""
-    scenario = rolling_far(100.0)
+    scenario = large_roll_scenario(100.0)
     results = [final_error(scenario, seed) for seed in range(LONG_STREAK_SEEDS)]
     ratio = np.sqrt(np.mean([(result.angles / result.sigma) ** 2 for result in results], axis=0))
     nees = np.mean([result.nees for result in results])
@@ -186,7 +186,7 @@ def test_errors_of_long_streaks_fit_their_covariance() -> None:
     assert np.all((low <= ratio) & (ratio <= high))
 
 
-class _Airless(LocalSky):
+class _WithoutAir(LocalSky):
     """Apparent places of stars without air."""
 
     def apparent(self, stars) -> ApparentStars:
@@ -200,10 +200,10 @@ class SkyWithoutRefraction(SkyModel):
 
     def at(self, time_ns: int) -> LocalSky | Rejection:
         moment = super().sky_at(time_ns)
-        return moment if isinstance(moment, Rejection) else _Airless(**vars(moment))
+        return moment if isinstance(moment, Rejection) else _WithoutAir(**vars(moment))
 
 
-class _Still(RefreshedSky):
+class _WithoutVelocity(RefreshedSky):
     """Apparent places of stars for an observer at rest."""
 
     def directions(self, stars, time_ns, observer) -> FloatArray:
@@ -223,7 +223,7 @@ class SkyWithoutAberration(SkyModel):
 
     def __init__(self, config, table, catalogue) -> None:
         super().__init__(config, table, catalogue)
-        self._refreshed = _Still(table)
+        self._refreshed = _WithoutVelocity(table)
 
 
 class UniversalTimeIsUtc(EarthOrientationTable):

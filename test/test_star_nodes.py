@@ -105,7 +105,7 @@ def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 def test_solutions_are_used_by_the_ship_attitude_in_one_pass(both: tuple[Path, Path]) -> None:
     _, out = both
     attitudes = [record.decode() for record in records(out, SHIP)]
-    assert len(records(out, *SOLUTIONS)) == len(star_voyage.only(star_voyage.voyage(), *star_voyage.AZIMUTH_DEG))
+    assert len(records(out, *SOLUTIONS)) == len(star_voyage.with_topics(star_voyage.voyage(), *star_voyage.AZIMUTH_DEG))
     assert attitudes[-1].status == VALID
     assert list(attitudes[-1].sources) == ["ins", "star.fore", "star.starboard"]
 
@@ -196,7 +196,7 @@ def joint_nees(seeds: int, exposure_s: float = 0.0, configured_psf_px: float | N
     return nees
 
 
-class _Nobody:
+class _NoSubscriber:
     """Publisher without subscribers."""
 
     def publish(self, message: Any) -> None:
@@ -207,7 +207,7 @@ def test_a_black_box_of_the_node_is_equal_to_the_last_bit(tmp_path: Path, capsys
     config, files = star_voyage.config(), RecordingFiles()
     adapter = StarAttitudeAdapter(config, RosidlFactory(), files)
     box = BlackBox(str(tmp_path / "box.mcap"), adapter, config, adapter.outputs, "/", print)
-    calls = AdapterCalls(adapter, {output.topic: _Nobody() for output in adapter.outputs}, files, box)
+    calls = AdapterCalls(adapter, {output.topic: _NoSubscriber() for output in adapter.outputs}, files, box)
     grid = TickGrid()
     for number, arrival in enumerate(star_voyage.voyage(noise=True)):
         for tick_ns in grid.ticks_until(arrival.receive_ns):

@@ -170,7 +170,7 @@ FRAMES = {
 }
 
 
-def hear_frames(frames, name, message):
+def record_frames(frames, name, message):
     """Record the parents of the frames on the /tf of a suite."""
     frames.update((name, each.header.frame_id, each.child_frame_id) for each in message.transforms)
 
@@ -179,14 +179,14 @@ def test_two_suites_in_two_namespaces_do_not_mix(tmp_path, domain):
     environment = live_environment(domain, tmp_path)
     statuses: dict[str, set[str]] = {}
 
-    def started(name, bag):
+    def start_suite(name, bag):
         command = suite("--bag", bag, "--namespace", name, "--loop", "0")
         return LiveProcess(command, tmp_path / f"{name}.log", environment)
 
     frames: set[tuple[str, str, str]] = set()
-    with GraphObserver(domain) as observer, started("alpha", DEMO) as alpha, started("beta", THEODOLITE) as beta:
+    with GraphObserver(domain) as observer, start_suite("alpha", DEMO) as alpha, start_suite("beta", THEODOLITE) as beta:
         for name, topic in itertools.product(("alpha", "beta"), ("tf", "tf_static")):
-            take = functools.partial(hear_frames, frames, name)
+            take = functools.partial(record_frames, frames, name)
             observer.node.create_subscription(TFMessage, f"/{name}/{topic}", take, 100)
         there = {"/alpha/ship/attitude": 1, "/alpha/clock": 1, "/beta/theodolite/pointing": 1, "/beta/clock": 1}
         assert observer.wait_for(there, {"/beta/ship/attitude": 1}, 60.0), alpha.log_text() + beta.log_text()
@@ -228,7 +228,7 @@ def test_a_killed_node_is_restarted_within_two_seconds_with_its_saved_alignment(
     while not gaps_s or (min(gaps_s) >= 2.0 and len(gaps_s) < 3):
         folder = tmp_path / str(len(gaps_s))
         folder.mkdir()
-        gap_s, log, saved = killed_once(folder, live_environment(domain, folder))
+        gap_s, log, saved = gap_after_kill_s(folder, live_environment(domain, folder))
         gaps_s.append(gap_s)
         assert "signal 9, SIGKILL; started again at once (restart 1 in a row)" in log
         assert f"alignment {saved}, 0 min old" in log
@@ -236,7 +236,7 @@ def test_a_killed_node_is_restarted_within_two_seconds_with_its_saved_alignment(
     assert 0.1 < min(gaps_s) < 2.0, (gaps_s, log)
 
 
-def killed_once(folder, environment):
+def gap_after_kill_s(folder, environment):
     """Kill the node once; return the longest gap of ``ship_attitude``, s of data, the suite's log, its file."""
     saved, path, recorded = folder / "alignment.yaml", folder / "suite.yaml", folder / "recorded.mcap"
     with read_bag(DEMO) as bag:

@@ -40,7 +40,7 @@ def _voyage(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, dict[
     return folder, folder / "suite.yaml", truths
 
 
-def replayed(folder: Path, bag: str, suite: Path, *, one_by_one: bool = False) -> list[tuple[str, bytes, int]]:
+def replay_bag(folder: Path, bag: str, suite: Path, *, one_by_one: bool = False) -> list[tuple[str, bytes, int]]:
     out = folder / f"{Path(bag).stem}_{one_by_one}.mcap"
     summary = replay(folder / bag, out, ADAPTERS, suite, one_by_one=one_by_one)
     assert summary.problems == []
@@ -78,16 +78,16 @@ def vector(of: Any) -> np.ndarray:
 @pytest.mark.slow
 def test_a_replay_in_blocks_gives_what_one_by_one_gives(voyage) -> None:
     folder, suite, _ = voyage
-    in_blocks = replayed(folder, "in.mcap", suite)
+    in_blocks = replay_bag(folder, "in.mcap", suite)
     assert any(topic == DIRECTION for topic, _, _ in in_blocks)
-    assert in_blocks == replayed(folder, "in.mcap", suite, one_by_one=True)
+    assert in_blocks == replay_bag(folder, "in.mcap", suite, one_by_one=True)
 
 
 def test_pointings_are_those_without_the_images(voyage) -> None:
     folder, suite, _ = voyage
     about_inputs = DIRECTION, TRUTH, "input_health", "diagnostics"
     with_images, without = (
-        [entry for entry in replayed(folder, bag, suite) if entry[0] not in about_inputs]
+        [entry for entry in replay_bag(folder, bag, suite) if entry[0] not in about_inputs]
         for bag in ("in.mcap", "plain.mcap")
     )
     innovations = [entry for entry in with_images if entry[0] == "theodolite/innovation"]

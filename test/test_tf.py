@@ -23,16 +23,16 @@ from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
 from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, hand_over
-from ship_testing.bag_parts import beginning
+from ship_testing.bag_parts import write_beginning
 from ship_testing.every_input import voyage as voyage_of
 from ship_testing.places import ROOT
-from ship_testing.small_voyage import FORE, INS, STARBOARD, clean_run, config, cut, drive, new_adapter, voyage
+from ship_testing.small_voyage import FORE, INS, STARBOARD, fault_free_run, config, remove_interval, run_adapter, new_adapter, voyage
 
 THEODOLITE = ROOT / "bags" / "theodolite.mcap"
 BEYOND_ROUNDING = 1e-12
 
 
-def turned(quaternion):
+def rotation_from_message(quaternion):
     return Rotation.from_quat([quaternion.x, quaternion.y, quaternion.z, quaternion.w])
 
 
@@ -68,27 +68,27 @@ def assert_for_tf2(sent):
 
 
 def test_the_deck_is_published_with_each_attitude_at_its_stamp():
-    run = clean_run()
+    run = fault_free_run()
     decks, claimed = transforms(run.messages("/tf")), by_stamp(run.messages("ship/attitude"))
     assert_for_tf2(decks)
     assert [ns_from_stamp(deck.header.stamp) for deck in decks] == list(claimed)
     for deck, attitude in zip(decks, claimed.values(), strict=True):
         assert (deck.header.frame_id, deck.child_frame_id) == ("horizon", "deck")
-        told = turned(deck.transform.rotation)
+        told = rotation_from_message(deck.transform.rotation)
         # Both forms of ship/attitude: the quaternion, and the angles turned into ROS's.
-        assert angle_between(told, turned(attitude.orientation)) < BEYOND_ROUNDING
+        assert angle_between(told, rotation_from_message(attitude.orientation)) < BEYOND_ROUNDING
         assert angle_between(told, ros_rotation(attitude.heading, attitude.pitch, attitude.roll)) < BEYOND_ROUNDING
 
 
 def test_no_transform_is_from_the_future():
-    for ns, topic, message in clean_run().published:
+    for ns, topic, message in fault_free_run().published:
         if topic.startswith("/tf"):
             assert all(ns_from_stamp(t.header.stamp) <= ns for t in message.transforms)
 
 
 def test_from_the_deck_there_is_a_frame_to_each_configured_star_sensor():
     """As configured before the first star; then with the estimate in ship/alignment."""
-    run = clean_run()
+    run = fault_free_run()
     first, *_, last = run.messages("/tf_static")
     for static, alignment in ((first, None), (last, run.messages("ship/alignment")[-1])):
         assert {t.child_frame_id: t.header.frame_id for t in static.transforms} == {
@@ -103,16 +103,16 @@ def test_from_the_deck_there_is_a_frame_to_each_configured_star_sensor():
                 angles = np.array([known[f"star.{id_}.{name}"] for name in ("azimuth", "elevation", "roll")])
             # In the deck, azimuth 0 is the bow: x, and not y as North is.
             mounted = Rotation.from_euler("ZYX", [-angles[0], -angles[1], angles[2]])
-            assert angle_between(turned(transform.transform.rotation), mounted) < BEYOND_ROUNDING
-    assert max(angle_between(turned(one.transform.rotation), turned(other.transform.rotation))
+            assert angle_between(rotation_from_message(transform.transform.rotation), mounted) < BEYOND_ROUNDING
+    assert max(angle_between(rotation_from_message(one.transform.rotation), rotation_from_message(other.transform.rotation))
                for one, other in zip(first.transforms, last.transforms, strict=True)) > 1e-8  # fmt: skip
 
 
 def test_through_the_deck_a_star_sensor_has_its_measured_attitude():
     """Within the errors of the small voyage: 100″ about the boresight, 3″ across, at five sigmas."""
-    run = clean_run()
-    decks = {ns_from_stamp(t.header.stamp): turned(t.transform.rotation) for t in transforms(run.messages("/tf"))}
-    mounted = {t.child_frame_id: turned(t.transform.rotation) for t in run.messages("/tf_static")[-1].transforms}
+    run = fault_free_run()
+    decks = {ns_from_stamp(t.header.stamp): rotation_from_message(t.transform.rotation) for t in transforms(run.messages("/tf"))}
+    mounted = {t.child_frame_id: rotation_from_message(t.transform.rotation) for t in run.messages("/tf_static")[-1].transforms}
     compared = 0
     for topic, frame in ((FORE, "star_fore"), (STARBOARD, "star_starboard")):
         for arrival in voyage():
@@ -151,7 +151,7 @@ def test_without_star_sensors_no_frame_below_the_deck_is_published():
 
 def test_no_transform_is_published_for_an_invalid_attitude():
     """Two seconds without INS and stars: INVALID once a second; before and after, each output has its transform."""
-    run = drive(new_adapter(), cut(voyage(), 2.0, 4.0, INS, FORE, STARBOARD))
+    run = run_adapter(new_adapter(), remove_interval(voyage(), 2.0, 4.0, INS, FORE, STARBOARD))
     attitudes = run.messages("ship/attitude")
     invalid = [m for m in attitudes if m.status == Status.INVALID]
     claimed = [ns_from_stamp(m.header.stamp) for m in attitudes if m.status != Status.INVALID]
@@ -167,7 +167,7 @@ def test_no_transform_is_published_for_an_invalid_attitude():
 
 
 def test_stamps_continue_after_a_reset_and_restart_after_a_clock_jump():
-    run = drive(new_adapter(), voyage())
+    run = run_adapter(new_adapter(), voyage())
     run.adapter.service("reset", run.now_ns)
     hand_over(run, [a for a in voyage(7.0) if a.receive_ns > run.now_ns])
     assert_for_tf2(transforms(run.messages("/tf")))
@@ -182,7 +182,7 @@ def test_stamps_continue_after_a_reset_and_restart_after_a_clock_jump():
 
 def test_degrees_and_95_percent():
     """1.96 sigma is also 95 % on page, alerts and report; the sigmas are those of ship/attitude."""
-    run = clean_run()
+    run = fault_free_run()
     pairs = list(zip(run.messages("ship/attitude"), run.messages("ship/attitude_deg"), strict=True))
     assert len(pairs) > 100
     for attitude, told in pairs:
@@ -196,9 +196,9 @@ def test_degrees_and_95_percent():
 # -- the theodolite ---------------------------------------------------------------------------------------------
 
 
-def replayed(folder: Path, changes=None):
+def replay_frames(folder: Path, changes=None):
     """Return topic → messages of both nodes, for ten seconds of the theodolite bag: ship/attitude by the INS alone."""
-    part, out, suite = beginning(THEODOLITE, folder / "part.mcap", 10.0), folder / "out.mcap", folder / "suite.yaml"
+    part, out, suite = write_beginning(THEODOLITE, folder / "part.mcap", 10.0), folder / "out.mcap", folder / "suite.yaml"
     with read_bag(part) as bag:
         values = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT].decode())
     values["/**/ship_attitude"] = {"ros__parameters": {"ins": {"frame_id": "ins"}}}
@@ -215,7 +215,7 @@ def replayed(folder: Path, changes=None):
 
 @pytest.fixture(scope="module")
 def both(tmp_path_factory):
-    return replayed(tmp_path_factory.mktemp("both"))
+    return replay_frames(tmp_path_factory.mktemp("both"))
 
 
 def test_the_main_axis_is_published_with_each_pointing_below_the_deck(both):
@@ -235,14 +235,14 @@ def test_the_main_axis_is_published_with_each_pointing_below_the_deck(both):
 def test_through_the_deck_as_tf2_interpolates_it_the_main_axis_is_the_pointing(both):
     """tf2 interpolates (slerp) between transforms; most readings are between two attitudes."""
     sent = transforms(both["/tf"])
-    decks = {ns_from_stamp(t.header.stamp): turned(t.transform.rotation) for t in sent if t.child_frame_id == "deck"}
+    decks = {ns_from_stamp(t.header.stamp): rotation_from_message(t.transform.rotation) for t in sent if t.child_frame_id == "deck"}
     mains = {ns_from_stamp(t.header.stamp): t for t in sent if t.child_frame_id == "theodolite_main"}
     slerp = Slerp([ns - min(decks) for ns in decks], Rotation.concatenate(list(decks.values())))
     between = Counter()
     for ns, pointing in by_stamp(both["theodolite/pointing"]).items():
         if pointing.status == Status.INVALID:
             continue
-        chain = slerp(ns - min(decks)) * turned(mains[ns].transform.rotation)
+        chain = slerp(ns - min(decks)) * rotation_from_message(mains[ns].transform.rotation)
         said = ros_rotation(pointing.azimuth, pointing.elevation, pointing.image_rotation)
         assert angle_between(chain, said) < BEYOND_ROUNDING
         between[ns in decks] += 1
@@ -257,14 +257,14 @@ def test_a_bag_of_a_replay_has_the_latched_frames_of_the_live_node(both):
 
 def test_by_the_ins_alone_the_parent_of_the_main_axis_is_the_horizon(tmp_path):
     """The deck of /tf is not that of the INS: as its child the axis would have the INS's errors."""
-    told = replayed(tmp_path, {"source": "ins/imu", "frame_id": ""})
+    told = replay_frames(tmp_path, {"source": "ins/imu", "frame_id": ""})
     mains = [t for t in transforms(told["/tf"]) if t.child_frame_id == "theodolite_main"]
     pointings = by_stamp(m for m in told["theodolite/pointing"] if m.status != Status.INVALID)
     assert [ns_from_stamp(t.header.stamp) for t in mains] == list(pointings)
     for main, pointing in zip(mains, pointings.values(), strict=True):
         assert main.header.frame_id == "horizon"
         said = ros_rotation(pointing.azimuth, pointing.elevation, pointing.image_rotation)
-        assert angle_between(turned(main.transform.rotation), said) < BEYOND_ROUNDING
+        assert angle_between(rotation_from_message(main.transform.rotation), said) < BEYOND_ROUNDING
 
 
 def test_no_transform_is_published_for_an_invalid_pointing():

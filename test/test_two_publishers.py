@@ -45,7 +45,7 @@ def statuses(adapter: Any, drive: Callable[..., Any], arrivals: Arrivals, topic:
 @pytest.mark.parametrize("topic", [small_voyage.INS, small_voyage.FORE])
 def test_an_attitude_by_two_publishers_is_degraded_and_valid_again_at_once(topic: str) -> None:
     arrivals = small_voyage.voyage(6.0)
-    found = statuses(small_voyage.new_adapter(), small_voyage.drive, arrivals, topic, "ship/attitude")
+    found = statuses(small_voyage.new_adapter(), small_voyage.run_adapter, arrivals, topic, "ship/attitude")
     assert Status.VALID in found[0]
     assert found[1:] == [{Status.DEGRADED}, {Status.VALID}]
 
@@ -53,13 +53,13 @@ def test_an_attitude_by_two_publishers_is_degraded_and_valid_again_at_once(topic
 @pytest.mark.parametrize("topic", [star_voyage.FORE, star_voyage.FIX, star_voyage.PRESSURE])
 def test_stars_by_two_publishers_are_not_solved(topic: str) -> None:
     arrivals, output = star_voyage.voyage(6.0), "star/fore/solution"
-    before, meanwhile, after = statuses(star_voyage.new_adapter(), star_voyage.drive, arrivals, topic, output)
+    before, meanwhile, after = statuses(star_voyage.new_adapter(), star_voyage.run_adapter, arrivals, topic, output)
     assert before == after != meanwhile == {3}, "StarHorizonAttitude.INVALID"
 
 
 def test_stars_are_solved_without_an_ins_of_two_publishers() -> None:
     arrivals, adapter = star_voyage.voyage(6.0), star_voyage.new_adapter()
-    found = statuses(adapter, star_voyage.drive, arrivals, star_voyage.INS, "star/fore/solution")
+    found = statuses(adapter, star_voyage.run_adapter, arrivals, star_voyage.INS, "star/fore/solution")
     assert {3} not in found
 
 
@@ -68,7 +68,7 @@ def test_stars_are_solved_without_an_ins_of_two_publishers() -> None:
 )
 def test_a_pointing_by_two_publishers_is_degraded_and_valid_again_at_once(topic: str) -> None:
     arrivals = small_session.session(6.0)
-    found = statuses(small_session.new_adapter(), small_session.drive, arrivals, topic, "theodolite/pointing")
+    found = statuses(small_session.new_adapter(), small_session.run_adapter, arrivals, topic, "theodolite/pointing")
     assert found[0] >= {Status.VALID}
     assert found[1:] == [{Status.DEGRADED}, {Status.VALID}]
 
@@ -89,13 +89,13 @@ def _bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
             message = record.decode()
             held.append((record.log_time_ns, record.topic, message))
             if record.topic == small_voyage.INS and 4.0 <= since_s < 8.0:
-                held.append((record.log_time_ns + 3_000_000, record.topic, of_another_ins(message, other, 0.003)))
+                held.append((record.log_time_ns + 3_000_000, record.topic, second_ins_sample(message, other, 0.003)))
         for time_ns, topic, message in sorted(held, key=lambda entry: entry[:2]):
             out.write(topic, message, time_ns)
     return path
 
 
-def of_another_ins(message: Any, other: np.ndarray, later_s: float) -> Any:
+def second_ins_sample(message: Any, other: np.ndarray, later_s: float) -> Any:
     """Return a sample of an INS rotated against this one, this long after it."""
     message = copy.deepcopy(message)
     rate, turned = message.angular_velocity, message.orientation

@@ -93,17 +93,17 @@ def test_23_finds_neither_azimuth_nor_image_rotation_beyond_their_quadrants() ->
     with np.errstate(invalid="ignore"):
         first, second = (np.arcsin(np.clip(each / np.cos(elevation), -1.0, 1.0)) for each in (k_12, k_22))
         printed_rotation = np.arccos(k_31 / np.sin(elevation))
-    assert np.array_equal(off_by(first, azimuth) < 1e-6, np.abs(azimuth) < 0.5 * np.pi)
+    assert np.array_equal(error_size(first, azimuth) < 1e-6, np.abs(azimuth) < 0.5 * np.pi)
     # The second form gives the complement, which is the azimuth at 45° alone.
     np.testing.assert_allclose(second, 0.5 * np.pi - np.abs(azimuth), atol=1e-6)
-    assert np.mean(off_by(second, azimuth) < np.deg2rad(1.0)) < 0.01
-    assert np.mean(off_by(printed_rotation, rotation) < np.deg2rad(1.0)) < 0.01
+    assert np.mean(error_size(second, azimuth) < np.deg2rad(1.0)) < 0.01
+    assert np.mean(error_size(printed_rotation, rotation) < np.deg2rad(1.0)) < 0.01
     # An upright image has 90° by it.
     upright = exact(np.array([0.5]), np.array([0.5]), np.array([0.0]))[0]
     assert np.arccos(upright[2, 0] / np.sin(0.5)) == pytest.approx(0.5 * np.pi)
 
 
-def off_by(found: FloatArray, angle: FloatArray) -> FloatArray:
+def error_size(found: FloatArray, angle: FloatArray) -> FloatArray:
     """Return the size of an error, rad; infinite if there is no result."""
     return np.nan_to_num(np.abs(wrap_pi(found - angle)), nan=np.inf)
 

@@ -13,7 +13,7 @@ import pytest
 
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.stamps import ns_from_stamp
-from ship_testing.watched_voyages import BAGS, MonitoredVoyage, records, replayed, watched
+from ship_testing.watched_voyages import BAGS, MonitoredVoyage, records, replay_with_faults, monitor_voyage
 from ship_watch.alert_conditions import conditions
 from ship_watch.limits import Limits
 from ship_watch.picture import Presence, Safety
@@ -36,24 +36,24 @@ CLOUDS = (69.9, 91.5)
 
 @pytest.fixture(scope="module")
 def one_by_one(tmp_path_factory: pytest.TempPathFactory) -> MonitoredVoyage:
-    return watched(replayed(tmp_path_factory.mktemp("one"), "demo", ONE_BY_ONE)[1])
+    return monitor_voyage(replay_with_faults(tmp_path_factory.mktemp("one"), "demo", ONE_BY_ONE)[1])
 
 
 @pytest.fixture(scope="module")
 def theodolite(tmp_path_factory: pytest.TempPathFactory) -> MonitoredVoyage:
-    return watched(*replayed(tmp_path_factory.mktemp("theodolite"), "theodolite", THEODOLITE))
+    return monitor_voyage(*replay_with_faults(tmp_path_factory.mktemp("theodolite"), "theodolite", THEODOLITE))
 
 
 @pytest.fixture(scope="module")
 def clean(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    return replayed(tmp_path_factory.mktemp("clean"), "demo")
+    return replay_with_faults(tmp_path_factory.mktemp("clean"), "demo")
 
 
 @pytest.mark.slow
 def test_a_displaced_star_sensor_is_out_and_its_direction_is_reported(one_by_one: MonitoredVoyage) -> None:
     first_s = 30.117  # its first exposure after the knock
-    assert first_s < one_by_one.out["star.starboard"][0] <= first_s + 2.0
-    told = one_by_one.seen["star.starboard"][0]
+    assert first_s < one_by_one.out_s["star.starboard"][0] <= first_s + 2.0
+    told = one_by_one.shown_sources["star.starboard"][0]
     assert told.reason == "excluded"
     axis, size = told.disagreement.split(" ")
     assert axis == "right"
@@ -64,34 +64,34 @@ def test_a_displaced_star_sensor_is_out_and_its_direction_is_reported(one_by_one
 
 @pytest.mark.slow
 def test_an_ins_that_steps_is_out_and_returns(one_by_one: MonitoredVoyage) -> None:
-    assert 55.0 < one_by_one.out["ins"][0] <= 57.0
-    assert one_by_one.seen["ins"][0].reason == "5 rejected in a row"
-    assert one_by_one.back["ins"] == [pytest.approx(57.1, abs=1.1)]
-    assert len(one_by_one.out["ins"]) == 1
+    assert 55.0 < one_by_one.out_s["ins"][0] <= 57.0
+    assert one_by_one.shown_sources["ins"][0].reason == "5 rejected in a row"
+    assert one_by_one.back_s["ins"] == [pytest.approx(57.1, abs=1.1)]
+    assert len(one_by_one.out_s["ins"]) == 1
     words = [text for time_s, text in one_by_one.events("state") if 55.0 < time_s < 55.3]
     assert "heading CAUTION → UNSAFE, ins rejected" in words
 
 
 def test_a_silent_star_sensor_is_out_within_two_seconds_of_the_first_that_is_missing(one_by_one: MonitoredVoyage) -> None:
-    clouds, silent = one_by_one.out["star.fore"]
+    clouds, silent = one_by_one.out_s["star.fore"]
     assert CLOUDS[0] < clouds < CLOUDS[1]
     assert 101.9 <= silent <= 100.033 + 0.2 + 2.0  # at 5 Hz after the last of 99.833, arriving 0.1 s later
-    assert one_by_one.seen["star.fore"][1].reason == "no data"
-    assert one_by_one.back["star.fore"] == [pytest.approx(91.0, abs=1.0), pytest.approx(109.0, abs=1.0)]
+    assert one_by_one.shown_sources["star.fore"][1].reason == "no data"
+    assert one_by_one.back_s["star.fore"] == [pytest.approx(91.0, abs=1.0), pytest.approx(109.0, abs=1.0)]
 
 
 def test_no_other_source_is_named(one_by_one: MonitoredVoyage) -> None:
-    guilty = [name for time_s, name in one_by_one.guilty if not CLOUDS[0] < time_s < CLOUDS[1]]
+    guilty = [name for time_s, name in one_by_one.root_causes if not CLOUDS[0] < time_s < CLOUDS[1]]
     assert guilty == ["star.starboard", "ins", "star.fore"]
 
 
 @pytest.mark.slow
 def test_two_simultaneous_faults_are_distinguished(tmp_path: Path) -> None:
-    seen = watched(replayed(tmp_path, "demo", TOGETHER)[1])
-    assert [name for time_s, name in seen.guilty if time_s < CLOUDS[0]] == ["star.starboard", "ins"]
-    assert seen.out["star.starboard"][0] <= 32.2
-    assert seen.out["ins"][0] <= 33.0
-    assert seen.back["ins"][0] < 35.0
+    seen = monitor_voyage(replay_with_faults(tmp_path, "demo", TOGETHER)[1])
+    assert [name for time_s, name in seen.root_causes if time_s < CLOUDS[0]] == ["star.starboard", "ins"]
+    assert seen.out_s["star.starboard"][0] <= 32.2
+    assert seen.out_s["ins"][0] <= 33.0
+    assert seen.back_s["ins"][0] < 35.0
     picture = seen.last_state()
     assert [source.name for source in picture.sources if source.presence is Presence.OUT] == ["star.starboard"]
 
@@ -103,8 +103,8 @@ def test_a_source_that_only_degrades_is_not_named_for_a_missing_output(tmp_path:
         "float: {topic: beacon/a/baseline, kind: corrupt, field: fix, value: 3, start_s: 12.0, end_s: 25.0}, "
         "quiet: {topic: theodolite/encoder, kind: drop, start_s: 20.0, end_s: 25.0}"
     )
-    seen = watched(replayed(tmp_path, "theodolite", faults)[1])
-    azimuth = {second: next(a for a in seen.at_s[second].angles if a.name == "azimuth") for second in (18.0, 23.0)}
+    seen = monitor_voyage(replay_with_faults(tmp_path, "theodolite", faults)[1])
+    azimuth = {second: next(a for a in seen.state_at[second].angles if a.name == "azimuth") for second in (18.0, 23.0)}
     assert (azimuth[18.0].safety, azimuth[18.0].reason) == (Safety.CAUTION, "baselines a rejected: not fixed")
     assert (azimuth[23.0].safety, azimuth[23.0].reason) == (Safety.UNSAFE, "encoder no data")
     became = [text for time_s, text in seen.events("state") if 20.0 < time_s < 22.0 and "azimuth" in text]
@@ -114,11 +114,11 @@ def test_a_source_that_only_degrades_is_not_named_for_a_missing_output(tmp_path:
 
 @pytest.mark.slow
 def test_a_float_baseline_is_out_and_lights_only_need_it(theodolite: MonitoredVoyage) -> None:
-    assert 10.0 < theodolite.out["baselines"][0] <= 12.0
-    assert theodolite.seen["baselines"][0].reason == "a 5 rejected in a row: not fixed"
-    assert theodolite.seen["lights"][0].because_of == "baselines"
-    assert theodolite.back["baselines"][0] == pytest.approx(17.5, abs=1.0)
-    assert [name for time_s, name in theodolite.guilty if time_s < 40.0] == ["baselines"]
+    assert 10.0 < theodolite.out_s["baselines"][0] <= 12.0
+    assert theodolite.shown_sources["baselines"][0].reason == "a 5 rejected in a row: not fixed"
+    assert theodolite.shown_sources["lights"][0].because_of == "baselines"
+    assert theodolite.back_s["baselines"][0] == pytest.approx(17.5, abs=1.0)
+    assert [name for time_s, name in theodolite.root_causes if time_s < 40.0] == ["baselines"]
 
 
 @pytest.mark.slow
@@ -127,22 +127,22 @@ def test_exchanged_light_names_are_reported_although_corrected(theodolite: Monit
     exchanged = [time_s for time_s, text in told if text == "lights IN, names exchanged"]
     assert len(exchanged) == 1
     assert 25.0 < exchanged[0] <= 27.0
-    (alert,) = (found for found in conditions(theodolite.at_s[28.0], Limits()) if found.source == "lights")
+    (alert,) = (found for found in conditions(theodolite.state_at[28.0], Limits()) if found.source == "lights")
     assert alert.text == "lights: names exchanged, corrected"
-    assert words_between(theodolite, 26.0, 33.0) == {Safety.SAFE}
+    assert safety_between(theodolite, 26.0, 33.0) == {Safety.SAFE}
 
 
 def test_a_silent_encoder_is_out_and_the_pointing_names_it(theodolite: MonitoredVoyage) -> None:
-    assert 61.9 < theodolite.out["encoder"][0] <= 60.002 + 2.0 + 1e-6
-    assert "needs encoder" in [source.reason for source in theodolite.seen["lights"]]
-    assert theodolite.back["encoder"][0] == pytest.approx(66.2, abs=0.5)
-    guilty = [name for time_s, name in theodolite.guilty if 40.0 < time_s < 79.0]
+    assert 61.9 < theodolite.out_s["encoder"][0] <= 60.002 + 2.0 + 1e-6
+    assert "needs encoder" in [source.reason for source in theodolite.shown_sources["lights"]]
+    assert theodolite.back_s["encoder"][0] == pytest.approx(66.2, abs=0.5)
+    guilty = [name for time_s, name in theodolite.root_causes if 40.0 < time_s < 79.0]
     assert guilty == ["encoder"]  # no source is named for an output that returns later
 
 
 def test_a_good_voyage_is_safe_and_no_source_is_out(clean: tuple[Path, Path]) -> None:
-    seen = watched(clean[1])
-    assert [name for time_s, name in seen.guilty if not CLOUDS[0] < time_s < CLOUDS[1]] == []
+    seen = monitor_voyage(clean[1])
+    assert [name for time_s, name in seen.root_causes if not CLOUDS[0] < time_s < CLOUDS[1]] == []
     picture = seen.last_state()
     assert [angle.safety for angle in picture.angles] == [Safety.SAFE] * 3
     with read_bag(clean[1]) as bag:
@@ -208,7 +208,7 @@ def test_history_has_the_data_of_plots(theodolite: MonitoredVoyage) -> None:
     assert all(abs(point.x) < 0.02 and abs(point.z) < 0.02 for point in used)
     assert [point.utc_ns for point in used] == sorted(point.utc_ns for point in used)
     assert len(history.safety) == pytest.approx(120, abs=2)
-    assert words_between(theodolite, 62.0, 65.0) == {Safety.UNSAFE}
+    assert safety_between(theodolite, 62.0, 65.0) == {Safety.UNSAFE}
     budget = history.budgets["theodolite/error_budget"][-1]
     assert sum(budget.variances.values())[2] == pytest.approx(budget.total[2], rel=1e-6)
     assert set(budget.by_angle) == {"azimuth", "elevation"}
@@ -216,9 +216,9 @@ def test_history_has_the_data_of_plots(theodolite: MonitoredVoyage) -> None:
     assert history.position == pytest.approx(np.radians(_first_fix()), abs=1e-3)
 
 
-def words_between(seen: MonitoredVoyage, start_s: float, end_s: float) -> set[Safety | None]:
+def safety_between(voyage: MonitoredVoyage, start_s: float, end_s: float) -> set[Safety | None]:
     """Return the states of the azimuth in the ribbon."""
-    points = [point for point in seen.watch.history.safety if start_s <= (point.utc_ns - seen.start_ns) * 1e-9 < end_s]
+    points = [point for point in voyage.watch.history.safety if start_s <= (point.utc_ns - voyage.start_ns) * 1e-9 < end_s]
     return {point.safety["azimuth"] for point in points}
 
 

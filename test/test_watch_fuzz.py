@@ -12,8 +12,8 @@ from rclpy.serialization import deserialize_message
 
 from ship_bags.mcap.bag_reader import read_bag
 from ship_msgs.msg import Alert, AlertArray
-from ship_testing.garbage import paths, spoil
-from ship_testing.watched_voyages import replayed
+from ship_testing.garbage import paths, put_garbage
+from ship_testing.watched_voyages import replay_with_faults
 from ship_watch.picture import Safety
 from ship_watch.topics import monitored_topic
 from ship_watch.watch import SuiteMonitor
@@ -51,7 +51,7 @@ def recorded_messages(*bags: Path) -> list[tuple[int, str, Any]]:
 @pytest.mark.parametrize("bag", ["demo", "theodolite"])
 def test_no_message_raises_or_is_safe_with_nan(bag: str, tmp_path: Path) -> None:
     rng, watch = np.random.default_rng([12, len(bag)]), SuiteMonitor()
-    given, out = replayed(tmp_path, bag)
+    given, out = replay_with_faults(tmp_path, bag)
     voyage = recorded_messages(out, given) if bag == "theodolite" else recorded_messages(out)
     tried = 0
     for time_ns, topic, message in voyage:
@@ -59,7 +59,7 @@ def test_no_message_raises_or_is_safe_with_nan(bag: str, tmp_path: Path) -> None
         pickled, fields = pickle.dumps(message), paths(message)
         for _ in range(COPIES):
             bad = pickle.loads(pickled)
-            spoil(bad, fields, rng)
+            put_garbage(bad, fields, rng)
             watch.process_message(topic, bad, time_ns)
             tried += 1
         if tried % 30 == 0:

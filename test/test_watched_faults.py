@@ -30,11 +30,11 @@ from ship_testing.watched_voyages import (
     BAGS,
     END_S,
     FAULTS,
-    KNOWN_S,
-    WITHIN_S,
+    DETECTABLE_S,
+    DETECTION_LIMIT_S,
     records,
-    replayed,
-    within_s,
+    replay_with_faults,
+    detection_limit_s,
 )
 from ship_watch.history import History
 from ship_watch.limits import Limits
@@ -47,7 +47,7 @@ LOOK_NS = NS_PER_S // 5
 OUTPUTS = ("picture", "page", "terminal", "alerts", "diagnostics")
 
 
-class Named:
+class FirstReports:
     """First times at which each output named each source as out, or with an alert."""
 
     def __init__(self, bag: str, start_ns: int) -> None:
@@ -58,7 +58,7 @@ class Named:
         """Seconds since the first message of the bag."""
         return (utc_ns - self._start_ns) / NS_PER_S
 
-    def note(self, output: str, source: str, utc_ns: int) -> None:
+    def record(self, output: str, source: str, utc_ns: int) -> None:
         """Record that an output names a source at a time of the data."""
         self.first_s.setdefault((output, source), self.seconds(utc_ns))
 
@@ -71,36 +71,36 @@ class Named:
             told = source.reason or source.disagreement
             if source.because_of or not told or source.presence is Presence.OFF:
                 continue
-            self.note("picture", source.name, picture.utc_ns)
+            self.record("picture", source.name, picture.utc_ns)
             if any(source.name in row and told[:20] in row for row in rows):
-                self.note("terminal", source.name, picture.utc_ns)
+                self.record("terminal", source.name, picture.utc_ns)
             texts = json.dumps(page["sources"], ensure_ascii=False)
             if source.name in texts and told in texts:
-                self.note("page", source.name, picture.utc_ns)
+                self.record("page", source.name, picture.utc_ns)
 
-    def note_branch(self, path: str, text: str, utc_ns: int) -> None:
+    def record_branch(self, path: str, text: str, utc_ns: int) -> None:
         """Record the source of an entry of the function tree, unless it is OUT only because it needs another."""
         if text != "in" and "needs" not in text and "/" in path:
-            self.note("diagnostics", path.rpartition("/")[2], utc_ns)
+            self.record("diagnostics", path.rpartition("/")[2], utc_ns)
 
     def check(self, soon_s: Callable[[str], float], early_s: float = 0.0) -> None:
         """Assert that every output named every source soon after it could be detected, and no other before them."""
-        told = {(output, source): known_s for source, known_s in KNOWN_S[self._bag].items() for output in OUTPUTS}
+        told = {(output, source): known_s for source, known_s in DETECTABLE_S[self._bag].items() for output in OUTPUTS}
         for (output, source), known_s in told.items():
             first_s = self.first_s.get((output, source), math.inf)
             assert known_s - early_s <= first_s <= known_s + soon_s(source), (output, source, self.first_s)
         # Only faulty sources are named; the attitude in the alerts is no source.
-        assert {source for _, source in self.first_s} <= {*KNOWN_S[self._bag], "", "attitude"}, self.first_s
+        assert {source for _, source in self.first_s} <= {*DETECTABLE_S[self._bag], "", "attitude"}, self.first_s
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("bag", FAULTS)
 def test_all_outputs_name_the_right_source_in_a_replay(bag: str, tmp_path: Path) -> None:
-    given, replayed_path = replayed(tmp_path, bag, FAULTS[bag])
+    given, replayed_path = replay_with_faults(tmp_path, bag, FAULTS[bag])
     paths = (given, replayed_path) if bag == "theodolite" else (replayed_path,)
     with read_bag(given) as played:
         start_ns = played.start_ns or 0
-    watch, keeper, named = SuiteMonitor(Limits()), AlertManager(Limits(), None, start_ns, print), Named(bag, start_ns)
+    watch, keeper, named = SuiteMonitor(Limits()), AlertManager(Limits(), None, start_ns, print), FirstReports(bag, start_ns)
     due_ns = start_ns
     for time_ns, topic, message in records(*paths):
         if time_ns > start_ns + END_S[bag] * NS_PER_S:
@@ -109,16 +109,16 @@ def test_all_outputs_name_the_right_source_in_a_replay(bag: str, tmp_path: Path)
             keeper.update(due_ns, due_ns)
             named.record_state(watch.current_state(due_ns), watch.history)
             for alert in keeper.alerts:
-                named.note("alerts", alert.source, due_ns)
+                named.record("alerts", alert.source, due_ns)
             for branch in keeper.diagnostic_entries():
-                named.note_branch(branch.path, branch.text, due_ns)
+                named.record_branch(branch.path, branch.text, due_ns)
             due_ns += LOOK_NS
         watch.process_message(topic, message, time_ns)
         keeper.process_message(topic, message, time_ns)
-    named.check(within_s)
+    named.check(detection_limit_s)
 
 
-class LiveSuite:
+class SuiteUnderTest:
     """Suite started with one command, a bag played into it, and its observers."""
 
     def __init__(self, bag: Path, folder: Path) -> None:
@@ -137,19 +137,19 @@ class LiveSuite:
         self.diagnostics.close()
         self.process.end()
 
-    def read(self, named: Named) -> SuiteState:
+    def read(self, named: FirstReports) -> SuiteState:
         """Process received messages, and record the sources they name."""
         self.watch.tick()
         picture = self.watch.current_state()
         if picture.utc_ns:
             named.record_state(picture, self.watch.history)
         for alert in picture.alerts or ():
-            named.note("alerts", alert.source, alert.raised_ns)
+            named.record("alerts", alert.source, alert.raised_ns)
         for arrived in self.diagnostics.fetch().messages:
             for status in arrived.message.status:
                 node, _, path = status.name.partition(": functions/")
                 if node == "alerts":
-                    named.note_branch(path, status.message, ns_from_stamp(arrived.message.header.stamp))
+                    named.record_branch(path, status.message, ns_from_stamp(arrived.message.header.stamp))
         return picture
 
 
@@ -163,8 +163,8 @@ def test_all_outputs_name_the_right_source_live(bag: str, tmp_path: Path, monkey
     files = ["--faults", str(tmp_path / "faults.yaml"), "--out", str(faulty), "--seed", "1"]
     assert inject([str(BAGS / f"{bag}.mcap"), *files]) == 0
     with read_bag(faulty) as played:
-        named = Named(bag, played.start_ns or 0)
-    suite = LiveSuite(faulty, tmp_path)
+        named = FirstReports(bag, played.start_ns or 0)
+    suite = SuiteUnderTest(faulty, tmp_path)
     acknowledged = ""
     try:
         deadline_s = time.monotonic() + 240.0
@@ -180,4 +180,4 @@ def test_all_outputs_name_the_right_source_live(bag: str, tmp_path: Path, monkey
     assert "acknowledged" in acknowledged
     assert "not acknowledged" not in acknowledged
     assert any("acknowledged" in event.text for event in picture.events if event.kind == "alert")
-    named.check(lambda _: WITHIN_S, LIVE_EARLY_S)
+    named.check(lambda _: DETECTION_LIMIT_S, LIVE_EARLY_S)

@@ -17,7 +17,7 @@ from ship_geometry.rotations import FloatArray, log_rotation
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
-from ship_testing.solved_voyages import sail_by_solutions
+from ship_testing.solved_voyages import run_with_solutions
 
 pytestmark = [pytest.mark.statistics, pytest.mark.xdist_group("wide_priors_by_solutions")]
 
@@ -43,8 +43,8 @@ class Prior:
 
     heading: float
     tilt: float
-    named: bool
-    lasting: bool = True
+    has_star_identities: bool
+    is_constant: bool = True
     exposure_s: float = 0.0
 
     @property
@@ -56,8 +56,8 @@ class Prior:
                 sensor,
                 phase_s=phase_s,
                 exposure_s=self.exposure_s,
-                identified=self.named,
-                false_stars=0.0 if self.named else sensor.most_stars * FALSE_SHARE / (1.0 - FALSE_SHARE),
+                identified=self.has_star_identities,
+                false_stars=0.0 if self.has_star_identities else sensor.most_stars * FALSE_SHARE / (1.0 - FALSE_SHARE),
             )
             for (id_, sensor), phase_s in zip(whole.star_sensors.items(), (0.033, 0.117), strict=True)
         }
@@ -66,39 +66,39 @@ class Prior:
             rate_hz=INS_HZ,
             heading_sigma_arcsec=self.heading,
             tilt_sigma_arcsec=self.tilt,
-            heading_time_s=LASTING_S if self.lasting else whole.ins.heading_time_s,
-            tilt_time_s=LASTING_S if self.lasting else whole.ins.tilt_time_s,
+            heading_time_s=LASTING_S if self.is_constant else whole.ins.heading_time_s,
+            tilt_time_s=LASTING_S if self.is_constant else whole.ins.tilt_time_s,
         )
         return replace(whole, duration_s=DURATION_S, ins=ins, star_sensors=sensors)
 
 
 PRIORS = [
-    Prior(DEGREE, 10.0, named=False, lasting=False),
-    Prior(3.0 * DEGREE, 10.0, named=True, lasting=False),
-    Prior(DEGREE, 10.0, named=False),
-    Prior(3.0 * DEGREE, 10.0, named=False),
-    Prior(3.0 * DEGREE, 10.0, named=True),
-    Prior(3.0 * DEGREE, 3.0 * DEGREE, named=True),
-    Prior(10.0 * DEGREE, 10.0 * DEGREE, named=True),
+    Prior(DEGREE, 10.0, has_star_identities=False, is_constant=False),
+    Prior(3.0 * DEGREE, 10.0, has_star_identities=True, is_constant=False),
+    Prior(DEGREE, 10.0, has_star_identities=False),
+    Prior(3.0 * DEGREE, 10.0, has_star_identities=False),
+    Prior(3.0 * DEGREE, 10.0, has_star_identities=True),
+    Prior(3.0 * DEGREE, 3.0 * DEGREE, has_star_identities=True),
+    Prior(10.0 * DEGREE, 10.0 * DEGREE, has_star_identities=True),
 ]
-STREAKS = [Prior(72.0, 10.0, named=True, exposure_s=0.1), Prior(3.0 * DEGREE, 10.0, named=False, exposure_s=0.1)]
-NOT_IDENTIFIED = [Prior(10.0 * DEGREE, 10.0, named=False), Prior(DEGREE, DEGREE, named=False)]
+STREAKS = [Prior(72.0, 10.0, has_star_identities=True, exposure_s=0.1), Prior(3.0 * DEGREE, 10.0, has_star_identities=False, exposure_s=0.1)]
+NOT_IDENTIFIED = [Prior(10.0 * DEGREE, 10.0, has_star_identities=False), Prior(DEGREE, DEGREE, has_star_identities=False)]
 """Without names: more than 5 degrees, or more than five stars in a gate."""
 
 
 @functools.cache
-def sailed(prior: Prior, seed: int) -> tuple[SimulatedRun, list[AttitudeOutcome]]:
+def run_voyage(prior: Prior, seed: int) -> tuple[SimulatedRun, list[AttitudeOutcome]]:
     run = simulate(prior.scenario, seed)
-    return run, sail_by_solutions(run)
+    return run, run_with_solutions(run)
 
 
 def estimates(prior: Prior, seed: int) -> list[AttitudeEstimate]:
-    return [estimate for outcome in sailed(prior, seed)[1] for estimate in outcome.estimates]
+    return [estimate for outcome in run_voyage(prior, seed)[1] for estimate in outcome.estimates]
 
 
-def valid(prior: Prior, seed: int) -> list[tuple[FloatArray, FloatArray]]:
+def valid_errors(prior: Prior, seed: int) -> list[tuple[FloatArray, FloatArray]]:
     """Return errors of all VALID attitudes at the times of the truth, rad, and their covariances, rad²."""
-    run, _ = sailed(prior, seed)
+    run, _ = run_voyage(prior, seed)
     true_nd = dict(zip(run.ins.time_ns[run.truth.ins_index].tolist(), run.truth.rotation_nd, strict=True))
     return [
         (log_rotation(true_nd[one.time_ns] @ one.rotation_nd.T), one.covariance_n)
@@ -112,11 +112,11 @@ def test_no_valid_attitude_is_beyond_five_sigma(prior: Prior) -> None:
     """Before, in five of eleven seeds, up to 8.9 sigma in the first 0.7 s, with names and without; 16 with streaks."""
     ends = []
     for seed in SEEDS:
-        found = valid(prior, seed)
+        found = valid_errors(prior, seed)
         ends.append(float(normalized_error_squared(*found[-1])))
         for error_n, covariance_n in found:
             assert np.all(np.abs(error_n) <= 5.0 * np.sqrt(np.diagonal(covariance_n))), seed
-    if prior.lasting:
+    if prior.is_constant:
         low, high = mean_nees_band(len(SEEDS), 3)
         assert low <= np.mean(ends) <= high
 
@@ -135,7 +135,7 @@ def test_no_attitude_is_valid_before_two_star_measurements_agree(prior: Prior) -
     """Before, the first one made it VALID."""
     for seed in SEEDS:
         used: set[tuple[str, int]] = set()
-        for outcome in sailed(prior, seed)[1]:
+        for outcome in run_voyage(prior, seed)[1]:
             used |= {(one.measurement.source, one.measurement.time_ns) for one in outcome.decisions if one.accepted}
             if any(one.status is Status.VALID for one in outcome.estimates):
                 assert len(used) >= 2, seed

@@ -15,8 +15,8 @@ from ship_simulation.scenario.scenario_file import load_scenario
 from ship_testing.places import SCENARIOS
 from ship_testing.wrong_optics import (
     OpticsErrorStatistics,
-    changed_focal_length,
-    with_configured_focal_length,
+    change_focal_length,
+    with_wrong_configured_focal_length,
     with_exact_focal_length,
 )
 
@@ -25,20 +25,20 @@ SCALES = [2e-4, 5e-4, 1e-3, 3e-3]
 BOTH, ONE = ("fore", "starboard"), ("fore",)
 
 
-def scenario(named: bool) -> Scenario:
+def scenario(has_identities: bool) -> Scenario:
     """Return ten stars in a field of 13°, one exposure a second for ten seconds."""
     whole = load_scenario(SCENARIOS / "paper_stars.yaml")
     sensors = {
-        id_: replace(one, rate_hz=1.0, most_stars=10, identified=named) for id_, one in whole.star_sensors.items()
+        id_: replace(one, rate_hz=1.0, most_stars=10, identified=has_identities) for id_, one in whole.star_sensors.items()
     }
     short = replace(whole, duration_s=10.0, ins=replace(whole.ins, rate_hz=10.0), star_sensors=sensors)
     return with_exact_focal_length(short)
 
 
-def run_statistics(scale: float, sensor_ids: tuple[str, ...], named: bool, by_solutions: bool, seeds: int = SEEDS) -> OpticsErrorStatistics:
+def run_statistics(scale: float, sensor_ids: tuple[str, ...], has_identities: bool, by_solutions: bool, seeds: int = SEEDS) -> OpticsErrorStatistics:
     found = OpticsErrorStatistics()
     for seed in range(seeds):
-        found.add_run(with_configured_focal_length(simulate(scenario(named), seed), sensor_ids, scale), by_solutions)
+        found.add_run(with_wrong_configured_focal_length(simulate(scenario(has_identities), seed), sensor_ids, scale), by_solutions)
     return found
 
 
@@ -63,11 +63,11 @@ def test_no_valid_error_exceeds_its_covariance_or_level(scale, named, sensor_ids
 @pytest.mark.parametrize("scale", [5e-4, 8e-4, 1.3e-3, 3e-3])
 def test_the_attitude_is_valid_again_after_a_change_of_the_focal_length_has_ended(scale):
     """The filter has estimated the focal length to 0.003 % by then, so that each change contradicts its estimate."""
-    whole = scenario(named=True)
+    whole = scenario(has_identities=True)
     sensors = {id_: replace(one, rate_hz=2.0) for id_, one in whole.star_sensors.items()}
     run = simulate(replace(whole, duration_s=40.0, star_sensors=sensors), seed=1)
     found = OpticsErrorStatistics()
-    found.add_run(changed_focal_length(run, scale, from_s=10.0, until_s=25.0), by_solutions=False)
+    found.add_run(change_focal_length(run, scale, from_s=10.0, until_s=25.0), by_solutions=False)
     assert found.worst_sigmas < 5.0
     assert found.worst_over_level < 1.0
     assert found.last_invalid_s < 30.0
@@ -75,10 +75,10 @@ def test_the_attitude_is_valid_again_after_a_change_of_the_focal_length_has_ende
 
 def test_optics_that_change_by_more_than_their_sigma_are_estimated_again():
     """From 3 sigma longer to 3 sigma shorter than configured: each is likely, and each contradicts the other."""
-    whole = scenario(named=True)
+    whole = scenario(has_identities=True)
     sensors = {id_: replace(one, rate_hz=2.0) for id_, one in whole.star_sensors.items()}
     run = simulate(replace(whole, duration_s=30.0, star_sensors=sensors), seed=1)
-    run = changed_focal_length(changed_focal_length(run, 6e-4, 0.0, 15.0), -6e-4, 15.0, 40.0)
+    run = change_focal_length(change_focal_length(run, 6e-4, 0.0, 15.0), -6e-4, 15.0, 40.0)
     found = OpticsErrorStatistics()
     found.add_run(run, by_solutions=False)
     assert found.worst_sigmas < 5.0
@@ -86,7 +86,7 @@ def test_optics_that_change_by_more_than_their_sigma_are_estimated_again():
 
 
 def test_a_contradicted_focal_length_is_named_with_the_fitting_value():
-    found = run_statistics(SCALES[-1], ONE, named=False, by_solutions=False, seeds=1)
+    found = run_statistics(SCALES[-1], ONE, has_identities=False, by_solutions=False, seeds=1)
     named = [re.match(r"focal length (\d+\.\d+) mm fits the angles between \d+ stars, ", text) for text in found.texts]
     fitting_mm = [float(match[1]) for match in named if match]
     assert fitting_mm

@@ -37,7 +37,7 @@ BEGIN, END = "<!-- {name}: python tools/availability.py -->", "<!-- end of {name
 
 _LINES = {
     trials.WITH_INS: ("#1b4f72", "o", "star vectors with INS"),
-    trials.ALONE: ("#2e86c1", "s", "star vectors alone"),
+    trials.STARS_VALID: ("#2e86c1", "s", "star vectors alone"),
     trials.BORESIGHTS: ("#c0392b", "^", "two boresights [6], also with [5]"),
     trials.BORESIGHTS_OF_TWO: ("#e59866", "v", "two boresights, 2 stars suffice"),
     trials.ONE: ("#7f8c8d", "x", "one sensor [5]"),
@@ -119,21 +119,21 @@ def _table(head: str, cases: list[str], results: trials.Results) -> str:
 
 
 def _cell(values: np.ndarray) -> str:
-    if not trials.given(values):
+    if not trials.solved_share(values):
         return "none"
-    return f"{100.0 * trials.available(values):.1f} of {100.0 * trials.given(values):.1f}"
+    return f"{100.0 * trials.availability(values):.1f} of {100.0 * trials.solved_share(values):.1f}"
 
 
 def honesty_table(results: trials.Results) -> str:
     """Return the table of attitudes with status VALID, and of those with an error beyond their covariance."""
     lines = ["| stars | INS | VALID | beyond the covariance | mean NEES |", "|---|---|---:|---:|---:|"]
     for counts in sorted(trials.COUNTS):
-        for method, told in ((trials.ALONE, "no"), (trials.WITH_INS, "yes")):
+        for method, told in ((trials.STARS_VALID, "no"), (trials.WITH_INS, "yes")):
             values = results[trials.count_case(counts), method]
             count = int(np.sum(np.isfinite(values[:, 1])))
             if count:
                 mean = float(np.nanmean(values[:, 1]))
-                cells = trials.count_case(counts), told, str(count), str(trials.beyond(values)), f"{mean:.2f}"
+                cells = trials.count_case(counts), told, str(count), str(trials.count_beyond_covariance(values)), f"{mean:.2f}"
                 lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 
@@ -179,7 +179,7 @@ def draw(results: trials.Results, path: Path) -> None:
 
 def _draw_lines(axes: Axes, x: np.ndarray, cases: list[str], results: trials.Results) -> None:
     for method, (colour, marker, label) in _LINES.items():
-        values = [100.0 * trials.available(results[case, method]) for case in cases]
+        values = [100.0 * trials.availability(results[case, method]) for case in cases]
         axes.plot(x, values, color=colour, marker=marker, ms=5, lw=1.5, label=label)
     axes.set_ylim(-2.0, 102.0)
     axes.grid(alpha=0.25)

@@ -20,9 +20,9 @@ if str(ROOT / "test") not in sys.path:
     sys.path.insert(0, str(ROOT / "test"))
 
 # The matrix is in the tests, which are no package.
-from ship_testing.returns.cells import all_cells, some_cells  # noqa: E402
+from ship_testing.returns.cells import all_cells, sample_cells  # noqa: E402
 from ship_testing.returns.run_cell import run_cell  # noqa: E402
-from ship_testing.returns.table import HEAD, failed, failure_lines, results_file, rows, unseen_lines  # noqa: E402
+from ship_testing.returns.table import HEAD, failed_results, failure_lines, results_file, rows, unseen_lines  # noqa: E402
 from ship_testing.returns.voyages import VOYAGES, load_voyage, make_bag  # noqa: E402
 
 PAGE = ROOT / "docs" / "explanation" / "when_inputs_fail.md"
@@ -53,7 +53,7 @@ def _run(options: argparse.Namespace) -> int:
         return EXIT_DONE
     paths = {name: make_bag(name, options.out / "bags") for name in VOYAGES}
     cells = all_cells({name: load_voyage(path) for name, path in paths.items()})
-    cells = [cell for cell in some_cells(cells, options.cells or len(cells)) if options.only in cell.name]
+    cells = [cell for cell in sample_cells(cells, options.cells or len(cells)) if options.only in cell.name]
 
     def submit(pool: Executor) -> list[Future[Result]]:
         return [pool.submit(run_cell, cell, paths[cell.voyage]) for cell in cells if not results.contains(cell.key)]
@@ -73,7 +73,7 @@ def _report(results: list[Result]) -> int:
     console.print(table)
     for line in unseen_lines(results):
         console.print(f"not detectable: {line}", highlight=False)
-    bad = failed(results)
+    bad = failed_results(results)
     for result in bad:
         console.print("\n".join(failure_lines(result)), soft_wrap=True, highlight=False, markup=False)
     return EXIT_BOUND_NOT_MET if bad else EXIT_DONE

@@ -53,7 +53,7 @@ class AdapterRun:
     def results(self) -> list[tuple[int, str, Any]]:
         """Return all estimates, bit-exact, without the diagnostics and innovations about inputs."""
         judgements = "/innovation", "input_health", "/diagnostics"
-        return [(ns, topic, exactly(m)) for ns, topic, m in self.published if not topic.endswith(judgements)]
+        return [(ns, topic, exact_value(m)) for ns, topic, m in self.published if not topic.endswith(judgements)]
 
     def reasons(self, topic: str) -> dict[str, int]:
         health = self.health(topic)
@@ -77,18 +77,18 @@ class AdapterRun:
         ]
 
 
-def exactly(value: Any) -> Any:
+def exact_value(value: Any) -> Any:
     """Return a message as tuples of bytes and texts: NaN equals NaN, and 0.0 is not -0.0."""
     if isinstance(value, CdrMessage):
         return value.__cdr__
     if hasattr(value, "get_fields_and_field_types"):
-        return tuple(exactly(getattr(value, name)) for name in value.get_fields_and_field_types())
+        return tuple(exact_value(getattr(value, name)) for name in value.get_fields_and_field_types())
     if isinstance(value, list):
-        return tuple(exactly(element) for element in value)
+        return tuple(exact_value(element) for element in value)
     return value if isinstance(value, str) else np.asarray(value).tobytes()
 
 
-def in_order(arrivals: Iterable[Arrival]) -> Arrivals:
+def sort_by_arrival(arrivals: Iterable[Arrival]) -> Arrivals:
     return tuple(sorted(arrivals, key=lambda arrival: arrival.receive_ns))
 
 
@@ -106,16 +106,16 @@ def without(arrivals: Arrivals, index: int) -> Arrivals:
     return (*arrivals[:index], *arrivals[index + 1 :])
 
 
-def replaced(
+def replace_message(
     arrivals: Arrivals, index: int, change: Callable[[Any], None], receive_ns: int | None = None
 ) -> Arrivals:
     """Return the arrivals with one message changed, at another time of arrival if given."""
-    return in_order((*without(arrivals, index), changed_copy(arrivals[index], change, receive_ns)))
+    return sort_by_arrival((*without(arrivals, index), changed_copy(arrivals[index], change, receive_ns)))
 
 
-def added(arrivals: Arrivals, index: int, change: Callable[[Any], None], receive_ns: int) -> Arrivals:
+def add_copy(arrivals: Arrivals, index: int, change: Callable[[Any], None], receive_ns: int) -> Arrivals:
     """Return the arrivals with an additional, changed copy of one message."""
-    return in_order((*arrivals, changed_copy(arrivals[index], change, receive_ns)))
+    return sort_by_arrival((*arrivals, changed_copy(arrivals[index], change, receive_ns)))
 
 
 def changed_copy(arrival: Arrival, change: Callable[[Any], None], receive_ns: int | None = None) -> Arrival:
@@ -124,22 +124,22 @@ def changed_copy(arrival: Arrival, change: Callable[[Any], None], receive_ns: in
     return replace(arrival, message=message, receive_ns=arrival.receive_ns if receive_ns is None else receive_ns)
 
 
-def changed_where(
-    arrivals: Iterable[Arrival], chosen: Callable[[Arrival], bool], change: Callable[[Any], None]
+def change_where(
+    arrivals: Iterable[Arrival], is_chosen: Callable[[Arrival], bool], change: Callable[[Any], None]
 ) -> Arrivals:
     """Return the arrivals with all chosen messages changed."""
-    return tuple(changed_copy(a, change) if chosen(a) else a for a in arrivals)
+    return tuple(changed_copy(a, change) if is_chosen(a) else a for a in arrivals)
 
 
-def delayed(arrivals: Arrivals, delays_s: np.ndarray) -> Arrivals:
+def delay_arrivals(arrivals: Arrivals, delays_s: np.ndarray) -> Arrivals:
     """Return the arrivals, each delayed by this time after its stamp."""
-    return in_order(
+    return sort_by_arrival(
         replace(a, receive_ns=a.stamp_ns + round(delay_s * SECOND_NS))
         for a, delay_s in zip(arrivals, delays_s.tolist(), strict=True)
     )
 
 
-def flooded(arrivals: Arrivals, topic: str, factor: int, up_to_s: float, seed: int = 1) -> Arrivals:
+def flood_topic(arrivals: Arrivals, topic: str, factor: int, up_to_s: float, seed: int = 1) -> Arrivals:
     """Return ``factor`` arrivals for each of a topic: the others have earlier stamps, each by another time."""
     rng = np.random.default_rng(seed)
 
@@ -148,7 +148,7 @@ def flooded(arrivals: Arrivals, topic: str, factor: int, up_to_s: float, seed: i
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(ns, SECOND_NS)
 
     more = [changed_copy(a, earlier) for a in arrivals if a.topic == topic for _ in range(factor - 1)]
-    return in_order([*arrivals, *more])
+    return sort_by_arrival([*arrivals, *more])
 
 
 def without_rejected(arrivals: Arrivals, topic: str, innovations: Iterable[Any]) -> Arrivals:
@@ -157,7 +157,7 @@ def without_rejected(arrivals: Arrivals, topic: str, innovations: Iterable[Any])
     return tuple(a for a in arrivals if a.topic != topic or a.stamp_ns not in refused_ns)
 
 
-def assert_a_flood_costs_little(
+def assert_flood_costs_little(
     monkeypatch: pytest.MonkeyPatch,
     core: type,
     drive: Callable[[Arrivals], AdapterRun],
@@ -184,7 +184,7 @@ def assert_a_flood_costs_little(
         return step(*arguments)
 
     monkeypatch.setattr(core, "_step", counted)
-    flood = flooded(arrivals, topic, 50, up_to_s=1.9)
+    flood = flood_topic(arrivals, topic, 50, up_to_s=1.9)
     run = drive(flood)
     overflow = run.innovations(Reason.OVERFLOW)
     assert {message.source for message in overflow} == {source}

@@ -56,10 +56,10 @@ _INS_SIGMA = np.array([10.0, 72.0, 10.0]) * ARCSEC
 _FAINT = 7.0
 """Magnitude limit with which every field of the sky has eight stars."""
 
-ALONE, WITH_INS, ANY = "star vectors, VALID", "star vectors with INS, VALID", "star vectors, any"
+STARS_VALID, WITH_INS, ANY = "star vectors, VALID", "star vectors with INS, VALID", "star vectors, any"
 BORESIGHTS, ITERATED, ONE = "two boresights [6]", "[5] and [6]", "[5], one sensor"
 BORESIGHTS_OF_TWO = "two boresights, 2 stars suffice"
-METHODS = (ANY, ALONE, WITH_INS, BORESIGHTS, ITERATED, ONE, BORESIGHTS_OF_TWO)
+METHODS = (ANY, STARS_VALID, WITH_INS, BORESIGHTS, ITERATED, ONE, BORESIGHTS_OF_TWO)
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ def _scenario(rng: np.random.Generator) -> Scenario:
     start = midnight + timedelta(seconds=float(rng.uniform(-7200.0, 7200.0)))
     carrier = whole.carrier
     heading = replace(carrier.heading, mean_deg=float(rng.uniform(0.0, 360.0)))
-    moved = {name: _any_phase(getattr(carrier, name), rng) for name in ("pitch", "roll")}
+    moved = {name: with_random_phase(getattr(carrier, name), rng) for name in ("pitch", "roll")}
     sensors = {
         id_: replace(sensor, rate_hz=1.0, magnitude_limit=_FAINT, most_stars=CLEAR_STARS)
         for id_, sensor in whole.star_sensors.items()
@@ -152,7 +152,7 @@ def _scenario(rng: np.random.Generator) -> Scenario:
     )
 
 
-def _any_phase(motion, rng: np.random.Generator):
+def with_random_phase(motion, rng: np.random.Generator):
     phase_rad = float(rng.uniform(-np.pi, np.pi))
     return replace(motion, waves={name: replace(wave, phase_rad=phase_rad) for name, wave in motion.waves.items()})
 
@@ -212,10 +212,10 @@ def joint_solution(scene: Scene, rows: Mapping[str, np.ndarray], with_ins: bool)
     return solve_deck(group[0].placed.time_ns, group, at_once, sensors, scene.ins if with_ins else None).solution
 
 
-def _star_vectors(with_ins: bool, worth: Sequence[SolutionStatus]) -> Method:
+def _star_vectors(with_ins: bool, accepted_statuses: Sequence[SolutionStatus]) -> Method:
     def method(scene: Scene, rows: Mapping[str, np.ndarray]) -> Attitude | None:
         solution = joint_solution(scene, rows, with_ins)
-        return Attitude(solution.rotation_nb, solution.covariance_n) if solution.status in worth else None
+        return Attitude(solution.rotation_nb, solution.covariance_n) if solution.status in accepted_statuses else None
 
     return method
 
@@ -244,13 +244,13 @@ def _one_sensor(seen: list[SensorView], sky: ErfaSky) -> FloatArray | None:
 
 
 def _boresights_of_two(seen: list[SensorView], sky: ErfaSky) -> FloatArray | None:
-    return pan_peers.two_boresights(seen, sky, fewest=pan_peers.FEWEST_BY_GEOMETRY)
+    return pan_peers.two_boresights(seen, sky, fewest=pan_peers.MIN_STARS_BY_GEOMETRY)
 
 
 _SOLVED = (SolutionStatus.VALID, SolutionStatus.UNVERIFIED)
 _BY_NAME: dict[str, Method] = {
     ANY: _star_vectors(False, _SOLVED),
-    ALONE: _star_vectors(False, _SOLVED[:1]),
+    STARS_VALID: _star_vectors(False, _SOLVED[:1]),
     WITH_INS: _star_vectors(True, _SOLVED[:1]),
     BORESIGHTS: _peer(pan_peers.two_boresights),
     ITERATED: _peer(pan_peers.two_boresights_by_iteration),
@@ -298,16 +298,16 @@ def error_and_nees(scene: Scene, found: Attitude | None) -> tuple[float, float]:
     return worst_arcsec, float(normalized_error_squared(error_n, found.covariance_n))
 
 
-def given(results: FloatArray) -> float:
+def solved_share(results: FloatArray) -> float:
     """Return the share of the exposures with an attitude."""
     return float(np.mean(np.isfinite(results[:, 0])))
 
 
-def available(results: FloatArray, limit_arcsec: float = LIMIT_ARCSEC) -> float:
+def availability(results: FloatArray, limit_arcsec: float = LIMIT_ARCSEC) -> float:
     """Return the share of the exposures with an attitude better than the limit."""
     return float(np.mean(results[:, 0] < limit_arcsec))
 
 
-def beyond(results: FloatArray) -> int:
+def count_beyond_covariance(results: FloatArray) -> int:
     """Return the number of attitudes with an error beyond their covariance, one in a thousand if it is consistent."""
     return int(np.sum(results[:, 1] > chi2.isf(BEYOND_PROBABILITY, 3)))

@@ -8,14 +8,14 @@ from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.stamps import NS_PER_S
 
 
-def beginning(whole_path: Path, path: Path, length_s: float) -> Path:
+def write_beginning(whole_path: Path, path: Path, length_s: float) -> Path:
     """Write the first seconds of a bag, with its attachments."""
     with read_bag(whole_path) as bag:
         end_ns = (bag.start_ns or 0) + round(length_s * NS_PER_S)
-    return part(whole_path, path, lambda record: record.log_time_ns <= end_ns)
+    return write_part(whole_path, path, lambda record: record.log_time_ns <= end_ns)
 
 
-def part(whole_path: Path, path: Path, is_kept: Callable[[BagRecord], bool]) -> Path:
+def write_part(whole_path: Path, path: Path, is_kept: Callable[[BagRecord], bool]) -> Path:
     """Write the selected records of a bag, with its attachments and metadata."""
     with read_bag(whole_path) as whole, BagWriter(path) as writer:
         for attachment, data in whole.attachments.items():

@@ -61,7 +61,7 @@ OPTICAL_AXIS = RecordedNode(
 )
 
 
-class Nobody:
+class NoSubscriber:
     """Publisher without subscribers."""
 
     def publish(self, message: Any) -> None:
@@ -74,7 +74,7 @@ def make_box(
     close: bool = True,
     node: RecordedNode = SHIP_ATTITUDE,
     node_ns: Callable[[int], int] = lambda ns: ns,
-    lost: Callable[[int], bool] = lambda ns: False,
+    is_lost: Callable[[int], bool] = lambda ns: False,
     autosave_s: float = 0.0,
     is_overloaded: bool = False,
     part_bytes: int = 0,
@@ -104,13 +104,13 @@ def make_box(
         kinds = {topic.topic: message_class(topic.type_name) for topic in adapter.inputs}
         start_ns = bag.start_ns or 0
         records = [r for r in bag.records(kinds) if r.log_time_ns < start_ns + LENGTH_NS]
-        records = [r for r in records if not lost(r.log_time_ns - start_ns)]
+        records = [r for r in records if not is_lost(r.log_time_ns - start_ns)]
 
     def node_time(waiting_ns: int) -> int:
         return start_ns + node_ns(waiting_ns - start_ns)
 
     box = BlackBox(str(path), adapter, config, adapter.outputs, "/", print, part_bytes)
-    calls = AdapterCalls(adapter, {output.topic: Nobody() for output in adapter.outputs}, files, box)
+    calls = AdapterCalls(adapter, {output.topic: NoSubscriber() for output in adapter.outputs}, files, box)
     plan = _plan(calls, node)
     if is_overloaded:
         busiest = adapter.inputs[0].topic
@@ -150,7 +150,7 @@ def _wait_for(path: Path) -> None:
 def _plan(calls: AdapterCalls, node: RecordedNode) -> list[tuple[int, Callable[[int], Any]]]:
     second = 1_000_000_000
 
-    def refused(now_ns: int) -> None:
+    def set_out_of_range(now_ns: int) -> None:
         try:
             calls.set_parameters({"gate.probability": 0.1}, now_ns)
         except ParameterError:
@@ -159,7 +159,7 @@ def _plan(calls: AdapterCalls, node: RecordedNode) -> list[tuple[int, Callable[[
 
     return [
         (1 * second, lambda ns: calls.set_parameters({"gate.probability": 0.99}, ns)),
-        (2 * second, refused),
+        (2 * second, set_out_of_range),
         (2 * second, lambda ns: calls.record_refusal({"gate.probability": 5.0}, "out of its range", ns)),
         (3 * second, lambda ns: calls.set_parameters(node.noise_change, ns)),
         (4 * second, lambda ns: calls.service("save_alignment", ns)),

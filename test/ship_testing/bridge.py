@@ -17,7 +17,7 @@ from ship_geometry.rotations import ARCSEC
 from ship_msgs.msg import AlertArray, ShipAttitude
 from ship_nmea.sentences import defined  # noqa: F401 - so that the parser knows its sentences
 
-PATIENCE_S = 40.0
+TIMEOUT_S = 40.0
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -33,13 +33,13 @@ class AttitudePublisher:
         self.attitudes = self.node.create_publisher(ShipAttitude, "ship/attitude", 10)
         self.statuses = {}
         self.alerts = None
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._take_statuses, 100)
-        self.node.create_subscription(AlertArray, "ship/alerts", self._take_alerts, LATCHED)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._receive_statuses, 100)
+        self.node.create_subscription(AlertArray, "ship/alerts", self._receive_alerts, LATCHED)
 
-    def _take_statuses(self, message):
+    def _receive_statuses(self, message):
         self.statuses |= {status.name: status for status in message.status}
 
-    def _take_alerts(self, message):
+    def _receive_alerts(self, message):
         self.alerts = {alert.id: alert for alert in message.alerts}
 
     def publish(self, heading_deg=10.0, pitch_deg=2.0, roll_deg=-3.0, status=ShipAttitude.VALID, age_s=0.0):
@@ -92,7 +92,7 @@ class Display:
     def last(self, name):
         return next((one for one in reversed(self.sentences) if type(one).__name__ == name), None)
 
-    def forget(self):
+    def clear(self):
         self.read()
         self.texts.clear()
         self.sentences.clear()
@@ -102,10 +102,10 @@ class Display:
             self.connection.close()
 
 
-def until(ship, found, publish=lambda: None):
+def wait_until(ship, condition, publish=lambda: None):
     """Return the result of ``found`` as soon as it is true; call ``tell`` repeatedly until then."""
-    end_s = time.monotonic() + PATIENCE_S
-    while not (result := found()) and time.monotonic() < end_s:
+    end_s = time.monotonic() + TIMEOUT_S
+    while not (result := condition()) and time.monotonic() < end_s:
         publish()
         ship.spin()
     assert result

@@ -18,7 +18,7 @@ from tornado.websocket import websocket_connect
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 """None if Chromium is not installed: tests that need it are skipped."""
 
-_ALONE = (
+_OPTIONS = (
     *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"),
     *("--disable-background-networking", "--disable-component-update", "--hide-scrollbars", "--mute-audio"),
     "--remote-debugging-port=0",
@@ -26,7 +26,7 @@ _ALONE = (
 _START_S = 60.0
 
 
-_LOOK_S = 0.2
+_POLL_S = 0.2
 """Shorter periods delay the drawing of the page on a busy computer."""
 
 
@@ -45,7 +45,7 @@ class Browser:
     def __init__(self) -> None:
         self._folder = Path(tempfile.mkdtemp(prefix="chromium"))
         self._log = (self._folder / "log").open("wb")
-        command = [str(CHROMIUM), *_ALONE, f"--user-data-dir={self._folder}", "about:blank"]
+        command = [str(CHROMIUM), *_OPTIONS, f"--user-data-dir={self._folder}", "about:blank"]
         self._process = subprocess.Popen(command, stdout=self._log, stderr=self._log, stdin=subprocess.DEVNULL)
         self._loop = asyncio.new_event_loop()
         self._count = 0
@@ -64,7 +64,7 @@ class Browser:
         mobile = width < 700
         self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=mobile)
         self.call("Page.navigate", url=address)
-        self.until("document.readyState === 'complete' && location.href !== 'about:blank'")
+        self.wait_until_true("document.readyState === 'complete' && location.href !== 'about:blank'")
 
     def evaluate(self, expression: str) -> Any:
         """Return the value of a JavaScript expression."""
@@ -72,7 +72,7 @@ class Browser:
         assert "exceptionDetails" not in result, result["exceptionDetails"]
         return result["result"].get("value")
 
-    def until(self, expression: str, limit_s: float = 30.0) -> Any:
+    def wait_until_true(self, expression: str, limit_s: float = 30.0) -> Any:
         """Return the value of an expression once it is true; a query between two pages is repeated."""
         guarded = f"(() => {{ try {{ return {expression} }} catch {{ return null }} }})()"
 
@@ -82,13 +82,13 @@ class Browser:
 
         return self.wait(look, expression, limit_s)
 
-    def wait(self, look: Callable[[], Any], what: str, limit_s: float = 30.0) -> Any:
+    def wait(self, condition: Callable[[], Any], what: str, limit_s: float = 30.0) -> Any:
         """Return the result of a function once it is true; process messages of the browser until then."""
         deadline_s = time.monotonic() + limit_s
         while time.monotonic() < deadline_s:
-            if found := look():
+            if found := condition():
                 return found
-            time.sleep(_LOOK_S)
+            time.sleep(_POLL_S)
         raise AssertionError(f"not within {limit_s} s: {what}")
 
     def text(self, selector: str) -> str:
@@ -100,7 +100,7 @@ class Browser:
         for kind in ("keyDown", "keyUp"):
             self.call("Input.dispatchKeyEvent", type=kind, key=key, text=key if kind == "keyDown" else "")
 
-    def photograph(self, path: Path, whole: bool = False) -> None:
+    def take_screenshot(self, path: Path, whole: bool = False) -> None:
         """Write a PNG of the window, or of the whole page."""
         answer = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
         path.write_bytes(base64.b64decode(answer["data"]))
@@ -135,9 +135,9 @@ class Browser:
                     raise _LeftPage(message["error"])
                 assert "error" not in message, message["error"]
                 return dict(message["result"])
-            self._note(message.get("method", ""), message.get("params", {}))
+            self._record_event(message.get("method", ""), message.get("params", {}))
 
-    def _note(self, method: str, event: dict[str, Any]) -> None:
+    def _record_event(self, method: str, event: dict[str, Any]) -> None:
         if method == "Runtime.exceptionThrown":
             self.problems.append(str(event["exceptionDetails"].get("exception", event)))
         elif method == "Log.entryAdded" and event["entry"]["level"] == "error":

@@ -20,7 +20,7 @@ INS_RATE_HZ = 20.0
 
 
 @dataclass(frozen=True)
-class Short:
+class ShortRun:
     """Reductions of a case for a test of many seeds, which do not change what is tested.
 
     Attributes:
@@ -36,7 +36,7 @@ class Short:
     clouds_s: float | None = None
 
 
-def _as_it_is(scenario: Scenario) -> Scenario:
+def _unchanged(scenario: Scenario) -> Scenario:
     return scenario
 
 
@@ -45,8 +45,8 @@ class Case:
     """Scenario file, reductions of the short case, and change of the scenario."""
 
     file: str
-    short: Short
-    changed: Callable[[Scenario], Scenario] = _as_it_is
+    short: ShortRun
+    change: Callable[[Scenario], Scenario] = _unchanged
 
 
 def case_at_length(name: str, recording: Path | None = None) -> Scenario:
@@ -58,7 +58,7 @@ def case_at_length(name: str, recording: Path | None = None) -> Scenario:
     """
     case = CASES[name]
     whole = load_scenario(SCENARIOS / f"{case.file}.yaml", recording=recording)
-    return case.changed(replace(whole, ins=replace(whole.ins, rate_hz=INS_RATE_HZ)))
+    return case.change(replace(whole, ins=replace(whole.ins, rate_hz=INS_RATE_HZ)))
 
 
 def case_in_short(name: str, recording: Path | None = None) -> Scenario:
@@ -93,7 +93,7 @@ def _late_at_two_rates(scenario: Scenario) -> Scenario:
     return replace(scenario, star_sensors={id_: replace(late[id_], rate_hz=rate) for id_, rate in rates_hz.items()})
 
 
-def _still(scenario: Scenario) -> Scenario:
+def _without_waves(scenario: Scenario) -> Scenario:
     """A voyage of hours without waves, with one sample of each device every ten seconds."""
     heading, pitch, roll = AngleMotion(mean_deg=5.0), AngleMotion(mean_deg=0.5), AngleMotion(mean_deg=2.0)
     return replace(
@@ -117,38 +117,38 @@ def _on_the_same_pixels(scenario: Scenario) -> Scenario:
 
 CASES = {
     # Two sensors at right angles.
-    "paper": Case("paper", Short(60.0, 20.0, 2.0)),
+    "paper": Case("paper", ShortRun(60.0, 20.0, 2.0)),
     # The error about its boresight is large: the error ellipsoid is long.
-    "one_sensor": Case("one_sensor", Short(60.0, 20.0, 2.0)),
+    "one_sensor": Case("one_sensor", ShortRun(60.0, 20.0, 2.0)),
     # It separates the INS's error from that of the installation.
-    "turn": Case("turn", Short(280.0, 5.0, 1.0)),
+    "turn": Case("turn", ShortRun(280.0, 5.0, 1.0)),
     # Thirty minutes of clouds: the covariance grows as the INS's errors do.
-    "outage": Case("outage", Short(1860.0, 10.0, 1.0, clouds_s=60.0)),
+    "outage": Case("outage", ShortRun(1860.0, 10.0, 1.0, clouds_s=60.0)),
     # Data up to 1.3 s late and out of order.
-    "late_shuffled": Case("late_shuffled", Short(40.0, 20.0, 2.0)),
+    "late_shuffled": Case("late_shuffled", ShortRun(40.0, 20.0, 2.0)),
     # Waves of a spectrum, other ones each seed.
-    "sea_state_5": Case("sea_state_5", Short(60.0, 20.0, 2.0)),
+    "sea_state_5": Case("sea_state_5", ShortRun(60.0, 20.0, 2.0)),
     # The hull bends between INS and sensors while a wave passes.
     "flexure": Case(
-        "paper", Short(60.0, 20.0, 2.0), partial(_each_sensor, flexure_sigma_arcsec=5.0, flexure_time_s=10.0)
+        "paper", ShortRun(60.0, 20.0, 2.0), partial(_each_sensor, flexure_sigma_arcsec=5.0, flexure_time_s=10.0)
     ),
     # How far off the INS's clock is shows in a ship that rolls, beyond what is linear in it.
-    "poor_clock": Case("paper", Short(60.0, 20.0, 2.0), _rolling_by_a_poor_clock),
+    "poor_clock": Case("paper", ShortRun(60.0, 20.0, 2.0), _rolling_by_a_poor_clock),
     # A late exposure rewinds the filter over exposures of the other sensor.
-    "two_rates_late": Case("paper", Short(25.0, 20.0, None), _late_at_two_rates),
+    "two_rates_late": Case("paper", ShortRun(25.0, 20.0, None), _late_at_two_rates),
     # Single stars of the real sky, eight an exposure.
-    "paper_stars": Case("paper_stars", Short(30.0, 10.0, 1.0)),
+    "paper_stars": Case("paper_stars", ShortRun(30.0, 10.0, 1.0)),
     # Stars to fourth magnitude alone: none to three in a field of 13°.
-    "few_stars": Case("paper_stars", Short(40.0, 10.0, 1.0), partial(_each_sensor, magnitude_limit=4.0, most_stars=3)),
+    "few_stars": Case("paper_stars", ShortRun(40.0, 10.0, 1.0), partial(_each_sensor, magnitude_limit=4.0, most_stars=3)),
     # A ship that rolls draws her stars as streaks.
-    "streaks": Case("paper_stars", Short(30.0, 10.0, 1.0), partial(_each_sensor, exposure_s=0.1)),
+    "streaks": Case("paper_stars", ShortRun(30.0, 10.0, 1.0), partial(_each_sensor, exposure_s=0.1)),
     # Errors of 7″ over the field and of 5″ a pixel, which do not average while stars keep their places.
-    "spatial_errors": Case("paper_stars", Short(20.0, 10.0, 2.0), _on_the_same_pixels),
+    "spatial_errors": Case("paper_stars", ShortRun(20.0, 10.0, 2.0), _on_the_same_pixels),
     # An undamped INS, two hours of stars and two of clouds.
-    "schuler": Case("schuler", Short(3600.0, 0.05, 0.025, clouds_s=1800.0), _still),
+    "schuler": Case("schuler", ShortRun(3600.0, 0.05, 0.025, clouds_s=1800.0), _without_waves),
     # Clouds across a change of the vertical by 60 arcseconds, with a table of it.
-    "deflection": Case("deflection", Short(3600.0, 0.05, 0.05), _still),
+    "deflection": Case("deflection", ShortRun(3600.0, 0.05, 0.05), _without_waves),
     # On the motion of a ship at sea.
-    "recorded": Case("recorded", Short(60.0, 20.0, None)),
+    "recorded": Case("recorded", ShortRun(60.0, 20.0, None)),
 }
 WITHOUT_RECORDING = tuple(name for name in CASES if name != "recorded")

@@ -30,8 +30,8 @@ from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.scenario.theodolite_scenario import Rtk, ShipBaseline
 from ship_simulation.suite.suite import suite_yaml
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, AdapterRun, Arrival, Arrivals, hand_over, stamp_of
-from ship_testing.theodolite_scenes import SCENARIOS, bag_scenario, replaced, with_stars_and_targets
-from ship_testing.theodolite_stations import buoy_seen, direction_message, placing_values
+from ship_testing.theodolite_scenes import SCENARIOS, bag_scenario, replace_nested, with_stars_and_targets
+from ship_testing.theodolite_stations import buoy_direction, direction_message, triangulation_values
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 from theodolite_calib.ros.triangulation_adapter import TriangulationAdapter
 from theodolite_calib.target.config import TriangulationConfig
@@ -86,7 +86,7 @@ def voyage_of(node: str, given: Scenario) -> Voyage:
     }[node.partition(" ")[0]]
     config = load_config(adapter_class.config_type, suite_yaml(given), in_any_namespace(adapter_class.node_name))
     if node.endswith("by ins"):
-        config = replaced(config, escort__enabled=True, escort__period_s=1.0)
+        config = replace_nested(config, escort__enabled=True, escort__period_s=1.0)
 
     def new_adapter() -> ReportingAdapter:
         return adapter_class(config, FACTORY)
@@ -98,7 +98,7 @@ def voyage_of(node: str, given: Scenario) -> Voyage:
     return Voyage(new_adapter, arrivals, {log_ns: message for topic, message, log_ns in logged if topic == kind})
 
 
-def sigmas(known: Voyage, message: Any) -> float:
+def error_in_sigmas(known: Voyage, message: Any) -> float:
     """Return the largest error of an attitude or a pointing, of East, North, Up, in its sigmas; 0 without a truth."""
     true = known.truth.get(stamp_of(message))
     if true is None or message.status == Status.INVALID:
@@ -116,10 +116,10 @@ def _rotation(message: Any) -> FloatArray:
     return rotation_from_angles(message.azimuth, message.elevation, message.image_rotation)
 
 
-def worst_claim(known: Voyage, run: AdapterRun, statuses: Collection[int] = (Status.VALID, Status.COASTING)) -> float:
+def worst_error_in_sigmas(known: Voyage, run: AdapterRun, statuses: Collection[int] = (Status.VALID, Status.COASTING)) -> float:
     """Return the largest error in sigmas of all outputs of a run with one of some statuses."""
-    claimed = [m for m in run.messages(run.adapter.main_topic) if m.status in statuses]
-    return max((sigmas(known, message) for message in claimed), default=0.0)
+    published = [m for m in run.messages(run.adapter.main_topic) if m.status in statuses]
+    return max((error_in_sigmas(known, message) for message in published), default=0.0)
 
 
 def topics(node: str) -> tuple[str, ...]:
@@ -128,14 +128,14 @@ def topics(node: str) -> tuple[str, ...]:
 
 
 @functools.cache
-def clean_run(node: str) -> AdapterRun:
+def fault_free_run(node: str) -> AdapterRun:
     """Return the run of the voyage without faults."""
     return voyage(node).run()
 
 
 def _ship() -> Scenario:
     scenario = load_scenario(SCENARIOS / "three_sensors.yaml")
-    ins = replaced(scenario.ins, rate_hz=25.0)
+    ins = replace_nested(scenario.ins, rate_hz=25.0)
     antennas = ShipBaseline(forward_m=12.0, right_m=1.0, rtk=Rtk(rate_hz=5.0))
     references = {"gyro": Reference(rate_hz=5.0)}
     return replace(scenario, duration_s=4.0, ins=ins, references=references, ship_baseline=antennas)
@@ -143,17 +143,17 @@ def _ship() -> Scenario:
 
 def _theodolite(node: str) -> Scenario:
     scenario = with_stars_and_targets(bag_scenario(duration_s=5.0))
-    fused = replaced(scenario.fused_attitude, written=not node.endswith("by ins"))
-    ins = replaced(scenario.ins, rate_hz=20.0)
+    fused = replace_nested(scenario.fused_attitude, written=not node.endswith("by ins"))
+    ins = replace_nested(scenario.ins, rate_hz=20.0)
     return replace(scenario, ins=ins, star_sensors={}, telescopes={}, fused_attitude=fused)
 
 
 def _triangulation() -> Voyage:
-    config, arrivals = build(TriangulationConfig, placing_values(3)), []
+    config, arrivals = build(TriangulationConfig, triangulation_values(3)), []
     for time_ns in range(_START_NS, _START_NS + 5 * SECOND_NS, SECOND_NS // 10):
         for number in range(3):
             at_ns = time_ns + 10_000_000 * number
-            seen_n = buoy_seen(number, (at_ns - _START_NS) / SECOND_NS)
+            seen_n = buoy_direction(number, (at_ns - _START_NS) / SECOND_NS)
             message = direction_message(at_ns, seen_n, 3.0 * ARCSEC, FACTORY)
             arrivals.append(Arrival(f"t{number}/theodolite/target_direction", message, at_ns + _LATENCY_NS))
     return Voyage(lambda: TriangulationAdapter(config, FACTORY), tuple(arrivals), {})

@@ -58,29 +58,29 @@ class FoxgloveClient:
             self._count += 1
             self._topics[self._count] = topic
             subscriptions.append({"id": self._count, "channelId": self.channels[topic]["id"]})
-        self.ask({"op": "subscribe", "subscriptions": subscriptions})
+        self.send_request({"op": "subscribe", "subscriptions": subscriptions})
 
     def unsubscribe(self, topic: str) -> None:
         """Unsubscribe from channels."""
         numbers = [number for number, name in self._topics.items() if name == topic]
         for number in numbers:
             del self._topics[number]
-        self.ask({"op": "unsubscribe", "subscriptionIds": numbers})
+        self.send_request({"op": "unsubscribe", "subscriptionIds": numbers})
 
-    def ask(self, request: dict[str, Any] | bytes) -> None:
+    def send_request(self, request: dict[str, Any] | bytes) -> None:
         """Send a request, as JSON or as bytes."""
         is_binary = isinstance(request, bytes)
         self._run(self._write(request if is_binary else json.dumps(request), is_binary))
 
-    def until(self, look: Callable[[], Any], limit_s: float = 20.0) -> Any:
+    def wait_until(self, condition: Callable[[], Any], limit_s: float = 20.0) -> Any:
         """Return the result of a function once it is true; process messages of the server until then."""
         deadline_s = time.monotonic() + limit_s
-        while not (found := look()):
+        while not (found := condition()):
             assert time.monotonic() < deadline_s, (self.server_messages, self.channels.keys(), len(self.received))
-            self.listen(0.05)
+            self.receive(0.05)
         return found
 
-    def listen(self, duration_s: float) -> None:
+    def receive(self, duration_s: float) -> None:
         """Process the messages received within a time."""
         deadline_s = time.monotonic() + duration_s
         while not self.is_over and (left_s := deadline_s - time.monotonic()) > 0.0:
@@ -94,7 +94,7 @@ class FoxgloveClient:
         # The server answers the closing.
         deadline_s = time.monotonic() + 5.0
         while not self.is_over and time.monotonic() < deadline_s:
-            self.listen(0.05)
+            self.receive(0.05)
         self._loop.close()
 
     async def _leave(self) -> None:
@@ -108,9 +108,9 @@ class FoxgloveClient:
         done, _ = await asyncio.wait([self._reading], timeout=limit_s)
         if done:
             content, self._reading = self._reading.result(), None
-            self._note(content)
+            self._process(content)
 
-    def _note(self, content: str | bytes | None) -> None:
+    def _process(self, content: str | bytes | None) -> None:
         if content is None:
             self.is_over = True
         elif isinstance(content, bytes):
@@ -138,17 +138,17 @@ class FoxgloveClient:
         return self._loop.run_until_complete(work)
 
 
-def deaf_client(address: str, channel_id: int) -> socket.socket:
+def client_that_never_reads(address: str, channel_id: int) -> socket.socket:
     """Return the socket of a client that has subscribed to a channel and never reads."""
-    deaf = socket.create_connection(("127.0.0.1", int(address.rpartition(":")[2])))
-    deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-    deaf.sendall(
+    client = socket.create_connection(("127.0.0.1", int(address.rpartition(":")[2])))
+    client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    client.sendall(
         b"GET / HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
         b"Sec-WebSocket-Version: 13\r\n"
         b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n"
     )
-    assert deaf.recv(12) == b"HTTP/1.1 101"
+    assert client.recv(12) == b"HTTP/1.1 101"
     text = json.dumps({"op": "subscribe", "subscriptions": [{"id": 0, "channelId": channel_id}]}).encode()
     # RFC 6455: one text frame, masked with zeros.
-    deaf.sendall(bytes([0x81, 0x80 | len(text)]) + bytes(4) + text)
-    return deaf
+    client.sendall(bytes([0x81, 0x80 | len(text)]) + bytes(4) + text)
+    return client

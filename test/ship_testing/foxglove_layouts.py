@@ -51,28 +51,28 @@ class Scripts:
     """Scripts of a layout: their inputs exist, and their outputs have types that panels show."""
 
     def __init__(self, layout: dict[str, Any], messages: MessagesByTopic) -> None:
-        self.given: dict[str, dict[str, dict[str, str]]] = {}
+        self.outputs: dict[str, dict[str, dict[str, str]]] = {}
         for key, script in layout["userNodes"].items():
             code = script["sourceCode"]
-            topic = only(re.findall(r'^export const inputs = \["(.*)"\];$', code, re.MULTILINE))
+            topic = single_item(re.findall(r'^export const inputs = \["(.*)"\];$', code, re.MULTILINE))
             assert script["name"] == key
             assert f'export default function script(event: Input<"{topic}">): Output' in code
             for field in re.findall(r"event\.message\.(\w+)", code):
                 resolve(f"{topic}.{field}", messages, layout["globalVariables"])
             for names in re.findall(r"const LEVELS = \[(.*)\]", code):
                 for value, name in enumerate(re.findall(r'"(\w+)"', names)):
-                    constant(messages, topic, name, value)
+                    check_constant(messages, topic, name, value)
             types = {
                 name: dict(re.findall(r"(\w+): (\w+(?:\[\])?);?\s", body))
                 for name, body in re.findall(r"^type (\w+) = \{(.*?)\};$", code, re.MULTILINE | re.DOTALL)
             }
-            self.given[only(re.findall(r'^export const output = "(.*)";$', code, re.MULTILINE))] = types
+            self.outputs[single_item(re.findall(r'^export const output = "(.*)";$', code, re.MULTILINE))] = types
 
-    def follow(self, topic: str, steps: list[re.Match[str]]) -> str:
+    def output_type(self, topic: str, steps: list[re.Match[str]]) -> str:
         """Return the name of the type at the end of a path in the output of a script."""
-        if topic not in self.given:
+        if topic not in self.outputs:
             raise Missing(f"no script gives {topic}")
-        types, kind = self.given[topic], "Output"
+        types, kind = self.outputs[topic], "Output"
         for step in steps:
             if name := step["name"] or step["field"]:
                 field = types.get(kind, {}).get(name)
@@ -86,14 +86,14 @@ class Scripts:
         return kind
 
 
-def only(found: list[str]) -> str:
+def single_item(found: list[str]) -> str:
     (one,) = found
     return one
 
 
 def split(path: str) -> tuple[str, list[re.Match[str]]]:
     """Return topic and steps of a message path without modifiers, most of which Lichtblick's plots ignore."""
-    topic = only(re.findall(r"^/?[\w/]+", path))
+    topic = single_item(re.findall(r"^/?[\w/]+", path))
     steps, at = [], len(topic)
     while at < len(path):
         step = STEP.match(path, at)
@@ -140,7 +140,7 @@ def wanted_value(step: re.Match[str], variables: dict[str, str]) -> str:
     return variables[value[1:]]
 
 
-def constant(messages: MessagesByTopic, topic: str, name: str, value: int) -> None:
+def check_constant(messages: MessagesByTopic, topic: str, name: str, value: int) -> None:
     """Raise unless messages of a topic have this constant."""
     if getattr(messages[topic][0], name, None) != value:
         raise Missing(f"{topic}: {name} is not {value}")
@@ -151,7 +151,7 @@ def named_constants(text: str) -> list[tuple[int, str]]:
     return [(int(value), name) for value, name in re.findall(r"\b(\d) ([A-Z_]{2,})\b", text)]
 
 
-def look_up(path: str, layout: dict[str, Any], messages_by_topic: MessagesByTopic, scripts: Scripts, is_shown: tuple[type, ...]) -> None:
+def check_path(path: str, layout: dict[str, Any], messages_by_topic: MessagesByTopic, scripts: Scripts, is_shown: tuple[type, ...]) -> None:
     """Raise unless a path leads to a type that its panel can show."""
     topic, steps = split(path)
     if not topic.startswith(SCRIPTS):
@@ -159,7 +159,7 @@ def look_up(path: str, layout: dict[str, Any], messages_by_topic: MessagesByTopi
         if not all(isinstance(getattr(value, "item", lambda value=value: value)(), is_shown) for value in values[:1]):
             raise Missing(f"{path}: {values[0]!r} cannot be shown")
         return
-    kind = scripts.follow(topic, steps)
+    kind = scripts.output_type(topic, steps)
     if is_shown != (object,) and kind != "number":
         raise Missing(f"{path}: a {kind} cannot be shown")
     sources = {message.source for name, messages in messages_by_topic.items() if name.endswith("/innovation") for message in messages}
@@ -200,18 +200,18 @@ def check_panel(kind: str, config: dict[str, Any], layout: dict[str, Any], messa
     shown: tuple[type, ...] = (int, float) if kind == "Plot" else (int, float, str, bool)
     for series in config.get("paths", []):
         assert {"value", "enabled", "timestampMethod"} <= set(series) <= SERIES
-        look_up(series["value"], layout, messages, scripts, shown)
+        check_path(series["value"], layout, messages, scripts, shown)
         for value, name in named_constants(series["label"]):
-            constant(messages, split(series["value"])[0], name, value)
+            check_constant(messages, split(series["value"])[0], name, value)
     if kind == "Indicator":
-        look_up(config["path"], layout, messages, scripts, (int,))
+        check_path(config["path"], layout, messages, scripts, (int,))
         for rule in config["rules"]:
             assert set(rule) == {"operator", "rawValue", "color", "label"}
-            constant(messages, split(config["path"])[0], rule["label"], int(rule["rawValue"]))
+            check_constant(messages, split(config["path"])[0], rule["label"], int(rule["rawValue"]))
     if "topicPath" in config:
-        look_up(config["topicPath"], layout, messages, scripts, (object,))
+        check_path(config["topicPath"], layout, messages, scripts, (object,))
     if "topicToRender" in config:
-        look_up(config["topicToRender"], layout, messages, scripts, (object,))
+        check_path(config["topicToRender"], layout, messages, scripts, (object,))
 
 
 def paths(layout: dict[str, Any]) -> list[str]:

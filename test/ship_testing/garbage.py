@@ -30,17 +30,17 @@ def paths(message: Any, prefix: Path = ()) -> list[Path]:
     return found
 
 
-def spoil(message: Any, fields: list[Path], rng: np.random.Generator) -> None:
+def put_garbage(message: Any, fields: list[Path], rng: np.random.Generator) -> None:
     """Put random values of the right type into one to three fields."""
     for index in rng.integers(0, len(fields), rng.integers(1, 4)).tolist():
         *parents, name = fields[index]
-        holder = functools.reduce(inside, parents, message)
+        holder = functools.reduce(value_at, parents, message)
         # Beyond what a field of single precision or of eight bits can hold, nothing can come over the wire.
         with contextlib.suppress(AssertionError):
             setattr(holder, str(name), garbage(getattr(holder, str(name)), str(name), rng))
 
 
-def inside(holder: Any, part: str | int) -> Any:
+def value_at(holder: Any, part: str | int) -> Any:
     """Return the value at a path element."""
     return holder[part] if isinstance(part, int) else getattr(holder, part)
 
@@ -51,14 +51,14 @@ def garbage(value: Any, name: str, rng: np.random.Generator) -> Any:
     if isinstance(value, list):
         return [TEXTS[number] for number in rng.integers(len(TEXTS), size=rng.integers(0, 3))]
     if isinstance(value, float):
-        return float(a_number(rng, value))
+        return float(random_number(rng, value))
     if isinstance(value, np.ndarray) and rng.random() < 0.5:
         # A covariance, but of any size and rank, none included.
         root = rng.normal(size=(3, rng.integers(0, 4))) * 10.0 ** rng.uniform([-20.0] * 3, [1.0] * 3)[:, None]
         return (root @ root.T).ravel()
     if isinstance(value, np.ndarray):
         chosen = rng.random(value.size) < rng.choice([0.2, 1.0])
-        return np.where(chosen, [a_number(rng, v) for v in value.tolist()], value)
+        return np.where(chosen, [random_number(rng, v) for v in value.tolist()], value)
     if isinstance(value, array.array) and value.typecode == "d":
         return [float(number) for number in garbage(np.array(value), name, rng)]
     if isinstance(value, array.array):
@@ -70,7 +70,7 @@ def garbage(value: Any, name: str, rng: np.random.Generator) -> Any:
     return int(rng.choice([0, 1, 2, 3, 4, 255]))
 
 
-def a_number(rng: np.random.Generator, value: float) -> float:
+def random_number(rng: np.random.Generator, value: float) -> float:
     kind = rng.integers(3)
     if kind == 0:
         return float(NUMBERS[rng.integers(len(NUMBERS))])

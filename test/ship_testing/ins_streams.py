@@ -40,9 +40,9 @@ def stream(
     rng = np.random.default_rng(seed)
     t_s = np.arange(0.0, duration_s, 1.0 / rate_hz)
     noise = ARCSEC * rng.standard_normal((2, t_s.size, 3))
-    moved = amplitude_deg, turn_deg_per_s
-    before, after = (attitudes(t_s - rate_delay_s + step_s, *moved) for step_s in (-1e-4, 1e-4))
-    true_nd = attitudes(t_s, *moved)
+    motion = amplitude_deg, turn_deg_per_s
+    before, after = (attitudes(t_s - rate_delay_s + step_s, *motion) for step_s in (-1e-4, 1e-4))
+    true_nd = attitudes(t_s, *motion)
     rate_d = rate_factor * log_rotation(np.swapaxes(before, 1, 2) @ after) / 2e-4
     rate_d += rate_noise_arcsec_per_s * noise[0] + bias_arcsec_per_s * ARCSEC
     if earth_n is not None:
@@ -55,7 +55,7 @@ def stream(
     return [AttitudeSample(*values) for values in zip(times_ns.tolist(), rotation_nd, rate_d, strict=True)]
 
 
-def stepped(
+def with_step(
     samples: list[AttitudeSample], first: int, arcsec_n: Angles, last: int | None = None
 ) -> list[AttitudeSample]:
     """Return the samples with attitudes ``first`` to ``last`` - 1 rotated about North, Up and East."""

@@ -18,14 +18,14 @@ from ship_simulation.scenario.scenario import Scenario, StarSensor
 
 _CLOCK = 0
 """Key of the INS's clock. Those of the mountings are next, then those of the times."""
-_CHANGED = 1e-7
+_RELINEARIZE_THRESHOLD = 1e-7
 """Change of an unknown, rad or s, above which its factors are relinearised: 0.02 arcseconds."""
 
 
 def isam2_error(scenario: Scenario, seed: int) -> FinalError:
     """Simulate a run, smooth it, and compare with the truth at the last INS sample."""
     run = simulate(scenario, seed)
-    return error_at_end(run, seed, *_Graph(run).solved())
+    return error_at_end(run, seed, *_Graph(run).solve())
 
 
 class _Graph:
@@ -38,36 +38,36 @@ class _Graph:
     def __init__(self, run: SimulatedRun) -> None:
         gtsam = self._gtsam = import_module("gtsam")
         parameters = gtsam.ISAM2Params()
-        parameters.setRelinearizeThreshold(_CHANGED)
+        parameters.setRelinearizeThreshold(_RELINEARIZE_THRESHOLD)
         parameters.relinearizeSkip = 20
         self._smoother = gtsam.ISAM2(parameters)
         self._run, self._ins = run, _Ins(run)
         self._mounting_keys = {id_: 1 + number for number, id_ in enumerate(run.stars)}
         self._first_key = 1 + len(run.stars)
 
-    def solved(self) -> tuple[FloatArray, FloatArray]:
+    def solve(self) -> tuple[FloatArray, FloatArray]:
         """Return the attitude at the last INS sample, (3, 3), and its covariance in the horizon, rad², (3, 3)."""
-        self._begin()
+        self._initialise()
         exposures = [
             (int(time_ns), id_, row)
             for id_, samples in self._run.stars.items()
             for row, time_ns in enumerate(samples.time_ns)
-            if self._ins.surrounds(int(time_ns))
+            if self._ins.has_samples_around(int(time_ns))
         ]
         before_ns = None
         key = self._first_key
         for key, (time_ns, id_, row) in enumerate(sorted(exposures), start=self._first_key):
-            graph, values = self._moved(key, before_ns, time_ns)
+            graph, values = self._add_state(key, before_ns, time_ns)
             graph.add(self._sighting(key, time_ns, id_, row))
             self._smoother.update(graph, values)
             before_ns = time_ns
         end_ns, end = int(self._ins.time_ns[-1]), key + 1
-        self._smoother.update(*self._moved(end, before_ns, end_ns))
+        self._smoother.update(*self._add_state(end, before_ns, end_ns))
         for _ in range(3):
             self._smoother.update()
         return self._attitude(end)
 
-    def _begin(self) -> None:
+    def _initialise(self) -> None:
         """Add the clock and the mountings with their priors."""
         scenario, gtsam = self._run.scenario, self._gtsam
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
@@ -87,17 +87,17 @@ class _Graph:
 
         return self._gtsam.CustomFactor(self._gtsam.noiseModel.Diagonal.Sigmas(sigma), [key], error)
 
-    def _moved(self, key: int, before_ns: int | None, time_ns: int) -> tuple[Any, Any]:
+    def _add_state(self, key: int, previous_ns: int | None, time_ns: int) -> tuple[Any, Any]:
         """Add a new time, with the change of the INS's slow error since the one before: Gauss–Markov."""
         gtsam, ins = self._gtsam, self._run.scenario.ins
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         sigma = np.array([ins.tilt_sigma_arcsec, ins.heading_sigma_arcsec, ins.tilt_sigma_arcsec]) * ARCSEC
         time_s = np.array([ins.tilt_time_s, ins.heading_time_s, ins.tilt_time_s])
-        if before_ns is None:
+        if previous_ns is None:
             values.insert(key, np.zeros(3))
             graph.add(self._prior(key, sigma))
             return graph, values
-        decay = np.exp(-1e-9 * (time_ns - before_ns) / time_s)
+        decay = np.exp(-1e-9 * (time_ns - previous_ns) / time_s)
         values.insert(key, decay * self._smoother.calculateEstimateVector(key - 1))
 
         def error(_: Any, at: Any, jacobians: Any) -> FloatArray:
@@ -117,7 +117,7 @@ class _Graph:
         measured_nv = samples.rotation_nv[row]
 
         def error(_: Any, at: Any, jacobians: Any) -> FloatArray:
-            rotation_nd, rate_d = self._ins.at(time_ns, at.atVector(_CLOCK)[0])
+            rotation_nd, rate_d = self._ins.attitude_at(time_ns, at.atVector(_CLOCK)[0])
             mounted_dv = nominal_dv @ exp_rotation(at.atVector(mounting))
             expected_nv = exp_rotation(at.atVector(key)) @ rotation_nd @ mounted_dv
             if jacobians is not None:
@@ -132,7 +132,7 @@ class _Graph:
 
     def _attitude(self, end: int) -> tuple[FloatArray, FloatArray]:
         found = self._smoother.calculateEstimate()
-        rotation_nd, rate_d = self._ins.last(found.atVector(_CLOCK)[0])
+        rotation_nd, rate_d = self._ins.last_attitude(found.atVector(_CLOCK)[0])
         marginals = self._gtsam.Marginals(self._smoother.getFactorsUnsafe(), found)
         joint = marginals.jointMarginalCovariance([end, _CLOCK])
         covariance = np.block([[joint.at(one, other) for other in (end, _CLOCK)] for one in (end, _CLOCK)])
@@ -159,11 +159,11 @@ class _Ins:
         self.time_ns, self._rotation_nd, self._rate_d = ins.time_ns, ins.rotation_nd, ins.rate_d
         self._white = (run.scenario.ins.white_sigma_arcsec * ARCSEC) ** 2
 
-    def surrounds(self, time_ns: int) -> bool:
+    def has_samples_around(self, time_ns: int) -> bool:
         """True if there are samples on both sides, also with the largest offset of its clock."""
         return bool(self.time_ns[1] <= time_ns <= self.time_ns[-2])
 
-    def at(self, time_ns: int, offset_s: float) -> tuple[FloatArray, FloatArray]:
+    def attitude_at(self, time_ns: int, offset_s: float) -> tuple[FloatArray, FloatArray]:
         """Return horizon from deck, (3, 3), and the angular rate in the deck, rad/s, for this clock offset."""
         left, part, step_s = self._between(time_ns, offset_s)
         before, after = self._rate_d[left], self._rate_d[left + 1]
@@ -172,9 +172,9 @@ class _Ins:
         by_right = self._rotation_nd[left + 1] @ exp_rotation(-0.5 * (rate_d + after) * (1.0 - part) * step_s)
         return by_left @ exp_rotation(part * log_rotation(by_left.T @ by_right)), rate_d
 
-    def last(self, offset_s: float) -> tuple[FloatArray, FloatArray]:
+    def last_attitude(self, offset_s: float) -> tuple[FloatArray, FloatArray]:
         """Return the same at the last stamp: only that sample, extrapolated by its rates, with only its noise."""
-        _, halfway_d = self.at(int(self.time_ns[-1]), 0.5 * offset_s)
+        _, halfway_d = self.attitude_at(int(self.time_ns[-1]), 0.5 * offset_s)
         return self._rotation_nd[-1] @ exp_rotation(-halfway_d * offset_s), self._rate_d[-1]
 
     def white_variance(self, time_ns: int) -> float:

@@ -12,7 +12,7 @@ Published = dict[str, list[tuple[int, bytes]]]
 """Topic → log time and bytes of each message."""
 
 
-class KeptSink:
+class MemorySink:
     """Stores all messages.
 
     Attributes:

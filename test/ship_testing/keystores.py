@@ -55,7 +55,7 @@ def new_authority(name: str = "sros2CA", now: datetime.datetime = NOW) -> Author
     return Authority(key, certificate_of(name, key, now=now))
 
 
-def signed(text: str, authority: Authority) -> bytes:
+def sign_text(text: str, authority: Authority) -> bytes:
     """Return S/MIME as signed by sros2 (``_utilities.py``, ``_sign_bytes_pkcs7``)."""
     builder = pkcs7.PKCS7SignatureBuilder().set_data(text.encode("utf-8"))
     builder = builder.add_signer(authority.certificate, authority.key, hashes.SHA256())
@@ -90,7 +90,7 @@ class Keystore:
         self.sign(self.folder(enclave) / "permissions.p7s", text)
 
     def sign(self, path: Path, text: str, authority: Authority | None = None) -> None:
-        path.write_bytes(signed(text, authority or self.authority))
+        path.write_bytes(sign_text(text, authority or self.authority))
 
     def write_key(self, enclave: str, key: ec.EllipticCurvePrivateKey, mode: int = 0o600) -> None:
         path = self.folder(enclave) / "key.pem"

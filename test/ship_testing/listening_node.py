@@ -39,7 +39,7 @@ def free_port(kind: int = socket.SOCK_DGRAM) -> int:
         return port
 
 
-class ListeningNode:
+class NmeaInPeer:
     """The node under test and its peer.
 
     Args:
@@ -84,7 +84,7 @@ class ListeningNode:
         self._executor.add_node(self.peer)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._diagnostics: dict[str, Any] = {}
-        self.peer.create_subscription(DiagnosticArray, "/diagnostics", self._keep, 100)
+        self.peer.create_subscription(DiagnosticArray, "/diagnostics", self._record_diagnostics, 100)
         topics = {
             topic: type_name for id_ in sources for topic, type_name in self.config.role(id_).topics(id_).items()
         }
@@ -132,7 +132,7 @@ class ListeningNode:
             return -1, "", {}
         return status.level[0], status.message, {pair.key: pair.value for pair in status.values}
 
-    def exceptions(self) -> str:
+    def exception_text(self) -> str:
         """Return the exceptions that the node reports."""
         return str(self._diagnostics[f"{NAME}: callbacks"].message)
 
@@ -140,13 +140,13 @@ class ListeningNode:
         """Process messages for a moment."""
         self._executor.spin_once(timeout_sec=0.01)
 
-    def wait_until(self, happened: Callable[[], Any]) -> Any:
+    def wait_until(self, condition: Callable[[], Any]) -> Any:
         """Process messages until the condition is true; return its result."""
         deadline_s = time.monotonic() + TIMEOUT_S
-        while not (found := happened()):
+        while not (found := condition()):
             assert time.monotonic() < deadline_s, {name: told.message for name, told in self._diagnostics.items()}
             self.spin()
         return found
 
-    def _keep(self, message: DiagnosticArray) -> None:
+    def _record_diagnostics(self, message: DiagnosticArray) -> None:
         self._diagnostics |= {status.name: status for status in message.status}

@@ -44,7 +44,7 @@ class LiveRelay:
         self.attitudes: list[ShipAttitude] = []
         self.diagnostics: dict[str, DiagnosticStatus] = {}
         self.peer.create_subscription(ShipAttitude, "ship/attitude", self.attitudes.append, 2000)
-        self.peer.create_subscription(DiagnosticArray, "/diagnostics", self._keep_diagnostics, 100)
+        self.peer.create_subscription(DiagnosticArray, "/diagnostics", self._record_diagnostics, 100)
         self.wait_until(lambda: self.peer.count_publishers("ship/attitude") == 1)
         self.wait_until(lambda: self.live.node.count_subscribers("/ship/attitude") == 1)
 
@@ -87,21 +87,21 @@ class LiveRelay:
         self.wait_until(future.done)
         return future.result()
 
-    def reports(self, name: str, level: bytes) -> bool:
+    def has_level(self, name: str, level: bytes) -> bool:
         """True if the last diagnostics of that name have that level."""
         return name in self.diagnostics and self.diagnostics[name].level == level
 
     def spin(self) -> None:
         self._executor.spin_once(timeout_sec=0.005)
 
-    def wait_until(self, happened: Callable[[], bool]) -> None:
+    def wait_until(self, condition: Callable[[], bool]) -> None:
         """Spin the peer until the condition is true."""
         end_s = time.monotonic() + TIMEOUT_S
-        while not happened():
+        while not condition():
             assert time.monotonic() < end_s, f"waited {TIMEOUT_S} s in vain; diagnostics: {self.diagnostics}"
             self.spin()
 
-    def _keep_diagnostics(self, message: DiagnosticArray) -> None:
+    def _record_diagnostics(self, message: DiagnosticArray) -> None:
         self.diagnostics |= {status.name: status for status in message.status}
 
 

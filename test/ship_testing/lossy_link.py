@@ -19,14 +19,14 @@ NETEM = Path(__file__).parents[3] / "shared" / "tools" / "netem.py"
 
 NEAR, FAR = "relA", "relB"
 
-_FIRST = "chrt", "--rr", "1"
+_REALTIME_PRIORITY = "chrt", "--rr", "1"
 """Prefix of a command: real-time priority, if that is permitted."""
 _START_S = 15.0
 _LONGEST_S = 600
 # It finds its namespaces below /run/netns. On a /run of its own, two links do not meet, and nothing is left behind.
-_ALONE = 'mount -t tmpfs tmpfs /run && mkdir /run/netns && exec "$@"'
+_PRIVATE_RUN = 'mount -t tmpfs tmpfs /run && mkdir /run/netns && exec "$@"'
 # The share that is lost is a variable of its script, which it reads for each packet.
-_SWITCHED = f"""
+_SWITCHABLE_LOSS = f"""
 import signal, sys
 sys.argv = sys.argv[1:]
 names, loss = {{"__name__": "netem"}}, float(sys.argv[1])
@@ -36,7 +36,7 @@ exec(compile(open(sys.argv[0]).read(), sys.argv[0], "exec"), names)
 """
 
 
-def why_there_is_none() -> str:
+def unavailability_reason() -> str:
     """Return the reason why this machine cannot create such a link; empty if it can."""
     if not NETEM.is_file():
         return f"there is no {NETEM.name} beside this repository"
@@ -59,32 +59,32 @@ class LossyLink:
         self._folder = folder
         # Shared memory would go past the link.
         self._environment = live_environment(1, folder / "ros") | UDP_ONLY
-        self._may_go_first = bool(shutil.which("chrt")) and not subprocess.run(
-            [*_FIRST, "true"], stderr=subprocess.DEVNULL, check=False
+        self._has_realtime_priority = bool(shutil.which("chrt")) and not subprocess.run(
+            [*_REALTIME_PRIORITY, "true"], stderr=subprocess.DEVNULL, check=False
         ).returncode
         self._environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SUBNET"
-        script = [sys.executable, "-c", _SWITCHED, str(NETEM), str(loss), "0", "0", "0", str(_LONGEST_S)]
+        script = [sys.executable, "-c", _SWITCHABLE_LOSS, str(NETEM), str(loss), "0", "0", "0", str(_LONGEST_S)]
         self._running = ExitStack()
-        self._relay = self._started(["unshare", "--mount", "sh", "-c", _ALONE, "sh", *script], "link")
+        self._relay = self._start(["unshare", "--mount", "sh", "-c", _PRIVATE_RUN, "sh", *script], "link")
 
     def start(self, end: str, name: str, command: Sequence[str]) -> LiveProcess:
         """Run a program at one end."""
         place = f"--net=/proc/{self._relay.pid}/root/run/netns/{end}"
-        return self._started(["nsenter", place, *command], name)
+        return self._start(["nsenter", place, *command], name)
 
     def cut(self) -> int:
         """Drop all packets from now on; return the time, ns."""
         os.kill(self._relay.pid, SIGUSR1)
         return time.time_ns()
 
-    def mend(self) -> int:
+    def restore(self) -> int:
         """Transmit packets again; return the time, ns."""
         os.kill(self._relay.pid, SIGUSR2)
         return time.time_ns()
 
-    def _started(self, command: Sequence[str], name: str) -> LiveProcess:
+    def _start(self, command: Sequence[str], name: str) -> LiveProcess:
         # The link must not depend on other load of this machine: its processes have priority.
-        urgent = [*(_FIRST if self._may_go_first else ()), *command]
+        urgent = [*(_REALTIME_PRIORITY if self._has_realtime_priority else ()), *command]
         return self._running.enter_context(LiveProcess(urgent, self._folder / f"{name}.log", self._environment))
 
     def __enter__(self) -> "LossyLink":

@@ -50,12 +50,12 @@ def mount_config(parallelism_sigma_arcsec: float = 0.2, **changes) -> OpticalAxi
 def mount_sky(settings: OpticalAxisConfig, start_ns: int = TIME_NS, seconds: int = 60) -> SkyModel:
     """Return the sky of a ship at anchor with measured weather, for this many seconds."""
     sky_model = load_sky_model(settings.sky)
-    for given in at_anchor(start_ns, seconds):
-        sky_model.surroundings.insert(given)
+    for reading in anchored_readings(start_ns, seconds):
+        sky_model.surroundings.insert(reading)
     return sky_model
 
 
-def at_anchor(start_ns: int = TIME_NS, seconds: int = 60) -> Iterator[PositionFix | AirReading]:
+def anchored_readings(start_ns: int = TIME_NS, seconds: int = 60) -> Iterator[PositionFix | AirReading]:
     """Return position and weather inputs of such a ship."""
     for second in range(-3, seconds):
         yield PositionFix(start_ns + second * 1_000_000_000, POSITION, np.eye(3) * 25.0)
@@ -82,7 +82,7 @@ class MountErrors:
     sky: FloatArray
 
 
-def drawn_errors(settings: OpticalAxisConfig, rng: np.random.Generator) -> MountErrors:
+def draw_errors(settings: OpticalAxisConfig, rng: np.random.Generator) -> MountErrors:
     """Draw errors with the sigmas of the configuration."""
     return MountErrors(
         axes=settings.axes.sigma * rng.standard_normal(7),
@@ -93,10 +93,10 @@ def drawn_errors(settings: OpticalAxisConfig, rng: np.random.Generator) -> Mount
     )
 
 
-def stars_seen(
+def observe_stars(
     sky_model: SkyModel,
     rotation_ns: FloatArray,
-    sky: FloatArray,
+    sky_errors: FloatArray,
     count: int,
     rng: np.random.Generator,
     time_ns: int,
@@ -124,7 +124,7 @@ def stars_seen(
     sky_at_time, catalogue = sky_model.sky_at(time_ns), sky_model.catalogue
     rows = sky_at_time.bright_rows_around(rotation_ns[:, 0], 1.5 * FIELD)
     apparent = sky_at_time.apparent_stars(catalogue.at_j2000[rows])
-    seen_s = (apparent.direction_n + apparent.shared_n @ sky) @ rotation_ns
+    seen_s = (apparent.direction_n + apparent.shared_n @ sky_errors) @ rotation_ns
     inside = np.flatnonzero(np.all(np.abs(seen_s[:, 1:] / seen_s[:, :1]) < np.tan(FIELD), axis=-1))
     brightest = inside[np.argsort(catalogue.magnitude[rows[inside]], kind="stable")]
     kept = (rng.permutation(inside) if detector is None and lens is None else brightest)[:count]
@@ -199,7 +199,7 @@ class MountSession:
         rotation_ns = self.main_axis(encoder) @ rotation_sm.T
         optics = camera.camera.optics_errors(camera.camera.camera(CAMERA_ID))
         spatial = camera.camera.spatial_errors(camera.camera.camera(CAMERA_ID))
-        return stars_seen(
+        return observe_stars(
             self.sky_model,
             rotation_ns,
             self.errors.sky,

@@ -52,7 +52,7 @@ class _WithFixes:
         return sorted([*others, *fixes], key=lambda arrival: arrival[0])
 
 
-def noise_session(of: Scenario, seed: int, ins_changes: dict[str, Any] | None = None, with_fixes: bool = True) -> NoiseSession:
+def simulated_noise_session(of: Scenario, seed: int, ins_changes: dict[str, Any] | None = None, with_fixes: bool = True) -> NoiseSession:
     """Return the session of a simulated voyage.
 
     Args:
@@ -81,7 +81,7 @@ class GaussMarkovProcess(NamedTuple):
     white_arcsec: float
 
 
-def drawn(session: NoiseSession, seed: int, process: GaussMarkovProcess) -> NoiseSession:
+def draw_session(session: NoiseSession, seed: int, process: GaussMarkovProcess) -> NoiseSession:
     """Return the session with new values drawn by its model: a Gauss-Markov INS, installations, noise."""
     rng = np.random.default_rng(seed)
     model = session.model

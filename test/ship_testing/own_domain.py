@@ -17,10 +17,10 @@ def own_domain(monkeypatch):
 def until():
     """Return a function that repeats a call until its result is true, and returns the result."""
 
-    def wait(look, limit_s=20.0):
+    def wait(condition, limit_s=20.0):
         deadline_s = time.monotonic() + limit_s
         while time.monotonic() < deadline_s:
-            found = look()
+            found = condition()
             if found:
                 return found
             time.sleep(0.02)

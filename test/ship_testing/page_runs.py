@@ -47,7 +47,7 @@ class StateSource:
 
 
 @contextlib.contextmanager
-def served(
+def run_page_server(
     source: StateSource | None = None,
     port: int = 0,
     address: str = "127.0.0.1",
@@ -55,13 +55,13 @@ def served(
     zone: ZoneInfo | None = None,
 ) -> Iterator[PageServer]:
     """Run a server until the end of the ``with`` statement."""
-    shown = StateSource() if source is None else source
+    state_source = StateSource() if source is None else source
     made: Queue[PageServer | BaseException] = Queue()
 
     def run() -> None:
         asyncio.set_event_loop(asyncio.new_event_loop())
         try:
-            server = PageServer(page_maker(lambda: shown, "day", zone), address, port, lambda: None, allowed_hosts)
+            server = PageServer(page_maker(lambda: state_source, "day", zone), address, port, lambda: None, allowed_hosts)
         except BaseException as problem:
             made.put(problem)
             raise

@@ -20,14 +20,14 @@ from ship_geometry.refraction import Weather
 from ship_geometry.rotations import FloatArray
 from ship_geometry.star_directions import StarPositions
 
-FEWEST_STARS = 4
+MIN_STARS = 4
 """[P15] §1: a sensor determines its boresight by four identified stars or more."""
 
-FEWEST_BY_GEOMETRY = 2
+MIN_STARS_BY_GEOMETRY = 2
 """With one star the rotation about it is undetermined."""
 
 CONVERGED_RAD = np.deg2rad(0.001 / 3600.0)
-MOST_ROUNDS = 20
+MAX_ITERATIONS = 20
 WAVELENGTH_UM = 0.55
 
 
@@ -74,7 +74,7 @@ class ErfaSky:
         """Return the same sky without air."""
         return replace(self, weather=None)
 
-    def lowered(self, seen_n: FloatArray) -> FloatArray:
+    def without_refraction(self, seen_n: FloatArray) -> FloatArray:
         """Return directions observed through the air with refraction removed, shape (k, 3)."""
         tangent = np.hypot(seen_n[:, 0], seen_n[:, 2]) / seen_n[:, 1]
         first, third = erfa.refco(*self._air())
@@ -89,13 +89,13 @@ class ErfaSky:
         return air.pressure_hpa, air.temperature_c, air.relative_humidity, WAVELENGTH_UM
 
 
-def refraction_on_reference(view: SensorView, sky: ErfaSky, fewest: int = FEWEST_STARS) -> FloatArray | None:
+def refraction_on_reference(view: SensorView, sky: ErfaSky, fewest: int = MIN_STARS) -> FloatArray | None:
     """Return horizon from sensor by the stars of one sensor, refraction on the reference; None with too few stars."""
     return _wahba(sky.directions(view.stars), view.measured_s) if len(view) >= fewest else None
 
 
 def refraction_on_observed(
-    view: SensorView, sky: ErfaSky, fewest: int = FEWEST_STARS
+    view: SensorView, sky: ErfaSky, fewest: int = MIN_STARS
 ) -> tuple[FloatArray, int] | None:
     """Return horizon from sensor by the stars of one sensor, refraction removed from the observations, by [5].
 
@@ -106,34 +106,34 @@ def refraction_on_observed(
         return None
     reference_n = sky.without_air().directions(view.stars)
     rotation_ns = _wahba(reference_n, view.measured_s)
-    for round_ in range(1, MOST_ROUNDS + 1):
+    for round_ in range(1, MAX_ITERATIONS + 1):
         before_ns = rotation_ns
-        lowered_s = sky.lowered(view.measured_s @ before_ns.T) @ before_ns
+        lowered_s = sky.without_refraction(view.measured_s @ before_ns.T) @ before_ns
         rotation_ns = _wahba(reference_n, lowered_s)
         if Rotation.from_matrix(rotation_ns @ before_ns.T).magnitude() < CONVERGED_RAD:
             return rotation_ns, round_
     return None
 
 
-def joined_boresights(rotation_ns: Sequence[FloatArray], rotation_ds: Sequence[FloatArray]) -> FloatArray:
+def attitude_from_boresights(rotation_ns: Sequence[FloatArray], rotation_ds: Sequence[FloatArray]) -> FloatArray:
     """Return horizon from deck by the boresights of two sensors and their mountings, by [6]."""
     return _wahba(np.array([one[:, 0] for one in rotation_ns]), np.array([one[:, 0] for one in rotation_ds]))
 
 
-def two_boresights(views: Sequence[SensorView], sky: ErfaSky, fewest: int = FEWEST_STARS) -> FloatArray | None:
+def two_boresights(views: Sequence[SensorView], sky: ErfaSky, fewest: int = MIN_STARS) -> FloatArray | None:
     """Return horizon from deck by [6], refraction on the reference; None where a sensor has too few stars."""
     found = [refraction_on_reference(view, sky, fewest) for view in views]
     solved = [one for one in found if one is not None]
-    return joined_boresights(solved, [view.rotation_ds for view in views]) if len(solved) == len(views) else None
+    return attitude_from_boresights(solved, [view.rotation_ds for view in views]) if len(solved) == len(views) else None
 
 
 def two_boresights_by_iteration(
-    views: Sequence[SensorView], sky: ErfaSky, fewest: int = FEWEST_STARS
+    views: Sequence[SensorView], sky: ErfaSky, fewest: int = MIN_STARS
 ) -> FloatArray | None:
     """Return horizon from deck by [5] and [6], the method before [P15]; None where a sensor has too few stars."""
     found = [refraction_on_observed(view, sky, fewest) for view in views]
     solved = [one[0] for one in found if one is not None]
-    return joined_boresights(solved, [view.rotation_ds for view in views]) if len(solved) == len(views) else None
+    return attitude_from_boresights(solved, [view.rotation_ds for view in views]) if len(solved) == len(views) else None
 
 
 def _wahba(reference_n: FloatArray, measured: FloatArray) -> FloatArray:

@@ -55,12 +55,12 @@ def angle(name: str, **changes: Any) -> AngleState:
     return replace(well, **changes)
 
 
-def lost(name: str, because_of: str = "") -> AngleState:
+def unsafe_angle(name: str, because_of: str = "") -> AngleState:
     """Return an angle that is UNSAFE."""
     return angle(name, accuracy_95=math.nan, safety=Safety.UNSAFE, reason="invalid", because_of=because_of)
 
 
-def over(name: str, because_of: str = "", share: float = 1.5) -> AngleState:
+def angle_over_limit(name: str, because_of: str = "", share: float = 1.5) -> AngleState:
     """Return an angle above its limit, by this share."""
     limit = LIMITS.angle_limit(name)
     changes = {"accuracy_95": share * limit, "safety": Safety.CAUTION, "reason": "over the limit", "over_s": 7.0}
@@ -98,7 +98,7 @@ def source(name: str, **changes: Any) -> SourceDetails:
     return replace(well, **changes)
 
 
-def out(name: str, reason: str, **changes: Any) -> SourceDetails:
+def source_out(name: str, reason: str, **changes: Any) -> SourceDetails:
     """Return a source that is OUT."""
     return source(name, presence=Presence.OUT, reason=reason, **changes)
 
@@ -152,7 +152,7 @@ def suite_state(*changed: AngleState | SourceDetails, **changes: Any) -> SuiteSt
     return replace(well, **changes)
 
 
-SHIFTED_SENSOR = out(
+SHIFTED_SENSOR = source_out(
     "star.starboard",
     "81 rejected in a row",
     disagreement="right +49″",
@@ -183,10 +183,10 @@ def state_with_mounting_shift(*changed: AngleState | SourceDetails, **changes: A
     return suite_state(heading, roll, SHIFTED_SENSOR, *changed, **well | changes)
 
 
-def faulty() -> SuiteState:
+def state_with_two_faults() -> SuiteState:
     """Return in addition an encoder without messages for twelve seconds: SAFE, CAUTION, UNSAFE, OLD."""
     angles = angles_timed_out("azimuth", "elevation", age_s=12.0, reason="encoder no data since 11:59:55")
-    encoder = out("encoder", "no data", age_s=12.0, out_since_ns=NOW_NS - 12 * NS)
+    encoder = source_out("encoder", "no data", age_s=12.0, out_since_ns=NOW_NS - 12 * NS)
     lost_pointing = alert("pointing", "pointing lost, encoder no data", NOW_NS - 10 * NS)
     return state_with_mounting_shift(*angles, encoder, alerts=(lost_pointing, SHIFTED_SENSOR_ALERT), pointing_by="no pointing")
 

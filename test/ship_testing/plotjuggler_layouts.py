@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from ship_testing.foxglove_layouts import Missing, MessagesByTopic, constant, named_constants
+from ship_testing.foxglove_layouts import Missing, MessagesByTopic, check_constant, named_constants
 
 
 def curves(messages_by_topic: MessagesByTopic) -> set[str]:
@@ -21,14 +21,14 @@ def curves(messages_by_topic: MessagesByTopic) -> set[str]:
             if topic == "/diagnostics":
                 for status in message.status:
                     place = f"{topic}/{status.hardware_id}/{status.name}"
-                    keys = [pair.key for pair in status.values if number(pair.value)]
+                    keys = [pair.key for pair in status.values if is_number(pair.value)]
                     found |= {f"{place}/{key}" for key in ("level", *keys)}
             else:
-                found |= set(flat(message, topic))
+                found |= set(flat_names(message, topic))
     return found
 
 
-def number(text: str) -> bool:
+def is_number(text: str) -> bool:
     try:
         float(text)
     except ValueError:
@@ -36,16 +36,16 @@ def number(text: str) -> bool:
     return True
 
 
-def flat(value: Any, name: str) -> Iterator[str]:
+def flat_names(value: Any, name: str) -> Iterator[str]:
     """Return the names of the numbers in a value."""
     if is_dataclass(value):
         for field in fields(value):
-            yield from flat(getattr(value, field.name), f"{name}/{field.name}")
+            yield from flat_names(getattr(value, field.name), f"{name}/{field.name}")
     elif isinstance(value, str):
         return
     elif hasattr(value, "__len__"):
         for index, item in enumerate(value):
-            yield from flat(item, f"{name}[{index}]")
+            yield from flat_names(item, f"{name}[{index}]")
     else:
         yield name
 
@@ -63,8 +63,8 @@ def check_plotjuggler(root: ET.Element, messages_by_topic: MessagesByTopic) -> N
             raise Missing(snippet.findtext("linked_source"))
         made.add(snippet.get("name"))
     shown = [curve.get("name") for curve in root.iter("curve")]
-    if strange := set(shown) - known - made:
-        raise Missing(sorted(strange))
+    if unknown := set(shown) - known - made:
+        raise Missing(sorted(unknown))
     assert made <= set(shown)
     for transform in root.iter("transform"):
         assert transform.get("name") == "Scale/Offset"
@@ -77,5 +77,5 @@ def check_plotjuggler(root: ET.Element, messages_by_topic: MessagesByTopic) -> N
     for area in root.iter("DockArea"):
         for value, name in named_constants(area.get("name")):
             topic = area.find("plot/curve").get("name").rpartition("/")[0]
-            constant(messages_by_topic, topic, name, value)
+            check_constant(messages_by_topic, topic, name, value)
     assert {plot.get("style") for plot in root.iter("plot")} <= {"Lines", "Dots", "Steps"}

@@ -20,7 +20,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotati
 from ship_replay.trials.monte_carlo import feed_arrival
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.suite.suite import optical_axis_configuration
-from ship_testing.theodolite_scenes import bag_scenario, replaced, with_beacons, with_theodolite
+from ship_testing.theodolite_scenes import bag_scenario, replace_nested, with_beacons, with_theodolite
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.samples import PointingEstimate, PointingOutcome
 from theodolite_calib.optical_axis.core import OpticalAxisCore
@@ -29,14 +29,14 @@ FAULT_S, DURATION_S = 40.0, 85.0
 
 
 @functools.cache
-def clean_session(seed: int, beacons_leave_s: float = 1e4, duration_s: float = DURATION_S) -> SimulatedRun:
+def fault_free_session(seed: int, beacons_leave_s: float = 1e4, duration_s: float = DURATION_S) -> SimulatedRun:
     """Return the session without a fault, at low rates."""
     scenario = with_beacons(bag_scenario(duration_s=duration_s), leaves_s=beacons_leave_s, hidden={})
     scenario = with_theodolite(scenario, encoder__rate_hz=20.0)
-    return simulate(dataclasses.replace(scenario, ins=replaced(scenario.ins, rate_hz=1.0)), seed)
+    return simulate(dataclasses.replace(scenario, ins=replace_nested(scenario.ins, rate_hz=1.0)), seed)
 
 
-def ship_turned(run: SimulatedRun, arcsec_n: tuple[float, ...], until_s: float = np.inf) -> SimulatedRun:
+def turn_ship_attitude(run: SimulatedRun, arcsec_n: tuple[float, ...], until_s: float = np.inf) -> SimulatedRun:
     """Rotate ``ship/attitude`` about North, Up and East from FAULT_S on."""
     fused = run.fused
     rotation_nd, is_faulty = fused.rotation_nd.copy(), _is_faulty(run, fused.time_ns, until_s)
@@ -44,7 +44,7 @@ def ship_turned(run: SimulatedRun, arcsec_n: tuple[float, ...], until_s: float =
     return replace(run, fused=replace(fused, rotation_nd=rotation_nd))
 
 
-def baseline_moved(run: SimulatedRun, beacon: str, moved_n: tuple[float, ...], until_s: float = np.inf) -> SimulatedRun:
+def move_baseline(run: SimulatedRun, beacon: str, moved_n: tuple[float, ...], until_s: float = np.inf) -> SimulatedRun:
     """Move the baseline to a drone (North, Up, East), m, from FAULT_S on; it remains FIXED."""
     found = run.theodolite.baselines[beacon]
     moved = found.baseline_n + _is_faulty(run, found.time_ns, until_s)[:, None] * np.array(moved_n)
@@ -52,7 +52,7 @@ def baseline_moved(run: SimulatedRun, beacon: str, moved_n: tuple[float, ...], u
     return replace(run, theodolite=replace(run.theodolite, baselines=baselines))
 
 
-def encoders_slipped(
+def offset_encoders(
     run: SimulatedRun, azimuth_arcsec: float, elevation_arcsec: float, until_s: float = np.inf
 ) -> SimulatedRun:
     """Offset the encoders from FAULT_S on."""
@@ -63,7 +63,7 @@ def encoders_slipped(
     return replace(run, theodolite=replace(run.theodolite, encoder=slipped))
 
 
-def encoders_stand(run: SimulatedRun, until_s: float = np.inf) -> SimulatedRun:
+def freeze_encoders(run: SimulatedRun, until_s: float = np.inf) -> SimulatedRun:
     """Freeze the encoders at their reading of FAULT_S."""
     readings = run.theodolite.encoder
     faulty = _is_faulty(run, readings.time_ns, until_s)
@@ -74,7 +74,7 @@ def encoders_stand(run: SimulatedRun, until_s: float = np.inf) -> SimulatedRun:
     return replace(run, theodolite=replace(run.theodolite, encoder=standing))
 
 
-def encoders_read_twice(run: SimulatedRun, azimuth_arcsec: float, until_s: float = np.inf) -> SimulatedRun:
+def duplicate_encoder_readings(run: SimulatedRun, azimuth_arcsec: float, until_s: float = np.inf) -> SimulatedRun:
     """Repeat each reading from FAULT_S on with its stamp, a millisecond later and with another azimuth."""
     readings = run.theodolite.encoder
     again = np.flatnonzero(_is_faulty(run, readings.time_ns, until_s))
@@ -88,7 +88,7 @@ def encoders_read_twice(run: SimulatedRun, azimuth_arcsec: float, until_s: float
     return replace(run, theodolite=replace(run.theodolite, encoder=both))
 
 
-def encoders_stamped_late(run: SimulatedRun, delay_s: float, until_s: float = np.inf) -> SimulatedRun:
+def shift_encoder_stamps(run: SimulatedRun, delay_s: float, until_s: float = np.inf) -> SimulatedRun:
     """Delay or advance the stamps of the readings from FAULT_S on."""
     readings = run.theodolite.encoder
     late_ns = round(delay_s * 1e9) * _is_faulty(run, readings.time_ns, until_s)
@@ -142,7 +142,7 @@ def _fault_duration_s(run: SimulatedRun, time_ns: np.ndarray, until_s: float) ->
 
 
 @dataclass(frozen=True)
-class Claims:
+class PointingErrors:
     """Outputs of the core at the stamps of the truth, k of them.
 
     Attributes:
@@ -167,7 +167,7 @@ class Claims:
     core: OpticalAxisCore
     rejected_count: int
     start_ns: int
-    named: set[str]
+    excluded_sources: set[str]
 
     def worst(self, *statuses: Status, from_s: float = FAULT_S) -> float:
         """Return the largest error in sigmas of outputs with one of some statuses; 0 for none."""
@@ -179,7 +179,7 @@ class Claims:
         chosen = (self.status == Status.VALID) & (self.time_s >= from_s) & np.all(np.isfinite(self.levels), axis=1)
         return float(np.max(np.abs(self.errors[chosen]) / self.levels[chosen], initial=0.0))
 
-    def seconds(self, status: Status, from_s: float = FAULT_S, beyond: float = 0.0) -> float:
+    def duration_s(self, status: Status, from_s: float = FAULT_S, beyond: float = 0.0) -> float:
         """Return the duration of outputs with a status and an error beyond this many sigmas, s."""
         chosen = (self.status == status) & (self.time_s >= from_s) & (self.sigmas >= beyond)
         return float(np.count_nonzero(chosen) * np.median(np.diff(self.time_s)))
@@ -199,14 +199,14 @@ class CoreRun:
         self.outcomes: list[PointingOutcome] = []
         self.levels: dict[int, FloatArray] = {}
 
-    def give(self, run: SimulatedRun, arrivals: list[tuple[int, str, int]], stamps: Container[int]) -> None:
+    def process(self, run: SimulatedRun, arrivals: list[tuple[int, str, int]], stamps: Container[int]) -> None:
         for _, source, index in arrivals:
             outcome = feed_arrival(self.core, run, source, index)
             self.outcomes.append(outcome)
             known = [estimate for estimate in outcome.estimates if estimate.time_ns in stamps]
             self.levels |= {estimate.time_ns: self.core.integrity(estimate).level for estimate in known}
 
-    def copied(self) -> "CoreRun":
+    def clone(self) -> "CoreRun":
         """Return a copy that continues from here."""
         other = copy.copy(self)
         other.core, other.outcomes, other.levels = copy.deepcopy(self.core), self.outcomes[:], self.levels.copy()
@@ -218,10 +218,10 @@ _BEFORE_FAULTS: dict[tuple[int, str], CoreRun] = {}
 
 Only the newest few: each is tens of megabytes.
 """
-_MOST_KEPT = 3
+_MAX_CACHED = 3
 
 
-def claims(run: SimulatedRun, stamps_of: SimulatedRun | None = None, **changes: object) -> Claims:
+def run_core(run: SimulatedRun, stamps_of: SimulatedRun | None = None, **changes: object) -> PointingErrors:
     """Feed a session into a core, with dotted parameters changed (``__`` for the dot), and compare with the truth.
 
     Args:
@@ -240,31 +240,31 @@ def claims(run: SimulatedRun, stamps_of: SimulatedRun | None = None, **changes: 
     before = sum(log_ns < fault_ns for log_ns, _, _ in arrivals)
     key = id(truth), repr(config)
     if key not in _BEFORE_FAULTS:
-        if len(_BEFORE_FAULTS) >= _MOST_KEPT:
+        if len(_BEFORE_FAULTS) >= _MAX_CACHED:
             del _BEFORE_FAULTS[next(iter(_BEFORE_FAULTS))]
         _BEFORE_FAULTS[key] = CoreRun(config)
-        _BEFORE_FAULTS[key].give(run, arrivals[:before], rows)
-    core_run = _BEFORE_FAULTS[key].copied()
-    core_run.give(run, arrivals[before:], rows)
+        _BEFORE_FAULTS[key].process(run, arrivals[:before], rows)
+    core_run = _BEFORE_FAULTS[key].clone()
+    core_run.process(run, arrivals[before:], rows)
     core, outcomes, levels = core_run.core, core_run.outcomes, core_run.levels
     decisions = [decision for outcome in outcomes for decision in outcome.decisions]
     rejected_count = sum(outcome.rejection is not None for outcome in outcomes)
     rejected_count += sum(not decision.accepted for decision in decisions)
     estimates = [found for outcome in outcomes for found in outcome.estimates]
-    kept = [found for found in estimates if found.time_ns in rows and found.status is not Status.INVALID]
-    compared = [_errors(found, truth.mount.rotation_nm[rows[found.time_ns]]) for found in kept]
+    valid_estimates = [found for found in estimates if found.time_ns in rows and found.status is not Status.INVALID]
+    compared = [_errors(found, truth.mount.rotation_nm[rows[found.time_ns]]) for found in valid_estimates]
     errors, sigma = (np.array(column) for column in zip(*compared, strict=True))
-    return Claims(
-        time_s=np.array([(found.time_ns - run.start_ns) * 1e-9 for found in kept]),
-        status=np.array([found.status for found in kept]),
+    return PointingErrors(
+        time_s=np.array([(found.time_ns - run.start_ns) * 1e-9 for found in valid_estimates]),
+        status=np.array([found.status for found in valid_estimates]),
         sigmas=np.max(np.abs(errors) / sigma, axis=1),
         errors=errors,
-        levels=np.array([levels[found.time_ns] for found in kept]),
-        estimates=kept,
+        levels=np.array([levels[found.time_ns] for found in valid_estimates]),
+        estimates=valid_estimates,
         core=core,
         rejected_count=rejected_count,
         start_ns=run.start_ns,
-        named={source for decision in decisions for source in decision.excluded},
+        excluded_sources={source for decision in decisions for source in decision.excluded},
     )
 
 

@@ -11,7 +11,7 @@ from ship_bags.stamps import stamp_fields
 from ship_msgs.msg import ShipAttitude
 
 
-class PublishingShip:
+class SuitePublisher:
     """Publishes messages; a publisher is created with the first message of its topic."""
 
     def __init__(self, namespace: str = "demo") -> None:
@@ -26,9 +26,9 @@ class PublishingShip:
             self.publishers[topic] = self.node.create_publisher(type(message), topic, qos)
         self.publishers[topic].publish(message)
 
-    def wait_for_subscribers(self, until: Callable[[Callable[[], Any]], Any], look: Callable[[], Any], *topics: str) -> None:
+    def wait_for_subscribers(self, wait_until: Callable[[Callable[[], Any]], Any], act: Callable[[], Any], *topics: str) -> None:
         """Wait until the subscriptions of the node under test have been matched, while it spins."""
-        until(lambda: look() and all(self.publishers[topic].get_subscription_count() for topic in topics))
+        wait_until(lambda: act() and all(self.publishers[topic].get_subscription_count() for topic in topics))
 
     def stop(self) -> None:
         """Destroy the node."""

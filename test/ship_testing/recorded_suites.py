@@ -35,11 +35,11 @@ def write_suite(path: Path, length_s: int = 900, prefix: str = "", *, truth: boo
                 if truth:
                     bag.write(f"{prefix}truth/attitude", ship_attitude(stamp_ns, heading), stamp_ns)
             if since_s == ALERT_S:
-                bag.write(f"{prefix}ship/alerts", one_alert(stamp_ns), stamp_ns)
+                bag.write(f"{prefix}ship/alerts", alert_array(stamp_ns), stamp_ns)
     return path
 
 
-def one_alert(stamp_ns: int) -> object:
+def alert_array(stamp_ns: int) -> object:
     """Return the alert that a star sensor is out, as the only one."""
     stamp = make_header(FACTORY, stamp_ns).stamp
     alert = FACTORY.make(

@@ -34,7 +34,7 @@ def write_bag(path, seconds=40, with_truth=True, gap_s=(0, 0), rejected=()):
     return path
 
 
-def copied(source, writer, prefix=""):
+def copy_bag(source, writer, prefix=""):
     """Copy the messages and attachments of a bag into an open bag or folder; its topics get a prefix."""
     with read_bag(source) as bag:
         for name, data in bag.attachments.items():

@@ -27,7 +27,7 @@ from ship_simulation.ship.motion import make_carrier
 PAPER = Path(__file__).parents[2] / "bags" / "scenarios" / "paper.yaml"
 
 
-class Claim(NamedTuple):
+class AttitudeError(NamedTuple):
     """A published attitude.
 
     Attributes:
@@ -44,12 +44,12 @@ class Claim(NamedTuple):
     status: Status
     sigmas: float
     sources: tuple[str, ...] = ()
-    of_level: float = 0.0
+    level_ratio: float = 0.0
     excluded: tuple[str, ...] = ()
     error: float = 0.0
 
 
-class Claims(NamedTuple):
+class AttitudeErrors(NamedTuple):
     """All attitudes of a voyage.
 
     Attributes:
@@ -57,21 +57,21 @@ class Claims(NamedTuple):
         core: after the voyage.
     """
 
-    claims: list[Claim]
+    attitudes: list[AttitudeError]
     core: ShipAttitudeCore
 
-    def worst(self, from_s: float = 0.0, until_s: float = np.inf) -> float:
+    def worst_in_sigmas(self, from_s: float = 0.0, until_s: float = np.inf) -> float:
         """Return the largest error in standard deviations while VALID."""
         valid = [claim.sigmas for claim in self._between(from_s, until_s) if claim.status is Status.VALID]
         return max(valid, default=0.0)
 
-    def worst_of_level(self) -> float:
+    def worst_level_ratio(self) -> float:
         """Return the largest ratio of an error to its protection level while VALID."""
-        return max((claim.of_level for claim in self.claims if claim.status is Status.VALID), default=0.0)
+        return max((claim.level_ratio for claim in self.attitudes if claim.status is Status.VALID), default=0.0)
 
     def excluded(self) -> set[str]:
         """Return all sources that were excluded at some time."""
-        return {name for claim in self.claims for name in claim.excluded}
+        return {name for claim in self.attitudes for name in claim.excluded}
 
     def statuses(self, from_s: float, until_s: float = np.inf) -> set[Status]:
         """Return the statuses of a time span."""
@@ -84,10 +84,10 @@ class Claims(NamedTuple):
     @property
     def not_valid_until_s(self) -> float:
         """Return the time of the last attitude that was not VALID."""
-        return max((claim.time_s for claim in self.claims if claim.status is not Status.VALID), default=0.0)
+        return max((claim.time_s for claim in self.attitudes if claim.status is not Status.VALID), default=0.0)
 
-    def _between(self, from_s: float, until_s: float) -> list[Claim]:
-        return [claim for claim in self.claims if from_s <= claim.time_s < until_s]
+    def _between(self, from_s: float, until_s: float) -> list[AttitudeError]:
+        return [claim for claim in self.attitudes if from_s <= claim.time_s < until_s]
 
 
 @functools.cache
@@ -97,14 +97,14 @@ def voyage(duration_s: float, rate_hz: float, seed: int = 2, **ins: float) -> Si
     return simulate(replace(whole, duration_s=duration_s, ins=replace(whole.ins, rate_hz=rate_hz, **ins)), seed)
 
 
-def ins_turned(run: SimulatedRun, turn_n: FloatArray, from_s: float, until_s: float = np.inf) -> SimulatedRun:
+def turn_ins(run: SimulatedRun, turn_n: FloatArray, from_s: float, until_s: float = np.inf) -> SimulatedRun:
     """Rotate the INS's attitude about North, Up and East by a rotation vector, rad; its rates are unchanged."""
     rotation_nd, faulty = run.ins.rotation_nd.copy(), _faulty(run, run.ins.time_ns, from_s, until_s)
     rotation_nd[faulty] = exp_rotation(turn_n) @ rotation_nd[faulty]
     return replace(run, ins=replace(run.ins, rotation_nd=rotation_nd))
 
 
-def ins_rounded(run: SimulatedRun, digits: int, from_s: float, until_s: float = np.inf) -> SimulatedRun:
+def round_ins(run: SimulatedRun, digits: int, from_s: float, until_s: float = np.inf) -> SimulatedRun:
     """Round the INS's quaternions to some decimals."""
     rotation_nd = run.ins.rotation_nd.copy()
     for index in np.flatnonzero(_faulty(run, run.ins.time_ns, from_s, until_s)):
@@ -112,16 +112,16 @@ def ins_rounded(run: SimulatedRun, digits: int, from_s: float, until_s: float = 
     return replace(run, ins=replace(run.ins, rotation_nd=rotation_nd))
 
 
-def ins_stamped_late(
-    run: SimulatedRun, most_s: float, from_s: float, until_s: float = np.inf, seed: int = 1
+def delay_ins_stamps(
+    run: SimulatedRun, max_delay_s: float, from_s: float, until_s: float = np.inf, seed: int = 1
 ) -> SimulatedRun:
     """Delay the INS's stamps at random, uniformly from zero."""
     faulty, rng = _faulty(run, run.ins.time_ns, from_s, until_s), np.random.default_rng(seed)
-    late_ns = np.where(faulty, np.round(rng.uniform(0.0, most_s * 1e9, len(faulty))), 0.0).astype(np.int64)
+    late_ns = np.where(faulty, np.round(rng.uniform(0.0, max_delay_s * 1e9, len(faulty))), 0.0).astype(np.int64)
     return replace(run, ins=replace(run.ins, time_ns=run.ins.time_ns + late_ns))
 
 
-def stars_turned(run: SimulatedRun, turn_n: FloatArray, from_s: float, until_s: float) -> SimulatedRun:
+def turn_stars(run: SimulatedRun, turn_n: FloatArray, from_s: float, until_s: float) -> SimulatedRun:
     """Rotate all star attitudes about North, Up and East by a rotation vector, rad."""
     stars = {}
     for id_, star in run.stars.items():
@@ -131,9 +131,9 @@ def stars_turned(run: SimulatedRun, turn_n: FloatArray, from_s: float, until_s: 
     return replace(run, stars=stars)
 
 
-def claims(
+def run_core(
     run: SimulatedRun, exchanged_s: tuple[float, float] = (0.0, 0.0), from_s: float = 0.0, levels: bool = False
-) -> Claims:
+) -> AttitudeErrors:
     """Give a voyage to a core; return its outputs.
 
     Args:
@@ -160,14 +160,14 @@ def claims(
             since_s = (estimate.time_ns - run.start_ns) * 1e-9
             error_n = log_rotation(carrier.attitude(np.array(since_s)) @ estimate.rotation_nd.T)
             sigmas = float(np.max(np.abs(error_n) / np.sqrt(np.diagonal(estimate.covariance_n))))
-            of_level = _of_level(core.integrity(estimate), estimate.rotation_nd, error_n) if levels else 0.0
+            of_level = _level_ratio(core.integrity(estimate), estimate.rotation_nd, error_n) if levels else 0.0
             excluded = tuple(core.state.excluded)
             error = float(np.linalg.norm(error_n))
-            found.append(Claim(since_s, estimate.status, sigmas, estimate.sources, of_level, excluded, error))
-    return Claims(found, core)
+            found.append(AttitudeError(since_s, estimate.status, sigmas, estimate.sources, of_level, excluded, error))
+    return AttitudeErrors(found, core)
 
 
-def _of_level(report: IntegrityReport, rotation_nd: FloatArray, error_n: FloatArray) -> float:
+def _level_ratio(report: IntegrityReport, rotation_nd: FloatArray, error_n: FloatArray) -> float:
     """Return the largest ratio of an angle's error to its protection level; 0 without a level."""
     if report.state is IntegrityState.UNAVAILABLE:
         return 0.0

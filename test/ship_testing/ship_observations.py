@@ -8,7 +8,7 @@ from ship_estimation.parameters import build
 from ship_testing.adapter_runs import (
     FACTORY,
 )
-from ship_testing.small_voyage import Run, drive
+from ship_testing.small_voyage import Run, run_adapter
 from ship_testing.star_voyage import (
     CAMERA_PARAMETERS,
 )
@@ -24,5 +24,5 @@ def config(**changes: Any) -> ShipAttitudeConfig:
     values: dict[str, Any] = {"ins": {"frame_id": "ins"}, "star_sensors": SENSORS, **changes}
     return build(ShipAttitudeConfig, values)
 
-def sail(arrivals, **changes: Any) -> Run:
-    return drive(ShipAttitudeAdapter(config(**changes), FACTORY), arrivals)
+def run_new_adapter(arrivals, **changes: Any) -> Run:
+    return run_adapter(ShipAttitudeAdapter(config(**changes), FACTORY), arrivals)

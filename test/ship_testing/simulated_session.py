@@ -98,7 +98,7 @@ def session(
     times_s: FloatArray,
     encoder: FloatArray,
     ship_sigma_n: FloatArray = SHIP_SIGMA_N,
-    swing: float = 1.0,
+    motion_scale: float = 1.0,
     lens_error_m: FloatArray | None = None,
     beacons_deg: Mapping[str, tuple[float, float]] = MappingProxyType(BEACONS_DEG),
     distance_m: FloatArray | None = None,
@@ -146,7 +146,7 @@ def session(
     # The INS alone states no covariance: it is configured.
     stated_n = np.diag(ship_sigma_n**2) if settings.ship.source == "ship/attitude" else None
 
-    pitch, roll = swing * 0.02 * np.sin(2 * np.pi * times_s / 7.0), swing * 0.05 * np.sin(2 * np.pi * times_s / 11.0)
+    pitch, roll = motion_scale * 0.02 * np.sin(2 * np.pi * times_s / 7.0), motion_scale * 0.05 * np.sin(2 * np.pi * times_s / 11.0)
     rotation_nd = rotation_from_angles(np.full(count, 0.7), pitch, roll)
     rotation_nm = (
         rotation_nd

@@ -88,7 +88,7 @@ def truth_of(
     )
 
 
-def raised(direction_n: FloatArray, angle: FloatArray | float) -> FloatArray:
+def raise_elevation(direction_n: FloatArray, angle: FloatArray | float) -> FloatArray:
     """Return directions rotated upwards in their vertical plane."""
     elevation = np.arcsin(direction_n[..., 1]) + angle
     azimuth = np.arctan2(direction_n[..., 2], direction_n[..., 0])
@@ -97,16 +97,16 @@ def raised(direction_n: FloatArray, angle: FloatArray | float) -> FloatArray:
     )
 
 
-def per_coefficient(truth: Truth) -> FloatArray:
+def refraction_per_coefficient(truth: Truth) -> FloatArray:
     """Return refraction (rad) of a coefficient of one: horizontal distance / (2 Earth radii), shape (..., N)."""
     return truth.distance_m * np.hypot(truth.direction_n[..., 0], truth.direction_n[..., 2]) / (2.0 * EARTH_RADIUS_M)
 
 
-def error_free(truth: Truth, survey: Survey = SURVEY, camera: Camera = CAMERA, seed: int = 0) -> Epochs:
+def error_free_epochs(truth: Truth, survey: Survey = SURVEY, camera: Camera = CAMERA, seed: int = 0) -> Epochs:
     """Return measurements without errors, for a ship and drones at any attitude."""
     rng = np.random.default_rng(seed)
     leading, count = truth.rotation_nt.shape[:-2], truth.direction_n.shape[-2]
-    rotation_nd, rotation_nb = _any_attitudes(rng, leading), _any_attitudes(rng, (*leading, count))
+    rotation_nd, rotation_nb = _random_attitudes(rng, leading), _random_attitudes(rng, (*leading, count))
     # The main axis is taken to look where the telescope does: N' needs no more.
     rotation_dm = np.swapaxes(rotation_nd, -1, -2) @ truth.rotation_nt
     lens_n = rotation_nd @ survey.theodolite_lever.vector_m + truth.rotation_nt @ survey.principal_point.vector_m
@@ -116,7 +116,7 @@ def error_free(truth: Truth, survey: Survey = SURVEY, camera: Camera = CAMERA, s
         - (rotation_nb @ survey.beacon_lever.vector_m[..., None])[..., 0]
     )
     lights = BeaconPoses(baseline_n, np.zeros((3, 3)), rotation_nb, np.zeros((3, 3)))
-    seen_n = raised(truth.direction_n, survey.refraction_coefficient * per_coefficient(truth))
+    seen_n = raise_elevation(truth.direction_n, survey.refraction_coefficient * refraction_per_coefficient(truth))
     focal_length_m = np.full(leading, camera.focal_length_m)
     point_m = project(camera, focal_length_m, seen_n @ truth.rotation_nt)
     image = Image(point_m, np.full((*leading, count), DETECTION_M))
@@ -136,7 +136,7 @@ def paper_epochs(
     seed: int,
     common_refraction: bool = False,
     baseline_sigma_m: float = BASELINE_M,
-    untold_lens_m: FloatArray = NONE,
+    unsurveyed_lens_m: FloatArray = NONE,
     focal_length_sigma_m: float = FOCAL_LENGTH_SIGMA_M,
 ) -> Epochs:
     """Return epochs with the paper's errors, drawn for each.
@@ -149,11 +149,11 @@ def paper_epochs(
         untold_lens_m: error of the survey of N': in the truth, not in the survey of the epochs, main frame.
         focal_length_sigma_m: error of the focal length, drawn at each epoch.
     """
-    true_lens = replace(SURVEY.principal_point, vector_m=SURVEY.principal_point.vector_m + untold_lens_m)
-    epochs = replace(error_free(truth, replace(SURVEY, principal_point=true_lens), seed=seed), survey=SURVEY)
+    true_lens = replace(SURVEY.principal_point, vector_m=SURVEY.principal_point.vector_m + unsurveyed_lens_m)
+    epochs = replace(error_free_epochs(truth, replace(SURVEY, principal_point=true_lens), seed=seed), survey=SURVEY)
     rng = np.random.default_rng(seed)
     leading, count = truth.rotation_nt.shape[:-2], truth.direction_n.shape[-2]
-    scale = per_coefficient(truth)
+    scale = refraction_per_coefficient(truth)
     if common_refraction:
         axis_n = truth.rotation_nt[0, :, 0]
         sigma = REFRACTION / (DISTANCE_M * np.hypot(axis_n[0], axis_n[2]) / (2.0 * EARTH_RADIUS_M))
@@ -164,7 +164,7 @@ def paper_epochs(
         coefficient = 0.13 + light_sigma * rng.standard_normal((*leading, count))
         survey = replace(epochs.survey, refraction_light_sigma=light_sigma)
     focal_length_m = FOCAL_LENGTH_M + focal_length_sigma_m * rng.standard_normal(leading)
-    seen_n = raised(truth.direction_n, coefficient * scale)
+    seen_n = raise_elevation(truth.direction_n, coefficient * scale)
     point_m = project(epochs.camera, focal_length_m, seen_n @ truth.rotation_nt)
     point_m += DETECTION_M * rng.standard_normal(point_m.shape)
     lights = replace(
@@ -176,7 +176,7 @@ def paper_epochs(
     return replace(epochs, focal_length_m=focal_length_m, image=image, lights=lights, survey=survey)
 
 
-def _any_attitudes(rng: np.random.Generator, leading: tuple[int, ...]) -> FloatArray:
+def _random_attitudes(rng: np.random.Generator, leading: tuple[int, ...]) -> FloatArray:
     """Return attitudes with all headings, moderate pitch and roll, shape (..., 3, 3)."""
     heading, pitch, roll = np.moveaxis(rng.uniform([0.0, -0.1, -0.2], [6.2, 0.1, 0.2], (*leading, 3)), -1, 0)
     return rotation_from_angles(heading, pitch, roll)

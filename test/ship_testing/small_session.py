@@ -17,8 +17,8 @@ from ship_estimation.parameters import build
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, flu_from_device_vector, quaternion_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
-from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, AdapterRun, Arrival, hand_over, in_order, stamp_of
-from ship_testing.simulated_sightings import project, raised
+from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, AdapterRun, Arrival, hand_over, sort_by_arrival, stamp_of
+from ship_testing.simulated_sightings import project, raise_elevation
 from theodolite_calib.chain.axes import AxisErrors, encoder_angles, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.lights.image import Camera
@@ -94,19 +94,19 @@ def deck(t_s: float) -> FloatArray:
     return rotation_from_angles(*np.deg2rad(np.array([34.4, 0.0, 0.0]) + np.array([0.5, 2.0, 4.0]) * swing))
 
 
-def line(t_s: float) -> FloatArray:
+def line_of_sight(t_s: float) -> FloatArray:
     """Return the upright frame (n) of the main axis, which drifts over the bow."""
     return rotation_from_angles(*np.deg2rad([34.4 - 4.0 + 1.5 * t_s, 30.0 + 2.0 * np.sin(t_s / 3.0), 0.0]))
 
 
-def mount(t_s: float) -> tuple[float, float, FloatArray]:
+def mount_state(t_s: float) -> tuple[float, float, FloatArray]:
     """Return encoder angles and the main frame in the horizon."""
     rotation_nd = deck(t_s)
-    azimuth, elevation = encoder_angles(AXES, rotation_nd.T @ line(t_s)[:, 0])
+    azimuth, elevation = encoder_angles(AXES, rotation_nd.T @ line_of_sight(t_s)[:, 0])
     return float(azimuth), float(elevation), rotation_nd @ main_axis_rotation(AXES, float(azimuth), float(elevation))
 
 
-def drone(t_s: float) -> FloatArray:
+def drone_attitude(t_s: float) -> FloatArray:
     """Return horizon from drone: it sways."""
     return rotation_from_angles(*np.deg2rad([100.0, 2.0 * np.sin(1.5 * t_s), 2.0 * np.cos(1.3 * t_s)]))
 
@@ -115,11 +115,11 @@ def beacon_n(name: str, t_s: float) -> FloatArray:
     """Return the vector from lens to light, m."""
     right, up = np.tan(np.deg2rad(BEACONS_DEG[name]))
     around = np.array([1.0, up, right])
-    return line(t_s) @ (DISTANCE_M * around / np.linalg.norm(around))
+    return line_of_sight(t_s) @ (DISTANCE_M * around / np.linalg.norm(around))
 
 
 def encoder_message(t_s: float, since_ns: int, noise: FloatArray) -> Any:
-    azimuth, elevation, _ = mount(t_s)
+    azimuth, elevation, _ = mount_state(t_s)
     return FACTORY.make(
         "ship_msgs/msg/TheodoliteEncoder",
         header=make_header(FACTORY, START_NS + since_ns, "theodolite_base"),
@@ -153,8 +153,8 @@ def ship_message(t_s: float, since_ns: int, noise: FloatArray) -> Any:
 
 
 def baseline_message(name: str, t_s: float, since_ns: int, noise: FloatArray) -> Any:
-    lens_n = deck(t_s) @ LEVER_D + mount(t_s)[2] @ LENS_M
-    baseline_n = beacon_n(name, t_s) + lens_n - drone(t_s) @ BEACON_B + noise
+    lens_n = deck(t_s) @ LEVER_D + mount_state(t_s)[2] @ LENS_M
+    baseline_n = beacon_n(name, t_s) + lens_n - drone_attitude(t_s) @ BEACON_B + noise
     east, north, up = (ENU_FROM_HORIZON @ baseline_n).tolist()
     return FACTORY.make(
         "ship_msgs/msg/RtkBaseline",
@@ -170,7 +170,7 @@ def baseline_message(name: str, t_s: float, since_ns: int, noise: FloatArray) ->
 
 
 def imu_message(t_s: float, since_ns: int) -> Any:
-    x, y, z, w = quaternion_from_rotation(drone(t_s)).tolist()
+    x, y, z, w = quaternion_from_rotation(drone_attitude(t_s)).tolist()
     zero = FACTORY.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
     return FACTORY.make(
         "sensor_msgs/msg/Imu",
@@ -188,8 +188,8 @@ def image_message(t_s: float, since_ns: int, noise: FloatArray) -> Any:
     camera = Camera(FOCAL_LENGTH_M, 0.0, np.zeros(2))
     direction_n = np.array([beacon_n(name, t_s) for name in BEACONS_DEG]) / DISTANCE_M
     horizontal_m = DISTANCE_M * np.hypot(direction_n[:, 0], direction_n[:, 2])
-    seen_n = raised(direction_n, K * horizontal_m / (2.0 * EARTH_RADIUS_M))
-    point_m = project(camera, np.array(FOCAL_LENGTH_M), seen_n @ mount(t_s)[2]) + noise
+    seen_n = raise_elevation(direction_n, K * horizontal_m / (2.0 * EARTH_RADIUS_M))
+    point_m = project(camera, np.array(FOCAL_LENGTH_M), seen_n @ mount_state(t_s)[2]) + noise
     sightings = [
         FACTORY.make("ship_msgs/msg/BeaconSighting", beacon_id=name, x=float(x), z=float(z), sigma=_IMAGE_M)
         for name, (x, z) in zip(BEACONS_DEG, point_m, strict=True)
@@ -213,21 +213,21 @@ def session(duration_s: float = 6.0) -> tuple[Arrival, ...]:
         BEACONS: lambda t, ns: image_message(t, ns, _IMAGE_M * rng.standard_normal((2, 2))),
     }
     for name in BEACONS_DEG:
-        makers[BASELINE[name]] = functools.partial(_baseline, name, rng)
+        makers[BASELINE[name]] = functools.partial(_noisy_baseline_message, name, rng)
         makers[IMU[name]] = imu_message
     arrivals = []
     for topic, maker in makers.items():
         for since_ns in range(_PHASE_NS.get(topic, 31_000_000), round(duration_s * SECOND_NS), _PERIOD_NS[topic]):
             latency_ns = _LATENCY_NS.get(topic, _DEVICE_LATENCY_NS)
             arrivals.append(Arrival(topic, maker(since_ns * 1e-9, since_ns), START_NS + since_ns + latency_ns))
-    return in_order(arrivals)
+    return sort_by_arrival(arrivals)
 
 
-def ins_alone(duration_s: float = 6.0) -> tuple[Arrival, ...]:
+def session_with_ins_only(duration_s: float = 6.0) -> tuple[Arrival, ...]:
     """Return the same with the ship's attitude from an INS."""
     zero = FACTORY.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
 
-    def by_ins(ship: Any) -> Any:
+    def imu_from_ship(ship: Any) -> Any:
         return FACTORY.make(
             "sensor_msgs/msg/Imu",
             header=ship.header,
@@ -240,17 +240,17 @@ def ins_alone(duration_s: float = 6.0) -> tuple[Arrival, ...]:
         )
 
     arrivals = session(duration_s)
-    return tuple(Arrival(INS, by_ins(a.message), a.receive_ns) if a.topic == SHIP else a for a in arrivals)
+    return tuple(Arrival(INS, imu_from_ship(a.message), a.receive_ns) if a.topic == SHIP else a for a in arrivals)
 
 
-def _baseline(name: str, rng: np.random.Generator, t_s: float, since_ns: int) -> Any:
+def _noisy_baseline_message(name: str, rng: np.random.Generator, t_s: float, since_ns: int) -> Any:
     return baseline_message(name, t_s, since_ns, _RTK_M * rng.standard_normal(3))
 
 
 def error_in_sigmas(pointing: Any) -> float:
     """Return the error of the main axis across itself, in sigmas of the published covariance."""
     t_s = (stamp_of(pointing) - START_NS) * 1e-9
-    truth_nm = mount(t_s)[2]
+    truth_nm = mount_state(t_s)[2]
     estimate_nm = rotation_from_angles(pointing.azimuth, pointing.elevation, pointing.image_rotation)
     error_n = log_rotation(truth_nm @ estimate_nm.T)
     covariance_n = ENU_FROM_HORIZON.T @ np.array(pointing.rotation_covariance).reshape(3, 3) @ ENU_FROM_HORIZON
@@ -260,7 +260,7 @@ def error_in_sigmas(pointing: Any) -> float:
     )
 
 
-def drive(adapter: OpticalAxisAdapter, arrivals: Iterable[Arrival], until_ns: int = 0) -> Run:
+def run_adapter(adapter: OpticalAxisAdapter, arrivals: Iterable[Arrival], until_ns: int = 0) -> Run:
     """Give the arrivals to the adapter with the ticks between them, as in node and replay; tick on to ``until_ns``."""
     run = Run(adapter)
     hand_over(run, arrivals, until_ns)
@@ -268,6 +268,6 @@ def drive(adapter: OpticalAxisAdapter, arrivals: Iterable[Arrival], until_ns: in
 
 
 @functools.cache
-def clean_run() -> Run:
+def fault_free_run() -> Run:
     """Return the run of the session without faults."""
-    return drive(new_adapter(), session())
+    return run_adapter(new_adapter(), session())

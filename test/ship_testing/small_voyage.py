@@ -30,7 +30,7 @@ from ship_testing.adapter_runs import (
     Arrival,
     changed_copy,
     hand_over,
-    in_order,
+    sort_by_arrival,
     stamp_of,
 )
 
@@ -102,7 +102,7 @@ def voyage(duration_s: float = 5.0, heading_deg: float = 34.4) -> tuple[Arrival,
             noise = np.sqrt(np.diagonal(_STAR_NOISE_V)) * rng.standard_normal(3)
             message = star_message(topic, since_ns, heading_deg, noise)
             arrivals.append(Arrival(topic, message, START_NS + since_ns + _STAR_LATENCY_NS))
-    return in_order(arrivals)
+    return sort_by_arrival(arrivals)
 
 
 def ins_message(since_ns: int, heading_deg: float, white_n: FloatArray) -> Any:
@@ -155,20 +155,20 @@ def vector_message(vector: FloatArray) -> Any:
     return FACTORY.make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
 
 
-def drive(adapter: ShipAttitudeAdapter, arrivals: Iterable[Arrival], until_ns: int = 0) -> Run:
+def run_adapter(adapter: ShipAttitudeAdapter, arrivals: Iterable[Arrival], until_ns: int = 0) -> Run:
     """Give the arrivals to the adapter with the ticks between them, as in node and replay; tick on to ``until_ns``."""
     run = Run(adapter)
     hand_over(run, arrivals, until_ns)
     return run
 
 
-def cut(arrivals: tuple[Arrival, ...], from_s: float, until_s: float, *topics: str) -> tuple[Arrival, ...]:
+def remove_interval(arrivals: tuple[Arrival, ...], from_s: float, until_s: float, *topics: str) -> tuple[Arrival, ...]:
     """Return the arrivals without those of these topics with stamps in [from_s, until_s)."""
     from_ns, until_ns = (START_NS + round(s * SECOND_NS) for s in (from_s, until_s))
     return tuple(a for a in arrivals if a.topic not in topics or not from_ns <= a.stamp_ns < until_ns)
 
 
-def turned(arrivals: Iterable[Arrival], turn_n: FloatArray, from_s: float, until_s: float = np.inf) -> list[Arrival]:
+def turn_star_messages(arrivals: Iterable[Arrival], turn_n: FloatArray, from_s: float, until_s: float = np.inf) -> list[Arrival]:
     """Return the arrivals with all star attitudes rotated about North, Up and East, rad."""
 
     def change(message: Any) -> None:
@@ -190,7 +190,7 @@ def rotation_of(message: Any) -> np.ndarray:
     return rotation_from_quaternion(np.array([q.x, q.y, q.z, q.w]))
 
 
-def assert_honest(message: Any, heading_deg: float = 34.4) -> None:
+def assert_consistent(message: Any, heading_deg: float = 34.4) -> None:
     """Assert that the attitude is within five of its sigmas of the true one, each axis."""
     true_nd = attitude(since_start_s(message), heading_deg)
     error_n = log_rotation(true_nd @ rotation_of(message).T)
@@ -200,6 +200,6 @@ def assert_honest(message: Any, heading_deg: float = 34.4) -> None:
 
 
 @functools.cache
-def clean_run() -> Run:
+def fault_free_run() -> Run:
     """Return the run of the voyage without faults."""
-    return drive(new_adapter(), voyage())
+    return run_adapter(new_adapter(), voyage())

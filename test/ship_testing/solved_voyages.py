@@ -19,12 +19,12 @@ from ship_simulation.suite.suite import star_attitude_configuration, suite_confi
 from ship_testing.adapter_runs import FACTORY
 
 
-def sail_by_solutions(run: SimulatedRun) -> list[AttitudeOutcome]:
+def run_with_solutions(run: SimulatedRun) -> list[AttitudeOutcome]:
     """Return the outcomes of the inputs of ``ship_attitude``, in order, both nodes configured for the scenario."""
-    return list(outcomes_by_solutions(core_for_solutions(run), run, range(run.ins.time_ns.size)))
+    return list(outcomes_with_solutions(core_with_solutions(run), run, range(run.ins.time_ns.size)))
 
 
-def core_for_solutions(run: SimulatedRun) -> ShipAttitudeCore:
+def core_with_solutions(run: SimulatedRun) -> ShipAttitudeCore:
     """Return a core of ``ship_attitude`` that uses the solutions of all star sensors of a scenario."""
     suite = suite_configuration(run.scenario)
     for sensor in suite["star_sensors"].values():
@@ -33,8 +33,8 @@ def core_for_solutions(run: SimulatedRun) -> ShipAttitudeCore:
     return ShipAttitudeCore(config, load_sky_model(config.sky))
 
 
-def outcomes_by_solutions(
-    core: ShipAttitudeCore, run: SimulatedRun, wanted: Container[int]
+def outcomes_with_solutions(
+    core: ShipAttitudeCore, run: SimulatedRun, output_samples: Container[int]
 ) -> Iterator[AttitudeOutcome]:
     """Return the core's outcome of each input; attitudes are computed only at the wanted samples of the INS."""
     star_config = build(StarAttitudeConfig, star_attitude_configuration(run.scenario))
@@ -45,7 +45,7 @@ def outcomes_by_solutions(
             rotation_nd, rate_d = run.ins.rotation_nd[index], run.ins.rate_d[index]
             sample = AttitudeSample(int(run.ins.time_ns[index]), rotation_nd, rate_d)
             solved = solver.add_ins(sample).solved
-            yield core.add_ins(sample, estimate=index in wanted)
+            yield core.add_ins(sample, estimate=index in output_samples)
         elif source in SKY_SOURCES:
             solver.add_surroundings(sky_input(run, source, index))
             yield core.add_sky_input(sky_input(run, source, index))

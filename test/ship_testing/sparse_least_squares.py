@@ -13,7 +13,7 @@ Row = tuple[Sequence[slice], Callable[..., np.ndarray]]
 """Slices of the unknowns of a residual, and the residual by their values, in its sigma."""
 
 
-def solved(rows: Sequence[Row], steps: np.ndarray) -> tuple[np.ndarray, object]:
+def solve(rows: Sequence[Row], steps: np.ndarray) -> tuple[np.ndarray, object]:
     """Return the unknowns by Gauss-Newton, and the factors of their information matrix.
 
     Args:

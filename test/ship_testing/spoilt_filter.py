@@ -6,7 +6,7 @@ from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ship_attitude.state import changed
 
 
-def spoil(adapter: ShipAttitudeAdapter) -> None:
+def make_overconfident(adapter: ShipAttitudeAdapter) -> None:
     """Set a heading error of the INS that is wrong by 1°, with a small variance."""
     core, model = adapter.core, adapter.core.filter.model
     mean = core.state.mean.copy()

@@ -25,7 +25,7 @@ FORE_SOLUTION = "star/fore/solution"
 
 Change = Callable[[Any], None]
 
-def put(path: str, value: Any) -> Change:
+def set_field(path: str, value: Any) -> Change:
     """Return a function that sets a field, as ``header.frame_id``."""
     *parents, leaf = path.split(".")
 
@@ -34,58 +34,58 @@ def put(path: str, value: Any) -> Change:
 
     return change
 
-def ahead(seconds: float) -> Change:
+def stamp_ahead(seconds: float) -> Change:
     def change(message: Any) -> None:
         ns = stamp_of(message) + round(seconds * SECOND_NS)
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(ns, SECOND_NS)
 
     return change
 
-def no_stamp(message: Any) -> None:
+def clear_stamp(message: Any) -> None:
     message.header.stamp.sec = message.header.stamp.nanosec = 0
 
-def no_fix(message: Any) -> None:
+def clear_fix(message: Any) -> None:
     message.status.status = -1
 
-DROPPED = [
-    ("exposure stamp zero", FORE, no_stamp, "bad_stamp", "0 ns"),
-    ("exposure from the future", FORE, ahead(0.18), "future", "0.060 s ahead"),
-    ("exposure of another sensor", FORE, put("sensor_id", "aft"), "unknown_sensor", "'aft': expected 'fore'"),
-    ("exposure in another frame", FORE, put("header.frame_id", "aft"), "frame", "'aft': expected 'star_fore'"),
-    ("fix without fix", FIX, no_fix, "no_fix", "STATUS_NO_FIX"),
-    ("fix NaN", FIX, put("latitude", np.nan), "non_finite", "latitude"),
-    ("fix in minutes", FIX, put("longitude", 7217.6), "units", "expected degrees"),
-    ("fix stamp zero", FIX, no_stamp, "bad_stamp", "0 ns"),
-    ("pressure in hPa", PRESSURE, put("fluid_pressure", 1008.3), "units", "hPa, not Pa?"),
-    ("humidity in percent", HUMIDITY, put("relative_humidity", 60.0), "units", "percent?"),
-    ("ins quaternion NaN", INS, put("orientation.x", np.nan), "non_finite", "orientation"),
-    ("ins frame", INS, put("header.frame_id", "imu"), "frame", "'imu': expected 'ins'"),
+REJECTED_MESSAGES = [
+    ("exposure stamp zero", FORE, clear_stamp, "bad_stamp", "0 ns"),
+    ("exposure from the future", FORE, stamp_ahead(0.18), "future", "0.060 s ahead"),
+    ("exposure of another sensor", FORE, set_field("sensor_id", "aft"), "unknown_sensor", "'aft': expected 'fore'"),
+    ("exposure in another frame", FORE, set_field("header.frame_id", "aft"), "frame", "'aft': expected 'star_fore'"),
+    ("fix without fix", FIX, clear_fix, "no_fix", "STATUS_NO_FIX"),
+    ("fix NaN", FIX, set_field("latitude", np.nan), "non_finite", "latitude"),
+    ("fix in minutes", FIX, set_field("longitude", 7217.6), "units", "expected degrees"),
+    ("fix stamp zero", FIX, clear_stamp, "bad_stamp", "0 ns"),
+    ("pressure in hPa", PRESSURE, set_field("fluid_pressure", 1008.3), "units", "hPa, not Pa?"),
+    ("humidity in percent", HUMIDITY, set_field("relative_humidity", 60.0), "units", "percent?"),
+    ("ins quaternion NaN", INS, set_field("orientation.x", np.nan), "non_finite", "orientation"),
+    ("ins frame", INS, set_field("header.frame_id", "imu"), "frame", "'imu': expected 'ins'"),
 ]
 
-def star(row: int, **fields: Any) -> Change:
+def set_star_fields(row: int, **fields: Any) -> Change:
     def change(message: Any) -> None:
         for name, value in fields.items():
             setattr(message.stars[row], name, value)
 
     return change
 
-def without_star(row: int) -> Change:
+def remove_star(row: int) -> Change:
     def change(message: Any) -> None:
         del message.stars[row]
 
     return change
 
 REJECTED_STARS = [
-    ("pixel NaN", star(3, u=np.nan), Reason.NON_FINITE, "pixel (nan"),
-    ("pixel nonsense", star(3, v=1e12), Reason.UNITS, "1e+12"),
-    ("sigma negative", star(3, sigma_px=-1.0), Reason.BAD_COVARIANCE, "sigma_px -1"),
-    ("unknown number", star(3, catalogue_id=900_000), Reason.UNKNOWN_STAR, "HIP 900000: HIP 900000 is not in"),
+    ("pixel NaN", set_star_fields(3, u=np.nan), Reason.NON_FINITE, "pixel (nan"),
+    ("pixel nonsense", set_star_fields(3, v=1e12), Reason.UNITS, "1e+12"),
+    ("sigma negative", set_star_fields(3, sigma_px=-1.0), Reason.BAD_COVARIANCE, "sigma_px -1"),
+    ("unknown number", set_star_fields(3, catalogue_id=900_000), Reason.UNKNOWN_STAR, "HIP 900000: HIP 900000 is not in"),
     (
         "right ascension in degrees",
-        star(3, catalogue_id=0, right_ascension=310.36, declination=0.79),
+        set_star_fields(3, catalogue_id=0, right_ascension=310.36, declination=0.79),
         Reason.UNITS,
         "degrees?",
     ),
     # Achernar, declination -57°: it never rises at 32° north.
-    ("below the horizon", star(3, catalogue_id=7588), Reason.BELOW_HORIZON, "HIP 7588: elevation -"),
+    ("below the horizon", set_star_fields(3, catalogue_id=7588), Reason.BELOW_HORIZON, "HIP 7588: elevation -"),
 ]

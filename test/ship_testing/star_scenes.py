@@ -23,7 +23,7 @@ class Scene:
 
     stars: MatchedStars
     rotation_nd: FloatArray
-    true: np.ndarray
+    is_true: np.ndarray
 
 
 def draw_scene(
@@ -68,7 +68,7 @@ def draw_scene(
         if kind == "false":
             named_s[row] = _in_field(rng, 1)[0]
         elif kind == "neighbour":
-            named_s[row] = _moved(seen_s[row], 120.0 * ARCSEC * np.sqrt(rng.uniform()), rng.uniform(0.0, 2.0 * np.pi))
+            named_s[row] = _offset_direction(seen_s[row], 120.0 * ARCSEC * np.sqrt(rng.uniform()), rng.uniform(0.0, 2.0 * np.pi))
         elif kind == "swap":
             named_s[[row, row + 1]] = seen_s[[row + 1, row]]
     truth_ns = np.array([rotation_nd @ m @ e for m, e in zip(mountings, errors, strict=True)])[sensor]
@@ -116,7 +116,7 @@ def _in_field(rng: np.random.Generator, count: int) -> FloatArray:
     return np.stack([np.cos(radius), np.sin(radius) * np.cos(turn), np.sin(radius) * np.sin(turn)], axis=-1)
 
 
-def _moved(direction: FloatArray, angle: float, position_angle: float) -> FloatArray:
+def _offset_direction(direction: FloatArray, angle: float, position_angle: float) -> FloatArray:
     across = np.cross(direction, [0.0, 1.0, 0.0])
     across = exp_rotation(direction * position_angle) @ (across / np.linalg.norm(across))
     return direction * np.cos(angle) + across * np.sin(angle)

@@ -23,8 +23,8 @@ from ship_geometry.geodetic import GeodeticPosition
 from ship_geometry.refraction import Weather, elevation_of, raised_directions, refraction
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_geometry.star_directions import Observer, directions
-from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, Arrival, exactly, in_order
-from ship_testing.small_voyage import INS, Run, attitude, drive
+from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, Arrival, exact_value, sort_by_arrival
+from ship_testing.small_voyage import INS, Run, attitude, run_adapter
 from ship_testing.small_voyage import voyage as small_voyage
 
 FORE, STARBOARD = "star/fore/observations", "star/starboard/observations"
@@ -55,7 +55,7 @@ EXACT_CAMERA = {
     "distortion_sigma": 0.0,
 }
 """The same camera with optics without errors."""
-EXACT = {f"star_sensors__{id_}__camera": EXACT_CAMERA for id_ in ("fore", "starboard")}
+EXACT_OPTICS = {f"star_sensors__{id_}__camera": EXACT_CAMERA for id_ in ("fore", "starboard")}
 """Changes of :func:`config` that set it for both sensors."""
 SIGMA_PX = 0.04
 """3.3″."""
@@ -117,7 +117,7 @@ def _bright_rows() -> FloatArray:
     return hipparcos().rows_brighter_than(5.0)
 
 
-def seen(topic: str, since_ns: int, count: int = STARS) -> tuple[FloatArray, FloatArray]:
+def bright_stars(topic: str, since_ns: int, count: int = STARS) -> tuple[FloatArray, FloatArray]:
     """Return rows in the catalogue of the brightest stars in the field, and their pixels without error."""
     rows = _bright_rows()
     directions_n = true_directions(rows, since_ns)
@@ -145,7 +145,7 @@ def observations(
 ) -> Any:
     """Return a sensor's message of its stars; points if no exposure time is given, else streaks."""
     sensor = topic.split("/")[1]
-    rows, pixels = seen(topic, since_ns, count)
+    rows, pixels = bright_stars(topic, since_ns, count)
     if exposure_s > 0.0:
         pixels = streak_means(topic, since_ns, pixels, exposure_s)
     u, v = (pixels + noise_px).T
@@ -212,25 +212,25 @@ def voyage(duration_s: float = 3.0, noise: bool = False) -> tuple[Arrival, ...]:
             Arrival(topic, air(topic, since_ns), START_NS + since_ns + 10_000_000)
             for topic in (PRESSURE, TEMPERATURE, HUMIDITY)
         ]
-    return in_order(arrivals)
+    return sort_by_arrival(arrivals)
 
 
-def only(arrivals: Iterable[Arrival], *topics: str) -> tuple[Arrival, ...]:
+def with_topics(arrivals: Iterable[Arrival], *topics: str) -> tuple[Arrival, ...]:
     return tuple(arrival for arrival in arrivals if arrival.topic in topics)
 
 
-def except_(arrivals: Iterable[Arrival], *topics: str) -> tuple[Arrival, ...]:
+def without_topics(arrivals: Iterable[Arrival], *topics: str) -> tuple[Arrival, ...]:
     return tuple(arrival for arrival in arrivals if arrival.topic not in topics)
 
 
-def sail(arrivals: Iterable[Arrival], **changes: Any) -> Run:
+def run_new_adapter(arrivals: Iterable[Arrival], **changes: Any) -> Run:
     """Give all arrivals to a new adapter, and continue for half a second."""
     taken = tuple(arrivals)
-    return drive(new_adapter(**changes), taken, until_ns=taken[-1].receive_ns + SECOND_NS)
+    return run_adapter(new_adapter(**changes), taken, until_ns=taken[-1].receive_ns + SECOND_NS)
 
 
 @functools.cache
-def streaked_voyage(exposure_s: float = 0.2) -> tuple[Arrival, ...]:
+def voyage_with_streaks(exposure_s: float = 0.2) -> tuple[Arrival, ...]:
     """Return the voyage without noise of the centroids, with an exposure time."""
     return tuple(
         replace(a, message=observations(a.topic, a.stamp_ns - START_NS, exposure_s=exposure_s))
@@ -241,16 +241,16 @@ def streaked_voyage(exposure_s: float = 0.2) -> tuple[Arrival, ...]:
 
 
 @functools.cache
-def clean_run() -> Run:
+def fault_free_run() -> Run:
     """Return the run of the voyage without faults."""
-    return sail(voyage())
+    return run_new_adapter(voyage())
 
 
-def results(run: Run) -> list[tuple[str, bytes]]:
+def published_bytes(run: Run) -> list[tuple[str, bytes]]:
     """Return all published solutions and budgets, bit-exact."""
     topics = [output.topic for output in run.adapter.outputs if output.topic.startswith("star/")]
     return [
-        (topic, exactly(message))
+        (topic, exact_value(message))
         for _, topic, message in run.published
         if topic in topics and topic != "star/innovation"
     ]

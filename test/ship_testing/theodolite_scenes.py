@@ -9,24 +9,24 @@ from ship_testing.places import ROOT
 SCENARIOS = ROOT / "bags" / "scenarios"
 
 
-def replaced(record, **changes):
+def replace_nested(record, **changes):
     """Return a nested dataclass with changes by path: ``air__sigma=0.0`` is the field sigma of the field air."""
     own = {}
     for path, value in changes.items():
         name, _, rest = path.partition("__")
-        own[name] = replaced(own.get(name, getattr(record, name)), **{rest: value}) if rest else value
+        own[name] = replace_nested(own.get(name, getattr(record, name)), **{rest: value}) if rest else value
     return dataclasses.replace(record, **own)
 
 
 def with_beacons(scenario, **changes):
     """Return the scenario with the same changes of all its beacons."""
     return dataclasses.replace(
-        scenario, beacons={key: replaced(beacon, **changes) for key, beacon in scenario.beacons.items()}
+        scenario, beacons={key: replace_nested(beacon, **changes) for key, beacon in scenario.beacons.items()}
     )
 
 
 def with_theodolite(scenario, **changes):
-    return dataclasses.replace(scenario, theodolite=replaced(scenario.theodolite, **changes))
+    return dataclasses.replace(scenario, theodolite=replace_nested(scenario.theodolite, **changes))
 
 
 def bag_scenario(duration_s=10.0, **changes):
@@ -70,7 +70,7 @@ def without_errors(scenario):
     return with_beacons(
         dataclasses.replace(
             scenario,
-            fused_attitude=replaced(
+            fused_attitude=replace_nested(
                 scenario.fused_attitude, tilt_sigma_arcsec=0.0, heading_sigma_arcsec=0.0, white_sigma_arcsec=0.0
             ),
         ),
@@ -87,12 +87,12 @@ _HANGING_DEG = {"a": (3.0, 11.0), "b": (-1.0, 9.0)}
 """Azimuth and elevation of fixed lights over which the telescope sweeps."""
 
 
-def sweeping_over(exposure_s):
+def sweep_over_beacons(exposure_s):
     """Return a telescope that sweeps over two lights, without errors of the images."""
     scenario = without_errors(with_theodolite(bag_scenario(duration_s=2.0), telescope__exposure_s=exposure_s))
     flights = {
         key: Flight(hover=Hover(azimuth_deg=azimuth, elevation_deg=elevation, distance_m=2000.0, north_m_per_s=8.0))
         for key, (azimuth, elevation) in _HANGING_DEG.items()
     }
-    beacons = {key: replaced(scenario.beacons[key], flight=flight) for key, flight in flights.items()}
+    beacons = {key: replace_nested(scenario.beacons[key], flight=flight) for key, flight in flights.items()}
     return dataclasses.replace(scenario, beacons=beacons)

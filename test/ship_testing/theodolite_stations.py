@@ -33,7 +33,7 @@ def station(name: str, place_n: np.ndarray) -> Station:
     return Station(name, GeodeticPosition(float(latitude), float(longitude), float(height_m)), PLACE_SIGMA_M)
 
 
-def seen(at: Station, true_foot_m: np.ndarray, target_m: np.ndarray, coefficient: float) -> np.ndarray:
+def seen_direction(at: Station, true_foot_m: np.ndarray, target_m: np.ndarray, coefficient: float) -> np.ndarray:
     """Return the direction (North, Up, East of the station) of a target in ECEF, raised by refraction."""
     north, up, east = axes_at(at.place.longitude, at.place.latitude) @ (target_m - true_foot_m)
     horizontal_m = np.hypot(north, east)
@@ -74,22 +74,22 @@ def buoy_n(since_s: float) -> np.ndarray:
     return np.array([2000.0 + 2.0 * since_s, 3.0, -400.0 + 1.0 * since_s])
 
 
-def foot_n(number: int) -> np.ndarray:
+def theodolite_n(number: int) -> np.ndarray:
     """Return the place of one of the theodolites, 50 m from the next: (North, Up, East) from the origin."""
     return np.array([50.0 * number, 0.0, 0.0])
 
 
-def buoy_seen(number: int, since_s: float) -> np.ndarray:
+def buoy_direction(number: int, since_s: float) -> np.ndarray:
     """Return the true direction (North, Up, East) of the buoy from one of the theodolites."""
-    at = station(f"t{number}", foot_n(number))
-    return seen(at, ORIGIN_M + foot_n(number) @ AXES, ORIGIN_M + buoy_n(since_s) @ AXES, AIR.coefficient)
+    at = station(f"t{number}", theodolite_n(number))
+    return seen_direction(at, ORIGIN_M + theodolite_n(number) @ AXES, ORIGIN_M + buoy_n(since_s) @ AXES, AIR.coefficient)
 
 
-def placing_values(count: int) -> dict[str, Any]:
+def triangulation_values(count: int) -> dict[str, Any]:
     """Return the places of the origin and of the theodolites, as nested parameters; places and air are known."""
     stations = {}
     for number in range(count):
-        at = station(f"t{number}", foot_n(number))
+        at = station(f"t{number}", theodolite_n(number))
         stations[at.name] = {**_position(at.place), "sigma_m": 0.0}
     air = {"coefficient": AIR.coefficient, "sigma": 0.0}
     return {"origin": _position(ORIGIN), "stations": stations, "refraction": air}

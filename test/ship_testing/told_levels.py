@@ -10,7 +10,7 @@ from ship_node.edge.reporting_adapter import ReportingAdapter
 from ship_testing.adapter_runs import AdapterRun, Arrival, hand_over, stamp_of
 
 
-class LevelledRun(AdapterRun):
+class ProtectionLevelRun(AdapterRun):
     """Run that computes the level of each output at its publication."""
 
     adapter: ReportingAdapter
@@ -38,7 +38,7 @@ class LevelledRun(AdapterRun):
                 found.append((message, published, self.level_of[stamp_of(message)]))
         return found
 
-    def uncovered(self) -> list[tuple[int, np.ndarray, np.ndarray]]:
+    def exceedances(self) -> list[tuple[int, np.ndarray, np.ndarray]]:
         """Return stamp, published, own levels of outputs with own levels unknown or above by more than a twentieth."""
         return [
             (stamp_of(message), told, own)

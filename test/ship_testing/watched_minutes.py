@@ -31,7 +31,7 @@ NO_STARS_S = (-374.0, -347.0)
 _SECOND = 1_000_000_000
 
 
-def watched_history(seed: int = 3, length_s: float = 600.0, *, has_truth: bool = True) -> History:
+def simulated_history(seed: int = 3, length_s: float = 600.0, *, has_truth: bool = True) -> History:
     """Return the history that plots draw."""
     rng = np.random.default_rng(seed)
     history = History()
@@ -43,12 +43,12 @@ def watched_history(seed: int = 3, length_s: float = 600.0, *, has_truth: bool =
     history.errors["ship/error_arcsec"] = deque(_errors(rng, at_s, sigma, has_truth))
     pointing = {"azimuth_cos_elevation": 2.5, "elevation": 2.7, "image_rotation": 30.0}
     history.errors["theodolite/error_arcsec"] = deque(_errors(rng, at_s, pointing, has_truth))
-    history.budgets["ship/error_budget"] = deque(_budget(at_second) for at_second in at_s)
+    history.budgets["ship/error_budget"] = deque(_budget_point(at_second) for at_second in at_s)
     for name, x, z in (("a", -5e-3, -4e-3), ("b", 3.6e-3, 5.0e-3)):
         history.beacons[name] = deque(_beacon_points(rng, x, z))
     history.star_exposures = {
-        "star.fore": _stars(rng, 0.45, 0.92),
-        "star.starboard": _stars(rng, 2.17, 0.85, SHIFT_RIGHT_ARCSEC),
+        "star.fore": _star_residuals(rng, 0.45, 0.92),
+        "star.starboard": _star_residuals(rng, 2.17, 0.85, SHIFT_RIGHT_ARCSEC),
     }
     aligned = (("ins.north", 3.5), ("ins.up", 62.9), ("ins.east", 19.3), ("star.fore.azimuth", -2.5))
     history.alignment = (
@@ -120,7 +120,7 @@ def _errors(rng: np.random.Generator, at_s: np.ndarray, sigma: dict[str, float],
     return points
 
 
-def _budget(at_second: float) -> BudgetPoint:
+def _budget_point(at_second: float) -> BudgetPoint:
     no_stars = NO_STARS_S[0] < at_second < NO_STARS_S[1]
     part = {
         "ins_noise": 1.19,
@@ -149,7 +149,7 @@ def _beacon_points(rng: np.random.Generator, x: float, z: float) -> list[BeaconP
     return points
 
 
-def _stars(rng: np.random.Generator, azimuth: float, elevation: float, right_arcsec: float = 0.0) -> StarExposure:
+def _star_residuals(rng: np.random.Generator, azimuth: float, elevation: float, right_arcsec: float = 0.0) -> StarExposure:
     right = (right_arcsec + rng.normal(0.0, 4.0, 8)) * ARCSEC
     return StarExposure(
         utc_ns=NOW_NS,

@@ -39,22 +39,22 @@ Three periods of the star sensor are 0.6 s, of the encoder 0.06 s.
 """
 
 # When each fault could be known: at the first wrong measurement; of a silence so long after the last message came.
-KNOWN_S = {
+DETECTABLE_S = {
     "demo": {"star.starboard": 15.117, "ins": 28.0, "star.fore": 37.933 + TIMEOUT_S},
     "theodolite": {"baselines": 10.0, "lights": 20.0, "encoder": 30.982 + TIMEOUT_S},
 }
 END_S = {"demo": 43.0, "theodolite": 35.0}
-WITHIN_S = 2.0
-SOON_S = 0.5
+DETECTION_LIMIT_S = 2.0
+TIMEOUT_DETECTION_LIMIT_S = 0.5
 """An overdue message is reported without a further message: at the next update, 0.2 s, by the alerts 0.2 s later
 (AlertTimes.raise_after_s) and so an update later; measured 0.0 s and 0.2 s.
 """
 TIMED_OUT_SOURCES = ("star.fore", "encoder")
 
 
-def within_s(source: str) -> float:
+def detection_limit_s(source: str) -> float:
     """Return the time within which a source must be named in a recording, without process delays."""
-    return SOON_S if source in TIMED_OUT_SOURCES else WITHIN_S
+    return TIMEOUT_DETECTION_LIMIT_S if source in TIMED_OUT_SOURCES else DETECTION_LIMIT_S
 
 
 @dataclass
@@ -75,11 +75,11 @@ class MonitoredVoyage:
     watch: SuiteMonitor
     start_ns: int
     end_ns: int = 0
-    out: dict[str, list[float]] = field(default_factory=dict)
-    back: dict[str, list[float]] = field(default_factory=dict)
-    seen: dict[str, list[Any]] = field(default_factory=dict)
-    guilty: list[tuple[float, str]] = field(default_factory=list)
-    at_s: dict[float, SuiteState] = field(default_factory=dict)
+    out_s: dict[str, list[float]] = field(default_factory=dict)
+    back_s: dict[str, list[float]] = field(default_factory=dict)
+    shown_sources: dict[str, list[Any]] = field(default_factory=dict)
+    root_causes: list[tuple[float, str]] = field(default_factory=list)
+    state_at: dict[float, SuiteState] = field(default_factory=dict)
 
     def events(self, kind: str) -> list[tuple[float, str]]:
         """Return (time, text) of all events of a kind, the oldest first."""
@@ -91,7 +91,7 @@ class MonitoredVoyage:
         return self.watch.current_state(self.end_ns)
 
 
-def replayed(folder: Path, bag: str, faults: str = "") -> tuple[Path, Path]:
+def replay_with_faults(folder: Path, bag: str, faults: str = "") -> tuple[Path, Path]:
     """Return a bag of the repository with faults (YAML of the group ``faults``), and the suite's outputs for it.
 
     They are created once in a run of the tests, by the first worker that needs them, and must not be changed:
@@ -104,14 +104,14 @@ def replayed(folder: Path, bag: str, faults: str = "") -> tuple[Path, Path]:
     with (place / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if faults:
-            given = _with_faults(place, given, faults)
+            given = _inject_faults(place, given, faults)
         if not result.exists():
             assert replay([str(given), "--out", str(place / "part.mcap")]) == 0
             (place / "part.mcap").rename(result)
     return given, result
 
 
-def _with_faults(place: Path, given: Path, faults: str) -> Path:
+def _inject_faults(place: Path, given: Path, faults: str) -> Path:
     """Return the bag with these faults."""
     spoilt = place / "in.mcap"
     if not spoilt.exists():
@@ -132,34 +132,34 @@ def records(*paths: Path) -> Iterator[tuple[int, str, Any]]:
     return iter(sorted(found, key=lambda entry: entry[0]))
 
 
-def watched(*paths: Path) -> MonitoredVoyage:
+def monitor_voyage(*paths: Path) -> MonitoredVoyage:
     """Return a voyage monitored at 10 Hz; inputs of the same bag may be given in addition to its outputs."""
-    seen: MonitoredVoyage | None = None
+    voyage: MonitoredVoyage | None = None
     due_ns, before = 0, {}
     for time_ns, topic, message in records(*paths):
-        if seen is None:
-            seen, due_ns = MonitoredVoyage(SuiteMonitor(), time_ns), time_ns
+        if voyage is None:
+            voyage, due_ns = MonitoredVoyage(SuiteMonitor(), time_ns), time_ns
         while due_ns <= time_ns:
-            picture = seen.watch.current_state(due_ns)
-            before = _note(seen, picture, before, (due_ns - seen.start_ns) * 1e-9)
+            picture = voyage.watch.current_state(due_ns)
+            before = _record_state(voyage, picture, before, (due_ns - voyage.start_ns) * 1e-9)
             due_ns += STEP_NS
-        seen.watch.process_message(topic, message, time_ns)
-        seen.end_ns = time_ns
-    assert seen is not None
-    return seen
+        voyage.watch.process_message(topic, message, time_ns)
+        voyage.end_ns = time_ns
+    assert voyage is not None
+    return voyage
 
 
-def _note(seen: MonitoredVoyage, state: SuiteState, before: dict[str, Presence], time_s: float) -> dict[str, Presence]:
+def _record_state(voyage: MonitoredVoyage, state: SuiteState, previous: dict[str, Presence], time_s: float) -> dict[str, Presence]:
     """Record a suite state; return the presence of each source in it."""
     if abs(time_s - round(time_s)) < 1e-6:
-        seen.at_s[float(round(time_s))] = state
+        voyage.state_at[float(round(time_s))] = state
     for source in state.sources:
-        was = before.get(source.name, Presence.IN)
-        if source.presence is Presence.OUT and was is not Presence.OUT:
-            seen.out.setdefault(source.name, []).append(time_s)
-            seen.seen.setdefault(source.name, []).append(source)
+        previous_presence = previous.get(source.name, Presence.IN)
+        if source.presence is Presence.OUT and previous_presence is not Presence.OUT:
+            voyage.out_s.setdefault(source.name, []).append(time_s)
+            voyage.shown_sources.setdefault(source.name, []).append(source)
             if not source.because_of:
-                seen.guilty.append((time_s, source.name))
-        elif source.presence is Presence.IN and was is Presence.OUT:
-            seen.back.setdefault(source.name, []).append(time_s)
+                voyage.root_causes.append((time_s, source.name))
+        elif source.presence is Presence.IN and previous_presence is Presence.OUT:
+            voyage.back_s.setdefault(source.name, []).append(time_s)
     return {source.name: source.presence for source in state.sources}

@@ -13,7 +13,7 @@ from ship_geometry.rotations import log_rotation
 from ship_replay.trials.monte_carlo import attitude_outcomes, core_for
 from ship_simulation.run import SimulatedRun
 from ship_simulation.scenario.scenario import Scenario
-from ship_testing.solved_voyages import core_for_solutions, outcomes_by_solutions
+from ship_testing.solved_voyages import core_with_solutions, outcomes_with_solutions
 
 _EXACT_SIGMA_M = 1e-12
 
@@ -27,7 +27,7 @@ def with_exact_focal_length(scenario: Scenario) -> Scenario:
     return replace(scenario, star_sensors=sensors)
 
 
-def with_configured_focal_length(run: SimulatedRun, sensor_ids: Sequence[str], scale: float) -> SimulatedRun:
+def with_wrong_configured_focal_length(run: SimulatedRun, sensor_ids: Sequence[str], scale: float) -> SimulatedRun:
     """Return the run with a suite whose configured focal lengths are shorter than the true ones.
 
     Args:
@@ -47,7 +47,7 @@ def with_configured_focal_length(run: SimulatedRun, sensor_ids: Sequence[str], s
     return replace(run, scenario=replace(run.scenario, star_sensors=sensors), stars=stars)
 
 
-def changed_focal_length(run: SimulatedRun, scale: float, from_s: float, until_s: float) -> SimulatedRun:
+def change_focal_length(run: SimulatedRun, scale: float, from_s: float, until_s: float) -> SimulatedRun:
     """Return the run with all focal lengths longer by ``scale`` for some time after the first exposure."""
     stars = dict(run.stars)
     for id_, seen in stars.items():
@@ -83,10 +83,10 @@ class OpticsErrorStatistics:
 
     def add_run(self, run: SimulatedRun, by_solutions: bool) -> None:
         """Add the attitudes of a run at the stamps of its truth."""
-        core = core_for_solutions(run) if by_solutions else core_for(run.scenario)
+        core = core_with_solutions(run) if by_solutions else core_for(run.scenario)
         wanted = run.truth.ins_index
         if by_solutions:
-            outcomes = outcomes_by_solutions(core, run, set(wanted.tolist()))
+            outcomes = outcomes_with_solutions(core, run, set(wanted.tolist()))
         else:
             outcomes = attitude_outcomes(core, run, set(run.ins.time_ns[wanted].tolist()))
         for outcome in outcomes:

@@ -75,7 +75,7 @@ def axis_errors(reading: PaperReading, epochs: int = _EPOCHS) -> AxisErrors:
         truth,
         _SEED,
         baseline_sigma_m=reading.baseline_sigma_m,
-        untold_lens_m=np.array(reading.untold_lens_m),
+        unsurveyed_lens_m=np.array(reading.untold_lens_m),
         focal_length_sigma_m=FOCAL_LENGTH_SIGMA_M if constant_m is None else 0.0,
     )
     camera = replace(drawn.camera, focal_length_m=drawn.camera.focal_length_m + (constant_m or 0.0))

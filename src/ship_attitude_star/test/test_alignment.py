@@ -17,7 +17,7 @@ from ship_geometry.rotations import ARCSEC, log_rotation
 from ship_node.documents.saved_document import RecordingFiles
 from ship_node.documents.saved_start import less_certain_quantity
 from ship_testing.adapter_runs import FACTORY, START_NS
-from ship_testing.small_voyage import FORE, INS, clean_run, config, drive, new_adapter, voyage
+from ship_testing.small_voyage import FORE, INS, fault_free_run, config, run_adapter, new_adapter, voyage
 
 DAY_NS = 86_400 * 10**9
 END_NS = START_NS + 60 * 10**9
@@ -27,7 +27,7 @@ END_NS = START_NS + 60 * 10**9
 def saved(tmp_path: Path) -> Path:
     """Alignment file of the voyage."""
     path = tmp_path / "alignment.yaml"
-    ALIGNMENT_FILE.save(path, clean_run().adapter.core.alignment_to_save())
+    ALIGNMENT_FILE.save(path, fault_free_run().adapter.core.alignment_to_save())
     return path
 
 
@@ -57,7 +57,7 @@ def alignment_text(adapter: ShipAttitudeAdapter, now_ns: int) -> tuple[int, str]
 
 
 def test_saved_alignment_is_the_prior_of_the_next_voyage(saved: Path) -> None:
-    before, configured, now = clean_run().adapter, start_adapter(saved.with_name("none")), start_adapter(saved)
+    before, configured, now = fault_free_run().adapter, start_adapter(saved.with_name("none")), start_adapter(saved)
     assert alignment_text(now, START_NS) == (0, "as configured or saved")
     for name in ("ins.time_offset", *(f"star.{s}.{a}" for s in ("fore", "starboard") for a in ("elevation", "roll"))):
         assert value_of(now)[name] == pytest.approx(value_of(before)[name], abs=1e-12)
@@ -71,7 +71,7 @@ def test_saved_alignment_is_the_prior_of_the_next_voyage(saved: Path) -> None:
 
 
 def test_the_next_voyage_starts_closer_and_accepts_its_stars(saved: Path) -> None:
-    fresh, primed = (drive(new_adapter(alignment_file=str(p)), voyage(1.0)) for p in (saved.with_name("none"), saved))
+    fresh, primed = (run_adapter(new_adapter(alignment_file=str(p)), voyage(1.0)) for p in (saved.with_name("none"), saved))
     fresh_last, primed_last = (run.messages("ship/attitude")[-1] for run in (fresh, primed))
     assert np.all(np.diagonal(np.reshape(primed_last.covariance - fresh_last.covariance, (3, 3))) < 0.0)
     assert primed.health(FORE).rejected == 0
@@ -81,7 +81,7 @@ def test_the_next_voyage_starts_closer_and_accepts_its_stars(saved: Path) -> Non
 
 
 def test_a_file_keeps_every_number(saved: Path) -> None:
-    prior, read = clean_run().adapter.core.alignment_to_save(), ALIGNMENT_FILE.load(saved)
+    prior, read = fault_free_run().adapter.core.alignment_to_save(), ALIGNMENT_FILE.load(saved)
     assert (read.time_ns, read.serials, read.names) == (prior.time_ns, {"fore": "F1", "starboard": "S1"}, prior.names)
     assert read.time_offsets_s == prior.time_offsets_s
     assert np.array_equal(read.covariance, prior.covariance)
@@ -197,7 +197,7 @@ def test_a_file_without_alignment_is_named(tmp_path: Path, content: bytes) -> No
     path.write_bytes(content)
     adapter = new_adapter(alignment_file=str(path))
     assert "alignment" in adapter.start_warnings[-1]
-    attitudes = drive(adapter, voyage()).messages("ship/attitude")
+    attitudes = run_adapter(adapter, voyage()).messages("ship/attitude")
     assert (attitudes[0].status, attitudes[-1].status) == (Status.DEGRADED, Status.VALID)
     level, told = alignment_text(adapter, END_NS)
     assert (level, f"set aside as {path}.unreadable" in told) == (1, True)
@@ -212,13 +212,13 @@ def test_a_directory_in_place_of_the_file_is_named(tmp_path: Path) -> None:
 
 
 def test_without_a_file_the_node_starts_as_configured(tmp_path: Path) -> None:
-    run = drive(new_adapter(alignment_file=str(tmp_path / "none.yaml")), voyage())
-    assert run.results() == clean_run().results()
+    run = run_adapter(new_adapter(alignment_file=str(tmp_path / "none.yaml")), voyage())
+    assert run.results() == fault_free_run().results()
 
 
 def test_the_services_save_and_load(tmp_path: Path) -> None:
     path = tmp_path / "ship" / "alignment.yaml"
-    run = drive(new_adapter(alignment_file=str(path)), voyage())
+    run = run_adapter(new_adapter(alignment_file=str(path)), voyage())
     told = run.adapter.service("save_alignment", run.now_ns)
     assert told.success
     assert str(path) in told.message
@@ -243,22 +243,22 @@ def test_the_services_save_and_load(tmp_path: Path) -> None:
 def test_a_path_that_cannot_be_written_is_named_and_the_node_continues(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
     path = tmp_path / "file" / "alignment.yaml"
-    adapter = drive(new_adapter(alignment_file=str(path)), voyage()).adapter
+    adapter = run_adapter(new_adapter(alignment_file=str(path)), voyage()).adapter
     told = adapter.service("save_alignment", START_NS)
     assert not told.success
     assert str(path) in told.message
 
 
 def test_after_a_jump_of_the_clock_the_saved_alignment_is_the_start_again(saved: Path) -> None:
-    run = drive(new_adapter(alignment_file=str(saved)), voyage(1.0))
+    run = run_adapter(new_adapter(alignment_file=str(saved)), voyage(1.0))
     run.adapter.clock_jumped_back(START_NS)
-    again = drive(run.adapter, voyage(1.0))
+    again = run_adapter(run.adapter, voyage(1.0))
     assert again.state() == saved_run_state(saved)
-    assert again.results() == drive(new_adapter(alignment_file=str(saved)), voyage(1.0)).results()
+    assert again.results() == run_adapter(new_adapter(alignment_file=str(saved)), voyage(1.0)).results()
 
 
 def saved_run_state(saved: Path) -> Any:
-    return drive(new_adapter(alignment_file=str(saved)), voyage(1.0)).state()
+    return run_adapter(new_adapter(alignment_file=str(saved)), voyage(1.0)).state()
 
 
 def test_a_voyage_without_stars_does_not_make_the_alignment_younger_or_older(saved: Path) -> None:
@@ -283,7 +283,7 @@ def autosaving_adapter(path: Path, period_s: float = 1.0, **changes: Any) -> Shi
 
 def save_smaller_covariance(path: Path) -> bytes:
     """Save an alignment whose sigmas are a hundredth of those after the voyage."""
-    prior = clean_run().adapter.core.alignment_to_save()
+    prior = fault_free_run().adapter.core.alignment_to_save()
     return ALIGNMENT_FILE.save(path, dataclasses.replace(prior, covariance=prior.covariance * 1e-4))
 
 
@@ -291,16 +291,16 @@ def test_a_node_saves_by_itself_once_a_period_what_the_service_would_save(tmp_pa
     path, asked = tmp_path / "alignment.yaml", tmp_path / "asked.yaml"
     files = CountedFiles()
     adapter = ShipAttitudeAdapter(config(alignment_file=str(path), alignment_autosave_s=1.0), FACTORY, files)
-    run = drive(adapter, voyage())
+    run = run_adapter(adapter, voyage())
     # Five seconds of ticks, the first of which starts the first period.
     assert [use.path for use in files.uses if use.written] == [str(path)] * 4
     until = [arrival for arrival in voyage() if arrival.receive_ns <= files.last_written_ns]
     assert len(until) > 100
     assert ALIGNMENT_FILE.load(path).time_ns < run.adapter.core.state.time_ns
-    ALIGNMENT_FILE.save(asked, drive(new_adapter(), until).adapter.core.alignment_to_save())
+    ALIGNMENT_FILE.save(asked, run_adapter(new_adapter(), until).adapter.core.alignment_to_save())
     assert asked.read_bytes() == path.read_bytes()
     # Nothing else changes.
-    assert run.results() == clean_run().results()
+    assert run.results() == fault_free_run().results()
 
 
 class CountedFiles(RecordingFiles):
@@ -317,15 +317,15 @@ class CountedFiles(RecordingFiles):
 
 def test_nothing_is_saved_without_a_file_or_with_a_period_of_zero(tmp_path: Path) -> None:
     path = tmp_path / "alignment.yaml"
-    drive(autosaving_adapter(path, 0.0), voyage())
-    run = drive(new_adapter(alignment_autosave_s=1.0), voyage())
+    run_adapter(autosaving_adapter(path, 0.0), voyage())
+    run = run_adapter(new_adapter(alignment_autosave_s=1.0), voyage())
     assert not list(tmp_path.iterdir())
     assert run.adapter.notices == []
 
 
 def test_an_attitude_that_no_star_has_aligned_is_not_saved(tmp_path: Path) -> None:
     path = tmp_path / "alignment.yaml"
-    drive(autosaving_adapter(path), [arrival for arrival in voyage() if arrival.topic == INS])
+    run_adapter(autosaving_adapter(path), [arrival for arrival in voyage() if arrival.topic == INS])
     assert not path.exists()
 
 
@@ -333,7 +333,7 @@ def test_a_more_accurate_file_is_kept_and_the_reason_is_reported(tmp_path: Path)
     path = tmp_path / "alignment.yaml"
     adapter = autosaving_adapter(path)  # the more accurate file is written while the node runs
     better = save_smaller_covariance(path)
-    run = drive(adapter, voyage())
+    run = run_adapter(adapter, voyage())
     assert path.read_bytes() == better
     (notice,) = [text for text in run.adapter.notices if "not saved automatically" in text]
     assert str(path) in notice
@@ -348,30 +348,30 @@ def test_the_file_of_the_start_may_be_replaced(tmp_path: Path) -> None:
     path = tmp_path / "alignment.yaml"
     save_smaller_covariance(path)
     before_ns = ALIGNMENT_FILE.load(path).time_ns
-    drive(autosaving_adapter(path), voyage(8.0))
+    run_adapter(autosaving_adapter(path), voyage(8.0))
     assert ALIGNMENT_FILE.load(path).time_ns > before_ns
 
 
 def test_after_a_reset_the_better_file_of_before_stays(tmp_path: Path) -> None:
     path = tmp_path / "alignment.yaml"
-    adapter = drive(autosaving_adapter(path), voyage()).adapter
+    adapter = run_adapter(autosaving_adapter(path), voyage()).adapter
     learned = path.read_bytes()
     adapter.service("reset", START_NS)
-    drive(adapter, voyage(2.0))
+    run_adapter(adapter, voyage(2.0))
     assert path.read_bytes() == learned
 
 
 @pytest.mark.parametrize("changes", [{"serials": {"fore": "F2"}}, {"serials": {"fore": "F1", "starboard": "S7"}}])
 def test_the_alignment_of_another_sensor_is_not_lost(tmp_path: Path, changes: dict[str, Any]) -> None:
-    path, prior = tmp_path / "alignment.yaml", clean_run().adapter.core.alignment_to_save()
+    path, prior = tmp_path / "alignment.yaml", fault_free_run().adapter.core.alignment_to_save()
     foreign = ALIGNMENT_FILE.save(path, dataclasses.replace(prior, covariance=prior.covariance * 1e4, **changes))
-    run = drive(autosaving_adapter(path), voyage())
+    run = run_adapter(autosaving_adapter(path), voyage())
     assert path.read_bytes() == foreign
     assert any("which is not configured here" in text for text in run.adapter.notices)
 
 
 def test_a_state_that_is_not_finite_is_not_saved(tmp_path: Path) -> None:
-    prior = clean_run().adapter.core.alignment_to_save()
+    prior = fault_free_run().adapter.core.alignment_to_save()
     broken = dataclasses.replace(prior, covariance=prior.covariance * np.nan)
     assert less_certain_quantity(broken, prior)
     assert less_certain_quantity(prior, prior) == ""
@@ -383,9 +383,9 @@ def test_a_full_disk_is_reported_once_and_again_when_it_recovers(tmp_path: Path)
     (tmp_path / "folder").write_text("", encoding="utf-8")
     adapter = autosaving_adapter(path)
     halves = [a for a in voyage() if a.receive_ns < START_NS + 3 * 10**9], voyage()
-    drive(adapter, halves[0])
+    run_adapter(adapter, halves[0])
     assert sum("cannot be written" in text for text in adapter.notices) == 1
     (tmp_path / "folder").unlink()
-    drive(adapter, halves[1][len(halves[0]) :])
+    run_adapter(adapter, halves[1][len(halves[0]) :])
     assert path.exists()
     assert adapter.notices[-1] == f"alignment is saved automatically again to {path}"

@@ -15,17 +15,17 @@ from ship_testing.adapter_runs import (
     SECOND_NS,
     START_NS,
     Arrival,
-    added,
+    add_copy,
     changed_copy,
-    changed_where,
-    exactly,
-    in_order,
+    change_where,
+    exact_value,
+    sort_by_arrival,
     index_at,
-    replaced,
+    replace_message,
     stamp_of,
     without,
 )
-from ship_testing.small_voyage import FORE, INS, Run, clean_run, drive, new_adapter, voyage
+from ship_testing.small_voyage import FORE, INS, Run, fault_free_run, run_adapter, new_adapter, voyage
 
 MOMENT_S = 2.5
 SOURCE = {INS: "ins", FORE: "star.fore"}
@@ -125,14 +125,14 @@ DROPPED = [
 
 @functools.cache
 def run_without(topic: str, moment_s: float = MOMENT_S) -> Run:
-    return drive(new_adapter(), without(voyage(), index_at(voyage(), topic, moment_s)))
+    return run_adapter(new_adapter(), without(voyage(), index_at(voyage(), topic, moment_s)))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("topic", "change", "reason", "text"), [c[1:] for c in DROPPED], ids=[c[0] for c in DROPPED])
 def test_a_bad_message_is_reported_and_changes_nothing(topic: str, change: Change, reason: str, text: str) -> None:
     index = index_at(voyage(), topic, MOMENT_S)
-    run = drive(new_adapter(), replaced(voyage(), index, change))
+    run = run_adapter(new_adapter(), replace_message(voyage(), index, change))
 
     assert run.results() == run_without(topic).results()
     assert run.state() == run_without(topic).state()
@@ -153,15 +153,15 @@ def assert_reported_once(run: Run, topic: str, reason: str, text: str, receive_n
 
 
 def test_without_faults_nothing_is_refused() -> None:
-    assert {m.reason for m in clean_run().messages("ship/innovation")} == {Reason.NONE}
-    assert run_without(INS).results() != clean_run().results()  # the comparisons above would see a difference
-    assert run_without(FORE).state() != clean_run().state()
+    assert {m.reason for m in fault_free_run().messages("ship/innovation")} == {Reason.NONE}
+    assert run_without(INS).results() != fault_free_run().results()  # the comparisons above would see a difference
+    assert run_without(FORE).state() != fault_free_run().state()
 
 
 def test_a_quaternion_a_little_long_is_renormalised() -> None:
-    run = drive(new_adapter(), changed_where(voyage(), lambda a: a.topic == INS, scale_quaternion(1.005)))
+    run = run_adapter(new_adapter(), change_where(voyage(), lambda a: a.topic == INS, scale_quaternion(1.005)))
     assert run.reasons(INS) == {}
-    clean = clean_run()
+    clean = fault_free_run()
     for one, other in zip(run.messages("ship/attitude"), clean.messages("ship/attitude"), strict=True):
         # Rounding of the numbers handed over: a few 1e-16.
         assert np.allclose([one.heading, one.pitch, one.roll], [other.heading, other.pitch, other.roll], atol=1e-14)
@@ -172,28 +172,28 @@ def test_angles_counted_past_a_turn_are_the_same_attitude() -> None:
         message.azimuth += 2.0 * np.pi
         message.roll -= 4.0 * np.pi
 
-    run = drive(new_adapter(), changed_where(voyage(), lambda a: a.topic == FORE, further))
+    run = run_adapter(new_adapter(), change_where(voyage(), lambda a: a.topic == FORE, further))
     assert run.reasons(FORE) == {}
-    clean = clean_run()
+    clean = fault_free_run()
     for one, other in zip(run.messages("ship/attitude"), clean.messages("ship/attitude"), strict=True):
         # The sine of an angle of some turns is right to 1e-15.
         assert np.allclose([one.heading, one.pitch, one.roll], [other.heading, other.pitch, other.roll], atol=1e-13)
 
 
 def test_a_quaternion_with_all_signs_changed_is_the_same_attitude() -> None:
-    run = drive(new_adapter(), changed_where(voyage(), lambda a: a.topic == INS, scale_quaternion(-1.0)))
-    assert run.results() == clean_run().results()
-    assert run.state() == clean_run().state()
+    run = run_adapter(new_adapter(), change_where(voyage(), lambda a: a.topic == INS, scale_quaternion(-1.0)))
+    assert run.results() == fault_free_run().results()
+    assert run.state() == fault_free_run().state()
 
 
 @pytest.mark.parametrize("unknown", [set_field("rotation_covariance", 0.0), set_field("rotation_covariance.0", -1.0)])
 def test_a_star_without_covariance_gets_the_configured_sigma(unknown: Change) -> None:
     """The voyage's stars state 100", 3", 3", which is what the configuration has by default."""
-    run = drive(new_adapter(), changed_where(voyage(), lambda a: a.topic == FORE, unknown))
+    run = run_adapter(new_adapter(), change_where(voyage(), lambda a: a.topic == FORE, unknown))
     count = sum(a.topic == FORE for a in voyage())
     assert run.reasons(FORE) == {"covariance_unknown": count}
     assert run.health(FORE).rejected == 0
-    state, stated = run.adapter.core.state, clean_run().adapter.core.state
+    state, stated = run.adapter.core.state, fault_free_run().adapter.core.state
     assert np.allclose(state.mean, stated.mean, atol=1e-6 * ARCSEC)
     assert np.allclose(state.covariance, stated.covariance, rtol=1e-6, atol=1e-20)
 
@@ -205,8 +205,8 @@ def test_an_exact_axis_without_other_uncertainty_is_rejected_and_does_not_block(
     for axis in ("forward", "up", "right"):
         exact |= {f"star_sensors__{sensor}__installation_sigma_{axis}_arcsec": 0.0 for sensor in ("fore", "starboard")}
     perfect_axis = covariance("rotation_covariance", (900.0, 0.0, 0.0), (0.0, 900.0, 0.0), (0.0, 0.0, 0.0))
-    arrivals = changed_where(voyage(), lambda a: a.topic == FORE, perfect_axis)
-    run = drive(new_adapter(**exact), arrivals)
+    arrivals = change_where(voyage(), lambda a: a.topic == FORE, perfect_axis)
+    run = run_adapter(new_adapter(**exact), arrivals)
     # A small interpolation error, or rounding, may make it invertible: then the gate rejects it.
     assert run.reasons(FORE).keys() <= {"bad_covariance", "gate", "attitude_conflict"}
     assert run.health(FORE).accepted == 0
@@ -215,14 +215,14 @@ def test_an_exact_axis_without_other_uncertainty_is_rejected_and_does_not_block(
 
 def test_a_configured_sigma_is_used_if_the_message_gives_none() -> None:
     """With 30 times the sigma, the fore sensor has almost no weight for the heading."""
-    arrivals = changed_where(voyage(), lambda a: a.topic.startswith("star"), set_field("rotation_covariance", 0.0))
+    arrivals = change_where(voyage(), lambda a: a.topic.startswith("star"), set_field("rotation_covariance", 0.0))
     coarse = {
         f"star_sensors__{sensor}__sigma_{axis}_arcsec": 3000.0
         for sensor in ("fore", "starboard")
         for axis in ("forward", "up", "right")
     }
     sigma = [
-        np.sqrt(np.diagonal(drive(new_adapter(**changes), arrivals).adapter.core.state.covariance))[1]
+        np.sqrt(np.diagonal(run_adapter(new_adapter(**changes), arrivals).adapter.core.state.covariance))[1]
         for changes in ({}, coarse)
     ]
     assert sigma[1] > 10.0 * sigma[0]
@@ -234,9 +234,9 @@ def test_a_configured_sigma_is_used_if_the_message_gives_none() -> None:
 )
 def test_an_ins_without_covariance_is_used_as_configured(unknown: Change, accepted: bool) -> None:
     adapter = new_adapter(ins__accept_unset_covariance=accepted)
-    run = drive(adapter, changed_where(voyage(), lambda a: a.topic == INS, unknown))
+    run = run_adapter(adapter, change_where(voyage(), lambda a: a.topic == INS, unknown))
     assert run.reasons(INS) == {"covariance_unknown": sum(a.topic == INS for a in voyage())}
-    assert run.results() == clean_run().results()
+    assert run.results() == fault_free_run().results()
 
 
 @pytest.mark.parametrize("accepted", [False, True])
@@ -246,13 +246,13 @@ def test_a_reference_without_an_orientation_is_refused_unless_accepted(accepted:
     arrival = changed_copy(voyage()[index], set_field("orientation_covariance.0", -1.0))
     unset = replace(arrival, topic=topic, receive_ns=arrival.receive_ns + 1)
     adapter = new_adapter(references={"gyro": {"accept_unset_covariance": accepted}})
-    run = drive(adapter, in_order((*voyage(), unset)))
+    run = run_adapter(adapter, sort_by_arrival((*voyage(), unset)))
     assert run.reasons(topic) == {"covariance_unknown" if accepted else "not_given": 1}
     assert (run.health(topic).accepted, run.health(topic).rejected) == ((1, 0) if accepted else (0, 1))
     if not accepted:
         (innovation,) = run.innovations(Reason.NOT_GIVEN)
         assert (innovation.source, innovation.accepted) == ("reference.gyro", False)
-        without_it = drive(new_adapter(references={"gyro": {}}), voyage())
+        without_it = run_adapter(new_adapter(references={"gyro": {}}), voyage())
         assert (run.results(), run.state()) == (without_it.results(), without_it.state())
 
 
@@ -263,7 +263,7 @@ def test_an_ins_without_rates_is_used_without_them() -> None:
         message.angular_velocity_covariance[0] = -1.0
         message.angular_velocity.x = np.nan
 
-    run = drive(new_adapter(), changed_where(voyage(), lambda a: a.topic == INS, no_rate))
+    run = run_adapter(new_adapter(), change_where(voyage(), lambda a: a.topic == INS, no_rate))
     assert run.reasons(INS) == {}
     assert run.health(FORE).rejected == 0
 
@@ -272,9 +272,9 @@ def test_an_ins_without_rates_is_used_without_them() -> None:
 def test_the_same_message_again_is_a_duplicate(topic: str) -> None:
     index = index_at(voyage(), topic, MOMENT_S)
     again_ns = voyage()[index].receive_ns + SECOND_NS
-    run = drive(new_adapter(), added(voyage(), index, lambda message: None, again_ns))
-    assert run.results() == clean_run().results()
-    assert run.state() == clean_run().state()
+    run = run_adapter(new_adapter(), add_copy(voyage(), index, lambda message: None, again_ns))
+    assert run.results() == fault_free_run().results()
+    assert run.state() == fault_free_run().state()
     assert_reported_once(run, topic, "duplicate", "again", again_ns)
 
 
@@ -292,10 +292,10 @@ def test_of_two_messages_with_one_stamp_the_same_one_is_kept_in_either_order(top
     one, another = arrivals[index], changed_copy(arrivals[index], other)
     second_ns = one.receive_ns + round(apart_s * SECOND_NS)
     one_first, another_first = (
-        drive(new_adapter(), in_order((*without(arrivals, index), first, replace(second, receive_ns=second_ns))))
+        run_adapter(new_adapter(), sort_by_arrival((*without(arrivals, index), first, replace(second, receive_ns=second_ns))))
         for first, second in ((one, another), (another, one))
     )
-    alone = clean_run(), drive(new_adapter(), replaced(arrivals, index, other))
+    alone = fault_free_run(), run_adapter(new_adapter(), replace_message(arrivals, index, other))
     assert alone[0].state() != alone[1].state()
     assert one_first.state() == another_first.state()
     assert one_first.state() in (alone[0].state(), alone[1].state())
@@ -313,7 +313,7 @@ def test_of_two_messages_with_one_stamp_the_same_one_is_kept_in_either_order(top
 def attitudes(run: Run) -> list[Any]:
     """All attitudes to the last bit, without their status."""
     published = run.messages("ship/attitude")
-    return [exactly([m.header.stamp.sec, m.header.stamp.nanosec, m.heading, m.pitch, *m.covariance]) for m in published]
+    return [exact_value([m.header.stamp.sec, m.header.stamp.nanosec, m.heading, m.pitch, *m.covariance]) for m in published]
 
 
 @pytest.mark.parametrize("topic", [INS, FORE])
@@ -323,7 +323,7 @@ def test_a_source_that_contradicts_itself_is_not_valid_for_ten_seconds(
     """By 20″, once: whichever of the two is kept, outputs based on it are not VALID."""
     arrivals = voyage(16.0)
     index = index_at(arrivals, topic, 3.0)
-    run = drive(new_adapter(), added(arrivals, index, turn_heading(20.0), arrivals[index].receive_ns + 1))
+    run = run_adapter(new_adapter(), add_copy(arrivals, index, turn_heading(20.0), arrivals[index].receive_ns + 1))
     # The rates of the INS show a step in the second one, which conflicts with the first one too.
     assert run.reasons(topic) == {"gate" if topic == INS else "conflict": 1}
     until_ns = arrivals[index].stamp_ns + 10 * SECOND_NS
@@ -349,10 +349,10 @@ def test_a_star_sensor_that_contradicts_itself_and_is_refused_does_no_harm_to_th
     """Two publishers on one topic, 400″ apart from all others: neither is used, and the other sources are VALID."""
     arrivals = voyage(8.0)
     since_ns = START_NS + 3 * SECOND_NS
-    wrong = changed_where(arrivals, lambda a: a.topic == FORE and a.stamp_ns > since_ns, turn_heading(400.0))
+    wrong = change_where(arrivals, lambda a: a.topic == FORE and a.stamp_ns > since_ns, turn_heading(400.0))
     doubled = [a for a in wrong if a.topic == FORE and a.stamp_ns > since_ns]
     twice = [replace(changed_copy(a, turn_heading(50.0)), receive_ns=a.receive_ns + 1) for a in doubled]
-    run = drive(new_adapter(), in_order((*wrong, *twice)))
+    run = run_adapter(new_adapter(), sort_by_arrival((*wrong, *twice)))
     assert run.reasons(FORE)["conflict"] == len(twice)
     last = run.messages("ship/attitude")[-1]
     assert last.status == Status.VALID
@@ -364,7 +364,7 @@ def test_a_message_older_than_the_lag_is_dropped(topic: str) -> None:
     """``lag_s`` is 2 s: at 2.2 s after its stamp the window is closed."""
     index = index_at(voyage(), topic, 1.5)
     arrives_ns = voyage()[index].stamp_ns + 2_200_000_000
-    run = drive(new_adapter(), replaced(voyage(), index, lambda message: None, arrives_ns))
+    run = run_adapter(new_adapter(), replace_message(voyage(), index, lambda message: None, arrives_ns))
     assert run.results() == run_without(topic, 1.5).results()
     assert run.state() == run_without(topic, 1.5).state()
     assert_reported_once(run, topic, "late", "more than lag_s = 2", arrives_ns)
@@ -378,8 +378,8 @@ def test_a_message_older_than_the_lag_is_dropped(topic: str) -> None:
 
 def test_ten_messages_in_a_row_from_the_future_are_a_clock_offset() -> None:
     from_ns = voyage()[index_at(voyage(), INS, MOMENT_S)].receive_ns
-    ahead = changed_where(voyage(), lambda a: a.topic == INS and a.receive_ns >= from_ns, stamp_ahead(0.2))
-    run = drive(new_adapter(), ahead)
+    ahead = change_where(voyage(), lambda a: a.topic == INS and a.receive_ns >= from_ns, stamp_ahead(0.2))
+    run = run_adapter(new_adapter(), ahead)
     tenth_ns = from_ns + 9 * 40_000_000
     before = run.diagnostics(f"input {INS}", from_ns, tenth_ns)
     after = run.diagnostics(f"input {INS}", tenth_ns, tenth_ns + 1_100_000_000)
@@ -391,7 +391,7 @@ def test_ten_messages_in_a_row_from_the_future_are_a_clock_offset() -> None:
 
 def test_a_star_far_off_once_is_gated_and_changes_nothing() -> None:
     """600" in heading: four times the sigma about Up that a sensor looking up by 45° has, 100" sin 45°."""
-    run = drive(new_adapter(), replaced(voyage(), index_at(voyage(), FORE, MOMENT_S), set_field("azimuth", 0.7)))
+    run = run_adapter(new_adapter(), replace_message(voyage(), index_at(voyage(), FORE, MOMENT_S), set_field("azimuth", 0.7)))
     assert run.results() == run_without(FORE).results()
     assert run.state() == run_without(FORE).state()
     assert run.reasons(FORE) == {"gate": 1}
@@ -409,8 +409,8 @@ def test_rates_in_degrees_are_detected_and_rejected_until_corrected() -> None:
 
     arrivals = voyage(17.0)
     wrong_until_ns = arrivals[0].receive_ns + 8 * SECOND_NS
-    run = drive(
-        new_adapter(), changed_where(arrivals, lambda a: a.topic == INS and a.receive_ns < wrong_until_ns, degrees)
+    run = run_adapter(
+        new_adapter(), change_where(arrivals, lambda a: a.topic == INS and a.receive_ns < wrong_until_ns, degrees)
     )
     refused = run.innovations(Reason.UNITS)
     first_s = (stamp_of(refused[0]) - arrivals[0].stamp_ns) * 1e-9
@@ -433,8 +433,8 @@ def test_a_frozen_ins_is_reported_at_once_and_its_first_new_value_is_used() -> N
     def freeze(message: Any) -> None:
         message.orientation = frozen
 
-    run = drive(
-        new_adapter(), changed_where(arrivals, lambda a: a.topic == INS and from_ns <= a.stamp_ns < until_ns, freeze)
+    run = run_adapter(
+        new_adapter(), change_where(arrivals, lambda a: a.topic == INS and from_ns <= a.stamp_ns < until_ns, freeze)
     )
     # 75 samples in three seconds, the first of them true: its own rate contradicts the second at once, and after half
     # a second the fault is isolated.
@@ -463,7 +463,7 @@ def test_a_frozen_star_sensor_is_reported_within_a_second_and_recovers_at_once(w
     def chosen(arrival: Arrival) -> bool:
         return arrival.topic == FORE and from_ns <= arrival.stamp_ns < until_ns
 
-    run = drive(new_adapter(), changed_where(arrivals, chosen, freeze))
+    run = run_adapter(new_adapter(), change_where(arrivals, chosen, freeze))
     stuck = [stamp_of(m) for m in run.innovations(Reason.STUCK)]
     # 35 frozen at 5 Hz in seven seconds: the first is true, the next two are not certain.
     assert len(stuck) == run.reasons(FORE)["stuck"] == 35 - 3
@@ -486,5 +486,5 @@ def test_a_ship_at_rest_is_not_stuck() -> None:
             message.azimuth, message.elevation = first[FORE].azimuth, first[FORE].elevation
             message.roll = first[FORE].roll + 100.0 * ARCSEC * rng.standard_normal()
 
-    run = drive(new_adapter(), changed_where([a for a in voyage() if a.topic in first], lambda a: True, rest))
+    run = run_adapter(new_adapter(), change_where([a for a in voyage() if a.topic in first], lambda a: True, rest))
     assert run.reasons(INS) == {}

@@ -12,8 +12,8 @@ from ship_attitude_star.star_attitude import core as star_core
 from ship_estimation.outcome import Status
 from ship_estimation.refusals import Reason
 from ship_testing import star_voyage
-from ship_testing.adapter_runs import SECOND_NS, START_NS, AdapterRun, exactly, index_at, stamp_of, without
-from ship_testing.small_voyage import FORE, STARBOARD, clean_run, cut, drive, new_adapter, voyage
+from ship_testing.adapter_runs import SECOND_NS, START_NS, AdapterRun, exact_value, index_at, stamp_of, without
+from ship_testing.small_voyage import FORE, STARBOARD, fault_free_run, remove_interval, run_adapter, new_adapter, voyage
 from ship_testing.star_bad_input import FORE_SOLUTION
 
 MOMENT_S = 2.5
@@ -48,8 +48,8 @@ def test_a_measurement_on_which_the_filter_raises_is_rejected(monkeypatch: pytes
     bad = failing_where(lambda _, state, m, *rest: (m.source, m.time_ns) == ("star.fore", bad_ns), ShipFilter.step)
     with monkeypatch.context() as patch:
         patch.setattr(ShipFilter, "step", bad)
-        run = drive(new_adapter(), voyage())
-    expected = drive(new_adapter(), without(voyage(), index))
+        run = run_adapter(new_adapter(), voyage())
+    expected = run_adapter(new_adapter(), without(voyage(), index))
     assert run.results() == expected.results()
     assert run.state() == expected.state()
     assert run.reasons(FORE) == {"failed": 1}
@@ -58,7 +58,7 @@ def test_a_measurement_on_which_the_filter_raises_is_rejected(monkeypatch: pytes
 
 def test_a_measurement_that_raised_is_used_where_it_no_longer_does(monkeypatch: pytest.MonkeyPatch) -> None:
     """It raises at first; then a late INS sample makes the measurements of its time be applied again."""
-    clean, index = clean_run(), index_at(voyage(), FORE, MOMENT_S)
+    clean, index = fault_free_run(), index_at(voyage(), FORE, MOMENT_S)
     bad_ns, failures = voyage()[index].stamp_ns, [True]
     bad = failing_where(
         lambda _, state, m, *rest: (m.source, m.time_ns) == ("star.fore", bad_ns) and bool(failures and failures.pop()),
@@ -67,29 +67,29 @@ def test_a_measurement_that_raised_is_used_where_it_no_longer_does(monkeypatch: 
     late = index_at(voyage(), "ins/imu", MOMENT_S - 0.1)
     arrivals = [*without(voyage(), late)[: index + 40], voyage()[late], *without(voyage(), late)[index + 40 :]]
     monkeypatch.setattr(ShipFilter, "step", bad)
-    run = drive(new_adapter(), arrivals)
+    run = run_adapter(new_adapter(), arrivals)
     assert not failures
     assert run.state() == clean.state()
     assert run.reasons(FORE) == {"failed": 1, "revised": 1}
 
 
 def test_an_attitude_that_cannot_be_computed_is_the_only_one_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    clean, bad_ns = clean_run(), voyage()[index_at(voyage(), "ins/imu", MOMENT_S)].stamp_ns
+    clean, bad_ns = fault_free_run(), voyage()[index_at(voyage(), "ins/imu", MOMENT_S)].stamp_ns
     bad = failing_where(lambda _, time_ns, *rest: time_ns == bad_ns, CorrectedIns.estimate)
     monkeypatch.setattr(CorrectedIns, "estimate", bad)
-    run = drive(new_adapter(), voyage())
+    run = run_adapter(new_adapter(), voyage())
     stamped = [m for topic in ("ship/attitude", "ship/imu", "ship/attitude_deg") for m in clean.messages(topic)]
     lost = [m for m in stamped if stamp_of(m) == bad_ns]
     lost += [m for m in clean.messages("/tf") if stamp_of(m.transforms[0]) == bad_ns]
     assert len(lost) == 4
-    missing = [exactly(m) for m in lost]
+    missing = [exact_value(m) for m in lost]
     assert run.results() == [result for result in clean.results() if result[2] not in missing]
     assert_reported(run, "ship/attitude", bad_ns)
 
 
 def test_a_failed_budget_does_not_suppress_invalid(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ship_attitude_adapter, "alignment_state", failing_where(lambda *arguments: True, None))
-    run = drive(new_adapter(), cut(voyage(), 2.0, 5.0, "ins/imu", FORE, STARBOARD), until_ns=START_NS + 5 * SECOND_NS)
+    run = run_adapter(new_adapter(), remove_interval(voyage(), 2.0, 5.0, "ins/imu", FORE, STARBOARD), until_ns=START_NS + 5 * SECOND_NS)
     invalid = [m for m in run.messages("ship/attitude") if m.status == Status.INVALID]
     assert [stamp_of(m) - START_NS for m in invalid[-3:]] == [3_000_000_000, 4_000_000_000, 5_000_000_000]
     assert {m.source for m in run.innovations(Reason.FAILED)} == {"slow topics"}
@@ -97,13 +97,13 @@ def test_a_failed_budget_does_not_suppress_invalid(monkeypatch: pytest.MonkeyPat
 
 def test_exposures_go_on_after_one_that_cannot_be_solved(monkeypatch: pytest.MonkeyPatch) -> None:
     index = index_at(star_voyage.voyage(), star_voyage.FORE, 1.5)
-    clean, bad_ns = star_voyage.clean_run(), star_voyage.voyage()[index].stamp_ns
+    clean, bad_ns = star_voyage.fault_free_run(), star_voyage.voyage()[index].stamp_ns
     bad = failing_where(
         lambda exposure, *rest: (exposure.source, exposure.time_ns) == ("star.fore", bad_ns), star_core.solve_exposure
     )
     monkeypatch.setattr(star_core, "solve_exposure", bad)
-    run = star_voyage.sail(star_voyage.voyage())
-    solutions = [[exactly(m) for m in r.messages(FORE_SOLUTION) if stamp_of(m) != bad_ns] for r in (run, clean)]
+    run = star_voyage.run_new_adapter(star_voyage.voyage())
+    solutions = [[exact_value(m) for m in r.messages(FORE_SOLUTION) if stamp_of(m) != bad_ns] for r in (run, clean)]
     assert solutions[0] == solutions[1]
     assert run.reasons(star_voyage.FORE) == {"failed": 1}
     assert_reported(run, "star.fore", bad_ns)
@@ -111,12 +111,12 @@ def test_exposures_go_on_after_one_that_cannot_be_solved(monkeypatch: pytest.Mon
 
 def test_joint_solutions_go_on_after_one_that_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     joint = "star/joint/solution"
-    clean = star_voyage.clean_run()
+    clean = star_voyage.fault_free_run()
     bad_ns = stamp_of(clean.messages(joint)[3])
     monkeypatch.setattr(
         star_core, "solve_deck", failing_where(lambda time_ns, *rest: time_ns == bad_ns, star_core.solve_deck)
     )
-    run = star_voyage.sail(star_voyage.voyage())
+    run = star_voyage.run_new_adapter(star_voyage.voyage())
     assert [stamp_of(m) for m in run.messages(joint)] == [stamp_of(m) for m in clean.messages(joint)]
-    assert [exactly(m) for m in run.messages(joint)[4:]] == [exactly(m) for m in clean.messages(joint)[4:]]
+    assert [exact_value(m) for m in run.messages(joint)[4:]] == [exact_value(m) for m in clean.messages(joint)[4:]]
     assert_reported(run, "star.joint", bad_ns)

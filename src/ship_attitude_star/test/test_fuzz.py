@@ -10,8 +10,8 @@ import pytest
 from ship_estimation.outcome import Status
 from ship_node.live.adapter_calls import message_bytes
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival
-from ship_testing.garbage import paths, spoil
-from ship_testing.small_voyage import FORE, INS, Run, clean_run, new_adapter, voyage
+from ship_testing.garbage import paths, put_garbage
+from ship_testing.small_voyage import FORE, INS, Run, fault_free_run, new_adapter, voyage
 
 MESSAGES = 20_000
 REFERENCE = "reference/gyro/imu"
@@ -40,7 +40,7 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
             pickled = pickle.dumps(good.message)  # copies three times as fast as deepcopy()
             for _ in range(mixed_in):
                 bad = pickle.loads(pickled)
-                spoil(bad, fields[arrival.topic], rng)
+                put_garbage(bad, fields[arrival.topic], rng)
                 take(run, Arrival(good.topic, bad, now_ns), now_ns)
                 tried["all"] += 1
             if tried["all"] % 100 == 0:
@@ -57,7 +57,7 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
         take(run, delayed_copy(arrival, now_ns + SECOND_NS - START_NS), now_ns + SECOND_NS + arrival.receive_ns - START_NS)
     last = run.messages("ship/attitude")[-1]
     assert last.status == Status.VALID
-    clean_last = clean_run().messages("ship/attitude")[-1]
+    clean_last = fault_free_run().messages("ship/attitude")[-1]
     for angle in ("heading", "pitch", "roll"):
         assert abs(getattr(last, angle) - getattr(clean_last, angle)) < 1e-9
 

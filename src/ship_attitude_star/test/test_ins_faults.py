@@ -15,10 +15,10 @@ from ship_testing.adapter_runs import (
     START_NS,
     Arrival,
     Arrivals,
-    changed_where,
-    in_order,
+    change_where,
+    sort_by_arrival,
     index_at,
-    replaced,
+    replace_message,
     stamp_of,
 )
 from ship_testing.small_voyage import (
@@ -27,7 +27,7 @@ from ship_testing.small_voyage import (
     STARBOARD,
     Run,
     attitude,
-    drive,
+    run_adapter,
     new_adapter,
     quaternion_message,
     voyage,
@@ -124,10 +124,10 @@ def thin_out(arrivals: Arrivals, keep: int) -> Arrivals:
 @pytest.mark.parametrize("zero_rates", [False, True])
 def test_one_wrong_sample_is_refused_and_changes_nothing(zero_rates: bool) -> None:
     """``orientation.w`` negated once: a unit quaternion, more than a right angle away from the ship."""
-    arrivals = changed_where(voyage(), of_ins(), scale_rates(0.0)) if zero_rates else voyage()
+    arrivals = change_where(voyage(), of_ins(), scale_rates(0.0)) if zero_rates else voyage()
     index = index_at(arrivals, INS, 3.0)
-    run = drive(new_adapter(), replaced(arrivals, index, negate_w))
-    without = drive(new_adapter(), (*arrivals[:index], *arrivals[index + 1 :]))
+    run = run_adapter(new_adapter(), replace_message(arrivals, index, negate_w))
+    without = run_adapter(new_adapter(), (*arrivals[:index], *arrivals[index + 1 :]))
     assert run.reasons(INS) == {"gate": 1}
     assert "from its prediction by earlier samples" in run.innovations(Reason.GATE)[0].reason_text
     assert run.results() == without.results()
@@ -136,7 +136,7 @@ def test_one_wrong_sample_is_refused_and_changes_nothing(zero_rates: bool) -> No
 
 def test_a_wrong_sample_that_comes_late_is_refused_too() -> None:
     index = index_at(voyage(), INS, 3.0)
-    run = drive(new_adapter(), replaced(voyage(), index, negate_w, voyage()[index].receive_ns + SECOND_NS // 2))
+    run = run_adapter(new_adapter(), replace_message(voyage(), index, negate_w, voyage()[index].receive_ns + SECOND_NS // 2))
     assert run.reasons(INS) == {"gate": 1}
     assert_consistent(run)
 
@@ -144,8 +144,8 @@ def test_a_wrong_sample_that_comes_late_is_refused_too() -> None:
 @pytest.mark.parametrize("size_arcsec", [100.0, 3600.0, 90.0 * 3600.0])
 def test_a_permanent_jump_inflates_the_covariance_until_stars_are_consistent(size_arcsec: float) -> None:
     """Five are rejected; the sixth is accepted, DEGRADED, with an error as large as the jump, until a star was used."""
-    jumped = changed_where(voyage(8.0), of_ins(3.0), turn_attitude(0.0, size_arcsec, 0.0))
-    run = drive(new_adapter(), jumped)
+    jumped = change_where(voyage(8.0), of_ins(3.0), turn_attitude(0.0, size_arcsec, 0.0))
+    run = run_adapter(new_adapter(), jumped)
     assert run.reasons(INS) == {"gate": 5}
     after = [m for m in run.messages("ship/attitude") if seconds(m) >= 3.0]
     assert seconds(after[0]) == pytest.approx(3.2)
@@ -162,7 +162,7 @@ def test_a_permanent_jump_inflates_the_covariance_until_stars_are_consistent(siz
 
 def test_without_stars_a_jump_stays_degraded() -> None:
     arrivals = [a for a in voyage(8.0) if a.topic == INS or a.stamp_ns < START_NS + 3 * SECOND_NS]
-    run = drive(new_adapter(coasting_after_s=100.0), changed_where(arrivals, of_ins(4.0), turn_attitude(0.0, 3600.0, 0.0)))
+    run = run_adapter(new_adapter(coasting_after_s=100.0), change_where(arrivals, of_ins(4.0), turn_attitude(0.0, 3600.0, 0.0)))
     after = [m for m in run.messages("ship/attitude") if seconds(m) >= 4.0]
     assert {m.status for m in after} == {Status.DEGRADED}
     told = run.diagnostics("attitude", run.now_ns - SECOND_NS, run.now_ns)[-1][1]
@@ -170,18 +170,18 @@ def test_without_stars_a_jump_stays_degraded() -> None:
 
 
 def test_the_number_of_rejected_samples_is_a_live_parameter() -> None:
-    jumped = changed_where(voyage(), of_ins(3.0), turn_attitude(0.0, 3600.0, 0.0))
-    assert drive(new_adapter(ins__jump_samples=2), jumped).reasons(INS) == {"gate": 2}
-    adapter = drive(new_adapter(), [a for a in jumped if a.stamp_ns < START_NS + 2 * SECOND_NS]).adapter
+    jumped = change_where(voyage(), of_ins(3.0), turn_attitude(0.0, 3600.0, 0.0))
+    assert run_adapter(new_adapter(ins__jump_samples=2), jumped).reasons(INS) == {"gate": 2}
+    adapter = run_adapter(new_adapter(), [a for a in jumped if a.stamp_ns < START_NS + 2 * SECOND_NS]).adapter
     adapter.set_parameters({"ins.jump_samples": 3})
-    run = drive(adapter, [a for a in jumped if a.stamp_ns >= START_NS + 2 * SECOND_NS])
+    run = run_adapter(adapter, [a for a in jumped if a.stamp_ns >= START_NS + 2 * SECOND_NS])
     assert run.reasons(INS) == {"gate": 3}
 
 
 def test_a_late_star_from_before_a_jump_is_compared_with_the_attitude_before_it() -> None:
-    jumped = changed_where(voyage(), of_ins(3.0), turn_attitude(0.0, 3600.0, 0.0))
-    late = replaced(jumped, index_at(jumped, FORE, 2.8), lambda message: None, START_NS + 4 * SECOND_NS)
-    assert drive(new_adapter(), late).state() == drive(new_adapter(), jumped).state()
+    jumped = change_where(voyage(), of_ins(3.0), turn_attitude(0.0, 3600.0, 0.0))
+    late = replace_message(jumped, index_at(jumped, FORE, 2.8), lambda message: None, START_NS + 4 * SECOND_NS)
+    assert run_adapter(new_adapter(), late).state() == run_adapter(new_adapter(), jumped).state()
 
 
 # -- wrong rates --------------------------------------------------------------------------------------------------
@@ -189,7 +189,7 @@ def test_a_late_star_from_before_a_jump_is_compared_with_the_attitude_before_it(
 
 @pytest.mark.parametrize("keep", [1, 2])
 def test_zero_rates_are_not_used_and_the_attitude_is_consistent(keep: int) -> None:
-    run = drive(new_adapter(), changed_where(thin_out(voyage(20.0), keep), of_ins(), scale_rates(0.0)))
+    run = run_adapter(new_adapter(), change_where(thin_out(voyage(20.0), keep), of_ins(), scale_rates(0.0)))
     assert run.reasons(INS).keys() <= {"rate_not_measured"}
     assert_consistent(run)
     # The errors of one voyage hardly change in a second: 99.9 % of chi square for one draw or a few.
@@ -197,7 +197,7 @@ def test_zero_rates_are_not_used_and_the_attitude_is_consistent(keep: int) -> No
     reports = run.diagnostics("ins rates", START_NS + SECOND_NS, run.now_ns)
     assert {level for level, _ in reports} == {1}
     assert "not used" in reports[0][1]
-    assert_same_attitudes(run, drive(new_adapter(), changed_where(thin_out(voyage(20.0), keep), of_ins(), no_rate)))
+    assert_same_attitudes(run, run_adapter(new_adapter(), change_where(thin_out(voyage(20.0), keep), of_ins(), no_rate)))
 
 
 def test_a_sigma_of_the_ins_that_contradicts_the_configured_one_is_reported() -> None:
@@ -206,12 +206,12 @@ def test_a_sigma_of_the_ins_that_contradicts_the_configured_one_is_reported() ->
     def states(message: Any) -> None:
         message.orientation_covariance = np.diag(np.deg2rad([0.002, 0.002, 0.1]) ** 2).ravel()
 
-    run = drive(new_adapter(), changed_where(voyage(), of_ins(), states))
+    run = run_adapter(new_adapter(), change_where(voyage(), of_ins(), states))
     reports = run.diagnostics("ins noise", START_NS + SECOND_NS, run.now_ns)
     text = "ins/imu states a sigma of 360 arcsec in heading, ins.heading_sigma_arcsec is "
     assert {(level, told.startswith(text)) for level, told in reports} == {(1, True)}
-    assert_same_attitudes(run, drive(new_adapter(), voyage()))
-    reports = drive(new_adapter(), voyage()).diagnostics("ins noise", START_NS + SECOND_NS, run.now_ns)
+    assert_same_attitudes(run, run_adapter(new_adapter(), voyage()))
+    reports = run_adapter(new_adapter(), voyage()).diagnostics("ins noise", START_NS + SECOND_NS, run.now_ns)
     assert {level for level, _ in reports} == {0}
 
 
@@ -230,7 +230,7 @@ def assert_same_attitudes(one: Run, other: Run) -> None:
 
 
 def test_failing_rates_cost_half_a_second_and_no_star() -> None:
-    run = drive(new_adapter(), changed_where(voyage(12.0), of_ins(4.0, 9.0), scale_rates(0.0)))
+    run = run_adapter(new_adapter(), change_where(voyage(12.0), of_ins(4.0, 9.0), scale_rates(0.0)))
     refused = run.reasons(INS)["gate"]
     assert 1 <= refused <= 16
     assert_consistent(run)
@@ -242,7 +242,7 @@ def test_failing_rates_cost_half_a_second_and_no_star() -> None:
 
 def test_at_rest_the_result_of_the_rate_check_is_kept() -> None:
     """Rates in degrees; the ship is at rest for ten seconds, and the wrong rates have no effect afterwards."""
-    arrivals = changed_where(voyage(22.0), of_ins(0.0, 22.0), scale_rates(np.rad2deg(1.0)))
+    arrivals = change_where(voyage(22.0), of_ins(0.0, 22.0), scale_rates(np.rad2deg(1.0)))
     first = arrivals[index_at(arrivals, INS, 8.0)].message
 
     def rest(message: Any) -> None:
@@ -250,14 +250,14 @@ def test_at_rest_the_result_of_the_rate_check_is_kept() -> None:
         for axis in AXES:
             setattr(message.angular_velocity, axis, 0.0)
 
-    run = drive(new_adapter(), changed_where(arrivals, of_ins(8.0, 18.0), rest))
+    run = run_adapter(new_adapter(), change_where(arrivals, of_ins(8.0, 18.0), rest))
     used = {m.sources[0] for m in run.messages("ship/attitude") if seconds(m) > 6.0 and m.status != Status.INVALID}
     assert "ins" not in used
     assert set(run.reasons(INS)) <= {"units", "gate", "stuck", "rate_not_measured"}
 
 
 def test_five_seconds_of_rates_in_degrees_have_no_lasting_effect() -> None:
-    run = drive(new_adapter(), changed_where(voyage(30.0), of_ins(6.0, 11.5), scale_rates(np.rad2deg(1.0))))
+    run = run_adapter(new_adapter(), change_where(voyage(30.0), of_ins(6.0, 11.5), scale_rates(np.rad2deg(1.0))))
     assert run.reasons(INS).keys() >= {"gate", "units"}
     assert_consistent(run)
     assert run.messages("ship/attitude")[-1].status == Status.VALID
@@ -269,7 +269,7 @@ def test_five_seconds_of_rates_in_degrees_have_no_lasting_effect() -> None:
 
 
 def test_rates_in_degrees_from_the_start_have_no_lasting_effect() -> None:
-    run = drive(new_adapter(), changed_where(voyage(20.0), of_ins(0.0, 5.0), scale_rates(np.rad2deg(1.0))))
+    run = run_adapter(new_adapter(), change_where(voyage(20.0), of_ins(0.0, 5.0), scale_rates(np.rad2deg(1.0))))
     assert_consistent(run)
     assert run.messages("ship/attitude")[-1].status == Status.VALID
 
@@ -287,8 +287,8 @@ def test_a_frozen_ins_and_a_frozen_star_are_detected_by_the_other_star_and_the_r
     def chosen(arrival: Arrival) -> bool:
         return arrival.topic == FORE and 4.0 <= (arrival.stamp_ns - START_NS) * 1e-9 < 8.0
 
-    faulty = changed_where(changed_where(arrivals, of_ins(4.0, 9.0), hold_values(arrivals, 4.0)), chosen, freeze)
-    run = drive(new_adapter(), faulty)
+    faulty = change_where(change_where(arrivals, of_ins(4.0, 9.0), hold_values(arrivals, 4.0)), chosen, freeze)
+    run = run_adapter(new_adapter(), faulty)
     for source in ("ins", "star.fore"):
         told = [seconds(m) for m in run.innovations(Reason.STUCK) if m.source == source]
         assert 4.0 < told[0] < 6.0
@@ -298,15 +298,15 @@ def test_a_frozen_ins_and_a_frozen_star_are_detected_by_the_other_star_and_the_r
 
 
 def test_a_jump_with_rates_in_degrees_and_back() -> None:
-    faulty = changed_where(voyage(25.0), of_ins(5.0, 12.0), scale_rates(np.rad2deg(1.0)))
-    run = drive(new_adapter(), changed_where(faulty, of_ins(5.0), turn_attitude(600.0, 3600.0, 0.0)))
+    faulty = change_where(voyage(25.0), of_ins(5.0, 12.0), scale_rates(np.rad2deg(1.0)))
+    run = run_adapter(new_adapter(), change_where(faulty, of_ins(5.0), turn_attitude(600.0, 3600.0, 0.0)))
     assert_consistent(run)
     assert run.messages("ship/attitude")[-1].status == Status.VALID
 
 
 def test_a_wrong_sample_while_frozen_is_refused() -> None:
-    frozen = changed_where(voyage(10.0), of_ins(3.0, 6.0), hold_values(voyage(10.0), 3.0))
-    run = drive(new_adapter(), replaced(frozen, index_at(frozen, INS, 5.0), turn_attitude(0.0, 3600.0, 0.0)))
+    frozen = change_where(voyage(10.0), of_ins(3.0, 6.0), hold_values(voyage(10.0), 3.0))
+    run = run_adapter(new_adapter(), replace_message(frozen, index_at(frozen, INS, 5.0), turn_attitude(0.0, 3600.0, 0.0)))
     refused = run.reasons(INS)
     assert refused["gate"] + refused["stuck"] == 74
     assert_consistent(run)
@@ -316,8 +316,8 @@ def test_a_wrong_sample_while_frozen_is_refused() -> None:
 def test_without_order_a_jump_is_never_valid_and_wrong() -> None:
     """Samples and stars arrive up to a second late, in any order, around a jump."""
     rng = np.random.default_rng(3)
-    jumped = changed_where(voyage(8.0), of_ins(3.0), turn_attitude(0.0, 3600.0, 0.0))
-    late = in_order(
+    jumped = change_where(voyage(8.0), of_ins(3.0), turn_attitude(0.0, 3600.0, 0.0))
+    late = sort_by_arrival(
         Arrival(a.topic, a.message, a.receive_ns + round(rng.uniform(0.0, 1.0) * SECOND_NS)) for a in jumped
     )
-    assert_consistent(drive(new_adapter(), late))
+    assert_consistent(run_adapter(new_adapter(), late))

@@ -9,9 +9,9 @@ import pytest
 
 from ship_geometry.rotations import ARCSEC
 from ship_node.edge.messages_out import Level
-from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_where, stamp_of
-from ship_testing.small_voyage import FORE, INS, STARBOARD, Run, cut, drive, new_adapter, voyage
-from ship_testing.told_levels import LevelledRun
+from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, change_where, stamp_of
+from ship_testing.small_voyage import FORE, INS, STARBOARD, Run, remove_interval, run_adapter, new_adapter, voyage
+from ship_testing.told_levels import ProtectionLevelRun
 
 UNAVAILABLE = 2
 KNOCKED_NS = START_NS + 5 * SECOND_NS
@@ -29,7 +29,7 @@ def run_with_mounting_shift() -> Run:
     def chosen(arrival: Arrival) -> bool:
         return arrival.topic == FORE and arrival.stamp_ns >= KNOCKED_NS
 
-    return drive(new_adapter(), changed_where(voyage(10.0), chosen, shift_mounting))
+    return run_adapter(new_adapter(), change_where(voyage(10.0), chosen, shift_mounting))
 
 
 def test_a_mounting_shift_is_excluded_within_three_measurements() -> None:
@@ -67,16 +67,16 @@ def test_levels_are_published_before_the_attitude_and_once_a_second() -> None:
 
 def test_published_levels_cover_each_output() -> None:
     """Sensors start, one has a mounting shift and is excluded, all time out and return: no level is too small."""
-    knocked = changed_where(voyage(20.0), lambda a: a.topic == FORE and a.stamp_ns >= KNOCKED_NS, shift_mounting)
-    silent = cut(voyage(20.0), 5.0, 9.0, FORE, STARBOARD)
-    without_ins = cut(voyage(20.0), 5.0, 6.5, INS)
+    knocked = change_where(voyage(20.0), lambda a: a.topic == FORE and a.stamp_ns >= KNOCKED_NS, shift_mounting)
+    silent = remove_interval(voyage(20.0), 5.0, 9.0, FORE, STARBOARD)
+    without_ins = remove_interval(voyage(20.0), 5.0, 6.5, INS)
     for arrivals in (knocked, silent, without_ins):
-        run = LevelledRun(new_adapter(), arrivals)
+        run = ProtectionLevelRun(new_adapter(), arrivals)
         assert len(run.published_and_own_levels()) > 400
-        assert run.uncovered() == []
+        assert run.exceedances() == []
 
 
 def test_constant_levels_are_published_once_a_second() -> None:
-    run = LevelledRun(new_adapter(), voyage(30.0))
+    run = ProtectionLevelRun(new_adapter(), voyage(30.0))
     told = [m for m in run.messages("ship/integrity") if stamp_of(m) >= START_NS + 15 * SECOND_NS]
     assert 14 <= len(told) <= 16

@@ -13,15 +13,15 @@ from ship_testing.adapter_runs import (
     SECOND_NS,
     START_NS,
     Arrival,
-    assert_a_flood_costs_little,
-    delayed,
-    exactly,
-    in_order,
+    assert_flood_costs_little,
+    delay_arrivals,
+    exact_value,
+    sort_by_arrival,
     index_at,
-    replaced,
+    replace_message,
     stamp_of,
 )
-from ship_testing.small_voyage import FORE, INS, STARBOARD, clean_run, drive, new_adapter, voyage
+from ship_testing.small_voyage import FORE, INS, STARBOARD, fault_free_run, run_adapter, new_adapter, voyage
 
 LAG_S = 2.0
 
@@ -30,7 +30,7 @@ def shuffle(seed: int, topics: tuple[str, ...]) -> tuple[Arrival, ...]:
     """Delays drawn over the whole lag for these topics, a few milliseconds for the others."""
     rng = np.random.default_rng(seed)
     late = np.array([a.topic in topics for a in voyage()])
-    return delayed(voyage(), np.where(late, rng.uniform(0.0, LAG_S - 0.001, late.size), 0.005))
+    return delay_arrivals(voyage(), np.where(late, rng.uniform(0.0, LAG_S - 0.001, late.size), 0.005))
 
 
 SHUFFLES = [
@@ -41,8 +41,8 @@ SHUFFLES = [
 
 @pytest.mark.parametrize(("seed", "topics"), SHUFFLES)
 def test_any_order_within_the_lag_ends_in_the_same_state(seed: int, topics: tuple[str, ...]) -> None:
-    run = drive(new_adapter(), shuffle(seed, topics))
-    clean = clean_run()
+    run = run_adapter(new_adapter(), shuffle(seed, topics))
+    clean = fault_free_run()
     assert run.state() == clean.state()
     assert run.health(INS).rejected == 0
     for topic in (FORE, STARBOARD):
@@ -69,23 +69,23 @@ def test_one_late_message_is_applied_at_its_own_time(topic: str, since_s: float,
     index = index_at(voyage(), topic, since_s)
     limit_ns = voyage()[index].stamp_ns + round(late_s * SECOND_NS)
     too_new = next(a for a in voyage() if a.stamp_ns > limit_ns)
-    run = drive(new_adapter(), replaced(voyage(), index, lambda message: None, too_new.receive_ns - 1))
-    assert run.state() == clean_run().state()
+    run = run_adapter(new_adapter(), replace_message(voyage(), index, lambda message: None, too_new.receive_ns - 1))
+    assert run.state() == fault_free_run().state()
     assert run.health(topic).rejected == 0
 
 
 def test_a_late_star_changes_the_attitude_only_from_its_arrival_on() -> None:
     index = index_at(voyage(), FORE, 2.0)
     arrives_ns = START_NS + 3 * SECOND_NS
-    late = drive(new_adapter(), replaced(voyage(), index, lambda message: None, arrives_ns))
+    late = run_adapter(new_adapter(), replace_message(voyage(), index, lambda message: None, arrives_ns))
 
     def attitudes(run: Any, from_ns: int, until_ns: int) -> list[Any]:
-        return [exactly(m) for ns, topic, m in run.published if topic == "ship/attitude" and from_ns <= ns < until_ns]
+        return [exact_value(m) for ns, topic, m in run.published if topic == "ship/attitude" and from_ns <= ns < until_ns]
 
     usual_ns = voyage()[index].receive_ns
-    assert attitudes(late, 0, usual_ns) == attitudes(clean_run(), 0, usual_ns)
-    assert attitudes(late, usual_ns, arrives_ns) != attitudes(clean_run(), usual_ns, arrives_ns)
-    assert attitudes(late, arrives_ns, late.now_ns) == attitudes(clean_run(), arrives_ns, late.now_ns)
+    assert attitudes(late, 0, usual_ns) == attitudes(fault_free_run(), 0, usual_ns)
+    assert attitudes(late, usual_ns, arrives_ns) != attitudes(fault_free_run(), usual_ns, arrives_ns)
+    assert attitudes(late, arrives_ns, late.now_ns) == attitudes(fault_free_run(), arrives_ns, late.now_ns)
 
 
 def test_a_late_star_that_changes_an_earlier_decision_marks_it_revised() -> None:
@@ -98,14 +98,14 @@ def test_a_late_star_that_changes_an_earlier_decision_marks_it_revised() -> None
         message.azimuth += 150.0 * np.pi / (180 * 3600)
 
     wrong = index_at(voyage(), STARBOARD, 1.6)
-    moved = replaced(voyage(), wrong, off)
+    moved = replace_message(voyage(), wrong, off)
     good = [a for a in moved if a.topic != INS and a.stamp_ns < moved[wrong].stamp_ns]
-    late = in_order(
+    late = sort_by_arrival(
         replace(a, receive_ns=START_NS + 1_900_000_000) if a in good else a
         for a in moved
         if a.topic == INS or a.stamp_ns <= moved[wrong].stamp_ns
     )
-    run = drive(new_adapter(star_sensors__starboard__sigma_forward_arcsec=3.0), late)
+    run = run_adapter(new_adapter(star_sensors__starboard__sigma_forward_arcsec=3.0), late)
     revised = run.innovations(Reason.REVISED)
     assert [m.source for m in revised] == ["star.starboard"]
     assert not revised[0].accepted
@@ -114,7 +114,7 @@ def test_a_late_star_that_changes_an_earlier_decision_marks_it_revised() -> None
 
 
 def test_without_a_lag_only_what_comes_in_order_is_used() -> None:
-    run = drive(new_adapter(lag_s=0.0), voyage())
+    run = run_adapter(new_adapter(lag_s=0.0), voyage())
     assert set(run.reasons(FORE)) == {"late"}  # stars arrive 120 ms after the INS samples of their time
     assert run.health(FORE).accepted == 0
     assert run.health(INS).rejected == 0
@@ -125,6 +125,6 @@ def test_a_flood_with_random_stamps_costs_few_steps_and_rejections_change_nothin
 ) -> None:
     """Attitudes at 5 Hz; without limits, each message of the flood would make some three hundred steps."""
     others = sum(a.topic == STARBOARD for a in voyage())
-    assert_a_flood_costs_little(
-        monkeypatch, ShipAttitudeCore, lambda a: drive(new_adapter(), a), voyage(), FORE, "star.fore", others
+    assert_flood_costs_little(
+        monkeypatch, ShipAttitudeCore, lambda a: run_adapter(new_adapter(), a), voyage(), FORE, "star.fore", others
     )

@@ -11,8 +11,8 @@ from ship_estimation.parameters import ParameterError
 from ship_estimation.refusals import Reason
 from ship_geometry.ros_axes import rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, exp_rotation
-from ship_testing.adapter_runs import changed_where, index_at, replaced
-from ship_testing.small_voyage import FORE, INS, Run, clean_run, config, drive, new_adapter, quaternion_message, voyage
+from ship_testing.adapter_runs import change_where, index_at, replace_message
+from ship_testing.small_voyage import FORE, INS, Run, fault_free_run, config, run_adapter, new_adapter, quaternion_message, voyage
 
 HALF = len(voyage()) // 2
 
@@ -54,7 +54,7 @@ REFUSED_LIVE = [
 
 @pytest.mark.parametrize(("changes", "text"), REFUSED_LIVE, ids=[text for _, text in REFUSED_LIVE])
 def test_a_bad_live_change_is_refused_and_the_node_continues(changes: dict[str, Any], text: str) -> None:
-    run = drive(new_adapter(), voyage()[:HALF])
+    run = run_adapter(new_adapter(), voyage()[:HALF])
     before = run.adapter.core.config
     with pytest.raises(ParameterError) as caught:
         run.adapter.set_parameters(changes)
@@ -63,23 +63,23 @@ def test_a_bad_live_change_is_refused_and_the_node_continues(changes: dict[str, 
 
 
 def test_refused_changes_leave_the_attitude_to_the_bit() -> None:
-    adapter = drive(new_adapter(), voyage()[:HALF]).adapter
+    adapter = run_adapter(new_adapter(), voyage()[:HALF]).adapter
     for changes, _ in REFUSED_LIVE:
         with pytest.raises(ParameterError):
             adapter.set_parameters(changes)
-    assert drive(adapter, voyage()[HALF:]).state() == clean_run().state()
+    assert run_adapter(adapter, voyage()[HALF:]).state() == fault_free_run().state()
 
 
 def test_setting_what_is_set_changes_nothing() -> None:
-    adapter = drive(new_adapter(), voyage()[:HALF]).adapter
+    adapter = run_adapter(new_adapter(), voyage()[:HALF]).adapter
     adapter.set_parameters({"gate.probability": 0.9999, "ins.white_sigma_arcsec": 1.0})
-    assert drive(adapter, voyage()[HALF:]).state() == clean_run().state()
+    assert run_adapter(adapter, voyage()[HALF:]).state() == fault_free_run().state()
 
 
 def test_a_narrower_gate_acts_at_once() -> None:
-    adapter = drive(new_adapter(), voyage()[:HALF]).adapter
+    adapter = run_adapter(new_adapter(), voyage()[:HALF]).adapter
     adapter.set_parameters({"gate.probability": 0.5})
-    rest = drive(adapter, voyage()[HALF:])
+    rest = run_adapter(adapter, voyage()[HALF:])
     judged = [m for m in rest.messages("ship/innovation") if m.source.startswith("star")]
     # chi2 of three degrees exceeds its median half of the time; of 24 and more draws, not fewer than 4 do.
     assert len(judged) >= 24
@@ -92,9 +92,9 @@ def last_sigma(run: Run) -> np.ndarray:
 
 
 def test_more_noise_of_the_ins_shows_at_once() -> None:
-    adapter = drive(new_adapter(), voyage()[:HALF]).adapter
+    adapter = run_adapter(new_adapter(), voyage()[:HALF]).adapter
     adapter.set_parameters({"ins.white_sigma_arcsec": 20.0})
-    rest = drive(adapter, voyage()[HALF : HALF + 2])
+    rest = run_adapter(adapter, voyage()[HALF : HALF + 2])
     assert np.all(last_sigma(rest) > np.deg2rad(20.0 / 3600.0))
 
 
@@ -102,24 +102,24 @@ def test_a_changed_sigma_applies_to_stars_without_covariance_from_then_on() -> N
     def unknown(message: Any) -> None:
         message.rotation_covariance[:] = 0.0
 
-    arrivals = changed_where(voyage(), lambda a: a.topic == FORE, unknown)
-    adapter = drive(new_adapter(), arrivals[:HALF]).adapter
+    arrivals = change_where(voyage(), lambda a: a.topic == FORE, unknown)
+    adapter = run_adapter(new_adapter(), arrivals[:HALF]).adapter
     adapter.set_parameters({f"star_sensors.fore.sigma_{axis}_arcsec": 3000.0 for axis in ("forward", "up", "right")})
-    rest = drive(adapter, arrivals[HALF:])
+    rest = run_adapter(adapter, arrivals[HALF:])
     sigmas = [m.sigma[1] for m in rest.messages("ship/innovation") if m.source == "star.fore"]
     assert sigmas[-1] == pytest.approx(np.deg2rad(3000.0 / 3600.0), rel=1e-3)
 
 
 def test_the_wait_before_coasting_can_be_changed() -> None:
     arrivals = [a for a in voyage() if a.topic == INS or a.stamp_ns < voyage()[0].stamp_ns + 2 * 10**9]
-    adapter = drive(new_adapter(), arrivals[:HALF]).adapter
+    adapter = run_adapter(new_adapter(), arrivals[:HALF]).adapter
     adapter.set_parameters({"coasting_after_s": 10.0})
-    assert {m.status for m in drive(adapter, arrivals[HALF:]).messages("ship/attitude")} == {Status.VALID}
-    assert drive(new_adapter(), arrivals).messages("ship/attitude")[-1].status == Status.COASTING
+    assert {m.status for m in run_adapter(adapter, arrivals[HALF:]).messages("ship/attitude")} == {Status.VALID}
+    assert run_adapter(new_adapter(), arrivals).messages("ship/attitude")[-1].status == Status.COASTING
 
 
 def test_a_reset_keeps_the_live_changes() -> None:
-    adapter = drive(new_adapter(), voyage()[:HALF]).adapter
+    adapter = run_adapter(new_adapter(), voyage()[:HALF]).adapter
     adapter.set_parameters({"ins.heading_sigma_arcsec": 500.0})
     assert adapter.service("reset", voyage()[HALF].receive_ns).success
     alignment = adapter.core.alignment()
@@ -134,8 +134,8 @@ def test_changed_ins_noise_reaches_the_ins_check() -> None:
         rotation_nd = rotation_from_quaternion(np.array([getattr(message.orientation, axis) for axis in "xyzw"]))
         message.orientation = quaternion_message(exp_rotation(np.array([0.0, 60.0, 0.0]) * ARCSEC) @ rotation_nd)
 
-    spoilt = replaced(voyage(), index_at(voyage(), INS, 4.0), off)
+    spoilt = replace_message(voyage(), index_at(voyage(), INS, 4.0), off)
     for white_arcsec, reasons in ((1.0, {"gate": 1}), (20.0, {})):
-        adapter = drive(new_adapter(), spoilt[:HALF]).adapter
+        adapter = run_adapter(new_adapter(), spoilt[:HALF]).adapter
         adapter.set_parameters({"ins.white_sigma_arcsec": white_arcsec})
-        assert drive(adapter, spoilt[HALF:]).reasons(INS) == reasons
+        assert run_adapter(adapter, spoilt[HALF:]).reasons(INS) == reasons

@@ -28,14 +28,14 @@ from ship_testing.small_voyage import (
     INS,
     STARBOARD,
     Run,
-    assert_honest,
-    drive,
+    assert_consistent,
+    run_adapter,
     new_adapter,
     since_start_s,
-    turned,
+    turn_star_messages,
     voyage,
 )
-from ship_testing.spoilt_filter import spoil
+from ship_testing.spoilt_filter import make_overconfident
 
 ATTITUDE = "ship/attitude"
 SPOILT_S, LENGTH_S = 40.0, 130.0
@@ -64,7 +64,7 @@ def run_voyage(
         since_s = (arrival.receive_ns - START_NS) / SECOND_NS
         if since_s >= spoilt_s and not is_spoilt:
             is_spoilt = True
-            spoil(run.adapter)
+            make_overconfident(run.adapter)
         run.published += [
             (arrival.receive_ns, *item)
             for item in run.adapter.handle(arrival.topic, arrival.message, arrival.receive_ns)
@@ -91,7 +91,7 @@ def test_a_filter_with_a_wrong_small_covariance_recovers() -> None:
     assert (run.adapter.recovery.started, run.adapter.recovery.adopted) == (1, 1)
     for message in run.messages(ATTITUDE):
         if since_start_s(message) > SPOILT_S + CONFIRMED_S:
-            assert_honest(message)
+            assert_consistent(message)
 
 
 def test_without_a_second_estimator_it_does_not_recover() -> None:
@@ -111,7 +111,7 @@ def test_stamps_go_on_increasing_and_levels_come_before_the_first_new_attitude()
 
 
 def test_estimated_mountings_are_kept() -> None:
-    found, expected = (run.adapter.core.alignment() for run in (recovered_run(), drive(new_adapter(), calm())))
+    found, expected = (run.adapter.core.alignment() for run in (recovered_run(), run_adapter(new_adapter(), calm())))
     stars = [number for number, name in enumerate(expected.names) if name.startswith("star.")]
     sigmas = np.sqrt(expected.covariance.diagonal())[stars]
     assert np.all(np.abs(found.values - expected.values)[stars] <= 3.0 * sigmas)
@@ -155,7 +155,7 @@ UP = np.array([0.0, 60.0 * ARCSEC, 0.0])
 def remount_sensors(arrivals: Iterable[Arrival], from_s: float) -> list[Arrival]:
     """Both sensors remounted at once, each by another rotation."""
     fore_n, starboard_n = np.array([200.0, 0.0, 100.0]) * ARCSEC, np.array([-100.0, 0.0, 250.0]) * ARCSEC
-    return [turned([one], fore_n if one.topic == FORE else starboard_n, from_s)[0] for one in arrivals]
+    return [turn_star_messages([one], fore_n if one.topic == FORE else starboard_n, from_s)[0] for one in arrivals]
 
 
 def set_clocks_back(arrivals: Iterable[Arrival], from_s: float, *topics: str) -> list[Arrival]:
@@ -174,7 +174,7 @@ def set_clocks_back(arrivals: Iterable[Arrival], from_s: float, *topics: str) ->
 @pytest.mark.parametrize(
     ("change", "moved"),
     [
-        (lambda arrivals: turned(arrivals, UP, SPOILT_S), "6"),
+        (lambda arrivals: turn_star_messages(arrivals, UP, SPOILT_S), "6"),
         (lambda arrivals: remount_sensors(arrivals, SPOILT_S), "2"),
         (lambda arrivals: set_clocks_back(arrivals, SPOILT_S, INS), "1"),
         (lambda arrivals: set_clocks_back(arrivals, SPOILT_S, FORE, STARBOARD), "1"),
@@ -202,7 +202,7 @@ def test_a_sensor_with_a_constant_clock_error_is_named() -> None:
 
 def test_a_constant_rotation_is_not_adopted_if_the_stored_state_is_too_uncertain() -> None:
     """An INS whose heading may drift by 72″ in ten minutes: after a minute the stored state allows for 60″ and more."""
-    run = run_voyage(turned(voyage(190.0), UP, SPOILT_S), spoilt_s=np.inf, ins__heading_time_s=600.0)
+    run = run_voyage(turn_star_messages(voyage(190.0), UP, SPOILT_S), spoilt_s=np.inf, ins__heading_time_s=600.0)
     recovery = run.adapter.recovery
     core = recovery.candidate.core
     assert (recovery.started, recovery.adopted) == (1, 0)
@@ -212,7 +212,7 @@ def test_a_constant_rotation_is_not_adopted_if_the_stored_state_is_too_uncertain
 
 
 def test_a_nan_covariance_is_consistent_with_no_stored_state() -> None:
-    core = drive(new_adapter(), voyage(20.0)).adapter.core
+    core = run_adapter(new_adapter(), voyage(20.0)).adapter.core
     assert core.departure_sigmas(core.state, core.state) == 0.0
     parts = core.state.stack.copy()
     parts[0, 0, 0] = np.nan
@@ -221,7 +221,7 @@ def test_a_nan_covariance_is_consistent_with_no_stored_state() -> None:
 
 def test_a_fault_from_the_start_leaves_no_stored_state() -> None:
     """A node started while all stars were rotated has no other stored state; it must adopt the end of the rotation."""
-    run = run_voyage(turned(calm(), UP, -1.0, 15.0), spoilt_s=np.inf)
+    run = run_voyage(turn_star_messages(calm(), UP, -1.0, 15.0), spoilt_s=np.inf)
     assert run.adapter.recovery.adopted == 1
     assert statuses(run, 15.0 + CONFIRMED_S) == {Status.VALID}
 
@@ -233,14 +233,14 @@ def test_reset_after_remounting_ends_recovery_at_once() -> None:
         if since_s >= 80.0 and not resets:
             resets.append(run.adapter.service("reset", run.now_ns))
 
-    run = run_voyage(turned(calm(), UP, SPOILT_S), spoilt_s=np.inf, then=reset)
+    run = run_voyage(turn_star_messages(calm(), UP, SPOILT_S), spoilt_s=np.inf, then=reset)
     assert statuses(run, 82.0) == {Status.VALID}
     assert not run.adapter.recovery.is_in_trouble
 
 
 def test_a_temporary_rotation_of_all_stars_ends_although_they_are_not_reinstated() -> None:
     """``integrity.return_after_s`` of an hour: the excluded stars are not reinstated."""
-    arrivals = turned(voyage(145.0), UP, SPOILT_S, 70.0)
+    arrivals = turn_star_messages(voyage(145.0), UP, SPOILT_S, 70.0)
     run = run_voyage(arrivals, spoilt_s=np.inf, integrity__return_after_s=3600.0)
     assert statuses(run, SPOILT_S + 2.0, 130.0) == {Status.DEGRADED}
     assert statuses(run, 70.0 + CONFIRMED_S) == {Status.VALID}
@@ -251,7 +251,7 @@ def test_a_temporary_rotation_of_all_stars_ends_although_they_are_not_reinstated
 def test_a_sensor_with_a_mounting_shift_stays_excluded_and_does_not_prevent_the_adoption() -> None:
     def knocked(arrival: Arrival) -> Arrival:
         is_hit = arrival.topic == FORE and arrival.stamp_ns >= START_NS + 35 * SECOND_NS
-        return turned([arrival], 60.0 * UP, 0.0)[0] if is_hit else arrival
+        return turn_star_messages([arrival], 60.0 * UP, 0.0)[0] if is_hit else arrival
 
     run = run_voyage(list(map(knocked, voyage(150.0))))
     assert run.adapter.recovery.adopted == 1
@@ -298,7 +298,7 @@ def test_a_step_of_all_clocks_in_trouble() -> None:
             run.published += [(tick_ns, *item) for item in adapter.tick(tick_ns + off_ns, tick_ns)]
         if since_s >= SPOILT_S and not is_spoilt:
             is_spoilt = True
-            spoil(adapter)
+            make_overconfident(adapter)
         handled = adapter.handle(arrival.topic, arrival.message, arrival.receive_ns + off_ns, arrival.receive_ns)
         run.published += [(arrival.receive_ns, *item) for item in handled]
     last = [m for ns, topic, m in run.published if topic == ATTITUDE and ns > START_NS + 120 * SECOND_NS]
@@ -308,7 +308,7 @@ def test_a_step_of_all_clocks_in_trouble() -> None:
 def test_memory_residual_is_the_rotation_of_the_stars_with_its_noise() -> None:
     """Compared with the injected rotation, and the noise of the messages: 3″ across, 100″ about the line of sight."""
     turn_n, memory = np.array([10.0, 60.0, -20.0]) * ARCSEC, None
-    arrivals = turned(voyage(20.0), turn_n, 19.0)
+    arrivals = turn_star_messages(voyage(20.0), turn_n, 19.0)
 
     def remember(run: Run, since_s: float) -> None:
         nonlocal memory

@@ -20,17 +20,17 @@ from ship_testing.adapter_runs import (
     SECOND_NS,
     START_NS,
     Arrival,
-    changed_where,
-    exactly,
-    in_order,
+    change_where,
+    exact_value,
+    sort_by_arrival,
     index_at,
-    replaced,
+    replace_message,
     stamp_of,
     without,
 )
-from ship_testing.ship_observations import SENSORS, config, sail
+from ship_testing.ship_observations import SENSORS, config, run_new_adapter
 from ship_testing.small_voyage import INS, Run, ins_message
-from ship_testing.star_bad_input import DROPPED, SOURCE, REJECTED_STARS, Change, star, without_star
+from ship_testing.star_bad_input import REJECTED_MESSAGES, SOURCE, REJECTED_STARS, Change, set_star_fields, remove_star
 from ship_testing.star_voyage import (
     FIX,
     FORE,
@@ -38,9 +38,9 @@ from ship_testing.star_voyage import (
     PRESSURE,
     STARBOARD,
     TEMPERATURE,
-    except_,
-    only,
-    streaked_voyage,
+    without_topics,
+    with_topics,
+    voyage_with_streaks,
     true_deck,
     voyage,
 )
@@ -51,16 +51,16 @@ SHIP_TOPICS = ("ship/attitude", "ship/imu", "ship/alignment", "ship/error_budget
 
 @functools.cache
 def clean_run() -> Run:
-    return sail(voyage())
+    return run_new_adapter(voyage())
 
 
 @functools.cache
 def run_without(topic: str) -> Run:
-    return sail(without(voyage(), index_at(voyage(), topic, MOMENT_S)))
+    return run_new_adapter(without(voyage(), index_at(voyage(), topic, MOMENT_S)))
 
 
 def outputs(run: Run) -> list[Any]:
-    return [(ns, topic, exactly(message)) for ns, topic, message in run.published if topic in SHIP_TOPICS]
+    return [(ns, topic, exact_value(message)) for ns, topic, message in run.published if topic in SHIP_TOPICS]
 
 
 def last_valid(run: Run) -> Any:
@@ -97,7 +97,7 @@ def test_the_budget_names_the_errors_shared_by_stars() -> None:
 
 
 def test_with_a_utc_sigma_its_error_is_a_state_with_its_own_budget_entry() -> None:
-    budget = sail(voyage(), sky={"utc_sigma_s": 0.1}).messages("ship/error_budget")[-1]
+    budget = run_new_adapter(voyage(), sky={"utc_sigma_s": 0.1}).messages("ship/error_budget")[-1]
     assert "utc" not in clean_run().messages("ship/error_budget")[-1].sources
     parts = dict(zip(budget.sources, np.array(budget.covariances).reshape(-1, 3, 3), strict=True))
     np.testing.assert_allclose(sum(parts.values()), np.array(budget.total).reshape(3, 3), rtol=1e-9)
@@ -105,9 +105,9 @@ def test_with_a_utc_sigma_its_error_is_a_state_with_its_own_budget_entry() -> No
     assert 1.2 < np.sqrt(np.trace(parts["utc"])) / ARCSEC < 1.505
 
 
-@pytest.mark.parametrize(("topic", "change", "reason", "text"), [c[1:] for c in DROPPED], ids=[c[0] for c in DROPPED])
+@pytest.mark.parametrize(("topic", "change", "reason", "text"), [c[1:] for c in REJECTED_MESSAGES], ids=[c[0] for c in REJECTED_MESSAGES])
 def test_a_bad_message_is_reported_and_changes_nothing(topic: str, change: Change, reason: str, text: str) -> None:
-    run = sail(replaced(voyage(), index_at(voyage(), topic, MOMENT_S), change))
+    run = run_new_adapter(replace_message(voyage(), index_at(voyage(), topic, MOMENT_S), change))
     assert outputs(run) == outputs(run_without(topic))
     assert run.reasons(topic) == {reason: 1}
     (innovation,) = run.innovations(Reason[reason.upper()])
@@ -119,7 +119,7 @@ def test_a_bad_message_is_reported_and_changes_nothing(topic: str, change: Chang
 @pytest.mark.parametrize(("change", "reason"), [s[1:3] for s in REJECTED_STARS], ids=[s[0] for s in REJECTED_STARS])
 def test_a_bad_star_alone_is_refused(change: Change, reason: Reason) -> None:
     index = index_at(voyage(), FORE, MOMENT_S)
-    run, lacking = sail(replaced(voyage(), index, change)), sail(replaced(voyage(), index, without_star(3)))
+    run, lacking = run_new_adapter(replace_message(voyage(), index, change)), run_new_adapter(replace_message(voyage(), index, remove_star(3)))
     assert outputs(run) == outputs(lacking)
     assert run.reasons(FORE) == {reason.name.lower(): 1}
     assert len(run.innovations(reason)) == 1
@@ -127,7 +127,7 @@ def test_a_bad_star_alone_is_refused(change: Change, reason: Reason) -> None:
 
 def test_a_false_star_is_named_with_its_angle() -> None:
     index = index_at(voyage(), FORE, MOMENT_S)
-    run = sail(replaced(voyage(), index, star(3, u=100.0)))
+    run = run_new_adapter(replace_message(voyage(), index, set_star_fields(3, u=100.0)))
     (innovation,) = run.innovations(Reason.MISIDENTIFIED)
     assert "from its expected direction, sigma" in innovation.reason_text
     assert not innovation.accepted
@@ -135,7 +135,7 @@ def test_a_false_star_is_named_with_its_angle() -> None:
 
 
 def test_without_a_fix_no_star_is_used_and_the_ins_continues() -> None:
-    run = sail(except_(voyage(), FIX))
+    run = run_new_adapter(without_topics(voyage(), FIX))
     assert run.reasons(FORE) == {"no_fix": run.health(FORE).received}
     assert attitude_stamps(run) == {Status.DEGRADED}
     assert "check that gnss/fix is published" in run.innovations(Reason.NO_FIX)[0].reason_text
@@ -147,7 +147,7 @@ def test_a_fix_older_than_a_minute_is_none() -> None:
     def older(message: Any) -> None:
         message.header.stamp.sec -= 64
 
-    run = sail(changed_where(voyage(), lambda arrival: arrival.topic == FIX, older))
+    run = run_new_adapter(change_where(voyage(), lambda arrival: arrival.topic == FIX, older))
     assert set(run.reasons(FORE)) == {"no_fix"}
     assert "more than fix_max_age_s = 60" in run.innovations(Reason.NO_FIX)[-1].reason_text
 
@@ -158,7 +158,7 @@ def test_without_weather_refraction_is_less_well_known() -> None:
         parts = dict(zip(budget.sources, np.array(budget.covariances).reshape(-1, 3, 3), strict=True))
         return float(np.trace(parts["refraction"]))
 
-    run = sail(except_(voyage(), PRESSURE, TEMPERATURE))
+    run = run_new_adapter(without_topics(voyage(), PRESSURE, TEMPERATURE))
     assert last_valid(run).status == Status.VALID
     # A field of 23° makes much of it observable: low stars are raised more than high ones.
     assert refraction(run) > 2.0 * refraction(clean_run())
@@ -166,7 +166,7 @@ def test_without_weather_refraction_is_less_well_known() -> None:
 
 def test_a_camera_is_needed() -> None:
     with pytest.raises(ParameterError, match=r"star_sensors\.fore\.camera\.focal_length_m"):
-        sail((), star_sensors={"fore": {"azimuth_deg": 0.0, "elevation_deg": 45.0, "input": "observations"}})
+        run_new_adapter((), star_sensors={"fore": {"azimuth_deg": 0.0, "elevation_deg": 45.0, "input": "observations"}})
 
 
 def test_solutions_of_a_sensor_that_gives_its_stars_are_no_input() -> None:
@@ -176,10 +176,10 @@ def test_solutions_of_a_sensor_that_gives_its_stars_are_no_input() -> None:
     assert not {"star/fore/solution", "star/fore/horizon_attitude", "star/fore/inertial_attitude"} & topics
 
 
-@pytest.mark.parametrize("arrivals", [voyage, streaked_voyage])
+@pytest.mark.parametrize("arrivals", [voyage, voyage_with_streaks])
 def test_after_an_ins_timeout_the_attitude_comes_from_stars_alone(arrivals: Callable[[], tuple[Arrival, ...]]) -> None:
     cut_ns = START_NS + SECOND_NS
-    run = sail([a for a in arrivals() if a.topic != INS or a.receive_ns < cut_ns])
+    run = run_new_adapter([a for a in arrivals() if a.topic != INS or a.receive_ns < cut_ns])
     alone = [m for m in run.messages("ship/attitude") if list(m.sources) in (["star.fore"], ["star.starboard"])]
     assert alone
     assert all(m.status == Status.DEGRADED for m in alone)
@@ -196,14 +196,14 @@ def test_clouds_are_no_fault() -> None:
     def clouds(message: Any) -> None:
         message.stars = []
 
-    run = sail(changed_where(voyage(), lambda arrival: arrival.topic in (FORE, STARBOARD), clouds))
+    run = run_new_adapter(change_where(voyage(), lambda arrival: arrival.topic in (FORE, STARBOARD), clouds))
     assert run.reasons(FORE) == {}
     assert run.health(FORE).accepted == run.health(FORE).received
     assert attitude_stamps(run) == {Status.DEGRADED}
 
 
 def test_one_sensor_alone_is_enough_to_be_valid() -> None:
-    run = sail(only(voyage(), INS, FORE, FIX, PRESSURE, TEMPERATURE))
+    run = run_new_adapter(with_topics(voyage(), INS, FORE, FIX, PRESSURE, TEMPERATURE))
     assert list(last_valid(run).sources) == ["ins", "star.fore"]
 
 
@@ -226,19 +226,19 @@ def test_an_exact_prior_can_be_compared_with_stars(monkeypatch: pytest.MonkeyPat
         for a in voyage(noise=True)
     ]
     sensors = {id_: {**sensor, **EXACT_SENSOR} for id_, sensor in SENSORS.items()}
-    run = sail(exact, ins=EXACT_INS, star_sensors=sensors)
+    run = run_new_adapter(exact, ins=EXACT_INS, star_sensors=sensors)
     assert run.reasons(FORE) == run.reasons(STARBOARD) == {}
     assert run.health(FORE).accepted == run.health(FORE).received
     assert last_valid(run) is run.messages("ship/attitude")[-1]
     # The same stars are selected as by any other prediction.
-    wrong = replaced(exact, index_at(exact, FORE, MOMENT_S), star(3, u=100.0))
-    (innovation,) = sail(wrong, ins=EXACT_INS, star_sensors=sensors).innovations(Reason.MISIDENTIFIED)
+    wrong = replace_message(exact, index_at(exact, FORE, MOMENT_S), set_star_fields(3, u=100.0))
+    (innovation,) = run_new_adapter(wrong, ins=EXACT_INS, star_sensors=sensors).innovations(Reason.MISIDENTIFIED)
     assert "from its expected direction, sigma" in innovation.reason_text
 
 
 def test_an_ins_with_errors_and_zero_sigma_is_in_conflict() -> None:
     sensors = {id_: {**sensor, **EXACT_SENSOR} for id_, sensor in SENSORS.items()}
-    run = sail(voyage(), ins=EXACT_INS, star_sensors=sensors)
+    run = run_new_adapter(voyage(), ins=EXACT_INS, star_sensors=sensors)
     assert set(run.reasons(FORE)) == {"gate", "attitude_conflict"}
 
 
@@ -248,11 +248,11 @@ def test_streaks_wait_for_the_ins_and_any_order_of_arrival_gives_the_same_state(
     for star_delay_s, ins_delay_s in ((0.001, 0.001), (1.0, 0.001), (0.001, 0.3)):
         arrivals = [
             replace(a, receive_ns=a.stamp_ns + round((star_delay_s if a.topic in (FORE, STARBOARD) else 0.001) * 1e9))
-            for a in streaked_voyage()
+            for a in voyage_with_streaks()
         ]
         late = index_at(arrivals, INS, MOMENT_S)
         arrivals[late] = replace(arrivals[late], receive_ns=arrivals[late].stamp_ns + round(ins_delay_s * 1e9))
-        run = sail(in_order(arrivals))
+        run = run_new_adapter(sort_by_arrival(arrivals))
         assert set(run.reasons(FORE)) <= {"gap", "revised"}
         state = run.adapter.core.state
         states.append((state.mean.tobytes(), state.parts.tobytes()))
@@ -261,13 +261,13 @@ def test_streaks_wait_for_the_ins_and_any_order_of_arrival_gives_the_same_state(
 
 
 def test_the_ship_attitude_by_streaks_is_consistent_with_its_covariance() -> None:
-    assert worst_sigmas(sail(streaked_voyage())) < 2.5
+    assert worst_sigmas(run_new_adapter(voyage_with_streaks())) < 2.5
 
     def not_told(message: Any) -> None:
         message.exposure_s = np.nan
 
-    believed = changed_where(streaked_voyage(), lambda a: a.topic in (FORE, STARBOARD), not_told)
-    assert worst_sigmas(sail(believed)) > 4.0
+    believed = change_where(voyage_with_streaks(), lambda a: a.topic in (FORE, STARBOARD), not_told)
+    assert worst_sigmas(run_new_adapter(believed)) > 4.0
 
 
 def worst_sigmas(run: Run) -> float:

@@ -9,21 +9,21 @@ from typing import Any
 import pytest
 
 from ship_estimation.outcome import Status
-from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_where, hand_over, in_order, stamp_of
-from ship_testing.ship_observations import sail
+from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, change_where, hand_over, sort_by_arrival, stamp_of
+from ship_testing.ship_observations import run_new_adapter
 from ship_testing.small_voyage import (
     FORE,
     INS,
     STARBOARD,
     Run,
-    assert_honest,
-    clean_run,
-    cut,
-    drive,
+    assert_consistent,
+    fault_free_run,
+    remove_interval,
+    run_adapter,
     new_adapter,
     voyage,
 )
-from ship_testing.star_voyage import FIX, except_
+from ship_testing.star_voyage import FIX, without_topics
 from ship_testing.star_voyage import voyage as voyage_of_stars
 
 ATTITUDE = "ship/attitude"
@@ -73,27 +73,27 @@ def wrong_frame(message: Any) -> None:
 
 def test_exposures_with_one_star_do_not_hide_an_ins_timeout() -> None:
     stars = [a for a in voyage_of_stars(6.0) if a.topic != INS or a.stamp_ns < at(3.0)]
-    stars = changed_where(stars, lambda a: a.topic.endswith("observations") and a.stamp_ns > at(2.5), one_star)
-    assert_invalid_once_a_second(sail(stars), 3.0, 6.0)
+    stars = change_where(stars, lambda a: a.topic.endswith("observations") and a.stamp_ns > at(2.5), one_star)
+    assert_invalid_once_a_second(run_new_adapter(stars), 3.0, 6.0)
 
 
 def test_exposures_without_a_fix_do_not_hide_an_ins_timeout() -> None:
     stars = [a for a in voyage_of_stars(6.0) if a.topic != INS or a.stamp_ns < at(3.0)]
-    run = sail(except_(stars, FIX))
+    run = run_new_adapter(without_topics(stars, FIX))
     assert {m.status for m in published_attitudes(run)} == {Status.DEGRADED}
     assert_invalid_once_a_second(run, 3.0, 6.0)
 
 
 def test_rejected_ins_samples_give_no_attitude() -> None:
     """It arrives at its full rate, in order, and is not usable; no star sensor works."""
-    arrivals = cut(voyage(8.0), 3.0, 8.0, FORE, STARBOARD)
-    run = drive(new_adapter(), changed_where(arrivals, lambda a: a.topic == INS and at(3.0) < a.stamp_ns, wrong_frame))
+    arrivals = remove_interval(voyage(8.0), 3.0, 8.0, FORE, STARBOARD)
+    run = run_adapter(new_adapter(), change_where(arrivals, lambda a: a.topic == INS and at(3.0) < a.stamp_ns, wrong_frame))
     assert_invalid_once_a_second(run, 3.0, 8.0)
 
 
 def test_attitudes_come_from_stars_while_the_ins_is_rejected() -> None:
-    arrivals = changed_where(voyage(8.0), lambda a: a.topic == INS and at(3.0) < a.stamp_ns < at(6.0), wrong_frame)
-    run = drive(new_adapter(), arrivals)
+    arrivals = change_where(voyage(8.0), lambda a: a.topic == INS and at(3.0) < a.stamp_ns < at(6.0), wrong_frame)
+    run = run_adapter(new_adapter(), arrivals)
     carried = [m for m in published_attitudes(run) if at(4.0) < stamp_of(m) < at(6.0)]
     assert len(carried) == 20
     assert {m.status for m in carried} == {Status.DEGRADED}
@@ -111,8 +111,8 @@ def test_attitudes_come_from_stars_while_no_ins_sample_has_a_rate() -> None:
         sparse = (arrival.stamp_ns - START_NS) % (9 * SECOND_NS // 10) == 0
         return arrival.topic != INS or arrival.stamp_ns < at(3.0) or sparse
 
-    arrivals = changed_where([a for a in voyage(8.0) if is_kept(a)], lambda a: a.topic == INS, without_rates)
-    run = drive(new_adapter(), arrivals)
+    arrivals = change_where([a for a in voyage(8.0) if is_kept(a)], lambda a: a.topic == INS, without_rates)
+    run = run_adapter(new_adapter(), arrivals)
     carried = [m for m in published_attitudes(run) if at(4.2) < stamp_of(m) < at(7.5)]
     assert {m.status for m in carried} == {Status.DEGRADED}
     assert len(carried) > 25
@@ -122,8 +122,8 @@ def test_attitudes_come_from_stars_while_no_ins_sample_has_a_rate() -> None:
 
 def test_ins_and_stars_stop_and_come_back() -> None:
     """First one of them, then both, then the stars, then both."""
-    arrivals = cut(cut(voyage(14.0), 3.0, 9.0, INS), 5.0, 7.0, FORE, STARBOARD)
-    run = drive(new_adapter(), arrivals)
+    arrivals = remove_interval(remove_interval(voyage(14.0), 3.0, 9.0, INS), 5.0, 7.0, FORE, STARBOARD)
+    run = run_adapter(new_adapter(), arrivals)
     by_second = {second: set() for second in range(14)}
     for ns, topic, message in run.published:
         if topic == ATTITUDE:
@@ -133,11 +133,11 @@ def test_ins_and_stars_stop_and_come_back() -> None:
     assert by_second[10] == by_second[13] == {"VALID"}
     assert_in_order(run)
     for message in published_attitudes(run):
-        assert_honest(message)
+        assert_consistent(message)
 
 
 def test_no_error_budget_is_published_twice() -> None:
-    run = drive(new_adapter(slow_topics_period_s=0.1), cut(voyage(8.0), 3.0, 6.0, INS, FORE, STARBOARD))
+    run = run_adapter(new_adapter(slow_topics_period_s=0.1), remove_interval(voyage(8.0), 3.0, 6.0, INS, FORE, STARBOARD))
     for topic in BUDGETS:
         stamps = [stamp_of(m) for m in run.messages(topic)]
         assert len(stamps) == len(set(stamps)) > 40
@@ -148,7 +148,7 @@ def test_no_error_budget_is_published_twice() -> None:
 
 
 def with_latency(arrivals: Iterable[Arrival], latency_s: Callable[[str], float]) -> tuple[Arrival, ...]:
-    return in_order(replace(a, receive_ns=a.receive_ns + round(latency_s(a.topic) * SECOND_NS)) for a in arrivals)
+    return sort_by_arrival(replace(a, receive_ns=a.receive_ns + round(latency_s(a.topic) * SECOND_NS)) for a in arrivals)
 
 
 @pytest.mark.parametrize(
@@ -156,13 +156,13 @@ def with_latency(arrivals: Iterable[Arrival], latency_s: Callable[[str], float])
 )
 def test_old_stamps_are_no_timeout(latency_s: Callable[[str], float]) -> None:
     """The INS within the lag behind the stars, or all that late."""
-    run = drive(new_adapter(), with_latency(voyage(), latency_s))
-    by_ins, expected = ([stamp_of(m) for m in published_attitudes(r) if "ins" in m.sources] for r in (run, clean_run()))
+    run = run_adapter(new_adapter(), with_latency(voyage(), latency_s))
+    by_ins, expected = ([stamp_of(m) for m in published_attitudes(r) if "ins" in m.sources] for r in (run, fault_free_run()))
     # Stars that arrived before the first INS sample gave attitudes first.
     assert by_ins == [ns for ns in expected if latency_s(FORE) or ns > at(0.877)]
     assert [ns for ns in invalid_times_ns(run) if ns > at(latency_s(INS) + 0.1)] == []
     assert_in_order(run)
-    assert run.state() == clean_run().state()
+    assert run.state() == fault_free_run().state()
     assert run.messages(ATTITUDE)[-1].status == Status.VALID
     assert run.diagnostics("attitude", at(3.0 + latency_s(INS)), run.now_ns)[-1] == (0, "VALID: INS and stars")
 
@@ -173,7 +173,7 @@ def test_a_corrected_clock_is_no_timeout(step_s: float) -> None:
     run = Run(new_adapter())
     hand_over(run, voyage(), node_ns=lambda ns: ns + (round(step_s * SECOND_NS) if ns > at(2.5) else 0))
     by_the_clock = "ship/alignment", "/tf_static"  # these have the node's time
-    expected = [result for result in clean_run().results() if result[1] not in by_the_clock]
+    expected = [result for result in fault_free_run().results() if result[1] not in by_the_clock]
     assert [result for result in run.results() if result[1] not in by_the_clock] == expected
 
 
@@ -184,7 +184,7 @@ def test_a_leap_second_costs_attitudes_only_until_it_is_detected() -> None:
         message.header.stamp.sec -= 1
 
     arrivals = voyage(17.0)
-    run = drive(new_adapter(), changed_where(arrivals, lambda a: a.stamp_ns >= at(3.0), back))
+    run = run_adapter(new_adapter(), change_where(arrivals, lambda a: a.stamp_ns >= at(3.0), back))
     assert invalid_times_ns(run) == []
     before = [m for ns, m in attitudes_by_time(run) if ns < at(3.0)]
     after = [m for ns, m in attitudes_by_time(run) if ns >= at(3.0)]
@@ -199,14 +199,14 @@ def test_a_leap_second_costs_attitudes_only_until_it_is_detected() -> None:
 def run_with_stopped_node(from_s: float, until_s: float) -> Run:
     """Messages received while the node was stopped are processed when it continues, after the ticks of that time."""
     arrivals = [replace(a, receive_ns=at(until_s)) if at(from_s) < a.receive_ns < at(until_s) else a for a in voyage()]
-    return drive(new_adapter(), arrivals)
+    return run_adapter(new_adapter(), arrivals)
 
 
 def test_data_received_during_a_stop_are_published_after_it() -> None:
     run = run_with_stopped_node(2.5, 3.7)
     assert len(invalid_times_ns(run)) == 1
-    assert [stamp_of(m) for m in published_attitudes(run)] == [stamp_of(m) for m in published_attitudes(clean_run())]
-    assert run.state() == clean_run().state()
+    assert [stamp_of(m) for m in published_attitudes(run)] == [stamp_of(m) for m in published_attitudes(fault_free_run())]
+    assert run.state() == fault_free_run().state()
 
 
 def test_invalid_has_the_time_of_the_tick_and_delays_nothing() -> None:
@@ -228,7 +228,7 @@ def test_with_a_frozen_clock_invalid_is_published_at_its_time() -> None:
 
 def test_attitudes_come_from_stars_while_the_ins_is_too_late() -> None:
     """It arrives at its full rate, each sample 3 s old: more than the lag behind the stars."""
-    run = drive(new_adapter(), with_latency(voyage(8.0), lambda topic: 3.0 if topic == INS else 0.0))
+    run = run_adapter(new_adapter(), with_latency(voyage(8.0), lambda topic: 3.0 if topic == INS else 0.0))
     assert run.reasons(INS)["late"] > 100
     carried = [m for m in published_attitudes(run) if "ins" not in m.sources]
     assert {m.status for m in carried} == {Status.DEGRADED}

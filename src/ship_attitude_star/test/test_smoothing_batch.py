@@ -18,7 +18,7 @@ from ship_estimation.parameters import build
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC
-from ship_testing.sparse_least_squares import covariance_of, solved
+from ship_testing.sparse_least_squares import covariance_of, solve
 
 START_NS, SECOND_NS = 1_700_000_000_000_000_000, 1_000_000_000
 DURATION_S, INS_PERIOD_S = 24.0, 0.02
@@ -169,7 +169,7 @@ def both() -> tuple:
     core, smoothed = smoothed_run()
     asked_ms = [round((one.time_ns - START_NS) / 1e6) for one in smoothed]
     batch = BatchProblem()
-    return core, smoothed, asked_ms, batch, *solved(batch_equations(batch, asked_ms), steps_of(batch))
+    return core, smoothed, asked_ms, batch, *solve(batch_equations(batch, asked_ms), steps_of(batch))
 
 
 @pytest.mark.slow

@@ -29,22 +29,22 @@ from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.geodetic import GeodeticPosition
 from ship_geometry.ros_axes import horizon_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
-from ship_testing.adapter_runs import FACTORY, START_NS, Arrival, in_order
+from ship_testing.adapter_runs import FACTORY, START_NS, Arrival, sort_by_arrival
 from ship_testing.ship_observations import SENSORS as OBSERVING
-from ship_testing.ship_observations import sail
+from ship_testing.ship_observations import run_new_adapter
 from ship_testing.small_voyage import INS, Run
 from ship_testing.star_sky import POSITION, SENSORS, TIME_NS, configuration, exposure_of, ins_track
 from ship_testing.star_voyage import (
-    EXACT,
+    EXACT_OPTICS,
     EXACT_CAMERA,
     FIX,
     HUMIDITY,
     PRESSURE,
     TEMPERATURE,
-    clean_run,
-    except_,
+    fault_free_run,
+    without_topics,
 )
-from ship_testing.star_voyage import sail as solved_by
+from ship_testing.star_voyage import run_new_adapter as solved_by
 from ship_testing.star_voyage import voyage as star_voyage
 
 SECOND_NS = 1_000_000_000
@@ -347,24 +347,24 @@ def solved_voyage(run: Run | None = None) -> tuple[Arrival, ...]:
     """Return INS, fixes and weather of the voyage, and the solutions of star_attitude from a run."""
     solved = [
         Arrival(topic, message, receive_ns)
-        for receive_ns, topic, message in (run or clean_run()).published
+        for receive_ns, topic, message in (run or fault_free_run()).published
         if topic in ("star/fore/solution", "star/starboard/solution")
     ]
-    return in_order([*(a for a in star_voyage() if "observations" not in a.topic), *solved])
+    return sort_by_arrival([*(a for a in star_voyage() if "observations" not in a.topic), *solved])
 
 
 def sail_solved(arrivals: Iterable[Arrival], shared: str = "by_input") -> Run:
     """Run all inputs that the node subscribes to; without the sky it needs neither position nor air."""
     sensors = {id_: {**values, "input": "solution", "shared": shared} for id_, values in OBSERVING.items()}
     surroundings = () if shared in ("by_input", "sky") else (FIX, PRESSURE, TEMPERATURE, HUMIDITY)
-    return sail(except_(arrivals, *surroundings), star_sensors=sensors)
+    return run_new_adapter(without_topics(arrivals, *surroundings), star_sensors=sensors)
 
 
 def test_the_node_estimates_the_same_from_solutions_and_stars() -> None:
     """With exact optics: the filter estimates errors of the optics from stars, and not from solutions."""
     exact = {id_: {**values, "camera": EXACT_CAMERA} for id_, values in OBSERVING.items()}
-    by_stars = sail(star_voyage(), star_sensors=exact)
-    by_solutions = sail_solved(solved_voyage(solved_by(star_voyage(), **EXACT)))
+    by_stars = run_new_adapter(star_voyage(), star_sensors=exact)
+    by_solutions = sail_solved(solved_voyage(solved_by(star_voyage(), **EXACT_OPTICS)))
     sigmas = [
         np.sqrt(np.diagonal(run.messages("ship/attitude")[-1].rotation_covariance.reshape(3, 3)))
         for run in (by_stars, by_solutions)
@@ -381,13 +381,13 @@ def test_fixes_that_come_late_change_nothing() -> None:
         late = [
             replace(a, receive_ns=a.stamp_ns + round(1e9 * delay_s)) if a.topic == FIX else a for a in solved_voyage()
         ]
-        state = sail_solved(in_order(late)).adapter.core.state
+        state = sail_solved(sort_by_arrival(late)).adapter.core.state
         states.append((state.mean.tobytes(), state.parts.tobytes()))
     assert states[0] == states[1]
 
 
 def test_without_a_fix_solutions_are_rejected_unless_configured_as_complete() -> None:
-    without_fix = except_(solved_voyage(), FIX)
+    without_fix = without_topics(solved_voyage(), FIX)
     run = sail_solved(without_fix)
     assert set(run.reasons("star/fore/solution")) == {"no_fix"}
     assert {m.status for m in run.messages("ship/attitude")} <= {Status.DEGRADED, Status.INVALID}

@@ -17,11 +17,11 @@ from ship_geometry.frames import angle_covariance, rotation_from_angles
 from ship_geometry.ros_axes import horizon_covariance, quaternion_from_rotation, rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_testing import small_voyage
-from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_where, exactly, in_order, stamp_of
-from ship_testing.small_voyage import INS, Run, drive
+from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, change_where, exact_value, sort_by_arrival, stamp_of
+from ship_testing.small_voyage import INS, Run, run_adapter
 from ship_testing.star_voyage import (
     CAMERA_PARAMETERS,
-    EXACT,
+    EXACT_OPTICS,
     FIX,
     FORE,
     HUMIDITY,
@@ -33,15 +33,15 @@ from ship_testing.star_voyage import (
     STARBOARD,
     STARS,
     TEMPERATURE,
-    clean_run,
-    except_,
+    fault_free_run,
+    without_topics,
     new_adapter,
     observations,
-    only,
-    results,
-    sail,
+    with_topics,
+    published_bytes,
+    run_new_adapter,
     solution_rotation,
-    streaked_voyage,
+    voyage_with_streaks,
     true_deck,
     true_sensor,
     voyage,
@@ -62,24 +62,24 @@ def since(message: Any) -> int:
 
 
 def without_ins() -> tuple[Arrival, ...]:
-    return except_(voyage(), INS)
+    return without_topics(voyage(), INS)
 
 
 def simultaneous(*counts: int) -> tuple[Arrival, ...]:
     """Both sensors expose at once, with the given numbers of stars; besides only position and weather."""
-    arrivals = list(only(voyage(), FIX, PRESSURE, TEMPERATURE, HUMIDITY))
+    arrivals = list(with_topics(voyage(), FIX, PRESSURE, TEMPERATURE, HUMIDITY))
     for topic, count in zip((FORE, STARBOARD), counts, strict=True):
         for since_ns in range(PHASE_NS[FORE], SECOND_NS, PERIOD_NS):
             message = observations(topic, since_ns, count=STARS)
             message.stars = message.stars[:count]
             arrivals.append(Arrival(topic, message, START_NS + since_ns + LATENCY_NS))
-    return in_order(arrivals)
+    return sort_by_arrival(arrivals)
 
 
 @pytest.mark.parametrize("topic", [FORE, STARBOARD])
 def test_each_exposure_is_an_attitude_of_its_sensor_exact_to_the_chain(topic: str) -> None:
-    exposures = [arrival.stamp_ns for arrival in only(voyage(), topic)]
-    solutions = clean_run().messages(SOLUTION[topic])
+    exposures = [arrival.stamp_ns for arrival in with_topics(voyage(), topic)]
+    solutions = fault_free_run().messages(SOLUTION[topic])
     assert [stamp_of(message) for message in solutions] == exposures
     for message in solutions:
         error = error_n(message, true_sensor(topic, since(message)))
@@ -92,7 +92,7 @@ def test_each_exposure_is_an_attitude_of_its_sensor_exact_to_the_chain(topic: st
 
 def test_covariances_belong_together() -> None:
     for topic in (*SOLUTION.values(), JOINT):
-        message = clean_run().messages(topic)[3]
+        message = fault_free_run().messages(topic)[3]
         total_n = horizon_covariance(message.rotation_covariance.reshape(3, 3))
         noise_n = horizon_covariance(message.noise_covariance.reshape(3, 3))
         expected = angle_covariance(total_n, message.azimuth, message.elevation)
@@ -103,7 +103,7 @@ def test_covariances_belong_together() -> None:
 
 
 def test_errors_are_consistent_with_the_noise_covariance() -> None:
-    run = sail(voyage(noise=True))
+    run = run_new_adapter(voyage(noise=True))
     nees = [
         normalized_error_squared(
             error_n(message, true_sensor(topic, since(message))),
@@ -117,9 +117,9 @@ def test_errors_are_consistent_with_the_noise_covariance() -> None:
 
 
 def test_the_prior_selects_stars_and_does_not_change_the_attitude() -> None:
-    without = sail(without_ins())
+    without = run_new_adapter(without_ins())
     for name in SOLUTION.values():
-        assert [exactly(m) for m in without.messages(name)] == [exactly(m) for m in clean_run().messages(name)]
+        assert [exact_value(m) for m in without.messages(name)] == [exact_value(m) for m in fault_free_run().messages(name)]
 
 
 def covered_by_ins(messages: list[Any]) -> list[Any]:
@@ -129,9 +129,9 @@ def covered_by_ins(messages: list[Any]) -> list[Any]:
 
 @pytest.mark.parametrize("topic", [FORE, STARBOARD])
 def test_streaks_give_the_attitude_at_the_middle_of_their_exposure(topic: str) -> None:
-    told = covered_by_ins(sail(streaked_voyage()).messages(SOLUTION[topic]))
-    as_seen = covered_by_ins(sail(except_(streaked_voyage(), INS)).messages(SOLUTION[topic]))
-    points = covered_by_ins(clean_run().messages(SOLUTION[topic]))
+    told = covered_by_ins(run_new_adapter(voyage_with_streaks()).messages(SOLUTION[topic]))
+    as_seen = covered_by_ins(run_new_adapter(without_topics(voyage_with_streaks(), INS)).messages(SOLUTION[topic]))
+    points = covered_by_ins(fault_free_run().messages(SOLUTION[topic]))
     assert len(told) == len(points) >= 13
 
     def errors_arcsec(messages: list[Any]) -> FloatArray:
@@ -145,15 +145,15 @@ def test_streaks_give_the_attitude_at_the_middle_of_their_exposure(topic: str) -
 
 
 def test_without_the_ins_streaks_are_used_as_measured_and_this_is_reported() -> None:
-    level, text, _ = status(sail(except_(streaked_voyage(), INS)), "solution fore")
+    level, text, _ = status(run_new_adapter(without_topics(voyage_with_streaks(), INS)), "solution fore")
     assert level == 1
     assert "no rotation of the ship from ins/imu during the exposure of 0.2 s" in text
-    assert "exposure" not in status(sail(without_ins()), "solution fore")[1]
+    assert "exposure" not in status(run_new_adapter(without_ins()), "solution fore")[1]
 
 
 def test_an_exposure_that_the_ins_covers_in_part_is_not_solved() -> None:
     """It lasts from 87 ms before the first sample of the INS to 113 ms after it. Before, it was VALID."""
-    run = sail(streaked_voyage())
+    run = run_new_adapter(voyage_with_streaks())
     first, *others = run.messages(SOLUTION[FORE])
     assert (since(first), first.status) == (PHASE_NS[FORE], SolutionStatus.INVALID)
     assert {message.status for message in others} == {SolutionStatus.VALID}
@@ -161,7 +161,7 @@ def test_an_exposure_that_the_ins_covers_in_part_is_not_solved() -> None:
 
 @pytest.mark.parametrize("topic", [FORE, STARBOARD])
 def test_without_the_ins_the_covariance_holds_the_unmeasured_rotation(topic: str) -> None:
-    messages = sail(except_(streaked_voyage(), INS)).messages(SOLUTION[topic])
+    messages = run_new_adapter(without_topics(voyage_with_streaks(), INS)).messages(SOLUTION[topic])
     assert len(messages) >= 13
     for message in messages:
         error = error_n(message, true_sensor(topic, since(message)))
@@ -170,7 +170,7 @@ def test_without_the_ins_the_covariance_holds_the_unmeasured_rotation(topic: str
 
 
 def test_simultaneous_exposures_make_an_exact_deck_without_any_ins() -> None:
-    run = sail(simultaneous(STARS, STARS), use_ins=False)
+    run = run_new_adapter(simultaneous(STARS, STARS), use_ins=False)
     assert len(run.messages(JOINT)) == 5
     for message in run.messages(JOINT):
         assert np.linalg.norm(error_n(message, true_deck(since(message)))) < EXACT_MAS * MAS
@@ -179,7 +179,7 @@ def test_simultaneous_exposures_make_an_exact_deck_without_any_ins() -> None:
 
 
 def test_exposures_at_different_times_are_propagated_to_one_by_the_ins() -> None:
-    joint = clean_run().messages(JOINT)
+    joint = fault_free_run().messages(JOINT)
     # Each pair once, at the time of its first.
     assert [since(message) for message in joint] == list(range(PHASE_NS[FORE], 3 * SECOND_NS, PERIOD_NS))
     # Without correction, 64 ms of rolling would be up to 2.3°/s x 64 ms = 0.15° = 530″.
@@ -195,18 +195,18 @@ def test_exposures_at_different_times_are_propagated_to_one_by_the_ins() -> None
 
 
 def test_without_ins_exposures_at_different_times_are_not_joined_and_this_is_reported() -> None:
-    run = sail(without_ins())
+    run = run_new_adapter(without_ins())
     stamps = [stamp_of(message) for message in run.messages(JOINT)]
-    assert len(stamps) == len(only(voyage(), FORE, STARBOARD))
+    assert len(stamps) == len(with_topics(voyage(), FORE, STARBOARD))
     assert stamps == sorted(stamps)
     assert {message.star_count for message in run.messages(JOINT)} == {STARS}
     assert status(run, "solution joint")[1].endswith("without ins/imu only exposures within 0.1 ms are joined")
-    assert "without ins/imu" not in status(clean_run(), "solution joint")[1]
+    assert "without ins/imu" not in status(fault_free_run(), "solution joint")[1]
 
 
 def test_the_deck_by_one_sensor_bears_the_error_of_its_mounting() -> None:
-    run = sail(except_(voyage(), STARBOARD))
-    assert len(run.messages(JOINT)) == len(only(voyage(), FORE))
+    run = run_new_adapter(without_topics(voyage(), STARBOARD))
+    assert len(run.messages(JOINT)) == len(with_topics(voyage(), FORE))
     for message in run.messages(JOINT):
         assert np.linalg.norm(error_n(message, true_deck(since(message)))) < EXACT_MAS * MAS
         # 20″ about a boresight 45° up, along the keel: 20 / √2 of heading and of roll each.
@@ -216,18 +216,18 @@ def test_the_deck_by_one_sensor_bears_the_error_of_its_mounting() -> None:
 
 
 def test_a_joint_solution_waits_no_longer_than_it_may() -> None:
-    run = sail(except_(voyage(), STARBOARD), joint__wait_s=0.5)
+    run = run_new_adapter(without_topics(voyage(), STARBOARD), joint__wait_s=0.5)
     since_ns = [time_ns - stamp_of(message) for time_ns, topic, message in run.published if topic == JOINT]
     waits_ns = [ns - LATENCY_NS for ns in since_ns]
     # It waits from its arrival on; the ticks come every 0.1 s.
     assert min(waits_ns) >= 0.5 * SECOND_NS
     assert max(waits_ns) < 0.6 * SECOND_NS
-    both = [time_ns - stamp_of(message) for time_ns, topic, message in clean_run().published if topic == JOINT]
+    both = [time_ns - stamp_of(message) for time_ns, topic, message in fault_free_run().published if topic == JOINT]
     assert max(both) == PHASE_NS[STARBOARD] - PHASE_NS[FORE] + LATENCY_NS
 
 
 def test_one_star_in_each_of_two_sensors_is_an_attitude_of_the_deck_only() -> None:
-    run = sail(simultaneous(1, 1), use_ins=False)
+    run = run_new_adapter(simultaneous(1, 1), use_ins=False)
     for name in SOLUTION.values():
         for message in run.messages(name):
             assert message.status == SolutionStatus.INVALID
@@ -242,9 +242,9 @@ def test_one_star_in_each_of_two_sensors_is_an_attitude_of_the_deck_only() -> No
 
 
 def test_with_the_ins_two_stars_are_enough_to_be_sure() -> None:
-    ins = (arrival for arrival in only(voyage(), INS) if arrival.receive_ns < START_NS + 2 * SECOND_NS)
-    arrivals = in_order([*simultaneous(1, 1), *ins])
-    joint = sail(arrivals).messages(JOINT)
+    ins = (arrival for arrival in with_topics(voyage(), INS) if arrival.receive_ns < START_NS + 2 * SECOND_NS)
+    arrivals = sort_by_arrival([*simultaneous(1, 1), *ins])
+    joint = run_new_adapter(arrivals).messages(JOINT)
     assert {(message.status, message.star_count) for message in joint} == {(SolutionStatus.VALID, 2)}
 
 
@@ -256,11 +256,11 @@ def ins_samples_with_rotation(heading_deg: float) -> tuple[Arrival, ...]:
         rotation_nd = turn @ rotation_from_quaternion(np.array([o.x, o.y, o.z, o.w]))
         o.x, o.y, o.z, o.w = quaternion_from_rotation(rotation_nd).tolist()
 
-    return changed_where(voyage(), lambda arrival: arrival.topic == INS, change)
+    return change_where(voyage(), lambda arrival: arrival.topic == INS, change)
 
 
 def test_an_ins_that_contradicts_all_stars_does_not_reject_them() -> None:
-    run = sail(ins_samples_with_rotation(90.0))
+    run = run_new_adapter(ins_samples_with_rotation(90.0))
     for topic, name in SOLUTION.items():
         for message in run.messages(name):
             assert message.status == SolutionStatus.VALID
@@ -275,11 +275,11 @@ def without_identities(arrivals: tuple[Arrival, ...]) -> tuple[Arrival, ...]:
         for star in message.stars:
             star.catalogue_id = 0
 
-    return changed_where(arrivals, lambda arrival: arrival.topic in SOLUTION, change)
+    return change_where(arrivals, lambda arrival: arrival.topic in SOLUTION, change)
 
 
 def test_stars_without_a_name_are_identified_by_the_ins() -> None:
-    run = sail(without_identities(voyage()))
+    run = run_new_adapter(without_identities(voyage()))
     for topic, name in SOLUTION.items():
         for message in run.messages(name):
             assert message.star_count + message.rejected_count == STARS
@@ -293,17 +293,17 @@ def test_a_detection_without_a_name_is_not_given_that_of_another() -> None:
         again.catalogue_id, again.u = 0, again.u + 0.05
         message.stars.append(again)
 
-    run = sail(changed_where(voyage(), lambda arrival: arrival.topic == FORE, double))
+    run = run_new_adapter(change_where(voyage(), lambda arrival: arrival.topic == FORE, double))
     for message in run.messages(SOLUTION[FORE]):
         assert (message.star_count, message.rejected_count) == (STARS, 1)
-    assert run.reasons(FORE) == {"unidentified": len(only(voyage(), FORE))}
+    assert run.reasons(FORE) == {"unidentified": len(with_topics(voyage(), FORE))}
     assert "matched by two detections" in run.messages("star/innovation")[0].reason_text
 
 
 def test_without_a_name_and_without_an_ins_there_is_no_solution() -> None:
-    run = sail(without_identities(without_ins()))
+    run = run_new_adapter(without_identities(without_ins()))
     assert {message.status for message in run.messages(SOLUTION[FORE])} == {SolutionStatus.INVALID}
-    exposures = len(only(voyage(), FORE))
+    exposures = len(with_topics(voyage(), FORE))
     assert run.reasons(FORE) == {"unidentified": STARS * exposures, "too_few_stars": exposures}
 
 
@@ -319,7 +319,7 @@ def test_a_star_given_by_its_direction_counts_like_one_of_the_catalogue() -> Non
             star.declination = listed.declination + 23.87 * listed.pm_declination
             star.catalogue_id = 0
 
-    run = sail(changed_where(without_ins(), lambda arrival: arrival.topic in SOLUTION, change))
+    run = run_new_adapter(change_where(without_ins(), lambda arrival: arrival.topic in SOLUTION, change))
     for message in run.messages(SOLUTION[FORE]):
         # Their parallaxes are left out: up to 0.1″ of the nearest.
         assert np.linalg.norm(error_n(message, true_sensor(FORE, since(message)))) < 0.1 * ARCSEC
@@ -327,9 +327,9 @@ def test_a_star_given_by_its_direction_counts_like_one_of_the_catalogue() -> Non
 
 
 def test_the_budget_is_the_covariance_of_the_joint_solution_by_source() -> None:
-    budgets = clean_run().messages("star/joint/error_budget")
+    budgets = fault_free_run().messages("star/joint/error_budget")
     assert len(budgets) == 3  # once a second
-    joint = {stamp_of(message): message for message in clean_run().messages(JOINT)}
+    joint = {stamp_of(message): message for message in fault_free_run().messages(JOINT)}
     for budget in budgets:
         assert (budget.quantity, budget.header.frame_id) == ("star_joint", "deck")
         assert budget.sources == [
@@ -340,8 +340,8 @@ def test_the_budget_is_the_covariance_of_the_joint_solution_by_source() -> None:
 
 
 def test_with_a_utc_sigma_the_budget_has_its_entry_and_all_else_is_the_same() -> None:
-    found = sail(voyage(), sky__utc_sigma_s=0.1).messages("star/joint/error_budget")
-    for budget, without in zip(found, clean_run().messages("star/joint/error_budget"), strict=True):
+    found = run_new_adapter(voyage(), sky__utc_sigma_s=0.1).messages("star/joint/error_budget")
+    for budget, without in zip(found, fault_free_run().messages("star/joint/error_budget"), strict=True):
         assert budget.sources == [*without.sources, "utc"]
         parts = np.reshape(budget.covariances, (8, 9))
         np.testing.assert_allclose(parts.sum(axis=0), budget.total, rtol=1e-9)
@@ -351,7 +351,7 @@ def test_with_a_utc_sigma_the_budget_has_its_entry_and_all_else_is_the_same() ->
 
 
 def test_old_budgets_are_not_repeated() -> None:
-    run = drive(new_adapter(), voyage(), until_ns=START_NS + 10 * SECOND_NS)
+    run = run_adapter(new_adapter(), voyage(), until_ns=START_NS + 10 * SECOND_NS)
     assert len(run.messages("star/joint/error_budget")) == 3
 
 
@@ -360,10 +360,10 @@ def test_any_order_within_the_lag_gives_the_same_attitudes_of_the_sensors() -> N
         replace(a, receive_ns=a.receive_ns + (900_000_000 if a.topic == FORE and index % 2 else 0))
         for index, a in enumerate(voyage())
     )
-    run = sail(in_order(delayed))
+    run = run_new_adapter(sort_by_arrival(delayed))
     for name in SOLUTION.values():
         by_stamp = {stamp_of(m): solution_rotation(m) for m in run.messages(name)}
-        for message in clean_run().messages(name):
+        for message in fault_free_run().messages(name):
             np.testing.assert_array_equal(by_stamp[stamp_of(message)], solution_rotation(message))
     joint = [stamp_of(m) for m in run.messages(JOINT)]
     assert all(b > a for a, b in itertools.pairwise(joint))
@@ -372,25 +372,25 @@ def test_any_order_within_the_lag_gives_the_same_attitudes_of_the_sensors() -> N
 
 
 def test_no_exposure_is_in_two_joint_solutions() -> None:
-    for run in (clean_run(), sail(without_ins())):
+    for run in (fault_free_run(), run_new_adapter(without_ins())):
         used = sum(message.star_count for message in run.messages(JOINT))
-        assert used == STARS * len(only(voyage(), FORE, STARBOARD))
+        assert used == STARS * len(with_topics(voyage(), FORE, STARBOARD))
 
 
 def test_after_the_clock_went_back_it_restarts_with_the_same_results() -> None:
     adapter = new_adapter()
-    first = drive(adapter, voyage())
+    first = run_adapter(adapter, voyage())
     adapter.clock_jumped_back(voyage()[0].receive_ns)
-    second = drive(adapter, voyage())
-    assert results(second) == results(first)
+    second = run_adapter(adapter, voyage())
+    assert published_bytes(second) == published_bytes(first)
     assert status(second, "sky")[2]["clock jumps back"] == "1"
 
 
 def test_reset_discards_the_position() -> None:
     adapter = new_adapter()
-    drive(adapter, voyage())
+    run_adapter(adapter, voyage())
     assert adapter.service("reset", START_NS + 4 * SECOND_NS).success
-    again = drive(adapter, only(voyage(), FORE))
+    again = run_adapter(adapter, with_topics(voyage(), FORE))
     assert {message.status for message in again.messages(SOLUTION[FORE])} == {SolutionStatus.INVALID}
 
 
@@ -399,11 +399,11 @@ def test_sigma_of_the_centroid_changes_while_it_runs() -> None:
         for star in message.stars:
             star.sigma_px = 0.0
 
-    exposures = changed_where(voyage(), lambda arrival: arrival.topic in SOLUTION, change)
+    exposures = change_where(voyage(), lambda arrival: arrival.topic in SOLUTION, change)
     # With exact optics the noise of the attitude is in proportion to that of the centroids.
-    before, adapter = drive(new_adapter(**EXACT), voyage()), new_adapter(**EXACT)
+    before, adapter = run_adapter(new_adapter(**EXACT_OPTICS), voyage()), new_adapter(**EXACT_OPTICS)
     adapter.set_parameters({"star_sensors.fore.camera.centroid_sigma_px": 0.08})
-    run = drive(adapter, exposures)
+    run = run_adapter(adapter, exposures)
     fore, starboard = (
         np.trace(run.messages(name)[0].noise_covariance.reshape(3, 3))
         / np.trace(before.messages(name)[0].noise_covariance.reshape(3, 3))
@@ -411,7 +411,7 @@ def test_sigma_of_the_centroid_changes_while_it_runs() -> None:
     )
     assert fore == pytest.approx(4.0, rel=1e-3)
     assert starboard == pytest.approx(1.0, rel=1e-3)
-    assert run.reasons(FORE) == {"covariance_unknown": len(only(voyage(), FORE))}
+    assert run.reasons(FORE) == {"covariance_unknown": len(with_topics(voyage(), FORE))}
     with pytest.raises(ParameterError, match="cannot be changed"):
         adapter.set_parameters({"star_sensors.fore.azimuth_deg": 1.0})
 
@@ -444,7 +444,7 @@ def status(run: Run, name: str) -> tuple[int, str, dict[str, str]]:
 
 def test_an_old_solution_is_reported_as_timed_out() -> None:
     """Exposures end; the last solutions were VALID."""
-    run = drive(new_adapter(), voyage(), until_ns=voyage()[-1].receive_ns + 15 * SECOND_NS)
+    run = run_adapter(new_adapter(), voyage(), until_ns=voyage()[-1].receive_ns + 15 * SECOND_NS)
     for name in ("solution fore", "solution joint"):
         reports = run.diagnostics(name, run.now_ns - 14 * SECOND_NS, run.now_ns)
         assert reports[0] == (0, "VALID")

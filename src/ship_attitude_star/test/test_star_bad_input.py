@@ -17,31 +17,31 @@ from ship_testing.adapter_runs import (
     SECOND_NS,
     START_NS,
     Arrival,
-    added,
+    add_copy,
     changed_copy,
-    changed_where,
-    exactly,
-    in_order,
+    change_where,
+    exact_value,
+    sort_by_arrival,
     index_at,
-    replaced,
+    replace_message,
     stamp_of,
     without,
 )
-from ship_testing.small_voyage import INS, Run, drive, quaternion_message
+from ship_testing.small_voyage import INS, Run, run_adapter, quaternion_message
 from ship_testing.small_voyage import voyage as small_voyage
 from ship_testing.star_bad_input import (
-    DROPPED,
+    REJECTED_MESSAGES,
     FORE_SOLUTION,
     SOURCE,
     REJECTED_STARS,
     Change,
-    ahead,
-    put,
-    star,
-    without_star,
+    stamp_ahead,
+    set_field,
+    set_star_fields,
+    remove_star,
 )
 from ship_testing.star_voyage import (
-    EXACT,
+    EXACT_OPTICS,
     FIX,
     FORE,
     HUMIDITY,
@@ -50,12 +50,12 @@ from ship_testing.star_voyage import (
     STARBOARD,
     STARS,
     TEMPERATURE,
-    clean_run,
-    except_,
+    fault_free_run,
+    without_topics,
     new_adapter,
-    only,
-    results,
-    sail,
+    with_topics,
+    published_bytes,
+    run_new_adapter,
     solution_rotation,
     true_sensor,
     voyage,
@@ -67,16 +67,16 @@ DAY_NS = 86_400 * SECOND_NS
 
 @functools.cache
 def run_without(topic: str) -> Run:
-    return sail(without(voyage(), index_at(voyage(), topic, MOMENT_S)))
+    return run_new_adapter(without(voyage(), index_at(voyage(), topic, MOMENT_S)))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("topic", "change", "reason", "text"), [c[1:] for c in DROPPED], ids=[c[0] for c in DROPPED])
+@pytest.mark.parametrize(("topic", "change", "reason", "text"), [c[1:] for c in REJECTED_MESSAGES], ids=[c[0] for c in REJECTED_MESSAGES])
 def test_a_bad_message_is_told_and_changes_nothing(topic: str, change: Change, reason: str, text: str) -> None:
     index = index_at(voyage(), topic, MOMENT_S)
-    run = sail(replaced(voyage(), index, change))
+    run = run_new_adapter(replace_message(voyage(), index, change))
 
-    assert results(run) == results(run_without(topic))
+    assert published_bytes(run) == published_bytes(run_without(topic))
     assert_reported_once(run, topic, reason, text, voyage()[index].receive_ns)
 
 
@@ -110,12 +110,12 @@ def innovations(run: Run, reason: Reason) -> list[Any]:
 )
 def test_a_bad_star_alone_is_refused(change: Change, reason: Reason, text: str) -> None:
     index = index_at(voyage(), FORE, MOMENT_S)
-    run, expected = sail(replaced(voyage(), index, change)), sail(replaced(voyage(), index, without_star(3)))
+    run, expected = run_new_adapter(replace_message(voyage(), index, change)), run_new_adapter(replace_message(voyage(), index, remove_star(3)))
 
     for message in run.messages(FORE_SOLUTION):
         # Nothing but the count of what was refused tells the two runs apart.
         message.rejected_count -= stamp_of(message) == voyage()[index].stamp_ns
-    assert results(run) == results(expected)
+    assert published_bytes(run) == published_bytes(expected)
     assert run.reasons(FORE) == {reason.name.lower(): 1}
     assert run.health(FORE).rejected == 0
     (innovation,) = innovations(run, reason)
@@ -132,8 +132,8 @@ def test_a_false_star_is_named_with_its_angle(ins: bool) -> None:
     index = index_at(voyage(), FORE, MOMENT_S)
     u, v = (getattr(voyage()[index].message.stars[2], name) for name in "uv")
     # 3 px right and 4 px down: 5 px of 82.5″, less off axis.
-    arrivals = replaced(voyage(), index, star(2, u=u + 3.0, v=v + 4.0))
-    run = sail(arrivals if ins else except_(arrivals, INS), **EXACT)
+    arrivals = replace_message(voyage(), index, set_star_fields(2, u=u + 3.0, v=v + 4.0))
+    run = run_new_adapter(arrivals if ins else without_topics(arrivals, INS), **EXACT_OPTICS)
     (innovation,) = innovations(run, Reason.MISIDENTIFIED)
     hip = voyage()[index].message.stars[2].catalogue_id
     assert innovation.reason_text.startswith(f"HIP {hip}: ")
@@ -156,7 +156,7 @@ def test_two_stars_with_each_other_s_name_are_both_refused() -> None:
     def swap(message: Any) -> None:
         message.stars[0].catalogue_id, message.stars[5].catalogue_id = second, first
 
-    run = sail(replaced(voyage(), index, swap))
+    run = run_new_adapter(replace_message(voyage(), index, swap))
     named = {message.reason_text.split(":")[0] for message in innovations(run, Reason.MISIDENTIFIED)}
     assert named == {f"HIP {first}", f"HIP {second}"}
     assert solution_at(run, index).star_count == STARS - 2
@@ -164,11 +164,11 @@ def test_two_stars_with_each_other_s_name_are_both_refused() -> None:
 
 def test_a_star_seen_twice_counts_once() -> None:
     index = index_at(voyage(), FORE, MOMENT_S)
-    run = sail(replaced(voyage(), index, lambda message: message.stars.append(message.stars[0])))
+    run = run_new_adapter(replace_message(voyage(), index, lambda message: message.stars.append(message.stars[0])))
     assert solution_at(run, index).star_count == STARS
     assert run.reasons(FORE) == {"duplicate": 1}
-    expected, given = solution_at(clean_run(), index), solution_at(run, index)
-    assert exactly(given.rotation_covariance) == exactly(expected.rotation_covariance)
+    expected, given = solution_at(fault_free_run(), index), solution_at(run, index)
+    assert exact_value(given.rotation_covariance) == exact_value(expected.rotation_covariance)
 
 
 # -- the same again, late, standing still ---------------------------------------------------------------------
@@ -176,8 +176,8 @@ def test_a_star_seen_twice_counts_once() -> None:
 
 def test_the_same_exposure_again_is_dropped() -> None:
     index = index_at(voyage(), FORE, MOMENT_S)
-    run = sail(added(voyage(), index, lambda message: None, voyage()[index].receive_ns + 20_000_000))
-    assert results(run) == results(clean_run())
+    run = run_new_adapter(add_copy(voyage(), index, lambda message: None, voyage()[index].receive_ns + 20_000_000))
+    assert published_bytes(run) == published_bytes(fault_free_run())
     assert run.reasons(FORE) == {"duplicate": 1}
 
 
@@ -186,11 +186,11 @@ def test_mend_08_of_two_exposures_of_one_stamp_neither_holds_nor_do_those_after_
     """A sensor that contradicts itself gives no attitude until it has agreed with itself for ten seconds."""
     index = index_at(voyage(), FORE, MOMENT_S)
     mine = voyage()[index]
-    pair = mine, changed_copy(mine, star(0, u=17.0))
+    pair = mine, changed_copy(mine, set_star_fields(0, u=17.0))
     runs = []
     for first, second in itertools.permutations(pair):
         second = replace(second, receive_ns=mine.receive_ns + apart_ns)
-        runs.append(sail(in_order((*without(voyage(), index), first, second))))
+        runs.append(run_new_adapter(sort_by_arrival((*without(voyage(), index), first, second))))
     for run in runs:
         told, *after = innovations(run, Reason.CONFLICT)
         assert told.reason_text == "the same stamp with different content: do two sensors publish on one topic?"
@@ -204,7 +204,7 @@ def test_mend_08_of_two_exposures_of_one_stamp_neither_holds_nor_do_those_after_
         assert held == {a.stamp_ns: 3 * (a in exposures) for a in of_sensor}
         assert run.messages("star/starboard/solution")[-1].status == 0
         assert run.messages("star/joint/solution")[-1].status == 0
-    joint = [[exactly(message) for message in run.messages("star/joint/solution")] for run in runs]
+    joint = [[exact_value(message) for message in run.messages("star/joint/solution")] for run in runs]
     assert (joint[0] == joint[1]) == (apart_ns < 64_000_000)
     late = [run.reasons(FORE).get("late", 0) for run in runs]
     assert late == ([0, 0] if apart_ns < 64_000_000 else [1, 1])
@@ -212,27 +212,27 @@ def test_mend_08_of_two_exposures_of_one_stamp_neither_holds_nor_do_those_after_
 
 def test_a_fix_with_the_same_stamp_and_another_place_is_told() -> None:
     index = index_at(voyage(), FIX, 0.5)
-    run = sail(added(voyage(), index, put("latitude", 32.0), voyage()[index].receive_ns + 1))
+    run = run_new_adapter(add_copy(voyage(), index, set_field("latitude", 32.0), voyage()[index].receive_ns + 1))
     assert run.reasons(FIX) == {"conflict": 1}
 
 
 def test_an_exposure_beyond_the_lag_is_dropped() -> None:
     index = index_at(voyage(), FORE, 0.2)
     late = replace(voyage()[index], receive_ns=voyage()[index].receive_ns + round(2.5 * SECOND_NS))
-    run = sail(in_order([*without(voyage(), index), late]))
-    assert results(run) == results(sail(without(voyage(), index)))
+    run = run_new_adapter(sort_by_arrival([*without(voyage(), index), late]))
+    assert published_bytes(run) == published_bytes(run_new_adapter(without(voyage(), index)))
     assert run.reasons(FORE) == {"late": 1}
     assert "more than lag_s = 2" in innovations(run, Reason.LATE)[0].reason_text
 
 
 def test_a_frozen_camera_is_found_while_the_ship_moves() -> None:
-    stars = only(voyage(5.0), FORE)[2].message.stars
-    frozen = changed_where(
+    stars = with_topics(voyage(5.0), FORE)[2].message.stars
+    frozen = change_where(
         voyage(5.0),
         lambda a: a.topic == FORE and a.stamp_ns > START_NS + SECOND_NS // 2,
         lambda m: setattr(m, "stars", stars),
     )
-    run = sail(frozen)
+    run = run_new_adapter(frozen)
     # Stamps from 0.513 s to 4.813 s: the first three exposures are not frozen, and half a second is not judged.
     assert run.reasons(FORE)["stuck"] == 19
     assert "stand still on the detector" in innovations(run, Reason.STUCK)[0].reason_text
@@ -244,21 +244,21 @@ def test_the_ins_in_degrees_per_second_is_left_out() -> None:
         for axis in "xyz":
             setattr(message.angular_velocity, axis, float(np.rad2deg(getattr(message.angular_velocity, axis))))
 
-    ins = changed_where(ins_only(8.0), lambda arrival: True, degrees)
-    run = drive(new_adapter(), ins)
+    ins = change_where(ins_only(8.0), lambda arrival: True, degrees)
+    run = run_adapter(new_adapter(), ins)
     assert set(run.reasons(INS)) == {"units"}
     assert "degrees for radians" in innovations(run, Reason.UNITS)[0].reason_text
 
 
 def ins_only(duration_s: float) -> tuple[Arrival, ...]:
-    return only(small_voyage(duration_s), INS)
+    return with_topics(small_voyage(duration_s), INS)
 
 
 # -- no place, no air, no Earth orientation -------------------------------------------------------------------
 
 
 def assert_rejected_without_attitude(run: Run, reason: Reason, text: str) -> None:
-    exposures = len(only(voyage(), FORE))
+    exposures = len(with_topics(voyage(), FORE))
     for name in (FORE_SOLUTION, "star/starboard/solution", "star/joint/solution"):
         assert {message.status for message in run.messages(name)} == {SolutionStatus.INVALID}
     assert len(run.messages(FORE_SOLUTION)) == exposures
@@ -268,38 +268,38 @@ def assert_rejected_without_attitude(run: Run, reason: Reason, text: str) -> Non
 
 
 def test_without_a_fix_there_is_no_attitude() -> None:
-    assert_rejected_without_attitude(sail(except_(voyage(), FIX)), Reason.NO_FIX, "no position fix received yet")
+    assert_rejected_without_attitude(run_new_adapter(without_topics(voyage(), FIX)), Reason.NO_FIX, "no position fix received yet")
 
 
 def test_a_fix_older_than_a_minute_is_none() -> None:
     def old(seconds: float) -> tuple[Arrival, ...]:
-        return in_order(
-            replace(changed_copy(a, ahead(-seconds)), receive_ns=a.receive_ns - round(seconds * SECOND_NS))
+        return sort_by_arrival(
+            replace(changed_copy(a, stamp_ahead(-seconds)), receive_ns=a.receive_ns - round(seconds * SECOND_NS))
             if a.topic == FIX
             else a
             for a in voyage()
         )
 
-    assert_rejected_without_attitude(sail(old(64.0)), Reason.NO_FIX, "older: more than fix_max_age_s = 60")
-    young = sail(old(50.0))
+    assert_rejected_without_attitude(run_new_adapter(old(64.0)), Reason.NO_FIX, "older: more than fix_max_age_s = 60")
+    young = run_new_adapter(old(50.0))
     assert {message.status for message in young.messages(FORE_SOLUTION)} == {SolutionStatus.VALID}
     # Fifty seconds ahead by fixes of four seconds: the ship may have turned, ½ · 0.1 m/s² · 48 s · 52 s = 125 m = 4.0″.
-    about_east = [run.messages(FORE_SOLUTION)[0].rotation_covariance[0] for run in (young, clean_run())]
+    about_east = [run.messages(FORE_SOLUTION)[0].rotation_covariance[0] for run in (young, fault_free_run())]
     assert np.sqrt(about_east[0] - about_east[1]) / ARCSEC == pytest.approx(4.04, abs=0.05)
 
 
 def test_beyond_the_table_of_earth_orientation_there_is_no_attitude() -> None:
     shift_ns = earth_orientation_table().last_ns + 40 * DAY_NS - START_NS
     later = tuple(
-        replace(changed_copy(a, ahead(shift_ns / SECOND_NS)), receive_ns=a.receive_ns + shift_ns) for a in voyage()
+        replace(changed_copy(a, stamp_ahead(shift_ns / SECOND_NS)), receive_ns=a.receive_ns + shift_ns) for a in voyage()
     )
-    assert_rejected_without_attitude(sail(later), Reason.NO_EARTH_ORIENTATION, "")
+    assert_rejected_without_attitude(run_new_adapter(later), Reason.NO_EARTH_ORIENTATION, "")
 
 
 @pytest.mark.slow
 def test_without_weather_refraction_is_less_well_known_and_it_says_so() -> None:
-    run = sail(except_(voyage(), PRESSURE, TEMPERATURE, HUMIDITY))
-    message, clean = run.messages(FORE_SOLUTION)[0], clean_run().messages(FORE_SOLUTION)[0]
+    run = run_new_adapter(without_topics(voyage(), PRESSURE, TEMPERATURE, HUMIDITY))
+    message, clean = run.messages(FORE_SOLUTION)[0], fault_free_run().messages(FORE_SOLUTION)[0]
     assert message.status == SolutionStatus.VALID
     # 45° up: 10 K are 2″ and 15 hPa 0.9″ of elevation; a kelvin and half a hectopascal 0.2″.
     more = np.sqrt(message.covariance[4] - clean.covariance[4]) / ARCSEC
@@ -313,7 +313,7 @@ def test_a_night_of_clouds_is_no_fault() -> None:
     def nothing(message: Any) -> None:
         message.stars = []
 
-    run = sail(changed_where(voyage(), lambda a: a.topic == FORE, nothing))
+    run = run_new_adapter(change_where(voyage(), lambda a: a.topic == FORE, nothing))
     assert {message.status for message in run.messages(FORE_SOLUTION)} == {SolutionStatus.INVALID}
     assert {message.star_count for message in run.messages("star/joint/solution")} == {STARS}
     assert run.health(FORE).rejected == 0
@@ -326,8 +326,8 @@ def test_mend_07_another_noise_of_the_ins_reaches_its_guard() -> None:
         rotation_nd = rotation_from_quaternion(np.array([getattr(message.orientation, axis) for axis in "xyzw"]))
         message.orientation = quaternion_message(exp_rotation(np.array([0.0, 60.0, 0.0]) * ARCSEC) @ rotation_nd)
 
-    spoilt = replaced(ins_only(5.0), index_at(ins_only(5.0), INS, 4.0), off)
+    spoilt = replace_message(ins_only(5.0), index_at(ins_only(5.0), INS, 4.0), off)
     for white_arcsec, reasons in ((1.0, {"gate": 1}), (20.0, {})):
-        adapter = drive(new_adapter(), spoilt[:50]).adapter
+        adapter = run_adapter(new_adapter(), spoilt[:50]).adapter
         adapter.set_parameters({"ins.white_sigma_arcsec": white_arcsec})
-        assert drive(adapter, spoilt[50:]).reasons(INS) == reasons
+        assert run_adapter(adapter, spoilt[50:]).reasons(INS) == reasons

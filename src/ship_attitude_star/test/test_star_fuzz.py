@@ -7,9 +7,9 @@ import pytest
 
 from ship_node.live.adapter_calls import message_bytes
 from ship_testing.adapter_runs import SECOND_NS, START_NS, stamp_of
-from ship_testing.garbage import paths, spoil
-from ship_testing.small_voyage import drive
-from ship_testing.star_voyage import FIX, FORE, INS, PRESSURE, STARBOARD, new_adapter, results, voyage
+from ship_testing.garbage import paths, put_garbage
+from ship_testing.small_voyage import run_adapter
+from ship_testing.star_voyage import FIX, FORE, INS, PRESSURE, STARBOARD, new_adapter, published_bytes, voyage
 
 ROUNDS, MIXED_IN = 3, 12
 
@@ -31,7 +31,7 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
                 # Earlier by some milliseconds, or each were but the second with its stamp; in the last round some are.
                 earlier_ns = stamp_of(bad) - 1_000_000 * (copy + (round_ < ROUNDS - 1))
                 bad.header.stamp.sec, bad.header.stamp.nanosec = divmod(earlier_ns, SECOND_NS)
-                spoil(bad, fields[arrival.topic], rng)
+                put_garbage(bad, fields[arrival.topic], rng)
                 published += adapter.handle(arrival.topic, bad, arrival.receive_ns)
                 tried += 1
             published += adapter.tick(arrival.receive_ns)
@@ -48,4 +48,4 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
     assert reasons[INS] >= {"bad_quaternion", "non_finite", "frame"}
 
     adapter.clock_jumped_back(START_NS)
-    assert results(drive(adapter, voyage())) == results(drive(new_adapter(), voyage()))
+    assert published_bytes(run_adapter(adapter, voyage())) == published_bytes(run_adapter(new_adapter(), voyage()))

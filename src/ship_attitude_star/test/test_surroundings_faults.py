@@ -9,13 +9,13 @@ import pytest
 from ship_estimation.outcome import Status
 from ship_estimation.refusals import Reason
 from ship_testing import ship_observations, star_voyage
-from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_where, delayed, in_order
+from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, change_where, delay_arrivals, sort_by_arrival
 from ship_testing.small_voyage import INS
-from ship_testing.star_voyage import FIX, FORE, PRESSURE, STARBOARD, except_, fix
+from ship_testing.star_voyage import FIX, FORE, PRESSURE, STARBOARD, without_topics, fix
 from ship_testing.star_voyage import voyage as short_voyage
 
 Change = Callable[[Any], None]
-NODES = {"ship_attitude": ship_observations.sail, "star_attitude": star_voyage.sail}
+NODES = {"ship_attitude": ship_observations.run_new_adapter, "star_attitude": star_voyage.run_new_adapter}
 
 
 def offset_by(field: str, by: float) -> Change:
@@ -50,7 +50,7 @@ def is_hit(arrival: Arrival, topic: str) -> bool:
 @pytest.mark.parametrize("fault", FAULTS)
 def test_jumps_are_reported_and_change_nothing(node: str, fault: str) -> None:
     topic, change = FAULTS[fault]
-    run = NODES[node](changed_where(voyage(), lambda arrival: is_hit(arrival, topic), change))
+    run = NODES[node](change_where(voyage(), lambda arrival: is_hit(arrival, topic), change))
     without = NODES[node]([arrival for arrival in voyage() if not is_hit(arrival, topic)])
     assert run.results() == without.results()
     assert run.reasons(topic) == {"jump": 2}
@@ -61,7 +61,7 @@ def test_jumps_are_reported_and_change_nothing(node: str, fault: str) -> None:
 
 def test_the_attitude_stays_valid() -> None:
     topic, change = FAULTS["1 km south"]
-    run = ship_observations.sail(changed_where(voyage(), lambda arrival: is_hit(arrival, topic), change))
+    run = ship_observations.run_new_adapter(change_where(voyage(), lambda arrival: is_hit(arrival, topic), change))
     # Later than half a second: before, both sensors are not in use yet, and there is no INS sample.
     later = [m.status for ns, t, m in run.published if t == "ship/attitude" and ns > START_NS + SECOND_NS // 2]
     assert set(later) == {Status.VALID}
@@ -72,7 +72,7 @@ def test_the_attitude_stays_valid() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_any_order_within_the_lag_gives_the_same_state(seed: int) -> None:
-    wrong = changed_where(
+    wrong = change_where(
         voyage(),
         # A glitch of one fix and of the last one; the fixes between are compared with the right ones.
         lambda arrival: arrival.topic == FIX and arrival.stamp_ns in (START_NS, START_NS + 2 * SECOND_NS),
@@ -80,8 +80,8 @@ def test_any_order_within_the_lag_gives_the_same_state(seed: int) -> None:
     )
     late = np.array([arrival.topic in (FIX, PRESSURE, FORE, STARBOARD, INS) for arrival in wrong])
     delays_s = np.where(late, np.random.default_rng(seed).uniform(0.0, 1.99, late.size), 0.005)
-    run = ship_observations.sail(delayed(wrong, delays_s))
-    ordered = ship_observations.sail(delayed(wrong, np.full(late.size, 0.005)))
+    run = ship_observations.run_new_adapter(delay_arrivals(wrong, delays_s))
+    ordered = ship_observations.run_new_adapter(delay_arrivals(wrong, np.full(late.size, 0.005)))
     assert ordered.reasons(FIX) == {"jump": 2}
     assert run.state() == ordered.state()
 
@@ -100,8 +100,8 @@ def test_a_first_position_that_others_contradict_is_replaced_by_ten_of_them(node
         for since_ns in range(first_ns, 5 * SECOND_NS, period_ns)
     ]
     good_ns, settled_ns = (START_NS + first_ns + count * period_ns for count in (5, 14))
-    fixes = changed_where(fixes, lambda arrival: arrival.stamp_ns < good_ns, to_zero)
-    run = NODES[node](in_order([*except_(short_voyage(5.0), FIX), *fixes]))
+    fixes = change_where(fixes, lambda arrival: arrival.stamp_ns < good_ns, to_zero)
+    run = NODES[node](sort_by_arrival([*without_topics(short_voyage(5.0), FIX), *fixes]))
     assert run.reasons(FIX) == {"jump": 9}
     assert "10 in a row are consistent" in run.innovations(Reason.JUMP)[0].reason_text
     output, valid = ("ship/attitude", Status.VALID) if node == "ship_attitude" else ("star/fore/solution", 0)

@@ -24,12 +24,12 @@ from ship_testing.adapter_runs import (
     Arrival,
     changed_copy,
     hand_over,
-    in_order,
+    sort_by_arrival,
     stamp_of,
 )
 from ship_testing.ship_observations import config as observing
-from ship_testing.small_voyage import FORE, INS, Run, attitude, cut, new_adapter, rotation_of, voyage
-from ship_testing.star_voyage import except_
+from ship_testing.small_voyage import FORE, INS, Run, attitude, remove_interval, new_adapter, rotation_of, voyage
+from ship_testing.star_voyage import without_topics
 from ship_testing.star_voyage import new_adapter as new_star_attitude
 from ship_testing.star_voyage import voyage as voyage_of_stars
 
@@ -190,7 +190,7 @@ def test_estimated_ins_errors_are_kept() -> None:
 @pytest.mark.parametrize("step_s", [-300.0, -1.0])
 def test_a_step_while_a_star_sensor_is_out(step_s: float) -> None:
     off_ns = clock((20.0, step_s))
-    run = run_with_clocks(new_adapter(), cut(long_voyage(), 15.0, 30.0, FORE), off_ns)
+    run = run_with_clocks(new_adapter(), remove_interval(long_voyage(), 15.0, 30.0, FORE), off_ns)
     assert not_valid_s(run, 20.0) < 2.0
     assert_attitudes_correct(run, off_ns)
 
@@ -199,7 +199,7 @@ def test_a_step_while_a_star_sensor_is_out(step_s: float) -> None:
 @pytest.mark.parametrize("step_s", [-300.0, 900.0])
 def test_a_step_during_an_ins_timeout(step_s: float) -> None:
     off_ns = clock((20.0, step_s))
-    run = run_with_clocks(new_adapter(), cut(long_voyage(), 18.0, 25.0, INS), off_ns)
+    run = run_with_clocks(new_adapter(), remove_interval(long_voyage(), 18.0, 25.0, INS), off_ns)
     assert not_valid_s(run, 25.0) < 2.0
     assert len(steps(run)) == 1
 
@@ -211,7 +211,7 @@ def test_one_clock_alone_comes_back_by_itself(alone: str, until_s: float) -> Non
     arrivals = voyage(until_s + 10.0)
     stepped = shift_stamps([a for a in arrivals if a.topic == alone], clock((5.0, -300.0), (until_s, 0.0)))
     run = Run(new_adapter())
-    hand_over(run, in_order([*stepped, *(a for a in arrivals if a.topic != alone)]))
+    hand_over(run, sort_by_arrival([*stepped, *(a for a in arrivals if a.topic != alone)]))
     assert steps(run) == []
     assert run.reasons(alone)["late"] >= 50
     assert not_valid_s(run, until_s) < 2.0
@@ -224,7 +224,7 @@ def test_one_clock_alone_comes_back_by_itself(alone: str, until_s: float) -> Non
 def observation_voyage(duration_s: float = 40.0) -> tuple[Arrival, ...]:
     """Single stars, position fixes and weather with the INS."""
     ins = [arrival for arrival in voyage(duration_s) if arrival.topic == INS]
-    return in_order([*except_(voyage_of_stars(duration_s), INS), *ins])
+    return sort_by_arrival([*without_topics(voyage_of_stars(duration_s), INS), *ins])
 
 
 @pytest.mark.slow
@@ -287,7 +287,7 @@ def test_an_ins_that_drifted_until_stars_return_cannot_verify_utc() -> None:
     """Stars are missing from the step on for 25 s, in which the INS may have drifted by more than the sky rotation."""
     drifting = {"frame_id": "ins", "tilt_time_s": 60.0, "heading_time_s": 60.0}
     off_ns = clock((10.0, -1.0))
-    dark = cut(observation_voyage(), 9.5, 35.0, "star/fore/observations", "star/starboard/observations")
+    dark = remove_interval(observation_voyage(), 9.5, 35.0, "star/fore/observations", "star/starboard/observations")
     run = run_with_clocks(ShipAttitudeAdapter(observing(ins=drifting), FACTORY), dark, off_ns, live=True)
     assert run.adapter.core.state.utc is None
     assert not_valid_s(run, 35.0) < 2.0

@@ -10,8 +10,8 @@ from ship_attitude_star.measurements.samples import Horizon
 from ship_bags.stamps import make_header
 from ship_estimation.outcome import Status
 from ship_geometry.rotations import ARCSEC
-from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, Arrival, in_order
-from ship_testing.small_voyage import Run, drive, new_adapter, voyage
+from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, Arrival, sort_by_arrival
+from ship_testing.small_voyage import Run, run_adapter, new_adapter, voyage
 
 TOPIC = "gravity/deflection"
 END_NS = START_NS + 5 * SECOND_NS
@@ -30,7 +30,7 @@ def deflection_message(since_s: float, xi_arcsec: float, eta_arcsec: float, sigm
 
 def run_with(*messages: Arrival, **parameters: Any) -> Run:
     adapter = new_adapter(gravity__deflection="topic", **parameters)
-    return drive(adapter, in_order([*voyage(), *messages]), END_NS)
+    return run_adapter(adapter, sort_by_arrival([*voyage(), *messages]), END_NS)
 
 
 def test_a_received_deflection_is_published_with_the_correction_by_stars() -> None:
@@ -55,7 +55,7 @@ def test_budget_holds_the_deflection_and_adds_up() -> None:
 
 
 def test_without_the_parameter_the_topic_is_not_read_and_nothing_is_published() -> None:
-    run = drive(new_adapter(), voyage(), END_NS)
+    run = run_adapter(new_adapter(), voyage(), END_NS)
     assert not run.messages("ship/deflection")
     assert not run.diagnostics("vertical", START_NS, END_NS)
     assert TOPIC not in {known.topic for known in new_adapter().inputs}

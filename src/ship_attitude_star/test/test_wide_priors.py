@@ -25,8 +25,8 @@ from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.ros_axes import rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, left_jacobian, log_rotation
-from ship_testing.adapter_runs import START_NS, changed_where, stamp_of
-from ship_testing.ship_observations import sail
+from ship_testing.adapter_runs import START_NS, change_where, stamp_of
+from ship_testing.ship_observations import run_new_adapter
 from ship_testing.small_voyage import INS, quaternion_message
 from ship_testing.star_sky import ROTATION_ND, SENSORS, SIGMA, TIME_NS, configuration, exposure_of, ins_track, sky_at_anchor
 from ship_testing.star_voyage import true_deck, voyage
@@ -237,8 +237,8 @@ def test_mend_11_no_valid_attitude_is_wrong_where_the_ins_is_off_as_stated(off_d
         rotation_nd = rotation_from_quaternion(np.array([q.x, q.y, q.z, q.w]))
         message.orientation = quaternion_message(exp_rotation(np.deg2rad([0.0, off_deg, 0.0])) @ rotation_nd)
 
-    arrivals = changed_where(voyage(3.0, noise=True), lambda arrival: arrival.topic == INS, turned)
-    run = sail(arrivals, ins={"frame_id": "ins", "heading_sigma_arcsec": 3.0 * DEGREE})
+    arrivals = change_where(voyage(3.0, noise=True), lambda arrival: arrival.topic == INS, turned)
+    run = run_new_adapter(arrivals, ins={"frame_id": "ins", "heading_sigma_arcsec": 3.0 * DEGREE})
     valid = [message for message in run.messages("ship/attitude") if message.status == Status.VALID]
     assert len(valid) > 50
     for message in valid:

@@ -16,7 +16,7 @@ from ship_node.edge.topics import InputTopic
 from ship_replay.offline.adapter_chain import suite_chain
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
-from ship_testing.bag_parts import beginning
+from ship_testing.bag_parts import write_beginning
 from ship_testing.black_boxes import LENGTH_NS, OPTICAL_AXIS, SHIP_ATTITUDE, make_box
 from ship_watch.limits import Limits, MachineLimits
 
@@ -45,7 +45,7 @@ def chain_and_inputs(path):
 @pytest.mark.parametrize("name", ["demo", "theodolite"])
 def test_record_size_is_within_the_estimate(name, tmp_path):
     """Inputs and outputs of the suite, written as by ``record``: a chunk every tenth of a second."""
-    path = beginning(ROOT / "bags" / f"{name}.mcap", tmp_path / "in.mcap", 8.0)
+    path = write_beginning(ROOT / "bags" / f"{name}.mcap", tmp_path / "in.mcap", 8.0)
     chain, heard, records, seconds = chain_and_inputs(path)
     replay(path, tmp_path / "out.mcap", ADAPTERS)
     written = tmp_path / "record.mcap"

@@ -11,7 +11,7 @@ from ship_estimation.ins_guard import InsCheck, CheckedInsSample
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, ExtraNoise
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_testing.every_case import check_every_case
-from ship_testing.ins_streams import CALM, STORM, SWELL, Angles, stepped, stream
+from ship_testing.ins_streams import CALM, STORM, SWELL, Angles, with_step, stream
 
 NOTHING_LATE = AttitudeTrack(500_000_000)
 HOURS = float(os.environ.get("NOISE_HOURS", "0.5"))
@@ -115,7 +115,7 @@ def test_healthy_streams_have_no_excess() -> None:
 def test_steps_are_not_noise(amplitude_deg: Angles) -> None:
     samples = stream(60.0, 20.0, amplitude_deg)
     for number, first in enumerate(range(500, 1200, 60)):
-        samples = stepped(samples, first, (0.0, 40.0 * (-1.0) ** number, 0.0), first + 30)
+        samples = with_step(samples, first, (0.0, 40.0 * (-1.0) ** number, 0.0), first + 30)
     assert changes(samples) == []
 
 

@@ -14,7 +14,7 @@ from ship_estimation.ins_guard import InsCheck
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
-from ship_testing.ins_streams import CALM, STORM, SWELL, stepped, stream
+from ship_testing.ins_streams import CALM, STORM, SWELL, with_step, stream
 
 RATES_HZ = (20.0, 50.0, 100.0, 200.0)
 LEARNT_S = 16.0
@@ -80,7 +80,7 @@ def test_steps_from_fourteen_sigma_on_are_detected_at_the_sample(rate_hz: float,
     samples, first = stream(LEARNT_S + 1.0, rate_hz, **motion), number_at(rate_hz)
     for axis, arcsec in ((0, 14.0), (1, 14.0), (2, -20.0), (1, 30.0), (0, 100.0), (1, 300.0)):
         step = tuple(arcsec * np.eye(3)[axis])
-        changed = stepped(samples, first, step)
+        changed = with_step(samples, first, step)
         found = check_stream(changed)
         assert found.refused == list(range(first, first + 5))
         assert list(found.jumps) == [first + 5]
@@ -95,7 +95,7 @@ def test_smaller_steps_are_detected_within_a_fifth_of_a_second(rate_hz: float, l
     for seed in range(40):
         step = np.random.default_rng(seed).standard_normal(3)
         arcsec_n = tuple(least_arcsec * step / np.linalg.norm(step))
-        changed = stepped(stream(LEARNT_S + 1.0, rate_hz, seed=seed), first, arcsec_n)
+        changed = with_step(stream(LEARNT_S + 1.0, rate_hz, seed=seed), first, arcsec_n)
         found = check_stream(changed)
         assert len(found.jumps) == 1, seed
         # After a rejection the consistent samples are counted again.
@@ -112,7 +112,7 @@ def test_smaller_steps_are_detected_within_a_fifth_of_a_second(rate_hz: float, l
 @pytest.mark.parametrize("arcsec", [14.0, 30.0, 300.0])
 def test_a_step_that_goes_back_is_a_glitch(rate_hz: float, length: int, arcsec: float) -> None:
     first = number_at(rate_hz)
-    found = check_stream(stepped(stream(LEARNT_S + 1.0, rate_hz), first, (0.0, arcsec, 0.0), first + length))
+    found = check_stream(with_step(stream(LEARNT_S + 1.0, rate_hz), first, (0.0, arcsec, 0.0), first + length))
     assert found.refused == list(range(first, first + length))
     assert not found.jumps
 
@@ -123,7 +123,7 @@ def test_steps_of_an_ins_with_a_resolution_of_a_hundredth_of_a_degree_are_detect
     rate_hz: float, arcsec: float
 ) -> None:
     first = number_at(rate_hz)
-    changed = stepped(stream(LEARNT_S + 1.0, rate_hz, printed_deg=0.01), first, (0.0, arcsec, 0.0))
+    changed = with_step(stream(LEARNT_S + 1.0, rate_hz, printed_deg=0.01), first, (0.0, arcsec, 0.0))
     found = check_stream(changed)
     assert found.refused == list(range(first, first + 5))
     assert_inflated(found, changed, first, (0.0, arcsec, 0.0))
@@ -150,7 +150,7 @@ def test_occasionally_missing_rates_do_not_end_the_line(missing: str) -> None:
     samples, first = stream(LEARNT_S + 1.0, 100.0), number_at(100.0)
     gone = None if missing == "none" else np.full(3, np.nan)
     samples = [replace(s, rate_d=gone) if n % 7 == 3 and abs(n - first) > 1 else s for n, s in enumerate(samples)]
-    changed = stepped(samples, first, (0.0, 14.0, 0.0))
+    changed = with_step(samples, first, (0.0, 14.0, 0.0))
     found = check_stream(changed)
     assert first <= min(found.refused) <= first + 1
     assert_inflated(found, changed, first, (0.0, 14.0, 0.0))
@@ -230,7 +230,7 @@ def test_start_of_a_rotation_is_no_step() -> None:
     samples = [AttitudeSample(10**18 + round(t * 1e9), rotation_nd, rate) for t, rotation_nd, rate in values]
     found = check_stream(samples)
     assert (found.refused, found.jumps) == ([], {})
-    assert check_stream(stepped(samples, 3000, (0.0, 14.0, 0.0))).refused == list(range(3000, 3005))
+    assert check_stream(with_step(samples, 3000, (0.0, 14.0, 0.0))).refused == list(range(3000, 3005))
 
 
 @pytest.mark.slow
@@ -242,14 +242,14 @@ def test_changed_rate_noise_applies_at_once() -> None:
         seen = 0
         for seed in range(10):
             samples = stream(LEARNT_S + 1.0, 100.0, rate_noise_arcsec_per_s=60.0, seed=seed)
-            found = check_stream(stepped(samples, first, (0.0, 14.0, 0.0)), rate_sigma_arcsec_per_s=sigma)
+            found = check_stream(with_step(samples, first, (0.0, 14.0, 0.0)), rate_sigma_arcsec_per_s=sigma)
             seen += found.refused[:1] == [first]
         counts.append(seen)
     assert counts[0] <= 5
     assert counts[1] >= 8
     guard = InsCheck(CheckedInsConfig())
     samples, first = stream(32.0, 100.0, rate_noise_arcsec_per_s=60.0), number_at(100.0, 30.0)
-    samples, refused = stepped(samples, first, (0.0, 20.0, 0.0)), []
+    samples, refused = with_step(samples, first, (0.0, 20.0, 0.0)), []
     for number, sample in enumerate(samples):
         if number == 100:
             guard.reconfigure(CheckedInsConfig(rate_sigma_arcsec_per_s=60.0))

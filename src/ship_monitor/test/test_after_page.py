@@ -7,7 +7,7 @@ from ship_monitor.after.recorded_suite import RecordedSuite
 from ship_testing import browser as browser_module
 from ship_testing.browser import Browser
 from ship_testing.hand_made_bags import write_imu_bag
-from ship_testing.page_runs import served
+from ship_testing.page_runs import run_page_server
 from ship_testing.recorded_suites import write_suite
 from ship_watch.limits import Limits
 
@@ -41,7 +41,7 @@ def bag(tmp_path_factory):
 
 
 def page_of(path):
-    return served(BagPlayback(RecordedSuite(path), Limits()))
+    return run_page_server(BagPlayback(RecordedSuite(path), Limits()))
 
 
 def press(browser, key, *, shift=False):

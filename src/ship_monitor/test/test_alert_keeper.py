@@ -7,7 +7,7 @@ import pytest
 
 from ship_bags.stamps import NS_PER_S
 from ship_monitor.alerts.alert_keeper import MAX_STATUSES, MAX_STATUS_AGE_NS, AlertManager
-from ship_testing.watched_voyages import records, replayed
+from ship_testing.watched_voyages import records, replay_with_faults
 from ship_watch.alert_conditions import NodeStatus
 from ship_watch.alert_states import AlertState
 from ship_watch.alerts import AlertChange
@@ -58,7 +58,7 @@ class Voyage:
 @pytest.fixture(scope="module")
 def faulty(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the outputs of the demo voyage with an INS step and a shifted star sensor."""
-    return replayed(tmp_path_factory.mktemp("faulty"), "demo", f"{INS_STEP}, {KNOCK}")[1]
+    return replay_with_faults(tmp_path_factory.mktemp("faulty"), "demo", f"{INS_STEP}, {KNOCK}")[1]
 
 
 @pytest.mark.slow
@@ -83,7 +83,7 @@ def test_each_fault_names_its_source_within_two_seconds(faulty: Path) -> None:
 @pytest.mark.slow
 def test_faults_of_a_theodolite_name_their_sources(tmp_path: Path) -> None:
     """A FLOAT baseline at 10 s, exchanged names of lights from 25 s, no encoder data from 60 s."""
-    voyage = Voyage(*replayed(tmp_path, "theodolite", THEODOLITE))
+    voyage = Voyage(*replay_with_faults(tmp_path, "theodolite", THEODOLITE))
     for start_s, id_, source, priority in (
         (10.0, "baselines.out", "baselines", Priority.CAUTION),
         (25.0, "lights.mended", "lights", Priority.CAUTION),
@@ -112,7 +112,7 @@ def test_alerts_of_sources_name_the_lost_functions(faulty: Path) -> None:
 @pytest.mark.slow
 def test_clean_voyage_has_no_alert_of_a_source(tmp_path: Path) -> None:
     """Without faults only the gap in the stars of the scenario gives alerts, not a brief excess of a limit."""
-    voyage = Voyage(replayed(tmp_path, "demo")[1])
+    voyage = Voyage(replay_with_faults(tmp_path, "demo")[1])
     assert {change.alert.id for _, change in voyage.changes} == {"stars.out"}
     assert all(change.alert.priority is not Priority.ALARM for _, change in voyage.changes)
     assert all(change.description != "raised" or time_s >= 10.0 for time_s, change in voyage.changes)

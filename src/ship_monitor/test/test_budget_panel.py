@@ -14,7 +14,7 @@ from ship_monitor.page.budget_panel import (
 )
 from ship_monitor.page.themes import THEMES
 from ship_monitor.page.trails import TimeAxis
-from ship_testing.watched_minutes import ARCSEC, watched_history
+from ship_testing.watched_minutes import ARCSEC, simulated_history
 
 
 def test_five_largest_sources_have_bands_and_keep_them_for_small_changes() -> None:
@@ -62,7 +62,7 @@ def test_bands_are_labelled_at_their_middle() -> None:
 
 @pytest.mark.slow
 def test_bands_add_up_to_the_total_of_the_chosen_angle() -> None:
-    history = watched_history()
+    history = simulated_history()
     panel = BudgetPanel(THEMES["day"], TimeAxis(600.0))
     panel.update(history, "")
     assert panel.angle == "heading"

@@ -20,8 +20,8 @@ from ship_monitor.live import reader as reader_module
 from ship_monitor.live.live_watch import LiveSuite
 from ship_msgs.msg import AlertArray, ErrorBudget, ShipAttitude
 from ship_replay.trials.live_process import LiveProcess
-from ship_testing.foxglove_client import FoxgloveClient, deaf_client
-from ship_testing.publishing_ship import PublishingShip, attitude
+from ship_testing.foxglove_client import FoxgloveClient, client_that_never_reads
+from ship_testing.publishing_ship import SuitePublisher, attitude
 from ship_watch.limits import Limits
 
 pytestmark = pytest.mark.live
@@ -56,7 +56,7 @@ def sail(opened):
     """Return a function that starts a ship."""
 
     def make(namespace="demo"):
-        ship = PublishingShip(namespace)
+        ship = SuitePublisher(namespace)
         opened.callback(ship.stop)
         return ship
 
@@ -251,7 +251,7 @@ def test_executable_serves_page_and_foxglove_and_ends_with_ctrl_c(sail, opened, 
     receive(client, ship, "ship/attitude", attitude(START_NS))
     assert client.server_messages[0]["name"] == "demo"
     assert process.end(signal.SIGINT) == 0
-    client.until(lambda: client.is_over)
+    client.wait_until(lambda: client.is_over)
     assert len(process.log().splitlines()) == 2, process.log()
 
 
@@ -262,7 +262,7 @@ def test_executable_ends_with_a_client_that_does_not_read(sail, opened, monitor)
     message = String(data="x" * 60_000)
     ship.say("told", message)
     receive(client, ship, "told", message)
-    deaf = opened.enter_context(deaf_client(address, client.channels["/demo/told"]["id"]))
+    deaf = opened.enter_context(client_that_never_reads(address, client.channels["/demo/told"]["id"]))
     # More than the buffers of a connection: unread messages then wait in the server.
     client.received.clear()
 
@@ -271,7 +271,7 @@ def test_executable_ends_with_a_client_that_does_not_read(sail, opened, monitor)
             ship.say("told", message)
         return len(client.received) >= 200
 
-    client.until(has_come)
+    client.wait_until(has_come)
     assert process.end(signal.SIGTERM) == 0
     assert len(process.log().splitlines()) == 2, process.log()
     assert deaf.fileno() >= 0

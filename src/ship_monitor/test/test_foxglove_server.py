@@ -8,7 +8,7 @@ import pytest
 
 from ship_bags.errors import BadInput
 from ship_monitor.foxglove.server import FoxgloveServer
-from ship_testing.foxglove_client import FoxgloveClient, deaf_client
+from ship_testing.foxglove_client import FoxgloveClient, client_that_never_reads
 
 STRING = "std_msgs/msg/String"
 MESSAGE = b"\x00\x01\x00\x00\x03\x00\x00\x00hi\x00"
@@ -165,7 +165,7 @@ def test_client_that_does_not_read_delays_nothing_and_memory_is_bounded(server, 
     server.offer("/demo/said", STRING, "string data")
     good = connect()
     subscribe_and_wait(server, good, "/demo/said")
-    with deaf_client(server.address, good.channels["/demo/said"]["id"]):
+    with client_that_never_reads(server.address, good.channels["/demo/said"]["id"]):
         good.until(server.newcomers)
         payload = bytes(4000)
         before_mb, begin_s = resident_mb(), time.monotonic()
@@ -189,7 +189,7 @@ def test_close_ends_connections_and_frees_the_port():
     client = FoxgloveClient(server.address)
     port = int(server.address.rpartition(":")[2])
     server.close()
-    client.until(lambda: client.is_over)
+    client.wait_until(lambda: client.is_over)
     client.close()
     again = FoxgloveServer("demo", "127.0.0.1", port)
     again.close()
@@ -210,6 +210,6 @@ def test_ipv6_address_is_in_brackets():
     server = FoxgloveServer("demo", "::1", 0)
     assert server.address.startswith("ws://[::1]:")
     client = FoxgloveClient(server.address)
-    client.until(lambda: client.server_messages)
+    client.wait_until(lambda: client.server_messages)
     client.close()
     server.close()

@@ -10,8 +10,8 @@ from ship_monitor.page.alignment_panel import state_text
 from ship_testing import browser as browser_module
 from ship_testing import pictures
 from ship_testing.browser import Browser
-from ship_testing.page_runs import StateSource, served
-from ship_testing.watched_minutes import watched_history, simulated_state
+from ship_testing.page_runs import StateSource, run_page_server
+from ship_testing.watched_minutes import simulated_history, simulated_state
 from ship_watch.history import ParameterEstimate
 from ship_watch.picture import Event, InputState, Presence
 
@@ -38,7 +38,7 @@ def hostile(name):
         pointing_by=name,
         horizon=name,
     )
-    history = watched_history()
+    history = simulated_history()
     points = history.innovations.pop("star.fore")
     stars = history.star_exposures.pop("star.fore")
     history.innovations[f"star.{name}"] = deque(replace(each, part_names=(name,)) for each in points)
@@ -95,7 +95,7 @@ def test_names_are_never_executed_in_the_page(browser, kind, caplog):
     source = StateSource()
     source.set(*hostile(name))
     source.label = source.name = source.place = name
-    with served(source) as server:
+    with run_page_server(source) as server:
         page = server.address
         browser.open(page, 1280, 4000)
         browser.until("monitor.isLinked()")

@@ -14,7 +14,7 @@ from ship_monitor.alerts.alert_node import AlertNode
 from ship_monitor.live.live_watch import LiveSuite, queue_depth
 from ship_monitor.live.reader import DISCOVERY_NS, MAX_QUEUE_DEPTH
 from ship_msgs.msg import Alert, AlertArray, SuiteSource, SuiteState
-from ship_testing.publishing_ship import PublishingShip, attitude
+from ship_testing.publishing_ship import SuitePublisher, attitude
 from ship_watch.limits import Limits
 from ship_watch.picture import Safety
 
@@ -32,7 +32,7 @@ def watch():
 
 @pytest.fixture
 def ship():
-    ship = PublishingShip()
+    ship = SuitePublisher()
     yield ship
     ship.stop()
 
@@ -70,7 +70,7 @@ def test_suite_started_later_is_shown(watch, ship, until):
 @pytest.mark.smoke
 def test_ended_suite_gets_old_and_recovers(watch, until):
     for start_ns in (START_NS, START_NS + 100 * NS_PER_S):
-        ship = PublishingShip()
+        ship = SuitePublisher()
         sail(ship, watch, until, start_ns)
         ship.stop()
         until(lambda: heading(watch).is_old)
@@ -109,7 +109,7 @@ def test_played_bag_with_truth_is_simulated(watch, ship, until):
 def test_alerts_of_an_ended_node_are_cleared(watch, until):
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     for _ in range(2):
-        ship = PublishingShip()
+        ship = SuitePublisher()
         alert = Alert(id="ins.out", priority=Alert.ALARM, instance=1, state=Alert.ACTIVE_UNACKNOWLEDGED)
         ship.publish("ship/alerts", AlertArray(alerts=[alert]), latched)
         until(lambda: heading(watch) and [alert.id for alert in watch.look().alerts or ()] == ["ins.out"])

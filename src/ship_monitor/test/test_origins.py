@@ -11,7 +11,7 @@ from ship_monitor.web.own_hosts import OwnHosts
 from ship_testing import browser as browser_module
 from ship_testing.browser import Browser
 from ship_testing.foxglove_client import PROTOCOL
-from ship_testing.page_runs import served
+from ship_testing.page_runs import run_page_server
 
 DESKTOP = (
     "Mozilla/5.0 (X11; Linux x86_64) AppleWebKit/537.36 lichtblick/1.28.1 Chrome/140.0 Electron/38.1 Safari/537.36"
@@ -92,7 +92,7 @@ def test_allowed_name_is_host_and_origin():
 )
 def test_page_on_all_addresses_answers_only_its_own_names(host, origin, status):
     """A foreign name that resolves to the ship's address is refused."""
-    with served(address="0.0.0.0", allowed_hosts=["bridge.ship.example"]) as page:
+    with run_page_server(address="0.0.0.0", allowed_hosts=["bridge.ship.example"]) as page:
         assert answer(port_of(page), host=host, origin=origin, is_socket=False) == status
 
 
@@ -129,7 +129,7 @@ def test_page_of_another_site_reads_no_topics_in_a_browser(foxglove, site):
         " link.onmessage = (each) => done('read ' + each.data); link.onerror = () => done('refused'); }})"
     )
     try:
-        with served() as page:
+        with run_page_server() as page:
             browser.open(site)
             for address, protocols in (
                 (f"ws://localhost:{foxglove}/", f"['{PROTOCOL}']"),

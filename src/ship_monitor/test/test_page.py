@@ -15,8 +15,8 @@ from ship_monitor.page.tables import InputsPanel
 from ship_testing import browser as browser_module
 from ship_testing import pictures
 from ship_testing.browser import Browser
-from ship_testing.page_runs import StateSource, served
-from ship_testing.watched_minutes import watched_history, simulated_state
+from ship_testing.page_runs import StateSource, run_page_server
+from ship_testing.watched_minutes import simulated_history, simulated_state
 from ship_watch.picture import ANGLES, Safety
 
 pytestmark = pytest.mark.skipif(browser_module.CHROMIUM is None, reason="there is no Chromium on this machine")
@@ -42,7 +42,7 @@ def source():
 
 @pytest.fixture
 def page(source):
-    with served(source) as server:
+    with run_page_server(source) as server:
         yield server.address
 
 
@@ -57,7 +57,7 @@ def rectangle(browser, selector):
 @pytest.mark.parametrize("theme", ["day", "dusk", "night"])
 @pytest.mark.parametrize("size", SIZES)
 def test_first_screen_is_drawn_completely(browser, source, page, theme, size, tmp_path):
-    source.set(pictures.faulty(), pictures.history(is_faulty=True))
+    source.set(pictures.state_with_two_faults(), pictures.history(is_faulty=True))
     browser.open(f"{page}?theme={theme}", *SIZES[size])
     browser.until(LIVE)
     browser.photograph(tmp_path / f"{theme}_{size}.png")
@@ -104,7 +104,7 @@ def test_first_screen_at_1280_by_800_matches_the_design(browser, page):
     ],
 )
 def test_font_sizes_for_reading_at_a_distance(browser, source, page, selector, least_px):
-    source.set(pictures.faulty())
+    source.set(pictures.state_with_two_faults())
     browser.open(page)
     browser.until(LIVE)
     assert browser.evaluate(f"parseFloat(getComputedStyle(document.querySelector('{selector}')).fontSize)") >= least_px
@@ -120,27 +120,27 @@ def test_fallback_font_cuts_nothing_and_console_is_empty(source, page, size, tmp
         f"<cachedir>{tmp_path}/cache</cachedir></fontconfig>"
     )
     monkeypatch.setenv("FONTCONFIG_FILE", str(tmp_path / "fonts.conf"))
-    source.set(pictures.faulty())
+    source.set(pictures.state_with_two_faults())
     plain = Browser()
     try:
         plain.open(page, *SIZES[size])
-        plain.until(LIVE)
+        plain.wait_until_true(LIVE)
         plain.evaluate("document.fonts.ready.then(() => true)")
-        plain.photograph(tmp_path / "page.png")
+        plain.take_screenshot(tmp_path / "page.png")
         assert any(address.endswith("DejaVuSans-Bold.ttf") for address in plain.addresses)
         wide = "[...document.querySelectorAll('.tile,.number,#foot')].filter((e) => e.scrollWidth > e.clientWidth)"
         assert plain.evaluate(f"{wide}.map((each) => each.id || each.className)") == []
         if size == "phone":
             plain.evaluate("document.querySelector('#plots-wanted').click()")
         plain.evaluate("document.querySelector('#panels').scrollIntoView()")
-        plain.until(f"{INSIDE}.some((each) => each.tagName === 'CANVAS' && each.width > 100 && each.height > 50)")
+        plain.wait_until_true(f"{INSIDE}.some((each) => each.tagName === 'CANVAS' && each.width > 100 && each.height > 50)")
         assert plain.problems == []
     finally:
         plain.close()
 
 
 def test_reason_fits_its_tile_on_a_phone(browser, source, page):
-    source.set(pictures.faulty())
+    source.set(pictures.state_with_two_faults())
     browser.open(page, *SIZES["phone"])
     browser.until(LIVE)
     below = "[...document.querySelectorAll('.tile')].filter((each) => each.scrollHeight > each.clientHeight)"
@@ -209,13 +209,13 @@ def test_busy_page_does_not_report_a_lost_link(browser, page):
 
 @pytest.mark.slow
 def test_page_reconnects_after_a_restart_of_the_server(browser, source):
-    with served(source) as server:
+    with run_page_server(source) as server:
         port = int(server.address.rstrip("/").rpartition(":")[2])
         browser.open(server.address)
         browser.until(LIVE)
         browser.evaluate("window.isFormerPage = true")
     browser.until("document.documentElement.classList.contains('nolink')")
-    with served(source, port):
+    with run_page_server(source, port):
         browser.until(f"!window.isFormerPage && typeof monitor === 'object' && {LIVE}", 60.0)
         assert browser.text("#heading .state b") == "SAFE"
 
@@ -234,7 +234,7 @@ def test_keys_choose_the_theme_and_pause_the_plots(browser, page):
 
 
 def test_the_alert_line_opens_the_list(browser, source, page):
-    source.set(pictures.faulty())
+    source.set(pictures.state_with_two_faults())
     browser.open(page)
     browser.until(LIVE)
     browser.evaluate("document.querySelector('#alert').click()")
@@ -269,7 +269,7 @@ def test_names_from_the_network_are_plain_text(browser, source, page):
 
 
 def test_many_sources_are_counted_and_out_ones_are_visible(browser, source, page):
-    faulty = pictures.faulty()
+    faulty = pictures.state_with_two_faults()
     more = tuple(pictures.source(f"reference.{number}") for number in range(20))
     source.set(replace(faulty, sources=faulty.sources + more))
     browser.open(page)
@@ -324,7 +324,7 @@ def test_old_data_have_no_ticks_ages_or_counts(browser, source, page, is_linked)
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [*SIZES.values(), LAPTOP])
 def test_safety_and_alert_stay_visible_while_scrolled(browser, source, page, size):
-    source.set(pictures.faulty())
+    source.set(pictures.state_with_two_faults())
     browser.open(page, *size)
     browser.until(LIVE)
     assert not browser.evaluate("document.querySelector('#states').offsetHeight")
@@ -349,7 +349,7 @@ def test_time_axis_is_visible_at_1366_by_768(browser, page):
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [SIZES["watch"], LAPTOP])
 def test_list_is_readable_with_two_sources_out(browser, source, page, size):
-    source.set(pictures.faulty())
+    source.set(pictures.state_with_two_faults())
     browser.open(page, *size)
     browser.until(LIVE)
     assert browser.evaluate("document.querySelector('#more').hidden"), "all eight are listed"
@@ -359,7 +359,7 @@ def test_list_is_readable_with_two_sources_out(browser, source, page, size):
 
 @pytest.mark.slow
 def test_phone_texts_do_not_overlap(browser, source, page):
-    source.set(pictures.faulty())
+    source.set(pictures.state_with_two_faults())
     browser.open(page, *SIZES["phone"])
     browser.until(LIVE)
     word, state = rectangle(browser, "#azimuth .state b"), rectangle(browser, "#azimuth .state")
@@ -373,7 +373,7 @@ def test_phone_texts_do_not_overlap(browser, source, page):
 
 @pytest.mark.slow
 def test_local_time_is_shown_with_utc(browser, source):
-    with served(source, zone=ZoneInfo("Europe/Oslo")) as server:
+    with run_page_server(source, zone=ZoneInfo("Europe/Oslo")) as server:
         browser.open(server.address)
         browser.until(LIVE)
         assert browser.text("#local").startswith("14:00:")
@@ -419,7 +419,7 @@ TITLES = [
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("theme", ["dusk", "night"])
 def test_panels_are_drawn_when_they_become_visible(browser, source, page, theme, size, tmp_path):
-    source.set(simulated_state(), watched_history())
+    source.set(simulated_state(), simulated_history())
     browser.open(f"{page}?theme={theme}", *SIZES[size])
     browser.until("monitor.isLinked()")
     assert browser.evaluate(f"{INSIDE}.filter((each) => each.tagName === 'CANVAS').length") == 0, "they rest"
@@ -465,7 +465,7 @@ MARKED = f"""(() => {{
 @pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES)
 def test_click_on_a_tile_shows_its_budget_and_error(browser, source, page, size):
-    source.set(simulated_state(), watched_history())
+    source.set(simulated_state(), simulated_history())
     browser.open(page, *SIZES[size])
     browser.until("monitor.isLinked()")
     browser.evaluate("document.querySelector('#roll').click()")
@@ -476,7 +476,7 @@ def test_click_on_a_tile_shows_its_budget_and_error(browser, source, page, size)
 
 @pytest.mark.slow
 def test_panels_are_placed_one_by_one_with_text_updates_between(browser, source, page):
-    source.set(simulated_state(), watched_history())
+    source.set(simulated_state(), simulated_history())
     browser.open(page, 1280, 1600)
     browser.until("monitor.isLinked()")
     # Number of plots in the document at each text: texts in between keep the link while plots are made.
@@ -503,7 +503,7 @@ def counted(browser, each):
 
 @pytest.mark.slow
 def test_mark_is_in_every_panel_until_escape(browser, source, page):
-    source.set(simulated_state(), watched_history())
+    source.set(simulated_state(), simulated_history())
     browser.open(page, 1280, 4000)  # all panels in sight
     browser.until("monitor.isLinked()")
     browser.until(f"{FIGURES}.length === 14")
@@ -519,7 +519,7 @@ def test_mark_is_in_every_panel_until_escape(browser, source, page):
     other = Browser()
     try:
         other.open(page, 1280, 4000)
-        other.until(f"{FIGURES}.length === 14")
+        other.wait_until_true(f"{FIGURES}.length === 14")
         counted(other, 0)
     finally:
         other.close()
@@ -535,7 +535,7 @@ def test_mark_is_in_every_panel_until_escape(browser, source, page):
 
 @pytest.mark.slow
 def test_change_of_theme_keeps_the_mark(browser, source, page):
-    source.set(simulated_state(), watched_history())
+    source.set(simulated_state(), simulated_history())
     browser.open(page)
     browser.until("monitor.isLinked()")
     browser.evaluate("document.querySelector('#sources li:nth-child(1)').click()")
@@ -557,7 +557,7 @@ def test_only_visible_panels_are_drawn(browser, source, page, monkeypatch):
             update(self, *arguments, **options)
 
         monkeypatch.setattr(kind, "update", noted)
-    source.set(simulated_state(), watched_history())
+    source.set(simulated_state(), simulated_history())
     browser.open(page)
     browser.until("monitor.isLinked()")
     for where, wanted, unwanted in (

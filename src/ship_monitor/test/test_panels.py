@@ -16,7 +16,7 @@ from ship_monitor.page.sky import boresight
 from ship_monitor.page.sky_panel import positions_in_field, used_star_mask
 from ship_monitor.page.tables import event_row, input_row, reasons_text
 from ship_monitor.page.themes import THEMES
-from ship_testing.watched_minutes import SHIFT_AGE_S, NOW_NS, watched_history, simulated_state
+from ship_testing.watched_minutes import SHIFT_AGE_S, NOW_NS, simulated_history, simulated_state
 from ship_watch.history import History, ParameterEstimate
 from ship_watch.picture import Event, InputState, Presence
 
@@ -45,10 +45,10 @@ def test_empty_suite_has_empty_panels_with_notes(panels) -> None:
 
 @pytest.mark.slow
 def test_innovations_use_the_room_of_errors_without_truth(panels) -> None:
-    panels.update(watched_history(has_truth=True), PICTURE)
+    panels.update(simulated_history(has_truth=True), PICTURE)
     assert panels.frames["error"].visible
     assert "'innovations error' 'innovations budget'" in panels._grid.css
-    panels.update(watched_history(has_truth=False), PICTURE)
+    panels.update(simulated_history(has_truth=False), PICTURE)
     assert not panels.frames["error"].visible
     assert "'innovations budget' 'innovations events'" in panels._grid.css
     assert "error" not in panels._grid.css
@@ -56,7 +56,7 @@ def test_innovations_use_the_room_of_errors_without_truth(panels) -> None:
 
 @pytest.mark.slow
 def test_sky_uses_the_room_of_lights_without_a_telescope(panels) -> None:
-    history = watched_history()
+    history = simulated_history()
     panels.update(replace(history, lights={}), PICTURE)
     assert not panels.frames["lights"].visible
     assert "'sky sky'" in panels._grid.css
@@ -66,7 +66,7 @@ def test_sky_uses_the_room_of_lights_without_a_telescope(panels) -> None:
 
 
 def test_height_of_errors_follows_the_recent_values(panels) -> None:
-    history = watched_history(length_s=50.0)
+    history = simulated_history(length_s=50.0)
     points = history.errors["ship/error_arcsec"]
     history.errors["ship/error_arcsec"] = deque(
         replace(point, sigma=dict.fromkeys(point.sigma, 60.0)) if index < 25 else point
@@ -83,7 +83,7 @@ def test_height_of_errors_follows_the_recent_values(panels) -> None:
 
 
 def test_shifted_sensor_is_shown_rejected_and_shaded(panels) -> None:
-    panels.update(watched_history(), PICTURE)
+    panels.update(simulated_history(), PICTURE)
     row = panels._innovations.plots.rows["star.starboard"]
     right = row._trails[1].source.data
     times, refused, used = (np.asarray(right[name]) for name in ("t", "refused", "used"))
@@ -101,7 +101,7 @@ def test_shifted_sensor_is_shown_rejected_and_shaded(panels) -> None:
 @pytest.mark.slow
 def test_past_outages_stay_shaded(panels) -> None:
     panel: InnovationPanel = panels._innovations
-    history = watched_history()
+    history = simulated_history()
     for now_s, since_s in ((0, -40), (5, -40), (10, None), (20, 15), (22, 15)):
         source = replace(GUILTY, out_since_ns=NOW_NS + since_s * 10**9) if since_s else replace(GOOD, name=GUILTY.name)
         panel.update(history, replace(PICTURE, utc_ns=NOW_NS + now_s * 10**9, sources=(source,)), "", has_truth=True)
@@ -113,7 +113,7 @@ def test_past_outages_stay_shaded(panels) -> None:
 
 @pytest.mark.slow
 def test_outage_is_removed_after_a_step_back_in_time(panels) -> None:
-    history = watched_history()
+    history = simulated_history()
     panels.update(history, PICTURE)
     out = panels._innovations.plots.rows["star.starboard"]._out
     for seconds, spans in ((20, [(-40.0, -20.0)]), (60, [])):
@@ -124,7 +124,7 @@ def test_outage_is_removed_after_a_step_back_in_time(panels) -> None:
 
 
 def test_wide_band_does_not_hide_the_values(panels) -> None:
-    history = watched_history()
+    history = simulated_history()
     wide = [
         replace(p, sigma=p.sigma * (400.0 if p.utc_ns > NOW_NS - 20 * 10**9 else 1.0))
         for p in history.innovations["lights"]
@@ -154,7 +154,7 @@ def test_title_of_a_source_plot(source, step, line) -> None:
 
 
 def test_only_new_points_are_streamed(panels) -> None:
-    history = watched_history()
+    history = simulated_history()
     panels.update(history, PICTURE)
     sent = []
     for model in panels.layout.select({"type": ColumnDataSource}):
@@ -166,7 +166,7 @@ def test_only_new_points_are_streamed(panels) -> None:
 
 def test_few_messages_are_sent_to_a_browser_per_second(panels) -> None:
     # Each message is packed and sent separately: forty each for three browsers take a tenth of a core.
-    history = watched_history()
+    history = simulated_history()
     document = Document()
     document.add_root(panels.layout)
     panels.update(history, PICTURE)
@@ -184,7 +184,7 @@ def test_few_messages_are_sent_to_a_browser_per_second(panels) -> None:
 
 def test_new_points_do_not_recompute_the_document_models(panels, monkeypatch) -> None:
     # Bokeh recomputes all models if one is added or removed, which takes 50 ms or more for each browser.
-    history = watched_history()
+    history = simulated_history()
     panels.update(history, PICTURE)
     document = Document()
     document.add_root(panels.layout)
@@ -202,7 +202,7 @@ def test_new_points_do_not_recompute_the_document_models(panels, monkeypatch) ->
 
 
 def test_rejected_stars_differ_and_rows_count_downward() -> None:
-    seen = watched_history().star_exposures["star.fore"]
+    seen = simulated_history().star_exposures["star.fore"]
     seen = replace(
         seen,
         u=np.array([0.0, 1000.0]),
@@ -263,7 +263,7 @@ def test_axis_of_the_states_contains_all_values_and_most_bars() -> None:
 
 
 def test_large_deviation_has_its_own_scale(panels) -> None:
-    history = watched_history()
+    history = simulated_history()
     panels.update(history, PICTURE)
     states = panels._alignment
     before, rows = states._x.end, len(history.alignment)
@@ -279,7 +279,7 @@ def test_large_deviation_has_its_own_scale(panels) -> None:
 
 
 def test_missing_position_is_stated_in_the_sky_panel() -> None:
-    history = replace(watched_history(), position=None)
+    history = replace(simulated_history(), position=None)
     for is_bag, where in ((True, " in this bag"), (False, "")):
         panels = build_panels(THEMES["dusk"], is_bag=is_bag)
         panels.update(history, PICTURE)
@@ -297,7 +297,7 @@ def test_input_of_a_faulty_source_is_highlighted() -> None:
 
 
 def test_only_the_marked_source_is_highlighted(panels) -> None:
-    theme, history = THEMES["dusk"], watched_history()
+    theme, history = THEMES["dusk"], simulated_history()
     event = Event(NOW_NS, "source", "star.fore", "star.fore IN")
     picture = replace(PICTURE, events=(*PICTURE.events, event))
 
@@ -353,7 +353,7 @@ def test_only_the_marked_source_is_highlighted(panels) -> None:
 
 
 def test_only_the_error_of_the_chosen_angle_is_highlighted(panels) -> None:
-    history = watched_history()
+    history = simulated_history()
     panels.update(history, PICTURE)
     titles = [row.figure.title.text for row in panels._errors.plots.rows.values()]
     panels.choose("roll")
@@ -364,7 +364,7 @@ def test_only_the_error_of_the_chosen_angle_is_highlighted(panels) -> None:
 
 
 def test_invisible_panel_is_not_drawn_and_catches_up(panels) -> None:
-    history = watched_history()
+    history = simulated_history()
     panels.update(history, PICTURE)
     panels.seen = {"inputs"}
     before = {id(model): model.data for model in panels.layout.select({"type": ColumnDataSource})}

@@ -10,7 +10,7 @@ from ship_bags.stamps import NS_PER_S
 from ship_monitor.live import reader as reader_module
 from ship_monitor.live.reader import MAX_QUEUE_DEPTH, TopicReader, steady_ns
 from ship_msgs.msg import AlertArray, Innovation, ShipAttitude
-from ship_testing.publishing_ship import PublishingShip, attitude
+from ship_testing.publishing_ship import SuitePublisher, attitude
 
 pytestmark = pytest.mark.live
 
@@ -19,7 +19,7 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 @pytest.fixture
 def ship():
-    ship = PublishingShip()
+    ship = SuitePublisher()
     yield ship
     ship.stop()
 
@@ -100,7 +100,7 @@ def test_late_reader_gets_the_last_message_of_a_latched_topic(ship, reader, unti
 
 def test_restarted_publisher_is_received(reader, until):
     for namespace in ("demo", "demo"):
-        ship = PublishingShip(namespace)
+        ship = SuitePublisher(namespace)
         publish_until_taken(ship, reader, until, attitude(6 * NS_PER_S))
         ship.stop()
 
@@ -205,7 +205,7 @@ def test_clock_topic_of_another_type_is_ignored(ship, reader, until):
 
 def test_location_names_other_namespaces_with_a_suite(reader, until):
     assert reader.place.startswith("namespace /demo, domain ")
-    other = PublishingShip("voyage")
+    other = SuitePublisher("voyage")
     other.publish("ship/attitude", attitude(1 * NS_PER_S))
     until(lambda: reader.take() and "suite found in /voyage" in reader.place)
     other.stop()

@@ -14,12 +14,12 @@ from tornado.websocket import websocket_connect
 
 from ship_bags.errors import BadInput
 from ship_monitor.page.server import PageServer
-from ship_testing.page_runs import StateSource, served
+from ship_testing.page_runs import StateSource, run_page_server
 
 
 @pytest.fixture(scope="module")
 def page():
-    with served() as server:
+    with run_page_server() as server:
         yield server
 
 
@@ -80,7 +80,7 @@ def test_error_page_is_black(page):
 def test_failed_page_is_not_white_and_retries():
     source = StateSource()
     source.fails = True
-    with served(source) as page:
+    with run_page_server(source) as page:
         status, text = get(page, "/?theme=night")
         assert status == 200
         assert "background:#000000" in text[:120]
@@ -126,7 +126,7 @@ async def leave_early(page):
 
 def test_early_closed_tab_logs_no_traceback(caplog, monkeypatch):
     monkeypatch.setattr(logging.getLogger("bokeh"), "propagate", True)  # without handlers of others bokeh has its own
-    with served() as page:
+    with run_page_server() as page:
         asyncio.run(leave_early(page))
         assert get(page, "/")[0] == 200
     told = [record.getMessage() for record in caplog.records if record.exc_info or record.levelno >= logging.ERROR]

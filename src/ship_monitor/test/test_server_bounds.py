@@ -11,7 +11,7 @@ import pytest
 from ship_monitor.page.server import MAX_PAGES
 from ship_monitor.web import bounded_server
 from ship_monitor.web.bounded_server import MAX_BODY_BYTES, MAX_CONNECTIONS
-from ship_testing.page_runs import served
+from ship_testing.page_runs import run_page_server
 
 
 class Lines(logging.Handler):
@@ -28,7 +28,7 @@ class Lines(logging.Handler):
 
 @pytest.fixture
 def page():
-    with served() as server:
+    with run_page_server() as server:
         yield "127.0.0.1", int(server.address.strip("/").rpartition(":")[2])
 
 
@@ -89,7 +89,7 @@ def test_large_bodies_are_refused(page, lines):
 
 def test_endless_request_is_closed(monkeypatch):
     monkeypatch.setattr(bounded_server, "REQUEST_S", 0.3)
-    with served() as server:
+    with run_page_server() as server:
         place = "127.0.0.1", int(server.address.strip("/").rpartition(":")[2])
         for begun in (
             b"",

@@ -53,7 +53,7 @@ def test_reason_over_the_limit_has_the_limit():
 
 
 def test_old_value_has_its_age_and_no_bar():
-    old = tile(pictures.faulty(), "azimuth")
+    old = tile(pictures.state_with_two_faults(), "azimuth")
     assert (old["is_old"], old["accuracy"], old["bar"]) == (True, "OLD 12 s", None)
 
 
@@ -107,7 +107,7 @@ def test_alert_line(alerts, text, icon, state, unack):
 
 
 def test_first_of_several_alerts_is_shown_and_all_are_listed():
-    line = first_screen(pictures.faulty(), History(), "LIVE", "")["alert"]
+    line = first_screen(pictures.state_with_two_faults(), History(), "LIVE", "")["alert"]
     assert line["text"] == "WARNING · pointing lost, encoder no data"
     assert line["sub"] == "11:59:57 · not acknowledged"
     assert (line["unack"], len(line["all"])) == (2, 2)
@@ -121,7 +121,7 @@ def test_mounting_shift_is_shown_at_its_source():
 
 
 def test_sources_that_are_out_have_banners_and_reasons():
-    sources = first_screen(pictures.faulty(), History(), "LIVE", "")["sources"]
+    sources = first_screen(pictures.state_with_two_faults(), History(), "LIVE", "")["sources"]
     assert sources["out"] == [("star.starboard", "star.starboard OUT"), ("encoder", "encoder OUT")]
     assert sources["head"] == "6 of 8 in"
     assert [row["sub"] for row in sources["rows"][:2]] == [
@@ -132,7 +132,7 @@ def test_sources_that_are_out_have_banners_and_reasons():
 
 
 def test_single_source_out_has_two_more_lines():
-    one = tuple(each for each in pictures.faulty().sources if each.name != "encoder")
+    one = tuple(each for each in pictures.state_with_two_faults().sources if each.name != "encoder")
     assert first_screen(replace(WELL, sources=one), History(), "LIVE", "")["sources"]["why"] == [
         "disagrees: right +49″",
         "since 11:59:28 · 81 rejected",
@@ -140,11 +140,11 @@ def test_single_source_out_has_two_more_lines():
 
 
 def needing(*names, cause="encoder", reason="needs encoder"):
-    return [pictures.out(name, reason, because_of=cause, out_since_ns=pictures.NOW_NS) for name in names]
+    return [pictures.source_out(name, reason, because_of=cause, out_since_ns=pictures.NOW_NS) for name in names]
 
 
 def test_consequence_is_below_its_cause_without_a_banner():
-    encoder = pictures.out("encoder", "no data", out_since_ns=pictures.NOW_NS - pictures.NS)
+    encoder = pictures.source_out("encoder", "no data", out_since_ns=pictures.NOW_NS - pictures.NS)
     listed = (pictures.SHIFTED_SENSOR, encoder, *needing("lights"), pictures.source("ins"))
     sources = first_screen(replace(WELL, sources=listed), History(), "LIVE", "")["sources"]
     assert [name for name, _ in sources["out"]] == ["star.starboard", "encoder"]
@@ -160,7 +160,7 @@ def test_overloaded_node_has_the_banner_of_its_consequences():
 
 
 def test_number_of_banners_is_limited():
-    out = [pictures.out(name, "no data", out_since_ns=1) for name in ("ins", "star.fore", "gnss", "weather", "encoder")]
+    out = [pictures.source_out(name, "no data", out_since_ns=1) for name in ("ins", "star.fore", "gnss", "weather", "encoder")]
     banners = first_screen(pictures.suite_state(*out), History(), "LIVE", "")["sources"]["out"]
     assert [text for _, text in banners[:2]] == ["ins OUT", "star.fore OUT"]
     assert banners[2][1] == "3 more OUT"
@@ -168,7 +168,7 @@ def test_number_of_banners_is_limited():
 
 def test_overall_safety():
     assert first_screen(WELL, History(), "LIVE", "")["overall"] == {"safety": "SAFE", "text": ""}
-    overall = first_screen(pictures.faulty(), History(), "LIVE", "")["overall"]
+    overall = first_screen(pictures.state_with_two_faults(), History(), "LIVE", "")["overall"]
     assert overall == {"safety": "UNSAFE", "text": "encoder no data since 11:59:55 (azimuth, elevation)"}
 
 
@@ -177,7 +177,7 @@ def test_sources_are_unknown_if_all_outputs_are_old():
     told = first_screen(old, History(), "LIVE", "")
     assert told["is_stale"]
     assert (told["sources"]["is_known"], told["sources"]["head"]) == (False, "last: 8 of 8 in")
-    assert not first_screen(pictures.faulty(), History(), "LIVE", "")["is_stale"], "the attitude is fresh"
+    assert not first_screen(pictures.state_with_two_faults(), History(), "LIVE", "")["is_stale"], "the attitude is fresh"
 
 
 def test_sources_not_configured_come_last_uncounted():
@@ -229,5 +229,5 @@ def test_ticks_are_at_even_minutes():
 
 
 def test_start_of_an_outage_is_marked():
-    marks = first_screen(pictures.faulty(), History(), "LIVE", "")["ribbons"]["marks"]
+    marks = first_screen(pictures.state_with_two_faults(), History(), "LIVE", "")["ribbons"]["marks"]
     assert marks == [pytest.approx(1.0 - 39.0 / 600.0), pytest.approx(1.0 - 12.0 / 600.0)]

@@ -9,7 +9,7 @@ import time
 import pytest
 
 from ship_bags.stamps import NS_PER_S
-from ship_testing.publishing_ship import PublishingShip, attitude
+from ship_testing.publishing_ship import SuitePublisher, attitude
 
 pytestmark = [
     pytest.mark.live,
@@ -53,7 +53,7 @@ def terminal(request):
 def test_live_terminal_view(terminal, until):
     until(lambda: any("waiting for ship/attitude: namespace /demo, domain" in row for row in terminal.rows()))
     for start_ns in (START_NS, START_NS + 600 * NS_PER_S):
-        ship, times = PublishingShip(), iter(range(start_ns, start_ns + 600 * NS_PER_S, NS_PER_S // 50))
+        ship, times = SuitePublisher(), iter(range(start_ns, start_ns + 600 * NS_PER_S, NS_PER_S // 50))
 
         def is_current(ship=ship, times=times):
             for _ in range(10):

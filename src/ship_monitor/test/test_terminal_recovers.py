@@ -11,7 +11,7 @@ from ship_bags.stamps import NS_PER_S
 from ship_monitor.live.live_watch import LiveSuite
 from ship_monitor.terminal.app import TerminalApp, _Lines
 from ship_monitor.terminal.pen import plain_text
-from ship_testing.publishing_ship import PublishingShip, attitude
+from ship_testing.publishing_ship import SuitePublisher, attitude
 from ship_watch.limits import Limits
 
 pytestmark = pytest.mark.live
@@ -58,7 +58,7 @@ class Bridge:
 @contextlib.asynccontextmanager
 async def bridge():
     with contextlib.ExitStack() as left_open:
-        ship = PublishingShip()
+        ship = SuitePublisher()
         left_open.callback(ship.stop)
         suite = LiveSuite("monitor_terminal", "demo", Limits())
         left_open.callback(suite.close)

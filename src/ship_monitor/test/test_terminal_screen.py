@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from ship_monitor.terminal.details import details, help_page
 from ship_monitor.terminal.pen import TextStyle, LineFormatter, plain_text
 from ship_monitor.terminal.screen import View, selectable_names, screen, alert_to_show
-from ship_testing.pictures import SHIFTED_SENSOR, SHIFTED_SENSOR_ALERT, SHIFTED_SENSOR_INPUT, NOW_NS, angle, state_with_mounting_shift, out, angles_timed_out, source
+from ship_testing.pictures import SHIFTED_SENSOR, SHIFTED_SENSOR_ALERT, SHIFTED_SENSOR_INPUT, NOW_NS, angle, state_with_mounting_shift, source_out, angles_timed_out, source
 from ship_watch.picture import ANGLES, Event, Priority, Safety
 
 VIEW = View(80, 24, "demo", "LIVE", "namespace /demo, domain 7")
@@ -110,8 +110,8 @@ def test_nothing_looks_good_without_outputs():
 
 def test_consequence_is_indented_below_its_cause():
     """Lights need the ship's attitude, which is late: the consequence is below its cause, which is named once."""
-    late = out("ship_attitude", "81 rejected in a row: late")
-    lights = out("lights", "needs ship_attitude", because_of="ship_attitude")
+    late = source_out("ship_attitude", "81 rejected in a row: late")
+    lights = source_out("lights", "needs ship_attitude", because_of="ship_attitude")
     rows = texts(state_with_mounting_shift(sources=(late, lights, source("ins"))))[12:15]
     assert [row[:20] for row in rows] == [" x ship_attitude    ", " x   lights         ", " + ins              "]
     assert rows[1].endswith("   needs ship_attitude")

@@ -15,7 +15,7 @@ import pynmea2
 import pytest
 
 from ship_msgs.msg import Alert
-from ship_testing.bridge import Display, AttitudePublisher, until
+from ship_testing.bridge import Display, AttitudePublisher, wait_until
 from ship_testing.listening_node import free_port
 
 pytestmark = pytest.mark.live
@@ -156,12 +156,12 @@ def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge
             bridge.look()
             return found(bridge.knows)
 
-        return until(ship, look, tell)
+        return wait_until(ship, look, tell)
 
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as wing:
         wing.bind(("127.0.0.1", udp_port))
         wing.setblocking(False)
-        until(ship, bridge.display.connect)
+        wait_until(ship, bridge.display.connect)
         # No alert node yet: an empty list would report that there is no alert.
         wait_for(lambda knows: "V" in knows.beats)
         assert bridge.knows.listed is None
@@ -170,16 +170,16 @@ def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge
             "--limits", str(limits), "--state", str(tmp_path / "alerts.json"), "--ros-args", "-r", "__ns:=/demo",
         )  # fmt: skip
         wait_for(lambda knows: knows.beats[-1] == "A" and knows.listed is not None, ship.tell)
-        until(ship, lambda: set(ship.alerts or ()) == {"attitude.degraded"}, ship.tell)  # ship/attitude was received
+        wait_until(ship, lambda: set(ship.alerts or ()) == {"attitude.degraded"}, ship.tell)  # ship/attitude was received
         wait_for(lambda knows: knows.state(SILENT) == "V")  # no ship/attitude any more
         told = bridge.knows.alerts["ZZZ", SILENT, 1]
         assert (told.priority, told.text) == ("A", "ATTITUDE SILENT")
         wait_for(lambda knows: ("ZZZ", SILENT, 1) in knows.listed)
 
         # A client that receives no alerts cannot acknowledge any.
-        until(ship, mute.connect)
+        wait_until(ship, mute.connect)
         mute.send(f"BNACN,120000.00,ZZZ,{SILENT},1,A,C")
-        until(ship, lambda: mute.read() or mute.last("ARC"))
+        wait_until(ship, lambda: mute.read() or mute.last("ARC"))
         mute.close()
         # A host that is not the bridge cannot acknowledge any, and receives no answer.
         for number, (kind, port) in enumerate(
@@ -187,7 +187,7 @@ def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge
         ):
             with connect_as_other_host(kind, port) as stranger:
                 stranger.send(acknowledgement(SILENT))
-                until(ship, lambda number=number: count(ship, "not allowed") == number)
+                wait_until(ship, lambda number=number: count(ship, "not allowed") == number)
         bridge.command(SILENT, 2, "A")  # no such instance
         bridge.command(SILENT, 1, "S")  # silencing one alert is not supported
         bridge.command(SILENT + 1, 1, "A")  # no such alert
@@ -199,7 +199,7 @@ def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge
         bridge.command(SILENT, 1, "Q")
         bridge.command(SILENT, 1, "A")
         wait_for(lambda knows: knows.state(SILENT) == "A")
-        until(ship, lambda: ship.alerts["attitude.silent"].state == Alert.ACTIVE_ACKNOWLEDGED)
+        wait_until(ship, lambda: ship.alerts["attitude.silent"].state == Alert.ACTIVE_ACKNOWLEDGED)
         assert sorted(bridge.knows.refused) == sorted(refused)
         revision = bridge.knows.alerts["ZZZ", SILENT, 1].revision
         assert revision == told.revision + 1
@@ -219,15 +219,15 @@ def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge
             fitting = [one for one in heard if one.number == 1 and (one.alert, one.state) == (SILENT, state)]
             return fitting[-1] if fitting else None
 
-        again = until(ship, lambda: (found := wing_alert("V")) and found.instance == 2 and found)
+        again = wait_until(ship, lambda: (found := wing_alert("V")) and found.instance == 2 and found)
         wing.sendto(acknowledgement(SILENT), ("127.0.0.1", listen_port))
-        until(ship, lambda: (found := wing_alert("A")) and found.instance == again.instance)
+        wait_until(ship, lambda: (found := wing_alert("A")) and found.instance == again.instance)
 
         # The alert node has ended: the heartbeat reports it to the bridge, and no empty list is sent.
         alerts.send_signal(signal.SIGINT)
         alerts.wait(20.0)
         wait_for(lambda knows: knows.beats[-1] == "V")
-        until(ship, lambda: ship.statuses["nmea_out: alerts"].level == b"\x01")
+        wait_until(ship, lambda: ship.statuses["nmea_out: alerts"].level == b"\x01")
         values = {pair.key: pair.value for pair in ship.statuses["nmea_out: alerts"].values}
         assert values["not allowed"] == "2"
         assert (values["acknowledged"], values["refused"], values["for others"], values["unreadable"]) == (

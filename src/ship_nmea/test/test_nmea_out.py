@@ -17,7 +17,7 @@ from ship_msgs.msg import Alert, AlertArray, ShipAttitude
 from ship_nmea.commands.nmea_out import main
 from ship_nmea.out.nmea_out import Throttle
 from ship_replay.trials.live_process import free_domain_id
-from ship_testing.bridge import LATCHED, Display, AttitudePublisher, until
+from ship_testing.bridge import LATCHED, Display, AttitudePublisher, wait_until
 from ship_testing.listening_node import free_port
 
 pytestmark = pytest.mark.live
@@ -62,7 +62,7 @@ def bridge(tmp_path_factory, ship):
     ))  # fmt: skip
     listener = Display(port)
     listener.file, listener.log, listener.process = folder / "log.nmea", folder / "log.txt", process
-    until(ship, listener.connect)
+    wait_until(ship, listener.connect)
     yield listener
     listener.close()
     code = process.poll() if process.poll() is not None else stop_node(process)
@@ -77,7 +77,7 @@ def read_until(ship, bridge, found, publish=lambda: None):
         bridge.read()
         return found()
 
-    return until(ship, look, publish)
+    return wait_until(ship, look, publish)
 
 
 def shows(bridge, heading_deg):
@@ -140,7 +140,7 @@ def test_invalid_or_old_attitude_is_sent_void(ship, bridge, how, told):
         status = ship.statuses.get("nmea_out: attitude")
         return status is not None and told in status.message
 
-    until(ship, status_has_reason, lambda: how and ship.tell(**how))
+    wait_until(ship, status_has_reason, lambda: how and ship.tell(**how))
     bridge.read()
     assert bridge.sentences
     assert not any(one.heading for one in bridge.sentences if type(one).__name__ == "HDT")
@@ -166,7 +166,7 @@ def test_unused_black_box_parameter_is_a_warning(bridge):
 
 
 def test_diagnostics_contain_every_sink(ship, bridge):
-    until(ship, lambda: {"nmea_out: sink bridge", "nmea_out: sink log"} <= set(ship.statuses))
+    wait_until(ship, lambda: {"nmea_out: sink bridge", "nmea_out: sink log"} <= set(ship.statuses))
     assert ship.statuses["nmea_out: sink bridge"].hardware_id == "/demo/nmea_out"
     assert ship.statuses["nmea_out: sink log"].level == b"\x00"
 
@@ -241,10 +241,10 @@ def test_no_alert_of_a_played_bag_is_sent(tmp_path):
     alerts.publish(AlertArray(alerts=[Alert(id="attitude.lost", priority=Alert.ALARM, text="no attitude")]))
     clock = ship.node.create_publisher(Clock, "/clock", 10)
     try:
-        until(ship, lambda: path.exists() and path.read_text().count("PASHR") > 2)
-        until(ship, lambda: "no alert is sent, heartbeat status V" in status_text(ship, "alerts"), lambda: tick(clock, began))
+        wait_until(ship, lambda: path.exists() and path.read_text().count("PASHR") > 2)
+        wait_until(ship, lambda: "no alert is sent, heartbeat status V" in status_text(ship, "alerts"), lambda: tick(clock, began))
         beats = path.read_text().count("HBT")
-        until(ship, lambda: path.read_text().count("HBT") > beats + 2, lambda: tick(clock, began))
+        wait_until(ship, lambda: path.read_text().count("HBT") > beats + 2, lambda: tick(clock, began))
     finally:
         ship.stop()
         assert stop_node(process) == 0

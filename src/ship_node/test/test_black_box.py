@@ -42,7 +42,7 @@ from ship_node.documents.saved_document import RecordingFiles
 from ship_node.edge.messages_out import Level
 from ship_node.live.adapter_calls import AdapterCalls
 from ship_node.parameters.parameter_file import load_config, parameter_text
-from ship_testing.box_entries import SECOND_NS, entries
+from ship_testing.box_entries import SECOND_NS, read_entries
 from ship_testing.relay_adapter import RelayAdapter, RelayConfig
 
 CONFIG = build(RelayConfig, {"sensors": {"fore": {"elevation_deg": 45}}})
@@ -87,7 +87,7 @@ def test_order_of_use_is_kept_when_the_clock_goes_back(tmp_path: Path) -> None:
     box.add_event(ClockJumpedBack(), 5 * SECOND_NS)
     box.add("ins/imu", b"second", 5 * SECOND_NS)
     box.close()
-    assert entries(tmp_path / "box.mcap") == [
+    assert read_entries(tmp_path / "box.mcap") == [
         ("ins/imu", b"first", 20 * SECOND_NS),
         ("ship/attitude", b"its result", 20 * SECOND_NS),
         (EVENTS_TOPIC, ClockJumpedBack(), 5 * SECOND_NS),
@@ -105,7 +105,7 @@ def test_order_of_use_with_an_oversized_message_and_a_clock_jump_back(tmp_path: 
         box.add("ins/imu", data, time_s * SECOND_NS)
         given.append(("ins/imu", data, time_s * SECOND_NS))
     box.close()
-    assert entries(tmp_path / "box.mcap")[:-1] == given
+    assert read_entries(tmp_path / "box.mcap")[:-1] == given
 
 
 def test_entries_before_the_first_time_get_the_first_time(tmp_path: Path) -> None:
@@ -113,7 +113,7 @@ def test_entries_before_the_first_time_get_the_first_time(tmp_path: Path) -> Non
     box.add_event(ParametersChanged({"gate.count": 4}, None), 0)
     box.add_event(Tick(), 7 * SECOND_NS)
     box.close()
-    assert [ns for _, _, ns in entries(tmp_path / "box.mcap")] == [7 * SECOND_NS] * 3
+    assert [ns for _, _, ns in read_entries(tmp_path / "box.mcap")] == [7 * SECOND_NS] * 3
 
 
 def test_parameters_versions_and_identity_are_attached(tmp_path: Path) -> None:
@@ -180,7 +180,7 @@ def test_entries_lost_by_a_slow_disk_are_reported(tmp_path: Path, monkeypatch: p
     box._write_all()
     box.add("ins/imu", b"late", 2 * SECOND_NS)
     box.close()
-    kept = [(topic, what) for topic, what, _ in entries(box.path)]
+    kept = [(topic, what) for topic, what, _ in read_entries(box.path)]
     assert kept == [
         *(("ins/imu", bytes([number])) for number in range(3)),
         (EVENTS_TOPIC, EntriesLost(7)),
@@ -200,7 +200,7 @@ def test_queue_for_the_disk_is_bounded_in_bytes(tmp_path: Path, monkeypatch: pyt
     box.add("ins/imu", bytes(1000), 2 * SECOND_NS)
     assert box.status().values["lost"] == "3"
     box.close()
-    events = [what for topic, what, _ in entries(box.path) if topic == EVENTS_TOPIC]
+    events = [what for topic, what, _ in read_entries(box.path) if topic == EVENTS_TOPIC]
     assert events == [EntriesLost(3), Closed()]
 
 
@@ -210,9 +210,9 @@ def test_entries_before_the_first_clock_are_bounded(tmp_path: Path) -> None:
         box.add("ins/imu", number.to_bytes(4, "little"), 0)
     box.add("ins/imu", b"last", SECOND_NS)
     box.close()
-    kept = [what for topic, what, _ in entries(box.path) if topic == "ins/imu"]
+    kept = [what for topic, what, _ in read_entries(box.path) if topic == "ins/imu"]
     assert kept == [number.to_bytes(4, "little") for number in range(5, MAX_ENTRIES_BEFORE_TIME + 5)] + [b"last"]
-    assert EntriesLost(5) in [what for topic, what, _ in entries(box.path) if topic == EVENTS_TOPIC]
+    assert EntriesLost(5) in [what for topic, what, _ in read_entries(box.path) if topic == EVENTS_TOPIC]
 
 
 def test_a_full_disk_ends_the_black_box_not_the_node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -314,7 +314,7 @@ def test_a_call_that_raises_is_recorded(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="a defect of a service"):
         calls.service("explode", SECOND_NS)
     box.close()
-    assert [what for _, what, _ in entries(box.path)] == [b"bytes", ServiceCalled("explode", None, None), Closed()]
+    assert [what for _, what, _ in read_entries(box.path)] == [b"bytes", ServiceCalled("explode", None, None), Closed()]
 
 
 def test_files_are_recorded_with_content_or_error(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from ship_node.black_box.black_box_format import (
     ServiceCalled,
     Tick,
 )
-from ship_testing.box_entries import SECOND_NS, entries
+from ship_testing.box_entries import SECOND_NS, read_entries
 from ship_testing.live_relay import RELIABLE_INPUT, SIM_TIME, imu_message
 from ship_testing.places import RELAY_PROGRAM
 
@@ -52,7 +52,7 @@ def test_black_box_contains_everything_in_order_of_use(live_relay, tmp_path):
     set_time(50.0)
     relay.wait_until(lambda: relay.adapter.resets)
     relay.live._box.close()
-    rows = entries(tmp_path / "box.mcap")
+    rows = read_entries(tmp_path / "box.mcap")
     uses = [(topic, what) for topic, what, _ in rows if topic in ("ins/imu", EVENTS_TOPIC)]
     assert uses == [
         (EVENTS_TOPIC, ParametersChanged({"gate.bias_deg": 1.5}, None)),
@@ -107,7 +107,7 @@ def test_a_change_refused_before_the_adapter_is_in_log_black_box_and_diagnostics
     assert reason
     assert f"refused: {reason}" in "".join(capfd.readouterr())
     relay.live._box.close()
-    noted = [what for topic, what, _ in entries(tmp_path / "box.mcap") if isinstance(what, ChangeRefused)]
+    noted = [what for topic, what, _ in read_entries(tmp_path / "box.mcap") if isinstance(what, ChangeRefused)]
     # What JSON has no word for stands there as Python writes it.
     told = value if not isinstance(value, list) else [repr(part) for part in value]
     assert noted == [ChangeRefused({name: told}, reason)]

@@ -127,7 +127,7 @@ def test_box_records_the_waiting_time_for_timeouts(node, tmp_path, capsys):
     def lost(waiting_ns):
         return 3_000_000_000 < waiting_ns < 5_200_000_000
 
-    box = make_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=node, node_ns=node_ns, lost=lost).path
+    box = make_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=node, node_ns=node_ns, is_lost=lost).path
     code, out, _ = verify(capsys, box)
     assert code == 0, out
     topic = node.adapter_class.outputs[0].topic

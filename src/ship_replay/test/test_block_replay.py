@@ -29,8 +29,8 @@ from ship_replay.trials.fault_voyage import make_bag, input_topics
 from ship_replay.trials.threats import OVERLAPPING, SINGLE, draw_faults
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.faults.injection import Injection
-from ship_testing.kept_sink import KeptSink, Published
-from ship_testing.spoilt_filter import spoil
+from ship_testing.kept_sink import MemorySink, Published
+from ship_testing.spoilt_filter import make_overconfident
 from theodolite_calib.optical_axis.output import PointingOutput
 
 SCENARIOS = Path(__file__).resolve().parents[3] / "bags" / "scenarios"
@@ -45,7 +45,7 @@ def replay_faults(run_class: type[ReplayRun], bag_path: Path, injection: Injecti
     with read_bag(bag_path) as bag:
         chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory())
         truth = {topic for topic in bag.topics if topic.startswith("truth/")}
-        taken, sink, summary = {topic.topic for topic in chain.inputs} | truth, KeptSink(), ReplaySummary()
+        taken, sink, summary = {topic.topic for topic in chain.inputs} | truth, MemorySink(), ReplaySummary()
         run = run_class(chain, sink, summary, truth_topics=truth)
         records: Iterator[BagRecord] = injection.records(bag)
         for record in records:
@@ -144,7 +144,7 @@ def test_a_second_estimator_that_is_adopted(tmp_path: Path, monkeypatch: pytest.
         self.recovery._config = replace(self.recovery._config, confirm_s=30.0)
         if waiting_ns - start_ns >= 20 * NS_PER_S and id(self) not in spoilt:
             spoilt.add(id(self))
-            spoil(self)
+            make_overconfident(self)
         published = look(self, now_ns, waiting_ns)
         if self.recovery.adopted > adopted.count(id(self)):
             adopted.append(id(self))

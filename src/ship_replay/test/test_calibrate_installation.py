@@ -20,7 +20,7 @@ from ship_simulation.run import SimulatedRun
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import suite_configuration
 from ship_testing.calibration_sessions import HEELING, STILL, TURN, session, write_session
-from ship_testing.refusals import refused
+from ship_testing.refusals import usage_error
 
 SCENARIOS = Path(__file__).resolve().parents[3] / "bags" / "scenarios"
 
@@ -159,7 +159,7 @@ def test_an_installation_far_from_the_configured_one_needs_a_wider_prior(tmp_pat
 
     bag = tmp_path / "session.mcap"
     write_session(bag, far, suite=believed)
-    line = refused(main, capsys, bag, "--out", tmp_path / "alignment.yaml")
+    line = usage_error(main, capsys, bag, "--out", tmp_path / "alignment.yaml")
     assert "no message of star.fore was used" in line
     assert "its installation error exceeds its sigma: use --prior-sigma" in line
     assert not (tmp_path / "alignment.yaml").exists()
@@ -233,7 +233,7 @@ def test_every_input_of_a_star_sensor_serves(tmp_path, capsys, source):
 def test_a_bag_without_data_is_refused(tmp_path, capsys, leave_out, text):
     bag = tmp_path / "session.mcap"
     write_session(bag, session(STILL, duration_s=3.0), leave_out=leave_out)
-    assert text in refused(main, capsys, bag, "--out", tmp_path / "alignment.yaml")
+    assert text in usage_error(main, capsys, bag, "--out", tmp_path / "alignment.yaml")
     assert list(tmp_path.iterdir()) == [bag]
 
 
@@ -251,30 +251,30 @@ def test_a_configuration_that_does_not_serve_is_refused(tmp_path, capsys, change
     configuration = suite_configuration(session(STILL))
     configuration["star_sensors"]["fore"] |= change
     config.write_text(yaml.safe_dump({"/**/ship_attitude": {"ros__parameters": configuration}}))
-    assert text in refused(main, capsys, bag, "--out", tmp_path / "alignment.yaml", "--config", config)
+    assert text in usage_error(main, capsys, bag, "--out", tmp_path / "alignment.yaml", "--config", config)
 
 
 def test_a_configuration_without_star_sensors_is_refused(tmp_path, capsys):
     bag, config = tmp_path / "session.mcap", tmp_path / "suite.yaml"
     write_session(bag, session(STILL, duration_s=3.0))
     config.write_text("/**/ship_attitude: {ros__parameters: {ins: {frame_id: ins}}}")
-    line = refused(main, capsys, bag, "--out", tmp_path / "alignment.yaml", "--config", config)
+    line = usage_error(main, capsys, bag, "--out", tmp_path / "alignment.yaml", "--config", config)
     assert "the configuration has no star_sensors: there is nothing to calibrate" in line
 
 
 def test_a_bag_without_configuration_is_refused(tmp_path, capsys):
     bag = tmp_path / "session.mcap"
     write_session(bag, session(STILL, duration_s=3.0), suite=None)
-    line = refused(main, capsys, bag, "--out", tmp_path / "alignment.yaml")
+    line = usage_error(main, capsys, bag, "--out", tmp_path / "alignment.yaml")
     assert "no configuration suite.yaml is attached to the bag: give one by --config" in line
 
 
 def test_absent_bag_and_output_over_it(tmp_path, capsys):
     absent = tmp_path / "absent.mcap"
-    assert refused(main, capsys, absent, "--out", tmp_path / "a.yaml") == (
+    assert usage_error(main, capsys, absent, "--out", tmp_path / "a.yaml") == (
         f"calibrate_installation: {absent}: no such file or folder\n"
     )
-    assert "the output would overwrite the input" in refused(main, capsys, absent, "--out", absent)
+    assert "the output would overwrite the input" in usage_error(main, capsys, absent, "--out", absent)
 
 
 @pytest.mark.parametrize("text", ["0", "-3", "4000", "nan", "wide"])

@@ -25,10 +25,10 @@ from ship_replay.report.pair_tables import alignment_tables, budget_tables, erro
 from ship_replay.report.pair_verdict import pair_summary
 from ship_replay.report.pair_warnings import pair_warnings
 from ship_replay.report.published import differences, read_published
-from ship_testing.bag_parts import beginning, part
+from ship_testing.bag_parts import write_beginning, write_part
 from ship_testing.browser import CHROMIUM, Browser
 from ship_testing.hand_made_bags import START_NS, imu, innovation, ship_attitude
-from ship_testing.refusals import refused
+from ship_testing.refusals import usage_error
 from ship_watch.picture import Event, Safety
 
 BAGS = Path(__file__).parents[3] / "bags"
@@ -45,7 +45,7 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def given(folder):
     """The first seconds of the demonstration's inputs."""
-    return beginning(BAGS / "demo.mcap", folder / "in.mcap", LENGTH_S)
+    return write_beginning(BAGS / "demo.mcap", folder / "in.mcap", LENGTH_S)
 
 
 @pytest.fixture(scope="module")
@@ -188,7 +188,7 @@ class TestTheSameRecording:
 
     def test_run_again_is_another_file_and_yet_equal(self, plain, folder):
         """The same messages, with another attachment: not the same recording, equal outputs."""
-        again = part(plain, folder / "again.mcap", lambda record: True)
+        again = write_part(plain, folder / "again.mcap", lambda record: True)
         with BagWriter(folder / "again_noted.mcap") as writer, read_bag(again) as bag:
             for name, data in bag.attachments.items():
                 writer.add_attachment(name, data)
@@ -221,7 +221,7 @@ def test_the_last_bit_counts(plain, folder):
 @pytest.mark.slow
 def test_an_angle_in_one_run_only(plain, noisier, folder):
     """A has replayed pointings and attitudes; B has attitudes only."""
-    given = beginning(BAGS / "theodolite.mcap", folder / "theodolite_in.mcap", LENGTH_S)
+    given = write_beginning(BAGS / "theodolite.mcap", folder / "theodolite_in.mcap", LENGTH_S)
     replay(given, folder / "theodolite.mcap", ADAPTERS)
     with BagWriter(folder / "both.mcap") as writer:
         for path in (plain, folder / "theodolite.mcap"):
@@ -246,7 +246,7 @@ def test_a_sensor_out_in_one_only(plain, given, folder):
     topic = "star/fore/horizon_attitude"
     with read_bag(given) as bag:
         cut_ns = bag.start_ns + 8 * SECOND_NS
-    lame = part(given, folder / "lame_in.mcap", lambda one: one.topic != topic or one.log_time_ns < cut_ns)
+    lame = write_part(given, folder / "lame_in.mcap", lambda one: one.topic != topic or one.log_time_ns < cut_ns)
     replay(lame, folder / "lame.mcap", ADAPTERS)
     pair = read_pair(plain, folder / "lame.mcap")
     told = sentences(pair)
@@ -404,19 +404,19 @@ class TestBadInput:
         a = write_attitudes(tmp_path / "a.mcap", 5)
         with BagWriter(tmp_path / "in.mcap") as writer:
             writer.write("ins/imu", imu(START_NS), START_NS)
-        line = refused(main, capsys, a, tmp_path / "in.mcap", "--out", tmp_path / "c.html")
+        line = usage_error(main, capsys, a, tmp_path / "in.mcap", "--out", tmp_path / "c.html")
         expected = f"compare: {tmp_path / 'in.mcap'}: no outputs of the suite: expected topic ship/attitude or"
         assert line.startswith(expected)
 
     def test_a_truth_without_truth(self, tmp_path, capsys):
         a = write_attitudes(tmp_path / "a.mcap", 5, truth=False)
-        line = refused(main, capsys, a, a, "--truth", a, "--out", tmp_path / "c.html")
+        line = usage_error(main, capsys, a, a, "--truth", a, "--out", tmp_path / "c.html")
         assert line.startswith(f"compare: {a}: no truth: expected topic truth/attitude or truth/pointing")
 
     def test_no_overlap_in_time(self, tmp_path, capsys):
         a = write_attitudes(tmp_path / "a.mcap", 5)
         b = write_attitudes(tmp_path / "b.mcap", 5, start_s=60)
-        line = refused(main, capsys, a, b, "--out", tmp_path / "c.html")
+        line = usage_error(main, capsys, a, b, "--out", tmp_path / "c.html")
         assert line == (
             f"compare: {b}: no time in common with {a}: outputs from 2023-11-14 22:14:20 to 2023-11-14 22:14:24 UTC, "
             "expected some from 2023-11-14 22:13:20 to 2023-11-14 22:13:24\n"
@@ -429,14 +429,14 @@ class TestBadInput:
         a = write_attitudes(tmp_path / "a.mcap", 5)
         with BagWriter(tmp_path / "in.mcap") as writer:
             writer.write("ins/imu", imu(START_NS), START_NS)
-        line = refused(main, capsys, a, tmp_path / "in.mcap", "--out", tmp_path / "c.html")
+        line = usage_error(main, capsys, a, tmp_path / "in.mcap", "--out", tmp_path / "c.html")
         assert line.startswith(f"compare: {tmp_path / 'in.mcap'}: no outputs of the suite: expected topic")
         assert active_children() == []
 
     def test_no_bag(self, tmp_path, capsys):
         a = write_attitudes(tmp_path / "a.mcap", 5)
         (tmp_path / "notes.mcap").write_text("no bag at all, although it is called one")
-        line = refused(main, capsys, a, tmp_path / "notes.mcap", "--out", tmp_path / "c.html")
+        line = usage_error(main, capsys, a, tmp_path / "notes.mcap", "--out", tmp_path / "c.html")
         assert line.startswith(f"compare: {tmp_path / 'notes.mcap'}: ")
 
     def test_a_suite_file_of_another_version(self, tmp_path, capsys):
@@ -445,7 +445,7 @@ class TestBadInput:
             writer.add_attachment("suite.yaml", "optical_axis:\n  ros__parameters:\n    frobnicate: 1\n")
             for record in bag.records():
                 writer.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)
-        line = refused(main, capsys, a, tmp_path / "b.mcap", "--out", tmp_path / "c.html")
+        line = usage_error(main, capsys, a, tmp_path / "b.mcap", "--out", tmp_path / "c.html")
         assert f"{tmp_path / 'b.mcap'}: attachment suite.yaml" in line
         assert "frobnicate" in line
 

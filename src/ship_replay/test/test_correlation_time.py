@@ -12,7 +12,7 @@ from ship_replay.ins_noise.correlation_time import mean_log_time
 from ship_replay.ins_noise.fit import fit
 from ship_replay.ins_noise.processes import GaussMarkovModel
 from ship_replay.ins_noise.star_record import star_record
-from ship_testing.noise_sessions import GaussMarkovProcess, drawn, noise_session, scenario
+from ship_testing.noise_sessions import GaussMarkovProcess, draw_session, simulated_noise_session, scenario
 
 SEEDS = 200
 LOW, HIGH = np.sqrt(chi2.ppf([0.0005, 0.9995], SEEDS) / SEEDS)
@@ -58,7 +58,7 @@ def test_the_time_is_known_as_well_as_stated(axes: int, times: float) -> None:
 @pytest.mark.statistics
 def test_sigma_and_time_are_known_as_well_as_stated_by_identify_noise() -> None:
     process = GaussMarkovProcess(10.0, 1800.0, 72.0, 1800.0, 3.0)
-    session = noise_session(scenario(10_800.0, rate_hz=0.025), 1)
+    session = simulated_noise_session(scenario(10_800.0, rate_hz=0.025), 1)
     model = GaussMarkovModel(session.config.ins)
     change = [2.0 * sigma**2 / time_s for sigma, time_s in (process[:2], process[2:4])]
     true = {
@@ -69,7 +69,7 @@ def test_sigma_and_time_are_known_as_well_as_stated_by_identify_noise() -> None:
     }
     normalised = []
     for seed in range(SEEDS):
-        found = fit(star_record(drawn(session, seed, process)), model)
+        found = fit(star_record(draw_session(session, seed, process)), model)
         told = {what.name: found.suite_value(what) for what in model.suite_parameters}
         of_process = [np.log(told[name][0] / value) / told[name][1] for name, value in true.items()]
         of_change = np.log(found.values[[0, 2]] / change) / found.log_sigmas[[0, 2]]

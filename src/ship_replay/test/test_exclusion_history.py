@@ -9,7 +9,7 @@ from ship_bags.stamps import make_header
 from ship_replay.commands.replay import main as replay
 from ship_replay.offline.exclusion_history import ExclusionHistory
 from ship_simulation.inject_command import main as inject
-from ship_testing.bag_parts import beginning
+from ship_testing.bag_parts import write_beginning
 from ship_testing.hand_made_bags import START_NS
 from ship_testing.places import ROOT
 
@@ -44,7 +44,7 @@ def test_times_of_an_exclusion() -> None:
 
 def test_a_replay_names_the_shifted_sensor_below_the_statuses(tmp_path: Path, capsys) -> None:
     clean, faulty = tmp_path / "clean.mcap", tmp_path / "faulty.mcap"
-    beginning(ROOT / "bags" / "demo.mcap", clean, 6)
+    write_beginning(ROOT / "bags" / "demo.mcap", clean, 6)
     (tmp_path / "faults.yaml").write_text(KNOCK)
     assert inject([str(clean), "--faults", str(tmp_path / "faults.yaml"), "--out", str(faulty)]) == 0
     ends = {}

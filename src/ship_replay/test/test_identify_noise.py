@@ -11,7 +11,7 @@ from ship_node.parameters.parameter_file import load_config
 from ship_replay.commands.identify_noise import main
 from ship_testing.calibration_sessions import write_session
 from ship_testing.noise_sessions import scenario
-from ship_testing.refusals import refused
+from ship_testing.refusals import usage_error
 
 SHORT = scenario(600.0)
 SHORT = replace(SHORT, ins=replace(SHORT.ins, rate_hz=2.5))
@@ -60,16 +60,16 @@ def test_without_out_nothing_is_written(bag, tmp_path, monkeypatch, capsys):
 
 def test_bad_input_is_reported_in_one_line(bag, tmp_path, capsys):
     write_session(tmp_path / "few.mcap", replace(SHORT, duration_s=100.0))
-    line = refused(main, capsys, tmp_path / "few.mcap")
+    line = usage_error(main, capsys, tmp_path / "few.mcap")
     assert "few.mcap: 11 epochs of stars: expected at least 50, better hours of them" in line
     write_session(
         tmp_path / "dark.mcap",
         replace(SHORT, duration_s=60.0),
         leave_out=("star/fore/horizon_attitude", "star/starboard/horizon_attitude"),
     )
-    line = refused(main, capsys, tmp_path / "dark.mcap")
+    line = usage_error(main, capsys, tmp_path / "dark.mcap")
     assert "no star measurement was used (none received): the INS error is not observable" in line
     (tmp_path / "blind.yaml").write_text("ship_attitude: {ros__parameters: {ins: {frame_id: ins}}}\n")
-    line = refused(main, capsys, bag, "--config", tmp_path / "blind.yaml")
+    line = usage_error(main, capsys, bag, "--config", tmp_path / "blind.yaml")
     assert "the configuration has no star_sensors of ship_attitude" in line
-    assert "the output would overwrite the input" in refused(main, capsys, bag, "--out", bag)
+    assert "the output would overwrite the input" in usage_error(main, capsys, bag, "--out", bag)

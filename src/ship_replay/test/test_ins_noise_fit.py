@@ -17,7 +17,7 @@ from ship_replay.ins_noise.identification import Identification, identify
 from ship_replay.ins_noise.processes import GaussMarkovModel
 from ship_replay.ins_noise.star_record import star_record
 from ship_replay.ins_noise.written import parameter_file_text
-from ship_testing.noise_sessions import GaussMarkovProcess, drawn, noise_session, scenario
+from ship_testing.noise_sessions import GaussMarkovProcess, draw_session, simulated_noise_session, scenario
 
 pytestmark = pytest.mark.slow  # what its tests share takes long
 
@@ -41,7 +41,7 @@ def changes(fitted: FittedModel) -> dict[str, tuple[float, float]]:
 
 @pytest.fixture(scope="module")
 def three_hours() -> Identification:
-    return identify(noise_session(scenario(10_800.0, white_sigma_arcsec=WHITE), 1))
+    return identify(simulated_noise_session(scenario(10_800.0, white_sigma_arcsec=WHITE), 1))
 
 
 def test_three_hours_determine_white_noise_and_change(three_hours: Identification) -> None:
@@ -78,7 +78,7 @@ def test_the_right_model_is_consistent_without_stars(three_hours: Identification
 @pytest.fixture(scope="module")
 def free_ins() -> Identification:
     """An undamped INS, two hours of stars."""
-    return identify(noise_session(scenario(7200.0, model="schuler"), 4))
+    return identify(simulated_noise_session(scenario(7200.0, model="schuler"), 4))
 
 
 @pytest.mark.statistics
@@ -112,7 +112,7 @@ def test_schuler_is_written_with_what_it_rests_on(free_ins: Identification, tmp_
 def test_two_hundred_times_determine_sigma_and_time() -> None:
     # Issue: sigma within 10 %, tau within 30 %.
     slow = {"tilt_sigma_arcsec": 10.0, "tilt_time_s": 60.0, "heading_sigma_arcsec": 20.0, "heading_time_s": 60.0}
-    session = noise_session(scenario(12_000.0, **slow), 1)
+    session = simulated_noise_session(scenario(12_000.0, **slow), 1)
     found = suite_values(fit(star_record(session), GaussMarkovModel(session.config.ins)))
     for axis, sigma in (("tilt", 10.0), ("heading", 20.0)):
         assert found[f"{axis}_sigma_arcsec"][0] == pytest.approx(sigma, rel=0.1)
@@ -123,10 +123,10 @@ def test_two_hundred_times_determine_sigma_and_time() -> None:
 
 @pytest.mark.statistics
 def test_stated_sigmas_hold_over_many_records() -> None:
-    hour, wrong = noise_session(scenario(2400.0), 1), []
+    hour, wrong = simulated_noise_session(scenario(2400.0), 1), []
     true = np.log([CHANGES["tilt"], CHANGES["heading"], WHITE])
     for seed in range(6):
-        session = drawn(hour, seed, PROCESS)
+        session = draw_session(hour, seed, PROCESS)
         found = fit(star_record(session), GaussMarkovModel(session.config.ins))
         rows = [0, 2, 4]
         wrong.append((np.log(found.values[rows]) - true) / found.log_sigmas[rows])
@@ -135,7 +135,7 @@ def test_stated_sigmas_hold_over_many_records() -> None:
 
 
 def test_without_a_latitude_schuler_is_not_tried() -> None:
-    found = identify(noise_session(scenario(1200.0), 1, with_fixes=False))
+    found = identify(simulated_noise_session(scenario(1200.0), 1, with_fixes=False))
     assert [fitted.model.name for fitted in found.fitted] == ["gauss_markov"]
     assert "schuler was not tried: the latitude is unknown without position fixes" in found.warnings
 
@@ -145,8 +145,8 @@ def test_wrong_sigmas_in_the_configuration_do_not_matter() -> None:
     found = [
         fit(star_record(session), GaussMarkovModel(session.config.ins))
         for session in (
-            noise_session(of, 3),
-            noise_session(of, 3, ins_changes={"tilt_sigma_arcsec": 5.0, "tilt_time_s": 600.0, "white_sigma_arcsec": 1.5}),
+            simulated_noise_session(of, 3),
+            simulated_noise_session(of, 3, ins_changes={"tilt_sigma_arcsec": 5.0, "tilt_time_s": 600.0, "white_sigma_arcsec": 1.5}),
         )
     ]
     np.testing.assert_allclose(found[0].log_likelihood, found[1].log_likelihood, atol=0.05)

@@ -22,7 +22,7 @@ from ship_replay.ins_noise.processes import GaussMarkovModel, SchulerModel
 from ship_replay.ins_noise.session import NoiseSession, mean_location
 from ship_replay.ins_noise.star_record import star_record
 from ship_simulation.scenario.motion_scenario import AngleMotion, Wave
-from ship_testing.noise_sessions import STILL, noise_session, scenario
+from ship_testing.noise_sessions import STILL, simulated_noise_session, scenario
 
 LASTING = {"common_sigma_arcsec": 2.0, "common_time_s": 300.0, "time_offset_sigma_s": 0.001, "phase_s": 0.5}
 ROLLING = replace(STILL, roll=AngleMotion(waves={"slow": Wave(amplitude_deg=4.0, period_s=200.0)}))
@@ -34,7 +34,7 @@ WALK = 30.0
 def session() -> NoiseSession:
     """Two minutes with other states of every kind: constant, random walk, Gauss-Markov. Stars are between samples."""
     voyage = scenario(120.0, star=LASTING)
-    found = noise_session(replace(voyage, carrier=ROLLING, ins=replace(voyage.ins, rate_hz=1.0)), 1)
+    found = simulated_noise_session(replace(voyage, carrier=ROLLING, ins=replace(voyage.ins, rate_hz=1.0)), 1)
     block = found.model.blocks["star.fore.installation"]
     object.__setattr__(block, "walk", np.full(3, WALK * ARCSEC / 60.0))
     return found
@@ -168,7 +168,7 @@ def test_schuler_is_the_joint_density(session: NoiseSession, damping_time_s: flo
 
 
 def test_a_long_record_is_thinned_with_a_warning() -> None:
-    session = noise_session(scenario(400.0), 2)
+    session = simulated_noise_session(scenario(400.0), 2)
     assert star_record(session).epoch_step == 1
     thinned = star_record(session, most_epochs=15)
     assert (thinned.epoch_step, len(thinned.times_s)) == (3, 14)

@@ -19,8 +19,8 @@ from ship_replay.report.time_axis import UtcTicks
 from ship_replay.report.told import read_report_data
 from ship_replay.report.wording import duration, number
 from ship_testing.hand_made_bags import PERIOD_NS, START_NS, imu, ship_attitude
-from ship_testing.refusals import refused
-from ship_testing.reported_nights import SECOND_NS, copied, section, write_bag
+from ship_testing.refusals import usage_error
+from ship_testing.reported_nights import SECOND_NS, copy_bag, section, write_bag
 from ship_watch.picture import Event, Safety
 
 
@@ -121,7 +121,7 @@ class TestBadInput:
         bag = tmp_path / "in.mcap"
         with BagWriter(bag) as writer:
             writer.write("ins/imu", imu(START_NS), START_NS + PERIOD_NS)
-        line = refused(main, capsys, bag, "--out", tmp_path / "a.html")
+        line = usage_error(main, capsys, bag, "--out", tmp_path / "a.html")
         assert line.startswith(f"report: {bag}: no outputs of the suite: expected topic ship/attitude or")
 
     @pytest.mark.parametrize("short_bytes", [0, 8_000_000])
@@ -131,24 +131,24 @@ class TestBadInput:
         bag = tmp_path / "out.mcap"
         with BagWriter(bag) as writer:
             writer.write("ship/attitude", ship_attitude(START_NS), START_NS)
-        line = refused(main, capsys, bag, "--out", tmp_path / "a.html")
+        line = usage_error(main, capsys, bag, "--out", tmp_path / "a.html")
         assert line.startswith(f"report: {bag}: nothing to evaluate: expected topics")
 
     def test_a_truth_without_truth(self, tmp_path, capsys):
         out = write_bag(tmp_path / "out.mcap", 5, with_truth=False)
-        line = refused(main, capsys, out, "--truth", out, "--out", tmp_path / "a.html")
+        line = usage_error(main, capsys, out, "--truth", out, "--out", tmp_path / "a.html")
         assert line.startswith(f"report: {out}: no truth: expected topic truth/attitude or truth/pointing")
 
     def test_no_bag(self, tmp_path, capsys):
         bag = tmp_path / "notes.mcap"
         bag.write_text("no bag at all, although it is called one")
-        assert refused(main, capsys, bag, "--out", tmp_path / "a.html").startswith(f"report: {bag}: ")
+        assert usage_error(main, capsys, bag, "--out", tmp_path / "a.html").startswith(f"report: {bag}: ")
 
     def test_an_unknown_key_in_the_limits(self, tmp_path, capsys):
         limits = tmp_path / "limits.yaml"
         limits.write_text("heading_arcsec: 8.0\nheadding_arcsec: 8.0\n")
         out = write_bag(tmp_path / "out.mcap", 5)
-        line = refused(main, capsys, out, "--limits", limits, "--out", tmp_path / "a.html")
+        line = usage_error(main, capsys, out, "--limits", limits, "--out", tmp_path / "a.html")
         assert f"{limits}:2" in line
         assert "headding_arcsec" in line
 
@@ -294,7 +294,7 @@ def test_the_commit_of_the_suite_is_stated_of_a_plain_bag(tmp_path):
     """The commit of the suite that wrote the bag, from the bag, and that of the suite that made the report."""
     with BagWriter(tmp_path / "out.mcap") as writer:
         writer.add_metadata(COMMIT_RECORD, {"commit": "0123abcd"})
-        copied(write_bag(tmp_path / "night.mcap", 5), writer)
+        copy_bag(write_bag(tmp_path / "night.mcap", 5), writer)
     text = section(page(read_report_data(tmp_path / "out.mcap")), "provenance")
     made_bag, made_report = text.split("Versions that made this report")
     assert "<tr><td>suite, commit</td><td>0123abcd</td></tr>" in made_bag

@@ -18,7 +18,7 @@ from ship_replay.report.page import page
 from ship_replay.report.told import read_report_data
 from ship_replay.report.wording import utc
 from ship_testing.hand_made_bags import FACTORY, START_NS, ship_attitude, star_message
-from ship_testing.reported_nights import SECOND_NS, SIGMA_ENU, copied, section, write_bag
+from ship_testing.reported_nights import SECOND_NS, SIGMA_ENU, copy_bag, section, write_bag
 from ship_watch.alert_states import AlertState
 from ship_watch.picture import Priority
 
@@ -31,7 +31,7 @@ def night_path(tmp_path_factory):
 @pytest.mark.slow
 @pytest.mark.parametrize("namespace", ["vessel", "ship"])
 def test_a_recording_in_a_namespace(night_path, tmp_path, namespace):
-    copied(night_path, BagWriter(tmp_path / "recorded.mcap"), f"/{namespace}/")
+    copy_bag(night_path, BagWriter(tmp_path / "recorded.mcap"), f"/{namespace}/")
     out = tmp_path / "a.html"
     assert main([str(tmp_path / "recorded.mcap"), "--namespace", f"/{namespace}", "--out", str(out)]) == 0
     told = out.read_text()
@@ -42,7 +42,7 @@ def test_a_recording_in_a_namespace(night_path, tmp_path, namespace):
 @pytest.mark.slow
 def test_a_rosbag2_folder_of_several_files(night_path, tmp_path):
     folder = tmp_path / "night"
-    copied(night_path, FolderWriter(folder, SplitLimits(size_bytes=10_000)))
+    copy_bag(night_path, FolderWriter(folder, SplitLimits(size_bytes=10_000)))
     told = page(read_report_data(folder))
     alone = page(read_report_data(night_path))
     for name in ("verdict", "errors", "consistency", "events", "refusals"):
@@ -115,7 +115,7 @@ def test_versions_of_the_bag_and_of_the_report_are_separate(night_path, tmp_path
     writer = BagWriter(path)
     told = {"suite": {"ship_node": "0.0.7"}, "python": "3.9.2", "machine": "riscv64", "libraries": {"numpy": "1.2.3"}}
     writer.add_attachment("versions.json", json.dumps(told))
-    copied(night_path, writer)
+    copy_bag(night_path, writer)
     made, _, here = section(page(read_report_data(path)), "provenance").partition("Versions that made this report")
     rows = [("ship_node", "0.0.7"), ("numpy", "1.2.3"), ("python", "3.9.2"), ("machine", "riscv64")]
     for name, version in rows:
@@ -128,7 +128,7 @@ def test_versions_of_the_bag_and_of_the_report_are_separate(night_path, tmp_path
 def test_damaged_versions_are_none(night_path, tmp_path, damaged):
     writer = BagWriter(tmp_path / "box.mcap")
     writer.add_attachment("versions.json", damaged)
-    copied(night_path, writer)
+    copy_bag(night_path, writer)
     assert "The bag does not contain the commit" in section(page(read_report_data(tmp_path / "box.mcap")), "provenance")
 
 
@@ -136,7 +136,7 @@ def test_damaged_versions_are_none(night_path, tmp_path, damaged):
 def test_a_truncated_bag_is_reported_up_to_its_end(tmp_path, capsys, left, end_s):
     """A truncated recording is reported with a warning and the time of its end."""
     whole = tmp_path / "whole.mcap"
-    copied(write_bag(tmp_path / "night.mcap"), writer := BagWriter(whole))
+    copy_bag(write_bag(tmp_path / "night.mcap"), writer := BagWriter(whole))
     assert writer.message_count > 800
     out = tmp_path / "out.mcap"
     out.write_bytes(whole.read_bytes()[: round(left * whole.stat().st_size)])

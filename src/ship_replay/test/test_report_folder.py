@@ -7,7 +7,7 @@ from urllib.parse import unquote
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_replay.commands.report import main
 from ship_testing.hand_made_bags import PERIOD_NS, START_NS, imu
-from ship_testing.refusals import refused
+from ship_testing.refusals import usage_error
 from ship_testing.reported_nights import write_bag
 
 
@@ -60,7 +60,7 @@ def test_nothing_is_written_over_without_force(tmp_path, capsys):
     assert main(command) == 0
     (tmp_path / "index.html").unlink()
     capsys.readouterr()
-    assert "a.mcap.html" in refused(main, capsys, *command)
+    assert "a.mcap.html" in usage_error(main, capsys, *command)
     assert main([*command, "--force"]) == 0
 
 
@@ -68,11 +68,11 @@ def test_truth_is_of_one_bag(tmp_path, capsys):
     folder = tmp_path / "voyage"
     folder.mkdir()
     night = write_bag(folder / "a.mcap", 5)
-    assert "--truth is for one bag" in refused(main, capsys, folder, "--truth", night, "--out", tmp_path / "b.html")
+    assert "--truth is for one bag" in usage_error(main, capsys, folder, "--truth", night, "--out", tmp_path / "b.html")
 
 
 def test_a_folder_without_bags_is_refused(tmp_path, capsys):
     folder = tmp_path / "empty"
     folder.mkdir()
-    assert refused(main, capsys, folder, "--out", tmp_path / "b.html").startswith(f"report: {folder}: ")
+    assert usage_error(main, capsys, folder, "--out", tmp_path / "b.html").startswith(f"report: {folder}: ")
     shutil.rmtree(folder)

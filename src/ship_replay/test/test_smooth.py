@@ -16,7 +16,7 @@ from ship_replay.commands.replay import main as replay
 from ship_replay.commands.smooth import main as smooth
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
-from ship_testing.spoilt_filter import spoil
+from ship_testing.spoilt_filter import make_overconfident
 
 SCENARIO = """\
 start_utc: "2014-07-09T11:50:07.8Z"
@@ -183,7 +183,7 @@ def test_attitudes_of_before_an_adoption_are_smoothed_too(tmp_path, monkeypatch)
         self.recovery._config = replace(self.recovery._config, confirm_s=25.0)
         if waiting_ns - start_ns >= 15_000_000_000 and self not in adapters:
             adapters.add(self)
-            spoil(self)
+            make_overconfident(self)
         return look(self, now_ns, waiting_ns)
 
     monkeypatch.setattr(ShipAttitudeAdapter, "_look", spoilt_look)

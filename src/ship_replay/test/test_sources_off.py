@@ -17,7 +17,7 @@ from ship_replay.offline.adapter_chain import suite_chain
 from ship_replay.offline.block_run import BlockRun
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
-from ship_testing.kept_sink import KeptSink, Published
+from ship_testing.kept_sink import MemorySink, Published
 from ship_testing.places import ROOT
 
 DEMO, THEODOLITE = ROOT / "bags" / "demo.mcap", ROOT / "bags" / "theodolite.mcap"
@@ -38,7 +38,7 @@ def replay_published(run_class: type[ReplayRun], bag_path: Path, config_path: Pa
     """Return the outputs for the beginning of a bag without one topic."""
     with read_bag(bag_path) as bag:
         chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory(), config_path)
-        taken, sink = {topic.topic for topic in chain.inputs} - {without}, KeptSink()
+        taken, sink = {topic.topic for topic in chain.inputs} - {without}, MemorySink()
         run = run_class(chain, sink, ReplaySummary(), truth_topics=set())
         assert bag.start_ns is not None
         for record in bag.records():

@@ -13,7 +13,7 @@ from ship_replay.commands.check_config import main as check_config
 from ship_replay.commands.replay import main as replay
 from ship_replay.offline.message_times import Gaps
 from ship_replay.offline.status_course import StatusHistory
-from ship_testing.bag_parts import beginning
+from ship_testing.bag_parts import write_beginning
 from ship_testing.hand_made_bags import START_NS, imu, ship_attitude
 
 DEMO = Path(__file__).parents[3] / "bags" / "demo.mcap"
@@ -155,7 +155,7 @@ def test_a_replay_names_a_missing_input(tmp_path, capsys):
 def test_a_replay_gives_the_reason_that_the_node_itself_gave(tmp_path, capsys):
     """Formerly the replay named an optional sensor without data, or no reason, although a level was above its limit."""
     config, bag = tmp_path / "suite.yaml", tmp_path / "a.mcap"
-    beginning(DEMO, bag, 6)
+    write_beginning(DEMO, bag, 6)
     with read_bag(DEMO) as demo:
         suite = demo.attachments[SUITE_ATTACHMENT].decode()
     limit = "    integrity: {alert_limit_arcsec: [0.1, 0.1, 0.1]}\n"

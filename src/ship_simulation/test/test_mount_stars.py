@@ -15,7 +15,7 @@ from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.theodolite.mount_stars import draw_parallelism
 from ship_testing.paper_stars import with_exact_optics
-from ship_testing.theodolite_scenes import SCENARIOS, replaced
+from ship_testing.theodolite_scenes import SCENARIOS, replace_nested
 
 STARS = "theodolite/night/stars"
 FOCAL_LENGTH_M, PIXEL_PITCH_M, MIDDLE_PX = 0.1, 6.5e-6, 1100.0
@@ -24,7 +24,7 @@ FOCAL_LENGTH_M, PIXEL_PITCH_M, MIDDLE_PX = 0.1, 6.5e-6, 1100.0
 def short_run(duration_s=4.0, **changes):
     """Return the star scenario without lights and targets; changes by path of its camera."""
     scenario = with_exact_optics(load_scenario(SCENARIOS / "theodolite_night.yaml"))
-    camera = replaced(scenario.telescopes["night"], **changes)
+    camera = replace_nested(scenario.telescopes["night"], **changes)
     return dataclasses.replace(scenario, duration_s=duration_s, beacons={}, targets={}, telescopes={"night": camera})
 
 
@@ -99,7 +99,7 @@ def test_parallelism_is_drawn_with_its_sigma_and_published_as_truth():
 
 def test_a_further_camera_changes_nothing_else():
     alone, scenario = short_run(), short_run()
-    other = replaced(scenario.telescopes["night"], azimuth_deg=-2.0)
+    other = replace_nested(scenario.telescopes["night"], azimuth_deg=-2.0)
     both = dataclasses.replace(scenario, telescopes={**scenario.telescopes, "second": other})
     runs = [simulate(one, seed=1) for one in (alone, both)]
     first, second = (run.theodolite.stars["night"].pixel for run in runs)

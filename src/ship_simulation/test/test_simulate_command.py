@@ -15,7 +15,7 @@ from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import main
 from ship_simulation.suite.suite import suite_yaml
-from ship_testing.refusals import refused
+from ship_testing.refusals import usage_error
 from ship_testing.short_scenario import SHORT
 
 SCENARIOS = Path(__file__).resolve().parents[3] / "bags" / "scenarios"
@@ -108,7 +108,7 @@ def test_a_record_that_is_too_short_is_refused(scenario, tmp_path, capsys):
     recording = tmp_path / "carrier.mcap"
     assert main([str(scenario), "--out", str(recording)]) == 0
     capsys.readouterr()
-    line = refused(main, capsys, SCENARIOS / "recorded.yaml", "--out", tmp_path / "x.mcap", "--carrier", recording)
+    line = usage_error(main, capsys, SCENARIOS / "recorded.yaml", "--out", tmp_path / "x.mcap", "--carrier", recording)
     assert "the recorded motion lasts 4.0 s" in line
     assert "reduce duration_s" in line
     assert not (tmp_path / "x.mcap").exists()
@@ -164,20 +164,20 @@ def test_a_broken_scenario_is_one_line_with_file_line_and_key(case, scenario, tm
     before, after, expected = BROKEN[case]
     assert before in SHORT
     scenario.write_text(SHORT.replace(before, after, 1))
-    line = refused(main, capsys, scenario, "--out", tmp_path / "x.mcap")
+    line = usage_error(main, capsys, scenario, "--out", tmp_path / "x.mcap")
     assert str(scenario) in line
     assert expected in line
     assert list(tmp_path.iterdir()) == [scenario]
 
 
 def test_missing_files_are_named(scenario, tmp_path, capsys):
-    line = refused(main, capsys, tmp_path / "none.yaml", "--out", tmp_path / "x.mcap")
+    line = usage_error(main, capsys, tmp_path / "none.yaml", "--out", tmp_path / "x.mcap")
     assert "none.yaml" in line
     assert "No such file" in line
-    line = refused(main, capsys, scenario, "--out", tmp_path / "no_folder" / "x.mcap")
+    line = usage_error(main, capsys, scenario, "--out", tmp_path / "no_folder" / "x.mcap")
     assert "no_folder/x.mcap: cannot be written" in line
     (tmp_path / "empty.yaml").write_text("")
-    assert "empty.yaml:1: expected 'name: value' entries" in refused(
+    assert "empty.yaml:1: expected 'name: value' entries" in usage_error(
         main, capsys, tmp_path / "empty.yaml", "--out", tmp_path / "x.mcap"
     )
 
@@ -191,5 +191,5 @@ def test_a_seed_is_a_whole_number(seed, scenario, tmp_path, capsys):
 
 
 def test_a_carrier_for_a_scenario_without_recording_is_refused(scenario, tmp_path, capsys):
-    line = refused(main, capsys, scenario, "--out", tmp_path / "x.mcap", "--carrier", tmp_path / "carrier.mcap")
+    line = usage_error(main, capsys, scenario, "--out", tmp_path / "x.mcap", "--carrier", tmp_path / "carrier.mcap")
     assert "short.yaml:4: 'carrier.kind' must be recorded" in line

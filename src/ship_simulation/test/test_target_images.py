@@ -15,7 +15,7 @@ from ship_simulation.run import simulate
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.theodolite.targets import _true_detector
-from ship_testing.theodolite_scenes import SCENARIOS, replaced, with_theodolite, without_errors
+from ship_testing.theodolite_scenes import SCENARIOS, replace_nested, with_theodolite, without_errors
 
 IMAGE, TRUTH, POINTING = "theodolite/target", "truth/target_direction", "truth/pointing"
 FOCAL_LENGTH_M, EARTH_RADIUS_M = 1.5, 6_371_000.0
@@ -25,7 +25,7 @@ def short_run(duration_s=6.0, detector=None, **target):
     """Return the scenario without lights and stars; changes by path of its detector and of its target."""
     scenario = load_scenario(SCENARIOS / "theodolite_night.yaml")
     changes = {f"main_detector__{name}": value for name, value in (detector or {}).items()}
-    balloon = replaced(scenario.targets["balloon"], **target)
+    balloon = replace_nested(scenario.targets["balloon"], **target)
     scenario = dataclasses.replace(
         scenario, duration_s=duration_s, beacons={}, telescopes={}, targets={"balloon": balloon}
     )

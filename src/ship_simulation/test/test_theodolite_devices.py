@@ -14,7 +14,7 @@ from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.ship.rtk import FIXED, FLOAT, NONE
 from ship_simulation.theodolite.devices import points_on_detector
 from ship_simulation.theodolite.scene import axis_errors_of, draw_theodolite, parallelism_of, surveyed_vector
-from ship_testing.theodolite_scenes import bag_scenario, replaced, with_beacons, with_theodolite
+from ship_testing.theodolite_scenes import bag_scenario, replace_nested, with_beacons, with_theodolite
 
 SEEDS = 400
 
@@ -125,7 +125,7 @@ def test_baselines_have_fix_float_and_none_and_stop():
         "leaves_s": 9.0,
     }
     scenario = bag_scenario()
-    scenario = dataclasses.replace(scenario, beacons={"a": replaced(scenario.beacons["a"], **windows)})
+    scenario = dataclasses.replace(scenario, beacons={"a": replace_nested(scenario.beacons["a"], **windows)})
     run = simulate(scenario, seed=1)
     samples = run.theodolite.baselines["a"]
     t_s = since_start_s(run, samples)

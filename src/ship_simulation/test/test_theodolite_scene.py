@@ -16,8 +16,8 @@ from ship_simulation.theodolite.flight import flight_path
 from ship_simulation.theodolite.scene import axis_errors_of, parallelism_of, surveyed_vector
 from ship_testing.theodolite_scenes import (
     bag_scenario,
-    replaced,
-    sweeping_over,
+    replace_nested,
+    sweep_over_beacons,
     with_beacons,
     with_theodolite,
     without_errors,
@@ -93,8 +93,8 @@ def test_the_image_is_inverted_and_the_lights_are_at_the_scenario_positions():
         telescope__principal_z_m=0.0,
         air__coefficient=0.0,
     )
-    level = dataclasses.replace(scenario.carrier, pitch=replaced(scenario.carrier.pitch, waves={}))
-    level = dataclasses.replace(level, roll=replaced(level.roll, waves={}))
+    level = dataclasses.replace(scenario.carrier, pitch=replace_nested(scenario.carrier.pitch, waves={}))
+    level = dataclasses.replace(level, roll=replace_nested(level.roll, waves={}))
     run = simulate(dataclasses.replace(scenario, carrier=level), seed=1)
     first = dict(run.theodolite.images.sightings(0))
     # a is 3° right and 2° above the axis: both negative by [W18] (12), f tan; levers of half a metre are 50" here.
@@ -124,7 +124,7 @@ def test_the_true_pointing_follows_from_the_true_values():
 
 @pytest.mark.parametrize("exposure_s", [0.05, 0.5])
 def test_a_simulated_point_is_the_mean_of_the_light_s_true_path(exposure_s):
-    scenario = sweeping_over(exposure_s)
+    scenario = sweep_over_beacons(exposure_s)
     telescope, run = scenario.theodolite.telescope, simulate(scenario, seed=3)
     images, scene = run.theodolite.images, run.theodolite.truth.scene
     assert set(np.diff(images.first)) == {2}
@@ -161,7 +161,7 @@ def test_the_mount_follows_the_lights_and_then_sweeps_on_from_there():
     scenario = with_theodolite(bag_scenario(duration_s=120.0), programme__follows_lights=True)
     offsets = {"a": (340.0, 41.0), "b": (337.0, 38.0)}
     beacons = {
-        key: replaced(
+        key: replace_nested(
             scenario.beacons[key],
             flight=Flight(kind="orbit", orbit=Orbit(azimuth, elevation, 2000.0, 0.5)),
             leaves_s=40.0 if key == "a" else 60.0,
@@ -208,8 +208,8 @@ def test_a_line_along_the_vertical_axis_is_refused():
         axes__c_arcsec=3600.0,
     )
     still = {
-        angle: replaced(getattr(scenario.carrier, angle), mean_deg=mean_deg, waves={})
+        angle: replace_nested(getattr(scenario.carrier, angle), mean_deg=mean_deg, waves={})
         for angle, mean_deg in (("heading", 0.0), ("pitch", 5.0), ("roll", 0.0))
     }
     with pytest.raises(BadInput, match=r"at 0.00 s the theodolite would point along its vertical axis"):
-        simulate(dataclasses.replace(scenario, carrier=replaced(scenario.carrier, **still)), seed=1)
+        simulate(dataclasses.replace(scenario, carrier=replace_nested(scenario.carrier, **still)), seed=1)

@@ -10,10 +10,10 @@ from ship_testing.pictures import LIMITS as PICTURED
 from ship_testing.pictures import (
     angle,
     late_input,
-    lost,
+    unsafe_angle,
     angles_without_data,
-    out,
-    over,
+    source_out,
+    angle_over_limit,
     suite_state,
     angles_timed_out,
     source,
@@ -42,28 +42,28 @@ ATTITUDE, ANGLES_OF_POINTING = ("heading", "pitch", "roll"), ("azimuth", "elevat
 CASES: dict[tuple[str, str], tuple[SuiteState, ComputerState | None]] = {
     ("attitude.silent", "alarm"): (suite_state(*angles_timed_out(*ATTITUDE)), None),
     ("attitude.silent", "warning"): (suite_state(*angles_without_data(*ATTITUDE, *ANGLES_OF_POINTING)), None),
-    ("attitude.degraded", "alarm"): (suite_state(lost("heading")), None),
-    ("attitude.degraded", "warning"): (suite_state(over("roll")), None),
+    ("attitude.degraded", "alarm"): (suite_state(unsafe_angle("heading")), None),
+    ("attitude.degraded", "warning"): (suite_state(angle_over_limit("roll")), None),
     ("attitude.degraded", "caution"): (suite_state(angle("pitch", **UNCHECKED)), None),
     ("pointing.silent", "alarm"): (suite_state(*angles_timed_out(*ANGLES_OF_POINTING)), None),
     ("pointing.silent", "warning"): (suite_state(*angles_without_data(*ANGLES_OF_POINTING)), None),
-    ("pointing.degraded", "alarm"): (suite_state(lost("elevation")), None),
-    ("pointing.degraded", "warning"): (suite_state(over("azimuth")), None),
+    ("pointing.degraded", "alarm"): (suite_state(unsafe_angle("elevation")), None),
+    ("pointing.degraded", "warning"): (suite_state(angle_over_limit("azimuth")), None),
     ("pointing.degraded", "caution"): (suite_state(angle("azimuth", **UNCHECKED)), None),
-    ("stars.out", "warning"): (suite_state(out("star.fore", "no data"), out("star.starboard", "no data")), None),
-    ("ins.out", "warning"): (suite_state(out("ins", "81 rejected in a row")), None),
-    ("star.ID.out", "warning"): (suite_state(out("star.fore", "excluded")), None),
-    ("star.ID.out", "caution"): (suite_state(out("star.fore", "no stars")), None),
-    ("reference.ID.out", "warning"): (suite_state(out("reference.mast", "no data")), None),
+    ("stars.out", "warning"): (suite_state(source_out("star.fore", "no data"), source_out("star.starboard", "no data")), None),
+    ("ins.out", "warning"): (suite_state(source_out("ins", "81 rejected in a row")), None),
+    ("star.ID.out", "warning"): (suite_state(source_out("star.fore", "excluded")), None),
+    ("star.ID.out", "caution"): (suite_state(source_out("star.fore", "no stars")), None),
+    ("reference.ID.out", "warning"): (suite_state(source_out("reference.mast", "no data")), None),
     ("star.ID.remounted", "caution"): (suite_state(source("star.fore", mounting_shift=51.0 * ARCSEC)), None),
     ("reference.ID.remounted", "caution"): (suite_state(source("reference.mast", mounting_shift=51.0 * ARCSEC)), None),
-    ("encoder.out", "warning"): (suite_state(out("encoder", "no data")), None),
-    ("lights.out", "caution"): (suite_state(out("lights", "7 rejected in a row")), None),
-    ("baselines.out", "caution"): (suite_state(out("baselines", "no data")), None),
-    ("ship_attitude.out", "caution"): (suite_state(out("ship_attitude", "invalid")), None),
-    ("gnss.out", "caution"): (suite_state(out("gnss", "no data")), None),
-    ("weather.out", "caution"): (suite_state(out("weather", "no data")), None),
-    ("SOURCE.unreported", "warning"): (suite_state(out("star.fore", "not reported", because_of="its node")), None),
+    ("encoder.out", "warning"): (suite_state(source_out("encoder", "no data")), None),
+    ("lights.out", "caution"): (suite_state(source_out("lights", "7 rejected in a row")), None),
+    ("baselines.out", "caution"): (suite_state(source_out("baselines", "no data")), None),
+    ("ship_attitude.out", "caution"): (suite_state(source_out("ship_attitude", "invalid")), None),
+    ("gnss.out", "caution"): (suite_state(source_out("gnss", "no data")), None),
+    ("weather.out", "caution"): (suite_state(source_out("weather", "no data")), None),
+    ("SOURCE.unreported", "warning"): (suite_state(source_out("star.fore", "not reported", because_of="its node")), None),
     ("SOURCE.mended", "caution"): (suite_state(source("lights", disagreement="names exchanged")), None),
     ("SOURCE.rate", "caution"): (suite_state(source("gnss", rate_hz=1.0)), None),
     ("stars.old", "caution"): (suite_state(ages_s={"stars": 31.0, "lights": 0.5}), None),
@@ -111,23 +111,23 @@ def test_documented_table_matches_the_code() -> None:
 
 
 def test_accuracy_over_its_limit_refers_to_the_error_budget() -> None:
-    (found,) = alerts_of(suite_state(over("roll"))).values()
+    (found,) = alerts_of(suite_state(angle_over_limit("roll"))).values()
     assert (found.priority, found.text) == (Priority.WARNING, "Tilt over its limit: see its error budget")
 
 
 def test_recovering_function_is_reported_until_its_safety_is_better() -> None:
     """The diagnostics of a function within its limit again have the current reason."""
     reason = "within 3″ again; SAFE in 4 s"
-    well_again = replace(over("roll", share=0.8), now=(Safety.SAFE, ""), reason=reason)
+    well_again = replace(angle_over_limit("roll", share=0.8), now=(Safety.SAFE, ""), reason=reason)
     branches = {branch.path: (branch.level, branch.text) for branch in diagnostic_entries(suite_state(well_again), PICTURED)}
     assert branches["tilt within 3″"] == (1, "within 3″ again; SAFE in 4 s, 2.4″ (95 %), limit 3″")
 
 
 def test_alert_uses_the_safety_without_hold() -> None:
     """The displayed safety has a hold; alerts have a hold of their own and use the safety without hold."""
-    well_again = replace(over("roll", "ins", share=0.98), now=(Safety.SAFE, ""))
+    well_again = replace(angle_over_limit("roll", "ins", share=0.98), now=(Safety.SAFE, ""))
     assert conditions(suite_state(well_again), LIMITS) == []
-    worse_now = replace(over("roll"), now=(Safety.UNSAFE, "invalid"))
+    worse_now = replace(angle_over_limit("roll"), now=(Safety.UNSAFE, "invalid"))
     (found,) = conditions(suite_state(worse_now), LIMITS)
     assert (found.priority, found.text) == (Priority.ALARM, "Tilt lost: invalid")
 
@@ -135,9 +135,9 @@ def test_alert_uses_the_safety_without_hold() -> None:
 def test_brief_excess_of_a_limit_is_no_alert_and_a_lost_function_is() -> None:
     """A brief excess is no alert of the output, but the alert of a source that causes it names it at once."""
     moment = {"over_s": 4.9}
-    assert conditions(suite_state(replace(over("roll"), **moment)), LIMITS) == []
-    assert list(alerts_of(suite_state(replace(lost("roll"), **moment)))) == ["attitude.degraded"]
-    by_ins = conditions(suite_state(out("ins", "no data"), replace(over("roll", "ins"), **moment)), LIMITS)
+    assert conditions(suite_state(replace(angle_over_limit("roll"), **moment)), LIMITS) == []
+    assert list(alerts_of(suite_state(replace(unsafe_angle("roll"), **moment)))) == ["attitude.degraded"]
+    by_ins = conditions(suite_state(source_out("ins", "no data"), replace(angle_over_limit("roll", "ins"), **moment)), LIMITS)
     assert [each.lost_functions for each in by_ins] == [{"tilt"}]
 
 
@@ -149,8 +149,8 @@ def test_all_well_is_no_alert() -> None:
 
 def test_alert_of_a_source_names_the_lost_functions() -> None:
     """INS without data, heading, tilt and pointing lost: one alarm that names the INS and the lost functions."""
-    angles = [lost(name, "ins") for name in (*ATTITUDE, "azimuth", "elevation")]
-    found = alerts_of(suite_state(out("ins", "no data", age_s=4.0), *angles))
+    angles = [unsafe_angle(name, "ins") for name in (*ATTITUDE, "azimuth", "elevation")]
+    found = alerts_of(suite_state(source_out("ins", "no data", age_s=4.0), *angles))
     assert list(found) == ["ins.out"]
     alert = found["ins.out"]
     assert (alert.priority, alert.source) == (Priority.ALARM, "ins")
@@ -161,8 +161,8 @@ def test_alert_of_a_source_names_the_lost_functions() -> None:
 
 def test_pointing_lost_with_the_attitude_has_the_cause_of_the_attitude() -> None:
     """Drones on deck and no INS data: the pointing is lost because of the INS, not of the lights."""
-    angles = [lost(name, "ins") for name in ATTITUDE] + [lost(name, "lights") for name in ANGLES_OF_POINTING]
-    shown = suite_state(out("lights", "no lights"), out("ins", "no data"), *angles)
+    angles = [unsafe_angle(name, "ins") for name in ATTITUDE] + [unsafe_angle(name, "lights") for name in ANGLES_OF_POINTING]
+    shown = suite_state(source_out("lights", "no lights"), source_out("ins", "no data"), *angles)
     found = alerts_of(shown)
     assert {id_: one.priority for id_, one in found.items()} == {
         "ins.out": Priority.ALARM,
@@ -174,21 +174,21 @@ def test_pointing_lost_with_the_attitude_has_the_cause_of_the_attitude() -> None
 
 def test_all_star_sensors_out_for_one_reason_are_one_situation() -> None:
     """Two reasons are two situations; sensors that need another source are covered by its alert."""
-    taken = over("heading", "star.fore")
-    both = alerts_of(suite_state(out("star.fore", "no data"), out("star.starboard", "no data"), taken))
+    taken = angle_over_limit("heading", "star.fore")
+    both = alerts_of(suite_state(source_out("star.fore", "no data"), source_out("star.starboard", "no data"), taken))
     assert list(both) == ["stars.out"]
     assert both["stars.out"].text == "Heading over its limit: all star sensors no data"
     assert both["stars.out"].becomes_alarm
-    two = alerts_of(suite_state(out("star.fore", "no data"), out("star.starboard", "81 rejected in a row"), taken))
+    two = alerts_of(suite_state(source_out("star.fore", "no data"), source_out("star.starboard", "81 rejected in a row"), taken))
     assert sorted(two) == ["star.fore.out", "star.starboard.out"]
-    needs = [out(f"star.{id_}", "needs ins", because_of="ins") for id_ in ("fore", "starboard")]
-    assert list(alerts_of(suite_state(out("ins", "no data"), *needs))) == ["ins.out"]
+    needs = [source_out(f"star.{id_}", "needs ins", because_of="ins") for id_ in ("fore", "starboard")]
+    assert list(alerts_of(suite_state(source_out("ins", "no data"), *needs))) == ["ins.out"]
 
 
 def test_ended_node_is_one_situation() -> None:
     """No attitude, no reports of its sources, invalid pointing: one alarm."""
-    gone = [out(name, "not reported", because_of="its node") for name in ("ins", "star.fore", "star.starboard")]
-    angles = [*angles_timed_out(*ATTITUDE), lost("azimuth"), lost("elevation")]
+    gone = [source_out(name, "not reported", because_of="its node") for name in ("ins", "star.fore", "star.starboard")]
+    angles = [*angles_timed_out(*ATTITUDE), unsafe_angle("azimuth"), unsafe_angle("elevation")]
     assert list(alerts_of(suite_state(*gone, *angles))) == ["attitude.silent"]
 
 
@@ -204,7 +204,7 @@ def test_texts_have_no_changing_figures() -> None:
     texts = set()
     for count in (5, 81):
         shown = suite_state(
-            out("star.fore", f"{count} rejected in a row", disagreement=f"right +{count}″", age_s=count),
+            source_out("star.fore", f"{count} rejected in a row", disagreement=f"right +{count}″", age_s=count),
             angle("heading", **{**UNCHECKED, "reason": f"no stars for {count} s"}),
         )
         texts |= {each.text for each in conditions(shown, LIMITS)}
@@ -222,9 +222,9 @@ def test_black_box_may_lose_entries_within_the_limit() -> None:
 
 def test_source_that_arrives_late_is_named_once_with_its_delay() -> None:
     """Pointing lost because the ship's attitude arrives too late: cause and consequence are one alert."""
-    late = out("ship_attitude", "81 rejected in a row: late", topics=("ship/attitude",))
-    lights = out("lights", "needs ship_attitude", because_of="ship_attitude")
-    angles = [lost(name, "ship_attitude") for name in ANGLES_OF_POINTING]
+    late = source_out("ship_attitude", "81 rejected in a row: late", topics=("ship/attitude",))
+    lights = source_out("lights", "needs ship_attitude", because_of="ship_attitude")
+    angles = [unsafe_angle(name, "ship_attitude") for name in ANGLES_OF_POINTING]
     (found,) = alerts_of(suite_state(late, lights, *angles, inputs=(late_input("ship/attitude", 1.0),))).values()
     assert (found.text, found.value, found.unit) == ("Pointing lost: ship_attitude arrives late", 1.0, "s")
     (alone,) = alerts_of(suite_state(late)).values()
@@ -233,14 +233,14 @@ def test_source_that_arrives_late_is_named_once_with_its_delay() -> None:
 
 def test_lost_functions_come_before_those_over_their_limit() -> None:
     """The worst function comes first in the text, in any order of the functions."""
-    (found,) = alerts_of(suite_state(out("ins", "no data"), over("heading", "ins"), lost("roll", "ins"))).values()
+    (found,) = alerts_of(suite_state(source_out("ins", "no data"), angle_over_limit("heading", "ins"), unsafe_angle("roll", "ins"))).values()
     assert found.text == "Tilt lost, heading over its limit: ins no data"
 
 
 def test_diagnostics_name_the_input_that_causes_a_loss() -> None:
     """Each function is listed with its limit and its sources; the source that causes a loss is an error."""
-    angles = [lost("heading", "ins"), over("roll", "ins", 2.0)]
-    shown = suite_state(out("ins", "81 rejected in a row", disagreement="up +100″"), *angles)
+    angles = [unsafe_angle("heading", "ins"), angle_over_limit("roll", "ins", 2.0)]
+    shown = suite_state(source_out("ins", "81 rejected in a row", disagreement="up +100″"), *angles)
     branches = {branch.path: (branch.level, branch.text) for branch in diagnostic_entries(shown, PICTURED)}
     assert branches["heading within 5″"] == (2, "lost, because of ins, invalid, no accuracy, limit 5″")
     assert branches["heading within 5″/ins"] == (2, "out: 81 rejected in a row, up +100″, therefore heading lost")

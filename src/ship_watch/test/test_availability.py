@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ship_testing.watched_voyages import records, replayed
+from ship_testing.watched_voyages import records, replay_with_faults
 from ship_watch.availability import START_UP_S, REQUIRED_SHARE, AvailabilityRecord
 from ship_watch.limits import Limits
 from ship_watch.picture import Safety
@@ -41,7 +41,7 @@ def safe_share(outputs: Path, limits: Limits) -> float:
 @pytest.mark.parametrize("tilt_arcsec", [2.0, 3.0, 3.2, 4.0])
 def test_share_equals_that_of_the_page(tilt_arcsec: float, tmp_path: Path) -> None:
     """The fractions include the hysteresis; 20 s of clouds and 5 s after them are ignored in both."""
-    _, outputs = replayed(tmp_path, "demo")
+    _, outputs = replay_with_faults(tmp_path, "demo")
     limits = Limits(tilt_arcsec=tilt_arcsec)
     found = record_of(outputs, limits).availability("tilt")
     assert found is not None
@@ -50,7 +50,7 @@ def test_share_equals_that_of_the_page(tilt_arcsec: float, tmp_path: Path) -> No
 
 
 def test_proposed_limit_is_the_lowest_round_one_that_is_met(tmp_path: Path) -> None:
-    _, outputs = replayed(tmp_path, "demo")
+    _, outputs = replay_with_faults(tmp_path, "demo")
     proposed = {}
     for quantity in ("heading", "tilt"):
         found = record_of(outputs, Limits()).availability(quantity)
@@ -67,14 +67,14 @@ def test_proposed_limit_is_the_lowest_round_one_that_is_met(tmp_path: Path) -> N
 
 
 def test_unpublished_quantity_has_no_availability(tmp_path: Path) -> None:
-    _, outputs = replayed(tmp_path, "demo")
+    _, outputs = replay_with_faults(tmp_path, "demo")
     assert record_of(outputs, Limits()).availability("pointing") is None
     assert AvailabilityRecord(Limits()).availability("heading") is None
 
 
 def test_unknown_accuracy_is_within_no_limit(tmp_path: Path) -> None:
     """Half of the outputs have no covariance: they are not SAFE with any limit."""
-    _, outputs = replayed(tmp_path, "demo")
+    _, outputs = replay_with_faults(tmp_path, "demo")
     record, start_ns = AvailabilityRecord(Limits()), 0
     for time_ns, topic, message in records(outputs):
         start_ns = start_ns or time_ns

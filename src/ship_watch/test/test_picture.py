@@ -13,7 +13,7 @@ def test_all_angles_safe_is_safe_without_a_reason() -> None:
 
 
 def test_worst_angle_decides() -> None:
-    assert pictures.faulty().overall == OverallState(
+    assert pictures.state_with_two_faults().overall == OverallState(
         Safety.UNSAFE, "encoder no data since 11:59:55 (azimuth, elevation)"
     )
 

@@ -8,7 +8,7 @@ import pytest
 
 from ship_bags.message_factory import RosidlFactory
 from ship_geometry.rotations import ARCSEC
-from ship_testing.pictures import NOW_NS, lost, out, over, suite_state, angles_timed_out, source
+from ship_testing.pictures import NOW_NS, unsafe_angle, source_out, angle_over_limit, suite_state, angles_timed_out, source
 from ship_watch.picture import SuiteState, Presence, Safety
 from ship_watch.published_state import (
     MAX_AGE_NS,
@@ -22,8 +22,8 @@ from ship_watch.published_state import (
 PICTURES = {
     "all well": suite_state(),
     "two faults": suite_state(
-        out("star.fore", "81 rejected in a row", disagreement="right +49″", residual=8.1, out_since_ns=NOW_NS),
-        out("lights", "needs ship_attitude", because_of="ship_attitude"), lost("heading", "ins"), over("roll"),
+        source_out("star.fore", "81 rejected in a row", disagreement="right +49″", residual=8.1, out_since_ns=NOW_NS),
+        source_out("lights", "needs ship_attitude", because_of="ship_attitude"), unsafe_angle("heading", "ins"), angle_over_limit("roll"),
         source("star.starboard", mounting_shift=51.0 * ARCSEC), source("gnss", presence=Presence.OFF),
     ),
     "silent": suite_state(*angles_timed_out("heading", "pitch", "roll"), ages_s={"stars": math.inf, "lights": math.nan, "ins": 7.0}),
@@ -89,4 +89,4 @@ def test_safety_and_presence_are_changes_and_figures_are_not() -> None:
     assert change_key(running) == change_key(well)
     worse = replace(well, angles=(replace(well.angles[0], safety=Safety.CAUTION), *well.angles[1:]))
     assert change_key(worse) != change_key(well)
-    assert change_key(suite_state(out("ins", "no data"))) != change_key(well)
+    assert change_key(suite_state(source_out("ins", "no data"))) != change_key(well)

@@ -16,12 +16,12 @@ from ship_geometry.rotations import ARCSEC
 from ship_testing.adapter_runs import (
     SECOND_NS,
     Arrival,
-    added,
+    add_copy,
     changed_copy,
-    changed_where,
-    in_order,
+    change_where,
+    sort_by_arrival,
     index_at,
-    replaced,
+    replace_message,
     stamp_of,
     without,
 )
@@ -32,8 +32,8 @@ from ship_testing.small_session import (
     IMU,
     SHIP,
     Run,
-    clean_run,
-    drive,
+    fault_free_run,
+    run_adapter,
     error_in_sigmas,
     new_adapter,
     session,
@@ -126,7 +126,7 @@ def seen(message: Any, name: str) -> Any:
 
 
 def test_the_clean_session_is_right_across_the_wrap_of_the_azimuth() -> None:
-    run = clean_run()
+    run = fault_free_run()
     azimuths = np.array([a.message.azimuth for a in session() if a.topic == ENCODER])
     assert np.min(np.diff(azimuths)) < -6.0
     assert max(error_in_sigmas(message) for message in run.pointings) < 4.0
@@ -139,8 +139,8 @@ def test_the_clean_session_is_right_across_the_wrap_of_the_azimuth() -> None:
 @pytest.mark.parametrize(("topic", "change", "reason", "text"), [c[1:] for c in DROPPED], ids=[c[0] for c in DROPPED])
 def test_a_dropped_message_leaves_everything_as_without_it(topic: str, change: Change, reason: str, text: str) -> None:
     index = index_at(session(), topic, MOMENT_S)
-    bad = drive(new_adapter(), replaced(session(), index, change))
-    without_it = drive(new_adapter(), without(session(), index))
+    bad = run_adapter(new_adapter(), replace_message(session(), index, change))
+    without_it = run_adapter(new_adapter(), without(session(), index))
     assert bad.reasons(topic) == {reason: 1}
     assert bad.health(topic).rejected == 1
     ((source, said),) = has_reason(bad, Reason[reason.upper()])
@@ -154,9 +154,9 @@ def test_a_dropped_message_leaves_everything_as_without_it(topic: str, change: C
 def test_the_same_message_again_changes_nothing(topic: str) -> None:
     index = index_at(session(), topic, MOMENT_S)
     again_ns = session()[index].receive_ns + 5_000_000
-    run = drive(new_adapter(), added(session(), index, lambda message: None, again_ns))
+    run = run_adapter(new_adapter(), add_copy(session(), index, lambda message: None, again_ns))
     assert run.reasons(topic) == {"duplicate": 1}
-    assert run.results() == clean_run().results()
+    assert run.results() == fault_free_run().results()
 
 
 OTHER = [
@@ -173,8 +173,8 @@ def test_of_two_contents_of_one_stamp_the_order_of_arrival_does_not_choose(topic
     index = index_at(session(), topic, MOMENT_S)
     arrival = session()[index]
     after_ns, before_ns = arrival.receive_ns + 1, arrival.receive_ns - 1
-    second = drive(new_adapter(), added(session(), index, change, after_ns))
-    first = drive(new_adapter(), added(session(), index, change, before_ns))
+    second = run_adapter(new_adapter(), add_copy(session(), index, change, after_ns))
+    first = run_adapter(new_adapter(), add_copy(session(), index, change, before_ns))
     assert second.state() == first.state()
     assert second.reasons(topic)["conflict"] == first.reasons(topic)["conflict"] == 1
 
@@ -185,7 +185,7 @@ def test_a_source_that_contradicts_itself_is_not_valid_until_it_has_agreed_with_
 ) -> None:
     arrivals = session(15.0)
     index = index_at(arrivals, topic, MOMENT_S)
-    run = drive(new_adapter(), added(arrivals, index, change, arrivals[index].receive_ns + 1))
+    run = run_adapter(new_adapter(), add_copy(arrivals, index, change, arrivals[index].receive_ns + 1))
     source, until_s = NAMED[topic], MOMENT_S + 10.0
     told = run.diagnostics("pointing", arrivals[index].receive_ns + SECOND_NS, run.now_ns)[0]
     assert told == (1, f"DEGRADED: {source} sent conflicting data with one stamp")
@@ -209,7 +209,7 @@ def test_two_attitudes_of_the_ship_at_every_stamp_are_never_called_valid() -> No
         replace(changed_copy(a, turned_by(20.0)), receive_ns=a.receive_ns + order)
         for a, order in zip([a for a in session() if a.topic == SHIP], itertools.cycle([-1, 1, 2]))
     ]
-    run = drive(new_adapter(), in_order((*session(), *turned)))
+    run = run_adapter(new_adapter(), sort_by_arrival((*session(), *turned)))
     assert {m.status for m in run.pointings} == {Status.DEGRADED}
     assert max(error_in_sigmas(m) for m in run.pointings) < 5.0
 
@@ -226,15 +226,15 @@ def turned_by(arcsec: float) -> Change:
 
 def test_beacons_without_exposure_length_are_points():
     """The session's lights stand still on the detector, so that its exposures have no streaks either."""
-    not_given = changed_where(session(), lambda a: a.topic == BEACONS, set_field("exposure_s", np.nan))
-    zero = changed_where(session(), lambda a: a.topic == BEACONS, set_field("exposure_s", 0.0))
-    points = drive(new_adapter(), not_given)
-    assert points.results() == drive(new_adapter(), zero).results()
+    not_given = change_where(session(), lambda a: a.topic == BEACONS, set_field("exposure_s", np.nan))
+    zero = change_where(session(), lambda a: a.topic == BEACONS, set_field("exposure_s", 0.0))
+    points = run_adapter(new_adapter(), not_given)
+    assert points.results() == run_adapter(new_adapter(), zero).results()
     assert points.reasons(BEACONS) == {}
-    told, as_points = clean_run().messages("theodolite/pointing")[-1], points.messages("theodolite/pointing")[-1]
+    told, as_points = fault_free_run().messages("theodolite/pointing")[-1], points.messages("theodolite/pointing")[-1]
     assert abs(told.azimuth - as_points.azimuth) * np.cos(told.elevation) < 0.3 * ARCSEC
     assert abs(told.elevation - as_points.elevation) < 0.3 * ARCSEC
-    longer = drive(new_adapter(), changed_where(session(), lambda a: a.topic == BEACONS, set_field("exposure_s", 0.1)))
+    longer = run_adapter(new_adapter(), change_where(session(), lambda a: a.topic == BEACONS, set_field("exposure_s", 0.1)))
     assert longer.reasons(BEACONS) == {}
     assert assert_within_covariance(longer)
 
@@ -244,12 +244,12 @@ def test_exchanged_names_are_corrected_and_reported() -> None:
         alpha, bravo = seen(message, "alpha"), seen(message, "bravo")
         alpha.beacon_id, bravo.beacon_id = "bravo", "alpha"
 
-    run = drive(new_adapter(), replaced(session(), index_at(session(), BEACONS, MOMENT_S), exchange))
+    run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), BEACONS, MOMENT_S), exchange))
     (message,) = run.innovations(Reason.LIGHT_CONFLICT)
     assert message.accepted
     assert "bravo is alpha, alpha is bravo" in message.reason_text
     assert run.reasons(BEACONS) == {"light_conflict": 1}
-    assert run.results() == clean_run().results()
+    assert run.results() == fault_free_run().results()
 
 
 def test_wrong_beacon_is_rejected_by_angle() -> None:
@@ -258,12 +258,12 @@ def test_wrong_beacon_is_rejected_by_angle() -> None:
     def shift(message: Any) -> None:
         seen(message, "bravo").x += 0.1 * np.deg2rad(100.0 / 3600.0)
 
-    run = drive(new_adapter(), replaced(session(), index, shift))
+    run = run_adapter(new_adapter(), replace_message(session(), index, shift))
     (message,) = run.innovations(Reason.LIGHT_CONFLICT)
     assert not message.accepted
     assert "angle between alpha and bravo: residual" in message.reason_text
     assert run.reasons(BEACONS) == {"light_conflict": 1}
-    assert run.state() == drive(new_adapter(), without(session(), index)).state()
+    assert run.state() == run_adapter(new_adapter(), without(session(), index)).state()
     assert assert_within_covariance(run)
 
 
@@ -273,9 +273,9 @@ def test_common_offset_of_beacons_is_a_telescope_fault() -> None:
             sighting.x += 0.1 * np.deg2rad(200.0 / 3600.0)
 
     index = index_at(session(), BEACONS, 4.0)
-    run = drive(new_adapter(), replaced(session(), index, shift))
+    run = run_adapter(new_adapter(), replace_message(session(), index, shift))
     assert run.reasons(BEACONS) == {"gate": 1}
-    assert run.state()[:3] == drive(new_adapter(), without(session(), index)).state()[:3]
+    assert run.state()[:3] == run_adapter(new_adapter(), without(session(), index)).state()[:3]
     # What disagrees with the lights must not be called VALID, until they agree again.
     after = [m for m in run.pointings if 4.0 < seconds(m) < 4.6]
     assert {m.status for m in after} >= {Status.DEGRADED}
@@ -287,7 +287,7 @@ def seconds(message: Any) -> float:
 
 
 def test_float_baseline_is_rejected_and_the_other_beacon_used() -> None:
-    run = drive(new_adapter(), changed_where(session(), lambda a: a.topic == ALPHA, set_field("fix", 3)))
+    run = run_adapter(new_adapter(), change_where(session(), lambda a: a.topic == ALPHA, set_field("fix", 3)))
     assert run.reasons(ALPHA) == {"not_fixed": 30}
     assert ("baseline.alpha", "baseline is FLOAT: expected FIXED") in has_reason(run, Reason.NOT_FIXED)
     assert ("light.alpha", "baseline is FLOAT: expected FIXED") in has_reason(run, Reason.NOT_FIXED)
@@ -301,7 +301,7 @@ def test_no_solution_is_not_fixed_whatever_its_numbers() -> None:
     def none(message: Any) -> None:
         message.fix, message.enu.x = 0, np.nan
 
-    run = drive(new_adapter(), replaced(session(), index_at(session(), ALPHA, MOMENT_S), none))
+    run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), ALPHA, MOMENT_S), none))
     assert run.reasons(ALPHA) == {"not_fixed": 1}
     # No exposure waits for a better one, and nothing is drawn through it.
     assert run.reasons(BEACONS).keys() <= {"not_fixed"}
@@ -309,15 +309,15 @@ def test_no_solution_is_not_fixed_whatever_its_numbers() -> None:
 
 
 def test_float_is_used_if_allowed() -> None:
-    floating = changed_where(session(), lambda a: a.topic == ALPHA, set_field("fix", 3))
-    assert drive(new_adapter(least_fix="float"), floating).state() == clean_run().state()
+    floating = change_where(session(), lambda a: a.topic == ALPHA, set_field("fix", 3))
+    assert run_adapter(new_adapter(least_fix="float"), floating).state() == fault_free_run().state()
 
 
 def test_hidden_beacon_leaves_the_other() -> None:
     def hide(message: Any) -> None:
         message.beacons = [seen(message, "bravo")]
 
-    run = drive(new_adapter(), changed_where(session(), lambda a: a.topic == BEACONS, hide))
+    run = run_adapter(new_adapter(), change_where(session(), lambda a: a.topic == BEACONS, hide))
     assert {m.mode for m in run.pointings[20:]} == {Mode.ONE_LIGHT}
     assert {m.status for m in run.pointings[20:]} == {Status.VALID}
     assert run.reasons(BEACONS) == {}
@@ -325,8 +325,8 @@ def test_hidden_beacon_leaves_the_other() -> None:
 
 
 def test_image_without_beacons_is_valid() -> None:
-    dark = changed_where(session(), lambda a: a.topic == BEACONS, set_field("beacons", []))
-    run = drive(new_adapter(), dark)
+    dark = change_where(session(), lambda a: a.topic == BEACONS, set_field("beacons", []))
+    run = run_adapter(new_adapter(), dark)
     assert run.health(BEACONS).accepted == 12
     assert {m.mode for m in run.pointings} == {Mode.ENCODER}
     assert {m.status for m in run.pointings} == {Status.DEGRADED}
@@ -351,19 +351,19 @@ def test_unreadable_beacon_is_rejected(change: Change, reason: Reason, text: str
     def leave_out(message: Any) -> None:
         message.beacons = [seen(message, "bravo")]
 
-    run = drive(new_adapter(), replaced(session(), index, spoil))
+    run = run_adapter(new_adapter(), replace_message(session(), index, spoil))
     ((source, said),) = has_reason(run, reason)
     assert source.startswith("light.")
     assert text in said
     assert run.reasons(BEACONS) == {reason.name.lower(): 1}
-    assert run.state() == drive(new_adapter(), replaced(session(), index, leave_out)).state()
+    assert run.state() == run_adapter(new_adapter(), replace_message(session(), index, leave_out)).state()
 
 
 def test_duplicate_beacon_name_is_rejected() -> None:
     def twice(message: Any) -> None:
         seen(message, "alpha").beacon_id = "bravo"
 
-    run = drive(new_adapter(), replaced(session(), index_at(session(), BEACONS, MOMENT_S), twice))
+    run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), BEACONS, MOMENT_S), twice))
     assert run.reasons(BEACONS) == {"conflict": 2}
     assert assert_within_covariance(run)
 
@@ -371,16 +371,16 @@ def test_duplicate_beacon_name_is_rejected() -> None:
 def test_baseline_of_another_drone_is_rejected() -> None:
     ids = {"beacons__alpha__rtk__rover_id": "alpha", "beacons__alpha__rtk__base_id": "ship"}
     index = index_at(session(), ALPHA, MOMENT_S)
-    run = drive(new_adapter(**ids), replaced(session(), index, set_field("rover_id", "bravo")))
+    run = run_adapter(new_adapter(**ids), replace_message(session(), index, set_field("rover_id", "bravo")))
     assert has_reason(run, Reason.UNKNOWN_SENSOR) == [("baseline.alpha", "rover_id is 'bravo': expected 'alpha'")]
-    assert run.state() == drive(new_adapter(**ids), without(session(), index)).state()
+    assert run.state() == run_adapter(new_adapter(**ids), without(session(), index)).state()
 
 
 def test_exchanged_baselines_are_a_conflict() -> None:
     """A wrong drone id at the source: the angle stays, and exchanged names of the lights are consistent."""
     other = {BASELINE["alpha"]: BASELINE["bravo"], BASELINE["bravo"]: BASELINE["alpha"]}
     crossed = tuple(Arrival(other.get(a.topic, a.topic), a.message, a.receive_ns) for a in session())
-    run = drive(new_adapter(), crossed)
+    run = run_adapter(new_adapter(), crossed)
     assert all(m.accepted for m in run.innovations(Reason.LIGHT_CONFLICT))
     assert run.reasons(BEACONS) == {"light_conflict": 11}
     assert assert_within_covariance(run)
@@ -389,15 +389,15 @@ def test_exchanged_baselines_are_a_conflict() -> None:
 def test_a_baseline_one_second_late_is_applied_at_its_own_time() -> None:
     index = index_at(session(), ALPHA, MOMENT_S)
     late_ns = session()[index].receive_ns + SECOND_NS
-    run = drive(new_adapter(), replaced(session(), index, lambda message: None, late_ns))
-    assert run.state() == clean_run().state()
+    run = run_adapter(new_adapter(), replace_message(session(), index, lambda message: None, late_ns))
+    assert run.state() == fault_free_run().state()
     assert run.health(ALPHA).rejected == 0
 
 
 def test_baseline_later_than_the_lag_is_rejected() -> None:
     index = index_at(session(), ALPHA, MOMENT_S)
     late_ns = session()[index].receive_ns + SECOND_NS
-    run = drive(new_adapter(lag_s=0.5), replaced(session(), index, lambda message: None, late_ns))
+    run = run_adapter(new_adapter(lag_s=0.5), replace_message(session(), index, lambda message: None, late_ns))
     assert run.reasons(ALPHA) == {"late": 1}
     ((source, said),) = has_reason(run, Reason.LATE)
     assert source == "baseline.alpha"
@@ -407,9 +407,9 @@ def test_baseline_later_than_the_lag_is_rejected() -> None:
 
 def test_baselines_one_second_old_are_a_conflict() -> None:
     """A light that moves by 1.5°/s is 1.5° from its baseline's direction: excluded after three sightings."""
-    stale = changed_where(session(), lambda a: a.topic == ALPHA, stamp_moved(1.0))
-    stale = in_order(Arrival(a.topic, a.message, a.receive_ns + SECOND_NS * (a.topic == ALPHA)) for a in stale)
-    run = drive(new_adapter(), stale)
+    stale = change_where(session(), lambda a: a.topic == ALPHA, stamp_moved(1.0))
+    stale = sort_by_arrival(Arrival(a.topic, a.message, a.receive_ns + SECOND_NS * (a.topic == ALPHA)) for a in stale)
+    run = run_adapter(new_adapter(), stale)
     refused = run.innovations(Reason.LIGHT_CONFLICT)
     assert len(refused) == 3
     assert not any(m.accepted for m in refused)
@@ -426,11 +426,11 @@ def frozen_encoders(from_s: float, until_s: float) -> tuple[Arrival, ...]:
     def freeze(message: Any) -> None:
         message.azimuth, message.elevation = value.azimuth, value.elevation
 
-    return changed_where(session(10.0), lambda a: a.topic == ENCODER and from_s < seconds_of(a) < until_s, freeze)
+    return change_where(session(10.0), lambda a: a.topic == ENCODER and from_s < seconds_of(a) < until_s, freeze)
 
 
 def test_stuck_encoder_is_detected_by_beacons() -> None:
-    run = drive(new_adapter(), frozen_encoders(2.0, 10.0))
+    run = run_adapter(new_adapter(), frozen_encoders(2.0, 10.0))
     stuck = has_reason(run, Reason.STUCK)
     assert {source for source, _ in stuck} == {"encoder"}
     assert "both encoders stuck" in stuck[0][1]
@@ -446,7 +446,7 @@ def seconds_of(arrival: Arrival) -> float:
 
 
 def test_an_encoder_comes_back_after_twenty_changing_readings() -> None:
-    run = drive(new_adapter(integrity__return_after_s=1.0), frozen_encoders(2.0, 5.0))
+    run = run_adapter(new_adapter(integrity__return_after_s=1.0), frozen_encoders(2.0, 5.0))
     refused = run.reasons(ENCODER)["stuck"]
     assert 20 < refused < 60
     assert run.pointings[-1].status == Status.VALID
@@ -457,7 +457,7 @@ def test_encoder_in_degrees_is_rejected() -> None:
     def degrees(message: Any) -> None:
         message.azimuth, message.elevation = np.rad2deg(message.azimuth), np.rad2deg(message.elevation)
 
-    run = drive(new_adapter(), changed_where(session(), lambda a: a.topic == ENCODER, degrees))
+    run = run_adapter(new_adapter(), change_where(session(), lambda a: a.topic == ENCODER, degrees))
     assert run.reasons(ENCODER) == {"units": 120}
     assert {m.status for m in run.pointings} == {Status.INVALID}
     assert "degrees?" in has_reason(run, Reason.UNITS)[-1][1]
@@ -466,9 +466,9 @@ def test_encoder_in_degrees_is_rejected() -> None:
     def small(message: Any) -> None:
         message.azimuth, message.elevation = 4.7, 0.5
 
-    later = changed_where(session(), lambda a: a.topic == ENCODER and seconds_of(a) < 3.0, degrees)
-    later = changed_where(later, lambda a: a.topic == ENCODER and seconds_of(a) >= 3.0, small)
-    run = drive(new_adapter(), later)
+    later = change_where(session(), lambda a: a.topic == ENCODER and seconds_of(a) < 3.0, degrees)
+    later = change_where(later, lambda a: a.topic == ENCODER and seconds_of(a) >= 3.0, small)
+    run = run_adapter(new_adapter(), later)
     # After a run of such readings they are used, and the lights contradict them.
     assert {m.status for m in run.pointings} == {Status.INVALID, Status.DEGRADED}
 
@@ -480,14 +480,14 @@ def test_too_many_beacons_and_long_ids_are_cut() -> None:
             stranger.beacon_id = f"{number}" + "x" * 10**5
         message.beacons = [*message.beacons, *strangers]
 
-    run = drive(new_adapter(), replaced(session(), index_at(session(), BEACONS, MOMENT_S), crowded))
+    run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), BEACONS, MOMENT_S), crowded))
     strangers = has_reason(run, Reason.UNKNOWN_SENSOR)
     assert len(strangers) == MAX_BEACONS - 2
     assert max(len(text) for both in strangers for text in both) <= LONGEST_TEXT
     assert strangers[0][1].endswith("…' is unknown: expected alpha, bravo")
     ((_, text),) = has_reason(run, Reason.OVERFLOW)
     assert text == f"{MAX_BEACONS + 52} lights in one image: only the first {MAX_BEACONS} are used"
-    assert run.state() == clean_run().state()
+    assert run.state() == fault_free_run().state()
 
 
 def test_covariances_that_are_not_given_are_not_perfect() -> None:
@@ -499,31 +499,31 @@ def test_covariances_that_are_not_given_are_not_perfect() -> None:
             if hasattr(holder, "sigma"):
                 holder.sigma = 0.0
 
-    run = drive(new_adapter(), changed_where(session(), lambda a: a.topic not in IMU.values(), unknown))
+    run = run_adapter(new_adapter(), change_where(session(), lambda a: a.topic not in IMU.values(), unknown))
     for topic in (ENCODER, SHIP, BEACONS, ALPHA):
         assert run.reasons(topic) == {"covariance_unknown": run.health(topic).received}
         assert run.health(topic).rejected == 0
     # The ship's attitude then has the INS's errors, the others the configured ones, equal to those of the messages.
     # Not of a single one: what the estimates without one source dispute comes and goes with each sighting.
-    of_each = ([m.rotation_covariance[0] for m in one.pointings] for one in (run, clean_run()))
+    of_each = ([m.rotation_covariance[0] for m in one.pointings] for one in (run, fault_free_run()))
     assert np.greater(*(np.median(covariance) for covariance in of_each))
     assert assert_within_covariance(run)
 
 
 def test_drone_without_covariance_is_used_if_accepted() -> None:
     imus = tuple(IMU.values())
-    unset = changed_where(session(), lambda a: a.topic in imus, set_field("orientation_covariance", -1.0))
+    unset = change_where(session(), lambda a: a.topic in imus, set_field("orientation_covariance", -1.0))
     accepted = {f"beacons__{id_}__imu__accept_unset_covariance": True for id_ in IMU}
-    run = drive(new_adapter(**accepted), unset)
+    run = run_adapter(new_adapter(**accepted), unset)
     assert all(run.health(topic).rejected == 0 for topic in imus)
-    assert run.results() == clean_run().results()
-    refused = drive(new_adapter(), unset)
+    assert run.results() == fault_free_run().results()
+    refused = run_adapter(new_adapter(), unset)
     assert all(refused.reasons(topic) == {"not_given": refused.health(topic).received} for topic in imus)
 
 
 def test_without_the_ship_no_pointing_is_claimed() -> None:
     gone = tuple(a for a in session() if a.topic != SHIP or seconds_of(a) < 3.0)
-    run = drive(new_adapter(), gone)
+    run = run_adapter(new_adapter(), gone)
     last = run.pointings[-1]
     assert last.status == Status.INVALID
     assert np.isnan([last.azimuth, last.elevation, last.image_rotation, *last.covariance]).all()
@@ -533,7 +533,7 @@ def test_without_the_ship_no_pointing_is_claimed() -> None:
 
 def test_covariance_grows_without_beacons() -> None:
     gone = tuple(a for a in session(10.0) if a.topic != BEACONS or seconds_of(a) < 4.0)
-    run = drive(new_adapter(), gone)
+    run = run_adapter(new_adapter(), gone)
     modes = [m.mode for m in run.pointings]
     assert modes[-1] == Mode.ENCODER
     assert run.pointings[-1].status == Status.COASTING

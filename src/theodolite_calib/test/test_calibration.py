@@ -12,7 +12,7 @@ from ship_estimation.parameters import ParameterError
 from ship_geometry.rotations import ARCSEC
 from ship_node.live.node_report import start_line
 from ship_testing.adapter_runs import FACTORY, SECOND_NS
-from ship_testing.small_session import AXES, BEACONS, FOCAL_LENGTH_M, clean_run, config, drive, new_adapter, session
+from ship_testing.small_session import AXES, BEACONS, FOCAL_LENGTH_M, fault_free_run, config, run_adapter, new_adapter, session
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.optical_axis.calibration import SAVED_NAMES, CalibrationPrior, prior_of, state_from_prior
 from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
@@ -23,7 +23,7 @@ DAY_NS = 86400 * SECOND_NS
 
 
 def saved() -> CalibrationPrior:
-    prior = clean_run().adapter.core.calibration_to_save()
+    prior = fault_free_run().adapter.core.calibration_to_save()
     assert prior is not None
     return prior
 
@@ -115,7 +115,7 @@ def test_services_save_and_load(tmp_path: Path) -> None:
         "no light or star was used yet: there is no calibration to save",
     )
     assert not adapter.service("load_alignment", NOW_NS).success
-    drive(adapter, session())
+    run_adapter(adapter, session())
     assert adapter.service("save_alignment", NOW_NS).success
     assert adapter.service("reset", NOW_NS).success
     assert adapter.core.state.sighting_count == 0
@@ -130,8 +130,8 @@ def test_the_node_starts_from_the_file_that_is_there(tmp_path: Path) -> None:
     path = tmp_path / "calibration.yaml"
     CALIBRATION_FILE.save(path, saved())
     dark = tuple(a for a in session() if a.topic != BEACONS)
-    with_file = drive(new_adapter(calibration_file=str(path)), dark)
-    without_file = drive(new_adapter(), dark)
+    with_file = run_adapter(new_adapter(calibration_file=str(path)), dark)
+    without_file = run_adapter(new_adapter(), dark)
     # Encoders alone: with a calibration they carry on where the lights left, without one there is none.
     assert with_file.pointings[-1].status == Status.COASTING
     assert without_file.pointings[-1].status == Status.DEGRADED
@@ -146,11 +146,11 @@ def test_a_file_that_cannot_be_read_is_set_aside_and_the_start_is_as_configured(
     (warning,) = adapter.start_warnings
     assert "not a calibration" in warning
     assert warning.endswith(f"; set aside as {path}.unreadable; the filter starts as configured")
-    assert drive(adapter, session()).pointings[-1].status == Status.VALID
+    assert run_adapter(adapter, session()).pointings[-1].status == Status.VALID
 
 
 def test_published_calibration_is_the_state() -> None:
-    run = clean_run()
+    run = fault_free_run()
     message = run.messages("theodolite/calibration")[-1]
     assert list(message.names) == [
         *("g", "h", "c", "I", "beta_x", "beta_y", "focal_length"),
@@ -169,7 +169,7 @@ def test_published_calibration_is_the_state() -> None:
 
 
 def test_the_budget_adds_up_to_the_pointing() -> None:
-    run = clean_run()
+    run = fault_free_run()
     budgets = run.messages("theodolite/error_budget")
     assert budgets
     pointings = {(m.header.stamp.sec, m.header.stamp.nanosec): m for m in run.pointings}
@@ -185,7 +185,7 @@ def test_the_budget_adds_up_to_the_pointing() -> None:
 
 def test_noise_can_be_changed_while_it_runs_geometry_not() -> None:
     adapter = new_adapter()
-    drive(adapter, session())
+    run_adapter(adapter, session())
     before = adapter.core.state
     adapter.set_parameters({"telescope.sigma_m": 5e-6, "gate.probability": 0.99})
     assert adapter.core.state is before

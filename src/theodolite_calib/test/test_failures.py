@@ -7,7 +7,7 @@ import pytest
 
 from ship_estimation.refusals import Reason
 from ship_testing.adapter_runs import AdapterRun, index_at, stamp_of, without
-from ship_testing.small_session import BEACONS, ENCODER, clean_run, drive, new_adapter, session
+from ship_testing.small_session import BEACONS, ENCODER, fault_free_run, run_adapter, new_adapter, session
 from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.optical_axis.output import PointingOutput
 
@@ -39,8 +39,8 @@ def test_exposure_on_which_the_filter_raises_is_rejected(monkeypatch: pytest.Mon
     with monkeypatch.context() as patch:
         bad = failing_where(lambda _, state, sighting, *rest: sighting.time_ns == bad_ns, SightingStep.__call__)
         patch.setattr(SightingStep, "__call__", bad)
-        run = drive(new_adapter(), session())
-    expected = drive(new_adapter(), without(session(), index))
+        run = run_adapter(new_adapter(), session())
+    expected = run_adapter(new_adapter(), without(session(), index))
     assert run.results() == expected.results()
     assert run.state() == expected.state()
     assert run.reasons(BEACONS) == {"failed": 1}
@@ -48,10 +48,10 @@ def test_exposure_on_which_the_filter_raises_is_rejected(monkeypatch: pytest.Mon
 
 
 def test_failed_pointing_is_the_only_one_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    clean, bad_ns = clean_run(), session()[index_at(session(), ENCODER, MOMENT_S)].stamp_ns
+    clean, bad_ns = fault_free_run(), session()[index_at(session(), ENCODER, MOMENT_S)].stamp_ns
     bad = failing_where(lambda _, sample, *rest: sample.time_ns == bad_ns, PointingOutput.estimate)
     monkeypatch.setattr(PointingOutput, "estimate", bad)
-    run = drive(new_adapter(), session())
+    run = run_adapter(new_adapter(), session())
     expected = [stamp_of(m) for m in clean.pointings if stamp_of(m) != bad_ns]
     assert [stamp_of(m) for m in run.pointings] == expected
     assert run.state() == clean.state()
@@ -63,6 +63,6 @@ def test_exact_values_pass_the_gate_as_others() -> None:
     zero = [f"axes__{name}_sigma_arcsec" for name in ("g", "h", "c", "I", "beta_x", "beta_y")]
     zero += ["deformation__sigma_arcsec", "ship__white_sigma_arcsec", "air__sigma", "air__light_sigma"]
     zero += ["ship_antenna__sigma_m", "encoder__sigma_arcsec", "telescope__focal_length_sigma_m"]
-    run = drive(new_adapter(**dict.fromkeys(zero, 0.0)), session())
+    run = run_adapter(new_adapter(**dict.fromkeys(zero, 0.0)), session())
     assert set(run.reasons(BEACONS)) <= {"gate", "attitude_conflict", "light_conflict"}
-    assert len(run.pointings) == len(clean_run().pointings)
+    assert len(run.pointings) == len(fault_free_run().pointings)

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from ship_geometry.rotations import ARCSEC, wrap_pi
-from ship_testing.axis_sightings import ERRORS, sight, spread
+from ship_testing.axis_sightings import ERRORS, simulate_sightings, random_angles
 from theodolite_calib.axis_fit.fit_axes_command import WRITTEN, main
 from theodolite_calib.axis_fit.sighting_file import COLUMNS, read_sightings
 from theodolite_calib.axis_fit.sightings import azimuth_and_elevation
@@ -27,7 +27,7 @@ KNOCKED = 11
 def table_rows() -> list[list[float]]:
     """Return forty sightings with 5″ per component, one of them displaced by 2′."""
     rng = np.random.default_rng(1)
-    sightings = sight(rng, ERRORS, spread(rng, COUNT, (10.0, 85.0)), 5.0)
+    sightings = simulate_sightings(rng, ERRORS, random_angles(rng, COUNT, (10.0, 85.0)), 5.0)
     azimuth, elevation = azimuth_and_elevation(sightings.direction_d)
     elevation[KNOCKED] += 120.0 * ARCSEC
     offsets = wrap_pi(azimuth - sightings.azimuth), elevation - sightings.elevation

@@ -9,8 +9,8 @@ import pytest
 from ship_estimation.outcome import Status
 from ship_node.live.adapter_calls import message_bytes
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival
-from ship_testing.garbage import paths, spoil
-from ship_testing.small_session import ALL_TOPICS, SHIP, Run, clean_run, new_adapter, session
+from ship_testing.garbage import paths, put_garbage
+from ship_testing.small_session import ALL_TOPICS, SHIP, Run, fault_free_run, new_adapter, session
 
 MESSAGES = 10_000
 
@@ -33,7 +33,7 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
             pickled = pickle.dumps(good.message)  # copies three times as fast as deepcopy()
             for _ in range(6):
                 bad = pickle.loads(pickled)
-                spoil(bad, fields[arrival.topic], rng)
+                put_garbage(bad, fields[arrival.topic], rng)
                 give_message(run, Arrival(good.topic, bad, now_ns), now_ns)
                 tried += 1
             if tried % 60 == 0:
@@ -49,7 +49,7 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
     adapter.service("reset", now_ns)
     for arrival in session():
         give_message(run, later(arrival, now_ns + SECOND_NS - START_NS), now_ns + SECOND_NS + arrival.receive_ns - START_NS)
-    last, clean_last = run.pointings[-1], clean_run().pointings[-1]
+    last, clean_last = run.pointings[-1], fault_free_run().pointings[-1]
     assert last.status == Status.VALID
     for angle in ("azimuth", "elevation", "image_rotation"):
         assert abs(getattr(last, angle) - getattr(clean_last, angle)) < 1e-9

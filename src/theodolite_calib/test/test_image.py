@@ -5,13 +5,13 @@ import pytest
 
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_testing.simulated_sightings import CAMERA as PAPER_CAMERA
-from ship_testing.simulated_sightings import error_free, truth_of
+from ship_testing.simulated_sightings import error_free_epochs, truth_of
 from theodolite_calib.lights.image import Camera, predict_points, unit_vector_jacobian
 
 CAMERA = Camera(0.1, 1e-4, np.array([3e-4, -5e-4]))
 
 TRUTH = truth_of(np.array([10.0, 100.0, 190.0, 280.0]), np.array([-5.0, 40.0, 85.0, 90.0]), 50.0)
-EPOCHS = error_free(TRUTH)
+EPOCHS = error_free_epochs(TRUTH)
 DIRECTION_N = EPOCHS.lines().direction_n
 PREDICTED = predict_points(PAPER_CAMERA, TRUTH.rotation_nt, DIRECTION_N)
 

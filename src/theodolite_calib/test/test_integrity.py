@@ -9,19 +9,19 @@ from ship_estimation.outcome import Status
 from ship_estimation.parameters import ParameterError
 from ship_geometry.rotations import ARCSEC
 from ship_msgs.msg import Integrity
-from ship_testing.adapter_runs import SECOND_NS, START_NS, changed_where, delayed
+from ship_testing.adapter_runs import SECOND_NS, START_NS, change_where, delay_arrivals
 from ship_testing.small_session import (
     BASELINE,
     BEACONS,
     SHIP,
-    clean_run,
+    fault_free_run,
     config,
-    drive,
+    run_adapter,
     new_adapter,
     session,
     stamp_of,
 )
-from ship_testing.told_levels import LevelledRun
+from ship_testing.told_levels import ProtectionLevelRun
 
 TOPIC = "theodolite/integrity"
 
@@ -31,7 +31,7 @@ def seconds(message: Any) -> float:
 
 
 def test_levels_go_out_once_a_second_and_name_their_hypotheses() -> None:
-    run = clean_run()
+    run = fault_free_run()
     told = run.messages(TOPIC)
     assert 5 <= len(told) <= 8
     assert {m.header.frame_id for m in told} == {"theodolite_main"}
@@ -47,7 +47,7 @@ def test_levels_go_out_once_a_second_and_name_their_hypotheses() -> None:
 
 def test_integrity_is_unavailable_without_beacons() -> None:
     dark = tuple(a for a in session(10.0) if a.topic != BEACONS or (a.stamp_ns - START_NS) < 3 * SECOND_NS)
-    run = drive(new_adapter(), dark)
+    run = run_adapter(new_adapter(), dark)
     last = run.messages(TOPIC)[-1]
     assert last.state == Integrity.UNAVAILABLE
     assert np.all(np.isnan(last.protection_level))
@@ -57,10 +57,10 @@ def test_exclusion_is_published_at_once_and_in_diagnostics() -> None:
     def moved(message: Any) -> None:
         message.enu.z += 3.0
 
-    wrong = changed_where(
+    wrong = change_where(
         session(10.0), lambda a: a.topic == BASELINE["alpha"] and a.stamp_ns - START_NS > 5 * SECOND_NS, moved
     )
-    run = drive(new_adapter(), wrong)
+    run = run_adapter(new_adapter(), wrong)
     told = [m for m in run.messages(TOPIC) if m.excluded]
     assert told[0].excluded == ["beacon.alpha"]
     assert 4.8 < seconds(told[0]) < 6.5
@@ -80,7 +80,7 @@ def frozen_ship() -> Any:
         for name in ("orientation", "angular_velocity"):
             setattr(message, name, getattr(frozen[0], name))
 
-    return changed_where(session(12.0), lambda a: a.topic == SHIP and 4.0 <= seconds(a.message) < 8.0, stand)
+    return change_where(session(12.0), lambda a: a.topic == SHIP and 4.0 <= seconds(a.message) < 8.0, stand)
 
 
 def lost_lights() -> Any:
@@ -89,9 +89,9 @@ def lost_lights() -> Any:
 
 @pytest.mark.parametrize("arrivals", [frozen_ship(), lost_lights()], ids=["ship frozen", "no lights"])
 def test_published_levels_cover_each_output(arrivals: Any) -> None:
-    run = LevelledRun(new_adapter(), arrivals)
+    run = ProtectionLevelRun(new_adapter(), arrivals)
     assert len(run.published_and_own_levels()) > 100
-    assert run.uncovered() == []
+    assert run.exceedances() == []
 
 
 @pytest.mark.parametrize(
@@ -117,13 +117,13 @@ def test_an_exclusion_does_not_depend_on_the_order_of_arrival(seed: int) -> None
     def moved(message: Any) -> None:
         message.enu.z += 3.0
 
-    wrong = changed_where(
+    wrong = change_where(
         session(), lambda a: a.topic == BASELINE["alpha"] and a.stamp_ns - START_NS > 3 * SECOND_NS, moved
     )
     rng = np.random.default_rng(seed)
     late = np.array([a.topic in (BEACONS, *BASELINE.values()) for a in wrong])
-    shuffled = delayed(wrong, np.where(late, rng.uniform(0.0, 1.9, late.size), 0.005))
-    in_order, out_of_order = drive(new_adapter(), wrong), drive(new_adapter(), shuffled)
+    shuffled = delay_arrivals(wrong, np.where(late, rng.uniform(0.0, 1.9, late.size), 0.005))
+    in_order, out_of_order = run_adapter(new_adapter(), wrong), run_adapter(new_adapter(), shuffled)
     assert out_of_order.state() == in_order.state()
     one, other = (run.adapter.core.state for run in (in_order, out_of_order))
     assert set(one.trust.excluded) == {"beacon.alpha"}

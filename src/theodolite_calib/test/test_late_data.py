@@ -12,12 +12,12 @@ from ship_testing.adapter_runs import (
     SECOND_NS,
     START_NS,
     Arrival,
-    assert_a_flood_costs_little,
+    assert_flood_costs_little,
     changed_copy,
-    delayed,
-    in_order,
+    delay_arrivals,
+    sort_by_arrival,
     index_at,
-    replaced,
+    replace_message,
     stamp_of,
 )
 from ship_testing.small_session import (
@@ -28,8 +28,8 @@ from ship_testing.small_session import (
     IMU,
     SHIP,
     Run,
-    clean_run,
-    drive,
+    fault_free_run,
+    run_adapter,
     new_adapter,
     session,
 )
@@ -44,7 +44,7 @@ def shuffled(seed: int, topics: tuple[str, ...]) -> tuple[Arrival, ...]:
     """Return random delays over the whole lag for these topics, a few milliseconds for the others."""
     rng = np.random.default_rng(seed)
     late = np.array([a.topic in topics for a in session()])
-    return delayed(session(), np.where(late, rng.uniform(0.0, LAG_S - 0.001, late.size), 0.005))
+    return delay_arrivals(session(), np.where(late, rng.uniform(0.0, LAG_S - 0.001, late.size), 0.005))
 
 
 SHUFFLES = [
@@ -58,15 +58,15 @@ SHUFFLES = [
 @pytest.mark.slow
 @pytest.mark.parametrize(("seed", "topics"), SHUFFLES)
 def test_any_order_within_the_lag_ends_in_the_same_state(seed: int, topics: tuple[str, ...]) -> None:
-    run = drive(new_adapter(), shuffled(seed, topics))
-    assert run.state() == clean_run().state()
+    run = run_adapter(new_adapter(), shuffled(seed, topics))
+    assert run.state() == fault_free_run().state()
     for topic in ALL:
         # Where what lies around an exposure came late, it may be refused first; in the end it is used.
         assert set(run.reasons(topic)) <= {"gap", "revised"}
     # What claims nothing stands outside the order.
     stamps = [stamp_of(m) for m in run.pointings if m.status != Status.INVALID]
     assert all(earlier < later for earlier, later in pairwise(stamps))
-    one, other = run.adapter.core.calibration(), clean_run().adapter.core.calibration()
+    one, other = run.adapter.core.calibration(), fault_free_run().adapter.core.calibration()
     assert one.values.tobytes() == other.values.tobytes()
     assert one.covariance.tobytes() == other.covariance.tobytes()
     assert one.unobservable == other.unobservable
@@ -86,8 +86,8 @@ def test_one_late_message_is_applied_at_its_own_time(topic: str, late_s: float) 
     index = index_at(session(), topic, 2.6)
     limit_ns = session()[index].stamp_ns + round(late_s * SECOND_NS)
     too_new = next(a for a in session() if a.stamp_ns > limit_ns)
-    run = drive(new_adapter(), replaced(session(), index, lambda message: None, too_new.receive_ns - 1))
-    assert run.state() == clean_run().state()
+    run = run_adapter(new_adapter(), replace_message(session(), index, lambda message: None, too_new.receive_ns - 1))
+    assert run.state() == fault_free_run().state()
     assert run.health(topic).rejected == 0
 
 
@@ -95,28 +95,28 @@ def test_one_late_message_is_applied_at_its_own_time(topic: str, late_s: float) 
 def test_data_later_than_the_lag_are_rejected_and_counted(topic: str) -> None:
     index = index_at(session(), topic, 2.6)
     late_ns = session()[index].receive_ns + round((LAG_S + 0.3) * SECOND_NS)
-    run = drive(new_adapter(), replaced(session(), index, lambda message: None, late_ns))
+    run = run_adapter(new_adapter(), replace_message(session(), index, lambda message: None, late_ns))
     assert run.reasons(topic) == {"late": 1}
     assert len(run.innovations(Reason.LATE)) == 1
 
 
 def test_a_pointing_waits_for_the_ship_and_comes_with_it() -> None:
     """Encoder readings come first, the ship's attitude of the same time 0.3 s later."""
-    late = delayed(session(), np.array([0.3 if a.topic == SHIP else 0.003 for a in session()]))
-    run = drive(new_adapter(), late)
+    late = delay_arrivals(session(), np.array([0.3 if a.topic == SHIP else 0.003 for a in session()]))
+    run = run_adapter(new_adapter(), late)
     times = [(ns - stamp_of(m)) * 1e-9 for ns, topic, m in run.published if topic == "theodolite/pointing"]
     assert 0.3 <= np.median(times) < 0.36
     # The first tick published INVALID.
-    assert len(run.pointings) >= len(clean_run().pointings) - 1
+    assert len(run.pointings) >= len(fault_free_run().pointings) - 1
 
 
 def test_clock_jump_back_resets_once() -> None:
     adapter = new_adapter()
-    first = drive(adapter, session())
+    first = run_adapter(adapter, session())
     adapter.clock_jumped_back(session()[0].receive_ns)
-    second = drive(adapter, session())
-    assert second.state() == first.state() == clean_run().state()
-    assert [stamp_of(m) for m in second.pointings] == [stamp_of(m) for m in clean_run().pointings]
+    second = run_adapter(adapter, session())
+    assert second.state() == first.state() == fault_free_run().state()
+    assert [stamp_of(m) for m in second.pointings] == [stamp_of(m) for m in fault_free_run().pointings]
     status = next(s for s in second.messages("/diagnostics")[-1].status if s.name == "optical_axis: pointing")
     assert next(v.value for v in status.values if v.key == "clock jumps back") == "1"
 
@@ -126,8 +126,8 @@ def test_flood_of_random_stamps_costs_few_steps(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Exposures at 2 Hz; without a bound, each message of the flood would cost some hundred steps."""
-    assert_a_flood_costs_little(
-        monkeypatch, OpticalAxisCore, lambda a: drive(new_adapter(), a), session(3.0), BEACONS, "lights"
+    assert_flood_costs_little(
+        monkeypatch, OpticalAxisCore, lambda a: run_adapter(new_adapter(), a), session(3.0), BEACONS, "lights"
     )
 
 
@@ -140,7 +140,7 @@ def repeat_times(topics: tuple[str, ...]) -> tuple[Arrival, ...]:
 
     begin_ns, end_ns = START_NS + 3 * SECOND_NS, START_NS + 33 * SECOND_NS // 10
     twice = [a for a in session(16.0) if a.topic in topics and begin_ns <= a.stamp_ns < end_ns]
-    return in_order([*session(16.0), *(changed_copy(a, again) for a in twice)])
+    return sort_by_arrival([*session(16.0), *(changed_copy(a, again) for a in twice)])
 
 
 def lights_used(run: Run) -> list[float]:
@@ -150,7 +150,7 @@ def lights_used(run: Run) -> list[float]:
 
 
 def test_beacons_are_rejected_while_encoders_and_ship_repeat_times() -> None:
-    run = drive(new_adapter(), repeat_times((ENCODER, SHIP)))
+    run = run_adapter(new_adapter(), repeat_times((ENCODER, SHIP)))
     core = run.adapter.core
     assert not core.state.trust.left_out
     assert run.pointings[-1].status == Status.VALID
@@ -161,13 +161,13 @@ def test_beacons_are_rejected_while_encoders_and_ship_repeat_times() -> None:
 
 def test_repeated_times_reject_beacons_in_any_order() -> None:
     arrivals = repeat_times((ENCODER, SHIP))
-    one = drive(new_adapter(), arrivals)
+    one = run_adapter(new_adapter(), arrivals)
     rng = np.random.default_rng(7)
     slow = np.array([a.topic in (BEACONS, ALPHA) for a in arrivals])
-    other = drive(new_adapter(), delayed(arrivals, np.where(slow, rng.uniform(0.0, LAG_S - 0.001, slow.size), 0.005)))
+    other = run_adapter(new_adapter(), delay_arrivals(arrivals, np.where(slow, rng.uniform(0.0, LAG_S - 0.001, slow.size), 0.005)))
     assert other.state() == one.state()
 
 
 def test_beacons_are_used_while_one_source_repeats_times() -> None:
-    used = lights_used(drive(new_adapter(), repeat_times((SHIP,))))
+    used = lights_used(run_adapter(new_adapter(), repeat_times((SHIP,))))
     assert len([s for s in used if 3.5 < s < 12.0]) == 17  # all: there are two a second

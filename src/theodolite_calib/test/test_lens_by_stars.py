@@ -11,7 +11,7 @@ from ship_attitude_star.stars.camera import StarCamera
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC
 from ship_simulation.stars.true_optics import TrueOptics
-from ship_testing.mount_stars import CAMERA, CAMERA_ID, MOUNTED_DEG, mount_sky, stars_seen
+from ship_testing.mount_stars import CAMERA, CAMERA_ID, MOUNTED_DEG, mount_sky, observe_stars
 from ship_testing.simulated_session import BEACONS_DEG, START_NS, Session, config, session
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.star_step import StarStep
@@ -80,7 +80,7 @@ def swept(
             state, decision = by_lights(state, sighting, Exposure(time_ns, ()))
         elif by_stars is not None:
             rotation_ns = drawn.rotation_nm[number] @ rotation_sm.T
-            seen = stars_seen(sky_model, rotation_ns, sky, 5, rng, time_ns, camera_id, lens=lens, optics=optics)
+            seen = observe_stars(sky_model, rotation_ns, sky, 5, rng, time_ns, camera_id, lens=lens, optics=optics)
             state, decision = by_stars(state, StarSighting(camera_id, seen, sighting.ship, sighting.encoder))
         assert decision.accepted, decision.text
     return filter_, state, drawn

@@ -12,7 +12,7 @@ from ship_testing.simulated_sightings import (
     FOUR_BEACONS_DEG,
     BEACONS_DEG,
     Epochs,
-    error_free,
+    error_free_epochs,
     paper_epochs,
     truth_of,
 )
@@ -133,7 +133,7 @@ def test_a_little_better_the_other_way_round_is_no_swap():
     # further and further off, it fails as named a little before it fails turned round.
     along = np.array([3.0, 2.0]) / np.hypot(3.0, 2.0)
     row_deg = np.stack([3.0 * along, 5e-4 * along, -3.0 * along])
-    exact = error_free(truth_of(75.0, 35.0, 15.0, row_deg))
+    exact = error_free_epochs(truth_of(75.0, 35.0, 15.0, row_deg))
     lights = replace(exact.beacons, baseline_covariance_n=0.027**2 * np.eye(3))
     epoch = replace(exact, lights=lights)
     verdicts = {
@@ -170,5 +170,5 @@ def test_angles_of_three_beacons():
     assert angles.pairs.tolist() == [[0, 1], [0, 2], [1, 2]]
     low, high = mean_nees_band(2_000, 1)
     assert np.all((angles.chi2.mean(axis=0) > low) & (angles.chi2.mean(axis=0) < high))
-    exact = error_free(truth_of(75.0, 35.0, 15.0, THREE_LIGHTS_DEG))
+    exact = error_free_epochs(truth_of(75.0, 35.0, 15.0, THREE_LIGHTS_DEG))
     assert np.abs(angle_residuals(exact.image, CAMERA, exact.lines()).residual).max() < 1e-8

@@ -7,7 +7,7 @@ import pytest
 
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
-from ship_testing.simulated_sightings import CAMERA, SURVEY, error_free, raised, truth_of
+from ship_testing.simulated_sightings import CAMERA, SURVEY, error_free_epochs, raise_elevation, truth_of
 from theodolite_calib.lights.line_of_sight import (
     ErrorTerm,
     LeverArm,
@@ -41,7 +41,7 @@ BIG = Survey(
 
 
 def inputs() -> tuple[BeaconPoses, Ship, Survey]:
-    epoch = error_free(TRUTH, BIG, CAMERA, seed=4)
+    epoch = error_free_epochs(TRUTH, BIG, CAMERA, seed=4)
     rng = np.random.default_rng(8)
     roots = rng.standard_normal((7, 3, 3))
     covariances = roots @ np.swapaxes(roots, -1, -2)
@@ -103,7 +103,7 @@ def test_refraction_raises_by_k_times_the_horizontal_distance_over_twice_the_rad
     direction_n = rotation_from_angles(*np.deg2rad([130.0, elevation_deg, 0.0]))[:, 0]
     lines = bare_lines(2000.0 * direction_n, refraction_coefficient=0.13)
     angle = 0.13 * 2000.0 * np.cos(np.deg2rad(elevation_deg)) / (2.0 * 6_371_000.0)
-    assert lines.direction_n[0] == pytest.approx(raised(direction_n, angle), abs=1e-9)
+    assert lines.direction_n[0] == pytest.approx(raise_elevation(direction_n, angle), abs=1e-9)
     if elevation_deg == 0.0:
         # models.md §5: 4.2" at 2 km.
         assert lines.direction_n[0, 1] / ARCSEC == pytest.approx(4.2, abs=0.05)
@@ -129,10 +129,10 @@ def bare_lines(path_n: FloatArray, refraction_coefficient: float) -> LinesOfSigh
 
 def test_simulated_truth_is_met():
     # The simulation goes the other way, from the direction to the baseline, by its own formulas.
-    epoch = error_free(TRUTH, BIG, CAMERA, seed=4)
+    epoch = error_free_epochs(TRUTH, BIG, CAMERA, seed=4)
     angle = 0.13 * TRUTH.distance_m * np.cos(np.arcsin(TRUTH.direction_n[:, 1])) / (2.0 * 6_371_000.0)
     lines = epoch.lines()
-    assert lines.direction_n == pytest.approx(raised(TRUTH.direction_n, angle), abs=1e-9)
+    assert lines.direction_n == pytest.approx(raise_elevation(TRUTH.direction_n, angle), abs=1e-9)
     assert lines.distance_m == pytest.approx(TRUTH.distance_m, abs=1e-9)
 
 
@@ -225,7 +225,7 @@ def test_sources_add_up_their_terms():
 
 
 def test_epochs_at_once_are_epochs_one_by_one():
-    epochs = error_free(truth_of(np.array([[10.0, 100.0], [200.0, 300.0]]), 20.0, 5.0), seed=3)
+    epochs = error_free_epochs(truth_of(np.array([[10.0, 100.0], [200.0, 300.0]]), 20.0, 5.0), seed=3)
     together = epochs.lines()
     assert together.direction_n.shape == (2, 2, 2, 3)
     for index in np.ndindex(2, 2):

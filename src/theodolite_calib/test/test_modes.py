@@ -4,14 +4,14 @@ import numpy as np
 
 from ship_estimation.outcome import Status
 from ship_msgs.msg import OpticalAxisPointing, ShipAttitude
-from ship_testing.adapter_runs import changed_where
+from ship_testing.adapter_runs import change_where
 from ship_testing.small_session import (
     BEACONS,
     SHIP,
-    clean_run,
-    drive,
+    fault_free_run,
+    run_adapter,
     error_in_sigmas,
-    ins_alone,
+    session_with_ins_only,
     new_adapter,
     session,
 )
@@ -32,21 +32,21 @@ def test_a_ship_that_coasts_or_is_degraded() -> None:
     def status(value: int):
         return lambda message: setattr(message, "status", value)
 
-    coasting = drive(new_adapter(), changed_where(session(), lambda a: a.topic == SHIP, status(1)))
+    coasting = run_adapter(new_adapter(), change_where(session(), lambda a: a.topic == SHIP, status(1)))
     assert {m.status for m in coasting.pointings[20:]} == {Status.VALID}  # the lights hold it
-    degraded = drive(new_adapter(), changed_where(session(), lambda a: a.topic == SHIP, status(2)))
+    degraded = run_adapter(new_adapter(), change_where(session(), lambda a: a.topic == SHIP, status(2)))
     assert {m.status for m in degraded.pointings[20:]} == {Status.DEGRADED}
-    assert degraded.state() == coasting.state() == clean_run().state()
+    assert degraded.state() == coasting.state() == fault_free_run().state()
 
 
 def test_without_a_fused_attitude_the_ins_serves_with_its_configured_errors() -> None:
-    run = drive(new_adapter(**INS), ins_alone())
+    run = run_adapter(new_adapter(**INS), session_with_ins_only())
     assert run.pointings[-1].status == Status.VALID
     assert run.health("ins/imu").accepted == 120
     assert max(error_in_sigmas(m) for m in run.pointings[20:]) < 4.0
-    dark = tuple(a for a in ins_alone() if a.topic != BEACONS)
-    alone = drive(new_adapter(**INS), dark).pointings[-1]
-    fused = drive(new_adapter(), tuple(a for a in session() if a.topic != BEACONS)).pointings[-1]
+    dark = tuple(a for a in session_with_ins_only() if a.topic != BEACONS)
+    alone = run_adapter(new_adapter(**INS), dark).pointings[-1]
+    fused = run_adapter(new_adapter(), tuple(a for a in session() if a.topic != BEACONS)).pointings[-1]
     # 72" in heading and 10" in each tilt more.
     added = np.trace(np.reshape(alone.rotation_covariance, (3, 3)) - np.reshape(fused.rotation_covariance, (3, 3)))
     arcsec = np.pi / (180.0 * 3600.0)
@@ -54,7 +54,7 @@ def test_without_a_fused_attitude_the_ins_serves_with_its_configured_errors() ->
 
 
 def test_telescope_attitude_is_published_with_beacons() -> None:
-    pointing = clean_run().pointings[-1]
+    pointing = fault_free_run().pointings[-1]
     # Parallel to the main axis here.
     assert abs(pointing.telescope_azimuth - pointing.azimuth) < 1e-9
     assert abs(pointing.telescope_elevation - pointing.elevation) < 1e-9

@@ -86,7 +86,7 @@ def unsurveyed_lens_errors_arcsec(direction: FloatArray, elevation_deg: float = 
         truth_of(np.full(epochs, AZIMUTH_DEG), elevation_deg, 0.0),
         seed=5,
         baseline_sigma_m=0.027 / np.sqrt(3.0),
-        untold_lens_m=0.06 * direction / np.linalg.norm(direction),
+        unsurveyed_lens_m=0.06 * direction / np.linalg.norm(direction),
     )
     rotation_nt = mean_of_two_triads(drawn.lines().direction_n, drawn.camera.directions(drawn.image.point_m))
     return axis_error_arcsec(drawn, rotation_nt)

@@ -7,7 +7,7 @@ import pytest
 
 from ship_estimation.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
 from ship_geometry.rotations import ARCSEC, exp_rotation
-from ship_testing.axis_sightings import ERRORS, STRAIGHT, sight, spread
+from ship_testing.axis_sightings import ERRORS, STRAIGHT, simulate_sightings, random_angles
 from theodolite_calib.axis_fit.doubts import condition_number, correlated_pairs, near_dependencies, unobservable
 from theodolite_calib.axis_fit.robust_fit import PRIOR_SIGMAS, fit, rms, sizes
 from theodolite_calib.axis_fit.sightings import SharedError, Sightings, coverage, directions, right_and_up, correlated_map
@@ -21,9 +21,9 @@ def test_exact_sightings_give_the_errors_back(g: float) -> None:
     """Any zero points, the other errors of degrees, both faces: the axis geometry is exact."""
     rng = np.random.default_rng(1)
     errors = AxisErrors(g=g, h=-0.3, c=0.01, I=-0.012, beta_x=0.02, beta_y=-0.015, flexure=0.005)
-    azimuth, elevation = spread(rng, 80, (-5.0, 85.0))
+    azimuth, elevation = random_angles(rng, 80, (-5.0, 85.0))
     elevation[::2] = np.pi - elevation[::2]
-    result = fit(sight(rng, errors, (azimuth, elevation), 0.0), {})
+    result = fit(simulate_sightings(rng, errors, (azimuth, elevation), 0.0), {})
     assert result.fitted == NAMES
     np.testing.assert_allclose(result.errors.vector(), errors.vector(), rtol=0.0, atol=1e-9)
     assert rms(result.residuals) < 1e-9
@@ -35,11 +35,11 @@ def test_exact_sightings_give_the_errors_back(g: float) -> None:
 def test_covariance_is_consistent(outlier_share: float) -> None:
     """99.9 % bands over 200 seeds, one error a seed; with outliers seven times the noise as well."""
     rng = np.random.default_rng(2)
-    angles = spread(rng, 60, (10.0, 85.0))
+    angles = random_angles(rng, 60, (10.0, 85.0))
     ratios, nees = [], []
     for _ in range(SEEDS):
         sigma = np.where(rng.random(60) < outlier_share, 40.0, 6.0)
-        result = fit(sight(rng, ERRORS, angles, sigma), STRAIGHT)
+        result = fit(simulate_sightings(rng, ERRORS, angles, sigma), STRAIGHT)
         error = (result.errors.vector() - ERRORS.vector())[:6]
         ratios.append(error / result.sigmas)
         nees.append(normalized_error_squared(error, result.covariance))
@@ -67,7 +67,7 @@ def test_shared_errors_are_in_the_covariance(stated: bool) -> None:
     moves = np.concatenate([correlated_map((error,), time_s, count) for error in slow], axis=-1)
     ratios, nees, known = [], [], []
     for _ in range(seeds):
-        clean = sight(rng, ERRORS, angles, 2.0)
+        clean = simulate_sightings(rng, ERRORS, angles, 2.0)
         right_up = moves @ rng.normal(size=moves.shape[-1])
         moved = clean.direction_d + (np.swapaxes(right_and_up(clean.direction_d), 1, 2) @ right_up[..., None])[..., 0]
         moved /= np.linalg.norm(moved, axis=-1, keepdims=True)
@@ -91,8 +91,8 @@ def test_shared_errors_are_in_the_covariance(stated: bool) -> None:
 
 def test_outliers_are_named_and_have_little_weight() -> None:
     rng = np.random.default_rng(3)
-    angles = spread(rng, 100, (10.0, 85.0))
-    clean = sight(rng, ERRORS, angles, 6.0)
+    angles = random_angles(rng, 100, (10.0, 85.0))
+    clean = simulate_sightings(rng, ERRORS, angles, 6.0)
     moved = clean.direction_d.copy()
     planted = [5, 17, 60]
     # A wrong star, a wrong row, a shift: all to one side, so that plain least squares would follow.
@@ -106,7 +106,7 @@ def test_outliers_are_named_and_have_little_weight() -> None:
 
 def test_left_out_residuals_are_those_of_fits_without_the_sighting() -> None:
     rng = np.random.default_rng(4)
-    sightings = sight(rng, ERRORS, spread(rng, 40, (15.0, 80.0)), np.where(np.arange(40) < 2, 60.0, 6.0))
+    sightings = simulate_sightings(rng, ERRORS, random_angles(rng, 40, (15.0, 80.0)), np.where(np.arange(40) < 2, 60.0, 6.0))
     result = fit(sightings, STRAIGHT)
     refitted = []
     for left_out in range(40):
@@ -123,7 +123,7 @@ def test_left_out_residuals_are_those_of_fits_without_the_sighting() -> None:
 
 def test_fixed_terms_stay() -> None:
     rng = np.random.default_rng(5)
-    sightings = sight(rng, ERRORS, spread(rng, 60, (10.0, 85.0)), 1.0)
+    sightings = simulate_sightings(rng, ERRORS, random_angles(rng, 60, (10.0, 85.0)), 1.0)
     result = fit(sightings, {"flexure": 0.0, "c": ERRORS.c})
     assert result.fitted == ("g", "h", "I", "beta_x", "beta_y")
     assert result.errors.c == ERRORS.c
@@ -135,8 +135,8 @@ def test_fixed_terms_stay() -> None:
 def test_valley_of_a_narrow_range_of_elevation() -> None:
     """models.md §5: with E of 20-30° only, c, I and g form a valley, hundreds of times longer than wide."""
     rng = np.random.default_rng(6)
-    azimuth, elevation = spread(rng, 300, (20.0, 30.0))
-    narrow = fit(sight(rng, ERRORS, (azimuth, elevation), 2.5), STRAIGHT)
+    azimuth, elevation = random_angles(rng, 300, (20.0, 30.0))
+    narrow = fit(simulate_sightings(rng, ERRORS, (azimuth, elevation), 2.5), STRAIGHT)
     (valley,) = near_dependencies(narrow)
     assert valley.names == ("g", "c", "I")
     across, along = np.sqrt(np.linalg.eigvalsh(narrow.covariance)[[0, -1]])
@@ -145,7 +145,7 @@ def test_valley_of_a_narrow_range_of_elevation() -> None:
     assert valley.effect == pytest.approx(2.5 * ARCSEC / np.sqrt(300), rel=0.2)
     # Along the valley the pointing hardly changes, as stated.
     run = AxisErrors(**dict(zip(valley.names, valley.run, strict=True)))
-    sightings = sight(rng, AxisErrors(), (azimuth, elevation), 0.0)
+    sightings = simulate_sightings(rng, AxisErrors(), (azimuth, elevation), 0.0)
     assert rms(sightings.residuals(run)) == pytest.approx(valley.effect, rel=0.1)
     pairs = correlated_pairs(narrow)
     assert {pair[:2] for pair in pairs} == {("g", "c"), ("g", "I"), ("c", "I")}
@@ -153,15 +153,15 @@ def test_valley_of_a_narrow_range_of_elevation() -> None:
 
     # The other face of the same targets turns the sign of c and I, not of g: the valley is gone.
     plunged = np.where(np.arange(300) < 150, np.pi - elevation, elevation)
-    both = fit(sight(rng, ERRORS, (azimuth, plunged), 2.5), STRAIGHT)
+    both = fit(simulate_sightings(rng, ERRORS, (azimuth, plunged), 2.5), STRAIGHT)
     assert np.max(both.sigmas) < 0.1 * np.max(narrow.sigmas)
 
 
 def test_good_coverage_separates_the_errors() -> None:
     rng = np.random.default_rng(7)
-    azimuth, elevation = spread(rng, 100, (0.0, 85.0))
+    azimuth, elevation = random_angles(rng, 100, (0.0, 85.0))
     elevation[::2] = np.pi - elevation[::2]
-    result = fit(sight(rng, ERRORS, (azimuth, elevation), 5.0), STRAIGHT)
+    result = fit(simulate_sightings(rng, ERRORS, (azimuth, elevation), 5.0), STRAIGHT)
     assert near_dependencies(result) == []
     assert unobservable(result) is None
     assert condition_number(result) < 10.0
@@ -182,7 +182,7 @@ def test_unobservable_errors_are_named_and_stay_at_zero(
 ) -> None:
     rng = np.random.default_rng(8)
     angles = (np.deg2rad(rng.uniform(*azimuths_deg, 50)), np.deg2rad(rng.uniform(*elevations_deg, 50)))
-    result = fit(sight(rng, ERRORS, angles, 5.0), STRAIGHT)
+    result = fit(simulate_sightings(rng, ERRORS, angles, 5.0), STRAIGHT)
     found = unobservable(result)
     assert found is not None
     assert (found.names, found.count) == (names, count)
@@ -194,7 +194,7 @@ def test_unobservable_errors_are_named_and_stay_at_zero(
 
 def test_as_many_sightings_as_terms() -> None:
     rng = np.random.default_rng(9)
-    result = fit(sight(rng, ERRORS, spread(rng, 6, (10.0, 80.0)), 5.0), STRAIGHT)
+    result = fit(simulate_sightings(rng, ERRORS, random_angles(rng, 6, (10.0, 80.0)), 5.0), STRAIGHT)
     assert np.all(np.isfinite(result.covariance))
     assert np.all(np.isfinite(result.leave_one_out))
 

@@ -161,7 +161,7 @@ def test_ten_seconds_of_beacons_match_their_covariance(changes: dict[str, float]
     seeds, ratios = 20, []
     for seed in range(seeds):
         # Roll separates constant errors in the horizon from constant errors in the deck.
-        given = session(settings, seed, times_s, encoder, ship_sigma_n=np.zeros(3), swing=0.0)
+        given = session(settings, seed, times_s, encoder, ship_sigma_n=np.zeros(3), motion_scale=0.0)
         state = filtered(settings, filter_, given, len(times_s))
         last = given.sightings[-1]
         axis = axis_at(filter_, state, last, 0.0)

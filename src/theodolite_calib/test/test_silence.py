@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from ship_estimation.outcome import Status
-from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, hand_over, in_order, stamp_of
-from ship_testing.small_session import BEACONS, ENCODER, SHIP, Run, clean_run, drive, new_adapter, session
+from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, hand_over, sort_by_arrival, stamp_of
+from ship_testing.small_session import BEACONS, ENCODER, SHIP, Run, fault_free_run, run_adapter, new_adapter, session
 
 POINTING = "theodolite/pointing"
 BUDGETS = ("theodolite/error_budget", "theodolite/error_arcsec")
@@ -47,7 +47,7 @@ def until(arrivals: Iterable[Arrival], s: float, *topics: str) -> list[Arrival]:
 )
 def test_published_pointing_is_final(dead: tuple[str, ...], missing: str) -> None:
     """The beacons continue all the time."""
-    run = drive(new_adapter(slow_topics_period_s=0.2), until(session(), FROM_S, *dead), until_ns=at(5.0))
+    run = run_adapter(new_adapter(slow_topics_period_s=0.2), until(session(), FROM_S, *dead), until_ns=at(5.0))
     said = invalid_times(run)
     assert at(FROM_S + 0.9) < said[0] <= at(FROM_S + 1.2)
     assert all(SECOND_NS <= later - earlier <= 1.1 * SECOND_NS for earlier, later in pairwise(said))
@@ -64,22 +64,22 @@ def test_encoder_and_ship_time_out_and_return() -> None:
     gaps = {SHIP: (1.0, 3.5), ENCODER: (1.6, 3.0)}
     spans = {topic: range(*map(at, gap)) for topic, gap in gaps.items()}
     arrivals = [a for a in session() if a.stamp_ns not in spans.get(a.topic, ())]
-    run = drive(new_adapter(), arrivals)
+    run = run_adapter(new_adapter(), arrivals)
     assert len(invalid_times(run)) in (1, 2)
     assert_in_order(run)
     back = [m for m in claimed(run) if stamp_of(m) >= at(3.6)]
-    assert [stamp_of(m) for m in back] == [stamp_of(m) for m in claimed(clean_run()) if stamp_of(m) >= at(3.6)]
+    assert [stamp_of(m) for m in back] == [stamp_of(m) for m in claimed(fault_free_run()) if stamp_of(m) >= at(3.6)]
     assert back[-1].status == Status.VALID
 
 
 def later(arrivals: Iterable[Arrival], latency_s: Callable[[str], float]) -> tuple[Arrival, ...]:
-    return in_order(replace(a, receive_ns=a.receive_ns + round(latency_s(a.topic) * SECOND_NS)) for a in arrivals)
+    return sort_by_arrival(replace(a, receive_ns=a.receive_ns + round(latency_s(a.topic) * SECOND_NS)) for a in arrivals)
 
 
 @pytest.mark.parametrize("late", [(SHIP,), (ENCODER, SHIP), (ENCODER, SHIP, BEACONS)])
 def test_old_stamps_are_no_timeout(late: tuple[str, ...]) -> None:
-    run = drive(new_adapter(), later(session(), lambda topic: 1.3 if topic in late else 0.0))
-    assert [stamp_of(m) for m in claimed(run)] == [stamp_of(m) for m in claimed(clean_run())]
+    run = run_adapter(new_adapter(), later(session(), lambda topic: 1.3 if topic in late else 0.0))
+    assert [stamp_of(m) for m in claimed(run)] == [stamp_of(m) for m in claimed(fault_free_run())]
     assert [ns for ns in invalid_times(run) if ns > at(1.4)] == []
 
 
@@ -87,13 +87,13 @@ def test_old_stamps_are_no_timeout(late: tuple[str, ...]) -> None:
 def test_corrected_clock_is_no_timeout(step_s: float) -> None:
     run = Run(new_adapter())
     hand_over(run, session(), node_ns=lambda ns: ns + (round(step_s * SECOND_NS) if ns > at(2.0) else 0))
-    expected = [result for result in clean_run().results() if result[1] != "theodolite/calibration"]
+    expected = [result for result in fault_free_run().results() if result[1] != "theodolite/calibration"]
     assert [result for result in run.results() if result[1] != "theodolite/calibration"] == expected
 
 
 def test_data_received_during_a_stop_are_published_after_it() -> None:
     arrivals = [replace(a, receive_ns=at(3.4)) if at(2.2) < a.receive_ns < at(3.4) else a for a in session()]
-    run = drive(new_adapter(), arrivals)
+    run = run_adapter(new_adapter(), arrivals)
     assert len(invalid_times(run)) == 1
-    assert [stamp_of(m) for m in claimed(run)] == [stamp_of(m) for m in claimed(clean_run())]
-    assert run.state() == clean_run().state()
+    assert [stamp_of(m) for m in claimed(run)] == [stamp_of(m) for m in claimed(fault_free_run())]
+    assert run.state() == fault_free_run().state()

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from ship_estimation.parameters import build
 from ship_geometry.rotations import ARCSEC
-from ship_testing.sparse_least_squares import covariance_of, solved
+from ship_testing.sparse_least_squares import covariance_of, solve
 from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.samples import (
@@ -233,7 +233,7 @@ def steps_of(built: Batch) -> np.ndarray:
 @pytest.fixture(scope="module")
 def both() -> tuple:
     built = batch()
-    return *smoothed_run(), built, *solved(built.rows, steps_of(built))
+    return *smoothed_run(), built, *solve(built.rows, steps_of(built))
 
 
 def test_smoothed_pointings_are_batch_least_squares(both: tuple) -> None:

@@ -23,7 +23,7 @@ from ship_testing.mount_stars import (
     CAMERA_ID,
     STAR_SIGMA,
     MountSession,
-    drawn_errors,
+    draw_errors,
     mount_config,
     mount_sky,
     random_field,
@@ -62,7 +62,7 @@ class Mount:
 
     def run(self, seed: int) -> tuple[MountSession, np.random.Generator]:
         rng = np.random.default_rng(seed)
-        return MountSession(self.settings, drawn_errors(self.settings, rng), self.watch, rng), rng
+        return MountSession(self.settings, draw_errors(self.settings, rng), self.watch, rng), rng
 
     def pointing(self, night: MountSession, state: CalibrationState, encoder: FloatArray, time_ns: int = TIME_NS):
         reading = night.reading(encoder, time_ns)

@@ -18,7 +18,7 @@ from ship_testing.mount_stars import (
     CAMERA,
     CAMERA_ID,
     MountSession,
-    drawn_errors,
+    draw_errors,
     mount_config,
     mount_sky,
     random_field,
@@ -48,7 +48,7 @@ def after_five_seconds(
     rng = np.random.default_rng([31, seed])
     detector = DetectorErrors(rng, Detector(**CAMERA, width_px=2201, height_px=2201, **ERRORS_PX))
     watch = mount_sky(settings)
-    errors, encoder, filter_ = drawn_errors(settings, rng), random_field(rng), CalibrationFilter(settings)
+    errors, encoder, filter_ = draw_errors(settings, rng), random_field(rng), CalibrationFilter(settings)
     step, state = StarStep(settings, filter_, watch), filter_.initial_state()
     deformation = np.full(3, settings.deformation.sigma_arcsec * ARCSEC)
     times_ns = np.arange(EXPOSURES) * PERIOD_NS

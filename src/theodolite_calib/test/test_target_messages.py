@@ -10,8 +10,8 @@ from ship_bags.stamps import make_header
 from ship_estimation.outcome import Status
 from ship_estimation.refusals import Reason
 from ship_geometry.ros_axes import ENU_FROM_HORIZON
-from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, Arrival, exactly, in_order, stamp_of
-from ship_testing.small_session import ENCODER, LEVER_D, SHIP, Run, deck, drive, mount, new_adapter, session
+from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, Arrival, exact_value, sort_by_arrival, stamp_of
+from ship_testing.small_session import ENCODER, LEVER_D, SHIP, Run, deck, run_adapter, mount_state, new_adapter, session
 
 TARGET, DIRECTION = "theodolite/target", "theodolite/target_direction"
 DETECTOR = {"main_detector__focal_length_m": 1.5, "main_detector__frame_id": "main_detector"}
@@ -23,7 +23,7 @@ NAN = float("nan")
 def seen_n(t_s: float) -> np.ndarray:
     """Return the direction of a target that drifts next to the line of the mount."""
     beside = np.array([1.0, 0.004 * np.sin(t_s), 0.006])
-    return mount(t_s)[2] @ (beside / np.linalg.norm(beside))
+    return mount_state(t_s)[2] @ (beside / np.linalg.norm(beside))
 
 
 def path_n(t_s: float) -> np.ndarray:
@@ -34,7 +34,7 @@ def path_n(t_s: float) -> np.ndarray:
 
 def image(t_s: float, **changes: Any) -> Any:
     """Return an image of a detector whose right side is down by 0.4 rad."""
-    rho, seen_m = 0.4, mount(t_s)[2].T @ seen_n(t_s)
+    rho, seen_m = 0.4, mount_state(t_s)[2].T @ seen_n(t_s)
     up_v = seen_m @ [0.0, np.cos(rho), np.sin(rho)]
     right_v = seen_m @ [0.0, -np.sin(rho), np.cos(rho)]
     fields = {
@@ -62,7 +62,7 @@ def images() -> tuple[Arrival, ...]:
 
 def run_of(*targets: Arrival, base: tuple[Arrival, ...] | None = None, **changes: Any) -> Run:
     base = session() if base is None else base
-    return drive(new_adapter(**{**DETECTOR, **changes}), in_order((*base, *targets)), START_NS + 9 * SECOND_NS)
+    return run_adapter(new_adapter(**{**DETECTOR, **changes}), sort_by_arrival((*base, *targets)), START_NS + 9 * SECOND_NS)
 
 
 @functools.cache
@@ -147,7 +147,7 @@ def test_bad_image_is_rejected_by_name_without_effect(kind: str) -> None:
 
 
 def test_images_without_a_main_detector_are_rejected_with_advice() -> None:
-    run = drive(new_adapter(), in_order((*session(), *images())), START_NS + 9 * SECOND_NS)
+    run = run_adapter(new_adapter(), sort_by_arrival((*session(), *images())), START_NS + 9 * SECOND_NS)
     assert run.messages(DIRECTION) == []
     assert run.reasons(TARGET) == {"unknown_sensor": len(images())}
     told = run.innovations(Reason.UNKNOWN_SENSOR)[0]
@@ -221,7 +221,7 @@ def test_the_order_in_which_images_come_does_not_matter() -> None:
     backwards = [Arrival(TARGET, a.message, last_ns - i) for i, a in enumerate(targets)]
     in_turn = [Arrival(TARGET, a.message, last_ns + i) for i, a in enumerate(targets)]
     found = [
-        sorted((exactly(m) for m in run_of(*arrivals).messages(DIRECTION)), key=repr)
+        sorted((exact_value(m) for m in run_of(*arrivals).messages(DIRECTION)), key=repr)
         for arrivals in (in_turn, backwards)
     ]
     assert found[0] == found[1]

@@ -15,7 +15,7 @@ from ship_testing.simulated_sightings import (
     BEACONS_DEG,
     SURVEY,
     Epochs,
-    error_free,
+    error_free_epochs,
     paper_epochs,
     truth_of,
 )
@@ -38,7 +38,7 @@ def test_all_azimuths_elevations_and_image_rotations_are_recovered():
     grid = np.meshgrid(
         np.arange(0.0, 360.0, 15.0), [-5.0, 0.0, 20.0, 45.0, 70.0, 89.0, 89.99, 90.0], np.arange(-180.0, 181.0, 20.0)
     )
-    epochs = error_free(truth_of(*grid), RTK_ONLY)
+    epochs = error_free_epochs(truth_of(*grid), RTK_ONLY)
     attitude = solved(epochs)
     assert attitude.solved.all()
     # The refraction of the simulation is the same to 1e-9 rad.
@@ -47,7 +47,7 @@ def test_all_azimuths_elevations_and_image_rotations_are_recovered():
 
 
 def test_rotation_of_exact_directions_is_scipys():
-    epochs = error_free(truth_of(250.0, 35.0, -130.0, FOUR_BEACONS_DEG), RTK_ONLY)
+    epochs = error_free_epochs(truth_of(250.0, 35.0, -130.0, FOUR_BEACONS_DEG), RTK_ONLY)
     lines = epochs.lines()
     expected, _ = Rotation.align_vectors(lines.direction_n, epochs.camera.directions(epochs.image.point_m))
     assert solved(epochs).rotation_nt == pytest.approx(expected.as_matrix(), abs=1e-9)
@@ -56,7 +56,7 @@ def test_rotation_of_exact_directions_is_scipys():
 def test_rotation_by_weights_is_scipys():
     # Only baselines err, by amounts of their own: isotropic across the line of sight, as Wahba's problem has it.
     sigma_m = np.array([0.02, 0.05, 0.1, 0.3])
-    epochs = error_free(truth_of(250.0, 35.0, -130.0, FOUR_BEACONS_DEG), SURVEY, Camera(0.1, 0.0, np.zeros(2)))
+    epochs = error_free_epochs(truth_of(250.0, 35.0, -130.0, FOUR_BEACONS_DEG), SURVEY, Camera(0.1, 0.0, np.zeros(2)))
     noise = sigma_m[:, None] * np.random.default_rng(1).standard_normal((4, 3))
     lights = replace(
         epochs.beacons,
@@ -82,7 +82,7 @@ def test_a_part_of_the_budget_is_what_its_source_does(source):
     """Only one error is drawn, all are modelled."""
     count = 5_000
     truth = truth_of(np.full(count, 33.0), 20.0, -60.0)
-    exact, drawn = error_free(truth, seed=9), paper_epochs(truth, seed=9)
+    exact, drawn = error_free_epochs(truth, seed=9), paper_epochs(truth, seed=9)
     lines = drawn.lines()
     match source:
         case "rtk":
@@ -174,7 +174,7 @@ def test_one_beacon_keeps_the_prior_rotation_about_it():
 
 def test_one_beacon_without_a_prior_is_refused():
     with pytest.raises(ValueError, match="prior attitude is needed"):
-        solved(error_free(truth_of(0.0, 10.0, 0.0, BEACONS_DEG[:1])))
+        solved(error_free_epochs(truth_of(0.0, 10.0, 0.0, BEACONS_DEG[:1])))
 
 
 def test_close_beacons_need_a_prior():
@@ -182,7 +182,7 @@ def test_close_beacons_need_a_prior():
     # The second epoch has them apart.
     direction_n = truth.direction_n.copy()
     direction_n[1] = truth_of(120.0, 25.0, 0.0).direction_n
-    epochs = error_free(replace(truth, direction_n=direction_n), RTK_ONLY)
+    epochs = error_free_epochs(replace(truth, direction_n=direction_n), RTK_ONLY)
     alone = solved(epochs)
     assert alone.solved.tolist() == [False, True]
     assert np.isnan(alone.rotation_nt[0]).all()
@@ -195,7 +195,7 @@ def test_close_beacons_need_a_prior():
 
 def test_beacon_behind_the_telescope_is_not_solved():
     # By its prior the telescope looks away from the only light: there is no image of it.
-    epochs = error_free(truth_of(0.0, 10.0, 0.0, BEACONS_DEG[:1]), RTK_ONLY)
+    epochs = error_free_epochs(truth_of(0.0, 10.0, 0.0, BEACONS_DEG[:1]), RTK_ONLY)
     away = truth_of(180.0, 10.0, 0.0).rotation_nt
     attitude = solved(epochs, AttitudePrior(away, {"prior": 1e-6 * np.eye(3)}))
     assert not attitude.solved

@@ -13,9 +13,9 @@ from ship_testing.simulated_sightings import (
     FOUR_BEACONS_DEG,
     BEACONS_DEG,
     SURVEY,
-    error_free,
+    error_free_epochs,
     project,
-    raised,
+    raise_elevation,
     truth_of,
 )
 from theodolite_calib.lights.line_of_sight import LeverArm, covariance_by_source
@@ -45,7 +45,7 @@ class FullProblem:
     def __init__(self, lights_deg: FloatArray, prior: AttitudePrior | None = None) -> None:
         count = self.count = len(lights_deg)
         self.prior = prior
-        epoch = error_free(truth_of(140.0, 30.0, 70.0, lights_deg), self.survey, seed=6)
+        epoch = error_free_epochs(truth_of(140.0, 30.0, 70.0, lights_deg), self.survey, seed=6)
         self.camera = replace(CAMERA, focal_length_sigma_m=self.focal_sigma_m)
         lights = replace(
             epoch.beacons,
@@ -85,7 +85,7 @@ class FullProblem:
         distance = np.linalg.norm(path_n, axis=-1)
         k = 0.13 + survey.refraction_sigma * x[16] + survey.refraction_beacon_sigma * own[:, 12]
         angle = k * np.hypot(path_n[:, 0], path_n[:, 2]) / (2.0 * 6_371_000.0)
-        direction_n = raised(path_n / distance[:, None], angle)
+        direction_n = raise_elevation(path_n / distance[:, None], angle)
         rotation_nt = Rotation.from_rotvec(x[:3]).as_matrix() @ self.epoch.truth.rotation_nt
         focal_length_m = np.array(0.1 + self.focal_sigma_m * x[3])
         return project(self.camera, focal_length_m, direction_n @ rotation_nt)

@@ -8,7 +8,7 @@ import pytest
 
 from ship_estimation.outcome import Status
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_copy, hand_over, stamp_of
-from ship_testing.small_session import ENCODER, Run, drive, new_adapter, session
+from ship_testing.small_session import ENCODER, Run, run_adapter, new_adapter, session
 
 AT_S, DURATION_S = 10.0, 20.0
 
@@ -37,7 +37,7 @@ def sailed(step_s: float, *topics: str, node_follows: bool = True) -> Run:
 @pytest.mark.slow
 @pytest.mark.parametrize("step_s", [-900.0, -300.0, -1.0, 900.0])
 def test_all_clocks_step_and_the_pointing_is_valid_within_two_seconds(step_s: float) -> None:
-    run, calm = sailed(step_s), drive(new_adapter(), session(DURATION_S))
+    run, calm = sailed(step_s), run_adapter(new_adapter(), session(DURATION_S))
     since_ns = START_NS + round(AT_S * SECOND_NS)
     # Readings of within a tenth of a second wait for the ship.
     after = [m for ns, topic, m in run.published if topic == "theodolite/pointing" and ns >= since_ns + 2 * SECOND_NS]

@@ -14,7 +14,7 @@ from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.stamps import ns_from_utc_text
 from ship_estimation.gates import mean_nees_band, normalized_error_squared
 from ship_geometry.rotations import ARCSEC, exp_rotation
-from ship_testing.theodolite_stations import DIRECTION, buoy_n, buoy_seen, direction_message, placing_values
+from ship_testing.theodolite_stations import DIRECTION, buoy_n, buoy_direction, direction_message, triangulation_values
 from theodolite_calib.triangulation.triangulate_command import COLUMNS, main
 
 START_NS, PERIOD_NS = 1_767_225_600_000_000_000, 100_000_000
@@ -30,14 +30,14 @@ def write(path: Path, number: int, phase_ns: int, seed: int, count: int = 20, no
         writer.add_topic(TOPIC, DIRECTION)
         for index in range(count):
             time_ns = START_NS + phase_ns + index * PERIOD_NS
-            true_n = buoy_seen(number, (time_ns - START_NS) * 1e-9)
+            true_n = buoy_direction(number, (time_ns - START_NS) * 1e-9)
             turned_n = exp_rotation(noise * SIGMA * rng.standard_normal(3) + [0.0, turn, 0.0]) @ true_n
             changes = {"status": INVALID} if index == 3 else {}
             writer.write(TOPIC, direction_message(time_ns, turned_n, SIGMA, **changes), time_ns)
 
 
 def described(folder: Path, *phases_ns: int, **changes) -> Path:
-    values = placing_values(len(phases_ns))
+    values = triangulation_values(len(phases_ns))
     for number, phase_ns in enumerate(phases_ns):
         write(folder / f"t{number}.mcap", number, phase_ns, seed=number, **changes)
         values["stations"][f"t{number}"]["bag"] = f"t{number}.mcap"

@@ -13,7 +13,7 @@ import pytest
 from ship_estimation.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.rotations import ARCSEC
-from ship_testing.theodolite_stations import AIR, AXES, ORIGIN, ORIGIN_M, PLACE_SIGMA_M, foot_n, seen, station
+from ship_testing.theodolite_stations import AIR, AXES, ORIGIN, ORIGIN_M, PLACE_SIGMA_M, theodolite_n, seen_direction, station
 from theodolite_calib.target.triangulation import Air, StationDirection, TriangulatedPlace, _Line, triangulated
 
 SIGMA, DRAWS = 3.0 * ARCSEC, 1000
@@ -31,7 +31,7 @@ def drawn(seed: int, noise: float = 1.0, spread_m: float = 50.0, distance_m: flo
         at = station(f"t{number}", np.array([(number - 1) * spread_m, 2.0 * number, 5.0 * number]))
         foot_m = erfa.gd2gc(1, at.place.longitude, at.place.latitude, at.place.height_m)
         true_foot_m = foot_m + noise * PLACE_SIGMA_M * rng.standard_normal(3)
-        direction_n = seen(at, true_foot_m, ORIGIN_M + target_n @ AXES, coefficient)
+        direction_n = seen_direction(at, true_foot_m, ORIGIN_M + target_n @ AXES, coefficient)
         across = np.linalg.svd(direction_n[None])[2][1:]
         measured_n = direction_n + noise * SIGMA * rng.standard_normal(2) @ across
         measured_n /= np.linalg.norm(measured_n)
@@ -119,8 +119,8 @@ def abreast(distance_m: float, sigma: float, rng: np.random.Generator) -> tuple[
     """Return the position from two theodolites 50 m apart, abreast of the target; positions and air are known."""
     target_n, directions = np.array([25.0, 0.05 * distance_m, distance_m]), []
     for number in range(2):
-        at = replace(station(f"t{number}", foot_n(number)), sigma_m=0.0)
-        direction_n = seen(at, ORIGIN_M + foot_n(number) @ AXES, ORIGIN_M + target_n @ AXES, AIR.coefficient)
+        at = replace(station(f"t{number}", theodolite_n(number)), sigma_m=0.0)
+        direction_n = seen_direction(at, ORIGIN_M + theodolite_n(number) @ AXES, ORIGIN_M + target_n @ AXES, AIR.coefficient)
         across = np.linalg.svd(direction_n[None])[2][1:]
         measured_n = direction_n + sigma * rng.standard_normal(2) @ across
         directions.append(StationDirection(at, measured_n / np.linalg.norm(measured_n), sigma**2 * across.T @ across))

@@ -16,8 +16,8 @@ from ship_estimation.parameters import ParameterError, build
 from ship_estimation.refusals import Reason
 from ship_geometry.ros_axes import ENU_FROM_HORIZON
 from ship_geometry.rotations import ARCSEC, exp_rotation
-from ship_testing.garbage import paths, spoil
-from ship_testing.theodolite_stations import FACTORY, buoy_n, buoy_seen, direction_message, placing_values
+from ship_testing.garbage import paths, put_garbage
+from ship_testing.theodolite_stations import FACTORY, buoy_n, buoy_direction, direction_message, triangulation_values
 from theodolite_calib.ros.triangulation_adapter import INNOVATION_TOPIC, POSITION_TOPIC, TriangulationAdapter
 from theodolite_calib.target.config import TriangulationConfig
 from theodolite_calib.target.placing import MOST_TARGETS, MOST_WAITING
@@ -28,12 +28,12 @@ SECOND_NS = 1_000_000_000
 
 
 def adapter_of(count: int = 3, **changes: Any) -> TriangulationAdapter:
-    return TriangulationAdapter(build(TriangulationConfig, {**placing_values(count), **changes}), FACTORY)
+    return TriangulationAdapter(build(TriangulationConfig, {**triangulation_values(count), **changes}), FACTORY)
 
 
 def seen(number: int, time_ns: int, turn_n: Any = (0.0, 0.0, 0.0), **changes: Any) -> Any:
     """Return a theodolite's direction of the buoy, rotated by an error."""
-    turned_n = exp_rotation(np.asarray(turn_n, dtype=float)) @ buoy_seen(number, (time_ns - START_NS) * 1e-9)
+    turned_n = exp_rotation(np.asarray(turn_n, dtype=float)) @ buoy_direction(number, (time_ns - START_NS) * 1e-9)
     return direction_message(time_ns, turned_n, SIGMA, **changes)
 
 
@@ -304,7 +304,7 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
             published = give_message(adapter, number, seen(number, time_ns), now_ns)
             for _ in range(3):
                 bad = seen(number, time_ns, factory=RosidlFactory())
-                spoil(bad, spoilt, rng)
+                put_garbage(bad, spoilt, rng)
                 published += give_message(adapter, number, bad, now_ns)
             found |= {reason for _, reason in reasons(published)}
             for message in places(published):
@@ -369,7 +369,7 @@ def test_diagnostics_report_the_last_position() -> None:
     ],
 )
 def test_topics_that_cannot_be_are_named(topics: list[str], named: str) -> None:
-    values = placing_values(2)
+    values = triangulation_values(2)
     for number, topic in enumerate(topics):
         values["stations"][f"t{number}"]["topic"] = topic
     with pytest.raises(ParameterError, match=named):

@@ -14,8 +14,8 @@ from ship_estimation.outcome import Status
 from ship_estimation.parameters import build
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, horizon_covariance
 from ship_geometry.rotations import ARCSEC
-from ship_testing.adapter_runs import FACTORY, AdapterRun, Arrival, changed_copy, exactly, hand_over, in_order, stamp_of
-from ship_testing.theodolite_stations import buoy_n, buoy_seen, direction_message, placing_values
+from ship_testing.adapter_runs import FACTORY, AdapterRun, Arrival, changed_copy, exact_value, hand_over, sort_by_arrival, stamp_of
+from ship_testing.theodolite_stations import buoy_n, buoy_direction, direction_message, triangulation_values
 from theodolite_calib.ros.direction_messages_in import direction
 from theodolite_calib.ros.triangulation_adapter import POSITION_TOPIC, TriangulationAdapter
 from theodolite_calib.target.common_moments import SeenByStation
@@ -31,7 +31,7 @@ COUNT, PERIOD_S = 20, 5.0
 
 
 def config_of(stations: int, **changes: Any) -> TriangulationConfig:
-    return build(TriangulationConfig, {**placing_values(stations), **changes})
+    return build(TriangulationConfig, {**triangulation_values(stations), **changes})
 
 
 def arrivals(number: int, since_s: Any) -> list[Arrival]:
@@ -39,7 +39,7 @@ def arrivals(number: int, since_s: Any) -> list[Arrival]:
     found = []
     for at_s in since_s:
         time_ns = START_NS + round(at_s * SECOND_NS)
-        message = direction_message(time_ns, buoy_seen(number, at_s), SIGMA)
+        message = direction_message(time_ns, buoy_direction(number, at_s), SIGMA)
         found.append(Arrival(f"t{number}/theodolite/target_direction", message, time_ns + LATENCY_NS))
     return found
 
@@ -50,7 +50,7 @@ def every(period_s: float, phase_s: float = 0.0) -> np.ndarray:
 
 def run_of(config: TriangulationConfig, *of_stations: list[Arrival]) -> AdapterRun:
     run = AdapterRun(TriangulationAdapter(config, FACTORY))
-    everything = in_order(arrival for of_station in of_stations for arrival in of_station)
+    everything = sort_by_arrival(arrival for of_station in of_stations for arrival in of_station)
     hand_over(run, everything, until_ns=everything[-1].receive_ns + 20 * SECOND_NS)
     return run
 
@@ -180,4 +180,4 @@ def test_late_directions_to_forgotten_targets_forget_no_other() -> None:
 
 def results(run: AdapterRun) -> list[tuple[int, Any]]:
     """Return time and bytes of each position."""
-    return [(ns, exactly(message)) for ns, topic, message in run.published if topic == POSITION_TOPIC]
+    return [(ns, exact_value(message)) for ns, topic, message in run.published if topic == POSITION_TOPIC]

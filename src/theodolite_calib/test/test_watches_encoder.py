@@ -11,13 +11,13 @@ from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.vector_track import VectorTrack
-from ship_testing.adapter_runs import START_NS, Arrival, changed_where, index_at, replaced, without
+from ship_testing.adapter_runs import START_NS, Arrival, change_where, index_at, replace_message, without
 from ship_testing.small_session import (
     BEACONS,
     ENCODER,
     Run,
-    clean_run,
-    drive,
+    fault_free_run,
+    run_adapter,
     error_in_sigmas,
     new_adapter,
     session,
@@ -172,15 +172,15 @@ def assert_within_covariance(run: Run) -> bool:
 @pytest.mark.parametrize("off_deg", [1.0, 18.0, -170.0])
 def test_one_wrong_reading_is_rejected_without_effect(off_deg: float) -> None:
     index = index_at(session(), ENCODER, 3.0)
-    run = drive(new_adapter(), replaced(session(), index, read_off(off_deg, 0.5)))
+    run = run_adapter(new_adapter(), replace_message(session(), index, read_off(off_deg, 0.5)))
     assert run.reasons(ENCODER) == {"gate": 1}
     assert "the mount can reach" in run.innovations(Reason.GATE)[0].reason_text
-    assert run.results() == drive(new_adapter(), without(session(), index)).results()
+    assert run.results() == run_adapter(new_adapter(), without(session(), index)).results()
 
 
 @pytest.mark.parametrize("off_deg", [0.3, 0.5])
 def test_permanent_slip_inflates_the_zero_points_until_beacons_agree(off_deg: float) -> None:
-    run = drive(new_adapter(), changed_where(session(10.0), encoder_from(3.0), read_off(off_deg, -0.3)))
+    run = run_adapter(new_adapter(), change_where(session(10.0), encoder_from(3.0), read_off(off_deg, -0.3)))
     assert run.reasons(ENCODER) == {"gate": 5}
     after = [m for m in run.pointings if seconds(m) >= 3.0 and m.status != Status.INVALID]
     degraded = [m for m in after if m.status == Status.DEGRADED]
@@ -194,7 +194,7 @@ def test_permanent_slip_inflates_the_zero_points_until_beacons_agree(off_deg: fl
 
 def test_slip_without_beacons_stays_degraded() -> None:
     dark = [a for a in session(10.0) if a.topic != BEACONS or seconds(a.message) < 3.0]
-    run = drive(new_adapter(), changed_where(dark, encoder_from(4.0), read_off(2.0)))
+    run = run_adapter(new_adapter(), change_where(dark, encoder_from(4.0), read_off(2.0)))
     after = [m for m in run.pointings if seconds(m) >= 4.0]
     assert {m.status for m in after} == {Status.DEGRADED}
     assert max(error_in_sigmas(m) for m in after) < 3.0
@@ -206,9 +206,9 @@ def test_readings_after_a_stuck_encoder_are_unconfirmed() -> None:
     def freeze(message: Any) -> None:
         message.azimuth, message.elevation = held.azimuth, held.elevation
 
-    frozen = changed_where(session(10.0), encoder_from(2.0, 5.0), freeze)
+    frozen = change_where(session(10.0), encoder_from(2.0, 5.0), freeze)
     adapter = new_adapter(integrity__return_after_s=1.0)
-    run = drive(adapter, replaced(frozen, index_at(frozen, ENCODER, 4.0), read_off(20.0)))
+    run = run_adapter(adapter, replace_message(frozen, index_at(frozen, ENCODER, 4.0), read_off(20.0)))
     assert assert_within_covariance(run)
     (wrong,) = [m for m in run.pointings if seconds(m) == 4.0]
     assert wrong.status == Status.DEGRADED
@@ -217,23 +217,23 @@ def test_readings_after_a_stuck_encoder_are_unconfirmed() -> None:
 
 def test_live_changes_reach_the_encoder_check() -> None:
     """One reading has an error of 0.1°, which a mount of 100°/s² can reach within 50 ms and one of 10°/s² cannot."""
-    spoilt = replaced(session(), index_at(session(), ENCODER, 4.0), read_off(0.1))
+    spoilt = replace_message(session(), index_at(session(), ENCODER, 4.0), read_off(0.1))
     half = index_at(spoilt, ENCODER, 3.0)
     for changes, refused in (
         ({}, 0),
         ({"encoder.max_acceleration_deg_per_s2": 10.0}, 1),
         ({"encoder.max_acceleration_deg_per_s2": 10.0, "encoder.sigma_arcsec": 100.0}, 0),
     ):
-        adapter = drive(new_adapter(), spoilt[:half]).adapter
+        adapter = run_adapter(new_adapter(), spoilt[:half]).adapter
         adapter.set_parameters(changes)
-        assert drive(adapter, spoilt[half:]).reasons(ENCODER).get("gate", 0) == refused
+        assert run_adapter(adapter, spoilt[half:]).reasons(ENCODER).get("gate", 0) == refused
 
 
 def test_slip_of_degrees_is_never_valid() -> None:
     """Beacons are not linear in zero points of this size and are rejected: a reset is needed."""
-    run = drive(new_adapter(), changed_where(session(10.0), encoder_from(3.0), read_off(5.0)))
+    run = run_adapter(new_adapter(), change_where(session(10.0), encoder_from(3.0), read_off(5.0)))
     assert {m.status for m in run.pointings if seconds(m) >= 3.0} == {Status.DEGRADED}
 
 
 def test_no_reading_is_rejected_without_slips() -> None:
-    assert clean_run().reasons(ENCODER) == {}
+    assert fault_free_run().reasons(ENCODER) == {}

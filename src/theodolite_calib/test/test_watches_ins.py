@@ -10,15 +10,15 @@ from ship_estimation.outcome import Status
 from ship_estimation.refusals import Reason
 from ship_geometry.ros_axes import quaternion_from_rotation, rotation_from_quaternion
 from ship_geometry.rotations import exp_rotation
-from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_where, in_order, index_at, replaced, without
+from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, change_where, sort_by_arrival, index_at, replace_message, without
 from ship_testing.small_session import (
     BEACONS,
     ENCODER,
     INS,
     Run,
-    drive,
+    run_adapter,
     error_in_sigmas,
-    ins_alone,
+    session_with_ins_only,
     new_adapter,
     stamp_of,
 )
@@ -73,23 +73,23 @@ def assert_within_covariance(run: Run) -> bool:
 @pytest.mark.parametrize("factor", [TRUE, ZERO])
 @pytest.mark.parametrize("wrong", [negated_w, turned(0.0, 1.0, 0.0)])
 def test_one_wrong_sample_is_rejected_without_effect(wrong: Change, factor: float) -> None:
-    arrivals = changed_where(ins_alone(), of_topic(INS), scale_rates(factor))
+    arrivals = change_where(session_with_ins_only(), of_topic(INS), scale_rates(factor))
     index = index_at(arrivals, INS, 3.017)
-    run = drive(adapter(), replaced(arrivals, index, wrong))
+    run = run_adapter(adapter(), replace_message(arrivals, index, wrong))
     assert run.reasons(INS) == {"gate": 1}
     assert "from its prediction by earlier samples" in run.innovations(Reason.GATE)[0].reason_text
-    assert run.results() == drive(adapter(), without(arrivals, index)).results()
+    assert run.results() == run_adapter(adapter(), without(arrivals, index)).results()
 
 
 def test_late_wrong_sample_is_rejected() -> None:
     """It has an error of a degree, which only the rates of its neighbour contradict."""
-    arrivals = ins_alone()
+    arrivals = session_with_ins_only()
     index = index_at(arrivals, INS, 3.017)
-    spoilt = replaced(arrivals, index, turned(1.0, 0.0, 0.0))
+    spoilt = replace_message(arrivals, index, turned(1.0, 0.0, 0.0))
     late = Arrival(INS, spoilt[index].message, spoilt[index].receive_ns + SECOND_NS // 2)
-    run = drive(adapter(), in_order([*without(arrivals, index), late]))
+    run = run_adapter(adapter(), sort_by_arrival([*without(arrivals, index), late]))
     assert run.reasons(INS) == {"gate": 1}
-    assert run.results() == drive(adapter(), without(arrivals, index)).results()
+    assert run.results() == run_adapter(adapter(), without(arrivals, index)).results()
 
 
 @pytest.mark.parametrize("degrees_n", [(0.3, 0.0, 0.0), (0.0, 0.5, 0.3)])
@@ -102,8 +102,8 @@ def test_permanent_jump_inflates_the_covariance_until_beacons_agree(
         stamp_ns = stamp_of(message) - round(offset_s * SECOND_NS)
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, SECOND_NS)
 
-    arrivals = changed_where(ins_alone(10.0), of_topic(INS, 3.0), turned(*degrees_n))
-    run = drive(adapter(ins__time_offset_s=offset_s), changed_where(arrivals, of_topic(INS), earlier))
+    arrivals = change_where(session_with_ins_only(10.0), of_topic(INS, 3.0), turned(*degrees_n))
+    run = run_adapter(adapter(ins__time_offset_s=offset_s), change_where(arrivals, of_topic(INS), earlier))
     assert run.reasons(INS) == {"gate": 5}
     after = [m for m in run.pointings if seconds(m) >= 3.0 and m.status != Status.INVALID]
     degraded = [m for m in after if m.status == Status.DEGRADED]
@@ -117,8 +117,8 @@ def test_permanent_jump_inflates_the_covariance_until_beacons_agree(
 
 
 def test_jump_without_beacons_stays_degraded() -> None:
-    dark = [a for a in ins_alone(10.0) if a.topic != BEACONS or seconds(a.message) < 3.0]
-    run = drive(adapter(), changed_where(dark, of_topic(INS, 4.0), turned(0.0, 2.0, 0.0)))
+    dark = [a for a in session_with_ins_only(10.0) if a.topic != BEACONS or seconds(a.message) < 3.0]
+    run = run_adapter(adapter(), change_where(dark, of_topic(INS, 4.0), turned(0.0, 2.0, 0.0)))
     after = [m for m in run.pointings if seconds(m) >= 4.1]
     assert {m.status for m in after} == {Status.DEGRADED}
     assert max(error_in_sigmas(m) for m in after) < 3.0
@@ -129,10 +129,10 @@ def test_beacons_before_a_jump_do_not_confirm_it() -> None:
     """Those of 2.6 s come late by 0.9 s, after the jump of 3 s has been accepted."""
     arrivals = [
         Arrival(a.topic, a.message, a.receive_ns + 900_000_000 * of_topic(BEACONS, 2.6)(a))
-        for a in ins_alone(5.0)
+        for a in session_with_ins_only(5.0)
         if not of_topic(BEACONS, 3.0)(a)
     ]
-    run = drive(adapter(), changed_where(in_order(arrivals), of_topic(INS, 3.0), turned(0.0, 0.5, 0.0)))
+    run = run_adapter(adapter(), change_where(sort_by_arrival(arrivals), of_topic(INS, 3.0), turned(0.0, 0.5, 0.0)))
     after = [m for m in run.pointings if seconds(m) >= 3.1]
     assert {m.status for m in after} == {Status.DEGRADED}
     assert max(error_in_sigmas(m) for m in after) < 3.0
@@ -142,43 +142,43 @@ def test_simultaneous_encoder_slip_and_ins_jump() -> None:
     def slipped(message: Any) -> None:
         message.azimuth = (message.azimuth + np.deg2rad(0.4)) % (2.0 * np.pi)
 
-    arrivals = changed_where(ins_alone(10.0), of_topic(INS, 3.0), turned(0.0, 0.3, 0.2))
-    run = drive(adapter(), changed_where(arrivals, of_topic(ENCODER, 3.1), slipped))
+    arrivals = change_where(session_with_ins_only(10.0), of_topic(INS, 3.0), turned(0.0, 0.3, 0.2))
+    run = run_adapter(adapter(), change_where(arrivals, of_topic(ENCODER, 3.1), slipped))
     assert (run.reasons(INS), run.reasons(ENCODER)) == ({"gate": 5}, {"gate": 5})
     assert assert_within_covariance(run)
     assert run.pointings[-1].status == Status.VALID
 
 
 def test_number_of_rejections_is_a_live_parameter() -> None:
-    jumped = changed_where(ins_alone(), of_topic(INS, 3.0), turned(0.0, 0.5, 0.0))
-    assert drive(adapter(ins__jump_samples=2), jumped).reasons(INS) == {"gate": 2}
+    jumped = change_where(session_with_ins_only(), of_topic(INS, 3.0), turned(0.0, 0.5, 0.0))
+    assert run_adapter(adapter(ins__jump_samples=2), jumped).reasons(INS) == {"gate": 2}
     half = index_at(jumped, ENCODER, 2.0)
-    changed = drive(adapter(), jumped[:half]).adapter
+    changed = run_adapter(adapter(), jumped[:half]).adapter
     changed.set_parameters({"ins.jump_samples": 9})
-    assert drive(changed, jumped[half:]).reasons(INS) == {"gate": 9}
+    assert run_adapter(changed, jumped[half:]).reasons(INS) == {"gate": 9}
 
 
 @pytest.mark.parametrize(("sigma_arcsec", "refused"), [(1.0, 1), (100.0, 0)])
 def test_live_noise_change_reaches_the_check(sigma_arcsec: float, refused: int) -> None:
-    arrivals = ins_alone()
-    spoilt = replaced(arrivals, index_at(arrivals, INS, 4.017), turned(0.0, 0.1, 0.0))
+    arrivals = session_with_ins_only()
+    spoilt = replace_message(arrivals, index_at(arrivals, INS, 4.017), turned(0.0, 0.1, 0.0))
     half = index_at(spoilt, ENCODER, 2.0)
-    changed = drive(adapter(), spoilt[:half]).adapter
+    changed = run_adapter(adapter(), spoilt[:half]).adapter
     changed.set_parameters({"ins.white_sigma_arcsec": sigma_arcsec})
-    assert drive(changed, spoilt[half:]).reasons(INS).get("gate", 0) == refused
+    assert run_adapter(changed, spoilt[half:]).reasons(INS).get("gate", 0) == refused
 
 
 @pytest.mark.parametrize("factor", [ZERO, -1.0, 2.0])
 def test_invalid_rates_change_no_pointing(factor: float) -> None:
-    true = drive(adapter(), ins_alone())
-    run = drive(adapter(), changed_where(ins_alone(), of_topic(INS), scale_rates(factor)))
+    true = run_adapter(adapter(), session_with_ins_only())
+    run = run_adapter(adapter(), change_where(session_with_ins_only(), of_topic(INS), scale_rates(factor)))
     assert run.reasons(INS) == {}
     assert run.results() == true.results()
     assert assert_within_covariance(run)
 
 
 def test_rates_in_degrees_are_reported_and_the_ins_rejected() -> None:
-    run = drive(adapter(), changed_where(ins_alone(10.0), of_topic(INS), scale_rates(DEGREES)))
+    run = run_adapter(adapter(), change_where(session_with_ins_only(10.0), of_topic(INS), scale_rates(DEGREES)))
     assert run.reasons(INS).keys() == {"units"}
     assert "degrees for radians?" in run.innovations(Reason.UNITS)[0].reason_text
     told_s = min(seconds(m) for m in run.innovations(Reason.UNITS))
@@ -188,13 +188,13 @@ def test_rates_in_degrees_are_reported_and_the_ins_rejected() -> None:
 
 
 def test_stuck_ins_is_detected_by_its_own_rates() -> None:
-    arrivals = ins_alone(8.0)
+    arrivals = session_with_ins_only(8.0)
     held = arrivals[index_at(arrivals, INS, 3.017)].message.orientation
 
     def freeze(message: Any) -> None:
         message.orientation = held
 
-    run = drive(adapter(), changed_where(arrivals, of_topic(INS, 3.0, 5.0), freeze))
+    run = run_adapter(adapter(), change_where(arrivals, of_topic(INS, 3.0, 5.0), freeze))
     assert run.reasons(INS).keys() <= {"stuck", "gate"}
     refused_s = [seconds(m) for m in run.innovations(Reason.STUCK)]
     assert refused_s

@@ -21,7 +21,7 @@ from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_simulation.scenario.scenario import Detector
 from ship_simulation.stars.true_optics import TrueOptics, draw_optics
-from ship_testing.mount_stars import CAMERA, CAMERA_ID, MOUNTED_DEG, mount_sky, stars_seen
+from ship_testing.mount_stars import CAMERA, CAMERA_ID, MOUNTED_DEG, mount_sky, observe_stars
 from ship_testing.simulated_session import START_NS, config, session
 from ship_testing.star_sky import without_identity
 from theodolite_calib.config import OpticalAxisConfig
@@ -123,7 +123,7 @@ def run_session(seed: int, camera_id: str, ratio: float, lights: bool = False, n
             state, decision = by_lights(state, sighting, Exposure(time_ns, ()))
         else:
             true_ns = true_nm @ rotation_sm.T
-            seen = stars_seen(sky_model(), true_ns, sky, STARS, rng, time_ns, camera_id, lens=optics, optics=told)
+            seen = observe_stars(sky_model(), true_ns, sky, STARS, rng, time_ns, camera_id, lens=optics, optics=told)
             seen = seen if named else without_identity(seen)
             state, decision = by_stars(state, StarSighting(camera_id, seen, sighting.ship, encoder))
         texts.append((estimate.text, decision.text))
@@ -188,7 +188,7 @@ def test_the_jacobian_by_the_focal_length_is_that_of_the_camera() -> None:
     known = settings.star_camera(TELESCOPE)
     exact = TrueOptics(StarCamera(**CAMERA), np.eye(3))
     optics = known.optics_errors(known.camera("camera"))
-    seen = stars_seen(sky_model(), rotation_ns, np.zeros(4), STARS, rng, START_NS, TELESCOPE, lens=exact, optics=optics)
+    seen = observe_stars(sky_model(), rotation_ns, np.zeros(4), STARS, rng, START_NS, TELESCOPE, lens=exact, optics=optics)
     pixels = StarCamera(**CAMERA).pixels(seen.directions_s)
 
     def residual(focal_length_m: float) -> tuple[FloatArray, FloatArray]:
@@ -217,7 +217,7 @@ def test_false_stars_are_not_taken_for_a_wrong_focal_length() -> None:
     for seed in range(SEEDS):
         drawn, rng = session(settings, seed, TIMES_S[:1], ENCODER[:1]), np.random.default_rng(seed)
         rotation_ns, (sighting,) = drawn.rotation_nm[0] @ rotation_sm.T, drawn.sightings
-        seen = stars_seen(sky_model(), rotation_ns, np.zeros(4), 8, rng, START_NS, CAMERA_ID, optics=optics)
+        seen = observe_stars(sky_model(), rotation_ns, np.zeros(4), 8, rng, START_NS, CAMERA_ID, optics=optics)
         directions_s = seen.directions_s.copy()
         directions_s[:2] += 3e-4 * rng.standard_normal((2, 3))
         directions_s /= np.linalg.norm(directions_s, axis=-1, keepdims=True)

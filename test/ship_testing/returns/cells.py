@@ -88,12 +88,12 @@ _COARSE = {"reference/": 30.0, "beacon/": 300.0}
 """Beginning of a topic → factor of rotations of a device whose attitude is less accurate than that of stars."""
 
 POSITION_FROM_START = "a position that is wrong from the start"
-COMMON_CLOCK = "one clock of the INS and all stars: two faults that agree"
+COMMON_CLOCK_STEP = "one clock of the INS and all stars: two faults that agree"
 IMAGE_MOVED = "an image that creeps on the detector (N′), or is off from the start: it looks like encoders that do so"
 SMALL_SLIP = "an encoder that slips by less than its readings show, until the second exposure after it"
 _SLIP_SEEN_ARCSEC = 50.0
 """A larger slip is detectable in readings at 10 Hz of a mount that sweeps."""
-_MOVES_POSITION = ("offset", "corrupt", "position_off", "units")
+_POSITION_FAULTS = ("offset", "corrupt", "position_off", "units")
 _INS_AND_STARS = "ins and stars"
 
 _GROUPS: dict[str, tuple[str, ...]] = {
@@ -144,7 +144,7 @@ class Cell:
     name: str
     faults: tuple[Fault, ...] = ()
     steps: tuple[ClockStep, ...] = ()
-    unseen: str = ""
+    undetectable_reason: str = ""
     node_starts_s: float = 0.0
 
     @property
@@ -181,18 +181,18 @@ def all_cells(voyages: Mapping[str, VoyageData]) -> list[Cell]:
     """Return all cells of the matrix, each with its number."""
     found: list[Cell] = []
     for draft in itertools.chain(
-        _single_faults(voyages), _starts(voyages), _clocks(voyages), _time_bases(), _pairs(voyages), _histories(voyages)
+        _single_faults(voyages), _node_starts(voyages), _clocks(voyages), _time_bases(), _pairs(voyages), _histories(voyages)
     ):
         from_start = "node_starts_s" in draft
-        unseen = draft.pop("unseen", "") or _class_unseen(draft.get("faults", ()), from_start)
-        found.append(Cell(len(found), unseen=unseen, **draft))
+        undetectable_reason = draft.pop("unseen", "") or _undetectable_class(draft.get("faults", ()), from_start)
+        found.append(Cell(len(found), undetectable_reason=undetectable_reason, **draft))
     return found
 
 
-def _class_unseen(faults: Sequence[Fault], from_start: bool) -> str:
+def _undetectable_class(faults: Sequence[Fault], from_start: bool) -> str:
     """Return the class of undetectable faults of one of the faults; empty if all are detectable."""
     for fault in faults:
-        if from_start and fault.topic == FIX_TOPIC and fault.kind in _MOVES_POSITION:
+        if from_start and fault.topic == FIX_TOPIC and fault.kind in _POSITION_FAULTS:
             return POSITION_FROM_START
         if fault.topic == IMAGE_TOPIC and (fault.kind == "drift" or (from_start and fault.kind == "knock")):
             return IMAGE_MOVED
@@ -201,7 +201,7 @@ def _class_unseen(faults: Sequence[Fault], from_start: bool) -> str:
     return ""
 
 
-def some_cells(cells: Sequence[Cell], count: int) -> list[Cell]:
+def sample_cells(cells: Sequence[Cell], count: int) -> list[Cell]:
     """Return a seeded sample of cells; a larger one begins with the smaller ones."""
     chosen = random_stream(1, "returns.sample").permutation(len(cells))[:count]
     return [cells[place] for place in chosen.tolist()]
@@ -238,7 +238,7 @@ def _single_faults(voyages: Mapping[str, VoyageData]) -> Iterator[Draft]:
             yield {"voyage": voyage, "row": kind, "name": f"{voyage}: {kind} {topic} {lasts_s:g} s", "faults": (fault,)}
 
 
-def _starts(voyages: Mapping[str, VoyageData]) -> Iterator[Draft]:
+def _node_starts(voyages: Mapping[str, VoyageData]) -> Iterator[Draft]:
     for voyage, kind, topic, sizes in _kinds(voyages):
         fault = Fault(topic=topic, kind=kind, start_s=START_S, end_s=START_S + _MIDDLE_S, **sizes)
         yield {
@@ -268,7 +268,7 @@ def _clocks(voyages: Mapping[str, VoyageData]) -> Iterator[Draft]:
                 "row": CLOCKS,
                 "name": f"{voyage}: clock {name} {step_s:+g} s and back",
                 "faults": faults,
-                "unseen": COMMON_CLOCK if name == _INS_AND_STARS else "",
+                "unseen": COMMON_CLOCK_STEP if name == _INS_AND_STARS else "",
             }
 
 
@@ -299,7 +299,7 @@ def _pairs(voyages: Mapping[str, VoyageData]) -> Iterator[Draft]:
             Fault(topic=topic, kind=kind, start_s=start_s, end_s=start_s + length_s, **sizes)
             for (_, kind, topic, sizes), start_s, length_s in zip((first, second), starts_s, lasts_s, strict=True)
         )
-        yield {"voyage": first[0], "row": PAIR, "name": f"{first[0]}: {_words(faults)}", "faults": faults}
+        yield {"voyage": first[0], "row": PAIR, "name": f"{first[0]}: {_faults_text(faults)}", "faults": faults}
 
 
 def _histories(voyages: Mapping[str, VoyageData]) -> Iterator[Draft]:
@@ -312,10 +312,10 @@ def _histories(voyages: Mapping[str, VoyageData]) -> Iterator[Draft]:
         yield {
             "voyage": voyage,
             "row": HISTORY,
-            "name": f"{voyage}: history {number}: {_words(faults)}",
+            "name": f"{voyage}: history {number}: {_faults_text(faults)}",
             "faults": faults,
         }
 
 
-def _words(faults: Sequence[Fault]) -> str:
+def _faults_text(faults: Sequence[Fault]) -> str:
     return " + ".join(f"{one.kind} {one.topic} {one.start_s:g}-{one.end_s:g} s" for one in faults)

@@ -41,7 +41,7 @@ _LONGEST_GAP_NS = 3 * NS_PER_S // 2
 
 _VALID, _UNAVAILABLE = 0, 2
 _WARN = 1
-_OF_SOURCES = ": input ", ": conflict "
+_SOURCE_STATUS_PARTS = ": input ", ": conflict "
 """Parts of the names of diagnostics that report a rejected or contradicted source."""
 
 
@@ -77,7 +77,7 @@ def _result(cell: Cell, run: "_Run") -> dict[str, Any]:
         "voyage": cell.number,
         "cell": cell.name,
         "row": cell.row,
-        "unseen": cell.unseen,
+        "unseen": cell.undetectable_reason,
         "exception": "",
     }
     try:
@@ -127,7 +127,7 @@ class ReturnSink(VoyageSink):
                 if level >= _WARN:
                     self.texts[status.name] = status.message
 
-    def is_well(self, since_ns: int, now_ns: int) -> bool:
+    def is_recovered(self, since_ns: int, now_ns: int) -> bool:
         """True if all outputs have been VALID since a time, and no source is excluded, contradicted or refused."""
         return (
             all(
@@ -136,7 +136,7 @@ class ReturnSink(VoyageSink):
             )
             and not any(self.excluded.values())
             and _UNAVAILABLE not in self.states.values()
-            and not any(part in name for name in self.texts for part in _OF_SOURCES)
+            and not any(part in name for name in self.texts for part in _SOURCE_STATUS_PARTS)
         )
 
 
@@ -162,11 +162,11 @@ def _evaluate(cell: Cell, run: "_Run") -> dict[str, Any]:
     run.steps = [(data.time_ns(step.at_s), round(step.step_s * NS_PER_S)) for step in cell.steps]
     first_ns = max(data.time_ns(cell.node_starts_s), run.next_ns)
     now_ns = first_ns
-    for message in delivered(cell, data):
+    for message in deliver_messages(cell, data):
         if first_ns <= message.log_ns <= end_ns:
             now_ns = message.log_ns
-            run.take(message)
-            if now_ns >= consistent_ns + steady_ns and sink.is_well(now_ns - steady_ns, now_ns):
+            run.process(message)
+            if now_ns >= consistent_ns + steady_ns and sink.is_recovered(now_ns - steady_ns, now_ns):
                 break
     returns_s = {}
     for topic, since_ns in sink.valid_since_ns.items():
@@ -212,17 +212,17 @@ class _Run:
         self._offset_ns = 0
         self._last_ns: int | None = None
 
-    def take(self, message: Message) -> None:
+    def process(self, message: Message) -> None:
         """Process a message at its arrival, after the ticks that are due by then."""
         log_ns = message.log_ns
         last_ns = log_ns if self._last_ns is None else self._last_ns
         for tick_ns in range((last_ns // TICK_PERIOD_NS + 1) * TICK_PERIOD_NS, log_ns + 1, TICK_PERIOD_NS):
-            self._step_until(tick_ns)
+            self._set_clock(tick_ns)
             for adapter, _ in self._adapters:
                 self._publish(adapter.tick(tick_ns + self._offset_ns, tick_ns), tick_ns)
         self._last_ns = log_ns
-        self._step_until(log_ns)
-        content, step_ns = message.content, self._stepped_by(message.stamp_ns)
+        self._set_clock(log_ns)
+        content, step_ns = message.content, self._clock_offset_ns(message.stamp_ns)
         if step_ns:
             content = copy.deepcopy(content)
             stamp = content.header.stamp
@@ -231,9 +231,9 @@ class _Run:
             if message.topic in taken:
                 self._publish(adapter.handle(message.topic, content, log_ns + self._offset_ns, log_ns), log_ns)
 
-    def _step_until(self, time_ns: int) -> None:
+    def _set_clock(self, time_ns: int) -> None:
         """Set the computer's clock if it steps by a time."""
-        offset_ns = self._stepped_by(time_ns)
+        offset_ns = self._clock_offset_ns(time_ns)
         if offset_ns != self._offset_ns:
             step_ns, self._offset_ns = offset_ns - self._offset_ns, offset_ns
             for truth in self._truths.values():
@@ -241,7 +241,7 @@ class _Run:
             for adapter, _ in self._adapters:
                 self._publish(adapter.clock_stepped(step_ns, time_ns + offset_ns, time_ns), time_ns)
 
-    def _stepped_by(self, time_ns: int) -> int:
+    def _clock_offset_ns(self, time_ns: int) -> int:
         return sum(step_ns for at_ns, step_ns in self.steps if time_ns >= at_ns)
 
     def _publish(self, published: Sequence[tuple[str, Any]], log_ns: int) -> None:
@@ -256,28 +256,28 @@ def _prepared_run(path: Path) -> _Run:
     run.next_ns = run.data.time_ns(START_S)
     for message in run.data.messages:
         if message.log_ns < run.next_ns:
-            run.take(message)
+            run.process(message)
     return run
 
 
-def delivered(cell: Cell, data: VoyageData) -> Iterator[Message]:
+def deliver_messages(cell: Cell, data: VoyageData) -> Iterator[Message]:
     """Return the messages of a voyage with the faults of a cell, in order of arrival."""
     by_topic: dict[str, dict[str, Fault]] = {}
     for number, fault in enumerate(cell.faults):
         by_topic.setdefault(fault.topic, {})[f"f{number}"] = fault
     streams: list[Iterable[Message]] = [[message for message in data.messages if message.topic not in by_topic]]
-    streams += [_spoilt(topic, faults, cell.number, data) for topic, faults in by_topic.items()]
+    streams += [_faulty_messages(topic, faults, cell.number, data) for topic, faults in by_topic.items()]
     return heapq.merge(*streams, key=lambda message: (message.log_ns, message.order))
 
 
-def _spoilt(topic: str, faults: dict[str, Fault], seed: int, data: VoyageData) -> Iterator[Message]:
+def _faulty_messages(topic: str, faults: dict[str, Fault], seed: int, data: VoyageData) -> Iterator[Message]:
     """Return the messages of a topic with its faults."""
-    given = _deliveries(topic, list(faults.values()), data)
+    given = _topic_messages(topic, list(faults.values()), data)
     for one in apply_faults(given, data.topics[topic], faults, data.start_ns, seed, data.optics):
         yield Message(topic, one.message, one.stamp_ns or 0, one.log_time_ns, one.order)
 
 
-def _deliveries(topic: str, faults: Sequence[Fault], data: VoyageData) -> Iterator[Delivery]:
+def _topic_messages(topic: str, faults: Sequence[Fault], data: VoyageData) -> Iterator[Delivery]:
     """Return the messages of a topic; those that a fault may change are copies."""
     for message in data.messages:
         if message.topic == topic:

@@ -35,18 +35,18 @@ def _key(result: Result) -> tuple[int, str]:
     return result["voyage"], result["cell"]
 
 
-def is_beyond(result: Result) -> bool:
+def exceeds_level(result: Result) -> bool:
     """True if an output was VALID with an error beyond its protection level, while the fault was detectable."""
-    return _exceeds(result) and not result["unseen"]
+    return _has_error_beyond_level(result) and not result["unseen"]
 
 
-def _exceeds(result: Result) -> bool:
+def _has_error_beyond_level(result: Result) -> bool:
     return bool(result.get("worst_over_level", 0.0) > 1.0)
 
 
-def failed(results: Sequence[Result]) -> list[Result]:
+def failed_results(results: Sequence[Result]) -> list[Result]:
     """Return the cells that did not return, were VALID beyond a level, or failed in the software."""
-    return [one for one in results if not one["returned"] or is_beyond(one) or one.get("failures")]
+    return [one for one in results if not one["returned"] or exceeds_level(one) or one.get("failures")]
 
 
 def rows(results: Sequence[Result]) -> list[Row]:
@@ -63,7 +63,7 @@ def _row(name: str, group: Sequence[Result]) -> Row:
     for topic in _COLUMNS:
         times_s = [one["returns_s"][topic] for one in group if one["returned"] and topic in one["returns_s"]]
         slowest.append(f"{max(times_s):.1f}" if times_s else "-")
-    returned, beyond = sum(one["returned"] for one in group), sum(map(is_beyond, group))
+    returned, beyond = sum(one["returned"] for one in group), sum(map(exceeds_level, group))
     return name, str(len(group)), str(returned), *slowest, str(beyond)
 
 
@@ -74,7 +74,7 @@ def unseen_lines(results: Sequence[Result]) -> list[str]:
         if result["unseen"]:
             by_class[result["unseen"]].append(result)
     return [
-        f"{name}: {len(group)} cells, {sum(_exceeds(one) for one in group)} VALID beyond the level"
+        f"{name}: {len(group)} cells, {sum(_has_error_beyond_level(one) for one in group)} VALID beyond the level"
         for name, group in sorted(by_class.items())
     ]
 
