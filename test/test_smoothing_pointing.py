@@ -27,7 +27,7 @@ from ship_testing.mount_stars import MountSession, anchored_readings, draw_error
 from ship_testing.star_sky import TIME_NS
 from ship_testing.theodolite_scenes import SCENARIOS, replace_nested, with_beacons, with_theodolite
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.alternatives import BEACON, ENCODER
+from theodolite_calib.filter.alternatives import BEACON_PREFIX, ENCODER
 from theodolite_calib.measured.samples import Mode, PointingEstimate, PointingOutcome, ShipSample
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.smoothing.core import SmoothingAxisCore
@@ -73,7 +73,7 @@ def smoothed_pointings(core: SmoothingAxisCore, outcomes: Iterator[PointingOutco
     for outcome in outcomes:
         at_once += [one for one in outcome.estimates if one.status is not Status.INVALID]
         excluded |= {source for decision in outcome.decisions for source in decision.excluded}
-    smoothed = list(core.smoothed_to_the_end())
+    smoothed = list(core.smooth_remaining())
     assert [one.time_ns for one in smoothed] == [one.time_ns for one in at_once]
     assert [(one.status, one.mode) for one in smoothed] == [(one.status, one.mode) for one in at_once]
     readings, truth = run.theodolite.encoder, run.theodolite.truth
@@ -211,7 +211,7 @@ def test_an_excluded_drone_has_no_effect_on_smoothing() -> None:
     baselines["a"] = replace(baselines["a"], baseline_n=baseline_n)
     run = replace(run, theodolite=replace(run.theodolite, baselines=baselines))
     told = smoothed_pointings(core, run_core(core, run), run)
-    assert told.excluded == {BEACON + "a"}
+    assert told.excluded == {BEACON_PREFIX + "a"}
     # Chi-square of three degrees of freedom exceeds it once in ten thousand.
     assert np.max(nees(told.smoothed, told.true_nm)) < 21.1
     # The other drone's lights continue to improve the axes, but not those before: the estimate is another one.
@@ -320,7 +320,7 @@ def test_later_stars_improve_earlier_pointings() -> None:
             estimates = core.add_encoder(night.reading(field, time_ns)).estimates
             told += estimates
             true_nm += [night.main_axis(field)] * len(estimates)
-        smoothed = list(core.smoothed_to_the_end())
+        smoothed = list(core.smooth_remaining())
         assert len(smoothed) == len(told)
         first = slice(2, 12)
         assert {one.mode for one in told[first]} == {Mode.ENCODER}

@@ -35,7 +35,7 @@ def station(name: str, place_n: np.ndarray) -> Station:
 
 def seen_direction(at: Station, true_foot_m: np.ndarray, target_m: np.ndarray, coefficient: float) -> np.ndarray:
     """Return the direction (North, Up, East of the station) of a target in ECEF, raised by refraction."""
-    north, up, east = axes_at(at.place.longitude, at.place.latitude) @ (target_m - true_foot_m)
+    north, up, east = axes_at(at.position.longitude, at.position.latitude) @ (target_m - true_foot_m)
     horizontal_m = np.hypot(north, east)
     elevation = np.arctan2(up, horizontal_m) + coefficient * horizontal_m / (2.0 * EARTH_RADIUS_M)
     azimuth = np.arctan2(east, north)
@@ -90,7 +90,7 @@ def triangulation_values(count: int) -> dict[str, Any]:
     stations = {}
     for number in range(count):
         at = station(f"t{number}", theodolite_n(number))
-        stations[at.name] = {**_position(at.place), "sigma_m": 0.0}
+        stations[at.name] = {**_position(at.position), "sigma_m": 0.0}
     air = {"coefficient": AIR.coefficient, "sigma": 0.0}
     return {"origin": _position(ORIGIN), "stations": stations, "refraction": air}
 

@@ -186,7 +186,7 @@ def test_most_of_a_healthy_ins_is_taken_in_blocks(
 @pytest.mark.slow
 def test_nearly_all_pointings_are_put_out_together(suite_bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     counts = []
-    of_due = PointingOutput.of_due
+    of_due = PointingOutput.compute_pending
 
     def counted(self: PointingOutput, due: Any) -> Any:
         counts.append(len(due))

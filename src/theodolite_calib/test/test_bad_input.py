@@ -62,7 +62,7 @@ def set_field(path: str, value: Any) -> Change:
     return change
 
 
-def stamp_moved(seconds: float) -> Change:
+def shift_stamp(seconds: float) -> Change:
     def change(message: Any) -> None:
         moved_ns = stamp_of(message) + round(seconds * SECOND_NS)
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(moved_ns, SECOND_NS)
@@ -88,7 +88,7 @@ DROPPED = [
     ("encoder elevation in degrees", ENCODER, set_field("elevation", 30.0), "units", "degrees?"),
     ("encoder frame", ENCODER, set_field("header.frame_id", "mount"), "frame", "'mount': expected 'theodolite_base'"),
     ("encoder stamp zero", ENCODER, stamp_zero, "bad_stamp", "0 ns"),
-    ("encoder from the future", ENCODER, stamp_moved(0.06), "future", "ahead"),
+    ("encoder from the future", ENCODER, shift_stamp(0.06), "future", "ahead"),
     ("ship NaN", SHIP, set_field("orientation.x", np.nan), "non_finite", "orientation"),
     ("ship quaternion zero", SHIP, set_field("orientation.w", 10.0), "bad_quaternion", "expected 1"),
     ("ship says INVALID", SHIP, set_field("status", 3), "gap", "INVALID"),
@@ -99,7 +99,7 @@ DROPPED = [
     ("ship frame", SHIP, set_field("header.frame_id", "mast"), "frame", "'mast': expected 'deck'"),
     ("baseline NaN", ALPHA, set_field("enu.x", np.nan), "non_finite", "enu"),
     ("baseline variance negative", ALPHA, set_field("covariance", NEGATIVE), "bad_covariance", "negative"),
-    ("baseline from the future", ALPHA, stamp_moved(1.0), "future", "ahead"),
+    ("baseline from the future", ALPHA, shift_stamp(1.0), "future", "ahead"),
     ("drone quaternion", IMU["alpha"], set_field("orientation.w", 10.0), "bad_quaternion", "expected 1"),
     ("drone orientation not given", IMU["alpha"], set_field("orientation_covariance", -1.0), "not_given", "no orientation"),
     ("image of another telescope", BEACONS, set_field("telescope_id", "finder"), "unknown_sensor", "expected 'main'"),
@@ -120,7 +120,7 @@ def assert_within_covariance(run: Run) -> bool:
     return max(error_in_sigmas(message) for message in claimed) < 6.0
 
 
-def seen(message: Any, name: str) -> Any:
+def make_sighting(message: Any, name: str) -> Any:
     """Return a beacon in an image."""
     return next(sighting for sighting in message.beacons if sighting.beacon_id == name)
 
@@ -206,7 +206,7 @@ NAMED = {
 def test_two_attitudes_of_the_ship_at_every_stamp_are_never_called_valid() -> None:
     """Two publishers, 20″ apart in heading: the right one cannot be determined."""
     turned = [
-        replace(changed_copy(a, turned_by(20.0)), receive_ns=a.receive_ns + order)
+        replace(changed_copy(a, turn_heading(20.0)), receive_ns=a.receive_ns + order)
         for a, order in zip([a for a in session() if a.topic == SHIP], itertools.cycle([-1, 1, 2]))
     ]
     run = run_adapter(new_adapter(), sort_by_arrival((*session(), *turned)))
@@ -214,7 +214,7 @@ def test_two_attitudes_of_the_ship_at_every_stamp_are_never_called_valid() -> No
     assert max(error_in_sigmas(m) for m in run.pointings) < 5.0
 
 
-def turned_by(arcsec: float) -> Change:
+def turn_heading(arcsec: float) -> Change:
     """Return a change of the heading."""
 
     def change(message: Any) -> None:
@@ -241,7 +241,7 @@ def test_beacons_without_exposure_length_are_points():
 
 def test_exchanged_names_are_corrected_and_reported() -> None:
     def exchange(message: Any) -> None:
-        alpha, bravo = seen(message, "alpha"), seen(message, "bravo")
+        alpha, bravo = make_sighting(message, "alpha"), make_sighting(message, "bravo")
         alpha.beacon_id, bravo.beacon_id = "bravo", "alpha"
 
     run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), BEACONS, MOMENT_S), exchange))
@@ -256,7 +256,7 @@ def test_wrong_beacon_is_rejected_by_angle() -> None:
     index = index_at(session(), BEACONS, MOMENT_S)
 
     def shift(message: Any) -> None:
-        seen(message, "bravo").x += 0.1 * np.deg2rad(100.0 / 3600.0)
+        make_sighting(message, "bravo").x += 0.1 * np.deg2rad(100.0 / 3600.0)
 
     run = run_adapter(new_adapter(), replace_message(session(), index, shift))
     (message,) = run.innovations(Reason.LIGHT_CONFLICT)
@@ -315,7 +315,7 @@ def test_float_is_used_if_allowed() -> None:
 
 def test_hidden_beacon_leaves_the_other() -> None:
     def hide(message: Any) -> None:
-        message.beacons = [seen(message, "bravo")]
+        message.beacons = [make_sighting(message, "bravo")]
 
     run = run_adapter(new_adapter(), change_where(session(), lambda a: a.topic == BEACONS, hide))
     assert {m.mode for m in run.pointings[20:]} == {Mode.ONE_LIGHT}
@@ -346,10 +346,10 @@ def test_unreadable_beacon_is_rejected(change: Change, reason: Reason, text: str
     index = index_at(session(), BEACONS, MOMENT_S)
 
     def spoil(message: Any) -> None:
-        change(seen(message, "alpha"))
+        change(make_sighting(message, "alpha"))
 
     def leave_out(message: Any) -> None:
-        message.beacons = [seen(message, "bravo")]
+        message.beacons = [make_sighting(message, "bravo")]
 
     run = run_adapter(new_adapter(), replace_message(session(), index, spoil))
     ((source, said),) = has_reason(run, reason)
@@ -361,7 +361,7 @@ def test_unreadable_beacon_is_rejected(change: Change, reason: Reason, text: str
 
 def test_duplicate_beacon_name_is_rejected() -> None:
     def twice(message: Any) -> None:
-        seen(message, "alpha").beacon_id = "bravo"
+        make_sighting(message, "alpha").beacon_id = "bravo"
 
     run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), BEACONS, MOMENT_S), twice))
     assert run.reasons(BEACONS) == {"conflict": 2}
@@ -407,7 +407,7 @@ def test_baseline_later_than_the_lag_is_rejected() -> None:
 
 def test_baselines_one_second_old_are_a_conflict() -> None:
     """A light that moves by 1.5°/s is 1.5° from its baseline's direction: excluded after three sightings."""
-    stale = change_where(session(), lambda a: a.topic == ALPHA, stamp_moved(1.0))
+    stale = change_where(session(), lambda a: a.topic == ALPHA, shift_stamp(1.0))
     stale = sort_by_arrival(Arrival(a.topic, a.message, a.receive_ns + SECOND_NS * (a.topic == ALPHA)) for a in stale)
     run = run_adapter(new_adapter(), stale)
     refused = run.innovations(Reason.LIGHT_CONFLICT)
@@ -475,7 +475,7 @@ def test_encoder_in_degrees_is_rejected() -> None:
 
 def test_too_many_beacons_and_long_ids_are_cut() -> None:
     def crowded(message: Any) -> None:
-        strangers = [copy.copy(seen(message, "alpha")) for _ in range(MAX_BEACONS + 50)]
+        strangers = [copy.copy(make_sighting(message, "alpha")) for _ in range(MAX_BEACONS + 50)]
         for number, stranger in enumerate(strangers):
             stranger.beacon_id = f"{number}" + "x" * 10**5
         message.beacons = [*message.beacons, *strangers]

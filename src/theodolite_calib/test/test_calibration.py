@@ -14,7 +14,7 @@ from ship_node.live.node_report import start_line
 from ship_testing.adapter_runs import FACTORY, SECOND_NS
 from ship_testing.small_session import AXES, BEACONS, FOCAL_LENGTH_M, fault_free_run, config, run_adapter, new_adapter, session
 from theodolite_calib.filter.filter import CalibrationFilter
-from theodolite_calib.optical_axis.calibration import SAVED_NAMES, CalibrationPrior, prior_of, state_from_prior
+from theodolite_calib.optical_axis.calibration import SAVED_NAMES, CalibrationPrior, prior_from_state, state_from_prior
 from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
@@ -22,7 +22,7 @@ NOW_NS = session()[-1].receive_ns
 DAY_NS = 86400 * SECOND_NS
 
 
-def saved() -> CalibrationPrior:
+def save_calibration() -> CalibrationPrior:
     prior = fault_free_run().adapter.core.calibration_to_save()
     assert prior is not None
     return prior
@@ -30,14 +30,14 @@ def saved() -> CalibrationPrior:
 
 def test_the_file_gives_back_what_was_saved(tmp_path: Path) -> None:
     path = tmp_path / "folder" / "calibration.yaml"
-    CALIBRATION_FILE.save(path, saved())
+    CALIBRATION_FILE.save(path, save_calibration())
     loaded = CALIBRATION_FILE.load(path)
-    assert (loaded.time_ns, loaded.serial, loaded.telescope_id) == (saved().time_ns, "", "main")
-    assert loaded.values == pytest.approx(saved().values, rel=1e-12, abs=1e-18)
-    assert loaded.covariance.tolist() == saved().covariance.tolist()
+    assert (loaded.time_ns, loaded.serial, loaded.telescope_id) == (save_calibration().time_ns, "", "main")
+    assert loaded.values == pytest.approx(save_calibration().values, rel=1e-12, abs=1e-18)
+    assert loaded.covariance.tolist() == save_calibration().covariance.tolist()
     text = path.read_text()
     assert text.startswith("format: optical_axis calibration\nversion: 1\n")
-    g_arcsec = saved().values[0] / ARCSEC
+    g_arcsec = save_calibration().values[0] / ARCSEC
     assert f"g_arcsec: {g_arcsec:.3f}"[:12] in text
     assert list(tmp_path.glob("folder/*")) == [path]  # nothing half-written is left
 
@@ -54,7 +54,7 @@ BROKEN = [
 @pytest.mark.parametrize(("old", "new", "text"), BROKEN)
 def test_broken_file_is_refused_by_name(tmp_path: Path, old: str, new: str, text: str) -> None:
     path = tmp_path / "calibration.yaml"
-    CALIBRATION_FILE.save(path, saved())
+    CALIBRATION_FILE.save(path, save_calibration())
     path.write_text(path.read_text().replace(old, new, 1))
     with pytest.raises(BadInput) as error:
         CALIBRATION_FILE.load(path)
@@ -64,25 +64,25 @@ def test_broken_file_is_refused_by_name(tmp_path: Path, old: str, new: str, text
 
 def test_a_session_that_starts_from_it_knows_what_was_known() -> None:
     filter_ = CalibrationFilter(config())
-    state, messages = state_from_prior(filter_, config(), saved(), NOW_NS)
+    state, messages = state_from_prior(filter_, config(), save_calibration(), NOW_NS)
     assert messages == []
-    again = prior_of(filter_, config(), replace(state, used_ns=saved().time_ns))
-    assert again.values == pytest.approx(saved().values, rel=1e-9, abs=1e-15)
+    again = prior_from_state(filter_, config(), replace(state, used_ns=save_calibration().time_ns))
+    assert again.values == pytest.approx(save_calibration().values, rel=1e-9, abs=1e-15)
     # What is held has no variance, saved or not.
-    assert again.covariance == pytest.approx(saved().covariance, rel=1e-12)
+    assert again.covariance == pytest.approx(save_calibration().covariance, rel=1e-12)
     # The deformation is another by then.
     deformation = filter_.model.slices["deformation"]
     assert np.sqrt(np.diagonal(state.covariance)[deformation]) == pytest.approx(20.0 * ARCSEC)
     assert state.mean[deformation].tolist() == [0.0, 0.0, 0.0]
     source = filter_.model.sources.index("saved_calibration")
     rows = filter_.model.state_indices("axes")[:6]
-    assert state.parts[source][rows, rows] == pytest.approx(np.diagonal(state.covariance)[rows])
+    assert state.covariance_by_source[source][rows, rows] == pytest.approx(np.diagonal(state.covariance)[rows])
 
 
 def test_an_old_calibration_is_a_wider_prior() -> None:
     filter_ = CalibrationFilter(config())
-    young, _ = state_from_prior(filter_, config(), saved(), NOW_NS + 29 * DAY_NS)
-    old, messages = state_from_prior(filter_, config(), saved(), NOW_NS + 31 * DAY_NS)
+    young, _ = state_from_prior(filter_, config(), save_calibration(), NOW_NS + 29 * DAY_NS)
+    old, messages = state_from_prior(filter_, config(), save_calibration(), NOW_NS + 31 * DAY_NS)
     (message,) = messages
     assert message.startswith("saved calibration is 31.0 d old, more than calibration_max_age_d = 30: the configured")
     rows = filter_.model.state_indices("axes")[:6]
@@ -93,7 +93,7 @@ def test_an_old_calibration_is_a_wider_prior() -> None:
 
 def test_one_of_another_theodolite_is_not_used() -> None:
     settings = config(serial="T2")
-    state, (message,) = state_from_prior(CalibrationFilter(settings), settings, saved(), NOW_NS)
+    state, (message,) = state_from_prior(CalibrationFilter(settings), settings, save_calibration(), NOW_NS)
     assert message == "saved calibration is of theodolite '', configured is 'T2': not used"
     assert state.mean.tolist() == CalibrationFilter(settings).initial_state().mean.tolist()
 
@@ -101,10 +101,10 @@ def test_one_of_another_theodolite_is_not_used() -> None:
 def test_of_another_telescope_the_axes_are_used() -> None:
     settings = config(telescope__telescope_id="new")
     filter_ = CalibrationFilter(settings)
-    state, (message,) = state_from_prior(filter_, settings, saved(), NOW_NS)
+    state, (message,) = state_from_prior(filter_, settings, save_calibration(), NOW_NS)
     assert "its focal length and parallelism are not used" in message
     assert state.mean[filter_.model.slices["focal_length"]].tolist() == [0.0]
-    assert state.mean[filter_.model.slices["axes"]] == pytest.approx(saved().values[:7], abs=1e-15)
+    assert state.mean[filter_.model.slices["axes"]] == pytest.approx(save_calibration().values[:7], abs=1e-15)
 
 
 def test_services_save_and_load(tmp_path: Path) -> None:
@@ -128,7 +128,7 @@ def test_services_save_and_load(tmp_path: Path) -> None:
 
 def test_the_node_starts_from_the_file_that_is_there(tmp_path: Path) -> None:
     path = tmp_path / "calibration.yaml"
-    CALIBRATION_FILE.save(path, saved())
+    CALIBRATION_FILE.save(path, save_calibration())
     dark = tuple(a for a in session() if a.topic != BEACONS)
     with_file = run_adapter(new_adapter(calibration_file=str(path)), dark)
     without_file = run_adapter(new_adapter(), dark)
@@ -199,7 +199,7 @@ def test_node_reports_itself_and_its_start_calibration(tmp_path: Path) -> None:
     path = tmp_path / "calibration.yaml"
     absent = new_adapter(calibration_file=str(path))
     assert absent.notices == [f"no calibration at {path} yet: the filter starts as configured"]
-    CALIBRATION_FILE.save(path, replace(saved(), time_ns=NOW_NS - 3 * DAY_NS))
+    CALIBRATION_FILE.save(path, replace(save_calibration(), time_ns=NOW_NS - 3 * DAY_NS))
     adapter = new_adapter(calibration_file=str(path))
     assert adapter.notices == []
     adapter.tick(NOW_NS)

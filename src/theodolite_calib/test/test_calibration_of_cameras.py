@@ -15,7 +15,7 @@ from theodolite_calib.optical_axis.calibration import (
     SAVED_NAMES,
     CalibrationPrior,
     camera_names,
-    prior_of,
+    prior_from_state,
     state_from_prior,
 )
 from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
@@ -25,35 +25,35 @@ OFF = np.array([0.8, -1.1, 0.5]) * ARCSEC
 """Correction of the configured mounting, estimated in one night."""
 
 
-def learned(settings: OpticalAxisConfig) -> tuple[CalibrationFilter, CalibrationState]:
+def calibrated_state(settings: OpticalAxisConfig) -> tuple[CalibrationFilter, CalibrationState]:
     """Return a state with the camera's mounting known to a third of the configured sigma, and collimation with it."""
     filter_ = CalibrationFilter(settings)
     state = filter_.initial_state()
     rows = filter_.model.state_indices(f"telescope.{CAMERA_ID}.parallelism")
     c = filter_.model.state_indices("axes")[2]
-    mean, parts = state.mean.copy(), state.parts.copy()
+    mean, parts = state.mean.copy(), state.covariance_by_source.copy()
     mean[rows], mean[c] = OFF, 3.0 * ARCSEC
     parts[:, rows, :] /= 3.0
     parts[:, :, rows] /= 3.0
     # Azimuth of the camera and collimation are known together.
     parts[0][[rows[0], c], [c, rows[0]]] = 0.05 * ARCSEC**2
-    return filter_, replace(filter_.started(mean, parts), stars_ns=NOW_NS)
+    return filter_, replace(filter_.initial_state_from(mean, parts), stars_ns=NOW_NS)
 
 
-def saved(settings: OpticalAxisConfig) -> CalibrationPrior:
-    return prior_of(learned(settings)[0], settings, learned(settings)[1])
+def saved_prior(settings: OpticalAxisConfig) -> CalibrationPrior:
+    return prior_from_state(calibrated_state(settings)[0], settings, calibrated_state(settings)[1])
 
 
-def through_file(prior: CalibrationPrior, path: Path) -> CalibrationPrior:
+def save_and_load(prior: CalibrationPrior, path: Path) -> CalibrationPrior:
     CALIBRATION_FILE.save(path, prior)
     return CALIBRATION_FILE.load(path)
 
 
 def test_angles_are_saved_and_loaded(tmp_path: Path) -> None:
     settings = mount_config(1.0)
-    prior = saved(settings)
+    prior = saved_prior(settings)
     assert prior.names == (*SAVED_NAMES, *camera_names(CAMERA_ID))
-    loaded = through_file(prior, tmp_path / "calibration.yaml")
+    loaded = save_and_load(prior, tmp_path / "calibration.yaml")
     assert loaded.names == prior.names
     assert loaded.values == pytest.approx(prior.values, rel=1e-12, abs=1e-18)
     assert loaded.covariance.tolist() == prior.covariance.tolist()
@@ -67,8 +67,8 @@ def test_angles_are_saved_and_loaded(tmp_path: Path) -> None:
 
 def test_next_session_starts_with_the_saved_calibration(tmp_path: Path) -> None:
     settings = mount_config(1.0)
-    filter_, before = learned(settings)
-    state, messages = state_from_prior(filter_, settings, through_file(saved(settings), tmp_path / "c.yaml"), NOW_NS)
+    filter_, before = calibrated_state(settings)
+    state, messages = state_from_prior(filter_, settings, save_and_load(saved_prior(settings), tmp_path / "c.yaml"), NOW_NS)
     assert messages == []
     rows = [*filter_.model.state_indices(f"telescope.{CAMERA_ID}.parallelism"), filter_.model.state_indices("axes")[2]]
     np.testing.assert_allclose(state.mean[rows], before.mean[rows], rtol=1e-6)
@@ -76,17 +76,17 @@ def test_next_session_starts_with_the_saved_calibration(tmp_path: Path) -> None:
         state.covariance[np.ix_(rows, rows)], before.covariance[np.ix_(rows, rows)], rtol=1e-9, atol=1e-20
     )
     source = filter_.model.sources.index("saved_calibration")
-    assert state.parts[source][rows[0], rows[0]] == pytest.approx(before.covariance[rows[0], rows[0]])
+    assert state.covariance_by_source[source][rows[0], rows[0]] == pytest.approx(before.covariance[rows[0], rows[0]])
 
 
 @pytest.mark.parametrize("azimuth_deg", [180.0, -180.0, 200.0])
 def test_a_camera_that_looks_backward_is_within_half_a_turn(tmp_path: Path, azimuth_deg: float) -> None:
     settings = mount_config(1.0, **{f"telescopes__{CAMERA_ID}__azimuth_deg": azimuth_deg})
-    prior = saved(settings)
+    prior = saved_prior(settings)
     place = prior.names.index(f"telescopes.{CAMERA_ID}.azimuth")
     assert wrap_pi(prior.values[place] - np.deg2rad(azimuth_deg)) == pytest.approx(OFF[0], rel=1e-6)
     filter_ = CalibrationFilter(settings)
-    state, messages = state_from_prior(filter_, settings, through_file(prior, tmp_path / "c.yaml"), NOW_NS)
+    state, messages = state_from_prior(filter_, settings, save_and_load(prior, tmp_path / "c.yaml"), NOW_NS)
     assert messages == []
     row = filter_.model.state_indices(f"telescope.{CAMERA_ID}.parallelism")[0]
     assert state.mean[row] == pytest.approx(OFF[0], rel=1e-6)
@@ -97,7 +97,7 @@ def test_remounted_camera_is_ignored_and_the_rest_used(angle: str) -> None:
     told = {f"telescopes__{CAMERA_ID}__{angle}_deg": MOUNTED_DEG[f"{angle}_deg"] + 0.1}
     settings = mount_config(1.0, **told)
     filter_ = CalibrationFilter(settings)
-    state, (message,) = state_from_prior(filter_, settings, saved(mount_config(1.0)), NOW_NS)
+    state, (message,) = state_from_prior(filter_, settings, saved_prior(mount_config(1.0)), NOW_NS)
     assert message.startswith(f"saved calibration of camera '{CAMERA_ID}' is not used: its {angle} is 3")
     rows, initial = filter_.model.state_indices(f"telescope.{CAMERA_ID}.parallelism"), filter_.initial_state()
     assert state.mean[rows].tolist() == [0.0, 0.0, 0.0]
@@ -108,7 +108,7 @@ def test_remounted_camera_is_ignored_and_the_rest_used(angle: str) -> None:
 def test_removed_camera_is_ignored() -> None:
     settings = replace(mount_config(1.0), telescopes={})
     filter_ = CalibrationFilter(settings)
-    state, (message,) = state_from_prior(filter_, settings, saved(mount_config(1.0)), NOW_NS)
+    state, (message,) = state_from_prior(filter_, settings, saved_prior(mount_config(1.0)), NOW_NS)
     why = "no camera of that name has angles of its own here"
     assert message == f"saved calibration of camera '{CAMERA_ID}' is not used: {why}"
     assert state.mean[filter_.model.state_indices("axes")[2]] == pytest.approx(3.0 * ARCSEC)
@@ -117,7 +117,7 @@ def test_removed_camera_is_ignored() -> None:
 def test_a_file_without_cameras_leaves_them_as_configured() -> None:
     without = replace(mount_config(1.0), telescopes={})
     filter_ = CalibrationFilter(without)
-    old = prior_of(filter_, without, replace(filter_.initial_state(), stars_ns=NOW_NS))
+    old = prior_from_state(filter_, without, replace(filter_.initial_state(), stars_ns=NOW_NS))
     assert old.names == SAVED_NAMES
     settings = mount_config(1.0)
     filter_ = CalibrationFilter(settings)
@@ -129,7 +129,7 @@ def test_a_file_without_cameras_leaves_them_as_configured() -> None:
 
 def test_camera_without_covariance_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "calibration.yaml"
-    CALIBRATION_FILE.save(path, saved(mount_config(1.0)))
+    CALIBRATION_FILE.save(path, saved_prior(mount_config(1.0)))
     path.write_text(path.read_text().replace("values:\n", "values:\n  telescopes.other.roll_arcsec: 3.0\n", 1))
     with pytest.raises(BadInput, match="'covariance': shape"):
         CALIBRATION_FILE.load(path)

@@ -12,17 +12,17 @@ LIGHTS, STATES, ERRORS, FOCAL_LENGTH = 3, 11, 7, 4
 PLACES = np.array([[-1, 0, 2], [-1, 1, 3], [0, 0, 9], [2, 6, 9], [1, 5, 10]])
 
 
-def equal(found: FloatArray, expected: FloatArray) -> None:
+def assert_equal(found: FloatArray, expected: FloatArray) -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-14)
 
 
-def drawn(*shape: int) -> FloatArray:
+def random_arguments(*shape: int) -> FloatArray:
     return np.random.default_rng([RNG_SEED, *shape]).standard_normal(shape)
 
 
 def arguments() -> list[FloatArray]:
     shapes = (LIGHTS, 2, 3), (LIGHTS, 2, 3), (LIGHTS, 2), (LIGHTS, 3, ERRORS), (3, STATES)
-    return [drawn(number, *shape)[number - 1] for number, shape in enumerate(shapes, start=1)]
+    return [random_arguments(number, *shape)[number - 1] for number, shape in enumerate(shapes, start=1)]
 
 
 def test_points_move_by_states_as_by_numpy() -> None:
@@ -30,20 +30,20 @@ def test_points_move_by_states_as_by_numpy() -> None:
     jacobian, by_error = compiled_points.jacobian_by_states(*arguments(), FOCAL_LENGTH, PLACES)
     expected = by_attitude.reshape(-1, 3) @ turn_n
     expected[:, FOCAL_LENGTH] = by_focal_length.ravel()
-    equal(by_error, by_direction @ lines)
+    assert_equal(by_error, by_direction @ lines)
     for light, error, state in PLACES.tolist():
         for row in range(LIGHTS) if light < 0 else [light]:
             expected[2 * row : 2 * row + 2, state] += (by_direction @ lines)[row, :, error]
-    equal(jacobian, expected)
+    assert_equal(jacobian, expected)
 
 
 @pytest.mark.parametrize("lights", [1, 2, 5])
 def test_covariances_of_points_are_as_by_numpy(lights: int) -> None:
-    rows, turns = drawn(2 * lights, 3), drawn(2, 3, 3)
-    equal(compiled_points.covariances_by_rotation(rows, turns), rows @ turns @ rows.T)
-    by_error, roots = drawn(lights, 2, 5), drawn(lights, 3, 3)
+    rows, turns = random_arguments(2 * lights, 3), random_arguments(2, 3, 3)
+    assert_equal(compiled_points.covariances_by_rotation(rows, turns), rows @ turns @ rows.T)
+    by_error, roots = random_arguments(lights, 2, 5), random_arguments(lights, 3, 3)
     own = roots @ roots.swapaxes(1, 2)
-    equal(
+    assert_equal(
         compiled_points.covariance_by_own_error(by_error, own),
         block_diagonal(by_error[..., :3] @ own @ by_error[..., :3].swapaxes(1, 2)),
     )
@@ -68,8 +68,8 @@ def test_invalid_couplings_are_refused(place: list[int]) -> None:
 
 def test_mismatched_covariances_are_refused() -> None:
     with pytest.raises(ValueError, match="do not fit together"):
-        compiled_points.covariances_by_rotation(drawn(4, 2), drawn(2, 3, 3))
+        compiled_points.covariances_by_rotation(random_arguments(4, 2), random_arguments(2, 3, 3))
     with pytest.raises(ValueError, match="do not fit together"):
-        compiled_points.covariance_by_own_error(drawn(2, 2, 2), drawn(2, 3, 3))
+        compiled_points.covariance_by_own_error(random_arguments(2, 2, 2), random_arguments(2, 3, 3))
     with pytest.raises(ValueError, match="do not fit together"):
-        compiled_points.covariance_by_own_error(drawn(3, 2, 3), drawn(2, 3, 3))
+        compiled_points.covariance_by_own_error(random_arguments(3, 2, 3), random_arguments(2, 3, 3))

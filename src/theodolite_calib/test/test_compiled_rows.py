@@ -31,7 +31,7 @@ def sighting(lights: int) -> tuple[Any, ...]:
     return rng.standard_normal((ROWS, STATES)), parts, rng.standard_normal(m), jacobian, noise, first, sees, known
 
 
-def equal(found: FloatArray, expected: FloatArray) -> None:
+def assert_equal(found: FloatArray, expected: FloatArray) -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
 
 
@@ -51,15 +51,15 @@ def test_beacon_innovations_equal_numpy(lights: int) -> None:
         seen = sees[row].astype(bool)
         covariance = np.where(np.outer(seen, seen), covariances[row + 1], np.eye(len(h)))
         left = every[row + 1] * seen
-        equal(residuals[row], left)
-        equal(gains[row], (parts[row] @ h.T * seen) @ np.linalg.inv(covariance))
-        equal(nis[row], left @ np.linalg.solve(covariance, left))
+        assert_equal(residuals[row], left)
+        assert_equal(gains[row], (parts[row] @ h.T * seen) @ np.linalg.inv(covariance))
+        assert_equal(nis[row], left @ np.linalg.solve(covariance, left))
     for row, light in np.ndindex(ROWS + 1, lights):
         own, others = slice(2 * light, 2 * light + 2), known[light, row].astype(bool)
         covariance = covariances[row]
         weights = covariance[own, others] @ np.linalg.inv(covariance[np.ix_(others, others)])
         left = every[row][own] - weights @ every[row][others]
-        equal(turns[row, light, :2], inverse_root(covariance[own, own] - weights @ covariance[others, own]) @ left)
+        assert_equal(turns[row, light, :2], inverse_root(covariance[own, own] - weights @ covariance[others, own]) @ left)
         assert turns[row, light, 2] == 0.0
 
 

@@ -9,7 +9,7 @@ from ship_estimation.outcome import Status
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from theodolite_calib.filter.alternatives import ENCODER, SHIP, TELESCOPE
 from theodolite_calib.filter.trust import isolate_step_fault, isolate_drift_fault
-from theodolite_calib.measured.contradiction import has_ship_drifted, streams_since
+from theodolite_calib.measured.contradiction import has_ship_drifted, stream_consistency
 from theodolite_calib.measured.samples import EncoderSample, ShipSample
 
 PERIOD_NS = 50_000_000
@@ -48,7 +48,7 @@ def samples(seed, encoder_step=(0.0, 0.0), ship_step_n=(0.0, 0.0, 0.0), rates=Tr
 
 
 def check_streams(encoder, ship):
-    return streams_since(SINCE_NS, encoder, ship, (2 * PERIOD_NS, 2 * PERIOD_NS), ARCSEC)
+    return stream_consistency(SINCE_NS, encoder, ship, (2 * PERIOD_NS, 2 * PERIOD_NS), ARCSEC)
 
 
 @pytest.mark.parametrize("rates", [True, False])
@@ -101,7 +101,7 @@ def test_stopped_encoders_do_not_implicate_the_telescope():
 
 
 def test_uninformative_streams_keep_the_isolated_source():
-    streams = streams_since(SINCE_NS, [], [], (PERIOD_NS, PERIOD_NS), ARCSEC)
+    streams = stream_consistency(SINCE_NS, [], [], (PERIOD_NS, PERIOD_NS), ARCSEC)
     assert isolate_step_fault(ENCODER, BOTH, streams, 100.0 * ARCSEC) == ENCODER
 
 

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from theodolite_calib.design.config import W18, study_config
-from theodolite_calib.design.design_study_command import main, written
+from theodolite_calib.design.design_study_command import main, output_names
 from theodolite_calib.design.study import DesignStudy, study
 
 LIGHTS = {"a": {"right_deg": 2.0, "up_deg": 1.0, "distance_m": 1000.0}}
@@ -83,7 +83,7 @@ def rows_of(path: Path) -> list[dict[str, str]]:
 
 @pytest.mark.slow
 def test_everything_is_written_and_looked_for_before(folder: Path) -> None:
-    assert {path.name for path in folder.iterdir()} == set(written())
+    assert {path.name for path in folder.iterdir()} == set(output_names())
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in folder.glob("*.png"))
     before = {path: path.read_bytes() for path in folder.iterdir()}
     assert main(["--out", str(folder)]) == 2

@@ -24,7 +24,7 @@ FILTER = CalibrationFilter(SETTINGS)
 
 
 @dataclass(frozen=True)
-class Pointed:
+class ValidPointing:
     """VALID pointing, the time since the encoders began to drift, and the truth."""
 
     since_s: float
@@ -34,7 +34,7 @@ class Pointed:
     @property
     def separation_covariance_n(self) -> FloatArray:
         """Return the part of the covariance from the solution separations."""
-        return self.estimate.covariance_n - self.estimate.undisputed_n
+        return self.estimate.covariance_n - self.estimate.covariance_without_separation_n
 
     def sigmas(self, covariance_n: FloatArray) -> float:
         """Return the largest error of azimuth, elevation and image rotation in sigmas of a covariance."""
@@ -45,7 +45,7 @@ class Pointed:
 
 
 @functools.cache
-def pointed() -> tuple[Pointed, ...]:
+def valid_pointings() -> tuple[ValidPointing, ...]:
     """Sightings at 5 Hz and an azimuth drift after 30 s; VALID pointings of each session before an exclusion."""
     times_s, out, found = np.arange(0.0, START_S + 60.0, 0.2), PointingOutput(SETTINGS, FILTER), []
     for seed in range(SEEDS):
@@ -61,31 +61,31 @@ def pointed() -> tuple[Pointed, ...]:
             if state.fault_state.exclusions:
                 break
             if estimate.status is Status.VALID:
-                found.append(Pointed(time_s - START_S, estimate, rotation_nm))
+                found.append(ValidPointing(time_s - START_S, estimate, rotation_nm))
     return tuple(found)
 
 
 @pytest.mark.slow
 def test_separations_inflate_the_covariance_before_an_exclusion() -> None:
-    creeping = [one for one in pointed() if one.since_s > 0.0]
+    creeping = [one for one in valid_pointings() if one.since_s > 0.0]
     with_it = [one.sigmas(one.estimate.covariance_n) > 5.0 for one in creeping]
-    without = [one.sigmas(one.estimate.undisputed_n) > 5.0 for one in creeping]
+    without = [one.sigmas(one.estimate.covariance_without_separation_n) > 5.0 for one in creeping]
     # Not all of it: the errors begin before the estimates stand apart by three sigmas.
     assert sum(without) > 60
     assert sum(with_it) < sum(without) / 3
 
 
 def test_separations_are_small_without_faults() -> None:
-    right = [np.any(one.separation_covariance_n) for one in pointed() if -25.0 < one.since_s <= 0.0]
+    right = [np.any(one.separation_covariance_n) for one in valid_pointings() if -25.0 < one.since_s <= 0.0]
     assert len(right) > 500
     assert np.mean(right) < 0.05
 
 
 def test_levels_and_separations_rest_on_the_covariance_without_it() -> None:
-    one = max(pointed(), key=lambda one: float(np.trace(one.separation_covariance_n))).estimate
-    assert np.trace(one.covariance_n) > 2.0 * np.trace(one.undisputed_n)
+    one = max(valid_pointings(), key=lambda one: float(np.trace(one.separation_covariance_n))).estimate
+    assert np.trace(one.covariance_n) > 2.0 * np.trace(one.covariance_without_separation_n)
     assert one.covariance_by_source_n.sum(axis=0) == pytest.approx(one.covariance_n, rel=1e-12)
-    plain = replace(one, covariance_n=one.undisputed_n)
+    plain = replace(one, covariance_n=one.covariance_without_separation_n)
     told, expected = (integrity_of(FILTER, SETTINGS, estimate) for estimate in (one, plain))
     np.testing.assert_array_equal(told.statistic, expected.statistic)
     np.testing.assert_array_equal(told.level, expected.level)

@@ -54,9 +54,9 @@ def accuracy_of(
     return BeaconAccuracy(config, CalibrationFilter(config), attitude, encoder)
 
 
-def beside_axis(accuracy: BeaconAccuracy, beside_deg: FloatArray, range_m: float) -> FloatArray:
+def positions_off_axis(accuracy: BeaconAccuracy, angles_deg: FloatArray, range_m: float) -> FloatArray:
     """Return positions at angles (right, up) from the telescope's axis, shape (N, 3)."""
-    right, up = np.tan(np.deg2rad(beside_deg)).T
+    right, up = np.tan(np.deg2rad(angles_deg)).T
     path = np.column_stack([np.ones_like(up), up, right])
     return accuracy.centre_n + range_m * path / np.linalg.norm(path, axis=1)[:, None] @ accuracy.rotation_nt.T
 
@@ -65,7 +65,7 @@ def beside_axis(accuracy: BeaconAccuracy, beside_deg: FloatArray, range_m: float
 def test_accuracy_without_priors_is_that_of_the_beacons(elevation_deg: float) -> None:
     """The bound of models.md §5, 3.47", and the maximum likelihood of the telescope's attitude by other code."""
     accuracy = accuracy_of(paper_config(), elevation_deg)
-    places_n = beside_axis(accuracy, PAPER_FIELD_DEG, 2000.0)
+    places_n = positions_off_axis(accuracy, PAPER_FIELD_DEG, 2000.0)
     camera = Camera(FOCAL_LENGTH_M, FOCAL_SIGMA_M, np.zeros(2))
     none = LeverArm(np.zeros(3), np.zeros(3))
     survey = Survey(none, none, none, np.zeros(3), np.zeros(3), 0.13, 0.0, np.full(2, K_SIGMA))
@@ -84,7 +84,7 @@ def test_accuracy_without_priors_is_that_of_the_beacons(elevation_deg: float) ->
 
 def test_budget_is_the_accuracy_by_source() -> None:
     accuracy = accuracy_of(paper_config(exposures=5), 40.0)
-    places_n = beside_axis(accuracy, PAPER_FIELD_DEG, 1500.0)
+    places_n = positions_off_axis(accuracy, PAPER_FIELD_DEG, 1500.0)
     parts = accuracy.budget(("a", "b"), places_n)
     total_n = np.sum(list(parts.values()), axis=0)
     axis_n = accuracy.rotation_nm[:, 0]
@@ -102,7 +102,7 @@ def test_better_than_the_papers_geometry_at_two_kilometres(elevation_deg: float)
     """Refraction drawn per beacon: at least 5 % better than [W18]'s positions, in a field that is no larger."""
     config = paper_config(field_deg=3.61)
     accuracy = accuracy_of(config, elevation_deg)
-    paper_n = beside_axis(accuracy, PAPER_FIELD_DEG, 2000.0)
+    paper_n = positions_off_axis(accuracy, PAPER_FIELD_DEG, 2000.0)
     advice = advice_for(config, accuracy, a=paper_n[0], b=paper_n[1])
     assert advice.sigma_now == accuracy.sigma(("a", "b"), paper_n)
     assert advice.sigma_advised <= 0.95 * advice.sigma_now
@@ -160,7 +160,7 @@ def test_unlike_drones_get_the_places_that_are_theirs() -> None:
     assert advice.sigma_advised < accuracy.sigma(advice.names, advice.places_n[::-1])
 
 
-def drawn_limits(rng: np.random.Generator) -> tuple[dict[str, float], float]:
+def random_limits(rng: np.random.Generator) -> tuple[dict[str, float], float]:
     """Return limits that configurations accept, and an elevation of the pointing."""
     range_min_m = float(rng.uniform(50.0, 4000.0))
     range_max_m = float(range_min_m * rng.choice([1.0, rng.uniform(1.0, 10.0)]))
@@ -184,7 +184,7 @@ def drawn_limits(rng: np.random.Generator) -> tuple[dict[str, float], float]:
 def test_never_outside_the_limits(seed: int) -> None:
     rng, advised = np.random.default_rng(seed), 0
     for _ in range(14):
-        limits, elevation_deg = drawn_limits(rng)
+        limits, elevation_deg = random_limits(rng)
         config = paper_config("abc"[: rng.integers(1, 4)], **limits)
         ship = (float(rng.uniform(0.0, 6.0)), *rng.normal(0.0, 0.02, 2).tolist())
         accuracy = accuracy_of(config, elevation_deg, ship)
@@ -232,7 +232,7 @@ def test_limits_reached_are_named() -> None:
 def test_missing_position_names_the_limit(elevation_deg: float, limits: dict[str, float], reached: str) -> None:
     config = paper_config(**limits)
     accuracy = accuracy_of(config, elevation_deg)
-    advice = advice_for(config, accuracy, a=beside_axis(accuracy, PAPER_FIELD_DEG, 1000.0)[0])
+    advice = advice_for(config, accuracy, a=positions_off_axis(accuracy, PAPER_FIELD_DEG, 1000.0)[0])
     assert np.isnan(advice.places_n).all()
     assert np.isnan(advice.sigma_advised)
     assert advice.limits_reached == (reached,)
@@ -242,7 +242,7 @@ def test_missing_position_names_the_limit(elevation_deg: float, limits: dict[str
 def test_only_beacons_in_the_field_count() -> None:
     config = paper_config()
     accuracy = accuracy_of(config, 20.0)
-    inside_n, beside_n = beside_axis(accuracy, np.array([[1.0, 1.0], [4.0, 0.0]]), 1000.0)
+    inside_n, beside_n = positions_off_axis(accuracy, np.array([[1.0, 1.0], [4.0, 0.0]]), 1000.0)
     none = advice_for(config, accuracy).sigma_now
     assert none == accuracy.sigma((), np.empty((0, 3)))
     assert advice_for(config, accuracy, a=beside_n).sigma_now == none

@@ -50,13 +50,13 @@ def sightings_of(settings, count: int, seed: int = 3) -> list[Sighting]:
     return session(settings, seed, times_s, sweep(times_s)).sightings
 
 
-def filtered(filter_: CalibrationFilter, sightings: list[Sighting]) -> CalibrationState:
+def run_filter(filter_: CalibrationFilter, sightings: list[Sighting]) -> CalibrationState:
     state = filter_.initial_state()
     for sighting in sightings:
-        predicted = filter_.predicted(state, sighting.time_ns, sighting.ship.correlated_covariance_n)
+        predicted = filter_.propagate(state, sighting.time_ns, sighting.ship.correlated_covariance_n)
         comparison = filter_.compare(predicted, sighting)
         assert comparison is not None
-        state, _ = filter_.used(predicted, sighting, comparison)
+        state, _ = filter_.update_by_beacons(predicted, sighting, comparison)
     return state
 
 
@@ -110,12 +110,12 @@ def test_the_optimum_is_that_of_a_batch_least_squares() -> None:
     )
     filter_ = CalibrationFilter(settings)
     sightings = sightings_of(settings, 5)
-    state = filtered(filter_, sightings)
+    state = run_filter(filter_, sightings)
 
     model, steps = filter_.model, len(sightings)
     steady_n = sightings[0].ship.correlated_covariance_n
     assert steady_n is not None
-    start = filter_.predicted(filter_.initial_state(), sightings[0].time_ns, steady_n)
+    start = filter_.propagate(filter_.initial_state(), sightings[0].time_ns, steady_n)
     free = np.flatnonzero(np.diagonal(start.covariance) > 0.0)
     decay, noise = model.transition(1.0)
     driving = noise.copy()
@@ -161,7 +161,7 @@ def test_distant_start_converges_to_the_same_estimate() -> None:
     far = {"axes__g_arcsec": 600.0, "axes__h_arcsec": -600.0}
     sigma = {"axes__g_sigma_arcsec": 1000.0, "axes__h_sigma_arcsec": 1000.0}
     sightings = sightings_of(config(**sigma), 3)
-    off, near = (filtered(CalibrationFilter(config(**start, **sigma)), sightings) for start in (far, {}))
+    off, near = (run_filter(CalibrationFilter(config(**start, **sigma)), sightings) for start in (far, {}))
     model = CalibrationFilter(config()).model
     g, h = model.state_indices("axes")[:2]
     moved = near.mean - off.mean
@@ -175,7 +175,7 @@ def test_the_parts_are_the_covariance_of_a_filter_with_one() -> None:
     settings = config(**EVERYTHING)
     filter_ = CalibrationFilter(settings)
     sightings = sightings_of(settings, 5)
-    state = filtered(filter_, sightings)
+    state = run_filter(filter_, sightings)
     P = filter_.initial_state().covariance
     last_ns = sightings[0].time_ns
     means = filter_.initial_state()
@@ -183,9 +183,9 @@ def test_the_parts_are_the_covariance_of_a_filter_with_one() -> None:
         decay, noise = filter_.model.transition((sighting.time_ns - last_ns) * 1e-9)
         P = decay[:, None] * P * decay + np.diag(noise)
         last_ns = sighting.time_ns
-        predicted = filter_.predicted(means, sighting.time_ns, sighting.ship.correlated_covariance_n)
+        predicted = filter_.propagate(means, sighting.time_ns, sighting.ship.correlated_covariance_n)
         comparison = filter_.compare(predicted, sighting)
-        means, _ = filter_.used(predicted, sighting, comparison)
+        means, _ = filter_.update_by_beacons(predicted, sighting, comparison)
         after = filter_.sightings.predict(means.mean, sighting)
         H, R = after.jacobian, sum(after.noise_by_source.values())
         P = P - P @ H.T @ np.linalg.solve(H @ P @ H.T + R, H @ P)
@@ -215,14 +215,14 @@ def test_hypotheses_are_carried_as_each_alone(source: str) -> None:
     """Two states of one model on one leading axis, over a minute in which stars end, and over a jump."""
     settings = config(**{**EVERYTHING, "ship__source": source})
     filter_ = CalibrationFilter(settings)
-    alone = [filtered(filter_, sightings_of(settings, 2, seed)) for seed in (3, 4)]
-    both = replace(alone[0], mean=np.stack([a.mean for a in alone]), parts=np.stack([a.parts for a in alone]))
+    alone = [run_filter(filter_, sightings_of(settings, 2, seed)) for seed in (3, 4)]
+    both = replace(alone[0], mean=np.stack([a.mean for a in alone]), parts=np.stack([a.covariance_by_source for a in alone]))
     time_ns = alone[0].time_ns + 60_000_000_000
     stated_n = None if source == "ins/imu" else (ARCSEC * np.diag([3.0, 20.0, 3.0])) ** 2
     jump = EncoderJump(time_ns, ARCSEC * np.array([100.0, -50.0]), ARCSEC)
-    later = filter_.inflate_covariance(filter_.predicted(both, time_ns, stated_n), jump)
+    later = filter_.inflate_covariance(filter_.propagate(both, time_ns, stated_n), jump)
     assert later.covariance.shape == (2, filter_.model.size, filter_.model.size)
     for row, state in enumerate(alone):
-        one = filter_.inflate_covariance(filter_.predicted(state, time_ns, stated_n), jump)
+        one = filter_.inflate_covariance(filter_.propagate(state, time_ns, stated_n), jump)
         assert later.mean[row].tobytes() == one.mean.tobytes()
-        assert later.parts[row].tobytes() == one.parts.tobytes()
+        assert later.covariance_by_source[row].tobytes() == one.covariance_by_source.tobytes()

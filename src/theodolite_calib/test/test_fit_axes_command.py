@@ -12,7 +12,7 @@ import yaml
 
 from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_testing.axis_sightings import ERRORS, simulate_sightings, random_angles
-from theodolite_calib.axis_fit.fit_axes_command import WRITTEN, main
+from theodolite_calib.axis_fit.fit_axes_command import OUTPUT_NAMES, main
 from theodolite_calib.axis_fit.sighting_file import COLUMNS, read_sightings
 from theodolite_calib.axis_fit.sightings import azimuth_and_elevation
 from theodolite_calib.chain.axes import NAMES
@@ -58,7 +58,7 @@ def test_everything_is_written(folder: Path) -> None:
         "axes.yaml", "axes.csv", "correlation.csv", "residuals.csv", "residuals.png", "over_angles.png", "sky.png",
         "terms.png", "calibration.yaml",
     }  # fmt: skip
-    assert names == set(WRITTEN)
+    assert names == set(OUTPUT_NAMES)
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in folder.glob("*.png"))
 
 

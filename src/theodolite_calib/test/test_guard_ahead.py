@@ -10,7 +10,7 @@ from ship_estimation.ins import CheckedInsConfig
 from ship_estimation.ins_guard import InsCheck, CheckedInsSample
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
-from theodolite_calib.measured.guard_ahead import GuardAhead, stated_step_rad
+from theodolite_calib.measured.guard_ahead import BatchShipCheck, stated_step_rad
 from theodolite_calib.measured.samples import ShipSample
 
 CONFIG = CheckedInsConfig(white_sigma_arcsec=2.0)
@@ -47,7 +47,7 @@ def voyage(jump_at: int | None = None, wrong_rates_from: int | None = None) -> l
 class Run:
     """Check with announcements of nothing or of whole blocks, and its results as the ship check requests them."""
 
-    def __init__(self, guard: GuardAhead | InsCheck) -> None:
+    def __init__(self, guard: BatchShipCheck | InsCheck) -> None:
         self.guard, self.said = guard, []
         self._used, self._stated = AttitudeTrack(500_000_000), None
 
@@ -95,7 +95,7 @@ def test_announced_batch_gives_the_same_results(name: str, monkeypatch: pytest.M
         return followed
 
     monkeypatch.setattr(InsCheck, "look_ahead", counted)
-    run, samples = Run(GuardAhead(CONFIG)), VOYAGES[name]
+    run, samples = Run(BatchShipCheck(CONFIG)), VOYAGES[name]
     for start in range(0, COUNT, BLOCK):
         run.guard.expect(samples[start : start + BLOCK])
         run.check_samples(samples[start : start + BLOCK])
@@ -108,7 +108,7 @@ def test_announced_batch_gives_the_same_results(name: str, monkeypatch: pytest.M
 @pytest.mark.parametrize("name", VOYAGES)
 def test_wrong_announcement_gives_the_same_results(name: str) -> None:
     """Every block lacks one of its samples, has one twice, or changes its order at some sample."""
-    run, samples, came = Run(GuardAhead(CONFIG)), VOYAGES[name], []
+    run, samples, came = Run(BatchShipCheck(CONFIG)), VOYAGES[name], []
     for number, start in enumerate(range(0, COUNT, BLOCK)):
         block = samples[start : start + BLOCK]
         middle = len(block) // 2
@@ -124,7 +124,7 @@ def test_wrong_announcement_gives_the_same_results(name: str) -> None:
 
 
 def test_partial_or_early_announcement_gives_the_same_results() -> None:
-    run, samples = Run(GuardAhead(CONFIG)), VOYAGES["calm"]
+    run, samples = Run(BatchShipCheck(CONFIG)), VOYAGES["calm"]
     run.check_samples(samples[:600])
     run.guard.expect(samples[600:700])
     run.guard.expect(samples[700:900])
@@ -135,7 +135,7 @@ def test_partial_or_early_announcement_gives_the_same_results() -> None:
 
 
 def test_noise_change_within_a_batch() -> None:
-    run, plain, samples = Run(GuardAhead(CONFIG)), Run(InsCheck(CONFIG)), VOYAGES["calm"]
+    run, plain, samples = Run(BatchShipCheck(CONFIG)), Run(InsCheck(CONFIG)), VOYAGES["calm"]
     louder = CheckedInsConfig(white_sigma_arcsec=20.0)
     run.guard.expect(samples)
     for some in (slice(0, 1000), slice(1000, COUNT)):
@@ -146,7 +146,7 @@ def test_noise_change_within_a_batch() -> None:
 
 
 def test_unreported_step_is_checked_one_by_one() -> None:
-    guard, used, samples = GuardAhead(CONFIG), AttitudeTrack(500_000_000), voyage()
+    guard, used, samples = BatchShipCheck(CONFIG), AttitudeTrack(500_000_000), voyage()
     at = 6 * RATE_HZ
     for sample in samples[:at]:
         used.insert(guard.check(sample, used, 0.0).sample)

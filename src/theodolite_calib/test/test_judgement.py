@@ -19,7 +19,7 @@ CHARLIE = {"beacons__charlie__rtk__bias_sigma_m": 0.0}
 TIMES_S = np.arange(0.0, 30.0)
 
 
-def shifted(sighting: Sighting, shift_arcsec: np.ndarray) -> Sighting:
+def shift_beacons(sighting: Sighting, shift_arcsec: np.ndarray) -> Sighting:
     """Return beacons moved on the detector, arcseconds, shape (N, 2)."""
     image = Image(sighting.image.point_m + 0.1 * ARCSEC * shift_arcsec, sighting.image.sigma_m)
     return replace(sighting, image=image)
@@ -30,7 +30,7 @@ def exposure(sighting: Sighting) -> Exposure:
 
 
 @pytest.fixture(name="three")
-def _three():
+def _three_beacons():
     settings = config(**CHARLIE)
     step = SightingStep(settings, CalibrationFilter(settings))
     given = session(settings, 2, TIMES_S, sweep(TIMES_S), beacons_deg=THREE_DEG).sightings
@@ -57,7 +57,7 @@ def test_wrong_one_of_three_beacons_is_rejected(three, wrong: int) -> None:
     step, state, last = three
     shift = np.zeros((3, 2))
     shift[wrong] = [90.0, -60.0]
-    after, decision = step(state, shifted(last, shift), exposure(last))
+    after, decision = step(state, shift_beacons(last, shift), exposure(last))
     ((name, refusal),) = decision.left_out
     assert name == last.names[wrong]
     assert refusal.reason is Reason.LIGHT_CONFLICT
@@ -71,7 +71,7 @@ def test_wrong_one_of_three_beacons_is_rejected(three, wrong: int) -> None:
 
 def test_two_wrong_of_three_leave_none(three) -> None:
     step, state, last = three
-    after, decision = step(state, shifted(last, np.array([[90.0, 0.0], [0.0, -120.0], [0.0, 0.0]])), exposure(last))
+    after, decision = step(state, shift_beacons(last, np.array([[90.0, 0.0], [0.0, -120.0], [0.0, 0.0]])), exposure(last))
     assert (after.mean.tobytes(), after.parts.tobytes()) == (state.mean.tobytes(), state.parts.tobytes())
     assert (after.time_ns, after.used_ns, after.refusals) == (state.time_ns, state.used_ns, 1)
     assert decision.reason is Reason.LIGHT_CONFLICT
@@ -87,21 +87,21 @@ def test_three_names_in_a_circle_are_put_right(three) -> None:
     assert after.mean.tobytes() == step(state, last, exposure(last))[0].mean.tobytes()
 
 
-def off_sightings() -> list[Sighting]:
+def displaced_sightings() -> list[Sighting]:
     times_s = np.arange(0.0, 60.0)
     return session(config(), 4, times_s, sweep(times_s)).sightings
 
 
-def off_for_good(lights: tuple[int, ...] = (0,), **gate: float):
+def step_after_slip(lights: tuple[int, ...] = (0,), **gate: float):
     """Return states and decisions; the mount slips by 600", and one beacon alone cannot isolate the fault."""
     settings = config(**gate)
     filter_ = CalibrationFilter(settings)
     step, state, found = SightingStep(settings, filter_), filter_.initial_state(), []
-    for k, sighting in enumerate(off_sightings()):
+    for k, sighting in enumerate(displaced_sightings()):
         encoder = sighting.encoder
         if k >= 30:
             encoder = replace(encoder, azimuth=encoder.azimuth + 600.0 * ARCSEC)
-        seen = sighting.chosen(list(lights)) if k >= 30 else sighting
+        seen = sighting.select(list(lights)) if k >= 30 else sighting
         state, decision = step(state, replace(seen, encoder=encoder), exposure(sighting))
         found.append((state, decision))
     return found
@@ -118,7 +118,7 @@ def test_nan_beacon_fails_the_gate(three, row: int) -> None:
 
 
 def assert_excluded(step, state, wrong: Sighting, row: int) -> None:
-    for sighting in (wrong, wrong.chosen([row]), wrong.chosen([row, (row + 1) % 3])):
+    for sighting in (wrong, wrong.select([row]), wrong.select([row, (row + 1) % 3])):
         after, decision = step(state, sighting, exposure(sighting))
         assert np.isfinite(after.mean).all()
         assert np.isfinite(after.parts).all()
@@ -127,7 +127,7 @@ def assert_excluded(step, state, wrong: Sighting, row: int) -> None:
 
 
 def test_run_of_rejections_is_a_conflict_and_keeps_the_estimate() -> None:
-    found = off_for_good()
+    found = step_after_slip()
     reasons = [decision.reason for _, decision in found]
     assert reasons[:30] == [Reason.NONE] * 30
     assert reasons[30:39] == [Reason.GATE] * 9
@@ -138,13 +138,13 @@ def test_run_of_rejections_is_a_conflict_and_keeps_the_estimate() -> None:
 
 
 def test_covariance_is_inflated_after_rejections_if_configured() -> None:
-    found = off_for_good(gate__reopen_after=10, gate__reopen_factor=1e4)
+    found = step_after_slip(gate__reopen_after=10, gate__reopen_factor=1e4)
     reasons = [decision.reason for _, decision in found]
     assert "covariance inflated by 10000" in found[39][1].text
     assert set(reasons[45:]) == {Reason.NONE}
     # The telescope is put back where the light has it: by the slip, which the encoders add to where the axis points.
     settings, elevation = config(), sweep(np.array([59.0]))[0, 1]
-    sightings, last = CalibrationFilter(settings).sightings, off_sightings()[-1]
+    sightings, last = CalibrationFilter(settings).sightings, displaced_sightings()[-1]
     before, after = (sightings.predict(found[k][0].mean, last).rotation_nt[:, 0] for k in (29, -1))
     turned = float(angle_between(before, after))
     assert turned / ARCSEC == pytest.approx(600.0 * np.cos(elevation), rel=0.05)

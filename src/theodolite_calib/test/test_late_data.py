@@ -40,7 +40,7 @@ ALPHA = BASELINE["alpha"]
 ALL = ALL_TOPICS
 
 
-def shuffled(seed: int, topics: tuple[str, ...]) -> tuple[Arrival, ...]:
+def shuffle_arrivals(seed: int, topics: tuple[str, ...]) -> tuple[Arrival, ...]:
     """Return random delays over the whole lag for these topics, a few milliseconds for the others."""
     rng = np.random.default_rng(seed)
     late = np.array([a.topic in topics for a in session()])
@@ -58,7 +58,7 @@ SHUFFLES = [
 @pytest.mark.slow
 @pytest.mark.parametrize(("seed", "topics"), SHUFFLES)
 def test_any_order_within_the_lag_ends_in_the_same_state(seed: int, topics: tuple[str, ...]) -> None:
-    run = run_adapter(new_adapter(), shuffled(seed, topics))
+    run = run_adapter(new_adapter(), shuffle_arrivals(seed, topics))
     assert run.state() == fault_free_run().state()
     for topic in ALL:
         # Where what lies around an exposure came late, it may be refused first; in the end it is used.
@@ -73,7 +73,7 @@ def test_any_order_within_the_lag_ends_in_the_same_state(seed: int, topics: tupl
 
 
 def test_the_shuffles_do_shuffle() -> None:
-    stamps = np.array([a.stamp_ns for a in shuffled(8, ALL)])
+    stamps = np.array([a.stamp_ns for a in shuffle_arrivals(8, ALL)])
     assert np.mean(np.diff(stamps) < 0) > 0.4
     assert np.max(np.maximum.accumulate(stamps) - stamps) > 1.8 * SECOND_NS
 

@@ -18,7 +18,7 @@ from theodolite_calib.filter.star_step import StarStep
 from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.measured.samples import Exposure
 from theodolite_calib.measured.star_sighting import StarSighting
-from theodolite_calib.optical_axis.calibration import calibration_of
+from theodolite_calib.optical_axis.calibration import calibration_from_state
 
 TELESCOPE, LENS_M = "main", 0.06
 SWEEP = {
@@ -58,7 +58,7 @@ def _sky():
     return mount_sky(SETTINGS, START_NS, 310)
 
 
-def swept(
+def state_after_sweep(
     seed: int, sky_model, distance_m=None, settings=SETTINGS, lens_error_m=PER_AXIS_M
 ) -> tuple[CalibrationFilter, CalibrationState, Session]:
     """Return the filter's state after the sweep, and the truth; without ``watch`` by beacons alone."""
@@ -95,7 +95,7 @@ def lens_error_m(filter_: CalibrationFilter, state: CalibrationState) -> tuple[n
 @pytest.mark.slow
 @pytest.mark.parametrize("distance_m", [None, NEAR_AND_FAR_M], ids=["2 km", "0.5 to 2 km"])
 def test_beacons_and_stars_observe_n_right_and_up(watch, distance_m) -> None:
-    found = [swept(seed, watch, distance_m)[:2] for seed in range(3)]
+    found = [state_after_sweep(seed, watch, distance_m)[:2] for seed in range(3)]
     errors_m, sigmas_m = np.array([lens_error_m(*one) for one in found]).swapaxes(0, 1)
     assert np.max(sigmas_m[:, RIGHT]) < 0.005
     assert np.max(sigmas_m[:, UP]) < 0.015
@@ -103,7 +103,7 @@ def test_beacons_and_stars_observe_n_right_and_up(watch, distance_m) -> None:
     # With the focal length by stars, the scale of the lights' image depends on N' forward alone: 60 mm become 41 mm.
     assert np.min(sigmas_m[:, FORWARD]) > 0.6 * LENS_M
     for filter_, state in found:
-        calibration = calibration_of(filter_, SETTINGS, state)
+        calibration = calibration_from_state(filter_, SETTINGS, state)
         assert "lens_forward" in calibration.unobservable
         assert not any("lens_up" in words or "lens_right" in words for words in calibration.unobservable)
         place = calibration.names.index("lens_right")
@@ -113,10 +113,10 @@ def test_beacons_and_stars_observe_n_right_and_up(watch, distance_m) -> None:
 
 
 def test_beacons_alone_confuse_n_with_axis_errors() -> None:
-    filter_, state, _ = swept(0, None)
+    filter_, state, _ = state_after_sweep(0, None)
     _, sigma_m = lens_error_m(filter_, state)
     assert np.min(sigma_m) > 0.9 * LENS_M
-    open_ones = calibration_of(filter_, SETTINGS, state).unobservable
+    open_ones = calibration_from_state(filter_, SETTINGS, state).unobservable
     # A radian of collimation is 2 km of N': so far the lights are away.
     assert "c + 2e+03 lens_right" in open_ones
     assert "h + 2e+03 lens_up" in open_ones
@@ -133,8 +133,8 @@ def test_star_sensor_on_the_main_tube_observes_parallelism(watch) -> None:
         "sky__magnitude_limit": 7.5,
     }
     settings = config(**{**SWEEP, **surveyed})
-    filter_, state, drawn = swept(1, watch, None, settings, lens_error_m=0.001)
-    calibration = calibration_of(filter_, settings, state)
+    filter_, state, drawn = state_after_sweep(1, watch, None, settings, lens_error_m=0.001)
+    calibration = calibration_from_state(filter_, settings, state)
     first = calibration.names.index("parallelism_azimuth")
     assert calibration.names[first + 3 : first + 6] == tuple(
         f"telescopes.{CAMERA_ID}.{angle}" for angle in ("azimuth", "elevation", "roll")

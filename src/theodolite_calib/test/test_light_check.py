@@ -41,18 +41,18 @@ def an_epoch(lights_deg: FloatArray = BEACONS_DEG, seed: int = 2) -> Epochs:
     )
 
 
-def seen_as(epoch: Epochs, order: list[int]) -> Epochs:
+def with_order(epoch: Epochs, order: list[int]) -> Epochs:
     """Return the epoch with sighting i of beacon ``order[i]``."""
     return replace(epoch, image=replace(epoch.image, point_m=epoch.image.point_m[order]))
 
 
-def encoder_prior(epoch: Epochs, off_arcmin: float = 1.0) -> AttitudePrior:
+def encoder_prior(epoch: Epochs, offset_arcmin: float = 1.0) -> AttitudePrior:
     """Return the prior from encoder and INS, to an arcminute."""
-    off = np.array([0.6, -0.6, 0.5]) * off_arcmin * 60.0 * ARCSEC
+    off = np.array([0.6, -0.6, 0.5]) * offset_arcmin * 60.0 * ARCSEC
     return AttitudePrior(exp_rotation(off) @ epoch.truth.rotation_nt, {"prior": (60.0 * ARCSEC) ** 2 * np.eye(3)})
 
 
-def checked(epoch: Epochs, prior: AttitudePrior | None = None) -> BeaconCheck:
+def check_epoch(epoch: Epochs, prior: AttitudePrior | None = None) -> BeaconCheck:
     return check_beacons(epoch.image, epoch.camera, epoch.lines(), PROBABILITY, prior)
 
 
@@ -64,7 +64,7 @@ def axis_error_arcsec(epoch: Epochs, check: BeaconCheck) -> float:
 @pytest.mark.parametrize("with_prior", [False, True])
 def test_right_beacons(lights_deg, with_prior):
     epoch = an_epoch(lights_deg)
-    check = checked(epoch, encoder_prior(epoch) if with_prior else None)
+    check = check_epoch(epoch, encoder_prior(epoch) if with_prior else None)
     assert check.result is BeaconCheckResult.CONSISTENT
     assert check.order == tuple(range(len(lights_deg)))
     assert axis_error_arcsec(epoch, check) < 15.0
@@ -73,7 +73,7 @@ def test_right_beacons(lights_deg, with_prior):
 
 def test_two_swapped_beacons_are_found_with_a_prior():
     epoch = an_epoch()
-    check = checked(seen_as(epoch, [1, 0]), encoder_prior(epoch))
+    check = check_epoch(with_order(epoch, [1, 0]), encoder_prior(epoch))
     assert check.result is BeaconCheckResult.SWAPPED
     assert check.order == (1, 0)
     assert axis_error_arcsec(epoch, check) < 15.0
@@ -82,7 +82,7 @@ def test_two_swapped_beacons_are_found_with_a_prior():
 def test_two_swapped_beacons_are_consistent_without_a_prior():
     # The angle is the same: only the half turn of the image differs.
     epoch = an_epoch()
-    check = checked(seen_as(epoch, [1, 0]))
+    check = check_epoch(with_order(epoch, [1, 0]))
     assert check.result is BeaconCheckResult.CONSISTENT
     turned = check.attitude.rotation_nt.T @ epoch.truth.rotation_nt
     assert np.rad2deg(np.arccos(0.5 * (np.trace(turned) - 1.0))) == pytest.approx(180.0, abs=2.0)
@@ -91,7 +91,7 @@ def test_two_swapped_beacons_are_consistent_without_a_prior():
 @pytest.mark.parametrize("order", [[1, 0, 2], [2, 1, 0], [0, 2, 1], [1, 2, 0], [2, 0, 1]])
 def test_three_swapped_beacons_need_no_prior(order):
     epoch = an_epoch(THREE_LIGHTS_DEG)
-    check = checked(seen_as(epoch, order))
+    check = check_epoch(with_order(epoch, order))
     assert check.result is BeaconCheckResult.SWAPPED
     # Sighting check.order[i] is light i.
     assert [order[i] for i in check.order] == [0, 1, 2]
@@ -106,7 +106,7 @@ def test_wrong_beacon(lights_deg, with_prior):
     elsewhere_deg = lights_deg.copy()
     elsewhere_deg[1, 0] += 0.05
     other = an_epoch(elsewhere_deg)
-    check = checked(replace(epoch, image=other.image), encoder_prior(epoch) if with_prior else None)
+    check = check_epoch(replace(epoch, image=other.image), encoder_prior(epoch) if with_prior else None)
     assert check.result is BeaconCheckResult.CONFLICT
 
 
@@ -116,13 +116,13 @@ def test_a_baseline_a_second_late():
     across = np.cross(epoch.truth.direction_n[1], epoch.truth.direction_n[0])
     late = np.cross(across / np.linalg.norm(across), epoch.truth.direction_n[1]) * 2.0
     lights = replace(epoch.beacons, baseline_n=epoch.beacons.baseline_n + np.stack([np.zeros(3), late]))
-    assert checked(replace(epoch, lights=lights)).result is BeaconCheckResult.CONFLICT
+    assert check_epoch(replace(epoch, lights=lights)).result is BeaconCheckResult.CONFLICT
 
 
 def test_consistent_beacons_with_an_inconsistent_prior():
     # An encoder stuck while the telescope went on for half a degree.
     epoch = an_epoch()
-    check = checked(epoch, encoder_prior(epoch, off_arcmin=30.0))
+    check = check_epoch(epoch, encoder_prior(epoch, offset_arcmin=30.0))
     assert check.result is BeaconCheckResult.PRIOR_CONFLICT
     assert check.order == (0, 1)
     assert axis_error_arcsec(epoch, check) < 15.0
@@ -137,7 +137,7 @@ def test_a_little_better_the_other_way_round_is_no_swap():
     lights = replace(exact.beacons, baseline_covariance_n=0.027**2 * np.eye(3))
     epoch = replace(exact, lights=lights)
     verdicts = {
-        checked(replace(epoch, image=replace(epoch.image, point_m=point_m))).result
+        check_epoch(replace(epoch, image=replace(epoch.image, point_m=point_m))).result
         for shift_m in np.arange(-12e-6, 12e-6, 1e-6)
         for point_m in [epoch.image.point_m + np.outer([0.0, 1.0, 0.0], shift_m * along)]
     }
@@ -147,7 +147,7 @@ def test_a_little_better_the_other_way_round_is_no_swap():
 def test_beacons_in_one_direction_give_no_attitude():
     epoch = an_epoch()
     one_place = replace(epoch, image=replace(epoch.image, point_m=epoch.image.point_m[[0, 0]]))
-    check = checked(one_place)
+    check = check_epoch(one_place)
     assert check.result is BeaconCheckResult.CONFLICT
 
 

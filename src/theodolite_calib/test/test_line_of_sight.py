@@ -51,7 +51,7 @@ def inputs() -> tuple[BeaconPoses, Ship, Survey]:
     return lights, replace(epoch.ship, attitude_covariance_n=1e-6 * covariances[6]), BIG
 
 
-def disturbed(name: str, error: FloatArray, lights: BeaconPoses, ship: Ship, survey: Survey) -> LinesOfSight:
+def disturbed_lines(name: str, error: FloatArray, lights: BeaconPoses, ship: Ship, survey: Survey) -> LinesOfSight:
     """Return lines of sight of the used values plus an error: (k,) if common, (N, k) if not."""
 
     def longer(lever: LeverArm) -> LeverArm:
@@ -142,9 +142,9 @@ def test_jacobians_equal_finite_differences(name):
     count, components = term.jacobian_n.shape[-3], term.jacobian_n.shape[-1]
     for k in range(components):
         error = step * np.eye(components)[k]
-        if not term.common:
+        if not term.is_common:
             error = np.tile(error, (count, 1))
-        more, less = (disturbed(name, sign * error, *inputs()).direction_n for sign in (1.0, -1.0))
+        more, less = (disturbed_lines(name, sign * error, *inputs()).direction_n for sign in (1.0, -1.0))
         expected = (more - less) / (2.0 * step)
         # What is left out is the change of the refraction with the path, 4e-5 of the whole.
         largest = np.abs(term.jacobian_n).max()
@@ -153,18 +153,18 @@ def test_jacobians_equal_finite_differences(name):
 
 def test_own_errors_are_independent_between_beacons():
     for name, term in TERMS.items():
-        if term.common:
+        if term.is_common:
             continue
         error = np.zeros((3, term.jacobian_n.shape[-1]))
         error[1] = 1e-3
-        moved = disturbed(name, error, *inputs()).direction_n - lines_of_sight(*inputs()).direction_n
+        moved = disturbed_lines(name, error, *inputs()).direction_n - lines_of_sight(*inputs()).direction_n
         assert np.abs(moved[[0, 2]]).max() == 0.0
         assert np.abs(moved[1]).max() > 0.0
 
 
 def test_common_and_correlated_terms():
     common = {"rtk_base", "theodolite_lever", "principal_point", "ship_attitude", "refraction"}
-    assert {name for name, term in TERMS.items() if term.common} == common
+    assert {name for name, term in TERMS.items() if term.is_common} == common
     assert {name for name, term in TERMS.items() if not term.is_correlated} == {"rtk_noise"}
     sources = {"rtk", "lever_arms", "ship_attitude", "drone_attitude", "refraction"}
     assert {term.source for term in TERMS.values()} == sources
@@ -177,7 +177,7 @@ def test_joint_covariance_is_that_of_drawn_errors():
 
     def drawn(name: str) -> FloatArray:
         term = TERMS[name]
-        shape = (count, 1) if term.common else (count, 3)
+        shape = (count, 1) if term.is_common else (count, 3)
         root = np.linalg.cholesky(term.covariance)
         return (root @ rng.standard_normal((*shape, root.shape[-1], 1)))[..., 0]
 
@@ -251,5 +251,5 @@ def test_block_diagonal():
 
 def test_common_error_correlates_the_beacons_fully():
     jacobian_n = np.ones((2, 3, 1))
-    term = ErrorTerm("x", "x", common=True, is_correlated=True, jacobian_n=jacobian_n, covariance=np.array([[4.0]]))
+    term = ErrorTerm("x", "x", is_common=True, is_correlated=True, jacobian_n=jacobian_n, covariance=np.array([[4.0]]))
     assert term.direction_covariance_n().tolist() == np.full((6, 6), 4.0).tolist()

@@ -13,36 +13,36 @@ from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.measured.encoder_watch import EncoderJump
 from theodolite_calib.measured.sighting import Sighting
 from theodolite_calib.optical_axis.memory import (
-    OwnJump,
-    departure_sigmas,
+    StreamJump,
+    largest_difference_sigmas,
     memory_residuals,
     propagate_memory,
     start_from_memory,
-    stood_still,
+    stuck_encoder_jump,
 )
 
 SETTINGS = config(ship_antenna__sigma_m=0.01)
 FILTER = CalibrationFilter(SETTINGS)
 
 
-def remembered(seed: int, later_s: float = 20.0) -> tuple[CalibrationState, Sighting]:
+def remembered_state(seed: int, later_s: float = 20.0) -> tuple[CalibrationState, Sighting]:
     """Return a state after 40 sightings, and the sighting of some seconds later."""
     times_s = np.append(np.arange(40.0), 40.0 + later_s)
     *before, after = session(SETTINGS, seed, times_s, sweep(times_s)).sightings
-    return filtered(before), after
+    return run_filter(before), after
 
 
-def filtered(sightings: list[Sighting]) -> CalibrationState:
+def run_filter(sightings: list[Sighting]) -> CalibrationState:
     state = FILTER.initial_state()
     for sighting in sightings:
-        predicted = FILTER.predicted(state, sighting.time_ns, sighting.ship.correlated_covariance_n)
+        predicted = FILTER.propagate(state, sighting.time_ns, sighting.ship.correlated_covariance_n)
         comparison = FILTER.compare(predicted, sighting)
         assert comparison is not None
-        state, _ = FILTER.used(predicted, sighting, comparison)
+        state, _ = FILTER.update_by_beacons(predicted, sighting, comparison)
     return state
 
 
-def moved_across(sighting: Sighting, right_m: float) -> Sighting:
+def move_across(sighting: Sighting, right_m: float) -> Sighting:
     """Return the sighting with all baselines moved to the right of their lines of sight."""
     north, _, east = sighting.beacons.baseline_n.T
     right_n = np.column_stack([-east, np.zeros_like(north), north]) / np.hypot(north, east)[:, None]
@@ -51,7 +51,7 @@ def moved_across(sighting: Sighting, right_m: float) -> Sighting:
 
 def test_moved_baseline_turns_its_beacon_to_the_other_side() -> None:
     """The angle is the shift across the line of sight over the distance: plane geometry."""
-    state, sighting = remembered(1)
+    state, sighting = remembered_state(1)
     moved_n = np.array([0.4, 0.5, -0.3])
     baseline_n = sighting.beacons.baseline_n.copy()
     baseline_n[0] += moved_n
@@ -72,7 +72,7 @@ def test_separations_have_the_covariance_that_is_stated() -> None:
     """One sample a seed: mean of the normalised squares within the 99.9 % band of chi-square."""
     values = []
     for seed in range(200):
-        state, sighting = remembered(seed)
+        state, sighting = remembered_state(seed)
         one = memory_residuals(FILTER, state, sighting)[sighting.names[0]]
         values.append(float(one.turn @ np.linalg.solve(one.expected + one.noise, one.turn)))
     low, high = mean_nees_band(len(values), 2)
@@ -80,7 +80,7 @@ def test_separations_have_the_covariance_that_is_stated() -> None:
 
 
 def test_expected_covariance_grows_with_time() -> None:
-    state, sighting = remembered(2)
+    state, sighting = remembered_state(2)
     later = propagate_memory(FILTER, state, [], sighting.time_ns + SECOND_NS)
     now = memory_residuals(FILTER, state, sighting)[sighting.names[0]]
     then = memory_residuals(FILTER, later, replace(sighting, time_ns=later.time_ns))[sighting.names[0]]
@@ -89,19 +89,19 @@ def test_expected_covariance_grows_with_time() -> None:
 
 
 def test_a_start_from_the_memory_departs_from_it_by_nothing() -> None:
-    state, sighting = remembered(3)
+    state, sighting = remembered_state(3)
     now = sighting.ship, sighting.encoder
     start = start_from_memory(FILTER, state)
-    assert departure_sigmas(FILTER, start, state, *now) == pytest.approx(0.0, abs=1e-9)
-    assert not start.fault_state.excluded
-    assert start.informed_ns is None
+    assert largest_difference_sigmas(FILTER, start, state, *now) == pytest.approx(0.0, abs=1e-9)
+    assert not start.fault_state.excluded_sources
+    assert start.last_update_ns is None
     row = FILTER.model.slices["focal_length"].start
     mean = start.mean.copy()
     mean[row] += 10.0 * np.sqrt(state.covariance[row, row])
     # Both covariances together: sigma times the root of two.
-    departure = departure_sigmas(FILTER, replace(start, mean=mean), state, *now)
+    departure = largest_difference_sigmas(FILTER, replace(start, mean=mean), state, *now)
     assert departure == pytest.approx(10.0 / np.sqrt(2.0), rel=1e-6)
-    later = departure_sigmas(FILTER, replace(start, mean=mean), state, *now, is_later=True)
+    later = largest_difference_sigmas(FILTER, replace(start, mean=mean), state, *now, is_later=True)
     assert later == pytest.approx(10.0, rel=1e-6)
 
 
@@ -112,20 +112,20 @@ def test_difference_from_memory_after_all_beacons_moved(moved_m, least, most) ->
     for seed in range(10):
         times_s = np.append(np.arange(40.0), 70.0 + np.arange(20.0))
         sightings = session(SETTINGS, seed, times_s, sweep(times_s)).sightings
-        memory = filtered(sightings[:40])
-        moved = [moved_across(sighting, moved_m) for sighting in sightings[40:]]
-        departures.append(departure_sigmas(FILTER, filtered(moved), memory, moved[-1].ship, moved[-1].encoder))
+        memory = run_filter(sightings[:40])
+        moved = [move_across(sighting, moved_m) for sighting in sightings[40:]]
+        departures.append(largest_difference_sigmas(FILTER, run_filter(moved), memory, moved[-1].ship, moved[-1].encoder))
     assert least <= np.min(departures)
     assert np.max(departures) < most
 
 
 def test_jumps_of_the_encoders_widen_the_memory_by_their_size() -> None:
-    state, sighting = remembered(4)
-    jump = OwnJump(EncoderJump(sighting.time_ns - SECOND_NS, np.array([300.0, 0.0]) * ARCSEC, ARCSEC))
+    state, sighting = remembered_state(4)
+    jump = StreamJump(EncoderJump(sighting.time_ns - SECOND_NS, np.array([300.0, 0.0]) * ARCSEC, ARCSEC))
     widened = memory_residuals(FILTER, propagate_memory(FILTER, state, [jump], sighting.time_ns), sighting)
     sigma = np.sqrt(np.max(np.linalg.eigvalsh(widened[sighting.names[0]].expected))) / ARCSEC
     elevation = sighting.encoder.elevation
     assert sigma == pytest.approx(300.0 * np.cos(elevation), rel=0.15)
     assert np.sqrt(jump.covariance_n[0, 0]) / ARCSEC == pytest.approx(300.0, rel=0.01)
-    unknown = memory_residuals(FILTER, propagate_memory(FILTER, state, [stood_still(0)], sighting.time_ns), sighting)
+    unknown = memory_residuals(FILTER, propagate_memory(FILTER, state, [stuck_encoder_jump(0)], sighting.time_ns), sighting)
     assert np.min(np.diagonal(unknown[sighting.names[0]].expected)) > np.deg2rad(5.0) ** 2

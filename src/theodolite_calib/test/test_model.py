@@ -27,7 +27,7 @@ def test_variance_decrease_acts_as_a_kalman_update() -> None:
     left = (1.0 - gain) * error + gain * np.sqrt(noise_variance) * rng.standard_normal(error.size)
     assert np.std(left) == pytest.approx(after, rel=0.01)
     assert step.retained == pytest.approx([1.0, np.mean(left * error) / before**2, 1.0], rel=0.03)
-    new = np.sqrt(np.diagonal(step.new_n)) / ARCSEC
+    new = np.sqrt(np.diagonal(step.added_n)) / ARCSEC
     assert new == pytest.approx([0.0, np.sqrt(after**2 - (step.retained[1] * before) ** 2), 0.0], abs=1e-6)
 
 
@@ -35,13 +35,13 @@ def test_variance_increase_keeps_the_error_and_adds_to_it() -> None:
     step = ship_error_step(covariance(1.4, 1.8, 1.4), covariance(3.0, 5.0, 1.4))
     assert step is not None
     assert step.retained.tolist() == [1.0, 1.0, 1.0]
-    assert np.diagonal(step.new_n) / ARCSEC**2 == pytest.approx([9.0 - 1.96, 25.0 - 3.24, 0.0])
+    assert np.diagonal(step.added_n) / ARCSEC**2 == pytest.approx([9.0 - 1.96, 25.0 - 3.24, 0.0])
 
 
 def test_the_first_covariance_is_all_new() -> None:
     step = ship_error_step(np.zeros((3, 3)), covariance(1.4, 1.8, 1.4))
     assert step is not None
-    assert step.new_n == pytest.approx(covariance(1.4, 1.8, 1.4), abs=1e-30)
+    assert step.added_n == pytest.approx(covariance(1.4, 1.8, 1.4), abs=1e-30)
 
 
 def test_step_changes_nothing_in_place() -> None:
@@ -53,7 +53,7 @@ def test_step_changes_nothing_in_place() -> None:
     after_mean, after = with_step(mean, parts, slice(1, 4), 1, step)
     keep = np.diag([1.0, *step.retained, 1.0])
     expected = keep @ parts @ keep
-    expected[1, 1:4, 1:4] += step.new_n
+    expected[1, 1:4, 1:4] += step.added_n
     assert after == pytest.approx(expected)
     assert after_mean == pytest.approx(keep @ mean)
     assert (parts == before[0]).all()

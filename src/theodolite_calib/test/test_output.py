@@ -17,8 +17,8 @@ from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import axis_state_indices
 from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.filter.trust import UnresolvedFault
-from theodolite_calib.measured.samples import EncoderRun, EncoderSample, Exposure, Mode, PointingEstimate, PointingRun
-from theodolite_calib.measured.tracks import ShipAt, ShipRun
+from theodolite_calib.measured.samples import EncoderSeries, EncoderSample, Exposure, Mode, PointingEstimate, PointingSeries
+from theodolite_calib.measured.tracks import ShipAt, ShipSeries
 from theodolite_calib.optical_axis.output import CorrectedAxis, PendingPointing, PointingOutput
 
 TIMES_S = np.arange(0.0, 10.0)
@@ -29,7 +29,7 @@ SOURCES = ["ship/attitude", "ins/imu"]
 
 
 @functools.cache
-def seen(source: str) -> tuple[OpticalAxisConfig, CalibrationFilter, CalibrationState]:
+def state_after_beacons(source: str) -> tuple[OpticalAxisConfig, CalibrationFilter, CalibrationState]:
     """Return a filter after ten seconds of beacons, and its state."""
     settings = config(ship__source=source, integrity__alert_limit_arcsec=LIMITS_ARCSEC)
     filter_ = CalibrationFilter(settings)
@@ -40,20 +40,20 @@ def seen(source: str) -> tuple[OpticalAxisConfig, CalibrationFilter, Calibration
     return settings, filter_, state
 
 
-def readings(source: str, state: CalibrationState) -> tuple[EncoderRun, ShipRun]:
+def readings(source: str, state: CalibrationState) -> tuple[EncoderSeries, ShipSeries]:
     """Return readings from the state's time until long after the beacons, some of them unconfirmed."""
     rng = np.random.default_rng(5)
     assert state.time_ns is not None
     since_ns = np.concatenate([[0], np.sort(rng.integers(1, 8 * 10**9, COUNT - 1))])
     angles = np.stack([rng.uniform(0.0, 6.0, COUNT), rng.uniform(0.1, 1.0, COUNT)], axis=-1)
     doubt = ["", "", "the encoders stopped during a motion"] * (COUNT // 3)
-    encoders = EncoderRun(state.time_ns + since_ns, angles, rng.uniform(1e-12, 1e-10, COUNT), doubt)
+    encoders = EncoderSeries(state.time_ns + since_ns, angles, rng.uniform(1e-12, 1e-10, COUNT), doubt)
     # Stars have gone and come again: the ship's error changes at once.
     sizes = np.resize([1.0, 1.1, 3.0, 0.2], COUNT)[:, None, None]
     root = np.diag([1.4, 1.8, 1.4]) + 0.2 * rng.standard_normal((COUNT, 3, 3))
     stated_n = None if source == "ins/imu" else (ARCSEC * sizes) ** 2 * (root @ root.swapaxes(1, 2))
     rotation_nd = exp_rotation(rng.standard_normal((COUNT, 3)))
-    ship = ShipRun(
+    ship = ShipSeries(
         rotation_nd,
         0.1 * rng.standard_normal((COUNT, 3)),
         stated_n,
@@ -67,17 +67,17 @@ def readings(source: str, state: CalibrationState) -> tuple[EncoderRun, ShipRun]
 @pytest.mark.parametrize("source", SOURCES)
 def test_axis_equals_that_of_the_predicted_state(source: str) -> None:
     """The filter propagates the whole state to each time; numpy computes the axis geometry from it."""
-    _, filter_, state = seen(source)
+    _, filter_, state = state_after_beacons(source)
     encoders, ship = readings(source, state)
     index, rows = filter_.model.sources.index, axis_state_indices(filter_.model)
     axes = CorrectedAxis(filter_, state).axes(ship, encoders)
     for number, time_ns in enumerate(encoders.time_ns.tolist()):
         stated_n = None if ship.correlated_covariance_n is None else ship.correlated_covariance_n[number]
-        later = filter_.predicted(state, time_ns, stated_n)
+        later = filter_.propagate(state, time_ns, stated_n)
         errors = filter_.sightings.geometry_errors(later.mean)
         chain = axis_geometry(errors, ship.rotation_nd[number], ship.rate_d[number], *encoders.angles[number].tolist())
         by_error = chain.by_error[:, : len(rows)]
-        parts_n = by_error @ later.parts[:, rows[:, None], rows] @ by_error.T
+        parts_n = by_error @ later.covariance_by_source[:, rows[:, None], rows] @ by_error.T
         parts_n[index("encoder")] += encoders.variance[number] * chain.by_encoder @ chain.by_encoder.T
         parts_n[index("ship_noise")] += ship.noise[number] * np.eye(3)
         np.testing.assert_allclose(axes.rotation_nm[number], chain.rotation_nm, rtol=0.0, atol=1e-13)
@@ -89,15 +89,15 @@ def with_unresolved_fault(state: CalibrationState) -> CalibrationState:
     """Return the state with an unresolved fault and separated subfilters."""
     conflict = UnresolvedFault((3.0 * ARCSEC) ** 2 * np.diag([1.0, 2.0, 3.0]))
     trust = replace(state.fault_state, conflict=conflict)
-    return replace(state, trust=trust, separation=np.full(len(state.separation), 5.0))
+    return replace(state, trust=trust, separation=np.full(len(state.solution_separation), 5.0))
 
 
-def chosen(encoders: EncoderRun, ship: ShipRun, number: int) -> tuple[EncoderRun, ShipRun]:
+def select_reading(encoders: EncoderSeries, ship: ShipSeries, number: int) -> tuple[EncoderSeries, ShipSeries]:
     """Return one of the readings as a series of its own."""
     one = slice(number, number + 1)
     parts = [
         kind(**{name: None if value is None else value[one] for name, value in vars(run).items()})
-        for kind, run in ((EncoderRun, encoders), (ShipRun, ship))
+        for kind, run in ((EncoderSeries, encoders), (ShipSeries, ship))
     ]
     return parts[0], parts[1]
 
@@ -112,7 +112,7 @@ def assert_same_bits(found: PointingEstimate, expected: PointingEstimate) -> Non
 @pytest.mark.parametrize("disputed", [False, True])
 @pytest.mark.parametrize("source", SOURCES)
 def test_a_reading_gives_to_the_bit_what_it_gives_among_others(source: str, disputed: bool) -> None:
-    settings, filter_, state = seen(source)
+    settings, filter_, state = state_after_beacons(source)
     state, output = with_unresolved_fault(state) if disputed else state, PointingOutput(settings, filter_)
     encoders, ship = readings(source, state)
     run = output.estimates(encoders, ship, state)
@@ -121,13 +121,13 @@ def test_a_reading_gives_to_the_bit_what_it_gives_among_others(source: str, disp
         assert len(set(run.status)) > 1
         assert len(set(run.text)) > 2
     for number in range(COUNT):
-        alone = output.estimates(*chosen(encoders, ship, number), state)
-        assert_same_bits(run.one(number), alone.one(0))
+        alone = output.estimates(*select_reading(encoders, ship, number), state)
+        assert_same_bits(run.estimate(number), alone.estimate(0))
 
 
 @pytest.mark.parametrize("source", SOURCES)
 def test_beacon_outputs_are_valid_while_recent(source: str) -> None:
-    settings, filter_, before = seen(source)
+    settings, filter_, before = state_after_beacons(source)
     state = with_unresolved_fault(before)
     encoders, ship = readings(source, state)
     run = PointingOutput(settings, filter_).estimates(encoders, ship, state)
@@ -137,7 +137,7 @@ def test_beacon_outputs_are_valid_while_recent(source: str) -> None:
     np.testing.assert_allclose(run.rotation_nt[recent] @ parallelism, run.rotation_nm[recent], rtol=0.0, atol=1e-15)
     assert run.light_count.tolist() == np.where(recent, 2, 0).tolist()
     np.testing.assert_allclose(run.covariance_by_source_n.sum(axis=1), run.covariance_n, rtol=1e-12)
-    more = np.trace(run.covariance_n - run.undisputed_n, axis1=1, axis2=2)
+    more = np.trace(run.covariance_n - run.covariance_without_separation_n, axis1=1, axis2=2)
     assert (more > 0.0).tolist() == recent.tolist()
     if ship.chord_nd is None:
         assert np.isnan(run.rotation_dm).all()
@@ -148,7 +148,7 @@ def test_beacon_outputs_are_valid_while_recent(source: str) -> None:
 def test_pointings_that_are_due_are_those_put_out_at_once_and_one_that_fails_fails_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    settings, filter_, state = seen("ins/imu")
+    settings, filter_, state = state_after_beacons("ins/imu")
     later, output = replace(state, refusals=1), PointingOutput(settings, filter_)
     encoders, ship = readings("ins/imu", state)
     due = [
@@ -161,20 +161,20 @@ def test_pointings_that_are_due_are_those_put_out_at_once_and_one_that_fails_fai
         )
         for number in range(9)
     ]
-    runs = output.of_due(due)
+    runs = output.compute_pending(due)
     assert [some for some, _ in runs] == [slice(0, 5), slice(5, 9)]
     for some, run in runs:
-        assert isinstance(run, PointingRun)
+        assert isinstance(run, PointingSeries)
         for number, one in enumerate(due[some]):
-            assert_same_bits(run.one(number), output.estimate(one))
+            assert_same_bits(run.estimate(number), output.estimate(one))
     estimates, odd_ns = output.estimates, due[6].time_ns
 
-    def failing(encoders: EncoderRun, *rest: Any) -> PointingRun:
+    def failing(encoders: EncoderSeries, *rest: Any) -> PointingSeries:
         if odd_ns in encoders.time_ns:
             raise ValueError("no number")
         return estimates(encoders, *rest)
 
     monkeypatch.setattr(output, "estimates", failing)
-    found = output.of_due(due)
+    found = output.compute_pending(due)
     assert [some for some, _ in found] == [slice(0, 5), *(slice(number, number + 1) for number in range(5, 9))]
-    assert [isinstance(run, PointingRun) for _, run in found] == [True, True, False, True, True]
+    assert [isinstance(run, PointingSeries) for _, run in found] == [True, True, False, True, True]

@@ -24,7 +24,7 @@ DIRECTIONS = pytest.mark.parametrize(
 
 
 @cache
-def solved(
+def solve_epochs(
     elevation_deg: float, rotation_deg: float, common_refraction: bool = False
 ) -> tuple[Epochs, TelescopeAttitude]:
     truth = truth_of(np.full(EPOCHS, AZIMUTH_DEG), elevation_deg, rotation_deg)
@@ -42,7 +42,7 @@ def rms(values: FloatArray) -> FloatArray:
 
 @DIRECTIONS
 def test_maximum_likelihood_reaches_the_bound_and_knows_it(elevation_deg, rotation_deg):
-    epochs, attitude = solved(elevation_deg, rotation_deg)
+    epochs, attitude = solve_epochs(elevation_deg, rotation_deg)
     assert attitude.solved.all()
     # Bound 3.47".
     assert rms(axis_error_arcsec(epochs, attitude.rotation_nt)) <= 3.55
@@ -63,7 +63,7 @@ def test_maximum_likelihood_reaches_the_bound_and_knows_it(elevation_deg, rotati
 
 @pytest.mark.parametrize("elevation_deg", ELEVATIONS_DEG)
 def test_refraction_common_to_both_beacons(elevation_deg):
-    epochs, attitude = solved(elevation_deg, 40.0, common_refraction=True)
+    epochs, attitude = solve_epochs(elevation_deg, 40.0, common_refraction=True)
     assert rms(axis_error_arcsec(epochs, attitude.rotation_nt)) <= 3.80
     error_n = log_rotation(epochs.truth.rotation_nt @ np.swapaxes(attitude.rotation_nt, -1, -2))
     assert 2.92 <= normalized_error_squared(error_n, attitude.covariance_n).mean() <= 3.08
@@ -71,7 +71,7 @@ def test_refraction_common_to_both_beacons(elevation_deg):
 
 @DIRECTIONS
 def test_the_papers_method(elevation_deg, rotation_deg):
-    epochs, _ = solved(elevation_deg, rotation_deg)
+    epochs, _ = solve_epochs(elevation_deg, rotation_deg)
     rotation_nt = mean_of_two_triads(epochs.lines().direction_n, epochs.camera.directions(epochs.image.point_m))
     error = axis_error_arcsec(epochs, rotation_nt)
     # models.md §5: mean 3.75", standard deviation 2.02", total 4.28"; the paper's own figures are 5.90", 1.71", 6.15".
@@ -125,7 +125,7 @@ def test_no_zero_mean_errors_in_a_plane_have_the_printed_mean_and_spread():
     assert ratios[0] == pytest.approx(alike, abs=0.01)
     assert ratios == sorted(ratios, reverse=True)
     # The paper's method on its own model, with N' surveyed.
-    epochs, _ = solved(30.0, 0.0)
+    epochs, _ = solve_epochs(30.0, 0.0)
     error = axis_error_arcsec(
         epochs, mean_of_two_triads(epochs.lines().direction_n, epochs.camera.directions(epochs.image.point_m))
     )
@@ -150,7 +150,7 @@ def test_angles_of_the_papers_method():
 
 
 def test_focal_length_of_one_epoch():
-    epochs, attitude = solved(30.0, 0.0)
+    epochs, attitude = solve_epochs(30.0, 0.0)
     error = (attitude.focal_length_m - epochs.focal_length_m) / epochs.focal_length_m
     # models.md §5: 1.9e-4 in all, against 1e-3 before.
     assert rms(error) == pytest.approx(1.9e-4, rel=0.05)

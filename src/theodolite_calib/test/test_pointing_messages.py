@@ -8,7 +8,7 @@ from ship_estimation.outcome import Status
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.ros_axes import enu_covariance, mounting_quaternion, quaternion_from_rotation
 from ship_geometry.rotations import exp_rotation
-from theodolite_calib.measured.samples import Mode, PointingEstimate, PointingRun
+from theodolite_calib.measured.samples import Mode, PointingEstimate, PointingSeries
 from theodolite_calib.ros.pointing_messages import PointingNumbers, pointing_messages, pointing_rows
 
 LEVER = {"x": 12.0, "y": 2.0, "z": 3.0}
@@ -37,7 +37,7 @@ def pointings(count: int = 40) -> list[PointingEstimate]:
                 rotation_nm=exp_rotation(rng.uniform(-2.0, 2.0, 3)) + nothing,
                 covariance_by_source_n=np.zeros((1, 3, 3)),
                 covariance_n=root @ root.T + nothing,
-                undisputed_n=root @ root.T,
+                covariance_without_separation_n=root @ root.T,
                 rotation_nt=exp_rotation(rng.uniform(-2.0, 2.0, 3)) + (np.nan if mode is Mode.ENCODER else 0.0),
                 mode=mode,
                 status=status,
@@ -51,16 +51,16 @@ def pointings(count: int = 40) -> list[PointingEstimate]:
     return found
 
 
-def run_of(estimates: list[PointingEstimate]) -> PointingRun:
+def series_of(estimates: list[PointingEstimate]) -> PointingSeries:
     """Return pointings as a series."""
     whole = {name: [getattr(estimate, name) for estimate in estimates] for name in vars(estimates[0])}
     arrays = {name: values if name in ("status", "text") else np.array(values) for name, values in whole.items()}
-    return PointingRun(**{**arrays, "state": None})
+    return PointingSeries(**{**arrays, "state": None})
 
 
 def test_rows_are_the_messages_of_each_pointing_in_their_order() -> None:
     factory = RosbagsFactory()
-    numbers = PointingNumbers.of([run_of(pointings()[:17]), run_of(pointings()[17:])])
+    numbers = PointingNumbers.from_series([series_of(pointings()[:17]), series_of(pointings()[17:])])
     found: list[list[tuple[str, bytes]]] = [[] for _ in pointings()]
     for rows in pointing_rows(factory, LEVER, numbers):
         for number, place in enumerate(rows.places.tolist()):

@@ -141,10 +141,10 @@ def test_valley_of_a_narrow_range_of_elevation() -> None:
     assert valley.names == ("g", "c", "I")
     across, along = np.sqrt(np.linalg.eigvalsh(narrow.covariance)[[0, -1]])
     assert along > 500.0 * across
-    assert np.linalg.norm(valley.run) == pytest.approx(along, rel=0.1)
+    assert np.linalg.norm(valley.changes) == pytest.approx(along, rel=0.1)
     assert valley.effect == pytest.approx(2.5 * ARCSEC / np.sqrt(300), rel=0.2)
     # Along the valley the pointing hardly changes, as stated.
-    run = AxisErrors(**dict(zip(valley.names, valley.run, strict=True)))
+    run = AxisErrors(**dict(zip(valley.names, valley.changes, strict=True)))
     sightings = simulate_sightings(rng, AxisErrors(), (azimuth, elevation), 0.0)
     assert rms(sightings.residuals(run)) == pytest.approx(valley.effect, rel=0.1)
     pairs = correlated_pairs(narrow)

@@ -13,9 +13,9 @@ from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.step import SightingStep
-from theodolite_calib.measured.samples import EncoderRun, Exposure
+from theodolite_calib.measured.samples import EncoderSeries, Exposure
 from theodolite_calib.measured.sighting import Sighting
-from theodolite_calib.measured.tracks import ShipRun
+from theodolite_calib.measured.tracks import ShipSeries
 from theodolite_calib.optical_axis.output import CorrectedAxis
 
 SEEDS = 16
@@ -40,9 +40,9 @@ def sigma_on_sky(covariance_n: FloatArray, axis_n: FloatArray) -> float:
     return float(np.sqrt(np.trace(covariance_n) - axis_n @ covariance_n @ axis_n)) / ARCSEC
 
 
-def filtered(settings: OpticalAxisConfig, filter_: CalibrationFilter, given: Session, count: int) -> CalibrationState:
+def run_filter(settings: OpticalAxisConfig, filter_: CalibrationFilter, session: Session, count: int) -> CalibrationState:
     state, step = filter_.initial_state(), SightingStep(settings, filter_)
-    for sighting in given.sightings[:count]:
+    for sighting in session.sightings[:count]:
         state, _ = step(state, sighting, Exposure(sighting.time_ns, ()))
     return state
 
@@ -58,13 +58,13 @@ class AxisAt:
 def axis_at(filter_: CalibrationFilter, state: CalibrationState, sighting: Sighting, noise: float) -> AxisAt:
     """Return the main axis at the time of a sighting by a state, with a noise of the encoders, rad²."""
     angles = np.array([[sighting.encoder.azimuth, sighting.encoder.elevation]])
-    reading = EncoderRun(np.array([sighting.time_ns]), angles, np.array([noise]), [""])
-    axes = CorrectedAxis(filter_, state).axes(ShipRun.of([sighting.ship]), reading)
+    reading = EncoderSeries(np.array([sighting.time_ns]), angles, np.array([noise]), [""])
+    axes = CorrectedAxis(filter_, state).axes(ShipSeries.from_ships([sighting.ship]), reading)
     return AxisAt(axes.rotation_nm[0], axes.covariance_by_source_n[0])
 
 
 @dataclass(frozen=True)
-class Left:
+class ErrorsAfterBeacons:
     """Errors after the last beacons, arcseconds on the sky, shape (seeds, times)."""
 
     error: FloatArray
@@ -73,7 +73,7 @@ class Left:
 
 
 @functools.cache
-def left_alone() -> Left:
+def coast_without_beacons() -> ErrorsAfterBeacons:
     """Five minutes of sweep with one sighting of two beacons a second; then the mount continues without them."""
     settings = config(air__sigma=0.06, **each_light(rtk__sigma_m=0.027))
     filter_ = CalibrationFilter(settings)
@@ -81,7 +81,7 @@ def left_alone() -> Left:
     rows = []
     for seed in range(SEEDS):
         given = session(settings, seed, times_s, sweep(times_s))
-        state = filtered(settings, filter_, given, len(SWEEP_S))
+        state = run_filter(settings, filter_, given, len(SWEEP_S))
         ins_error_n = INS_SIGMA_N * np.random.default_rng(1000 + seed).standard_normal(3)
         for k in range(len(SWEEP_S), len(times_s)):
             sighting, truth_nm = given.sightings[k], given.rotation_nm[k]
@@ -97,7 +97,7 @@ def left_alone() -> Left:
                     on_sky(log_rotation(truth_nm @ alone_nm.T), truth_nm[:, 0]),
                 )
             )
-    return Left(*np.moveaxis(np.array(rows).reshape(SEEDS, len(AFTER_S), 3), -1, 0))
+    return ErrorsAfterBeacons(*np.moveaxis(np.array(rows).reshape(SEEDS, len(AFTER_S), 3), -1, 0))
 
 
 def rms(values: FloatArray) -> float:
@@ -107,7 +107,7 @@ def rms(values: FloatArray) -> float:
 @pytest.mark.slow
 def test_pointing_after_the_last_beacons() -> None:
     """Independent figures: 7.9" over the first 30 s, 29.7" after ten minutes, of which the deformation 26.3"."""
-    left = left_alone()
+    left = coast_without_beacons()
     assert rms(left.sigma[:, :7]) < 8.5
     assert rms(left.sigma[:, 7]) == pytest.approx(29.7, rel=0.02)
     # One error of two components a session counts, those of one session belong together.
@@ -120,7 +120,7 @@ def test_pointing_after_the_last_beacons() -> None:
 
 @pytest.mark.slow
 def test_better_than_the_ins_and_an_uncalibrated_encoder() -> None:
-    left = left_alone()
+    left = coast_without_beacons()
     assert rms(left.uncalibrated[:, :7]) > 9.0 * rms(left.sigma[:, :7])
     assert rms(left.uncalibrated[:, 7]) > 2.4 * rms(left.sigma[:, 7])
 
@@ -162,7 +162,7 @@ def test_ten_seconds_of_beacons_match_their_covariance(changes: dict[str, float]
     for seed in range(seeds):
         # Roll separates constant errors in the horizon from constant errors in the deck.
         given = session(settings, seed, times_s, encoder, ship_sigma_n=np.zeros(3), motion_scale=0.0)
-        state = filtered(settings, filter_, given, len(times_s))
+        state = run_filter(settings, filter_, given, len(times_s))
         last = given.sightings[-1]
         axis = axis_at(filter_, state, last, 0.0)
         truth_nm = given.rotation_nm[-1]
@@ -180,7 +180,7 @@ def unobservable_after(low_deg: float, high_deg: float, **changes: float) -> set
     settings = config(air__sigma=0.06, **each_light(rtk__sigma_m=0.027), **changes)
     filter_ = CalibrationFilter(settings)
     given = session(settings, 1, SWEEP_S, sweep(SWEEP_S, low_deg, high_deg))
-    return set(filter_.observability.open_combinations(filtered(settings, filter_, given, len(SWEEP_S)).unaided))
+    return set(filter_.observability.unobservable_combinations(run_filter(settings, filter_, given, len(SWEEP_S)).observability))
 
 
 def test_exactly_three_combinations_are_open_after_a_full_sweep() -> None:
@@ -201,7 +201,7 @@ def test_fixed_errors_are_not_reported() -> None:
 
 def test_all_is_unobservable_before_the_first_beacon() -> None:
     filter_ = CalibrationFilter(config())
-    names = filter_.observability.open_combinations(filter_.initial_state().unaided)
+    names = filter_.observability.unobservable_combinations(filter_.initial_state().observability)
     assert set(names) == {
         *("g", "h", "c", "I", "beta_x", "beta_y"),
         *("deformation_bow", "deformation_up", "deformation_starboard"),

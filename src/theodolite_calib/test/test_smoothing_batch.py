@@ -65,19 +65,19 @@ CONFIG = build(
 # -- the geometry, in the axes North, Up, East and forward, up, right -------------------------------------------------
 
 
-def turned(vector: np.ndarray) -> np.ndarray:
+def rotation(vector: np.ndarray) -> np.ndarray:
     return Rotation.from_rotvec(vector).as_matrix()
 
 
-def about(axis: int, angle: float) -> np.ndarray:
+def rotation_about(axis: int, angle: float) -> np.ndarray:
     """Return the elementary rotation of docs/explanation/frames.md: azimuths clockwise, elevations up."""
-    return turned(-angle * np.eye(3)[axis])
+    return rotation(-angle * np.eye(3)[axis])
 
 
 def ship_nd(ms: int) -> np.ndarray:
     t_s = ms / 1000.0
     heading, pitch, roll = np.deg2rad([40.0 + np.sin(t_s / 4.0), np.sin(t_s / 1.3), 3.0 * np.sin(t_s / 1.7)])
-    return about(1, heading) @ about(2, -pitch) @ about(0, -roll)
+    return rotation_about(1, heading) @ rotation_about(2, -pitch) @ rotation_about(0, -roll)
 
 
 def rate_d(ms: int) -> np.ndarray:
@@ -93,17 +93,17 @@ def main_dm(axes: np.ndarray, angles: np.ndarray) -> np.ndarray:
     g, h, c, tilt, beta_x, beta_y, flexure = axes
     azimuth, elevation = angles
     raised = elevation - h + flexure * np.cos(elevation)
-    vertical = turned(np.array([beta_y, 0.0, -beta_x]))
-    return vertical @ about(1, azimuth - g) @ about(0, tilt) @ about(2, -raised) @ about(1, -c)
+    vertical = rotation(np.array([beta_y, 0.0, -beta_x]))
+    return vertical @ rotation_about(1, azimuth - g) @ rotation_about(0, tilt) @ rotation_about(2, -raised) @ rotation_about(1, -c)
 
 
 def main_nm(ship: np.ndarray, bent: np.ndarray, axes: np.ndarray, angles: np.ndarray, ms: int) -> np.ndarray:
-    return turned(ship) @ ship_nd(ms) @ turned(bent) @ main_dm(axes, angles)
+    return rotation(ship) @ ship_nd(ms) @ rotation(bent) @ main_dm(axes, angles)
 
 
 def telescope_tm(parallelism: np.ndarray) -> np.ndarray:
     azimuth, elevation, rotation = parallelism
-    return about(1, azimuth) @ about(2, -elevation) @ about(0, -rotation)
+    return rotation_about(1, azimuth) @ rotation_about(2, -elevation) @ rotation_about(0, -rotation)
 
 
 def point_m(direction: np.ndarray, focal_m: float) -> np.ndarray:
@@ -115,7 +115,7 @@ def point_m(direction: np.ndarray, focal_m: float) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Sighted:
+class SimulatedSighting:
     """One beacon at one time: baseline and detector point."""
 
     ms: int
@@ -124,7 +124,7 @@ class Sighted:
     point_m: np.ndarray
 
 
-def sighted() -> list[Sighted]:
+def simulate_sightings() -> list[SimulatedSighting]:
     """Return random errors of the stated sizes, without correlation: the estimators must agree for any."""
     rng, found = np.random.default_rng(5), []
     axes, parallelism = AXES * rng.standard_normal(7), TURN + TURN_SIGMA * rng.standard_normal(3)
@@ -132,19 +132,19 @@ def sighted() -> list[Sighted]:
         slow = np.linalg.cholesky(SHIP_N) @ np.array([0.7, -0.9, 1.0]) * np.cos(ms / 9000.0)
         bent = BENT * np.array([1.0, 0.4, -0.8]) * np.sin(ms / 11000.0)
         angles = encoders(ms) + ENCODER * rng.standard_normal(2)
-        rotation_nm = turned(SHIP_WHITE * rng.standard_normal(3)) @ main_nm(slow, bent, axes, angles, ms)
+        rotation_nm = rotation(SHIP_WHITE * rng.standard_normal(3)) @ main_nm(slow, bent, axes, angles, ms)
         rotation_nt = rotation_nm @ telescope_tm(parallelism).T
         for id_, (right_deg, up_deg) in LIGHTS_DEG.items():
-            seen_t = about(1, np.deg2rad(right_deg)) @ about(2, -np.deg2rad(up_deg)) @ np.array([1.0, 0.0, 0.0])
+            seen_t = rotation_about(1, np.deg2rad(right_deg)) @ rotation_about(2, -np.deg2rad(up_deg)) @ np.array([1.0, 0.0, 0.0])
             baseline_n = DISTANCE_M * rotation_nt @ seen_t + np.hypot(RTK_M, BIAS_M) * rng.standard_normal(3)
             at_m = point_m(seen_t, FOCAL_M + 0.5 * FOCAL_SIGMA_M) + IMAGE_M * rng.standard_normal(2)
-            found.append(Sighted(ms, id_, baseline_n, at_m))
+            found.append(SimulatedSighting(ms, id_, baseline_n, at_m))
     return found
 
 
-def smoothed_run() -> tuple[SmoothingAxisCore, list[PointingEstimate], list[PointingEstimate]]:
+def run_smoother() -> tuple[SmoothingAxisCore, list[PointingEstimate], list[PointingEstimate]]:
     """Run the core in the order of stamps; return real-time and smoothed pointings at the requested times."""
-    core, at_once, lights = SmoothingAxisCore(CONFIG), [], sighted()
+    core, at_once, lights = SmoothingAxisCore(CONFIG), [], simulate_sightings()
     for ms in range(0, 22000, 250):
         time_ns = START_NS + ms * 1_000_000
         core.add_ship(ShipSample(time_ns, ship_nd(ms), rate_d(ms), SHIP_N))
@@ -157,7 +157,7 @@ def smoothed_run() -> tuple[SmoothingAxisCore, list[PointingEstimate], list[Poin
         at_once += core.add_encoder(EncoderSample(time_ns, encoders(ms), ENCODER)).estimates
     assert core.state.sighting_count == len(SIGHTED_MS)
     asked_ns = {START_NS + ms * 1_000_000 for ms in ASKED_MS}
-    again = list(core.smoothed_to_the_end())
+    again = list(core.smooth_remaining())
     assert [one.time_ns for one in again] == [one.time_ns for one in at_once]
     return core, *([one for one in told if one.time_ns in asked_ns] for told in (at_once, again))
 
@@ -173,46 +173,46 @@ class Batch:
     rows: list[tuple] = field(default_factory=list)
     size: int = 0
 
-    def unknown(self, name: str, ms: int = 0, count: int = 3) -> slice:
+    def add_unknown(self, name: str, ms: int = 0, count: int = 3) -> slice:
         if (name, ms) not in self.places:
             self.places[name, ms] = slice(self.size, self.size + count)
             self.size += count
         return self.places[name, ms]
 
-    def known_before(self, name: str, sigma: float, ms: int = 0, count: int = 3) -> None:
-        self.rows.append(([self.unknown(name, ms, count)], lambda value: value / sigma))
+    def add_prior(self, name: str, sigma: float, ms: int = 0, count: int = 3) -> None:
+        self.rows.append(([self.add_unknown(name, ms, count)], lambda value: value / sigma))
 
-    def process(self, name: str, epochs: list[int], covariance: np.ndarray, time_s: float) -> None:
+    def add_process(self, name: str, epochs: list[int], covariance: np.ndarray, time_s: float) -> None:
         """Add a Gauss-Markov process: its first value, then each one against the one before."""
         root = np.linalg.inv(np.linalg.cholesky(covariance))
-        self.rows.append(([self.unknown(name, epochs[0])], lambda first: root @ first))
+        self.rows.append(([self.add_unknown(name, epochs[0])], lambda first: root @ first))
         for before, after in pairwise(epochs):
             left = np.exp(-(after - before) / 1000.0 / time_s)
             step = lambda one, two, left=left: root @ (two - left * one) / np.sqrt(1.0 - left**2)  # noqa: E731
-            self.rows.append(([self.unknown(name, before), self.unknown(name, after)], step))
+            self.rows.append(([self.add_unknown(name, before), self.add_unknown(name, after)], step))
 
 
 def batch() -> Batch:
     built, three = Batch(), np.eye(3)
     epochs = sorted({*SIGHTED_MS, *ASKED_MS})
-    built.process("ship", epochs, SHIP_N, SHIP_TIME_S)
-    built.process("bent", epochs, BENT**2 * three, BENT_TIME_S)
-    built.known_before("axes", AXES, count=7)
-    built.known_before("focal", FOCAL_SIGMA_M, count=1)
-    built.known_before("turn", TURN_SIGMA)
+    built.add_process("ship", epochs, SHIP_N, SHIP_TIME_S)
+    built.add_process("bent", epochs, BENT**2 * three, BENT_TIME_S)
+    built.add_prior("axes", AXES, count=7)
+    built.add_prior("focal", FOCAL_SIGMA_M, count=1)
+    built.add_prior("turn", TURN_SIGMA)
     for id_ in LIGHTS_DEG:
-        built.process(f"bias {id_}", SIGHTED_MS, BIAS_M**2 * three, BIAS_TIME_S)
+        built.add_process(f"bias {id_}", SIGHTED_MS, BIAS_M**2 * three, BIAS_TIME_S)
     for ms in SIGHTED_MS:
-        built.known_before("white", SHIP_WHITE, ms)
-        built.known_before("read", ENCODER, ms, 2)
-    for light in sighted():
+        built.add_prior("white", SHIP_WHITE, ms)
+        built.add_prior("read", ENCODER, ms, 2)
+    for light in simulate_sightings():
         ms, id_ = light.ms, light.id_
-        built.known_before(f"rtk {id_}", RTK_M, ms)
+        built.add_prior(f"rtk {id_}", RTK_M, ms)
         names = [("axes", 0), ("focal", 0), ("turn", 0), *((name, ms) for name in ("ship", "bent", "white", "read"))]
         names += [(f"bias {id_}", ms), (f"rtk {id_}", ms)]
 
         def residual(axes, focal, turn, ship, bent, white, read, bias, rtk, light=light):
-            rotation_nm = turned(white) @ main_nm(ship, bent, axes, encoders(light.ms) + read, light.ms)
+            rotation_nm = rotation(white) @ main_nm(ship, bent, axes, encoders(light.ms) + read, light.ms)
             seen_t = telescope_tm(TURN + turn) @ rotation_nm.T @ (light.baseline_n + bias + rtk)
             return (light.point_m - point_m(seen_t, FOCAL_M + focal[0])) / IMAGE_M
 
@@ -231,9 +231,9 @@ def steps_of(built: Batch) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def both() -> tuple:
+def smoother_and_batch() -> tuple:
     built = batch()
-    return *smoothed_run(), built, *solve(built.rows, steps_of(built))
+    return *run_smoother(), built, *solve(built.rows, steps_of(built))
 
 
 def test_smoothed_pointings_are_batch_least_squares(both: tuple) -> None:

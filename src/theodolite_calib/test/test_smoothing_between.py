@@ -9,7 +9,7 @@ from ship_estimation.backward import GaussianEstimate
 from ship_estimation.backward_chain import Anchor
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_testing.simulated_session import BEACONS_DEG, config
-from theodolite_calib.smoothing.between import Between
+from theodolite_calib.smoothing.between import AxisStatePredictor
 from theodolite_calib.smoothing.traced_filter import TracedFilter
 
 START_NS, SECOND_NS = 1_700_000_000_000_000_000, 1_000_000_000
@@ -37,21 +37,21 @@ STATED = {
 }
 
 
-def some(size: float | None) -> FloatArray | None:
+def random_array(size: float | None) -> FloatArray | None:
     return None if size is None else size * STATED_N
 
 
-def between_of(filter_: TracedFilter, size: float | None) -> Between:
-    return Between(filter_, lambda times_ns: None if size is None else np.repeat(some(size)[None], len(times_ns), 0))
+def predictor_of(filter_: TracedFilter, size: float | None) -> AxisStatePredictor:
+    return AxisStatePredictor(filter_, lambda times_ns: None if size is None else np.repeat(random_array(size)[None], len(times_ns), 0))
 
 
-def correlated(filter_: TracedFilter, size: float | None):
+def correlated_state(filter_: TracedFilter, size: float | None):
     """Return a state as after sightings: correlated, away from zero."""
     rng, n = np.random.default_rng(4), filter_.model.size
-    state = filter_.predicted(filter_.initial_state(), START_NS, some(size))
+    state = filter_.propagate(filter_.initial_state(), START_NS, random_array(size))
     sigma = np.sqrt(state.covariance.diagonal())
     mix = np.eye(n) + 0.2 * rng.standard_normal((n, n))
-    parts = np.zeros_like(state.parts)
+    parts = np.zeros_like(state.covariance_by_source)
     parts[0] = sigma[:, None] * (mix @ mix.T) * sigma
     return replace(state, parts=parts, mean=0.3 * sigma * rng.standard_normal(n))
 
@@ -62,19 +62,19 @@ def test_it_is_the_filters_prediction(sizes: tuple) -> None:
     # Of the INS alone the configuration states the error.
     source = "ins/imu" if at_moments is None else "ship/attitude"
     filter_ = TracedFilter(config(ship__source=source, **ERRORS))
-    state = correlated(filter_, before)
-    between = between_of(filter_, at_moments)
+    state = correlated_state(filter_, before)
+    between = predictor_of(filter_, at_moments)
     anchor = Anchor(START_NS, GaussianEstimate(state.mean, state.covariance), state.given)
-    then = filter_.predicted(state, TIMES_NS[-1], some(after))
+    then = filter_.propagate(state, TIMES_NS[-1], random_array(after))
     later = Anchor(TIMES_NS[-1], GaussianEstimate(then.mean, then.covariance), then.given)
-    found, cross = between.at(anchor, TIMES_NS, later)
+    found, cross = between.estimates_at(anchor, TIMES_NS, later)
     scale = np.sqrt(then.covariance.diagonal())
     scale = np.where(scale > 0.0, scale, 1.0)
     for place, time_ns in enumerate(TIMES_NS):
-        there = filter_.predicted(state, time_ns, some(at_moments))
-        of_told = there.covariance[np.ix_(between.rows, between.rows)]
+        there = filter_.propagate(state, time_ns, random_array(at_moments))
+        of_told = there.covariance[np.ix_(between.state_indices, between.state_indices)]
         sigma = np.sqrt(np.where(of_told.diagonal() > 0.0, of_told.diagonal(), 1.0))
-        np.testing.assert_allclose(found.mean[place] / sigma, there.mean[between.rows] / sigma, atol=1e-9)
+        np.testing.assert_allclose(found.mean[place] / sigma, there.mean[between.state_indices] / sigma, atol=1e-9)
         both_sigmas = np.outer(sigma, sigma)
         np.testing.assert_allclose(found.covariance[place] / both_sigmas, of_told / both_sigmas, atol=1e-9)
         # Whatever is stated, both moments are of one distribution: no combination of them has a negative variance.
@@ -83,25 +83,25 @@ def test_it_is_the_filters_prediction(sizes: tuple) -> None:
         assert np.linalg.eigvalsh(whole / np.outer(both, both))[0] > -1e-9
     if at_moments == after:
         # At the later sighting itself it is that prediction.
-        np.testing.assert_allclose(cross[-1] / scale, then.covariance[between.rows] / scale, atol=1e-9 * scale.max())
+        np.testing.assert_allclose(cross[-1] / scale, then.covariance[between.state_indices] / scale, atol=1e-9 * scale.max())
     if at_moments == before:
-        expected = between.cross_to(anchor, later)[between.rows]
+        expected = between.cross_to(anchor, later)[between.state_indices]
         np.testing.assert_allclose(cross[0] / scale, expected / scale, atol=1e-9 * scale.max())
 
 
 def test_before_the_first_sighting_the_errors_are_what_they_may_be() -> None:
     filter_ = TracedFilter(config(**ERRORS))
     initial = filter_.initial_state()
-    first = filter_.predicted(initial, TIMES_NS[-1], some(1.0))
+    first = filter_.propagate(initial, TIMES_NS[-1], random_array(1.0))
     anchor = Anchor(None, GaussianEstimate(initial.mean, initial.covariance), initial.given)
     later = Anchor(TIMES_NS[-1], GaussianEstimate(first.mean, first.covariance), first.given)
-    between = between_of(filter_, 1.0)
-    found, cross = between.at(anchor, TIMES_NS, later)
+    between = predictor_of(filter_, 1.0)
+    found, cross = between.estimates_at(anchor, TIMES_NS, later)
     lasts_s = np.array([(TIMES_NS[-1] - time_ns) * 1e-9 for time_ns in TIMES_NS])
     axes = slice(6, 13)
     assert cross is not None
     for place, last_s in enumerate(lasts_s):
-        expected = first.covariance[np.ix_(between.rows, between.rows)]
+        expected = first.covariance[np.ix_(between.state_indices, between.state_indices)]
         np.testing.assert_allclose(found.covariance[place], expected, atol=1e-20)
         # The axes stay; ship and deformation die out with their own times.
         np.testing.assert_allclose(cross[place, axes, axes], first.covariance[axes, axes])
@@ -112,11 +112,11 @@ def test_before_the_first_sighting_the_errors_are_what_they_may_be() -> None:
 def test_time_before_a_jump_may_be_later_than_its_estimate() -> None:
     # The jump adds to the zero points: the time has only the errors before it in common with the inflated state.
     filter_ = TracedFilter(config(**ERRORS))
-    state = correlated(filter_, 1.0)
+    state = correlated_state(filter_, 1.0)
     anchor = Anchor(START_NS, GaussianEstimate(state.mean, state.covariance), state.given)
-    between, until_ns = between_of(filter_, 1.0), TIMES_NS[2]
-    found, cross = between.at(anchor, [until_ns], anchor)
-    there = filter_.predicted(state, until_ns, some(1.0))
-    np.testing.assert_allclose(found.covariance[0], there.covariance[np.ix_(between.rows, between.rows)], rtol=1e-9)
+    between, until_ns = predictor_of(filter_, 1.0), TIMES_NS[2]
+    found, cross = between.estimates_at(anchor, [until_ns], anchor)
+    there = filter_.propagate(state, until_ns, random_array(1.0))
+    np.testing.assert_allclose(found.covariance[0], there.covariance[np.ix_(between.state_indices, between.state_indices)], rtol=1e-9)
     decay, _ = filter_.model.transition((until_ns - START_NS) * 1e-9)
-    np.testing.assert_allclose(cross[0], (decay[:, None] * state.covariance)[between.rows], rtol=1e-9, atol=1e-30)
+    np.testing.assert_allclose(cross[0], (decay[:, None] * state.covariance)[between.state_indices], rtol=1e-9, atol=1e-30)

@@ -7,7 +7,7 @@ import pytest
 
 from ship_estimation.exclusion import ExcludedSource
 from ship_testing.simulated_session import config, session, sweep
-from theodolite_calib.filter.alternatives import BEACON, ENCODER, SHIP, TELESCOPE
+from theodolite_calib.filter.alternatives import BEACON_PREFIX, ENCODER, SHIP, TELESCOPE
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.trust import ExclusionRecord
 from theodolite_calib.measured.encoder_watch import EncoderJump
@@ -22,14 +22,14 @@ def sightings(count: int) -> list[Sighting]:
     return session(SETTINGS, 3, times_s, sweep(times_s)).sightings
 
 
-def stepped(filter_: CalibrationFilter, state: CalibrationState, sighting: Sighting) -> CalibrationState:
-    predicted = filter_.predicted(state, sighting.time_ns, sighting.ship.correlated_covariance_n)
+def step_state(filter_: CalibrationFilter, state: CalibrationState, sighting: Sighting) -> CalibrationState:
+    predicted = filter_.propagate(state, sighting.time_ns, sighting.ship.correlated_covariance_n)
     comparison = filter_.compare(predicted, sighting)
     assert comparison is not None
-    return filter_.used(predicted, sighting, comparison)[0]
+    return filter_.update_by_beacons(predicted, sighting, comparison)[0]
 
 
-def without(state: TracedState, source: str) -> TracedState:
+def with_excluded(state: TracedState, source: str) -> TracedState:
     """Return the state of a filter that excludes a source."""
     assert state.time_ns is not None
     left_out = {source: ExclusionRecord(ExcludedSource(state.time_ns), "it lies", 0.0)}
@@ -40,7 +40,7 @@ def test_its_states_are_those_of_the_filter() -> None:
     plain, traced = CalibrationFilter(SETTINGS), TracedFilter(SETTINGS)
     one, other = plain.initial_state(), traced.initial_state()
     for sighting in sightings(4):
-        one, other = stepped(plain, one, sighting), stepped(traced, other, sighting)
+        one, other = step_state(plain, one, sighting), step_state(traced, other, sighting)
         jump = EncoderJump(sighting.time_ns + 1, np.array([1e-3, 0.0]), 1e-4)
         one, other = plain.inflate_covariance(one, jump), traced.inflate_covariance(other, jump)
         for name in ("mean", "parts", "separation", "ship_steady_n"):
@@ -51,45 +51,45 @@ def test_its_states_are_those_of_the_filter() -> None:
 def test_a_sighting_leads_back_to_what_was_predicted() -> None:
     filter_ = TracedFilter(SETTINGS)
     first, second = sightings(2)
-    before = stepped(filter_, filter_.initial_state(), first)
-    after = stepped(filter_, before, second)
+    before = step_state(filter_, filter_.initial_state(), first)
+    after = step_state(filter_, before, second)
     assert isinstance(after, TracedState)
-    assert after.came is not None
-    predicted = filter_.predicted(before, second.time_ns, second.ship.correlated_covariance_n)
-    np.testing.assert_array_equal(after.came.predicted.covariance, predicted.covariance)
-    np.testing.assert_array_equal(after.came.estimate.mean, after.mean)
-    assert after.came.is_update
+    assert after.last_update is not None
+    predicted = filter_.propagate(before, second.time_ns, second.ship.correlated_covariance_n)
+    np.testing.assert_array_equal(after.last_update.predicted.covariance, predicted.covariance)
+    np.testing.assert_array_equal(after.last_update.estimate.mean, after.mean)
+    assert after.last_update.is_update
     jump = EncoderJump(second.time_ns + 7, np.array([1e-3, 0.0]), 1e-4)
     opened = filter_.inflate_covariance(after, jump)
     assert isinstance(opened, TracedState)
-    assert opened.came is not None
-    assert opened.came.is_update
-    assert opened.came.jumped_ns == jump.time_ns
+    assert opened.last_update is not None
+    assert opened.last_update.is_update
+    assert opened.last_update.jumped_ns == jump.time_ns
 
 
-DRONE = BEACON + "alpha"
+DRONE = BEACON_PREFIX + "alpha"
 
 
 @pytest.mark.parametrize("source", [ENCODER, SHIP, TELESCOPE, DRONE])
 def test_excluded_axis_sources_are_not_smoothed(source: str) -> None:
     filter_ = TracedFilter(SETTINGS)
     first, second = sightings(2)
-    before = stepped(filter_, filter_.initial_state(), first)
+    before = step_state(filter_, filter_.initial_state(), first)
     assert isinstance(before, TracedState)
-    after = stepped(filter_, without(before, source), second)
+    after = step_state(filter_, with_excluded(before, source), second)
     assert isinstance(after, TracedState)
-    assert after.came is not None
-    assert after.came.is_update == (source == DRONE)
+    assert after.last_update is not None
+    assert after.last_update.is_update == (source == DRONE)
 
 
 def test_an_estimate_without_a_source_leads_nowhere_back() -> None:
     filter_ = TracedFilter(SETTINGS)
     first, second = sightings(2)
-    before = stepped(filter_, filter_.initial_state(), first)
-    predicted = filter_.predicted(before, second.time_ns, second.ship.correlated_covariance_n)
+    before = step_state(filter_, filter_.initial_state(), first)
+    predicted = filter_.propagate(before, second.time_ns, second.ship.correlated_covariance_n)
     comparison = filter_.compare(predicted, second)
     assert comparison is not None
-    after, _ = filter_.used(filter_.without(predicted, DRONE), second, comparison)
+    after, _ = filter_.update_by_beacons(filter_.exclude_source(predicted, DRONE), second, comparison)
     assert isinstance(after, TracedState)
-    assert after.came is not None
-    assert not after.came.is_update
+    assert after.last_update is not None
+    assert not after.last_update.is_update

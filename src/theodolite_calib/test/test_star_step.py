@@ -69,7 +69,7 @@ class Mount:
         return self._output.estimate(PendingPointing(reading, night.ship(), "", 0.0, state))
 
 
-def off_axis(rotation_nm: FloatArray, estimate: PointingEstimate) -> tuple[float, float, float]:
+def squared_axis_errors(rotation_nm: FloatArray, estimate: PointingEstimate) -> tuple[float, float, float]:
     """Return squares of the error of the axis, and of its sigma, on the sky; NEES of all three angles."""
     error_n = log_rotation(rotation_nm @ estimate.rotation_nm.T)
     across = estimate.rotation_nm[:, 1:].T
@@ -89,7 +89,7 @@ def one_exposure(mount: Mount, count: int) -> tuple[float, float, float]:
         estimate = mount.pointing(night, state, encoder)
         assert (estimate.mode, estimate.status) == (Mode.STARS, Status.VALID)
         assert np.isnan(estimate.rotation_nt).all()  # the calibration telescope has seen nothing
-        told.append(off_axis(night.main_axis(encoder), estimate))
+        told.append(squared_axis_errors(night.main_axis(encoder), estimate))
     squares, variances, nees = np.mean(told, axis=0)
     return float(np.sqrt(squares)) / ARCSEC, float(np.sqrt(variances)) / ARCSEC, float(nees)
 
@@ -104,7 +104,7 @@ def test_one_exposure_matches_its_covariance(watch, count: int, most_arcsec: flo
     assert rms <= most_arcsec
 
 
-def streaked(sighting: StarSighting, rng: np.random.Generator) -> tuple[StarSighting, FloatArray]:
+def streak_exposure(sighting: StarSighting, rng: np.random.Generator) -> tuple[StarSighting, FloatArray]:
     """Return the exposure of a camera that rotates by 3°/s, with streak noise; and the bound of the axis, rad²."""
     length = ExposureLength(0.02, SETTINGS.telescopes[CAMERA_ID].camera.camera("camera"), 0.8)
     rate_s = np.deg2rad(3.0) * unit(rng.standard_normal(3) * [0.3, 1.0, 1.0])
@@ -128,10 +128,10 @@ def test_through_a_camera_that_turns_the_pointing_comes_to_the_bound_of_the_stre
     for seed in range(SEEDS):
         night, rng = mount.run(500 + seed)
         encoder = random_field(rng)
-        sighting, bound = streaked(night.sighting(encoder, 5), rng)
+        sighting, bound = streak_exposure(night.sighting(encoder, 5), rng)
         state, decision = mount.step(mount.filter.initial_state(), sighting)
         assert decision.accepted, decision.text
-        told.append(off_axis(night.main_axis(encoder), mount.pointing(night, state, encoder)))
+        told.append(squared_axis_errors(night.main_axis(encoder), mount.pointing(night, state, encoder)))
         bounds.append(np.trace(bound))
     squares, variances, nees = np.mean(told, axis=0)
     low, high = mean_nees_band(SEEDS, 3)
@@ -196,7 +196,7 @@ def test_the_jacobian_is_that_of_finite_differences(source: str) -> None:
         assert here.jacobian[:, column] == pytest.approx(numeric, abs=2e-3 * np.max(np.abs(numeric)) + 1e-9)
         ahead, behind = (model.predict(mean + sign * step, sighting).rotation_ns for sign in (1.0, -1.0))
         turned = log_rotation(ahead @ behind.T) / (2.0 * step[column])
-        assert camera.turn_n[:, column] == pytest.approx(turned, abs=1e-6 * np.max(np.abs(turned)) + 1e-12)
+        assert camera.by_state_n[:, column] == pytest.approx(turned, abs=1e-6 * np.max(np.abs(turned)) + 1e-12)
 
 
 def test_stars_without_a_name_are_named_by_the_predicted_pointing(watch) -> None:
@@ -240,7 +240,7 @@ def test_inconsistent_stars_are_rejected_and_degrade_the_pointing(watch) -> None
         state, decision = mount.step(state, state_after_shift(night).sighting(encoder, 6, time_ns))
         assert not decision.accepted
         assert decision.reason in (Reason.GATE, Reason.ATTITUDE_CONFLICT, Reason.MISIDENTIFIED)
-        assert state.refusals == number
+        assert state.consecutive_rejections == number
         estimate = mount.pointing(night, state, encoder, time_ns)
         assert estimate.status is Status.DEGRADED
         assert "stars were inconsistent" in estimate.text
@@ -262,7 +262,7 @@ def test_identified_stars_give_the_attitude_without_encoders(watch) -> None:
     sighting = replace(sighting, encoder=slipped)
     nameless = replace(sighting, exposure=without_identity(sighting.exposure))
     after, decision = mount.step(state, nameless)
-    assert (decision.reason, after.refusals) == (Reason.UNIDENTIFIED, 0)
+    assert (decision.reason, after.consecutive_rejections) == (Reason.UNIDENTIFIED, 0)
     after, decision = mount.step(state, sighting)
     assert decision.accepted
     camera_ns = mount.filter.stars.predict(after.mean, sighting).rotation_ns
@@ -285,7 +285,7 @@ def test_one_false_star_is_left_out_and_the_others_are_used(watch) -> None:
     state, decision = mount.step(mount.filter.initial_state(), wrong)
     assert decision.accepted
     assert [left_out for left_out, _ in decision.rejected_parts] == [name]
-    squares, variance, _ = off_axis(night.main_axis(encoder), mount.pointing(night, state, encoder))
+    squares, variance, _ = squared_axis_errors(night.main_axis(encoder), mount.pointing(night, state, encoder))
     assert squares < 13.8 * variance  # one in a thousand
 
 
@@ -297,10 +297,10 @@ def test_exposures_of_a_camera_that_stands_still_are_all_used(watch) -> None:
     for number in range(20):
         state, decision = mount.step(state, night.sighting(encoder, 12, TIME_NS + number * SECOND_NS // 5))
         assert decision.accepted, decision.text
-    root = state.unaided.root
+    root = state.observability.root
     assert np.all(np.isfinite(root))
     # Six combinations of axes and deformation are unknown; stars at one place determine three sums of them.
-    assert mount.filter.observability.open_combinations(state.unaided)
+    assert mount.filter.observability.unobservable_combinations(state.observability)
 
 
 def test_a_night_of_stars_calibrates_the_axes_for_the_day(watch) -> None:
@@ -323,7 +323,7 @@ def test_a_night_of_stars_calibrates_the_axes_for_the_day(watch) -> None:
                 assert decision.accepted, decision.text
                 continue
             estimate = mount.pointing(now, state, encoder, time_ns)
-            one = off_axis(now.main_axis(encoder), estimate)
+            one = squared_axis_errors(now.main_axis(encoder), estimate)
             squares.append(one[0])
             if time_s == times_s[-4]:
                 nees.append(one[2])

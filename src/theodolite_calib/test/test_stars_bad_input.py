@@ -37,7 +37,7 @@ def star(catalogue_id: int, u: float, v: float) -> Any:
     )
 
 
-def seen(time_ns: int = START_NS) -> Any:
+def star_message(time_ns: int = START_NS) -> Any:
     return FACTORY.make(
         "ship_msgs/msg/StarObservationArray",
         header=make_header(FACTORY, time_ns, "night"),
@@ -62,7 +62,7 @@ def reported_reasons(adapter: OpticalAxisAdapter, message: Any) -> list[Any]:
     ],
 )
 def test_unreadable_exposure_is_rejected(adapter, path, value, reason: Reason, text: str) -> None:
-    message = seen()
+    message = star_message()
     *ways, leaf = path
     target = message
     for way in ways:
@@ -74,7 +74,7 @@ def test_unreadable_exposure_is_rejected(adapter, path, value, reason: Reason, t
 
 
 def test_a_star_that_cannot_be_read_is_left_out_by_its_place_in_the_message(adapter) -> None:
-    message = seen(START_NS + 10_000_000)
+    message = star_message(START_NS + 10_000_000)
     message.stars[0].u = float("nan")
     message.stars[1].catalogue_id = 99_999_999
     texts = [(one.source, one.reason, one.reason_text) for one in reported_reasons(adapter, message)]
@@ -86,7 +86,7 @@ def test_a_star_that_cannot_be_read_is_left_out_by_its_place_in_the_message(adap
 
 
 def test_second_exposure_of_one_stamp_is_a_conflict(adapter) -> None:
-    first = seen(START_NS + 20_000_000)
+    first = star_message(START_NS + 20_000_000)
     second = copy.deepcopy(first)
     second.stars[0].u += 3.0
     assert reported_reasons(adapter, first) == []

@@ -37,7 +37,7 @@ ERRORS_PX = {"field_spatial_sigma_px": 0.2, "pixel_spatial_sigma_px": 0.1}
 NIGHTS, EXPOSURES, STARS, PERIOD_NS = 24, 25, 6, 200_000_000
 
 
-def configured(**errors_px: float) -> OpticalAxisConfig:
+def camera_config(**errors_px: float) -> OpticalAxisConfig:
     return mount_config(**{f"telescopes__{CAMERA_ID}__camera__{name}": value for name, value in errors_px.items()})
 
 
@@ -69,7 +69,7 @@ def mean_nees(settings: OpticalAxisConfig) -> tuple[float, PointingEstimate, Cal
 
 
 def test_pointing_matches_its_covariance_with_pixel_errors() -> None:
-    nees, estimate, filter_ = mean_nees(configured(**ERRORS_PX))
+    nees, estimate, filter_ = mean_nees(camera_config(**ERRORS_PX))
     low, high = mean_nees_band(NIGHTS, 3)
     assert low <= nees <= high
     assert (estimate.mode, estimate.status) == (Mode.STARS, Status.VALID)
@@ -83,22 +83,22 @@ def test_pointing_matches_its_covariance_with_pixel_errors() -> None:
 
 @pytest.mark.statistics
 def test_filter_without_pixel_errors_is_overconfident() -> None:
-    nees, _, _ = mean_nees(configured())
+    nees, _, _ = mean_nees(camera_config())
     assert nees > mean_nees_band(NIGHTS, 3)[1]
 
 
 @pytest.mark.parametrize("kind", ERRORS_PX)
 def test_each_alone_makes_the_pointing_less_sure(kind: str) -> None:
-    _, with_it, _ = after_five_seconds(0, configured(**{kind: ERRORS_PX[kind]}))
-    _, without, _ = after_five_seconds(0, configured())
+    _, with_it, _ = after_five_seconds(0, camera_config(**{kind: ERRORS_PX[kind]}))
+    _, without, _ = after_five_seconds(0, camera_config())
     assert np.trace(with_it.covariance_n) > 1.02 * np.trace(without.covariance_n)
 
 
 def test_after_a_slip_of_the_encoders_the_stars_are_new() -> None:
     """The pixel dwell is reset with the encoders' zero points."""
-    _, estimate, filter_ = after_five_seconds(0, configured(**ERRORS_PX))
+    _, estimate, filter_ = after_five_seconds(0, camera_config(**ERRORS_PX))
     state = estimate.state
     assert state.stays[f"star.{CAMERA_ID}"].exposures > 0
     jump = EncoderJump(state.time_ns, np.array([1e-3, 0.0]), 1e-5)
-    assert not filter_.inflate_covariance(state, jump).stays
-    assert not filter_.without(state, "encoder").stays
+    assert not filter_.inflate_covariance(state, jump).pixel_dwells
+    assert not filter_.exclude_source(state, "encoder").pixel_dwells

@@ -21,8 +21,8 @@ from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.target.direction import (
     MainDetector,
     direction_angles,
-    ranged_place,
-    seen_direction,
+    ranged_position,
+    observed_direction,
 )
 
 SECOND_NS = 1_000_000_000
@@ -71,7 +71,7 @@ def image_of(vector_v: np.ndarray, focal_length_m: float, principal_m: np.ndarra
 def test_the_image_is_inverted(point_m, rotation_deg, expected_deg) -> None:
     rotation_nm = rotation_from_angles(*np.deg2rad([30.0, 20.0, 0.0]))
     point = DETECTOR.principal_point_m + point_m
-    seen = seen_direction(DETECTOR, point, 1e-6, np.deg2rad(rotation_deg), rotation_nm)
+    seen = observed_direction(DETECTOR, point, 1e-6, np.deg2rad(rotation_deg), rotation_nm)
     if expected_deg is not None:
         angles, _ = direction_angles(seen.direction_n, np.zeros((3, 3)))
         np.testing.assert_allclose(np.rad2deg(angles), expected_deg, atol=1e-12)
@@ -82,7 +82,7 @@ def test_the_image_is_inverted(point_m, rotation_deg, expected_deg) -> None:
 
 def test_a_detector_that_is_rolled_right_side_down_has_its_right_below() -> None:
     # 90°, right side down: what is to the right on the detector is below the main axis.
-    seen = seen_direction(DETECTOR, DETECTOR.principal_point_m + np.array([-0.015, 0.0]), 1e-6, 0.5 * np.pi, np.eye(3))
+    seen = observed_direction(DETECTOR, DETECTOR.principal_point_m + np.array([-0.015, 0.0]), 1e-6, 0.5 * np.pi, np.eye(3))
     np.testing.assert_allclose(seen.direction_n, np.array([1.5, -0.015, 0.0]) / np.hypot(1.5, 0.015), atol=1e-12)
 
 
@@ -91,7 +91,7 @@ def central_difference(function, at: np.ndarray, step: float) -> np.ndarray:
     return np.stack(columns, axis=-1)
 
 
-def drawn_geometry(seed: int):
+def random_geometry(seed: int):
     rng = np.random.default_rng(seed)
     azimuth, elevation, roll = rng.uniform(0, 2 * np.pi), np.deg2rad(rng.uniform(-5, 85)), rng.uniform(-np.pi, np.pi)
     point_m = DETECTOR.principal_point_m + rng.uniform(-0.02, 0.02, 2)
@@ -100,17 +100,17 @@ def drawn_geometry(seed: int):
 
 @pytest.mark.parametrize("seed", range(20))
 def test_derivatives_of_the_direction(seed: int) -> None:
-    rotation_nm, point_m, rho = drawn_geometry(seed)
+    rotation_nm, point_m, rho = random_geometry(seed)
 
     def direction_n(turn_n=ZERO, point=point_m, detector=DETECTOR, rotation=rho):
-        return seen_direction(detector, point, 0.0, rotation, exp_rotation(turn_n) @ rotation_nm).direction_n
+        return observed_direction(detector, point, 0.0, rotation, exp_rotation(turn_n) @ rotation_nm).direction_n
 
-    seen = seen_direction(DETECTOR, point_m, 0.0, rho, rotation_nm)
+    seen = observed_direction(DETECTOR, point_m, 0.0, rho, rotation_nm)
     np.testing.assert_allclose(seen.by_turn_n, central_difference(direction_n, np.zeros(3), 1e-6), atol=1e-9)
     # Each error of the detector alone: its covariance is the square of the derivative.
     of_point = central_difference(lambda p: direction_n(point=p), point_m, 1e-6)
     sigma_m = 3e-6
-    found = seen_direction(DETECTOR, point_m, sigma_m, rho, rotation_nm).image_covariance_n
+    found = observed_direction(DETECTOR, point_m, sigma_m, rho, rotation_nm).image_covariance_n
     np.testing.assert_allclose(found, sigma_m**2 * of_point @ of_point.T, rtol=1e-6, atol=1e-20)
     principal_m = DETECTOR.principal_point_m
     of_focal_length = central_difference(
@@ -123,13 +123,13 @@ def test_derivatives_of_the_direction(seed: int) -> None:
         (MainDetector(1.5, principal_m, principal_sigma_m=4e-6), of_principal, 4e-6),
         (MainDetector(1.5, principal_m, rotation_sigma=1e-4), of_rotation, 1e-4),
     ):
-        found = seen_direction(wrong, point_m, 0.0, rho, rotation_nm).image_covariance_n
+        found = observed_direction(wrong, point_m, 0.0, rho, rotation_nm).image_covariance_n
         np.testing.assert_allclose(found, sigma**2 * by @ by.T, rtol=1e-5, atol=1e-18)
 
 
 @pytest.mark.parametrize("seed", range(10))
 def test_derivatives_of_angles_and_place(seed: int) -> None:
-    rotation_nm, _, _ = drawn_geometry(seed)
+    rotation_nm, _, _ = random_geometry(seed)
     direction_n = rotation_nm[:, 0]
     across = rotation_nm[:, 1:]
     covariance_n = across @ np.diag([1e-10, 4e-10]) @ across.T
@@ -142,19 +142,19 @@ def test_derivatives_of_angles_and_place(seed: int) -> None:
     _, found = direction_angles(direction_n, covariance_n)
     np.testing.assert_allclose(found, by_offset @ np.diag([1e-10, 4e-10]) @ by_offset.T, rtol=1e-6)
 
-    place = ranged_place(direction_n, 2000.0, 0.13)
+    place = ranged_position(direction_n, 2000.0, 0.13)
     ranges_m = np.array([2000.0])
-    by_range = central_difference(lambda r: ranged_place(direction_n, float(r[0]), 0.13).path_n, ranges_m, 0.1)
+    by_range = central_difference(lambda r: ranged_position(direction_n, float(r[0]), 0.13).path_n, ranges_m, 0.1)
     np.testing.assert_allclose(place.by_range_n, by_range[:, 0], atol=1e-8)
-    by_k = central_difference(lambda k: ranged_place(direction_n, 2000.0, float(k[0])).path_n, np.array([0.13]), 1e-3)
+    by_k = central_difference(lambda k: ranged_position(direction_n, 2000.0, float(k[0])).path_n, np.array([0.13]), 1e-3)
     np.testing.assert_allclose(place.by_coefficient_n, by_k[:, 0], atol=2e-5)  # of 0.31 m
-    by_direction = central_difference(lambda o: ranged_place(moved(o), 2000.0, 0.13).path_n, np.zeros(2), 1e-6)
+    by_direction = central_difference(lambda o: ranged_position(moved(o), 2000.0, 0.13).path_n, np.zeros(2), 1e-6)
     np.testing.assert_allclose(place.by_direction_n @ across, by_direction, atol=0.05)  # of 2000 m: the bend, 2e-5
 
 
 def test_refraction_over_two_kilometres_is_four_centimetres() -> None:
     # models.md §5: k d / (2 R) = 4.2" at 2 km.
-    place = ranged_place(np.array([1.0, 0.0, 0.0]), 2000.0, 0.13)
+    place = ranged_position(np.array([1.0, 0.0, 0.0]), 2000.0, 0.13)
     assert np.arcsin(-place.path_n[1] / 2000.0) / ARCSEC == pytest.approx(4.21, abs=0.01)
 
 
@@ -162,7 +162,7 @@ def config(**changes) -> OpticalAxisConfig:
     return build(OpticalAxisConfig, nest({**CONFIG, **{name.replace("__", "."): v for name, v in changes.items()}}))
 
 
-def answered(seed: int, settings: OpticalAxisConfig, plunged: bool) -> tuple[TargetEstimate, np.ndarray, np.ndarray]:
+def run_target(seed: int, settings: OpticalAxisConfig, plunged: bool) -> tuple[TargetEstimate, np.ndarray, np.ndarray]:
     """Return the core's result for a target, its true direction, and its true position from the ship's antenna, in n.
 
     The ship rotates at up to 1°/s, and the mount at up to 1°/s per axis. Only encoders and ship/attitude are present:
@@ -230,11 +230,11 @@ def answered(seed: int, settings: OpticalAxisConfig, plunged: bool) -> tuple[Tar
 
 
 @functools.cache
-def drawn(plunged: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def nees_of_draws(plunged: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return NEES of the direction in its plane, of azimuth and elevation, and of the position, shape (DRAWS,) each."""
     settings, direction, angles, place = config(), [], [], []
     for seed in range(DRAWS):
-        estimate, true_n, true_place_n = answered(seed + DRAWS * plunged, settings, plunged)
+        estimate, true_n, true_place_n = run_target(seed + DRAWS * plunged, settings, plunged)
         assert estimate.status is Status.DEGRADED  # no light was ever seen
         across = np.linalg.svd(estimate.direction_n[None])[2][1:]
         error_n = true_n - estimate.direction_n
@@ -251,7 +251,7 @@ def drawn(plunged: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("plunged", [False, True])
 def test_errors_match_the_covariance(plunged: bool) -> None:
     """Azimuth 0-360°, elevation -5 to 85°, detector ±180°; plunged, the image of the main axis is upside down."""
-    direction, angles, place = drawn(plunged)
+    direction, angles, place = nees_of_draws(plunged)
     for nees, degrees in ((direction, 2), (angles, 2), (place, 3)):
         low, high = mean_nees_band(DRAWS, degrees)
         assert low < nees.mean() < high

@@ -20,7 +20,7 @@ FIRST_S, EVERY_S, LATENCY_S = 1.0231, 0.1, 0.06
 NAN = float("nan")
 
 
-def seen_n(t_s: float) -> np.ndarray:
+def target_direction_n(t_s: float) -> np.ndarray:
     """Return the direction of a target that drifts next to the line of the mount."""
     beside = np.array([1.0, 0.004 * np.sin(t_s), 0.006])
     return mount_state(t_s)[2] @ (beside / np.linalg.norm(beside))
@@ -28,13 +28,13 @@ def seen_n(t_s: float) -> np.ndarray:
 
 def path_n(t_s: float) -> np.ndarray:
     lowered = np.array([0.0, K * DISTANCE_M**2 / (2.0 * EARTH_RADIUS_M), 0.0])
-    path: np.ndarray = DISTANCE_M * seen_n(t_s) - lowered
+    path: np.ndarray = DISTANCE_M * target_direction_n(t_s) - lowered
     return path
 
 
 def image(t_s: float, **changes: Any) -> Any:
     """Return an image of a detector whose right side is down by 0.4 rad."""
-    rho, seen_m = 0.4, mount_state(t_s)[2].T @ seen_n(t_s)
+    rho, seen_m = 0.4, mount_state(t_s)[2].T @ target_direction_n(t_s)
     up_v = seen_m @ [0.0, np.cos(rho), np.sin(rho)]
     right_v = seen_m @ [0.0, -np.sin(rho), np.cos(rho)]
     fields = {
@@ -51,13 +51,13 @@ def image(t_s: float, **changes: Any) -> Any:
     return FACTORY.make("ship_msgs/msg/TargetImage", header=header, **{**fields, **changes})
 
 
-def arriving(message: Any, latency_s: float = LATENCY_S) -> Arrival:
+def arrival_of(message: Any, latency_s: float = LATENCY_S) -> Arrival:
     return Arrival(TARGET, message, stamp_of(message) + round(latency_s * SECOND_NS))
 
 
 @functools.cache
 def images() -> tuple[Arrival, ...]:
-    return tuple(arriving(image(t_s)) for t_s in np.arange(FIRST_S, 5.5, EVERY_S))
+    return tuple(arrival_of(image(t_s)) for t_s in np.arange(FIRST_S, 5.5, EVERY_S))
 
 
 def run_of(*targets: Arrival, base: tuple[Arrival, ...] | None = None, **changes: Any) -> Run:
@@ -66,21 +66,21 @@ def run_of(*targets: Arrival, base: tuple[Arrival, ...] | None = None, **changes
 
 
 @functools.cache
-def clean() -> Run:
+def undisturbed_run() -> Run:
     return run_of(*images())
 
 
-def without_targets(run: Run) -> list[Any]:
+def outputs_without_targets(run: Run) -> list[Any]:
     return [result for result in run.results() if result[1] != DIRECTION]
 
 
 def test_each_image_gets_its_direction_at_its_own_time() -> None:
-    directions = clean().messages(DIRECTION)
+    directions = undisturbed_run().messages(DIRECTION)
     assert [stamp_of(m) for m in directions] == [a.stamp_ns for a in images()]
     for message in directions:
         t_s = (stamp_of(message) - START_NS) * 1e-9
         found = np.array([message.direction.x, message.direction.y, message.direction.z])
-        error = ENU_FROM_HORIZON @ seen_n(t_s) - found
+        error = ENU_FROM_HORIZON @ target_direction_n(t_s) - found
         assert np.linalg.norm(found) == pytest.approx(1.0, abs=1e-12)
         covariance = np.array(message.direction_covariance).reshape(3, 3)
         sigma = np.sqrt(np.trace(covariance))
@@ -92,15 +92,15 @@ def test_each_image_gets_its_direction_at_its_own_time() -> None:
         true_place = ENU_FROM_HORIZON @ (path_n(t_s) + deck(t_s) @ LEVER_D)
         place_sigma = np.sqrt(np.trace(np.array(message.position_covariance).reshape(3, 3)))
         assert np.linalg.norm(place - true_place) < 3.0 * place_sigma < 1.0
-    assert clean().health(TARGET).accepted == len(images())
-    assert clean().health(TARGET).rejected == 0
+    assert undisturbed_run().health(TARGET).accepted == len(images())
+    assert undisturbed_run().health(TARGET).rejected == 0
 
 
 def test_direction_has_the_worst_status_of_adjacent_pointings() -> None:
-    pointings = {stamp_of(m): m.status for m in clean().pointings}
+    pointings = {stamp_of(m): m.status for m in undisturbed_run().pointings}
     times = sorted(pointings)
     statuses = set()
-    for message in clean().messages(DIRECTION):
+    for message in undisturbed_run().messages(DIRECTION):
         after = next(i for i, ns in enumerate(times) if ns >= stamp_of(message))
         assert message.status >= max(pointings[times[after - 1]], pointings[times[after]])
         statuses.add(message.status)
@@ -108,18 +108,18 @@ def test_direction_has_the_worst_status_of_adjacent_pointings() -> None:
 
 
 def test_images_change_no_other_output_to_the_last_bit() -> None:
-    assert without_targets(clean()) == run_of().results()
+    assert outputs_without_targets(undisturbed_run()) == run_of().results()
 
 
 def test_degraded_ship_makes_it_degraded() -> None:
     base = tuple(
-        Arrival(a.topic, _changed(a.message, status=2), a.receive_ns) if a.topic == SHIP else a for a in session()
+        Arrival(a.topic, _change_message(a.message, status=2), a.receive_ns) if a.topic == SHIP else a for a in session()
     )
     run = run_of(*images(), base=base)
     assert {m.status for m in run.messages(DIRECTION)} == {Status.DEGRADED}
 
 
-def _changed(message: Any, **fields: Any) -> Any:
+def _change_message(message: Any, **fields: Any) -> Any:
     kept = {name: getattr(message, name) for name in message.get_fields_and_field_types()}
     return type(message)(**{**kept, **fields})
 
@@ -141,9 +141,9 @@ BAD: dict[str, tuple[Reason, dict[str, Any]]] = {
 @pytest.mark.parametrize("kind", BAD)
 def test_bad_image_is_rejected_by_name_without_effect(kind: str) -> None:
     reason, fields = BAD[kind]
-    run = run_of(*images(), arriving(image(2.05, **fields)))
+    run = run_of(*images(), arrival_of(image(2.05, **fields)))
     assert run.reasons(TARGET) == {reason.word: 1}
-    assert run.results() == clean().results()
+    assert run.results() == undisturbed_run().results()
 
 
 def test_images_without_a_main_detector_are_rejected_with_advice() -> None:
@@ -156,7 +156,7 @@ def test_images_without_a_main_detector_are_rejected_with_advice() -> None:
 
 
 def test_an_unknown_range_gives_a_direction_and_no_place() -> None:
-    run = run_of(arriving(image(2.05, range=NAN)), arriving(image(2.25, range_sigma=NAN)))
+    run = run_of(arrival_of(image(2.05, range=NAN)), arrival_of(image(2.25, range_sigma=NAN)))
     for message in run.messages(DIRECTION):
         assert message.status == Status.VALID
         assert np.isfinite([message.azimuth, message.elevation, *message.covariance]).all()
@@ -165,40 +165,40 @@ def test_an_unknown_range_gives_a_direction_and_no_place() -> None:
 
 
 def test_the_same_image_again_is_a_duplicate_and_another_one_a_conflict() -> None:
-    first = arriving(image(2.05))
+    first = arrival_of(image(2.05))
     again = Arrival(TARGET, first.message, first.receive_ns + 1_000_000)
     run = run_of(first, again)
     assert run.reasons(TARGET) == {"duplicate": 1}
     assert [m.status for m in run.messages(DIRECTION)] == [Status.VALID]
     other = Arrival(TARGET, image(2.05, x=0.001), first.receive_ns + 1_000_000)
-    run = run_of(first, other, arriving(image(2.25)))
+    run = run_of(first, other, arrival_of(image(2.25)))
     assert run.reasons(TARGET) == {"conflict": 1}
     # After it the detector has sent conflicting images of one time: for ten seconds nothing by it is VALID.
     assert [m.status for m in run.messages(DIRECTION)][-1] == Status.DEGRADED
 
 
 def test_two_targets_in_one_exposure_are_two_directions() -> None:
-    run = run_of(arriving(image(2.05)), arriving(image(2.05, target_id="mast", x=0.001)))
+    run = run_of(arrival_of(image(2.05)), arrival_of(image(2.05, target_id="mast", x=0.001)))
     assert {m.target_id for m in run.messages(DIRECTION)} == {"buoy", "mast"}
 
 
 @pytest.mark.parametrize(("latency_s", "reason"), [(1.5, None), (2.5, "late")])
 def test_a_late_image_is_answered_at_its_own_time_within_the_lag(latency_s: float, reason: str | None) -> None:
-    run = run_of(arriving(image(2.05), latency_s))
+    run = run_of(arrival_of(image(2.05), latency_s))
     directions = run.messages(DIRECTION)
     if reason is not None:
         assert (directions, run.reasons(TARGET)) == ([], {reason: 1})
         return
     (message,) = directions
     found = np.array([message.direction.x, message.direction.y, message.direction.z])
-    assert np.linalg.norm(ENU_FROM_HORIZON @ seen_n(2.05) - found) < 2e-4
+    assert np.linalg.norm(ENU_FROM_HORIZON @ target_direction_n(2.05) - found) < 2e-4
 
 
 @pytest.mark.parametrize(("topic", "text"), [(ENCODER, "no encoder readings"), (SHIP, "no attitudes of the ship")])
 def test_image_without_pointing_is_invalid_and_reported(topic: str, text: str) -> None:
     """Without data the image waits for the lag; then INVALID with NaN is published, and the reason is in health."""
     base = tuple(a for a in session() if not (a.topic == topic and a.stamp_ns > START_NS + 3 * SECOND_NS))
-    run = run_of(arriving(image(2.05)), arriving(image(4.05)), base=base)
+    run = run_of(arrival_of(image(2.05)), arrival_of(image(4.05)), base=base)
     first, silent = sorted(run.messages(DIRECTION), key=stamp_of)
     assert (first.status, silent.status) == (Status.VALID, Status.INVALID)
     numbers = [silent.azimuth, silent.elevation, *silent.covariance, silent.direction.x, silent.position.x]
@@ -209,14 +209,14 @@ def test_image_without_pointing_is_invalid_and_reported(topic: str, text: str) -
 
 def test_flood_is_bounded_and_its_oldest_are_rejected() -> None:
     base = tuple(a for a in session() if a.stamp_ns < START_NS + 3 * SECOND_NS)
-    flood = [arriving(image(3.5, target_id=f"t{number}"), 0.01) for number in range(1100)]
+    flood = [arrival_of(image(3.5, target_id=f"t{number}"), 0.01) for number in range(1100)]
     run = run_of(*flood, base=base)
     assert run.reasons(TARGET)["overflow"] == 100
     assert len(run.messages(DIRECTION)) == 1000
 
 
 def test_the_order_in_which_images_come_does_not_matter() -> None:
-    targets = [arriving(image(t_s)) for t_s in (2.05, 2.15, 2.25)]
+    targets = [arrival_of(image(t_s)) for t_s in (2.05, 2.15, 2.25)]
     last_ns = targets[-1].receive_ns + 200_000_000
     backwards = [Arrival(TARGET, a.message, last_ns - i) for i, a in enumerate(targets)]
     in_turn = [Arrival(TARGET, a.message, last_ns + i) for i, a in enumerate(targets)]

@@ -26,7 +26,7 @@ from theodolite_calib.lights.telescope_attitude import AttitudePrior, TelescopeA
 RTK_ONLY = replace(SURVEY, rtk_bias_sigma_m=np.full(3, 0.027))
 
 
-def solved(epochs: Epochs, prior: AttitudePrior | None = None) -> TelescopeAttitude:
+def solve_epochs(epochs: Epochs, prior: AttitudePrior | None = None) -> TelescopeAttitude:
     return solve_attitude(epochs.image, epochs.camera, epochs.lines(), prior)
 
 
@@ -39,7 +39,7 @@ def test_all_azimuths_elevations_and_image_rotations_are_recovered():
         np.arange(0.0, 360.0, 15.0), [-5.0, 0.0, 20.0, 45.0, 70.0, 89.0, 89.99, 90.0], np.arange(-180.0, 181.0, 20.0)
     )
     epochs = error_free_epochs(truth_of(*grid), RTK_ONLY)
-    attitude = solved(epochs)
+    attitude = solve_epochs(epochs)
     assert attitude.solved.all()
     # The refraction of the simulation is the same to 1e-9 rad.
     assert np.abs(error_n(epochs, attitude)).max() < 1e-8
@@ -50,7 +50,7 @@ def test_rotation_of_exact_directions_is_scipys():
     epochs = error_free_epochs(truth_of(250.0, 35.0, -130.0, FOUR_BEACONS_DEG), RTK_ONLY)
     lines = epochs.lines()
     expected, _ = Rotation.align_vectors(lines.direction_n, epochs.camera.directions(epochs.image.point_m))
-    assert solved(epochs).rotation_nt == pytest.approx(expected.as_matrix(), abs=1e-9)
+    assert solve_epochs(epochs).rotation_nt == pytest.approx(expected.as_matrix(), abs=1e-9)
 
 
 def test_rotation_by_weights_is_scipys():
@@ -70,7 +70,7 @@ def test_rotation_by_weights_is_scipys():
         weights=sigma_m**-2.0,
         return_sensitivity=True,
     )
-    attitude = solved(epochs)
+    attitude = solve_epochs(epochs)
     assert np.abs(log_rotation(attitude.rotation_nt @ expected.as_matrix().T)).max() / ARCSEC < 1e-3
     # scipy's sensitivity is the covariance divided by the harmonic mean of the variances, over their number.
     harmonic = 1.0 / np.mean((sigma_m / DISTANCE_M) ** -2.0)
@@ -112,7 +112,7 @@ def test_a_part_of_the_budget_is_what_its_source_does(source):
                 survey=replace(drawn.survey, refraction_coefficient=k),
             )
     assert lines.direction_n.shape == (count, 2, 3)
-    attitude = solved(epochs)
+    attitude = solve_epochs(epochs)
     part = attitude.covariance_by_source_n[source].mean(axis=0)
     error = error_n(epochs, attitude)
     values, axes = np.linalg.eigh(part)
@@ -126,7 +126,7 @@ def test_a_part_of_the_budget_is_what_its_source_does(source):
 @pytest.mark.parametrize("count", [3, 4])
 def test_more_beacons_match_their_covariance(count):
     epochs = paper_epochs(truth_of(np.full(4_000, 33.0), 50.0, 100.0, FOUR_BEACONS_DEG[:count]), seed=11)
-    attitude = solved(epochs)
+    attitude = solve_epochs(epochs)
     low, high = mean_nees_band(4_000, 3)
     assert low < normalized_error_squared(error_n(epochs, attitude), attitude.covariance_n).mean() < high
     low, high = mean_nees_band(4_000, attitude.degrees)
@@ -143,7 +143,7 @@ def one_light(count: int, sigma: FloatArray) -> tuple[Epochs, AttitudePrior]:
 def test_one_beacon_with_a_prior_matches_its_covariance():
     count, sigma = 4_000, np.array([30.0, 90.0, 50.0]) * ARCSEC
     epochs, prior = one_light(count, sigma)
-    attitude = solved(epochs, prior)
+    attitude = solve_epochs(epochs, prior)
     low, high = mean_nees_band(count, 3)
     assert low < normalized_error_squared(error_n(epochs, attitude), attitude.covariance_n).mean() < high
     low, high = mean_nees_band(count, 2)
@@ -151,11 +151,11 @@ def test_one_beacon_with_a_prior_matches_its_covariance():
     assert low < attitude.chi2.mean() < high
     # Across the light: 13" are 0.1 % of focal length at 3.6° from the axis, the rest is below 5"; the prior has 60".
     light_n = epochs.lines().direction_n[:, 0]
-    across = np.sqrt(np.einsum("nii->n", attitude.covariance_n) - about(light_n, attitude.covariance_n))
+    across = np.sqrt(np.einsum("nii->n", attitude.covariance_n) - variance_about(light_n, attitude.covariance_n))
     assert across.max() / ARCSEC == pytest.approx(13.4, abs=0.5)
 
 
-def about(direction_n: FloatArray, covariance_n: FloatArray) -> FloatArray:
+def variance_about(direction_n: FloatArray, covariance_n: FloatArray) -> FloatArray:
     """Return the variance of the rotation about a direction."""
     return np.einsum("ni,nij,nj->n", direction_n, covariance_n, direction_n)
 
@@ -163,18 +163,18 @@ def about(direction_n: FloatArray, covariance_n: FloatArray) -> FloatArray:
 def test_one_beacon_keeps_the_prior_rotation_about_it():
     sigma = np.full(3, 60.0 * ARCSEC)
     epochs, prior = one_light(50, sigma)
-    attitude = solved(epochs, prior)
+    attitude = solve_epochs(epochs, prior)
     # About the light as the telescope sees it, the attitude does not turn, and is no better known: 0.1 % of 60" is
     # what the light's own errors do.
     light_n = epochs.lines().direction_n[:, 0]
     turned = np.einsum("ni,ni->n", light_n, log_rotation(attitude.rotation_nt @ np.swapaxes(prior.rotation_nt, -1, -2)))
     assert np.abs(turned).max() / ARCSEC < 0.06
-    assert np.sqrt(about(light_n, attitude.covariance_n)) / ARCSEC == pytest.approx(np.full(50, 60.0), rel=1e-3)
+    assert np.sqrt(variance_about(light_n, attitude.covariance_n)) / ARCSEC == pytest.approx(np.full(50, 60.0), rel=1e-3)
 
 
 def test_one_beacon_without_a_prior_is_refused():
     with pytest.raises(ValueError, match="prior attitude is needed"):
-        solved(error_free_epochs(truth_of(0.0, 10.0, 0.0, BEACONS_DEG[:1])))
+        solve_epochs(error_free_epochs(truth_of(0.0, 10.0, 0.0, BEACONS_DEG[:1])))
 
 
 def test_close_beacons_need_a_prior():
@@ -183,21 +183,21 @@ def test_close_beacons_need_a_prior():
     direction_n = truth.direction_n.copy()
     direction_n[1] = truth_of(120.0, 25.0, 0.0).direction_n
     epochs = error_free_epochs(replace(truth, direction_n=direction_n), RTK_ONLY)
-    alone = solved(epochs)
+    alone = solve_epochs(epochs)
     assert alone.solved.tolist() == [False, True]
     assert np.isnan(alone.rotation_nt[0]).all()
     assert np.isnan(alone.covariance_n[0]).all()
     assert np.isnan([alone.chi2[0], alone.focal_length_m[0]]).all()
     assert np.abs(error_n(epochs, alone)[1]).max() < 1e-8
     prior = AttitudePrior(truth.rotation_nt, {"prior": (60.0 * ARCSEC) ** 2 * np.eye(3)})
-    assert solved(epochs, prior).solved.all()
+    assert solve_epochs(epochs, prior).solved.all()
 
 
 def test_beacon_behind_the_telescope_is_not_solved():
     # By its prior the telescope looks away from the only light: there is no image of it.
     epochs = error_free_epochs(truth_of(0.0, 10.0, 0.0, BEACONS_DEG[:1]), RTK_ONLY)
     away = truth_of(180.0, 10.0, 0.0).rotation_nt
-    attitude = solved(epochs, AttitudePrior(away, {"prior": 1e-6 * np.eye(3)}))
+    attitude = solve_epochs(epochs, AttitudePrior(away, {"prior": 1e-6 * np.eye(3)}))
     assert not attitude.solved
     assert np.isnan(attitude.rotation_nt).all()
 
@@ -210,20 +210,20 @@ def test_principal_point_off_its_place_is_seen_by_nothing():
     wrong = replace(
         epochs, survey=replace(epochs.survey, principal_point=LeverArm(lens + 0.06 * np.eye(3)[1], np.zeros(3)))
     )
-    right, off = solved(epochs), solved(wrong)
+    right, off = solve_epochs(epochs), solve_epochs(wrong)
     shift = angle_between(right.rotation_nt[..., 0], off.rotation_nt[..., 0]) / ARCSEC
     assert np.all((shift > 6.0) & (shift < 7.0))
     # One degree of freedom is left, and it changes by a hundredth of a sigma.
     assert np.abs(np.sqrt(off.chi2) - np.sqrt(right.chi2)).max() < 0.01
     assert np.abs(off.focal_length_m - right.focal_length_m).max() < 0.01 * right.focal_length_sigma_m.min()
     said = replace(wrong, survey=replace(epochs.survey, principal_point=LeverArm(lens, np.array([0.0, 0.06, 0.0]))))
-    budget = np.sqrt(np.trace(solved(said).covariance_by_source_n["lever_arms"], axis1=-1, axis2=-2)) / ARCSEC
+    budget = np.sqrt(np.trace(solve_epochs(said).covariance_by_source_n["lever_arms"], axis1=-1, axis2=-2)) / ARCSEC
     assert np.all((budget > 6.0) & (budget < 7.0))
 
 
 def test_epochs_at_once_are_epochs_one_by_one():
     epochs = paper_epochs(truth_of(np.array([10.0, 100.0, 200.0]), 20.0, 5.0), seed=3)
-    together = solved(epochs)
+    together = solve_epochs(epochs)
     for i in range(3):
         lights = replace(
             epochs.beacons,
@@ -234,7 +234,7 @@ def test_epochs_at_once_are_epochs_one_by_one():
         ship = replace(epochs.ship, rotation_nd=epochs.ship.rotation_nd[i], rotation_dm=epochs.ship.rotation_dm[i])
         survey = replace(epochs.survey, refraction_light_sigma=epochs.survey.refraction_beacon_sigma[i])
         image = replace(epochs.image, point_m=epochs.image.point_m[i], sigma_m=epochs.image.sigma_m[i])
-        alone = solved(replace(epochs, lights=lights, ship=ship, survey=survey, image=image))
+        alone = solve_epochs(replace(epochs, lights=lights, ship=ship, survey=survey, image=image))
         assert alone.rotation_nt == pytest.approx(together.rotation_nt[i], abs=1e-12)
         assert alone.covariance_n == pytest.approx(together.covariance_n[i], rel=1e-6, abs=1e-16)
         assert alone.chi2 == pytest.approx(together.chi2[i], abs=1e-6)

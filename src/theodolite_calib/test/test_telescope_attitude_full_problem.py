@@ -19,10 +19,10 @@ from ship_testing.simulated_sightings import (
     truth_of,
 )
 from theodolite_calib.lights.line_of_sight import LeverArm, covariance_by_source
-from theodolite_calib.lights.telescope_attitude import AttitudePrior, TelescopeAttitude, linearised, solve_attitude, total
+from theodolite_calib.lights.telescope_attitude import AttitudePrior, TelescopeAttitude, linearise, solve_attitude, total_covariance
 
 
-def solved(problem: "FullProblem") -> TelescopeAttitude:
+def solve_problem(problem: "FullProblem") -> TelescopeAttitude:
     epoch = problem.epoch
     return solve_attitude(epoch.image, epoch.camera, epoch.lines(), problem.prior)
 
@@ -106,7 +106,7 @@ class FullProblem:
         )
 
 
-def a_prior(rotation_nt: FloatArray, sigma_deg: float) -> AttitudePrior:
+def make_prior(rotation_nt: FloatArray, sigma_deg: float) -> AttitudePrior:
     """Return an anisotropic, correlated prior with errors of its stated size, of two sources."""
     root = np.deg2rad(sigma_deg) * np.array([[1.0, 0.0, 0.0], [0.5, 0.8, 0.0], [-0.3, 0.2, 0.6]])
     off = root @ np.array([0.8, -1.1, 0.5])
@@ -127,9 +127,9 @@ CASES = {
 def test_optimum_covariance_and_misfit_are_those_of_the_full_problem(name):
     lights_deg, sigma_deg = CASES[name]
     rotation_nt = truth_of(140.0, 30.0, 70.0).rotation_nt
-    prior = None if sigma_deg is None else a_prior(rotation_nt, sigma_deg)
+    prior = None if sigma_deg is None else make_prior(rotation_nt, sigma_deg)
     problem = FullProblem(lights_deg, prior)
-    full, attitude = problem.solution(), solved(problem)
+    full, attitude = problem.solution(), solve_problem(problem)
 
     expected = exp_rotation(full.x[:3]) @ problem.epoch.truth.rotation_nt
     sigma = np.sqrt(np.diag(attitude.covariance_n))
@@ -149,17 +149,17 @@ def test_optimum_covariance_and_misfit_are_those_of_the_full_problem(name):
 @pytest.mark.parametrize("name", CASES)
 def test_the_budget_adds_up_to_the_covariance(name):
     lights_deg, sigma_deg = CASES[name]
-    prior = None if sigma_deg is None else a_prior(truth_of(140.0, 30.0, 70.0).rotation_nt, sigma_deg)
+    prior = None if sigma_deg is None else make_prior(truth_of(140.0, 30.0, 70.0).rotation_nt, sigma_deg)
     problem = FullProblem(lights_deg, prior)
-    attitude, epoch = solved(problem), problem.epoch
+    attitude, epoch = solve_problem(problem), problem.epoch
     sources = {"rtk", "lever_arms", "ship_attitude", "drone_attitude", "refraction", "image", "focal_length"}
     assert set(attitude.covariance_by_source_n) == (sources if prior is None else sources | {"encoder"})
     parts = np.array(list(attitude.covariance_by_source_n.values()))
     # The covariance by the information of the equations, which knows nothing of sources; taken one step later, which
     # may be 1e-9 rad.
     lines = epoch.lines()
-    line_covariance = total(covariance_by_source(lines.terms))
-    equations = linearised(epoch.image, epoch.camera, lines.direction_n, line_covariance, attitude.rotation_nt, prior)
+    line_covariance = total_covariance(covariance_by_source(lines.terms))
+    equations = linearise(epoch.image, epoch.camera, lines.direction_n, line_covariance, attitude.rotation_nt, prior)
     expected = np.linalg.inv(equations.weighted_jacobian @ equations.jacobian)
     assert parts.sum(axis=0) == pytest.approx(attitude.covariance_n, rel=1e-9)
     assert np.abs(attitude.covariance_n - expected).max() < 1e-8 * np.abs(expected).max()

@@ -13,7 +13,7 @@ from ship_testing.small_session import ENCODER, Run, run_adapter, new_adapter, s
 AT_S, DURATION_S = 10.0, 20.0
 
 
-def stepped(step_s: float, *topics: str) -> tuple[Arrival, ...]:
+def step_clocks(step_s: float, *topics: str) -> tuple[Arrival, ...]:
     """Return the session with a step of the clocks of some topics, all without any, from a time on."""
 
     def change(message: Any) -> None:
@@ -27,17 +27,17 @@ def stepped(step_s: float, *topics: str) -> tuple[Arrival, ...]:
     )
 
 
-def sailed(step_s: float, *topics: str, node_follows: bool = True) -> Run:
+def run_session(step_s: float, *topics: str, node_follows: bool = True) -> Run:
     run, since_ns = Run(new_adapter()), START_NS + round(AT_S * SECOND_NS)
     off_ns = round(step_s * SECOND_NS) if node_follows else 0
-    hand_over(run, stepped(step_s, *topics), node_ns=lambda ns: ns + (off_ns if ns >= since_ns else 0))
+    hand_over(run, step_clocks(step_s, *topics), node_ns=lambda ns: ns + (off_ns if ns >= since_ns else 0))
     return run
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("step_s", [-900.0, -300.0, -1.0, 900.0])
 def test_all_clocks_step_and_the_pointing_is_valid_within_two_seconds(step_s: float) -> None:
-    run, calm = sailed(step_s), run_adapter(new_adapter(), session(DURATION_S))
+    run, calm = run_session(step_s), run_adapter(new_adapter(), session(DURATION_S))
     since_ns = START_NS + round(AT_S * SECOND_NS)
     # Readings of within a tenth of a second wait for the ship.
     after = [m for ns, topic, m in run.published if topic == "theodolite/pointing" and ns >= since_ns + 2 * SECOND_NS]
@@ -58,6 +58,6 @@ def test_all_clocks_step_and_the_pointing_is_valid_within_two_seconds(step_s: fl
 
 @pytest.mark.slow
 def test_the_encoders_clock_alone_is_no_step_of_the_time_base() -> None:
-    run = sailed(-300.0, ENCODER, node_follows=False)
+    run = run_session(-300.0, ENCODER, node_follows=False)
     assert not run.adapter.time_base.steps
     assert run.reasons(ENCODER)["late"] > 100

@@ -62,7 +62,7 @@ def test_assembled_sighting_includes_interpolation_errors() -> None:
     for time_ns in np.random.default_rng(27).integers(2 * STEP_NS, 56 * STEP_NS, 200).tolist():
         time_s = time_ns / SECOND_NS
         encoder, ship = slow.encoder_at(time_ns), slow.ship_at(time_ns)
-        placed = slow.baselines["alpha"].usable_at(time_ns)
+        placed = slow.baselines["alpha"].baseline_at(time_ns)
         assert encoder is not None
         assert ship is not None
         assert isinstance(placed, tuple)

@@ -36,7 +36,7 @@ def write(path: Path, number: int, phase_ns: int, seed: int, count: int = 20, no
             writer.write(TOPIC, direction_message(time_ns, turned_n, SIGMA, **changes), time_ns)
 
 
-def described(folder: Path, *phases_ns: int, **changes) -> Path:
+def describe_stations(folder: Path, *phases_ns: int, **changes) -> Path:
     values = triangulation_values(len(phases_ns))
     for number, phase_ns in enumerate(phases_ns):
         write(folder / f"t{number}.mcap", number, phase_ns, seed=number, **changes)
@@ -53,7 +53,7 @@ def table(path: Path) -> list[dict[str, str]]:
 
 def test_positions_match_their_covariance(tmp_path: Path, capsys) -> None:
     # Stamps of all three are equal: nothing is interpolated, errors are independent from row to row.
-    stations = described(tmp_path, 0, 0, 0, count=60)
+    stations = describe_stations(tmp_path, 0, 0, 0, count=60)
     assert main([str(stations), "--target", "buoy", "--out", str(tmp_path / "places.csv")]) in (0, 1)
     rows = table(tmp_path / "places.csv")
     assert tuple(rows[0]) == COLUMNS
@@ -72,7 +72,7 @@ def test_positions_match_their_covariance(tmp_path: Path, capsys) -> None:
 
 
 def test_directions_at_other_times_are_interpolated(tmp_path: Path) -> None:
-    stations = described(tmp_path, 0, 37_000_000, -21_000_000, noise=0.0)
+    stations = describe_stations(tmp_path, 0, 37_000_000, -21_000_000, noise=0.0)
     assert main([str(stations), "--target", "buoy", "--out", str(tmp_path / "places.csv")]) == 0
     rows = table(tmp_path / "places.csv")
     assert {row["stations"] for row in rows} >= {"t0 t1 t2"}
@@ -83,7 +83,7 @@ def test_directions_at_other_times_are_interpolated(tmp_path: Path) -> None:
 
 
 def test_next_theodolite_leads_if_the_first_has_no_direction(tmp_path: Path) -> None:
-    stations = described(tmp_path, 0, 20_000_000, 40_000_000, noise=0.0)
+    stations = describe_stations(tmp_path, 0, 20_000_000, 40_000_000, noise=0.0)
     write(tmp_path / "t0.mcap.new", 0, 0, seed=0, count=8, noise=0.0)
     (tmp_path / "t0.mcap.new").replace(tmp_path / "t0.mcap")
     assert main([str(stations), "--target", "buoy", "--out", str(tmp_path / "places.csv")]) == 0
@@ -98,7 +98,7 @@ def test_next_theodolite_leads_if_the_first_has_no_direction(tmp_path: Path) -> 
 
 
 def test_inconsistent_directions_are_reported(tmp_path: Path, capsys) -> None:
-    stations = described(tmp_path, 0, 0, 0, noise=0.0)
+    stations = describe_stations(tmp_path, 0, 0, 0, noise=0.0)
     write(tmp_path / "t1.mcap.new", 1, 0, seed=9, noise=0.0, turn=0.01)
     (tmp_path / "t1.mcap.new").replace(tmp_path / "t1.mcap")
     assert main([str(stations), "--target", "buoy", "--out", str(tmp_path / "places.csv")]) == 1
@@ -118,7 +118,7 @@ def test_inconsistent_directions_are_reported(tmp_path: Path, capsys) -> None:
     ],
 )
 def test_bad_input_is_named(tmp_path: Path, capsys, change: dict, target: str, named: str) -> None:
-    stations = described(tmp_path, 0, 0)
+    stations = describe_stations(tmp_path, 0, 0)
     values = yaml.safe_load(stations.read_text())
     values["stations"]["t0"] |= change
     stations.write_text(yaml.safe_dump(values))
@@ -128,14 +128,14 @@ def test_bad_input_is_named(tmp_path: Path, capsys, change: dict, target: str, n
 
 
 def test_one_theodolite_gives_no_place(tmp_path: Path, capsys) -> None:
-    stations = described(tmp_path, 0)
+    stations = describe_stations(tmp_path, 0)
     assert main([str(stations), "--target", "buoy", "--out", str(tmp_path / "places.csv")]) == 2
     assert "two theodolites or more" in capsys.readouterr().err
 
 
 def test_unknown_distance_is_reported(tmp_path: Path, capsys) -> None:
     """The theodolites' own positions are known to a kilometre: the distance of a buoy at two kilometres is unknown."""
-    path = described(tmp_path, 0, 0)
+    path = describe_stations(tmp_path, 0, 0)
     values = yaml.safe_load(path.read_text())
     for station in values["stations"].values():
         station["sigma_m"] = 1000.0

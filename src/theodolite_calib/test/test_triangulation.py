@@ -14,12 +14,12 @@ from ship_estimation.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.refusals import Reason, Rejection
 from ship_geometry.rotations import ARCSEC
 from ship_testing.theodolite_stations import AIR, AXES, ORIGIN, ORIGIN_M, PLACE_SIGMA_M, theodolite_n, seen_direction, station
-from theodolite_calib.target.triangulation import Air, StationDirection, TriangulatedPlace, _Line, triangulated
+from theodolite_calib.target.triangulation import Air, StationDirection, TriangulatedPosition, _Line, triangulate
 
 SIGMA, DRAWS = 3.0 * ARCSEC, 1000
 
 
-def drawn(seed: int, noise: float = 1.0, spread_m: float = 50.0, distance_m: float = 2000.0):
+def random_stations(seed: int, noise: float = 1.0, spread_m: float = 50.0, distance_m: float = 2000.0):
     """Return three theodolites in a row, a random target around them, and its position from the origin."""
     rng = np.random.default_rng(seed)
     azimuth, elevation = rng.uniform(0.0, 2.0 * np.pi), np.deg2rad(rng.uniform(-0.5, 60.0))
@@ -29,7 +29,7 @@ def drawn(seed: int, noise: float = 1.0, spread_m: float = 50.0, distance_m: flo
     directions = []
     for number in range(3):
         at = station(f"t{number}", np.array([(number - 1) * spread_m, 2.0 * number, 5.0 * number]))
-        foot_m = erfa.gd2gc(1, at.place.longitude, at.place.latitude, at.place.height_m)
+        foot_m = erfa.gd2gc(1, at.position.longitude, at.position.latitude, at.position.height_m)
         true_foot_m = foot_m + noise * PLACE_SIGMA_M * rng.standard_normal(3)
         direction_n = seen_direction(at, true_foot_m, ORIGIN_M + target_n @ AXES, coefficient)
         across = np.linalg.svd(direction_n[None])[2][1:]
@@ -39,17 +39,17 @@ def drawn(seed: int, noise: float = 1.0, spread_m: float = 50.0, distance_m: flo
     return directions, target_n
 
 
-def found(directions, **changes) -> TriangulatedPlace:
-    place = triangulated(ORIGIN, directions, changes.get("air", AIR))
-    assert isinstance(place, TriangulatedPlace)
+def triangulate_directions(directions, **changes) -> TriangulatedPosition:
+    place = triangulate(ORIGIN, directions, changes.get("air", AIR))
+    assert isinstance(place, TriangulatedPosition)
     return place
 
 
 @pytest.mark.parametrize(("spread_m", "distance_m"), [(50.0, 2000.0), (5000.0, 20_000.0)])
 def test_without_errors_the_place_is_exact_on_the_curved_earth(spread_m: float, distance_m: float) -> None:
     for seed in range(20):
-        directions, target_n = drawn(seed, noise=0.0, spread_m=spread_m, distance_m=distance_m)
-        place = found(directions)
+        directions, target_n = random_stations(seed, noise=0.0, spread_m=spread_m, distance_m=distance_m)
+        place = triangulate_directions(directions)
         # Raised along the angle here, along Up there: they part by the square of 4" to 42".
         np.testing.assert_allclose(place.position_n, target_n, atol=1e-3 * distance_m / 2000.0)
         assert place.rejection is None
@@ -59,8 +59,8 @@ def test_without_errors_the_place_is_exact_on_the_curved_earth(spread_m: float, 
 def errors() -> tuple[np.ndarray, np.ndarray, float]:
     nees, chi_square, refused = [], [], 0
     for seed in range(DRAWS):
-        directions, target_n = drawn(seed)
-        place = found(directions)
+        directions, target_n = random_stations(seed)
+        place = triangulate_directions(directions)
         nees.append(normalized_error_squared(target_n - place.position_n, place.covariance_n))
         chi_square.append(place.chi_square)
         refused += place.rejection is not None
@@ -77,9 +77,9 @@ def test_three_theodolites_match_their_covariance_at_2_km() -> None:
 
 
 def test_wrong_direction_rejects_the_set() -> None:
-    directions, _ = drawn(3)
+    directions, _ = random_stations(3)
     wrong = directions[1].direction_n + 60.0 * ARCSEC * np.array([0.0, 1.0, 0.0])
-    place = found([directions[0], replace(directions[1], direction_n=wrong / np.linalg.norm(wrong)), directions[2]])
+    place = triangulate_directions([directions[0], replace(directions[1], direction_n=wrong / np.linalg.norm(wrong)), directions[2]])
     assert place.chi_square > place.gate
     assert place.rejection is not None
     assert place.rejection.reason is Reason.GATE
@@ -87,14 +87,14 @@ def test_wrong_direction_rejects_the_set() -> None:
 
 @pytest.mark.parametrize("kind", ["one", "parallel", "behind", "nan"])
 def test_missing_position_is_reported(kind: str) -> None:
-    directions, _ = drawn(4, noise=0.0)
+    directions, _ = random_stations(4, noise=0.0)
     given = {
         "one": directions[:1],
         "parallel": [replace(each, direction_n=directions[0].direction_n) for each in directions],
         "behind": [replace(each, direction_n=-each.direction_n) for each in directions],
         "nan": [replace(directions[0], direction_n=np.full(3, np.nan)), *directions[1:]],
     }[kind]
-    told = triangulated(ORIGIN, given, AIR)
+    told = triangulate(ORIGIN, given, AIR)
     assert isinstance(told, Rejection)
     expected = {"one": "two or more", "parallel": "parallel", "behind": "behind t0", "nan": "NaN"}
     assert expected[kind] in told.text
@@ -102,12 +102,12 @@ def test_missing_position_is_reported(kind: str) -> None:
 
 @pytest.mark.parametrize("distance_m", [50.0, 2000.0, 50_000.0])
 def test_the_change_by_the_place_is_that_of_finite_differences(distance_m: float) -> None:
-    directions, _ = drawn(1, noise=0.0)
-    line = _Line.of(directions[0], AXES, ORIGIN_M)
+    directions, _ = random_stations(1, noise=0.0)
+    line = _Line.from_direction(directions[0], AXES, ORIGIN_M)
     place_n, step_m = line.foot_n + distance_m * np.array([0.8, 0.1, -0.59]), 1e-3 * distance_m
-    _, by_path_n, _ = line.seen_from(place_n, AIR.coefficient)
+    _, by_path_n, _ = line.direction_to(place_n, AIR.coefficient)
     differences = [
-        (line.seen_from(place_n + step_n, AIR.coefficient)[0] - line.seen_from(place_n - step_n, AIR.coefficient)[0])
+        (line.direction_to(place_n + step_n, AIR.coefficient)[0] - line.direction_to(place_n - step_n, AIR.coefficient)[0])
         / (2.0 * step_m)
         for step_n in step_m * np.eye(3)
     ]
@@ -115,7 +115,7 @@ def test_the_change_by_the_place_is_that_of_finite_differences(distance_m: float
     np.testing.assert_allclose(by_path_n, np.transpose(differences), rtol=0.0, atol=1e-6 / distance_m)
 
 
-def abreast(distance_m: float, sigma: float, rng: np.random.Generator) -> tuple[list[StationDirection], np.ndarray]:
+def two_abreast_stations(distance_m: float, sigma: float, rng: np.random.Generator) -> tuple[list[StationDirection], np.ndarray]:
     """Return the position from two theodolites 50 m apart, abreast of the target; positions and air are known."""
     target_n, directions = np.array([25.0, 0.05 * distance_m, distance_m]), []
     for number in range(2):
@@ -130,8 +130,8 @@ def abreast(distance_m: float, sigma: float, rng: np.random.Generator) -> tuple[
 def test_two_theodolites_match_their_covariance_at_50_km() -> None:
     rng, nees = np.random.default_rng(20), []
     for _ in range(DRAWS):
-        directions, target_n = abreast(50_000.0, SIGMA, rng)
-        place = found(directions, air=Air(AIR.coefficient, 0.0))
+        directions, target_n = two_abreast_stations(50_000.0, SIGMA, rng)
+        place = triangulate_directions(directions, air=Air(AIR.coefficient, 0.0))
         nees.append(normalized_error_squared(target_n - place.position_n, place.covariance_n))
     low, high = mean_nees_band(DRAWS, 3)
     assert low < np.mean(nees) < high
@@ -142,7 +142,7 @@ def test_position_with_unknown_distance_is_rejected(distance_m: float, sigma: fl
     """The distance is known to sqrt(2) sigma times itself over 50 m: to 0.69 and 1.1 of itself."""
     rng, texts = np.random.default_rng(21), []
     for _ in range(200):
-        told = triangulated(ORIGIN, abreast(distance_m, sigma, rng)[0], AIR)
+        told = triangulate(ORIGIN, two_abreast_stations(distance_m, sigma, rng)[0], AIR)
         assert isinstance(told, Rejection)
         assert told.reason is Reason.GATE
         texts.append(told.text)

@@ -20,7 +20,7 @@ from ship_testing.garbage import paths, put_garbage
 from ship_testing.theodolite_stations import FACTORY, buoy_n, buoy_direction, direction_message, triangulation_values
 from theodolite_calib.ros.triangulation_adapter import INNOVATION_TOPIC, POSITION_TOPIC, TriangulationAdapter
 from theodolite_calib.target.config import TriangulationConfig
-from theodolite_calib.target.placing import MOST_TARGETS, MOST_WAITING
+from theodolite_calib.target.placing import MAX_TARGETS, MAX_WAITING
 
 START_NS, PERIOD_NS, LATENCY_NS = 1_767_225_600_000_000_000, 100_000_000, 50_000_000
 SIGMA = 3.0 * ARCSEC
@@ -31,7 +31,7 @@ def adapter_of(count: int = 3, **changes: Any) -> TriangulationAdapter:
     return TriangulationAdapter(build(TriangulationConfig, {**triangulation_values(count), **changes}), FACTORY)
 
 
-def seen(number: int, time_ns: int, turn_n: Any = (0.0, 0.0, 0.0), **changes: Any) -> Any:
+def buoy_message(number: int, time_ns: int, turn_n: Any = (0.0, 0.0, 0.0), **changes: Any) -> Any:
     """Return a theodolite's direction of the buoy, rotated by an error."""
     turned_n = exp_rotation(np.asarray(turn_n, dtype=float)) @ buoy_direction(number, (time_ns - START_NS) * 1e-9)
     return direction_message(time_ns, turned_n, SIGMA, **changes)
@@ -43,11 +43,11 @@ def give_message(adapter: TriangulationAdapter, number: int, message: Any, recei
     return adapter.handle(f"t{number}/theodolite/target_direction", message, received_ns)
 
 
-def places(published: list[Any]) -> list[Any]:
+def published_positions(published: list[Any]) -> list[Any]:
     return [message for topic, message in published if topic == POSITION_TOPIC]
 
 
-def reasons(published: list[Any]) -> list[tuple[str, int]]:
+def published_reasons(published: list[Any]) -> list[tuple[str, int]]:
     return [(message.source, message.reason) for topic, message in published if topic == INNOVATION_TOPIC]
 
 
@@ -63,7 +63,7 @@ def test_positions_match_their_covariance() -> None:
         found = [
             message
             for number in range(3)
-            for message in places(give_message(adapter, number, seen(number, time_ns, SIGMA * rng.standard_normal(3))))
+            for message in published_positions(give_message(adapter, number, buoy_message(number, time_ns, SIGMA * rng.standard_normal(3))))
         ]
         if index == 0:
             continue  # no theodolite has reported the buoy yet
@@ -82,13 +82,13 @@ def test_positions_match_their_covariance() -> None:
 def test_one_place_a_stamp_of_the_first_whatever_the_order_of_arrival() -> None:
     adapter, found = adapter_of(), []
     for number in range(3):
-        found += places(give_message(adapter, number, seen(number, START_NS + 10_000_000 * number)))
+        found += published_positions(give_message(adapter, number, buoy_message(number, START_NS + 10_000_000 * number)))
     arrivals = [(START_NS + index * PERIOD_NS + 10_000_000 * n, n) for index in range(1, 12) for n in (0, 1, 2)]
     order = np.random.default_rng(4).permutation(len(arrivals)).reshape(-1, 3)
     for came, block in enumerate(np.sort(order.ravel()).reshape(-1, 3)):
         for place in np.random.default_rng(came).permutation(block):
             time_ns, number = arrivals[place]
-            found += places(give_message(adapter, number, seen(number, time_ns), START_NS + (came + 2) * PERIOD_NS))
+            found += published_positions(give_message(adapter, number, buoy_message(number, time_ns), START_NS + (came + 2) * PERIOD_NS))
     stamps = [ns_from_stamp(message.header.stamp) for message in found if message.status != Status.INVALID]
     assert stamps == sorted(set(stamps))
     assert [(stamp - START_NS) % PERIOD_NS for stamp in stamps] == [0] * len(stamps)
@@ -100,56 +100,56 @@ def test_one_place_a_stamp_of_the_first_whatever_the_order_of_arrival() -> None:
 def test_overtaken_message_is_late_without_other_theodolites() -> None:
     adapter, published = adapter_of(2), []
     for number in range(2):
-        give_message(adapter, number, seen(number, START_NS))
+        give_message(adapter, number, buoy_message(number, START_NS))
     for number, index in ((1, 2), (0, 2), (0, 1)):
-        published += give_message(adapter, number, seen(number, START_NS + index * PERIOD_NS), START_NS + 3 * PERIOD_NS)
-    assert [ns_from_stamp(message.header.stamp) for message in places(published)] == [START_NS + 2 * PERIOD_NS]
-    assert reasons(published) == [("station.t0", Reason.LATE)]
+        published += give_message(adapter, number, buoy_message(number, START_NS + index * PERIOD_NS), START_NS + 3 * PERIOD_NS)
+    assert [ns_from_stamp(message.header.stamp) for message in published_positions(published)] == [START_NS + 2 * PERIOD_NS]
+    assert published_reasons(published) == [("station.t0", Reason.LATE)]
 
 
 def test_reporting_theodolite_is_awaited_up_to_the_lag() -> None:
     adapter = adapter_of(3, lag_s=0.5)
     for index in range(3):
         for number in range(3):
-            give_message(adapter, number, seen(number, START_NS + index * PERIOD_NS))
+            give_message(adapter, number, buoy_message(number, START_NS + index * PERIOD_NS))
     time_ns = START_NS + 3 * PERIOD_NS
-    assert places(give_message(adapter, 0, seen(0, time_ns))) == []
-    assert places(give_message(adapter, 1, seen(1, time_ns))) == []
+    assert published_positions(give_message(adapter, 0, buoy_message(0, time_ns))) == []
+    assert published_positions(give_message(adapter, 1, buoy_message(1, time_ns))) == []
     now_ns = time_ns + LATENCY_NS
-    assert places(adapter.tick(now_ns + 400_000_000)) == []
-    (place,) = places(adapter.tick(now_ns + 600_000_000))
+    assert published_positions(adapter.tick(now_ns + 400_000_000)) == []
+    (place,) = published_positions(adapter.tick(now_ns + 600_000_000))
     assert place.status == Status.VALID
     # Silent for longer than the lag, it is waited for no more.
     for index in range(4, 11):
         later_ns = time_ns + index * PERIOD_NS
-        first, second = (places(give_message(adapter, number, seen(number, later_ns))) for number in (0, 1))
+        first, second = (published_positions(give_message(adapter, number, buoy_message(number, later_ns))) for number in (0, 1))
     assert first == []
     assert [ns_from_stamp(place.header.stamp) for place in second] == [later_ns]
     # What comes after the place of its time is refused.
-    assert reasons(give_message(adapter, 2, seen(2, time_ns), later_ns + LATENCY_NS)) == [("station.t2", Reason.LATE)]
+    assert published_reasons(give_message(adapter, 2, buoy_message(2, time_ns), later_ns + LATENCY_NS)) == [("station.t2", Reason.LATE)]
 
 
 def test_single_theodolite_is_invalid_with_the_reason() -> None:
     adapter = adapter_of(2)
-    published = give_message(adapter, 0, seen(0, START_NS))
-    (place,) = places(published)
+    published = give_message(adapter, 0, buoy_message(0, START_NS))
+    (place,) = published_positions(published)
     assert place.status == Status.INVALID
     assert np.isnan([place.position.x, place.position.y, place.position.z, *place.position_covariance]).all()
-    assert reasons(published) == [("stations", Reason.GAP)]
+    assert published_reasons(published) == [("stations", Reason.GAP)]
 
 
 def test_directions_that_do_not_fit_claim_nothing() -> None:
     adapter = adapter_of(3)
     for number in range(3):
-        give_message(adapter, number, seen(number, START_NS))
+        give_message(adapter, number, buoy_message(number, START_NS))
     published = []
     for number in range(3):
         turn_n = [0.0, 0.01, 0.0] if number == 1 else [0.0, 0.0, 0.0]
-        published += give_message(adapter, number, seen(number, START_NS + PERIOD_NS, turn_n))
-    (place,) = places(published)
+        published += give_message(adapter, number, buoy_message(number, START_NS + PERIOD_NS, turn_n))
+    (place,) = published_positions(published)
     assert place.status == Status.INVALID
     assert np.isnan(place.position.x)
-    assert reasons(published) == [("stations", Reason.GATE)]
+    assert published_reasons(published) == [("stations", Reason.GATE)]
 
 
 @pytest.mark.parametrize("status", [Status.VALID, Status.COASTING, Status.DEGRADED])
@@ -158,8 +158,8 @@ def test_a_place_is_worth_no_more_than_the_directions_that_it_rests_on(status: S
     for index in range(2):
         for number in range(3):
             worth = status if number == 1 else Status.VALID
-            published += give_message(adapter, number, seen(number, START_NS + index * PERIOD_NS, status=int(worth)))
-    assert places(published)[-1].status == status
+            published += give_message(adapter, number, buoy_message(number, START_NS + index * PERIOD_NS, status=int(worth)))
+    assert published_positions(published)[-1].status == status
 
 
 def test_invalid_direction_is_ignored_and_not_awaited() -> None:
@@ -167,22 +167,22 @@ def test_invalid_direction_is_ignored_and_not_awaited() -> None:
     for index in range(2):
         for number in range(3):
             changes = {"status": int(Status.INVALID)} if index and number == 2 else {}
-            published = give_message(adapter, number, seen(number, START_NS + index * PERIOD_NS, **changes))
-    (place,) = places(published)
+            published = give_message(adapter, number, buoy_message(number, START_NS + index * PERIOD_NS, **changes))
+    (place,) = published_positions(published)
     assert place.status == Status.VALID
-    assert (("station.t2", Reason.GAP)) in reasons(published)
+    assert (("station.t2", Reason.GAP)) in published_reasons(published)
 
 
 def test_contradictory_theodolite_is_degraded() -> None:
     adapter, published = adapter_of(2), []
     for index in range(3):
         time_ns = START_NS + index * PERIOD_NS
-        give_message(adapter, 0, seen(0, time_ns))
+        give_message(adapter, 0, buoy_message(0, time_ns))
         if index == 1:
-            published += give_message(adapter, 0, seen(0, time_ns, [0.0, 1e-6, 0.0]))
-        published += give_message(adapter, 1, seen(1, time_ns))
-    assert ("station.t0", Reason.CONFLICT) in reasons(published)
-    assert [place.status for place in places(published)][-1] == Status.DEGRADED
+            published += give_message(adapter, 0, buoy_message(0, time_ns, [0.0, 1e-6, 0.0]))
+        published += give_message(adapter, 1, buoy_message(1, time_ns))
+    assert ("station.t0", Reason.CONFLICT) in published_reasons(published)
+    assert [place.status for place in published_positions(published)][-1] == Status.DEGRADED
     statuses = {status.name: status for status in adapter.own_statuses(START_NS + 4 * PERIOD_NS)}
     assert "station.t0 sent conflicting data with one stamp" in statuses["position"].message
 
@@ -193,8 +193,8 @@ def test_a_place_by_directions_of_two_publishers_is_degraded_while_both_send() -
     for index in range(6):
         adapter.set_duplicate_publishers(topic, text if index in (2, 3) else "")
         for number in range(2):
-            published += give_message(adapter, number, seen(number, START_NS + index * PERIOD_NS))
-    statuses = [place.status for place in places(published)]
+            published += give_message(adapter, number, buoy_message(number, START_NS + index * PERIOD_NS))
+    statuses = [place.status for place in published_positions(published)]
     # The first direction has none of the other theodolite to go with it.
     assert statuses[1:] == [Status.VALID, Status.DEGRADED, Status.DEGRADED, Status.VALID, Status.VALID]
 
@@ -216,31 +216,31 @@ def test_a_place_by_directions_of_two_publishers_is_degraded_while_both_send() -
 )
 def test_unusable_messages_are_rejected_with_the_reason(changes: dict, reason: Reason) -> None:
     adapter = adapter_of(2)
-    published = give_message(adapter, 0, seen(0, START_NS, **changes), START_NS + LATENCY_NS)
-    assert reasons(published) == [("station.t0", reason)]
-    assert places(published) == []
+    published = give_message(adapter, 0, buoy_message(0, START_NS, **changes), START_NS + LATENCY_NS)
+    assert published_reasons(published) == [("station.t0", reason)]
+    assert published_positions(published) == []
 
 
 def test_a_target_that_is_forgotten_has_its_directions_answered_and_stamps_that_go_on() -> None:
     adapter, published = adapter_of(2), []
     for index in range(2):
         for number in (1, 0) if index else (0, 1):
-            published += give_message(adapter, number, seen(number, START_NS + index * PERIOD_NS))
+            published += give_message(adapter, number, buoy_message(number, START_NS + index * PERIOD_NS))
     waiting_ns = START_NS + 2 * PERIOD_NS
-    assert places(give_message(adapter, 0, seen(0, waiting_ns))) == []
+    assert published_positions(give_message(adapter, 0, buoy_message(0, waiting_ns))) == []
     published = []
-    for index in range(MOST_TARGETS):
-        published += give_message(adapter, 1, seen(1, waiting_ns, target_id=f"x{index}"))
-    (answer,) = [message for message in places(published) if message.target_id == "buoy"]
+    for index in range(MAX_TARGETS):
+        published += give_message(adapter, 1, buoy_message(1, waiting_ns, target_id=f"x{index}"))
+    (answer,) = [message for message in published_positions(published) if message.target_id == "buoy"]
     assert (ns_from_stamp(answer.header.stamp), answer.status) == (waiting_ns, Status.INVALID)
-    assert ("stations", Reason.OVERFLOW) in reasons(published)
+    assert ("stations", Reason.OVERFLOW) in published_reasons(published)
     # Heard of again, it has no place at or before its last one.
     published = []
     for index in range(1, 4):
         for number in (1, 0):
-            published += give_message(adapter, number, seen(number, START_NS + index * PERIOD_NS), START_NS + 4 * PERIOD_NS)
-    assert reasons(published)[:4] == [(f"station.t{number}", Reason.LATE) for number in (1, 0, 1, 0)]
-    stamps = [ns_from_stamp(message.header.stamp) for message in places(published)]
+            published += give_message(adapter, number, buoy_message(number, START_NS + index * PERIOD_NS), START_NS + 4 * PERIOD_NS)
+    assert published_reasons(published)[:4] == [(f"station.t{number}", Reason.LATE) for number in (1, 0, 1, 0)]
+    stamps = [ns_from_stamp(message.header.stamp) for message in published_positions(published)]
     assert stamps
     assert min(stamps) > waiting_ns
 
@@ -254,8 +254,8 @@ def test_nothing_is_interpolated_across_an_invalid_direction(invalid_comes_first
         arrivals = sorted(arrivals, key=lambda arrival: (arrival[0] > 2, arrival[0] > 2 and arrival[1] == 0, arrival))
     for index, number in arrivals:
         worth = Status.INVALID if number == 1 and 3 <= index < 10 else Status.VALID
-        message = seen(number, START_NS + index * PERIOD_NS + 10_000_000 * number, status=int(worth))
-        found += places(give_message(adapter, number, message, START_NS + 11 * PERIOD_NS))
+        message = buoy_message(number, START_NS + index * PERIOD_NS + 10_000_000 * number, status=int(worth))
+        found += published_positions(give_message(adapter, number, message, START_NS + 11 * PERIOD_NS))
     since = {ns_from_stamp(message.header.stamp) - START_NS: message.status for message in found}
     told = [since[index * PERIOD_NS] for index in range(1, 11)]
     # At 0.3 s the second's next direction claims nothing, at 1.0 s its last.
@@ -267,47 +267,47 @@ def test_valid_and_invalid_at_one_stamp_are_a_conflict_and_invalid_counts(invali
     adapter, published = adapter_of(3), []
     for index in range(2):
         for number in range(3):
-            give_message(adapter, number, seen(number, START_NS + index * PERIOD_NS))
+            give_message(adapter, number, buoy_message(number, START_NS + index * PERIOD_NS))
     time_ns = START_NS + 2 * PERIOD_NS
-    pair = [seen(0, time_ns), seen(0, time_ns, status=int(Status.INVALID))]
+    pair = [buoy_message(0, time_ns), buoy_message(0, time_ns, status=int(Status.INVALID))]
     for message in reversed(pair) if invalid_comes_first else pair:
         published += give_message(adapter, 0, message)
     for number in (1, 2):
-        published += give_message(adapter, number, seen(number, time_ns))
-    assert ("station.t0", Reason.CONFLICT) in reasons(published)
-    (place,) = places(published)
+        published += give_message(adapter, number, buoy_message(number, time_ns))
+    assert ("station.t0", Reason.CONFLICT) in published_reasons(published)
+    (place,) = published_positions(published)
     assert adapter.latest.stations == ("t1", "t2")
     assert place.status == Status.VALID
 
 
 def test_no_flood_of_names_or_directions_grows_without_bound() -> None:
     adapter = adapter_of(2, lag_s=60.0)
-    for index in range(3 * MOST_TARGETS):
-        give_message(adapter, 0, seen(0, START_NS, target_id=f"buoy {index}"), START_NS + LATENCY_NS)
-    assert len(adapter.core._targets) == MOST_TARGETS
+    for index in range(3 * MAX_TARGETS):
+        give_message(adapter, 0, buoy_message(0, START_NS, target_id=f"buoy {index}"), START_NS + LATENCY_NS)
+    assert len(adapter.core._targets) == MAX_TARGETS
     adapter.service("reset", START_NS)
-    give_message(adapter, 1, seen(1, START_NS), START_NS + LATENCY_NS)
+    give_message(adapter, 1, buoy_message(1, START_NS), START_NS + LATENCY_NS)
     published = []
-    for index in range(1, MOST_WAITING + 50):
-        published += give_message(adapter, 0, seen(0, START_NS + index * 1_000_000), START_NS + 2 * SECOND_NS)
-    assert len(adapter.core._targets["buoy"].waiting) == MOST_WAITING
-    assert len(places(published)) == 49
+    for index in range(1, MAX_WAITING + 50):
+        published += give_message(adapter, 0, buoy_message(0, START_NS + index * 1_000_000), START_NS + 2 * SECOND_NS)
+    assert len(adapter.core._targets["buoy"].waiting) == MAX_WAITING
+    assert len(published_positions(published)) == 49
 
 
 def test_no_message_whatsoever_raises_or_does_damage() -> None:
     rng, adapter = np.random.default_rng(4713), adapter_of(3)
-    spoilt, found, now_ns = paths(seen(0, START_NS, factory=RosidlFactory())), set(), START_NS
+    spoilt, found, now_ns = paths(buoy_message(0, START_NS, factory=RosidlFactory())), set(), START_NS
     for index in range(300):
         now_ns = START_NS + index * PERIOD_NS + LATENCY_NS
         for number in range(3):
             time_ns = START_NS + index * PERIOD_NS
-            published = give_message(adapter, number, seen(number, time_ns), now_ns)
+            published = give_message(adapter, number, buoy_message(number, time_ns), now_ns)
             for _ in range(3):
-                bad = seen(number, time_ns, factory=RosidlFactory())
+                bad = buoy_message(number, time_ns, factory=RosidlFactory())
                 put_garbage(bad, spoilt, rng)
                 published += give_message(adapter, number, bad, now_ns)
-            found |= {reason for _, reason in reasons(published)}
-            for message in places(published):
+            found |= {reason for _, reason in published_reasons(published)}
+            for message in published_positions(published):
                 numbers = [message.position.x, message.position.y, message.position.z, *message.position_covariance]
                 assert np.isnan(numbers).all() == (message.status == Status.INVALID)
                 assert np.isfinite(numbers).all() != (message.status == Status.INVALID)
@@ -321,9 +321,9 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
     published = []
     for index in range(2):
         for number in range(3):
-            published += give_message(adapter, number, seen(number, later_ns + index * PERIOD_NS))
-    assert places(published)[-1].status == Status.VALID
-    assert np.linalg.norm(error_m(places(published)[-1])) < 0.05
+            published += give_message(adapter, number, buoy_message(number, later_ns + index * PERIOD_NS))
+    assert published_positions(published)[-1].status == Status.VALID
+    assert np.linalg.norm(error_m(published_positions(published)[-1])) < 0.05
 
 
 def test_sources_off_gate_and_reset_by_live_means() -> None:
@@ -333,9 +333,9 @@ def test_sources_off_gate_and_reset_by_live_means() -> None:
     for index in range(2):
         for number in range(3):
             turn_n = [0.0, 0.01, 0.0] if number == 1 else [0.0, 0.0, 0.0]
-            published += give_message(adapter, number, seen(number, START_NS + index * PERIOD_NS, turn_n))
-    assert ("station.t1", Reason.OFF) in reasons(published)
-    assert places(published)[-1].status == Status.VALID
+            published += give_message(adapter, number, buoy_message(number, START_NS + index * PERIOD_NS, turn_n))
+    assert ("station.t1", Reason.OFF) in published_reasons(published)
+    assert published_positions(published)[-1].status == Status.VALID
     adapter.set_parameters({"refraction.coefficient": 0.5, "refraction.sigma": 0.2})
     assert adapter.core.config.air.sigma == 0.2
     with pytest.raises(ParameterError, match=r"there is no source 'station\.t9'"):
@@ -351,10 +351,10 @@ def test_diagnostics_report_the_last_position() -> None:
     published = []
     for index in range(2):
         for number in range(2):
-            published += give_message(adapter, number, seen(number, START_NS + index * PERIOD_NS))
+            published += give_message(adapter, number, buoy_message(number, START_NS + index * PERIOD_NS))
     (status,) = adapter.own_statuses(START_NS + SECOND_NS)
     assert status.message == "VALID: by t0, t1"
-    sigma_m = np.sqrt(np.sum(places(published)[-1].position_covariance[::4]))
+    sigma_m = np.sqrt(np.sum(published_positions(published)[-1].position_covariance[::4]))
     assert float(status.values["sigma in space (m)"]) == pytest.approx(sigma_m, rel=0.01)
     (status,) = adapter.own_statuses(START_NS + 20 * SECOND_NS)
     assert status.message == "none for 20 s, VALID before"

@@ -18,11 +18,11 @@ from ship_testing.adapter_runs import FACTORY, AdapterRun, Arrival, changed_copy
 from ship_testing.theodolite_stations import buoy_n, buoy_direction, direction_message, triangulation_values
 from theodolite_calib.ros.direction_messages_in import direction
 from theodolite_calib.ros.triangulation_adapter import POSITION_TOPIC, TriangulationAdapter
-from theodolite_calib.target.common_moments import SeenByStation
+from theodolite_calib.target.common_moments import StationDirections
 from theodolite_calib.target.config import TriangulationConfig
-from theodolite_calib.target.placing import MOST_TARGETS
-from theodolite_calib.target.triangulation import TriangulatedPlace
-from theodolite_calib.triangulation.recorded import placed_targets
+from theodolite_calib.target.placing import MAX_TARGETS
+from theodolite_calib.target.triangulation import TriangulatedPosition
+from theodolite_calib.triangulation.recorded import target_positions
 
 SECOND_NS = 1_000_000_000
 START_NS, LATENCY_NS = 1_767_225_600 * SECOND_NS, 50_000_000
@@ -44,7 +44,7 @@ def arrivals(number: int, since_s: Any) -> list[Arrival]:
     return found
 
 
-def every(period_s: float, phase_s: float = 0.0) -> np.ndarray:
+def periodic_times(period_s: float, phase_s: float = 0.0) -> np.ndarray:
     return phase_s + np.arange(0.0, COUNT * PERIOD_S, period_s)
 
 
@@ -55,7 +55,7 @@ def run_of(config: TriangulationConfig, *of_stations: list[Arrival]) -> AdapterR
     return run
 
 
-def places(run: AdapterRun) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+def positions_by_stamp(run: AdapterRun) -> dict[int, tuple[np.ndarray, np.ndarray]]:
     """Return stamp → position (North, Up, East), m, and its covariance, m², of those that are not INVALID."""
     found = {}
     for message in run.messages(POSITION_TOPIC):
@@ -74,17 +74,17 @@ def waited_s(run: AdapterRun) -> dict[int, float]:
     }
 
 
-def places_of_the_command(config: TriangulationConfig, *of_stations: list[Arrival]) -> dict[int, np.ndarray]:
+def command_positions(config: TriangulationConfig, *of_stations: list[Arrival]) -> dict[int, np.ndarray]:
     recorded = []
     for number, of_station in enumerate(of_stations):
-        seen = SeenByStation(config.stations[f"t{number}"].station(f"t{number}"), config.max_gap_s)
+        seen = StationDirections(config.stations[f"t{number}"].station(f"t{number}"), config.max_gap_s)
         for arrival in of_station:
             seen.track.insert(direction(arrival.message, f"t{number}", arrival.receive_ns).value)
         recorded.append(seen)
     return {
-        one.time_ns: one.place.position_n
-        for one in placed_targets(config, recorded)
-        if isinstance(one.place, TriangulatedPlace)
+        one.time_ns: one.position.position_n
+        for one in target_positions(config, recorded)
+        if isinstance(one.position, TriangulatedPosition)
     }
 
 
@@ -98,8 +98,8 @@ def places_of_the_command(config: TriangulationConfig, *of_stations: list[Arriva
 )
 def test_rare_directions_give_the_places_of_the_command(phase_s: float, max_gap_s: float, missing: int) -> None:
     config = config_of(2, max_gap_s=max_gap_s)
-    of_stations = [arrivals(0, every(PERIOD_S)), arrivals(1, every(PERIOD_S, phase_s))]
-    expected, found = places_of_the_command(config, *of_stations), places(run_of(config, *of_stations))
+    of_stations = [arrivals(0, periodic_times(PERIOD_S)), arrivals(1, periodic_times(PERIOD_S, phase_s))]
+    expected, found = command_positions(config, *of_stations), positions_by_stamp(run_of(config, *of_stations))
     assert len(expected) >= COUNT - 1
     assert list(found) == sorted(expected)[missing:]
     for time_ns, (place_n, covariance_n) in found.items():
@@ -113,7 +113,7 @@ def test_rare_directions_give_the_places_of_the_command(phase_s: float, max_gap_
 
 def test_places_at_a_common_rate_do_not_wait_for_a_theodolite_whose_next_report_cannot_be_joined() -> None:
     often = [arrivals(number, np.arange(0.0, 20.0, 0.1)) for number in (0, 1)]
-    run = run_of(config_of(3), *often, arrivals(2, every(PERIOD_S, 0.05)))
+    run = run_of(config_of(3), *often, arrivals(2, periodic_times(PERIOD_S, 0.05)))
     since_s = {round((time_ns - START_NS) / SECOND_NS % PERIOD_S, 3): age for time_ns, age in waited_s(run).items()}
     # Reports of the third are due each 5 s; those of the others are joined with it over max_gap_s, 1 s, at most.
     assert all(age < 0.2 for phase_s, age in since_s.items() if 0.1 < phase_s < 4.0)
@@ -123,8 +123,8 @@ def test_places_at_a_common_rate_do_not_wait_for_a_theodolite_whose_next_report_
 @pytest.mark.parametrize("interval_s", [0.1, 5.0])
 def test_theodolite_without_data_is_awaited_until_overdue(interval_s: float) -> None:
     config = config_of(3, max_gap_s=8.0)
-    of_two = [arrivals(number, every(interval_s)[:100]) for number in (0, 1)]
-    run = run_of(config, *of_two, arrivals(2, every(interval_s)[:10]))
+    of_two = [arrivals(number, periodic_times(interval_s)[:100]) for number in (0, 1)]
+    run = run_of(config, *of_two, arrivals(2, periodic_times(interval_s)[:10]))
     silent_ns = START_NS + round(9 * interval_s * SECOND_NS) + LATENCY_NS
     overdue_ns = silent_ns + round((interval_s + config.lag_s) * SECOND_NS)
     published = [
@@ -147,12 +147,12 @@ def test_a_clock_that_lags_behind_holds_no_place_for_ever() -> None:
     ]
     run = run_of(config, *(arrivals(number, np.arange(0.0, 20.0, 0.5)) for number in (0, 1)), behind)
     assert max(waited_s(run).values()) < config.max_gap_s + config.lag_s + 0.2
-    assert len(places(run)) >= 38
+    assert len(positions_by_stamp(run)) >= 38
 
 
 @pytest.mark.parametrize("interval_s", [0.1, 5.0])
 def test_repeated_messages_have_no_effect(interval_s: float) -> None:
-    config, since_s = config_of(3, max_gap_s=8.0), every(interval_s)[:20]
+    config, since_s = config_of(3, max_gap_s=8.0), periodic_times(interval_s)[:20]
     of_two, silent = [arrivals(number, since_s) for number in (0, 1)], arrivals(2, since_s[:10])
     last = silent[-1]
     repeated = [replace(last, receive_ns=last.receive_ns + round(s * SECOND_NS)) for s in np.arange(0.03, 20.0, 0.07)]
@@ -171,10 +171,10 @@ def test_late_directions_to_forgotten_targets_forget_no_other() -> None:
         return changed_copy(stamped, lambda message: setattr(message, "target_id", name), early.receive_ns + SECOND_NS)
 
     # More targets than are followed: some are forgotten. Then as many late ones come.
-    flood = [of(f"x{number}", arrivals(0, [1.0])[0]) for number in range(MOST_TARGETS + 5)]
-    late = [replace(of(f"y{number}", early), receive_ns=START_NS + 5 * SECOND_NS) for number in range(MOST_TARGETS)]
+    flood = [of(f"x{number}", arrivals(0, [1.0])[0]) for number in range(MAX_TARGETS + 5)]
+    late = [replace(of(f"y{number}", early), receive_ns=START_NS + 5 * SECOND_NS) for number in range(MAX_TARGETS)]
     run = run_of(config, *of_two, flood, late)
-    assert run.reasons(early.topic)["late"] >= MOST_TARGETS
+    assert run.reasons(early.topic)["late"] >= MAX_TARGETS
     assert results(run) == results(run_of(config, *of_two, flood))
 
 

@@ -7,7 +7,7 @@ import pytest
 from ship_estimation.exclusion import ExcludedSource
 from ship_geometry.time_scales import SECOND_NS
 from ship_testing.simulated_session import config
-from theodolite_calib.filter.alternatives import BEACON, ENCODER
+from theodolite_calib.filter.alternatives import BEACON_PREFIX, ENCODER
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.filter.trust import UnresolvedFault, ExclusionRecord, FaultDetector, FaultState, initial_fault_state
 
@@ -18,7 +18,7 @@ FIRST, SECOND = ROWS.beacons[:2]
 AGREED_NS, LAST_NS = 10 * SECOND_NS, 40 * SECOND_NS
 
 
-def agreeing(received_ns: dict[str, int]) -> FaultState:
+def consistent_state(received_ns: dict[str, int]) -> FaultState:
     """Return a state with the first drone, encoders and beacons consistent since 10 s, and the last times of each
     beacon.
     """
@@ -26,15 +26,15 @@ def agreeing(received_ns: dict[str, int]) -> FaultState:
     seen_ns = trust.innovation_means.last_measured_ns.copy()
     for name, time_ns in received_ns.items():
         seen_ns[ROWS.beacons.index(name)] = time_ns
-    left_out = {name: ExclusionRecord(ExcludedSource(0, consistent_since_ns=AGREED_NS), "") for name in (BEACON + FIRST, ENCODER)}
-    conflict = UnresolvedFault(0.0 * trust.innovation_means.running[0, 0, :, :3], lasting=True, consistent_since_ns=AGREED_NS)
+    left_out = {name: ExclusionRecord(ExcludedSource(0, consistent_since_ns=AGREED_NS), "") for name in (BEACON_PREFIX + FIRST, ENCODER)}
+    conflict = UnresolvedFault(0.0 * trust.innovation_means.running[0, 0, :, :3], is_persistent=True, consistent_since_ns=AGREED_NS)
     return replace(trust, means=replace(trust.innovation_means, heard_ns=seen_ns), left_out=left_out, conflict=conflict)
 
 
-def consistent_since_ns(trust: FaultState) -> list[int | None]:
-    assert trust.conflict is not None
-    exclusions = [trust.exclusions[name].exclusion for name in (BEACON + FIRST, ENCODER)]
-    return [*(exclusion.consistent_since_ns for exclusion in exclusions), trust.conflict.consistent_since_ns]
+def consistent_since_ns(fault_state: FaultState) -> list[int | None]:
+    assert fault_state.unresolved_fault is not None
+    exclusions = [fault_state.exclusions[name].exclusion for name in (BEACON_PREFIX + FIRST, ENCODER)]
+    return [*(exclusion.consistent_since_ns for exclusion in exclusions), fault_state.unresolved_fault.consistent_since_ns]
 
 
 @pytest.mark.parametrize(
@@ -46,18 +46,18 @@ def consistent_since_ns(trust: FaultState) -> list[int | None]:
     ],
 )
 def test_reinstatement_timers_restart_after_a_gap_of_all_beacons(silent_s, names, expected) -> None:
-    trust = agreeing({FIRST: LAST_NS, SECOND: LAST_NS})
+    trust = consistent_state({FIRST: LAST_NS, SECOND: LAST_NS})
     assert consistent_since_ns(REFEREE.restart_timers(trust, names, LAST_NS + silent_s * SECOND_NS)) == expected
 
 
 def test_gap_of_one_beacon_restarts_its_timer_only() -> None:
-    trust = agreeing({FIRST: LAST_NS - 20 * SECOND_NS, SECOND: LAST_NS})
+    trust = consistent_state({FIRST: LAST_NS - 20 * SECOND_NS, SECOND: LAST_NS})
     later_ns = LAST_NS + SECOND_NS
     assert consistent_since_ns(REFEREE.restart_timers(trust, (FIRST, SECOND), later_ns)) == [None, AGREED_NS, AGREED_NS]
 
 
 def test_encoder_is_reinstated_a_minute_after_the_gap() -> None:
-    trust, back_ns = agreeing({FIRST: LAST_NS, SECOND: LAST_NS}), LAST_NS + 100 * SECOND_NS
+    trust, back_ns = consistent_state({FIRST: LAST_NS, SECOND: LAST_NS}), LAST_NS + 100 * SECOND_NS
     returned = []
     for time_ns in range(back_ns, back_ns + 62 * SECOND_NS, SECOND_NS):
         trust = REFEREE.restart_timers(trust, (SECOND,), time_ns)

@@ -43,7 +43,7 @@ def give_beacon_attitude(encoder_check: EncoderCheck, number: int, azimuth: floa
     encoder_check.record_beacon_attitude(number * PERIOD_NS, rotation_from_angles(azimuth, 0.5, 0.0), 3.0 * ARCSEC)
 
 
-def stopped(rate: float = 0.02) -> tuple[EncoderCheck, int]:
+def stop_in_motion(rate: float = 0.02) -> tuple[EncoderCheck, int]:
     """Return ten readings in motion, rad/s, and one equal to the last."""
     watch = EncoderCheck(ARCSEC, FREE)
     for number in range(10):
@@ -54,7 +54,7 @@ def stopped(rate: float = 0.02) -> tuple[EncoderCheck, int]:
 
 
 def test_stopped_readings_are_unconfirmed_until_beacons_confirm() -> None:
-    watch, number = stopped()
+    watch, number = stop_in_motion()
     assert watch.unconfirmed_reason
     watch.confirm((number - 3) * PERIOD_NS)  # of before they stood still
     assert watch.unconfirmed_reason
@@ -78,7 +78,7 @@ def test_encoder_jump_is_confirmed_by_beacons_at_two_times() -> None:
 
 
 def test_slowly_stopping_readings_are_confirmed() -> None:
-    watch, _ = stopped(rate=4.0 * ARCSEC / 0.01)  # less than five sigmas a reading
+    watch, _ = stop_in_motion(rate=4.0 * ARCSEC / 0.01)  # less than five sigmas a reading
     assert not watch.unconfirmed_reason
 
 
@@ -90,7 +90,7 @@ def test_motion_across_the_wrap_is_no_jump() -> None:
 
 
 def test_a_mount_at_rest_is_never_stuck() -> None:
-    watch, number = stopped()
+    watch, number = stop_in_motion()
     for later in range(number + 1, number + 200):
         assert check_reading(watch, reading(later, 1.0 + 0.02 * 0.09)) is None
         if later % 10 == 0:
@@ -110,7 +110,7 @@ def test_beacons_before_the_stop_are_no_reference() -> None:
 
 
 def test_stuck_detection_and_recovery() -> None:
-    watch, number = stopped()
+    watch, number = stop_in_motion()
     refusals = []
     for later in range(number + 1, number + 60):
         give_beacon_attitude(watch, later, 1.0 + 0.001 * later)
@@ -152,7 +152,7 @@ def seconds(message: Any) -> float:
     return (stamp_of(message) - START_NS) * 1e-9
 
 
-def read_off(azimuth_deg: float, elevation_deg: float = 0.0) -> Callable[[Any], None]:
+def replace_reading(azimuth_deg: float, elevation_deg: float = 0.0) -> Callable[[Any], None]:
     def change(message: Any) -> None:
         message.azimuth = (message.azimuth + np.deg2rad(azimuth_deg)) % (2.0 * np.pi)
         message.elevation += np.deg2rad(elevation_deg)
@@ -172,7 +172,7 @@ def assert_within_covariance(run: Run) -> bool:
 @pytest.mark.parametrize("off_deg", [1.0, 18.0, -170.0])
 def test_one_wrong_reading_is_rejected_without_effect(off_deg: float) -> None:
     index = index_at(session(), ENCODER, 3.0)
-    run = run_adapter(new_adapter(), replace_message(session(), index, read_off(off_deg, 0.5)))
+    run = run_adapter(new_adapter(), replace_message(session(), index, replace_reading(off_deg, 0.5)))
     assert run.reasons(ENCODER) == {"gate": 1}
     assert "the mount can reach" in run.innovations(Reason.GATE)[0].reason_text
     assert run.results() == run_adapter(new_adapter(), without(session(), index)).results()
@@ -180,7 +180,7 @@ def test_one_wrong_reading_is_rejected_without_effect(off_deg: float) -> None:
 
 @pytest.mark.parametrize("off_deg", [0.3, 0.5])
 def test_permanent_slip_inflates_the_zero_points_until_beacons_agree(off_deg: float) -> None:
-    run = run_adapter(new_adapter(), change_where(session(10.0), encoder_from(3.0), read_off(off_deg, -0.3)))
+    run = run_adapter(new_adapter(), change_where(session(10.0), encoder_from(3.0), replace_reading(off_deg, -0.3)))
     assert run.reasons(ENCODER) == {"gate": 5}
     after = [m for m in run.pointings if seconds(m) >= 3.0 and m.status != Status.INVALID]
     degraded = [m for m in after if m.status == Status.DEGRADED]
@@ -194,7 +194,7 @@ def test_permanent_slip_inflates_the_zero_points_until_beacons_agree(off_deg: fl
 
 def test_slip_without_beacons_stays_degraded() -> None:
     dark = [a for a in session(10.0) if a.topic != BEACONS or seconds(a.message) < 3.0]
-    run = run_adapter(new_adapter(), change_where(dark, encoder_from(4.0), read_off(2.0)))
+    run = run_adapter(new_adapter(), change_where(dark, encoder_from(4.0), replace_reading(2.0)))
     after = [m for m in run.pointings if seconds(m) >= 4.0]
     assert {m.status for m in after} == {Status.DEGRADED}
     assert max(error_in_sigmas(m) for m in after) < 3.0
@@ -208,7 +208,7 @@ def test_readings_after_a_stuck_encoder_are_unconfirmed() -> None:
 
     frozen = change_where(session(10.0), encoder_from(2.0, 5.0), freeze)
     adapter = new_adapter(integrity__return_after_s=1.0)
-    run = run_adapter(adapter, replace_message(frozen, index_at(frozen, ENCODER, 4.0), read_off(20.0)))
+    run = run_adapter(adapter, replace_message(frozen, index_at(frozen, ENCODER, 4.0), replace_reading(20.0)))
     assert assert_within_covariance(run)
     (wrong,) = [m for m in run.pointings if seconds(m) == 4.0]
     assert wrong.status == Status.DEGRADED
@@ -217,7 +217,7 @@ def test_readings_after_a_stuck_encoder_are_unconfirmed() -> None:
 
 def test_live_changes_reach_the_encoder_check() -> None:
     """One reading has an error of 0.1°, which a mount of 100°/s² can reach within 50 ms and one of 10°/s² cannot."""
-    spoilt = replace_message(session(), index_at(session(), ENCODER, 4.0), read_off(0.1))
+    spoilt = replace_message(session(), index_at(session(), ENCODER, 4.0), replace_reading(0.1))
     half = index_at(spoilt, ENCODER, 3.0)
     for changes, refused in (
         ({}, 0),
@@ -231,7 +231,7 @@ def test_live_changes_reach_the_encoder_check() -> None:
 
 def test_slip_of_degrees_is_never_valid() -> None:
     """Beacons are not linear in zero points of this size and are rejected: a reset is needed."""
-    run = run_adapter(new_adapter(), change_where(session(10.0), encoder_from(3.0), read_off(5.0)))
+    run = run_adapter(new_adapter(), change_where(session(10.0), encoder_from(3.0), replace_reading(5.0)))
     assert {m.status for m in run.pointings if seconds(m) >= 3.0} == {Status.DEGRADED}
 
 

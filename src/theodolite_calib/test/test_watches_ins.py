@@ -49,7 +49,7 @@ def scale_rates(factor: float) -> Change:
     return change
 
 
-def turned(*degrees_n: float) -> Change:
+def turn_attitude(*degrees_n: float) -> Change:
     """Return a change that rotates the attitude about North, Up, East."""
 
     def change(message: Any) -> None:
@@ -61,7 +61,7 @@ def turned(*degrees_n: float) -> Change:
     return change
 
 
-def negated_w(message: Any) -> None:
+def negate_w(message: Any) -> None:
     message.orientation.w = -message.orientation.w
 
 
@@ -71,7 +71,7 @@ def assert_within_covariance(run: Run) -> bool:
 
 
 @pytest.mark.parametrize("factor", [TRUE, ZERO])
-@pytest.mark.parametrize("wrong", [negated_w, turned(0.0, 1.0, 0.0)])
+@pytest.mark.parametrize("wrong", [negate_w, turn_attitude(0.0, 1.0, 0.0)])
 def test_one_wrong_sample_is_rejected_without_effect(wrong: Change, factor: float) -> None:
     arrivals = change_where(session_with_ins_only(), of_topic(INS), scale_rates(factor))
     index = index_at(arrivals, INS, 3.017)
@@ -85,7 +85,7 @@ def test_late_wrong_sample_is_rejected() -> None:
     """It has an error of a degree, which only the rates of its neighbour contradict."""
     arrivals = session_with_ins_only()
     index = index_at(arrivals, INS, 3.017)
-    spoilt = replace_message(arrivals, index, turned(1.0, 0.0, 0.0))
+    spoilt = replace_message(arrivals, index, turn_attitude(1.0, 0.0, 0.0))
     late = Arrival(INS, spoilt[index].message, spoilt[index].receive_ns + SECOND_NS // 2)
     run = run_adapter(adapter(), sort_by_arrival([*without(arrivals, index), late]))
     assert run.reasons(INS) == {"gate": 1}
@@ -102,7 +102,7 @@ def test_permanent_jump_inflates_the_covariance_until_beacons_agree(
         stamp_ns = stamp_of(message) - round(offset_s * SECOND_NS)
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, SECOND_NS)
 
-    arrivals = change_where(session_with_ins_only(10.0), of_topic(INS, 3.0), turned(*degrees_n))
+    arrivals = change_where(session_with_ins_only(10.0), of_topic(INS, 3.0), turn_attitude(*degrees_n))
     run = run_adapter(adapter(ins__time_offset_s=offset_s), change_where(arrivals, of_topic(INS), earlier))
     assert run.reasons(INS) == {"gate": 5}
     after = [m for m in run.pointings if seconds(m) >= 3.0 and m.status != Status.INVALID]
@@ -118,7 +118,7 @@ def test_permanent_jump_inflates_the_covariance_until_beacons_agree(
 
 def test_jump_without_beacons_stays_degraded() -> None:
     dark = [a for a in session_with_ins_only(10.0) if a.topic != BEACONS or seconds(a.message) < 3.0]
-    run = run_adapter(adapter(), change_where(dark, of_topic(INS, 4.0), turned(0.0, 2.0, 0.0)))
+    run = run_adapter(adapter(), change_where(dark, of_topic(INS, 4.0), turn_attitude(0.0, 2.0, 0.0)))
     after = [m for m in run.pointings if seconds(m) >= 4.1]
     assert {m.status for m in after} == {Status.DEGRADED}
     assert max(error_in_sigmas(m) for m in after) < 3.0
@@ -132,7 +132,7 @@ def test_beacons_before_a_jump_do_not_confirm_it() -> None:
         for a in session_with_ins_only(5.0)
         if not of_topic(BEACONS, 3.0)(a)
     ]
-    run = run_adapter(adapter(), change_where(sort_by_arrival(arrivals), of_topic(INS, 3.0), turned(0.0, 0.5, 0.0)))
+    run = run_adapter(adapter(), change_where(sort_by_arrival(arrivals), of_topic(INS, 3.0), turn_attitude(0.0, 0.5, 0.0)))
     after = [m for m in run.pointings if seconds(m) >= 3.1]
     assert {m.status for m in after} == {Status.DEGRADED}
     assert max(error_in_sigmas(m) for m in after) < 3.0
@@ -142,7 +142,7 @@ def test_simultaneous_encoder_slip_and_ins_jump() -> None:
     def slipped(message: Any) -> None:
         message.azimuth = (message.azimuth + np.deg2rad(0.4)) % (2.0 * np.pi)
 
-    arrivals = change_where(session_with_ins_only(10.0), of_topic(INS, 3.0), turned(0.0, 0.3, 0.2))
+    arrivals = change_where(session_with_ins_only(10.0), of_topic(INS, 3.0), turn_attitude(0.0, 0.3, 0.2))
     run = run_adapter(adapter(), change_where(arrivals, of_topic(ENCODER, 3.1), slipped))
     assert (run.reasons(INS), run.reasons(ENCODER)) == ({"gate": 5}, {"gate": 5})
     assert assert_within_covariance(run)
@@ -150,7 +150,7 @@ def test_simultaneous_encoder_slip_and_ins_jump() -> None:
 
 
 def test_number_of_rejections_is_a_live_parameter() -> None:
-    jumped = change_where(session_with_ins_only(), of_topic(INS, 3.0), turned(0.0, 0.5, 0.0))
+    jumped = change_where(session_with_ins_only(), of_topic(INS, 3.0), turn_attitude(0.0, 0.5, 0.0))
     assert run_adapter(adapter(ins__jump_samples=2), jumped).reasons(INS) == {"gate": 2}
     half = index_at(jumped, ENCODER, 2.0)
     changed = run_adapter(adapter(), jumped[:half]).adapter
@@ -161,7 +161,7 @@ def test_number_of_rejections_is_a_live_parameter() -> None:
 @pytest.mark.parametrize(("sigma_arcsec", "refused"), [(1.0, 1), (100.0, 0)])
 def test_live_noise_change_reaches_the_check(sigma_arcsec: float, refused: int) -> None:
     arrivals = session_with_ins_only()
-    spoilt = replace_message(arrivals, index_at(arrivals, INS, 4.017), turned(0.0, 0.1, 0.0))
+    spoilt = replace_message(arrivals, index_at(arrivals, INS, 4.017), turn_attitude(0.0, 0.1, 0.0))
     half = index_at(spoilt, ENCODER, 2.0)
     changed = run_adapter(adapter(), spoilt[:half]).adapter
     changed.set_parameters({"ins.white_sigma_arcsec": sigma_arcsec})

@@ -30,7 +30,7 @@ from theodolite_calib.filter.star_step import StarStep
 from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.measured.samples import EncoderSample, Exposure
 from theodolite_calib.measured.star_sighting import StarSighting
-from theodolite_calib.optical_axis.calibration import calibration_of
+from theodolite_calib.optical_axis.calibration import calibration_from_state
 from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput
 
 TELESCOPE = "main"
@@ -43,7 +43,7 @@ OWN_SIGMA = 2e-4
 
 
 @cache
-def through(camera_id: str) -> OpticalAxisConfig:
+def config_through(camera_id: str) -> OpticalAxisConfig:
     """Return the configuration with the stars in the calibration telescope, or in a camera of its own."""
     own = {f"telescopes__{camera_id}__camera__{name}": value for name, value in CAMERA.items()}
     angles_deg = dict.fromkeys(MOUNTED_DEG, 0.0) if camera_id == TELESCOPE else MOUNTED_DEG
@@ -56,7 +56,7 @@ def through(camera_id: str) -> OpticalAxisConfig:
 
 @cache
 def sky_model() -> SkyModel:
-    return mount_sky(through(CAMERA_ID), START_NS, 60)
+    return mount_sky(config_through(CAMERA_ID), START_NS, 60)
 
 
 def random_optics(seed: int, ratio: float) -> TrueOptics:
@@ -95,7 +95,7 @@ class SessionResult:
 
 def run_session(seed: int, camera_id: str, ratio: float, lights: bool = False, named: bool = True) -> SessionResult:
     """Return a session through a lens with a longer focal length than configured by a ratio."""
-    settings, optics = through(camera_id), random_optics(seed, ratio)
+    settings, optics = config_through(camera_id), random_optics(seed, ratio)
     shared = camera_id == TELESCOPE
     drawn = session(settings, seed, TIMES_S, ENCODER, focal_length_m=optics.camera.focal_length_m if shared else None)
     filter_, rng = CalibrationFilter(settings), np.random.default_rng(1000 + seed)
@@ -172,7 +172,7 @@ def test_focal_length_from_stars_matches_the_beacons() -> None:
     """Three sigma off and observed by stars alone: the calibration has it, to 0.01 %."""
     ratio = 3e-3
     found = run_session(0, TELESCOPE, ratio)
-    calibration = calibration_of(found.filter_, through(TELESCOPE), found.state)
+    calibration = calibration_from_state(found.filter_, config_through(TELESCOPE), found.state)
     row = calibration.names.index("focal_length")
     sigma_m = np.sqrt(calibration.covariance[row, row])
     assert sigma_m < 1e-4 * LENGTH_M
@@ -181,8 +181,8 @@ def test_focal_length_from_stars_matches_the_beacons() -> None:
 
 def test_the_jacobian_by_the_focal_length_is_that_of_the_camera() -> None:
     """Measured minus predicted, by a camera with another focal length."""
-    settings, step_m = through(TELESCOPE), 1e-7
-    filter_, drawn = CalibrationFilter(settings), session(through(TELESCOPE), 3, TIMES_S[:1], ENCODER[:1])
+    settings, step_m = config_through(TELESCOPE), 1e-7
+    filter_, drawn = CalibrationFilter(settings), session(config_through(TELESCOPE), 3, TIMES_S[:1], ENCODER[:1])
     rng, (sighting,) = np.random.default_rng(3), drawn.sightings
     rotation_ns = drawn.rotation_nm[0] @ rotation_from_angles(*drawn.parallelism).T
     known = settings.star_camera(TELESCOPE)
@@ -208,7 +208,7 @@ def test_the_jacobian_by_the_focal_length_is_that_of_the_camera() -> None:
 
 
 def test_false_stars_are_not_taken_for_a_wrong_focal_length() -> None:
-    settings = through(CAMERA_ID)
+    settings = config_through(CAMERA_ID)
     camera, known = settings.telescopes[CAMERA_ID], settings.star_camera(CAMERA_ID)
     optics, rotation_sm = known.optics_errors(known.camera("camera")), rotation_from_angles(*camera.parallelism)
     filter_ = CalibrationFilter(settings)

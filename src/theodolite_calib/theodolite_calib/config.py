@@ -32,7 +32,7 @@ _MAX_LEVER_M = 200.0
 
 _SHORTEST_FOCAL_LENGTH_M = 0.001
 
-_SAME = 1e-9
+_SAME_TOLERANCE = 1e-9
 """Relative difference up to which two texts of one number are equal."""
 
 
@@ -488,21 +488,21 @@ class OpticalAxisConfig:
 
     def _refuse_another_telescope(self, id_: str) -> None:
         """Refuse a calibration telescope with different focal length or parallelism for beacons and for stars."""
-        telescope, seen = self.telescope, self.telescopes[id_]
-        twice = [("camera.focal_length_m", seen.camera.focal_length_m, "focal_length_m", telescope.focal_length_m)]
-        own_m = seen.camera.focal_length_sigma_m
+        telescope, camera = self.telescope, self.telescopes[id_]
+        duplicates = [("camera.focal_length_m", camera.camera.focal_length_m, "focal_length_m", telescope.focal_length_m)]
+        own_m = camera.camera.focal_length_sigma_m
         if own_m:
-            twice.append(("camera.focal_length_sigma_m", own_m, "focal_length_sigma_m", telescope.focal_length_sigma_m))
+            duplicates.append(("camera.focal_length_sigma_m", own_m, "focal_length_sigma_m", telescope.focal_length_sigma_m))
         for name, of_telescope in (("azimuth", "azimuth"), ("elevation", "elevation"), ("roll", "rotation")):
             telescope_arcsec = getattr(telescope, f"{of_telescope}_arcsec")
             telescope_sigma_arcsec = getattr(telescope, f"{of_telescope}_sigma_arcsec")
-            own_sigma = getattr(seen, f"{name}_sigma_arcsec")
-            twice += [
-                (f"{name}_deg", getattr(seen, f"{name}_deg"), f"{of_telescope}_arcsec", telescope_arcsec / 3600.0),
+            own_sigma = getattr(camera, f"{name}_sigma_arcsec")
+            duplicates += [
+                (f"{name}_deg", getattr(camera, f"{name}_deg"), f"{of_telescope}_arcsec", telescope_arcsec / 3600.0),
                 (f"{name}_sigma_arcsec", own_sigma, f"{of_telescope}_sigma_arcsec", telescope_sigma_arcsec),
             ]
-        for name, value, other, expected in twice:
-            if not abs(value - expected) <= _SAME * max(abs(expected), 1.0):
+        for name, value, other, expected in duplicates:
+            if not abs(value - expected) <= _SAME_TOLERANCE * max(abs(expected), 1.0):
                 raise ParameterError(
                     f"parameter 'telescopes.{id_}.{name}' = {value:g}: '{id_}' is the calibration telescope: expected "
                     f"telescope.{other} = {expected:g}",

@@ -25,7 +25,7 @@ from ship_replay.offline.replay import ProgressWrapper, match_inputs
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 from theodolite_calib.axis_fit.exposure_errors import correlated_effects
 from theodolite_calib.axis_fit.sighting_file import COLUMNS, LABEL_COLUMN, TIME_COLUMN, correlated_column
-from theodolite_calib.axis_fit.sightings import MOST_SIGHTINGS
+from theodolite_calib.axis_fit.sightings import MAX_SIGHTINGS
 from theodolite_calib.lights.telescope_attitude import solve_attitude
 from theodolite_calib.measured.samples import Exposure, ExposureDecision, PointingOutcome
 from theodolite_calib.optical_axis.core import OpticalAxisCore
@@ -76,9 +76,9 @@ class AxisSightings:
     def selected_stamps(self) -> list[int]:
         """Stamps of the rows to write, in order: all, or evenly spread as many as a fit reads."""
         stamps = sorted(self.rows)
-        if len(stamps) <= MOST_SIGHTINGS:
+        if len(stamps) <= MAX_SIGHTINGS:
             return stamps
-        return [stamps[i] for i in np.linspace(0, len(stamps) - 1, MOST_SIGHTINGS).round().astype(int)]
+        return [stamps[i] for i in np.linspace(0, len(stamps) - 1, MAX_SIGHTINGS).round().astype(int)]
 
     def write(self, path: Path) -> None:
         """Write the table as CSV, in order of time."""
@@ -145,7 +145,7 @@ def axis_sightings(
         def report_outcome(self, outcome: PointingOutcome, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
             for decision in outcome.decisions:
                 found.add_decision(self.core, decision)
-            return super().published(outcome, now_ns, waiting_ns)
+            return super().report_outcome(outcome, now_ns, waiting_ns)
 
     with read_bag(bag_path) as bag:
         chain, _ = suite_chain(bag, (DecisionRecorder,), RosbagsFactory(), config_path, namespace)

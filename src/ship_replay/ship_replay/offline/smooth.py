@@ -267,7 +267,7 @@ def _smoothed_pointings(
 
     The status is the worse of the real-time and the smoothed one.
     """
-    for estimate in core.smoothed_to_the_end():
+    for estimate in core.smooth_remaining():
         output = real_time.get(estimate.time_ns)
         if output is not None:
             _, message = smoothed_pointing(factory, replace(estimate, status=max(output.status, estimate.status)))

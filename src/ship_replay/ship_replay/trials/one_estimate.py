@@ -14,7 +14,7 @@ from ship_estimation.kalman import innovation, update
 from ship_estimation.outcome import Measurement
 from ship_estimation.refusals import Reason
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.alternatives import Alternatives, SourceRows
+from theodolite_calib.filter.alternatives import SubfilterStates, SubfilterSet
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
 from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.measured.samples import ExposureDecision
@@ -41,13 +41,13 @@ class ShipFilterWithoutSubfilters(ShipFilter):
 class _NoSubfilters:
     """Subfilters of a theodolite's filter that are never propagated."""
 
-    def __init__(self, rows: SourceRows) -> None:
+    def __init__(self, rows: SubfilterSet) -> None:
         self._rows = rows
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._rows, name)
 
-    def propagate(self, rows: Alternatives, *_: object) -> Alternatives:
+    def propagate(self, rows: SubfilterStates, *_: object) -> SubfilterStates:
         """Return the subfilters unchanged."""
         return rows
 

@@ -31,17 +31,17 @@ NEAR_DEPENDENCY_INDEX = 10.0
 CORRELATED = 0.9
 """Size of a correlation from which on a pair of errors is reported."""
 
-_TAKES_PART = 0.25
+_PARTICIPATION_SHARE = 0.25
 """Minimum share of an error's variance for the error to be involved in a combination."""
-_TAKES_PART_OPEN = 0.02
+_OPEN_PARTICIPATION_RATIO = 0.02
 """Minimum change of an error for it to be involved in an unobservable combination, as a ratio to the largest one."""
-_KNOWN_BEFORE = float(PRIOR_SIGMAS[-1])
+_PRIOR_LIMIT_RAD = float(PRIOR_SIGMAS[-1])
 """Prior standard deviation of a small error, rad; a combination with larger changes is unobservable."""
 _ROUNDING = 1e-15
 
 
 @dataclass(frozen=True)
-class UnseenRun:
+class NearDependency:
     """Near dependency: errors whose joint change hardly affects the sightings.
 
     Attributes:
@@ -51,7 +51,7 @@ class UnseenRun:
     """
 
     names: tuple[str, ...]
-    run: tuple[float, ...]
+    changes: tuple[float, ...]
     effect: float
 
 
@@ -78,25 +78,25 @@ def unobservable(fit: AxisFit) -> Unobservable | None:
     """Return the errors with unobservable combinations; None if every error is observable."""
     _, runs = _combinations(fit)
     sizes = np.abs(runs)
-    is_open = np.max(sizes, axis=1) > _KNOWN_BEFORE
+    is_open = np.max(sizes, axis=1) > _PRIOR_LIMIT_RAD
     # Errors that are not involved change a little too, by second-order effects of the errors themselves.
-    takes_part = np.any(sizes[is_open] > _TAKES_PART_OPEN * np.max(sizes[is_open], axis=1, keepdims=True), axis=0)
+    takes_part = np.any(sizes[is_open] > _OPEN_PARTICIPATION_RATIO * np.max(sizes[is_open], axis=1, keepdims=True), axis=0)
     names = tuple(name for name, taking_part in zip(fit.fitted, takes_part, strict=True) if taking_part)
     return Unobservable(names, int(np.sum(is_open))) if names else None
 
 
-def near_dependencies(fit: AxisFit) -> list[UnseenRun]:
+def near_dependencies(fit: AxisFit) -> list[NearDependency]:
     """Return the observable combinations with at least :data:`NEAR_DEPENDENCY_INDEX`, by falling condition index."""
     indices, runs = _combinations(fit)
     shares = runs**2 / np.sum(runs**2, axis=0)
     effect = fit.scale / np.sqrt(len(fit.weights))
     found = []
     for index, run, share in zip(indices, runs, shares, strict=True):
-        part = np.flatnonzero(share > _TAKES_PART)
-        if index < NEAR_DEPENDENCY_INDEX or np.any(np.abs(run) > _KNOWN_BEFORE) or len(part) == 0:
+        part = np.flatnonzero(share > _PARTICIPATION_SHARE)
+        if index < NEAR_DEPENDENCY_INDEX or np.any(np.abs(run) > _PRIOR_LIMIT_RAD) or len(part) == 0:
             continue
         signed = run[part] * np.sign(run[part[0]])
-        found.append(UnseenRun(tuple(fit.fitted[i] for i in part), tuple(signed.tolist()), effect))
+        found.append(NearDependency(tuple(fit.fitted[i] for i in part), tuple(signed.tolist()), effect))
     return found[::-1]
 
 
@@ -135,9 +135,9 @@ def table_warnings(sightings: Sightings, fixed: Mapping[str, float]) -> list[str
         fixed: errors that are not fitted, by name, with their values, rad.
     """
     # Errors common to sightings affect all readings equally. Here they count by the correlation of neighbours.
-    alone = replace(sightings, slow_errors=())
-    given, independent = _log_likelihood(alone, fixed)
-    best, text = max((_gain(other, given, fixed), words) for other, words in _readings(alone))
+    without_shared_errors = replace(sightings, slow_errors=())
+    given, independent = _log_likelihood(without_shared_errors, fixed)
+    best, text = max((_gain(other, given, fixed), words) for other, words in _readings(without_shared_errors))
     return [text] if independent * best > _MIN_LOG_LIKELIHOOD_GAIN else []
 
 

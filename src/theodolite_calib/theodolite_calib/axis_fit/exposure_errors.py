@@ -8,11 +8,11 @@ from theodolite_calib.axis_fit.sightings import right_and_up
 from theodolite_calib.chain.axes import direction_change
 from theodolite_calib.filter.prediction import Prediction
 from theodolite_calib.lights.line_of_sight import covariance_by_source
-from theodolite_calib.lights.telescope_attitude import linearised, total
+from theodolite_calib.lights.telescope_attitude import linearise, total_covariance
 from theodolite_calib.measured.sighting import Sighting
 
 # The axis errors are the unknowns of the fit: they are no error of a sighting.
-_SOUGHT = "axes"
+_FITTED_BLOCK = "axes"
 _SHIP = "ship.attitude"
 
 
@@ -31,8 +31,8 @@ def correlated_effects(
     Returns:
         Name and correlation time (s) → angles to the right and up, shape (2,), rad.
     """
-    line_covariance = total(covariance_by_source(prediction.lines.terms))
-    equations = linearised(
+    line_covariance = total_covariance(covariance_by_source(prediction.lines.terms))
+    equations = linearise(
         sighting.image, prediction.camera, prediction.lines.direction_n, line_covariance, rotation_nt, None
     )
     gain = np.linalg.solve(equations.weighted_jacobian @ equations.jacobian, equations.weighted_jacobian)
@@ -42,13 +42,13 @@ def correlated_effects(
     by_error = right_and_up(direction_d) @ direction_change(direction_d, turn_d)
     effects = {}
     for name, block in model.blocks.items():
-        if name == _SOUGHT:
+        if name == _FITTED_BLOCK:
             continue
         root = np.diag(block.sigma)
         if name == _SHIP and sighting.ship.correlated_covariance_n is not None:
             values, vectors = np.linalg.eigh(sighting.ship.correlated_covariance_n)
             root = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
-        moved = by_error[:, model.slices[name]] @ root
+        effect = by_error[:, model.slices[name]] @ root
         for number, time_s in enumerate(block.time_s):
-            effects[f"{name}.{number + 1}", float(time_s)] = moved[:, number]
+            effects[f"{name}.{number + 1}", float(time_s)] = effect[:, number]
     return effects

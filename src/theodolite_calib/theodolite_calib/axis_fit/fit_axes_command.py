@@ -16,16 +16,16 @@ from theodolite_calib.axis_fit.doubts import table_warnings
 from theodolite_calib.axis_fit.report import MEANINGS, summary, write_tables
 from theodolite_calib.axis_fit.robust_fit import AxisFit, fit
 from theodolite_calib.axis_fit.sighting_file import COLUMNS, GROUP_COLUMNS, LABEL_COLUMN, TIME_COLUMN, read_sightings
-from theodolite_calib.axis_fit.sightings import MOST_SIGHTINGS, Sightings
+from theodolite_calib.axis_fit.sightings import MAX_SIGHTINGS, Sightings
 from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.optical_axis.calibration import SAVED_NAMES, CalibrationPrior
 from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
 
-_MOST_SCATTER = np.deg2rad(1.0)
+_MAX_SCATTER = np.deg2rad(1.0)
 """Scatter of the sightings about their own fit above which they are in other units, or no sightings, rad."""
 
 CALIBRATION = "calibration.yaml"
-WRITTEN = (
+OUTPUT_NAMES = (
     *("axes.yaml", "axes.csv", "correlation.csv", "residuals.csv"),
     *("residuals.png", "over_angles.png", "sky.png", "terms.png"),
     CALIBRATION,
@@ -62,7 +62,7 @@ def _parser() -> CommandParser:
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write into, made if absent")
     parser.add_argument(
         "--fix",
-        type=_fixed,
+        type=_fixed_term,
         action="append",
         default=[],
         metavar="TERM[=ARCSEC]",
@@ -76,7 +76,7 @@ def _parser() -> CommandParser:
     return parser
 
 
-def _fixed(text: str) -> tuple[str, float]:
+def _fixed_term(text: str) -> tuple[str, float]:
     """Return name and value (rad) of a fixed term."""
     name, _, value = text.partition("=")
     if name not in NAMES:
@@ -96,9 +96,9 @@ def _run(options: argparse.Namespace) -> int:
         fixed.setdefault("flexure", 0.0)
     elif "flexure" in fixed:
         raise BadInput("--flexure and --fix flexure contradict each other: give one of them")
-    check_folder(options.out, WRITTEN, options.force)
+    check_folder(options.out, OUTPUT_NAMES, options.force)
     sightings = read_sightings(options.sightings)
-    result = _fitted(options.sightings, sightings, fixed)
+    result = _fit_sightings(options.sightings, sightings, fixed)
     options.out.mkdir(parents=True, exist_ok=True)
     warnings = table_warnings(sightings, fixed)
     write_tables(result, sightings, warnings, options.out)
@@ -119,12 +119,12 @@ def _calibration(result: AxisFit, sightings: Sightings, table_warnings: list[str
         path.unlink(missing_ok=True)
         why = "of the warnings about the table" if table_warnings else "no sigma is known"
         return f"not written: calibration.yaml, because {why}"
-    CALIBRATION_FILE.save(path, _fitted_calibration(result, sightings.time_s, options.serial))
+    CALIBRATION_FILE.save(path, _calibration_prior(result, sightings.time_s, options.serial))
     dated = "" if sightings.time_s is not None else f", treated as old: without {TIME_COLUMN} its age is unknown"
     return f"calibration.yaml: for the parameter calibration_file of optical_axis, serial '{options.serial}'{dated}"
 
 
-def _fitted(path: Path, sightings: Sightings, fixed: dict[str, float]) -> AxisFit:
+def _fit_sightings(path: Path, sightings: Sightings, fixed: dict[str, float]) -> AxisFit:
     """Return the fit.
 
     Raises:
@@ -136,14 +136,14 @@ def _fitted(path: Path, sightings: Sightings, fixed: dict[str, float]) -> AxisFi
     if len(sightings.labels) < terms:
         raise BadInput(f"{len(sightings.labels)} sightings for {terms} terms: expected at least {terms}", file=path)
     fading = any(not math.isinf(error.time_s) for error in sightings.correlated_errors)
-    if fading and len(sightings.labels) > MOST_SIGHTINGS:
+    if fading and len(sightings.labels) > MAX_SIGHTINGS:
         raise BadInput(
             f"{len(sightings.labels)} sightings with errors correlated in time: expected at most "
-            f"{MOST_SIGHTINGS}; use a subset",
+            f"{MAX_SIGHTINGS}; use a subset",
             file=path,
         )
     result = fit(sightings, fixed)
-    if not result.scale <= _MOST_SCATTER:
+    if not result.scale <= _MAX_SCATTER:
         raise BadInput(
             f"the sightings scatter by {np.rad2deg(result.scale):.1f} deg about any axis errors: expected offsets "
             "[deg] of one theodolite, true direction minus encoder",
@@ -152,7 +152,7 @@ def _fitted(path: Path, sightings: Sightings, fixed: dict[str, float]) -> AxisFi
     return result
 
 
-def _fitted_calibration(fit: AxisFit, time_s: FloatArray | None, serial: str) -> CalibrationPrior:
+def _calibration_prior(fit: AxisFit, time_s: FloatArray | None, serial: str) -> CalibrationPrior:
     """Return the calibration from which ``optical_axis`` starts, from a fit with known sigmas.
 
     Fixed terms, the focal length and the parallelism have no variance in it: they stay as configured.

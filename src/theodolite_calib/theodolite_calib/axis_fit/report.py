@@ -115,7 +115,7 @@ def _observability_lines(fit: AxisFit) -> Iterator[str]:
     for first, second, correlation in correlated_pairs(fit):
         yield f"correlated: {first} and {second}, {correlation:+.3f}"
     for combination in near_dependencies(fit):
-        runs = together(combination.names, np.array(combination.run))
+        runs = changes_text(combination.names, np.array(combination.changes))
         yield (
             f"poorly separated: {', '.join(combination.names)}: {runs} arcsec together (1 sigma) change these "
             f"sightings by only {combination.effect / ARCSEC:.2g} arcsec"
@@ -127,9 +127,9 @@ def _observability_lines(fit: AxisFit) -> Iterator[str]:
         yield f"not observable: {what}; kept near 0. Fix terms, or add sightings where their effects differ"
 
 
-def together(names: tuple[str, ...], run: FloatArray) -> str:
+def changes_text(names: tuple[str, ...], changes: FloatArray) -> str:
     """Return a text of errors with their joint changes: ``c +14.9, I -12.2``."""
-    return ", ".join(f"{name} {value / ARCSEC:+.3g}" for name, value in zip(names, run, strict=True))
+    return ", ".join(f"{name} {value / ARCSEC:+.3g}" for name, value in zip(names, changes, strict=True))
 
 
 FORMAT = "theodolite axis errors"

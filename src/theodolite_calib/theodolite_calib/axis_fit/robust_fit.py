@@ -36,7 +36,7 @@ PRIOR_SIGMAS = np.array([np.pi, np.pi, *[3600.0 * ARCSEC] * 5])
 
 An unobservable error therefore stays at zero, with this sigma. Observable errors are not affected."""
 
-HANG_TOGETHER = 0.3
+CORRELATION_LIMIT = 0.3
 """Correlation between the residuals of neighbouring sightings from which on no sigma is given: a sigma for independent
 sightings would be a third too small."""
 
@@ -114,25 +114,25 @@ def fit(sightings: Sightings, fixed: Mapping[str, float]) -> AxisFit:
     vector = np.array([fixed.get(name, start) for name, start in zip(NAMES, _initial_errors(sightings), strict=True)])
     problem = _Problem(sightings, free, sightings.correlated_map())
     shared = np.zeros(problem.correlated_map.shape[-1])
-    scale, taken = 0.0, float(terms)
+    scale, used_degrees = 0.0, float(terms)
     for step in range(_MOST_STEPS):
-        residuals, design = problem.linearized(vector, shared)
+        residuals, design = problem.linearise(vector, shared)
         if step < _STEPS_WITH_NEW_SCALE:
-            scale = _scale(residuals, taken)
+            scale = _scale(residuals, used_degrees)
         weights = _weights(residuals, scale)
-        seen = _normal(design, weights[:, None, None] * np.eye(2)) / scale**2
+        data_information = _normal(design, weights[:, None, None] * np.eye(2)) / scale**2
         unknowns = np.concatenate([vector[free], shared])
         gradient = _gradient(design, weights, residuals) / scale**2 - problem.information @ unknowns
-        root = _root_of_inverse(seen, problem.information)
+        root = _root_of_inverse(data_information, problem.information)
         change = root @ (root.T @ gradient)
         vector[free] += change[:terms]
         shared = shared + change[terms:]
         # An observable common error takes a degree of freedom from the residuals, as an axis error does.
-        taken = terms + float(np.sum(1.0 - np.sum(root[terms:] ** 2, axis=1)))
+        used_degrees = terms + float(np.sum(1.0 - np.sum(root[terms:] ** 2, axis=1)))
         # The size of the step in sigmas of the result.
         if np.sqrt(gradient @ change) < _CONVERGED_SIGMAS:
             break
-    return _result(problem, vector, shared, scale, taken)
+    return _result(problem, vector, shared, scale, used_degrees)
 
 
 def sizes(residuals: FloatArray) -> FloatArray:
@@ -149,8 +149,8 @@ def rms(residuals: FloatArray) -> float:
 def _initial_errors(sightings: Sightings) -> FloatArray:
     """Return the initial errors: a mean zero point of the azimuth, which may have any value; else zero."""
     axis_d = main_axis_rotation(AxisErrors(), sightings.azimuth, sightings.elevation)[..., 0]
-    seen, true = (d[..., 0] + 1j * d[..., 2] for d in (axis_d, sightings.direction_d))
-    return np.array([np.angle(np.sum(seen * np.conj(true))), *[0.0] * (len(NAMES) - 1)])
+    encoder_axis, true = (d[..., 0] + 1j * d[..., 2] for d in (axis_d, sightings.direction_d))
+    return np.array([np.angle(np.sum(encoder_axis * np.conj(true))), *[0.0] * (len(NAMES) - 1)])
 
 
 @dataclass(frozen=True)
@@ -172,15 +172,15 @@ class _Problem:
         """Prior information of the unknowns, shape (k + q, k + q)."""
         return np.diag(np.concatenate([PRIOR_SIGMAS[self.free] ** -2.0, np.ones(self.correlated_map.shape[-1])]))
 
-    def linearized(self, vector: FloatArray, shared: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def linearise(self, vector: FloatArray, shared: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return residuals (n, 2), and the model's derivative by all unknowns, shape (n, 2, k + q)."""
-        residuals, change = self.sightings.linearized(AxisErrors.from_vector(vector))
+        residuals, change = self.sightings.linearise(AxisErrors.from_vector(vector))
         return residuals - self.correlated_map @ shared, np.concatenate([change[..., self.free], self.correlated_map], axis=-1)
 
 
-def _scale(residuals: FloatArray, taken: float) -> float:
+def _scale(residuals: FloatArray, used_degrees: float) -> float:
     components = residuals.size
-    lost = np.sqrt(components / (components - taken))
+    lost = np.sqrt(components / (components - used_degrees))
     return max(float(np.median(sizes(residuals)) / _MEDIAN_OF_TWO * lost), _LEAST_SCALE)
 
 
@@ -201,18 +201,18 @@ def _gradient(design: FloatArray, weights: FloatArray, residuals: FloatArray) ->
     return gradient
 
 
-def _result(problem: _Problem, vector: FloatArray, shared: FloatArray, scale: float, taken: float) -> AxisFit:
+def _result(problem: _Problem, vector: FloatArray, shared: FloatArray, scale: float, used_degrees: float) -> AxisFit:
     sightings, terms = problem.sightings, int(np.sum(problem.free))
-    residuals, design = problem.linearized(vector, shared)
+    residuals, design = problem.linearise(vector, shared)
     weights = _weights(residuals, scale)
     neighbours = _neighbour_correlation(sightings, weights[:, None] * residuals)
     chance = _CHANCE_SIGMAS / np.sqrt(residuals.size)
     return AxisFit(
         errors=AxisErrors.from_vector(vector),
         fitted=tuple(name for name, fitted in zip(NAMES, problem.free, strict=True) if fitted),
-        covariance=_covariance(residuals, design, weights, problem.information, taken)[:terms, :terms],
+        covariance=_covariance(residuals, design, weights, problem.information, used_degrees)[:terms, :terms],
         neighbour_correlation=neighbours,
-        sigmas_known=neighbours <= max(HANG_TOGETHER, chance),
+        sigmas_known=neighbours <= max(CORRELATION_LIMIT, chance),
         scale=scale,
         before=sightings.residuals(AxisErrors()),
         shared=problem.correlated_map @ shared,
@@ -232,7 +232,7 @@ def _neighbour_correlation(sightings: Sightings, residuals: FloatArray) -> float
 
 
 def _covariance(
-    residuals: FloatArray, design: FloatArray, weights: FloatArray, information: FloatArray, taken: float
+    residuals: FloatArray, design: FloatArray, weights: FloatArray, information: FloatArray, used_degrees: float
 ) -> FloatArray:
     """Return the covariance of the unknowns by Huber (1981) §7.6, for residuals of two components, with the prior.
 
@@ -240,18 +240,18 @@ def _covariance(
     weight of the sighting. On the average over both it resists with half the weight.
     """
     stiffness = np.where(weights < 1.0, 0.5 * weights, 1.0)
-    freedom = residuals.size - taken
+    freedom = residuals.size - used_degrees
     variance = np.sum((weights * sizes(residuals)) ** 2) / freedom / np.mean(stiffness)
-    seen = _normal(design, stiffness[:, None, None] * np.eye(2)) / max(variance, _LEAST_SCALE**2)
-    root = _root_of_inverse(seen, information)
+    data_information = _normal(design, stiffness[:, None, None] * np.eye(2)) / max(variance, _LEAST_SCALE**2)
+    root = _root_of_inverse(data_information, information)
     covariance: FloatArray = root @ root.T
     return covariance
 
 
-def _root_of_inverse(seen: FloatArray, information: FloatArray) -> FloatArray:
+def _root_of_inverse(data_information: FloatArray, information: FloatArray) -> FloatArray:
     """Return a root W of (seen + information)⁻¹ = W Wᵀ; the prior information is diagonal."""
     known = 1.0 / np.sqrt(np.diagonal(information))
-    values, vectors = np.linalg.eigh(known[:, None] * seen * known + np.eye(len(known)))
+    values, vectors = np.linalg.eigh(known[:, None] * data_information * known + np.eye(len(known)))
     # In units of the prior every eigenvalue is at least 1, except for rounding.
     root: FloatArray = known[:, None] * vectors / np.sqrt(np.maximum(values, 1.0))
     return root

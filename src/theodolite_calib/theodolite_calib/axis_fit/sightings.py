@@ -17,10 +17,10 @@ import numpy as np
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, wrap_pi
 from theodolite_calib.chain.axes import AxisErrors, direction_change, encoder_angles, main_axis, main_axis_rotation
 
-MOST_SIGHTINGS = 1000
+MAX_SIGHTINGS = 1000
 """Maximum number of sightings with errors correlated in time, whose joint covariance is decomposed as a whole."""
 
-_LEAST_EFFECT = 0.1 * ARCSEC
+_MIN_EFFECT_RAD = 0.1 * ARCSEC
 """Minimum effect on the sightings, rad RMS, for a column of the map; smaller ones cannot be separated from their own
 error."""
 
@@ -49,22 +49,22 @@ def correlated_map(errors: tuple[SharedError, ...], time_s: FloatArray | None, c
         count: number of sightings.
     """
     columns = [error.effect.reshape(2 * count, 1) for error in errors if np.isinf(error.time_s)]
-    fading = sorted((error for error in errors if not np.isinf(error.time_s)), key=lambda error: error.time_s)
-    if fading:
+    time_correlated = sorted((error for error in errors if not np.isinf(error.time_s)), key=lambda error: error.time_s)
+    if time_correlated:
         assert time_s is not None
-        columns.append(_root(_covariance(fading, time_s)))
+        columns.append(_root(_covariance(time_correlated, time_s)))
     return np.hstack([np.zeros((2 * count, 0)), *columns]).reshape(count, 2, -1)
 
 
-def _covariance(fading: list[SharedError], time_s: FloatArray) -> FloatArray:
+def _covariance(time_correlated: list[SharedError], time_s: FloatArray) -> FloatArray:
     """Return the covariance of the sightings by errors correlated in time, right and up in turn, (2 n, 2 n), rad²."""
     interval_s = np.abs(np.subtract.outer(time_s, time_s))
     covariance = np.zeros((2 * len(time_s), 2 * len(time_s)))
-    for correlation_s, errors in groupby(fading, key=lambda error: error.time_s):
+    for correlation_s, errors in groupby(time_correlated, key=lambda error: error.time_s):
         effects = np.stack([error.effect.ravel() for error in errors], axis=-1)
         # A correlation time of zero is white: each time has its own error.
-        kept = np.exp(-interval_s / correlation_s) if correlation_s > 0.0 else (interval_s == 0.0).astype(float)
-        covariance += (effects @ effects.T) * np.repeat(np.repeat(kept, 2, axis=0), 2, axis=1)
+        correlation = np.exp(-interval_s / correlation_s) if correlation_s > 0.0 else (interval_s == 0.0).astype(float)
+        covariance += (effects @ effects.T) * np.repeat(np.repeat(correlation, 2, axis=0), 2, axis=1)
     return covariance
 
 
@@ -72,8 +72,8 @@ def _root(covariance: FloatArray) -> FloatArray:
     """Return a root of the covariance, without negligible columns, shape (2 n, q)."""
     values, vectors = np.linalg.eigh(covariance)
     # Eigenvalues rise: the least ones, with a negligible joint effect on the sightings, are omitted.
-    seen = np.cumsum(np.maximum(values, 0.0)) > _LEAST_EFFECT**2 * len(values)
-    root: FloatArray = vectors[:, seen] * np.sqrt(values[seen])
+    is_significant = np.cumsum(np.maximum(values, 0.0)) > _MIN_EFFECT_RAD**2 * len(values)
+    root: FloatArray = vectors[:, is_significant] * np.sqrt(values[is_significant])
     return root
 
 
@@ -115,7 +115,7 @@ class Sightings:
         model_d = main_axis_rotation(errors, self.azimuth, self.elevation)[..., 0]
         return _sky_angles(self.direction_d, model_d)
 
-    def linearized(self, errors: AxisErrors) -> tuple[FloatArray, FloatArray]:
+    def linearise(self, errors: AxisErrors) -> tuple[FloatArray, FloatArray]:
         """Return residuals (n, 2), and the model's derivative to the right and up per axis error, shape (n, 2, 7)."""
         axis = main_axis(errors, self.azimuth, self.elevation)
         model_d = axis.rotation_dm[..., 0]

@@ -62,7 +62,7 @@ class AxisErrors:
         return np.stack(np.broadcast_arrays(*astuple(self)), axis=-1)
 
     @cached_property
-    def rotation_of_tilt(self) -> FloatArray:
+    def tilt_rotation(self) -> FloatArray:
         """Rotation T of the vertical axis, shape (..., 3, 3)."""
         return exp_rotation(_tilt_vector(self))
 
@@ -96,11 +96,11 @@ class MainAxis:
 
 def main_axis(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> MainAxis:
     """Return the main frame with its Jacobians. An encoder error acts like a change of the encoder's angle."""
-    rotation_dx = errors.rotation_of_tilt @ _about_vertical_and_horizontal(errors, azimuth)
+    rotation_dx = errors.tilt_rotation @ _about_vertical_and_horizontal(errors, azimuth)
     rotation_dm = rotation_dx @ _about_elevation_and_collimation(errors, elevation)
     cosine, sine = _cos_sin(elevation)
 
-    vertical = errors.rotation_of_tilt[..., :, 1]
+    vertical = errors.tilt_rotation[..., :, 1]
     horizontal = rotation_dx[..., :, 2]
     by_error = np.empty((*rotation_dm.shape[:-1], len(NAMES)))
     by_error[..., _G] = vertical
@@ -118,7 +118,7 @@ def main_axis(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> MainAxis:
 
 def main_axis_rotation(errors: AxisErrors, azimuth: Angle, elevation: Angle) -> FloatArray:
     """Return "deck from main frame", shape (..., 3, 3), without the Jacobians."""
-    rotation_dx = errors.rotation_of_tilt @ _about_vertical_and_horizontal(errors, azimuth)
+    rotation_dx = errors.tilt_rotation @ _about_vertical_and_horizontal(errors, azimuth)
     return rotation_dx @ _about_elevation_and_collimation(errors, elevation)
 
 
@@ -168,8 +168,8 @@ def axis_geometry(
         azimuth: encoder azimuth, rad.
         elevation: encoder elevation, rad.
     """
-    found = compiled_mounts.axis_geometries(errors[None], rotation_nd[None], rate_d[None], np.array([[azimuth, elevation]]))
-    return AxisGeometry(*(of_all[0] for of_all in found))
+    arrays = compiled_mounts.axis_geometries(errors[None], rotation_nd[None], rate_d[None], np.array([[azimuth, elevation]]))
+    return AxisGeometry(*(of_all[0] for of_all in arrays))
 
 
 def encoder_angles(
@@ -191,7 +191,7 @@ def encoder_angles(
     """
     unit_d = direction_d / np.linalg.norm(direction_d, axis=-1, keepdims=True)
     # Seen from the vertical axis: x, y (up), z.
-    x, y, z = np.moveaxis((unit_d[..., None, :] @ errors.rotation_of_tilt)[..., 0, :], -1, 0)
+    x, y, z = np.moveaxis((unit_d[..., None, :] @ errors.tilt_rotation)[..., 0, :], -1, 0)
     sin_c, cos_i, sin_i = np.sin(errors.c), np.cos(errors.I), np.sin(errors.I)
     # The turn by the azimuth changed the components `forward` and `left`, and kept the one up.
     left = (y * sin_i + sin_c) / cos_i

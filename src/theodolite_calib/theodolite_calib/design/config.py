@@ -82,7 +82,7 @@ class DesignStudyConfig:
         """Names of the N beacons."""
         return tuple(self.lights)
 
-    def beside(self) -> FloatArray:
+    def direction_tangents(self) -> FloatArray:
         """Return the tangents of the beacons' angles to the right of the axis and above it, shape (N, 2)."""
         return np.tan(np.deg2rad([[light.right_deg, light.up_deg] for light in self.lights.values()]))
 
@@ -112,7 +112,7 @@ def study_config(values: Mapping[str, Any]) -> DesignStudyConfig:
         here, there = ("lights", "optical_axis.beacons") if name in lights else ("optical_axis.beacons", "lights")
         raise ParameterError(f"parameter '{here}.{name}': expected '{name}' under {there} too", f"{here}.{name}")
     field_deg = config.optical_axis.escort.field_deg
-    for name, off_deg in zip(config.names, np.rad2deg(np.arctan(np.hypot(*config.beside().T))).tolist(), strict=True):
+    for name, off_deg in zip(config.names, np.rad2deg(np.arctan(np.hypot(*config.direction_tangents().T))).tolist(), strict=True):
         if not off_deg <= field_deg:
             raise ParameterError(
                 f"parameter 'lights.{name}': it is {off_deg:.2f} deg from the telescope's axis, expected at most "

@@ -80,13 +80,13 @@ def _study(options: argparse.Namespace) -> DesignStudy:
     file = None if options.design is None else read_nested_parameters(options.design)
     try:
         config = study_config(W18 if file is None else file.values)
-        check_folder(options.out, written(), options.force)
+        check_folder(options.out, output_names(), options.force)
         return study(config)
     except ParameterError as error:
         raise error if file is None else file.error(error) from error
 
 
-def written() -> list[str]:
+def output_names() -> list[str]:
     """Return the names of all files written."""
     return [PAGE, *TABLES, *(f"{figure}.png" for figure in FIGURES)]
 

@@ -77,11 +77,11 @@ def _places_table(study: DesignStudy) -> str:
     both = (("as given", study.given_n), ("best", study.advice.places_n))
     for number, (words, places_n) in enumerate(both):
         for light, name in enumerate(study.config.names):
-            beside = arcsec_texts(study.places_deg[number, light])
+            angles = arcsec_texts(study.places_deg[number, light])
             lengths = arcsec_texts(
                 np.append(study.distances_m[number, light], ENU_FROM_HORIZON @ places_n[light]), digits=0
             )
-            rows.append([words, name, *beside, *lengths])
+            rows.append([words, name, *angles, *lengths])
     header = ["places", "drone", "right [°]", "up [°]", "distance [m]", "East [m]", "North [m]", "Up [m]"]
     return table(header, rows, style="words")
 

@@ -21,7 +21,7 @@ from theodolite_calib.measured.tracks import EncoderAt, ShipAt
 
 SWEEP_COUNT = 25
 """Number of values of a sweep."""
-BEST_EVERY = 4
+BEST_STEP = 4
 """Step of the values for which the best positions are computed, which takes longer."""
 _FACTORS = np.geomspace(0.2, 5.0, SWEEP_COUNT)
 _SURVEY_M = np.geomspace(1e-3, 0.2, SWEEP_COUNT)
@@ -98,17 +98,17 @@ class DesignStudy:
 def study(config: DesignStudyConfig) -> DesignStudy:
     """Return all numbers of a study."""
     design = _Design(config, config.optical_axis)
-    given_n = design.beacon_positions_n(config.beside(), config.distances_m())
+    given_n = design.beacon_positions_n(config.direction_tangents(), config.distances_m())
     advice = design.advice()
-    placed = np.isfinite(advice.sigma_advised)
+    has_positions = np.isfinite(advice.sigma_advised)
     given = design.accuracy.budget(config.names, given_n)
-    advised = design.accuracy.budget(config.names, advice.places_n) if placed else dict.fromkeys(given, _UNKNOWN)
+    advised = design.accuracy.budget(config.names, advice.places_n) if has_positions else dict.fromkeys(given, _UNKNOWN)
     budget = [
         SourceSigma(source, design.sigmas_arcsec(given[source]), design.sigmas_arcsec(advised[source]))
         for source in given
         if np.any(given[source]) or np.any(advised[source])
     ]
-    places = [design.seen(places_n) for places_n in (given_n, advice.places_n)]
+    places = [design.angles_and_distances(places_n) for places_n in (given_n, advice.places_n)]
     return DesignStudy(
         config=config,
         given_n=given_n,
@@ -118,7 +118,7 @@ def study(config: DesignStudyConfig) -> DesignStudy:
         advised_arcsec=_total(source.advised_arcsec for source in budget),
         budget=budget,
         sweeps=list(_sweeps(config)),
-        places_deg=np.array([beside_deg for beside_deg, _ in places]),
+        places_deg=np.array([angles_deg for angles_deg, _ in places]),
         distances_m=np.array([distances_m for _, distances_m in places]),
     )
 
@@ -151,18 +151,18 @@ class _Design:
         encoder = EncoderAt(float(azimuth), float(elevation), (node.encoder.sigma_arcsec * ARCSEC) ** 2)
         self.accuracy = BeaconAccuracy(node, CalibrationFilter(node), ship, encoder)
 
-    def beacon_positions_n(self, beside: FloatArray, distances_m: FloatArray) -> FloatArray:
+    def beacon_positions_n(self, tangents: FloatArray, distances_m: FloatArray) -> FloatArray:
         """Return beacon positions (N, U, E), m, shape (N, 3), from tangents of their angles from the axis, (N, 2)."""
-        path_t = np.column_stack([np.ones(len(beside)), beside[:, 1], beside[:, 0]])
+        path_t = np.column_stack([np.ones(len(tangents)), tangents[:, 1], tangents[:, 0]])
         path_t *= (distances_m / np.linalg.norm(path_t, axis=1))[:, None]
         places_n: FloatArray = self.accuracy.centre_n + path_t @ self.accuracy.rotation_nt.T
         return places_n
 
-    def seen(self, places_n: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def angles_and_distances(self, places_n: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the angles of positions right of the axis and above it, deg, (N, 2), and their distances, m, (N,)."""
         path_t = (places_n - self.accuracy.centre_n) @ self.accuracy.rotation_nt
-        beside_deg: FloatArray = np.rad2deg(np.arctan2(path_t[:, [2, 1]], path_t[:, :1]))
-        return beside_deg, np.linalg.norm(path_t, axis=1)
+        angles_deg: FloatArray = np.rad2deg(np.arctan2(path_t[:, [2, 1]], path_t[:, :1]))
+        return angles_deg, np.linalg.norm(path_t, axis=1)
 
     def advice(self) -> EscortAdvice:
         return advise(self._node.escort, self.accuracy, self._config.names, {})
@@ -179,7 +179,7 @@ class _Design:
 
 def _sweeps(config: DesignStudyConfig) -> Iterator[Sweep]:
     node, names = config.optical_axis, config.names
-    beside, distances_m = config.beside(), config.distances_m()
+    tangents, distances_m = config.direction_tangents(), config.distances_m()
     escort, telescope = node.escort, node.telescope
 
     def sweep(
@@ -189,14 +189,14 @@ def _sweeps(config: DesignStudyConfig) -> Iterator[Sweep]:
         given: float,
         values: FloatArray,
         node_of: Callable[[float], OpticalAxisConfig] = lambda value: node,
-        lights_of: Callable[[float], tuple[FloatArray, FloatArray]] = lambda value: (beside, distances_m),
+        lights_of: Callable[[float], tuple[FloatArray, FloatArray]] = lambda value: (tangents, distances_m),
         best: bool = True,
     ) -> Sweep:
         sigma, best_sigma = np.full(len(values), np.nan), np.full(len(values), np.nan)
         for number, value in enumerate(values.tolist()):
             design = _Design(config, node_of(value))
             sigma[number] = design.accuracy.sigma(names, design.beacon_positions_n(*lights_of(value)))
-            if best and number % BEST_EVERY == 0:
+            if best and number % BEST_STEP == 0:
                 best_sigma[number] = design.advice().sigma_advised
         return Sweep(name, label, unit, values, given, sigma / ARCSEC, best_sigma / ARCSEC)
 
@@ -208,18 +208,18 @@ def _sweeps(config: DesignStudyConfig) -> Iterator[Sweep]:
         distance_m,
         distance_m * _FACTORS,
         node_of=lambda value: replace(node, escort=_at_range(escort, value)),
-        lights_of=lambda value: (beside, distances_m * (value / distance_m)),
+        lights_of=lambda value: (tangents, distances_m * (value / distance_m)),
     )
     if len(names) > 1:
-        middle, separation_deg = beside.mean(axis=0), _separation_deg(beside)
-        widest = _factor_in_field(beside, middle, float(np.tan(np.deg2rad(escort.field_deg))))
+        middle, separation_deg = tangents.mean(axis=0), _separation_deg(tangents)
+        widest = _factor_in_field(tangents, middle, float(np.tan(np.deg2rad(escort.field_deg))))
         yield sweep(
             "separation",
             "widest angle between the lights",
             "deg",
             separation_deg,
             separation_deg * widest * np.geomspace(0.05, 1.0, SWEEP_COUNT),
-            lights_of=lambda value: (middle + (beside - middle) * (value / separation_deg), distances_m),
+            lights_of=lambda value: (middle + (tangents - middle) * (value / separation_deg), distances_m),
             best=False,
         )
     yield sweep(
@@ -292,13 +292,13 @@ def _with_rtk(node: OpticalAxisConfig, factor: float) -> OpticalAxisConfig:
     return replace(node, beacons=beacons, ship_antenna=antenna)
 
 
-def _separation_deg(beside: FloatArray) -> float:
+def _separation_deg(tangents: FloatArray) -> float:
     """Return the widest angle between any two beacons, from the tangents of their angles from the axis."""
-    path_t = np.column_stack([np.ones(len(beside)), beside[:, 1], beside[:, 0]])
+    path_t = np.column_stack([np.ones(len(tangents)), tangents[:, 1], tangents[:, 0]])
     return float(np.rad2deg(np.max(angle_between(path_t[:, None], path_t))))
 
 
-def _factor_in_field(beside: FloatArray, middle: FloatArray, field: float) -> float:
+def _factor_in_field(tangents: FloatArray, middle: FloatArray, field: float) -> float:
     """Return the factor on the beacons' distances from their middle at which the first leaves the field.
 
     Args:
@@ -306,7 +306,7 @@ def _factor_in_field(beside: FloatArray, middle: FloatArray, field: float) -> fl
         middle: their mean, shape (2,).
         field: tangent of the radius of the field.
     """
-    away = beside - middle
+    away = tangents - middle
     squared, across = np.sum(away**2, axis=1), away @ middle
     # |middle + k away| = field, greater root; a beacon at the middle never leaves the field.
     moving = squared > 0.0

@@ -61,18 +61,18 @@ class BeaconAccuracy:
         self._exposures = config.escort.exposures
         configured_n = {name: beacon.rtk.sigma_m**2 * np.eye(3) for name, beacon in config.beacons.items()}
         self._noise_n = configured_n | dict(baseline_noise_n or {})
-        start = filter_.predicted(filter_.initial_state(), 0, ship.correlated_covariance_n)
+        start = filter_.propagate(filter_.initial_state(), 0, ship.correlated_covariance_n)
         self._mean = start.mean if mean is None else mean
-        self._parts, self._covariance = start.parts, start.covariance
+        self._parts, self._covariance = start.covariance_by_source, start.covariance
         self._parallelism = filter_.model.slices["parallelism"]
         self.centre_n: FloatArray = ship.rotation_nd @ config.lever.vector_m
         # The pose of telescope and main axis does not depend on the position of a beacon.
         anywhere_n = self.centre_n + np.array([[_ANYWHERE_M, 0.0, 0.0]])
-        posed = self._predict(tuple(config.beacons)[:1], anywhere_n)
-        self.rotation_nt = posed.rotation_nt
+        prediction = self._predict(tuple(config.beacons)[:1], anywhere_n)
+        self.rotation_nt = prediction.rotation_nt
         parallelism = filter_.sightings.parallelism(self._mean)
-        self.rotation_nm: FloatArray = posed.rotation_nt @ rotation_from_angles(*parallelism)
-        main, by_noise_n = self._main_axis(posed)
+        self.rotation_nm: FloatArray = prediction.rotation_nt @ rotation_from_angles(*parallelism)
+        main, by_noise_n = self._main_axis(prediction)
         self._without_beacons_n = main @ self._covariance @ main.T + by_noise_n
 
     def sigma(self, names: tuple[str, ...], places_n: FloatArray) -> float:
@@ -91,9 +91,9 @@ class BeaconAccuracy:
             return float("nan")
         noise = sum(prediction.noise_by_source.values()) / self._exposures
         by_states = self._covariance @ jacobian.T
-        seen = main @ by_states
-        learned = seen @ np.linalg.solve(jacobian @ by_states + noise, seen.T)
-        return self._on_sky(main @ self._covariance @ main.T - learned + by_noise_n)
+        main_by_measurement = main @ by_states
+        reduction = main_by_measurement @ np.linalg.solve(jacobian @ by_states + noise, main_by_measurement.T)
+        return self._on_sky(main @ self._covariance @ main.T - reduction + by_noise_n)
 
     def budget(self, names: tuple[str, ...], places_n: FloatArray) -> dict[str, FloatArray]:
         """Return the pointing's covariance by source, rotation vector in n, rad², shape (3, 3) each.
@@ -126,10 +126,10 @@ class BeaconAccuracy:
 
     def _main_axis(self, prediction: Prediction) -> tuple[FloatArray, FloatArray]:
         """Return the rotation of the main axis per state, shape (3, n), and its noise at a reading, rad², (3, 3)."""
-        turn_n = prediction.by_state_n.copy()
+        by_state_n = prediction.by_state_n.copy()
         # The parallelism rotates the telescope, not the main axis.
-        turn_n[:, self._parallelism] = 0.0
-        return turn_n, sum(prediction.noise_n.values(), np.zeros((3, 3)))
+        by_state_n[:, self._parallelism] = 0.0
+        return by_state_n, sum(prediction.noise_n.values(), np.zeros((3, 3)))
 
     def _on_sky(self, covariance_n: FloatArray) -> float:
         axis_n = self.rotation_nm[:, 0]

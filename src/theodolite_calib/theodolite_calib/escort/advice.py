@@ -17,14 +17,14 @@ from theodolite_calib.config import EscortConfig
 from theodolite_calib.escort.accuracy import BeaconAccuracy
 from theodolite_calib.escort.places import AllowedPlaces
 
-_FOLLOWED = 2
+_REFINED_STARTS = 2
 """Number of starting points that are refined."""
-_ENOUGH = 0.005
+_MIN_GAIN = 0.005
 """Relative loss of the previous positions up to which they are kept: no drone moves for so little."""
 _RANGES = (0.0, 0.35, 0.7, 1.0)
 _ORIENTATIONS = (0.0, 0.25, 0.5, 0.75)
 _TOLERANCE = 1e-4
-_MOST_STEPS = 40
+_MAX_STEPS = 40
 
 
 @dataclass(frozen=True)
@@ -62,25 +62,25 @@ def advise(
         now_n: known present positions of the drones, from the ship's antenna (N, U, E), m, shape (3,).
         keep_n: previous positions, kept as long as no others are better by half a percent, shape (N, 3).
     """
-    allowed = AllowedPlaces.around(limits, accuracy.centre_n, accuracy.rotation_nt)
-    seen = {name: place_n for name, place_n in now_n.items() if allowed.in_field(place_n)}
-    sigma_now = accuracy.sigma(tuple(seen), np.array(list(seen.values())).reshape(-1, 3))
-    if allowed.limit_missed:
-        return _none(names, sigma_now, allowed.limit_missed)
+    allowed = AllowedPlaces.around_axis(limits, accuracy.centre_n, accuracy.rotation_nt)
+    in_field = {name: place_n for name, place_n in now_n.items() if allowed.is_in_field(place_n)}
+    sigma_now = accuracy.sigma(tuple(in_field), np.array(list(in_field.values())).reshape(-1, 3))
+    if allowed.unmet_limit:
+        return _no_advice(names, sigma_now, allowed.unmet_limit)
     search = _Search(allowed, accuracy, names)
-    kept = np.inf if keep_n is None else search.value(allowed.nearest_box(keep_n))
+    kept_sigma = np.inf if keep_n is None else search.evaluate(allowed.nearest_box(keep_n))
     kept_box = search.best_box
     search.run(kept_box)
     if search.best_box is None:
-        return _none(names, sigma_now, "separation_min_m")
-    box = kept_box if kept_box is not None and kept <= (1.0 + _ENOUGH) * search.best else search.best_box
+        return _no_advice(names, sigma_now, "separation_min_m")
+    box = kept_box if kept_box is not None and kept_sigma <= (1.0 + _MIN_GAIN) * search.best else search.best_box
     places_n = allowed.places_n(box)
     return EscortAdvice(
         names, places_n, sigma_now, accuracy.sigma(names, places_n), tuple(allowed.limits_reached(names, places_n))
     )
 
 
-def _none(names: tuple[str, ...], sigma_now: float, limit: str) -> EscortAdvice:
+def _no_advice(names: tuple[str, ...], sigma_now: float, limit: str) -> EscortAdvice:
     return EscortAdvice(names, np.full((len(names), 3), np.nan), sigma_now, float("nan"), (limit,))
 
 
@@ -105,26 +105,26 @@ class _Search:
     def run(self, first: FloatArray | None) -> None:
         """Search for the best positions; ``first`` is an additional starting point, shape (N, 3)."""
         starts = [] if first is None else [first]
-        starts += list(_beginnings(len(self._names)))
-        valued = sorted((self.value(box), number) for number, box in enumerate(starts))
+        starts += list(_starting_points(len(self._names)))
+        valued = sorted((self.evaluate(box), number) for number, box in enumerate(starts))
         scale = min(valued[0][0], self._accuracy.sigma((), np.empty((0, 3))))
-        for _, number in valued[:_FOLLOWED]:
-            self._follow(starts[number], scale)
+        for _, number in valued[:_REFINED_STARTS]:
+            self._refine(starts[number], scale)
 
-    def value(self, box: FloatArray) -> float:
+    def evaluate(self, box: FloatArray) -> float:
         """Return the standard deviation at box coordinates; infinite if the drones are too close together."""
         places_n = self._allowed.places_n(box)
         if not np.all(self._allowed.separations_m(places_n) >= self._allowed.limits.separation_min_m):
             return float("inf")
-        return self._remembered(box, places_n)
+        return self._evaluate_and_record(box, places_n)
 
-    def _remembered(self, box: FloatArray, places_n: FloatArray) -> float:
+    def _evaluate_and_record(self, box: FloatArray, places_n: FloatArray) -> float:
         sigma = self._accuracy.sigma(self._names, places_n)
         if sigma < self.best:
             self.best, self.best_box = sigma, np.array(box)
         return sigma
 
-    def _follow(self, start: FloatArray, scale: float) -> None:
+    def _refine(self, start: FloatArray, scale: float) -> None:
         """Refine a starting point; steps may bring drones too close together, but such positions are not stored."""
         shape, least_m = start.shape, self._allowed.limits.separation_min_m
 
@@ -132,40 +132,40 @@ class _Search:
             box = np.clip(flat.reshape(shape), 0.0, 1.0)
             places_n = self._allowed.places_n(box)
             if np.all(self._allowed.separations_m(places_n) >= least_m):
-                return self._remembered(box, places_n) / scale
+                return self._evaluate_and_record(box, places_n) / scale
             return self._accuracy.sigma(self._names, places_n) / scale
 
-        def room(flat: FloatArray) -> FloatArray:
+        def separation_margin(flat: FloatArray) -> FloatArray:
             separations_m = self._allowed.separations_m(self._allowed.places_n(flat.reshape(shape)))
             return separations_m / max(least_m, 1.0) - least_m / max(least_m, 1.0) * (1.0 + 1e-6)
 
-        constraints = [{"type": "ineq", "fun": room}] if len(start) > 1 and least_m > 0.0 else []
+        constraints = [{"type": "ineq", "fun": separation_margin}] if len(start) > 1 and least_m > 0.0 else []
         minimize(
             value,
             np.clip(start, 0.01, 0.99).ravel(),
             method="SLSQP",
             bounds=[(0.0, 1.0)] * start.size,
             constraints=constraints,
-            options={"maxiter": _MOST_STEPS, "ftol": _TOLERANCE, "eps": 1e-4},
+            options={"maxiter": _MAX_STEPS, "ftol": _TOLERANCE, "eps": 1e-4},
         )
 
 
-def _beginnings(count: int) -> Iterator[FloatArray]:
+def _starting_points(count: int) -> Iterator[FloatArray]:
     """Yield boxes of N positions: around the field in some orientations, on its upper or lower edge, at some ranges."""
     numbers = np.arange(float(count))
     for share in _RANGES:
         ranges = np.full(count, share)
         for orientation in _ORIENTATIONS:
-            yield _around(numbers, orientation, ranges)
+            yield _around_edge(numbers, orientation, ranges)
     for share in (0.0, 0.5, 1.0):
         yield np.column_stack([np.full(count, share), numbers / max(count - 1, 1), np.ones(count)])
     for orientation in _ORIENTATIONS:
-        yield _around(numbers, orientation, numbers % 2.0)
+        yield _around_edge(numbers, orientation, numbers % 2.0)
     if count == 1:
         yield from (np.array([[0.5, 0.5, share]]) for share in _RANGES)
 
 
-def _around(numbers: FloatArray, orientation: float, ranges: FloatArray) -> FloatArray:
+def _around_edge(numbers: FloatArray, orientation: float, ranges: FloatArray) -> FloatArray:
     """Return positions evenly around the edge of the field."""
     angle = np.pi * orientation + 2.0 * np.pi * numbers / len(numbers)
     # On the edge the azimuth is at one end or the other of what is allowed at an elevation.

@@ -14,12 +14,12 @@ from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import FloatArray, angle_between
 from theodolite_calib.config import EscortConfig
 
-_INSIDE = 1e-9
+_BOX_MARGIN = 1e-9
 """Margin of the box at each limit, as a ratio, against rounding."""
-_AT_LIMIT = 1e-3
+_LIMIT_MARGIN = 1e-3
 """Distance of a box coordinate from its end up to which it is at the limit."""
 _POLE = 1e-12
-_NEAREST_M = 1.0
+_MIN_RANGE_M = 1.0
 """Minimum range of a beacon, m: anything closer is on board."""
 
 
@@ -44,7 +44,7 @@ class AllowedPlaces:
     greatest_elevation: float
 
     @classmethod
-    def around(cls, limits: EscortConfig, centre_n: FloatArray, rotation_nt: FloatArray) -> "AllowedPlaces":
+    def around_axis(cls, limits: EscortConfig, centre_n: FloatArray, rotation_nt: FloatArray) -> "AllowedPlaces":
         """Return the positions around a telescope's axis.
 
         Args:
@@ -53,13 +53,13 @@ class AllowedPlaces:
             rotation_nt: horizon from telescope, shape (3, 3).
         """
         azimuth, elevation, _ = angles_from_rotation(rotation_nt).tolist()
-        field = np.deg2rad(limits.field_deg) * (1.0 - _INSIDE)
+        field = np.deg2rad(limits.field_deg) * (1.0 - _BOX_MARGIN)
         least = max(float(np.deg2rad(limits.elevation_min_deg)), elevation - field)
         greatest = min(float(np.deg2rad(limits.elevation_max_deg)), elevation + field, 0.5 * np.pi)
         return cls(limits, centre_n, azimuth, elevation, least, greatest)
 
     @property
-    def limit_missed(self) -> str:
+    def unmet_limit(self) -> str:
         """Elevation limit that leaves no position in the field; empty if there are positions."""
         if self.least_elevation <= self.greatest_elevation:
             return ""
@@ -72,7 +72,7 @@ class AllowedPlaces:
         Args:
             box: share of elevation, azimuth and range between their limits, each from 0 to 1, shape (..., 3).
         """
-        inside = np.clip(box, _INSIDE, 1.0 - _INSIDE)
+        inside = np.clip(box, _BOX_MARGIN, 1.0 - _BOX_MARGIN)
         elevation = self.least_elevation + inside[..., 0] * (self.greatest_elevation - self.least_elevation)
         azimuth = self.azimuth + (2.0 * inside[..., 1] - 1.0) * self._half_width(elevation)
         near, far = self.limits.range_min_m, self.limits.range_max_m
@@ -85,28 +85,28 @@ class AllowedPlaces:
     def nearest_box(self, places_n: FloatArray) -> FloatArray:
         """Return the box coordinates of positions, clipped to the limits, shape (N, 3)."""
         path_n = places_n - self.centre_n
-        range_m, elevation = self._seen(places_n)
+        range_m, elevation = self._range_and_elevation(places_n)
         range_m = np.clip(range_m, self.limits.range_min_m, self.limits.range_max_m)
         elevation = np.clip(elevation, self.least_elevation, self.greatest_elevation)
         offset = np.angle(np.exp(1j * (np.arctan2(path_n[:, 2], path_n[:, 0]) - self.azimuth)))
         near, far = self.limits.range_min_m, self.limits.range_max_m
         box = np.stack(
             [
-                _share(elevation - self.least_elevation, self.greatest_elevation - self.least_elevation),
-                0.5 + 0.5 * _share(offset, self._half_width(elevation)),
-                _share(np.log(range_m / near), np.log(far / near)),
+                _ratio(elevation - self.least_elevation, self.greatest_elevation - self.least_elevation),
+                0.5 + 0.5 * _ratio(offset, self._half_width(elevation)),
+                _ratio(np.log(range_m / near), np.log(far / near)),
             ],
             axis=-1,
         )
         nearest: FloatArray = np.clip(box, 0.0, 1.0)
         return nearest
 
-    def in_field(self, place_n: FloatArray) -> bool:
+    def is_in_field(self, place_n: FloatArray) -> bool:
         """True if a beacon at a position (N, U, E), m, shape (3,), is in the field of the telescope."""
-        range_m, _ = self._seen(place_n[None])
-        if not range_m[0] >= _NEAREST_M:
+        range_m, _ = self._range_and_elevation(place_n[None])
+        if not range_m[0] >= _MIN_RANGE_M:
             return False
-        return bool(self._off_axis(place_n[None])[0] <= np.deg2rad(self.limits.field_deg))
+        return bool(self._angles_off_axis(place_n[None])[0] <= np.deg2rad(self.limits.field_deg))
 
     def separations_m(self, places_n: FloatArray) -> FloatArray:
         """Return the distance between each two drones, m, shape (N (N - 1) / 2,)."""
@@ -117,47 +117,47 @@ class AllowedPlaces:
     def limits_reached(self, names: tuple[str, ...], places_n: FloatArray) -> list[str]:
         """Return the limits that positions reach: ``name: parameter``; for separations ``name, name: parameter``."""
         limits = self.limits
-        (range_m, elevation), off = self._seen(places_n), self._off_axis(places_n)
+        (range_m, elevation), off = self._range_and_elevation(places_n), self._angles_off_axis(places_n)
         field = np.deg2rad(limits.field_deg)
         reached = []
         for number, name in enumerate(names):
             at = {
-                "range_min_m": range_m[number] < limits.range_min_m * (1.0 + _AT_LIMIT),
-                "range_max_m": range_m[number] > limits.range_max_m * (1.0 - _AT_LIMIT),
-                "elevation_min_deg": elevation[number] < np.deg2rad(limits.elevation_min_deg) + _AT_LIMIT * field,
-                "elevation_max_deg": elevation[number] > np.deg2rad(limits.elevation_max_deg) - _AT_LIMIT * field,
-                "field_deg": off[number] > field * (1.0 - _AT_LIMIT),
+                "range_min_m": range_m[number] < limits.range_min_m * (1.0 + _LIMIT_MARGIN),
+                "range_max_m": range_m[number] > limits.range_max_m * (1.0 - _LIMIT_MARGIN),
+                "elevation_min_deg": elevation[number] < np.deg2rad(limits.elevation_min_deg) + _LIMIT_MARGIN * field,
+                "elevation_max_deg": elevation[number] > np.deg2rad(limits.elevation_max_deg) - _LIMIT_MARGIN * field,
+                "field_deg": off[number] > field * (1.0 - _LIMIT_MARGIN),
             }
             reached += [f"{name}: {limit}" for limit, is_at in at.items() if is_at]
-        close = self.separations_m(places_n) < limits.separation_min_m * (1.0 + _AT_LIMIT)
+        close = self.separations_m(places_n) < limits.separation_min_m * (1.0 + _LIMIT_MARGIN)
         for first, second, is_at in zip(*np.triu_indices(len(names), k=1), close, strict=True):
             if is_at:
                 reached.append(f"{names[first]}, {names[second]}: separation_min_m")
         return reached
 
-    def _seen(self, places_n: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _range_and_elevation(self, places_n: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the range of positions, m, and their elevation, rad, shape (N,) each."""
         path_n = places_n - self.centre_n
         range_m = np.linalg.norm(path_n, axis=-1)
         elevation = np.arctan2(path_n[:, 1], np.hypot(path_n[:, 0], path_n[:, 2]))
         return range_m, elevation
 
-    def _off_axis(self, places_n: FloatArray) -> FloatArray:
+    def _angles_off_axis(self, places_n: FloatArray) -> FloatArray:
         """Return the angles of positions from the telescope's axis, rad, shape (N,)."""
         axis_n = rotation_from_angles(self.azimuth, self.elevation, 0.0)[:, 0]
         return angle_between(places_n - self.centre_n, axis_n)
 
     def _half_width(self, elevation: FloatArray) -> FloatArray:
         """Return the greatest azimuth of a position from the axis at an elevation, rad."""
-        field = np.deg2rad(self.limits.field_deg) * (1.0 - _INSIDE)
+        field = np.deg2rad(self.limits.field_deg) * (1.0 - _BOX_MARGIN)
         # cos f = cos(e - E) - cos e cos E (1 - cos α), solved for α by half angles: exact for small fields too.
-        room = np.sin(0.5 * (field - elevation + self.elevation)) * np.sin(0.5 * (field + elevation - self.elevation))
+        product = np.sin(0.5 * (field - elevation + self.elevation)) * np.sin(0.5 * (field + elevation - self.elevation))
         level = np.maximum(np.cos(elevation) * np.cos(self.elevation), _POLE)
-        width: FloatArray = 2.0 * np.arcsin(np.sqrt(np.clip(room / level, 0.0, 1.0)))
+        width: FloatArray = 2.0 * np.arcsin(np.sqrt(np.clip(product / level, 0.0, 1.0)))
         return width
 
 
-def _share(part: FloatArray, whole: FloatArray | float) -> FloatArray:
+def _ratio(part: FloatArray, whole: FloatArray | float) -> FloatArray:
     """Return the ratio of a part to the whole; 0 for a whole of 0."""
     share: FloatArray = part / np.where(np.asarray(whole) == 0.0, np.inf, whole)
     return share

@@ -26,7 +26,7 @@ from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter import compiled_rows
 from theodolite_calib.filter.model import ShipErrorProcess
 
-BEACON = "beacon."
+BEACON_PREFIX = "beacon."
 ENCODER = "encoder"
 SHIP = "ship_attitude"
 TELESCOPE = "telescope"
@@ -41,7 +41,7 @@ _ONLY_SOURCE = 0
 
 
 @dataclass(frozen=True)
-class Alternatives:
+class SubfilterStates:
     """Estimates without one source each; h subfilters of n states.
 
     Attributes:
@@ -54,11 +54,11 @@ class Alternatives:
     time_ns: int | None
     mean: FloatArray
     covariances: FloatArray
-    ship_steady_n: FloatArray | None = None
+    ship_covariance_n: FloatArray | None = None
 
 
 @dataclass(frozen=True)
-class RowsSeen:
+class SubfilterInnovations:
     """Innovations of one sighting in the subfilters; h subfilters, l beacons.
 
     Attributes:
@@ -85,13 +85,13 @@ class _MeasurementPattern(NamedTuple):
         gates: gate for the components that each subfilter uses, shape (h,).
     """
 
-    sees: NDArray[np.uint8]
+    uses: NDArray[np.uint8]
     conditioning: NDArray[np.uint8]
-    learns: NDArray[np.uint8]
+    updated_states: NDArray[np.uint8]
     gates: FloatArray
 
 
-class SourceRows:
+class SubfilterSet:
     """Set of subfilters of a configuration, with the steps of their states.
 
     Args:
@@ -106,7 +106,7 @@ class SourceRows:
 
     def __init__(self, config: OpticalAxisConfig, model: StateModel, ship_error: ShipErrorProcess) -> None:
         self.beacons = tuple(config.beacons)
-        self.sources = (*(BEACON + id_ for id_ in self.beacons), ENCODER, SHIP)
+        self.sources = (*(BEACON_PREFIX + id_ for id_ in self.beacons), ENCODER, SHIP)
         self._model, self._ship_error = model, ship_error
         first_axis = model.slices["axes"].start
         zero_points = first_axis + np.array([NAMES.index("g"), NAMES.index("h")])
@@ -122,17 +122,17 @@ class SourceRows:
         found = [self._states[name] for name in sorted(excluded & self._states.keys())]
         return np.concatenate([np.empty(0, dtype=np.intp), *found])
 
-    def initial_states(self, mean: FloatArray, covariance: FloatArray) -> Alternatives:
+    def initial_states(self, mean: FloatArray, covariance: FloatArray) -> SubfilterStates:
         """Return all subfilters, equal to the main filter."""
-        return self.restarted(Alternatives(None, mean, covariance), mean, covariance)
+        return self.restart_from_estimate(SubfilterStates(None, mean, covariance), mean, covariance)
 
-    def restarted(self, subfilters: Alternatives, mean: FloatArray, covariance: FloatArray) -> Alternatives:
+    def restart_from_estimate(self, subfilters: SubfilterStates, mean: FloatArray, covariance: FloatArray) -> SubfilterStates:
         """Restart all subfilters from one estimate, shapes (n,), (n, n)."""
         count = len(self.sources)
         parts = np.broadcast_to(covariance, (count, 1, *covariance.shape)).copy()
         return replace(subfilters, mean=np.tile(mean, (count, 1)), parts=parts)
 
-    def propagate(self, subfilters: Alternatives, time_ns: int, new_ship_covariance_n: FloatArray | None) -> Alternatives:
+    def propagate(self, subfilters: SubfilterStates, time_ns: int, new_ship_covariance_n: FloatArray | None) -> SubfilterStates:
         """Propagate the subfilters to a later time; arguments as of ``CalibrationFilter.propagate``."""
         dt_s = 0.0 if subfilters.time_ns is None else max(time_ns - subfilters.time_ns, 0) * 1e-9
         decay, noise = self._model.transition(dt_s)
@@ -140,18 +140,18 @@ class SourceRows:
         parts = predict(subfilters.covariances[:, 0], decay, noise, self._model.source_of, count)[:, None]
         mean[:, ship] = self._ship_error.propagate(subfilters.mean[:, ship], decay[ship])
         mean, parts, _ = self._ship_error.apply_stated_covariance(
-            mean, parts, ship, decay[ship], subfilters.ship_steady_n, new_ship_covariance_n, _ONLY_SOURCE
+            mean, parts, ship, decay[ship], subfilters.ship_covariance_n, new_ship_covariance_n, _ONLY_SOURCE
         )
         later_ns = time_ns if subfilters.time_ns is None else max(time_ns, subfilters.time_ns)
-        return Alternatives(later_ns, mean, parts, new_ship_covariance_n)
+        return SubfilterStates(later_ns, mean, parts, new_ship_covariance_n)
 
-    def inflate_covariance(self, subfilters: Alternatives, states: NDArray[np.intp], covariance: FloatArray) -> Alternatives:
+    def inflate_covariance(self, subfilters: SubfilterStates, states: NDArray[np.intp], covariance: FloatArray) -> SubfilterStates:
         """Inflate the covariance of some states in every subfilter, after a jump of the given covariance."""
         parts = subfilters.covariances.copy()
         parts[..., states[:, None], states] += covariance
         return replace(subfilters, parts=parts)
 
-    def unknown(self, subfilters: Alternatives, excluded: Set[str]) -> Alternatives:
+    def add_unknown_errors(self, subfilters: SubfilterStates, excluded: Set[str]) -> SubfilterStates:
         """Add the unknown error changes of excluded sources, and of each subfilter's own source, before a sighting."""
         parts = subfilters.covariances.copy()
         for row, source in enumerate(self.sources):
@@ -176,29 +176,29 @@ class SourceRows:
     def _new_pattern(self, names: tuple[str, ...], excluded: frozenset[str], probability: float) -> "_MeasurementPattern":
         unknown = excluded & self._states.keys()
         has_unknown_states = [bool(unknown), *(bool(unknown) or source in self._states for source in self.sources)]
-        sees = np.ones((1 + len(self.sources), 2 * len(names)), dtype=bool)
+        uses = np.ones((1 + len(self.sources), 2 * len(names)), dtype=bool)
         for light, name in enumerate(names):
-            sees[1 + self.sources.index(BEACON + name), 2 * light : 2 * light + 2] = False
+            uses[1 + self.sources.index(BEACON_PREFIX + name), 2 * light : 2 * light + 2] = False
         # Components of the other beacons, for each beacon: shape (l, 1, m).
         others = ~np.repeat(np.eye(len(names), dtype=bool), 2, axis=1)[:, None]
-        known = sees & np.array(has_unknown_states)[:, None] & others
-        degrees = np.count_nonzero(sees[1:], axis=1).tolist()
+        conditioning = uses & np.array(has_unknown_states)[:, None] & others
+        degrees = np.count_nonzero(uses[1:], axis=1).tolist()
         return _MeasurementPattern(
-            sees=sees[1:].astype(np.uint8),
-            conditioning=known.astype(np.uint8),
-            learns=np.ones((len(self.sources), self._model.size), dtype=np.uint8),
+            uses=uses[1:].astype(np.uint8),
+            conditioning=conditioning.astype(np.uint8),
+            updated_states=np.ones((len(self.sources), self._model.size), dtype=np.uint8),
             gates=np.array([chi_square_gate(probability, count) if count else np.inf for count in degrees]),
         )
 
-    def seen(
+    def update_by_beacons(
         self,
-        subfilters: Alternatives,
+        subfilters: SubfilterStates,
         names: tuple[str, ...],
         measurement: LinearMeasurement,
         main_filter: tuple[FloatArray, FloatArray],
         excluded: Set[str],
         probability: float,
-    ) -> tuple[Alternatives, RowsSeen]:
+    ) -> tuple[SubfilterStates, SubfilterInnovations]:
         """Update the subfilters with a sighting of beacons; return them with their innovations.
 
         Args:
@@ -217,7 +217,7 @@ class SourceRows:
             measurement.jacobian,
             measurement.noise,
             main_filter[1],
-            pattern.sees,
+            pattern.uses,
             pattern.conditioning,
         )
         accepted = nis <= pattern.gates  # NaN is not
@@ -227,23 +227,23 @@ class SourceRows:
             measurement.jacobian,
             residual,
             gain,
-            pattern.learns,
+            pattern.updated_states,
             ((_ONLY_SOURCE, measurement.noise),),
             measurement.noise,
         )
         mean = subfilters.mean + corrections
         beacon_nis = np.einsum("hlk,hlk->hl", whitened_innovation, whitened_innovation)
-        return replace(subfilters, mean=mean, parts=updated[:, None]), RowsSeen(accepted, beacon_nis, whitened_innovation)
+        return replace(subfilters, mean=mean, parts=updated[:, None]), SubfilterInnovations(accepted, beacon_nis, whitened_innovation)
 
 
-    def seen_stars(
+    def update_by_stars(
         self,
-        subfilters: Alternatives,
+        subfilters: SubfilterStates,
         measurement: LinearMeasurement,
         main_mean: FloatArray,
         rotation_jacobian: FloatArray,
         probability: float,
-    ) -> Alternatives:
+    ) -> SubfilterStates:
         """Update with an exposure of stars those subfilters in which it passes the gate.
 
         No subfilter leaves out the stars: an exposure has many stars, which check one another.
@@ -256,12 +256,12 @@ class SourceRows:
             probability: probability of the gate.
         """
         stack = subfilters.covariances[:, 0]
-        compared = subfilter_innovations(subfilters.mean, stack, measurement, main_mean, rotation_jacobian)
-        accepted = compared.nis <= chi_square_gate(probability, len(measurement.residual))  # NaN is not
-        learns = np.repeat(accepted[:, None], self._model.size, axis=1)
+        innovations = subfilter_innovations(subfilters.mean, stack, measurement, main_mean, rotation_jacobian)
+        accepted = innovations.nis <= chi_square_gate(probability, len(measurement.residual))  # NaN is not
+        updated_states = np.repeat(accepted[:, None], self._model.size, axis=1)
         # Subfilters have no budget: all noise is one source.
-        of_no_budget = LinearMeasurement(measurement.residual, measurement.jacobian, {_ONLY_SOURCE: measurement.noise})
-        corrections, stack = update_subfilters(stack, of_no_budget, compared, learns)
+        without_budget = LinearMeasurement(measurement.residual, measurement.jacobian, {_ONLY_SOURCE: measurement.noise})
+        corrections, stack = update_subfilters(stack, without_budget, innovations, updated_states)
         return replace(subfilters, mean=subfilters.mean + corrections, parts=stack[:, None])
 
 
@@ -282,14 +282,14 @@ def beacon_innovation(residual: FloatArray, covariance: FloatArray, noise: Float
         covariance: covariance of the residual, shape (2, 2).
         noise: part of it that is the sighting's own noise, shape (2, 2).
     """
-    root = _whitening(covariance)
-    whitened_innovation, turn_noise = np.zeros((1, 3)), np.eye(3)
-    whitened_innovation[0, :2], turn_noise[:2, :2] = root @ residual, root @ noise @ root
+    root = _whitening_matrix(covariance)
+    whitened_innovation, whitened_noise = np.zeros((1, 3)), np.eye(3)
+    whitened_innovation[0, :2], whitened_noise[:2, :2] = root @ residual, root @ noise @ root
     nothing = np.empty(0)
-    return FilterInnovations(residual[None], covariance[None], np.sum(whitened_innovation**2, axis=-1), nothing, whitened_innovation, turn_noise, nothing)
+    return FilterInnovations(residual[None], covariance[None], np.sum(whitened_innovation**2, axis=-1), nothing, whitened_innovation, whitened_noise, nothing)
 
 
-def _whitening(covariance: FloatArray) -> FloatArray:
+def _whitening_matrix(covariance: FloatArray) -> FloatArray:
     """Return the inverse of the symmetric root of covariances of two components, shape (..., 2, 2)."""
     first, second, mixed = covariance[..., 0, 0], covariance[..., 1, 1], covariance[..., 0, 1]
     area = np.sqrt(first * second - mixed * mixed)

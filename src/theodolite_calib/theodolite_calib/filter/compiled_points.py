@@ -19,7 +19,7 @@ def jacobian_by_states(
     by_direction: cython.const[cython.double][:, :, ::1],
     by_focal_length: cython.const[cython.double][:, ::1],
     lines: cython.const[cython.double][:, :, ::1],
-    turn_n: cython.const[cython.double][:, ::1],
+    by_state_n: cython.const[cython.double][:, ::1],
     focal_length: cython.Py_ssize_t,
     couplings: cython.const[cython.Py_ssize_t][:, ::1],
 ):
@@ -40,10 +40,10 @@ def jacobian_by_states(
     """
     count: cython.Py_ssize_t = by_attitude.shape[0]
     errors: cython.Py_ssize_t = lines.shape[2]
-    n: cython.Py_ssize_t = turn_n.shape[1]
+    n: cython.Py_ssize_t = by_state_n.shape[1]
     check("lights", by_direction.shape[0] == by_focal_length.shape[0] == lines.shape[0] == count)
     check("points", by_attitude.shape[1] == by_direction.shape[1] == by_focal_length.shape[1] == 2)
-    check("vectors", by_attitude.shape[2] == by_direction.shape[2] == lines.shape[1] == turn_n.shape[0] == 3)
+    check("vectors", by_attitude.shape[2] == by_direction.shape[2] == lines.shape[1] == by_state_n.shape[0] == 3)
     check("states", 0 <= focal_length < n and couplings.shape[1] == 3)
     of_states, of_errors = np.empty((2 * count, n)), np.empty((count, 2, errors))
     jacobian: cython.double[:, ::1] = of_states
@@ -60,7 +60,7 @@ def jacobian_by_states(
             for c in range(n):
                 total = 0.0
                 for i in range(3):
-                    total += by_attitude[beacon, k, i] * turn_n[i, c]
+                    total += by_attitude[beacon, k, i] * by_state_n[i, c]
                 jacobian[2 * beacon + k, c] = total
             jacobian[2 * beacon + k, focal_length] = by_focal_length[beacon, k]
             for c in range(errors):

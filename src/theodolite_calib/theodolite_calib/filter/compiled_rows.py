@@ -18,7 +18,7 @@ from cython.cimports.libc.math import sqrt
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _solved(
+def _solve(
     matrix: cython.p_double, size: cython.Py_ssize_t, right_side: cython.p_double, columns: cython.Py_ssize_t
 ) -> cython.bint:
     """Replace the right-hand side (size × columns) by the inverse of a symmetric matrix times it, which is overwritten.
@@ -60,16 +60,16 @@ def _solved(
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _chosen(
-    chosen: cython.const[cython.uchar][:], covariance: cython.p_double, places: cython.p_int, out: cython.p_double
+def _select_components(
+    is_selected: cython.const[cython.uchar][:], covariance: cython.p_double, places: cython.p_int, out: cython.p_double
 ) -> cython.int:
     """Return the number of selected components; write their indices and their covariance."""
-    size: cython.int = chosen.shape[0]
+    size: cython.int = is_selected.shape[0]
     count: cython.int = 0
     i: cython.int
     j: cython.int
     for i in range(size):
-        if chosen[i]:
+        if is_selected[i]:
             places[count] = i
             count += 1
     for i in range(count):
@@ -82,7 +82,7 @@ def _chosen(
 @cython.exceptval(check=False)
 def _whiten_beacon(
     beacon: cython.int,
-    known: cython.const[cython.uchar][:],
+    conditioning: cython.const[cython.uchar][:],
     residual: cython.p_double,
     covariance: cython.p_double,
     places: cython.p_int,
@@ -90,8 +90,8 @@ def _whiten_beacon(
     whitened_innovation: cython.p_double,
 ) -> cython.bint:
     """Whiten the residual of one beacon, given the components in ``conditioning``; False as by :func:`_solve`."""
-    size: cython.int = known.shape[0]
-    count: cython.int = _chosen(known, covariance, places, scratch)
+    size: cython.int = conditioning.shape[0]
+    count: cython.int = _select_components(conditioning, covariance, places, scratch)
     # For the conditioning components: covariance with the two of the beacon, and residual.
     right_side: cython.p_double = scratch + count * count
     left = cython.declare(cython.double[2])
@@ -105,7 +105,7 @@ def _whiten_beacon(
         for j in range(2):
             right_side[3 * i + j] = covariance[places[i] * size + 2 * beacon + j]
         right_side[3 * i + 2] = residual[places[i]]
-    if not _solved(scratch, count, right_side, 3):
+    if not _solve(scratch, count, right_side, 3):
         return False
     for i in range(2):
         left[i] = residual[2 * beacon + i]
@@ -131,8 +131,8 @@ def beacon_innovations(
     jacobian: cython.const[cython.double][:, ::1],
     noise: cython.const[cython.double][:, ::1],
     main_covariance: cython.const[cython.double][:, ::1],
-    sees: cython.const[cython.uchar][:, ::1],
-    known: cython.const[cython.uchar][:, :, ::1],
+    uses: cython.const[cython.uchar][:, ::1],
+    conditioning: cython.const[cython.uchar][:, :, ::1],
 ):
     """Return the innovations of a sighting of l beacons, with two of m components each, in h subfilters of n states.
 
@@ -158,10 +158,10 @@ def beacon_innovations(
     subfilters: cython.Py_ssize_t = separation.shape[0]
     n: cython.Py_ssize_t = separation.shape[1]
     m: cython.Py_ssize_t = residual.shape[0]
-    beacons: cython.Py_ssize_t = known.shape[0]
-    check("rows", parts.shape[0] == sees.shape[0] == subfilters and known.shape[1] == subfilters + 1)
+    beacons: cython.Py_ssize_t = conditioning.shape[0]
+    check("rows", parts.shape[0] == uses.shape[0] == subfilters and conditioning.shape[1] == subfilters + 1)
     check("states", parts.shape[1] == parts.shape[2] == jacobian.shape[1] == n)
-    check("components", jacobian.shape[0] == sees.shape[1] == known.shape[2] == 2 * beacons == m)
+    check("components", jacobian.shape[0] == uses.shape[1] == conditioning.shape[2] == 2 * beacons == m)
     check("noise", noise.shape[0] == noise.shape[1] == main_covariance.shape[0] == main_covariance.shape[1] == m)
     of_residuals, of_gains = np.zeros((subfilters, m)), np.zeros((subfilters, n, m))
     of_nis, innovation_array = np.empty(subfilters), np.empty((subfilters + 1, beacons, 3))
@@ -209,7 +209,7 @@ def beacon_innovations(
         for beacon in range(beacons):
             if not _whiten_beacon(
                 beacon,
-                known[beacon, subfilter + 1],
+                conditioning[beacon, subfilter + 1],
                 subfilter_residual,
                 covariance,
                 cython.address(places[0]),
@@ -219,13 +219,13 @@ def beacon_innovations(
                 raise np.linalg.LinAlgError("beacon covariance is not positive definite")
         if subfilter < 0:
             continue
-        count = _chosen(sees[subfilter], covariance, cython.address(places[0]), scratch)
+        count = _select_components(uses[subfilter], covariance, cython.address(places[0]), scratch)
         right_side = scratch + count * count
         for i in range(count):
             for k in range(n):
                 right_side[i * (n + 1) + k] = cross[places[i] * n + k]
             right_side[i * (n + 1) + n] = residuals[subfilter, places[i]] = subfilter_residual[places[i]]
-        if not _solved(scratch, count, right_side, n + 1):
+        if not _solve(scratch, count, right_side, n + 1):
             raise np.linalg.LinAlgError("innovation covariance is not positive definite")
         nis[subfilter] = 0.0
         for i in range(count):

@@ -18,7 +18,7 @@ from ship_estimation.kalman import LinearMeasurement, predict, update
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.alternatives import Alternatives, SourceRows
+from theodolite_calib.filter.alternatives import SubfilterStates, SubfilterSet
 from theodolite_calib.filter.model import SOURCE_AXES, SOURCE_SHIP, ShipErrorProcess, state_model
 from theodolite_calib.filter.observability import Observability, ObservabilityState
 from theodolite_calib.filter.prediction import Prediction, SightingModel
@@ -29,7 +29,7 @@ from theodolite_calib.measured.sighting import Sighting
 
 Jump = EncoderJump | InsJump
 
-_NO_STAYS: MappingProxyType[str, PixelDwell] = MappingProxyType({})
+_NO_DWELLS: MappingProxyType[str, PixelDwell] = MappingProxyType({})
 
 _STEPS = 5
 # The non-linear remainder of a step of this size (rad) is its square: below rounding.
@@ -63,37 +63,37 @@ class CalibrationState:
 
     time_ns: int | None
     mean: FloatArray
-    parts: FloatArray
-    unaided: ObservabilityState
-    subfilters: Alternatives
+    covariance_by_source: FloatArray
+    observability: ObservabilityState
+    subfilters: SubfilterStates
     fault_state: FaultState
-    separation: FloatArray
+    solution_separation: FloatArray
     ship_covariance_n: FloatArray | None = None
-    refusals: int = 0
+    consecutive_rejections: int = 0
     rejection_text: str = ""
     last_beacons_ns: int | None = None
     light_count: int = 0
     last_stars_ns: int | None = None
-    stays: MappingProxyType[str, PixelDwell] = field(default_factory=lambda: _NO_STAYS)
+    pixel_dwells: MappingProxyType[str, PixelDwell] = field(default_factory=lambda: _NO_DWELLS)
     sighting_count: int = 0
-    points_used: int = 0
+    point_count: int = 0
     residual_square_sum: float = 0.0
 
     @property
     def covariance(self) -> FloatArray:
         """Covariance of the errors, shape (..., n, n)."""
-        total: FloatArray = self.parts.sum(axis=-3)
+        total: FloatArray = self.covariance_by_source.sum(axis=-3)
         return total
 
     @property
-    def informed_ns(self) -> int | None:
+    def last_update_ns(self) -> int | None:
         """Time of the last accepted sighting, of beacons or of stars; None before the first."""
         return max((time_ns for time_ns in (self.last_beacons_ns, self.last_stars_ns) if time_ns is not None), default=None)
 
     @property
     def residual_rms(self) -> float:
         """RMS of the residuals of beacons and stars on the sky, rad; NaN before the first."""
-        return float(np.sqrt(self.residual_square_sum / self.points_used)) if self.points_used else float("nan")
+        return float(np.sqrt(self.residual_square_sum / self.point_count)) if self.point_count else float("nan")
 
 
 @dataclass(frozen=True)
@@ -130,21 +130,21 @@ class CalibrationFilter:
         self.stars = StarModel(config, self.model, self.sightings)
         self.observability = Observability(self.model, includes_lens=bool(config.telescopes))
         self.ship_error = ShipErrorProcess(config, self.model)
-        self.subfilters = SourceRows(config, self.model, self.ship_error)
+        self.subfilters = SubfilterSet(config, self.model, self.ship_error)
 
     def initial_state(self) -> CalibrationState:
         """Return the state before any sighting, with the errors as configured."""
-        return self.started(np.zeros(self.model.size), self.model.initial_covariance_by_source())
+        return self.initial_state_from(np.zeros(self.model.size), self.model.initial_covariance_by_source())
 
-    def started(self, mean: FloatArray, parts: FloatArray) -> CalibrationState:
+    def initial_state_from(self, mean: FloatArray, covariance_by_source: FloatArray) -> CalibrationState:
         """Return the state before any sighting, with given errors; shapes (n,), (n_sources, n, n)."""
-        alternatives = self.subfilters.initial_states(mean, parts.sum(axis=0))
+        subfilters = self.subfilters.initial_states(mean, covariance_by_source.sum(axis=0))
         solution_separation = np.zeros(len(self.subfilters.sources))
         return CalibrationState(
-            None, mean, parts, self.observability.initial_state(), alternatives, initial_fault_state(self.subfilters), solution_separation
+            None, mean, covariance_by_source, self.observability.initial_state(), subfilters, initial_fault_state(self.subfilters), solution_separation
         )
 
-    def predicted(self, state: CalibrationState, time_ns: int, new_ship_covariance_n: FloatArray | None) -> CalibrationState:
+    def propagate(self, state: CalibrationState, time_ns: int, new_ship_covariance_n: FloatArray | None) -> CalibrationState:
         """Propagate the state to a later time.
 
         Args:
@@ -154,11 +154,11 @@ class CalibrationFilter:
         """
         dt_s = 0.0 if state.time_ns is None else max(time_ns - state.time_ns, 0) * 1e-9
         decay, noise = self.model.transition(dt_s)
-        parts = predict(state.parts, decay, noise, self.model.source_of)
-        mean, steady_n, ship = decay * state.mean, state.ship_covariance_n, self.ship_error.columns
+        parts = predict(state.covariance_by_source, decay, noise, self.model.source_of)
+        mean, ship_covariance_n, ship = decay * state.mean, state.ship_covariance_n, self.ship_error.columns
         mean[..., ship] = self.ship_error.propagate(state.mean[..., ship], decay[ship])
-        mean, parts, step = self.ship_error.apply_stated_covariance(mean, parts, ship, decay[ship], steady_n, new_ship_covariance_n)
-        unaided = self.observability.propagate(state.unaided, dt_s, steady_n)
+        mean, parts, step = self.ship_error.apply_stated_covariance(mean, parts, ship, decay[ship], ship_covariance_n, new_ship_covariance_n)
+        unaided = self.observability.propagate(state.observability, dt_s, ship_covariance_n)
         if step is not None:
             unaided = self.observability.with_ship_step(unaided, step)
         return replace(
@@ -174,44 +174,44 @@ class CalibrationFilter:
     def inflate_covariance(self, state: CalibrationState, jump: Jump) -> CalibrationState:
         """Inflate the covariance after a jump: of the INS's correlated error, or of the encoders' zero points."""
         if isinstance(jump, InsJump):
-            state = self.predicted(state, jump.time_ns, None)
+            state = self.propagate(state, jump.time_ns, None)
             states, source, covariance = self.model.state_indices("ship.attitude"), SOURCE_SHIP, jump.covariance_n
         else:
             first_axis = self.model.slices["axes"].start
             states, source = first_axis + np.array([NAMES.index("g"), NAMES.index("h")]), SOURCE_AXES
             covariance = np.outer(jump.jump, jump.jump) + jump.sigma_rad**2 * np.eye(2)
-        parts = state.parts.copy()
+        parts = state.covariance_by_source.copy()
         parts[..., self.model.sources.index(source), states[:, None], states] += covariance
         subfilters = self.subfilters.inflate_covariance(state.subfilters, states, covariance)
-        return replace(state, parts=parts, alternatives=subfilters, stays=_NO_STAYS)
+        return replace(state, parts=parts, alternatives=subfilters, stays=_NO_DWELLS)
 
-    def without(self, state: CalibrationState, source: str) -> CalibrationState:
+    def exclude_source(self, state: CalibrationState, source: str) -> CalibrationState:
         """Exclude a source: its subfilter becomes the main filter.
 
         For the telescope, which has no subfilter, the state before the contradiction is kept.
         """
         if source not in self.subfilters.sources:
-            subfilters = self.subfilters.restarted(state.subfilters, state.mean, state.covariance)
+            subfilters = self.subfilters.restart_from_estimate(state.subfilters, state.mean, state.covariance)
             return replace(state, alternatives=subfilters)
         subfilters, row = state.subfilters, self.subfilters.sources.index(source)
         mean, covariance = subfilters.mean[row], subfilters.covariances[row, 0]
         return replace(
             state,
             mean=mean,
-            parts=_reshaped(state.parts, covariance),
-            alternatives=self.subfilters.restarted(subfilters, mean, covariance),
-            separation=np.zeros_like(state.separation),
-            stays=_NO_STAYS,
+            parts=_parts_for_covariance(state.covariance_by_source, covariance),
+            alternatives=self.subfilters.restart_from_estimate(subfilters, mean, covariance),
+            separation=np.zeros_like(state.solution_separation),
+            stays=_NO_DWELLS,
         )
 
-    def unknown(self, state: CalibrationState) -> CalibrationState:
+    def add_unknown_errors(self, state: CalibrationState) -> CalibrationState:
         """Add the unknown error changes of excluded sources to the propagated state, before a sighting."""
-        excluded, parts = state.fault_state.excluded, state.parts
+        excluded, parts = state.fault_state.excluded_sources, state.covariance_by_source
         if excluded:
             parts = self.subfilters.add_unknown_errors_to_parts(parts, self.model.sources.index(SOURCE_AXES), excluded)
-        return replace(state, parts=parts, alternatives=self.subfilters.unknown(state.subfilters, excluded))
+        return replace(state, parts=parts, alternatives=self.subfilters.add_unknown_errors(state.subfilters, excluded))
 
-    def aligned(self, state: CalibrationState, sighting: Sighting) -> CalibrationState:
+    def align_unknown_errors(self, state: CalibrationState, sighting: Sighting) -> CalibrationState:
         """Set the unknown errors (:meth:`add_unknown_errors`) to their values in a sighting.
 
         These errors may be degrees off, and the gate is linear. Their previous values have no weight.
@@ -219,8 +219,8 @@ class CalibrationFilter:
         comparison = self.compare(state, sighting)
         if comparison is None:
             return state
-        after, _ = self.used(state, sighting, comparison)
-        states = self.subfilters.unknown_states(state.fault_state.excluded)
+        after, _ = self.update_by_beacons(state, sighting, comparison)
+        states = self.subfilters.unknown_states(state.fault_state.excluded_sources)
         mean, subfilter_means = state.mean.copy(), state.subfilters.mean.copy()
         mean[states] = subfilter_means[:, states] = after.mean[states]
         return replace(state, mean=mean, alternatives=replace(state.subfilters, mean=subfilter_means))
@@ -230,9 +230,9 @@ class CalibrationFilter:
         prediction = self.sightings.predict(state.mean, sighting)
         if not np.all(np.isfinite(prediction.residual)):
             return None
-        return self._compared(state, prediction, prediction.residual)
+        return self._comparison(state, prediction, prediction.residual)
 
-    def used(
+    def update_by_beacons(
         self, state: CalibrationState, sighting: Sighting, comparison: Comparison
     ) -> tuple[CalibrationState, Comparison]:
         """Update the propagated state with a sighting; return it with the comparison of the last iteration.
@@ -240,16 +240,16 @@ class CalibrationFilter:
         The sighting is linearised again at the new estimate until the estimate converges (Gauss–Newton). This matters
         if the first sighting is far from the prior.
         """
-        compared, mean = comparison, state.mean
+        latest, mean = comparison, state.mean
         for _ in range(_STEPS):
-            correction, parts = update(state.parts, compared.measurement, compared.gain)
-            turned = compared.prediction.by_state_n @ (state.mean + correction - mean)
+            correction, parts = update(state.covariance_by_source, latest.measurement, latest.gain)
+            rotation_step = latest.prediction.by_state_n @ (state.mean + correction - mean)
             mean = state.mean + correction
-            if np.max(np.abs(turned)) < _SMALL_STEP:
+            if np.max(np.abs(rotation_step)) < _SMALL_STEP:
                 break
             prediction = self.sightings.predict(mean, sighting)
-            compared = self._compared(state, prediction, prediction.residual + prediction.jacobian @ correction)
-        unaided = self.observability.updated(state.unaided, compared.measurement.jacobian, compared.measurement.noise)
+            latest = self._comparison(state, prediction, prediction.residual + prediction.jacobian @ correction)
+        unaided = self.observability.update(state.observability, latest.measurement.jacobian, latest.measurement.noise)
         on_sky = comparison.measurement.residual / comparison.prediction.camera.focal_length_m
         after = replace(
             state,
@@ -260,12 +260,12 @@ class CalibrationFilter:
             used_ns=sighting.time_ns,
             light_count=len(sighting.names),
             sighting_count=state.sighting_count + 1,
-            points_used=state.points_used + len(sighting.names),
+            points_used=state.point_count + len(sighting.names),
             squares=state.residual_square_sum + float(on_sky @ on_sky),
         )
-        return after, compared
+        return after, latest
 
-    def used_stars(
+    def update_by_stars(
         self, state: CalibrationState, exposure: StarExposure, comparison: StarComparison
     ) -> CalibrationState:
         """Update the propagated state with an exposure of stars; the subfilters are not changed.
@@ -276,36 +276,36 @@ class CalibrationFilter:
             comparison: comparison of the stars with that state.
         """
         measurement, (gain,) = comparison.measurement, comparison.innovations.gain
-        stays = state.stays
+        pixel_dwells = state.pixel_dwells
         if exposure.pixel_dwell is not None:
-            stays = MappingProxyType({**stays, exposure.source: exposure.pixel_dwell})
-        correction, parts = update(state.parts, measurement, gain)
+            pixel_dwells = MappingProxyType({**pixel_dwells, exposure.source: exposure.pixel_dwell})
+        correction, parts = update(state.covariance_by_source, measurement, gain)
         return replace(
             state,
             mean=state.mean + correction,
             parts=parts,
-            unaided=self.observability.updated(state.unaided, measurement.jacobian, measurement.noise),
+            unaided=self.observability.update(state.observability, measurement.jacobian, measurement.noise),
             refusals=0,
             stars_ns=exposure.time_ns,
-            stays=stays,
+            stays=pixel_dwells,
             sighting_count=state.sighting_count + 1,
-            points_used=state.points_used + len(measurement.residual) // 2,
+            points_used=state.point_count + len(measurement.residual) // 2,
             squares=state.residual_square_sum + float(measurement.residual @ measurement.residual),
         )
 
-    def _compared(self, state: CalibrationState, prediction: Prediction, residual: FloatArray) -> Comparison:
+    def _comparison(self, state: CalibrationState, prediction: Prediction, residual: FloatArray) -> Comparison:
         """Return the comparison of a sighting from its prediction; ``residual`` is in metres, shape (2 N,)."""
         index: Callable[[str], int] = self.model.sources.index
         noise = {index(source): part for source, part in prediction.noise_by_source.items()}
         measurement = LinearMeasurement(residual, prediction.jacobian, noise)
-        found = subfilter_innovations(
+        innovation = subfilter_innovations(
             state.mean[None], state.covariance[None], measurement, state.mean, prediction.by_attitude_n
         )
-        (nis,), (whitened_innovation,) = found.nis.tolist(), found.whitened_innovation
-        return Comparison(prediction, measurement, found.covariance[0], nis, nis - float(whitened_innovation @ whitened_innovation), found.gain[0])
+        (nis,), (whitened_innovation,) = innovation.nis.tolist(), innovation.whitened_innovation
+        return Comparison(prediction, measurement, innovation.covariance[0], nis, nis - float(whitened_innovation @ whitened_innovation), innovation.gain[0])
 
 
-def _reshaped(parts: FloatArray, covariance: FloatArray) -> FloatArray:
+def _parts_for_covariance(parts: FloatArray, covariance: FloatArray) -> FloatArray:
     """Transform a covariance by source linearly so that it sums to another covariance."""
     before = parts.sum(axis=0)
     sigma = np.sqrt(np.maximum(np.diagonal(before), np.diagonal(covariance)))

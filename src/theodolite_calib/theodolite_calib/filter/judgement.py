@@ -21,12 +21,12 @@ from theodolite_calib.lights.telescope_attitude import AttitudePrior
 from theodolite_calib.measured.samples import Exposure, ExposureDecision
 from theodolite_calib.measured.sighting import Sighting
 
-_ATTITUDE_COMPONENTS = 3
+_ATTITUDE_DEGREES = 3
 """Number of residual components that an attitude of the telescope explains."""
 
 
 @dataclass(frozen=True)
-class Judgement:
+class SightingDecision:
     """Usable part of a sighting, or the reason of its rejection.
 
     Attributes:
@@ -40,7 +40,7 @@ class Judgement:
     comparison: Comparison | None = None
 
 
-class SightingJudge:
+class SightingGate:
     """Gate of the sightings, by the states of a filter.
 
     Args:
@@ -51,76 +51,76 @@ class SightingJudge:
     def __init__(self, filter_: CalibrationFilter, gate: GateConfig) -> None:
         self._filter, self._gate = filter_, gate
 
-    def evaluate_sighting(self, state: CalibrationState, sighting: Sighting, exposure: Exposure) -> Judgement:
+    def evaluate_sighting(self, state: CalibrationState, sighting: Sighting, exposure: Exposure) -> SightingDecision:
         """Evaluate a sighting against the state propagated to its time."""
         comparison = self._filter.compare(state, sighting)
         if comparison is None:
             text = "a light would be behind the telescope: large error of baseline, encoders or ship's attitude"
-            return Judgement(ExposureDecision(exposure, Reason.LIGHT_CONFLICT, text=text))
-        if self._passes(comparison):
+            return SightingDecision(ExposureDecision(exposure, Reason.LIGHT_CONFLICT, text=text))
+        if self._is_within_gate(comparison):
             return self._acceptance(exposure, sighting, comparison)
         if len(sighting.names) == 1:
-            return Judgement(self._gate_rejection(exposure, sighting, comparison))
-        return self._look_closer(state, sighting, exposure, comparison)
+            return SightingDecision(self._gate_rejection(exposure, sighting, comparison))
+        return self._resolve_misidentification(state, sighting, exposure, comparison)
 
-    def _passes(self, comparison: Comparison) -> bool:
+    def _is_within_gate(self, comparison: Comparison) -> bool:
         probability, components = self._gate.probability, len(comparison.measurement.residual)
         # Written so that NaN fails.
         if not comparison.nis <= chi_square_gate(probability, components):
             return False
         if components == 2:
             return True
-        return comparison.angles_nis <= chi_square_gate(probability, components - _ATTITUDE_COMPONENTS)
+        return comparison.angles_nis <= chi_square_gate(probability, components - _ATTITUDE_DEGREES)
 
-    def _look_closer(
+    def _resolve_misidentification(
         self, state: CalibrationState, sighting: Sighting, exposure: Exposure, comparison: Comparison
-    ) -> Judgement:
+    ) -> SightingDecision:
         """Resolve a misidentification among two or more beacons that fail the gate as named."""
         prediction, camera = comparison.prediction, self._camera(state, comparison)
         prior = AttitudePrior(prediction.rotation_nt, _telescope_covariance_by_source(state, comparison))
         check = check_beacons(sighting.image, camera, prediction.lines, self._gate.probability, prior)
-        mended = self._renamed(state, sighting, exposure, check.order) if check.result is BeaconCheckResult.SWAPPED else None
-        mended = mended or self._without_one(state, sighting, exposure)
-        if mended is not None:
-            return mended
+        resolved = self._try_exchanged_names(state, sighting, exposure, check.order) if check.result is BeaconCheckResult.SWAPPED else None
+        resolved = resolved or self._try_without_one(state, sighting, exposure)
+        if resolved is not None:
+            return resolved
         if check.result is BeaconCheckResult.CONFLICT or check.result is BeaconCheckResult.SWAPPED:
             text = _angles_text(sighting, camera, prediction.lines)
             decision = self._decision(exposure, sighting, comparison)
-            return Judgement(replace(decision, reason=Reason.LIGHT_CONFLICT, text=text))
+            return SightingDecision(replace(decision, reason=Reason.LIGHT_CONFLICT, text=text))
         decision = self._gate_rejection(exposure, sighting, comparison)
         if not check.attitude.solved:
-            return Judgement(decision)
+            return SightingDecision(decision)
         sigma = float(np.sqrt(np.max(np.diagonal(check.attitude.covariance_n))))
-        return Judgement(replace(decision, telescope_dt=(sighting.deck_from_telescope(check.attitude.rotation_nt), sigma)))
+        return SightingDecision(replace(decision, telescope_dt=(sighting.deck_from_telescope(check.attitude.rotation_nt), sigma)))
 
     def _camera(self, state: CalibrationState, comparison: Comparison) -> Camera:
         """Return the camera with the focal length's uncertainty of the state."""
         row = self._filter.model.slices["focal_length"].start
         return replace(comparison.prediction.camera, focal_length_sigma_m=float(np.sqrt(state.covariance[row, row])))
 
-    def _renamed(
+    def _try_exchanged_names(
         self, state: CalibrationState, sighting: Sighting, exposure: Exposure, order: tuple[int, ...]
-    ) -> Judgement | None:
+    ) -> SightingDecision | None:
         """Evaluate the sighting with exchanged names, point ``order[i]`` being beacon i; None if it fails the gate."""
-        renamed = sighting.chosen(list(range(len(sighting.names))), list(order))
+        renamed = sighting.select(list(range(len(sighting.names))), list(order))
         comparison = self._filter.compare(state, renamed)
-        if comparison is None or not self._passes(comparison):
+        if comparison is None or not self._is_within_gate(comparison):
             return None
         result = self._acceptance(exposure, renamed, comparison)
         exchanged = [f"{sighting.names[j]} is {name}" for name, j in zip(sighting.names, order, strict=True)]
         text = f"lights used with exchanged names, the only consistent: {', '.join(exchanged)}"
         return replace(result, decision=replace(result.decision, reason=Reason.LIGHT_CONFLICT, text=text))
 
-    def _without_one(self, state: CalibrationState, sighting: Sighting, exposure: Exposure) -> Judgement | None:
+    def _try_without_one(self, state: CalibrationState, sighting: Sighting, exposure: Exposure) -> SightingDecision | None:
         """Evaluate three or more beacons without one of them; return the best decision that passes, or None."""
         rows = range(len(sighting.names))
         if len(rows) < 3:
             return None
         trials = []
         for row in rows:
-            others = sighting.chosen([other for other in rows if other != row])
+            others = sighting.select([other for other in rows if other != row])
             comparison = self._filter.compare(state, others)
-            if comparison is not None and self._passes(comparison):
+            if comparison is not None and self._is_within_gate(comparison):
                 trials.append((comparison.nis, row, others, comparison))
         if not trials:
             return None
@@ -129,7 +129,7 @@ class SightingJudge:
         rejected = sighting.names[row], Rejection(Reason.LIGHT_CONFLICT, "the other lights are consistent only without it")
         return replace(result, decision=replace(result.decision, left_out=(rejected,)))
 
-    def _acceptance(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> Judgement:
+    def _acceptance(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> SightingDecision:
         """Return the decision for a sighting that passes the gate."""
         rotation_nt = comparison.prediction.rotation_nt
         sigma = float(np.sqrt(np.max(np.linalg.eigvalsh(comparison.covariance)))) / focal_length_m(comparison)
@@ -139,7 +139,7 @@ class SightingJudge:
             accepted=True,
             telescope_dt=(sighting.deck_from_telescope(rotation_nt), sigma),
         )
-        return Judgement(decision, sighting, comparison)
+        return SightingDecision(decision, sighting, comparison)
 
     def _gate_rejection(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> ExposureDecision:
         """Return the decision for beacons that are inconsistent with encoders and ship."""
@@ -164,8 +164,8 @@ class SightingJudge:
 
 def _telescope_covariance_by_source(state: CalibrationState, comparison: Comparison) -> dict[str, FloatArray]:
     """Return the covariance of the predicted telescope's rotation vector in n by source, rad², shape (3, 3) each."""
-    turn_n = comparison.prediction.by_state_n
-    return {"state": turn_n @ state.covariance @ turn_n.T, **comparison.prediction.noise_n}
+    by_state_n = comparison.prediction.by_state_n
+    return {"state": by_state_n @ state.covariance @ by_state_n.T, **comparison.prediction.noise_n}
 
 
 def focal_length_m(comparison: Comparison) -> float:

@@ -72,7 +72,7 @@ OWN_TERMS = {
 }
 """Error term of one line of sight → its state, after ``light.<id>.``."""
 
-_AT_ONCE = 2.0
+_STEP_RATIO = 2.0
 """Ratio of a stated variance to the previous one above which the change is a step."""
 
 
@@ -171,7 +171,7 @@ class ShipErrorStep:
     """
 
     retained: FloatArray
-    new_n: FloatArray
+    added_n: FloatArray
 
 
 class ShipErrorProcess:
@@ -206,7 +206,7 @@ class ShipErrorProcess:
         """
         return decay * error_n if self._sigma is None else propagate_correlated_error(error_n, decay, self._sigma)
 
-    def lasting(self, error_n: FloatArray) -> NDArray[np.bool_]:
+    def exceeds_model(self, error_n: FloatArray) -> NDArray[np.bool_]:
         """True for each component of the error that exceeds the model and does not decay, shape (3,)."""
         return np.zeros(3, dtype=bool) if self._sigma is None else exceeds_model(error_n, self._sigma)
 
@@ -216,8 +216,8 @@ class ShipErrorProcess:
         parts: FloatArray,
         columns: slice,
         decay: FloatArray,
-        steady_n: FloatArray | None,
-        now_n: FloatArray | None,
+        previous_n: FloatArray | None,
+        stated_n: FloatArray | None,
         source_index: int | None = None,
     ) -> tuple[FloatArray, FloatArray, ShipErrorStep | None]:
         """Apply the stated covariance to a propagated state; return mean, covariance by source and the step, or None.
@@ -232,15 +232,15 @@ class ShipErrorProcess:
             source_index: index of the ship's error in ``parts``; None for that of the filter.
         """
         source_index = self.source_index if source_index is None else source_index
-        add_steady_noise(parts, columns, source_index, decay, steady_n)
-        step = ship_error_step(steady_n, now_n)
+        add_stationary_noise(parts, columns, source_index, decay, previous_n)
+        step = ship_error_step(previous_n, stated_n)
         if step is not None:
             mean, parts = with_step(mean, parts, columns, source_index, step)
         return mean, parts, step
 
 
-def add_steady_noise(
-    parts: FloatArray, columns: slice, source_index: int, decay: FloatArray, steady_n: FloatArray | None
+def add_stationary_noise(
+    parts: FloatArray, columns: slice, source_index: int, decay: FloatArray, stationary_n: FloatArray | None
 ) -> None:
     """Add in place the noise that keeps the ship's error at its stationary covariance.
 
@@ -251,24 +251,24 @@ def add_steady_noise(
         decay: decay factors of the error over the time, shape (3,).
         steady_n: stationary covariance, rad², shape (3, 3); None if none is stated.
     """
-    if steady_n is not None:
-        parts[..., source_index, columns, columns] += (1.0 - decay[0] ** 2) * steady_n
+    if stationary_n is not None:
+        parts[..., source_index, columns, columns] += (1.0 - decay[0] ** 2) * stationary_n
 
 
-def ship_error_step(followed_n: FloatArray | None, now_n: FloatArray | None) -> ShipErrorStep | None:
+def ship_error_step(previous_n: FloatArray | None, stated_n: FloatArray | None) -> ShipErrorStep | None:
     """Return the step from one stated covariance to another, rad², shape (3, 3) each; None if there is none.
 
     Args:
         followed_n: covariance stated before; None if none was.
         now_n: covariance stated now; None if none is, and there is no step.
     """
-    if now_n is None:
+    if stated_n is None:
         return None
-    steps = ship_error_steps(followed_n, now_n[None])
-    return None if steps is None else ShipErrorStep(steps.retained[0], steps.new_n[0])
+    steps = ship_error_steps(previous_n, stated_n[None])
+    return None if steps is None else ShipErrorStep(steps.retained[0], steps.added_n[0])
 
 
-def ship_error_steps(followed_n: FloatArray | None, now_n: FloatArray) -> ShipErrorStep | None:
+def ship_error_steps(previous_n: FloatArray | None, stated_n: FloatArray) -> ShipErrorStep | None:
     """Return the steps from one stated covariance to each of N others; None if no step occurs.
 
     If the variance decreased, the factor on the old error is new / old, as after a Kalman update with the same
@@ -281,19 +281,19 @@ def ship_error_steps(followed_n: FloatArray | None, now_n: FloatArray) -> ShipEr
     Returns:
         Step whose fields have a leading axis of N; without a step the factor is 1 and the added covariance is 0.
     """
-    if followed_n is None:
-        followed_n = np.zeros((3, 3))
-    old, new = followed_n.diagonal(), now_n.diagonal(axis1=1, axis2=2)
-    near = np.logical_and(new <= _AT_ONCE * old, old <= _AT_ONCE * new)
-    if near.all():
+    if previous_n is None:
+        previous_n = np.zeros((3, 3))
+    old, new = previous_n.diagonal(), stated_n.diagonal(axis1=1, axis2=2)
+    is_similar = np.logical_and(new <= _STEP_RATIO * old, old <= _STEP_RATIO * new)
+    if is_similar.all():
         return None
-    stays = np.all(near, axis=1)
-    kept = np.where(old > 0.0, np.minimum(new / np.where(old > 0.0, old, 1.0), 1.0), 1.0)
-    left_n = now_n - followed_n * (kept[:, :, None] * kept[:, None, :])
+    has_no_step = np.all(is_similar, axis=1)
+    retained = np.where(old > 0.0, np.minimum(new / np.where(old > 0.0, old, 1.0), 1.0), 1.0)
+    remaining_n = stated_n - previous_n * (retained[:, :, None] * retained[:, None, :])
     # A change of a matrix need not be such a step in each axis: negative variances are set to zero.
-    values, vectors = np.linalg.eigh(0.5 * (left_n + left_n.swapaxes(1, 2)))
+    values, vectors = np.linalg.eigh(0.5 * (remaining_n + remaining_n.swapaxes(1, 2)))
     new_n = (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.swapaxes(1, 2)
-    return ShipErrorStep(np.where(stays[:, None], 1.0, kept), np.where(stays[:, None, None], 0.0, new_n))
+    return ShipErrorStep(np.where(has_no_step[:, None], 1.0, retained), np.where(has_no_step[:, None, None], 0.0, new_n))
 
 
 def with_step(
@@ -312,5 +312,5 @@ def with_step(
     mean[..., columns] *= step.retained
     parts[..., columns, :] *= step.retained[:, None]
     parts[..., columns] *= step.retained
-    parts[..., source_index, columns, columns] += step.new_n
+    parts[..., source_index, columns, columns] += step.added_n
     return mean, parts

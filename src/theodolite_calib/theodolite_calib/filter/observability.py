@@ -27,7 +27,7 @@ DEFORMATION_NAMES = ("deformation_bow", "deformation_up", "deformation_starboard
 
 LENS_NAMES = ("lens_forward", "lens_up", "lens_right")
 
-_LEADING = (*DEFORMATION_NAMES, "c", "I", "h", "flexure", "beta_x", "beta_y", "g", *LENS_NAMES)
+_ELIMINATION_ORDER = (*DEFORMATION_NAMES, "c", "I", "h", "flexure", "beta_x", "beta_y", "g", *LENS_NAMES)
 """Order in which errors lead the reported combinations. A leading error is eliminated from all other combinations; the
 errors that pair with the deformation come last."""
 
@@ -73,43 +73,43 @@ class Observability:
         rows = np.concatenate([model.state_indices(name) for name in reported])
         self._reported_names = names
         # An error with a sigma of 0 is fixed and not reported.
-        order = [names.index(name) for name in _LEADING if name in names and sigma[names.index(name)] > 0.0]
-        self._names, self._sigma, self._rows = [names[i] for i in order], sigma[order], rows[order]
+        order = [names.index(name) for name in _ELIMINATION_ORDER if name in names and sigma[names.index(name)] > 0.0]
+        self._names, self._sigma, self._state_indices = [names[i] for i in order], sigma[order], rows[order]
 
     def initial_state(self) -> ObservabilityState:
         """Return the state before any sighting."""
         return ObservabilityState(np.diag(np.concatenate([entry.sigma for entry in self._model.blocks.values()])))
 
-    def propagate(self, unaided: ObservabilityState, dt_s: float, ship_steady_n: FloatArray | None) -> ObservabilityState:
+    def propagate(self, state: ObservabilityState, dt_s: float, ship_covariance_n: FloatArray | None) -> ObservabilityState:
         """Propagate by ``dt_s``; the ship's error has a stated stationary covariance (rad², (3, 3)) if one is given."""
         decay, noise = self._model.transition(dt_s)
-        roots = [decay[:, None] * unaided.root, np.diag(np.sqrt(noise))[:, noise > 0.0]]
-        if ship_steady_n is not None:
-            roots.append(self._of_ship((1.0 - decay[self._ship][0] ** 2) * ship_steady_n))
+        roots = [decay[:, None] * state.root, np.diag(np.sqrt(noise))[:, noise > 0.0]]
+        if ship_covariance_n is not None:
+            roots.append(self._ship_root((1.0 - decay[self._ship][0] ** 2) * ship_covariance_n))
         return ObservabilityState(_triangle(np.hstack(roots)))
 
-    def with_ship_step(self, unaided: ObservabilityState, step: ShipErrorStep) -> ObservabilityState:
+    def with_ship_step(self, state: ObservabilityState, step: ShipErrorStep) -> ObservabilityState:
         """Apply a step of the ship's error."""
-        root = unaided.root.copy()
+        root = state.root.copy()
         root[self._ship] *= step.retained[:, None]
-        return ObservabilityState(_triangle(np.hstack([root, self._of_ship(step.new_n)])))
+        return ObservabilityState(_triangle(np.hstack([root, self._ship_root(step.added_n)])))
 
-    def updated(self, unaided: ObservabilityState, jacobian: FloatArray, noise: FloatArray) -> ObservabilityState:
+    def update(self, state: ObservabilityState, jacobian: FloatArray, noise: FloatArray) -> ObservabilityState:
         """Update with a sighting that has the filter's Jacobian (m, n) and noise (m, m)."""
-        root, (size, states) = unaided.root, jacobian.shape
+        root, (size, states) = state.root, jacobian.shape
         both = np.block([[np.linalg.cholesky(noise), jacobian @ root], [np.zeros((states, size)), root]])
         # Upper rows: root of the innovation's covariance; lower right: root of the updated covariance.
         return ObservabilityState(_triangle(both)[size:, size:])
 
-    def _of_ship(self, covariance_n: FloatArray) -> FloatArray:
+    def _ship_root(self, covariance_n: FloatArray) -> FloatArray:
         """Return a root of a covariance of the ship's error, rad², shape (3, 3), as rows of the state, shape (n, 3)."""
         root = np.zeros((self._model.size, 3))
         root[self._ship] = square_root(covariance_n)
         return root
 
-    def open_combinations(self, unaided: ObservabilityState) -> tuple[str, ...]:
+    def unobservable_combinations(self, state: ObservabilityState) -> tuple[str, ...]:
         """Return the combinations of names that the sightings so far cannot separate, as ``g - deformation_up``."""
-        root = unaided.root[self._rows]
+        root = state.root[self._state_indices]
         return unobservable_combinations(root @ root.T, self._sigma, self._names, self._reported_names)
 
 

@@ -101,11 +101,11 @@ class SightingModel:
 
     def parallelism(self, mean: FloatArray) -> FloatArray:
         """Return the angles of the main axis in the telescope, rad, shape (3,)."""
-        return self._parallelism + self._of(mean, "parallelism")
+        return self._parallelism + self._state_block(mean, "parallelism")
 
     def focal_length_m(self, mean: FloatArray) -> float:
         """Return the estimated focal length, m."""
-        return self._config.telescope.focal_length_m + float(self._of(mean, "focal_length")[0])
+        return self._config.telescope.focal_length_m + float(self._state_block(mean, "focal_length")[0])
 
     def by_state_n(self, geometry: AxisGeometry, by_parallelism: FloatArray, parallelism: str) -> FloatArray:
         """Return the rotation vector in n per state of a camera fixed to the main axis, shape (3, n).
@@ -115,21 +115,21 @@ class SightingModel:
             by_parallelism: rotation vector of the camera per angle of its parallelism, shape (3, 3).
             parallelism: name of the states of these angles.
         """
-        turn_n = np.zeros((3, self._model.size))
-        turn_n[:, self._axis_indices] = geometry.by_error[:, : len(self._axis_indices)]
-        turn_n[:, self._model.slices[parallelism]] = by_parallelism
-        return turn_n
+        by_state_n = np.zeros((3, self._model.size))
+        by_state_n[:, self._axis_indices] = geometry.by_error[:, : len(self._axis_indices)]
+        by_state_n[:, self._model.slices[parallelism]] = by_parallelism
+        return by_state_n
 
     def predict(self, mean: FloatArray, sighting: Sighting) -> Prediction:
         """Predict a sighting by a state, with its Jacobian."""
         ship, encoder = sighting.ship, sighting.encoder
         geometry = axis_geometry(self.geometry_errors(mean), ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation)
         rotation_nt, by_parallelism = telescope_from_main(self.parallelism(mean), geometry.rotation_nm)
-        known = self._beacon_setup(sighting.names)
-        lines = self._lines(mean, sighting, geometry, known)
+        setup = self._beacon_setup(sighting.names)
+        lines = self._lines(mean, sighting, geometry, setup)
         camera = Camera(self.focal_length_m(mean), self._config.telescope.focal_length_sigma_m, self._principal_point)
         points = predict_points(camera, rotation_nt, lines.direction_n)
-        turn_n = self.by_state_n(geometry, by_parallelism, "parallelism")
+        by_state_n = self.by_state_n(geometry, by_parallelism, "parallelism")
         rows = 2 * len(sighting.names)
         by_attitude_n = points.by_attitude_n.reshape(rows, 3)
         jacobian, by_error = compiled_points.jacobian_by_states(
@@ -137,36 +137,36 @@ class SightingModel:
             points.by_direction_n,
             points.by_focal_length,
             lines.jacobian_n,
-            turn_n,
+            by_state_n,
             self._model.slices["focal_length"].start,
-            known.couplings,
+            setup.couplings,
         )
-        self._add_ships_time(jacobian, by_error[..., SHIP_ROTATION], geometry)
+        self._add_ship_time_offset(jacobian, by_error[..., SHIP_ROTATION], geometry)
         parts_n = np.array([encoder.noise * (geometry.by_encoder @ geometry.by_encoder.T), ship.noise * _UNIT])
-        of_encoder, of_ship = compiled_points.covariances_by_rotation(by_attitude_n, parts_n)
+        encoder_noise, ship_noise = compiled_points.covariances_by_rotation(by_attitude_n, parts_n)
         noise = {
-            SOURCE_ENCODER: of_encoder,
-            SOURCE_SHIP_NOISE: of_ship,
+            SOURCE_ENCODER: encoder_noise,
+            SOURCE_SHIP_NOISE: ship_noise,
             SOURCE_IMAGE: sighting.image.covariance_m2,
             SOURCE_RTK: compiled_points.covariance_by_own_error(by_error[..., BASELINE], sighting.beacons.baseline_covariance_n),
         }
         noise_n = {SOURCE_ENCODER: parts_n[0], SOURCE_SHIP_NOISE: parts_n[1]}
         residual = (sighting.image.point_m - points.point_m).reshape(rows)
-        return Prediction(rotation_nt, turn_n, noise_n, camera, lines, residual, by_attitude_n, jacobian, noise)
+        return Prediction(rotation_nt, by_state_n, noise_n, camera, lines, residual, by_attitude_n, jacobian, noise)
 
-    def _lines(self, mean: FloatArray, sighting: Sighting, geometry: AxisGeometry, known: "_BeaconSetup") -> LinesOfSight:
+    def _lines(self, mean: FloatArray, sighting: Sighting, geometry: AxisGeometry, setup: "_BeaconSetup") -> LinesOfSight:
         """Return the lines of sight, corrected by the estimated errors."""
-        own, survey = known.own(mean), known.survey
+        own, survey = setup.own_errors(mean), setup.survey
         beacons = BeaconPoses(
-            baseline_n=sighting.beacons.baseline_n + own["rtk"] + self._of(mean, "ship_antenna"),
+            baseline_n=sighting.beacons.baseline_n + own["rtk"] + self._state_block(mean, "ship_antenna"),
             baseline_covariance_n=sighting.beacons.baseline_covariance_n,
             rotation_nb=np.array([exp_rotation(turn) for turn in own["attitude"]]) @ sighting.beacons.rotation_nb,
-            attitude_covariance_n=known.attitude_covariance_n,
+            attitude_covariance_n=setup.attitude_covariance_n,
         )
-        refraction = survey.refraction_coefficient + self._of(mean, "refraction", 1) + own["refraction"][:, 0]
-        now = Survey(
-            theodolite_lever=_corrected_lever(survey.theodolite_lever, self._of(mean, "lever")),
-            principal_point=_corrected_lever(survey.principal_point, self._of(mean, "lens")),
+        refraction = survey.refraction_coefficient + self._state_block(mean, "refraction", 1) + own["refraction"][:, 0]
+        corrected_survey = Survey(
+            theodolite_lever=_corrected_lever(survey.theodolite_lever, self._state_block(mean, "lever")),
+            principal_point=_corrected_lever(survey.principal_point, self._state_block(mean, "lens")),
             beacon_lever=_corrected_lever(survey.beacon_lever, own["lever"]),
             rtk_base_sigma_m=survey.rtk_base_sigma_m,
             rtk_bias_sigma_m=survey.rtk_bias_sigma_m,
@@ -174,7 +174,7 @@ class SightingModel:
             refraction_sigma=survey.refraction_sigma,
             refraction_beacon_sigma=survey.refraction_beacon_sigma,
         )
-        return lines_of_sight(beacons, Ship(geometry.rotation_nd, _NO_COVARIANCE, geometry.rotation_dm), now)
+        return lines_of_sight(beacons, Ship(geometry.rotation_nd, _NO_COVARIANCE, geometry.rotation_dm), corrected_survey)
 
     def _beacon_setup(self, names: tuple[str, ...]) -> "_BeaconSetup":
         """Return the setup of beacons with these names; computed once for all their sightings."""
@@ -182,13 +182,13 @@ class SightingModel:
             self._beacon_setups[names] = _BeaconSetup(self._config, self._model, names)
         return self._beacon_setups[names]
 
-    def _add_ships_time(self, jacobian: FloatArray, by_ship_rotation: FloatArray, geometry: AxisGeometry) -> None:
+    def _add_ship_time_offset(self, jacobian: FloatArray, by_ship_rotation: FloatArray, geometry: AxisGeometry) -> None:
         """Add the effect of the ship's time offset that moves the theodolite around the antenna."""
         if "ship.time_offset" in self._model.slices:
             by_turn = by_ship_rotation.reshape(len(jacobian), 3)
             jacobian[:, self._model.slices["ship.time_offset"]] += by_turn @ geometry.by_error[:, SHIP_TIME]
 
-    def _of(self, mean: FloatArray, name: str, width: int = 3) -> FloatArray:
+    def _state_block(self, mean: FloatArray, name: str, width: int = 3) -> FloatArray:
         """Return a block of the state; zeros if there is no such state."""
         columns = self._model.slices.get(name)
         return mean[columns] if columns is not None else np.zeros(width)
@@ -229,8 +229,8 @@ class _BeaconSetup:
         self.attitude_covariance_n: FloatArray = sigma[:, :, None] ** 2 * np.eye(3)
         # A rotation of the ship also moves the points, because the theodolite moves around the antenna.
         common = {**COMMON_TERMS, "ship_attitude": "ship.attitude"}
-        moved = [(_ALL_BEACONS, term, state) for term, state in common.items()]
-        moved += [
+        effects = [(_ALL_BEACONS, term, state) for term, state in common.items()]
+        effects += [
             (light, term, f"light.{name}.{state}")
             for term, state in OWN_TERMS.items()
             for light, name in enumerate(names)
@@ -238,24 +238,24 @@ class _BeaconSetup:
         self.couplings: NDArray[np.intp] = np.array(
             [
                 (light, column, row)
-                for light, term, state in moved
+                for light, term, state in effects
                 if state in model.slices
-                for column, row in zip(_range(TERM_COLUMNS[term]), _range(model.slices[state]), strict=True)
+                for column, row in zip(_column_numbers(TERM_COLUMNS[term]), _column_numbers(model.slices[state]), strict=True)
             ],
             dtype=np.intp,
         )
-        self._own_places = {
-            state: np.array([_places(model, f"light.{name}.{state}", width) for name in names])
+        self._own_indices = {
+            state: np.array([_state_indices(model, f"light.{name}.{state}", width) for name in names])
             for state, width in _OWN_WIDTHS.items()
         }
 
-    def own(self, mean: FloatArray) -> dict[str, FloatArray]:
+    def own_errors(self, mean: FloatArray) -> dict[str, FloatArray]:
         """Return the estimated errors of each beacon by state name, shape (N, 3) or (N, 1)."""
         padded = np.append(mean, 0.0)
-        return {state: padded[places] for state, places in self._own_places.items()}
+        return {state: padded[indices] for state, indices in self._own_indices.items()}
 
 
-def _places(model: StateModel, state: str, width: int) -> list[int]:
+def _state_indices(model: StateModel, state: str, width: int) -> list[int]:
     """Return the indices of a state; if there is none, the index of a zero appended to all states."""
     columns = model.slices.get(state)
     return [model.size] * width if columns is None else list(range(columns.start, columns.stop))
@@ -266,6 +266,6 @@ def _corrected_lever(lever: LeverArm, error_m: FloatArray) -> LeverArm:
     return LeverArm(lever.vector_m + error_m, lever.sigma_m)
 
 
-def _range(columns: slice) -> range:
+def _column_numbers(columns: slice) -> range:
     """Return the column numbers of a slice."""
     return range(columns.start, columns.stop)

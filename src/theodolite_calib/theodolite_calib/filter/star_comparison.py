@@ -49,13 +49,13 @@ class CameraAttitude:
     """
 
     rotation_ns: FloatArray
-    turn_n: FloatArray
+    by_state_n: FloatArray
     noise_n: dict[str, FloatArray]
 
     def prior(self, covariance: FloatArray) -> StarPrior:
         """Return the prior for the selection of stars, from the covariance of the state, shape (n, n)."""
         noise_n: FloatArray = np.sum(list(self.noise_n.values()), axis=0)
-        return StarPrior(self.rotation_ns, self.turn_n @ covariance @ self.turn_n.T + noise_n)
+        return StarPrior(self.rotation_ns, self.by_state_n @ covariance @ self.by_state_n.T + noise_n)
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class StarModel:
             id_: (camera.parallelism, parallelism_block(id_, config)) for id_, camera in config.telescopes.items()
         }
         shared = config.telescope.telescope_id
-        self._lens_rows = {
+        self._lens_indices = {
             id_: camera_state_indices(model.slices, f"telescope.{id_}", "focal_length" if id_ == shared else "")
             for id_ in config.telescopes
         }
@@ -99,7 +99,7 @@ class StarModel:
         if shared in config.telescopes:
             lens = config.star_camera(shared)
             self._in_sigmas[model.slices["focal_length"]] = 1.0 / (lens.focal_sigma * lens.focal_length_m)
-        self._sky_rows = sky_slice(model.slices, config.sky) if config.telescopes else slice(0, 0)
+        self._sky_indices = sky_slice(model.slices, config.sky) if config.telescopes else slice(0, 0)
 
     def predict(self, mean: FloatArray, sighting: StarSighting) -> CameraAttitude:
         """Return the camera's attitude at the middle of an exposure by a state."""
@@ -121,20 +121,20 @@ class StarModel:
         sighting: StarSighting,
         prior: StarPrior,
         sky: SkyModel,
-        near_ns: FloatArray | None = None,
+        nearby_rotation_ns: FloatArray | None = None,
     ) -> StarResiduals | Rejection:
         """Return the residuals of the stars against the camera's attitude; see :func:`star_residuals`."""
-        to_camera = camera.rotation_ns.T @ camera.turn_n
+        to_camera = camera.rotation_ns.T @ camera.by_state_n
         stars = star_residuals(
             sighting.exposure,
             camera.rotation_ns,
             to_camera,
             prior,
             sky,
-            self._sky_rows,
+            self._sky_indices,
             mean * self._in_sigmas,
-            near_ns,
-            self._lens_rows[sighting.camera_id],
+            nearby_rotation_ns,
+            self._lens_indices[sighting.camera_id],
         )
         if not isinstance(stars, Rejection):
             stars.jacobian[:] *= self._in_sigmas
@@ -148,7 +148,7 @@ class StarModel:
             covariance: covariance of that state, shape (n, n).
             sighting: the exposure.
         """
-        rows, optics = self._lens_rows[sighting.camera_id], sighting.exposure.optics
+        rows, optics = self._lens_indices[sighting.camera_id], sighting.exposure.optics
         if rows is None or optics is None:
             return None
         in_sigmas = float(self._in_sigmas[rows[0]])
@@ -173,25 +173,25 @@ class StarModel:
             numpy.linalg.LinAlgError: the covariance of the residual is not positive definite.
         """
         camera = self.predict(mean, sighting)
-        prior, reached, near_ns = camera.prior(covariance), mean, None
+        prior, reached, nearby_rotation_ns = camera.prior(covariance), mean, None
         for _ in range(_STEPS):
-            stars = self.residuals(camera, reached, sighting, prior, sky, near_ns)
+            stars = self.residuals(camera, reached, sighting, prior, sky, nearby_rotation_ns)
             if isinstance(stars, Rejection):
                 return stars
             measurement = self._measurement(camera, stars, reached - mean)
             innovations = subfilter_innovations(mean[None], covariance[None], measurement, mean, stars.rotation_jacobian)
             found = StarComparison(camera, stars, measurement, innovations)
-            led = mean + innovations.gain[0] @ measurement.residual
-            if np.max(np.abs(camera.turn_n @ (led - reached))) < _SMALL_STEP:
+            updated = mean + innovations.gain[0] @ measurement.residual
+            if np.max(np.abs(camera.by_state_n @ (updated - reached))) < _SMALL_STEP:
                 break
-            reached, camera = led, self.predict(led, sighting)
-            near_ns = camera.rotation_ns
+            reached, camera = updated, self.predict(updated, sighting)
+            nearby_rotation_ns = camera.rotation_ns
         return found
 
-    def _measurement(self, camera: CameraAttitude, stars: StarResiduals, moved: FloatArray) -> LinearMeasurement:
+    def _measurement(self, camera: CameraAttitude, stars: StarResiduals, offset: FloatArray) -> LinearMeasurement:
         """Return the stars as one Kalman measurement, linearised at ``offset`` from the propagated mean."""
         by_turn_n = stars.rotation_jacobian @ camera.rotation_ns.T
         index = self._model.source_indices
         noise = {index[source]: by_turn_n @ part_n @ by_turn_n.T for source, part_n in camera.noise_n.items()}
         noise |= {index[source]: part for source, part in stars.noise.items()}
-        return LinearMeasurement(stars.residual + stars.jacobian @ moved, stars.jacobian, noise)
+        return LinearMeasurement(stars.residual + stars.jacobian @ offset, stars.jacobian, noise)

@@ -19,13 +19,13 @@ from ship_estimation.protection import SigmaMultipliers, IntegrityConfig, sigma_
 from ship_estimation.refusals import Reason, Rejection, singular_covariance
 from ship_geometry.rotations import FloatArray, exp_rotation
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.alternatives import BEACON, AXIS_SOURCES, ENCODER, SHIP, Alternatives, beacon_innovation
+from theodolite_calib.filter.alternatives import BEACON_PREFIX, AXIS_SOURCES, ENCODER, SHIP, SubfilterStates, beacon_innovation
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
-from theodolite_calib.filter.judgement import SightingJudge, focal_length_m
+from theodolite_calib.filter.judgement import SightingGate, focal_length_m
 from theodolite_calib.filter.model import axis_state_indices
 from theodolite_calib.filter.trust import ExclusionRecord, FaultDetector, FaultState, isolate_step_fault, isolate_drift_fault
 from theodolite_calib.measured.baseline_track import BaselineJump
-from theodolite_calib.measured.contradiction import Streams
+from theodolite_calib.measured.contradiction import StreamConsistency
 from theodolite_calib.measured.samples import Exposure, ExposureDecision
 from theodolite_calib.measured.sighting import Sighting
 
@@ -48,17 +48,17 @@ class SightingStep:
         self,
         config: OpticalAxisConfig,
         filter_: CalibrationFilter,
-        streams_since: Callable[[int, int], Streams | None] = lambda since_ns, until_ns: None,
+        stream_consistency: Callable[[int, int], StreamConsistency | None] = lambda since_ns, until_ns: None,
         has_ship_drifted: Callable[[int], bool | None] = lambda time_ns: None,
         stream_faults: Callable[[int], Set[str]] = lambda time_ns: frozenset(),
     ) -> None:
-        self._streams_since, self._has_ship_drifted, self._own_faults = streams_since, has_ship_drifted, stream_faults
+        self._stream_consistency, self._has_ship_drifted, self._stream_faults = stream_consistency, has_ship_drifted, stream_faults
         self._filter, self._gate, self._config = filter_, config.gate, config.integrity
-        self._judge = SightingJudge(filter_, config.gate)
-        self._factors = hypothesis_factors(config.integrity, filter_.subfilters.sources)
-        threshold = self._factors.false_exclusion
+        self._sighting_gate = SightingGate(filter_, config.gate)
+        self._multipliers = hypothesis_multipliers(config.integrity, filter_.subfilters.sources)
+        threshold = self._multipliers.false_exclusion
         self._fault_detector = FaultDetector(config.integrity, config.gate, filter_.subfilters, threshold)
-        self._turning = axis_state_indices(filter_.model)
+        self._axis_indices = axis_state_indices(filter_.model)
 
     def __call__(
         self,
@@ -75,108 +75,108 @@ class SightingStep:
             exposure: exposure of the sighting.
             jumps: jumps of the baselines of its beacons, by name.
         """
-        predicted = self._filter.predicted(state, sighting.time_ns, sighting.ship.correlated_covariance_n)
-        trust = self._fault_detector.restart_timers(predicted.fault_state, sighting.names, sighting.time_ns)
-        predicted = replace(predicted, trust=trust)
+        predicted = self._filter.propagate(state, sighting.time_ns, sighting.ship.correlated_covariance_n)
+        fault_state = self._fault_detector.restart_timers(predicted.fault_state, sighting.names, sighting.time_ns)
+        predicted = replace(predicted, trust=fault_state)
         for name, jump in jumps:
-            predicted = self._jumped(predicted, sighting, name, jump)
+            predicted = self._apply_baseline_jump(predicted, sighting, name, jump)
         try:
             after, decision = self._evaluate(state, predicted, sighting, exposure)
         except np.linalg.LinAlgError:
             rejection = singular_covariance()
             after, decision = state, ExposureDecision(exposure, rejection.reason, text=rejection.text)
-        return after, replace(decision, excluded=tuple(sorted(after.fault_state.excluded)))
+        return after, replace(decision, excluded=tuple(sorted(after.fault_state.excluded_sources)))
 
-    def _jumped(
+    def _apply_baseline_jump(
         self, predicted: CalibrationState, sighting: Sighting, name: str, jump: BaselineJump
     ) -> CalibrationState:
         """Exclude the drone of a baseline that has jumped, unless it is excluded already."""
-        source, trust = BEACON + name, predicted.fault_state
-        if source in trust.excluded:
-            return replace(predicted, trust=self._fault_detector.jumped(trust, source, jump))
-        if trust.jumped_ns.get(source, jump.time_ns - 1) >= jump.time_ns:
+        source, fault_state = BEACON_PREFIX + name, predicted.fault_state
+        if source in fault_state.excluded_sources:
+            return replace(predicted, trust=self._fault_detector.record_baseline_jump(fault_state, source, jump))
+        if fault_state.known_jumps_ns.get(source, jump.time_ns - 1) >= jump.time_ns:
             return predicted
-        why = f"its baseline has jumped by {np.linalg.norm(jump.jump_n):.2f} m, more than its flight can explain"
+        reason = f"its baseline has jumped by {np.linalg.norm(jump.jump_n):.2f} m, more than its flight can explain"
         exclusion = ExcludedSource(sighting.time_ns)
-        excluded = ExclusionRecord(exclusion, why, 0.0, jump.jump_n, jump.sigma_m, jump.time_ns)
-        return self._excluded(predicted, source, excluded)
+        excluded = ExclusionRecord(exclusion, reason, 0.0, jump.jump_n, jump.sigma_m, jump.time_ns)
+        return self._exclude_source(predicted, source, excluded)
 
-    def _excluded(
+    def _exclude_source(
         self, state: CalibrationState, source: str, exclusion: ExclusionRecord, explaining_subfilter: str | None = None
     ) -> CalibrationState:
         """Exclude a source: its subfilter becomes the main filter."""
-        trust = self._fault_detector.without(state.fault_state, source, exclusion, explaining_subfilter)
-        return replace(self._filter.without(state, source), trust=trust)
+        fault_state = self._fault_detector.exclude_source(state.fault_state, source, exclusion, explaining_subfilter)
+        return replace(self._filter.exclude_source(state, source), trust=fault_state)
 
     def _evaluate(
         self, state: CalibrationState, predicted: CalibrationState, sighting: Sighting, exposure: Exposure
     ) -> tuple[CalibrationState, ExposureDecision]:
         """Return state and decision; ``predicted`` may exclude sources that ``state`` still uses."""
-        excluded = predicted.fault_state.excluded
-        unused_state = state if excluded == state.fault_state.excluded else predicted
+        excluded = predicted.fault_state.excluded_sources
+        unused_state = state if excluded == state.fault_state.excluded_sources else predicted
         rows = range(len(sighting.names))
-        used_rows = [row for row in rows if BEACON + sighting.names[row] not in excluded]
-        excluded_beacons = tuple(self._exclusion_rejection(predicted, name) for name in sighting.names if BEACON + name in excluded)
-        unknown = self._filter.unknown(predicted)
+        used_rows = [row for row in rows if BEACON_PREFIX + sighting.names[row] not in excluded]
+        excluded_beacons = tuple(self._exclusion_rejection(predicted, name) for name in sighting.names if BEACON_PREFIX + name in excluded)
+        prepared = self._filter.add_unknown_errors(predicted)
         for source in sorted(excluded & AXIS_SOURCES):
             predicted = self._monitor_prediction(predicted, sighting, source)
-        trust = self._monitor_beacons(predicted.fault_state, unknown, sighting, bool(used_rows))
+        fault_state = self._monitor_beacons(predicted.fault_state, prepared, sighting, bool(used_rows))
         if not used_rows:
-            unused_state = replace(unused_state, alternatives=predicted.subfilters, trust=trust)
+            unused_state = replace(unused_state, alternatives=predicted.subfilters, trust=fault_state)
             reason, text = Reason.EXCLUDED, "the drones of all its lights are excluded"
             return unused_state, ExposureDecision(exposure, reason, text=text, rejected_parts=excluded_beacons)
-        unknown = replace(unknown, trust=trust)
-        chosen = sighting if len(used_rows) == len(rows) else sighting.chosen(used_rows)
+        prepared = replace(prepared, trust=fault_state)
+        chosen = sighting if len(used_rows) == len(rows) else sighting.select(used_rows)
         if excluded & AXIS_SOURCES:
-            unknown = self._filter.aligned(unknown, chosen)
-        result = self._judge.evaluate_sighting(unknown, chosen, exposure)
+            prepared = self._filter.align_unknown_errors(prepared, chosen)
+        result = self._sighting_gate.evaluate_sighting(prepared, chosen, exposure)
         decision = replace(result.decision, left_out=excluded_beacons + result.decision.rejected_parts)
         if result.sighting is not None and result.comparison is not None:
-            after, compared = self._filter.used(unknown, result.sighting, result.comparison)
+            after, final_comparison = self._filter.update_by_beacons(prepared, result.sighting, result.comparison)
             if ENCODER in excluded:
                 # The predicted attitude uses the excluded encoders; the update gives the attitude by the beacons.
-                turned = exp_rotation(compared.prediction.by_state_n @ (after.mean - unknown.mean))
-                rotation_nt = turned @ result.comparison.prediction.rotation_nt
-                telescope_dt = result.sighting.deck_from_telescope(rotation_nt), _attitude_sigma(compared)
+                rotation_step = exp_rotation(final_comparison.prediction.by_state_n @ (after.mean - prepared.mean))
+                rotation_nt = rotation_step @ result.comparison.prediction.rotation_nt
+                telescope_dt = result.sighting.deck_from_telescope(rotation_nt), _attitude_sigma(final_comparison)
                 decision = replace(decision, telescope_dt=telescope_dt)
-            return self._learnt(unknown, after, result.sighting.names, compared, decision)
-        comparison = self._filter.compare(unknown, chosen)
-        unused_state = replace(unused_state, trust=trust)
+            return self._record_accepted(prepared, after, result.sighting.names, final_comparison, decision)
+        comparison = self._filter.compare(prepared, chosen)
+        unused_state = replace(unused_state, trust=fault_state)
         if comparison is None:
             return count_rejection(unused_state, decision, self._gate, "lights")
-        return self._record_rejected(unused_state, unknown, chosen, comparison, decision)
+        return self._record_rejected(unused_state, prepared, chosen, comparison, decision)
 
-    def _learnt(
+    def _record_accepted(
         self,
         before: CalibrationState,
         after: CalibrationState,
         names: tuple[str, ...],
-        compared: Comparison,
+        comparison: Comparison,
         decision: ExposureDecision,
     ) -> tuple[CalibrationState, ExposureDecision]:
         """Update subfilters and fault state with an accepted sighting; ``before`` is the state propagated to it."""
-        main_filter = before.mean, compared.covariance
-        alternatives, innovations = self._filter.subfilters.seen(
-            before.subfilters, names, compared.measurement, main_filter, before.fault_state.excluded, self._gate.probability
+        main_filter = before.mean, comparison.covariance
+        subfilters, innovations = self._filter.subfilters.update_by_beacons(
+            before.subfilters, names, comparison.measurement, main_filter, before.fault_state.excluded_sources, self._gate.probability
         )
         time_ns = decision.measurement.time_ns
-        trust = self._fault_detector.update_means(before.fault_state, names, innovations, True, time_ns)
-        prediction = compared.prediction
-        separation = separations(after, alternatives, self._turning, prediction.rotation_nt, prediction.by_state_n)
-        after_acceptance = self._fault_detector.agreed(trust, time_ns)
-        after = replace(after, alternatives=alternatives, trust=after_acceptance, separation=separation)
-        is_detected, source, explaining_sources = self._fault_detector.isolate_fault(after.fault_state, after.separation, time_ns)
-        if is_detected and not trust.excluded:
-            is_common = self._fault_detector.creep_alike(trust, time_ns)
+        fault_state = self._fault_detector.update_means(before.fault_state, names, innovations, True, time_ns)
+        prediction = comparison.prediction
+        separation = solution_separations(after, subfilters, self._axis_indices, prediction.rotation_nt, prediction.by_state_n)
+        after_acceptance = self._fault_detector.record_acceptance(fault_state, time_ns)
+        after = replace(after, alternatives=subfilters, trust=after_acceptance, separation=separation)
+        is_detected, source, explaining_sources = self._fault_detector.isolate_fault(after.fault_state, after.solution_separation, time_ns)
+        if is_detected and not fault_state.excluded_sources:
+            is_common = self._fault_detector.drift_together(fault_state, time_ns)
             source = isolate_drift_fault(source, explaining_sources, is_common, self._has_ship_drifted(time_ns))
-            source = self._faulty(source, explaining_sources, time_ns)
-        elif not is_detected and self._fault_detector.indicates_ship_drift(trust, time_ns) and self._has_ship_drifted(time_ns):
+            source = self._prefer_stream_fault(source, explaining_sources, time_ns)
+        elif not is_detected and self._fault_detector.indicates_ship_drift(fault_state, time_ns) and self._has_ship_drifted(time_ns):
             source = SHIP
         if source is not None:
-            return self._attributed(after, source, decision)
+            return self._exclude_faulty_source(after, source, decision)
         if is_detected:
-            spread_n = self._farthest(after, compared)
-            after = replace(after, trust=self._fault_detector.disagreed(after.fault_state, spread_n, lasting=True))
+            spread_n = self._largest_disagreement_n(after, comparison)
+            after = replace(after, trust=self._fault_detector.set_unresolved_fault(after.fault_state, spread_n, is_persistent=True))
         return after, decision
 
     def _record_rejected(
@@ -189,106 +189,106 @@ class SightingStep:
     ) -> tuple[CalibrationState, ExposureDecision]:
         """Update subfilters and fault state with a rejected sighting; ``predicted`` is the state at its time."""
         main_filter = predicted.mean, comparison.covariance
-        alternatives, innovations = self._filter.subfilters.seen(
+        subfilters, innovations = self._filter.subfilters.update_by_beacons(
             predicted.subfilters,
             sighting.names,
             comparison.measurement,
             main_filter,
-            predicted.fault_state.excluded,
+            predicted.fault_state.excluded_sources,
             self._gate.probability,
         )
         time_ns = sighting.time_ns
-        trust = self._fault_detector.update_means(unused_state.fault_state, sighting.names, innovations, False, time_ns)
-        is_detected, found, explaining_sources = self._fault_detector.isolate_fault(trust, np.zeros(len(self._filter.subfilters.sources)), time_ns)
-        after = replace(predicted, alternatives=alternatives, trust=trust)
-        source = found
-        if found in (ENCODER, SHIP) and not unused_state.fault_state.excluded:
-            source = self._isolate_by_streams(unused_state, found, explaining_sources, decision)
-            source = self._faulty(source, explaining_sources, time_ns)
+        fault_state = self._fault_detector.update_means(unused_state.fault_state, sighting.names, innovations, False, time_ns)
+        is_detected, explaining_subfilter, explaining_sources = self._fault_detector.isolate_fault(fault_state, np.zeros(len(self._filter.subfilters.sources)), time_ns)
+        after = replace(predicted, alternatives=subfilters, trust=fault_state)
+        source = explaining_subfilter
+        if explaining_subfilter in (ENCODER, SHIP) and not unused_state.fault_state.excluded_sources:
+            source = self._isolate_by_streams(unused_state, explaining_subfilter, explaining_sources, decision)
+            source = self._prefer_stream_fault(source, explaining_sources, time_ns)
         if source is not None:
-            return self._attributed(replace(after, refusals=unused_state.refusals + 1), source, decision, found)
-        trust = self._fault_detector.disagreed(trust, _disagreement_n(comparison), lasting=is_detected)
-        return count_rejection(replace(unused_state, alternatives=alternatives, trust=trust), decision, self._gate, "lights")
+            return self._exclude_faulty_source(replace(after, refusals=unused_state.consecutive_rejections + 1), source, decision, explaining_subfilter)
+        fault_state = self._fault_detector.set_unresolved_fault(fault_state, _disagreement_n(comparison), is_persistent=is_detected)
+        return count_rejection(replace(unused_state, alternatives=subfilters, trust=fault_state), decision, self._gate, "lights")
 
     def _isolate_by_streams(
         self, unused_state: CalibrationState, source: str, explaining_sources: Set[str], decision: ExposureDecision
     ) -> str | None:
         """Isolate a fault of encoders or ship by their own streams; return the faulty source or None."""
         time_ns = decision.measurement.time_ns
-        streams = None if unused_state.last_beacons_ns is None else self._streams_since(unused_state.last_beacons_ns, time_ns)
+        streams = None if unused_state.last_beacons_ns is None else self._stream_consistency(unused_state.last_beacons_ns, time_ns)
         if streams is None:
             return source
         return isolate_step_fault(source, explaining_sources, streams, float(np.max(np.abs(decision.residual))))
 
-    def _faulty(self, source: str | None, explaining_sources: Set[str], time_ns: int) -> str | None:
+    def _prefer_stream_fault(self, source: str | None, explaining_sources: Set[str], time_ns: int) -> str | None:
         """Return the source to exclude: if another one has shown a fault of its own recently, that one or none."""
-        own = self._own_faults(time_ns)
-        if source not in AXIS_SOURCES or source in own or len(own) != 1:
+        stream_faults = self._stream_faults(time_ns)
+        if source not in AXIS_SOURCES or source in stream_faults or len(stream_faults) != 1:
             return source
-        (other,) = own
+        (other,) = stream_faults
         return other if other in explaining_sources else None
 
-    def _attributed(
+    def _exclude_faulty_source(
         self, state: CalibrationState, source: str, decision: ExposureDecision, explaining_subfilter: str | None = None
     ) -> tuple[CalibrationState, ExposureDecision]:
         """Exclude an isolated source; ``explaining_subfilter`` is set if the source has no subfilter of its own."""
-        why = f"{source} is inconsistent with the other sources, which are consistent without it"
+        reason = f"{source} is inconsistent with the other sources, which are consistent without it"
         rejected_residual_m = float(np.max(np.abs(decision.residual), initial=0.0)) * self._filter.sightings.focal_length_m(
             state.mean
         )
-        exclusion = ExclusionRecord(ExcludedSource(decision.measurement.time_ns), why, rejected_residual_m)
-        state = self._excluded(state, source, exclusion, source if source in self._filter.subfilters.sources else explaining_subfilter)
-        text = f"{decision.text}; excluded: {why}" if decision.text else f"excluded: {why}"
+        exclusion = ExclusionRecord(ExcludedSource(decision.measurement.time_ns), reason, rejected_residual_m)
+        state = self._exclude_source(state, source, exclusion, source if source in self._filter.subfilters.sources else explaining_subfilter)
+        text = f"{decision.text}; excluded: {reason}" if decision.text else f"excluded: {reason}"
         return replace(state, refusals=0), replace(decision, text=text)
 
-    def _farthest(self, state: CalibrationState, compared: Comparison) -> FloatArray:
+    def _largest_disagreement_n(self, state: CalibrationState, comparison: Comparison) -> FloatArray:
         """Return the largest separation of a subfilter's pointing from the main filter, as a covariance in n, rad²."""
-        separation_n = (state.subfilters.mean - state.mean)[:, self._turning] @ (
-            compared.prediction.by_state_n[:, self._turning].T
+        separation_n = (state.subfilters.mean - state.mean)[:, self._axis_indices] @ (
+            comparison.prediction.by_state_n[:, self._axis_indices].T
         )
         farthest = separation_n[np.argmax(np.sum(separation_n**2, axis=1))]
         return np.outer(farthest, farthest)
 
     def _monitor_prediction(self, predicted: CalibrationState, sighting: Sighting, source: str) -> CalibrationState:
         """Compare the sighting with the prediction of excluded encoders, or of an excluded ship's attitude."""
-        used = [row for row, name in enumerate(sighting.names) if BEACON + name not in predicted.fault_state.excluded]
-        comparison = self._filter.compare(predicted, sighting.chosen(used)) if used else None
+        used = [row for row, name in enumerate(sighting.names) if BEACON_PREFIX + name not in predicted.fault_state.excluded_sources]
+        comparison = self._filter.compare(predicted, sighting.select(used)) if used else None
         gate = chi_square_gate(self._gate.probability, 2 * len(used)) if used else 0.0
         is_consistent = comparison is not None and comparison.nis <= gate
-        trust = self._fault_detector.monitor_prediction(predicted.fault_state, source, is_consistent, sighting.time_ns)
-        return replace(predicted, trust=trust)
+        fault_state = self._fault_detector.monitor_prediction(predicted.fault_state, source, is_consistent, sighting.time_ns)
+        return replace(predicted, trust=fault_state)
 
-    def _monitor_beacons(self, trust: FaultState, state: CalibrationState, sighting: Sighting, others: bool) -> FaultState:
+    def _monitor_beacons(self, fault_state: FaultState, state: CalibrationState, sighting: Sighting, has_others: bool) -> FaultState:
         """Compare the beacons of excluded drones with the estimate by the other sources."""
         for row, name in enumerate(sighting.names):
-            if BEACON + name not in state.fault_state.excluded:
+            if BEACON_PREFIX + name not in state.fault_state.excluded_sources:
                 continue
-            comparison = self._filter.compare(state, sighting.chosen([row]))
+            comparison = self._filter.compare(state, sighting.select([row]))
             if comparison is not None:
                 measurement = comparison.measurement
-                compared = beacon_innovation(measurement.residual, comparison.covariance, measurement.noise)
-                expected_rejection_m = self._expected_rejection_m(trust.exclusions[BEACON + name], comparison, others)
-                trust = self._fault_detector.monitor_beacon(trust, name, compared, sighting.time_ns, expected_rejection_m)
-        return trust
+                innovation = beacon_innovation(measurement.residual, comparison.covariance, measurement.noise)
+                expected_rejection_m = self._expected_rejection_m(fault_state.exclusions[BEACON_PREFIX + name], comparison, has_others)
+                fault_state = self._fault_detector.monitor_beacon(fault_state, name, innovation, sighting.time_ns, expected_rejection_m)
+        return fault_state
 
     @staticmethod
-    def _expected_rejection_m(exclusion: ExclusionRecord, comparison: Comparison, others: bool) -> float:
+    def _expected_rejection_m(exclusion: ExclusionRecord, comparison: Comparison, has_others: bool) -> float:
         """Return the size on the detector of the residual that the fault would cause now, m."""
         direction_n = comparison.prediction.lines.direction_n[0]
-        across_m = np.linalg.norm(np.cross(exclusion.jumped_n, direction_n))
+        across_m = np.linalg.norm(np.cross(exclusion.jump_sum_n, direction_n))
         distance_m = comparison.prediction.lines.distance_m[0]
         by_jump = float(focal_length_m(comparison) * across_m / distance_m)
-        if np.any(exclusion.jumped_n):
+        if np.any(exclusion.jump_sum_n):
             # A jump along the line of sight is not observable: no reinstatement then.
             return max(by_jump, np.finfo(float).tiny)
-        return 0.0 if others else exclusion.rejected_residual_m
+        return 0.0 if has_others else exclusion.rejected_residual_m
 
     def _exclusion_rejection(self, state: CalibrationState, name: str) -> tuple[str, Rejection]:
-        return name, Rejection(Reason.EXCLUDED, state.fault_state.exclusions[BEACON + name].why)
+        return name, Rejection(Reason.EXCLUDED, state.fault_state.exclusions[BEACON_PREFIX + name].reason)
 
 
 @functools.lru_cache(maxsize=16)
-def hypothesis_factors(config: IntegrityConfig, sources: tuple[str, ...]) -> SigmaMultipliers:
+def hypothesis_multipliers(config: IntegrityConfig, sources: tuple[str, ...]) -> SigmaMultipliers:
     """Return the sigma multipliers of the hypotheses without one source each."""
     priors = config.prior_per_h
     by_source = {ENCODER: priors.encoder, SHIP: priors.ship_attitude}
@@ -306,7 +306,7 @@ def count_rejection(
         gate: limits of a run.
         what: measured objects, for the text.
     """
-    run = state.refusals + 1
+    run = state.consecutive_rejections + 1
     state = replace(state, refusals=run, refused_for=decision.text)
     if decision.reason is Reason.LIGHT_CONFLICT:
         return state, decision
@@ -315,13 +315,13 @@ def count_rejection(
         reason = Reason.ATTITUDE_CONFLICT
         text = f"{run} rejections in a row: {measured} are inconsistent with encoders and ship's attitude; {text}"
     if gate.reopen_after and run % gate.reopen_after == 0:
-        state = replace(state, parts=state.parts * gate.reopen_factor)
+        state = replace(state, parts=state.covariance_by_source * gate.reopen_factor)
         text += f"; covariance inflated by {gate.reopen_factor:g}"
     return state, replace(decision, reason=reason, text=text)
 
 
-def separations(
-    state: CalibrationState, subfilters: Alternatives, turning: NDArray[np.intp], rotation_nc: FloatArray, turn_n: FloatArray
+def solution_separations(
+    state: CalibrationState, subfilters: SubfilterStates, axis_indices: NDArray[np.intp], rotation_nc: FloatArray, by_state_n: FloatArray
 ) -> FloatArray:
     """Return the solution separation of each subfilter in the pointing, in standard deviations, shape (h,).
 
@@ -332,10 +332,10 @@ def separations(
         rotation_nc: horizon from a camera on the main axis, shape (3, 3).
         turn_n: its rotation vector in n per state, shape (3, n).
     """
-    to_axes = rotation_nc.T @ turn_n[:, turning]
-    separation = (subfilters.mean - state.mean)[:, turning] @ to_axes.T
+    to_axes = rotation_nc.T @ by_state_n[:, axis_indices]
+    separation = (subfilters.mean - state.mean)[:, axis_indices] @ to_axes.T
     covariance = np.concatenate(
-        [state.parts[:, turning[:, None], turning].sum(axis=0)[None], subfilters.covariances[:, 0, turning[:, None], turning]]
+        [state.covariance_by_source[:, axis_indices[:, None], axis_indices].sum(axis=0)[None], subfilters.covariances[:, 0, axis_indices[:, None], axis_indices]]
     )
     variance = (to_axes @ covariance * to_axes).sum(axis=-1)
     statistic: FloatArray = np.abs(separation / separation_sigma(variance[1:], variance[0])).max(axis=-1)
@@ -352,5 +352,5 @@ def _attitude_sigma(comparison: Comparison) -> float:
 def _disagreement_n(comparison: Comparison) -> FloatArray:
     """Return the rotation between the telescope by the beacons and its prediction, as a covariance in n, rad²."""
     by_attitude = comparison.prediction.by_attitude_n
-    turned_n = np.linalg.pinv(by_attitude, rcond=1e-6) @ comparison.measurement.residual
-    return np.outer(turned_n, turned_n)
+    rotation_n = np.linalg.pinv(by_attitude, rcond=1e-6) @ comparison.measurement.residual
+    return np.outer(rotation_n, rotation_n)

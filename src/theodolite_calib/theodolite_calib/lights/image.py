@@ -100,7 +100,7 @@ class Image:
         covariance: FloatArray = variance[..., None] * np.eye(variance.shape[-1])
         return covariance if self.smear_m2 is None else covariance + block_diagonal(self.smear_m2)
 
-    def chosen(self, rows: Sequence[int]) -> "Image":
+    def select(self, rows: Sequence[int]) -> "Image":
         """Return some of the beacons, or all of them in another order."""
         chosen = list(rows)
         smear_m2 = None if self.smear_m2 is None else self.smear_m2[chosen]
@@ -138,15 +138,15 @@ def predict_points(camera: Camera, rotation_nt: FloatArray, direction_n: FloatAr
     leading, count = direction_n.shape[:-2], direction_n.shape[-2]
     principal_point_m = np.asarray(camera.principal_point_m, dtype=float)
     found = compiled_lights.image_points(
-        flat(direction_n, leading, (count, 3)),
-        flat(rotation_nt, leading, (3, 3)),
-        flat(camera.focal_length_m, leading, ()),
-        flat(principal_point_m if principal_point_m.ndim == 1 else principal_point_m[..., 0, :], leading, (2,)),
+        flatten_exposures(direction_n, leading, (count, 3)),
+        flatten_exposures(rotation_nt, leading, (3, 3)),
+        flatten_exposures(camera.focal_length_m, leading, ()),
+        flatten_exposures(principal_point_m if principal_point_m.ndim == 1 else principal_point_m[..., 0, :], leading, (2,)),
     )
     return PredictedPoints(*(of_all.reshape(*leading, *of_all.shape[1:]) for of_all in found))
 
 
-def flat(values: FloatArray | float, leading: tuple[int, ...], own: tuple[int, ...]) -> FloatArray:
+def flatten_exposures(values: FloatArray | float, leading: tuple[int, ...], item_shape: tuple[int, ...]) -> FloatArray:
     """Flatten the leading axes of all exposures to one axis; values common to all are repeated.
 
     Args:
@@ -155,8 +155,8 @@ def flat(values: FloatArray | float, leading: tuple[int, ...], own: tuple[int, .
         own: shape of the values of one exposure.
     """
     array: FloatArray = np.asarray(values, dtype=float)
-    whole = (*leading, *own)
-    return (array if array.shape == whole else np.broadcast_to(array, whole)).reshape(-1, *own)
+    whole = (*leading, *item_shape)
+    return (array if array.shape == whole else np.broadcast_to(array, whole)).reshape(-1, *item_shape)
 
 
 @dataclass(frozen=True)
@@ -186,22 +186,22 @@ class BeaconStreaks:
     rotation_nt: FloatArray
     middle_nt: FloatArray
     path_n: FloatArray
-    moved_n: FloatArray
+    displacement_n: FloatArray
 
     def image_at_middle(self) -> Image:
         """Return the points at the middle of the exposure, with the errors added by their streaks."""
         image, distance_m = self.image, np.linalg.norm(self.path_n, axis=-1, keepdims=True)
         # Position of the beacon from the detector, its motion from the path.
         seen_n = distance_m * (self.camera.directions(image.point_m) @ self.middle_nt.T)
-        way_m = self.camera.points((seen_n + self.moved_n) @ self.rotation_nt)
-        off_m = self.nodes.mean(way_m) - image.point_m
-        smear_m2 = self.nodes.spread(way_m) * ((image.sigma_m / self.psf_sigma_m) ** 2)[:, None, None]
-        return Image(image.point_m - off_m, image.sigma_m, smear_m2)
+        path_m = self.camera.points((seen_n + self.displacement_n) @ self.rotation_nt)
+        offset_m = self.nodes.mean(path_m) - image.point_m
+        smear_m2 = self.nodes.spread(path_m) * ((image.sigma_m / self.psf_sigma_m) ** 2)[:, None, None]
+        return Image(image.point_m - offset_m, image.sigma_m, smear_m2)
 
-    def chosen(self, rows: list[int], seen_rows: list[int]) -> "BeaconStreaks":
+    def select(self, rows: list[int], image_rows: list[int]) -> "BeaconStreaks":
         """Return some beacons, or exchanged names: beacon ``rows[i]`` has the point ``seen_rows[i]``."""
         return replace(
-            self, image=self.image.chosen(seen_rows), path_n=self.path_n[rows], moved_n=self.moved_n[:, rows]
+            self, image=self.image.select(image_rows), path_n=self.path_n[rows], moved_n=self.displacement_n[:, rows]
         )
 
 

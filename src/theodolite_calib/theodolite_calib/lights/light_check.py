@@ -16,7 +16,7 @@ from ship_estimation.gates import chi_square_gate, normalized_error_squared
 from ship_geometry.rotations import FloatArray, angle_between, log_rotation
 from theodolite_calib.lights.image import Camera, Image
 from theodolite_calib.lights.line_of_sight import LinesOfSight, covariance_by_source
-from theodolite_calib.lights.telescope_attitude import AttitudePrior, TelescopeAttitude, solve_attitude, total
+from theodolite_calib.lights.telescope_attitude import AttitudePrior, TelescopeAttitude, solve_attitude, total_covariance
 
 _MAX_BEACONS = 4
 """Maximum number of beacons for which exchanged names are tried; their number grows as the factorial."""
@@ -85,7 +85,7 @@ def angle_residuals(image: Image, camera: Camera, lines: LinesOfSight) -> AngleR
     of_focal_length = np.einsum("...pix,...ix->...p", by_seen, camera.direction_by_focal_length(image.point_m))
     variance += (of_focal_length * np.asarray(camera.focal_length_sigma_m, dtype=float)[..., None]) ** 2
     rows = by_line.reshape(*by_line.shape[:-2], 3 * count)
-    line_covariance = total(covariance_by_source(lines.terms))
+    line_covariance = total_covariance(covariance_by_source(lines.terms))
     variance += np.einsum("...pi,...ij,...pj->...p", rows, line_covariance, rows)
     return AngleResiduals(pairs, residual, np.sqrt(variance), residual**2 / variance)
 
@@ -103,18 +103,18 @@ def check_beacons(
         prior: prior attitude.
     """
     count = lines.direction_n.shape[-2]
-    named = tuple(range(count))
-    as_named = _trial(image, camera, lines, named, prior)
-    if _fits(as_named, probability):
-        return as_named.check(BeaconCheckResult.CONSISTENT)
-    exchanges = [order for order in permutations(range(count)) if order != named] if count <= _MAX_BEACONS else []
-    trials = [_trial(image, camera, lines, order, prior) for order in exchanges]
-    consistent_trials = [trial for trial in trials if _fits(trial, probability)]
+    named_order = tuple(range(count))
+    named_trial = _trial(image, camera, lines, named_order, prior)
+    if _is_consistent(named_trial, probability):
+        return named_trial.check(BeaconCheckResult.CONSISTENT)
+    exchanged_orders = [order for order in permutations(range(count)) if order != named_order] if count <= _MAX_BEACONS else []
+    trials = [_trial(image, camera, lines, order, prior) for order in exchanged_orders]
+    consistent_trials = [trial for trial in trials if _is_consistent(trial, probability)]
     # The improvement must be significant: without a prior two beacons fit equally well both ways.
-    if len(consistent_trials) == 1 and as_named.chi2 > consistent_trials[0].chi2 + chi_square_gate(probability, 3):
+    if len(consistent_trials) == 1 and named_trial.chi2 > consistent_trials[0].chi2 + chi_square_gate(probability, 3):
         return consistent_trials[0].check(BeaconCheckResult.SWAPPED)
-    angles_fit = any(_angles_fit(trial.attitude, probability) for trial in [as_named, *trials])
-    return as_named.check(BeaconCheckResult.PRIOR_CONFLICT if angles_fit and not consistent_trials else BeaconCheckResult.CONFLICT)
+    angles_fit = any(_are_angles_consistent(trial.attitude, probability) for trial in [named_trial, *trials])
+    return named_trial.check(BeaconCheckResult.PRIOR_CONFLICT if angles_fit and not consistent_trials else BeaconCheckResult.CONFLICT)
 
 
 @dataclass(frozen=True)
@@ -136,21 +136,21 @@ class _Trial:
 def _trial(
     image: Image, camera: Camera, lines: LinesOfSight, order: tuple[int, ...], prior: AttitudePrior | None
 ) -> _Trial:
-    attitude = solve_attitude(image.chosen(order), camera, lines)
+    attitude = solve_attitude(image.select(order), camera, lines)
     if prior is None:
         return _Trial(order, attitude, None)
-    departure = log_rotation(attitude.rotation_nt @ prior.rotation_nt.T)
-    chi2 = float(normalized_error_squared(departure, attitude.covariance_n + prior.covariance_n))
+    attitude_difference = log_rotation(attitude.rotation_nt @ prior.rotation_nt.T)
+    chi2 = float(normalized_error_squared(attitude_difference, attitude.covariance_n + prior.covariance_n))
     return _Trial(order, attitude, chi2)
 
 
-def _angles_fit(attitude: TelescopeAttitude, probability: float) -> bool:
+def _are_angles_consistent(attitude: TelescopeAttitude, probability: float) -> bool:
     # An attitude that is not solved has chi2 NaN, which is not consistent.
     return bool(attitude.chi2 <= chi_square_gate(probability, attitude.degrees))
 
 
-def _fits(trial: _Trial, probability: float) -> bool:
-    if not _angles_fit(trial.attitude, probability):
+def _is_consistent(trial: _Trial, probability: float) -> bool:
+    if not _are_angles_consistent(trial.attitude, probability):
         return False
     return trial.prior_chi2 is None or trial.prior_chi2 <= chi_square_gate(probability, 3)
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from ship_geometry import compiled_lights
 from ship_geometry.rotations import FloatArray
-from theodolite_calib.lights.image import block_diagonal, flat
+from theodolite_calib.lights.image import block_diagonal, flatten_exposures
 
 EARTH_RADIUS_M = 6_371_000.0
 """Mean radius of the Earth, m; its error is negligible against that of the refraction coefficient."""
@@ -115,7 +115,7 @@ class ErrorTerm:
 
     name: str
     source: str
-    common: bool
+    is_common: bool
     is_correlated: bool
     jacobian_n: FloatArray
     covariance: FloatArray
@@ -124,7 +124,7 @@ class ErrorTerm:
         """Return the covariance of all directions, rad², shape (..., 3 N, 3 N), beacon after beacon."""
         beacon_count = self.jacobian_n.shape[-3]
         leading = self.jacobian_n.shape[:-3]
-        if self.common:
+        if self.is_common:
             rows = self.jacobian_n.reshape(*leading, 3 * beacon_count, -1)
             return rows @ self.covariance @ np.swapaxes(rows, -1, -2)
         return block_diagonal(self.jacobian_n @ self.covariance @ np.swapaxes(self.jacobian_n, -1, -2))
@@ -202,14 +202,14 @@ def lines_of_sight(beacons: BeaconPoses, ship: Ship, survey: Survey) -> LinesOfS
     """Return the directions to the beacons with their errors."""
     leading, count = beacons.baseline_n.shape[:-2], beacons.baseline_n.shape[-2]
     found = compiled_lights.sight_lines(
-        flat(beacons.baseline_n, leading, (count, 3)),
-        flat(beacons.rotation_nb, leading, (count, 3, 3)),
-        flat(survey.beacon_lever.vector_m, leading, (count, 3)),
-        flat(ship.rotation_nd, leading, (3, 3)),
-        flat(ship.rotation_dm, leading, (3, 3)),
+        flatten_exposures(beacons.baseline_n, leading, (count, 3)),
+        flatten_exposures(beacons.rotation_nb, leading, (count, 3, 3)),
+        flatten_exposures(survey.beacon_lever.vector_m, leading, (count, 3)),
+        flatten_exposures(ship.rotation_nd, leading, (3, 3)),
+        flatten_exposures(ship.rotation_dm, leading, (3, 3)),
         survey.theodolite_lever.vector_m,
         survey.principal_point.vector_m,
-        flat(survey.refraction_coefficient, leading, (count,)),
+        flatten_exposures(survey.refraction_coefficient, leading, (count,)),
         EARTH_RADIUS_M,
     )
     direction_n, distance_m, jacobian_n = (of_all.reshape(*leading, *of_all.shape[1:]) for of_all in found)

@@ -48,7 +48,7 @@ class AttitudePrior:
     @property
     def covariance_n(self) -> FloatArray:
         """Total covariance, rad², shape (..., 3, 3)."""
-        return total(self.covariance_by_source_n)
+        return total_covariance(self.covariance_by_source_n)
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class TelescopeAttitude:
     @property
     def covariance_n(self) -> FloatArray:
         """Total covariance of the rotation vector in n, rad², shape (..., 3, 3)."""
-        return total(self.covariance_by_source_n)
+        return total_covariance(self.covariance_by_source_n)
 
 
 def solve_attitude(image: Image, camera: Camera, lines: LinesOfSight, prior: AttitudePrior | None = None) -> TelescopeAttitude:
@@ -119,10 +119,10 @@ def solve_attitude(image: Image, camera: Camera, lines: LinesOfSight, prior: Att
     if prior is None and lines.direction_n.shape[-2] < 2:
         raise ValueError("the rotation of the image is not observable from one light: a prior attitude is needed")
     line_parts = covariance_by_source(lines.terms)
-    line_covariance = total(line_parts)
+    line_covariance = total_covariance(line_parts)
     rotation_nt = _initial_attitude(image, camera, lines, line_covariance, prior)
     for _ in range(_MAX_STEPS):
-        equations = linearised(image, camera, lines.direction_n, line_covariance, rotation_nt, prior)
+        equations = linearise(image, camera, lines.direction_n, line_covariance, rotation_nt, prior)
         information = equations.weighted_jacobian @ equations.jacobian
         gain = np.asarray(np.linalg.solve(information, equations.weighted_jacobian), dtype=float)
         step = (gain @ equations.residual[..., None])[..., 0]
@@ -189,29 +189,29 @@ def _parts(
     """Return the attitude's covariance by source."""
     rows = equations.by_focal_length.shape[-1]
     by_directions = gain[..., :rows] @ equations.by_directions
-    parts = {source: _transported(by_directions, part) for source, part in line_parts.items()}
-    parts[SOURCE_IMAGE] = _transported(gain[..., :rows], image.covariance_m2)
+    parts = {source: _propagate_covariance(by_directions, part) for source, part in line_parts.items()}
+    parts[SOURCE_IMAGE] = _propagate_covariance(gain[..., :rows], image.covariance_m2)
     by_focal_length = gain[..., :rows] @ equations.by_focal_length[..., None]
     by_focal_length = by_focal_length * np.asarray(camera.focal_length_sigma_m, dtype=float)[..., None, None]
     parts[SOURCE_FOCAL_LENGTH] = by_focal_length @ np.swapaxes(by_focal_length, -1, -2)
     if prior is not None:
         for source, part in prior.covariance_by_source_n.items():
-            propagated = _transported(gain[..., rows:], part)
+            propagated = _propagate_covariance(gain[..., rows:], part)
             parts[source] = parts[source] + propagated if source in parts else propagated
     return parts
 
 
-def _transported(matrix: FloatArray, covariance: FloatArray) -> FloatArray:
+def _propagate_covariance(matrix: FloatArray, covariance: FloatArray) -> FloatArray:
     return matrix @ covariance @ np.swapaxes(matrix, -1, -2)
 
 
-def total(parts: Mapping[str, FloatArray]) -> FloatArray:
+def total_covariance(parts: Mapping[str, FloatArray]) -> FloatArray:
     """Return the total covariance of an error budget."""
     covariance: FloatArray = np.sum(np.stack(np.broadcast_arrays(*parts.values())), axis=0)
     return covariance
 
 
-def linearised(
+def linearise(
     image: Image,
     camera: Camera,
     direction_n: FloatArray,
@@ -243,15 +243,15 @@ def linearised(
     inverse = np.asarray(np.linalg.inv(covariance), dtype=float)
     if prior is not None:
         # log(exp(δ) R R_priorᵀ) = d + J⁻¹ δ is an error drawn from the prior's covariance.
-        departure = log_rotation(rotation_nt @ np.swapaxes(prior.rotation_nt, -1, -2))
-        residual = np.concatenate([residual, -departure], axis=-1)
-        jacobian = np.concatenate([jacobian, np.linalg.inv(left_jacobian(departure))], axis=-2)
-        inverse = _joined(inverse, np.asarray(np.linalg.inv(prior.covariance_n), dtype=float))
+        prior_difference = log_rotation(rotation_nt @ np.swapaxes(prior.rotation_nt, -1, -2))
+        residual = np.concatenate([residual, -prior_difference], axis=-1)
+        jacobian = np.concatenate([jacobian, np.linalg.inv(left_jacobian(prior_difference))], axis=-2)
+        inverse = _join_diagonally(inverse, np.asarray(np.linalg.inv(prior.covariance_n), dtype=float))
     weighted_jacobian = np.swapaxes(jacobian, -1, -2) @ inverse
     return Equations(residual, jacobian, by_directions, by_focal_length, inverse, weighted_jacobian)
 
 
-def _joined(first: FloatArray, second: FloatArray) -> FloatArray:
+def _join_diagonally(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return the block diagonal of two matrices of different size."""
     m, n = first.shape[-1], second.shape[-1]
     matrix = np.zeros((*first.shape[:-2], m + n, m + n))

@@ -19,7 +19,7 @@ from ship_geometry.vector_track import VectorTrack
 from theodolite_calib.measured import compiled_cubics
 from theodolite_calib.measured.samples import BaselineSample
 
-_MOST, _BEFORE = 14, 5
+_MAX_SOLUTIONS, _MIN_BEFORE_STEP = 14, 5
 """Maximum number of solutions in the fit, and minimum number of them before a step."""
 _MAX_SPAN_NS = 2 * SECOND_NS
 """Maximum time over which the path of a drone is a cubic, ns."""
@@ -27,7 +27,7 @@ _JUMP_SIGMAS = 7.0
 """Threshold of a jump in standard deviations: less than one false jump per voyage at ten solutions a second with ten
 candidate steps."""
 _CUBIC, _COMPONENTS = 3, 3
-_LEAST_DEGREES = 9
+_MIN_DEGREES = 9
 """Minimum degrees of freedom of the scatter for a jump to be tested."""
 
 
@@ -51,7 +51,7 @@ class BaselineTrack(VectorTrack[BaselineSample]):
 
     history_ns = _MAX_SPAN_NS
 
-    def usable_at(self, time_ns: int) -> tuple[FloatArray, FloatArray] | Rejection:
+    def baseline_at(self, time_ns: int) -> tuple[FloatArray, FloatArray] | Rejection:
         """Return the baseline at a time (N, U, E), m, with the covariance of its white error, m²; or the rejection."""
         interval = self._interval(time_ns)
         if interval is None:
@@ -87,7 +87,7 @@ class BaselineTrack(VectorTrack[BaselineSample]):
             return None
         last = interval[0] + (interval[1] > 0.0)
         first = last
-        while first > 0 and last - first + 1 < _MOST and self._are_joined(first - 1):
+        while first > 0 and last - first + 1 < _MAX_SOLUTIONS and self._are_joined(first - 1):
             if self._times[last] - self._times[first - 1] > _MAX_SPAN_NS:
                 break
             first -= 1
@@ -96,12 +96,12 @@ class BaselineTrack(VectorTrack[BaselineSample]):
     def _jump_among(self, first: int, end: int) -> BaselineJump | None:
         count = end - first
         degrees = _COMPONENTS * (count - _CUBIC - 2)
-        if degrees < _LEAST_DEGREES:
+        if degrees < _MIN_DEGREES:
             return None
         samples = self._samples[first:end]
         position_m = np.array([sample.vector for sample in samples]) - samples[-1].vector
         since = (np.array(self._times[first:end]) - self._times[end - 1]) / _MAX_SPAN_NS
-        place, jump_m, weight, squares = compiled_cubics.clearest_step(since, position_m, _BEFORE)
+        place, jump_m, weight, squares = compiled_cubics.clearest_step(since, position_m, _MIN_BEFORE_STEP)
         stated = sum(sample.variance_m2 for sample in samples) / (count * _COMPONENTS)
         sigma_m = math.sqrt(max(stated, squares / degrees, 0.0) / weight)
         if not math.hypot(*jump_m.tolist()) > _JUMP_SIGMAS * sigma_m:

@@ -20,32 +20,32 @@ from ship_estimation.outcome import Status
 from ship_geometry.rotations import FloatArray, log_rotation
 from ship_geometry.sample_track import Stamped
 from ship_geometry.time_scales import SECOND_NS
-from theodolite_calib.measured.encoder_steps import short_way
+from theodolite_calib.measured.encoder_steps import wrap_angles
 from theodolite_calib.measured.samples import EncoderSample, ShipSample
 
-_BESIDE = 8
+_MAX_SIDE_SAMPLES = 8
 """Maximum number of samples on either side of a step."""
-_LEAST = 6
+_MIN_SIDE_SAMPLES = 6
 """Minimum number of samples on either side of a step."""
-_BY_MOTION: tuple[int, ...] = (2, 4)
+_MOTION_DEGREES: tuple[int, ...] = (2, 4)
 """Degrees of the polynomials through a motion; the one with the smallest step sigma is used."""
-_BY_RATES: tuple[int, ...] = (1,)
+_RATE_DEGREES: tuple[int, ...] = (1,)
 """Degrees of the polynomials through the residuals against rates."""
-_SURE_SIGMAS = 5.5
+_STEP_SIGMAS = 5.5
 """Threshold of a step in standard deviations."""
-_MISSED_SIGMAS = 3.0
+_UNDERESTIMATE_SIGMAS = 3.0
 """Maximum amount by which a step is underestimated, in standard deviations."""
 
-_MEAN_OVER_S = 0.5
+_MEAN_WINDOW_S = 0.5
 """Length of the means in which a drift of the ship's attitude is evaluated, s."""
 _MIN_DRIFT_S = 3.0
 """Minimum time span for evaluating a drift, s."""
 _DRIFT_SIGMAS = 8.0
 """Difference between two means above which the attitude has drifted, in standard deviations of an attitude."""
-_BY_TRAPEZOIDS = 2.0 / 3.0
+_TRAPEZOID_ERROR_RATIO = 2.0 / 3.0
 """Error of the trapezoidal rule, twice, per difference to steps of double length: these have four times the error, so
 that the difference is three times the error."""
-_STEADY_SIGMAS = 5.0
+_NO_DRIFT_SIGMAS = 5.0
 """Difference between two means below which the attitude has not drifted, in standard deviations of an attitude."""
 _STATED_CHANGE_SIGMAS = 5.0
 """Factor on the change of the stated standard deviation by which the attitude may move, as after a star correction."""
@@ -62,18 +62,18 @@ class LargestStep(NamedTuple):
     size_rad: float
     sigma_rad: float
 
-    def is_there(self, least_rad: float) -> bool:
+    def is_detected(self, expected_rad: float) -> bool:
         """True if the stream has stepped by at least half of the expected step."""
-        return self.size_rad > _SURE_SIGMAS * self.sigma_rad and self.size_rad > 0.5 * least_rad
+        return self.size_rad > _STEP_SIGMAS * self.sigma_rad and self.size_rad > 0.5 * expected_rad
 
-    def is_not(self, step_rad: float) -> bool:
+    def is_ruled_out(self, step_rad: float) -> bool:
         """True if a step of this size is ruled out; False for NaN."""
-        would_be_seen = step_rad > 1.5 * _SURE_SIGMAS * self.sigma_rad
-        return would_be_seen and self.size_rad < min(step_rad - _MISSED_SIGMAS * self.sigma_rad, 0.5 * step_rad)
+        would_be_seen = step_rad > 1.5 * _STEP_SIGMAS * self.sigma_rad
+        return would_be_seen and self.size_rad < min(step_rad - _UNDERESTIMATE_SIGMAS * self.sigma_rad, 0.5 * step_rad)
 
 
 @dataclass(frozen=True)
-class Streams:
+class StreamConsistency:
     """Consistency of the encoder and ship attitude streams in a time range.
 
     Attributes:
@@ -87,13 +87,13 @@ class Streams:
     is_ship_unreliable: bool
 
 
-def streams_since(
+def stream_consistency(
     since_ns: int,
     encoder: list[EncoderSample],
     ship: list[ShipSample],
     gaps_ns: tuple[int, int],
     ship_sigma_rad: float,
-) -> Streams:
+) -> StreamConsistency:
     """Return the consistency of the streams since a time, from samples since then and one second before.
 
     Args:
@@ -103,19 +103,19 @@ def streams_since(
         gaps_ns: maximum intervals of readings, and of attitudes; larger ones are gaps.
         ship_sigma_rad: noise of an attitude about each axis.
     """
-    is_ship_unreliable = _gap(ship, gaps_ns[1]) or any(sample.status is Status.DEGRADED for sample in ship)
+    is_ship_unreliable = _has_gap(ship, gaps_ns[1]) or any(sample.status is Status.DEGRADED for sample in ship)
     by_encoder = None
-    if encoder and not _gap(encoder, gaps_ns[0]):
-        turns = short_way(np.diff(np.array([sample.vector for sample in encoder]), axis=0))
-        turned = np.vstack([np.zeros(2), np.cumsum(turns, axis=0)])
+    if encoder and not _has_gap(encoder, gaps_ns[0]):
+        turns = wrap_angles(np.diff(np.array([sample.vector for sample in encoder]), axis=0))
+        cumulative_angles = np.vstack([np.zeros(2), np.cumsum(turns, axis=0)])
         # Exactly repeated readings among others that moved may be stuck: no test then.
-        stood = np.all(turns == 0.0, axis=1)
-        if np.all(stood) or not np.any(stood):
-            by_encoder = _largest_step(_seconds(encoder, since_ns), turned, encoder[-1].sigma, _BY_MOTION)
+        is_unchanged = np.all(turns == 0.0, axis=1)
+        if np.all(is_unchanged) or not np.any(is_unchanged):
+            by_encoder = _find_largest_step(_seconds(encoder, since_ns), cumulative_angles, encoder[-1].sigma, _MOTION_DEGREES)
     by_ship = None
-    if ship and not _gap(ship, gaps_ns[1]):
-        by_ship = _ships_step(ship, since_ns, ship_sigma_rad)
-    return Streams(by_encoder, by_ship, is_ship_unreliable)
+    if ship and not _has_gap(ship, gaps_ns[1]):
+        by_ship = _ship_step(ship, since_ns, ship_sigma_rad)
+    return StreamConsistency(by_encoder, by_ship, is_ship_unreliable)
 
 
 def has_ship_drifted(ship: list[ShipSample], longest_gap_ns: int, sigma_rad: float) -> bool | None:
@@ -127,24 +127,24 @@ def has_ship_drifted(ship: list[ShipSample], longest_gap_ns: int, sigma_rad: flo
         sigma_rad: noise of an attitude about each axis.
     """
     usable = [sample for sample in ship if sample.status is not Status.DEGRADED]
-    if len(usable) < 2 or _gap(usable, longest_gap_ns) or any(sample.rate_d is None for sample in usable):
+    if len(usable) < 2 or _has_gap(usable, longest_gap_ns) or any(sample.rate_d is None for sample in usable):
         return None
     seconds = _seconds(usable, usable[0].time_ns)
     if seconds[-1] < _MIN_DRIFT_S:
         return None
-    places = (seconds / _MEAN_OVER_S).astype(int)
+    places = (seconds / _MEAN_WINDOW_S).astype(int)
     count = np.bincount(places)
     rotation_nd, rate_d = _attitudes(usable)
     left_n = _rate_residuals(rotation_nd, rate_d, seconds)
     means_n = np.stack([np.bincount(places, axis_n) for axis_n in left_n.T], axis=1) / count[:, None]
     spread_rad = float(np.max(np.ptp(means_n, axis=0)))
     stated_n = np.array([one.correlated_covariance_n for one in usable if one.correlated_covariance_n is not None])
-    may_rad = _STATED_CHANGE_SIGMAS * float(np.sqrt(np.ptp(stated_n.trace(axis1=1, axis2=2)))) if len(stated_n) else 0.0
+    allowance_rad = _STATED_CHANGE_SIGMAS * float(np.sqrt(np.ptp(stated_n.trace(axis1=1, axis2=2)))) if len(stated_n) else 0.0
     coarse_n = _rate_residuals(rotation_nd[::2], rate_d[::2], seconds[::2])
-    may_rad += _BY_TRAPEZOIDS * float(np.max(np.ptp(left_n[::2] - coarse_n, axis=0)))
-    if spread_rad > _DRIFT_SIGMAS * sigma_rad + may_rad:
+    allowance_rad += _TRAPEZOID_ERROR_RATIO * float(np.max(np.ptp(left_n[::2] - coarse_n, axis=0)))
+    if spread_rad > _DRIFT_SIGMAS * sigma_rad + allowance_rad:
         return True
-    return False if spread_rad < _STEADY_SIGMAS * sigma_rad else None  # NaN is neither
+    return False if spread_rad < _NO_DRIFT_SIGMAS * sigma_rad else None  # NaN is neither
 
 
 def _attitudes(ship: list[ShipSample]) -> tuple[FloatArray, FloatArray]:
@@ -160,18 +160,18 @@ def _rate_residuals(rotation_nd: FloatArray, rate_d: FloatArray, seconds: FloatA
     return np.vstack([np.zeros(3), np.cumsum(turns_n, axis=0)])
 
 
-def _ships_step(ship: list[ShipSample], since_ns: int, sigma_rad: float) -> LargestStep | None:
+def _ship_step(ship: list[ShipSample], since_ns: int, sigma_rad: float) -> LargestStep | None:
     """Return the largest step of the ship's attitude, using its rates if all samples have them."""
     seconds = _seconds(ship, since_ns)
     if all(sample.rate_d is not None for sample in ship):
-        return _largest_step(seconds, _rate_residuals(*_attitudes(ship), seconds), sigma_rad, _BY_RATES)
+        return _find_largest_step(seconds, _rate_residuals(*_attitudes(ship), seconds), sigma_rad, _RATE_DEGREES)
     rotation_nd = np.array([sample.rotation_nd for sample in ship])
     turns_n = log_rotation(rotation_nd[1:] @ rotation_nd[:-1].swapaxes(-1, -2))
-    turned_n = np.vstack([np.zeros(3), np.cumsum(turns_n, axis=0)])
-    return _largest_step(seconds, turned_n, sigma_rad, _BY_MOTION)
+    cumulative_rotation_n = np.vstack([np.zeros(3), np.cumsum(turns_n, axis=0)])
+    return _find_largest_step(seconds, cumulative_rotation_n, sigma_rad, _MOTION_DEGREES)
 
 
-def _largest_step(
+def _find_largest_step(
     seconds: FloatArray, values: FloatArray, sigma_rad: float, degrees: Sequence[int]
 ) -> LargestStep | None:
     """Return the largest step between two consecutive values in addition to a polynomial; None if there are too few.
@@ -183,10 +183,10 @@ def _largest_step(
         degrees: degrees of the polynomials; the one with the smallest step sigma is used.
     """
     largest: LargestStep | None = None
-    for first_after in range(_LEAST, len(seconds) - _LEAST + 1):
+    for first_after in range(_MIN_SIDE_SAMPLES, len(seconds) - _MIN_SIDE_SAMPLES + 1):
         if seconds[first_after] <= 0.0:
             continue
-        window = slice(max(first_after - _BESIDE, 0), first_after + _BESIDE)
+        window = slice(max(first_after - _MAX_SIDE_SAMPLES, 0), first_after + _MAX_SIDE_SAMPLES)
         since_s = seconds[window] - seconds[first_after]
         steps = [_step(since_s, values[window], sigma_rad, degree) for degree in degrees]
         step = min(steps, key=lambda one: one.sigma_rad)
@@ -210,6 +210,6 @@ def _seconds(samples: Sequence[Stamped], since_ns: int) -> FloatArray:
     return np.array([sample.time_ns - since_ns for sample in samples]) / SECOND_NS
 
 
-def _gap(samples: Sequence[Stamped], longest_ns: int) -> bool:
+def _has_gap(samples: Sequence[Stamped], longest_ns: int) -> bool:
     """True if two consecutive samples are too far apart."""
     return any(later.time_ns - one.time_ns > longest_ns for one, later in itertools.pairwise(samples))

@@ -18,21 +18,21 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.measured import compiled_cubics
 
-_FITTED = 12
+_FIT_READINGS = 12
 """Number of readings in the cubic."""
-_LEAST = 7
+_MIN_READINGS = 7
 """Minimum number of readings in the cubic."""
 _DETECTION_SIGMAS = 6.5
 """Threshold of a pending step in standard deviations: at fifty readings a second at most one false one in some
 hours."""
-_SURE_SIGMAS = 3.0
-_MEMORY = 200
+_LOWER_BOUND_SIGMAS = 3.0
+_NOISE_READINGS = 200
 """Number of readings over which the noise is averaged."""
-_LEARNING = 50
+_WARM_UP_READINGS = 50
 """Number of readings before the noise is known and steps are detected."""
-_LARGEST_SHARE = 3.0
+_MAX_NOISE_RATIO = 3.0
 """Maximum prediction error that enters the noise estimate, in multiples of the noise."""
-_GONE, _GOES_ON = 0.5, 1.25
+_MIN_PERSISTENCE, _MAX_PERSISTENCE = 0.5, 1.25
 """Least and greatest ratio of the second prediction error to the first for a step. A motion that begins after the
 reading before the last gives at least 1.5."""
 
@@ -53,11 +53,11 @@ class EncoderStep(NamedTuple):
     time_ns: int
     step: FloatArray
     sigma_rad: float
-    sure_rad: float
-    within_s: float
+    lower_bound_rad: float
+    interval_s: float
 
 
-class _Off(NamedTuple):
+class _PredictionError(NamedTuple):
     """Prediction error of a reading against the cubic.
 
     Attributes:
@@ -69,38 +69,38 @@ class _Off(NamedTuple):
     """
 
     time_ns: int
-    by: FloatArray
+    error: FloatArray
     gain: float
     sigma_rad: float
     bound_rad: float
 
     @property
-    def far(self) -> bool:
+    def exceeds_bound(self) -> bool:
         """True if the error exceeds its bound: a pending step."""
-        azimuth, elevation = self.by.tolist()
+        azimuth, elevation = self.error.tolist()
         return not (abs(azimuth) <= self.bound_rad and abs(elevation) <= self.bound_rad)
 
 
-class EncoderSteps:
+class EncoderStepDetector:
     """Step detector for the readings of one run, in the order of their stamps."""
 
     def __init__(self) -> None:
-        self._before: deque[tuple[int, FloatArray]] = deque(maxlen=_FITTED)
-        self._pending_step: tuple[_Off, FloatArray] | None = None
+        self._previous: deque[tuple[int, FloatArray]] = deque(maxlen=_FIT_READINGS)
+        self._pending_step: tuple[_PredictionError, FloatArray] | None = None
         self._variance, self._count = 0.0, 0
 
     @property
-    def off_rad(self) -> float:
+    def pending_step_rad(self) -> float:
         """Prediction error of the last reading if it is a pending step, rad; else 0."""
-        return 0.0 if self._pending_step is None else math.hypot(*self._pending_step[0].by)
+        return 0.0 if self._pending_step is None else math.hypot(*self._pending_step[0].error)
 
     def restart(self) -> None:
         """Restart the prediction with the next reading; the noise estimate is kept."""
-        self._before.clear()
+        self._previous.clear()
         self._pending_step = None
 
     def observe(
-        self, time_ns: int, angles: FloatArray, sigma_rad: float, coarseness_rad: float, longest_ns: int = SECOND_NS
+        self, time_ns: int, angles: FloatArray, sigma_rad: float, coarseness_rad: float, max_gap_ns: int = SECOND_NS
     ) -> EncoderStep | None:
         """Add the next reading; return the step that it proves, or None.
 
@@ -111,55 +111,55 @@ class EncoderSteps:
             coarseness_rad: resolution of the printed values; 0 if every value is new.
             longest_ns: maximum interval between readings that are compared.
         """
-        if self._before:
-            before_ns, before = self._before[-1]
-            if time_ns - before_ns > longest_ns:
+        if self._previous:
+            before_ns, before = self._previous[-1]
+            if time_ns - before_ns > max_gap_ns:
                 self.restart()
-            angles = before + short_way(angles - before)
-        off = self._off(time_ns, angles, sigma_rad, coarseness_rad)
+            angles = before + wrap_angles(angles - before)
+        prediction_error = self._prediction_error(time_ns, angles, sigma_rad, coarseness_rad)
         first, self._pending_step = self._pending_step, None
         if first is not None:
-            assert off is not None  # by the same readings as the first
-            return self._resolve_step(*first, off, angles)
-        if off is not None and self._count >= _LEARNING and off.far:
-            self._pending_step = off, angles
+            assert prediction_error is not None  # by the same readings as the first
+            return self._resolve_step(*first, prediction_error, angles)
+        if prediction_error is not None and self._count >= _WARM_UP_READINGS and prediction_error.exceeds_bound:
+            self._pending_step = prediction_error, angles
             return None
-        if off is not None:
-            self._learn(off)
-        self._before.append((time_ns, angles))
+        if prediction_error is not None:
+            self._update_noise(prediction_error)
+        self._previous.append((time_ns, angles))
         return None
 
-    def _off(self, time_ns: int, angles: FloatArray, sigma_rad: float, coarseness_rad: float) -> _Off | None:
+    def _prediction_error(self, time_ns: int, angles: FloatArray, sigma_rad: float, coarseness_rad: float) -> _PredictionError | None:
         """Return the prediction error of a reading; None if there are too few readings before it."""
-        if len(self._before) < _LEAST:
+        if len(self._previous) < _MIN_READINGS:
             return None
-        weights, gain = _weights_at_zero(tuple([before_ns - time_ns for before_ns, _ in self._before]))
-        led = weights @ np.array([before.tolist() for _, before in self._before])
+        weights, gain = _weights_at_zero(tuple([before_ns - time_ns for before_ns, _ in self._previous]))
+        predicted = weights @ np.array([before.tolist() for _, before in self._previous])
         noise_rad = max(sigma_rad, math.sqrt(self._variance))
         bound_rad = gain * (_DETECTION_SIGMAS * noise_rad + ROUNDING_SPREAD * math.sqrt(0.5) * coarseness_rad)
-        return _Off(time_ns, angles - led, gain, gain * noise_rad, bound_rad)
+        return _PredictionError(time_ns, angles - predicted, gain, gain * noise_rad, bound_rad)
 
-    def _resolve_step(self, first: _Off, angles: FloatArray, off: _Off, now: FloatArray) -> EncoderStep | None:
+    def _resolve_step(self, first: _PredictionError, angles: FloatArray, prediction_error: _PredictionError, now: FloatArray) -> EncoderStep | None:
         """Resolve a pending step by the reading after it; the readings are ``angles`` and ``now``."""
-        axis = int(np.argmax(np.abs(first.by)))
-        share, before_ns = off.by[axis] / first.by[axis], self._before[-1][0]
-        if share > _GONE:
+        axis = int(np.argmax(np.abs(first.error)))
+        ratio, before_ns = prediction_error.error[axis] / first.error[axis], self._previous[-1][0]
+        if ratio > _MIN_PERSISTENCE:
             # The readings before the change do not predict the following ones.
-            self._before.clear()
-            self._before.append((first.time_ns, angles))
-        self._before.append((off.time_ns, now))
-        if not _GONE < share < _GOES_ON:
+            self._previous.clear()
+            self._previous.append((first.time_ns, angles))
+        self._previous.append((prediction_error.time_ns, now))
+        if not _MIN_PERSISTENCE < ratio < _MAX_PERSISTENCE:
             return None
-        sure_rad = min(abs(first.by[axis]), abs(off.by[axis])) - _SURE_SIGMAS * first.sigma_rad
+        lower_bound_rad = min(abs(first.error[axis]), abs(prediction_error.error[axis])) - _LOWER_BOUND_SIGMAS * first.sigma_rad
         within_s = (first.time_ns - before_ns) / SECOND_NS
-        return EncoderStep(first.time_ns - 1, first.by, first.sigma_rad, sure_rad, within_s)
+        return EncoderStep(first.time_ns - 1, first.error, first.sigma_rad, lower_bound_rad, within_s)
 
-    def _learn(self, off: _Off) -> None:
+    def _update_noise(self, prediction_error: _PredictionError) -> None:
         """Update the noise estimate of one reading of one axis with a prediction error."""
-        self._count = min(self._count + 1, _MEMORY)
-        one = 0.5 * float(off.by @ off.by) / off.gain**2
-        if self._count > _LEARNING:
-            one = min(one, _LARGEST_SHARE**2 * self._variance)
+        self._count = min(self._count + 1, _NOISE_READINGS)
+        one = 0.5 * float(prediction_error.error @ prediction_error.error) / prediction_error.gain**2
+        if self._count > _WARM_UP_READINGS:
+            one = min(one, _MAX_NOISE_RATIO**2 * self._variance)
         self._variance += (one - self._variance) / self._count
 
 
@@ -175,7 +175,7 @@ def _weights_at_zero(since_ns: tuple[int, ...]) -> tuple[FloatArray, float]:
     return weights, math.sqrt(1.0 + weights @ weights)
 
 
-def short_way(angles: FloatArray) -> FloatArray:
+def wrap_angles(angles: FloatArray) -> FloatArray:
     """Return angles wrapped to half a turn."""
     wrapped: FloatArray = angles - _FULL_TURN * np.rint(angles / _FULL_TURN)
     return wrapped

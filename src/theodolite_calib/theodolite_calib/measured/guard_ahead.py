@@ -23,11 +23,11 @@ from theodolite_calib.measured.samples import ShipSample
 _STATED_STEP_SIGMAS = 5.0
 """Factor on the change of the stated standard deviation by which the source may step."""
 
-_PATIENCE = 8
+_SINGLE_CHECKS = 8
 """Number of attitudes that are checked one by one after an irregular one."""
 
 
-class GuardAhead:
+class BatchShipCheck:
     """Check of the ship's attitudes, announced or not; the results are the same.
 
     Args:
@@ -43,10 +43,10 @@ class GuardAhead:
         self._batch: list[ShipSample] = []
         # Those of them that came, each with the step reported by the source; the check before the first.
         self._checked: list[tuple[ShipSample, float]] = []
-        self._before: InsCheck | None = None
+        self._check_before_batch: InsCheck | None = None
         # Those that were checked in a block, and the index of the first of them.
         self._checked_block: CheckedBlock | None = None
-        self._first = self._patience = 0
+        self._first = self._single_checks_left = 0
 
     def reconfigure(self, config: CheckedInsConfig) -> None:
         """Apply another noise."""
@@ -55,7 +55,7 @@ class GuardAhead:
         self._ins_check.reconfigure(config)
 
     @property
-    def rates(self) -> RateStatus:
+    def rate_status(self) -> RateStatus:
         """Status of the rates."""
         return self._ins_check.rate_status if self._checked_block is None else RateStatus.MEASURED
 
@@ -64,7 +64,7 @@ class GuardAhead:
         if self._checked or not self._batch:
             self._discard_checked_block()
             self._clear_batch()
-            self._before = copy.deepcopy(self._ins_check)
+            self._check_before_batch = copy.deepcopy(self._ins_check)
         self._batch += samples
         self._block, self._reported_steps_rad = _arrays(self._batch)
 
@@ -84,20 +84,20 @@ class GuardAhead:
         if self._checked_block is None:
             self._check_block(place, reported_step_rad)
         self._checked.append((sample, reported_step_rad))
-        followed = self._checked_block
-        if followed is None:
+        checked = self._checked_block
+        if checked is None:
             return self._ins_check.check(sample, accepted_track, {}, reported_step_rad)
-        if place + 1 < self._first + followed.count:
+        if place + 1 < self._first + checked.count:
             return CheckedInsSample(sample)
         values = self._block.rotations_nd[self._first : place + 1]
-        self._ins_check.commit_block(values, followed, {})
+        self._ins_check.commit_block(values, checked, {})
         self._checked_block = None
-        return CheckedInsSample(sample) if followed.last is None else followed.last
+        return CheckedInsSample(sample) if checked.last is None else checked.last
 
     def _check_block(self, place: int, reported_step_rad: float) -> None:
         """Check the attitudes from one on as a block, as long as they are regular."""
-        if self._patience:
-            self._patience -= 1
+        if self._single_checks_left:
+            self._single_checks_left -= 1
             return
         times_ns, least_rad = self._block.times_ns, self._ins_check.least_step_rad
         # Written so that NaN is checked one by one.
@@ -105,20 +105,20 @@ class GuardAhead:
             return
         # Not beyond a gap, nor where a reported step exceeds the noise.
         steps_ns = np.diff(times_ns[place:])
-        usual = (steps_ns > 0) & (steps_ns <= self._max_gap_ns) & (self._reported_steps_rad[place + 1 :] <= least_rad)
-        end = len(times_ns) if usual.all() else place + 1 + int(np.argmin(usual))
+        is_regular = (steps_ns > 0) & (steps_ns <= self._max_gap_ns) & (self._reported_steps_rad[place + 1 :] <= least_rad)
+        end = len(times_ns) if is_regular.all() else place + 1 + int(np.argmin(is_regular))
         checked = self._ins_check.check_block(self._batch[place:end], self._block.subset(slice(place, end)))
         if checked.count:
             self._checked_block, self._first = checked, place
         else:
-            self._patience = _PATIENCE
+            self._single_checks_left = _SINGLE_CHECKS
 
     def _discard_checked_block(self) -> None:
         """Check the received attitudes one by one if a block holds some that did not come."""
         if self._checked_block is None:
             return
-        assert self._before is not None
-        self._ins_check, nothing = self._before, AttitudeTrack(0)
+        assert self._check_before_batch is not None
+        self._ins_check, nothing = self._check_before_batch, AttitudeTrack(0)
         for sample, reported_step_rad in self._checked:
             self._ins_check.check(sample, nothing, {}, reported_step_rad)
 

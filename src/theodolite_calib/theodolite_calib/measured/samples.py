@@ -48,7 +48,7 @@ class EncoderSample(VectorSample):
 
 
 @dataclass(frozen=True)
-class EncoderRun:
+class EncoderSeries:
     """N encoder readings with the result of their check.
 
     Attributes:
@@ -64,7 +64,7 @@ class EncoderRun:
     unconfirmed_reasons: list[str]
 
     @classmethod
-    def of(cls, samples: Sequence[EncoderSample], unconfirmed_reasons: Sequence[str], unconfirmed_sigmas_rad: Sequence[float]) -> "EncoderRun":
+    def from_samples(cls, samples: Sequence[EncoderSample], unconfirmed_reasons: Sequence[str], unconfirmed_sigmas_rad: Sequence[float]) -> "EncoderSeries":
         """Return the series of some readings; ``doubts_rad`` is an additional standard deviation of each angle."""
         variances = [sample.sigma**2 + unconfirmed_sigma_rad**2 for sample, unconfirmed_sigma_rad in zip(samples, unconfirmed_sigmas_rad, strict=True)]
         times_ns = np.array([sample.time_ns for sample in samples])
@@ -288,7 +288,7 @@ class PointingEstimate:
     rotation_nm: FloatArray
     covariance_by_source_n: FloatArray
     covariance_n: FloatArray
-    undisputed_n: FloatArray
+    covariance_without_separation_n: FloatArray
     rotation_nt: FloatArray
     mode: Mode
     status: Status
@@ -300,7 +300,7 @@ class PointingEstimate:
 
 
 @dataclass(frozen=True)
-class PointingRun:
+class PointingSeries:
     """Pointings of the main axis at N times, by one state; each field is that of :class:`PointingEstimate`.
 
     Attributes:
@@ -323,7 +323,7 @@ class PointingRun:
     rotation_nm: FloatArray
     covariance_by_source_n: FloatArray
     covariance_n: FloatArray
-    undisputed_n: FloatArray
+    covariance_without_separation_n: FloatArray
     rotation_nt: FloatArray
     mode: NDArray[np.int64]
     status: list[Status]
@@ -333,27 +333,27 @@ class PointingRun:
     by_error_n: FloatArray
     rotation_dm: FloatArray
 
-    def some(self, which: slice) -> "PointingRun":
+    def subset(self, indices: slice) -> "PointingSeries":
         """Return a slice of the series."""
-        values = {name: value if name == "state" else value[which] for name, value in vars(self).items()}
-        return PointingRun(**values)
+        values = {name: value if name == "state" else value[indices] for name, value in vars(self).items()}
+        return PointingSeries(**values)
 
-    def one(self, number: int) -> PointingEstimate:
+    def estimate(self, index: int) -> PointingEstimate:
         """Return one pointing of the series."""
         return PointingEstimate(
-            time_ns=int(self.time_ns[number]),
-            rotation_nm=self.rotation_nm[number],
-            covariance_by_source_n=self.covariance_by_source_n[number],
-            covariance_n=self.covariance_n[number],
-            undisputed_n=self.undisputed_n[number],
-            rotation_nt=self.rotation_nt[number],
-            mode=Mode(self.mode[number]),
-            status=self.status[number],
-            light_count=int(self.light_count[number]),
+            time_ns=int(self.time_ns[index]),
+            rotation_nm=self.rotation_nm[index],
+            covariance_by_source_n=self.covariance_by_source_n[index],
+            covariance_n=self.covariance_n[index],
+            covariance_without_separation_n=self.covariance_without_separation_n[index],
+            rotation_nt=self.rotation_nt[index],
+            mode=Mode(self.mode[index]),
+            status=self.status[index],
+            light_count=int(self.light_count[index]),
             state=self.state,
-            text=self.text[number],
-            by_error_n=self.by_error_n[number],
-            rotation_dm=self.rotation_dm[number],
+            text=self.text[index],
+            by_error_n=self.by_error_n[index],
+            rotation_dm=self.rotation_dm[index],
         )
 
 

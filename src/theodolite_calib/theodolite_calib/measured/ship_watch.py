@@ -15,7 +15,7 @@ from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.measured.guard_ahead import GuardAhead, stated_step_rad
+from theodolite_calib.measured.guard_ahead import BatchShipCheck, stated_step_rad
 from theodolite_calib.measured.samples import ShipSample
 
 
@@ -32,21 +32,21 @@ class ShipCheck:
 
     def __init__(self, config: OpticalAxisConfig, shift_ns: int) -> None:
         self._source = "the INS" if config.ship.source == "ins/imu" else "the ship's attitude"
-        watched = _watched(config)
-        self._batch_check, self._shift_ns = GuardAhead(watched), shift_ns
+        check_config = _check_config(config)
+        self._batch_check, self._shift_ns = BatchShipCheck(check_config), shift_ns
         # Accepted samples with their rates: a sample that comes after later ones is checked by these.
-        self._accepted = AttitudeTrack(round(watched.max_gap_s * SECOND_NS))
-        self._stated: FloatArray | None = None
+        self._accepted = AttitudeTrack(round(check_config.max_gap_s * SECOND_NS))
+        self._stated_covariance_n: FloatArray | None = None
         self._unconfirmed: UnconfirmedStep | None = None
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
         """Apply another noise."""
-        self._batch_check.reconfigure(_watched(config))
+        self._batch_check.reconfigure(_check_config(config))
 
     @property
-    def proven(self) -> bool:
+    def has_measured_rates(self) -> bool:
         """True if the rates are measured: every step of some standard deviations of a sample is then detected."""
-        return self._batch_check.rates is RateStatus.MEASURED
+        return self._batch_check.rate_status is RateStatus.MEASURED
 
     def expect(self, samples: Sequence[ShipSample]) -> None:
         """Announce the next attitudes, with rates and covariances, as far as they are known."""
@@ -55,7 +55,7 @@ class ShipCheck:
     def check(self, sample: ShipSample, oldest_ns: int) -> CheckedInsSample:
         """Check a sample; none before ``oldest_ns`` will come."""
         self._accepted.drop_before(oldest_ns)
-        result = self._batch_check.check(sample, self._accepted, stated_step_rad(sample.correlated_covariance_n, self._stated))
+        result = self._batch_check.check(sample, self._accepted, stated_step_rad(sample.correlated_covariance_n, self._stated_covariance_n))
         if result.rates_wrong_after_ns is not None:
             self._accepted.drop_rates(result.rates_wrong_after_ns)
         if result.jumps:
@@ -63,7 +63,7 @@ class ShipCheck:
             self._unconfirmed = UnconfirmedStep(since_ns, f"{self._source} has jumped", "lights")
         if result.rejection is None:
             if self._accepted.newest is None or sample.time_ns > self._accepted.newest.time_ns:
-                self._stated = sample.correlated_covariance_n
+                self._stated_covariance_n = sample.correlated_covariance_n
             known = self._accepted.get(sample.time_ns)
             if known is None or resolve_same_stamp(known, result.sample)[0]:
                 self._accepted.insert(result.sample)
@@ -76,11 +76,11 @@ class ShipCheck:
 
     def unconfirmed_reason(self, time_ns: int) -> str:
         """Return the reason why the attitude at a time is unconfirmed; empty if it is confirmed."""
-        jumped = self._unconfirmed
-        return jumped.text if jumped is not None and time_ns > jumped.since_ns else ""
+        step = self._unconfirmed
+        return step.text if step is not None and time_ns > step.since_ns else ""
 
 
-def _watched(config: OpticalAxisConfig) -> CheckedInsConfig:
+def _check_config(config: OpticalAxisConfig) -> CheckedInsConfig:
     """Return the configuration of the check: that of the INS, or of the fused attitude in its place."""
     if config.ship.source == "ins/imu":
         return config.ins

@@ -45,7 +45,7 @@ class Sighting:
         rotation_dt: FloatArray = self.ship.rotation_nd.T @ rotation_nt
         return rotation_dt
 
-    def chosen(self, rows: list[int], seen_rows: list[int] | None = None) -> "Sighting":
+    def select(self, rows: list[int], image_rows: list[int] | None = None) -> "Sighting":
         """Return the sighting with some beacons, or exchanged names: beacon ``rows[i]`` gets point ``seen_rows[i]``."""
         beacons = BeaconPoses(
             self.beacons.baseline_n[rows],
@@ -53,19 +53,19 @@ class Sighting:
             self.beacons.rotation_nb[rows],
             self.beacons.attitude_covariance_n[rows],
         )
-        seen = rows if seen_rows is None else seen_rows
-        streaks = None if self.streaks is None else self.streaks.chosen(rows, seen)
+        seen = rows if image_rows is None else image_rows
+        streaks = None if self.streaks is None else self.streaks.select(rows, seen)
         return replace(
             self,
             names=tuple(self.names[row] for row in rows),
-            image=self.image.chosen(seen) if streaks is None else streaks.image_at_middle(),
+            image=self.image.select(seen) if streaks is None else streaks.image_at_middle(),
             lights=beacons,
             streaks=streaks,
         )
 
 
 @dataclass(frozen=True)
-class Assembled:
+class AssembledSighting:
     """Result of assembling a sighting.
 
     Attributes:
@@ -93,13 +93,13 @@ class SightingAssembler:
         self._tracks, self._telescope, self._lever_m = tracks, config.telescope, config.lever.vector_m
         self._axes = AxisErrors.from_vector(config.axes.values)
 
-    def assemble(self, exposure: Exposure) -> Assembled:
+    def assemble(self, exposure: Exposure) -> AssembledSighting:
         """Return the samples at the middle of an exposure."""
         ship, encoder = self._tracks.ship_at(exposure.time_ns), self._tracks.encoder_at(exposure.time_ns)
         if encoder is None:
-            return Assembled(None, Rejection(Reason.GAP, "no encoder readings on both sides of it"), ())
+            return AssembledSighting(None, Rejection(Reason.GAP, "no encoder readings on both sides of it"), ())
         if ship is None:
-            return Assembled(None, Rejection(Reason.GAP, "no attitudes of the ship on both sides of it"), ())
+            return AssembledSighting(None, Rejection(Reason.GAP, "no attitudes of the ship on both sides of it"), ())
         found: list[tuple[DetectedBeacon, BeaconAt]] = []
         rejected: list[tuple[str, Rejection]] = []
         for light in exposure.beacons:
@@ -109,7 +109,7 @@ class SightingAssembler:
             else:
                 found.append((light, placed))
         if not found:
-            return Assembled(None, rejected[0][1], tuple(rejected))
+            return AssembledSighting(None, rejected[0][1], tuple(rejected))
         sighting = Sighting(
             exposure.time_ns,
             tuple(light.beacon_id for light, _ in found),
@@ -125,12 +125,12 @@ class SightingAssembler:
         )
         jumps = tuple((light.beacon_id, placed.jump) for light, placed in found if placed.jump is not None)
         if exposure.nodes is None:
-            return Assembled(sighting, None, tuple(rejected), jumps)
+            return AssembledSighting(sighting, None, tuple(rejected), jumps)
         at_middle = self._at_middle(sighting, exposure.nodes)
         if at_middle is None:
             text = f"no encoder readings or attitudes of the ship over its whole exposure of {exposure.exposure_s:g} s"
-            return Assembled(None, Rejection(Reason.GAP, text), tuple(rejected))
-        return Assembled(at_middle, None, tuple(rejected), jumps)
+            return AssembledSighting(None, Rejection(Reason.GAP, text), tuple(rejected))
+        return AssembledSighting(at_middle, None, tuple(rejected), jumps)
 
     def _at_middle(self, sighting: Sighting, nodes: Nodes) -> Sighting | None:
         """Return a sighting with its points at the middle of the exposure; None if samples are missing.
@@ -158,7 +158,7 @@ class SightingAssembler:
             rotation_nt=attitudes @ self._rotation_dt(angles[:, 0], angles[:, 1]),
             middle_nt=ship.rotation_nd @ self._rotation_dt(encoder.azimuth, encoder.elevation),
             path_n=sighting.beacons.baseline_n - ship.rotation_nd @ lever_m,
-            moved_n=since_s * velocity_n - lever_change_n[:, None, :],
+            displacement_n=since_s * velocity_n - lever_change_n[:, None, :],
         )
         return replace(sighting, image=streaks.image_at_middle(), streaks=streaks, ship=ship, encoder=encoder)
 

@@ -21,14 +21,14 @@ from ship_geometry.vector_track import VectorTrack
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.baseline_track import BaselineJump, BaselineTrack
-from theodolite_calib.measured.contradiction import Streams, has_ship_drifted, streams_since
+from theodolite_calib.measured.contradiction import StreamConsistency, has_ship_drifted, stream_consistency
 from theodolite_calib.measured.samples import AnyExposure, EncoderSample, Exposure, ShipSample
 
 _LONGEST_REACH_NS = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns
 _FULL_TURN = 2.0 * np.pi
-_LOOKED_BACK_NS = 3 * SECOND_NS
+_STREAM_WINDOW_NS = 3 * SECOND_NS
 """Maximum time range in which the streams of encoders and ship are checked after a contradiction, ns."""
-_BEFORE_NS = SECOND_NS
+_LEAD_IN_NS = SECOND_NS
 """Time before that range from which samples are used as well, ns."""
 
 _DRIFT_WINDOW_NS = 60 * SECOND_NS
@@ -61,7 +61,7 @@ class ShipAt:
 
 
 @dataclass(frozen=True)
-class ShipRun:
+class ShipSeries:
     """Ship's attitude at N times; each field is that of :class:`ShipAt`.
 
     Attributes:
@@ -81,7 +81,7 @@ class ShipRun:
     chord_nd: FloatArray | None
 
     @classmethod
-    def of(cls, ships: Sequence[ShipAt]) -> "ShipRun":
+    def from_ships(cls, ships: Sequence[ShipAt]) -> "ShipSeries":
         """Return the series of some times, all of one source and with covariances stated in the same way."""
         slow_n = [ship.correlated_covariance_n for ship in ships if ship.correlated_covariance_n is not None]
         chords_nd = [ship.chord_nd for ship in ships if ship.chord_nd is not None]
@@ -145,15 +145,15 @@ class MeasuredTracks:
     def __init__(self, config: OpticalAxisConfig) -> None:
         self.reconfigure(config)
         self.ship_shift_ns = round(config.ins.time_offset_s * SECOND_NS) if self._by_ins else 0
-        self.encoder: VectorTrack[EncoderSample] = VectorTrack(_ns(config.encoder.max_gap_s), _FULL_TURN)
-        self.ship = AttitudeTrack(_ns(config.ins.max_gap_s if self._by_ins else config.ship.max_gap_s))
-        self.baselines = {id_: BaselineTrack(_ns(b.rtk.max_gap_s)) for id_, b in config.beacons.items()}
+        self.encoder: VectorTrack[EncoderSample] = VectorTrack(_to_ns(config.encoder.max_gap_s), _FULL_TURN)
+        self.ship = AttitudeTrack(_to_ns(config.ins.max_gap_s if self._by_ins else config.ship.max_gap_s))
+        self.baselines = {id_: BaselineTrack(_to_ns(b.rtk.max_gap_s)) for id_, b in config.beacons.items()}
         self._levers_b = {id_: b.light.vector_m for id_, b in config.beacons.items()}
         # The position of a light at the antenna does not depend on the drone's attitude.
         self.drones = {
-            id_: AttitudeTrack(_ns(b.imu.max_gap_s)) for id_, b in config.beacons.items() if np.any(b.light.vector_m)
+            id_: AttitudeTrack(_to_ns(b.imu.max_gap_s)) for id_, b in config.beacons.items() if np.any(b.light.vector_m)
         }
-        self.encoder.history_ns, self.ship.history_ns = _LOOKED_BACK_NS + _BEFORE_NS, _DRIFT_WINDOW_NS
+        self.encoder.history_ns, self.ship.history_ns = _STREAM_WINDOW_NS + _LEAD_IN_NS, _DRIFT_WINDOW_NS
         self._dropped_until_ns = -_DROP_EVERY_NS
         self._all: list[SampleTrack[Any]] = [self.encoder, self.ship, *self.baselines.values(), *self.drones.values()]
         widest_gap_ns = max(track.max_gap_ns for track in self._all)
@@ -173,7 +173,7 @@ class MeasuredTracks:
         for track in self._all:
             track.drop_before(keep_from_ns)
 
-    def awaits(self, exposure: AnyExposure) -> bool:
+    def is_waiting_for_data(self, exposure: AnyExposure) -> bool:
         """True while data still to come may belong to an exposure."""
         # The slowest sources first: most often one of these is awaited.
         for light in exposure.beacons if isinstance(exposure, Exposure) else ():
@@ -194,7 +194,7 @@ class MeasuredTracks:
         until_ns = self.ship.final_until_ns
         return None if until_ns is None else until_ns + self.ship_shift_ns
 
-    def ship_at(self, time_ns: int, over: Nodes | None = None) -> ShipAt | None:
+    def ship_at(self, time_ns: int, nodes: Nodes | None = None) -> ShipAt | None:
         """Return the ship's attitude at a time; None in a gap.
 
         Args:
@@ -207,8 +207,8 @@ class MeasuredTracks:
         sample = attitude.sample
         assert isinstance(sample, ShipSample)
         gain = attitude.noise_gain
-        if over is not None:
-            gain = self.ship.noise_gain_of_mean(over.times_and_weights(time_ns - self.ship_shift_ns))
+        if nodes is not None:
+            gain = self.ship.noise_gain_of_mean(nodes.times_and_weights(time_ns - self.ship_shift_ns))
         noise = gain * self._ship_noise + float(attitude.error_covariance_d.trace())
         # Between two attitudes the worse status applies: the source may have jumped there.
         after = attitude.next_sample
@@ -217,34 +217,34 @@ class MeasuredTracks:
         chord_nd = None if self._by_ins else attitude.chord_nd(time_ns)
         return ShipAt(attitude.rotation_nd, attitude.rate_d, sample.correlated_covariance_n, noise, status, chord_nd)
 
-    def encoder_at(self, time_ns: int, over: Nodes | None = None) -> EncoderAt | None:
+    def encoder_at(self, time_ns: int, nodes: Nodes | None = None) -> EncoderAt | None:
         """Return the encoders at a time; None in a gap. For ``over`` see :meth:`ship_at`."""
         angles = self.encoder.at(time_ns)
         sample = self.encoder.last_before(time_ns)
         if angles is None or sample is None:
             return None
         azimuth, elevation = angles.vector.tolist()
-        gain = angles.noise_gain if over is None else self.encoder.noise_gain_of_mean(over.times_and_weights(time_ns))
+        gain = angles.noise_gain if nodes is None else self.encoder.noise_gain_of_mean(nodes.times_and_weights(time_ns))
         noise = gain * sample.sigma**2 + float(angles.error_covariance.trace())
         return EncoderAt(azimuth, elevation, noise)
 
     def main_axis_at(self, times_ns: list[int], axes: AxisErrors) -> FloatArray | None:
         """Return horizon from main frame at m times by given axis errors, shape (m, 3, 3); None in a gap."""
         ships, encoders = map(self.ship_at, times_ns), map(self.encoder_at, times_ns)
-        turned = [
+        rotations_nm = [
             ship.rotation_nd @ main_axis_rotation(axes, encoder.azimuth, encoder.elevation)
             for ship, encoder in zip(ships, encoders, strict=True)
             if ship is not None and encoder is not None
         ]
-        return np.array(turned) if len(turned) == len(times_ns) else None
+        return np.array(rotations_nm) if len(rotations_nm) == len(times_ns) else None
 
-    def streams_since(self, since_ns: int, until_ns: int) -> Streams | None:
+    def stream_consistency(self, since_ns: int, until_ns: int) -> StreamConsistency | None:
         """Return the consistency of the encoder and ship streams between two times; None if that is too long ago."""
-        if until_ns - since_ns > _LOOKED_BACK_NS:
+        if until_ns - since_ns > _STREAM_WINDOW_NS:
             return None
-        first_ns, shift_ns = since_ns - _BEFORE_NS, self.ship_shift_ns
+        first_ns, shift_ns = since_ns - _LEAD_IN_NS, self.ship_shift_ns
         ship = self.ship.between(first_ns - shift_ns, until_ns - shift_ns)
-        return streams_since(
+        return stream_consistency(
             since_ns,
             self.encoder.between(first_ns, until_ns),
             [replace(sample, time_ns=sample.time_ns + shift_ns) for sample in ship if isinstance(sample, ShipSample)],
@@ -262,7 +262,7 @@ class MeasuredTracks:
 
     def beacon_at(self, beacon_id: str, time_ns: int) -> BeaconAt | Rejection:
         """Return the pose of a beacon at a time, or the rejection."""
-        baseline = self.baselines[beacon_id].usable_at(time_ns)
+        baseline = self.baselines[beacon_id].baseline_at(time_ns)
         if isinstance(baseline, Rejection):
             return baseline
         jump = self.baselines[beacon_id].latest_jump(time_ns)
@@ -277,5 +277,5 @@ class MeasuredTracks:
         return BeaconAt(baseline[0], baseline[1] + interpolated, attitude.rotation_nd, jump)
 
 
-def _ns(time_s: float) -> int:
+def _to_ns(time_s: float) -> int:
     return round(time_s * SECOND_NS)

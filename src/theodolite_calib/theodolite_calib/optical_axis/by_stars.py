@@ -18,7 +18,7 @@ from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import SOURCE_PARALLELISM, axis_state_indices, parallelism_block
 from theodolite_calib.measured.samples import Mode, PointingEstimate
 
-_OF_STARS = ("installation", "catalogue")
+_STAR_NOISE_TERMS = ("installation", "catalogue")
 """Terms of a solution without a source of their own in the filter: a single camera has no installation besides its
 parallelism, and its catalogue error is part of the star noise."""
 
@@ -60,7 +60,7 @@ def pointing_by_stars(
         # The model has no source for a term that is zero.
         if not part_n.any():
             continue
-        covariance_by_source_n[model.source_indices[SOURCE_STAR_NOISE if term in _OF_STARS else term]] += part_n
+        covariance_by_source_n[model.source_indices[SOURCE_STAR_NOISE if term in _STAR_NOISE_TERMS else term]] += part_n
     covariance_by_source_n[model.source_indices[SOURCE_PARALLELISM]] += by_angles_n @ state.covariance[block, block] @ by_angles_n.T
     unknown, covariance_n = np.full((3, 3), np.nan), covariance_by_source_n.sum(axis=0)
     return PointingEstimate(
@@ -68,7 +68,7 @@ def pointing_by_stars(
         rotation_nm=solution.rotation_nb @ rotation_from_angles(azimuth, elevation, roll),
         covariance_by_source_n=covariance_by_source_n,
         covariance_n=covariance_n,
-        undisputed_n=covariance_n,
+        covariance_without_separation_n=covariance_n,
         rotation_nt=unknown,
         mode=Mode.STARS,
         status=Status.DEGRADED,

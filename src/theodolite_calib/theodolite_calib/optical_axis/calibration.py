@@ -23,7 +23,7 @@ SAVED_BLOCKS = ("axes", "focal_length", "parallelism")
 SAVED_NAMES = (*NAMES, "focal_length", "parallelism_azimuth", "parallelism_elevation", "parallelism_rotation")
 """Names that are always saved, in the order of the states' blocks. The angles of star cameras follow these."""
 
-_OF_TELESCOPE = SAVED_NAMES[len(NAMES) :]
+_TELESCOPE_NAMES = SAVED_NAMES[len(NAMES) :]
 _REMOUNTED_SIGMAS = 6.0
 """Difference of saved and configured angles, in sigmas of both, above which a camera has been remounted."""
 
@@ -88,12 +88,12 @@ class CalibrationPrior:
         telescope = f"{self.serial}, {self.telescope_id}"
         sigma = np.sqrt(np.diagonal(self.covariance))
         return {
-            f"{name} of theodolite '{telescope if name in _OF_TELESCOPE else self.serial}'": sigma[i : i + 1]
+            f"{name} of theodolite '{telescope if name in _TELESCOPE_NAMES else self.serial}'": sigma[i : i + 1]
             for i, name in enumerate(self.names)
         }
 
 
-def calibration_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> Calibration:
+def calibration_from_state(filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> Calibration:
     """Return the named values of a state; a flexure with zero value and sigma is omitted."""
     model = filter_.model
     axes = config.axes.values + state.mean[model.slices["axes"]]
@@ -105,18 +105,18 @@ def calibration_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state:
     rows = np.concatenate([rows, [one.row for one in by_stars]]).astype(np.intp)
     values = np.concatenate([axes[shown], [filter_.sightings.focal_length_m(state.mean)], deformation])
     return Calibration(
-        time_ns=state.informed_ns or 0,
+        time_ns=state.last_update_ns or 0,
         names=(*(NAMES[i] for i in shown), "focal_length", *DEFORMATION_NAMES, *(one.name for one in by_stars)),
         values=np.concatenate([values, [one.value for one in by_stars]]),
         covariance=state.covariance[np.ix_(rows, rows)],
         units=(*("rad" for _ in shown), "m", *("rad" for _ in DEFORMATION_NAMES), *(one.unit for one in by_stars)),
-        unobservable=filter_.observability.open_combinations(state.unaided),
+        unobservable=filter_.observability.unobservable_combinations(state.observability),
         sighting_count=state.sighting_count,
         residual_rms=state.residual_rms,
     )
 
 
-class _Named(NamedTuple):
+class _CalibrationValue(NamedTuple):
     """One state of the calibration topic: name, index, value and unit."""
 
     name: str
@@ -125,7 +125,7 @@ class _Named(NamedTuple):
     unit: str
 
 
-def _star_values(filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> list[_Named]:
+def _star_values(filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> list[_CalibrationValue]:
     """Return the values that stars add, if they are estimated: N' and the parallelism of each camera."""
     if not config.telescopes:
         return []
@@ -136,7 +136,7 @@ def _star_values(filter_: CalibrationFilter, config: OpticalAxisConfig, state: C
         reported.setdefault(parallelism_block(id_, config), (camera_names(id_), camera.parallelism, "rad"))
     reported["lens"] = LENS_NAMES, telescope.lens.vector_m, "m"
     return [
-        _Named(name, row, float(value + state.mean[row]), unit)
+        _CalibrationValue(name, row, float(value + state.mean[row]), unit)
         for block, (names, configured, unit) in reported.items()
         if block in model.slices
         for name, row, value in zip(names, model.state_indices(block).tolist(), configured, strict=True)
@@ -144,16 +144,16 @@ def _star_values(filter_: CalibrationFilter, config: OpticalAxisConfig, state: C
     ]
 
 
-def prior_of(filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> CalibrationPrior:
+def prior_from_state(filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> CalibrationPrior:
     """Return the prior to save, from a state that rests on sightings."""
-    assert state.informed_ns is not None
-    saved = _saved(filter_, config)
+    assert state.last_update_ns is not None
+    saved = _saved_quantities(filter_, config)
     rows = [one.row for one in saved]
     return CalibrationPrior(
-        time_ns=state.informed_ns,
+        time_ns=state.last_update_ns,
         serial=config.serial,
         telescope_id=config.telescope.telescope_id,
-        values=np.array([one.whole(state.mean[one.row]) for one in saved]),
+        values=np.array([one.total_value(state.mean[one.row]) for one in saved]),
         covariance=state.covariance[np.ix_(rows, rows)],
         names=tuple(one.name for one in saved),
     )
@@ -172,11 +172,11 @@ def state_from_prior(
     if prior.serial != config.serial:
         text = f"saved calibration is of theodolite '{prior.serial}', configured is '{config.serial}': not used"
         return initial, [text]
-    saved = {one.name: one for one in _saved(filter_, config)}
+    saved = {one.name: one for one in _saved_quantities(filter_, config)}
     messages = []
     # A quantity that was fixed in the saved calibration takes its uncertainty from the configuration.
     usable = np.diagonal(prior.covariance) > 0.0
-    of_telescope = usable & [name in _OF_TELESCOPE for name in prior.names]
+    of_telescope = usable & [name in _TELESCOPE_NAMES for name in prior.names]
     if prior.telescope_id != config.telescope.telescope_id and np.any(of_telescope):
         usable &= ~of_telescope
         messages.append(
@@ -185,14 +185,14 @@ def state_from_prior(
         )
     for id_ in dict.fromkeys(filter(None, map(camera_of, prior.names))):
         of_camera = np.array([camera_of(name) == id_ for name in prior.names])
-        reason = _reason_against_camera(prior, of_camera & usable, saved, initial)
+        reason = _camera_refusal_reason(prior, of_camera & usable, saved, initial)
         if reason:
             usable &= ~of_camera
             messages.append(f"saved calibration of camera '{id_}' is not used: {reason}")
     chosen = np.flatnonzero(usable)
     rows = np.array([saved[prior.names[place]].row for place in chosen], dtype=np.intp)
-    mean, parts = initial.mean.copy(), initial.parts.copy()
-    mean[rows] = [saved[prior.names[place]].beyond(prior.values[place]) for place in chosen]
+    mean, parts = initial.mean.copy(), initial.covariance_by_source.copy()
+    mean[rows] = [saved[prior.names[place]].correction(prior.values[place]) for place in chosen]
     age_d = max(now_ns - prior.time_ns, 0) * 1e-9 / 86400.0
     if age_d > config.calibration_max_age_d:
         messages.append(
@@ -204,28 +204,28 @@ def state_from_prior(
         parts[:, :, rows] = 0.0
     source = filter_.model.sources.index(SOURCE_SAVED)
     parts[source][np.ix_(rows, rows)] += prior.covariance[np.ix_(chosen, chosen)]
-    return filter_.started(mean, parts), messages
+    return filter_.initial_state_from(mean, parts), messages
 
 
-class _Saved(NamedTuple):
+class _SavedQuantity(NamedTuple):
     """Saved quantity: name, index of its state, and configured value."""
 
     name: str
     row: int
     configured: float
 
-    def whole(self, beyond: float) -> float:
+    def total_value(self, correction: float) -> float:
         """Return the total value from the correction to the configured one."""
-        value = float(self.configured + beyond)
+        value = float(self.configured + correction)
         return float(wrap_pi(value)) if camera_of(self.name) else value
 
-    def beyond(self, whole: float) -> float:
+    def correction(self, total_value: float) -> float:
         """Return the correction of a total value to the configured one."""
-        beyond = float(whole - self.configured)
-        return float(wrap_pi(beyond)) if camera_of(self.name) else beyond
+        difference = float(total_value - self.configured)
+        return float(wrap_pi(difference)) if camera_of(self.name) else difference
 
 
-def _saved(filter_: CalibrationFilter, config: OpticalAxisConfig) -> list[_Saved]:
+def _saved_quantities(filter_: CalibrationFilter, config: OpticalAxisConfig) -> list[_SavedQuantity]:
     """Return all saved quantities: SAVED_NAMES, and the angles of each star camera."""
     model, telescope = filter_.model, config.telescope
     names, configured = [*SAVED_NAMES], [*config.axes.values, telescope.focal_length_m, *telescope.parallelism]
@@ -236,11 +236,11 @@ def _saved(filter_: CalibrationFilter, config: OpticalAxisConfig) -> list[_Saved
             configured += [*camera.parallelism]
             blocks.append(parallelism_block(id_, config))
     rows = np.concatenate([model.state_indices(block) for block in blocks])
-    return list(map(_Saved, names, rows.tolist(), map(float, configured)))
+    return list(map(_SavedQuantity, names, rows.tolist(), map(float, configured)))
 
 
-def _reason_against_camera(
-    prior: CalibrationPrior, of_camera: NDArray[np.bool_], saved: Mapping[str, _Saved], initial: CalibrationState
+def _camera_refusal_reason(
+    prior: CalibrationPrior, of_camera: NDArray[np.bool_], saved: Mapping[str, _SavedQuantity], initial: CalibrationState
 ) -> str:
     """Return the reason why the saved angles of a camera are not used; empty if they are."""
     for place in np.flatnonzero(of_camera):
@@ -248,9 +248,9 @@ def _reason_against_camera(
         if one is None:
             return "no camera of that name has angles of its own here"
         sigma = np.sqrt(prior.covariance[place, place] + initial.covariance[one.row, one.row])
-        off = abs(one.beyond(prior.values[place]))
-        if not off <= _REMOUNTED_SIGMAS * sigma:
+        offset = abs(one.correction(prior.values[place]))
+        if not offset <= _REMOUNTED_SIGMAS * sigma:
             angle = one.name.rpartition(".")[2]
-            distance_text = f"{off / ARCSEC:.1f} arcsec from the configured one, more than {_REMOUNTED_SIGMAS:g} sigma"
+            distance_text = f"{offset / ARCSEC:.1f} arcsec from the configured one, more than {_REMOUNTED_SIGMAS:g} sigma"
             return f"its {angle} is {distance_text}: remounted?"
     return ""

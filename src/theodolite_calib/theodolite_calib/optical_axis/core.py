@@ -27,11 +27,11 @@ from ship_geometry.rotations import ARCSEC
 from ship_geometry.sample_track import SampleTrack
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.alternatives import BEACON, ENCODER, SHIP, TELESCOPE
+from theodolite_calib.filter.alternatives import BEACON_PREFIX, ENCODER, SHIP, TELESCOPE
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Jump
 from theodolite_calib.filter.star_step import StarStep
 from theodolite_calib.filter.step import SightingStep
-from theodolite_calib.measured.contradiction import Streams
+from theodolite_calib.measured.contradiction import StreamConsistency
 from theodolite_calib.measured.encoder_watch import EncoderCheck, CheckedReading
 from theodolite_calib.measured.samples import (
     AnyExposure,
@@ -41,7 +41,7 @@ from theodolite_calib.measured.samples import (
     ExposureDecision,
     PointingEstimate,
     PointingOutcome,
-    PointingRun,
+    PointingSeries,
     ShipSample,
     TargetSample,
 )
@@ -53,21 +53,21 @@ from theodolite_calib.optical_axis.by_stars import pointing_by_stars
 from theodolite_calib.optical_axis.calibration import (
     Calibration,
     CalibrationPrior,
-    calibration_of,
-    prior_of,
+    calibration_from_state,
+    prior_from_state,
     state_from_prior,
 )
 from theodolite_calib.optical_axis.memory import (
-    OwnJump,
-    departure_sigmas,
-    is_undisputed,
+    StreamJump,
+    largest_difference_sigmas,
+    is_consistent,
     memory_residuals,
     propagate_memory,
     start_from_memory,
-    stood_still,
+    stuck_encoder_jump,
 )
 from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput, invalid_pointing
-from theodolite_calib.optical_axis.targets import TargetAnswers
+from theodolite_calib.optical_axis.targets import TargetProcessor
 
 if TYPE_CHECKING:
     from theodolite_calib.escort.advice import EscortAdvice
@@ -75,7 +75,7 @@ if TYPE_CHECKING:
 
 _STREAM_FAULT_REASONS = frozenset({Reason.STUCK, Reason.CONFLICT, Reason.GATE})
 """Reasons for which a reading or an attitude is rejected by its own stream: stuck, repeated stamp, or jump."""
-_MOST_JUMPS = 100
+_MAX_JUMPS = 100
 """Maximum number of jumps of encoders and ship that are kept until they are requested, once a second."""
 _REPEATED_TIME_TEXT = "encoders and ship both contradict themselves at one time: a clock has repeated a time"
 
@@ -106,22 +106,22 @@ class OpticalAxisCore:
         self,
         config: OpticalAxisConfig,
         sky: SkyModel | None = None,
-        closed: Callable[[Sequence[CalibrationState]], None] | None = None,
+        on_commit: Callable[[Sequence[CalibrationState]], None] | None = None,
     ) -> None:
         self.pending: list[PendingPointing] | None = None
         self._sky = sky
-        self._of_targets = StampConflicts()
+        self._target_stamp_conflicts = StampConflicts()
         self._start: tuple[CalibrationPrior, int] | None = None
         self._calibration: tuple[CalibrationState, Calibration] | None = None
-        self._take_models(config)
+        self._build_models(config)
         model: EstimatorModel[CalibrationState, AnyExposure, ExposureDecision, Jump] = EstimatorModel(
             step=self._step,
             inflate=self._inflate_covariance,
             failure_decision=lambda exposure, refusal: ExposureDecision(exposure, refusal.reason, text=refusal.text),
             until_ns=lambda decision: decision.measurement.time_ns + decision.measurement.reach_ns,
-            drop_before=self._forget_before,
+            drop_before=self._drop_before,
             on_decision=self._update_checks,
-            on_commit=closed,
+            on_commit=on_commit,
         )
         self._estimator: TimeOrderedEstimator[CalibrationState, AnyExposure, ExposureDecision, Jump, PointingEstimate]
         reach_ns = MeasuredTracks(config).reach_ns
@@ -167,22 +167,22 @@ class OpticalAxisCore:
         self._sightings = SightingAssembler(self.config, self._tracks)
         self._encoder_check = EncoderCheck(*_encoder_limits(self.config))
         self._ship_check = ShipCheck(self.config, self._tracks.ship_shift_ns)
-        self._of_targets.reset()
-        self._targets = TargetAnswers(self.config, self.filter, self._pointing, self._tracks, self._of_targets)
-        self._escort = self._new_escort()
-        self._waiting: deque[_WaitingReading] = deque()
+        self._target_stamp_conflicts.reset()
+        self._targets = TargetProcessor(self.config, self.filter, self._pointing, self._tracks, self._target_stamp_conflicts)
+        self._escort = self._make_escort_advisor()
+        self._waiting_readings: deque[_WaitingReading] = deque()
         self._encoder_arrival_ns: int | None = None
         self._ship_arrival_ns: int | None = None
         self._newest_stars: tuple[StarExposure, int] | None = None
         self._repeated_time_ns: tuple[int, int] | None = None
         self._stream_fault_ns: dict[str, int] = {}
-        self._own_jumps: deque[OwnJump] = deque(maxlen=_MOST_JUMPS)
-        self._stands = False
+        self._stream_jumps: deque[StreamJump] = deque(maxlen=_MAX_JUMPS)
+        self._is_stuck = False
         self._ship_final_until_ns: int | None = None
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
         """Apply other noise and gates; geometry and the set of beacons stay."""
-        self._take_models(config)
+        self._build_models(config)
         self._tracks.reconfigure(config)
         self._sightings = SightingAssembler(config, self._tracks)
         self._encoder_check.reconfigure(*_encoder_limits(config))
@@ -202,8 +202,8 @@ class OpticalAxisCore:
         track, shell = self._tracks.encoder, self._estimator
         result = self._encoder_check.check(sample, track, shell.window.late_rejection(sample.time_ns))
         outcome = PointingOutcome(result.rejection)
-        self._note_own_fault(ENCODER, sample.time_ns, result.rejection, result.jump is not None)
-        self._note_own_jump(sample.time_ns, result)
+        self._record_stream_fault(ENCODER, sample.time_ns, result.rejection, result.jump is not None)
+        self._record_stream_jump(sample.time_ns, result)
         if result.jump is not None and (track.newest is None or sample.time_ns > track.newest.time_ns):
             shell.add_jump(result.jump.time_ns, ENCODER, result.jump, track.cut(result.jump.time_ns))
         if result.rejection is not None:
@@ -212,11 +212,11 @@ class OpticalAxisCore:
             return outcome
         shell.add_sample(ENCODER, track, sample, outcome)
         if outcome.rejection is not None:
-            self._note_own_fault(ENCODER, sample.time_ns, outcome.rejection)
+            self._record_stream_fault(ENCODER, sample.time_ns, outcome.rejection)
             self._check_repeated_time()
         elif track.newest is sample:
             self._encoder_arrival_ns = arrival_ns
-            self._waiting.append(_WaitingReading(sample, self._encoder_check.unconfirmed_reason, self._encoder_check.unconfirmed_sigma_rad))
+            self._waiting_readings.append(_WaitingReading(sample, self._encoder_check.unconfirmed_reason, self._encoder_check.unconfirmed_sigma_rad))
             self._publish(outcome, arrival_ns)
         return outcome
 
@@ -232,7 +232,7 @@ class OpticalAxisCore:
             self._ship_final_until_ns = self._tracks.ship_final_until_ns
             self._ship_arrival_ns = sample.time_ns if arrival_ns is None else arrival_ns
         if outcome.rejection is not None:
-            self._note_own_fault(SHIP, sample.time_ns, outcome.rejection)
+            self._record_stream_fault(SHIP, sample.time_ns, outcome.rejection)
             self._check_repeated_time()
         self._publish(outcome, sample.time_ns if arrival_ns is None else arrival_ns)
         return outcome
@@ -281,7 +281,7 @@ class OpticalAxisCore:
         if outcome.rejection is None and self._estimator.add(exposure, outcome):
             arrival_ns = exposure.time_ns if arrival_ns is None else arrival_ns
             self._newest_stars = exposure, arrival_ns
-            self._point_by_stars(outcome, arrival_ns)
+            self._publish_from_stars(outcome, arrival_ns)
         return outcome
 
     def add_target(self, sample: TargetSample, arrival_ns: int | None = None) -> PointingOutcome:
@@ -298,8 +298,8 @@ class OpticalAxisCore:
 
     def set_duplicate_publishers(self, source: str, text: str) -> None:
         """Set that two publishers send on one source; an empty text ends it."""
-        contradictions = self._of_targets if source == TargetSample.source else self._estimator.stamp_conflicts
-        contradictions.set_duplicate_publishers(source, self._estimator.window.newest_ns, text)
+        stamp_conflicts = self._target_stamp_conflicts if source == TargetSample.source else self._estimator.stamp_conflicts
+        stamp_conflicts.set_duplicate_publishers(source, self._estimator.window.newest_ns, text)
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> PointingOutcome:
         """Report INVALID once a second while no pointing has been published for a second.
@@ -311,7 +311,7 @@ class OpticalAxisCore:
         waiting_ns = now_ns if waiting_ns is None else waiting_ns
         outcome = PointingOutcome()
         self._estimator.tick(now_ns, outcome)
-        self._point_by_stars(outcome, waiting_ns)
+        self._publish_from_stars(outcome, waiting_ns)
         is_timed_out = _is_timed_out(self._encoder_arrival_ns, waiting_ns)
         missing = "no usable reading of the encoders" if is_timed_out else f"no attitude on {self.config.ship.source}"
         self._estimator.report_invalid(outcome, waiting_ns, lambda: invalid_pointing(self.filter, self.state, now_ns, missing))
@@ -322,22 +322,22 @@ class OpticalAxisCore:
         """Return an INVALID output with the given reason."""
         return invalid_pointing(self.filter, self.state, now_ns, text)
 
-    def compute_pending(self) -> list[tuple[slice, PointingRun | Rejection]]:
+    def compute_pending(self) -> list[tuple[slice, PointingSeries | Rejection]]:
         """Return the pending pointings, as slices and series; see :meth:`PointingOutput.compute_pending`."""
         due, self.pending = self.pending or [], []
-        return self._pointing.of_due(due)
+        return self._pointing.compute_pending(due)
 
     def calibration(self) -> Calibration:
         """Return the estimated axis errors, focal length and deformation; cached per state for several topics."""
         if self._calibration is None or self._calibration[0] is not self.state:
-            self._calibration = self.state, calibration_of(self.filter, self.config, self.state)
+            self._calibration = self.state, calibration_from_state(self.filter, self.config, self.state)
         return self._calibration[1]
 
     def calibration_to_save(self) -> CalibrationPrior | None:
         """Return the prior for the next session; None if there is no sighting and no saved calibration."""
-        if self.state.informed_ns is None:
+        if self.state.last_update_ns is None:
             return self._start[0] if self._start is not None else None
-        return prior_of(self.filter, self.config, self.state)
+        return prior_from_state(self.filter, self.config, self.state)
 
     def integrity(self, estimate: PointingEstimate) -> IntegrityReport:
         """Return protection levels and test statistics of a pointing."""
@@ -361,20 +361,20 @@ class OpticalAxisCore:
     @property
     def excluded(self) -> Set[str]:
         """Names of the excluded sources."""
-        return self.state.fault_state.excluded
+        return self.state.fault_state.excluded_sources
 
     @property
-    def is_undisputed(self) -> bool:
+    def is_consistent(self) -> bool:
         """True if the state rests on beacons or stars, and no source is excluded, contradictory or unconfirmed."""
         now_ns = self._estimator.window.newest_ns
         unconfirmed_reason = self._encoder_check.unconfirmed_reason or self._ship_check.unconfirmed_reason(now_ns) or self._contradiction_text(now_ns)
-        return is_undisputed(self.state) and not unconfirmed_reason
+        return is_consistent(self.state) and not unconfirmed_reason
 
     @property
-    def is_contradicted(self) -> bool:
+    def has_unresolved_fault(self) -> bool:
         """True if beacons contradict encoders and ship in more than one or two sightings, and no source is isolated."""
-        conflict = self.state.fault_state.conflict
-        return conflict is not None and conflict.lasting
+        conflict = self.state.fault_state.unresolved_fault
+        return conflict is not None and conflict.is_persistent
 
     def make_second(self, memory: CalibrationState | None) -> "OpticalAxisCore":
         """Return another estimator, from a remembered state or, without one, from the saved calibration or the prior.
@@ -390,13 +390,13 @@ class OpticalAxisCore:
         second._start_without_samples()
         return second
 
-    def take_jumps(self) -> list[OwnJump]:
+    def take_jumps(self) -> list[StreamJump]:
         """Return the jumps detected in the encoder and ship streams since the last call."""
-        jumps = list(self._own_jumps)
-        self._own_jumps.clear()
+        jumps = list(self._stream_jumps)
+        self._stream_jumps.clear()
         return jumps
 
-    def propagate_memory(self, memory: CalibrationState, jumps: Sequence[OwnJump]) -> CalibrationState:
+    def propagate_memory(self, memory: CalibrationState, jumps: Sequence[StreamJump]) -> CalibrationState:
         """Return a remembered state propagated to the oldest time that measurements may still have."""
         return propagate_memory(self.filter, memory, jumps, self._estimator.window.oldest_ns)
 
@@ -406,43 +406,43 @@ class OpticalAxisCore:
         if sighting is None:
             return {}
         found = memory_residuals(self.filter, memory, sighting)
-        return {BEACON + name: residual for name, residual in found.items()}
+        return {BEACON_PREFIX + name: residual for name, residual in found.items()}
 
-    def departure_sigmas(self, state: CalibrationState, memory: CalibrationState, is_later: bool = False) -> float:
+    def largest_difference_sigmas(self, state: CalibrationState, memory: CalibrationState, is_later: bool = False) -> float:
         """Return the largest difference from a remembered state, in standard deviations of both."""
         time_ns = state.time_ns
         ship = None if time_ns is None else self._tracks.ship_at(time_ns)
         encoder = None if time_ns is None else self._tracks.encoder_at(time_ns)
         if ship is None or encoder is None:
             return math.inf
-        return departure_sigmas(self.filter, state, memory, ship, encoder, is_later)
+        return largest_difference_sigmas(self.filter, state, memory, ship, encoder, is_later)
 
     def unused_sources(self, sources: Set[str]) -> set[str]:
         """Return those of the sources of which no measurement was accepted recently."""
         means, since_ns = self.state.fault_state.innovation_means, self._estimator.window.newest_ns - MAX_MEASUREMENT_AGE_NS
         used = (means.last_measured_ns >= since_ns) & (means.rejection_counts[0] == 0)
-        lights = [BEACON + id_ for id_ in self.filter.subfilters.beacons]
+        lights = [BEACON_PREFIX + id_ for id_ in self.filter.subfilters.beacons]
         return {name for name, is_used in zip(lights, used.tolist(), strict=True) if name in sources and not is_used}
 
     def take_over_outputs(self, live: "OpticalAxisCore") -> None:
         """Continue the outputs of another estimator that ends and has none pending."""
         self._estimator.continue_outputs(live._estimator)
-        self._of_targets = live._of_targets
-        self._targets.continue_answers(live._targets)
+        self._target_stamp_conflicts = live._target_stamp_conflicts
+        self._targets.take_over(live._targets)
         self.pending = None if live.pending is None else []
 
     # -- inputs ---------------------------------------------------------------------------------------------
 
-    def _take_models(self, config: OpticalAxisConfig) -> None:
+    def _build_models(self, config: OpticalAxisConfig) -> None:
         self.config = config
         self.filter = self.filter_class(config)
-        self._step_to = SightingStep(config, self.filter, self._streams_since, self._has_ship_drifted, self._stream_faults)
+        self._step_to = SightingStep(config, self.filter, self._stream_consistency, self._has_ship_drifted, self._stream_faults)
         sky = self._sky
         self._step_to_stars = None if sky is None else StarStep(config, self.filter, sky)
         self._pointing = PointingOutput(config, self.filter)
         self._calibration = None
 
-    def _new_escort(self) -> "EscortAdvisor | None":
+    def _make_escort_advisor(self) -> "EscortAdvisor | None":
         """Return the advisor for the drones; None if it is disabled."""
         if not self.config.escort.enabled:
             return None
@@ -470,13 +470,13 @@ class OpticalAxisCore:
             self._estimator.rewind_after(self._tracks.ship.add_noise(result.noise) + self._tracks.ship_shift_ns)
             self._estimator.apply(outcome)
         for jump in result.jumps:
-            self._note_own_fault(SHIP, jump.time_ns, None, jumped=True)
+            self._record_stream_fault(SHIP, jump.time_ns, None, jumped=True)
             changed_after_ns = self._tracks.ship.cut(jump.time_ns)
             time_ns = jump.time_ns + self._tracks.ship_shift_ns  # in the time of the exposures
             if changed_after_ns is not None:
                 changed_after_ns += self._tracks.ship_shift_ns
             jump = replace(jump, time_ns=time_ns)
-            self._own_jumps.append(OwnJump(jump))
+            self._stream_jumps.append(StreamJump(jump))
             self._estimator.add_jump(time_ns, "ins", jump, changed_after_ns)
         assert isinstance(result.sample, ShipSample)
         # With the INS alone the pointing uses its attitudes only, so that no wrong rate can affect it.
@@ -488,7 +488,7 @@ class OpticalAxisCore:
     def _step(
         self, state: CalibrationState, exposure: AnyExposure, may_wait: bool
     ) -> tuple[CalibrationState, ExposureDecision] | None:
-        if may_wait and self._tracks.awaits(exposure):
+        if may_wait and self._tracks.is_waiting_for_data(exposure):
             return None
         repeated_time_ns = self._repeated_time_ns
         if repeated_time_ns is not None and repeated_time_ns[0] <= exposure.time_ns <= repeated_time_ns[1]:
@@ -515,34 +515,34 @@ class OpticalAxisCore:
     def _inflate_covariance(self, state: CalibrationState, jump: Jump) -> CalibrationState:
         return self.filter.inflate_covariance(state, jump)
 
-    def _streams_since(self, since_ns: int, until_ns: int) -> Streams | None:
+    def _stream_consistency(self, since_ns: int, until_ns: int) -> StreamConsistency | None:
         """Return the consistency of the encoder and ship streams in a time range."""
-        return self._tracks.streams_since(since_ns, until_ns)
+        return self._tracks.stream_consistency(since_ns, until_ns)
 
     def _has_ship_drifted(self, time_ns: int) -> bool | None:
         """True if the ship's attitude departed from its own rates before a time; None if unknown."""
         return self._tracks.has_ship_drifted(time_ns)
 
-    def _note_own_fault(self, source: str, time_ns: int, rejection: Rejection | None, jumped: bool = False) -> None:
+    def _record_stream_fault(self, source: str, time_ns: int, rejection: Rejection | None, jumped: bool = False) -> None:
         """Record that the encoder or ship stream was stuck, jumped or repeated a stamp."""
         if jumped or (rejection is not None and rejection.reason in _STREAM_FAULT_REASONS):
             self._stream_fault_ns[source] = max(time_ns, self._stream_fault_ns.get(source, time_ns))
 
-    def _note_own_jump(self, time_ns: int, result: CheckedReading) -> None:
+    def _record_stream_jump(self, time_ns: int, result: CheckedReading) -> None:
         """Record a jump or a stuck reading of the encoders."""
         if result.jump is not None:
-            self._own_jumps.append(OwnJump(result.jump))
-        stands = result.rejection is not None and result.rejection.reason is Reason.STUCK
-        if stands and not self._stands:
-            self._own_jumps.append(stood_still(time_ns))
-        self._stands = stands
+            self._stream_jumps.append(StreamJump(result.jump))
+        is_stuck = result.rejection is not None and result.rejection.reason is Reason.STUCK
+        if is_stuck and not self._is_stuck:
+            self._stream_jumps.append(stuck_encoder_jump(time_ns))
+        self._is_stuck = is_stuck
 
     def _stream_faults(self, time_ns: int) -> set[str]:
         """Return those of encoders and ship whose stream had a fault of its own shortly before a time."""
         since_ns = time_ns - round(self.config.integrity.return_after_s * SECOND_NS)
         return {source for source, fault_ns in self._stream_fault_ns.items() if fault_ns >= since_ns}
 
-    def _forget_before(self, time_ns: int) -> None:
+    def _drop_before(self, time_ns: int) -> None:
         """Drop the data that no exposure at or after a stamp is compared with."""
         self._tracks.drop_before(time_ns)
         if self._sky is not None:
@@ -557,7 +557,7 @@ class OpticalAxisCore:
         if not decision.accepted or TELESCOPE in decision.excluded_sources:
             return
         if ENCODER in decision.excluded_sources:
-            self._encoder_check.believe_lights(time_ns)
+            self._encoder_check.set_encoder_offset_from_beacons(time_ns)
         else:
             self._encoder_check.confirm(time_ns)
         if SHIP not in decision.excluded_sources:
@@ -567,25 +567,25 @@ class OpticalAxisCore:
 
     def _publish(self, outcome: PointingOutcome, waiting_ns: int) -> None:
         """Publish pointings whose ship attitude is final, or will never come, and the targets that wait for them."""
-        if self._waiting:
+        if self._waiting_readings:
             self._publish_waiting(outcome, waiting_ns)
         self._answer_targets(outcome)
 
     def _answer_targets(self, outcome: PointingOutcome, waiting_ns: int | None = None) -> None:
-        self._targets.answer(outcome, waiting_ns, self._estimator.window.oldest_ns, lambda: self._estimator.state_now)
+        self._targets.publish_ready(outcome, waiting_ns, self._estimator.window.oldest_ns, lambda: self._estimator.state_now)
 
     def _publish_waiting(self, outcome: PointingOutcome, waiting_ns: int) -> None:
         covered_ns, too_old_ns = self._ship_final_until_ns, self._estimator.window.oldest_ns - 1
         until_ns = too_old_ns if covered_ns is None else max(covered_ns, too_old_ns)
-        while self._waiting and self._waiting[0].sample.time_ns <= until_ns:
-            sample, unconfirmed_reason, unconfirmed_sigma_rad = self._waiting.popleft()
+        while self._waiting_readings and self._waiting_readings[0].sample.time_ns <= until_ns:
+            sample, unconfirmed_reason, unconfirmed_sigma_rad = self._waiting_readings.popleft()
             unconfirmed_reason = unconfirmed_reason or self._ship_check.unconfirmed_reason(sample.time_ns) or self._contradiction_text(sample.time_ns)
             ship = self._tracks.ship_at(sample.time_ns)
             if ship is not None:
                 pending = PendingPointing(sample, ship, unconfirmed_reason, unconfirmed_sigma_rad, self._estimator.state_now)
-                self._put_out(outcome, pending, waiting_ns)
+                self._add_pointing(outcome, pending, waiting_ns)
 
-    def _put_out(self, outcome: PointingOutcome, pending: PendingPointing, waiting_ns: int) -> None:
+    def _add_pointing(self, outcome: PointingOutcome, pending: PendingPointing, waiting_ns: int) -> None:
         """Publish a pointing at once, or queue it if pointings are computed on request."""
         if self.pending is None:
             follows = self._estimator.can_publish(pending.time_ns)
@@ -597,9 +597,9 @@ class OpticalAxisCore:
             self._estimator.record_output(pending.time_ns, waiting_ns)
         else:
             return
-        self._targets.was_put_out(pending, self._estimator.window.oldest_ns)
+        self._targets.record_output(pending, self._estimator.window.oldest_ns)
 
-    def _point_by_stars(self, outcome: PointingOutcome, waiting_ns: int) -> None:
+    def _publish_from_stars(self, outcome: PointingOutcome, waiting_ns: int) -> None:
         """Publish the pointing from the newest stars if ship or encoders have timed out and the stars are recent."""
         needed = {self.config.ship.source: self._ship_arrival_ns, "the encoders": self._encoder_arrival_ns}
         timed_out = [name for name, arrival_ns in needed.items() if _is_timed_out(arrival_ns, waiting_ns)]

@@ -10,7 +10,7 @@ from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.escort.accuracy import BeaconAccuracy
 from theodolite_calib.escort.advice import EscortAdvice, advise
-from theodolite_calib.filter.alternatives import BEACON
+from theodolite_calib.filter.alternatives import BEACON_PREFIX
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.measured.samples import BaselineSample, PointingEstimate
 from theodolite_calib.measured.tracks import MeasuredTracks
@@ -45,11 +45,11 @@ class EscortAdvisor:
         time_ns, period_ns = estimate.time_ns, round(self._config.escort.period_s * SECOND_NS)
         if self._advised_ns is not None and time_ns - self._advised_ns < period_ns:
             return None
-        names = self._usable(estimate)
+        names = self._usable_drones(estimate)
         ship, encoder = self._tracks.ship_at(time_ns), self._tracks.encoder_at(time_ns)
         if not names or ship is None or encoder is None:
             return None
-        samples = {name: sample for name in names if (sample := self._newest(name, time_ns)) is not None}
+        samples = {name: sample for name in names if (sample := self._newest_baseline(name, time_ns)) is not None}
         now_n = {name: sample.vector for name, sample in samples.items()}
         accuracy = BeaconAccuracy(
             self._config,
@@ -67,16 +67,16 @@ class EscortAdvisor:
             self._advised_n = advice.places_n
         return advice
 
-    def _usable(self, estimate: PointingEstimate) -> tuple[str, ...]:
+    def _usable_drones(self, estimate: PointingEstimate) -> tuple[str, ...]:
         """Return the drones whose beacons the filter would use."""
-        off, excluded = set(self._config.sources_off), estimate.state.trust.excluded
+        disabled, excluded = set(self._config.sources_off), estimate.state.trust.excluded
         return tuple(
             name
             for name in self._config.beacons
-            if BEACON + name not in excluded and not {"lights", f"baseline.{name}", f"drone.{name}"} & off
+            if BEACON_PREFIX + name not in excluded and not {"lights", f"baseline.{name}", f"drone.{name}"} & disabled
         )
 
-    def _newest(self, name: str, time_ns: int) -> BaselineSample | None:
+    def _newest_baseline(self, name: str, time_ns: int) -> BaselineSample | None:
         """Return the newest baseline to a drone; None if it is rejected or old."""
         sample = self._tracks.baselines[name].newest
         if sample is None or sample.rejection is not None:

@@ -14,7 +14,7 @@ from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import axis_state_indices
-from theodolite_calib.filter.step import hypothesis_factors
+from theodolite_calib.filter.step import hypothesis_multipliers
 from theodolite_calib.measured.samples import Mode, PointingEstimate
 
 QUANTITIES = ("azimuth_cos_elevation", "elevation", "image_rotation")
@@ -36,39 +36,39 @@ class PointingLevels:
     def __init__(self, filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> None:
         self.state, self._config = state, config.integrity
         sources = filter_.subfilters.sources
-        self._k = hypothesis_factors(config.integrity, sources)
-        self._turning = axis_state_indices(filter_.model)
+        self._multipliers = hypothesis_multipliers(config.integrity, sources)
+        self._axis_indices = axis_state_indices(filter_.model)
         excluded = {name: record.exclusion.since_ns for name, record in state.fault_state.exclusions.items()}
         self._subfilter_indices = np.array([row for row, name in enumerate(sources) if name not in excluded], dtype=np.intp)
         self._names = tuple([sources[row] for row in self._subfilter_indices])
         self._excluded = tuple(sorted(excluded.items()))
-        self._has_unresolved_fault = state.fault_state.conflict is not None or state.refusals > 0
+        self._has_unresolved_fault = state.fault_state.unresolved_fault is not None or state.consecutive_rejections > 0
 
-    def of(self, estimate: PointingEstimate) -> IntegrityReport:
+    def integrity_of(self, estimate: PointingEstimate) -> IntegrityReport:
         """Return the integrity of a pointing."""
         azimuth, elevation, _ = angles_from_rotation(estimate.rotation_nm).tolist()
         to_angles = angle_errors_from_rotation_vector(azimuth, elevation)
         to_angles[0] *= math.cos(elevation)
         # The separations are in the levels already. What a pointing adds to the error of the state,
         # such as the noise of the encoders, is the same in every subfilter.
-        found = solution_separation(
-            self._k,
+        result = solution_separation(
+            self._multipliers,
             self._subfilter_indices,
-            self._turning,
-            (to_angles, to_angles @ estimate.by_error_n, estimate.undisputed_n),
+            self._axis_indices,
+            (to_angles, to_angles @ estimate.by_error_n, estimate.covariance_without_separation_n),
             self.state.mean,
             self.state.subfilters.mean,
-            self.state.parts,
+            self.state.covariance_by_source,
             self.state.subfilters.covariances[:, 0],
         )
         # Without beacons and stars nothing checks encoders and ship's attitude; stars alone are not checked either.
-        alone = estimate.mode is Mode.STARS and estimate.status is Status.DEGRADED
-        is_unchecked = self._has_unresolved_fault or estimate.mode is Mode.ENCODER or alone or estimate.status is Status.INVALID
+        is_stars_only = estimate.mode is Mode.STARS and estimate.status is Status.DEGRADED
+        is_unchecked = self._has_unresolved_fault or estimate.mode is Mode.ENCODER or is_stars_only or estimate.status is Status.INVALID
         return integrity_report(
-            estimate.time_ns, self._config, self._k, self._names, found, self._excluded, is_checked=not is_unchecked
+            estimate.time_ns, self._config, self._multipliers, self._names, result, self._excluded, is_checked=not is_unchecked
         )
 
 
 def integrity_of(filter_: CalibrationFilter, config: OpticalAxisConfig, estimate: PointingEstimate) -> IntegrityReport:
     """Return the integrity of one pointing, from a state of the filter of that configuration."""
-    return PointingLevels(filter_, config, estimate.state).of(estimate)
+    return PointingLevels(filter_, config, estimate.state).integrity_of(estimate)

@@ -24,7 +24,7 @@ _STUCK_SIGMA_RAD = float(np.deg2rad(20.0))
 
 
 @dataclass(frozen=True)
-class OwnJump:
+class StreamJump:
     """Jump that the encoder or ship stream showed by itself.
 
     Attributes:
@@ -41,45 +41,45 @@ class OwnJump:
         return float(np.trace(self.jump.covariance_n)) * np.eye(2)
 
 
-def stood_still(time_ns: int) -> OwnJump:
+def stuck_encoder_jump(time_ns: int) -> StreamJump:
     """Return the jump that stuck encoders may have missed until a time."""
-    return OwnJump(EncoderJump(time_ns, np.zeros(2), _STUCK_SIGMA_RAD))
+    return StreamJump(EncoderJump(time_ns, np.zeros(2), _STUCK_SIGMA_RAD))
 
 
-def is_undisputed(state: CalibrationState) -> bool:
+def is_consistent(state: CalibrationState) -> bool:
     """True if a state rests on beacons or stars, and no source is excluded or inconsistent."""
-    trust = state.fault_state
-    return state.informed_ns is not None and not (state.refusals or trust.excluded or trust.conflict is not None)
+    fault_state = state.fault_state
+    return state.last_update_ns is not None and not (state.consecutive_rejections or fault_state.excluded_sources or fault_state.unresolved_fault is not None)
 
 
 def start_from_memory(filter_: CalibrationFilter, memory: CalibrationState) -> CalibrationState:
     """Return an initial state with the remembered errors, without later faults."""
     return replace(
-        filter_.started(memory.mean, memory.parts),
+        filter_.initial_state_from(memory.mean, memory.covariance_by_source),
         time_ns=memory.time_ns,
-        unaided=memory.unaided,
+        unaided=memory.observability,
         ship_steady_n=memory.ship_covariance_n,
         sighting_count=memory.sighting_count,
-        points_used=memory.points_used,
+        points_used=memory.point_count,
         squares=memory.residual_square_sum,
     )
 
 
 def propagate_memory(
-    filter_: CalibrationFilter, memory: CalibrationState, jumps: Sequence[OwnJump], time_ns: int
+    filter_: CalibrationFilter, memory: CalibrationState, jumps: Sequence[StreamJump], time_ns: int
 ) -> CalibrationState:
     """Return the remembered state propagated to a time, with a covariance inflated by jumps."""
-    for own in jumps:
-        memory = filter_.inflate_covariance(memory, own.jump)
-    return filter_.predicted(memory, time_ns, memory.ship_covariance_n)
+    for stream_jump in jumps:
+        memory = filter_.inflate_covariance(memory, stream_jump.jump)
+    return filter_.propagate(memory, time_ns, memory.ship_covariance_n)
 
 
 def memory_residuals(
     filter_: CalibrationFilter, memory: CalibrationState, sighting: Sighting
 ) -> dict[str, MemoryResidual]:
     """Return the residual of each beacon against a remembered state, rotations of its direction right and up."""
-    state = filter_.predicted(memory, sighting.time_ns, sighting.ship.correlated_covariance_n)
-    drift, prediction = _drift(filter_, state), filter_.sightings.predict(state.mean, sighting)
+    state = filter_.propagate(memory, sighting.time_ns, sighting.ship.correlated_covariance_n)
+    drift, prediction = _growth_per_second(filter_, state), filter_.sightings.predict(state.mean, sighting)
     noise_m2 = sum(prediction.noise_by_source.values(), np.zeros((2 * len(sighting.names),) * 2))
     found = {}
     for light, name in enumerate(sighting.names):
@@ -99,7 +99,7 @@ def memory_residuals(
     return found
 
 
-def departure_sigmas(
+def largest_difference_sigmas(
     filter_: CalibrationFilter,
     state: CalibrationState,
     memory: CalibrationState,
@@ -122,7 +122,7 @@ def departure_sigmas(
             the standard deviations are then those of the latter.
     """
     assert state.time_ns is not None
-    memory = filter_.predicted(memory, state.time_ns, ship.correlated_covariance_n)
+    memory = filter_.propagate(memory, state.time_ns, ship.correlated_covariance_n)
     sightings = filter_.sightings
     errors = sightings.geometry_errors(memory.mean)
     geometry = axis_geometry(errors, ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation)
@@ -149,8 +149,8 @@ def _turns_right_and_up(direction_n: FloatArray) -> FloatArray:
     return np.column_stack([np.cross(direction_n, right_n), np.cross(direction_n, up_n)])
 
 
-def _drift(filter_: CalibrationFilter, state: CalibrationState) -> FloatArray:
+def _growth_per_second(filter_: CalibrationFilter, state: CalibrationState) -> FloatArray:
     """Return the covariance added to a state within one second, shape (n, n)."""
     assert state.time_ns is not None
-    before = replace(state, time_ns=state.time_ns - SECOND_NS, parts=np.zeros_like(state.parts))
-    return filter_.predicted(before, state.time_ns, state.ship_covariance_n).covariance
+    before = replace(state, time_ns=state.time_ns - SECOND_NS, parts=np.zeros_like(state.covariance_by_source))
+    return filter_.propagate(before, state.time_ns, state.ship_covariance_n).covariance

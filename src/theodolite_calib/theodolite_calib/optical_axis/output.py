@@ -19,7 +19,7 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.chain.axes import DEFORMATION, SHIP
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.alternatives import BEACON
+from theodolite_calib.filter.alternatives import BEACON_PREFIX
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import (
     SOURCE_DEFORMATION,
@@ -31,17 +31,17 @@ from theodolite_calib.filter.model import (
     ship_error_steps,
 )
 from theodolite_calib.measured.samples import (
-    EncoderRun,
+    EncoderSeries,
     EncoderSample,
     Mode,
     PointingEstimate,
-    PointingRun,
+    PointingSeries,
     StampArray,
 )
-from theodolite_calib.measured.tracks import ShipAt, ShipRun
+from theodolite_calib.measured.tracks import ShipAt, ShipSeries
 from theodolite_calib.optical_axis.integrity import QUANTITIES, PointingLevels
 
-_NOTHING_HAPPENS = np.empty((0, 3)), np.empty((0, 3, 3))
+_NO_STEP = np.empty((0, 3)), np.empty((0, 3, 3))
 """Arrays for no step of the ship's error: factors and added covariances."""
 
 _TWO_LIGHTS, _ONE_LIGHT, _ENCODER = int(Mode.TWO_LIGHTS), int(Mode.ONE_LIGHT), int(Mode.ENCODER)
@@ -82,22 +82,22 @@ class CorrectedAxis:
         self.state = state
         model, rows = filter_.model, axis_state_indices(filter_.model)
         ship, deformation = model.blocks["ship.attitude"], model.blocks["deformation"]
-        self._parts = np.ascontiguousarray(state.parts[:, rows[:, None], rows])
+        self._parts = np.ascontiguousarray(state.covariance_by_source[:, rows[:, None], rows])
         self._errors = filter_.sightings.geometry_errors(state.mean)
-        self._lasting = np.zeros(DEFORMATION.stop, dtype=np.uint8)
-        self._lasting[SHIP] = filter_.ship_error.lasting(self._errors[SHIP])
+        self._exceeds_model = np.zeros(DEFORMATION.stop, dtype=np.uint8)
+        self._exceeds_model[SHIP] = filter_.ship_error.exceeds_model(self._errors[SHIP])
         self._time_s = np.concatenate([ship.time_s, deformation.time_s])
-        self._steady = np.array([np.diag(ship.sigma**2), np.diag(deformation.sigma**2)])
+        self._stationary_covariance = np.array([np.diag(ship.sigma**2), np.diag(deformation.sigma**2)])
         if state.ship_covariance_n is not None:
-            self._steady[0] += state.ship_covariance_n
+            self._stationary_covariance[0] += state.ship_covariance_n
         self._sources = tuple(
             model.sources.index(source)
             for source in (SOURCE_SHIP, SOURCE_DEFORMATION, SOURCE_ENCODER, SOURCE_SHIP_NOISE)
         )
         self.rotation_mt = rotation_from_angles(*filter_.sightings.parallelism(state.mean)).T.copy()
-        self.separation_inflation = separation_inflation((state.subfilters.mean - state.mean)[:, rows], state.separation)
+        self.separation_inflation = separation_inflation((state.subfilters.mean - state.mean)[:, rows], state.solution_separation)
 
-    def axes(self, ship: ShipRun, encoders: EncoderRun) -> AxesAt:
+    def axes(self, ship: ShipSeries, encoders: EncoderSeries) -> AxesAt:
         """Return the main axis at N readings; before the state's time it is not propagated.
 
         The result depends on the arguments and the state alone. A single time gives, to the last bit, the same result
@@ -112,22 +112,22 @@ class CorrectedAxis:
             since_ns = encoders.time_ns - self.state.time_ns
         stated_n = ship.correlated_covariance_n
         step = None if stated_n is None else ship_error_steps(self.state.ship_covariance_n, stated_n)
-        found = compiled_mounts.pointings(
+        arrays = compiled_mounts.pointings(
             since_ns,
             ship.rotation_nd,
             ship.rate_d,
             ship.noise,
             encoders.angles,
             encoders.variance,
-            *(_NOTHING_HAPPENS if step is None else (step.retained, step.new_n)),
+            *(_NO_STEP if step is None else (step.retained, step.added_n)),
             self._errors,
-            self._lasting,
+            self._exceeds_model,
             self._time_s,
-            self._steady,
+            self._stationary_covariance,
             self._parts,
             *self._sources,
         )
-        return AxesAt(*found)
+        return AxesAt(*arrays)
 
 
 class PendingPointing(NamedTuple):
@@ -167,37 +167,37 @@ class PointingOutput:
         self._corrected: CorrectedAxis | None = None
         self._levels: PointingLevels | None = None
         self._saved = filter_.model.sources.index(SOURCE_SAVED)
-        self._disagreement = filter_.model.sources.index(SOURCE_SHIP)
+        self._disagreement_source = filter_.model.sources.index(SOURCE_SHIP)
 
-    def of_due(self, pending: Sequence[PendingPointing]) -> list[tuple[slice, PointingRun | Rejection]]:
+    def compute_pending(self, pending: Sequence[PendingPointing]) -> list[tuple[slice, PointingSeries | Rejection]]:
         """Compute pending pointings; return slices of them, each with its series or its failure."""
-        found: list[tuple[slice, PointingRun | Rejection]] = []
+        found: list[tuple[slice, PointingSeries | Rejection]] = []
         for _, group in groupby(pending, key=lambda one: (id(one.state), one.ship.correlated_covariance_n is None)):
             group_pointings, start = list(group), found[-1][0].stop if found else 0
-            run = self._run_or_failure(group_pointings)
-            if isinstance(run, PointingRun):
-                found.append((slice(start, start + len(group_pointings)), run))
+            series = self._series_or_failure(group_pointings)
+            if isinstance(series, PointingSeries):
+                found.append((slice(start, start + len(group_pointings)), series))
             else:
                 # One by one, so that those that can be computed are published.
-                alone = enumerate(map(self._run_or_failure, ([one] for one in group_pointings)), start)
-                found += [(slice(number, number + 1), one) for number, one in alone]
+                single_pointings = enumerate(map(self._series_or_failure, ([one] for one in group_pointings)), start)
+                found += [(slice(number, number + 1), one) for number, one in single_pointings]
         return found
 
-    def _run_or_failure(self, pending: Sequence[PendingPointing]) -> PointingRun | Rejection:
+    def _series_or_failure(self, pending: Sequence[PendingPointing]) -> PointingSeries | Rejection:
         try:
-            return self._run_of(pending)
+            return self._series_of(pending)
         except Exception as error:
             return failure_rejection(error)
 
     def estimate(self, pending: PendingPointing) -> PointingEstimate:
         """Return the pointing at one reading."""
-        return self._run_of([pending]).one(0)
+        return self._series_of([pending]).estimate(0)
 
-    def _run_of(self, pending: Sequence[PendingPointing]) -> PointingRun:
+    def _series_of(self, pending: Sequence[PendingPointing]) -> PointingSeries:
         samples, ships, unconfirmed_reasons, unconfirmed_sigmas_rad, states = zip(*pending, strict=True)
-        return self.estimates(EncoderRun.of(samples, unconfirmed_reasons, unconfirmed_sigmas_rad), ShipRun.of(ships), states[0])
+        return self.estimates(EncoderSeries.from_samples(samples, unconfirmed_reasons, unconfirmed_sigmas_rad), ShipSeries.from_ships(ships), states[0])
 
-    def estimates(self, encoders: EncoderRun, ship: ShipRun, state: CalibrationState) -> PointingRun:
+    def estimates(self, encoders: EncoderSeries, ship: ShipSeries, state: CalibrationState) -> PointingSeries:
         """Return the pointings at N readings; a single reading gives, to the last bit, the same as among others.
 
         Args:
@@ -208,43 +208,43 @@ class PointingOutput:
         if self._corrected is None or self._corrected.state is not state:
             self._corrected = CorrectedAxis(self._filter, state)
         time_ns, axes = encoders.time_ns, self._corrected.axes(ship, encoders)
-        if state.fault_state.conflict is not None:
-            axes.covariance_by_source_n[:, self._disagreement] += state.fault_state.conflict.spread_n
-        lights, stars = self._recent(time_ns, state.last_beacons_ns), self._recent(time_ns, state.last_stars_ns)
+        if state.fault_state.unresolved_fault is not None:
+            axes.covariance_by_source_n[:, self._disagreement_source] += state.fault_state.unresolved_fault.disagreement_n
+        lights, stars = self._is_recent(time_ns, state.last_beacons_ns), self._is_recent(time_ns, state.last_stars_ns)
         recent = lights | stars
         # Solution separations do not apply to a pointing without beacons and stars.
         covariance_without_separation_n, covariance_n = compiled_mounts.totals(
-            axes.covariance_by_source_n, axes.by_error_n, self._corrected.separation_inflation, recent.view(np.uint8), self._disagreement
+            axes.covariance_by_source_n, axes.by_error_n, self._corrected.separation_inflation, recent.view(np.uint8), self._disagreement_source
         )
         mode = np.where(lights, _ONE_LIGHT if state.light_count == 1 else _TWO_LIGHTS, _ENCODER)
         mode = np.where(stars, np.where(lights, _STARS_AND_LIGHTS, _STARS), mode)
-        worth = self._worths(state, mode.tolist(), ship.status, encoders.unconfirmed_reasons)
+        statuses = self._pointing_statuses(state, mode.tolist(), ship.status, encoders.unconfirmed_reasons)
         rotation_nt = axes.rotation_nm @ self._corrected.rotation_mt
         rotation_nt[~lights] = np.nan
         if ship.chord_nd is None:
             rotation_dm = np.full((len(time_ns), 3, 3), np.nan)
         else:
             rotation_dm = ship.chord_nd.swapaxes(1, 2) @ axes.rotation_nm
-        run = PointingRun(
+        series = PointingSeries(
             time_ns=time_ns,
             rotation_nm=axes.rotation_nm,
             covariance_by_source_n=axes.covariance_by_source_n,
             covariance_n=covariance_n,
-            undisputed_n=covariance_without_separation_n,
+            covariance_without_separation_n=covariance_without_separation_n,
             rotation_nt=rotation_nt,
             mode=mode,
-            status=[status for status, _ in worth],
+            status=[status for status, _ in statuses],
             light_count=lights * state.light_count,
             state=state,
-            text=[text for _, text in worth],
+            text=[text for _, text in statuses],
             by_error_n=axes.by_error_n,
             rotation_dm=rotation_dm,
         )
         if self._config.integrity.alert_limit_arcsec:
-            self._degrade_above_limit(run)
-        return run
+            self._degrade_above_limit(series)
+        return series
 
-    def _recent(self, time_ns: StampArray, used_ns: int | None) -> NDArray[np.bool_]:
+    def _is_recent(self, time_ns: StampArray, used_ns: int | None) -> NDArray[np.bool_]:
         """True for each time at which the last accepted sighting is recent, shape (N,)."""
         if used_ns is None:
             return np.zeros(len(time_ns), dtype=bool)
@@ -255,45 +255,45 @@ class PointingOutput:
         """Return protection levels and test statistics of a pointing."""
         if self._levels is None or self._levels.state is not estimate.state:
             self._levels = PointingLevels(self._filter, self._config, estimate.state)
-        return self._levels.of(estimate)
+        return self._levels.integrity_of(estimate)
 
-    def _degrade_above_limit(self, run: PointingRun) -> None:
+    def _degrade_above_limit(self, series: PointingSeries) -> None:
         """Set pointings to DEGRADED whose protection level exceeds the alert limit."""
-        for number, status in enumerate(run.status):
+        for number, status in enumerate(series.status):
             if status is not Status.DEGRADED:
-                text = alert_limit_text(self.integrity(run.one(number)), QUANTITIES)
+                text = alert_limit_text(self.integrity(series.estimate(number)), QUANTITIES)
                 if text:
-                    run.status[number], run.text[number] = Status.DEGRADED, text
+                    series.status[number], series.text[number] = Status.DEGRADED, text
 
-    def _worths(
+    def _pointing_statuses(
         self, state: CalibrationState, modes: list[int], ship_statuses: list[Status], unconfirmed_reasons: list[str]
     ) -> list[tuple[Status, str]]:
         """Return status and reason of each pointing; the reason is empty if it is VALID."""
         known: dict[tuple[int, Status, str], tuple[Status, str]] = {}
-        worths = []
+        statuses = []
         for kind in zip(modes, ship_statuses, unconfirmed_reasons, strict=True):
-            worth = known.get(kind)
-            if worth is None:
-                worth = known[kind] = self._worth(state, *kind)
-            worths.append(worth)
-        return worths
+            status = known.get(kind)
+            if status is None:
+                status = known[kind] = self._pointing_status(state, *kind)
+            statuses.append(status)
+        return statuses
 
-    def _worth(self, state: CalibrationState, mode: int, ship_status: Status, unconfirmed_reason: str) -> tuple[Status, str]:
+    def _pointing_status(self, state: CalibrationState, mode: int, ship_status: Status, unconfirmed_reason: str) -> tuple[Status, str]:
         """Return status and reason of a pointing; the reason is empty if it is VALID."""
         if unconfirmed_reason:
             return Status.DEGRADED, unconfirmed_reason
-        if state.refusals:
+        if state.consecutive_rejections:
             text = "the last lights or stars were inconsistent with encoders and ship's attitude: "
             return Status.DEGRADED, text + state.rejection_text
-        if state.fault_state.conflict is not None:
+        if state.fault_state.unresolved_fault is not None:
             return Status.DEGRADED, "unresolved fault: lights are inconsistent with encoders and ship's attitude"
         for source, record in state.fault_state.exclusions.items():
-            unconfirmed = state.informed_ns is None or state.informed_ns < record.exclusion.since_ns
-            if mode == Mode.ENCODER or unconfirmed or not source.startswith(BEACON):
-                return Status.DEGRADED, f"{source} is excluded: {record.why}"
+            unconfirmed = state.last_update_ns is None or state.last_update_ns < record.exclusion.since_ns
+            if mode == Mode.ENCODER or unconfirmed or not source.startswith(BEACON_PREFIX):
+                return Status.DEGRADED, f"{source} is excluded: {record.reason}"
         if ship_status is Status.DEGRADED:
             return Status.DEGRADED, "the ship's attitude is DEGRADED"
-        if state.informed_ns is None and not np.any(state.parts[self._saved]):
+        if state.last_update_ns is None and not np.any(state.covariance_by_source[self._saved]):
             text = "no light or star used yet and no calibration loaded: axis errors as configured"
             return Status.DEGRADED, text
         if mode == Mode.ENCODER:
@@ -309,7 +309,7 @@ def invalid_pointing(filter_: CalibrationFilter, state: CalibrationState, now_ns
         rotation_nm=unknown,
         covariance_by_source_n=np.full((len(filter_.model.sources), 3, 3), np.nan),
         covariance_n=unknown,
-        undisputed_n=unknown,
+        covariance_without_separation_n=unknown,
         rotation_nt=unknown,
         mode=Mode.ENCODER,
         status=Status.INVALID,

@@ -28,15 +28,15 @@ from theodolite_calib.measured.tracks import MeasuredTracks
 from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput
 from theodolite_calib.target.direction import (
     MainDetector,
-    SeenDirection,
-    ranged_place,
+    ObservedDirection,
+    ranged_position,
     rotation_main_from_detector,
-    seen_direction,
+    observed_direction,
 )
 from theodolite_calib.target.waiting import PendingTargets
 
 
-class TargetAnswers:
+class TargetProcessor:
     """Target images of one run; each gives one direction, or INVALID and a rejection.
 
     Args:
@@ -53,10 +53,10 @@ class TargetAnswers:
         filter_: CalibrationFilter,
         pointing: PointingOutput,
         tracks: MeasuredTracks,
-        contradictions: StampConflicts,
+        stamp_conflicts: StampConflicts,
     ) -> None:
-        self._pending = PendingTargets(contradictions)
-        self._put_out: deque[PendingPointing] = deque()
+        self._pending = PendingTargets(stamp_conflicts)
+        self._published: deque[PendingPointing] = deque()
         self._tracks = tracks
         self.reconfigure(config, filter_, pointing)
 
@@ -66,25 +66,25 @@ class TargetAnswers:
         self._directions = TargetOutput(config, filter_)
         self._axes = AxisErrors.from_vector(config.axes.values)
 
-    def continue_answers(self, before: "TargetAnswers") -> None:
+    def take_over(self, before: "TargetProcessor") -> None:
         """Take over the images and pointings of another estimator that ends."""
-        self._pending, self._put_out = before._pending, before._put_out
+        self._pending, self._published = before._pending, before._published
 
     def add(self, sample: TargetSample, waiting_ns: int, outcome: PointingOutcome) -> None:
         """Add an image that is not late."""
         outcome.rejection = self._pending.add(sample, waiting_ns)
-        for overflowing in self._pending.overflowing():
+        for overflowing in self._pending.remove_overflow():
             text = "too many images of targets wait for the pointing: the oldest is rejected"
-            outcome.decisions.append(_refused(overflowing, Rejection(Reason.OVERFLOW, text)))
+            outcome.decisions.append(_rejection(overflowing, Rejection(Reason.OVERFLOW, text)))
 
-    def was_put_out(self, pointing: PendingPointing, oldest_ns: int) -> None:
+    def record_output(self, pointing: PendingPointing, oldest_ns: int) -> None:
         """Record a published pointing; images may come for times from ``oldest_ns`` on."""
-        self._put_out.append(pointing)
+        self._published.append(pointing)
         # The last one before that time stays, for the first image that may come.
-        while len(self._put_out) > 1 and self._put_out[1].time_ns <= oldest_ns:
-            self._put_out.popleft()
+        while len(self._published) > 1 and self._published[1].time_ns <= oldest_ns:
+            self._published.popleft()
 
-    def answer(
+    def publish_ready(
         self, outcome: PointingOutcome, waiting_ns: int | None, oldest_ns: int, state: Callable[[], CalibrationState]
     ) -> None:
         """Publish the directions of images whose pointing is final, or will never come.
@@ -98,62 +98,62 @@ class TargetAnswers:
         """
         if not len(self._pending):
             return
-        patience_ns = max(SECOND_NS, round(self._config.lag_s * SECOND_NS))
-        for sample, received_ns in self._pending.waiting():
-            given_up = waiting_ns is not None and waiting_ns - received_ns > patience_ns
-            if given_up or sample.time_ns < oldest_ns or self._is_covered(sample):
-                self._pending.answered(sample)
-                self._answer(sample, outcome, state())
+        max_wait_ns = max(SECOND_NS, round(self._config.lag_s * SECOND_NS))
+        for sample, received_ns in self._pending.pending_images():
+            is_overdue = waiting_ns is not None and waiting_ns - received_ns > max_wait_ns
+            if is_overdue or sample.time_ns < oldest_ns or self._is_covered(sample):
+                self._pending.mark_answered(sample)
+                self._publish_direction(sample, outcome, state())
 
     def _is_covered(self, sample: TargetSample) -> bool:
         """True if no later data can change the direction, and a pointing after it has been published."""
-        if not (self._put_out and self._put_out[-1].time_ns >= sample.time_ns):
+        if not (self._published and self._published[-1].time_ns >= sample.time_ns):
             return False
         return self._tracks.are_axes_final_at(sample.time_ns + sample.reach_ns)
 
-    def _answer(self, sample: TargetSample, outcome: PointingOutcome, state: CalibrationState) -> None:
+    def _publish_direction(self, sample: TargetSample, outcome: PointingOutcome, state: CalibrationState) -> None:
         try:
             found = self._direction(sample, state)
         except Exception as error:
             outcome.failures.append((sample.time_ns, failure_rejection(error)))
             found = failure_rejection(error)
         if isinstance(found, Rejection):
-            outcome.decisions.append(_refused(sample, found))
+            outcome.decisions.append(_rejection(sample, found))
             found = invalid_direction(sample, found.text)
         outcome.targets.append(found)
 
     def _direction(self, sample: TargetSample, state: CalibrationState) -> TargetEstimate | Rejection:
         """Return the direction of a target, or the reason why there is no pointing for it."""
-        beside = self._beside(sample.time_ns)
+        adjacent = self._adjacent_pointings(sample.time_ns)
         tracks, nodes = self._tracks, sample.nodes
         ship, encoder = tracks.ship_at(sample.time_ns), tracks.encoder_at(sample.time_ns)
         if encoder is None:
             return Rejection(Reason.GAP, "no encoder readings on both sides of it")
         if ship is None:
             return Rejection(Reason.GAP, "no attitudes of the ship on both sides of it")
-        if beside is None:
+        if adjacent is None:
             return Rejection(Reason.GAP, "no pointing was published on both sides of it")
         point_m = sample.point_m
         if nodes is not None:
             times_ns = [time_ns for time_ns, _ in nodes.times_and_weights(sample.time_ns)]
-            turned_nm = self._tracks.main_axis_at(times_ns, self._axes)
-            if turned_nm is None:
+            rotations_nm = self._tracks.main_axis_at(times_ns, self._axes)
+            if rotations_nm is None:
                 text = f"no encoder readings or attitudes of the ship over its exposure of {sample.exposure_s:g} s"
                 return Rejection(Reason.GAP, text)
-            way_m = self._directions.way_m(sample, turned_nm, turned_nm[nodes.offset_ns.index(0)])
-            point_m = point_m - (nodes.mean(way_m) - point_m)
+            path_m = self._directions.image_path_m(sample, rotations_nm, rotations_nm[nodes.offset_ns.index(0)])
+            point_m = point_m - (nodes.mean(path_m) - point_m)
             # The point is the mean over the exposure, so the noise of encoders and ship is that of their means.
             ship, encoder = tracks.ship_at(sample.time_ns, nodes), tracks.encoder_at(sample.time_ns, nodes)
             assert ship is not None  # as at the nodes
             assert encoder is not None
         angles = np.array([encoder.azimuth, encoder.elevation])
         reading = EncoderSample(sample.time_ns, angles, float(np.sqrt(encoder.noise)))
-        unconfirmed_reasons = [pending.unconfirmed_reason for pending in beside if pending.unconfirmed_reason]
-        unconfirmed_sigma_rad = max(due.unconfirmed_sigma_rad for due in beside)
+        unconfirmed_reasons = [pending.unconfirmed_reason for pending in adjacent if pending.unconfirmed_reason]
+        unconfirmed_sigma_rad = max(due.unconfirmed_sigma_rad for due in adjacent)
         due = PendingPointing(reading, ship, unconfirmed_reasons[-1] if unconfirmed_reasons else "", unconfirmed_sigma_rad, state)
         pointing = self._pointing.estimate(due)
         status, text = max(
-            [(each.status, each.text) for each in (pointing, *map(self._pointing.estimate, beside))],
+            [(each.status, each.text) for each in (pointing, *map(self._pointing.estimate, adjacent))],
             key=lambda worth: worth[0],
         )
         conflict_text = self._pending.conflict_text(sample.time_ns)
@@ -161,10 +161,10 @@ class TargetAnswers:
             status, text = Status.DEGRADED, conflict_text
         return self._directions.estimate(sample, point_m, due, pointing, status, text)
 
-    def _beside(self, time_ns: int) -> tuple[PendingPointing, PendingPointing] | None:
+    def _adjacent_pointings(self, time_ns: int) -> tuple[PendingPointing, PendingPointing] | None:
         """Return the last published pointing up to a time and the first from then on; None if one is missing."""
-        before = [due for due in self._put_out if due.time_ns <= time_ns]
-        after = [due for due in self._put_out if due.time_ns >= time_ns]
+        before = [due for due in self._published if due.time_ns <= time_ns]
+        after = [due for due in self._published if due.time_ns >= time_ns]
         if not (before and after):
             return None
         gap_ns = after[0].time_ns - before[-1].time_ns
@@ -190,7 +190,7 @@ class TargetOutput:
             detector.rotation_sigma_arcsec * ARCSEC,
         )
 
-    def way_m(self, sample: TargetSample, turned_nm: FloatArray, middle_nm: FloatArray) -> FloatArray:
+    def image_path_m(self, sample: TargetSample, rotations_nm: FloatArray, middle_nm: FloatArray) -> FloatArray:
         """Return the detector path of a target with constant direction while the main frame turns, m, shape (m, 2).
 
         A target whose direction turns steadily gives the same mean, except for the product of its rotation and the
@@ -204,7 +204,7 @@ class TargetOutput:
         camera = self._detector.camera
         rotation_mv = rotation_main_from_detector(sample.detector_rotation)
         seen_n = middle_nm @ rotation_mv @ camera.directions(sample.point_m[None])[0]
-        return camera.points(seen_n @ (turned_nm @ rotation_mv))
+        return camera.points(seen_n @ (rotations_nm @ rotation_mv))
 
     def estimate(
         self,
@@ -225,7 +225,7 @@ class TargetOutput:
             status: status of the direction.
             text: reason if it is not VALID.
         """
-        seen = seen_direction(
+        seen = observed_direction(
             self._detector, point_m, sample.sigma_m, sample.detector_rotation, pointing.rotation_nm
         )
         unknown = np.full(3, np.nan), np.full((3, 3), np.nan)
@@ -242,14 +242,14 @@ class TargetOutput:
         )
 
     def _position(
-        self, sample: TargetSample, pending: PendingPointing, pointing: PointingEstimate, seen: SeenDirection
+        self, sample: TargetSample, pending: PendingPointing, pointing: PointingEstimate, seen: ObservedDirection
     ) -> tuple[FloatArray, FloatArray]:
         """Return the position of a target from the ship's antenna, m, and its covariance, m².
 
         Ship, lever and air are states of the pointing, so the position uses their joint covariance.
         """
         model, ship = self._filter.model, pending.ship
-        state = self._filter.predicted(pointing.state, sample.time_ns, ship.correlated_covariance_n)
+        state = self._filter.propagate(pointing.state, sample.time_ns, ship.correlated_covariance_n)
         errors = self._filter.sightings.geometry_errors(state.mean)
         geometry = axis_geometry(errors, ship.rotation_nd, ship.rate_d, *pending.sample.vector.tolist())
         lever_m, coefficient = self._config.lever.vector_m, self._config.air.coefficient
@@ -258,27 +258,27 @@ class TargetOutput:
         if "refraction" in model.slices:
             coefficient += float(state.mean[model.slices["refraction"]][0])
         lever_n = geometry.rotation_nd @ lever_m
-        place = ranged_place(seen.direction_n, sample.range_m, coefficient)
+        place = ranged_position(seen.direction_n, sample.range_m, coefficient)
 
         by_turn_n, lever_by_turn_n = place.by_direction_n @ seen.by_turn_n, -skew(lever_n)
-        turning = axis_state_indices(model)
+        axis_indices = axis_state_indices(model)
         by_state_n = np.zeros((3, model.size))
-        by_state_n[:, turning] = by_turn_n @ pointing.by_error_n
+        by_state_n[:, axis_indices] = by_turn_n @ pointing.by_error_n
         # The ship's error and time offset rotate the lever; deformation and axis errors do not.
-        of_ship = np.r_[SHIP, AXES.stop : len(turning)]
-        by_state_n[:, turning[of_ship]] += lever_by_turn_n @ pointing.by_error_n[:, of_ship]
+        ship_columns = np.r_[SHIP, AXES.stop : len(axis_indices)]
+        by_state_n[:, axis_indices[ship_columns]] += lever_by_turn_n @ pointing.by_error_n[:, ship_columns]
         if "lever" in model.slices:
             by_state_n[:, model.slices["lever"]] = geometry.rotation_nd
         if "refraction" in model.slices:
             by_state_n[:, model.slices["refraction"]] = place.by_coefficient_n[:, None]
 
         # Covariance of the pointing besides the states: noise of encoders and ship, unconfirmed steps, separations.
-        of_states_n = pointing.by_error_n @ state.covariance[np.ix_(turning, turning)] @ pointing.by_error_n.T
-        beside_n = pointing.covariance_n - of_states_n
+        of_states_n = pointing.by_error_n @ state.covariance[np.ix_(axis_indices, axis_indices)] @ pointing.by_error_n.T
+        other_n = pointing.covariance_n - of_states_n
         by_ship_noise_n = by_turn_n + lever_by_turn_n
         covariance_n = (
             by_state_n @ state.covariance @ by_state_n.T
-            + by_turn_n @ beside_n @ by_turn_n.T
+            + by_turn_n @ other_n @ by_turn_n.T
             + ship.noise * (by_ship_noise_n @ by_ship_noise_n.T - by_turn_n @ by_turn_n.T)
             + place.by_direction_n @ seen.image_covariance_n @ place.by_direction_n.T
             + sample.range_sigma_m**2 * np.outer(place.by_range_n, place.by_range_n)
@@ -302,5 +302,5 @@ def invalid_direction(sample: TargetSample, text: str) -> TargetEstimate:
     )
 
 
-def _refused(sample: TargetSample, rejection: Rejection) -> MeasurementDecision[TargetSample]:
+def _rejection(sample: TargetSample, rejection: Rejection) -> MeasurementDecision[TargetSample]:
     return MeasurementDecision(sample, rejection.reason, text=rejection.text)

@@ -31,15 +31,15 @@ def _document(prior: CalibrationPrior) -> dict[str, Any]:
         "time_ns": prior.time_ns,
         "serial": prior.serial,
         "telescope_id": prior.telescope_id,
-        "values": _human(prior.names, prior.values),
-        "sigma": _human(prior.names, sigma),
+        "values": _values_in_file_units(prior.names, prior.values),
+        "sigma": _values_in_file_units(prior.names, sigma),
         "covariance_note": "of the values in their order, in rad and m: g, c, I and the parallelism belong together; "
         "where a sigma is 0 the configured value applies",
         "covariance": prior.covariance.tolist(),
     }
 
 
-def _human(names: tuple[str, ...], values: FloatArray) -> dict[str, float]:
+def _values_in_file_units(names: tuple[str, ...], values: FloatArray) -> dict[str, float]:
     return dict(zip(map(_key, names), (values / _units(names)).tolist(), strict=True))
 
 

@@ -38,14 +38,14 @@ from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ignore_time
 from ship_node.edge.topics import InputTopic, OutputTopic, OutputMessage
 from ship_node.edge.verdict_report import clock_status
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.alternatives import BEACON, ENCODER, SHIP
+from theodolite_calib.filter.alternatives import BEACON_PREFIX, ENCODER, SHIP
 from theodolite_calib.measured.samples import (
     Exposure,
     ExposureDecision,
     Mode,
     PointingEstimate,
     PointingOutcome,
-    PointingRun,
+    PointingSeries,
     ShipSample,
 )
 from theodolite_calib.optical_axis.calibration import Calibration, CalibrationPrior
@@ -70,7 +70,7 @@ BASE_FRAME = "theodolite_base"
 INTEGRITY_TOPIC = "theodolite/integrity"
 TARGET_IMAGE_TOPIC = "theodolite/target"
 
-_STREAM_THERE_S = 3.0
+_STREAM_TIMEOUT_S = 3.0
 """Maximum age of the last encoder reading, or ship's attitude, for the stream to count as present, s."""
 _MIN_BEACONS = 2
 
@@ -87,7 +87,7 @@ _LEVELS = {
     Status.DEGRADED: Level.WARN,
     Status.INVALID: Level.ERROR,
 }
-_BY = {
+_MODE_TEXTS = {
     Mode.TWO_LIGHTS: "two or more lights",
     Mode.ONE_LIGHT: "one light",
     Mode.ENCODER: "encoders",
@@ -116,8 +116,8 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
     integrity_topic: ClassVar[str] = INTEGRITY_TOPIC
     integrity_frame: str = MAIN_FRAME
     quantities: ClassVar[tuple[str, ...]] = QUANTITIES
-    always_in: ClassVar[tuple[str, ...]] = ("encoder", "ship")
-    checked_by: ClassVar["attrgetter[tuple[Any, ...]]"] = attrgetter("status", "mode")
+    required_sources: ClassVar[tuple[str, ...]] = ("encoder", "ship")
+    redundancy_key: ClassVar["attrgetter[tuple[Any, ...]]"] = attrgetter("status", "mode")
     directions: ClassVar["attrgetter[np.ndarray]"] = attrgetter("by_error_n")
     outputs: tuple[OutputTopic, ...] = (
         OutputTopic(POINTING_TOPIC, POINTING_TYPE),
@@ -160,9 +160,9 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         core: OpticalAxisCore = self.core
         return core.calibration_to_save()
 
-    def make_core(self, config: OpticalAxisConfig, watch: SkyModel | None) -> OpticalAxisCore:
+    def make_core(self, config: OpticalAxisConfig, sky_model: SkyModel | None) -> OpticalAxisCore:
         """Return the estimator; a subclass returns one that smooths the pointings."""
-        return OpticalAxisCore(config, watch)
+        return OpticalAxisCore(config, sky_model)
 
     def table(self, config: OpticalAxisConfig, core: OpticalAxisCore) -> Iterator[Feed]:
         """Yield the inputs and the methods of a core that take them."""
@@ -223,7 +223,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         self.core.expect_ships([reading.value for reading in readings if reading is not None])
         return readings
 
-    def published(self, outcome: PointingOutcome, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
+    def report_outcome(self, outcome: PointingOutcome, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
         """See :class:`DeferringAdapter`; the directions of targets come first.
 
         A direction has no innovation: nothing was compared with its image.
@@ -235,12 +235,12 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
             published.append((TARGET_TOPIC, target_message(self.factory, target, self.config.frames.horizon)))
         return published + super().report_outcome(outcome, now_ns, waiting_ns)
 
-    def block_messages(self, runs: Sequence[PointingRun]) -> Iterator[OutputRows]:
+    def batch_messages(self, series: Sequence[PointingSeries]) -> Iterator[OutputRows]:
         """See :meth:`BlockAdapter.block_messages`."""
-        rows = pointing_rows(self.factory, self._lever, PointingNumbers.of(runs), self.config.frames)
+        rows = pointing_rows(self.factory, self._lever, PointingNumbers.from_series(series), self.config.frames)
         return (each for each in rows if each.topic != TF_TOPIC or self.config.publish_tf)
 
-    def left_out_message(self, source: str, time_ns: int, name: str, rejection: Rejection) -> Any:
+    def rejected_part_message(self, source: str, time_ns: int, name: str, rejection: Rejection) -> Any:
         """Return ship_msgs/Innovation of a beacon rejected within its exposure, by name; of a star as elsewhere."""
         if source != "lights":
             return super().rejected_part_message(source, time_ns, name, rejection)
@@ -267,9 +267,9 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         return core.no_output(now_ns, text)
 
     @property
-    def there_for_s(self) -> Mapping[str, float]:
+    def source_timeouts_s(self) -> Mapping[str, float]:
         """See :class:`RecoveringAdapter`; beacons count as present as long as they determine the mode."""
-        return {ENCODER: _STREAM_THERE_S, SHIP: _STREAM_THERE_S, BEACON: self.config.lights_recent_s}
+        return {ENCODER: _STREAM_TIMEOUT_S, SHIP: _STREAM_TIMEOUT_S, BEACON_PREFIX: self.config.lights_recent_s}
 
     def sources_of_message(self, feed: Feed, value: Any) -> Iterable[str]:
         """See :class:`RecoveringAdapter`; a DEGRADED attitude of the ship gives no VALID pointing."""
@@ -283,12 +283,12 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         if not isinstance(exposure, Exposure):
             return ()
         lacking = {name for name, rejection in decision.rejected_parts if rejection.reason not in PRESENCE_REASONS}
-        return [BEACON + light.beacon_id for light in exposure.beacons if light.beacon_id not in lacking]
+        return [BEACON_PREFIX + light.beacon_id for light in exposure.beacons if light.beacon_id not in lacking]
 
-    def may_be_valid(self, there: Set[str]) -> bool:
+    def can_be_valid(self, present_sources: Set[str]) -> bool:
         """See :class:`RecoveringAdapter`: with encoders, ship and two beacons."""
-        lights = sum(source.startswith(BEACON) for source in there)
-        return {ENCODER, SHIP} <= there and lights >= _MIN_BEACONS
+        lights = sum(source.startswith(BEACON_PREFIX) for source in present_sources)
+        return {ENCODER, SHIP} <= present_sources and lights >= _MIN_BEACONS
 
     def remedy(self, displaced: Mapping[str, float]) -> str:
         """See :class:`RecoveringAdapter`."""
@@ -297,7 +297,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
                 "if the ship's antenna, the telescope or an encoder was remounted, set lever, telescope or axes to "
                 "their new values and ~/reset; otherwise check the encoders' cables, the RTK base and ship/attitude"
             )
-        drones = ", ".join(f"beacons.{source.removeprefix(BEACON)}.light" for source in sorted(displaced))
+        drones = ", ".join(f"beacons.{source.removeprefix(BEACON_PREFIX)}.light" for source in sorted(displaced))
         return f"if an antenna or light was remounted, set {drones} and ~/reset; otherwise check the RTK receiver"
 
     def before_adoption(self) -> list[OutputMessage]:
@@ -338,7 +338,7 @@ def pointing_status(estimate: PointingEstimate | None, clock_jumps: int) -> Diag
     values = {"clock jumps back": str(clock_jumps)}
     if estimate is None:
         return DiagnosticStatus("pointing", Level.WARN, "no reading of the encoders yet", values)
-    text = f"{estimate.status.name}: {estimate.text or f'by {_BY[estimate.mode]}'}"
+    text = f"{estimate.status.name}: {estimate.text or f'by {_MODE_TEXTS[estimate.mode]}'}"
     if estimate.status is not Status.INVALID:
         axis_n = estimate.rotation_nm[:, 0]
         across = np.trace(estimate.covariance_n) - axis_n @ estimate.covariance_n @ axis_n

@@ -30,7 +30,7 @@ from ship_node.edge.output_numbers import (
     rows_by_kind,
 )
 from ship_node.edge.topics import OutputMessage
-from theodolite_calib.measured.samples import PointingEstimate, PointingRun, StampArray
+from theodolite_calib.measured.samples import PointingEstimate, PointingSeries, StampArray
 
 MAIN_FRAME = "theodolite_main"
 POINTING_TOPIC, POINTING_TYPE = "theodolite/pointing", "ship_msgs/msg/OpticalAxisPointing"
@@ -51,12 +51,12 @@ class PointingNumbers(NamedTuple):
     rotation_dm: FloatArray
 
     @classmethod
-    def of(cls, runs: Sequence[PointingRun]) -> "PointingNumbers":
+    def from_series(cls, series: Sequence[PointingSeries]) -> "PointingNumbers":
         """Return the numbers of several series, one after another."""
-        return cls(*join_fields(runs, cls._fields))
+        return cls(*join_fields(series, cls._fields))
 
     @classmethod
-    def of_one(cls, estimate: PointingEstimate) -> "PointingNumbers":
+    def from_estimate(cls, estimate: PointingEstimate) -> "PointingNumbers":
         """Return the numbers of one pointing."""
         return cls(
             time_ns=np.array([estimate.time_ns]),
@@ -69,9 +69,9 @@ class PointingNumbers(NamedTuple):
             rotation_dm=estimate.rotation_dm[None],
         )
 
-    def some(self, places: NDArray[np.int64]) -> "PointingNumbers":
+    def subset(self, indices: NDArray[np.int64]) -> "PointingNumbers":
         """Return the numbers of a subset."""
-        return self if len(places) == len(self.time_ns) else PointingNumbers(*(select_values(each, places) for each in self))
+        return self if len(indices) == len(self.time_ns) else PointingNumbers(*(select_values(each, indices) for each in self))
 
 
 def pointing_messages(
@@ -87,7 +87,7 @@ def pointing_messages(
         estimate: the pointing.
         frames: names of the frames of deck and horizon.
     """
-    pointing, in_deck = PointingNumbers.of_one(estimate), math.isfinite(estimate.rotation_dm[0, 0])
+    pointing, in_deck = PointingNumbers.from_estimate(estimate), math.isfinite(estimate.rotation_dm[0, 0])
     return [
         (topic, factory.encode(type_name, **fields))
         for topic, type_name, fields in _messages(pointing, lever, in_deck, single_numbers, frames)
@@ -96,7 +96,7 @@ def pointing_messages(
 
 def smoothed_pointing(factory: MessageFactory, estimate: PointingEstimate) -> OutputMessage:
     """Return the message of a smoothed pointing: the first of those of :func:`pointing_messages`."""
-    pointing = PointingNumbers.of_one(estimate)
+    pointing = PointingNumbers.from_estimate(estimate)
     _, type_name, fields = next(_messages(pointing, ZERO_VECTOR, False, single_numbers, FRAME_NAMES))
     return SMOOTHED_POINTING_TOPIC, factory.encode(type_name, **fields)
 
@@ -109,7 +109,7 @@ def pointing_rows(
     claimed = [status is not Status.INVALID for status in pointings.status]
     kinds = zip(claimed, in_deck, strict=True)
     return rows_by_kind(
-        factory, kinds, lambda kind, places: _messages(pointings.some(places), lever, kind[1], column_numbers, frames)
+        factory, kinds, lambda kind, places: _messages(pointings.subset(places), lever, kind[1], column_numbers, frames)
     )
 
 

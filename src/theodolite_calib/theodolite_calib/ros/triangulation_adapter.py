@@ -17,7 +17,7 @@ from theodolite_calib.measured.samples import TargetEstimate
 from theodolite_calib.ros.direction_messages_in import direction
 from theodolite_calib.ros.target_messages import TARGET_TYPE, target_message
 from theodolite_calib.target.config import TriangulationConfig
-from theodolite_calib.target.placing import PlaceEstimate, PlacingOutcome, TriangulationCore
+from theodolite_calib.target.placing import PositionEstimate, TriangulationOutcome, TriangulationCore
 
 POSITION_TOPIC, INNOVATION_TOPIC = "target/position", "target/innovation"
 ORIGIN_FRAME = "triangulation_origin"
@@ -58,7 +58,7 @@ class TriangulationAdapter(ReportingAdapter):
         if len(config.stations) < 2:
             self.start_warnings = (f"stations has {len(config.stations)}: a position needs two theodolites or more",)
         self._published_ns: int | None = None
-        super().__init__(config, TriangulationCore(config), factory, functools.partial(place_messages, factory))
+        super().__init__(config, TriangulationCore(config), factory, functools.partial(position_messages, factory))
 
     def table(self, config: TriangulationConfig, core: TriangulationCore) -> Iterator[Feed]:
         """Yield the inputs and the methods of a core that take them."""
@@ -67,7 +67,7 @@ class TriangulationAdapter(ReportingAdapter):
             read = functools.partial(direction, station=name, horizon=config.frames.horizon)
             yield Feed(topic, f"station.{name}", read, core.add_direction)
 
-    def published(self, outcome: PlacingOutcome, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
+    def report_outcome(self, outcome: TriangulationOutcome, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
         """See :class:`ReportingAdapter`."""
         if outcome.estimates:
             self._published_ns = waiting_ns
@@ -83,7 +83,7 @@ class TriangulationAdapter(ReportingAdapter):
 
     def _position_status(self, waiting_ns: int) -> DiagnosticStatus:
         values = {"clock jumps back": str(self.clock_jumps)}
-        last: PlaceEstimate | None = self.latest
+        last: PositionEstimate | None = self.latest
         if last is None or self._published_ns is None:
             return DiagnosticStatus("position", Level.OK, "none yet", values)
         if waiting_ns - self._published_ns > _STALE_NS:
@@ -93,13 +93,13 @@ class TriangulationAdapter(ReportingAdapter):
         values |= {"target": last.target_id, "theodolites": ", ".join(last.stations) or "none"}
         if last.status is not Status.INVALID:
             values["sigma in space (m)"] = f"{np.sqrt(np.trace(last.covariance_n)):.3g}"
-        if last.compared is not None:
-            values["chi-square"] = f"{last.compared.chi_square:.2f} of {last.compared.gate:.2f} at most"
+        if last.triangulated is not None:
+            values["chi-square"] = f"{last.triangulated.chi_square:.2f} of {last.triangulated.gate:.2f} at most"
         text = f"{last.status.name}: {last.text or 'by ' + ', '.join(last.stations)}"
         return DiagnosticStatus("position", _LEVELS[last.status], text, values)
 
 
-def place_messages(factory: MessageFactory, estimate: PlaceEstimate) -> list[OutputMessage]:
+def position_messages(factory: MessageFactory, estimate: PositionEstimate) -> list[OutputMessage]:
     """Return the messages of a position: ship_msgs/TargetDirection without a direction; if INVALID also the reason."""
     unknown = np.full(3, np.nan)
     target = TargetEstimate(
@@ -114,7 +114,7 @@ def place_messages(factory: MessageFactory, estimate: PlaceEstimate) -> list[Out
     )
     published: list[OutputMessage] = [(POSITION_TOPIC, target_message(factory, target, ORIGIN_FRAME))]
     if estimate.rejection is not None:
-        nis = math.nan if estimate.compared is None else estimate.compared.chi_square
+        nis = math.nan if estimate.triangulated is None else estimate.triangulated.chi_square
         rejected = rejection_message(factory, "stations", estimate.time_ns, estimate.rejection, nis=nis)
         published.append((INNOVATION_TOPIC, rejected))
     return published

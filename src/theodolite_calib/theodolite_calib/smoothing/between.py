@@ -22,7 +22,7 @@ AxisAnchor = Anchor[FloatArray | None]
 """Estimate with the stated covariance of the ship's error from it on, rad², shape (3, 3)."""
 
 
-class Between:
+class AxisStatePredictor:
     """Predictor of the states that turn the main axis, and of the parallelism of the calibration telescope.
 
     Args:
@@ -33,14 +33,14 @@ class Between:
         rows: indices of the r predicted states, shape (r,).
     """
 
-    knows_before_the_first = True
+    predicts_before_first = True
     """True: errors without a measurement have their prior at any time before the first sighting."""
 
     def __init__(
         self, filter_: CalibrationFilter, stated_n: Callable[[Sequence[int]], FloatArray | None]
     ) -> None:
         self._model, self._ship, self._stated_n = filter_.model, filter_.ship_error, stated_n
-        self.rows = np.concatenate([axis_state_indices(self._model), self._model.state_indices("parallelism")])
+        self.state_indices = np.concatenate([axis_state_indices(self._model), self._model.state_indices("parallelism")])
         # The ship's error is the first of all states, and so of the predicted ones.
         assert self._ship.columns == SHIP
 
@@ -49,37 +49,37 @@ class Between:
         assert anchor.time_ns is not None
         assert later.time_ns is not None
         decay, _ = self._model.transition(max(later.time_ns - anchor.time_ns, 0) * 1e-9)
-        cross: FloatArray = anchor.estimate.covariance * (decay * self._kept_to(anchor, later))
+        cross: FloatArray = anchor.estimate.covariance * (decay * self._retained_until(anchor, later))
         return cross
 
-    def at(
+    def estimates_at(
         self, anchor: AxisAnchor, times_ns: Sequence[int], later: AxisAnchor | None
     ) -> tuple[GaussianEstimate, FloatArray | None]:
         """Return the states in :attr:`state_indices`; see ``StatePredictor.estimates_at`` of the smoother."""
         moments_ns, step = np.array(times_ns), self._step_at(anchor, times_ns)
         wide = self._cross_covariance(anchor, moments_ns)
-        known = _stepped(GaussianEstimate(self._means(anchor, moments_ns), wide[:, :, self.rows]), step)
+        known = _apply_step(GaussianEstimate(self._means(anchor, moments_ns), wide[:, :, self.state_indices]), step)
         if later is None:
             return known, None
         assert later.time_ns is not None
         # A time before a jump may be later than the estimate whose covariance the jump inflates.
         together_ns = np.minimum(moments_ns, later.time_ns)
         if np.any(together_ns < moments_ns):
-            wide = self._cross_covariance(anchor, together_ns) * self._decay(moments_ns - together_ns)[:, self.rows, None]
+            wide = self._cross_covariance(anchor, together_ns) * self._decay(moments_ns - together_ns)[:, self.state_indices, None]
         onward = self._decay(later.time_ns - together_ns)
-        cross = wide * (onward * self._kept_to(anchor, later))[:, None, :]
+        cross = wide * (onward * self._retained_until(anchor, later))[:, None, :]
         if step is not None:
             cross[:, SHIP] *= step.retained[:, :, None]
             then = self._step_to(anchor, later)
             if then is not None:
-                shared_n = np.array([_common_covariance(new_n, then.new_n[0]) for new_n in step.new_n])
+                shared_n = np.array([_common_covariance(new_n, then.added_n[0]) for new_n in step.added_n])
                 cross[:, SHIP, SHIP] += shared_n * onward[:, None, SHIP]
         return known, cross
 
     def _means(self, anchor: AxisAnchor, times_ns: StampArray) -> FloatArray:
         """Return the expected states at N times, before any step of the ship's error, shape (N, r)."""
         mean, decay = anchor.estimate.mean, self._decay(_since_ns(anchor, times_ns))
-        means: FloatArray = (decay * mean)[:, self.rows]
+        means: FloatArray = (decay * mean)[:, self.state_indices]
         means[:, SHIP] = self._ship.propagate(mean[SHIP], decay[:, SHIP])
         return means
 
@@ -87,8 +87,8 @@ class Between:
         """Return the covariance of the predicted states with all states at N times, before any step, (N, r, n)."""
         since_s = _since_ns(anchor, times_ns).astype(float) * 1e-9
         decay, noise = self._model.transition(since_s)
-        wide: FloatArray = decay[:, self.rows, None] * anchor.estimate.covariance[self.rows] * decay[:, None, :]
-        wide[:, np.arange(len(self.rows)), self.rows] += noise[:, self.rows]
+        wide: FloatArray = decay[:, self.state_indices, None] * anchor.estimate.covariance[self.state_indices] * decay[:, None, :]
+        wide[:, np.arange(len(self.state_indices)), self.state_indices] += noise[:, self.state_indices]
         if anchor.prediction_input is not None:
             wide[:, SHIP, SHIP] += (1.0 - decay[:, 0] ** 2)[:, None, None] * anchor.prediction_input
         return wide
@@ -106,7 +106,7 @@ class Between:
         """Return the step of the ship's error at the next sighting, as for one time."""
         return None if later.prediction_input is None else ship_error_steps(anchor.prediction_input, later.prediction_input[None])
 
-    def _kept_to(self, anchor: AxisAnchor, later: AxisAnchor) -> FloatArray:
+    def _retained_until(self, anchor: AxisAnchor, later: AxisAnchor) -> FloatArray:
         """Return the factor on each state that remains at the next sighting, shape (n,)."""
         kept, step = np.ones(self._model.size), self._step_to(anchor, later)
         if step is not None:
@@ -122,13 +122,13 @@ def _since_ns(anchor: AxisAnchor, times_ns: StampArray) -> StampArray:
     return since_ns
 
 
-def _stepped(known: GaussianEstimate, step: ShipErrorStep | None) -> GaussianEstimate:
+def _apply_step(known: GaussianEstimate, step: ShipErrorStep | None) -> GaussianEstimate:
     """Apply the steps of the ship's error at N times; the argument is changed."""
     if step is not None:
         known.mean[:, SHIP] *= step.retained
         known.covariance[:, SHIP] *= step.retained[:, :, None]
         known.covariance[:, :, SHIP] *= step.retained[:, None, :]
-        known.covariance[:, SHIP, SHIP] += step.new_n
+        known.covariance[:, SHIP, SHIP] += step.added_n
     return known
 
 

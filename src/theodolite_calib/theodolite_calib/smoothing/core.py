@@ -19,14 +19,14 @@ from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.alternatives import AXIS_SOURCES
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import SOURCE_AXES
-from theodolite_calib.measured.samples import EncoderRun, EncoderSample, PointingEstimate, PointingOutcome
-from theodolite_calib.measured.tracks import ShipAt, ShipRun
+from theodolite_calib.measured.samples import EncoderSeries, EncoderSample, PointingEstimate, PointingOutcome
+from theodolite_calib.measured.tracks import ShipAt, ShipSeries
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.optical_axis.output import CorrectedAxis, PendingPointing
-from theodolite_calib.smoothing.between import Between
+from theodolite_calib.smoothing.between import AxisStatePredictor
 from theodolite_calib.smoothing.traced_filter import TracedFilter, TracedState
 
-_AT_ONCE = 1000
+_MAX_BATCH = 1000
 """Maximum number of pointings that are smoothed together."""
 
 _NO_PARTS = np.empty((0, 3, 3))
@@ -55,7 +55,7 @@ class _ToldAtOnce(NamedTuple):
     """
 
     estimate: PointingEstimate
-    rests_on: _PointingInputs | None
+    inputs: _PointingInputs | None
 
 
 class SmoothingAxisCore(OpticalAxisCore):
@@ -69,40 +69,40 @@ class SmoothingAxisCore(OpticalAxisCore):
     filter_class: ClassVar[type[CalibrationFilter]] = TracedFilter
 
     def __init__(self, config: OpticalAxisConfig, sky: SkyModel | None = None) -> None:
-        super().__init__(config, sky, self._take)
+        super().__init__(config, sky, self._add_states)
 
-    def _begin(self) -> None:
+    def _start_without_samples(self) -> None:
         """See :meth:`OpticalAxisCore._start_without_samples`; pointings until then are not published again."""
         super()._start_without_samples()
-        self._told: deque[_ToldAtOnce] = deque()
+        self._pending: deque[_ToldAtOnce] = deque()
         self._stated_n: dict[int, FloatArray] = {}
         oldest = self._estimator.oldest_state
         assert isinstance(oldest, TracedState)
-        self._chain: RtsSmoother[FloatArray | None] = RtsSmoother(self._between(), oldest)
+        self._smoother: RtsSmoother[FloatArray | None] = RtsSmoother(self._new_predictor(), oldest)
 
     def reconfigure(self, config: OpticalAxisConfig) -> None:
         """See :meth:`OpticalAxisCore.reconfigure`."""
         super().reconfigure(config)
-        self._chain.predictor = self._between()
+        self._smoother.predictor = self._new_predictor()
 
     def take_over_outputs(self, live: OpticalAxisCore) -> None:
         """See :meth:`OpticalAxisCore.take_over_outputs`; the outputs of the other estimator are smoothed to its end."""
         super().take_over_outputs(live)
         assert isinstance(live, SmoothingAxisCore)
-        self._told = deque(_ToldAtOnce(_alone(estimate), None) for estimate in live.smoothed_to_the_end())
+        self._pending = deque(_ToldAtOnce(_alone(estimate), None) for estimate in live.smooth_remaining())
 
-    def smoothed_to_the_end(self) -> Iterator[PointingEstimate]:
+    def smooth_remaining(self) -> Iterator[PointingEstimate]:
         """Yield all pointings once more, smoothed by all sightings, in the order of their stamps; no input may follow.
 
         Pointings that are not smoothed are as in real time.
         """
-        self._take(self._estimator.states_in_window())
-        output = _SmoothedOutput(self.filter, self._between().rows)
-        while self._told:
-            batch = [self._told.popleft() for _ in range(min(len(self._told), _AT_ONCE))]
+        self._add_states(self._estimator.states_in_window())
+        output = _SmoothedOutput(self.filter, self._new_predictor().state_indices)
+        while self._pending:
+            batch = [self._pending.popleft() for _ in range(min(len(self._pending), _MAX_BATCH))]
             known = {
                 time_ns: GaussianEstimate(mean, covariance)
-                for times_ns, (means, covariances) in self._chain.take_smoothed(batch[-1].estimate.time_ns)
+                for times_ns, (means, covariances) in self._smoother.take_smoothed(batch[-1].estimate.time_ns)
                 for time_ns, mean, covariance in zip(times_ns, means, covariances, strict=True)
             }
             for estimate, rests_on in batch:
@@ -110,44 +110,44 @@ class SmoothingAxisCore(OpticalAxisCore):
                 if found is None or rests_on is None:
                     yield estimate
                 else:
-                    yield output.again(estimate, rests_on, found)
+                    yield output.smooth(estimate, rests_on, found)
 
     # -- stored inputs --------------------------------------------------------------------------------------
 
-    def _put_out(self, outcome: PointingOutcome, pending: PendingPointing, waiting_ns: int) -> None:
+    def _add_pointing(self, outcome: PointingOutcome, pending: PendingPointing, waiting_ns: int) -> None:
         before = len(outcome.estimates)
-        super()._put_out(outcome, pending, waiting_ns)
+        super()._add_pointing(outcome, pending, waiting_ns)
         for estimate in outcome.estimates[before:]:
-            self._keep(estimate, pending)
+            self._store(estimate, pending)
 
-    def _point_by_stars(self, outcome: PointingOutcome, waiting_ns: int) -> None:
+    def _publish_from_stars(self, outcome: PointingOutcome, waiting_ns: int) -> None:
         before = len(outcome.estimates)
-        super()._point_by_stars(outcome, waiting_ns)
+        super()._publish_from_stars(outcome, waiting_ns)
         for estimate in outcome.estimates[before:]:
-            self._told.append(_ToldAtOnce(_alone(estimate), None))
+            self._pending.append(_ToldAtOnce(_alone(estimate), None))
 
-    def _keep(self, estimate: PointingEstimate, pending: PendingPointing) -> None:
-        rests_on = None
+    def _store(self, estimate: PointingEstimate, pending: PendingPointing) -> None:
+        inputs = None
         if not (pending.unconfirmed_reason or _has_unresolved_fault(pending.state)):
-            rests_on = _PointingInputs(pending.sample, pending.ship, estimate.covariance_n - estimate.undisputed_n)
+            inputs = _PointingInputs(pending.sample, pending.ship, estimate.covariance_n - estimate.covariance_without_separation_n)
             if pending.ship.correlated_covariance_n is not None:
                 self._stated_n[pending.time_ns] = pending.ship.correlated_covariance_n
-            self._chain.request_time(pending.time_ns)
-        self._told.append(_ToldAtOnce(_alone(estimate), rests_on))
+            self._smoother.request_time(pending.time_ns)
+        self._pending.append(_ToldAtOnce(_alone(estimate), inputs))
 
-    def _between(self) -> Between:
-        return Between(self.filter, self._stated_at)
+    def _new_predictor(self) -> AxisStatePredictor:
+        return AxisStatePredictor(self.filter, self._stated_covariances_at)
 
-    def _stated_at(self, times_ns: Sequence[int]) -> FloatArray | None:
+    def _stated_covariances_at(self, times_ns: Sequence[int]) -> FloatArray | None:
         """Return the stated covariance of the ship's error at requested times; None if the configuration states it."""
         if times_ns[0] not in self._stated_n:
             return None
         return np.array([self._stated_n[time_ns] for time_ns in times_ns])
 
-    def _take(self, states: Sequence[CalibrationState]) -> None:
+    def _add_states(self, states: Sequence[CalibrationState]) -> None:
         for state in states:
             assert isinstance(state, TracedState)
-            self._chain.add_state(state)
+            self._smoother.add_state(state)
 
 
 class _SmoothedOutput:
@@ -158,23 +158,23 @@ class _SmoothedOutput:
         rows: indices of the smoothed states.
     """
 
-    def __init__(self, filter_: CalibrationFilter, rows: NDArray[np.intp]) -> None:
-        self._filter, self._rows = filter_, rows
-        self._blank = filter_.started(np.zeros(filter_.model.size), np.zeros_like(filter_.model.initial_covariance_by_source()))
+    def __init__(self, filter_: CalibrationFilter, state_indices: NDArray[np.intp]) -> None:
+        self._filter, self._state_indices = filter_, state_indices
+        self._blank = filter_.initial_state_from(np.zeros(filter_.model.size), np.zeros_like(filter_.model.initial_covariance_by_source()))
         # The smoother has no covariance by source: it is assigned to one source.
         self._source = filter_.model.sources.index(SOURCE_AXES)
 
-    def again(self, real_time: PointingEstimate, rests_on: _PointingInputs, known: GaussianEstimate) -> PointingEstimate:
+    def smooth(self, real_time: PointingEstimate, inputs: _PointingInputs, estimate: GaussianEstimate) -> PointingEstimate:
         """Return a pointing from the smoothed states at its own time."""
-        sample, ship, separation_covariance_n = rests_on
-        mean, parts = self._blank.mean.copy(), np.zeros_like(self._blank.parts)
-        mean[self._rows], parts[self._source, self._rows[:, None], self._rows] = known
+        sample, ship, separation_covariance_n = inputs
+        mean, parts = self._blank.mean.copy(), np.zeros_like(self._blank.covariance_by_source)
+        mean[self._state_indices], parts[self._source, self._state_indices[:, None], self._state_indices] = estimate
         # The ship's error is as the messages state it at that time: no further step.
         state = replace(
             self._blank, time_ns=real_time.time_ns, mean=mean, parts=parts, ship_steady_n=ship.correlated_covariance_n
         )
         corrected = CorrectedAxis(self._filter, state)
-        axes = corrected.axes(ShipRun.of([ship]), EncoderRun.of([sample], [""], [0.0]))
+        axes = corrected.axes(ShipSeries.from_ships([ship]), EncoderSeries.from_samples([sample], [""], [0.0]))
         (rotation_nm,), (parts_n,) = axes.rotation_nm, axes.covariance_by_source_n
         covariance_without_separation_n = parts_n.sum(axis=0)
         return replace(
@@ -191,7 +191,7 @@ class _SmoothedOutput:
 
 def _has_unresolved_fault(state: CalibrationState) -> bool:
     """True if beacons or stars are inconsistent with encoders and ship, or one of these is excluded."""
-    return bool(state.refusals) or state.fault_state.conflict is not None or bool(state.fault_state.excluded & AXIS_SOURCES)
+    return bool(state.consecutive_rejections) or state.fault_state.unresolved_fault is not None or bool(state.fault_state.excluded_sources & AXIS_SOURCES)
 
 
 def _alone(estimate: PointingEstimate) -> PointingEstimate:
@@ -201,7 +201,7 @@ def _alone(estimate: PointingEstimate) -> PointingEstimate:
         rotation_nm=estimate.rotation_nm.copy(),
         parts_n=_NO_PARTS,
         covariance_n=estimate.covariance_n.copy(),
-        undisputed_n=estimate.undisputed_n.copy(),
+        undisputed_n=estimate.covariance_without_separation_n.copy(),
         rotation_nt=estimate.rotation_nt.copy(),
         state=None,
         by_error_n=estimate.by_error_n.copy(),

@@ -25,11 +25,11 @@ class TracedState(CalibrationState):
             main filter since then.
     """
 
-    came: StateUpdate | None = None
-    leads_back: bool = True
+    last_update: StateUpdate | None = None
+    is_predicted_only: bool = True
 
     @property
-    def given(self) -> FloatArray | None:
+    def prediction_input(self) -> FloatArray | None:
         """Stated covariance of the ship's error from this state on, an input of the prediction."""
         return self.ship_covariance_n
 
@@ -37,47 +37,47 @@ class TracedState(CalibrationState):
 class TracedFilter(CalibrationFilter):
     """Steps of :class:`CalibrationFilter`, to the last bit; the states record their updates."""
 
-    def started(self, mean: FloatArray, parts: FloatArray) -> TracedState:
+    def initial_state_from(self, mean: FloatArray, covariance_by_source: FloatArray) -> TracedState:
         """See :meth:`CalibrationFilter.initial_state_from`."""
-        return TracedState(**vars(super().started(mean, parts)))
+        return TracedState(**vars(super().initial_state_from(mean, covariance_by_source)))
 
-    def predicted(self, state: CalibrationState, time_ns: int, ship_now_n: FloatArray | None) -> CalibrationState:
+    def propagate(self, state: CalibrationState, time_ns: int, new_ship_covariance_n: FloatArray | None) -> CalibrationState:
         """See :meth:`CalibrationFilter.propagate`."""
-        return replace(super().predicted(state, time_ns, ship_now_n), **_of_trace(leads_back=True))
+        return replace(super().propagate(state, time_ns, new_ship_covariance_n), **_trace_fields(leads_back=True))
 
-    def without(self, state: CalibrationState, source: str) -> CalibrationState:
+    def exclude_source(self, state: CalibrationState, source: str) -> CalibrationState:
         """See :meth:`CalibrationFilter.exclude_source`."""
-        return replace(super().without(state, source), **_of_trace(leads_back=False))
+        return replace(super().exclude_source(state, source), **_trace_fields(leads_back=False))
 
     def inflate_covariance(self, state: CalibrationState, jump: Jump) -> CalibrationState:
         """See :meth:`CalibrationFilter.inflate_covariance`: the jump adds an error to the state."""
         after = super().inflate_covariance(state, jump)
         both = GaussianEstimate(after.mean, after.covariance)
         jumped_ns = jump.time_ns if isinstance(jump, EncoderJump) else None
-        return replace(after, **_of_trace(came=StateUpdate(both, both, True, jumped_ns)))
+        return replace(after, **_trace_fields(came=StateUpdate(both, both, True, jumped_ns)))
 
-    def used(
+    def update_by_beacons(
         self, state: CalibrationState, sighting: Sighting, comparison: Comparison
     ) -> tuple[CalibrationState, Comparison]:
         """See :meth:`CalibrationFilter.update_by_beacons`."""
-        after, compared = super().used(state, sighting, comparison)
-        return _learnt(state, after), compared
+        after, compared = super().update_by_beacons(state, sighting, comparison)
+        return _with_update_trace(state, after), compared
 
-    def used_stars(
+    def update_by_stars(
         self, state: CalibrationState, exposure: StarExposure, comparison: StarComparison
     ) -> CalibrationState:
         """See :meth:`CalibrationFilter.update_by_stars`."""
-        return _learnt(state, super().used_stars(state, exposure, comparison))
+        return _with_update_trace(state, super().update_by_stars(state, exposure, comparison))
 
 
-def _learnt(predicted: CalibrationState, after: CalibrationState) -> CalibrationState:
+def _with_update_trace(predicted: CalibrationState, after: CalibrationState) -> CalibrationState:
     """Record the update by a sighting; with excluded sources it is no update of the prediction."""
     assert isinstance(predicted, TracedState)
-    is_update = predicted.leads_back and not predicted.fault_state.excluded & AXIS_SOURCES
+    is_update = predicted.is_predicted_only and not predicted.fault_state.excluded_sources & AXIS_SOURCES
     before = GaussianEstimate(predicted.mean, predicted.covariance)
-    return replace(after, **_of_trace(came=StateUpdate(before, GaussianEstimate(after.mean, after.covariance), is_update)))
+    return replace(after, **_trace_fields(came=StateUpdate(before, GaussianEstimate(after.mean, after.covariance), is_update)))
 
 
-def _of_trace(**values: Any) -> Mapping[str, Any]:
+def _trace_fields(**values: Any) -> Mapping[str, Any]:
     """Return fields of a :class:`TracedState`, which the types of the base class's methods do not include."""
     return values

@@ -15,8 +15,8 @@ from ship_estimation.refusals import Rejection
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from ship_geometry.vector_track import VectorSample, VectorTrack
-from theodolite_calib.target.config import PlacingConfig
-from theodolite_calib.target.triangulation import Station, StationDirection, TriangulatedPlace, triangulated
+from theodolite_calib.target.config import PositioningConfig
+from theodolite_calib.target.triangulation import Station, StationDirection, TriangulatedPosition, triangulate
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class _DirectionTrack(VectorTrack[DirectionSample]):
         return super()._are_joined(left) and not any(sample.status is Status.INVALID for sample in ends)
 
 
-class SeenByStation:
+class StationDirections:
     """Directions of one theodolite to one target.
 
     Args:
@@ -68,11 +68,11 @@ class SeenByStation:
         self.station = station
         self.track = _DirectionTrack(round(max_gap_s * SECOND_NS))
 
-    def sees(self, time_ns: int) -> bool:
+    def has_direction_at(self, time_ns: int) -> bool:
         """True if there is a direction at a time: within the track, not in a gap, not next to an INVALID one."""
         return self.track.at(time_ns) is not None
 
-    def at(self, time_ns: int) -> tuple[StationDirection, Status] | None:
+    def direction_at(self, time_ns: int) -> tuple[StationDirection, Status] | None:
         """Return the direction at a time, with the worse status of its neighbours; None if there is none."""
         found = self.track.at(time_ns)
         if found is None:
@@ -81,8 +81,8 @@ class SeenByStation:
         # Errors of neighbours are mostly common: averaging does not reduce them.
         worst = max((sample.covariance_n for sample in near), key=np.trace)
         direction_n = found.vector / np.linalg.norm(found.vector)
-        seen = StationDirection(self.station, direction_n, worst + found.error_covariance)
-        return seen, max(sample.status for sample in near)
+        direction = StationDirection(self.station, direction_n, worst + found.error_covariance)
+        return direction, max(sample.status for sample in near)
 
     def _neighbours(self, time_ns: int) -> list[DirectionSample]:
         """Return the sample at a time, or those before and after it."""
@@ -94,7 +94,7 @@ class SeenByStation:
 
 
 @dataclass(frozen=True)
-class PlacedTarget:
+class TargetPosition:
     """Target at one time.
 
     Attributes:
@@ -105,23 +105,23 @@ class PlacedTarget:
     """
 
     time_ns: int
-    place: TriangulatedPlace | Rejection
+    position: TriangulatedPosition | Rejection
     stations: tuple[str, ...]
     status: Status
 
 
-def leads(number: int, time_ns: int, seen_by: Sequence[SeenByStation]) -> bool:
+def is_leading(number: int, time_ns: int, stations: Sequence[StationDirections]) -> bool:
     """True if a theodolite has a direction at a time, and none of those before it in ``seen_by`` has."""
-    return seen_by[number].sees(time_ns) and not any(before.sees(time_ns) for before in seen_by[:number])
+    return stations[number].has_direction_at(time_ns) and not any(before.has_direction_at(time_ns) for before in stations[:number])
 
 
-def placed_at(time_ns: int, seen_by: Sequence[SeenByStation], config: PlacingConfig) -> PlacedTarget:
+def position_at(time_ns: int, stations: Sequence[StationDirections], config: PositioningConfig) -> TargetPosition:
     """Return the target at a time from all directions at that time."""
-    seen = [found for found in (one.at(time_ns) for one in seen_by) if found is not None]
-    directions = [direction for direction, _ in seen]
-    return PlacedTarget(
+    observations = [found for found in (one.direction_at(time_ns) for one in stations) if found is not None]
+    directions = [direction for direction, _ in observations]
+    return TargetPosition(
         time_ns=time_ns,
-        place=triangulated(config.origin.position, directions, config.air, config.gate_probability),
+        position=triangulate(config.origin.position, directions, config.air, config.gate_probability),
         stations=tuple(direction.station.name for direction in directions),
-        status=max((status for _, status in seen), default=Status.INVALID),
+        status=max((status for _, status in observations), default=Status.INVALID),
     )

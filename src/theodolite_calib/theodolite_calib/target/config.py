@@ -35,7 +35,7 @@ class PositionConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class StationPlaceConfig(PositionConfig):
+class StationPositionConfig(PositionConfig):
     """Position of a theodolite's centre, and its error. The theodolite is fixed to the Earth."""
 
     sigma_m: float = parameter(0.05, doc="error of the position, each axis", unit="m", minimum=0.0, maximum=1000.0)
@@ -56,7 +56,7 @@ class RefractionConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlacingConfig:
+class PositioningConfig:
     """Parameters common to the command and the node, except the theodolites."""
 
     origin: PositionConfig = parameter(doc="origin of the common frame: East, North, Up there")
@@ -75,14 +75,14 @@ class PlacingConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LiveStationConfig(StationPlaceConfig):
+class LiveStationConfig(StationPositionConfig):
     """One theodolite of the node."""
 
     topic: str = parameter("", doc=f"relative name of the topic of its directions; empty for <id>/{DIRECTION_TOPIC}")
 
 
 @dataclass(frozen=True, kw_only=True)
-class TriangulationConfig(PlacingConfig):
+class TriangulationConfig(PositioningConfig):
     """All parameters of the node ``triangulation``."""
 
     stations: dict[str, LiveStationConfig] = mapping_of("theodolites fixed to the Earth, by name")
@@ -106,7 +106,7 @@ class TriangulationConfig(PlacingConfig):
         Raises:
             ParameterError: names the parameter.
         """
-        taken: dict[str, str] = {}
+        station_by_topic: dict[str, str] = {}
         for name, station in self.stations.items():
             parameter_name = f"stations.{name}.topic"
             if station.topic and not _RELATIVE_NAME.fullmatch(station.topic):
@@ -117,14 +117,14 @@ class TriangulationConfig(PlacingConfig):
                     value=station.topic,
                 )
             topic = self.topic_of(name)
-            if topic in taken:
+            if topic in station_by_topic:
                 raise ParameterError(
-                    f"parameter '{parameter_name}': {topic} is already used by '{taken[topic]}': each theodolite needs "
+                    f"parameter '{parameter_name}': {topic} is already used by '{station_by_topic[topic]}': each theodolite needs "
                     "its own",
                     parameter_name,
                     value=station.topic,
                 )
-            taken[topic] = name
+            station_by_topic[topic] = name
 
     def topic_of(self, name: str) -> str:
         """Return the topic of a theodolite's directions."""

@@ -45,7 +45,7 @@ class MainDetector:
 
 
 @dataclass(frozen=True)
-class SeenDirection:
+class ObservedDirection:
     """Observed direction of a target.
 
     Attributes:
@@ -70,9 +70,9 @@ def rotation_main_from_detector(detector_rotation: float) -> FloatArray:
     return rotation_from_angles(0.0, 0.0, float(detector_rotation))
 
 
-def seen_direction(
+def observed_direction(
     detector: MainDetector, point_m: FloatArray, sigma_m: float, detector_rotation: float, rotation_nm: FloatArray
-) -> SeenDirection:
+) -> ObservedDirection:
     """Return the direction of a target from its image.
 
     Args:
@@ -93,7 +93,7 @@ def seen_direction(
         + detector.focal_length_sigma_m**2 * np.outer(by_focal_length_n, by_focal_length_n)
         + detector.rotation_sigma**2 * np.outer(by_rotation_n, by_rotation_n)
     )
-    return SeenDirection(direction_n, -skew(direction_n), image_covariance_n)
+    return ObservedDirection(direction_n, -skew(direction_n), image_covariance_n)
 
 
 def direction_angles(direction_n: FloatArray, covariance_n: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -114,7 +114,7 @@ def direction_angles(direction_n: FloatArray, covariance_n: FloatArray) -> tuple
 
 
 @dataclass(frozen=True)
-class RangedPlace:
+class RangedPosition:
     """Position of a target from its direction and a range.
 
     Attributes:
@@ -130,7 +130,7 @@ class RangedPlace:
     by_coefficient_n: FloatArray
 
 
-def ranged_place(direction_n: FloatArray, range_m: float, coefficient: float) -> RangedPlace:
+def ranged_position(direction_n: FloatArray, range_m: float, coefficient: float) -> RangedPosition:
     """Return the position of a target in a direction raised by refraction, k · (horizontal distance) / (2 R).
 
     Args:
@@ -141,12 +141,12 @@ def ranged_place(direction_n: FloatArray, range_m: float, coefficient: float) ->
     north, up, east = direction_n.tolist()
     horizontal = float(np.hypot(north, east))
     if horizontal == 0.0:
-        return RangedPlace(range_m * direction_n, range_m * np.eye(3), direction_n, np.zeros(3))
+        return RangedPosition(range_m * direction_n, range_m * np.eye(3), direction_n, np.zeros(3))
     # Rotated towards the nadir about the horizontal axis to the left of the line: no refraction at the zenith.
     upward_n = np.array([-up * north / horizontal, horizontal, -up * east / horizontal])
     raised = coefficient * range_m * horizontal / (2.0 * EARTH_RADIUS_M)
     lowered_n = np.cos(raised) * direction_n - np.sin(raised) * upward_n
-    return RangedPlace(
+    return RangedPosition(
         path_n=range_m * lowered_n,
         by_direction_n=range_m * np.eye(3),
         by_range_n=lowered_n - raised * upward_n,

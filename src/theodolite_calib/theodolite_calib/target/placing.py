@@ -18,22 +18,22 @@ from ship_estimation.outcome import MeasurementDecision, Measurement, Outcome, S
 from ship_estimation.refusals import StampConflicts, Reason, Rejection, failure_rejection, resolve_same_stamp
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
-from theodolite_calib.target.common_moments import DirectionSample, SeenByStation, leads, placed_at
+from theodolite_calib.target.common_moments import DirectionSample, StationDirections, is_leading, position_at
 from theodolite_calib.target.config import TriangulationConfig
-from theodolite_calib.target.triangulation import Station, TriangulatedPlace
+from theodolite_calib.target.triangulation import Station, TriangulatedPosition
 
-MOST_TARGETS = 100
+MAX_TARGETS = 100
 """Maximum number of targets, whose names come from outside. Beyond it the one received longest ago is dropped, and its
 pending directions get no position."""
 
-MOST_WAITING = 1000
+MAX_WAITING = 1000
 """Maximum number of pending directions to one target; beyond it the oldest are answered without waiting."""
 
 _LATE = Rejection(Reason.LATE, "later positions were published, or its target dropped, before it came")
 
 
 @dataclass(frozen=True)
-class PlaceEstimate:
+class PositionEstimate:
     """Position of a target at one time, or INVALID.
 
     Attributes:
@@ -55,11 +55,11 @@ class PlaceEstimate:
     status: Status
     text: str
     stations: tuple[str, ...]
-    compared: TriangulatedPlace | None
+    triangulated: TriangulatedPosition | None
     rejection: Rejection | None
 
 
-PlacingOutcome = Outcome[MeasurementDecision[Measurement], PlaceEstimate]
+TriangulationOutcome = Outcome[MeasurementDecision[Measurement], PositionEstimate]
 """Outcome whose estimates are positions; there are no decisions about single directions."""
 
 
@@ -97,10 +97,10 @@ class _Target:
         done_ns: last stamp that was answered, of this target or of a dropped one, which may have been the same.
     """
 
-    seen_by: list[SeenByStation]
+    stations: list[StationDirections]
     reports: list[_ReportTimes]
     waiting: dict[tuple[int, int], int] = field(default_factory=dict)
-    done_ns: int = 0
+    last_answered_ns: int = 0
 
 
 class TriangulationCore:
@@ -114,7 +114,7 @@ class TriangulationCore:
         self.config = config
         self._lag_ns = round(config.lag_s * SECOND_NS)
         self._stations: list[Station] = [config.stations[name].station(name) for name in sorted(config.stations)]
-        self._contradictions = StampConflicts()
+        self._stamp_conflicts = StampConflicts()
         self._numbers = {f"station.{station.name}": number for number, station in enumerate(self._stations)}
         self.reset()
 
@@ -122,7 +122,7 @@ class TriangulationCore:
         """Discard all directions."""
         self._targets: dict[str, _Target] = {}
         self._forgotten_ns = 0
-        self._contradictions.reset()
+        self._stamp_conflicts.reset()
         return []
 
     def step_time_base(self, _step_ns: int, _state: None) -> None:
@@ -133,12 +133,12 @@ class TriangulationCore:
         """Apply other noise and another gate."""
         self.config = config
 
-    def add_direction(self, sample: DirectionSample, waiting_ns: int) -> PlacingOutcome:
+    def add_direction(self, sample: DirectionSample, waiting_ns: int) -> TriangulationOutcome:
         """Add a direction of one theodolite to one target, or its INVALID report.
 
         A late or duplicate one triggers no answer and drops no target.
         """
-        outcome, number = PlacingOutcome(), self._numbers[sample.source]
+        outcome, number = TriangulationOutcome(), self._numbers[sample.source]
         target = self._targets.get(sample.target_id)
         if target is None:
             if sample.time_ns <= self._forgotten_ns:
@@ -148,48 +148,48 @@ class TriangulationCore:
         if target.reports[number].add(sample.time_ns, waiting_ns):
             # The first target in the order is dropped first.
             self._targets[sample.target_id] = self._targets.pop(sample.target_id)
-        outcome.rejection = self._take(target, number, sample, waiting_ns)
+        outcome.rejection = self._insert(target, number, sample, waiting_ns)
         if outcome.rejection is None or outcome.rejection.reason not in (Reason.DUPLICATE, Reason.LATE):
             self._answer(sample.target_id, target, waiting_ns, outcome)
         return outcome
 
     def set_duplicate_publishers(self, source: str, text: str) -> None:
         """Set that two publishers send on one source; an empty text ends it."""
-        self._contradictions.set_duplicate_publishers(source, 0, text)
+        self._stamp_conflicts.set_duplicate_publishers(source, 0, text)
 
-    def tick(self, now_ns: int, waiting_ns: int) -> PlacingOutcome:
+    def tick(self, now_ns: int, waiting_ns: int) -> TriangulationOutcome:
         """Answer directions that have waited long enough."""
-        outcome = PlacingOutcome()
+        outcome = TriangulationOutcome()
         for target_id, target in self._targets.items():
             self._answer(target_id, target, waiting_ns, outcome)
         return outcome
 
-    def _add_target(self, target_id: str, outcome: PlacingOutcome) -> _Target:
+    def _add_target(self, target_id: str, outcome: TriangulationOutcome) -> _Target:
         """Add a target and return it; at the maximum number another one is dropped."""
-        if len(self._targets) >= MOST_TARGETS:
+        if len(self._targets) >= MAX_TARGETS:
             self._forget(next(iter(self._targets)), outcome)
-        seen_by = [SeenByStation(station, self.config.max_gap_s) for station in self._stations]
-        target = _Target(seen_by, [_ReportTimes() for _ in seen_by], done_ns=self._forgotten_ns)
+        seen_by = [StationDirections(station, self.config.max_gap_s) for station in self._stations]
+        target = _Target(seen_by, [_ReportTimes() for _ in seen_by], last_answered_ns=self._forgotten_ns)
         self._targets[target_id] = target
         return target
 
-    def _forget(self, target_id: str, outcome: PlacingOutcome) -> None:
+    def _forget(self, target_id: str, outcome: TriangulationOutcome) -> None:
         """Drop a target; its pending directions are answered, and no later position of it gets an earlier stamp."""
         target = self._targets.pop(target_id)
-        rejection = Rejection(Reason.OVERFLOW, f"more than {MOST_TARGETS} targets: '{target_id}' is dropped")
+        rejection = Rejection(Reason.OVERFLOW, f"more than {MAX_TARGETS} targets: '{target_id}' is dropped")
         for time_ns, number in sorted(target.waiting):
-            target.done_ns = time_ns
-            if leads(number, time_ns, target.seen_by):
+            target.last_answered_ns = time_ns
+            if is_leading(number, time_ns, target.stations):
                 outcome.estimates.append(_invalid_position(target_id, time_ns, (), None, rejection))
-        self._forgotten_ns = max(self._forgotten_ns, target.done_ns)
+        self._forgotten_ns = max(self._forgotten_ns, target.last_answered_ns)
 
-    def _take(self, target: _Target, number: int, sample: DirectionSample, waiting_ns: int) -> Rejection | None:
-        track, key = target.seen_by[number].track, (sample.time_ns, number)
+    def _insert(self, target: _Target, number: int, sample: DirectionSample, waiting_ns: int) -> Rejection | None:
+        track, key = target.stations[number].track, (sample.time_ns, number)
         known = track.get(sample.time_ns)
         rejection = None
         if known is not None:
             takes_its_place, rejection = resolve_same_stamp(known, sample)
-            self._contradictions.record(sample.source, sample.time_ns, rejection)
+            self._stamp_conflicts.record(sample.source, sample.time_ns, rejection)
             if not takes_its_place:
                 return rejection
         if sample.status is Status.INVALID:
@@ -199,26 +199,26 @@ class TriangulationCore:
             oldest_ns = min([time_ns for time_ns, _ in target.waiting], default=sample.time_ns)
             track.drop_before(min(oldest_ns, sample.time_ns - self._lag_ns))
             return rejection or Rejection(Reason.GAP, "the theodolite reports INVALID")
-        if sample.time_ns <= target.done_ns:
+        if sample.time_ns <= target.last_answered_ns:
             return rejection or _LATE
         track.insert(sample)
         target.waiting.setdefault(key, waiting_ns)
         return rejection
 
-    def _answer(self, target_id: str, target: _Target, waiting_ns: int, outcome: PlacingOutcome) -> None:
+    def _answer(self, target_id: str, target: _Target, waiting_ns: int, outcome: TriangulationOutcome) -> None:
         """Answer the directions that need not wait any longer, in the order of their stamps."""
         for time_ns, number in sorted(target.waiting):
-            overflows = len(target.waiting) > MOST_WAITING
-            if not overflows and self._waits(target, time_ns, number, waiting_ns):
+            overflows = len(target.waiting) > MAX_WAITING
+            if not overflows and self._is_waiting(target, time_ns, number, waiting_ns):
                 return
             del target.waiting[time_ns, number]
-            target.done_ns = time_ns
-            if leads(number, time_ns, target.seen_by):
+            target.last_answered_ns = time_ns
+            if is_leading(number, time_ns, target.stations):
                 outcome.estimates.append(self._estimate(target_id, target, time_ns, outcome))
-            for seen in target.seen_by:
-                seen.track.drop_before(time_ns)
+            for station in target.stations:
+                station.track.drop_before(time_ns)
 
-    def _waits(self, target: _Target, time_ns: int, number: int, waiting_ns: int) -> bool:
+    def _is_waiting(self, target: _Target, time_ns: int, number: int, waiting_ns: int) -> bool:
         """True while a theodolite that reports on the target may still report on the time of a pending direction.
 
         The next report is expected one interval after the last. While a theodolite has sent one report only, its
@@ -236,13 +236,13 @@ class TriangulationCore:
                 return True
         return False
 
-    def _estimate(self, target_id: str, target: _Target, time_ns: int, outcome: PlacingOutcome) -> PlaceEstimate:
+    def _estimate(self, target_id: str, target: _Target, time_ns: int, outcome: TriangulationOutcome) -> PositionEstimate:
         try:
-            placed = placed_at(time_ns, target.seen_by, self.config)
+            placed = position_at(time_ns, target.stations, self.config)
         except Exception as error:
             outcome.failures.append((time_ns, failure_rejection(error)))
             return _invalid_position(target_id, time_ns, (), None, failure_rejection(error))
-        place = placed.place
+        place = placed.position
         if isinstance(place, Rejection):
             return _invalid_position(target_id, time_ns, placed.stations, None, place)
         if place.rejection is not None:
@@ -253,21 +253,21 @@ class TriangulationCore:
         conflict_text = self._conflict_text(time_ns, placed.stations)
         if conflict_text and status is not Status.DEGRADED:
             status, text = Status.DEGRADED, conflict_text
-        return PlaceEstimate(
+        return PositionEstimate(
             time_ns, target_id, place.position_n, place.covariance_n, status, text, placed.stations, place, None
         )
 
     def _conflict_text(self, time_ns: int, stations: tuple[str, ...]) -> str:
         """Return the text of conflicting directions of some theodolites; empty if there are none."""
         sources = {f"station.{name}" for name in stations}
-        return self._contradictions.text(sources & self._contradictions.active_at(time_ns).keys())
+        return self._stamp_conflicts.text(sources & self._stamp_conflicts.active_at(time_ns).keys())
 
 
 def _invalid_position(
-    target_id: str, time_ns: int, stations: tuple[str, ...], compared: TriangulatedPlace | None, rejection: Rejection
-) -> PlaceEstimate:
+    target_id: str, time_ns: int, stations: tuple[str, ...], compared: TriangulatedPosition | None, rejection: Rejection
+) -> PositionEstimate:
     """Return an INVALID position."""
     unknown, unknown_covariance = np.full(3, np.nan), np.full((3, 3), np.nan)
-    return PlaceEstimate(
+    return PositionEstimate(
         time_ns, target_id, unknown, unknown_covariance, Status.INVALID, rejection.text, stations, compared, rejection
     )

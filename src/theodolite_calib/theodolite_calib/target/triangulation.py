@@ -44,7 +44,7 @@ class Station:
     """
 
     name: str
-    place: GeodeticPosition
+    position: GeodeticPosition
     sigma_m: float
 
 
@@ -72,7 +72,7 @@ class Air:
 
 
 @dataclass(frozen=True)
-class TriangulatedPlace:
+class TriangulatedPosition:
     """Position of a target.
 
     Attributes:
@@ -94,9 +94,9 @@ class TriangulatedPlace:
     rejection: Rejection | None
 
 
-def triangulated(
+def triangulate(
     origin: GeodeticPosition, directions: Sequence[StationDirection], air: Air, gate_probability: float = 0.999
-) -> TriangulatedPlace | Rejection:
+) -> TriangulatedPosition | Rejection:
     """Triangulate a target from the directions of two theodolites or more.
 
     Args:
@@ -117,26 +117,26 @@ def triangulated(
         return Rejection(Reason.NON_FINITE, "a direction holds NaN or infinity")
     rotation_ne = rotation_horizon_from_ecef(float(origin.latitude), float(origin.longitude))
     origin_m = ecef_from_geodetic(origin)
-    lines = [_Line.of(each, rotation_ne, origin_m) for each in directions]
-    found = _nearest(lines)
-    if found is None:
+    lines = [_Line.from_direction(each, rotation_ne, origin_m) for each in directions]
+    position_n = _nearest_point(lines)
+    if position_n is None:
         names = ", ".join(line.name for line in lines)
         return Rejection(Reason.GATE, f"the directions of {names} are parallel: no intersection")
     for _ in range(_STEPS):
-        behind = [line.name for line in lines if not line.measured_n @ (found - line.foot_n) > 0.0]
+        behind = [line.name for line in lines if not line.measured_n @ (position_n - line.foot_n) > 0.0]
         if behind:
             return Rejection(Reason.GATE, f"the directions meet behind {', '.join(behind)}")
-        residual, jacobian, noise = _compared(lines, found, air)
+        residual, jacobian, noise = _residuals(lines, position_n, air)
         weighted = np.linalg.solve(noise, jacobian)
         covariance_n = np.linalg.inv(jacobian.T @ weighted)
         step_n = covariance_n @ weighted.T @ residual
-        found = found + step_n
+        position_n = position_n + step_n
         if np.linalg.norm(step_n) < _SMALL_STEP_M:
             break
-    unknown = _distance_rejection(lines, found, covariance_n)
+    unknown = _distance_rejection(lines, position_n, covariance_n)
     if unknown is not None:
         return unknown
-    residual, _, noise = _compared(lines, found, air)
+    residual, _, noise = _residuals(lines, position_n, air)
     chi_square = float(residual @ np.linalg.solve(noise, residual))
     gate = chi_square_gate(gate_probability, len(residual) - 3)
     rejection = None
@@ -144,7 +144,7 @@ def triangulated(
         text = f"the directions are inconsistent: chi-square {chi_square:.1f} exceeds {gate:.1f}"
         rejection = Rejection(Reason.GATE, text)
     sigma = np.sqrt(np.diagonal(noise))
-    return TriangulatedPlace(found, covariance_n, residual, sigma, chi_square, gate, rejection)
+    return TriangulatedPosition(position_n, covariance_n, residual, sigma, chi_square, gate, rejection)
 
 
 @dataclass(frozen=True)
@@ -160,24 +160,24 @@ class _Line:
     foot_sigma_m: float
 
     @classmethod
-    def of(cls, seen: StationDirection, rotation_ne: FloatArray, origin_m: FloatArray) -> "_Line":
-        place = seen.station.place
+    def from_direction(cls, direction: StationDirection, rotation_ne: FloatArray, origin_m: FloatArray) -> "_Line":
+        place = direction.station.position
         to_common = rotation_ne @ rotation_horizon_from_ecef(float(place.latitude), float(place.longitude)).T
-        measured_n = to_common @ seen.direction_n
+        measured_n = to_common @ direction.direction_n
         across = np.linalg.svd(measured_n[None])[2][1:]
         return cls(
-            name=seen.station.name,
+            name=direction.station.name,
             foot_n=rotation_ne @ (ecef_from_geodetic(place) - origin_m),
             measured_n=measured_n,
             up_n=to_common[:, 1],
             across=across,
-            covariance=across @ to_common @ seen.covariance_n @ to_common.T @ across.T,
-            foot_sigma_m=seen.station.sigma_m,
+            covariance=across @ to_common @ direction.covariance_n @ to_common.T @ across.T,
+            foot_sigma_m=direction.station.sigma_m,
         )
 
-    def seen_from(self, place_n: FloatArray, coefficient: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def direction_to(self, position_n: FloatArray, coefficient: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the unit vector to a position, with its derivatives by the position (3, 3) and by k (3,)."""
-        path_n = place_n - self.foot_n
+        path_n = position_n - self.foot_n
         distance_m = float(np.linalg.norm(path_n))
         # Raised by k h / (2 R) with h the horizontal distance: that is k d / (2 R) times Up, across the line.
         per_k = distance_m / (2.0 * EARTH_RADIUS_M) * self.up_n
@@ -188,7 +188,7 @@ class _Line:
         return raised_n / np.linalg.norm(raised_n), by_path_n, by_raised_n @ per_k
 
 
-def _nearest(lines: Sequence[_Line]) -> FloatArray | None:
+def _nearest_point(lines: Sequence[_Line]) -> FloatArray | None:
     """Return the point nearest to all lines; None if they are parallel."""
     normal = sum(line.across.T @ line.across for line in lines)
     values = np.linalg.eigvalsh(normal)
@@ -198,10 +198,10 @@ def _nearest(lines: Sequence[_Line]) -> FloatArray | None:
     return nearest
 
 
-def _distance_rejection(lines: Sequence[_Line], place_n: FloatArray, covariance_n: FloatArray) -> Rejection | None:
+def _distance_rejection(lines: Sequence[_Line], position_n: FloatArray, covariance_n: FloatArray) -> Rejection | None:
     """Return the rejection of a position whose distance from a theodolite is too uncertain; None if it is not."""
     for line in lines:
-        path_n = place_n - line.foot_n
+        path_n = position_n - line.foot_n
         distance_m = float(np.linalg.norm(path_n))
         variance_m2 = float(path_n @ covariance_n @ path_n) / distance_m**2
         if not variance_m2 <= (_WORST_DISTANCE * distance_m) ** 2:
@@ -212,12 +212,12 @@ def _distance_rejection(lines: Sequence[_Line], place_n: FloatArray, covariance_
     return None
 
 
-def _compared(lines: Sequence[_Line], place_n: FloatArray, air: Air) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _residuals(lines: Sequence[_Line], position_n: FloatArray, air: Air) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return residuals (2 N,), their derivative by the position (2 N, 3) and their covariance (2 N, 2 N)."""
     residuals, jacobians, by_k = [], [], []
     noise = np.zeros((2 * len(lines), 2 * len(lines)))
     for number, line in enumerate(lines):
-        seen_n, by_path_n, by_coefficient_n = line.seen_from(place_n, air.coefficient)
+        seen_n, by_path_n, by_coefficient_n = line.direction_to(position_n, air.coefficient)
         rows = slice(2 * number, 2 * number + 2)
         jacobian = line.across @ by_path_n
         residuals.append(line.across @ (line.measured_n - seen_n))

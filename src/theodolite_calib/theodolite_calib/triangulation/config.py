@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 
 from ship_estimation.parameter_fields import mapping_of, parameter
-from theodolite_calib.target.config import DIRECTION_TOPIC, PlacingConfig, StationPlaceConfig
+from theodolite_calib.target.config import DIRECTION_TOPIC, PositioningConfig, StationPositionConfig
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecordedStationConfig(StationPlaceConfig):
+class RecordedStationConfig(StationPositionConfig):
     """One theodolite: its position, and the bag with its directions."""
 
     bag: str = parameter(doc="bag with its directions; a relative path starts at the file")
@@ -15,7 +15,7 @@ class RecordedStationConfig(StationPlaceConfig):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecordedTriangulationConfig(PlacingConfig):
+class RecordedTriangulationConfig(PositioningConfig):
     """All parameters of the file."""
 
     stations: dict[str, RecordedStationConfig] = mapping_of("theodolites by name, two or more")

@@ -10,12 +10,12 @@ from ship_estimation.outcome import Status
 from ship_node.edge.messages_in import MessageRejected
 from theodolite_calib.ros.direction_messages_in import direction
 from theodolite_calib.ros.target_messages import TARGET_TYPE
-from theodolite_calib.target.common_moments import DirectionSample, PlacedTarget, SeenByStation, leads, placed_at
-from theodolite_calib.target.config import PlacingConfig
+from theodolite_calib.target.common_moments import DirectionSample, TargetPosition, StationDirections, is_leading, position_at
+from theodolite_calib.target.config import PositioningConfig
 from theodolite_calib.triangulation.config import RecordedTriangulationConfig
 
 
-def read_directions(folder: Path, config: RecordedTriangulationConfig, target_id: str) -> list[SeenByStation]:
+def read_directions(folder: Path, config: RecordedTriangulationConfig, target_id: str) -> list[StationDirections]:
     """Return the recorded directions of each theodolite to a target; unusable ones are omitted.
 
     Of two with one stamp the first counts.
@@ -25,23 +25,23 @@ def read_directions(folder: Path, config: RecordedTriangulationConfig, target_id
     """
     recorded = []
     for name, station in config.stations.items():
-        seen = SeenByStation(station.station(name), config.max_gap_s)
-        for sample in _recorded(folder / station.bag, station.topic, name, target_id):
-            if seen.track.get(sample.time_ns) is None:
-                seen.track.insert(sample)
-        recorded.append(seen)
+        directions = StationDirections(station.station(name), config.max_gap_s)
+        for sample in _recorded_directions(folder / station.bag, station.topic, name, target_id):
+            if directions.track.get(sample.time_ns) is None:
+                directions.track.insert(sample)
+        recorded.append(directions)
     return recorded
 
 
-def placed_targets(config: PlacingConfig, recorded: Sequence[SeenByStation]) -> Iterator[PlacedTarget]:
+def target_positions(config: PositioningConfig, recorded: Sequence[StationDirections]) -> Iterator[TargetPosition]:
     """Yield the target at each stamp of a leading theodolite; without a second direction there is no position."""
     stamps = [(time_ns, number) for number, seen in enumerate(recorded) for time_ns in seen.track.times_ns]
     for time_ns, number in sorted(stamps):
-        if leads(number, time_ns, recorded):
-            yield placed_at(time_ns, recorded, config)
+        if is_leading(number, time_ns, recorded):
+            yield position_at(time_ns, recorded, config)
 
 
-def _recorded(path: Path, topic: str, station: str, target_id: str) -> list[DirectionSample]:
+def _recorded_directions(path: Path, topic: str, station: str, target_id: str) -> list[DirectionSample]:
     found, others = [], set()
     with read_bag(path) as bag:
         if bag.topics.get(topic) != TARGET_TYPE:

@@ -14,10 +14,10 @@ from ship_bags.parameter_yaml import read_nested_parameters
 from ship_bags.stamps import utc_text
 from ship_estimation.parameters import ParameterError, build
 from ship_estimation.refusals import Rejection
-from theodolite_calib.target.common_moments import PlacedTarget
-from theodolite_calib.target.triangulation import TriangulatedPlace
+from theodolite_calib.target.common_moments import TargetPosition
+from theodolite_calib.target.triangulation import TriangulatedPosition
 from theodolite_calib.triangulation.config import RecordedTriangulationConfig
-from theodolite_calib.triangulation.recorded import placed_targets, read_directions
+from theodolite_calib.triangulation.recorded import target_positions, read_directions
 
 COLUMNS = (
     *("utc", "east_m", "north_m", "up_m", "sigma_east_m", "sigma_north_m", "sigma_up_m"),
@@ -65,20 +65,20 @@ def _run(options: argparse.Namespace) -> int:
     check_file(options.out, options.force)
     config = _configuration(options.stations)
     recorded = read_directions(options.stations.parent, config, options.target)
-    found = list(placed_targets(config, recorded))
-    placed = [(one, one.place) for one in found if isinstance(one.place, TriangulatedPlace)]
+    found = list(target_positions(config, recorded))
+    positions = [(one, one.position) for one in found if isinstance(one.position, TriangulatedPosition)]
     # Times with one direction only are not reported.
-    rejected = [one.place for one in found if isinstance(one.place, Rejection) and len(one.stations) > 1]
+    rejected = [one.position for one in found if isinstance(one.position, Rejection) and len(one.stations) > 1]
     why = f", the first one because {rejected[0].text}" if rejected else ""
-    if not placed:
+    if not positions:
         names = ", ".join(config.stations)
         text = f"no position of '{options.target}': no two directions of {names} at one time intersect"
         raise BadInput(f"{text} (max_gap_s = {config.max_gap_s:g}){why}", file=options.stations)
-    write_csv(options.out, COLUMNS, _rows(placed))
-    misfits = sum(place.rejection is not None for _, place in placed)
-    sigma_m = np.sqrt(np.median([np.trace(place.covariance_n) for _, place in placed]))
+    write_csv(options.out, COLUMNS, _rows(positions))
+    misfits = sum(place.rejection is not None for _, place in positions)
+    sigma_m = np.sqrt(np.median([np.trace(place.covariance_n) for _, place in positions]))
     sys.stdout.write(
-        f"{options.out}: {len(placed)} positions of '{options.target}', error {sigma_m:.3g} m (1 sigma in space, "
+        f"{options.out}: {len(positions)} positions of '{options.target}', error {sigma_m:.3g} m (1 sigma in space, "
         f"median), {misfits} with inconsistent directions\n"
     )
     if rejected:
@@ -102,9 +102,9 @@ def _configuration(path: Path) -> RecordedTriangulationConfig:
     return config
 
 
-def _rows(placed: Sequence[tuple[PlacedTarget, TriangulatedPlace]]) -> Iterator[list[str | float | int]]:
+def _rows(positions: Sequence[tuple[TargetPosition, TriangulatedPosition]]) -> Iterator[list[str | float | int]]:
     """Yield the rows of the table."""
-    for one, found in placed:
+    for one, found in positions:
         place = found.position_n[_EAST_NORTH_UP]
         covariance = found.covariance_n[np.ix_(_EAST_NORTH_UP, _EAST_NORTH_UP)]
         lengths_m = [*place, *np.sqrt(covariance.diagonal())]
