@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tools.licences import PAGE, STATED_ELSEWHERE, distributions, fits, licence, page, unfit
+from tools.licences import PAGE, STATED_ELSEWHERE, distributions, is_compatible, licence, page, incompatible_licences
 
 ROOT = Path(__file__).parents[1]
 over_ros = pytest.mark.skipif((ROOT / ".venv" / ".ros_prefix").exists(), reason="the wheels of ROS are not installed")
@@ -21,7 +21,7 @@ def test_the_page_of_licences_is_current() -> None:
 
 @over_ros
 def test_every_wheel_may_be_distributed_with_the_suite() -> None:
-    assert unfit() == []
+    assert incompatible_licences() == []
     assert STATED_ELSEWHERE.keys() <= set(distributions())
 
 
@@ -38,7 +38,7 @@ def test_every_wheel_may_be_distributed_with_the_suite() -> None:
     ],
 )
 def test_of_licences_that_may_be_chosen_one_must_fit(expression: str, may: bool) -> None:
-    assert fits(expression) is may
+    assert is_compatible(expression) is may
 
 
 def test_a_missing_wheel_has_no_licence() -> None:

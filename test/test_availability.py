@@ -236,7 +236,7 @@ def test_the_pages_valid_attitudes_are_consistent() -> None:
 
 def test_missing_marks_of_a_page_are_named(tmp_path: Path, capsys) -> None:
     with pytest.raises(ValueError, match="no marks <!-- stars"):
-        availability.put("a page", "stars", "a table")
+        availability.insert_table("a page", "stars", "a table")
     assert availability.main(["--exposures", "0"]) == 2
     assert "expected 1 or more" in capsys.readouterr().err
     assert availability.main(["--page", str(tmp_path / "none.md")]) == 2

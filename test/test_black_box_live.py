@@ -15,7 +15,7 @@ from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.recover import recovered_path
 from ship_replay.trials.live_run import LiveFailure, LiveRun, executable
-from tools.black_box_run import eventful_runs, verified
+from tools.black_box_run import eventful_runs, verify_box
 
 ROOT = Path(__file__).parents[1]
 
@@ -33,7 +33,7 @@ def boxes(tmp_path_factory):
 
 
 def test_a_run_with_changes_and_services_is_equal_to_the_last_bit(boxes):
-    outcome = verified(boxes[0])
+    outcome = verify_box(boxes[0])
     assert outcome.returncode == 0, outcome.stdout + outcome.stderr
     services = "~/save_alignment 1", "~/reset 1", "~/load_alignment 1"
     for used in ("ins/imu 3001", "parameters 4", "parameters refused 1", *services):
@@ -50,7 +50,7 @@ def test_a_run_from_the_saved_alignment_is_equal_to_the_last_bit(boxes):
         # Written by the save, read by the load, and still there for the next start.
         assert bag.attachments["files/0001/alignment.yaml"] == read_at_start
         assert bag.attachments["files/0002/alignment.yaml"] == read_at_start
-    outcome = verified(boxes[1])
+    outcome = verify_box(boxes[1])
     assert outcome.returncode == 0, outcome.stdout + outcome.stderr
 
 
@@ -76,7 +76,7 @@ def killed_box(tmp_path_factory):
 
 
 def test_a_killed_nodes_box_is_verified_up_to_the_cut(killed_box):
-    outcome = verified(killed_box)
+    outcome = verify_box(killed_box)
     assert outcome.returncode == 0, outcome.stdout + outcome.stderr
     assert "the black box ends suddenly" in outcome.stdout
     assert "no footer" in outcome.stdout
@@ -88,7 +88,7 @@ def test_a_recovered_box_is_verified(killed_box):
     recovery = subprocess.run(command, capture_output=True, text=True, check=False)
     assert recovery.returncode == 0, recovery.stdout + recovery.stderr
     assert "all read back by mcap and rosbags" in recovery.stdout
-    recovered, original = verified(recovered_path(killed_box)), verified(killed_box)
+    recovered, original = verify_box(recovered_path(killed_box)), verify_box(killed_box)
     assert recovered.returncode == 0, recovered.stdout + recovered.stderr
     # The file is whole now, but the node still ended suddenly.
     assert "no footer" not in recovered.stdout

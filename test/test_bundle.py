@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tools.wheelhouse import SUMS, WheelsRefused, locked, own_target, pinned, pinned_by, target
+from tools.wheelhouse import SUMS, WheelsRefused, locked_requirements, own_target, pin_of_requirement, pin_of_wheel, target
 
 ROOT = Path(__file__).parents[1]
 TOOLS = (
@@ -236,13 +236,13 @@ def test_the_python_of_the_wheels_comes_first(tmp_path: Path, given: dict[str, s
 
 def test_pins_and_wheels_are_compared_by_the_names_of_an_index() -> None:
     """Names normalised by PEP 503, file names escaped by PEP 427."""
-    assert pinned("Ruamel.Yaml==0.19.1 ; python_version < '3.11'") == "ruamel-yaml==0.19.1"
-    assert pinned_by("ruamel_yaml-0.19.1-py3-none-any.whl") == "ruamel-yaml==0.19.1"
+    assert pin_of_requirement("Ruamel.Yaml==0.19.1 ; python_version < '3.11'") == "ruamel-yaml==0.19.1"
+    assert pin_of_wheel("ruamel_yaml-0.19.1-py3-none-any.whl") == "ruamel-yaml==0.19.1"
 
 
 def test_a_lock_is_read_by_its_sections() -> None:
     lock = "# Head.\n# [ros] ROS\nros-a==1\n\n# [all] more\nb==2 ; python_version >= '3.11'\n"
-    assert locked(lock) == {"ros": ["ros-a==1"], "build": [], "python": [], "all": ["b==2 ; python_version >= '3.11'"]}
+    assert locked_requirements(lock) == {"ros": ["ros-a==1"], "build": [], "python": [], "all": ["b==2 ; python_version >= '3.11'"]}
 
 
 @pytest.mark.parametrize(
@@ -254,4 +254,4 @@ def test_a_lock_is_read_by_its_sections() -> None:
 )
 def test_a_lock_whose_sections_are_wrong_is_refused(lock: str, complaint: str) -> None:
     with pytest.raises(WheelsRefused, match=complaint):
-        locked(lock)
+        locked_requirements(lock)

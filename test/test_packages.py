@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tools.dependencies import SRC, declared, packages, required
+from tools.dependencies import SRC, declared_keys, packages, required_distributions
 from tools.generated_c import generate_c
 
 ROOT = Path(__file__).parents[1]
@@ -29,7 +29,7 @@ def test_a_package_has_its_own_documents(package: str) -> None:
     title, *entries = re.findall(r"^([^\s^*-].*)\n(?:\^+|-+)$", (folder / "CHANGELOG.rst").read_text(), re.MULTILINE)
     assert title == f"Changelog for package {package}"
     assert entries[0] == "Forthcoming" or entries[0].startswith(version)
-    assert declared(package, "url")
+    assert declared_keys(package, "url")
 
 
 @pytest.mark.parametrize("package", IN_PYTHON)
@@ -42,9 +42,9 @@ def test_a_package_can_be_built_and_typed_by_others(package: str) -> None:
     assert [re.split(r"\W", need)[0] for need in system["requires"]] == ["setuptools", *["Cython"] * is_compiled]
     assert (folder / package / "py.typed").exists()
     assert re.search(r'package_data={package_name: \["py.typed"', (folder / "setup.py").read_text(encoding="utf-8"))
-    assert "python3-pytest-xdist" in declared(package, "test_depend")
+    assert "python3-pytest-xdist" in declared_keys(package, "test_depend")
     siblings = set(packages())
-    assert required(package) & siblings == declared(package, "depend") & siblings
+    assert required_distributions(package) & siblings == declared_keys(package, "depend") & siblings
 
 
 @pytest.mark.parametrize("package", packages())

@@ -60,7 +60,7 @@ def test_a_wheel_of_the_same_sources_is_used(package: Path, tmp_path: Path) -> N
     wheel(tmp_path, package, content(package))
     (found,), unfit = find_prebuilt(tmp_path / PREBUILT, {package: content(package)})
     assert unfit == []
-    found.take(tmp_path / "install")
+    found.unpack(tmp_path / "install")
     assert (package / "one" / "compiled_sum.so").read_text() == "compiled"
     assert (package / "one" / "plain.py").read_text() == "B = 1\n", "sources stay those of the checkout"
     assert not (tmp_path / "install").exists(), "colcon installs the rest"
@@ -70,7 +70,7 @@ def test_all_files_that_colcon_installs_are_unpacked_of_messages(package: Path, 
     (package / "CMakeLists.txt").write_text("# messages\n")
     wheel(tmp_path, package, content(package))
     (found,), _ = find_prebuilt(tmp_path / PREBUILT, {package: content(package)})
-    found.take(tmp_path / "install")
+    found.unpack(tmp_path / "install")
     assert (tmp_path / "install" / "one" / "lib" / "libone.so").read_text() == "messages"
     assert not (package / "one" / "compiled_sum.so").exists()
 
@@ -80,7 +80,7 @@ def test_a_damaged_wheel_is_named(package: Path, tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-40])
     (found,), _ = find_prebuilt(tmp_path / PREBUILT, {package: content(package)})
     with pytest.raises(OSError, match=f"{path.name.split('+')[0]}.* is damaged"):
-        found.take(tmp_path / "install")
+        found.unpack(tmp_path / "install")
 
 
 def test_a_wheel_of_other_sources_is_named_and_not_used(package: Path, tmp_path: Path) -> None:

@@ -15,10 +15,10 @@ from tools.papers.z14_conclusions import (
     PITCH,
     ROLL,
     curve_arcsec,
-    falls,
-    falls_then_grows,
-    grows,
-    oscillates,
+    is_falling,
+    is_falling_then_growing,
+    is_growing,
+    is_oscillating,
 )
 from tools.papers.z14_factors import (
     ANGLES,
@@ -54,30 +54,30 @@ def test_roll_does_not_grow_with_elevation_as_in_the_abstracts(reading, figure, 
     """Abeam, by both abstracts roll grows; along the keel, by the English one, by the Chinese one heading does."""
     for azimuth_deg in (*AHEAD_ASTERN, *ABEAM):
         roll = curve_arcsec(figure, azimuth_deg, reading)[:, ROLL]
-        assert not grows(roll, turn_back_arcsec)
+        assert not is_growing(roll, turn_back_arcsec)
         assert roll[-1] <= roll[0] + 1.0
     for azimuth_deg in AHEAD_ASTERN:
         sizes = curve_arcsec(figure, azimuth_deg, reading)
-        assert grows(sizes[:, HEADING], turn_back_arcsec)
+        assert is_growing(sizes[:, HEADING], turn_back_arcsec)
         assert sizes[-1, ROLL] < 0.3 * sizes[0, ROLL]
 
 
 def test_trends():
     up, there_and_back = np.array([1.0, 3.0, 2.5, 9.0]), np.array([9.0, 1.0, 9.0])
-    assert grows(up, 0.6)
-    assert not grows(up, 0.4)
-    assert not grows(np.array([1.0, 1.5]), 0.6)
-    assert falls(up[::-1], 0.6)
-    assert not falls(up, 0.6)
-    assert falls_then_grows(there_and_back, 1.0)
-    assert not falls_then_grows(up, 0.6)
-    assert not falls_then_grows(np.array([9.0, 1.0, 1.5]), 1.0)
-    assert oscillates(there_and_back - np.array([0.0, 0.9, 0.0]))
-    assert not oscillates(np.array([9.0, 9.0, 9.0]))
+    assert is_growing(up, 0.6)
+    assert not is_growing(up, 0.4)
+    assert not is_growing(np.array([1.0, 1.5]), 0.6)
+    assert is_falling(up[::-1], 0.6)
+    assert not is_falling(up, 0.6)
+    assert is_falling_then_growing(there_and_back, 1.0)
+    assert not is_falling_then_growing(up, 0.6)
+    assert not is_falling_then_growing(np.array([9.0, 1.0, 1.5]), 1.0)
+    assert is_oscillating(there_and_back - np.array([0.0, 0.9, 0.0]))
+    assert not is_oscillating(np.array([9.0, 9.0, 9.0]))
     bad = np.array([1.0, np.nan, 9.0])
-    assert not grows(bad, 8.0)
-    assert not falls(bad, 8.0)
-    assert not oscillates(bad)
+    assert not is_growing(bad, 8.0)
+    assert not is_falling(bad, 8.0)
+    assert not is_oscillating(bad)
 
 
 def test_numbers_that_the_remarks_name():

@@ -81,7 +81,7 @@ def _environment(work: Path) -> Path:
     venv.create(work / "venv", with_pip=True)
     python = work / "venv" / "bin" / "python"
     pip = [str(python), "-m", "pip", "--disable-pip-version-check", "install", "--quiet", "--no-input", PIP_AUDIT]
-    answer = subprocess.run(pip, env=_own(), capture_output=True, text=True, check=False)
+    answer = subprocess.run(pip, env=_clean_environment(), capture_output=True, text=True, check=False)
     if answer.returncode:
         why = "no network" if any(sign in answer.stderr for sign in NETWORK_SIGNS) else _last(answer.stderr)
         raise BadInput(f"{PIP_AUDIT} is not available, vulnerabilities not checked: {why}")
@@ -96,13 +96,13 @@ def _one_report(python: Path, wanted: list[str], service: str, work: Path) -> li
     command = [str(python), "-m", "pip_audit", "--requirement", str(work / "requirements.txt"), "--no-deps"]
     command += ["--disable-pip", "--vulnerability-service", "osv", "--osv-url", service, "--progress-spinner", "off"]
     command += ["--format", "json", "--output", str(report)]
-    answer = subprocess.run(command, env=_own(), capture_output=True, text=True, check=False)
+    answer = subprocess.run(command, env=_clean_environment(), capture_output=True, text=True, check=False)
     if not report.is_file() or not report.stat().st_size:
         raise BadInput(f"{service}: query failed, vulnerabilities not checked: {_last(answer.stderr)}")
     return list(json.loads(report.read_text())["dependencies"])
 
 
-def _own() -> dict[str, str]:
+def _clean_environment() -> dict[str, str]:
     """Return the environment variables without the paths of the suite."""
     return {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
 

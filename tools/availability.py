@@ -68,14 +68,14 @@ def _run(options: argparse.Namespace) -> int:
         return EXIT_BAD_INPUT
     results = _study(options.exposures, options.processes)
     small = {key: values[:SMALL_PART] for key, values in results.items()}
-    tables = {"stars": star_table(results), "clouds": cloud_table(results), "honesty": honesty_table(results)}
+    tables = {"stars": star_table(results), "clouds": cloud_table(results), "honesty": consistency_table(results)}
     tables |= {"small part": small_table(small)}
     for name, table in tables.items():
         print(f"\n{name}\n{table}")
     if page is not None:
         text = page.read_text(encoding="utf-8")
         for name, table in tables.items():
-            text = put(text, name, table)
+            text = insert_table(text, name, table)
         page.write_text(text, encoding="utf-8")
     if figure is not None:
         draw(results, figure)
@@ -124,7 +124,7 @@ def _cell(values: np.ndarray) -> str:
     return f"{100.0 * trials.availability(values):.1f} of {100.0 * trials.solved_share(values):.1f}"
 
 
-def honesty_table(results: trials.Results) -> str:
+def consistency_table(results: trials.Results) -> str:
     """Return the table of attitudes with status VALID, and of those with an error beyond their covariance."""
     lines = ["| stars | INS | VALID | beyond the covariance | mean NEES |", "|---|---|---:|---:|---:|"]
     for counts in sorted(trials.COUNTS):
@@ -138,7 +138,7 @@ def honesty_table(results: trials.Results) -> str:
     return "\n".join(lines)
 
 
-def put(text: str, name: str, table: str) -> str:
+def insert_table(text: str, name: str, table: str) -> str:
     """Return the page with a table between its marks.
 
     Raises:

@@ -82,22 +82,22 @@ def _bench(options: argparse.Namespace) -> int:
             continue
         for row in rows:
             print(row.line, flush=True)
-            met = met and row.met
+            met = met and row.is_within_bound
         done += [{"benchmark": name} | dataclasses.asdict(row) for row in rows]
     circumstances = _circumstances()
-    rows = _beside(done, circumstances, options.json) if options.only else done
+    rows = _merge_rows(done, circumstances, options.json) if options.only else done
     options.json.parent.mkdir(parents=True, exist_ok=True)
     options.json.write_text(json.dumps(circumstances | {"rows": rows}, indent=1) + "\n", encoding="utf-8")
     return EXIT_DONE if met else EXIT_BOUND_NOT_MET
 
 
-def _beside(done: list[dict[str, Any]], circumstances: dict[str, Any], file: Path) -> list[dict[str, Any]]:
+def _merge_rows(new_rows: list[dict[str, Any]], circumstances: dict[str, Any], file: Path) -> list[dict[str, Any]]:
     """Return the new rows, and those of other benchmarks in a file of the same day and machine, in their order."""
     kept = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {"rows": []}
     if any(kept.get(name) != circumstances[name] for name in circumstances if name != "load"):
-        return done
-    anew = {row["benchmark"] for row in done}
-    rows = done + [row for row in kept["rows"] if row["benchmark"] not in anew]
+        return new_rows
+    anew = {row["benchmark"] for row in new_rows}
+    rows = new_rows + [row for row in kept["rows"] if row["benchmark"] not in anew]
     return sorted(rows, key=lambda row: list(BENCHMARKS).index(row["benchmark"]))
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from rclpy.serialization import deserialize_message
 
-from bench_rows import WITH_INTEGRITY, Row, by_turns
+from bench_rows import WITH_INTEGRITY, Row, alternate
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.cdr_reader import CdrReader
@@ -49,7 +49,7 @@ def _rows(name: str, what: str, late_share: float = 1.0) -> list[Row]:
     sensor = dataclasses.replace(scenario.star_sensors[_SENSOR], latency_s=LATE_SENSOR_S)
     late = dataclasses.replace(scenario, star_sensors={**scenario.star_sensors, _SENSOR: sensor})
     on_time_records, late_records = _arrivals(scenario), _arrivals(late)
-    on_time_ms, late_ms = by_turns(
+    on_time_ms, late_ms = alternate(
         ROUNDS, lambda: _waits_ms(scenario, on_time_records), lambda: _waits_ms(late, late_records)
     )
     behind = f"INS output behind {what}"

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from bench_rows import WITH_INTEGRITY, Row, by_turns, own_cpu_s
+from bench_rows import WITH_INTEGRITY, Row, alternate, own_cpu_s
 from ship_replay.campaign.items import campaign_items
 from ship_replay.campaign.one_item import run_item
 from ship_replay.campaign.processes import run_in_processes
@@ -38,7 +38,7 @@ def campaign_workers() -> list[Row]:
         scenario.write_text(text.replace("duration_s: 120.0", "duration_s: 10.0"), encoding="utf-8")
         items = campaign_items([scenario], [], range(6))
         _wall_s(items[:1], 1)  # starts the fork server
-        by_one_s, by_two_s = by_turns(ROUNDS, lambda: _wall_s(items, 1), lambda: _wall_s(items, 2))
+        by_one_s, by_two_s = alternate(ROUNDS, lambda: _wall_s(items, 1), lambda: _wall_s(items, 2))
     one_s, two_s = min(by_one_s), min(by_two_s)
     return [
         Row("campaign of six voyages, one worker: least wall time", one_s, "s"),

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bench_rows import Row, by_turns, median_ratio, median_us
+from bench_rows import Row, alternate, median_ratio, median_us
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.sky.sky_watch import load_sky_model
@@ -25,8 +25,8 @@ from theodolite_calib.optical_axis.core import OpticalAxisCore
 SCENARIOS = Path(__file__).resolve().parents[1] / "bags" / "scenarios"
 STEP_ROUNDS = 5
 INTEGRITY_PAIRS = 7
-MOST_STEP_US = 30.0
-MOST_INTEGRITY_RATIO = 1.6
+MAX_STEP_US = 30.0
+MAX_INTEGRITY_RATIO = 1.6
 """Ratio of the filter's step with the estimates that exclude one source to the step without them."""
 
 
@@ -36,7 +36,7 @@ def step_cost() -> list[Row]:
     model = core_for(run.scenario).filter.model
     states, parts = model.size, len(model.sources)
     matrix = np.random.default_rng(1).standard_normal((3, 3))
-    step_us, svd_us = by_turns(
+    step_us, svd_us = alternate(
         STEP_ROUNDS,
         lambda: float(np.median(ship_steps_us(run, ShipFilterWithoutSubfilters))),
         lambda: median_us(lambda: np.linalg.svd(matrix)),
@@ -45,7 +45,7 @@ def step_cost() -> list[Row]:
     on_mount = run_of("theodolite_night", 30.0)
     stars_us = [np.median(_theodolite_star_steps_us(on_mount)) for _ in range(STEP_ROUNDS)]
     return [
-        Row(f"{what}: median", float(np.median(step_us)), "us", MOST_STEP_US),
+        Row(f"{what}: median", float(np.median(step_us)), "us", MAX_STEP_US),
         Row("numpy 3 x 3 SVD: median", float(np.median(svd_us)), "us"),
         Row(f"ratio: {what} / SVD", median_ratio(step_us, svd_us), "x", None, "numpy 3 x 3 SVD"),
         Row("theodolite's step by stars on the mount: median", float(np.median(stars_us)), "us"),
@@ -79,7 +79,7 @@ def _integrity_rows(
     run: SimulatedRun,
     without: type,
     with_: type,
-    most: float | None = MOST_INTEGRITY_RATIO,
+    most: float | None = MAX_INTEGRITY_RATIO,
 ) -> list[Row]:
     pairs = [(steps_us(run, without), steps_us(run, with_)) for _ in range(INTEGRITY_PAIRS)]
     # The minimum of each step: other load of the machine only adds.
@@ -102,7 +102,7 @@ def ship_steps_us(run: SimulatedRun, kind: type[ShipFilter]) -> list[float]:
     core = core_for(run.scenario)
     core.filter = kind(core.config)
     core.reset()
-    core.filter.step, times_us = _timed(core.filter.step)  # type: ignore[method-assign]
+    core.filter.step, times_us = _TimedStep(core.filter.step)  # type: ignore[method-assign]
     feed_attitude(core, run)
     return times_us
 
@@ -111,7 +111,7 @@ def _theodolite_steps_us(run: SimulatedRun, kind: type[SightingStep]) -> list[fl
     """Return the time of each step over a session, us."""
     config = build(OpticalAxisConfig, optical_axis_configuration(run.scenario))
     core = OpticalAxisCore(config)
-    core._step_to, times_us = _timed(kind(config, core.filter))
+    core._step_to, times_us = _TimedStep(kind(config, core.filter))
     feed_pointing(core, run)
     return times_us
 
@@ -120,12 +120,12 @@ def _theodolite_star_steps_us(run: SimulatedRun) -> list[float]:
     """Return the time of each step by an exposure of stars over a session, us."""
     config = build(OpticalAxisConfig, optical_axis_configuration(run.scenario))
     core = OpticalAxisCore(config, sky=load_sky_model(config.sky))
-    core._step_to_stars, times_us = _timed(core._step_to_stars)  # type: ignore[arg-type]
+    core._step_to_stars, times_us = _TimedStep(core._step_to_stars)  # type: ignore[arg-type]
     feed_pointing(core, run)
     return times_us
 
 
-def _timed(step: Callable[..., Any]) -> tuple[Any, list[float]]:
+def _TimedStep(step: Callable[..., Any]) -> tuple[Any, list[float]]:
     """Return a step that records the duration of each of its calls, us."""
     times_us: list[float] = []
 

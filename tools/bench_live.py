@@ -19,7 +19,7 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu
 
-from bench_rows import WITH_INTEGRITY, Row, by_turns, median_ratio, process_cpu_s
+from bench_rows import WITH_INTEGRITY, Row, alternate, median_ratio, process_cpu_s
 from ship_bags.live.dds import use_dds_profile
 from ship_bags.live.ros_process import executable
 from ship_bags.stamps import NS_PER_S, stamp_fields
@@ -53,11 +53,11 @@ rclpy.spin(node)
 """
 
 
-class Passage(NamedTuple):
+class RoundTripResult(NamedTuple):
     """Result of some messages: round-trip times in us, number of lost ones, the program's processor time."""
 
     times_us: list[float]
-    lost: int
+    lost_count: int
     cpu_s: float
 
     @property
@@ -66,7 +66,7 @@ class Passage(NamedTuple):
         return float(np.median(self.times_us))
 
     @property
-    def most_us(self) -> float:
+    def percentile_99_us(self) -> float:
         """Return the time that one message in a hundred exceeds, us."""
         return float(np.quantile(self.times_us, 0.99))
 
@@ -79,8 +79,8 @@ def live_cost() -> list[Row]:
         bare = _RoundTrips(ends, "relay/in", "relay/out", ends.start([sys.executable, "-c", _BARE_PROGRAM], "relay"))
         for trips in (node, bare):
             trips.run(USUAL_HZ, 1.0)
-        usual = by_turns(ROUNDS, lambda: node.run(USUAL_HZ, USUAL_S), lambda: bare.run(USUAL_HZ, USUAL_S))
-        fast = by_turns(ROUNDS, lambda: node.run(FAST_HZ, FAST_S), lambda: bare.run(FAST_HZ, FAST_S))
+        usual = alternate(ROUNDS, lambda: node.run(USUAL_HZ, USUAL_S), lambda: bare.run(USUAL_HZ, USUAL_S))
+        fast = alternate(ROUNDS, lambda: node.run(FAST_HZ, FAST_S), lambda: bare.run(FAST_HZ, FAST_S))
     return [*_usual_rows(*usual), *_fast_rows(*fast)]
 
 
@@ -89,35 +89,35 @@ def _node_command() -> list[str]:
     return [*executable("ship_attitude_star", "ship_attitude"), *arguments]
 
 
-def _usual_rows(node: list[Passage], bare: list[Passage]) -> list[Row]:
+def _usual_rows(node: list[RoundTripResult], bare: list[RoundTripResult]) -> list[Row]:
     there_and_back = f"Imu there and back at {USUAL_HZ:g} Hz"
     medians = [one.median_us for one in node], [one.median_us for one in bare]
-    most = [one.most_us for one in node], [one.most_us for one in bare]
+    most = [one.percentile_99_us for one in node], [one.percentile_99_us for one in bare]
     cpu = [one.cpu_s for one in node], [one.cpu_s for one in bare]
     return [
         Row(f"{there_and_back} by {_BARE}: median", float(np.median(medians[1])), "us"),
         Row(f"{there_and_back} by ship_attitude: median", float(np.median(medians[0])), "us"),
         Row("ratio: ship_attitude / relay, median", median_ratio(*medians), "x", MOST_MEDIAN, _BARE),
         Row("ratio: ship_attitude / relay, 99 %", median_ratio(*most), "x", MOST_99, _BARE),
-        Row(f"{_BARE} at {USUAL_HZ:g} Hz, of a core: median", _of_a_core(cpu[1], USUAL_S), "%"),
+        Row(f"{_BARE} at {USUAL_HZ:g} Hz, of a core: median", _core_share(cpu[1], USUAL_S), "%"),
         Row("ratio: ship_attitude / relay, processor time", median_ratio(*cpu), "x", MOST_CPU, _BARE),
     ]
 
 
-def _fast_rows(node: list[Passage], bare: list[Passage]) -> list[Row]:
+def _fast_rows(node: list[RoundTripResult], bare: list[RoundTripResult]) -> list[Row]:
     cpu = [one.cpu_s for one in node], [one.cpu_s for one in bare]
-    lost = sum(one.lost for one in node)
+    lost = sum(one.lost_count for one in node)
     sent = lost + sum(len(one.times_us) for one in node)
     what = f"ratio: ship_attitude / relay at {FAST_HZ:g} Hz, processor time"
     return [
         Row(f"lost at {FAST_HZ:g} Hz by ship_attitude, reliable, of {sent}", lost, "messages", 0),
-        Row(f"lost at {FAST_HZ:g} Hz by {_BARE}", sum(one.lost for one in bare), "messages"),
-        Row(f"{_BARE} at {FAST_HZ:g} Hz, of a core: median", _of_a_core(cpu[1], FAST_S), "%"),
+        Row(f"lost at {FAST_HZ:g} Hz by {_BARE}", sum(one.lost_count for one in bare), "messages"),
+        Row(f"{_BARE} at {FAST_HZ:g} Hz, of a core: median", _core_share(cpu[1], FAST_S), "%"),
         Row(what, median_ratio(*cpu), "x", MOST_FAST_CPU, _BARE),
     ]
 
 
-def _of_a_core(cpu_s: list[float], duration_s: float) -> float:
+def _core_share(cpu_s: list[float], duration_s: float) -> float:
     return float(np.median(cpu_s)) / duration_s * 100.0
 
 
@@ -183,7 +183,7 @@ class _RoundTrips:
                 raise LiveFailure(f"{there}: no subscriber; the log of the program:\n{process.log_text()}")
             time.sleep(_LOOK_S)
 
-    def run(self, rate_hz: float, duration_s: float) -> Passage:
+    def run(self, rate_hz: float, duration_s: float) -> RoundTripResult:
         """Publish for some time, then wait for the messages still in transit."""
         self._sent, self._times_us = {}, []
         executor, before_s = self._ends.executor(), process_cpu_s(self._process.pid)
@@ -198,7 +198,7 @@ class _RoundTrips:
             executor.spin_once(timeout_sec=_LOOK_S)
         executor.remove_node(self._ends.node)
         executor.shutdown()
-        return Passage(self._times_us, len(self._sent), process_cpu_s(self._process.pid) - before_s)
+        return RoundTripResult(self._times_us, len(self._sent), process_cpu_s(self._process.pid) - before_s)
 
     def _send(self) -> None:
         """Publish the attitude of a ship that rolls in a swell."""

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from rclpy.serialization import deserialize_message, serialize_message
 
-from bench_rows import Row, by_turns, median_ratio, median_us
+from bench_rows import Row, alternate, median_ratio, median_us
 from ship_bags.cdr_reader import CdrReader
 from ship_bags.message_factory import RosidlFactory, message_class
 from ship_bags.message_store import RosbagsFactory, message_store, serialize
@@ -39,7 +39,7 @@ def message_cost() -> list[Row]:
     def sample_of(message: Any) -> None:
         ins_sample(message, config, 1_800_000_000_000_000_000)
 
-    made_us, by_rosbags_us, by_rclpy_us, read_us, read_by_rosbags_us, read_by_rclpy_us = by_turns(
+    made_us, by_rosbags_us, by_rclpy_us, read_us, read_by_rosbags_us, read_by_rclpy_us = alternate(
         ROUNDS,
         lambda: median_us(lambda: live.encode(_IMU_TYPE, **fields)),
         lambda: median_us(lambda: serialize(offline.make(_IMU_TYPE, **fields))),

@@ -33,9 +33,9 @@ RATE = 3.0
 """Seconds of the bag per second: its 20 INS samples a second are played at 60 Hz. The node must keep up with them."""
 ROUNDS = 3
 PAGES = 3
-MOST_WITH_PAGES = 1.1
-MOST_WITH_MONITOR = 1.25
-MOST_OF_A_CORE = 0.15
+MAX_WITH_PAGES = 1.1
+MAX_WITH_MONITOR = 1.25
+MAX_CORE_SHARE = 0.15
 _PAGE_PORT = 5061
 _START_S = 30.0
 _SAMPLE, _ATTITUDE = "ins/imu", "ship/attitude"
@@ -69,9 +69,9 @@ def monitor_cost() -> list[Row]:
         Row("node over the demo bag, no monitor, processor time", min(alone.node_s), "s"),
         Row("its latency: median", 1e3 * min(alone.latency_s), "ms"),
         Row("ratio: processor time with a monitor", min(watched.node_s) / min(alone.node_s), "x"),
-        *_rows("three pages / no page", looked_at, watched, MOST_WITH_PAGES),
-        *_rows("three pages / no monitor", looked_at, alone, MOST_WITH_MONITOR),
-        Row("monitor with three pages, of a core", min(looked_at.monitor), "x", MOST_OF_A_CORE),
+        *_rows("three pages / no page", looked_at, watched, MAX_WITH_PAGES),
+        *_rows("three pages / no monitor", looked_at, alone, MAX_WITH_MONITOR),
+        Row("monitor with three pages, of a core", min(looked_at.monitor), "x", MAX_CORE_SHARE),
     ]
 
 
@@ -140,7 +140,7 @@ def _open_pages(count: int) -> Iterator[None]:
     loop = asyncio.new_event_loop()
     thread = threading.Thread(target=loop.run_forever, daemon=True)
     thread.start()
-    pages = [asyncio.run_coroutine_threadsafe(_hold_page(), loop) for _ in range(count)]
+    pages = [asyncio.run_coroutine_threadsafe(_keep_page_open(), loop) for _ in range(count)]
     try:
         yield
         if ended := [page.exception() for page in pages if page.done()]:
@@ -152,7 +152,7 @@ def _open_pages(count: int) -> Iterator[None]:
         thread.join()
 
 
-async def _hold_page() -> None:
+async def _keep_page_open() -> None:
     """Take every update of a new session, as long as the server sends any."""
     answer = await AsyncHTTPClient().fetch(f"http://127.0.0.1:{_PAGE_PORT}/")
     token = re.search(r'"token":"([^"]+)"', answer.body.decode())

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench_filter import run_of, ship_steps_us
-from bench_rows import Row, by_turns, median_ratio, median_us
+from bench_rows import Row, alternate, median_ratio, median_us
 from ship_attitude_star.ship_attitude.model import ShipStateModel
 from ship_estimation.kalman import LinearMeasurement
 from ship_geometry.rotations import ARCSEC, FloatArray
@@ -24,8 +24,8 @@ from ship_simulation.run import SimulatedRun
 
 DURATION_S, ROUNDS = 60.0, 3
 LAG_S = 2.0
-MOST_OF_SMOOTHER = 0.1
-MOST_DIFFERENCE_ARCSEC = 0.05
+MAX_SMOOTHER_RATIO = 0.1
+MAX_DIFFERENCE_ARCSEC = 0.05
 """Of the estimated INS error after each measurement."""
 
 _INS_ERROR = slice(0, 3)
@@ -52,14 +52,14 @@ def peers_cost() -> list[Row]:
     """Measure the ship's filter and each peer that is installed, by turns."""
     run = run_of("paper", DURATION_S)
     rows: list[Row] = []
-    if (gtsam := _installed("gtsam")) is not None:
+    if (gtsam := _import_if_installed("gtsam")) is not None:
         rows += _smoother_rows(gtsam, run)
-    if (filterpy := _installed("filterpy.kalman")) is not None:
+    if (filterpy := _import_if_installed("filterpy.kalman")) is not None:
         rows += _filterpy_rows(filterpy, run)
     return rows
 
 
-def _installed(module: str) -> ModuleType | None:
+def _import_if_installed(module: str) -> ModuleType | None:
     try:
         return importlib.import_module(module)
     except Exception as problem:
@@ -69,12 +69,12 @@ def _installed(module: str) -> ModuleType | None:
 
 
 def _smoother_rows(gtsam: ModuleType, run: SimulatedRun) -> list[Row]:
-    model, measured = _measured(run)
-    own, lag, whole = by_turns(
+    model, measured = _used_measurements(run)
+    own, lag, whole = alternate(
         ROUNDS,
         lambda: (float(np.mean(ship_steps_us(run, ShipFilterWithoutSubfilters))), 0.0),
-        lambda: _smoothed(gtsam, model, measured, LAG_S),
-        lambda: _smoothed(gtsam, model, measured, None),
+        lambda: _run_smoother(gtsam, model, measured, LAG_S),
+        lambda: _run_smoother(gtsam, model, measured, None),
     )
     own_us, lag_us, whole_us = ([cost_us for cost_us, _ in figures] for figures in (own, lag, whole))
     of_lag = f"GTSAM's fixed lag of {LAG_S:g} s"
@@ -83,14 +83,14 @@ def _smoother_rows(gtsam: ModuleType, run: SimulatedRun) -> list[Row]:
         Row(f"step of the ship's filter over {len(measured)} measurements: mean", float(np.median(own_us)), "us"),
         Row(f"the same measurements by {of_lag}: mean", float(np.median(lag_us)), "us"),
         Row(f"the same measurements by {of_whole}: mean", float(np.median(whole_us)), "us"),
-        Row(f"ratio: ship's filter / {of_lag}", median_ratio(own_us, lag_us), "x", MOST_OF_SMOOTHER, of_lag),
+        Row(f"ratio: ship's filter / {of_lag}", median_ratio(own_us, lag_us), "x", MAX_SMOOTHER_RATIO, of_lag),
         Row(f"ratio: ship's filter / {of_whole}", median_ratio(own_us, whole_us), "x", None, of_whole),
-        Row(f"difference of the estimates by {of_lag}: greatest", lag[0][1], "arcsec", MOST_DIFFERENCE_ARCSEC),
-        Row(f"difference of the estimates by {of_whole}: greatest", whole[0][1], "arcsec", MOST_DIFFERENCE_ARCSEC),
+        Row(f"difference of the estimates by {of_lag}: greatest", lag[0][1], "arcsec", MAX_DIFFERENCE_ARCSEC),
+        Row(f"difference of the estimates by {of_whole}: greatest", whole[0][1], "arcsec", MAX_DIFFERENCE_ARCSEC),
     ]
 
 
-def _measured(run: SimulatedRun) -> tuple[ShipStateModel, list[Measured]]:
+def _used_measurements(run: SimulatedRun) -> tuple[ShipStateModel, list[Measured]]:
     """Return the model of the ship's filter and all measurements that the filter uses in a run."""
     core = core_for(run.scenario)
     core.filter = ShipFilterWithoutSubfilters(core.config)
@@ -115,7 +115,7 @@ def _measured(run: SimulatedRun) -> tuple[ShipStateModel, list[Measured]]:
     return core.filter.model, measured
 
 
-def _smoothed(
+def _run_smoother(
     gtsam: ModuleType, model: ShipStateModel, measured: list[Measured], lag_s: float | None
 ) -> tuple[float, float]:
     """Return the mean time per measurement, us, and the largest difference of INS error from the filter's, arcsec."""
@@ -123,7 +123,7 @@ def _smoothed(
     spent_s, means = 0.0, []
     for one in measured:
         begin_s = time.perf_counter()
-        mean, _ = smoother.take(one)
+        mean, _ = smoother.add(one)
         spent_s += time.perf_counter() - begin_s
         means.append(mean[_INS_ERROR])
     difference = np.abs(np.array(means) - [one.mean[_INS_ERROR] for one in measured]).max()
@@ -158,7 +158,7 @@ class _Smoother:
         self._constant = np.flatnonzero(constant & (self._variance > 0.0))
         self._moment, self._time_s = 0, 0.0
 
-    def take(self, measured: Measured) -> tuple[FloatArray, FloatArray]:
+    def add(self, measured: Measured) -> tuple[FloatArray, FloatArray]:
         """Add a measurement; return the states at its time and their covariance."""
         graph, values = self._gtsam.NonlinearFactorGraph(), self._gtsam.Values()
         if self._moment == 0:
@@ -204,7 +204,7 @@ class _Smoother:
 
 def _filterpy_rows(filterpy: ModuleType, run: SimulatedRun) -> list[Row]:
     """Compare the filter's step with filterpy's prediction and update of as many states by three components."""
-    model, measured = _measured(run)
+    model, measured = _used_measurements(run)
     linear = measured[-1].linear
     peer = filterpy.KalmanFilter(dim_x=model.size, dim_z=len(linear.residual))
     decay, noise = model.transition(measured[-1].time_s - measured[-3].time_s)
@@ -215,7 +215,7 @@ def _filterpy_rows(filterpy: ModuleType, run: SimulatedRun) -> list[Row]:
         peer.predict()
         peer.update(linear.residual)
 
-    own_us, peer_us = by_turns(
+    own_us, peer_us = alternate(
         ROUNDS, lambda: float(np.median(ship_steps_us(run, ShipFilterWithoutSubfilters))), lambda: median_us(step)
     )
     what = f"prediction and update of {model.size} states by filterpy"

@@ -11,7 +11,7 @@ import numpy as np
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from bench_rows import WITH_INTEGRITY, Row, by_turns, median_ratio, own_cpu_s
+from bench_rows import WITH_INTEGRITY, Row, alternate, median_ratio, own_cpu_s
 from ship_replay.commands.replay import ADAPTERS
 from ship_replay.offline.replay import replay
 from ship_simulation.scenario.scenario_file import load_scenario
@@ -76,7 +76,7 @@ def block_cost() -> list[Row]:
 def _rows(what: str, bag: Path, folder: Path, most: float) -> list[Row]:
     copies = iter(range(ROUNDS))
     out = folder / f"{bag.stem}_out.mcap"
-    replayed, copied, decoded = by_turns(
+    replayed, copied, decoded = alternate(
         ROUNDS,
         lambda: own_cpu_s(partial(replay, bag, out, ADAPTERS, one_by_one=True)),
         lambda: own_cpu_s(partial(_copy, bag, folder / f"{bag.stem}_{next(copies)}")),
@@ -93,7 +93,7 @@ def _rows(what: str, bag: Path, folder: Path, most: float) -> list[Row]:
 def _block_rows(what: str, bag: Path, folder: Path, most: float) -> list[Row]:
     copies = iter(range(ROUNDS))
     out = folder / f"{bag.stem}_out.mcap"
-    blocks, copied = by_turns(
+    blocks, copied = alternate(
         ROUNDS,
         lambda: own_cpu_s(partial(replay, bag, out, ADAPTERS)),
         lambda: own_cpu_s(partial(_copy, bag, folder / f"{bag.stem}_{next(copies)}")),
@@ -109,7 +109,7 @@ def _block_rows(what: str, bag: Path, folder: Path, most: float) -> list[Row]:
 
 def _over_one_by_one(what: str, bag: Path, folder: Path) -> Row:
     out = folder / f"{bag.stem}_out.mcap"
-    blocks, one_by_one = by_turns(
+    blocks, one_by_one = alternate(
         ROUNDS,
         lambda: own_cpu_s(partial(replay, bag, out, ADAPTERS)),
         lambda: own_cpu_s(partial(replay, bag, out, ADAPTERS, one_by_one=True)),

@@ -37,14 +37,14 @@ class Row:
     yardstick: str = ""
 
     @property
-    def met(self) -> bool:
+    def is_within_bound(self) -> bool:
         """True if the bound is met."""
         return self.greatest is None or self.value <= self.greatest
 
     @property
     def bound(self) -> str:
         """Return the bound as text; empty where there is none."""
-        return "" if self.greatest is None else f"at most {self.greatest:.3g}: {'met' if self.met else 'NOT MET'}"
+        return "" if self.greatest is None else f"at most {self.greatest:.3g}: {'met' if self.is_within_bound else 'NOT MET'}"
 
     @property
     def line(self) -> str:
@@ -52,7 +52,7 @@ class Row:
         return f"{self.name:<64}{self.value:10.3f} {self.unit}   {self.bound}".rstrip()
 
 
-def by_turns(rounds: int, *measured: Callable[[], Figure]) -> list[list[Figure]]:
+def alternate(rounds: int, *measured: Callable[[], Figure]) -> list[list[Figure]]:
     """Return the results of each function, one per round; by turns, so that other load affects all of them."""
     return [list(figures) for figures in zip(*([one() for one in measured] for _ in range(rounds)), strict=True)]
 

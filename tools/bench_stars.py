@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bench_filter import ship_steps_us
-from bench_rows import Row, by_turns, median_ratio, median_us, own_cpu_s
+from bench_rows import Row, alternate, median_ratio, median_us, own_cpu_s
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.sky.sky_watch import load_sky_model
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
@@ -59,7 +59,7 @@ def star_solution() -> list[Row]:
     stars = [mounted_.exposure.stars for mounted_ in mounted]
     reference = np.concatenate([star.reference_n for star in stars])
     measured = reference @ solved.rotation_nb
-    deck_us, svd_us, scipy_us = by_turns(
+    deck_us, svd_us, scipy_us = alternate(
         ROUNDS,
         lambda: median_us(lambda: solve_deck(time_ns, mounted, at_once, config.star_sensors, None), CALLS),
         lambda: median_us(lambda: [np.linalg.svd(solved.rotation_nb) for _ in range(YARDSTICK_SVDS)], CALLS),
@@ -89,7 +89,7 @@ def late_star_cost() -> list[Row]:
     late = dataclasses.replace(scenario.star_sensors["fore"], latency_s=LATE_SENSOR_S)
     late_scenario = dataclasses.replace(scenario, star_sensors={**scenario.star_sensors, "fore": late})
     on_time, delayed = simulate(scenario, seed=1), simulate(late_scenario, seed=1)
-    on_time_s, late_s = by_turns(ROUNDS, lambda: _core_cpu_s(on_time), lambda: _core_cpu_s(delayed))
+    on_time_s, late_s = alternate(ROUNDS, lambda: _core_cpu_s(on_time), lambda: _core_cpu_s(delayed))
     what = "core over two star sensors on time"
     longer = simulate(dataclasses.replace(scenario, duration_s=STEPS_COUNTED_S), seed=1)
     exposures = sum(source.startswith("star.") for _, source, _ in longer.arrivals())

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench_rows import Row, by_turns, median_ratio, process_cpu_s
+from bench_rows import Row, alternate, median_ratio, process_cpu_s
 from ship_bags.live.ros_process import executable
 from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 from ship_replay.trials.live_run import LiveFailure
@@ -51,7 +51,7 @@ def import_cost() -> list[Row]:
     """Measure the processor time of importing each node's modules, and of ``import rclpy``."""
     modules = {name: f"ship_node.live.node_shell, {adapter}" for name, (_, adapter, _) in _NODES.items()}
     statements = {"rclpy": "rclpy", "rclpy.node": "rclpy.node", **modules}
-    figures = by_turns(IMPORT_ROUNDS + 1, *(lambda s=s: _import_cpu_s(s) for s in statements.values()))
+    figures = alternate(IMPORT_ROUNDS + 1, *(lambda s=s: _import_cpu_s(s) for s in statements.values()))
     cpu_s = {name: counted[1:] for name, counted in zip(statements, figures, strict=True)}
     rows = [Row("import rclpy, processor time: median", float(np.median(cpu_s["rclpy"])), "s")]
     for name in _NODES:
@@ -72,8 +72,8 @@ def start_cost() -> list[Row]:
         environment = live_environment(domain_id, Path(folder))
         environment.pop("PYTHONDONTWRITEBYTECODE", None)
         log = Path(folder) / "node.log"
-        starts = [partial(_started, command, topic, log, environment, observer) for command, topic in commands.values()]
-        counted = [figures[1:] for figures in by_turns(START_ROUNDS + 1, *starts)]
+        starts = [partial(_start_times_s, command, topic, log, environment, observer) for command, topic in commands.values()]
+        counted = [figures[1:] for figures in alternate(START_ROUNDS + 1, *starts)]
     started = dict(zip(commands, counted, strict=True))
     yardstick = "a node of rclpy with one subscription"
     rows = []
@@ -97,7 +97,7 @@ def _import_cpu_s(modules: str) -> float:
     return usage.ru_utime + usage.ru_stime
 
 
-def _started(
+def _start_times_s(
     command: Sequence[str], topic: str, log: Path, environment: dict[str, str], observer: GraphObserver
 ) -> tuple[float, float]:
     """Return elapsed and processor time of a node until its subscription is discovered, s."""

@@ -49,7 +49,7 @@ def _run(options: argparse.Namespace) -> int:
         return EXIT_BOUND_NOT_MET
     codes = []
     for box in boxes:
-        finished = verified(box)
+        finished = verify_box(box)
         print(f"{box}\n{finished.stdout}{finished.stderr}")
         codes.append(finished.returncode)
     return EXIT_DONE if not any(codes) else EXIT_BOUND_NOT_MET
@@ -78,7 +78,7 @@ def eventful_runs(folder: Path, duration_s: float, rate: float) -> list[Path]:
     for number in (1, 2):
         with LiveRun(bag_path, ShipAttitudeAdapter, "ship_attitude_star", folder / f"run_{number}", parameters) as run:
             plan = _Plan(run, duration_s / rate, _ACTIONS if number == 1 else ())
-            run.play(rate, plan.watch)
+            run.play(rate, plan.run_due)
             plan.finish()
             if run.node.end() != 0:
                 raise LiveFailure(run.node.log_text())
@@ -86,7 +86,7 @@ def eventful_runs(folder: Path, duration_s: float, rate: float) -> list[Path]:
     return boxes
 
 
-def verified(box: Path) -> "subprocess.CompletedProcess[str]":
+def verify_box(box: Path) -> "subprocess.CompletedProcess[str]":
     """Run ``replay --verify`` in a separate process; return its result."""
     command = [*executable("ship_replay", "replay"), str(box), "--verify"]
     return subprocess.run(command, capture_output=True, text=True, check=False)
@@ -109,7 +109,7 @@ def set_parameter(run: LiveRun, name: str, value: float | list[str]) -> Any:
     return call(run, SetParametersAtomically, "set_parameters_atomically", request).result
 
 
-def _changed(name: str, value: float | list[str], wanted: bool) -> Callable[[LiveRun], None]:
+def _set_and_check(name: str, value: float | list[str], wanted: bool) -> Callable[[LiveRun], None]:
     def act(run: LiveRun) -> None:
         result = set_parameter(run, name, value)
         if result.successful != wanted:
@@ -118,7 +118,7 @@ def _changed(name: str, value: float | list[str], wanted: bool) -> Callable[[Liv
     return act
 
 
-def _served(name: str) -> Callable[[LiveRun], None]:
+def _call_service(name: str) -> Callable[[LiveRun], None]:
     def act(run: LiveRun) -> None:
         answer = call(run, Trigger, name, Trigger.Request())
         if not answer.success:
@@ -128,14 +128,14 @@ def _served(name: str) -> Callable[[LiveRun], None]:
 
 
 _ACTIONS: tuple[Action, ...] = (
-    (0.20, _changed("gate.probability", 0.99, wanted=True)),
-    (0.25, _changed("sources_off", ["star.fore"], wanted=True)),
-    (0.30, _changed("gate.probability", 0.1, wanted=False)),
-    (0.40, _changed("ins.white_sigma_arcsec", 2.0, wanted=True)),
-    (0.45, _changed("sources_off", [], wanted=True)),
-    (0.50, _served("save_alignment")),
-    (0.60, _served("reset")),
-    (0.80, _served("load_alignment")),
+    (0.20, _set_and_check("gate.probability", 0.99, wanted=True)),
+    (0.25, _set_and_check("sources_off", ["star.fore"], wanted=True)),
+    (0.30, _set_and_check("gate.probability", 0.1, wanted=False)),
+    (0.40, _set_and_check("ins.white_sigma_arcsec", 2.0, wanted=True)),
+    (0.45, _set_and_check("sources_off", [], wanted=True)),
+    (0.50, _call_service("save_alignment")),
+    (0.60, _call_service("reset")),
+    (0.80, _call_service("load_alignment")),
 )
 
 
@@ -146,7 +146,7 @@ class _Plan:
         self._run = run
         self._due = [(part * length_s, act) for part, act in actions]
 
-    def watch(self, elapsed_s: float) -> None:
+    def run_due(self, elapsed_s: float) -> None:
         """Run the actions that are due."""
         while self._due and elapsed_s >= self._due[0][0]:
             self._due.pop(0)[1](self._run)

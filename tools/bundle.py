@@ -22,7 +22,7 @@ from packaging.tags import platform_tags
 from generated_c import generate_c
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
-from wheelhouse import LOCK, NETWORK_SIGNS, SUMS, WHEELS, pinned, pinned_by, sha256, sums, target
+from wheelhouse import LOCK, NETWORK_SIGNS, SUMS, WHEELS, pin_of_requirement, pin_of_wheel, sha256, checksum_text, target
 
 ROOT = Path(__file__).resolve().parents[1]
 PYTHONS = ("3.10", "3.11", "3.12")
@@ -58,7 +58,7 @@ def _bundle(options: argparse.Namespace) -> int:
             folder = target(options.python, platform.machine())
             lock = _git("show", f"HEAD:{LOCK}")
             wheels = _download(pins(lock.decode(), options.python), options.python, part.parent / folder)
-            (part.parent / folder / SUMS).write_text(sums(lock, wheels))
+            (part.parent / folder / SUMS).write_text(checksum_text(lock, wheels))
             files |= {file: Path(name, WHEELS, folder, file.name) for file in (part.parent / folder / SUMS, *wheels)}
             path, holds = options.out / f"{name}-{folder}.tar", f"{len(wheels)} wheels for {folder}"
         _append(part, files, int(time_s))
@@ -83,7 +83,7 @@ def pins(lock: str, python: str) -> list[str]:
     """Return the lines of a lock that apply to a Python version, as 3.12, without their conditions."""
     lines = [line for line in lock.splitlines() if re.match(r"[A-Za-z0-9]", line)]
     wanted = [(line, Requirement(line).marker) for line in lines]
-    return [pinned(line) for line, marker in wanted if not marker or marker.evaluate({"python_version": python})]
+    return [pin_of_requirement(line) for line, marker in wanted if not marker or marker.evaluate({"python_version": python})]
 
 
 def _download(wanted: list[str], python: str, folder: Path) -> list[Path]:
@@ -96,8 +96,8 @@ def _download(wanted: list[str], python: str, folder: Path) -> list[Path]:
         _pip("wheel", "--no-cache-dir", "--wheel-dir", str(folder), str(source))
         source.unlink()
     wheels = sorted(folder.glob("*.whl"))
-    if sorted(pinned_by(path.name) for path in wheels) != sorted(wanted):
-        odd = set(wanted).symmetric_difference(pinned_by(path.name) for path in wheels)
+    if sorted(pin_of_wheel(path.name) for path in wheels) != sorted(wanted):
+        odd = set(wanted).symmetric_difference(pin_of_wheel(path.name) for path in wheels)
         raise BadInput(f"wheels and {LOCK} do not agree: {', '.join(sorted(odd))}")
     return wheels
 

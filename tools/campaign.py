@@ -54,7 +54,7 @@ def main() -> int:
     with ProcessPoolExecutor(arguments.processes) as pool:
         for name in arguments.cases:
             if name == PEER:
-                honest &= _beside_a_peer(console, pool, min(arguments.seeds, PEER_SEEDS))
+                honest &= _compare_with_peer(console, pool, min(arguments.seeds, PEER_SEEDS))
                 continue
             recording = arguments.recording if name == "recorded" else None
             scenario = case_in_short(name, recording) if arguments.in_short else case_at_length(name, recording)
@@ -72,7 +72,7 @@ def _errors(
     return list(with_count(runs, name, seeds))
 
 
-def _beside_a_peer(console: Console, pool: Executor, seeds: int) -> bool:
+def _compare_with_peer(console: Console, pool: Executor, seeds: int) -> bool:
     """Run a minute by the filter and by GTSAM's iSAM2, if it is installed; True if both are in their bands."""
     if find_spec("gtsam") is None:
         console.print(f"{PEER}: left out, GTSAM is not installed (pip install gtsam)")
@@ -97,9 +97,9 @@ def _print_case(console: Console, name: str, results: list[FinalError]) -> bool:
     console.print(
         _line(
             name,
-            _three(np.mean(sigma, axis=0) / ARCSEC),
-            _three(np.sqrt(np.mean(angles**2, axis=0)) / ARCSEC),
-            _three(ratio),
+            _three_values_text(np.mean(sigma, axis=0) / ARCSEC),
+            _three_values_text(np.sqrt(np.mean(angles**2, axis=0)) / ARCSEC),
+            _three_values_text(ratio),
             f"{nees:.2f}",
             str(sum(result.rejected_count for result in results)),
             "in band" if honest else "OUTSIDE",
@@ -113,7 +113,7 @@ def _line(name: str, *columns: str) -> str:
     return f"{name:16}" + "".join(f"{column:>{width}}" for column, width in zip(columns, widths, strict=True))
 
 
-def _three(values: np.ndarray) -> str:
+def _three_values_text(values: np.ndarray) -> str:
     return "  ".join(f"{value:.2f}" for value in values)
 
 

@@ -38,7 +38,7 @@ FOLDER = ROOT / "build" / "demo"
 
 
 @dataclass(frozen=True)
-class Leg:
+class DemoRun:
     """One bag through one node.
 
     Attributes:
@@ -66,7 +66,7 @@ class Leg:
 
 
 LEGS = (
-    Leg(
+    DemoRun(
         bag="demo",
         adapter=ShipAttitudeAdapter,
         package="ship_attitude_star",
@@ -75,7 +75,7 @@ LEGS = (
         rate=2.0,
         title="Ship attitude: errors and their ±3σ; clouds from 70 s to 90 s",
     ),
-    Leg(
+    DemoRun(
         bag="theodolite",
         adapter=OpticalAxisAdapter,
         package="theodolite_calib",
@@ -107,7 +107,7 @@ def _demo(options: argparse.Namespace) -> int:
     try:
         for leg in LEGS[:1] if options.offline else LEGS:
             begin_s = time.monotonic()
-            recorded_path = _replay(leg) if options.offline else _sail(leg, leg.rate * options.rate, console)
+            recorded_path = _replay(leg) if options.offline else _run_live(leg, leg.rate * options.rate, console)
             _require_outputs(leg, recorded_path)
             _show(leg, recorded_path, options.figures, console)
             print(f"{leg.bag}: {time.monotonic() - begin_s:.0f} s\n")
@@ -117,7 +117,7 @@ def _demo(options: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
-def _replay(leg: Leg) -> Path:
+def _replay(leg: DemoRun) -> Path:
     """Replay the bag offline; return the bag of outputs."""
     path = FOLDER / f"{leg.bag}_offline.mcap"
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -127,12 +127,12 @@ def _replay(leg: Leg) -> Path:
     return path
 
 
-def _sail(leg: Leg, rate: float, console: Console) -> Path:
+def _run_live(leg: DemoRun, rate: float, console: Console) -> Path:
     """Play the bag through the live node and print the lost messages; return the recording."""
     with read_bag(leg.bag_path) as bag:
         length_s = ((bag.end_ns or 0) - (bag.start_ns or 0)) / NS_PER_S
     node = leg.adapter.node_name
-    print(f"{_shown(leg.bag_path)}: {length_s:.0f} s, played at {rate:g} times real time to the live node {node}")
+    print(f"{_short_path(leg.bag_path)}: {length_s:.0f} s, played at {rate:g} times real time to the live node {node}")
     with LiveRun(leg.bag_path, leg.adapter, leg.package, FOLDER / leg.bag) as run:
         with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
             task = progress.add_task("sailing", total=length_s)
@@ -142,25 +142,25 @@ def _sail(leg: Leg, rate: float, console: Console) -> Path:
     return recorded_path
 
 
-def _show(leg: Leg, recorded_path: Path, figures: Path, console: Console) -> None:
+def _show(leg: DemoRun, recorded_path: Path, figures: Path, console: Console) -> None:
     """Print the table of errors and draw their figure."""
     skip_s = read_bounds(leg.bag_path.with_suffix(".expected.yaml")).skip_s
     evaluation = evaluate(recorded_path, against=leg.bag_path, skip_s=skip_s)
     print(f"after the first {skip_s:g} s:")
-    console.print(attitude_table(_about(leg, evaluation)))
-    whole = _about(leg, evaluate(recorded_path, against=leg.bag_path))
+    console.print(attitude_table(_node_evaluation(leg, evaluation)))
+    whole = _node_evaluation(leg, evaluate(recorded_path, against=leg.bag_path))
     figure_path = figures / f"{leg.bag}.png"
     save_figure(attitude_error_figure(whole.errors, leg.title), figure_path)
-    print(f"recorded bag: {_shown(recorded_path)}")
-    print(f"figure of the errors and their ±3σ: {_shown(figure_path)}")
+    print(f"recorded bag: {_short_path(recorded_path)}")
+    print(f"figure of the errors and their ±3σ: {_short_path(figure_path)}")
 
 
-def _about(leg: Leg, evaluation: Evaluation) -> Evaluation:
+def _node_evaluation(leg: DemoRun, evaluation: Evaluation) -> Evaluation:
     """Return the part of an evaluation about the node's output."""
     return replace(evaluation, errors=[e for e in evaluation.errors if e.channels == leg.orientation.channels])
 
 
-def _print_losses(leg: Leg, recorded_path: Path, played_topics: list[str]) -> None:
+def _print_losses(leg: DemoRun, recorded_path: Path, played_topics: list[str]) -> None:
     """Print the number of recorded messages of each topic, and the load of the computer if some are missing."""
     sent, received = _counts(leg.bag_path), _counts(recorded_path)
     result = leg.orientation.topic
@@ -174,7 +174,7 @@ def _print_losses(leg: Leg, recorded_path: Path, played_topics: list[str]) -> No
         print(f"missing or INVALID: {', '.join(lost)}; load of this computer {load:.1f}, {cores} cores{busy}")
 
 
-def _require_outputs(leg: Leg, recorded_path: Path) -> None:
+def _require_outputs(leg: DemoRun, recorded_path: Path) -> None:
     """Raise if the node published no valid output."""
     if not _valid_outputs(recorded_path, leg.orientation.topic):
         raise LiveFailure(f"{leg.adapter.node_name} published nothing on {leg.orientation.topic} that is valid")
@@ -197,7 +197,7 @@ def _counts(path: Path) -> dict[str, int]:
     return counts
 
 
-def _shown(path: Path) -> Path:
+def _short_path(path: Path) -> Path:
     """Return the path relative to the current folder, if that is shorter."""
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 

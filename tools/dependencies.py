@@ -110,7 +110,7 @@ def packages() -> list[str]:
 
 
 @functools.cache
-def imported(folder: Path) -> frozenset[str]:
+def imported_names(folder: Path) -> frozenset[str]:
     """Return the top names of what the Python files of a folder import, without Python's own."""
     names: set[str] = set()
     for path in folder.rglob("*.py"):
@@ -122,13 +122,13 @@ def imported(folder: Path) -> frozenset[str]:
     return frozenset(name.partition(".")[0] for name in names) - sys.stdlib_module_names
 
 
-def declared(package: str, *tags: str) -> set[str]:
+def declared_keys(package: str, *tags: str) -> set[str]:
     """Return the keys that a package.xml names in elements of these tags."""
     tree = ET.parse(SRC / package / "package.xml")
     return {(element.text or "").strip() for tag in tags for element in tree.iter(tag)}
 
 
-def required(package: str) -> set[str]:
+def required_distributions(package: str) -> set[str]:
     """Return the distributions that a setup.py requires, always or as an extra."""
     path = SRC / package / "setup.py"
     tree = ast.parse(path.read_text(encoding="utf-8"))
@@ -141,7 +141,7 @@ def required(package: str) -> set[str]:
 
 def libraries(package: str) -> list[Library]:
     """Return the libraries that a package imports."""
-    return [LIBRARIES[name] for name in sorted(imported(SRC / package / package)) if name in LIBRARIES]
+    return [LIBRARIES[name] for name in sorted(imported_names(SRC / package / package)) if name in LIBRARIES]
 
 
 def page() -> str:

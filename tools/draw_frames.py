@@ -48,26 +48,26 @@ class Panel:
         axes.set_xlim(-1.58, 1.58)
         axes.set_ylim(-1.0, 1.32)
 
-    def flat(self, points_n: FloatArray) -> FloatArray:
+    def project(self, points_n: FloatArray) -> FloatArray:
         """Return the positions of points on the page, shape (..., 2)."""
         return np.asarray(points_n, dtype=float) @ self._screen
 
     def line(self, points_n: FloatArray, **style: object) -> None:
         """Draw a line through points, shape (k, 3)."""
-        self._axes.plot(*self.flat(points_n).T, **({"color": GREY, "lw": 1.0} | style))
+        self._axes.plot(*self.project(points_n).T, **({"color": GREY, "lw": 1.0} | style))
 
     def shape(self, points_n: FloatArray, colour: str = "#dfe5ea") -> None:
         """Draw a filled outline, shape (k, 3)."""
-        self._axes.fill(*self.flat(points_n).T, facecolor=colour, edgecolor=GREY, lw=1.0, zorder=0.5)
+        self._axes.fill(*self.project(points_n).T, facecolor=colour, edgecolor=GREY, lw=1.0, zorder=0.5)
 
     def text(self, point_n: FloatArray, words: str, colour: str = INK, **style: object) -> None:
         """Draw text at a point."""
         options = {"fontsize": 9.5, "ha": "center", "va": "center", "zorder": 6, "path_effects": _HALO} | style
-        self._axes.text(*self.flat(point_n), words, color=colour, **options)
+        self._axes.text(*self.project(point_n), words, color=colour, **options)
 
     def arrow(self, start_n: FloatArray, along_n: FloatArray, words: str, colour: str, dashed: bool = False) -> None:
         """Draw an arrow with its name beyond its point."""
-        start, end = self.flat(start_n), self.flat(np.add(start_n, along_n))
+        start, end = self.project(start_n), self.project(np.add(start_n, along_n))
         style = {"arrowstyle": "-|>", "color": colour, "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
         self._axes.annotate("", end, start, arrowprops=style | ({"linestyle": "--"} if dashed else {}), zorder=4)
         way = end - start
@@ -109,7 +109,7 @@ class Panel:
         self.line(path, color=INK, lw=1.2)
         leader = {"arrowstyle": "-", "color": INK, "lw": 0.6, "shrinkA": 1, "shrinkB": 0}
         style = {"fontsize": 9.5, "ha": "center", "va": "center", "zorder": 6, "path_effects": _HALO}
-        self._axes.annotate(words, self.flat(path[20]), label, color=INK, arrowprops=leader, **style)
+        self._axes.annotate(words, self.project(path[20]), label, color=INK, arrowprops=leader, **style)
 
     def circle(
         self, radius: float, normal_n: FloatArray = _UP, centre_n: FloatArray = _ORIGIN, **style: object

@@ -104,7 +104,7 @@ def _in_package_xml(name: str) -> list[str]:
     return []
 
 
-def fits(expression: str) -> bool:
+def is_compatible(expression: str) -> bool:
     """True if one of the alternative licences permits distribution with Apache-2.0."""
     choices = [re.split(r" AND ", choice.strip("() ")) for choice in expression.split(" OR ")]
     return any(all(part.strip("() ") in _SPDX for part in parts) for parts in choices)
@@ -120,12 +120,12 @@ def page() -> str:
     return text
 
 
-def unfit() -> list[str]:
+def incompatible_licences() -> list[str]:
     """Return one line for each wheel that must not be distributed, or whose licence is not known."""
     lines = []
     for name in distributions():
         stated, place = licence(name)
-        if not fits(stated):
+        if not is_compatible(stated):
             lines.append(f"{name}: {stated or 'licence not known'} ({place})")
     return lines
 
@@ -138,7 +138,7 @@ def main() -> int:
     if not options.check:
         PAGE.write_text(page(), encoding="utf-8")
         print(PAGE.relative_to(ROOT))
-    lines = unfit()
+    lines = incompatible_licences()
     for line in lines:
         print(f"licences: {line}", file=sys.stderr)
     print(f"licences: {len(distributions())} wheels, {len(lines)} that do not fit Apache-2.0")

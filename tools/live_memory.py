@@ -107,7 +107,7 @@ def node_memory(folder: Path, length_h: float, rate: float) -> tuple[np.ndarray,
         if not observer.wait_for(there, timeout_s=_START_S, unless=lambda: node.exit_code is not None):
             raise LiveFailure(f"the node does not start:\n{node.log_text()}")
         with LiveProcess(play_command, folder / "play.log", environment) as player:
-            samples, told_ns = _watched(node, player, observer, rate)
+            samples, told_ns = _sample_memory(node, player, observer, rate)
         if player.exit_code != 0:
             raise LiveFailure(f"play ended with exit code {player.exit_code}:\n{player.log_text()}")
     missed_s = scenario.duration_s - (told_ns - start_time_ns(scenario.start_utc)) / NS_PER_S
@@ -116,7 +116,7 @@ def node_memory(folder: Path, length_h: float, rate: float) -> tuple[np.ndarray,
     return np.array([hours for hours, _ in samples]), np.array([resident_mb for _, resident_mb in samples])
 
 
-def _watched(
+def _sample_memory(
     node: LiveProcess, player: LiveProcess, observer: GraphObserver, rate: float
 ) -> tuple[list[tuple[float, float]], int]:
     """Return hours of the voyage and the node's memory, MB, until the player ends; and the node's last stamp."""

@@ -80,7 +80,7 @@ class Prebuilt:
     folder: Path
     wheel: Path
 
-    def take(self, install: Path) -> None:
+    def unpack(self, install: Path) -> None:
         """Unpack compiled modules next to their sources, and messages into install/, in colcon's layout.
 
         Args:

@@ -218,7 +218,7 @@ def executables_page() -> str:
             text += f"| `{package}` | {', '.join(f'[`{name}`](#{name})' for name, _ in found)} |\n"
     for package, found in entries.items():
         for name, module in found:
-            shown = _cut(_help_of(package, name, module)).strip("\n")
+            shown = _without_tables(_help_of(package, name, module)).strip("\n")
             text += f"\n## `{name}`\n\n```text\n{shown}\n```\n"
     return text
 
@@ -248,7 +248,7 @@ def _help_of(package: str, name: str, module: str) -> str:
     return printed.getvalue()
 
 
-def _cut(shown: str) -> str:
+def _without_tables(shown: str) -> str:
     """Return the help without the parameters of a node and the keys of a scenario."""
     for block, instead in ((r"parameters \(", "parameters: parameters.md"), ("keys of SCENARIO", "keys: scenario.md")):
         shown = re.sub(rf"^{block}.*?\n\n", f"{instead}\n\n", shown, flags=re.MULTILINE | re.DOTALL)

@@ -47,7 +47,7 @@ class Workspace:
     prefix: str
     digests: dict[Path, str]
 
-    def compiled(self, changed_only: bool) -> dict[Path, str]:
+    def compiled_packages(self, changed_only: bool) -> dict[Path, str]:
         """Return the packages with compiled parts; or only those with missing or outdated parts."""
         return {
             folder: content
@@ -139,7 +139,7 @@ def compile_packages(workspace: Workspace, parts: CompiledParts) -> None:
         with step(f"compiled parts from {len(parts.prebuilt)} prebuilt wheels"):
             for wheel in parts.prebuilt:
                 remove_compiled(wheel.folder)
-                wheel.take(INSTALL)
+                wheel.unpack(INSTALL)
                 stamp_of(wheel.folder).write_text(workspace.digests[wheel.folder])
     if not parts.folders:
         return

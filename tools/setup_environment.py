@@ -51,7 +51,7 @@ from setup_wheels import (
     ros_prefix,
 )
 
-from wheelhouse import LOCK, WheelsRefused, locked, own_target, own_wheels
+from wheelhouse import LOCK, WheelsRefused, locked_requirements, own_target, own_wheels
 
 STAMP_VENV = VENV / ".stamp_venv"
 STAMP_BUILD = BUILD / ".stamp_build"
@@ -96,7 +96,7 @@ def make_plan(everything: bool = False) -> Plan:
     Args:
         everything: also the wheels that few people use.
     """
-    lock = locked((ROOT / LOCK).read_text(encoding="utf-8"))
+    lock = locked_requirements((ROOT / LOCK).read_text(encoding="utf-8"))
     prefix = ros_prefix() or (read_stamp(ROS_PREFIX_FILE) if os.environ.get("ROS_DISTRO") is None else "")
     venv = digest(str(ROOT), f"{sys.version_info[:2]}", prefix)
     groups = [
@@ -116,18 +116,18 @@ def set_up(everything: bool) -> None:
     """Run all steps, each only if needed."""
     begin_s = time.monotonic()
     plan = make_plan(everything)
-    fresh, prefix = plan.fresh, plan.workspace.prefix
-    groups = [group for group in plan.groups if fresh or not group.is_installed]
-    to_compile = plan.workspace.compiled(changed_only=not fresh)
+    is_fresh, prefix = plan.fresh, plan.workspace.prefix
+    groups = [group for group in plan.groups if is_fresh or not group.is_installed]
+    to_compile = plan.workspace.compiled_packages(changed_only=not is_fresh)
     needs_build = bool(to_compile) or read_stamp(STAMP_BUILD) != plan.build
     if not groups and not needs_build:
         return
-    check_machine(groups if fresh else [group for group in groups if group.name == ALL_OTHER])
+    check_machine(groups if is_fresh else [group for group in groups if group.name == ALL_OTHER])
     parts = compiled_parts(to_compile) if needs_build else None
     jobs = [(group, *requirements(group.lines)) for group in groups]
     if jobs and (bundled := own_wheels(ROOT)):
         print_progress(f"the wheels of {bundled.relative_to(ROOT)} are complete: no network is used")
-    if fresh:
+    if is_fresh:
         print_progress("the first setup takes one to three minutes, more with wheels from the network")
         make_venv(prefix)
         STAMP_VENV.write_text(plan.venv)

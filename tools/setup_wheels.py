@@ -28,7 +28,7 @@ from setup_common import (
     wheels_environment,
 )
 
-from wheelhouse import NETWORK_SIGNS, hashed_requirements, own_wheels, pinned
+from wheelhouse import NETWORK_SIGNS, hashed_requirements, own_wheels, pin_of_requirement
 
 ROS_PREFIX_FILE = VENV / ".ros_prefix"  # prefix of the sourced Jazzy installation; absent with wheels
 
@@ -131,7 +131,7 @@ def requirements(lines: list[str]) -> tuple[list[str], list[str]]:
     if not bundled:
         return lines, ["--prefer-binary"]
     hashed = hashed_requirements(bundled)
-    chosen = [hashed[pinned(line)] for line in lines if pinned(line) in hashed]
+    chosen = [hashed[pin_of_requirement(line)] for line in lines if pin_of_requirement(line) in hashed]
     return chosen, ["--isolated", "--no-index", "--no-cache-dir", "--find-links", str(bundled), "--require-hashes"]
 
 

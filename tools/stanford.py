@@ -57,11 +57,11 @@ def main() -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
-    codes = [_drawn(name, CASES[name], options) for name in options.cases]
+    codes = [_draw_case(name, CASES[name], options) for name in options.cases]
     return next((code for code in codes if code != EXIT_DONE), EXIT_DONE)
 
 
-def _drawn(name: str, case: Case, options: argparse.Namespace) -> int:
+def _draw_case(name: str, case: Case, options: argparse.Namespace) -> int:
     """Draw the figure of a case; return the exit code."""
     count = case.voyages if options.voyages is None else options.voyages
     seeds = range(_FIRST_SEED, _FIRST_SEED + count)

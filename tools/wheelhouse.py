@@ -48,7 +48,7 @@ def own_target() -> str:
     return target(f"{sys.version_info.major}.{sys.version_info.minor}", platform.machine())
 
 
-def locked(lock: str) -> dict[str, list[str]]:
+def locked_requirements(lock: str) -> dict[str, list[str]]:
     """Return the requirements of each section of requirements.lock; a section begins with ``# [name]``.
 
     Raises:
@@ -68,16 +68,16 @@ def locked(lock: str) -> dict[str, list[str]]:
     return sections
 
 
-def pinned(requirement: str) -> str:
+def pin_of_requirement(requirement: str) -> str:
     """Return a line of the lock as name==version, with the normalised name and without its condition."""
     name, _, version = requirement.partition(";")[0].strip().partition("==")
     return f"{re.sub(r'[-_.]+', '-', name).lower()}=={version}"
 
 
-def pinned_by(wheel: str) -> str:
+def pin_of_wheel(wheel: str) -> str:
     """Return the pin of a wheel with this file name."""
     name, version, *_ = wheel.split("-")
-    return pinned(f"{name}=={version}")
+    return pin_of_requirement(f"{name}=={version}")
 
 
 def sha256(path: Path) -> str:
@@ -89,7 +89,7 @@ def sha256(path: Path) -> str:
     return total.hexdigest()
 
 
-def sums(lock: bytes, wheels: list[Path]) -> str:
+def checksum_text(lock: bytes, wheels: list[Path]) -> str:
     """Return the text of ``SHA256SUMS``."""
     named = [(hashlib.sha256(lock).hexdigest(), _LOCK_FROM_WHEELS), *((sha256(path), path.name) for path in wheels)]
     return "".join(f"{digest}  {name}\n" for digest, name in named)
@@ -130,7 +130,7 @@ def hashed_requirements(folder: Path) -> dict[str, str]:
             raise WheelsRefused(f"{place}/{name} is missing: unpack the bundle again")
         if sha256(path) == digest:
             if name != _LOCK_FROM_WHEELS:
-                requirements[pinned_by(name)] = f"{pinned_by(name)} --hash=sha256:{digest}"
+                requirements[pin_of_wheel(name)] = f"{pin_of_wheel(name)} --hash=sha256:{digest}"
         elif name == _LOCK_FROM_WHEELS:
             raise WheelsRefused(
                 f"{place} was made for another {LOCK}: make a new bundle, or remove {WHEELS}/ to use the network"
@@ -140,7 +140,7 @@ def hashed_requirements(folder: Path) -> dict[str, str]:
                 f"{place}/{name} is damaged, its SHA-256 differs from {SUMS}: unpack the bundle again"
             )
     for line in (folder / _LOCK_FROM_WHEELS).read_text().splitlines():
-        if re.match(r"[A-Za-z0-9]", line) and ";" not in line and pinned(line) not in requirements:
+        if re.match(r"[A-Za-z0-9]", line) and ";" not in line and pin_of_requirement(line) not in requirements:
             raise WheelsRefused(f"{place}/{SUMS} has no wheel of {line.strip()}: unpack the bundle again")
     return requirements
 

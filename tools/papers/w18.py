@@ -25,7 +25,7 @@ RAYLEIGH_RATIO = float(np.sqrt(np.pi / (4.0 - np.pi)))
 
 PRINTED_MEAN_ARCSEC, PRINTED_SIGMA_ARCSEC, PRINTED_TOTAL_ARCSEC = 5.90, 1.71, 6.15
 LENS_M = 0.06
-UNTOLD_LENS_M = np.full(3, LENS_M / np.sqrt(3.0))
+UNSURVEYED_LENS_M = np.full(3, LENS_M / np.sqrt(3.0))
 """60 mm in equal parts forward, up and right."""
 
 ELEVATIONS_DEG = (10.0, 30.0, 60.0, 80.0)
@@ -48,14 +48,14 @@ class PaperReading:
 
     name: str
     baseline_sigma_m: float = BASELINE_M
-    untold_lens_m: tuple[float, ...] = tuple(NONE.tolist())
+    unsurveyed_lens_m: tuple[float, ...] = tuple(NONE.tolist())
     elevation_deg: float = _ELEVATION_DEG
     focal_length_error_m: float | None = None
 
 
 SURVEYED = PaperReading("N′ surveyed, 2.7 cm per axis")
 AS_A_NORM = PaperReading("N′ surveyed, 2.7 cm as a norm", BASELINE_M / float(np.sqrt(3.0)))
-UNSURVEYED = replace(AS_A_NORM, name="N′ unsurveyed, 2.7 cm as a norm", untold_lens_m=tuple(UNTOLD_LENS_M.tolist()))
+UNSURVEYED = replace(AS_A_NORM, name="N′ unsurveyed, 2.7 cm as a norm", untold_lens_m=tuple(UNSURVEYED_LENS_M.tolist()))
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def axis_errors(reading: PaperReading, epochs: int = _EPOCHS) -> AxisErrors:
         truth,
         _SEED,
         baseline_sigma_m=reading.baseline_sigma_m,
-        unsurveyed_lens_m=np.array(reading.untold_lens_m),
+        unsurveyed_lens_m=np.array(reading.unsurveyed_lens_m),
         focal_length_sigma_m=FOCAL_LENGTH_SIGMA_M if constant_m is None else 0.0,
     )
     camera = replace(drawn.camera, focal_length_m=drawn.camera.focal_length_m + (constant_m or 0.0))
@@ -127,7 +127,7 @@ def section(figure: str) -> str:
     elevations = ", ".join(f"{each:.0f}" for each in ELEVATIONS_DEG)
     return f"""## [W18]: calibration of a theodolite by two airborne lights
 
-{rows_table(printed())}
+{rows_table(printed_values())}
 ### The figure of its simulation in two readings
 
 Two lights at (3°, 2°) and (−2°, −3°) from the axis, 2 km away; f 100 mm ± 0.1 mm, a tenth of a pixel of 6.5 µm, 2″ of
@@ -174,7 +174,7 @@ def _voyages() -> Iterator[tuple[str, ...]]:
         yield words, *suite_error_arcsec(scenario, range(_VOYAGES)).cells
 
 
-def printed() -> Iterator[Row]:
+def printed_values() -> Iterator[Row]:
     """Yield the values that the paper prints."""
     mean, sigma, total = summary(axis_errors(UNSURVEYED).triads)
     _, _, surveyed = summary(axis_errors(SURVEYED).triads)
@@ -235,4 +235,4 @@ def _over_elevations(reading: PaperReading) -> str:
 
 
 def _constant_arcsec() -> float:
-    return float(np.linalg.norm(UNTOLD_LENS_M[1:]) / 2000.0 / ARCSEC)
+    return float(np.linalg.norm(UNSURVEYED_LENS_M[1:]) / 2000.0 / ARCSEC)

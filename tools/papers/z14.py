@@ -42,14 +42,14 @@ There are two readings ([errata](explanation/errata.md)): *the paper's*, which t
 in its factors and figures, and *the physical one*, its own (4), which the suite uses. As 235°, Es 45°,
 γs 90°, E0 35°, γ0 0 unless swept.
 
-{rows_table(_printed())}
+{rows_table(_printed_section())}
 ### Its fifteen conclusions
 
 Each is tested with the exact model in both readings, by a test of its name
 ([`z14_conclusions.py`](../tools/papers/z14_conclusions.py)). Sizes of errors count, without their signs.
 
 {conclusions}
-All hold in the paper's reading: its text agrees with its figures. {_holding(PHYSICAL)} of {len(CONCLUSIONS)} hold
+All hold in the paper's reading: its text agrees with its figures. {_count_holding(PHYSICAL)} of {len(CONCLUSIONS)} hold
 physically.
 
 ### Its six figures
@@ -66,12 +66,12 @@ heading (K) and of the roll (θ), S is the sine of the pitch.
 {factors}
 {_factors_in_words()}
 
-Joined by (5)–(7), the printed factors are the suite's Jacobian in the paper's reading {_joined(PAPER)}; in the
-physical reading a derivative differs by up to {_joined(PHYSICAL)}.
+Joined by (5)–(7), the printed factors are the suite's Jacobian in the paper's reading {_largest_joint_difference(PAPER)}; in the
+physical reading a derivative differs by up to {_largest_joint_difference(PHYSICAL)}.
 """
 
 
-def _printed() -> Iterator[Row]:
+def _printed_section() -> Iterator[Row]:
     turn_deg = np.arange(0.0, 360.0, 0.1)
     paper, physical = (of_star_roll(reading, A0=turn_deg) for reading in (PAPER, PHYSICAL))
     azimuth_deg = turn_deg[int(np.argmax(paper[:1800, HEADING]))]
@@ -104,7 +104,7 @@ def _conclusions() -> Iterator[tuple[str, ...]]:
         yield conclusion.place, conclusion.words, *told, conclusion.remark
 
 
-def _holding(reading: InstallationConvention) -> int:
+def _count_holding(reading: InstallationConvention) -> int:
     return sum(conclusion.holds(reading) for conclusion in CONCLUSIONS)
 
 
@@ -128,7 +128,7 @@ def _factors_in_words() -> str:
     )
 
 
-def _joined(reading: InstallationConvention) -> str:
+def _largest_joint_difference(reading: InstallationConvention) -> str:
     """Return the largest difference of the joined printed factors from the exact Jacobian, below 85° of pitch."""
     angles = upright_attitudes(reading)
     difference = float(np.max(np.abs(jacobian_of_factors(angles) - exact_jacobian(angles, reading))))

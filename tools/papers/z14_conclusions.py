@@ -69,24 +69,24 @@ def of_star_roll(reading: InstallationConvention, **swept_deg: FloatArray | floa
     return np.abs(100.0 * linearise(angles[:, :3], angles[:, 3:], reading).star[:, :, 2])
 
 
-def grows(sizes: FloatArray, turn_back_arcsec: float) -> bool:
+def is_growing(sizes: FloatArray, turn_back_arcsec: float) -> bool:
     """True if sizes end larger than they began, and never decrease by more than the limit."""
     turned_back = np.max(np.maximum.accumulate(sizes) - sizes)
     return bool(turned_back <= turn_back_arcsec and sizes[-1] - sizes[0] > turn_back_arcsec)
 
 
-def falls(sizes: FloatArray, turn_back_arcsec: float) -> bool:
+def is_falling(sizes: FloatArray, turn_back_arcsec: float) -> bool:
     """True if sizes end smaller than they began, and never increase by more than the limit."""
-    return grows(sizes[::-1], turn_back_arcsec)
+    return is_growing(sizes[::-1], turn_back_arcsec)
 
 
-def falls_then_grows(sizes: FloatArray, turn_back_arcsec: float) -> bool:
+def is_falling_then_growing(sizes: FloatArray, turn_back_arcsec: float) -> bool:
     """True if sizes decrease to a minimum between the ends, and increase from there."""
     least = int(np.argmin(sizes))
-    return falls(sizes[: least + 1], turn_back_arcsec) and grows(sizes[least:], turn_back_arcsec)
+    return is_falling(sizes[: least + 1], turn_back_arcsec) and is_growing(sizes[least:], turn_back_arcsec)
 
 
-def oscillates(sizes: FloatArray) -> bool:
+def is_oscillating(sizes: FloatArray) -> bool:
     """True if sizes over a full turn return to the initial value, and rise and fall between."""
     return bool(np.ptp(sizes) > _SMALL_ERRORS_ARCSEC and abs(sizes[-1] - sizes[0]) < _ROUNDING_ARCSEC)
 
@@ -113,16 +113,16 @@ def oscillates_over_es_roll_s_a0(reading: InstallationConvention) -> bool:
     turn_deg = np.arange(0.0, 361.0) + 0.25  # none with a pitch of 90°
     by_a0 = of_star_roll(reading, A0=turn_deg)
     swept = [of_star_roll(reading, **{name: turn_deg, "A0": a0}) for name in ("Es", "γs") for a0 in CURVE_AZIMUTHS_DEG]
-    return all(oscillates(sizes[:, angle]) for sizes in (by_a0, *swept) for angle in range(3))
+    return all(is_oscillating(sizes[:, angle]) for sizes in (by_a0, *swept) for angle in range(3))
 
 
 def ahead_roll_and_abeam_heading(reading: InstallationConvention) -> bool:
     """Test at E0 = 35°: roll is worst ahead and astern, heading abeam; and figure 3's trends over E0."""
     ahead = [curve_arcsec(3, azimuth_deg, reading) for azimuth_deg in AHEAD_ASTERN]
     abeam = [curve_arcsec(3, azimuth_deg, reading) for azimuth_deg in ABEAM]
-    trends = [grows(sizes[:, angle], _ROUNDING_ARCSEC) for sizes in ahead for angle in (HEADING, PITCH)]
-    trends += [grows(sizes[:, PITCH], _ROUNDING_ARCSEC) for sizes in abeam]
-    trends += [falls(sizes[:, angle], _ROUNDING_ARCSEC) for sizes in abeam for angle in (HEADING, ROLL)]
+    trends = [is_growing(sizes[:, angle], _ROUNDING_ARCSEC) for sizes in ahead for angle in (HEADING, PITCH)]
+    trends += [is_growing(sizes[:, PITCH], _ROUNDING_ARCSEC) for sizes in abeam]
+    trends += [is_falling(sizes[:, angle], _ROUNDING_ARCSEC) for sizes in abeam for angle in (HEADING, ROLL)]
     return worst_is(ROLL, AHEAD_ASTERN, reading) and worst_is(HEADING, ABEAM, reading) and all(trends)
 
 
@@ -136,7 +136,7 @@ def worst_is(angle: int, azimuths_deg: tuple[float, ...], reading: InstallationC
 
 def oscillates_over_installation_azimuth(reading: InstallationConvention) -> bool:
     """Test in figure 4."""
-    return all(oscillates(curve_arcsec(4, None, reading)[:, angle]) for angle in range(3))
+    return all(is_oscillating(curve_arcsec(4, None, reading)[:, angle]) for angle in range(3))
 
 
 def flat_over_installation_roll(reading: InstallationConvention) -> bool:
@@ -149,27 +149,27 @@ def flat_over_installation_roll(reading: InstallationConvention) -> bool:
 
 def pitch_grows_with_elevation(reading: InstallationConvention) -> bool:
     """Test in figure 6, at all four azimuths."""
-    return all(_trend(grows, azimuth_deg, PITCH, reading) for azimuth_deg in CURVE_AZIMUTHS_DEG)
+    return all(_trend(is_growing, azimuth_deg, PITCH, reading) for azimuth_deg in CURVE_AZIMUTHS_DEG)
 
 
 def ahead_heading_grows_roll_falls(reading: InstallationConvention) -> bool:
     """Test in figure 6, A0 = 0."""
-    return _trend(grows, 0.0, HEADING, reading) and _trend(falls, 0.0, ROLL, reading)
+    return _trend(is_growing, 0.0, HEADING, reading) and _trend(is_falling, 0.0, ROLL, reading)
 
 
 def to_starboard_heading_and_roll_fall(reading: InstallationConvention) -> bool:
     """Test in figure 6, A0 = 90°."""
-    return _trend(falls, 90.0, HEADING, reading) and _trend(falls, 90.0, ROLL, reading)
+    return _trend(is_falling, 90.0, HEADING, reading) and _trend(is_falling, 90.0, ROLL, reading)
 
 
 def astern_heading_grows_roll_falls_then_grows(reading: InstallationConvention) -> bool:
     """Test in figure 6, A0 = 180°."""
-    return _trend(grows, 180.0, HEADING, reading) and _trend(falls_then_grows, 180.0, ROLL, reading)
+    return _trend(is_growing, 180.0, HEADING, reading) and _trend(is_falling_then_growing, 180.0, ROLL, reading)
 
 
 def to_port_heading_falls_roll_falls_then_grows(reading: InstallationConvention) -> bool:
     """Test in figure 6, A0 = 270°."""
-    return _trend(falls, 270.0, HEADING, reading) and _trend(falls_then_grows, 270.0, ROLL, reading)
+    return _trend(is_falling, 270.0, HEADING, reading) and _trend(is_falling_then_growing, 270.0, ROLL, reading)
 
 
 def _trend(

@@ -73,7 +73,7 @@ def rotation_by(angles: FloatArray, by: str) -> FloatArray:
     return derivative
 
 
-def _printed(formula: str) -> Callable[[FloatArray], FloatArray]:
+def _printed_formula(formula: str) -> Callable[[FloatArray], FloatArray]:
     """Return a function for a formula in the paper's letters: CA is cos As, Ca cos A0, SE sin Es, Sg sin γ0."""
     code = compile(formula, "factor", "eval")
 
@@ -96,51 +96,51 @@ _D_ROLL = "CE*SG*(Ca*Sg - Sa*Se*Cg) + SE*(Sa*Sg + Ca*Se*Cg) - CE*CG*Ce*Cg"
 _N_ROLL = "CE*SG*(Ca*Cg + Sa*Se*Sg) + SE*(Sa*Cg - Ca*Se*Sg) + CE*CG*Ce*Sg"
 
 FACTORS = (
-    Factor(8, "ks1", -1.0, "N_K", "Es", _printed("Ca*Ce*SA*SE + Se*SA*CE*CG - Sa*Ce*SA*CE*SG")),
-    Factor(9, "ks2", -1.0, "D_K", "", _printed(_D_K)),
-    Factor(10, "ks3", -1.0, "D_K", "Es", _printed("Ca*Ce*CA*SE + Se*CA*CE*CG - Sa*Ce*CA*CE*SG")),
-    Factor(11, "ks4", 1.0, "N_K", "", _printed(_N_K)),
+    Factor(8, "ks1", -1.0, "N_K", "Es", _printed_formula("Ca*Ce*SA*SE + Se*SA*CE*CG - Sa*Ce*SA*CE*SG")),
+    Factor(9, "ks2", -1.0, "D_K", "", _printed_formula(_D_K)),
+    Factor(10, "ks3", -1.0, "D_K", "Es", _printed_formula("Ca*Ce*CA*SE + Se*CA*CE*CG - Sa*Ce*CA*CE*SG")),
+    Factor(11, "ks4", 1.0, "N_K", "", _printed_formula(_N_K)),
     Factor(
         12, "ks5", 1.0, "N_K", "",
-        _printed("Ca*Ce*SA*CE + Se*(CA*SG - CA*SE*CG) + Sa*Ce*(CA*CG + SA*SE*SG)"),
+        _printed_formula("Ca*Ce*SA*CE + Se*(CA*SG - CA*SE*CG) + Sa*Ce*(CA*CG + SA*SE*SG)"),
         "prints cos As for sin As in its second term; with that it is (11)",
     ),
-    Factor(13, "ks6", 1.0, "N_K", "γs", _printed("Se*(CA*CG + SA*SE*SG) - Sa*Ce*(CA*SG - SA*SE*CG)")),
-    Factor(14, "ks7", -1.0, "D_K", "γs", _printed("Se*(SA*CG - CA*SE*SG) - Sa*Ce*(SA*SG + CA*SE*CG)")),
-    Factor(15, "fs1", 1.0, "S", "Es", _printed("Ca*Ce*CE - Se*SE*CG + Sa*Ce*SE*SG"), SUBSCRIPTS),
+    Factor(13, "ks6", 1.0, "N_K", "γs", _printed_formula("Se*(CA*CG + SA*SE*SG) - Sa*Ce*(CA*SG - SA*SE*CG)")),
+    Factor(14, "ks7", -1.0, "D_K", "γs", _printed_formula("Se*(SA*CG - CA*SE*SG) - Sa*Ce*(SA*SG + CA*SE*CG)")),
+    Factor(15, "fs1", 1.0, "S", "Es", _printed_formula("Ca*Ce*CE - Se*SE*CG + Sa*Ce*SE*SG"), SUBSCRIPTS),
     Factor(16, "fs2", 1.0, "S", "", None, _LOST),
     Factor(17, "fs3", 1.0, "S", "γs", None, _LOST),
     Factor(
         18, "ts1", -1.0, "N_θ", "Es",
-        _printed("SE*SG*(Ca*Cg + Sa*Se*Sg) - CE*(Sa*Cg - Ca*Se*Sg) + SE*CG*Ce*Sg"), SUBSCRIPTS,
+        _printed_formula("SE*SG*(Ca*Cg + Sa*Se*Sg) - CE*(Sa*Cg - Ca*Se*Sg) + SE*CG*Ce*Sg"), SUBSCRIPTS,
     ),
-    Factor(19, "ts2", -1.0, "D_θ", "", _printed(_D_ROLL)),
-    Factor(20, "ts3", 1.0, "N_θ", "", _printed(_N_ROLL)),
+    Factor(19, "ts2", -1.0, "D_θ", "", _printed_formula(_D_ROLL)),
+    Factor(20, "ts3", 1.0, "N_θ", "", _printed_formula(_N_ROLL)),
     Factor(
         21, "ts4", -1.0, "D_θ", "Es",
-        _printed("-SE*SG*(Ca*Sg - Sa*Se*Cg) + CE*(Sa*Sg + Ca*Se*Cg) + SE*CG*Ce*Cg"), SUBSCRIPTS,
+        _printed_formula("-SE*SG*(Ca*Sg - Sa*Se*Cg) + CE*(Sa*Sg + Ca*Se*Cg) + SE*CG*Ce*Cg"), SUBSCRIPTS,
     ),
-    Factor(22, "ts5", 1.0, "N_θ", "γs", _printed("CE*CG*(Ca*Cg + Sa*Se*Sg) - CE*SG*Ce*Sg"), SUBSCRIPTS),
+    Factor(22, "ts5", 1.0, "N_θ", "γs", _printed_formula("CE*CG*(Ca*Cg + Sa*Se*Sg) - CE*SG*Ce*Sg"), SUBSCRIPTS),
     Factor(23, "ts6", -1.0, "D_θ", "γs", None, _LOST),
-    Factor(24, "kb1", 1.0, "N_K", "A0", _printed("Ca*Ce*(CA*CG + SA*SE*SG) - Sa*Ce*SA*CE")),
-    Factor(25, "kb2", -1.0, "D_K", "", _printed(_D_K)),
-    Factor(26, "kb3", -1.0, "D_K", "A0", _printed("Ca*Ce*(SA*CG - CA*SE*SG) + Sa*Ce*CA*CE")),
-    Factor(27, "kb4", 1.0, "N_K", "", _printed(_N_K)),
-    Factor(28, "kb5", -1.0, "N_K", "E0", _printed("Ca*Se*SA*CE + Sa*Se*(CA*CG + SA*SE*SG) - Ce*(CA*SG - SA*SE*CG)")),
+    Factor(24, "kb1", 1.0, "N_K", "A0", _printed_formula("Ca*Ce*(CA*CG + SA*SE*SG) - Sa*Ce*SA*CE")),
+    Factor(25, "kb2", -1.0, "D_K", "", _printed_formula(_D_K)),
+    Factor(26, "kb3", -1.0, "D_K", "A0", _printed_formula("Ca*Ce*(SA*CG - CA*SE*SG) + Sa*Ce*CA*CE")),
+    Factor(27, "kb4", 1.0, "N_K", "", _printed_formula(_N_K)),
+    Factor(28, "kb5", -1.0, "N_K", "E0", _printed_formula("Ca*Se*SA*CE + Sa*Se*(CA*CG + SA*SE*SG) - Ce*(CA*SG - SA*SE*CG)")),
     Factor(
         29, "kb6", -1.0, "D_K", "E0",
-        _printed("Ca*Se*CA*CE + Ce*(SA*SG + CA*SE*CG) - Sa*Se*(SA*CG - CA*SE*SG)"),
+        _printed_formula("Ca*Se*CA*CE + Ce*(SA*SG + CA*SE*CG) - Sa*Se*(SA*CG - CA*SE*SG)"),
         "has an unclosed bracket in our text; without it exact",
     ),
-    Factor(30, "fb1", -1.0, "S", "A0", _printed("Ca*Ce*CE*SG + Sa*Ce*SE"), "(6) has to subtract it"),
-    Factor(31, "fb2", 1.0, "S", "", _printed("Ca*Ce*SE + Se*CE*CG - Sa*Ce*CE*SG")),
-    Factor(32, "fb3", 1.0, "S", "E0", _printed("-Ca*Se*SE + Ce*CE*CG + Sa*Se*CE*SG")),
-    Factor(33, "tb1", 1.0, "N_θ", "A0", _printed("SE*(Ca*Cg + Sa*Se*Sg) - CE*SG*(Sa*Cg - Ca*Se*Sg)")),
-    Factor(34, "tb2", -1.0, "D_θ", "", _printed(_D_ROLL)),
-    Factor(35, "tb3", -1.0, "D_θ", "A0", _printed("SE*(Ca*Sg - Sa*Se*Cg) - CE*SG*(Sa*Sg + Ca*Se*Cg)")),
-    Factor(36, "tb4", 1.0, "N_θ", "", _printed(_N_ROLL)),
-    Factor(37, "tb5", -1.0, "N_θ", "E0", _printed("SE*Ca*Ce*Sg + CE*CG*Se*Sg - CE*SG*Sa*Ce*Sg")),
-    Factor(38, "tb6", -1.0, "D_θ", "E0", _printed("SE*Ca*Ce*Cg + CE*CG*Se*Cg - CE*SG*Sa*Ce*Cg")),
+    Factor(30, "fb1", -1.0, "S", "A0", _printed_formula("Ca*Ce*CE*SG + Sa*Ce*SE"), "(6) has to subtract it"),
+    Factor(31, "fb2", 1.0, "S", "", _printed_formula("Ca*Ce*SE + Se*CE*CG - Sa*Ce*CE*SG")),
+    Factor(32, "fb3", 1.0, "S", "E0", _printed_formula("-Ca*Se*SE + Ce*CE*CG + Sa*Se*CE*SG")),
+    Factor(33, "tb1", 1.0, "N_θ", "A0", _printed_formula("SE*(Ca*Cg + Sa*Se*Sg) - CE*SG*(Sa*Cg - Ca*Se*Sg)")),
+    Factor(34, "tb2", -1.0, "D_θ", "", _printed_formula(_D_ROLL)),
+    Factor(35, "tb3", -1.0, "D_θ", "A0", _printed_formula("SE*(Ca*Sg - Sa*Se*Cg) - CE*SG*(Sa*Sg + Ca*Se*Cg)")),
+    Factor(36, "tb4", 1.0, "N_θ", "", _printed_formula(_N_ROLL)),
+    Factor(37, "tb5", -1.0, "N_θ", "E0", _printed_formula("SE*Ca*Ce*Sg + CE*CG*Se*Sg - CE*SG*Sa*Ce*Sg")),
+    Factor(38, "tb6", -1.0, "D_θ", "E0", _printed_formula("SE*Ca*Ce*Cg + CE*CG*Se*Cg - CE*SG*Sa*Ce*Cg")),
 )  # fmt: skip
 """Every factor of the paper. Only names of angles are shortened in places: no misprint is corrected."""
 
