@@ -27,7 +27,7 @@ NEEDLESS = {
 @pytest.mark.slow
 @pytest.mark.parametrize("adapter", ADAPTERS)
 def test_node_imports_no_unneeded_module(adapter: str) -> None:
-    script = f"import json, sys, ship_node.live.node_shell, {adapter}; print(json.dumps(list(sys.modules)))"
+    script = f"import json, sys, ship_node.live.node_runtime, {adapter}; print(json.dumps(list(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True, timeout=120)
     read = set(json.loads(done.stdout))
     assert {"rclpy", "ship_node.live.live_node", adapter} <= read  # what it does need is there

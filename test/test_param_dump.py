@@ -13,7 +13,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from ship_bags.live.dds import prepare_dds
 from ship_nmea.instruments.config import NmeaInConfig
 from ship_nmea.instruments.nmea_in import NmeaIn
-from ship_nmea.node_shell import NmeaNode
+from ship_nmea.nmea_node import NmeaNode
 from ship_nmea.out.config import NmeaOutConfig
 from ship_nmea.out.nmea_out import NmeaOut
 from ship_node.live.live_node import LiveNode

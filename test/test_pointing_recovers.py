@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ship_attitude_star.sky.sky_watch import SkyModel
+from ship_attitude_star.sky.sky_model import SkyModel
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
@@ -21,10 +21,10 @@ from ship_replay.evaluation.sources import Truth
 from ship_replay.offline.adapter_chain import AdapterChain, suite_config
 from ship_replay.offline.block_run import BlockRun
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
-from ship_replay.trials.voyage_told import VoyageSink
+from ship_replay.trials.voyage_outputs import VoyageSink
 from ship_simulation.faults.injection import Injection
 from ship_simulation.scenario.fault import Fault
-from ship_testing.kept_sink import MemorySink
+from ship_testing.memory_sink import MemorySink
 from ship_testing.returns.voyages import make_bag
 from ship_testing.theodolite_scenes import replace_nested
 from ship_watch.orientations import ORIENTATIONS

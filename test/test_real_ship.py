@@ -18,7 +18,7 @@ from ship_attitude_star.sky.surroundings import Surroundings
 from ship_bags.commands.import_nmea import main as import_nmea
 from ship_bags.mcap.bag_reader import read_bag
 from ship_estimation.gates import mean_nees_band, sigma_ratio_band
-from ship_estimation.refusals import Rejection
+from ship_estimation.rejections import Rejection
 from ship_replay.commands.replay import main as replay
 from ship_replay.trials.monte_carlo import final_error
 from ship_simulation.scenario.scenario_file import load_scenario

@@ -17,7 +17,7 @@ from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_estimation.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.outcome import Status
 from ship_estimation.parameters import build
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 from ship_geometry.rotations import ARCSEC, log_rotation
 from ship_replay.trials.monte_carlo import attitude_outcomes
 from ship_simulation.run import SimulatedRun, simulate

@@ -17,7 +17,7 @@ from ship_attitude_star.smoothing.core import SmoothingCore
 from ship_estimation.frame_names import FRAME_NAMES
 from ship_estimation.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.parameters import build
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.sky.sky_watch import load_sky_model
+from ship_attitude_star.sky.sky_model import load_sky_model
 from ship_attitude_star.smoothing.core import SmoothingCore
 from ship_estimation.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.outcome import Status
@@ -27,7 +27,7 @@ from ship_testing.mount_stars import MountSession, anchored_readings, draw_error
 from ship_testing.star_sky import TIME_NS
 from ship_testing.theodolite_scenes import SCENARIOS, replace_nested, with_beacons, with_theodolite
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.alternatives import BEACON_PREFIX, ENCODER
+from theodolite_calib.filter.subfilters import BEACON_PREFIX, ENCODER
 from theodolite_calib.measured.samples import Mode, PointingEstimate, PointingOutcome, ShipSample
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.smoothing.core import SmoothingAxisCore

@@ -11,7 +11,7 @@ import pytest
 
 from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.sky.sky_watch import SkyModel, load_sky_model
+from ship_attitude_star.sky.sky_model import SkyModel, load_sky_model
 from ship_attitude_star.sky.tracker_attitude import to_horizon_attitude
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.fit import MatchedStars

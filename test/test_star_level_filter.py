@@ -15,9 +15,9 @@ import pytest
 from ship_attitude_star.measurements.samples import AttitudeEstimate
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.sky.catalogue import hipparcos
-from ship_attitude_star.sky.sky_watch import ApparentStars, LocalSky, SkyModel
+from ship_attitude_star.sky.sky_model import ApparentStars, LocalSky, SkyModel
 from ship_estimation.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
-from ship_estimation.refusals import Reason, Rejection
+from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.earth_orientation import EarthOrientation, EarthOrientationTable, earth_orientation_table
 from ship_geometry.refraction import elevation_of, raised_directions
 from ship_geometry.rotations import FloatArray, log_rotation

@@ -28,7 +28,7 @@ from ship_node.live.adapter_calls import AdapterCalls
 from ship_node.live.node_clock import TickGrid
 from ship_replay.commands.replay import main as replay
 from ship_replay.trials.live_run import LiveRun
-from ship_simulation.messages.to_messages import generate_messages
+from ship_simulation.messages.message_stream import generate_messages
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import star_attitude_configuration

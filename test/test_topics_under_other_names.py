@@ -16,7 +16,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.renamed_topics import names_from_options, topic_names
 from ship_bags.stamps import NS_PER_S
-from ship_bringup.checks.network_look import observe_network
+from ship_bringup.checks.network_state import observe_network
 from ship_bringup.security.rights import suite_rights
 from ship_bringup.suite.plan import check_nodes
 from ship_monitor.after.recorded_suite import RecordedSuite

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from bench_filter import ship_steps_us
 from bench_rows import Row, alternate, median_ratio, median_us, own_cpu_s
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.sky.sky_watch import load_sky_model
+from ship_attitude_star.sky.sky_model import load_sky_model
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.exposure_solver import MountedExposure, solve_deck, solve_exposure
 from ship_attitude_star.stars.solution import SolutionStatus

@@ -49,7 +49,7 @@ rclpy.spin(node)
 
 def import_cost() -> list[Row]:
     """Measure the processor time of importing each node's modules, and of ``import rclpy``."""
-    modules = {name: f"ship_node.live.node_shell, {adapter}" for name, (_, adapter, _) in _NODES.items()}
+    modules = {name: f"ship_node.live.node_runtime, {adapter}" for name, (_, adapter, _) in _NODES.items()}
     statements = {"rclpy": "rclpy", "rclpy.node": "rclpy.node", **modules}
     figures = alternate(IMPORT_ROUNDS + 1, *(lambda s=s: _import_cpu_s(s) for s in statements.values()))
     cpu_s = {name: counted[1:] for name, counted in zip(statements, figures, strict=True)}

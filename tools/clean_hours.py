@@ -17,7 +17,7 @@ from rich.table import Table
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_estimation.gates import mean_nees_band
-from ship_estimation.protection import TESTS_PER_H
+from ship_estimation.protection_levels import TESTS_PER_H
 from ship_replay.trials.clean_hours import (
     ALERT_LIMIT_ARCSEC,
     SETTLED_S,

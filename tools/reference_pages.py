@@ -18,7 +18,7 @@ from ship_estimation.parameters import ParameterDescription, describe
 from ship_node.edge.adapter import Adapter
 from ship_node.parameters.companions import COMPANIONS
 from ship_node.parameters.usage import topic_rows, usage_text
-from ship_simulation.messages.to_messages import TRUTH_TYPES
+from ship_simulation.messages.message_stream import TRUTH_TYPES
 from ship_simulation.scenario.scenario import Scenario
 from ship_watch.limits import Limits
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter

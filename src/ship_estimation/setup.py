@@ -9,7 +9,7 @@ from setuptools.command.build_ext import build_ext
 
 package_name = "ship_estimation"
 
-COMPILED = ("compiled_innovations", "compiled_integrity", "compiled_means", "compiled_steps", "compiled_watch")
+COMPILED = ("compiled_innovations", "compiled_integrity", "compiled_means", "compiled_steps", "compiled_checks")
 SHARED_MODULE = "ship_geometry.compiled_shared"
 CYTHON = 3, 1  # the oldest that takes these sources
 # Without contraction of products and sums the results are the same on every processor.

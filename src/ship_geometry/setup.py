@@ -11,7 +11,7 @@ package_name = "ship_geometry"
 
 COMPILED = (
     "compiled_angles",
-    "compiled_lights",
+    "compiled_beacons",
     "compiled_mounts",
     "compiled_polynomials",
     "compiled_refraction",

@@ -9,7 +9,7 @@ from setuptools.command.build_ext import build_ext
 
 package_name = "theodolite_calib"
 
-COMPILED = ("filter.compiled_points", "filter.compiled_rows", "measured.compiled_cubics")
+COMPILED = ("filter.compiled_points", "filter.compiled_subfilters", "measured.compiled_cubics")
 SHARED_MODULE = "ship_geometry.compiled_shared"
 CYTHON = 3, 1  # the oldest that takes these sources
 # Without contraction of products and sums the results are the same on every processor.

@@ -17,7 +17,7 @@ from datetime import datetime, timedelta, timezone
 import numpy as np
 from scipy.stats import chi2, norm
 
-from ship_attitude_star.sky.sky_watch import SkyModel, load_sky_model
+from ship_attitude_star.sky.sky_model import SkyModel, load_sky_model
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.exposure_solver import MountedExposure, solve_deck, solve_exposure
 from ship_attitude_star.stars.exposure import StarExposure

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.message_store import RosbagsFactory
-from ship_simulation.messages.to_messages import generate_messages
+from ship_simulation.messages.message_stream import generate_messages
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.motion_scenario import AngleMotion, CarrierMotion, Turn, Wave
 from ship_simulation.scenario.scenario import Ins, Reference, Scenario, StarSensor

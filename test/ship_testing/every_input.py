@@ -23,7 +23,7 @@ from ship_geometry.ros_axes import ENU_FROM_HORIZON
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_node.edge.reporting_adapter import ReportingAdapter
 from ship_node.parameters.parameter_file import load_config
-from ship_simulation.messages.to_messages import generate_messages
+from ship_simulation.messages.message_stream import generate_messages
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import Reference, Scenario
 from ship_simulation.scenario.scenario_file import load_scenario

@@ -11,9 +11,9 @@ from zoneinfo import ZoneInfo
 
 from ship_monitor.page.app import page_maker
 from ship_monitor.page.server import PageServer
-from ship_testing import pictures
+from ship_testing import suite_states
 from ship_watch.history import History
-from ship_watch.picture import SuiteState
+from ship_watch.suite_state import SuiteState
 
 _END_S = 20.0
 
@@ -26,8 +26,8 @@ class StateSource:
     place = "namespace /demo, domain 0"
 
     def __init__(self) -> None:
-        self.state = pictures.suite_state()
-        self.history = pictures.history()
+        self.state = suite_states.suite_state()
+        self.history = suite_states.history()
         self.fails = False
         self._start_s = time.monotonic()
 

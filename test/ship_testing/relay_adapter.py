@@ -147,6 +147,6 @@ class RelayAdapter:
 
 
 if __name__ == "__main__":
-    from ship_node.live.node_shell import run
+    from ship_node.live.node_runtime import run
 
     sys.exit(run(RelayAdapter))

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ship_estimation.protection import SigmaMultipliers, SolutionSeparation, solution_separation
+from ship_estimation.protection_levels import SigmaMultipliers, SolutionSeparation, solution_separation
 from ship_geometry.rotations import FloatArray
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_estimation.outcome import Status
-from ship_estimation.protection import IntegrityReport, IntegrityState
+from ship_estimation.protection_levels import IntegrityReport, IntegrityState
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from ship_geometry.ros_axes import quaternion_from_rotation, rotation_from_quaternion

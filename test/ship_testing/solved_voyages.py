@@ -7,7 +7,7 @@ from ship_attitude_star.ros.messages_in import star_measurement
 from ship_attitude_star.ros.star_attitude_adapter import star_horizon_attitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.sky.sky_watch import load_sky_model
+from ship_attitude_star.sky.sky_model import load_sky_model
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.core import StarCore
 from ship_attitude_star.stars.config import JOINT

@@ -7,7 +7,7 @@ import numpy as np
 from ship_attitude_star.measurements.readings import PositionFix
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.sky.catalogue import julian_year
-from ship_attitude_star.sky.sky_watch import SkyModel, load_sky_model
+from ship_attitude_star.sky.sky_model import SkyModel, load_sky_model
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_estimation.parameters import build
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack

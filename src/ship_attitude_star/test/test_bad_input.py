@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ship_estimation.outcome import Status
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 from ship_geometry.rotations import ARCSEC
 from ship_testing.adapter_runs import (
     SECOND_NS,

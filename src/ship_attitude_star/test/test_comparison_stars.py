@@ -16,7 +16,7 @@ from ship_attitude_star.stars.camera import StarCamera
 from ship_attitude_star.stars.residuals import SOURCE_STAR_NOISE, star_residuals
 from ship_attitude_star.stars.spatial_errors import FIELD_MODES, SOURCE_PIXEL, SpatialErrors
 from ship_estimation.parameters import build
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.geodetic import GeodeticPosition
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation

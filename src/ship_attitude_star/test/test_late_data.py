@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 from ship_testing.adapter_runs import (
     SECOND_NS,
     START_NS,

@@ -8,7 +8,7 @@ import pytest
 
 from ship_estimation.outcome import Status
 from ship_estimation.parameters import ParameterError
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 from ship_geometry.ros_axes import rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_testing.adapter_runs import change_where, index_at, replace_message

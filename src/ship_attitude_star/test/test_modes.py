@@ -15,7 +15,7 @@ from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_bags.message_factory import RosidlFactory
 from ship_estimation.outcome import Status
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 from ship_geometry.frames import angles_from_rotation
 from ship_geometry.ros_axes import FRD_FROM_DEVICE, NED_FROM_HORIZON
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation, wrap_pi

@@ -20,7 +20,7 @@ from ship_attitude_star.ship_attitude.state import changed
 from ship_bags.stamps import ns_from_stamp, stamp_fields
 from ship_estimation.outcome import Status
 from ship_estimation.recovery.recovery import MEMORY_SIGMAS
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 from ship_geometry.rotations import ARCSEC
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_copy, stamp_of
 from ship_testing.small_voyage import (
@@ -35,7 +35,7 @@ from ship_testing.small_voyage import (
     turn_star_messages,
     voyage,
 )
-from ship_testing.spoilt_filter import make_overconfident
+from ship_testing.overconfident_filter import make_overconfident
 
 ATTITUDE = "ship/attitude"
 SPOILT_S, LENGTH_S = 40.0, 130.0

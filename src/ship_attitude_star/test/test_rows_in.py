@@ -13,7 +13,7 @@ from ship_bags.message_store import RosbagsFactory
 from ship_estimation.parameters import build
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.messages_in import ReadMessage, MessageRejected
-from ship_testing.rows_read import rows
+from ship_testing.message_rows import rows
 
 TYPE, FRAME = "ship_msgs/msg/StarHorizonAttitude", "star_bow"
 START_NS, COUNT = 1_400_000_000_000_000_000, 60

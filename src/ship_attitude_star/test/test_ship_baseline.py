@@ -17,7 +17,7 @@ from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_estimation.outcome import Status
 from ship_estimation.parameters import ParameterError, build
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 from ship_geometry.attitude_track import AttitudeSample, InterpolatedAttitude
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation, wrap_pi

@@ -12,7 +12,7 @@ from ship_attitude_star.measurements.samples import Horizon
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_estimation.outcome import Status
 from ship_estimation.parameters import ParameterError
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 from ship_geometry.ros_axes import horizon_covariance, rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, log_rotation
 from ship_testing.adapter_runs import (

@@ -18,14 +18,14 @@ from ship_attitude_star.ros.messages_in import star_measurement
 from ship_attitude_star.ros.star_attitude_adapter import star_horizon_attitude
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.sky.sky_watch import SkyModel, load_sky_model
+from ship_attitude_star.sky.sky_model import SkyModel, load_sky_model
 from ship_attitude_star.sky.tracker_attitude import to_horizon_attitude
 from ship_attitude_star.star_attitude.exposure_solver import solve_exposure
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_estimation.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
 from ship_estimation.outcome import Measurement, Status
 from ship_estimation.parameters import ParameterError
-from ship_estimation.refusals import Reason, Rejection
+from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.geodetic import GeodeticPosition
 from ship_geometry.ros_axes import horizon_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation

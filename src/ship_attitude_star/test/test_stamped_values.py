@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.sky.stamped_values import JumpLimits, StampedValues
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 
 SECOND_NS = 1_000_000_000
 LIMITS = JumpLimits(max_step=10.0, max_rate=2.0, confirmation_s=60.0, unit="m")

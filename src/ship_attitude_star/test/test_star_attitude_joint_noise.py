@@ -14,7 +14,7 @@ import pytest
 from ship_attitude_star.measurements.readings import SkyInput
 from ship_attitude_star.ros.star_attitude_adapter import read_exposure
 from ship_attitude_star.ros.surroundings_in import surroundings_reader
-from ship_attitude_star.sky.sky_watch import SkyModel, load_sky_model
+from ship_attitude_star.sky.sky_model import SkyModel, load_sky_model
 from ship_attitude_star.star_attitude.core import StarCore
 from ship_attitude_star.stars.camera import tangent_basis
 from ship_attitude_star.stars.config import JOINT

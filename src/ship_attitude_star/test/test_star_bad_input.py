@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.stars.solution import SolutionStatus
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 from ship_geometry.earth_orientation import earth_orientation_table
 from ship_geometry.ros_axes import rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation

@@ -14,7 +14,7 @@ from ship_attitude_star.stars.camera import Distortion, StarCamera, equivalent_s
 from ship_attitude_star.stars.exposure import ExposureLength, reduce_to_mid_exposure, identify_stars
 from ship_attitude_star.stars.fit import fit_attitude, linearise_stars
 from ship_attitude_star.stars.selection import StarPrior
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.exposure_mean import exposure_motion
 from ship_geometry.frames import rotation_from_angles

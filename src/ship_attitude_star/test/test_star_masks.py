@@ -8,7 +8,7 @@ import pytest
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.sky.masks import MaskConfig, deck_masks
-from ship_attitude_star.sky.sky_watch import SkyModel
+from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.stars.exposure import StarExposure, identify_stars
 from ship_attitude_star.stars.identification import find_candidates

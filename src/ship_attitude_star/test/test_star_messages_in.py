@@ -11,7 +11,7 @@ from ship_attitude_star.stars.camera import StarCamera
 from ship_attitude_star.stars.config import CameraConfig
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import make_header
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 from ship_geometry.rotations import ARCSEC
 from ship_node.edge.messages_in import MessageRejected
 

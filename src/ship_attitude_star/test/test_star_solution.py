@@ -14,7 +14,7 @@ from ship_attitude_star.stars.selection import StarPrior, select_stars
 from ship_attitude_star.stars.solution import SOLUTION_TERMS, SolutionStatus, solve_stars
 from ship_estimation.compiled_integrity import square_root
 from ship_estimation.gates import mean_nees_band, normalized_error_squared
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 from ship_geometry.rotations import ARCSEC, angle_between, exp_rotation, log_rotation
 from ship_testing.star_scenes import SIGMA, Scene, attitude_error, draw_scene
 

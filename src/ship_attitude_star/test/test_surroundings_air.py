@@ -8,7 +8,7 @@ import pytest
 from ship_attitude_star.measurements.readings import AirReading, PositionFix
 from ship_attitude_star.sky.config import SkyConfig
 from ship_attitude_star.sky.surroundings import Air, Surroundings
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 from ship_geometry.geodetic import GeodeticPosition
 from ship_geometry.refraction import Weather
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ship_estimation.outcome import Status
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 from ship_testing import ship_observations, star_voyage
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, change_where, delay_arrivals, sort_by_arrival
 from ship_testing.small_voyage import INS

@@ -13,7 +13,7 @@ import pytest
 
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_estimation.outcome import Status
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 from ship_geometry.rotations import log_rotation
 from ship_node.edge.time_base import TimeBase
 from ship_testing.adapter_runs import (

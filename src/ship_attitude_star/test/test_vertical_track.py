@@ -11,7 +11,7 @@ from ship_attitude_star.vertical.config import GravityConfig
 from ship_attitude_star.vertical.deflection_table import DeflectionTable
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.parameters import ParameterError
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 from ship_geometry.geodetic import GeodeticPosition
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_geometry.time_scales import SECOND_NS

@@ -283,7 +283,7 @@ MAKERS = {  # files that make statuses: nodes that publish them
     "theodolite_calib/*/ros/optical_axis_adapter.py": {"optical_axis"},
     "theodolite_calib/*/ros/triangulation_adapter.py": {"triangulation"},
     "ship_node/*/edge/recovering_adapter.py": RECOVERING_NODES,
-    "ship_node/*/edge/verdict_report.py": RECOVERING_NODES,
+    "ship_node/*/edge/innovation_report.py": RECOVERING_NODES,
     "ship_node/*/edge/messages_out.py": RECOVERING_NODES,
     "ship_node/*/edge/reporting_adapter.py": ADAPTER_NODES,
     "ship_node/*/edge/input_health.py": ADAPTER_NODES,

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from ship_bags.errors import BadInput
-from ship_bringup.suite.keeper import Role
+from ship_bringup.suite.supervisor import Role
 from ship_bringup.suite.plan import SuiteOptions, make_plan
 
 ROOT = Path(__file__).parents[3]

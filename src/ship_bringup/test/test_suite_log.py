@@ -95,7 +95,7 @@ def test_file_is_in_the_log_folder_of_ros(monkeypatch, tmp_path):
 SUPERVISOR = """
 import sys
 from pathlib import Path
-from ship_bringup.suite.keeper import Keeper
+from ship_bringup.suite.supervisor import Keeper
 from ship_bringup.suite.program import Program
 from ship_bringup.suite.suite_log import SuiteLog
 text = "import os, time\\nopen({pid!r}, 'w').write(str(os.getpid()))\\n"

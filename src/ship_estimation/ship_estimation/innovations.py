@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ship_estimation import compiled_innovations
 from ship_estimation.chi_square import normal_value_above, probability_above, value_above
 from ship_estimation.outcome import MeasurementDecision
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 LEAST_COUNT = 30

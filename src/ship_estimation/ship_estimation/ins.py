@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from ship_estimation.parameter_fields import accept_unset_covariance, arcsec, degrees, parameter
-from ship_estimation.value_guards import JUMP_SAMPLES, vector_length
+from ship_estimation.value_checks import JUMP_SAMPLES, vector_length
 from ship_geometry.attitude_track import ExtraNoise
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation import compiled_watch
+from ship_estimation import compiled_checks
 from ship_geometry import compiled_rotations
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
@@ -119,7 +119,7 @@ class RateIntegrator:
         """Return the attitudes, shape (N, 3, 3), and bounds of their error, infinite from a gap on, shape (N,)."""
         assert self._last is not None
         rotation, _, missed_rad = self._integrated
-        turns_d, missed = compiled_watch.rotation_steps(
+        turns_d, missed = compiled_checks.rotation_steps(
             times_ns, rates_d, *self._last, missed_rad, self._twice_drift_d, _LONGEST_STEP_NS
         )
         return compiled_rotations.cumulative_rotations(rotation, turns_d), missed
@@ -136,5 +136,5 @@ def mean_rate_error_rad(first_rate_d: FloatArray, second_rate_d: FloatArray, sec
     >>> missed_by_mean_rad(steady, steady, seconds=0.0)
     0.0
     """
-    missed_rad: float = compiled_watch.mean_rate_error(first_rate_d, second_rate_d, seconds)
+    missed_rad: float = compiled_checks.mean_rate_error(first_rate_d, second_rate_d, seconds)
     return missed_rad

@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ship_estimation.running_means import NEVER_NS
+from ship_estimation.innovation_means import NEVER_NS
 
 Value = TypeVar("Value")
 
@@ -22,7 +22,7 @@ def with_shifted_stamps(value: Value, step_ns: int) -> Value:
         step_ns: the step, ns.
 
     Example:
-        >>> from ship_estimation.unconfirmed import Unconfirmed
+        >>> from ship_estimation.unconfirmed_step import Unconfirmed
         >>> with_shifted_stamps(Unconfirmed(10, "why", "stars"), -3).since_ns
         7
     """

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ship_estimation.ins import CheckedInsConfig
-from ship_estimation.ins_guard import InsCheck, CheckedInsSample
+from ship_estimation.ins_check import InsCheck, CheckedInsSample
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, ExtraNoise
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_testing.every_case import check_every_case

@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import chi, chi2
 
 from ship_estimation.ins import CheckedInsConfig, InsJump
-from ship_estimation.ins_guard import InsCheck
+from ship_estimation.ins_check import InsCheck
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation

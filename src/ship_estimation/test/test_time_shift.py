@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_estimation.running_means import NEVER_NS, initial_means
+from ship_estimation.innovation_means import NEVER_NS, initial_means
 from ship_estimation.time_shift import with_shifted_stamps
 
 

@@ -8,15 +8,15 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.stamps import NS_PER_S, make_header
-from ship_monitor.after import recorded_pictures
-from ship_monitor.after.recorded_pictures import BagPlayback
+from ship_monitor.after import bag_playback
+from ship_monitor.after.bag_playback import BagPlayback
 from ship_monitor.after.recorded_suite import THINNING_PERIOD_NS, RecordedSuite
 from ship_testing.hand_made_bags import FACTORY, START_NS, ship_attitude, write_imu_bag
 from ship_testing.recorded_suites import TURN_RAD_PER_S, write_suite
 from ship_watch.history import HISTORY_S
 from ship_watch.limits import Limits
-from ship_watch.picture import Presence
-from ship_watch.watch import SuiteMonitor
+from ship_watch.suite_state import Presence
+from ship_watch.suite_monitor import SuiteMonitor
 
 LENGTH_S = 900
 
@@ -164,7 +164,7 @@ class TestBagPlayback:
 
     def test_one_update_reads_the_minute_and_a_part_of_the_ten(self, suite, pictures, monkeypatch):
         """The messages are counted; each update of the ten minutes ends at its deadline."""
-        monkeypatch.setattr(recorded_pictures, "LOOK_S", 0.0)
+        monkeypatch.setattr(bag_playback, "LOOK_S", 0.0)
         heard = []
         original = SuiteMonitor.process_message
         monkeypatch.setattr(SuiteMonitor, "take", lambda self, *given: heard.append(given) or original(self, *given))
@@ -218,7 +218,7 @@ class TestBagPlayback:
         slide(pictures, 100.0)
         whole(pictures)
         pictures._last_look_s = 0.0
-        monkeypatch.setattr(recorded_pictures.time, "monotonic", lambda: now[0])
+        monkeypatch.setattr(bag_playback.time, "monotonic", lambda: now[0])
         pictures._controls._play.active = True
         now[0] = 0.5
         assert (pictures.look().utc_ns - START_NS) / NS_PER_S == pytest.approx(100.5, abs=0.11)

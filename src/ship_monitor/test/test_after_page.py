@@ -2,7 +2,7 @@
 
 import pytest
 
-from ship_monitor.after.recorded_pictures import BagPlayback
+from ship_monitor.after.bag_playback import BagPlayback
 from ship_monitor.after.recorded_suite import RecordedSuite
 from ship_testing import browser as browser_module
 from ship_testing.browser import Browser

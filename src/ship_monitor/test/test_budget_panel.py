@@ -13,8 +13,8 @@ from ship_monitor.page.budget_panel import (
     variances_arcsec2,
 )
 from ship_monitor.page.themes import THEMES
-from ship_monitor.page.trails import TimeAxis
-from ship_testing.watched_minutes import ARCSEC, simulated_history
+from ship_monitor.page.streamed_lines import TimeAxis
+from ship_testing.monitored_histories import ARCSEC, simulated_history
 
 
 def test_five_largest_sources_have_bands_and_keep_them_for_small_changes() -> None:

@@ -8,7 +8,7 @@ import pytest
 from bokeh.document import Document
 
 from ship_monitor.page.curves import next_step, gap_rows, label_positions, signed_text, rows_to_draw
-from ship_monitor.page.trails import TimeAxis, StreamedLine
+from ship_monitor.page.streamed_lines import TimeAxis, StreamedLine
 from ship_watch.history import points_after
 
 SECOND_NS = 1_000_000_000

@@ -8,12 +8,12 @@ import pytest
 
 from ship_monitor.page.alignment_panel import state_text
 from ship_testing import browser as browser_module
-from ship_testing import pictures
+from ship_testing import suite_states
 from ship_testing.browser import Browser
 from ship_testing.page_runs import StateSource, run_page_server
-from ship_testing.watched_minutes import simulated_history, simulated_state
+from ship_testing.monitored_histories import simulated_history, simulated_state
 from ship_watch.history import ParameterEstimate
-from ship_watch.picture import Event, InputState, Presence
+from ship_watch.suite_state import Event, InputState, Presence
 
 NAMES = {
     "markup": "</script></style><img src=x onerror=window.hit=1><svg onload=window.hit=1>&lt;b&gt;",
@@ -32,8 +32,8 @@ def hostile(name):
         well,
         sources=tuple(sources),
         angles=tuple(replace(each, reason=name) for each in well.angles),
-        alerts=(replace(pictures.SHIFTED_SENSOR_ALERT, id=name, source=name, text=name, unit=name),),
-        events=(Event(pictures.NOW_NS, "alert", name, name), Event(pictures.NOW_NS, "state", name, "x")),
+        alerts=(replace(suite_states.SHIFTED_SENSOR_ALERT, id=name, source=name, text=name, unit=name),),
+        events=(Event(suite_states.NOW_NS, "alert", name, name), Event(suite_states.NOW_NS, "state", name, "x")),
         inputs=(InputState(name, 2.0, 0.1, 0.6, 1, 81, {name: 9}),),
         pointing_by=name,
         horizon=name,

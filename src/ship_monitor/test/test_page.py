@@ -13,11 +13,11 @@ from ship_monitor.page.innovation_panel import InnovationPanel
 from ship_monitor.page.sky_panel import SkyPanel
 from ship_monitor.page.tables import InputsPanel
 from ship_testing import browser as browser_module
-from ship_testing import pictures
+from ship_testing import suite_states
 from ship_testing.browser import Browser
 from ship_testing.page_runs import StateSource, run_page_server
-from ship_testing.watched_minutes import simulated_history, simulated_state
-from ship_watch.picture import ANGLES, Safety
+from ship_testing.monitored_histories import simulated_history, simulated_state
+from ship_watch.suite_state import ANGLES, Safety
 
 pytestmark = pytest.mark.skipif(browser_module.CHROMIUM is None, reason="there is no Chromium on this machine")
 
@@ -57,7 +57,7 @@ def rectangle(browser, selector):
 @pytest.mark.parametrize("theme", ["day", "dusk", "night"])
 @pytest.mark.parametrize("size", SIZES)
 def test_first_screen_is_drawn_completely(browser, source, page, theme, size, tmp_path):
-    source.set(pictures.state_with_two_faults(), pictures.history(is_faulty=True))
+    source.set(suite_states.state_with_two_faults(), suite_states.history(is_faulty=True))
     browser.open(f"{page}?theme={theme}", *SIZES[size])
     browser.until(LIVE)
     browser.photograph(tmp_path / f"{theme}_{size}.png")
@@ -104,7 +104,7 @@ def test_first_screen_at_1280_by_800_matches_the_design(browser, page):
     ],
 )
 def test_font_sizes_for_reading_at_a_distance(browser, source, page, selector, least_px):
-    source.set(pictures.state_with_two_faults())
+    source.set(suite_states.state_with_two_faults())
     browser.open(page)
     browser.until(LIVE)
     assert browser.evaluate(f"parseFloat(getComputedStyle(document.querySelector('{selector}')).fontSize)") >= least_px
@@ -120,7 +120,7 @@ def test_fallback_font_cuts_nothing_and_console_is_empty(source, page, size, tmp
         f"<cachedir>{tmp_path}/cache</cachedir></fontconfig>"
     )
     monkeypatch.setenv("FONTCONFIG_FILE", str(tmp_path / "fonts.conf"))
-    source.set(pictures.state_with_two_faults())
+    source.set(suite_states.state_with_two_faults())
     plain = Browser()
     try:
         plain.open(page, *SIZES[size])
@@ -140,7 +140,7 @@ def test_fallback_font_cuts_nothing_and_console_is_empty(source, page, size, tmp
 
 
 def test_reason_fits_its_tile_on_a_phone(browser, source, page):
-    source.set(pictures.state_with_two_faults())
+    source.set(suite_states.state_with_two_faults())
     browser.open(page, *SIZES["phone"])
     browser.until(LIVE)
     below = "[...document.querySelectorAll('.tile')].filter((each) => each.scrollHeight > each.clientHeight)"
@@ -159,7 +159,7 @@ def test_phone_layout(browser, page):
 def test_values_change_without_reload(browser, source, page):
     browser.open(page)
     browser.until(LIVE)
-    well = pictures.suite_state()
+    well = suite_states.suite_state()
     heading = replace(well.angles[0], value=1.0, safety=Safety.UNSAFE, reason="all stars refused")
     source.set(replace(well, angles=(heading, *well.angles[1:])))
     browser.until("document.querySelector('#heading .digits').textContent === '057.30'")  # 1 rad
@@ -234,7 +234,7 @@ def test_keys_choose_the_theme_and_pause_the_plots(browser, page):
 
 
 def test_the_alert_line_opens_the_list(browser, source, page):
-    source.set(pictures.state_with_two_faults())
+    source.set(suite_states.state_with_two_faults())
     browser.open(page)
     browser.until(LIVE)
     browser.evaluate("document.querySelector('#alert').click()")
@@ -259,7 +259,7 @@ def test_hovering_shows_all_digits_in_the_colours_of_the_theme(browser, page):
 
 
 def test_names_from_the_network_are_plain_text(browser, source, page):
-    well = pictures.suite_state()
+    well = suite_states.suite_state()
     evil = "</script><img src=x onerror=window.hit=1>"
     source.set(replace(well, sources=(replace(well.sources[0], name=evil), *well.sources[1:])))
     browser.open(page)
@@ -269,8 +269,8 @@ def test_names_from_the_network_are_plain_text(browser, source, page):
 
 
 def test_many_sources_are_counted_and_out_ones_are_visible(browser, source, page):
-    faulty = pictures.state_with_two_faults()
-    more = tuple(pictures.source(f"reference.{number}") for number in range(20))
+    faulty = suite_states.state_with_two_faults()
+    more = tuple(suite_states.source(f"reference.{number}") for number in range(20))
     source.set(replace(faulty, sources=faulty.sources + more))
     browser.open(page)
     browser.until(LIVE)
@@ -281,7 +281,7 @@ def test_many_sources_are_counted_and_out_ones_are_visible(browser, source, page
 
 @pytest.mark.slow
 def test_suite_without_a_theodolite_has_no_empty_tiles(browser, source, page):
-    well = pictures.suite_state()
+    well = suite_states.suite_state()
     source.set(replace(well, angles=well.angles[:3], pointing_by=""))
     browser.open(page)
     browser.until(LIVE)
@@ -307,7 +307,7 @@ def test_old_data_have_no_ticks_ages_or_counts(browser, source, page, is_linked)
     browser.until(LIVE)
     assert OLD_COLOUR not in [colour(browser, each) for each in GREY]
     if is_linked:
-        source.set(pictures.suite_state(*pictures.angles_timed_out(*ANGLES, age_s=19.0)))
+        source.set(suite_states.suite_state(*suite_states.angles_timed_out(*ANGLES, age_s=19.0)))
         browser.until("document.documentElement.classList.contains('stale')")
     else:
         source.fails = True
@@ -324,7 +324,7 @@ def test_old_data_have_no_ticks_ages_or_counts(browser, source, page, is_linked)
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [*SIZES.values(), LAPTOP])
 def test_safety_and_alert_stay_visible_while_scrolled(browser, source, page, size):
-    source.set(pictures.state_with_two_faults())
+    source.set(suite_states.state_with_two_faults())
     browser.open(page, *size)
     browser.until(LIVE)
     assert not browser.evaluate("document.querySelector('#states').offsetHeight")
@@ -349,7 +349,7 @@ def test_time_axis_is_visible_at_1366_by_768(browser, page):
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [SIZES["watch"], LAPTOP])
 def test_list_is_readable_with_two_sources_out(browser, source, page, size):
-    source.set(pictures.state_with_two_faults())
+    source.set(suite_states.state_with_two_faults())
     browser.open(page, *size)
     browser.until(LIVE)
     assert browser.evaluate("document.querySelector('#more').hidden"), "all eight are listed"
@@ -359,7 +359,7 @@ def test_list_is_readable_with_two_sources_out(browser, source, page, size):
 
 @pytest.mark.slow
 def test_phone_texts_do_not_overlap(browser, source, page):
-    source.set(pictures.state_with_two_faults())
+    source.set(suite_states.state_with_two_faults())
     browser.open(page, *SIZES["phone"])
     browser.until(LIVE)
     word, state = rectangle(browser, "#azimuth .state b"), rectangle(browser, "#azimuth .state")
@@ -381,7 +381,7 @@ def test_local_time_is_shown_with_utc(browser, source):
 
 
 def test_waiting_page_names_output_and_location(browser, source, page):
-    source.set(replace(pictures.suite_state(), waiting_for="ship/attitude", utc_ns=0))
+    source.set(replace(suite_states.suite_state(), waiting_for="ship/attitude", utc_ns=0))
     browser.open(page)
     browser.until("document.querySelector('#alert-text').textContent === 'waiting for ship/attitude'")
     assert browser.text("#alert-sub") == "namespace /demo, domain 0"

@@ -19,7 +19,7 @@ from ship_monitor.page.panels import build_panels
 from ship_monitor.page.themes import THEMES
 from ship_testing import browser as browser_module
 from ship_testing.browser import Browser
-from ship_testing.watched_minutes import NOW_NS, simulated_history, simulated_state
+from ship_testing.monitored_histories import NOW_NS, simulated_history, simulated_state
 
 pytestmark = pytest.mark.skipif(browser_module.CHROMIUM is None, reason="there is no Chromium on this machine")
 

@@ -8,8 +8,8 @@ import pytest
 from ship_monitor.commands.monitor_terminal import is_utf8_locale
 from ship_monitor.page.themes import THEMES
 from ship_monitor.terminal.app import TerminalApp, _Lines, styles_of
-from ship_monitor.terminal.pen import TextStyle, plain_text
-from ship_testing.pictures import SHIFTED_SENSOR_ALERT, state_with_mounting_shift
+from ship_monitor.terminal.styled_text import TextStyle, plain_text
+from ship_testing.suite_states import SHIFTED_SENSOR_ALERT, state_with_mounting_shift
 
 
 class Suite:

@@ -8,9 +8,9 @@ import time
 import pytest
 
 from ship_bags.stamps import NS_PER_S
-from ship_monitor.live.live_watch import LiveSuite
+from ship_monitor.live.live_suite import LiveSuite
 from ship_monitor.terminal.app import TerminalApp, _Lines
-from ship_monitor.terminal.pen import plain_text
+from ship_monitor.terminal.styled_text import plain_text
 from ship_testing.publishing_ship import SuitePublisher, attitude
 from ship_watch.limits import Limits
 

@@ -8,7 +8,7 @@ from ship_testing.own_domain import own_domain, until  # noqa: F401 - fixtures
 @pytest.fixture
 def listening(tmp_path):
     """Start nmea_in with some sources; see :class:`ship_testing.nmea_in_peer.NmeaInPeer`."""
-    from ship_testing.listening_node import NmeaInPeer
+    from ship_testing.nmea_in_peer import NmeaInPeer
 
     started = []
 

@@ -9,7 +9,7 @@ import pytest
 
 from ship_bags.stamps import stamp_fields
 from ship_msgs.msg import Alert
-from ship_nmea.out.alert_ledger import SentAlerts
+from ship_nmea.out.sent_alerts import SentAlerts
 from ship_nmea.sentences.alerts import (
     FIRST_IDENTIFIER,
     LAST_IDENTIFIER,
@@ -22,7 +22,7 @@ from ship_nmea.sentences.alerts import (
     arc,
     hbt,
 )
-from ship_nmea.sentences.defined import LONGEST_BYTES, text_field
+from ship_nmea.sentences.sentence_types import LONGEST_BYTES, text_field
 
 DAY_NS = 1_406_851_200 * 10**9
 
@@ -223,7 +223,7 @@ def test_title_of_any_id_fits(id_):
 
 
 def test_alert_numbers_are_unique(monkeypatch):
-    monkeypatch.setattr("ship_nmea.out.alert_ledger.zlib", SimpleNamespace(crc32=lambda _: 9_989_999))
+    monkeypatch.setattr("ship_nmea.out.sent_alerts.zlib", SimpleNamespace(crc32=lambda _: 9_989_999))
     ledger = SentAlerts()
     one, two = ledger.update([alert("a"), alert("b")], 0)
     assert (one.identifier, two.identifier) == (LAST_IDENTIFIER, FIRST_IDENTIFIER)

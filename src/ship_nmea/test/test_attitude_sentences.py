@@ -26,7 +26,7 @@ from ship_nmea.sentences.attitude import (
     rot,
     ths,
 )
-from ship_nmea.sentences.defined import LONGEST_BYTES
+from ship_nmea.sentences.sentence_types import LONGEST_BYTES
 
 MIDNIGHT_NS = 1_406_851_200 * 10**9
 """2014-08-01T00:00:00Z."""

@@ -16,7 +16,7 @@ import pytest
 
 from ship_msgs.msg import Alert
 from ship_testing.bridge import Display, AttitudePublisher, wait_until
-from ship_testing.listening_node import free_port
+from ship_testing.nmea_in_peer import free_port
 
 pytestmark = pytest.mark.live
 

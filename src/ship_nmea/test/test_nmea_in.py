@@ -19,7 +19,7 @@ from ship_bags.stamps import ns_from_stamp
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.ros_axes import rotation_from_quaternion
 from ship_geometry.rotations import log_rotation
-from ship_testing.listening_node import START, free_port
+from ship_testing.nmea_in_peer import START, free_port
 from ship_testing.ship_logs import sentence
 
 pytestmark = pytest.mark.live

@@ -13,13 +13,13 @@ import tty
 import pytest
 
 from ship_nmea.line_splitter import LineSplitter
-from ship_nmea.opening import permanent_error
+from ship_nmea.link_opening import permanent_error
 from ship_nmea.out.config import SinkConfig
 from ship_nmea.out.network_outlets import MAX_CLIENTS_PER_HOST
 from ship_nmea.out.outlet import command_texts
 from ship_nmea.out.sink import MAX_QUEUED, RETRY_S, Sink
 from ship_node.edge.messages_out import Level
-from ship_testing.listening_node import free_port
+from ship_testing.nmea_in_peer import free_port
 
 PATIENCE_S = 20.0
 SENTENCE = "$INHDT,12.3456,T*08"

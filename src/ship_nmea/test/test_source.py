@@ -15,7 +15,7 @@ from ship_nmea.instruments.config import NmeaInConfig
 from ship_nmea.instruments.links import UdpLink
 from ship_nmea.instruments.source import NO_TIME, Source
 from ship_node.edge.messages_out import Level
-from ship_testing.listening_node import free_port
+from ship_testing.nmea_in_peer import free_port
 from ship_testing.ship_logs import sentence
 
 START = datetime(2026, 3, 1, 12, tzinfo=timezone.utc)

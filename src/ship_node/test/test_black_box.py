@@ -37,7 +37,7 @@ from ship_node.black_box.black_box_format import (
     event_from_text,
     event_text,
 )
-from ship_node.black_box.box_files import free_path
+from ship_node.black_box.black_box_files import free_path
 from ship_node.documents.saved_document import RecordingFiles
 from ship_node.edge.messages_out import Level
 from ship_node.live.adapter_calls import AdapterCalls

@@ -14,7 +14,7 @@ from ship_bags.message_factory import RosidlFactory
 from ship_estimation.outcome import MeasurementDecision, Outcome, Status
 from ship_estimation.parameter_fields import autosave_period, parameter, sources_off
 from ship_estimation.parameters import ParameterError
-from ship_estimation.refusals import Reason, Rejection
+from ship_estimation.rejections import Reason, Rejection
 from ship_node.documents.saved_document import DISK, SavedFormat, section, stamp_ns
 from ship_node.documents.saved_start import SavedStart
 from ship_node.edge.messages_in import ReadMessage, MessageRejected

@@ -19,7 +19,7 @@ from ship_attitude_star.star_attitude.core import StarCore
 from ship_bags.mcap.bag_reader import BagRecord, read_bag
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S
-from ship_estimation.protection import IntegrityConfig
+from ship_estimation.protection_levels import IntegrityConfig
 from ship_replay.offline import block_run
 from ship_replay.offline.adapter_chain import suite_chain
 from ship_replay.offline.block_run import BlockRun
@@ -29,8 +29,8 @@ from ship_replay.trials.fault_voyage import make_bag, input_topics
 from ship_replay.trials.threats import OVERLAPPING, SINGLE, draw_faults
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.faults.injection import Injection
-from ship_testing.kept_sink import MemorySink, Published
-from ship_testing.spoilt_filter import make_overconfident
+from ship_testing.memory_sink import MemorySink, Published
+from ship_testing.overconfident_filter import make_overconfident
 from theodolite_calib.optical_axis.output import PointingOutput
 
 SCENARIOS = Path(__file__).resolve().parents[3] / "bags" / "scenarios"

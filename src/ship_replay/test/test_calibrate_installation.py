@@ -20,7 +20,7 @@ from ship_simulation.run import SimulatedRun
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import suite_configuration
 from ship_testing.calibration_sessions import HEELING, STILL, TURN, session, write_session
-from ship_testing.refusals import usage_error
+from ship_testing.usage_errors import usage_error
 
 SCENARIOS = Path(__file__).resolve().parents[3] / "bags" / "scenarios"
 

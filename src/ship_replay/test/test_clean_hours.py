@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ship_estimation.outcome import Status
-from ship_estimation.protection import IntegrityReport, IntegrityState
+from ship_estimation.protection_levels import IntegrityReport, IntegrityState
 from ship_geometry.rotations import ARCSEC
 from ship_replay.trials.clean_hours import (
     THEODOLITE,

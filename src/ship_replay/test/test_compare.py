@@ -22,14 +22,14 @@ from ship_replay.report.configurations import parameter_differences, text_differ
 from ship_replay.report.pair import input_sentences, read_pair
 from ship_replay.report.pair_page import PAIR_SECTIONS, pair_page
 from ship_replay.report.pair_tables import alignment_tables, budget_tables, error_rows, events_of_one
-from ship_replay.report.pair_verdict import pair_summary
+from ship_replay.report.pair_summary import pair_summary
 from ship_replay.report.pair_warnings import pair_warnings
 from ship_replay.report.published import differences, read_published
 from ship_testing.bag_parts import write_beginning, write_part
 from ship_testing.browser import CHROMIUM, Browser
 from ship_testing.hand_made_bags import START_NS, imu, innovation, ship_attitude
-from ship_testing.refusals import usage_error
-from ship_watch.picture import Event, Safety
+from ship_testing.usage_errors import usage_error
+from ship_watch.suite_state import Event, Safety
 
 BAGS = Path(__file__).parents[3] / "bags"
 SECOND_NS = 1_000_000_000
@@ -97,7 +97,7 @@ class TestAnotherConfiguration:
     @pytest.mark.slow
     def test_several_processes_give_the_same_bytes(self, told, plain, noisier, monkeypatch):
         """Long bags are read by several processes; here every bag counts as long."""
-        monkeypatch.setattr("ship_replay.report.told.SHORT_BYTES", 0)
+        monkeypatch.setattr("ship_replay.report.report_data.SHORT_BYTES", 0)
         assert pair_page(read_pair(plain, noisier)) == told
 
     def test_the_parameter_and_its_line_are_named(self, pair):
@@ -425,7 +425,7 @@ class TestBadInput:
 
     @pytest.mark.slow
     def test_the_complaint_of_another_process(self, tmp_path, capsys, monkeypatch):
-        monkeypatch.setattr("ship_replay.report.told.SHORT_BYTES", 0)
+        monkeypatch.setattr("ship_replay.report.report_data.SHORT_BYTES", 0)
         a = write_attitudes(tmp_path / "a.mcap", 5)
         with BagWriter(tmp_path / "in.mcap") as writer:
             writer.write("ins/imu", imu(START_NS), START_NS)

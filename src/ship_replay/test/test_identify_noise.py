@@ -11,7 +11,7 @@ from ship_node.parameters.parameter_file import load_config
 from ship_replay.commands.identify_noise import main
 from ship_testing.calibration_sessions import write_session
 from ship_testing.noise_sessions import scenario
-from ship_testing.refusals import usage_error
+from ship_testing.usage_errors import usage_error
 
 SHORT = scenario(600.0)
 SHORT = replace(SHORT, ins=replace(SHORT.ins, rate_hz=2.5))

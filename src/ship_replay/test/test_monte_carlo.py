@@ -13,7 +13,7 @@ from ship_attitude_star.sky.config import SkyConfig
 from ship_bags.message_store import RosbagsFactory, message_store, serialize
 from ship_geometry.attitude_track import AttitudeSample
 from ship_replay.trials.monte_carlo import attitude_outcomes, core_for, measurement_of, sky_input, star_exposure
-from ship_simulation.messages.to_messages import generate_messages
+from ship_simulation.messages.message_stream import generate_messages
 from ship_simulation.run import SKY_SOURCES, simulate
 from ship_simulation.scenario.motion_scenario import Outage
 from ship_simulation.scenario.scenario_file import load_scenario

@@ -15,7 +15,7 @@ from ship_bags.message_store import serialize
 from ship_bags.stamps import ns_from_stamp
 from ship_bags.suite_commit import COMMIT_RECORD, commit_record
 from ship_estimation.parameter_fields import parameter
-from ship_estimation.refusals import Reason, Rejection
+from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.rotations import ARCSEC
 from ship_node.edge.input_health import InputHealthMonitor
 from ship_node.edge.topics import InputTopic, OutputTopic

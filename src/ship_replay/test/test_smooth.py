@@ -16,7 +16,7 @@ from ship_replay.commands.replay import main as replay
 from ship_replay.commands.smooth import main as smooth
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import write_bag
-from ship_testing.spoilt_filter import make_overconfident
+from ship_testing.overconfident_filter import make_overconfident
 
 SCENARIO = """\
 start_utc: "2014-07-09T11:50:07.8Z"

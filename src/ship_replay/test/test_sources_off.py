@@ -12,12 +12,12 @@ import yaml
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_bags.message_store import RosbagsFactory, message_store
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 from ship_replay.offline.adapter_chain import suite_chain
 from ship_replay.offline.block_run import BlockRun
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
-from ship_testing.kept_sink import MemorySink, Published
+from ship_testing.memory_sink import MemorySink, Published
 from ship_testing.places import ROOT
 
 DEMO, THEODOLITE = ROOT / "bags" / "demo.mcap", ROOT / "bags" / "theodolite.mcap"

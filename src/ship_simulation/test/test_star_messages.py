@@ -10,7 +10,7 @@ from ship_bags.message_store import RosbagsFactory, message_store, serialize
 from ship_bags.stamps import ns_from_stamp
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.time_scales import SECOND_NS
-from ship_simulation.messages.to_messages import generate_messages
+from ship_simulation.messages.message_stream import generate_messages
 from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario import Fault
 from ship_simulation.simulate_command import write_bag

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from ship_bags.message_store import RosbagsFactory, serialize
-from ship_simulation.messages.to_messages import generate_messages
+from ship_simulation.messages.message_stream import generate_messages
 from ship_simulation.run import simulate, simulate_stretches
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.motion_scenario import Outage

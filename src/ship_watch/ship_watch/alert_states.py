@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from ship_watch.picture import Priority
+from ship_watch.suite_state import Priority
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from typing import Any
 from ship_bags.stamps import NS_PER_S
 from ship_watch.alert_states import ACTIVE, UNACKNOWLEDGED, AlertEvent, AlertState, Condition, next_state
 from ship_watch.limits import AlertTimes
-from ship_watch.picture import AlertEntry, Priority
+from ship_watch.suite_state import AlertEntry, Priority
 
 MAX_HOLD_S = 60.0
 """Maximum hold of an active alert after its situation disappears, s; the hold doubles each time it comes back."""

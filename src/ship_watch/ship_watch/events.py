@@ -7,7 +7,7 @@ from typing import Any
 
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_watch.names import MAX_NAMES
-from ship_watch.picture import AlertEntry, Event, Presence, Priority, SourceState
+from ship_watch.suite_state import AlertEntry, Event, Presence, Priority, SourceState
 
 MAX_EVENTS = 200
 """Number of events that are kept."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ship_geometry.rotations import FloatArray
 from ship_watch.names import has_room
-from ship_watch.picture import Safety
+from ship_watch.suite_state import Safety
 
 HISTORY_S = 600.0
 """Length of the buffers, s."""

@@ -6,9 +6,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ship_estimation.outcome import Status
-from ship_estimation.protection import NORMAL_95, IntegrityState
+from ship_estimation.protection_levels import NORMAL_95, IntegrityState
 from ship_watch.limits import Limits
-from ship_watch.states import AngleProtection
+from ship_watch.safety import AngleProtection
 
 INTEGRITY_AGE_NS = 3_000_000_000
 """Maximum age of an Integrity, ns; three of its periods if these are longer."""

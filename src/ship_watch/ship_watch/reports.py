@@ -8,7 +8,7 @@ from typing import Any
 
 from ship_bags.stamps import ns_from_stamp
 from ship_watch.names import MAX_NAME_LENGTH, MAX_NAMES
-from ship_watch.picture import InputState
+from ship_watch.suite_state import InputState
 
 WINDOW_NS = 60_000_000_000
 """Time over which rejections are counted, ns."""

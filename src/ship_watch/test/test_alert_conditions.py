@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from ship_geometry.rotations import ARCSEC
-from ship_testing.pictures import LIMITS as PICTURED
-from ship_testing.pictures import (
+from ship_testing.suite_states import LIMITS as PICTURED
+from ship_testing.suite_states import (
     angle,
     late_input,
     unsafe_angle,
@@ -24,7 +24,7 @@ from ship_watch.alert_states import Condition
 from ship_watch.alerts import AlertList
 from ship_watch.functions import functions, diagnostic_entries
 from ship_watch.limits import InputLimits, Limits
-from ship_watch.picture import SuiteState, Presence, Priority, Safety
+from ship_watch.suite_state import SuiteState, Presence, Priority, Safety
 
 S = 1_000_000_000
 PAGE = Path(__file__).parents[3] / "docs/explanation/alerts.md"

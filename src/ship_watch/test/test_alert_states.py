@@ -8,7 +8,7 @@ import itertools
 
 from ship_testing.every_case import check_every_case
 from ship_watch.alert_states import AlertEvent, AlertState, next_state
-from ship_watch.picture import Priority
+from ship_watch.suite_state import Priority
 
 N, U, S, A, R = "NUSAR"
 """Normal, active unacknowledged, active silenced, active acknowledged, rectified unacknowledged."""

@@ -10,7 +10,7 @@ import pytest
 from ship_watch.alert_states import AlertState, Condition
 from ship_watch.alerts import AlertList, AlertChange
 from ship_watch.limits import AlertTimes
-from ship_watch.picture import AlertEntry, Priority
+from ship_watch.suite_state import AlertEntry, Priority
 
 S = 1_000_000_000
 UTC = 1_700_000_000 * S

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ship_testing.watched_voyages import records, replay_with_faults
+from ship_testing.monitored_voyages import records, replay_with_faults
 from ship_watch.availability import START_UP_S, REQUIRED_SHARE, AvailabilityRecord
 from ship_watch.limits import Limits
-from ship_watch.picture import Safety
-from ship_watch.watch import SuiteMonitor
+from ship_watch.suite_state import Safety
+from ship_watch.suite_monitor import SuiteMonitor
 
 SECOND = 1_000_000_000
 

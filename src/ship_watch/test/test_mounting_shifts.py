@@ -10,7 +10,7 @@ import pytest
 
 from ship_geometry.rotations import ARCSEC
 from ship_watch.mounting_shifts import DISPLAY_TIME_NS, MountingShifts
-from ship_watch.picture import Presence, SourceState
+from ship_watch.suite_state import Presence, SourceState
 
 SECOND = 1_000_000_000
 UTC = 1_404_906_607 * SECOND

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ship_bags.message_store import RosbagsFactory
-from ship_testing.rows_read import rows
+from ship_testing.message_rows import rows
 from ship_watch.orientations import POINTING, SHIP_ATTITUDE, Orientation
 
 START_NS, COUNT = 1_400_000_000_000_000_000, 20

@@ -8,8 +8,8 @@ import pytest
 
 from ship_bags.message_factory import RosidlFactory
 from ship_geometry.rotations import ARCSEC
-from ship_testing.pictures import NOW_NS, unsafe_angle, source_out, angle_over_limit, suite_state, angles_timed_out, source
-from ship_watch.picture import SuiteState, Presence, Safety
+from ship_testing.suite_states import NOW_NS, unsafe_angle, source_out, angle_over_limit, suite_state, angles_timed_out, source
+from ship_watch.suite_state import SuiteState, Presence, Safety
 from ship_watch.published_state import (
     MAX_AGE_NS,
     PERIOD_NS,

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ship_estimation.outcome import Status
-from ship_estimation.refusals import LONGEST_TEXT, Reason
+from ship_estimation.rejections import LONGEST_TEXT, Reason
 from ship_geometry.rotations import ARCSEC
 from ship_testing.adapter_runs import (
     SECOND_NS,

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.vector_track import VectorTrack
-from theodolite_calib.measured.encoder_watch import EncoderCheck
+from theodolite_calib.measured.encoder_check import EncoderCheck
 from theodolite_calib.measured.samples import EncoderSample
 
 RATE_HZ = 50

@@ -11,7 +11,7 @@ from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_testing.simulated_session import BEACONS_DEG, config, session, sweep
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.step import SightingStep
-from theodolite_calib.measured.encoder_watch import EncoderJump
+from theodolite_calib.measured.encoder_check import EncoderJump
 from theodolite_calib.measured.samples import Exposure
 from theodolite_calib.measured.sighting import Sighting
 

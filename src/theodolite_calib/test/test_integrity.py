@@ -21,7 +21,7 @@ from ship_testing.small_session import (
     session,
     stamp_of,
 )
-from ship_testing.told_levels import ProtectionLevelRun
+from ship_testing.published_levels import ProtectionLevelRun
 
 TOPIC = "theodolite/integrity"
 

@@ -10,7 +10,7 @@ from ship_geometry.rotations import ARCSEC
 from ship_geometry.time_scales import SECOND_NS
 from ship_testing.simulated_session import config, session, sweep
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
-from theodolite_calib.measured.encoder_watch import EncoderJump
+from theodolite_calib.measured.encoder_check import EncoderJump
 from theodolite_calib.measured.sighting import Sighting
 from theodolite_calib.optical_axis.memory import (
     StreamJump,

@@ -8,7 +8,7 @@ import pytest
 from ship_estimation.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_testing.axis_sightings import ERRORS, STRAIGHT, simulate_sightings, random_angles
-from theodolite_calib.axis_fit.doubts import condition_number, correlated_pairs, near_dependencies, unobservable
+from theodolite_calib.axis_fit.diagnostics import condition_number, correlated_pairs, near_dependencies, unobservable
 from theodolite_calib.axis_fit.robust_fit import PRIOR_SIGMAS, fit, rms, sizes
 from theodolite_calib.axis_fit.sightings import SharedError, Sightings, coverage, directions, right_and_up, correlated_map
 from theodolite_calib.chain.axes import NAMES, AxisErrors, direction_change

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ship_attitude_star.stars.exposure import ExposureLength, StarExposure
-from ship_estimation.refusals import Reason, Rejection
+from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import fixed_stars

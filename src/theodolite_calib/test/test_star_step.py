@@ -9,14 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ship_attitude_star.sky.sky_watch import SkyModel
+from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.stars.exposure import ExposureLength, reduce_to_mid_exposure
 from ship_attitude_star.stars.fit import square_roots
 from ship_attitude_star.stars.selection import StarPrior
-from ship_estimation.exclusion import ExcludedSource
+from ship_estimation.fault_isolation import ExcludedSource
 from ship_estimation.gates import mean_nees_band, sigma_ratio_band
 from ship_estimation.outcome import Status
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation, skew
 from ship_testing.mount_stars import (
@@ -31,10 +31,10 @@ from ship_testing.mount_stars import (
 from ship_testing.simulated_session import gauss_markov
 from ship_testing.star_sky import TIME_NS, without_identity
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.alternatives import ENCODER
+from theodolite_calib.filter.subfilters import ENCODER
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.star_step import StarStep
-from theodolite_calib.filter.trust import ExclusionRecord
+from theodolite_calib.filter.fault_detection import ExclusionRecord
 from theodolite_calib.measured.samples import Mode, PointingEstimate
 from theodolite_calib.measured.star_sighting import StarSighting
 from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput

@@ -18,9 +18,9 @@ from ship_testing.adapter_runs import FACTORY, AdapterRun, Arrival, changed_copy
 from ship_testing.theodolite_stations import buoy_n, buoy_direction, direction_message, triangulation_values
 from theodolite_calib.ros.direction_messages_in import direction
 from theodolite_calib.ros.triangulation_adapter import POSITION_TOPIC, TriangulationAdapter
-from theodolite_calib.target.common_moments import StationDirections
+from theodolite_calib.target.common_times import StationDirections
 from theodolite_calib.target.config import TriangulationConfig
-from theodolite_calib.target.placing import MAX_TARGETS
+from theodolite_calib.target.triangulation_core import MAX_TARGETS
 from theodolite_calib.target.triangulation import TriangulatedPosition
 from theodolite_calib.triangulation.recorded import target_positions
 

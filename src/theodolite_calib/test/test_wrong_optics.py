@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from ship_attitude_star.sky.sky_watch import SkyModel
+from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.stars.camera import StarCamera
 from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.gates import mean_nees_band, normalized_error_squared

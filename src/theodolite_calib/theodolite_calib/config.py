@@ -22,7 +22,7 @@ from ship_estimation.parameter_fields import (
     stamp_age,
 )
 from ship_estimation.parameters import ParameterError
-from ship_estimation.protection import IntegrityConfig
+from ship_estimation.protection_levels import IntegrityConfig
 from ship_estimation.recovery.config import RecoveryConfig
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.chain.axes import NAMES

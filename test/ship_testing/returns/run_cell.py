@@ -23,7 +23,7 @@ from ship_node.edge.adapter import TICK_PERIOD_NS
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC
 from ship_replay.evaluation.sources import JOINT_SOLUTION, Truth
 from ship_replay.offline.exclusion_history import INTEGRITY_TOPICS
-from ship_replay.trials.voyage_told import VoyageSink
+from ship_replay.trials.voyage_outputs import VoyageSink
 from ship_simulation.faults.faults import Delivery, apply_faults
 from ship_simulation.scenario.fault import Fault
 from ship_testing.returns.cells import FIX_TOPIC, START_S, Cell

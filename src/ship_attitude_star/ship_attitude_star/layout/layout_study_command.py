@@ -19,7 +19,7 @@ from ship_attitude_star.layout.installation_model import (
 )
 from ship_attitude_star.layout.joint_error import total_arcsec
 from ship_attitude_star.layout.optics import PERCENTILES
-from ship_attitude_star.layout.requirement_told import REQUIREMENT_TABLES, requirement_lines, requirement_tables
+from ship_attitude_star.layout.requirement_text import REQUIREMENT_TABLES, requirement_lines, requirement_tables
 from ship_attitude_star.layout.study import LayoutStudy, compute_study
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_bags.output_files import add_force_option, check_folder, write_csv, write_atomically

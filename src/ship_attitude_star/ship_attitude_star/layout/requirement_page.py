@@ -9,7 +9,7 @@ import numpy as np
 from ship_attitude_star.layout.allocation import Allocation
 from ship_attitude_star.layout.installation_model import SHIP_ANGLES
 from ship_attitude_star.layout.requirement import RequirementResult
-from ship_attitude_star.layout.requirement_told import binding_error_text, nearest_miss_text, placements_text
+from ship_attitude_star.layout.requirement_text import binding_error_text, nearest_miss_text, placements_text
 from ship_attitude_star.layout.study import LayoutStudy
 from ship_node.documents.html_page import arcsec_texts, folded, image, table
 

@@ -14,12 +14,12 @@ from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeSe
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.frame_names import FRAME_NAMES, FrameNames
 from ship_estimation.outcome import Status
-from ship_estimation.protection import NORMAL_95
+from ship_estimation.protection_levels import NORMAL_95
 from ship_geometry.compiled_angles import angle_covariances, angles, quaternions
 from ship_geometry.frames import SINGULAR_ELEVATION
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, FLU_FROM_DEVICE, enu_covariance, flu_from_device_vector
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.edge.blocks import OutputRows
+from ship_node.edge.batches import OutputRows
 from ship_node.edge.messages_in import NOT_GIVEN
 from ship_node.edge.messages_out import TF_TOPIC, TF_TYPE, ZERO_VECTOR
 from ship_node.edge.output_numbers import (

@@ -22,7 +22,7 @@ from ship_attitude_star.measurements.samples import (
 )
 from ship_attitude_star.ship_attitude.config import ReferenceConfig, ShipBaselineConfig, StarSensorConfig
 from ship_estimation.outcome import Measurement
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 from ship_geometry.frames import rotation_from_angles, rotation_vector_covariance
 from ship_geometry.ros_axes import (
     FLU_FROM_DEVICE,

@@ -15,7 +15,7 @@ from ship_bags.cdr_template import CdrRows
 from ship_geometry import compiled_angles
 from ship_geometry.ros_axes import horizon_covariance
 from ship_geometry.rotations import FloatArray
-from ship_node.edge.blocks import StampArray
+from ship_node.edge.batches import StampArray
 from ship_node.edge.columns_in import ReadRows, angular_covariances, read_valid, stamps
 from ship_node.edge.messages_in import ReadMessage, MessageRejected
 

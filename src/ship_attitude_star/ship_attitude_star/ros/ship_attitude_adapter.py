@@ -31,15 +31,15 @@ from ship_attitude_star.ship_attitude.config import InsConfig, ShipAttitudeConfi
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.integrity import QUANTITIES
 from ship_attitude_star.ship_attitude.manoeuvre import RecommendedTurn
-from ship_attitude_star.sky.sky_watch import SkyModel, load_sky_model
+from ship_attitude_star.sky.sky_model import SkyModel, load_sky_model
 from ship_attitude_star.smoothing.core import SmoothingCore
 from ship_attitude_star.vertical.config import TOPIC
 from ship_bags.cdr_template import CdrRows
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
-from ship_estimation.rate_guard import RateStatus
+from ship_estimation.rate_consistency import RateStatus
 from ship_estimation.recovery.displacements import TOGETHER
-from ship_estimation.refusals import failure_rejection
+from ship_estimation.rejections import failure_rejection
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import (
@@ -49,9 +49,9 @@ from ship_geometry.rotations import ARCSEC
 from ship_geometry.time_scales import SECOND_NS
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.documents.saved_start import SavedStart
-from ship_node.edge.blocks import BatchFeed, OutputRows, ReadBatch, StampArray
+from ship_node.edge.batches import BatchFeed, OutputRows, ReadBatch, StampArray
 from ship_node.edge.columns_in import ReadRows
-from ship_node.edge.contested import ATTITUDE, INNOVATION
+from ship_node.edge.duplicate_publishers import ATTITUDE, INNOVATION
 from ship_node.edge.ins_messages import sigma_mismatch_text, ins_batch, ins_sample
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.messages_out import (
@@ -69,7 +69,7 @@ from ship_node.edge.messages_out import (
 from ship_node.edge.recovering_adapter import RecoveringAdapter
 from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ignore_time
 from ship_node.edge.topics import InputTopic, OutputTopic, OutputMessage
-from ship_node.edge.verdict_report import clock_status
+from ship_node.edge.innovation_report import clock_status
 
 INTEGRITY_TOPIC = "ship/integrity"
 DEFLECTION_TOPIC, DEFLECTION_TYPE = "ship/deflection", "ship_msgs/msg/Deflection"

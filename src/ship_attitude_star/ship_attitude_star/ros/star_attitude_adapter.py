@@ -9,7 +9,7 @@ import numpy as np
 
 from ship_attitude_star.ros.star_messages_in import star_exposure
 from ship_attitude_star.ros.surroundings_in import surroundings_feeds
-from ship_attitude_star.sky.sky_watch import load_sky_model
+from ship_attitude_star.sky.sky_model import load_sky_model
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.core import StarCore
 from ship_attitude_star.star_attitude.exposure_solver import RejectedStar, AttitudeSolution, StarOutcome
@@ -17,14 +17,14 @@ from ship_attitude_star.stars.config import JOINT
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.solution import SOLUTION_TERMS, SolutionStatus
 from ship_bags.message_factory import MessageFactory
-from ship_estimation.refusals import Reason, Rejection
+from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import enu_covariance
 from ship_geometry.rotations import ARCSEC
 from ship_node.documents.saved_document import DISK, Files
-from ship_node.edge.block_adapter import BatchAdapter
-from ship_node.edge.blocks import BatchFeed, OutputRows
-from ship_node.edge.contested import ATTITUDE
+from ship_node.edge.batch_adapter import BatchAdapter
+from ship_node.edge.batches import BatchFeed, OutputRows
+from ship_node.edge.duplicate_publishers import ATTITUDE
 from ship_node.edge.ins_messages import ins_batch, ins_sample
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.messages_out import (

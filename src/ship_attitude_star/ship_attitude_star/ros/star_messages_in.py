@@ -17,7 +17,7 @@ from ship_attitude_star.sky.catalogue import UNKNOWN, CatalogueEntries, StarCata
 from ship_attitude_star.stars.camera import StarCamera
 from ship_attitude_star.stars.config import CameraConfig
 from ship_attitude_star.stars.exposure import ExposureLength, StarExposure
-from ship_estimation.refusals import Reason, Rejection
+from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.deck_masks import SensorMasks
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
 from ship_geometry.rotations import ARCSEC, FloatArray

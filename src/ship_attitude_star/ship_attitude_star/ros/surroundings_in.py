@@ -12,10 +12,10 @@ import numpy as np
 
 from ship_attitude_star.measurements.readings import AirReading, PositionFix, SkyInput
 from ship_attitude_star.sky.config import SkyConfig
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 from ship_geometry.geodetic import GeodeticPosition
 from ship_geometry.ros_axes import horizon_covariance
-from ship_node.edge.contested import POSITION
+from ship_node.edge.duplicate_publishers import POSITION
 from ship_node.edge.messages_in import ReadMessage, MessageRejected, covariance_3x3, check_finite, stamp_ns
 from ship_node.edge.reporting_adapter import Feed
 from ship_node.edge.topics import InputTopic

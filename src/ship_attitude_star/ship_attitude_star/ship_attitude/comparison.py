@@ -11,14 +11,14 @@ import numpy as np
 from ship_attitude_star.measurements.baseline import BASELINE_COMPONENTS, BaselineMeasurement
 from ship_attitude_star.measurements.samples import ATTITUDE_COMPONENTS, AttitudeMeasurement
 from ship_attitude_star.ship_attitude.model import SOURCE_INTERPOLATION, Device, ShipStateModel
-from ship_attitude_star.sky.sky_watch import SkyModel
+from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.stars.camera_states import camera_state_indices
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.residuals import star_residuals
 from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.kalman import LinearMeasurement
 from ship_estimation.outcome import Measurement
-from ship_estimation.refusals import Reason, Rejection
+from ship_estimation.rejections import Reason, Rejection
 from ship_geometry import compiled_rotations
 from ship_geometry.attitude_track import InterpolatedAttitude
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian

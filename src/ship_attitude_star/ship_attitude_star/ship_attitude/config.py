@@ -26,7 +26,7 @@ from ship_estimation.parameter_fields import (
     stamp_age,
 )
 from ship_estimation.parameters import ParameterError
-from ship_estimation.protection import IntegrityConfig
+from ship_estimation.protection_levels import IntegrityConfig
 from ship_estimation.recovery.config import RecoveryConfig
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray

@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ship_attitude_star.guards.stream_guards import PlausibilityChecks
+from ship_attitude_star.guards.stream_checks import PlausibilityChecks
 from ship_attitude_star.measurements.readings import DeflectionReading, PositionFix, SkyInput
 from ship_attitude_star.measurements.samples import (
     AttitudeDecision,
@@ -23,7 +23,7 @@ from ship_attitude_star.measurements.samples import (
     AttitudeSeries,
     StampArray,
 )
-from ship_attitude_star.ship_attitude.ahead import InsBatch
+from ship_attitude_star.ship_attitude.ins_batch import InsBatch
 from ship_attitude_star.ship_attitude.alignment import (
     Alignment,
     AlignmentPrior,
@@ -36,7 +36,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.integrity import integrity_of
-from ship_attitude_star.ship_attitude.linearised import LinearisedMeasurement
+from ship_attitude_star.ship_attitude.linearisation import LinearisedMeasurement
 from ship_attitude_star.ship_attitude.manoeuvre import RecentSource, RecommendedTurn, recommended_manoeuvre
 from ship_attitude_star.ship_attitude.memory import (
     departure_sigmas,
@@ -49,17 +49,17 @@ from ship_attitude_star.ship_attitude.observability import Observability, observ
 from ship_attitude_star.ship_attitude.output import attitude_from_star, estimate_from_star, invalid_estimate
 from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.ship_attitude.utc_steps import with_utc_evaluated, with_utc_step
-from ship_attitude_star.sky.sky_watch import SkyModel
+from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
-from ship_estimation.estimator_shell import TimeOrderedEstimator, EstimatorModel, is_within_lag
-from ship_estimation.exclusion import MAX_MEASUREMENT_AGE_NS
+from ship_estimation.time_ordered_estimator import TimeOrderedEstimator, EstimatorModel, is_within_lag
+from ship_estimation.fault_isolation import MAX_MEASUREMENT_AGE_NS
 from ship_estimation.ins import InsChange, InsJump
-from ship_estimation.ins_guard import CheckedInsSample
+from ship_estimation.ins_check import CheckedInsSample
 from ship_estimation.outcome import Measurement, Status
-from ship_estimation.protection import IntegrityReport
-from ship_estimation.rate_guard import RateStatus
+from ship_estimation.protection_levels import IntegrityReport
+from ship_estimation.rate_consistency import RateStatus
 from ship_estimation.recovery.displacement import MemoryResidual
-from ship_estimation.refusals import Rejection
+from ship_estimation.rejections import Rejection
 from ship_estimation.time_shift import with_shifted_stamps
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, SampleBlock
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes

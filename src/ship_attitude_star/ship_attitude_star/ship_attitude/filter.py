@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ship_attitude_star.guards.hints import AttitudeResidual, diagnosis_hint
+from ship_attitude_star.guards.diagnosis_hints import AttitudeResidual, diagnosis_hint
 from ship_attitude_star.measurements.samples import AttitudeDecision, AttitudeMeasurement
 from ship_attitude_star.ship_attitude.comparison import ComparedMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.linearised import Linearisation, LinearisedMeasurement, NotEvaluable
+from ship_attitude_star.ship_attitude.linearisation import Linearisation, LinearisedMeasurement, NotEvaluable
 from ship_attitude_star.ship_attitude.model import (
     SOURCE_DEFLECTION,
     SOURCE_INS,
@@ -18,20 +18,20 @@ from ship_attitude_star.ship_attitude.model import (
     ShipStateModel,
     devices,
 )
-from ship_attitude_star.ship_attitude.row_table import INS
+from ship_attitude_star.ship_attitude.subfilter_set import INS
 from ship_attitude_star.ship_attitude.state import NO_PIXEL_DWELLS, FilterState, changed, with_entry, without_entry
-from ship_attitude_star.ship_attitude.suspects import FaultDetector
-from ship_attitude_star.sky.sky_watch import SkyModel
+from ship_attitude_star.ship_attitude.fault_detection import FaultDetector
+from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.optics_errors import SOURCE_OPTICS
 from ship_attitude_star.stars.scale_check import check_estimated_focal_length
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.gates import GateConfig, chi_square_gate
-from ship_estimation.hypotheses import FilterInnovations, add_error, subfilter_innovations
+from ship_estimation.subfilters import FilterInnovations, add_error, subfilter_innovations
 from ship_estimation.ins import InsChange
 from ship_estimation.outcome import Measurement
-from ship_estimation.refusals import Reason, Rejection, singular_covariance
-from ship_estimation.unconfirmed import UnconfirmedStep
+from ship_estimation.rejections import Reason, Rejection, singular_covariance
+from ship_estimation.unconfirmed_step import UnconfirmedStep
 from ship_geometry.attitude_track import AttitudeTrack, ExtraNoise
 from ship_geometry.rotations import FloatArray, log_rotation
 from ship_geometry.time_scales import SECOND_NS

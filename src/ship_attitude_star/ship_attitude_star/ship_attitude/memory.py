@@ -9,9 +9,9 @@ import numpy as np
 
 from ship_attitude_star.ship_attitude.corrected_ins import newest_star_ns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.linearised import NotEvaluable
+from ship_attitude_star.ship_attitude.linearisation import NotEvaluable
 from ship_attitude_star.ship_attitude.state import FilterState, changed
-from ship_attitude_star.sky.sky_watch import SkyModel
+from ship_attitude_star.sky.sky_model import SkyModel
 from ship_estimation.ins import InsJump
 from ship_estimation.outcome import Measurement
 from ship_estimation.recovery.displacement import MemoryResidual

@@ -54,7 +54,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.ins_errors.config import SCHULER, SchulerConfig
-from ship_attitude_star.ins_errors.ins_on_gravity import GaussMarkovIns
+from ship_attitude_star.ins_errors.gauss_markov import GaussMarkovIns
 from ship_attitude_star.ins_errors.process import InsProcess
 from ship_attitude_star.ins_errors.schuler import SchulerIns
 from ship_attitude_star.measurements.baseline import BASELINE

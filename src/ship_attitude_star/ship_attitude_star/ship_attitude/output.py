@@ -15,12 +15,12 @@ from ship_attitude_star.ship_attitude.config import GEODETIC, GRAVITY
 from ship_attitude_star.ship_attitude.corrected_ins import newest_star_ns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import FilterState
-from ship_attitude_star.sky.sky_watch import SkyModel
+from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.sky.tracker_attitude import to_horizon_attitude
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
 from ship_estimation.outcome import Measurement, Status
-from ship_estimation.refusals import Rejection
+from ship_estimation.rejections import Rejection
 from ship_geometry.rotations import exp_rotation, left_jacobian
 from ship_geometry.time_scales import SECOND_NS
 

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
-from ship_attitude_star.guards.hints import AttitudeResidual
+from ship_attitude_star.guards.diagnosis_hints import AttitudeResidual
 from ship_attitude_star.stars.spatial_errors import PixelDwell
 from ship_attitude_star.vertical.vertical_track import LocalVertical
 from ship_estimation import compiled_steps
 from ship_estimation.common_error import NO_CORRECTIONS, CorrectionSums
-from ship_estimation.exclusion import MAX_MEASUREMENT_AGE_NS, ExcludedSource
-from ship_estimation.running_means import InnovationMeans
-from ship_estimation.unconfirmed import UnconfirmedStep
+from ship_estimation.fault_isolation import MAX_MEASUREMENT_AGE_NS, ExcludedSource
+from ship_estimation.innovation_means import InnovationMeans
+from ship_estimation.unconfirmed_step import UnconfirmedStep
 from ship_geometry.rotations import FloatArray
 
 __all__ = [

@@ -1,7 +1,7 @@
 """Filter states of the errors that all star directions share, and the error sources of these states."""
 
 from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.sky.sky_watch import UTC
+from ship_attitude_star.sky.sky_model import UTC
 from ship_estimation.kalman import StateBlock, block
 
 SOURCE_REFRACTION = "refraction"

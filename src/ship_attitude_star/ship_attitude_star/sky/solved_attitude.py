@@ -16,7 +16,7 @@ u uᵀ C / (uᵀ C u) is the covariance C conditioned on u.
 import numpy as np
 
 from ship_attitude_star.measurements.samples import AttitudeMeasurement, SolvedAttitude
-from ship_attitude_star.sky.sky_watch import LocalSky
+from ship_attitude_star.sky.sky_model import LocalSky
 from ship_geometry.refraction import elevation_of, raising_axis
 from ship_geometry.rotations import FloatArray
 

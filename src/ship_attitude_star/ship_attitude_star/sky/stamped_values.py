@@ -23,7 +23,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar
 
-from ship_estimation.refusals import Content, Reason, Rejection, resolve_same_stamp
+from ship_estimation.rejections import Content, Reason, Rejection, resolve_same_stamp
 from ship_geometry.time_scales import SECOND_NS
 
 _NOISE_SIGMAS = 5.0

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 from ship_attitude_star.measurements.readings import AirReading, PositionFix, SkyInput
 from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.sky.place_by_fixes import ShipPosition, PositionFromFixes
+from ship_attitude_star.sky.position_from_fixes import ShipPosition, PositionFromFixes
 from ship_attitude_star.sky.stamped_values import JumpLimits, StampedValues
-from ship_estimation.refusals import Rejection
+from ship_estimation.rejections import Rejection
 from ship_geometry.refraction import Weather
 from ship_geometry.time_scales import SECOND_NS
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from ship_attitude_star.measurements.readings import FieldOfView, InertialAttitude
 from ship_attitude_star.measurements.samples import AttitudeMeasurement, SolvedAttitude
-from ship_attitude_star.sky.sky_watch import LocalSky, SkyModel
+from ship_attitude_star.sky.sky_model import LocalSky, SkyModel
 from ship_attitude_star.sky.solved_attitude import separate_shared_errors
-from ship_estimation.refusals import Rejection
+from ship_estimation.rejections import Rejection
 from ship_geometry.refraction import elevation_of, raising_axis
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ship_attitude_star.guards.stream_guards import PlausibilityChecks
+from ship_attitude_star.guards.stream_checks import PlausibilityChecks
 from ship_attitude_star.measurements.readings import SkyInput
 from ship_attitude_star.measurements.samples import AttitudeMeasurement, StampArray
-from ship_attitude_star.sky.sky_watch import SkyModel
+from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.star_attitude.config import JointConfig, ObservingSensorConfig, StarAttitudeConfig
 from ship_attitude_star.star_attitude.exposure_solver import (
     MountedExposure,
@@ -30,8 +30,8 @@ from ship_attitude_star.star_attitude.ins_motion import INS, InsMotion, InsBatch
 from ship_attitude_star.stars.config import JOINT
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.solution import invalid_solution
-from ship_estimation.estimator_shell import LagWindow
-from ship_estimation.refusals import (
+from ship_estimation.time_ordered_estimator import LagWindow
+from ship_estimation.rejections import (
     CONFLICT_HOLD_S,
     StampConflicts,
     Reason,

@@ -6,7 +6,7 @@ from itertools import accumulate
 
 import numpy as np
 
-from ship_attitude_star.sky.sky_watch import SkyModel
+from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.star_attitude.config import ObservingSensorConfig
 from ship_attitude_star.stars.camera import tangent_basis
 from ship_attitude_star.stars.config import JOINT
@@ -15,7 +15,7 @@ from ship_attitude_star.stars.fit import MatchedStars, square_roots
 from ship_attitude_star.stars.scale_check import check_focal_length
 from ship_attitude_star.stars.selection import StarPrior
 from ship_attitude_star.stars.solution import SolutionStatus, StarSolution, invalid_solution, solve_with_fallback
-from ship_estimation.refusals import Reason, Rejection
+from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.rotations import FloatArray
 
 _IDENTITY: FloatArray = np.eye(3)

@@ -20,15 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.sky.catalogue import julian_year
-from ship_attitude_star.sky.sky_watch import LocalSky, SkyModel
+from ship_attitude_star.sky.sky_model import LocalSky, SkyModel
 from ship_attitude_star.stars.camera import StarCamera, equivalent_sigma
-from ship_attitude_star.stars.chance import WRONG_IDENTITY_RATIO
+from ship_attitude_star.stars.false_matches import WRONG_IDENTITY_RATIO
 from ship_attitude_star.stars.fit import MatchedStars
 from ship_attitude_star.stars.identification import MAGNITUDE_TOLERANCE, MAX_PRIOR_SIGMA, find_candidates
 from ship_attitude_star.stars.optics_errors import OPTICS_MODES, SOURCE_OPTICS, OpticsErrors
 from ship_attitude_star.stars.selection import LINEAR_RANGE, StarPrior
 from ship_attitude_star.stars.spatial_errors import FIELD_MODES, SOURCE_FIELD, PixelDwell, SpatialErrors
-from ship_estimation.refusals import Reason, Rejection
+from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.deck_masks import SensorMasks
 from ship_geometry.exposure_mean import Nodes, exposure_nodes
 from ship_geometry.rotations import ARCSEC, FloatArray

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.sky.sky_watch import LocalSky
-from ship_attitude_star.stars.chance import GATE_PROBABILITY
+from ship_attitude_star.sky.sky_model import LocalSky
+from ship_attitude_star.stars.false_matches import GATE_PROBABILITY
 from ship_attitude_star.stars.selection import StarPrior, perpendicular_basis, mahalanobis_squared
 from ship_estimation.gates import chi_square_gate
 from ship_geometry.deck_masks import SensorMasks

@@ -15,16 +15,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.sky.sky_watch import SkyModel
+from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.stars import compiled_fit
-from ship_attitude_star.stars.chance import ambiguous_identity_rejection
+from ship_attitude_star.stars.false_matches import ambiguous_identity_rejection
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.fit import MatchedStars
 from ship_attitude_star.stars.scale_check import check_focal_length
 from ship_attitude_star.stars.selection import StarPrior, select_stars
 from ship_attitude_star.stars.solution import SolutionStatus, solve_stars
 from ship_attitude_star.stars.spatial_errors import SOURCE_PIXEL, PixelDwell
-from ship_estimation.refusals import Reason, Rejection
+from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between
 
 SOURCE_STAR_NOISE = "star_noise"

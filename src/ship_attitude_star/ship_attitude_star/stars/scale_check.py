@@ -9,12 +9,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from ship_attitude_star.sky.sky_watch import SkyModel
+from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.field_scale import estimate_optics, field_information
 from ship_attitude_star.stars.optics_errors import OpticsErrors
 from ship_attitude_star.stars.selection import MIN_VERIFIED_STARS, StarPrior, select_stars
-from ship_estimation.refusals import Reason, Rejection
+from ship_estimation.rejections import Reason, Rejection
 
 FREE_FOCAL_SIGMA = 0.01
 """Relative standard deviation of a nearly free focal length."""

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.sky.sky_watch import SHARED_TERMS, UTC
+from ship_attitude_star.sky.sky_model import SHARED_TERMS, UTC
 from ship_attitude_star.stars import compiled_fit
-from ship_attitude_star.stars.chance import ambiguous_identity_rejection
+from ship_attitude_star.stars.false_matches import ambiguous_identity_rejection
 from ship_attitude_star.stars.fit import (
     ATTITUDE,
     AttitudeFit,
@@ -26,7 +26,7 @@ from ship_attitude_star.stars.optics_errors import SOURCE_OPTICS
 from ship_attitude_star.stars.selection import MIN_VERIFIED_STARS, StarPrior, select_stars
 from ship_attitude_star.stars.spatial_errors import SOURCE_FIELD, SOURCE_PIXEL
 from ship_estimation.compiled_integrity import square_root
-from ship_estimation.refusals import Reason, Rejection
+from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.frames import SINGULAR_ELEVATION
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 

@@ -19,7 +19,7 @@ from rosbags.typesys.store import Typestore
 from ship_bags.errors import BadInput, one_line
 from ship_bags.mcap.bag_file import open_mcap
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
-from ship_bags.mcap.box_parts import further_black_box_files
+from ship_bags.mcap.black_box_parts import further_black_box_files
 from ship_bags.mcap.file_content import BagFile
 from ship_bags.mcap.folder import INFORMATION_FILE, file_names, needs_rosbags
 from ship_bags.mcap.latched import repeated_message_times

@@ -2,7 +2,7 @@
 
 A line is cut where a connection begins, ends or loses bytes, and where a logger stops. Therefore a sentence counts only
 from its ``$`` to its checksum: a truncated heading, ``$GPHDT,21``, would look valid. Sources without checksums are read
-by the forms of :mod:`ship_bags.nmea.whole_sentences` if that is requested.
+by the forms of :mod:`ship_bags.nmea.complete_sentences` if that is requested.
 """
 
 import re
@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from ship_bags.nmea.sentences import NotOfInterest, Sentence, Unusable, read_sentence
-from ship_bags.nmea.whole_sentences import is_complete
+from ship_bags.nmea.complete_sentences import is_complete
 
 LONGEST_LINE = 512
 """Maximum length of a line, bytes: a standard sentence has 82, proprietary ones up to three times as many."""

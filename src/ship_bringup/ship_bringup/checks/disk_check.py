@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ship_bringup.checks.check_line import CheckLine, Result
-from ship_bringup.checks.network_look import ObservedTopic
+from ship_bringup.checks.network_state import ObservedTopic
 from ship_node.edge.adapter import Adapter
 from ship_watch.limits import Limits
 

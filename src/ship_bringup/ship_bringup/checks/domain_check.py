@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 
 from ship_bringup.checks.check_line import CheckLine, Result
-from ship_bringup.checks.network_look import NetworkState
+from ship_bringup.checks.network_state import NetworkState
 from ship_bringup.security.demand import DOMAIN, LAST_DOMAIN
 
 _CHECK = "domain"

@@ -8,7 +8,7 @@ from std_srvs.srv import Trigger
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, run_command
 from ship_bags.errors import BadInput, one_line
-from ship_bringup.asked_node import connect_node, node_command_parser, unknown_name_text
+from ship_bringup.remote_node import connect_node, node_command_parser, unknown_name_text
 from ship_msgs.srv import AcknowledgeAlert
 
 _DESCRIPTION = """\

@@ -21,7 +21,7 @@ from ship_bringup.checks.clock_check import check_clock, read_clock_state
 from ship_bringup.checks.disk_check import check_disk, read_disk_state, estimate_write_rates
 from ship_bringup.checks.domain_check import check_domain, check_settings
 from ship_bringup.checks.file_check import check_files, read_path_states
-from ship_bringup.checks.network_look import NetworkState, observe_network
+from ship_bringup.checks.network_state import NetworkState, observe_network
 from ship_bringup.checks.port_check import check_places, read_place_states
 from ship_bringup.checks.security_check import check_keystore, check_security
 from ship_bringup.checks.sensor_check import find_requested_qos, check_sensors

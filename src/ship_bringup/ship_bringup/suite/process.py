@@ -16,7 +16,7 @@ from typing import IO
 
 from ship_bags.live.heartbeat import HEARTBEAT_SOCKET
 from ship_bringup.suite.dds_ports import UDP_ONLY
-from ship_bringup.suite.signs_of_life import HeartbeatAge
+from ship_bringup.suite.heartbeats import HeartbeatAge
 from ship_node.live.start import WAIT_VARIABLE
 
 _LONGEST_LINE = 65536

@@ -25,7 +25,7 @@ from ship_estimation.recovery.displacement import MemoryResidual
 from ship_estimation.recovery.displacements import Displacements
 from ship_estimation.recovery.memory import BEFORE_STEP_NS, StateMemory
 from ship_estimation.recovery.trouble import TroubleDetector
-from ship_estimation.refusals import Rejection, failure_rejection
+from ship_estimation.rejections import Rejection, failure_rejection
 from ship_estimation.time_shift import with_shifted_stamps
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS

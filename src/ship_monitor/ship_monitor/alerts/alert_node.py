@@ -19,8 +19,8 @@ from ship_bags.live.heartbeat import heartbeat
 from ship_bags.live.ros_process import command_node, call_on_end_signals, run_ros_command
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import NS_PER_S
-from ship_monitor.alerts.alert_keeper import AlertManager
-from ship_monitor.live.reader import ALERTS_TOPIC, MAX_QUEUE_DEPTH, TopicReader, steady_ns
+from ship_monitor.alerts.alert_manager import AlertManager
+from ship_monitor.live.topic_reader import ALERTS_TOPIC, MAX_QUEUE_DEPTH, TopicReader, steady_ns
 from ship_msgs.msg import AlertArray, SuiteState
 from ship_msgs.srv import AcknowledgeAlert
 from ship_node.edge.messages_out import (
@@ -34,7 +34,7 @@ from ship_node.live.node_report import ExceptionGuard
 from ship_watch.alert_conditions import NodeStatus
 from ship_watch.alerts import AlertChange
 from ship_watch.limits import Limits, read_limits
-from ship_watch.picture import AlertEntry, Priority
+from ship_watch.suite_state import AlertEntry, Priority
 from ship_watch.published_state import PERIOD_NS, STATE_TOPIC, STATE_TYPE, change_key, suite_state_fields
 from ship_watch.topics import monitored_topic
 

@@ -11,13 +11,13 @@ from ship_bags.errors import BadInput
 from ship_bags.live.heartbeat import heartbeat
 from ship_bags.live.ros_process import call_on_end_signals
 from ship_bags.renamed_topics import add_remap_option
-from ship_monitor.after.recorded_pictures import BagPlayback
+from ship_monitor.after.bag_playback import BagPlayback
 from ship_monitor.after.recorded_suite import RecordedSuite
 from ship_monitor.commands.time_zone import add_time_zone
 from ship_monitor.foxglove.server import FoxgloveServer
-from ship_monitor.live.live_watch import LiveSuite
+from ship_monitor.live.live_suite import LiveSuite
 from ship_monitor.page.app import page_maker
-from ship_monitor.page.picture_source import PageSource
+from ship_monitor.page.page_source import PageSource
 from ship_monitor.page.server import PageServer
 from ship_monitor.page.themes import THEMES
 from ship_watch.limits import Limits, read_limits

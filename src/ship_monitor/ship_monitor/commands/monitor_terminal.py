@@ -11,7 +11,7 @@ from pathlib import Path
 from ship_bags.command_line import CommandParser, run_command
 from ship_bags.errors import BadInput
 from ship_monitor.commands.time_zone import add_time_zone
-from ship_monitor.live.live_watch import LiveSuite
+from ship_monitor.live.live_suite import LiveSuite
 from ship_monitor.page.themes import THEMES
 from ship_monitor.terminal.app import TerminalApp
 from ship_watch.limits import Limits, read_limits

@@ -24,9 +24,9 @@ from ship_monitor.page.figures import (
 )
 from ship_monitor.page.marking import is_budget_part_of, with_mark
 from ship_monitor.page.themes import FONT, Theme
-from ship_monitor.page.trails import TimeAxis, StreamedLine
+from ship_monitor.page.streamed_lines import TimeAxis, StreamedLine
 from ship_watch.history import HISTORY_S, BudgetPoint, History
-from ship_watch.picture import ANGLES
+from ship_watch.suite_state import ANGLES
 
 MAX_BANDS = 5
 """Number of sources with bands of their own."""

@@ -11,7 +11,7 @@ from ship_monitor.page.curves import next_step
 from ship_monitor.page.figures import GrowingRows, PanelBox, SideLabels, draw_frame, add_hover, empty_time_plot
 from ship_monitor.page.marking import with_mark
 from ship_monitor.page.themes import Theme
-from ship_monitor.page.trails import BAND, TimeAxis, StreamedLine, three_sigma_band
+from ship_monitor.page.streamed_lines import BAND, TimeAxis, StreamedLine, three_sigma_band
 from ship_watch.history import ErrorPoint, History, points_after
 
 CHANNELS: Mapping[tuple[str, str], str] = {

@@ -24,9 +24,9 @@ from ship_monitor.page.figures import (
 )
 from ship_monitor.page.marking import with_mark
 from ship_monitor.page.themes import Theme
-from ship_monitor.page.trails import BAND, MS, TimeAxis, StreamedLine, three_sigma_band
+from ship_monitor.page.streamed_lines import BAND, MS, TimeAxis, StreamedLine, three_sigma_band
 from ship_watch.history import History, InnovationPoint, points_after
-from ship_watch.picture import SuiteState, Presence, SourceDetails
+from ship_watch.suite_state import SuiteState, Presence, SourceDetails
 
 MEAN_WINDOW_NS = 10_000_000_000
 """Window of the means at a plot, ns; its height is determined by six windows."""

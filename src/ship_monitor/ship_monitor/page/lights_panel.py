@@ -9,7 +9,7 @@ from ship_monitor.page.curves import next_step, signed_text
 from ship_monitor.page.figures import ARCSEC_PER_RAD, PanelBox, ResidualBars, draw_frame, narrow_height, empty_plot, draw_texts
 from ship_monitor.page.themes import Theme
 from ship_watch.history import History, BeaconPoint, points_after
-from ship_watch.picture import SuiteState
+from ship_watch.suite_state import SuiteState
 
 WINDOW_NS = 60_000_000_000
 STEPS_MM = (2.0, 5.0, 7.0, 10.0, 20.0, 50.0, 100.0)

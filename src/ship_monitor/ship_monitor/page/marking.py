@@ -6,7 +6,7 @@ of a kind: the noise of stars is that of all star sensors.
 
 import re
 
-from ship_watch.picture import Event
+from ship_watch.suite_state import Event
 from ship_watch.topics import source_of_name
 
 MARK = "▶ "

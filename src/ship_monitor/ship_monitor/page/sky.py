@@ -17,7 +17,7 @@ from ship_geometry.geodetic import GeodeticPosition, ecef_from_geodetic, rotatio
 from ship_geometry.star_directions import RefreshedSky
 from ship_geometry.time_scales import tt_julian_date
 from ship_watch.history import ParameterEstimate
-from ship_watch.picture import AngleState
+from ship_watch.suite_state import AngleState
 
 _AU_M = 149_597_870_700.0
 

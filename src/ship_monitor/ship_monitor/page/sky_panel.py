@@ -13,7 +13,7 @@ from ship_monitor.page.marking import with_mark
 from ship_monitor.page.sky import boresight, moon_direction, map_position
 from ship_monitor.page.themes import Theme
 from ship_watch.history import History, StarExposure
-from ship_watch.picture import SuiteState, Presence, SourceDetails
+from ship_watch.suite_state import SuiteState, Presence, SourceDetails
 
 MAX_FIELDS = 3
 """Maximum number of fields of view."""

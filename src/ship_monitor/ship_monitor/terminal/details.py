@@ -4,7 +4,7 @@ import math
 from textwrap import wrap
 
 from ship_geometry.rotations import ARCSEC
-from ship_monitor.terminal.pen import StyledText, Line, TextStyle, LineFormatter
+from ship_monitor.terminal.styled_text import StyledText, Line, TextStyle, LineFormatter
 from ship_monitor.terminal.screen import (
     View,
     alert_pieces,
@@ -15,8 +15,8 @@ from ship_monitor.terminal.screen import (
     top_bar,
     safety_line,
 )
-from ship_watch import words
-from ship_watch.picture import AlertEntry, AngleState, SuiteState, SourceDetails
+from ship_watch import value_texts
+from ship_watch.suite_state import AlertEntry, AngleState, SuiteState, SourceDetails
 
 _BACK = " Enter or Escape: back   a acknowledge   t theme   p pause   q quit"
 
@@ -70,19 +70,19 @@ def _row(formatter: LineFormatter, name: str, text: str) -> Line:
 
 
 def _angle_rows(angle: AngleState, suite_state: SuiteState, formatter: LineFormatter) -> list[Line]:
-    known = math.isfinite(angle.value) and not (angle.is_old and angle.age_s > words.DASHES_AFTER_S)
-    value = f"{math.degrees(angle.value):.6f}°" if known else words.NO_VALUE
+    known = math.isfinite(angle.value) and not (angle.is_old and angle.age_s > value_texts.DASHES_AFTER_S)
+    value = f"{math.degrees(angle.value):.6f}°" if known else value_texts.NO_VALUE
     rows = {
-        "value": f"{value}  OLD {words.age_text(angle.age_s)}" if angle.is_old else value,
+        "value": f"{value}  OLD {value_texts.age_text(angle.age_s)}" if angle.is_old else value,
         "state": f"{angle.safety.name}  {angle.reason}",
-        "cause": angle.because_of or words.NO_VALUE,
-        "since": words.date_and_clock(angle.since_ns),
-        "95 % accuracy": words.small_angle(angle.accuracy_95),
-        "sigma": f"{angle.accuracy_95 / 1.96 / ARCSEC:.2f}″" if math.isfinite(angle.accuracy_95) else words.NO_VALUE,
-        "protection level": words.small_angle(angle.protection_level),
-        "limit": words.limit_text(angle.limit),
-        "time of the value": words.date_and_clock(angle.stamp_ns),
-        "age": words.age_text(angle.age_s),
+        "cause": angle.because_of or value_texts.NO_VALUE,
+        "since": value_texts.date_and_clock(angle.since_ns),
+        "95 % accuracy": value_texts.small_angle(angle.accuracy_95),
+        "sigma": f"{angle.accuracy_95 / 1.96 / ARCSEC:.2f}″" if math.isfinite(angle.accuracy_95) else value_texts.NO_VALUE,
+        "protection level": value_texts.small_angle(angle.protection_level),
+        "limit": value_texts.limit_text(angle.limit),
+        "time of the value": value_texts.date_and_clock(angle.stamp_ns),
+        "age": value_texts.age_text(angle.age_s),
     }
     made = [_row(formatter, name, text) for name, text in rows.items()]
     return [*made, formatter.rule("events"), *event_lines(suite_state, formatter, 200, angle.name)]
@@ -90,20 +90,20 @@ def _angle_rows(angle: AngleState, suite_state: SuiteState, formatter: LineForma
 
 def _source_rows(source: SourceDetails, suite_state: SuiteState, formatter: LineFormatter) -> list[Line]:
     consistency = source.nis_consistency
-    residual = f"{source.residual:.1f} σ" if math.isfinite(source.residual) else words.NO_VALUE
+    residual = f"{source.residual:.1f} σ" if math.isfinite(source.residual) else value_texts.NO_VALUE
     rows = {
-        "reason": source.reason or words.NO_VALUE,
-        "disagreement": source.disagreement or words.NO_VALUE,
+        "reason": source.reason or value_texts.NO_VALUE,
+        "disagreement": source.disagreement or value_texts.NO_VALUE,
         "residual": residual,
-        "out since": words.date_and_clock(source.out_since_ns) if source.out_since_ns else words.NO_VALUE,
-        "because of": source.because_of or words.NO_VALUE,
+        "out since": value_texts.date_and_clock(source.out_since_ns) if source.out_since_ns else value_texts.NO_VALUE,
+        "because of": source.because_of or value_texts.NO_VALUE,
         "rejected in a row": str(source.rejected_in_a_row),
-        "sigma": (consistency.text or f"{consistency.degrees_of_freedom} degrees of freedom") if consistency else words.NO_VALUE,
+        "sigma": (consistency.text or f"{consistency.degrees_of_freedom} degrees of freedom") if consistency else value_texts.NO_VALUE,
     }
     inputs = []
     for each in suite_state.inputs:
         if each.topic in source.topics:
-            inputs += [input_line(each, formatter), _row(formatter, "   rejected for", reasons_text(each) or words.NO_VALUE)]
+            inputs += [input_line(each, formatter), _row(formatter, "   rejected for", reasons_text(each) or value_texts.NO_VALUE)]
     made = [source_line(source, suite_state, formatter, is_chosen=False), *(_row(formatter, name, text) for name, text in rows.items())]
     made += [formatter.rule("inputs"), *inputs]
     return [*made, formatter.rule("events"), *event_lines(suite_state, formatter, 200, source.name)]

@@ -8,9 +8,9 @@ import math
 from dataclasses import dataclass
 from zoneinfo import ZoneInfo
 
-from ship_monitor.terminal.pen import StyledText, Line, TextStyle, LineFormatter
-from ship_watch import words
-from ship_watch.picture import AlertEntry, AngleState, InputState, SuiteState, Presence, Priority, Safety, SourceDetails
+from ship_monitor.terminal.styled_text import StyledText, Line, TextStyle, LineFormatter
+from ship_watch import value_texts
+from ship_watch.suite_state import AlertEntry, AngleState, InputState, SuiteState, Presence, Priority, Safety, SourceDetails
 
 MIN_WIDTH, MIN_HEIGHT = 64, 15
 """Smallest terminal with a full screen; a smaller one has one line."""
@@ -105,14 +105,14 @@ def top_bar(suite_state: SuiteState, view: View) -> Line:
     formatter, overall = view.formatter, suite_state.overall
     left = [StyledText(" ", TextStyle.TEXT), StyledText(view.name, TextStyle.STRONG), StyledText(f"  {view.label}  ", TextStyle.SECOND)]
     if not math.isnan(view.paused_s):
-        left += [StyledText(f" PAUSED {words.age_text(view.paused_s)} ago ", TextStyle.MARKED), StyledText("  ", TextStyle.TEXT)]
+        left += [StyledText(f" PAUSED {value_texts.age_text(view.paused_s)} ago ", TextStyle.MARKED), StyledText("  ", TextStyle.TEXT)]
     left += [
         StyledText(f" {_MARKS[overall.safety]} {overall.safety.name} ", _LOOKS[overall.safety]),
         StyledText(f" {overall.text}", TextStyle.TEXT),
     ]
-    local = words.local_clock(suite_state.utc_ns, view.zone)
+    local = value_texts.local_clock(suite_state.utc_ns, view.zone)
     right = f" {local}  " if local else " "
-    right += f"{words.utc_clock(suite_state.utc_ns)} UTC "
+    right += f"{value_texts.utc_clock(suite_state.utc_ns)} UTC "
     room = max(view.width - formatter.cell_count(right), 0)
     return formatter.styled_line(*LineFormatter(room, view.is_ascii).styled_line(*left), StyledText(right, TextStyle.STRONG))
 
@@ -138,7 +138,7 @@ def alert_pieces(alert: AlertEntry, formatter: LineFormatter, text_width: int) -
     text = formatter.fit(alert.text or alert.id, max(text_width - len(head), 1))
     state = formatter.fit(_ALERT_STATES.get(alert.state, ""), 12)
     state_look = TextStyle.TEXT if alert.is_acknowledged else TextStyle.STRONG
-    return [StyledText(head + text, style), StyledText(f" {words.utc_clock(alert.raised_ns)}  ", TextStyle.SECOND), StyledText(state, state_look)]
+    return [StyledText(head + text, style), StyledText(f" {value_texts.utc_clock(alert.raised_ns)}  ", TextStyle.SECOND), StyledText(state, state_look)]
 
 
 def source_line(source: SourceDetails, suite_state: SuiteState, formatter: LineFormatter, *, is_chosen: bool) -> Line:
@@ -155,7 +155,7 @@ def source_line(source: SourceDetails, suite_state: SuiteState, formatter: LineF
     rate = f"{source.rate_hz:7.1f} Hz" if math.isfinite(source.rate_hz) else " " * 10
     mark = "?" if suite_state.is_old and not is_out else _SOURCE_MARKS[source.presence]
     name = f"{'>' if is_chosen else ' '}{mark} {formatter.fit('  ' * is_consequence + source.name, 16)}"
-    middle = f" {formatter.fit(words.age_text(source.age_s), 8, to_right=True)} {rate}   "
+    middle = f" {formatter.fit(value_texts.age_text(source.age_s), 8, to_right=True)} {rate}   "
     style = TextStyle.OUT if is_out else TextStyle.OLD if suite_state.is_old else TextStyle.TEXT
     second = TextStyle.OLD if suite_state.is_old and not is_out else TextStyle.SECOND
     return formatter.styled_line(
@@ -168,9 +168,9 @@ def source_line(source: SourceDetails, suite_state: SuiteState, formatter: LineF
 
 def input_line(state: InputState, formatter: LineFormatter) -> Line:
     """Return the row of an input topic: rate, latency, age and rejections."""
-    latency = f"{state.latency_s:7.3f} s" if math.isfinite(state.latency_s) else f"{words.NO_VALUE:>9}"
-    rate = f"{state.rate_hz:7.1f} Hz" if math.isfinite(state.rate_hz) else f"{words.NO_VALUE:>10}"
-    numbers = f"{rate} {latency} {formatter.fit(words.age_text(state.age_s), 8, to_right=True)}"
+    latency = f"{state.latency_s:7.3f} s" if math.isfinite(state.latency_s) else f"{value_texts.NO_VALUE:>9}"
+    rate = f"{state.rate_hz:7.1f} Hz" if math.isfinite(state.rate_hz) else f"{value_texts.NO_VALUE:>10}"
+    numbers = f"{rate} {latency} {formatter.fit(value_texts.age_text(state.age_s), 8, to_right=True)}"
     style = TextStyle.OUT if state.level else TextStyle.TEXT
     return formatter.styled_line(
         StyledText(f"   {formatter.fit(state.topic, 30)}", style),
@@ -188,7 +188,7 @@ def event_lines(suite_state: SuiteState, formatter: LineFormatter, room: int, su
     events = [event for event in suite_state.events if not subject or event.subject == subject]
     return [
         formatter.styled_line(
-            StyledText(f" {words.utc_clock(event.utc_ns)}  ", TextStyle.SECOND),
+            StyledText(f" {value_texts.utc_clock(event.utc_ns)}  ", TextStyle.SECOND),
             StyledText(event.text if event.kind == "alert" else f"{event.kind}: {event.text}", TextStyle.TEXT),
         )
         for event in events[:room]
@@ -208,7 +208,7 @@ def _small_screen_line(suite_state: SuiteState, view: View) -> Line:
         names = [angle.name for angle in suite_state.angles if angle.safety is worst.safety]
         text = "all SAFE" if worst.safety is Safety.SAFE else f"{worst.safety.name} {', '.join(names)}"
     style = TextStyle.TEXT if worst is None else _LOOKS[worst.safety]
-    small = f"  {words.utc_clock(suite_state.utc_ns)}  too small: {MIN_WIDTH} by {MIN_HEIGHT} needed"
+    small = f"  {value_texts.utc_clock(suite_state.utc_ns)}  too small: {MIN_WIDTH} by {MIN_HEIGHT} needed"
     return view.formatter.styled_line(StyledText(text, style), StyledText(small, TextStyle.SECOND))
 
 
@@ -236,11 +236,11 @@ def _angles(suite_state: SuiteState, view: View) -> list[Line]:
 
 def _angle(angle: AngleState, suite_state: SuiteState, view: View) -> Line:
     formatter = view.formatter
-    number, sense = words.angle_reading(angle)
+    number, sense = value_texts.angle_reading(angle)
     # Decimal points and signs are aligned: 034.39, 0.1, +68.74.
-    value = formatter.fit(f"{formatter.clean(number):>8} {'' if number == words.NO_VALUE else sense}", 18)
-    accuracy = formatter.fit(words.accuracy_text(angle), 10, to_right=True)
-    limit = formatter.fit(words.limit_text(angle.limit), 7, to_right=True)
+    value = formatter.fit(f"{formatter.clean(number):>8} {'' if number == value_texts.NO_VALUE else sense}", 18)
+    accuracy = formatter.fit(value_texts.accuracy_text(angle), 10, to_right=True)
+    limit = formatter.fit(value_texts.limit_text(angle.limit), 7, to_right=True)
     is_pointing = angle.name in ("azimuth", "elevation")
     why = angle.reason or (suite_state.pointing_by if is_pointing else "")
     is_chosen = view.chosen == angle.name
@@ -257,7 +257,7 @@ def _angle(angle: AngleState, suite_state: SuiteState, view: View) -> Line:
 
 
 def _ages(suite_state: SuiteState, formatter: LineFormatter) -> Line:
-    ages = "   ".join(f"{name} {words.age_text(age_s)}" for name, age_s in suite_state.ages_s.items())
+    ages = "   ".join(f"{name} {value_texts.age_text(age_s)}" for name, age_s in suite_state.ages_s.items())
     horizon = f"horizon {suite_state.horizon}" if suite_state.horizon else ""
     style, second = (TextStyle.OLD, TextStyle.OLD) if suite_state.is_old else (TextStyle.TEXT, TextStyle.SECOND)
     return formatter.styled_line(StyledText(" ages   ", TextStyle.SECOND), StyledText(ages, style), StyledText(" " * 7, TextStyle.TEXT), StyledText(horizon, second))

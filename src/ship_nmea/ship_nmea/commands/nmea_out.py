@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from ship_nmea.node_shell import run_nmea_node
+from ship_nmea.nmea_node import run_nmea_node
 from ship_nmea.out.config import NmeaOutConfig
 from ship_nmea.out.nmea_out import NmeaOut
 

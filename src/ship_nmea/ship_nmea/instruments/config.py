@@ -7,7 +7,7 @@ from ship_bags.nmea.instrument import GNSS, GYRO, INS, INSTRUMENT_TIME, REFERENC
 from ship_bags.nmea.lines import OPTIONAL, REQUIRED, is_talker
 from ship_estimation.parameter_fields import mapping_of, parameter
 from ship_estimation.parameters import ParameterError
-from ship_node.parameters.places import (
+from ship_node.parameters.machine_resources import (
     ANY_ADDRESS,
     MachineResource,
     ResourceKind,

@@ -9,7 +9,7 @@ import termios
 import serial
 
 from ship_nmea.line_splitter import LineSplitter
-from ship_nmea.opening import open_serial
+from ship_nmea.link_opening import open_serial
 from ship_nmea.out.outlet import RECEIVE_BYTES, Outlet, command_texts
 
 _MAX_UNSENT_S = 0.1

@@ -12,10 +12,10 @@ from typing import Any
 
 from ship_bags.stamps import NS_PER_S, duration_text, ns_from_stamp
 from ship_msgs.msg import ShipAttitude
-from ship_nmea.node_shell import NmeaNode
+from ship_nmea.nmea_node import NmeaNode
 from ship_nmea.out.bridge_alerts import BridgeAlerts
 from ship_nmea.out.config import NmeaOutConfig
-from ship_nmea.out.played import PLAYBACK_TEXT, is_played, utc_ns
+from ship_nmea.out.playback import PLAYBACK_TEXT, is_played, utc_ns
 from ship_nmea.out.sink import Sink
 from ship_nmea.sentences.attitude import (
     ATTITUDE_SENTENCES,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import pynmea2
 
-from ship_nmea.sentences.defined import ACN, ALC, ALF, ARC, HBT, LONGEST_BYTES, text_field, time_field
+from ship_nmea.sentences.sentence_types import ACN, ALC, ALF, ARC, HBT, LONGEST_BYTES, text_field, time_field
 
 FIRST_IDENTIFIER, LAST_IDENTIFIER = 10_000, 9_999_999
 """Range of alert identifiers that a manufacturer may use."""

@@ -25,7 +25,7 @@ from ship_node.black_box.black_box_format import (
     FileUsed,
     event_text,
 )
-from ship_node.black_box.box_files import BlackBoxFiles, BlackBoxHeader
+from ship_node.black_box.black_box_files import BlackBoxFiles, BlackBoxHeader
 from ship_node.black_box.versions import versions
 from ship_node.documents.saved_document import FileUse
 from ship_node.edge.adapter import Adapter
@@ -69,7 +69,7 @@ class BlackBox:
         path: the file; of several the first.
 
     Args:
-        path: path given by the parameter; see :func:`ship_node.black_box.box_files.free_path`.
+        path: path given by the parameter; see :func:`ship_node.black_box.black_box_files.free_path`.
         adapter: adapter of the node.
         config: its configuration.
         outputs: all topics that are published.

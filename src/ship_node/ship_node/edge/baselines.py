@@ -4,7 +4,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ship_estimation.refusals import Reason, Rejection
+from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, horizon_covariance
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.messages_in import MessageRejected, covariance_3x3, check_device_id, finite_vector, check_frame, stamp_ns

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ship_bags.cdr_template import CdrRows
 from ship_bags.stamps import NS_PER_S, stamps_of_rows
 from ship_geometry.rotations import FloatArray
-from ship_node.edge.blocks import StampArray
+from ship_node.edge.batches import StampArray
 from ship_node.edge.messages_in import (
     MIN_DEFINITE_DETERMINANT,
     COVARIANCE_TOLERANCE,

@@ -6,9 +6,9 @@ output at once, to the last bit.
 
 from typing import Any, Protocol
 
-from ship_estimation.refusals import Rejection
-from ship_node.edge.block_adapter import BatchAdapter
-from ship_node.edge.blocks import BatchOutput
+from ship_estimation.rejections import Rejection
+from ship_node.edge.batch_adapter import BatchAdapter
+from ship_node.edge.batches import BatchOutput
 from ship_node.edge.topics import OutputMessage
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ship_estimation.outcome import MeasurementDecision
-from ship_estimation.refusals import Reason, Rejection
+from ship_estimation.rejections import Reason, Rejection
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.topics import InputTopic
 

@@ -9,7 +9,7 @@ from ship_estimation.ins import InsInputConfig
 from ship_geometry.attitude_track import AttitudeSample, SampleBlock
 from ship_geometry.ros_axes import device_vector_from_ros, rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.edge.blocks import ReadBatch, StampArray
+from ship_node.edge.batches import ReadBatch, StampArray
 from ship_node.edge.columns_in import imu_quaternions, ship_rates, stamps
 from ship_node.edge.messages_in import (
     NOT_GIVEN,

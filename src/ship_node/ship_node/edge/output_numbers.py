@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_bags.message_factory import MessageFactory
-from ship_node.edge.blocks import OutputRows
+from ship_node.edge.batches import OutputRows
 
 Fields = Mapping[str, Any]
 MessageFields = Iterator[tuple[str, str, Fields]]

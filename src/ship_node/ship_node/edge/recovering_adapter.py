@@ -11,14 +11,14 @@ from dataclasses import replace
 from typing import Any
 
 from ship_estimation.outcome import Status
-from ship_estimation.protection import alert_limit_text
+from ship_estimation.protection_levels import alert_limit_text
 from ship_estimation.recovery.recovery import EstimatorRecovery, SecondEstimator
-from ship_estimation.refusals import Reason, failure_rejection
-from ship_estimation.told_levels import PublishedLevels
+from ship_estimation.rejections import Reason, failure_rejection
+from ship_estimation.published_levels import PublishedLevels
 from ship_geometry.rotations import ARCSEC
 from ship_node.edge.adapter import ServiceResult
-from ship_node.edge.block_adapter import BatchAdapter
-from ship_node.edge.blocks import BatchOutput, PendingBatch
+from ship_node.edge.batch_adapter import BatchAdapter
+from ship_node.edge.batches import BatchOutput, PendingBatch
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.edge.reporting_adapter import Feed

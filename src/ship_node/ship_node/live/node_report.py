@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from ship_estimation.refusals import failure_rejection
+from ship_estimation.rejections import failure_rejection
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.input_health import InputHealthMonitor
 from ship_node.edge.messages_out import DiagnosticStatus, Level

@@ -28,7 +28,7 @@ from ship_estimation.parameters import (
     flatten,
     nest,
 )
-from ship_estimation.refusals import shorten
+from ship_estimation.rejections import shorten
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.live.adapter_calls import AdapterCalls
 from ship_node.live.node_log import NodeLog

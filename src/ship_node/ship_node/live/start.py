@@ -33,7 +33,7 @@ def start_node(module: str, adapter: str) -> NoReturn:
     # later would occasionally delay an output.
     gc.disable()
     adapter_class = getattr(importlib.import_module(module), adapter)
-    from ship_node.live.node_shell import run
+    from ship_node.live.node_runtime import run
 
     gc.freeze()
     gc.enable()

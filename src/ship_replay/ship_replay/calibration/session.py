@@ -20,7 +20,7 @@ from ship_bags.mcap.bag_reader import Bag, read_bag
 from ship_bags.message_factory import MessageFactory
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S
-from ship_estimation.refusals import Reason
+from ship_estimation.rejections import Reason
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.edge.adapter import Adapter

@@ -107,7 +107,7 @@ def _report_names(options: argparse.Namespace) -> tuple[str, str]:
 def _report(options: argparse.Namespace) -> None:
     # Importing the figure libraries is slow.
     from ship_replay.report.page import page
-    from ship_replay.report.told import has_truth, read_report_data
+    from ship_replay.report.report_data import has_truth, read_report_data
 
     # Sensor data are only in the replayed bag; with truth they are evaluated too.
     truth = options.bag if has_truth(options.bag, options.namespace) else None

@@ -66,7 +66,7 @@ def _run(options: argparse.Namespace) -> int:
     if bags := bags_in(options.bag):
         return _report_folder(options, bags, path, limits)
     from ship_replay.report.page import page
-    from ship_replay.report.told import read_report_data
+    from ship_replay.report.report_data import read_report_data
 
     report_data = read_report_data(options.bag, options.truth, limits, options.namespace)
     write_atomically(path, page(report_data))
@@ -79,7 +79,7 @@ def _run(options: argparse.Namespace) -> int:
 def _report_folder(options: argparse.Namespace, bags: Sequence[Path], path: Path, limits: Limits) -> int:
     """Write the report of each bag of a folder, and the page with a row for each."""
     from ship_replay.report.folder import SessionRow, index_page, session_reports
-    from ship_replay.report.told import read_report_data
+    from ship_replay.report.report_data import read_report_data
 
     if options.truth is not None:
         raise BadInput("--truth is for one bag: the bags of a folder have their own truth or none", file=options.bag)

@@ -18,14 +18,14 @@ from ship_bags.stamps import stamps_of_rows
 from ship_bags.topic_names import TRUTH_PREFIX
 from ship_geometry.attitude_track import AttitudeSample
 from ship_node.edge.adapter import Adapter
-from ship_node.edge.blocks import StampArray
+from ship_node.edge.batches import StampArray
 from ship_node.edge.topics import OutputMessage
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.message_times import MessageTimes
 from ship_replay.offline.node_pass import InputEvent, NodePass, NodeOutputs, TopicBlock, read_ahead
 from ship_replay.offline.ordered_output import BatchSink, OrderedOutput
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
-from ship_replay.offline.status_course import StatusHistory
+from ship_replay.offline.status_history import StatusHistory
 
 _MAX_BATCH = 1000
 """Maximum number of messages per batch."""

@@ -13,8 +13,8 @@ import numpy as np
 
 from ship_bags.cdr_template import CdrRows
 from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter
-from ship_node.edge.block_adapter import BatchAdapter
-from ship_node.edge.blocks import BatchOutput, PendingBatch, OutputRows, StampArray
+from ship_node.edge.batch_adapter import BatchAdapter
+from ship_node.edge.batches import BatchOutput, PendingBatch, OutputRows, StampArray
 from ship_node.edge.deferring_adapter import DeferringAdapter
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.topics import OutputMessage

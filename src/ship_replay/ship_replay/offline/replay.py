@@ -24,7 +24,7 @@ from ship_replay.offline.adapter_chain import AdapterChain, suite_chain, suite_t
 from ship_replay.offline.block_run import BlockRun
 from ship_replay.offline.message_times import LogDelays, sort_by_stamp
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
-from ship_replay.offline.status_course import poor_status_reasons
+from ship_replay.offline.status_history import poor_status_reasons
 
 ProgressWrapper = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
 

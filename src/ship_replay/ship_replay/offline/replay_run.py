@@ -16,7 +16,7 @@ from ship_node.edge.topics import OutputMessage
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.exclusion_history import INTEGRITY_TOPICS, ExclusionHistory
 from ship_replay.offline.message_times import LogDelays, MessageTimes
-from ship_replay.offline.status_course import STATUS_TOPICS, StatusHistory
+from ship_replay.offline.status_history import STATUS_TOPICS, StatusHistory
 from ship_replay.offline.truth_errors import TruthErrors
 from ship_watch.orientations import ORIENTATIONS
 

@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ship_attitude_star.ros.star_messages_in import star_exposure
-from ship_attitude_star.sky.sky_watch import SkyModel
+from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.stars.config import CameraConfig
 from ship_attitude_star.stars.exposure import StarExposure, identify_stars
 from ship_attitude_star.stars.selection import StarPrior
-from ship_estimation.refusals import Rejection
+from ship_estimation.rejections import Rejection
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between
 from ship_node.edge.messages_in import MessageRejected
 

@@ -23,7 +23,7 @@ from ship_node.documents.saved_document import READ_ONLY
 from ship_node.edge.adapter import Adapter
 from ship_node.parameters.companions import COMPANIONS, Companion, configured_companions
 from ship_node.parameters.parameter_file import has_section, section_warning, read_node_parameters, unknown_sections
-from ship_node.parameters.places import MachineResource
+from ship_node.parameters.machine_resources import MachineResource
 from ship_replay.offline.adapter_chain import nodes_of
 
 _NODE_SPECIFIC_SKY_PARAMETERS = ("magnitude_limit", "refraction_time_s", "position_time_s")

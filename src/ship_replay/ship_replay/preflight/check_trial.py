@@ -6,12 +6,12 @@ from typing import Any
 from ship_bags.errors import BadInput
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S
-from ship_estimation.refusals import LONGEST_TEXT, Reason, shorten
-from ship_node.edge.blocks import StampArray
+from ship_estimation.rejections import LONGEST_TEXT, Reason, shorten
+from ship_node.edge.batches import StampArray
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.block_run import BlockRun
 from ship_replay.offline.replay_run import ReplaySummary
-from ship_replay.offline.status_course import low_use_text, most_frequent_rejection
+from ship_replay.offline.status_history import low_use_text, most_frequent_rejection
 from ship_replay.preflight.check_config import BagCheck, CheckedNode
 from ship_replay.preflight.check_sigmas import check_sigmas
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ship_attitude_star.sky.catalogue import UNKNOWN
-from ship_attitude_star.sky.sky_watch import SkyModel
+from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.star_attitude.exposure_solver import PlacedExposure, solve_exposure
 from ship_attitude_star.stars.config import CameraConfig
 from ship_attitude_star.stars.field_scale import OpticsEstimate, estimate_optics, field_information

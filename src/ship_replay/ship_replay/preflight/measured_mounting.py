@@ -15,14 +15,14 @@ import numpy as np
 from ship_attitude_star.ros.messages_in import inertial_attitude, reference_measurement, star_measurement
 from ship_attitude_star.ros.surroundings_in import SURROUNDINGS, surroundings_reader
 from ship_attitude_star.ship_attitude.config import ReferenceConfig, ShipAttitudeConfig, StarSensorConfig
-from ship_attitude_star.sky.sky_watch import SkyModel, load_sky_model
+from ship_attitude_star.sky.sky_model import SkyModel, load_sky_model
 from ship_attitude_star.sky.tracker_attitude import to_horizon_attitude
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.stars.config import MountingConfig
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord
 from ship_bags.stamps import NS_PER_S, stamp_of_bytes
-from ship_estimation.refusals import Rejection
+from ship_estimation.rejections import Rejection
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.ins_messages import ins_sample
 from ship_node.edge.messages_in import MessageRejected

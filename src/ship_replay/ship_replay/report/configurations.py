@@ -8,7 +8,7 @@ from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_estimation.parameters import flatten
 from ship_replay.evaluation.evaluate import named_config
 from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.report.night import Recording
+from ship_replay.report.recording import Recording
 
 _NODES = {kind.node_name: kind.config_type for kind in ADAPTERS}
 _TEXTS = (".yaml", ".yml")

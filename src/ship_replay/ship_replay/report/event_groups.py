@@ -8,7 +8,7 @@ from itertools import pairwise
 
 from ship_bags.stamps import NS_PER_S
 from ship_replay.report.wording import duration, utc
-from ship_watch.picture import Event
+from ship_watch.suite_state import Event
 
 MIN_REPEATED = 6
 """Minimum number of changes between two states that are combined in one row: there and back, three times."""

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 from ship_bags.stamps import NS_PER_S
-from ship_estimation.protection import NORMAL_95
+from ship_estimation.protection_levels import NORMAL_95
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.documents.figure_files import MAX_ROWS, short_name
 from ship_replay.report.drawings import (
@@ -26,9 +26,9 @@ from ship_replay.report.drawings import (
 from ship_replay.report.pair import Pair
 from ship_replay.report.published import OutputDifference
 from ship_replay.report.time_axis import gap_times, with_gaps, utc_axis
-from ship_replay.report.told import ReportData
+from ship_replay.report.report_data import ReportData
 from ship_watch.orientations import ORIENTATIONS, channel_name
-from ship_watch.picture import ANGLES
+from ship_watch.suite_state import ANGLES
 
 _A, _B = ("#0b3c6f", "-"), ("#d55e00", "--")
 """Colour and line style of each run, distinguishable in black and white."""

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 from ship_bags.stamps import NS_PER_S
 from ship_replay.report.event_groups import states_of
-from ship_replay.report.night import Recording
+from ship_replay.report.recording import Recording
 from ship_replay.report.tables import SourceOutage, outages, root_outages
 from ship_replay.report.wording import duration, number, utc
-from ship_watch.picture import ANGLES, Safety
+from ship_watch.suite_state import ANGLES, Safety
 
 _MOST_NAMED = 3
 _SHIFTED = "mounting shifted by"

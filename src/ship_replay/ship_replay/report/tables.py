@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, wrap_pi
-from ship_replay.report.night import Recording
+from ship_replay.report.recording import Recording
 from ship_replay.report.wording import duration, number, rounded_to_sigma, utc
 from ship_watch.history import ParameterEstimate
-from ship_watch.picture import ANGLES, Safety
+from ship_watch.suite_state import ANGLES, Safety
 
 _NEEDS = "needs "
 """Prefix of the reason of a source that is out because of another one."""

@@ -17,7 +17,7 @@ import numpy as np
 from ship_attitude_star.measurements.samples import AttitudeEstimate
 from ship_estimation.gates import normalized_error_squared
 from ship_estimation.outcome import Status
-from ship_estimation.protection import IntegrityReport
+from ship_estimation.protection_levels import IntegrityReport
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_geometry.time_scales import SECOND_NS

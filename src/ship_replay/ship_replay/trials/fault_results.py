@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ship_replay.trials.fault_judge import EXCEEDANCE_SIGMAS
-from ship_replay.trials.passage import MEASUREMENTS, UNDETECTABLE_CASES, UNREPORTED_CASES
+from ship_replay.trials.fault_evaluation import EXCEEDANCE_SIGMAS
+from ship_replay.trials.fault_free_replay import MEASUREMENTS, UNDETECTABLE_CASES, UNREPORTED_CASES
 from ship_replay.trials.results_file import Result, ResultsFile
 from ship_replay.trials.threats import DATA_LIKE, OVERLAPPING, SINGLE
 

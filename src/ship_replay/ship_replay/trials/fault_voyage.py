@@ -16,15 +16,15 @@ from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_bags.mcap.bag_reader import Bag, read_bag
 from ship_bags.message_store import RosbagsFactory
 from ship_bags.stamps import NS_PER_S
-from ship_estimation.protection import IntegrityConfig
+from ship_estimation.protection_levels import IntegrityConfig
 from ship_replay.evaluation.sources import Truth
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
-from ship_replay.trials.fault_judge import exceedance_durations, evaluate_fault
-from ship_replay.trials.passage import FaultFreeReplay
+from ship_replay.trials.fault_evaluation import exceedance_durations, evaluate_fault
+from ship_replay.trials.fault_free_replay import FaultFreeReplay
 from ship_replay.trials.threats import OVERLAPPING, SINGLE, DrawnFault, draw_faults
-from ship_replay.trials.voyage_told import VoyageOutputs, VoyageSink
+from ship_replay.trials.voyage_outputs import VoyageOutputs, VoyageSink
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.faults.injection import Injection
 from ship_simulation.scenario.names import IMAGE_TOPIC

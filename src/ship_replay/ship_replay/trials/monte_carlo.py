@@ -18,10 +18,10 @@ from ship_attitude_star.measurements.readings import (
     SkyInput,
 )
 from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement, AttitudeOutcome
-from ship_attitude_star.ship_attitude.ahead import InsBatch
+from ship_attitude_star.ship_attitude.ins_batch import InsBatch
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.sky.sky_watch import load_sky_model
+from ship_attitude_star.sky.sky_model import load_sky_model
 from ship_attitude_star.stars.exposure import ExposureLength, StarExposure
 from ship_estimation.gates import normalized_error_squared
 from ship_estimation.outcome import Measurement, Status

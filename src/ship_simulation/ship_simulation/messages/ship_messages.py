@@ -14,7 +14,7 @@ from ship_bags.stamps import make_header
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import enu_covariance, flu_from_device_vector, quaternion_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_simulation.messages.rows import BLOCK_ROWS, LazyRows
+from ship_simulation.messages.lazy_rows import BLOCK_ROWS, LazyRows
 from ship_simulation.scenario.names import DECK_FRAME, DEFLECTION, IMU, INS_FRAME, SHIP_ATTITUDE
 from ship_simulation.scenario.scenario import Ins, WeatherStation
 from ship_simulation.ship.attitude_device import DeviceSamples, FusedSamples, InsSamples

@@ -11,7 +11,7 @@ from ship_bags.stamps import make_header
 from ship_geometry.frames import SINGULAR_ELEVATION, angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import FLU_FROM_DEVICE, enu_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_simulation.messages.rows import LazyRows
+from ship_simulation.messages.lazy_rows import LazyRows
 from ship_simulation.messages.ship_messages import Maker, angle_rows, make_quaternion, white_covariance_in_horizon
 from ship_simulation.scenario.names import INERTIAL, OBSERVATIONS, STAR, star_frame
 from ship_simulation.scenario.scenario import StarSensor

@@ -9,7 +9,7 @@ from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import make_header
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, enu_covariance
 from ship_simulation.draws.noise import first_in_each_second
-from ship_simulation.messages.rows import LazyRows
+from ship_simulation.messages.lazy_rows import LazyRows
 from ship_simulation.messages.ship_messages import Maker, angle_rows, make_imu, make_vector, quaternion_rows, rate_rows
 from ship_simulation.messages.star_messages import observations_maker
 from ship_simulation.scenario.names import (

@@ -12,7 +12,7 @@ from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
 from ship_bags.output_files import add_force_option, check_folder
 from ship_geometry.rotations import ARCSEC, FloatArray
-from theodolite_calib.axis_fit.doubts import table_warnings
+from theodolite_calib.axis_fit.diagnostics import table_warnings
 from theodolite_calib.axis_fit.report import MEANINGS, summary, write_tables
 from theodolite_calib.axis_fit.robust_fit import AxisFit, fit
 from theodolite_calib.axis_fit.sighting_file import COLUMNS, GROUP_COLUMNS, LABEL_COLUMN, TIME_COLUMN, read_sightings

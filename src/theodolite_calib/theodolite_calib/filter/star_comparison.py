@@ -16,14 +16,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_attitude_star.sky.shared_states import sky_slice
-from ship_attitude_star.sky.sky_watch import SkyModel
+from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.stars.camera_states import camera_state_indices
 from ship_attitude_star.stars.residuals import StarResiduals, star_residuals
 from ship_attitude_star.stars.scale_check import check_estimated_focal_length
 from ship_attitude_star.stars.selection import StarPrior
-from ship_estimation.hypotheses import FilterInnovations, subfilter_innovations
+from ship_estimation.subfilters import FilterInnovations, subfilter_innovations
 from ship_estimation.kalman import LinearMeasurement, StateModel
-from ship_estimation.refusals import Rejection
+from ship_estimation.rejections import Rejection
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import axis_geometry
 from theodolite_calib.chain.parallelism import telescope_from_main

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ship_geometry import compiled_lights
+from ship_geometry import compiled_beacons
 from ship_geometry.exposure_mean import Nodes
 from ship_geometry.rotations import FloatArray
 
@@ -137,7 +137,7 @@ def predict_points(camera: Camera, rotation_nt: FloatArray, direction_n: FloatAr
     """
     leading, count = direction_n.shape[:-2], direction_n.shape[-2]
     principal_point_m = np.asarray(camera.principal_point_m, dtype=float)
-    found = compiled_lights.image_points(
+    found = compiled_beacons.image_points(
         flatten_exposures(direction_n, leading, (count, 3)),
         flatten_exposures(rotation_nt, leading, (3, 3)),
         flatten_exposures(camera.focal_length_m, leading, ()),

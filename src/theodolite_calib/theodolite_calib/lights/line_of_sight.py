@@ -17,7 +17,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ship_geometry import compiled_lights
+from ship_geometry import compiled_beacons
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.lights.image import block_diagonal, flatten_exposures
 
@@ -201,7 +201,7 @@ class LinesOfSight:
 def lines_of_sight(beacons: BeaconPoses, ship: Ship, survey: Survey) -> LinesOfSight:
     """Return the directions to the beacons with their errors."""
     leading, count = beacons.baseline_n.shape[:-2], beacons.baseline_n.shape[-2]
-    found = compiled_lights.sight_lines(
+    found = compiled_beacons.sight_lines(
         flatten_exposures(beacons.baseline_n, leading, (count, 3)),
         flatten_exposures(beacons.rotation_nb, leading, (count, 3, 3)),
         flatten_exposures(survey.beacon_lever.vector_m, leading, (count, 3)),

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ship_estimation.value_guards import ROUNDING_SPREAD
+from ship_estimation.value_checks import ROUNDING_SPREAD
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.measured import compiled_cubics

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_estimation.outcome import MeasurementDecision, Outcome, Status
-from ship_estimation.refusals import Rejection
+from ship_estimation.rejections import Rejection
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.exposure_mean import Nodes, exposure_nodes
 from ship_geometry.rotations import FloatArray

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ship_estimation.refusals import Reason, Rejection
+from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.exposure_mean import Nodes
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ship_estimation.outcome import Status
-from ship_estimation.refusals import Reason, Rejection
+from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, Nodes, exposure_nodes
 from ship_geometry.rotations import ARCSEC, FloatArray, skew
@@ -21,7 +21,7 @@ from ship_geometry.vector_track import VectorTrack
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.baseline_track import BaselineJump, BaselineTrack
-from theodolite_calib.measured.contradiction import StreamConsistency, has_ship_drifted, stream_consistency
+from theodolite_calib.measured.stream_consistency import StreamConsistency, has_ship_drifted, stream_consistency
 from theodolite_calib.measured.samples import AnyExposure, EncoderSample, Exposure, ShipSample
 
 _LONGEST_REACH_NS = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns

@@ -14,25 +14,25 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from ship_attitude_star.measurements.readings import SkyInput
-from ship_attitude_star.sky.sky_watch import SkyModel
+from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.stars.exposure import StarExposure
-from ship_estimation.estimator_shell import TimeOrderedEstimator, EstimatorModel
-from ship_estimation.exclusion import MAX_MEASUREMENT_AGE_NS
-from ship_estimation.protection import IntegrityReport
+from ship_estimation.time_ordered_estimator import TimeOrderedEstimator, EstimatorModel
+from ship_estimation.fault_isolation import MAX_MEASUREMENT_AGE_NS
+from ship_estimation.protection_levels import IntegrityReport
 from ship_estimation.recovery.displacement import MemoryResidual
-from ship_estimation.refusals import StampConflicts, Reason, Rejection
+from ship_estimation.rejections import StampConflicts, Reason, Rejection
 from ship_estimation.time_shift import with_shifted_stamps
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.sample_track import SampleTrack
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.alternatives import BEACON_PREFIX, ENCODER, SHIP, TELESCOPE
+from theodolite_calib.filter.subfilters import BEACON_PREFIX, ENCODER, SHIP, TELESCOPE
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Jump
 from theodolite_calib.filter.star_step import StarStep
 from theodolite_calib.filter.step import SightingStep
-from theodolite_calib.measured.contradiction import StreamConsistency
-from theodolite_calib.measured.encoder_watch import EncoderCheck, CheckedReading
+from theodolite_calib.measured.stream_consistency import StreamConsistency
+from theodolite_calib.measured.encoder_check import EncoderCheck, CheckedReading
 from theodolite_calib.measured.samples import (
     AnyExposure,
     BaselineSample,
@@ -45,7 +45,7 @@ from theodolite_calib.measured.samples import (
     ShipSample,
     TargetSample,
 )
-from theodolite_calib.measured.ship_watch import ShipCheck
+from theodolite_calib.measured.ship_check import ShipCheck
 from theodolite_calib.measured.sighting import Sighting, SightingAssembler
 from theodolite_calib.measured.star_sighting import star_sighting
 from theodolite_calib.measured.tracks import MeasuredTracks
@@ -71,7 +71,7 @@ from theodolite_calib.optical_axis.targets import TargetProcessor
 
 if TYPE_CHECKING:
     from theodolite_calib.escort.advice import EscortAdvice
-    from theodolite_calib.optical_axis.escorting import EscortAdvisor
+    from theodolite_calib.optical_axis.escort_advisor import EscortAdvisor
 
 _STREAM_FAULT_REASONS = frozenset({Reason.STUCK, Reason.CONFLICT, Reason.GATE})
 """Reasons for which a reading or an attitude is rejected by its own stream: stuck, repeated stamp, or jump."""
@@ -447,7 +447,7 @@ class OpticalAxisCore:
         if not self.config.escort.enabled:
             return None
         # Imported here: loading scipy's optimisers takes longer than the rest of the node.
-        from theodolite_calib.optical_axis.escorting import EscortAdvisor
+        from theodolite_calib.optical_axis.escort_advisor import EscortAdvisor
 
         return EscortAdvisor(self.config, self.filter, self._tracks)
 

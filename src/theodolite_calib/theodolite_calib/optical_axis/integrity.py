@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from ship_estimation.outcome import Status
-from ship_estimation.protection import IntegrityReport, integrity_report, solution_separation
+from ship_estimation.protection_levels import IntegrityReport, integrity_report, solution_separation
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState

@@ -15,7 +15,7 @@ from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.chain.axes import axis_geometry
 from theodolite_calib.chain.parallelism import telescope_from_main
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Jump
-from theodolite_calib.measured.encoder_watch import EncoderJump
+from theodolite_calib.measured.encoder_check import EncoderJump
 from theodolite_calib.measured.sighting import Sighting
 from theodolite_calib.measured.tracks import EncoderAt, ShipAt
 

@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_estimation.outcome import Status
-from ship_estimation.protection import IntegrityReport, alert_limit_text, separation_inflation
-from ship_estimation.refusals import Rejection, failure_rejection
+from ship_estimation.protection_levels import IntegrityReport, alert_limit_text, separation_inflation
+from ship_estimation.rejections import Rejection, failure_rejection
 from ship_geometry import compiled_mounts
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.chain.axes import DEFORMATION, SHIP
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.alternatives import BEACON_PREFIX
+from theodolite_calib.filter.subfilters import BEACON_PREFIX
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import (
     SOURCE_DEFORMATION,

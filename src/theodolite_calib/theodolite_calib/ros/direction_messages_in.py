@@ -7,11 +7,11 @@ import numpy as np
 
 from ship_estimation.frame_names import FRAME_NAMES
 from ship_estimation.outcome import Status
-from ship_estimation.refusals import Reason, shorten
+from ship_estimation.rejections import Reason, shorten
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, horizon_covariance
 from ship_node.edge.messages_in import ReadMessage, MessageRejected, angular_covariance, finite_vector, check_frame, stamp_ns
 from theodolite_calib.ros.messages_in import LONGEST_TARGET_ID
-from theodolite_calib.target.common_moments import DirectionSample
+from theodolite_calib.target.common_times import DirectionSample
 
 _NORM_TOLERANCE = 1e-3
 _LEAST_SHARE = 1e-9

@@ -9,18 +9,18 @@ import numpy as np
 
 from ship_attitude_star.ros.star_messages_in import star_exposure
 from ship_attitude_star.ros.surroundings_in import surroundings_feeds
-from ship_attitude_star.sky.sky_watch import SkyModel, load_sky_model
+from ship_attitude_star.sky.sky_model import SkyModel, load_sky_model
 from ship_bags.cdr_template import CdrRows
 from ship_bags.message_factory import MessageFactory
 from ship_estimation.outcome import Status
 from ship_estimation.recovery.displacements import TOGETHER
-from ship_estimation.refusals import Rejection
+from ship_estimation.rejections import Rejection
 from ship_geometry.ros_axes import flu_from_device_vector
 from ship_geometry.rotations import ARCSEC
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.documents.saved_start import SavedStart
-from ship_node.edge.blocks import OutputRows, StampArray
-from ship_node.edge.contested import ATTITUDE, BASELINE, ENCODERS
+from ship_node.edge.batches import OutputRows, StampArray
+from ship_node.edge.duplicate_publishers import ATTITUDE, BASELINE, ENCODERS
 from ship_node.edge.deferring_adapter import DeferringAdapter
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.messages_out import (
@@ -36,9 +36,9 @@ from ship_node.edge.messages_out import (
 from ship_node.edge.recovering_adapter import PRESENCE_REASONS, RecoveringAdapter
 from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ignore_time
 from ship_node.edge.topics import InputTopic, OutputTopic, OutputMessage
-from ship_node.edge.verdict_report import clock_status
+from ship_node.edge.innovation_report import clock_status
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.alternatives import BEACON_PREFIX, ENCODER, SHIP
+from theodolite_calib.filter.subfilters import BEACON_PREFIX, ENCODER, SHIP
 from theodolite_calib.measured.samples import (
     Exposure,
     ExposureDecision,

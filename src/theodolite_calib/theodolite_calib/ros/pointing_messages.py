@@ -18,7 +18,7 @@ from ship_geometry.compiled_angles import angle_covariances, angles, quaternions
 from ship_geometry.frames import SINGULAR_ELEVATION, angle_covariance, angles_from_rotation
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, FLU_FROM_DEVICE, enu_covariance
 from ship_geometry.rotations import ARCSEC, FloatArray
-from ship_node.edge.blocks import OutputRows
+from ship_node.edge.batches import OutputRows
 from ship_node.edge.messages_out import TF_TOPIC, TF_TYPE, ZERO_VECTOR, error_budget_message
 from ship_node.edge.output_numbers import (
     Fields,

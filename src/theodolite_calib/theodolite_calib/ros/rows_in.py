@@ -14,7 +14,7 @@ from ship_estimation.outcome import Status
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.ros_axes import device_vector_from_ros, horizon_covariance, rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC
-from ship_node.edge.blocks import StampArray
+from ship_node.edge.batches import StampArray
 from ship_node.edge.columns_in import (
     ReadRows,
     angular_covariances,

@@ -17,7 +17,7 @@ from theodolite_calib.measured.samples import TargetEstimate
 from theodolite_calib.ros.direction_messages_in import direction
 from theodolite_calib.ros.target_messages import TARGET_TYPE, target_message
 from theodolite_calib.target.config import TriangulationConfig
-from theodolite_calib.target.placing import PositionEstimate, TriangulationOutcome, TriangulationCore
+from theodolite_calib.target.triangulation_core import PositionEstimate, TriangulationOutcome, TriangulationCore
 
 POSITION_TOPIC, INNOVATION_TOPIC = "target/position", "target/innovation"
 ORIGIN_FRAME = "triangulation_origin"

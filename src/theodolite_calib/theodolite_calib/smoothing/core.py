@@ -11,19 +11,19 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.sky.sky_watch import SkyModel
-from ship_estimation.backward import GaussianEstimate
-from ship_estimation.backward_chain import RtsSmoother
+from ship_attitude_star.sky.sky_model import SkyModel
+from ship_estimation.rts_step import GaussianEstimate
+from ship_estimation.rts_smoother import RtsSmoother
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.alternatives import AXIS_SOURCES
+from theodolite_calib.filter.subfilters import AXIS_SOURCES
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import SOURCE_AXES
 from theodolite_calib.measured.samples import EncoderSeries, EncoderSample, PointingEstimate, PointingOutcome
 from theodolite_calib.measured.tracks import ShipAt, ShipSeries
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.optical_axis.output import CorrectedAxis, PendingPointing
-from theodolite_calib.smoothing.between import AxisStatePredictor
+from theodolite_calib.smoothing.axis_predictor import AxisStatePredictor
 from theodolite_calib.smoothing.traced_filter import TracedFilter, TracedState
 
 _MAX_BATCH = 1000

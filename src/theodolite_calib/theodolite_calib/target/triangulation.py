@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_estimation.gates import chi_square_gate
-from ship_estimation.refusals import Reason, Rejection
+from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.geodetic import GeodeticPosition, ecef_from_geodetic, rotation_horizon_from_ecef
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.lights.image import unit_vector_jacobian

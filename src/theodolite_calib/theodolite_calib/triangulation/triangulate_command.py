@@ -13,8 +13,8 @@ from ship_bags.output_files import add_force_option, check_file, write_csv
 from ship_bags.parameter_yaml import read_nested_parameters
 from ship_bags.stamps import utc_text
 from ship_estimation.parameters import ParameterError, build
-from ship_estimation.refusals import Rejection
-from theodolite_calib.target.common_moments import TargetPosition
+from ship_estimation.rejections import Rejection
+from theodolite_calib.target.common_times import TargetPosition
 from theodolite_calib.target.triangulation import TriangulatedPosition
 from theodolite_calib.triangulation.config import RecordedTriangulationConfig
 from theodolite_calib.triangulation.recorded import target_positions, read_directions

@@ -1,0 +1,591 @@
+"""Fault detection and exclusion (FDE) of the ship filter, from innovations and solution separations of the subfilters.
+
+The filters are those of :mod:`ship_attitude_star.ship_attitude.subfilter_set`. A source is excluded if only the
+subfilter without it is consistent with its data. An INS that drifts away from all other sources is excluded in the same
+way.
+
+A step is treated differently, because a position error rotates all stars just as a step of the INS would. If all stars
+suddenly contradict the INS, the fault is unresolved, and the stars are excluded until they are consistent with the INS
+again. A jump of the INS is detected from its own rates (:mod:`ship_estimation.ins_check`). If one was reported
+recently, the INS is excluded instead (:mod:`ship_attitude_star.ship_attitude.ins_fault_handling`).
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_attitude_star.ship_attitude.comparison import ComparedMeasurement
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.ins_fault_handling import InsFaultHandling, is_ins_excluded_by_stars
+from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
+from ship_attitude_star.ship_attitude.subfilter_set import INS, MIN_SOURCES_FOR_PAIRS, SubfilterSet
+from ship_attitude_star.ship_attitude.state import SourceInnovation, UnresolvedFault, FilterState, RecentInnovations, changed, shared_rotation, with_entry
+from ship_estimation.common_error import COMMON_ERROR_START_SIGMAS
+from ship_estimation.fault_isolation import (
+    MAX_MEASUREMENT_AGE_NS,
+    ExcludedSource,
+    FaultIsolation,
+    is_consistent_with_all,
+    isolate_fault,
+    evaluate_reinstatement,
+    reinstatement_time_s,
+)
+from ship_estimation.subfilters import (
+    FilterInnovations,
+    add_error,
+    restart_from_subfilter,
+    solution_separations,
+    are_consistent,
+    update_subfilters,
+)
+from ship_estimation.outcome import Measurement
+from ship_estimation.protection_levels import INFLATION_START_SIGMAS, separation_inflation
+from ship_estimation.innovation_means import INITIAL_MEANS, updated_mean, cleared_means, initial_means, updated_means
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_geometry.time_scales import SECOND_NS
+
+_SHIFT_SIGMA_RATIO = 2.0
+"""Standard deviation of the mounting after a mounting shift, as a ratio to the observed shift."""
+
+_MIN_SHIFT_RAD, _MAX_SHIFT_RAD = 10.0 * ARCSEC, 3600.0 * ARCSEC
+"""Minimum and maximum standard deviation of the mounting after a mounting shift, rad."""
+
+_DRIFT_OBSERVED_NS = 3 * SECOND_NS
+"""Minimum uninterrupted reception of all sources in use before a drift of the INS is detected, ns."""
+
+_DRIFT_DURATION_NS = 10 * SECOND_NS
+"""Time for which the offset of the INS from all stars must grow to count as a drift: half a slow roll period, ns."""
+
+
+class FaultDetector:
+    """Fault detection and exclusion with the filters of a configuration.
+
+    Args:
+        config: configuration of the node.
+        model: state vector.
+        devices: sources by name.
+
+    Attributes:
+        subfilters: the filters.
+        ins_fault: handling of INS faults.
+
+    Raises:
+        ParameterError: there are more filters than ``integrity.max_hypotheses``.
+    """
+
+    def __init__(self, config: ShipAttitudeConfig, model: ShipStateModel, devices: Mapping[str, Device]) -> None:
+        self._integrity, self._model = config.integrity, model
+        self._degraded_after = config.gate.degraded_after
+        self.subfilters = SubfilterSet(config, model, devices)
+        self._sources = self.subfilters.sources
+        self._indices = {name: index for index, name in enumerate(self._sources)}
+        self.ins_fault = InsFaultHandling(config, model, self.subfilters)
+        self._ins_attitude = model.slices["ins.attitude"]
+        self._consistent_sigmas = min(INFLATION_START_SIGMAS, self.subfilters.k.false_exclusion)
+
+    def initial_state(self, mean: FloatArray, covariance_by_source: FloatArray) -> FilterState:
+        """Return the state before any measurement, with all filters at one mean and covariance.
+
+        Args:
+            mean: estimated errors, shape (n,).
+            covariance_by_source: covariance by error source, shape (n_sources, n, n).
+        """
+        return FilterState(None, *self.ins_fault.all_filters_at(mean, covariance_by_source), initial_means(self.subfilters.count, len(self._sources)))
+
+    def uses(self, state: FilterState) -> NDArray[np.bool_]:
+        """Return a mask of the sources that each filter uses, shape (h, s)."""
+        if not state.excluded:
+            return self.subfilters.uses
+        excluded = np.array([name in state.excluded for name in self._sources], dtype=bool)
+        used: NDArray[np.bool_] = self.subfilters.uses & ~excluded
+        return used
+
+    def update(
+        self,
+        state: FilterState,
+        predicted: FilterState,
+        measurement: Measurement,
+        comparison: ComparedMeasurement,
+        innovations: FilterInnovations,
+        accepted: NDArray[np.bool_],
+    ) -> FilterState:
+        """Return the state with all filters updated by a measurement.
+
+        If no filter uses the measurement, the unpredicted state is returned, with updated innovation means.
+
+        Args:
+            state: state before the measurement.
+            predicted: ``state`` propagated to the time of the measurement.
+            measurement: the measurement.
+            comparison: the measurement compared with the main filter.
+            innovations: innovations of all filters.
+            accepted: True for each filter whose gate the measurement passed, shape (h,).
+        """
+        source, index = measurement.source, self._indices[measurement.source]
+        used = self.subfilters.used_by[source] if not state.excluded else self.uses(state)[:, index]
+        noise = None if used[0] else innovations.whitened_noise
+        innovation_means = updated_means(
+            state.innovation_means, index, innovations.whitened_innovation, accepted, measurement.time_ns, self.subfilters.innovation_mean_limit, noise
+        )
+        if state.innovation_means.last_measured_ns[index] < measurement.time_ns - MAX_MEASUREMENT_AGE_NS:
+            state, predicted = (self._with_source_back(one, source, measurement.time_ns) for one in (state, predicted))
+        innovation = SourceInnovation(innovations.whitened_innovation[0], innovations.whitening_root[0], comparison.predicted_nv)
+        last_innovations = with_entry(state.last_innovations, source, innovation)
+        exclusion = state.excluded.get(source)
+        # A measurement that no filter uses leaves all of them bit-identical. An excluded source may still update its
+        # own mounting states.
+        is_update = any((used & accepted).tolist()) if exclusion is None else exclusion.offset is None
+        if not is_update:
+            return changed(state, seen=innovation_means, apart=last_innovations)
+        updatable = self.ins_fault.updatable_states(state, self._updatable_states(state, source, used) & accepted[:, None])
+        corrections, stack = update_subfilters(predicted.stack, comparison.linear, innovations, updatable)
+        recent, correction_sums = state.recent_innovations, state.correction_sums
+        if used[0] and accepted[0]:
+            windowed = recent[source].windowed_means if source in recent else INITIAL_MEANS
+            recent = with_entry(recent, source, RecentInnovations(*updated_mean(windowed, innovations.whitened_innovation[0])))
+            if source in self.subfilters.stars and INS not in state.excluded:
+                correction_sums = correction_sums.with_correction(innovations, comparison.linear.jacobian, self._ins_attitude.start)
+        means = predicted.means + corrections
+        return changed(
+            predicted, means=means, stack=stack, seen=innovation_means, apart=last_innovations, lately=recent, absorbed=correction_sums
+        )
+
+    def _updatable_states(self, state: FilterState, source: str, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return a mask of the states that each filter may update with a source, shape (h, n).
+
+        Args:
+            state: state of the filters.
+            source: name of the source.
+            used: True for each filter that uses the source, shape (h,).
+        """
+        return self.subfilters.updatable_states[source] if not state.excluded else used[:, None] | self.subfilters.own_states[source]
+
+    def _with_source_back(self, state: FilterState, source: str, time_ns: int) -> FilterState:
+        """Return the state before the first measurement of a source after a timeout; reinstatement timers restart."""
+        excluded = dict(state.excluded)
+        if source in excluded:
+            excluded[source] = replace(excluded[source], agrees_since_ns=None)
+        if is_ins_excluded_by_stars(state) and state.innovation_means.last_measured_ns.max() < time_ns - MAX_MEASUREMENT_AGE_NS:
+            excluded[INS] = replace(excluded[INS], agrees_since_ns=time_ns)
+        heard_since_ns = with_entry(state.received_since_ns, source, time_ns)
+        return changed(state, excluded=MappingProxyType(excluded), heard_since_ns=heard_since_ns)
+
+    def solution_separations(self, state: FilterState) -> tuple[FloatArray, FloatArray]:
+        """Return the solution separations of the filters from the main filter.
+
+        Returns:
+            Separations about North, Up and East, rad, shape (h, 3), and their largest values in standard deviations,
+            shape (h,).
+        """
+        return solution_separations(state.means, state.stack, self._ins_attitude)
+
+    def detect_faults(
+        self, state: FilterState, source: str, innovations: FilterInnovations, is_ins_confirmed: bool, time_ns: int
+    ) -> tuple[FilterState, str]:
+        """Detect and isolate faults after a measurement.
+
+        Args:
+            state: state after the measurement.
+            source: source of the measurement.
+            innovations: innovations of all filters.
+            is_ins_confirmed: True if the rates of the INS would have shown a step.
+            time_ns: stamp of the measurement.
+
+        Returns:
+            The state after exclusions and reinstatements, and a text about the source, empty for none.
+        """
+        if self._is_all_consistent(state):
+            return state, ""
+        state = self.ins_fault.reinstate_ins(state, time_ns)
+        if source in state.excluded:
+            state, text = self._evaluate_reinstatement(state, source, innovations, time_ns)
+            if source in state.excluded:
+                return state, text
+        if is_ins_excluded_by_stars(state):
+            is_consistent = not self._is_inconsistent(state, self._sources.index(source))
+            return self.ins_fault.monitor(state, innovations, is_consistent, time_ns), ""
+        table, uses, in_use = self.subfilters, self.uses(state), state.in_use(self._sources, time_ns)
+        separations_n, separation_sigmas = self.solution_separations(state)
+        candidates: Sequence[int] = table.single_subfilters
+        if state.excluded:
+            candidates = [row for row in candidates if table.names[row - 1] not in state.excluded]
+        pairs = table.relevant_pairs(in_use, state.excluded) if table.pair_subfilters else []
+        # The rates show a step of the INS, but not a drift.
+        stepped = any(state.innovation_means.rejection_counts[0].tolist())
+        if is_ins_confirmed and stepped:
+            candidates, pairs = ([row for row in rows if row not in table.ins_subfilters] for rows in (candidates, pairs))
+        elif stepped and len(in_use) <= MIN_SOURCES_FOR_PAIRS:
+            pairs = []  # One source with an INS that may have stepped explains as much as two other sources.
+        threshold, after = table.k.false_exclusion, self._degraded_after
+        isolation = isolate_fault(state.innovation_means, uses, separation_sigmas, threshold, candidates, time_ns, after, pairs)
+        # Written so that NaN is shared.
+        shared = not state.correction_sums.sigmas <= table.common_threshold and INS not in state.excluded
+        if not isolation.is_detected and not shared:
+            return self._with_no_fault(state, in_use, separations_n, separation_sigmas, time_ns), ""
+        faulty = self._faulty_sources(state, isolation)
+        if state.correction_sums.sigmas > COMMON_ERROR_START_SIGMAS and not table.stars.isdisjoint(faulty):
+            faulty = ()  # All stars contradict the INS: a single star sensor that explains a part is not faulty.
+        if self.ins_fault.has_reported_jump(state, time_ns):
+            state = changed(state, ins_suspected_ns=time_ns)
+            if INS not in faulty and not set(table.ins_subfilters).isdisjoint(isolation.explaining_subfilters):
+                faulty = ()  # A jump of the INS explains it as well: the INS may have rotated in its own frame.
+        contradicting = self._contradicting_stars(state, faulty, in_use, shared)
+        against_ins = len(contradicting) > 1 or (INS in faulty and stepped)
+        if against_ins and self.ins_fault.has_reported_jump(state, time_ns) and self.ins_fault.can_be_excluded(in_use):
+            state, text = self._exclude(state, (INS,), time_ns)
+            return self.ins_fault.with_contradiction(state, time_ns), text
+        if INS in faulty and (stepped or not table.can_show_ins_fault([name for name in in_use if name not in faulty])):
+            faulty = ()  # A position error rotates all stars equally, as a step of an INS without rates does.
+        if INS in faulty and any(time_ns - state.received_since_ns[name] < _DRIFT_OBSERVED_NS for name in in_use):
+            faulty = ()  # After a timeout a few measurements do not isolate whether the INS or a sensor has moved.
+        if INS in state.excluded and len(in_use) < MIN_SOURCES_FOR_PAIRS:
+            faulty = ()  # Of two sources each explains the contradiction with the other.
+        if faulty and not set(in_use).issubset(faulty):
+            return self._exclude(state, faulty, time_ns)
+        unresolved = self._with_unresolved_fault(state, separations_n, separation_sigmas, contradicting)
+        return self._exclude_stars(unresolved, contradicting, shared, time_ns) if contradicting else unresolved, ""
+
+    def _is_all_consistent(self, state: FilterState) -> bool:
+        """True if all sources are consistent, none is excluded, and no earlier inconsistency is still covered."""
+        if state.excluded or state.unresolved_fault is not None or state.separation_covariance_n is not None:
+            return False
+        # Written so that NaN is inconsistent.
+        return (
+            state.correction_sums.sigmas <= COMMON_ERROR_START_SIGMAS
+            and is_consistent_with_all(state.innovation_means, self._degraded_after)
+            and all(one.largest_sigmas <= INFLATION_START_SIGMAS for one in state.recent_innovations.values())
+            and are_consistent(state.means, state.stack, self._ins_attitude, self._consistent_sigmas)
+        )
+
+    def _with_no_fault(
+        self, state: FilterState, in_use: list[str], separations_n: FloatArray, separation_sigmas: FloatArray, time_ns: int
+    ) -> FilterState:
+        """Return the state where no fault is detected, with a covariance that covers large solution separations.
+
+        A drifting source separates the main filter from the subfilter without it long before it is excluded. A source
+        with a mounting shift of a few standard deviations does so within a second. Its recent innovations are
+        inconsistent before the two filters separate, so they count as well.
+        """
+        if INS not in state.excluded and self.ins_fault.can_be_excluded(in_use):
+            separation_sigmas = separation_sigmas.copy()
+            for row, source in enumerate(self._sources, start=1):
+                if source in in_use and source in state.recent_innovations:
+                    separation_sigmas[row] = np.maximum(separation_sigmas[row], state.recent_innovations[source].largest_sigmas)
+        # Written so that NaN is not within.
+        within = all(sigmas <= INFLATION_START_SIGMAS for sigmas in separation_sigmas.tolist())
+        correction_sums = state.correction_sums.with_unresolved_error(time_ns, round(self._integrity.return_after_s * SECOND_NS))
+        suspicion = correction_sums.unresolved
+        if within and state.unresolved_fault is None and state.separation_covariance_n is None and suspicion is None:
+            return state
+        separation_covariance_n = None if within else separation_inflation(separations_n, separation_sigmas)
+        if suspicion is not None:
+            shared_n = np.diag(suspicion.variance)
+            separation_covariance_n = shared_n if separation_covariance_n is None else separation_covariance_n + shared_n
+        return changed(state, doubt=None, disputed_n=separation_covariance_n, absorbed=correction_sums)
+
+    def reset_for_ins_jump(self, state: FilterState, time_ns: int) -> FilterState:
+        """Return the state after the INS reported its own jump: the sources that contradicted it are reset.
+
+        After an unresolved fault all filters restart from the main filter, because they differ by that fault.
+        """
+        if state.unresolved_fault is not None:
+            means, stack = self.ins_fault.all_filters_at(state.mean, state.covariance_by_source)
+            state = changed(state, means=means, stack=stack)
+        if is_ins_excluded_by_stars(state):
+            return self.ins_fault.with_contradiction(state, time_ns)
+        return self._reset_faults(state)
+
+    def exclude_drifting_ins(self, state: FilterState, time_ns: int) -> FilterState:
+        """Return the state after the INS reported a drift: it is excluded if enough other sources check each other.
+
+        The subfilter without the INS is consistent with the stars all the time. Stars that contradicted the INS are
+        reset.
+        """
+        after_reset = state if state.unresolved_fault is None else self.reset_for_ins_jump(state, time_ns)
+        if INS in state.excluded or not self.ins_fault.can_be_excluded(after_reset.in_use(self._sources, time_ns)):
+            return state
+        return self._exclude(after_reset, (INS,), time_ns)[0]
+
+    def restart_subfilters(self, state: FilterState) -> FilterState:
+        """Return the state with all filters restarted from the main filter and faults reset."""
+        means, stack = self.ins_fault.all_filters_at(state.mean, state.covariance_by_source)
+        return self._reset_faults(changed(state, means=means, stack=stack))
+
+    def _reset_faults(self, state: FilterState) -> FilterState:
+        """Return the state without detected faults; only the INS and sources with a mounting shift stay excluded."""
+        remaining = {name: exclusion for name, exclusion in state.excluded.items() if exclusion.offset is None}
+        innovation_means = cleared_means(state.innovation_means, slice(None), slice(None))
+        unresolved_fault = state.unresolved_fault if is_ins_excluded_by_stars(state) else None
+        return changed(
+            state,
+            excluded=MappingProxyType(remaining),
+            seen=innovation_means,
+            lately=MappingProxyType({}),
+            absorbed=state.correction_sums.without_corrections(),
+            doubt=unresolved_fault,
+            disputed_n=None,
+        )
+
+    # -- exclusion and reinstatement ------------------------------------------------------------------------
+
+    def _faulty_sources(self, state: FilterState, isolation: FaultIsolation) -> tuple[str, ...]:
+        """Return the isolated sources, empty for none.
+
+        If several subfilters explain the fault, the only one whose sources were all excluded before is preferred.
+        """
+        excluded_sources = self.subfilters.excluded_sources
+        known = [row for row in isolation.explaining_subfilters if state.exclusion_counts.keys() >= set(excluded_sources[row - 1])]
+        row = known[0] if len(known) == 1 else isolation.subfilter
+        return () if row is None else excluded_sources[row - 1]
+
+    def _exclude(self, state: FilterState, faulty: tuple[str, ...], time_ns: int) -> tuple[FilterState, str]:
+        """Exclude sources: all filters restart from the subfilter without them.
+
+        Args:
+            state: state after the measurement.
+            faulty: the sources to exclude.
+            time_ns: stamp of the measurement.
+
+        Returns:
+            The state, and a text that names the excluded and the remaining sources.
+        """
+        row, rows = self.subfilters.excluded_sources.index(faulty) + 1, len(state.means)
+        means = np.tile(state.means[row], (rows, 1))
+        stack = restart_from_subfilter(state.stack, rows, row)
+        excluded, exclusion_counts, used_ns = dict(state.excluded), dict(state.exclusion_counts), dict(state.last_used_ns)
+        for name in faulty:
+            # An offset larger than any mounting shift has another cause; the mounting is not estimated again.
+            has_mounting_shift = name != INS and self._mounting_shift(state, name) is not None
+            if has_mounting_shift:
+                self._inflate_mounting(stack, state, name)
+            exclusion_counts[name] = state.exclusion_counts.get(name, 0) + 1
+            rotation_v = None if has_mounting_shift or name == INS else state.last_innovations[name].rotation_v
+            excluded[name] = ExcludedSource(time_ns, exclusion_counts[name], offset=rotation_v)
+            used_ns.pop(name, None)
+        state = changed(
+            state,
+            means=means,
+            stack=stack,
+            seen=cleared_means(state.innovation_means, slice(None), slice(None)),
+            lately=MappingProxyType({}),
+            absorbed=state.correction_sums.without_corrections(),
+            excluded=MappingProxyType(excluded),
+            record=MappingProxyType(exclusion_counts),
+            doubt=None,
+            disputed_n=None,
+            used_ns=MappingProxyType(used_ns),
+        )
+        are, them = ("is", "it") if len(faulty) == 1 else ("are", "them")
+        remaining = ", ".join(name for name in (INS, *self._sources) if name not in excluded)
+        return state, f"{' and '.join(faulty)} {are} excluded: without {them} {remaining} are consistent"
+
+    def _exclude_stars(
+        self, state: FilterState, stars: tuple[str, ...], shared: bool, time_ns: int
+    ) -> FilterState:
+        """Exclude all star sensors, which contradict the INS: the fault is not isolated.
+
+        Their mountings stay as estimated, because a mounting shift is not known either. All filters restart from the
+        main filter, which has rejected the stars. The corrections by an error that the stars share are taken back.
+        """
+        turn_n = shared_rotation([state.last_innovations[name] for name in stars])
+        mean, covariance_by_source = state.mean, state.covariance_by_source
+        if shared:
+            correction_sums = state.correction_sums
+            turn_n = turn_n + correction_sums.correction_n
+            mean, covariance_by_source = mean.copy(), covariance_by_source.copy()
+            mean[self._ins_attitude] -= correction_sums.correction_n
+            self.ins_fault.inflate_ins_attitude(covariance_by_source, np.diag(correction_sums.variance))
+        excluded = {
+            name: ExcludedSource(time_ns, offset=state.last_innovations[name].predicted_nv.T @ turn_n, is_shared=True) for name in stars
+        }
+        means, stack = self.ins_fault.all_filters_at(mean, covariance_by_source)
+        return changed(
+            state,
+            means=means,
+            stack=stack,
+            excluded=MappingProxyType({**state.excluded, **excluded}),
+            absorbed=state.correction_sums.without_corrections(),
+        )
+
+    def _evaluate_reinstatement(
+        self, state: FilterState, source: str, innovations: FilterInnovations, time_ns: int
+    ) -> tuple[FilterState, str]:
+        """Evaluate the reinstatement of an excluded source after one of its measurements.
+
+        Returns:
+            The state, in which the source may be reinstated, and a text about the source.
+        """
+        state = self._with_offset_growth(state, source, time_ns)
+        if self._is_ins_drifting_on(state, source, time_ns):
+            return self.exclude_drifting_ins(state, time_ns), "ins is excluded: it drifts away from all stars"
+        index, exclusion = self._sources.index(source), state.excluded[source]
+        after_s = self._integrity.return_after_s
+        remaining_ratio = self._remaining_offset_ratio(state, source, time_ns)
+        sigma = _remaining_offset_sigma(state, source, innovations)
+        exclusion, is_reinstated = evaluate_reinstatement(exclusion, state.innovation_means, index, time_ns, after_s, remaining_ratio, sigma)
+        after_s = reinstatement_time_s(exclusion, after_s)
+        if not is_reinstated:
+            state = changed(state, excluded=with_entry(state.excluded, source, exclusion))
+            if exclusion.offset is None and self._is_inconsistent(state, index):
+                # Another mounting shift: the mounting estimated since the last one is void.
+                stack = state.stack.copy()
+                self._inflate_mounting(stack, state, source)
+                state = changed(state, stack=stack, seen=cleared_means(state.innovation_means, slice(None), [index]))
+            since_s = (time_ns - exclusion.since_ns) / SECOND_NS
+            consistency = "not consistent with the others"
+            if exclusion.consistent_since_ns is not None:
+                consistent_s = (time_ns - exclusion.consistent_since_ns) / SECOND_NS
+                consistency = f"consistent with the others for {consistent_s:.0f} s of {after_s:g} s"
+            return state, f"{source} is excluded since {since_s:.0f} s: {consistency}"
+        together = self._reinstated_with(state, source)
+        seen = cleared_means(state.innovation_means, slice(None), [self._indices[name] for name in together])
+        remaining = {name: one for name, one in state.excluded.items() if name not in together}
+        are = "is" if len(together) == 1 else "are"
+        text = f"{' and '.join(together)} {are} reinstated"
+        return changed(state, seen=seen, excluded=MappingProxyType(remaining), doubt=None), text
+
+    def _with_offset_growth(self, state: FilterState, source: str, time_ns: int) -> FilterState:
+        """Return the state with the time since which an excluded source's offset has grown in the same direction."""
+        exclusion, last = state.excluded[source], state.last_innovations[source]
+        if exclusion.offset is None:
+            return state
+        before = np.linalg.pinv(last.root) @ exclusion.offset
+        change = last.whitened - before
+        # Both offsets contain the noise of a measurement.
+        is_farther = change @ change > 2.0 * self.subfilters.innovation_mean_limit and change @ before > 0.0
+        since_ns = exclusion.growing_since_ns
+        since_ns = None if not is_farther else time_ns if since_ns is None else since_ns
+        if since_ns == exclusion.growing_since_ns:
+            return state
+        exclusion = replace(exclusion, farther_since_ns=since_ns)
+        return changed(state, excluded=with_entry(state.excluded, source, exclusion))
+
+    def _is_ins_drifting_on(self, state: FilterState, source: str, time_ns: int) -> bool:
+        """True if the offset of the INS from all stars excluded together has grown for ``_DRIFT_DURATION_NS``.
+
+        A constant error of all stars changes the offset only by the random walk of the INS, which the covariance
+        contains. With an error of their clocks, the offset oscillates with the ship's motion.
+        """
+        since_ns = state.excluded[source].since_ns
+        stars = {name: one for name, one in state.excluded.items() if one.since_ns == since_ns and name != INS}
+        if state.unresolved_fault is None or len(stars) < len(self.subfilters.stars) or not self.ins_fault.can_be_excluded([*stars]):
+            return False
+        return all(
+            one.growing_since_ns is not None and time_ns - one.growing_since_ns >= _DRIFT_DURATION_NS
+            for one in stars.values()
+        )
+
+    @staticmethod
+    def _reinstated_with(state: FilterState, source: str) -> list[str]:
+        """Return the sources to reinstate with one: itself, and those excluded with it that are consistent now.
+
+        Stars excluded together because they contradicted the INS check each other. A single one of them cannot be
+        distinguished from an INS that has drifted meanwhile.
+        """
+        own = state.excluded[source]
+        if own.offset is None:
+            return [source]
+        return [
+            name
+            for name, one in state.excluded.items()
+            if name == source
+            or (one.offset is not None and one.since_ns == own.since_ns and one.consistent_since_ns is not None)
+        ]
+
+    def _remaining_offset_ratio(self, state: FilterState, source: str, time_ns: int) -> float:
+        """Return the ratio of an excluded source's current offset to that at its exclusion; 0 if it has none.
+
+        For an error that all stars may share, the ratio is that of all of them together. A single sensor measures a
+        rotation about its line of sight poorly, so drift of the INS about the other axes would change its ratio.
+        """
+        own, heard_ns = state.excluded[source], time_ns - MAX_MEASUREMENT_AGE_NS
+        names = [source]
+        if own.is_shared:
+            shared = [name for name, one in state.excluded.items() if one.is_shared and one.since_ns == own.since_ns]
+            names = [name for name in shared if state.innovation_means.last_measured_ns[self._indices[name]] >= heard_ns]
+        along = square = 0.0
+        for name in names:
+            measured, offset = state.last_innovations[name], state.excluded[name].offset
+            if offset is not None:
+                whitened_offset = np.linalg.pinv(measured.root) @ offset
+                along += float(whitened_offset @ measured.whitened)
+                square += float(whitened_offset @ whitened_offset)
+        return along / square if square > 0.0 else 0.0
+
+    def _is_inconsistent(self, state: FilterState, index: int) -> bool:
+        """True if the main filter's innovations of a source are inconsistent."""
+        means = state.innovation_means
+        return not (means.excess[0, index] <= 1.0 and means.rejection_counts[0, index] < self._degraded_after)
+
+    def _with_unresolved_fault(
+        self, state: FilterState, separations_n: FloatArray, separation_sigmas: FloatArray, contradicting: tuple[str, ...]
+    ) -> FilterState:
+        """Return the state with an unresolved fault; its covariance holds the inconsistent innovations and separations.
+
+        Args:
+            state: state after the measurement.
+            separations_n: solution separations about North, Up and East, rad, shape (h, 3).
+            separation_sigmas: largest solution separation of each filter in standard deviations, shape (h,).
+            contradicting: the star sensors, if all of them contradict the INS; else empty.
+        """
+        vectors = [innovation.rotation_n for name, innovation in state.last_innovations.items() if state.consecutive_rejections.get(name, 0)]
+        vectors += [vector for vector, size in zip(separations_n, separation_sigmas, strict=True) if size > 1.0]
+        if state.correction_sums.sigmas > COMMON_ERROR_START_SIGMAS:
+            vectors.append(state.correction_sums.error_n)
+        covariance_n = sum((np.outer(vector, vector) for vector in vectors), start=np.zeros((3, 3)))
+        if contradicting:
+            text = f"{', '.join(contradicting)} {'are' if len(contradicting) > 1 else 'is'} rejected: the INS and all "
+            text += "stars contradict each other"
+        else:
+            text = "the sources contradict each other; the faulty source is not isolated"
+        return changed(state, doubt=UnresolvedFault(text, covariance_n), disputed_n=None)
+
+    def _contradicting_stars(
+        self, state: FilterState, faulty: tuple[str, ...], in_use: list[str], shared: bool
+    ) -> tuple[str, ...]:
+        """Return all star sensors in use if each of them contradicts the main filter, else none.
+
+        Args:
+            state: state after the measurement.
+            faulty: the isolated sources.
+            in_use: sources in use.
+            shared: True if the sum of the star corrections exceeds its threshold.
+        """
+        received = [name for name in in_use if name in self.subfilters.stars]
+        if shared:
+            return tuple(received)
+        long_refused = state.innovation_means.rejection_counts[0] >= self._degraded_after
+        against = [name for name in received if name in faulty or long_refused[self._sources.index(name)]]
+        return tuple(received) if received and len(against) == len(received) else ()
+
+    def _mounting_shift(self, state: FilterState, source: str) -> FloatArray | None:
+        """Return the standard deviation of a mounting shift that explains a source's last innovation.
+
+        Returns:
+            Rotation vector in the device frame, rad, shape (3,); None if it is larger than any mounting shift.
+        """
+        shift_v = _SHIFT_SIGMA_RATIO * state.last_innovations[source].rotation_v
+        return shift_v if np.linalg.norm(shift_v) <= _MAX_SHIFT_RAD else None
+
+    def _inflate_mounting(self, stack: FloatArray, state: FilterState, source: str) -> None:
+        """Inflate the covariance of a source's mounting, in place, for a mounting shift."""
+        shift_v = self._mounting_shift(state, source)
+        if shift_v is not None:
+            block = self._model.blocks[f"{source}.installation"]
+            covariance = np.outer(shift_v, shift_v) + _MIN_SHIFT_RAD**2 * np.eye(3)
+            part = self._model.sources.index(block.source)
+            add_error(stack, len(state.means), part, self._model.slices[block.name], covariance)
+
+
+def _remaining_offset_sigma(state: FilterState, source: str, innovations: FilterInnovations) -> float:
+    """Return the standard deviation of the remaining offset ratio from the errors of the state alone."""
+    offset = state.excluded[source].offset
+    if offset is None:
+        return 0.0
+    whitened_offset = np.linalg.pinv(state.last_innovations[source].root) @ offset
+    by_state = np.eye(3) - innovations.whitened_noise
+    return math.sqrt(max(float(whitened_offset @ by_state @ whitened_offset), 0.0)) / float(whitened_offset @ whitened_offset)

@@ -1,0 +1,232 @@
+"""Handling of INS faults: in the subfilters without the INS, and in all filters once the stars have excluded it.
+
+If the INS is excluded, its correlated error is unknown, and its change of attitude between measurements is still used.
+An INS that drifts away from all other sources is excluded in this way.
+
+An INS that reported a jump, and that all stars contradict afterwards, is excluded by the stars. Its change of attitude
+may be wrong as well, for example after an error of its clock or axes. Therefore each inconsistent measurement inflates
+the covariance in all filters, the fault counts as unresolved, and only the error of the INS itself is estimated. Other
+states are not affected when the fault ends. The INS is reinstated after it was consistent for
+``integrity.return_after_s``.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.model import SOURCE_INS, ShipStateModel
+from ship_attitude_star.ship_attitude.subfilter_set import INS, SubfilterSet
+from ship_attitude_star.ship_attitude.state import UnresolvedFault, FilterState, changed, with_entry, without_entry
+from ship_estimation.fault_isolation import ExcludedSource, reinstatement_time_s
+from ship_estimation.gates import chi_square_gate
+from ship_estimation.subfilters import FilterInnovations, add_error
+from ship_estimation.innovation_means import cleared_means
+from ship_estimation.unconfirmed_step import UnconfirmedStep
+from ship_geometry.rotations import ARCSEC, FloatArray
+from ship_geometry.time_scales import SECOND_NS
+
+_UNKNOWN_INS_RAD = 600.0 * ARCSEC
+UNKNOWN_INS_RAD_PER_SQRT_S = 2.0 * ARCSEC
+"""Initial standard deviation, and random walk, of the correlated error of an excluded INS.
+
+With two or three sensors at 5 Hz the time constant of such a subfilter is 0.5 s, in heading by two sensors about 1 s.
+An INS that drifts by 200″ per minute is then one to two standard deviations ahead of the subfilter. A larger random
+walk would follow faster and raise every protection level.
+"""
+
+_IDENTITY = np.eye(3)
+
+_MIN_SOURCES = 2
+"""Minimum number of sources besides the INS to exclude it: a single source cannot be checked without the INS."""
+
+_CONSISTENT_FOR_S = 10.0
+"""Time without contradiction after which an INS with a clock step is reinstated, s.
+
+In this time the ship has rolled to both sides. The clocks of all devices may have stepped equally, as with a leap
+second.
+"""
+
+
+class InsFaultHandling:
+    """Covariances, exclusion and reinstatement for INS faults.
+
+    Args:
+        config: configuration of the node.
+        model: state vector.
+        subfilters: the filters.
+    """
+
+    def __init__(self, config: ShipAttitudeConfig, model: ShipStateModel, subfilters: SubfilterSet) -> None:
+        self._subfilters, self._return_after_s = subfilters, config.integrity.return_after_s
+        self._degraded_after = config.gate.degraded_after
+        self._consistent_gate = chi_square_gate(config.gate.probability, 3)
+        self._ins_attitude, self._part = model.slices["ins.attitude"], model.sources.index(SOURCE_INS)
+        self._all_but_ins_attitude = np.ones(model.size, dtype=bool)
+        self._all_but_ins_attitude[self._ins_attitude] = False
+
+    def all_filters_at(self, mean: FloatArray, covariance_by_source: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return means and covariances of all filters started from one state.
+
+        Args:
+            mean: estimated errors, shape (n,).
+            covariance_by_source: covariance by error source, shape (n_sources, n, n).
+
+        Returns:
+            Shapes (h, n) and (n_sources + h - 1, n, n).
+        """
+        count = self._subfilters.count
+        stack = np.concatenate([covariance_by_source, np.tile(covariance_by_source.sum(axis=0), (count - 1, 1, 1))])
+        for subfilter in self._subfilters.ins_subfilters:
+            self._inflate(stack, count, _UNKNOWN_INS_RAD**2 * np.eye(3), subfilter)
+        return np.tile(mean, (count, 1)), stack
+
+    def inflate_ins_attitude(self, covariance_by_source: FloatArray, covariance_n: FloatArray) -> None:
+        """Inflate the covariance of the correlated INS error, in place, in a main filter without subfilters."""
+        self._inflate(covariance_by_source, 1, covariance_n, None)
+
+    def propagate(self, state: FilterState, stack: FloatArray, dt_s: float) -> None:
+        """Add the random walk of an excluded INS to the covariances, in place."""
+        walk = UNKNOWN_INS_RAD_PER_SQRT_S**2 * dt_s * _IDENTITY
+        for subfilter in (None,) if INS in state.excluded else self._subfilters.ins_subfilters:
+            self._inflate(stack, len(state.means), walk, subfilter)
+
+    def inflate_against(
+        self, state: FilterState, source: str, innovations: FilterInnovations, predicted_nv: FloatArray, gate: float
+    ) -> tuple[FloatArray, list[int]]:
+        """Inflate the covariance of the INS error by an inconsistent innovation.
+
+        A subfilter without the INS is inflated when one more rejection of the source would make a fault. If the stars
+        have excluded the INS, all filters are inflated at once.
+
+        Args:
+            state: state propagated to the time of the measurement.
+            source: source of the measurement.
+            innovations: innovations of all filters.
+            predicted_nv: attitude of the device predicted by the main filter, shape (3, 3).
+            gate: threshold of the NIS.
+
+        Returns:
+            The covariances, and the indices of the inflated filters.
+        """
+        in_all = is_ins_excluded_by_stars(state) and source not in state.excluded
+        # Written so that NaN inflates nothing.
+        rejecting = [subfilter for subfilter in ((0,) if in_all else self._subfilters.ins_subfilters) if innovations.nis[subfilter] > gate]
+        inflated = rejecting if in_all else [row for row in rejecting if self._is_contradicted(state, source, row)]
+        if not inflated:
+            return state.stack, []
+        stack: FloatArray = state.stack.copy()
+        for row in inflated:
+            rotation_n = predicted_nv @ innovations.whitening_root[row] @ innovations.whitened_innovation[row]
+            covariance_n = np.outer(rotation_n, rotation_n) + 0.01 * (rotation_n @ rotation_n) * np.eye(3)
+            self._inflate(stack, len(state.means), covariance_n, None if in_all else row)
+        return stack, list(range(len(state.means))) if in_all else inflated
+
+    def updatable_states(self, state: FilterState, updatable: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return the mask of states to update, shape (h, n): only the INS attitude if the stars excluded the INS."""
+        return updatable & ~self._all_but_ins_attitude if is_ins_excluded_by_stars(state) else updatable
+
+    # -- exclusion by the stars -----------------------------------------------------------------------------
+
+    def has_reported_jump(self, state: FilterState, time_ns: int) -> bool:
+        """True if the INS reported a jump of its own and has not gone uncontradicted for ``return_after_s`` since."""
+        since_ns = state.ins_fault_ns
+        return since_ns is not None and time_ns - since_ns <= self._return_after_s * SECOND_NS
+
+    def can_be_excluded(self, in_use: Sequence[str]) -> bool:
+        """True if enough sources are in use to check each other without the INS."""
+        return len(in_use) >= _MIN_SOURCES
+
+    def exclude_for_clock_step(self, state: FilterState, time_ns: int) -> FilterState:
+        """Exclude the INS after a clock step that is too large to estimate."""
+        if is_ins_excluded_by_stars(state) or not self.can_be_excluded(state.in_use(self._subfilters.sources, time_ns)):
+            return state
+        times = state.exclusion_counts.get(INS, 0) + 1
+        excluded = with_entry(state.excluded, INS, ExcludedSource(time_ns, times, is_self_reported=True))
+        state = changed(state, excluded=excluded, record=with_entry(state.exclusion_counts, INS, times))
+        return self._with_unresolved_fault(state, time_ns, "the INS is excluded: step of its clock")
+
+    def with_contradiction(self, state: FilterState, time_ns: int) -> FilterState:
+        """Return the state after a contradiction of an excluded INS: its reinstatement timer restarts.
+
+        Its change of attitude may be wrong by as much as recently, so the fault is unresolved with that covariance.
+        """
+        names = state.in_use(self._subfilters.sources, time_ns)
+        excluded = with_entry(state.excluded, INS, changed(state.excluded[INS], on_suspicion=False))
+        text = f"the INS is excluded: it reported a jump, and {', '.join(names) or 'all sources'} contradicted it"
+        return self._with_unresolved_fault(changed(state, excluded=excluded), time_ns, text)
+
+    def with_not_evaluable(self, state: FilterState, time_ns: int) -> FilterState:
+        """Return the state after a measurement that contradicts it too much to be evaluated."""
+        if not is_ins_excluded_by_stars(state):
+            return state
+        stack = state.stack.copy()
+        self._inflate(stack, len(state.means), _UNKNOWN_INS_RAD**2 * np.eye(3), None)
+        return self.with_contradiction(changed(state, stack=stack), time_ns)
+
+    def monitor(self, state: FilterState, innovations: FilterInnovations, is_consistent: bool, time_ns: int) -> FilterState:
+        """Monitor an INS that the stars have excluded, after a measurement.
+
+        Args:
+            state: state after the measurement.
+            innovations: innovations of all filters.
+            is_consistent: True if the source's recent innovations are consistent with the main filter.
+            time_ns: stamp of the measurement.
+        """
+        innovation = innovations.whitened_innovation[0]
+        # Written so that NaN is inconsistent.
+        return state if is_consistent and innovation @ innovation <= self._consistent_gate else self.with_contradiction(state, time_ns)
+
+    def reinstate_ins(self, state: FilterState, time_ns: int) -> FilterState:
+        """Reinstate an excluded INS when its time has come.
+
+        An INS excluded by the stars must have been consistent for the reinstatement time. An INS that drifted is
+        reinstated on trial after that time, because no single measurement shows the end of a drift.
+        """
+        exclusion = state.excluded.get(INS)
+        if exclusion is None:
+            return state
+        is_by_stars = is_ins_excluded_by_stars(state)
+        if state.unresolved_fault is not None and not is_by_stars:
+            return state
+        since_ns = exclusion.since_ns if exclusion.consistent_since_ns is None else exclusion.consistent_since_ns
+        after_s = _CONSISTENT_FOR_S if exclusion.is_self_reported else reinstatement_time_s(exclusion, self._return_after_s)
+        if (time_ns - since_ns) / SECOND_NS < after_s:
+            return state
+        if is_by_stars:
+            # The filters were updated equally and do not differ.
+            means, stack = self.all_filters_at(state.mean, state.covariance_by_source)
+            state = changed(state, means=means, stack=stack)
+        if not exclusion.is_self_reported:
+            # Faults hidden by the inflated covariance show within half a slow roll period after the reinstatement.
+            confirmed_ns = time_ns + round(_CONSISTENT_FOR_S * SECOND_NS)
+            state = changed(state, unconfirmed=UnconfirmedStep(confirmed_ns, "the INS was reinstated", "stars"))
+        return changed(state, excluded=without_entry(state.excluded, INS), doubt=None, ins_suspected_ns=time_ns)
+
+    # ---------------------------------------------------------------------------------------------------------
+
+    def _with_unresolved_fault(self, state: FilterState, time_ns: int, text: str) -> FilterState:
+        """Return the state with an unresolved fault of the excluded INS, whose consistency starts from this time."""
+        names = state.in_use(self._subfilters.sources, time_ns)
+        rotations = [state.last_innovations[name].rotation_n for name in names if name in state.last_innovations]
+        covariance_n = sum((np.outer(turn_n, turn_n) for turn_n in rotations), start=np.zeros((3, 3)))
+        excluded = with_entry(state.excluded, INS, changed(state.excluded[INS], agrees_since_ns=time_ns))
+        seen = cleared_means(state.innovation_means, slice(None), slice(None))
+        return changed(state, excluded=excluded, seen=seen, doubt=UnresolvedFault(text, covariance_n))
+
+    def _is_contradicted(self, state: FilterState, source: str, subfilter: int) -> bool:
+        """True if one more rejection of the source would make a fault of this subfilter."""
+        index = self._subfilters.sources.index(source)
+        if source in state.excluded or not self._subfilters.uses[subfilter, index]:
+            return False
+        return bool(state.innovation_means.rejection_counts[subfilter, index] >= self._degraded_after - 1)
+
+    def _inflate(self, stack: FloatArray, count: int, covariance_n: FloatArray, subfilter: int | None) -> None:
+        add_error(stack, count, self._part, self._ins_attitude, covariance_n, subfilter)
+
+
+def is_ins_excluded_by_stars(state: FilterState) -> bool:
+    """True if the INS is excluded because all stars contradicted it after it had reported a jump."""
+    exclusion = state.excluded.get(INS)
+    return exclusion is not None and exclusion.consistent_since_ns is not None

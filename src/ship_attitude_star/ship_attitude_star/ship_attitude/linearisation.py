@@ -1,0 +1,369 @@
+"""Linearisation of a measurement at the estimate, for one Kalman step (iterated extended Kalman filter).
+
+The INS attitude is matched to a measurement by the clock offsets, and the attitude of the device is predicted from it;
+both depend on the state nonlinearly. One linearisation at the predicted state is enough if the state is known well
+compared with the measurement noise. Otherwise the measurement is linearised again at the resulting estimate until that
+converges (Gauss-Newton).
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ship_attitude_star.measurements.readings import InertialAttitude
+from ship_attitude_star.measurements.samples import SHARED_BY_GRAVITY, AttitudeMeasurement, SolvedAttitude
+from ship_attitude_star.ship_attitude.comparison import ComparedMeasurement, PredictedAttitude, compare, predict_attitude
+from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
+from ship_attitude_star.sky.sky_model import SkyModel
+from ship_attitude_star.sky.tracker_attitude import to_horizon_attitude
+from ship_attitude_star.stars.exposure import StarExposure, reduce_to_mid_exposure, visible_stars
+from ship_attitude_star.stars.selection import LINEAR_RANGE
+from ship_attitude_star.stars.solution import initial_attitude
+from ship_attitude_star.vertical.vertical_track import VerticalTrack
+from ship_estimation import compiled_steps
+from ship_estimation.kalman import LinearMeasurement
+from ship_estimation.outcome import Measurement
+from ship_estimation.rejections import Reason, Rejection, singular_covariance
+from ship_geometry import lapack
+from ship_geometry.attitude_track import AttitudeTrack, InterpolatedAttitude
+from ship_geometry.exposure_mean import exposure_motion
+from ship_geometry.rotations import FloatArray, exp_rotation, log_rotation
+from ship_geometry.time_scales import SECOND_NS
+
+_CONVERGED_RAD = 2e-4
+"""Convergence limit of the distance between linearisation point and estimate, rad; its square is 0.004″."""
+
+_LINEAR_CLOCK_SIGMA_S = 0.01
+"""Maximum standard deviation of a clock offset for one linearisation, s.
+
+A ship that rolls by 10° in 10 s accelerates by 14 000″/s², which makes 0.7″ in this time.
+"""
+
+_CORRELATED_MOTION_S = 3.0
+"""Correlation time of the ship's angular acceleration, s. An unknown clock offset has the same effect during it."""
+
+_FAR_SIGMAS = 3.0
+"""Distance of a far clock offset from the estimate, in standard deviations."""
+
+_MAX_ITERATIONS = 20
+
+_SKY_MEASUREMENTS = (InertialAttitude, SolvedAttitude)
+
+
+class LinearisedMeasurement(NamedTuple):
+    """A linearised measurement.
+
+    Attributes:
+        measurement: the measurement as compared; an attitude relative to the ICRS is converted to the horizon.
+        compared: the comparison at the linearisation point x. Its ``linear.residual`` is relative to the predicted
+            mean: measured - predicted(x) + jacobian @ (x - mean). One Kalman step with it from the predicted state
+                leads
+            to the estimate. Its NIS is the least sum of squares of prediction and measurement over all states: chi²
+            distributed with as many degrees of freedom as residuals.
+        ins: matched attitude of the INS.
+        matched_ins_ns: stamp of the matched INS attitude.
+        ins_time_ns: latest INS stamp that the comparison depends on.
+    """
+
+    measurement: Measurement
+    compared: ComparedMeasurement
+    ins: InterpolatedAttitude
+    matched_ins_ns: int
+    ins_time_ns: int
+
+
+@dataclass(frozen=True)
+class NotEvaluable:
+    """A measurement that cannot be evaluated.
+
+    Attributes:
+        rejection: the reason.
+        ins_time_ns: latest INS stamp that this depends on.
+    """
+
+    rejection: Rejection
+    ins_time_ns: int
+
+    @property
+    def is_contradiction(self) -> bool:
+        """True if the measurement contradicts the prediction."""
+        return self.rejection.reason in (Reason.UNIDENTIFIED, Reason.MISIDENTIFIED, Reason.GATE)
+
+
+class _LinearisationTask(NamedTuple):
+    """Inputs of a linearisation.
+
+    Attributes:
+        measurement: measurement as received.
+        device: device that measured.
+        mean: mean of the predicted state, shape (n,).
+        covariance: covariance of the predicted state, shape (n, n).
+        last_used_ns: stamp of the last accepted measurement by source, ns.
+        track: attitudes of the INS.
+        sky_model: sky model.
+        may_wait: True if INS samples may still arrive.
+        offset_sigma_s: standard deviation of the clock offset, s.
+    """
+
+    measurement: Measurement
+    device: Device
+    mean: FloatArray
+    covariance: FloatArray
+    last_used_ns: Mapping[str, int]
+    track: AttitudeTrack
+    sky_model: SkyModel | None
+    may_wait: bool
+    offset_sigma_s: float
+
+    def count_within(self, period_s: float) -> float:
+        """Return the number of measurements of the source in a period, from the time since its last one; at least 1."""
+        last_ns = self.last_used_ns.get(self.measurement.source)
+        if last_ns is None:
+            return 1.0
+        return max(period_s * SECOND_NS / max(self.measurement.time_ns - last_ns, 1), 1.0)
+
+    def count_between(self, ins: InterpolatedAttitude) -> float:
+        """Return the number of measurements between the two samples of an interpolated INS attitude; at least 1."""
+        if ins.sample is None or ins.next_sample is None:
+            return 1.0
+        interval_ns = ins.next_sample.time_ns - ins.sample.time_ns
+        own, since_ns = self.measurement.source, self.measurement.time_ns - interval_ns
+        others = sum(last_ns > since_ns for source, last_ns in self.last_used_ns.items() if source != own)
+        return (1 + others) * self.count_within(interval_ns / SECOND_NS)
+
+
+class _MatchedMeasurement(NamedTuple):
+    """A measurement, the matched INS attitude, the stamp of that, and the latest INS stamp needed."""
+
+    measurement: Measurement
+    ins: InterpolatedAttitude
+    matched_ins_ns: int
+    ins_time_ns: int
+
+
+class Linearisation:
+    """Measurement model of the filter.
+
+    Args:
+        model: state vector.
+        devices: devices by name.
+        vertical: vertical along the track; None if the deflection is not modelled.
+    """
+
+    def __init__(
+        self, model: ShipStateModel, devices: Mapping[str, Device], vertical: VerticalTrack | None = None
+    ) -> None:
+        self._model, self._devices, self._vertical = model, devices, vertical
+        # The derivative of the offset of each device's clock by the state, shape (n,).
+        self._offset_jacobians = {name: np.zeros(model.size) for name in devices}
+        for name, chain in model.rotation_chains.items():
+            self._offset_jacobians[name][chain.clock_states] = chain.clock_signs
+        # The same as pairs of a state and its sign.
+        self._clocks = {
+            name: tuple(zip(chain.clock_states.tolist(), chain.clock_signs.tolist(), strict=True))
+            for name, chain in model.rotation_chains.items()
+        }
+        self._configured_sigma_s = {name: _configured_sigma_s(model, device) for name, device in devices.items()}
+
+    @property
+    def longest_shift_s(self) -> float:
+        """Bound of the difference between the INS stamp and a device stamp of an attitude, s: offset and 5 sigma."""
+        return self._longest_s(5.0)
+
+    @property
+    def longest_reach_s(self) -> float:
+        """Bound of the time around a measurement in which INS samples are needed, s: the shift and 3 sigma more."""
+        return self._longest_s(5.0 + _FAR_SIGMAS)
+
+    def _longest_s(self, sigmas: float) -> float:
+        shifts_s = (abs(one.ins_time_s) + sigmas * self._configured_sigma_s[name] for name, one in self._devices.items())
+        return max(shifts_s, default=0.0)
+
+    def ins_time_ns(self, mean: FloatArray, measurement: Measurement) -> int:
+        """Return the INS stamp of the measured attitude, ns, by a mean of the state, shape (n,)."""
+        source = measurement.source
+        estimated_s: float = sum(sign * mean.item(state) for state, sign in self._clocks[source])
+        shift_s = self._devices[source].ins_time_s + estimated_s
+        return measurement.time_ns + round(shift_s * SECOND_NS)
+
+    def linearise(
+        self,
+        measurement: Measurement,
+        mean: FloatArray,
+        covariance: FloatArray,
+        last_used_ns: Mapping[str, int],
+        track: AttitudeTrack,
+        sky_model: SkyModel | None,
+        may_wait: bool = False,
+    ) -> LinearisedMeasurement | NotEvaluable | None:
+        """Linearise a measurement at the estimate that it leads to.
+
+        Args:
+            measurement: measurement of any kind.
+            mean: mean of the predicted state, shape (n,).
+            covariance: covariance of the predicted state, shape (n, n).
+            last_used_ns: stamp of the last accepted measurement by source, ns.
+            track: attitudes of the INS.
+            sky_model: sky model; None if no sensor needs it.
+            may_wait: True if INS samples may still arrive.
+
+        Returns:
+            The linearised measurement, or why it cannot be evaluated; None if it needs INS samples that may still
+            arrive.
+        """
+        source = measurement.source
+        device, by_offset = self._devices[source], self._offset_jacobians[source]
+        # An inflated covariance does not make a clock less known than configured.
+        offset_variance = compiled_steps.variance_along(by_offset, covariance)
+        offset_sigma_s = min(math.sqrt(max(offset_variance, 0.0)), self._configured_sigma_s[source])
+        task = _LinearisationTask(measurement, device, mean, covariance, last_used_ns, track, sky_model, may_wait, offset_sigma_s)
+        matched = self._match_to_ins(task, mean)
+        if not isinstance(matched, _MatchedMeasurement):
+            return matched
+        predicted = predict_attitude(device, self._model, mean, matched.ins)
+        turn_variance = compiled_steps.projected_variance(predicted.jacobian_v, covariance, by_offset)
+        if offset_sigma_s > _LINEAR_CLOCK_SIGMA_S or turn_variance > LINEAR_RANGE**2:
+            return self._iterate(task, matched, predicted)
+        compared = compare(matched.measurement, device, predicted, self._model, mean, covariance, sky_model)
+        if isinstance(compared, Rejection):
+            return NotEvaluable(compared, matched.ins_time_ns)
+        return LinearisedMeasurement(matched.measurement, compared, matched.ins, matched.matched_ins_ns, matched.ins_time_ns)
+
+    def _match_to_ins(self, task: _LinearisationTask, mean: FloatArray) -> _MatchedMeasurement | NotEvaluable | None:
+        """Match the INS attitude to a measurement, by a mean of the state.
+
+        Returns:
+            The matched measurement, or why it cannot be evaluated; None if INS samples are pending.
+        """
+        measurement, track = task.measurement, task.track
+        ins_time_ns = self.ins_time_ns(mean, measurement)
+        around_ns = 0
+        if task.offset_sigma_s > _LINEAR_CLOCK_SIGMA_S:
+            around_ns = round(_FAR_SIGMAS * task.offset_sigma_s * SECOND_NS)
+        if task.may_wait and not track.is_final_at(ins_time_ns + max(measurement.reach_ns, around_ns)):
+            return None
+        ins = track.at(ins_time_ns)
+        if ins is None:
+            text = "no INS samples on both sides of the measurement"
+            return NotEvaluable(Rejection(Reason.GAP, text), ins_time_ns)
+        shared_count = task.count_between(ins)
+        if isinstance(measurement, _SKY_MEASUREMENTS):
+            assert task.sky_model is not None
+            attitude = to_horizon_attitude(measurement, task.sky_model)
+            if isinstance(attitude, Rejection):
+                return NotEvaluable(attitude, ins_time_ns)
+            measurement = attitude
+        elif self._vertical is not None and isinstance(measurement, AttitudeMeasurement) and not task.device.is_star:
+            # Another attitude system is levelled by gravity, as the INS is.
+            turn = self._vertical.at(measurement.time_ns).deflection_jacobian
+            measurement = replace(measurement, shared_n=turn, shared_by=SHARED_BY_GRAVITY)
+        elif isinstance(measurement, StarExposure) and measurement.length is not None:
+            turning = exposure_motion(track, ins_time_ns, measurement.length.nodes)
+            if turning is None:
+                return NotEvaluable(measurement.length.coverage_rejection, ins_time_ns)
+            # The prediction is the mean over the exposure, so errors and rate are those of the mean. The rate between
+            # two samples contains their noise divided by their interval. Across a streak, where a star is most
+            # accurate, this noise would count as information about the clock.
+            ins = replace(
+                ins,
+                rate_d=turning.rate,
+                noise_gain=turning.noise_gain,
+                error_covariance_d=turning.error_covariance,
+            )
+            measurement = reduce_to_mid_exposure(measurement, turning.in_device_frame(task.device.rotation_dv0).turns)
+        if shared_count > 1.0:
+            # The interpolation error between two samples is common to all measurements there. The filter treats it as
+            # noise; with the variance multiplied by their number, their mean has the variance of the common error.
+            ins = replace(ins, error_covariance_d=shared_count * ins.error_covariance_d)
+        if around_ns:
+            nonlinear_d = _nonlinear_offset_covariance(track, ins_time_ns, around_ns, ins)
+            if nonlinear_d is None:
+                text = "no INS samples around the measurement, and its clock offset is not known"
+                return NotEvaluable(Rejection(Reason.GAP, text), ins_time_ns + around_ns)
+            ins = replace(ins, error_covariance_d=ins.error_covariance_d + task.count_within(_CORRELATED_MOTION_S) * nonlinear_d)
+        return _MatchedMeasurement(measurement, ins, ins_time_ns, ins_time_ns + around_ns)
+
+    def _iterate(self, task: _LinearisationTask, matched: _MatchedMeasurement, expected: PredictedAttitude) -> LinearisedMeasurement | NotEvaluable | None:
+        """Linearise a measurement iteratively; its residual is relative to the predicted mean."""
+        model, until_ns = self._model, matched.ins_time_ns
+        correction = self._start_correction(task, matched, expected)
+        for _ in range(_MAX_ITERATIONS):
+            mean = task.mean + correction
+            # Prediction and Jacobian belong to the same state, clock included; otherwise the rotation by the estimated
+            # offset would count twice.
+            found = self._match_to_ins(task, mean) if correction.any() else matched
+            if not isinstance(found, _MatchedMeasurement):
+                return found if found is None else replace(found, ins_time_ns=max(until_ns, found.ins_time_ns))
+            until_ns = max(until_ns, found.ins_time_ns)
+            predicted = predict_attitude(task.device, model, mean, found.ins)
+            at_point = compare(
+                found.measurement, task.device, predicted, model, mean, task.covariance, task.sky_model, expected
+            )
+            if isinstance(at_point, Rejection):
+                return NotEvaluable(at_point, until_ns)
+            linear = replace(at_point.linear, residual=at_point.linear.residual + at_point.linear.jacobian @ correction)
+            next_correction = _correction(linear, task.covariance)
+            if next_correction is None:
+                return NotEvaluable(singular_covariance(), until_ns)
+            step = float(np.linalg.norm(predicted.jacobian_v @ (next_correction - correction)))
+            if step < _CONVERGED_RAD:
+                compared = at_point._replace(linear=linear, predicted_nv=expected.rotation_nv)
+                return LinearisedMeasurement(found.measurement, compared, matched.ins, found.matched_ins_ns, until_ns)
+            correction = next_correction
+        text = f"the linearisation did not converge in {_MAX_ITERATIONS} iterations"
+        return NotEvaluable(Rejection(Reason.GATE, text), until_ns)
+
+    def _start_correction(self, task: _LinearisationTask, matched: _MatchedMeasurement, expected: PredictedAttitude) -> FloatArray:
+        """Return the first linearisation point relative to the predicted mean, shape (n,); for stars their attitude."""
+        correction, exposure = np.zeros_like(task.mean), matched.measurement
+        if not isinstance(exposure, StarExposure):
+            return correction
+        assert task.sky_model is not None
+        prior = expected.prior(task.covariance)
+        visible = visible_stars(exposure, task.sky_model, prior)
+        if isinstance(visible, Rejection) or not len(visible[1]):
+            return correction
+        turn_ns = initial_attitude(visible[1], prior) @ expected.rotation_nv.T
+        rows = self._model.slices["ins.attitude"]
+        correction[rows] = log_rotation(turn_ns @ exp_rotation(task.mean[rows])) - task.mean[rows]
+        return correction
+
+
+def _configured_sigma_s(model: ShipStateModel, device: Device) -> float:
+    """Return the configured standard deviation of the clock offset of a device, s."""
+    return float(np.linalg.norm([model.blocks[name].sigma[0] for name, _ in device.ins_time_states]))
+
+
+def _nonlinear_offset_covariance(
+    track: AttitudeTrack, ins_time_ns: int, around_ns: int, here: InterpolatedAttitude
+) -> FloatArray | None:
+    """Return the covariance of the nonlinear effect of an unknown clock offset, deck frame, rad², shape (3, 3).
+
+    It is computed from the attitudes at offsets of :data:`_FAR_SIGMAS` standard deviations before and after. Half their
+    sum is the quadratic part; half their difference minus the rate is the cubic part. Both count as that many standard
+    deviations of a normal error. For most offsets this is conservative, and the offset converges sooner.
+
+    If the track does not extend so far, nearer attitudes are used, down to an eighth of the offset; else None.
+    """
+    for nearer in (1, 2, 4, 8):
+        off_ns = around_ns // nearer
+        before, after = track.at(ins_time_ns - off_ns), track.at(ins_time_ns + off_ns)
+        if before is None or after is None:
+            continue
+        to_before, to_after = (log_rotation(here.rotation_nd.T @ other.rotation_nd) for other in (before, after))
+        square = 0.5 * (to_after + to_before) * nearer**2
+        cube = (0.5 * (to_after - to_before) - here.rate_d * (off_ns / SECOND_NS)) * nearer**3
+        covariance: FloatArray = (np.outer(square, square) + np.outer(cube, cube)) / _FAR_SIGMAS**2
+        return covariance
+    return None
+
+
+def _correction(linear: LinearMeasurement, covariance: FloatArray) -> FloatArray | None:
+    """Return the correction of the mean by a linearised measurement, shape (n,); None if it is not finite."""
+    cross = linear.jacobian @ covariance
+    _, solution, failed = lapack.dposv(cross @ linear.jacobian.T + linear.noise, linear.residual)
+    correction: FloatArray = cross.T @ solution
+    return None if failed or not np.all(np.isfinite(correction)) else correction

@@ -1,0 +1,170 @@
+"""The filters of a ship: the main filter, and subfilters that each exclude one source or two.
+
+The main filter uses all sources that are not excluded. Each subfilter excludes one more source; with
+``integrity.pairs`` some subfilters exclude two. A subfilter without the INS takes its correlated error as unknown and
+still uses its change of attitude from one measurement to the next. A ship with a single source has no subfilter without
+the INS.
+"""
+
+import itertools
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
+from ship_estimation.common_error import common_threshold
+from ship_estimation.parameters import ParameterError
+from ship_estimation.protection_levels import SigmaMultipliers, sigma_multipliers, joint_prior_per_h
+from ship_estimation.innovation_means import excess_limit
+
+INS = "ins"
+
+ALL_STARS = "all_stars"
+"""Name of the hypothesis of an error that all star sensors share."""
+
+MIN_SOURCES_FOR_PAIRS = 3
+"""Minimum number of sources besides the INS for subfilters without two sources.
+
+Without two of three sources one is left, which the INS checks; without one source and the INS two are left.
+"""
+
+
+_MIN_FOR_CROSS_CHECK = 2
+"""Minimum number of sources besides the INS that check one another."""
+
+
+class RelevantHypotheses(NamedTuple):
+    """Fault hypotheses of an attitude that is computed from some of the sources.
+
+    Attributes:
+        indices: indices of the hypotheses, shape (h,); index 0 is the first subfilter.
+        names: names of the hypotheses.
+        is_cross_checked: True if its sources besides the INS check one another.
+    """
+
+    indices: NDArray[np.intp]
+    names: tuple[str, ...]
+    is_cross_checked: bool
+
+
+class SubfilterSet:
+    """The filters of a configuration: h filters (the main filter first) and s sources.
+
+    Args:
+        config: configuration of the node.
+        model: state vector.
+        devices: sources by name.
+
+    Attributes:
+        sources: names of the sources, in the order of their index.
+        stars: names of the star sensors.
+        excluded_sources: names of the sources that each subfilter excludes, the INS as ``ins``.
+        names: name of the hypothesis of each subfilter: "star.bow", "star.bow+star.port".
+        count: number of filters, h.
+        single_subfilters: indices of the subfilters that exclude one source.
+        pair_subfilters: indices of the subfilters that exclude two sources.
+        ins_subfilters: indices of the subfilters that exclude the INS.
+        uses: True where a filter uses a source, if no source is excluded, shape (h, s).
+        used_by: by source, True for each filter that uses it, if no source is excluded, shape (h,).
+        own_states: by source, True for the states that belong to it alone, shape (n,).
+        updatable_states: by source, True for the states that each filter updates with it, if no source is excluded,
+            shape (h, n).
+        k: multipliers (K factors) of the protection levels.
+        common_k_md: K_md of the hypothesis that all stars share an error.
+        common_threshold: threshold of the sum of the star corrections, in standard deviations; above it all stars
+            contradict the INS.
+        innovation_mean_limit: chi² threshold of a windowed mean of whitened innovations.
+
+    Raises:
+        ParameterError: there are more filters than ``integrity.max_hypotheses``.
+    """
+
+    def __init__(self, config: ShipAttitudeConfig, model: ShipStateModel, devices: Mapping[str, Device]) -> None:
+        self.sources = tuple(devices)
+        one = (*self.sources, INS) if len(self.sources) > 1 else self.sources
+        with_pairs = config.integrity.pairs and len(self.sources) >= MIN_SOURCES_FOR_PAIRS
+        two = itertools.combinations(one, 2) if with_pairs else ()
+        self.excluded_sources: tuple[tuple[str, ...], ...] = (*((name,) for name in one), *two)
+        self.names = tuple("+".join(names) for names in self.excluded_sources)
+        self.count = len(self.names) + 1
+        self._check_count(config.integrity.max_hypotheses)
+        self.single_subfilters, self.pair_subfilters = range(1, len(one) + 1), range(len(one) + 1, self.count)
+        self.ins_subfilters = tuple(row for row, names in enumerate(self.excluded_sources, start=1) if INS in names)
+        used = [[name not in names for name in self.sources] for names in ((), *self.excluded_sources)]
+        self.uses: NDArray[np.bool_] = np.array(used, dtype=bool)
+        self.used_by = {name: self.uses[:, index].copy() for index, name in enumerate(self.sources)}
+        self.own_states = {name: _own_states(model, name) for name in self.sources}
+        self.updatable_states = {name: self.uses[:, index, None] | self.own_states[name] for index, name in enumerate(self.sources)}
+        prior = config.integrity.prior_per_h
+        prior_per_h = {name: prior.star_sensor if one.is_star else prior.reference for name, one in devices.items()}
+        prior_per_h[INS] = prior.ins
+        priors_per_h = [joint_prior_per_h([prior_per_h[name] for name in names]) for names in self.excluded_sources]
+        k = sigma_multipliers(config.integrity, [*priors_per_h, prior.all_stars])
+        self.k: SigmaMultipliers = replace(k, missed=k.missed_detection[:-1])
+        self.common_k_md = float(k.missed_detection[-1])
+        self.common_threshold = common_threshold(config.integrity)
+        self.stars = frozenset(name for name, one in devices.items() if one.is_star)
+        self._relevant: dict[tuple[tuple[str, ...], tuple[str, ...]], RelevantHypotheses] = {}
+        self.innovation_mean_limit = excess_limit(config.integrity, len(self.sources)) if self.sources else np.inf
+
+    def relevant_pairs(self, in_use: Collection[str], excluded: Collection[str]) -> list[int]:
+        """Return the subfilters without two sources in use that leave two or more others to check each other.
+
+        There are none while the INS is excluded: of two pairs of sensors that contradict each other, neither can be
+        isolated then.
+
+        Args:
+            in_use: sources in use, without the INS.
+            excluded: names of the excluded sources, the INS included.
+        """
+        if INS in excluded or len(in_use) < MIN_SOURCES_FOR_PAIRS:
+            return []
+        sources = {INS, *in_use}
+        return [row for row in self.pair_subfilters if sources.issuperset(self.excluded_sources[row - 1])]
+
+    def can_show_ins_fault(self, in_use: Collection[str]) -> bool:
+        """True if sources that are consistent with one another can show a fault of the INS.
+
+        Star sensors alone cannot: an error of position, UTC or refraction rotates all of them equally.
+        """
+        return len(in_use) >= _MIN_FOR_CROSS_CHECK and not self.stars.issuperset(in_use)
+
+    def relevant_hypotheses(self, sources: tuple[str, ...], excluded: Collection[str]) -> RelevantHypotheses:
+        """Return the fault hypotheses of an attitude; results are cached.
+
+        Args:
+            sources: sources of the attitude, the INS included.
+            excluded: names of the excluded sources, the INS included.
+        """
+        key = sources, tuple(excluded)
+        if key not in self._relevant:
+            self._relevant[key] = self._find_relevant(sources, excluded)
+        return self._relevant[key]
+
+    def _find_relevant(self, sources: Collection[str], excluded: Collection[str]) -> RelevantHypotheses:
+        others = [name for name in sources if name in self.sources and name not in excluded]
+        hypotheses = [row - 1 for row in self.single_subfilters if self.names[row - 1] not in excluded]
+        hypotheses += [row - 1 for row in self.relevant_pairs(others, excluded)]
+        names = tuple(self.names[number] for number in hypotheses)
+        is_cross_checked = len(others) >= _MIN_FOR_CROSS_CHECK and not self.stars.isdisjoint(others)
+        return RelevantHypotheses(np.array(hypotheses, dtype=np.intp), names, is_cross_checked)
+
+    def _check_count(self, most: int) -> None:
+        if self.count > most:
+            reason = f"parameter 'integrity.max_hypotheses' = {most} is less than the {self.count} for these sources: "
+            reason += ", ".join(self.names)
+            if len(self.excluded_sources[-1]) > 1:
+                reason += f"; set it to {self.count}, or 'integrity.pairs' to false"
+            raise ParameterError(reason, "integrity.max_hypotheses", value=most)
+
+
+def _own_states(model: ShipStateModel, source: str) -> NDArray[np.bool_]:
+    """Return a mask of the states that belong to one source alone, shape (n,)."""
+    own = np.zeros(model.size, dtype=bool)
+    for name, rows in model.slices.items():
+        own[rows] = name.startswith(f"{source}.")
+    return own

@@ -1,0 +1,292 @@
+"""Supervise the programs of a suite as processes of their own: start, show their lines, restart, end in order.
+
+One thread waits for all of them: for lines, for their ends (by process descriptors), for their heartbeats, for signals
+and for the time of the next start. The kernel ends the programs when this process ends, for any reason. Only a signal
+or the end of a bag ends this process.
+"""
+
+import contextlib
+import selectors
+import signal
+import socket
+import time
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from types import FrameType
+
+from ship_bags.command_line import EXIT_BAD_INPUT, EXIT_DONE
+from ship_bringup.suite.dds_ports import ReservedPorts, udp_ports_of
+from ship_bringup.suite.frozen_check import FROZEN_REPORT_S, FROZEN_RESTART_S, FrozenCheck
+from ship_bringup.suite.supervised_program import SupervisedProgram
+from ship_bringup.suite.process import Process
+from ship_bringup.suite.program import Program, Role
+from ship_bringup.suite.restarts import LONGEST_DELAY_S, end_text, exit_code_of
+from ship_estimation.rejections import failure_rejection
+
+_END_SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
+_END_TIMEOUT_S = 10.0
+"""Timeout after a request to end; then the program is killed, s."""
+_RESERVE_DELAY_S = 5.0
+"""Delay of the reserve process after the start of its program, when the others have started, s."""
+_SUITE = "suite"
+
+_END_ORDER = (Role.WATCHER, Role.PLAYER, Role.FEEDER, Role.NODE)
+
+
+class Supervisor:
+    """Runs programs until a signal, or until the end of a bag.
+
+    Args:
+        programs: in the order of their start. They are ended in the opposite order, but first those that monitor, for
+            which the end of the others would be a fault, then those that play a bag or read instruments, then nodes.
+        write: takes each line, without its end, and does not raise.
+        frozen_report_s: time without a heartbeat after which a program is reported, s.
+        frozen_restart_s: time without a heartbeat after which it is killed and started again, s.
+    """
+
+    def __init__(
+        self,
+        programs: Sequence[Program],
+        write: Callable[[str], None] = print,
+        frozen_report_s: float = FROZEN_REPORT_S,
+        frozen_restart_s: float = FROZEN_RESTART_S,
+    ) -> None:
+        self._programs = [SupervisedProgram(program, due_s=0.0) for program in programs]
+        self._write = write
+        self._selector = selectors.DefaultSelector()
+        self._is_end_requested = self._is_ending = False
+        self._kill_due_s: float | None = None
+        self._exit_code = EXIT_DONE
+        self._reserved_ports = ReservedPorts()
+        self._frozen_check = FrozenCheck(frozen_report_s, frozen_restart_s, partial(self._log, _SUITE))
+
+    def run(self) -> int:
+        """Run the programs; return the exit code of the player or of the first program that was down at the end, or 0.
+
+        If no node has run yet and all of them end with bad input, the suite ends.
+        """
+        heartbeats = self._frozen_check.heartbeats
+        self._selector.register(
+            heartbeats.receiver, selectors.EVENT_READ, lambda: self._frozen_check.receive(self._programs)
+        )
+        with self._signals():
+            try:
+                while any(kept.is_alive for kept in self._programs):
+                    self._work_safely()
+            finally:
+                self._kill_all()
+                self._reserved_ports.close()
+                heartbeats.close()
+        return self._exit_code
+
+    def _work_safely(self) -> None:
+        """Work and catch all exceptions: the end of this process would end all nodes."""
+        try:
+            self._work()
+        except Exception as error:
+            self._log(_SUITE, f"exception in the supervisor of the suite, which continues: {failure_rejection(error).text}")
+            time.sleep(1.0)
+
+    def _work(self) -> None:
+        """Do what is due, and wait for the next event or time."""
+        if self._is_end_requested and not self._is_ending:
+            self._end()
+        if self._is_ending:
+            self._end_next()
+        else:
+            self._start_due()
+            self._frozen_check.check(self._programs)
+        self._wait()
+
+    def _start(self, entry: SupervisedProgram) -> None:
+        """Start a program, or its reserve process if there is one."""
+        if entry.reserve is not None and entry.reserve.is_stopped:
+            entry.reserve.kill()
+            entry.reserve = None
+        entry.due_s, entry.ports = None, frozenset()
+        entry.process, entry.reserve = entry.reserve, None
+        if entry.process is not None:
+            entry.process.begin()
+        else:
+            try:
+                entry.process = self._start_process(entry, waits=False)
+            except Exception as problem:
+                delay_s = max(1.0, entry.restarts.delay_s(ran_s=0.0))
+                entry.due_s = time.monotonic() + delay_s
+                text = f"{entry.program.name} cannot be started: {_reason(problem)}"
+                self._log(_SUITE, f"{text}; tried again in {delay_s:.0f} s")
+                return
+        if entry.program.has_reserve:
+            entry.reserve_due_s = entry.process.start_s + _RESERVE_DELAY_S
+
+    def _start_process(self, entry: SupervisedProgram, waits: bool) -> Process:
+        """Return a new process, whose events are waited for.
+
+        Raises:
+            OSError: it cannot be started, usually for lack of memory or file descriptors.
+        """
+        process = Process(entry.program.command, self._frozen_check.heartbeats.sender_descriptor, waits)
+        try:
+            self._selector.register(process.output, selectors.EVENT_READ, lambda: self._read(entry, process))
+            self._selector.register(process.pidfd, selectors.EVENT_READ, lambda: self._handle_end(entry, process))
+        except OSError:
+            self._unregister(process)
+            process.kill()
+            process.close()
+            raise
+        return process
+
+    def _wait(self) -> None:
+        """Wait for the next event or time, and handle it."""
+        due = [s for kept in self._programs for s in (kept.due_s, kept.reserve_due_s) if s is not None]
+        due += [] if self._kill_due_s is None else [self._kill_due_s]
+        due += [] if self._is_ending else [self._frozen_check.due_s]
+        timeout_s = max(0.0, min(due) - time.monotonic()) if due else None
+        for key, _ in self._selector.select(timeout_s):
+            # Handling one event may unregister the next one.
+            if key.fd in self._selector.get_map():
+                key.data()
+
+    def _read(self, entry: SupervisedProgram, process: Process) -> bool:
+        """Show the complete lines that a program has written; return True if there may be more to read."""
+        lines, may_be_more = process.read_lines()
+        for line in lines:
+            self._log(entry.program.name, line)
+        if lines and not entry.ports and process is entry.process:
+            # A program that prints has created its node, which keeps these ports until it ends.
+            entry.ports = udp_ports_of(process.pid)
+        if process.is_output_complete:
+            self._selector.unregister(process.output)
+        return may_be_more
+
+    def _handle_end(self, entry: SupervisedProgram, process: Process) -> None:
+        """Handle the end of a process: its program is started again unless the suite ends."""
+        while not process.is_output_complete and self._read(entry, process):
+            pass
+        self._unregister(process)
+        code, ran_s = process.close(), time.monotonic() - process.start_s
+        if process is entry.reserve:
+            entry.reserve, entry.reserve_due_s = None, time.monotonic() + LONGEST_DELAY_S
+            self._log(_SUITE, f"{entry.program.name} in reserve ended: {end_text(code)}")
+        elif process is entry.process:
+            entry.process = None
+            if self._is_ending:
+                self._kill_due_s = None
+            else:
+                self._handle_unrequested_end(entry, code, ran_s)
+
+    def _handle_unrequested_end(self, entry: SupervisedProgram, code: int, ran_s: float) -> None:
+        """Handle an end that the suite did not request."""
+        text = f"{entry.program.name} ended after {ran_s:.1f} s: {end_text(code)}"
+        if entry.program.role is Role.PLAYER:
+            self._exit_code = exit_code_of(code)
+            text += "; not started again" if self._exit_code else ""
+            self._log(_SUITE, f"{text}; the suite ends with it")
+            self._end()
+            return
+        entry.failure = exit_code_of(code)
+        nodes = [each for each in self._programs if each.program.role is Role.NODE]
+        if nodes and all(node.failure == EXIT_BAD_INPUT and not node.has_run for node in nodes):
+            self._log(_SUITE, f"{text}; bad input at the start: the suite ends")
+            self._end()
+            return
+        delay_s = entry.restarts.delay_s(ran_s)
+        when = "at once" if delay_s == 0.0 else f"in {delay_s:.0f} s"
+        self._log(_SUITE, f"{text}; started again {when} (restart {entry.restarts.consecutive_count} in a row)")
+        entry.due_s = time.monotonic() + delay_s
+        self._reserved_ports.reserve(entry.ports)
+
+    def _start_due(self) -> None:
+        now_s = time.monotonic()
+        for entry in self._programs:
+            if entry.due_s is not None and entry.due_s <= now_s:
+                self._start(entry)
+            if entry.reserve_due_s is not None and entry.reserve_due_s <= now_s:
+                try:
+                    entry.reserve_due_s = None
+                    entry.reserve = self._start_process(entry, waits=True)
+                except Exception as problem:
+                    entry.reserve_due_s = now_s + LONGEST_DELAY_S
+                    self._log(_SUITE, f"{entry.program.name} in reserve cannot be started: {_reason(problem)}")
+
+    def _unregister(self, process: Process) -> None:
+        """Stop waiting for a process; a program that it started may keep its output open."""
+        for descriptor in (process.pidfd, process.output.fileno()):
+            if descriptor in self._selector.get_map():
+                self._selector.unregister(descriptor)
+
+    def _drop_reserve(self, entry: SupervisedProgram) -> None:
+        """End the reserve process; no further one is started."""
+        entry.reserve_due_s = None
+        if entry.reserve is not None:
+            self._unregister(entry.reserve)
+            entry.reserve.kill()
+            entry.reserve.close()
+            entry.reserve = None
+
+    def _end(self) -> None:
+        """Start to end all programs; pending starts are cancelled."""
+        self._is_ending, self._kill_due_s = True, None
+        for entry in self._programs:
+            if entry.process is None or not entry.has_run:
+                self._exit_code = self._exit_code or entry.failure
+            entry.due_s = None
+            self._drop_reserve(entry)
+
+    def _end_next(self) -> None:
+        """While the suite ends: request the next running program to end; kill it after a timeout."""
+        running = [kept for kept in self._programs if kept.process is not None]
+        if not running:
+            return
+        ending = min(reversed(running), key=lambda kept: _END_ORDER.index(kept.program.role))
+        process = ending.process
+        assert process is not None
+        if self._kill_due_s is None:
+            self._kill_due_s = time.monotonic() + _END_TIMEOUT_S
+            process.request_end()
+        elif time.monotonic() >= self._kill_due_s:
+            self._log(_SUITE, f"{ending.program.name} does not end: killed")
+            self._kill_due_s = time.monotonic() + _END_TIMEOUT_S
+            process.kill()
+
+    def _kill_all(self) -> None:
+        for process in [process for kept in self._programs for process in kept.processes]:
+            process.kill()
+            process.close()
+
+    def _log(self, name: str, line: str) -> None:
+        self._write(f"[{name}] {line}")
+
+    @contextlib.contextmanager
+    def _signals(self) -> Iterator[None]:
+        """Handle signals within the context: the first ends all programs in order, the second at once."""
+        wake_writer, wake_reader = socket.socketpair()
+        for end in (wake_writer, wake_reader):
+            end.setblocking(False)
+
+        def request_end(_number: int, _frame: FrameType | None) -> None:
+            if self._is_end_requested:
+                self._kill_all_now()
+            self._is_end_requested = True
+
+        before = {number: signal.signal(number, request_end) for number in _END_SIGNALS}
+        former = signal.set_wakeup_fd(wake_writer.fileno(), warn_on_full_buffer=False)
+        self._selector.register(wake_reader, selectors.EVENT_READ, lambda: wake_reader.recv(64))
+        try:
+            yield
+        finally:
+            signal.set_wakeup_fd(former)
+            for number, handler in before.items():
+                signal.signal(number, handler)
+            self._selector.close()
+            wake_writer.close()
+            wake_reader.close()
+
+    def _kill_all_now(self) -> None:
+        for process in [process for kept in self._programs for process in kept.processes]:
+            process.kill()
+
+
+def _reason(problem: Exception) -> str:
+    """Return why something failed, as text."""
+    return (isinstance(problem, OSError) and problem.strerror) or failure_rejection(problem).text

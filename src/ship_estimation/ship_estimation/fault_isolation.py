@@ -1,0 +1,240 @@
+"""Fault isolation: which source is faulty, its exclusion, and its reinstatement.
+
+Every subfilter (:mod:`ship_estimation.subfilters`) computes innovations for the measurements of every source. Windowed
+innovation means (:mod:`ship_estimation.innovation_means`) show how consistent a filter is with each source. A fault is
+detected if the main filter is inconsistent with a source, or if a solution separation exceeds its threshold. The source
+is isolated if the subfilter without it is consistent with all sources that it uses.
+
+An excluded source is monitored by the subfilter without it. The source is reinstated after a time of consistency. By
+then its mounting is known, unchanged or, after a mounting shift, estimated again.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_estimation.innovation_means import NEVER_NS, CONSISTENT_RATIO, InnovationMeans
+from ship_geometry.rotations import FloatArray
+from ship_geometry.time_scales import SECOND_NS
+
+MAX_MEASUREMENT_AGE_NS = 10 * SECOND_NS
+"""Maximum age of a source's last measurement for it to count in fault isolation, ns."""
+
+_CHI2_MARGIN = 0.6
+"""Margin, as a share of the chi² limit, by which the subfilter that explains a fault must be better than any other.
+
+With the usual limits the fault is then 75 000 times as probable there. A drifting source is tested at hundreds of
+measurements before it is isolated: with a ratio of 2 000, six voyages of 40 isolated a healthy sensor."""
+
+_SEPARATION_RATIO = 1.3
+"""Ratio of the largest solution separation to the second by which it isolates a fault that no innovation shows."""
+
+_MOST_DOUBLINGS = 6
+
+_MAX_REMAINING_RATIO = 0.5
+"""Maximum remaining offset ratio at which a source whose mounting did not shift is reinstated."""
+
+_DRIFT_SIGMAS = 3.0
+"""Least size of half of the offset, in standard deviations of the error of the other sources, for a reinstatement.
+
+An INS that propagates alone drifts by as much in time."""
+
+_RATIO_WINDOW = 20
+"""Number of measurements over which the remaining offset ratio is averaged: a single one is too noisy."""
+
+_MAX_OFFSET_RATIO = 2.0
+"""Bound of the measured offset ratio: one gross error delays a reinstatement by some measurements only."""
+
+
+@dataclass(frozen=True)
+class ExcludedSource:
+    """State of an excluded source.
+
+    Attributes:
+        since_ns: stamp of the measurement that led to the exclusion.
+        exclusion_count: number of exclusions of this source, this one included; each doubles the reinstatement time.
+        consistent_since_ns: stamp since which it has been consistent with the other sources; None if it is not.
+        offset: rotation vector of the device from the other sources at the exclusion, rad, shape (3,), which must
+            vanish before the reinstatement; None if the mounting is estimated again.
+        remaining_offset_ratio: share of ``offset`` that remains, mean over some measurements.
+        growing_since_ns: stamp since which the offset is much larger than at the exclusion, in the same direction; None
+            if it is not.
+        is_shared: True if all star sensors were excluded together, for an error that they may share.
+        is_self_reported: True if the source reported the fault itself and no other source has contradicted it yet.
+    """
+
+    since_ns: int
+    exclusion_count: int = 1
+    consistent_since_ns: int | None = None
+    offset: FloatArray | None = None
+    remaining_offset_ratio: float = 1.0
+    growing_since_ns: int | None = None
+    is_shared: bool = False
+    is_self_reported: bool = False
+
+
+@dataclass(frozen=True)
+class FaultIsolation:
+    """Result of fault detection and isolation.
+
+    Attributes:
+        is_detected: True if a source is faulty.
+        subfilter: index of the subfilter that explains the fault; None if none does, or more than one.
+        explaining_subfilters: all subfilters that explain it, the best first.
+    """
+
+    is_detected: bool
+    subfilter: int | None = None
+    explaining_subfilters: tuple[int, ...] = ()
+
+
+_NO_FAULT = FaultIsolation(is_detected=False)
+
+
+def isolate_fault(
+    means: InnovationMeans,
+    uses: NDArray[np.bool_],
+    separations: FloatArray,
+    threshold: float,
+    candidates: Sequence[int],
+    now_ns: int,
+    degraded_after: int = 3,
+    larger_subfilters: Sequence[int] = (),
+) -> FaultIsolation:
+    """Detect a fault and isolate the faulty source, or the two faulty ones.
+
+    Args:
+        means: windowed innovation means of every filter and source.
+        uses: sources that each filter uses, shape (h, s).
+        separations: largest solution separation of each subfilter, sigmas, shape (h,); 0 for the main filter.
+        threshold: largest separation without a fault, sigmas.
+        candidates: subfilters that may explain a fault, in order of preference.
+        now_ns: the time.
+        degraded_after: number of successive rejections after which a filter is inconsistent with a source.
+        larger_subfilters: subfilters that exclude more sources than a candidate. Such a subfilter explains everything
+            that a candidate contained in it explains. It is therefore tested only if all candidates are inconsistent,
+            or if its separation is clearly the largest.
+
+    Example:
+        Three filters: with both sources, without the first, without the second. Every filter that uses the first source
+        is inconsistent with it, so this source is faulty:
+
+        >>> from ship_estimation.innovation_means import no_means
+        >>> excess, heard_ns = np.array([[2.0, 0.1], [9.0, 0.1], [2.0, 0.1]]), np.zeros(2, dtype=int)
+        >>> seen = replace(no_means(3, 2), excess=excess, heard_ns=heard_ns)
+        >>> uses = np.array([[True, True], [False, True], [True, False]])
+        >>> find_fault(seen, uses, np.array([0.0, 4.0, 1.0]), 5.0, [1, 2], now_ns=0)
+        Finding(fault=True, row=1, explaining=(1,))
+    """
+    agrees = _is_main_filter_consistent(means, uses[0], now_ns - MAX_MEASUREMENT_AGE_NS, degraded_after)
+    sigmas = separations.tolist()
+    if agrees and all(sigmas[row] <= threshold for row in (*candidates, *larger_subfilters)):  # NaN is not
+        return _NO_FAULT
+    is_recent = means.last_measured_ns >= now_ns - MAX_MEASUREMENT_AGE_NS
+    counts = uses & is_recent
+    contradicted = np.where(means.rejection_counts >= degraded_after, np.maximum(means.excess, 2.0), means.excess)
+    worst = np.max(np.where(counts, contradicted, 0.0), axis=-1, initial=0.0)
+    # A subfilter explains a fault if it is consistent with all its sources, each measured since the fault began.
+    began_ns = np.max(means.inconsistent_since_ns, initial=NEVER_NS, where=is_recent)
+    is_consistent = (means.excess <= CONSISTENT_RATIO) & (means.rejection_counts == 0) & (means.last_measured_ns >= began_ns)
+    explains = np.all(is_consistent | ~counts, axis=-1)
+    tested = larger_subfilters if larger_subfilters and not np.any(worst[candidates] <= 1.0) else candidates
+    explaining = sorted((row for row in tested if explains[row]), key=lambda row: worst[row])
+    if not explaining:
+        return FaultIsolation(is_detected=True)
+    best = explaining[0]
+    if all(not worst[row] < worst[best] + _CHI2_MARGIN for row in tested if row != best):
+        return FaultIsolation(is_detected=True, subfilter=best, explaining_subfilters=tuple(explaining))
+    row = None
+    # After a rejection the main filter has used less than the subfilters; the separations do not compare them then.
+    if agrees and len(explaining) > 1 and not (means.rejection_counts[0] * counts[0]).any():
+        both = [*explaining, *(row for row in larger_subfilters if explains[row])]
+        row = _largest_separation(both, separations, threshold) or _largest_separation(explaining, separations, threshold)
+    return FaultIsolation(is_detected=True, subfilter=row, explaining_subfilters=tuple(explaining))
+
+
+def is_consistent_with_all(means: InnovationMeans, degraded_after: int) -> bool:
+    """True if the main filter is consistent with every source, by the criterion of :func:`isolate_fault`.
+
+    Example:
+        >>> from ship_estimation.innovation_means import no_means
+        >>> agrees_with_all(no_means(rows=3, sources=2), degraded_after=3)
+        True
+    """
+    by_source = zip(means.excess[0].tolist(), means.rejection_counts[0].tolist(), strict=True)
+    return all(excess <= 1.0 and refused < degraded_after for excess, refused in by_source)  # NaN is inconsistent
+
+
+def _is_main_filter_consistent(means: InnovationMeans, uses: NDArray[np.bool_], since_ns: int, degraded_after: int) -> bool:
+    """True if the main filter is consistent with all sources that it uses and that were measured since a stamp."""
+    by_source = zip(
+        means.excess[0].tolist(), means.rejection_counts[0].tolist(), means.last_measured_ns.tolist(), uses.tolist(), strict=True
+    )
+    # NaN is inconsistent.
+    return all(
+        excess <= 1.0 and refused < degraded_after
+        for excess, refused, heard_ns, used in by_source
+        if used and heard_ns >= since_ns
+    )
+
+
+def _largest_separation(rows: Sequence[int], statistic: FloatArray, threshold: float) -> int | None:
+    """Return the subfilter whose separation exceeds the threshold and is clearly the largest; None if there is none."""
+    farthest, second = sorted(rows, key=lambda row: -statistic[row])[:2]
+    clear = statistic[farthest] > max(threshold, _SEPARATION_RATIO * statistic[second])
+    return farthest if clear else None
+
+
+def evaluate_reinstatement(
+    excluded: ExcludedSource,
+    means: InnovationMeans,
+    source: int,
+    time_ns: int,
+    return_after_s: float,
+    measured_ratio: float = 0.0,
+    ratio_sigma: float = 0.0,
+) -> tuple[ExcludedSource, bool]:
+    """Return the state of an excluded source after one of its measurements, and True if it is reinstated.
+
+    If its mounting is not estimated again, its offset must have vanished. A covariance of the other sources that has
+    grown beyond the offset is not consistency.
+
+    Args:
+        excluded: state of the source before the measurement.
+        means: innovation means with that measurement; the first filter is the one without the source.
+        source: index of the source.
+        time_ns: stamp of the measurement.
+        return_after_s: reinstatement time after the first exclusion, s.
+        measured_ratio: share of :attr:`ExcludedSource.offset` that remains by that measurement.
+        ratio_sigma: its standard deviation by the error of the other sources, without the noise of the measurement.
+
+    Example:
+        >>> from ship_estimation.innovation_means import no_means
+        >>> agreed = Exclusion(since_ns=0, agrees_since_ns=5 * SECOND_NS)
+        >>> judge_return(agreed, no_means(1, 1), 0, 70 * SECOND_NS, return_after_s=60.0)[1]
+        True
+    """
+    agrees = means.excess[0, source] <= CONSISTENT_RATIO and means.rejection_counts[0, source] == 0  # NaN is inconsistent
+    if excluded.offset is not None:
+        measured_ratio = measured_ratio if abs(measured_ratio) < _MAX_OFFSET_RATIO else _MAX_OFFSET_RATIO  # NaN is gross
+        share_left = excluded.remaining_offset_ratio + (measured_ratio - excluded.remaining_offset_ratio) * 2.0 / (_RATIO_WINDOW + 1.0)
+        excluded = replace(excluded, share_left=share_left)
+        agrees = agrees and share_left <= _MAX_REMAINING_RATIO and _DRIFT_SIGMAS * ratio_sigma <= _MAX_REMAINING_RATIO
+    if not agrees:
+        return replace(excluded, agrees_since_ns=None), False
+    since_ns = time_ns if excluded.consistent_since_ns is None else excluded.consistent_since_ns
+    return replace(excluded, agrees_since_ns=since_ns), (time_ns - since_ns) / SECOND_NS >= reinstatement_time_s(
+        excluded, return_after_s
+    )
+
+
+def reinstatement_time_s(excluded: ExcludedSource, return_after_s: float) -> float:
+    """Return the time for which an excluded source must be consistent before it is reinstated, s.
+
+    Example:
+        >>> must_agree_s(Exclusion(since_ns=0, times=3), return_after_s=60.0)
+        240.0
+    """
+    return return_after_s * 2.0 ** min(excluded.exclusion_count - 1, _MOST_DOUBLINGS)

@@ -1,0 +1,212 @@
+"""Innovation diagnosis: is a source consistent with its stated sigma, its alignment and its clock?
+
+An innovation is the residual of a measurement against its prediction. If the model is correct, innovations have zero
+mean and the predicted covariance, and are independent in time. An :class:`InnovationHistory` keeps those of the last
+minute of data for each source, and diagnoses each source by them:
+
+- Most parts (stars, beacons, whole attitudes) are larger or smaller than predicted: the sigma of the source is
+  optimistic or conservative. The factor is that of the source's own sigma, not of the prediction.
+- Most parts are as stated, but there are too many outliers: misidentifications.
+- The mean is not zero: a bias. A constant one indicates installation or alignment.
+- Successive innovations are correlated: an error has a longer correlation time than the model.
+
+Rejected measurements are included: a source whose bad measurements are all rejected would look perfect otherwise. A few
+outliers are not mistaken for many slightly large innovations (:mod:`ship_estimation.innovations`).
+
+Each test has the false alarm probability ``FALSE_DIAGNOSIS_PROBABILITY`` (1e-7) for a source that is as stated. Small
+deviations (``TOLERATED_FACTOR``, ``TOLERATED_BIAS``, ``TOLERATED_CORRELATION``) are not reported.
+"""
+
+import enum
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from ship_estimation.gates import mean_nees_band
+from ship_estimation.innovations import (
+    FALSE_DIAGNOSIS_PROBABILITY,
+    LEAST_COUNT,
+    AxisStatistics,
+    Innovation,
+    InnovationTable,
+    PartStatistics,
+    axis_statistics,
+    innovation_of,
+)
+from ship_estimation.kalman import StateModel
+from ship_estimation.outcome import MeasurementDecision
+from ship_geometry.rotations import FloatArray
+from ship_geometry.time_scales import SECOND_NS
+
+WINDOW_S = 60.0
+"""Length of the window of the newest data for a diagnosis, s."""
+
+CLOCK_SIGMAS = 4.0
+"""Deviation of an estimated clock offset from its configured value above which it is reported, configured sigmas."""
+
+_MOST_KEPT = 6000
+_MIN_FACTOR = 0.1
+
+
+class DiagnosisKind(enum.Enum):
+    """Kind of a diagnosis."""
+
+    UNKNOWN = "not assessed"
+    AS_STATED = "as stated"
+    OPTIMISTIC = "sigma optimistic"
+    CONSERVATIVE = "sigma conservative"
+    MISIDENTIFIED = "misidentified"
+    BIASED = "bias"
+    CORRELATED = "errors correlated"
+
+
+@dataclass(frozen=True)
+class InnovationDiagnosis:
+    """Diagnosis of a source.
+
+    Attributes:
+        kind: kind of the diagnosis.
+        text: text for users, with values.
+        count: number of measurements.
+        nis: mean normalised innovation squared per component; NaN with too few measurements.
+        nis_band: band of ``nis`` with probability 1 - FALSE_DIAGNOSIS_PROBABILITY if the source is as stated; None with
+            too few measurements.
+        factor: true sigma of the source over the stated one; NaN with too few parts.
+        outlier_share: share of the parts that are outliers or were rejected.
+        bias_sigma: median of the innovations in their sigmas, by axis.
+        correlation: correlation of successive innovations, by axis.
+    """
+
+    kind: DiagnosisKind
+    text: str
+    count: int
+    nis: float = math.nan
+    nis_band: tuple[float, float] | None = None
+    factor: float = math.nan
+    outlier_share: float = math.nan
+    bias_sigma: Mapping[str, float] = field(default_factory=dict)
+    correlation: Mapping[str, float] = field(default_factory=dict)
+
+
+class InnovationHistory:
+    """Innovations of the newest data by source, and the diagnosis of each source.
+
+    Example:
+        A sensor states 1″ about each axis, and measures with 2″:
+
+        >>> import numpy as np
+        >>> from ship_estimation.rejections import Reason
+        >>> from ship_geometry.rotations import ARCSEC
+        >>> from ship_geometry.vector_track import VectorSample
+        >>> book, rng, stated = VerdictBook(), np.random.default_rng(1), ARCSEC**2 * np.eye(3)
+        >>> for time_ns in range(0, 60 * SECOND_NS, SECOND_NS // 5):
+        ...     measured = VectorSample(time_ns, 2.0 * ARCSEC * rng.standard_normal(3))
+        ...     decision = Decision(measured, Reason.NONE, True, ("forward", "up", "right"), measured.vector,
+        ...                         covariance=stated, noise=stated)
+        ...     book.add("star.bow", decision)
+        >>> print(book.verdicts()["star.bow"].text)
+        sigma optimistic by 1.9: the noise is understated; 300 measurements
+    """
+
+    def __init__(self) -> None:
+        self._tables: dict[str, InnovationTable] = {}
+        self._pending: dict[str, list[Innovation]] = {}
+        self._newest_ns = 0
+
+    def clear(self) -> None:
+        """Drop all innovations, as after a reset of the estimator."""
+        self._tables.clear()
+        self._pending.clear()
+        self._newest_ns = 0
+
+    def add(self, source: str, decision: MeasurementDecision[Any]) -> None:
+        """Add the innovation of a decision; it replaces that of an earlier decision about the same measurement."""
+        innovation = innovation_of(decision)
+        if innovation is not None:
+            self._pending.setdefault(source, []).append(innovation)
+            self._newest_ns = max(self._newest_ns, innovation.time_ns)
+
+    def diagnoses(self) -> dict[str, InnovationDiagnosis]:
+        """Return the diagnosis of each source, in the order of their names."""
+        for source, innovations in self._pending.items():
+            if source not in self._tables:
+                self._tables[source] = InnovationTable()
+            self._tables[source].add_all(innovations)
+        self._pending.clear()
+        until_ns, verdicts = self._newest_ns - round(WINDOW_S * SECOND_NS), {}
+        for source, table in sorted(self._tables.items()):
+            table.drop_old(until_ns, _MOST_KEPT)
+            verdicts[source] = _diagnosis(table)
+        return verdicts
+
+
+def clock_diagnoses(model: StateModel, mean: FloatArray, groups: Mapping[str, str]) -> list[str]:
+    """Return one line for each clock whose estimated offset exceeds :data:`CLOCK_SIGMAS` of its configured sigma.
+
+    Args:
+        model: state model; states named ``<device>.time_offset`` are clock offsets from the configured ones, s.
+        mean: states, shape (n,).
+        groups: first word of a device's name → group of its parameters, if that differs.
+
+    Example:
+        >>> import numpy as np
+        >>> from ship_estimation.kalman import block
+        >>> model = StateModel([block("ins.time_offset", [0.0015], source="ins_time_offset")], noise_sources=[])
+        >>> clock_verdicts(model, np.array([0.012]), {})
+        ['ins clock off by 12 ms, 8 sigma of ins.time_offset_sigma_s']
+    """
+    texts = []
+    for name, block in model.blocks.items():
+        device, _, kind = name.rpartition(".")
+        sigma_s = float(block.sigma[0])
+        if kind != "time_offset" or not sigma_s > 0.0:
+            continue
+        offset_s = float(mean[model.slices[name]][0])
+        if abs(offset_s) > CLOCK_SIGMAS * sigma_s:
+            group, dot, id_ = device.partition(".")
+            parameter = f"{groups.get(group, group)}{dot}{id_}.time_offset_sigma_s"
+            sigmas = abs(offset_s) / sigma_s
+            texts.append(f"{device} clock off by {1e3 * offset_s:.3g} ms, {sigmas:.0f} sigma of {parameter}")
+    return texts
+
+
+def _diagnosis(table: InnovationTable) -> InnovationDiagnosis:
+    """Return the diagnosis of a source from its innovations."""
+    count = len(table)
+    if count < LEAST_COUNT:
+        return InnovationDiagnosis(DiagnosisKind.UNKNOWN, f"too few measurements: {count} of {LEAST_COUNT}", count)
+    parts, axes = PartStatistics(table), axis_statistics(table)
+    kind, text = _kind_and_text(table, parts, axes)
+    return InnovationDiagnosis(
+        kind=kind,
+        text=f"{text}; {count} measurements",
+        count=count,
+        nis=parts.nis,
+        nis_band=mean_nees_band(parts.components, 1, 1.0 - FALSE_DIAGNOSIS_PROBABILITY) if parts.components else None,
+        factor=parts.factor,
+        outlier_share=parts.outlier_share,
+        bias_sigma={axis.name: axis.bias_sigma for axis in axes},
+        correlation={axis.name: axis.correlation for axis in axes},
+    )
+
+
+def _kind_and_text(table: InnovationTable, parts: PartStatistics, axes: Iterable[AxisStatistics]) -> tuple[DiagnosisKind, str]:
+    """Return kind and text of the most important result: a bias affects the sigma test, a wrong sigma the outliers."""
+    biased = max((axis for axis in axes if axis.is_biased), key=lambda axis: abs(axis.bias_sigma), default=None)
+    if biased is not None:
+        return DiagnosisKind.BIASED, biased.bias_text(table.along(biased.name)[:, 1])
+    if parts.is_optimistic:
+        return DiagnosisKind.OPTIMISTIC, f"sigma optimistic by {parts.factor:.1f}: the noise is understated"
+    if parts.is_misidentified:
+        others = ", the others are as stated" if math.isfinite(parts.factor) else ""
+        return DiagnosisKind.MISIDENTIFIED, f"misidentified: {100.0 * parts.outlier_share:.0f} % are outliers{others}"
+    if parts.is_conservative:
+        times = f"{1.0 / parts.factor:.1f}" if parts.factor > _MIN_FACTOR else f"more than {1.0 / _MIN_FACTOR:.0f}"
+        return DiagnosisKind.CONSERVATIVE, f"sigma conservative by {times}: the noise is overstated"
+    lasting = max((axis for axis in axes if axis.is_correlated), key=lambda axis: abs(axis.correlation), default=None)
+    if lasting is not None:
+        return DiagnosisKind.CORRELATED, lasting.correlation_text
+    if math.isnan(parts.factor):
+        return DiagnosisKind.UNKNOWN, "sigma not assessed: the prediction is less certain than the measurements"
+    return DiagnosisKind.AS_STATED, f"as stated, to a factor of {parts.factor:.2f} in its sigma"

@@ -1,0 +1,191 @@
+"""Windowed innovation means: the consistency of every filter with every source.
+
+The main filter and every subfilter (:mod:`ship_estimation.subfilters`) compute innovations for every source. If a
+filter is fault-free and uses a source, the whitened innovations of that source have zero mean and unit covariance, and
+are independent of one another. Their exponential means over few and over many measurements show a mounting shift within
+three measurements, and a drift later. :mod:`ship_estimation.fault_isolation` isolates the faulty source.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_estimation import compiled_means
+from ship_estimation.gates import chi_square_gate
+from ship_estimation.protection_levels import IntegrityConfig
+from ship_geometry.rotations import FloatArray
+
+WINDOW_LENGTHS = (3, 30, 300)
+"""Window lengths of the means of whitened innovations, measurements."""
+
+MEASUREMENTS_PER_H = 18_000
+"""Number of measurements of one source in an hour, for the probability of a false exclusion: five in a second."""
+
+CONSISTENT_RATIO = 0.5
+"""Share of the chi² limit below which a source counts as consistent."""
+
+NEVER_NS = -(2**62)
+"""Stamp before any other, of a source without a measurement or without inconsistency."""
+
+FIELDS_BY_SUBFILTER = ("running", "excess", "refused")
+"""Fields of :class:`InnovationMeans` with one row for each filter."""
+
+_MAX_INNOVATION_RATIO = math.sqrt(0.5)
+"""Bound of a whitened innovation, as a share of the square root of the chi² limit.
+
+Two successive gross errors keep the mean over three measurements below the limit, the third does not."""
+
+_WINDOW_WEIGHTS = np.array([2.0 / (count + 1.0) for count in WINDOW_LENGTHS])
+"""Weight of a measurement in each mean, shape (w,)."""
+
+_ZERO_NOISE = np.zeros((3, 3))
+
+INITIAL_MEANS = np.zeros((len(WINDOW_LENGTHS), 5))
+"""Columns of :attr:`InnovationMeans.running` before any measurement, shape (w, 5)."""
+
+
+@dataclass(frozen=True)
+class InnovationMeans:
+    """Windowed means of whitened innovations; h filters, s sources, w window lengths.
+
+    Attributes:
+        running: in five columns the mean innovation (three), the filled share of the window (0 at the start, soon 1),
+            and the variance of a mean of independent innovations as a share of that of one; shape (h, s, w, 5).
+        excess: largest chi² of a mean over its limit, shape (h, s). For a source that a filter excludes, it is used in
+            the main filter only.
+        rejection_counts: number of successive rejections, shape (h, s).
+        last_measured_ns: stamp of the last measurement of each source, shape (s,).
+        inconsistent_since_ns: stamp since which the main filter is inconsistent with each source, shape (s,);
+            :data:`NEVER_NS` if it is consistent.
+    """
+
+    running: FloatArray
+    excess: FloatArray
+    rejection_counts: NDArray[np.int64]
+    last_measured_ns: NDArray[np.int64]
+    inconsistent_since_ns: NDArray[np.int64]
+
+
+def initial_means(subfilters: int, sources: int) -> InnovationMeans:
+    """Return the innovation means before any measurement.
+
+    Example:
+        >>> no_means(rows=3, sources=2).running.shape
+        (3, 2, 3, 5)
+    """
+    return InnovationMeans(
+        running=np.zeros((subfilters, sources, len(WINDOW_LENGTHS), 5)),
+        excess=np.zeros((subfilters, sources)),
+        rejection_counts=np.zeros((subfilters, sources), dtype=np.int64),
+        last_measured_ns=np.full(sources, NEVER_NS),
+        inconsistent_since_ns=np.full(sources, NEVER_NS),
+    )
+
+
+def excess_limit(config: IntegrityConfig, sources: int) -> float:
+    """Return the chi² limit of an innovation mean, for half of the configured rate of false exclusions.
+
+    A mean over N measurements has one independent value in N measurements.
+
+    Example:
+        >>> print(round(excess_limit(IntegrityConfig(), sources=2), 1))
+        37.4
+    """
+    tests_per_h = sources * MEASUREMENTS_PER_H * sum(1.0 / count for count in WINDOW_LENGTHS)
+    return chi_square_gate(1.0 - 0.5 * config.false_exclusions_per_h / tests_per_h, 3)
+
+
+def updated_means(
+    means: InnovationMeans,
+    source: int | Sequence[int],
+    innovation: FloatArray,
+    accepted: NDArray[np.bool_],
+    time_ns: int,
+    limit: float,
+    whitened_noise: FloatArray | None = None,
+) -> InnovationMeans:
+    """Return the means after a measurement, or after simultaneous measurements of several sources.
+
+    Args:
+        means: before the measurement.
+        source: index of the source; or indices of l sources, and the arrays have one axis more.
+        innovation: whitened innovation in every filter, shape (h, 3) or (h, l, 3).
+        accepted: True if its NIS passed the gate of each filter, shape (h,) or (h, l).
+        time_ns: stamp of the measurement.
+        limit: chi² limit by :func:`excess_limit`.
+        whitened_noise: part of the measurement noise in the whitened covariance, shape (3, 3), if the main filter
+            excludes the source; None otherwise.
+
+    Example:
+        Innovations of three sigmas in the same direction exceed the limit after a few measurements:
+
+        >>> found, turn = no_means(1, 1), np.array([[3.0, 0.0, 0.0]])
+        >>> for number in range(8):
+        ...     found = observed(found, 0, turn, np.array([True]), number, limit=37.4)
+        ...     if found.excess[0, 0] > 1.0: break
+        >>> number
+        4
+    """
+    if isinstance(source, int):
+        source, innovation, accepted = (source,), innovation[:, None], accepted[:, None]
+    after = compiled_means.updated_means(
+        means.running,
+        means.excess,
+        means.rejection_counts,
+        means.last_measured_ns,
+        means.inconsistent_since_ns,
+        tuple(source),
+        innovation,
+        accepted.view(np.uint8),
+        time_ns,
+        _WINDOW_WEIGHTS,
+        limit,
+        _MAX_INNOVATION_RATIO * math.sqrt(limit),
+        CONSISTENT_RATIO,
+        NEVER_NS,
+        whitened_noise is not None,
+        _ZERO_NOISE if whitened_noise is None else whitened_noise,
+    )
+    if after is not None:
+        return InnovationMeans(*after)
+    # A NaN does not enter the means; it counts as a rejection.
+    refused = means.rejection_counts.copy()
+    refused[:, list(source)] += 1
+    return replace(means, refused=refused)
+
+
+def updated_mean(running: FloatArray, innovation: FloatArray) -> tuple[FloatArray, float]:
+    """Return the windowed means of one filter and source after one more innovation, and their largest component.
+
+    The largest component of all window lengths is given in its own sigmas.
+
+    Args:
+        running: columns of :attr:`InnovationMeans.running` before, shape (w, 5).
+        innovation: whitened innovation, shape (3,).
+
+    Example:
+        >>> running, sigmas = averaged(NO_MEANS, np.array([0.0, 4.0, 1.0]))
+        >>> print(running[0], round(sigmas, 6))
+        [0.   2.   0.5  0.5  0.25] 4.0
+    """
+    after: tuple[FloatArray, float] = compiled_means.updated_mean(running, innovation, _WINDOW_WEIGHTS)
+    return after
+
+
+def cleared_means(means: InnovationMeans, subfilters: Sequence[int] | slice, sources: Sequence[int] | slice) -> InnovationMeans:
+    """Return the means with those of some filters and sources cleared.
+
+    Example:
+        >>> seen = replace(no_means(2, 2), refused=np.array([[1, 2], [3, 4]]))
+        >>> forgotten(seen, slice(None), [1]).refused.tolist()
+        [[1, 0], [3, 0]]
+    """
+    cut = {}
+    for name in FIELDS_BY_SUBFILTER:
+        values = getattr(means, name).copy()
+        values[subfilters, sources] = 0
+        cut[name] = values
+    return replace(means, **cut)

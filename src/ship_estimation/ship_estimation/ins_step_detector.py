@@ -1,0 +1,397 @@
+"""Detection of steps of an INS attitude against its integrated rates.
+
+Attitude and integrated rates of a healthy INS differ by a slowly drifting rotation: gyroscope bias, Earth rate if the
+rates contain it, integration error. Over a second this is a straight line. A step of the attitude leaves the line. A
+large step shows at the first sample; a smaller one shows in the mean of several samples against the line before.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ship_estimation import compiled_checks
+from ship_estimation.excess_noise import NoiseSums, noise_sums
+from ship_estimation.integrated_rates import IntegratedAttitude, IntegratedRun, StampArray
+from ship_estimation.line_steps import Period, StepPlan, doubling_counts, locate_step, step_plan
+from ship_estimation.value_checks import ROUNDING_SPREAD, PredictionMatch, vector_length
+from ship_geometry import compiled_rotations
+from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.rotations import FloatArray, exp_rotation
+from ship_geometry.time_scales import SECOND_NS
+
+_BEFORE_S, _AFTER_S = (0.5, 0.25, 0.125), 0.2
+"""Lengths of the line before the step, s, shorter for noisier rates; maximum length after the step, s."""
+_LEAST_BEFORE, _LONGEST_PERIOD_NS = 16, SECOND_NS // 5
+"""Least number of samples before the step; maximum period: below 5 Hz wave motion hides small steps."""
+_MISSING, _IRREGULAR = 1.8, 0.35
+"""Interval from which a sample is missing, periods; scatter of intervals, as a share of their mean, from which stamps
+are irregular: one lost message in ten makes 0.27, stamps at 20 Hz late by 0 to 12 ms make 0.1."""
+_GAP = 8
+"""Maximum gap that a line spans, periods."""
+_SIGMAS = 7.3
+"""Threshold of a step, sigmas: exceeded by noise of three axes once in 6e10 times (explanation/when_inputs_fail.md)."""
+_LAG_S = 0.0025
+"""Maximum lag of the rates behind the attitude, s."""
+_LEARN_HZ = 25.0
+"""Rate at which the statistics of apparent steps are updated, 1/s."""
+_FAR_RAD = 1e-3
+"""Size up to which rotation vectors add like vectors, to a hundredth of an arcsecond."""
+_ROOM = 4
+"""Length of the sample buffer, in lengths of the line."""
+
+
+class DetectedStep(NamedTuple):
+    """A step of the attitude, detected by means before and after it.
+
+    Attributes:
+        first_ns: stamp of the first sample that may be after the step.
+        last_ns: stamp of the first sample that certainly is.
+        step_n: rotation vector in the horizon frame, rad, shape (3,).
+        sigma_rad: its standard deviation about each axis.
+    """
+
+    first_ns: int
+    last_ns: int
+    step_n: FloatArray
+    sigma_rad: float
+
+
+class LineStatistics(NamedTuple):
+    """Errors of the samples on a line.
+
+    Attributes:
+        drift_n: drift of the attitude against the rates, horizon frame, rad/s, shape (3,).
+        seconds: length of the line, s.
+        turning: mean angular rate of the deck in that time, rad/s.
+        typical_rad: root mean square difference of a sample from its prediction by the one before.
+    """
+
+    drift_n: FloatArray
+    seconds: float
+    turning: float
+    typical_rad: float
+
+
+class InsStepDetector:
+    """Detects steps of one INS attitude against its integrated rates.
+
+    The period of the samples and the size of apparent steps by their errors are estimated, the latter by the mean of a
+    high power, which rare large errors dominate, as rounding causes them.
+
+    Args:
+        white_rad: noise of an attitude, each axis.
+        rate_sigma_rad_per_s: noise of a rate, each axis.
+
+    Attributes:
+        line_statistics: errors of the samples recently accepted; None without new ones.
+        noise: noise sums of the samples recently accepted; None without new ones.
+
+    >>> watch, turned = StepWatch(5e-6, 0.0), np.random.default_rng(1).normal(0.0, 5e-6, (1500, 3))
+    >>> turned[1400:] += [0.0, 3e-5, 0.0]
+    >>> for n, vector in enumerate(turned):
+    ...     sample = AttitudeSample(n * 10_000_000, exp_rotation(vector), np.zeros(3))
+    ...     fits = watch.look(sample, Integrated(np.eye(3), 0, 0.0), first_rad=1e-4, coarseness_rad=0.0)
+    ...     found = watch.keep()
+    ...     if found is not None:
+    ...         break
+    >>> found.first_ns // 10_000_000, 1400 <= n < 1420, (found.step_n * 1e5).round() + 0.0
+    (1400, True, array([0., 3., 0.]))
+    """
+
+    def __init__(self, white_rad: float, rate_sigma_rad_per_s: float) -> None:
+        self._period = Period()
+        self._white_rad, self._rate_sigma = white_rad, rate_sigma_rad_per_s
+        self._rows, self._rates, self._times = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
+        self._full: StepPlan | None = None
+        self._learn_every = self._learns = self._since_learnt = 0
+        self._high = np.zeros(0)
+        self._first_rad = math.inf
+        self._coarseness_rad = self._error_rad = self._last_step_error_rad = self._apparent_step_rad = 0.0
+        self._run, self._last_ns = -1, 0
+        self._to_line: FloatArray | None = None
+        self.line_statistics: LineStatistics | None = None
+        self.noise: NoiseSums | None = None
+        self.restart()
+
+    def reconfigure(self, white_rad: float, rate_sigma_rad_per_s: float) -> None:
+        """Set another noise."""
+        if (white_rad, rate_sigma_rad_per_s) != (self._white_rad, self._rate_sigma):
+            self._white_rad, self._rate_sigma = white_rad, rate_sigma_rad_per_s
+            if self._period.ns:
+                self._make_plan()
+
+    def reset_statistics(self) -> None:
+        """Reset the statistics of the samples: the rates, or their calibration, have changed."""
+        self._learns = 0
+        self._high[:] = 0.0
+        self.restart()
+
+    def restart(self) -> None:
+        """Start a new line with the next sample: after a step of the attitude, or a gap."""
+        self._end = self._newest = 0
+        self._to_line = None
+        self._plan: StepPlan | None = None
+        self._is_ready = False
+        self._pending: FloatArray | None = None
+        self._sizes = np.zeros(0)
+
+    @property
+    def smallest_rad(self) -> float:
+        """Smallest detectable step, rad; infinite if none is."""
+        return math.inf if self._plan is None else float(self._bounds[-1])
+
+    @property
+    def least_rad(self) -> float:
+        """Lower bound of the smallest detectable step of the present line, rad; infinite without a line."""
+        return math.inf if self._plan is None else float(self._least_rad[-1])
+
+    @property
+    def is_ready(self) -> bool:
+        """True if samples are checked against a line of full length."""
+        return self._plan is not None and self._plan is self._full and self._is_ready
+
+    def check(
+        self,
+        sample: AttitudeSample,
+        integrated: IntegratedAttitude,
+        first_rad: float,
+        coarseness_rad: float,
+    ) -> bool | None:
+        """Return True if a sample is on the line of those accepted, None if unknown; False for NaN.
+
+        Args:
+            sample: with a rate; later than all accepted ones.
+            integrated: the attitude by integrated rates.
+            first_rad: bound of the distance of a good sample from the line before the statistics are known.
+            coarseness_rad: resolution of the attitude; zero if every value is new.
+        """
+        self._pending, time_ns = None, sample.time_ns
+        if self._full is None:
+            if 0 < self._period.update(time_ns) <= _LONGEST_PERIOD_NS:
+                self._make_plan()
+            return None
+        if integrated.run != self._run or time_ns - self._last_ns > _GAP * self._period.ns:
+            self.restart()
+            self._run, self._error_rad = integrated.run, integrated.error_rad
+        if self._to_line is None:
+            self._to_line = integrated.rotation.dot(sample.rotation_nd.T)
+        missed_rad = integrated.error_rad - self._error_rad
+        # A constant integration error per step is a slope. A change of it is an apparent step.
+        feigned_rad = abs(missed_rad - self._last_step_error_rad)
+        self._error_rad, self._last_step_error_rad = integrated.error_rad, missed_rad
+        self._now_ns = time_ns
+        self._first_rad, self._coarseness_rad = first_rad, coarseness_rad
+        self._newest, self._rates[self._end] = self._end, sample.rate_d
+        (row,) = compiled_rotations.differences(sample.rotation_nd[None], integrated.rotation[None], self._to_line)
+        self._rows[self._end] = self._pending = row
+        plan = self._plan
+        if plan is None:
+            return None
+        if feigned_rad > self._apparent_step_rad:
+            self._apparent_step_rad = 1.5 * feigned_rad
+            self._set_bounds(plan)
+        rows = self._rows[self._end + 1 - plan.length : self._end + 1]
+        self._sizes = compiled_checks.step_sizes(self._scaled, rows)
+        if not self._is_ready:
+            return None
+        # If several samples show a step better than this one alone, the step was before this sample.
+        own, *others = self._sizes.tolist()
+        return bool(own <= 1.0 or max(others, default=0.0) > own)
+
+    def match(self) -> PredictionMatch:
+        """Return the match of the last checked sample with the line."""
+        assert self._plan is not None
+        step = self._plan.weights[0].dot(self._rows[self._end + 1 - self._plan.length : self._end + 1])
+        return PredictionMatch(step, float(self._bounds[0]), bool(self._sizes[0] <= 1.0))
+
+    def accept(self) -> DetectedStep | None:
+        """Accept the last checked sample; return the step that is detected with it, if any."""
+        if self._pending is None:
+            return None
+        self._times[self._end] = self._last_ns = self._now_ns
+        self._end, self._pending = self._end + 1, None
+        plan = self._plan
+        if plan is not None and len(self._sizes) and not max(self._sizes.tolist()) <= 1.0 and not self._is_explained_by_lag(plan):
+            found = self._detected_step()
+            self.restart()
+            return found
+        self._since_learnt += 1
+        if self._since_learnt >= self._learn_every:
+            self._learn()
+        if self._end == len(self._rows):
+            self._shift()
+        return None
+
+    def accept_block(
+        self,
+        times_ns: StampArray,
+        rotations_nd: FloatArray,
+        rates_d: FloatArray,
+        integrated: IntegratedRun,
+        first_rad: float,
+        coarseness_rad: float,
+    ) -> int:
+        """Accept the leading samples of a block that are on the line; return their number.
+
+        The result is that of :meth:`check` and :meth:`accept` for each sample. If the first sample is not accepted, it
+        may be off the line or start a new one, and is for these methods.
+
+        Args:
+            times_ns: stamps, each later than all accepted ones, shape (N,).
+            rotations_nd: attitudes, shape (N, 3, 3).
+            rates_d: angular velocities, rad/s, shape (N, 3).
+            integrated: the attitudes by integrated rates.
+            first_rad: as in :meth:`check`.
+            coarseness_rad: as in :meth:`check`.
+        """
+        plan, end = self._plan, self._end
+        if plan is None or self._to_line is None or not self.is_ready or integrated.run != self._run:
+            return 0
+        self._first_rad, self._coarseness_rad = first_rad, coarseness_rad
+        some = slice(min(len(times_ns), len(self._rows) - end))
+        count, sizes, *learnt = compiled_checks.accepted_on_line(
+            times_ns[some],
+            compiled_rotations.differences(rotations_nd[some], integrated.rotations[some], self._to_line),
+            integrated.error_rad[some],
+            end,
+            self._last_ns,
+            _GAP * self._period.ns,
+            self._error_rad,
+            self._last_step_error_rad,
+            self._apparent_step_rad,
+            plan.weights,
+            self._least_rad,
+            self._shares,
+            ROUNDING_SPREAD * coarseness_rad,
+            first_rad,
+            self._learn_every,
+            self._since_learnt,
+            self._learns,
+            self._rows,
+            self._high,
+            self._bounds,
+            self._scaled,
+        )
+        if count == 0:
+            return 0
+        self._last_step_error_rad, self._apparent_step_rad, self._since_learnt, self._learns = learnt
+        self._sizes, self._error_rad = sizes, float(integrated.error_rad[count - 1])
+        self._rates[end : end + count], self._times[end : end + count] = rates_d[:count], times_ns[:count]
+        self._end, self._newest, self._pending = end + count, end + count - 1, None
+        self._last_ns = self._now_ns = int(times_ns[count - 1])
+        if self._end == len(self._rows):
+            self._shift()
+        return int(count)
+
+    def _is_explained_by_lag(self, plan: StepPlan) -> bool:
+        """True if a small lag of the rates explains the apparent step, as at the start of a rotation."""
+        steps = plan.weights.dot(self._rates[self._newest + 1 - plan.length : self._newest + 1])
+        feigned_rad = _LAG_S * np.sqrt(np.sum(steps * steps, axis=1))
+        return bool(np.all(np.sqrt(self._sizes) * self._bounds <= self._bounds + feigned_rad))
+
+    # -- statistics -----------------------------------------------------------------------------------------
+
+    def _make_plan(self) -> None:
+        """Choose the length of the line by the period of the samples and their noise, and reset the statistics."""
+        per_s = SECOND_NS / self._period.ns
+        after = max(round(_AFTER_S * per_s), 1)
+        lengths = {max(round(seconds * per_s), _LEAST_BEFORE) + after for seconds in _BEFORE_S}
+        plans = [step_plan(length, doubling_counts(after)) for length in sorted(lengths)]
+        self._full = min(plans, key=lambda plan: float(np.sum(self._sigmas(plan))))
+        self._rows, self._rates = np.zeros((2, _ROOM * self._full.length, 3))
+        self._times = np.zeros(len(self._rows), dtype=np.int64)
+        self._learn_every = max(round(per_s / _LEARN_HZ), 1)
+        self._high = np.zeros(len(self._full.counts))
+        self.reset_statistics()
+
+    def _learn(self) -> None:
+        """Update the statistics of apparent steps, and change to a longer line if possible."""
+        assert self._full is not None
+        self._since_learnt, full, before = 0, self._full, self._plan
+        if before is full:
+            self._learns += 1
+            compiled_checks.learn(self._sizes, self._bounds, self._learns, self._high)
+            if self._learns % compiled_checks.SET_EVERY == 0 or not self._is_ready:
+                self._apparent_step_rad *= compiled_checks.FORGET
+                self._set_bounds(full)
+            return
+        for share in (1, 2, 4):
+            length = full.length // share
+            if self._end >= length:
+                if share == 1:
+                    self._sum_noise()
+                after = [count for count in full.counts if share == 1 or count <= length // 3]
+                self._use_plan(full if share == 1 else step_plan(length, tuple(after) or (1,)))
+                return
+
+    def _use_plan(self, plan: StepPlan) -> None:
+        """Check samples against another line from now on."""
+        assert self._full is not None
+        self._plan = plan
+        self._least_rad = _SIGMAS * self._sigmas(plan)
+        self._shares = plan.white / self._full.white[: len(plan.white)]
+        self._bounds, self._scaled = np.empty(len(plan.white)), np.empty(plan.weights.shape)
+        self._set_bounds(plan)
+
+    def _set_bounds(self, plan: StepPlan) -> None:
+        """Set the bounds of apparent steps by the errors of good samples."""
+        self._is_ready = compiled_checks.set_bounds(
+            plan.weights,
+            self._least_rad,
+            self._shares,
+            self._high,
+            self._learns,
+            ROUNDING_SPREAD * self._coarseness_rad,
+            self._apparent_step_rad,
+            self._first_rad,
+            self._bounds,
+            self._scaled,
+        )
+
+    def _sigmas(self, plan: StepPlan) -> FloatArray:
+        """Return sigma of each step of a plan by the noise of attitudes and rates, each axis, rad, shape (k,)."""
+        turn_rad = self._rate_sigma * self._period.ns * 1e-9
+        sigmas: FloatArray = np.hypot(self._white_rad * plan.white, turn_rad * plan.walk)
+        return sigmas
+
+    def _shift(self) -> None:
+        """Make room for further samples, compute the line statistics, and restart a line that has become large."""
+        assert self._full is not None
+        keep, rows = self._full.length, self._rows
+        seconds = float(self._times[-1] - self._times[0]) * 1e-9 * (1.0 - 1.0 / _ROOM)
+        drift_n = (rows[-keep:].mean(axis=0) - rows[:keep].mean(axis=0)) / seconds
+        differences = self._sum_noise()
+        typical_rad = math.sqrt(float(np.mean(np.sum(differences**2, axis=1))))
+        self.line_statistics = LineStatistics(drift_n, seconds, vector_length(self._rates.mean(axis=0)), typical_rad)
+        for values in (rows, self._rates, self._times):
+            values[:keep] = values[-keep:].copy()
+        self._end = keep
+        if vector_length(rows[keep - 1]) > _FAR_RAD:
+            assert self._to_line is not None
+            self._to_line = self._to_line.dot(exp_rotation(-rows[keep - 1]))
+            rows[:keep] -= rows[keep - 1].copy()
+
+    def _sum_noise(self) -> FloatArray:
+        """Sum the noise of the accepted samples; return the differences of successive ones, rad, shape (n, 3).
+
+        Samples at irregular times are not summed: there the integration error of the rates exceeds the noise.
+        """
+        times_ns, differences = self._times[: self._end], np.diff(self._rows[: self._end], axis=0)
+        steps_ns = np.diff(times_ns)
+        if float(steps_ns.std()) <= _IRREGULAR * float(steps_ns.mean()):
+            self.noise = noise_sums(times_ns, differences, _MISSING * self._period.ns)
+        return differences
+
+    def _detected_step(self) -> DetectedStep:
+        """Return the step between the accepted samples, with the interval of stamps at which it may have happened."""
+        assert self._plan is not None
+        worst = max(range(len(self._sizes)), key=self._sizes.tolist().__getitem__)
+        # Ratio of the observed errors of the samples to their stated noise.
+        excess = float(self._bounds[worst]) / (_SIGMAS * float(self._sigmas(self._plan)[worst]))
+        everywhere = step_plan(self._plan.length, tuple(range(1, self._plan.counts[-1] + 1)))
+        sigmas_rad = excess * self._sigmas(everywhere)
+        rows = self._rows[self._end - everywhere.length : self._end]
+        step_n, sigma_rad, counts = locate_step(everywhere, rows, sigmas_rad)
+        first_ns, last_ns = (int(self._times[self._end - count]) for count in (max(counts), min(counts)))
+        return DetectedStep(first_ns, last_ns, step_n, sigma_rad)

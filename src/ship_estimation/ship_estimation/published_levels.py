@@ -1,0 +1,112 @@
+"""The protection levels published last, and their coverage of later outputs.
+
+A protection level belongs to one output. The levels of the following outputs are mostly the same. They are therefore
+published once a period, and before an output that the published ones do not cover: its levels are larger or not
+available, or the excluded sources have changed.
+"""
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_estimation import compiled_integrity
+from ship_estimation.protection_levels import IntegrityReport
+from ship_geometry.rotations import FloatArray
+
+MAX_LEVEL_RATIO = 1.05
+"""Ratio by which an output's protection level may exceed the published one before a new report is due."""
+
+_MAX_LEVEL_SIGMAS = 2.0
+"""Upper bound of a protection level, in units of its threshold times the sigma of a subfilter."""
+_TINY = 1e-12
+
+
+class LevelledEstimate(Protocol):
+    """An output with its stamp and the covariance of its error, rad², shape (3, 3)."""
+
+    time_ns: int
+    covariance_n: FloatArray
+
+
+class PublishedLevels:
+    """The protection levels published last, and the bounds within which following outputs need no new computation.
+
+    The levels of two outputs from the same filter state differ by the growth of the covariance between them, and by the
+    rotation of the directions in which the errors are measured.
+
+    Attributes:
+        report: published last; None before the first.
+        state: filter state of the last output that was evaluated.
+        redundancy_key: further conditions on which the existence of a level depends.
+        directions: direction cosines in which the errors of that output are measured, shape (k, l).
+        until_ns: stamp from which levels are published in any case.
+        max_variance: trace of an output's covariance up to which the published levels cover it, rad².
+        max_direction_change: change of each direction cosine up to which they do.
+
+    Example:
+        >>> from types import SimpleNamespace
+        >>> from ship_estimation.protection_levels import IntegrityReport, IntegrityState
+        >>> output = SimpleNamespace(time_ns=0, covariance_n=np.eye(3))
+        >>> def levels(size):
+        ...     state = IntegrityState.NO_LIMIT
+        ...     return IntegrityReport(0, state, np.full(3, size), ("ins",), np.zeros(1), 5.0, (), "ins", 1.0)
+        >>> published = ToldLevels()
+        >>> [published.must_tell(output, levels(size), period_ns=10**9) for size in (10.0, 10.4, 9.0, 10.6, 11.0)]
+        [True, False, False, True, False]
+
+        10.6 is published, and 11.0 may still grow by a hundredth: half by the variance, half by a rotation.
+
+        >>> print(round(published.greatest_variance, 3), round(published.most_turned, 4))
+        3.012 0.0065
+    """
+
+    def __init__(self) -> None:
+        self.report: IntegrityReport | None = None
+        self.state: Any = None
+        self.redundancy_key: tuple[Any, ...] = ()
+        self.directions: FloatArray = np.empty((0, 0))
+        self.until_ns, self.max_variance, self.max_direction_change = 0, 0.0, 0.0
+
+    def covered_count(self, times_ns: NDArray[np.int64], covariances_n: FloatArray, directions: FloatArray) -> int:
+        """Return the number of leading outputs, of N from the same state, that the published levels certainly cover.
+
+        Args:
+            times_ns: stamps, shape (N,).
+            covariances_n: of their errors, rad², shape (N, 3, 3).
+            directions: direction cosines of each, shape (N, k, l).
+        """
+        until, published = (self.until_ns, self.max_variance), (self.directions, self.max_direction_change)
+        count: int = compiled_integrity.covered_count(times_ns, covariances_n, directions, *until, *published)
+        return count
+
+    def needs_update(self, output: LevelledEstimate, report: IntegrityReport, period_ns: int) -> bool:
+        """True if the levels of an output must be published before it; they are then stored as the published ones.
+
+        Args:
+            output: the output.
+            report: its protection levels.
+            period_ns: period of publication in any case, ns.
+        """
+        published = self.report
+        if published is not None and output.time_ns < self.until_ns and _has_same_state(report, published):
+            covers, self.max_variance, self.max_direction_change = _coverage(output, report, published)
+            if covers:
+                return False
+        self.report, self.until_ns = report, output.time_ns + period_ns
+        _, self.max_variance, self.max_direction_change = _coverage(output, report, report)
+        return True
+
+
+def _has_same_state(report: IntegrityReport, published: IntegrityReport) -> bool:
+    """True if a report has the integrity state and the excluded sources of the published one."""
+    return report.state is published.state and report.excluded == published.excluded
+
+
+def _coverage(output: LevelledEstimate, report: IntegrityReport, published: IntegrityReport) -> tuple[bool, float, float]:
+    """True if published levels cover those of an output; and the variance and rotation up to which they do later."""
+    entering = _MAX_LEVEL_SIGMAS * report.threshold * report.largest_sigma
+    found: tuple[bool, float, float] = compiled_integrity.coverage(
+        report.level, published.level, output.covariance_n, entering, MAX_LEVEL_RATIO, _TINY
+    )
+    return found

@@ -1,0 +1,107 @@
+"""The INS step detector: samples of a block against the same samples one by one.
+
+Its detections are tested in test_integrated_rates.
+"""
+
+import copy
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ship_estimation.integrated_rates import IntegratedAttitude, IntegratedRun
+from ship_estimation.ins_step_detector import InsStepDetector
+from ship_geometry.attitude_track import AttitudeSample
+from ship_geometry.rotations import exp_rotation
+
+_RATE_NS, _SAMPLES = 10_000_000, 3000
+
+
+class Stream:
+    """Samples of a constant attitude with noise, and the attitude by integrated rates, which drifts."""
+
+    def __init__(self, stepped_from: int, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        turned = rng.normal(0.0, 5e-6, (_SAMPLES, 3))
+        turned[stepped_from:] += [0.0, 4e-5, 0.0]
+        self.times_ns = np.arange(_SAMPLES) * _RATE_NS
+        self.rotations = np.array([exp_rotation(vector) for vector in turned])
+        drift = np.arange(_SAMPLES)[:, None] * np.array([1e-8, 0.0, 2e-8])
+        self.by_rates = np.array([exp_rotation(vector) for vector in drift])
+        self.rates = rng.normal(0.0, 1e-5, (_SAMPLES, 3))
+        # The integration error grows irregularly, so that the bounds must widen sometimes.
+        self.missed = np.cumsum(rng.choice([1e-9, 5e-7], _SAMPLES, p=[0.99, 0.01]))
+
+    def look(self, watch: InsStepDetector, number: int) -> bool | None:
+        """Check and accept one sample."""
+        sample = AttitudeSample(int(self.times_ns[number]), self.rotations[number], self.rates[number])
+        integrated = IntegratedAttitude(self.by_rates[number], 0, float(self.missed[number]))
+        return watch.check(sample, integrated, first_rad=1e-4, coarseness_rad=0.0)
+
+    def follow(self, watch: InsStepDetector, some: slice) -> int:
+        """Accept some samples as a block."""
+        integrated = IntegratedRun(self.by_rates[some], 0, self.missed[some])
+        return watch.accept_block(self.times_ns[some], self.rotations[some], self.rates[some], integrated, 1e-4, 0.0)
+
+
+def _state(watch: InsStepDetector) -> dict[str, Any]:
+    """Return the state of the detector, without unused rows."""
+    state = dict(vars(watch))
+    for name in ("_rows", "_rates", "_times"):
+        state[name] = state[name][: watch._end]
+    return {name: value.tobytes() if isinstance(value, np.ndarray) else value for name, value in state.items()} | {
+        "_period": watch._period.ns,
+        "learnt": repr(watch.line_statistics),
+        "_full": None,
+        "_plan": watch.smallest_rad,
+    }
+
+
+@pytest.mark.parametrize("block", [1, 7, 64, 500])
+def test_block_gives_the_state_of_single_samples(block: int) -> None:
+    stream, step = Stream(stepped_from=2000, seed=1), 2000
+    single = InsStepDetector(5e-6, 0.0)
+    for number in range(1000):
+        stream.look(single, number)
+        assert single.accept() is None
+    together, number = copy.deepcopy(single), 1000
+    while count := stream.follow(together, slice(number, number + block)):
+        for other in range(number, number + count):
+            assert stream.look(single, other)
+            assert single.accept() is None
+        assert _state(single) == _state(together)
+        number += count
+    # The first one off the line is for check().
+    assert step <= number < step + 20
+    assert stream.look(single, number) is not None
+    assert max(single._sizes) > 1.0
+
+
+def test_nan_sample_is_not_accepted_in_a_block() -> None:
+    stream, watch = Stream(stepped_from=_SAMPLES, seed=2), InsStepDetector(5e-6, 0.0)
+    for number in range(1000):
+        stream.look(watch, number)
+        watch.accept()
+    stream.rotations[1010] = np.nan
+    assert stream.follow(watch, slice(1000, 1100)) == 10
+
+
+def test_samples_after_a_gap_are_not_accepted_in_a_block() -> None:
+    stream, watch = Stream(stepped_from=_SAMPLES, seed=3), InsStepDetector(5e-6, 0.0)
+    for number in range(1000):
+        stream.look(watch, number)
+        watch.accept()
+    stream.times_ns[1020:] += 9 * _RATE_NS
+    assert stream.follow(watch, slice(1000, 1100)) == 20
+
+
+def test_statistics_start_before_the_first_bound_is_known() -> None:
+    stream, watch = Stream(stepped_from=2000, seed=1), InsStepDetector(5e-6, 0.0)
+    for number in range(1900):
+        sample = AttitudeSample(int(stream.times_ns[number]), stream.rotations[number], stream.rates[number])
+        integrated = IntegratedAttitude(stream.by_rates[number], 0, 0.0)
+        watch.check(sample, integrated, first_rad=math.inf, coarseness_rad=0.0)
+        assert watch.accept() is None
+    assert watch.is_ready
+    assert watch.smallest_rad < 1e-4

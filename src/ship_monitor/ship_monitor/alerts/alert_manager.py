@@ -1,0 +1,156 @@
+"""Alerts of a suite from its messages, saved in a file so that a crash of the node loses none. No ROS."""
+
+import json
+import math
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ship_bags.errors import BadInput
+from ship_bags.stamps import NS_PER_S
+from ship_node.documents.saved_document import DISK, Files
+from ship_watch.alert_conditions import ComputerState, NodeStatus, conditions
+from ship_watch.alerts import AlertList, AlertChange
+from ship_watch.functions import DiagnosticEntry, diagnostic_entries
+from ship_watch.limits import Limits
+from ship_watch.names import has_room
+from ship_watch.suite_state import AlertEntry, SuiteState
+from ship_watch.suite_monitor import SuiteMonitor
+
+MAX_PAUSE_NS = 5 * NS_PER_S
+"""Time between two updates above which the computer has slept and the data are reset, ns."""
+
+MAX_STATUS_AGE_NS = 5 * NS_PER_S
+"""Maximum age of a node's diagnostic status, ns; nodes publish it once a second."""
+
+MAX_STATUSES = 2000
+"""Maximum number of diagnostic statuses."""
+
+_DISK_PERIOD_NS = 10 * NS_PER_S
+_FORMAT, _VERSION = "ship_alerts", 1
+
+
+class AlertManager:
+    """Monitors a suite, raises its alerts and saves them.
+
+    Args:
+        limits: limits of the ship.
+        state_file: file of the alerts, read at once if it exists; None for none.
+        now_ns: steady time, ns.
+        log_problem: called with one line about a problem with the file or the disk.
+        files: reader and writer of files.
+
+    Attributes:
+        suite_state: state of the suite at the last update.
+    """
+
+    def __init__(
+        self, limits: Limits, state_file: Path | None, now_ns: int, log_problem: Callable[[str], None], files: Files = DISK
+    ) -> None:
+        self._limits, self._state_file, self._log_problem, self._files = limits, state_file, log_problem, files
+        self._monitor = SuiteMonitor(limits)
+        self._statuses: dict[tuple[str, str], tuple[NodeStatus, int]] = {}
+        self._disk_free_gb, self._disk_checked_ns = math.nan, now_ns - _DISK_PERIOD_NS
+        self._updated_ns = now_ns
+        self._is_unsaved = False
+        self._alert_list = self._read_alerts(now_ns)
+        self.suite_state: SuiteState = self._monitor.current_state(now_ns)
+
+    @property
+    def alerts(self) -> tuple[AlertEntry, ...]:
+        """Alerts that are not NORMAL, the most urgent first."""
+        return self._alert_list.alerts
+
+    def process_message(self, topic: str, message: Any, arrival_ns: int) -> None:
+        """Process one message; the topic is relative to the namespace, the arrival a steady time, ns."""
+        self._monitor.process_message(topic, message, arrival_ns)
+
+    def process_status(self, status: NodeStatus, arrival_ns: int) -> None:
+        """Process a diagnostic status of a node."""
+        key = (status.node, status.name)
+        if has_room(self._statuses, key, "diagnostic status", MAX_STATUSES):
+            self._statuses[key] = status, arrival_ns
+
+    def reset(self, now_ns: int) -> None:
+        """Reset all data except the alerts, after the suite's time went back or the computer slept."""
+        self._monitor.reset()
+        self._statuses.clear()
+        self._alert_list = AlertList(self._limits.alerts, self._alert_list.serialise(), now_ns)
+        self._updated_ns = now_ns
+
+    def update(self, now_ns: int, clock_ns: int) -> tuple[AlertChange, ...]:
+        """Update the alerts; return the changes.
+
+        Args:
+            now_ns: steady time, ns.
+            clock_ns: UTC of the computer's clock, ns; used until the suite has a time.
+        """
+        if now_ns - self._updated_ns > MAX_PAUSE_NS:
+            self.reset(now_ns)
+        self._updated_ns = now_ns
+        self.suite_state = self._monitor.current_state(now_ns)
+        found = conditions(self.suite_state, self._limits, self._computer_state(now_ns))
+        return self._save_changes(self._alert_list.update(found, now_ns, self._utc_ns(clock_ns)))
+
+    def acknowledge(self, id_: str, instance: int, clock_ns: int) -> tuple[AlertChange | None, str]:
+        """Acknowledge one instance of an alert; return the change, None without one, and the result in words."""
+        change, text = self._alert_list.acknowledge(id_, instance, self._utc_ns(clock_ns))
+        if change is not None:
+            self._save_changes((change,))
+        return change, text
+
+    def silence(self, now_ns: int, clock_ns: int) -> tuple[AlertChange, ...]:
+        """Silence all sounding alerts for a while; return the changes."""
+        return self._save_changes(self._alert_list.silence(now_ns, self._utc_ns(clock_ns)))
+
+    def diagnostic_entries(self) -> tuple[DiagnosticEntry, ...]:
+        """Return functions and their inputs as diagnostic entries, from the last update."""
+        return diagnostic_entries(self.suite_state, self._limits)
+
+    def _utc_ns(self, clock_ns: int) -> int:
+        return self.suite_state.utc_ns or clock_ns
+
+    def _computer_state(self, now_ns: int) -> ComputerState:
+        if self._limits.machine.disk_path and now_ns - self._disk_checked_ns >= _DISK_PERIOD_NS:
+            self._disk_checked_ns = now_ns
+            try:
+                self._disk_free_gb = shutil.disk_usage(self._limits.machine.disk_path).free / 1e9
+            except OSError as problem:
+                # A missing disk has no free space.
+                self._disk_free_gb = 0.0
+                self._log_problem(f"disk {self._limits.machine.disk_path}: {problem.strerror}")
+        self._statuses = {
+            key: (status, told_ns)
+            for key, (status, told_ns) in self._statuses.items()
+            if now_ns - told_ns <= MAX_STATUS_AGE_NS
+        }
+        return ComputerState(tuple(status for status, _ in self._statuses.values()), self._disk_free_gb)
+
+    def _read_alerts(self, now_ns: int) -> AlertList:
+        """Return the alerts of the file; an empty list without a file, or if it cannot be read."""
+        try:
+            if self._state_file is None:
+                return AlertList(self._limits.alerts, (), now_ns)
+            document: dict[str, Any] = json.loads(self._files.read(self._state_file))
+            if (document["format"], document["version"]) != (_FORMAT, _VERSION):
+                raise ValueError(f"expected format {_FORMAT}, version {_VERSION}")
+            return AlertList(self._limits.alerts, document["alerts"], now_ns)
+        except FileNotFoundError:
+            return AlertList(self._limits.alerts, (), now_ns)
+        except (OSError, ValueError, TypeError, KeyError) as problem:
+            self._log_problem(str(BadInput(f"saved alerts cannot be read, starting without: {problem}", file=self._state_file)))
+            return AlertList(self._limits.alerts, (), now_ns)
+
+    def _save_changes(self, changes: tuple[AlertChange, ...]) -> tuple[AlertChange, ...]:
+        """Return the changes after writing the file, if there are any or the last write failed."""
+        if self._state_file is not None and (changes or self._is_unsaved):
+            document = {"format": _FORMAT, "version": _VERSION, "alerts": self._alert_list.serialise()}
+            try:
+                self._files.write(self._state_file, json.dumps(document, indent=1).encode())
+                self._is_unsaved = False
+            except OSError as problem:
+                if not self._is_unsaved:
+                    self._log_problem(f"{self._state_file}: alerts cannot be saved: {problem.strerror}; retried at each update")
+                self._is_unsaved = True
+        return changes

@@ -1,0 +1,153 @@
+"""Batches: consecutive messages of one topic that differ only in numbers, processed together offline.
+
+Each message gives the same result as by itself, to the last bit; only the computation is shared. A message that differs
+otherwise ends the batch and is processed by itself.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_bags.cdr_template import CdrRows
+from ship_estimation.ins_check import CheckedBlock
+from ship_estimation.published_levels import PublishedLevels
+from ship_geometry.rotations import FloatArray
+from ship_node.edge.topics import OutputMessage
+
+StampArray = NDArray[np.int64]
+"""Stamps, ns."""
+
+
+class ReadBatch(NamedTuple):
+    """Leading messages of a batch that were read without remarks.
+
+    Attributes:
+        samples: input of the core, with the stamps ``times_ns``, shape (N,). The message after them must be read by
+            itself.
+        covariance_known: False if they give no covariance; the configured sigma is used then.
+    """
+
+    samples: Any
+    covariance_known: bool = True
+
+
+class EvaluatedBatch(Protocol):
+    """Batch of samples that a core has evaluated and not yet committed.
+
+    Attributes:
+        checked: result of the INS check.
+        pending_outcomes: index of a sample and its outcome other than estimates, until it is published.
+    """
+
+    checked: CheckedBlock
+    pending_outcomes: list[tuple[int, Any]]
+
+
+Batch = TypeVar("Batch", bound=EvaluatedBatch)
+
+
+class BatchCore(Protocol[Batch]):
+    """Interface of a core that evaluates batches of samples before it commits them."""
+
+    def evaluate_batch(self, samples: Any, arrivals_ns: StampArray) -> Batch | None:
+        """Evaluate the leading samples that need no special treatment; None if the first one does."""
+        ...
+
+    def commit_batch(self, batch: Batch, stop: int) -> None:
+        """Commit the evaluated samples before index ``stop``."""
+        ...
+
+    def finish_batch(self, batch: Batch) -> Any:
+        """Finish a committed batch; return the outcome of its last sample if that needed special treatment."""
+        ...
+
+    def batch_estimates(self, batch: Batch) -> list[tuple[slice, Any]]:
+        """Return indices of samples with their estimates on one state, or why they could not be computed."""
+        ...
+
+
+class BatchFeed(NamedTuple):
+    """Processing of a batch of messages by a core.
+
+    Attributes:
+        read: reads the messages and their receive times.
+        core: processes the samples read.
+    """
+
+    read: Callable[[CdrRows, StampArray], ReadBatch]
+    core: BatchCore[Any]
+
+
+class PendingBatch(NamedTuple):
+    """Batch of messages that were read and evaluated, and are committed in order with messages of other topics.
+
+    Attributes:
+        topic: their topic.
+        reading: the messages as read.
+        receive_ns: receive times, equal by both clocks.
+        evaluated: the core's evaluation.
+    """
+
+    topic: str
+    reading: ReadBatch
+    receive_ns: StampArray
+    evaluated: EvaluatedBatch
+
+
+class BatchOutput(NamedTuple):
+    """Part of the outputs of a batch.
+
+    Attributes:
+        place: index of the message in the batch, or of the first one.
+        published: messages to publish with that message.
+        estimates: outputs still to be converted to messages, one for each message from there on; None if there are
+            none.
+    """
+
+    place: int
+    published: list[OutputMessage]
+    estimates: Any = None
+
+
+class OutputRows(NamedTuple):
+    """Messages of one topic for some of N outputs.
+
+    Attributes:
+        topic: the topic.
+        messages: in order.
+        places: index of the output of each message.
+    """
+
+    topic: str
+    messages: CdrRows
+    places: NDArray[np.int64]
+
+
+def outputs_with_levels(
+    place: int,
+    run: Any,
+    published: PublishedLevels,
+    redundancy_keys: list[tuple[Any, ...]],
+    directions: FloatArray,
+    protection_level_messages: Callable[[Any], list[OutputMessage]],
+) -> Iterator[BatchOutput]:
+    """Yield a run of outputs, split where protection levels are published before one of them.
+
+    Args:
+        place: index of the first one in its batch.
+        run: N outputs on one state.
+        published: the published protection levels; ``protection_level_messages`` changes them.
+        redundancy_keys: attributes of each output on which, besides the state, the redundancy of its sources depends.
+        directions: of each output, shape (N, 3, 3).
+        protection_level_messages: protection levels of one output, if the published ones do not cover it.
+    """
+    start, count = 0, len(run.time_ns)
+    while start < count:
+        yield BatchOutput(place + start, protection_level_messages(run.one(start)))
+        rest = slice(start + 1, count)
+        end = start + 1 + published.covered_count(run.time_ns[rest], run.covariance_n[rest], directions[rest])
+        end = next((other for other in range(start + 1, end) if redundancy_keys[other] != published.redundancy_key), end)
+        yield BatchOutput(place + start, [], run if end - start == count else run.some(slice(start, end)))
+        start = end

@@ -1,0 +1,202 @@
+"""Status history of a run: share of each status, spans of one status, and reasons for poor statuses."""
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_bags.stamps import NS_PER_S, ns_from_stamp, utc_text
+from ship_estimation.rejections import Reason
+from ship_node.edge.adapter import Adapter
+from ship_replay.offline.message_times import MessageTimes, exceeded_limits
+from ship_watch.orientations import ORIENTATIONS
+from theodolite_calib.ros.triangulation_adapter import POSITION_TOPIC
+
+STATUS_NAMES = ("VALID", "COASTING", "DEGRADED", "INVALID")
+"""Status names, by the values of ship_msgs/ShipAttitude and OpticalAxisPointing."""
+
+STATUS_TOPICS = frozenset((*(orientation.topic for orientation in ORIENTATIONS), POSITION_TOPIC))
+
+_POOR = "DEGRADED", "INVALID"
+_ACCEPTED_WITH_NOTE = Reason.COVARIANCE_UNKNOWN.word
+"""Reason that does not prevent a message from being used."""
+
+_MIN_POOR_SHARE = 0.01
+_MAX_SPANS = 12
+_MAX_DIAGNOSTICS = 4
+_NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
+
+
+@dataclass(frozen=True)
+class Span:
+    """Consecutive outputs with one status.
+
+    Attributes:
+        status: name of the status.
+        start_ns: stamp of the first output.
+        end_ns: stamp of the next output with another status; at the end, of the last output.
+        count: number of outputs.
+    """
+
+    status: str
+    start_ns: int
+    end_ns: int
+    count: int
+
+
+class _Run(NamedTuple):
+    """Outputs of one status that were published consecutively; sorted by first stamp."""
+
+    first_ns: int
+    last_ns: int
+    status: str
+    outputs: int
+
+
+class StatusHistory:
+    """Status history of one output topic.
+
+    Attributes:
+        counts: status → number of outputs.
+    """
+
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+        self._runs: list[_Run] = []
+        self._diagnostic_counts: Counter[str] = Counter()
+        self._last_diagnostic: dict[str, str] = {}
+
+    def add(self, message: Any) -> None:
+        """Add an output, in the order of publication."""
+        self._add(int(message.status), ns_from_stamp(message.header.stamp), ns_from_stamp(message.header.stamp), 1)
+
+    def add_run(self, statuses: Sequence[int], stamps_ns: np.ndarray) -> None:
+        """Add outputs in the order of publication, with ascending stamps."""
+        start = 0
+        for status, group in groupby(statuses):
+            end = start + len(list(group))
+            self._add(int(status), int(stamps_ns[start]), int(stamps_ns[end - 1]), end - start)
+            start = end
+
+    def _add(self, status: int, first_ns: int, last_ns: int, count: int) -> None:
+        """Add consecutive outputs of one status."""
+        word = STATUS_NAMES[status] if status < len(STATUS_NAMES) else f"status {status}"
+        self.counts[word] += count
+        if self._runs and self._runs[-1].status == word:
+            last = self._runs[-1]
+            self._runs[-1] = last._replace(last_ns=max(last.last_ns, last_ns), outputs=last.outputs + count)
+        else:
+            self._runs.append(_Run(first_ns, last_ns, word, count))
+
+    def add_diagnostic(self, text: str) -> None:
+        """Add a diagnostic text about the status; kept only if the last output was DEGRADED or INVALID."""
+        if self._runs and self._runs[-1].status in _POOR:
+            # Numbers in the text change each time.
+            reason = _NUMBER.sub("", text)
+            self._diagnostic_counts[reason] += 1
+            self._last_diagnostic[reason] = text
+
+    @property
+    def diagnostic_lines(self) -> list[str]:
+        """Diagnostic texts about poor outputs, one line each, most frequent first, with the last numbers."""
+        total = self._diagnostic_counts.total()
+        most = self._diagnostic_counts.most_common(_MAX_DIAGNOSTICS)
+        return [f"diagnostics, {count} of {total}: {self._last_diagnostic[reason]}" for reason, count in most]
+
+    @property
+    def spans(self) -> list[Span]:
+        """Spans in order of time. Each lasts until the next begins; INVALID begins at the tick that reported it."""
+        # INVALID outputs are not stamped in order with the others: sort by stamps before grouping.
+        groups = [list(group) for _, group in groupby(sorted(self._runs), key=lambda run: run.status)]
+        starts_ns = [group[0].first_ns for group in groups]
+        ends_ns = [*starts_ns[1:], max((run.last_ns for run in self._runs), default=0)]
+        return [
+            Span(group[0].status, start_ns, end_ns, sum(run.outputs for run in group))
+            for group, start_ns, end_ns in zip(groups, starts_ns, ends_ns, strict=False)
+        ]
+
+    def lines(self, topic: str) -> list[str]:
+        """Return the table of statuses: shares by time and by count, then the spans."""
+        spans, counts = self.spans, self.counts
+        if not spans:
+            return [f"status of {topic}: no output"]
+        start_ns, total_ns = spans[0].start_ns, spans[-1].end_ns - spans[0].start_ns
+        lines = [f"status of {topic} from {utc_text(start_ns)}, {total_ns / NS_PER_S:.1f} s:"]
+        for word in sorted(counts, key=_status_rank):
+            duration_ns = sum(span.end_ns - span.start_ns for span in spans if span.status == word)
+            share = duration_ns / total_ns if total_ns else counts[word] / counts.total()
+            lines.append(f"  {word:9} {share:6.1%} of the time, {counts[word]} of {counts.total()} outputs")
+        shown = sorted(sorted(spans, key=lambda span: span.start_ns - span.end_ns)[:_MAX_SPANS], key=_span_start)
+        for span in shown if len(spans) > 1 else ():
+            from_s, until_s = ((time_ns - start_ns) / NS_PER_S for time_ns in (span.start_ns, span.end_ns))
+            lines.append(f"  {from_s:9.1f} s to {until_s:9.1f} s  {span.status:9} {span.count} outputs")
+        if len(spans) > len(shown):
+            lines.append(f"  and {len(spans) - len(shown)} shorter spans")
+        return lines
+
+
+def poor_status_reasons(
+    history: StatusHistory, adapter: Adapter, config: Any, times: Mapping[str, MessageTimes], health: Sequence[Any]
+) -> list[str]:
+    """Return why a node's outputs were INVALID or DEGRADED, one line each below a heading.
+
+    The list is empty if hardly any output was. The node's own diagnostics come first, then what its configuration and
+    its inputs lack.
+
+    Args:
+        history: status history of its output.
+        adapter: the node.
+        config: its configuration.
+        times: stamps and arrival times of its inputs, by topic.
+        health: its InputHealth messages after the last message.
+    """
+    counts = history.counts
+    if sum(counts[word] for word in _POOR) <= _MIN_POOR_SHARE * counts.total():
+        return []
+    diagnostics = history.diagnostic_lines
+    warnings = [warning for warning in adapter.start_warnings if not any(warning in saying for saying in diagnostics)]
+    reasons = [*diagnostics, *warnings, *_reference_only_reasons(config)]
+    reasons += [excess.text for excess in exceeded_limits(config, dict(times), "the bag")]
+    reasons += [line for message in health if (line := low_use_text(message))]
+    poor = " and ".join(f"{counts[word]} {word}" for word in reversed(_POOR) if counts[word])
+    why = reasons or ["no input was missing or rejected for long: see ship/innovation or theodolite/innovation"]
+    return [f"why {poor} of {counts.total()} outputs of {adapter.node_name}:", *(f"  {reason}" for reason in why)]
+
+
+def _reference_only_reasons(config: Any) -> list[str]:
+    """Return the reason if references but no stars are configured: references alone never give VALID."""
+    if isinstance(config, ShipAttitudeConfig) and config.references and not config.star_sensors:
+        return ["no star_sensors are configured: by references alone the attitude stays DEGRADED, horizon GRAVITY"]
+    return []
+
+
+def low_use_text(health: Any) -> str:
+    """Return a line about an input of which at most half was used; empty otherwise."""
+    if not health.received:
+        return f"no messages on '{health.topic}'"
+    if 2 * health.accepted > health.received:
+        return ""
+    reason, count = most_frequent_rejection(health)
+    reason_text = f", {count} times for {reason}" if reason else ""
+    return f"of {health.received} messages on '{health.topic}' {health.accepted} were used{reason_text}"
+
+
+def most_frequent_rejection(health: Any) -> tuple[str, int]:
+    """Return the most frequent rejection reason of an input and its count; empty and 0 for none."""
+    counts = dict(zip(health.reasons, map(int, health.reason_counts), strict=True))
+    counts.pop(_ACCEPTED_WITH_NOTE, None)
+    reason = max(counts, key=lambda name: counts[name], default="")
+    return reason, counts.get(reason, 0)
+
+
+def _status_rank(word: str) -> int:
+    return STATUS_NAMES.index(word) if word in STATUS_NAMES else len(STATUS_NAMES)
+
+
+def _span_start(span: Span) -> int:
+    return span.start_ns

@@ -1,0 +1,312 @@
+"""A recording as a watch officer would have seen it: states, events, alerts, rejections and budgets, second by second.
+
+The bag is processed message by message by :class:`ship_watch.suite_monitor.Watch`. Its buffers hold ten minutes, so new entries
+are collected periodically.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ship_bags.errors import BadInput
+from ship_bags.mcap.bag_reader import Bag, BagRecord, read_bag, with_bag_progress
+from ship_bags.stamps import NS_PER_S, ns_from_stamp
+from ship_bags.topic_names import TRUTH_PREFIX, namespace_of_outputs, relative_topics
+from ship_replay.evaluation.sources import JOINT_SOLUTION
+from ship_replay.evaluation.statistics import reason_name
+from ship_replay.offline.digests import content_sha256
+from ship_replay.offline.status_history import STATUS_NAMES
+from ship_watch.alert_conditions import conditions
+from ship_watch.alert_states import AlertState
+from ship_watch.alerts import AlertList, AlertChange
+from ship_watch.history import BudgetPoint, ParameterEstimate, points_after
+from ship_watch.history_recorder import HistoryRecorder
+from ship_watch.limits import Limits
+from ship_watch.suite_state import ANGLES, AlertEntry, Event, SuiteState, Safety
+from ship_watch.topics import monitored_topic
+from ship_watch.suite_monitor import SuiteMonitor
+
+OUTPUTS = ("ship/attitude", "theodolite/pointing", JOINT_SOLUTION)
+ALERTS = "ship/alerts"
+
+OUTPUT_OF_ANGLE = {
+    name: "ship/attitude" if name in ("heading", "pitch", "roll") else "theodolite/pointing" for name in ANGLES
+}
+"""Angle → topic of the output that publishes it."""
+
+_MAX_STATUS_AGE_S = 1.0
+"""Maximum time for which the last status of an output counts, s: its age limit."""
+
+_SAMPLE_PERIOD_NS = NS_PER_S // 2
+"""Sampling period of the displayed state, and time resolution of alerts computed here, ns."""
+
+_MIN_READ_PERIOD_NS = NS_PER_S // 5
+"""Reading period of topics of which only the newest message matters, ns."""
+
+
+@dataclass(frozen=True)
+class RecordedAlert:
+    """A change of an alert's state: raised, acknowledged, over."""
+
+    utc_ns: int
+    what: str
+    alert: AlertEntry
+
+
+@dataclass(frozen=True)
+class Rejection:
+    """A measurement that was not used: source, reason, and whether the node or the filter rejected it.
+
+    A note is no rejection: the measurement was used.
+    """
+
+    utc_ns: int
+    source: str
+    reason: str
+    by: str
+    count: int = 1
+    is_note: bool = False
+
+
+@dataclass
+class Recording:
+    """States, events, alerts, rejections and budgets of one recording.
+
+    Attributes:
+        path: path of the bag.
+        sha256: hash of the bag's file; for a folder one line per file, as sha256sum writes them.
+        start_ns: log time of the first message.
+        end_ns: log time of the last message.
+        limits: limits of the ship that the states refer to.
+        topics: relative topic → type.
+        attachments: attachments of the bag.
+        metadata: metadata records of the bag.
+        safety_states: angle → (second in UTC, worst state) for each second in which the angle was published.
+        accuracy: angle → (UTC in ns, 1.96 sigma in rad), twice a second; none while its output is INVALID.
+        status_s: topic of an output → status → total time with this status, s.
+        events: events in the order in which they were reported.
+        alerts: changes of alerts, in order of time.
+        alerts_are_recorded: True if an alert node published them, False if they were computed here.
+        rejections: rejections and notes, in order of time.
+        budgets: topic → points of the error budget.
+        first_estimates: topic → first published estimates.
+        last_estimates: topic → last published estimates.
+        last: displayed state at the end.
+        problems: what is wrong with the bag, one line each.
+    """
+
+    path: Path
+    sha256: str
+    start_ns: int
+    end_ns: int
+    limits: Limits
+    topics: Mapping[str, str]
+    attachments: Mapping[str, bytes]
+    metadata: Mapping[str, Mapping[str, str]]
+    safety_states: dict[str, list[tuple[int, Safety]]] = field(default_factory=dict)
+    accuracy: dict[str, list[tuple[int, float]]] = field(default_factory=dict)
+    status_s: dict[str, dict[str, float]] = field(default_factory=dict)
+    events: list[Event] = field(default_factory=list)
+    alerts: list[RecordedAlert] = field(default_factory=list)
+    alerts_are_recorded: bool = False
+    rejections: list[Rejection] = field(default_factory=list)
+    budgets: dict[str, list[BudgetPoint]] = field(default_factory=dict)
+    first_estimates: dict[str, tuple[ParameterEstimate, ...]] = field(default_factory=dict)
+    last_estimates: dict[str, tuple[ParameterEstimate, ...]] = field(default_factory=dict)
+    last: SuiteState | None = None
+    problems: list[str] = field(default_factory=list)
+
+    @property
+    def start_utc_ns(self) -> int:
+        """UTC of the first published state; log time of the first message if there is none."""
+        first_s = min((words[0][0] for words in self.safety_states.values() if words), default=self.start_ns // NS_PER_S)
+        return first_s * NS_PER_S
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """UTC at which the outputs begin and end; as long as the span of the log times."""
+        return self.start_utc_ns, self.start_utc_ns + self.end_ns - self.start_ns
+
+    def seconds(self, angle: str) -> Counter[Safety]:
+        """Return the number of seconds of each state, the worst of each second."""
+        return Counter(word for _, word in self.safety_states.get(angle, ()))
+
+
+def read_recording(path: Path, limits: Limits | None = None, namespace: str = "") -> Recording:
+    """Read a bag with outputs of the suite.
+
+    Raises:
+        BadInput: the bag cannot be read or holds no output; names the file and the expected topics.
+    """
+    limits = limits or Limits()
+    with read_bag(path) as bag:
+        topics = relative_topics(bag.topics, namespace_of_outputs(bag.topics, namespace, OUTPUTS))
+        if not any(topic in topics for topic in OUTPUTS):
+            found = ", ".join(sorted(bag.topics)) or "none"
+            raise BadInput(
+                f"no outputs of the suite: expected topic {' or '.join(OUTPUTS)}, as replay writes them; found {found}",
+                file=path,
+            )
+        recording = Recording(
+            path, content_sha256(path), bag.start_ns or 0, bag.end_ns or 0, limits,
+            {topic: bag.topics[name] for topic, name in topics.items()}, dict(bag.attachments), dict(bag.metadata),
+        )
+        _RecordingReader(recording, ALERTS in topics).read(bag, {name: topic for topic, name in topics.items()})
+        recording.problems = bag.problems
+    return recording
+
+
+class _ReportHistoryKeeper(HistoryRecorder):
+    """History of states, budgets and parameters only: errors and innovations come from the evaluation."""
+
+    def note_error(self, topic: str, message: Any) -> None:
+        """Ignore an error message."""
+
+    def note_innovation(self, source: str, message: Any, now_ns: int) -> None:
+        """Ignore an innovation."""
+
+    def note_seen(self, topic: str, message: Any, now_ns: int) -> None:
+        """Ignore a star or light that was seen."""
+
+
+class _RecordingReader:
+    """Reader of one bag, in one pass."""
+
+    def __init__(self, recording: Recording, alerts_are_recorded: bool) -> None:
+        self._recording, self._watch = recording, SuiteMonitor(recording.limits, _ReportHistoryKeeper)
+        recording.alerts_are_recorded = alerts_are_recorded
+        self._alert_states = AlertList(recording.limits.alerts, (), recording.start_ns)
+        self._last_alerts: dict[tuple[str, int], AlertEntry] = {}
+        self._history = self._watch.history
+        self._last_event: Event | None = None
+        self._last_point_ns: dict[str, int] = {}
+        self._rejected: dict[str, int] = {}
+        self._reason_counts: dict[tuple[str, str], int] = {}
+        self._last_status: dict[str, tuple[int, str]] = {}
+
+    def read(self, bag: Bag, topics: Mapping[str, str]) -> None:
+        # Errors against the truth come from evaluate.
+        rows = {
+            name: row
+            for name, topic in topics.items()
+            if not topic.startswith(TRUTH_PREFIX) and (row := monitored_topic(topic, bag.topics[name]))
+        }
+        newest: dict[str, int] = {}
+        next_ns = self._recording.start_ns + _SAMPLE_PERIOD_NS
+        for record in with_bag_progress(bag.records(set(rows)), bag, "reading"):
+            now_ns = record.log_time_ns
+            while next_ns <= now_ns:
+                self._sample_state(next_ns)
+                next_ns += _SAMPLE_PERIOD_NS
+            if rows[record.topic].keeps_every_message or now_ns - newest.get(record.topic, 0) >= _MIN_READ_PERIOD_NS:
+                newest[record.topic] = now_ns
+                self._process_message(topics[record.topic], record)
+        self._sample_state(self._recording.end_ns)
+
+    def _process_message(self, topic: str, record: BagRecord) -> None:
+        message = record.decode()
+        if topic.endswith("/innovation"):
+            self._record_rejection(message)
+        elif topic == "input_health":
+            self._record_health(message)
+        elif topic in OUTPUT_OF_ANGLE.values():
+            self._count_status(topic, message, record.log_time_ns)
+        self._watch.process_message(topic, message, record.log_time_ns)
+        if topic == ALERTS:
+            self._record_alerts(self._watch.current_state(record.log_time_ns))
+        if self._watch.history is not self._history:
+            self._collect_history()
+            self._history = self._watch.history
+
+    def _sample_state(self, now_ns: int) -> None:
+        state = self._watch.current_state(now_ns)
+        recording = self._recording
+        for angle in state.angles:
+            is_invalid = self._last_status.get(OUTPUT_OF_ANGLE[angle.name], (0, ""))[1] == "INVALID"
+            if state.utc_ns and not angle.is_old and not is_invalid and math.isfinite(angle.accuracy_95):
+                recording.accuracy.setdefault(angle.name, []).append((state.utc_ns, angle.accuracy_95))
+        fresh: list[Event] = []
+        for event in state.events:
+            if event is self._last_event:
+                break
+            fresh.append(event)
+        if fresh:
+            self._last_event = fresh[0]
+            recording.events += reversed(fresh)
+        if not recording.alerts_are_recorded and state.utc_ns:
+            changes = self._alert_states.update(conditions(state, recording.limits), now_ns, state.utc_ns)
+            recording.alerts += [RecordedAlert(state.utc_ns, change.description, change.alert) for change in _without_repetitions(changes)]
+        recording.last = state
+        self._collect_history()
+
+    def _collect_history(self) -> None:
+        """Append the new entries of the buffers to the recording."""
+        recording = self._recording
+        for point in self._new_points("", self._history.safety):
+            for name in ANGLES:
+                if (word := point.words.get(name)) is not None:
+                    recording.safety_states.setdefault(name, []).append((point.utc_ns // NS_PER_S, word))
+        for topic, points in self._history.budgets.items():
+            recording.budgets.setdefault(topic, []).extend(self._new_points(topic, points))
+        for topic, shown in (
+            ("ship/alignment", self._history.alignment), ("theodolite/calibration", self._history.calibration)
+        ):
+            if shown:
+                recording.first_estimates.setdefault(topic, shown)
+                recording.last_estimates[topic] = shown
+
+    def _new_points(self, name: str, points: Sequence[Any]) -> list[Any]:
+        found = points_after(points, self._last_point_ns.get(name))
+        if found:
+            self._last_point_ns[name] = found[-1].utc_ns
+        return found
+
+    def _count_status(self, topic: str, message: Any, now_ns: int) -> None:
+        """Add the duration of the previous status; after the output stops, one second of it counts."""
+        since_ns, word = self._last_status.get(topic, (now_ns, ""))
+        if word:
+            stood_s = min((now_ns - since_ns) / NS_PER_S, _MAX_STATUS_AGE_S)
+            of_topic = self._recording.status_s.setdefault(topic, {})
+            of_topic[word] = of_topic.get(word, 0.0) + stood_s
+        self._last_status[topic] = now_ns, STATUS_NAMES[message.status] if message.status < len(STATUS_NAMES) else "unknown"
+
+    def _record_rejection(self, message: Any) -> None:
+        if not message.accepted:
+            stamp_ns = ns_from_stamp(message.header.stamp)
+            self._recording.rejections.append(Rejection(stamp_ns, str(message.source), reason_name(message), "filter"))
+
+    def _record_health(self, message: Any) -> None:
+        """Record rejections and notes from input_health.
+
+        A count below the previous one means that the node restarted.
+        """
+        stamp_ns, topic = ns_from_stamp(message.header.stamp), str(message.topic)
+        rejected = int(message.rejected)
+        is_note = rejected == self._rejected.get(topic, 0)
+        self._rejected[topic] = rejected
+        for reason, count in zip(message.reasons, message.reason_counts, strict=False):
+            before = self._reason_counts.get((topic, str(reason)), 0)
+            self._reason_counts[topic, str(reason)] = int(count)
+            more = int(count) - (before if count >= before else 0)
+            if more:
+                self._recording.rejections.append(Rejection(stamp_ns, topic, str(reason), "node", more, is_note))
+
+    def _record_alerts(self, state: SuiteState) -> None:
+        """Record the changes of published alerts."""
+        alerts = {(alert.id, alert.instance): alert for alert in state.alerts or ()}
+        for key, alert in alerts.items():
+            if key not in self._last_alerts or self._last_alerts[key].state != alert.state:
+                what = AlertState(alert.state).name.lower().replace("_", " ")
+                self._recording.alerts.append(RecordedAlert(alert.changed_ns, what, alert))
+        self._recording.alerts += [
+            RecordedAlert(state.utc_ns, "over", alert) for key, alert in self._last_alerts.items() if key not in alerts
+        ]
+        self._last_alerts = alerts
+
+
+def _without_repetitions(changes: Iterable[AlertChange]) -> list[AlertChange]:
+    """Return the changes without repetitions for missing acknowledgement: computed alerts are never acknowledged."""
+    return [change for change in changes if not change.description.startswith("repeated")]

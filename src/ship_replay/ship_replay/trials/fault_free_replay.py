@@ -1,0 +1,155 @@
+"""Replay of a voyage without faults: reference for faults on it, and which of them are undetectable.
+
+The undetectable cases are those of ``docs/explanation/integrity.md``. Their limits are documented there, with
+measurements on both sides of each limit.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ship_bags.stamps import NS_PER_S
+from ship_estimation.fault_isolation import MAX_MEASUREMENT_AGE_NS
+from ship_replay.trials.voyage_outputs import VoyageOutputs
+from ship_simulation.scenario.fault import Fault
+from ship_simulation.scenario.names import ENCODER_TOPIC, IMAGE_TOPIC
+
+MEASUREMENTS = 3
+"""Maximum number of measurements of its source until a step is detected, if longer than a second."""
+
+_DETECTABLE_SHIFT_ARCSEC = 13.0
+"""Mounting shift of the telescope detected by the next lights, arcsec: three times the scatter of one sighting."""
+
+_DETECTABLE_SLIP_SIGMAS = 13.0
+"""Encoder slip, in sigmas of a reading, detected from the readings themselves
+(:mod:`theodolite_calib.measured.encoder_steps`)."""
+
+_INS_DRIFT_ARCSEC_PER_MIN, _STAR_DRIFT_ARCSEC_PER_MIN, _AZIMUTH_DRIFT_ARCSEC_PER_MIN = 60.0, 4.0, 100.0
+"""Drift rates below which the drift is detected before an output exceeds five sigmas, arcsec/min."""
+
+_SMALL_STEP_SIGMAS = 11.0
+"""INS step, in sigmas of a sample, below which several samples may be needed for detection
+(:mod:`ship_estimation.integrated_rates`)."""
+
+_MIN_SENSORS_TO_ISOLATE = 3
+"""Minimum number of star sensors to isolate a faulty sensor or a faulty INS."""
+
+_STARS, _INS = "star/", "ins/imu"
+
+
+@dataclass
+class FaultFreeReplay:
+    """Replay of one voyage without faults, and properties of its bag needed for the evaluation.
+
+    Attributes:
+        outputs: outputs of the nodes.
+        arrivals_ns: input topic → arrival times of its messages, in order.
+        beacon_times_ns: arrival times of the images with a light, in order.
+        encoder_sigma_arcsec: noise of a reading of the theodolite's encoders; NaN without one.
+        ins_sigma_arcsec: noise of a sample of the INS; NaN without ``ship_attitude``.
+        start_ns: beginning of the bag.
+        end_ns: end of the bag.
+    """
+
+    outputs: VoyageOutputs
+    arrivals_ns: dict[str, np.ndarray]
+    beacon_times_ns: np.ndarray
+    encoder_sigma_arcsec: float
+    ins_sigma_arcsec: float
+    start_ns: int
+    end_ns: int
+
+    @property
+    def length_s(self) -> float:
+        """Length of the bag, s."""
+        return (self.end_ns - self.start_ns) / NS_PER_S
+
+    def alert_limit_s(self, fault: Fault) -> float:
+        """Return the maximum time to detection of a large step: a second, or three measurements of the source."""
+        return max(1.0, MEASUREMENTS * self._period_s(fault.topic))
+
+    def undetectable_case(self, fault: Fault, first_ns: int) -> str:
+        """Return the undetectable case that a fault belongs to; empty if it is detectable.
+
+        Args:
+            fault: the fault; it changes at least one message.
+            first_ns: arrival time of the first of these.
+        """
+        return next((row for row, holds in _UNDETECTABLE.items() if holds(self, fault, first_ns)), "")
+
+    def _is_slip_without_lights(self, fault: Fault, first_ns: int) -> bool:
+        """True for an encoder slip too small for the readings themselves while no light is in view."""
+        if fault.kind != "slip":
+            return False
+        size_arcsec = max(abs(fault.azimuth_arcsec), abs(fault.elevation_arcsec))
+        end_ns = first_ns + round(self.alert_limit_s(fault) * NS_PER_S)
+        in_view = (self.beacon_times_ns >= first_ns) & (self.beacon_times_ns < end_ns)
+        return not in_view.any() and size_arcsec < _DETECTABLE_SLIP_SIGMAS * self.encoder_sigma_arcsec
+
+    def _is_encoder_drift(self, fault: Fault, first_ns: int) -> bool:
+        """True for an azimuth drift of the encoders: lights and axis errors absorb it until the subfilters separate."""
+        is_drift = fault.kind == "drift" and fault.topic == ENCODER_TOPIC
+        return is_drift and abs(fault.azimuth_arcsec_per_min) > _AZIMUTH_DRIFT_ARCSEC_PER_MIN
+
+    def _is_ins_drift(self, fault: Fault, first_ns: int) -> bool:
+        """True for an INS drift with two star sensors.
+
+        The correlated error of the INS absorbs it until its rates or the subfilters show it.
+        """
+        return fault.topic == _INS and self._is_drift_with_two_sensors(fault, _INS_DRIFT_ARCSEC_PER_MIN)
+
+    def _is_star_drift(self, fault: Fault, first_ns: int) -> bool:
+        """True for a drift of one of two star sensors.
+
+        The INS nearly explains it, and about one axis the sensor is the best source.
+        """
+        return fault.topic.startswith(_STARS) and self._is_drift_with_two_sensors(fault, _STAR_DRIFT_ARCSEC_PER_MIN)
+
+    def _is_drift_with_two_sensors(self, fault: Fault, arcsec_per_min: float) -> bool:
+        """True if a fault is a faster drift than this about an axis, with fewer than three star sensors."""
+        if fault.kind != "drift":
+            return False
+        rates = fault.forward_arcsec_per_min, fault.up_arcsec_per_min, fault.right_arcsec_per_min
+        sensors = {topic.split("/")[1] for topic in self.arrivals_ns if topic.startswith(_STARS)}
+        return max(map(abs, rates)) > arcsec_per_min and len(sensors) < _MIN_SENSORS_TO_ISOLATE
+
+    def _is_small_ins_step(self, fault: Fault, first_ns: int) -> bool:
+        """True for an INS step too small for a single sample."""
+        size_arcsec = max(abs(fault.north_arcsec), abs(fault.up_arcsec), abs(fault.east_arcsec))
+        return fault.kind == "bias" and fault.topic == _INS and size_arcsec < _SMALL_STEP_SIGMAS * self.ins_sigma_arcsec
+
+    def _is_small_telescope_shift(self, fault: Fault, first_ns: int) -> bool:
+        """True for a telescope shift within the scatter of its lights."""
+        size_arcsec = max(abs(fault.forward_arcsec), abs(fault.up_arcsec), abs(fault.right_arcsec))
+        return fault.kind == "knock" and fault.topic == IMAGE_TOPIC and size_arcsec < _DETECTABLE_SHIFT_ARCSEC
+
+    def _is_star_shift_without_stars(self, fault: Fault, first_ns: int) -> bool:
+        """True for a shift of a star sensor while no star was visible: the INS's drift meanwhile is as uncertain."""
+        if fault.kind != "knock" or not fault.topic.startswith(_STARS):
+            return False
+        by_stars = [arrivals_ns for topic, arrivals_ns in self.arrivals_ns.items() if topic.startswith(_STARS)]
+        stars_ns = np.concatenate(by_stars)
+        return not ((stars_ns >= first_ns - MAX_MEASUREMENT_AGE_NS) & (stars_ns < first_ns)).any()
+
+    def _period_s(self, topic: str) -> float:
+        """Return the median period of a topic, s."""
+        periods_ns = np.diff(self.arrivals_ns.get(topic, np.zeros(0)))
+        return float(np.median(periods_ns)) / NS_PER_S if periods_ns.size else 0.0
+
+
+_UNDETECTABLE: dict[str, Callable[[FaultFreeReplay, Fault, int], bool]] = {
+    "encoder slip, no lights": FaultFreeReplay._is_slip_without_lights,
+    "encoder drift, detected late": FaultFreeReplay._is_encoder_drift,
+    "ins drift, detected late": FaultFreeReplay._is_ins_drift,
+    "ins step, small": FaultFreeReplay._is_small_ins_step,
+    "star drift, detected late": FaultFreeReplay._is_star_drift,
+    "telescope knock, small": FaultFreeReplay._is_small_telescope_shift,
+    "star knock, no stars": FaultFreeReplay._is_star_shift_without_stars,
+}
+
+UNDETECTABLE_CASES = tuple(_UNDETECTABLE)
+"""Undetectable cases, as listed in ``docs/explanation/integrity.md``; each has its own row in the table."""
+
+UNREPORTED_CASES = ("encoder slip, no lights", "telescope knock, small", "star knock, no stars")
+"""Undetectable cases that need not be reported; in the others an output may be VALID and wrong before detection."""

@@ -1,0 +1,72 @@
+"""The filters with the main filter only: cost of the subfilters, and proof that they do not change the output.
+
+``make bench`` measures the cost. On a voyage without faults the outputs are the same.
+"""
+
+from typing import Any
+
+from ship_attitude_star.measurements.samples import AttitudeDecision
+from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.linearisation import LinearisedMeasurement
+from ship_attitude_star.ship_attitude.state import FilterState, changed
+from ship_estimation.kalman import innovation, update
+from ship_estimation.outcome import Measurement
+from ship_estimation.rejections import Reason
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.subfilters import SubfilterStates, SubfilterSet
+from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
+from theodolite_calib.filter.step import SightingStep
+from theodolite_calib.measured.samples import ExposureDecision
+
+
+class ShipFilterWithoutSubfilters(ShipFilter):
+    """The ship's filter step without subfilters; it uses every measurement that can be evaluated."""
+
+    def __init__(self, config: ShipAttitudeConfig) -> None:
+        super().__init__(config)
+        self.fault_detector.subfilters.count, self.fault_detector.subfilters.ins_subfilters = 1, ()
+
+    def _judged(
+        self, state: FilterState, predicted: FilterState, measurement: Measurement, found: LinearisedMeasurement
+    ) -> tuple[FilterState, AttitudeDecision]:
+        linear = found.compared.linear
+        _, nis, gain = innovation(predicted.covariance_by_source, linear)
+        correction, parts = update(predicted.covariance_by_source, linear, gain)
+        after = changed(predicted, means=predicted.means + correction, stack=parts)
+        decision = AttitudeDecision(measurement, Reason.NONE, True, nis=nis, ins_time_ns=found.ins_time_ns)
+        return self._record_accepted(after, measurement), decision
+
+
+class _NoSubfilters:
+    """Subfilters of a theodolite's filter that are never propagated."""
+
+    def __init__(self, rows: SubfilterSet) -> None:
+        self._rows = rows
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._rows, name)
+
+    def propagate(self, rows: SubfilterStates, *_: object) -> SubfilterStates:
+        """Return the subfilters unchanged."""
+        return rows
+
+    add_unknown_errors = propagate
+
+
+class SightingStepWithoutSubfilters(SightingStep):
+    """The theodolite's filter step without subfilters, with its gate and its light checks."""
+
+    def __init__(self, config: OpticalAxisConfig, filter_: CalibrationFilter) -> None:
+        super().__init__(config, filter_)
+        filter_.subfilters = _NoSubfilters(filter_.subfilters)  # type: ignore[assignment]
+
+    def _record_accepted(
+        self,
+        before: CalibrationState,
+        after: CalibrationState,
+        names: tuple[str, ...],
+        compared: Comparison,
+        decision: ExposureDecision,
+    ) -> tuple[CalibrationState, ExposureDecision]:
+        return after, decision

@@ -1,0 +1,202 @@
+"""Decisions on the last measurements of one source at one node: accepted or rejected, and the rejected residuals."""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ship_estimation.rejections import Reason
+from ship_geometry.rotations import ARCSEC
+
+_REJECTIONS_KEPT = 5
+"""Number of rejected messages from which the disagreement of a source is computed."""
+
+MIN_DISPLAY_NS = 2_000_000_000
+"""Minimum time for which a fault is displayed after its last report, ns."""
+
+_DECISIONS_KEPT = 24
+"""Minimum number of decisions that are kept: later messages may revise them."""
+
+_IN_A_ROW_PERIODS = 1.5
+"""Interval between rejections, in periods, above which messages between them were accepted without a report."""
+
+_DEGREE_FROM_ARCSEC = 3600.0
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """Component in which a source is furthest off: text for people, and mean of residual over sigma."""
+
+    text: str
+    sigmas: float
+
+
+NO_DISAGREEMENT = Disagreement("", math.nan)
+
+
+class DecisionHistory:
+    """Measurement decisions on one source at one node, in the order of their messages.
+
+    For some sources (star sensors, lights) each measurement is reported, for others (INS, encoders) rejected ones only.
+
+    Args:
+        rejections_until_out: number of rejections in a row after which the source is OUT.
+        acceptances_until_in: number of acceptances in a row after which it is IN again.
+
+    Attributes:
+        is_out: True after enough rejections in a row, until enough acceptances in a row.
+        rejected_in_a_row: current number of rejections in a row.
+        out_since_ns: stamp of the first rejection of the run that put it OUT; 0 if IN.
+        last_rejection_ns: arrival of the last rejection; None before the first.
+        reason: reason of the last rejection.
+        has_acceptances: True if accepted measurements are reported too.
+    """
+
+    def __init__(self, rejections_until_out: int, acceptances_until_in: int) -> None:
+        self._out_after, self._in_after = rejections_until_out, acceptances_until_in
+        self._kept = max(_DECISIONS_KEPT, acceptances_until_in)
+        self._decisions: list[tuple[int, bool]] = []
+        self._rejected_messages: deque[Any] = deque(maxlen=_REJECTIONS_KEPT)
+        self.is_out, self.rejected_in_a_row, self.out_since_ns = False, 0, 0
+        self.last_rejection_ns: int | None = None
+        self.reason = Reason.NONE
+        self.has_acceptances = False
+
+    def record(self, stamp_ns: int, message: Any, now_ns: int, period_ns: float) -> None:
+        """Record an Innovation; ``period_ns`` is the usual time between measurements, NaN if unknown."""
+        accepted, revised = bool(message.accepted), message.reason == Reason.REVISED
+        self.has_acceptances = self.has_acceptances or accepted
+        if not accepted:
+            self.last_rejection_ns = now_ns
+            if not revised:
+                self.reason = Reason(message.reason) if message.reason in _REASONS else Reason.NONE
+            # An excluded source is estimated again and soon fits: only rejections by the gate show how it is off.
+            if len(message.residual) and not message.nis <= message.gate:
+                self._rejected_messages.append(message)
+        self._add_decision(stamp_ns, accepted, revised, period_ns)
+        self._update_presence()
+
+    def record_exposure(self, stamp_ns: int, is_used: bool, now_ns: int) -> None:
+        """Record the decision on a whole exposure, after rejections of single stars or lights in it."""
+        self.has_acceptances = self.has_acceptances or is_used
+        if not is_used:
+            self.last_rejection_ns, self.reason = now_ns, Reason.TOO_FEW_STARS
+        self._add_decision(stamp_ns, is_used, False, math.nan)
+        self._update_presence()
+
+    def reinstate_if_used(self, now_ns: int, period_ns: float, used_since: int) -> None:
+        """Set a source IN of which only rejections are reported: none for some periods, and enough used since.
+
+        Args:
+            now_ns: caller's time, ns.
+            period_ns: usual time between measurements, ns; NaN if unknown.
+            used_since: number of measurements used since the last rejection.
+        """
+        if self.has_acceptances or self.last_rejection_ns is None:
+            return
+        least_ns = MIN_DISPLAY_NS if math.isnan(period_ns) else max(MIN_DISPLAY_NS, self._in_after * period_ns)
+        if now_ns - self.last_rejection_ns >= least_ns and used_since >= self._in_after:
+            self._decisions.clear()
+            self._reinstate()
+            self.rejected_in_a_row = 0
+
+    @property
+    def accepted_in_a_row(self) -> int:
+        """Current number of acceptances in a row."""
+        return self._run_length(True)
+
+    @property
+    def disagreement(self) -> Disagreement:
+        """Component and size of the last rejected residuals."""
+        return disagreement(self._rejected_messages) if self._rejected_messages else NO_DISAGREEMENT
+
+    def _add_decision(self, stamp_ns: int, accepted: bool, revised: bool, period_ns: float) -> None:
+        """Append a decision in the order of arrival, whatever its stamp, or revise the one with the same stamp."""
+        decisions = self._decisions
+        index = next((place for place in range(len(decisions) - 1, -1, -1) if decisions[place][0] == stamp_ns), None)
+        if index is not None:
+            self._revise_decision(index, accepted, revised)
+            return
+        if revised:
+            return
+        if accepted:
+            self.rejected_in_a_row = 0
+        else:
+            # With NaN, an unknown period, the rejections count as a run.
+            is_separate = decisions and stamp_ns - decisions[-1][0] > _IN_A_ROW_PERIODS * period_ns and not self.has_acceptances
+            self.rejected_in_a_row = 1 if is_separate else self.rejected_in_a_row + 1
+            if is_separate:
+                decisions.clear()
+        decisions.append((stamp_ns, accepted))
+        if len(decisions) > self._kept:
+            del decisions[0]
+
+    def _revise_decision(self, index: int, accepted: bool, revised: bool) -> None:
+        """Update a decision: a measurement is accepted if any part of it is, unless the message revises it."""
+        decisions = self._decisions
+        stamp_ns, was_accepted = decisions[index]
+        decisions[index] = (stamp_ns, accepted if revised else accepted or was_accepted)
+        run = self._run_length(False)
+        self.rejected_in_a_row = max(run, self.rejected_in_a_row) if run == len(decisions) else run
+
+    def _update_presence(self) -> None:
+        if self.rejected_in_a_row >= self._out_after and not self.is_out:
+            self.is_out = True
+            self.out_since_ns = self._decisions[-min(self.rejected_in_a_row, len(self._decisions))][0]
+        elif self.is_out and self.accepted_in_a_row >= self._in_after:
+            self._reinstate()
+
+    def _reinstate(self) -> None:
+        self.is_out, self.out_since_ns = False, 0
+        self._rejected_messages.clear()
+
+    def _run_length(self, accepted: bool) -> int:
+        run = 0
+        for _, decision in reversed(self._decisions):
+            if decision is not accepted:
+                break
+            run += 1
+        return run
+
+
+_REASONS = {int(reason) for reason in Reason}
+
+
+def disagreement(messages: "deque[Any]") -> Disagreement:
+    """Return the component with the largest mean of residual over sigma.
+
+    The last word of a component's name is its axis, the words before it are a star or a light. Equal residuals of all
+    stars along an axis are a rotation of the device: their mean is returned. Otherwise the star or light that is
+    furthest off is returned.
+
+    Args:
+        messages: innovations with residuals and sigmas, rad.
+    """
+    parts: dict[str, list[tuple[float, float]]] = {}
+    for message in messages:
+        for name, residual, sigma in zip(message.components, message.residual, message.sigma, strict=False):
+            if math.isfinite(residual) and sigma > 0.0:
+                parts.setdefault(name, []).append((float(residual), float(residual / sigma)))
+    axes: dict[str, list[tuple[float, float]]] = {}
+    for name, values in parts.items():
+        axes.setdefault(name.rpartition(" ")[2], []).extend(values)
+    best = max(((name, *np.mean(values, axis=0)) for name, values in axes.items()), key=_size_in_sigmas, default=None)
+    worst = max(((name, *np.mean(values, axis=0)) for name, values in parts.items()), key=_size_in_sigmas, default=None)
+    if best is None or worst is None:
+        return NO_DISAGREEMENT
+    name, residual, sigmas = best if _size_in_sigmas(best) >= max(1.0, 0.3 * _size_in_sigmas(worst)) else worst
+    return Disagreement(f"{name} {angle_text(residual)}", float(sigmas))
+
+
+def angle_text(angle: float) -> str:
+    """Return a signed angle, rad, as text: in seconds of arc, from one degree on in degrees."""
+    arcsec = angle / ARCSEC
+    size = abs(arcsec)
+    text = f"{size / _DEGREE_FROM_ARCSEC:.1f}°" if size >= _DEGREE_FROM_ARCSEC else f"{size:.0f}″"
+    return f"{'−' if arcsec < 0.0 else '+'}{text}"
+
+
+def _size_in_sigmas(entry: tuple[str, float, float]) -> float:
+    return abs(entry[2])

@@ -1,0 +1,354 @@
+"""State of a suite at any time, from its messages.
+
+The caller passes each message to :meth:`SuiteMonitor.process_message` and gets the state from
+:meth:`SuiteMonitor.current_state`. Times of arrival are the caller's: live those of a steady clock, for a bag the log
+times. Safety and events are evaluated ten times a second of that time, however often the state is requested, so that a
+bag gives the same events as the live messages.
+"""
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ship_bags.stamps import NS_PER_S, ns_from_stamp
+from ship_estimation.outcome import Status
+from ship_estimation.rejections import Reason
+from ship_watch.overload import OverloadedNodes
+from ship_watch.events import START_UP_NS, EventLog, alerts_from_message
+from ship_watch.history import History
+from ship_watch.history_recorder import HistoryRecorder
+from ship_watch.limits import Limits
+from ship_watch.mounting_shifts import MountingShifts
+from ship_watch.names import has_room
+from ship_watch.outputs import AttitudeRecord, OutputRecord, PointingRecord
+from ship_watch.suite_state import (
+    ANGLES,
+    CAUSE_NODE,
+    AlertEntry,
+    AngleState,
+    SuiteState,
+    Safety,
+    SourceDetails,
+    SourceState,
+)
+from ship_watch.published_state import PublishedState, published_state
+from ship_watch.sources import STAR_INNOVATION, SourceRecords, first_faulty_source, newest_age_s
+from ship_watch.safety import COUNTDOWN, AngleInputs, SafetyHysteresis, TimeOverLimit, angle_safety
+from ship_watch.topics import reading_node, source_of_topic, monitored_topic
+
+EVALUATION_PERIOD_NS = 100_000_000
+"""Period at which safety and events are evaluated, ns."""
+
+MAX_GAP_NS = 120 * NS_PER_S
+"""Longest gap without messages that is evaluated, ns: after it all ages are over their limits."""
+
+CLOCK_TOLERANCE_NS = NS_PER_S // 10
+"""Distance of an output's stamp from the suite's time that confirms this time, ns."""
+
+CLOCK_TIMEOUT_NS = 5 * NS_PER_S
+"""Time without a confirming output after which the suite's time is set again, ns."""
+
+TIME_JUMP_NS = NS_PER_S
+"""Step back of an output's stamp that resets the history, ns: a bag is played in a loop."""
+
+_SHIP_SOURCES = ("ins", "star", "reference", "gnss", "weather")
+_POINTING_SOURCES = ("encoder", "lights", "baselines", "ship_attitude")
+_SHIP_REQUIRED = ("ins", "star", "reference")
+_POINTING_REQUIRED = ("encoder", "ship_attitude")
+"""Sources without which there is no output; without the others its quality is only reduced."""
+
+
+class SuiteMonitor:
+    """Evaluates the outputs of a suite against the limits of the ship.
+
+    Args:
+        limits: limits of the ship.
+        make_recorder: makes the recorder of the history; a user that plots less passes one that records less.
+    """
+
+    def __init__(self, limits: Limits | None = None, make_recorder: Callable[[], HistoryRecorder] = HistoryRecorder) -> None:
+        self.limits = limits or Limits()
+        self._make_recorder = make_recorder
+        self._handlers: dict[str, Callable[[Any, int], None]] = {}
+        self._alerts: tuple[AlertEntry, ...] | None = None
+        self._published: PublishedState | None = None
+        self._clear()
+
+    @property
+    def history(self) -> History:
+        """History for plots; a new object after a reset."""
+        return self._recorder.history
+
+    def reset(self) -> None:
+        """Reset everything except the alerts, as when a bag is played in a loop."""
+        self._clear()
+
+    def clear_alerts(self) -> None:
+        """Clear alerts and published state after the end of the alert node."""
+        self._alerts, self._published = None, None
+
+    def _clear(self) -> None:
+        self._recorder = self._make_recorder()
+        self._handlers.clear()
+        self._attitude, self._pointing = AttitudeRecord(self.limits), PointingRecord(self.limits)
+        self._sources = SourceRecords(self.limits)
+        self._overload = OverloadedNodes()
+        self._mountings = MountingShifts()
+        self._safety = {name: SafetyHysteresis(self.limits.better_after_s) for name in ANGLES}
+        self._time_over_limit = {name: TimeOverLimit() for name in ANGLES}
+        self._events = EventLog()
+        self._newest_ns, self._utc_offset_ns, self._offset_confirmed_ns = 0, 0, 0
+        self._published = None
+        self._displayed_safety: dict[str, Safety] = {}
+        self._start_ns: int | None = None
+        self._evaluated_ns: int | None = None
+
+    # -- messages -------------------------------------------------------------------------------------------
+
+    def process_message(self, topic: str, message: Any, arrival_ns: int) -> None:
+        """Process one message; topics that are not monitored are ignored.
+
+        Args:
+            topic: name of its topic, relative to the namespace of the suite.
+            message: the message, with the fields of its type as attributes.
+            arrival_ns: time of its arrival, caller's steady time, ns.
+        """
+        handler = self._handlers.get(topic) or self._handler(topic)
+        if handler is not None:
+            self._handlers[topic] = handler
+            self._evaluate_until(arrival_ns)
+            with np.errstate(all="ignore"):  # invalid values become NaN, which fails every comparison
+                handler(message, arrival_ns)
+
+    def process_suite_state(self, message: Any, arrival_ns: int) -> None:
+        """Process a SuiteState message: while such messages arrive, angles and sources are taken from them.
+
+        Raises:
+            ValueError: the message contains a safety or a presence that does not exist.
+        """
+        self._evaluate_until(arrival_ns)
+        self._published = published_state(message, arrival_ns)
+
+    def _handler(self, topic: str) -> Callable[[Any, int], None] | None:
+        """Return the handler of a topic's messages; None if it is not monitored."""
+        if monitored_topic(topic) is None or not has_room(self._handlers, topic, "topic"):
+            return None
+        recorder = self._recorder
+        first, _, last = topic.rpartition("/")
+        handlers: dict[str, Callable[[Any, int], None]] = {
+            "attitude": lambda message, now_ns: self._process_output(self._attitude, message, now_ns),
+            "pointing": lambda message, now_ns: self._process_output(self._pointing, message, now_ns),
+            "innovation": lambda message, now_ns: self._process_innovation(topic, message, now_ns),
+            "integrity": lambda message, now_ns: self._process_integrity(topic, message, now_ns),
+            "input_health": self._process_health,
+            "alerts": self._process_alerts,
+            "error_budget": lambda message, _: recorder.record_budget(topic, message),
+            "error_arcsec": lambda message, _: recorder.record_error(topic, message),
+            "alignment": functools.partial(self._process_alignment, topic),
+            "calibration": lambda message, _: recorder.record_parameters(topic, message),
+        }
+        if first == "truth":
+            return lambda message, _: recorder.record_truth(topic, message)
+        return handlers.get(last, functools.partial(self._process_input, topic))
+
+    def _process_output(self, output: OutputRecord, message: Any, now_ns: int) -> None:
+        stamp_ns = ns_from_stamp(message.header.stamp)
+        if message.status != Status.INVALID and stamp_ns < output.stamp_ns - TIME_JUMP_NS:
+            self._clear()
+            self._events.add("node", "time", "time went back: history cleared", stamp_ns)
+            output = self._attitude if output.topic == self._attitude.topic else self._pointing
+        self._update_time_offset(stamp_ns, now_ns)
+        changes = output.record(message, stamp_ns, now_ns)
+        for kind, text in changes:
+            self._events.add(kind, output.topic, text, stamp_ns)
+        self._sources.record_arrival(output.topic, now_ns)
+        self._recorder.record_output(output.topic, message, stamp_ns)
+
+    def _process_innovation(self, topic: str, message: Any, now_ns: int) -> None:
+        if message.reason == Reason.BEHIND:
+            self._overload.record_report(message, now_ns)
+            return
+        source = self._sources.record_innovation(topic, message, now_ns)
+        if source and topic != STAR_INNOVATION:
+            self._recorder.record_innovation(source, message, now_ns)
+
+    def _process_alignment(self, topic: str, message: Any, _now_ns: int) -> None:
+        self._recorder.record_parameters(topic, message)
+        self._mountings.record_alignment(message)
+
+    def _process_input(self, topic: str, message: Any, now_ns: int) -> None:
+        self._sources.record_arrival(topic, now_ns)
+        if topic.endswith("/solution"):
+            self._sources.record_solution(source_of_topic(topic), message, now_ns)
+        self._recorder.record_input(topic, message, now_ns)
+
+    def _process_integrity(self, topic: str, message: Any, now_ns: int) -> None:
+        (self._attitude if topic.startswith("ship/") else self._pointing).record_integrity(message, now_ns)
+        self._sources.record_integrity(topic, message, ns_from_stamp(message.header.stamp))
+
+    def _process_health(self, message: Any, now_ns: int) -> None:
+        self._update_time_offset(ns_from_stamp(message.header.stamp), now_ns)
+        has_started = self._sources.record_health(message, now_ns)
+        if has_started and self._start_ns is not None and now_ns - self._start_ns > START_UP_NS:
+            self._events.add_node_start(reading_node(str(message.topic)), ns_from_stamp(message.header.stamp))
+
+    def _process_alerts(self, message: Any, now_ns: int) -> None:
+        alerts = alerts_from_message(message)
+        self._events.add_alert_changes(self._alerts or (), alerts, ns_from_stamp(message.header.stamp))
+        self._alerts = tuple(sorted(alerts, key=lambda alert: alert.urgency))
+
+    def _update_time_offset(self, stamp_ns: int, now_ns: int) -> None:
+        """Update the suite's time: the stamp of the output with the least delay, plus the time since its arrival.
+
+        If all outputs are older for some seconds, that stamp was wrong or the clock was set: the time is set again.
+        """
+        offset_ns = stamp_ns - now_ns
+        if offset_ns > self._utc_offset_ns or not self._newest_ns or now_ns - self._offset_confirmed_ns > CLOCK_TIMEOUT_NS:
+            self._utc_offset_ns, self._offset_confirmed_ns = offset_ns, now_ns
+        elif offset_ns > self._utc_offset_ns - CLOCK_TOLERANCE_NS:
+            self._offset_confirmed_ns = now_ns
+        self._newest_ns = max(self._newest_ns, stamp_ns)
+
+    # -- state ----------------------------------------------------------------------------------------------
+
+    def current_state(self, now_ns: int) -> SuiteState:
+        """Return the state at the caller's time; it does not depend on how often it is requested."""
+        self._evaluate_until(now_ns)
+        utc_ns = now_ns + self._utc_offset_ns
+        sources = [self._with_output_data(each, now_ns) for each in self._sources.source_details(self._source_states(now_ns), now_ns)]
+        angles = [self._angle_state(name, inputs, now_ns) for name, inputs in self._angle_inputs(sources, now_ns).items()]
+        suite_state = SuiteState(
+            utc_ns=utc_ns if self._newest_ns else 0,
+            angles=tuple(angles),
+            ages_s={
+                "stars": newest_age_s("star", sources, self._attitude.star_age_s(now_ns)),
+                "lights": newest_age_s("lights", sources, self._sources.used_age_s("lights", now_ns)),
+                "ins": newest_age_s("ins", sources, self._attitude.ins_age_s(self._sources.age_s("ins", now_ns), now_ns)),
+            },
+            pointing_by=self._pointing.pointing_method,
+            horizon=self._attitude.horizon,
+            sources=tuple(sources),
+            alerts=self._alerts,
+            inputs=tuple(reports.input_state(now_ns) for reports in self._sources.inputs),
+            events=tuple(self._events.events),
+            waiting_for="" if self._attitude.is_received else self._attitude.topic,
+        )
+        published = self._current_published_state(now_ns)
+        return suite_state if published is None else published.merge_into(suite_state, now_ns)
+
+    def _current_published_state(self, now_ns: int) -> PublishedState | None:
+        """Return the published state if it is current; None without an alert node, or if its last state is too old."""
+        published = self._published
+        return published if published is not None and published.is_current(now_ns) else None
+
+    def _with_output_data(self, source: SourceDetails, now_ns: int) -> SourceDetails:
+        """Return a source with data from the outputs: its mounting shift, and the age of the INS."""
+        shift = self._mountings.shift_of(source.name, now_ns + self._utc_offset_ns)
+        age_s = self._attitude.ins_age_s(source.age_s, now_ns) if source.name == "ins" else source.age_s
+        return replace(source, mounting_shift=shift, age_s=age_s)
+
+    def _evaluate_until(self, now_ns: int) -> None:
+        """Evaluate at each step of time until now, before a message that arrives now is processed."""
+        if self._evaluated_ns is None:
+            self._evaluated_ns = self._start_ns = now_ns - now_ns % EVALUATION_PERIOD_NS
+        if now_ns - self._evaluated_ns > MAX_GAP_NS:
+            self._evaluated_ns += (now_ns - self._evaluated_ns - MAX_GAP_NS) // EVALUATION_PERIOD_NS * EVALUATION_PERIOD_NS
+        while self._evaluated_ns + EVALUATION_PERIOD_NS <= now_ns:
+            self._evaluated_ns += EVALUATION_PERIOD_NS
+            self._evaluate(self._evaluated_ns)
+
+    def _source_states(self, now_ns: int) -> list[SourceState]:
+        return self._overload.with_causes(self._sources.source_states(now_ns, self._utc_offset_ns), now_ns)
+
+    def _evaluate(self, now_ns: int) -> None:
+        """Evaluate sources and angles and record their events; a current published state takes their place."""
+        sources, utc_ns = self._source_states(now_ns), now_ns + self._utc_offset_ns
+        safety_by_angle: dict[str, tuple[Safety, str]] = {}
+        for name, inputs in self._angle_inputs(sources, now_ns).items():
+            self._time_over_limit[name].update(inputs, now_ns)
+            if self._output(name).is_received:
+                now = angle_safety(inputs)
+                self._safety[name].update(now, now_ns)
+                displayed = self._safety[name].displayed_safety(now, now_ns)
+                safety_by_angle[name] = displayed.safety, displayed.reason(now, inputs.limit)
+        are_old = {name for name in ANGLES if self._output(name).is_old(now_ns)}
+        if (published := self._current_published_state(now_ns)) is not None:
+            sources = list(published.sources)
+            safety_by_angle = {angle.name: (angle.safety, angle.reason) for angle in published.angles if angle.stamp_ns}
+            are_old = {angle.name for angle in published.angles if angle.is_old}
+        self._events.add_source_changes(sources, utc_ns)
+        for name, text in self._mountings.record_sources(sources, utc_ns):
+            self._events.add("source", name, text, utc_ns)
+        for name, (safety, reason) in safety_by_angle.items():
+            before = self._displayed_safety.get(name)
+            if safety is not before:
+                self._displayed_safety[name] = safety
+                change = safety.name if before is None else f"{before.name} → {safety.name}"
+                why = reason.partition(COUNTDOWN)[0]
+                self._events.add("state", name, f"{name} {change}" + (f", {why}" if why else ""), utc_ns)
+        if self._newest_ns:
+            recorded = {name: None if name in are_old or name not in safety_by_angle else safety_by_angle[name][0] for name in ANGLES}
+            self._recorder.record_safety(utc_ns, recorded)
+
+    def _angle_inputs(self, sources: Sequence[SourceState], now_ns: int) -> dict[str, AngleInputs]:
+        """Return the data for the safety of each angle; those of a theodolite only if there is one.
+
+        An output that is old while a node has stopped reporting has stopped with that node: no source is its cause.
+        """
+        has_node_stopped = any(source.because_of == CAUSE_NODE for source in sources)
+        ship = first_faulty_source(sources, _SHIP_SOURCES if self._attitude.is_available(now_ns) else _SHIP_REQUIRED)
+        inputs_by_angle = {name: self._inputs_of_angle(name, ship, now_ns) for name in ANGLES[:3]}
+        if self._pointing.is_received or self._sources.has_theodolite:
+            needed = _POINTING_SOURCES if self._pointing.is_available(now_ns) else _POINTING_REQUIRED
+            faulty_source = first_faulty_source(sources, needed) or ship
+            inputs_by_angle |= {name: self._inputs_of_angle(name, faulty_source, now_ns) for name in ANGLES[3:]}
+        if has_node_stopped:
+            inputs_by_angle = {name: replace(inputs, guilty=None) if inputs.is_old else inputs for name, inputs in inputs_by_angle.items()}
+        return inputs_by_angle
+
+    def _inputs_of_angle(self, name: str, faulty_source: SourceState | None, now_ns: int) -> AngleInputs:
+        output, beacons = self._output(name), self._sources.beacon_count
+        behind = self._overload.overload_text(now_ns, output is self._pointing, self._sources.is_reported(self._attitude.topic))
+        return AngleInputs(
+            topic=output.topic,
+            is_received=output.is_received,
+            is_old=output.is_old(now_ns),
+            value=output.values.get(name, math.nan),
+            accuracy_95=output.accuracies_95.get(name, math.nan),
+            limit=self.limits.angle_limit(name),
+            unsafe_factor=self.limits.unsafe_factor,
+            status=output.status,
+            diagnosis_hint=output.diagnosis_hint(now_ns, beacons),
+            has_reduced_input=output.has_reduced_input(beacons),
+            protection=output.protection(name, now_ns),
+            faulty_source=None if behind else faulty_source,
+            overload=behind,
+        )
+
+    def _angle_state(self, name: str, inputs: AngleInputs, now_ns: int) -> AngleState:
+        output, hysteresis, now = self._output(name), self._safety[name], angle_safety(inputs)
+        displayed = hysteresis.displayed_safety(now, now_ns)
+        safety, is_held = displayed.safety, hysteresis.safety is displayed.safety
+        return AngleState(
+            name=name,
+            value=inputs.value,
+            accuracy_95=inputs.accuracy_95,
+            limit=inputs.limit,
+            protection_level=inputs.protection.level,
+            safety=safety,
+            reason=displayed.reason(now, inputs.limit),
+            age_s=output.age_s(now_ns),
+            is_old=inputs.is_old,
+            stamp_ns=output.stamp_ns,
+            since_ns=(hysteresis.since_ns if is_held else now_ns) + self._utc_offset_ns if inputs.is_received else 0,
+            because_of=inputs.faulty_source.name if inputs.faulty_source is not None and safety is not Safety.SAFE else "",
+            over_limit_s=self._time_over_limit[name].duration_s(now_ns),
+            unheld_safety=(now.safety, now.reason),
+        )
+
+    def _output(self, name: str) -> OutputRecord:
+        return self._attitude if name in ANGLES[:3] else self._pointing

@@ -1,0 +1,300 @@
+"""Subfilters of the theodolite: each estimate leaves out one source.
+
+There is one subfilter for each source except the telescope. A mounting shift of the telescope has the same effect on
+beacons as a slip of the encoders, and is handled by the estimate before it. A subfilter without a drone gives no weight
+to its beacon. A subfilter without the encoders, or without the ship's attitude, adds an unknown change of their error
+before every sighting. It still uses the rotation that they measure between sightings, because there would be no
+pointing without it. An excluded source is left out of every subfilter.
+
+Subfilters have no error budget: each covariance is one matrix, and one sighting updates all subfilters in one step.
+"""
+
+from collections.abc import Set
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ship_estimation import compiled_steps
+from ship_estimation.gates import chi_square_gate
+from ship_estimation.subfilters import FilterInnovations, subfilter_innovations, update_subfilters
+from ship_estimation.kalman import LinearMeasurement, StateModel, predict
+from ship_geometry.rotations import ARCSEC, FloatArray
+from theodolite_calib.chain.axes import NAMES
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter import compiled_subfilters
+from theodolite_calib.filter.model import ShipErrorProcess
+
+BEACON_PREFIX = "beacon."
+ENCODER = "encoder"
+SHIP = "ship_attitude"
+TELESCOPE = "telescope"
+AXIS_SOURCES = frozenset({ENCODER, SHIP, TELESCOPE})
+"""Sources that lead from the horizon to the telescope."""
+
+_UNKNOWN_CHANGE_SIGMA = {ENCODER: 72_000.0 * ARCSEC, SHIP: 3600.0 * ARCSEC, TELESCOPE: 3600.0 * ARCSEC}
+"""Standard deviation of the unknown change of an error between two sightings, rad: encoders that stood still while the
+axis turned; a ship's attitude that drifted (its rates reveal a larger step); a telescope that shifted on the main
+axis."""
+_ONLY_SOURCE = 0
+
+
+@dataclass(frozen=True)
+class SubfilterStates:
+    """Estimates without one source each; h subfilters of n states.
+
+    Attributes:
+        time_ns: time of all estimates; None before the first sighting.
+        mean: shape (h, n).
+        parts: covariance, with a single source, shape (h, 1, n, n).
+        ship_steady_n: stated covariance of the ship's error, rad², shape (3, 3); None if none is stated.
+    """
+
+    time_ns: int | None
+    mean: FloatArray
+    covariances: FloatArray
+    ship_covariance_n: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class SubfilterInnovations:
+    """Innovations of one sighting in the subfilters; h subfilters, l beacons.
+
+    Attributes:
+        accepted: True for each subfilter in which the sighting passes the gate, shape (h,).
+        light_nis: normalised innovation squared of each beacon, in the main filter and in every subfilter, shape (h +
+            1, l).
+        light_turn: whitened innovation, along the axes of the detector and 0, shape (h + 1, l, 3).
+    """
+
+    accepted: NDArray[np.bool_]
+    beacon_nis: FloatArray
+    whitened_innovation: FloatArray
+
+
+class _MeasurementPattern(NamedTuple):
+    """Components of a sighting that each subfilter uses; h subfilters, l beacons, m = 2 l components.
+
+    Attributes:
+        sees: components that each subfilter uses, shape (h, m).
+        known: components of the other beacons on which the innovation of one beacon is conditioned, in the main filter
+            and in every subfilter, shape (l, h + 1, m). Without encoders or ship a single beacon has no information,
+            but several together have.
+        learns: states that are updated, all of them, shape (h, n).
+        gates: gate for the components that each subfilter uses, shape (h,).
+    """
+
+    uses: NDArray[np.uint8]
+    conditioning: NDArray[np.uint8]
+    updated_states: NDArray[np.uint8]
+    gates: FloatArray
+
+
+class SubfilterSet:
+    """Set of subfilters of a configuration, with the steps of their states.
+
+    Args:
+        config: parameters of the node.
+        model: states of the filter.
+        ship_error: process of the ship's error.
+
+    Attributes:
+        sources: source that each subfilter leaves out: the drones, the encoders, the ship's attitude.
+        beacons: ids of the drones.
+    """
+
+    def __init__(self, config: OpticalAxisConfig, model: StateModel, ship_error: ShipErrorProcess) -> None:
+        self.beacons = tuple(config.beacons)
+        self.sources = (*(BEACON_PREFIX + id_ for id_ in self.beacons), ENCODER, SHIP)
+        self._model, self._ship_error = model, ship_error
+        first_axis = model.slices["axes"].start
+        zero_points = first_axis + np.array([NAMES.index("g"), NAMES.index("h")])
+        self._patterns: dict[tuple[tuple[str, ...], frozenset[str], float], _MeasurementPattern] = {}
+        self._states = {
+            ENCODER: zero_points,
+            SHIP: model.state_indices("ship.attitude"),
+            TELESCOPE: model.state_indices("parallelism"),
+        }
+
+    def unknown_states(self, excluded: Set[str]) -> NDArray[np.intp]:
+        """Return the indices of the states that are unknown while some sources are excluded."""
+        found = [self._states[name] for name in sorted(excluded & self._states.keys())]
+        return np.concatenate([np.empty(0, dtype=np.intp), *found])
+
+    def initial_states(self, mean: FloatArray, covariance: FloatArray) -> SubfilterStates:
+        """Return all subfilters, equal to the main filter."""
+        return self.restart_from_estimate(SubfilterStates(None, mean, covariance), mean, covariance)
+
+    def restart_from_estimate(self, subfilters: SubfilterStates, mean: FloatArray, covariance: FloatArray) -> SubfilterStates:
+        """Restart all subfilters from one estimate, shapes (n,), (n, n)."""
+        count = len(self.sources)
+        parts = np.broadcast_to(covariance, (count, 1, *covariance.shape)).copy()
+        return replace(subfilters, mean=np.tile(mean, (count, 1)), parts=parts)
+
+    def propagate(self, subfilters: SubfilterStates, time_ns: int, new_ship_covariance_n: FloatArray | None) -> SubfilterStates:
+        """Propagate the subfilters to a later time; arguments as of ``CalibrationFilter.propagate``."""
+        dt_s = 0.0 if subfilters.time_ns is None else max(time_ns - subfilters.time_ns, 0) * 1e-9
+        decay, noise = self._model.transition(dt_s)
+        mean, ship, count = decay * subfilters.mean, self._ship_error.columns, len(subfilters.mean) + 1
+        parts = predict(subfilters.covariances[:, 0], decay, noise, self._model.source_of, count)[:, None]
+        mean[:, ship] = self._ship_error.propagate(subfilters.mean[:, ship], decay[ship])
+        mean, parts, _ = self._ship_error.apply_stated_covariance(
+            mean, parts, ship, decay[ship], subfilters.ship_covariance_n, new_ship_covariance_n, _ONLY_SOURCE
+        )
+        later_ns = time_ns if subfilters.time_ns is None else max(time_ns, subfilters.time_ns)
+        return SubfilterStates(later_ns, mean, parts, new_ship_covariance_n)
+
+    def inflate_covariance(self, subfilters: SubfilterStates, states: NDArray[np.intp], covariance: FloatArray) -> SubfilterStates:
+        """Inflate the covariance of some states in every subfilter, after a jump of the given covariance."""
+        parts = subfilters.covariances.copy()
+        parts[..., states[:, None], states] += covariance
+        return replace(subfilters, parts=parts)
+
+    def add_unknown_errors(self, subfilters: SubfilterStates, excluded: Set[str]) -> SubfilterStates:
+        """Add the unknown error changes of excluded sources, and of each subfilter's own source, before a sighting."""
+        parts = subfilters.covariances.copy()
+        for row, source in enumerate(self.sources):
+            for name in {source, *excluded} & self._states.keys():
+                add_unknown_change(parts[row], self._states[name], _ONLY_SOURCE, _UNKNOWN_CHANGE_SIGMA[name])
+        return replace(subfilters, parts=parts)
+
+    def add_unknown_errors_to_parts(self, parts: FloatArray, source_index: int, excluded: Set[str]) -> FloatArray:
+        """Add the unknown error changes of excluded sources to a covariance by source, shape (n_sources, n, n)."""
+        parts = parts.copy()
+        for name in sorted(excluded & self._states.keys()):
+            add_unknown_change(parts, self._states[name], source_index, _UNKNOWN_CHANGE_SIGMA[name])
+        return parts
+
+    def _pattern(self, names: tuple[str, ...], excluded: frozenset[str], probability: float) -> "_MeasurementPattern":
+        """Return the pattern for beacons with these names; computed once for all their sightings."""
+        key = names, excluded, probability
+        if key not in self._patterns:
+            self._patterns[key] = self._new_pattern(names, excluded, probability)
+        return self._patterns[key]
+
+    def _new_pattern(self, names: tuple[str, ...], excluded: frozenset[str], probability: float) -> "_MeasurementPattern":
+        unknown = excluded & self._states.keys()
+        has_unknown_states = [bool(unknown), *(bool(unknown) or source in self._states for source in self.sources)]
+        uses = np.ones((1 + len(self.sources), 2 * len(names)), dtype=bool)
+        for light, name in enumerate(names):
+            uses[1 + self.sources.index(BEACON_PREFIX + name), 2 * light : 2 * light + 2] = False
+        # Components of the other beacons, for each beacon: shape (l, 1, m).
+        others = ~np.repeat(np.eye(len(names), dtype=bool), 2, axis=1)[:, None]
+        conditioning = uses & np.array(has_unknown_states)[:, None] & others
+        degrees = np.count_nonzero(uses[1:], axis=1).tolist()
+        return _MeasurementPattern(
+            uses=uses[1:].astype(np.uint8),
+            conditioning=conditioning.astype(np.uint8),
+            updated_states=np.ones((len(self.sources), self._model.size), dtype=np.uint8),
+            gates=np.array([chi_square_gate(probability, count) if count else np.inf for count in degrees]),
+        )
+
+    def update_by_beacons(
+        self,
+        subfilters: SubfilterStates,
+        names: tuple[str, ...],
+        measurement: LinearMeasurement,
+        main_filter: tuple[FloatArray, FloatArray],
+        excluded: Set[str],
+        probability: float,
+    ) -> tuple[SubfilterStates, SubfilterInnovations]:
+        """Update the subfilters with a sighting of beacons; return them with their innovations.
+
+        Args:
+            rows: subfilters, propagated to the time of the sighting.
+            names: beacons, none of them of an excluded drone.
+            measurement: two components for each beacon; the residual is that of the main filter.
+            first: propagated mean of the main filter, shape (n,), and covariance of its residual, shape (m, m).
+            excluded: sources that every subfilter leaves out.
+            probability: probability of the gate.
+        """
+        pattern, parts = self._pattern(names, frozenset(excluded), probability), np.ascontiguousarray(subfilters.covariances[:, 0])
+        residual, gain, nis, whitened_innovation = compiled_subfilters.beacon_innovations(
+            subfilters.mean - main_filter[0],
+            parts,
+            measurement.residual,
+            measurement.jacobian,
+            measurement.noise,
+            main_filter[1],
+            pattern.uses,
+            pattern.conditioning,
+        )
+        accepted = nis <= pattern.gates  # NaN is not
+        gain[~accepted] = 0.0
+        corrections, updated = compiled_steps.update(
+            parts,
+            measurement.jacobian,
+            residual,
+            gain,
+            pattern.updated_states,
+            ((_ONLY_SOURCE, measurement.noise),),
+            measurement.noise,
+        )
+        mean = subfilters.mean + corrections
+        beacon_nis = np.einsum("hlk,hlk->hl", whitened_innovation, whitened_innovation)
+        return replace(subfilters, mean=mean, parts=updated[:, None]), SubfilterInnovations(accepted, beacon_nis, whitened_innovation)
+
+
+    def update_by_stars(
+        self,
+        subfilters: SubfilterStates,
+        measurement: LinearMeasurement,
+        main_mean: FloatArray,
+        rotation_jacobian: FloatArray,
+        probability: float,
+    ) -> SubfilterStates:
+        """Update with an exposure of stars those subfilters in which it passes the gate.
+
+        No subfilter leaves out the stars: an exposure has many stars, which check one another.
+
+        Args:
+            rows: subfilters, propagated to the time of the exposure.
+            measurement: stars; the residual is that of the main filter.
+            first_mean: propagated mean of the main filter, shape (n,).
+            by_turn: derivative of the residual by a rotation of the camera, shape (m, 3).
+            probability: probability of the gate.
+        """
+        stack = subfilters.covariances[:, 0]
+        innovations = subfilter_innovations(subfilters.mean, stack, measurement, main_mean, rotation_jacobian)
+        accepted = innovations.nis <= chi_square_gate(probability, len(measurement.residual))  # NaN is not
+        updated_states = np.repeat(accepted[:, None], self._model.size, axis=1)
+        # Subfilters have no budget: all noise is one source.
+        without_budget = LinearMeasurement(measurement.residual, measurement.jacobian, {_ONLY_SOURCE: measurement.noise})
+        corrections, stack = update_subfilters(stack, without_budget, innovations, updated_states)
+        return replace(subfilters, mean=subfilters.mean + corrections, parts=stack[:, None])
+
+
+def add_unknown_change(parts: FloatArray, states: NDArray[np.intp], source_index: int, sigma_rad: float) -> None:
+    """Add an unknown change of some states since the last sighting to a covariance by source, shape (n_sources, n, n).
+
+    Correlations with the other states are kept. If the states were drawn independently at every sighting, a constant
+    error would count as many independent errors, and its mean would seem known to sigma / sqrt(sightings).
+    """
+    parts[source_index, states, states] += sigma_rad**2
+
+
+def beacon_innovation(residual: FloatArray, covariance: FloatArray, noise: FloatArray) -> FilterInnovations:
+    """Return the innovation of one beacon in one estimate; the whitened innovation is along the axes of the detector.
+
+    Args:
+        residual: shape (2,).
+        covariance: covariance of the residual, shape (2, 2).
+        noise: part of it that is the sighting's own noise, shape (2, 2).
+    """
+    root = _whitening_matrix(covariance)
+    whitened_innovation, whitened_noise = np.zeros((1, 3)), np.eye(3)
+    whitened_innovation[0, :2], whitened_noise[:2, :2] = root @ residual, root @ noise @ root
+    nothing = np.empty(0)
+    return FilterInnovations(residual[None], covariance[None], np.sum(whitened_innovation**2, axis=-1), nothing, whitened_innovation, whitened_noise, nothing)
+
+
+def _whitening_matrix(covariance: FloatArray) -> FloatArray:
+    """Return the inverse of the symmetric root of covariances of two components, shape (..., 2, 2)."""
+    first, second, mixed = covariance[..., 0, 0], covariance[..., 1, 1], covariance[..., 0, 1]
+    area = np.sqrt(first * second - mixed * mixed)
+    scale = 1.0 / (area * np.sqrt(first + second + 2.0 * area))
+    root = np.empty(covariance.shape)
+    root[..., 0, 0], root[..., 1, 1] = (second + area) * scale, (first + area) * scale
+    root[..., 0, 1] = root[..., 1, 0] = -mixed * scale
+    return root

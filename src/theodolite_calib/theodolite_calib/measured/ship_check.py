@@ -1,0 +1,87 @@
+"""Check of the ship's attitude.
+
+The rates that come with its attitudes check these and are checked by them, with the INS alone as well as with
+``ship/attitude``. Rates of the INS alone are not used further: the pointing then uses its attitudes only.
+"""
+
+from collections.abc import Sequence
+
+from ship_estimation.ins import CheckedInsConfig
+from ship_estimation.ins_check import CheckedInsSample
+from ship_estimation.rate_consistency import RateStatus
+from ship_estimation.rejections import resolve_same_stamp
+from ship_estimation.unconfirmed_step import UnconfirmedStep
+from ship_geometry.attitude_track import AttitudeTrack
+from ship_geometry.rotations import FloatArray
+from ship_geometry.time_scales import SECOND_NS
+from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.measured.batch_ship_check import BatchShipCheck, stated_step_rad
+from theodolite_calib.measured.samples import ShipSample
+
+
+class ShipCheck:
+    """Check of the ship's attitudes of one run, in the order of their stamps.
+
+    An attitude with a stated covariance may step by the change of that covariance: a fused attitude that was corrected
+    by stars has a smaller covariance than the one before.
+
+    Args:
+        config: ship and INS.
+        shift_ns: offset of the time of validity from the stamps, ns.
+    """
+
+    def __init__(self, config: OpticalAxisConfig, shift_ns: int) -> None:
+        self._source = "the INS" if config.ship.source == "ins/imu" else "the ship's attitude"
+        check_config = _check_config(config)
+        self._batch_check, self._shift_ns = BatchShipCheck(check_config), shift_ns
+        # Accepted samples with their rates: a sample that comes after later ones is checked by these.
+        self._accepted = AttitudeTrack(round(check_config.max_gap_s * SECOND_NS))
+        self._stated_covariance_n: FloatArray | None = None
+        self._unconfirmed: UnconfirmedStep | None = None
+
+    def reconfigure(self, config: OpticalAxisConfig) -> None:
+        """Apply another noise."""
+        self._batch_check.reconfigure(_check_config(config))
+
+    @property
+    def has_measured_rates(self) -> bool:
+        """True if the rates are measured: every step of some standard deviations of a sample is then detected."""
+        return self._batch_check.rate_status is RateStatus.MEASURED
+
+    def expect(self, samples: Sequence[ShipSample]) -> None:
+        """Announce the next attitudes, with rates and covariances, as far as they are known."""
+        self._batch_check.expect(samples)
+
+    def check(self, sample: ShipSample, oldest_ns: int) -> CheckedInsSample:
+        """Check a sample; none before ``oldest_ns`` will come."""
+        self._accepted.drop_before(oldest_ns)
+        result = self._batch_check.check(sample, self._accepted, stated_step_rad(sample.correlated_covariance_n, self._stated_covariance_n))
+        if result.rates_wrong_after_ns is not None:
+            self._accepted.drop_rates(result.rates_wrong_after_ns)
+        if result.jumps:
+            since_ns = result.jumps[-1].time_ns + self._shift_ns
+            self._unconfirmed = UnconfirmedStep(since_ns, f"{self._source} has jumped", "lights")
+        if result.rejection is None:
+            if self._accepted.newest is None or sample.time_ns > self._accepted.newest.time_ns:
+                self._stated_covariance_n = sample.correlated_covariance_n
+            known = self._accepted.get(sample.time_ns)
+            if known is None or resolve_same_stamp(known, result.sample)[0]:
+                self._accepted.insert(result.sample)
+        return result
+
+    def confirm(self, time_ns: int) -> None:
+        """Record that beacons were consistent with the attitude at a time."""
+        if self._unconfirmed is not None:
+            self._unconfirmed = self._unconfirmed.with_confirmation(time_ns)
+
+    def unconfirmed_reason(self, time_ns: int) -> str:
+        """Return the reason why the attitude at a time is unconfirmed; empty if it is confirmed."""
+        step = self._unconfirmed
+        return step.text if step is not None and time_ns > step.since_ns else ""
+
+
+def _check_config(config: OpticalAxisConfig) -> CheckedInsConfig:
+    """Return the configuration of the check: that of the INS, or of the fused attitude in its place."""
+    if config.ship.source == "ins/imu":
+        return config.ins
+    return CheckedInsConfig(white_sigma_arcsec=config.ship.white_sigma_arcsec, max_gap_s=config.ship.max_gap_s)

@@ -1,0 +1,73 @@
+"""Pending images of targets: each waits until the pointings before and after it have been published.
+
+Images affect nothing else: the pointings and their inputs are, to the last bit, the same without them.
+"""
+
+from collections import deque
+
+from ship_estimation.rejections import StampConflicts, Rejection, resolve_same_stamp
+from theodolite_calib.measured.samples import TargetSample
+
+MAX_WAITING = 1000
+"""Maximum number of pending images; beyond it the oldest are rejected."""
+
+_MAX_ANSWERED = 5000
+"""Maximum number of answered images that are stored to detect repetitions; a second of data has fewer."""
+
+_Key = tuple[int, str]
+
+
+class PendingTargets:
+    """Pending images of one run, and those answered recently.
+
+    Args:
+        contradictions: stamp conflicts of their source.
+    """
+
+    def __init__(self, stamp_conflicts: StampConflicts) -> None:
+        self._waiting: dict[_Key, tuple[TargetSample, int]] = {}
+        self._answered: dict[_Key, TargetSample] = {}
+        self._order: deque[_Key] = deque()
+        self._stamp_conflicts = stamp_conflicts
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def add(self, sample: TargetSample, waiting_ns: int) -> Rejection | None:
+        """Add an image; return its rejection, or that of the image it replaces."""
+        key = sample.time_ns, sample.target_id
+        waits = self._waiting.get(key)
+        known = waits[0] if waits is not None else self._answered.get(key)
+        if known is not None:
+            takes_its_place, rejection = resolve_same_stamp(known, sample)
+            self._stamp_conflicts.record(sample.source, sample.time_ns, rejection)
+            if takes_its_place and waits is not None:
+                self._waiting[key] = sample, waits[1]
+            return rejection
+        self._waiting[key] = sample, waiting_ns
+        return None
+
+    def remove_overflow(self) -> list[TargetSample]:
+        """Remove and return the oldest images if too many are pending."""
+        keys = sorted(self._waiting)[: max(len(self._waiting) - MAX_WAITING, 0)]
+        return [self._waiting.pop(key)[0] for key in keys]
+
+    def pending_images(self) -> list[tuple[TargetSample, int]]:
+        """Return the pending images in the order of their stamps, each with its time of reception."""
+        return [self._waiting[key] for key in sorted(self._waiting)]
+
+    def mark_answered(self, sample: TargetSample) -> None:
+        """Mark an image as answered, by a direction or a rejection."""
+        key = sample.time_ns, sample.target_id
+        del self._waiting[key]
+        self._answered[key] = sample
+        self._order.append(key)
+        if len(self._order) > _MAX_ANSWERED:
+            del self._answered[self._order.popleft()]
+
+    def conflict_text(self, time_ns: int) -> str:
+        """Return the reason why images of a time are unreliable: their source sent conflicting ones; else empty.
+
+        It applies to all targets together, because their names come from outside and could be any number.
+        """
+        return self._stamp_conflicts.text(self._stamp_conflicts.active_at(time_ns))
