@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tools.licences import PAGE, STATED_ELSEWHERE, distributions, is_compatible, licence, page, incompatible_licences
+from tools.licences import PAGE, STATED_ELSEWHERE, distributions, incompatible_licences, is_compatible, licence, page
 
 ROOT = Path(__file__).parents[1]
 over_ros = pytest.mark.skipif((ROOT / ".venv" / ".ros_prefix").exists(), reason="the wheels of ROS are not installed")

@@ -12,7 +12,15 @@ from pathlib import Path
 
 import pytest
 
-from tools.wheelhouse import SUMS, WheelsRefused, locked_requirements, own_target, pin_of_requirement, pin_of_wheel, target
+from tools.wheelhouse import (
+    SUMS,
+    WheelsRefused,
+    locked_requirements,
+    own_target,
+    pin_of_requirement,
+    pin_of_wheel,
+    target,
+)
 
 ROOT = Path(__file__).parents[1]
 TOOLS = (

@@ -8,7 +8,7 @@ import pytest
 from rcl_interfaces.msg import ParameterType, ParameterValue
 
 from ship_bags.live.ros_process import executable
-from ship_bringup.remote_node import value_text, unknown_name_text, parse_value
+from ship_bringup.remote_node import parse_value, unknown_name_text, value_text
 from ship_replay.trials.live_process import GraphObserver, LiveProcess, free_domain_id, live_environment
 
 pytestmark = pytest.mark.live

@@ -13,7 +13,7 @@ from ship_estimation.outcome import Status
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_testing.every_case import check_every_case
 from ship_testing.ship_faults import run_core, turn_stars, voyage
-from ship_testing.small_voyage import assert_consistent, run_adapter, new_adapter, since_start_s, turn_star_messages
+from ship_testing.small_voyage import assert_consistent, new_adapter, run_adapter, since_start_s, turn_star_messages
 from ship_testing.small_voyage import voyage as small_voyage
 
 RATE_HZ, LASTS_S = 20.0, 60.0

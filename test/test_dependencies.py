@@ -2,7 +2,17 @@
 
 import pytest
 
-from tools.dependencies import LIBRARIES, PAGE, SRC, declared_keys, imported_names, libraries, packages, page, required_distributions
+from tools.dependencies import (
+    LIBRARIES,
+    PAGE,
+    SRC,
+    declared_keys,
+    imported_names,
+    libraries,
+    packages,
+    page,
+    required_distributions,
+)
 
 PYTHON_PACKAGES = [package for package in packages() if imported_names(SRC / package / package)]
 

@@ -20,7 +20,7 @@ from ship_node.edge.adapter import Adapter
 from ship_node.live.adapter_calls import message_bytes
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, AdapterRun, Arrival, changed_copy, hand_over
 from ship_testing.every_input import topics, voyage, worst_error_in_sigmas
-from ship_testing.garbage import Path, value_at, paths
+from ship_testing.garbage import Path, paths, value_at
 from theodolite_calib.filter.filter import CalibrationState
 from theodolite_calib.measured.samples import BaselineSample, EncoderSample, Mode, ShipSample
 

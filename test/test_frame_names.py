@@ -14,7 +14,7 @@ from ship_replay.offline.replay import replay
 from ship_replay.offline.smooth import smooth
 from ship_testing.bag_parts import write_beginning
 from ship_testing.places import ROOT
-from ship_testing.small_voyage import fault_free_run, run_adapter, new_adapter, voyage
+from ship_testing.small_voyage import fault_free_run, new_adapter, run_adapter, voyage
 
 FRAMES = {"deck": "base_link", "horizon": "enu"}
 

@@ -18,7 +18,7 @@ from ship_estimation.outcome import Status
 from ship_estimation.rejections import Reason
 from ship_geometry.earth_orientation import earth_orientation_table
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, AdapterRun, Arrival, hand_over, sort_by_arrival, stamp_of
-from ship_testing.every_input import Voyage, scenario, error_in_sigmas, voyage_of
+from ship_testing.every_input import Voyage, error_in_sigmas, scenario, voyage_of
 
 MIDNIGHT_NS = 1_483_228_800 * SECOND_NS
 BEFORE_S, DURATION_S = 8.0, 24.0

@@ -20,7 +20,7 @@ from ship_simulation.suite.suite import optical_axis_configuration
 from ship_testing.theodolite_scenes import SCENARIOS, with_theodolite
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.lights.image import Camera, Image
-from theodolite_calib.lights.line_of_sight import LeverArm, BeaconPoses, Ship, Survey, lines_of_sight
+from theodolite_calib.lights.line_of_sight import BeaconPoses, LeverArm, Ship, Survey, lines_of_sight
 from theodolite_calib.lights.telescope_attitude import solve_attitude
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 

@@ -20,7 +20,7 @@ from ship_replay.offline.replay import replay
 from ship_replay.trials.live_run import LiveRun
 from ship_simulation.simulate_command import write_bag
 from ship_testing.theodolite_scenes import bag_scenario, with_stars_and_targets
-from ship_testing.theodolite_stations import buoy_n, buoy_direction, direction_message, triangulation_values
+from ship_testing.theodolite_stations import buoy_direction, buoy_n, direction_message, triangulation_values
 from theodolite_calib.measured.samples import Mode
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 from theodolite_calib.ros.triangulation_adapter import POSITION_TOPIC, TriangulationAdapter

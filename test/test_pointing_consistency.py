@@ -18,7 +18,7 @@ from ship_simulation.suite.suite import optical_axis_configuration
 from ship_simulation.theodolite.devices import points_on_detector
 from ship_testing.theodolite_scenes import replace_nested, sweep_over_beacons, with_beacons, with_theodolite
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.measured.samples import Exposure, Mode, DetectedBeacon
+from theodolite_calib.measured.samples import DetectedBeacon, Exposure, Mode
 from theodolite_calib.optical_axis.core import OpticalAxisCore
 
 pytestmark = pytest.mark.slow  # what its tests share takes long

@@ -12,15 +12,15 @@ from ship_estimation.outcome import Status
 from ship_geometry.rotations import ARCSEC
 from ship_testing.pointing_faults import (
     FAULT_S,
-    move_baseline,
-    run_core,
-    fault_free_session,
     drift_encoders,
-    offset_encoders,
-    shift_beacon_stamps,
     drift_ship_attitude,
-    turn_ship_attitude,
+    fault_free_session,
+    move_baseline,
+    offset_encoders,
+    run_core,
+    shift_beacon_stamps,
     shift_telescope,
+    turn_ship_attitude,
 )
 
 SEEDS = range(1, 1 + int(os.environ.get("FAULT_SEEDS", "1")))

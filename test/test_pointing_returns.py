@@ -8,13 +8,13 @@ import pytest
 from ship_estimation.outcome import Status
 from ship_testing.pointing_faults import (
     FAULT_S,
-    run_core,
-    fault_free_session,
     duplicate_encoder_readings,
-    offset_encoders,
-    shift_encoder_stamps,
+    fault_free_session,
     freeze_encoders,
+    offset_encoders,
+    run_core,
     shift_beacon_stamps,
+    shift_encoder_stamps,
     shift_telescope,
 )
 

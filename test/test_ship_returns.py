@@ -10,9 +10,9 @@ from ship_estimation.outcome import Status
 from ship_testing.every_case import check_every_case
 from ship_testing.ship_faults import (
     AttitudeErrors,
-    run_core,
-    round_ins,
     delay_ins_stamps,
+    round_ins,
+    run_core,
     turn_ins,
     turn_stars,
     up,

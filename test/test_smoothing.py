@@ -28,8 +28,8 @@ from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import suite_configuration
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, stamp_of
-from ship_testing.ins_streams import SWELL, attitudes, with_step, stream
-from ship_testing.small_voyage import run_adapter, new_adapter, voyage
+from ship_testing.ins_streams import SWELL, attitudes, stream, with_step
+from ship_testing.small_voyage import new_adapter, run_adapter, voyage
 
 SCENARIOS = Path(__file__).parents[1] / "bags" / "scenarios"
 SEEDS = 16

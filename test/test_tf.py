@@ -26,7 +26,17 @@ from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, hand_over
 from ship_testing.bag_parts import write_beginning
 from ship_testing.every_input import voyage as voyage_of
 from ship_testing.places import ROOT
-from ship_testing.small_voyage import FORE, INS, STARBOARD, fault_free_run, config, remove_interval, run_adapter, new_adapter, voyage
+from ship_testing.small_voyage import (
+    FORE,
+    INS,
+    STARBOARD,
+    config,
+    fault_free_run,
+    new_adapter,
+    remove_interval,
+    run_adapter,
+    voyage,
+)
 
 THEODOLITE = ROOT / "bags" / "theodolite.mcap"
 BEYOND_ROUNDING = 1e-12

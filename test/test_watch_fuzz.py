@@ -14,9 +14,9 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_msgs.msg import Alert, AlertArray
 from ship_testing.garbage import paths, put_garbage
 from ship_testing.monitored_voyages import replay_with_faults
+from ship_watch.suite_monitor import SuiteMonitor
 from ship_watch.suite_state import Safety
 from ship_watch.topics import monitored_topic
-from ship_watch.suite_monitor import SuiteMonitor
 
 SECONDS = 20
 COPIES = 3

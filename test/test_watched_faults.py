@@ -22,24 +22,24 @@ from ship_monitor.alerts.alert_manager import AlertManager
 from ship_monitor.live.live_suite import LiveSuite
 from ship_monitor.live.topic_reader import MAX_QUEUE_DEPTH, TopicReader
 from ship_monitor.page.first_screen import first_screen
+from ship_monitor.terminal.screen import View, alert_to_show, screen
 from ship_monitor.terminal.styled_text import plain_text
-from ship_monitor.terminal.screen import View, screen, alert_to_show
 from ship_replay.trials.live_process import LiveProcess, free_domain_id, live_environment
 from ship_simulation.inject_command import main as inject
 from ship_testing.monitored_voyages import (
     BAGS,
-    END_S,
-    FAULTS,
     DETECTABLE_S,
     DETECTION_LIMIT_S,
+    END_S,
+    FAULTS,
+    detection_limit_s,
     records,
     replay_with_faults,
-    detection_limit_s,
 )
 from ship_watch.history import History
 from ship_watch.limits import Limits
-from ship_watch.suite_state import SuiteState, Presence
 from ship_watch.suite_monitor import SuiteMonitor
+from ship_watch.suite_state import Presence, SuiteState
 
 LIVE_EARLY_S = 0.1
 """So far off may be the time of the data that a picture has live, on its steady clock."""

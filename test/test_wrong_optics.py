@@ -16,8 +16,8 @@ from ship_testing.places import SCENARIOS
 from ship_testing.wrong_optics import (
     OpticsErrorStatistics,
     change_focal_length,
-    with_wrong_configured_focal_length,
     with_exact_focal_length,
+    with_wrong_configured_focal_length,
 )
 
 SEEDS = 20

@@ -13,8 +13,8 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.sky.sky_model import load_sky_model
 from ship_estimation.parameters import build
+from ship_replay.trials.main_filter_only import ShipFilterWithoutSubfilters, SightingStepWithoutSubfilters
 from ship_replay.trials.monte_carlo import core_for, feed_attitude, feed_pointing
-from ship_replay.trials.main_filter_only import SightingStepWithoutSubfilters, ShipFilterWithoutSubfilters
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import optical_axis_configuration

@@ -22,7 +22,17 @@ from packaging.tags import platform_tags
 from generated_c import generate_c
 from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 from ship_bags.errors import BadInput
-from wheelhouse import LOCK, NETWORK_SIGNS, SUMS, WHEELS, pin_of_requirement, pin_of_wheel, sha256, checksum_text, target
+from wheelhouse import (
+    LOCK,
+    NETWORK_SIGNS,
+    SUMS,
+    WHEELS,
+    checksum_text,
+    pin_of_requirement,
+    pin_of_wheel,
+    sha256,
+    target,
+)
 
 ROOT = Path(__file__).resolve().parents[1]
 PYTHONS = ("3.10", "3.11", "3.12")

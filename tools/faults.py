@@ -15,15 +15,15 @@ from rich.table import Table
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
 from ship_replay.trials.fault_results import (
-    THREAT_HEAD,
     PAIR_HEAD,
+    THREAT_HEAD,
     Row,
-    threat_rows,
     pair_rows,
     results_file,
+    threat_rows,
     totals,
 )
-from ship_replay.trials.fault_voyage import Voyage, replay_fault_free, make_bag, run_voyage, voyages
+from ship_replay.trials.fault_voyage import Voyage, make_bag, replay_fault_free, run_voyage, voyages
 from ship_replay.trials.one_fault import one_fault_lines
 from ship_replay.trials.results_file import Result, ResultsFile, run_and_record
 from ship_replay.trials.threats import OVERLAPPING, SINGLE

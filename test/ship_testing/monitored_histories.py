@@ -10,13 +10,13 @@ from dataclasses import replace
 import numpy as np
 
 from ship_geometry.rotations import ARCSEC
-from ship_testing.suite_states import SHIFTED_SENSOR, state_with_mounting_shift, late_input, source
+from ship_testing.suite_states import SHIFTED_SENSOR, late_input, source, state_with_mounting_shift
 from ship_watch.history import (
+    BeaconPoint,
     BudgetPoint,
     ErrorPoint,
     History,
     InnovationPoint,
-    BeaconPoint,
     ParameterEstimate,
     StarExposure,
 )

@@ -14,9 +14,9 @@ from typing import Any
 from ship_bags.mcap.bag_reader import read_bag
 from ship_replay.commands.replay import main as replay
 from ship_simulation.inject_command import main as inject
-from ship_watch.suite_state import Event, SuiteState, Presence
-from ship_watch.topics import monitored_topic
 from ship_watch.suite_monitor import SuiteMonitor
+from ship_watch.suite_state import Event, Presence, SuiteState
+from ship_watch.topics import monitored_topic
 
 BAGS = Path(__file__).parents[2] / "bags"
 STEP_NS = 100_000_000

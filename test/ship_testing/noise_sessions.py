@@ -9,7 +9,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_estimation.parameters import build
 from ship_geometry.rotations import ARCSEC
-from ship_replay.ins_noise.session import NoiseSession, StarComparisons, session_config, noise_session
+from ship_replay.ins_noise.session import NoiseSession, StarComparisons, noise_session, session_config
 from ship_replay.trials.monte_carlo import attitude_outcomes
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.motion_scenario import AngleMotion, CarrierMotion

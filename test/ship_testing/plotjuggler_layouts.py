@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from ship_testing.foxglove_layouts import Missing, MessagesByTopic, check_constant, named_constants
+from ship_testing.foxglove_layouts import MessagesByTopic, Missing, check_constant, named_constants
 
 
 def curves(messages_by_topic: MessagesByTopic) -> set[str]:

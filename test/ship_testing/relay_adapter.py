@@ -16,7 +16,7 @@ from ship_node.edge.input_health import InputHealthMonitor
 from ship_node.edge.messages_in import MessageRejected, check_frame, stamp_ns, unit_quaternion
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, diagnostic_array
 from ship_node.edge.overload import Overload
-from ship_node.edge.topics import InputTopic, OutputTopic, OutputMessage
+from ship_node.edge.topics import InputTopic, OutputMessage, OutputTopic
 
 EXPLOSIVE_FRAME = "explosive"
 

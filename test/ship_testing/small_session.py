@@ -17,7 +17,16 @@ from ship_estimation.parameters import build
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, flu_from_device_vector, quaternion_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation
-from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, AdapterRun, Arrival, hand_over, sort_by_arrival, stamp_of
+from ship_testing.adapter_runs import (
+    FACTORY,
+    SECOND_NS,
+    START_NS,
+    AdapterRun,
+    Arrival,
+    hand_over,
+    sort_by_arrival,
+    stamp_of,
+)
 from ship_testing.simulated_sightings import project, raise_elevation
 from theodolite_calib.chain.axes import AxisErrors, encoder_angles, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig

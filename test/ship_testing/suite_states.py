@@ -17,11 +17,11 @@ from ship_watch.suite_state import (
     Event,
     InputState,
     NisConsistency,
-    SuiteState,
     Presence,
     Priority,
     Safety,
     SourceDetails,
+    SuiteState,
 )
 
 NS = 1_000_000_000

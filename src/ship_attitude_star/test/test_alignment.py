@@ -17,7 +17,7 @@ from ship_geometry.rotations import ARCSEC, log_rotation
 from ship_node.documents.saved_document import RecordingFiles
 from ship_node.documents.saved_start import less_certain_quantity
 from ship_testing.adapter_runs import FACTORY, START_NS
-from ship_testing.small_voyage import FORE, INS, fault_free_run, config, run_adapter, new_adapter, voyage
+from ship_testing.small_voyage import FORE, INS, config, fault_free_run, new_adapter, run_adapter, voyage
 
 DAY_NS = 86_400 * 10**9
 END_NS = START_NS + 60 * 10**9

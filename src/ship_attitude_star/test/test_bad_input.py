@@ -16,16 +16,16 @@ from ship_testing.adapter_runs import (
     START_NS,
     Arrival,
     add_copy,
-    changed_copy,
     change_where,
+    changed_copy,
     exact_value,
-    sort_by_arrival,
     index_at,
     replace_message,
+    sort_by_arrival,
     stamp_of,
     without,
 )
-from ship_testing.small_voyage import FORE, INS, Run, fault_free_run, run_adapter, new_adapter, voyage
+from ship_testing.small_voyage import FORE, INS, Run, fault_free_run, new_adapter, run_adapter, voyage
 
 MOMENT_S = 2.5
 SOURCE = {INS: "ins", FORE: "star.fore"}

@@ -13,7 +13,7 @@ from ship_estimation.outcome import Status
 from ship_estimation.rejections import Reason
 from ship_testing import star_voyage
 from ship_testing.adapter_runs import SECOND_NS, START_NS, AdapterRun, exact_value, index_at, stamp_of, without
-from ship_testing.small_voyage import FORE, STARBOARD, fault_free_run, remove_interval, run_adapter, new_adapter, voyage
+from ship_testing.small_voyage import FORE, STARBOARD, fault_free_run, new_adapter, remove_interval, run_adapter, voyage
 from ship_testing.star_bad_input import FORE_SOLUTION
 
 MOMENT_S = 2.5

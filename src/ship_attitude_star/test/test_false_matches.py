@@ -9,8 +9,8 @@ from scipy.stats import poisson
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.sky.sky_model import SkyModel
-from ship_attitude_star.stars.false_matches import MAX_FALSE_MATCHES, expected_false_matches
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
+from ship_attitude_star.stars.false_matches import MAX_FALSE_MATCHES, expected_false_matches
 from ship_attitude_star.stars.identification import find_candidates
 from ship_attitude_star.stars.selection import StarPrior, perpendicular_basis, select_stars
 from ship_attitude_star.stars.solution import SolutionStatus, solve_with_fallback

@@ -21,14 +21,14 @@ from scipy.stats import binom
 from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
-from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.fault_detection import FaultDetector
-from ship_estimation.subfilters import filter_covariances
+from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_estimation.ins import InsJump
 from ship_estimation.outcome import Status
 from ship_estimation.parameters import ParameterError, build
 from ship_estimation.protection_levels import IntegrityReport, IntegrityState
 from ship_estimation.rejections import Reason
+from ship_estimation.subfilters import filter_covariances
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.frames import angle_errors_from_rotation_vector, angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation

@@ -12,9 +12,9 @@ from ship_attitude_star.ship_attitude.state import changed
 from ship_attitude_star.smoothing.ins_error_predictor import InsErrorPredictor
 from ship_attitude_star.smoothing.traced_filter import TracedFilter
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
-from ship_estimation.rts_step import GaussianEstimate
-from ship_estimation.rts_smoother import Anchor
 from ship_estimation.parameters import build
+from ship_estimation.rts_smoother import Anchor
+from ship_estimation.rts_step import GaussianEstimate
 from ship_geometry.geodetic import GeodeticPosition
 
 START_NS, SECOND_NS = 1_700_000_000_000_000_000, 1_000_000_000

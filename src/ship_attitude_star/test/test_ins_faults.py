@@ -16,9 +16,9 @@ from ship_testing.adapter_runs import (
     Arrival,
     Arrivals,
     change_where,
-    sort_by_arrival,
     index_at,
     replace_message,
+    sort_by_arrival,
     stamp_of,
 )
 from ship_testing.small_voyage import (
@@ -27,9 +27,9 @@ from ship_testing.small_voyage import (
     STARBOARD,
     Run,
     attitude,
-    run_adapter,
     new_adapter,
     quaternion_message,
+    run_adapter,
     voyage,
 )
 

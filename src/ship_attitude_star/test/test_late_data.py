@@ -16,12 +16,12 @@ from ship_testing.adapter_runs import (
     assert_flood_costs_little,
     delay_arrivals,
     exact_value,
-    sort_by_arrival,
     index_at,
     replace_message,
+    sort_by_arrival,
     stamp_of,
 )
-from ship_testing.small_voyage import FORE, INS, STARBOARD, fault_free_run, run_adapter, new_adapter, voyage
+from ship_testing.small_voyage import FORE, INS, STARBOARD, fault_free_run, new_adapter, run_adapter, voyage
 
 LAG_S = 2.0
 

@@ -11,7 +11,7 @@ from ship_attitude_star.layout.config import OperatingPoint, study_config
 from ship_attitude_star.layout.figures import plan_figure
 from ship_attitude_star.layout.installation_model import SWEEPS, Curve, InstallationConvention, all_curves, linearise
 from ship_attitude_star.layout.joint_error import Layout, error_map, total_arcsec
-from ship_attitude_star.layout.study import recommend_azimuths, scan_azimuth, compute_study
+from ship_attitude_star.layout.study import compute_study, recommend_azimuths, scan_azimuth
 from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC, FloatArray
 

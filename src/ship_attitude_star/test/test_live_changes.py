@@ -12,7 +12,17 @@ from ship_estimation.rejections import Reason
 from ship_geometry.ros_axes import rotation_from_quaternion
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_testing.adapter_runs import change_where, index_at, replace_message
-from ship_testing.small_voyage import FORE, INS, Run, fault_free_run, config, run_adapter, new_adapter, quaternion_message, voyage
+from ship_testing.small_voyage import (
+    FORE,
+    INS,
+    Run,
+    config,
+    fault_free_run,
+    new_adapter,
+    quaternion_message,
+    run_adapter,
+    voyage,
+)
 
 HALF = len(voyage()) // 2
 

@@ -28,11 +28,11 @@ from ship_testing.small_voyage import (
     Run,
     assert_consistent,
     fault_free_run,
-    remove_interval,
-    run_adapter,
     new_adapter,
     quaternion_message,
+    remove_interval,
     rotation_of,
+    run_adapter,
     since_start_s,
     voyage,
 )

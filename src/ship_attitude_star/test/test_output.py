@@ -13,10 +13,10 @@ from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.state import UnresolvedFault
 from ship_attitude_star.stars.spatial_errors import PixelDwell
 from ship_estimation.fault_isolation import ExcludedSource
-from ship_estimation.subfilters import filter_covariances
 from ship_estimation.ins import InsJump
 from ship_estimation.outcome import Status
 from ship_estimation.parameters import build
+from ship_estimation.subfilters import filter_covariances
 from ship_geometry.attitude_track import PropagatedBlock
 from ship_geometry.rotations import ARCSEC
 

@@ -23,19 +23,19 @@ from ship_estimation.recovery.recovery import MEMORY_SIGMAS
 from ship_estimation.rejections import Reason
 from ship_geometry.rotations import ARCSEC
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_copy, stamp_of
+from ship_testing.overconfident_filter import make_overconfident
 from ship_testing.small_voyage import (
     FORE,
     INS,
     STARBOARD,
     Run,
     assert_consistent,
-    run_adapter,
     new_adapter,
+    run_adapter,
     since_start_s,
     turn_star_messages,
     voyage,
 )
-from ship_testing.overconfident_filter import make_overconfident
 
 ATTITUDE = "ship/attitude"
 SPOILT_S, LENGTH_S = 40.0, 130.0

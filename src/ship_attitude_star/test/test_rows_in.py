@@ -12,7 +12,7 @@ from ship_attitude_star.ship_attitude.config import StarSensorConfig
 from ship_bags.message_store import RosbagsFactory
 from ship_estimation.parameters import build
 from ship_geometry.rotations import FloatArray
-from ship_node.edge.messages_in import ReadMessage, MessageRejected
+from ship_node.edge.messages_in import MessageRejected, ReadMessage
 from ship_testing.message_rows import rows
 
 TYPE, FRAME = "ship_msgs/msg/StarHorizonAttitude", "star_bow"

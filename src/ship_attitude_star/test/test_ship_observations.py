@@ -22,15 +22,15 @@ from ship_testing.adapter_runs import (
     Arrival,
     change_where,
     exact_value,
-    sort_by_arrival,
     index_at,
     replace_message,
+    sort_by_arrival,
     stamp_of,
     without,
 )
 from ship_testing.ship_observations import SENSORS, config, run_new_adapter
 from ship_testing.small_voyage import INS, Run, ins_message
-from ship_testing.star_bad_input import REJECTED_MESSAGES, SOURCE, REJECTED_STARS, Change, set_star_fields, remove_star
+from ship_testing.star_bad_input import REJECTED_MESSAGES, REJECTED_STARS, SOURCE, Change, remove_star, set_star_fields
 from ship_testing.star_voyage import (
     FIX,
     FORE,
@@ -38,11 +38,11 @@ from ship_testing.star_voyage import (
     PRESSURE,
     STARBOARD,
     TEMPERATURE,
-    without_topics,
-    with_topics,
-    voyage_with_streaks,
     true_deck,
     voyage,
+    voyage_with_streaks,
+    with_topics,
+    without_topics,
 )
 
 MOMENT_S = 1.5

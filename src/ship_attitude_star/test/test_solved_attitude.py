@@ -35,8 +35,8 @@ from ship_testing.ship_observations import run_new_adapter
 from ship_testing.small_voyage import INS, Run
 from ship_testing.star_sky import POSITION, SENSORS, TIME_NS, configuration, exposure_of, ins_track
 from ship_testing.star_voyage import (
-    EXACT_OPTICS,
     EXACT_CAMERA,
+    EXACT_OPTICS,
     FIX,
     HUMIDITY,
     PRESSURE,

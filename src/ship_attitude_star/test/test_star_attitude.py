@@ -34,17 +34,17 @@ from ship_testing.star_voyage import (
     STARS,
     TEMPERATURE,
     fault_free_run,
-    without_topics,
     new_adapter,
     observations,
-    with_topics,
     published_bytes,
     run_new_adapter,
     solution_rotation,
-    voyage_with_streaks,
     true_deck,
     true_sensor,
     voyage,
+    voyage_with_streaks,
+    with_topics,
+    without_topics,
 )
 
 SOLUTION = {FORE: "star/fore/solution", STARBOARD: "star/starboard/solution"}

@@ -18,27 +18,27 @@ from ship_testing.adapter_runs import (
     START_NS,
     Arrival,
     add_copy,
-    changed_copy,
     change_where,
+    changed_copy,
     exact_value,
-    sort_by_arrival,
     index_at,
     replace_message,
+    sort_by_arrival,
     stamp_of,
     without,
 )
-from ship_testing.small_voyage import INS, Run, run_adapter, quaternion_message
+from ship_testing.small_voyage import INS, Run, quaternion_message, run_adapter
 from ship_testing.small_voyage import voyage as small_voyage
 from ship_testing.star_bad_input import (
-    REJECTED_MESSAGES,
     FORE_SOLUTION,
-    SOURCE,
+    REJECTED_MESSAGES,
     REJECTED_STARS,
+    SOURCE,
     Change,
-    stamp_ahead,
+    remove_star,
     set_field,
     set_star_fields,
-    remove_star,
+    stamp_ahead,
 )
 from ship_testing.star_voyage import (
     EXACT_OPTICS,
@@ -51,14 +51,14 @@ from ship_testing.star_voyage import (
     STARS,
     TEMPERATURE,
     fault_free_run,
-    without_topics,
     new_adapter,
-    with_topics,
     published_bytes,
     run_new_adapter,
     solution_rotation,
     true_sensor,
     voyage,
+    with_topics,
+    without_topics,
 )
 
 MOMENT_S = 1.5

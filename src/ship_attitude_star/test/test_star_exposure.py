@@ -11,7 +11,7 @@ from ship_attitude_star.ship_attitude.comparison import compare, predict_attitud
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.stars.camera import Distortion, StarCamera, equivalent_sigma, tangent_basis
-from ship_attitude_star.stars.exposure import ExposureLength, reduce_to_mid_exposure, identify_stars
+from ship_attitude_star.stars.exposure import ExposureLength, identify_stars, reduce_to_mid_exposure
 from ship_attitude_star.stars.fit import fit_attitude, linearise_stars
 from ship_attitude_star.stars.selection import StarPrior
 from ship_estimation.rejections import Reason

@@ -11,7 +11,7 @@ from ship_estimation.rejections import Reason
 from ship_testing import ship_observations, star_voyage
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, change_where, delay_arrivals, sort_by_arrival
 from ship_testing.small_voyage import INS
-from ship_testing.star_voyage import FIX, FORE, PRESSURE, STARBOARD, without_topics, fix
+from ship_testing.star_voyage import FIX, FORE, PRESSURE, STARBOARD, fix, without_topics
 from ship_testing.star_voyage import voyage as short_voyage
 
 Change = Callable[[Any], None]

@@ -28,10 +28,10 @@ from ship_testing.adapter_runs import (
     stamp_of,
 )
 from ship_testing.ship_observations import config as observing
-from ship_testing.small_voyage import FORE, INS, Run, attitude, remove_interval, new_adapter, rotation_of, voyage
-from ship_testing.star_voyage import without_topics
+from ship_testing.small_voyage import FORE, INS, Run, attitude, new_adapter, remove_interval, rotation_of, voyage
 from ship_testing.star_voyage import new_adapter as new_star_attitude
 from ship_testing.star_voyage import voyage as voyage_of_stars
+from ship_testing.star_voyage import without_topics
 
 ATTITUDE = "ship/attitude"
 Clock = Callable[[int], int]

@@ -18,9 +18,9 @@ from ship_testing.small_voyage import (
     Run,
     assert_consistent,
     fault_free_run,
+    new_adapter,
     remove_interval,
     run_adapter,
-    new_adapter,
     voyage,
 )
 from ship_testing.star_voyage import FIX, without_topics

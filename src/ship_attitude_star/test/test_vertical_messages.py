@@ -11,7 +11,7 @@ from ship_bags.stamps import make_header
 from ship_estimation.outcome import Status
 from ship_geometry.rotations import ARCSEC
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, Arrival, sort_by_arrival
-from ship_testing.small_voyage import Run, run_adapter, new_adapter, voyage
+from ship_testing.small_voyage import Run, new_adapter, run_adapter, voyage
 
 TOPIC = "gravity/deflection"
 END_NS = START_NS + 5 * SECOND_NS

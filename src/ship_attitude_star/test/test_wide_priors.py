@@ -18,7 +18,7 @@ from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
 from ship_attitude_star.stars.selection import StarPrior
-from ship_attitude_star.stars.solution import SolutionStatus, solve_with_fallback, solve_stars
+from ship_attitude_star.stars.solution import SolutionStatus, solve_stars, solve_with_fallback
 from ship_estimation.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.outcome import Status
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
@@ -28,7 +28,16 @@ from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, left_jacob
 from ship_testing.adapter_runs import START_NS, change_where, stamp_of
 from ship_testing.ship_observations import run_new_adapter
 from ship_testing.small_voyage import INS, quaternion_message
-from ship_testing.star_sky import ROTATION_ND, SENSORS, SIGMA, TIME_NS, configuration, exposure_of, ins_track, sky_at_anchor
+from ship_testing.star_sky import (
+    ROTATION_ND,
+    SENSORS,
+    SIGMA,
+    TIME_NS,
+    configuration,
+    exposure_of,
+    ins_track,
+    sky_at_anchor,
+)
 from ship_testing.star_voyage import true_deck, voyage
 
 SEEDS = 40

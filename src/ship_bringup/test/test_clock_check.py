@@ -13,11 +13,11 @@ import pytest
 from ship_bringup.checks.check_line import Result
 from ship_bringup.checks.clock_check import (
     ClockState,
-    turn_angle_arcsec,
-    chrony_state,
     check_clock,
-    read_clock_state,
+    chrony_state,
     ptp_state,
+    read_clock_state,
+    turn_angle_arcsec,
 )
 from ship_watch.limits import Limits
 

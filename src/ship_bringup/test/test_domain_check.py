@@ -4,7 +4,7 @@ import pytest
 
 from ship_bringup.checks.check_line import Result
 from ship_bringup.checks.domain_check import check_domain, check_settings
-from ship_bringup.checks.network_state import ObservedTopic, NetworkState, Publisher
+from ship_bringup.checks.network_state import NetworkState, ObservedTopic, Publisher
 from ship_bringup.security.demand import domain_of
 from ship_node.edge.topics import InputTopic
 

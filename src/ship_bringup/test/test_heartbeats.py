@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
+from ship_bringup.suite.heartbeats import HeartbeatAge, HeartbeatSocket
 from ship_bringup.suite.process import Process
-from ship_bringup.suite.heartbeats import HeartbeatSocket, HeartbeatAge
 
 MISSING = OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from ship_bags.errors import BadInput
-from ship_bringup.suite.supervisor import Role
 from ship_bringup.suite.plan import SuiteOptions, make_plan
+from ship_bringup.suite.supervisor import Role
 
 ROOT = Path(__file__).parents[3]
 DEMO = ROOT / "bags" / "demo.mcap"

@@ -12,8 +12,8 @@ import pytest
 
 from ship_bags.errors import BadInput
 from ship_bringup.commands import policies
-from ship_bringup.security.policy_xml import governance_text, permissions_text, policy_text, written_topics, read_topics
-from ship_bringup.security.rights import load_companions, device_of, nmea_in_topics, suite_rights
+from ship_bringup.security.policy_xml import governance_text, permissions_text, policy_text, read_topics, written_topics
+from ship_bringup.security.rights import device_of, load_companions, nmea_in_topics, suite_rights
 from ship_bringup.suite.plan import check_nodes
 
 PACKAGE = Path(__file__).parents[1]

@@ -7,8 +7,8 @@ from types import MappingProxyType
 import pytest
 
 from ship_bringup.checks.check_line import Result
-from ship_bringup.checks.network_state import STRONGER_QOS, ObservedTopic, NetworkState, Publisher, observed_rate_hz
-from ship_bringup.checks.sensor_check import find_requested_qos, check_sensors
+from ship_bringup.checks.network_state import STRONGER_QOS, NetworkState, ObservedTopic, Publisher, observed_rate_hz
+from ship_bringup.checks.sensor_check import check_sensors, find_requested_qos
 from ship_node.edge.topics import InputTopic
 from ship_watch.limits import InputLimits, Limits
 

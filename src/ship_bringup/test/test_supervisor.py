@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from ship_bringup.suite import process as process_module
-from ship_bringup.suite.supervisor import Supervisor
 from ship_bringup.suite.program import Program, Role
 from ship_bringup.suite.restarts import STEADY_S, Restarts, exit_code_of
+from ship_bringup.suite.supervisor import Supervisor
 
 FAR_S = 20.0
 

@@ -17,9 +17,9 @@ import numpy as np
 
 from ship_estimation import compiled_means
 from ship_estimation.chi_square import normal_value_above
-from ship_estimation.subfilters import FilterInnovations
-from ship_estimation.protection_levels import SigmaMultipliers, IntegrityConfig, SolutionSeparation
 from ship_estimation.innovation_means import MEASUREMENTS_PER_H
+from ship_estimation.protection_levels import IntegrityConfig, SigmaMultipliers, SolutionSeparation
+from ship_estimation.subfilters import FilterInnovations
 from ship_geometry.rotations import FloatArray
 
 COMMON_ERROR_START_SIGMAS = 4.5

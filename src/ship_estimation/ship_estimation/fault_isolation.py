@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.innovation_means import NEVER_NS, CONSISTENT_RATIO, InnovationMeans
+from ship_estimation.innovation_means import CONSISTENT_RATIO, NEVER_NS, InnovationMeans
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 

@@ -13,14 +13,21 @@ from typing import NamedTuple
 
 from ship_estimation.excess_noise import ExcessNoise
 from ship_estimation.ins import CheckedInsConfig, InsJump, clock_step_s
-from ship_estimation.ins_predictions import FASTEST_RAD_PER_S, InsPredictions, NumberedSample, extrapolate_back, are_in_one_run, seconds_between
+from ship_estimation.ins_predictions import (
+    FASTEST_RAD_PER_S,
+    InsPredictions,
+    NumberedSample,
+    are_in_one_run,
+    extrapolate_back,
+    seconds_between,
+)
+from ship_estimation.ins_step_detector import InsStepDetector
 from ship_estimation.integrated_rates import IntegratedRun, RateIntegrator, StampArray
+from ship_estimation.motion_check import MotionReference
 from ship_estimation.rate_consistency import RateConsistencyCheck, RateStatus
 from ship_estimation.rate_drift_detector import RateDriftDetector
 from ship_estimation.rejections import Reason, Rejection
-from ship_estimation.ins_step_detector import InsStepDetector
 from ship_estimation.value_checks import JumpCheck, JumpDecision, PredictionMatch, StuckCheck, vector_length
-from ship_estimation.motion_check import MotionReference
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, ExtraNoise, SampleBlock
 from ship_geometry.rotations import ARCSEC, FloatArray
 

@@ -13,8 +13,8 @@ from ship_estimation.value_checks import (
     PredictionMatch,
     PredictionStep,
     StuckCheck,
-    vector_length,
     step_by_motion,
+    vector_length,
 )
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation, log_rotation

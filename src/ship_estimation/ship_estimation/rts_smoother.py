@@ -17,7 +17,7 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from ship_estimation.rts_step import SmootherStep, GaussianEstimate, smoother_step
+from ship_estimation.rts_step import GaussianEstimate, SmootherStep, smoother_step
 from ship_geometry.rotations import FloatArray
 
 Given = TypeVar("Given")

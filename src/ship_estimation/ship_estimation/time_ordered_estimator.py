@@ -31,8 +31,8 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.outcome import Estimate, DecisionT, Measurement, Outcome
-from ship_estimation.rejections import StampConflicts, Reason, Rejection, failure_rejection, resolve_same_stamp
+from ship_estimation.outcome import DecisionT, Estimate, Measurement, Outcome
+from ship_estimation.rejections import Reason, Rejection, StampConflicts, failure_rejection, resolve_same_stamp
 from ship_geometry.sample_track import SampleTrack
 from ship_geometry.time_scales import SECOND_NS
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ship_estimation import compiled_integrity
-from ship_estimation.protection_levels import SigmaMultipliers, solution_separation, separation_sigma
+from ship_estimation.protection_levels import SigmaMultipliers, separation_sigma, solution_separation
 from ship_geometry.rotations import FloatArray
 from ship_testing.separations import solution_separations
 

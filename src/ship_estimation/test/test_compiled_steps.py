@@ -8,8 +8,14 @@ import numpy as np
 import pytest
 
 from ship_estimation import compiled_steps
-from ship_estimation.subfilters import FilterInnovations, add_error, subfilter_innovations, filter_covariances, update_subfilters
 from ship_estimation.kalman import LinearMeasurement, StateModel, block, predict, propagate_correlated_error
+from ship_estimation.subfilters import (
+    FilterInnovations,
+    add_error,
+    filter_covariances,
+    subfilter_innovations,
+    update_subfilters,
+)
 
 SHAPES = [(1, 1, 1, 1), (4, 2, 2, 1), (19, 3, 7, 1), (19, 3, 7, 4), (23, 16, 7, 4), (9, 24, 3, 3)]
 """States, residuals, sources, filters: the paper's ship without and with subfilters, single stars, many residuals.

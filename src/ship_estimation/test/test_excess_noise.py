@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from ship_estimation.ins import CheckedInsConfig
-from ship_estimation.ins_check import InsCheck, CheckedInsSample
+from ship_estimation.ins_check import CheckedInsSample, InsCheck
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, ExtraNoise
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from ship_testing.every_case import check_every_case
-from ship_testing.ins_streams import CALM, STORM, SWELL, Angles, with_step, stream
+from ship_testing.ins_streams import CALM, STORM, SWELL, Angles, stream, with_step
 
 NOTHING_LATE = AttitudeTrack(500_000_000)
 HOURS = float(os.environ.get("NOISE_HOURS", "0.5"))

@@ -5,11 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ship_estimation.innovation_diagnosis import (
+    WINDOW_S,
+    DiagnosisKind,
+    InnovationDiagnosis,
+    InnovationHistory,
+    clock_diagnoses,
+)
 from ship_estimation.innovations import LEAST_COUNT
 from ship_estimation.kalman import StateModel, block
 from ship_estimation.outcome import MeasurementDecision
 from ship_estimation.rejections import Reason, Rejection
-from ship_estimation.innovation_diagnosis import WINDOW_S, InnovationDiagnosis, InnovationHistory, DiagnosisKind, clock_diagnoses
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from ship_geometry.vector_track import VectorSample

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from ship_estimation.innovation_means import (
+    CONSISTENT_RATIO,
+    INITIAL_MEANS,
     NEVER_NS,
     WINDOW_LENGTHS,
-    INITIAL_MEANS,
-    CONSISTENT_RATIO,
     InnovationMeans,
-    updated_mean,
     initial_means,
+    updated_mean,
     updated_means,
 )
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.integrated_rates import IntegratedAttitude, IntegratedRun
 from ship_estimation.ins_step_detector import InsStepDetector
+from ship_estimation.integrated_rates import IntegratedAttitude, IntegratedRun
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import exp_rotation
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ship_estimation.parameter_fields import mapping_of, parameter, section
-from ship_estimation.parameters import ParameterError, build, with_changes, describe, flatten, nest
+from ship_estimation.parameters import ParameterError, build, describe, flatten, nest, with_changes
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,13 @@ from scipy.stats import norm
 from ship_estimation.parameters import ParameterError, build
 from ship_estimation.protection_levels import (
     TESTS_PER_H,
-    SigmaMultipliers,
     IntegrityConfig,
     IntegrityState,
-    separation_inflation,
-    sigma_multipliers,
+    SigmaMultipliers,
     integrity_report,
     joint_prior_per_h,
+    separation_inflation,
+    sigma_multipliers,
 )
 from ship_geometry.rotations import ARCSEC
 from ship_testing.separations import solution_separations

@@ -3,9 +3,16 @@
 import numpy as np
 import pytest
 
-from ship_estimation.subfilters import subfilter_innovations, filter_covariances, restart_from_subfilter, solution_separations, are_consistent, update_subfilters
 from ship_estimation.kalman import LinearMeasurement, innovation, update
 from ship_estimation.protection_levels import separation_sigma
+from ship_estimation.subfilters import (
+    are_consistent,
+    filter_covariances,
+    restart_from_subfilter,
+    solution_separations,
+    subfilter_innovations,
+    update_subfilters,
+)
 
 STATES, SOURCES = 7, 3
 

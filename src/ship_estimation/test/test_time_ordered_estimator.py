@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
+from ship_estimation.outcome import MeasurementDecision, Outcome
+from ship_estimation.rejections import Reason, Rejection
 from ship_estimation.time_ordered_estimator import (
     MOST_OVERTAKEN_PER_S,
     MOST_REPEATS_AT_ONCE,
     MOST_REPEATS_PER_S,
-    TimeOrderedEstimator,
-    LagWindow,
     EstimatorModel,
+    LagWindow,
+    TimeOrderedEstimator,
 )
-from ship_estimation.outcome import MeasurementDecision, Outcome
-from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.time_scales import SECOND_NS
 from ship_geometry.vector_track import VectorSample, VectorTrack
 

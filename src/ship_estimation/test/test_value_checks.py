@@ -9,8 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ship_estimation.value_checks import PredictionBound, JumpCheck, JumpDecision, PredictionStep, StuckCheck, vector_length
 from ship_estimation.motion_check import MotionReference
+from ship_estimation.value_checks import (
+    JumpCheck,
+    JumpDecision,
+    PredictionBound,
+    PredictionStep,
+    StuckCheck,
+    vector_length,
+)
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 
 MS = 1_000_000

@@ -6,7 +6,7 @@ from typing import TypeVar
 import numpy as np
 
 from ship_geometry import compiled_polynomials
-from ship_geometry.interpolation_error import ANY_DIRECTION, NEXT_TERM_SHARE, MOST_SAMPLES
+from ship_geometry.interpolation_error import ANY_DIRECTION, MOST_SAMPLES, NEXT_TERM_SHARE
 from ship_geometry.rotations import FloatArray
 from ship_geometry.sample_track import SampleTrack, hermite_weights
 

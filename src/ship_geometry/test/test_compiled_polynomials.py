@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from ship_geometry import compiled_polynomials
-from ship_geometry.interpolation_error import ANY_DIRECTION, NEXT_TERM_SHARE, MOST_SAMPLES, as_covariance, polynomial_errors
+from ship_geometry.interpolation_error import (
+    ANY_DIRECTION,
+    MOST_SAMPLES,
+    NEXT_TERM_SHARE,
+    as_covariance,
+    polynomial_errors,
+)
 from ship_geometry.rotations import FloatArray
 from ship_geometry.sample_track import hermite_weights
 

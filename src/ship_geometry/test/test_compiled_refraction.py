@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from ship_geometry import compiled_refraction
-from ship_geometry.refraction import LOWEST_ELEVATION, MODELS, ModelName, Weather, raised_directions, refraction, seen_through_air
+from ship_geometry.refraction import (
+    LOWEST_ELEVATION,
+    MODELS,
+    ModelName,
+    Weather,
+    raised_directions,
+    refraction,
+    seen_through_air,
+)
 from ship_geometry.rotations import ARCSEC, FloatArray
 
 RNG_SEED = 6

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack
-from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes, exposure_motion
+from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_motion, exposure_nodes
 from ship_geometry.frames import rotation_from_angles
 from ship_geometry.rotations import ARCSEC, exp_rotation, log_rotation
 

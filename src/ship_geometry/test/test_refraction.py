@@ -4,7 +4,15 @@ import erfa
 import numpy as np
 import pytest
 
-from ship_geometry.refraction import MODELS, Weather, elevation_of, raised_directions, raising_axis, refraction, refraction_slopes
+from ship_geometry.refraction import (
+    MODELS,
+    Weather,
+    elevation_of,
+    raised_directions,
+    raising_axis,
+    refraction,
+    refraction_slopes,
+)
 from ship_geometry.rotations import ARCSEC, angle_between, exp_rotation
 
 PAPER = Weather(pressure_hpa=1008.3, temperature_c=28.2)

@@ -15,8 +15,8 @@ from ship_testing.hand_made_bags import FACTORY, START_NS, ship_attitude, write_
 from ship_testing.recorded_suites import TURN_RAD_PER_S, write_suite
 from ship_watch.history import HISTORY_S
 from ship_watch.limits import Limits
-from ship_watch.suite_state import Presence
 from ship_watch.suite_monitor import SuiteMonitor
+from ship_watch.suite_state import Presence
 
 LENGTH_S = 900
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from ship_bags.stamps import NS_PER_S
-from ship_monitor.alerts.alert_manager import MAX_STATUSES, MAX_STATUS_AGE_NS, AlertManager
+from ship_monitor.alerts.alert_manager import MAX_STATUS_AGE_NS, MAX_STATUSES, AlertManager
 from ship_testing.monitored_voyages import records, replay_with_faults
 from ship_watch.alert_conditions import NodeStatus
 from ship_watch.alert_states import AlertState

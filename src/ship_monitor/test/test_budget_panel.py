@@ -12,8 +12,8 @@ from ship_monitor.page.budget_panel import (
     top_of_axis,
     variances_arcsec2,
 )
-from ship_monitor.page.themes import THEMES
 from ship_monitor.page.streamed_lines import TimeAxis
+from ship_monitor.page.themes import THEMES
 from ship_testing.monitored_histories import ARCSEC, simulated_history
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from bokeh.document import Document
 
-from ship_monitor.page.curves import next_step, gap_rows, label_positions, signed_text, rows_to_draw
-from ship_monitor.page.streamed_lines import TimeAxis, StreamedLine
+from ship_monitor.page.curves import gap_rows, label_positions, next_step, rows_to_draw, signed_text
+from ship_monitor.page.streamed_lines import StreamedLine, TimeAxis
 from ship_watch.history import points_after
 
 SECOND_NS = 1_000_000_000

@@ -15,8 +15,8 @@ from ship_monitor.page.tables import InputsPanel
 from ship_testing import browser as browser_module
 from ship_testing import suite_states
 from ship_testing.browser import Browser
-from ship_testing.page_runs import StateSource, run_page_server
 from ship_testing.monitored_histories import simulated_history, simulated_state
+from ship_testing.page_runs import StateSource, run_page_server
 from ship_watch.suite_state import ANGLES, Safety
 
 pytestmark = pytest.mark.skipif(browser_module.CHROMIUM is None, reason="there is no Chromium on this machine")

@@ -16,7 +16,7 @@ from ship_monitor.page.sky import boresight
 from ship_monitor.page.sky_panel import positions_in_field, used_star_mask
 from ship_monitor.page.tables import event_row, input_row, reasons_text
 from ship_monitor.page.themes import THEMES
-from ship_testing.monitored_histories import SHIFT_AGE_S, NOW_NS, simulated_history, simulated_state
+from ship_testing.monitored_histories import NOW_NS, SHIFT_AGE_S, simulated_history, simulated_state
 from ship_watch.history import History, ParameterEstimate
 from ship_watch.suite_state import Event, InputState, Presence
 

@@ -10,9 +10,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ship_monitor.terminal.details import details, help_page
-from ship_monitor.terminal.styled_text import TextStyle, LineFormatter, plain_text
-from ship_monitor.terminal.screen import View, selectable_names, screen, alert_to_show
-from ship_testing.suite_states import SHIFTED_SENSOR, SHIFTED_SENSOR_ALERT, SHIFTED_SENSOR_INPUT, NOW_NS, angle, state_with_mounting_shift, source_out, angles_timed_out, source
+from ship_monitor.terminal.screen import View, alert_to_show, screen, selectable_names
+from ship_monitor.terminal.styled_text import LineFormatter, TextStyle, plain_text
+from ship_testing.suite_states import (
+    NOW_NS,
+    SHIFTED_SENSOR,
+    SHIFTED_SENSOR_ALERT,
+    SHIFTED_SENSOR_INPUT,
+    angle,
+    angles_timed_out,
+    source,
+    source_out,
+    state_with_mounting_shift,
+)
 from ship_watch.suite_state import ANGLES, Event, Priority, Safety
 
 VIEW = View(80, 24, "demo", "LIVE", "namespace /demo, domain 7")

@@ -29,9 +29,9 @@ from ship_node.live.node_clock import NodeClock
 from ship_node.live.node_events import NodeEvents
 from ship_node.live.node_report import ExceptionGuard, StatusLog, name_status
 from ship_node.live.node_runtime import run_node
-from ship_node.live.qos import input_qos, output_qos, overriding_options, check_overrides
+from ship_node.live.qos import check_overrides, input_qos, output_qos, overriding_options
 from ship_node.live.ros_parameters import NodeParameters, ParameterNode
-from ship_node.parameters.parameter_file import section_warnings, error_with_location
+from ship_node.parameters.parameter_file import error_with_location, section_warnings
 
 SPIN_TIMEOUT_S = 0.1
 REPORT_PERIOD_S = 1.0

@@ -17,10 +17,10 @@ from ship_nmea.sentences.alerts import (
     AlertCommand,
     SentenceAlert,
     alc,
-    parse_command,
     alf,
     arc,
     hbt,
+    parse_command,
 )
 from ship_nmea.sentences.sentence_types import LONGEST_BYTES, text_field
 

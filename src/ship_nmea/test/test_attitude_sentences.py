@@ -15,15 +15,15 @@ from ship_geometry.frames import angles_from_rotation, rotation_from_angles
 from ship_geometry.rotations import ARCSEC
 from ship_nmea.sentences.attitude import (
     ATTITUDE_SENTENCES,
-    SentenceAttitude,
     AttitudeQuality,
-    simulated_attitude,
+    SentenceAttitude,
     hdt,
     heading_rate,
     pashr,
     psxn20,
     psxn23,
     rot,
+    simulated_attitude,
     ths,
 )
 from ship_nmea.sentences.sentence_types import LONGEST_BYTES

@@ -15,7 +15,7 @@ import pynmea2
 import pytest
 
 from ship_msgs.msg import Alert
-from ship_testing.bridge import Display, AttitudePublisher, wait_until
+from ship_testing.bridge import AttitudePublisher, Display, wait_until
 from ship_testing.nmea_in_peer import free_port
 
 pytestmark = pytest.mark.live

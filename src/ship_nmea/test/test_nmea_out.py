@@ -17,7 +17,7 @@ from ship_msgs.msg import Alert, AlertArray, ShipAttitude
 from ship_nmea.commands.nmea_out import main
 from ship_nmea.out.nmea_out import Throttle
 from ship_replay.trials.live_process import free_domain_id
-from ship_testing.bridge import LATCHED, Display, AttitudePublisher, wait_until
+from ship_testing.bridge import LATCHED, AttitudePublisher, Display, wait_until
 from ship_testing.nmea_in_peer import free_port
 
 pytestmark = pytest.mark.live

@@ -10,8 +10,8 @@ from ship_bags.commands.import_nmea import main as import_nmea
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.nmea.instrument_line import datetime_ns
 from ship_bags.stamps import NS_PER_S
-from ship_testing.nmea_in_peer import free_port
 from ship_testing.message_values import value_bytes
+from ship_testing.nmea_in_peer import free_port
 
 LOGS = Path(__file__).parents[4] / "shared" / "data" / "nbp1406"
 FILES = {"seapath": "seap", "s330": "s330", "gyro": "gyr1", "mast": "mwx1"}

@@ -18,6 +18,7 @@ from ship_bags.message_factory import RosidlFactory
 from ship_estimation.parameters import build
 from ship_node.black_box import black_box
 from ship_node.black_box.black_box import MAX_ENTRIES_BEFORE_TIME, BlackBox
+from ship_node.black_box.black_box_files import free_path
 from ship_node.black_box.black_box_format import (
     EVENTS_TOPIC,
     FORMAT,
@@ -37,7 +38,6 @@ from ship_node.black_box.black_box_format import (
     event_from_text,
     event_text,
 )
-from ship_node.black_box.black_box_files import free_path
 from ship_node.documents.saved_document import RecordingFiles
 from ship_node.edge.messages_out import Level
 from ship_node.live.adapter_calls import AdapterCalls

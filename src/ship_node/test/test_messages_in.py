@@ -9,11 +9,11 @@ from ship_msgs.msg import Innovation
 from ship_node.edge.messages_in import (
     MessageRejected,
     angular_covariance,
-    covariance_3x3,
     check_device_id,
     check_finite,
-    finite_vector,
     check_frame,
+    covariance_3x3,
+    finite_vector,
     stamp_ns,
     unit_quaternion,
 )

@@ -12,7 +12,7 @@ from std_msgs.msg import Int32
 from std_srvs.srv import SetBool
 
 from ship_node.edge.messages_out import Level
-from ship_node.live.node_events import MAX_MESSAGE_BYTES, MAX_EVENTS, Arrival, Inbox, NodeEvents
+from ship_node.live.node_events import MAX_EVENTS, MAX_MESSAGE_BYTES, Arrival, Inbox, NodeEvents
 from ship_node.live.node_report import ExceptionGuard
 
 DEPTH = 100

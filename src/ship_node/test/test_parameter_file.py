@@ -7,9 +7,14 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
 from ship_bags.errors import BadInput
-from ship_bags.parameter_yaml import in_any_namespace, full_name
+from ship_bags.parameter_yaml import full_name, in_any_namespace
 from ship_estimation.parameter_fields import parameter, section
-from ship_node.parameters.parameter_file import load_config, section_warning, read_node_parameters, read_matching_sections
+from ship_node.parameters.parameter_file import (
+    load_config,
+    read_matching_sections,
+    read_node_parameters,
+    section_warning,
+)
 
 RCLError = rclpy_implementation.RCLError
 

@@ -17,7 +17,7 @@ from ship_estimation.parameters import ParameterError
 from ship_estimation.rejections import Reason, Rejection
 from ship_node.documents.saved_document import DISK, SavedFormat, section, stamp_ns
 from ship_node.documents.saved_start import SavedStart
-from ship_node.edge.messages_in import ReadMessage, MessageRejected
+from ship_node.edge.messages_in import MessageRejected, ReadMessage
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.edge.overload import Overload
 from ship_node.edge.reporting_adapter import Feed, ReportingAdapter, ignore_time

@@ -21,7 +21,7 @@ from ship_node.edge.messages_out import INTEGRITY_TYPE
 from ship_replay.commands.check_config import main as check_config
 from ship_replay.commands.replay import main
 from ship_simulation.inject_command import main as inject
-from ship_testing.black_boxes import BOX_FORMAT, OPTICAL_AXIS, SHIP_ATTITUDE, write_changed_copy, make_box
+from ship_testing.black_boxes import BOX_FORMAT, OPTICAL_AXIS, SHIP_ATTITUDE, make_box, write_changed_copy
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 ATTITUDE = "ship_msgs/msg/ShipAttitude"

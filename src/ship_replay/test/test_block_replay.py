@@ -25,7 +25,7 @@ from ship_replay.offline.adapter_chain import suite_chain
 from ship_replay.offline.block_run import BlockRun
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
-from ship_replay.trials.fault_voyage import make_bag, input_topics
+from ship_replay.trials.fault_voyage import input_topics, make_bag
 from ship_replay.trials.threats import OVERLAPPING, SINGLE, draw_faults
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.faults.injection import Injection

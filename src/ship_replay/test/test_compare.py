@@ -21,8 +21,8 @@ from ship_replay.offline.replay import replay
 from ship_replay.report.configurations import parameter_differences, text_differences
 from ship_replay.report.pair import input_sentences, read_pair
 from ship_replay.report.pair_page import PAIR_SECTIONS, pair_page
-from ship_replay.report.pair_tables import alignment_tables, budget_tables, error_rows, events_of_one
 from ship_replay.report.pair_summary import pair_summary
+from ship_replay.report.pair_tables import alignment_tables, budget_tables, error_rows, events_of_one
 from ship_replay.report.pair_warnings import pair_warnings
 from ship_replay.report.published import differences, read_published
 from ship_testing.bag_parts import write_beginning, write_part

@@ -12,7 +12,7 @@ from ship_replay.ins_noise.correlation_time import mean_log_time
 from ship_replay.ins_noise.fit import fit
 from ship_replay.ins_noise.processes import GaussMarkovModel
 from ship_replay.ins_noise.star_record import star_record
-from ship_testing.noise_sessions import GaussMarkovProcess, draw_session, simulated_noise_session, scenario
+from ship_testing.noise_sessions import GaussMarkovProcess, draw_session, scenario, simulated_noise_session
 
 SEEDS = 200
 LOW, HIGH = np.sqrt(chi2.ppf([0.0005, 0.9995], SEEDS) / SEEDS)

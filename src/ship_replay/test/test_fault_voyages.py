@@ -16,13 +16,34 @@ import pytest
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.stamps import NS_PER_S
-from ship_replay.trials.fault_evaluation import exceedance_durations, first_named_sources, is_faulty_source, evaluate_fault
-from ship_replay.trials.fault_results import threat_rows, pair_rows, results_file, totals
-from ship_replay.trials.fault_voyage import Voyage, replay_fault_free, make_bag, replay_injection, run_voyage, input_topics, voyages
-from ship_replay.trials.one_fault import one_fault_lines
+from ship_replay.trials.fault_evaluation import (
+    evaluate_fault,
+    exceedance_durations,
+    first_named_sources,
+    is_faulty_source,
+)
 from ship_replay.trials.fault_free_replay import UNDETECTABLE_CASES, UNREPORTED_CASES, FaultFreeReplay
+from ship_replay.trials.fault_results import pair_rows, results_file, threat_rows, totals
+from ship_replay.trials.fault_voyage import (
+    Voyage,
+    input_topics,
+    make_bag,
+    replay_fault_free,
+    replay_injection,
+    run_voyage,
+    voyages,
+)
+from ship_replay.trials.one_fault import one_fault_lines
 from ship_replay.trials.threats import BY_FORM, DATA_LIKE, OVERLAPPING, SINGLE, draw_faults
-from ship_replay.trials.voyage_outputs import EXCLUSION, NO_DATA, ValidOutput, HealthHistory, FaultIndication, VoyageOutputs, VoyageSink
+from ship_replay.trials.voyage_outputs import (
+    EXCLUSION,
+    NO_DATA,
+    FaultIndication,
+    HealthHistory,
+    ValidOutput,
+    VoyageOutputs,
+    VoyageSink,
+)
 from ship_simulation.draws.noise import random_stream
 from ship_simulation.faults.injection import Injection
 from ship_simulation.scenario.fault import KINDS, Fault, size_problems

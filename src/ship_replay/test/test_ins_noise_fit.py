@@ -14,10 +14,10 @@ from ship_estimation.gates import mean_nees_band
 from ship_node.parameters.parameter_file import load_config
 from ship_replay.ins_noise.fit import FittedModel, fit
 from ship_replay.ins_noise.identification import Identification, identify
+from ship_replay.ins_noise.parameter_output import parameter_file_text
 from ship_replay.ins_noise.processes import GaussMarkovModel
 from ship_replay.ins_noise.star_record import star_record
-from ship_replay.ins_noise.parameter_output import parameter_file_text
-from ship_testing.noise_sessions import GaussMarkovProcess, draw_session, simulated_noise_session, scenario
+from ship_testing.noise_sessions import GaussMarkovProcess, draw_session, scenario, simulated_noise_session
 
 pytestmark = pytest.mark.slow  # what its tests share takes long
 

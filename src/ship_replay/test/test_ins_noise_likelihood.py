@@ -22,7 +22,7 @@ from ship_replay.ins_noise.processes import GaussMarkovModel, SchulerModel
 from ship_replay.ins_noise.session import NoiseSession, mean_location
 from ship_replay.ins_noise.star_record import star_record
 from ship_simulation.scenario.motion_scenario import AngleMotion, Wave
-from ship_testing.noise_sessions import STILL, simulated_noise_session, scenario
+from ship_testing.noise_sessions import STILL, scenario, simulated_noise_session
 
 LASTING = {"common_sigma_arcsec": 2.0, "common_time_s": 300.0, "time_offset_sigma_s": 0.001, "phase_s": 0.5}
 ROLLING = replace(STILL, roll=AngleMotion(waves={"slow": Wave(amplitude_deg=4.0, period_s=200.0)}))

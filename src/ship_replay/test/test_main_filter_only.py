@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from ship_estimation.parameters import build
+from ship_replay.trials.main_filter_only import ShipFilterWithoutSubfilters, SightingStepWithoutSubfilters
 from ship_replay.trials.monte_carlo import attitude_outcomes, core_for, pointing_outcomes
-from ship_replay.trials.main_filter_only import SightingStepWithoutSubfilters, ShipFilterWithoutSubfilters
 from ship_simulation.run import SimulatedRun, simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.suite.suite import optical_axis_configuration

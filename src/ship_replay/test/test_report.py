@@ -9,18 +9,18 @@ from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.suite_commit import COMMIT_RECORD, suite_commit
 from ship_replay.commands.report import main
 from ship_replay.evaluation.evaluate import evaluate
-from ship_replay.report.drawings import MAX_POINTS, source_colours, decimate_errors, decimation_mask
+from ship_replay.report.drawings import MAX_POINTS, decimate_errors, decimation_mask, source_colours
 from ship_replay.report.event_groups import event_rows
-from ship_replay.report.recording import read_recording
 from ship_replay.report.page import SECTIONS, page
+from ship_replay.report.recording import read_recording
+from ship_replay.report.report_data import read_report_data
 from ship_replay.report.summary import summary
 from ship_replay.report.tables import outages
 from ship_replay.report.time_axis import UtcTicks
-from ship_replay.report.report_data import read_report_data
 from ship_replay.report.wording import duration, number
 from ship_testing.hand_made_bags import PERIOD_NS, START_NS, imu, ship_attitude
-from ship_testing.usage_errors import usage_error
 from ship_testing.report_bags import SECOND_NS, copy_bag, section, write_bag
+from ship_testing.usage_errors import usage_error
 from ship_watch.suite_state import Event, Safety
 
 

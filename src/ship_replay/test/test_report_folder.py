@@ -7,8 +7,8 @@ from urllib.parse import unquote
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_replay.commands.report import main
 from ship_testing.hand_made_bags import PERIOD_NS, START_NS, imu
-from ship_testing.usage_errors import usage_error
 from ship_testing.report_bags import write_bag
+from ship_testing.usage_errors import usage_error
 
 
 def rows_of(text):

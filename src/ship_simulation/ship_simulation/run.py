@@ -19,11 +19,11 @@ from ship_simulation.ship.attitude_device import (
     FusedSamples,
     InsSamples,
     InsTruth,
-    star_sensor_motion,
     simulate_fused_attitude,
     simulate_ins,
     simulate_reference,
     simulate_star_sensor,
+    star_sensor_motion,
 )
 from ship_simulation.ship.deflection import Deflection, DeflectionSamples, simulate_deflections
 from ship_simulation.ship.motion import Carrier, make_carrier

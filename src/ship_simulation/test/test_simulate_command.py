@@ -15,8 +15,8 @@ from ship_simulation.run import simulate
 from ship_simulation.scenario.scenario_file import load_scenario
 from ship_simulation.simulate_command import main
 from ship_simulation.suite.suite import suite_yaml
-from ship_testing.usage_errors import usage_error
 from ship_testing.short_scenario import SHORT
+from ship_testing.usage_errors import usage_error
 
 SCENARIOS = Path(__file__).resolve().parents[3] / "bags" / "scenarios"
 

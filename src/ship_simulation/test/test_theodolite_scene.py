@@ -24,7 +24,7 @@ from ship_testing.theodolite_scenes import (
 )
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.lights.image import Camera
-from theodolite_calib.lights.line_of_sight import LeverArm, BeaconPoses, Ship, Survey, lines_of_sight
+from theodolite_calib.lights.line_of_sight import BeaconPoses, LeverArm, Ship, Survey, lines_of_sight
 
 NONE = np.zeros(3)
 

@@ -12,7 +12,7 @@ from ship_geometry.rotations import ARCSEC
 from ship_watch.alert_states import Condition
 from ship_watch.functions import ATTITUDE, POINTING, FunctionState, functions, without_changing_figures
 from ship_watch.limits import InputLimits, Limits
-from ship_watch.suite_state import CAUSE_NODE, SuiteState, Presence, Priority, SourceDetails
+from ship_watch.suite_state import CAUSE_NODE, Presence, Priority, SourceDetails, SuiteState
 
 STARS_OUT = "stars.out"
 

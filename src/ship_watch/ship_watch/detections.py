@@ -12,7 +12,7 @@ import numpy as np
 
 from ship_bags.stamps import ns_from_stamp
 from ship_geometry.rotations import FloatArray
-from ship_watch.history import History, BeaconPoint, StarExposure, append
+from ship_watch.history import BeaconPoint, History, StarExposure, append
 
 _PENDING_MESSAGES = 8
 """Number of messages that wait for their counterpart."""

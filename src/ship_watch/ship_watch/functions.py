@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ship_watch.limits import Limits
-from ship_watch.suite_state import AngleState, SuiteState, Presence, Priority, Safety, SourceDetails
 from ship_watch.safety import OVER_THE_LIMIT
+from ship_watch.suite_state import AngleState, Presence, Priority, Safety, SourceDetails, SuiteState
 
 ATTITUDE, POINTING = "attitude", "pointing"
 """Outputs of the functions."""

@@ -13,6 +13,7 @@ from ship_estimation.rejections import Reason
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_watch.budget import angle_variances
+from ship_watch.detections import BeaconDetections, StarExposures
 from ship_watch.history import (
     BudgetPoint,
     ErrorPoint,
@@ -27,7 +28,6 @@ from ship_watch.history import (
 from ship_watch.names import MAX_NAME_LENGTH, MAX_NAMES, has_room
 from ship_watch.orientations import POINTING, SHIP_ATTITUDE, Orientation
 from ship_watch.suite_state import ANGLES, Safety
-from ship_watch.detections import BeaconDetections, StarExposures
 from ship_watch.topics import source_of_name, source_of_topic
 
 _TRUTH_GAP_NS = NS_PER_S

@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ship_estimation.rejections import Reason
-from ship_watch.suite_state import CAUSE_NODE, Presence, SourceDetails, SourceState
-from ship_watch.reports import TopicReports
-from ship_watch.decision_history import NO_DISAGREEMENT, MIN_DISPLAY_NS, DecisionHistory
-from ship_watch.topics import source_member
+from ship_watch.decision_history import MIN_DISPLAY_NS, NO_DISAGREEMENT, DecisionHistory
 from ship_watch.nis_consistency import NisWindow
+from ship_watch.reports import TopicReports
+from ship_watch.suite_state import CAUSE_NODE, Presence, SourceDetails, SourceState
+from ship_watch.topics import source_member
 
 _NEEDS: dict[Reason, dict[str, tuple[str, ...]]] = {
     Reason.GAP: {

@@ -10,12 +10,12 @@ from collections.abc import Iterable
 from typing import Any
 
 from ship_bags.stamps import ns_from_stamp
+from ship_watch.decision_history import DecisionHistory
 from ship_watch.limits import Limits
 from ship_watch.names import MAX_NAMES, has_room
-from ship_watch.source_record import SourceRecord, SourceFault, unconfigured_source
-from ship_watch.suite_state import Presence, SourceDetails, SourceState
 from ship_watch.reports import TopicReports
-from ship_watch.decision_history import DecisionHistory
+from ship_watch.source_record import SourceFault, SourceRecord, unconfigured_source
+from ship_watch.suite_state import Presence, SourceDetails, SourceState
 from ship_watch.topics import display_order, source_of_name, source_of_topic
 
 STAR_INNOVATION = "star/innovation"

@@ -17,7 +17,6 @@ import numpy as np
 from ship_bags.stamps import NS_PER_S, ns_from_stamp
 from ship_estimation.outcome import Status
 from ship_estimation.rejections import Reason
-from ship_watch.overload import OverloadedNodes
 from ship_watch.events import START_UP_NS, EventLog, alerts_from_message
 from ship_watch.history import History
 from ship_watch.history_recorder import HistoryRecorder
@@ -25,20 +24,21 @@ from ship_watch.limits import Limits
 from ship_watch.mounting_shifts import MountingShifts
 from ship_watch.names import has_room
 from ship_watch.outputs import AttitudeRecord, OutputRecord, PointingRecord
+from ship_watch.overload import OverloadedNodes
+from ship_watch.published_state import PublishedState, published_state
+from ship_watch.safety import COUNTDOWN, AngleInputs, SafetyHysteresis, TimeOverLimit, angle_safety
+from ship_watch.sources import STAR_INNOVATION, SourceRecords, first_faulty_source, newest_age_s
 from ship_watch.suite_state import (
     ANGLES,
     CAUSE_NODE,
     AlertEntry,
     AngleState,
-    SuiteState,
     Safety,
     SourceDetails,
     SourceState,
+    SuiteState,
 )
-from ship_watch.published_state import PublishedState, published_state
-from ship_watch.sources import STAR_INNOVATION, SourceRecords, first_faulty_source, newest_age_s
-from ship_watch.safety import COUNTDOWN, AngleInputs, SafetyHysteresis, TimeOverLimit, angle_safety
-from ship_watch.topics import reading_node, source_of_topic, monitored_topic
+from ship_watch.topics import monitored_topic, reading_node, source_of_topic
 
 EVALUATION_PERIOD_NS = 100_000_000
 """Period at which safety and events are evaluated, ns."""

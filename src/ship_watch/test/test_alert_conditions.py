@@ -9,22 +9,22 @@ from ship_geometry.rotations import ARCSEC
 from ship_testing.suite_states import LIMITS as PICTURED
 from ship_testing.suite_states import (
     angle,
-    late_input,
-    unsafe_angle,
-    angles_without_data,
-    source_out,
     angle_over_limit,
-    suite_state,
     angles_timed_out,
+    angles_without_data,
+    late_input,
     source,
+    source_out,
+    suite_state,
+    unsafe_angle,
 )
 from ship_watch.alert_advice import ADVICE, kind_of
 from ship_watch.alert_conditions import ComputerState, NodeStatus, conditions
 from ship_watch.alert_states import Condition
 from ship_watch.alerts import AlertList
-from ship_watch.functions import functions, diagnostic_entries
+from ship_watch.functions import diagnostic_entries, functions
 from ship_watch.limits import InputLimits, Limits
-from ship_watch.suite_state import SuiteState, Presence, Priority, Safety
+from ship_watch.suite_state import Presence, Priority, Safety, SuiteState
 
 S = 1_000_000_000
 PAGE = Path(__file__).parents[3] / "docs/explanation/alerts.md"

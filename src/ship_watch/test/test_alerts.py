@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ship_watch.alert_states import AlertState, Condition
-from ship_watch.alerts import AlertList, AlertChange
+from ship_watch.alerts import AlertChange, AlertList
 from ship_watch.limits import AlertTimes
 from ship_watch.suite_state import AlertEntry, Priority
 

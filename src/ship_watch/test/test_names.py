@@ -13,8 +13,8 @@ from ship_watch.alert_states import Condition
 from ship_watch.alerts import MAX_ALERTS, AlertList
 from ship_watch.limits import AlertTimes, Limits
 from ship_watch.names import MAX_NAME_LENGTH, MAX_NAMES, has_room
-from ship_watch.suite_state import Priority
 from ship_watch.suite_monitor import SuiteMonitor
+from ship_watch.suite_state import Priority
 
 NS = 1_000_000_000
 START_NS = 1_700_000_000 * NS

@@ -8,8 +8,15 @@ import pytest
 
 from ship_bags.message_factory import RosidlFactory
 from ship_geometry.rotations import ARCSEC
-from ship_testing.suite_states import NOW_NS, unsafe_angle, source_out, angle_over_limit, suite_state, angles_timed_out, source
-from ship_watch.suite_state import SuiteState, Presence, Safety
+from ship_testing.suite_states import (
+    NOW_NS,
+    angle_over_limit,
+    angles_timed_out,
+    source,
+    source_out,
+    suite_state,
+    unsafe_angle,
+)
 from ship_watch.published_state import (
     MAX_AGE_NS,
     PERIOD_NS,
@@ -18,6 +25,7 @@ from ship_watch.published_state import (
     published_state,
     suite_state_fields,
 )
+from ship_watch.suite_state import Presence, Safety, SuiteState
 
 PICTURES = {
     "all well": suite_state(),

@@ -11,8 +11,16 @@ import pytest
 from ship_estimation.outcome import Status
 from ship_estimation.protection_levels import IntegrityState
 from ship_geometry.rotations import ARCSEC
+from ship_watch.safety import (
+    AngleInputs,
+    AngleProtection,
+    AngleSafety,
+    DisplayedSafety,
+    SafetyHysteresis,
+    angle_safety,
+    safety_and_reason,
+)
 from ship_watch.suite_state import Presence, Safety, SourceState
-from ship_watch.safety import AngleInputs, AngleSafety, SafetyHysteresis, AngleProtection, DisplayedSafety, angle_safety, safety_and_reason
 
 SECOND = 1_000_000_000
 KNOCKED = SourceState("star.bow", Presence.OUT, "excluded", "right +49″", 17.0, 1, "")

@@ -13,10 +13,10 @@ from ship_geometry.rotations import ARCSEC
 from ship_watch.alert_conditions import conditions
 from ship_watch.alerts import AlertList
 from ship_watch.limits import Limits
-from ship_watch.suite_state import ANGLES, Presence, Safety
 from ship_watch.published_state import STATE_TYPE, suite_state_fields
-from ship_watch.topics import TOPICS, source_of_name, source_of_topic, monitored_topic
 from ship_watch.suite_monitor import SuiteMonitor
+from ship_watch.suite_state import ANGLES, Presence, Safety
+from ship_watch.topics import TOPICS, monitored_topic, source_of_name, source_of_topic
 
 SECOND = 1_000_000_000
 UTC = 1_404_906_607 * SECOND

@@ -16,8 +16,8 @@ from ship_geometry.rotations import (
 )
 from theodolite_calib.chain.axes import (
     NAMES,
-    AxisGeometry,
     AxisErrors,
+    AxisGeometry,
     axis_geometry,
     direction_change,
     encoder_angles,

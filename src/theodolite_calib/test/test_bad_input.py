@@ -17,11 +17,11 @@ from ship_testing.adapter_runs import (
     SECOND_NS,
     Arrival,
     add_copy,
-    changed_copy,
     change_where,
-    sort_by_arrival,
+    changed_copy,
     index_at,
     replace_message,
+    sort_by_arrival,
     stamp_of,
     without,
 )
@@ -32,10 +32,10 @@ from ship_testing.small_session import (
     IMU,
     SHIP,
     Run,
-    fault_free_run,
-    run_adapter,
     error_in_sigmas,
+    fault_free_run,
     new_adapter,
+    run_adapter,
     session,
 )
 from theodolite_calib.measured.samples import Mode

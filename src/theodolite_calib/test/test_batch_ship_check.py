@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ship_estimation.ins import CheckedInsConfig
-from ship_estimation.ins_check import InsCheck, CheckedInsSample
+from ship_estimation.ins_check import CheckedInsSample, InsCheck
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import ARCSEC, FloatArray, exp_rotation
 from theodolite_calib.measured.batch_ship_check import BatchShipCheck, stated_step_rad

@@ -8,9 +8,9 @@ import pytest
 from ship_estimation.gates import mean_nees_band
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation
 from ship_testing.simulated_sightings import (
+    BEACONS_DEG,
     CAMERA,
     FOUR_BEACONS_DEG,
-    BEACONS_DEG,
     Epochs,
     error_free_epochs,
     paper_epochs,

@@ -12,7 +12,16 @@ from ship_estimation.parameters import ParameterError
 from ship_geometry.rotations import ARCSEC
 from ship_node.live.node_report import start_line
 from ship_testing.adapter_runs import FACTORY, SECOND_NS
-from ship_testing.small_session import AXES, BEACONS, FOCAL_LENGTH_M, fault_free_run, config, run_adapter, new_adapter, session
+from ship_testing.small_session import (
+    AXES,
+    BEACONS,
+    FOCAL_LENGTH_M,
+    config,
+    fault_free_run,
+    new_adapter,
+    run_adapter,
+    session,
+)
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.optical_axis.calibration import SAVED_NAMES, CalibrationPrior, prior_from_state, state_from_prior
 from theodolite_calib.ros.calibration_file import CALIBRATION_FILE

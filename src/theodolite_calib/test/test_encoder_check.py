@@ -16,10 +16,10 @@ from ship_testing.small_session import (
     BEACONS,
     ENCODER,
     Run,
-    fault_free_run,
-    run_adapter,
     error_in_sigmas,
+    fault_free_run,
     new_adapter,
+    run_adapter,
     session,
     stamp_of,
 )

@@ -14,7 +14,7 @@ from theodolite_calib.escort.accuracy import BeaconAccuracy
 from theodolite_calib.escort.advice import EscortAdvice, advise
 from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.lights.image import Camera, Image
-from theodolite_calib.lights.line_of_sight import LeverArm, BeaconPoses, Ship, Survey, lines_of_sight
+from theodolite_calib.lights.line_of_sight import BeaconPoses, LeverArm, Ship, Survey, lines_of_sight
 from theodolite_calib.lights.telescope_attitude import solve_attitude
 from theodolite_calib.measured.tracks import EncoderAt, ShipAt
 

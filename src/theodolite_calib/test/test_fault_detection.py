@@ -7,9 +7,15 @@ import pytest
 from ship_estimation.fault_isolation import ExcludedSource
 from ship_geometry.time_scales import SECOND_NS
 from ship_testing.simulated_session import config
-from theodolite_calib.filter.subfilters import BEACON_PREFIX, ENCODER
+from theodolite_calib.filter.fault_detection import (
+    ExclusionRecord,
+    FaultDetector,
+    FaultState,
+    UnresolvedFault,
+    initial_fault_state,
+)
 from theodolite_calib.filter.filter import CalibrationFilter
-from theodolite_calib.filter.fault_detection import UnresolvedFault, ExclusionRecord, FaultDetector, FaultState, initial_fault_state
+from theodolite_calib.filter.subfilters import BEACON_PREFIX, ENCODER
 
 SETTINGS = config()
 ROWS = CalibrationFilter(SETTINGS).subfilters

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from ship_geometry.rotations import ARCSEC, wrap_pi
-from ship_testing.axis_sightings import ERRORS, simulate_sightings, random_angles
+from ship_testing.axis_sightings import ERRORS, random_angles, simulate_sightings
 from theodolite_calib.axis_fit.fit_axes_command import OUTPUT_NAMES, main
 from theodolite_calib.axis_fit.sighting_file import COLUMNS, read_sightings
 from theodolite_calib.axis_fit.sightings import azimuth_and_elevation

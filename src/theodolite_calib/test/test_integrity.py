@@ -10,18 +10,18 @@ from ship_estimation.parameters import ParameterError
 from ship_geometry.rotations import ARCSEC
 from ship_msgs.msg import Integrity
 from ship_testing.adapter_runs import SECOND_NS, START_NS, change_where, delay_arrivals
+from ship_testing.published_levels import ProtectionLevelRun
 from ship_testing.small_session import (
     BASELINE,
     BEACONS,
     SHIP,
-    fault_free_run,
     config,
-    run_adapter,
+    fault_free_run,
     new_adapter,
+    run_adapter,
     session,
     stamp_of,
 )
-from ship_testing.published_levels import ProtectionLevelRun
 
 TOPIC = "theodolite/integrity"
 

@@ -15,9 +15,9 @@ from ship_testing.adapter_runs import (
     assert_flood_costs_little,
     changed_copy,
     delay_arrivals,
-    sort_by_arrival,
     index_at,
     replace_message,
+    sort_by_arrival,
     stamp_of,
 )
 from ship_testing.small_session import (
@@ -29,8 +29,8 @@ from ship_testing.small_session import (
     SHIP,
     Run,
     fault_free_run,
-    run_adapter,
     new_adapter,
+    run_adapter,
     session,
 )
 from theodolite_calib.optical_axis.core import OpticalAxisCore

@@ -8,12 +8,12 @@ from ship_testing.adapter_runs import change_where
 from ship_testing.small_session import (
     BEACONS,
     SHIP,
-    fault_free_run,
-    run_adapter,
     error_in_sigmas,
-    session_with_ins_only,
+    fault_free_run,
     new_adapter,
+    run_adapter,
     session,
+    session_with_ins_only,
 )
 from theodolite_calib.measured.samples import Mode
 

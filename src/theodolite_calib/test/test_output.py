@@ -13,11 +13,18 @@ from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_testing.simulated_session import config, session, sweep
 from theodolite_calib.chain.axes import axis_geometry
 from theodolite_calib.config import OpticalAxisConfig
+from theodolite_calib.filter.fault_detection import UnresolvedFault
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import axis_state_indices
 from theodolite_calib.filter.step import SightingStep
-from theodolite_calib.filter.fault_detection import UnresolvedFault
-from theodolite_calib.measured.samples import EncoderSeries, EncoderSample, Exposure, Mode, PointingEstimate, PointingSeries
+from theodolite_calib.measured.samples import (
+    EncoderSample,
+    EncoderSeries,
+    Exposure,
+    Mode,
+    PointingEstimate,
+    PointingSeries,
+)
 from theodolite_calib.measured.tracks import ShipAt, ShipSeries
 from theodolite_calib.optical_axis.output import CorrectedAxis, PendingPointing, PointingOutput
 

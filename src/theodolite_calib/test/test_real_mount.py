@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ship_geometry.rotations import ARCSEC
-from theodolite_calib.axis_fit.diagnostics import correlated_pairs, table_warnings, near_dependencies
+from theodolite_calib.axis_fit.diagnostics import correlated_pairs, near_dependencies, table_warnings
 from theodolite_calib.axis_fit.robust_fit import AxisFit, fit, rms, sizes
 from theodolite_calib.axis_fit.sighting_file import read_sightings
 from theodolite_calib.axis_fit.sightings import Sightings, directions

@@ -7,10 +7,17 @@ import pytest
 
 from ship_estimation.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
 from ship_geometry.rotations import ARCSEC, exp_rotation
-from ship_testing.axis_sightings import ERRORS, STRAIGHT, simulate_sightings, random_angles
+from ship_testing.axis_sightings import ERRORS, STRAIGHT, random_angles, simulate_sightings
 from theodolite_calib.axis_fit.diagnostics import condition_number, correlated_pairs, near_dependencies, unobservable
 from theodolite_calib.axis_fit.robust_fit import PRIOR_SIGMAS, fit, rms, sizes
-from theodolite_calib.axis_fit.sightings import SharedError, Sightings, coverage, directions, right_and_up, correlated_map
+from theodolite_calib.axis_fit.sightings import (
+    SharedError,
+    Sightings,
+    correlated_map,
+    coverage,
+    directions,
+    right_and_up,
+)
 from theodolite_calib.chain.axes import NAMES, AxisErrors, direction_change
 
 SEEDS = 200

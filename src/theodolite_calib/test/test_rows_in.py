@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ship_bags.message_store import RosbagsFactory
-from ship_node.edge.messages_in import ReadMessage, MessageRejected
+from ship_node.edge.messages_in import MessageRejected, ReadMessage
 from ship_testing.message_rows import rows
 from ship_testing.small_session import config
 from theodolite_calib.ros import messages_in, rows_in

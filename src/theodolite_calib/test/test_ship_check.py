@@ -10,16 +10,25 @@ from ship_estimation.outcome import Status
 from ship_estimation.rejections import Reason
 from ship_geometry.ros_axes import quaternion_from_rotation, rotation_from_quaternion
 from ship_geometry.rotations import exp_rotation
-from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, change_where, sort_by_arrival, index_at, replace_message, without
+from ship_testing.adapter_runs import (
+    SECOND_NS,
+    START_NS,
+    Arrival,
+    change_where,
+    index_at,
+    replace_message,
+    sort_by_arrival,
+    without,
+)
 from ship_testing.small_session import (
     BEACONS,
     ENCODER,
     INS,
     Run,
-    run_adapter,
     error_in_sigmas,
-    session_with_ins_only,
     new_adapter,
+    run_adapter,
+    session_with_ins_only,
     stamp_of,
 )
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter

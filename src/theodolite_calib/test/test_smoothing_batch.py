@@ -18,11 +18,11 @@ from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.samples import (
     BaselineSample,
+    DetectedBeacon,
     EncoderSample,
     Exposure,
     Mode,
     PointingEstimate,
-    DetectedBeacon,
     ShipSample,
 )
 from theodolite_calib.smoothing.core import SmoothingAxisCore

@@ -7,9 +7,9 @@ import pytest
 
 from ship_estimation.fault_isolation import ExcludedSource
 from ship_testing.simulated_session import config, session, sweep
-from theodolite_calib.filter.subfilters import BEACON_PREFIX, ENCODER, SHIP, TELESCOPE
-from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.fault_detection import ExclusionRecord
+from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
+from theodolite_calib.filter.subfilters import BEACON_PREFIX, ENCODER, SHIP, TELESCOPE
 from theodolite_calib.measured.encoder_check import EncoderJump
 from theodolite_calib.measured.sighting import Sighting
 from theodolite_calib.smoothing.traced_filter import TracedFilter, TracedState

@@ -31,10 +31,10 @@ from ship_testing.mount_stars import (
 from ship_testing.simulated_session import gauss_markov
 from ship_testing.star_sky import TIME_NS, without_identity
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.subfilters import ENCODER
+from theodolite_calib.filter.fault_detection import ExclusionRecord
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.star_step import StarStep
-from theodolite_calib.filter.fault_detection import ExclusionRecord
+from theodolite_calib.filter.subfilters import ENCODER
 from theodolite_calib.measured.samples import Mode, PointingEstimate
 from theodolite_calib.measured.star_sighting import StarSighting
 from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput

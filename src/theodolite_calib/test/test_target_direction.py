@@ -21,8 +21,8 @@ from theodolite_calib.optical_axis.core import OpticalAxisCore
 from theodolite_calib.target.direction import (
     MainDetector,
     direction_angles,
-    ranged_position,
     observed_direction,
+    ranged_position,
 )
 
 SECOND_NS = 1_000_000_000

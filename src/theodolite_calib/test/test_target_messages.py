@@ -11,7 +11,7 @@ from ship_estimation.outcome import Status
 from ship_estimation.rejections import Reason
 from ship_geometry.ros_axes import ENU_FROM_HORIZON
 from ship_testing.adapter_runs import FACTORY, SECOND_NS, START_NS, Arrival, exact_value, sort_by_arrival, stamp_of
-from ship_testing.small_session import ENCODER, LEVER_D, SHIP, Run, deck, run_adapter, mount_state, new_adapter, session
+from ship_testing.small_session import ENCODER, LEVER_D, SHIP, Run, deck, mount_state, new_adapter, run_adapter, session
 
 TARGET, DIRECTION = "theodolite/target", "theodolite/target_direction"
 DETECTOR = {"main_detector__focal_length_m": 1.5, "main_detector__frame_id": "main_detector"}

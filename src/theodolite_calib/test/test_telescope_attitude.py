@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 from ship_estimation.gates import mean_nees_band, normalized_error_squared, sigma_ratio_band
 from ship_geometry.rotations import ARCSEC, FloatArray, angle_between, exp_rotation, log_rotation
 from ship_testing.simulated_sightings import (
+    BEACONS_DEG,
     CAMERA,
     DISTANCE_M,
     FOUR_BEACONS_DEG,
-    BEACONS_DEG,
     SURVEY,
     Epochs,
     error_free_epochs,

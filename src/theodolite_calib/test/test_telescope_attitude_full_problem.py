@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from ship_geometry.rotations import FloatArray, exp_rotation, left_jacobian, log_rotation
 from ship_testing.simulated_sightings import (
+    BEACONS_DEG,
     CAMERA,
     FOUR_BEACONS_DEG,
-    BEACONS_DEG,
     SURVEY,
     error_free_epochs,
     project,
@@ -19,7 +19,13 @@ from ship_testing.simulated_sightings import (
     truth_of,
 )
 from theodolite_calib.lights.line_of_sight import LeverArm, covariance_by_source
-from theodolite_calib.lights.telescope_attitude import AttitudePrior, TelescopeAttitude, linearise, solve_attitude, total_covariance
+from theodolite_calib.lights.telescope_attitude import (
+    AttitudePrior,
+    TelescopeAttitude,
+    linearise,
+    solve_attitude,
+    total_covariance,
+)
 
 
 def solve_problem(problem: "FullProblem") -> TelescopeAttitude:

@@ -8,7 +8,7 @@ import pytest
 
 from ship_estimation.outcome import Status
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, changed_copy, hand_over, stamp_of
-from ship_testing.small_session import ENCODER, Run, run_adapter, new_adapter, session
+from ship_testing.small_session import ENCODER, Run, new_adapter, run_adapter, session
 
 AT_S, DURATION_S = 10.0, 20.0
 

@@ -9,7 +9,7 @@ import pytest
 
 from ship_estimation.outcome import Status
 from ship_testing.adapter_runs import SECOND_NS, START_NS, Arrival, hand_over, sort_by_arrival, stamp_of
-from ship_testing.small_session import BEACONS, ENCODER, SHIP, Run, fault_free_run, run_adapter, new_adapter, session
+from ship_testing.small_session import BEACONS, ENCODER, SHIP, Run, fault_free_run, new_adapter, run_adapter, session
 
 POINTING = "theodolite/pointing"
 BUDGETS = ("theodolite/error_budget", "theodolite/error_arcsec")

@@ -13,7 +13,16 @@ import pytest
 from ship_estimation.gates import mean_nees_band, normalized_error_squared
 from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.rotations import ARCSEC
-from ship_testing.theodolite_stations import AIR, AXES, ORIGIN, ORIGIN_M, PLACE_SIGMA_M, theodolite_n, seen_direction, station
+from ship_testing.theodolite_stations import (
+    AIR,
+    AXES,
+    ORIGIN,
+    ORIGIN_M,
+    PLACE_SIGMA_M,
+    seen_direction,
+    station,
+    theodolite_n,
+)
 from theodolite_calib.target.triangulation import Air, StationDirection, TriangulatedPosition, _Line, triangulate
 
 SIGMA, DRAWS = 3.0 * ARCSEC, 1000

@@ -17,7 +17,7 @@ from ship_estimation.rejections import Reason
 from ship_geometry.ros_axes import ENU_FROM_HORIZON
 from ship_geometry.rotations import ARCSEC, exp_rotation
 from ship_testing.garbage import paths, put_garbage
-from ship_testing.theodolite_stations import FACTORY, buoy_n, buoy_direction, direction_message, triangulation_values
+from ship_testing.theodolite_stations import FACTORY, buoy_direction, buoy_n, direction_message, triangulation_values
 from theodolite_calib.ros.triangulation_adapter import INNOVATION_TOPIC, POSITION_TOPIC, TriangulationAdapter
 from theodolite_calib.target.config import TriangulationConfig
 from theodolite_calib.target.triangulation_core import MAX_TARGETS, MAX_WAITING

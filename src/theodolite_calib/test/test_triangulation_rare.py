@@ -14,14 +14,23 @@ from ship_estimation.outcome import Status
 from ship_estimation.parameters import build
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, horizon_covariance
 from ship_geometry.rotations import ARCSEC
-from ship_testing.adapter_runs import FACTORY, AdapterRun, Arrival, changed_copy, exact_value, hand_over, sort_by_arrival, stamp_of
-from ship_testing.theodolite_stations import buoy_n, buoy_direction, direction_message, triangulation_values
+from ship_testing.adapter_runs import (
+    FACTORY,
+    AdapterRun,
+    Arrival,
+    changed_copy,
+    exact_value,
+    hand_over,
+    sort_by_arrival,
+    stamp_of,
+)
+from ship_testing.theodolite_stations import buoy_direction, buoy_n, direction_message, triangulation_values
 from theodolite_calib.ros.direction_messages_in import direction
 from theodolite_calib.ros.triangulation_adapter import POSITION_TOPIC, TriangulationAdapter
 from theodolite_calib.target.common_times import StationDirections
 from theodolite_calib.target.config import TriangulationConfig
-from theodolite_calib.target.triangulation_core import MAX_TARGETS
 from theodolite_calib.target.triangulation import TriangulatedPosition
+from theodolite_calib.target.triangulation_core import MAX_TARGETS
 from theodolite_calib.triangulation.recorded import target_positions
 
 SECOND_NS = 1_000_000_000

@@ -8,10 +8,10 @@ from ship_attitude_star.measurements.samples import AttitudeMeasurement
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_estimation.ins import CheckedInsConfig
 from ship_estimation.ins_check import InsCheck
+from ship_estimation.motion_check import MotionReference
 from ship_estimation.outcome import Measurement
 from ship_estimation.rejections import Reason, Rejection
 from ship_estimation.value_checks import StuckCheck
-from ship_estimation.motion_check import MotionReference
 from ship_geometry.attitude_track import AttitudeTrack
 from ship_geometry.rotations import FloatArray
 

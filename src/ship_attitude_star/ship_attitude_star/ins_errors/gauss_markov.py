@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ship_attitude_star.ins_errors.process import DEFLECTION, ATTITUDE_ERROR, Propagation, Vertical, deflection_change
+from ship_attitude_star.ins_errors.process import ATTITUDE_ERROR, DEFLECTION, Propagation, Vertical, deflection_change
 from ship_attitude_star.vertical.vertical_track import LocalVertical
 from ship_estimation.kalman import StateBlock, exceeds_model
 from ship_geometry.rotations import FloatArray

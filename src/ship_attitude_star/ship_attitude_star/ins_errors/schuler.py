@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ship_attitude_star.ins_errors.config import SchulerConfig
-from ship_attitude_star.ins_errors.process import DEFLECTION, ATTITUDE_ERROR, Propagation, Vertical, deflection_change
+from ship_attitude_star.ins_errors.process import ATTITUDE_ERROR, DEFLECTION, Propagation, Vertical, deflection_change
 from ship_attitude_star.vertical.vertical_track import STEP_NS, LocalVertical
 from ship_estimation.kalman import exceeds_model
 from ship_geometry.geodetic import EARTH_RATE_RAD_PER_S, GeodeticPosition, horizon_radii_m, normal_gravity

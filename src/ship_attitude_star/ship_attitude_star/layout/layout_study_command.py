@@ -22,7 +22,7 @@ from ship_attitude_star.layout.optics import PERCENTILES
 from ship_attitude_star.layout.requirement_text import REQUIREMENT_TABLES, requirement_lines, requirement_tables
 from ship_attitude_star.layout.study import LayoutStudy, compute_study
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
-from ship_bags.output_files import add_force_option, check_folder, write_csv, write_atomically
+from ship_bags.output_files import add_force_option, check_folder, write_atomically, write_csv
 from ship_bags.parameter_yaml import read_nested_parameters
 from ship_estimation.parameters import ParameterError, describe
 

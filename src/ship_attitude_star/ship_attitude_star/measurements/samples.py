@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_estimation.outcome import MeasurementDecision, Measurement, Outcome, Status
+from ship_estimation.outcome import Measurement, MeasurementDecision, Outcome, Status
 from ship_geometry.rotations import FloatArray
 
 StampArray = NDArray[np.int64]

@@ -32,8 +32,8 @@ from ship_geometry.ros_axes import (
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.edge.baselines import baseline_stamp_ns, baseline_vector, fix_rejection
 from ship_node.edge.messages_in import (
-    ReadMessage,
     MessageRejected,
+    ReadMessage,
     angular_covariance,
     check_device_id,
     check_finite,

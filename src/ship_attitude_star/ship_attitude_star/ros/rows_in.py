@@ -17,7 +17,7 @@ from ship_geometry.ros_axes import horizon_covariance
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.batches import StampArray
 from ship_node.edge.columns_in import ReadRows, angular_covariances, read_valid, stamps
-from ship_node.edge.messages_in import ReadMessage, MessageRejected
+from ship_node.edge.messages_in import MessageRejected, ReadMessage
 
 
 def star_attitudes(messages: CdrRows, receive_ns: StampArray, sensor_id: str, config: StarSensorConfig) -> ReadRows:

@@ -52,7 +52,8 @@ from ship_node.documents.saved_start import SavedStart
 from ship_node.edge.batches import BatchFeed, OutputRows, ReadBatch, StampArray
 from ship_node.edge.columns_in import ReadRows
 from ship_node.edge.duplicate_publishers import ATTITUDE, INNOVATION
-from ship_node.edge.ins_messages import sigma_mismatch_text, ins_batch, ins_sample
+from ship_node.edge.innovation_report import clock_status
+from ship_node.edge.ins_messages import ins_batch, ins_sample, sigma_mismatch_text
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.messages_out import (
     BUDGET_TYPE,
@@ -68,8 +69,7 @@ from ship_node.edge.messages_out import (
 )
 from ship_node.edge.recovering_adapter import RecoveringAdapter
 from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ignore_time
-from ship_node.edge.topics import InputTopic, OutputTopic, OutputMessage
-from ship_node.edge.innovation_report import clock_status
+from ship_node.edge.topics import InputTopic, OutputMessage, OutputTopic
 
 INTEGRITY_TOPIC = "ship/integrity"
 DEFLECTION_TOPIC, DEFLECTION_TYPE = "ship/deflection", "ship_msgs/msg/Deflection"

@@ -12,7 +12,7 @@ from ship_attitude_star.ros.surroundings_in import surroundings_feeds
 from ship_attitude_star.sky.sky_model import load_sky_model
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_attitude_star.star_attitude.core import StarCore
-from ship_attitude_star.star_attitude.exposure_solver import RejectedStar, AttitudeSolution, StarOutcome
+from ship_attitude_star.star_attitude.exposure_solver import AttitudeSolution, RejectedStar, StarOutcome
 from ship_attitude_star.stars.config import JOINT
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.solution import SOLUTION_TERMS, SolutionStatus
@@ -36,7 +36,7 @@ from ship_node.edge.messages_out import (
     rejection_message,
 )
 from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ignore_time
-from ship_node.edge.topics import InputTopic, OutputTopic, OutputMessage
+from ship_node.edge.topics import InputTopic, OutputMessage, OutputTopic
 
 _STARS_TYPE = "ship_msgs/msg/StarObservationArray"
 _SOLUTION_TYPE = "ship_msgs/msg/StarHorizonAttitude"

@@ -22,7 +22,7 @@ from ship_geometry.deck_masks import SensorMasks
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.star_directions import StarPositions, fixed_stars
-from ship_node.edge.messages_in import ReadMessage, check_device_id, exposure_length_s, check_frame, stamp_ns
+from ship_node.edge.messages_in import ReadMessage, check_device_id, check_frame, exposure_length_s, stamp_ns
 
 MAX_STARS = 100
 """Maximum number of stars of an exposure; further stars are ignored, so that no message can block the node."""

@@ -16,7 +16,7 @@ from ship_estimation.rejections import Reason
 from ship_geometry.geodetic import GeodeticPosition
 from ship_geometry.ros_axes import horizon_covariance
 from ship_node.edge.duplicate_publishers import POSITION
-from ship_node.edge.messages_in import ReadMessage, MessageRejected, covariance_3x3, check_finite, stamp_ns
+from ship_node.edge.messages_in import MessageRejected, ReadMessage, check_finite, covariance_3x3, stamp_ns
 from ship_node.edge.reporting_adapter import Feed
 from ship_node.edge.topics import InputTopic
 

@@ -23,7 +23,6 @@ from ship_attitude_star.measurements.samples import (
     AttitudeSeries,
     StampArray,
 )
-from ship_attitude_star.ship_attitude.ins_batch import InsBatch
 from ship_attitude_star.ship_attitude.alignment import (
     Alignment,
     AlignmentPrior,
@@ -35,6 +34,7 @@ from ship_attitude_star.ship_attitude.alignment import (
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.corrected_ins import CorrectedIns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
+from ship_attitude_star.ship_attitude.ins_batch import InsBatch
 from ship_attitude_star.ship_attitude.integrity import integrity_of
 from ship_attitude_star.ship_attitude.linearisation import LinearisedMeasurement
 from ship_attitude_star.ship_attitude.manoeuvre import RecentSource, RecommendedTurn, recommended_manoeuvre
@@ -51,7 +51,6 @@ from ship_attitude_star.ship_attitude.state import FilterState
 from ship_attitude_star.ship_attitude.utc_steps import with_utc_evaluated, with_utc_step
 from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
-from ship_estimation.time_ordered_estimator import TimeOrderedEstimator, EstimatorModel, is_within_lag
 from ship_estimation.fault_isolation import MAX_MEASUREMENT_AGE_NS
 from ship_estimation.ins import InsChange, InsJump
 from ship_estimation.ins_check import CheckedInsSample
@@ -60,6 +59,7 @@ from ship_estimation.protection_levels import IntegrityReport
 from ship_estimation.rate_consistency import RateStatus
 from ship_estimation.recovery.displacement import MemoryResidual
 from ship_estimation.rejections import Rejection
+from ship_estimation.time_ordered_estimator import EstimatorModel, TimeOrderedEstimator, is_within_lag
 from ship_estimation.time_shift import with_shifted_stamps
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, SampleBlock
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes

@@ -7,15 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ship_attitude_star.ins_errors.ins_error_propagation import InsErrors, InsErrorPropagation
+from ship_attitude_star.ins_errors.ins_error_propagation import InsErrorPropagation, InsErrors
 from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeSeries, Horizon, StampArray
 from ship_attitude_star.ship_attitude.config import GEODETIC, GRAVITY, ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.ins_fault_handling import UNKNOWN_INS_RAD_PER_SQRT_S
 from ship_attitude_star.ship_attitude.integrity import QUANTITIES, integrity_of
 from ship_attitude_star.ship_attitude.model import SOURCE_DEFLECTION, SOURCE_INS_NOISE, SOURCE_INTERPOLATION
-from ship_attitude_star.ship_attitude.subfilter_set import INS
 from ship_attitude_star.ship_attitude.state import FilterState
+from ship_attitude_star.ship_attitude.subfilter_set import INS
 from ship_estimation.kalman import exceeds_model
 from ship_estimation.outcome import Status
 from ship_estimation.protection_levels import alert_limit_text

@@ -22,29 +22,37 @@ from ship_attitude_star.ship_attitude.comparison import ComparedMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.ins_fault_handling import InsFaultHandling, is_ins_excluded_by_stars
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
+from ship_attitude_star.ship_attitude.state import (
+    FilterState,
+    RecentInnovations,
+    SourceInnovation,
+    UnresolvedFault,
+    changed,
+    shared_rotation,
+    with_entry,
+)
 from ship_attitude_star.ship_attitude.subfilter_set import INS, MIN_SOURCES_FOR_PAIRS, SubfilterSet
-from ship_attitude_star.ship_attitude.state import SourceInnovation, UnresolvedFault, FilterState, RecentInnovations, changed, shared_rotation, with_entry
 from ship_estimation.common_error import COMMON_ERROR_START_SIGMAS
 from ship_estimation.fault_isolation import (
     MAX_MEASUREMENT_AGE_NS,
     ExcludedSource,
     FaultIsolation,
+    evaluate_reinstatement,
     is_consistent_with_all,
     isolate_fault,
-    evaluate_reinstatement,
     reinstatement_time_s,
 )
+from ship_estimation.innovation_means import INITIAL_MEANS, cleared_means, initial_means, updated_mean, updated_means
+from ship_estimation.outcome import Measurement
+from ship_estimation.protection_levels import INFLATION_START_SIGMAS, separation_inflation
 from ship_estimation.subfilters import (
     FilterInnovations,
     add_error,
+    are_consistent,
     restart_from_subfilter,
     solution_separations,
-    are_consistent,
     update_subfilters,
 )
-from ship_estimation.outcome import Measurement
-from ship_estimation.protection_levels import INFLATION_START_SIGMAS, separation_inflation
-from ship_estimation.innovation_means import INITIAL_MEANS, updated_mean, cleared_means, initial_means, updated_means
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
 

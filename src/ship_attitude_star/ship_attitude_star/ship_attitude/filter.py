@@ -9,6 +9,7 @@ from ship_attitude_star.guards.diagnosis_hints import AttitudeResidual, diagnosi
 from ship_attitude_star.measurements.samples import AttitudeDecision, AttitudeMeasurement
 from ship_attitude_star.ship_attitude.comparison import ComparedMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.fault_detection import FaultDetector
 from ship_attitude_star.ship_attitude.linearisation import Linearisation, LinearisedMeasurement, NotEvaluable
 from ship_attitude_star.ship_attitude.model import (
     SOURCE_DEFLECTION,
@@ -18,19 +19,18 @@ from ship_attitude_star.ship_attitude.model import (
     ShipStateModel,
     devices,
 )
-from ship_attitude_star.ship_attitude.subfilter_set import INS
 from ship_attitude_star.ship_attitude.state import NO_PIXEL_DWELLS, FilterState, changed, with_entry, without_entry
-from ship_attitude_star.ship_attitude.fault_detection import FaultDetector
+from ship_attitude_star.ship_attitude.subfilter_set import INS
 from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.optics_errors import SOURCE_OPTICS
 from ship_attitude_star.stars.scale_check import check_estimated_focal_length
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
 from ship_estimation.gates import GateConfig, chi_square_gate
-from ship_estimation.subfilters import FilterInnovations, add_error, subfilter_innovations
 from ship_estimation.ins import InsChange
 from ship_estimation.outcome import Measurement
 from ship_estimation.rejections import Reason, Rejection, singular_covariance
+from ship_estimation.subfilters import FilterInnovations, add_error, subfilter_innovations
 from ship_estimation.unconfirmed_step import UnconfirmedStep
 from ship_geometry.attitude_track import AttitudeTrack, ExtraNoise
 from ship_geometry.rotations import FloatArray, log_rotation

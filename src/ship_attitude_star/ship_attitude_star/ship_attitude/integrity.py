@@ -10,8 +10,8 @@ from ship_attitude_star.ins_errors.process import own_error_matrix
 from ship_attitude_star.measurements.samples import AttitudeEstimate
 from ship_attitude_star.ship_attitude.config import GEODETIC, ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
-from ship_attitude_star.ship_attitude.subfilter_set import ALL_STARS, INS
 from ship_attitude_star.ship_attitude.state import FilterState
+from ship_attitude_star.ship_attitude.subfilter_set import ALL_STARS, INS
 from ship_estimation.common_error import with_common_error
 from ship_estimation.outcome import Status
 from ship_estimation.protection_levels import IntegrityReport, integrity_report, solution_separation

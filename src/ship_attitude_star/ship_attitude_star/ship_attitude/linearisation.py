@@ -15,7 +15,12 @@ import numpy as np
 
 from ship_attitude_star.measurements.readings import InertialAttitude
 from ship_attitude_star.measurements.samples import SHARED_BY_GRAVITY, AttitudeMeasurement, SolvedAttitude
-from ship_attitude_star.ship_attitude.comparison import ComparedMeasurement, PredictedAttitude, compare, predict_attitude
+from ship_attitude_star.ship_attitude.comparison import (
+    ComparedMeasurement,
+    PredictedAttitude,
+    compare,
+    predict_attitude,
+)
 from ship_attitude_star.ship_attitude.model import Device, ShipStateModel
 from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.sky.tracker_attitude import to_horizon_attitude

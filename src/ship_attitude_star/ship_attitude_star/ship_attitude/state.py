@@ -22,10 +22,10 @@ from ship_geometry.rotations import FloatArray
 
 __all__ = [
     "NO_PIXEL_DWELLS",
-    "SourceInnovation",
-    "UnresolvedFault",
     "FilterState",
     "RecentInnovations",
+    "SourceInnovation",
+    "UnresolvedFault",
     "UtcStep",
     "changed",
     "shared_rotation",

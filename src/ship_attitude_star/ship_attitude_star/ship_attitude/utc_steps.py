@@ -12,7 +12,7 @@ import numpy as np
 
 from ship_attitude_star.measurements.samples import AttitudeDecision
 from ship_attitude_star.ship_attitude.model import ShipStateModel
-from ship_attitude_star.ship_attitude.state import SourceInnovation, UnresolvedFault, FilterState, UtcStep, changed
+from ship_attitude_star.ship_attitude.state import FilterState, SourceInnovation, UnresolvedFault, UtcStep, changed
 from ship_attitude_star.sky.sky_model import EARTH_ROTATION_RATE
 from ship_estimation.rejections import Reason
 from ship_geometry.rotations import FloatArray

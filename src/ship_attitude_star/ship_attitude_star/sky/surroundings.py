@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from ship_attitude_star.measurements.readings import AirReading, PositionFix, SkyInput
 from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.sky.position_from_fixes import ShipPosition, PositionFromFixes
+from ship_attitude_star.sky.position_from_fixes import PositionFromFixes, ShipPosition
 from ship_attitude_star.sky.stamped_values import JumpLimits, StampedValues
 from ship_estimation.rejections import Rejection
 from ship_geometry.refraction import Weather

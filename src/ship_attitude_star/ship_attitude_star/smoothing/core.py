@@ -19,8 +19,8 @@ from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.smoothing.ins_error_predictor import InsErrorPredictor
 from ship_attitude_star.smoothing.traced_filter import TracedFilter, TracedState
 from ship_attitude_star.vertical.vertical_track import LocalVertical
-from ship_estimation.rts_step import GaussianEstimate
 from ship_estimation.rts_smoother import RtsSmoother
+from ship_estimation.rts_step import GaussianEstimate
 from ship_geometry import compiled_rotations
 from ship_geometry.attitude_track import AttitudeSample, InterpolatedAttitude, SampleBlock
 from ship_geometry.rotations import FloatArray

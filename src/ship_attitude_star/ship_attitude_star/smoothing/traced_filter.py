@@ -7,16 +7,16 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.ship_attitude.comparison import ComparedMeasurement
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_attitude_star.ship_attitude.fault_detection import FaultDetector
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.ins_fault_handling import is_ins_excluded_by_stars
 from ship_attitude_star.ship_attitude.state import FilterState, changed
-from ship_attitude_star.ship_attitude.fault_detection import FaultDetector
 from ship_attitude_star.vertical.vertical_track import LocalVertical, VerticalTrack
-from ship_estimation.rts_step import GaussianEstimate
-from ship_estimation.rts_smoother import StateUpdate
-from ship_estimation.subfilters import FilterInnovations
 from ship_estimation.ins import InsChange
 from ship_estimation.outcome import Measurement
+from ship_estimation.rts_smoother import StateUpdate
+from ship_estimation.rts_step import GaussianEstimate
+from ship_estimation.subfilters import FilterInnovations
 from ship_geometry.rotations import FloatArray
 
 

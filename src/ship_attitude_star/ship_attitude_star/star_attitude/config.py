@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.stars.config import RequiredCameraConfig, MountingConfig, StarSensorsById
+from ship_attitude_star.stars.config import MountingConfig, RequiredCameraConfig, StarSensorsById
 from ship_estimation.frame_names import DeckFrame
 from ship_estimation.ins import StarInsConfig
 from ship_estimation.parameter_fields import mapping_of, parameter, section, sources_off, stamp_age

@@ -17,28 +17,28 @@ from ship_attitude_star.measurements.samples import AttitudeMeasurement, StampAr
 from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.star_attitude.config import JointConfig, ObservingSensorConfig, StarAttitudeConfig
 from ship_attitude_star.star_attitude.exposure_solver import (
+    AttitudeSolution,
     MountedExposure,
     PlacedExposure,
     RejectedStar,
-    AttitudeSolution,
     StarOutcome,
     rejected_exposure,
     solve_deck,
     solve_exposure,
 )
-from ship_attitude_star.star_attitude.ins_motion import INS, InsMotion, InsBatch
+from ship_attitude_star.star_attitude.ins_motion import INS, InsBatch, InsMotion
 from ship_attitude_star.stars.config import JOINT
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.solution import invalid_solution
-from ship_estimation.time_ordered_estimator import LagWindow
 from ship_estimation.rejections import (
     CONFLICT_HOLD_S,
-    StampConflicts,
     Reason,
     Rejection,
+    StampConflicts,
     failure_rejection,
     resolve_same_stamp,
 )
+from ship_estimation.time_ordered_estimator import LagWindow
 from ship_geometry.attitude_track import AttitudeSample, SampleBlock
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S, exposure_nodes
 from ship_geometry.rotations import FloatArray

@@ -20,10 +20,10 @@ from ship_attitude_star.star_attitude.exposure_solver import StarOutcome
 from ship_attitude_star.stars.config import MountingConfig
 from ship_attitude_star.stars.exposure import StarExposure, reduce_to_mid_exposure
 from ship_attitude_star.stars.selection import StarPrior
-from ship_estimation.time_ordered_estimator import is_within_lag
 from ship_estimation.ins import InsJump, StarInsConfig
 from ship_estimation.ins_check import CheckedBlock, CheckedInsSample
-from ship_estimation.rejections import StampConflicts, Rejection, resolve_same_stamp
+from ship_estimation.rejections import Rejection, StampConflicts, resolve_same_stamp
+from ship_estimation.time_ordered_estimator import is_within_lag
 from ship_geometry.attitude_track import AttitudeSample, AttitudeTrack, InterpolatedAttitude, SampleBlock
 from ship_geometry.exposure_mean import exposure_motion
 from ship_geometry.interpolation_error import joint_covariance

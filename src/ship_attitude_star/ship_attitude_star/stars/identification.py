@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.sky.sky_model import LocalSky
 from ship_attitude_star.stars.false_matches import GATE_PROBABILITY
-from ship_attitude_star.stars.selection import StarPrior, perpendicular_basis, mahalanobis_squared
+from ship_attitude_star.stars.selection import StarPrior, mahalanobis_squared, perpendicular_basis
 from ship_estimation.gates import chi_square_gate
 from ship_geometry.deck_masks import SensorMasks
 from ship_geometry.rotations import FloatArray, angle_between, exp_rotation, left_jacobian, skew

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.stars import compiled_fit
-from ship_attitude_star.stars.false_matches import ambiguous_identity_rejection
 from ship_attitude_star.stars.exposure import StarExposure, visible_stars
+from ship_attitude_star.stars.false_matches import ambiguous_identity_rejection
 from ship_attitude_star.stars.fit import MatchedStars
 from ship_attitude_star.stars.scale_check import check_focal_length
 from ship_attitude_star.stars.selection import StarPrior, select_stars

@@ -13,7 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ship_attitude_star.stars.false_matches import MAX_FALSE_MATCHES, expected_false_matches, has_few_false_matches
-from ship_attitude_star.stars.fit import AttitudeFit, MatchedStars, StarFit, StarFitSolution, fit_attitude, linearise_stars
+from ship_attitude_star.stars.fit import (
+    AttitudeFit,
+    MatchedStars,
+    StarFit,
+    StarFitSolution,
+    fit_attitude,
+    linearise_stars,
+)
 from ship_geometry import wahba
 from ship_geometry.rotations import FloatArray, angle_between, left_jacobian, log_rotation, skew
 

@@ -18,8 +18,8 @@ from ship_attitude_star.stars.fit import (
     ATTITUDE,
     AttitudeFit,
     MatchedStars,
-    fit_attitude,
     field_columns,
+    fit_attitude,
     linearise_stars,
 )
 from ship_attitude_star.stars.optics_errors import SOURCE_OPTICS

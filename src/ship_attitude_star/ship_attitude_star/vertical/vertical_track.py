@@ -14,7 +14,7 @@ import numpy as np
 
 from ship_attitude_star.measurements.readings import DeflectionReading, PositionFix
 from ship_attitude_star.sky.config import SkyConfig
-from ship_attitude_star.sky.position_from_fixes import ShipPosition, PositionFromFixes
+from ship_attitude_star.sky.position_from_fixes import PositionFromFixes, ShipPosition
 from ship_attitude_star.vertical.config import CONSTANT, NONE, TABLE, GravityConfig
 from ship_attitude_star.vertical.deflection_table import DeflectionTable
 from ship_estimation.rejections import Reason, Rejection, resolve_same_stamp

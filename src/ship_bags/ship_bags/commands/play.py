@@ -9,7 +9,7 @@ from pathlib import Path
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser
 from ship_bags.live.play import Player, PlayOptions
 from ship_bags.live.playback_clock import PlaybackClock, add_services, keyboard_control, serve_in_thread
-from ship_bags.live.ros_process import command_node, call_on_end_signals, positive_number, run_ros_command
+from ship_bags.live.ros_process import call_on_end_signals, command_node, positive_number, run_ros_command
 from ship_bags.renamed_topics import add_remap_option
 
 _DESCRIPTION = """\

@@ -8,7 +8,7 @@ from pathlib import Path
 from ship_bags.command_line import EXIT_BAD_INPUT, EXIT_DONE, CommandParser
 from ship_bags.errors import BadInput, one_line
 from ship_bags.live.record import Recorder, RecordOptions
-from ship_bags.live.ros_process import command_node, call_on_end_signals, positive_number, run_ros_command
+from ship_bags.live.ros_process import call_on_end_signals, command_node, positive_number, run_ros_command
 from ship_bags.mcap.bag_writer import BagWriter
 from ship_bags.mcap.folder import FolderWriter, SplitLimits
 from ship_bags.mcap.recover import recover, recovered_path

@@ -22,13 +22,13 @@ from ship_bags.export.message_fields import (
     TIMES,
     Get,
     MessageField,
+    as_list,
     elements_of,
     fields_of,
     getter,
     groups_of,
     is_bytes,
     is_numbered,
-    as_list,
     type_in_row,
 )
 from ship_bags.export.units import NANOSECONDS, Unit

@@ -11,7 +11,15 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from ship_bags.errors import BadInput
 from ship_bags.live.installed_types import installed_class
-from ship_bags.live.recorded_graph import DEPTH, STATUS_TYPES, ParameterCollector, adapted_qos, is_activity, offered_topics, qos_texts
+from ship_bags.live.recorded_graph import (
+    DEPTH,
+    STATUS_TYPES,
+    ParameterCollector,
+    adapted_qos,
+    is_activity,
+    offered_topics,
+    qos_texts,
+)
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
 from ship_bags.mcap.folder import FolderWriter
 from ship_bags.message_store import use_installed_definition

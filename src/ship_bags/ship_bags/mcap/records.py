@@ -17,7 +17,14 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Chunk, McapRecord, Message
 
-from ship_bags.mcap.chunk_content import COMPRESSIONS, HEADER, DamagedChunk, raise_damaged, parse_record, records_of_chunk
+from ship_bags.mcap.chunk_content import (
+    COMPRESSIONS,
+    HEADER,
+    DamagedChunk,
+    parse_record,
+    raise_damaged,
+    records_of_chunk,
+)
 from ship_bags.stamps import END_OF_TIME_NS
 
 # Log times end a day earlier than stamps: the ticks of a replay may continue for that time.

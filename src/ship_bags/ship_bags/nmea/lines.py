@@ -9,8 +9,8 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from ship_bags.nmea.sentences import NotOfInterest, Sentence, Unusable, read_sentence
 from ship_bags.nmea.complete_sentences import is_complete
+from ship_bags.nmea.sentences import NotOfInterest, Sentence, Unusable, read_sentence
 
 LONGEST_LINE = 512
 """Maximum length of a line, bytes: a standard sentence has 82, proprietary ones up to three times as many."""

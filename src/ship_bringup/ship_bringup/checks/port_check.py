@@ -17,8 +17,8 @@ from typing import Any
 
 from ship_bags.parameter_yaml import full_name
 from ship_bringup.checks.check_line import CheckLine, Result
-from ship_node.parameters.parameter_file import read_node_parameters
 from ship_node.parameters.machine_resources import MachineResource, ResourceKind, port_resource
+from ship_node.parameters.parameter_file import read_node_parameters
 
 _CHECK = "ports"
 _SOCKETS = {ResourceKind.UDP: socket.SOCK_DGRAM, ResourceKind.TCP: socket.SOCK_STREAM}

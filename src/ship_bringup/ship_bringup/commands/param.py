@@ -8,7 +8,7 @@ from rcl_interfaces.msg import ParameterDescriptor, ParameterValue
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, run_command
 from ship_bags.errors import BadInput, one_line
-from ship_bringup.remote_node import connect_node, node_command_parser, value_text, unknown_name_text, parse_value
+from ship_bringup.remote_node import connect_node, node_command_parser, parse_value, unknown_name_text, value_text
 from ship_estimation.parameter_rows import aligned_lines
 
 _DESCRIPTION = """\

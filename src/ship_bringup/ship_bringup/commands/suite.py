@@ -15,9 +15,9 @@ from ship_bags.renamed_topics import add_remap_option
 from ship_bringup.security.demand import require_profile
 from ship_bringup.suite.expected_limits import expected_limits
 from ship_bringup.suite.frozen_check import FROZEN_REPORT_S, FROZEN_RESTART_S
-from ship_bringup.suite.supervisor import Supervisor
-from ship_bringup.suite.plan import SuiteOptions, read_attached_suite, make_plan
+from ship_bringup.suite.plan import SuiteOptions, make_plan, read_attached_suite
 from ship_bringup.suite.suite_log import SuiteLog, log_path
+from ship_bringup.suite.supervisor import Supervisor
 from ship_watch.limits import Limits, read_limits
 
 _DESCRIPTION = """\

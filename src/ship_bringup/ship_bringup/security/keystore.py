@@ -30,7 +30,7 @@ from ship_bringup.security.certificates import (
 )
 from ship_bringup.security.keystore_fault import KeystoreFault
 from ship_bringup.security.keystore_files import authority_key_faults, mode_faults
-from ship_bringup.security.policy_xml import FINGERPRINT, written_topics, read_topics
+from ship_bringup.security.policy_xml import FINGERPRINT, read_topics, written_topics
 from ship_bringup.security.rights import Rights
 from ship_bringup.security.signed_xml import (
     Permissions,

@@ -3,11 +3,11 @@
 import time
 from collections.abc import Callable, Sequence
 
-from ship_bringup.suite.supervised_program import SupervisedProgram
+from ship_bringup.suite.heartbeats import HeartbeatSocket
 from ship_bringup.suite.process import Process
 from ship_bringup.suite.program import Role
 from ship_bringup.suite.restarts import LONGEST_DELAY_S
-from ship_bringup.suite.heartbeats import HeartbeatSocket
+from ship_bringup.suite.supervised_program import SupervisedProgram
 
 FROZEN_REPORT_S = 5.0
 """Time without a heartbeat after which a program is reported, s."""

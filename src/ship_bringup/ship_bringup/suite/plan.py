@@ -9,7 +9,7 @@ from ship_bags.errors import BadInput
 from ship_bags.live.dds import is_security_requested
 from ship_bags.live.ros_process import executable
 from ship_bags.mcap.bag_reader import read_bag
-from ship_bags.parameter_yaml import in_any_namespace, full_name, read_sections
+from ship_bags.parameter_yaml import full_name, in_any_namespace, read_sections
 from ship_bags.renamed_topics import current_names, ship_names, topic_names
 from ship_bags.topic_names import TRUTH_PREFIX, likely_namespace, relative_topics, resolve_topic
 from ship_bringup.security.rights import load_companions, suite_rights

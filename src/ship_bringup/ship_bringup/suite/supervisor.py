@@ -17,10 +17,10 @@ from types import FrameType
 from ship_bags.command_line import EXIT_BAD_INPUT, EXIT_DONE
 from ship_bringup.suite.dds_ports import ReservedPorts, udp_ports_of
 from ship_bringup.suite.frozen_check import FROZEN_REPORT_S, FROZEN_RESTART_S, FrozenCheck
-from ship_bringup.suite.supervised_program import SupervisedProgram
 from ship_bringup.suite.process import Process
 from ship_bringup.suite.program import Program, Role
 from ship_bringup.suite.restarts import LONGEST_DELAY_S, end_text, exit_code_of
+from ship_bringup.suite.supervised_program import SupervisedProgram
 from ship_estimation.rejections import failure_rejection
 
 _END_SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP

@@ -17,8 +17,8 @@ from ship_monitor.after.recorded_suite import RecordedMessage, RecordedSuite
 from ship_monitor.after.time_controls import TimeControls
 from ship_watch.history import HISTORY_S, History
 from ship_watch.limits import Limits
-from ship_watch.suite_state import SuiteState
 from ship_watch.suite_monitor import SuiteMonitor
+from ship_watch.suite_state import SuiteState
 
 SHORT_HISTORY_NS = 60 * NS_PER_S
 """History that is read at once for a new time, ns: NIS consistency uses the last minute."""

@@ -11,12 +11,12 @@ from ship_bags.errors import BadInput
 from ship_bags.stamps import NS_PER_S
 from ship_node.documents.saved_document import DISK, Files
 from ship_watch.alert_conditions import ComputerState, NodeStatus, conditions
-from ship_watch.alerts import AlertList, AlertChange
+from ship_watch.alerts import AlertChange, AlertList
 from ship_watch.functions import DiagnosticEntry, diagnostic_entries
 from ship_watch.limits import Limits
 from ship_watch.names import has_room
-from ship_watch.suite_state import AlertEntry, SuiteState
 from ship_watch.suite_monitor import SuiteMonitor
+from ship_watch.suite_state import AlertEntry, SuiteState
 
 MAX_PAUSE_NS = 5 * NS_PER_S
 """Time between two updates above which the computer has slept and the data are reset, ns."""

@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 
 from ship_bags.command_line import EXIT_DONE, CommandParser
 from ship_bags.live.heartbeat import heartbeat
-from ship_bags.live.ros_process import command_node, call_on_end_signals, run_ros_command
+from ship_bags.live.ros_process import call_on_end_signals, command_node, run_ros_command
 from ship_bags.message_factory import RosidlFactory
 from ship_bags.stamps import NS_PER_S
 from ship_monitor.alerts.alert_manager import AlertManager
@@ -34,8 +34,8 @@ from ship_node.live.node_report import ExceptionGuard
 from ship_watch.alert_conditions import NodeStatus
 from ship_watch.alerts import AlertChange
 from ship_watch.limits import Limits, read_limits
-from ship_watch.suite_state import AlertEntry, Priority
 from ship_watch.published_state import PERIOD_NS, STATE_TOPIC, STATE_TYPE, change_key, suite_state_fields
+from ship_watch.suite_state import AlertEntry, Priority
 from ship_watch.topics import monitored_topic
 
 UPDATE_PERIOD_NS = NS_PER_S // 5

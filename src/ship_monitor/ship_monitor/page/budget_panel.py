@@ -18,13 +18,13 @@ from ship_monitor.page.figures import (
     PanelBox,
     SideLabels,
     batched_model_changes,
-    narrow_height,
-    empty_time_plot,
     draw_texts,
+    empty_time_plot,
+    narrow_height,
 )
 from ship_monitor.page.marking import is_budget_part_of, with_mark
+from ship_monitor.page.streamed_lines import StreamedLine, TimeAxis
 from ship_monitor.page.themes import FONT, Theme
-from ship_monitor.page.streamed_lines import TimeAxis, StreamedLine
 from ship_watch.history import HISTORY_S, BudgetPoint, History
 from ship_watch.suite_state import ANGLES
 

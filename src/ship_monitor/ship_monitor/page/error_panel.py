@@ -8,10 +8,10 @@ from bokeh.models import Range1d
 
 from ship_geometry.rotations import FloatArray
 from ship_monitor.page.curves import next_step
-from ship_monitor.page.figures import GrowingRows, PanelBox, SideLabels, draw_frame, add_hover, empty_time_plot
+from ship_monitor.page.figures import GrowingRows, PanelBox, SideLabels, add_hover, draw_frame, empty_time_plot
 from ship_monitor.page.marking import with_mark
+from ship_monitor.page.streamed_lines import BAND, StreamedLine, TimeAxis, three_sigma_band
 from ship_monitor.page.themes import Theme
-from ship_monitor.page.streamed_lines import BAND, TimeAxis, StreamedLine, three_sigma_band
 from ship_watch.history import ErrorPoint, History, points_after
 
 CHANNELS: Mapping[tuple[str, str], str] = {

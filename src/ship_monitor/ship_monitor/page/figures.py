@@ -26,8 +26,8 @@ from bokeh.plotting import figure
 
 from ship_geometry.rotations import FloatArray
 from ship_monitor.page.curves import next_step
-from ship_monitor.page.themes import FONT, Theme
 from ship_monitor.page.streamed_lines import TimeAxis
+from ship_monitor.page.themes import FONT, Theme
 
 ARCSEC_PER_RAD = 3600.0 * 180.0 / np.pi
 """Arcseconds in a radian."""

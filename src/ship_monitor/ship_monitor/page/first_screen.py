@@ -9,8 +9,17 @@ from typing import Any
 from ship_geometry.rotations import ARCSEC
 from ship_watch import value_texts
 from ship_watch.history import History, SafetyPoint
-from ship_watch.suite_state import ANGLES, CAUSE_NODE, AlertEntry, AngleState, SuiteState, Presence, Safety, SourceDetails
 from ship_watch.safety import OVER_THE_LIMIT
+from ship_watch.suite_state import (
+    ANGLES,
+    CAUSE_NODE,
+    AlertEntry,
+    AngleState,
+    Presence,
+    Safety,
+    SourceDetails,
+    SuiteState,
+)
 
 RIBBON_S = 600
 """Length of the ribbons, s."""

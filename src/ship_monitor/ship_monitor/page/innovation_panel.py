@@ -11,22 +11,22 @@ import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 
 from ship_geometry.rotations import FloatArray
-from ship_monitor.page.curves import STEPS_ARCSEC, next_step, label_positions, signed_text
+from ship_monitor.page.curves import STEPS_ARCSEC, label_positions, next_step, signed_text
 from ship_monitor.page.figures import (
     ARCSEC_PER_RAD,
     GrowingRows,
     PanelBox,
     SideLabels,
-    draw_frame,
     add_hover,
+    draw_frame,
     empty_time_plot,
     without_formulas,
 )
 from ship_monitor.page.marking import with_mark
+from ship_monitor.page.streamed_lines import BAND, MS, StreamedLine, TimeAxis, three_sigma_band
 from ship_monitor.page.themes import Theme
-from ship_monitor.page.streamed_lines import BAND, MS, TimeAxis, StreamedLine, three_sigma_band
 from ship_watch.history import History, InnovationPoint, points_after
-from ship_watch.suite_state import SuiteState, Presence, SourceDetails
+from ship_watch.suite_state import Presence, SourceDetails, SuiteState
 
 MEAN_WINDOW_NS = 10_000_000_000
 """Window of the means at a plot, ns; its height is determined by six windows."""

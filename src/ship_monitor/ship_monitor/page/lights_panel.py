@@ -6,9 +6,17 @@ import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 
 from ship_monitor.page.curves import next_step, signed_text
-from ship_monitor.page.figures import ARCSEC_PER_RAD, PanelBox, ResidualBars, draw_frame, narrow_height, empty_plot, draw_texts
+from ship_monitor.page.figures import (
+    ARCSEC_PER_RAD,
+    PanelBox,
+    ResidualBars,
+    draw_frame,
+    draw_texts,
+    empty_plot,
+    narrow_height,
+)
 from ship_monitor.page.themes import Theme
-from ship_watch.history import History, BeaconPoint, points_after
+from ship_watch.history import BeaconPoint, History, points_after
 from ship_watch.suite_state import SuiteState
 
 WINDOW_NS = 60_000_000_000

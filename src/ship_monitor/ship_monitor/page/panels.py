@@ -16,9 +16,9 @@ from ship_monitor.page.figures import NARROW, GrowingRows, PanelBox, batched_mod
 from ship_monitor.page.innovation_panel import InnovationPanel
 from ship_monitor.page.lights_panel import LightsPanel
 from ship_monitor.page.sky_panel import SkyPanel
+from ship_monitor.page.streamed_lines import TimeAxis
 from ship_monitor.page.tables import EventsPanel, InputsPanel
 from ship_monitor.page.themes import Theme
-from ship_monitor.page.streamed_lines import TimeAxis
 from ship_watch.history import HISTORY_S, History
 from ship_watch.suite_state import SuiteState
 

@@ -8,12 +8,20 @@ import math
 import numpy as np
 from bokeh.models import Column, ColumnDataSource, InlineStyleSheet, Range1d
 
-from ship_monitor.page.figures import NARROW, PanelBox, ResidualBars, draw_frame, empty_plot, without_formulas, draw_texts
+from ship_monitor.page.figures import (
+    NARROW,
+    PanelBox,
+    ResidualBars,
+    draw_frame,
+    draw_texts,
+    empty_plot,
+    without_formulas,
+)
 from ship_monitor.page.marking import with_mark
-from ship_monitor.page.sky import boresight, moon_direction, map_position
+from ship_monitor.page.sky import boresight, map_position, moon_direction
 from ship_monitor.page.themes import Theme
 from ship_watch.history import History, StarExposure
-from ship_watch.suite_state import SuiteState, Presence, SourceDetails
+from ship_watch.suite_state import Presence, SourceDetails, SuiteState
 
 MAX_FIELDS = 3
 """Maximum number of fields of view."""

@@ -6,7 +6,7 @@ import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 
 from ship_geometry.rotations import FloatArray
-from ship_monitor.page.curves import MAX_ROWS, gap_rows, rows_to_draw, median_period_ns, first_pending_row
+from ship_monitor.page.curves import MAX_ROWS, first_pending_row, gap_rows, median_period_ns, rows_to_draw
 from ship_watch.history import Point, points_after
 
 MS = 1e-6

@@ -10,7 +10,7 @@ from ship_geometry.time_scales import utc_text
 from ship_monitor.page.figures import NARROW, PanelBox
 from ship_monitor.page.marking import is_event_of_source, with_mark
 from ship_monitor.page.themes import FONT, Theme
-from ship_watch.suite_state import Event, InputState, SuiteState, Presence, SourceDetails
+from ship_watch.suite_state import Event, InputState, Presence, SourceDetails, SuiteState
 
 MAX_EVENTS = 16
 MAX_REASONS = 4

@@ -4,19 +4,19 @@ import math
 from textwrap import wrap
 
 from ship_geometry.rotations import ARCSEC
-from ship_monitor.terminal.styled_text import StyledText, Line, TextStyle, LineFormatter
 from ship_monitor.terminal.screen import (
     View,
     alert_pieces,
     event_lines,
     input_line,
     reasons_text,
+    safety_line,
     source_line,
     top_bar,
-    safety_line,
 )
+from ship_monitor.terminal.styled_text import Line, LineFormatter, StyledText, TextStyle
 from ship_watch import value_texts
-from ship_watch.suite_state import AlertEntry, AngleState, SuiteState, SourceDetails
+from ship_watch.suite_state import AlertEntry, AngleState, SourceDetails, SuiteState
 
 _BACK = " Enter or Escape: back   a acknowledge   t theme   p pause   q quit"
 

@@ -8,9 +8,18 @@ import math
 from dataclasses import dataclass
 from zoneinfo import ZoneInfo
 
-from ship_monitor.terminal.styled_text import StyledText, Line, TextStyle, LineFormatter
+from ship_monitor.terminal.styled_text import Line, LineFormatter, StyledText, TextStyle
 from ship_watch import value_texts
-from ship_watch.suite_state import AlertEntry, AngleState, InputState, SuiteState, Presence, Priority, Safety, SourceDetails
+from ship_watch.suite_state import (
+    AlertEntry,
+    AngleState,
+    InputState,
+    Presence,
+    Priority,
+    Safety,
+    SourceDetails,
+    SuiteState,
+)
 
 MIN_WIDTH, MIN_HEIGHT = 64, 15
 """Smallest terminal with a full screen; a smaller one has one line."""

@@ -11,9 +11,9 @@ from ship_node.parameters.machine_resources import (
     ANY_ADDRESS,
     MachineResource,
     ResourceKind,
+    is_ipv4,
     path_resource,
     port_resource,
-    is_ipv4,
     refuse_conflicts,
 )
 

@@ -16,7 +16,7 @@ from typing import Protocol
 from ship_nmea.instruments.config import SERIAL, UDP, NmeaSourceConfig
 from ship_nmea.instruments.datagrams import DatagramLines
 from ship_nmea.line_splitter import LineSplitter
-from ship_nmea.link_opening import open_serial, error_text
+from ship_nmea.link_opening import error_text, open_serial
 from ship_node.parameters.machine_resources import ANY_ADDRESS
 
 RETRY_S = 1.0

@@ -9,8 +9,8 @@ from ship_bags.nmea.lines import REQUIRED, parse_line
 from ship_nmea.instruments.config import SERIAL, UDP, NmeaInConfig
 from ship_nmea.instruments.links import LinkReader, make_link
 from ship_nmea.instruments.source import Source
-from ship_nmea.nmea_node import NmeaNode, run_nmea_node
 from ship_nmea.link_opening import permanent_error
+from ship_nmea.nmea_node import NmeaNode, run_nmea_node
 from ship_node.edge.messages_out import DiagnosticStatus
 from ship_node.edge.topics import OutputTopic
 

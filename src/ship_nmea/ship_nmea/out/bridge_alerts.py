@@ -14,11 +14,21 @@ from rclpy.task import Future
 from ship_bags.stamps import NS_PER_S
 from ship_msgs.srv import AcknowledgeAlert
 from ship_nmea.nmea_node import NmeaNode
-from ship_nmea.out.sent_alerts import SentAlerts
 from ship_nmea.out.config import ALC, ALERT_SENTENCES, ALF, HBT, NmeaOutConfig
 from ship_nmea.out.playback import PLAYBACK_TEXT, is_played, utc_ns
+from ship_nmea.out.sent_alerts import SentAlerts
 from ship_nmea.out.sink import Sink
-from ship_nmea.sentences.alerts import ACKNOWLEDGE, REPEAT, AlertCommand, SentenceAlert, alc, parse_command, alf, arc, hbt
+from ship_nmea.sentences.alerts import (
+    ACKNOWLEDGE,
+    REPEAT,
+    AlertCommand,
+    SentenceAlert,
+    alc,
+    alf,
+    arc,
+    hbt,
+    parse_command,
+)
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.edge.topics import InputTopic
 

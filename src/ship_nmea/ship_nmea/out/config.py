@@ -6,7 +6,14 @@ from dataclasses import dataclass
 from ship_estimation.parameter_fields import mapping_of, parameter
 from ship_estimation.parameters import ParameterError
 from ship_nmea.sentences.attitude import ATTITUDE_SENTENCES
-from ship_node.parameters.machine_resources import MachineResource, ResourceKind, path_resource, port_resource, is_ipv4, refuse_conflicts
+from ship_node.parameters.machine_resources import (
+    MachineResource,
+    ResourceKind,
+    is_ipv4,
+    path_resource,
+    port_resource,
+    refuse_conflicts,
+)
 
 UDP, TCP_SERVER, SERIAL, FILE = "udp", "tcp_server", "serial", "file"
 ALF, ALC, HBT = "ALF", "ALC", "HBT"

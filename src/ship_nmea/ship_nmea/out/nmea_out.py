@@ -20,10 +20,10 @@ from ship_nmea.out.sink import Sink
 from ship_nmea.sentences.attitude import (
     ATTITUDE_SENTENCES,
     SIMULATION_SENTENCES,
-    SentenceAttitude,
     AttitudeQuality,
-    simulated_attitude,
+    SentenceAttitude,
     heading_rate,
+    simulated_attitude,
 )
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 from ship_node.edge.topics import InputTopic

@@ -10,9 +10,9 @@ from typing import Any
 from ship_bags.stamps import ns_from_stamp
 from ship_nmea.sentences.alerts import (
     FIRST_IDENTIFIER,
-    MAX_INSTANCE,
     LAST_IDENTIFIER,
     MAX_ALERTS,
+    MAX_INSTANCE,
     AlertCommand,
     SentenceAlert,
 )

@@ -16,6 +16,7 @@ from std_msgs.msg import String
 
 from ship_bags.errors import BadInput
 from ship_bags.live.installed_types import type_hash
+from ship_node.black_box.black_box_files import BlackBoxFiles, BlackBoxHeader
 from ship_node.black_box.black_box_format import (
     EVENTS_TOPIC,
     EVENTS_TYPE,
@@ -25,7 +26,6 @@ from ship_node.black_box.black_box_format import (
     FileUsed,
     event_text,
 )
-from ship_node.black_box.black_box_files import BlackBoxFiles, BlackBoxHeader
 from ship_node.black_box.versions import versions
 from ship_node.documents.saved_document import FileUse
 from ship_node.edge.adapter import Adapter

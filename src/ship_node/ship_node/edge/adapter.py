@@ -11,7 +11,7 @@ from ship_bags.message_factory import MessageFactory
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.edge.input_health import InputHealthMonitor
 from ship_node.edge.overload import Overload
-from ship_node.edge.topics import InputTopic, OutputTopic, OutputMessage
+from ship_node.edge.topics import InputTopic, OutputMessage, OutputTopic
 
 TICK_PERIOD_NS = 100_000_000
 """Period of :meth:`Adapter.tick` in the node's time, ns."""

@@ -7,7 +7,14 @@ import numpy as np
 from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, horizon_covariance
 from ship_geometry.rotations import FloatArray
-from ship_node.edge.messages_in import MessageRejected, covariance_3x3, check_device_id, finite_vector, check_frame, stamp_ns
+from ship_node.edge.messages_in import (
+    MessageRejected,
+    check_device_id,
+    check_frame,
+    covariance_3x3,
+    finite_vector,
+    stamp_ns,
+)
 
 _FIXES = ("NONE", "SINGLE", "DGNSS", "FLOAT", "FIXED")
 _MAX_LENGTH_M = 1e5

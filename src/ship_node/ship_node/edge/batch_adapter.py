@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 from ship_bags.cdr_template import CdrRows
 from ship_estimation.rejections import Rejection
-from ship_node.edge.batches import BatchOutput, PendingBatch, OutputRows, StampArray, outputs_with_levels
+from ship_node.edge.batches import BatchOutput, OutputRows, PendingBatch, StampArray, outputs_with_levels
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.reporting_adapter import ReportingAdapter
 from ship_node.edge.topics import OutputMessage

@@ -16,11 +16,11 @@ from ship_bags.stamps import NS_PER_S, stamps_of_rows
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.batches import StampArray
 from ship_node.edge.messages_in import (
-    MIN_DEFINITE_DETERMINANT,
     COVARIANCE_TOLERANCE,
     FUTURE_TOLERANCE_NS,
     MAX_RATE,
     MAX_VARIANCE,
+    MIN_DEFINITE_DETERMINANT,
     MIN_QUATERNION_NORM,
     NOT_GIVEN,
     QUATERNION_NORM_TOLERANCE,

@@ -8,9 +8,9 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
+from ship_estimation.innovation_diagnosis import DiagnosisKind, InnovationDiagnosis, InnovationHistory, clock_diagnoses
 from ship_estimation.kalman import StateModel
 from ship_estimation.outcome import MeasurementDecision
-from ship_estimation.innovation_diagnosis import InnovationDiagnosis, InnovationHistory, DiagnosisKind, clock_diagnoses
 from ship_geometry.rotations import FloatArray
 from ship_node.edge.messages_out import DiagnosticStatus, Level
 

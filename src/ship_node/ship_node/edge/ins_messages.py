@@ -13,10 +13,10 @@ from ship_node.edge.batches import ReadBatch, StampArray
 from ship_node.edge.columns_in import imu_quaternions, ship_rates, stamps
 from ship_node.edge.messages_in import (
     NOT_GIVEN,
-    ReadMessage,
     MessageRejected,
-    covariance_3x3,
+    ReadMessage,
     check_frame,
+    covariance_3x3,
     imu_quaternion,
     ship_rate,
     stamp_ns,

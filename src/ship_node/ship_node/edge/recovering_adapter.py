@@ -12,9 +12,9 @@ from typing import Any
 
 from ship_estimation.outcome import Status
 from ship_estimation.protection_levels import alert_limit_text
+from ship_estimation.published_levels import PublishedLevels
 from ship_estimation.recovery.recovery import EstimatorRecovery, SecondEstimator
 from ship_estimation.rejections import Reason, failure_rejection
-from ship_estimation.published_levels import PublishedLevels
 from ship_geometry.rotations import ARCSEC
 from ship_node.edge.adapter import ServiceResult
 from ship_node.edge.batch_adapter import BatchAdapter

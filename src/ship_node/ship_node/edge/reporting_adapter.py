@@ -19,20 +19,20 @@ from ship_bags.message_factory import MessageFactory
 from ship_bags.stamps import duration_text, ns_from_stamp
 from ship_estimation.outcome import Status
 from ship_estimation.parameters import ParameterError, with_changes
-from ship_estimation.rejections import Reason, Rejection, failure_rejection
 from ship_estimation.published_levels import PublishedLevels
+from ship_estimation.rejections import Reason, Rejection, failure_rejection
 from ship_node.documents.saved_start import SavedStart
 from ship_node.edge import messages_out
 from ship_node.edge.adapter import ServiceResult
 from ship_node.edge.batches import BatchFeed, StampArray
 from ship_node.edge.duplicate_publishers import DuplicatePublishers, StreamQuantity
+from ship_node.edge.innovation_report import InnovationReport
 from ship_node.edge.input_health import InputHealthMonitor
-from ship_node.edge.messages_in import ReadMessage, MessageRejected
+from ship_node.edge.messages_in import MessageRejected, ReadMessage
 from ship_node.edge.messages_out import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, DiagnosticStatus
 from ship_node.edge.overload import Overload
 from ship_node.edge.time_base import TimeBase
-from ship_node.edge.topics import InputTopic, OutputTopic, OutputMessage
-from ship_node.edge.innovation_report import InnovationReport
+from ship_node.edge.topics import InputTopic, OutputMessage, OutputTopic
 
 INPUT_HEALTH_TOPIC = "input_health"
 OWN_OUTPUTS = (

@@ -36,10 +36,10 @@ from ship_node.live.node_clock import NodeClock, TickGrid
 from ship_node.live.node_events import Arrival, Inbox, NodeEvents
 from ship_node.live.node_log import NodeLog
 from ship_node.live.node_report import ExceptionGuard, StatusLog, name_status, stamps_status, start_line
-from ship_node.live.qos import input_qos, output_qos, overriding_options, check_overrides
+from ship_node.live.qos import check_overrides, input_qos, output_qos, overriding_options
 from ship_node.live.ros_parameters import NodeParameters, ParameterNode
 from ship_node.live.senders import Senders, duplicate_publishers_text, publisher_names
-from ship_node.parameters.parameter_file import section_warnings, error_with_location
+from ship_node.parameters.parameter_file import error_with_location, section_warnings
 
 if TYPE_CHECKING:
     from ship_node.black_box.black_box import BlackBox

@@ -23,10 +23,10 @@ from ship_estimation.parameters import (
     ParameterDescription,
     ParameterError,
     build,
-    with_changes,
     describe,
     flatten,
     nest,
+    with_changes,
 )
 from ship_estimation.rejections import shorten
 from ship_node.edge.messages_out import DiagnosticStatus, Level

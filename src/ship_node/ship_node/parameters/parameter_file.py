@@ -11,7 +11,15 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from ship_bags.errors import BadInput
-from ship_bags.parameter_yaml import ANY_NAMESPACE, ParameterFile, Section, in_any_namespace, merge_sections, read_sections, sections_text
+from ship_bags.parameter_yaml import (
+    ANY_NAMESPACE,
+    ParameterFile,
+    Section,
+    in_any_namespace,
+    merge_sections,
+    read_sections,
+    sections_text,
+)
 from ship_estimation.parameters import ParameterError, build, flatten, nest
 from ship_geometry.input_error import InputError
 

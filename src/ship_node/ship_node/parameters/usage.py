@@ -6,7 +6,7 @@ from typing import Any
 from ship_bags.message_factory import MessageFactory
 from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER, BLACK_BOX_PART_PARAMETER, RELIABLE_INPUTS_PARAMETER
 from ship_bags.renamed_topics import TOPICS_PARAMETER
-from ship_estimation.parameter_rows import aligned_lines, wrapped_lines, parameter_row
+from ship_estimation.parameter_rows import aligned_lines, parameter_row, wrapped_lines
 from ship_estimation.parameters import ParameterDescription, build, describe, nest
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.topics import InputTopic

@@ -11,8 +11,8 @@ from ship_bags.mcap.bag_reader import with_bag_progress
 from ship_bags.output_files import add_force_option, check_file, write_atomically
 from ship_bags.renamed_topics import add_bag_name_options
 from ship_replay.ins_noise.identification import identify
-from ship_replay.ins_noise.session import run_session
 from ship_replay.ins_noise.parameter_output import parameter_file_text, result_lines
+from ship_replay.ins_noise.session import run_session
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

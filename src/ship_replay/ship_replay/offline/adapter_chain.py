@@ -17,7 +17,7 @@ from ship_bags.topic_names import relative_topics
 from ship_node.documents.saved_document import READ_ONLY
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.batch_adapter import BatchAdapter
-from ship_node.edge.topics import InputTopic, OutputTopic, OutputMessage
+from ship_node.edge.topics import InputTopic, OutputMessage, OutputTopic
 from ship_node.parameters.parameter_file import has_section, load_config, section_warning
 
 _DEVICE_PREFIXES = "star/", "theodolite/", "beacon/"

@@ -22,7 +22,7 @@ from ship_node.edge.batches import StampArray
 from ship_node.edge.topics import OutputMessage
 from ship_replay.offline.adapter_chain import AdapterChain
 from ship_replay.offline.message_times import MessageTimes
-from ship_replay.offline.node_pass import InputEvent, NodePass, NodeOutputs, TopicBlock, read_ahead
+from ship_replay.offline.node_pass import InputEvent, NodeOutputs, NodePass, TopicBlock, read_ahead
 from ship_replay.offline.ordered_output import BatchSink, OrderedOutput
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 from ship_replay.offline.status_history import StatusHistory

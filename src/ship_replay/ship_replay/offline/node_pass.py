@@ -14,7 +14,7 @@ import numpy as np
 from ship_bags.cdr_template import CdrRows
 from ship_node.edge.adapter import TICK_PERIOD_NS, Adapter
 from ship_node.edge.batch_adapter import BatchAdapter
-from ship_node.edge.batches import BatchOutput, PendingBatch, OutputRows, StampArray
+from ship_node.edge.batches import BatchOutput, OutputRows, PendingBatch, StampArray
 from ship_node.edge.deferring_adapter import DeferringAdapter
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.topics import OutputMessage

@@ -35,10 +35,10 @@ from ship_estimation.outcome import Status
 from ship_geometry.frames import angle_covariance, angles_from_rotation
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_node.documents.saved_document import DISK, READ_ONLY, Files
-from ship_node.edge.topics import OutputTopic, OutputMessage
+from ship_node.edge.topics import OutputMessage, OutputTopic
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain, suite_text
 from ship_replay.offline.message_times import sort_by_stamp
-from ship_replay.offline.replay import ProgressWrapper, write_head, match_inputs, truth_topic_names, median_delay_ns
+from ship_replay.offline.replay import ProgressWrapper, match_inputs, median_delay_ns, truth_topic_names, write_head
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.optical_axis.core import OpticalAxisCore

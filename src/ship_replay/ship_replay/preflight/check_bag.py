@@ -9,7 +9,7 @@ from ship_bags.renamed_topics import remap_advice
 from ship_bags.topic_names import likely_namespace
 from ship_replay.offline.message_times import MessageTimes, exceeded_limits
 from ship_replay.preflight.check_config import BagCheck, CheckedNode
-from ship_replay.preflight.load import load_text, load_warnings, node_loads, measured_slowness
+from ship_replay.preflight.load import load_text, load_warnings, measured_slowness, node_loads
 
 _INS_TOPIC = "ins/imu"
 _SENSOR_TOPIC = re.compile(

@@ -9,8 +9,8 @@ from ship_attitude_star.measurements.baseline import BASELINE
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.star_attitude.config import StarAttitudeConfig
 from ship_bags.errors import BadInput
+from ship_estimation.innovation_diagnosis import DiagnosisKind, InnovationDiagnosis
 from ship_estimation.rejections import Reason
-from ship_estimation.innovation_diagnosis import InnovationDiagnosis, DiagnosisKind
 from ship_geometry.rotations import ARCSEC, FloatArray, log_rotation
 from ship_node.edge.ins_messages import ins_sample
 from ship_node.edge.messages_in import MessageRejected

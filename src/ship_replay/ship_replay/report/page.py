@@ -17,9 +17,9 @@ from ship_replay.report.consistency import consistency
 from ship_replay.report.drawings import budget_svg, errors_svg, rejections_svg, source_colours, status_svg
 from ship_replay.report.event_groups import event_rows
 from ship_replay.report.recording import Recording
+from ship_replay.report.report_data import ReportData
 from ship_replay.report.summary import summary
 from ship_replay.report.tables import alignment_changes, outage_rows, rejection_rows, shares
-from ship_replay.report.report_data import ReportData
 from ship_replay.report.wording import duration, number, utc
 
 SECTIONS = (

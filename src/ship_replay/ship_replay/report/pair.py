@@ -7,8 +7,15 @@ from pathlib import Path
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_writer import SCENARIO_ATTACHMENT
 from ship_replay.evaluation.evaluate import evaluate
+from ship_replay.report.published import (
+    OutputDifference,
+    PublishedOutputs,
+    differences,
+    overlap_s,
+    read_published,
+    span,
+)
 from ship_replay.report.recording import Recording, read_recording
-from ship_replay.report.published import OutputDifference, PublishedOutputs, differences, overlap_s, read_published, span
 from ship_replay.report.report_data import ReportData, check_truth, is_short, process_pool, read_report_data
 from ship_replay.report.wording import duration, utc
 from ship_watch.limits import Limits

@@ -16,17 +16,17 @@ from ship_replay.report.drawings import (
     MAX_POINTS,
     ROUND_NUMBERS,
     SVG_STYLE,
-    draw_ribbon,
-    style_axes,
-    svg,
     decimate_errors,
     decimate_innovations,
     decimation_mask,
+    draw_ribbon,
+    style_axes,
+    svg,
 )
 from ship_replay.report.pair import Pair
 from ship_replay.report.published import OutputDifference
-from ship_replay.report.time_axis import gap_times, with_gaps, utc_axis
 from ship_replay.report.report_data import ReportData
+from ship_replay.report.time_axis import gap_times, utc_axis, with_gaps
 from ship_watch.orientations import ORIENTATIONS, channel_name
 from ship_watch.suite_state import ANGLES
 

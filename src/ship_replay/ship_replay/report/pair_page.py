@@ -4,10 +4,10 @@ from collections.abc import Mapping
 
 from ship_bags.stamps import NS_PER_S
 from ship_replay.report.configurations import parameter_differences, text_differences
-from ship_replay.report.recording import Recording
 from ship_replay.report.page import recorded_versions, render, versions
 from ship_replay.report.pair import Pair
 from ship_replay.report.pair_drawings import difference_svg, sides_svg, states_svg
+from ship_replay.report.pair_summary import pair_summary
 from ship_replay.report.pair_tables import (
     alerts_of_one,
     alignment_tables,
@@ -18,8 +18,8 @@ from ship_replay.report.pair_tables import (
     events_of_one,
     rejection_rows_of_both,
 )
-from ship_replay.report.pair_summary import pair_summary
 from ship_replay.report.pair_warnings import pair_warnings
+from ship_replay.report.recording import Recording
 from ship_replay.report.tables import shares
 from ship_replay.report.wording import duration, utc
 from ship_watch.suite_state import ANGLES

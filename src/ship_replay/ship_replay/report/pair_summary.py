@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from ship_replay.report.configurations import ParameterDifference
-from ship_replay.report.recording import Recording
 from ship_replay.report.pair import Pair, input_sentences
 from ship_replay.report.pair_tables import SAME_TIME_NS, ErrorRow
 from ship_replay.report.published import OutputDifference
+from ship_replay.report.recording import Recording
 from ship_replay.report.tables import SourceOutage, outages
 from ship_replay.report.wording import number, utc
 from ship_watch.orientations import ORIENTATIONS, channel_name

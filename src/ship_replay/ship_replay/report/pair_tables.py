@@ -13,9 +13,9 @@ from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, wrap_pi
 from ship_replay.evaluation.statistics import AttitudeErrors
 from ship_replay.report.consistency import SigmaFit, consistency
-from ship_replay.report.recording import Recording
 from ship_replay.report.pair import Pair
 from ship_replay.report.published import OutputDifference
+from ship_replay.report.recording import Recording
 from ship_replay.report.tables import shown_scale, shown_value
 from ship_replay.report.wording import number, rounded_to_sigma, utc
 from ship_watch.history import BudgetPoint, ParameterEstimate

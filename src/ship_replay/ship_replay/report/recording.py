@@ -21,13 +21,13 @@ from ship_replay.offline.digests import content_sha256
 from ship_replay.offline.status_history import STATUS_NAMES
 from ship_watch.alert_conditions import conditions
 from ship_watch.alert_states import AlertState
-from ship_watch.alerts import AlertList, AlertChange
+from ship_watch.alerts import AlertChange, AlertList
 from ship_watch.history import BudgetPoint, ParameterEstimate, points_after
 from ship_watch.history_recorder import HistoryRecorder
 from ship_watch.limits import Limits
-from ship_watch.suite_state import ANGLES, AlertEntry, Event, SuiteState, Safety
-from ship_watch.topics import monitored_topic
 from ship_watch.suite_monitor import SuiteMonitor
+from ship_watch.suite_state import ANGLES, AlertEntry, Event, Safety, SuiteState
+from ship_watch.topics import monitored_topic
 
 OUTPUTS = ("ship/attitude", "theodolite/pointing", JOINT_SOLUTION)
 ALERTS = "ship/alerts"

@@ -26,7 +26,7 @@ import numpy as np
 from ship_bags.stamps import NS_PER_S
 from ship_replay.offline.exclusion_history import INTEGRITY_TOPICS
 from ship_replay.trials.fault_free_replay import FaultFreeReplay
-from ship_replay.trials.voyage_outputs import EXCLUSION, ValidOutput, FaultIndication, VoyageOutputs
+from ship_replay.trials.voyage_outputs import EXCLUSION, FaultIndication, ValidOutput, VoyageOutputs
 from ship_simulation.scenario.fault import Fault
 from ship_simulation.scenario.names import ENCODER_TOPIC, FUSED_TOPIC, IMAGE_TOPIC
 

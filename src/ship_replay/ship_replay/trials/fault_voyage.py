@@ -21,7 +21,7 @@ from ship_replay.evaluation.sources import Truth
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
-from ship_replay.trials.fault_evaluation import exceedance_durations, evaluate_fault
+from ship_replay.trials.fault_evaluation import evaluate_fault, exceedance_durations
 from ship_replay.trials.fault_free_replay import FaultFreeReplay
 from ship_replay.trials.threats import OVERLAPPING, SINGLE, DrawnFault, draw_faults
 from ship_replay.trials.voyage_outputs import VoyageOutputs, VoyageSink

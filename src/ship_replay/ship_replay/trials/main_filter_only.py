@@ -14,9 +14,9 @@ from ship_estimation.kalman import innovation, update
 from ship_estimation.outcome import Measurement
 from ship_estimation.rejections import Reason
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.subfilters import SubfilterStates, SubfilterSet
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
 from theodolite_calib.filter.step import SightingStep
+from theodolite_calib.filter.subfilters import SubfilterSet, SubfilterStates
 from theodolite_calib.measured.samples import ExposureDecision
 
 

@@ -18,9 +18,9 @@ from ship_attitude_star.measurements.readings import (
     SkyInput,
 )
 from ship_attitude_star.measurements.samples import AttitudeEstimate, AttitudeMeasurement, AttitudeOutcome
-from ship_attitude_star.ship_attitude.ins_batch import InsBatch
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
+from ship_attitude_star.ship_attitude.ins_batch import InsBatch
 from ship_attitude_star.sky.sky_model import load_sky_model
 from ship_attitude_star.stars.exposure import ExposureLength, StarExposure
 from ship_estimation.gates import normalized_error_squared
@@ -40,12 +40,12 @@ from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.samples import (
     BaselineSample,
+    DetectedBeacon,
     EncoderSample,
     Exposure,
     Mode,
     PointingEstimate,
     PointingOutcome,
-    DetectedBeacon,
     ShipSample,
 )
 from theodolite_calib.optical_axis.core import OpticalAxisCore

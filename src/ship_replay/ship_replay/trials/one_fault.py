@@ -10,8 +10,8 @@ from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.stamps import NS_PER_S
 from ship_replay.offline.status_history import STATUS_NAMES
-from ship_replay.trials.fault_evaluation import is_faulty_source, evaluate_fault
-from ship_replay.trials.fault_voyage import replay_fault_free, replay_injection, input_topics
+from ship_replay.trials.fault_evaluation import evaluate_fault, is_faulty_source
+from ship_replay.trials.fault_voyage import input_topics, replay_fault_free, replay_injection
 from ship_replay.trials.voyage_outputs import VoyageOutputs
 from ship_simulation.faults.injection import Injection
 from ship_simulation.scenario.fault import Fault

@@ -14,7 +14,7 @@ import numpy as np
 
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
-from ship_simulation.draws.noise import GaussMarkov, CorrelatedError, random_stream
+from ship_simulation.draws.noise import CorrelatedError, GaussMarkov, random_stream
 
 STRETCH_S = 20
 """Length of a stretch when a bag is written, s: some thousand samples, which is as fast as all at once."""

@@ -26,9 +26,9 @@ from ship_simulation.scenario.motion_scenario import (
     CORRELATION,
     DEFLECTION,
     DELAY,
-    TIME,
     RATE,
     SIGMA,
+    TIME,
     CarrierMotion,
     Outage,
 )

@@ -9,7 +9,7 @@ from typing import Any
 
 from ship_estimation.parameter_fields import mapping_of, parameter, section
 from ship_geometry.exposure_mean import LONGEST_EXPOSURE_S
-from ship_simulation.scenario.motion_scenario import ANGLE, CORRELATION, DELAY, TIME, RATE, SIGMA, Outage
+from ship_simulation.scenario.motion_scenario import ANGLE, CORRELATION, DELAY, RATE, SIGMA, TIME, Outage
 
 _AXIS_ERROR: dict[str, Any] = {"unit": "arcsec", "minimum": -3600.0, "maximum": 3600.0}
 _AXIS_SIGMA: dict[str, Any] = {"unit": "arcsec", "minimum": 0.0, "maximum": 3600.0}

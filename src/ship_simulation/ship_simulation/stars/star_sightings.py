@@ -18,7 +18,7 @@ from ship_simulation.draws.noise import arrival_times, centroids, is_outside, ra
 from ship_simulation.draws.stretch import Draws
 from ship_simulation.scenario.scenario import Scenario, StarImaging
 from ship_simulation.ship.attitude_device import ExposureMotion, StarSensorMotion, sigma_of_attitudes
-from ship_simulation.stars.sky import TrueSky, position_of_date, julian_year
+from ship_simulation.stars.sky import TrueSky, julian_year, position_of_date
 from ship_simulation.stars.spatial_errors import DetectorErrors
 from ship_simulation.stars.star_field import stars_in_field, swap_identities
 from ship_simulation.stars.true_optics import draw_optics

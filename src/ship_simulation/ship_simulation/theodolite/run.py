@@ -17,12 +17,12 @@ from ship_simulation.theodolite.devices import (
     DroneSamples,
     EncoderSamples,
     ImageSamples,
-    simulate_images,
     is_in_view,
     points_on_detector,
-    simulate_encoders,
-    simulate_drone_attitude,
     simulate_baselines,
+    simulate_drone_attitude,
+    simulate_encoders,
+    simulate_images,
 )
 from ship_simulation.theodolite.mount_stars import draw_parallelism, simulate_mount_stars
 from ship_simulation.theodolite.scene import MountState, Scene, draw_scene

@@ -18,10 +18,10 @@ from ship_simulation.scenario.theodolite_scenario import (
     Axes,
     Beacon,
     Lever,
+    SurveyError,
     Target,
     Telescope,
     Theodolite,
-    SurveyError,
 )
 from ship_simulation.ship.motion import Carrier
 from ship_simulation.theodolite.flight import Aim, FlightPath, direction, flight_path, sway_motion

@@ -17,7 +17,7 @@ from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.scenario import Scenario
 from ship_simulation.scenario.theodolite_scenario import MainDetector, Target
 from ship_simulation.theodolite.flight import flight_path
-from ship_simulation.theodolite.scene import Scene, ObservedBody, refracted_directions
+from ship_simulation.theodolite.scene import ObservedBody, Scene, refracted_directions
 from theodolite_calib.lights.image import Camera
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from ship_bags.output_files import write_csv, write_atomically
+from ship_bags.output_files import write_atomically, write_csv
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.axis_fit.diagnostics import condition_number, correlated_pairs, near_dependencies, unobservable
 from theodolite_calib.axis_fit.robust_fit import OUTLIER_AT, AxisFit, rms, sizes

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ship_bags.command_line import EXIT_BOUND_NOT_MET, EXIT_DONE, CommandParser, run_command
-from ship_bags.output_files import add_force_option, check_folder, write_csv, write_atomically
+from ship_bags.output_files import add_force_option, check_folder, write_atomically, write_csv
 from ship_bags.parameter_yaml import read_nested_parameters
 from ship_estimation.parameters import ParameterError
 from ship_geometry.ros_axes import ENU_FROM_HORIZON

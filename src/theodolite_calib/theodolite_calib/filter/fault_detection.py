@@ -14,14 +14,36 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ship_estimation.fault_isolation import MAX_MEASUREMENT_AGE_NS, ExcludedSource, FaultIsolation, isolate_fault, evaluate_reinstatement
+from ship_estimation.fault_isolation import (
+    MAX_MEASUREMENT_AGE_NS,
+    ExcludedSource,
+    FaultIsolation,
+    evaluate_reinstatement,
+    isolate_fault,
+)
 from ship_estimation.gates import GateConfig, chi_square_gate
-from ship_estimation.subfilters import FilterInnovations
+from ship_estimation.innovation_means import (
+    CONSISTENT_RATIO,
+    FIELDS_BY_SUBFILTER,
+    InnovationMeans,
+    cleared_means,
+    excess_limit,
+    initial_means,
+    updated_means,
+)
 from ship_estimation.protection_levels import IntegrityConfig
-from ship_estimation.innovation_means import FIELDS_BY_SUBFILTER, CONSISTENT_RATIO, InnovationMeans, excess_limit, cleared_means, initial_means, updated_means
+from ship_estimation.subfilters import FilterInnovations
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
-from theodolite_calib.filter.subfilters import BEACON_PREFIX, AXIS_SOURCES, ENCODER, SHIP, TELESCOPE, SubfilterInnovations, SubfilterSet
+from theodolite_calib.filter.subfilters import (
+    AXIS_SOURCES,
+    BEACON_PREFIX,
+    ENCODER,
+    SHIP,
+    TELESCOPE,
+    SubfilterInnovations,
+    SubfilterSet,
+)
 from theodolite_calib.measured.baseline_track import BaselineJump
 from theodolite_calib.measured.stream_consistency import StreamConsistency
 

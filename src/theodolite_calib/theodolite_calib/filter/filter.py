@@ -12,18 +12,18 @@ import numpy as np
 
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.spatial_errors import PixelDwell
-from ship_estimation.subfilters import subfilter_innovations
 from ship_estimation.ins import InsJump
 from ship_estimation.kalman import LinearMeasurement, predict, update
+from ship_estimation.subfilters import subfilter_innovations
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.subfilters import SubfilterStates, SubfilterSet
+from theodolite_calib.filter.fault_detection import FaultState, initial_fault_state
 from theodolite_calib.filter.model import SOURCE_AXES, SOURCE_SHIP, ShipErrorProcess, state_model
 from theodolite_calib.filter.observability import Observability, ObservabilityState
 from theodolite_calib.filter.prediction import Prediction, SightingModel
 from theodolite_calib.filter.star_comparison import StarComparison, StarModel
-from theodolite_calib.filter.fault_detection import FaultState, initial_fault_state
+from theodolite_calib.filter.subfilters import SubfilterSet, SubfilterStates
 from theodolite_calib.measured.encoder_check import EncoderJump
 from theodolite_calib.measured.sighting import Sighting
 

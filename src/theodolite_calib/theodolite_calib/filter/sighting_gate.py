@@ -14,8 +14,8 @@ from ship_estimation.gates import GateConfig, chi_square_gate
 from ship_estimation.rejections import Reason, Rejection
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
-from theodolite_calib.lights.image import Camera
 from theodolite_calib.lights.beacon_check import BeaconCheckResult, angle_residuals, check_beacons
+from theodolite_calib.lights.image import Camera
 from theodolite_calib.lights.line_of_sight import LinesOfSight
 from theodolite_calib.lights.telescope_attitude import AttitudePrior
 from theodolite_calib.measured.samples import Exposure, ExposureDecision

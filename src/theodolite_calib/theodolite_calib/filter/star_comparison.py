@@ -21,9 +21,9 @@ from ship_attitude_star.stars.camera_states import camera_state_indices
 from ship_attitude_star.stars.residuals import StarResiduals, star_residuals
 from ship_attitude_star.stars.scale_check import check_estimated_focal_length
 from ship_attitude_star.stars.selection import StarPrior
-from ship_estimation.subfilters import FilterInnovations, subfilter_innovations
 from ship_estimation.kalman import LinearMeasurement, StateModel
 from ship_estimation.rejections import Rejection
+from ship_estimation.subfilters import FilterInnovations, subfilter_innovations
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import axis_geometry
 from theodolite_calib.chain.parallelism import telescope_from_main

@@ -14,12 +14,12 @@ from ship_attitude_star.sky.sky_model import SkyModel
 from ship_estimation.gates import chi_square_gate
 from ship_estimation.rejections import Reason, Rejection, singular_covariance
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.subfilters import AXIS_SOURCES
+from theodolite_calib.filter.fault_detection import FaultDetector
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import axis_state_indices
 from theodolite_calib.filter.star_comparison import StarComparison
 from theodolite_calib.filter.step import count_rejection, hypothesis_multipliers, solution_separations
-from theodolite_calib.filter.fault_detection import FaultDetector
+from theodolite_calib.filter.subfilters import AXIS_SOURCES
 from theodolite_calib.measured.samples import ExposureDecision
 from theodolite_calib.measured.star_sighting import StarSighting
 

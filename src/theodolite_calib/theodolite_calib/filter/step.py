@@ -15,19 +15,32 @@ from numpy.typing import NDArray
 
 from ship_estimation.fault_isolation import ExcludedSource
 from ship_estimation.gates import GateConfig, chi_square_gate
-from ship_estimation.protection_levels import SigmaMultipliers, IntegrityConfig, sigma_multipliers, separation_sigma
+from ship_estimation.protection_levels import IntegrityConfig, SigmaMultipliers, separation_sigma, sigma_multipliers
 from ship_estimation.rejections import Reason, Rejection, singular_covariance
 from ship_geometry.rotations import FloatArray, exp_rotation
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.subfilters import BEACON_PREFIX, AXIS_SOURCES, ENCODER, SHIP, SubfilterStates, beacon_innovation
+from theodolite_calib.filter.fault_detection import (
+    ExclusionRecord,
+    FaultDetector,
+    FaultState,
+    isolate_drift_fault,
+    isolate_step_fault,
+)
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Comparison
-from theodolite_calib.filter.sighting_gate import SightingGate, focal_length_m
 from theodolite_calib.filter.model import axis_state_indices
-from theodolite_calib.filter.fault_detection import ExclusionRecord, FaultDetector, FaultState, isolate_step_fault, isolate_drift_fault
+from theodolite_calib.filter.sighting_gate import SightingGate, focal_length_m
+from theodolite_calib.filter.subfilters import (
+    AXIS_SOURCES,
+    BEACON_PREFIX,
+    ENCODER,
+    SHIP,
+    SubfilterStates,
+    beacon_innovation,
+)
 from theodolite_calib.measured.baseline_track import BaselineJump
-from theodolite_calib.measured.stream_consistency import StreamConsistency
 from theodolite_calib.measured.samples import Exposure, ExposureDecision
 from theodolite_calib.measured.sighting import Sighting
+from theodolite_calib.measured.stream_consistency import StreamConsistency
 
 
 class SightingStep:

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from ship_estimation import compiled_steps
 from ship_estimation.gates import chi_square_gate
-from ship_estimation.subfilters import FilterInnovations, subfilter_innovations, update_subfilters
 from ship_estimation.kalman import LinearMeasurement, StateModel, predict
+from ship_estimation.subfilters import FilterInnovations, subfilter_innovations, update_subfilters
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.chain.axes import NAMES
 from theodolite_calib.config import OpticalAxisConfig

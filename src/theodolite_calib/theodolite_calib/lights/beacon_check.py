@@ -16,7 +16,12 @@ from ship_estimation.gates import chi_square_gate, normalized_error_squared
 from ship_geometry.rotations import FloatArray, angle_between, log_rotation
 from theodolite_calib.lights.image import Camera, Image
 from theodolite_calib.lights.line_of_sight import LinesOfSight, covariance_by_source
-from theodolite_calib.lights.telescope_attitude import AttitudePrior, TelescopeAttitude, solve_attitude, total_covariance
+from theodolite_calib.lights.telescope_attitude import (
+    AttitudePrior,
+    TelescopeAttitude,
+    solve_attitude,
+    total_covariance,
+)
 
 _MAX_BEACONS = 4
 """Maximum number of beacons for which exchanged names are tried; their number grows as the factorial."""

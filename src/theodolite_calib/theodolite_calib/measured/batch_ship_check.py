@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ship_estimation.ins import CheckedInsConfig
-from ship_estimation.ins_check import CheckedBlock, InsCheck, CheckedInsSample
+from ship_estimation.ins_check import CheckedBlock, CheckedInsSample, InsCheck
 from ship_estimation.rate_consistency import RateStatus
 from ship_geometry.attitude_track import AttitudeTrack, SampleBlock
 from ship_geometry.rotations import FloatArray

@@ -14,18 +14,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ship_estimation.motion_check import MotionReference
 from ship_estimation.rejections import Reason, Rejection
 from ship_estimation.unconfirmed_step import UnconfirmedStep
 from ship_estimation.value_checks import (
-    PredictionBound,
     JumpCheck,
     JumpDecision,
+    PredictionBound,
     PredictionMatch,
     StuckCheck,
-    vector_length,
     step_by_motion,
+    vector_length,
 )
-from ship_estimation.motion_check import MotionReference
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.vector_track import VectorTrack
 from theodolite_calib.measured.encoder_steps import EncoderStep, EncoderStepDetector, wrap_angles

@@ -11,11 +11,11 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.lights.image import Camera, Image, BeaconStreaks
+from theodolite_calib.lights.image import BeaconStreaks, Camera, Image
 from theodolite_calib.lights.line_of_sight import BeaconPoses
 from theodolite_calib.measured.baseline_track import BaselineJump
-from theodolite_calib.measured.samples import Exposure, DetectedBeacon
-from theodolite_calib.measured.tracks import EncoderAt, BeaconAt, MeasuredTracks, ShipAt
+from theodolite_calib.measured.samples import DetectedBeacon, Exposure
+from theodolite_calib.measured.tracks import BeaconAt, EncoderAt, MeasuredTracks, ShipAt
 
 
 @dataclass(frozen=True)

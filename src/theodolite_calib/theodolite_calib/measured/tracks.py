@@ -21,8 +21,8 @@ from ship_geometry.vector_track import VectorTrack
 from theodolite_calib.chain.axes import AxisErrors, main_axis_rotation
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.measured.baseline_track import BaselineJump, BaselineTrack
-from theodolite_calib.measured.stream_consistency import StreamConsistency, has_ship_drifted, stream_consistency
 from theodolite_calib.measured.samples import AnyExposure, EncoderSample, Exposure, ShipSample
+from theodolite_calib.measured.stream_consistency import StreamConsistency, has_ship_drifted, stream_consistency
 
 _LONGEST_REACH_NS = exposure_nodes(LONGEST_EXPOSURE_S).reach_ns
 _FULL_TURN = 2.0 * np.pi

@@ -16,23 +16,22 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 from ship_attitude_star.measurements.readings import SkyInput
 from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.stars.exposure import StarExposure
-from ship_estimation.time_ordered_estimator import TimeOrderedEstimator, EstimatorModel
 from ship_estimation.fault_isolation import MAX_MEASUREMENT_AGE_NS
 from ship_estimation.protection_levels import IntegrityReport
 from ship_estimation.recovery.displacement import MemoryResidual
-from ship_estimation.rejections import StampConflicts, Reason, Rejection
+from ship_estimation.rejections import Reason, Rejection, StampConflicts
+from ship_estimation.time_ordered_estimator import EstimatorModel, TimeOrderedEstimator
 from ship_estimation.time_shift import with_shifted_stamps
 from ship_geometry.attitude_track import AttitudeSample
 from ship_geometry.rotations import ARCSEC
 from ship_geometry.sample_track import SampleTrack
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.subfilters import BEACON_PREFIX, ENCODER, SHIP, TELESCOPE
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState, Jump
 from theodolite_calib.filter.star_step import StarStep
 from theodolite_calib.filter.step import SightingStep
-from theodolite_calib.measured.stream_consistency import StreamConsistency
-from theodolite_calib.measured.encoder_check import EncoderCheck, CheckedReading
+from theodolite_calib.filter.subfilters import BEACON_PREFIX, ENCODER, SHIP, TELESCOPE
+from theodolite_calib.measured.encoder_check import CheckedReading, EncoderCheck
 from theodolite_calib.measured.samples import (
     AnyExposure,
     BaselineSample,
@@ -48,6 +47,7 @@ from theodolite_calib.measured.samples import (
 from theodolite_calib.measured.ship_check import ShipCheck
 from theodolite_calib.measured.sighting import Sighting, SightingAssembler
 from theodolite_calib.measured.star_sighting import star_sighting
+from theodolite_calib.measured.stream_consistency import StreamConsistency
 from theodolite_calib.measured.tracks import MeasuredTracks
 from theodolite_calib.optical_axis.by_stars import pointing_by_stars
 from theodolite_calib.optical_axis.calibration import (
@@ -59,8 +59,8 @@ from theodolite_calib.optical_axis.calibration import (
 )
 from theodolite_calib.optical_axis.memory import (
     StreamJump,
-    largest_difference_sigmas,
     is_consistent,
+    largest_difference_sigmas,
     memory_residuals,
     propagate_memory,
     start_from_memory,

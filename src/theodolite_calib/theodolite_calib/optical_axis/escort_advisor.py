@@ -10,8 +10,8 @@ from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.escort.accuracy import BeaconAccuracy
 from theodolite_calib.escort.advice import EscortAdvice, advise
-from theodolite_calib.filter.subfilters import BEACON_PREFIX
 from theodolite_calib.filter.filter import CalibrationFilter
+from theodolite_calib.filter.subfilters import BEACON_PREFIX
 from theodolite_calib.measured.samples import BaselineSample, PointingEstimate
 from theodolite_calib.measured.tracks import MeasuredTracks
 

@@ -19,7 +19,6 @@ from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.chain.axes import DEFORMATION, SHIP
 from theodolite_calib.config import OpticalAxisConfig
-from theodolite_calib.filter.subfilters import BEACON_PREFIX
 from theodolite_calib.filter.filter import CalibrationFilter, CalibrationState
 from theodolite_calib.filter.model import (
     SOURCE_DEFORMATION,
@@ -30,9 +29,10 @@ from theodolite_calib.filter.model import (
     axis_state_indices,
     ship_error_steps,
 )
+from theodolite_calib.filter.subfilters import BEACON_PREFIX
 from theodolite_calib.measured.samples import (
-    EncoderSeries,
     EncoderSample,
+    EncoderSeries,
     Mode,
     PointingEstimate,
     PointingSeries,

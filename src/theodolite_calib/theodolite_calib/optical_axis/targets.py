@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ship_estimation.outcome import MeasurementDecision, Status
-from ship_estimation.rejections import StampConflicts, Reason, Rejection, failure_rejection
+from ship_estimation.rejections import Reason, Rejection, StampConflicts, failure_rejection
 from ship_geometry.rotations import ARCSEC, FloatArray, skew
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.chain.axes import AXES, SHIP, AxisErrors, axis_geometry
@@ -29,9 +29,9 @@ from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput
 from theodolite_calib.target.direction import (
     MainDetector,
     ObservedDirection,
+    observed_direction,
     ranged_position,
     rotation_main_from_detector,
-    observed_direction,
 )
 from theodolite_calib.target.pending_targets import PendingTargets
 

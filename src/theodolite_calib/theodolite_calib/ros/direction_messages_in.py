@@ -9,7 +9,14 @@ from ship_estimation.frame_names import FRAME_NAMES
 from ship_estimation.outcome import Status
 from ship_estimation.rejections import Reason, shorten
 from ship_geometry.ros_axes import ENU_FROM_HORIZON, horizon_covariance
-from ship_node.edge.messages_in import ReadMessage, MessageRejected, angular_covariance, finite_vector, check_frame, stamp_ns
+from ship_node.edge.messages_in import (
+    MessageRejected,
+    ReadMessage,
+    angular_covariance,
+    check_frame,
+    finite_vector,
+    stamp_ns,
+)
 from theodolite_calib.ros.messages_in import LONGEST_TARGET_ID
 from theodolite_calib.target.common_times import DirectionSample
 

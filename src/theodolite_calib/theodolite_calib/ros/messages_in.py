@@ -20,26 +20,26 @@ from ship_node.edge.baselines import baseline_stamp_ns, baseline_vector, fix_rej
 from ship_node.edge.ins_messages import ins_sample
 from ship_node.edge.messages_in import (
     MAX_VARIANCE,
-    ReadMessage,
     MessageRejected,
-    covariance_3x3,
+    ReadMessage,
     check_device_id,
-    exposure_length_s,
     check_finite,
     check_frame,
+    covariance_3x3,
+    exposure_length_s,
     imu_rotation,
+    optional_sigma,
     quoted_id,
     ship_rate,
-    optional_sigma,
     stamp_ns,
     unit_quaternion,
 )
 from theodolite_calib.config import BeaconConfig, OpticalAxisConfig
 from theodolite_calib.measured.samples import (
     BaselineSample,
+    DetectedBeacon,
     EncoderSample,
     Exposure,
-    DetectedBeacon,
     ShipSample,
     TargetSample,
 )

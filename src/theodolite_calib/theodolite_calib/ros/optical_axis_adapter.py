@@ -20,8 +20,9 @@ from ship_geometry.rotations import ARCSEC
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.documents.saved_start import SavedStart
 from ship_node.edge.batches import OutputRows, StampArray
-from ship_node.edge.duplicate_publishers import ATTITUDE, BASELINE, ENCODERS
 from ship_node.edge.deferring_adapter import DeferringAdapter
+from ship_node.edge.duplicate_publishers import ATTITUDE, BASELINE, ENCODERS
+from ship_node.edge.innovation_report import clock_status
 from ship_node.edge.messages_in import ReadMessage
 from ship_node.edge.messages_out import (
     BUDGET_TYPE,
@@ -35,8 +36,7 @@ from ship_node.edge.messages_out import (
 )
 from ship_node.edge.recovering_adapter import PRESENCE_REASONS, RecoveringAdapter
 from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ignore_time
-from ship_node.edge.topics import InputTopic, OutputTopic, OutputMessage
-from ship_node.edge.innovation_report import clock_status
+from ship_node.edge.topics import InputTopic, OutputMessage, OutputTopic
 from theodolite_calib.config import OpticalAxisConfig
 from theodolite_calib.filter.subfilters import BEACON_PREFIX, ENCODER, SHIP
 from theodolite_calib.measured.samples import (

@@ -24,10 +24,10 @@ from ship_node.edge.output_numbers import (
     Fields,
     MessageFields,
     column_numbers,
-    single_numbers,
-    select_values,
     join_fields,
     rows_by_kind,
+    select_values,
+    single_numbers,
 )
 from ship_node.edge.topics import OutputMessage
 from theodolite_calib.measured.samples import PointingEstimate, PointingSeries, StampArray

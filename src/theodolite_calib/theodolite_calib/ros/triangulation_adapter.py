@@ -12,12 +12,12 @@ from ship_estimation.outcome import Status
 from ship_node.documents.saved_document import DISK, Files
 from ship_node.edge.messages_out import INNOVATION_TYPE, DiagnosticStatus, Level, rejection_message
 from ship_node.edge.reporting_adapter import OWN_OUTPUTS, Feed, ReportingAdapter
-from ship_node.edge.topics import InputTopic, OutputTopic, OutputMessage
+from ship_node.edge.topics import InputTopic, OutputMessage, OutputTopic
 from theodolite_calib.measured.samples import TargetEstimate
 from theodolite_calib.ros.direction_messages_in import direction
 from theodolite_calib.ros.target_messages import TARGET_TYPE, target_message
 from theodolite_calib.target.config import TriangulationConfig
-from theodolite_calib.target.triangulation_core import PositionEstimate, TriangulationOutcome, TriangulationCore
+from theodolite_calib.target.triangulation_core import PositionEstimate, TriangulationCore, TriangulationOutcome
 
 POSITION_TOPIC, INNOVATION_TOPIC = "target/position", "target/innovation"
 ORIGIN_FRAME = "triangulation_origin"

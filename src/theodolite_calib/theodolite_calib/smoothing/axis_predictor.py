@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ship_estimation.rts_step import GaussianEstimate
 from ship_estimation.rts_smoother import Anchor
+from ship_estimation.rts_step import GaussianEstimate
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import SHIP
 from theodolite_calib.filter.filter import CalibrationFilter

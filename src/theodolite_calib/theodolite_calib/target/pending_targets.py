@@ -5,7 +5,7 @@ Images affect nothing else: the pointings and their inputs are, to the last bit,
 
 from collections import deque
 
-from ship_estimation.rejections import StampConflicts, Rejection, resolve_same_stamp
+from ship_estimation.rejections import Rejection, StampConflicts, resolve_same_stamp
 from theodolite_calib.measured.samples import TargetSample
 
 MAX_WAITING = 1000

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ship_estimation.outcome import MeasurementDecision, Measurement, Outcome, Status
-from ship_estimation.rejections import StampConflicts, Reason, Rejection, failure_rejection, resolve_same_stamp
+from ship_estimation.outcome import Measurement, MeasurementDecision, Outcome, Status
+from ship_estimation.rejections import Reason, Rejection, StampConflicts, failure_rejection, resolve_same_stamp
 from ship_geometry.rotations import FloatArray
 from ship_geometry.time_scales import SECOND_NS
 from theodolite_calib.target.common_times import DirectionSample, StationDirections, is_leading, position_at

@@ -10,7 +10,13 @@ from ship_estimation.outcome import Status
 from ship_node.edge.messages_in import MessageRejected
 from theodolite_calib.ros.direction_messages_in import direction
 from theodolite_calib.ros.target_messages import TARGET_TYPE
-from theodolite_calib.target.common_times import DirectionSample, TargetPosition, StationDirections, is_leading, position_at
+from theodolite_calib.target.common_times import (
+    DirectionSample,
+    StationDirections,
+    TargetPosition,
+    is_leading,
+    position_at,
+)
 from theodolite_calib.target.config import PositioningConfig
 from theodolite_calib.triangulation.config import RecordedTriangulationConfig
 

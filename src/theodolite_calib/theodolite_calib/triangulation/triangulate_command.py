@@ -17,7 +17,7 @@ from ship_estimation.rejections import Rejection
 from theodolite_calib.target.common_times import TargetPosition
 from theodolite_calib.target.triangulation import TriangulatedPosition
 from theodolite_calib.triangulation.config import RecordedTriangulationConfig
-from theodolite_calib.triangulation.recorded import target_positions, read_directions
+from theodolite_calib.triangulation.recorded import read_directions, target_positions
 
 COLUMNS = (
     *("utc", "east_m", "north_m", "up_m", "sigma_east_m", "sigma_north_m", "sigma_up_m"),
