@@ -173,4 +173,4 @@ def test_any_order_of_arrival_ends_in_the_same_state(name: str) -> None:
         states.append(core.state)
     for state in states[1:]:
         assert np.array_equal(state.mean, states[0].mean)
-        assert np.array_equal(state.parts, states[0].parts)
+        assert np.array_equal(state.covariance_by_source, states[0].covariance_by_source)

@@ -209,7 +209,7 @@ def joint_solution(scene: Scene, rows: Mapping[str, np.ndarray], with_ins: bool)
         placed, _ = solve_exposure(exposure[rows[id_]], (), prior, scene.sky_model)
         group.append(MountedExposure(placed, sensors[id_].rotation_ds))
     at_once = np.zeros((len(group), 3, len(group), 3))
-    return solve_deck(group[0].placed.time_ns, group, at_once, sensors, scene.ins if with_ins else None).solution
+    return solve_deck(group[0].exposure.time_ns, group, at_once, sensors, scene.ins if with_ins else None).solution
 
 
 def _star_vectors(with_ins: bool, accepted_statuses: Sequence[SolutionStatus]) -> Method:

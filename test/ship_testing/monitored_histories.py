@@ -71,7 +71,7 @@ def simulated_state(now_ns: int = NOW_NS) -> SuiteState:
     bad = replace(SHIFTED_SENSOR, out_since_ns=now_ns - int(SHIFT_AGE_S * 1e9))
     topics = ("gnss/fix", "ins/imu", "met/pressure", *good.topics, *bad.topics)
     inputs = [late_input(topic, 0.1) for topic in topics]
-    inputs[-1] = replace(inputs[-1], refused_60s=81, reasons={"gate": 9, "attitude_conflict": 72, "too_few_stars": 56})
+    inputs[-1] = replace(inputs[-1], rejected_60s=81, reasons={"gate": 9, "attitude_conflict": 72, "too_few_stars": 56})
     events = (
         Event(now_ns - 36 * _SECOND, "state", "roll", "roll SAFE → CAUTION, over the limit"),
         Event(now_ns - 38 * _SECOND, "alert", "source", "WARNING star.starboard out: 5 rejected in a row <8.1 σ>"),

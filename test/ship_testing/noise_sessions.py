@@ -100,4 +100,4 @@ def draw_session(session: NoiseSession, seed: int, process: GaussMarkovProcess) 
         state[model.slices[name]] = installed[pair.source] * model.blocks[name].sigma
         noise = np.linalg.cholesky(pair.noise) @ rng.standard_normal(3)
         pairs.append(pair._replace(value=pair.jacobian @ state + noise))
-    return replace(session, pairs=pairs)
+    return replace(session, comparisons=pairs)

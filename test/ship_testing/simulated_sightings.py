@@ -162,7 +162,7 @@ def paper_epochs(
     else:
         light_sigma = REFRACTION / scale
         coefficient = 0.13 + light_sigma * rng.standard_normal((*leading, count))
-        survey = replace(epochs.survey, refraction_light_sigma=light_sigma)
+        survey = replace(epochs.survey, refraction_beacon_sigma=light_sigma)
     focal_length_m = FOCAL_LENGTH_M + focal_length_sigma_m * rng.standard_normal(leading)
     seen_n = raise_elevation(truth.direction_n, coefficient * scale)
     point_m = project(epochs.camera, focal_length_m, seen_n @ truth.rotation_nt)
@@ -173,7 +173,7 @@ def paper_epochs(
         baseline_covariance_n=np.broadcast_to(baseline_sigma_m**2 * np.eye(3), (*leading, count, 3, 3)),
     )
     image = replace(epochs.image, point_m=point_m)
-    return replace(epochs, focal_length_m=focal_length_m, image=image, lights=lights, survey=survey)
+    return replace(epochs, focal_length_m=focal_length_m, image=image, beacons=lights, survey=survey)
 
 
 def _random_attitudes(rng: np.random.Generator, leading: tuple[int, ...]) -> FloatArray:

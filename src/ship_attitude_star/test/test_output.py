@@ -59,12 +59,12 @@ def test_a_stack_of_samples_gives_what_the_single_calls_give(sigma_rad: float) -
 def test_attitudes_of_several_states_are_those_of_each_alone() -> None:
     """One regular, others with a fault, without INS, with separations, before any star, and with an old star."""
     initial, count, time_ns = FILTER.initial_state(), 4, 60_000_000_000
-    usual = replace(initial, time_ns=time_ns, used_ns=MappingProxyType({"star.fore": time_ns}))
+    usual = replace(initial, time_ns=time_ns, last_used_ns=MappingProxyType({"star.fore": time_ns}))
     states = [
         usual,
-        replace(usual, doubt=UnresolvedFault("doubt", 1e-8 * np.eye(3))),
+        replace(usual, unresolved_fault=UnresolvedFault("doubt", 1e-8 * np.eye(3))),
         replace(usual, excluded=MappingProxyType({"ins": ExcludedSource(time_ns)})),
-        replace(usual, disputed_n=1e-9 * np.eye(3)),
+        replace(usual, separation_covariance_n=1e-9 * np.eye(3)),
         initial,
         usual,
     ]
@@ -96,7 +96,7 @@ def test_each_filter_is_propagated_and_inflated_independently() -> None:
     common_n = MappingProxyType({"star.fore": (20.0 * ARCSEC) ** 2 * np.eye(3)})
     jump = InsJump(61_000_000_000, np.array([0.0, 0.01, 0.0]), 1e-4)
     stays = MappingProxyType({"star.fore": PixelDwell(np.eye(3)[:1], 3, 0.5)})
-    together = replace(initial, time_ns=1_000_000_000, means=means, stack=stack, common_n=common_n, stays=stays)
+    together = replace(initial, time_ns=1_000_000_000, means=means, stack=stack, common_n=common_n, pixel_dwells=stays)
     after = FILTER.apply_ins_change(FILTER.propagate(together, 31_000_000_000), jump)
     assert not after.pixel_dwells  # the effect of earlier stars is gone
     for row in range(rows):

@@ -265,7 +265,7 @@ def test_inconsistent_rejected_values_replace_nothing() -> None:
 
 @pytest.mark.parametrize("seed", range(40))
 def test_any_order_of_arrival_gives_the_same_conflicts(seed: int) -> None:
-    rng, limits = np.random.default_rng(seed), replace(BRIEF, settled_by=6)
+    rng, limits = np.random.default_rng(seed), replace(BRIEF, min_consistent=6)
     stamped = sorted(draw_readings(rng), key=lambda one: one[0])
     in_order = StampedValues[Reading](limits)
     for one in stamped:

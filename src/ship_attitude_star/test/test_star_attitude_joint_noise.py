@@ -123,7 +123,7 @@ def joint_nees(periods: float, seed: int) -> float:
     assert len(joint) == 1
     assert len(joint[0].sources) == 2
     error_n = log_rotation(true_deck(first_ns) @ joint[0].solution.rotation_nb.T)
-    return float(normalized_error_squared(error_n, joint[0].solution.parts_n[DRAWN].sum(axis=0)))
+    return float(normalized_error_squared(error_n, joint[0].solution.covariance_by_source_n[DRAWN].sum(axis=0)))
 
 
 @pytest.mark.statistics

@@ -233,7 +233,7 @@ def test_an_exposure_waits_for_the_ins_to_its_end_and_any_order_gives_the_same_s
         states.append(core.state)
     for state in states[1:]:
         assert state.mean.tobytes() == states[0].mean.tobytes()
-        assert state.parts.tobytes() == states[0].parts.tobytes()
+        assert state.covariance_by_source.tobytes() == states[0].covariance_by_source.tobytes()
 
 
 def test_a_late_ins_sample_within_the_exposure_is_used_for_it():

@@ -190,7 +190,7 @@ def test_mend_14_the_first_exposure_is_confirmed_by_the_next_one_or_by_another_s
     second = after(first, "fore", TIME_NS + 100_000_000)
     assert second.unconfirmed_step is None
     # A sensor that was excluded has agreed with the others before it is used again.
-    excluded = replace(second, used_ns=MappingProxyType({}), record=MappingProxyType({"star.fore": 1}))
+    excluded = replace(second, last_used_ns=MappingProxyType({}), exclusion_counts=MappingProxyType({"star.fore": 1}))
     assert after(excluded, "fore", TIME_NS + 200_000_000).unconfirmed_step is None
 
 

@@ -98,12 +98,12 @@ def test_optional_sensor_without_data_is_a_warning():
     topic = InputTopic("met/humidity", IMU, required=False, depth=100)
     assert evaluate(input=topic, publishers=())[0] is Result.WARN
     assert evaluate(input=topic, count=0)[0] is Result.WARN
-    assert evaluate(input=dataclasses.replace(topic, named=True), publishers=())[0] is Result.FAIL
+    assert evaluate(input=dataclasses.replace(topic, is_configured=True), publishers=())[0] is Result.FAIL
 
 
 @pytest.mark.parametrize("quality", ["reliable", "transient_local"])
 def test_unmet_quality_of_service_fails(quality):
-    weak = (dataclasses.replace(DRIVER, offers=STRONGER_QOS - {quality}),)
+    weak = (dataclasses.replace(DRIVER, offered_qos=STRONGER_QOS - {quality}),)
     assert evaluate(publishers=weak)[0] is Result.OK
     setting = "qos_overrides in the suite file"
     result, found = evaluate(publishers=weak, requested_qos={"ins/imu": {quality: setting}})
@@ -112,7 +112,7 @@ def test_unmet_quality_of_service_fails(quality):
 
 
 def test_advice_names_the_setting_of_the_unmet_quality(tmp_path):
-    weak = dataclasses.replace(GOOD, publishers=(dataclasses.replace(DRIVER, offers=frozenset()),))
+    weak = dataclasses.replace(GOOD, publishers=(dataclasses.replace(DRIVER, offered_qos=frozenset()),))
     path = tmp_path / "suite.yaml"
     for parameters, by_option, setting in (
         ("{a: 1}", True, "--reliable-inputs"),

@@ -146,11 +146,11 @@ class CorrectionSums(NamedTuple):
         """
         before = self.unresolved if self.unresolved is not None and time_ns < self.unresolved.until_ns else None
         if not self.sigmas > COMMON_ERROR_START_SIGMAS:
-            return self._replace(suspicion=before)
+            return self._replace(unresolved=before)
         variance = self.unresolved_variance()
         if before is not None:
             variance = np.maximum(variance, before.variance)
-        return self._replace(suspicion=UnresolvedCommonError(variance, time_ns + hold_ns))
+        return self._replace(unresolved=UnresolvedCommonError(variance, time_ns + hold_ns))
 
 
 NO_CORRECTIONS = CorrectionSums(np.tile(np.array([0.0, 0.0, 1.0])[:, None], (_BLOCKS, 1, _COMPONENTS)), 0.0)

@@ -220,12 +220,12 @@ def evaluate_reinstatement(
     if excluded.offset is not None:
         measured_ratio = measured_ratio if abs(measured_ratio) < _MAX_OFFSET_RATIO else _MAX_OFFSET_RATIO  # NaN is gross
         share_left = excluded.remaining_offset_ratio + (measured_ratio - excluded.remaining_offset_ratio) * 2.0 / (_RATIO_WINDOW + 1.0)
-        excluded = replace(excluded, share_left=share_left)
+        excluded = replace(excluded, remaining_offset_ratio=share_left)
         agrees = agrees and share_left <= _MAX_REMAINING_RATIO and _DRIFT_SIGMAS * ratio_sigma <= _MAX_REMAINING_RATIO
     if not agrees:
-        return replace(excluded, agrees_since_ns=None), False
+        return replace(excluded, consistent_since_ns=None), False
     since_ns = time_ns if excluded.consistent_since_ns is None else excluded.consistent_since_ns
-    return replace(excluded, agrees_since_ns=since_ns), (time_ns - since_ns) / SECOND_NS >= reinstatement_time_s(
+    return replace(excluded, consistent_since_ns=since_ns), (time_ns - since_ns) / SECOND_NS >= reinstatement_time_s(
         excluded, return_after_s
     )
 

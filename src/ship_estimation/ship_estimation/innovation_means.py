@@ -154,7 +154,7 @@ def updated_means(
     # A NaN does not enter the means; it counts as a rejection.
     refused = means.rejection_counts.copy()
     refused[:, list(source)] += 1
-    return replace(means, refused=refused)
+    return replace(means, rejection_counts=refused)
 
 
 def updated_mean(running: FloatArray, innovation: FloatArray) -> tuple[FloatArray, float]:

@@ -44,7 +44,7 @@ class UnconfirmedStep(NamedTuple):
         is_other_source = self.confirmed_by not in ("", source)
         if time_ns <= self.since_ns or (time_ns == self.confirmed_ns and not is_other_source):
             return self
-        return self._replace(agreed_ns=time_ns) if self.confirmed_ns is None else None
+        return self._replace(confirmed_ns=time_ns) if self.confirmed_ns is None else None
 
     @property
     def text(self) -> str:

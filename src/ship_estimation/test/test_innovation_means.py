@@ -89,7 +89,7 @@ def test_nan_innovation_counts_as_a_rejection_without_a_mean(wrong: float) -> No
     refused = np.zeros((ROWS, SOURCES))
     refused[:, 1] = 1
     np.testing.assert_array_equal(found.rejection_counts, refused)
-    equal(replace(found, refused=means.rejection_counts), means)
+    equal(replace(found, rejection_counts=means.rejection_counts), means)
 
 
 def test_invalid_noise_part_is_inconsistent() -> None:

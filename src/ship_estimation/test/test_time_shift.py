@@ -42,5 +42,5 @@ def test_all_stamps_are_shifted_by_the_step_and_nothing_else_changes() -> None:
 
 
 def test_never_stamp_is_not_shifted() -> None:
-    means = replace(initial_means(subfilters=1, sources=2), heard_ns=np.array([NEVER_NS, 50]))
+    means = replace(initial_means(subfilters=1, sources=2), last_measured_ns=np.array([NEVER_NS, 50]))
     assert with_shifted_stamps(means, 7).last_measured_ns.tolist() == [NEVER_NS, 57]

@@ -41,7 +41,7 @@ def hostile(name):
     history = simulated_history()
     points = history.innovations.pop("star.fore")
     stars = history.star_exposures.pop("star.fore")
-    history.innovations[f"star.{name}"] = deque(replace(each, part_names=(name,)) for each in points)
+    history.innovations[f"star.{name}"] = deque(replace(each, object_names=(name,)) for each in points)
     history.star_exposures[f"star.{name}"] = stars
     history.beacons[name] = history.beacons.pop("a")
     for topic, budget in history.budgets.items():

@@ -57,7 +57,7 @@ def test_innovations_use_the_room_of_errors_without_truth(panels) -> None:
 @pytest.mark.slow
 def test_sky_uses_the_room_of_lights_without_a_telescope(panels) -> None:
     history = simulated_history()
-    panels.update(replace(history, lights={}), PICTURE)
+    panels.update(replace(history, beacons={}), PICTURE)
     assert not panels.frames["lights"].visible
     assert "'sky sky'" in panels._grid.css
     panels.update(history, PICTURE)
@@ -139,7 +139,7 @@ def test_wide_band_does_not_hide_the_values(panels) -> None:
     [
         (GOOD, 15.0, ("✓ star.fore  IN · σ as stated (1.01)", False)),
         (GOOD, 30.0, ("✓ star.fore  IN · axis ±30″ · σ as stated (1.01)", False)),
-        (replace(GOOD, verdict=None), 15.0, ("✓ star.fore  IN", False)),
+        (replace(GOOD, nis_consistency=None), 15.0, ("✓ star.fore  IN", False)),
         (replace(GOOD, presence=Presence.OUT, reason="no data"), 15.0, ("✕ star.fore  OUT · no data", True)),
         (
             replace(GUILTY, name="star.fore"),

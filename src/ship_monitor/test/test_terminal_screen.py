@@ -275,7 +275,7 @@ def test_every_line_has_the_width_of_the_terminal(
         waiting_for=told,
     )
     view = dataclasses.replace(
-        VIEW, width=width, height=height, name=name, place=told, chosen=chosen, is_ascii=is_ascii
+        VIEW, width=width, height=height, name=name, location=told, chosen=chosen, is_ascii=is_ascii
     )
     for lines in (screen(shown, shown.alerts, view), details(shown, shown.alerts, view), help_page(shown, view)):
         assert len(lines) == height

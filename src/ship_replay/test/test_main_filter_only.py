@@ -59,5 +59,5 @@ def test_the_pointing_is_that_of_the_main_filter_alone() -> None:
     for one, other in zip(beside, alone, strict=True):
         assert (one.time_ns, one.status, one.mode) == (other.time_ns, other.status, other.mode)
         assert one.rotation_nm.tobytes() == other.rotation_nm.tobytes()
-        assert one.undisputed_n.tobytes() == other.covariance_n.tobytes()
-    assert any((one.covariance_n != one.undisputed_n).any() for one in beside)
+        assert one.covariance_without_separation_n.tobytes() == other.covariance_n.tobytes()
+    assert any((one.covariance_n != one.covariance_without_separation_n).any() for one in beside)

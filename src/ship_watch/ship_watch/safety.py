@@ -226,7 +226,7 @@ class SafetyHysteresis:
             elif hold is not None and now_ns >= self._hold_end_ns(level, now, now_ns):
                 del self._holds[level]
             elif hold is not None and now.by_margin >= level:
-                self._holds[level] = hold._replace(near_ns=now_ns)
+                self._holds[level] = hold._replace(last_near_ns=now_ns)
         displayed = self.displayed_safety(now, now_ns).safety
         changed = displayed is not self.safety
         if changed:

@@ -307,7 +307,7 @@ class SuiteMonitor:
             faulty_source = first_faulty_source(sources, needed) or ship
             inputs_by_angle |= {name: self._inputs_of_angle(name, faulty_source, now_ns) for name in ANGLES[3:]}
         if has_node_stopped:
-            inputs_by_angle = {name: replace(inputs, guilty=None) if inputs.is_old else inputs for name, inputs in inputs_by_angle.items()}
+            inputs_by_angle = {name: replace(inputs, faulty_source=None) if inputs.is_old else inputs for name, inputs in inputs_by_angle.items()}
         return inputs_by_angle
 
     def _inputs_of_angle(self, name: str, faulty_source: SourceState | None, now_ns: int) -> AngleInputs:

@@ -94,7 +94,7 @@ class AngleState:
         if self.unheld_safety is None:
             return self
         safety, reason = self.unheld_safety
-        return replace(self, safety=safety, reason=reason, because_of=self.because_of if safety else "", now=None)
+        return replace(self, safety=safety, reason=reason, because_of=self.because_of if safety else "", unheld_safety=None)
 
 
 @dataclass(frozen=True)

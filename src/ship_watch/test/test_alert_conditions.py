@@ -118,16 +118,16 @@ def test_accuracy_over_its_limit_refers_to_the_error_budget() -> None:
 def test_recovering_function_is_reported_until_its_safety_is_better() -> None:
     """The diagnostics of a function within its limit again have the current reason."""
     reason = "within 3″ again; SAFE in 4 s"
-    well_again = replace(angle_over_limit("roll", share=0.8), now=(Safety.SAFE, ""), reason=reason)
+    well_again = replace(angle_over_limit("roll", share=0.8), unheld_safety=(Safety.SAFE, ""), reason=reason)
     branches = {branch.path: (branch.level, branch.text) for branch in diagnostic_entries(suite_state(well_again), PICTURED)}
     assert branches["tilt within 3″"] == (1, "within 3″ again; SAFE in 4 s, 2.4″ (95 %), limit 3″")
 
 
 def test_alert_uses_the_safety_without_hold() -> None:
     """The displayed safety has a hold; alerts have a hold of their own and use the safety without hold."""
-    well_again = replace(angle_over_limit("roll", "ins", share=0.98), now=(Safety.SAFE, ""))
+    well_again = replace(angle_over_limit("roll", "ins", share=0.98), unheld_safety=(Safety.SAFE, ""))
     assert conditions(suite_state(well_again), LIMITS) == []
-    worse_now = replace(angle_over_limit("roll"), now=(Safety.UNSAFE, "invalid"))
+    worse_now = replace(angle_over_limit("roll"), unheld_safety=(Safety.UNSAFE, "invalid"))
     (found,) = conditions(suite_state(worse_now), LIMITS)
     assert (found.priority, found.text) == (Priority.ALARM, "Tilt lost: invalid")
 

@@ -118,7 +118,7 @@ def test_random_situations_keep_the_rules() -> None:
         for _ in range(300):
             lost = frozenset(draws.choice(["heading", "tilt"], size=draws.integers(3), replace=False).tolist())
             priority = Priority(int(draws.integers(3)))
-            condition = replace(OUT, priority=priority, text=f"out {sorted(lost)}", lost=lost)
+            condition = replace(OUT, priority=priority, text=f"out {sorted(lost)}", lost_functions=lost)
             before = voyage.book.alerts
             voyage.go(float(draws.exponential(4.0)), *([condition] if draws.integers(3) else []))
             for alert in before:
@@ -135,8 +135,8 @@ def test_random_situations_keep_the_rules() -> None:
 def test_more_lost_functions_than_acknowledged_give_a_new_instance() -> None:
     """A tilt lost after the acknowledgement of the heading is a new instance; before it, a new text of the same one."""
     voyage = Voyage()
-    heading = replace(OUT, text="out; heading", lost=frozenset({"heading"}))
-    both = replace(OUT, text="out; heading and tilt", lost=frozenset({"heading", "tilt"}))
+    heading = replace(OUT, text="out; heading", lost_functions=frozenset({"heading"}))
+    both = replace(OUT, text="out; heading and tilt", lost_functions=frozenset({"heading", "tilt"}))
     voyage.go(1.0, heading)
     assert [(change.alert.text, change.alert.instance) for change in voyage.go(1.0, both)] == [(both.text, 1)]
     voyage.acknowledge("star.bow.out")
@@ -144,7 +144,7 @@ def test_more_lost_functions_than_acknowledged_give_a_new_instance() -> None:
         voyage.go(0.5, heading)
         voyage.go(0.5, both)
     assert voyage.book.alerts[0].instance == 1
-    pointing = replace(both, lost=both.lost_functions | {"pointing"})
+    pointing = replace(both, lost_functions=both.lost_functions | {"pointing"})
     assert [change.description for change in voyage.go(1.0, pointing)] == ["now also affects pointing"]
     assert voyage.states() == {"star.bow.out": "WARNING ACTIVE_UNACKNOWLEDGED"}
     assert voyage.book.alerts[0].instance == 2
@@ -173,7 +173,7 @@ def test_glitch_of_one_update_is_no_alert() -> None:
 def test_glitch_of_one_update_does_not_escalate_an_alert() -> None:
     """An escalation or a further loss must last, or appear twice within a second."""
     alarm = replace(OUT, priority=Priority.ALARM)
-    more = replace(OUT, lost=frozenset({"tilt"}))
+    more = replace(OUT, lost_functions=frozenset({"tilt"}))
     for graver in (alarm, more):
         voyage = Voyage()
         voyage.go(1.0, OUT)
@@ -289,7 +289,7 @@ def test_situation_explained_by_another_alert_has_no_alert() -> None:
 def test_start_of_the_suite_is_no_alert() -> None:
     """An output that was never received raises an alert ten seconds after the start."""
     voyage = Voyage()
-    silent = replace(OUT, needs_start=True)
+    silent = replace(OUT, may_be_startup=True)
     assert voyage.go(9.0, silent) == []
     assert [change.description for change in voyage.go(2.0, silent)] == ["raised"]
 
@@ -322,7 +322,7 @@ def test_restart_without_data_changes_nothing() -> None:
     voyage.go(5.0, replace(OUT, priority=Priority.ALARM, text="no data"))
     voyage.acknowledge("star.bow.out")
     again = Voyage(AlertList(TIMES, voyage.book.serialise(), round(100.0 * S)), 100.0)
-    never = replace(OUT, text="never received", needs_start=True, is_blind=True, becomes_alarm=True)
+    never = replace(OUT, text="never received", may_be_startup=True, is_never_received=True, becomes_alarm=True)
     assert again.go(300.0, never) == []
     assert again.states() == {"star.bow.out": "ALARM ACTIVE_ACKNOWLEDGED"}
 

@@ -55,7 +55,7 @@ def test_received_state_equals_the_published_one(shown: SuiteState) -> None:
     """All fields of angles, ages and sources are equal, except fields of an angle that only alerts use."""
     received = received_state(shown)
     assert are_equal(received.sources, shown.sources)
-    assert are_equal(received.angles, tuple(replace(angle, over_s=0.0, now=None) for angle in shown.angles))
+    assert are_equal(received.angles, tuple(replace(angle, over_limit_s=0.0, unheld_safety=None) for angle in shown.angles))
     assert are_equal(dict(received.ages_s), {name: shown.ages_s.get(name, math.inf) for name in ("stars", "lights", "ins")})
     assert (received.pointing_by, received.horizon) == (shown.pointing_by, shown.horizon)
     assert received.overall == shown.overall

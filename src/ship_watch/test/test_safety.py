@@ -170,7 +170,7 @@ def test_margin_applies_only_to_an_accuracy_that_was_over_its_limit() -> None:
     held = SafetyHysteresis(5.0)
     for tenth in range(100):
         now = over_limit(4.9)
-        silent = now._replace(word=Safety.CAUTION, reason="star.bow no data")
+        silent = now._replace(safety=Safety.CAUTION, reason="star.bow no data")
         held.update(silent if tenth < 10 else now, tenth * SECOND // 10)
         assert (held.safety is Safety.SAFE) == (tenth >= 59)
 

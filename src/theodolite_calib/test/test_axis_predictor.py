@@ -53,7 +53,7 @@ def correlated_state(filter_: TracedFilter, size: float | None):
     mix = np.eye(n) + 0.2 * rng.standard_normal((n, n))
     parts = np.zeros_like(state.covariance_by_source)
     parts[0] = sigma[:, None] * (mix @ mix.T) * sigma
-    return replace(state, parts=parts, mean=0.3 * sigma * rng.standard_normal(n))
+    return replace(state, covariance_by_source=parts, mean=0.3 * sigma * rng.standard_normal(n))
 
 
 @pytest.mark.parametrize("sizes", STATED.values(), ids=STATED)

@@ -30,14 +30,14 @@ def an_epoch(lights_deg: FloatArray = BEACONS_DEG, seed: int = 2) -> Epochs:
         many,
         truth=replace(many.truth, rotation_nt=many.truth.rotation_nt[0], direction_n=many.truth.direction_n[0]),
         image=replace(many.image, point_m=many.image.point_m[0], sigma_m=many.image.sigma_m[0]),
-        lights=replace(
+        beacons=replace(
             many.beacons,
             baseline_n=many.beacons.baseline_n[0],
             baseline_covariance_n=many.beacons.baseline_covariance_n[0],
             rotation_nb=many.beacons.rotation_nb[0],
         ),
         ship=replace(many.ship, rotation_nd=many.ship.rotation_nd[0], rotation_dm=many.ship.rotation_dm[0]),
-        survey=replace(many.survey, refraction_light_sigma=many.survey.refraction_beacon_sigma[0]),
+        survey=replace(many.survey, refraction_beacon_sigma=many.survey.refraction_beacon_sigma[0]),
     )
 
 
@@ -116,7 +116,7 @@ def test_a_baseline_a_second_late():
     across = np.cross(epoch.truth.direction_n[1], epoch.truth.direction_n[0])
     late = np.cross(across / np.linalg.norm(across), epoch.truth.direction_n[1]) * 2.0
     lights = replace(epoch.beacons, baseline_n=epoch.beacons.baseline_n + np.stack([np.zeros(3), late]))
-    assert check_epoch(replace(epoch, lights=lights)).result is BeaconCheckResult.CONFLICT
+    assert check_epoch(replace(epoch, beacons=lights)).result is BeaconCheckResult.CONFLICT
 
 
 def test_consistent_beacons_with_an_inconsistent_prior():
@@ -135,7 +135,7 @@ def test_a_little_better_the_other_way_round_is_no_swap():
     row_deg = np.stack([3.0 * along, 5e-4 * along, -3.0 * along])
     exact = error_free_epochs(truth_of(75.0, 35.0, 15.0, row_deg))
     lights = replace(exact.beacons, baseline_covariance_n=0.027**2 * np.eye(3))
-    epoch = replace(exact, lights=lights)
+    epoch = replace(exact, beacons=lights)
     verdicts = {
         check_epoch(replace(epoch, image=replace(epoch.image, point_m=point_m))).result
         for shift_m in np.arange(-12e-6, 12e-6, 1e-6)

@@ -75,7 +75,7 @@ def test_a_session_that_starts_from_it_knows_what_was_known() -> None:
     filter_ = CalibrationFilter(config())
     state, messages = state_from_prior(filter_, config(), save_calibration(), NOW_NS)
     assert messages == []
-    again = prior_from_state(filter_, config(), replace(state, used_ns=save_calibration().time_ns))
+    again = prior_from_state(filter_, config(), replace(state, last_beacons_ns=save_calibration().time_ns))
     assert again.values == pytest.approx(save_calibration().values, rel=1e-9, abs=1e-15)
     # What is held has no variance, saved or not.
     assert again.covariance == pytest.approx(save_calibration().covariance, rel=1e-12)

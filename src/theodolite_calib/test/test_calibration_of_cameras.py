@@ -37,7 +37,7 @@ def calibrated_state(settings: OpticalAxisConfig) -> tuple[CalibrationFilter, Ca
     parts[:, :, rows] /= 3.0
     # Azimuth of the camera and collimation are known together.
     parts[0][[rows[0], c], [c, rows[0]]] = 0.05 * ARCSEC**2
-    return filter_, replace(filter_.initial_state_from(mean, parts), stars_ns=NOW_NS)
+    return filter_, replace(filter_.initial_state_from(mean, parts), last_stars_ns=NOW_NS)
 
 
 def saved_prior(settings: OpticalAxisConfig) -> CalibrationPrior:
@@ -117,7 +117,7 @@ def test_removed_camera_is_ignored() -> None:
 def test_a_file_without_cameras_leaves_them_as_configured() -> None:
     without = replace(mount_config(1.0), telescopes={})
     filter_ = CalibrationFilter(without)
-    old = prior_from_state(filter_, without, replace(filter_.initial_state(), stars_ns=NOW_NS))
+    old = prior_from_state(filter_, without, replace(filter_.initial_state(), last_stars_ns=NOW_NS))
     assert old.names == SAVED_NAMES
     settings = mount_config(1.0)
     filter_ = CalibrationFilter(settings)

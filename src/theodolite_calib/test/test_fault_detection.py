@@ -34,7 +34,7 @@ def consistent_state(received_ns: dict[str, int]) -> FaultState:
         seen_ns[ROWS.beacons.index(name)] = time_ns
     left_out = {name: ExclusionRecord(ExcludedSource(0, consistent_since_ns=AGREED_NS), "") for name in (BEACON_PREFIX + FIRST, ENCODER)}
     conflict = UnresolvedFault(0.0 * trust.innovation_means.running[0, 0, :, :3], is_persistent=True, consistent_since_ns=AGREED_NS)
-    return replace(trust, means=replace(trust.innovation_means, heard_ns=seen_ns), left_out=left_out, conflict=conflict)
+    return replace(trust, innovation_means=replace(trust.innovation_means, last_measured_ns=seen_ns), exclusions=left_out, unresolved_fault=conflict)
 
 
 def consistent_since_ns(fault_state: FaultState) -> list[int | None]:
@@ -69,7 +69,7 @@ def test_encoder_is_reinstated_a_minute_after_the_gap() -> None:
         trust = REFEREE.restart_timers(trust, (SECOND,), time_ns)
         heard_ns = trust.innovation_means.last_measured_ns.copy()
         heard_ns[ROWS.beacons.index(SECOND)] = time_ns
-        trust = replace(trust, means=replace(trust.innovation_means, heard_ns=heard_ns))
+        trust = replace(trust, innovation_means=replace(trust.innovation_means, last_measured_ns=heard_ns))
         if ENCODER in trust.exclusions:
             trust = REFEREE.monitor_prediction(trust, ENCODER, True, time_ns)
             returned += [] if ENCODER in trust.exclusions else [(time_ns - back_ns) / SECOND_NS]

@@ -89,7 +89,7 @@ def test_a_case_by_hand():
         SURVEY,
         theodolite_lever=LeverArm(np.array([10.0, 2.0, 0.0]), np.zeros(3)),
         principal_point=LeverArm(np.array([0.5, 0.0, 0.0]), np.zeros(3)),
-        light_lever=LeverArm(np.array([1.0, -0.25, 0.0]), np.zeros(3)),
+        beacon_lever=LeverArm(np.array([1.0, -0.25, 0.0]), np.zeros(3)),
         refraction_coefficient=0.0,
     )
     lines = lines_of_sight(lights, ship, survey)
@@ -121,7 +121,7 @@ def bare_lines(path_n: FloatArray, refraction_coefficient: float) -> LinesOfSigh
         SURVEY,
         theodolite_lever=NOTHING,
         principal_point=NOTHING,
-        light_lever=NOTHING,
+        beacon_lever=NOTHING,
         refraction_coefficient=refraction_coefficient,
     )
     return lines_of_sight(lights, Ship(np.eye(3), np.zeros((3, 3)), np.eye(3)), survey)
@@ -199,7 +199,7 @@ def test_joint_covariance_is_that_of_drawn_errors():
             survey,
             theodolite_lever=NOTHING,
             principal_point=NOTHING,
-            light_lever=lever,
+            beacon_lever=lever,
             refraction_coefficient=coefficient,
         ),
     )

@@ -46,7 +46,7 @@ def move_across(sighting: Sighting, right_m: float) -> Sighting:
     """Return the sighting with all baselines moved to the right of their lines of sight."""
     north, _, east = sighting.beacons.baseline_n.T
     right_n = np.column_stack([-east, np.zeros_like(north), north]) / np.hypot(north, east)[:, None]
-    return replace(sighting, lights=replace(sighting.beacons, baseline_n=sighting.beacons.baseline_n + right_m * right_n))
+    return replace(sighting, beacons=replace(sighting.beacons, baseline_n=sighting.beacons.baseline_n + right_m * right_n))
 
 
 def test_moved_baseline_turns_its_beacon_to_the_other_side() -> None:
@@ -55,7 +55,7 @@ def test_moved_baseline_turns_its_beacon_to_the_other_side() -> None:
     moved_n = np.array([0.4, 0.5, -0.3])
     baseline_n = sighting.beacons.baseline_n.copy()
     baseline_n[0] += moved_n
-    moved = replace(sighting, lights=replace(sighting.beacons, baseline_n=baseline_n))
+    moved = replace(sighting, beacons=replace(sighting.beacons, baseline_n=baseline_n))
     first, other = sighting.names
     before, after = memory_residuals(FILTER, state, sighting), memory_residuals(FILTER, state, moved)
     north, up, east = baseline_n[0]

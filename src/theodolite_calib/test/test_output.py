@@ -95,8 +95,8 @@ def test_axis_equals_that_of_the_predicted_state(source: str) -> None:
 def with_unresolved_fault(state: CalibrationState) -> CalibrationState:
     """Return the state with an unresolved fault and separated subfilters."""
     conflict = UnresolvedFault((3.0 * ARCSEC) ** 2 * np.diag([1.0, 2.0, 3.0]))
-    trust = replace(state.fault_state, conflict=conflict)
-    return replace(state, trust=trust, separation=np.full(len(state.solution_separation), 5.0))
+    trust = replace(state.fault_state, unresolved_fault=conflict)
+    return replace(state, fault_state=trust, solution_separation=np.full(len(state.solution_separation), 5.0))
 
 
 def select_reading(encoders: EncoderSeries, ship: ShipSeries, number: int) -> tuple[EncoderSeries, ShipSeries]:
@@ -156,7 +156,7 @@ def test_pointings_that_are_due_are_those_put_out_at_once_and_one_that_fails_fai
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     settings, filter_, state = state_after_beacons("ins/imu")
-    later, output = replace(state, refusals=1), PointingOutput(settings, filter_)
+    later, output = replace(state, consecutive_rejections=1), PointingOutput(settings, filter_)
     encoders, ship = readings("ins/imu", state)
     due = [
         PendingPointing(

@@ -78,7 +78,7 @@ def test_shared_errors_are_in_the_covariance(stated: bool) -> None:
         right_up = moves @ rng.normal(size=moves.shape[-1])
         moved = clean.direction_d + (np.swapaxes(right_and_up(clean.direction_d), 1, 2) @ right_up[..., None])[..., 0]
         moved /= np.linalg.norm(moved, axis=-1, keepdims=True)
-        result = fit(replace(clean, direction_d=moved, time_s=time_s, slow_errors=slow if stated else ()), STRAIGHT)
+        result = fit(replace(clean, direction_d=moved, time_s=time_s, correlated_errors=slow if stated else ()), STRAIGHT)
         error = (result.errors.vector() - ERRORS.vector())[:6]
         ratios.append(error / result.sigmas)
         nees.append(normalized_error_squared(error, result.covariance))

@@ -33,7 +33,7 @@ def with_excluded(state: TracedState, source: str) -> TracedState:
     """Return the state of a filter that excludes a source."""
     assert state.time_ns is not None
     left_out = {source: ExclusionRecord(ExcludedSource(state.time_ns), "it lies", 0.0)}
-    return replace(state, trust=replace(state.fault_state, left_out=left_out))
+    return replace(state, fault_state=replace(state.fault_state, exclusions=left_out))
 
 
 def test_its_states_are_those_of_the_filter() -> None:

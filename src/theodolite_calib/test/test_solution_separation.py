@@ -90,5 +90,5 @@ def test_levels_and_separations_rest_on_the_covariance_without_it() -> None:
     np.testing.assert_array_equal(told.statistic, expected.statistic)
     np.testing.assert_array_equal(told.level, expected.level)
     assert np.all(np.isfinite(told.level))
-    less = integrity_of(FILTER, SETTINGS, replace(one, undisputed_n=one.covariance_n))
+    less = integrity_of(FILTER, SETTINGS, replace(one, covariance_without_separation_n=one.covariance_n))
     assert np.any(less.level > told.level)

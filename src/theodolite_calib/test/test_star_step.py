@@ -257,7 +257,7 @@ def test_identified_stars_give_the_attitude_without_encoders(watch) -> None:
     sighting = night.sighting(encoder, 6)
     state, _ = mount.step(mount.filter.initial_state(), sighting)
     left_out = ExclusionRecord(ExcludedSource(TIME_NS), "slipped")
-    state = replace(state, trust=replace(state.fault_state, left_out={ENCODER: left_out}))
+    state = replace(state, fault_state=replace(state.fault_state, exclusions={ENCODER: left_out}))
     slipped = replace(sighting.encoder, azimuth=sighting.encoder.azimuth + np.deg2rad(1.0))
     sighting = replace(sighting, encoder=slipped)
     nameless = replace(sighting, exposure=without_identity(sighting.exposure))

@@ -63,7 +63,7 @@ def test_rotation_by_weights_is_scipys():
         baseline_n=epochs.beacons.baseline_n + noise,
         baseline_covariance_n=sigma_m[:, None, None] ** 2 * np.eye(3),
     )
-    epochs = replace(epochs, lights=lights, image=replace(epochs.image, sigma_m=np.full(4, 1e-10)))
+    epochs = replace(epochs, beacons=lights, image=replace(epochs.image, sigma_m=np.full(4, 1e-10)))
     expected, _, sensitivity = Rotation.align_vectors(
         epochs.lines().direction_n,
         epochs.camera.directions(epochs.image.point_m),
@@ -91,7 +91,7 @@ def test_a_part_of_the_budget_is_what_its_source_does(source):
             noise = 0.65e-6 * np.random.default_rng(3).standard_normal(exact.image.point_m.shape)
             epochs = replace(
                 drawn,
-                lights=replace(drawn.beacons, baseline_n=exact.beacons.baseline_n),
+                beacons=replace(drawn.beacons, baseline_n=exact.beacons.baseline_n),
                 image=replace(exact.image, point_m=exact.image.point_m + noise),
             )
         case "focal_length":
@@ -99,7 +99,7 @@ def test_a_part_of_the_budget_is_what_its_source_does(source):
             point_m = (exact.image.point_m - CAMERA.principal_point_m) * scale + CAMERA.principal_point_m
             epochs = replace(
                 drawn,
-                lights=replace(drawn.beacons, baseline_n=exact.beacons.baseline_n),
+                beacons=replace(drawn.beacons, baseline_n=exact.beacons.baseline_n),
                 image=replace(exact.image, point_m=point_m),
             )
         case "refraction":
@@ -107,7 +107,7 @@ def test_a_part_of_the_budget_is_what_its_source_does(source):
             k = 0.13 + sigma * np.random.default_rng(4).standard_normal(sigma.shape)
             epochs = replace(
                 drawn,
-                lights=replace(drawn.beacons, baseline_n=exact.beacons.baseline_n),
+                beacons=replace(drawn.beacons, baseline_n=exact.beacons.baseline_n),
                 image=exact.image,
                 survey=replace(drawn.survey, refraction_coefficient=k),
             )
@@ -232,9 +232,9 @@ def test_epochs_at_once_are_epochs_one_by_one():
             baseline_covariance_n=epochs.beacons.baseline_covariance_n[i],
         )
         ship = replace(epochs.ship, rotation_nd=epochs.ship.rotation_nd[i], rotation_dm=epochs.ship.rotation_dm[i])
-        survey = replace(epochs.survey, refraction_light_sigma=epochs.survey.refraction_beacon_sigma[i])
+        survey = replace(epochs.survey, refraction_beacon_sigma=epochs.survey.refraction_beacon_sigma[i])
         image = replace(epochs.image, point_m=epochs.image.point_m[i], sigma_m=epochs.image.sigma_m[i])
-        alone = solve_epochs(replace(epochs, lights=lights, ship=ship, survey=survey, image=image))
+        alone = solve_epochs(replace(epochs, beacons=lights, ship=ship, survey=survey, image=image))
         assert alone.rotation_nt == pytest.approx(together.rotation_nt[i], abs=1e-12)
         assert alone.covariance_n == pytest.approx(together.covariance_n[i], rel=1e-6, abs=1e-16)
         assert alone.chi2 == pytest.approx(together.chi2[i], abs=1e-6)

@@ -40,11 +40,11 @@ class FullProblem:
         SURVEY,
         theodolite_lever=LeverArm(np.array([12.0, 3.0, -2.0]), np.array([0.02, 0.03, 0.01])),
         principal_point=LeverArm(np.array([0.4, 0.3, 0.0]), np.array([0.01, 0.02, 0.03])),
-        light_lever=LeverArm(np.array([0.1, -0.3, 0.05]), np.array([0.01, 0.03, 0.02])),
+        beacon_lever=LeverArm(np.array([0.1, -0.3, 0.05]), np.array([0.01, 0.03, 0.02])),
         rtk_base_sigma_m=np.array([0.03, 0.05, 0.02]),
         rtk_bias_sigma_m=np.array([0.02, 0.01, 0.03]),
         refraction_sigma=0.06,
-        refraction_light_sigma=0.04,
+        refraction_beacon_sigma=0.04,
     )
     drone_sigma, ship_sigma, rtk_m, detection_m, focal_sigma_m = 0.03, 3e-3, 0.02, 2e-6, 1e-4
 
@@ -61,7 +61,7 @@ class FullProblem:
         ship = replace(epoch.ship, attitude_covariance_n=self.ship_sigma**2 * np.eye(3))
         # Attitude 3, focal length 1, common 13, each light's own 13; all but the attitude of unit variance.
         self.size = 17 + 13 * count
-        self.epoch = replace(epoch, camera=self.camera, lights=lights, ship=ship)
+        self.epoch = replace(epoch, camera=self.camera, beacons=lights, ship=ship)
         drawn = np.random.default_rng(21).standard_normal(self.size)
         drawn[:3] = 0.0
         noise = self.detection_m * np.random.default_rng(22).standard_normal((count, 2))

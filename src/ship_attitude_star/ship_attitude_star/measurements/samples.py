@@ -175,9 +175,9 @@ class AttitudeSeries:
         return cls(
             time_ns=np.array([estimate.time_ns]),
             rotation_nd=estimate.rotation_nd[None],
-            covariance_parts_n=estimate.covariance_by_source_n[None],
+            covariance_by_source_n=estimate.covariance_by_source_n[None],
             covariance_n=estimate.covariance_n[None],
-            undisputed_n=estimate.covariance_without_separation_n[None],
+            covariance_without_separation_n=estimate.covariance_without_separation_n[None],
             rate_d=estimate.rate_d[None],
             status=[estimate.status],
             horizon=np.array([estimate.horizon]),

@@ -148,7 +148,7 @@ class FaultDetector:
         # own mounting states.
         is_update = any((used & accepted).tolist()) if exclusion is None else exclusion.offset is None
         if not is_update:
-            return changed(state, seen=innovation_means, apart=last_innovations)
+            return changed(state, innovation_means=innovation_means, last_innovations=last_innovations)
         updatable = self.ins_fault.updatable_states(state, self._updatable_states(state, source, used) & accepted[:, None])
         corrections, stack = update_subfilters(predicted.stack, comparison.linear, innovations, updatable)
         recent, correction_sums = state.recent_innovations, state.correction_sums
@@ -159,7 +159,7 @@ class FaultDetector:
                 correction_sums = correction_sums.with_correction(innovations, comparison.linear.jacobian, self._ins_attitude.start)
         means = predicted.means + corrections
         return changed(
-            predicted, means=means, stack=stack, seen=innovation_means, apart=last_innovations, lately=recent, absorbed=correction_sums
+            predicted, means=means, stack=stack, innovation_means=innovation_means, last_innovations=last_innovations, recent_innovations=recent, correction_sums=correction_sums
         )
 
     def _updatable_states(self, state: FilterState, source: str, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -176,11 +176,11 @@ class FaultDetector:
         """Return the state before the first measurement of a source after a timeout; reinstatement timers restart."""
         excluded = dict(state.excluded)
         if source in excluded:
-            excluded[source] = replace(excluded[source], agrees_since_ns=None)
+            excluded[source] = replace(excluded[source], consistent_since_ns=None)
         if is_ins_excluded_by_stars(state) and state.innovation_means.last_measured_ns.max() < time_ns - MAX_MEASUREMENT_AGE_NS:
-            excluded[INS] = replace(excluded[INS], agrees_since_ns=time_ns)
+            excluded[INS] = replace(excluded[INS], consistent_since_ns=time_ns)
         heard_since_ns = with_entry(state.received_since_ns, source, time_ns)
-        return changed(state, excluded=MappingProxyType(excluded), heard_since_ns=heard_since_ns)
+        return changed(state, excluded=MappingProxyType(excluded), received_since_ns=heard_since_ns)
 
     def solution_separations(self, state: FilterState) -> tuple[FloatArray, FloatArray]:
         """Return the solution separations of the filters from the main filter.
@@ -238,7 +238,7 @@ class FaultDetector:
         if state.correction_sums.sigmas > COMMON_ERROR_START_SIGMAS and not table.stars.isdisjoint(faulty):
             faulty = ()  # All stars contradict the INS: a single star sensor that explains a part is not faulty.
         if self.ins_fault.has_reported_jump(state, time_ns):
-            state = changed(state, ins_suspected_ns=time_ns)
+            state = changed(state, ins_fault_ns=time_ns)
             if INS not in faulty and not set(table.ins_subfilters).isdisjoint(isolation.explaining_subfilters):
                 faulty = ()  # A jump of the INS explains it as well: the INS may have rotated in its own frame.
         contradicting = self._contradicting_stars(state, faulty, in_use, shared)
@@ -293,7 +293,7 @@ class FaultDetector:
         if suspicion is not None:
             shared_n = np.diag(suspicion.variance)
             separation_covariance_n = shared_n if separation_covariance_n is None else separation_covariance_n + shared_n
-        return changed(state, doubt=None, disputed_n=separation_covariance_n, absorbed=correction_sums)
+        return changed(state, unresolved_fault=None, separation_covariance_n=separation_covariance_n, correction_sums=correction_sums)
 
     def reset_for_ins_jump(self, state: FilterState, time_ns: int) -> FilterState:
         """Return the state after the INS reported its own jump: the sources that contradicted it are reset.
@@ -331,11 +331,11 @@ class FaultDetector:
         return changed(
             state,
             excluded=MappingProxyType(remaining),
-            seen=innovation_means,
-            lately=MappingProxyType({}),
-            absorbed=state.correction_sums.without_corrections(),
-            doubt=unresolved_fault,
-            disputed_n=None,
+            innovation_means=innovation_means,
+            recent_innovations=MappingProxyType({}),
+            correction_sums=state.correction_sums.without_corrections(),
+            unresolved_fault=unresolved_fault,
+            separation_covariance_n=None,
         )
 
     # -- exclusion and reinstatement ------------------------------------------------------------------------
@@ -378,14 +378,14 @@ class FaultDetector:
             state,
             means=means,
             stack=stack,
-            seen=cleared_means(state.innovation_means, slice(None), slice(None)),
-            lately=MappingProxyType({}),
-            absorbed=state.correction_sums.without_corrections(),
+            innovation_means=cleared_means(state.innovation_means, slice(None), slice(None)),
+            recent_innovations=MappingProxyType({}),
+            correction_sums=state.correction_sums.without_corrections(),
             excluded=MappingProxyType(excluded),
-            record=MappingProxyType(exclusion_counts),
-            doubt=None,
-            disputed_n=None,
-            used_ns=MappingProxyType(used_ns),
+            exclusion_counts=MappingProxyType(exclusion_counts),
+            unresolved_fault=None,
+            separation_covariance_n=None,
+            last_used_ns=MappingProxyType(used_ns),
         )
         are, them = ("is", "it") if len(faulty) == 1 else ("are", "them")
         remaining = ", ".join(name for name in (INS, *self._sources) if name not in excluded)
@@ -416,7 +416,7 @@ class FaultDetector:
             means=means,
             stack=stack,
             excluded=MappingProxyType({**state.excluded, **excluded}),
-            absorbed=state.correction_sums.without_corrections(),
+            correction_sums=state.correction_sums.without_corrections(),
         )
 
     def _evaluate_reinstatement(
@@ -442,7 +442,7 @@ class FaultDetector:
                 # Another mounting shift: the mounting estimated since the last one is void.
                 stack = state.stack.copy()
                 self._inflate_mounting(stack, state, source)
-                state = changed(state, stack=stack, seen=cleared_means(state.innovation_means, slice(None), [index]))
+                state = changed(state, stack=stack, innovation_means=cleared_means(state.innovation_means, slice(None), [index]))
             since_s = (time_ns - exclusion.since_ns) / SECOND_NS
             consistency = "not consistent with the others"
             if exclusion.consistent_since_ns is not None:
@@ -454,7 +454,7 @@ class FaultDetector:
         remaining = {name: one for name, one in state.excluded.items() if name not in together}
         are = "is" if len(together) == 1 else "are"
         text = f"{' and '.join(together)} {are} reinstated"
-        return changed(state, seen=seen, excluded=MappingProxyType(remaining), doubt=None), text
+        return changed(state, innovation_means=seen, excluded=MappingProxyType(remaining), unresolved_fault=None), text
 
     def _with_offset_growth(self, state: FilterState, source: str, time_ns: int) -> FilterState:
         """Return the state with the time since which an excluded source's offset has grown in the same direction."""
@@ -469,7 +469,7 @@ class FaultDetector:
         since_ns = None if not is_farther else time_ns if since_ns is None else since_ns
         if since_ns == exclusion.growing_since_ns:
             return state
-        exclusion = replace(exclusion, farther_since_ns=since_ns)
+        exclusion = replace(exclusion, growing_since_ns=since_ns)
         return changed(state, excluded=with_entry(state.excluded, source, exclusion))
 
     def _is_ins_drifting_on(self, state: FilterState, source: str, time_ns: int) -> bool:
@@ -550,7 +550,7 @@ class FaultDetector:
             text += "stars contradict each other"
         else:
             text = "the sources contradict each other; the faulty source is not isolated"
-        return changed(state, doubt=UnresolvedFault(text, covariance_n), disputed_n=None)
+        return changed(state, unresolved_fault=UnresolvedFault(text, covariance_n), separation_covariance_n=None)
 
     def _contradicting_stars(
         self, state: FilterState, faulty: tuple[str, ...], in_use: list[str], shared: bool

@@ -151,10 +151,10 @@ class ShipFilter:
             state,
             means=means,
             stack=stack,
-            stays=NO_PIXEL_DWELLS,
-            unconfirmed=_unconfirmed_ins_jump(effective_ns),
-            jumped_ns=change.time_ns,
-            ins_suspected_ns=change.time_ns,
+            pixel_dwells=NO_PIXEL_DWELLS,
+            unconfirmed_step=_unconfirmed_ins_jump(effective_ns),
+            ins_jump_ns=change.time_ns,
+            ins_fault_ns=change.time_ns,
         )
 
     def change_effective_ns(self, change: InsChange) -> int:
@@ -308,7 +308,7 @@ class ShipFilter:
         is_ins_confirmed = self._is_ins_confirmed(state, linearised)
         if self.devices[source].is_star and not (accepted[0] or is_ins_confirmed):
             # No other data show whether the INS has jumped.
-            after = changed(after, unconfirmed=_unconfirmed_ins_jump(measurement.time_ns))
+            after = changed(after, unconfirmed_step=_unconfirmed_ins_jump(measurement.time_ns))
         after, text = self.fault_detector.detect_faults(after, source, innovations, is_ins_confirmed, measurement.time_ns)
         return after, self._with_fault_text(decision, after, text)
 
@@ -348,7 +348,7 @@ class ShipFilter:
         # Fault detection uses the innovations from before the inflation.
         whitened, root = inflated_innovations.whitened_innovation.copy(), inflated_innovations.whitening_root.copy()
         whitened[subfilters], root[subfilters] = innovations.whitened_innovation[subfilters], innovations.whitening_root[subfilters]
-        return changed(predicted, stack=inflated), inflated_innovations._replace(turn=whitened, turn_root=root)
+        return changed(predicted, stack=inflated), inflated_innovations._replace(whitened_innovation=whitened, whitening_root=root)
 
     def _with_fault_text(self, decision: AttitudeDecision, state: FilterState, text: str) -> AttitudeDecision:
         """Return the decision with the text of fault detection, rejected if the measurement excluded its source."""
@@ -371,7 +371,7 @@ class ShipFilter:
 
     def _count_rejection(self, state: FilterState, source: str) -> FilterState:
         """Return the state with the consecutive rejections of a source increased by one."""
-        return changed(state, refusals=with_entry(state.consecutive_rejections, source, state.consecutive_rejections.get(source, 0) + 1))
+        return changed(state, consecutive_rejections=with_entry(state.consecutive_rejections, source, state.consecutive_rejections.get(source, 0) + 1))
 
     def _inflate_after_rejections(self, state: FilterState, source: str) -> tuple[FilterState, str]:
         """Inflate the covariance after ``gate.reopen_after`` consecutive rejections of a source.
@@ -381,7 +381,7 @@ class ShipFilter:
         """
         if not self._gate.reopen_after or state.consecutive_rejections[source] % self._gate.reopen_after:
             return state, ""
-        state = changed(state, stack=state.stack * self._gate.reopen_factor, stays=NO_PIXEL_DWELLS)
+        state = changed(state, stack=state.stack * self._gate.reopen_factor, pixel_dwells=NO_PIXEL_DWELLS)
         state = self.fault_detector.restart_subfilters(changed(state, excluded=without_entry(state.excluded, source)))
         return state, f"; covariance inflated by a factor of {self._gate.reopen_factor:g}"
 
@@ -398,7 +398,7 @@ class ShipFilter:
         pixel_dwells = state.pixel_dwells
         if isinstance(measurement, StarExposure) and measurement.pixel_dwell is not None:
             pixel_dwells = with_entry(pixel_dwells, source, measurement.pixel_dwell)
-        return changed(state, refusals=refusals, used_ns=used_ns, stays=pixel_dwells, unconfirmed=unconfirmed)
+        return changed(state, consecutive_rejections=refusals, last_used_ns=used_ns, pixel_dwells=pixel_dwells, unconfirmed_step=unconfirmed)
 
     def _with_common_error(self, state: FilterState, measurement: AttitudeMeasurement) -> FilterState:
         """Return the state with the covariance of a sensor's common error as stated in its message."""
@@ -427,7 +427,7 @@ class ShipFilter:
         measured_nd = compared.rotation_nv @ compared.predicted_nv.T @ ins.rotation_nd
         rotation_n = log_rotation(measured_nd @ ins.rotation_nd.T)
         residual = AttitudeResidual(decision.measurement.time_ns, rotation_n, compared.attitude_noise_n)
-        state = changed(self._count_rejection(state, source), departures=with_entry(state.rejected_residuals, source, residual))
+        state = changed(self._count_rejection(state, source), rejected_residuals=with_entry(state.rejected_residuals, source, residual))
         count = state.consecutive_rejections[source]
         reason, text = Reason.GATE, f"improbable: NIS {decision.nis:.1f} > gate {decision.gate:.1f}"
         if count >= self._gate.conflict_after:

@@ -144,7 +144,7 @@ class InsFaultHandling:
             return state
         times = state.exclusion_counts.get(INS, 0) + 1
         excluded = with_entry(state.excluded, INS, ExcludedSource(time_ns, times, is_self_reported=True))
-        state = changed(state, excluded=excluded, record=with_entry(state.exclusion_counts, INS, times))
+        state = changed(state, excluded=excluded, exclusion_counts=with_entry(state.exclusion_counts, INS, times))
         return self._with_unresolved_fault(state, time_ns, "the INS is excluded: step of its clock")
 
     def with_contradiction(self, state: FilterState, time_ns: int) -> FilterState:
@@ -153,7 +153,7 @@ class InsFaultHandling:
         Its change of attitude may be wrong by as much as recently, so the fault is unresolved with that covariance.
         """
         names = state.in_use(self._subfilters.sources, time_ns)
-        excluded = with_entry(state.excluded, INS, changed(state.excluded[INS], on_suspicion=False))
+        excluded = with_entry(state.excluded, INS, changed(state.excluded[INS], is_self_reported=False))
         text = f"the INS is excluded: it reported a jump, and {', '.join(names) or 'all sources'} contradicted it"
         return self._with_unresolved_fault(changed(state, excluded=excluded), time_ns, text)
 
@@ -201,8 +201,8 @@ class InsFaultHandling:
         if not exclusion.is_self_reported:
             # Faults hidden by the inflated covariance show within half a slow roll period after the reinstatement.
             confirmed_ns = time_ns + round(_CONSISTENT_FOR_S * SECOND_NS)
-            state = changed(state, unconfirmed=UnconfirmedStep(confirmed_ns, "the INS was reinstated", "stars"))
-        return changed(state, excluded=without_entry(state.excluded, INS), doubt=None, ins_suspected_ns=time_ns)
+            state = changed(state, unconfirmed_step=UnconfirmedStep(confirmed_ns, "the INS was reinstated", "stars"))
+        return changed(state, excluded=without_entry(state.excluded, INS), unresolved_fault=None, ins_fault_ns=time_ns)
 
     # ---------------------------------------------------------------------------------------------------------
 
@@ -211,9 +211,9 @@ class InsFaultHandling:
         names = state.in_use(self._subfilters.sources, time_ns)
         rotations = [state.last_innovations[name].rotation_n for name in names if name in state.last_innovations]
         covariance_n = sum((np.outer(turn_n, turn_n) for turn_n in rotations), start=np.zeros((3, 3)))
-        excluded = with_entry(state.excluded, INS, changed(state.excluded[INS], agrees_since_ns=time_ns))
+        excluded = with_entry(state.excluded, INS, changed(state.excluded[INS], consistent_since_ns=time_ns))
         seen = cleared_means(state.innovation_means, slice(None), slice(None))
-        return changed(state, excluded=excluded, seen=seen, doubt=UnresolvedFault(text, covariance_n))
+        return changed(state, excluded=excluded, innovation_means=seen, unresolved_fault=UnresolvedFault(text, covariance_n))
 
     def _is_contradicted(self, state: FilterState, source: str, subfilter: int) -> bool:
         """True if one more rejection of the source would make a fault of this subfilter."""

@@ -100,9 +100,9 @@ def recommended_manoeuvre(
     for turn_deg in _TURNS_DEG:
         after = prediction.sigmas_after_turn(turn_deg)
         hints += [RecommendedTurn(turn_deg, name, now[name], on_course[name], after[name]) for name in after]
-    best = min(hints, key=lambda hint: hint.after / hint.on_course)
+    best = min(hints, key=lambda hint: hint.sigma_after_turn / hint.sigma_on_course)
     # Written so that NaN is not recommended.
-    return best if best.after <= _RECOMMENDED_RATIO * best.on_course else None
+    return best if best.sigma_after_turn <= _RECOMMENDED_RATIO * best.sigma_on_course else None
 
 
 def _sigmas(filter_: ShipFilter, covariance: FloatArray) -> dict[str, float]:

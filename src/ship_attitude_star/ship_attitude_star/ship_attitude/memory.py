@@ -38,8 +38,8 @@ def start_from_memory(filter_: ShipFilter, memory: FilterState, live: FilterStat
         time_ns=memory.time_ns,
         vertical=memory.vertical,
         common_n=memory.common_n,
-        record=live.exclusion_counts,
-        ins_suspected_ns=live.ins_fault_ns,
+        exclusion_counts=live.exclusion_counts,
+        ins_fault_ns=live.ins_fault_ns,
     )
 
 

@@ -104,7 +104,7 @@ class SubfilterSet:
         prior_per_h[INS] = prior.ins
         priors_per_h = [joint_prior_per_h([prior_per_h[name] for name in names]) for names in self.excluded_sources]
         k = sigma_multipliers(config.integrity, [*priors_per_h, prior.all_stars])
-        self.k: SigmaMultipliers = replace(k, missed=k.missed_detection[:-1])
+        self.k: SigmaMultipliers = replace(k, missed_detection=k.missed_detection[:-1])
         self.common_k_md = float(k.missed_detection[-1])
         self.common_threshold = common_threshold(config.integrity)
         self.stars = frozenset(name for name, one in devices.items() if one.is_star)

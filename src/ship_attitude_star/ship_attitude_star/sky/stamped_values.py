@@ -204,7 +204,7 @@ class StampedValues(Generic[Value]):
             if time_ns >= self.times[-1] - _TIME_STEP_HISTORY_NS:
                 shifted.insert(time_ns + step_ns, value)
         if not self._is_provisional(self._state_before(len(self._stamps))):
-            shifted._states = [replace(belief, agreed=self._limits.min_consistent) for belief in shifted._states]
+            shifted._states = [replace(belief, consistent_count=self._limits.min_consistent) for belief in shifted._states]
         return shifted
 
     # -- results --------------------------------------------------------------------------------------------
@@ -267,7 +267,7 @@ class StampedValues(Generic[Value]):
         if last_rejected is None or not new.value.distance_to(last_rejected.value) <= limits.max_distance(last_rejected.value, new.value, step_s):
             # Written so that NaN is rejected.
             is_near = distance <= self._max_distance(before, new.time_ns, new.value)
-            rejected_state = replace(before, refused=new, since_ns=new.time_ns, anew=False, opposed=1)
+            rejected_state = replace(before, last_rejected=new, rejected_since_ns=new.time_ns, follows_jump=False, rejected_count=1)
             return accepted if is_near else rejected_state
         # For a value consistent with rejected ones, the time since the last accepted value does not widen the limit.
         if distance <= limits.max_distance(last_accepted.value, new.value, step_s):
@@ -277,7 +277,7 @@ class StampedValues(Generic[Value]):
         if before.is_first or has_lasted or (self._is_provisional(before) and count >= limits.min_consistent):
             consistent_count = limits.min_consistent if has_lasted else min(count, limits.min_consistent)
             return _AcceptanceState(new, new.time_ns, is_first=False, follows_jump=True, consistent_count=consistent_count)
-        return replace(before, refused=new, anew=False, opposed=count)
+        return replace(before, last_rejected=new, follows_jump=False, rejected_count=count)
 
     def _is_provisional(self, state: _AcceptanceState[Value]) -> bool:
         """True if too few values are consistent with the last accepted one."""

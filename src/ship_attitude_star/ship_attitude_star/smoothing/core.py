@@ -166,7 +166,7 @@ class SmoothingCore(ShipAttitudeCore):
         places, estimates = [], [self._as_published(pending.estimate) for pending in due]
         for place, told in enumerate(due):
             corrects = known.get(told.estimate.time_ns)
-            ins = None if corrects is None or told.is_doubtful else self._ins_at(told.estimate.time_ns, corrects)
+            ins = None if corrects is None or told.has_fault else self._ins_at(told.estimate.time_ns, corrects)
             if corrects is not None and ins is not None:
                 places.append(place)
                 corrections.append((told, corrects, ins))
@@ -178,7 +178,7 @@ class SmoothingCore(ShipAttitudeCore):
         """Return a real-time attitude; its covariance is assigned to the error source INS drift."""
         parts = np.zeros((len(self.filter.model.sources), 3, 3))
         parts[self._corrected.drift_index] = estimate.covariance_n
-        return replace(estimate, covariance_parts_n=parts)
+        return replace(estimate, covariance_by_source_n=parts)
 
     def _ins_at(self, time_ns: int, corrects: GaussianEstimate) -> InterpolatedAttitude | None:
         """Return the interpolated INS attitude for a time; None without samples on both sides."""
@@ -217,9 +217,9 @@ class SmoothingCore(ShipAttitudeCore):
                 replace(
                     real_time.estimate,
                     rotation_nd=rotation_nd,
-                    covariance_parts_n=of_source,
+                    covariance_by_source_n=of_source,
                     covariance_n=of_source.sum(axis=0),
-                    undisputed_n=covariance_without_separation_n,
+                    covariance_without_separation_n=covariance_without_separation_n,
                     rate_d=ins.rate_d,
                 )
             )
@@ -232,9 +232,9 @@ def _detached(estimate: AttitudeEstimate) -> AttitudeEstimate:
     return replace(
         estimate,
         rotation_nd=estimate.rotation_nd.copy(),
-        covariance_parts_n=_NO_PARTS,
+        covariance_by_source_n=_NO_PARTS,
         covariance_n=covariance_n,
-        undisputed_n=covariance_n,
+        covariance_without_separation_n=covariance_n,
         rate_d=estimate.rate_d.copy(),
         state=None,
     )

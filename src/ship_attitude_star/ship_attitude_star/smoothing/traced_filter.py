@@ -49,7 +49,7 @@ class TracedFilter(ShipFilter):
         assert isinstance(after, TracedState)
         both = GaussianEstimate(after.mean, after.covariance)
         leads_back = after.excluded.keys() <= state.excluded.keys()
-        return changed(after, came=StateUpdate(both, both, leads_back, change.time_ns))
+        return changed(after, last_update=StateUpdate(both, both, leads_back, change.time_ns))
 
 
 class _TracedFaultDetector(FaultDetector):
@@ -75,4 +75,4 @@ class _TracedFaultDetector(FaultDetector):
         assert isinstance(after, TracedState)
         is_update = measurement.source not in state.excluded and not is_ins_excluded_by_stars(state)
         before = GaussianEstimate(predicted.mean, predicted.covariance)
-        return changed(after, came=StateUpdate(before, GaussianEstimate(after.mean, after.covariance), is_update))
+        return changed(after, last_update=StateUpdate(before, GaussianEstimate(after.mean, after.covariance), is_update))

@@ -165,7 +165,7 @@ def solve_exposure(
     placed = PlacedExposure(source, time_ns, exposure, stars, rejected_stars, turn_variance)
     if solution.rejected:
         rejected_stars += tuple(_rejected_stars(solution, [MountedExposure(placed, _IDENTITY)]))
-        placed = replace(placed, refused=rejected_stars)
+        placed = replace(placed, rejected_stars=rejected_stars)
     sources = (source,) if solution.status is not SolutionStatus.INVALID else ()
     return placed, AttitudeSolution(sensor_id, time_ns, solution, rejected_stars, sources, _AGAINST_INS if against_prior else "")
 

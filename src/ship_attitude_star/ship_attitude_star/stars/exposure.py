@@ -164,7 +164,7 @@ class StarExposure:
         """Return the exposure with its pixel dwell after the sensor's previous exposures; None for none."""
         if self.spatial is None or self.spatial.pixel_sigma_px <= 0.0:
             return self
-        return replace(self, stay=self.spatial.pixel_dwell(self.directions_s, self.sigma, before))
+        return replace(self, pixel_dwell=self.spatial.pixel_dwell(self.directions_s, self.sigma, before))
 
     @property
     def single_star_sigma(self) -> FloatArray:
@@ -236,7 +236,7 @@ def reduce_to_mid_exposure(exposure: StarExposure, turns: FloatArray) -> StarExp
     streak = np.sqrt(12.0 * np.trace(spread_s, axis1=-2, axis2=-1))
     lost = ~np.all(np.isfinite(directions_s), axis=-1)
     directions_s[lost], smear_s[lost] = seen_s[lost], _perpendicular_part(seen_s[lost], _OUT_OF_VIEW_VARIANCE * np.eye(3))
-    return replace(exposure, directions_s=directions_s, smear_s=smear_s, streak=streak)
+    return replace(exposure, directions_s=directions_s, smear_s=smear_s, streak_length=streak)
 
 
 def _perpendicular_part(directions_s: FloatArray, covariance_s: FloatArray) -> FloatArray:

@@ -110,7 +110,7 @@ class StarSolution:
         """Return the attitude with an additional independent error of this variance about each axis, rad²."""
         parts_n = self.covariance_by_source_n.copy()
         parts_n[_STAR_NOISE] += variance * np.eye(3)
-        return replace(self, parts_n=parts_n)
+        return replace(self, covariance_by_source_n=parts_n)
 
     @property
     def star_count(self) -> int:

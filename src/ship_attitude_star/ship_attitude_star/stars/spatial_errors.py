@@ -140,8 +140,8 @@ class SpatialErrors:
         count = before.exposure_count + 1
         excess = 1.0 / max(np.tanh(moved_px / count), _MIN_INFORMATION_RATIO) - 1.0
         if moved_px > _DWELL_END_PX:
-            return replace(here, excess=excess)
-        return replace(before, exposures=count, excess=excess)
+            return replace(here, excess_ratio=excess)
+        return replace(before, exposure_count=count, excess_ratio=excess)
 
     def streak_variance_ratio(self, length: FloatArray) -> FloatArray:
         """Return the fraction of the pixel-spatial variance that remains for streaks of given lengths (rad)."""

@@ -264,7 +264,7 @@ class Inbox:
         for numbers in self._numbers.values():
             numbers.clear()
         for arrival in kept:
-            self.add(arrival._replace(now_ns=now_ns, waiting_ns=waiting_ns, since_ns=since_ns))
+            self.add(arrival._replace(now_ns=now_ns, waiting_ns=waiting_ns, queued_ns=since_ns))
 
     def take_overload_cuts(self) -> Counter[str]:
         """Return topic → number of messages cut since the last call because the node is behind."""

@@ -112,7 +112,7 @@ def worst_items(results: Sequence[ItemResult]) -> list[WorstItem]:
                     item, label, channel, values[f"{channel}.rms_arcsec"], values[f"{channel}.sigma_arcsec"], ratio
                 )
             )
-    return sorted(worst, key=lambda each: (-each.ratio, each.item.order))[:MAX_WORST_ITEMS]
+    return sorted(worst, key=lambda each: (-each.ratio, each.item.sort_key))[:MAX_WORST_ITEMS]
 
 
 def _pool(name: str, item_results: list[ItemResult]) -> Pool:

@@ -91,7 +91,7 @@ class StarRecord:
             times_s=self.times_s[kept],
             information=self.information[kept],
             white_gain=self.white_gain[kept],
-            every=self.epoch_step * step,
+            epoch_step=self.epoch_step * step,
         )
 
 

@@ -205,7 +205,7 @@ class NodePass:
         tick_ns = -(-adapter.idle_until_ns // TICK_PERIOD_NS) * TICK_PERIOD_NS
         some = slice(number, int(np.searchsorted(rows.times_ns, tick_ns)))
         if some.stop > some.start:
-            batch = adapter.evaluate_batch(topic, rows.messages.some(some), rows.times_ns[some])
+            batch = adapter.evaluate_batch(topic, rows.messages.subset(some), rows.times_ns[some])
         if batch is None:
             self._backoff = _BACKOFF_MESSAGES
         self._batch_indices, self._arrived = rows.event_indices[some], 0

@@ -135,7 +135,7 @@ def table_warnings(sightings: Sightings, fixed: Mapping[str, float]) -> list[str
         fixed: errors that are not fitted, by name, with their values, rad.
     """
     # Errors common to sightings affect all readings equally. Here they count by the correlation of neighbours.
-    without_shared_errors = replace(sightings, slow_errors=())
+    without_shared_errors = replace(sightings, correlated_errors=())
     given, independent = _log_likelihood(without_shared_errors, fixed)
     best, text = max((_gain(other, given, fixed), words) for other, words in _readings(without_shared_errors))
     return [text] if independent * best > _MIN_LOG_LIKELIHOOD_GAIN else []

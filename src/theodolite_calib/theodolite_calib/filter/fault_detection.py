@@ -202,12 +202,12 @@ class FaultDetector:
         conflict = fault_state.unresolved_fault
         if received_ns.max() < silent_ns:
             timed_out = timed_out | AXIS_SOURCES
-            conflict = None if conflict is None else replace(conflict, agrees_since_ns=None)
+            conflict = None if conflict is None else replace(conflict, consistent_since_ns=None)
         exclusions = dict(fault_state.exclusions)
         for name in timed_out & exclusions.keys():
-            exclusion = replace(exclusions[name].exclusion, agrees_since_ns=None)
+            exclusion = replace(exclusions[name].exclusion, consistent_since_ns=None)
             exclusions[name] = replace(exclusions[name], exclusion=exclusion)
-        return replace(fault_state, left_out=exclusions, conflict=conflict)
+        return replace(fault_state, exclusions=exclusions, unresolved_fault=conflict)
 
     def update_means(self, fault_state: FaultState, names: tuple[str, ...], innovations: SubfilterInnovations, is_used: bool, time_ns: int) -> FaultState:
         """Update the innovation means with a sighting, accepted or not, of beacons that are not excluded."""
@@ -215,7 +215,7 @@ class FaultDetector:
         by_row = np.concatenate([[is_used], innovations.accepted])[:, None]
         accepted = np.where(self._excludes[:, beacons], innovations.beacon_nis <= self._beacon_gate, by_row)
         means = updated_means(fault_state.innovation_means, beacons, innovations.whitened_innovation, accepted, time_ns, self._limit)
-        return replace(fault_state, means=means)
+        return replace(fault_state, innovation_means=means)
 
     def isolate_fault(self, fault_state: FaultState, separations: FloatArray, time_ns: int) -> tuple[bool, str | None, Set[str]]:
         """Return True if a source is faulty, the isolated source or None, and all sources that explain the fault.
@@ -281,7 +281,7 @@ class FaultDetector:
             for name in FIELDS_BY_SUBFILTER
         }
         exclusions = {**fault_state.exclusions, source: exclusion}
-        return replace(fault_state, means=replace(means, **same), left_out=exclusions, conflict=None)
+        return replace(fault_state, innovation_means=replace(means, **same), exclusions=exclusions, unresolved_fault=None)
 
     def record_baseline_jump(self, fault_state: FaultState, source: str, jump: BaselineJump) -> FaultState:
         """Record another jump of the baseline of an excluded drone, which may have jumped back."""
@@ -289,12 +289,12 @@ class FaultDetector:
         if jump.time_ns <= record.last_jump_ns + _SAME_JUMP_NS:
             return fault_state
         jumped_n, sigma_m = record.jump_sum_n + jump.jump_n, float(np.hypot(record.jump_sum_sigma_m, jump.sigma_m))
-        new_record = replace(record, jumped_n=jumped_n, jumped_sigma_m=sigma_m, jump_ns=jump.time_ns)
+        new_record = replace(record, jump_sum_n=jumped_n, jump_sum_sigma_m=sigma_m, last_jump_ns=jump.time_ns)
         means = fault_state.innovation_means
         if np.linalg.norm(jumped_n) <= _JUMP_REVERSED_SIGMAS * sigma_m:
-            new_record = replace(new_record, jumped_n=np.zeros(3), jumped_sigma_m=0.0)
+            new_record = replace(new_record, jump_sum_n=np.zeros(3), jump_sum_sigma_m=0.0)
             means = cleared_means(means, slice(None), [self._subfilters.sources.index(source)])
-        return replace(fault_state, means=means, left_out={**fault_state.exclusions, source: new_record})
+        return replace(fault_state, innovation_means=means, exclusions={**fault_state.exclusions, source: new_record})
 
     def monitor_beacon(
         self, fault_state: FaultState, name: str, innovation: FilterInnovations, time_ns: int, expected_rejection_m: float
@@ -317,15 +317,15 @@ class FaultDetector:
         exclusion, returns = evaluate_reinstatement(record.exclusion, means, index, time_ns, self._config.return_after_s)
         sigma_m = float(np.sqrt(np.max(np.linalg.eigvalsh(innovation.covariance[0]))))
         if 0.0 < expected_rejection_m <= _DETECTABLE_SIGMAS * sigma_m:
-            exclusion, returns = replace(exclusion, agrees_since_ns=None), False
-        return self._update_exclusion(replace(fault_state, means=means), source, exclusion, returns)
+            exclusion, returns = replace(exclusion, consistent_since_ns=None), False
+        return self._update_exclusion(replace(fault_state, innovation_means=means), source, exclusion, returns)
 
     def monitor_prediction(self, fault_state: FaultState, source: str, is_consistent: bool, time_ns: int) -> FaultState:
         """Record whether excluded encoders, or an excluded ship's attitude, predict a sighting; reinstate when due."""
         exclusion = fault_state.exclusions[source].exclusion
         since_ns = (exclusion.consistent_since_ns or time_ns) if is_consistent else None
         returns = since_ns is not None and time_ns - since_ns >= self._config.return_after_s * SECOND_NS
-        return self._update_exclusion(fault_state, source, replace(exclusion, agrees_since_ns=since_ns), returns)
+        return self._update_exclusion(fault_state, source, replace(exclusion, consistent_since_ns=since_ns), returns)
 
     def _update_exclusion(self, fault_state: FaultState, source: str, exclusion: ExcludedSource, is_reinstated: bool) -> FaultState:
         exclusions, jumped_ns, means = dict(fault_state.exclusions), dict(fault_state.known_jumps_ns), fault_state.innovation_means
@@ -338,7 +338,7 @@ class FaultDetector:
                 means = cleared_means(means, others, [row])
         else:
             exclusions[source] = replace(exclusions[source], exclusion=exclusion)
-        return replace(fault_state, means=means, left_out=exclusions, jumped_ns=jumped_ns)
+        return replace(fault_state, innovation_means=means, exclusions=exclusions, known_jumps_ns=jumped_ns)
 
     def set_unresolved_fault(self, fault_state: FaultState, disagreement_n: FloatArray, is_persistent: bool) -> FaultState:
         """Record a fault that no single source explains."""
@@ -346,7 +346,7 @@ class FaultDetector:
         if before is not None and np.trace(before.disagreement_n) > np.trace(disagreement_n):
             disagreement_n = before.disagreement_n
         is_persistent = is_persistent or (before is not None and before.is_persistent)
-        return replace(fault_state, conflict=UnresolvedFault(disagreement_n, is_persistent))
+        return replace(fault_state, unresolved_fault=UnresolvedFault(disagreement_n, is_persistent))
 
     def record_acceptance(self, fault_state: FaultState, time_ns: int) -> FaultState:
         """Record an accepted sighting: end an unresolved fault, at once or after a period of consistency."""
@@ -354,10 +354,10 @@ class FaultDetector:
         if conflict is None:
             return fault_state
         if not conflict.is_persistent:
-            return replace(fault_state, conflict=None)
+            return replace(fault_state, unresolved_fault=None)
         if conflict.consistent_since_ns is None:
             # Innovations from the time when all beacons were rejected must not isolate a source from now on.
             means = cleared_means(fault_state.innovation_means, slice(None), slice(None))
-            return replace(fault_state, means=means, conflict=replace(conflict, agrees_since_ns=time_ns))
+            return replace(fault_state, innovation_means=means, unresolved_fault=replace(conflict, consistent_since_ns=time_ns))
         has_ended = time_ns - conflict.consistent_since_ns >= self._config.return_after_s * SECOND_NS
-        return replace(fault_state, conflict=None if has_ended else conflict)
+        return replace(fault_state, unresolved_fault=None if has_ended else conflict)

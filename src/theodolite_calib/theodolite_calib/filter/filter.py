@@ -165,10 +165,10 @@ class CalibrationFilter:
             state,
             time_ns=time_ns if state.time_ns is None else max(time_ns, state.time_ns),
             mean=mean,
-            parts=parts,
-            unaided=unaided,
-            alternatives=self.subfilters.propagate(state.subfilters, time_ns, new_ship_covariance_n),
-            ship_steady_n=new_ship_covariance_n,
+            covariance_by_source=parts,
+            observability=unaided,
+            subfilters=self.subfilters.propagate(state.subfilters, time_ns, new_ship_covariance_n),
+            ship_covariance_n=new_ship_covariance_n,
         )
 
     def inflate_covariance(self, state: CalibrationState, jump: Jump) -> CalibrationState:
@@ -183,7 +183,7 @@ class CalibrationFilter:
         parts = state.covariance_by_source.copy()
         parts[..., self.model.sources.index(source), states[:, None], states] += covariance
         subfilters = self.subfilters.inflate_covariance(state.subfilters, states, covariance)
-        return replace(state, parts=parts, alternatives=subfilters, stays=_NO_DWELLS)
+        return replace(state, covariance_by_source=parts, subfilters=subfilters, pixel_dwells=_NO_DWELLS)
 
     def exclude_source(self, state: CalibrationState, source: str) -> CalibrationState:
         """Exclude a source: its subfilter becomes the main filter.
@@ -192,16 +192,16 @@ class CalibrationFilter:
         """
         if source not in self.subfilters.sources:
             subfilters = self.subfilters.restart_from_estimate(state.subfilters, state.mean, state.covariance)
-            return replace(state, alternatives=subfilters)
+            return replace(state, subfilters=subfilters)
         subfilters, row = state.subfilters, self.subfilters.sources.index(source)
         mean, covariance = subfilters.mean[row], subfilters.covariances[row, 0]
         return replace(
             state,
             mean=mean,
-            parts=_parts_for_covariance(state.covariance_by_source, covariance),
-            alternatives=self.subfilters.restart_from_estimate(subfilters, mean, covariance),
-            separation=np.zeros_like(state.solution_separation),
-            stays=_NO_DWELLS,
+            covariance_by_source=_parts_for_covariance(state.covariance_by_source, covariance),
+            subfilters=self.subfilters.restart_from_estimate(subfilters, mean, covariance),
+            solution_separation=np.zeros_like(state.solution_separation),
+            pixel_dwells=_NO_DWELLS,
         )
 
     def add_unknown_errors(self, state: CalibrationState) -> CalibrationState:
@@ -209,7 +209,7 @@ class CalibrationFilter:
         excluded, parts = state.fault_state.excluded_sources, state.covariance_by_source
         if excluded:
             parts = self.subfilters.add_unknown_errors_to_parts(parts, self.model.sources.index(SOURCE_AXES), excluded)
-        return replace(state, parts=parts, alternatives=self.subfilters.add_unknown_errors(state.subfilters, excluded))
+        return replace(state, covariance_by_source=parts, subfilters=self.subfilters.add_unknown_errors(state.subfilters, excluded))
 
     def align_unknown_errors(self, state: CalibrationState, sighting: Sighting) -> CalibrationState:
         """Set the unknown errors (:meth:`add_unknown_errors`) to their values in a sighting.
@@ -223,7 +223,7 @@ class CalibrationFilter:
         states = self.subfilters.unknown_states(state.fault_state.excluded_sources)
         mean, subfilter_means = state.mean.copy(), state.subfilters.mean.copy()
         mean[states] = subfilter_means[:, states] = after.mean[states]
-        return replace(state, mean=mean, alternatives=replace(state.subfilters, mean=subfilter_means))
+        return replace(state, mean=mean, subfilters=replace(state.subfilters, mean=subfilter_means))
 
     def compare(self, state: CalibrationState, sighting: Sighting) -> Comparison | None:
         """Compare a sighting with a state propagated to its time; None if a beacon would be behind the telescope."""
@@ -254,14 +254,14 @@ class CalibrationFilter:
         after = replace(
             state,
             mean=mean,
-            parts=parts,
-            unaided=unaided,
-            refusals=0,
-            used_ns=sighting.time_ns,
+            covariance_by_source=parts,
+            observability=unaided,
+            consecutive_rejections=0,
+            last_beacons_ns=sighting.time_ns,
             light_count=len(sighting.names),
             sighting_count=state.sighting_count + 1,
-            points_used=state.point_count + len(sighting.names),
-            squares=state.residual_square_sum + float(on_sky @ on_sky),
+            point_count=state.point_count + len(sighting.names),
+            residual_square_sum=state.residual_square_sum + float(on_sky @ on_sky),
         )
         return after, latest
 
@@ -283,14 +283,14 @@ class CalibrationFilter:
         return replace(
             state,
             mean=state.mean + correction,
-            parts=parts,
-            unaided=self.observability.update(state.observability, measurement.jacobian, measurement.noise),
-            refusals=0,
-            stars_ns=exposure.time_ns,
-            stays=pixel_dwells,
+            covariance_by_source=parts,
+            observability=self.observability.update(state.observability, measurement.jacobian, measurement.noise),
+            consecutive_rejections=0,
+            last_stars_ns=exposure.time_ns,
+            pixel_dwells=pixel_dwells,
             sighting_count=state.sighting_count + 1,
-            points_used=state.point_count + len(measurement.residual) // 2,
-            squares=state.residual_square_sum + float(measurement.residual @ measurement.residual),
+            point_count=state.point_count + len(measurement.residual) // 2,
+            residual_square_sum=state.residual_square_sum + float(measurement.residual @ measurement.residual),
         )
 
     def _comparison(self, state: CalibrationState, prediction: Prediction, residual: FloatArray) -> Comparison:

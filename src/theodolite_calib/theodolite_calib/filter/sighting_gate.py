@@ -127,7 +127,7 @@ class SightingGate:
         _, row, others, comparison = min(trials, key=lambda trial: trial[:2])
         result = self._acceptance(exposure, others, comparison)
         rejected = sighting.names[row], Rejection(Reason.LIGHT_CONFLICT, "the other lights are consistent only without it")
-        return replace(result, decision=replace(result.decision, left_out=(rejected,)))
+        return replace(result, decision=replace(result.decision, rejected_parts=(rejected,)))
 
     def _acceptance(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> SightingDecision:
         """Return the decision for a sighting that passes the gate."""

@@ -45,7 +45,7 @@ class StarStep:
     def __call__(self, state: CalibrationState, sighting: StarSighting) -> tuple[CalibrationState, ExposureDecision]:
         """Return state and decision after an exposure; ``state`` is that after the previous sighting."""
         after, decision = self._evaluate(state, sighting)
-        return after, replace(decision, excluded=tuple(sorted(after.fault_state.excluded_sources)))
+        return after, replace(decision, excluded_sources=tuple(sorted(after.fault_state.excluded_sources)))
 
     def _evaluate(self, state: CalibrationState, sighting: StarSighting) -> tuple[CalibrationState, ExposureDecision]:
         predicted = self._filter.propagate(state, sighting.time_ns, sighting.ship.correlated_covariance_n)
@@ -95,5 +95,5 @@ class StarStep:
         )
         separation = solution_separations(after, subfilters, self._axis_indices, comparison.camera.rotation_ns, comparison.camera.by_state_n)
         fault_state = self._fault_detector.record_acceptance(predicted.fault_state, sighting.time_ns)
-        after = replace(after, alternatives=subfilters, separation=separation, trust=fault_state)
+        after = replace(after, subfilters=subfilters, solution_separation=separation, fault_state=fault_state)
         return after, replace(decision, reason=Reason.NONE, accepted=True)

@@ -90,7 +90,7 @@ class SightingStep:
         """
         predicted = self._filter.propagate(state, sighting.time_ns, sighting.ship.correlated_covariance_n)
         fault_state = self._fault_detector.restart_timers(predicted.fault_state, sighting.names, sighting.time_ns)
-        predicted = replace(predicted, trust=fault_state)
+        predicted = replace(predicted, fault_state=fault_state)
         for name, jump in jumps:
             predicted = self._apply_baseline_jump(predicted, sighting, name, jump)
         try:
@@ -98,7 +98,7 @@ class SightingStep:
         except np.linalg.LinAlgError:
             rejection = singular_covariance()
             after, decision = state, ExposureDecision(exposure, rejection.reason, text=rejection.text)
-        return after, replace(decision, excluded=tuple(sorted(after.fault_state.excluded_sources)))
+        return after, replace(decision, excluded_sources=tuple(sorted(after.fault_state.excluded_sources)))
 
     def _apply_baseline_jump(
         self, predicted: CalibrationState, sighting: Sighting, name: str, jump: BaselineJump
@@ -106,7 +106,7 @@ class SightingStep:
         """Exclude the drone of a baseline that has jumped, unless it is excluded already."""
         source, fault_state = BEACON_PREFIX + name, predicted.fault_state
         if source in fault_state.excluded_sources:
-            return replace(predicted, trust=self._fault_detector.record_baseline_jump(fault_state, source, jump))
+            return replace(predicted, fault_state=self._fault_detector.record_baseline_jump(fault_state, source, jump))
         if fault_state.known_jumps_ns.get(source, jump.time_ns - 1) >= jump.time_ns:
             return predicted
         reason = f"its baseline has jumped by {np.linalg.norm(jump.jump_n):.2f} m, more than its flight can explain"
@@ -119,7 +119,7 @@ class SightingStep:
     ) -> CalibrationState:
         """Exclude a source: its subfilter becomes the main filter."""
         fault_state = self._fault_detector.exclude_source(state.fault_state, source, exclusion, explaining_subfilter)
-        return replace(self._filter.exclude_source(state, source), trust=fault_state)
+        return replace(self._filter.exclude_source(state, source), fault_state=fault_state)
 
     def _evaluate(
         self, state: CalibrationState, predicted: CalibrationState, sighting: Sighting, exposure: Exposure
@@ -135,15 +135,15 @@ class SightingStep:
             predicted = self._monitor_prediction(predicted, sighting, source)
         fault_state = self._monitor_beacons(predicted.fault_state, prepared, sighting, bool(used_rows))
         if not used_rows:
-            unused_state = replace(unused_state, alternatives=predicted.subfilters, trust=fault_state)
+            unused_state = replace(unused_state, subfilters=predicted.subfilters, fault_state=fault_state)
             reason, text = Reason.EXCLUDED, "the drones of all its lights are excluded"
             return unused_state, ExposureDecision(exposure, reason, text=text, rejected_parts=excluded_beacons)
-        prepared = replace(prepared, trust=fault_state)
+        prepared = replace(prepared, fault_state=fault_state)
         chosen = sighting if len(used_rows) == len(rows) else sighting.select(used_rows)
         if excluded & AXIS_SOURCES:
             prepared = self._filter.align_unknown_errors(prepared, chosen)
         result = self._sighting_gate.evaluate_sighting(prepared, chosen, exposure)
-        decision = replace(result.decision, left_out=excluded_beacons + result.decision.rejected_parts)
+        decision = replace(result.decision, rejected_parts=excluded_beacons + result.decision.rejected_parts)
         if result.sighting is not None and result.comparison is not None:
             after, final_comparison = self._filter.update_by_beacons(prepared, result.sighting, result.comparison)
             if ENCODER in excluded:
@@ -154,7 +154,7 @@ class SightingStep:
                 decision = replace(decision, telescope_dt=telescope_dt)
             return self._record_accepted(prepared, after, result.sighting.names, final_comparison, decision)
         comparison = self._filter.compare(prepared, chosen)
-        unused_state = replace(unused_state, trust=fault_state)
+        unused_state = replace(unused_state, fault_state=fault_state)
         if comparison is None:
             return count_rejection(unused_state, decision, self._gate, "lights")
         return self._record_rejected(unused_state, prepared, chosen, comparison, decision)
@@ -177,7 +177,7 @@ class SightingStep:
         prediction = comparison.prediction
         separation = solution_separations(after, subfilters, self._axis_indices, prediction.rotation_nt, prediction.by_state_n)
         after_acceptance = self._fault_detector.record_acceptance(fault_state, time_ns)
-        after = replace(after, alternatives=subfilters, trust=after_acceptance, separation=separation)
+        after = replace(after, subfilters=subfilters, fault_state=after_acceptance, solution_separation=separation)
         is_detected, source, explaining_sources = self._fault_detector.isolate_fault(after.fault_state, after.solution_separation, time_ns)
         if is_detected and not fault_state.excluded_sources:
             is_common = self._fault_detector.drift_together(fault_state, time_ns)
@@ -189,7 +189,7 @@ class SightingStep:
             return self._exclude_faulty_source(after, source, decision)
         if is_detected:
             spread_n = self._largest_disagreement_n(after, comparison)
-            after = replace(after, trust=self._fault_detector.set_unresolved_fault(after.fault_state, spread_n, is_persistent=True))
+            after = replace(after, fault_state=self._fault_detector.set_unresolved_fault(after.fault_state, spread_n, is_persistent=True))
         return after, decision
 
     def _record_rejected(
@@ -213,15 +213,15 @@ class SightingStep:
         time_ns = sighting.time_ns
         fault_state = self._fault_detector.update_means(unused_state.fault_state, sighting.names, innovations, False, time_ns)
         is_detected, explaining_subfilter, explaining_sources = self._fault_detector.isolate_fault(fault_state, np.zeros(len(self._filter.subfilters.sources)), time_ns)
-        after = replace(predicted, alternatives=subfilters, trust=fault_state)
+        after = replace(predicted, subfilters=subfilters, fault_state=fault_state)
         source = explaining_subfilter
         if explaining_subfilter in (ENCODER, SHIP) and not unused_state.fault_state.excluded_sources:
             source = self._isolate_by_streams(unused_state, explaining_subfilter, explaining_sources, decision)
             source = self._prefer_stream_fault(source, explaining_sources, time_ns)
         if source is not None:
-            return self._exclude_faulty_source(replace(after, refusals=unused_state.consecutive_rejections + 1), source, decision, explaining_subfilter)
+            return self._exclude_faulty_source(replace(after, consecutive_rejections=unused_state.consecutive_rejections + 1), source, decision, explaining_subfilter)
         fault_state = self._fault_detector.set_unresolved_fault(fault_state, _disagreement_n(comparison), is_persistent=is_detected)
-        return count_rejection(replace(unused_state, alternatives=subfilters, trust=fault_state), decision, self._gate, "lights")
+        return count_rejection(replace(unused_state, subfilters=subfilters, fault_state=fault_state), decision, self._gate, "lights")
 
     def _isolate_by_streams(
         self, unused_state: CalibrationState, source: str, explaining_sources: Set[str], decision: ExposureDecision
@@ -252,7 +252,7 @@ class SightingStep:
         exclusion = ExclusionRecord(ExcludedSource(decision.measurement.time_ns), reason, rejected_residual_m)
         state = self._exclude_source(state, source, exclusion, source if source in self._filter.subfilters.sources else explaining_subfilter)
         text = f"{decision.text}; excluded: {reason}" if decision.text else f"excluded: {reason}"
-        return replace(state, refusals=0), replace(decision, text=text)
+        return replace(state, consecutive_rejections=0), replace(decision, text=text)
 
     def _largest_disagreement_n(self, state: CalibrationState, comparison: Comparison) -> FloatArray:
         """Return the largest separation of a subfilter's pointing from the main filter, as a covariance in n, rad²."""
@@ -269,7 +269,7 @@ class SightingStep:
         gate = chi_square_gate(self._gate.probability, 2 * len(used)) if used else 0.0
         is_consistent = comparison is not None and comparison.nis <= gate
         fault_state = self._fault_detector.monitor_prediction(predicted.fault_state, source, is_consistent, sighting.time_ns)
-        return replace(predicted, trust=fault_state)
+        return replace(predicted, fault_state=fault_state)
 
     def _monitor_beacons(self, fault_state: FaultState, state: CalibrationState, sighting: Sighting, has_others: bool) -> FaultState:
         """Compare the beacons of excluded drones with the estimate by the other sources."""
@@ -320,7 +320,7 @@ def count_rejection(
         what: measured objects, for the text.
     """
     run = state.consecutive_rejections + 1
-    state = replace(state, refusals=run, refused_for=decision.text)
+    state = replace(state, consecutive_rejections=run, rejection_text=decision.text)
     if decision.reason is Reason.LIGHT_CONFLICT:
         return state, decision
     reason, text = decision.reason, decision.text
@@ -328,7 +328,7 @@ def count_rejection(
         reason = Reason.ATTITUDE_CONFLICT
         text = f"{run} rejections in a row: {measured} are inconsistent with encoders and ship's attitude; {text}"
     if gate.reopen_after and run % gate.reopen_after == 0:
-        state = replace(state, parts=state.covariance_by_source * gate.reopen_factor)
+        state = replace(state, covariance_by_source=state.covariance_by_source * gate.reopen_factor)
         text += f"; covariance inflated by {gate.reopen_factor:g}"
     return state, replace(decision, reason=reason, text=text)
 

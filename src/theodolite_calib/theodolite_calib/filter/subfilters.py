@@ -130,7 +130,7 @@ class SubfilterSet:
         """Restart all subfilters from one estimate, shapes (n,), (n, n)."""
         count = len(self.sources)
         parts = np.broadcast_to(covariance, (count, 1, *covariance.shape)).copy()
-        return replace(subfilters, mean=np.tile(mean, (count, 1)), parts=parts)
+        return replace(subfilters, mean=np.tile(mean, (count, 1)), covariances=parts)
 
     def propagate(self, subfilters: SubfilterStates, time_ns: int, new_ship_covariance_n: FloatArray | None) -> SubfilterStates:
         """Propagate the subfilters to a later time; arguments as of ``CalibrationFilter.propagate``."""
@@ -149,7 +149,7 @@ class SubfilterSet:
         """Inflate the covariance of some states in every subfilter, after a jump of the given covariance."""
         parts = subfilters.covariances.copy()
         parts[..., states[:, None], states] += covariance
-        return replace(subfilters, parts=parts)
+        return replace(subfilters, covariances=parts)
 
     def add_unknown_errors(self, subfilters: SubfilterStates, excluded: Set[str]) -> SubfilterStates:
         """Add the unknown error changes of excluded sources, and of each subfilter's own source, before a sighting."""
@@ -157,7 +157,7 @@ class SubfilterSet:
         for row, source in enumerate(self.sources):
             for name in {source, *excluded} & self._states.keys():
                 add_unknown_change(parts[row], self._states[name], _ONLY_SOURCE, _UNKNOWN_CHANGE_SIGMA[name])
-        return replace(subfilters, parts=parts)
+        return replace(subfilters, covariances=parts)
 
     def add_unknown_errors_to_parts(self, parts: FloatArray, source_index: int, excluded: Set[str]) -> FloatArray:
         """Add the unknown error changes of excluded sources to a covariance by source, shape (n_sources, n, n)."""
@@ -233,7 +233,7 @@ class SubfilterSet:
         )
         mean = subfilters.mean + corrections
         beacon_nis = np.einsum("hlk,hlk->hl", whitened_innovation, whitened_innovation)
-        return replace(subfilters, mean=mean, parts=updated[:, None]), SubfilterInnovations(accepted, beacon_nis, whitened_innovation)
+        return replace(subfilters, mean=mean, covariances=updated[:, None]), SubfilterInnovations(accepted, beacon_nis, whitened_innovation)
 
 
     def update_by_stars(
@@ -262,7 +262,7 @@ class SubfilterSet:
         # Subfilters have no budget: all noise is one source.
         without_budget = LinearMeasurement(measurement.residual, measurement.jacobian, {_ONLY_SOURCE: measurement.noise})
         corrections, stack = update_subfilters(stack, without_budget, innovations, updated_states)
-        return replace(subfilters, mean=subfilters.mean + corrections, parts=stack[:, None])
+        return replace(subfilters, mean=subfilters.mean + corrections, covariances=stack[:, None])
 
 
 def add_unknown_change(parts: FloatArray, states: NDArray[np.intp], source_index: int, sigma_rad: float) -> None:

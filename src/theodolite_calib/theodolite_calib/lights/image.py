@@ -201,7 +201,7 @@ class BeaconStreaks:
     def select(self, rows: list[int], image_rows: list[int]) -> "BeaconStreaks":
         """Return some beacons, or exchanged names: beacon ``rows[i]`` has the point ``seen_rows[i]``."""
         return replace(
-            self, image=self.image.select(image_rows), path_n=self.path_n[rows], moved_n=self.displacement_n[:, rows]
+            self, image=self.image.select(image_rows), path_n=self.path_n[rows], displacement_n=self.displacement_n[:, rows]
         )
 
 

@@ -59,7 +59,7 @@ class Sighting:
             self,
             names=tuple(self.names[row] for row in rows),
             image=self.image.select(seen) if streaks is None else streaks.image_at_middle(),
-            lights=beacons,
+            beacons=beacons,
             streaks=streaks,
         )
 

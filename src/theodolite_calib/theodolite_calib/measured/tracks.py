@@ -88,7 +88,7 @@ class ShipSeries:
         return cls(
             rotation_nd=np.array([ship.rotation_nd for ship in ships]),
             rate_d=np.array([ship.rate_d for ship in ships]),
-            slow_covariance_n=np.array(slow_n) if slow_n else None,
+            correlated_covariance_n=np.array(slow_n) if slow_n else None,
             noise=np.array([ship.noise for ship in ships]),
             status=[ship.status for ship in ships],
             chord_nd=np.array(chords_nd) if chords_nd else None,

@@ -501,7 +501,7 @@ class OpticalAxisCore:
             reason, text = assembled.rejection.reason, assembled.rejection.text
             return state, ExposureDecision(exposure, reason, text=text, rejected_parts=assembled.rejected_beacons)
         state, decision = self._step_to(state, assembled.sighting, exposure, assembled.jumps)
-        return state, replace(decision, left_out=assembled.rejected_beacons + decision.rejected_parts)
+        return state, replace(decision, rejected_parts=assembled.rejected_beacons + decision.rejected_parts)
 
     def _step_by_stars(
         self, state: CalibrationState, exposure: StarExposure

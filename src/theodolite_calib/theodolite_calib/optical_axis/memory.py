@@ -57,11 +57,11 @@ def start_from_memory(filter_: CalibrationFilter, memory: CalibrationState) -> C
     return replace(
         filter_.initial_state_from(memory.mean, memory.covariance_by_source),
         time_ns=memory.time_ns,
-        unaided=memory.observability,
-        ship_steady_n=memory.ship_covariance_n,
+        observability=memory.observability,
+        ship_covariance_n=memory.ship_covariance_n,
         sighting_count=memory.sighting_count,
-        points_used=memory.point_count,
-        squares=memory.residual_square_sum,
+        point_count=memory.point_count,
+        residual_square_sum=memory.residual_square_sum,
     )
 
 
@@ -152,5 +152,5 @@ def _turns_right_and_up(direction_n: FloatArray) -> FloatArray:
 def _growth_per_second(filter_: CalibrationFilter, state: CalibrationState) -> FloatArray:
     """Return the covariance added to a state within one second, shape (n, n)."""
     assert state.time_ns is not None
-    before = replace(state, time_ns=state.time_ns - SECOND_NS, parts=np.zeros_like(state.covariance_by_source))
+    before = replace(state, time_ns=state.time_ns - SECOND_NS, covariance_by_source=np.zeros_like(state.covariance_by_source))
     return filter_.propagate(before, state.time_ns, state.ship_covariance_n).covariance

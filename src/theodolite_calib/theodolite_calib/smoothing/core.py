@@ -171,7 +171,7 @@ class _SmoothedOutput:
         mean[self._state_indices], parts[self._source, self._state_indices[:, None], self._state_indices] = estimate
         # The ship's error is as the messages state it at that time: no further step.
         state = replace(
-            self._blank, time_ns=real_time.time_ns, mean=mean, parts=parts, ship_steady_n=ship.correlated_covariance_n
+            self._blank, time_ns=real_time.time_ns, mean=mean, covariance_by_source=parts, ship_covariance_n=ship.correlated_covariance_n
         )
         corrected = CorrectedAxis(self._filter, state)
         axes = corrected.axes(ShipSeries.from_ships([ship]), EncoderSeries.from_samples([sample], [""], [0.0]))
@@ -181,7 +181,7 @@ class _SmoothedOutput:
             real_time,
             rotation_nm=rotation_nm,
             covariance_n=covariance_without_separation_n + separation_covariance_n,
-            undisputed_n=covariance_without_separation_n,
+            covariance_without_separation_n=covariance_without_separation_n,
             # Without beacons the telescope's attitude is not published.
             rotation_nt=np.where(np.isfinite(real_time.rotation_nt), rotation_nm @ corrected.rotation_mt, np.nan),
             by_error_n=axes.by_error_n[0],
@@ -199,9 +199,9 @@ def _alone(estimate: PointingEstimate) -> PointingEstimate:
     return replace(
         estimate,
         rotation_nm=estimate.rotation_nm.copy(),
-        parts_n=_NO_PARTS,
+        covariance_by_source_n=_NO_PARTS,
         covariance_n=estimate.covariance_n.copy(),
-        undisputed_n=estimate.covariance_without_separation_n.copy(),
+        covariance_without_separation_n=estimate.covariance_without_separation_n.copy(),
         rotation_nt=estimate.rotation_nt.copy(),
         state=None,
         by_error_n=estimate.by_error_n.copy(),
