@@ -94,7 +94,7 @@ class Outcome:
         attitudes: stamp → (orientation x, y, z, w; number of the last measurement used).
         saved: the alignment or calibration saved at the end.
         counts: relative topic → messages in the recorded bag; empty offline.
-        unclaimed: INVALID outputs after the first that is not.
+        invalid_count: INVALID outputs after the first that is not.
         cut: messages that the node discarded because it was behind.
     """
 

@@ -164,7 +164,7 @@ def test_no_sample_is_lost_even_in_an_interruption(crossing):
 def test_the_recorder_at_the_other_end_has_every_published_attitude(crossing):
     # From the first message received on: discovery takes seconds here.
     met_ns = min(crossing.attitude_times)
-    assert set(crossing.attitude_times) == {stamp for stamp in crossing.attitudes_given if stamp >= met_ns}
+    assert set(crossing.attitude_times) == {stamp for stamp in crossing.attitudes_published if stamp >= met_ns}
     assert met_ns < crossing.cut_ns
 
 

@@ -140,7 +140,7 @@ def test_encoder_steps_beyond_the_mounts_acceleration_are_detected(seed):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_encoders_that_step_without_lights_are_suspect_to_the_end(seed):
     """Before: COASTING, wrong by 42" at a sigma of 8"."""
-    found = run_core(offset_encoders(fault_free_session(seed, lights_leave_s=30.0), 0.0, 40.0))
+    found = run_core(offset_encoders(fault_free_session(seed, beacons_leave_s=30.0), 0.0, 40.0))
     assert set(found.status[found.time_s >= FAULT_S]) == {Status.DEGRADED}
     assert found.worst(Status.DEGRADED) < 4.0
 
@@ -197,7 +197,7 @@ def test_a_creeping_ship_attitude_is_named_by_its_rates(seed, arcsec_n_per_s):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_levels_hold_with_lights_and_there_is_none_without(seed):
     leave_s = 70.0
-    found = run_core(fault_free_session(seed, lights_leave_s=leave_s))
+    found = run_core(fault_free_session(seed, beacons_leave_s=leave_s))
     # Before the first sightings nothing is known; three seconds after the last light nothing is checked any more.
     with_lights = (found.time_s > 5.0) & (found.time_s < leave_s)
     levels_arcsec = found.levels / ARCSEC
@@ -234,7 +234,7 @@ def test_a_small_wrong_fix_is_excluded_by_its_hypothesis():
 
 @pytest.mark.slow
 def test_an_alert_limit_caps_the_status():
-    run = fault_free_session(1, lights_leave_s=70.0)
+    run = fault_free_session(1, beacons_leave_s=70.0)
     wide = run_core(run, integrity__alert_limit_arcsec=[200.0, 200.0, 1000.0])
     with_lights = (wide.time_s > 5.0) & (wide.time_s < 70.0)
     assert set(wide.status[with_lights]) == {Status.VALID}

@@ -72,7 +72,7 @@ class ReplayResult:
 
     Attributes:
         adapter: of the node.
-        returned_s: time after which the pointing was VALID, except for single rejected exposures.
+        recovery_s: time after which the pointing was VALID, except for single rejected exposures.
         worst_over_level: largest error while VALID, over its protection level.
         texts: of the diagnostics of recovery.
     """
@@ -204,5 +204,5 @@ def test_smoothing_has_the_pointings_of_both_estimators(session):
     sink = _Sink({})
     adapter = replay_with_faults(ReplayRun, session, CLOCKS, sink, _Smoothing)
     assert adapter.recovery.adopted == 1
-    smoothed_ns = [estimate.time_ns for estimate in adapter.core.smoothed_to_the_end()]
+    smoothed_ns = [estimate.time_ns for estimate in adapter.core.smooth_remaining()]
     assert smoothed_ns == [stamp_ns for stamp_ns, status in sink.stamps if status != Status.INVALID]

@@ -62,7 +62,7 @@ def run_voyage(scenario: Scenario, seed: int, output_times_s: list[float]) -> tu
     for outcome in attitude_outcomes(core, run, set(stamps[rows].tolist())):
         told.filtered.extend(outcome.estimates)
         assert core.take_smoothed() == []
-    told.smoothed.extend(core.smoothed_estimates())
+    told.smoothed.extend(core.smooth_remaining())
     assert [one.time_ns for one in told.smoothed] == [one.time_ns for one in told.filtered] == stamps[rows].tolist()
     return told, run.truth.rotation_nd[rows]
 
@@ -147,7 +147,7 @@ def smooth_faulty_voyage(ins: list[AttitudeSample], fault_arcsec: float, seed: i
         told.filtered.extend(outcome.estimates)
         asked_s += [since_s] * len(outcome.estimates)
         core.take_smoothed()
-    told.smoothed.extend(core.smoothed_estimates())
+    told.smoothed.extend(core.smooth_remaining())
     assert len(told.smoothed) == len(told.filtered) == 61
     return told, attitudes(np.array(asked_s), SWELL)
 
@@ -217,7 +217,7 @@ def whole_run(arrivals: tuple) -> dict[int, object]:
     core = adapter.core = SmoothingCore(adapter.config, None, None)
     adapter.set_parameters({})  # the methods that feed the core are bound again
     run_adapter(adapter, arrivals)
-    return {one.time_ns: smoothed_message(FACTORY, one, FRAME_NAMES)[1] for one in core.smoothed_estimates()}
+    return {one.time_ns: smoothed_message(FACTORY, one, FRAME_NAMES)[1] for one in core.smooth_remaining()}
 
 
 def test_a_lag_shorter_than_late_data_waits_for_them() -> None:

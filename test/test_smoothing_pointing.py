@@ -167,7 +167,7 @@ def test_filtered_pointings_are_the_same_to_the_last_bit(sessions: list[Estimate
     core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(scenario)))
     plain = [one for outcome in run_core(core, simulate(scenario, 0)) for one in outcome.estimates]
     for one, other in zip(plain, sessions[0].filtered, strict=True):
-        for name in ("rotation_nm", "covariance_n", "parts_n", "rotation_nt", "by_error_n"):
+        for name in ("rotation_nm", "covariance_n", "covariance_by_source_n", "rotation_nt", "by_error_n"):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
         assert (one.time_ns, one.status, one.text) == (other.time_ns, other.status, other.text)
 
@@ -272,7 +272,7 @@ def run_voyage(seed: int) -> EstimatePair:
     white_n = (core.config.ship.white_sigma_arcsec * ARCSEC) ** 2 * np.eye(3)
     samples = {
         one.time_ns: ShipSample(one.time_ns, one.rotation_nd, one.rate_d, one.covariance_n - white_n, one.status)
-        for one in ship.smoothed_estimates()
+        for one in ship.smooth_remaining()
     }
 
     def outcomes() -> Iterator[PointingOutcome]:

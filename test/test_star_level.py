@@ -90,7 +90,7 @@ def joint_errors(scenario: Scenario, configured: Scenario | None = None, **sky: 
 
     Args:
         scenario: scenario of the simulation.
-        told: scenario of the estimator's configuration; that of ``scenario`` where None.
+        configured: scenario of the estimator's configuration; that of ``scenario`` where None.
         sky: changed parameters of the sky.
     """
     suite = suite_configuration(configured or scenario)

@@ -34,7 +34,7 @@ def statuses(adapter: Any, drive: Callable[..., Any], arrivals: Arrivals, topic:
     """Return statuses of an output before, during and after two publishers on a topic: from 2 s to 4 s, of 6 s."""
     found = []
     for since_s, until_s, text in ((-1.0, 2.0, ""), (2.0, 4.0, TEXT), (4.0, 9.0, "")):
-        adapter.contest(topic, text)
+        adapter.set_duplicate_publishers(topic, text)
         run = drive(adapter, part(arrivals, since_s, until_s))
         health = next(status for status in adapter.health.statuses(run.now_ns) if status.name == f"input {topic}")
         assert (health.message == TEXT) == bool(text)

@@ -69,8 +69,8 @@ class Scene:
     Attributes:
         exposures: by sensor, up to eight stars each.
         config: of ``star_attitude``.
-        watch: sky model of the configuration.
-        told: sky by ERFA from the ship's input of time, place and air.
+        sky_model: sky model of the configuration.
+        erfa_sky: sky by ERFA from the ship's input of time, place and air.
         rotation_nd: true attitude, shape (3, 3).
         ins: attitude of the deck by the INS.
         order: of each sensor's stars, for cases with only some of them.

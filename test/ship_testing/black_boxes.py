@@ -87,7 +87,7 @@ def make_box(
         close: whether the node ends in order.
         node: node to record.
         node_ns: node's clock at a waiting time, which is that of the bag; both ns since its start.
-        lost: waiting times, ns since the bag's start, without any arrival.
+        is_lost: waiting times, ns since the bag's start, without any arrival.
         autosave_s: period of automatic saving; 0 for never.
         is_overloaded: whether the node is behind its inputs from 6.5 s to 7.8 s.
         part_bytes: size at which the box continues in a new file; 0 for never.

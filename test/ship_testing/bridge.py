@@ -103,7 +103,7 @@ class Display:
 
 
 def wait_until(ship, condition, publish=lambda: None):
-    """Return the result of ``found`` as soon as it is true; call ``tell`` repeatedly until then."""
+    """Return the result of ``condition`` as soon as it is true; call ``publish`` repeatedly until then."""
     end_s = time.monotonic() + TIMEOUT_S
     while not (result := condition()) and time.monotonic() < end_s:
         publish()

@@ -34,7 +34,7 @@ class FoxgloveClient:
     """One connection.
 
     Attributes:
-        told: messages of the server as received: ``serverInfo``, ``status`` and so on.
+        message: messages of the server as received: ``serverInfo``, ``status`` and so on.
         channels: advertised channels by topic, as in ``advertise``.
         received: messages in their order.
     """

@@ -65,11 +65,11 @@ class MonitoredVoyage:
         watch: at the end.
         start_ns: log time of the first message.
         end_ns: of the last.
-        out: source → times of its exclusion, s.
-        back: source → times of its return, s.
-        seen: source → its states at the times of exclusion.
-        guilty: times of an exclusion by a fault of the source itself, s, with its name.
-        at_s: the suite state of each whole second.
+        out_s: source → times of its exclusion, s.
+        back_s: source → times of its return, s.
+        shown_sources: source → its states at the times of exclusion.
+        root_causes: times of an exclusion by a fault of the source itself, s, with its name.
+        state_at: the suite state of each whole second.
     """
 
     watch: SuiteMonitor

@@ -109,9 +109,9 @@ def observe_stars(
     """Return this many stars of the field, drawn at random; for optics with errors the brightest, always the same.
 
     Args:
-        watch: the sky.
+        sky_model: the sky.
         rotation_ns: true attitude of the camera (horizon from camera), shape (3, 3).
-        sky: errors that all stars share, in sigmas.
+        sky_errors: errors that all stars share, in sigmas.
         count: of the stars.
         rng: of the noise.
         time_ns: middle of the exposure.
@@ -159,7 +159,7 @@ class MountSession:
     Args:
         settings: configuration, with the sigmas of the noise.
         errors: constant errors.
-        watch: the sky.
+        sky_model: the sky.
         rng: of the noise.
         detector: position-dependent errors of the camera's detector; None for none.
     """

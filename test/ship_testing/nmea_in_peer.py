@@ -50,7 +50,7 @@ class NmeaInPeer:
         as_process: run it as a separate process, whose log is next to the parameter file; otherwise in a thread.
 
     Attributes:
-        heard: topic → the messages received.
+        received: topic → the messages received.
         process: of the node; None if it runs in a thread.
         log: file of its log, if it is a process.
     """

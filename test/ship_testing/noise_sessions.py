@@ -58,7 +58,7 @@ def simulated_noise_session(of: Scenario, seed: int, ins_changes: dict[str, Any]
     Args:
         of: the voyage.
         seed: of the random numbers.
-        told: changed parameters of ``ins`` in the suite.
+        ins_changes: changed parameters of ``ins`` in the suite.
         with_fixes: whether there are position fixes.
     """
     suite = suite_configuration(of)

@@ -11,5 +11,5 @@ def make_overconfident(adapter: ShipAttitudeAdapter) -> None:
     core, model = adapter.core, adapter.core.filter.model
     mean = core.state.mean.copy()
     mean[model.slices["ins.attitude"]] += np.radians([0.0, 1.0, 0.0])
-    start = core.filter.suspects.start(mean, 1e-4 * core.state.parts)
-    core._shell.reset(changed(start, time_ns=core.state.time_ns, used_ns=core.state.used_ns))
+    start = core.filter.fault_detector.initial_state(mean, 1e-4 * core.state.covariance_by_source)
+    core._estimator.reset(changed(start, time_ns=core.state.time_ns, last_used_ns=core.state.last_used_ns))

@@ -153,9 +153,9 @@ class PointingErrors:
         levels: their protection levels, rad, shape (k, 3); NaN where there is none.
         estimates: the outputs.
         core: after the session.
-        refused: inputs and exposures that were not used.
+        rejected_count: inputs and exposures that were not used.
         start_ns: of the session.
-        named: sources that were ever excluded.
+        excluded_sources: sources that were ever excluded.
     """
 
     time_s: FloatArray

@@ -18,7 +18,7 @@ def solution_separations(
         variance: without each source, shape (h, 3).
         variance_0: by all sources, shape (3,).
         k: numbers of sigmas.
-        rows: hypotheses to be evaluated; None for all.
+        subfilter_indices: hypotheses to be evaluated; None for all.
     """
     subfilters = np.arange(len(distance)) if subfilter_indices is None else np.array(subfilter_indices, dtype=np.intp)
     components, of_all = np.eye(3), np.diag(variance_0)

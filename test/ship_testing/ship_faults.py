@@ -35,7 +35,7 @@ class AttitudeError(NamedTuple):
         status: of it.
         sigmas: largest error about North, Up and East, in standard deviations as published.
         sources: that it rests on.
-        of_level: largest error of heading, pitch and roll as a share of its protection level; 0 without a level.
+        level_ratio: largest error of heading, pitch and roll as a share of its protection level; 0 without a level.
         excluded: the sources that are excluded.
         error: angle between the attitude and the true one, rad.
     """
@@ -53,7 +53,7 @@ class AttitudeErrors(NamedTuple):
     """All attitudes of a voyage.
 
     Attributes:
-        claims: in order.
+        attitudes: in order.
         core: after the voyage.
     """
 

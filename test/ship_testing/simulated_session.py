@@ -112,9 +112,9 @@ def session(
         times_s: of the sightings, shape (k,).
         encoder: true angles of the encoders, rad, shape (k, 2).
         ship_sigma_n: of the ship's slow error about North, Up and East, rad, shape (3,).
-        swing: of the ship; 0 for none.
+        motion_scale: of the ship; 0 for none.
         lens_error_m: of the principal point N', shape (3,), instead of one drawn.
-        lights_deg: by name, to the right of and above the main axis.
+        beacons_deg: by name, to the right of and above the main axis.
         distance_m: of the lights at each time, shape (k,); None for 2 km.
         focal_length_m: true one of the calibration telescope; None for one drawn.
     """

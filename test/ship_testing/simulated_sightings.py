@@ -146,7 +146,7 @@ def paper_epochs(
         seed: of the errors.
         common_refraction: one error of refraction for both lights, which is 2" at the telescope's elevation.
         baseline_sigma_m: error of each baseline, each axis.
-        untold_lens_m: error of the survey of N': in the truth, not in the survey of the epochs, main frame.
+        unsurveyed_lens_m: error of the survey of N': in the truth, not in the survey of the epochs, main frame.
         focal_length_sigma_m: error of the focal length, drawn at each epoch.
     """
     true_lens = replace(SURVEY.principal_point, vector_m=SURVEY.principal_point.vector_m + unsurveyed_lens_m)

@@ -41,7 +41,7 @@ class PaperReading:
     Attributes:
         name: for tables and figures.
         baseline_sigma_m: error of each baseline, each axis.
-        untold_lens_m: N' not known to the method, in the main frame, shape (3,).
+        unsurveyed_lens_m: N' not known to the method, in the main frame, shape (3,).
         elevation_deg: elevation of the telescope's axis.
         focal_length_error_m: of the focal length, the same at all epochs; None where a new one is drawn at each.
     """

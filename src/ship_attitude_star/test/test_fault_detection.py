@@ -485,11 +485,11 @@ def test_with_the_ins_excluded_neither_of_two_star_sensors_is_isolated() -> None
 @pytest.mark.slow
 def test_solution_separations_are_in_the_covariance_and_not_in_the_levels() -> None:
     sailed = run_with_errors(InjectedError("star.port", UP * 10.0 / 60.0 * ARCSEC, 20.0, per_s=True), seconds=240.0)
-    told = [one for one in sailed.estimates if one.status is Status.VALID and one.state.disputed_n is not None]
+    told = [one for one in sailed.estimates if one.status is Status.VALID and one.state.separation_covariance_n is not None]
     assert told
     for one in told[:: max(len(told) // 20, 1)]:
-        assert one.covariance_n - one.covariance_without_separation_n == pytest.approx(one.state.disputed_n, rel=1e-6)
-        alone = replace(one, state=replace(one.state, disputed_n=None), covariance_n=one.covariance_without_separation_n)
+        assert one.covariance_n - one.covariance_without_separation_n == pytest.approx(one.state.separation_covariance_n, rel=1e-6)
+        alone = replace(one, state=replace(one.state, separation_covariance_n=None), covariance_n=one.covariance_without_separation_n)
         assert sailed.core.integrity(one).level.tolist() == sailed.core.integrity(alone).level.tolist()
 
 
@@ -556,7 +556,7 @@ def test_the_fast_consistency_test_equals_the_full_one(
 ) -> None:
     told = run_with_errors(*lies, seconds=40.0)
     asked = []
-    monkeypatch.setattr(FaultDetector, "_nothing_disputed", lambda *_: bool(asked.append(None)))
+    monkeypatch.setattr(FaultDetector, "_is_all_consistent", lambda *_: bool(asked.append(None)))
     RUNS_BEFORE_ERRORS.clear()
     looked = run_with_errors(*lies, seconds=40.0)
     assert asked
@@ -575,7 +575,7 @@ def test_without_faults_large_separations_are_rare() -> None:
     """
     seeds = range(1, 17)
     ends = [run_with_errors(sensors=("bow", "port"), seconds=20.0, seed=seed).estimates[-1].state for seed in seeds]
-    disputed = sum(state.disputed_n is not None for state in ends)
+    disputed = sum(state.separation_covariance_n is not None for state in ends)
     assert disputed <= binom.ppf(0.999, len(seeds), 27 / 370)
 
 
@@ -593,7 +593,7 @@ def test_any_order_within_the_lag_ends_in_the_same_state_exclusions_included(
     assert set(states[0].excluded) == {f"star.{name}" for name in knocked}
     for name in ("means", "stack"):
         assert getattr(states[0], name).tobytes() == getattr(states[1], name).tobytes()
-    for name in ("running", "excess", "refused"):
+    for name in ("running", "excess", "rejection_counts"):
         assert getattr(states[0].innovation_means, name).tobytes() == getattr(states[1].innovation_means, name).tobytes()
 
 

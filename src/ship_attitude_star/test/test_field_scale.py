@@ -40,7 +40,7 @@ def draw_field(rng, camera, true, stars=10, sigma_px=SIGMA_PX, shift_px=None):
     seen = pixels + sigma_px * rng.standard_normal(pixels.shape)
     if shift_px is not None:
         seen = seen + shift_px(pixels)
-    measured_s, sigma = camera.sighted(seen, np.full(stars, max(sigma_px, 1e-4)))
+    measured_s, sigma = camera.measured_directions(seen, np.full(stars, max(sigma_px, 1e-4)))
     return MatchedStars(
         measured_b=measured_s,
         reference_n=true.directions(pixels) @ rotation_ns.T,

@@ -77,7 +77,7 @@ def test_it_makes_the_heading_of_an_ins_observable() -> None:
     # No star: the attitude is not VALID, and the horizon is that of gravity.
     assert (last.status, last.horizon.name) == (Status.DEGRADED, "GRAVITY")
     assert last.sources == ("ins", BASELINE)
-    np.testing.assert_allclose(last.covariance_parts_n.sum(axis=0), last.covariance_n, rtol=1e-9)
+    np.testing.assert_allclose(last.covariance_by_source_n.sum(axis=0), last.covariance_n, rtol=1e-9)
 
 
 def test_jacobian_is_the_difference_quotient() -> None:

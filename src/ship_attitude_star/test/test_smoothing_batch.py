@@ -102,7 +102,7 @@ def smoothed_run() -> tuple[SmoothingCore, list[AttitudeEstimate]]:
         outcome = core.add_ins(sample, estimate=ms % 500 == 240)
         assert all(decision.accepted for decision in outcome.decisions)
         core.take_smoothed()
-    return core, list(core.smoothed_estimates())
+    return core, list(core.smooth_remaining())
 
 
 @dataclass

@@ -90,7 +90,7 @@ def test_slopes_by_the_optics_equal_finite_differences(camera):
 
     expected = [(directions(number, step) - directions(number, -step)) / (2.0 * step) for number in range(4)]
     np.testing.assert_allclose(
-        camera.optics_slopes(camera.directions(pixels)), np.stack(expected, axis=-1), atol=2e-10, rtol=1e-6
+        camera.optics_jacobian(camera.directions(pixels)), np.stack(expected, axis=-1), atol=2e-10, rtol=1e-6
     )
 
 
@@ -124,7 +124,7 @@ def test_points_without_direction_or_pixel_are_nan():
 def test_a_measured_centroid_has_its_direction_and_its_sigma(camera):
     pixels, sigma_px = np.array([[1023.5, 1011.25], [200.0, 1800.0], [np.nan, 3.0], [500.0, 500.0]]), np.full(4, 0.1)
     sigma_px[3] = np.nan
-    directions_s, sigma = camera.sighted(pixels, sigma_px)
+    directions_s, sigma = camera.measured_directions(pixels, sigma_px)
     np.testing.assert_array_equal(directions_s, camera.directions(pixels))
     np.testing.assert_array_equal(sigma, equivalent_sigma(camera.direction_covariance(pixels, sigma_px)))
     assert np.isnan(sigma).tolist() == [False, False, True, True]

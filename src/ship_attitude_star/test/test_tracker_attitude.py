@@ -39,7 +39,7 @@ def _sky(watch):
     Apparent directions by ERFA's ``atco13``; catalogue directions by ``pmpx`` with or without aberration by ``ab``.
     """
     catalogue = watch.catalogue
-    stars = catalogue.at_j2000[catalogue.brighter_than(5.2)]
+    stars = catalogue.at_j2000[catalogue.rows_brighter_than(5.2)]
     orientation = earth_orientation_table().at(TIME_NS)
     utc, tt, air = julian_date(TIME_NS), tt_julian_date(TIME_NS), CONFIG.sky
     azimuth, zenith_distance, *_ = erfa.atco13(

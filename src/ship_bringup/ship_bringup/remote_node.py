@@ -57,7 +57,7 @@ def connect_node(own_name: str, name: str, timeout_s: float) -> Iterator["Remote
     """Yield a node of the network, accessed through a node of our own that ends with the ``with`` statement.
 
     Args:
-        asker_name: name of our node.
+        own_name: name of our node.
         name: see :class:`RemoteNode`.
         timeout_s: see :class:`RemoteNode`.
 
@@ -79,7 +79,7 @@ class RemoteNode:
         name: with its namespace.
 
     Args:
-        asker: a node of our own.
+        own_node: a node of our own.
         name: the node's name, with its namespace if it has one.
         timeout_s: timeout for the node and for each of its responses, s.
         wait: handles callbacks of the own node for the given number of seconds.

@@ -97,7 +97,7 @@ print("in reserve" if waited else "from the start", flush=True)
 
 
 def test_reserve_process_replaces_the_dead_one(monkeypatch, tmp_path):
-    monkeypatch.setattr("ship_bringup.suite.supervisor._RESERVE_AFTER_S", 0.2)
+    monkeypatch.setattr("ship_bringup.suite.supervisor._RESERVE_DELAY_S", 0.2)
     then = "waited or wait_for_reserve()\nos.kill(os.getpid(), signal.SIGKILL)"
     text = SUCCESSOR.format(mark=str(tmp_path / "reserve"), then=then)
     node = Program("node", (sys.executable, "-c", text), has_reserve=True)
@@ -114,7 +114,7 @@ def test_reserve_process_replaces_the_dead_one(monkeypatch, tmp_path):
 
 @pytest.mark.slow
 def test_program_without_live_reserve_is_started(monkeypatch, tmp_path):
-    monkeypatch.setattr("ship_bringup.suite.supervisor._RESERVE_AFTER_S", 0.2)
+    monkeypatch.setattr("ship_bringup.suite.supervisor._RESERVE_DELAY_S", 0.2)
     dies = SUCCESSOR.replace("waited = bool", "if WAITS in os.environ: raise SystemExit(3)\nwaited = bool")
     text = dies.format(mark=str(tmp_path / "reserve"), then="time.sleep(2.0)\nraise SystemExit(1)")
     node = Program("node", (sys.executable, "-c", text), has_reserve=True)
@@ -125,7 +125,7 @@ def test_program_without_live_reserve_is_started(monkeypatch, tmp_path):
 
 
 def test_reserve_process_ends_with_its_program(monkeypatch, tmp_path):
-    monkeypatch.setattr("ship_bringup.suite.supervisor._RESERVE_AFTER_S", 0.2)
+    monkeypatch.setattr("ship_bringup.suite.supervisor._RESERVE_DELAY_S", 0.2)
     text = SUCCESSOR.format(mark=str(tmp_path / "reserve"), then="wait_for_reserve()")
     text = text.replace("waited = bool", "print(os.getpid())\nwaited = bool")
     _, lines = run_suite(Program("node", (sys.executable, "-u", "-c", text), has_reserve=True), until="node ended")
@@ -261,7 +261,7 @@ def test_recovered_program_is_not_killed():
 
 @pytest.mark.slow
 def test_program_without_first_heartbeat_is_restarted(monkeypatch):
-    monkeypatch.setattr("ship_bringup.suite.frozen_check._LONGEST_START_S", 2.0)
+    monkeypatch.setattr("ship_bringup.suite.frozen_check._MAX_START_S", 2.0)
     code, lines = run_suite(program("node", "import time; time.sleep(60)"), until="node ended", frozen_restart_s=1.0)
     assert code == 137
     assert kill_time_s(lines[0]) in (2, 3)
@@ -270,7 +270,7 @@ def test_program_without_first_heartbeat_is_restarted(monkeypatch):
 @pytest.mark.slow
 def test_stopped_reserve_process_is_not_used(monkeypatch):
     """A user who stops a node by its name also stops its reserve process."""
-    monkeypatch.setattr("ship_bringup.suite.supervisor._RESERVE_AFTER_S", 0.2)
+    monkeypatch.setattr("ship_bringup.suite.supervisor._RESERVE_DELAY_S", 0.2)
     text = BEATS + (
         "from ship_node.live.start import WAITS\n"
         "waited = bool(os.environ.pop(WAITS, ''))\n"
@@ -284,7 +284,7 @@ def test_stopped_reserve_process_is_not_used(monkeypatch):
 
 
 def test_reserve_process_stopped_before_its_first_heartbeat_is_not_used(monkeypatch, tmp_path):
-    monkeypatch.setattr("ship_bringup.suite.supervisor._RESERVE_AFTER_S", 0.2)
+    monkeypatch.setattr("ship_bringup.suite.supervisor._RESERVE_DELAY_S", 0.2)
     mark = str(tmp_path / "reserve")
     text = BEATS + (
         "from ship_node.live.start import WAITS\n"

@@ -30,7 +30,7 @@ CONSISTENT_RATIO = 0.5
 NEVER_NS = -(2**62)
 """Stamp before any other, of a source without a measurement or without inconsistency."""
 
-FIELDS_BY_SUBFILTER = ("running", "excess", "refused")
+FIELDS_BY_SUBFILTER = ("running", "excess", "rejection_counts")
 """Fields of :class:`InnovationMeans` with one row for each filter."""
 
 _MAX_INNOVATION_RATIO = math.sqrt(0.5)

@@ -53,7 +53,7 @@ def numpy_means(
 
 
 def equal(found: InnovationMeans, expected: InnovationMeans) -> None:
-    for name in ("refused", "heard_ns", "contradicts_ns"):
+    for name in ("rejection_counts", "last_measured_ns", "inconsistent_since_ns"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
     np.testing.assert_allclose(found.running, expected.running, rtol=1e-13, atol=1e-15)
     np.testing.assert_allclose(found.excess, expected.excess, rtol=1e-12, atol=1e-15)

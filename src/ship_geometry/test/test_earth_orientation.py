@@ -81,18 +81,18 @@ def test_error_of_a_prediction_grows_from_the_last_measurement(table):
 @pytest.mark.parametrize("date", [(1972, 12, 31), (2060, 1, 1)])
 def test_outside_the_table_there_is_a_reason(table, date):
     time_ns = ns_of(*date)
-    assert "finals2000A.all covers 1973-01-02" in table.reason_against(time_ns)
+    assert "finals2000A.all covers 1973-01-02" in table.unavailable_text(time_ns)
     with pytest.raises(OutsideEarthOrientation, match=f"no Earth orientation for {date[0]}-.* newer astropy-iers-data"):
         table.at(np.array([ns_of(2020, 1, 1), time_ns]))
-    assert table.reason_against(ns_of(2020, 1, 1)) is None
+    assert table.unavailable_text(ns_of(2020, 1, 1)) is None
 
 
 def test_table_ends_with_the_leap_seconds(table):
     early = replace(leap_seconds(), known_until_ns=ns_of(2026, 6, 28))
     shorter = replace(table, leap_seconds=early)
     assert shorter.last_ns == early.known_until_ns
-    assert shorter.reason_against(early.known_until_ns + 1) is not None
-    assert shorter.reason_against(early.known_until_ns) is None
+    assert shorter.unavailable_text(early.known_until_ns + 1) is not None
+    assert shorter.unavailable_text(early.known_until_ns) is None
 
 
 def test_old_file_predicts_and_then_has_no_values(tmp_path):

@@ -41,7 +41,7 @@ def pictures(suite):
 def whole(pictures):
     """Return the state after the ten minutes have been read."""
     picture = pictures.look()
-    while not pictures.is_whole:
+    while not pictures.is_history_complete:
         picture = pictures.look()
     return picture
 
@@ -59,7 +59,7 @@ def monitor_after(suite, since_ns, until_ns):
 def slide(pictures, at_s):
     """Move the slider as a browser does."""
     pictures._controls._slider.value = at_s
-    pictures._controls._moved("value_throttled", None, at_s)
+    pictures._controls._on_slider_released("value_throttled", None, at_s)
 
 
 class TestWhatIsRead:
@@ -164,7 +164,7 @@ class TestBagPlayback:
 
     def test_one_update_reads_the_minute_and_a_part_of_the_ten(self, suite, pictures, monkeypatch):
         """The messages are counted; each update of the ten minutes ends at its deadline."""
-        monkeypatch.setattr(bag_playback, "LOOK_S", 0.0)
+        monkeypatch.setattr(bag_playback, "MAX_READ_S", 0.0)
         heard = []
         original = SuiteMonitor.process_message
         monkeypatch.setattr(SuiteMonitor, "take", lambda self, *given: heard.append(given) or original(self, *given))
@@ -222,7 +222,7 @@ class TestBagPlayback:
         pictures._controls._play.active = True
         now[0] = 0.5
         assert (pictures.look().utc_ns - START_NS) / NS_PER_S == pytest.approx(100.5, abs=0.11)
-        pictures._controls._hasten()
+        pictures._controls._on_speed_clicked()
         now[0] = 1.5
         assert (pictures.look().utc_ns - START_NS) / NS_PER_S == pytest.approx(110.5, abs=0.11)
         now[0] = 1000.0

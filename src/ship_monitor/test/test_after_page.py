@@ -57,7 +57,7 @@ def test_slider_is_under_the_bar_in_the_colours_of_the_page(browser, bag, theme,
         browser.open(f"{server.address}?theme={theme}", *size)
         browser.until(f"{UTC} === '{AT_END}'")
         browser.until("document.querySelector('#controls').offsetHeight > 30")
-        browser.photograph(tmp_path / "page.png")
+        browser.take_screenshot(tmp_path / "page.png")
         assert browser.problems == []
         assert browser.text("#label") == "BAG"
         assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth"), "wider than the window"

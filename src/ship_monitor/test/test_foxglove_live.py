@@ -188,7 +188,7 @@ def test_topic_with_another_type_is_offered_again(sail, connect, watch, is_await
         sail().node.create_subscription(Float64, "told", lambda _: None, 10)
     ship.say("told", String(data="a"))
     receive(client, ship, "told", String(data="a"))
-    client.until(lambda: len(watch._relayed._seen["/demo/told"]) == 1 + is_awaited)
+    client.until(lambda: len(watch._relay._known_types["/demo/told"]) == 1 + is_awaited)
     ship.stop()
     ship = sail()
     ship.say("told", Float64(data=1.0))
@@ -204,7 +204,7 @@ def test_clients_receive_messages_after_a_sleep(sail, connect, watch, monkeypatc
     receive(client, ship, "ship/attitude", attitude(START_NS))
     former = watch._reader.node
     asleep_ns = reader_module._sleep_time_ns() + 3600 * NS_PER_S
-    monkeypatch.setattr(reader_module, "_asleep_ns", lambda: asleep_ns)
+    monkeypatch.setattr(reader_module, "_sleep_time_ns", lambda: asleep_ns)
     client.until(lambda: watch._reader.node is not former)
     client.received.clear()
 

@@ -41,7 +41,7 @@ def subscribe_and_wait(server, client, *topics):
     awaited = set(topics)
 
     def all_came():
-        awaited.difference_update(server.newcomers())
+        awaited.difference_update(server.new_subscriptions())
         return not awaited
 
     client.until(all_came)
@@ -65,7 +65,7 @@ def test_message_arrives_with_bytes_time_and_definition(server, connect):
         "schemaEncoding": "ros2msg",
         "schema": "string data",
     }
-    server.pass_on("/demo/said", MESSAGE, 1_700_000_000_123_456_789)
+    server.forward("/demo/said", MESSAGE, 1_700_000_000_123_456_789)
     received = client.until(lambda: client.received and client.received[0])
     assert (received.log_time_ns, received.data) == (1_700_000_000_123_456_789, MESSAGE)
 
@@ -73,19 +73,19 @@ def test_message_arrives_with_bytes_time_and_definition(server, connect):
 def test_subscribed_topics_follow_the_clients(server, connect):
     server.offer("/demo/said", STRING, "string data")
     server.offer("/demo/other", STRING, "string data")
-    assert server.wanted() == server.newcomers() == frozenset()
+    assert server.wanted() == server.new_subscriptions() == frozenset()
     first, second = connect(), connect()
     subscribe_and_wait(server, first, "/demo/said")
-    assert server.newcomers() == frozenset()
+    assert server.new_subscriptions() == frozenset()
     subscribe_and_wait(server, second, "/demo/said")
     assert server.wanted() == {"/demo/said"}
     first.unsubscribe("/demo/said")
-    server.pass_on("/demo/said", MESSAGE, 1)
+    server.forward("/demo/said", MESSAGE, 1)
     second.until(lambda: len(second.received) == 1)
     assert server.wanted() == {"/demo/said"}
     second.close()
     first.until(lambda: not server.wanted())
-    server.pass_on("/demo/said", MESSAGE, 2)
+    server.forward("/demo/said", MESSAGE, 2)
     first.listen(0.2)
     assert not first.received
 
@@ -96,7 +96,7 @@ def test_two_clients_get_the_same_messages_in_order(server, connect):
     for client in clients:
         subscribe_and_wait(server, client, "/demo/said")
     for number in range(500):
-        server.pass_on("/demo/said", struct.pack("<I", number), number)
+        server.forward("/demo/said", struct.pack("<I", number), number)
     for client in clients:
         client.until(lambda client=client: len(client.received) == 500)
         assert [each.data for each in client.received] == [struct.pack("<I", number) for number in range(500)]
@@ -152,7 +152,7 @@ def test_invalid_requests_harm_neither_the_server_nor_others(server, connect):
     with socket.create_connection(("127.0.0.1", int(server.address.rpartition(":")[2]))) as stranger:
         stranger.sendall(b"GET / HTTP/1.0\r\n\r\n")
     bad.listen(0.2)
-    server.pass_on("/demo/said", MESSAGE, 1)
+    server.forward("/demo/said", MESSAGE, 1)
     good.until(lambda: good.received)
 
 
@@ -166,13 +166,13 @@ def test_client_that_does_not_read_delays_nothing_and_memory_is_bounded(server, 
     good = connect()
     subscribe_and_wait(server, good, "/demo/said")
     with client_that_never_reads(server.address, good.channels["/demo/said"]["id"]):
-        good.until(server.newcomers)
+        good.until(server.new_subscriptions)
         payload = bytes(4000)
         before_mb, begin_s = resident_mb(), time.monotonic()
         for number in range(40):
             # 160 MB for a client that reads nothing; at most 1024 messages of them, 4 MB, wait.
             for _ in range(1000):
-                server.pass_on("/demo/said", payload, number)
+                server.forward("/demo/said", payload, number)
             good.listen(0.01)
         assert time.monotonic() - begin_s < 10.0
         good.until(lambda: good.received[-1].log_time_ns == 39)

@@ -60,7 +60,7 @@ def test_first_screen_is_drawn_completely(browser, source, page, theme, size, tm
     source.set(suite_states.state_with_two_faults(), suite_states.history(is_faulty=True))
     browser.open(f"{page}?theme={theme}", *SIZES[size])
     browser.until(LIVE)
-    browser.photograph(tmp_path / f"{theme}_{size}.png")
+    browser.take_screenshot(tmp_path / f"{theme}_{size}.png")
     assert browser.problems == []
     assert [
         address for address in browser.addresses if not address.startswith((page, page.replace("http", "ws")))
@@ -430,7 +430,7 @@ def test_panels_are_drawn_when_they_become_visible(browser, source, page, theme,
         browser.until(f"{INSIDE}.some((each) => each.tagName === 'B' && each.textContent.startsWith('{title}'))")
     drawn = f"{INSIDE}.filter((each) => each.tagName === 'CANVAS' && each.width > 100 && each.height > 50).length"
     assert browser.until(f"{drawn} >= 10 && {drawn}") >= 10
-    browser.photograph(tmp_path / f"panels_{theme}_{size}.png", whole=True)
+    browser.take_screenshot(tmp_path / f"panels_{theme}_{size}.png", whole=True)
     assert browser.problems == []
     assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth"), "wider than the window"
 

@@ -120,7 +120,7 @@ def test_panels_are_drawn_in_every_theme_and_width(browser, theme, width, tmp_pa
         opened(browser, address, theme, width)
         browser.wait(lambda: evaluated(browser, "found('Figure').length") == 14, "all plots")
         browser.wait(lambda: has_text_at(browser, "found('Figure')[4]"), "what is told of the error of pitch")
-        browser.photograph(tmp_path / f"{theme}_{width}.png", whole=True)
+        browser.take_screenshot(tmp_path / f"{theme}_{width}.png", whole=True)
         assert browser.problems == []
         assert browser.evaluate("document.documentElement.scrollWidth") <= width
         heights = evaluated(browser, "found('Figure').map((each) => each.el.offsetHeight)")

@@ -88,7 +88,7 @@ def test_large_bodies_are_refused(page, lines):
 
 
 def test_endless_request_is_closed(monkeypatch):
-    monkeypatch.setattr(bounded_server, "REQUEST_S", 0.3)
+    monkeypatch.setattr(bounded_server, "REQUEST_TIMEOUT_S", 0.3)
     with run_page_server() as server:
         place = "127.0.0.1", int(server.address.strip("/").rpartition(":")[2])
         for begun in (

@@ -38,7 +38,7 @@ def _split_long_line(line: bytes, is_skipping: bool) -> tuple[bytes, bytes]:
 
     Args:
         line: the line, or its beginning.
-        is_skipped: True if the first part of the line was already cut.
+        is_skipping: True if the first part of the line was already cut.
     """
     if len(line) <= LONGEST_LINE and not is_skipping:
         return b"", line

@@ -72,7 +72,7 @@ def permanent_error(problem: Exception, prefix: str, config: Any, parameter_name
         problem: exception raised by the opening.
         prefix: of the names of the place's parameters, for example ``"sinks.bridge"``.
         config: parameters of the place, with its ``kind``.
-        named_by: kind → the parameter that names the place, and the parameter of its own address or its rate.
+        parameter_names: kind → the parameter that names the place, and the parameter of its own address or its rate.
     """
     number = (isinstance(problem, OSError) and problem.errno) or 0
     is_unresolved = isinstance(problem, socket.gaierror)

@@ -52,7 +52,7 @@ def run_nmea_node(
         name: of the node and of its executable.
         description: text of ``--help`` before the parameters.
         config_type: a dataclass in the style of :mod:`ship_estimation.parameters`.
-        begin: makes the work.
+        make_work: makes the work.
         arguments: the command line without the program's name; None for that of the process.
 
     Returns:
@@ -97,7 +97,7 @@ class NmeaNode:
     Args:
         name: of the node.
         config_type: a dataclass in the style of :mod:`ship_estimation.parameters`.
-        begin: makes the work.
+        make_work: makes the work.
         context: an initialised rclpy context.
         parameter_files: files given on the command line, for the place of a bad parameter in its error text.
 
@@ -143,7 +143,7 @@ class NmeaNode:
         """Log the places that cannot be opened, and raise if none is open.
 
         Args:
-            refusals: errors of the places that cannot be opened.
+            errors: errors of the places that cannot be opened.
             count: number of all places.
 
         Raises:
@@ -156,11 +156,11 @@ class NmeaNode:
             self.node.get_logger().error(f"{text}; the others continue, and opening it is retried")
 
     def subscribe(self, topic: InputTopic, callback: Callable[[Any], None], latched: bool = False) -> None:
-        """Call ``take`` with each message of a topic.
+        """Call ``callback`` with each message of a topic.
 
         Args:
             topic: to subscribe to.
-            take: called with the message; its exceptions are counted and reported.
+            callback: called with the message; its exceptions are counted and reported.
             latched: True if the last message published before is needed too.
         """
         qos = input_qos(topic, self._parameters.has_reliable_inputs)
@@ -185,7 +185,7 @@ class NmeaNode:
             return self.node.create_publisher(kind, topic.topic, qos, qos_overriding_options=overriding_options())
 
     def add_timer(self, period_s: float, name: str, function: Callable[[], None]) -> None:
-        """Call a function periodically, by a steady clock; ``what`` names it in reports of its exceptions."""
+        """Call a function periodically, by a steady clock; ``name`` names it in reports of its exceptions."""
         self.node.create_timer(
             period_s, partial(self._call, name, function), clock=Clock(clock_type=ClockType.STEADY_TIME)
         )

@@ -171,7 +171,7 @@ def test_unusable_lines_are_counted_and_the_rest_is_used(listening):
     assert values["example of checksum failed"] == "'$HEHDT,218.54,T*12'"
     assert "half line or no checksum 2, as '8.5,T*12'" in text
     assert len(values["example of line too long"]) < 100
-    assert node.exceptions() == "no exception"
+    assert node.exception_text() == "no exception"
 
 
 def test_impossible_time_is_an_error(listening):
@@ -220,7 +220,7 @@ def test_foreign_sender_and_cut_datagrams_lose_no_ins_message(listening):
         assert values["not of interest: binary"] == "200"
     node.send("gps", b"$INGGA,000000.16,2200.110899,S,01756.359432,W,1,12,0.7,-2.76,M,4.67,M,,*6C\r\n")
     node.wait_until(lambda: "rejected: sender that is not in 'from'" in node.told("gps")[2])
-    assert node.exceptions() == "no exception"
+    assert node.exception_text() == "no exception"
 
 
 class Server:
@@ -278,7 +278,7 @@ def test_serial_line_is_unplugged_and_plugged_in(listening, tmp_path):
         os.close(controller)
         os.close(terminal)
         node.wait_until(lambda: "; retried" in node.told("gyro")[1])
-    assert node.exceptions() == "no exception"
+    assert node.exception_text() == "no exception"
 
 
 def start_error(tmp_path, text, *before):
@@ -418,7 +418,7 @@ def test_many_faults_at_once(listening, tmp_path):
     finally:
         stop.set()
         flooding.join()
-    assert node.exceptions() == "no exception"
+    assert node.exception_text() == "no exception"
     # A line at the start, and one at each change of state or reason of one of five sources.
     assert len(node.log.read_text().splitlines()) < 15
     node.process.send_signal(signal.SIGTERM)

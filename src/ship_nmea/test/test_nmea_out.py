@@ -71,7 +71,7 @@ def bridge(tmp_path_factory, ship):
 
 def read_until(ship, bridge, found, publish=lambda: None):
     """Read the bridge's sentences, from now on, until ``found`` is true."""
-    bridge.forget()
+    bridge.clear()
 
     def look():
         bridge.read()
@@ -134,7 +134,7 @@ def test_invalid_or_old_attitude_is_sent_void(ship, bridge, how, told):
     read_until(ship, bridge, lambda: shows(bridge, 55.0), lambda: ship.tell(55.0))
     ship.statuses.clear()
     read_until(ship, bridge, lambda: is_void(bridge), lambda: how and ship.tell(**how))
-    bridge.forget()
+    bridge.clear()
 
     def status_has_reason():
         status = ship.statuses.get("nmea_out: attitude")
@@ -153,7 +153,7 @@ def test_attitude_at_ten_kilohertz_is_sent_at_the_rate_of_the_sink(ship, bridge)
     while time.monotonic() - began_s < 3.0:
         for _ in range(500):
             ship.tell(1.0)
-        bridge.forget()
+        bridge.clear()
         ship.spin(0.0)
     read_until(ship, bridge, lambda: shows(bridge, 2.0), lambda: ship.tell(2.0))
     lasted_s = time.monotonic() - began_s

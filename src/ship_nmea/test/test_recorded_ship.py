@@ -85,4 +85,4 @@ def test_live_messages_equal_imported_ones(listening, imported):
             for message in (*heard, *wanted):
                 message.header.stamp.sec = message.header.stamp.nanosec = 0
         assert [value_bytes(message) for message in heard] == [value_bytes(message) for message in wanted]
-    assert node.exceptions() == "no exception"
+    assert node.exception_text() == "no exception"

@@ -110,7 +110,7 @@ def test_tcp_serves_several_clients_and_receives_lines_in_chunks(open_sink):
 
 @pytest.mark.slow
 def test_client_that_does_not_read_is_disconnected(open_sink, monkeypatch):
-    monkeypatch.setattr("ship_nmea.out.network_outlets.STALLED_S", 0.5)
+    monkeypatch.setattr("ship_nmea.out.network_outlets.CLIENT_TIMEOUT_S", 0.5)
     port = free_port(socket.SOCK_STREAM)
     sink = open_sink(kind="tcp_server", port=port)
     with socket.socket() as lazy, connect(port) as reader:
@@ -131,7 +131,7 @@ def test_client_that_does_not_read_is_disconnected(open_sink, monkeypatch):
 @pytest.mark.slow
 def test_client_that_does_not_read_is_disconnected_at_a_low_rate(open_sink, monkeypatch):
     """Its own system takes 2 kB. The 8 kB that this side's keeps for it take minutes more to fill."""
-    monkeypatch.setattr("ship_nmea.out.network_outlets.STALLED_S", 1.0)
+    monkeypatch.setattr("ship_nmea.out.network_outlets.CLIENT_TIMEOUT_S", 1.0)
     port = free_port(socket.SOCK_STREAM)
     sink = open_sink(kind="tcp_server", port=port)
     with socket.socket() as lazy, connect(port) as reader:
@@ -288,7 +288,7 @@ def test_old_sentences_of_a_blocked_serial_line_are_dropped(open_sink, line):
     def one_more():
         # A thousand per second: MOST_WAITING of them last for four times their maximum age.
         for _ in range(10):
-            sink.put(SENTENCE * 20, lasts_ns=50_000_000)
+            sink.put(SENTENCE * 20, max_wait_ns=50_000_000)
         return any("expired in the queue" in why for why in sink.status().values)
 
     until(one_more)

@@ -170,7 +170,7 @@ def test_unusable_path_is_bad_input(tmp_path: Path, name: str) -> None:
 
 
 def test_entries_lost_by_a_slow_disk_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(black_box, "LONGEST_QUEUE", 3)
+    monkeypatch.setattr(black_box, "MAX_QUEUE_ENTRIES", 3)
     monkeypatch.setattr(black_box, "FLUSH_PERIOD_S", 60.0)
     box = new_box(tmp_path / "box.mcap")
     for number in range(10):
@@ -190,7 +190,7 @@ def test_entries_lost_by_a_slow_disk_are_reported(tmp_path: Path, monkeypatch: p
 
 
 def test_queue_for_the_disk_is_bounded_in_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(black_box, "LARGEST_QUEUE_BYTES", 2500)
+    monkeypatch.setattr(black_box, "MAX_QUEUE_BYTES", 2500)
     monkeypatch.setattr(black_box, "FLUSH_PERIOD_S", 60.0)
     box = new_box(tmp_path / "box.mcap")
     for number in range(5):

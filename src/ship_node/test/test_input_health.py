@@ -78,8 +78,8 @@ def test_required_topic_without_messages_is_an_error_after_five_seconds(book):
 
 def test_first_message_timeout_text_depends_on_the_publishers(book):
     book.statuses(START_NS)
-    book.publisher_count(IMU, 0)
-    book.publisher_count(STAR, 2)
+    book.set_publisher_count(IMU, 0)
+    book.set_publisher_count(STAR, 2)
     imu, star = book.statuses(START_NS + 6 * S)
     assert imu.message.endswith("no publisher")
     assert star.level is Level.WARN
@@ -202,10 +202,10 @@ def test_noted_reason_is_counted_and_the_message_accepted(book):
 
 def test_incompatible_qos_is_an_error_until_the_publisher_goes(book):
     last_ns = feed(book, 10)
-    book.incompatible_qos(IMU, "RELIABILITY")
+    book.record_incompatible_qos(IMU, "RELIABILITY")
     assert imu_status(book, last_ns).message == "incompatible QoS: RELIABILITY"
     assert imu_status(book, last_ns).level is Level.ERROR
-    book.publisher_count(IMU, 0)
+    book.set_publisher_count(IMU, 0)
     assert imu_status(book, last_ns).level is Level.OK
 
 
@@ -240,17 +240,17 @@ def test_too_old_stamps_are_an_error(book):
     status = imu_status(book, last_ns)
     assert (status.level, status.values["accepted"], status.values["reason clock"]) == (Level.ERROR, "20", "20")
     assert status.message == "stamps 310 days before the node's clock: a bag of another time?"
-    assert book.of_another_time() == f"{IMU}: {status.message}"
-    refused, noted = book.refused_and_noted()[IMU]
+    assert book.stale_stamps_text() == f"{IMU}: {status.message}"
+    refused, noted = book.rejection_and_note_counts()[IMU]
     assert (refused.total(), dict(noted)) == (0, {Reason.CLOCK: 20})
-    book.clock_unused(True)
+    book.set_clock_unused(True)
     assert imu_status(book, last_ns).message == f"{status.message} /clock is published: start with use_sim_time:=true"
     message = imu_message(book, last_ns)
     assert (message.level, message.accepted, message.rejected) == (2, 20, 0)
     # It ends with the first stamp of today.
     last_ns = feed(book, 1, start_ns=last_ns + 10 * MS)
     assert imu_status(book, last_ns).level == Level.OK
-    assert book.of_another_time() == ""
+    assert book.stale_stamps_text() == ""
 
 
 def test_maximum_age_of_stamps():

@@ -318,7 +318,7 @@ def test_events_waiting_in_bag_time_are_an_overload(live_relay, monkeypatch):
 
     # On a busy machine the first event may take long without having been waited for.
     monkeypatch.setattr(node_events, "_WAITED_NS", 10**10)
-    monkeypatch.setattr(node_events, "MOST_EVENTS", 1)
+    monkeypatch.setattr(node_events, "MAX_EVENTS", 1)
     monkeypatch.setattr(relay.live._events, "take", take_after_standstill)
     assert stands.wait(TIMEOUT_S)
     for tenth in range(61):

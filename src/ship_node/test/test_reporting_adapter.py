@@ -64,7 +64,7 @@ class TinyCore:
         self.calls.append(("reset", clock_jumped))
 
     def set_duplicate_publishers(self, source: str, text: str) -> None:
-        self.calls.append(("contest", source, text))
+        self.calls.append(("set_duplicate_publishers", source, text))
 
     def reconfigure(self, config: TinyConfig) -> None:
         self.calls.append(config)
@@ -341,14 +341,14 @@ def test_cut_messages_cause_no_timeout(adapter: TinyAdapter) -> None:
 
 def test_duplicate_publishers_reach_core_and_health_unless_the_source_is_off(adapter: TinyAdapter) -> None:
     adapter.set_duplicate_publishers(JUDGED, "two publishers send")
-    assert adapter.core.calls == [("contest", "camera", "two publishers send")]
+    assert adapter.core.calls == [("set_duplicate_publishers", "camera", "two publishers send")]
     (status,) = [status for status in adapter.health.statuses(NOW_NS) if status.name == f"input {JUDGED}"]
     assert (status.level, status.message) == (Level.ERROR, "two publishers send")
     adapter.set_parameters({"sources_off": ["device"]})
-    assert adapter.core.calls[-1] == ("contest", "camera", "")
+    assert adapter.core.calls[-1] == ("set_duplicate_publishers", "camera", "")
     adapter.set_parameters({"sources_off": []})
-    assert adapter.core.calls[-1] == ("contest", "camera", "two publishers send")
+    assert adapter.core.calls[-1] == ("set_duplicate_publishers", "camera", "two publishers send")
     adapter.set_duplicate_publishers(JUDGED, "")
-    assert adapter.core.calls[-1] == ("contest", "camera", "")
+    assert adapter.core.calls[-1] == ("set_duplicate_publishers", "camera", "")
     (status,) = [status for status in adapter.health.statuses(NOW_NS) if status.name == f"input {JUDGED}"]
     assert status.level is Level.OK

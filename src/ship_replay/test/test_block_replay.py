@@ -150,7 +150,7 @@ def test_a_second_estimator_that_is_adopted(tmp_path: Path, monkeypatch: pytest.
             adopted.append(id(self))
         return published
 
-    monkeypatch.setattr(ShipAttitudeAdapter, "_look", spoilt_look)
+    monkeypatch.setattr(ShipAttitudeAdapter, "_decide", spoilt_look)
     assert_equal(bag)
     assert len(adopted) == len(set(adopted)) == 2
 
@@ -161,7 +161,7 @@ def test_a_second_estimator_that_is_adopted(tmp_path: Path, monkeypatch: pytest.
 def test_where_blocks_end_makes_no_difference(
     bag: str, most: int, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> None:
-    monkeypatch.setattr(block_run, "_MOST", most)
+    monkeypatch.setattr(block_run, "_MAX_BATCH", most)
     assert_equal(request.getfixturevalue(bag))
 
 

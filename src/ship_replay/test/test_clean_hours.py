@@ -59,7 +59,7 @@ def test_three_sensors_meet_twelve_arcseconds_after_ten_minutes():
 def record_output(statistics, since_s, level_arcsec, error_arcsec, status=Status.VALID):
     level = np.full(3, level_arcsec) * ARCSEC
     report = IntegrityReport(0, IntegrityState.NO_LIMIT, level, (), np.zeros(0), 5.0, (), "", 0.0)
-    statistics.look_at_output(since_s, status, report, np.full(3, error_arcsec) * ARCSEC, ARCSEC**2 * np.eye(3))
+    statistics.record_output(since_s, status, report, np.full(3, error_arcsec) * ARCSEC, ARCSEC**2 * np.eye(3))
 
 
 def test_what_is_beyond_and_what_is_available_is_counted():

@@ -42,8 +42,8 @@ def test_the_ships_attitude_is_that_of_the_main_filter_alone() -> None:
         np.testing.assert_allclose(one.covariance_without_separation_n, other.covariance_n, rtol=1e-9)
         wider_n = one.covariance_n - one.covariance_without_separation_n
         assert np.linalg.eigvalsh(wider_n).min() >= -1e-12 * np.trace(one.covariance_n)
-        assert wider_n.any() == (one.state.disputed_n is not None)
-    assert any(one.state.disputed_n is not None for one in beside)
+        assert wider_n.any() == (one.state.separation_covariance_n is not None)
+    assert any(one.state.separation_covariance_n is not None for one in beside)
 
 
 def test_the_pointing_is_that_of_the_main_filter_alone() -> None:

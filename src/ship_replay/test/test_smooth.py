@@ -186,7 +186,7 @@ def test_attitudes_of_before_an_adoption_are_smoothed_too(tmp_path, monkeypatch)
             make_overconfident(self)
         return look(self, now_ns, waiting_ns)
 
-    monkeypatch.setattr(ShipAttitudeAdapter, "_look", spoilt_look)
+    monkeypatch.setattr(ShipAttitudeAdapter, "_decide", spoilt_look)
     assert smooth([str(bag), "--out", str(out)]) == 0
     (adapter,) = adapters
     assert adapter.recovery.adopted == 1

@@ -90,7 +90,7 @@ class ComputerState:
 
 
 def conditions(state: SuiteState, limits: Limits, computer: ComputerState | None = None) -> list[Condition]:
-    """Return all present situations, for :meth:`ship_watch.alerts.AlertList.update`.
+    """Return all present situations, for :meth:`ship_check.alerts.AlertList.update`.
 
     They are derived from the safety without hold: the list of alerts has delays of its own. An accuracy over its limit
     is a situation only after ``alerts.over_after_s``.

@@ -61,7 +61,7 @@ def test_valid_protected_angle_within_its_limit_is_safe() -> None:
         ({"protection": AngleProtection(IntegrityState.UNAVAILABLE), "guilty": KNOCKED}, "star.bow excluded"),
         ({"protection": AngleProtection(IntegrityState.MET, math.nan, 30.0)}, "no independent check"),
         ({"accuracy_95": 6.0, "guilty": FLOAT}, "baselines a rejected: not fixed"),
-        ({"is_lessened": True, "hint": "one of two lights"}, "one of two lights"),
+        ({"has_reduced_input": True, "hint": "one of two lights"}, "one of two lights"),
     ],
 )
 def test_cautions(change: dict[str, Any], reason: str) -> None:
@@ -71,7 +71,7 @@ def test_cautions(change: dict[str, Any], reason: str) -> None:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ({"is_heard": False, "is_old": True}, "waiting for ship/attitude"),
+        ({"is_received": False, "is_old": True}, "waiting for ship/attitude"),
         ({"is_old": True}, "no data on ship/attitude"),
         ({"is_old": True, "guilty": KNOCKED}, "star.bow excluded"),
         ({"status": Status.INVALID}, "invalid"),

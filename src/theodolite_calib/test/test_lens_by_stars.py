@@ -61,7 +61,7 @@ def _sky():
 def state_after_sweep(
     seed: int, sky_model, distance_m=None, settings=SETTINGS, lens_error_m=PER_AXIS_M
 ) -> tuple[CalibrationFilter, CalibrationState, Session]:
-    """Return the filter's state after the sweep, and the truth; without ``watch`` by beacons alone."""
+    """Return the filter's state after the sweep, and the truth; without ``sky_model`` by beacons alone."""
     drawn = session(settings, seed, TIMES_S, ENCODER, lens_error_m=np.full(3, lens_error_m), distance_m=distance_m)
     filter_, rng = CalibrationFilter(settings), np.random.default_rng(1000 + seed)
     by_lights, sky = SightingStep(settings, filter_), rng.standard_normal(4)

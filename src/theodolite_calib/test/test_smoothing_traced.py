@@ -43,7 +43,7 @@ def test_its_states_are_those_of_the_filter() -> None:
         one, other = step_state(plain, one, sighting), step_state(traced, other, sighting)
         jump = EncoderJump(sighting.time_ns + 1, np.array([1e-3, 0.0]), 1e-4)
         one, other = plain.inflate_covariance(one, jump), traced.inflate_covariance(other, jump)
-        for name in ("mean", "parts", "separation", "ship_steady_n"):
+        for name in ("mean", "covariance_by_source", "solution_separation", "ship_covariance_n"):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     assert {field.name for field in fields(other)} - {field.name for field in fields(one)} == {"came", "leads_back"}
 

@@ -134,7 +134,7 @@ class Cell:
         name: of the cell, for people.
         faults: of the inputs.
         steps: of the time base.
-        unseen: why the faults cannot be detected from the data; empty if they can.
+        undetectable_reason: why the faults cannot be detected from the data; empty if they can.
         node_starts_s: begin of the inputs of the nodes, after the beginning of the voyage.
     """
 

@@ -314,7 +314,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         if not isinstance(self.core, SmoothingCore):
             return []
         return [
-            smoothed_message(self.factory, estimate, self.config.frames) for estimate in self.core.smoothed_estimates()
+            smoothed_message(self.factory, estimate, self.config.frames) for estimate in self.core.smooth_remaining()
         ]
 
     def _observability_statuses(self) -> list[DiagnosticStatus]:
@@ -326,7 +326,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
             # Without stars a turn has no effect.
             has_stars = latest.status is Status.VALID
             observability = self.core.learnt()
-            turn = manoeuvre_text(self.core.worthwhile_turn(latest.rotation_nd)) if has_stars else ""
+            turn = manoeuvre_text(self.core.recommended_manoeuvre(latest.rotation_nd)) if has_stars else ""
             values = {f"{name} (sigma / before)": f"{left:.2f}" for name, left in observability.left.items()}
             values |= {"not told apart": "; ".join(observability.open) or "nothing", "turn": turn or "none recommended"}
             text = turn or "no turn of the ship would improve the attitude much"

@@ -163,7 +163,7 @@ def _rejections(
 def _unused_stars(
     stars: Sequence[Any], rejections: Sequence[Rejection | None], named_by_number: bool
 ) -> tuple[tuple[str, Rejection], ...]:
-    """Return the rejected stars by name. Stars beyond ``MOST_STARS`` are reported once, by the first of them."""
+    """Return the rejected stars by name. Stars beyond ``MAX_STARS`` are reported once, by the first of them."""
     rows = [(row, refusal) for row, refusal in enumerate(rejections) if refusal is not None]
     if len(stars) > MAX_STARS:
         text = f"{len(stars)} stars in one exposure: only the first {MAX_STARS} are used"

@@ -51,7 +51,7 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
     if INS not in state.excluded and relevant.is_cross_checked:
         table, variance_n = suspects.subfilters, to_angles @ estimate.covariance_without_separation_n @ to_angles.T
         found = with_common_error(
-            found, table.k, table.common_k_md, table.common_threshold, state.absorbed, to_angles, variance_n
+            found, table.k, table.common_k_md, table.common_threshold, state.correction_sums, to_angles, variance_n
         )
         names = *names, ALL_STARS
     excluded = tuple(sorted((name, exclusion.since_ns) for name, exclusion in state.excluded.items()))

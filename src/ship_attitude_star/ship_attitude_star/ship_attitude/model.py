@@ -123,7 +123,7 @@ class Device:
 
 @dataclass(frozen=True)
 class RotationChain:
-    """Chain of rotations from a device to the horizon, for :func:`ship_geometry.compiled_rotations.hung`.
+    """Chain of rotations from a device to the horizon, for :func:`ship_geometry.compiled_rotations.composed_attitude`.
 
     Attributes:
         links: index of the first state of each rotation, from the device outwards, shape (k,).

@@ -56,7 +56,7 @@ class SmoothingCore(ShipAttitudeCore):
         config: parameters of the node.
         sky_model: sky model; None if no sensor needs it.
         lag_s: delay of a smoothed attitude after its stamp, s, at least until all measurements up to it are final;
-            None to smooth only at the end (:meth:`smoothed_estimates`).
+            None to smooth only at the end (:meth:`smooth_remaining`).
     """
 
     filter_class: ClassVar[type[ShipFilter]] = TracedFilter
@@ -110,7 +110,7 @@ class SmoothingCore(ShipAttitudeCore):
             return outcome
         for one in outcome.estimates:
             has_fault = one.state.doubt is not None or INS in one.state.excluded
-            self._pending.append(_RealTimeEstimate(_detached(one), one.state.disputed_n, has_fault))
+            self._pending.append(_RealTimeEstimate(_detached(one), one.state.separation_covariance_n, has_fault))
             self._smoother.request_time(one.time_ns)
         return outcome
 
@@ -122,7 +122,7 @@ class SmoothingCore(ShipAttitudeCore):
             return []
         return self._smoothed_until(min(self._estimator.window.newest_ns - self._lag_ns, self._committed_ns))
 
-    def smoothed_estimates(self) -> Iterator[AttitudeEstimate]:
+    def smooth_remaining(self) -> Iterator[AttitudeEstimate]:
         """Yield all remaining attitudes smoothed with all measurements; no input may follow."""
         self._add_states([*self._committed, *self._estimator.states_in_window()])
         self._committed.clear()

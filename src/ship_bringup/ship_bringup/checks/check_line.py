@@ -33,7 +33,7 @@ class CheckLine:
     Attributes:
         check: name of the check.
         result: its result.
-        found: what was found.
+        finding: what was found.
         advice: what to do; empty if there is nothing to do.
     """
 

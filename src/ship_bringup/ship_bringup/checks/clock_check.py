@@ -34,7 +34,7 @@ class ClockState:
         bound_s: maximum error if the source is right (chrony's root distance); NaN if unknown.
         is_synchronised: True if the source reports that it follows a better clock.
         detail: why nothing is known, or the status reported by the source.
-        is_dead: True if a synchronisation program is installed but gives no answer.
+        is_unresponsive: True if a synchronisation program is installed but gives no answer.
     """
 
     source: str

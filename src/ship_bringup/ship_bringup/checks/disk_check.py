@@ -58,7 +58,7 @@ class DiskState:
         folder: the requested folder.
         device: number of the disk; None if it cannot be read.
         free_bytes: free space on it; None if it cannot be read.
-        asked: the folder that was measured: the nearest existing parent, if `folder` does not exist.
+        measured_folder: the folder that was measured: the nearest existing parent, if `folder` does not exist.
     """
 
     folder: Path
@@ -72,7 +72,7 @@ def estimate_write_rates(adapters: Sequence[Adapter], observed: Sequence[Observe
 
     Args:
         adapters: of its nodes.
-        heard: inputs as received; for others, typical values are used.
+        observed: inputs as received; for others, typical values are used.
     """
     streams = {each.input.topic: (each.rate_hz, each.message_bytes) for each in observed if each.rate_hz > 0.0}
     own_outputs = {topic.topic for adapter in adapters for topic in adapter.outputs}
@@ -104,7 +104,7 @@ def check_disk(
         needs_bytes_per_s: rate of writing to it.
         hours: duration.
         limits: of the ship.
-        must_be_there: the setting that names this folder; empty for a folder that will be created.
+        required_by: the setting that names this folder; empty for a folder that will be created.
     """
     need_gb = needs_bytes_per_s * _SECONDS_PER_HOUR * hours / _GB
     needs = f"{hours:g} h need {need_gb:.1f} GB"

@@ -26,12 +26,12 @@ class PathState:
 
     Attributes:
         path: the path.
-        what: the setting that names it, with its file and line.
+        named_by: the setting that names it, with its file and line.
         is_device: True if it is a device, which must exist already.
-        is_there: True if it exists.
+        exists: True if it exists.
         readable: by this user.
         writable: by this user; if it does not exist, True if it can be created.
-        is_other: True if it is of another kind: no device, or a folder instead of a file.
+        is_wrong_kind: True if it is of another kind: no device, or a folder instead of a file.
     """
 
     path: Path
@@ -62,7 +62,7 @@ def check_files(states: Sequence[PathState], missing_settings: Sequence[str]) ->
 
     Args:
         states: what was found.
-        without: settings of nodes that should name a saved file and do not, one line each.
+        missing_settings: settings of nodes that should name a saved file and do not, one line each.
     """
     user = getpass.getuser()
     for text in missing_settings:

@@ -95,8 +95,8 @@ class NetworkState:
     Attributes:
         rmw: the middleware.
         nodes: full names of all nodes except our own; a name used by two nodes is listed twice.
-        heard: the inputs of the suite.
-        given: topics that only the suite publishes → nodes that publish them already.
+        inputs: the inputs of the suite.
+        already_published: topics that only the suite publishes → nodes that publish them already.
         has_clock: True if /clock is published.
         failure: why nothing was observed; empty if it was.
     """
@@ -155,7 +155,7 @@ def observed_rate_hz(count: int, span_s: float, observed_s: float) -> float:
     Args:
         count: number of messages.
         span_s: from the first to the last, s.
-        listened_s: from the first on, s.
+        observed_s: from the first on, s.
     """
     if count < 2:
         return 0.0

@@ -63,7 +63,7 @@ def check_sensors(
         state: what was received.
         limits: of the ship; ``inputs.<id>.rate_hz`` is the expected rate.
         lags_s: relative topic → age beyond which a node no longer applies a message, s.
-        asked: see :func:`find_requested_qos`.
+        requested_qos: see :func:`find_requested_qos`.
         own: inputs that the suite's own ``nmea_in`` may publish once it is started.
         own_command: command that starts it now.
     """

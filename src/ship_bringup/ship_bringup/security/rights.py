@@ -50,7 +50,7 @@ class Rights:
         subscribes: topics.
         serves: services that it provides.
         requests: services that it calls.
-        declared: further declarations of the node in the code, types and parameters: they grant nothing, but a policy
+        declarations: further declarations of the node in the code, types and parameters: they grant nothing, but a policy
             made before they changed is out of date.
         is_needed: True if the enclave must be on this computer, as those of the nodes.
     """
@@ -84,8 +84,8 @@ def suite_rights(
     Args:
         adapters: of its nodes.
         namespace: of the suite, without its outer slashes; empty for none.
-        locked: True if no parameter of a running node may be set.
-        played: True if a bag may be played into it, with /clock and the topics of sensors. Not for a voyage.
+        is_locked: True if no parameter of a running node may be set.
+        is_played: True if a bag may be played into it, with /clock and the topics of sensors. Not for a voyage.
         companions: result of :func:`load_companions` for its file.
         ship_names: of inputs, see :func:`ship_bags.renamed_topics.ship_names`.
     """
@@ -236,7 +236,7 @@ class _SuiteRights:
         serves: Iterable[str] = (),
         own_nodes: Iterable[str] = (),
     ) -> Rights:
-        """Return the rights of a program that is no estimator, with those that its own nodes, `answers`, need."""
+        """Return the rights of a program that is no estimator, with those that its own nodes, `own_nodes`, need."""
         own = frozenset[str]().union(*(_own_services(self._full_name(node)) for node in (own_nodes or (name,))))
         return Rights(
             enclave=self._full_name(name),

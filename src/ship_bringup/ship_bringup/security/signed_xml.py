@@ -76,7 +76,7 @@ class Permissions:
         not_after: end of it, UTC.
         fingerprint: of the rights from which they were made; empty if made by another program.
         rules: in order; the first that applies decides.
-        is_open: True if a topic without a rule is allowed.
+        allows_by_default: True if a topic without a rule is allowed.
     """
 
     subject: str

@@ -31,7 +31,7 @@ class FrozenCheck:
     Args:
         report_s: time without a heartbeat after which a program is reported, s.
         restart_s: time without a heartbeat after which it is killed, s.
-        say: logs a line.
+        log: logs a line.
     """
 
     def __init__(self, report_s: float, restart_s: float, log: Callable[[str], None]) -> None:

@@ -46,9 +46,9 @@ class HeartbeatAge:
 
     Attributes:
         time_s: that time, s.
-        has_beaten: True if it has sent a heartbeat since it began.
+        has_heartbeat: True if it has sent a heartbeat since it began.
         is_reported: True if the time was reported as too long.
-        is_ended: True if the process was killed for it.
+        is_killed: True if the process was killed for it.
 
     Args:
         pid: id of the process.

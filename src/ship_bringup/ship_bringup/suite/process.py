@@ -30,9 +30,9 @@ class Process:
     Attributes:
         pid: its id.
         pidfd: file descriptor that becomes readable when it has ended.
-        began_s: steady time of its start, or of :meth:`begin` if it waits for that.
-        has_said_all: True if its output is at its end.
-        silence: time since its last heartbeat.
+        start_s: steady time of its start, or of :meth:`begin` if it waits for that.
+        is_output_complete: True if its output is at its end.
+        heartbeat_age: time since its last heartbeat.
 
     Args:
         command: program and arguments.

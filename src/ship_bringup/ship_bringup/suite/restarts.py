@@ -21,7 +21,7 @@ class Restarts:
     """Restarts of one program: the first at once, each further one after twice the delay, up to 30 s, without limit.
 
     Attributes:
-        in_a_row: number of ends; a run of :data:`STEADY_S` resets it.
+        consecutive_count: number of ends; a run of :data:`STEADY_S` resets it.
     """
 
     consecutive_count: int = field(default=0, init=False)

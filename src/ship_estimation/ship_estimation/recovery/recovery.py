@@ -262,7 +262,7 @@ class EstimatorRecovery:
         candidate = self.candidate
         if candidate is None or displaced != self._displaced_before:
             self._start(live, from_memory=True)
-        elif candidate.failure is not None or candidate.core.is_contradicted or candidate.core.excluded - displaced:
+        elif candidate.failure is not None or candidate.core.has_unresolved_fault or candidate.core.excluded - displaced:
             self._start(live, from_memory=not candidate.is_from_memory)
         self._displaced_before = displaced
 

@@ -41,7 +41,7 @@ class Link(Protocol):
     Attributes:
         is_stream: True if lines continue from one read to the next.
         opens_at_once: True if opening never blocks.
-        lost: number of datagrams that the system dropped because they were not read in time.
+        dropped_count: number of datagrams that the system dropped because they were not read in time.
     """
 
     is_stream: bool
@@ -175,12 +175,12 @@ def make_link(source: NmeaSourceConfig) -> Link:
 
 
 class LinkReader:
-    """Reads a link in a thread of its own and queues its lines, at most :data:`WAITING_LINES`.
+    """Reads a link in a thread of its own and queues its lines, at most :data:`MAX_QUEUED_LINES`.
 
     Args:
         link: not opened yet.
         now_ns: the node's time.
-        came: called when lines have arrived.
+        on_lines: called when lines have arrived.
 
     Attributes:
         problem: why the link is not open, in one line; empty if it is.

@@ -20,7 +20,7 @@ class SenderFilter:
         addresses: allowed addresses, from any port; empty for one port of any address.
 
     Attributes:
-        held: the selected sender; empty if there is none.
+        selected: the selected sender; empty if there is none.
     """
 
     def __init__(self, addresses: tuple[str, ...]) -> None:

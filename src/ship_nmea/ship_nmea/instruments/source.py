@@ -40,7 +40,7 @@ class LiveReport(LineReport):
     Attributes:
         talkers: talker that is not of the source → number of its sentences.
         senders: sender that is not used → number of its texts.
-        last: reason → the line that was last rejected for it, shortened.
+        last_rejected: reason → the line that was last rejected for it, shortened.
         rejected_ns: reason → steady time of the last rejection.
         now_ns: steady time of the line being processed.
     """
@@ -108,7 +108,7 @@ class Source:
         """Return the messages of the next text, each with its topic; they are counted as published.
 
         Args:
-            heard: the text and its parsed content.
+            received: the text and its parsed content.
             arrival_ns: arrival by the node's time; 0 if the node has no time yet.
             now_ns: steady time.
             sender: address and port of a datagram; empty for a stream.

@@ -55,7 +55,7 @@ class BridgeAlerts:
     """Sends alerts to the sinks configured for them, and executes the bridge's commands.
 
     Args:
-        shell: of the node.
+        runtime: of the node.
     """
 
     def __init__(self, runtime: NmeaNode) -> None:

@@ -62,7 +62,7 @@ class NmeaOut:
     """Work of the node; see :class:`ship_nmea.nmea_node.Work`.
 
     Args:
-        shell: of the node.
+        runtime: of the node.
 
     Raises:
         BadInput: no sink can be opened, and trying again would not help.

@@ -24,11 +24,11 @@ class Outlet(ABC):
 
     Attributes:
         place: description of it.
-        lost_ns: steady time at which a client was last disconnected; None if never.
+        client_lost_ns: steady time at which a client was last disconnected; None if never.
 
     Args:
         config: of its sink.
-        hear: called with each received line and its sender's address.
+        receive: called with each received line and its sender's address.
     """
 
     def __init__(self, config: SinkConfig, receive: LineReceiver) -> None:

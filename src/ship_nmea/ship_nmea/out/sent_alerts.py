@@ -44,7 +44,7 @@ class SentAlerts:
     start at 1 again.
 
     Attributes:
-        left_out: number of alerts of the last message that are not sent, because there are more than MAX_ALERTS.
+        omitted_count: number of alerts of the last message that are not sent, because there are more than MAX_ALERTS.
     """
 
     def __init__(self) -> None:

@@ -52,10 +52,10 @@ class Sink:
     Args:
         name: of the sink.
         config: of the sink.
-        hear: called with each received line and its sender's address, in the thread of the sink.
+        receive: called with each received line and its sender's address, in the thread of the sink.
 
     Attributes:
-        refusal: error of the first opening if only the user can clear it; otherwise None.
+        opening_error: error of the first opening if only the user can clear it; otherwise None.
     """
 
     def __init__(self, name: str, config: SinkConfig, receive: LineReceiver) -> None:
@@ -93,7 +93,7 @@ class Sink:
 
         Args:
             sentence: without its line end.
-            lasts_ns: maximum time in the queue, ns; 0 for no limit.
+            max_wait_ns: maximum time in the queue, ns; 0 for no limit.
         """
         until_ns = time.monotonic_ns() + max_wait_ns if max_wait_ns else 0
         with self._lock:

@@ -53,7 +53,7 @@ class SentenceAttitude:
 
     Attributes:
         time_ns: its time of validity, POSIX UTC; of a void one, the time of sending.
-        worth: its quality.
+        quality: its quality.
         angles: heading, pitch, roll, rad; NaN = void.
         sigmas: standard deviation of each, rad; NaN = unknown.
         heading_rate: clockwise, rad/s; NaN = unknown.

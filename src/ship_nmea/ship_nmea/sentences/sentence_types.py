@@ -88,7 +88,7 @@ class HBT(pynmea2.TalkerSentence):  # type: ignore[misc]
 
 
 def text_field(text: str, max_length: int) -> str:
-    """Return a text as a field: ASCII, reserved characters as codes, at most ``most`` characters.
+    """Return a text as a field: ASCII, reserved characters as codes, at most ``max_length`` characters.
 
     A character without an equivalent in ASCII is ``?``. A text that is too long ends after a word, with ``..``.
 

@@ -63,7 +63,7 @@ class DeferringAdapter(BatchAdapter):
         if not self.core.due:
             return
         times_ns = [due.time_ns for due in self.core.due]
-        for some, found in self.core.estimates_due():
+        for some, found in self.core.compute_pending():
             parts = self.batch_outputs(some, found, times_ns)
             self._computed_outputs += [part._replace(place=self._computed_count + part.place) for part in parts]
         self._computed_count += len(times_ns)

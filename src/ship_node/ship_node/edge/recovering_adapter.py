@@ -148,7 +148,7 @@ class RecoveringAdapter(BatchAdapter):
         super()._update_duplicate_publishers(topic)
         candidate, feed = self.recovery.candidate, self.feeds[topic]
         if candidate is not None and not self.is_off(topic):
-            candidate.core.contest(feed.measurement_source or feed.source, self._duplicates.text(topic))
+            candidate.core.set_duplicate_publishers(feed.measurement_source or feed.source, self._duplicates.text(topic))
 
     # -- once a second --------------------------------------------------------------------------------------
 

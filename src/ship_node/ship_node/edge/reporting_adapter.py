@@ -276,7 +276,7 @@ class ReportingAdapter(ABC):
         """Pass the duplicate publishers of an input to health and core; if the source is off, to health only."""
         feed, text = self.feeds[topic], self._duplicates.text(topic)
         self.health.set_duplicate_publishers(topic, text)
-        self.core.contest(feed.measurement_source or feed.source, "" if self.is_off(topic) else text)
+        self.core.set_duplicate_publishers(feed.measurement_source or feed.source, "" if self.is_off(topic) else text)
 
     def check_clock(self, feed: Feed, time_ns: int, receive_ns: int, waiting_ns: int) -> Rejection | None:
         """Return why a message with this stamp is rejected, after processing a time step that it reveals."""

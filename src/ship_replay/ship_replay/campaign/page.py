@@ -35,7 +35,7 @@ def page(results: Sequence[ItemResult]) -> str:
         sources=_file_hashes({item.source for item in items}),
         parameter_sets=_file_hashes({item.parameters for item in items if item.parameters is not None}),
         seeds=_seeds_text(items),
-        by_parameters=pools_by_parameters(results),
+        pools_by_parameters=pools_by_parameters(results),
         by_source=pools(results, lambda item: f"{item.source.name}, {item.parameters_name}"),
         worst=worst_items(in_order),
         code=items[0].code,

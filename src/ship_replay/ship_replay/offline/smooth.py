@@ -119,7 +119,7 @@ class _SmoothingShipAdapter(ShipAttitudeAdapter):
 
     def before_adoption(self) -> list[OutputMessage]:
         """See :class:`RecoveringAdapter`; the attitudes are written at the end."""
-        self.finished_estimates += self.core.smoothed_to_the_end()
+        self.finished_estimates += self.core.smooth_remaining()
         return []
 
     def make_core(self, config: ShipAttitudeConfig, sky_model: SkyModel | None) -> ShipAttitudeCore:
@@ -208,7 +208,7 @@ def smooth(
         pointings: Iterable[BagRecord] = []
         if ship is not None:
             summary.outputs.append(SmoothedOutput(SMOOTHED_TOPIC, ATTITUDE_TYPE, ("heading", "pitch", "roll")))
-            estimates = itertools.chain(ship.finished_estimates, ship.core.smoothed_to_the_end())
+            estimates = itertools.chain(ship.finished_estimates, ship.core.smooth_remaining())
             attitudes = _smoothed_attitudes(estimates, real_time.attitudes, factory, ship.config.frames, summary.outputs[-1])
         if axis is not None:
             # The attitudes are both an input and an output.

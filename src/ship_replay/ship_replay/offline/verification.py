@@ -99,14 +99,14 @@ class Verification:
     """The result of a comparison.
 
     Attributes:
-        used: input topic or kind of event → how many the adapter was given.
-        equal: output topic → messages whose numbers are equal to the last bit.
+        input_counts: input topic or kind of event → how many the adapter was given.
+        equal_counts: output topic → messages whose numbers are equal to the last bit.
         other_texts: output topic → those of them in which a text differs.
         difference: the first difference in a number; None where there is none.
         text_difference: the first difference in a text; None where there is none.
         notes: what else is to be said, one line each.
-        unverified: why not all of the bag could be compared; empty where all was.
-        cut: whether that is nothing but the file's sudden end.
+        incomplete_reason: why not all of the bag could be compared; empty where all was.
+        is_truncated: whether that is nothing but the file's sudden end.
     """
 
     input_counts: Counter[str] = field(default_factory=Counter)
@@ -161,7 +161,7 @@ def verify_bag(
         adapter_classes: of the nodes that may take part, the main one first.
         config_path: suite configuration; None takes the one attached to the bag.
         namespace: namespace of the ship in the bag.
-        watch: wraps the iteration over the bag, for a progress bar.
+        progress: wraps the iteration over the bag, for a progress bar.
 
     Raises:
         BadInput: the bag, its topics or the configuration do not serve, or it holds no outputs.

@@ -46,7 +46,7 @@ class NearDependency:
 
     Attributes:
         names: names of the errors involved.
-        run: change of each of them for one sigma of the combination, signed, rad.
+        changes: change of each of them for one sigma of the combination, signed, rad.
         effect: effect of this change on the pointing, RMS over the sightings, rad.
     """
 

@@ -62,13 +62,13 @@ class AxisFit:
         fitted: names of the fitted errors, in the order of the covariance.
         covariance: covariance of the fitted errors, rad², shape (k, k), without common errors that the table does not
             state.
-        neighbours: correlation between the residuals of neighbouring sightings.
+        neighbour_correlation: correlation between the residuals of neighbouring sightings.
         sigmas_known: False if that correlation shows common errors that the table does not state.
         scale: robust sigma of one component of a sighting's own error, rad, without common errors.
         before: residuals without any model, to the right and up, rad, shape (n, 2).
         shared: estimated effect of the common errors, rad, shape (n, 2).
         residuals: residuals with the fitted model and without the common errors, rad, shape (n, 2).
-        left_out: residual of each sighting against the fit of the others, rad, shape (n, 2).
+        leave_one_out: residual of each sighting against the fit of the others, rad, shape (n, 2).
         weights: weight of each sighting, at most 1, shape (n,).
         design: change of direction per fitted error, shape (n, 2, k).
     """
@@ -160,7 +160,7 @@ class _Problem:
     Attributes:
         sightings: the sightings.
         free: True for each fitted axis error, shape (7,).
-        slow: effect of the common errors on the sightings, shape (n, 2, q).
+        correlated_map: effect of the common errors on the sightings, shape (n, 2, q).
     """
 
     sightings: Sightings

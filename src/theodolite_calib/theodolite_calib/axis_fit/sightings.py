@@ -87,7 +87,7 @@ class Sightings:
         elevation: reading of the elevation encoder, beyond the zenith if the telescope is plunged, rad, shape (n,).
         direction_d: true direction of the optical axis, unit vectors in the base's frame, shape (n, 3).
         time_s: time of each, s, UTC as POSIX time or from any other start, shape (n,); None if unknown.
-        slow_errors: errors of the directions common to several sightings.
+        correlated_errors: errors of the directions common to several sightings.
         repeated: labels of rows that repeat a sighting; every sighting counts once.
     """
 

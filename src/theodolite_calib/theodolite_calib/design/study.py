@@ -302,7 +302,7 @@ def _factor_in_field(tangents: FloatArray, middle: FloatArray, field: float) -> 
     """Return the factor on the beacons' distances from their middle at which the first leaves the field.
 
     Args:
-        beside: tangents of the beacons' angles from the axis, shape (N, 2), within the field.
+        tangents: tangents of the beacons' angles from the axis, shape (N, 2), within the field.
         middle: their mean, shape (2,).
         field: tangent of the radius of the field.
     """

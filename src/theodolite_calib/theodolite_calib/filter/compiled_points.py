@@ -30,9 +30,9 @@ def jacobian_by_states(
         by_direction: points by the directions of the beacons in n, m/rad, shape (N, 2, 3).
         by_focal_length: points by the focal length, m/m, shape (N, 2).
         lines: directions by c errors of the lines of sight, rad per unit, shape (N, 3, c).
-        turn_n: telescope by the states, rotation vector in n, shape (3, n).
+        by_state_n: telescope by the states, rotation vector in n, shape (3, n).
         focal_length: index of the focal length's state.
-        places: couplings (beacon, error, state): the state moves the beacon by that error; beacon -1 stands for all,
+        couplings: couplings (beacon, error, state): the state moves the beacon by that error; beacon -1 stands for all,
             shape (e, 3).
 
     Returns:

@@ -137,14 +137,14 @@ def beacon_innovations(
     """Return the innovations of a sighting of l beacons, with two of m components each, in h subfilters of n states.
 
     Args:
-        distance: states of each subfilter minus those of the main filter, shape (h, n).
+        separation: states of each subfilter minus those of the main filter, shape (h, n).
         parts: covariance of each subfilter, symmetric, shape (h, n, n).
         residual: residual of the main filter, shape (m,).
         jacobian: jacobian of the residual, shape (m, n).
         noise: covariance of the sighting itself, shape (m, m).
-        first: covariance of the main filter's residual, shape (m, m).
-        sees: components that each subfilter uses, shape (h, m).
-        known: components on which the innovation of each beacon is conditioned, in the main filter and in every
+        main_covariance: covariance of the main filter's residual, shape (m, m).
+        uses: components that each subfilter uses, shape (h, m).
+        conditioning: components on which the innovation of each beacon is conditioned, in the main filter and in every
             subfilter, shape (l, h + 1, m).
 
     Returns:

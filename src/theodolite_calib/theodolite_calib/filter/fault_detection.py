@@ -68,12 +68,12 @@ class ExclusionRecord:
 
     Attributes:
         exclusion: time of the exclusion, and time since which the source has been consistent.
-        why: reason, as text.
-        refused_m: size of the rejected residual on the detector, m; 0 if the baseline jumped.
-        jumped_n: sum of the jumps of the baseline (North, Up, East), m, shape (3,); zeros if it has jumped back or
+        reason: reason, as text.
+        rejected_residual_m: size of the rejected residual on the detector, m; 0 if the baseline jumped.
+        jump_sum_n: sum of the jumps of the baseline (North, Up, East), m, shape (3,); zeros if it has jumped back or
             never jumped.
-        jumped_sigma_m: standard deviation of that sum, m.
-        jump_ns: stamp of the last jump, ns.
+        jump_sum_sigma_m: standard deviation of that sum, m.
+        last_jump_ns: stamp of the last jump, ns.
     """
 
     exclusion: ExcludedSource
@@ -89,10 +89,10 @@ class UnresolvedFault:
     """Unresolved fault: beacons contradict the encoders and the ship's attitude, and no single source explains it.
 
     Attributes:
-        spread_n: possible error of the pointing: covariance of the rotation vector in n, rad², shape (3, 3).
-        lasting: True if more than one or two sightings disagreed; the fault then ends only after a period of
+        disagreement_n: possible error of the pointing: covariance of the rotation vector in n, rad², shape (3, 3).
+        is_persistent: True if more than one or two sightings disagreed; the fault then ends only after a period of
             consistency.
-        agrees_since_ns: time since which beacons have been accepted again; None while they are rejected.
+        consistent_since_ns: time since which beacons have been accepted again; None while they are rejected.
     """
 
     disagreement_n: FloatArray
@@ -105,10 +105,10 @@ class FaultState:
     """State of fault detection and exclusion.
 
     Attributes:
-        means: windowed innovation means of every drone in the main filter (first) and in every subfilter.
-        left_out: excluded sources by name.
-        conflict: unresolved fault; None if there is none.
-        jumped_ns: stamps up to which jumps of baselines have been processed, by source.
+        innovation_means: windowed innovation means of every drone in the main filter (first) and in every subfilter.
+        exclusions: excluded sources by name.
+        unresolved_fault: unresolved fault; None if there is none.
+        known_jumps_ns: stamps up to which jumps of baselines have been processed, by source.
     """
 
     innovation_means: InnovationMeans
@@ -127,9 +127,9 @@ def isolate_step_fault(source: str, explaining_sources: Set[str], streams: Strea
 
     Args:
         source: encoders or ship's attitude, as isolated by the subfilters.
-        explaining: all sources without which the rest is consistent.
-        told: largest steps of the two streams since the last accepted sighting.
-        off_rad: offset of the beacons on the sky, rad.
+        explaining_sources: all sources without which the rest is consistent.
+        streams: largest steps of the two streams since the last accepted sighting.
+        offset_rad: offset of the beacons on the sky, rad.
     """
     if streams.is_ship_unreliable:
         return SHIP if SHIP in explaining_sources else None
@@ -151,9 +151,9 @@ def isolate_drift_fault(source: str | None, explaining_sources: Set[str], is_com
 
     Args:
         source: as isolated by the subfilters; None if they isolate none.
-        explaining: all sources without which the rest is consistent.
-        alike: True if all beacons drift together.
-        ship_crept: True if the ship's attitude has departed from its own rates; None if unknown.
+        explaining_sources: all sources without which the rest is consistent.
+        is_common: True if all beacons drift together.
+        has_ship_drifted: True if the ship's attitude has departed from its own rates; None if unknown.
     """
     axis_sources = explaining_sources & {ENCODER, SHIP}
     if has_ship_drifted is not None:
@@ -176,7 +176,7 @@ class FaultDetector:
     Args:
         config: probabilities for exclusions, and the reinstatement time.
         gate: gate of the beacons.
-        rows: set of subfilters.
+        subfilters: set of subfilters.
         threshold: threshold of a solution separation, in standard deviations.
     """
 
@@ -191,7 +191,7 @@ class FaultDetector:
         """Restart the timers of sources that had no data before a sighting: a gap is no consistency.
 
         Args:
-            trust: state after the previous sighting.
+            fault_state: state after the previous sighting.
             names: beacons of this sighting.
             time_ns: time of the sighting.
         """
@@ -221,8 +221,8 @@ class FaultDetector:
         """Return True if a source is faulty, the isolated source or None, and all sources that explain the fault.
 
         Args:
-            trust: state after the sighting.
-            statistic: solution separation of each subfilter in standard deviations, shape (h,).
+            fault_state: state after the sighting.
+            separations: solution separation of each subfilter in standard deviations, shape (h,).
             time_ns: time of the sighting.
         """
         sources, excluded = self._subfilters.sources, fault_state.excluded_sources
@@ -302,11 +302,11 @@ class FaultDetector:
         """Compare a beacon of an excluded drone with the estimate by the others; reinstate the drone when due.
 
         Args:
-            trust: state before.
+            fault_state: state before.
             name: beacon.
-            compared: innovation against the estimate by all other sources; one filter.
+            innovation: innovation against the estimate by all other sources; one filter.
             time_ns: time of the sighting.
-            refused_m: residual on the detector that the fault would cause now, m; 0 if there is none.
+            expected_rejection_m: residual on the detector that the fault would cause now, m; 0 if there is none.
         """
         index, source = self._subfilters.beacons.index(name), BEACON_PREFIX + name
         record = fault_state.exclusions[source]

@@ -43,22 +43,22 @@ class CalibrationState:
     Attributes:
         time_ns: time of the state; None before the first sighting.
         mean: estimated errors, shape (..., n); the leading axis may be one of subfilters.
-        parts: covariance by error source, shape (..., n_sources, n, n).
-        unaided: covariance from the sightings alone (:mod:`theodolite_calib.filter.observability`).
-        alternatives: estimates without one source each.
-        trust: excluded sources and unresolved faults.
-        separation: solution separation of each subfilter in the pointing of the last accepted sighting, in standard
+        covariance_by_source: covariance by error source, shape (..., n_sources, n, n).
+        observability: covariance from the sightings alone (:mod:`theodolite_calib.filter.observability`).
+        subfilters: estimates without one source each.
+        fault_state: excluded sources and unresolved faults.
+        solution_separation: solution separation of each subfilter in the pointing of the last accepted sighting, in standard
             deviations, shape (h,).
-        ship_steady_n: stated covariance of the ship's error, rad², shape (3, 3); None if none is stated.
-        refusals: number of consecutive sightings, of beacons or stars, that were rejected against encoders and ship.
-        refused_for: text of the last of these rejections.
-        used_ns: time of the last accepted sighting of beacons; None before the first.
+        ship_covariance_n: stated covariance of the ship's error, rad², shape (3, 3); None if none is stated.
+        consecutive_rejections: number of consecutive sightings, of beacons or stars, that were rejected against encoders and ship.
+        rejection_text: text of the last of these rejections.
+        last_beacons_ns: time of the last accepted sighting of beacons; None before the first.
         light_count: number of beacons in it.
-        stars_ns: time of the last accepted exposure of stars; None before the first.
-        stays: pixel dwell of the stars by camera, if it matters; reset when the covariance is inflated.
+        last_stars_ns: time of the last accepted exposure of stars; None before the first.
+        pixel_dwells: pixel dwell of the stars by camera, if it matters; reset when the covariance is inflated.
         sighting_count: number of accepted sightings, of beacons and of stars.
-        points_used: number of beacons and stars in them.
-        squares: sum of the squares of their residuals on the sky, rad².
+        point_count: number of beacons and stars in them.
+        residual_square_sum: sum of the squares of their residuals on the sky, rad².
     """
 
     time_ns: int | None
@@ -150,7 +150,7 @@ class CalibrationFilter:
         Args:
             state: state after the previous sighting.
             time_ns: the time.
-            ship_now_n: covariance of the ship's error that is stated at that time, rad², shape (3, 3); None if none is.
+            new_ship_covariance_n: covariance of the ship's error that is stated at that time, rad², shape (3, 3); None if none is.
         """
         dt_s = 0.0 if state.time_ns is None else max(time_ns - state.time_ns, 0) * 1e-9
         decay, noise = self.model.transition(dt_s)

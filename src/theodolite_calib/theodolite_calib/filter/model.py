@@ -166,8 +166,8 @@ class ShipErrorStep:
     """Step of the ship's error when its stated covariance changes by much, at one time or at N times.
 
     Attributes:
-        kept: factor on each component of the old error, shape (3,) or (N, 3).
-        new_n: covariance of the added error, rad², shape (3, 3) or (N, 3, 3).
+        retained: factor on each component of the old error, shape (3,) or (N, 3).
+        added_n: covariance of the added error, rad², shape (3, 3) or (N, 3, 3).
     """
 
     retained: FloatArray
@@ -227,8 +227,8 @@ class ShipErrorProcess:
             parts: shape (..., n_sources, n, n), decayed and without the noise of the ship's error; changed in place.
             columns: slice of the ship's error in these two.
             decay: decay factors of the error over the time, shape (3,).
-            steady_n: covariance stated before, rad², shape (3, 3); None if none was.
-            now_n: covariance stated now; None if none is.
+            previous_n: covariance stated before, rad², shape (3, 3); None if none was.
+            stated_n: covariance stated now; None if none is.
             source_index: index of the ship's error in ``parts``; None for that of the filter.
         """
         source_index = self.source_index if source_index is None else source_index
@@ -249,7 +249,7 @@ def add_stationary_noise(
         columns: slice of the ship's error in them.
         source_index: index of the ship's error source.
         decay: decay factors of the error over the time, shape (3,).
-        steady_n: stationary covariance, rad², shape (3, 3); None if none is stated.
+        stationary_n: stationary covariance, rad², shape (3, 3); None if none is stated.
     """
     if stationary_n is not None:
         parts[..., source_index, columns, columns] += (1.0 - decay[0] ** 2) * stationary_n
@@ -259,8 +259,8 @@ def ship_error_step(previous_n: FloatArray | None, stated_n: FloatArray | None) 
     """Return the step from one stated covariance to another, rad², shape (3, 3) each; None if there is none.
 
     Args:
-        followed_n: covariance stated before; None if none was.
-        now_n: covariance stated now; None if none is, and there is no step.
+        previous_n: covariance stated before; None if none was.
+        stated_n: covariance stated now; None if none is, and there is no step.
     """
     if stated_n is None:
         return None
@@ -275,8 +275,8 @@ def ship_error_steps(previous_n: FloatArray | None, stated_n: FloatArray) -> Shi
     decrease. If it increased, the whole old error remains. The difference to the new covariance is added.
 
     Args:
-        followed_n: covariance stated before, rad², shape (3, 3); None if none was.
-        now_n: covariances stated at N times, shape (N, 3, 3).
+        previous_n: covariance stated before, rad², shape (3, 3); None if none was.
+        stated_n: covariances stated at N times, shape (N, 3, 3).
 
     Returns:
         Step whose fields have a leading axis of N; without a step the factor is 1 and the added covariance is 0.

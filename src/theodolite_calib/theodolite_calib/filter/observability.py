@@ -47,7 +47,7 @@ class Observability:
 
     Args:
         model: states of the filter.
-        tells_lens: True to include N', if it is a state.
+        includes_lens: True to include N', if it is a state.
     """
 
     def __init__(self, model: StateModel, includes_lens: bool = False) -> None:

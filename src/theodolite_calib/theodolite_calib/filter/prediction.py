@@ -53,7 +53,7 @@ class Prediction:
 
     Attributes:
         rotation_nt: horizon from telescope, shape (3, 3).
-        turn_n: rotation vector of the telescope in n per state, shape (3, n).
+        by_state_n: rotation vector of the telescope in n per state, shape (3, n).
         noise_n: covariance of the telescope's rotation vector that is white from exposure to exposure, by source, rad²,
             shape (3, 3).
         camera: camera with the estimated focal length.
@@ -111,7 +111,7 @@ class SightingModel:
         """Return the rotation vector in n per state of a camera fixed to the main axis, shape (3, n).
 
         Args:
-            chain: geometry of the main axis.
+            geometry: geometry of the main axis.
             by_parallelism: rotation vector of the camera per angle of its parallelism, shape (3, 3).
             parallelism: name of the states of these angles.
         """
@@ -205,7 +205,7 @@ class _BeaconSetup:
     Attributes:
         survey: surveyed quantities, not corrected by the states.
         attitude_covariance_n: covariances of the drones' attitudes, rad², shape (N, 3, 3).
-        places: couplings of states, beacons and errors of the lines of sight, as
+        couplings: couplings of states, beacons and errors of the lines of sight, as
             :func:`theodolite_calib.filter.compiled_points.jacobian_by_states` takes them, shape (e, 3).
     """
 

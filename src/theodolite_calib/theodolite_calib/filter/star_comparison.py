@@ -43,7 +43,7 @@ class CameraAttitude:
 
     Attributes:
         rotation_ns: horizon from camera, shape (3, 3).
-        turn_n: its rotation vector in n per state, shape (3, n).
+        by_state_n: its rotation vector in n per state, shape (3, n).
         noise_n: covariance of that rotation vector that is white from exposure to exposure, by source, rad², shape (3,
             3).
     """
@@ -66,7 +66,7 @@ class StarComparison:
         camera: attitude at the point of linearisation.
         stars: accepted stars, with residuals at that point.
         measurement: residual relative to the propagated mean, rad, shape (2 k,), with Jacobian and noise by source.
-        rows: innovation against the propagated state, as the only filter.
+        innovations: innovation against the propagated state, as the only filter.
     """
 
     camera: CameraAttitude
@@ -167,7 +167,7 @@ class StarModel:
             mean: mean of the propagated state, shape (n,).
             covariance: covariance of the propagated state, shape (n, n).
             sighting: the exposure.
-            watch: sky model.
+            sky: sky model.
 
         Raises:
             numpy.linalg.LinAlgError: the covariance of the residual is not positive definite.

@@ -33,7 +33,7 @@ class StarStep:
     Args:
         config: parameters of the node.
         filter_: filter of that configuration.
-        watch: sky model.
+        sky: sky model.
     """
 
     def __init__(self, config: OpticalAxisConfig, filter_: CalibrationFilter, sky: SkyModel) -> None:

@@ -49,11 +49,11 @@ class SightingStep:
     Args:
         config: parameters of the node.
         filter_: filter of that configuration.
-        streams_since: function of two times, ns, that returns the consistency of the encoder and ship streams between
+        stream_consistency: function of two times, ns, that returns the consistency of the encoder and ship streams between
             them; None if it is not evaluated, or too long ago.
-        ship_crept: function of a time, ns, that returns True if the ship's attitude has departed from its own rates
+        has_ship_drifted: function of a time, ns, that returns True if the ship's attitude has departed from its own rates
             before it; None if unknown.
-        own_faults: function of a time, ns, that returns which of the encoder and ship streams were stuck, jumped or
+        stream_faults: function of a time, ns, that returns which of the encoder and ship streams were stuck, jumped or
             repeated a stamp shortly before it.
     """
 
@@ -317,7 +317,7 @@ def count_rejection(
         state: state before the rejected sighting.
         decision: decision about it.
         gate: limits of a run.
-        what: measured objects, for the text.
+        measured: measured objects, for the text.
     """
     run = state.consecutive_rejections + 1
     state = replace(state, consecutive_rejections=run, rejection_text=decision.text)
@@ -340,10 +340,10 @@ def solution_separations(
 
     Args:
         state: main filter.
-        rows: subfilters.
-        turning: indices of the states that turn the main axis.
+        subfilters: subfilters.
+        axis_indices: indices of the states that turn the main axis.
         rotation_nc: horizon from a camera on the main axis, shape (3, 3).
-        turn_n: its rotation vector in n per state, shape (3, n).
+        by_state_n: its rotation vector in n per state, shape (3, n).
     """
     to_axes = rotation_nc.T @ by_state_n[:, axis_indices]
     separation = (subfilters.mean - state.mean)[:, axis_indices] @ to_axes.T

@@ -47,8 +47,8 @@ class SubfilterStates:
     Attributes:
         time_ns: time of all estimates; None before the first sighting.
         mean: shape (h, n).
-        parts: covariance, with a single source, shape (h, 1, n, n).
-        ship_steady_n: stated covariance of the ship's error, rad², shape (3, 3); None if none is stated.
+        covariances: covariance, with a single source, shape (h, 1, n, n).
+        ship_covariance_n: stated covariance of the ship's error, rad², shape (3, 3); None if none is stated.
     """
 
     time_ns: int | None
@@ -63,9 +63,9 @@ class SubfilterInnovations:
 
     Attributes:
         accepted: True for each subfilter in which the sighting passes the gate, shape (h,).
-        light_nis: normalised innovation squared of each beacon, in the main filter and in every subfilter, shape (h +
+        beacon_nis: normalised innovation squared of each beacon, in the main filter and in every subfilter, shape (h +
             1, l).
-        light_turn: whitened innovation, along the axes of the detector and 0, shape (h + 1, l, 3).
+        whitened_innovation: whitened innovation, along the axes of the detector and 0, shape (h + 1, l, 3).
     """
 
     accepted: NDArray[np.bool_]
@@ -77,11 +77,11 @@ class _MeasurementPattern(NamedTuple):
     """Components of a sighting that each subfilter uses; h subfilters, l beacons, m = 2 l components.
 
     Attributes:
-        sees: components that each subfilter uses, shape (h, m).
-        known: components of the other beacons on which the innovation of one beacon is conditioned, in the main filter
+        uses: components that each subfilter uses, shape (h, m).
+        conditioning: components of the other beacons on which the innovation of one beacon is conditioned, in the main filter
             and in every subfilter, shape (l, h + 1, m). Without encoders or ship a single beacon has no information,
             but several together have.
-        learns: states that are updated, all of them, shape (h, n).
+        updated_states: states that are updated, all of them, shape (h, n).
         gates: gate for the components that each subfilter uses, shape (h,).
     """
 
@@ -202,10 +202,10 @@ class SubfilterSet:
         """Update the subfilters with a sighting of beacons; return them with their innovations.
 
         Args:
-            rows: subfilters, propagated to the time of the sighting.
+            subfilters: subfilters, propagated to the time of the sighting.
             names: beacons, none of them of an excluded drone.
             measurement: two components for each beacon; the residual is that of the main filter.
-            first: propagated mean of the main filter, shape (n,), and covariance of its residual, shape (m, m).
+            main_filter: propagated mean of the main filter, shape (n,), and covariance of its residual, shape (m, m).
             excluded: sources that every subfilter leaves out.
             probability: probability of the gate.
         """
@@ -249,10 +249,10 @@ class SubfilterSet:
         No subfilter leaves out the stars: an exposure has many stars, which check one another.
 
         Args:
-            rows: subfilters, propagated to the time of the exposure.
+            subfilters: subfilters, propagated to the time of the exposure.
             measurement: stars; the residual is that of the main filter.
-            first_mean: propagated mean of the main filter, shape (n,).
-            by_turn: derivative of the residual by a rotation of the camera, shape (m, 3).
+            main_mean: propagated mean of the main filter, shape (n,).
+            rotation_jacobian: derivative of the residual by a rotation of the camera, shape (m, 3).
             probability: probability of the gate.
         """
         stack = subfilters.covariances[:, 0]

@@ -44,7 +44,7 @@ class BeaconCheck:
     """Result of the check of the beacons of one exposure.
 
     Attributes:
-        verdict: as :class:`BeaconCheckResult` explains.
+        result: as :class:`BeaconCheckResult` explains.
         order: the point ``order[i]`` of the image is beacon i; as named unless SWAPPED.
         attitude: attitude of the telescope from the beacons alone in that order.
         prior_chi2: of the difference between that attitude and the prior, 3 degrees of freedom; None without a prior.

@@ -152,7 +152,7 @@ def flatten_exposures(values: FloatArray | float, leading: tuple[int, ...], item
     Args:
         values: shape (..., *own), of which the leading axes broadcast.
         leading: shape of the exposures; empty for one.
-        own: shape of the values of one exposure.
+        item_shape: shape of the values of one exposure.
     """
     array: FloatArray = np.asarray(values, dtype=float)
     whole = (*leading, *item_shape)
@@ -176,7 +176,7 @@ class BeaconStreaks:
         rotation_nt: horizon from telescope at these, shape (m, 3, 3).
         middle_nt: the same at the middle, shape (3, 3).
         path_n: from the telescope to the beacons at the middle, m, shape (N, 3).
-        moved_n: these paths at the nodes minus those at the middle, m, shape (m, N, 3).
+        displacement_n: these paths at the nodes minus those at the middle, m, shape (m, N, 3).
     """
 
     image: Image

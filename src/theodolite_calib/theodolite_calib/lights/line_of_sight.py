@@ -79,12 +79,12 @@ class Survey:
         theodolite_lever: from the ship's antenna to the crossing of the theodolite's axes, in d.
         principal_point: N' of the telescope's lens from there, in m. Its error shifts all beacons equally, so that no
             residual shows it.
-        light_lever: from the drone's antenna to its light, in b.
+        beacon_lever: from the drone's antenna to its light, in b.
         rtk_base_sigma_m: error of the baselines (N, U, E) common to all: the ship's antenna, shape (3,).
         rtk_bias_sigma_m: correlated error of each single baseline (N, U, E), shape (3,).
         refraction_coefficient: k of the air near the sea, about 0.13; one, or one for each beacon, shape (..., N).
         refraction_sigma: error of k common to all beacons.
-        refraction_light_sigma: further error of k on the path to each beacon, in the same shapes.
+        refraction_beacon_sigma: further error of k on the path to each beacon, in the same shapes.
     """
 
     theodolite_lever: LeverArm
@@ -106,8 +106,8 @@ class ErrorTerm:
     Attributes:
         name: name of the error.
         source: its source in the error budget.
-        common: True if one error moves all beacons; False if each beacon has its own.
-        slow: True if the error is correlated in time; False if it is white.
+        is_common: True if one error moves all beacons; False if each beacon has its own.
+        is_correlated: True if the error is correlated in time; False if it is white.
         jacobian_n: derivative of the unit directions by the error, rad per unit, shape (..., N, 3, k).
         covariance: covariance of the error, shape (..., k, k) if common, (..., N, k, k) if not; or (k, k) in either
             case.
@@ -160,7 +160,7 @@ class LinesOfSight:
         distance_m: to the beacons, shape (..., N).
         jacobian_n: derivative of the unit directions by the errors of :data:`TERM_COLUMNS`, rad per unit, shape (...,
             N, 3, 19).
-        lights: poses of the beacons.
+        beacons: poses of the beacons.
         ship: ship at that time.
         survey: surveyed quantities.
     """

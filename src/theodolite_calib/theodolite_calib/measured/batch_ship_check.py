@@ -73,8 +73,8 @@ class BatchShipCheck:
 
         Args:
             sample: the attitude.
-            used: accepted attitudes so far.
-            told_rad: step with it that the source itself reports, rad.
+            accepted_track: accepted attitudes so far.
+            reported_step_rad: step with it that the source itself reports, rad.
         """
         place = len(self._checked)
         if place == len(self._batch) or sample is not self._batch[place]:

@@ -63,7 +63,7 @@ class CheckedReading(NamedTuple):
     """Result of the check of a reading.
 
     Attributes:
-        refusal: reason of its rejection; None if it is accepted.
+        rejection: reason of its rejection; None if it is accepted.
         jump: slip that is accepted with this reading, whether the reading is used or not; None if there is none.
     """
 

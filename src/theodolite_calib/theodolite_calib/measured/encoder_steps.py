@@ -46,8 +46,8 @@ class EncoderStep(NamedTuple):
         time_ns: just before the first reading after it.
         step: step of azimuth and elevation, rad, shape (2,).
         sigma_rad: standard deviation of each of the two.
-        sure_rad: lower bound of the step about the larger axis, three standard deviations, rad.
-        within_s: interval between the readings before and after it.
+        lower_bound_rad: lower bound of the step about the larger axis, three standard deviations, rad.
+        interval_s: interval between the readings before and after it.
     """
 
     time_ns: int
@@ -62,7 +62,7 @@ class _PredictionError(NamedTuple):
 
     Attributes:
         time_ns: stamp of the reading.
-        by: error of azimuth and elevation, rad, shape (2,).
+        error: error of azimuth and elevation, rad, shape (2,).
         gain: sigma of each per sigma of one reading.
         sigma_rad: standard deviation of each by noise.
         bound_rad: bound for a valid reading.
@@ -109,7 +109,7 @@ class EncoderStepDetector:
             angles: azimuth and elevation, rad, shape (2,).
             sigma_rad: stated noise of each.
             coarseness_rad: resolution of the printed values; 0 if every value is new.
-            longest_ns: maximum interval between readings that are compared.
+            max_gap_ns: maximum interval between readings that are compared.
         """
         if self._previous:
             before_ns, before = self._previous[-1]

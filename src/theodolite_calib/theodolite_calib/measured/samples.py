@@ -55,7 +55,7 @@ class EncoderSeries:
         time_ns: in ascending order, shape (N,).
         angles: azimuth and elevation, rad, shape (N, 2).
         variance: variance of each of the two, from noise and unconfirmed steps, rad², shape (N,).
-        doubt: reason why each is unconfirmed; empty if it is confirmed.
+        unconfirmed_reasons: reason why each is unconfirmed; empty if it is confirmed.
     """
 
     time_ns: StampArray
@@ -65,7 +65,7 @@ class EncoderSeries:
 
     @classmethod
     def from_samples(cls, samples: Sequence[EncoderSample], unconfirmed_reasons: Sequence[str], unconfirmed_sigmas_rad: Sequence[float]) -> "EncoderSeries":
-        """Return the series of some readings; ``doubts_rad`` is an additional standard deviation of each angle."""
+        """Return the series of some readings; ``unconfirmed_sigmas_rad`` is an additional standard deviation of each angle."""
         variances = [sample.sigma**2 + unconfirmed_sigma_rad**2 for sample, unconfirmed_sigma_rad in zip(samples, unconfirmed_sigmas_rad, strict=True)]
         times_ns = np.array([sample.time_ns for sample in samples])
         return cls(times_ns, np.array([sample.vector for sample in samples]), np.array(variances), list(unconfirmed_reasons))
@@ -76,7 +76,7 @@ class ShipSample(AttitudeSample):
     """Ship's attitude at one time.
 
     Attributes:
-        slow_covariance_n: covariance of the correlated part of its error, rotation vector in n, rad², shape (3, 3);
+        correlated_covariance_n: covariance of the correlated part of its error, rotation vector in n, rad², shape (3, 3);
             None if the configuration states it.
         status: status stated by the source.
     """
@@ -96,7 +96,7 @@ class BaselineSample(VectorSample):
 
     Attributes:
         covariance_n: covariance of its white error, m², shape (3, 3).
-        refusal: reason why it must not be used; None if it may. A rejected baseline is kept, so that no exposure waits
+        rejection: reason why it must not be used; None if it may. A rejected baseline is kept, so that no exposure waits
             for a better one of its time.
     """
 
@@ -134,7 +134,7 @@ class Exposure:
 
     Attributes:
         time_ns: middle of the exposure.
-        lights: beacons in the order of their names, each name once.
+        beacons: beacons in the order of their names, each name once.
         exposure_s: duration; 0 if the message does not state it.
     """
 
@@ -256,7 +256,7 @@ class ExposureDecision(MeasurementDecision[AnyExposure]):
     Attributes:
         telescope_dt: deck from telescope by the beacons, shape (3, 3), and the standard deviation about its worst axis,
             rad; None if not determined.
-        excluded: sources that are excluded after it.
+        excluded_sources: sources that are excluded after it.
     """
 
     telescope_dt: tuple[FloatArray, float] | None = None
@@ -270,9 +270,9 @@ class PointingEstimate:
     Attributes:
         time_ns: time of validity.
         rotation_nm: horizon from main frame, shape (3, 3).
-        parts_n: error covariance by source, rotation vector in n, rad², shape (n_sources, 3, 3).
+        covariance_by_source_n: error covariance by source, rotation vector in n, rad², shape (n_sources, 3, 3).
         covariance_n: total covariance, with the inflation by solution separations, shape (3, 3).
-        undisputed_n: the same without that inflation; the protection levels use it.
+        covariance_without_separation_n: the same without that inflation; the protection levels use it.
         rotation_nt: horizon from telescope, shape (3, 3); NaN in mode ENCODER.
         mode: source of the pointing.
         status: status of the pointing.
@@ -306,9 +306,9 @@ class PointingSeries:
     Attributes:
         time_ns: in ascending order, shape (N,).
         rotation_nm: shape (N, 3, 3).
-        parts_n: shape (N, n_sources, 3, 3).
+        covariance_by_source_n: shape (N, n_sources, 3, 3).
         covariance_n: shape (N, 3, 3).
-        undisputed_n: shape (N, 3, 3).
+        covariance_without_separation_n: shape (N, 3, 3).
         rotation_nt: shape (N, 3, 3).
         mode: shape (N,).
         status: N statuses.

@@ -26,7 +26,7 @@ class Sighting:
         time_ns: middle of the exposure.
         names: names of the N beacons.
         image: points on the detector.
-        lights: baselines and drone attitudes; the covariance of the drones' attitudes is not used.
+        beacons: baselines and drone attitudes; the covariance of the drones' attitudes is not used.
         ship: ship's attitude.
         encoder: encoder angles.
         streaks: beacons as detected, if ``image`` has them at the middle of an exposure of known duration; else None.
@@ -70,8 +70,8 @@ class AssembledSighting:
 
     Attributes:
         sighting: beacons with complete data; None if there is none.
-        refusal: reason if there is none.
-        lights_refused: the other beacons, by name.
+        rejection: reason if there is none.
+        rejected_beacons: the other beacons, by name.
         jumps: baseline jumps of the sighting's beacons, by name.
     """
 

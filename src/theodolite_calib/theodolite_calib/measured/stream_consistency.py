@@ -79,7 +79,7 @@ class StreamConsistency:
     Attributes:
         encoder: largest step of the encoders; None if the readings do not allow a test.
         ship: largest step of the ship's attitude; None if the attitudes do not allow a test.
-        ship_in_doubt: True if the ship's attitude was DEGRADED, or missing for a while.
+        is_ship_unreliable: True if the ship's attitude was DEGRADED, or missing for a while.
     """
 
     encoder: LargestStep | None

@@ -45,7 +45,7 @@ class ShipAt:
     Attributes:
         rotation_nd: horizon from deck, shape (3, 3).
         rate_d: angular velocity in the deck frame, rad/s, shape (3,).
-        slow_covariance_n: as in :class:`theodolite_calib.measured.samples.ShipSample`.
+        correlated_covariance_n: as in :class:`theodolite_calib.measured.samples.ShipSample`.
         noise: variance of each component of the white error and of interpolation, rad².
         status: status stated by the source; between two attitudes the worse one.
         chord_nd: horizon from deck as tf2 interpolates it, at a constant rate from one ship/attitude to the next; None
@@ -67,7 +67,7 @@ class ShipSeries:
     Attributes:
         rotation_nd: shape (N, 3, 3).
         rate_d: shape (N, 3).
-        slow_covariance_n: shape (N, 3, 3); None if the configuration states it.
+        correlated_covariance_n: shape (N, 3, 3); None if the configuration states it.
         noise: shape (N,).
         status: N statuses.
         chord_nd: shape (N, 3, 3); None with the INS alone.
@@ -199,7 +199,7 @@ class MeasuredTracks:
 
         Args:
             time_ns: the time.
-            over: times of an exposure about it that the track spans; the noise is then that of the mean over it.
+            nodes: times of an exposure about it that the track spans; the noise is then that of the mean over it.
         """
         attitude = self.ship.at(time_ns - self.ship_shift_ns)
         if attitude is None:
@@ -218,7 +218,7 @@ class MeasuredTracks:
         return ShipAt(attitude.rotation_nd, attitude.rate_d, sample.correlated_covariance_n, noise, status, chord_nd)
 
     def encoder_at(self, time_ns: int, nodes: Nodes | None = None) -> EncoderAt | None:
-        """Return the encoders at a time; None in a gap. For ``over`` see :meth:`ship_at`."""
+        """Return the encoders at a time; None in a gap. For ``nodes`` see :meth:`ship_at`."""
         angles = self.encoder.at(time_ns)
         sample = self.encoder.last_before(time_ns)
         if angles is None or sample is None:

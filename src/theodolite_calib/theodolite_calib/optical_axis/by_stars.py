@@ -35,7 +35,7 @@ def pointing_by_stars(
 
     Args:
         exposure: exposure as the camera recorded it.
-        watch: sky model.
+        sky: sky model.
         config: parameters of the node.
         filter_: filter of that configuration.
         state: state with the camera's parallelism.

@@ -93,11 +93,11 @@ class OpticalAxisCore:
 
     Args:
         config: parameters of the node.
-        watch: sky model; None if no camera observes stars.
-        closed: callback for states that can no longer change, in order; None if unused.
+        sky: sky model; None if no camera observes stars.
+        on_commit: callback for states that can no longer change, in order; None if unused.
 
     Attributes:
-        due: offline, pointings that are computed together on request; None if each is computed at once.
+        pending: offline, pointings that are computed together on request; None if each is computed at once.
     """
 
     filter_class: ClassVar[type[CalibrationFilter]] = CalibrationFilter

@@ -54,7 +54,7 @@ class AxesAt(NamedTuple):
     Attributes:
         rotation_nm: horizon from main frame, shape (N, 3, 3).
         by_error_n: rotation vector of the main axis in n per state that turns it, shape (N, 3, k).
-        parts_n: error covariance of the main axis by source, rotation vector in n, rad², shape (N, n_sources, 3, 3).
+        covariance_by_source_n: error covariance of the main axis by source, rotation vector in n, rad², shape (N, n_sources, 3, 3).
     """
 
     rotation_nm: FloatArray
@@ -75,7 +75,7 @@ class CorrectedAxis:
     Attributes:
         state: the same.
         rotation_mt: main frame from telescope, shape (3, 3).
-        disputed: covariance added to these states by the solution separations, shape (k, k).
+        separation_inflation: covariance added to these states by the solution separations, shape (k, k).
     """
 
     def __init__(self, filter_: CalibrationFilter, state: CalibrationState) -> None:
@@ -136,8 +136,8 @@ class PendingPointing(NamedTuple):
     Attributes:
         sample: the reading.
         ship: ship's attitude at its time.
-        doubt: reason why the encoders are unconfirmed; empty if they are confirmed.
-        doubt_rad: additional standard deviation of each angle while unconfirmed, rad.
+        unconfirmed_reason: reason why the encoders are unconfirmed; empty if they are confirmed.
+        unconfirmed_sigma_rad: additional standard deviation of each angle while unconfirmed, rad.
         state: state of the filter after the last exposure applied.
     """
 

@@ -44,7 +44,7 @@ class TargetProcessor:
         filter_: filter of that configuration.
         pointing: computes the pointings.
         tracks: tracks of the measured samples.
-        contradictions: stamp conflicts of the source of the images.
+        stamp_conflicts: stamp conflicts of the source of the images.
     """
 
     def __init__(
@@ -198,7 +198,7 @@ class TargetOutput:
 
         Args:
             sample: its image.
-            turned_nm: horizon from main frame at m times, shape (m, 3, 3).
+            rotations_nm: horizon from main frame at m times, shape (m, 3, 3).
             middle_nm: the same at the middle, where the target is at its image point, shape (3, 3).
         """
         camera = self._detector.camera
@@ -220,7 +220,7 @@ class TargetOutput:
         Args:
             sample: its image.
             point_m: detector point at the middle of the exposure, shape (2,).
-            due: inputs of the pointing at that time.
+            pending: inputs of the pointing at that time.
             pointing: pointing at that time.
             status: status of the direction.
             text: reason if it is not VALID.

@@ -236,7 +236,7 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         return published + super().report_outcome(outcome, now_ns, waiting_ns)
 
     def batch_messages(self, series: Sequence[PointingSeries]) -> Iterator[OutputRows]:
-        """See :meth:`BlockAdapter.block_messages`."""
+        """See :meth:`BatchAdapter.batch_messages`."""
         rows = pointing_rows(self.factory, self._lever, PointingNumbers.from_series(series), self.config.frames)
         return (each for each in rows if each.topic != TF_TOPIC or self.config.publish_tf)
 

@@ -30,7 +30,7 @@ class AxisStatePredictor:
         stated_n: returns the stated covariance of the ship's error at N times, rad², shape (N, 3, 3); None if none is.
 
     Attributes:
-        rows: indices of the r predicted states, shape (r,).
+        state_indices: indices of the r predicted states, shape (r,).
     """
 
     predicts_before_first = True

@@ -38,7 +38,7 @@ class _PointingInputs(NamedTuple):
     Attributes:
         sample: encoder reading.
         ship: ship's attitude at its time.
-        disputed_n: covariance added by the solution separations, rad², shape (3, 3).
+        separation_covariance_n: covariance added by the solution separations, rad², shape (3, 3).
     """
 
     sample: EncoderSample
@@ -51,7 +51,7 @@ class _ToldAtOnce(NamedTuple):
 
     Attributes:
         estimate: without its state and without the covariance by source, because many are stored.
-        rests_on: inputs; None if it is not smoothed: it had an unresolved fault, or was from stars alone.
+        inputs: inputs; None if it is not smoothed: it had an unresolved fault, or was from stars alone.
     """
 
     estimate: PointingEstimate
@@ -63,7 +63,7 @@ class SmoothingAxisCore(OpticalAxisCore):
 
     Args:
         config: parameters of the node.
-        watch: sky model; None if no camera observes stars.
+        sky: sky model; None if no camera observes stars.
     """
 
     filter_class: ClassVar[type[CalibrationFilter]] = TracedFilter
@@ -155,7 +155,7 @@ class _SmoothedOutput:
 
     Args:
         filter_: the filter.
-        rows: indices of the smoothed states.
+        state_indices: indices of the smoothed states.
     """
 
     def __init__(self, filter_: CalibrationFilter, state_indices: NDArray[np.intp]) -> None:

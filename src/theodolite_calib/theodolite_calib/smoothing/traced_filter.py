@@ -20,8 +20,8 @@ class TracedState(CalibrationState):
     """State with its last update.
 
     Attributes:
-        came: update by the last accepted sighting or the last jump; None before the first.
-        leads_back: True for a propagated state that follows by prediction alone; False if a subfilter has become the
+        last_update: update by the last accepted sighting or the last jump; None before the first.
+        is_predicted_only: True for a propagated state that follows by prediction alone; False if a subfilter has become the
             main filter since then.
     """
 

@@ -99,7 +99,7 @@ class TargetPosition:
 
     Attributes:
         time_ns: the time.
-        place: position in the common frame, with the test of its residuals; or the rejection.
+        position: position in the common frame, with the test of its residuals; or the rejection.
         stations: theodolites with a direction at that time.
         status: worst status of their directions.
     """
@@ -111,7 +111,7 @@ class TargetPosition:
 
 
 def is_leading(number: int, time_ns: int, stations: Sequence[StationDirections]) -> bool:
-    """True if a theodolite has a direction at a time, and none of those before it in ``seen_by`` has."""
+    """True if a theodolite has a direction at a time, and none of those before it in ``stations`` has."""
     return stations[number].has_direction_at(time_ns) and not any(before.has_direction_at(time_ns) for before in stations[:number])
 
 

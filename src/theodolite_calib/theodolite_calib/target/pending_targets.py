@@ -21,7 +21,7 @@ class PendingTargets:
     """Pending images of one run, and those answered recently.
 
     Args:
-        contradictions: stamp conflicts of their source.
+        stamp_conflicts: stamp conflicts of their source.
     """
 
     def __init__(self, stamp_conflicts: StampConflicts) -> None:

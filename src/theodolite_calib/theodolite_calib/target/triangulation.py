@@ -39,7 +39,7 @@ class Station:
 
     Attributes:
         name: name of the theodolite.
-        place: its centre, on WGS 84.
+        position: its centre, on WGS 84.
         sigma_m: error of the position, each axis.
     """
 
@@ -82,7 +82,7 @@ class TriangulatedPosition:
         sigma: their predicted standard deviations from the directions' own errors, rad, shape (2 N,).
         chi_square: chi-square of all residuals together.
         gate: threshold of the chi-square.
-        refusal: rejection if the directions are inconsistent; None if they are consistent.
+        rejection: rejection if the directions are inconsistent; None if they are consistent.
     """
 
     position_n: FloatArray

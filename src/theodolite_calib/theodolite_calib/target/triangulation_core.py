@@ -44,8 +44,8 @@ class PositionEstimate:
         status: status of the position.
         text: reason if it is not VALID.
         stations: theodolites with a direction at that time.
-        compared: position with the residuals of the directions; None if there is none.
-        refusal: reason for INVALID; None if there is a position.
+        triangulated: position with the residuals of the directions; None if there is none.
+        rejection: reason for INVALID; None if there is a position.
     """
 
     time_ns: int
@@ -91,10 +91,10 @@ class _Target:
     """Directions to one target.
 
     Attributes:
-        seen_by: its directions by each theodolite, in their order.
+        stations: its directions by each theodolite, in their order.
         reports: times of each theodolite's reports, in the same order.
         waiting: (stamp, number of the theodolite) of each pending direction → time of reception.
-        done_ns: last stamp that was answered, of this target or of a dropped one, which may have been the same.
+        last_answered_ns: last stamp that was answered, of this target or of a dropped one, which may have been the same.
     """
 
     stations: list[StationDirections]
