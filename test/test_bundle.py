@@ -250,7 +250,12 @@ def test_pins_and_wheels_are_compared_by_the_names_of_an_index() -> None:
 
 def test_a_lock_is_read_by_its_sections() -> None:
     lock = "# Head.\n# [ros] ROS\nros-a==1\n\n# [all] more\nb==2 ; python_version >= '3.11'\n"
-    assert locked_requirements(lock) == {"ros": ["ros-a==1"], "build": [], "python": [], "all": ["b==2 ; python_version >= '3.11'"]}
+    assert locked_requirements(lock) == {
+        "ros": ["ros-a==1"],
+        "build": [],
+        "python": [],
+        "all": ["b==2 ; python_version >= '3.11'"],
+    }
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,9 @@ def environment(tmp_path_factory):
             LiveProcess(suite, folder / "suite.log", environment) as process,
             LiveProcess(alerts, folder / "alerts.log", environment),
         ):
-            assert observer.wait_for({"/alpha/ship/attitude": 1, "/alpha/ship/alerts": 1}, timeout_s=60), process.log_text()
+            assert observer.wait_for({"/alpha/ship/attitude": 1, "/alpha/ship/alerts": 1}, timeout_s=60), (
+                process.log_text()
+            )
             yield environment
 
 
@@ -90,7 +92,11 @@ def test_parameters_are_listed_with_units_read_and_set(environment):
 
 
 def test_a_source_is_removed_and_added_again(environment):
-    assert run_command(environment, "param", NODE, "sources_off", "star.fore") == (0, "sources_off = star.fore, was []\n", "")
+    assert run_command(environment, "param", NODE, "sources_off", "star.fore") == (
+        0,
+        "sources_off = star.fore, was []\n",
+        "",
+    )
     assert run_command(environment, "param", NODE, "sources_off", "[]") == (0, "sources_off = [], was star.fore\n", "")
     code, _, told = run_command(environment, "param", NODE, "sources_off", "fore")
     assert code == 1

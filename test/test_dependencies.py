@@ -34,7 +34,9 @@ def test_every_import_of_a_package_is_declared(package: str) -> None:
 @pytest.mark.parametrize("package", PYTHON_PACKAGES)
 def test_no_library_is_declared_that_is_not_imported(package: str) -> None:
     used = {library.key for library in libraries(package)}
-    assert {key for key in declared_keys(package, "depend", "exec_depend") if key.startswith("python3-")} - used == set()
+    assert {
+        key for key in declared_keys(package, "depend", "exec_depend") if key.startswith("python3-")
+    } - used == set()
     tested = {LIBRARIES[name].distribution for name in imported_names(SRC / package) & LIBRARIES.keys()}
     assert required_distributions(package) - tested - set(packages()) - {"setuptools"} == set()
 

@@ -53,7 +53,10 @@ def test_transforms_are_left_to_another_node(publish_tf, told):
 
 def part_and_suite(tmp_path, publish_tf=True):
     """Return the first seconds of the theodolite's bag, and its suite with a ship's attitude and other frame names."""
-    part, suite = write_beginning(ROOT / "bags" / "theodolite.mcap", tmp_path / "part.mcap", 3.0), tmp_path / "suite.yaml"
+    part, suite = (
+        write_beginning(ROOT / "bags" / "theodolite.mcap", tmp_path / "part.mcap", 3.0),
+        tmp_path / "suite.yaml",
+    )
     with read_bag(part) as bag:
         values = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT].decode())
     values["/**/ship_attitude"] = {"ros__parameters": {"ins": {"frame_id": "ins"}, "frames": FRAMES}}

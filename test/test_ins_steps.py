@@ -20,7 +20,9 @@ def voyage(rate_hz: float, **ins: float) -> SimulatedRun:
     return ship_faults.voyage(END_S, rate_hz, **ins)
 
 
-def run_with_step(run: SimulatedRun, arcsec_n: tuple[float, float, float], until_s: float = np.inf) -> list[AttitudeError]:
+def run_with_step(
+    run: SimulatedRun, arcsec_n: tuple[float, float, float], until_s: float = np.inf
+) -> list[AttitudeError]:
     """Return the outputs after a step of the INS about North, Up and East at STEP_S, and back at ``until_s``."""
     found = ship_faults.run_core(turn_ins(run, ARCSEC * np.array(arcsec_n), STEP_S, until_s), from_s=17.0)
     return [claim for claim in found.attitudes if claim.time_s >= STEP_S - 1e-9]
@@ -68,6 +70,8 @@ def test_a_step_that_goes_back_within_some_samples_changes_nothing():
 
 
 def test_the_rates_noise_of_a_scenario_is_configured_in_the_estimator():
-    found = run_with_step(voyage(100.0, rate_sigma_arcsec_per_s=60.0, rate_bias_sigma_arcsec_per_s=10.0), (0.0, 30.0, 0.0))
+    found = run_with_step(
+        voyage(100.0, rate_sigma_arcsec_per_s=60.0, rate_bias_sigma_arcsec_per_s=10.0), (0.0, 30.0, 0.0)
+    )
     assert found[0].status is Status.DEGRADED
     assert max(claim.sigmas for claim in found) < 5.0

@@ -39,7 +39,10 @@ def _voyage(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[int, n
     """Return a folder with bags and their suite file; the true main axis (horizon from main frame) by stamp."""
     folder, scenario = tmp_path_factory.mktemp("mount"), with_stars_and_targets(bag_scenario(duration_s=8.0))
     points = replace_nested(scenario.telescopes["night"], exposure_s=0.0, false_stars=0.0)
-    cameras = {NAMED: replace_nested(points, identified=True, phase_s=0.1), UNNAMED: replace_nested(points, phase_s=0.0)}
+    cameras = {
+        NAMED: replace_nested(points, identified=True, phase_s=0.1),
+        UNNAMED: replace_nested(points, phase_s=0.0),
+    }
     scenario = dataclasses.replace(scenario, telescopes=cameras, targets={})
     write_bag(scenario, 3, folder / "both.mcap", b"")
     truth_nm = {}

@@ -79,8 +79,12 @@ def test_every_program_has_rights_for_its_network_entities(tmp_path, domain):
         there = {"/demo/ship/attitude": 1, "/demo/ship/alerts": 1, "/demo/reference/s330/imu": 1}
         assert observer.wait_for(there), suite.log_text()
         # The last of all: the recorder takes what others publish when it has found it.
-        assert observer.spin_until(lambda: "/demo/ship/alerts" in network_rights(observer.node, ["record"])[1]), suite.log_text()
-        assert observer.spin_until(lambda: "/demo/ship/attitude" in network_rights(observer.node, ["monitor"])[1]), suite.log_text()
+        assert observer.spin_until(lambda: "/demo/ship/alerts" in network_rights(observer.node, ["record"])[1]), (
+            suite.log_text()
+        )
+        assert observer.spin_until(lambda: "/demo/ship/attitude" in network_rights(observer.node, ["monitor"])[1]), (
+            suite.log_text()
+        )
         for program, nodes in programs.items():
             granted = rights[f"/demo/{program}"]
             allowed = (granted.publishes, granted.subscribes, granted.serves, granted.requests)

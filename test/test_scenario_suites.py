@@ -48,7 +48,8 @@ def configured_nodes(scenario):
     sections = yaml.safe_load(text)
     nodes = {section.rpartition("/")[2]: values[PARAMETERS_KEY] for section, values in sections.items()}
     return {
-        node: (load_config(ADAPTERS[node].config_type, text, in_any_namespace(node)), values) for node, values in nodes.items()
+        node: (load_config(ADAPTERS[node].config_type, text, in_any_namespace(node)), values)
+        for node, values in nodes.items()
     }
 
 
@@ -63,7 +64,9 @@ def test_the_nodes_accept_the_suite_file_of_each_scenario(scenario):
 def test_parameters_with_the_name_of_a_scenario_key_are_written(scenario):
     for config, values in configured_nodes(scenario).values():
         for device, told, kind in devices(scenario, config, values):
-            missing = {name for name in shared_names(device, kind) - told.keys() if has_other_default(name, device, kind)}
+            missing = {
+                name for name in shared_names(device, kind) - told.keys() if has_other_default(name, device, kind)
+            }
             assert not missing, (type(device).__name__, kind.__name__, missing)
 
 

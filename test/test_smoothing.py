@@ -131,7 +131,12 @@ CONFIG = build(
 
 def smooth_faulty_voyage(ins: list[AttitudeSample], fault_arcsec: float, seed: int) -> tuple[EstimatePair, np.ndarray]:
     """Return thirty seconds with three sensors, one rotated from 15 s on; smoothed each half second and at JUMP - 1."""
-    rng, core, told, first_ns = np.random.default_rng(seed), SmoothingCore(CONFIG, None, None), EstimatePair([], []), 10**18
+    rng, core, told, first_ns = (
+        np.random.default_rng(seed),
+        SmoothingCore(CONFIG, None, None),
+        EstimatePair([], []),
+        10**18,
+    )
     mounted = {id_: exp_rotation(MOUNTED * rng.standard_normal(3)) for id_ in SENSORS}
     asked_s = []
     for number, sample in enumerate(ins):

@@ -146,7 +146,9 @@ def test_no_variance_grows_and_later_measurements_improve_earlier_pointings(sess
     before = slice(sessions[0].place(0.0), sessions[0].place(FIRST_S))
     assert {one.mode for one in sessions[0].filtered[before]} == {Mode.ENCODER}
     errors = {
-        name: rms_arcsec(np.array([error_vectors_n(getattr(told, name)[before], told.true_nm[before]) for told in sessions]))
+        name: rms_arcsec(
+            np.array([error_vectors_n(getattr(told, name)[before], told.true_nm[before]) for told in sessions])
+        )
         for name in ("at_once", "smoothed")
     }
     print(f"before the first lights: at once {errors['at_once']:.1f} arcsec, smoothed {errors['smoothed']:.1f} arcsec")

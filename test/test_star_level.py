@@ -47,7 +47,9 @@ def configured_sky(run: SimulatedRun, configuration: ShipAttitudeConfig) -> SkyM
     return watch
 
 
-def sighted_stars(exposures: dict[str, StarExposure], watch: SkyModel, configuration: ShipAttitudeConfig) -> MatchedStars:
+def sighted_stars(
+    exposures: dict[str, StarExposure], watch: SkyModel, configuration: ShipAttitudeConfig
+) -> MatchedStars:
     """Return all stars of several sensors in the deck."""
     parts, mounting_b, field_b, field_sources = [], [], [], ()
     for index, (id_, exposure) in enumerate(exposures.items()):

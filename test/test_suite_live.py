@@ -184,7 +184,11 @@ def test_two_suites_in_two_namespaces_do_not_mix(tmp_path, domain):
         return LiveProcess(command, tmp_path / f"{name}.log", environment)
 
     frames: set[tuple[str, str, str]] = set()
-    with GraphObserver(domain) as observer, start_suite("alpha", DEMO) as alpha, start_suite("beta", THEODOLITE) as beta:
+    with (
+        GraphObserver(domain) as observer,
+        start_suite("alpha", DEMO) as alpha,
+        start_suite("beta", THEODOLITE) as beta,
+    ):
         for name, topic in itertools.product(("alpha", "beta"), ("tf", "tf_static")):
             take = functools.partial(record_frames, frames, name)
             observer.node.create_subscription(TFMessage, f"/{name}/{topic}", take, 100)

@@ -121,8 +121,13 @@ def test_from_the_deck_there_is_a_frame_to_each_configured_star_sensor():
 def test_through_the_deck_a_star_sensor_has_its_measured_attitude():
     """Within the errors of the small voyage: 100″ about the boresight, 3″ across, at five sigmas."""
     run = fault_free_run()
-    decks = {ns_from_stamp(t.header.stamp): rotation_from_message(t.transform.rotation) for t in transforms(run.messages("/tf"))}
-    mounted = {t.child_frame_id: rotation_from_message(t.transform.rotation) for t in run.messages("/tf_static")[-1].transforms}
+    decks = {
+        ns_from_stamp(t.header.stamp): rotation_from_message(t.transform.rotation)
+        for t in transforms(run.messages("/tf"))
+    }
+    mounted = {
+        t.child_frame_id: rotation_from_message(t.transform.rotation) for t in run.messages("/tf_static")[-1].transforms
+    }
     compared = 0
     for topic, frame in ((FORE, "star_fore"), (STARBOARD, "star_starboard")):
         for arrival in voyage():
@@ -208,7 +213,11 @@ def test_degrees_and_95_percent():
 
 def replay_frames(folder: Path, changes=None):
     """Return topic → messages of both nodes, for ten seconds of the theodolite bag: ship/attitude by the INS alone."""
-    part, out, suite = write_beginning(THEODOLITE, folder / "part.mcap", 10.0), folder / "out.mcap", folder / "suite.yaml"
+    part, out, suite = (
+        write_beginning(THEODOLITE, folder / "part.mcap", 10.0),
+        folder / "out.mcap",
+        folder / "suite.yaml",
+    )
     with read_bag(part) as bag:
         values = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT].decode())
     values["/**/ship_attitude"] = {"ros__parameters": {"ins": {"frame_id": "ins"}}}
@@ -245,7 +254,11 @@ def test_the_main_axis_is_published_with_each_pointing_below_the_deck(both):
 def test_through_the_deck_as_tf2_interpolates_it_the_main_axis_is_the_pointing(both):
     """tf2 interpolates (slerp) between transforms; most readings are between two attitudes."""
     sent = transforms(both["/tf"])
-    decks = {ns_from_stamp(t.header.stamp): rotation_from_message(t.transform.rotation) for t in sent if t.child_frame_id == "deck"}
+    decks = {
+        ns_from_stamp(t.header.stamp): rotation_from_message(t.transform.rotation)
+        for t in sent
+        if t.child_frame_id == "deck"
+    }
     mains = {ns_from_stamp(t.header.stamp): t for t in sent if t.child_frame_id == "theodolite_main"}
     slerp = Slerp([ns - min(decks) for ns in decks], Rotation.concatenate(list(decks.values())))
     between = Counter()

@@ -72,7 +72,9 @@ def test_an_ins_that_steps_is_out_and_returns(one_by_one: MonitoredVoyage) -> No
     assert "heading CAUTION → UNSAFE, ins rejected" in words
 
 
-def test_a_silent_star_sensor_is_out_within_two_seconds_of_the_first_that_is_missing(one_by_one: MonitoredVoyage) -> None:
+def test_a_silent_star_sensor_is_out_within_two_seconds_of_the_first_that_is_missing(
+    one_by_one: MonitoredVoyage,
+) -> None:
     clouds, silent = one_by_one.out_s["star.fore"]
     assert CLOUDS[0] < clouds < CLOUDS[1]
     assert 101.9 <= silent <= 100.033 + 0.2 + 2.0  # at 5 Hz after the last of 99.833, arriving 0.1 s later
@@ -218,7 +220,9 @@ def test_history_has_the_data_of_plots(theodolite: MonitoredVoyage) -> None:
 
 def safety_between(voyage: MonitoredVoyage, start_s: float, end_s: float) -> set[Safety | None]:
     """Return the states of the azimuth in the ribbon."""
-    points = [point for point in voyage.watch.history.safety if start_s <= (point.utc_ns - voyage.start_ns) * 1e-9 < end_s]
+    points = [
+        point for point in voyage.watch.history.safety if start_s <= (point.utc_ns - voyage.start_ns) * 1e-9 < end_s
+    ]
     return {point.safety["azimuth"] for point in points}
 
 

@@ -100,7 +100,11 @@ def test_all_outputs_name_the_right_source_in_a_replay(bag: str, tmp_path: Path)
     paths = (given, replayed_path) if bag == "theodolite" else (replayed_path,)
     with read_bag(given) as played:
         start_ns = played.start_ns or 0
-    watch, keeper, named = SuiteMonitor(Limits()), AlertManager(Limits(), None, start_ns, print), FirstReports(bag, start_ns)
+    watch, keeper, named = (
+        SuiteMonitor(Limits()),
+        AlertManager(Limits(), None, start_ns, print),
+        FirstReports(bag, start_ns),
+    )
     due_ns = start_ns
     for time_ns, topic, message in records(*paths):
         if time_ns > start_ns + END_S[bag] * NS_PER_S:
@@ -129,7 +133,9 @@ class SuiteUnderTest:
         domain = int(os.environ["ROS_DOMAIN_ID"])
         self.process = LiveProcess(command, folder / "suite.log", live_environment(domain, folder / "ros"))
         self.watch = LiveSuite("watcher", "", Limits())
-        self.diagnostics = TopicReader("statuses", "", lambda topic, _: MAX_QUEUE_DEPTH if topic == "/diagnostics" else 0)
+        self.diagnostics = TopicReader(
+            "statuses", "", lambda topic, _: MAX_QUEUE_DEPTH if topic == "/diagnostics" else 0
+        )
 
     def close(self) -> None:
         """End all processes; first the observers."""

@@ -81,8 +81,14 @@ PRIORS = [
     Prior(3.0 * DEGREE, 3.0 * DEGREE, has_star_identities=True),
     Prior(10.0 * DEGREE, 10.0 * DEGREE, has_star_identities=True),
 ]
-STREAKS = [Prior(72.0, 10.0, has_star_identities=True, exposure_s=0.1), Prior(3.0 * DEGREE, 10.0, has_star_identities=False, exposure_s=0.1)]
-NOT_IDENTIFIED = [Prior(10.0 * DEGREE, 10.0, has_star_identities=False), Prior(DEGREE, DEGREE, has_star_identities=False)]
+STREAKS = [
+    Prior(72.0, 10.0, has_star_identities=True, exposure_s=0.1),
+    Prior(3.0 * DEGREE, 10.0, has_star_identities=False, exposure_s=0.1),
+]
+NOT_IDENTIFIED = [
+    Prior(10.0 * DEGREE, 10.0, has_star_identities=False),
+    Prior(DEGREE, DEGREE, has_star_identities=False),
+]
 """Without names: more than 5 degrees, or more than five stars in a gate."""
 
 

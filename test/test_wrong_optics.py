@@ -29,16 +29,22 @@ def scenario(has_identities: bool) -> Scenario:
     """Return ten stars in a field of 13°, one exposure a second for ten seconds."""
     whole = load_scenario(SCENARIOS / "paper_stars.yaml")
     sensors = {
-        id_: replace(one, rate_hz=1.0, most_stars=10, identified=has_identities) for id_, one in whole.star_sensors.items()
+        id_: replace(one, rate_hz=1.0, most_stars=10, identified=has_identities)
+        for id_, one in whole.star_sensors.items()
     }
     short = replace(whole, duration_s=10.0, ins=replace(whole.ins, rate_hz=10.0), star_sensors=sensors)
     return with_exact_focal_length(short)
 
 
-def run_statistics(scale: float, sensor_ids: tuple[str, ...], has_identities: bool, by_solutions: bool, seeds: int = SEEDS) -> OpticsErrorStatistics:
+def run_statistics(
+    scale: float, sensor_ids: tuple[str, ...], has_identities: bool, by_solutions: bool, seeds: int = SEEDS
+) -> OpticsErrorStatistics:
     found = OpticsErrorStatistics()
     for seed in range(seeds):
-        found.add_run(with_wrong_configured_focal_length(simulate(scenario(has_identities), seed), sensor_ids, scale), by_solutions)
+        found.add_run(
+            with_wrong_configured_focal_length(simulate(scenario(has_identities), seed), sensor_ids, scale),
+            by_solutions,
+        )
     return found
 
 

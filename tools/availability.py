@@ -133,7 +133,13 @@ def consistency_table(results: trials.Results) -> str:
             count = int(np.sum(np.isfinite(values[:, 1])))
             if count:
                 mean = float(np.nanmean(values[:, 1]))
-                cells = trials.count_case(counts), told, str(count), str(trials.count_beyond_covariance(values)), f"{mean:.2f}"
+                cells = (
+                    trials.count_case(counts),
+                    told,
+                    str(count),
+                    str(trials.count_beyond_covariance(values)),
+                    f"{mean:.2f}",
+                )
                 lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 

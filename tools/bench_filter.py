@@ -66,9 +66,15 @@ def integrity_cost() -> list[Row]:
     of_ship = "ship's step by three star sensors"
     return [
         *_integrity_rows(of_ship, ship_steps_us, ship, ShipFilterWithoutSubfilters, ShipFilter),
-        *_integrity_rows(f"{of_ship}, integrity.pairs", ship_steps_us, ship, ShipFilterWithoutSubfilters, _WithPairs, None),
         *_integrity_rows(
-            "theodolite's step by two lights", _theodolite_steps_us, theodolite, SightingStepWithoutSubfilters, SightingStep
+            f"{of_ship}, integrity.pairs", ship_steps_us, ship, ShipFilterWithoutSubfilters, _WithPairs, None
+        ),
+        *_integrity_rows(
+            "theodolite's step by two lights",
+            _theodolite_steps_us,
+            theodolite,
+            SightingStepWithoutSubfilters,
+            SightingStep,
         ),
     ]
 

@@ -44,7 +44,11 @@ class Row:
     @property
     def bound(self) -> str:
         """Return the bound as text; empty where there is none."""
-        return "" if self.greatest is None else f"at most {self.greatest:.3g}: {'met' if self.is_within_bound else 'NOT MET'}"
+        return (
+            ""
+            if self.greatest is None
+            else f"at most {self.greatest:.3g}: {'met' if self.is_within_bound else 'NOT MET'}"
+        )
 
     @property
     def line(self) -> str:

@@ -67,7 +67,9 @@ def star_solution() -> list[Row]:
     )
     # A sky caches its results: use a new one each time.
     place_us = median_us(
-        lambda: [dataclasses.replace(watch.sky_at(time_ns), _cache={}).apparent_stars(one.positions) for one in exposures]
+        lambda: [
+            dataclasses.replace(watch.sky_at(time_ns), _cache={}).apparent_stars(one.positions) for one in exposures
+        ]
     )
     by_scipy, by_svd = median_ratio(deck_us, scipy_us), median_ratio(deck_us, svd_us)
     return [

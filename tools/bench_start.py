@@ -72,7 +72,9 @@ def start_cost() -> list[Row]:
         environment = live_environment(domain_id, Path(folder))
         environment.pop("PYTHONDONTWRITEBYTECODE", None)
         log = Path(folder) / "node.log"
-        starts = [partial(_start_times_s, command, topic, log, environment, observer) for command, topic in commands.values()]
+        starts = [
+            partial(_start_times_s, command, topic, log, environment, observer) for command, topic in commands.values()
+        ]
         counted = [figures[1:] for figures in alternate(START_ROUNDS + 1, *starts)]
     started = dict(zip(commands, counted, strict=True))
     yardstick = "a node of rclpy with one subscription"

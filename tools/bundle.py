@@ -93,7 +93,9 @@ def pins(lock: str, python: str) -> list[str]:
     """Return the lines of a lock that apply to a Python version, as 3.12, without their conditions."""
     lines = [line for line in lock.splitlines() if re.match(r"[A-Za-z0-9]", line)]
     wanted = [(line, Requirement(line).marker) for line in lines]
-    return [pin_of_requirement(line) for line, marker in wanted if not marker or marker.evaluate({"python_version": python})]
+    return [
+        pin_of_requirement(line) for line, marker in wanted if not marker or marker.evaluate({"python_version": python})
+    ]
 
 
 def _download(wanted: list[str], python: str, folder: Path) -> list[Path]:

@@ -10,7 +10,9 @@ ERRORS = AxisErrors(*(ARCSEC * np.array([20.0, -30.0, 15.0, -25.0, 10.0, -35.0, 
 STRAIGHT = {"flexure": 0.0}
 
 
-def random_angles(rng: np.random.Generator, count: int, elevations_deg: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
+def random_angles(
+    rng: np.random.Generator, count: int, elevations_deg: tuple[float, float]
+) -> tuple[FloatArray, FloatArray]:
     """Return encoder angles all around between two elevations."""
     return rng.uniform(0.0, 2.0 * np.pi, count), np.deg2rad(rng.uniform(*elevations_deg, count))
 

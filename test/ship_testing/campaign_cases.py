@@ -139,7 +139,9 @@ CASES = {
     # Single stars of the real sky, eight an exposure.
     "paper_stars": Case("paper_stars", ShortRun(30.0, 10.0, 1.0)),
     # Stars to fourth magnitude alone: none to three in a field of 13°.
-    "few_stars": Case("paper_stars", ShortRun(40.0, 10.0, 1.0), partial(_each_sensor, magnitude_limit=4.0, most_stars=3)),
+    "few_stars": Case(
+        "paper_stars", ShortRun(40.0, 10.0, 1.0), partial(_each_sensor, magnitude_limit=4.0, most_stars=3)
+    ),
     # A ship that rolls draws her stars as streaks.
     "streaks": Case("paper_stars", ShortRun(30.0, 10.0, 1.0), partial(_each_sensor, exposure_s=0.1)),
     # Errors of 7″ over the field and of 5″ a pixel, which do not average while stars keep their places.

@@ -116,7 +116,9 @@ def _rotation(message: Any) -> FloatArray:
     return rotation_from_angles(message.azimuth, message.elevation, message.image_rotation)
 
 
-def worst_error_in_sigmas(known: Voyage, run: AdapterRun, statuses: Collection[int] = (Status.VALID, Status.COASTING)) -> float:
+def worst_error_in_sigmas(
+    known: Voyage, run: AdapterRun, statuses: Collection[int] = (Status.VALID, Status.COASTING)
+) -> float:
     """Return the largest error in sigmas of all outputs of a run with one of some statuses."""
     published = [m for m in run.messages(run.adapter.main_topic) if m.status in statuses]
     return max((error_in_sigmas(known, message) for message in published), default=0.0)

@@ -151,7 +151,9 @@ def named_constants(text: str) -> list[tuple[int, str]]:
     return [(int(value), name) for value, name in re.findall(r"\b(\d) ([A-Z_]{2,})\b", text)]
 
 
-def check_path(path: str, layout: dict[str, Any], messages_by_topic: MessagesByTopic, scripts: Scripts, is_shown: tuple[type, ...]) -> None:
+def check_path(
+    path: str, layout: dict[str, Any], messages_by_topic: MessagesByTopic, scripts: Scripts, is_shown: tuple[type, ...]
+) -> None:
     """Raise unless a path leads to a type that its panel can show."""
     topic, steps = split(path)
     if not topic.startswith(SCRIPTS):
@@ -162,7 +164,12 @@ def check_path(path: str, layout: dict[str, Any], messages_by_topic: MessagesByT
     kind = scripts.output_type(topic, steps)
     if is_shown != (object,) and kind != "number":
         raise Missing(f"{path}: a {kind} cannot be shown")
-    sources = {message.source for name, messages in messages_by_topic.items() if name.endswith("/innovation") for message in messages}
+    sources = {
+        message.source
+        for name, messages in messages_by_topic.items()
+        if name.endswith("/innovation")
+        for message in messages
+    }
     for step in steps:
         if step["field"] and wanted_value(step, layout["globalVariables"]) not in sources | ERROR_SOURCES:
             raise Missing(f"{path}: no source {step['value']}")
@@ -196,7 +203,9 @@ def check_foxglove(layout: dict[str, Any], messages: MessagesByTopic) -> None:
     assert sorted(panels) == sorted(layout["configById"])
 
 
-def check_panel(kind: str, config: dict[str, Any], layout: dict[str, Any], messages: MessagesByTopic, scripts: Scripts) -> None:
+def check_panel(
+    kind: str, config: dict[str, Any], layout: dict[str, Any], messages: MessagesByTopic, scripts: Scripts
+) -> None:
     shown: tuple[type, ...] = (int, float) if kind == "Plot" else (int, float, str, bool)
     for series in config.get("paths", []):
         assert {"value", "enabled", "timestampMethod"} <= set(series) <= SERIES

@@ -149,7 +149,9 @@ def _beacon_points(rng: np.random.Generator, x: float, z: float) -> list[BeaconP
     return points
 
 
-def _star_residuals(rng: np.random.Generator, azimuth: float, elevation: float, right_arcsec: float = 0.0) -> StarExposure:
+def _star_residuals(
+    rng: np.random.Generator, azimuth: float, elevation: float, right_arcsec: float = 0.0
+) -> StarExposure:
     right = (right_arcsec + rng.normal(0.0, 4.0, 8)) * ARCSEC
     return StarExposure(
         utc_ns=NOW_NS,

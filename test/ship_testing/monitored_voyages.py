@@ -149,7 +149,9 @@ def monitor_voyage(*paths: Path) -> MonitoredVoyage:
     return voyage
 
 
-def _record_state(voyage: MonitoredVoyage, state: SuiteState, previous: dict[str, Presence], time_s: float) -> dict[str, Presence]:
+def _record_state(
+    voyage: MonitoredVoyage, state: SuiteState, previous: dict[str, Presence], time_s: float
+) -> dict[str, Presence]:
     """Record a suite state; return the presence of each source in it."""
     if abs(time_s - round(time_s)) < 1e-6:
         voyage.state_at[float(round(time_s))] = state

@@ -52,7 +52,9 @@ class _WithFixes:
         return sorted([*others, *fixes], key=lambda arrival: arrival[0])
 
 
-def simulated_noise_session(of: Scenario, seed: int, ins_changes: dict[str, Any] | None = None, with_fixes: bool = True) -> NoiseSession:
+def simulated_noise_session(
+    of: Scenario, seed: int, ins_changes: dict[str, Any] | None = None, with_fixes: bool = True
+) -> NoiseSession:
     """Return the session of a simulated voyage.
 
     Args:

@@ -61,7 +61,9 @@ def run_page_server(
     def run() -> None:
         asyncio.set_event_loop(asyncio.new_event_loop())
         try:
-            server = PageServer(page_maker(lambda: state_source, "day", zone), address, port, lambda: None, allowed_hosts)
+            server = PageServer(
+                page_maker(lambda: state_source, "day", zone), address, port, lambda: None, allowed_hosts
+            )
         except BaseException as problem:
             made.put(problem)
             raise

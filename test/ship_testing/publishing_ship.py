@@ -26,7 +26,9 @@ class SuitePublisher:
             self.publishers[topic] = self.node.create_publisher(type(message), topic, qos)
         self.publishers[topic].publish(message)
 
-    def wait_for_subscribers(self, wait_until: Callable[[Callable[[], Any]], Any], act: Callable[[], Any], *topics: str) -> None:
+    def wait_for_subscribers(
+        self, wait_until: Callable[[Callable[[], Any]], Any], act: Callable[[], Any], *topics: str
+    ) -> None:
         """Wait until the subscriptions of the node under test have been matched, while it spins."""
         wait_until(lambda: act() and all(self.publishers[topic].get_subscription_count() for topic in topics))
 

@@ -9,7 +9,11 @@ from ship_geometry.rotations import FloatArray
 
 
 def solution_separations(
-    distance: FloatArray, variance: FloatArray, variance_0: FloatArray, k: SigmaMultipliers, subfilter_indices: Sequence[int] | None = None
+    distance: FloatArray,
+    variance: FloatArray,
+    variance_0: FloatArray,
+    k: SigmaMultipliers,
+    subfilter_indices: Sequence[int] | None = None,
 ) -> SolutionSeparation:
     """Return the separations of estimates without one source from that by all, and the levels.
 
@@ -24,4 +28,6 @@ def solution_separations(
     components, of_all = np.eye(3), np.diag(variance_0)
     subfilter_covariances = variance[:, :, None] * components
     by_output = components, components, of_all
-    return solution_separation(k, subfilters, np.arange(3), by_output, np.zeros(3), distance, of_all[None], subfilter_covariances)
+    return solution_separation(
+        k, subfilters, np.arange(3), by_output, np.zeros(3), distance, of_all[None], subfilter_covariances
+    )

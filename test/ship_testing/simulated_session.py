@@ -146,7 +146,10 @@ def session(
     # The INS alone states no covariance: it is configured.
     stated_n = np.diag(ship_sigma_n**2) if settings.ship.source == "ship/attitude" else None
 
-    pitch, roll = motion_scale * 0.02 * np.sin(2 * np.pi * times_s / 7.0), motion_scale * 0.05 * np.sin(2 * np.pi * times_s / 11.0)
+    pitch, roll = (
+        motion_scale * 0.02 * np.sin(2 * np.pi * times_s / 7.0),
+        motion_scale * 0.05 * np.sin(2 * np.pi * times_s / 11.0),
+    )
     rotation_nd = rotation_from_angles(np.full(count, 0.7), pitch, roll)
     rotation_nm = (
         rotation_nd

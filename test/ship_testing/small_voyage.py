@@ -168,7 +168,9 @@ def remove_interval(arrivals: tuple[Arrival, ...], from_s: float, until_s: float
     return tuple(a for a in arrivals if a.topic not in topics or not from_ns <= a.stamp_ns < until_ns)
 
 
-def turn_star_messages(arrivals: Iterable[Arrival], turn_n: FloatArray, from_s: float, until_s: float = np.inf) -> list[Arrival]:
+def turn_star_messages(
+    arrivals: Iterable[Arrival], turn_n: FloatArray, from_s: float, until_s: float = np.inf
+) -> list[Arrival]:
     """Return the arrivals with all star attitudes rotated about North, Up and East, rad."""
 
     def change(message: Any) -> None:

@@ -79,7 +79,12 @@ REJECTED_STARS = [
     ("pixel NaN", set_star_fields(3, u=np.nan), Reason.NON_FINITE, "pixel (nan"),
     ("pixel nonsense", set_star_fields(3, v=1e12), Reason.UNITS, "1e+12"),
     ("sigma negative", set_star_fields(3, sigma_px=-1.0), Reason.BAD_COVARIANCE, "sigma_px -1"),
-    ("unknown number", set_star_fields(3, catalogue_id=900_000), Reason.UNKNOWN_STAR, "HIP 900000: HIP 900000 is not in"),
+    (
+        "unknown number",
+        set_star_fields(3, catalogue_id=900_000),
+        Reason.UNKNOWN_STAR,
+        "HIP 900000: HIP 900000 is not in",
+    ),
     (
         "right ascension in degrees",
         set_star_fields(3, catalogue_id=0, right_ascension=310.36, declination=0.79),

@@ -68,7 +68,9 @@ def draw_scene(
         if kind == "false":
             named_s[row] = _in_field(rng, 1)[0]
         elif kind == "neighbour":
-            named_s[row] = _offset_direction(seen_s[row], 120.0 * ARCSEC * np.sqrt(rng.uniform()), rng.uniform(0.0, 2.0 * np.pi))
+            named_s[row] = _offset_direction(
+                seen_s[row], 120.0 * ARCSEC * np.sqrt(rng.uniform()), rng.uniform(0.0, 2.0 * np.pi)
+            )
         elif kind == "swap":
             named_s[[row, row + 1]] = seen_s[[row + 1, row]]
     truth_ns = np.array([rotation_nd @ m @ e for m, e in zip(mountings, errors, strict=True)])[sensor]

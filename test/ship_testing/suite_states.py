@@ -188,7 +188,9 @@ def state_with_two_faults() -> SuiteState:
     angles = angles_timed_out("azimuth", "elevation", age_s=12.0, reason="encoder no data since 11:59:55")
     encoder = source_out("encoder", "no data", age_s=12.0, out_since_ns=NOW_NS - 12 * NS)
     lost_pointing = alert("pointing", "pointing lost, encoder no data", NOW_NS - 10 * NS)
-    return state_with_mounting_shift(*angles, encoder, alerts=(lost_pointing, SHIFTED_SENSOR_ALERT), pointing_by="no pointing")
+    return state_with_mounting_shift(
+        *angles, encoder, alerts=(lost_pointing, SHIFTED_SENSOR_ALERT), pointing_by="no pointing"
+    )
 
 
 def history(*, is_faulty: bool = False) -> History:

@@ -82,7 +82,9 @@ def theodolite_n(number: int) -> np.ndarray:
 def buoy_direction(number: int, since_s: float) -> np.ndarray:
     """Return the true direction (North, Up, East) of the buoy from one of the theodolites."""
     at = station(f"t{number}", theodolite_n(number))
-    return seen_direction(at, ORIGIN_M + theodolite_n(number) @ AXES, ORIGIN_M + buoy_n(since_s) @ AXES, AIR.coefficient)
+    return seen_direction(
+        at, ORIGIN_M + theodolite_n(number) @ AXES, ORIGIN_M + buoy_n(since_s) @ AXES, AIR.coefficient
+    )
 
 
 def triangulation_values(count: int) -> dict[str, Any]:

@@ -55,7 +55,9 @@ class PaperReading:
 
 SURVEYED = PaperReading("N′ surveyed, 2.7 cm per axis")
 AS_A_NORM = PaperReading("N′ surveyed, 2.7 cm as a norm", BASELINE_M / float(np.sqrt(3.0)))
-UNSURVEYED = replace(AS_A_NORM, name="N′ unsurveyed, 2.7 cm as a norm", unsurveyed_lens_m=tuple(UNSURVEYED_LENS_M.tolist()))
+UNSURVEYED = replace(
+    AS_A_NORM, name="N′ unsurveyed, 2.7 cm as a norm", unsurveyed_lens_m=tuple(UNSURVEYED_LENS_M.tolist())
+)
 
 
 @dataclass(frozen=True)

@@ -71,7 +71,9 @@ def test_saved_alignment_is_the_prior_of_the_next_voyage(saved: Path) -> None:
 
 
 def test_the_next_voyage_starts_closer_and_accepts_its_stars(saved: Path) -> None:
-    fresh, primed = (run_adapter(new_adapter(alignment_file=str(p)), voyage(1.0)) for p in (saved.with_name("none"), saved))
+    fresh, primed = (
+        run_adapter(new_adapter(alignment_file=str(p)), voyage(1.0)) for p in (saved.with_name("none"), saved)
+    )
     fresh_last, primed_last = (run.messages("ship/attitude")[-1] for run in (fresh, primed))
     assert np.all(np.diagonal(np.reshape(primed_last.covariance - fresh_last.covariance, (3, 3))) < 0.0)
     assert primed.health(FORE).rejected == 0
@@ -127,7 +129,9 @@ def test_the_random_walk_of_the_time_between_is_added(saved: Path) -> None:
 
 def test_sensors_missing_in_the_file_or_in_the_configuration(saved: Path) -> None:
     aft = {"azimuth_deg": 180.0, "elevation_deg": 45.0}
-    now = start_adapter(saved, star_sensors={"fore": {"azimuth_deg": 0.0, "elevation_deg": 45.0, "serial": "F1"}, "aft": aft})
+    now = start_adapter(
+        saved, star_sensors={"fore": {"azimuth_deg": 0.0, "elevation_deg": 45.0, "serial": "F1"}, "aft": aft}
+    )
     assert sigma_of(now)["star.aft.elevation"] == pytest.approx(ARCSEC)
     assert sigma_of(now)["star.fore.elevation"] < ARCSEC
     assert "star.starboard.elevation" not in sigma_of(now)
@@ -375,7 +379,9 @@ def test_a_state_that_is_not_finite_is_not_saved(tmp_path: Path) -> None:
     broken = dataclasses.replace(prior, covariance=prior.covariance * np.nan)
     assert less_certain_quantity(broken, prior)
     assert less_certain_quantity(prior, prior) == ""
-    assert less_certain_quantity(prior, dataclasses.replace(prior, covariance=prior.covariance / 1.3)).startswith("a smaller sigma of")
+    assert less_certain_quantity(prior, dataclasses.replace(prior, covariance=prior.covariance / 1.3)).startswith(
+        "a smaller sigma of"
+    )
 
 
 def test_a_full_disk_is_reported_once_and_again_when_it_recovers(tmp_path: Path) -> None:

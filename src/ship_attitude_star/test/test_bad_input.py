@@ -90,7 +90,13 @@ DROPPED = [
     ("ins quaternion infinite", INS, set_field("orientation.w", -np.inf), "non_finite", "orientation"),
     ("ins rate NaN", INS, set_field("angular_velocity.y", np.nan), "non_finite", "angular_velocity"),
     ("ins covariance NaN", INS, set_field("orientation_covariance.4", np.nan), "non_finite", "orientation_covariance"),
-    ("ins orientation not given", INS, set_field("orientation_covariance.0", -1.0), "not_given", "accept_unset_covariance"),
+    (
+        "ins orientation not given",
+        INS,
+        set_field("orientation_covariance.0", -1.0),
+        "not_given",
+        "accept_unset_covariance",
+    ),
     ("ins quaternion zero", INS, scale_quaternion(0.0), "bad_quaternion", "no orientation"),
     ("ins quaternion 2 % long", INS, scale_quaternion(1.02), "bad_quaternion", "1.02"),
     ("ins quaternion overflows", INS, set_field("orientation.x", 1e300), "bad_quaternion", "1e+300"),
@@ -100,7 +106,13 @@ DROPPED = [
     ("ins rate no ship can have", INS, set_field("angular_velocity.x", 1e200), "units", "rad/s"),
     ("ins stamp zero", INS, stamp_zero, "bad_stamp", "0 ns"),
     ("ins stamp negative", INS, set_field("header.stamp.sec", -5), "bad_stamp", "POSIX time"),
-    ("ins stamp nanoseconds beyond a second", INS, set_field("header.stamp.nanosec", 4_000_000_000), "bad_stamp", "nanosec"),
+    (
+        "ins stamp nanoseconds beyond a second",
+        INS,
+        set_field("header.stamp.nanosec", 4_000_000_000),
+        "bad_stamp",
+        "nanosec",
+    ),
     ("ins from the future", INS, stamp_ahead(0.06), "future", "0.055 s ahead"),
     ("ins from 2038", INS, set_field("header.stamp.sec", 2**31 - 1), "future", "ahead"),
     ("ins frame", INS, set_field("header.frame_id", "imu_link"), "frame", "'imu_link': expected 'ins'"),
@@ -113,7 +125,13 @@ DROPPED = [
     ("star correlation", FORE, covariance("rotation_covariance", *CORRELATED_BEYOND_1), "bad_covariance", "exceeds 1"),
     ("star not PSD", FORE, covariance("rotation_covariance", *NOT_PSD), "bad_covariance", "definite"),
     ("star noise exceeds total", FORE, set_field("noise_covariance.0", 1.0), "bad_covariance", "larger than the total"),
-    ("star variance beyond a full turn", FORE, set_field("rotation_covariance.0", 1e300), "bad_covariance", "full turn"),
+    (
+        "star variance beyond a full turn",
+        FORE,
+        set_field("rotation_covariance.0", 1e300),
+        "bad_covariance",
+        "full turn",
+    ),
     ("star stamp zero", FORE, stamp_zero, "bad_stamp", "0 ns"),
     ("star from the future", FORE, stamp_ahead(0.18), "future", "0.060 s ahead"),
     ("star frame", FORE, set_field("header.frame_id", "star_aft"), "frame", "'star_aft': expected 'star_fore'"),
@@ -292,7 +310,9 @@ def test_of_two_messages_with_one_stamp_the_same_one_is_kept_in_either_order(top
     one, another = arrivals[index], changed_copy(arrivals[index], other)
     second_ns = one.receive_ns + round(apart_s * SECOND_NS)
     one_first, another_first = (
-        run_adapter(new_adapter(), sort_by_arrival((*without(arrivals, index), first, replace(second, receive_ns=second_ns))))
+        run_adapter(
+            new_adapter(), sort_by_arrival((*without(arrivals, index), first, replace(second, receive_ns=second_ns)))
+        )
         for first, second in ((one, another), (another, one))
     )
     alone = fault_free_run(), run_adapter(new_adapter(), replace_message(arrivals, index, other))
@@ -313,7 +333,9 @@ def test_of_two_messages_with_one_stamp_the_same_one_is_kept_in_either_order(top
 def attitudes(run: Run) -> list[Any]:
     """All attitudes to the last bit, without their status."""
     published = run.messages("ship/attitude")
-    return [exact_value([m.header.stamp.sec, m.header.stamp.nanosec, m.heading, m.pitch, *m.covariance]) for m in published]
+    return [
+        exact_value([m.header.stamp.sec, m.header.stamp.nanosec, m.heading, m.pitch, *m.covariance]) for m in published
+    ]
 
 
 @pytest.mark.parametrize("topic", [INS, FORE])
@@ -391,7 +413,9 @@ def test_ten_messages_in_a_row_from_the_future_are_a_clock_offset() -> None:
 
 def test_a_star_far_off_once_is_gated_and_changes_nothing() -> None:
     """600" in heading: four times the sigma about Up that a sensor looking up by 45° has, 100" sin 45°."""
-    run = run_adapter(new_adapter(), replace_message(voyage(), index_at(voyage(), FORE, MOMENT_S), set_field("azimuth", 0.7)))
+    run = run_adapter(
+        new_adapter(), replace_message(voyage(), index_at(voyage(), FORE, MOMENT_S), set_field("azimuth", 0.7))
+    )
     assert run.results() == run_without(FORE).results()
     assert run.state() == run_without(FORE).state()
     assert run.reasons(FORE) == {"gate": 1}

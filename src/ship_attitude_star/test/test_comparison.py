@@ -108,7 +108,10 @@ def test_clock_offsets_have_the_signs_of_the_contract() -> None:
     mean[MODEL.slices["ins.time_offset"]] = 0.005
     mean[MODEL.slices["star.fore.time_offset"]] = 0.001
     mean[MODEL.slices["reference.other.time_offset"]] = 0.002
-    one_second, state = 1_000_000_000, FILTER.fault_detector.initial_state(mean, FILTER.initial_state().covariance_by_source)
+    one_second, state = (
+        1_000_000_000,
+        FILTER.fault_detector.initial_state(mean, FILTER.initial_state().covariance_by_source),
+    )
     shifts_ms = {"star.plain": -15, "star.fore": -14, "reference.other": -102}
     for source, shift_ms in shifts_ms.items():
         measurement = AttitudeMeasurement(source, one_second, np.eye(3), np.eye(3))
@@ -139,7 +142,9 @@ def test_covariance_of_the_output_is_that_of_its_errors(seed: int) -> None:
     for index in range(MODEL.size):
         turns = []
         for by in (STEP, -STEP):
-            changed = replace(FILTER.fault_detector.initial_state(with_state_error(mean, index, by), parts), time_ns=state.time_ns)
+            changed = replace(
+                FILTER.fault_detector.initial_state(with_state_error(mean, index, by), parts), time_ns=state.time_ns
+            )
             shift_s = -by if index == tau else 0.0
             shifted = InterpolatedAttitude(ins.rotation_nd @ exp_rotation(ins.rate_d * shift_s), ins.rate_d, 0.6)
             turns.append(log_rotation(correct_directly(changed, shifted)[0] @ rotation.T))

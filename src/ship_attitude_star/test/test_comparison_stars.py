@@ -54,7 +54,14 @@ def residuals(ship_filter, watch, exposure, mean):
     field = f"{exposure.source}.field"
     field_rows = model.rows(field) if field in model.slices else None
     return star_residuals(
-        exposure, predicted.rotation_nv, predicted.jacobian_v, prior, watch, model.sky_slice, mean, camera_indices=field_rows
+        exposure,
+        predicted.rotation_nv,
+        predicted.jacobian_v,
+        prior,
+        watch,
+        model.sky_slice,
+        mean,
+        camera_indices=field_rows,
     )
 
 

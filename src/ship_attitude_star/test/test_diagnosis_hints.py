@@ -82,4 +82,6 @@ def test_the_inconsistent_source_is_named(
 
 def test_noise_about_the_boresight_is_no_disagreement_among_sensors() -> None:
     noisy = AttitudeResidual(0, np.array([150.0, 20.0, 110.0]) * ARCSEC, np.diag([100.0, 3.0, 100.0]) ** 2 * ARCSEC**2)
-    assert consistency_text("star.a", [], {"star.a": residual_of((150.0, 20.0, 0.0)), "star.b": noisy}).startswith("only the INS")
+    assert consistency_text("star.a", [], {"star.a": residual_of((150.0, 20.0, 0.0)), "star.b": noisy}).startswith(
+        "only the INS"
+    )

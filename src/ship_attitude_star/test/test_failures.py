@@ -89,7 +89,11 @@ def test_an_attitude_that_cannot_be_computed_is_the_only_one_missing(monkeypatch
 
 def test_a_failed_budget_does_not_suppress_invalid(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ship_attitude_adapter, "alignment_state", failing_where(lambda *arguments: True, None))
-    run = run_adapter(new_adapter(), remove_interval(voyage(), 2.0, 5.0, "ins/imu", FORE, STARBOARD), until_ns=START_NS + 5 * SECOND_NS)
+    run = run_adapter(
+        new_adapter(),
+        remove_interval(voyage(), 2.0, 5.0, "ins/imu", FORE, STARBOARD),
+        until_ns=START_NS + 5 * SECOND_NS,
+    )
     invalid = [m for m in run.messages("ship/attitude") if m.status == Status.INVALID]
     assert [stamp_of(m) - START_NS for m in invalid[-3:]] == [3_000_000_000, 4_000_000_000, 5_000_000_000]
     assert {m.source for m in run.innovations(Reason.FAILED)} == {"slow topics"}

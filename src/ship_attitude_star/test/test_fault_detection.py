@@ -340,7 +340,9 @@ def test_a_rotated_sky_changes_no_attitude_and_its_stars_are_reinstated_afterwar
 def test_stars_with_a_constant_shared_error_stay_excluded(tilt_time_s: float, seed: int, axis: int) -> None:
     """The INS covariance grows while the stars are excluded: being within it is not consistency."""
     ins = {"ins": {"tilt_time_s": tilt_time_s, "time_offset_sigma_s": 0.0}}
-    sailed = run_with_errors(InjectedError("sky", np.eye(3)[axis] * 25.0 * ARCSEC, 30.0), seconds=240.0, seed=seed, **ins)
+    sailed = run_with_errors(
+        InjectedError("sky", np.eye(3)[axis] * 25.0 * ARCSEC, 30.0), seconds=240.0, seed=seed, **ins
+    )
     assert {one.status for one in sailed.between(32.0, 240.0)} == {Status.DEGRADED}
 
 
@@ -485,11 +487,19 @@ def test_with_the_ins_excluded_neither_of_two_star_sensors_is_isolated() -> None
 @pytest.mark.slow
 def test_solution_separations_are_in_the_covariance_and_not_in_the_levels() -> None:
     sailed = run_with_errors(InjectedError("star.port", UP * 10.0 / 60.0 * ARCSEC, 20.0, per_s=True), seconds=240.0)
-    told = [one for one in sailed.estimates if one.status is Status.VALID and one.state.separation_covariance_n is not None]
+    told = [
+        one for one in sailed.estimates if one.status is Status.VALID and one.state.separation_covariance_n is not None
+    ]
     assert told
     for one in told[:: max(len(told) // 20, 1)]:
-        assert one.covariance_n - one.covariance_without_separation_n == pytest.approx(one.state.separation_covariance_n, rel=1e-6)
-        alone = replace(one, state=replace(one.state, separation_covariance_n=None), covariance_n=one.covariance_without_separation_n)
+        assert one.covariance_n - one.covariance_without_separation_n == pytest.approx(
+            one.state.separation_covariance_n, rel=1e-6
+        )
+        alone = replace(
+            one,
+            state=replace(one.state, separation_covariance_n=None),
+            covariance_n=one.covariance_without_separation_n,
+        )
         assert sailed.core.integrity(one).level.tolist() == sailed.core.integrity(alone).level.tolist()
 
 
@@ -503,7 +513,9 @@ def test_a_mounting_shift_of_four_sigmas_is_in_the_covariance_before_an_exclusio
     assert max(error_sigmas(one) for one in valid) < 5.0
 
 
-def run_with_stars_excluded(lie: InjectedError, start_s: float, end_s: float, seconds: float, seed: int, names: str = "star.") -> VoyageResult:
+def run_with_stars_excluded(
+    lie: InjectedError, start_s: float, end_s: float, seconds: float, seed: int, names: str = "star."
+) -> VoyageResult:
     """Run a voyage with two sensors, some of which see no stars for a while."""
     ERRORS.append(lie)
     arrivals = [
@@ -517,7 +529,9 @@ def run_with_stars_excluded(lie: InjectedError, start_s: float, end_s: float, se
 
 def test_the_reinstatement_timer_restarts_after_a_timeout() -> None:
     """A mounting shift, excluded at 10 s; it would be reinstated after 60 s, in most of which it sent no data."""
-    sailed = run_with_stars_excluded(InjectedError("star.port", UP * 60.0 * ARCSEC, 10.0), 20.0, 65.0, 135.0, 1, "star.port")
+    sailed = run_with_stars_excluded(
+        InjectedError("star.port", UP * 60.0 * ARCSEC, 10.0), 20.0, 65.0, 135.0, 1, "star.port"
+    )
     (excluded_s, excluded), (returned_s, returned) = sailed.excluded[1:]
     assert 10.0 < excluded_s < 11.0
     assert 65.0 + 59.0 < returned_s < 65.0 + 63.0
@@ -536,7 +550,9 @@ def test_the_reinstatement_timer_of_the_ins_restarts_without_measurements() -> N
 
 @pytest.mark.parametrize(("seed", "size_arcsec"), [(1, -20.0), (2, -20.0), (5, -15.0)])
 def test_a_mounting_shift_without_stars_does_not_exclude_the_ins(seed: int, size_arcsec: float) -> None:
-    sailed = run_with_stars_excluded(InjectedError("star.port", size_arcsec * UP * ARCSEC, 50.0), 42.0, 60.0, 75.0, seed)
+    sailed = run_with_stars_excluded(
+        InjectedError("star.port", size_arcsec * UP * ARCSEC, 50.0), 42.0, 60.0, 75.0, seed
+    )
     assert "ins" not in {name for _, names in sailed.excluded for name in names}
     assert_consistent(sailed)
 
@@ -588,13 +604,17 @@ def test_any_order_within_the_lag_ends_in_the_same_state_exclusions_included(
     arrivals = voyage(THREE, tuple(range(len(ERRORS) - len(knocked), len(ERRORS))), 25.0, 3, True)
     mixed = random.Random(4)
     shuffled = sorted(arrivals, key=lambda arrival: arrival[0] + mixed.uniform(0.0, 1.5) * SECOND_NS)
-    states = [run_core(ShipAttitudeCore(configuration(THREE, **changes)), run).core.state for run in (arrivals, shuffled)]
+    states = [
+        run_core(ShipAttitudeCore(configuration(THREE, **changes)), run).core.state for run in (arrivals, shuffled)
+    ]
     assert states[0].excluded == states[1].excluded
     assert set(states[0].excluded) == {f"star.{name}" for name in knocked}
     for name in ("means", "stack"):
         assert getattr(states[0], name).tobytes() == getattr(states[1], name).tobytes()
     for name in ("running", "excess", "rejection_counts"):
-        assert getattr(states[0].innovation_means, name).tobytes() == getattr(states[1].innovation_means, name).tobytes()
+        assert (
+            getattr(states[0].innovation_means, name).tobytes() == getattr(states[1].innovation_means, name).tobytes()
+        )
 
 
 def test_a_subfilter_without_a_sensor_equals_a_filter_without_it() -> None:
@@ -602,7 +622,9 @@ def test_a_subfilter_without_a_sensor_equals_a_filter_without_it() -> None:
     arrivals = voyage(("bow", "port"), (), 20.0, 5, True)
     core = run_core(ShipAttitudeCore(configuration(("bow", "port"))), arrivals).core
     without = configuration(("port",))
-    single = run_core(ShipAttitudeCore(without), [a for a in arrivals if getattr(a[1], "source", "") != "star.bow"]).core
+    single = run_core(
+        ShipAttitudeCore(without), [a for a in arrivals if getattr(a[1], "source", "") != "star.bow"]
+    ).core
     ins = core.filter.model.slices["ins.attitude"]
     row = core.filter.fault_detector.subfilters.names.index("star.bow") + 1
     np.testing.assert_allclose(core.state.means[row, ins], single.state.mean[ins], atol=1e-3 * ARCSEC)
@@ -644,7 +666,9 @@ def test_two_mounting_shifts_of_any_size_are_isolated_and_no_error_exceeds_its_l
         pair = rng.choice(sensors, 2, replace=False)
         knocks_rad = ARCSEC * 10.0 ** rng.uniform(1.0, 2.0, 2)
         ways = [np.array([0.0, np.cos(way), np.sin(way)]) for way in rng.uniform(0.0, 2.0 * np.pi, 2)]
-        lies = [InjectedError(f"star.{name}", of * way, 20.0) for name, of, way in zip(pair, knocks_rad, ways, strict=True)]
+        lies = [
+            InjectedError(f"star.{name}", of * way, 20.0) for name, of, way in zip(pair, knocks_rad, ways, strict=True)
+        ]
         sailed = run_with_errors(*lies, sensors=sensors, seconds=30.0, seed=100 + seed, **WITH_PAIRS)
         named += sailed.excluded[-1][1] == tuple(sorted(f"star.{name}" for name in pair))
         assert_within_levels(sailed)
@@ -652,7 +676,10 @@ def test_two_mounting_shifts_of_any_size_are_isolated_and_no_error_exceeds_its_l
 
 
 def test_two_excluded_sensors_are_reinstated_independently() -> None:
-    knock, glitch = InjectedError("star.bow", UP * 40.0 * ARCSEC, 10.0), InjectedError("star.port", -UP * 60.0 * ARCSEC, 10.0, end_s=30.0)
+    knock, glitch = (
+        InjectedError("star.bow", UP * 40.0 * ARCSEC, 10.0),
+        InjectedError("star.port", -UP * 60.0 * ARCSEC, 10.0, end_s=30.0),
+    )
     sailed = run_with_errors(knock, glitch, seconds=100.0, **WITH_PAIRS)
     both = ("star.bow", "star.port")
     assert [names for _, names in sailed.excluded] == [(), both, ("star.port",), ()]
@@ -666,7 +693,9 @@ def test_two_excluded_sensors_are_reinstated_independently() -> None:
 
 def test_with_pairs_a_single_fault_excludes_one_source() -> None:
     for name, knock_arcsec in (("aft", 12.0), ("port", 300.0)):
-        sailed = run_with_errors(InjectedError(f"star.{name}", UP * knock_arcsec * ARCSEC, 15.0), seconds=20.0, **WITH_PAIRS)
+        sailed = run_with_errors(
+            InjectedError(f"star.{name}", UP * knock_arcsec * ARCSEC, 15.0), seconds=20.0, **WITH_PAIRS
+        )
         assert [names for _, names in sailed.excluded] == [(), (f"star.{name}",)]
         assert_consistent(sailed)
 
@@ -716,7 +745,9 @@ def test_more_hypotheses_than_allowed_are_refused_by_name() -> None:
 
 
 def test_an_unresolved_fault_is_in_the_error_budget() -> None:
-    sailed = run_with_errors(InjectedError("star.bow", np.array([0.0, 0.0, 50.0]) * ARCSEC, 10.0), sensors=("bow",), seconds=20.0)
+    sailed = run_with_errors(
+        InjectedError("star.bow", np.array([0.0, 0.0, 50.0]) * ARCSEC, 10.0), sensors=("bow",), seconds=20.0
+    )
     last = sailed.estimates[-1]
     assert last.status is Status.DEGRADED
     np.testing.assert_allclose(last.covariance_by_source_n.sum(axis=0), last.covariance_n, rtol=1e-9)

@@ -54,7 +54,11 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
 
     adapter.service("reset", now_ns)
     for arrival in voyage():
-        take(run, delayed_copy(arrival, now_ns + SECOND_NS - START_NS), now_ns + SECOND_NS + arrival.receive_ns - START_NS)
+        take(
+            run,
+            delayed_copy(arrival, now_ns + SECOND_NS - START_NS),
+            now_ns + SECOND_NS + arrival.receive_ns - START_NS,
+        )
     last = run.messages("ship/attitude")[-1]
     assert last.status == Status.VALID
     clean_last = fault_free_run().messages("ship/attitude")[-1]

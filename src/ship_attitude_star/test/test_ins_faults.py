@@ -136,7 +136,9 @@ def test_one_wrong_sample_is_refused_and_changes_nothing(zero_rates: bool) -> No
 
 def test_a_wrong_sample_that_comes_late_is_refused_too() -> None:
     index = index_at(voyage(), INS, 3.0)
-    run = run_adapter(new_adapter(), replace_message(voyage(), index, negate_w, voyage()[index].receive_ns + SECOND_NS // 2))
+    run = run_adapter(
+        new_adapter(), replace_message(voyage(), index, negate_w, voyage()[index].receive_ns + SECOND_NS // 2)
+    )
     assert run.reasons(INS) == {"gate": 1}
     assert_consistent(run)
 
@@ -162,7 +164,9 @@ def test_a_permanent_jump_inflates_the_covariance_until_stars_are_consistent(siz
 
 def test_without_stars_a_jump_stays_degraded() -> None:
     arrivals = [a for a in voyage(8.0) if a.topic == INS or a.stamp_ns < START_NS + 3 * SECOND_NS]
-    run = run_adapter(new_adapter(coasting_after_s=100.0), change_where(arrivals, of_ins(4.0), turn_attitude(0.0, 3600.0, 0.0)))
+    run = run_adapter(
+        new_adapter(coasting_after_s=100.0), change_where(arrivals, of_ins(4.0), turn_attitude(0.0, 3600.0, 0.0))
+    )
     after = [m for m in run.messages("ship/attitude") if seconds(m) >= 4.0]
     assert {m.status for m in after} == {Status.DEGRADED}
     told = run.diagnostics("attitude", run.now_ns - SECOND_NS, run.now_ns)[-1][1]
@@ -197,7 +201,9 @@ def test_zero_rates_are_not_used_and_the_attitude_is_consistent(keep: int) -> No
     reports = run.diagnostics("ins rates", START_NS + SECOND_NS, run.now_ns)
     assert {level for level, _ in reports} == {1}
     assert "not used" in reports[0][1]
-    assert_same_attitudes(run, run_adapter(new_adapter(), change_where(thin_out(voyage(20.0), keep), of_ins(), no_rate)))
+    assert_same_attitudes(
+        run, run_adapter(new_adapter(), change_where(thin_out(voyage(20.0), keep), of_ins(), no_rate))
+    )
 
 
 def test_a_sigma_of_the_ins_that_contradicts_the_configured_one_is_reported() -> None:
@@ -306,7 +312,9 @@ def test_a_jump_with_rates_in_degrees_and_back() -> None:
 
 def test_a_wrong_sample_while_frozen_is_refused() -> None:
     frozen = change_where(voyage(10.0), of_ins(3.0, 6.0), hold_values(voyage(10.0), 3.0))
-    run = run_adapter(new_adapter(), replace_message(frozen, index_at(frozen, INS, 5.0), turn_attitude(0.0, 3600.0, 0.0)))
+    run = run_adapter(
+        new_adapter(), replace_message(frozen, index_at(frozen, INS, 5.0), turn_attitude(0.0, 3600.0, 0.0))
+    )
     refused = run.reasons(INS)
     assert refused["gate"] + refused["stuck"] == 74
     assert_consistent(run)

@@ -58,7 +58,9 @@ def test_physical_convention_ahead_and_abeam() -> None:
 
 
 def test_conventions_differ_where_the_paper_claims_equality() -> None:
-    physical, paper = (at_operating_point(np.array([90.0]), reading).star[0, 0, 2] for reading in InstallationConvention)
+    physical, paper = (
+        at_operating_point(np.array([90.0]), reading).star[0, 0, 2] for reading in InstallationConvention
+    )
     assert abs(physical) == pytest.approx(1.4142, abs=1e-4)
     assert abs(paper) == pytest.approx(1.0641, abs=1e-4)
 

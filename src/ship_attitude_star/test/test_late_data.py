@@ -80,7 +80,9 @@ def test_a_late_star_changes_the_attitude_only_from_its_arrival_on() -> None:
     late = run_adapter(new_adapter(), replace_message(voyage(), index, lambda message: None, arrives_ns))
 
     def attitudes(run: Any, from_ns: int, until_ns: int) -> list[Any]:
-        return [exact_value(m) for ns, topic, m in run.published if topic == "ship/attitude" and from_ns <= ns < until_ns]
+        return [
+            exact_value(m) for ns, topic, m in run.published if topic == "ship/attitude" and from_ns <= ns < until_ns
+        ]
 
     usual_ns = voyage()[index].receive_ns
     assert attitudes(late, 0, usual_ns) == attitudes(fault_free_run(), 0, usual_ns)

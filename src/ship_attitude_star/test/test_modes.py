@@ -280,7 +280,9 @@ def test_without_any_input_invalid_is_published() -> None:
 
 
 def test_without_any_sensor_the_ins_passes_through_and_the_diagnostics_report_it() -> None:
-    run = run_adapter(ShipAttitudeAdapter(ShipAttitudeConfig(), RosidlFactory()), [a for a in voyage() if a.topic == INS])
+    run = run_adapter(
+        ShipAttitudeAdapter(ShipAttitudeConfig(), RosidlFactory()), [a for a in voyage() if a.topic == INS]
+    )
     assert len(outputs(run)) > 100
     assert {(m.status, m.horizon) for m in outputs(run)} == {(Status.DEGRADED, Horizon.GRAVITY)}
     for message in outputs(run)[::20]:
@@ -350,7 +352,9 @@ def test_heading_given_as_yaw_is_a_conflict_with_a_hint(heading_deg: float) -> N
 
 
 def test_the_same_data_with_the_right_convention_are_the_same_attitude() -> None:
-    run = run_adapter(new_adapter(ins__convention="ned_frd"), change_where(voyage(), lambda a: a.topic == INS, convert_to_ned_frd))
+    run = run_adapter(
+        new_adapter(ins__convention="ned_frd"), change_where(voyage(), lambda a: a.topic == INS, convert_to_ned_frd)
+    )
     for one, other in zip(outputs(run), outputs(fault_free_run()), strict=True):
         assert np.allclose(rotation_of(one), rotation_of(other), atol=1e-12)
 
@@ -391,7 +395,9 @@ def test_an_ins_against_all_sensors_is_named_in_the_diagnostics() -> None:
 
 @pytest.mark.parametrize("heading_deg", [45.0, 225.0, 44.0])
 def test_half_a_degree_near_45_is_not_called_yaw(heading_deg: float) -> None:
-    run = run_adapter(new_adapter(), change_where(voyage(4.0, heading_deg), lambda a: a.topic == INS, add_heading_error))
+    run = run_adapter(
+        new_adapter(), change_where(voyage(4.0, heading_deg), lambda a: a.topic == INS, add_heading_error)
+    )
     conflicts = run.innovations(Reason.ATTITUDE_CONFLICT)
     assert conflicts
     assert not any("yaw" in m.reason_text for m in conflicts)

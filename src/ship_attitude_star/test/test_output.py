@@ -81,7 +81,10 @@ def test_attitudes_of_several_states_are_those_of_each_alone() -> None:
             assert repr(run.estimate(place)) == repr(alone.estimate(0))
             assert run.covariance_by_source_n[place].tobytes() == alone.covariance_by_source_n[0].tobytes()
             assert run.covariance_n[place].tobytes() == alone.covariance_n[0].tobytes()
-            assert run.covariance_without_separation_n[place].tobytes() == alone.covariance_without_separation_n[0].tobytes()
+            assert (
+                run.covariance_without_separation_n[place].tobytes()
+                == alone.covariance_without_separation_n[0].tobytes()
+            )
             statuses.add(run.status[place])
     assert np.all(runs[3].covariance_n != runs[3].covariance_without_separation_n, axis=0).diagonal().all()
     assert statuses == {Status.VALID, Status.DEGRADED, Status.COASTING}
@@ -91,7 +94,9 @@ def test_each_filter_is_propagated_and_inflated_independently() -> None:
     rng = np.random.default_rng(11)
     rows, initial = 5, FILTER.initial_state()
     means = rng.normal(scale=1e-4, size=(rows, FILTER.model.size))
-    root = rng.normal(scale=1e-4, size=(len(initial.covariance_by_source) + rows - 1, FILTER.model.size, FILTER.model.size))
+    root = rng.normal(
+        scale=1e-4, size=(len(initial.covariance_by_source) + rows - 1, FILTER.model.size, FILTER.model.size)
+    )
     stack = root @ root.swapaxes(-1, -2)
     common_n = MappingProxyType({"star.fore": (20.0 * ARCSEC) ** 2 * np.eye(3)})
     jump = InsJump(61_000_000_000, np.array([0.0, 0.01, 0.0]), 1e-4)

@@ -189,7 +189,9 @@ def test_over_elevation_refraction_falls_with_the_cotangent() -> None:
     # Only the direction ahead is clear; all other azimuths are masked.
     wall = {"azimuths_deg": [12.0, 348.0, 348.0, 12.0], "elevations_deg": [-90.0, -90.0, 90.0, 90.0]}
     values = {**one, "masks": {"wall": wall}, "field_of_view_deg": 1.0, "horizon": {"roll_deg": 10.0, "pitch_deg": 8.0}}
-    required = compute_study(study_config({**values, "requirement": {"heading_arcsec": 200.0, "pitch_arcsec": 20.0}})).requirement_result
+    required = compute_study(
+        study_config({**values, "requirement": {"heading_arcsec": 200.0, "pitch_arcsec": 20.0}})
+    ).requirement_result
     assert required is not None
     for traded in required.trade:
         if np.rad2deg(traded.candidate.layout.angles[0, 0]) == 0.0:
@@ -228,14 +230,18 @@ def test_a_requirement_out_of_reach_ends_with_1_and_the_nearest_miss(
     assert "of 2 arcsec" in said
     page = (out / "layout_study.html").read_text(encoding="utf-8")
     assert "No layout meets it." in page
-    tables = {name for name in output_names(study_config(read_nested_parameters(layout).values)) if name.endswith(".csv")}
+    tables = {
+        name for name in output_names(study_config(read_nested_parameters(layout).values)) if name.endswith(".csv")
+    }
     assert {path.name for path in out.glob("*.csv")} == tables
 
 
 def test_a_blocking_horizon_is_in_the_nearest_miss() -> None:
     values = {"horizon": {"clearance_deg": 45.0}, "field_of_view_deg": 100.0}
     sensors = {"a": {"azimuth_deg": 0.0, "elevation_deg": 60.0}}
-    required = compute_study(study_config({**values, "sensors": sensors, "requirement": {"roll_arcsec": 500.0}})).requirement_result
+    required = compute_study(
+        study_config({**values, "sensors": sensors, "requirement": {"roll_arcsec": 500.0}})
+    ).requirement_result
     assert required is not None
     assert not required.is_met
     assert "too near to the horizon" in "".join(required.ranking[0].obstacles)
@@ -267,7 +273,9 @@ def test_the_example_has_an_admissible_layout(tmp_path: Path, capsys: pytest.Cap
     said = capsys.readouterr().out
     assert "  1 all sensors moved       meets it" in said
     assert f"  5 {AS_GIVEN:24}does not: pitch uses 101.1 %" in said
-    assert {path.name for path in tmp_path.iterdir()} == set(output_names(study_config(read_nested_parameters(EXAMPLE).values)))
+    assert {path.name for path in tmp_path.iterdir()} == set(
+        output_names(study_config(read_nested_parameters(EXAMPLE).values))
+    )
     page = (tmp_path / "layout_study.html").read_text(encoding="utf-8")
     for words in ("Requirement", "Effect of elevation", "Maximum size of each error", "bridge_wings"):
         assert words in page

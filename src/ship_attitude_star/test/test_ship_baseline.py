@@ -184,7 +184,9 @@ def test_alignment_contains_its_direction() -> None:
 
 def test_the_same_solutions_end_in_the_same_bits() -> None:
     ends = [
-        run_core(ShipAttitudeCore(make_config()), np.zeros(3), lambda _, true_nd: true_nd @ BASELINE_D, seconds=5)[0][-1]
+        run_core(ShipAttitudeCore(make_config()), np.zeros(3), lambda _, true_nd: true_nd @ BASELINE_D, seconds=5)[0][
+            -1
+        ]
         for _ in range(2)
     ]
     np.testing.assert_array_equal(ends[0].covariance_n, ends[1].covariance_n)

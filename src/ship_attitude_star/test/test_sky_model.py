@@ -38,7 +38,10 @@ def stars():
 def test_without_position_or_earth_orientation_the_sky_is_rejected_with_a_reason() -> None:
     watch = load_sky_model(SkyConfig())
     assert watch.sky_at(TIME_NS).reason is Reason.NO_FIX
-    assert sky_model_with_inputs().sky_at(TIME_NS + 40 * 365 * 86_400 * 1_000_000_000).reason is Reason.NO_EARTH_ORIENTATION
+    assert (
+        sky_model_with_inputs().sky_at(TIME_NS + 40 * 365 * 86_400 * 1_000_000_000).reason
+        is Reason.NO_EARTH_ORIENTATION
+    )
     watch = sky_model_with_inputs()
     watch.reset()
     assert watch.sky_at(TIME_NS).reason is Reason.NO_FIX

@@ -83,7 +83,9 @@ def measurements() -> list[AttitudeMeasurement]:
     for ms, id_ in star_epochs():
         slow = np.array([TILT, HEADING, TILT]) * np.array([0.9, -1.1, 0.6]) * np.cos(ms / 9000.0)
         sensor = rotation_from_angles(*SENSORS[id_]) @ rotation_of(mounted[id_])
-        rotation = rotation_of(slow) @ ins_nd(ms / 1000.0 - 0.0011) @ sensor @ rotation_of(NOISE * rng.standard_normal(3))
+        rotation = (
+            rotation_of(slow) @ ins_nd(ms / 1000.0 - 0.0011) @ sensor @ rotation_of(NOISE * rng.standard_normal(3))
+        )
         common = COMMON**2 * np.eye(3) if id_ == "fore" else np.zeros((3, 3))
         stamp_ns = START_NS + ms * 1_000_000
         found.append(AttitudeMeasurement(f"star.{id_}", stamp_ns, rotation, np.diag(NOISE**2), common))
@@ -149,7 +151,13 @@ def batch_equations(batch: BatchProblem, requested_ms: list[int]) -> list[tuple]
         def residual(clock_s, mounted, slow, white, common=None, flexure=None, ms=ms, id_=id_, star=star):
             zero = np.zeros(3)
             common, flexure = (zero if one is None else one for one in (common, flexure))
-            hull = rotation_of(common) @ rotation_of(slow) @ rotation_of(white) @ ins_nd(ms / 1000.0 - clock_s[0]) @ rotation_of(flexure)
+            hull = (
+                rotation_of(common)
+                @ rotation_of(slow)
+                @ rotation_of(white)
+                @ ins_nd(ms / 1000.0 - clock_s[0])
+                @ rotation_of(flexure)
+            )
             predicted = hull @ rotation_from_angles(*SENSORS[id_]) @ rotation_of(mounted)
             return Rotation.from_matrix(predicted.T @ star.rotation_nv).as_rotvec() / NOISE
 

@@ -134,7 +134,9 @@ def solution(exposure: StarExposure, known: Knowledge) -> Any:
     return star_horizon_attitude(FACTORY, solved, "")
 
 
-def measure_attitude(exposure: StarExposure, config: ShipAttitudeConfig, known: Knowledge, has_noise_covariance: bool) -> Measurement:
+def measure_attitude(
+    exposure: StarExposure, config: ShipAttitudeConfig, known: Knowledge, has_noise_covariance: bool
+) -> Measurement:
     """Return the filter's measurement of an exposure, by the configured input."""
     id_ = exposure.source.partition(".")[2]
     star = config.star_sensors[id_]
@@ -146,7 +148,9 @@ def measure_attitude(exposure: StarExposure, config: ShipAttitudeConfig, known: 
     return star_measurement(message, id_, star, exposure.time_ns).value
 
 
-def final(config: ShipAttitudeConfig, known: Knowledge, seed: int, has_noise_covariance: bool) -> tuple[FloatArray, FloatArray]:
+def final(
+    config: ShipAttitudeConfig, known: Knowledge, seed: int, has_noise_covariance: bool
+) -> tuple[FloatArray, FloatArray]:
     """Return true minus estimated error of the INS after exposures of both sensors, and its covariance (N, U, E)."""
     drawn, ship_filter = voyage(known, seed), ShipFilter(config)
     state = ship_filter.initial_state()
@@ -178,8 +182,10 @@ def campaign(known: Knowledge, input_: str, shared: str = "by_input", has_noise_
     sigma = np.sqrt(np.mean([np.diagonal(covariance_n) for _, covariance_n in found], axis=0))
     rms = np.sqrt(np.mean([error_n**2 for error_n, _ in found], axis=0))
     result = Campaign(float(np.mean(nees)), rms / sigma, sigma / ARCSEC)
-    print(f"{known} {input_} {shared} {has_noise_covariance}: NEES {result.nees:.2f}, RMS/sigma {result.ratio.round(2)}, "
-          f"sigma {result.sigma_arcsec.round(2)}")
+    print(
+        f"{known} {input_} {shared} {has_noise_covariance}: NEES {result.nees:.2f}, RMS/sigma {result.ratio.round(2)}, "
+        f"sigma {result.sigma_arcsec.round(2)}"
+    )
     return result
 
 
@@ -272,7 +278,9 @@ def test_the_shared_rotations_equal_finite_differences_of_the_sky() -> None:
         (2, sky(config, north, POOR_WEATHER.fix_m)),
         (0, sky(replace(config, sky=denser), POSITION, POOR_WEATHER.fix_m)),
     ):
-        moved, as_told = (solve_exposure(exposure, (), None, one)[1] for one in (watch, sky_model_with_inputs(POOR_WEATHER)))
+        moved, as_told = (
+            solve_exposure(exposure, (), None, one)[1] for one in (watch, sky_model_with_inputs(POOR_WEATHER))
+        )
         turn_n = log_rotation(moved.solution.rotation_nb @ as_told.solution.rotation_nb.T)
         expected_n = found.shared_n[:, column]
         if column == 0:

@@ -156,7 +156,10 @@ def insert_in_order(stamped: list[tuple[int, Reading]], order: Iterable[int]) ->
 
 
 def test_the_drawn_values_have_rejected_and_accepted_jumps() -> None:
-    runs = [insert_in_order(stamped, range(len(stamped))) for stamped in map(draw_readings, map(np.random.default_rng, range(40)))]
+    runs = [
+        insert_in_order(stamped, range(len(stamped)))
+        for stamped in map(draw_readings, map(np.random.default_rng, range(40)))
+    ]
     assert sum(len(values.times) < 35 for values in runs) > 20
     assert sum(any(values.follows_jump) for values in runs) > 10
 
@@ -257,7 +260,9 @@ def test_a_step_of_the_clocks_keeps_values_established_or_provisional() -> None:
 
 
 def test_inconsistent_rejected_values_replace_nothing() -> None:
-    refused, disputed = provisional_results((0.0, 0.0), (1.0, 0.0), *((float(t), 500.0 * (t % 3)) for t in range(2, 60)))
+    refused, disputed = provisional_results(
+        (0.0, 0.0), (1.0, 0.0), *((float(t), 500.0 * (t % 3)) for t in range(2, 60))
+    )
     assert refused == [float(t) for t in range(2, 60) if t % 3]
     assert disputed[2]
     assert not disputed[3]

@@ -119,7 +119,9 @@ def test_errors_are_consistent_with_the_noise_covariance() -> None:
 def test_the_prior_selects_stars_and_does_not_change_the_attitude() -> None:
     without = run_new_adapter(without_ins())
     for name in SOLUTION.values():
-        assert [exact_value(m) for m in without.messages(name)] == [exact_value(m) for m in fault_free_run().messages(name)]
+        assert [exact_value(m) for m in without.messages(name)] == [
+            exact_value(m) for m in fault_free_run().messages(name)
+        ]
 
 
 def covered_by_ins(messages: list[Any]) -> list[Any]:

@@ -110,7 +110,10 @@ def innovations(run: Run, reason: Reason) -> list[Any]:
 )
 def test_a_bad_star_alone_is_refused(change: Change, reason: Reason, text: str) -> None:
     index = index_at(voyage(), FORE, MOMENT_S)
-    run, expected = run_new_adapter(replace_message(voyage(), index, change)), run_new_adapter(replace_message(voyage(), index, remove_star(3)))
+    run, expected = (
+        run_new_adapter(replace_message(voyage(), index, change)),
+        run_new_adapter(replace_message(voyage(), index, remove_star(3))),
+    )
 
     for message in run.messages(FORE_SOLUTION):
         # Nothing but the count of what was refused tells the two runs apart.
@@ -268,7 +271,9 @@ def assert_rejected_without_attitude(run: Run, reason: Reason, text: str) -> Non
 
 
 def test_without_a_fix_there_is_no_attitude() -> None:
-    assert_rejected_without_attitude(run_new_adapter(without_topics(voyage(), FIX)), Reason.NO_FIX, "no position fix received yet")
+    assert_rejected_without_attitude(
+        run_new_adapter(without_topics(voyage(), FIX)), Reason.NO_FIX, "no position fix received yet"
+    )
 
 
 def test_a_fix_older_than_a_minute_is_none() -> None:
@@ -291,7 +296,8 @@ def test_a_fix_older_than_a_minute_is_none() -> None:
 def test_beyond_the_table_of_earth_orientation_there_is_no_attitude() -> None:
     shift_ns = earth_orientation_table().last_ns + 40 * DAY_NS - START_NS
     later = tuple(
-        replace(changed_copy(a, stamp_ahead(shift_ns / SECOND_NS)), receive_ns=a.receive_ns + shift_ns) for a in voyage()
+        replace(changed_copy(a, stamp_ahead(shift_ns / SECOND_NS)), receive_ns=a.receive_ns + shift_ns)
+        for a in voyage()
     )
     assert_rejected_without_attitude(run_new_adapter(later), Reason.NO_EARTH_ORIENTATION, "")
 

@@ -74,7 +74,9 @@ def with_streaks(exposure, rotation_ds: FloatArray, exposure_s: float):
 
 
 def reduced_to_middle(exposure, rotation_ds: FloatArray):
-    return reduce_to_mid_exposure(exposure, exposure_motion(rolling_track(), TIME_NS, exposure.length.nodes).in_device_frame(rotation_ds).turns)
+    return reduce_to_mid_exposure(
+        exposure, exposure_motion(rolling_track(), TIME_NS, exposure.length.nodes).in_device_frame(rotation_ds).turns
+    )
 
 
 @pytest.mark.parametrize("sensor", ["fore", "starboard"])

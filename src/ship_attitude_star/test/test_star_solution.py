@@ -283,7 +283,13 @@ def test_scipy_finds_the_same_attitude_with_errors_of_the_optics() -> None:
         covariance_n = np.linalg.inv(found.jac.T @ found.jac)[:3, :3]
         np.testing.assert_allclose(parts["star_noise"] + parts["optics"], covariance_n, rtol=1e-3, atol=1e-15)
         # A catalogue as poor as the centroids causes half of the noise.
-        poor = dict(zip(SOLUTION_TERMS, solve_stars(replace(stars, position_sigma=stars.sigma)).covariance_by_source_n, strict=False))
+        poor = dict(
+            zip(
+                SOLUTION_TERMS,
+                solve_stars(replace(stars, position_sigma=stars.sigma)).covariance_by_source_n,
+                strict=False,
+            )
+        )
         np.testing.assert_allclose(poor["catalogue"], poor["star_noise"], rtol=1e-6, atol=1e-16)
         # One sigma of each camera's error rotates the attitude by its part of the covariance by source.
         turns = []

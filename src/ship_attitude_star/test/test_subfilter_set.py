@@ -49,7 +49,9 @@ def test_consistent_star_sensors_cannot_show_an_ins_fault() -> None:
 
 
 def test_a_pair_is_as_probable_as_both_of_its_faults_together() -> None:
-    found = subfilter_set(2, 1, pairs=True, max_hypotheses=11, prior_per_h={"star_sensor": 1e-2, "reference": 0.1, "ins": 1e-3})
+    found = subfilter_set(
+        2, 1, pairs=True, max_hypotheses=11, prior_per_h={"star_sensor": 1e-2, "reference": 0.1, "ins": 1e-3}
+    )
     share = 1e-5 / 12  # ten subfilters, all stars together, and the fault-free case
     for name, prior in (("reference.r0", 0.1), ("star.s0+star.s1", 1e-4), ("reference.r0+ins", 1e-4)):
         assert found.k.missed_detection[found.names.index(name)] == pytest.approx(norm.isf(share / prior))

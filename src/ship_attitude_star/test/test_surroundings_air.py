@@ -173,6 +173,8 @@ def test_weather_changes_are_not_rejected() -> None:
 
 
 def test_another_pressure_is_accepted_after_the_maximum_age() -> None:
-    refused, track = insert_all("pressure", [(0.0, 1010.0), (60.0, 1010.0), *((60.0 * n, 1040.0) for n in range(2, 63))])
+    refused, track = insert_all(
+        "pressure", [(0.0, 1010.0), (60.0, 1010.0), *((60.0 * n, 1040.0) for n in range(2, 63))]
+    )
     assert refused == [60.0 * n for n in range(2, 62)]
     assert track.air(ns(3720)).weather.pressure_hpa == 1040.0

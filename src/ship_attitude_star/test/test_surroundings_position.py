@@ -66,7 +66,12 @@ def test_between_fixes_the_position_is_on_the_line() -> None:
 
 
 def test_beyond_the_last_fix_the_line_of_the_last_five_seconds_is_extrapolated() -> None:
-    fixes = (0, position_at(0.0001, 10.0)), (1, position_at(0.0, 10.0)), (4, position_at(0.0002, 10.0)), (6, position_at(0.0, 10.0005))
+    fixes = (
+        (0, position_at(0.0001, 10.0)),
+        (1, position_at(0.0, 10.0)),
+        (4, position_at(0.0002, 10.0)),
+        (6, position_at(0.0, 10.0005)),
+    )
     place = track(*fixes).position(ns(8))
     assert distance_m(place, position_at(0.0, 10.0007)) < 1e-3
     np.testing.assert_allclose(place.observer.velocity_n_m_per_s, [0, 0, 1e-4 * M_PER_DEG_OF_LONGITUDE], atol=1e-3)
@@ -143,7 +148,9 @@ def test_over_the_pole_the_path_is_straight() -> None:
 
 def test_near_the_pole_the_error_keeps_its_direction_on_earth() -> None:
     # A quarter of the way round the pole: what was north-south at the fix is east-west now.
-    place = track((0, position_at(89.9999, 0.0)), (1, position_at(89.9999, 90.0)), covariance_m2=np.diag([100.0, 0.0, 1.0])).position(ns(0))
+    place = track(
+        (0, position_at(89.9999, 0.0)), (1, position_at(89.9999, 90.0)), covariance_m2=np.diag([100.0, 0.0, 1.0])
+    ).position(ns(0))
     assert place.covariance_m2[0, 0] == pytest.approx(100.0)
     turned = track((0, position_at(89.9999, 0.0)), covariance_m2=np.diag([100.0, 0.0, 1.0]))
     turned.insert(PositionFix(ns(1), position_at(89.9999, 90.0), np.diag([1.0, 0.0, 100.0])))
@@ -164,7 +171,9 @@ def test_near_the_pole_the_error_keeps_its_direction_on_earth() -> None:
     ],
 )
 def test_the_error_grows_with_the_time_to_the_fixes(since_s: float, drift_m: float) -> None:
-    covariance_m2 = track((0, position_at(50.0, 10.0)), (1, position_at(50.0, 10.0))).position(ns(since_s)).covariance_m2
+    covariance_m2 = (
+        track((0, position_at(50.0, 10.0)), (1, position_at(50.0, 10.0))).position(ns(since_s)).covariance_m2
+    )
     np.testing.assert_allclose(covariance_m2, SIGMA_M + np.diag([drift_m**2, 0.0, drift_m**2]), rtol=1e-9, atol=1e-9)
 
 
@@ -181,7 +190,9 @@ def test_fixes_with_a_long_gap_give_no_velocity() -> None:
     assert distance_m(apart.position(ns(3)), position_at(0.0, 10.0)) < 1e-6
     joined = track((0, position_at(0.0, 10.0)), (120, position_at(0.0, 10.1)), **fast)
     # The chord of 11 km is below the sea surface by s (L - s) / 2R: 2.3 m in its middle.
-    assert distance_m(joined.position(ns(60)), position_at(0.0, 10.05)) == pytest.approx(5566.0**2 / 2 / 6_378_137.0, rel=1e-3)
+    assert distance_m(joined.position(ns(60)), position_at(0.0, 10.05)) == pytest.approx(
+        5566.0**2 / 2 / 6_378_137.0, rel=1e-3
+    )
 
 
 def test_without_a_recent_fix_the_position_is_rejected_with_a_reason() -> None:
@@ -316,8 +327,14 @@ def test_changes_within_the_limits_are_accepted() -> None:
     assert refused(moving_fix(0), moving_fix(1), moving_fix(400), moving_fix(401)) == []
     assert refused(*((*moving_fix(t, 300.0 * (t % 2)), 100.0) for t in range(20))) == []
     # The date line, and over the pole by 11 m on either side.
-    assert refused((0, position_at(0.0, 179.9999)), (1, position_at(0.0, -179.9999)), (2, position_at(0.0, -179.9997))) == []
-    assert refused((0, position_at(89.9999, 30.0)), (1, position_at(89.9999, -150.0)), (2, position_at(89.9997, -150.0))) == []
+    assert (
+        refused((0, position_at(0.0, 179.9999)), (1, position_at(0.0, -179.9999)), (2, position_at(0.0, -179.9997)))
+        == []
+    )
+    assert (
+        refused((0, position_at(89.9999, 30.0)), (1, position_at(89.9999, -150.0)), (2, position_at(89.9997, -150.0)))
+        == []
+    )
     # On the opposite side of the Earth the chord has no horizontal part: it is a jump nevertheless.
     assert len(refused((0, position_at(0.0, 10.0)), (1, position_at(0.0, 10.0)), (2, position_at(0.0, -170.0)))) == 1
     # Height is not compared.

@@ -276,7 +276,9 @@ def test_wrong_utc_before_the_step_needs_a_reset() -> None:
     _, last = attitudes(run)[-1]
     assert sigmas(last, stamp_of(last)) < SIGMAS
     adapter.service("reset", run.now_ns)
-    after = run_with_clocks(adapter, [a for a in observation_voyage() if a.receive_ns >= START_NS + 25 * SECOND_NS], constant_clock_error)
+    after = run_with_clocks(
+        adapter, [a for a in observation_voyage() if a.receive_ns >= START_NS + 25 * SECOND_NS], constant_clock_error
+    )
     assert not_valid_s(after, 27.0) == 0.0
     _, last = attitudes(after)[-1]
     assert sigmas(last, stamp_of(last)) < SIGMAS

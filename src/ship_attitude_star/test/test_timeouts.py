@@ -87,7 +87,9 @@ def test_exposures_without_a_fix_do_not_hide_an_ins_timeout() -> None:
 def test_rejected_ins_samples_give_no_attitude() -> None:
     """It arrives at its full rate, in order, and is not usable; no star sensor works."""
     arrivals = remove_interval(voyage(8.0), 3.0, 8.0, FORE, STARBOARD)
-    run = run_adapter(new_adapter(), change_where(arrivals, lambda a: a.topic == INS and at(3.0) < a.stamp_ns, wrong_frame))
+    run = run_adapter(
+        new_adapter(), change_where(arrivals, lambda a: a.topic == INS and at(3.0) < a.stamp_ns, wrong_frame)
+    )
     assert_invalid_once_a_second(run, 3.0, 8.0)
 
 
@@ -137,7 +139,9 @@ def test_ins_and_stars_stop_and_come_back() -> None:
 
 
 def test_no_error_budget_is_published_twice() -> None:
-    run = run_adapter(new_adapter(slow_topics_period_s=0.1), remove_interval(voyage(8.0), 3.0, 6.0, INS, FORE, STARBOARD))
+    run = run_adapter(
+        new_adapter(slow_topics_period_s=0.1), remove_interval(voyage(8.0), 3.0, 6.0, INS, FORE, STARBOARD)
+    )
     for topic in BUDGETS:
         stamps = [stamp_of(m) for m in run.messages(topic)]
         assert len(stamps) == len(set(stamps)) > 40
@@ -148,7 +152,9 @@ def test_no_error_budget_is_published_twice() -> None:
 
 
 def with_latency(arrivals: Iterable[Arrival], latency_s: Callable[[str], float]) -> tuple[Arrival, ...]:
-    return sort_by_arrival(replace(a, receive_ns=a.receive_ns + round(latency_s(a.topic) * SECOND_NS)) for a in arrivals)
+    return sort_by_arrival(
+        replace(a, receive_ns=a.receive_ns + round(latency_s(a.topic) * SECOND_NS)) for a in arrivals
+    )
 
 
 @pytest.mark.parametrize(
@@ -157,7 +163,9 @@ def with_latency(arrivals: Iterable[Arrival], latency_s: Callable[[str], float])
 def test_old_stamps_are_no_timeout(latency_s: Callable[[str], float]) -> None:
     """The INS within the lag behind the stars, or all that late."""
     run = run_adapter(new_adapter(), with_latency(voyage(), latency_s))
-    by_ins, expected = ([stamp_of(m) for m in published_attitudes(r) if "ins" in m.sources] for r in (run, fault_free_run()))
+    by_ins, expected = (
+        [stamp_of(m) for m in published_attitudes(r) if "ins" in m.sources] for r in (run, fault_free_run())
+    )
     # Stars that arrived before the first INS sample gave attitudes first.
     assert by_ins == [ns for ns in expected if latency_s(FORE) or ns > at(0.877)]
     assert [ns for ns in invalid_times_ns(run) if ns > at(latency_s(INS) + 0.1)] == []
@@ -205,7 +213,9 @@ def run_with_stopped_node(from_s: float, until_s: float) -> Run:
 def test_data_received_during_a_stop_are_published_after_it() -> None:
     run = run_with_stopped_node(2.5, 3.7)
     assert len(invalid_times_ns(run)) == 1
-    assert [stamp_of(m) for m in published_attitudes(run)] == [stamp_of(m) for m in published_attitudes(fault_free_run())]
+    assert [stamp_of(m) for m in published_attitudes(run)] == [
+        stamp_of(m) for m in published_attitudes(fault_free_run())
+    ]
     assert run.state() == fault_free_run().state()
 
 

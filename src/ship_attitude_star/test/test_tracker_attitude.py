@@ -69,7 +69,9 @@ def scenes(elevations_deg: tuple[float, float], count: int = SCENES):
         yield rotation_from_angles(*np.deg2rad(angles_deg)), rng
 
 
-def solve_attitude(seen_n: FloatArray, catalogue_c: FloatArray, rotation_ns: FloatArray, most: int) -> FloatArray | None:
+def solve_attitude(
+    seen_n: FloatArray, catalogue_c: FloatArray, rotation_ns: FloatArray, most: int
+) -> FloatArray | None:
     """Return "ICRS from sensor" as a tracker computes it from the first stars in its field."""
     seen_s = seen_n @ rotation_ns
     inside = np.flatnonzero(seen_s[:, 0] > np.cos(FIELD.radius))[:most]

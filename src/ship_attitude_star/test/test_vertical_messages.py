@@ -17,7 +17,9 @@ TOPIC = "gravity/deflection"
 END_NS = START_NS + 5 * SECOND_NS
 
 
-def deflection_message(since_s: float, xi_arcsec: float, eta_arcsec: float, sigma_arcsec: float = 1.0, **changes: Any) -> Arrival:
+def deflection_message(
+    since_s: float, xi_arcsec: float, eta_arcsec: float, sigma_arcsec: float = 1.0, **changes: Any
+) -> Arrival:
     time_ns = START_NS + round(since_s * SECOND_NS)
     values = {
         "header": make_header(FACTORY, time_ns, "gravity"),
@@ -88,7 +90,9 @@ def test_a_topic_timeout_is_named_and_the_horizon_is_gravity_without_stars() -> 
 
 
 def test_two_messages_of_one_stamp_are_reported() -> None:
-    assert run_with(deflection_message(0.5, 4.0, -3.0), deflection_message(0.5, 4.0, -3.0)).reasons(TOPIC) == {"duplicate": 1}
+    assert run_with(deflection_message(0.5, 4.0, -3.0), deflection_message(0.5, 4.0, -3.0)).reasons(TOPIC) == {
+        "duplicate": 1
+    }
     one, other = deflection_message(0.5, 4.0, -3.0), deflection_message(0.5, 5.0, -3.0)
     runs = [run_with(one, other), run_with(other, one)]
     assert [run.reasons(TOPIC) for run in runs] == [{"conflict": 1}] * 2

@@ -101,7 +101,9 @@ def run_core(run: Voyage, late_ns: dict[int, int] | None = None) -> tuple[ShipAt
 def nees(core: ShipAttitudeCore, truth: FloatArray) -> float:
     """NEES of the installation and the offset."""
     model = core.filter.model
-    rows = np.r_[model.state_indices("reference.other.installation"), model.state_indices("reference.other.time_offset")]
+    rows = np.r_[
+        model.state_indices("reference.other.installation"), model.state_indices("reference.other.time_offset")
+    ]
     return float(normalized_error_squared(truth - core.state.mean[rows], core.state.covariance[np.ix_(rows, rows)]))
 
 

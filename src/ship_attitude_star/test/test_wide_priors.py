@@ -230,7 +230,10 @@ def test_mend_14_one_step_leads_to_the_most_likely_clock_and_attitude(seed: int)
     state, decision = ship_filter.step(ship_filter.initial_state(), measurement, track, None)
     assert decision.accepted
     rows = np.concatenate(
-        [ship_filter.model.state_indices(name) for name in ("ins.attitude", "star.fore.installation", "ins.time_offset")]
+        [
+            ship_filter.model.state_indices(name)
+            for name in ("ins.attitude", "star.fore.installation", "ins.time_offset")
+        ]
     )
     found = state.mean[rows]
     assert abs(found[6] - likeliest[6]) < 2e-6

@@ -47,7 +47,11 @@ def node_command_parser(prog: str, example: str, description: str, epilog: str) 
     )
     parser.add_argument("node", metavar="NODE", help="its name, with its namespace: /demo/ship_attitude")
     parser.add_argument(
-        "--timeout", type=positive_number, default=_TIMEOUT_S, metavar="S", help=f"timeout of a response, s ({_TIMEOUT_S:g})"
+        "--timeout",
+        type=positive_number,
+        default=_TIMEOUT_S,
+        metavar="S",
+        help=f"timeout of a response, s ({_TIMEOUT_S:g})",
     )
     return parser
 
@@ -187,7 +191,9 @@ def parse_value(text: str, like: ParameterValue) -> ParameterValue:
     elif kind == ParameterType.PARAMETER_STRING:
         value.string_value = text
     elif kind == ParameterType.PARAMETER_DOUBLE_ARRAY:
-        value.double_array_value = [_parse_number(float, part, "numbers with commas between") for part in _list_parts(text)]
+        value.double_array_value = [
+            _parse_number(float, part, "numbers with commas between") for part in _list_parts(text)
+        ]
     elif kind == ParameterType.PARAMETER_STRING_ARRAY:
         value.string_array_value = _list_parts(text)
     else:

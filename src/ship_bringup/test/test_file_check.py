@@ -89,7 +89,9 @@ def test_wrong_kinds_of_nmea_out_paths(tmp_path, key, found):
     path.write_text(f"/**/nmea_out: {{ros__parameters: {{sinks: {{log: {{{key}: {tmp_path}}}}}}}}}\n")
     assert rows(read_path_states(path, None)) == [(Result.FAIL, f"{path}:1: sinks.log.{key} {tmp_path}: {found}")]
     path.write_text(f"/**/nmea_out: {{ros__parameters: {{sinks: {{log: {{device: {path}}}}}}}}}\n")
-    assert rows(read_path_states(path, None)) == [(Result.FAIL, f"{path}:1: sinks.log.device {path}: is no serial device")]
+    assert rows(read_path_states(path, None)) == [
+        (Result.FAIL, f"{path}:1: sinks.log.device {path}: is no serial device")
+    ]
 
 
 def test_device_of_another_group_advises_usermod():

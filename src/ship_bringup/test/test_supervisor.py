@@ -355,7 +355,9 @@ def test_failed_start_is_retried(monkeypatch, number, where):
 
     monkeypatch.setattr(holder, name, failing)
     before = set(os.listdir("/proc/self/fd"))
-    code, lines = run_suite(program("node", "import time; print('runs', flush=True); time.sleep(60)"), until="[node] runs")
+    code, lines = run_suite(
+        program("node", "import time; print('runs', flush=True); time.sleep(60)"), until="[node] runs"
+    )
     assert code == 0
     assert lines[0] == f"[suite] node cannot be started: {os.strerror(number)}; tried again in 1 s"
     assert set(os.listdir("/proc/self/fd")) <= before
@@ -393,7 +395,9 @@ def test_exception_in_the_supervisor_ends_nothing(monkeypatch):
         real(self)
 
     monkeypatch.setattr(Supervisor, "_wait", wait)
-    code, lines = run_suite(program("node", "import time; print('runs', flush=True); time.sleep(60)"), until="[node] runs")
+    code, lines = run_suite(
+        program("node", "import time; print('runs', flush=True); time.sleep(60)"), until="[node] runs"
+    )
     assert code == 0
     assert "MemoryError: none left" in "\n".join(lines)
 

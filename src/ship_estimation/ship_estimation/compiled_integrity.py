@@ -75,8 +75,15 @@ def solution_separation(
     tested_count: cython.Py_ssize_t = tested_subfilters.shape[0]
     check("components", to_components.shape[0] == to_components.shape[1] == by_states.shape[0] == 3)
     check("covariance", covariance.shape[0] == covariance.shape[1] == 3 and by_states.shape[1] == n)
-    check("means", means.shape[1] == parts.shape[1] == parts.shape[2] == m and subfilter_covariances.shape[0] == hypotheses)
-    check("left_out", subfilter_covariances.shape[1] == subfilter_covariances.shape[2] == m and missed_detection.shape[0] == hypotheses)
+    check(
+        "means",
+        means.shape[1] == parts.shape[1] == parts.shape[2] == m and subfilter_covariances.shape[0] == hypotheses,
+    )
+    check(
+        "left_out",
+        subfilter_covariances.shape[1] == subfilter_covariances.shape[2] == m
+        and missed_detection.shape[0] == hypotheses,
+    )
     of_statistic, of_level = np.empty(tested_count), np.empty(3)
     statistic: cython.double[::1] = of_statistic
     level: cython.double[::1] = of_level

@@ -51,7 +51,9 @@ def _chi2(mean: cython.p_double) -> cython.double:
 
 @cython.cfunc
 @cython.exceptval(check=False)
-def _chi2_with_constant_error(mean: cython.p_double, whitened_noise: cython.const[cython.double][:, :]) -> cython.double:
+def _chi2_with_constant_error(
+    mean: cython.p_double, whitened_noise: cython.const[cython.double][:, :]
+) -> cython.double:
     """Return chi² of a mean if the error of the filter is constant: only the measurement noise averages out.
 
     The covariance of the mean is decomposed by a Cholesky factor; chi² is NaN if that does not exist.
@@ -129,7 +131,10 @@ def updated_means(
     rows: cython.Py_ssize_t = running.shape[0]
     count: cython.Py_ssize_t = running.shape[1]
     check("running", running.shape[2] == weights.shape[0] and running.shape[3] == _COLUMNS)
-    check("excess", excess.shape[0] == rejection_counts.shape[0] == rows and excess.shape[1] == rejection_counts.shape[1] == count)
+    check(
+        "excess",
+        excess.shape[0] == rejection_counts.shape[0] == rows and excess.shape[1] == rejection_counts.shape[1] == count,
+    )
     check("heard_ns", last_measured_ns.shape[0] == inconsistent_since_ns.shape[0] == count)
     check("turn", innovation.shape[0] == accepted.shape[0] == rows and innovation.shape[2] == 3)
     check("sources", innovation.shape[1] == accepted.shape[1] == len(sources))
@@ -197,7 +202,9 @@ def updated_mean(
 
     The largest component is given in its own sigmas; NaN if one of them is NaN.
     """
-    check("averaged", running.shape[0] == weights.shape[0] and running.shape[1] == _COLUMNS and innovation.shape[0] == 3)
+    check(
+        "averaged", running.shape[0] == weights.shape[0] and running.shape[1] == _COLUMNS and innovation.shape[0] == 3
+    )
     result = np.empty((weights.shape[0], _COLUMNS))
     means: cython.double[:, ::1] = result
     if weights.shape[0]:

@@ -727,7 +727,9 @@ def update(
     n: cython.Py_ssize_t = gain.shape[1]
     m: cython.Py_ssize_t = gain.shape[2]
     sources: cython.Py_ssize_t = stack.shape[0] - rows + 1
-    check("stack", sources >= 1 and stack.shape[1] == stack.shape[2] == jacobian.shape[1] == updated_states.shape[1] == n)
+    check(
+        "stack", sources >= 1 and stack.shape[1] == stack.shape[2] == jacobian.shape[1] == updated_states.shape[1] == n
+    )
     check("measurement", jacobian.shape[0] == residual.shape[1] == noise.shape[0] == noise.shape[1] == m)
     check("rows", residual.shape[0] == updated_states.shape[0] == rows)
     result, corrections = np.empty((sources + rows - 1, n, n)), np.empty((rows, n))

@@ -210,7 +210,9 @@ class ExcessNoise:
                 return self._start_excess(MeasuredNoise(recent[0].first_ns, variance, 0.0, 0.0, count))
         return None
 
-    def observe(self, sample: AttitudeSample, integrated: IntegratedAttitude, rates_proven: bool = True) -> ExtraNoise | None:
+    def observe(
+        self, sample: AttitudeSample, integrated: IntegratedAttitude, rates_proven: bool = True
+    ) -> ExtraNoise | None:
         """Collect a sample; return a newly detected or changed excess.
 
         Args:
@@ -244,7 +246,9 @@ class ExcessNoise:
         if not steps.median_sigma_rad >= ratio * usual_sigma_rad:
             return None
         measured = steps.measured_noise()
-        return self._start_excess(measured, steps.fastest2) if measured.sigma_rad() >= ratio * self._stated_rad else None
+        return (
+            self._start_excess(measured, steps.fastest2) if measured.sigma_rad() >= ratio * self._stated_rad else None
+        )
 
     def _changed_excess(self, found: MeasuredNoise, steps: "_Steps") -> ExtraNoise | None:
         """Return the excess if it has changed or ended; None otherwise."""

@@ -138,7 +138,9 @@ def isolate_fault(
     worst = np.max(np.where(counts, contradicted, 0.0), axis=-1, initial=0.0)
     # A subfilter explains a fault if it is consistent with all its sources, each measured since the fault began.
     began_ns = np.max(means.inconsistent_since_ns, initial=NEVER_NS, where=is_recent)
-    is_consistent = (means.excess <= CONSISTENT_RATIO) & (means.rejection_counts == 0) & (means.last_measured_ns >= began_ns)
+    is_consistent = (
+        (means.excess <= CONSISTENT_RATIO) & (means.rejection_counts == 0) & (means.last_measured_ns >= began_ns)
+    )
     explains = np.all(is_consistent | ~counts, axis=-1)
     tested = larger_subfilters if larger_subfilters and not np.any(worst[candidates] <= 1.0) else candidates
     explaining = sorted((row for row in tested if explains[row]), key=lambda row: worst[row])
@@ -151,7 +153,9 @@ def isolate_fault(
     # After a rejection the main filter has used less than the subfilters; the separations do not compare them then.
     if agrees and len(explaining) > 1 and not (means.rejection_counts[0] * counts[0]).any():
         both = [*explaining, *(row for row in larger_subfilters if explains[row])]
-        row = _largest_separation(both, separations, threshold) or _largest_separation(explaining, separations, threshold)
+        row = _largest_separation(both, separations, threshold) or _largest_separation(
+            explaining, separations, threshold
+        )
     return FaultIsolation(is_detected=True, subfilter=row, explaining_subfilters=tuple(explaining))
 
 
@@ -167,10 +171,16 @@ def is_consistent_with_all(means: InnovationMeans, degraded_after: int) -> bool:
     return all(excess <= 1.0 and refused < degraded_after for excess, refused in by_source)  # NaN is inconsistent
 
 
-def _is_main_filter_consistent(means: InnovationMeans, uses: NDArray[np.bool_], since_ns: int, degraded_after: int) -> bool:
+def _is_main_filter_consistent(
+    means: InnovationMeans, uses: NDArray[np.bool_], since_ns: int, degraded_after: int
+) -> bool:
     """True if the main filter is consistent with all sources that it uses and that were measured since a stamp."""
     by_source = zip(
-        means.excess[0].tolist(), means.rejection_counts[0].tolist(), means.last_measured_ns.tolist(), uses.tolist(), strict=True
+        means.excess[0].tolist(),
+        means.rejection_counts[0].tolist(),
+        means.last_measured_ns.tolist(),
+        uses.tolist(),
+        strict=True,
     )
     # NaN is inconsistent.
     return all(
@@ -216,10 +226,16 @@ def evaluate_reinstatement(
         >>> judge_return(agreed, no_means(1, 1), 0, 70 * SECOND_NS, return_after_s=60.0)[1]
         True
     """
-    agrees = means.excess[0, source] <= CONSISTENT_RATIO and means.rejection_counts[0, source] == 0  # NaN is inconsistent
+    agrees = (
+        means.excess[0, source] <= CONSISTENT_RATIO and means.rejection_counts[0, source] == 0
+    )  # NaN is inconsistent
     if excluded.offset is not None:
-        measured_ratio = measured_ratio if abs(measured_ratio) < _MAX_OFFSET_RATIO else _MAX_OFFSET_RATIO  # NaN is gross
-        share_left = excluded.remaining_offset_ratio + (measured_ratio - excluded.remaining_offset_ratio) * 2.0 / (_RATIO_WINDOW + 1.0)
+        measured_ratio = (
+            measured_ratio if abs(measured_ratio) < _MAX_OFFSET_RATIO else _MAX_OFFSET_RATIO
+        )  # NaN is gross
+        share_left = excluded.remaining_offset_ratio + (measured_ratio - excluded.remaining_offset_ratio) * 2.0 / (
+            _RATIO_WINDOW + 1.0
+        )
         excluded = replace(excluded, remaining_offset_ratio=share_left)
         agrees = agrees and share_left <= _MAX_REMAINING_RATIO and _DRIFT_SIGMAS * ratio_sigma <= _MAX_REMAINING_RATIO
     if not agrees:

@@ -191,7 +191,9 @@ def _diagnosis(table: InnovationTable) -> InnovationDiagnosis:
     )
 
 
-def _kind_and_text(table: InnovationTable, parts: PartStatistics, axes: Iterable[AxisStatistics]) -> tuple[DiagnosisKind, str]:
+def _kind_and_text(
+    table: InnovationTable, parts: PartStatistics, axes: Iterable[AxisStatistics]
+) -> tuple[DiagnosisKind, str]:
     """Return kind and text of the most important result: a bias affects the sigma test, a wrong sigma the outliers."""
     biased = max((axis for axis in axes if axis.is_biased), key=lambda axis: abs(axis.bias_sigma), default=None)
     if biased is not None:

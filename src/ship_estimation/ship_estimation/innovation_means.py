@@ -175,7 +175,9 @@ def updated_mean(running: FloatArray, innovation: FloatArray) -> tuple[FloatArra
     return after
 
 
-def cleared_means(means: InnovationMeans, subfilters: Sequence[int] | slice, sources: Sequence[int] | slice) -> InnovationMeans:
+def cleared_means(
+    means: InnovationMeans, subfilters: Sequence[int] | slice, sources: Sequence[int] | slice
+) -> InnovationMeans:
     """Return the means with those of some filters and sources cleared.
 
     Example:

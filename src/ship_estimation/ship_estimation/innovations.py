@@ -102,7 +102,9 @@ def innovation_of(decision: MeasurementDecision[Any]) -> Innovation | None:
     if len(decision.covariance) != len(decision.residual):
         return None  # unknown covariance
     groups = _groups(decision.components)
-    found = compiled_innovations.innovation_statistics(decision.residual, decision.covariance, decision.noise, *groups[:4])
+    found = compiled_innovations.innovation_statistics(
+        decision.residual, decision.covariance, decision.noise, *groups[:4]
+    )
     if found is None:
         return None  # NaN, or a covariance that is not positive definite
     squares, own_share, along = found
@@ -255,7 +257,9 @@ class PartStatistics:
         )
         self.nis = nis / self.components if self.components else math.nan
         self._degrees, self._count = degrees or 1, len(self._squares)
-        self._inlier_count = int(self._squares.searchsorted(value_above(_OUTLIER_PROBABILITY, self._degrees), side="right"))
+        self._inlier_count = int(
+            self._squares.searchsorted(value_above(_OUTLIER_PROBABILITY, self._degrees), side="right")
+        )
         self.outlier_share = 1.0 - self._inlier_count / self._count if self._count >= LEAST_COUNT else math.nan
         by_all, by_near = self._factor(self._count), self._factor(self._inlier_count)
         self._bulk_factor = by_all if math.isnan(by_near) else by_near

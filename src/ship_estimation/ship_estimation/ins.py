@@ -183,5 +183,7 @@ def clock_step_s(jump_n: FloatArray, sigma_rad: float, rate_n: FloatArray) -> fl
         return math.nan
     step_s = float(jump_n @ rate_n) / square
     # The rate of rotation changes in that time.
-    explained = vector_length(jump_n - step_s * rate_n) <= _CLOCK_SIGMAS * sigma_rad + _CLOCK_SHARE * vector_length(jump_n)
+    explained = vector_length(jump_n - step_s * rate_n) <= _CLOCK_SIGMAS * sigma_rad + _CLOCK_SHARE * vector_length(
+        jump_n
+    )
     return step_s if explained else math.nan

@@ -117,7 +117,11 @@ class InsCheck:
 
     def __init__(self, config: CheckedInsConfig) -> None:
         self._stuck_check, self._rate_check, self._jump_check = StuckCheck(), RateConsistencyCheck(), JumpCheck()
-        self._integrator, self._step_detector, self._predictions = RateIntegrator(), InsStepDetector(ARCSEC, 0.0), InsPredictions(self._stuck_check)
+        self._integrator, self._step_detector, self._predictions = (
+            RateIntegrator(),
+            InsStepDetector(ARCSEC, 0.0),
+            InsPredictions(self._stuck_check),
+        )
         self._drift_detector = RateDriftDetector()
         self._previous: NumberedSample | None = None
         self._accepted: NumberedSample | None = None
@@ -163,7 +167,11 @@ class InsCheck:
         return "" if found is None else found.text(self._stated_rad)
 
     def check(
-        self, sample: AttitudeSample, accepted_track: AttitudeTrack, motion_references: Mapping[str, MotionReference], reported_step_rad: float = 0.0
+        self,
+        sample: AttitudeSample,
+        accepted_track: AttitudeTrack,
+        motion_references: Mapping[str, MotionReference],
+        reported_step_rad: float = 0.0,
     ) -> CheckedInsSample:
         """Check a sample against those before it in time.
 
@@ -179,7 +187,9 @@ class InsCheck:
         self._predictions.reported_step_rad = reported_step_rad
         previous = self._previous
         if previous is not None and sample.time_ns <= previous.sample.time_ns:
-            judged = CheckedInsSample(sample, self._late_rejection(sample, accepted_track.last_before(sample.time_ns - 1)))
+            judged = CheckedInsSample(
+                sample, self._late_rejection(sample, accepted_track.last_before(sample.time_ns - 1))
+            )
         else:
             judged = self._with_noise(self._check_next(sample, previous, motion_references))
         if self._rate_check.is_usable or sample.rate_d is None:
@@ -197,7 +207,12 @@ class InsCheck:
         if taken is None or self._previous is not taken or self._rate_check.status is not RateStatus.MEASURED:
             return False
         in_order = taken.integrated is not None and taken.sample.time_ns < time_ns
-        return in_order and self._unresolved_jump is None and self._step_detector.is_ready and not self._excess.is_collecting
+        return (
+            in_order
+            and self._unresolved_jump is None
+            and self._step_detector.is_ready
+            and not self._excess.is_collecting
+        )
 
     def check_block(self, samples: Sequence[AttitudeSample], block: SampleBlock) -> CheckedBlock:
         """Check the leading samples of a block as long as all are accepted without special cases.
@@ -223,7 +238,9 @@ class InsCheck:
                 break
         return followed
 
-    def commit_block(self, values: FloatArray, checked: CheckedBlock, motion_references: Mapping[str, MotionReference]) -> None:
+    def commit_block(
+        self, values: FloatArray, checked: CheckedBlock, motion_references: Mapping[str, MotionReference]
+    ) -> None:
         """Commit the samples that :meth:`check_block` checked.
 
         Args:
@@ -248,7 +265,9 @@ class InsCheck:
             due = start + 1 + int(block.times_ns[start:joined].searchsorted(self._rate_check.due_ns))
             some = slice(start, min(due, joined))
             times_ns, learnt = block.times_ns[some], self._drift_updates
-            count, followed.last = self._check_line(samples[some], block.subset(some), integrated.subset(some), due - start)
+            count, followed.last = self._check_line(
+                samples[some], block.subset(some), integrated.subset(some), due - start
+            )
             if count:
                 followed.add(times_ns[:count], integrated.rotations[start : start + count], drift_rad_per_s)
             start += count
@@ -272,7 +291,9 @@ class InsCheck:
         taken = self._accepted
         if taken is None or taken.integrated is None or integrated.run != taken.integrated.run:
             return 0, None
-        count = self._step_detector.accept_block(*block, integrated, self._predictions.rate_bound.noise_rad, self._stuck_check.coarseness_rad)
+        count = self._step_detector.accept_block(
+            *block, integrated, self._predictions.rate_bound.noise_rad, self._stuck_check.coarseness_rad
+        )
         if count == 0:
             return 0, None
         last = samples[count - 1]
@@ -309,7 +330,9 @@ class InsCheck:
         self._previous = seen = NumberedSample(sample, number, before, integrated)
         self.by_rates = None
         if integrated is not None and self._rate_check.is_usable:
-            self.by_rates = MotionReference(sample.time_ns, integrated.rotation, 0.0, self._predictions.drift.bound_rad_per_s)
+            self.by_rates = MotionReference(
+                sample.time_ns, integrated.rotation, 0.0, self._predictions.drift.bound_rad_per_s
+            )
             motion_references = {**motion_references, "rate": self.by_rates}
         stuck = self._stuck_check.observe(sample.time_ns, sample.rotation_nd, self._sigma_rad, motion_references)
         self.noise_rad = math.hypot(self._sigma_rad, self._stuck_check.coarseness_rad / math.sqrt(12.0))
@@ -328,7 +351,10 @@ class InsCheck:
         """Check a sample against the last accepted one and the one before it."""
         sample, on_line, measured = seen.sample, None, self._rate_check.status is RateStatus.MEASURED
         if measured and seen.integrated is not None:
-            if self._predictions.reported_step_rad and self._predictions.reported_step_rad > self._step_detector.smallest_rad:
+            if (
+                self._predictions.reported_step_rad
+                and self._predictions.reported_step_rad > self._step_detector.smallest_rad
+            ):
                 self._step_detector.restart()
             errors_rad = self._predictions.rate_bound.noise_rad, self._stuck_check.coarseness_rad
             on_line = self._step_detector.check(sample, seen.integrated, *errors_rad)
@@ -341,12 +367,16 @@ class InsCheck:
             jumps = self._keep_on_line(seen)
             self._accept(seen, None if jumps else taken)
             due = sample.time_ns >= self._rate_check.due_ns
-            return CheckedInsSample(sample, _step_rejection(jumps), jumps, self._check_rates(previous, seen) if due else None)
+            return CheckedInsSample(
+                sample, _step_rejection(jumps), jumps, self._check_rates(previous, seen) if due else None
+            )
         match = self._predictions.match(taken, seen, measured) if on_line is None else self._step_detector.match()
         step = match if previous is taken else self._predictions.match(previous, seen, measured)
         fits = match.fits
         if step is not match:
-            fits = match.is_consistent_with(step) or (measured and self._predictions.are_rates_faulty_between(taken, seen, step))
+            fits = match.is_consistent_with(step) or (
+                measured and self._predictions.are_rates_faulty_between(taken, seen, step)
+            )
         if not fits:
             smooth = self._is_smooth_since_accepted and self._predictions.match_by_motion(previous, seen).fits
             self._is_smooth_since_accepted = smooth
@@ -365,7 +395,13 @@ class InsCheck:
         return self._accept_off_line(taken, previous, seen, match, step is match, verdict is JumpDecision.JUMPED)
 
     def _accept_off_line(
-        self, taken: NumberedSample, previous: NumberedSample, seen: NumberedSample, match: PredictionMatch, next_one: bool, jumped: bool
+        self,
+        taken: NumberedSample,
+        previous: NumberedSample,
+        seen: NumberedSample,
+        match: PredictionMatch,
+        next_one: bool,
+        jumped: bool,
     ) -> CheckedInsSample:
         """Accept a sample without a line of earlier ones: at the start, or after a jump."""
         jumps: tuple[InsJump, ...] = ()
@@ -470,7 +506,9 @@ class InsCheck:
         if not self._rate_check.is_usable:
             self.by_rates = None
         elif self.by_rates is None:
-            self.by_rates = MotionReference(sample.time_ns, integrated.rotation, 0.0, self._predictions.drift.bound_rad_per_s)
+            self.by_rates = MotionReference(
+                sample.time_ns, integrated.rotation, 0.0, self._predictions.drift.bound_rad_per_s
+            )
         return wrong_after_ns
 
     def _accept(self, seen: NumberedSample, before: NumberedSample | None) -> None:

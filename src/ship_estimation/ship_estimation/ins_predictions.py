@@ -74,7 +74,9 @@ class RateDrift:
         """
         self._pieces += 1
         # The attitude drifts against the rates by the negative of their error.
-        self._drift = self._drift - (drift_n if self.has_earth_rate else drift_n @ rotation_nd) / min(self._pieces, _PIECES)
+        self._drift = self._drift - (drift_n if self.has_earth_rate else drift_n @ rotation_nd) / min(
+            self._pieces, _PIECES
+        )
         self._largest = max(vector_length(drift_n), _FORGET * self._largest)
         if self._pieces >= _PIECES:
             self.bound_rad_per_s = min(_LEARNT_RAD_PER_S + 2.0 * self._largest, DRIFT_RAD_PER_S)
@@ -162,7 +164,9 @@ class InsPredictions:
 
     def _step(self, seconds: float, uncertain_rad: float, samples: int = 1) -> PredictionStep:
         uncertain_rad += self.reported_step_rad
-        return PredictionStep(seconds, samples, uncertain_rad, 2.0, self._stuck_check.coarseness_rad, self.drift.bound_rad_per_s)
+        return PredictionStep(
+            seconds, samples, uncertain_rad, 2.0, self._stuck_check.coarseness_rad, self.drift.bound_rad_per_s
+        )
 
 
 def extrapolate_back(sample: AttitudeSample, accepted: NumberedSample) -> AttitudeSample | None:

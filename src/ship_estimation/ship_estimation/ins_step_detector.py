@@ -212,7 +212,12 @@ class InsStepDetector:
         self._times[self._end] = self._last_ns = self._now_ns
         self._end, self._pending = self._end + 1, None
         plan = self._plan
-        if plan is not None and len(self._sizes) and not max(self._sizes.tolist()) <= 1.0 and not self._is_explained_by_lag(plan):
+        if (
+            plan is not None
+            and len(self._sizes)
+            and not max(self._sizes.tolist()) <= 1.0
+            and not self._is_explained_by_lag(plan)
+        ):
             found = self._detected_step()
             self.restart()
             return found

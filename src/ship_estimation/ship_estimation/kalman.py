@@ -279,7 +279,9 @@ def predict(
         [2. 0.]
     """
     stacks = np.ascontiguousarray(stack).reshape(-1, *stack.shape[-3:])
-    predicted: FloatArray = compiled_steps.predicted_covariances(stacks, stack.shape[-3] - filter_count + 1, decay, noise, source_of)
+    predicted: FloatArray = compiled_steps.predicted_covariances(
+        stacks, stack.shape[-3] - filter_count + 1, decay, noise, source_of
+    )
     return predicted.reshape(stack.shape)
 
 

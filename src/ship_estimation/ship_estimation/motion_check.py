@@ -50,7 +50,9 @@ class MotionCheck:
         self._records: dict[str, _ReferenceHistory] = {}
         self.has_turned(first_references, 0.0, 0.0)
 
-    def has_turned(self, motion_references: Mapping[str, MotionReference], sigma_rad: float, resolution_rad: float) -> bool:
+    def has_turned(
+        self, motion_references: Mapping[str, MotionReference], sigma_rad: float, resolution_rad: float
+    ) -> bool:
         """True if a reference has rotated too far for the repeated value.
 
         Args:

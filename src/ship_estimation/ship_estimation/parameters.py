@@ -228,7 +228,9 @@ def _expected_names(name: str, known: Collection[str]) -> str:
     near = difflib.get_close_matches(name, known, n=1)
     named, others = sorted(known), len(known) - _CLOSEST_COUNT
     if len(known) > _MAX_NAMES:
-        named = sorted(named, key=lambda one: difflib.SequenceMatcher(None, name, one).ratio(), reverse=True)[:_CLOSEST_COUNT]
+        named = sorted(named, key=lambda one: difflib.SequenceMatcher(None, name, one).ratio(), reverse=True)[
+            :_CLOSEST_COUNT
+        ]
     text = f"expected one of {', '.join(named)}" + (f" or {others} others" if len(known) > _MAX_NAMES else "")
     return text + "".join(f"; did you mean '{meant}'?" for meant in near)
 

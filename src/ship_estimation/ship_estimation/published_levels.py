@@ -103,7 +103,9 @@ def _has_same_state(report: IntegrityReport, published: IntegrityReport) -> bool
     return report.state is published.state and report.excluded == published.excluded
 
 
-def _coverage(output: LevelledEstimate, report: IntegrityReport, published: IntegrityReport) -> tuple[bool, float, float]:
+def _coverage(
+    output: LevelledEstimate, report: IntegrityReport, published: IntegrityReport
+) -> tuple[bool, float, float]:
     """True if published levels cover those of an output; and the variance and rotation up to which they do later."""
     entering = _MAX_LEVEL_SIGMAS * report.threshold * report.largest_sigma
     found: tuple[bool, float, float] = compiled_integrity.coverage(

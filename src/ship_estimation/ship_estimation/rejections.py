@@ -206,7 +206,9 @@ class StampConflicts:
         """
         self.latest_ns: dict[str, int] = {}
         self.since_ns: dict[str, int] = {}
-        self.duplicate_publishers = {source: (_AT_ALL_STAMPS_NS, text) for source, (_, text) in self.duplicate_publishers.items()}
+        self.duplicate_publishers = {
+            source: (_AT_ALL_STAMPS_NS, text) for source, (_, text) in self.duplicate_publishers.items()
+        }
 
     def set_duplicate_publishers(self, source: str, time_ns: int, text: str) -> None:
         """Record that a source has two publishers; an empty text ends it.
@@ -252,7 +254,9 @@ class StampConflicts:
             'ship sent conflicting data with one stamp'
         """
         words = [
-            self.duplicate_publishers[source][1] if source in self.duplicate_publishers else f"{source} sent conflicting data with one stamp"
+            self.duplicate_publishers[source][1]
+            if source in self.duplicate_publishers
+            else f"{source} sent conflicting data with one stamp"
             for source in sorted(sources)
         ]
         return " and ".join(words)

@@ -219,7 +219,12 @@ class RtsSmoother(Generic[Given]):
         return taken
 
     def _add_link(
-        self, state: TracedState[Given], predicted: GaussianEstimate, estimate: GaussianEstimate, leads_back: bool, jumped_ns: int | None = None
+        self,
+        state: TracedState[Given],
+        predicted: GaussianEstimate,
+        estimate: GaussianEstimate,
+        leads_back: bool,
+        jumped_ns: int | None = None,
     ) -> None:
         """Add a link with the requested times before it; for a jump up to the last sample before the jump."""
         assert state.time_ns is not None

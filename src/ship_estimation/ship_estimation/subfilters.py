@@ -59,7 +59,12 @@ def filter_covariances(stack: FloatArray, filter_count: int) -> FloatArray:
 
 
 def add_error(
-    stack: FloatArray, filter_count: int, source_index: int, states: slice, covariance: FloatArray, subfilter: int | None = None
+    stack: FloatArray,
+    filter_count: int,
+    source_index: int,
+    states: slice,
+    covariance: FloatArray,
+    subfilter: int | None = None,
 ) -> None:
     """Inflate the covariance of some states, in place, in all filters or in one subfilter.
 
@@ -157,7 +162,11 @@ def restart_from_subfilter(stack: FloatArray, filter_count: int, subfilter: int)
 
 
 def subfilter_innovations(
-    means: FloatArray, stack: FloatArray, measurement: LinearMeasurement, linearisation_mean: FloatArray, rotation_jacobian: FloatArray
+    means: FloatArray,
+    stack: FloatArray,
+    measurement: LinearMeasurement,
+    linearisation_mean: FloatArray,
+    rotation_jacobian: FloatArray,
 ) -> FilterInnovations:
     """Return the innovations of a measurement in the main filter and all subfilters.
 
@@ -183,7 +192,13 @@ def subfilter_innovations(
         [4.      0.78125] [0.36 0.5 ]
     """
     found = compiled_steps.innovations(
-        means, stack, measurement.residual, measurement.jacobian, measurement.noise, linearisation_mean, rotation_jacobian
+        means,
+        stack,
+        measurement.residual,
+        measurement.jacobian,
+        measurement.noise,
+        linearisation_mean,
+        rotation_jacobian,
     )
     return FilterInnovations(*found)
 

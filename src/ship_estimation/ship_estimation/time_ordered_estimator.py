@@ -338,7 +338,9 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
         stamp_conflicts: sources that sent conflicting data with the same stamp.
     """
 
-    def __init__(self, model: EstimatorModel[State, MeasurementT, DecisionT, Jump], state: State, lag_s: float, reach_ns: int) -> None:
+    def __init__(
+        self, model: EstimatorModel[State, MeasurementT, DecisionT, Jump], state: State, lag_s: float, reach_ns: int
+    ) -> None:
         self._model = model
         self._lag_s, self._reach_ns = lag_s, reach_ns
         self.stamp_conflicts = StampConflicts()
@@ -351,7 +353,9 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
         self.window = LagWindow(self._lag_s)
         self.stamp_conflicts.reset()
         self._overtaking_limits: dict[str, _RateLimit] = {}
-        self._log: TimeOrderedLog[State, MeasurementT | _CovarianceInflation[Jump], DecisionT | _CovarianceInflation[Jump]] = TimeOrderedLog(state)
+        self._log: TimeOrderedLog[
+            State, MeasurementT | _CovarianceInflation[Jump], DecisionT | _CovarianceInflation[Jump]
+        ] = TimeOrderedLog(state)
         if clock_jumped:
             self._last_output_ns: int | None = None
             self._output_timeout_ns: int | None = None
@@ -478,7 +482,10 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
         overtaken = self._log.count_overtaken(key)
         if not overtaken:
             return True
-        allowance, now_ns = self._overtaking_limits.setdefault(key[1], _RateLimit(MOST_OVERTAKEN_PER_S)), self.window.newest_ns
+        allowance, now_ns = (
+            self._overtaking_limits.setdefault(key[1], _RateLimit(MOST_OVERTAKEN_PER_S)),
+            self.window.newest_ns,
+        )
         if not allowance.allows(overtaken, now_ns):
             return False
         allowance.spend(overtaken, now_ns)
@@ -515,9 +522,15 @@ class TimeOrderedEstimator(Generic[State, MeasurementT, DecisionT, Jump, Estimat
             return self._model.inflate(state, item.jump), item
         return self._model.step(state, item, item.time_ns >= self.window.oldest_ns)
 
-    def _failure_decision(self, item: MeasurementT | _CovarianceInflation[Jump], error: Exception) -> DecisionT | _CovarianceInflation[Jump]:
+    def _failure_decision(
+        self, item: MeasurementT | _CovarianceInflation[Jump], error: Exception
+    ) -> DecisionT | _CovarianceInflation[Jump]:
         why = failure_rejection(error)
-        return replace(item, failed=why) if isinstance(item, _CovarianceInflation) else self._model.failure_decision(item, why)
+        return (
+            replace(item, failed=why)
+            if isinstance(item, _CovarianceInflation)
+            else self._model.failure_decision(item, why)
+        )
 
     # -- outputs --------------------------------------------------------------------------------------------
 

@@ -77,7 +77,9 @@ class StuckCheck:
         """True if the value is the one at which the source is stuck."""
         return self._current is not None and self._current.is_stuck and _is_equal(value, self._current.value)
 
-    def observe(self, time_ns: int, value: FloatArray, sigma_rad: float, motion_references: Mapping[str, MotionReference]) -> bool:
+    def observe(
+        self, time_ns: int, value: FloatArray, sigma_rad: float, motion_references: Mapping[str, MotionReference]
+    ) -> bool:
         """Check the next value of the source; return True if the source is stuck.
 
         Args:
@@ -95,7 +97,9 @@ class StuckCheck:
         if self.is_repeated:
             if current.motion_check is None:
                 current.motion_check = MotionCheck(current.since_ns, current.first_references)
-            turned = current.motion_check.has_turned(motion_references, sigma_rad, ROUNDING_SPREAD * self._resolution_rad)
+            turned = current.motion_check.has_turned(
+                motion_references, sigma_rad, ROUNDING_SPREAD * self._resolution_rad
+            )
             current.is_stuck = current.is_stuck or (turned and time_ns - current.since_ns >= _LEAST_NS)
         return current.is_stuck
 
@@ -114,7 +118,9 @@ class StuckCheck:
         new = (np.diff(values, axis=0, prepend=current.value[None]) != 0.0).any(axis=(1, 2))
         return len(new) if new.all() else int(np.argmin(new))
 
-    def accept_new_values(self, time_ns: int, values: FloatArray, motion_references: Mapping[str, MotionReference]) -> None:
+    def accept_new_values(
+        self, time_ns: int, values: FloatArray, motion_references: Mapping[str, MotionReference]
+    ) -> None:
         """Accept values without repetition, as counted by :meth:`count_new_values`.
 
         Args:
@@ -130,7 +136,9 @@ class StuckCheck:
         self.coarseness_rad, self.is_repeated = 0.0, False
         self._current = _RepeatedValue(values[-1], time_ns, dict(motion_references))
 
-    def _start_value(self, time_ns: int, value: FloatArray, motion_references: Mapping[str, MotionReference]) -> "_RepeatedValue":
+    def _start_value(
+        self, time_ns: int, value: FloatArray, motion_references: Mapping[str, MotionReference]
+    ) -> "_RepeatedValue":
         """Start a value that differs from the one before: a new value, or the frozen value again."""
         before, former = self._current, self._former
         if former is not None and time_ns - self._left_ns <= HISTORY_NS and _is_equal(value, former.value):

@@ -24,7 +24,9 @@ def rates(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
 def test_rotation_steps_and_their_error_equal_numpy() -> None:
     rng = np.random.default_rng(1)
     (times_ns, rate), drift = rates(rng), 1e-5 * rng.standard_normal(3)
-    turns, missed = compiled_checks.rotation_steps(times_ns[1:], rate[1:], times_ns[0], rate[0], 0.5, 2.0 * drift, SECOND_NS)
+    turns, missed = compiled_checks.rotation_steps(
+        times_ns[1:], rate[1:], times_ns[0], rate[0], 0.5, 2.0 * drift, SECOND_NS
+    )
     seconds = np.diff(times_ns)[:, None] * 1e-9
     np.testing.assert_allclose(turns, seconds * (0.5 * (rate[1:] + rate[:-1]) - drift), rtol=1e-12)
     # A quarter of the change, and the error of the mean of two values for a wave of four seconds.
@@ -41,7 +43,9 @@ def test_rotation_step_does_not_depend_on_the_block() -> None:
     so_far = 0.0
     for n in range(COUNT):
         one = slice(n + 1, n + 2)
-        turn, now = compiled_checks.rotation_steps(times_ns[one], rate[one], times_ns[n], rate[n], so_far, zero, SECOND_NS)
+        turn, now = compiled_checks.rotation_steps(
+            times_ns[one], rate[one], times_ns[n], rate[n], so_far, zero, SECOND_NS
+        )
         assert turn[0].tobytes() == turns[n].tobytes()
         assert now[0] == missed[n]
         so_far = float(now[0])
@@ -56,7 +60,9 @@ def test_integration_error_is_infinite_from_a_gap_on(fault: str) -> None:
         times_ns[21] = times_ns[20]
     else:
         rate[21, 1] = np.nan
-    _, missed = compiled_checks.rotation_steps(times_ns[1:], rate[1:], times_ns[0], rate[0], 0.0, np.zeros(3), SECOND_NS)
+    _, missed = compiled_checks.rotation_steps(
+        times_ns[1:], rate[1:], times_ns[0], rate[0], 0.0, np.zeros(3), SECOND_NS
+    )
     assert np.isfinite(missed).tolist() == [True] * 20 + [False] * (COUNT - 20)
 
 

@@ -41,7 +41,9 @@ def test_well_conditioned_innovation_statistics_equal_numpy_to_rounding() -> Non
     rng = np.random.default_rng(7)
     noise = np.diag(rng.uniform(1.0, 4.0, 6))
     covariance, residual, every = noise + 0.1, rng.standard_normal(6), np.arange(6)
-    squares, own_share, _ = compiled_innovations.innovation_statistics(residual, covariance, noise, 0 * every, every, 1, 6)
+    squares, own_share, _ = compiled_innovations.innovation_statistics(
+        residual, covariance, noise, 0 * every, every, 1, 6
+    )
     assert squares[0] == pytest.approx(residual @ np.linalg.solve(covariance, residual), rel=1e-13)
     assert own_share == pytest.approx(np.trace(np.linalg.solve(covariance, noise)) / 6.0, rel=1e-13)
 

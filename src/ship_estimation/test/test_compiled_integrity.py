@@ -49,12 +49,17 @@ def test_separations_and_levels_by_states_equal_numpy(hypotheses: int) -> None:
     first, beside = parts.sum(axis=0)[np.ix_(CHOSEN, CHOSEN)], left_out[:, CHOSEN[:, None], CHOSEN]
     of_all = to_components @ covariance @ to_components.T
     without = np.diagonal(of_all + by_states @ (beside - first) @ by_states.T, axis1=-2, axis2=-1)
-    distance, in_question = (means - mean)[:, CHOSEN] @ by_states.T, SigmaMultipliers(6.0, 5.1, k.missed_detection[asked])
+    distance, in_question = (
+        (means - mean)[:, CHOSEN] @ by_states.T,
+        SigmaMultipliers(6.0, 5.1, k.missed_detection[asked]),
+    )
     statistic, level, dominant = numpy_separation(distance[asked], without[asked], np.diagonal(of_all), in_question)
     np.testing.assert_allclose(found.statistic, statistic, rtol=1e-12)
     np.testing.assert_allclose(found.level, level, rtol=1e-13)
     assert found.dominant == dominant
-    assert found.largest_sigma == pytest.approx(np.sqrt(np.diagonal(beside[asked], axis1=-2, axis2=-1).max()), rel=1e-15)
+    assert found.largest_sigma == pytest.approx(
+        np.sqrt(np.diagonal(beside[asked], axis1=-2, axis2=-1).max()), rel=1e-15
+    )
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -78,7 +83,10 @@ def test_separations_and_levels_equal_numpy(seed: int) -> None:
 
 @pytest.mark.parametrize("place", ["distance", "variance", "variance_0"])
 def test_nan_gives_no_level_and_no_separation(place: str) -> None:
-    k, numbers = SigmaMultipliers(6.0, 5.0, np.full(2, 2.0)), {"distance": np.ones((2, 3)), "variance": np.full((2, 3), 9.0)}
+    k, numbers = (
+        SigmaMultipliers(6.0, 5.0, np.full(2, 2.0)),
+        {"distance": np.ones((2, 3)), "variance": np.full((2, 3), 9.0)},
+    )
     numbers["variance_0"] = np.full(3, 4.0)
     numbers[place][..., 1] = np.nan
     found = solution_separations(numbers["distance"], numbers["variance"], numbers["variance_0"], k)

@@ -103,7 +103,9 @@ def test_propagated_states_equal_numpy(dt_s: float) -> None:
     expected = decay * means
     expected[:, states] = propagate_correlated_error(means[:, states], decay[states], slow.sigma)
     found = model.propagate(dt_s, means, stack, "slow")
-    for one, other in zip(found, (decay, expected, predict(stack, decay, noise, model.source_of, filter_count=9)), strict=True):
+    for one, other in zip(
+        found, (decay, expected, predict(stack, decay, noise, model.source_of, filter_count=9)), strict=True
+    ):
         np.testing.assert_array_equal(one, other)
 
 
@@ -123,7 +125,10 @@ def test_projected_variances_equal_numpy() -> None:
     weights[[1, 5]], covariance = (1.0, -2.0), root @ root.T
     equal(np.array(compiled_steps.variance_along(weights, covariance)), weights @ covariance @ weights)
     others = np.where(weights == 0.0, jacobian, 0.0)
-    equal(np.array(compiled_steps.projected_variance(jacobian, covariance, weights)), np.trace(others @ covariance @ others.T))
+    equal(
+        np.array(compiled_steps.projected_variance(jacobian, covariance, weights)),
+        np.trace(others @ covariance @ others.T),
+    )
 
 
 @pytest.mark.parametrize("shape", [shape for shape in SHAPES if shape[1] >= 3])
@@ -158,7 +163,10 @@ def test_unobserved_rotation_has_no_whitened_innovation() -> None:
     found = subfilter_innovations(means, stack, measured, means[0], by_turn)
     np.testing.assert_array_equal(found.whitened_innovation[:, 2], 0.0)
     np.testing.assert_array_equal(found.whitening_root[:, 2], 0.0)
-    equal(found.whitened_innovation, numpy_innovations(means, filter_covariances(stack, 2), measured, means[0], by_turn).whitened_innovation)
+    equal(
+        found.whitened_innovation,
+        numpy_innovations(means, filter_covariances(stack, 2), measured, means[0], by_turn).whitened_innovation,
+    )
 
 
 @pytest.mark.parametrize("wrong", [-1e6, np.nan])
@@ -177,7 +185,9 @@ def test_noise_of_any_memory_layout_is_read() -> None:
     others = [measured, LinearMeasurement(measured.residual, measured.jacobian, views)]
     found = [subfilter_innovations(means, stack, one, means[0], by_turn) for one in others]
     everything = np.ones((2, 6), dtype=bool)
-    (_, expected), (_, after) = (update_subfilters(stack, *each, everything) for each in zip(others, found, strict=True))
+    (_, expected), (_, after) = (
+        update_subfilters(stack, *each, everything) for each in zip(others, found, strict=True)
+    )
     assert found[1].covariance.tobytes() == found[0].covariance.tobytes()
     assert after.tobytes() == expected.tobytes()
 
@@ -201,7 +211,10 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
     for states, part, row in ((slice(4, 7), 0, None), (slice(0, 3), 2, None), (slice(0, 3), 0, 2)):
         with pytest.raises(ValueError, match="do not fit together"):
             add_error(stack, 2, part, states, np.eye(3), row)
-    for call in (compiled_steps.variance_along, lambda *of: compiled_steps.projected_variance(np.ones((3, 6)), *reversed(of))):
+    for call in (
+        compiled_steps.variance_along,
+        lambda *of: compiled_steps.projected_variance(np.ones((3, 6)), *reversed(of)),
+    ):
         with pytest.raises(ValueError, match="do not fit together"):
             call(np.ones(5), np.eye(6))
     model = StateModel([block("slow", [1.0] * 6, "a", time_s=1.0)], noise_sources=[])

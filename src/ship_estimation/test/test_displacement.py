@@ -152,7 +152,9 @@ def displacements_of_turned_sensors(fore_n: np.ndarray, starboard_n: np.ndarray,
 @pytest.mark.parametrize("seed", range(20))
 def test_common_rotation_that_one_sensor_cannot_observe_is_common(seed: int) -> None:
     """20″ about the line of sight of one sensor, whose noise there is 45″ in a second."""
-    assert set(displacements_of_turned_sensors(20.0 * ARCSEC * FORE, 20.0 * ARCSEC * FORE, seed).displaced) == {TOGETHER}
+    assert set(displacements_of_turned_sensors(20.0 * ARCSEC * FORE, 20.0 * ARCSEC * FORE, seed).displaced) == {
+        TOGETHER
+    }
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -52,7 +52,9 @@ class FilterBank:
         total = self.stack[:, range(3), range(3)]
         statistic = np.max(np.abs(apart) / np.sqrt(np.maximum(total[1:] - total[0], 1e-6 * total[0])), axis=-1)
         one, two = range(1, self.sensors + 1), range(self.sensors + 1, len(self.left_out))
-        return isolate_fault(self.seen, self.uses, np.concatenate([[0.0], statistic]), 5.1, one, time_ns, larger_subfilters=two)
+        return isolate_fault(
+            self.seen, self.uses, np.concatenate([[0.0], statistic]), 5.1, one, time_ns, larger_subfilters=two
+        )
 
 
 AT = 200
@@ -163,7 +165,10 @@ def test_pair_subfilter_is_tested_if_no_single_one_explains_the_fault_or_if_it_s
     agrees.last_measured_ns[:] = 0
     for far, told in ((6.0, 3), (5.2, None)):
         # No separation is clearly the largest, and no subfilter of one source exceeds the threshold.
-        assert isolate_fault(agrees, uses, np.array([0.0, 4.5, 4.4, far]), 5.0, [1, 2], 0, larger_subfilters=[3]).subfilter == told
+        assert (
+            isolate_fault(agrees, uses, np.array([0.0, 4.5, 4.4, far]), 5.0, [1, 2], 0, larger_subfilters=[3]).subfilter
+            == told
+        )
 
 
 def test_separation_isolates_nothing_after_a_rejection():
@@ -203,7 +208,11 @@ def test_successive_rejections_make_a_filter_inconsistent_without_a_mean(after):
 
     def found(by_all, by_second):
         seen = initial_means(3, 2)
-        seen.last_measured_ns[:], seen.excess[:, 0], seen.rejection_counts[[0, 2], 0] = 0, [0.9, 0.0, 0.3], [by_all, by_second]
+        seen.last_measured_ns[:], seen.excess[:, 0], seen.rejection_counts[[0, 2], 0] = (
+            0,
+            [0.9, 0.0, 0.3],
+            [by_all, by_second],
+        )
         return isolate_fault(seen, uses, np.zeros(3), 5.0, [1, 2], 0, after)
 
     assert not found(after - 1, after).is_detected

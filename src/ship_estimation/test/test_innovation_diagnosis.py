@@ -244,7 +244,9 @@ def test_measurements_without_innovation_are_ignored() -> None:
     book = InnovationHistory()
     sample = VectorSample(1, np.zeros(3))
     book.add("star.bow", MeasurementDecision(sample, Reason.GAP))
-    book.add("star.bow", MeasurementDecision(sample, Reason.NONE, True, ATTITUDE, np.full(3, np.nan), covariance=np.eye(3)))
+    book.add(
+        "star.bow", MeasurementDecision(sample, Reason.NONE, True, ATTITUDE, np.full(3, np.nan), covariance=np.eye(3))
+    )
     book.add("star.bow", MeasurementDecision(sample, Reason.NONE, True, ATTITUDE, np.zeros(3)))  # without a covariance
     assert book.diagnoses() == {}
 

@@ -34,7 +34,12 @@ def numpy_chi2_with_constant_error(running: np.ndarray, turn_noise: np.ndarray) 
 
 
 def numpy_means(
-    means: InnovationMeans, sources: list[int], turn: np.ndarray, accepted: np.ndarray, time_ns: int, noise: np.ndarray | None
+    means: InnovationMeans,
+    sources: list[int],
+    turn: np.ndarray,
+    accepted: np.ndarray,
+    time_ns: int,
+    noise: np.ndarray | None,
 ) -> InnovationMeans:
     largest, size = np.sqrt(0.5 * LIMIT), np.linalg.norm(turn, axis=-1)
     running, excess, refused = means.running.copy(), means.excess.copy(), means.rejection_counts.copy()

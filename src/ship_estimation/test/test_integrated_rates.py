@@ -48,7 +48,9 @@ def number_at(rate_hz: float, seconds: float = LEARNT_S) -> int:
     return round(seconds * rate_hz)
 
 
-def assert_inflated(found: CheckedStream, samples: list[AttitudeSample], first: int, arcsec_n: tuple[float, float, float]) -> None:
+def assert_inflated(
+    found: CheckedStream, samples: list[AttitudeSample], first: int, arcsec_n: tuple[float, float, float]
+) -> None:
     """Check that one step was found, at the right time, and that the covariance covers it."""
     (jumps,) = found.jumps.values()
     taken = next(n for n in range(first, len(samples)) if n not in found.refused)

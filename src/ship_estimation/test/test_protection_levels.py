@@ -168,7 +168,9 @@ def test_separation_inflation_starts_at_three_sigmas_and_ignores_nan():
     at_the_limit = separation_inflation(distance, np.array([3.0, 9.0, np.nan, 2.0]))
     np.testing.assert_array_equal(at_the_limit, np.zeros((3, 3)))
     np.testing.assert_allclose(
-        separation_inflation(distance, np.array([3.001, 9.0, np.nan, 2.0])), np.zeros((3, 3)), atol=1e-3 * (10.0 * ARCSEC) ** 2
+        separation_inflation(distance, np.array([3.001, 9.0, np.nan, 2.0])),
+        np.zeros((3, 3)),
+        atol=1e-3 * (10.0 * ARCSEC) ** 2,
     )
     both = separation_inflation(distance, np.array([6.0, 9.0, np.nan, np.inf]))
     of_each = 0.75 * np.outer(distance[0], distance[0]) + np.outer(distance[3], distance[3])

@@ -62,7 +62,9 @@ def test_subfilter_gets_no_information_from_its_excluded_source():
         correction, stack = update_subfilters(stack, measured, compared, own[None] if source == 0 else everything)
         mean = mean + correction
         if source != 0:
-            compared = subfilter_innovations(without_mean, filter_covariances(without, 1), measured, np.zeros(STATES), np.eye(3))
+            compared = subfilter_innovations(
+                without_mean, filter_covariances(without, 1), measured, np.zeros(STATES), np.eye(3)
+            )
             correction, without = update_subfilters(without, measured, compared, everything)
             without_mean = without_mean + correction
     np.testing.assert_allclose(mean[0, ~own], without_mean[0, ~own], rtol=1e-8, atol=1e-10)
@@ -82,7 +84,9 @@ def test_restart_from_a_subfilter_keeps_the_shares_of_the_sources():
     assert np.all(np.linalg.eigvalsh(after[:SOURCES]) > -1e-8)
     assert np.all(filter_covariances(after, 3)[:, 6] == 0.0)
     same = np.concatenate([stack[:SOURCES], stack[:SOURCES].sum(0)[None]])
-    np.testing.assert_allclose(restart_from_subfilter(same, 2, subfilter=1)[:SOURCES], stack[:SOURCES], rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(
+        restart_from_subfilter(same, 2, subfilter=1)[:SOURCES], stack[:SOURCES], rtol=1e-6, atol=1e-7
+    )
 
 
 def test_whitened_innovations_have_unit_covariance_and_the_right_noise_part():
@@ -95,7 +99,9 @@ def test_whitened_innovations_have_unit_covariance_and_the_right_noise_part():
         error, noise = root @ rng.standard_normal(STATES), noise_root @ rng.standard_normal(8)
         for found, residual in ((turns, measured.jacobian @ error + noise), (by_noise, noise)):
             drawn = LinearMeasurement(residual, measured.jacobian, measured.noise_by_source)
-            compared = subfilter_innovations(np.zeros((1, STATES)), filter_covariances(stack, 1), drawn, np.zeros(STATES), by_turn)
+            compared = subfilter_innovations(
+                np.zeros((1, STATES)), filter_covariances(stack, 1), drawn, np.zeros(STATES), by_turn
+            )
             found.append(compared.whitened_innovation[0])
     # The sampling error of a variance of 2000 draws is 3 %; 0.12 is 3.8 of it.
     np.testing.assert_allclose(np.cov(np.array(turns).T), np.eye(3), atol=0.12)

@@ -27,7 +27,9 @@ def rolled_attitude(degrees: float) -> FloatArray:
     return exp_rotation(np.array([np.deg2rad(degrees), 0.0, 0.0]))
 
 
-def reference_attitudes(time_ms: int, degrees: float, sigma_rad: float = ARCSEC, drift: float = 0.0) -> dict[str, MotionReference]:
+def reference_attitudes(
+    time_ms: int, degrees: float, sigma_rad: float = ARCSEC, drift: float = 0.0
+) -> dict[str, MotionReference]:
     return {"other": MotionReference(time_ms * MS, rolled_attitude(degrees), sigma_rad, drift)}
 
 
@@ -35,7 +37,9 @@ def after(values_deg: list[float], step_ms: int = 50) -> tuple[StuckCheck, int]:
     """Return a check after values that other sources confirmed, and the time of the next value, ms."""
     guard = StuckCheck()
     for n, degrees in enumerate(values_deg):
-        assert not guard.observe(n * step_ms * MS, rolled_attitude(degrees), ARCSEC, reference_attitudes(n * step_ms, degrees))
+        assert not guard.observe(
+            n * step_ms * MS, rolled_attitude(degrees), ARCSEC, reference_attitudes(n * step_ms, degrees)
+        )
     return guard, len(values_deg) * step_ms
 
 
@@ -46,19 +50,26 @@ def test_value_repeated_during_a_rotation_is_stuck_after_half_a_second() -> None
     guard, start_ms = after(MOVING)
     held = MOVING[-1]
     times_ms = range(start_ms, start_ms + 1000, 50)
-    stuck = [guard.observe(t * MS, rolled_attitude(held), ARCSEC, reference_attitudes(t, held + 0.001 * (t - start_ms))) for t in times_ms]
+    stuck = [
+        guard.observe(t * MS, rolled_attitude(held), ARCSEC, reference_attitudes(t, held + 0.001 * (t - start_ms)))
+        for t in times_ms
+    ]
     first = times_ms[stuck.index(True)]
     assert 450 <= first - start_ms <= 600
     assert all(stuck[stuck.index(True) :])
     assert guard.is_frozen(rolled_attitude(held))
-    assert not guard.observe(start_ms * MS + 1000 * MS, rolled_attitude(held + 1.0), ARCSEC, reference_attitudes(start_ms + 1000, held + 1.0))
+    assert not guard.observe(
+        start_ms * MS + 1000 * MS, rolled_attitude(held + 1.0), ARCSEC, reference_attitudes(start_ms + 1000, held + 1.0)
+    )
     assert not guard.is_repeated
 
 
 def test_value_may_be_repeated_at_rest() -> None:
     guard, start_ms = after(MOVING)
     assert not any(
-        guard.observe(t * MS, rolled_attitude(MOVING[-1]), ARCSEC, reference_attitudes(t, MOVING[-1] + 0.2 * ARCSEC * (t % 2)))
+        guard.observe(
+            t * MS, rolled_attitude(MOVING[-1]), ARCSEC, reference_attitudes(t, MOVING[-1] + 0.2 * ARCSEC * (t % 2))
+        )
         for t in range(start_ms, start_ms + 60_000, 50)
     )
 
@@ -71,7 +82,8 @@ def test_resolution_is_estimated_from_the_changes_of_the_value() -> None:
     held = 0.9
     times_ms = range(start_ms, start_ms + 3000, 50)
     assert not any(
-        guard.observe(t * MS, rolled_attitude(held), ARCSEC, reference_attitudes(t, held + 0.00003 * (t - start_ms))) for t in times_ms
+        guard.observe(t * MS, rolled_attitude(held), ARCSEC, reference_attitudes(t, held + 0.00003 * (t - start_ms)))
+        for t in times_ms
     )
 
 
@@ -91,16 +103,25 @@ def test_uncertain_motion_reference_is_ignored(sigma_rad: float, drift: float) -
 def test_earlier_attitude_of_a_motion_reference_is_ignored() -> None:
     guard, start_ms = after(MOVING)
     times_ms = range(start_ms, start_ms + 2000, 50)
-    assert not any(guard.observe(t * MS, rolled_attitude(MOVING[-1]), ARCSEC, reference_attitudes(t % 700, 0.01 * t)) for t in times_ms)
+    assert not any(
+        guard.observe(t * MS, rolled_attitude(MOVING[-1]), ARCSEC, reference_attitudes(t % 700, 0.01 * t))
+        for t in times_ms
+    )
 
 
 def test_frozen_value_that_returns_to_the_bit_is_still_stuck() -> None:
     guard, start_ms = after(MOVING)
     for t in range(start_ms, start_ms + 1000, 50):
-        stuck = guard.observe(t * MS, rolled_attitude(MOVING[-1]), ARCSEC, reference_attitudes(t, MOVING[-1] + 0.001 * (t - start_ms)))
+        stuck = guard.observe(
+            t * MS, rolled_attitude(MOVING[-1]), ARCSEC, reference_attitudes(t, MOVING[-1] + 0.001 * (t - start_ms))
+        )
     assert stuck
-    assert not guard.observe((start_ms + 1000) * MS, rolled_attitude(-30.0), ARCSEC, reference_attitudes(start_ms + 1000, 3.0))
-    assert guard.observe((start_ms + 1050) * MS, rolled_attitude(MOVING[-1]), ARCSEC, reference_attitudes(start_ms + 1050, 3.0))
+    assert not guard.observe(
+        (start_ms + 1000) * MS, rolled_attitude(-30.0), ARCSEC, reference_attitudes(start_ms + 1000, 3.0)
+    )
+    assert guard.observe(
+        (start_ms + 1050) * MS, rolled_attitude(MOVING[-1]), ARCSEC, reference_attitudes(start_ms + 1050, 3.0)
+    )
 
 
 TAKEN, REFUSED, JUMPED = JumpDecision.ACCEPTED, JumpDecision.REJECTED, JumpDecision.JUMPED
@@ -139,7 +160,9 @@ def learned_bound(sigma_rad: float, noise_rad: float) -> PredictionBound:
 
 def test_bound_uses_the_larger_of_configured_and_measured_noise() -> None:
     assert bound_rad(learned_bound(ARCSEC, 0.1 * ARCSEC), NEXT) == pytest.approx((7.0 * math.sqrt(2.0) + 0.6) * ARCSEC)
-    assert bound_rad(learned_bound(ARCSEC, 10.0 * ARCSEC), NEXT) == pytest.approx(6.0 * math.sqrt(300.0) * ARCSEC, rel=0.1)
+    assert bound_rad(learned_bound(ARCSEC, 10.0 * ARCSEC), NEXT) == pytest.approx(
+        6.0 * math.sqrt(300.0) * ARCSEC, rel=0.1
+    )
 
 
 def test_bound_is_wide_at_the_start() -> None:

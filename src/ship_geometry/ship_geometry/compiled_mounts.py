@@ -303,7 +303,10 @@ def pointings(
     check("angles", angles.shape[1] == 2)
     steps: cython.bint = remaining_share.shape[0] > 0
     check("new", remaining_share.shape[1] == added_covariance.shape[1] == added_covariance.shape[2] == 3)
-    check("new", added_covariance.shape[0] == remaining_share.shape[0] and (remaining_share.shape[0] == count or not steps))
+    check(
+        "new",
+        added_covariance.shape[0] == remaining_share.shape[0] and (remaining_share.shape[0] == count or not steps),
+    )
     check("errors", errors.shape[0] == _ERRORS and exceeds_model.shape[0] == time_s.shape[0] == _CORRELATED)
     check("steady", steady.shape[0] == 2 and steady.shape[1] == steady.shape[2] == 3)
     check("parts", parts.shape[2] == size and (size == _ERRORS - 1 or size == _ERRORS))

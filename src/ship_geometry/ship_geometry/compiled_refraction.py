@@ -104,7 +104,9 @@ def refraction_angles(
     return of_angles, of_sigma
 
 
-def raised_directions(direction_n: cython.const[cython.double][:, ::1], angle: cython.const[cython.double][::1]) -> FloatArray:
+def raised_directions(
+    direction_n: cython.const[cython.double][:, ::1], angle: cython.const[cython.double][::1]
+) -> FloatArray:
     """Return directions (North, Up, East), shape (k, 3), raised by angles, rad, shape (k,)."""
     count: cython.Py_ssize_t = angle.shape[0]
     check("directions", direction_n.shape[0] == count and direction_n.shape[1] == 3)

@@ -168,7 +168,9 @@ class SampleTrack(Generic[Sample]):
         """Return the index of the oldest sample for the propagation of the newest one."""
         if not self._times:
             return 0
-        return max(min(bisect.bisect_left(self._times, self._times[-1] - SECOND_NS), len(self._times) - RECENT_COUNT), 0)
+        return max(
+            min(bisect.bisect_left(self._times, self._times[-1] - SECOND_NS), len(self._times) - RECENT_COUNT), 0
+        )
 
     def _around(self, left: int) -> list[int]:
         """Return the indices of the samples for the error of a cubic without measured rates.

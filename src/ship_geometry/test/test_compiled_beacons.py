@@ -99,8 +99,12 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
     fewer = [[v[:3] if n == number else v for n, v in enumerate(random_exposures())] for number in range(6)]
     calls = [
         *(lambda arrays=arrays: lines(arrays) for arrays in fewer),
-        lambda: compiled_beacons.image_points(random_exposures()[0], random_exposures()[3][:3], np.ones(EPOCHS), np.ones((EPOCHS, 2))),
-        lambda: compiled_beacons.image_points(random_exposures()[0], random_exposures()[3], np.ones(EPOCHS), np.ones((EPOCHS, 3))),
+        lambda: compiled_beacons.image_points(
+            random_exposures()[0], random_exposures()[3][:3], np.ones(EPOCHS), np.ones((EPOCHS, 2))
+        ),
+        lambda: compiled_beacons.image_points(
+            random_exposures()[0], random_exposures()[3], np.ones(EPOCHS), np.ones((EPOCHS, 3))
+        ),
     ]
     for call in calls:
         with pytest.raises(ValueError, match="do not fit together"):

@@ -87,7 +87,10 @@ def test_apparent_directions_and_displacements_equal_numpy(model: ModelName) -> 
 
 def test_directions_and_angles_broadcast() -> None:
     stars, angles = some_stars(), np.linspace(0.0, 1e-3, 7)
-    equal(raised_directions(stars, angles), np.stack([raised_directions(star, angle) for star, angle in zip(stars, angles, strict=True)]))
+    equal(
+        raised_directions(stars, angles),
+        np.stack([raised_directions(star, angle) for star, angle in zip(stars, angles, strict=True)]),
+    )
     equal(raised_directions(stars[3], angles), raised_directions(np.broadcast_to(stars[3], (7, 3)), angles))
     equal(raised_directions(stars, np.asarray(1e-3)), raised_directions(stars, np.full(7, 1e-3)))
 

@@ -228,7 +228,9 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
         lambda: numpy_composed_attitude(np.array([0, 5]), np.zeros((2, 3, 3)), np.array([6])),
         lambda: numpy_composed_attitude(np.array([0, 3]), np.zeros((2, 3, 3)), np.array([7])),
         lambda: compiled_rotations.turn_between(np.eye(3), np.eye(2)),
-        lambda: compiled_rotations.propagate_by_rates(np.eye(3)[None], np.zeros((1, 1, 3)), np.zeros((1, 0)), np.zeros(1), 0.3, 1.0),
+        lambda: compiled_rotations.propagate_by_rates(
+            np.eye(3)[None], np.zeros((1, 1, 3)), np.zeros((1, 0)), np.zeros(1), 0.3, 1.0
+        ),
         lambda: compiled_rotations.cubic(np.eye(3), np.zeros(3), np.zeros(2), np.zeros(3), 0.1, 0.5),
         lambda: compiled_rotations.interpolate_attitude(
             np.eye(3), np.eye(3), np.eye(2), np.zeros(3), np.zeros(3), 0.1, 0.5, 0.0, 0.5, 0.3, 1.0

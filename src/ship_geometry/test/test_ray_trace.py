@@ -102,7 +102,9 @@ def model_air(height_m: float) -> tuple[float, float]:
 @pytest.mark.parametrize("zenith_deg", [30.0, 70.0, 80.0, 84.8])
 def test_a_ray_drawn_step_by_step_is_the_same(zenith_deg):
     dry = Weather(1013.25, 15.0, 0.0)
-    assert trace_refraction(zenith_deg, dry)[0] == pytest.approx(drawn_ray(np.deg2rad(zenith_deg), model_air), abs=5e-5 * ARCSEC)
+    assert trace_refraction(zenith_deg, dry)[0] == pytest.approx(
+        drawn_ray(np.deg2rad(zenith_deg), model_air), abs=5e-5 * ARCSEC
+    )
 
 
 LAYERS_M = np.array([0.0, 11e3, 20e3, 32e3, 47e3, 51e3, 71e3, 200e3])

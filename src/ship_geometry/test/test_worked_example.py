@@ -55,4 +55,6 @@ def test_refraction_raises_it():
         angle = refraction(model, elevation_of(direction_n), WEATHER).angle
         # The values are for E = 42.2207°, 25" higher: 0.014" more refraction here.
         assert angle / ARCSEC == pytest.approx(angle_arcsec + 0.014, abs=0.005)
-        assert shift_arcsec(direction_n, raised_directions(direction_n, angle)) == pytest.approx([0.0, angle / ARCSEC], abs=1e-6)
+        assert shift_arcsec(direction_n, raised_directions(direction_n, angle)) == pytest.approx(
+            [0.0, angle / ARCSEC], abs=1e-6
+        )

@@ -78,7 +78,9 @@ def test_unknown_values_are_valid_json(value):
 
 
 def test_lights_have_no_age_without_a_theodolite():
-    assert [name for name, *_ in first_screen(replace(WELL, angles=WELL.angles[:3]), History(), "LIVE", "")["ages"]] == [
+    assert [
+        name for name, *_ in first_screen(replace(WELL, angles=WELL.angles[:3]), History(), "LIVE", "")["ages"]
+    ] == [
         "stars",
         "ins",
     ]
@@ -160,7 +162,10 @@ def test_overloaded_node_has_the_banner_of_its_consequences():
 
 
 def test_number_of_banners_is_limited():
-    out = [suite_states.source_out(name, "no data", out_since_ns=1) for name in ("ins", "star.fore", "gnss", "weather", "encoder")]
+    out = [
+        suite_states.source_out(name, "no data", out_since_ns=1)
+        for name in ("ins", "star.fore", "gnss", "weather", "encoder")
+    ]
     banners = first_screen(suite_states.suite_state(*out), History(), "LIVE", "")["sources"]["out"]
     assert [text for _, text in banners[:2]] == ["ins OUT", "star.fore OUT"]
     assert banners[2][1] == "3 more OUT"
@@ -177,7 +182,9 @@ def test_sources_are_unknown_if_all_outputs_are_old():
     told = first_screen(old, History(), "LIVE", "")
     assert told["is_stale"]
     assert (told["sources"]["is_known"], told["sources"]["head"]) == (False, "last: 8 of 8 in")
-    assert not first_screen(suite_states.state_with_two_faults(), History(), "LIVE", "")["is_stale"], "the attitude is fresh"
+    assert not first_screen(suite_states.state_with_two_faults(), History(), "LIVE", "")["is_stale"], (
+        "the attitude is fresh"
+    )
 
 
 def test_sources_not_configured_come_last_uncounted():

@@ -133,7 +133,9 @@ def test_fallback_font_cuts_nothing_and_console_is_empty(source, page, size, tmp
         if size == "phone":
             plain.evaluate("document.querySelector('#plots-wanted').click()")
         plain.evaluate("document.querySelector('#panels').scrollIntoView()")
-        plain.wait_until_true(f"{INSIDE}.some((each) => each.tagName === 'CANVAS' && each.width > 100 && each.height > 50)")
+        plain.wait_until_true(
+            f"{INSIDE}.some((each) => each.tagName === 'CANVAS' && each.width > 100 && each.height > 50)"
+        )
         assert plain.problems == []
     finally:
         plain.close()

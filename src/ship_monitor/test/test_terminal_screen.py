@@ -160,18 +160,24 @@ def test_waiting_screen_names_the_suite():
 
 
 def test_sources_beyond_the_room_are_counted():
-    many = state_with_mounting_shift(sources=(SHIFTED_SENSOR, *(source(f"reference.number_{place}") for place in range(20))))
+    many = state_with_mounting_shift(
+        sources=(SHIFTED_SENSOR, *(source(f"reference.number_{place}") for place in range(20)))
+    )
     lines = texts(many)
     assert lines[12].startswith(" x star.starboard")
     assert " 14 more in" in "\n".join(lines)
     assert len([line for line in lines if " reference." in line]) + 14 == 20
-    all_out = state_with_mounting_shift(sources=tuple(dataclasses.replace(SHIFTED_SENSOR, name=f"star.s{place}") for place in range(20)))
+    all_out = state_with_mounting_shift(
+        sources=tuple(dataclasses.replace(SHIFTED_SENSOR, name=f"star.s{place}") for place in range(20))
+    )
     assert any("13 more OUT" in line for line in texts(all_out))
 
 
 @pytest.mark.parametrize("chosen", [f"reference.number_{place}" for place in range(20)])
 def test_selected_source_is_visible(chosen):
-    many = state_with_mounting_shift(sources=(SHIFTED_SENSOR, *(source(f"reference.number_{place}") for place in range(20))))
+    many = state_with_mounting_shift(
+        sources=(SHIFTED_SENSOR, *(source(f"reference.number_{place}") for place in range(20)))
+    )
     assert any(line.startswith(f">+ {chosen[:15]}") for line in texts(many, dataclasses.replace(VIEW, chosen=chosen)))
 
 
@@ -213,7 +219,9 @@ def test_unacknowledged_alert_is_shown_first():
 def test_details_have_all_digits():
     def page(chosen):
         view = dataclasses.replace(VIEW, chosen=chosen)
-        return "\n".join(plain_text(line).rstrip() for line in details(state_with_mounting_shift(), (SHIFTED_SENSOR_ALERT,), view))
+        return "\n".join(
+            plain_text(line).rstrip() for line in details(state_with_mounting_shift(), (SHIFTED_SENSOR_ALERT,), view)
+        )
 
     assert "34.392000°" in page("heading")
     assert "2.14″" in page("heading")  # 4.2″ / 1.96
@@ -233,7 +241,9 @@ def test_ascii_terminal_keeps_every_meaning():
 
 def test_names_from_the_network_cannot_control_the_terminal():
     evil = dataclasses.replace(SHIFTED_SENSOR_ALERT, text="\x1b[2J\x1b]0;title\x07 fire\r\n\u202eright to left\u0301")
-    for line in drawn(state_with_mounting_shift(alerts=(evil,), sources=(dataclasses.replace(SHIFTED_SENSOR, name="\x1b[31m" * 9),))):
+    for line in drawn(
+        state_with_mounting_shift(alerts=(evil,), sources=(dataclasses.replace(SHIFTED_SENSOR, name="\x1b[31m" * 9),))
+    ):
         assert all(char.isprintable() for char in plain_text(line))
 
 

@@ -65,7 +65,9 @@ def error_text(problem: Exception) -> str:
     return one_line(getattr(problem, "strerror", None) or str(problem) or type(problem).__name__)
 
 
-def permanent_error(problem: Exception, prefix: str, config: Any, parameter_names: Mapping[str, tuple[str, str]]) -> BadInput | None:
+def permanent_error(
+    problem: Exception, prefix: str, config: Any, parameter_names: Mapping[str, tuple[str, str]]
+) -> BadInput | None:
     """Return the error of a first opening if waiting cannot clear it, otherwise None.
 
     Args:

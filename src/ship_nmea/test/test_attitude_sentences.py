@@ -32,7 +32,9 @@ MIDNIGHT_NS = 1_406_851_200 * 10**9
 """2014-08-01T00:00:00Z."""
 
 
-def attitude(heading_deg, pitch_deg, roll_deg, worth=AttitudeQuality.NORMAL, sigmas_deg=(0.01, 0.01, 0.01), time_ns=MIDNIGHT_NS):
+def attitude(
+    heading_deg, pitch_deg, roll_deg, worth=AttitudeQuality.NORMAL, sigmas_deg=(0.01, 0.01, 0.01), time_ns=MIDNIGHT_NS
+):
     angles = tuple(math.radians(angle) for angle in (heading_deg, pitch_deg, roll_deg))
     return SentenceAttitude(time_ns, worth, angles, tuple(math.radians(sigma) for sigma in sigmas_deg), 0.0)
 
@@ -65,7 +67,9 @@ def test_pashr_equals_the_novatel_manual():
 
 
 def test_rot_is_in_degrees_per_minute_and_negative_to_port():
-    shown = SentenceAttitude(MIDNIGHT_NS, AttitudeQuality.NORMAL, (1.0, 0.0, 0.0), heading_rate=math.radians(-35.6 / 60.0))
+    shown = SentenceAttitude(
+        MIDNIGHT_NS, AttitudeQuality.NORMAL, (1.0, 0.0, 0.0), heading_rate=math.radians(-35.6 / 60.0)
+    )
     assert rot(shown, "GP", 1).render().startswith("$GPROT,-35.6,A*")
 
 

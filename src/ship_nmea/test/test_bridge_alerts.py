@@ -170,7 +170,9 @@ def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge
             "--limits", str(limits), "--state", str(tmp_path / "alerts.json"), "--ros-args", "-r", "__ns:=/demo",
         )  # fmt: skip
         wait_for(lambda knows: knows.beats[-1] == "A" and knows.listed is not None, ship.tell)
-        wait_until(ship, lambda: set(ship.alerts or ()) == {"attitude.degraded"}, ship.tell)  # ship/attitude was received
+        wait_until(
+            ship, lambda: set(ship.alerts or ()) == {"attitude.degraded"}, ship.tell
+        )  # ship/attitude was received
         wait_for(lambda knows: knows.state(SILENT) == "V")  # no ship/attitude any more
         told = bridge.knows.alerts["ZZZ", SILENT, 1]
         assert (told.priority, told.text) == ("A", "ATTITUDE SILENT")

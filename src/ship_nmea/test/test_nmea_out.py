@@ -242,7 +242,11 @@ def test_no_alert_of_a_played_bag_is_sent(tmp_path):
     clock = ship.node.create_publisher(Clock, "/clock", 10)
     try:
         wait_until(ship, lambda: path.exists() and path.read_text().count("PASHR") > 2)
-        wait_until(ship, lambda: "no alert is sent, heartbeat status V" in status_text(ship, "alerts"), lambda: tick(clock, began))
+        wait_until(
+            ship,
+            lambda: "no alert is sent, heartbeat status V" in status_text(ship, "alerts"),
+            lambda: tick(clock, began),
+        )
         beats = path.read_text().count("HBT")
         wait_until(ship, lambda: path.read_text().count("HBT") > beats + 2, lambda: tick(clock, began))
     finally:

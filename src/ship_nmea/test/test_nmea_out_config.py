@@ -64,7 +64,9 @@ def test_commands_are_accepted_from_configured_addresses_only():
         "line": SERIAL,
     }}).sinks  # fmt: skip
     allowed = {
-        name: [address for address in ("192.168.1.40", "10.0.0.7", "10.0.0.9", "") if sink.accepts_commands_from(address)]
+        name: [
+            address for address in ("192.168.1.40", "10.0.0.7", "10.0.0.9", "") if sink.accepts_commands_from(address)
+        ]
         for name, sink in sinks.items()
     }
     assert allowed == {

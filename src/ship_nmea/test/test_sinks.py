@@ -361,7 +361,9 @@ def test_full_disk_leaves_no_half_sentence(tmp_path):
 ])  # fmt: skip
 def test_advice_on_missing_permission_depends_on_the_kind(kind, told):
     named_by = {kind: ("port", "address")}
-    assert told in str(permanent_error(PermissionError(errno.EACCES, "no"), "sinks.bridge", SinkConfig(kind=kind), named_by))
+    assert told in str(
+        permanent_error(PermissionError(errno.EACCES, "no"), "sinks.bridge", SinkConfig(kind=kind), named_by)
+    )
 
 
 def test_unsupported_rate_names_its_parameter():

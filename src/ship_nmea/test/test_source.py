@@ -118,7 +118,10 @@ def test_two_compasses_on_one_line_are_reported(source):
 
 def test_frozen_clock_gives_one_attitude(source):
     ins = source(becomes="ins")
-    given = [published_topics(ins, pashr(START), datetime_ns(START) + second * NS_PER_S, second * NS_PER_S) for second in range(9)]
+    given = [
+        published_topics(ins, pashr(START), datetime_ns(START) + second * NS_PER_S, second * NS_PER_S)
+        for second in range(9)
+    ]
     assert given == [["ins/imu"], *8 * [[]]]
     assert ins.status("", 0, 8 * NS_PER_S).level == Level.ERROR
 
@@ -133,7 +136,9 @@ def test_unaligned_instrument_is_not_used(source):
 def test_heave_is_in_the_status(source):
     ins = source(becomes="ins")
     assert "heave_m" not in ins.status("", 0, 0).values
-    published_topics(ins, sentence("PASHR,120000.000,90.0,T,+1.0,+2.0,-0.37,0.1,0.1,0.1,1,1").encode(), datetime_ns(START))
+    published_topics(
+        ins, sentence("PASHR,120000.000,90.0,T,+1.0,+2.0,-0.37,0.1,0.1,0.1,1,1").encode(), datetime_ns(START)
+    )
     assert ins.status("", 0, 0).values["heave_m"] == "-0.37"
 
 

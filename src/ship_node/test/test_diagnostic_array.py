@@ -43,7 +43,9 @@ def test_bytes_are_those_of_message_objects(statuses, full_name):
 @pytest.mark.parametrize("value", ["", "1", "12", "123", "1234", "12345", "12″"])
 def test_the_last_text_is_not_padded(value):
     statuses = [DiagnosticStatus("a", Level.OK, "b", {"key": value})]
-    assert serialize(diagnostic_array(NOW_NS, "node", statuses)) == serialize(make_array(RosbagsFactory(), statuses, "node"))
+    assert serialize(diagnostic_array(NOW_NS, "node", statuses)) == serialize(
+        make_array(RosbagsFactory(), statuses, "node")
+    )
 
 
 def test_fields_are_those_of_the_bytes():

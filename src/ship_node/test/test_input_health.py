@@ -88,7 +88,9 @@ def test_first_message_timeout_text_depends_on_the_publishers(book):
 
 def test_a_configured_device_without_messages_is_a_warning():
     """As after a mistyped id: its topic has no publisher."""
-    book = InputHealthMonitor([InputTopic(STAR, "ship_msgs/msg/StarHorizonAttitude", False, depth=10, is_configured=True)])
+    book = InputHealthMonitor(
+        [InputTopic(STAR, "ship_msgs/msg/StarHorizonAttitude", False, depth=10, is_configured=True)]
+    )
     book.statuses(START_NS)
     book.set_publisher_count(STAR, 0)
     (early,), (late,) = book.statuses(START_NS + 4 * S), book.statuses(START_NS + 5 * S)
@@ -278,7 +280,9 @@ def test_duration_texts(seconds, text):
 
 def test_occasional_topics_have_no_timeout():
     target = "theodolite/target"
-    book = InputHealthMonitor([InputTopic(target, "ship_msgs/msg/TargetImage", required=False, depth=10, is_occasional=True)])
+    book = InputHealthMonitor(
+        [InputTopic(target, "ship_msgs/msg/TargetImage", required=False, depth=10, is_occasional=True)]
+    )
     book.statuses(START_NS)
     book.set_publisher_count(target, 1)
     (unheard,) = book.statuses(START_NS + 60 * S)

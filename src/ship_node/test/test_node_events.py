@@ -158,7 +158,9 @@ def arrival_at(topic: str, *seconds: int) -> list[Arrival]:
 
 def test_an_overload_cuts_all_topics_at_one_time() -> None:
     inbox = Inbox({"ins": 100, "star": 100, "fix": 10}, valid_until_next={"fix"})
-    for arrival in arrival_at("star", 1) + arrival_at("ins", *range(1, 50)) + arrival_at("fix", 2) + arrival_at("star", 40):
+    for arrival in (
+        arrival_at("star", 1) + arrival_at("ins", *range(1, 50)) + arrival_at("fix", 2) + arrival_at("star", 40)
+    ):
         inbox.add(arrival)
     assert inbox.oldest_queued_ns == 7
     inbox.cut_all(now_ns=90 * S, waiting_ns=91, since_ns=92)

@@ -151,7 +151,9 @@ def test_a_section_for_all_nodes_matches():
     assert section_warning(inline, AURORA) == ""
     assert section_warning(f"{inline}/**/ship_attitude: {{ros__parameters: {{x: 1}}}}\n", AURORA) == ""
     missed = f"{inline}ship_attitude: {{ros__parameters: {{x: 1}}}}\n"
-    assert section_warning(missed, AURORA).startswith(f"configuration:2: section '/ship_attitude' does not fit node '{AURORA}'")
+    assert section_warning(missed, AURORA).startswith(
+        f"configuration:2: section '/ship_attitude' does not fit node '{AURORA}'"
+    )
     fleet = f"{inline}/a/ship_attitude: {{ros__parameters: {{x: 1}}}}\n{AURORA}: {{ros__parameters: {{x: 2}}}}\n"
     assert section_warning(fleet, AURORA) == ""
     assert read_node_parameters(fleet, AURORA).values == {"lag_s": 1.0, "x": 2}
@@ -159,7 +161,9 @@ def test_a_section_for_all_nodes_matches():
 
 def test_a_node_in_any_namespace():
     for node in ("ship", "/a/ship", "/**"):
-        assert read_node_parameters(f"{node}: {{ros__parameters: {{x: 1}}}}\n", in_any_namespace("ship")).values == {"x": 1}
+        assert read_node_parameters(f"{node}: {{ros__parameters: {{x: 1}}}}\n", in_any_namespace("ship")).values == {
+            "x": 1
+        }
     names = [full_name("ship", namespace) for namespace in ("", "/", "a", "/a/b/")]
     assert names == ["/ship", "/ship", "/a/ship", "/a/b/ship"]
 

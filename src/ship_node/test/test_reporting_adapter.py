@@ -171,7 +171,9 @@ def test_decisions_are_counted_by_topic_and_reported_by_source(adapter: TinyAdap
 
 
 def test_a_conflict_is_in_the_diagnostics_until_the_source_is_used_again(adapter: TinyAdapter) -> None:
-    adapter.core.next = Outcome(decisions=[MeasurementDecision(Value(NOW_NS), Reason.ATTITUDE_CONFLICT, text="they disagree")])
+    adapter.core.next = Outcome(
+        decisions=[MeasurementDecision(Value(NOW_NS), Reason.ATTITUDE_CONFLICT, text="they disagree")]
+    )
     adapter.handle(JUDGED, message(), NOW_NS)
     assert adapter.conflict_statuses() == [DiagnosticStatus("conflict device", Level.ERROR, "they disagree")]
     adapter.core.next = Outcome(decisions=[MeasurementDecision(Value(NOW_NS), Reason.NONE, accepted=True)])

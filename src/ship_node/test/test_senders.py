@@ -41,7 +41,9 @@ def test_a_new_publisher_after_two_is_one() -> None:
     senders = Senders()
     two_found([700, 1, 701, 2, 702, 3], senders=senders)
     senders.keep_latest()
-    assert not any(senders.add_message(number, (60 + 10 * n) * MS) for n, number in enumerate((4, 5, 1, 2, 3, 4, 5, 6, 7)))
+    assert not any(
+        senders.add_message(number, (60 + 10 * n) * MS) for n, number in enumerate((4, 5, 1, 2, 3, 4, 5, 6, 7))
+    )
 
 
 def test_without_sequence_numbers_no_publisher_is_stored() -> None:

@@ -119,7 +119,9 @@ def test_an_input_that_moved_and_timed_out_leaves_no_pending_step(step_s: float)
         return 1e6 if topic == "star/fore" and valid_s > 22.0 else -step_s * (topic != "star/fore" and valid_s > 30.0)
 
     clocks = TimeBase()
-    steps = detected_steps(lambda topic, valid_s: step_s * (topic == "star/fore" and valid_s > 20.0), delay_s, clocks=clocks)
+    steps = detected_steps(
+        lambda topic, valid_s: step_s * (topic == "star/fore" and valid_s > 20.0), delay_s, clocks=clocks
+    )
     assert steps == []
     assert not clocks.is_step_pending
 
@@ -208,7 +210,9 @@ def test_a_slow_input_that_seemed_late_has_stepped_with_the_next_one(step_s: flo
     """
     clocks = TimeBase()
     periods_s = {"ins/imu": np.inf, "gnss/fix": np.inf, "met/pressure": 20.0}
-    steps = detected_steps(lambda topic, valid_s: step_s * (valid_s >= 20.0), clocks=clocks, duration_s=50.0, **periods_s)
+    steps = detected_steps(
+        lambda topic, valid_s: step_s * (valid_s >= 20.0), clocks=clocks, duration_s=50.0, **periods_s
+    )
     assert [told_s for _, told_s in steps] == [pytest.approx(step_s)]
     assert steps[0][0] < 22.0
     assert not clocks.is_step_pending

@@ -364,7 +364,9 @@ def test_one_bit_of_one_field_is_found_and_named(box, tmp_path, capsys):
     with read_bag(box) as bag:
         attitude = [r for r in bag.records_in_file_order() if r.topic == "ship/attitude"][99].decode()
     stamp = attitude.header.stamp.sec * 10**9 + attitude.header.stamp.nanosec
-    other = write_changed_copy(box, tmp_path / "b.mcap", change_nth("ship/attitude", 100, with_last_bit_flipped("pitch")))
+    other = write_changed_copy(
+        box, tmp_path / "b.mcap", change_nth("ship/attitude", 100, with_last_bit_flipped("pitch"))
+    )
     code, out, _ = verify(capsys, other)
     assert code == 1
     line = next(line for line in out.splitlines() if line.startswith("first difference: "))
@@ -386,7 +388,9 @@ def test_an_input_changed_by_one_bit_shows_in_the_output_that_follows(box, tmp_p
 
 
 def test_an_output_too_many_is_a_difference(box, tmp_path, capsys):
-    copy = write_changed_copy(box, tmp_path / "b.mcap", change_nth("ship/attitude", 30, lambda m: [m, m]), renumber=True)
+    copy = write_changed_copy(
+        box, tmp_path / "b.mcap", change_nth("ship/attitude", 30, lambda m: [m, m]), renumber=True
+    )
     code, out, _ = verify(capsys, copy)
     assert code == 1
     assert "recorded a message, replayed a message on ship/imu" in out
@@ -413,7 +417,9 @@ def test_another_saved_file_is_a_difference(box, tmp_path, capsys):
 
 
 def test_missing_entries_end_the_verification_and_are_reported(box, tmp_path, capsys):
-    code, out, _ = verify(capsys, write_changed_copy(box, tmp_path / "b.mcap", change_nth("ins/imu", 400, lambda message: None)))
+    code, out, _ = verify(
+        capsys, write_changed_copy(box, tmp_path / "b.mcap", change_nth("ins/imu", 400, lambda message: None))
+    )
     assert code == 1
     assert "verified up to this point: entries are missing before 2014-07-09T11:50:11.79" in out
     assert "first difference" not in out
@@ -490,7 +496,9 @@ class TestRefused:
         assert "'delay_s' is unknown" in line
 
     def test_with_the_parameters_of_other_devices(self, box, tmp_path, capsys):
-        copy = write_changed_copy(box, tmp_path / "b.mcap", with_suite(lambda text: text.replace('"starboard"', '"aft"')))
+        copy = write_changed_copy(
+            box, tmp_path / "b.mcap", with_suite(lambda text: text.replace('"starboard"', '"aft"'))
+        )
         line = error_text(capsys, copy)
         assert "'star/starboard/horizon_attitude' (ship_msgs/msg/StarHorizonAttitude) is no topic of" in line
 

@@ -68,7 +68,10 @@ def assert_equal(bag_path: Path, injection: Injection | None = None) -> None:
         assert odd is None, f"{topic}: message {odd} of {len(messages)} at {messages[odd][0]}"
     assert (also_told.inputs, also_told.outputs, also_told.rejected) == (told.inputs, told.outputs, told.rejected)
     for topic, course in told.status_histories.items():
-        assert (also_told.status_histories[topic].counts, also_told.status_histories[topic].spans) == (course.counts, course.spans)
+        assert (also_told.status_histories[topic].counts, also_told.status_histories[topic].spans) == (
+            course.counts,
+            course.spans,
+        )
     exclusions = [{topic: one.lines(0) for topic, one in each.exclusions.items()} for each in (told, also_told)]
     assert exclusions[0] == exclusions[1]
     for topic, times in told.times.items():

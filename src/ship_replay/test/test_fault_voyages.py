@@ -120,16 +120,23 @@ def outputs_of(valid_outputs=(), not_valid=(), indications=()):
     """Return outputs with times in s after the start at 0."""
     ns = NS_PER_S
     return VoyageOutputs(
-        valid_outputs=[ValidOutput("ship/attitude", round(t * ns), round(t * ns), sigmas, level) for t, sigmas, level in valid_outputs],
+        valid_outputs=[
+            ValidOutput("ship/attitude", round(t * ns), round(t * ns), sigmas, level)
+            for t, sigmas, level in valid_outputs
+        ],
         not_valid=[("ship/attitude", round(t * ns), round(t * ns), 2) for t in not_valid],
-        indications=[FaultIndication(source, round(t * ns), round(t * ns), reason) for source, t, reason in indications],
+        indications=[
+            FaultIndication(source, round(t * ns), round(t * ns), reason) for source, t, reason in indications
+        ],
     )
 
 
 FAULT = Fault(topic="ins/imu", kind="bias", start_s=10.0, end_s=20.0, up_arcsec=30.0)
 
 
-def fault_free_replay(outputs=None, arrivals_ns=None, lights_s=(), encoder_sigma_arcsec=math.nan, ins_sigma_arcsec=math.nan):
+def fault_free_replay(
+    outputs=None, arrivals_ns=None, lights_s=(), encoder_sigma_arcsec=math.nan, ins_sigma_arcsec=math.nan
+):
     """Return a minute without faults."""
     lights_ns = (np.array(lights_s) * NS_PER_S).astype(np.int64)
     sigmas_arcsec = encoder_sigma_arcsec, ins_sigma_arcsec
@@ -207,7 +214,9 @@ def test_only_a_slip_below_thirteen_sigmas_without_lights_is_undetectable():
 def test_fast_drifts_are_detected_late(topic, size, row):
     fault = Fault(topic=topic, kind="drift", start_s=10.0, **size)
     two, three = (
-        fault_free_replay(arrivals_ns={f"star/{name}/{kind}": [] for name in names for kind in ("observations", "solution")})
+        fault_free_replay(
+            arrivals_ns={f"star/{name}/{kind}": [] for name in names for kind in ("observations", "solution")}
+        )
         for names in (("bow", "port"), ("aft", "bow", "port"))
     )
     assert two.undetectable_case(fault, 10 * NS_PER_S) == row
@@ -229,7 +238,9 @@ def test_a_mounting_shift_without_stars_is_undetectable():
     assert clouded.undetectable_case(knock, 20 * NS_PER_S) == "star knock, no stars"
     assert clouded.undetectable_case(knock, 21 * NS_PER_S) == ""
     assert clouded.undetectable_case(FAULT, 20 * NS_PER_S) == ""
-    other = fault_free_replay(arrivals_ns={"star/bow/observations": np.r_[0:40] * NS_PER_S, "star/port/observations": seen_ns})
+    other = fault_free_replay(
+        arrivals_ns={"star/bow/observations": np.r_[0:40] * NS_PER_S, "star/port/observations": seen_ns}
+    )
     assert other.undetectable_case(knock, 20 * NS_PER_S) == ""
 
 
@@ -280,9 +291,9 @@ def test_repeated_own_rejections_precede_later_exclusions():
     # Once is no pattern; and a star in the gate is refused by comparison, which may be the others' fault.
     assert named_sources(ins[0], *aside) == {"star.bow", "star.port"}
     assert named_sources(*STARS_REFUSED, *ins) == {"ins"}
-    assert named_sources(("theodolite/encoder", 10.2, NO_DATA), *STARS_REFUSED, ("theodolite/encoder", 11.2, NO_DATA)) == {
-        "theodolite/encoder"
-    }
+    assert named_sources(
+        ("theodolite/encoder", 10.2, NO_DATA), *STARS_REFUSED, ("theodolite/encoder", 11.2, NO_DATA)
+    ) == {"theodolite/encoder"}
     assert named_sources(("star.bow", 10.0, "frame"), ("star.bow", 10.1, "frame"), *aside) == {"star.bow"}
 
 
@@ -303,7 +314,9 @@ def test_claims_beyond_five_sigmas_are_counted_until_the_next_fault():
 
 def test_an_output_that_was_not_valid_in_between_is_a_break():
     """Two wrong outputs ten seconds apart are not continuous."""
-    claims = outputs_of(valid_outputs=[(10.0, 9.0, 0.1), (10.1, 9.0, 0.1), (20.0, math.inf, 0.1), (20.1, 1.0, 0.1)]).valid_outputs
+    claims = outputs_of(
+        valid_outputs=[(10.0, 9.0, 0.1), (10.1, 9.0, 0.1), (20.0, math.inf, 0.1), (20.1, 1.0, 0.1)]
+    ).valid_outputs
     assert exceedance_durations(claims) == (pytest.approx(0.3), pytest.approx(0.2))
 
 
@@ -376,7 +389,9 @@ def test_own_faults_among_rejections():
     stars = {"gate": 3, "attitude_conflict": 1, "gap": 1, "no_fix": 1}
     assert report_indications(HealthHistory(), 1, "star/bow/observations", 9, stars) == []
     assert report_indications(HealthHistory(), 1, "theodolite/beacons", 9, stars) == []
-    assert report_indications(HealthHistory(), 1, "star/bow/observations", 9, {"stuck": 1}) == [("star/bow/observations", "stuck")]
+    assert report_indications(HealthHistory(), 1, "star/bow/observations", 9, {"stuck": 1}) == [
+        ("star/bow/observations", "stuck")
+    ]
     assert report_indications(HealthHistory(), 1, "gnss/fix", 9, {"no_fix": 1}) == [("gnss/fix", "no_fix")]
     assert report_indications(HealthHistory(), 1, "ins/imu", 9, {"gate": 1, "excluded": 1}) == [("ins/imu", "gate")]
 

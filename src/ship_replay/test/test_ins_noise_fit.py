@@ -146,7 +146,9 @@ def test_wrong_sigmas_in_the_configuration_do_not_matter() -> None:
         fit(star_record(session), GaussMarkovModel(session.config.ins))
         for session in (
             simulated_noise_session(of, 3),
-            simulated_noise_session(of, 3, ins_changes={"tilt_sigma_arcsec": 5.0, "tilt_time_s": 600.0, "white_sigma_arcsec": 1.5}),
+            simulated_noise_session(
+                of, 3, ins_changes={"tilt_sigma_arcsec": 5.0, "tilt_time_s": 600.0, "white_sigma_arcsec": 1.5}
+            ),
         )
     ]
     np.testing.assert_allclose(found[0].log_likelihood, found[1].log_likelihood, atol=0.05)

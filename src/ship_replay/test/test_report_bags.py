@@ -86,7 +86,9 @@ def test_alerts_that_were_recorded_stand_before_those_computed(night_path, tmp_p
     assert [(one.what, one.alert.id) for one in reported.recording.alerts] == [
         ("active unacknowledged", "star.fore.out"), ("active acknowledged", "star.fore.out"), ("over", "star.fore.out")
     ]
-    assert [one.utc_ns for one in reported.recording.alerts[:2]] == [START_NS + second * SECOND_NS for second in (10, 14)]
+    assert [one.utc_ns for one in reported.recording.alerts[:2]] == [
+        START_NS + second * SECOND_NS for second in (10, 14)
+    ]
     assert reported.recording.alerts[2].utc_ns == pytest.approx(START_NS + 20 * SECOND_NS, abs=SECOND_NS // 5)
     shown = section(page(reported), "alerts")
     assert "As recorded from ship/alerts." in shown

@@ -41,7 +41,9 @@ def innovations(seed: int, sigma_ratios: list[float], a_minute: int = 300) -> So
         for index in range(a_minute):
             residual = rng.standard_normal(3) * ratio
             stamp_ns = 60 * NS * minute + 60 * NS * index // a_minute
-            part.accepted[stamp_ns] = AcceptedInnovation(("x", "y", "z"), residual, np.ones(3), float(residual @ residual))
+            part.accepted[stamp_ns] = AcceptedInnovation(
+                ("x", "y", "z"), residual, np.ones(3), float(residual @ residual)
+            )
     return part
 
 

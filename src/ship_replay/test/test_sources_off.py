@@ -34,7 +34,9 @@ CASES = [
 ]
 
 
-def replay_published(run_class: type[ReplayRun], bag_path: Path, config_path: Path | None, without: str = "") -> Published:
+def replay_published(
+    run_class: type[ReplayRun], bag_path: Path, config_path: Path | None, without: str = ""
+) -> Published:
     """Return the outputs for the beginning of a bag without one topic."""
     with read_bag(bag_path) as bag:
         chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory(), config_path)
@@ -86,7 +88,9 @@ def is_reported_off(data: bytes, source: str) -> bool:
 def test_off_from_the_start_is_as_without_the_topic(
     run_class: type[ReplayRun], bag_path: Path, node: str, source: str, topic: str, tmp_path: Path
 ) -> None:
-    off, told = estimates(replay_published(run_class, bag_path, suite_without(bag_path, node, source, tmp_path)), source)
+    off, told = estimates(
+        replay_published(run_class, bag_path, suite_without(bag_path, node, source, tmp_path)), source
+    )
     without, untold = estimates(replay_published(run_class, bag_path, None, without=topic), source)
     assert untold == 0
     assert told > 20

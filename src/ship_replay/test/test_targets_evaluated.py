@@ -138,7 +138,9 @@ def test_a_direction_of_wrong_form_is_left_out_by_name(tmp_path: Path, changes: 
         with BagWriter(tmp_path / f"{name}.mcap") as bag:
             for number in range(4):
                 bag.write(TARGET_TRUTH, target_direction(number), START_NS + number * SECOND_NS)
-            for number, message in enumerate([target_direction(0, 4.0), target_direction(1, 0.0, 2.0), target_direction(2, 1.0)]):
+            for number, message in enumerate(
+                [target_direction(0, 4.0), target_direction(1, 0.0, 2.0), target_direction(2, 1.0)]
+            ):
                 bag.write(TARGET_DIRECTION, message, START_NS + number * SECOND_NS)
             for number, message in bad.items():
                 bag.write(TARGET_DIRECTION, message, START_NS + number * SECOND_NS)

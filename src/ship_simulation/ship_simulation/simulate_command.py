@@ -46,7 +46,9 @@ def _parser() -> CommandParser:
     )
     parser.add_argument("scenario", type=Path, metavar="SCENARIO.yaml", help="scenario to simulate")
     parser.add_argument("--out", type=Path, required=True, metavar="BAG.mcap", help="bag to write")
-    parser.add_argument("--seed", type=parse_seed, default=1, metavar="N", help="seed of all random parts, 0 or more (1)")
+    parser.add_argument(
+        "--seed", type=parse_seed, default=1, metavar="N", help="seed of all random parts, 0 or more (1)"
+    )
     parser.add_argument(
         "--carrier", type=Path, metavar="BAG", help="follow the recorded attitude of this bag, not the scenario's"
     )
@@ -86,7 +88,9 @@ def write_bag(scenario: Scenario, seed: int, path: Path, scenario_text: bytes) -
     runs = simulate_stretches(scenario, seed)
     start_ns = start_time_ns(scenario.start_utc)
     end_ns = start_ns + round(scenario.duration_s * SECOND_NS)
-    entries = with_progress(generate_messages(runs, RosbagsFactory()), path.name, start_ns, end_ns, lambda entry: entry[2])
+    entries = with_progress(
+        generate_messages(runs, RosbagsFactory()), path.name, start_ns, end_ns, lambda entry: entry[2]
+    )
     with BagWriter(path) as bag:
         bag.add_attachment(SCENARIO_ATTACHMENT, scenario_text)
         bag.add_attachment(SUITE_ATTACHMENT, suite_yaml(scenario))

@@ -91,7 +91,9 @@ def test_parallelism_is_drawn_with_its_sigma_and_published_as_truth():
     for column, sigma in zip(drawn.T, np.array([2.0, 3.0, 40.0]) * ARCSEC, strict=True):
         assert low < np.sqrt(np.mean(column**2)) / sigma < high
     run = simulate(scenario, seed=5)
-    told = [message for topic, message, _ in generate_messages([run], RosbagsFactory()) if topic == "truth/calibration"][-1]
+    told = [
+        message for topic, message, _ in generate_messages([run], RosbagsFactory()) if topic == "truth/calibration"
+    ][-1]
     values = dict(zip(told.names, told.values, strict=True))
     of_camera = [values[f"telescopes.night.{angle}"] for angle in ("azimuth", "elevation", "roll")]
     np.testing.assert_array_equal(of_camera, known + drawn[5])

@@ -135,7 +135,11 @@ BROKEN = {
         ":5: 'carrier.recording.bag'",
     ),
     "not YAML": ("carrier:", "carrier: [", "not YAML"),
-    "twice": ("duration_s: 4.0", "duration_s: 4.0\nduration_s: 5.0", ":3: 'duration_s' is given twice, first in line 2"),
+    "twice": (
+        "duration_s: 4.0",
+        "duration_s: 4.0\nduration_s: 5.0",
+        ":3: 'duration_s' is given twice, first in line 2",
+    ),
     "window": (
         "references:",
         "faults: {f: {topic: ins/imu, kind: drop, start_s: 2.0, end_s: 1.0}}\nreferences:",

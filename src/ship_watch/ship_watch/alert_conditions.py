@@ -114,7 +114,9 @@ def conditions(state: SuiteState, limits: Limits, computer: ComputerState | None
     ]
 
 
-def _output_conditions(suite_state: SuiteState, function_states: tuple[FunctionState, ...], limits: Limits) -> Iterable[Condition]:
+def _output_conditions(
+    suite_state: SuiteState, function_states: tuple[FunctionState, ...], limits: Limits
+) -> Iterable[Condition]:
     """Yield the situations of outputs without data and of functions not SAFE; a source that is OUT may explain them."""
     outs = (STARS_OUT, *(f"{source.name}.out" for source in suite_state.sources))
     for output, topic in ((ATTITUDE, "ship/attitude"), (POINTING, "theodolite/pointing")):
@@ -153,9 +155,14 @@ def _source_conditions(suite_state: SuiteState, function_states: tuple[FunctionS
     faulty = _faulty_sources(suite_state)
     stars = [source for source in suite_state.sources if source.name.startswith("star.")]
     stars_out = [source for source in faulty if source.name.startswith("star.")]
-    if len(stars) == len(stars_out) >= 2 and len({without_changing_figures(source.reason) for source in stars_out}) == 1:
+    if (
+        len(stars) == len(stars_out) >= 2
+        and len({without_changing_figures(source.reason) for source in stars_out}) == 1
+    ):
         names = {source.name for source in stars_out}
-        yield _source_out_condition(STARS_OUT, "", stars_out[0], [one for one in function_states if one.because_of in names], suite_state, ())
+        yield _source_out_condition(
+            STARS_OUT, "", stars_out[0], [one for one in function_states if one.because_of in names], suite_state, ()
+        )
     for source in faulty:
         under = (STARS_OUT,) if source in stars else ()
         affected = [one for one in function_states if one.because_of == source.name]
@@ -184,13 +191,22 @@ def _unreported_conditions(suite_state: SuiteState) -> Iterable[Condition]:
 
 
 def _source_out_condition(
-    id_: str, name: str, source: SourceDetails, affected: list[FunctionState], suite_state: SuiteState, under: tuple[str, ...]
+    id_: str,
+    name: str,
+    source: SourceDetails,
+    affected: list[FunctionState],
+    suite_state: SuiteState,
+    under: tuple[str, ...],
 ) -> Condition:
     base = _SOURCE_PRIORITY.get(source.name.partition(".")[0], Priority.WARNING)
     if source.reason in _EXTERNAL_REASONS:
         base = Priority.CAUTION
     priority = max([base, *(one.priority for one in affected if one.priority is not None)])
-    lost, shown_name, reason = _lost_functions(affected), name or "all star sensors", without_changing_figures(source.reason)
+    lost, shown_name, reason = (
+        _lost_functions(affected),
+        name or "all star sensors",
+        without_changing_figures(source.reason),
+    )
     is_late = reason.endswith(_LATE_ENDING)
     cause = f"{shown_name} arrives late" if is_late else f"{shown_name} {_VERBS.get(reason, '')}{reason}"
     text = _alert_text(affected, cause) if lost else f"{shown_name} out: {'arrives late' if is_late else reason}"
@@ -200,7 +216,9 @@ def _source_out_condition(
     if is_late:
         delays_s = [one.latency_s for one in suite_state.inputs if one.topic in source.topics]
         value, unit = max(delays_s, default=math.nan), "s"
-    return Condition(id_, priority, name, text, value, unit=unit, becomes_alarm=bool(lost), explained_by=under, lost_functions=lost)
+    return Condition(
+        id_, priority, name, text, value, unit=unit, becomes_alarm=bool(lost), explained_by=under, lost_functions=lost
+    )
 
 
 def _age_conditions(suite_state: SuiteState, limits: Limits) -> Iterable[Condition]:

@@ -88,7 +88,8 @@ class AlertList:
     def serialise(self) -> list[dict[str, Any]]:
         """Return the alerts as plain values for a file, with the instance counts of those that are over."""
         return [
-            {**dataclasses.asdict(tracked.alert), "lost": sorted(tracked.lost_functions)} for _, tracked in sorted(self._tracked.items())
+            {**dataclasses.asdict(tracked.alert), "lost": sorted(tracked.lost_functions)}
+            for _, tracked in sorted(self._tracked.items())
         ]
 
     def update(self, conditions: Iterable[Condition], now_ns: int, utc_ns: int) -> tuple[AlertChange, ...]:
@@ -190,7 +191,9 @@ class AlertList:
             return [self._escalate(condition, tracked, what, now_ns, utc_ns)]
         if more and condition.priority is not Priority.CAUTION:
             if tracked.alert.is_acknowledged:
-                return [self._escalate(condition, tracked, f"now also affects {', '.join(sorted(more))}", now_ns, utc_ns)]
+                return [
+                    self._escalate(condition, tracked, f"now also affects {', '.join(sorted(more))}", now_ns, utc_ns)
+                ]
             tracked.alert = _with_condition(tracked.alert, condition)
             return [AlertChange(tracked.alert, f"now also affects {', '.join(sorted(more))}")]
         return self._deescalate(condition, tracked, now_ns, utc_ns)
@@ -215,7 +218,9 @@ class AlertList:
         return self._apply_event(new, AlertEvent.COMES, utc_ns, "raised")
 
     @staticmethod
-    def _escalate(condition: Condition, tracked: _TrackedAlert, description: str, now_ns: int, utc_ns: int) -> AlertChange:
+    def _escalate(
+        condition: Condition, tracked: _TrackedAlert, description: str, now_ns: int, utc_ns: int
+    ) -> AlertChange:
         """Raise a new instance: the situation is more severe than the one that was acknowledged."""
         tracked.unacknowledged_from_ns, tracked.deviates_since_ns = now_ns, None
         tracked.alert = dataclasses.replace(

@@ -124,7 +124,9 @@ class AvailabilityRecord:
         )
 
     def _sample(self, time_ns: int) -> None:
-        angles = {angle.name: angle for angle in self._monitor.current_state(time_ns).angles if math.isfinite(angle.age_s)}
+        angles = {
+            angle.name: angle for angle in self._monitor.current_state(time_ns).angles if math.isfinite(angle.age_s)
+        }
         for quantity, names in QUANTITIES.items():
             if all(name in angles for name in names):
                 before = self._samples[quantity]

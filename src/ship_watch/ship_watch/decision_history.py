@@ -125,7 +125,9 @@ class DecisionHistory:
             self.rejected_in_a_row = 0
         else:
             # With NaN, an unknown period, the rejections count as a run.
-            is_separate = decisions and stamp_ns - decisions[-1][0] > _IN_A_ROW_PERIODS * period_ns and not self.has_acceptances
+            is_separate = (
+                decisions and stamp_ns - decisions[-1][0] > _IN_A_ROW_PERIODS * period_ns and not self.has_acceptances
+            )
             self.rejected_in_a_row = 1 if is_separate else self.rejected_in_a_row + 1
             if is_separate:
                 decisions.clear()

@@ -21,7 +21,12 @@ _ANGLES = {"heading": ("heading",), "tilt": ("pitch", "roll"), "pointing": ("azi
 _SHIP = ("ins", "star", "reference", "gnss", "weather")
 _THEODOLITE = ("encoder", "lights", "baselines", "ship_attitude")
 
-_PRIORITY_TEXTS = {None: "safe", Priority.ALARM: "lost", Priority.WARNING: "over its limit", Priority.CAUTION: "unchecked"}
+_PRIORITY_TEXTS = {
+    None: "safe",
+    Priority.ALARM: "lost",
+    Priority.WARNING: "over its limit",
+    Priority.CAUTION: "unchecked",
+}
 
 _CHANGING_FIGURES = re.compile(r" for \d+ s\b|\b\d+ (?=rejected|accepted)|\b[\d.]+ s (?=behind)|, load \d+")
 """Figures of a reason that change while the situation stays the same."""
@@ -88,7 +93,11 @@ class FunctionState:
     @property
     def reason(self) -> str:
         """Reason of the worst angle without changing figures; for an accuracy over its limit, where to find causes."""
-        return "see its error budget" if self.angle.reason == OVER_THE_LIMIT else without_changing_figures(self.angle.reason)
+        return (
+            "see its error budget"
+            if self.angle.reason == OVER_THE_LIMIT
+            else without_changing_figures(self.angle.reason)
+        )
 
 
 def without_changing_figures(text: str) -> str:

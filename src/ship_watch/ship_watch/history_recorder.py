@@ -113,7 +113,8 @@ class HistoryRecorder:
     def __init__(self) -> None:
         self.history = History()
         self._errors = {
-            orientation.topic: ErrorsAgainstTruth(orientation, self.history) for orientation in (SHIP_ATTITUDE, POINTING)
+            orientation.topic: ErrorsAgainstTruth(orientation, self.history)
+            for orientation in (SHIP_ATTITUDE, POINTING)
         }
         self._stars, self._lights = StarExposures(self.history), BeaconDetections(self.history)
         self._directions: dict[str, tuple[float, float]] = {}
@@ -189,7 +190,9 @@ class HistoryRecorder:
         """Record an AlignmentState or a TheodoliteCalibration."""
         if len(message.names) > MAX_NAMES:
             return
-        unobservable = {name for combination in getattr(message, "unobservable", ()) for name in str(combination).split()}
+        unobservable = {
+            name for combination in getattr(message, "unobservable", ()) for name in str(combination).split()
+        }
         names, count = [str(name) for name in message.names], len(message.names)
         covariance = np.asarray(message.covariance, dtype=float)
         variances = covariance.reshape(count, count).diagonal() if covariance.size == count**2 else [math.nan] * count

@@ -35,6 +35,10 @@ def has_room(names: Collection[Any], name: Any, kind: str, max_names: int = MAX_
     now_s = time.monotonic()
     if now_s - _logged_s.get(kind, -_LINE_PERIOD_S) >= _LINE_PERIOD_S:
         _logged_s[kind] = now_s
-        why = f"limit of {len(names)} names reached" if len(names) >= max_names else f"name too long ({length} characters)"
+        why = (
+            f"limit of {len(names)} names reached"
+            if len(names) >= max_names
+            else f"name too long ({length} characters)"
+        )
         logging.getLogger(__name__).warning(f"{kind} {str(name)[:60]!r} and others are not shown: {why}")
     return False

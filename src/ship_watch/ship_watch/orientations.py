@@ -69,7 +69,9 @@ class Orientation:
         rates_d: Sequence[FloatArray | None] = [None] * len(times_ns)
         if hasattr(messages.message(0), _RATE):
             measured_d = device_vector_from_ros(np.stack([numbers[f"{_RATE}.{axis}"] for axis in "xyz"], axis=1))
-            rates_d = [rate_d if known else None for rate_d, known in zip(measured_d, _is_row_finite(measured_d), strict=True)]
+            rates_d = [
+                rate_d if known else None for rate_d, known in zip(measured_d, _is_row_finite(measured_d), strict=True)
+            ]
         samples = map(AttitudeSample, times_ns, compiled_angles.rotations(angles), rates_d)
         return [sample if known else None for sample, known in zip(samples, _is_row_finite(angles), strict=True)]
 

@@ -209,7 +209,9 @@ class TopicReports:
         )
         if before is None:
             is_new = bool(self._reporters)
-            fresh = [known for known in self._reporters if report.received_ns - known.received_ns < _REPORTER_TIMEOUT_NS]
+            fresh = [
+                known for known in self._reporters if report.received_ns - known.received_ns < _REPORTER_TIMEOUT_NS
+            ]
             self._reporters = fresh[-_MAX_REPORTERS:]
             self._node_count += 1
             report.number = self._node_count

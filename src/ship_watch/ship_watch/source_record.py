@@ -212,7 +212,9 @@ def _rejection_text(source: str, name: str, history: DecisionHistory) -> str:
     if not history.rejected_in_a_row:
         return _with_member(f"{history.accepted_in_a_row} accepted again", name)
     has_reason = history.reason not in (Reason.GATE, Reason.NONE)
-    text = f"{history.rejected_in_a_row} rejected in a row" + (f": {history.reason.word.replace('_', ' ')}" if has_reason else "")
+    text = f"{history.rejected_in_a_row} rejected in a row" + (
+        f": {history.reason.word.replace('_', ' ')}" if has_reason else ""
+    )
     return _with_member(text, name)
 
 

@@ -144,7 +144,9 @@ class SourceRecords:
 
     def source_details(self, states: Iterable[SourceState], now_ns: int) -> list[SourceDetails]:
         """Return the displayed data of all sources, for states from :meth:`source_states`."""
-        return [(self._sources.get(each.name) or SourceRecord(each.name)).source_details(each, now_ns) for each in states]
+        return [
+            (self._sources.get(each.name) or SourceRecord(each.name)).source_details(each, now_ns) for each in states
+        ]
 
     def _unconfigured_names(self) -> list[str]:
         """Return the usual instruments of a ship for which no node has reported a topic."""

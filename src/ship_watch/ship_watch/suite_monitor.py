@@ -70,7 +70,9 @@ class SuiteMonitor:
         make_recorder: makes the recorder of the history; a user that plots less passes one that records less.
     """
 
-    def __init__(self, limits: Limits | None = None, make_recorder: Callable[[], HistoryRecorder] = HistoryRecorder) -> None:
+    def __init__(
+        self, limits: Limits | None = None, make_recorder: Callable[[], HistoryRecorder] = HistoryRecorder
+    ) -> None:
         self.limits = limits or Limits()
         self._make_recorder = make_recorder
         self._handlers: dict[str, Callable[[Any, int], None]] = {}
@@ -207,7 +209,11 @@ class SuiteMonitor:
         If all outputs are older for some seconds, that stamp was wrong or the clock was set: the time is set again.
         """
         offset_ns = stamp_ns - now_ns
-        if offset_ns > self._utc_offset_ns or not self._newest_ns or now_ns - self._offset_confirmed_ns > CLOCK_TIMEOUT_NS:
+        if (
+            offset_ns > self._utc_offset_ns
+            or not self._newest_ns
+            or now_ns - self._offset_confirmed_ns > CLOCK_TIMEOUT_NS
+        ):
             self._utc_offset_ns, self._offset_confirmed_ns = offset_ns, now_ns
         elif offset_ns > self._utc_offset_ns - CLOCK_TOLERANCE_NS:
             self._offset_confirmed_ns = now_ns
@@ -219,15 +225,22 @@ class SuiteMonitor:
         """Return the state at the caller's time; it does not depend on how often it is requested."""
         self._evaluate_until(now_ns)
         utc_ns = now_ns + self._utc_offset_ns
-        sources = [self._with_output_data(each, now_ns) for each in self._sources.source_details(self._source_states(now_ns), now_ns)]
-        angles = [self._angle_state(name, inputs, now_ns) for name, inputs in self._angle_inputs(sources, now_ns).items()]
+        sources = [
+            self._with_output_data(each, now_ns)
+            for each in self._sources.source_details(self._source_states(now_ns), now_ns)
+        ]
+        angles = [
+            self._angle_state(name, inputs, now_ns) for name, inputs in self._angle_inputs(sources, now_ns).items()
+        ]
         suite_state = SuiteState(
             utc_ns=utc_ns if self._newest_ns else 0,
             angles=tuple(angles),
             ages_s={
                 "stars": newest_age_s("star", sources, self._attitude.star_age_s(now_ns)),
                 "lights": newest_age_s("lights", sources, self._sources.used_age_s("lights", now_ns)),
-                "ins": newest_age_s("ins", sources, self._attitude.ins_age_s(self._sources.age_s("ins", now_ns), now_ns)),
+                "ins": newest_age_s(
+                    "ins", sources, self._attitude.ins_age_s(self._sources.age_s("ins", now_ns), now_ns)
+                ),
             },
             pointing_by=self._pointing.pointing_method,
             horizon=self._attitude.horizon,
@@ -256,7 +269,9 @@ class SuiteMonitor:
         if self._evaluated_ns is None:
             self._evaluated_ns = self._start_ns = now_ns - now_ns % EVALUATION_PERIOD_NS
         if now_ns - self._evaluated_ns > MAX_GAP_NS:
-            self._evaluated_ns += (now_ns - self._evaluated_ns - MAX_GAP_NS) // EVALUATION_PERIOD_NS * EVALUATION_PERIOD_NS
+            self._evaluated_ns += (
+                (now_ns - self._evaluated_ns - MAX_GAP_NS) // EVALUATION_PERIOD_NS * EVALUATION_PERIOD_NS
+            )
         while self._evaluated_ns + EVALUATION_PERIOD_NS <= now_ns:
             self._evaluated_ns += EVALUATION_PERIOD_NS
             self._evaluate(self._evaluated_ns)
@@ -291,7 +306,10 @@ class SuiteMonitor:
                 why = reason.partition(COUNTDOWN)[0]
                 self._events.add("state", name, f"{name} {change}" + (f", {why}" if why else ""), utc_ns)
         if self._newest_ns:
-            recorded = {name: None if name in are_old or name not in safety_by_angle else safety_by_angle[name][0] for name in ANGLES}
+            recorded = {
+                name: None if name in are_old or name not in safety_by_angle else safety_by_angle[name][0]
+                for name in ANGLES
+            }
             self._recorder.record_safety(utc_ns, recorded)
 
     def _angle_inputs(self, sources: Sequence[SourceState], now_ns: int) -> dict[str, AngleInputs]:
@@ -307,12 +325,17 @@ class SuiteMonitor:
             faulty_source = first_faulty_source(sources, needed) or ship
             inputs_by_angle |= {name: self._inputs_of_angle(name, faulty_source, now_ns) for name in ANGLES[3:]}
         if has_node_stopped:
-            inputs_by_angle = {name: replace(inputs, faulty_source=None) if inputs.is_old else inputs for name, inputs in inputs_by_angle.items()}
+            inputs_by_angle = {
+                name: replace(inputs, faulty_source=None) if inputs.is_old else inputs
+                for name, inputs in inputs_by_angle.items()
+            }
         return inputs_by_angle
 
     def _inputs_of_angle(self, name: str, faulty_source: SourceState | None, now_ns: int) -> AngleInputs:
         output, beacons = self._output(name), self._sources.beacon_count
-        behind = self._overload.overload_text(now_ns, output is self._pointing, self._sources.is_reported(self._attitude.topic))
+        behind = self._overload.overload_text(
+            now_ns, output is self._pointing, self._sources.is_reported(self._attitude.topic)
+        )
         return AngleInputs(
             topic=output.topic,
             is_received=output.is_received,
@@ -345,7 +368,9 @@ class SuiteMonitor:
             is_old=inputs.is_old,
             stamp_ns=output.stamp_ns,
             since_ns=(hysteresis.since_ns if is_held else now_ns) + self._utc_offset_ns if inputs.is_received else 0,
-            because_of=inputs.faulty_source.name if inputs.faulty_source is not None and safety is not Safety.SAFE else "",
+            because_of=inputs.faulty_source.name
+            if inputs.faulty_source is not None and safety is not Safety.SAFE
+            else "",
             over_limit_s=self._time_over_limit[name].duration_s(now_ns),
             unheld_safety=(now.safety, now.reason),
         )

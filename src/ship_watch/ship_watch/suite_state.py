@@ -86,7 +86,9 @@ class AngleState:
     @property
     def is_recovering(self) -> bool:
         """True if the safety without hold is SAFE and the displayed one is not yet."""
-        return self.unheld_safety is not None and self.unheld_safety[0] is Safety.SAFE and self.safety is not Safety.SAFE
+        return (
+            self.unheld_safety is not None and self.unheld_safety[0] is Safety.SAFE and self.safety is not Safety.SAFE
+        )
 
     @property
     def without_hold(self) -> "AngleState":
@@ -94,7 +96,9 @@ class AngleState:
         if self.unheld_safety is None:
             return self
         safety, reason = self.unheld_safety
-        return replace(self, safety=safety, reason=reason, because_of=self.because_of if safety else "", unheld_safety=None)
+        return replace(
+            self, safety=safety, reason=reason, because_of=self.because_of if safety else "", unheld_safety=None
+        )
 
 
 @dataclass(frozen=True)

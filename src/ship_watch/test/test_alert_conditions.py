@@ -50,7 +50,10 @@ CASES: dict[tuple[str, str], tuple[SuiteState, ComputerState | None]] = {
     ("pointing.degraded", "alarm"): (suite_state(unsafe_angle("elevation")), None),
     ("pointing.degraded", "warning"): (suite_state(angle_over_limit("azimuth")), None),
     ("pointing.degraded", "caution"): (suite_state(angle("azimuth", **UNCHECKED)), None),
-    ("stars.out", "warning"): (suite_state(source_out("star.fore", "no data"), source_out("star.starboard", "no data")), None),
+    ("stars.out", "warning"): (
+        suite_state(source_out("star.fore", "no data"), source_out("star.starboard", "no data")),
+        None,
+    ),
     ("ins.out", "warning"): (suite_state(source_out("ins", "81 rejected in a row")), None),
     ("star.ID.out", "warning"): (suite_state(source_out("star.fore", "excluded")), None),
     ("star.ID.out", "caution"): (suite_state(source_out("star.fore", "no stars")), None),
@@ -63,7 +66,10 @@ CASES: dict[tuple[str, str], tuple[SuiteState, ComputerState | None]] = {
     ("ship_attitude.out", "caution"): (suite_state(source_out("ship_attitude", "invalid")), None),
     ("gnss.out", "caution"): (suite_state(source_out("gnss", "no data")), None),
     ("weather.out", "caution"): (suite_state(source_out("weather", "no data")), None),
-    ("SOURCE.unreported", "warning"): (suite_state(source_out("star.fore", "not reported", because_of="its node")), None),
+    ("SOURCE.unreported", "warning"): (
+        suite_state(source_out("star.fore", "not reported", because_of="its node")),
+        None,
+    ),
     ("SOURCE.mended", "caution"): (suite_state(source("lights", disagreement="names exchanged")), None),
     ("SOURCE.rate", "caution"): (suite_state(source("gnss", rate_hz=1.0)), None),
     ("stars.old", "caution"): (suite_state(ages_s={"stars": 31.0, "lights": 0.5}), None),
@@ -119,7 +125,9 @@ def test_recovering_function_is_reported_until_its_safety_is_better() -> None:
     """The diagnostics of a function within its limit again have the current reason."""
     reason = "within 3″ again; SAFE in 4 s"
     well_again = replace(angle_over_limit("roll", share=0.8), unheld_safety=(Safety.SAFE, ""), reason=reason)
-    branches = {branch.path: (branch.level, branch.text) for branch in diagnostic_entries(suite_state(well_again), PICTURED)}
+    branches = {
+        branch.path: (branch.level, branch.text) for branch in diagnostic_entries(suite_state(well_again), PICTURED)
+    }
     assert branches["tilt within 3″"] == (1, "within 3″ again; SAFE in 4 s, 2.4″ (95 %), limit 3″")
 
 
@@ -137,7 +145,9 @@ def test_brief_excess_of_a_limit_is_no_alert_and_a_lost_function_is() -> None:
     moment = {"over_s": 4.9}
     assert conditions(suite_state(replace(angle_over_limit("roll"), **moment)), LIMITS) == []
     assert list(alerts_of(suite_state(replace(unsafe_angle("roll"), **moment)))) == ["attitude.degraded"]
-    by_ins = conditions(suite_state(source_out("ins", "no data"), replace(angle_over_limit("roll", "ins"), **moment)), LIMITS)
+    by_ins = conditions(
+        suite_state(source_out("ins", "no data"), replace(angle_over_limit("roll", "ins"), **moment)), LIMITS
+    )
     assert [each.lost_functions for each in by_ins] == [{"tilt"}]
 
 
@@ -161,7 +171,9 @@ def test_alert_of_a_source_names_the_lost_functions() -> None:
 
 def test_pointing_lost_with_the_attitude_has_the_cause_of_the_attitude() -> None:
     """Drones on deck and no INS data: the pointing is lost because of the INS, not of the lights."""
-    angles = [unsafe_angle(name, "ins") for name in ATTITUDE] + [unsafe_angle(name, "lights") for name in ANGLES_OF_POINTING]
+    angles = [unsafe_angle(name, "ins") for name in ATTITUDE] + [
+        unsafe_angle(name, "lights") for name in ANGLES_OF_POINTING
+    ]
     shown = suite_state(source_out("lights", "no lights"), source_out("ins", "no data"), *angles)
     found = alerts_of(shown)
     assert {id_: one.priority for id_, one in found.items()} == {
@@ -179,7 +191,9 @@ def test_all_star_sensors_out_for_one_reason_are_one_situation() -> None:
     assert list(both) == ["stars.out"]
     assert both["stars.out"].text == "Heading over its limit: all star sensors no data"
     assert both["stars.out"].becomes_alarm
-    two = alerts_of(suite_state(source_out("star.fore", "no data"), source_out("star.starboard", "81 rejected in a row"), taken))
+    two = alerts_of(
+        suite_state(source_out("star.fore", "no data"), source_out("star.starboard", "81 rejected in a row"), taken)
+    )
     assert sorted(two) == ["star.fore.out", "star.starboard.out"]
     needs = [source_out(f"star.{id_}", "needs ins", because_of="ins") for id_ in ("fore", "starboard")]
     assert list(alerts_of(suite_state(source_out("ins", "no data"), *needs))) == ["ins.out"]
@@ -233,7 +247,9 @@ def test_source_that_arrives_late_is_named_once_with_its_delay() -> None:
 
 def test_lost_functions_come_before_those_over_their_limit() -> None:
     """The worst function comes first in the text, in any order of the functions."""
-    (found,) = alerts_of(suite_state(source_out("ins", "no data"), angle_over_limit("heading", "ins"), unsafe_angle("roll", "ins"))).values()
+    (found,) = alerts_of(
+        suite_state(source_out("ins", "no data"), angle_over_limit("heading", "ins"), unsafe_angle("roll", "ins"))
+    ).values()
     assert found.text == "Tilt lost, heading over its limit: ins no data"
 
 

@@ -70,7 +70,9 @@ def test_memory_is_bounded_for_unlimited_names(caplog):
     picture, history = watch.current_state(now_ns), watch.history
     assert len(picture.sources) <= MAX_NAMES + 3
     assert len(picture.inputs) <= MAX_NAMES
-    assert all(len(of) <= MAX_NAMES for of in (history.innovations, history.beacons, history.star_exposures, history.budgets))
+    assert all(
+        len(of) <= MAX_NAMES for of in (history.innovations, history.beacons, history.star_exposures, history.budgets)
+    )
     # The second set of names needs only the memory for the points of the known source.
     assert sizes[2] - sizes[1] < 0.25 * sizes[0]
     assert len(history.innovations[known]) == 3 * MAX_NAMES

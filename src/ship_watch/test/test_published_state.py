@@ -31,10 +31,15 @@ PICTURES = {
     "all well": suite_state(),
     "two faults": suite_state(
         source_out("star.fore", "81 rejected in a row", disagreement="right +49″", residual=8.1, out_since_ns=NOW_NS),
-        source_out("lights", "needs ship_attitude", because_of="ship_attitude"), unsafe_angle("heading", "ins"), angle_over_limit("roll"),
-        source("star.starboard", mounting_shift=51.0 * ARCSEC), source("gnss", presence=Presence.OFF),
+        source_out("lights", "needs ship_attitude", because_of="ship_attitude"),
+        unsafe_angle("heading", "ins"),
+        angle_over_limit("roll"),
+        source("star.starboard", mounting_shift=51.0 * ARCSEC),
+        source("gnss", presence=Presence.OFF),
     ),
-    "silent": suite_state(*angles_timed_out("heading", "pitch", "roll"), ages_s={"stars": math.inf, "lights": math.nan, "ins": 7.0}),
+    "silent": suite_state(
+        *angles_timed_out("heading", "pitch", "roll"), ages_s={"stars": math.inf, "lights": math.nan, "ins": 7.0}
+    ),
 }
 
 
@@ -55,8 +60,12 @@ def test_received_state_equals_the_published_one(shown: SuiteState) -> None:
     """All fields of angles, ages and sources are equal, except fields of an angle that only alerts use."""
     received = received_state(shown)
     assert are_equal(received.sources, shown.sources)
-    assert are_equal(received.angles, tuple(replace(angle, over_limit_s=0.0, unheld_safety=None) for angle in shown.angles))
-    assert are_equal(dict(received.ages_s), {name: shown.ages_s.get(name, math.inf) for name in ("stars", "lights", "ins")})
+    assert are_equal(
+        received.angles, tuple(replace(angle, over_limit_s=0.0, unheld_safety=None) for angle in shown.angles)
+    )
+    assert are_equal(
+        dict(received.ages_s), {name: shown.ages_s.get(name, math.inf) for name in ("stars", "lights", "ins")}
+    )
     assert (received.pointing_by, received.horizon) == (shown.pointing_by, shown.horizon)
     assert received.overall == shown.overall
 

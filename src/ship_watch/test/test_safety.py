@@ -44,7 +44,10 @@ GOOD = AngleInputs(
 def test_valid_protected_angle_within_its_limit_is_safe() -> None:
     assert safety_and_reason(GOOD) == (Safety.SAFE, "")
     assert safety_and_reason(replace(GOOD, accuracy_95=5.0)) == (Safety.SAFE, "")
-    assert safety_and_reason(replace(GOOD, protection=AngleProtection(IntegrityState.NO_LIMIT, 10.0))) == (Safety.SAFE, "")
+    assert safety_and_reason(replace(GOOD, protection=AngleProtection(IntegrityState.NO_LIMIT, 10.0))) == (
+        Safety.SAFE,
+        "",
+    )
 
 
 @pytest.mark.parametrize(
@@ -90,7 +93,10 @@ def test_other_cases_are_unsafe(change: dict[str, Any], reason: str) -> None:
 
 
 def test_exceeded_level_of_another_angle_is_ignored() -> None:
-    assert safety_and_reason(replace(GOOD, protection=AngleProtection(IntegrityState.EXCEEDED, 29.0, 30.0)))[0] is Safety.SAFE
+    assert (
+        safety_and_reason(replace(GOOD, protection=AngleProtection(IntegrityState.EXCEEDED, 29.0, 30.0)))[0]
+        is Safety.SAFE
+    )
     assert safety_and_reason(replace(GOOD, protection=AngleProtection(IntegrityState.EXCEEDED, 29.0)))[0] is Safety.SAFE
 
 
@@ -128,7 +134,10 @@ def test_flickering_safety_changes_once() -> None:
 def changes_of(accuracies: Iterable[float]) -> list[Safety | None]:
     """Return the displayed safeties in order, for the accuracy of each tenth of a second."""
     hysteresis = SafetyHysteresis(5.0)
-    at_each = [(hysteresis.update(over_limit(accuracy), i * SECOND // 10), hysteresis.safety) for i, accuracy in enumerate(accuracies)]
+    at_each = [
+        (hysteresis.update(over_limit(accuracy), i * SECOND // 10), hysteresis.safety)
+        for i, accuracy in enumerate(accuracies)
+    ]
     return [safety for changed, safety in at_each if changed]
 
 
@@ -200,7 +209,9 @@ def test_margin_no_longer_applies_after_the_hold() -> None:
         (SILENT, SAFE, 5.0, Safety.SAFE, ""),
     ],
 )
-def test_reason_is_the_current_one(before: AngleSafety, now: AngleSafety, at_s: float, word: Safety, reason: str) -> None:
+def test_reason_is_the_current_one(
+    before: AngleSafety, now: AngleSafety, at_s: float, word: Safety, reason: str
+) -> None:
     held = SafetyHysteresis(5.0)
     held.update(before, 0)
     shown = held.displayed_safety(now, round(at_s * SECOND))

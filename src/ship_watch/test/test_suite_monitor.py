@@ -229,7 +229,9 @@ def test_source_without_data_is_out_after_two_seconds_and_named_by_the_angle() -
         if tenth % 10 == 0:
             watch.process_message("ship/integrity", integrity(ns), at(tenth / 10))
             watch.process_message("input_health", health(ns, "ins/imu", 10 + tenth * 10, 100.0, 0.1), at(tenth / 10))
-            watch.process_message("input_health", health(ns, "star/bow/solution", 51, 4.0, tenth / 10 - 9.8), at(tenth / 10))
+            watch.process_message(
+                "input_health", health(ns, "star/bow/solution", 51, 4.0, tenth / 10 - 9.8), at(tenth / 10)
+            )
     early = {source.name: source for source in watch.current_state(at(11.8)).sources}
     assert early["star.bow"].presence is Presence.IN
     picture = watch.current_state(at(13.0))
@@ -499,7 +501,11 @@ def test_source_out_before_an_overload_keeps_its_own_fault() -> None:
         watch.process_message("ship/integrity", integrity(ns, 2, ("star.bow",)), at(second))
         watch.process_message("input_health", health(ns, "star/bow/solution", 5 * second), at(second))
         watch.process_message("ship/attitude", attitude(ns, status=2), at(second))
-    watch.process_message("ship/innovation", overload_report(UTC + 17 * SECOND, "ship_attitude", "ship_attitude is 3.2 s behind"), at(17.1))
+    watch.process_message(
+        "ship/innovation",
+        overload_report(UTC + 17 * SECOND, "ship_attitude", "ship_attitude is 3.2 s behind"),
+        at(17.1),
+    )
     picture = watch.current_state(at(17.2))
     (star, *_) = picture.sources
     assert (star.name, star.reason, star.because_of) == ("star.bow", "excluded", "")
@@ -545,7 +551,9 @@ def test_output_that_stops_with_its_node_has_no_source_as_cause() -> None:
             missing = health(UTC + ns, "star/bow/solution", 0, math.nan, math.nan)
             missing.level = 1
             watch.process_message("input_health", missing, at(ns / SECOND))
-            watch.process_message("input_health", health(UTC + ns, "ins/imu", 10 + tenth * 10, 100.0, 0.1), at(ns / SECOND))
+            watch.process_message(
+                "input_health", health(UTC + ns, "ins/imu", 10 + tenth * 10, 100.0, 0.1), at(ns / SECOND)
+            )
         watch.process_message("ship/attitude", attitude(UTC + ns, 100.0), at(ns / SECOND))
     assert {angle.reason for angle in watch.current_state(at(10.0)).angles} == {"star.bow never received"}
     assert {angle.reason for angle in watch.current_state(at(20.0)).angles} == {"no data on ship/attitude"}

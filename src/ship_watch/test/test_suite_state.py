@@ -25,7 +25,9 @@ def test_shortest_of_several_reasons_is_given() -> None:
 
 
 def test_reason_of_all_angles_has_no_names() -> None:
-    behind = suite_states.suite_state(*(suite_states.angle(name, reason="BEHIND", **CAUTION) for name in suite_states.ANGLES))
+    behind = suite_states.suite_state(
+        *(suite_states.angle(name, reason="BEHIND", **CAUTION) for name in suite_states.ANGLES)
+    )
     assert behind.overall == OverallState(Safety.CAUTION, "BEHIND")
 
 

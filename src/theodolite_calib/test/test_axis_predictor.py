@@ -42,7 +42,9 @@ def random_array(size: float | None) -> FloatArray | None:
 
 
 def predictor_of(filter_: TracedFilter, size: float | None) -> AxisStatePredictor:
-    return AxisStatePredictor(filter_, lambda times_ns: None if size is None else np.repeat(random_array(size)[None], len(times_ns), 0))
+    return AxisStatePredictor(
+        filter_, lambda times_ns: None if size is None else np.repeat(random_array(size)[None], len(times_ns), 0)
+    )
 
 
 def correlated_state(filter_: TracedFilter, size: float | None):
@@ -83,7 +85,9 @@ def test_it_is_the_filters_prediction(sizes: tuple) -> None:
         assert np.linalg.eigvalsh(whole / np.outer(both, both))[0] > -1e-9
     if at_moments == after:
         # At the later sighting itself it is that prediction.
-        np.testing.assert_allclose(cross[-1] / scale, then.covariance[between.state_indices] / scale, atol=1e-9 * scale.max())
+        np.testing.assert_allclose(
+            cross[-1] / scale, then.covariance[between.state_indices] / scale, atol=1e-9 * scale.max()
+        )
     if at_moments == before:
         expected = between.cross_to(anchor, later)[between.state_indices]
         np.testing.assert_allclose(cross[0] / scale, expected / scale, atol=1e-9 * scale.max())
@@ -117,6 +121,10 @@ def test_time_before_a_jump_may_be_later_than_its_estimate() -> None:
     between, until_ns = predictor_of(filter_, 1.0), TIMES_NS[2]
     found, cross = between.estimates_at(anchor, [until_ns], anchor)
     there = filter_.propagate(state, until_ns, random_array(1.0))
-    np.testing.assert_allclose(found.covariance[0], there.covariance[np.ix_(between.state_indices, between.state_indices)], rtol=1e-9)
+    np.testing.assert_allclose(
+        found.covariance[0], there.covariance[np.ix_(between.state_indices, between.state_indices)], rtol=1e-9
+    )
     decay, _ = filter_.model.transition((until_ns - START_NS) * 1e-9)
-    np.testing.assert_allclose(cross[0], (decay[:, None] * state.covariance)[between.state_indices], rtol=1e-9, atol=1e-30)
+    np.testing.assert_allclose(
+        cross[0], (decay[:, None] * state.covariance)[between.state_indices], rtol=1e-9, atol=1e-30
+    )

@@ -101,7 +101,13 @@ DROPPED = [
     ("baseline variance negative", ALPHA, set_field("covariance", NEGATIVE), "bad_covariance", "negative"),
     ("baseline from the future", ALPHA, shift_stamp(1.0), "future", "ahead"),
     ("drone quaternion", IMU["alpha"], set_field("orientation.w", 10.0), "bad_quaternion", "expected 1"),
-    ("drone orientation not given", IMU["alpha"], set_field("orientation_covariance", -1.0), "not_given", "no orientation"),
+    (
+        "drone orientation not given",
+        IMU["alpha"],
+        set_field("orientation_covariance", -1.0),
+        "not_given",
+        "no orientation",
+    ),
     ("image of another telescope", BEACONS, set_field("telescope_id", "finder"), "unknown_sensor", "expected 'main'"),
     ("image frame", BEACONS, set_field("header.frame_id", "main"), "frame", "'main': expected 'telescope'"),
     ("image of negative length", BEACONS, set_field("exposure_s", -0.01), "units", "exposure_s is -0.01"),
@@ -234,7 +240,9 @@ def test_beacons_without_exposure_length_are_points():
     told, as_points = fault_free_run().messages("theodolite/pointing")[-1], points.messages("theodolite/pointing")[-1]
     assert abs(told.azimuth - as_points.azimuth) * np.cos(told.elevation) < 0.3 * ARCSEC
     assert abs(told.elevation - as_points.elevation) < 0.3 * ARCSEC
-    longer = run_adapter(new_adapter(), change_where(session(), lambda a: a.topic == BEACONS, set_field("exposure_s", 0.1)))
+    longer = run_adapter(
+        new_adapter(), change_where(session(), lambda a: a.topic == BEACONS, set_field("exposure_s", 0.1))
+    )
     assert longer.reasons(BEACONS) == {}
     assert assert_within_covariance(longer)
 

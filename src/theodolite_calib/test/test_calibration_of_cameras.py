@@ -68,7 +68,9 @@ def test_angles_are_saved_and_loaded(tmp_path: Path) -> None:
 def test_next_session_starts_with_the_saved_calibration(tmp_path: Path) -> None:
     settings = mount_config(1.0)
     filter_, before = calibrated_state(settings)
-    state, messages = state_from_prior(filter_, settings, save_and_load(saved_prior(settings), tmp_path / "c.yaml"), NOW_NS)
+    state, messages = state_from_prior(
+        filter_, settings, save_and_load(saved_prior(settings), tmp_path / "c.yaml"), NOW_NS
+    )
     assert messages == []
     rows = [*filter_.model.state_indices(f"telescope.{CAMERA_ID}.parallelism"), filter_.model.state_indices("axes")[2]]
     np.testing.assert_allclose(state.mean[rows], before.mean[rows], rtol=1e-6)

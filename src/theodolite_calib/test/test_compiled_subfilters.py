@@ -59,7 +59,9 @@ def test_beacon_innovations_equal_numpy(lights: int) -> None:
         covariance = covariances[row]
         weights = covariance[own, others] @ np.linalg.inv(covariance[np.ix_(others, others)])
         left = every[row][own] - weights @ every[row][others]
-        assert_equal(turns[row, light, :2], inverse_root(covariance[own, own] - weights @ covariance[others, own]) @ left)
+        assert_equal(
+            turns[row, light, :2], inverse_root(covariance[own, own] - weights @ covariance[others, own]) @ left
+        )
         assert turns[row, light, 2] == 0.0
 
 

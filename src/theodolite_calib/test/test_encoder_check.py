@@ -125,7 +125,9 @@ def test_angles_are_taken_modulo_a_turn() -> None:
     watch = EncoderCheck(ARCSEC, FREE)
     # The mount counts on past a full turn, and its zero is set back by two turns at 50.
     turns = [6.2 + 0.01 * number - (4.0 * np.pi if number >= 50 else 0.0) for number in range(100)]
-    refusals = [check_reading(watch, reading(number, azimuth, 0.5 + 2.0 * np.pi)) for number, azimuth in enumerate(turns)]
+    refusals = [
+        check_reading(watch, reading(number, azimuth, 0.5 + 2.0 * np.pi)) for number, azimuth in enumerate(turns)
+    ]
     assert refusals == [None] * 100
     assert watch.unconfirmed_reason == ""
     # Plunged, the elevation goes up to three quarters of a turn.

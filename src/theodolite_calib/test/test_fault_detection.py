@@ -32,15 +32,28 @@ def consistent_state(received_ns: dict[str, int]) -> FaultState:
     seen_ns = trust.innovation_means.last_measured_ns.copy()
     for name, time_ns in received_ns.items():
         seen_ns[ROWS.beacons.index(name)] = time_ns
-    left_out = {name: ExclusionRecord(ExcludedSource(0, consistent_since_ns=AGREED_NS), "") for name in (BEACON_PREFIX + FIRST, ENCODER)}
-    conflict = UnresolvedFault(0.0 * trust.innovation_means.running[0, 0, :, :3], is_persistent=True, consistent_since_ns=AGREED_NS)
-    return replace(trust, innovation_means=replace(trust.innovation_means, last_measured_ns=seen_ns), exclusions=left_out, unresolved_fault=conflict)
+    left_out = {
+        name: ExclusionRecord(ExcludedSource(0, consistent_since_ns=AGREED_NS), "")
+        for name in (BEACON_PREFIX + FIRST, ENCODER)
+    }
+    conflict = UnresolvedFault(
+        0.0 * trust.innovation_means.running[0, 0, :, :3], is_persistent=True, consistent_since_ns=AGREED_NS
+    )
+    return replace(
+        trust,
+        innovation_means=replace(trust.innovation_means, last_measured_ns=seen_ns),
+        exclusions=left_out,
+        unresolved_fault=conflict,
+    )
 
 
 def consistent_since_ns(fault_state: FaultState) -> list[int | None]:
     assert fault_state.unresolved_fault is not None
     exclusions = [fault_state.exclusions[name].exclusion for name in (BEACON_PREFIX + FIRST, ENCODER)]
-    return [*(exclusion.consistent_since_ns for exclusion in exclusions), fault_state.unresolved_fault.consistent_since_ns]
+    return [
+        *(exclusion.consistent_since_ns for exclusion in exclusions),
+        fault_state.unresolved_fault.consistent_since_ns,
+    ]
 
 
 @pytest.mark.parametrize(

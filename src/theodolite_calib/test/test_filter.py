@@ -216,7 +216,11 @@ def test_hypotheses_are_carried_as_each_alone(source: str) -> None:
     settings = config(**{**EVERYTHING, "ship__source": source})
     filter_ = CalibrationFilter(settings)
     alone = [run_filter(filter_, sightings_of(settings, 2, seed)) for seed in (3, 4)]
-    both = replace(alone[0], mean=np.stack([a.mean for a in alone]), covariance_by_source=np.stack([a.covariance_by_source for a in alone]))
+    both = replace(
+        alone[0],
+        mean=np.stack([a.mean for a in alone]),
+        covariance_by_source=np.stack([a.covariance_by_source for a in alone]),
+    )
     time_ns = alone[0].time_ns + 60_000_000_000
     stated_n = None if source == "ins/imu" else (ARCSEC * np.diag([3.0, 20.0, 3.0])) ** 2
     jump = EncoderJump(time_ns, ARCSEC * np.array([100.0, -50.0]), ARCSEC)

@@ -48,7 +48,9 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
 
     adapter.service("reset", now_ns)
     for arrival in session():
-        give_message(run, later(arrival, now_ns + SECOND_NS - START_NS), now_ns + SECOND_NS + arrival.receive_ns - START_NS)
+        give_message(
+            run, later(arrival, now_ns + SECOND_NS - START_NS), now_ns + SECOND_NS + arrival.receive_ns - START_NS
+        )
     last, clean_last = run.pointings[-1], fault_free_run().pointings[-1]
     assert last.status == Status.VALID
     for angle in ("azimuth", "elevation", "image_rotation"):

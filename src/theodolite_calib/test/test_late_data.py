@@ -164,7 +164,9 @@ def test_repeated_times_reject_beacons_in_any_order() -> None:
     one = run_adapter(new_adapter(), arrivals)
     rng = np.random.default_rng(7)
     slow = np.array([a.topic in (BEACONS, ALPHA) for a in arrivals])
-    other = run_adapter(new_adapter(), delay_arrivals(arrivals, np.where(slow, rng.uniform(0.0, LAG_S - 0.001, slow.size), 0.005)))
+    other = run_adapter(
+        new_adapter(), delay_arrivals(arrivals, np.where(slow, rng.uniform(0.0, LAG_S - 0.001, slow.size), 0.005))
+    )
     assert other.state() == one.state()
 
 

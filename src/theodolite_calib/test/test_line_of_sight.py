@@ -231,7 +231,9 @@ def test_epochs_at_once_are_epochs_one_by_one():
     for index in np.ndindex(2, 2):
         alone = lines_of_sight(
             replace(
-                epochs.beacons, baseline_n=epochs.beacons.baseline_n[index], rotation_nb=epochs.beacons.rotation_nb[index]
+                epochs.beacons,
+                baseline_n=epochs.beacons.baseline_n[index],
+                rotation_nb=epochs.beacons.rotation_nb[index],
             ),
             replace(
                 epochs.ship, rotation_nd=epochs.ship.rotation_nd[index], rotation_dm=epochs.ship.rotation_dm[index]

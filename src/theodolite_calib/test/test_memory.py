@@ -46,7 +46,9 @@ def move_across(sighting: Sighting, right_m: float) -> Sighting:
     """Return the sighting with all baselines moved to the right of their lines of sight."""
     north, _, east = sighting.beacons.baseline_n.T
     right_n = np.column_stack([-east, np.zeros_like(north), north]) / np.hypot(north, east)[:, None]
-    return replace(sighting, beacons=replace(sighting.beacons, baseline_n=sighting.beacons.baseline_n + right_m * right_n))
+    return replace(
+        sighting, beacons=replace(sighting.beacons, baseline_n=sighting.beacons.baseline_n + right_m * right_n)
+    )
 
 
 def test_moved_baseline_turns_its_beacon_to_the_other_side() -> None:
@@ -114,7 +116,9 @@ def test_difference_from_memory_after_all_beacons_moved(moved_m, least, most) ->
         sightings = session(SETTINGS, seed, times_s, sweep(times_s)).sightings
         memory = run_filter(sightings[:40])
         moved = [move_across(sighting, moved_m) for sighting in sightings[40:]]
-        departures.append(largest_difference_sigmas(FILTER, run_filter(moved), memory, moved[-1].ship, moved[-1].encoder))
+        departures.append(
+            largest_difference_sigmas(FILTER, run_filter(moved), memory, moved[-1].ship, moved[-1].encoder)
+        )
     assert least <= np.min(departures)
     assert np.max(departures) < most
 
@@ -127,5 +131,7 @@ def test_jumps_of_the_encoders_widen_the_memory_by_their_size() -> None:
     elevation = sighting.encoder.elevation
     assert sigma == pytest.approx(300.0 * np.cos(elevation), rel=0.15)
     assert np.sqrt(jump.covariance_n[0, 0]) / ARCSEC == pytest.approx(300.0, rel=0.01)
-    unknown = memory_residuals(FILTER, propagate_memory(FILTER, state, [stuck_encoder_jump(0)], sighting.time_ns), sighting)
+    unknown = memory_residuals(
+        FILTER, propagate_memory(FILTER, state, [stuck_encoder_jump(0)], sighting.time_ns), sighting
+    )
     assert np.min(np.diagonal(unknown[sighting.names[0]].expected)) > np.deg2rad(5.0) ** 2

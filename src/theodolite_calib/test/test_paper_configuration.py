@@ -80,7 +80,9 @@ def test_the_papers_method(elevation_deg, rotation_deg):
     assert error.std() == pytest.approx(2.02, abs=0.1)
 
 
-def unsurveyed_lens_errors_arcsec(direction: FloatArray, elevation_deg: float = 30.0, epochs: int = EPOCHS) -> FloatArray:
+def unsurveyed_lens_errors_arcsec(
+    direction: FloatArray, elevation_deg: float = 30.0, epochs: int = EPOCHS
+) -> FloatArray:
     """Return the errors of the paper's method with an unsurveyed N' of 60 mm in a direction, 2.7 cm as a norm."""
     drawn = paper_epochs(
         truth_of(np.full(epochs, AZIMUTH_DEG), elevation_deg, 0.0),

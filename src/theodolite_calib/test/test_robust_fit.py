@@ -78,7 +78,9 @@ def test_shared_errors_are_in_the_covariance(stated: bool) -> None:
         right_up = moves @ rng.normal(size=moves.shape[-1])
         moved = clean.direction_d + (np.swapaxes(right_and_up(clean.direction_d), 1, 2) @ right_up[..., None])[..., 0]
         moved /= np.linalg.norm(moved, axis=-1, keepdims=True)
-        result = fit(replace(clean, direction_d=moved, time_s=time_s, correlated_errors=slow if stated else ()), STRAIGHT)
+        result = fit(
+            replace(clean, direction_d=moved, time_s=time_s, correlated_errors=slow if stated else ()), STRAIGHT
+        )
         error = (result.errors.vector() - ERRORS.vector())[:6]
         ratios.append(error / result.sigmas)
         nees.append(normalized_error_squared(error, result.covariance))
@@ -113,7 +115,9 @@ def test_outliers_are_named_and_have_little_weight() -> None:
 
 def test_left_out_residuals_are_those_of_fits_without_the_sighting() -> None:
     rng = np.random.default_rng(4)
-    sightings = simulate_sightings(rng, ERRORS, random_angles(rng, 40, (15.0, 80.0)), np.where(np.arange(40) < 2, 60.0, 6.0))
+    sightings = simulate_sightings(
+        rng, ERRORS, random_angles(rng, 40, (15.0, 80.0)), np.where(np.arange(40) < 2, 60.0, 6.0)
+    )
     result = fit(sightings, STRAIGHT)
     refitted = []
     for left_out in range(40):

@@ -40,7 +40,9 @@ def sigma_on_sky(covariance_n: FloatArray, axis_n: FloatArray) -> float:
     return float(np.sqrt(np.trace(covariance_n) - axis_n @ covariance_n @ axis_n)) / ARCSEC
 
 
-def run_filter(settings: OpticalAxisConfig, filter_: CalibrationFilter, session: Session, count: int) -> CalibrationState:
+def run_filter(
+    settings: OpticalAxisConfig, filter_: CalibrationFilter, session: Session, count: int
+) -> CalibrationState:
     state, step = filter_.initial_state(), SightingStep(settings, filter_)
     for sighting in session.sightings[:count]:
         state, _ = step(state, sighting, Exposure(sighting.time_ns, ()))
@@ -180,7 +182,11 @@ def unobservable_after(low_deg: float, high_deg: float, **changes: float) -> set
     settings = config(air__sigma=0.06, **each_light(rtk__sigma_m=0.027), **changes)
     filter_ = CalibrationFilter(settings)
     given = session(settings, 1, SWEEP_S, sweep(SWEEP_S, low_deg, high_deg))
-    return set(filter_.observability.unobservable_combinations(run_filter(settings, filter_, given, len(SWEEP_S)).observability))
+    return set(
+        filter_.observability.unobservable_combinations(
+            run_filter(settings, filter_, given, len(SWEEP_S)).observability
+        )
+    )
 
 
 def test_exactly_three_combinations_are_open_after_a_full_sweep() -> None:

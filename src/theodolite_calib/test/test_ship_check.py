@@ -141,7 +141,9 @@ def test_beacons_before_a_jump_do_not_confirm_it() -> None:
         for a in session_with_ins_only(5.0)
         if not of_topic(BEACONS, 3.0)(a)
     ]
-    run = run_adapter(adapter(), change_where(sort_by_arrival(arrivals), of_topic(INS, 3.0), turn_attitude(0.0, 0.5, 0.0)))
+    run = run_adapter(
+        adapter(), change_where(sort_by_arrival(arrivals), of_topic(INS, 3.0), turn_attitude(0.0, 0.5, 0.0))
+    )
     after = [m for m in run.pointings if seconds(m) >= 3.1]
     assert {m.status for m in after} == {Status.DEGRADED}
     assert max(error_in_sigmas(m) for m in after) < 3.0

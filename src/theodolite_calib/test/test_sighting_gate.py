@@ -71,7 +71,9 @@ def test_wrong_one_of_three_beacons_is_rejected(three, wrong: int) -> None:
 
 def test_two_wrong_of_three_leave_none(three) -> None:
     step, state, last = three
-    after, decision = step(state, shift_beacons(last, np.array([[90.0, 0.0], [0.0, -120.0], [0.0, 0.0]])), exposure(last))
+    after, decision = step(
+        state, shift_beacons(last, np.array([[90.0, 0.0], [0.0, -120.0], [0.0, 0.0]])), exposure(last)
+    )
     assert (after.mean.tobytes(), after.parts.tobytes()) == (state.mean.tobytes(), state.parts.tobytes())
     assert (after.time_ns, after.used_ns, after.refusals) == (state.time_ns, state.used_ns, 1)
     assert decision.reason is Reason.LIGHT_CONFLICT

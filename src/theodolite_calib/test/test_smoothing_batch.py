@@ -94,7 +94,13 @@ def main_dm(axes: np.ndarray, angles: np.ndarray) -> np.ndarray:
     azimuth, elevation = angles
     raised = elevation - h + flexure * np.cos(elevation)
     vertical = rotation(np.array([beta_y, 0.0, -beta_x]))
-    return vertical @ rotation_about(1, azimuth - g) @ rotation_about(0, tilt) @ rotation_about(2, -raised) @ rotation_about(1, -c)
+    return (
+        vertical
+        @ rotation_about(1, azimuth - g)
+        @ rotation_about(0, tilt)
+        @ rotation_about(2, -raised)
+        @ rotation_about(1, -c)
+    )
 
 
 def main_nm(ship: np.ndarray, bent: np.ndarray, axes: np.ndarray, angles: np.ndarray, ms: int) -> np.ndarray:
@@ -135,7 +141,11 @@ def simulate_sightings() -> list[SimulatedSighting]:
         rotation_nm = rotation(SHIP_WHITE * rng.standard_normal(3)) @ main_nm(slow, bent, axes, angles, ms)
         rotation_nt = rotation_nm @ telescope_tm(parallelism).T
         for id_, (right_deg, up_deg) in LIGHTS_DEG.items():
-            seen_t = rotation_about(1, np.deg2rad(right_deg)) @ rotation_about(2, -np.deg2rad(up_deg)) @ np.array([1.0, 0.0, 0.0])
+            seen_t = (
+                rotation_about(1, np.deg2rad(right_deg))
+                @ rotation_about(2, -np.deg2rad(up_deg))
+                @ np.array([1.0, 0.0, 0.0])
+            )
             baseline_n = DISTANCE_M * rotation_nt @ seen_t + np.hypot(RTK_M, BIAS_M) * rng.standard_normal(3)
             at_m = point_m(seen_t, FOCAL_M + 0.5 * FOCAL_SIGMA_M) + IMAGE_M * rng.standard_normal(2)
             found.append(SimulatedSighting(ms, id_, baseline_n, at_m))

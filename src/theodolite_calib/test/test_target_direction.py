@@ -82,7 +82,9 @@ def test_the_image_is_inverted(point_m, rotation_deg, expected_deg) -> None:
 
 def test_a_detector_that_is_rolled_right_side_down_has_its_right_below() -> None:
     # 90°, right side down: what is to the right on the detector is below the main axis.
-    seen = observed_direction(DETECTOR, DETECTOR.principal_point_m + np.array([-0.015, 0.0]), 1e-6, 0.5 * np.pi, np.eye(3))
+    seen = observed_direction(
+        DETECTOR, DETECTOR.principal_point_m + np.array([-0.015, 0.0]), 1e-6, 0.5 * np.pi, np.eye(3)
+    )
     np.testing.assert_allclose(seen.direction_n, np.array([1.5, -0.015, 0.0]) / np.hypot(1.5, 0.015), atol=1e-12)
 
 
@@ -146,7 +148,9 @@ def test_derivatives_of_angles_and_place(seed: int) -> None:
     ranges_m = np.array([2000.0])
     by_range = central_difference(lambda r: ranged_position(direction_n, float(r[0]), 0.13).path_n, ranges_m, 0.1)
     np.testing.assert_allclose(place.by_range_n, by_range[:, 0], atol=1e-8)
-    by_k = central_difference(lambda k: ranged_position(direction_n, 2000.0, float(k[0])).path_n, np.array([0.13]), 1e-3)
+    by_k = central_difference(
+        lambda k: ranged_position(direction_n, 2000.0, float(k[0])).path_n, np.array([0.13]), 1e-3
+    )
     np.testing.assert_allclose(place.by_coefficient_n, by_k[:, 0], atol=2e-5)  # of 0.31 m
     by_direction = central_difference(lambda o: ranged_position(moved(o), 2000.0, 0.13).path_n, np.zeros(2), 1e-6)
     np.testing.assert_allclose(place.by_direction_n @ across, by_direction, atol=0.05)  # of 2000 m: the bend, 2e-5

@@ -62,7 +62,9 @@ def images() -> tuple[Arrival, ...]:
 
 def run_of(*targets: Arrival, base: tuple[Arrival, ...] | None = None, **changes: Any) -> Run:
     base = session() if base is None else base
-    return run_adapter(new_adapter(**{**DETECTOR, **changes}), sort_by_arrival((*base, *targets)), START_NS + 9 * SECOND_NS)
+    return run_adapter(
+        new_adapter(**{**DETECTOR, **changes}), sort_by_arrival((*base, *targets)), START_NS + 9 * SECOND_NS
+    )
 
 
 @functools.cache
@@ -113,7 +115,8 @@ def test_images_change_no_other_output_to_the_last_bit() -> None:
 
 def test_degraded_ship_makes_it_degraded() -> None:
     base = tuple(
-        Arrival(a.topic, _change_message(a.message, status=2), a.receive_ns) if a.topic == SHIP else a for a in session()
+        Arrival(a.topic, _change_message(a.message, status=2), a.receive_ns) if a.topic == SHIP else a
+        for a in session()
     )
     run = run_of(*images(), base=base)
     assert {m.status for m in run.messages(DIRECTION)} == {Status.DEGRADED}

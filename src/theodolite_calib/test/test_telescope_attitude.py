@@ -169,7 +169,9 @@ def test_one_beacon_keeps_the_prior_rotation_about_it():
     light_n = epochs.lines().direction_n[:, 0]
     turned = np.einsum("ni,ni->n", light_n, log_rotation(attitude.rotation_nt @ np.swapaxes(prior.rotation_nt, -1, -2)))
     assert np.abs(turned).max() / ARCSEC < 0.06
-    assert np.sqrt(variance_about(light_n, attitude.covariance_n)) / ARCSEC == pytest.approx(np.full(50, 60.0), rel=1e-3)
+    assert np.sqrt(variance_about(light_n, attitude.covariance_n)) / ARCSEC == pytest.approx(
+        np.full(50, 60.0), rel=1e-3
+    )
 
 
 def test_one_beacon_without_a_prior_is_refused():

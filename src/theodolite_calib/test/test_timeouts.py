@@ -26,7 +26,9 @@ def claimed_pointings(run: Run) -> list[Any]:
 
 def invalid_times(run: Run) -> list[int]:
     """Return the times of INVALID outputs, except at the start."""
-    return [ns for ns, topic, m in run.published if topic == POINTING and m.status == Status.INVALID and ns > time_at(0.5)]
+    return [
+        ns for ns, topic, m in run.published if topic == POINTING and m.status == Status.INVALID and ns > time_at(0.5)
+    ]
 
 
 def assert_in_order(run: Run) -> None:
@@ -47,7 +49,9 @@ def arrivals_until(arrivals: Iterable[Arrival], s: float, *topics: str) -> list[
 )
 def test_published_pointing_is_final(dead: tuple[str, ...], missing: str) -> None:
     """The beacons continue all the time."""
-    run = run_adapter(new_adapter(slow_topics_period_s=0.2), arrivals_until(session(), FROM_S, *dead), until_ns=time_at(5.0))
+    run = run_adapter(
+        new_adapter(slow_topics_period_s=0.2), arrivals_until(session(), FROM_S, *dead), until_ns=time_at(5.0)
+    )
     said = invalid_times(run)
     assert time_at(FROM_S + 0.9) < said[0] <= time_at(FROM_S + 1.2)
     assert all(SECOND_NS <= later - earlier <= 1.1 * SECOND_NS for earlier, later in pairwise(said))
@@ -68,12 +72,16 @@ def test_encoder_and_ship_time_out_and_return() -> None:
     assert len(invalid_times(run)) in (1, 2)
     assert_in_order(run)
     back = [m for m in claimed_pointings(run) if stamp_of(m) >= time_at(3.6)]
-    assert [stamp_of(m) for m in back] == [stamp_of(m) for m in claimed_pointings(fault_free_run()) if stamp_of(m) >= time_at(3.6)]
+    assert [stamp_of(m) for m in back] == [
+        stamp_of(m) for m in claimed_pointings(fault_free_run()) if stamp_of(m) >= time_at(3.6)
+    ]
     assert back[-1].status == Status.VALID
 
 
 def delay_arrivals(arrivals: Iterable[Arrival], latency_s: Callable[[str], float]) -> tuple[Arrival, ...]:
-    return sort_by_arrival(replace(a, receive_ns=a.receive_ns + round(latency_s(a.topic) * SECOND_NS)) for a in arrivals)
+    return sort_by_arrival(
+        replace(a, receive_ns=a.receive_ns + round(latency_s(a.topic) * SECOND_NS)) for a in arrivals
+    )
 
 
 @pytest.mark.parametrize("late", [(SHIP,), (ENCODER, SHIP), (ENCODER, SHIP, BEACONS)])
@@ -92,7 +100,9 @@ def test_corrected_clock_is_no_timeout(step_s: float) -> None:
 
 
 def test_data_received_during_a_stop_are_published_after_it() -> None:
-    arrivals = [replace(a, receive_ns=time_at(3.4)) if time_at(2.2) < a.receive_ns < time_at(3.4) else a for a in session()]
+    arrivals = [
+        replace(a, receive_ns=time_at(3.4)) if time_at(2.2) < a.receive_ns < time_at(3.4) else a for a in session()
+    ]
     run = run_adapter(new_adapter(), arrivals)
     assert len(invalid_times(run)) == 1
     assert [stamp_of(m) for m in claimed_pointings(run)] == [stamp_of(m) for m in claimed_pointings(fault_free_run())]

@@ -88,7 +88,9 @@ def test_three_theodolites_match_their_covariance_at_2_km() -> None:
 def test_wrong_direction_rejects_the_set() -> None:
     directions, _ = random_stations(3)
     wrong = directions[1].direction_n + 60.0 * ARCSEC * np.array([0.0, 1.0, 0.0])
-    place = triangulate_directions([directions[0], replace(directions[1], direction_n=wrong / np.linalg.norm(wrong)), directions[2]])
+    place = triangulate_directions(
+        [directions[0], replace(directions[1], direction_n=wrong / np.linalg.norm(wrong)), directions[2]]
+    )
     assert place.chi_square > place.gate
     assert place.rejection is not None
     assert place.rejection.reason is Reason.GATE
@@ -116,7 +118,10 @@ def test_the_change_by_the_place_is_that_of_finite_differences(distance_m: float
     place_n, step_m = line.foot_n + distance_m * np.array([0.8, 0.1, -0.59]), 1e-3 * distance_m
     _, by_path_n, _ = line.direction_to(place_n, AIR.coefficient)
     differences = [
-        (line.direction_to(place_n + step_n, AIR.coefficient)[0] - line.direction_to(place_n - step_n, AIR.coefficient)[0])
+        (
+            line.direction_to(place_n + step_n, AIR.coefficient)[0]
+            - line.direction_to(place_n - step_n, AIR.coefficient)[0]
+        )
         / (2.0 * step_m)
         for step_n in step_m * np.eye(3)
     ]
@@ -124,12 +129,16 @@ def test_the_change_by_the_place_is_that_of_finite_differences(distance_m: float
     np.testing.assert_allclose(by_path_n, np.transpose(differences), rtol=0.0, atol=1e-6 / distance_m)
 
 
-def two_abreast_stations(distance_m: float, sigma: float, rng: np.random.Generator) -> tuple[list[StationDirection], np.ndarray]:
+def two_abreast_stations(
+    distance_m: float, sigma: float, rng: np.random.Generator
+) -> tuple[list[StationDirection], np.ndarray]:
     """Return the position from two theodolites 50 m apart, abreast of the target; positions and air are known."""
     target_n, directions = np.array([25.0, 0.05 * distance_m, distance_m]), []
     for number in range(2):
         at = replace(station(f"t{number}", theodolite_n(number)), sigma_m=0.0)
-        direction_n = seen_direction(at, ORIGIN_M + theodolite_n(number) @ AXES, ORIGIN_M + target_n @ AXES, AIR.coefficient)
+        direction_n = seen_direction(
+            at, ORIGIN_M + theodolite_n(number) @ AXES, ORIGIN_M + target_n @ AXES, AIR.coefficient
+        )
         across = np.linalg.svd(direction_n[None])[2][1:]
         measured_n = direction_n + sigma * rng.standard_normal(2) @ across
         directions.append(StationDirection(at, measured_n / np.linalg.norm(measured_n), sigma**2 * across.T @ across))

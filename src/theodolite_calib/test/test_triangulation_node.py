@@ -63,7 +63,9 @@ def test_positions_match_their_covariance() -> None:
         found = [
             message
             for number in range(3)
-            for message in published_positions(give_message(adapter, number, buoy_message(number, time_ns, SIGMA * rng.standard_normal(3))))
+            for message in published_positions(
+                give_message(adapter, number, buoy_message(number, time_ns, SIGMA * rng.standard_normal(3)))
+            )
         ]
         if index == 0:
             continue  # no theodolite has reported the buoy yet
@@ -82,13 +84,17 @@ def test_positions_match_their_covariance() -> None:
 def test_one_place_a_stamp_of_the_first_whatever_the_order_of_arrival() -> None:
     adapter, found = adapter_of(), []
     for number in range(3):
-        found += published_positions(give_message(adapter, number, buoy_message(number, START_NS + 10_000_000 * number)))
+        found += published_positions(
+            give_message(adapter, number, buoy_message(number, START_NS + 10_000_000 * number))
+        )
     arrivals = [(START_NS + index * PERIOD_NS + 10_000_000 * n, n) for index in range(1, 12) for n in (0, 1, 2)]
     order = np.random.default_rng(4).permutation(len(arrivals)).reshape(-1, 3)
     for came, block in enumerate(np.sort(order.ravel()).reshape(-1, 3)):
         for place in np.random.default_rng(came).permutation(block):
             time_ns, number = arrivals[place]
-            found += published_positions(give_message(adapter, number, buoy_message(number, time_ns), START_NS + (came + 2) * PERIOD_NS))
+            found += published_positions(
+                give_message(adapter, number, buoy_message(number, time_ns), START_NS + (came + 2) * PERIOD_NS)
+            )
     stamps = [ns_from_stamp(message.header.stamp) for message in found if message.status != Status.INVALID]
     assert stamps == sorted(set(stamps))
     assert [(stamp - START_NS) % PERIOD_NS for stamp in stamps] == [0] * len(stamps)
@@ -102,8 +108,12 @@ def test_overtaken_message_is_late_without_other_theodolites() -> None:
     for number in range(2):
         give_message(adapter, number, buoy_message(number, START_NS))
     for number, index in ((1, 2), (0, 2), (0, 1)):
-        published += give_message(adapter, number, buoy_message(number, START_NS + index * PERIOD_NS), START_NS + 3 * PERIOD_NS)
-    assert [ns_from_stamp(message.header.stamp) for message in published_positions(published)] == [START_NS + 2 * PERIOD_NS]
+        published += give_message(
+            adapter, number, buoy_message(number, START_NS + index * PERIOD_NS), START_NS + 3 * PERIOD_NS
+        )
+    assert [ns_from_stamp(message.header.stamp) for message in published_positions(published)] == [
+        START_NS + 2 * PERIOD_NS
+    ]
     assert published_reasons(published) == [("station.t0", Reason.LATE)]
 
 
@@ -122,11 +132,15 @@ def test_reporting_theodolite_is_awaited_up_to_the_lag() -> None:
     # Silent for longer than the lag, it is waited for no more.
     for index in range(4, 11):
         later_ns = time_ns + index * PERIOD_NS
-        first, second = (published_positions(give_message(adapter, number, buoy_message(number, later_ns))) for number in (0, 1))
+        first, second = (
+            published_positions(give_message(adapter, number, buoy_message(number, later_ns))) for number in (0, 1)
+        )
     assert first == []
     assert [ns_from_stamp(place.header.stamp) for place in second] == [later_ns]
     # What comes after the place of its time is refused.
-    assert published_reasons(give_message(adapter, 2, buoy_message(2, time_ns), later_ns + LATENCY_NS)) == [("station.t2", Reason.LATE)]
+    assert published_reasons(give_message(adapter, 2, buoy_message(2, time_ns), later_ns + LATENCY_NS)) == [
+        ("station.t2", Reason.LATE)
+    ]
 
 
 def test_single_theodolite_is_invalid_with_the_reason() -> None:
@@ -158,7 +172,9 @@ def test_a_place_is_worth_no_more_than_the_directions_that_it_rests_on(status: S
     for index in range(2):
         for number in range(3):
             worth = status if number == 1 else Status.VALID
-            published += give_message(adapter, number, buoy_message(number, START_NS + index * PERIOD_NS, status=int(worth)))
+            published += give_message(
+                adapter, number, buoy_message(number, START_NS + index * PERIOD_NS, status=int(worth))
+            )
     assert published_positions(published)[-1].status == status
 
 
@@ -238,7 +254,9 @@ def test_a_target_that_is_forgotten_has_its_directions_answered_and_stamps_that_
     published = []
     for index in range(1, 4):
         for number in (1, 0):
-            published += give_message(adapter, number, buoy_message(number, START_NS + index * PERIOD_NS), START_NS + 4 * PERIOD_NS)
+            published += give_message(
+                adapter, number, buoy_message(number, START_NS + index * PERIOD_NS), START_NS + 4 * PERIOD_NS
+            )
     assert published_reasons(published)[:4] == [(f"station.t{number}", Reason.LATE) for number in (1, 0, 1, 0)]
     stamps = [ns_from_stamp(message.header.stamp) for message in published_positions(published)]
     assert stamps

@@ -188,7 +188,9 @@ def test_the_jacobian_by_the_focal_length_is_that_of_the_camera() -> None:
     known = settings.star_camera(TELESCOPE)
     exact = TrueOptics(StarCamera(**CAMERA), np.eye(3))
     optics = known.optics_errors(known.camera("camera"))
-    seen = observe_stars(sky_model(), rotation_ns, np.zeros(4), STARS, rng, START_NS, TELESCOPE, lens=exact, optics=optics)
+    seen = observe_stars(
+        sky_model(), rotation_ns, np.zeros(4), STARS, rng, START_NS, TELESCOPE, lens=exact, optics=optics
+    )
     pixels = StarCamera(**CAMERA).pixels(seen.directions_s)
 
     def residual(focal_length_m: float) -> tuple[FloatArray, FloatArray]:

@@ -489,10 +489,14 @@ class OpticalAxisConfig:
     def _refuse_another_telescope(self, id_: str) -> None:
         """Refuse a calibration telescope with different focal length or parallelism for beacons and for stars."""
         telescope, camera = self.telescope, self.telescopes[id_]
-        duplicates = [("camera.focal_length_m", camera.camera.focal_length_m, "focal_length_m", telescope.focal_length_m)]
+        duplicates = [
+            ("camera.focal_length_m", camera.camera.focal_length_m, "focal_length_m", telescope.focal_length_m)
+        ]
         own_m = camera.camera.focal_length_sigma_m
         if own_m:
-            duplicates.append(("camera.focal_length_sigma_m", own_m, "focal_length_sigma_m", telescope.focal_length_sigma_m))
+            duplicates.append(
+                ("camera.focal_length_sigma_m", own_m, "focal_length_sigma_m", telescope.focal_length_sigma_m)
+            )
         for name, of_telescope in (("azimuth", "azimuth"), ("elevation", "elevation"), ("roll", "rotation")):
             telescope_arcsec = getattr(telescope, f"{of_telescope}_arcsec")
             telescope_sigma_arcsec = getattr(telescope, f"{of_telescope}_sigma_arcsec")

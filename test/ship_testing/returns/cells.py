@@ -181,7 +181,12 @@ def all_cells(voyages: Mapping[str, VoyageData]) -> list[Cell]:
     """Return all cells of the matrix, each with its number."""
     found: list[Cell] = []
     for draft in itertools.chain(
-        _single_faults(voyages), _node_starts(voyages), _clocks(voyages), _time_bases(), _pairs(voyages), _histories(voyages)
+        _single_faults(voyages),
+        _node_starts(voyages),
+        _clocks(voyages),
+        _time_bases(),
+        _pairs(voyages),
+        _histories(voyages),
     ):
         from_start = "node_starts_s" in draft
         undetectable_reason = draft.pop("unseen", "") or _undetectable_class(draft.get("faults", ()), from_start)

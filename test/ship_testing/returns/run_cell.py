@@ -131,7 +131,9 @@ class ReturnSink(VoyageSink):
         """True if all outputs have been VALID since a time, and no source is excluded, contradicted or refused."""
         return (
             all(
-                valid_since_ns is not None and valid_since_ns <= since_ns and now_ns - self.last_ns[topic] <= _LONGEST_GAP_NS
+                valid_since_ns is not None
+                and valid_since_ns <= since_ns
+                and now_ns - self.last_ns[topic] <= _LONGEST_GAP_NS
                 for topic, valid_since_ns in self.valid_since_ns.items()
             )
             and not any(self.excluded.values())

@@ -65,7 +65,11 @@ def diagnosis_hint(
         measured_nd: attitude of the deck by the source, shape (3, 3).
     """
     since_ns = rejected_residuals[source].time_ns - _RECENT_NS
-    consistent = [name for name, time_ns in last_used_ns.items() if time_ns >= since_ns and not consecutive_rejections.get(name, 0)]
+    consistent = [
+        name
+        for name, time_ns in last_used_ns.items()
+        if time_ns >= since_ns and not consecutive_rejections.get(name, 0)
+    ]
     inconsistent = {
         name: residual
         for name, residual in rejected_residuals.items()

@@ -72,10 +72,17 @@ class GaussMarkovIns:
         after[..., ATTITUDE_ERROR] = np.where(exceeds, means[:, ATTITUDE_ERROR], after[..., ATTITUDE_ERROR])
         return after
 
-    def _propagation_terms(self, before: LocalVertical, here: LocalVertical) -> tuple[FloatArray, float, FloatArray, FloatArray]:
+    def _propagation_terms(
+        self, before: LocalVertical, here: LocalVertical
+    ) -> tuple[FloatArray, float, FloatArray, FloatArray]:
         """Return the deflection Jacobian, remaining ratio, shift of the states, and covariance added to them."""
         change, by_deflection = deflection_change(before, here, self._length_m), _states_by_deflection(here)
-        return here.deflection_jacobian, change.remaining_ratio, by_deflection @ change.shift, by_deflection @ change.noise @ by_deflection.T
+        return (
+            here.deflection_jacobian,
+            change.remaining_ratio,
+            by_deflection @ change.shift,
+            by_deflection @ change.noise @ by_deflection.T,
+        )
 
 
 def _states_by_deflection(here: LocalVertical) -> FloatArray:

@@ -79,7 +79,10 @@ class InsErrorPropagation:
         verticals = [self._vertical.at(time_ns) for time_ns in times_ns]
         count, size = len(times_ns), len(mean)
         of_process = np.tile(mean[self._of_process], (count, 1))
-        transition, noise = np.tile(np.eye(size), (count, 1, 1)), np.zeros((count, len(covariance_by_source), size, size))
+        transition, noise = (
+            np.tile(np.eye(size), (count, 1, 1)),
+            np.zeros((count, len(covariance_by_source), size, size)),
+        )
         rows, columns = np.ix_(self._of_process, self._of_process)
         if since_ns is None or before is None:
             # Before the first measurement the state is the initial one at each time.

@@ -94,7 +94,9 @@ def deflection_change(before: LocalVertical, here: LocalVertical, length_m: floa
     shift = np.zeros(2)
     if here.given_deflection is not None:
         # A deflection known for the first time has no immediate effect: the estimate approaches it over distance.
-        shift = here.given_deflection - remaining_ratio * (here.given_deflection if before.given_deflection is None else before.given_deflection)
+        shift = here.given_deflection - remaining_ratio * (
+            here.given_deflection if before.given_deflection is None else before.given_deflection
+        )
     return DeflectionChange(remaining_ratio, shift, (1.0 - remaining_ratio * remaining_ratio) * here.covariance)
 
 

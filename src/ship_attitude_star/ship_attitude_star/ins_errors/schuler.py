@@ -134,7 +134,9 @@ class SchulerIns:
             own = own - means[:, DEFLECTION] @ before.deflection_jacobian.T
         exceeding = np.zeros_like(means)
         exceeding[:, ATTITUDE_ERROR] = np.where(exceeds_model(own, self._sigma), means[:, ATTITUDE_ERROR], 0.0)
-        after: FloatArray = (means - exceeding) @ np.swapaxes(propagation.transition, -1, -2) + propagation.shift[:, None] + exceeding
+        after: FloatArray = (
+            (means - exceeding) @ np.swapaxes(propagation.transition, -1, -2) + propagation.shift[:, None] + exceeding
+        )
         return after
 
     # -- stored propagations ------------------------------------------------------------------------------------
@@ -149,7 +151,9 @@ class SchulerIns:
         if self._cache is None or self._cache.since_ns != since_ns or self._cache.before is not before:
             self._cache = _PropagationCache(since_ns, before, deque(maxlen=_MAX_CHECKPOINTS))
         checkpoints = self._cache.checkpoints
-        while checkpoints and (checkpoints[-1].step > last or checkpoints[-1].here is not vertical.at(checkpoints[-1].step * STEP_NS)):
+        while checkpoints and (
+            checkpoints[-1].step > last or checkpoints[-1].here is not vertical.at(checkpoints[-1].step * STEP_NS)
+        ):
             checkpoints.pop()
         if not checkpoints:
             nothing = np.zeros((self.size, self.size))
@@ -167,7 +171,9 @@ class SchulerIns:
         """Return the propagation up to the next step, including the change of the deflection there."""
         step = checkpoint.step + 1
         end_ns = step * STEP_NS
-        propagation = self._with_constant_vertical(checkpoint.propagation, checkpoint.here, end_ns - max(since_ns, checkpoint.step * STEP_NS))
+        propagation = self._with_constant_vertical(
+            checkpoint.propagation, checkpoint.here, end_ns - max(since_ns, checkpoint.step * STEP_NS)
+        )
         here = vertical.at(end_ns)
         return _Checkpoint(step, here, self._with_deflection_change(propagation, checkpoint.here, here))
 
@@ -182,17 +188,27 @@ class SchulerIns:
             transition @ propagation.deflection_noise @ transition.T,
         )
 
-    def _with_deflection_change(self, propagation: Propagation, before: LocalVertical, here: LocalVertical) -> Propagation:
+    def _with_deflection_change(
+        self, propagation: Propagation, before: LocalVertical, here: LocalVertical
+    ) -> Propagation:
         """Extend a propagation by a change of the deflection at its end, without direct effect on the INS states."""
         if self._length_m is None:
             return propagation
         change = deflection_change(before, here, self._length_m)
         remaining_ratio = np.ones(self.size)
         remaining_ratio[DEFLECTION] = change.remaining_ratio
-        shift, deflection_noise = remaining_ratio * propagation.shift, remaining_ratio[:, None] * propagation.deflection_noise * remaining_ratio
+        shift, deflection_noise = (
+            remaining_ratio * propagation.shift,
+            remaining_ratio[:, None] * propagation.deflection_noise * remaining_ratio,
+        )
         shift[DEFLECTION] += change.shift
         deflection_noise[DEFLECTION, DEFLECTION] += change.noise
-        return Propagation(remaining_ratio[:, None] * propagation.transition, shift, remaining_ratio[:, None] * propagation.ins_noise * remaining_ratio, deflection_noise)
+        return Propagation(
+            remaining_ratio[:, None] * propagation.transition,
+            shift,
+            remaining_ratio[:, None] * propagation.ins_noise * remaining_ratio,
+            deflection_noise,
+        )
 
     # -- differential equations -----------------------------------------------------------------------------------
 

@@ -102,7 +102,9 @@ def _number_boresights(axes: Axes, tips: list[tuple[float, float]], colour: str,
     """Write the sensors' numbers at the tips; tips that are too near to each other share one place."""
     places: list[tuple[tuple[float, float], list[str]]] = []
     for number, tip in enumerate(tips, start=1):
-        near = [numbers for place, numbers in places if np.hypot(place[0] - tip[0], place[1] - tip[1]) < _MERGE_DISTANCE]
+        near = [
+            numbers for place, numbers in places if np.hypot(place[0] - tip[0], place[1] - tip[1]) < _MERGE_DISTANCE
+        ]
         if near:
             near[0].append(str(number))
         else:
@@ -173,7 +175,9 @@ def _map_figure(moved: ErrorMap, study: LayoutStudy, number: int) -> Figure:
         )
         least, most = np.nanmin(values), np.nanmax(values)
         # A line too near to the least value would be fragmented and is left out.
-        lines = [line for line in (_FEW_LINES if most > _STEEP_RATIO * least else _MORE_LINES) if 1.02 * least < line < most]
+        lines = [
+            line for line in (_FEW_LINES if most > _STEEP_RATIO * least else _MORE_LINES) if 1.02 * least < line < most
+        ]
         drawn = axes.contour(moved.azimuths_deg, moved.elevations_deg, values, lines, colors="black", linewidths=0.7)
         axes.clabel(drawn, fmt="%g″", fontsize=9)
         draw_masks(axes, study.obstructions.masks)

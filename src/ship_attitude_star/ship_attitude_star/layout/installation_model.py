@@ -58,7 +58,9 @@ class ErrorModel:
 
     def covariance(self, star_covariance: FloatArray, installation_covariance: FloatArray) -> FloatArray:
         """Return the covariance of heading, pitch, roll, shape (..., 3, 3): J Sigma J^T, with independent errors."""
-        return _propagate_covariance(self.star, star_covariance) + _propagate_covariance(self.installation, installation_covariance)
+        return _propagate_covariance(self.star, star_covariance) + _propagate_covariance(
+            self.installation, installation_covariance
+        )
 
 
 def linearise(
@@ -90,7 +92,9 @@ def linearise(
     return ErrorModel(ship_angles, to_ship_angles @ _rotation_vector_jacobian(star), to_ship_angles @ moved)
 
 
-def ship_rotation(star_angles: FloatArray, installation_angles: FloatArray, convention: InstallationConvention) -> FloatArray:
+def ship_rotation(
+    star_angles: FloatArray, installation_angles: FloatArray, convention: InstallationConvention
+) -> FloatArray:
     """Return the rotation "horizon from deck" by a sensor's horizon attitude, shape (..., 3, 3)."""
     installation = _rotation(np.asarray(installation_angles, dtype=float))
     if convention is InstallationConvention.PHYSICAL:

@@ -91,7 +91,9 @@ def _run(options: argparse.Namespace) -> int:
     title = _DEFAULT_TITLE if options.layout is None else options.layout.name
     write_atomically(page, page_text(computed, draw_figures(computed, options.out), title))
     sys.stdout.write(_summary(computed, page))
-    return EXIT_DONE if computed.requirement_result is None or computed.requirement_result.is_met else EXIT_BOUND_NOT_MET
+    return (
+        EXIT_DONE if computed.requirement_result is None or computed.requirement_result.is_met else EXIT_BOUND_NOT_MET
+    )
 
 
 def _study(options: argparse.Namespace) -> LayoutStudy:

@@ -57,7 +57,9 @@ class Obstructions:
 
     def is_clear(self, number: int, angles: FloatArray) -> NDArray[np.bool_]:
         """True if the field of a sensor is clear of all masks, for installation angles (n, 3), rad; shape (n,)."""
-        reached: NDArray[np.bool_] = np.any(self.masks.masks_in_field(_rotations(angles), self.half_fields[number]), axis=0)
+        reached: NDArray[np.bool_] = np.any(
+            self.masks.masks_in_field(_rotations(angles), self.half_fields[number]), axis=0
+        )
         return ~reached
 
     def horizon_margin(self, number: int, angles: FloatArray) -> FloatArray:

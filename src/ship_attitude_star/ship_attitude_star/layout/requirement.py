@@ -147,13 +147,17 @@ def evaluate_layouts(
         candidates += evaluator.best_of_map(layout, number, moved, allowed)
     candidates.append(evaluator.search(candidates, layout))
     # The sort is stable: of equal layouts the first of the list, which changes least, comes first.
-    ranking = sorted(candidates, key=lambda one: (not one.is_admissible, bool(one.obstacles), _or_infinite(one.requirement_use)))
+    ranking = sorted(
+        candidates, key=lambda one: (not one.is_admissible, bool(one.obstacles), _or_infinite(one.requirement_use))
+    )
     return RequirementResult(
         limits_arcsec=evaluator.limits_arcsec,
         ranking=ranking,
         maps=admissible,
         trade=list(evaluator.elevation_trades(layout)),
-        allocations={one.name: allocate_errors(one.layout, evaluator.limits_arcsec) for one in (ranking[0], candidates[0])},
+        allocations={
+            one.name: allocate_errors(one.layout, evaluator.limits_arcsec) for one in (ranking[0], candidates[0])
+        },
     )
 
 
@@ -204,7 +208,9 @@ class _LayoutEvaluator:
         evaluated and from sensors distributed around the ship, one sensor at a time moves to the best direction of a
         fine grid.
         """
-        coarse = [self._unobstructed_placements(layout, number, _COARSE_STEP_DEG) for number in range(len(layout.names))]
+        coarse = [
+            self._unobstructed_placements(layout, number, _COARSE_STEP_DEG) for number in range(len(layout.names))
+        ]
         fine = [self._unobstructed_placements(layout, number, SEARCH_STEP_DEG) for number in range(len(layout.names))]
         pairs = list(combinations(range(len(layout.names)), 2))
         starts = [self._descend(layout, coarse, pairs), *(one.layout for one in candidates), *_spread_layouts(layout)]

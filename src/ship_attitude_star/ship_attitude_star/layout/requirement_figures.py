@@ -51,7 +51,11 @@ def _draw_admissible(axes: Axes, study: LayoutStudy, allowed: AdmissibleMap, num
         shown = np.ma.masked_where(~region, np.ones(region.shape))
         axes.pcolormesh(*directions, shown, cmap=ListedColormap([colour]), shading="nearest", rasterized=True)
     lines = axes.contour(
-        *directions, allowed.requirement_use, _USES, colors="black", linewidths=[1.8 if u == 1.0 else 0.6 for u in _USES]
+        *directions,
+        allowed.requirement_use,
+        _USES,
+        colors="black",
+        linewidths=[1.8 if u == 1.0 else 0.6 for u in _USES],
     )
     axes.clabel(lines, fmt=lambda use: f"{100.0 * use:.0f} %", fontsize=9)
     draw_masks(axes, study.obstructions.masks)

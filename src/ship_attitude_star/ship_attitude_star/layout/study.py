@@ -114,7 +114,9 @@ def compute_study(config: LayoutStudyConfig) -> LayoutStudy:
         curves=all_curves(config.figures),
         optics=optics,
         obstructions=obstructions,
-        requirement_result=evaluate_layouts(config, layout, best, maps, obstructions) if config.requirement.is_given else None,
+        requirement_result=evaluate_layouts(config, layout, best, maps, obstructions)
+        if config.requirement.is_given
+        else None,
     )
 
 

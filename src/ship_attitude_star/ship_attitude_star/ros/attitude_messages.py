@@ -61,7 +61,11 @@ class AttitudeNumbers(NamedTuple):
 
     def subset(self, indices: NDArray[np.int64]) -> "AttitudeNumbers":
         """Return the attitudes with the given indices."""
-        return self if len(indices) == len(self.time_ns) else AttitudeNumbers(*(select_values(each, indices) for each in self))
+        return (
+            self
+            if len(indices) == len(self.time_ns)
+            else AttitudeNumbers(*(select_values(each, indices) for each in self))
+        )
 
 
 def attitude_messages(
@@ -77,7 +81,9 @@ def attitude_messages(
         rate_sigma: noise of the angular rate of the INS, each axis, rad/s; 0 if not known.
         frames: frame names.
     """
-    messages = _messages(AttitudeNumbers.from_runs([AttitudeSeries.from_estimate(estimate)]), single_numbers, rate_sigma, frames)
+    messages = _messages(
+        AttitudeNumbers.from_runs([AttitudeSeries.from_estimate(estimate)]), single_numbers, rate_sigma, frames
+    )
     return [(topic, factory.encode(type_name, **fields)) for topic, type_name, fields in messages]
 
 

@@ -86,7 +86,9 @@ def star_measurement(
         return _read_message(_with_shared_error(attitude, config.shared_error, has_noise_covariance=True))
     noise_n = total_n if noise_enu is None else horizon_covariance(noise_enu)
     has_noise_covariance = noise_enu is not None
-    return attitude_from_numbers(f"star.{sensor_id}", time_ns, rotation_ns, total_n, noise_n, config.shared_error, has_noise_covariance)
+    return attitude_from_numbers(
+        f"star.{sensor_id}", time_ns, rotation_ns, total_n, noise_n, config.shared_error, has_noise_covariance
+    )
 
 
 def attitude_from_numbers(
@@ -144,9 +146,13 @@ def inertial_attitude(
     covariance_flu = angular_covariance(message.covariance, "covariance")
     if covariance_flu is None:
         noise_s = _configured_noise(config)
-        return _read_message(InertialAttitude(f"star.{sensor_id}", time_ns, rotation_cs, noise_s, False, config.inertial.field_of_view))
+        return _read_message(
+            InertialAttitude(f"star.{sensor_id}", time_ns, rotation_cs, noise_s, False, config.inertial.field_of_view)
+        )
     noise_s = FLU_FROM_DEVICE.T @ covariance_flu @ FLU_FROM_DEVICE
-    return _read_message(InertialAttitude(f"star.{sensor_id}", time_ns, rotation_cs, noise_s, field=config.inertial.field_of_view))
+    return _read_message(
+        InertialAttitude(f"star.{sensor_id}", time_ns, rotation_cs, noise_s, field=config.inertial.field_of_view)
+    )
 
 
 def reference_measurement(
@@ -167,7 +173,9 @@ def reference_measurement(
     else:
         noise_r = rotation_nr.T @ horizon_covariance(covariance_enu) @ rotation_nr
     known = covariance_enu is not None
-    return _read_message(AttitudeMeasurement(f"reference.{name}", time_ns, rotation_nr, noise_r, covariance_known=known))
+    return _read_message(
+        AttitudeMeasurement(f"reference.{name}", time_ns, rotation_nr, noise_r, covariance_known=known)
+    )
 
 
 def deflection(message: Any, receive_ns: int) -> ReadMessage[DeflectionReading]:

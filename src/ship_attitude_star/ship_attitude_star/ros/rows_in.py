@@ -37,7 +37,9 @@ def star_attitudes(messages: CdrRows, receive_ns: StampArray, sensor_id: str, co
         time_ns: int, rotation_ns: FloatArray, total_n: FloatArray, noise_n: FloatArray
     ) -> ReadMessage[Any] | None:
         try:
-            return attitude_from_numbers(f"star.{sensor_id}", time_ns, rotation_ns, total_n, noise_n, config.shared_error)
+            return attitude_from_numbers(
+                f"star.{sensor_id}", time_ns, rotation_ns, total_n, noise_n, config.shared_error
+            )
         except MessageRejected:
             return None
 

@@ -197,7 +197,8 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         if isinstance(self.core, SmoothingCore):
             try:
                 smoothed = [
-                    smoothed_message(self.factory, estimate, self.config.frames) for estimate in self.core.take_smoothed()
+                    smoothed_message(self.factory, estimate, self.config.frames)
+                    for estimate in self.core.take_smoothed()
                 ]
             except Exception as error:
                 # Real-time attitudes are published in any case; smoothing restarts.
@@ -213,14 +214,18 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         read_ins = functools.partial(self._read_ins, config=config.ins)
         yield Feed(ins, "ins", read_ins, core.add_ins, batch=block, stream_quantity=ATTITUDE)
         for id_, star in config.star_sensors.items():
-            topic = InputTopic(f"star/{id_}/{star.input}", _STAR_TYPES[star.input], False, depth=1000, is_configured=True)
+            topic = InputTopic(
+                f"star/{id_}/{star.input}", _STAR_TYPES[star.input], False, depth=1000, is_configured=True
+            )
             read, read_rows = self._star_readers(id_, star)
             take, source = core.add_measurement, f"star.{id_}"
             yield Feed(topic, source, read, take, has_decision=True, read_rows=read_rows, stream_quantity=INNOVATION)
         for name, reference in config.references.items():
             topic = InputTopic(f"reference/{name}/imu", IMU_TYPE, False, depth=1000, is_configured=True)
             read = functools.partial(messages_in.reference_measurement, name=name, config=reference)
-            yield Feed(topic, f"reference.{name}", read, core.add_measurement, has_decision=True, stream_quantity=INNOVATION)
+            yield Feed(
+                topic, f"reference.{name}", read, core.add_measurement, has_decision=True, stream_quantity=INNOVATION
+            )
         if config.ship_baseline.is_aboard:
             antennas = InputTopic("ship/baseline", "ship_msgs/msg/RtkBaseline", False, depth=1000, is_configured=True)
             read_baseline = functools.partial(messages_in.baseline, config=config.ship_baseline)
@@ -306,7 +311,9 @@ class ShipAttitudeAdapter(RecoveringAdapter):
                 "all star sensors moved against the INS: if they or the INS were remounted, ~/reset; otherwise check "
                 "their clocks (time_offset_s of each, and of ins), gnss/fix and the computer's clock"
             )
-        where = ", ".join(f"{_PARAMETER_SECTIONS[name.partition('.')[0]]}.{name.partition('.')[2]}" for name in sorted(displaced))
+        where = ", ".join(
+            f"{_PARAMETER_SECTIONS[name.partition('.')[0]]}.{name.partition('.')[2]}" for name in sorted(displaced)
+        )
         return f"if it was remounted, ~/reset; otherwise check its clock (time_offset_s of {where}) and its cable"
 
     def before_adoption(self) -> list[OutputMessage]:
@@ -322,7 +329,10 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         state, latest = self.core.state, self.latest
         if state.time_ns is None or latest is None or latest.status is Status.INVALID:
             return []
-        if self._last_observability is None or abs(state.time_ns - self._last_observability[0]) >= _OBSERVABILITY_PERIOD_NS:
+        if (
+            self._last_observability is None
+            or abs(state.time_ns - self._last_observability[0]) >= _OBSERVABILITY_PERIOD_NS
+        ):
             # Without stars a turn has no effect.
             has_stars = latest.status is Status.VALID
             observability = self.core.learnt()
@@ -368,7 +378,9 @@ def manoeuvre_text(turn: RecommendedTurn | None) -> str:
     """Return a text about a recommended turn; empty for none."""
     if turn is None:
         return ""
-    now, on_course, after = (f'{sigma / ARCSEC:.1f}"' for sigma in (turn.sigma_now, turn.sigma_on_course, turn.sigma_after_turn))
+    now, on_course, after = (
+        f'{sigma / ARCSEC:.1f}"' for sigma in (turn.sigma_now, turn.sigma_on_course, turn.sigma_after_turn)
+    )
     turned = f"a {turn.turn_deg:.0f}° turn: {turn.quantity} {now} → {after} in a quarter of an hour"
     return f"{turned}, {on_course} on this course"
 
@@ -491,7 +503,9 @@ def attitude_status(
     """
     values = {"clock jumps back": str(clock_jumps)}
     if estimate is None:
-        return DiagnosticStatus("attitude", Level.WARN, "; ".join(["no INS sample yet", *missing_configuration]), values)
+        return DiagnosticStatus(
+            "attitude", Level.WARN, "; ".join(["no INS sample yet", *missing_configuration]), values
+        )
     level, text = _STATUS_TEXTS[estimate.status]
     if estimate.status is Status.DEGRADED and missing_configuration and "ins" in estimate.sources:
         text += f": {'; '.join(missing_configuration)}"

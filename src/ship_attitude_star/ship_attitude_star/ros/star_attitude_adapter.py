@@ -141,7 +141,9 @@ class StarAttitudeAdapter(BatchAdapter):
         published: list[OutputMessage] = []
         for solved in outcome.solved:
             self._last_solutions[solved.sensor_id] = solved, waiting_ns
-            published += self._joint_messages(solved) if solved.sensor_id == JOINT else self._single_messages(solved, now_ns)
+            published += (
+                self._joint_messages(solved) if solved.sensor_id == JOINT else self._single_messages(solved, now_ns)
+            )
         for source, time_ns in outcome.not_joined:
             text = "too late for the joint solution of its time; its single-sensor solution is published"
             self.health.record_note(_topic(source), Reason.LATE)
@@ -185,7 +187,9 @@ class StarAttitudeAdapter(BatchAdapter):
         """Return the error budget of the latest joint solution, once."""
         if self.pending_budget is None:
             return []
-        return [(f"star/{JOINT}/error_budget", solution_budget(self.factory, self.pending_budget, self.config.frames.deck))]
+        return [
+            (f"star/{JOINT}/error_budget", solution_budget(self.factory, self.pending_budget, self.config.frames.deck))
+        ]
 
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
         """Return diagnostics of the solutions and of the sky model."""
@@ -293,7 +297,9 @@ def sky_status(not_measured: Sequence[str], clock_jumps: int) -> DiagnosticStatu
     return DiagnosticStatus("sky", Level.OK, text, {"clock jumps back": str(clock_jumps)})
 
 
-def _solution_status(id_: str, last: tuple[AttitudeSolution, int] | None, how: str, waiting_ns: int) -> DiagnosticStatus:
+def _solution_status(
+    id_: str, last: tuple[AttitudeSolution, int] | None, how: str, waiting_ns: int
+) -> DiagnosticStatus:
     name = f"solution {id_}"
     if last is None:
         return DiagnosticStatus(name, Level.OK, f"none yet{how}")

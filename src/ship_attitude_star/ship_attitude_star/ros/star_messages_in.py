@@ -148,7 +148,14 @@ def _rejections(
 ) -> list[Rejection | None]:
     """Return the rejection of each star, None for a usable one."""
     first_pixels: dict[Hashable, list[float]] = {}
-    columns = star_columns.pixels, directions_s[:, 0], star_columns.sigma_px, star_columns.hip, entries.rows, star_columns.right_ascension
+    columns = (
+        star_columns.pixels,
+        directions_s[:, 0],
+        star_columns.sigma_px,
+        star_columns.hip,
+        entries.rows,
+        star_columns.right_ascension,
+    )
     stars = zip(*(column.tolist() for column in (*columns, star_columns.declination)), strict=True)
     return [
         _pixel_rejection(pixel, forward)
@@ -217,7 +224,9 @@ def _identity(hip: int, right_ascension: float, declination: float) -> Hashable:
     return None if math.isnan(right_ascension) else (right_ascension, declination)
 
 
-def _duplicate_rejection(identity: Hashable, pixel: list[float], first_pixels: dict[Hashable, list[float]]) -> Rejection | None:
+def _duplicate_rejection(
+    identity: Hashable, pixel: list[float], first_pixels: dict[Hashable, list[float]]
+) -> Rejection | None:
     """Return the rejection of a star with the identity of an earlier one of the message, or None."""
     first = pixel if identity is None else first_pixels.setdefault(identity, pixel)
     if first is pixel:

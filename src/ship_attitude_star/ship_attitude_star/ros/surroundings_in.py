@@ -48,7 +48,9 @@ def position_fix(message: Any, config: SkyConfig, receive_ns: int) -> ReadMessag
         covariance_enu = covariance_3x3(message.position_covariance, "position_covariance")
     if covariance_enu is not None and covariance_enu.diagonal().max() > _MAX_POSITION_SIGMA_M**2:
         largest_m = np.sqrt(covariance_enu.diagonal().max())
-        raise MessageRejected(Reason.BAD_COVARIANCE, f"position_covariance: sigma {largest_m:.3g} m is too large for a fix")
+        raise MessageRejected(
+            Reason.BAD_COVARIANCE, f"position_covariance: sigma {largest_m:.3g} m is too large for a fix"
+        )
     if covariance_enu is not None and not covariance_enu.diagonal()[:2].all():
         text = "position_covariance: a horizontal variance is zero, although others are not"
         raise MessageRejected(Reason.BAD_COVARIANCE, text)

@@ -209,7 +209,9 @@ def _compare_baseline(
             _UP_RIGHT_BY_ROTATION @ predicted.jacobian_v,
             {
                 model.source_indices[device.noise_source]: noise_v[1:, 1:],
-                model.source_indices[SOURCE_INTERPOLATION]: _UP_RIGHT_BY_ROTATION @ predicted.interpolation_v @ _UP_RIGHT_BY_ROTATION.T,
+                model.source_indices[SOURCE_INTERPOLATION]: _UP_RIGHT_BY_ROTATION
+                @ predicted.interpolation_v
+                @ _UP_RIGHT_BY_ROTATION.T,
             },
         ),
         rotation_jacobian=_UP_RIGHT_BY_ROTATION,

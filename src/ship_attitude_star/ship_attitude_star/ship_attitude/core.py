@@ -240,7 +240,9 @@ class ShipAttitudeCore:
                     batch.pending_outcomes.append((batch.committed_count, outcome))
             contradiction_texts = None
             if self._estimator.stamp_conflicts:
-                contradiction_texts = [self._contradiction_text(sample.time_ns) for sample in batch.samples[batch.committed_count : end]]
+                contradiction_texts = [
+                    self._contradiction_text(sample.time_ns) for sample in batch.samples[batch.committed_count : end]
+                ]
             batch.commit(self._estimator.state_now, end, contradiction_texts)
             self._ins_arrival_ns = int(batch.arrivals_ns[end - 1])
             self._estimator.record_output(batch.samples[end - 1].time_ns, self._ins_arrival_ns, self._ins_timeout_ns)
@@ -367,7 +369,9 @@ class ShipAttitudeCore:
         """
         state = self.state
         # The state contains the measurement already, so no correlation with other measurements is considered.
-        result = self.filter.linearisation.linearise(measurement, state.mean, state.covariance, {}, self._track, self._sky_model)
+        result = self.filter.linearisation.linearise(
+            measurement, state.mean, state.covariance, {}, self._track, self._sky_model
+        )
         return result if isinstance(result, LinearisedMeasurement) else None
 
     def alignment(self) -> Alignment:

@@ -103,7 +103,9 @@ class CorrectedIns:
         since_ns = self.state.time_ns
         # A sample older than the state counts as of the time of the state.
         moments_ns = times_ns if since_ns is None else [max(time_ns, since_ns) for time_ns in times_ns]
-        return self.error_propagation.errors(since_ns, self.state.vertical, self._mean, self.covariance_by_source, moments_ns)
+        return self.error_propagation.errors(
+            since_ns, self.state.vertical, self._mean, self.covariance_by_source, moments_ns
+        )
 
     def estimate(self, time_ns: int, ins: InterpolatedAttitude, config: ShipAttitudeConfig) -> AttitudeEstimate:
         """Return the attitude at the stamp of an INS sample, with its status."""
@@ -232,10 +234,14 @@ def corrected_estimates(
     stops = np.cumsum(counts).tolist()
     segments = [slice(stop - count, stop) for stop, count in zip(stops, counts, strict=True)]
     if corrected[0].error_propagation is None:
-        rotation_nd, covariance_by_source = corrected_attitudes(corrected, state_index, 1e-9 * since_ns.astype(np.float64), propagated)
+        rotation_nd, covariance_by_source = corrected_attitudes(
+            corrected, state_index, 1e-9 * since_ns.astype(np.float64), propagated
+        )
         vertical_known = None
     else:
-        rotation_nd, covariance_by_source, vertical_known = _attitudes_with_deflection(corrected, segments, time_ns, propagated)
+        rotation_nd, covariance_by_source, vertical_known = _attitudes_with_deflection(
+            corrected, segments, time_ns, propagated
+        )
     for one, some in zip(corrected, segments, strict=True):
         if one.state.unresolved_fault is not None:
             covariance_by_source[some, one.drift_index] += one.state.unresolved_fault.covariance_n

@@ -102,7 +102,11 @@ class FaultDetector:
             mean: estimated errors, shape (n,).
             covariance_by_source: covariance by error source, shape (n_sources, n, n).
         """
-        return FilterState(None, *self.ins_fault.all_filters_at(mean, covariance_by_source), initial_means(self.subfilters.count, len(self._sources)))
+        return FilterState(
+            None,
+            *self.ins_fault.all_filters_at(mean, covariance_by_source),
+            initial_means(self.subfilters.count, len(self._sources)),
+        )
 
     def uses(self, state: FilterState) -> NDArray[np.bool_]:
         """Return a mask of the sources that each filter uses, shape (h, s)."""
@@ -137,11 +141,19 @@ class FaultDetector:
         used = self.subfilters.used_by[source] if not state.excluded else self.uses(state)[:, index]
         noise = None if used[0] else innovations.whitened_noise
         innovation_means = updated_means(
-            state.innovation_means, index, innovations.whitened_innovation, accepted, measurement.time_ns, self.subfilters.innovation_mean_limit, noise
+            state.innovation_means,
+            index,
+            innovations.whitened_innovation,
+            accepted,
+            measurement.time_ns,
+            self.subfilters.innovation_mean_limit,
+            noise,
         )
         if state.innovation_means.last_measured_ns[index] < measurement.time_ns - MAX_MEASUREMENT_AGE_NS:
             state, predicted = (self._with_source_back(one, source, measurement.time_ns) for one in (state, predicted))
-        innovation = SourceInnovation(innovations.whitened_innovation[0], innovations.whitening_root[0], comparison.predicted_nv)
+        innovation = SourceInnovation(
+            innovations.whitened_innovation[0], innovations.whitening_root[0], comparison.predicted_nv
+        )
         last_innovations = with_entry(state.last_innovations, source, innovation)
         exclusion = state.excluded.get(source)
         # A measurement that no filter uses leaves all of them bit-identical. An excluded source may still update its
@@ -149,17 +161,29 @@ class FaultDetector:
         is_update = any((used & accepted).tolist()) if exclusion is None else exclusion.offset is None
         if not is_update:
             return changed(state, innovation_means=innovation_means, last_innovations=last_innovations)
-        updatable = self.ins_fault.updatable_states(state, self._updatable_states(state, source, used) & accepted[:, None])
+        updatable = self.ins_fault.updatable_states(
+            state, self._updatable_states(state, source, used) & accepted[:, None]
+        )
         corrections, stack = update_subfilters(predicted.stack, comparison.linear, innovations, updatable)
         recent, correction_sums = state.recent_innovations, state.correction_sums
         if used[0] and accepted[0]:
             windowed = recent[source].windowed_means if source in recent else INITIAL_MEANS
-            recent = with_entry(recent, source, RecentInnovations(*updated_mean(windowed, innovations.whitened_innovation[0])))
+            recent = with_entry(
+                recent, source, RecentInnovations(*updated_mean(windowed, innovations.whitened_innovation[0]))
+            )
             if source in self.subfilters.stars and INS not in state.excluded:
-                correction_sums = correction_sums.with_correction(innovations, comparison.linear.jacobian, self._ins_attitude.start)
+                correction_sums = correction_sums.with_correction(
+                    innovations, comparison.linear.jacobian, self._ins_attitude.start
+                )
         means = predicted.means + corrections
         return changed(
-            predicted, means=means, stack=stack, innovation_means=innovation_means, last_innovations=last_innovations, recent_innovations=recent, correction_sums=correction_sums
+            predicted,
+            means=means,
+            stack=stack,
+            innovation_means=innovation_means,
+            last_innovations=last_innovations,
+            recent_innovations=recent,
+            correction_sums=correction_sums,
         )
 
     def _updatable_states(self, state: FilterState, source: str, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -170,14 +194,21 @@ class FaultDetector:
             source: name of the source.
             used: True for each filter that uses the source, shape (h,).
         """
-        return self.subfilters.updatable_states[source] if not state.excluded else used[:, None] | self.subfilters.own_states[source]
+        return (
+            self.subfilters.updatable_states[source]
+            if not state.excluded
+            else used[:, None] | self.subfilters.own_states[source]
+        )
 
     def _with_source_back(self, state: FilterState, source: str, time_ns: int) -> FilterState:
         """Return the state before the first measurement of a source after a timeout; reinstatement timers restart."""
         excluded = dict(state.excluded)
         if source in excluded:
             excluded[source] = replace(excluded[source], consistent_since_ns=None)
-        if is_ins_excluded_by_stars(state) and state.innovation_means.last_measured_ns.max() < time_ns - MAX_MEASUREMENT_AGE_NS:
+        if (
+            is_ins_excluded_by_stars(state)
+            and state.innovation_means.last_measured_ns.max() < time_ns - MAX_MEASUREMENT_AGE_NS
+        ):
             excluded[INS] = replace(excluded[INS], consistent_since_ns=time_ns)
         heard_since_ns = with_entry(state.received_since_ns, source, time_ns)
         return changed(state, excluded=MappingProxyType(excluded), received_since_ns=heard_since_ns)
@@ -225,11 +256,15 @@ class FaultDetector:
         # The rates show a step of the INS, but not a drift.
         stepped = any(state.innovation_means.rejection_counts[0].tolist())
         if is_ins_confirmed and stepped:
-            candidates, pairs = ([row for row in rows if row not in table.ins_subfilters] for rows in (candidates, pairs))
+            candidates, pairs = (
+                [row for row in rows if row not in table.ins_subfilters] for rows in (candidates, pairs)
+            )
         elif stepped and len(in_use) <= MIN_SOURCES_FOR_PAIRS:
             pairs = []  # One source with an INS that may have stepped explains as much as two other sources.
         threshold, after = table.k.false_exclusion, self._degraded_after
-        isolation = isolate_fault(state.innovation_means, uses, separation_sigmas, threshold, candidates, time_ns, after, pairs)
+        isolation = isolate_fault(
+            state.innovation_means, uses, separation_sigmas, threshold, candidates, time_ns, after, pairs
+        )
         # Written so that NaN is shared.
         shared = not state.correction_sums.sigmas <= table.common_threshold and INS not in state.excluded
         if not isolation.is_detected and not shared:
@@ -270,7 +305,12 @@ class FaultDetector:
         )
 
     def _with_no_fault(
-        self, state: FilterState, in_use: list[str], separations_n: FloatArray, separation_sigmas: FloatArray, time_ns: int
+        self,
+        state: FilterState,
+        in_use: list[str],
+        separations_n: FloatArray,
+        separation_sigmas: FloatArray,
+        time_ns: int,
     ) -> FilterState:
         """Return the state where no fault is detected, with a covariance that covers large solution separations.
 
@@ -282,18 +322,29 @@ class FaultDetector:
             separation_sigmas = separation_sigmas.copy()
             for row, source in enumerate(self._sources, start=1):
                 if source in in_use and source in state.recent_innovations:
-                    separation_sigmas[row] = np.maximum(separation_sigmas[row], state.recent_innovations[source].largest_sigmas)
+                    separation_sigmas[row] = np.maximum(
+                        separation_sigmas[row], state.recent_innovations[source].largest_sigmas
+                    )
         # Written so that NaN is not within.
         within = all(sigmas <= INFLATION_START_SIGMAS for sigmas in separation_sigmas.tolist())
-        correction_sums = state.correction_sums.with_unresolved_error(time_ns, round(self._integrity.return_after_s * SECOND_NS))
+        correction_sums = state.correction_sums.with_unresolved_error(
+            time_ns, round(self._integrity.return_after_s * SECOND_NS)
+        )
         suspicion = correction_sums.unresolved
         if within and state.unresolved_fault is None and state.separation_covariance_n is None and suspicion is None:
             return state
         separation_covariance_n = None if within else separation_inflation(separations_n, separation_sigmas)
         if suspicion is not None:
             shared_n = np.diag(suspicion.variance)
-            separation_covariance_n = shared_n if separation_covariance_n is None else separation_covariance_n + shared_n
-        return changed(state, unresolved_fault=None, separation_covariance_n=separation_covariance_n, correction_sums=correction_sums)
+            separation_covariance_n = (
+                shared_n if separation_covariance_n is None else separation_covariance_n + shared_n
+            )
+        return changed(
+            state,
+            unresolved_fault=None,
+            separation_covariance_n=separation_covariance_n,
+            correction_sums=correction_sums,
+        )
 
     def reset_for_ins_jump(self, state: FilterState, time_ns: int) -> FilterState:
         """Return the state after the INS reported its own jump: the sources that contradicted it are reset.
@@ -346,7 +397,11 @@ class FaultDetector:
         If several subfilters explain the fault, the only one whose sources were all excluded before is preferred.
         """
         excluded_sources = self.subfilters.excluded_sources
-        known = [row for row in isolation.explaining_subfilters if state.exclusion_counts.keys() >= set(excluded_sources[row - 1])]
+        known = [
+            row
+            for row in isolation.explaining_subfilters
+            if state.exclusion_counts.keys() >= set(excluded_sources[row - 1])
+        ]
         row = known[0] if len(known) == 1 else isolation.subfilter
         return () if row is None else excluded_sources[row - 1]
 
@@ -364,7 +419,11 @@ class FaultDetector:
         row, rows = self.subfilters.excluded_sources.index(faulty) + 1, len(state.means)
         means = np.tile(state.means[row], (rows, 1))
         stack = restart_from_subfilter(state.stack, rows, row)
-        excluded, exclusion_counts, used_ns = dict(state.excluded), dict(state.exclusion_counts), dict(state.last_used_ns)
+        excluded, exclusion_counts, used_ns = (
+            dict(state.excluded),
+            dict(state.exclusion_counts),
+            dict(state.last_used_ns),
+        )
         for name in faulty:
             # An offset larger than any mounting shift has another cause; the mounting is not estimated again.
             has_mounting_shift = name != INS and self._mounting_shift(state, name) is not None
@@ -408,7 +467,8 @@ class FaultDetector:
             mean[self._ins_attitude] -= correction_sums.correction_n
             self.ins_fault.inflate_ins_attitude(covariance_by_source, np.diag(correction_sums.variance))
         excluded = {
-            name: ExcludedSource(time_ns, offset=state.last_innovations[name].predicted_nv.T @ turn_n, is_shared=True) for name in stars
+            name: ExcludedSource(time_ns, offset=state.last_innovations[name].predicted_nv.T @ turn_n, is_shared=True)
+            for name in stars
         }
         means, stack = self.ins_fault.all_filters_at(mean, covariance_by_source)
         return changed(
@@ -434,7 +494,9 @@ class FaultDetector:
         after_s = self._integrity.return_after_s
         remaining_ratio = self._remaining_offset_ratio(state, source, time_ns)
         sigma = _remaining_offset_sigma(state, source, innovations)
-        exclusion, is_reinstated = evaluate_reinstatement(exclusion, state.innovation_means, index, time_ns, after_s, remaining_ratio, sigma)
+        exclusion, is_reinstated = evaluate_reinstatement(
+            exclusion, state.innovation_means, index, time_ns, after_s, remaining_ratio, sigma
+        )
         after_s = reinstatement_time_s(exclusion, after_s)
         if not is_reinstated:
             state = changed(state, excluded=with_entry(state.excluded, source, exclusion))
@@ -442,7 +504,9 @@ class FaultDetector:
                 # Another mounting shift: the mounting estimated since the last one is void.
                 stack = state.stack.copy()
                 self._inflate_mounting(stack, state, source)
-                state = changed(state, stack=stack, innovation_means=cleared_means(state.innovation_means, slice(None), [index]))
+                state = changed(
+                    state, stack=stack, innovation_means=cleared_means(state.innovation_means, slice(None), [index])
+                )
             since_s = (time_ns - exclusion.since_ns) / SECOND_NS
             consistency = "not consistent with the others"
             if exclusion.consistent_since_ns is not None:
@@ -480,7 +544,11 @@ class FaultDetector:
         """
         since_ns = state.excluded[source].since_ns
         stars = {name: one for name, one in state.excluded.items() if one.since_ns == since_ns and name != INS}
-        if state.unresolved_fault is None or len(stars) < len(self.subfilters.stars) or not self.ins_fault.can_be_excluded([*stars]):
+        if (
+            state.unresolved_fault is None
+            or len(stars) < len(self.subfilters.stars)
+            or not self.ins_fault.can_be_excluded([*stars])
+        ):
             return False
         return all(
             one.growing_since_ns is not None and time_ns - one.growing_since_ns >= _DRIFT_DURATION_NS
@@ -514,7 +582,9 @@ class FaultDetector:
         names = [source]
         if own.is_shared:
             shared = [name for name, one in state.excluded.items() if one.is_shared and one.since_ns == own.since_ns]
-            names = [name for name in shared if state.innovation_means.last_measured_ns[self._indices[name]] >= heard_ns]
+            names = [
+                name for name in shared if state.innovation_means.last_measured_ns[self._indices[name]] >= heard_ns
+            ]
         along = square = 0.0
         for name in names:
             measured, offset = state.last_innovations[name], state.excluded[name].offset
@@ -530,7 +600,11 @@ class FaultDetector:
         return not (means.excess[0, index] <= 1.0 and means.rejection_counts[0, index] < self._degraded_after)
 
     def _with_unresolved_fault(
-        self, state: FilterState, separations_n: FloatArray, separation_sigmas: FloatArray, contradicting: tuple[str, ...]
+        self,
+        state: FilterState,
+        separations_n: FloatArray,
+        separation_sigmas: FloatArray,
+        contradicting: tuple[str, ...],
     ) -> FilterState:
         """Return the state with an unresolved fault; its covariance holds the inconsistent innovations and separations.
 
@@ -540,7 +614,11 @@ class FaultDetector:
             separation_sigmas: largest solution separation of each filter in standard deviations, shape (h,).
             contradicting: the star sensors, if all of them contradict the INS; else empty.
         """
-        vectors = [innovation.rotation_n for name, innovation in state.last_innovations.items() if state.consecutive_rejections.get(name, 0)]
+        vectors = [
+            innovation.rotation_n
+            for name, innovation in state.last_innovations.items()
+            if state.consecutive_rejections.get(name, 0)
+        ]
         vectors += [vector for vector, size in zip(separations_n, separation_sigmas, strict=True) if size > 1.0]
         if state.correction_sums.sigmas > COMMON_ERROR_START_SIGMAS:
             vectors.append(state.correction_sums.error_n)
@@ -596,4 +674,6 @@ def _remaining_offset_sigma(state: FilterState, source: str, innovations: Filter
         return 0.0
     whitened_offset = np.linalg.pinv(state.last_innovations[source].root) @ offset
     by_state = np.eye(3) - innovations.whitened_noise
-    return math.sqrt(max(float(whitened_offset @ by_state @ whitened_offset), 0.0)) / float(whitened_offset @ whitened_offset)
+    return math.sqrt(max(float(whitened_offset @ by_state @ whitened_offset), 0.0)) / float(
+        whitened_offset @ whitened_offset
+    )

@@ -309,7 +309,9 @@ class ShipFilter:
         if self.devices[source].is_star and not (accepted[0] or is_ins_confirmed):
             # No other data show whether the INS has jumped.
             after = changed(after, unconfirmed_step=_unconfirmed_ins_jump(measurement.time_ns))
-        after, text = self.fault_detector.detect_faults(after, source, innovations, is_ins_confirmed, measurement.time_ns)
+        after, text = self.fault_detector.detect_faults(
+            after, source, innovations, is_ins_confirmed, measurement.time_ns
+        )
         return after, self._with_fault_text(decision, after, text)
 
     def _is_latitude_missing(self, time_ns: int) -> bool:
@@ -341,14 +343,21 @@ class ShipFilter:
         """
         linear, rotation_jacobian, at_mean = compared.linear, compared.rotation_jacobian, predicted.mean
         innovations = subfilter_innovations(predicted.means, predicted.stack, linear, at_mean, rotation_jacobian)
-        inflated, subfilters = self.fault_detector.ins_fault.inflate_against(predicted, source, innovations, compared.predicted_nv, gate)
+        inflated, subfilters = self.fault_detector.ins_fault.inflate_against(
+            predicted, source, innovations, compared.predicted_nv, gate
+        )
         if not subfilters:
             return predicted, innovations
         inflated_innovations = subfilter_innovations(predicted.means, inflated, linear, at_mean, rotation_jacobian)
         # Fault detection uses the innovations from before the inflation.
         whitened, root = inflated_innovations.whitened_innovation.copy(), inflated_innovations.whitening_root.copy()
-        whitened[subfilters], root[subfilters] = innovations.whitened_innovation[subfilters], innovations.whitening_root[subfilters]
-        return changed(predicted, stack=inflated), inflated_innovations._replace(whitened_innovation=whitened, whitening_root=root)
+        whitened[subfilters], root[subfilters] = (
+            innovations.whitened_innovation[subfilters],
+            innovations.whitening_root[subfilters],
+        )
+        return changed(predicted, stack=inflated), inflated_innovations._replace(
+            whitened_innovation=whitened, whitening_root=root
+        )
 
     def _with_fault_text(self, decision: AttitudeDecision, state: FilterState, text: str) -> AttitudeDecision:
         """Return the decision with the text of fault detection, rejected if the measurement excluded its source."""
@@ -364,14 +373,21 @@ class ShipFilter:
         """Reject a measurement that cannot be evaluated; count it if it contradicts the state."""
         refusal, text = not_evaluable.rejection, not_evaluable.rejection.text
         if not_evaluable.is_contradiction:
-            state, inflation_text = self._inflate_after_rejections(self._count_rejection(state, measurement.source), measurement.source)
+            state, inflation_text = self._inflate_after_rejections(
+                self._count_rejection(state, measurement.source), measurement.source
+            )
             state = self.fault_detector.ins_fault.with_not_evaluable(state, measurement.time_ns)
             text += inflation_text
         return state, AttitudeDecision(measurement, refusal.reason, text=text, ins_time_ns=not_evaluable.ins_time_ns)
 
     def _count_rejection(self, state: FilterState, source: str) -> FilterState:
         """Return the state with the consecutive rejections of a source increased by one."""
-        return changed(state, consecutive_rejections=with_entry(state.consecutive_rejections, source, state.consecutive_rejections.get(source, 0) + 1))
+        return changed(
+            state,
+            consecutive_rejections=with_entry(
+                state.consecutive_rejections, source, state.consecutive_rejections.get(source, 0) + 1
+            ),
+        )
 
     def _inflate_after_rejections(self, state: FilterState, source: str) -> tuple[FilterState, str]:
         """Inflate the covariance after ``gate.reopen_after`` consecutive rejections of a source.
@@ -393,12 +409,22 @@ class ShipFilter:
                 unconfirmed = unconfirmed.with_confirmation(measurement.time_ns, source)
             elif not any(device.is_star and state.has_used(name) for name, device in self.devices.items()):
                 unconfirmed = _unconfirmed_first_star(source, measurement.time_ns)
-        refusals = state.consecutive_rejections if state.consecutive_rejections.get(source) == 0 else with_entry(state.consecutive_rejections, source, 0)
+        refusals = (
+            state.consecutive_rejections
+            if state.consecutive_rejections.get(source) == 0
+            else with_entry(state.consecutive_rejections, source, 0)
+        )
         used_ns = with_entry(state.last_used_ns, source, measurement.time_ns)
         pixel_dwells = state.pixel_dwells
         if isinstance(measurement, StarExposure) and measurement.pixel_dwell is not None:
             pixel_dwells = with_entry(pixel_dwells, source, measurement.pixel_dwell)
-        return changed(state, consecutive_rejections=refusals, last_used_ns=used_ns, pixel_dwells=pixel_dwells, unconfirmed_step=unconfirmed)
+        return changed(
+            state,
+            consecutive_rejections=refusals,
+            last_used_ns=used_ns,
+            pixel_dwells=pixel_dwells,
+            unconfirmed_step=unconfirmed,
+        )
 
     def _with_common_error(self, state: FilterState, measurement: AttitudeMeasurement) -> FilterState:
         """Return the state with the covariance of a sensor's common error as stated in its message."""
@@ -427,12 +453,22 @@ class ShipFilter:
         measured_nd = compared.rotation_nv @ compared.predicted_nv.T @ ins.rotation_nd
         rotation_n = log_rotation(measured_nd @ ins.rotation_nd.T)
         residual = AttitudeResidual(decision.measurement.time_ns, rotation_n, compared.attitude_noise_n)
-        state = changed(self._count_rejection(state, source), rejected_residuals=with_entry(state.rejected_residuals, source, residual))
+        state = changed(
+            self._count_rejection(state, source),
+            rejected_residuals=with_entry(state.rejected_residuals, source, residual),
+        )
         count = state.consecutive_rejections[source]
         reason, text = Reason.GATE, f"improbable: NIS {decision.nis:.1f} > gate {decision.gate:.1f}"
         if count >= self._gate.conflict_after:
             reason = Reason.ATTITUDE_CONFLICT
-            hint = diagnosis_hint(source, state.consecutive_rejections, state.last_used_ns, state.rejected_residuals, ins.rotation_nd, measured_nd)
+            hint = diagnosis_hint(
+                source,
+                state.consecutive_rejections,
+                state.last_used_ns,
+                state.rejected_residuals,
+                ins.rotation_nd,
+                measured_nd,
+            )
             text = f"{count} rejections in a row: {source} and the INS disagree{hint}"
         state, inflation_text = self._inflate_after_rejections(state, source)
         return state, replace(decision, reason=reason, accepted=False, text=text + inflation_text)

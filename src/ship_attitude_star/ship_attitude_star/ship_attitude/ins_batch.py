@@ -73,7 +73,12 @@ class InsBatch:
         """Commit the samples before index ``stop``; arguments as the attributes of a segment."""
         start, self.committed_count = self.committed_count, stop
         last = self._segments[-1] if self._segments else None
-        if last is not None and last.state is state and last.contradiction_texts is None and contradiction_texts is None:
+        if (
+            last is not None
+            and last.state is state
+            and last.contradiction_texts is None
+            and contradiction_texts is None
+        ):
             start = self._segments.pop().start
         self._segments.append(_BatchSegment(state, start, stop, contradiction_texts))
 
@@ -95,10 +100,14 @@ class InsBatch:
         """
         corrected = [corrected_by(segment.state) for segment in self._segments]
         counts = [stretch.stop - stretch.start for stretch in self._segments]
-        propagated = propagate_block(self.previous_rates, self.block, np.repeat([propagation_s(one) for one in corrected], counts))
+        propagated = propagate_block(
+            self.previous_rates, self.block, np.repeat([propagation_s(one) for one in corrected], counts)
+        )
         propagated = propagated.with_noise(self.extra_noise)
         try:
-            found: list[AttitudeSeries | Rejection] = [*corrected_estimates(corrected, counts, self._times_ns, propagated, config)]
+            found: list[AttitudeSeries | Rejection] = [
+                *corrected_estimates(corrected, counts, self._times_ns, propagated, config)
+            ]
         except Exception:
             # Compute one by one to find the one that fails.
             pairs = zip(corrected, self._segments, strict=True)

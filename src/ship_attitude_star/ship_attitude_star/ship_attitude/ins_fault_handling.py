@@ -112,7 +112,11 @@ class InsFaultHandling:
         """
         in_all = is_ins_excluded_by_stars(state) and source not in state.excluded
         # Written so that NaN inflates nothing.
-        rejecting = [subfilter for subfilter in ((0,) if in_all else self._subfilters.ins_subfilters) if innovations.nis[subfilter] > gate]
+        rejecting = [
+            subfilter
+            for subfilter in ((0,) if in_all else self._subfilters.ins_subfilters)
+            if innovations.nis[subfilter] > gate
+        ]
         inflated = rejecting if in_all else [row for row in rejecting if self._is_contradicted(state, source, row)]
         if not inflated:
             return state.stack, []
@@ -165,7 +169,9 @@ class InsFaultHandling:
         self._inflate(stack, len(state.means), _UNKNOWN_INS_RAD**2 * np.eye(3), None)
         return self.with_contradiction(changed(state, stack=stack), time_ns)
 
-    def monitor(self, state: FilterState, innovations: FilterInnovations, is_consistent: bool, time_ns: int) -> FilterState:
+    def monitor(
+        self, state: FilterState, innovations: FilterInnovations, is_consistent: bool, time_ns: int
+    ) -> FilterState:
         """Monitor an INS that the stars have excluded, after a measurement.
 
         Args:
@@ -176,7 +182,11 @@ class InsFaultHandling:
         """
         innovation = innovations.whitened_innovation[0]
         # Written so that NaN is inconsistent.
-        return state if is_consistent and innovation @ innovation <= self._consistent_gate else self.with_contradiction(state, time_ns)
+        return (
+            state
+            if is_consistent and innovation @ innovation <= self._consistent_gate
+            else self.with_contradiction(state, time_ns)
+        )
 
     def reinstate_ins(self, state: FilterState, time_ns: int) -> FilterState:
         """Reinstate an excluded INS when its time has come.
@@ -191,7 +201,9 @@ class InsFaultHandling:
         if state.unresolved_fault is not None and not is_by_stars:
             return state
         since_ns = exclusion.since_ns if exclusion.consistent_since_ns is None else exclusion.consistent_since_ns
-        after_s = _CONSISTENT_FOR_S if exclusion.is_self_reported else reinstatement_time_s(exclusion, self._return_after_s)
+        after_s = (
+            _CONSISTENT_FOR_S if exclusion.is_self_reported else reinstatement_time_s(exclusion, self._return_after_s)
+        )
         if (time_ns - since_ns) / SECOND_NS < after_s:
             return state
         if is_by_stars:
@@ -213,7 +225,9 @@ class InsFaultHandling:
         covariance_n = sum((np.outer(turn_n, turn_n) for turn_n in rotations), start=np.zeros((3, 3)))
         excluded = with_entry(state.excluded, INS, changed(state.excluded[INS], consistent_since_ns=time_ns))
         seen = cleared_means(state.innovation_means, slice(None), slice(None))
-        return changed(state, excluded=excluded, innovation_means=seen, unresolved_fault=UnresolvedFault(text, covariance_n))
+        return changed(
+            state, excluded=excluded, innovation_means=seen, unresolved_fault=UnresolvedFault(text, covariance_n)
+        )
 
     def _is_contradicted(self, state: FilterState, source: str, subfilter: int) -> bool:
         """True if one more rejection of the source would make a fault of this subfilter."""

@@ -184,7 +184,9 @@ class Linearisation:
         return self._longest_s(5.0 + _FAR_SIGMAS)
 
     def _longest_s(self, sigmas: float) -> float:
-        shifts_s = (abs(one.ins_time_s) + sigmas * self._configured_sigma_s[name] for name, one in self._devices.items())
+        shifts_s = (
+            abs(one.ins_time_s) + sigmas * self._configured_sigma_s[name] for name, one in self._devices.items()
+        )
         return max(shifts_s, default=0.0)
 
     def ins_time_ns(self, mean: FloatArray, measurement: Measurement) -> int:
@@ -224,7 +226,9 @@ class Linearisation:
         # An inflated covariance does not make a clock less known than configured.
         offset_variance = compiled_steps.variance_along(by_offset, covariance)
         offset_sigma_s = min(math.sqrt(max(offset_variance, 0.0)), self._configured_sigma_s[source])
-        task = _LinearisationTask(measurement, device, mean, covariance, last_used_ns, track, sky_model, may_wait, offset_sigma_s)
+        task = _LinearisationTask(
+            measurement, device, mean, covariance, last_used_ns, track, sky_model, may_wait, offset_sigma_s
+        )
         matched = self._match_to_ins(task, mean)
         if not isinstance(matched, _MatchedMeasurement):
             return matched
@@ -235,7 +239,9 @@ class Linearisation:
         compared = compare(matched.measurement, device, predicted, self._model, mean, covariance, sky_model)
         if isinstance(compared, Rejection):
             return NotEvaluable(compared, matched.ins_time_ns)
-        return LinearisedMeasurement(matched.measurement, compared, matched.ins, matched.matched_ins_ns, matched.ins_time_ns)
+        return LinearisedMeasurement(
+            matched.measurement, compared, matched.ins, matched.matched_ins_ns, matched.ins_time_ns
+        )
 
     def _match_to_ins(self, task: _LinearisationTask, mean: FloatArray) -> _MatchedMeasurement | NotEvaluable | None:
         """Match the INS attitude to a measurement, by a mean of the state.
@@ -288,10 +294,14 @@ class Linearisation:
             if nonlinear_d is None:
                 text = "no INS samples around the measurement, and its clock offset is not known"
                 return NotEvaluable(Rejection(Reason.GAP, text), ins_time_ns + around_ns)
-            ins = replace(ins, error_covariance_d=ins.error_covariance_d + task.count_within(_CORRELATED_MOTION_S) * nonlinear_d)
+            ins = replace(
+                ins, error_covariance_d=ins.error_covariance_d + task.count_within(_CORRELATED_MOTION_S) * nonlinear_d
+            )
         return _MatchedMeasurement(measurement, ins, ins_time_ns, ins_time_ns + around_ns)
 
-    def _iterate(self, task: _LinearisationTask, matched: _MatchedMeasurement, expected: PredictedAttitude) -> LinearisedMeasurement | NotEvaluable | None:
+    def _iterate(
+        self, task: _LinearisationTask, matched: _MatchedMeasurement, expected: PredictedAttitude
+    ) -> LinearisedMeasurement | NotEvaluable | None:
         """Linearise a measurement iteratively; its residual is relative to the predicted mean."""
         model, until_ns = self._model, matched.ins_time_ns
         correction = self._start_correction(task, matched, expected)
@@ -321,7 +331,9 @@ class Linearisation:
         text = f"the linearisation did not converge in {_MAX_ITERATIONS} iterations"
         return NotEvaluable(Rejection(Reason.GATE, text), until_ns)
 
-    def _start_correction(self, task: _LinearisationTask, matched: _MatchedMeasurement, expected: PredictedAttitude) -> FloatArray:
+    def _start_correction(
+        self, task: _LinearisationTask, matched: _MatchedMeasurement, expected: PredictedAttitude
+    ) -> FloatArray:
         """Return the first linearisation point relative to the predicted mean, shape (n,); for stars their attitude."""
         correction, exposure = np.zeros_like(task.mean), matched.measurement
         if not isinstance(exposure, StarExposure):

@@ -145,13 +145,17 @@ class _CovarianceTransition(NamedTuple):
         return _CovarianceTransition(
             through @ self.transition,
             through @ self.noise @ later.transition.T + later.noise,
-            self.transition.T @ np.linalg.solve(one + later.information @ self.noise, later.information @ self.transition) + self.information,
+            self.transition.T
+            @ np.linalg.solve(one + later.information @ self.noise, later.information @ self.transition)
+            + self.information,
         )
 
     def propagate(self, covariance: FloatArray) -> FloatArray:
         """Return a covariance propagated over the time, shape (n, n)."""
         one = np.eye(len(self.transition))
-        propagated: FloatArray = self.transition @ covariance @ np.linalg.solve(one + self.information @ covariance, self.transition.T)
+        propagated: FloatArray = (
+            self.transition @ covariance @ np.linalg.solve(one + self.information @ covariance, self.transition.T)
+        )
         return propagated + self.noise
 
 
@@ -159,7 +163,11 @@ class _ManoeuvrePrediction:
     """Prediction of the filter covariance with and without a turn."""
 
     def __init__(
-        self, filter_: ShipFilter, state: FilterState, rotation_nd: FloatArray, recent_sources: Mapping[str, RecentSource]
+        self,
+        filter_: ShipFilter,
+        state: FilterState,
+        rotation_nd: FloatArray,
+        recent_sources: Mapping[str, RecentSource],
     ) -> None:
         self._filter, self._state, self._rotation_nd, self._recent_sources = filter_, state, rotation_nd, recent_sources
 
@@ -193,7 +201,9 @@ class _ManoeuvrePrediction:
         weighed = np.linalg.solve(jacobian @ noise @ jacobian.T + np.eye(len(jacobian)), jacobian)
         information = jacobian.T @ weighed
         transition_over_time = _CovarianceTransition(
-            transition - noise @ information @ transition, noise - noise @ information @ noise, transition.T @ information @ transition
+            transition - noise @ information @ transition,
+            noise - noise @ information @ noise,
+            transition.T @ information @ transition,
         )
         for _ in range(doublings):
             transition_over_time = transition_over_time.followed_by(transition_over_time)
@@ -214,9 +224,14 @@ def _step(filter_: ShipFilter, state: FilterState, step_s: float) -> tuple[Float
     if model.ins_process is not None and state.vertical is not None:
         assert state.time_ns is not None
         end_ns = state.time_ns + round(step_s * SECOND_NS)
-        propagation = model.ins_process.propagation(state.time_ns, state.vertical, [end_ns], _ConstantVertical(state.vertical))
+        propagation = model.ins_process.propagation(
+            state.time_ns, state.vertical, [end_ns], _ConstantVertical(state.vertical)
+        )
         rows = np.ix_(model.process_indices, model.process_indices)
-        transition[rows], noise[rows] = propagation.transition[0], propagation.ins_noise[0] + propagation.deflection_noise[0]
+        transition[rows], noise[rows] = (
+            propagation.transition[0],
+            propagation.ins_noise[0] + propagation.deflection_noise[0],
+        )
     return transition, noise
 
 
@@ -232,7 +247,9 @@ def _information(measurement: Measurement) -> FloatArray:
         return np.diag([0.0, 1.0, 1.0]) / variance
     assert isinstance(measurement, StarExposure)
     directions, weight = measurement.directions_s, measurement.sigma**-2.0
-    information: FloatArray = np.einsum("k,kij->ij", weight, np.eye(3) - directions[:, :, None] * directions[:, None, :])
+    information: FloatArray = np.einsum(
+        "k,kij->ij", weight, np.eye(3) - directions[:, :, None] * directions[:, None, :]
+    )
     return _symmetric(information)
 
 

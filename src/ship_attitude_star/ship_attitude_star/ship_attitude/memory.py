@@ -70,7 +70,10 @@ def memory_residual(
     to_rotation = found.compared.predicted_nv @ noise_v @ weighted.T
     by_state = to_rotation @ linear.jacobian
     noise_n = found.compared.predicted_nv @ noise_v @ found.compared.predicted_nv.T
-    expected, drift = by_state @ state.covariance @ by_state.T, by_state @ _growth_per_second(filter_, state) @ by_state.T
+    expected, drift = (
+        by_state @ state.covariance @ by_state.T,
+        by_state @ _growth_per_second(filter_, state) @ by_state.T,
+    )
     return MemoryResidual(to_rotation @ linear.residual, noise_n, expected, drift)
 
 
@@ -83,7 +86,9 @@ def departure_sigmas(filter_: ShipFilter, state: FilterState, memory: FilterStat
     if state.time_ns is None:
         return np.inf
     memory = filter_.propagate(memory, state.time_ns)
-    rows = np.concatenate([filter_.model.state_indices(name) for name in filter_.model.slices if name.endswith(_CONSTANT_STATES)])
+    rows = np.concatenate(
+        [filter_.model.state_indices(name) for name in filter_.model.slices if name.endswith(_CONSTANT_STATES)]
+    )
     variance = memory.covariance.diagonal()[rows] + (0.0 if is_later else state.covariance.diagonal()[rows])
     difference = np.abs(state.mean - memory.mean)[rows]
     # States known exactly do not differ. Written so that NaN is compared.
@@ -93,7 +98,9 @@ def departure_sigmas(filter_: ShipFilter, state: FilterState, memory: FilterStat
 
 def is_consistent(filter_: ShipFilter, state: FilterState, degraded_after: int) -> bool:
     """True if a state is based on stars, all sources are consistent, none is excluded and no jump is unconfirmed."""
-    is_unresolved = state.unresolved_fault is not None or state.separation_covariance_n is not None or state.utc_step is not None
+    is_unresolved = (
+        state.unresolved_fault is not None or state.separation_covariance_n is not None or state.utc_step is not None
+    )
     if is_unresolved or state.excluded or state.unconfirmed_step is not None:
         return False
     most_rejections = max(state.consecutive_rejections.values(), default=0)

@@ -52,7 +52,9 @@ def observability_of(filter_: ShipFilter, config: ShipAttitudeConfig, state: Fil
     before = np.array(sigmas)
     covariance = state.covariance[np.ix_(rows, rows)]
     sigma_ratios = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)) / before
-    return Observability(dict(zip(names, sigma_ratios.tolist(), strict=True)), unobservable_combinations(covariance, before, names))
+    return Observability(
+        dict(zip(names, sigma_ratios.tolist(), strict=True)), unobservable_combinations(covariance, before, names)
+    )
 
 
 def _prior_sigmas(filter_: ShipFilter, config: ShipAttitudeConfig) -> dict[str, FloatArray]:

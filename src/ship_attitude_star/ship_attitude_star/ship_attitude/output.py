@@ -49,7 +49,9 @@ def attitude_from_star(
     return _attitude_from_exposure(measurement, sky_model, unmeasured_acceleration)
 
 
-def _attitude_from_exposure(exposure: StarExposure, sky_model: SkyModel, unmeasured_acceleration: float) -> AttitudeMeasurement | None:
+def _attitude_from_exposure(
+    exposure: StarExposure, sky_model: SkyModel, unmeasured_acceleration: float
+) -> AttitudeMeasurement | None:
     """Return the sensor attitude from one exposure; None if its stars do not determine a verified one."""
     visible = visible_stars(exposure, sky_model, None)
     if isinstance(visible, Rejection):
@@ -84,7 +86,10 @@ def estimate_from_star(
     to_gravity = horizon == GRAVITY and filter_.vertical is not None
     if to_gravity:
         assert filter_.vertical is not None
-        by_deflection, deflection = filter_.vertical.at(measurement.time_ns).deflection_jacobian, model.state_indices("gravity.deflection")
+        by_deflection, deflection = (
+            filter_.vertical.at(measurement.time_ns).deflection_jacobian,
+            model.state_indices("gravity.deflection"),
+        )
         rotation_nd = exp_rotation(-by_deflection @ state.mean[deflection]) @ rotation_nd
         rows, jacobian = np.r_[rows, deflection], np.hstack([jacobian, -by_deflection])
     covariance_by_source = jacobian @ state.covariance_by_source[:, rows[:, None], rows] @ jacobian.T

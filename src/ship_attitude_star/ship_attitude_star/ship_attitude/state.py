@@ -206,7 +206,10 @@ class FilterState:
 
     def in_use(self, sources: Sequence[str], time_ns: int) -> list[str]:
         """Return the sources, in the given order, that are not excluded and have measured recently."""
-        received, since_ns = zip(sources, self.innovation_means.last_measured_ns.tolist(), strict=True), time_ns - MAX_MEASUREMENT_AGE_NS
+        received, since_ns = (
+            zip(sources, self.innovation_means.last_measured_ns.tolist(), strict=True),
+            time_ns - MAX_MEASUREMENT_AGE_NS,
+        )
         return [name for name, heard_ns in received if heard_ns >= since_ns and name not in self.excluded]
 
     @property

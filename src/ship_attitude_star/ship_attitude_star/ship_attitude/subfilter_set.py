@@ -98,7 +98,9 @@ class SubfilterSet:
         self.uses: NDArray[np.bool_] = np.array(used, dtype=bool)
         self.used_by = {name: self.uses[:, index].copy() for index, name in enumerate(self.sources)}
         self.own_states = {name: _own_states(model, name) for name in self.sources}
-        self.updatable_states = {name: self.uses[:, index, None] | self.own_states[name] for index, name in enumerate(self.sources)}
+        self.updatable_states = {
+            name: self.uses[:, index, None] | self.own_states[name] for index, name in enumerate(self.sources)
+        }
         prior = config.integrity.prior_per_h
         prior_per_h = {name: prior.star_sensor if one.is_star else prior.reference for name, one in devices.items()}
         prior_per_h[INS] = prior.ins

@@ -42,7 +42,11 @@ def with_utc_step(state: FilterState, model: ShipStateModel, step_ns: int) -> Fi
     step_s = step_ns / SECOND_NS + (0.0 if state.utc_step is None else state.utc_step.step_s)
     # An unresolved fault from before belongs to the earlier UTC.
     unresolved_fault = None if state.utc_step is not None else state.unresolved_fault
-    return changed(state, utc_step=UtcStep(step_s) if _is_observable(state, model, step_s) else None, unresolved_fault=unresolved_fault)
+    return changed(
+        state,
+        utc_step=UtcStep(step_s) if _is_observable(state, model, step_s) else None,
+        unresolved_fault=unresolved_fault,
+    )
 
 
 def with_utc_evaluated(

@@ -157,7 +157,9 @@ class PositionFromFixes:
         """Drop the fixes that times from ``time_ns`` on do not need; earlier times may not be requested any more."""
         self._oldest_ns = time_ns
         last = self._fixes.last_before(time_ns - self._delay_ns)
-        self._fixes.drop_before(self._fixes.times[self._line_start_index(last)] if last >= 0 else time_ns - self._delay_ns)
+        self._fixes.drop_before(
+            self._fixes.times[self._line_start_index(last)] if last >= 0 else time_ns - self._delay_ns
+        )
 
     def step_time_base(self, step_ns: int) -> None:
         """Shift the accepted fixes by a step of the clocks."""
@@ -172,7 +174,9 @@ class PositionFromFixes:
         """
         if self._fixes.has_conflict_at(time_ns - self._delay_ns):
             disputed = "the first position fixes contradict one another"
-            return Rejection(Reason.NO_FIX, f"{disputed}: no position until {MIN_CONSISTENT_FIXES} in a row are consistent")
+            return Rejection(
+                Reason.NO_FIX, f"{disputed}: no position until {MIN_CONSISTENT_FIXES} in a row are consistent"
+            )
         line = self._line_fixes(time_ns)
         return self._position_near_fixes(time_ns) if line is None else self._position_on_line(*line, time_ns)
 

@@ -130,7 +130,9 @@ class LocalSky:
         without_air = self.airless_sky.directions(stars, self.time_ns, self.position.observer)
         air = self.air
         weather_sigma = air.pressure_sigma_hpa, air.temperature_sigma_k
-        seen = seen_through_air(self.model, without_air, air.weather, self.wavelength_um, weather_sigma, self.sky_rotations())
+        seen = seen_through_air(
+            self.model, without_air, air.weather, self.wavelength_um, weather_sigma, self.sky_rotations()
+        )
         return ApparentStars(seen.direction_n, seen.shared_n, seen.elevation, np.isfinite(seen.direction_n[:, 1]))
 
     def low_elevation_rejection(self, elevation: float) -> Rejection:
@@ -172,7 +174,9 @@ class LocalSky:
 
     def sky_rotations(self) -> FloatArray:
         """Return the sky's rotation vectors for one sigma of each of SHARED_TERMS except refraction, rad, (n, 3)."""
-        return _sky_rotations(self.position, float(self.airless_sky.orientation(self.time_ns).ut1_sigma_s), self.utc_sigma_s)
+        return _sky_rotations(
+            self.position, float(self.airless_sky.orientation(self.time_ns).ut1_sigma_s), self.utc_sigma_s
+        )
 
 
 class SkyModel:
@@ -222,7 +226,12 @@ class SkyModel:
     def sky_at(self, time_ns: int) -> LocalSky | Rejection:
         """Return the sky at a time, or the rejection: NO_EARTH_ORIENTATION or NO_FIX."""
         found, known = self.surroundings.position_and_air_at(time_ns), self._sky_by_time.get(time_ns)
-        if known is not None and not isinstance(found, Rejection) and known.position is found[0] and known.air is found[1]:
+        if (
+            known is not None
+            and not isinstance(found, Rejection)
+            and known.position is found[0]
+            and known.air is found[1]
+        ):
             return known
         reason = self._table.unavailable_text(time_ns)
         if reason is not None:

@@ -46,7 +46,9 @@ def separate_shared_errors(solved: SolvedAttitude, local_sky: LocalSky) -> Attit
     if not solved.covariance_known:
         stated_n, lifted_n = np.zeros((3, 3)), (sigma if np.isfinite(sigma) else 0.0) * lift
     elif solved.has_noise_covariance:
-        stated_n, lifted_n = _split_refraction(_without_sky_rotations(solved.common_n, turns_n), lift, _LOW_STARS_FACTOR * sigma)
+        stated_n, lifted_n = _split_refraction(
+            _without_sky_rotations(solved.common_n, turns_n), lift, _LOW_STARS_FACTOR * sigma
+        )
     else:
         stated_n, lifted_n = _split_refraction(_without_sky_rotations(noise_n, turns_n), lift, sigma)
     noise_is_left = solved.covariance_known and not solved.has_noise_covariance

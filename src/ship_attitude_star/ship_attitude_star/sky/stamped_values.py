@@ -152,7 +152,11 @@ class StampedValues(Generic[Value]):
         before = self._state_before(place)
         if before.last_accepted is None or self._next_state(before, _Stamped(time_ns, value)).last_rejected is None:
             return None
-        limits, distance, allowed = self._limits, value.distance_to(before.last_accepted.value), self._max_distance(before, time_ns, value)
+        limits, distance, allowed = (
+            self._limits,
+            value.distance_to(before.last_accepted.value),
+            self._max_distance(before, time_ns, value),
+        )
         seconds = (time_ns - before.last_accepted.time_ns) / SECOND_NS
         jumped = f"{distance:.4g} {limits.unit} from the last accepted value, {seconds:.1f} s before it"
         if distance > allowed:
@@ -161,7 +165,9 @@ class StampedValues(Generic[Value]):
             jumped += ", consistent with other values that had jumped"
         condition = f"it has lasted for {limits.confirmation_s:g} s"
         if self._is_provisional(before):
-            condition = f"{limits.min_consistent} in a row are consistent (the accepted one is provisional), or {condition}"
+            condition = (
+                f"{limits.min_consistent} in a row are consistent (the accepted one is provisional), or {condition}"
+            )
         return Rejection(Reason.JUMP, f"{jumped}; accepted once {condition}")
 
     def insert(self, time_ns: int, value: Value) -> int | None:
@@ -204,7 +210,9 @@ class StampedValues(Generic[Value]):
             if time_ns >= self.times[-1] - _TIME_STEP_HISTORY_NS:
                 shifted.insert(time_ns + step_ns, value)
         if not self._is_provisional(self._state_before(len(self._stamps))):
-            shifted._states = [replace(belief, consistent_count=self._limits.min_consistent) for belief in shifted._states]
+            shifted._states = [
+                replace(belief, consistent_count=self._limits.min_consistent) for belief in shifted._states
+            ]
         return shifted
 
     # -- results --------------------------------------------------------------------------------------------
@@ -225,7 +233,9 @@ class StampedValues(Generic[Value]):
         while place < len(self._inputs):
             state = self._next_state(state, self._inputs[place])
             as_before = place > first and state == self._states[place]
-            if self.conflict_changed_ns is None and self._has_conflict(state) != self._has_conflict(self._states[place]):
+            if self.conflict_changed_ns is None and self._has_conflict(state) != self._has_conflict(
+                self._states[place]
+            ):
                 self.conflict_changed_ns = self._stamps[place]
             self._states[place] = state
             place += 1
@@ -245,7 +255,9 @@ class StampedValues(Generic[Value]):
         evaluated = zip(self._inputs[first:last], self._states[first:last], strict=True)
         good = [(one, belief.follows_jump) for one, belief in evaluated if belief.last_accepted is one]
         # Skip the values that are unchanged; the rest differs from its first one on.
-        while good and begin < end and good[0][0].value is self.values[begin] and good[0][1] is self.follows_jump[begin]:
+        while (
+            good and begin < end and good[0][0].value is self.values[begin] and good[0][1] is self.follows_jump[begin]
+        ):
             del good[0]
             begin += 1
         changed_ns = min([one.time_ns for one, _ in good[:1]] + self.times[begin:end][:1], default=None)
@@ -261,13 +273,22 @@ class StampedValues(Generic[Value]):
             return _AcceptanceState(new, new.time_ns)
         distance, step_s = new.value.distance_to(last_accepted.value), 0.0
         consistent_count = min(before.consistent_count + (distance != 0.0), limits.min_consistent)
-        accepted = _AcceptanceState(new, before.constant_since_ns if distance == 0.0 else new.time_ns, is_first=False, consistent_count=consistent_count)
+        accepted = _AcceptanceState(
+            new,
+            before.constant_since_ns if distance == 0.0 else new.time_ns,
+            is_first=False,
+            consistent_count=consistent_count,
+        )
         if last_rejected is not None:
             step_s = (new.time_ns - last_rejected.time_ns) / SECOND_NS
-        if last_rejected is None or not new.value.distance_to(last_rejected.value) <= limits.max_distance(last_rejected.value, new.value, step_s):
+        if last_rejected is None or not new.value.distance_to(last_rejected.value) <= limits.max_distance(
+            last_rejected.value, new.value, step_s
+        ):
             # Written so that NaN is rejected.
             is_near = distance <= self._max_distance(before, new.time_ns, new.value)
-            rejected_state = replace(before, last_rejected=new, rejected_since_ns=new.time_ns, follows_jump=False, rejected_count=1)
+            rejected_state = replace(
+                before, last_rejected=new, rejected_since_ns=new.time_ns, follows_jump=False, rejected_count=1
+            )
             return accepted if is_near else rejected_state
         # For a value consistent with rejected ones, the time since the last accepted value does not widen the limit.
         if distance <= limits.max_distance(last_accepted.value, new.value, step_s):
@@ -276,7 +297,9 @@ class StampedValues(Generic[Value]):
         has_lasted = new.time_ns - before.rejected_since_ns >= self._confirmation_ns
         if before.is_first or has_lasted or (self._is_provisional(before) and count >= limits.min_consistent):
             consistent_count = limits.min_consistent if has_lasted else min(count, limits.min_consistent)
-            return _AcceptanceState(new, new.time_ns, is_first=False, follows_jump=True, consistent_count=consistent_count)
+            return _AcceptanceState(
+                new, new.time_ns, is_first=False, follows_jump=True, consistent_count=consistent_count
+            )
         return replace(before, last_rejected=new, follows_jump=False, rejected_count=count)
 
     def _is_provisional(self, state: _AcceptanceState[Value]) -> bool:
@@ -293,7 +316,9 @@ class StampedValues(Generic[Value]):
         last_accepted = before.last_accepted
         assert last_accepted is not None
         constant_s = min((last_accepted.time_ns - before.constant_since_ns) / SECOND_NS, _MAX_FROZEN_S)
-        return self._limits.max_distance(last_accepted.value, value, (time_ns - last_accepted.time_ns) / SECOND_NS + constant_s)
+        return self._limits.max_distance(
+            last_accepted.value, value, (time_ns - last_accepted.time_ns) / SECOND_NS + constant_s
+        )
 
     def _state_before(self, place: int) -> _AcceptanceState[Value]:
         return self._states[place - 1] if place > 0 else self._initial_state

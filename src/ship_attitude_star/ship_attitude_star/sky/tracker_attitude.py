@@ -26,7 +26,9 @@ _ASSUMED_STARS = 5
 _MAX_ABERRATION = 20.5 * ARCSEC
 
 
-def to_horizon_attitude(attitude: InertialAttitude | SolvedAttitude, sky_model: SkyModel) -> AttitudeMeasurement | Rejection:
+def to_horizon_attitude(
+    attitude: InertialAttitude | SolvedAttitude, sky_model: SkyModel
+) -> AttitudeMeasurement | Rejection:
     """Return the attitude in the horizon, with the shared errors of refraction, Earth rotation and position.
 
     Args:
@@ -40,7 +42,11 @@ def to_horizon_attitude(attitude: InertialAttitude | SolvedAttitude, sky_model: 
     local_sky = sky_model.sky_at(attitude.time_ns)
     if isinstance(local_sky, Rejection):
         return local_sky
-    return separate_shared_errors(attitude, local_sky) if isinstance(attitude, SolvedAttitude) else _convert_to_horizon(attitude, local_sky)
+    return (
+        separate_shared_errors(attitude, local_sky)
+        if isinstance(attitude, SolvedAttitude)
+        else _convert_to_horizon(attitude, local_sky)
+    )
 
 
 def _convert_to_horizon(inertial: InertialAttitude, local_sky: LocalSky) -> AttitudeMeasurement | Rejection:
@@ -94,6 +100,8 @@ def _field_refraction(
     mean_extra_lift = field.radius**2 / 8.0 * (curvature + 2.0 * angle)
     # The slope itself varies over the field, near the horizon by its own size.
     uneven = (0.5 * field.radius * curvature) ** 2
-    common_n += ((slope**2 + uneven - towards**2) * middle**2 + mean_extra_lift**2 / _ASSUMED_STARS) * np.outer(lift, lift)
+    common_n += ((slope**2 + uneven - towards**2) * middle**2 + mean_extra_lift**2 / _ASSUMED_STARS) * np.outer(
+        lift, lift
+    )
     common_n += ((slope + towards) ** 2 + uneven) / (6.0 * (_ASSUMED_STARS - 1)) * about
     return mean_extra_lift, common_n

@@ -82,7 +82,9 @@ class InsErrorPredictor:
             covariances = transition @ covariance @ np.swapaxes(transition, -1, -2) + passage.noise
         to_output = self._output_matrix(times_ns)
         output_covariance = to_output @ covariances
-        known = GaussianEstimate((to_output @ means[..., None])[..., 0], output_covariance @ np.swapaxes(to_output, -1, -2))
+        known = GaussianEstimate(
+            (to_output @ means[..., None])[..., 0], output_covariance @ np.swapaxes(to_output, -1, -2)
+        )
         if later is None:
             return known, None
         assert later.time_ns is not None
@@ -99,14 +101,18 @@ class InsErrorPredictor:
         propagation = self._process_propagation(anchor, times_ns)
         if propagation is None:
             ins_attitude = model.slices["ins.attitude"]
-            means[:, ins_attitude] = propagate_correlated_error(mean[ins_attitude], decay[:, ins_attitude], model.ins_attitude_block.sigma)
+            means[:, ins_attitude] = propagate_correlated_error(
+                mean[ins_attitude], decay[:, ins_attitude], model.ins_attitude_block.sigma
+            )
             return _Transition(transition, means, noise)
         assert model.ins_process is not None
         assert anchor.prediction_input is not None
         block = np.s_[:, model.process_indices[:, None], model.process_indices]
         transition[block] = propagation.transition
         noise[block] += propagation.ins_noise + propagation.deflection_noise
-        of_process = model.ins_process.propagated_means(mean[None, model.process_indices], anchor.prediction_input, propagation)
+        of_process = model.ins_process.propagated_means(
+            mean[None, model.process_indices], anchor.prediction_input, propagation
+        )
         means[:, model.process_indices] = of_process[:, 0]
         return _Transition(transition, means, noise)
 

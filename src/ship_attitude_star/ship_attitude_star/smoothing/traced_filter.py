@@ -75,4 +75,6 @@ class _TracedFaultDetector(FaultDetector):
         assert isinstance(after, TracedState)
         is_update = measurement.source not in state.excluded and not is_ins_excluded_by_stars(state)
         before = GaussianEstimate(predicted.mean, predicted.covariance)
-        return changed(after, last_update=StateUpdate(before, GaussianEstimate(after.mean, after.covariance), is_update))
+        return changed(
+            after, last_update=StateUpdate(before, GaussianEstimate(after.mean, after.covariance), is_update)
+        )

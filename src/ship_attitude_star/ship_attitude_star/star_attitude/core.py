@@ -100,7 +100,9 @@ class JointWindow:
         self._arrivals_ns[key] = item.time_ns if arrival_ns is None else arrival_ns
         return True
 
-    def complete_groups(self, is_turn_known: Callable[[int, int], bool], waiting_ns: int | None) -> Iterator[list[PlacedExposure]]:
+    def complete_groups(
+        self, is_turn_known: Callable[[int, int], bool], waiting_ns: int | None
+    ) -> Iterator[list[PlacedExposure]]:
         """Yield the groups that are complete or have waited long enough, in time order.
 
         Args:
@@ -130,7 +132,9 @@ class JointWindow:
             later_ns = item.time_ns - first_ns
             if later_ns > self._window_ns and later_ns > self._simultaneous_ns:
                 break
-            if item.source not in group and (later_ns <= self._simultaneous_ns or is_turn_known(first_ns, item.time_ns)):
+            if item.source not in group and (
+                later_ns <= self._simultaneous_ns or is_turn_known(first_ns, item.time_ns)
+            ):
                 group[item.source] = item
         return list(group.values())
 
@@ -301,7 +305,9 @@ class StarCore:
         self._solve(outcome, None)
         oldest_ns = self._arrivals.oldest_ns - self._wait_ns
         self._sky_model.surroundings.drop_before(oldest_ns)
-        self._received_exposures = {key: exposure for key, exposure in self._received_exposures.items() if exposure.time_ns >= oldest_ns}
+        self._received_exposures = {
+            key: exposure for key, exposure in self._received_exposures.items() if exposure.time_ns >= oldest_ns
+        }
         self._ins.drop_before(oldest_ns - _LONGEST_REACH_NS)
 
     def _solve(self, outcome: StarOutcome, waiting_ns: int | None) -> None:
@@ -326,7 +332,9 @@ class StarCore:
             try:
                 joint = self._joint(group)
             except Exception as error:
-                joint = AttitudeSolution(JOINT, group[0].time_ns, invalid_solution(np.zeros(0, dtype=bool), failure_rejection(error)), (), ())
+                joint = AttitudeSolution(
+                    JOINT, group[0].time_ns, invalid_solution(np.zeros(0, dtype=bool), failure_rejection(error)), (), ()
+                )
             outcome.solved.append(joint)
 
     def _solve_one(self, waiting: _PendingExposure) -> tuple[PlacedExposure, AttitudeSolution]:
@@ -349,7 +357,9 @@ class StarCore:
         if solved.sources:
             rotation_ns, covariance_n = solved.solution.rotation_nb, solved.solution.covariance_n
             noise_s = rotation_ns.T @ covariance_n @ rotation_ns
-            self._plausibility.add_motion_reference(AttitudeMeasurement(placed.source, solved.time_ns, rotation_ns, noise_s, common_n=_EXACT))
+            self._plausibility.add_motion_reference(
+                AttitudeMeasurement(placed.source, solved.time_ns, rotation_ns, noise_s, common_n=_EXACT)
+            )
         return placed, solved
 
     def _joint(self, group: list[PlacedExposure]) -> AttitudeSolution:
@@ -371,7 +381,9 @@ class StarCore:
 
     def _contradiction(self, source: str, time_ns: int) -> Rejection | None:
         """Return the rejection of an exposure for conflicting data of its sensor, position or air, or None."""
-        contested = [name for name in self._stamp_conflicts.duplicate_publishers if name == source or name not in self._sources]
+        contested = [
+            name for name in self._stamp_conflicts.duplicate_publishers if name == source or name not in self._sources
+        ]
         if contested:
             return Rejection(Reason.CONFLICT, self._stamp_conflicts.text(contested))
         if source not in self._stamp_conflicts.active_at(time_ns):

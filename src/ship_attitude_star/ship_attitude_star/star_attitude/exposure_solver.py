@@ -167,7 +167,9 @@ def solve_exposure(
         rejected_stars += tuple(_rejected_stars(solution, [MountedExposure(placed, _IDENTITY)]))
         placed = replace(placed, rejected_stars=rejected_stars)
     sources = (source,) if solution.status is not SolutionStatus.INVALID else ()
-    return placed, AttitudeSolution(sensor_id, time_ns, solution, rejected_stars, sources, _AGAINST_INS if against_prior else "")
+    return placed, AttitudeSolution(
+        sensor_id, time_ns, solution, rejected_stars, sources, _AGAINST_INS if against_prior else ""
+    )
 
 
 def solve_deck(
@@ -197,7 +199,11 @@ def solve_deck(
         return AttitudeSolution(JOINT, time_ns, invalid_solution(np.zeros(0, dtype=bool), refusal), (), ())
     solution, against_prior = solve_with_fallback(_stars_in_deck(seeing, turn_covariance_d, sensors), prior)
     rejected = _rejected_stars(solution, seeing)
-    known = {(star.source, star.name) for mounted in group for star in mounted.exposure.rejected_stars} if rejected else set()
+    known = (
+        {(star.source, star.name) for mounted in group for star in mounted.exposure.rejected_stars}
+        if rejected
+        else set()
+    )
     refused = tuple(star for star in rejected if (star.source, star.name) not in known)
     sources: tuple[str, ...] = ()
     if solution.status is not SolutionStatus.INVALID:
@@ -213,7 +219,9 @@ def _stars_in_deck(
     stars = [mounted.exposure.stars for mounted in group if mounted.exposure.stars is not None]
     mounting_b = np.empty((len(group), 3, 3))
     for index, mounted in enumerate(group):
-        mounting_b[index] = mounted.rotation_ds * sensors[mounted.exposure.source.partition(".")[2]].installation_sigma_s
+        mounting_b[index] = (
+            mounted.rotation_ds * sensors[mounted.exposure.source.partition(".")[2]].installation_sigma_s
+        )
     return MatchedStars(
         measured_b=np.concatenate([s.measured_b @ m.rotation_ds.T for s, m in zip(stars, group, strict=True)]),
         reference_n=np.concatenate([s.reference_n for s in stars]),

@@ -20,7 +20,9 @@ from cython.cimports.libc.math import hypot, sqrt
 @cython.cfunc
 @cython.exceptval(check=False)
 @cython.inline
-def _cross_product(v: cython.p_double, w: cython.p_double, out: cython.p_double, step: cython.Py_ssize_t) -> cython.void:
+def _cross_product(
+    v: cython.p_double, w: cython.p_double, out: cython.p_double, step: cython.Py_ssize_t
+) -> cython.void:
     """Write the vector v × w into ``out``, its elements ``step`` places apart."""
     out[0] = v[1] * w[2] - v[2] * w[1]
     out[step] = v[2] * w[0] - v[0] * w[2]

@@ -200,7 +200,11 @@ class StarExposure:
         if self.spatial is None or self.spatial.pixel_sigma_px <= 0.0:
             return None
         sigma = self.spatial.pixel_sigma(self.directions_s)
-        return sigma if self.streak_length is None else sigma * np.sqrt(self.spatial.streak_variance_ratio(self.streak_length))
+        return (
+            sigma
+            if self.streak_length is None
+            else sigma * np.sqrt(self.spatial.streak_variance_ratio(self.streak_length))
+        )
 
     def content(self) -> bytes:
         """Return all values as bytes: equal for a repeated message, and an order for conflicting ones."""
@@ -235,7 +239,10 @@ def reduce_to_mid_exposure(exposure: StarExposure, turns: FloatArray) -> StarExp
     smear_s: FloatArray = spread_s * ((exposure.sigma / blur) ** 2)[:, None, None]
     streak = np.sqrt(12.0 * np.trace(spread_s, axis1=-2, axis2=-1))
     lost = ~np.all(np.isfinite(directions_s), axis=-1)
-    directions_s[lost], smear_s[lost] = seen_s[lost], _perpendicular_part(seen_s[lost], _OUT_OF_VIEW_VARIANCE * np.eye(3))
+    directions_s[lost], smear_s[lost] = (
+        seen_s[lost],
+        _perpendicular_part(seen_s[lost], _OUT_OF_VIEW_VARIANCE * np.eye(3)),
+    )
     return replace(exposure, directions_s=directions_s, smear_s=smear_s, streak_length=streak)
 
 
@@ -280,7 +287,12 @@ def visible_stars(
     if not is_visible.all():
         for row in np.flatnonzero(~is_visible).tolist():
             rejected.append((exposure.name(row), local_sky.low_elevation_rejection(float(apparent.elevation[row]))))
-        exposure, direction_n, shared_n, named = exposure[is_visible], direction_n[is_visible], shared_n[is_visible], named[is_visible]
+        exposure, direction_n, shared_n, named = (
+            exposure[is_visible],
+            direction_n[is_visible],
+            shared_n[is_visible],
+            named[is_visible],
+        )
     false_match_density = None
     # With a narrow prior, a wrong identity of a named star is very improbable.
     if prior is not None and (np.trace(prior.covariance_n) > LINEAR_RANGE**2 or not named.all()):

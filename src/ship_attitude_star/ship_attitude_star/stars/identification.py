@@ -106,7 +106,9 @@ def _min_stars_in_gate(seen_n: FloatArray, magnitude: FloatArray, prior: StarPri
 
 def _is_masked(masks: SensorMasks, reference_n: FloatArray, prior: StarPrior) -> NDArray[np.bool_]:
     """True if a star is masked for any probable error of the predicted attitude, shape (c,)."""
-    return masks.is_hidden(reference_n @ prior.rotation_nb, _MAX_PRIOR_SIGMAS * float(np.sqrt(np.trace(prior.covariance_n))))
+    return masks.is_hidden(
+        reference_n @ prior.rotation_nb, _MAX_PRIOR_SIGMAS * float(np.sqrt(np.trace(prior.covariance_n)))
+    )
 
 
 def _rows_in_field(directions_s: FloatArray, prior: StarPrior, local_sky: LocalSky) -> NDArray[np.int64]:
@@ -131,7 +133,9 @@ def _mahalanobis(
     if smear_n is not None:
         covariance += basis @ smear_n @ np.swapaxes(basis, -1, -2)
     near = np.einsum("cj,kj->kc", reference_n, seen_n) > 0.0
-    return np.where(near, mahalanobis_squared(left, covariance[:, None] + variance[..., None, None] * np.eye(2)), np.inf)
+    return np.where(
+        near, mahalanobis_squared(left, covariance[:, None] + variance[..., None, None] * np.eye(2)), np.inf
+    )
 
 
 def _mahalanobis_wide(

@@ -120,7 +120,9 @@ def _compare(
         return Rejection(selection.reason, _with_rejected_stars(selection.text, rejected))
     members, alone_ns = selection
     turned_ns = rotation_ns if alone_ns is None else alone_ns
-    rejected += [(seen.name(row), _misfit_rejection(stars, row, turned_ns)) for row in np.flatnonzero(~members).tolist()]
+    rejected += [
+        (seen.name(row), _misfit_rejection(stars, row, turned_ns)) for row in np.flatnonzero(~members).tolist()
+    ]
     if not members.any():
         return Rejection(Reason.MISIDENTIFIED, _with_rejected_stars(_inconsistency_text(len(members)), rejected))
     names = [seen.name(row) for row in np.flatnonzero(members).tolist()]

@@ -105,7 +105,9 @@ class StarSelection:
     false_matches: float | None = None
 
 
-def select_stars(stars: MatchedStars, prior: StarPrior | None = None, initial_nb: FloatArray | None = None) -> StarSelection:
+def select_stars(
+    stars: MatchedStars, prior: StarPrior | None = None, initial_nb: FloatArray | None = None
+) -> StarSelection:
     """Select the correctly identified stars.
 
     Args:

@@ -140,7 +140,9 @@ def solve_stars(stars: MatchedStars, prior: StarPrior | None = None) -> StarSolu
     together = members if count else np.ones_like(members)
     found = choice.attitude_fit or fit_attitude(stars, together)
     if found is None:
-        return invalid_solution(members, Rejection(Reason.TOO_FEW_STARS, _undetermined_text(int(np.count_nonzero(together)))))
+        return invalid_solution(
+            members, Rejection(Reason.TOO_FEW_STARS, _undetermined_text(int(np.count_nonzero(together))))
+        )
     if not count:
         text = f"{len(stars)} stars, no set of them is more consistent than another"
         reason = Reason.TOO_FEW_STARS if len(stars) < MIN_VERIFIED_STARS else Reason.MISIDENTIFIED

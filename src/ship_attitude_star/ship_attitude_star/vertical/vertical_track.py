@@ -179,7 +179,9 @@ class VerticalTrack:
         if point.place is None:
             return "no position fix: the deflection table cannot be used"
         distance_km = 1e-3 * self._table.distance_m(point.place.observer.position)
-        return f"no row of the deflection table near the ship: the nearest is {distance_km:.0f} km away (gravity.table_…)"
+        return (
+            f"no row of the deflection table near the ship: the nearest is {distance_km:.0f} km away (gravity.table_…)"
+        )
 
     def _grid_point(self, step: int) -> _GridPoint:
         found = self._grid.get(step)
@@ -221,7 +223,9 @@ class VerticalTrack:
         anchor = place if has_moved or before.place is None else before.anchor
         return _GridPoint(self._local_vertical(step, along_m, place, before.vertical), anchor, place)
 
-    def _local_vertical(self, step: int, along_m: float, place: ShipPosition | None, before: LocalVertical) -> LocalVertical:
+    def _local_vertical(
+        self, step: int, along_m: float, place: ShipPosition | None, before: LocalVertical
+    ) -> LocalVertical:
         """Return the vertical at a step; without a position, latitude and velocity are those of the step before."""
         latitude, velocity = before.latitude, before.velocity_m_per_s
         if place is not None:

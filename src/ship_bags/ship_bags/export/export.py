@@ -220,7 +220,9 @@ def _hint(name: str, known: Collection[str]) -> str:
     """
     truth = sorted(topic for topic in known if f"/{TRUTH_PREFIX}" in f"/{topic}")
     others = sorted(set(known).difference(truth))
-    near = difflib.get_close_matches(name, others, 1, _MIN_SIMILARITY) or difflib.get_close_matches(name, truth, 1, _MIN_TYPO_SIMILARITY)
+    near = difflib.get_close_matches(name, others, 1, _MIN_SIMILARITY) or difflib.get_close_matches(
+        name, truth, 1, _MIN_TYPO_SIMILARITY
+    )
     return f"did you mean '{near[0]}'?" if near else f"it has {', '.join([*others, *truth][:_MAX_NAMED])}"
 
 

@@ -178,7 +178,9 @@ class ParameterCollector:
         by_name, by_value = request.clients
         if request.answer is None:
             if by_name.service_is_ready() and by_value.service_is_ready():
-                request.answer = by_name.call_async(ListParameters.Request(depth=ListParameters.Request.DEPTH_RECURSIVE))
+                request.answer = by_name.call_async(
+                    ListParameters.Request(depth=ListParameters.Request.DEPTH_RECURSIVE)
+                )
             return False
         if not request.answer.done():
             return False

@@ -178,7 +178,9 @@ class _Summary:
             return False
         if any(channel.schema_id and channel.schema_id not in self.schemas for channel in self.channels.values()):
             return False
-        return statistics.chunk_count == len(self.places) and (statistics.message_count == 0 or statistics.chunk_count > 0)
+        return statistics.chunk_count == len(self.places) and (
+            statistics.message_count == 0 or statistics.chunk_count > 0
+        )
 
 
 def _summary(file: McapFile) -> _Summary | None:

@@ -116,7 +116,9 @@ class Bag:
         self.last_time_ns: int | None = None
         self._files = files
         # Messages that a file repeats from earlier ones are needed only if that file is read alone.
-        self._repeated = [set[tuple[str, int]]() if n == 0 else repeated_message_times(f.metadata) for n, f in enumerate(files)]
+        self._repeated = [
+            set[tuple[str, int]]() if n == 0 else repeated_message_times(f.metadata) for n, f in enumerate(files)
+        ]
         self._usable_channels = [self._channels_of(file) for file in files]
         types = self._types()
         self._store, self.differences = types.store, types.differences

@@ -153,7 +153,9 @@ class McapWriter:
         start = 0
         while start < len(data):
             stop = self._end_of_chunk(log_times_ns, ends, start)
-            self._add_to_current_chunk(channel_ids, log_times_ns, ends, slice(start, stop), records[2 * start : 2 * stop])
+            self._add_to_current_chunk(
+                channel_ids, log_times_ns, ends, slice(start, stop), records[2 * start : 2 * stop]
+            )
             start = stop
 
     def _end_of_chunk(self, log_times_ns: NDArray[np.int64], ends: NDArray[np.int64], start: int) -> int:

@@ -97,7 +97,9 @@ def _parse(number: int, content: bytes, rules: LogRules, report: LogReport) -> I
             yield line
 
 
-def _line(number: int, receive_ns: int, parsed: ParsedText, rules: LogRules, report: LogReport) -> InstrumentLine | None:
+def _line(
+    number: int, receive_ns: int, parsed: ParsedText, rules: LogRules, report: LogReport
+) -> InstrumentLine | None:
     result = parsed.result
     if rules.talkers and parsed.talker and parsed.talker not in rules.talkers:
         report.unused[f"talker {parsed.talker}"] += 1

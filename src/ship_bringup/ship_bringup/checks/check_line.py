@@ -45,7 +45,9 @@ class CheckLine:
 
 def table(lines: Sequence[CheckLine]) -> list[str]:
     """Return the rows as lines of text; the advice is on a line below the finding."""
-    shown = aligned_lines([("check", "result", "found"), *((x.check, x.result.value, one_line(x.finding)) for x in lines)])
+    shown = aligned_lines(
+        [("check", "result", "found"), *((x.check, x.result.value, one_line(x.finding)) for x in lines)]
+    )
     indent = shown[0].index("found")
     text = shown[:1]
     for row, line in zip(shown[1:], lines, strict=True):

@@ -31,10 +31,17 @@ def check_settings(environment: Mapping[str, str]) -> Iterator[CheckLine]:
     reach = environment.get(_DISCOVERY_RANGE, "")
     if reach and reach not in _RANGES:
         expected = f"expected one of {', '.join(_RANGES)}"
-        yield CheckLine(_CHECK, Result.FAIL, f"{_DISCOVERY_RANGE} is '{reach}': {expected}", f"export {_DISCOVERY_RANGE}=SUBNET")
+        yield CheckLine(
+            _CHECK, Result.FAIL, f"{_DISCOVERY_RANGE} is '{reach}': {expected}", f"export {_DISCOVERY_RANGE}=SUBNET"
+        )
     elif reach == "OFF" and not environment.get(_STATIC_PEERS):
         advice = f"export {_DISCOVERY_RANGE}=SUBNET, or name the others in {_STATIC_PEERS}"
-        yield CheckLine(_CHECK, Result.FAIL, f"{_DISCOVERY_RANGE} is OFF without {_STATIC_PEERS}: no other node is discovered", advice)
+        yield CheckLine(
+            _CHECK,
+            Result.FAIL,
+            f"{_DISCOVERY_RANGE} is OFF without {_STATIC_PEERS}: no other node is discovered",
+            advice,
+        )
     else:
         yield CheckLine(_CHECK, Result.OK, f"range of discovery: {reach or 'SUBNET'}")
 

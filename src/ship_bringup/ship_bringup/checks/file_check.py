@@ -96,7 +96,9 @@ def _state(
 ) -> PathState:
     if path.is_dir():
         is_wrong_kind = is_device or is_appended
-        return PathState(path, named_by, is_device, True, os.access(path, os.R_OK), _can_create_file(path), is_wrong_kind)
+        return PathState(
+            path, named_by, is_device, True, os.access(path, os.R_OK), _can_create_file(path), is_wrong_kind
+        )
     if path.exists():
         # A saved file is replaced by a new one, so its folder must be writable.
         writable = os.access(path, os.W_OK) and (is_device or is_appended or _can_create_file(path.parent))

@@ -245,7 +245,10 @@ def _wait_for_names(node: Node, topics: Sequence[str]) -> None:
     Discovery continues without spinning. Callbacks are not handled meanwhile, so that no further message is counted.
     """
     end_s = time.monotonic() + _NODE_NAME_TIMEOUT_S
-    while any(_UNNAMED in name for topic in topics for name in _publishing_nodes(node, topic)) and time.monotonic() < end_s:
+    while (
+        any(_UNNAMED in name for topic in topics for name in _publishing_nodes(node, topic))
+        and time.monotonic() < end_s
+    ):
         time.sleep(0.1)
 
 

@@ -144,7 +144,9 @@ def _holding_program(names: Collection[str]) -> str:
     """Return the program that has one of some files open; empty if unknown, as for those of other users."""
     for process in filter(str.isdigit, os.listdir("/proc")):
         with contextlib.suppress(OSError):  # ended, or of another user
-            if any(_link_target(f"/proc/{process}/fd/{number}") in names for number in os.listdir(f"/proc/{process}/fd")):
+            if any(
+                _link_target(f"/proc/{process}/fd/{number}") in names for number in os.listdir(f"/proc/{process}/fd")
+            ):
                 return f"{_program_name(Path('/proc', process))} (process {process})"
     return ""
 

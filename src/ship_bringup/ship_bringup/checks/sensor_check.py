@@ -100,12 +100,18 @@ def _evaluate_input(
         other = observed.publishers[0].type_name
         found = f"{publishers} publishes {other}, expected {observed.input.type_name}"
         return Result.FAIL, found, "change the driver, or name another topic in the suite file (topics)"
-    if lacking := [quality for quality in sorted(requested_qos) if any(quality not in each.offered_qos for each in of_type)]:
+    if lacking := [
+        quality for quality in sorted(requested_qos) if any(quality not in each.offered_qos for each in of_type)
+    ]:
         settings = " and ".join(dict.fromkeys(requested_qos[quality] for quality in lacking))
         found = f"{publishers} does not offer {' and '.join(lacking)}, required by {settings}: no message will arrive"
         return Result.FAIL, found, f"let the driver offer it, or leave out {settings}"
     if not observed.count:
-        return missing_result, f"{publishers} publishes it, but no message arrived", "switch the device on; if slow: a longer --listen"
+        return (
+            missing_result,
+            f"{publishers} publishes it, but no message arrived",
+            "switch the device on; if slow: a longer --listen",
+        )
     found = f"{observed.rate_hz:.3g} Hz from {publishers}" if observed.count > 1 else f"one message from {publishers}"
     least_hz = limits.input_limits(source_of_topic(topic)).rate_hz
     if not observed.rate_hz >= least_hz:
@@ -118,7 +124,11 @@ def _evaluate_input(
         if source_of_topic(topic) not in _NOT_TIME_ORDERED and not observed.age_s <= lags_s.get(topic, MAX_AGE_S):
             return Result.FAIL, f"{found}: later than lag_s", "check transmission delays, or increase lag_s"
     if len(observed.publishers) > 1:
-        return Result.WARN, f"{found}: {len(observed.publishers)} publishers", "one device, one publisher: end the others"
+        return (
+            Result.WARN,
+            f"{found}: {len(observed.publishers)} publishers",
+            "one device, one publisher: end the others",
+        )
     return Result.OK, found, ""
 
 

@@ -101,13 +101,25 @@ def _parser() -> CommandParser:
     )
     parser.add_argument("--box", type=Path, metavar="FOLDER", help="black boxes will go into this folder")
     parser.add_argument(
-        "--hours", type=positive_number, default=_HOURS, metavar="H", help=f"hours that the disk space must last ({_HOURS:g})"
+        "--hours",
+        type=positive_number,
+        default=_HOURS,
+        metavar="H",
+        help=f"hours that the disk space must last ({_HOURS:g})",
     )
     parser.add_argument(
-        "--days", type=positive_number, default=_DAYS, metavar="D", help=f"days that certificates must be valid ({_DAYS:g})"
+        "--days",
+        type=positive_number,
+        default=_DAYS,
+        metavar="D",
+        help=f"days that certificates must be valid ({_DAYS:g})",
     )
     parser.add_argument(
-        "--listen", type=positive_number, default=_LISTEN_S, metavar="S", help=f"receive each sensor for S s ({_LISTEN_S:g})"
+        "--listen",
+        type=positive_number,
+        default=_LISTEN_S,
+        metavar="S",
+        help=f"receive each sensor for S s ({_LISTEN_S:g})",
     )
     return parser
 
@@ -209,7 +221,9 @@ def _sensors(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:
             lag_s = float(getattr(node.config, "lag_s", 2.0))
             lags_s[topic.topic] = min(lag_s, lags_s.get(topic.topic, lag_s))
     requested_qos = find_requested_qos(options.file, lags_s, options.namespace, options.reliable_inputs)
-    yield from check_sensors(network, suite.limits, lags_s, requested_qos, nmea_in_topics(suite.companions), _nmea_in(suite))
+    yield from check_sensors(
+        network, suite.limits, lags_s, requested_qos, nmea_in_topics(suite.companions), _nmea_in(suite)
+    )
 
 
 def _load(suite: _Suite, network: NetworkState) -> Iterable[CheckLine]:

@@ -168,7 +168,9 @@ class _SuiteRights:
         acknowledge = {f"{self._alerts}/acknowledge"}
         # The page also forwards topics to Foxglove.
         yield self._tool_rights("monitor", everything | self._clock, acknowledge, own_nodes=("monitor", "acknowledge"))
-        yield self._tool_rights("monitor_terminal", monitored, acknowledge, own_nodes=("monitor_terminal", "acknowledge"))
+        yield self._tool_rights(
+            "monitor_terminal", monitored, acknowledge, own_nodes=("monitor_terminal", "acknowledge")
+        )
         # The recorder reads the parameters of all nodes, and sets none.
         parameter_reads = {"/*/list_parameters", "/*/get_parameters"}
         yield self._tool_rights("record", everything | self._clock | _TOPICS_OF_EVERY_NODE, parameter_reads)
@@ -248,7 +250,9 @@ class _SuiteRights:
 
     def _callable_services(self) -> frozenset[str]:
         """Return the services of the nodes that users call."""
-        own = [self._full_name(f"{adapter.node_name}/{name}") for adapter in self._adapters for name in adapter.services]
+        own = [
+            self._full_name(f"{adapter.node_name}/{name}") for adapter in self._adapters for name in adapter.services
+        ]
         return frozenset([*own, f"{self._alerts}/acknowledge", f"{self._alerts}/silence"])
 
     def _parameter_services(self, *names: str) -> frozenset[str]:

@@ -88,7 +88,9 @@ class Permissions:
 
     def is_allowed(self, action: str, topic: str, domain_id: int) -> bool:
         """True if a DDS topic may be written (``publish``) or read (``subscribe``) in a domain."""
-        return next((rule.allows for rule in self.rules if rule.applies_to(action, topic, domain_id)), self.allows_by_default)
+        return next(
+            (rule.allows for rule in self.rules if rule.applies_to(action, topic, domain_id)), self.allows_by_default
+        )
 
     def allowed_topics(self, action: str) -> frozenset[str]:
         """Return all topics, as written, that some rule allows."""

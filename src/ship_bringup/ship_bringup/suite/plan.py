@@ -111,10 +111,14 @@ def make_plan(path: Path, options: SuiteOptions) -> Plan:
         limits = Limits() if options.limits is None else read_limits(options.limits)
         companion_configs = load_companions(path, options.namespace)
         is_played, names = options.bag is not None, ship_names(path)
-        rights = suite_rights(chain.adapters, options.namespace, is_played=is_played, companions=companion_configs, ship_names=names)
+        rights = suite_rights(
+            chain.adapters, options.namespace, is_played=is_played, companions=companion_configs, ship_names=names
+        )
         programs, enclave_warnings = add_enclaves(programs, rights, options.namespace, limits)
         warnings += enclave_warnings
-    return Plan(tuple(programs), (*warnings, *missing_saved_files(path, nodes), *_playback_warnings(companions, options)))
+    return Plan(
+        tuple(programs), (*warnings, *missing_saved_files(path, nodes), *_playback_warnings(companions, options))
+    )
 
 
 def check_nodes(path: Path, namespace: str) -> tuple[list[CheckedNode], list[str]]:

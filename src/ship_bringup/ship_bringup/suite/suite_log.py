@@ -32,7 +32,9 @@ class SuiteLog:
         """Write a line, without its end, to stdout or else to the file."""
         try:
             if self._missed_count:
-                self._write_to_stdout(f"[suite] {self._missed_count} lines that were not accepted here are in {self._path}")
+                self._write_to_stdout(
+                    f"[suite] {self._missed_count} lines that were not accepted here are in {self._path}"
+                )
                 self._missed_count = 0
             self._write_to_stdout(line)
         except OSError as problem:

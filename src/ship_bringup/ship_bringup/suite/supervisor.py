@@ -84,7 +84,9 @@ class Supervisor:
         try:
             self._work()
         except Exception as error:
-            self._log(_SUITE, f"exception in the supervisor of the suite, which continues: {failure_rejection(error).text}")
+            self._log(
+                _SUITE, f"exception in the supervisor of the suite, which continues: {failure_rejection(error).text}"
+            )
             time.sleep(1.0)
 
     def _work(self) -> None:

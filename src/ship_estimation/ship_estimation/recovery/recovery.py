@@ -262,7 +262,9 @@ class EstimatorRecovery:
         candidate = self.candidate
         if candidate is None or displaced != self._displaced_before:
             self._start(live, from_memory=True)
-        elif candidate.failure is not None or candidate.core.has_unresolved_fault or candidate.core.excluded - displaced:
+        elif (
+            candidate.failure is not None or candidate.core.has_unresolved_fault or candidate.core.excluded - displaced
+        ):
             self._start(live, from_memory=not candidate.is_from_memory)
         self._displaced_before = displaced
 
@@ -278,7 +280,9 @@ class EstimatorRecovery:
         if waiting_ns - candidate.valid_since_ns < self._config.confirm_s * SECOND_NS:
             return False
         excluded = candidate.core.excluded
-        if len(available_sources - excluded) < _LEAST_IN_AGREEMENT or candidate.core.unused_sources(available_sources - excluded):
+        if len(available_sources - excluded) < _LEAST_IN_AGREEMENT or candidate.core.unused_sources(
+            available_sources - excluded
+        ):
             return False
         if self._displacements.is_undecided_by_memory:
             return False

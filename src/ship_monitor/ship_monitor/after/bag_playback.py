@@ -114,7 +114,11 @@ class BagPlayback:
         replay = self._current_replay()
         replay.read_until(self._time_ns)
         # A new time is displayed before the ten minutes are read.
-        if not is_new and self._full_replay is not None and self._full_replay.read_until(self._time_ns, time.monotonic() + MAX_READ_S):
+        if (
+            not is_new
+            and self._full_replay is not None
+            and self._full_replay.read_until(self._time_ns, time.monotonic() + MAX_READ_S)
+        ):
             replay = self._displayed_replay = self._full_replay
             self._full_replay = None
         return replay.monitor.current_state(self._time_ns)

@@ -56,7 +56,9 @@ class RecordedSuite:
         names = relative_topics(self._bag.topics, namespace or self._only_namespace())
         if namespace and not names:
             raise BadInput(f"there is no topic in the namespace /{namespace.strip('/')}", file=path)
-        usable = {relative: name for relative, name in names.items() if monitored_topic(relative, self._bag.topics[name])}
+        usable = {
+            relative: name for relative, name in names.items() if monitored_topic(relative, self._bag.topics[name])
+        }
         self._topics = {name: (relative, monitored_topic(relative)) for relative, name in usable.items()}
         self.start_ns, self.end_ns = self._bag.start_ns or 0, self._bag.end_ns or 0
         has_truth = any(relative.startswith(TRUTH_PREFIX) for relative in names)
@@ -64,7 +66,9 @@ class RecordedSuite:
         self.notes = self._missing_data_notes(set(usable), has_truth)
         self._reported_topics: set[str] = set()
         self._latched = {name: usable[name] for name in LATCHED_TOPICS if name in usable}
-        self._first_nominal = [next(self._bag.records({usable[name]}), None) for name in _NOMINAL_TOPICS if name in usable]
+        self._first_nominal = [
+            next(self._bag.records({usable[name]}), None) for name in _NOMINAL_TOPICS if name in usable
+        ]
 
     def messages(self, since_ns: int) -> Iterator[RecordedMessage]:
         """Yield the monitored messages from a log time on, after the alerts and states that were valid then.

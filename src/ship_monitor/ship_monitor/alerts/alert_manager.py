@@ -46,7 +46,12 @@ class AlertManager:
     """
 
     def __init__(
-        self, limits: Limits, state_file: Path | None, now_ns: int, log_problem: Callable[[str], None], files: Files = DISK
+        self,
+        limits: Limits,
+        state_file: Path | None,
+        now_ns: int,
+        log_problem: Callable[[str], None],
+        files: Files = DISK,
     ) -> None:
         self._limits, self._state_file, self._log_problem, self._files = limits, state_file, log_problem, files
         self._monitor = SuiteMonitor(limits)
@@ -139,7 +144,9 @@ class AlertManager:
         except FileNotFoundError:
             return AlertList(self._limits.alerts, (), now_ns)
         except (OSError, ValueError, TypeError, KeyError) as problem:
-            self._log_problem(str(BadInput(f"saved alerts cannot be read, starting without: {problem}", file=self._state_file)))
+            self._log_problem(
+                str(BadInput(f"saved alerts cannot be read, starting without: {problem}", file=self._state_file))
+            )
             return AlertList(self._limits.alerts, (), now_ns)
 
     def _save_changes(self, changes: tuple[AlertChange, ...]) -> tuple[AlertChange, ...]:
@@ -151,6 +158,8 @@ class AlertManager:
                 self._is_unsaved = False
             except OSError as problem:
                 if not self._is_unsaved:
-                    self._log_problem(f"{self._state_file}: alerts cannot be saved: {problem.strerror}; retried at each update")
+                    self._log_problem(
+                        f"{self._state_file}: alerts cannot be saved: {problem.strerror}; retried at each update"
+                    )
                 self._is_unsaved = True
         return changes

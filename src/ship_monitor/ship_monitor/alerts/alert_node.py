@@ -166,7 +166,9 @@ class AlertNode:
             if received.topic == DIAGNOSTICS_TOPIC:
                 self._guard.call(received.topic, self._process_diagnostics, received.message, received.arrival_ns)
             else:
-                self._guard.call(received.topic, self._manager.process_message, received.topic, received.message, received.arrival_ns)
+                self._guard.call(
+                    received.topic, self._manager.process_message, received.topic, received.message, received.arrival_ns
+                )
         self._report_changes(self._manager.update(steady_ns(), time.time_ns()))
         self._publish_state(steady_ns())
 

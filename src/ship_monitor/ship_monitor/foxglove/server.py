@@ -124,7 +124,9 @@ class _Application(Application):
         origin = request.headers.get("Origin", "")
         if origin == _DESKTOP_ORIGIN:
             return _DESKTOP_AGENT in request.headers.get("User-Agent", "")
-        return not origin or origin in VIEWERS or (host_of(origin) and self._hosts.is_own_origin(origin, request)) is True
+        return (
+            not origin or origin in VIEWERS or (host_of(origin) and self._hosts.is_own_origin(origin, request)) is True
+        )
 
 
 class FoxgloveServer:

@@ -132,7 +132,11 @@ class TopicReader:
             return ReceivedBatch(False, tuple(kept), alerts_ended)
         # Outputs follow the step of /clock a moment later: the same step is not counted twice.
         self._latest_ns = {CLOCK_TOPIC: self._latest_ns[CLOCK_TOPIC]} if CLOCK_TOPIC in self._latest_ns else {}
-        latched = {subscribed.relative_name for subscribed in self._subscriptions.values() if subscribed.subscription.is_latched}
+        latched = {
+            subscribed.relative_name
+            for subscribed in self._subscriptions.values()
+            if subscribed.subscription.is_latched
+        }
         kept = (each for each in kept if each.arrival_ns >= jump_ns or each.topic in latched)
         return ReceivedBatch(True, tuple(kept), alerts_ended)
 

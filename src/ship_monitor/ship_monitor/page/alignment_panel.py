@@ -67,11 +67,14 @@ class AlignmentPanel:
             "low": np.maximum(scale * low, -half),
             "high": np.minimum(scale * high, half),
             "fill": [self._theme.text if state.is_observable else self._theme.panel for state in states],
-            "bar": [self._theme.text if belongs_to_source(state.name, marked) else self._theme.series[0] for state in states],
+            "bar": [
+                self._theme.text if belongs_to_source(state.name, marked) else self._theme.series[0] for state in states
+            ],
         }
         self.figure.yaxis[0].ticker.ticks = list(range(count))
         self.figure.yaxis[0].major_label_overrides = {
-            row: without_formulas(with_mark(state.name, belongs_to_source(state.name, marked))) for row, state in enumerate(states)
+            row: without_formulas(with_mark(state.name, belongs_to_source(state.name, marked)))
+            for row, state in enumerate(states)
         }
         self._values.write(
             {
@@ -126,5 +129,7 @@ def own_half_widths(low: np.ndarray, value: np.ndarray, high: np.ndarray, half: 
 def state_text(state: ParameterEstimate) -> str:
     """Return deviation ± 2σ in the displayed unit; in brackets if the state is not observable."""
     scale, unit, digits = _UNITS.get(state.unit, (1.0, f" {state.unit}", 3))
-    text = f"{signed_text(scale * deviation_from_nominal(state), digits)} ± {2.0 * scale * state.sigma:.{digits}f}{unit}"
+    text = (
+        f"{signed_text(scale * deviation_from_nominal(state), digits)} ± {2.0 * scale * state.sigma:.{digits}f}{unit}"
+    )
     return text if state.is_observable else f"({text})"

@@ -195,7 +195,9 @@ def variances_arcsec2(points: Sequence[BudgetPoint], angle: str, sources: Sequen
     return np.array(rows, float).reshape(len(points), len(sources)) * ARCSEC_PER_RAD**2
 
 
-def largest_sources(means: Mapping[str, float], current_bands: tuple[str, ...], required: Sequence[str] = ()) -> tuple[str, ...]:
+def largest_sources(
+    means: Mapping[str, float], current_bands: tuple[str, ...], required: Sequence[str] = ()
+) -> tuple[str, ...]:
     """Return the sources with bands of their own, the largest at the bottom; small changes keep the current bands.
 
     Args:

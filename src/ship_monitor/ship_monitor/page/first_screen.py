@@ -38,7 +38,9 @@ _ALERT_STATES = {
 }
 
 
-def first_screen(suite_state: SuiteState, history: History, label: str, location: str, local: str = "") -> dict[str, Any]:
+def first_screen(
+    suite_state: SuiteState, history: History, label: str, location: str, local: str = ""
+) -> dict[str, Any]:
     """Return the content of the first screen, ready for JSON.
 
     Args:
@@ -155,7 +157,9 @@ def _sources(sources: tuple[SourceDetails, ...], *, is_known: bool) -> dict[str,
     return {
         "head": count if is_known or not count else f"last: {count}",
         "is_known": is_known,
-        "out": banners if len(banners) <= _MAX_BANNERS else [*banners[: _MAX_BANNERS - 1], _more_banner(banners[_MAX_BANNERS - 1 :])],
+        "out": banners
+        if len(banners) <= _MAX_BANNERS
+        else [*banners[: _MAX_BANNERS - 1], _more_banner(banners[_MAX_BANNERS - 1 :])],
         "why": _reason_lines(roots[0]) if len(banners) == len(roots) == 1 else [],
         "rows": [
             _source_row(source, is_because=source in below, is_alone=len(banners) == 1)
@@ -179,11 +183,17 @@ def _reason_lines(source: SourceDetails) -> list[str]:
 
 def _source_row(source: SourceDetails, *, is_because: bool, is_alone: bool) -> dict[str, Any]:
     consistency = source.nis_consistency.text if source.nis_consistency is not None else ""
-    shift = f"mounting shifted by {value_texts.small_angle(source.mounting_shift)}" if source.mounting_shift > 0.0 else ""
+    shift = (
+        f"mounting shifted by {value_texts.small_angle(source.mounting_shift)}" if source.mounting_shift > 0.0 else ""
+    )
     sub = source.disagreement or shift or consistency
     if source.presence is Presence.OUT:
         # With several banners the list has the details that are otherwise under the banner.
-        since = f"{source.reason} since {value_texts.utc_clock(source.out_since_ns)}" if source.out_since_ns else source.reason
+        since = (
+            f"{source.reason} since {value_texts.utc_clock(source.out_since_ns)}"
+            if source.out_since_ns
+            else source.reason
+        )
         sub = source.reason if is_alone or is_because else " · ".join(filter(None, (source.disagreement, since)))
     is_used = source.presence is not Presence.OFF
     return {

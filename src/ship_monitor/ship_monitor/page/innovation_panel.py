@@ -84,7 +84,9 @@ class _SourceRow:
         shade = {"fill_color": theme.caution_border, "fill_alpha": 0.14, "line_color": None}
         hatch = {"hatch_pattern": "right_diagonal_line", "hatch_color": theme.caution_border, "hatch_alpha": 0.25}
         self.figure.vstrip(x0="start", x1="end", source=self._out, **shade, **hatch, hatch_scale=14)
-        self._trails = [StreamedLine(("value", "used", "refused", *BAND), by="value", filled=BAND[:2]) for _ in AXES_DRAWN]
+        self._trails = [
+            StreamedLine(("value", "used", "refused", *BAND), by="value", filled=BAND[:2]) for _ in AXES_DRAWN
+        ]
         for trail, (marker, _), colour in zip(self._trails, _MARKERS, theme.series, strict=False):
             self._draw(trail, marker, colour)
 

@@ -37,7 +37,9 @@ class LightsPanel:
     def __init__(self, theme: Theme) -> None:
         self._theme = theme
         self._x, self._z = Range1d(-7.0, 7.0), Range1d(-7.0, 7.0)
-        self.figure = empty_plot(theme, 320, self._x, self._z, x_axis_label="x, mm on the detector", y_axis_label="z, mm")
+        self.figure = empty_plot(
+            theme, 320, self._x, self._z, x_axis_label="x, mm on the detector", y_axis_label="z, mm"
+        )
         self.figure.stylesheets = [*self.figure.stylesheets, narrow_height(180)]
         self._past_points = _source("x", "z", "alpha", "colour", "marker")
         self._newest_points = _source("x", "y", "colour", "marker", "text", "ahead", "align", "over", "base")
@@ -49,7 +51,14 @@ class LightsPanel:
         self.figure.ray("x", "y", source=self._scale_bar, line_color=theme.second_text, line_width=2.5, **scale)
         draw_texts(self.figure, self._scale_bar, text_color=theme.second_text, y_offset=-3, text_baseline="bottom")
         self._newest_markers = self.figure.scatter(
-            "x", "y", source=self._newest_points, size=12, marker="marker", line_color="colour", fill_color=None, line_width=2
+            "x",
+            "y",
+            source=self._newest_points,
+            size=12,
+            marker="marker",
+            line_color="colour",
+            fill_color=None,
+            line_width=2,
         )
         draw_texts(
             self.figure,
@@ -77,7 +86,9 @@ class LightsPanel:
             self._bars.draw(*(np.empty(0),) * 4, self._theme.text)
             self.box.set_subtitle("no lights in the last 60 s")
             return
-        places = [1e3 * abs(place) for points in recent_points.values() for point in points for place in (point.x, point.z)]
+        places = [
+            1e3 * abs(place) for points in recent_points.values() for point in points for place in (point.x, point.z)
+        ]
         half = next_step(1.05 * max(places), STEPS_MM)
         for side in (self._x, self._z):
             side.update(start=-half, end=half)

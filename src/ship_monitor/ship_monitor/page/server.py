@@ -127,7 +127,9 @@ class _Application(BokehTornado):
     def find_handler(self, request: HTTPServerRequest, **arguments: Any) -> Any:
         """Return the handler of a request; an error page for other sites, or for too many pages."""
         origin = request.headers.get("Origin")
-        if not self._hosts.is_own_host(request) or (origin is not None and _host_and_port(origin) != request.host.lower()):
+        if not self._hosts.is_own_host(request) or (
+            origin is not None and _host_and_port(origin) != request.host.lower()
+        ):
             return self._error_handler(request, 403, "Host name not allowed: allow it with monitor --allow-host NAME")
         if b"\0" in unquote_to_bytes(request.path):
             return self._error_handler(request, 404)

@@ -69,7 +69,9 @@ class SkyPanel:
             self._column.children = [field.figure for field in self._fields.values()]
             self._columns.css = _columns_css(has_fields=bool(names))
         for name, field in self._fields.items():
-            field.update(_short_name(name), history.star_exposures[name], sources.get(name), len(names), is_marked=name == marked)
+            field.update(
+                _short_name(name), history.star_exposures[name], sources.get(name), len(names), is_marked=name == marked
+            )
         note = self._map.update(history, suite_state, sources, marked)
         self.box.set_subtitle(f"fields of view not to scale · bars: residuals{note}")
 
@@ -192,13 +194,17 @@ class _Field:
         self._scale = _source(x=[], y=[])
         self._scale_text = _source(x=[], y=[], text=[])
         self._bars = ResidualBars(theme, self.figure, BAR_STEPS_ARCSEC)
-        self._dots = self.figure.scatter("u", "v", source=self._used_stars, size=7, line_color=None, fill_color=theme.text)
+        self._dots = self.figure.scatter(
+            "u", "v", source=self._used_stars, size=7, line_color=None, fill_color=theme.text
+        )
         self.figure.scatter("u", "v", source=self._excluded_stars, size=8, marker="x", line_color=theme.caution_border)
         scale = {"length": ResidualBars.FULL_PX, "length_units": "screen", "angle": 0.0}
         self.figure.ray("x", "y", source=self._scale, line_color=theme.second_text, line_width=2.5, **scale)
         draw_texts(self.figure, self._scale_text, text_color=theme.second_text, y_offset=-2, text_baseline="bottom")
 
-    def update(self, name: str, exposure: StarExposure, source: SourceDetails | None, field_count: int, *, is_marked: bool) -> None:
+    def update(
+        self, name: str, exposure: StarExposure, source: SourceDetails | None, field_count: int, *, is_marked: bool
+    ) -> None:
         """Draw the last exposure; the size of the detector is estimated from all stars so far."""
         theme, is_bad = self._theme, _is_out(source) or not exposure.is_accepted
         width, height = max(self._size[0], _detector_side(exposure.u)), max(self._size[1], _detector_side(exposure.v))
@@ -210,7 +216,11 @@ class _Field:
         self._used_stars.data = {"u": exposure.u[used], "v": exposure.v[used]}
         self._excluded_stars.data = {"u": exposure.u[~used], "v": exposure.v[~used]}
         has_residuals = len(exposure.residual_right) == len(exposure.u)
-        right, up = (exposure.residual_right, exposure.residual_up) if has_residuals else (np.full(len(exposure.u), np.nan),) * 2
+        right, up = (
+            (exposure.residual_right, exposure.residual_up)
+            if has_residuals
+            else (np.full(len(exposure.u), np.nan),) * 2
+        )
         step = self._bars.draw(exposure.u, exposure.v, right, up, theme.caution_border if is_bad else theme.series[1])
         self._scale.data = {"x": [0.03 * width], "y": [0.93 * height]}
         self._scale_text.data = {"x": [0.03 * width], "y": [0.93 * height], "text": [f"{step:g}″"]}

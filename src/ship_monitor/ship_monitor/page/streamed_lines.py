@@ -62,7 +62,9 @@ class StreamedLine:
         for name, column in columns.items():
             known = np.nan_to_num(column[kept]) if name in self._filled else column[kept]
             streamed[name] = np.insert(known, gaps, 0.0 if name in self._filled else np.nan)
-        streamed["t"][np.isnan(streamed["t"])] = np.column_stack([last_times + 1.0, columns["t"][kept][broken] - 1.0]).ravel()
+        streamed["t"][np.isnan(streamed["t"])] = np.column_stack(
+            [last_times + 1.0, columns["t"][kept][broken] - 1.0]
+        ).ravel()
         self._last_row_ns = int(time_ns[kept[-1]])
         self.source.stream({name: column[-MAX_ROWS:] for name, column in streamed.items()}, rollover=MAX_ROWS)
 

@@ -49,10 +49,16 @@ class InputsPanel:
     def update(self, suite_state: SuiteState, marked: str) -> None:
         """Write the inputs; rows of a source that is OUT are highlighted, those of the marked source have a frame."""
         faulty_sources = {
-            topic: source for source in suite_state.sources if source.presence is Presence.OUT for topic in source.topics
+            topic: source
+            for source in suite_state.sources
+            if source.presence is Presence.OUT
+            for topic in source.topics
         }
         framed = {topic for source in suite_state.sources if source.name == marked for topic in source.topics}
-        rows = "".join(input_row(input_state, faulty_sources, is_marked=input_state.topic in framed) for input_state in suite_state.inputs)
+        rows = "".join(
+            input_row(input_state, faulty_sources, is_marked=input_state.topic in framed)
+            for input_state in suite_state.inputs
+        )
         self._table.text = f"<table class=inputs>{_HEADINGS}{rows}</table>"
         self.box.set_subtitle("" if suite_state.inputs else "no input health data")
 

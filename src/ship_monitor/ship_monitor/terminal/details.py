@@ -59,14 +59,18 @@ def details(suite_state: SuiteState, alerts: tuple[AlertEntry, ...] | None, view
 
 def _page(suite_state: SuiteState, view: View, title: str, body: list[Line]) -> tuple[Line, ...]:
     formatter = view.formatter
-    rows = [top_bar(suite_state, view), safety_line(suite_state, formatter), formatter.rule(title), *body][: max(view.height - 1, 0)]
+    rows = [top_bar(suite_state, view), safety_line(suite_state, formatter), formatter.rule(title), *body][
+        : max(view.height - 1, 0)
+    ]
     rows += [formatter.styled_line()] * (view.height - 1 - len(rows))
     keys = StyledText(f" {view.note}", TextStyle.STRONG) if view.note else StyledText(_BACK, TextStyle.SECOND)
     return (*rows, formatter.styled_line(keys))[-view.height :]
 
 
 def _row(formatter: LineFormatter, name: str, text: str) -> Line:
-    return formatter.styled_line(StyledText(f" {formatter.fit(name, 18)}", TextStyle.SECOND), StyledText(text, TextStyle.TEXT))
+    return formatter.styled_line(
+        StyledText(f" {formatter.fit(name, 18)}", TextStyle.SECOND), StyledText(text, TextStyle.TEXT)
+    )
 
 
 def _angle_rows(angle: AngleState, suite_state: SuiteState, formatter: LineFormatter) -> list[Line]:
@@ -78,7 +82,9 @@ def _angle_rows(angle: AngleState, suite_state: SuiteState, formatter: LineForma
         "cause": angle.because_of or value_texts.NO_VALUE,
         "since": value_texts.date_and_clock(angle.since_ns),
         "95 % accuracy": value_texts.small_angle(angle.accuracy_95),
-        "sigma": f"{angle.accuracy_95 / 1.96 / ARCSEC:.2f}″" if math.isfinite(angle.accuracy_95) else value_texts.NO_VALUE,
+        "sigma": f"{angle.accuracy_95 / 1.96 / ARCSEC:.2f}″"
+        if math.isfinite(angle.accuracy_95)
+        else value_texts.NO_VALUE,
         "protection level": value_texts.small_angle(angle.protection_level),
         "limit": value_texts.limit_text(angle.limit),
         "time of the value": value_texts.date_and_clock(angle.stamp_ns),
@@ -98,13 +104,21 @@ def _source_rows(source: SourceDetails, suite_state: SuiteState, formatter: Line
         "out since": value_texts.date_and_clock(source.out_since_ns) if source.out_since_ns else value_texts.NO_VALUE,
         "because of": source.because_of or value_texts.NO_VALUE,
         "rejected in a row": str(source.rejected_in_a_row),
-        "sigma": (consistency.text or f"{consistency.degrees_of_freedom} degrees of freedom") if consistency else value_texts.NO_VALUE,
+        "sigma": (consistency.text or f"{consistency.degrees_of_freedom} degrees of freedom")
+        if consistency
+        else value_texts.NO_VALUE,
     }
     inputs = []
     for each in suite_state.inputs:
         if each.topic in source.topics:
-            inputs += [input_line(each, formatter), _row(formatter, "   rejected for", reasons_text(each) or value_texts.NO_VALUE)]
-    made = [source_line(source, suite_state, formatter, is_chosen=False), *(_row(formatter, name, text) for name, text in rows.items())]
+            inputs += [
+                input_line(each, formatter),
+                _row(formatter, "   rejected for", reasons_text(each) or value_texts.NO_VALUE),
+            ]
+    made = [
+        source_line(source, suite_state, formatter, is_chosen=False),
+        *(_row(formatter, name, text) for name, text in rows.items()),
+    ]
     made += [formatter.rule("inputs"), *inputs]
     return [*made, formatter.rule("events"), *event_lines(suite_state, formatter, 200, source.name)]
 

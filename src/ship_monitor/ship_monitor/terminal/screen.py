@@ -32,7 +32,11 @@ KEYS = " a acknowledge   Enter details   t theme   p pause   ? help   q quit"
 _MARKS = {Safety.SAFE: "+", Safety.CAUTION: "!", Safety.UNSAFE: "x"}
 _LOOKS = {Safety.SAFE: TextStyle.SAFE, Safety.CAUTION: TextStyle.CAUTION, Safety.UNSAFE: TextStyle.UNSAFE}
 _ALERT_MARKS = {Priority.ALARM: "/!\\", Priority.WARNING: "(!)", Priority.CAUTION: "[!]"}
-_ALERT_LOOKS = {Priority.ALARM: TextStyle.ALARM, Priority.WARNING: TextStyle.WARNING, Priority.CAUTION: TextStyle.NOTICE}
+_ALERT_LOOKS = {
+    Priority.ALARM: TextStyle.ALARM,
+    Priority.WARNING: TextStyle.WARNING,
+    Priority.CAUTION: TextStyle.NOTICE,
+}
 # Alert.state of ship_msgs.
 _ALERT_STATES = {1: "UNACK", 2: "SILENCED", 3: "ack", 4: "OVER, UNACK"}
 _SOURCE_MARKS = {Presence.IN: "+", Presence.OUT: "x", Presence.OFF: "-"}
@@ -95,7 +99,9 @@ def screen(suite_state: SuiteState, alerts: tuple[AlertEntry, ...] | None, view:
     bottom.append(formatter.rule("events"))
     event_rows = view.height - len(top) - len(middle) - len(bottom) - 1
     bottom += event_lines(suite_state, formatter, max(event_rows, 0))
-    keys = formatter.styled_line(StyledText(f" {view.note}", TextStyle.STRONG) if view.note else StyledText(KEYS, TextStyle.SECOND))
+    keys = formatter.styled_line(
+        StyledText(f" {view.note}", TextStyle.STRONG) if view.note else StyledText(KEYS, TextStyle.SECOND)
+    )
     return (*_pad_to_height([*top, *middle, *bottom], view)[: view.height - 1], keys)
 
 
@@ -112,9 +118,16 @@ def selectable_names(suite_state: SuiteState) -> tuple[str, ...]:
 def top_bar(suite_state: SuiteState, view: View) -> Line:
     """Return the row with name, safety and reason of the suite, and the time; PAUSED during a pause."""
     formatter, overall = view.formatter, suite_state.overall
-    left = [StyledText(" ", TextStyle.TEXT), StyledText(view.name, TextStyle.STRONG), StyledText(f"  {view.label}  ", TextStyle.SECOND)]
+    left = [
+        StyledText(" ", TextStyle.TEXT),
+        StyledText(view.name, TextStyle.STRONG),
+        StyledText(f"  {view.label}  ", TextStyle.SECOND),
+    ]
     if not math.isnan(view.paused_s):
-        left += [StyledText(f" PAUSED {value_texts.age_text(view.paused_s)} ago ", TextStyle.MARKED), StyledText("  ", TextStyle.TEXT)]
+        left += [
+            StyledText(f" PAUSED {value_texts.age_text(view.paused_s)} ago ", TextStyle.MARKED),
+            StyledText("  ", TextStyle.TEXT),
+        ]
     left += [
         StyledText(f" {_MARKS[overall.safety]} {overall.safety.name} ", _LOOKS[overall.safety]),
         StyledText(f" {overall.text}", TextStyle.TEXT),
@@ -123,7 +136,9 @@ def top_bar(suite_state: SuiteState, view: View) -> Line:
     right = f" {local}  " if local else " "
     right += f"{value_texts.utc_clock(suite_state.utc_ns)} UTC "
     room = max(view.width - formatter.cell_count(right), 0)
-    return formatter.styled_line(*LineFormatter(room, view.is_ascii).styled_line(*left), StyledText(right, TextStyle.STRONG))
+    return formatter.styled_line(
+        *LineFormatter(room, view.is_ascii).styled_line(*left), StyledText(right, TextStyle.STRONG)
+    )
 
 
 def safety_line(suite_state: SuiteState, formatter: LineFormatter) -> Line:
@@ -147,7 +162,11 @@ def alert_pieces(alert: AlertEntry, formatter: LineFormatter, text_width: int) -
     text = formatter.fit(alert.text or alert.id, max(text_width - len(head), 1))
     state = formatter.fit(_ALERT_STATES.get(alert.state, ""), 12)
     state_look = TextStyle.TEXT if alert.is_acknowledged else TextStyle.STRONG
-    return [StyledText(head + text, style), StyledText(f" {value_texts.utc_clock(alert.raised_ns)}  ", TextStyle.SECOND), StyledText(state, state_look)]
+    return [
+        StyledText(head + text, style),
+        StyledText(f" {value_texts.utc_clock(alert.raised_ns)}  ", TextStyle.SECOND),
+        StyledText(state, state_look),
+    ]
 
 
 def source_line(source: SourceDetails, suite_state: SuiteState, formatter: LineFormatter, *, is_chosen: bool) -> Line:
@@ -231,16 +250,23 @@ def _waiting(suite_state: SuiteState, view: View) -> list[Line]:
 def _alert_line(alerts: tuple[AlertEntry, ...] | None, formatter: LineFormatter) -> Line:
     alert = alert_to_show(alerts)
     if alerts is None or alert is None:
-        return formatter.styled_line(StyledText(" no alerts" if alerts is not None else " no alert node", TextStyle.SECOND))
+        return formatter.styled_line(
+            StyledText(" no alerts" if alerts is not None else " no alert node", TextStyle.SECOND)
+        )
     unacknowledged = sum(not each.is_acknowledged for each in alerts)
     active = sum(each.state != 4 for each in alerts)
     counts = f"{unacknowledged} unack, {active} active "
-    return formatter.styled_line(*alert_pieces(alert, formatter, formatter.width - 24 - len(counts)), StyledText(counts, TextStyle.TEXT))
+    return formatter.styled_line(
+        *alert_pieces(alert, formatter, formatter.width - 24 - len(counts)), StyledText(counts, TextStyle.TEXT)
+    )
 
 
 def _angles(suite_state: SuiteState, view: View) -> list[Line]:
     header = f"{'':11}{'value':18}{'95 %':>10}{'limit':>7}  {'state':11} why"
-    return [view.formatter.styled_line(StyledText(header, TextStyle.SECOND)), *(_angle(angle, suite_state, view) for angle in suite_state.angles)]
+    return [
+        view.formatter.styled_line(StyledText(header, TextStyle.SECOND)),
+        *(_angle(angle, suite_state, view) for angle in suite_state.angles),
+    ]
 
 
 def _angle(angle: AngleState, suite_state: SuiteState, view: View) -> Line:
@@ -269,7 +295,12 @@ def _ages(suite_state: SuiteState, formatter: LineFormatter) -> Line:
     ages = "   ".join(f"{name} {value_texts.age_text(age_s)}" for name, age_s in suite_state.ages_s.items())
     horizon = f"horizon {suite_state.horizon}" if suite_state.horizon else ""
     style, second = (TextStyle.OLD, TextStyle.OLD) if suite_state.is_old else (TextStyle.TEXT, TextStyle.SECOND)
-    return formatter.styled_line(StyledText(" ages   ", TextStyle.SECOND), StyledText(ages, style), StyledText(" " * 7, TextStyle.TEXT), StyledText(horizon, second))
+    return formatter.styled_line(
+        StyledText(" ages   ", TextStyle.SECOND),
+        StyledText(ages, style),
+        StyledText(" " * 7, TextStyle.TEXT),
+        StyledText(horizon, second),
+    )
 
 
 def _sources_rule(suite_state: SuiteState, formatter: LineFormatter) -> Line:

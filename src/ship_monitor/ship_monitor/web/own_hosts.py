@@ -22,7 +22,11 @@ class OwnHosts:
     """
 
     def __init__(self, address: str, allowed: Sequence[str] = ()) -> None:
-        own = set() if address in LOOPBACK else {_normalised_host(socket.gethostname()), f"{_normalised_host(socket.gethostname())}.local"}
+        own = (
+            set()
+            if address in LOOPBACK
+            else {_normalised_host(socket.gethostname()), f"{_normalised_host(socket.gethostname())}.local"}
+        )
         self._names = LOOPBACK | own | {_normalised_host(name) for name in allowed}
 
     def is_own_host(self, request: HTTPServerRequest) -> bool:

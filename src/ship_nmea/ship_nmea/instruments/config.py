@@ -20,7 +20,11 @@ from ship_node.parameters.machine_resources import (
 UDP, TCP, SERIAL = "udp", "tcp", "serial"
 ARRIVAL_TIME = "arrival"
 
-_PARAMETERS_OF_KIND = {UDP: ("address", "port", "interface", "from"), TCP: ("address", "port"), SERIAL: ("device", "baud")}
+_PARAMETERS_OF_KIND = {
+    UDP: ("address", "port", "interface", "from"),
+    TCP: ("address", "port"),
+    SERIAL: ("device", "baud"),
+}
 """Kind → parameters of the source's place that apply to it."""
 
 _UNIQUE_ROLES = (INS, GNSS, WEATHER)

@@ -87,7 +87,9 @@ class NmeaIn:
         """Yield the errors of places that only the user can clear."""
         for place, reader in self._readers.items():
             source = self._sources[place][0]
-            error = reader.failure and permanent_error(reader.failure, f"sources.{source.id}", source.config, _PARAMETER_NAMES)
+            error = reader.failure and permanent_error(
+                reader.failure, f"sources.{source.id}", source.config, _PARAMETER_NAMES
+            )
             if error:
                 yield error
 

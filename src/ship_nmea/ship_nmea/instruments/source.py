@@ -204,7 +204,9 @@ class Source:
         report, limit_ns = self._report, self.config.silent_after_s * NS_PER_S
         topics = " or ".join(self._required_topics)
         recent = [reason for reason, at_ns in report.rejected_ns.items() if now_ns - at_ns <= WARNING_NS]
-        wrong = "; ".join(f"{reason} {report.rejected[reason]}, as {report.last_rejected[reason]}" for reason in sorted(recent))
+        wrong = "; ".join(
+            f"{reason} {report.rejected[reason]}, as {report.last_rejected[reason]}" for reason in sorted(recent)
+        )
         if problem:
             return Level.ERROR, f"{self.config.place}: {problem}; retried"
         if not now_ns - self._received_ns <= limit_ns:
@@ -212,7 +214,10 @@ class Source:
         if not now_ns - self._published_ns <= limit_ns:
             others = f", of other talkers {_names(report.talkers)}" if report.talkers else ""
             why = wrong or f"received: {_names(report.unused, report.used) or 'no usable sentences'}{others}"
-            return Level.ERROR, f"lines come, but no {topics} for {(now_ns - self._published_ns) / NS_PER_S:.0f} s: {why}"
+            return (
+                Level.ERROR,
+                f"lines come, but no {topics} for {(now_ns - self._published_ns) / NS_PER_S:.0f} s: {why}",
+            )
         if now_ns - self._dropped_ns <= WARNING_NS:
             return Level.ERROR, f"overflow: input faster than processing; {self._dropped} lines were dropped"
         if now_ns - self._clock_problem_ns <= WARNING_NS:

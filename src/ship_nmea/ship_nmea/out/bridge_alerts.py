@@ -92,7 +92,9 @@ class BridgeAlerts:
         """Return what was sent, and what was not."""
         values = {name: str(count) for name, count in sorted(self._counts.items())}
         if is_played(self._runtime):
-            return DiagnosticStatus("alerts", Level.WARN, f"no alert is sent, heartbeat status V: {PLAYBACK_TEXT}", values)
+            return DiagnosticStatus(
+                "alerts", Level.WARN, f"no alert is sent, heartbeat status V: {PLAYBACK_TEXT}", values
+            )
         if not self._has_publisher():
             text = f"no publisher of {ALERTS.topic}: no list is sent, heartbeat status V"
             return DiagnosticStatus("alerts", Level.WARN, text, values)
@@ -173,7 +175,9 @@ class BridgeAlerts:
             self._refuse(sink, command, f"{ACKNOWLEDGE_SERVICE} is not available, or overloaded")
         else:
             future = self._acknowledger.call_async(AcknowledgeAlert.Request(id=key[0], instance=key[1]))
-            self._pending.append(_PendingAcknowledgement(future, time.monotonic_ns() + _RESPONSE_TIMEOUT_NS, command, sink))
+            self._pending.append(
+                _PendingAcknowledgement(future, time.monotonic_ns() + _RESPONSE_TIMEOUT_NS, command, sink)
+            )
 
     def _process_response(self, pending: _PendingAcknowledgement) -> None:
         response = pending.future.result()

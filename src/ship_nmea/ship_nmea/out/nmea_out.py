@@ -79,7 +79,9 @@ class NmeaOut:
             Sink(name, config, partial(self._alerts.receive_line, name)) for name, config in self._config.sinks.items()
         ]
         try:
-            runtime.require_one_open([sink.opening_error for sink in self._sinks if sink.opening_error], len(self._sinks))
+            runtime.require_one_open(
+                [sink.opening_error for sink in self._sinks if sink.opening_error], len(self._sinks)
+            )
         except ValueError:
             self.close()
             raise

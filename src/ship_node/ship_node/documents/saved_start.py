@@ -163,7 +163,9 @@ class SavedStart(Generic[Prior]):
         if known is not None and existing != self._origin:
             worse = less_certain_quantity(content, known)
             if worse:
-                return f"{self._kind.kind_name} not saved automatically: {path} has {worse}; ~/save_alignment replaces it"
+                return (
+                    f"{self._kind.kind_name} not saved automatically: {path} has {worse}; ~/save_alignment replaces it"
+                )
         self._write(path, content)
         return ""
 
@@ -190,13 +192,17 @@ class SavedStart(Generic[Prior]):
             reason = str(error)
             if number is not None and number not in _CONTENT_ERRORS:
                 self._is_file_kept = True
-                self.unreadable_reason = f"{reason}; not saved automatically until readable; ~/save_alignment replaces it"
+                self.unreadable_reason = (
+                    f"{reason}; not saved automatically until readable; ~/save_alignment replaces it"
+                )
                 return None, None
         try:
             self.unreadable_reason = f"{reason}; set aside as {self._files.set_aside(path)}"
         except OSError as error:
             self._is_file_kept = True
-            self.unreadable_reason = f"{reason}; it cannot be renamed ({error.strerror}): remove it, so that one can be saved"
+            self.unreadable_reason = (
+                f"{reason}; it cannot be renamed ({error.strerror}): remove it, so that one can be saved"
+            )
         return None, None
 
     def _write(self, path: Path, content: Prior) -> None:

@@ -95,7 +95,11 @@ class BatchAdapter(ReportingAdapter):
 
     def finish_batch(self, pending: PendingBatch) -> list[BatchOutput]:
         """Finish a batch whose messages are all committed; return its remaining outputs."""
-        feed, usual, known = self.feeds[pending.topic], pending.evaluated.checked.accepted_count, pending.reading.covariance_known
+        feed, usual, known = (
+            self.feeds[pending.topic],
+            pending.evaluated.checked.accepted_count,
+            pending.reading.covariance_known,
+        )
         assert feed.batch is not None
         samples = pending.reading.samples.some(slice(len(pending.receive_ns)))
         self._duplicates.add_batch(pending.topic, samples.times_ns, samples.rotations_nd)
@@ -126,7 +130,9 @@ class BatchAdapter(ReportingAdapter):
         if self.integrity_topic:
             redundancy_keys = list(zip(*self.redundancy_key(found), strict=True))
             directions, levels_before = self.directions(found), self.protection_level_messages
-            yield from outputs_with_levels(some.start, found, self.published_levels, redundancy_keys, directions, levels_before)
+            yield from outputs_with_levels(
+                some.start, found, self.published_levels, redundancy_keys, directions, levels_before
+            )
         else:
             yield BatchOutput(some.start, [], found)
         self.latest = self.pending_budget = found.one(len(found.time_ns) - 1)

@@ -148,6 +148,8 @@ def outputs_with_levels(
         yield BatchOutput(place + start, protection_level_messages(run.one(start)))
         rest = slice(start + 1, count)
         end = start + 1 + published.covered_count(run.time_ns[rest], run.covariance_n[rest], directions[rest])
-        end = next((other for other in range(start + 1, end) if redundancy_keys[other] != published.redundancy_key), end)
+        end = next(
+            (other for other in range(start + 1, end) if redundancy_keys[other] != published.redundancy_key), end
+        )
         yield BatchOutput(place + start, [], run if end - start == count else run.some(slice(start, end)))
         start = end

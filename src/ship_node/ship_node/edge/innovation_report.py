@@ -56,7 +56,9 @@ def clock_status(model: StateModel, mean: FloatArray, groups: Mapping[str, str])
         groups: see :func:`ship_estimation.innovation_diagnosis.clock_diagnoses`.
     """
     issues = clock_diagnoses(model, mean, groups)
-    return DiagnosticStatus("clocks", Level.WARN if issues else Level.OK, "; ".join(issues) or "within configured limits")
+    return DiagnosticStatus(
+        "clocks", Level.WARN if issues else Level.OK, "; ".join(issues) or "within configured limits"
+    )
 
 
 def _status(source: str, diagnosis: InnovationDiagnosis) -> DiagnosticStatus:

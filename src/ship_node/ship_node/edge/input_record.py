@@ -246,7 +246,9 @@ class InputRecords:
             record.reasons[Reason.COVARIANCE_UNKNOWN] += len(receive_ns)
             record.note_counts[Reason.COVARIANCE_UNKNOWN] += len(receive_ns)
 
-    def record_unreadable(self, topic: str, waiting_ns: int, receive_ns: int, stamp_ns: int, rejection: Rejection) -> None:
+    def record_unreadable(
+        self, topic: str, waiting_ns: int, receive_ns: int, stamp_ns: int, rejection: Rejection
+    ) -> None:
         """Record a message that could not be read; times as in :meth:`record_input`, and its stamp."""
         self.record_arrival(topic, waiting_ns)
         self.record_rejected(topic, rejection, receive_ns, stamp_ns)

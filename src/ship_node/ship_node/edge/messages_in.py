@@ -83,7 +83,9 @@ def stamp_ns(header: Any, receive_ns: int) -> int:
             ``receive_ns``.
     """
     if header.stamp.nanosec >= _SECOND_NS:
-        raise MessageRejected(Reason.BAD_STAMP, f"header.stamp.nanosec is {header.stamp.nanosec}: expected less than a second")
+        raise MessageRejected(
+            Reason.BAD_STAMP, f"header.stamp.nanosec is {header.stamp.nanosec}: expected less than a second"
+        )
     ns = int(header.stamp.sec) * _SECOND_NS + int(header.stamp.nanosec)
     if ns <= 0:
         raise MessageRejected(Reason.BAD_STAMP, f"header.stamp is {ns} ns: expected POSIX time")
@@ -176,7 +178,9 @@ def optional_sigma(sigma: float, largest: float) -> float | None:
     if math.isinf(sigma):
         raise MessageRejected(Reason.NON_FINITE, "sigma holds infinity")
     if not 0.0 < sigma <= largest:
-        raise MessageRejected(Reason.BAD_COVARIANCE, f"sigma is {sigma:.6g}: expected a positive number up to {largest:.3g}")
+        raise MessageRejected(
+            Reason.BAD_COVARIANCE, f"sigma is {sigma:.6g}: expected a positive number up to {largest:.3g}"
+        )
     return float(sigma)
 
 
@@ -233,7 +237,9 @@ def _covariance_of_bytes(content: bytes) -> FloatArray | None:
     if not all(differs <= COVARIANCE_TOLERANCE * limit for differs, limit in zip(asymmetry, limits, strict=True)):
         raise MessageRejected(Reason.BAD_COVARIANCE, f"is not symmetric: elements differ by {max(asymmetry):.3g}")
     xy, xz, yz = off_diagonal = [0.5 * one + 0.5 * other for one, other in zip(above, below, strict=True)]
-    if not all(abs(one) <= limit * (1.0 + COVARIANCE_TOLERANCE) for one, limit in zip(off_diagonal, limits, strict=True)):
+    if not all(
+        abs(one) <= limit * (1.0 + COVARIANCE_TOLERANCE) for one, limit in zip(off_diagonal, limits, strict=True)
+    ):
         raise MessageRejected(Reason.BAD_COVARIANCE, "is not positive semidefinite: a correlation exceeds 1")
     symmetric = np.array([[variances[0], xy, xz], [xy, variances[1], yz], [xz, yz, variances[2]]])
     if not _is_clearly_definite(off_diagonal, limits):
@@ -301,7 +307,9 @@ def imu_quaternion(message: Any, accept_unset_covariance: bool) -> FloatArray:
     """
     if message.orientation_covariance[0] == NOT_GIVEN and not accept_unset_covariance:
         text = "orientation_covariance[0] is -1: no orientation is given (sensor_msgs/Imu)"
-        raise MessageRejected(Reason.NOT_GIVEN, f"{text}; if the driver gives one nevertheless, set accept_unset_covariance")
+        raise MessageRejected(
+            Reason.NOT_GIVEN, f"{text}; if the driver gives one nevertheless, set accept_unset_covariance"
+        )
     return unit_quaternion(message.orientation)
 
 

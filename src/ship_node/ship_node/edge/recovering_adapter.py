@@ -102,7 +102,9 @@ class RecoveringAdapter(BatchAdapter):
             return
         for feed in self.table(self.config, candidate.core):
             topic = feed.input.topic
-            self.feeds[topic] = replace(self.feeds[topic], take=_process_in_both(self.feeds[topic].take, feed.take, candidate))
+            self.feeds[topic] = replace(
+                self.feeds[topic], take=_process_in_both(self.feeds[topic].take, feed.take, candidate)
+            )
 
     def report_input(
         self, feed: Feed, reading: ReadMessage[Any], outcome: Any, receive_ns: int, waiting_ns: int
@@ -142,13 +144,17 @@ class RecoveringAdapter(BatchAdapter):
     @property
     def idle_until_ns(self) -> int:
         """See :class:`BatchAdapter`."""
-        return min(super().idle_until_ns, 0 if self._last_decision_ns is None else self._last_decision_ns + _DECISION_PERIOD_NS)
+        return min(
+            super().idle_until_ns, 0 if self._last_decision_ns is None else self._last_decision_ns + _DECISION_PERIOD_NS
+        )
 
     def _update_duplicate_publishers(self, topic: str) -> None:
         super()._update_duplicate_publishers(topic)
         candidate, feed = self.recovery.candidate, self.feeds[topic]
         if candidate is not None and not self.is_off(topic):
-            candidate.core.set_duplicate_publishers(feed.measurement_source or feed.source, self._duplicates.text(topic))
+            candidate.core.set_duplicate_publishers(
+                feed.measurement_source or feed.source, self._duplicates.text(topic)
+            )
 
     # -- once a second --------------------------------------------------------------------------------------
 
@@ -171,7 +177,9 @@ class RecoveringAdapter(BatchAdapter):
     def _decide(self, now_ns: int, waiting_ns: int) -> list[OutputMessage]:
         """Let the recovery decide; return the messages of an adoption or of a failure of the second estimator."""
         present_sources, before = self._present_sources(waiting_ns), self.recovery.candidate
-        is_as_expected = self._is_valid_or_above_limit() or self.behind is not None or not self.can_be_valid(present_sources)
+        is_as_expected = (
+            self._is_valid_or_above_limit() or self.behind is not None or not self.can_be_valid(present_sources)
+        )
         published: list[OutputMessage] = []
         if before is not None and before.failure is not None:
             published.append(self.report_failure(_RECOVERY, now_ns, before.failure))

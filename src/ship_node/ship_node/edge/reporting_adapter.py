@@ -153,7 +153,9 @@ class ReportingAdapter(ABC):
         self._estimate_messages, self.saved = estimate_messages, saved
         self._bind()
         self._off_topics = self._disabled_topics(config)
-        continuous = {topic: feed.stream_quantity for topic, feed in self.feeds.items() if feed.stream_quantity is not None}
+        continuous = {
+            topic: feed.stream_quantity for topic, feed in self.feeds.items() if feed.stream_quantity is not None
+        }
         self._duplicates = DuplicatePublishers(continuous)
         self.inputs: tuple[InputTopic, ...] = tuple(feed.input for feed in self.feeds.values())
         self.health = InputHealthMonitor(self.inputs, config.max_age_s)
@@ -301,7 +303,9 @@ class ReportingAdapter(ABC):
         """Return True if the source of a topic is switched off by ``sources_off``."""
         return topic in self._off_topics
 
-    def report_off_source(self, feed: Feed, reading: ReadMessage[Any], receive_ns: int, waiting_ns: int) -> list[OutputMessage]:
+    def report_off_source(
+        self, feed: Feed, reading: ReadMessage[Any], receive_ns: int, waiting_ns: int
+    ) -> list[OutputMessage]:
         """Record a message of a source that is switched off and return the messages about it."""
         self.health.record_input(feed.input.topic, waiting_ns, receive_ns, reading, _SOURCE_OFF, is_used=False)
         return [self.rejection_message(feed.source, reading.value.time_ns, _SOURCE_OFF)]
@@ -492,7 +496,9 @@ class ReportingAdapter(ABC):
         if self.saved is None or not self.saved.is_autosave_time(waiting_ns, self.config.alignment_autosave_s):
             return
         # A source in conflict or excluded may have biased the state before its rejection.
-        is_suspect = self.conflicts or (self.published_levels.report is not None and self.published_levels.report.excluded)
+        is_suspect = self.conflicts or (
+            self.published_levels.report is not None and self.published_levels.report.excluded
+        )
         if self.latest is not None and self.latest.status is Status.VALID and not is_suspect:
             self.saved.autosave()
 
@@ -508,7 +514,11 @@ class ReportingAdapter(ABC):
 
     def protection_level_messages(self, estimate: Any) -> list[OutputMessage]:
         """Return the protection levels of an output if the published ones do not cover it."""
-        published, redundancy_key, directions = self.published_levels, self.redundancy_key(estimate), self.directions(estimate)
+        published, redundancy_key, directions = (
+            self.published_levels,
+            self.redundancy_key(estimate),
+            self.directions(estimate),
+        )
         # Runs for every output: the fast check comes first.
         if published.state is estimate.state and published.redundancy_key == redundancy_key:
             output = np.array([estimate.time_ns]), estimate.covariance_n[None], directions[None]
@@ -526,7 +536,10 @@ class ReportingAdapter(ABC):
         """Return remarks on the saved document: on the start from it, and on obstacles to saving."""
         if self.saved is None:
             return []
-        return [*self.saved.messages, *filter(None, dict.fromkeys([self.saved.unreadable_reason, self.saved.autosave_problem]))]
+        return [
+            *self.saved.messages,
+            *filter(None, dict.fromkeys([self.saved.unreadable_reason, self.saved.autosave_problem])),
+        ]
 
     def integrity_statuses(self) -> list[DiagnosticStatus]:
         """Return one status with the published protection levels and the excluded sources."""

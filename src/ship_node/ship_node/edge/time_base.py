@@ -159,7 +159,9 @@ class TimeBase:
             return None
         interval_ns, clock.arrival_ns = waiting_ns - clock.arrival_ns, waiting_ns
         clock.period_ns += (interval_ns - clock.period_ns) / (8.0 if clock.period_ns else 1.0)
-        nothing_moves = self._candidate is None and self._computer is None and not (clock.moved_ns or clock.own_offset_ns)
+        nothing_moves = (
+            self._candidate is None and self._computer is None and not (clock.moved_ns or clock.own_offset_ns)
+        )
         if nothing_moves and abs(offset_ns - clock.level_ns) < _MIN_STEP_NS:
             # This is the case for nearly all messages.
             clock.level_ns = offset_ns
@@ -275,7 +277,11 @@ class TimeBase:
             is_recent = clock.last_delay_ns and waiting_ns - clock.last_delay_at_ns <= _FOLLOWS_WITHIN_NS
             if is_recent and not clock.moved_ns and _are_equal(clock.last_delay_ns, first.moved_ns):
                 clock.level_ns -= clock.last_delay_ns
-                clock.moved_ns, clock.moved_since_ns, clock.last_delay_ns = clock.last_delay_ns, clock.last_delay_at_ns, 0
+                clock.moved_ns, clock.moved_since_ns, clock.last_delay_ns = (
+                    clock.last_delay_ns,
+                    clock.last_delay_at_ns,
+                    0,
+                )
                 found.add(name)
         return found
 

@@ -85,7 +85,9 @@ class Backlog:
         steady_ns = self._steady_ns()
         since_long_ns = steady_ns - self._last_long_ns
         # Scaled by the rate of /clock since the last long wait; a slow or stopped clock shortens no waiting time.
-        if waited_ns * since_long_ns > SHORT_QUEUE_TIME_NS * max(since_long_ns, running_ns - self._last_long_running_ns):
+        if waited_ns * since_long_ns > SHORT_QUEUE_TIME_NS * max(
+            since_long_ns, running_ns - self._last_long_running_ns
+        ):
             self._last_long_ns, self._last_long_running_ns, since_long_ns = steady_ns, running_ns, 0
         if since_long_ns < RECOVERED_AFTER_NS:
             return OverloadChange.NONE

@@ -331,7 +331,9 @@ class LiveNode:
         self._events.note_event()
         for topic in self._subscriptions:
             self._check_publishers(topic)
-        self.adapter.health.set_clock_unused(not self._clock.is_simulated() and self.node.count_publishers("/clock") > 0)
+        self.adapter.health.set_clock_unused(
+            not self._clock.is_simulated() and self.node.count_publishers("/clock") > 0
+        )
         statuses = [self._clock.status(), name_status(self.node), self._events.status()]
         self._status_log.update([*statuses, stamps_status(self.adapter.health)])
         statuses += [self._guard.status(), self._parameters.status()]

@@ -156,7 +156,9 @@ class StatusLog:
             previous = (before or {}).get(status.name, _LoggedStatus(Level.OK, set()))
             is_change = status.level is not previous.level
             now[status.name] = logged = _LoggedStatus(status.level, set()) if is_change else previous
-            is_new = reason not in logged.reasons and len(logged.reasons) < _MOST_REASONS and status.level is not Level.OK
+            is_new = (
+                reason not in logged.reasons and len(logged.reasons) < _MOST_REASONS and status.level is not Level.OK
+            )
             if (is_change or is_new) and (before is not None or status.level is Level.ERROR):
                 self._log(status.level, f"{status.name}: {status.message}")
             if is_new:

@@ -140,7 +140,9 @@ class NodeParameters:
                     USE_SIM_TIME,
                 )
             # The suite's own check comes first: its text contains the unit.
-            with_changes(self.config, {name: value for name, value in requested.items() if not self._is_runtime_parameter(name)})
+            with_changes(
+                self.config, {name: value for name, value in requested.items() if not self._is_runtime_parameter(name)}
+            )
             result = take(parameters)
         except (ParameterError, ParameterNotDeclaredException) as error:
             result = SetParametersResult(successful=False, reason=str(error))

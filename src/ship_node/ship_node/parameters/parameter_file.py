@@ -71,7 +71,9 @@ def read_node_parameters(source: Path | str, node: str) -> ParameterFile:
     if not fitting:
         _refuse_similar_sections(name, sections, node)
         expected = f"expected '{in_any_namespace(_base_name(node))}' or '/**'"
-        raise BadInput(f"no section for node '{_base_name(node)}': {expected}, found {_section_names(sections)}", file=name)
+        raise BadInput(
+            f"no section for node '{_base_name(node)}': {expected}, found {_section_names(sections)}", file=name
+        )
     exact = sorted({section.node for section in fitting if "*" not in section.node})
     if len(exact) > 1:
         reason = f"sections {' and '.join(exact)} both fit node '{_base_name(node)}': keep one in this file"
@@ -142,7 +144,9 @@ def has_section(source: Path | str, node: str, wildcards: bool = True) -> bool:
         BadInput: the file cannot be read or is not a parameter file.
     """
     _, sections = read_sections(source)
-    return any(wildcards or _base_name(section.node) == _base_name(node) for section in _matching_sections(sections, node))
+    return any(
+        wildcards or _base_name(section.node) == _base_name(node) for section in _matching_sections(sections, node)
+    )
 
 
 def unknown_sections(source: Path | str, nodes: Collection[str]) -> list[str]:
@@ -174,7 +178,9 @@ def _similar_sections(sections: list[Section], node: str) -> list[Section]:
     """Return the sections that do not match a node but have its name, or else nearly its name."""
     others = [section for section in sections if not _matches_node(section.node, node)]
     same = [section for section in others if _base_name(section.node) == _base_name(node)]
-    return same or [section for section in others if _similarity(_base_name(section.node), _base_name(node)) >= _MIN_SIMILARITY]
+    return same or [
+        section for section in others if _similarity(_base_name(section.node), _base_name(node)) >= _MIN_SIMILARITY
+    ]
 
 
 def _similarity(one: str, other: str) -> float:

@@ -112,7 +112,9 @@ class AxisSightings:
         return list(dict.fromkeys(key for row in self.rows.values() for key in row.correlated_effects))
 
     def _has_effect(self, key: tuple[str, float], stamps: list[int]) -> bool:
-        effects = [self.rows[stamp].correlated_effects[key] for stamp in stamps if key in self.rows[stamp].correlated_effects]
+        effects = [
+            self.rows[stamp].correlated_effects[key] for stamp in stamps if key in self.rows[stamp].correlated_effects
+        ]
         return bool(np.max(np.abs(effects)) > _LEAST_EFFECT_ARCSEC * ARCSEC)
 
     @staticmethod

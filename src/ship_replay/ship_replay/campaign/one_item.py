@@ -77,7 +77,9 @@ def _as_result(evaluation: Evaluation, summary: ReplaySummary) -> Result:
         "error": None,
         "errors": {errors.label: _statistics(errors) for errors in evaluation.errors},
         "values": _json_values(evaluation.quantities()),
-        "statuses": {topic: dict(sorted(history.counts.items())) for topic, history in sorted(summary.status_histories.items())},
+        "statuses": {
+            topic: dict(sorted(history.counts.items())) for topic, history in sorted(summary.status_histories.items())
+        },
         "refused": {topic: dict(sorted(reasons.items())) for topic, reasons in sorted(summary.rejected.items())},
     }
 

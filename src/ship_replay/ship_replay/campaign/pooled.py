@@ -131,7 +131,8 @@ def _pool(name: str, item_results: list[ItemResult]) -> Pool:
             for label in labels
         ],
         shares={
-            topic: {word: count / statuses_of_topic.total() for word, count in statuses_of_topic.items()} for topic, statuses_of_topic in counts.items()
+            topic: {word: count / statuses_of_topic.total() for word, count in statuses_of_topic.items()}
+            for topic, statuses_of_topic in counts.items()
         },
         refused=sum(sum(reasons.values()) for result in results for reasons in result["refused"].values()),
     )
@@ -150,7 +151,11 @@ def _pooled_errors(label: str, parts: list[dict[str, Any]]) -> PooledErrors:
     # Errors are correlated within a run: weight by the number of independent ones.
     with_nees = [part for part in parts if part["nees_mean"] is not None]
     independent = math.fsum(part["nees_independent"] for part in with_nees)
-    mean = math.fsum(part["nees_mean"] * part["nees_independent"] for part in with_nees) / independent if with_nees else math.nan
+    mean = (
+        math.fsum(part["nees_mean"] * part["nees_independent"] for part in with_nees) / independent
+        if with_nees
+        else math.nan
+    )
     count = round(math.fsum(part["nees_count"] for part in with_nees))
     fit = mean_nees_fit(label, mean, count, independent)
     return PooledErrors(label, len(parts), round(math.fsum(samples)), channels, fit, nees_band(independent))

@@ -54,7 +54,9 @@ def run_in_processes(make: Make, items: Sequence[Item], workers: int) -> Iterato
                     if failure_counts[item.key] < MAX_WORKER_FAILURES:
                         waiting.append(item)
                         continue
-                    result = failed_result(f"its worker died {MAX_WORKER_FAILURES} times, the last time with {worker.exit_text}")
+                    result = failed_result(
+                        f"its worker died {MAX_WORKER_FAILURES} times, the last time with {worker.exit_text}"
+                    )
                 yield item, result
     finally:
         for worker in running.values():
@@ -80,7 +82,9 @@ class _Worker:
         self.item = item
         self._folder = TemporaryDirectory(prefix="campaign-")
         self.connection, write_end = context.Pipe(duplex=False)
-        self._process = context.Process(target=_serve, args=(make, item, Path(self._folder.name), write_end), daemon=True)
+        self._process = context.Process(
+            target=_serve, args=(make, item, Path(self._folder.name), write_end), daemon=True
+        )
         self._process.start()
         # With this end closed here, the pipe ends if the process dies.
         write_end.close()

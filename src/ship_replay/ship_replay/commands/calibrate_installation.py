@@ -67,7 +67,9 @@ def _run(options: argparse.Namespace) -> int:
     check_file(options.out, options.force)
     if options.report is not None:
         check_folder(options.report, ("installation.json", "installation.png"), options.force)
-    session = run_session(options.bag, options.config, options.prior_sigma, options.namespace, progress=with_bag_progress)
+    session = run_session(
+        options.bag, options.config, options.prior_sigma, options.namespace, progress=with_bag_progress
+    )
     calibration = calibrate(session)
     ALIGNMENT_FILE.save(options.out, calibration.prior)
     print_calibration(calibration, table_console())

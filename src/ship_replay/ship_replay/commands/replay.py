@@ -93,7 +93,9 @@ def _run(options: argparse.Namespace) -> int:
             verification = verify_bag(bag, ADAPTERS, options.config, options.namespace, _with_progress)
     if options.out is not None and not is_box:
         arrival = by_stamps, options.one_by_one
-        _print_summary(replay(options.bag, options.out, ADAPTERS, options.config, options.namespace, _with_progress, *arrival))
+        _print_summary(
+            replay(options.bag, options.out, ADAPTERS, options.config, options.namespace, _with_progress, *arrival)
+        )
     if options.report is not None:
         _report(options)
     return EXIT_DONE if verification is None else _print_verification(verification, options.verify)

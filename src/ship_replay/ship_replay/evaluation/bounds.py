@@ -78,7 +78,9 @@ class CheckedBound:
         """Result in one line."""
         limits = [f">= {self.least:g}"] if math.isfinite(self.least) else []
         limits += [f"<= {self.greatest:g}"] if math.isfinite(self.greatest) else []
-        return f"{'met' if self.is_met else 'NOT MET'}: {self.quantity} = {self.value:.6g}, bound {' and '.join(limits)}"
+        return (
+            f"{'met' if self.is_met else 'NOT MET'}: {self.quantity} = {self.value:.6g}, bound {' and '.join(limits)}"
+        )
 
 
 def read_bounds(path: Path) -> Bounds:

@@ -104,7 +104,9 @@ class AttitudeSource(ABC):
         )
         return [attitude_errors(self.label, self._truth.orientation, time_ns, estimates, truths, covariances)]
 
-    def _add_sample(self, time_ns: int, estimate_nd: FloatArray, truth_nd: FloatArray, covariance_n: FloatArray) -> None:
+    def _add_sample(
+        self, time_ns: int, estimate_nd: FloatArray, truth_nd: FloatArray, covariance_n: FloatArray
+    ) -> None:
         self._time_ns.append(time_ns)
         self._estimates.append(estimate_nd)
         self._truths.append(truth_nd)

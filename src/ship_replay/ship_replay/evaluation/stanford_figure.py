@@ -86,7 +86,9 @@ def _common_limit(limits: FloatArray, name: str) -> float:
     different = np.unique(limits)
     if len(different) > 1:
         limits_text = " and ".join(f"{limit:g}" for limit in different[:3])
-        raise BadInput(f"no figure: the alert limit of {name} is {limits_text} arcsec: set a common one by --alert-limit")
+        raise BadInput(
+            f"no figure: the alert limit of {name} is {limits_text} arcsec: set a common one by --alert-limit"
+        )
     return float(different[0]) if len(different) else math.inf
 
 

@@ -146,6 +146,8 @@ def identify(session: NoiseSession) -> Identification:
         text = f"{len(record.times_s)} epochs of stars: expected at least {_LEAST_EPOCHS}, better hours of them"
         raise BadInput(f"{session.name}: {text}")
     place = mean_location(session.comparisons)
-    fitted = sorted((fit(record, model) for model in candidate_models(session.config.ins, place)), key=lambda one: one.aic)
+    fitted = sorted(
+        (fit(record, model) for model in candidate_models(session.config.ins, place)), key=lambda one: one.aic
+    )
     outages = {one.model.name: outage_checks(record, one) for one in fitted}
     return Identification(session, record, fitted, outages)

@@ -74,7 +74,9 @@ class EpochFilter:
         observed_size, information, count = self._observed_size, self._information, len(self._record.times_s)
         matrices = information[:, :, :observed_size, :observed_size]
         # Information vector of an epoch on the states, and its derivatives with respect to the constants.
-        vectors = np.concatenate([information[:, :, :observed_size, -1:], -information[:, :, :observed_size, observed_size:-1]], axis=-1)
+        vectors = np.concatenate(
+            [information[:, :, :observed_size, -1:], -information[:, :, :observed_size, observed_size:-1]], axis=-1
+        )
         transitions, back = self._transition, np.swapaxes(self._transition, -1, -2)
         size, columns = self._start.shape[-1], vectors.shape[-1]
         self._means = np.zeros((self._sets, count, size, columns))
@@ -94,7 +96,9 @@ class EpochFilter:
             solved = np.linalg.solve(spread, np.concatenate([matrix, rest], axis=-1))
             self._before[:, epoch], self._spreads[:, epoch] = before, spread
             mean = mean + observed_covariance @ solved[:, :, observed_size:]
-            covariance = covariance - observed_covariance @ solved[:, :, :observed_size] @ np.swapaxes(observed_covariance, -1, -2)
+            covariance = covariance - observed_covariance @ solved[:, :, :observed_size] @ np.swapaxes(
+                observed_covariance, -1, -2
+            )
             # Without this, asymmetry by rounding grows from step to step.
             covariance = 0.5 * (covariance + np.swapaxes(covariance, -1, -2))
             self._means[:, epoch], self._covariances[:, epoch] = mean, covariance

@@ -23,7 +23,11 @@ def parameter_file_text(identification: Identification) -> str:
     for name, value in best.model.configured_values.items():
         values[name] = _number(value), "as configured"
     head = [f"By identify_noise from {session.name}. {identification.model_choice}.", *identification.warnings]
-    lines = [*(f"# {line}" for line in head), f"{in_any_namespace(ShipAttitudeAdapter.node_name)}:", f"  {PARAMETERS_KEY}:"]
+    lines = [
+        *(f"# {line}" for line in head),
+        f"{in_any_namespace(ShipAttitudeAdapter.node_name)}:",
+        f"  {PARAMETERS_KEY}:",
+    ]
     return "\n".join([*lines, "    ins:", *_nested(values)]) + "\n"
 
 

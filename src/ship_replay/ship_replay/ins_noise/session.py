@@ -91,7 +91,9 @@ class StarComparisons:
             # The INS is levelled by gravity: the given deflection is no error of the INS.
             attitude = core.filter.model.slices["ins.attitude"]
             value = value - linear.jacobian[:, attitude] @ (here.deflection_jacobian @ here.given_deflection)
-        self.accepted[key] = StarComparison(measurement.time_ns, measurement.source, value, linear.jacobian, linear.noise, here)
+        self.accepted[key] = StarComparison(
+            measurement.time_ns, measurement.source, value, linear.jacobian, linear.noise, here
+        )
 
 
 @dataclass(frozen=True)
@@ -122,7 +124,9 @@ def noise_session(
 ) -> NoiseSession:
     """Return the session of a core that has processed a whole bag."""
     pairs = sorted(comparisons.accepted.values(), key=lambda pair: (pair.time_ns, pair.source))
-    return NoiseSession(name, config, core.filter.model, pairs, dict(core.state.common_n), len(comparisons.rejected), problems)
+    return NoiseSession(
+        name, config, core.filter.model, pairs, dict(core.state.common_n), len(comparisons.rejected), problems
+    )
 
 
 def run_session(
@@ -162,7 +166,9 @@ def run_session(
             return []
 
     with read_bag(bag_path) as bag:
-        chain, left_out = suite_chain(bag, (DecisionRecorder, StarAttitudeAdapter), RosbagsFactory(), config_path, namespace)
+        chain, left_out = suite_chain(
+            bag, (DecisionRecorder, StarAttitudeAdapter), RosbagsFactory(), config_path, namespace
+        )
         if not adapters or not adapters[0].config.star_sensors:
             text = f"the configuration has no star_sensors of {ShipAttitudeAdapter.node_name}: the error of"
             raise BadInput(f"{text} the INS is not observable", file=bag.path)
@@ -187,7 +193,9 @@ def session_config(config: ShipAttitudeConfig) -> ShipAttitudeConfig:
     modelled, whether it is relevant or not.
     """
     gravity = config.gravity if config.gravity.is_modelled else GravityConfig(deflection=UNKNOWN)
-    return replace(config, ins=_with_wider_sigmas(config.ins), gravity=gravity, references={}, alignment_file="", sources_off=())
+    return replace(
+        config, ins=_with_wider_sigmas(config.ins), gravity=gravity, references={}, alignment_file="", sources_off=()
+    )
 
 
 def _with_wider_sigmas(ins: InsConfig) -> InsConfig:

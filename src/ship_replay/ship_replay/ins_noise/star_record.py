@@ -113,7 +113,9 @@ def star_record(session: NoiseSession, most_epochs: int = MOST_EPOCHS) -> StarRe
         gains[epoch // every] = _white_gain(pair, model)
         log_constant -= 0.5 * (len(pair.value) * np.log(2.0 * np.pi) + float(np.linalg.slogdet(pair.noise)[1]))
     times_s = (kept - kept[0]) / SECOND_NS
-    return StarRecord(times_s, information, gains, log_constant, others.time_varying, others.constants, others.names, every)
+    return StarRecord(
+        times_s, information, gains, log_constant, others.time_varying, others.constants, others.names, every
+    )
 
 
 def _columns(pair: StarComparison, model: StateModel, others: "_OtherStates") -> FloatArray:
@@ -163,7 +165,11 @@ def _other_states(session: NoiseSession) -> _OtherStates:
     count = len(moving)
     walking = np.where(np.isinf(time_s[moving]), walk[moving], 0.0) / scale[:count]
     return _OtherStates(
-        rows, scale, tuple(names[rows]), TimeVaryingStates(scaled[:count, :count], time_s[moving], walking), scaled[count:, count:]
+        rows,
+        scale,
+        tuple(names[rows]),
+        TimeVaryingStates(scaled[:count, :count], time_s[moving], walking),
+        scaled[count:, count:],
     )
 
 

@@ -70,7 +70,9 @@ def black_box_config(bag: Bag, adapter_class: type[Adapter], config_path: Path |
     _check_versions(bag, adapter_class, config_path, notes)
     name = adapter_class.node_name
     # Its own parameters fit in any namespace; a file must fit the node's full name.
-    node = in_any_namespace(name) if config_path is None else full_name(name, bag.metadata[METADATA].get("namespace", ""))
+    node = (
+        in_any_namespace(name) if config_path is None else full_name(name, bag.metadata[METADATA].get("namespace", ""))
+    )
     config = _without_later_parameters(suite_config(bag, adapter_class, config_path, node), bag, node, config_path)
     if config_path is not None:
         changes = _parameter_changes(bag, config, adapter_class)
@@ -137,9 +139,15 @@ def _without_later_parameters(config: Any, bag: Bag, node: str, config_path: Pat
     A black box holds all parameters of its node, defaults included, so a missing one was unknown to it. A file may
     still set such a parameter.
     """
-    known = _recorded_parameters(bag) | (set() if config_path is None else set(read_node_parameters(config_path, node).lines))
+    known = _recorded_parameters(bag) | (
+        set() if config_path is None else set(read_node_parameters(config_path, node).lines)
+    )
     values = flatten(config)
-    off = {name: _OFF_VALUES[last] for name in values if (last := name.rpartition(".")[2]) in _OFF_VALUES and name not in known}
+    off = {
+        name: _OFF_VALUES[last]
+        for name in values
+        if (last := name.rpartition(".")[2]) in _OFF_VALUES and name not in known
+    }
     return build(type(config), nest(values | off)) if off else config
 
 
@@ -174,7 +182,10 @@ def _version_differences(there: dict[str, Any], here: dict[str, Any]) -> str:
 def _parameter_changes(bag: Bag, config: Any, adapter_class: type[Adapter]) -> str:
     """Return the parameters that differ from those of the black box, as text; empty if it does not contain its own."""
     try:
-        own, now = flatten(suite_config(bag, adapter_class, None, in_any_namespace(adapter_class.node_name))), flatten(config)
+        own, now = (
+            flatten(suite_config(bag, adapter_class, None, in_any_namespace(adapter_class.node_name))),
+            flatten(config),
+        )
     except BadInput:
         return ""
     names = sorted(name for name in own.keys() | now.keys() if own.get(name) != now.get(name))

@@ -229,7 +229,9 @@ class _BlackBoxReplay:
         elif isinstance(event, ChangeRefused):
             self._result.input_counts["parameters refused"] += 1
         elif isinstance(event, EntriesLost):
-            self._result.incomplete_reason = f"the disk was too slow or full for {event.count} entries at {utc_text(time_ns)}"
+            self._result.incomplete_reason = (
+                f"the disk was too slow or full for {event.count} entries at {utc_text(time_ns)}"
+            )
         elif isinstance(event, Closed):
             self._check_no_pending_outputs(time_ns)
             self._closed = True
@@ -285,7 +287,9 @@ class _BlackBoxReplay:
         topic, replayed = self._pending_outputs.popleft() if self._pending_outputs else ("", None)
         if topic != record.topic:
             replayed_text = f"a message on {topic}" if topic else "nothing"
-            self._result.add_difference(Difference(record.topic, stamp_of(recorded, time_ns), "", "a message", replayed_text))
+            self._result.add_difference(
+                Difference(record.topic, stamp_of(recorded, time_ns), "", "a message", replayed_text)
+            )
         else:
             self._result.add(topic, message_difference(topic, recorded, replayed, time_ns))
 

@@ -69,7 +69,9 @@ class BlockRun(ReplayRun):
         self._count_messages(events, event_records, rows)
         node_outputs: list[NodeOutputs] = []
         for adapter, input_topics in zip(self._chain.adapters, self._chain.input_topics, strict=True):
-            forwarded = self._forwarded_messages(adapter, node_outputs, input_topics, events) if self._chain.linked else {}
+            forwarded = (
+                self._forwarded_messages(adapter, node_outputs, input_topics, events) if self._chain.linked else {}
+            )
             node_outputs.append(NodePass(adapter, input_topics, events, rows, forwarded).run())
             self._add_message_batches(len(node_outputs) - 1, node_outputs[-1], events)
         self._publish_batch(events, event_records, node_outputs, self._truth(events, event_records))
@@ -109,7 +111,9 @@ class BlockRun(ReplayRun):
                 self._decode(events[place], record)
         return rows
 
-    def _truth(self, events: list[InputEvent], event_records: list[BagRecord | None]) -> dict[int, AttitudeSample | None]:
+    def _truth(
+        self, events: list[InputEvent], event_records: list[BagRecord | None]
+    ) -> dict[int, AttitudeSample | None]:
         """Return event index → sample of the truth, where truth messages are read as a block."""
         found: dict[int, AttitudeSample | None] = {}
         for errors in self._errors:
@@ -142,7 +146,9 @@ class BlockRun(ReplayRun):
         rows = np.frombuffer(b"".join([record.data for record in records]), dtype=np.uint8).reshape(len(records), -1)
         return CdrRows(template, rows) if template.matching_rows(rows).all() else None
 
-    def _count_messages(self, events: list[InputEvent], event_records: list[BagRecord | None], rows: dict[str, TopicBlock]) -> None:
+    def _count_messages(
+        self, events: list[InputEvent], event_records: list[BagRecord | None], rows: dict[str, TopicBlock]
+    ) -> None:
         """Add the messages to the statistics of the inputs."""
         for topic, (messages, times_ns, _) in rows.items():
             stamps_ns = stamps_of_rows(messages.numbers)

@@ -181,7 +181,9 @@ def exceeded_limits(config: Any, times: dict[str, MessageTimes], source: str) ->
         # All gaps may be shorter than the resolution.
         share = times_s[lengths_s > allowed_s].sum() / max(times_s.sum(), 1e-9)
         if share > _MIN_REPORTED_SHARE:
-            yield ExceededLimit(limit, _limit_text(limit, allowed_s, lengths_s, counts, source), share > _MAJORITY_SHARE)
+            yield ExceededLimit(
+                limit, _limit_text(limit, allowed_s, lengths_s, counts, source), share > _MAJORITY_SHARE
+            )
 
 
 def _between_stamps(topic: str, parameter: str, meaning: str) -> GapLimit:

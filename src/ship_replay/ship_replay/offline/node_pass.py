@@ -238,5 +238,7 @@ class NodePass:
             if part.estimates is not None:
                 places = self._batch_indices[part.place : part.place + len(part.estimates.time_ns)]
                 orders = np.full(len(places), self._order)
-                self.outputs.estimates.append(EstimateBatch(self._block_adapter.main_topic, places, orders, part.estimates))
+                self.outputs.estimates.append(
+                    EstimateBatch(self._block_adapter.main_topic, places, orders, part.estimates)
+                )
                 self._order += 1

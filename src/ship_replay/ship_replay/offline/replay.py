@@ -86,7 +86,9 @@ def replay(
         last_ns = bag.last_time_ns if run.last_time_ns is None else run.last_time_ns
         for adapter in chain.adapters:
             health = adapter.health.messages(factory, last_ns)
-            _summarise_node(summary, adapter, chain.configs[adapter.node_name], health, is_alone=len(chain.adapters) == 1)
+            _summarise_node(
+                summary, adapter, chain.configs[adapter.node_name], health, is_alone=len(chain.adapters) == 1
+            )
         summary.problems = left_out + bag.problems
         summary.duration_s = (bag.last_time_ns - bag.start_ns) / NS_PER_S
     summary.elapsed_s = time.monotonic() - started_s

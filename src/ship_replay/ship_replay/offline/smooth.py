@@ -209,7 +209,9 @@ def smooth(
         if ship is not None:
             summary.outputs.append(SmoothedOutput(SMOOTHED_TOPIC, ATTITUDE_TYPE, ("heading", "pitch", "roll")))
             estimates = itertools.chain(ship.finished_estimates, ship.core.smooth_remaining())
-            attitudes = _smoothed_attitudes(estimates, real_time.attitudes, factory, ship.config.frames, summary.outputs[-1])
+            attitudes = _smoothed_attitudes(
+                estimates, real_time.attitudes, factory, ship.config.frames, summary.outputs[-1]
+            )
         if axis is not None:
             # The attitudes are both an input and an output.
             attitudes = list(attitudes)

@@ -95,7 +95,9 @@ class BagCheck:
     @property
     def usable(self) -> dict[str, str]:
         """Relative topic → name in the bag, for topics with the same message definition here."""
-        return {topic: name for topic, name in self.topic_names.items() if self.bag.topics[name] not in self.bag.differences}
+        return {
+            topic: name for topic, name in self.topic_names.items() if self.bag.topics[name] not in self.bag.differences
+        }
 
     def report(self, is_error: bool, text: str) -> None:
         """Add a finding once: two nodes may share a parameter."""
@@ -132,7 +134,9 @@ def check_file(
         raise BadInput(f"no section for a node of this suite: {_expected(adapter_classes)}, found {found}", file=path)
     if not misfits:
         expected_text = _expected(adapter_classes)
-        findings.warnings += [f"{path}: section '{name}' fits no node of this suite: {expected_text}" for name in strange]
+        findings.warnings += [
+            f"{path}: section '{name}' fits no node of this suite: {expected_text}" for name in strange
+        ]
     named = [kind for kind in nodes_of(path, adapter_classes, namespace) if has_section(path, names[kind])]
     checked = (_check_node(path, kind, names[kind], findings) for kind in named)
     nodes = [node for node in checked if node is not None]
@@ -257,7 +261,9 @@ def _skies(one: Any, other: Any) -> Iterator[tuple[str, Any, Any]]:
     The sky must be the same because errors shared by solutions and other sensors are separated by it.
     """
     if _needs_sky(one) and _needs_sky(other):
-        for name in (field.name for field in dataclasses.fields(SkyConfig) if field.name not in _NODE_SPECIFIC_SKY_PARAMETERS):
+        for name in (
+            field.name for field in dataclasses.fields(SkyConfig) if field.name not in _NODE_SPECIFIC_SKY_PARAMETERS
+        ):
             yield f"sky.{name}", getattr(one.sky, name), getattr(other.sky, name)
 
 

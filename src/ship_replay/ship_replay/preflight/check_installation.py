@@ -238,7 +238,9 @@ def _focal_length_m(config: OpticalAxisConfig, bag: Bag, usable: dict[str, str])
     images, baselines = _collect_images(config, bag, usable)
     ratios_m: list[float] = []
     for time_ns, points_m in images:
-        lines = {id_: line for id_ in points_m if (line := _nearest_direction(baselines.get(id_, []), time_ns)) is not None}
+        lines = {
+            id_: line for id_ in points_m if (line := _nearest_direction(baselines.get(id_, []), time_ns)) is not None
+        }
         for one, other in combinations(sorted(lines), 2):
             angle = float(angle_between(lines[one], lines[other]))
             distance_m = float(np.linalg.norm(points_m[one] - points_m[other]))

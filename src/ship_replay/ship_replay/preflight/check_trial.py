@@ -105,7 +105,9 @@ def _check_use(check: BagCheck, node: CheckedNode, last_ns: int, span: str) -> N
             check.findings.warnings.append(line_text)
         else:
             share = f" ({100.0 * health.rejected / health.received:.0f} % not used)"
-            check.findings.unused_inputs.append(line_text + share + _reason_and_advice(records[health.topic].last_rejection, word))
+            check.findings.unused_inputs.append(
+                line_text + share + _reason_and_advice(records[health.topic].last_rejection, word)
+            )
 
 
 def _reason_names(reasons: Sequence[Reason]) -> Iterator[str]:

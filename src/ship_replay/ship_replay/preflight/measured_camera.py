@@ -89,7 +89,10 @@ class _AxesHypothesis:
 
     def median_rotation(self, record: CameraRecord) -> float:
         """Return the median angle between the attitudes and the predicted ones, rad; NaN without predictions."""
-        pairs = [(record.predicted_attitude_at(placed.time_ns), solution.rotation_nb) for placed, solution in self.verified_solutions]
+        pairs = [
+            (record.predicted_attitude_at(placed.time_ns), solution.rotation_nb)
+            for placed, solution in self.verified_solutions
+        ]
         angles = [
             float(np.linalg.norm(log_rotation(prior.rotation_nb.T @ rotation_ns)))
             for prior, rotation_ns in pairs
@@ -168,7 +171,9 @@ def _optics(configured: CameraConfig, hypothesis: _AxesHypothesis) -> OpticsEsti
     )
 
 
-def _focal_length_m(configured: CameraConfig, hypothesis: _AxesHypothesis, optics: OpticsEstimate | None) -> float | None:
+def _focal_length_m(
+    configured: CameraConfig, hypothesis: _AxesHypothesis, optics: OpticsEstimate | None
+) -> float | None:
     if optics is not None:
         return configured.focal_length_m * (1.0 + optics.scale)
     return None if hypothesis.camera is None else hypothesis.camera.focal_length_m

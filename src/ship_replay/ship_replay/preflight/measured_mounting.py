@@ -151,7 +151,9 @@ def _collect_messages(
     return messages
 
 
-def _add_sample(topic: str, record: BagRecord, stamp_ns: int, tracks: AttitudeTracks, sky_model: SkyModel | None) -> None:
+def _add_sample(
+    topic: str, record: BagRecord, stamp_ns: int, tracks: AttitudeTracks, sky_model: SkyModel | None
+) -> None:
     """Add a message to its track or to the sky, unless a node would reject it."""
     receive_ns, config = max(record.log_time_ns, stamp_ns), tracks.config
     try:

@@ -85,7 +85,14 @@ def session_row(report_data: ReportData) -> SessionRow:
     faults = len(root_outages(outages(recording)))
     length_s = (recording.end_ns - recording.start_ns) / NS_PER_S
     return SessionRow(
-        recording.path.name, "", recording.start_utc_ns, length_s, shares, worst_source(recording), faults, summary(recording)[-1]
+        recording.path.name,
+        "",
+        recording.start_utc_ns,
+        length_s,
+        shares,
+        worst_source(recording),
+        faults,
+        summary(recording)[-1],
     )
 
 

@@ -74,11 +74,17 @@ def page(report_data: ReportData) -> str:
         status=drawn["status"],
         draw_errors=drawn["errors"],
         budgets=[(topic, drawn[topic]) for topic in sorted(recording.budgets)],
-        alignment=[(topic, alignment_changes(recording.first_estimates[topic], recording.last_estimates[topic])) for topic in sorted(recording.last_estimates)],
+        alignment=[
+            (topic, alignment_changes(recording.first_estimates[topic], recording.last_estimates[topic]))
+            for topic in sorted(recording.last_estimates)
+        ],
         refusals=rejection_rows(recording),
         refusal_drawing=drawn["refusals"],
-        suite={name: data.decode(errors="replace") for name, data in sorted(recording.attachments.items())
-               if name.endswith((".yaml", ".yml"))},
+        suite={
+            name: data.decode(errors="replace")
+            for name, data in sorted(recording.attachments.items())
+            if name.endswith((".yaml", ".yml"))
+        },
         versions=versions(),
         recorded_versions=recorded_versions(recording),
         problems=recording.problems,
@@ -113,8 +119,14 @@ def recorded_versions(recording: Recording) -> list[tuple[str, str]]:
     of_commit = [("suite, commit", commit)] if commit else []
     try:
         versions_there = json.loads(recording.attachments.get(VERSIONS_ATTACHMENT, b"{}"))
-        return of_commit + [(name, str(versions_there[name])) for name in ("python", "machine") if name in versions_there] + [
-            (name, str(version)) for group in ("suite", "libraries") for name, version in versions_there.get(group, {}).items()
-        ]
+        return (
+            of_commit
+            + [(name, str(versions_there[name])) for name in ("python", "machine") if name in versions_there]
+            + [
+                (name, str(version))
+                for group in ("suite", "libraries")
+                for name, version in versions_there.get(group, {}).items()
+            ]
+        )
     except (ValueError, AttributeError, TypeError):
         return of_commit  # damaged

@@ -106,7 +106,9 @@ def _difference_sentence(found: OutputDifference) -> str:
     topic, stamps = found.orientation.topic, len(found.time_ns)
     if found.all_equal:
         return f"{topic}: all {stamps} messages are equal to the last bit."
-    unpaired_text = ", ".join(f"{count} only in {letter}" for letter, count in zip("AB", found.unpaired_counts, strict=True) if count)
+    unpaired_text = ", ".join(
+        f"{count} only in {letter}" for letter, count in zip("AB", found.unpaired_counts, strict=True) if count
+    )
     text = f"{topic}: {stamps} equal stamps{f' ({unpaired_text})' if unpaired_text else ''}"
     if all(found.channels_equal):
         rest = stamps - found.messages_equal

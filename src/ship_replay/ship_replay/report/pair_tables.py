@@ -166,7 +166,9 @@ class SigmaFitPair:
 
 def consistency_rows(pair: Pair) -> list[SigmaFitPair]:
     """Return a row for each NEES, then for each NIS."""
-    a, b = ({(fit.kind, fit.name): fit for fit in consistency(report_data.evaluation)} for report_data in (pair.a, pair.b))
+    a, b = (
+        {(fit.kind, fit.name): fit for fit in consistency(report_data.evaluation)} for report_data in (pair.a, pair.b)
+    )
     keys = sorted({**a, **b}, key=lambda key: key[0])
     return [SigmaFitPair(*key, a.get(key), b.get(key)) for key in keys]
 
@@ -176,7 +178,9 @@ def alignment_tables(pair: Pair) -> list[tuple[str, list[dict[str, str]]]]:
     a, b = pair.recordings
     tables = []
     for topic in sorted(a.last_estimates.keys() | b.last_estimates.keys()):
-        shown_a, shown_b = ({shown.name: shown for shown in recording.last_estimates.get(topic, ())} for recording in (a, b))
+        shown_a, shown_b = (
+            {shown.name: shown for shown in recording.last_estimates.get(topic, ())} for recording in (a, b)
+        )
         either = {**shown_b, **shown_a}
         names = dict.fromkeys([*shown_a, *shown_b])
         rows = [_alignment_row(either[name], shown_a.get(name), shown_b.get(name)) for name in names]
@@ -199,7 +203,13 @@ def events_of_one(pair: Pair) -> tuple[list[dict[str, str]], int]:
 
 def alerts_of_one(pair: Pair) -> tuple[list[dict[str, str]], int]:
     """Return the alert changes of one run only, in order of time, and the number of those of both."""
-    a, b = ([(alert_record.utc_ns, (alert_record.alert.id, alert_record.what), alert_record) for alert_record in recording.alerts] for recording in pair.recordings)
+    a, b = (
+        [
+            (alert_record.utc_ns, (alert_record.alert.id, alert_record.what), alert_record)
+            for alert_record in recording.alerts
+        ]
+        for recording in pair.recordings
+    )
     alone, both = _unmatched(a, b)
     return [
         {"when": utc(time_ns), "side": side, "priority": told.alert.priority.name, "id": told.alert.id,
@@ -239,7 +249,9 @@ def _mean_variances(points: Sequence[BudgetPoint]) -> dict[str, dict[str, float]
             totals = sums.setdefault(angle, {})
             for name, variance in by_source.items():
                 totals[name] = totals.get(name, 0.0) + (variance if math.isfinite(variance) else 0.0)
-    return {angle: {name: total / len(known_points) for name, total in totals.items()} for angle, totals in sums.items()}
+    return {
+        angle: {name: total / len(known_points) for name, total in totals.items()} for angle, totals in sums.items()
+    }
 
 
 def _sigma_text(variance: float | None) -> str:

@@ -122,7 +122,9 @@ class Recording:
     @property
     def start_utc_ns(self) -> int:
         """UTC of the first published state; log time of the first message if there is none."""
-        first_s = min((words[0][0] for words in self.safety_states.values() if words), default=self.start_ns // NS_PER_S)
+        first_s = min(
+            (words[0][0] for words in self.safety_states.values() if words), default=self.start_ns // NS_PER_S
+        )
         return first_s * NS_PER_S
 
     @property
@@ -238,7 +240,10 @@ class _RecordingReader:
             recording.events += reversed(fresh)
         if not recording.alerts_are_recorded and state.utc_ns:
             changes = self._alert_states.update(conditions(state, recording.limits), now_ns, state.utc_ns)
-            recording.alerts += [RecordedAlert(state.utc_ns, change.description, change.alert) for change in _without_repetitions(changes)]
+            recording.alerts += [
+                RecordedAlert(state.utc_ns, change.description, change.alert)
+                for change in _without_repetitions(changes)
+            ]
         recording.last = state
         self._collect_history()
 
@@ -271,7 +276,10 @@ class _RecordingReader:
             stood_s = min((now_ns - since_ns) / NS_PER_S, _MAX_STATUS_AGE_S)
             of_topic = self._recording.status_s.setdefault(topic, {})
             of_topic[word] = of_topic.get(word, 0.0) + stood_s
-        self._last_status[topic] = now_ns, STATUS_NAMES[message.status] if message.status < len(STATUS_NAMES) else "unknown"
+        self._last_status[topic] = (
+            now_ns,
+            STATUS_NAMES[message.status] if message.status < len(STATUS_NAMES) else "unknown",
+        )
 
     def _record_rejection(self, message: Any) -> None:
         if not message.accepted:

@@ -25,7 +25,13 @@ def summary(recording: Recording) -> list[str]:
     if not any(recording.safety_states.get(name) for name in ANGLES):
         return ["Availability: no attitude and no pointing was published."]
     found = outages(recording)
-    return [_availability_sentence(recording), _worst_source_sentence(recording, found), _cause_sentence(recording, found), _mounting_sentence(recording), _advice_sentence(recording)]
+    return [
+        _availability_sentence(recording),
+        _worst_source_sentence(recording, found),
+        _cause_sentence(recording, found),
+        _mounting_sentence(recording),
+        _advice_sentence(recording),
+    ]
 
 
 def worst_source(recording: Recording) -> str:
@@ -37,7 +43,9 @@ def worst_source(recording: Recording) -> str:
 def valid_shares(recording: Recording) -> dict[str, float]:
     """Return topic of an output → share of the time in which it was VALID."""
     length_s = max((recording.end_ns - recording.start_ns) / NS_PER_S, 1e-9)
-    return {topic: min(seconds.get("VALID", 0.0) / length_s, 1.0) for topic, seconds in sorted(recording.status_s.items())}
+    return {
+        topic: min(seconds.get("VALID", 0.0) / length_s, 1.0) for topic, seconds in sorted(recording.status_s.items())
+    }
 
 
 def _availability_sentence(recording: Recording) -> str:

@@ -190,7 +190,9 @@ def _run_ship(run: SimulatedRun, statistics: VoyageStatistics) -> None:
                 statistics.record_status(since_s, Status.DEGRADED, core.state.unresolved_fault.text)
         for estimate in outcome.estimates:
             truth_nd = run.truth.rotation_nd[rows[estimate.time_ns]]
-            _record_output(statistics, run, estimate, core.integrity(estimate), estimate.rotation_nd, truth_nd, cos_elevation=False)
+            _record_output(
+                statistics, run, estimate, core.integrity(estimate), estimate.rotation_nd, truth_nd, cos_elevation=False
+            )
 
 
 def _stamps_each_second(run: SimulatedRun, rows: dict[int, int]) -> set[int]:

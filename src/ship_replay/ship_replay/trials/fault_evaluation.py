@@ -74,7 +74,9 @@ class FaultOutcome:
     longest_beyond_s: float
 
 
-def evaluate_fault(fault: Fault, changed_ns: np.ndarray, outputs: VoyageOutputs, fault_free: FaultFreeReplay, until_s: float) -> FaultOutcome:
+def evaluate_fault(
+    fault: Fault, changed_ns: np.ndarray, outputs: VoyageOutputs, fault_free: FaultFreeReplay, until_s: float
+) -> FaultOutcome:
     """Evaluate a fault.
 
     Args:
@@ -158,7 +160,9 @@ def _drone_names(id_: str) -> tuple[str, ...]:
     return tuple(f"{kind}.{id_}" for kind in ("beacon", "baseline", "drone", "light"))
 
 
-def _first_not_valid(outputs: VoyageOutputs, fault_free: VoyageOutputs, begin_ns: int, end_ns: int) -> tuple[int | None, bool]:
+def _first_not_valid(
+    outputs: VoyageOutputs, fault_free: VoyageOutputs, begin_ns: int, end_ns: int
+) -> tuple[int | None, bool]:
     """Return log time and novelty of the first output worse than VALID and than in the fault-free voyage.
 
     The second value is True if it is not the remaining effect of an earlier fault.
@@ -191,7 +195,9 @@ def exceedance_durations(valid_outputs: Sequence[ValidOutput]) -> tuple[float, f
     total, longest, most_ns = 0, 0, round(1.5 * _PERIOD_S * NS_PER_S)
     for topic in INTEGRITY_TOPICS:
         run, last_ns = 0, 0
-        wrong = sorted(claim.stamp_ns for claim in valid_outputs if claim.topic == topic and not claim.sigmas <= EXCEEDANCE_SIGMAS)
+        wrong = sorted(
+            claim.stamp_ns for claim in valid_outputs if claim.topic == topic and not claim.sigmas <= EXCEEDANCE_SIGMAS
+        )
         for stamp_ns in wrong:
             run = run + 1 if run and stamp_ns - last_ns <= most_ns else 1
             longest, last_ns = max(longest, run), stamp_ns

@@ -131,7 +131,11 @@ def totals(results: Sequence[Result]) -> Totals:
     lines = [f"{'met' if met else 'NOT MET':7}  {text}" for met, text in bounds]
     lines += [f"voyage {one['voyage']} ({one['bag']}): {_failure_text(one)}" for one in raised]
     pairs = [fault for fault in _evaluated_faults(results) if fault["mode"] == OVERLAPPING]
-    over, worst, level = _count_above(pairs, "worst_sigmas", EXCEEDANCE_SIGMAS), _maximum(pairs, "worst_sigmas"), _maximum(pairs, _LEVEL)
+    over, worst, level = (
+        _count_above(pairs, "worst_sigmas", EXCEEDANCE_SIGMAS),
+        _maximum(pairs, "worst_sigmas"),
+        _maximum(pairs, _LEVEL),
+    )
     lines.append(
         f"         overlapping faults: {over} of {len(pairs)} beyond 5σ; worst {_number(worst)} σ, "
         f"{_number(level)} of the level"

@@ -94,7 +94,11 @@ def run_voyage(voyage: Voyage, fault_free: FaultFreeReplay) -> dict[str, Any]:
     }
     try:
         outcomes, outputs = replay_with_faults(voyage.bag, drawn, voyage.number, fault_free)
-        result |= {"failures": outputs.failure_count, "faults": outcomes, "longest_beyond_s": round(exceedance_durations(outputs.valid_outputs)[1], 4)}
+        result |= {
+            "failures": outputs.failure_count,
+            "faults": outcomes,
+            "longest_beyond_s": round(exceedance_durations(outputs.valid_outputs)[1], 4),
+        }
     except Exception:
         # Software defects are recorded, and the other voyages continue.
         result |= {"exception": traceback.format_exc(limit=-4), "faults": [_fault_as_dict(one) for one in drawn]}
@@ -108,7 +112,9 @@ def input_topics(bag: Bag) -> dict[str, str]:
     return {topic.topic: topic.type_name for topic in chain.inputs if topic.topic in bag.topics}
 
 
-def replay_with_faults(path: Path, drawn: Sequence[DrawnFault], seed: int, fault_free: FaultFreeReplay) -> tuple[list[dict[str, Any]], VoyageOutputs]:
+def replay_with_faults(
+    path: Path, drawn: Sequence[DrawnFault], seed: int, fault_free: FaultFreeReplay
+) -> tuple[list[dict[str, Any]], VoyageOutputs]:
     """Replay a bag with faults; return the outcome of each fault that changed a message, and the outputs."""
     faults = {f"f{number}": one.fault for number, one in enumerate(drawn)}
     injection = Injection(path, faults, seed)

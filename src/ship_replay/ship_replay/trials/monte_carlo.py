@@ -193,7 +193,9 @@ def baseline_measurement(run: SimulatedRun, index: int) -> BaselineMeasurement:
     """Return a satellite baseline between the two antennas on board."""
     baselines = run.ship_baseline
     assert baselines is not None
-    return BaselineMeasurement(int(baselines.time_ns[index]), baselines.baseline_n[index], baselines.covariance_n[index])
+    return BaselineMeasurement(
+        int(baselines.time_ns[index]), baselines.baseline_n[index], baselines.covariance_n[index]
+    )
 
 
 def sky_input(run: SimulatedRun, source: str, index: int) -> SkyInput:

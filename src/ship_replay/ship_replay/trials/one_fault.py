@@ -63,7 +63,9 @@ def _worst_by_time(outputs: VoyageOutputs, start_ns: int) -> Iterator[str]:
     """Yield the worst VALID output of each ten seconds."""
     for topic in sorted({claim.topic for claim in outputs.valid_outputs}):
         yield f"worst error of {topic} while VALID, in each ten seconds (σ; share of the level):"
-        claims = sorted((claim for claim in outputs.valid_outputs if claim.topic == topic), key=lambda claim: claim.stamp_ns)
+        claims = sorted(
+            (claim for claim in outputs.valid_outputs if claim.topic == topic), key=lambda claim: claim.stamp_ns
+        )
         spans = groupby(claims, key=lambda claim: (claim.stamp_ns - start_ns) // (10 * NS_PER_S))
         texts = []
         for span, group in spans:

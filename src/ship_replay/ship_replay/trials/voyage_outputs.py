@@ -148,7 +148,9 @@ class VoyageSink:
         self._levels[topic] = np.array(message.protection_level, dtype=float)
         now = set(message.excluded)
         for source in sorted(now - self._excluded.get(topic, set())):
-            self.outputs.indications.append(FaultIndication(source, log_time_ns, ns_from_stamp(message.header.stamp), EXCLUSION))
+            self.outputs.indications.append(
+                FaultIndication(source, log_time_ns, ns_from_stamp(message.header.stamp), EXCLUSION)
+            )
         self._excluded[topic] = now
 
     def _add_output(self, orientation: Orientation, message: Any, log_time_ns: int) -> None:
@@ -168,7 +170,9 @@ class VoyageSink:
         over_level = error / level if np.all(np.isfinite(level)) else np.full(3, np.nan)
         # A NaN error counts as wrong.
         sigmas = float(np.max(np.nan_to_num(error / sigma, nan=np.inf)))
-        self.outputs.valid_outputs.append(ValidOutput(orientation.topic, stamp_ns, log_time_ns, sigmas, float(np.max(over_level))))
+        self.outputs.valid_outputs.append(
+            ValidOutput(orientation.topic, stamp_ns, log_time_ns, sigmas, float(np.max(over_level)))
+        )
 
 
 class HealthHistory:

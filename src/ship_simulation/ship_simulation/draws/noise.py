@@ -59,7 +59,9 @@ class GaussMarkov:
         if count:
             self._is_initialised = True
             for i, decay in enumerate(self._decay):
-                samples[:, i], self._filter_state[i] = lfilter([1.0], [1.0, -decay], noise[:, i], zi=self._filter_state[i])
+                samples[:, i], self._filter_state[i] = lfilter(
+                    [1.0], [1.0, -decay], noise[:, i], zi=self._filter_state[i]
+                )
         return samples * self._sigma
 
 

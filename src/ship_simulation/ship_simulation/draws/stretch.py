@@ -132,7 +132,9 @@ class Draws:
         make = functools.partial(CorrelatedError, duration_s=duration_s, sigma=sigma, time_s=time_s)
         return self.persistent_draw(component, make)
 
-    def persistent_draw(self, component: str, make: Callable[[np.random.Generator], PersistentDrawT]) -> PersistentDrawT:
+    def persistent_draw(
+        self, component: str, make: Callable[[np.random.Generator], PersistentDrawT]
+    ) -> PersistentDrawT:
         """Return a component's draw with a random stream of its own, the same object at each call."""
         if component not in self._persistent_draws:
             self._persistent_draws[component] = make(random_stream(self.seed, component))

@@ -83,7 +83,9 @@ def generate_messages(runs: Iterable[SimulatedRun], factory: MessageFactory) -> 
             return
         pending = {topic: list(stream) for topic, stream in streams.items()}
         until_ns = min(run.stretch.end_ns - 1, *(topic.watermark_ns for topic in topics.values()))
-        yield from _merge_by_log_time({topic: [e for e in entries if e[2] <= until_ns] for topic, entries in pending.items()})
+        yield from _merge_by_log_time(
+            {topic: [e for e in entries if e[2] <= until_ns] for topic, entries in pending.items()}
+        )
         pending = {topic: [entry for entry in entries if entry[2] > until_ns] for topic, entries in pending.items()}
 
 
@@ -166,7 +168,9 @@ class _Topic:
         self._stretch_deliveries: Iterator[Delivery] = iter(())
         faults = {name: fault for name, fault in run.scenario.faults.items() if fault.topic == topic}
         type_name = simulated_topics(run.scenario)[topic]
-        self._faulty_deliveries = apply_faults(self._all_deliveries(), type_name, faults, run.start_ns, run.seed, _optics_of_scenario(run.scenario))
+        self._faulty_deliveries = apply_faults(
+            self._all_deliveries(), type_name, faults, run.start_ns, run.seed, _optics_of_scenario(run.scenario)
+        )
 
     def deliver(
         self, run: SimulatedRun, time_ns: np.ndarray, log_time_ns: np.ndarray, maker: Maker
@@ -214,7 +218,13 @@ def _optics_of_scenario(scenario: Scenario) -> Optics:
     stars |= {mount_stars_topic(key): one.camera.camera(key) for key, one in scenario.telescopes.items()}
     telescope_config = scenario.theodolite.telescope
     aboard = scenario.theodolite.aboard
-    telescope = telescope_camera(telescope_config.focal_length_m, telescope_config.principal_x_m, telescope_config.principal_z_m) if aboard else None
+    telescope = (
+        telescope_camera(
+            telescope_config.focal_length_m, telescope_config.principal_x_m, telescope_config.principal_z_m
+        )
+        if aboard
+        else None
+    )
     return Optics(stars, telescope)
 
 

@@ -124,7 +124,9 @@ def fused_maker(samples: FusedSamples, factory: MessageFactory) -> Maker:
 
     total = enu_covariance(samples.covariance_n).ravel()
     constant_fields = {"rotation_covariance": total, "sources": ["ins", "star"], "star_age_s": 0.0}
-    return _ship_attitude_maker(samples.time_ns, samples.rotation_nd, samples.rate_d, LazyRows(covariances), constant_fields, factory)
+    return _ship_attitude_maker(
+        samples.time_ns, samples.rotation_nd, samples.rate_d, LazyRows(covariances), constant_fields, factory
+    )
 
 
 def true_attitude_maker(
@@ -132,7 +134,9 @@ def true_attitude_maker(
 ) -> Maker:
     """Return the maker of truth/attitude."""
     constant_fields = {"rotation_covariance": np.zeros(9), "sources": ["truth"], "star_age_s": float("nan")}
-    return _ship_attitude_maker(time_ns, rotation_nd, rate_d, LazyRows(lambda part: [_EXACT] * BLOCK_ROWS), constant_fields, factory)
+    return _ship_attitude_maker(
+        time_ns, rotation_nd, rate_d, LazyRows(lambda part: [_EXACT] * BLOCK_ROWS), constant_fields, factory
+    )
 
 
 def _ship_attitude_maker(

@@ -49,7 +49,9 @@ KINDS = {
     "delay": FaultKind("messages arrive delay_s later", (("delay_s",),)),
     "reorder": FaultKind("each message arrives later by a random time between 0 and delay_s", (("delay_s",),)),
     "duplicate": FaultKind("each message arrives again 1 ms later, with the same bytes"),
-    "conflict": FaultKind("a message with the same stamp and the next one's values arrives 1 ms later; none for the last"),
+    "conflict": FaultKind(
+        "a message with the same stamp and the next one's values arrives 1 ms later; none for the last"
+    ),
     "flood": FaultKind(
         "times messages arrive for each; the others have random stamps, up to spread_s earlier",
         (("times",),),
@@ -78,7 +80,9 @@ KINDS = {
     "drift": FaultKind("the device rotates slowly in its own frame, or encoders drift", (_DRIFT,)),
     "slip": FaultKind("a step is added to the encoders", (_ENCODERS,)),
     "wrong_fix": FaultKind("a vector is added to a baseline with fix FIXED", (_VECTOR,)),
-    "false_stars": FaultKind("count additional spots that are no stars; identified as the other stars are", (("count",),)),
+    "false_stars": FaultKind(
+        "count additional spots that are no stars; identified as the other stars are", (("count",),)
+    ),
     "false_lights": FaultKind("count lights are moved in the image; additional ones have new ids", (("count",),)),
     "hide": FaultKind("the first light of the image is missing"),
     "swap": FaultKind("the identities of the first two lights of the image, or stars of the exposure, are swapped"),

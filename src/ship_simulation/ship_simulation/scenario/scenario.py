@@ -272,7 +272,9 @@ class Gravity:
     correlation_length_m: float = parameter(
         30_000.0, doc="correlation length of that deflection", unit="m", minimum=100.0, maximum=1e6
     )
-    told: str = parameter("none", doc="how the suite receives the deflection known from maps", choices=DEFLECTION_CHOICES)
+    told: str = parameter(
+        "none", doc="how the suite receives the deflection known from maps", choices=DEFLECTION_CHOICES
+    )
     told_unknown_sigma_arcsec: float = parameter(
         7.7, doc="the suite's standard deviation of an unknown deflection, each component", **SIGMA
     )

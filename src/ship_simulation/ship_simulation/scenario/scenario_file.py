@@ -79,7 +79,9 @@ def _problems(scenario: Scenario, file: ParameterFile) -> Iterator[ParameterErro
     try:
         start_time_ns(scenario.start_utc)
     except ValueError as problem:
-        yield _parameter_error("start_utc", f"= {scenario.start_utc} is not a time such as 2014-07-09T11:50:07.8Z: {problem}")
+        yield _parameter_error(
+            "start_utc", f"= {scenario.start_utc} is not a time such as 2014-07-09T11:50:07.8Z: {problem}"
+        )
     yield from _carrier_problems(scenario.carrier, file)
     for sensor_id, sensor in scenario.star_sensors.items():
         yield from _windows_problems(f"star_sensors.{sensor_id}.outages", sensor.outages)
@@ -95,10 +97,14 @@ def _carrier_problems(carrier: CarrierMotion, file: ParameterFile) -> Iterator[P
     for group in file.values["carrier"]:
         if group not in ("kind", *used):
             expected = ", ".join(used)
-            yield _parameter_error(f"carrier.{group}", f"is not used by a carrier of kind {carrier.kind}: expected {expected}")
+            yield _parameter_error(
+                f"carrier.{group}", f"is not used by a carrier of kind {carrier.kind}: expected {expected}"
+            )
     if carrier.kind == "recorded" and not Path(carrier.recording.bag).exists():
         named = carrier.recording.bag or "not given"
-        yield _parameter_error("carrier.recording.bag", f"= {named} is missing: expected a bag with {carrier.recording.topic}")
+        yield _parameter_error(
+            "carrier.recording.bag", f"= {named} is missing: expected a bag with {carrier.recording.topic}"
+        )
 
 
 def _output_problems(key: str, sensor: StarSensor, given: Mapping[str, Any]) -> Iterator[ParameterError]:
@@ -106,7 +112,9 @@ def _output_problems(key: str, sensor: StarSensor, given: Mapping[str, Any]) -> 
         for field in fields:
             if field in given and sensor.output not in outputs:
                 owners = " or ".join(outputs)
-                yield _parameter_error(f"{key}.{field}", f"is not used with output {sensor.output}: it belongs to {owners}")
+                yield _parameter_error(
+                    f"{key}.{field}", f"is not used with output {sensor.output}: it belongs to {owners}"
+                )
     if sensor.output != "observations":
         return
     yield from _imaging_problems(key, sensor)

@@ -226,7 +226,9 @@ def star_sensor_motion(
         valid_ns=time_ns + round(truth.time_offset_s * SECOND_NS),
         rotation_nv=middle_nv,
         times=times,
-        exposure_nv=rotation_nv(carrier.attitude(valid_s + times.since_middle_s[:, None])) if moves else middle_nv[None],
+        exposure_nv=rotation_nv(carrier.attitude(valid_s + times.since_middle_s[:, None]))
+        if moves
+        else middle_nv[None],
         truth=truth,
     )
 
@@ -350,7 +352,9 @@ def simulate_fused_attitude(scenario: Scenario, carrier: Carrier, stretch: Stret
     return FusedSamples(
         time_ns=time_ns,
         log_time_ns=arrival_times(time_ns, config.latency_s, config.jitter_s, arrival),
-        rotation_nd=exp_rotation(-white_n) @ exp_rotation(-error.values_at(since_start_s)) @ carrier.attitude(since_start_s),
+        rotation_nd=exp_rotation(-white_n)
+        @ exp_rotation(-error.values_at(since_start_s))
+        @ carrier.attitude(since_start_s),
         rate_d=carrier.body_rate(since_start_s),
         covariance_n=np.diag(sigma**2 + white_sigma**2),
     )

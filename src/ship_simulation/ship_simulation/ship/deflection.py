@@ -87,7 +87,9 @@ def deflection_table(scenario: Scenario) -> dict[str, list[float]]:
     end_m = speed * scenario.duration_s
     distance_m = np.linspace(0.0, end_m, max(int(np.ceil(end_m / gravity.table_step_m)), 1) + 1)
     since_start_s = distance_m / speed if speed else np.array([0.0, scenario.duration_s])
-    latitude_deg, longitude_deg = track.latitude_longitude_deg(track.start_ns + np.rint(since_start_s * SECOND_NS).astype(np.int64))
+    latitude_deg, longitude_deg = track.latitude_longitude_deg(
+        track.start_ns + np.rint(since_start_s * SECOND_NS).astype(np.int64)
+    )
     xi_arcsec, eta_arcsec = known_deflection(gravity, distance_m).T / ARCSEC
     columns = {
         "table_latitude_deg": latitude_deg,

@@ -147,7 +147,9 @@ def _true_air(station: WeatherStation, seed: int) -> Weather:
 def _draw_true_positions(catalogue: StarCatalogue, year: float, rng: np.random.Generator) -> StarPositions:
     """Return the catalogue's positions, each with an error of its standard deviation in that year."""
     stars = catalogue.at_j2000
-    east, north = catalogue.position_sigma_at(np.arange(len(catalogue.hip)), year) * rng.standard_normal((2, len(catalogue.hip)))
+    east, north = catalogue.position_sigma_at(np.arange(len(catalogue.hip)), year) * rng.standard_normal(
+        (2, len(catalogue.hip))
+    )
     return dataclasses.replace(
         stars,
         right_ascension=stars.right_ascension + east / np.cos(stars.declination),

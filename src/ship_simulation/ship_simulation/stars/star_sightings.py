@@ -163,7 +163,12 @@ class _Spots:
 
 
 def _true_spots(
-    source: str, config: StarImaging, motion: ExposureMotion, sky: TrueSky, is_observing: NDArray[np.bool_], draws: Draws
+    source: str,
+    config: StarImaging,
+    motion: ExposureMotion,
+    sky: TrueSky,
+    is_observing: NDArray[np.bool_],
+    draws: Draws,
 ) -> _Spots:
     """Return stars with errors in their centroids and magnitudes, and some swapped identities."""
     field = stars_in_field(
@@ -195,7 +200,9 @@ def _true_spots(
     )
 
 
-def _false_spots(source: str, config: StarImaging, sky: TrueSky, is_observing: NDArray[np.bool_], draws: Draws) -> _Spots:
+def _false_spots(
+    source: str, config: StarImaging, sky: TrueSky, is_observing: NDArray[np.bool_], draws: Draws
+) -> _Spots:
     """Return spots anywhere on the detector, each identified as any star of the sky."""
     name = source + ".false_stars"
     count = draws.stream(name).poisson(config.false_stars, is_observing.size) * is_observing
@@ -224,7 +231,11 @@ def _identities(
     """Return the reported HIP number and position of each star, and the error of the position."""
     catalogue, start_ns = sky.catalogue, sky.track.start_ns
     if config.identified and not config.direction_given:
-        return catalogue.hip[claimed], catalogue.at_j2000[claimed], catalogue.position_sigma_at(claimed, julian_year(start_ns))
+        return (
+            catalogue.hip[claimed],
+            catalogue.at_j2000[claimed],
+            catalogue.position_sigma_at(claimed, julian_year(start_ns)),
+        )
     if config.identified:
         positions = position_of_date(catalogue.at_j2000[claimed], start_ns)
     else:

@@ -143,7 +143,9 @@ def suite_yaml(scenario: Scenario) -> str:
 
 def suite_configuration(scenario: Scenario) -> dict[str, Any]:
     """Return the parameters of ``ship_attitude`` as nested mapping."""
-    configuration: dict[str, Any] = {"ins": {"frame_id": INS_FRAME, **_select_parameters(scenario.ins, _INS), **_rates(scenario)}}
+    configuration: dict[str, Any] = {
+        "ins": {"frame_id": INS_FRAME, **_select_parameters(scenario.ins, _INS), **_rates(scenario)}
+    }
     if scenario.ins.model == SCHULER:
         configuration["ins"] |= {"model": SCHULER, "schuler": asdict(scenario.ins.schuler)}
     if scenario.gravity.told != "none":
@@ -152,14 +154,20 @@ def suite_configuration(scenario: Scenario) -> dict[str, Any]:
         configuration["gravity"] = {"unknown_sigma_arcsec": 0.0}
     if scenario.star_sensors:
         configuration["star_sensors"] = {
-            key: {"frame_id": star_frame(key), **_input(sensor), **_select_parameters(sensor, _STAR_SENSOR), **_masks(sensor)}
+            key: {
+                "frame_id": star_frame(key),
+                **_input(sensor),
+                **_select_parameters(sensor, _STAR_SENSOR),
+                **_masks(sensor),
+            }
             for key, sensor in scenario.star_sensors.items()
         }
     if scenario.needs_sky:
         configuration["sky"] = _sky_of_ship(scenario)
     if scenario.references:
         configuration["references"] = {
-            key: {"frame_id": key, **_select_parameters(reference, _REFERENCE)} for key, reference in scenario.references.items()
+            key: {"frame_id": key, **_select_parameters(reference, _REFERENCE)}
+            for key, reference in scenario.references.items()
         }
     if scenario.ship_baseline.is_aboard:
         configuration["ship_baseline"] = _ship_baseline(scenario.ship_baseline)

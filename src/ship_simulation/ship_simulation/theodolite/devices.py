@@ -130,7 +130,9 @@ def simulate_baselines(
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     t_s = (time_ns - stretch.start_ns) / SECOND_NS
     true_n = beacon.path(t_s) + scene.carrier.attitude(t_s) @ scene.theodolite.lever_d
-    found = simulate_solutions(f"beacon.{beacon_id}.rtk", config, time_ns, true_n + ship_antenna.values_at(t_s), stretch, draws)
+    found = simulate_solutions(
+        f"beacon.{beacon_id}.rtk", config, time_ns, true_n + ship_antenna.values_at(t_s), stretch, draws
+    )
     return found.select(found.time_ns - stretch.start_ns < beacon.config.leaves_s * SECOND_NS)
 
 

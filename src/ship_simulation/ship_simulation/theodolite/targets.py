@@ -132,7 +132,11 @@ def _points(
 def _directions_n(scene: Scene, targets: dict[str, TrueTarget], t_s: FloatArray) -> FloatArray:
     """Return unit vectors along which the targets are observed, shape (k, N, 3)."""
     common = scene.coefficient + scene.refraction.values_at(t_s)[:, 0]
-    return _stack_by_target(targets, lambda one: refracted_directions(one.path(t_s), common + one.refraction.values_at(t_s)[:, 0]), (t_s.size, 0, 3))
+    return _stack_by_target(
+        targets,
+        lambda one: refracted_directions(one.path(t_s), common + one.refraction.values_at(t_s)[:, 0]),
+        (t_s.size, 0, 3),
+    )
 
 
 def _stack_by_target(

@@ -80,7 +80,9 @@ def unobservable(fit: AxisFit) -> Unobservable | None:
     sizes = np.abs(runs)
     is_open = np.max(sizes, axis=1) > _PRIOR_LIMIT_RAD
     # Errors that are not involved change a little too, by second-order effects of the errors themselves.
-    takes_part = np.any(sizes[is_open] > _OPEN_PARTICIPATION_RATIO * np.max(sizes[is_open], axis=1, keepdims=True), axis=0)
+    takes_part = np.any(
+        sizes[is_open] > _OPEN_PARTICIPATION_RATIO * np.max(sizes[is_open], axis=1, keepdims=True), axis=0
+    )
     names = tuple(name for name, taking_part in zip(fit.fitted, takes_part, strict=True) if taking_part)
     return Unobservable(names, int(np.sum(is_open))) if names else None
 

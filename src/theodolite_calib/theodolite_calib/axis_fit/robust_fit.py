@@ -175,7 +175,9 @@ class _Problem:
     def linearise(self, vector: FloatArray, shared: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return residuals (n, 2), and the model's derivative by all unknowns, shape (n, 2, k + q)."""
         residuals, change = self.sightings.linearise(AxisErrors.from_vector(vector))
-        return residuals - self.correlated_map @ shared, np.concatenate([change[..., self.free], self.correlated_map], axis=-1)
+        return residuals - self.correlated_map @ shared, np.concatenate(
+            [change[..., self.free], self.correlated_map], axis=-1
+        )
 
 
 def _scale(residuals: FloatArray, used_degrees: float) -> float:
@@ -257,7 +259,9 @@ def _root_of_inverse(data_information: FloatArray, information: FloatArray) -> F
     return root
 
 
-def _leave_one_out_residuals(residuals: FloatArray, design: FloatArray, weights: FloatArray, information: FloatArray) -> FloatArray:
+def _leave_one_out_residuals(
+    residuals: FloatArray, design: FloatArray, weights: FloatArray, information: FloatArray
+) -> FloatArray:
     """Return the residual of each sighting against the fit of the others, by one Newton step of the loss without it."""
     along = residuals / np.maximum(sizes(residuals), _LEAST_SCALE)[:, None]
     flat = np.where(weights < 1.0, weights, 0.0)[:, None, None] * along[:, :, None] * along[:, None, :]

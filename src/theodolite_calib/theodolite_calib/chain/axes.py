@@ -168,7 +168,9 @@ def axis_geometry(
         azimuth: encoder azimuth, rad.
         elevation: encoder elevation, rad.
     """
-    arrays = compiled_mounts.axis_geometries(errors[None], rotation_nd[None], rate_d[None], np.array([[azimuth, elevation]]))
+    arrays = compiled_mounts.axis_geometries(
+        errors[None], rotation_nd[None], rate_d[None], np.array([[azimuth, elevation]])
+    )
     return AxisGeometry(*(of_all[0] for of_all in arrays))
 
 

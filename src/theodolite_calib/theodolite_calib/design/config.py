@@ -112,7 +112,9 @@ def study_config(values: Mapping[str, Any]) -> DesignStudyConfig:
         here, there = ("lights", "optical_axis.beacons") if name in lights else ("optical_axis.beacons", "lights")
         raise ParameterError(f"parameter '{here}.{name}': expected '{name}' under {there} too", f"{here}.{name}")
     field_deg = config.optical_axis.escort.field_deg
-    for name, off_deg in zip(config.names, np.rad2deg(np.arctan(np.hypot(*config.direction_tangents().T))).tolist(), strict=True):
+    for name, off_deg in zip(
+        config.names, np.rad2deg(np.arctan(np.hypot(*config.direction_tangents().T))).tolist(), strict=True
+    ):
         if not off_deg <= field_deg:
             raise ParameterError(
                 f"parameter 'lights.{name}': it is {off_deg:.2f} deg from the telescope's axis, expected at most "

@@ -151,7 +151,9 @@ class AllowedPlaces:
         """Return the greatest azimuth of a position from the axis at an elevation, rad."""
         field = np.deg2rad(self.limits.field_deg) * (1.0 - _BOX_MARGIN)
         # cos f = cos(e - E) - cos e cos E (1 - cos α), solved for α by half angles: exact for small fields too.
-        product = np.sin(0.5 * (field - elevation + self.elevation)) * np.sin(0.5 * (field + elevation - self.elevation))
+        product = np.sin(0.5 * (field - elevation + self.elevation)) * np.sin(
+            0.5 * (field + elevation - self.elevation)
+        )
         level = np.maximum(np.cos(elevation) * np.cos(self.elevation), _POLE)
         width: FloatArray = 2.0 * np.arcsin(np.sqrt(np.clip(product / level, 0.0, 1.0)))
         return width

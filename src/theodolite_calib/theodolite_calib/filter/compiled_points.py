@@ -101,7 +101,9 @@ def covariances_by_rotation(rows: cython.const[cython.double][:, :], covariances
     return result
 
 
-def covariance_by_own_error(by_error: cython.const[cython.double][:, :, :], covariance: cython.const[cython.double][:, :, :]):
+def covariance_by_own_error(
+    by_error: cython.const[cython.double][:, :, :], covariance: cython.const[cython.double][:, :, :]
+):
     """Return the covariance of the points of N beacons from an error independent for each beacon, shape (2 N, 2 N).
 
     Args:

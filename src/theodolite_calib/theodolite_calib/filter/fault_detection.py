@@ -122,7 +122,9 @@ class FaultState:
         return self.exclusions.keys()
 
 
-def isolate_step_fault(source: str, explaining_sources: Set[str], streams: StreamConsistency, offset_rad: float) -> str | None:
+def isolate_step_fault(
+    source: str, explaining_sources: Set[str], streams: StreamConsistency, offset_rad: float
+) -> str | None:
     """Return the faulty source of a sudden contradiction between beacons and prediction; None if it is not isolated.
 
     Args:
@@ -142,7 +144,9 @@ def isolate_step_fault(source: str, explaining_sources: Set[str], streams: Strea
     return TELESCOPE if right else source
 
 
-def isolate_drift_fault(source: str | None, explaining_sources: Set[str], is_common: bool, has_ship_drifted: bool | None) -> str | None:
+def isolate_drift_fault(
+    source: str | None, explaining_sources: Set[str], is_common: bool, has_ship_drifted: bool | None
+) -> str | None:
     """Return the faulty source of a drift of accepted beacons; None if it is not isolated.
 
     If all beacons drift together, the encoders or the ship's attitude drift, because two drones do not drift together.
@@ -184,7 +188,9 @@ class FaultDetector:
         self._config, self._subfilters, self._threshold = config, subfilters, threshold
         self._limit = excess_limit(config, max(len(subfilters.beacons), 1))
         self._beacon_gate, self._degraded_after = chi_square_gate(gate.probability, 2), gate.degraded_after
-        own = np.array([[BEACON_PREFIX + id_ == source for id_ in subfilters.beacons] for source in subfilters.sources], dtype=bool)
+        own = np.array(
+            [[BEACON_PREFIX + id_ == source for id_ in subfilters.beacons] for source in subfilters.sources], dtype=bool
+        )
         self._excludes = np.vstack([np.zeros((1, len(subfilters.beacons)), dtype=bool), own])
 
     def restart_timers(self, fault_state: FaultState, names: tuple[str, ...], time_ns: int) -> FaultState:
@@ -196,7 +202,9 @@ class FaultDetector:
             time_ns: time of the sighting.
         """
         received_ns, silent_ns = fault_state.innovation_means.last_measured_ns, time_ns - MAX_MEASUREMENT_AGE_NS
-        timed_out: Set[str] = {BEACON_PREFIX + name for name in names if received_ns[self._subfilters.beacons.index(name)] < silent_ns}
+        timed_out: Set[str] = {
+            BEACON_PREFIX + name for name in names if received_ns[self._subfilters.beacons.index(name)] < silent_ns
+        }
         if not timed_out or not (fault_state.exclusions or fault_state.unresolved_fault):
             return fault_state
         conflict = fault_state.unresolved_fault
@@ -209,15 +217,26 @@ class FaultDetector:
             exclusions[name] = replace(exclusions[name], exclusion=exclusion)
         return replace(fault_state, exclusions=exclusions, unresolved_fault=conflict)
 
-    def update_means(self, fault_state: FaultState, names: tuple[str, ...], innovations: SubfilterInnovations, is_used: bool, time_ns: int) -> FaultState:
+    def update_means(
+        self,
+        fault_state: FaultState,
+        names: tuple[str, ...],
+        innovations: SubfilterInnovations,
+        is_used: bool,
+        time_ns: int,
+    ) -> FaultState:
         """Update the innovation means with a sighting, accepted or not, of beacons that are not excluded."""
         beacons = [self._subfilters.beacons.index(name) for name in names]
         by_row = np.concatenate([[is_used], innovations.accepted])[:, None]
         accepted = np.where(self._excludes[:, beacons], innovations.beacon_nis <= self._beacon_gate, by_row)
-        means = updated_means(fault_state.innovation_means, beacons, innovations.whitened_innovation, accepted, time_ns, self._limit)
+        means = updated_means(
+            fault_state.innovation_means, beacons, innovations.whitened_innovation, accepted, time_ns, self._limit
+        )
         return replace(fault_state, innovation_means=means)
 
-    def isolate_fault(self, fault_state: FaultState, separations: FloatArray, time_ns: int) -> tuple[bool, str | None, Set[str]]:
+    def isolate_fault(
+        self, fault_state: FaultState, separations: FloatArray, time_ns: int
+    ) -> tuple[bool, str | None, Set[str]]:
         """Return True if a source is faulty, the isolated source or None, and all sources that explain the fault.
 
         Args:
@@ -232,7 +251,15 @@ class FaultDetector:
 
         def isolate(names: list[str]) -> FaultIsolation:
             rows = [1 + sources.index(name) for name in names]
-            return isolate_fault(fault_state.innovation_means, uses, all_separations, self._threshold, rows, time_ns, self._degraded_after)
+            return isolate_fault(
+                fault_state.innovation_means,
+                uses,
+                all_separations,
+                self._threshold,
+                rows,
+                time_ns,
+                self._degraded_after,
+            )
 
         candidates = [name for name in sources if name not in excluded]
         finding = isolate(candidates)
@@ -253,7 +280,8 @@ class FaultDetector:
         recent = [
             row
             for row, id_ in enumerate(self._subfilters.beacons)
-            if BEACON_PREFIX + id_ not in fault_state.excluded_sources and fault_state.innovation_means.last_measured_ns[row] >= time_ns - MAX_MEASUREMENT_AGE_NS
+            if BEACON_PREFIX + id_ not in fault_state.excluded_sources
+            and fault_state.innovation_means.last_measured_ns[row] >= time_ns - MAX_MEASUREMENT_AGE_NS
         ]
         if len(recent) < 2:
             return False
@@ -262,18 +290,29 @@ class FaultDetector:
         offset_sigmas = running[..., :2] / np.sqrt(running[..., 4:])
         size = np.linalg.norm(offset_sigmas, axis=-1)
         cosines = np.einsum("wlk,wmk->wlm", offset_sigmas, offset_sigmas) / (size[:, :, None] * size[:, None, :])
-        is_common = (size.min(axis=1) > _COMMON_DRIFT_SIGMAS) & (cosines.min(axis=(1, 2)) > _COMMON_DRIFT_COSINE)  # NaN is not
+        is_common = (size.min(axis=1) > _COMMON_DRIFT_SIGMAS) & (
+            cosines.min(axis=(1, 2)) > _COMMON_DRIFT_COSINE
+        )  # NaN is not
         return bool(np.any(is_common))
 
     def indicates_ship_drift(self, fault_state: FaultState, time_ns: int) -> bool:
         """True if beacons drift within their limit and are consistent without the ship's attitude."""
         is_recent = fault_state.innovation_means.last_measured_ns >= time_ns - MAX_MEASUREMENT_AGE_NS
-        if fault_state.excluded_sources or fault_state.unresolved_fault is not None or not np.any(fault_state.innovation_means.excess[0, is_recent] > _DRIFT_INDICATION_RATIO):
+        if (
+            fault_state.excluded_sources
+            or fault_state.unresolved_fault is not None
+            or not np.any(fault_state.innovation_means.excess[0, is_recent] > _DRIFT_INDICATION_RATIO)
+        ):
             return False
         row = 1 + self._subfilters.sources.index(SHIP)
-        return bool(np.all(fault_state.innovation_means.excess[row, is_recent] <= CONSISTENT_RATIO) and np.all(fault_state.innovation_means.rejection_counts[row, is_recent] == 0))
+        return bool(
+            np.all(fault_state.innovation_means.excess[row, is_recent] <= CONSISTENT_RATIO)
+            and np.all(fault_state.innovation_means.rejection_counts[row, is_recent] == 0)
+        )
 
-    def exclude_source(self, fault_state: FaultState, source: str, exclusion: ExclusionRecord, explaining_subfilter: str | None = None) -> FaultState:
+    def exclude_source(
+        self, fault_state: FaultState, source: str, exclusion: ExclusionRecord, explaining_subfilter: str | None = None
+    ) -> FaultState:
         """Exclude a source; all means restart from those of its subfilter, or of ``explaining_subfilter``."""
         row, means = 1 + self._subfilters.sources.index(explaining_subfilter or source), fault_state.innovation_means
         same = {
@@ -281,7 +320,9 @@ class FaultDetector:
             for name in FIELDS_BY_SUBFILTER
         }
         exclusions = {**fault_state.exclusions, source: exclusion}
-        return replace(fault_state, innovation_means=replace(means, **same), exclusions=exclusions, unresolved_fault=None)
+        return replace(
+            fault_state, innovation_means=replace(means, **same), exclusions=exclusions, unresolved_fault=None
+        )
 
     def record_baseline_jump(self, fault_state: FaultState, source: str, jump: BaselineJump) -> FaultState:
         """Record another jump of the baseline of an excluded drone, which may have jumped back."""
@@ -297,7 +338,12 @@ class FaultDetector:
         return replace(fault_state, innovation_means=means, exclusions={**fault_state.exclusions, source: new_record})
 
     def monitor_beacon(
-        self, fault_state: FaultState, name: str, innovation: FilterInnovations, time_ns: int, expected_rejection_m: float
+        self,
+        fault_state: FaultState,
+        name: str,
+        innovation: FilterInnovations,
+        time_ns: int,
+        expected_rejection_m: float,
     ) -> FaultState:
         """Compare a beacon of an excluded drone with the estimate by the others; reinstate the drone when due.
 
@@ -313,8 +359,18 @@ class FaultDetector:
         rows = 1 + len(self._subfilters.sources)
         whitened_innovation = np.repeat(innovation.whitened_innovation, rows, axis=0)
         accepted = np.full(rows, bool(innovation.nis[0] <= self._beacon_gate))
-        means = updated_means(fault_state.innovation_means, index, whitened_innovation, accepted, time_ns, self._limit, innovation.whitened_noise)
-        exclusion, returns = evaluate_reinstatement(record.exclusion, means, index, time_ns, self._config.return_after_s)
+        means = updated_means(
+            fault_state.innovation_means,
+            index,
+            whitened_innovation,
+            accepted,
+            time_ns,
+            self._limit,
+            innovation.whitened_noise,
+        )
+        exclusion, returns = evaluate_reinstatement(
+            record.exclusion, means, index, time_ns, self._config.return_after_s
+        )
         sigma_m = float(np.sqrt(np.max(np.linalg.eigvalsh(innovation.covariance[0]))))
         if 0.0 < expected_rejection_m <= _DETECTABLE_SIGMAS * sigma_m:
             exclusion, returns = replace(exclusion, consistent_since_ns=None), False
@@ -327,8 +383,14 @@ class FaultDetector:
         returns = since_ns is not None and time_ns - since_ns >= self._config.return_after_s * SECOND_NS
         return self._update_exclusion(fault_state, source, replace(exclusion, consistent_since_ns=since_ns), returns)
 
-    def _update_exclusion(self, fault_state: FaultState, source: str, exclusion: ExcludedSource, is_reinstated: bool) -> FaultState:
-        exclusions, jumped_ns, means = dict(fault_state.exclusions), dict(fault_state.known_jumps_ns), fault_state.innovation_means
+    def _update_exclusion(
+        self, fault_state: FaultState, source: str, exclusion: ExcludedSource, is_reinstated: bool
+    ) -> FaultState:
+        exclusions, jumped_ns, means = (
+            dict(fault_state.exclusions),
+            dict(fault_state.known_jumps_ns),
+            fault_state.innovation_means,
+        )
         if is_reinstated:
             jumped_ns[source] = exclusions.pop(source).last_jump_ns + _SAME_JUMP_NS
             row = len(self._subfilters.beacons) if source in AXIS_SOURCES else self._subfilters.sources.index(source)
@@ -340,7 +402,9 @@ class FaultDetector:
             exclusions[source] = replace(exclusions[source], exclusion=exclusion)
         return replace(fault_state, innovation_means=means, exclusions=exclusions, known_jumps_ns=jumped_ns)
 
-    def set_unresolved_fault(self, fault_state: FaultState, disagreement_n: FloatArray, is_persistent: bool) -> FaultState:
+    def set_unresolved_fault(
+        self, fault_state: FaultState, disagreement_n: FloatArray, is_persistent: bool
+    ) -> FaultState:
         """Record a fault that no single source explains."""
         before = fault_state.unresolved_fault
         if before is not None and np.trace(before.disagreement_n) > np.trace(disagreement_n):
@@ -358,6 +422,8 @@ class FaultDetector:
         if conflict.consistent_since_ns is None:
             # Innovations from the time when all beacons were rejected must not isolate a source from now on.
             means = cleared_means(fault_state.innovation_means, slice(None), slice(None))
-            return replace(fault_state, innovation_means=means, unresolved_fault=replace(conflict, consistent_since_ns=time_ns))
+            return replace(
+                fault_state, innovation_means=means, unresolved_fault=replace(conflict, consistent_since_ns=time_ns)
+            )
         has_ended = time_ns - conflict.consistent_since_ns >= self._config.return_after_s * SECOND_NS
         return replace(fault_state, unresolved_fault=None if has_ended else conflict)

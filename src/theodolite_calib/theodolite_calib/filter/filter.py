@@ -88,7 +88,9 @@ class CalibrationState:
     @property
     def last_update_ns(self) -> int | None:
         """Time of the last accepted sighting, of beacons or of stars; None before the first."""
-        return max((time_ns for time_ns in (self.last_beacons_ns, self.last_stars_ns) if time_ns is not None), default=None)
+        return max(
+            (time_ns for time_ns in (self.last_beacons_ns, self.last_stars_ns) if time_ns is not None), default=None
+        )
 
     @property
     def residual_rms(self) -> float:
@@ -141,10 +143,18 @@ class CalibrationFilter:
         subfilters = self.subfilters.initial_states(mean, covariance_by_source.sum(axis=0))
         solution_separation = np.zeros(len(self.subfilters.sources))
         return CalibrationState(
-            None, mean, covariance_by_source, self.observability.initial_state(), subfilters, initial_fault_state(self.subfilters), solution_separation
+            None,
+            mean,
+            covariance_by_source,
+            self.observability.initial_state(),
+            subfilters,
+            initial_fault_state(self.subfilters),
+            solution_separation,
         )
 
-    def propagate(self, state: CalibrationState, time_ns: int, new_ship_covariance_n: FloatArray | None) -> CalibrationState:
+    def propagate(
+        self, state: CalibrationState, time_ns: int, new_ship_covariance_n: FloatArray | None
+    ) -> CalibrationState:
         """Propagate the state to a later time.
 
         Args:
@@ -157,7 +167,9 @@ class CalibrationFilter:
         parts = predict(state.covariance_by_source, decay, noise, self.model.source_of)
         mean, ship_covariance_n, ship = decay * state.mean, state.ship_covariance_n, self.ship_error.columns
         mean[..., ship] = self.ship_error.propagate(state.mean[..., ship], decay[ship])
-        mean, parts, step = self.ship_error.apply_stated_covariance(mean, parts, ship, decay[ship], ship_covariance_n, new_ship_covariance_n)
+        mean, parts, step = self.ship_error.apply_stated_covariance(
+            mean, parts, ship, decay[ship], ship_covariance_n, new_ship_covariance_n
+        )
         unaided = self.observability.propagate(state.observability, dt_s, ship_covariance_n)
         if step is not None:
             unaided = self.observability.with_ship_step(unaided, step)
@@ -209,7 +221,9 @@ class CalibrationFilter:
         excluded, parts = state.fault_state.excluded_sources, state.covariance_by_source
         if excluded:
             parts = self.subfilters.add_unknown_errors_to_parts(parts, self.model.sources.index(SOURCE_AXES), excluded)
-        return replace(state, covariance_by_source=parts, subfilters=self.subfilters.add_unknown_errors(state.subfilters, excluded))
+        return replace(
+            state, covariance_by_source=parts, subfilters=self.subfilters.add_unknown_errors(state.subfilters, excluded)
+        )
 
     def align_unknown_errors(self, state: CalibrationState, sighting: Sighting) -> CalibrationState:
         """Set the unknown errors (:meth:`add_unknown_errors`) to their values in a sighting.
@@ -302,7 +316,14 @@ class CalibrationFilter:
             state.mean[None], state.covariance[None], measurement, state.mean, prediction.by_attitude_n
         )
         (nis,), (whitened_innovation,) = innovation.nis.tolist(), innovation.whitened_innovation
-        return Comparison(prediction, measurement, innovation.covariance[0], nis, nis - float(whitened_innovation @ whitened_innovation), innovation.gain[0])
+        return Comparison(
+            prediction,
+            measurement,
+            innovation.covariance[0],
+            nis,
+            nis - float(whitened_innovation @ whitened_innovation),
+            innovation.gain[0],
+        )
 
 
 def _parts_for_covariance(parts: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -312,7 +333,9 @@ def _parts_for_covariance(parts: FloatArray, covariance: FloatArray) -> FloatArr
     # Scaled to unit variance, since states are in radians and metres; a state with zero variance keeps it.
     scale = np.outer(sigma, sigma)
     unit = 1.0 / np.where(scale > 0.0, scale, np.inf)
-    transformation = _symmetric_root(covariance * unit) @ np.linalg.pinv(_symmetric_root(before * unit), rcond=1e-9, hermitian=True)
+    transformation = _symmetric_root(covariance * unit) @ np.linalg.pinv(
+        _symmetric_root(before * unit), rcond=1e-9, hermitian=True
+    )
     transformed = transformation @ (parts * unit) @ transformation.T
     missing = covariance * unit - transformed.sum(axis=0)
     reshaped: FloatArray = scale * (transformed + missing / len(parts))

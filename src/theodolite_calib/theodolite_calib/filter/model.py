@@ -293,7 +293,9 @@ def ship_error_steps(previous_n: FloatArray | None, stated_n: FloatArray) -> Shi
     # A change of a matrix need not be such a step in each axis: negative variances are set to zero.
     values, vectors = np.linalg.eigh(0.5 * (remaining_n + remaining_n.swapaxes(1, 2)))
     new_n = (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.swapaxes(1, 2)
-    return ShipErrorStep(np.where(has_no_step[:, None], 1.0, retained), np.where(has_no_step[:, None, None], 0.0, new_n))
+    return ShipErrorStep(
+        np.where(has_no_step[:, None], 1.0, retained), np.where(has_no_step[:, None, None], 0.0, new_n)
+    )
 
 
 def with_step(

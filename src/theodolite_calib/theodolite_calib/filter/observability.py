@@ -80,7 +80,9 @@ class Observability:
         """Return the state before any sighting."""
         return ObservabilityState(np.diag(np.concatenate([entry.sigma for entry in self._model.blocks.values()])))
 
-    def propagate(self, state: ObservabilityState, dt_s: float, ship_covariance_n: FloatArray | None) -> ObservabilityState:
+    def propagate(
+        self, state: ObservabilityState, dt_s: float, ship_covariance_n: FloatArray | None
+    ) -> ObservabilityState:
         """Propagate by ``dt_s``; the ship's error has a stated stationary covariance (rad², (3, 3)) if one is given."""
         decay, noise = self._model.transition(dt_s)
         roots = [decay[:, None] * state.root, np.diag(np.sqrt(noise))[:, noise > 0.0]]

@@ -123,7 +123,9 @@ class SightingModel:
     def predict(self, mean: FloatArray, sighting: Sighting) -> Prediction:
         """Predict a sighting by a state, with its Jacobian."""
         ship, encoder = sighting.ship, sighting.encoder
-        geometry = axis_geometry(self.geometry_errors(mean), ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation)
+        geometry = axis_geometry(
+            self.geometry_errors(mean), ship.rotation_nd, ship.rate_d, encoder.azimuth, encoder.elevation
+        )
         rotation_nt, by_parallelism = telescope_from_main(self.parallelism(mean), geometry.rotation_nm)
         setup = self._beacon_setup(sighting.names)
         lines = self._lines(mean, sighting, geometry, setup)
@@ -148,13 +150,17 @@ class SightingModel:
             SOURCE_ENCODER: encoder_noise,
             SOURCE_SHIP_NOISE: ship_noise,
             SOURCE_IMAGE: sighting.image.covariance_m2,
-            SOURCE_RTK: compiled_points.covariance_by_own_error(by_error[..., BASELINE], sighting.beacons.baseline_covariance_n),
+            SOURCE_RTK: compiled_points.covariance_by_own_error(
+                by_error[..., BASELINE], sighting.beacons.baseline_covariance_n
+            ),
         }
         noise_n = {SOURCE_ENCODER: parts_n[0], SOURCE_SHIP_NOISE: parts_n[1]}
         residual = (sighting.image.point_m - points.point_m).reshape(rows)
         return Prediction(rotation_nt, by_state_n, noise_n, camera, lines, residual, by_attitude_n, jacobian, noise)
 
-    def _lines(self, mean: FloatArray, sighting: Sighting, geometry: AxisGeometry, setup: "_BeaconSetup") -> LinesOfSight:
+    def _lines(
+        self, mean: FloatArray, sighting: Sighting, geometry: AxisGeometry, setup: "_BeaconSetup"
+    ) -> LinesOfSight:
         """Return the lines of sight, corrected by the estimated errors."""
         own, survey = setup.own_errors(mean), setup.survey
         beacons = BeaconPoses(
@@ -174,7 +180,9 @@ class SightingModel:
             refraction_sigma=survey.refraction_sigma,
             refraction_beacon_sigma=survey.refraction_beacon_sigma,
         )
-        return lines_of_sight(beacons, Ship(geometry.rotation_nd, _NO_COVARIANCE, geometry.rotation_dm), corrected_survey)
+        return lines_of_sight(
+            beacons, Ship(geometry.rotation_nd, _NO_COVARIANCE, geometry.rotation_dm), corrected_survey
+        )
 
     def _beacon_setup(self, names: tuple[str, ...]) -> "_BeaconSetup":
         """Return the setup of beacons with these names; computed once for all their sightings."""
@@ -240,7 +248,9 @@ class _BeaconSetup:
                 (light, column, row)
                 for light, term, state in effects
                 if state in model.slices
-                for column, row in zip(_column_numbers(TERM_COLUMNS[term]), _column_numbers(model.slices[state]), strict=True)
+                for column, row in zip(
+                    _column_numbers(TERM_COLUMNS[term]), _column_numbers(model.slices[state]), strict=True
+                )
             ],
             dtype=np.intp,
         )

@@ -79,7 +79,11 @@ class SightingGate:
         prediction, camera = comparison.prediction, self._camera(state, comparison)
         prior = AttitudePrior(prediction.rotation_nt, _telescope_covariance_by_source(state, comparison))
         check = check_beacons(sighting.image, camera, prediction.lines, self._gate.probability, prior)
-        resolved = self._try_exchanged_names(state, sighting, exposure, check.order) if check.result is BeaconCheckResult.SWAPPED else None
+        resolved = (
+            self._try_exchanged_names(state, sighting, exposure, check.order)
+            if check.result is BeaconCheckResult.SWAPPED
+            else None
+        )
         resolved = resolved or self._try_without_one(state, sighting, exposure)
         if resolved is not None:
             return resolved
@@ -91,7 +95,9 @@ class SightingGate:
         if not check.attitude.solved:
             return SightingDecision(decision)
         sigma = float(np.sqrt(np.max(np.diagonal(check.attitude.covariance_n))))
-        return SightingDecision(replace(decision, telescope_dt=(sighting.deck_from_telescope(check.attitude.rotation_nt), sigma)))
+        return SightingDecision(
+            replace(decision, telescope_dt=(sighting.deck_from_telescope(check.attitude.rotation_nt), sigma))
+        )
 
     def _camera(self, state: CalibrationState, comparison: Comparison) -> Camera:
         """Return the camera with the focal length's uncertainty of the state."""
@@ -111,7 +117,9 @@ class SightingGate:
         text = f"lights used with exchanged names, the only consistent: {', '.join(exchanged)}"
         return replace(result, decision=replace(result.decision, reason=Reason.LIGHT_CONFLICT, text=text))
 
-    def _try_without_one(self, state: CalibrationState, sighting: Sighting, exposure: Exposure) -> SightingDecision | None:
+    def _try_without_one(
+        self, state: CalibrationState, sighting: Sighting, exposure: Exposure
+    ) -> SightingDecision | None:
         """Evaluate three or more beacons without one of them; return the best decision that passes, or None."""
         rows = range(len(sighting.names))
         if len(rows) < 3:
@@ -126,7 +134,10 @@ class SightingGate:
             return None
         _, row, others, comparison = min(trials, key=lambda trial: trial[:2])
         result = self._acceptance(exposure, others, comparison)
-        rejected = sighting.names[row], Rejection(Reason.LIGHT_CONFLICT, "the other lights are consistent only without it")
+        rejected = (
+            sighting.names[row],
+            Rejection(Reason.LIGHT_CONFLICT, "the other lights are consistent only without it"),
+        )
         return replace(result, decision=replace(result.decision, rejected_parts=(rejected,)))
 
     def _acceptance(self, exposure: Exposure, sighting: Sighting, comparison: Comparison) -> SightingDecision:

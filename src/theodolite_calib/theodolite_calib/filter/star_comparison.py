@@ -179,7 +179,9 @@ class StarModel:
             if isinstance(stars, Rejection):
                 return stars
             measurement = self._measurement(camera, stars, reached - mean)
-            innovations = subfilter_innovations(mean[None], covariance[None], measurement, mean, stars.rotation_jacobian)
+            innovations = subfilter_innovations(
+                mean[None], covariance[None], measurement, mean, stars.rotation_jacobian
+            )
             found = StarComparison(camera, stars, measurement, innovations)
             updated = mean + innovations.gain[0] @ measurement.residual
             if np.max(np.abs(camera.by_state_n @ (updated - reached))) < _SMALL_STEP:

@@ -67,7 +67,11 @@ class StarStep:
     def _gate_and_update(
         self, state: CalibrationState, predicted: CalibrationState, sighting: StarSighting, comparison: StarComparison
     ) -> tuple[CalibrationState, ExposureDecision]:
-        measurement, (covariance,), (nis,) = comparison.measurement, comparison.innovations.covariance, comparison.innovations.nis.tolist()
+        measurement, (covariance,), (nis,) = (
+            comparison.measurement,
+            comparison.innovations.covariance,
+            comparison.innovations.nis.tolist(),
+        )
         gate = chi_square_gate(self._gate.probability, len(measurement.residual))
         decision = ExposureDecision(
             measurement=sighting.exposure,
@@ -91,9 +95,15 @@ class StarStep:
             decision = replace(decision, reason=contradiction.reason, text=contradiction.text)
             return count_rejection(state, decision, self._gate, "stars")
         subfilters = self._filter.subfilters.update_by_stars(
-            predicted.subfilters, measurement, predicted.mean, comparison.stars.rotation_jacobian, self._gate.probability
+            predicted.subfilters,
+            measurement,
+            predicted.mean,
+            comparison.stars.rotation_jacobian,
+            self._gate.probability,
         )
-        separation = solution_separations(after, subfilters, self._axis_indices, comparison.camera.rotation_ns, comparison.camera.by_state_n)
+        separation = solution_separations(
+            after, subfilters, self._axis_indices, comparison.camera.rotation_ns, comparison.camera.by_state_n
+        )
         fault_state = self._fault_detector.record_acceptance(predicted.fault_state, sighting.time_ns)
         after = replace(after, subfilters=subfilters, solution_separation=separation, fault_state=fault_state)
         return after, replace(decision, reason=Reason.NONE, accepted=True)

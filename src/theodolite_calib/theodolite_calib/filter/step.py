@@ -65,7 +65,11 @@ class SightingStep:
         has_ship_drifted: Callable[[int], bool | None] = lambda time_ns: None,
         stream_faults: Callable[[int], Set[str]] = lambda time_ns: frozenset(),
     ) -> None:
-        self._stream_consistency, self._has_ship_drifted, self._stream_faults = stream_consistency, has_ship_drifted, stream_faults
+        self._stream_consistency, self._has_ship_drifted, self._stream_faults = (
+            stream_consistency,
+            has_ship_drifted,
+            stream_faults,
+        )
         self._filter, self._gate, self._config = filter_, config.gate, config.integrity
         self._sighting_gate = SightingGate(filter_, config.gate)
         self._multipliers = hypothesis_multipliers(config.integrity, filter_.subfilters.sources)
@@ -129,7 +133,9 @@ class SightingStep:
         unused_state = state if excluded == state.fault_state.excluded_sources else predicted
         rows = range(len(sighting.names))
         used_rows = [row for row in rows if BEACON_PREFIX + sighting.names[row] not in excluded]
-        excluded_beacons = tuple(self._exclusion_rejection(predicted, name) for name in sighting.names if BEACON_PREFIX + name in excluded)
+        excluded_beacons = tuple(
+            self._exclusion_rejection(predicted, name) for name in sighting.names if BEACON_PREFIX + name in excluded
+        )
         prepared = self._filter.add_unknown_errors(predicted)
         for source in sorted(excluded & AXIS_SOURCES):
             predicted = self._monitor_prediction(predicted, sighting, source)
@@ -170,26 +176,42 @@ class SightingStep:
         """Update subfilters and fault state with an accepted sighting; ``before`` is the state propagated to it."""
         main_filter = before.mean, comparison.covariance
         subfilters, innovations = self._filter.subfilters.update_by_beacons(
-            before.subfilters, names, comparison.measurement, main_filter, before.fault_state.excluded_sources, self._gate.probability
+            before.subfilters,
+            names,
+            comparison.measurement,
+            main_filter,
+            before.fault_state.excluded_sources,
+            self._gate.probability,
         )
         time_ns = decision.measurement.time_ns
         fault_state = self._fault_detector.update_means(before.fault_state, names, innovations, True, time_ns)
         prediction = comparison.prediction
-        separation = solution_separations(after, subfilters, self._axis_indices, prediction.rotation_nt, prediction.by_state_n)
+        separation = solution_separations(
+            after, subfilters, self._axis_indices, prediction.rotation_nt, prediction.by_state_n
+        )
         after_acceptance = self._fault_detector.record_acceptance(fault_state, time_ns)
         after = replace(after, subfilters=subfilters, fault_state=after_acceptance, solution_separation=separation)
-        is_detected, source, explaining_sources = self._fault_detector.isolate_fault(after.fault_state, after.solution_separation, time_ns)
+        is_detected, source, explaining_sources = self._fault_detector.isolate_fault(
+            after.fault_state, after.solution_separation, time_ns
+        )
         if is_detected and not fault_state.excluded_sources:
             is_common = self._fault_detector.drift_together(fault_state, time_ns)
             source = isolate_drift_fault(source, explaining_sources, is_common, self._has_ship_drifted(time_ns))
             source = self._prefer_stream_fault(source, explaining_sources, time_ns)
-        elif not is_detected and self._fault_detector.indicates_ship_drift(fault_state, time_ns) and self._has_ship_drifted(time_ns):
+        elif (
+            not is_detected
+            and self._fault_detector.indicates_ship_drift(fault_state, time_ns)
+            and self._has_ship_drifted(time_ns)
+        ):
             source = SHIP
         if source is not None:
             return self._exclude_faulty_source(after, source, decision)
         if is_detected:
             spread_n = self._largest_disagreement_n(after, comparison)
-            after = replace(after, fault_state=self._fault_detector.set_unresolved_fault(after.fault_state, spread_n, is_persistent=True))
+            after = replace(
+                after,
+                fault_state=self._fault_detector.set_unresolved_fault(after.fault_state, spread_n, is_persistent=True),
+            )
         return after, decision
 
     def _record_rejected(
@@ -211,24 +233,41 @@ class SightingStep:
             self._gate.probability,
         )
         time_ns = sighting.time_ns
-        fault_state = self._fault_detector.update_means(unused_state.fault_state, sighting.names, innovations, False, time_ns)
-        is_detected, explaining_subfilter, explaining_sources = self._fault_detector.isolate_fault(fault_state, np.zeros(len(self._filter.subfilters.sources)), time_ns)
+        fault_state = self._fault_detector.update_means(
+            unused_state.fault_state, sighting.names, innovations, False, time_ns
+        )
+        is_detected, explaining_subfilter, explaining_sources = self._fault_detector.isolate_fault(
+            fault_state, np.zeros(len(self._filter.subfilters.sources)), time_ns
+        )
         after = replace(predicted, subfilters=subfilters, fault_state=fault_state)
         source = explaining_subfilter
         if explaining_subfilter in (ENCODER, SHIP) and not unused_state.fault_state.excluded_sources:
             source = self._isolate_by_streams(unused_state, explaining_subfilter, explaining_sources, decision)
             source = self._prefer_stream_fault(source, explaining_sources, time_ns)
         if source is not None:
-            return self._exclude_faulty_source(replace(after, consecutive_rejections=unused_state.consecutive_rejections + 1), source, decision, explaining_subfilter)
-        fault_state = self._fault_detector.set_unresolved_fault(fault_state, _disagreement_n(comparison), is_persistent=is_detected)
-        return count_rejection(replace(unused_state, subfilters=subfilters, fault_state=fault_state), decision, self._gate, "lights")
+            return self._exclude_faulty_source(
+                replace(after, consecutive_rejections=unused_state.consecutive_rejections + 1),
+                source,
+                decision,
+                explaining_subfilter,
+            )
+        fault_state = self._fault_detector.set_unresolved_fault(
+            fault_state, _disagreement_n(comparison), is_persistent=is_detected
+        )
+        return count_rejection(
+            replace(unused_state, subfilters=subfilters, fault_state=fault_state), decision, self._gate, "lights"
+        )
 
     def _isolate_by_streams(
         self, unused_state: CalibrationState, source: str, explaining_sources: Set[str], decision: ExposureDecision
     ) -> str | None:
         """Isolate a fault of encoders or ship by their own streams; return the faulty source or None."""
         time_ns = decision.measurement.time_ns
-        streams = None if unused_state.last_beacons_ns is None else self._stream_consistency(unused_state.last_beacons_ns, time_ns)
+        streams = (
+            None
+            if unused_state.last_beacons_ns is None
+            else self._stream_consistency(unused_state.last_beacons_ns, time_ns)
+        )
         if streams is None:
             return source
         return isolate_step_fault(source, explaining_sources, streams, float(np.max(np.abs(decision.residual))))
@@ -246,11 +285,13 @@ class SightingStep:
     ) -> tuple[CalibrationState, ExposureDecision]:
         """Exclude an isolated source; ``explaining_subfilter`` is set if the source has no subfilter of its own."""
         reason = f"{source} is inconsistent with the other sources, which are consistent without it"
-        rejected_residual_m = float(np.max(np.abs(decision.residual), initial=0.0)) * self._filter.sightings.focal_length_m(
-            state.mean
-        )
+        rejected_residual_m = float(
+            np.max(np.abs(decision.residual), initial=0.0)
+        ) * self._filter.sightings.focal_length_m(state.mean)
         exclusion = ExclusionRecord(ExcludedSource(decision.measurement.time_ns), reason, rejected_residual_m)
-        state = self._exclude_source(state, source, exclusion, source if source in self._filter.subfilters.sources else explaining_subfilter)
+        state = self._exclude_source(
+            state, source, exclusion, source if source in self._filter.subfilters.sources else explaining_subfilter
+        )
         text = f"{decision.text}; excluded: {reason}" if decision.text else f"excluded: {reason}"
         return replace(state, consecutive_rejections=0), replace(decision, text=text)
 
@@ -264,14 +305,22 @@ class SightingStep:
 
     def _monitor_prediction(self, predicted: CalibrationState, sighting: Sighting, source: str) -> CalibrationState:
         """Compare the sighting with the prediction of excluded encoders, or of an excluded ship's attitude."""
-        used = [row for row, name in enumerate(sighting.names) if BEACON_PREFIX + name not in predicted.fault_state.excluded_sources]
+        used = [
+            row
+            for row, name in enumerate(sighting.names)
+            if BEACON_PREFIX + name not in predicted.fault_state.excluded_sources
+        ]
         comparison = self._filter.compare(predicted, sighting.select(used)) if used else None
         gate = chi_square_gate(self._gate.probability, 2 * len(used)) if used else 0.0
         is_consistent = comparison is not None and comparison.nis <= gate
-        fault_state = self._fault_detector.monitor_prediction(predicted.fault_state, source, is_consistent, sighting.time_ns)
+        fault_state = self._fault_detector.monitor_prediction(
+            predicted.fault_state, source, is_consistent, sighting.time_ns
+        )
         return replace(predicted, fault_state=fault_state)
 
-    def _monitor_beacons(self, fault_state: FaultState, state: CalibrationState, sighting: Sighting, has_others: bool) -> FaultState:
+    def _monitor_beacons(
+        self, fault_state: FaultState, state: CalibrationState, sighting: Sighting, has_others: bool
+    ) -> FaultState:
         """Compare the beacons of excluded drones with the estimate by the other sources."""
         for row, name in enumerate(sighting.names):
             if BEACON_PREFIX + name not in state.fault_state.excluded_sources:
@@ -280,8 +329,12 @@ class SightingStep:
             if comparison is not None:
                 measurement = comparison.measurement
                 innovation = beacon_innovation(measurement.residual, comparison.covariance, measurement.noise)
-                expected_rejection_m = self._expected_rejection_m(fault_state.exclusions[BEACON_PREFIX + name], comparison, has_others)
-                fault_state = self._fault_detector.monitor_beacon(fault_state, name, innovation, sighting.time_ns, expected_rejection_m)
+                expected_rejection_m = self._expected_rejection_m(
+                    fault_state.exclusions[BEACON_PREFIX + name], comparison, has_others
+                )
+                fault_state = self._fault_detector.monitor_beacon(
+                    fault_state, name, innovation, sighting.time_ns, expected_rejection_m
+                )
         return fault_state
 
     @staticmethod
@@ -334,7 +387,11 @@ def count_rejection(
 
 
 def solution_separations(
-    state: CalibrationState, subfilters: SubfilterStates, axis_indices: NDArray[np.intp], rotation_nc: FloatArray, by_state_n: FloatArray
+    state: CalibrationState,
+    subfilters: SubfilterStates,
+    axis_indices: NDArray[np.intp],
+    rotation_nc: FloatArray,
+    by_state_n: FloatArray,
 ) -> FloatArray:
     """Return the solution separation of each subfilter in the pointing, in standard deviations, shape (h,).
 
@@ -348,7 +405,10 @@ def solution_separations(
     to_axes = rotation_nc.T @ by_state_n[:, axis_indices]
     separation = (subfilters.mean - state.mean)[:, axis_indices] @ to_axes.T
     covariance = np.concatenate(
-        [state.covariance_by_source[:, axis_indices[:, None], axis_indices].sum(axis=0)[None], subfilters.covariances[:, 0, axis_indices[:, None], axis_indices]]
+        [
+            state.covariance_by_source[:, axis_indices[:, None], axis_indices].sum(axis=0)[None],
+            subfilters.covariances[:, 0, axis_indices[:, None], axis_indices],
+        ]
     )
     variance = (to_axes @ covariance * to_axes).sum(axis=-1)
     statistic: FloatArray = np.abs(separation / separation_sigma(variance[1:], variance[0])).max(axis=-1)

@@ -126,13 +126,17 @@ class SubfilterSet:
         """Return all subfilters, equal to the main filter."""
         return self.restart_from_estimate(SubfilterStates(None, mean, covariance), mean, covariance)
 
-    def restart_from_estimate(self, subfilters: SubfilterStates, mean: FloatArray, covariance: FloatArray) -> SubfilterStates:
+    def restart_from_estimate(
+        self, subfilters: SubfilterStates, mean: FloatArray, covariance: FloatArray
+    ) -> SubfilterStates:
         """Restart all subfilters from one estimate, shapes (n,), (n, n)."""
         count = len(self.sources)
         parts = np.broadcast_to(covariance, (count, 1, *covariance.shape)).copy()
         return replace(subfilters, mean=np.tile(mean, (count, 1)), covariances=parts)
 
-    def propagate(self, subfilters: SubfilterStates, time_ns: int, new_ship_covariance_n: FloatArray | None) -> SubfilterStates:
+    def propagate(
+        self, subfilters: SubfilterStates, time_ns: int, new_ship_covariance_n: FloatArray | None
+    ) -> SubfilterStates:
         """Propagate the subfilters to a later time; arguments as of ``CalibrationFilter.propagate``."""
         dt_s = 0.0 if subfilters.time_ns is None else max(time_ns - subfilters.time_ns, 0) * 1e-9
         decay, noise = self._model.transition(dt_s)
@@ -145,7 +149,9 @@ class SubfilterSet:
         later_ns = time_ns if subfilters.time_ns is None else max(time_ns, subfilters.time_ns)
         return SubfilterStates(later_ns, mean, parts, new_ship_covariance_n)
 
-    def inflate_covariance(self, subfilters: SubfilterStates, states: NDArray[np.intp], covariance: FloatArray) -> SubfilterStates:
+    def inflate_covariance(
+        self, subfilters: SubfilterStates, states: NDArray[np.intp], covariance: FloatArray
+    ) -> SubfilterStates:
         """Inflate the covariance of some states in every subfilter, after a jump of the given covariance."""
         parts = subfilters.covariances.copy()
         parts[..., states[:, None], states] += covariance
@@ -173,7 +179,9 @@ class SubfilterSet:
             self._patterns[key] = self._new_pattern(names, excluded, probability)
         return self._patterns[key]
 
-    def _new_pattern(self, names: tuple[str, ...], excluded: frozenset[str], probability: float) -> "_MeasurementPattern":
+    def _new_pattern(
+        self, names: tuple[str, ...], excluded: frozenset[str], probability: float
+    ) -> "_MeasurementPattern":
         unknown = excluded & self._states.keys()
         has_unknown_states = [bool(unknown), *(bool(unknown) or source in self._states for source in self.sources)]
         uses = np.ones((1 + len(self.sources), 2 * len(names)), dtype=bool)
@@ -209,7 +217,10 @@ class SubfilterSet:
             excluded: sources that every subfilter leaves out.
             probability: probability of the gate.
         """
-        pattern, parts = self._pattern(names, frozenset(excluded), probability), np.ascontiguousarray(subfilters.covariances[:, 0])
+        pattern, parts = (
+            self._pattern(names, frozenset(excluded), probability),
+            np.ascontiguousarray(subfilters.covariances[:, 0]),
+        )
         residual, gain, nis, whitened_innovation = compiled_subfilters.beacon_innovations(
             subfilters.mean - main_filter[0],
             parts,
@@ -233,8 +244,9 @@ class SubfilterSet:
         )
         mean = subfilters.mean + corrections
         beacon_nis = np.einsum("hlk,hlk->hl", whitened_innovation, whitened_innovation)
-        return replace(subfilters, mean=mean, covariances=updated[:, None]), SubfilterInnovations(accepted, beacon_nis, whitened_innovation)
-
+        return replace(subfilters, mean=mean, covariances=updated[:, None]), SubfilterInnovations(
+            accepted, beacon_nis, whitened_innovation
+        )
 
     def update_by_stars(
         self,
@@ -260,7 +272,9 @@ class SubfilterSet:
         accepted = innovations.nis <= chi_square_gate(probability, len(measurement.residual))  # NaN is not
         updated_states = np.repeat(accepted[:, None], self._model.size, axis=1)
         # Subfilters have no budget: all noise is one source.
-        without_budget = LinearMeasurement(measurement.residual, measurement.jacobian, {_ONLY_SOURCE: measurement.noise})
+        without_budget = LinearMeasurement(
+            measurement.residual, measurement.jacobian, {_ONLY_SOURCE: measurement.noise}
+        )
         corrections, stack = update_subfilters(stack, without_budget, innovations, updated_states)
         return replace(subfilters, mean=subfilters.mean + corrections, covariances=stack[:, None])
 
@@ -286,7 +300,15 @@ def beacon_innovation(residual: FloatArray, covariance: FloatArray, noise: Float
     whitened_innovation, whitened_noise = np.zeros((1, 3)), np.eye(3)
     whitened_innovation[0, :2], whitened_noise[:2, :2] = root @ residual, root @ noise @ root
     nothing = np.empty(0)
-    return FilterInnovations(residual[None], covariance[None], np.sum(whitened_innovation**2, axis=-1), nothing, whitened_innovation, whitened_noise, nothing)
+    return FilterInnovations(
+        residual[None],
+        covariance[None],
+        np.sum(whitened_innovation**2, axis=-1),
+        nothing,
+        whitened_innovation,
+        whitened_noise,
+        nothing,
+    )
 
 
 def _whitening_matrix(covariance: FloatArray) -> FloatArray:

@@ -112,14 +112,18 @@ def check_beacons(
     named_trial = _trial(image, camera, lines, named_order, prior)
     if _is_consistent(named_trial, probability):
         return named_trial.check(BeaconCheckResult.CONSISTENT)
-    exchanged_orders = [order for order in permutations(range(count)) if order != named_order] if count <= _MAX_BEACONS else []
+    exchanged_orders = (
+        [order for order in permutations(range(count)) if order != named_order] if count <= _MAX_BEACONS else []
+    )
     trials = [_trial(image, camera, lines, order, prior) for order in exchanged_orders]
     consistent_trials = [trial for trial in trials if _is_consistent(trial, probability)]
     # The improvement must be significant: without a prior two beacons fit equally well both ways.
     if len(consistent_trials) == 1 and named_trial.chi2 > consistent_trials[0].chi2 + chi_square_gate(probability, 3):
         return consistent_trials[0].check(BeaconCheckResult.SWAPPED)
     angles_fit = any(_are_angles_consistent(trial.attitude, probability) for trial in [named_trial, *trials])
-    return named_trial.check(BeaconCheckResult.PRIOR_CONFLICT if angles_fit and not consistent_trials else BeaconCheckResult.CONFLICT)
+    return named_trial.check(
+        BeaconCheckResult.PRIOR_CONFLICT if angles_fit and not consistent_trials else BeaconCheckResult.CONFLICT
+    )
 
 
 @dataclass(frozen=True)

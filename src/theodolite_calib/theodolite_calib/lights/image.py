@@ -141,7 +141,9 @@ def predict_points(camera: Camera, rotation_nt: FloatArray, direction_n: FloatAr
         flatten_exposures(direction_n, leading, (count, 3)),
         flatten_exposures(rotation_nt, leading, (3, 3)),
         flatten_exposures(camera.focal_length_m, leading, ()),
-        flatten_exposures(principal_point_m if principal_point_m.ndim == 1 else principal_point_m[..., 0, :], leading, (2,)),
+        flatten_exposures(
+            principal_point_m if principal_point_m.ndim == 1 else principal_point_m[..., 0, :], leading, (2,)
+        ),
     )
     return PredictedPoints(*(of_all.reshape(*leading, *of_all.shape[1:]) for of_all in found))
 
@@ -201,7 +203,10 @@ class BeaconStreaks:
     def select(self, rows: list[int], image_rows: list[int]) -> "BeaconStreaks":
         """Return some beacons, or exchanged names: beacon ``rows[i]`` has the point ``seen_rows[i]``."""
         return replace(
-            self, image=self.image.select(image_rows), path_n=self.path_n[rows], displacement_n=self.displacement_n[:, rows]
+            self,
+            image=self.image.select(image_rows),
+            path_n=self.path_n[rows],
+            displacement_n=self.displacement_n[:, rows],
         )
 
 

@@ -100,7 +100,9 @@ class TelescopeAttitude:
         return total_covariance(self.covariance_by_source_n)
 
 
-def solve_attitude(image: Image, camera: Camera, lines: LinesOfSight, prior: AttitudePrior | None = None) -> TelescopeAttitude:
+def solve_attitude(
+    image: Image, camera: Camera, lines: LinesOfSight, prior: AttitudePrior | None = None
+) -> TelescopeAttitude:
     """Return the maximum-likelihood attitude of the telescope.
 
     The attitude is not solved (NaN) if the information is insufficient. Without a prior this is the case for beacons so

@@ -105,7 +105,9 @@ class BatchShipCheck:
             return
         # Not beyond a gap, nor where a reported step exceeds the noise.
         steps_ns = np.diff(times_ns[place:])
-        is_regular = (steps_ns > 0) & (steps_ns <= self._max_gap_ns) & (self._reported_steps_rad[place + 1 :] <= least_rad)
+        is_regular = (
+            (steps_ns > 0) & (steps_ns <= self._max_gap_ns) & (self._reported_steps_rad[place + 1 :] <= least_rad)
+        )
         end = len(times_ns) if is_regular.all() else place + 1 + int(np.argmin(is_regular))
         checked = self._ins_check.check_block(self._batch[place:end], self._block.subset(slice(place, end)))
         if checked.count:

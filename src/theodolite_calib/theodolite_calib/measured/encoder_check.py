@@ -80,7 +80,11 @@ class EncoderCheck:
     """
 
     def __init__(self, sigma_rad: float, max_acceleration: float) -> None:
-        self._stuck_check, self._jump_check, self._prediction_bound = StuckCheck(), JumpCheck(), PredictionBound(sigma_rad)
+        self._stuck_check, self._jump_check, self._prediction_bound = (
+            StuckCheck(),
+            JumpCheck(),
+            PredictionBound(sigma_rad),
+        )
         # Two readings predict the next: the last two accepted, and the last two accepted or not. Without rejections
         # these are the same.
         self._last_accepted: tuple[EncoderSample, ...] = ()
@@ -109,7 +113,9 @@ class EncoderCheck:
         if self._halted_since_ns is not None:
             return "the encoders stopped during a motion: at rest, or stuck"
         if self._unconfirmed_step is not None:
-            return f"the encoders have stepped by {self._unconfirmed_step[1] / ARCSEC:.0f}″, not yet confirmed by a light"
+            return (
+                f"the encoders have stepped by {self._unconfirmed_step[1] / ARCSEC:.0f}″, not yet confirmed by a light"
+            )
         if self._step_detector.pending_step_rad:
             return "the encoders are not where predicted: moved, or slipped"
         return ""
@@ -117,7 +123,9 @@ class EncoderCheck:
     @property
     def unconfirmed_sigma_rad(self) -> float:
         """Standard deviation of the readings about each axis while unconfirmed, in addition to their noise, rad."""
-        return math.hypot(self._step_detector.pending_step_rad, 0.0 if self._unconfirmed_step is None else self._unconfirmed_step[1])
+        return math.hypot(
+            self._step_detector.pending_step_rad, 0.0 if self._unconfirmed_step is None else self._unconfirmed_step[1]
+        )
 
     def check(
         self, sample: EncoderSample, track: VectorTrack[EncoderSample], late: Rejection | None = None
@@ -142,7 +150,9 @@ class EncoderCheck:
         if result.jump is not None:
             self._unconfirmed_jump = UnconfirmedStep(result.jump.time_ns, "the encoders have jumped", "lights")
             self._step_detector.restart()
-        step = self._step_detector.observe(sample.time_ns, sample.vector, self._sigma_rad, self._stuck_check.coarseness_rad)
+        step = self._step_detector.observe(
+            sample.time_ns, sample.vector, self._sigma_rad, self._stuck_check.coarseness_rad
+        )
         if step is not None:
             result = self._check_step(step)
         self._check_motion(sample)
@@ -200,7 +210,10 @@ class EncoderCheck:
         if result is JumpDecision.REJECTED:
             assert match is not None
             is_first_rejection = self._jump_check.rejected_count == 1
-            self._last_readings = (_extrapolate_back(sample, *self._last_accepted) if is_first_rejection else self._last_readings[-1], sample)
+            self._last_readings = (
+                _extrapolate_back(sample, *self._last_accepted) if is_first_rejection else self._last_readings[-1],
+                sample,
+            )
             return CheckedReading(_gate_rejection(match))
         has_no_rejection = self._last_readings is self._last_accepted
         self._last_readings = (*self._last_readings[-1:], sample)

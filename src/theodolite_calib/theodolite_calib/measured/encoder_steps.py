@@ -129,7 +129,9 @@ class EncoderStepDetector:
         self._previous.append((time_ns, angles))
         return None
 
-    def _prediction_error(self, time_ns: int, angles: FloatArray, sigma_rad: float, coarseness_rad: float) -> _PredictionError | None:
+    def _prediction_error(
+        self, time_ns: int, angles: FloatArray, sigma_rad: float, coarseness_rad: float
+    ) -> _PredictionError | None:
         """Return the prediction error of a reading; None if there are too few readings before it."""
         if len(self._previous) < _MIN_READINGS:
             return None
@@ -139,7 +141,9 @@ class EncoderStepDetector:
         bound_rad = gain * (_DETECTION_SIGMAS * noise_rad + ROUNDING_SPREAD * math.sqrt(0.5) * coarseness_rad)
         return _PredictionError(time_ns, angles - predicted, gain, gain * noise_rad, bound_rad)
 
-    def _resolve_step(self, first: _PredictionError, angles: FloatArray, prediction_error: _PredictionError, now: FloatArray) -> EncoderStep | None:
+    def _resolve_step(
+        self, first: _PredictionError, angles: FloatArray, prediction_error: _PredictionError, now: FloatArray
+    ) -> EncoderStep | None:
         """Resolve a pending step by the reading after it; the readings are ``angles`` and ``now``."""
         axis = int(np.argmax(np.abs(first.error)))
         ratio, before_ns = prediction_error.error[axis] / first.error[axis], self._previous[-1][0]
@@ -150,7 +154,9 @@ class EncoderStepDetector:
         self._previous.append((prediction_error.time_ns, now))
         if not _MIN_PERSISTENCE < ratio < _MAX_PERSISTENCE:
             return None
-        lower_bound_rad = min(abs(first.error[axis]), abs(prediction_error.error[axis])) - _LOWER_BOUND_SIGMAS * first.sigma_rad
+        lower_bound_rad = (
+            min(abs(first.error[axis]), abs(prediction_error.error[axis])) - _LOWER_BOUND_SIGMAS * first.sigma_rad
+        )
         within_s = (first.time_ns - before_ns) / SECOND_NS
         return EncoderStep(first.time_ns - 1, first.error, first.sigma_rad, lower_bound_rad, within_s)
 

@@ -64,11 +64,21 @@ class EncoderSeries:
     unconfirmed_reasons: list[str]
 
     @classmethod
-    def from_samples(cls, samples: Sequence[EncoderSample], unconfirmed_reasons: Sequence[str], unconfirmed_sigmas_rad: Sequence[float]) -> "EncoderSeries":
+    def from_samples(
+        cls,
+        samples: Sequence[EncoderSample],
+        unconfirmed_reasons: Sequence[str],
+        unconfirmed_sigmas_rad: Sequence[float],
+    ) -> "EncoderSeries":
         """Return the series of some readings; ``unconfirmed_sigmas_rad`` is an additional standard deviation of each angle."""
-        variances = [sample.sigma**2 + unconfirmed_sigma_rad**2 for sample, unconfirmed_sigma_rad in zip(samples, unconfirmed_sigmas_rad, strict=True)]
+        variances = [
+            sample.sigma**2 + unconfirmed_sigma_rad**2
+            for sample, unconfirmed_sigma_rad in zip(samples, unconfirmed_sigmas_rad, strict=True)
+        ]
         times_ns = np.array([sample.time_ns for sample in samples])
-        return cls(times_ns, np.array([sample.vector for sample in samples]), np.array(variances), list(unconfirmed_reasons))
+        return cls(
+            times_ns, np.array([sample.vector for sample in samples]), np.array(variances), list(unconfirmed_reasons)
+        )
 
 
 @dataclass(frozen=True)

@@ -55,7 +55,9 @@ class ShipCheck:
     def check(self, sample: ShipSample, oldest_ns: int) -> CheckedInsSample:
         """Check a sample; none before ``oldest_ns`` will come."""
         self._accepted.drop_before(oldest_ns)
-        result = self._batch_check.check(sample, self._accepted, stated_step_rad(sample.correlated_covariance_n, self._stated_covariance_n))
+        result = self._batch_check.check(
+            sample, self._accepted, stated_step_rad(sample.correlated_covariance_n, self._stated_covariance_n)
+        )
         if result.rates_wrong_after_ns is not None:
             self._accepted.drop_rates(result.rates_wrong_after_ns)
         if result.jumps:

@@ -111,7 +111,9 @@ def stream_consistency(
         # Exactly repeated readings among others that moved may be stuck: no test then.
         is_unchanged = np.all(turns == 0.0, axis=1)
         if np.all(is_unchanged) or not np.any(is_unchanged):
-            by_encoder = _find_largest_step(_seconds(encoder, since_ns), cumulative_angles, encoder[-1].sigma, _MOTION_DEGREES)
+            by_encoder = _find_largest_step(
+                _seconds(encoder, since_ns), cumulative_angles, encoder[-1].sigma, _MOTION_DEGREES
+            )
     by_ship = None
     if ship and not _has_gap(ship, gaps_ns[1]):
         by_ship = _ship_step(ship, since_ns, ship_sigma_rad)
@@ -139,7 +141,9 @@ def has_ship_drifted(ship: list[ShipSample], longest_gap_ns: int, sigma_rad: flo
     means_n = np.stack([np.bincount(places, axis_n) for axis_n in left_n.T], axis=1) / count[:, None]
     spread_rad = float(np.max(np.ptp(means_n, axis=0)))
     stated_n = np.array([one.correlated_covariance_n for one in usable if one.correlated_covariance_n is not None])
-    allowance_rad = _STATED_CHANGE_SIGMAS * float(np.sqrt(np.ptp(stated_n.trace(axis1=1, axis2=2)))) if len(stated_n) else 0.0
+    allowance_rad = (
+        _STATED_CHANGE_SIGMAS * float(np.sqrt(np.ptp(stated_n.trace(axis1=1, axis2=2)))) if len(stated_n) else 0.0
+    )
     coarse_n = _rate_residuals(rotation_nd[::2], rate_d[::2], seconds[::2])
     allowance_rad += _TRAPEZOID_ERROR_RATIO * float(np.max(np.ptp(left_n[::2] - coarse_n, axis=0)))
     if spread_rad > _DRIFT_SIGMAS * sigma_rad + allowance_rad:

@@ -61,7 +61,9 @@ def pointing_by_stars(
         if not part_n.any():
             continue
         covariance_by_source_n[model.source_indices[SOURCE_STAR_NOISE if term in _STAR_NOISE_TERMS else term]] += part_n
-    covariance_by_source_n[model.source_indices[SOURCE_PARALLELISM]] += by_angles_n @ state.covariance[block, block] @ by_angles_n.T
+    covariance_by_source_n[model.source_indices[SOURCE_PARALLELISM]] += (
+        by_angles_n @ state.covariance[block, block] @ by_angles_n.T
+    )
     unknown, covariance_n = np.full((3, 3), np.nan), covariance_by_source_n.sum(axis=0)
     return PointingEstimate(
         time_ns=exposure.time_ns,

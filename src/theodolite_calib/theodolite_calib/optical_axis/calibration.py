@@ -93,13 +93,21 @@ class CalibrationPrior:
         }
 
 
-def calibration_from_state(filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> Calibration:
+def calibration_from_state(
+    filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState
+) -> Calibration:
     """Return the named values of a state; a flexure with zero value and sigma is omitted."""
     model = filter_.model
     axes = config.axes.values + state.mean[model.slices["axes"]]
     variance = np.diagonal(state.covariance)
-    shown = [i for i, row in enumerate(model.state_indices("axes")) if NAMES[i] != "flexure" or variance[row] > 0.0 or axes[i]]
-    rows = np.concatenate([model.state_indices("axes")[shown], model.state_indices("focal_length"), model.state_indices("deformation")])
+    shown = [
+        i
+        for i, row in enumerate(model.state_indices("axes"))
+        if NAMES[i] != "flexure" or variance[row] > 0.0 or axes[i]
+    ]
+    rows = np.concatenate(
+        [model.state_indices("axes")[shown], model.state_indices("focal_length"), model.state_indices("deformation")]
+    )
     deformation = state.mean[model.slices["deformation"]]
     by_stars = _star_values(filter_, config, state)
     rows = np.concatenate([rows, [one.row for one in by_stars]]).astype(np.intp)
@@ -125,7 +133,9 @@ class _CalibrationValue(NamedTuple):
     unit: str
 
 
-def _star_values(filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> list[_CalibrationValue]:
+def _star_values(
+    filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState
+) -> list[_CalibrationValue]:
     """Return the values that stars add, if they are estimated: N' and the parallelism of each camera."""
     if not config.telescopes:
         return []
@@ -144,7 +154,9 @@ def _star_values(filter_: CalibrationFilter, config: OpticalAxisConfig, state: C
     ]
 
 
-def prior_from_state(filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState) -> CalibrationPrior:
+def prior_from_state(
+    filter_: CalibrationFilter, config: OpticalAxisConfig, state: CalibrationState
+) -> CalibrationPrior:
     """Return the prior to save, from a state that rests on sightings."""
     assert state.last_update_ns is not None
     saved = _saved_quantities(filter_, config)
@@ -240,7 +252,10 @@ def _saved_quantities(filter_: CalibrationFilter, config: OpticalAxisConfig) -> 
 
 
 def _camera_refusal_reason(
-    prior: CalibrationPrior, of_camera: NDArray[np.bool_], saved: Mapping[str, _SavedQuantity], initial: CalibrationState
+    prior: CalibrationPrior,
+    of_camera: NDArray[np.bool_],
+    saved: Mapping[str, _SavedQuantity],
+    initial: CalibrationState,
 ) -> str:
     """Return the reason why the saved angles of a camera are not used; empty if they are."""
     for place in np.flatnonzero(of_camera):
@@ -251,6 +266,8 @@ def _camera_refusal_reason(
         offset = abs(one.correction(prior.values[place]))
         if not offset <= _REMOUNTED_SIGMAS * sigma:
             angle = one.name.rpartition(".")[2]
-            distance_text = f"{offset / ARCSEC:.1f} arcsec from the configured one, more than {_REMOUNTED_SIGMAS:g} sigma"
+            distance_text = (
+                f"{offset / ARCSEC:.1f} arcsec from the configured one, more than {_REMOUNTED_SIGMAS:g} sigma"
+            )
             return f"its {angle} is {distance_text}: remounted?"
     return ""

@@ -168,7 +168,9 @@ class OpticalAxisCore:
         self._encoder_check = EncoderCheck(*_encoder_limits(self.config))
         self._ship_check = ShipCheck(self.config, self._tracks.ship_shift_ns)
         self._target_stamp_conflicts.reset()
-        self._targets = TargetProcessor(self.config, self.filter, self._pointing, self._tracks, self._target_stamp_conflicts)
+        self._targets = TargetProcessor(
+            self.config, self.filter, self._pointing, self._tracks, self._target_stamp_conflicts
+        )
         self._escort = self._make_escort_advisor()
         self._waiting_readings: deque[_WaitingReading] = deque()
         self._encoder_arrival_ns: int | None = None
@@ -216,7 +218,11 @@ class OpticalAxisCore:
             self._check_repeated_time()
         elif track.newest is sample:
             self._encoder_arrival_ns = arrival_ns
-            self._waiting_readings.append(_WaitingReading(sample, self._encoder_check.unconfirmed_reason, self._encoder_check.unconfirmed_sigma_rad))
+            self._waiting_readings.append(
+                _WaitingReading(
+                    sample, self._encoder_check.unconfirmed_reason, self._encoder_check.unconfirmed_sigma_rad
+                )
+            )
             self._publish(outcome, arrival_ns)
         return outcome
 
@@ -298,7 +304,9 @@ class OpticalAxisCore:
 
     def set_duplicate_publishers(self, source: str, text: str) -> None:
         """Set that two publishers send on one source; an empty text ends it."""
-        stamp_conflicts = self._target_stamp_conflicts if source == TargetSample.source else self._estimator.stamp_conflicts
+        stamp_conflicts = (
+            self._target_stamp_conflicts if source == TargetSample.source else self._estimator.stamp_conflicts
+        )
         stamp_conflicts.set_duplicate_publishers(source, self._estimator.window.newest_ns, text)
 
     def tick(self, now_ns: int, waiting_ns: int | None = None) -> PointingOutcome:
@@ -314,7 +322,9 @@ class OpticalAxisCore:
         self._publish_from_stars(outcome, waiting_ns)
         is_timed_out = _is_timed_out(self._encoder_arrival_ns, waiting_ns)
         missing = "no usable reading of the encoders" if is_timed_out else f"no attitude on {self.config.ship.source}"
-        self._estimator.report_invalid(outcome, waiting_ns, lambda: invalid_pointing(self.filter, self.state, now_ns, missing))
+        self._estimator.report_invalid(
+            outcome, waiting_ns, lambda: invalid_pointing(self.filter, self.state, now_ns, missing)
+        )
         self._answer_targets(outcome, waiting_ns)
         return outcome
 
@@ -367,7 +377,11 @@ class OpticalAxisCore:
     def is_consistent(self) -> bool:
         """True if the state rests on beacons or stars, and no source is excluded, contradictory or unconfirmed."""
         now_ns = self._estimator.window.newest_ns
-        unconfirmed_reason = self._encoder_check.unconfirmed_reason or self._ship_check.unconfirmed_reason(now_ns) or self._contradiction_text(now_ns)
+        unconfirmed_reason = (
+            self._encoder_check.unconfirmed_reason
+            or self._ship_check.unconfirmed_reason(now_ns)
+            or self._contradiction_text(now_ns)
+        )
         return is_consistent(self.state) and not unconfirmed_reason
 
     @property
@@ -408,7 +422,9 @@ class OpticalAxisCore:
         found = memory_residuals(self.filter, memory, sighting)
         return {BEACON_PREFIX + name: residual for name, residual in found.items()}
 
-    def largest_difference_sigmas(self, state: CalibrationState, memory: CalibrationState, is_later: bool = False) -> float:
+    def largest_difference_sigmas(
+        self, state: CalibrationState, memory: CalibrationState, is_later: bool = False
+    ) -> float:
         """Return the largest difference from a remembered state, in standard deviations of both."""
         time_ns = state.time_ns
         ship = None if time_ns is None else self._tracks.ship_at(time_ns)
@@ -419,7 +435,10 @@ class OpticalAxisCore:
 
     def unused_sources(self, sources: Set[str]) -> set[str]:
         """Return those of the sources of which no measurement was accepted recently."""
-        means, since_ns = self.state.fault_state.innovation_means, self._estimator.window.newest_ns - MAX_MEASUREMENT_AGE_NS
+        means, since_ns = (
+            self.state.fault_state.innovation_means,
+            self._estimator.window.newest_ns - MAX_MEASUREMENT_AGE_NS,
+        )
         used = (means.last_measured_ns >= since_ns) & (means.rejection_counts[0] == 0)
         lights = [BEACON_PREFIX + id_ for id_ in self.filter.subfilters.beacons]
         return {name for name, is_used in zip(lights, used.tolist(), strict=True) if name in sources and not is_used}
@@ -436,7 +455,9 @@ class OpticalAxisCore:
     def _build_models(self, config: OpticalAxisConfig) -> None:
         self.config = config
         self.filter = self.filter_class(config)
-        self._step_to = SightingStep(config, self.filter, self._stream_consistency, self._has_ship_drifted, self._stream_faults)
+        self._step_to = SightingStep(
+            config, self.filter, self._stream_consistency, self._has_ship_drifted, self._stream_faults
+        )
         sky = self._sky
         self._step_to_stars = None if sky is None else StarStep(config, self.filter, sky)
         self._pointing = PointingOutput(config, self.filter)
@@ -523,7 +544,9 @@ class OpticalAxisCore:
         """True if the ship's attitude departed from its own rates before a time; None if unknown."""
         return self._tracks.has_ship_drifted(time_ns)
 
-    def _record_stream_fault(self, source: str, time_ns: int, rejection: Rejection | None, jumped: bool = False) -> None:
+    def _record_stream_fault(
+        self, source: str, time_ns: int, rejection: Rejection | None, jumped: bool = False
+    ) -> None:
         """Record that the encoder or ship stream was stuck, jumped or repeated a stamp."""
         if jumped or (rejection is not None and rejection.reason in _STREAM_FAULT_REASONS):
             self._stream_fault_ns[source] = max(time_ns, self._stream_fault_ns.get(source, time_ns))
@@ -572,24 +595,34 @@ class OpticalAxisCore:
         self._answer_targets(outcome)
 
     def _answer_targets(self, outcome: PointingOutcome, waiting_ns: int | None = None) -> None:
-        self._targets.publish_ready(outcome, waiting_ns, self._estimator.window.oldest_ns, lambda: self._estimator.state_now)
+        self._targets.publish_ready(
+            outcome, waiting_ns, self._estimator.window.oldest_ns, lambda: self._estimator.state_now
+        )
 
     def _publish_waiting(self, outcome: PointingOutcome, waiting_ns: int) -> None:
         covered_ns, too_old_ns = self._ship_final_until_ns, self._estimator.window.oldest_ns - 1
         until_ns = too_old_ns if covered_ns is None else max(covered_ns, too_old_ns)
         while self._waiting_readings and self._waiting_readings[0].sample.time_ns <= until_ns:
             sample, unconfirmed_reason, unconfirmed_sigma_rad = self._waiting_readings.popleft()
-            unconfirmed_reason = unconfirmed_reason or self._ship_check.unconfirmed_reason(sample.time_ns) or self._contradiction_text(sample.time_ns)
+            unconfirmed_reason = (
+                unconfirmed_reason
+                or self._ship_check.unconfirmed_reason(sample.time_ns)
+                or self._contradiction_text(sample.time_ns)
+            )
             ship = self._tracks.ship_at(sample.time_ns)
             if ship is not None:
-                pending = PendingPointing(sample, ship, unconfirmed_reason, unconfirmed_sigma_rad, self._estimator.state_now)
+                pending = PendingPointing(
+                    sample, ship, unconfirmed_reason, unconfirmed_sigma_rad, self._estimator.state_now
+                )
                 self._add_pointing(outcome, pending, waiting_ns)
 
     def _add_pointing(self, outcome: PointingOutcome, pending: PendingPointing, waiting_ns: int) -> None:
         """Publish a pointing at once, or queue it if pointings are computed on request."""
         if self.pending is None:
             follows = self._estimator.can_publish(pending.time_ns)
-            self._estimator.add_output(outcome, pending.time_ns, waiting_ns, lambda _state: self._pointing.estimate(pending))
+            self._estimator.add_output(
+                outcome, pending.time_ns, waiting_ns, lambda _state: self._pointing.estimate(pending)
+            )
             if not (follows and not self._estimator.can_publish(pending.time_ns)):
                 return
         elif self._estimator.can_publish(pending.time_ns):

@@ -39,7 +39,9 @@ class PointingLevels:
         self._multipliers = hypothesis_multipliers(config.integrity, sources)
         self._axis_indices = axis_state_indices(filter_.model)
         excluded = {name: record.exclusion.since_ns for name, record in state.fault_state.exclusions.items()}
-        self._subfilter_indices = np.array([row for row, name in enumerate(sources) if name not in excluded], dtype=np.intp)
+        self._subfilter_indices = np.array(
+            [row for row, name in enumerate(sources) if name not in excluded], dtype=np.intp
+        )
         self._names = tuple([sources[row] for row in self._subfilter_indices])
         self._excluded = tuple(sorted(excluded.items()))
         self._has_unresolved_fault = state.fault_state.unresolved_fault is not None or state.consecutive_rejections > 0
@@ -63,9 +65,20 @@ class PointingLevels:
         )
         # Without beacons and stars nothing checks encoders and ship's attitude; stars alone are not checked either.
         is_stars_only = estimate.mode is Mode.STARS and estimate.status is Status.DEGRADED
-        is_unchecked = self._has_unresolved_fault or estimate.mode is Mode.ENCODER or is_stars_only or estimate.status is Status.INVALID
+        is_unchecked = (
+            self._has_unresolved_fault
+            or estimate.mode is Mode.ENCODER
+            or is_stars_only
+            or estimate.status is Status.INVALID
+        )
         return integrity_report(
-            estimate.time_ns, self._config, self._multipliers, self._names, result, self._excluded, is_checked=not is_unchecked
+            estimate.time_ns,
+            self._config,
+            self._multipliers,
+            self._names,
+            result,
+            self._excluded,
+            is_checked=not is_unchecked,
         )
 
 

@@ -49,7 +49,9 @@ def stuck_encoder_jump(time_ns: int) -> StreamJump:
 def is_consistent(state: CalibrationState) -> bool:
     """True if a state rests on beacons or stars, and no source is excluded or inconsistent."""
     fault_state = state.fault_state
-    return state.last_update_ns is not None and not (state.consecutive_rejections or fault_state.excluded_sources or fault_state.unresolved_fault is not None)
+    return state.last_update_ns is not None and not (
+        state.consecutive_rejections or fault_state.excluded_sources or fault_state.unresolved_fault is not None
+    )
 
 
 def start_from_memory(filter_: CalibrationFilter, memory: CalibrationState) -> CalibrationState:
@@ -152,5 +154,7 @@ def _turns_right_and_up(direction_n: FloatArray) -> FloatArray:
 def _growth_per_second(filter_: CalibrationFilter, state: CalibrationState) -> FloatArray:
     """Return the covariance added to a state within one second, shape (n, n)."""
     assert state.time_ns is not None
-    before = replace(state, time_ns=state.time_ns - SECOND_NS, covariance_by_source=np.zeros_like(state.covariance_by_source))
+    before = replace(
+        state, time_ns=state.time_ns - SECOND_NS, covariance_by_source=np.zeros_like(state.covariance_by_source)
+    )
     return filter_.propagate(before, state.time_ns, state.ship_covariance_n).covariance

@@ -95,7 +95,9 @@ class CorrectedAxis:
             for source in (SOURCE_SHIP, SOURCE_DEFORMATION, SOURCE_ENCODER, SOURCE_SHIP_NOISE)
         )
         self.rotation_mt = rotation_from_angles(*filter_.sightings.parallelism(state.mean)).T.copy()
-        self.separation_inflation = separation_inflation((state.subfilters.mean - state.mean)[:, rows], state.solution_separation)
+        self.separation_inflation = separation_inflation(
+            (state.subfilters.mean - state.mean)[:, rows], state.solution_separation
+        )
 
     def axes(self, ship: ShipSeries, encoders: EncoderSeries) -> AxesAt:
         """Return the main axis at N readings; before the state's time it is not propagated.
@@ -195,7 +197,11 @@ class PointingOutput:
 
     def _series_of(self, pending: Sequence[PendingPointing]) -> PointingSeries:
         samples, ships, unconfirmed_reasons, unconfirmed_sigmas_rad, states = zip(*pending, strict=True)
-        return self.estimates(EncoderSeries.from_samples(samples, unconfirmed_reasons, unconfirmed_sigmas_rad), ShipSeries.from_ships(ships), states[0])
+        return self.estimates(
+            EncoderSeries.from_samples(samples, unconfirmed_reasons, unconfirmed_sigmas_rad),
+            ShipSeries.from_ships(ships),
+            states[0],
+        )
 
     def estimates(self, encoders: EncoderSeries, ship: ShipSeries, state: CalibrationState) -> PointingSeries:
         """Return the pointings at N readings; a single reading gives, to the last bit, the same as among others.
@@ -209,12 +215,18 @@ class PointingOutput:
             self._corrected = CorrectedAxis(self._filter, state)
         time_ns, axes = encoders.time_ns, self._corrected.axes(ship, encoders)
         if state.fault_state.unresolved_fault is not None:
-            axes.covariance_by_source_n[:, self._disagreement_source] += state.fault_state.unresolved_fault.disagreement_n
+            axes.covariance_by_source_n[:, self._disagreement_source] += (
+                state.fault_state.unresolved_fault.disagreement_n
+            )
         lights, stars = self._is_recent(time_ns, state.last_beacons_ns), self._is_recent(time_ns, state.last_stars_ns)
         recent = lights | stars
         # Solution separations do not apply to a pointing without beacons and stars.
         covariance_without_separation_n, covariance_n = compiled_mounts.totals(
-            axes.covariance_by_source_n, axes.by_error_n, self._corrected.separation_inflation, recent.view(np.uint8), self._disagreement_source
+            axes.covariance_by_source_n,
+            axes.by_error_n,
+            self._corrected.separation_inflation,
+            recent.view(np.uint8),
+            self._disagreement_source,
         )
         mode = np.where(lights, _ONE_LIGHT if state.light_count == 1 else _TWO_LIGHTS, _ENCODER)
         mode = np.where(stars, np.where(lights, _STARS_AND_LIGHTS, _STARS), mode)
@@ -278,7 +290,9 @@ class PointingOutput:
             statuses.append(status)
         return statuses
 
-    def _pointing_status(self, state: CalibrationState, mode: int, ship_status: Status, unconfirmed_reason: str) -> tuple[Status, str]:
+    def _pointing_status(
+        self, state: CalibrationState, mode: int, ship_status: Status, unconfirmed_reason: str
+    ) -> tuple[Status, str]:
         """Return status and reason of a pointing; the reason is empty if it is VALID."""
         if unconfirmed_reason:
             return Status.DEGRADED, unconfirmed_reason

@@ -150,7 +150,9 @@ class TargetProcessor:
         reading = EncoderSample(sample.time_ns, angles, float(np.sqrt(encoder.noise)))
         unconfirmed_reasons = [pending.unconfirmed_reason for pending in adjacent if pending.unconfirmed_reason]
         unconfirmed_sigma_rad = max(due.unconfirmed_sigma_rad for due in adjacent)
-        due = PendingPointing(reading, ship, unconfirmed_reasons[-1] if unconfirmed_reasons else "", unconfirmed_sigma_rad, state)
+        due = PendingPointing(
+            reading, ship, unconfirmed_reasons[-1] if unconfirmed_reasons else "", unconfirmed_sigma_rad, state
+        )
         pointing = self._pointing.estimate(due)
         status, text = max(
             [(each.status, each.text) for each in (pointing, *map(self._pointing.estimate, adjacent))],
@@ -229,7 +231,9 @@ class TargetOutput:
             self._detector, point_m, sample.sigma_m, sample.detector_rotation, pointing.rotation_nm
         )
         unknown = np.full(3, np.nan), np.full((3, 3), np.nan)
-        position_n, position_covariance_n = self._position(sample, pending, pointing, seen) if sample.has_range else unknown
+        position_n, position_covariance_n = (
+            self._position(sample, pending, pointing, seen) if sample.has_range else unknown
+        )
         return TargetEstimate(
             time_ns=sample.time_ns,
             target_id=sample.target_id,

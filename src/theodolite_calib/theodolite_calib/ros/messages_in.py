@@ -204,11 +204,15 @@ def _length(value: float, what: str) -> float:
         return math.nan
     check_finite(what, value)
     if not 0.0 < value <= _LONGEST_RANGE_M:
-        raise MessageRejected(Reason.UNITS, f"{what} is {value:.6g}: expected metres above 0, {_LONGEST_RANGE_M:g} at most")
+        raise MessageRejected(
+            Reason.UNITS, f"{what} is {value:.6g}: expected metres above 0, {_LONGEST_RANGE_M:g} at most"
+        )
     return float(value)
 
 
-def _beacon_or_refusal(sighting: Any, names: list[str], config: OpticalAxisConfig) -> tuple[DetectedBeacon, bool] | Rejection:
+def _beacon_or_refusal(
+    sighting: Any, names: list[str], config: OpticalAxisConfig
+) -> tuple[DetectedBeacon, bool] | Rejection:
     try:
         return _detected_beacon(sighting, names, config)
     except MessageRejected as error:
@@ -244,7 +248,9 @@ def _ship_covariance(message: Any, rotation_nd: FloatArray) -> FloatArray | None
         total_n = rotation_vector_covariance(angles, heading, pitch)
     largest = float(np.max(np.diagonal(total_n)))
     if not largest <= MAX_VARIANCE:
-        raise MessageRejected(Reason.BAD_COVARIANCE, f"a variance of {largest:.3g} rad² is a sigma of more than a full turn")
+        raise MessageRejected(
+            Reason.BAD_COVARIANCE, f"a variance of {largest:.3g} rad² is a sigma of more than a full turn"
+        )
     return total_n
 
 

@@ -169,7 +169,9 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         encoder = InputTopic("theodolite/encoder", "ship_msgs/msg/TheodoliteEncoder", required=True, depth=1000)
         read_encoder = functools.partial(messages_in.encoder, config=config)
         read_encoders = functools.partial(rows_in.encoders, config=config)
-        yield Feed(encoder, "encoder", read_encoder, core.add_encoder, read_rows=read_encoders, stream_quantity=ENCODERS)
+        yield Feed(
+            encoder, "encoder", read_encoder, core.add_encoder, read_rows=read_encoders, stream_quantity=ENCODERS
+        )
         type_name, read_ship = _SHIP[config.ship.source]
         ship = InputTopic(config.ship.source, type_name, required=True, depth=1000)
         by_ins = config.ship.source == "ins/imu"
@@ -182,7 +184,9 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         target = InputTopic(
             TARGET_IMAGE_TOPIC, "ship_msgs/msg/TargetImage", required=False, depth=1000, is_occasional=True
         )
-        yield Feed(target, "target", functools.partial(messages_in.target, config=config), core.add_target, has_decision=True)
+        yield Feed(
+            target, "target", functools.partial(messages_in.target, config=config), core.add_target, has_decision=True
+        )
         if self._sky is not None:
             yield from self._star_feeds(config, core)
         for id_, beacon in config.beacons.items():

@@ -71,7 +71,11 @@ class PointingNumbers(NamedTuple):
 
     def subset(self, indices: NDArray[np.int64]) -> "PointingNumbers":
         """Return the numbers of a subset."""
-        return self if len(indices) == len(self.time_ns) else PointingNumbers(*(select_values(each, indices) for each in self))
+        return (
+            self
+            if len(indices) == len(self.time_ns)
+            else PointingNumbers(*(select_values(each, indices) for each in self))
+        )
 
 
 def pointing_messages(

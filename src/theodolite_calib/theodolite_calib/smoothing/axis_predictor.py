@@ -65,7 +65,10 @@ class AxisStatePredictor:
         # A time before a jump may be later than the estimate whose covariance the jump inflates.
         together_ns = np.minimum(moments_ns, later.time_ns)
         if np.any(together_ns < moments_ns):
-            wide = self._cross_covariance(anchor, together_ns) * self._decay(moments_ns - together_ns)[:, self.state_indices, None]
+            wide = (
+                self._cross_covariance(anchor, together_ns)
+                * self._decay(moments_ns - together_ns)[:, self.state_indices, None]
+            )
         onward = self._decay(later.time_ns - together_ns)
         cross = wide * (onward * self._retained_until(anchor, later))[:, None, :]
         if step is not None:
@@ -87,7 +90,9 @@ class AxisStatePredictor:
         """Return the covariance of the predicted states with all states at N times, before any step, (N, r, n)."""
         since_s = _since_ns(anchor, times_ns).astype(float) * 1e-9
         decay, noise = self._model.transition(since_s)
-        wide: FloatArray = decay[:, self.state_indices, None] * anchor.estimate.covariance[self.state_indices] * decay[:, None, :]
+        wide: FloatArray = (
+            decay[:, self.state_indices, None] * anchor.estimate.covariance[self.state_indices] * decay[:, None, :]
+        )
         wide[:, np.arange(len(self.state_indices)), self.state_indices] += noise[:, self.state_indices]
         if anchor.prediction_input is not None:
             wide[:, SHIP, SHIP] += (1.0 - decay[:, 0] ** 2)[:, None, None] * anchor.prediction_input
@@ -104,7 +109,11 @@ class AxisStatePredictor:
 
     def _step_to(self, anchor: AxisAnchor, later: AxisAnchor) -> ShipErrorStep | None:
         """Return the step of the ship's error at the next sighting, as for one time."""
-        return None if later.prediction_input is None else ship_error_steps(anchor.prediction_input, later.prediction_input[None])
+        return (
+            None
+            if later.prediction_input is None
+            else ship_error_steps(anchor.prediction_input, later.prediction_input[None])
+        )
 
     def _retained_until(self, anchor: AxisAnchor, later: AxisAnchor) -> FloatArray:
         """Return the factor on each state that remains at the next sighting, shape (n,)."""

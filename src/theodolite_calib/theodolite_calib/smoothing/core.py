@@ -129,7 +129,9 @@ class SmoothingAxisCore(OpticalAxisCore):
     def _store(self, estimate: PointingEstimate, pending: PendingPointing) -> None:
         inputs = None
         if not (pending.unconfirmed_reason or _has_unresolved_fault(pending.state)):
-            inputs = _PointingInputs(pending.sample, pending.ship, estimate.covariance_n - estimate.covariance_without_separation_n)
+            inputs = _PointingInputs(
+                pending.sample, pending.ship, estimate.covariance_n - estimate.covariance_without_separation_n
+            )
             if pending.ship.correlated_covariance_n is not None:
                 self._stated_n[pending.time_ns] = pending.ship.correlated_covariance_n
             self._smoother.request_time(pending.time_ns)
@@ -160,18 +162,26 @@ class _SmoothedOutput:
 
     def __init__(self, filter_: CalibrationFilter, state_indices: NDArray[np.intp]) -> None:
         self._filter, self._state_indices = filter_, state_indices
-        self._blank = filter_.initial_state_from(np.zeros(filter_.model.size), np.zeros_like(filter_.model.initial_covariance_by_source()))
+        self._blank = filter_.initial_state_from(
+            np.zeros(filter_.model.size), np.zeros_like(filter_.model.initial_covariance_by_source())
+        )
         # The smoother has no covariance by source: it is assigned to one source.
         self._source = filter_.model.sources.index(SOURCE_AXES)
 
-    def smooth(self, real_time: PointingEstimate, inputs: _PointingInputs, estimate: GaussianEstimate) -> PointingEstimate:
+    def smooth(
+        self, real_time: PointingEstimate, inputs: _PointingInputs, estimate: GaussianEstimate
+    ) -> PointingEstimate:
         """Return a pointing from the smoothed states at its own time."""
         sample, ship, separation_covariance_n = inputs
         mean, parts = self._blank.mean.copy(), np.zeros_like(self._blank.covariance_by_source)
         mean[self._state_indices], parts[self._source, self._state_indices[:, None], self._state_indices] = estimate
         # The ship's error is as the messages state it at that time: no further step.
         state = replace(
-            self._blank, time_ns=real_time.time_ns, mean=mean, covariance_by_source=parts, ship_covariance_n=ship.correlated_covariance_n
+            self._blank,
+            time_ns=real_time.time_ns,
+            mean=mean,
+            covariance_by_source=parts,
+            ship_covariance_n=ship.correlated_covariance_n,
         )
         corrected = CorrectedAxis(self._filter, state)
         axes = corrected.axes(ShipSeries.from_ships([ship]), EncoderSeries.from_samples([sample], [""], [0.0]))
@@ -191,7 +201,11 @@ class _SmoothedOutput:
 
 def _has_unresolved_fault(state: CalibrationState) -> bool:
     """True if beacons or stars are inconsistent with encoders and ship, or one of these is excluded."""
-    return bool(state.consecutive_rejections) or state.fault_state.unresolved_fault is not None or bool(state.fault_state.excluded_sources & AXIS_SOURCES)
+    return (
+        bool(state.consecutive_rejections)
+        or state.fault_state.unresolved_fault is not None
+        or bool(state.fault_state.excluded_sources & AXIS_SOURCES)
+    )
 
 
 def _alone(estimate: PointingEstimate) -> PointingEstimate:

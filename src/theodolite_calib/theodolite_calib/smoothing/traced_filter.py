@@ -41,7 +41,9 @@ class TracedFilter(CalibrationFilter):
         """See :meth:`CalibrationFilter.initial_state_from`."""
         return TracedState(**vars(super().initial_state_from(mean, covariance_by_source)))
 
-    def propagate(self, state: CalibrationState, time_ns: int, new_ship_covariance_n: FloatArray | None) -> CalibrationState:
+    def propagate(
+        self, state: CalibrationState, time_ns: int, new_ship_covariance_n: FloatArray | None
+    ) -> CalibrationState:
         """See :meth:`CalibrationFilter.propagate`."""
         return replace(super().propagate(state, time_ns, new_ship_covariance_n), **_trace_fields(leads_back=True))
 
@@ -75,7 +77,9 @@ def _with_update_trace(predicted: CalibrationState, after: CalibrationState) -> 
     assert isinstance(predicted, TracedState)
     is_update = predicted.is_predicted_only and not predicted.fault_state.excluded_sources & AXIS_SOURCES
     before = GaussianEstimate(predicted.mean, predicted.covariance)
-    return replace(after, **_trace_fields(came=StateUpdate(before, GaussianEstimate(after.mean, after.covariance), is_update)))
+    return replace(
+        after, **_trace_fields(came=StateUpdate(before, GaussianEstimate(after.mean, after.covariance), is_update))
+    )
 
 
 def _trace_fields(**values: Any) -> Mapping[str, Any]:

@@ -112,7 +112,9 @@ class TargetPosition:
 
 def is_leading(number: int, time_ns: int, stations: Sequence[StationDirections]) -> bool:
     """True if a theodolite has a direction at a time, and none of those before it in ``stations`` has."""
-    return stations[number].has_direction_at(time_ns) and not any(before.has_direction_at(time_ns) for before in stations[:number])
+    return stations[number].has_direction_at(time_ns) and not any(
+        before.has_direction_at(time_ns) for before in stations[:number]
+    )
 
 
 def position_at(time_ns: int, stations: Sequence[StationDirections], config: PositioningConfig) -> TargetPosition:

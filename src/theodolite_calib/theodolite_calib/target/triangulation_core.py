@@ -236,7 +236,9 @@ class TriangulationCore:
                 return True
         return False
 
-    def _estimate(self, target_id: str, target: _Target, time_ns: int, outcome: TriangulationOutcome) -> PositionEstimate:
+    def _estimate(
+        self, target_id: str, target: _Target, time_ns: int, outcome: TriangulationOutcome
+    ) -> PositionEstimate:
         try:
             placed = position_at(time_ns, target.stations, self.config)
         except Exception as error:
