@@ -65,7 +65,8 @@ class ErfaSky:
         orientation, place = earth_orientation_table().at(self.time_ns), self.position
         azimuth, zenith, *_ = erfa.atco13(
             stars.right_ascension, stars.declination, stars.pm_right_ascension, stars.pm_declination,
-            stars.parallax_arcsec, 0.0, *utc, orientation.ut1_minus_utc_s, place.longitude, place.latitude, place.height_m,
+            stars.parallax_arcsec, 0.0, *utc, orientation.ut1_minus_utc_s,
+            place.longitude, place.latitude, place.height_m,
             orientation.pole_x, orientation.pole_y, *self._air(),
         )  # fmt: skip
         return np.stack([np.cos(azimuth) * np.sin(zenith), np.cos(zenith), np.sin(azimuth) * np.sin(zenith)], axis=-1)

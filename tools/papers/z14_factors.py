@@ -126,7 +126,9 @@ FACTORS = (
     Factor(25, "kb2", -1.0, "D_K", "", _printed_formula(_D_K)),
     Factor(26, "kb3", -1.0, "D_K", "A0", _printed_formula("Ca*Ce*(SA*CG - CA*SE*SG) + Sa*Ce*CA*CE")),
     Factor(27, "kb4", 1.0, "N_K", "", _printed_formula(_N_K)),
-    Factor(28, "kb5", -1.0, "N_K", "E0", _printed_formula("Ca*Se*SA*CE + Sa*Se*(CA*CG + SA*SE*SG) - Ce*(CA*SG - SA*SE*CG)")),
+    Factor(
+        28, "kb5", -1.0, "N_K", "E0", _printed_formula("Ca*Se*SA*CE + Sa*Se*(CA*CG + SA*SE*SG) - Ce*(CA*SG - SA*SE*CG)")
+    ),
     Factor(
         29, "kb6", -1.0, "D_K", "E0",
         _printed_formula("Ca*Se*CA*CE + Ce*(SA*SG + CA*SE*CG) - Sa*Se*(SA*CG - CA*SE*SG)"),

@@ -429,7 +429,9 @@ def test_a_small_step_of_the_ins_clock_is_reported_at_once_and_estimated_as_an_o
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("lie", [ins_clock_error(-0.4), ins_clock_error(0.3), InjectedError("ins.axes", UP, 30.0, 50.0)])
+@pytest.mark.parametrize(
+    "lie", [ins_clock_error(-0.4), ins_clock_error(0.3), InjectedError("ins.axes", UP, 30.0, 50.0)]
+)
 def test_an_ins_that_reported_a_jump_is_excluded_and_not_the_stars(lie: InjectedError) -> None:
     sailed = run_with_errors(lie, seconds=125.0, **TWO)
     assert [names for _, names in sailed.excluded] == [(), ("ins",), ()]
@@ -563,8 +565,14 @@ def test_a_mounting_shift_without_stars_does_not_exclude_the_ins(seed: int, size
     [
         (),
         (InjectedError("star.bow", 40.0 * ARCSEC * UP, 12.0, 20.0),),
-        (InjectedError("star.bow", 0.5 * ARCSEC * UP, 10.0, per_s=True), InjectedError("ins", 300.0 * ARCSEC * UP, 15.0)),
-        (InjectedError("star.aft", np.full(3, 60.0 * ARCSEC), 14.0), InjectedError("star.port", 90.0 * ARCSEC * UP, 18.0, 25.0)),
+        (
+            InjectedError("star.bow", 0.5 * ARCSEC * UP, 10.0, per_s=True),
+            InjectedError("ins", 300.0 * ARCSEC * UP, 15.0),
+        ),
+        (
+            InjectedError("star.aft", np.full(3, 60.0 * ARCSEC), 14.0),
+            InjectedError("star.port", 90.0 * ARCSEC * UP, 18.0, 25.0),
+        ),
     ],
 )
 def test_the_fast_consistency_test_equals_the_full_one(

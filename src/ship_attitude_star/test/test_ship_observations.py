@@ -105,7 +105,9 @@ def test_with_a_utc_sigma_its_error_is_a_state_with_its_own_budget_entry() -> No
     assert 1.2 < np.sqrt(np.trace(parts["utc"])) / ARCSEC < 1.505
 
 
-@pytest.mark.parametrize(("topic", "change", "reason", "text"), [c[1:] for c in REJECTED_MESSAGES], ids=[c[0] for c in REJECTED_MESSAGES])
+@pytest.mark.parametrize(
+    ("topic", "change", "reason", "text"), [c[1:] for c in REJECTED_MESSAGES], ids=[c[0] for c in REJECTED_MESSAGES]
+)
 def test_a_bad_message_is_reported_and_changes_nothing(topic: str, change: Change, reason: str, text: str) -> None:
     run = run_new_adapter(replace_message(voyage(), index_at(voyage(), topic, MOMENT_S), change))
     assert outputs(run) == outputs(run_without(topic))

@@ -71,7 +71,9 @@ def run_without(topic: str) -> Run:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("topic", "change", "reason", "text"), [c[1:] for c in REJECTED_MESSAGES], ids=[c[0] for c in REJECTED_MESSAGES])
+@pytest.mark.parametrize(
+    ("topic", "change", "reason", "text"), [c[1:] for c in REJECTED_MESSAGES], ids=[c[0] for c in REJECTED_MESSAGES]
+)
 def test_a_bad_message_is_told_and_changes_nothing(topic: str, change: Change, reason: str, text: str) -> None:
     index = index_at(voyage(), topic, MOMENT_S)
     run = run_new_adapter(replace_message(voyage(), index, change))

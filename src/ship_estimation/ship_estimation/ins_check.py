@@ -526,7 +526,8 @@ class InsCheck:
             self._predictions.rate_bound.learn(self._predictions.match_by_rates(taken, seen).difference)
 
     def _units_rejection(self) -> Rejection:
-        text = f"angular velocity turns {self._rate_check.slope:.3g} times as fast as the orientation: degrees for radians?"
+        slope = self._rate_check.slope
+        text = f"angular velocity turns {slope:.3g} times as fast as the orientation: degrees for radians?"
         return Rejection(Reason.UNITS, f"{text} ins/imu must be in rad/s")
 
 

@@ -268,8 +268,11 @@ def test_cleared_history_is_empty() -> None:
 
 
 def test_constant_values_are_assessed_without_a_division_by_zero() -> None:
-    sample = [MeasurementDecision(VectorSample(k, np.zeros(3)), Reason.NONE, True, ATTITUDE, np.zeros(3), covariance=np.eye(3),
-                       noise=np.eye(3), nis=0.0) for k in range(40)]  # fmt: skip
+    shape = {"covariance": np.eye(3), "noise": np.eye(3)}
+    sample = [
+        MeasurementDecision(VectorSample(k, np.zeros(3)), Reason.NONE, True, ATTITUDE, np.zeros(3), nis=0.0, **shape)
+        for k in range(40)
+    ]
     assert diagnosis(sample).kind is DiagnosisKind.CONSERVATIVE
 
 

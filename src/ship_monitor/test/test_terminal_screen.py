@@ -74,7 +74,9 @@ def test_screen_matches_the_design():
     ]
 
 
-@pytest.mark.parametrize(("word", "look"), [("SAFE", TextStyle.SAFE), ("CAUTION", TextStyle.CAUTION), ("UNSAFE", TextStyle.UNSAFE)])
+@pytest.mark.parametrize(
+    ("word", "look"), [("SAFE", TextStyle.SAFE), ("CAUTION", TextStyle.CAUTION), ("UNSAFE", TextStyle.UNSAFE)]
+)
 def test_each_safety_is_a_word_with_its_style(word, look):
     shown = state_with_mounting_shift(angles=(angle("heading", safety=Safety[word]),))
     spans = [span for line in drawn(shown) for span in line if word in span.text.split() and "HEADING" not in span.text]

@@ -90,13 +90,13 @@ class ComputerState:
 
 
 def conditions(state: SuiteState, limits: Limits, computer: ComputerState | None = None) -> list[Condition]:
-    """Return all present situations, for :meth:`ship_check.alerts.AlertList.update`.
+    """Return all present situations, for :meth:`ship_watch.alerts.AlertList.update`.
 
     They are derived from the safety without hold: the list of alerts has delays of its own. An accuracy over its limit
     is a situation only after ``alerts.over_after_s``.
 
     Args:
-        suite_state: current state of the suite.
+        state: current state of the suite.
         limits: limits of the ship.
         computer: state of the computer; None for no data.
     """

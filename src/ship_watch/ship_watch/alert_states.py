@@ -14,7 +14,7 @@ from ship_watch.suite_state import Priority
 
 @dataclass(frozen=True)
 class Condition:
-    """A present situation, the basis of an :class:`ship_check.suite_state.AlertEntry`.
+    """A present situation, the basis of an :class:`ship_watch.suite_state.AlertEntry`.
 
     Attributes:
         id: name of the situation.

@@ -24,7 +24,7 @@ _NO_VALUES = np.empty(0)
 
 
 class StarExposures:
-    """Last exposure of each star sensor, stored in :attr:`ship_check.history.History.star_exposures` by source."""
+    """Last exposure of each star sensor, stored in :attr:`ship_watch.history.History.star_exposures` by source."""
 
     def __init__(self, history: History) -> None:
         self._history = history
@@ -87,7 +87,7 @@ class StarExposures:
 
 
 class BeaconDetections:
-    """Lights of each image on the detector, stored in :attr:`ship_check.history.History.beacons` by beacon."""
+    """Lights of each image on the detector, stored in :attr:`ship_watch.history.History.beacons` by beacon."""
 
     def __init__(self, history: History) -> None:
         self._history = history

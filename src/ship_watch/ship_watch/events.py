@@ -29,7 +29,7 @@ class EventLog:
         self._presence: dict[str, tuple[Presence, str]] = {}
 
     def add(self, kind: str, subject: str, text: str, utc_ns: int) -> None:
-        """Add a change; see :class:`~ship_check.suite_state.Event`."""
+        """Add a change; see :class:`~ship_watch.suite_state.Event`."""
         self.events.appendleft(Event(utc_ns, kind, subject, text))
 
     def add_node_start(self, node: str, utc_ns: int) -> None:

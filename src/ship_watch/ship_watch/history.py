@@ -1,4 +1,4 @@
-"""Data of the plots: ring buffers of the last minutes, filled by :class:`ship_check.suite_monitor.SuiteMonitor`.
+"""Data of the plots: ring buffers of the last minutes, filled by :class:`ship_watch.suite_monitor.SuiteMonitor`.
 
 Every series is a bounded queue of points in the order of their times. A plot reads the points after its last one.
 """
@@ -74,7 +74,7 @@ class BudgetPoint:
         utc_ns: its time, UTC as POSIX time.
         variances: source of error → variance about East, North and Up, rad², shape (3,).
         total: variance of all sources, rad², shape (3,).
-        by_angle: angle → source of error → variance, rad², from :func:`ship_check.budget.angle_variances`: heading,
+        by_angle: angle → source of error → variance, rad², from :func:`ship_watch.budget.angle_variances`: heading,
             pitch and roll, or azimuth times the cosine of the elevation, and elevation.
     """
 

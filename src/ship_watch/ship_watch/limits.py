@@ -162,7 +162,7 @@ class Limits:
                 )
 
     def angle_limit(self, angle: str) -> float:
-        """Return the limit of one of :data:`ship_check.suite_state.ANGLES`, rad.
+        """Return the limit of one of :data:`ship_watch.suite_state.ANGLES`, rad.
 
         Raises:
             KeyError: there is no such angle.

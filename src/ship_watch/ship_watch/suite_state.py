@@ -1,6 +1,6 @@
 """State of a suite at one time, as page, terminal, alerts and report use it.
 
-:class:`SuiteState` is made by :meth:`ship_check.suite_monitor.SuiteMonitor.current_state` from the messages of a suite.
+:class:`SuiteState` is made by :meth:`ship_watch.suite_monitor.SuiteMonitor.current_state` from the messages of a suite.
 Nothing that displays it evaluates the messages again. Angles are in radians, ages in seconds, times in integer ns. NaN
 means no value, an infinite age that nothing was received.
 """

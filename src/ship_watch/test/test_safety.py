@@ -85,7 +85,10 @@ def test_cautions(change: dict[str, Any], reason: str) -> None:
         ({"accuracy_95": math.inf}, "accuracy unknown"),
         ({"limit": math.nan}, "over 3 × the limit"),
         ({"protection": AngleProtection(IntegrityState.EXCEEDED, 31.0, 30.0)}, "protection level over its alert limit"),
-        ({"protection": AngleProtection(IntegrityState.EXCEEDED, math.nan, 30.0)}, "protection level over its alert limit"),
+        (
+            {"protection": AngleProtection(IntegrityState.EXCEEDED, math.nan, 30.0)},
+            "protection level over its alert limit",
+        ),
     ],
 )
 def test_other_cases_are_unsafe(change: dict[str, Any], reason: str) -> None:

@@ -140,7 +140,8 @@ def _summary(computed: LayoutStudy, page: Path) -> str:
     for name, found in computed.optics.items():
         forward, up, right = found.quantile_arcsec
         lines.append(
-            f"optics of {name}: {found.stars.mean():.1f} stars on average, {found.star_count_percentiles()[5]:.0f} or fewer in "
+            f"optics of {name}: {found.stars.mean():.1f} stars on average, "
+            f"{found.star_count_percentiles()[5]:.0f} or fewer in "
             f"5 % of the sky; noise about forward, up, right {forward:.2f}, {up:.2f}, {right:.2f} arcsec"
         )
     if computed.requirement_result is not None:

@@ -192,7 +192,8 @@ def _advice(study: LayoutStudy) -> str:
             f"<li>“{escape(turned.sensor)}”: <b>{best_deg:.0f}°</b> from the bow (given: {given_deg:g}°); "
             f"{_tolerance_text(turned)}</li>"
         )
-    return f"<ul>{''.join(items)}</ul><p>Total error there {best:.2f}″, as given {given:.2f}″. {_gain_text(given, best)}</p>"
+    total = f"Total error there {best:.2f}″, as given {given:.2f}″. {_gain_text(given, best)}"
+    return f"<ul>{''.join(items)}</ul><p>{total}</p>"
 
 
 def _rule_in_numbers(study: LayoutStudy) -> str:

@@ -50,7 +50,8 @@ def _summary(required: RequirementResult) -> str:
         if np.isfinite(limit)
     )
     if not required.is_met:
-        return f"Required (1σ): {limits_text}. <b>No layout meets it.</b> Nearest miss: {escape(nearest_miss_text(required))}."
+        miss = escape(nearest_miss_text(required))
+        return f"Required (1σ): {limits_text}. <b>No layout meets it.</b> Nearest miss: {miss}."
     given, best = required.given_layout, required.ranking[0]
     as_given = "The layout as given meets it" if given.is_admissible else "The layout as given does not meet it"
     return (

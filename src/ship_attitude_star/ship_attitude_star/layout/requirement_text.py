@@ -42,7 +42,8 @@ def candidate_text(one: Candidate, required: RequirementResult) -> str:
     if np.isnan(one.requirement_use):
         uses = "a boresight is too near to the horizon"
     else:
-        uses = f"{SHIP_ANGLES[binding_angle(one.sigmas_arcsec, required.limits_arcsec)]} uses {100.0 * one.requirement_use:.1f} %"
+        binding = SHIP_ANGLES[binding_angle(one.sigmas_arcsec, required.limits_arcsec)]
+        uses = f"{binding} uses {100.0 * one.requirement_use:.1f} %"
     return "; ".join([uses, placements_text(one.layout), *one.obstacles])
 
 

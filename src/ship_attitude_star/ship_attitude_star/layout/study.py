@@ -130,7 +130,8 @@ def _with_optics_noise(config: LayoutStudyConfig, optics: dict[str, SkyStatistic
     for name, found in optics.items():
         if not np.isfinite(found.quantile_arcsec).all():
             raise ParameterError(
-                f"parameter 'optics.{name}.magnitude_limit': in {100.0 * found.share_without_attitude():.0f} % of the sky the "
+                f"parameter 'optics.{name}.magnitude_limit': "
+                f"in {100.0 * found.share_without_attitude():.0f} % of the sky the "
                 f"field of {found.field_deg[0]:.1f} x {found.field_deg[1]:.1f} deg contains fewer than {MIN_STARS} "
                 f"stars, more than sky_share = {config.optics[name].sky_share:g} allows: expected fainter stars or a "
                 "wider field",

@@ -119,8 +119,8 @@ class RecentInnovations(NamedTuple):
     """Windowed innovation means of a source's accepted measurements against the main filter.
 
     Attributes:
-        windowed_means: the windowed means (:attr:`ship_estimation.innovation_means.InnovationMeans.windowed_means`), shape (w,
-            5).
+        windowed_means: the windowed means (:attr:`ship_estimation.innovation_means.InnovationMeans.windowed_means`),
+            shape (w, 5).
         largest_sigmas: largest deviation of a mean from zero, in its own standard deviations.
     """
 

@@ -81,7 +81,10 @@ def _without_sky_rotations(stated_n: FloatArray, turns_n: FloatArray) -> FloatAr
 
 
 def _split_refraction(stated_n: FloatArray, lift: FloatArray, most: float) -> tuple[FloatArray, FloatArray]:
-    """Return the covariance without refraction, and its rotation by one sigma, about ``refraction_rotation`` at most ``most``, rad."""
+    """Return the covariance without refraction, and the rotation by one sigma of refraction, rad.
+
+    The rotation is about ``refraction_rotation`` and at most ``most``.
+    """
     along = float(np.sqrt(max(float(lift @ stated_n @ lift), 0.0)))
     # Written so that NaN, outside the model's range, uses the stated covariance.
     share = most / along if most < along else 1.0

@@ -52,8 +52,8 @@ def check_domain(state: NetworkState, own: Collection[str], companions: Collecti
     Args:
         state: what was observed.
         own: full names of the suite's nodes, none of which is started yet.
-        companions: full names of ``nmea_in`` and ``nmea_out`` if the suite file has them; a user may have started them by
-            hand so that the instruments can be checked.
+        companions: full names of ``nmea_in`` and ``nmea_out`` if the suite file has them; a user may have started them
+            by hand so that the instruments can be checked.
     """
     if state.failure:
         yield CheckLine(_CHECK, Result.NOT_CHECKED, state.failure)

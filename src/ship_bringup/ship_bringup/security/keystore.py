@@ -82,7 +82,8 @@ def keystore_faults(keystore: Path, use: KeystoreUse) -> list[KeystoreFault]:
     existing = sorted("/" + path.parent.relative_to(enclaves).as_posix() for path in enclaves.glob("**/cert.pem"))
     nodes = [rights.enclave for rights in use.rights if rights.is_needed]
     if existing and not set(existing) & {rights.enclave for rights in use.rights}:
-        text = f"{enclaves}: a keystore of another ship: it has {_shortened_list(existing)}, expected {_shortened_list(nodes)}"
+        others = f"it has {_shortened_list(existing)}, expected {_shortened_list(nodes)}"
+        text = f"{enclaves}: a keystore of another ship: {others}"
         return [KeystoreFault(text, "set ROS_SECURITY_KEYSTORE to this ship's, or --namespace to its own")]
     used = [rights for rights in use.rights if rights.enclave in existing or rights.is_needed]
     folders = [enclaves / rights.enclave.lstrip("/") for rights in used]

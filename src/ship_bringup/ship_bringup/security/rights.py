@@ -50,8 +50,8 @@ class Rights:
         subscribes: topics.
         serves: services that it provides.
         requests: services that it calls.
-        declarations: further declarations of the node in the code, types and parameters: they grant nothing, but a policy
-            made before they changed is out of date.
+        declarations: further declarations of the node in the code, types and parameters: they grant nothing, but a
+            policy made before they changed is out of date.
         is_needed: True if the enclave must be on this computer, as those of the nodes.
     """
 

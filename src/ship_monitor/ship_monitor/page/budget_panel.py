@@ -43,7 +43,7 @@ class BudgetPanel:
 
     Attributes:
         box: the panel.
-        angle: displayed angle, one of :data:`ship_check.suite_state.ANGLES`; empty if there is none.
+        angle: displayed angle, one of :data:`ship_watch.suite_state.ANGLES`; empty if there is none.
         chosen_angle: angle chosen by the user; empty for none.
     """
 

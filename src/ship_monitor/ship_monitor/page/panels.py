@@ -73,7 +73,7 @@ class Panels:
         )
 
     def choose(self, angle: str) -> None:
-        """Show the budget and highlight the error of an angle, one of :data:`ship_check.suite_state.ANGLES`."""
+        """Show the budget and highlight the error of an angle, one of :data:`ship_watch.suite_state.ANGLES`."""
         self._budget.choose(angle)
 
     def update(self, history: History, suite_state: SuiteState) -> None:

@@ -32,7 +32,9 @@ ATTITUDE = InputTopic("ship/attitude", "ship_msgs/msg/ShipAttitude", required=Tr
 
 _VOID_PERIOD_S = 0.1
 _QUALITIES = {
-    ShipAttitude.VALID: AttitudeQuality.NORMAL, ShipAttitude.COASTING: AttitudeQuality.ESTIMATED, ShipAttitude.DEGRADED: AttitudeQuality.ESTIMATED
+    ShipAttitude.VALID: AttitudeQuality.NORMAL,
+    ShipAttitude.COASTING: AttitudeQuality.ESTIMATED,
+    ShipAttitude.DEGRADED: AttitudeQuality.ESTIMATED,
 }  # fmt: skip
 
 

@@ -100,7 +100,8 @@ class Identification:
             if times < TIMES_NEEDED:
                 lines.append(
                     f"gauss_markov, {axis}: {self.record.duration_s / _HOUR_S:.2g} h are {times:.2g} correlation times,"
-                    f" too short to separate σ and τ (σ {uncertainty_text(log_sigma)}, τ {uncertainty_text(log_time)}); 10 % and 30 % need "
+                    f" too short to separate σ and τ (σ {uncertainty_text(log_sigma)}, "
+                    f"τ {uncertainty_text(log_time)}); 10 % and 30 % need "
                     f"{TIMES_NEEDED:g} times, {TIMES_NEEDED * time_s / _HOUR_S:.0f} h; only 2σ²/τ is determined"
                 )
         return lines
@@ -112,13 +113,15 @@ class Identification:
         white, log_sigma = self.best.suite_value(self.best.model.suite_parameters[0])
         if not log_sigma <= _VAGUE:
             lines.append(
-                f"the record does not determine white_sigma_arcsec ({white:.2g}″, {uncertainty_text(log_sigma)}): the star "
+                f"the record does not determine white_sigma_arcsec ({white:.2g}″, "
+                f"{uncertainty_text(log_sigma)}): the star "
                 "sensors' own noise hides it, or their messages state too much noise"
             )
         used = len(session.comparisons)
         if session.rejected_count > _EXPECTED_REFUSED * (used + session.rejected_count):
             lines.append(
-                f"{session.rejected_count} of {used + session.rejected_count} star measurements were not used: see replay --report"
+                f"{session.rejected_count} of {used + session.rejected_count} star measurements were not used: "
+                "see replay --report"
             )
         if not session.config.gravity.is_modelled:
             lines.append("gravity.deflection is none: the deflection of the vertical is part of the error found")

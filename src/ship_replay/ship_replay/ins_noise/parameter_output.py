@@ -77,7 +77,8 @@ def _parameter_lines(fitted: FittedModel) -> Iterator[str]:
     for parameter, value, log_sigma in zip(fitted.model.parameters, fitted.values, fitted.log_sigmas, strict=True):
         if parameter.name.startswith("2 σ²/τ"):
             low, high = (value * math.exp(sign * _SIGMAS * log_sigma) for sign in (-1.0, 1.0))
-            yield f"{parameter.name:45}{value:12.4g} {'':12}{uncertainty_text(float(log_sigma))}, 99.9 %: {low:.3g} to {high:.3g}"
+            uncertainty = f"{uncertainty_text(float(log_sigma))}, 99.9 %: {low:.3g} to {high:.3g}"
+            yield f"{parameter.name:45}{value:12.4g} {'':12}{uncertainty}"
     for name, fixed in fitted.model.configured_values.items():
         yield f"{name:45}{fixed:12.4g} {'':12}as configured"
 

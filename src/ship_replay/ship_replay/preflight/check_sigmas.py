@@ -71,7 +71,10 @@ def _check_source(
     text_of_factor = f"the innovations of {source} in {check.bag.path} fit {factor:.2g} times this noise"
     names = list(_parameters(node.config, source))
     if not names or 2 * record.note_counts[Reason.COVARIANCE_UNKNOWN] < record.received:
-        text = f"{check.bag.path}: topic '{feed.input.topic}' states a noise, but {text_of_factor} ({diagnosis.count} measurements)"
+        text = (
+            f"{check.bag.path}: topic '{feed.input.topic}' states a noise, but {text_of_factor} "
+            f"({diagnosis.count} measurements)"
+        )
         check.report(False, f"{text}: {factor**2:.2g} times its variance fits")
         return
     for name in names:

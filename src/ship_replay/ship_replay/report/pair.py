@@ -153,6 +153,7 @@ def _check_overlap(pair: Pair) -> None:
         form = "%Y-%m-%d %H:%M:%S"
         texts = [f"{utc(start, form)} to {utc(end, form)}" for start, end in spans]
         raise BadInput(
-            f"no time in common with {pair.a.recording.path}: outputs from {texts[1]} UTC, expected some from {texts[0]}",
+            f"no time in common with {pair.a.recording.path}: "
+            f"outputs from {texts[1]} UTC, expected some from {texts[0]}",
             file=pair.b.recording.path,
         )

@@ -1,7 +1,7 @@
 """A recording as a watch officer would have seen it: states, events, alerts, rejections and budgets, second by second.
 
-The bag is processed message by message by :class:`ship_check.suite_monitor.SuiteMonitor`. Its buffers hold ten minutes, so new entries
-are collected periodically.
+The bag is processed message by message by :class:`ship_watch.suite_monitor.SuiteMonitor`. Its buffers
+hold ten minutes, so new entries are collected periodically.
 """
 
 import math

@@ -238,7 +238,9 @@ def optical_axis_configuration(scenario: Scenario) -> dict[str, Any]:
     if scenario.telescopes:
         configuration["telescopes"] = {
             key: {
-                **_select_parameters(camera, _STAR_TELESCOPE), "frame_id": mount_camera_frame(key), "camera": _camera(camera.camera)
+                **_select_parameters(camera, _STAR_TELESCOPE),
+                "frame_id": mount_camera_frame(key),
+                "camera": _camera(camera.camera),
             }
             for key, camera in scenario.telescopes.items()
         }  # fmt: skip

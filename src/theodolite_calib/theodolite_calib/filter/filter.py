@@ -47,10 +47,11 @@ class CalibrationState:
         observability: covariance from the sightings alone (:mod:`theodolite_calib.filter.observability`).
         subfilters: estimates without one source each.
         fault_state: excluded sources and unresolved faults.
-        solution_separation: solution separation of each subfilter in the pointing of the last accepted sighting, in standard
-            deviations, shape (h,).
+        solution_separation: solution separation of each subfilter in the pointing of the last accepted sighting, in
+            standard deviations, shape (h,).
         ship_covariance_n: stated covariance of the ship's error, rad², shape (3, 3); None if none is stated.
-        consecutive_rejections: number of consecutive sightings, of beacons or stars, that were rejected against encoders and ship.
+        consecutive_rejections: number of consecutive sightings, of beacons or stars, that were rejected against
+            encoders and ship.
         rejection_text: text of the last of these rejections.
         last_beacons_ns: time of the last accepted sighting of beacons; None before the first.
         light_count: number of beacons in it.
@@ -160,7 +161,8 @@ class CalibrationFilter:
         Args:
             state: state after the previous sighting.
             time_ns: the time.
-            new_ship_covariance_n: covariance of the ship's error that is stated at that time, rad², shape (3, 3); None if none is.
+            new_ship_covariance_n: covariance of the ship's error that is stated at that time, rad², shape (3, 3); None
+                if none is.
         """
         dt_s = 0.0 if state.time_ns is None else max(time_ns - state.time_ns, 0) * 1e-9
         decay, noise = self.model.transition(dt_s)

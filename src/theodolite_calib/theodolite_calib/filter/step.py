@@ -49,10 +49,10 @@ class SightingStep:
     Args:
         config: parameters of the node.
         filter_: filter of that configuration.
-        stream_consistency: function of two times, ns, that returns the consistency of the encoder and ship streams between
-            them; None if it is not evaluated, or too long ago.
-        has_ship_drifted: function of a time, ns, that returns True if the ship's attitude has departed from its own rates
-            before it; None if unknown.
+        stream_consistency: function of two times, ns, that returns the consistency of the encoder and ship streams
+            between them; None if it is not evaluated, or too long ago.
+        has_ship_drifted: function of a time, ns, that returns True if the ship's attitude has departed from its own
+            rates before it; None if unknown.
         stream_faults: function of a time, ns, that returns which of the encoder and ship streams were stuck, jumped or
             repeated a stamp shortly before it.
     """

@@ -78,9 +78,9 @@ class _MeasurementPattern(NamedTuple):
 
     Attributes:
         uses: components that each subfilter uses, shape (h, m).
-        conditioning: components of the other beacons on which the innovation of one beacon is conditioned, in the main filter
-            and in every subfilter, shape (l, h + 1, m). Without encoders or ship a single beacon has no information,
-            but several together have.
+        conditioning: components of the other beacons on which the innovation of one beacon is conditioned, in the main
+            filter and in every subfilter, shape (l, h + 1, m). Without encoders or ship a single beacon has no
+            information, but several together have.
         updated_states: states that are updated, all of them, shape (h, n).
         gates: gate for the components that each subfilter uses, shape (h,).
     """

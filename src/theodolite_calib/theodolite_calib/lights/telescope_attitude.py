@@ -78,7 +78,8 @@ class TelescopeAttitude:
 
     Attributes:
         rotation_nt: horizon from telescope, shape (..., 3, 3).
-        covariance_by_source_n: covariance of its rotation vector δ in n, R_true = exp(δ) R, by source, rad², shape (..., 3, 3) each.
+        covariance_by_source_n: covariance of its rotation vector δ in n, R_true = exp(δ) R, by source, rad², shape
+            (..., 3, 3) each.
         focal_length_m: estimate from the angles between the beacons and its prior, shape (...).
         focal_length_sigma_m: shape (...).
         chi2: rᵀ S⁻¹ r of the residuals after the fit, shape (...).

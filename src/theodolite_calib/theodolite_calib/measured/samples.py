@@ -70,7 +70,10 @@ class EncoderSeries:
         unconfirmed_reasons: Sequence[str],
         unconfirmed_sigmas_rad: Sequence[float],
     ) -> "EncoderSeries":
-        """Return the series of some readings; ``unconfirmed_sigmas_rad`` is an additional standard deviation of each angle."""
+        """Return the series of some readings.
+
+        ``unconfirmed_sigmas_rad`` is an additional standard deviation of each angle.
+        """
         variances = [
             sample.sigma**2 + unconfirmed_sigma_rad**2
             for sample, unconfirmed_sigma_rad in zip(samples, unconfirmed_sigmas_rad, strict=True)
@@ -86,8 +89,8 @@ class ShipSample(AttitudeSample):
     """Ship's attitude at one time.
 
     Attributes:
-        correlated_covariance_n: covariance of the correlated part of its error, rotation vector in n, rad², shape (3, 3);
-            None if the configuration states it.
+        correlated_covariance_n: covariance of the correlated part of its error, rotation vector in n, rad², shape (3,
+            3); None if the configuration states it.
         status: status stated by the source.
     """
 
@@ -106,8 +109,8 @@ class BaselineSample(VectorSample):
 
     Attributes:
         covariance_n: covariance of its white error, m², shape (3, 3).
-        rejection: reason why it must not be used; None if it may. A rejected baseline is kept, so that no exposure waits
-            for a better one of its time.
+        rejection: reason why it must not be used; None if it may. A rejected baseline is kept, so that no exposure
+            waits for a better one of its time.
     """
 
     covariance_n: FloatArray

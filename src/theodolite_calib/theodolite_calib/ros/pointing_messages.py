@@ -120,7 +120,10 @@ def pointing_rows(
 def _messages(
     pointings: PointingNumbers, lever: Fields, in_deck: bool, values_of: Callable[..., list[Any]], frames: FrameNames
 ) -> MessageFields:
-    """Yield topic, type and fields of each message of pointings of one kind; ``deck_from_telescope`` if they have the deck."""
+    """Yield topic, type and fields of each message of pointings of one kind.
+
+    ``deck_from_telescope`` is given if they contain the deck.
+    """
     of_main = angles(pointings.rotation_nm)
     covariances = angle_covariances(pointings.covariance_n, of_main, SINGULAR_ELEVATION)
     time_ns, mode, status, light_count = values_of(

@@ -21,8 +21,8 @@ class TracedState(CalibrationState):
 
     Attributes:
         last_update: update by the last accepted sighting or the last jump; None before the first.
-        is_predicted_only: True for a propagated state that follows by prediction alone; False if a subfilter has become the
-            main filter since then.
+        is_predicted_only: True for a propagated state that follows by prediction alone; False if a subfilter has become
+            the main filter since then.
     """
 
     last_update: StateUpdate | None = None

@@ -119,7 +119,8 @@ class TriangulationConfig(PositioningConfig):
             topic = self.topic_of(name)
             if topic in station_by_topic:
                 raise ParameterError(
-                    f"parameter '{parameter_name}': {topic} is already used by '{station_by_topic[topic]}': each theodolite needs "
+                    f"parameter '{parameter_name}': {topic} is already used by '{station_by_topic[topic]}': "
+                    "each theodolite needs "
                     "its own",
                     parameter_name,
                     value=station.topic,

@@ -94,7 +94,8 @@ class _Target:
         stations: its directions by each theodolite, in their order.
         reports: times of each theodolite's reports, in the same order.
         waiting: (stamp, number of the theodolite) of each pending direction → time of reception.
-        last_answered_ns: last stamp that was answered, of this target or of a dropped one, which may have been the same.
+        last_answered_ns: last stamp that was answered, of this target or of a dropped one, which may have been the
+            same.
     """
 
     stations: list[StationDirections]
