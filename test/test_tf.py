@@ -114,7 +114,9 @@ def test_from_the_deck_there_is_a_frame_to_each_configured_star_sensor():
             # In the deck, azimuth 0 is the bow: x, and not y as North is.
             mounted = Rotation.from_euler("ZYX", [-angles[0], -angles[1], angles[2]])
             assert angle_between(rotation_from_message(transform.transform.rotation), mounted) < BEYOND_ROUNDING
-    before, after = ([rotation_from_message(one.transform.rotation) for one in each.transforms] for each in (first, last))
+    before, after = (
+        [rotation_from_message(one.transform.rotation) for one in each.transforms] for each in (first, last)
+    )
     assert max(angle_between(one, other) for one, other in zip(before, after, strict=True)) > 1e-8
 
 

@@ -67,7 +67,8 @@ heading (K) and of the roll (θ), S is the sine of the pitch.
 {_factors_in_words()}
 
 Joined by (5)–(7), the printed factors are the suite's Jacobian in the paper's reading
-{_largest_joint_difference(PAPER)}; in the physical reading a derivative differs by up to {_largest_joint_difference(PHYSICAL)}.
+{_largest_joint_difference(PAPER)}; in the physical reading a derivative
+differs by up to {_largest_joint_difference(PHYSICAL)}.
 """
 
 
