@@ -63,7 +63,7 @@ def unsafe_angle(name: str, because_of: str = "") -> AngleState:
 def angle_over_limit(name: str, because_of: str = "", share: float = 1.5) -> AngleState:
     """Return an angle above its limit, by this share."""
     limit = LIMITS.angle_limit(name)
-    changes = {"accuracy_95": share * limit, "safety": Safety.CAUTION, "reason": "over the limit", "over_s": 7.0}
+    changes = {"accuracy_95": share * limit, "safety": Safety.CAUTION, "reason": "over the limit", "over_limit_s": 7.0}
     return angle(name, because_of=because_of, **changes)
 
 
@@ -157,7 +157,7 @@ SHIFTED_SENSOR = source_out(
     "81 rejected in a row",
     disagreement="right +49″",
     residual=8.1,
-    refused=81,
+    rejected_in_a_row=81,
     out_since_ns=NOW_NS - 39 * NS,
     topics=("star/starboard/observations",),
 )

@@ -55,16 +55,16 @@ def test_valid_protected_angle_within_its_limit_is_safe() -> None:
     [
         ({"accuracy_95": 5.01}, "over the limit"),
         ({"accuracy_95": 15.0}, "over the limit"),
-        ({"accuracy_95": 15.0, "guilty": KNOCKED}, "star.bow excluded"),
-        ({"status": Status.COASTING, "hint": "no stars for 31 s"}, "no stars for 31 s"),
+        ({"accuracy_95": 15.0, "faulty_source": KNOCKED}, "star.bow excluded"),
+        ({"status": Status.COASTING, "diagnosis_hint": "no stars for 31 s"}, "no stars for 31 s"),
         ({"status": Status.DEGRADED}, "degraded"),
-        ({"status": Status.DEGRADED, "guilty": KNOCKED}, "star.bow excluded"),
+        ({"status": Status.DEGRADED, "faulty_source": KNOCKED}, "star.bow excluded"),
         ({"protection": AngleProtection(None)}, "no integrity data"),
         ({"protection": AngleProtection(IntegrityState.UNAVAILABLE)}, "no independent check"),
-        ({"protection": AngleProtection(IntegrityState.UNAVAILABLE), "guilty": KNOCKED}, "star.bow excluded"),
+        ({"protection": AngleProtection(IntegrityState.UNAVAILABLE), "faulty_source": KNOCKED}, "star.bow excluded"),
         ({"protection": AngleProtection(IntegrityState.MET, math.nan, 30.0)}, "no independent check"),
-        ({"accuracy_95": 6.0, "guilty": FLOAT}, "baselines a rejected: not fixed"),
-        ({"has_reduced_input": True, "hint": "one of two lights"}, "one of two lights"),
+        ({"accuracy_95": 6.0, "faulty_source": FLOAT}, "baselines a rejected: not fixed"),
+        ({"has_reduced_input": True, "diagnosis_hint": "one of two lights"}, "one of two lights"),
     ],
 )
 def test_cautions(change: dict[str, Any], reason: str) -> None:
@@ -76,7 +76,7 @@ def test_cautions(change: dict[str, Any], reason: str) -> None:
     [
         ({"is_received": False, "is_old": True}, "waiting for ship/attitude"),
         ({"is_old": True}, "no data on ship/attitude"),
-        ({"is_old": True, "guilty": KNOCKED}, "star.bow excluded"),
+        ({"is_old": True, "faulty_source": KNOCKED}, "star.bow excluded"),
         ({"status": Status.INVALID}, "invalid"),
         ({"status": None}, "invalid"),
         ({"value": math.nan}, "invalid"),

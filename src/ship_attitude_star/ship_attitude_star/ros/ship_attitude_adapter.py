@@ -335,10 +335,10 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         ):
             # Without stars a turn has no effect.
             has_stars = latest.status is Status.VALID
-            observability = self.core.learnt()
+            observability = self.core.observability()
             turn = manoeuvre_text(self.core.recommended_manoeuvre(latest.rotation_nd)) if has_stars else ""
-            values = {f"{name} (sigma / before)": f"{left:.2f}" for name, left in observability.left.items()}
-            values |= {"not told apart": "; ".join(observability.open) or "nothing", "turn": turn or "none recommended"}
+            values = {f"{name} (sigma / before)": f"{left:.2f}" for name, left in observability.sigma_ratios.items()}
+            values |= {"not told apart": "; ".join(observability.unobservable_combinations) or "nothing", "turn": turn or "none recommended"}
             text = turn or "no turn of the ship would improve the attitude much"
             self._last_observability = state.time_ns, DiagnosticStatus("observability", Level.OK, text, values)
         return [self._last_observability[1]]
@@ -362,7 +362,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         return [
             attitude_status(self.latest, self.clock_jumps, self._missing_configuration),
             DiagnosticStatus("alignment", Level.WARN if remarks else Level.OK, text, self.recovery_counts),
-            DiagnosticStatus("ins rates", *_RATE_TEXTS[self.core.rates]),
+            DiagnosticStatus("ins rates", *_RATE_TEXTS[self.core.rate_status]),
             self._noise_status(),
             self.recovery_status(waiting_ns),
             *vertical_statuses(self.core, self.latest),

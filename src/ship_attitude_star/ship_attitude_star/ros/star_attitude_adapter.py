@@ -195,7 +195,7 @@ class StarAttitudeAdapter(BatchAdapter):
         """Return diagnostics of the solutions and of the sky model."""
         return [
             *solution_statuses(self.config, self._last_solutions, self.core.joined_by_ins, waiting_ns),
-            sky_status(self.core.not_measured(), self.clock_jumps),
+            sky_status(self.core.unmeasured_quantities(), self.clock_jumps),
         ]
 
     def _restart(self, clock_jumped: bool) -> None:

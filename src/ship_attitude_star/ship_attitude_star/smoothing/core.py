@@ -109,7 +109,7 @@ class SmoothingCore(ShipAttitudeCore):
             self._committed.clear()
             return outcome
         for one in outcome.estimates:
-            has_fault = one.state.doubt is not None or INS in one.state.excluded
+            has_fault = one.state.unresolved_fault is not None or INS in one.state.excluded
             self._pending.append(_RealTimeEstimate(_detached(one), one.state.separation_covariance_n, has_fault))
             self._smoother.request_time(one.time_ns)
         return outcome

@@ -72,12 +72,12 @@ class BatchAdapter(ReportingAdapter):
         stamps_ns = samples.times_ns.tolist()
         count = self.time_base.count_without_step(topic, stamps_ns, receive_ns[: len(stamps_ns)].tolist())
         if count:
-            unmoved = samples.some(slice(count))
+            unmoved = samples.subset(slice(count))
             count = self._duplicates.count_before_change(topic, unmoved.times_ns, unmoved.rotations_nd)
-        batch = feed.core.evaluate_batch(samples.some(slice(count)), receive_ns[:count]) if count else None
+        batch = feed.core.evaluate_batch(samples.subset(slice(count)), receive_ns[:count]) if count else None
         if batch is None:
             return None
-        count = batch.followed.count
+        count = batch.checked.count
         self.time_base.add_batch(topic, stamps_ns[count - 1], int(receive_ns[count - 1]), count)
         return PendingBatch(topic, reading, receive_ns[:count], batch)
 
@@ -101,7 +101,7 @@ class BatchAdapter(ReportingAdapter):
             pending.reading.covariance_known,
         )
         assert feed.batch is not None
-        samples = pending.reading.samples.some(slice(len(pending.receive_ns)))
+        samples = pending.reading.samples.subset(slice(len(pending.receive_ns)))
         self._duplicates.add_batch(pending.topic, samples.times_ns, samples.rotations_nd)
         if usual:
             times_ns = pending.reading.samples.times_ns[:usual]
@@ -111,7 +111,7 @@ class BatchAdapter(ReportingAdapter):
             parts += self.batch_outputs(some, found, pending.reading.samples.times_ns)
         last = feed.batch.core.finish_batch(pending.evaluated)
         if last is not None:
-            reading, now_ns = ReadMessage(pending.reading.samples.one(usual), known), int(pending.receive_ns[usual])
+            reading, now_ns = ReadMessage(pending.reading.samples.sample(usual), known), int(pending.receive_ns[usual])
             parts.append(BatchOutput(usual, self.report_input(feed, reading, last, now_ns, now_ns)))
         return parts
 
@@ -135,7 +135,7 @@ class BatchAdapter(ReportingAdapter):
             )
         else:
             yield BatchOutput(some.start, [], found)
-        self.latest = self.pending_budget = found.one(len(found.time_ns) - 1)
+        self.latest = self.pending_budget = found.estimate(len(found.time_ns) - 1)
 
     @abstractmethod
     def batch_messages(self, runs: Sequence[Any]) -> Iterator[OutputRows]:

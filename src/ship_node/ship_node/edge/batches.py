@@ -145,11 +145,11 @@ def outputs_with_levels(
     """
     start, count = 0, len(run.time_ns)
     while start < count:
-        yield BatchOutput(place + start, protection_level_messages(run.one(start)))
+        yield BatchOutput(place + start, protection_level_messages(run.estimate(start)))
         rest = slice(start + 1, count)
         end = start + 1 + published.covered_count(run.time_ns[rest], run.covariance_n[rest], directions[rest])
         end = next(
             (other for other in range(start + 1, end) if redundancy_keys[other] != published.redundancy_key), end
         )
-        yield BatchOutput(place + start, [], run if end - start == count else run.some(slice(start, end)))
+        yield BatchOutput(place + start, [], run if end - start == count else run.subset(slice(start, end)))
         start = end

@@ -32,14 +32,14 @@ class DeferringAdapter(BatchAdapter):
 
     def defer_outputs(self) -> None:
         """Leave the outputs out of the results from now on: :meth:`take_outputs` returns them."""
-        self.core.due = []
+        self.core.pending = []
         self._computed_outputs: list[BatchOutput] = []
         self._computed_count = 0
 
     @property
     def pending_count(self) -> int:
         """Number of outputs pending since :meth:`defer_outputs` or :meth:`take_outputs`."""
-        return self._computed_count + len(self.core.due)
+        return self._computed_count + len(self.core.pending)
 
     def take_outputs(self) -> list[BatchOutput]:
         """Compute and return all pending outputs by their indices, with the messages published before some of them."""
@@ -60,9 +60,9 @@ class DeferringAdapter(BatchAdapter):
         return super().report_outcome(outcome, now_ns, waiting_ns)
 
     def _compute_pending(self) -> None:
-        if not self.core.due:
+        if not self.core.pending:
             return
-        times_ns = [due.time_ns for due in self.core.due]
+        times_ns = [due.time_ns for due in self.core.pending]
         for some, found in self.core.compute_pending():
             parts = self.batch_outputs(some, found, times_ns)
             self._computed_outputs += [part._replace(place=self._computed_count + part.place) for part in parts]

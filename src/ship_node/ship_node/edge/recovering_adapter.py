@@ -110,7 +110,7 @@ class RecoveringAdapter(BatchAdapter):
         self, feed: Feed, reading: ReadMessage[Any], outcome: Any, receive_ns: int, waiting_ns: int
     ) -> list[OutputMessage]:
         """See :class:`ReportingAdapter`; a usable message shows that its source is present."""
-        rejection = None if outcome is None else outcome.refusal
+        rejection = None if outcome is None else outcome.rejection
         if outcome is not None and (rejection is None or rejection.reason in PRESENCE_REASONS):
             self._last_usable_ns |= dict.fromkeys(self.sources_of_message(feed, reading.value), waiting_ns)
         return super().report_input(feed, reading, outcome, receive_ns, waiting_ns)

@@ -251,7 +251,7 @@ class ReportingAdapter(ABC):
             waiting_ns: receive time by the timeout clock.
         """
         time_ns = reading.value.time_ns
-        rejection = None if outcome is None else outcome.refusal
+        rejection = None if outcome is None else outcome.rejection
         used = not feed.has_decision or outcome is None
         self.health.record_input(feed.input.topic, waiting_ns, receive_ns, reading, rejection, used)
         published: list[OutputMessage] = []
