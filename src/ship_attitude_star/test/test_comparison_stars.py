@@ -177,8 +177,8 @@ def test_a_star_of_another_identity_is_refused_by_name_and_the_rest_is_used(ship
     wrong = replace(exposure, hip=exposure.hip[swapped], positions=exposure.positions[swapped])
     _, decision = ship_filter.step(ship_filter.initial_state(), wrong, ins_track(), watch)
     assert decision.accepted
-    assert {name for name, _ in decision.left_out} == {f"HIP {hip}" for hip in exposure.hip[:2]}
-    assert all(refusal.reason is Reason.MISIDENTIFIED for _, refusal in decision.left_out)
+    assert {name for name, _ in decision.rejected_parts} == {f"HIP {hip}" for hip in exposure.hip[:2]}
+    assert all(refusal.reason is Reason.MISIDENTIFIED for _, refusal in decision.rejected_parts)
     assert decision.components[0] == f"HIP {exposure.hip[2]} up"
 
 

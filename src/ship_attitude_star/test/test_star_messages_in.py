@@ -48,7 +48,7 @@ def read(message: Any, **options: bool) -> Any:
 def read_exposure(message: Any) -> Any:
     """Return the exposure, and the rejected stars."""
     reading = read(message)
-    return reading.value, reading.left_out
+    return reading.value, reading.rejected_parts
 
 
 def test_pixels_become_directions_and_numbers_become_positions() -> None:
@@ -173,7 +173,7 @@ def test_the_same_given_position_twice_counts_once() -> None:
 
 def test_a_rejected_star_is_named_by_its_number_on_request() -> None:
     message = observations(star(DENEB, u=np.nan), star(0, u=np.nan))
-    names = [name for name, _ in read(message, named_by_number=True).left_out]
+    names = [name for name, _ in read(message, named_by_number=True).rejected_parts]
     assert names == [f"HIP {DENEB}", "star 2 of the message"]
 
 

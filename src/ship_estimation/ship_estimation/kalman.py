@@ -236,12 +236,12 @@ class LinearMeasurement:
 
     def __post_init__(self) -> None:
         # The compiled steps read matrices row by row.
-        booked = tuple((index, np.ascontiguousarray(part)) for index, part in self.noise_by_source.items())
-        (_, total), *others = booked
+        noise_parts = tuple((index, np.ascontiguousarray(part)) for index, part in self.noise_by_source.items())
+        (_, total), *others = noise_parts
         for _, part in others:
             total = total + part
         object.__setattr__(self, "noise", total)
-        object.__setattr__(self, "booked", booked)
+        object.__setattr__(self, "noise_parts", noise_parts)
 
 
 class InnovationAndGain(NamedTuple):

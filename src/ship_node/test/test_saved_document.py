@@ -179,7 +179,7 @@ def test_an_unusable_file_is_set_aside_and_reported_until_the_next_save(tmp_path
     assert saved.unreadable_reason.endswith(f"; set aside as {path}.unreadable")
     assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == {"alignment.yaml.unreadable": raw}
     # A replay of the black box gets the same.
-    recorded = RecordedFiles()
+    recorded = RecordedFiles(lambda difference: None)
     for use in files.uses:
         recorded.expect(use)
     assert start(path, recorded).unreadable_reason == saved.unreadable_reason

@@ -416,6 +416,17 @@ def test_another_saved_file_is_a_difference(box, tmp_path, capsys):
     assert "field line 2: recorded 'version: 9', replayed 'version: 1'" in out
 
 
+def test_other_texts_of_a_saved_file_are_counted(box, tmp_path, capsys):
+    def change(record, topics):
+        if isinstance(record, Attachment) and record.name == "files/0001/alignment.yaml":
+            return replace(record, data=record.data.replace(b"format: ", b"format: earlier "))
+        return record
+
+    code, out, _ = verify(capsys, write_changed_copy(box, tmp_path / "b.mcap", change))
+    assert code == 0, out
+    assert re.search(r"other texts: file \S+alignment\.yaml 1; the first: file", out)
+
+
 def test_missing_entries_end_the_verification_and_are_reported(box, tmp_path, capsys):
     code, out, _ = verify(
         capsys, write_changed_copy(box, tmp_path / "b.mcap", change_nth("ins/imu", 400, lambda message: None))

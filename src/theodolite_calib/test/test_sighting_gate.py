@@ -58,7 +58,7 @@ def test_wrong_one_of_three_beacons_is_rejected(three, wrong: int) -> None:
     shift = np.zeros((3, 2))
     shift[wrong] = [90.0, -60.0]
     after, decision = step(state, shift_beacons(last, shift), exposure(last))
-    ((name, refusal),) = decision.left_out
+    ((name, refusal),) = decision.rejected_parts
     assert name == last.names[wrong]
     assert refusal.reason is Reason.LIGHT_CONFLICT
     assert decision.accepted
@@ -124,7 +124,7 @@ def assert_excluded(step, state, wrong: Sighting, row: int) -> None:
         after, decision = step(state, sighting, exposure(sighting))
         assert np.isfinite(after.mean).all()
         assert np.isfinite(after.parts).all()
-        used = [name for name in sighting.names if name not in {name for name, _ in decision.left_out}]
+        used = [name for name in sighting.names if name not in {name for name, _ in decision.rejected_parts}]
         assert not decision.accepted or wrong.names[row] not in used
 
 

@@ -407,8 +407,8 @@ class ReportingAdapter(ABC):
         published: list[OutputMessage] = []
         for source, decision in decisions:
             time_ns = decision.measurement.time_ns
-            for name, left_out in decision.left_out:
-                published.append(self._rejected_part(source, time_ns, name, left_out))
+            for name, rejected in decision.rejected_parts:
+                published.append(self._rejected_part(source, time_ns, name, rejected))
             message = messages_out.decision_message(self.factory, source, decision)
             published.append((self.innovation_topic, message))
         for time_ns, rejection in outcome.failures:

@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from ship_bags.errors import BadInput
 from ship_bags.mcap.bag_reader import Bag, BagRecord
 from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT, BagWriter
@@ -59,9 +61,13 @@ class RecordedFiles:
     """Files of a node as recorded in its black box.
 
     A read returns the recorded content. A write is compared with the recorded one; nothing is written to the disk.
+
+    Args:
+        add_difference: receives the differences in texts of written documents.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, add_difference: Callable[[Difference], None]) -> None:
+        self._add_difference = add_difference
         self._uses: deque[FileUse] = deque()
         self.time_ns = 0
 
@@ -74,7 +80,7 @@ class RecordedFiles:
 
         Raises:
             OSError: as recorded for the node.
-            AnotherFileUse: the node read nothing, or another file.
+            FileUseMismatch: the node read nothing, or another file.
         """
         return self._next_use(path, written=False).content or b""
 
@@ -83,18 +89,21 @@ class RecordedFiles:
 
         Raises:
             OSError: as recorded for the node.
-            AnotherFileUse: the node wrote nothing, another file or other bytes.
+            FileUseMismatch: the node wrote nothing, another file or other numbers.
         """
         recorded = self._next_use(path, written=True).content or b""
         if recorded != content:
-            raise FileUseMismatch(_content_difference(path, self.time_ns, recorded, content))
+            difference = _content_difference(path, self.time_ns, recorded, content)
+            if not difference.is_text:
+                raise FileUseMismatch(difference)
+            self._add_difference(difference)
 
     def set_aside(self, path: Path) -> Path:
         """Return the path to which the node renamed a file at this time.
 
         Raises:
             OSError: as recorded for the node.
-            AnotherFileUse: the node set nothing aside, or another file.
+            FileUseMismatch: the node set nothing aside, or another file.
         """
         return Path((self._next_use(path, written=True).content or b"").decode())
 
@@ -132,7 +141,7 @@ def replay_black_box(
     check_definitions(bag)
     result = Verification()
     config = black_box_config(bag, adapter_class, config_path, result.notes)
-    files = RecordedFiles()
+    files = RecordedFiles(result.add_difference)
 
     def make_adapter() -> Adapter:
         adapter = adapter_class(config, RosbagsFactory(), files)
@@ -321,9 +330,27 @@ def _use_text(use: FileUse | None) -> str:
 
 
 def _content_difference(path: Path, time_ns: int, recorded: bytes, replayed: bytes) -> Difference:
-    """Return the first line that differs."""
+    """Return the first line that differs; it is one of texts if the documents differ in nothing but texts."""
+    is_text = _without_texts(recorded) == _without_texts(replayed) is not None
     one, other = (content.decode(errors="replace").splitlines() for content in (recorded, replayed))
     for number, (a, b) in enumerate(zip(one, other, strict=False), 1):
         if a != b:
-            return Difference(f"file {path}", time_ns, f"line {number}", repr(a), repr(b))
-    return Difference(f"file {path}", time_ns, "length", f"{len(recorded)} bytes", f"{len(replayed)} bytes")
+            return Difference(f"file {path}", time_ns, f"line {number}", repr(a), repr(b), is_text)
+    sizes = f"{len(recorded)} bytes", f"{len(replayed)} bytes"
+    return Difference(f"file {path}", time_ns, "length", *sizes, is_text)
+
+
+def _without_texts(content: bytes) -> str | None:
+    """Return a YAML document with its texts blanked, as text to the last bit; None if it cannot be read."""
+
+    def blanked(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: blanked(one) for key, one in value.items()}
+        if isinstance(value, list):
+            return [blanked(one) for one in value]
+        return "" if isinstance(value, str) else value
+
+    try:
+        return repr(blanked(yaml.safe_load(content)))
+    except yaml.YAMLError:
+        return None
