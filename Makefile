@@ -67,7 +67,7 @@ campaign: setup-all ## 2000 seeds of each case (ten hours on two cores), long vo
 	@$(RUN) python tools/pointing_campaign.py
 	@$(RUN) FUZZED_MESSAGES=100000 pytest -q -s test/test_fuzzed_messages.py
 	@$(RUN) FAULT_SEEDS=20 pytest -q -s test/test_pointing_faults.py
-	@$(RUN) FAULT_SEEDS=40 pytest -q -s src/ship_attitude_star/test/test_fault_detection.py -k any_sizes
+	@$(RUN) FAULT_SEEDS=40 pytest -q -s src/ship_attitude_star/test/test_fault_detection.py -k any_size
 	@$(RUN) SEEDS=32 pytest -q -s src/ship_attitude_star/test/test_interpolated_ins.py \
 	    src/ship_attitude_star/test/test_wide_clocks.py src/ship_replay/test/test_calibration_consistency.py
 	@$(RUN) TEN_MINUTES=6 pytest -q -s src/ship_estimation/test/test_integrated_rates.py -k noise_alone

@@ -122,7 +122,7 @@ class CorrectionSums(NamedTuple):
     def unresolved_variance(self) -> FloatArray:
         """Return the variance that covers an unresolved common error, rad², shape (3,).
 
-        It starts at zero at :data:`INFLATION_START_SIGMAS`, as
+        It starts at zero at :data:`COMMON_ERROR_START_SIGMAS`, as
         :func:`ship_estimation.protection_levels.separation_inflation` does.
 
         Example:
@@ -142,7 +142,7 @@ class CorrectionSums(NamedTuple):
 
         Args:
             time_ns: stamp of the last correction.
-            hold_ns: time for which it is held after the last sum above :data:`INFLATION_START_SIGMAS`, ns.
+            hold_ns: time for which it is held after the last sum above :data:`COMMON_ERROR_START_SIGMAS`, ns.
         """
         before = self.unresolved if self.unresolved is not None and time_ns < self.unresolved.until_ns else None
         if not self.sigmas > COMMON_ERROR_START_SIGMAS:

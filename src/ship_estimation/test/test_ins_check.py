@@ -218,7 +218,7 @@ def test_drift_of_the_attitude_against_its_rates_is_detected_within_seconds(per_
             told.append(creeping_s)
             assert judged_one.jumps[0].is_drift
             assert judged_one.rejection is not None
-            assert "crept" in judged_one.rejection.text
+            assert "drifted" in judged_one.rejection.text
     assert bool(told) == (per_min_arcsec > 0.0)
     assert not told or 0.0 < told[0] < 7.0
 

@@ -246,7 +246,7 @@ class LogAgainstSorting(RuleBasedStateMachine):
         assert self.log.pending_count == 0
         assert self.log.state == self.expected()
 
-    @precondition(lambda self: self.log.waiting == 0)
+    @precondition(lambda self: self.log.pending_count == 0)
     @rule(oldest_ns=st.integers(0, 40))
     def commit(self, oldest_ns: int) -> None:
         self.log.commit_before(oldest_ns)

@@ -1,4 +1,4 @@
 """Displays of a suite, live or recorded: page and terminal view; and the alert node.
 
-The state of the suite is computed in :mod:`ship_check`; this package reads topics or bags and draws the state.
+The state of the suite is computed in :mod:`ship_watch`; this package reads topics or bags and draws the state.
 """

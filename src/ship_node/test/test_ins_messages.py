@@ -118,4 +118,4 @@ def test_an_unknown_covariance_is_marked(unknown: np.ndarray, config: InsInputCo
     found = ins_batch(rows(messages), receive_times(), config)
     assert (len(found.samples.times_ns), found.covariance_known) == (COUNT, False)
     alone = ins_sample(messages[0], config, int(receive_times()[0]))
-    assert (alone.value.content(), alone.covariance_known) == (found.samples.one(0).content(), False)
+    assert (alone.value.content(), alone.covariance_known) == (found.samples.sample(0).content(), False)

@@ -94,7 +94,7 @@ def test_announced_batch_gives_the_same_results(name: str, monkeypatch: pytest.M
         ahead.append(followed.count)
         return followed
 
-    monkeypatch.setattr(InsCheck, "look_ahead", counted)
+    monkeypatch.setattr(InsCheck, "check_block", counted)
     run, samples = Run(BatchShipCheck(CONFIG)), VOYAGES[name]
     for start in range(0, COUNT, BLOCK):
         run.guard.expect(samples[start : start + BLOCK])

@@ -61,7 +61,8 @@ def disturbed_lines(name: str, error: FloatArray, lights: BeaconPoses, ship: Shi
         case "rtk_noise" | "rtk_bias" | "rtk_base":
             lights = replace(lights, baseline_n=lights.baseline_n + error)
         case "theodolite_lever" | "principal_point" | "light_lever":
-            survey = replace(survey, **{name: longer(getattr(survey, name))})
+            lever = name.replace("light", "beacon")
+            survey = replace(survey, **{lever: longer(getattr(survey, lever))})
         case "ship_attitude":
             ship = replace(ship, rotation_nd=exp_rotation(error) @ ship.rotation_nd)
         case "drone_attitude":

@@ -64,7 +64,7 @@ def test_wrong_one_of_three_beacons_is_rejected(three, wrong: int) -> None:
     assert decision.accepted
     assert decision.reason is Reason.NONE
     others = [row for row in range(3) if row != wrong]
-    alone, _ = step(state, last.chosen(others), exposure(last))
+    alone, _ = step(state, last.select(others), exposure(last))
     assert after.mean.tobytes() == alone.mean.tobytes()
     assert after.light_count == 2
 
@@ -74,7 +74,7 @@ def test_two_wrong_of_three_leave_none(three) -> None:
     after, decision = step(
         state, shift_beacons(last, np.array([[90.0, 0.0], [0.0, -120.0], [0.0, 0.0]])), exposure(last)
     )
-    assert (after.mean.tobytes(), after.parts.tobytes()) == (state.mean.tobytes(), state.parts.tobytes())
+    assert (after.mean.tobytes(), after.covariance_by_source.tobytes()) == (state.mean.tobytes(), state.covariance_by_source.tobytes())
     assert (after.time_ns, after.used_ns, after.refusals) == (state.time_ns, state.used_ns, 1)
     assert decision.reason is Reason.LIGHT_CONFLICT
     assert not decision.accepted
@@ -123,7 +123,7 @@ def assert_excluded(step, state, wrong: Sighting, row: int) -> None:
     for sighting in (wrong, wrong.select([row]), wrong.select([row, (row + 1) % 3])):
         after, decision = step(state, sighting, exposure(sighting))
         assert np.isfinite(after.mean).all()
-        assert np.isfinite(after.parts).all()
+        assert np.isfinite(after.covariance_by_source).all()
         used = [name for name in sighting.names if name not in {name for name, _ in decision.rejected_parts}]
         assert not decision.accepted or wrong.names[row] not in used
 
@@ -136,7 +136,7 @@ def test_run_of_rejections_is_a_conflict_and_keeps_the_estimate() -> None:
     assert set(reasons[39:]) == {Reason.ATTITUDE_CONFLICT}
     assert found[-1][1].text.startswith("30 rejections in a row: lights are inconsistent with encoders and ship")
     assert found[-1][0].mean.tobytes() == found[29][0].mean.tobytes()
-    assert [state.refusals for state, _ in found[28:33]] == [0, 0, 1, 2, 3]
+    assert [state.consecutive_rejections for state, _ in found[28:33]] == [0, 0, 1, 2, 3]
 
 
 def test_covariance_is_inflated_after_rejections_if_configured() -> None:

@@ -246,9 +246,9 @@ def smoother_and_batch() -> tuple:
     return *run_smoother(), built, *solve(built.rows, steps_of(built))
 
 
-def test_smoothed_pointings_are_batch_least_squares(both: tuple) -> None:
+def test_smoothed_pointings_are_batch_least_squares(smoother_and_batch: tuple) -> None:
     # Issue: within 1 % of sigma.
-    _, at_once, smoothed, built, unknowns, factors = both
+    _, at_once, smoothed, built, unknowns, factors = smoother_and_batch
     assert [one.time_ns for one in smoothed] == [START_NS + ms * 1_000_000 for ms in ASKED_MS]
     worst_mean = worst_sigma = 0.0
     for one, ms in zip(smoothed, ASKED_MS, strict=True):
@@ -278,9 +278,9 @@ def test_smoothed_pointings_are_batch_least_squares(both: tuple) -> None:
     assert at_once[0].mode == smoothed[0].mode == Mode.ENCODER
 
 
-def test_the_filters_covariance_is_the_inverse_of_the_information_matrix(both: tuple) -> None:
+def test_the_filters_covariance_is_the_inverse_of_the_information_matrix(smoother_and_batch: tuple) -> None:
     # After the last sighting the filter has used all that the batch has.
-    core, _, _, built, unknowns, factors = both
+    core, _, _, built, unknowns, factors = smoother_and_batch
     last_ms, model, state = SIGHTED_MS[-1], core.filter.model, core.state
     assert state.time_ns == START_NS + last_ms * 1_000_000
     keys = {"ship.attitude": ("ship", last_ms), "deformation": ("bent", last_ms), "axes": ("axes", 0)}

@@ -119,7 +119,7 @@ class RecentInnovations(NamedTuple):
     """Windowed innovation means of a source's accepted measurements against the main filter.
 
     Attributes:
-        windowed_means: the windowed means (:attr:`ship_estimation.innovation_means.InnovationMeans.windowed_means`),
+        windowed_means: the windowed means (:attr:`ship_estimation.innovation_means.InnovationMeans.running`),
             shape (w, 5).
         largest_sigmas: largest deviation of a mean from zero, in its own standard deviations.
     """

@@ -40,7 +40,7 @@ def baseline_stamp_ns(message: Any, antennas: Antennas, receive_ns: int) -> int:
     """Return the stamp of a message of these antennas, ns.
 
     Raises:
-        Refused: the message is of other antennas, or its stamp is invalid.
+        MessageRejected: the message is of other antennas, or its stamp is invalid.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     check_frame(message.header.frame_id, antennas.frame_id)
@@ -65,7 +65,7 @@ def baseline_vector(message: Any) -> tuple[FloatArray, FloatArray | None]:
     """Return the vector (North, Up, East), m, shape (3,), and its covariance, m², shape (3, 3), or None if not given.
 
     Raises:
-        Refused: with the reason.
+        MessageRejected: with the reason.
     """
     vector_n = ENU_FROM_HORIZON.T @ finite_vector(message.enu, "enu")
     if np.max(np.abs(vector_n)) > _MAX_LENGTH_M:

@@ -51,7 +51,7 @@ def ins_sample(message: Any, config: InsInputConfig, receive_ns: int) -> ReadMes
     The message's covariance is the INS's total error, not white noise: it is checked and not used further.
 
     Raises:
-        Refused: with the reason.
+        MessageRejected: with the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     check_frame(message.header.frame_id, config.frame_id)

@@ -79,7 +79,7 @@ def stamp_ns(header: Any, receive_ns: int) -> int:
     """Return the stamp of a header, ns.
 
     Raises:
-        Refused: BAD_STAMP if it is zero, negative or has 1e9 ns or more; FUTURE if it is more than 50 ms ahead of
+        MessageRejected: BAD_STAMP if it is zero, negative or has 1e9 ns or more; FUTURE if it is more than 50 ms ahead of
             ``receive_ns``.
     """
     if header.stamp.nanosec >= _SECOND_NS:
@@ -99,7 +99,7 @@ def check_frame(frame_id: str, expected: str) -> None:
     """Reject a message with another frame_id; an empty ``expected`` accepts any.
 
     Raises:
-        Refused: FRAME.
+        MessageRejected: FRAME.
     """
     if expected and frame_id != expected:
         raise MessageRejected(Reason.FRAME, f"frame_id is {quoted_id(frame_id)}: expected '{expected}'")
@@ -109,7 +109,7 @@ def check_device_id(field: str, given: str, expected: str) -> None:
     """Reject a message of another device than the topic's.
 
     Raises:
-        Refused: UNKNOWN_SENSOR.
+        MessageRejected: UNKNOWN_SENSOR.
     """
     if given != expected:
         raise MessageRejected(Reason.UNKNOWN_SENSOR, f"{field} is {quoted_id(given)}: expected '{expected}'")
@@ -119,7 +119,7 @@ def check_finite(field: str, *values: float) -> None:
     """Reject NaN and infinity.
 
     Raises:
-        Refused: NON_FINITE.
+        MessageRejected: NON_FINITE.
     """
     for value in values:
         if not math.isfinite(value):
@@ -130,7 +130,7 @@ def exposure_length_s(exposure_s: float, longest_s: float) -> float:
     """Return the length of an exposure, s; 0 if it is not given (NaN or 0).
 
     Raises:
-        Refused: NON_FINITE, or UNITS if it is negative or longer than ``longest_s``.
+        MessageRejected: NON_FINITE, or UNITS if it is negative or longer than ``longest_s``.
     """
     if math.isnan(exposure_s):
         return 0.0
@@ -144,7 +144,7 @@ def finite_vector(vector: Any, field: str) -> FloatArray:
     """Return x, y, z of a message as an array, shape (3,).
 
     Raises:
-        Refused: NON_FINITE.
+        MessageRejected: NON_FINITE.
     """
     check_finite(field, vector.x, vector.y, vector.z)
     return np.array([vector.x, vector.y, vector.z])
@@ -154,7 +154,7 @@ def unit_quaternion(quaternion: Any, field: str = "orientation") -> FloatArray:
     """Return x, y, z, w of a quaternion message, normalised to 1, shape (4,).
 
     Raises:
-        Refused: NON_FINITE, or BAD_QUATERNION if the norm differs from 1 by more than 1e-2.
+        MessageRejected: NON_FINITE, or BAD_QUATERNION if the norm differs from 1 by more than 1e-2.
     """
     numbers = quaternion.x, quaternion.y, quaternion.z, quaternion.w
     check_finite(field, *numbers)
@@ -171,7 +171,7 @@ def optional_sigma(sigma: float, largest: float) -> float | None:
     """Return a standard deviation; None if it is not given (NaN or 0).
 
     Raises:
-        Refused: NON_FINITE, or BAD_COVARIANCE if it is negative or above ``largest``.
+        MessageRejected: NON_FINITE, or BAD_COVARIANCE if it is negative or above ``largest``.
     """
     if math.isnan(sigma) or sigma == 0.0:
         return None
@@ -190,7 +190,7 @@ def covariance_3x3(values: Sequence[float], field: str = "covariance") -> FloatA
     Unknown means all zero, or −1 as the first element (sensor_msgs/Imu): the configured sigma is used then.
 
     Raises:
-        Refused: NON_FINITE; or BAD_COVARIANCE if a variance is negative, or if the matrix is, beyond rounding, not
+        MessageRejected: NON_FINITE; or BAD_COVARIANCE if a variance is negative, or if the matrix is, beyond rounding, not
             symmetric or not positive semidefinite. Rounding errors are removed.
     """
     try:
@@ -203,7 +203,7 @@ def angular_covariance(values: Sequence[float], field: str) -> FloatArray | None
     """Return a covariance (rad²) of angles or of a rotation vector, shape (3, 3); None if it is unknown.
 
     Raises:
-        Refused: as :func:`covariance_3x3`, and BAD_COVARIANCE if a sigma exceeds one full turn.
+        MessageRejected: as :func:`covariance_3x3`, and BAD_COVARIANCE if a sigma exceeds one full turn.
     """
     covariance = covariance_3x3(values, field)
     if covariance is not None:
@@ -268,7 +268,7 @@ def _with_nonnegative_variances(symmetric: FloatArray, sigma: FloatArray) -> Flo
     """Return a symmetric matrix, shape (3, 3), as a covariance without negative eigenvalues of its correlations.
 
     Raises:
-        Refused: BAD_COVARIANCE if an eigenvalue is negative beyond rounding.
+        MessageRejected: BAD_COVARIANCE if an eigenvalue is negative beyond rounding.
     """
     limit = np.outer(sigma, sigma)
     correlation = symmetric / np.where(limit > 0.0, limit, 1.0)
@@ -287,7 +287,7 @@ def ship_rate(angular_velocity: Any) -> FloatArray:
     """Return an angular velocity in the axes of the message, rad/s, shape (3,).
 
     Raises:
-        Refused: NON_FINITE, or UNITS if it is too large for a ship.
+        MessageRejected: NON_FINITE, or UNITS if it is too large for a ship.
     """
     rate_ros = finite_vector(angular_velocity, "angular_velocity")
     if np.max(np.abs(rate_ros)) > MAX_RATE:
@@ -303,7 +303,7 @@ def imu_quaternion(message: Any, accept_unset_covariance: bool) -> FloatArray:
         accept_unset_covariance: True to use an orientation whose covariance begins with -1.
 
     Raises:
-        Refused: NOT_GIVEN where the covariance begins with -1, NON_FINITE or BAD_QUATERNION.
+        MessageRejected: NOT_GIVEN where the covariance begins with -1, NON_FINITE or BAD_QUATERNION.
     """
     if message.orientation_covariance[0] == NOT_GIVEN and not accept_unset_covariance:
         text = "orientation_covariance[0] is -1: no orientation is given (sensor_msgs/Imu)"
@@ -317,6 +317,6 @@ def imu_rotation(message: Any, convention: str, accept_unset_covariance: bool) -
     """Return :func:`imu_quaternion` as a rotation "horizon from device", shape (3, 3).
 
     Raises:
-        Refused: NOT_GIVEN, NON_FINITE or BAD_QUATERNION.
+        MessageRejected: NOT_GIVEN, NON_FINITE or BAD_QUATERNION.
     """
     return rotation_from_quaternion(imu_quaternion(message, accept_unset_covariance), convention)

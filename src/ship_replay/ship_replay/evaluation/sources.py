@@ -90,7 +90,7 @@ class AttitudeSource(ABC):
         """Add a message's attitude if the truth is known.
 
         Raises:
-            Refused: the message contains an infinite attitude or covariance.
+            MessageRejected: the message contains an infinite attitude or covariance.
         """
 
     def errors(self) -> list[AttitudeErrors]:

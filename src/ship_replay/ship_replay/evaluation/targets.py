@@ -94,7 +94,7 @@ class TargetDirections:
         """Add a TargetDirection of the truth.
 
         Raises:
-            Refused: its direction is not finite.
+            MessageRejected: its direction is not finite.
         """
         finite_vector(message.direction, "direction of the truth")
         self._truths[message.target_id, ns_from_stamp(message.header.stamp)] = message
@@ -103,7 +103,7 @@ class TargetDirections:
         """Add a published TargetDirection.
 
         Raises:
-            Refused: a value is not finite, or a covariance is not valid.
+            MessageRejected: a value is not finite, or a covariance is not valid.
         """
         time_ns = ns_from_stamp(message.header.stamp)
         truth = self._truths.get((message.target_id, time_ns))
@@ -134,7 +134,7 @@ def _covariance(values: Any, what: str) -> FloatArray:
     """Return a covariance, shape (3, 3); NaN if not given.
 
     Raises:
-        Refused: it is not a valid covariance.
+        MessageRejected: it is not a valid covariance.
     """
     covariance = covariance_3x3(values, what)
     return _UNKNOWN if covariance is None else covariance

@@ -37,7 +37,7 @@ def direction(
         horizon: name of the frame that it must be in.
 
     Raises:
-        Refused: with the reason.
+        MessageRejected: with the reason.
     """
     time_ns = stamp_ns(message.header, receive_ns)
     # A position from several theodolites is in another frame: it is no direction.

@@ -45,7 +45,7 @@ class TracedFilter(CalibrationFilter):
         self, state: CalibrationState, time_ns: int, new_ship_covariance_n: FloatArray | None
     ) -> CalibrationState:
         """See :meth:`CalibrationFilter.propagate`."""
-        return replace(super().propagate(state, time_ns, new_ship_covariance_n), **_trace_fields(leads_back=True))
+        return replace(super().propagate(state, time_ns, new_ship_covariance_n), **_trace_fields(is_predicted_only=True))
 
     def exclude_source(self, state: CalibrationState, source: str) -> CalibrationState:
         """See :meth:`CalibrationFilter.exclude_source`."""
