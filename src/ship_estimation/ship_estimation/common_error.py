@@ -103,9 +103,9 @@ class CorrectionSums(NamedTuple):
             A sensor and a state with sigma 1 each; half of each residual becomes a correction:
 
             >>> gain, one = 0.5 * np.eye(3)[None], np.eye(3)[None]
-            >>> compared = RowsCompared(np.full((1, 3), 4.0), 2.0 * one, np.ones(1), gain, *(np.empty(0),) * 3)
-            >>> found = NOTHING_ABSORBED.with_correction(compared, np.eye(3), first=0)
-            >>> print(found.turn_n, found.variance, found.response, round(found.sigmas, 2))
+            >>> innovations = FilterInnovations(np.full((1, 3), 4.0), 2.0 * one, np.ones(1), gain, *(np.empty(0),) * 3)
+            >>> found = NO_CORRECTIONS.with_correction(innovations, np.eye(3), first=0)
+            >>> print(found.correction_n, found.variance, found.absorbed_share, round(found.sigmas, 2))
             [2. 2. 2.] [0.5 0.5 0.5] [0.5 0.5 0.5] 2.83
         """
         sums, sigmas = compiled_means.updated_correction_sums(
@@ -128,7 +128,7 @@ class CorrectionSums(NamedTuple):
         Example:
             >>> sums = np.zeros((1, 3, 3))
             >>> sums[0] = [[5.0, 0.0, 0.0], [1.0, 1.0, 1.0], [0.0, 0.0, 0.0]]
-            >>> print(Absorbed(sums, 5.0).suspected_variance())
+            >>> print(CorrectionSums(sums, 5.0).unresolved_variance())
             [4.75 0.   0.  ]
         """
         limit = COMMON_ERROR_START_SIGMAS**2 * self.error_variance
@@ -199,9 +199,9 @@ def with_common_error(
 
         >>> sums, every = np.zeros((1, 3, 3)), np.eye(3)
         >>> sums[0, 1] = 4.0
-        >>> k = Factors(right=6.0, false_exclusion=5.0, missed=np.array([2.0]))
-        >>> others = Separation(np.array([1.0]), np.full(3, 8.0), 0, 1.0)
-        >>> found = with_common_error(others, k, 1.0, 6.0, Absorbed(sums, 3.0), every, every)
+        >>> k = SigmaMultipliers(fault_free=6.0, false_exclusion=5.0, missed_detection=np.array([2.0]))
+        >>> others = SolutionSeparation(np.array([1.0]), np.full(3, 8.0), 0, 1.0)
+        >>> found = with_common_error(others, k, 1.0, 6.0, CorrectionSums(sums, 3.0), every, every)
         >>> print(found.statistic, found.level.round(1), found.dominant)
         [1.  2.5] [14.2 14.2 14.2] 1
     """

@@ -121,12 +121,12 @@ def isolate_fault(
         Three filters: with both sources, without the first, without the second. Every filter that uses the first source
         is inconsistent with it, so this source is faulty:
 
-        >>> from ship_estimation.innovation_means import no_means
+        >>> from ship_estimation.innovation_means import initial_means
         >>> excess, heard_ns = np.array([[2.0, 0.1], [9.0, 0.1], [2.0, 0.1]]), np.zeros(2, dtype=int)
-        >>> seen = replace(no_means(3, 2), excess=excess, heard_ns=heard_ns)
+        >>> seen = replace(initial_means(3, 2), excess=excess, last_measured_ns=heard_ns)
         >>> uses = np.array([[True, True], [False, True], [True, False]])
-        >>> find_fault(seen, uses, np.array([0.0, 4.0, 1.0]), 5.0, [1, 2], now_ns=0)
-        Finding(fault=True, row=1, explaining=(1,))
+        >>> isolate_fault(seen, uses, np.array([0.0, 4.0, 1.0]), 5.0, [1, 2], now_ns=0)
+        FaultIsolation(is_detected=True, subfilter=1, explaining_subfilters=(1,))
     """
     agrees = _is_main_filter_consistent(means, uses[0], now_ns - MAX_MEASUREMENT_AGE_NS, degraded_after)
     sigmas = separations.tolist()
@@ -163,8 +163,8 @@ def is_consistent_with_all(means: InnovationMeans, degraded_after: int) -> bool:
     """True if the main filter is consistent with every source, by the criterion of :func:`isolate_fault`.
 
     Example:
-        >>> from ship_estimation.innovation_means import no_means
-        >>> agrees_with_all(no_means(rows=3, sources=2), degraded_after=3)
+        >>> from ship_estimation.innovation_means import initial_means
+        >>> is_consistent_with_all(initial_means(subfilters=3, sources=2), degraded_after=3)
         True
     """
     by_source = zip(means.excess[0].tolist(), means.rejection_counts[0].tolist(), strict=True)
@@ -221,9 +221,9 @@ def evaluate_reinstatement(
         ratio_sigma: its standard deviation by the error of the other sources, without the noise of the measurement.
 
     Example:
-        >>> from ship_estimation.innovation_means import no_means
-        >>> agreed = Exclusion(since_ns=0, agrees_since_ns=5 * SECOND_NS)
-        >>> judge_return(agreed, no_means(1, 1), 0, 70 * SECOND_NS, return_after_s=60.0)[1]
+        >>> from ship_estimation.innovation_means import initial_means
+        >>> agreed = ExcludedSource(since_ns=0, consistent_since_ns=5 * SECOND_NS)
+        >>> evaluate_reinstatement(agreed, initial_means(1, 1), 0, 70 * SECOND_NS, return_after_s=60.0)[1]
         True
     """
     agrees = (
@@ -250,7 +250,7 @@ def reinstatement_time_s(excluded: ExcludedSource, return_after_s: float) -> flo
     """Return the time for which an excluded source must be consistent before it is reinstated, s.
 
     Example:
-        >>> must_agree_s(Exclusion(since_ns=0, times=3), return_after_s=60.0)
+        >>> reinstatement_time_s(ExcludedSource(since_ns=0, exclusion_count=3), return_after_s=60.0)
         240.0
     """
     return return_after_s * 2.0 ** min(excluded.exclusion_count - 1, _MOST_DOUBLINGS)

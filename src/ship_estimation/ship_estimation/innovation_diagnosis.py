@@ -99,13 +99,13 @@ class InnovationHistory:
         >>> from ship_estimation.rejections import Reason
         >>> from ship_geometry.rotations import ARCSEC
         >>> from ship_geometry.vector_track import VectorSample
-        >>> book, rng, stated = VerdictBook(), np.random.default_rng(1), ARCSEC**2 * np.eye(3)
+        >>> book, rng, stated = InnovationHistory(), np.random.default_rng(1), ARCSEC**2 * np.eye(3)
         >>> for time_ns in range(0, 60 * SECOND_NS, SECOND_NS // 5):
         ...     measured = VectorSample(time_ns, 2.0 * ARCSEC * rng.standard_normal(3))
-        ...     decision = Decision(measured, Reason.NONE, True, ("forward", "up", "right"), measured.vector,
+        ...     decision = MeasurementDecision(measured, Reason.NONE, True, ("forward", "up", "right"), measured.vector,
         ...                         covariance=stated, noise=stated)
         ...     book.add("star.bow", decision)
-        >>> print(book.verdicts()["star.bow"].text)
+        >>> print(book.diagnoses()["star.bow"].text)
         sigma optimistic by 1.9: the noise is understated; 300 measurements
     """
 
@@ -153,7 +153,7 @@ def clock_diagnoses(model: StateModel, mean: FloatArray, groups: Mapping[str, st
         >>> import numpy as np
         >>> from ship_estimation.kalman import block
         >>> model = StateModel([block("ins.time_offset", [0.0015], source="ins_time_offset")], noise_sources=[])
-        >>> clock_verdicts(model, np.array([0.012]), {})
+        >>> clock_diagnoses(model, np.array([0.012]), {})
         ['ins clock off by 12 ms, 8 sigma of ins.time_offset_sigma_s']
     """
     texts = []

@@ -73,7 +73,7 @@ def initial_means(subfilters: int, sources: int) -> InnovationMeans:
     """Return the innovation means before any measurement.
 
     Example:
-        >>> no_means(rows=3, sources=2).running.shape
+        >>> initial_means(subfilters=3, sources=2).running.shape
         (3, 2, 3, 5)
     """
     return InnovationMeans(
@@ -122,9 +122,9 @@ def updated_means(
     Example:
         Innovations of three sigmas in the same direction exceed the limit after a few measurements:
 
-        >>> found, turn = no_means(1, 1), np.array([[3.0, 0.0, 0.0]])
+        >>> found, turn = initial_means(1, 1), np.array([[3.0, 0.0, 0.0]])
         >>> for number in range(8):
-        ...     found = observed(found, 0, turn, np.array([True]), number, limit=37.4)
+        ...     found = updated_means(found, 0, turn, np.array([True]), number, limit=37.4)
         ...     if found.excess[0, 0] > 1.0: break
         >>> number
         4
@@ -167,7 +167,7 @@ def updated_mean(running: FloatArray, innovation: FloatArray) -> tuple[FloatArra
         innovation: whitened innovation, shape (3,).
 
     Example:
-        >>> running, sigmas = averaged(NO_MEANS, np.array([0.0, 4.0, 1.0]))
+        >>> running, sigmas = updated_mean(INITIAL_MEANS, np.array([0.0, 4.0, 1.0]))
         >>> print(running[0], round(sigmas, 6))
         [0.   2.   0.5  0.5  0.25] 4.0
     """
@@ -181,8 +181,8 @@ def cleared_means(
     """Return the means with those of some filters and sources cleared.
 
     Example:
-        >>> seen = replace(no_means(2, 2), refused=np.array([[1, 2], [3, 4]]))
-        >>> forgotten(seen, slice(None), [1]).refused.tolist()
+        >>> seen = replace(initial_means(2, 2), rejection_counts=np.array([[1, 2], [3, 4]]))
+        >>> cleared_means(seen, slice(None), [1]).rejection_counts.tolist()
         [[1, 0], [3, 0]]
     """
     cut = {}

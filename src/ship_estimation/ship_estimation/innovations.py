@@ -87,7 +87,7 @@ def innovation_of(decision: MeasurementDecision[Any]) -> Innovation | None:
 
         >>> from ship_geometry.vector_track import VectorSample
         >>> residual, covariance = np.array([6.0]) * ARCSEC, np.array([[9.0]]) * ARCSEC**2
-        >>> decision = Decision(VectorSample(1, residual), Reason.NONE, True, ("up",), residual,
+        >>> decision = MeasurementDecision(VectorSample(1, residual), Reason.NONE, True, ("up",), residual,
         ...                     covariance=covariance, noise=covariance)
         >>> found = innovation_of(decision)
         >>> print(found.squares.round(6), round(found.own_share, 6), round(found.axes["up"][0], 6))
@@ -169,7 +169,7 @@ class InnovationTable:
         >>> table = InnovationTable()
         >>> one = Innovation(7, np.array([4.0]), degrees=1, nis=4.0, components=1, own_share=1.0,
         ...                  is_used=True, axes={"up": (2.0, 6.0 * ARCSEC)})
-        >>> table.take([one, one])
+        >>> table.add_all([one, one])
         >>> print(len(table), table.squares, table.along("up")[:, 0])
         1 [[4.]] [2.]
     """
@@ -383,9 +383,9 @@ def axis_statistics(table: InnovationTable) -> list[AxisStatistics]:
 
     Example:
         >>> table = InnovationTable()
-        >>> table.take([Innovation(time_ns, np.array([4.0]), degrees=1, nis=4.0, components=1, own_share=1.0,
+        >>> table.add_all([Innovation(time_ns, np.array([4.0]), degrees=1, nis=4.0, components=1, own_share=1.0,
         ...                        is_used=True, axes={"up": (2.0, 6.0 * ARCSEC)}) for time_ns in range(LEAST_COUNT)])
-        >>> [up] = axes_of(table)
+        >>> [up] = axis_statistics(table)
         >>> print(up.name, up.bias_sigma, up.is_biased)
         up 2.0 True
     """

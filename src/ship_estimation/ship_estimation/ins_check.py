@@ -107,11 +107,11 @@ class InsCheck:
             None if the sample has no rate or the rates are not usable.
 
     >>> from ship_geometry.rotations import exp_rotation
-    >>> guard, used = InsGuard(GuardedInsConfig()), AttitudeTrack(max_gap_ns=500_000_000)
+    >>> guard, used = InsCheck(CheckedInsConfig()), AttitudeTrack(max_gap_ns=500_000_000)
     >>> for ms, heading_deg in ((0, 10.0), (10, 10.01), (20, 10.02), (30, 55.0)):
     ...     attitude = exp_rotation([0.0, math.radians(heading_deg), 0.0])
-    ...     judged = guard.judge(AttitudeSample(ms * 1_000_000, attitude), used, {})
-    >>> judged.refusal.reason.name
+    ...     judged = guard.check(AttitudeSample(ms * 1_000_000, attitude), used, {})
+    >>> judged.rejection.reason.name
     'GATE'
     """
 

@@ -56,7 +56,7 @@ class RateDrift:
         bound_rad_per_s: bound of the remaining error.
 
     >>> drift = RateDrift()
-    >>> print(drift.learnt(drift_n=np.array([0.0, 1e-5, 0.0]), rotation_nd=np.eye(3)))
+    >>> print(drift.update(drift_n=np.array([0.0, 1e-5, 0.0]), rotation_nd=np.eye(3)))
     [ 0.e+00 -1.e-05  0.e+00]
     """
 
@@ -96,10 +96,10 @@ class InsPredictions:
         drift: constant error of the rates.
         reported_step_rad: possible step with the newest sample that the source itself reports, rad.
 
-    >>> leads, turns = Leads(StuckGuard()), [exp_rotation(np.array([0.0, 1e-4 * n, 0.0])) for n in (0, 1, 2, 50)]
+    >>> leads, turns = InsPredictions(StuckCheck()), [exp_rotation(np.array([0.0, 1e-4 * n, 0.0])) for n in (0, 1, 2, 50)]
     >>> samples = [AttitudeSample(n * 10_000_000, turn) for n, turn in enumerate(turns)]
-    >>> seen = [SeenSample(sample, n, samples[n - 1], None) for n, sample in enumerate(samples)]
-    >>> [round(size(leads.match(one, end, rates_measured=False).difference), 4) for one, end in zip(seen[1:], seen[2:])]
+    >>> seen = [NumberedSample(sample, n, samples[n - 1], None) for n, sample in enumerate(samples)]
+    >>> [round(vector_length(leads.match(one, end, rates_measured=False).difference), 4) for one, end in zip(seen[1:], seen[2:])]
     [0.0, 0.0047]
     """
 
@@ -177,7 +177,7 @@ def extrapolate_back(sample: AttitudeSample, accepted: NumberedSample) -> Attitu
     Example:
         >>> still, turned = (AttitudeSample(n, exp_rotation(np.array([0.0, 0.1 * n, 0.0]))) for n in (1, 3))
         >>> before = AttitudeSample(0, exp_rotation(np.array([0.0, 0.05, 0.0])))
-        >>> print(log_rotation(moved_back(turned, SeenSample(still, 1, before, None)).rotation_nd).round(6))
+        >>> print(log_rotation(extrapolate_back(turned, NumberedSample(still, 1, before, None)).rotation_nd).round(6))
         [0.  0.2 0. ]
     """
     if accepted.before is None:
@@ -191,7 +191,7 @@ def are_in_one_run(first: IntegratedAttitude | None, second: IntegratedAttitude 
     """True if two attitudes by integrated rates belong to one unbroken run of rates.
 
     Example:
-        >>> one_run(Integrated(np.eye(3), 1, 0.0), None)
+        >>> are_in_one_run(IntegratedAttitude(np.eye(3), 1, 0.0), None)
         False
     """
     return first is not None and second is not None and first.run == second.run

@@ -87,12 +87,12 @@ class InsStepDetector:
         line_statistics: errors of the samples recently accepted; None without new ones.
         noise: noise sums of the samples recently accepted; None without new ones.
 
-    >>> watch, turned = StepWatch(5e-6, 0.0), np.random.default_rng(1).normal(0.0, 5e-6, (1500, 3))
+    >>> watch, turned = InsStepDetector(5e-6, 0.0), np.random.default_rng(1).normal(0.0, 5e-6, (1500, 3))
     >>> turned[1400:] += [0.0, 3e-5, 0.0]
     >>> for n, vector in enumerate(turned):
     ...     sample = AttitudeSample(n * 10_000_000, exp_rotation(vector), np.zeros(3))
-    ...     fits = watch.look(sample, Integrated(np.eye(3), 0, 0.0), first_rad=1e-4, coarseness_rad=0.0)
-    ...     found = watch.keep()
+    ...     fits = watch.check(sample, IntegratedAttitude(np.eye(3), 0, 0.0), first_rad=1e-4, coarseness_rad=0.0)
+    ...     found = watch.accept()
     ...     if found is not None:
     ...         break
     >>> found.first_ns // 10_000_000, 1400 <= n < 1420, (found.step_n * 1e5).round() + 0.0

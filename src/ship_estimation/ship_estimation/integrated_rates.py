@@ -59,8 +59,8 @@ class RateIntegrator:
 
     >>> from ship_geometry.rotations import log_rotation
     >>> integrator = RateIntegrator()
-    >>> turns = [integrator.integrate(n * 100_000_000, np.array([0.0, 0.0, 0.1])) for n in range(11)]
-    >>> print(log_rotation(turns[-1].rotation).round(6) + 0.0)
+    >>> rotation_steps = [integrator.integrate(n * 100_000_000, np.array([0.0, 0.0, 0.1])) for n in range(11)]
+    >>> print(log_rotation(rotation_steps[-1].rotation).round(6) + 0.0)
     [0.  0.  0.1]
     """
 
@@ -133,7 +133,7 @@ def mean_rate_error_rad(first_rate_d: FloatArray, second_rate_d: FloatArray, sec
     """Return the bound of the integration error by the mean of two rates (rad/s, shape (3,)), rad.
 
     >>> steady = np.array([0.0, 0.0, 0.1])
-    >>> missed_by_mean_rad(steady, steady, seconds=0.0)
+    >>> mean_rate_error_rad(steady, steady, seconds=0.0)
     0.0
     """
     missed_rad: float = compiled_checks.mean_rate_error(first_rate_d, second_rate_d, seconds)

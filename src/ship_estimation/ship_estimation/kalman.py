@@ -170,7 +170,7 @@ class StateModel:
             After half an hour the error of 8 has decayed to 3; the step of 3600 remains:
 
             >>> model = StateModel([block("ins", [10.0, 10.0], "ins_drift", time_s=1800.0)], noise_sources=[])
-            >>> _, means, stack = model.later(1800.0, np.array([[8.0, 3600.0]]), 4.0 * np.eye(2)[None], "ins")
+            >>> _, means, stack = model.propagate(1800.0, np.array([[8.0, 3600.0]]), 4.0 * np.eye(2)[None], "ins")
             >>> print(means.round(1).tolist(), stack[0].diagonal().round())
             [[2.9, 3600.0]] [87. 87.]
         """
@@ -199,7 +199,7 @@ def propagate_correlated_error(error: FloatArray, decay: FloatArray, sigma: Floa
 
     Example:
         >>> sigma, decay = np.array([10.0, 10.0]), np.array([0.5, 0.5])
-        >>> print(slow_error_later(np.array([8.0, 3600.0]), decay, sigma))  # the second is a step of a degree: kept
+        >>> print(propagate_correlated_error(np.array([8.0, 3600.0]), decay, sigma))  # the second is a step of a degree: kept
         [   4. 3600.]
     """
     return np.where(exceeds_model(error, sigma), error, decay * error)
@@ -209,7 +209,7 @@ def exceeds_model(error: FloatArray, sigma: FloatArray) -> NDArray[np.bool_]:
     """True for each element of a correlated error that is beyond five sigma and does not decay, shape (n,).
 
     Example:
-        >>> print(lasting(np.array([8.0, 3600.0]), sigma=np.array([10.0, 10.0])))
+        >>> print(exceeds_model(np.array([8.0, 3600.0]), sigma=np.array([10.0, 10.0])))
         [False  True]
     """
     beyond: NDArray[np.bool_] = np.abs(error) > _MODEL_SIGMAS * sigma

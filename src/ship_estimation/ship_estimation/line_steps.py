@@ -59,7 +59,7 @@ def doubling_counts(last: int) -> tuple[int, ...]:
     """Return 1, 2, 4 and so on, and the last number.
 
     Example:
-        >>> doubling(20)
+        >>> doubling_counts(20)
         (1, 2, 4, 8, 16, 20)
     """
     return (*(2**n for n in range((last - 1).bit_length())), last)
@@ -78,7 +78,7 @@ def locate_step(plan: StepPlan, values: FloatArray, sigmas: FloatArray) -> tuple
 
     Example:
         >>> values = np.repeat([[0.0], [2.0]], [8, 4], axis=0)
-        >>> step, sigma, counts = located(step_plan(12, (3, 4, 5)), values, np.full(3, 1.0))
+        >>> step, sigma, counts = locate_step(step_plan(12, (3, 4, 5)), values, np.full(3, 1.0))
         >>> print(step.round(6), sigma, counts)
         [2.] 1.0 [3, 4, 5]
     """
@@ -96,7 +96,7 @@ class Period:
         ns: the period, ns; zero before it is known.
 
     >>> period = Period()
-    >>> [period.seen(time_ns) for time_ns in (10, 20, 30, 40, 50, 80, 90, 100, 110, 120)][-2:]
+    >>> [period.update(time_ns) for time_ns in (10, 20, 30, 40, 50, 80, 90, 100, 110, 120)][-2:]
     [0, 10]
     """
 

@@ -40,8 +40,8 @@ class MotionCheck:
         first_references: by name, the reference attitudes at that stamp.
 
     >>> turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    >>> watch = TurnWatch(0, {"another": Witness(0, np.eye(3), sigma_rad=1e-5)})
-    >>> [watch.turned({"another": Witness(time_ns, turned, 1e-5)}, 1e-5, 0.0) for time_ns in (1, 2)]
+    >>> watch = MotionCheck(0, {"another": MotionReference(0, np.eye(3), sigma_rad=1e-5)})
+    >>> [watch.has_turned({"another": MotionReference(time_ns, turned, 1e-5)}, 1e-5, 0.0) for time_ns in (1, 2)]
     [False, True]
     """
 

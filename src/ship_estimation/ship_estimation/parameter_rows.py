@@ -46,7 +46,7 @@ def aligned_lines(rows: list[tuple[str, ...]]) -> list[str]:
     """Return rows of cells as lines of text with aligned columns; the last column is not padded.
 
     Example:
-        >>> in_columns([("heading", "deg"), ("sigma", "arcsec")])
+        >>> aligned_lines([("heading", "deg"), ("sigma", "arcsec")])
         ['  heading  deg', '  sigma    arcsec']
     """
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
@@ -58,7 +58,7 @@ def wrapped_lines(rows: list[tuple[str, ...]]) -> list[str]:
     """Return aligned lines of at most 120 characters; a last cell that does not fit is wrapped on the next lines.
 
     Example:
-        >>> for line in in_lines([("heading", "deg", "true"), ("sigma", "arcsec", "of the heading, " * 7)]):
+        >>> for line in wrapped_lines([("heading", "deg", "true"), ("sigma", "arcsec", "of the heading, " * 7)]):
         ...     print(line[:40])
           heading  deg     true
           sigma    arcsec

@@ -153,7 +153,7 @@ def with_changes(config: Config, changes: Mapping[str, Any]) -> Config:
 
     Example:
         >>> from ship_estimation.gates import GateConfig
-        >>> changed(GateConfig(), {"probability": 0.999}).probability
+        >>> with_changes(GateConfig(), {"probability": 0.999}).probability
         0.999
     """
     flat = flatten(config)
@@ -218,9 +218,9 @@ def _expected_names(name: str, known: Collection[str]) -> str:
     """Return the text with the expected names (of many the closest ones), and the one that was probably meant.
 
     Example:
-        >>> _expected("colour", ["gate", "lever_m"])
+        >>> _expected_names("colour", ["gate", "lever_m"])
         'expected one of gate, lever_m'
-        >>> _expected("lagg_s", ["gate", "lag_s", "sky", *(f"other_{number}" for number in range(20))])
+        >>> _expected_names("lagg_s", ["gate", "lag_s", "sky", *(f"other_{number}" for number in range(20))])
         "expected one of lag_s, sky, gate or 20 others; did you mean 'lag_s'?"
     """
     import difflib  # only an error needs it

@@ -127,7 +127,7 @@ def joint_prior_per_h(priors_per_h: Sequence[float]) -> float:
     Example:
         Two sources with one fault in a thousand hours each:
 
-        >>> prior_of_all([1e-3, 1e-3])
+        >>> joint_prior_per_h([1e-3, 1e-3])
         1e-06
     """
     return math.prod(priors_per_h)
@@ -163,8 +163,8 @@ def sigma_multipliers(config: IntegrityConfig, priors_per_h: Sequence[float]) ->
     Example:
         Two star sensors and an INS with one fault in a thousand hours each:
 
-        >>> found = factors(IntegrityConfig(), [1e-3, 1e-3, 1e-3])
-        >>> print(round(found.right, 2), round(found.false_exclusion, 2), found.missed.round(2))
+        >>> found = sigma_multipliers(IntegrityConfig(), [1e-3, 1e-3, 1e-3])
+        >>> print(round(found.fault_free, 2), round(found.false_exclusion, 2), found.missed_detection.round(2))
         5.97 5.25 [2.81 2.81 2.81]
     """
     share = config.p_hmi / (len(priors_per_h) + 1)
@@ -220,10 +220,10 @@ def solution_separation(
     Example:
         Without one source each component differs by 4″, and its sigma grows from 1.8″ to 3″:
 
-        >>> k, every = Factors(right=6.0, false_exclusion=5.0, missed=np.array([2.0])), np.eye(3)
-        >>> found = separation(k, np.array([0]), np.arange(3), (every, every, 3.24 * every), np.zeros(3),
+        >>> k, every = SigmaMultipliers(fault_free=6.0, false_exclusion=5.0, missed_detection=np.array([2.0])), np.eye(3)
+        >>> found = solution_separation(k, np.array([0]), np.arange(3), (every, every, 3.24 * every), np.zeros(3),
         ...                    np.full((1, 3), 4.0), 3.24 * every[None], 9.0 * every[None])
-        >>> print(found.statistic.round(2), found.level.round(1), found.dominant, found.widest)
+        >>> print(found.statistic.round(2), found.level.round(1), found.dominant, found.largest_sigma)
         [1.67] [18. 18. 18.] 0 3.0
     """
     found = compiled_integrity.solution_separation(
@@ -278,7 +278,7 @@ def separation_inflation(separations: FloatArray, statistic: FloatArray) -> Floa
     Example:
         One subfilter is separated by 10″ in the second component, six sigmas; another one by less than three sigmas:
 
-        >>> print(disputed(np.array([[0.0, 10.0, 0.0], [4.0, 4.0, 4.0]]), np.array([6.0, 2.0])))
+        >>> print(separation_inflation(np.array([[0.0, 10.0, 0.0], [4.0, 4.0, 4.0]]), np.array([6.0, 2.0])))
         [[ 0.  0.  0.]
          [ 0. 75.  0.]
          [ 0.  0.  0.]]
@@ -350,9 +350,9 @@ def integrity_report(
 
     Example:
         >>> limits = IntegrityConfig(alert_limit_arcsec=(24.0, 24.0, 24.0))
-        >>> k = Factors(right=6.0, false_exclusion=5.0, missed=np.array([2.0]))
-        >>> found = Separation(np.array([1.67]), np.full(3, 18.0 * ARCSEC), 0, 3.0 * ARCSEC)
-        >>> report = integrity_report(0, limits, k, ("star.bow",), found, excluded=(), checked=True)
+        >>> k = SigmaMultipliers(fault_free=6.0, false_exclusion=5.0, missed_detection=np.array([2.0]))
+        >>> found = SolutionSeparation(np.array([1.67]), np.full(3, 18.0 * ARCSEC), 0, 3.0 * ARCSEC)
+        >>> report = integrity_report(0, limits, k, ("star.bow",), found, excluded=(), is_checked=True)
         >>> print(report.state.name, report.dominant, (report.level / ARCSEC).round(1))
         MET star.bow [18. 18. 18.]
     """
@@ -384,7 +384,7 @@ def alert_limit_text(report: IntegrityReport, quantities: Sequence[str]) -> str:
     Example:
         >>> level = ARCSEC * np.array([3.6, 7.2, 14.4])
         >>> report = IntegrityReport(0, IntegrityState.EXCEEDED, level, ("ins",), np.zeros(1), 5.1, (), "ins", 0.0)
-        >>> above_limit(report, ["heading", "pitch", "roll"])
+        >>> alert_limit_text(report, ["heading", "pitch", "roll"])
         'a protection level is above its alert limit: heading 3.6″, pitch 7.2″, roll 14.4″'
     """
     if report.state is IntegrityState.EXCEEDED:

@@ -51,13 +51,13 @@ class PublishedLevels:
         >>> def levels(size):
         ...     state = IntegrityState.NO_LIMIT
         ...     return IntegrityReport(0, state, np.full(3, size), ("ins",), np.zeros(1), 5.0, (), "ins", 1.0)
-        >>> published = ToldLevels()
-        >>> [published.must_tell(output, levels(size), period_ns=10**9) for size in (10.0, 10.4, 9.0, 10.6, 11.0)]
+        >>> published = PublishedLevels()
+        >>> [published.needs_update(output, levels(size), period_ns=10**9) for size in (10.0, 10.4, 9.0, 10.6, 11.0)]
         [True, False, False, True, False]
 
         10.6 is published, and 11.0 may still grow by a hundredth: half by the variance, half by a rotation.
 
-        >>> print(round(published.greatest_variance, 3), round(published.most_turned, 4))
+        >>> print(round(published.max_variance, 3), round(published.max_direction_change, 4))
         3.012 0.0065
     """
 

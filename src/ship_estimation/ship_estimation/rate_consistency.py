@@ -53,13 +53,13 @@ class RateConsistencyCheck:
 
     >>> from ship_estimation.integrated_rates import RateIntegrator
     >>> from ship_geometry.rotations import exp_rotation
-    >>> guard, integrator = RateGuard(), RateIntegrator()
+    >>> guard, integrator = RateConsistencyCheck(), RateIntegrator()
     >>> for n in range(10):
     ...     attitude = exp_rotation(np.array([0.0, 0.0, 0.01 * n]))
     ...     integrated = integrator.integrate(n * 100_000_000, np.array([0.0, 0.0, 0.1]))
     ...     _ = guard.observe(n * 100_000_000, n, attitude, integrated, sigma_rad=1e-5)
-    >>> guard.rates
-    <Rates.MEASURED: 'measured'>
+    >>> guard.status
+    <RateStatus.MEASURED: 'measured'>
     """
 
     _SHORTEST_NS = 250_000_000

@@ -42,7 +42,7 @@ def shorten(text: str, most: int = LONGEST_TEXT) -> str:
     """Return a text, shortened to ``most`` characters with an ellipsis if it is longer.
 
     Example:
-        >>> shortened("star_fore_of_a_very_long_name", most=12)
+        >>> shorten("star_fore_of_a_very_long_name", most=12)
         'star_fore_o…'
     """
     return text if len(text) <= most else text[: most - 1] + "…"
@@ -110,8 +110,8 @@ def failure_rejection(error: Exception) -> Rejection:
     It is reported as a defect of the software; other inputs are processed as usual.
 
     Example:
-        >>> failure(ZeroDivisionError("division by zero"))
-        Refusal(reason=<Reason.FAILED: 29>, text='ZeroDivisionError: division by zero (nowhere)')
+        >>> failure_rejection(ZeroDivisionError("division by zero"))
+        Rejection(reason=<Reason.FAILED: 29>, text='ZeroDivisionError: division by zero (nowhere)')
     """
     return Rejection(Reason.FAILED, f"{type(error).__name__}: {shorten(str(error))} ({_error_place(error)})")
 
@@ -152,10 +152,10 @@ def resolve_same_stamp(known: Content, new: Content) -> tuple[bool, Rejection]:
         >>> from ship_geometry.vector_track import VectorSample
         >>> import numpy as np
         >>> known, other = VectorSample(1, np.array([1.0])), VectorSample(1, np.array([2.0]))
-        >>> takes_its_place, refusal = same_stamp(known, known)
+        >>> takes_its_place, refusal = resolve_same_stamp(known, known)
         >>> takes_its_place, refusal.reason.name
         (False, 'DUPLICATE')
-        >>> same_stamp(known, other)[1].reason.name
+        >>> resolve_same_stamp(known, other)[1].reason.name
         'CONFLICT'
     """
     known_bytes, new_bytes = known.content(), new.content()
@@ -177,17 +177,17 @@ class StampConflicts:
         duplicate_publishers: by source, the stamp from which two publishers send, and a text that names them.
 
     Example:
-        >>> conflicts = Contradictions()
-        >>> conflicts.note("ship", 5 * SECOND_NS, Refusal(Reason.CONFLICT, "the same stamp with other content"))
-        >>> conflicts.note("encoder", 5 * SECOND_NS, Refusal(Reason.DUPLICATE, "the same again"))
-        >>> conflicts.at(12 * SECOND_NS)
+        >>> conflicts = StampConflicts()
+        >>> conflicts.record("ship", 5 * SECOND_NS, Rejection(Reason.CONFLICT, "the same stamp with other content"))
+        >>> conflicts.record("encoder", 5 * SECOND_NS, Rejection(Reason.DUPLICATE, "the same again"))
+        >>> conflicts.active_at(12 * SECOND_NS)
         {'ship': 5000000000}
-        >>> conflicts.at(16 * SECOND_NS)
+        >>> conflicts.active_at(16 * SECOND_NS)
         {}
-        >>> conflicts.together({"ship", "encoder"}), conflicts.together({"ship"})
+        >>> conflicts.common_interval({"ship", "encoder"}), conflicts.common_interval({"ship"})
         (None, (5000000000, 15000000000))
-        >>> conflicts.contest("ins", 20 * SECOND_NS, "two publishers send on ins/imu")
-        >>> conflicts.at(30 * SECOND_NS), conflicts.text({"ins"})
+        >>> conflicts.set_duplicate_publishers("ins", 20 * SECOND_NS, "two publishers send on ins/imu")
+        >>> conflicts.active_at(30 * SECOND_NS), conflicts.text({"ins"})
         ({'ins': 18000000000}, 'two publishers send on ins/imu')
     """
 
@@ -250,7 +250,7 @@ class StampConflicts:
         """Return the text for sources that have a conflict or two publishers; empty without sources.
 
         Example:
-            >>> Contradictions().text(["ship"])
+            >>> StampConflicts().text(["ship"])
             'ship sent conflicting data with one stamp'
         """
         words = [

@@ -55,8 +55,8 @@ def smoother_step(earlier: GaussianEstimate, cross: FloatArray, predicted: Gauss
         A random walk: the first position has variance 1, the next one 2. If the next one is known to be 4, the first
         one was about 2, with half of its variance:
 
-        >>> first, second = Known(np.zeros(1), np.eye(1)), Known(np.zeros(1), 2.0 * np.eye(1))
-        >>> found = backward(first, np.eye(1), second).by(Known(np.array([4.0]), np.zeros((1, 1))))
+        >>> first, second = GaussianEstimate(np.zeros(1), np.eye(1)), GaussianEstimate(np.zeros(1), 2.0 * np.eye(1))
+        >>> found = smoother_step(first, np.eye(1), second).apply(GaussianEstimate(np.array([4.0]), np.zeros((1, 1))))
         >>> print(found.mean, found.covariance.round(12))
         [2.] [[0.5]]
     """

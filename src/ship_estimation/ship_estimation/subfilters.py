@@ -51,7 +51,7 @@ def filter_covariances(stack: FloatArray, filter_count: int) -> FloatArray:
     Example:
         The main filter has two parts, 1 and 2; the subfilter has 5:
 
-        >>> print(covariances(np.array([[[1.0]], [[2.0]], [[5.0]]]), rows=2).ravel())
+        >>> print(filter_covariances(np.array([[[1.0]], [[2.0]], [[5.0]]]), filter_count=2).ravel())
         [3. 5.]
     """
     found: FloatArray = compiled_steps.filter_covariances(np.ascontiguousarray(stack), filter_count)
@@ -78,7 +78,7 @@ def add_error(
 
     Example:
         >>> stack = np.zeros((3, 1, 1))  # two parts of the main filter, and a subfilter
-        >>> add_error(stack, 2, part=1, states=slice(0, 1), covariance=np.array([[4.0]]))
+        >>> add_error(stack, 2, source_index=1, states=slice(0, 1), covariance=np.array([[4.0]]))
         >>> print(stack.ravel())
         [0. 4. 4.]
     """
@@ -104,7 +104,7 @@ def solution_separations(means: FloatArray, stack: FloatArray, states: slice) ->
         A subfilter of variance 13 is separated by six from the main filter, whose two parts are 1 and 3:
 
         >>> stack = np.array([1.0, 3.0, 13.0])[:, None, None]
-        >>> apart, sigmas = separations(np.array([[0.0], [6.0]]), stack, slice(0, 1))
+        >>> apart, sigmas = solution_separations(np.array([[0.0], [6.0]]), stack, slice(0, 1))
         >>> print(apart.ravel(), sigmas)
         [0. 6.] [0. 2.]
     """
@@ -120,7 +120,7 @@ def are_consistent(means: FloatArray, stack: FloatArray, states: slice, threshol
 
     Example:
         >>> stack = np.array([1.0, 3.0, 13.0])[:, None, None]
-        >>> stand_together(np.array([[0.0], [6.0]]), stack, slice(0, 1), most_sigmas=1.9)
+        >>> are_consistent(np.array([[0.0], [6.0]]), stack, slice(0, 1), threshold_sigmas=1.9)
         False
     """
     first, end, _ = states.indices(means.shape[1])
@@ -143,7 +143,7 @@ def restart_from_subfilter(stack: FloatArray, filter_count: int, subfilter: int)
 
     Example:
         >>> stack = np.array([[[1.0]], [[3.0]], [[8.0]]])  # parts of 1 and 3, and a subfilter of 8
-        >>> print(promoted(stack, 2, row=1).ravel())
+        >>> print(restart_from_subfilter(stack, 2, subfilter=1).ravel())
         [2. 6. 8.]
     """
     both = filter_covariances(stack, filter_count)[[0, subfilter]]
@@ -187,7 +187,7 @@ def subfilter_innovations(
         >>> stack = np.array([[[5.0]], [[4.0]], [[16.0]]])
         >>> measured = LinearMeasurement(np.array([10.0]), np.array([[1.0]]), {0: np.array([[16.0]])})
         >>> means, by_turn = np.array([[0.0], [5.0]]), np.array([[1.0, 0.0, 0.0]])
-        >>> found = compare_rows(means, stack, measured, np.array([0.0]), by_turn)
+        >>> found = subfilter_innovations(means, stack, measured, np.array([0.0]), by_turn)
         >>> print(found.nis, found.gain.ravel())
         [4.      0.78125] [0.36 0.5 ]
     """
@@ -222,8 +222,8 @@ def update_subfilters(
 
         >>> stack = np.tile(4.0 * np.eye(2), (2, 1, 1))
         >>> measured = LinearMeasurement(np.array([9.0]), np.array([[1.0, 1.0]]), {0: np.array([[1.0]])})
-        >>> found = compare_rows(np.zeros((2, 2)), stack, measured, np.zeros(2), np.array([[1.0, 0.0, 0.0]]))
-        >>> corrections, after = update_rows(stack, measured, found, np.array([[True, True], [False, True]]))
+        >>> found = subfilter_innovations(np.zeros((2, 2)), stack, measured, np.zeros(2), np.array([[1.0, 0.0, 0.0]]))
+        >>> corrections, after = update_subfilters(stack, measured, found, np.array([[True, True], [False, True]]))
         >>> print(corrections, after[1].round(3).tolist())
         [[4. 4.]
          [0. 4.]] [[4.0, -1.778], [-1.778, 2.222]]

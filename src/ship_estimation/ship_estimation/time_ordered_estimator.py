@@ -86,7 +86,7 @@ def is_within_lag(
         lag_s: maximum lag of data, s.
 
     Example:
-        >>> surely_in_time(np.zeros(2), np.array([1_000_000_000, 1_950_000_000]), lag_s=2.0)
+        >>> is_within_lag(np.zeros(2), np.array([1_000_000_000, 1_950_000_000]), lag_s=2.0)
         array([ True, False])
     """
     in_time: NDArray[np.bool_] = times_ns >= arrivals_ns + _MOST_AHEAD_NS - round(lag_s * SECOND_NS)

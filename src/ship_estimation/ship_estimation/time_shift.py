@@ -22,8 +22,8 @@ def with_shifted_stamps(value: Value, step_ns: int) -> Value:
         step_ns: the step, ns.
 
     Example:
-        >>> from ship_estimation.unconfirmed_step import Unconfirmed
-        >>> with_shifted_stamps(Unconfirmed(10, "why", "stars"), -3).since_ns
+        >>> from ship_estimation.unconfirmed_step import UnconfirmedStep
+        >>> with_shifted_stamps(UnconfirmedStep(10, "why", "stars"), -3).since_ns
         7
     """
     anything: Any = value

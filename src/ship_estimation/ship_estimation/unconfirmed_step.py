@@ -32,13 +32,13 @@ class UnconfirmedStep(NamedTuple):
     def with_confirmation(self, time_ns: int, source: str = "") -> "UnconfirmedStep | None":
         """Return the step after a consistent measurement of a source; None if it is confirmed now.
 
-        >>> step = Unconfirmed(10, "the encoders have jumped", "lights")
-        >>> step.after_agreement(10) is step, step.after_agreement(20).agreed_ns
+        >>> step = UnconfirmedStep(10, "the encoders have jumped", "lights")
+        >>> step.with_confirmation(10) is step, step.with_confirmation(20).confirmed_ns
         (True, 20)
-        >>> step.after_agreement(20).after_agreement(30) is None
+        >>> step.with_confirmation(20).with_confirmation(30) is None
         True
-        >>> first = Unconfirmed(9, "one exposure alone", "stars", agreed_ns=10, agreed_by="star.fore")
-        >>> first.after_agreement(10, "star.fore") is first, first.after_agreement(10, "star.aft")
+        >>> first = UnconfirmedStep(9, "one exposure alone", "stars", confirmed_ns=10, confirmed_by="star.fore")
+        >>> first.with_confirmation(10, "star.fore") is first, first.with_confirmation(10, "star.aft")
         (True, None)
         """
         is_other_source = self.confirmed_by not in ("", source)

@@ -32,7 +32,7 @@ def unobservable_combinations(
         Only the sum of two states was measured; the third state was determined:
 
         >>> covariance = np.array([[0.5, -0.5, 0.0], [-0.5, 0.5, 0.0], [0.0, 0.0, 0.01]])
-        >>> open_combinations(covariance, np.ones(3), ["heading", "azimuth", "roll"])
+        >>> unobservable_combinations(covariance, np.ones(3), ["heading", "azimuth", "roll"])
         ('heading - azimuth',)
     """
     values, vectors = np.linalg.eigh(covariance / np.outer(sigma, sigma))

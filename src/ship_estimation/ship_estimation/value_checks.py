@@ -32,7 +32,7 @@ def vector_length(vector: FloatArray) -> float:
     """Return the length of a vector of a few components, five times as fast as the norm of an array.
 
     Example:
-        >>> size(np.array([3.0, 4.0, 0.0]))
+        >>> vector_length(np.array([3.0, 4.0, 0.0]))
         5.0
     """
     return math.hypot(*vector.tolist())
@@ -57,9 +57,9 @@ class StuckCheck:
         is_repeated: True if the last value is equal to the one before it.
         coarseness_rad: resolution of the source's values, rad; zero if every value is new.
 
-    >>> guard = StuckGuard()
+    >>> guard = StuckCheck()
     >>> turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    >>> references = [Witness(0, np.eye(3), ARCSEC), *(Witness(n * 300_000_000, turned, ARCSEC) for n in (1, 2))]
+    >>> references = [MotionReference(0, np.eye(3), ARCSEC), *(MotionReference(n * 300_000_000, turned, ARCSEC) for n in (1, 2))]
     >>> [guard.observe(one.time_ns, np.eye(3), ARCSEC, {"another": one}) for one in references]
     [False, False, True]
     """
@@ -280,8 +280,8 @@ class PredictionBound:
         typical_rad: root mean square of the one-sample differences so far; zero before there are enough.
         noise_rad: bound of a one-sample difference by noise; infinite before there are enough.
 
-    >>> next_sample = Step(seconds=0.01, samples=1, uncertain_rad=0.0, noise_gain=2.0, coarseness_rad=0.0)
-    >>> match = Continuation(sigma_rad=ARCSEC).match(np.array([0.0, 0.001, 0.0]), next_sample)
+    >>> next_sample = PredictionStep(seconds=0.01, samples=1, uncertain_rad=0.0, noise_gain=2.0, coarseness_rad=0.0)
+    >>> match = PredictionBound(sigma_rad=ARCSEC).match(np.array([0.0, 0.001, 0.0]), next_sample)
     >>> match.fits, round(match.bound_rad, 5)
     (True, 0.0018)
     """
@@ -341,8 +341,8 @@ class JumpCheck:
         rejected_count: number of successive values that were rejected and are mutually consistent.
         since_ns: stamp of the first of them.
 
-    >>> guard = JumpGuard(samples=2)
-    >>> [guard.judge(n, continues=False, agrees=n > 0).value for n in range(3)]
+    >>> guard = JumpCheck(samples=2)
+    >>> [guard.check(n, continues=False, is_consistent=n > 0).value for n in range(3)]
     ['refused', 'refused', 'jumped']
     """
 

@@ -52,7 +52,7 @@ def _state(watch: InsStepDetector) -> dict[str, Any]:
         state[name] = state[name][: watch._end]
     return {name: value.tobytes() if isinstance(value, np.ndarray) else value for name, value in state.items()} | {
         "_period": watch._period.ns,
-        "learnt": repr(watch.line_statistics),
+        "line_statistics": repr(watch.line_statistics),
         "_full": None,
         "_plan": watch.smallest_rad,
     }

@@ -442,8 +442,8 @@ def propagate_block(before: RecentRates, block: SampleBlock, ahead_s: FloatArray
         >>> times_ns, rate_d = 10 * SECOND_NS * np.arange(4), np.array([0.0, -0.1, 0.0])
         >>> rotations_nd, rates_d = exp_rotation(np.outer(times_ns / SECOND_NS, rate_d)), np.tile(rate_d, (4, 1))
         >>> block = SampleBlock(times_ns[3:], rotations_nd[3:], rates_d[3:])
-        >>> moved = moved_block(RecentRates(times_ns[:3], rates_d[:3]), block, np.array([1.0]))
-        >>> print(log_rotation(rotations_nd[3].T @ moved.rotation_nd[0]).round(6) + 0.0)
+        >>> propagate_by_rates = propagate_block(RecentRates(times_ns[:3], rates_d[:3]), block, np.array([1.0]))
+        >>> print(log_rotation(rotations_nd[3].T @ propagate_by_rates.rotation_nd[0]).round(6) + 0.0)
         [ 0.  -0.1  0. ]
     """
     count = len(ahead_s)
@@ -475,7 +475,7 @@ def propagate_by_rates(
         A sample propagated by 10 ms at a constant 0.1 rad/s:
 
         >>> rates_d, steps_s = np.full((1, 4, 3), [0.1, 0.0, 0.0]), np.full((1, 3), 0.01)
-        >>> moved_nd, _, _ = moved_by_rates(np.eye(3)[None], rates_d, steps_s, np.array([0.01]))
+        >>> moved_nd, _, _ = propagate_by_rates(np.eye(3)[None], rates_d, steps_s, np.array([0.01]))
         >>> print(log_rotation(moved_nd[0]).round(6))
         [0.001 0.    0.   ]
     """

@@ -36,7 +36,7 @@ class DeckMasks:
         >>> corners = np.deg2rad([[150.0, 0.0], [210.0, 0.0], [210.0, 50.0], [150.0, 50.0]])
         >>> masks = DeckMasks(("funnel",), (corners,))
         >>> elevation = np.deg2rad([30.0, 60.0])
-        >>> masks.hide(np.stack([-np.cos(elevation), np.sin(elevation), np.zeros(2)], axis=-1))
+        >>> masks.is_hidden(np.stack([-np.cos(elevation), np.sin(elevation), np.zeros(2)], axis=-1))
         array([ True, False])
     """
 
@@ -115,7 +115,7 @@ class SensorMasks:
 
         >>> crane = np.deg2rad([[265.0, 0.0], [275.0, 0.0], [275.0, 60.0], [265.0, 60.0]])
         >>> port = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
-        >>> SensorMasks(DeckMasks(("crane",), (crane,)), port).hide(np.array([[1.0, 0.0, 0.0], [0.8, 0.0, 0.6]]))
+        >>> SensorMasks(DeckMasks(("crane",), (crane,)), port).is_hidden(np.array([[1.0, 0.0, 0.0], [0.8, 0.0, 0.6]]))
         array([ True, False])
     """
 

@@ -95,7 +95,7 @@ class EarthOrientationTable:
 
     Example:
         >>> table = earth_orientation_table()
-        >>> table.reason_against(0).partition(":")[0]  # 1970: before the table begins
+        >>> table.unavailable_text(0).partition(":")[0]  # 1970: before the table begins
         'no Earth orientation for 1970-01-01 00'
     """
 

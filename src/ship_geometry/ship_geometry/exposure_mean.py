@@ -137,7 +137,7 @@ def exposure_motion(track: AttitudeTrack, time_ns: int, nodes: Nodes) -> Exposur
         >>> track, still = AttitudeTrack(max_gap_ns=SECOND_NS), np.zeros(3)
         >>> for tenth in range(5):
         ...     _ = track.insert(AttitudeSample(tenth * SECOND_NS // 10, np.eye(3), still))
-        >>> turning = turning_over(track, SECOND_NS // 5, exposure_nodes(0.05))
+        >>> turning = exposure_motion(track, SECOND_NS // 5, exposure_nodes(0.05))
         >>> print(turning.turns.shape, turning.correction_error)  # at rest nothing turns
         (3, 3, 3) 0.0
     """

@@ -101,7 +101,7 @@ def polynomial_errors(nodes: FloatArray, values: FloatArray, at: float, found: F
         Half way between the values 0 and 1 of t² at 0 and 1, a straight line gives 0.5, with an error of -0.25:
 
         >>> nodes = np.array([0.0, 1.0, -1.0])
-        >>> error, _ = by_polynomial(nodes, (nodes**2)[:, None], 0.5, np.array([0.5]))
+        >>> error, _ = polynomial_errors(nodes, (nodes**2)[:, None], 0.5, np.array([0.5]))
         >>> print(error)
         [-0.25]
     """

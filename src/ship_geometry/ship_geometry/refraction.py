@@ -174,9 +174,9 @@ def seen_through_air(
         A star at 45° in the north is raised by 58″, with a sigma of 1.0″ for a temperature known to 5 K:
 
         >>> north_up_n = np.array([[1.0, 1.0, 0.0]]) / np.sqrt(2.0)
-        >>> seen = seen_through_air("erfa", north_up_n, Weather(1013.25, 10.0), 0.55, (0.0, 5.0), np.empty((0, 3)))
-        >>> lifted_by = elevation_of(seen.direction_n)[0] - seen.elevation[0]
-        >>> print(f"{lifted_by / ARCSEC:.0f} {np.linalg.norm(seen.shared_n[0, :, 0]) / ARCSEC:.1f}")
+        >>> seen_through_air = seen_through_air("erfa", north_up_n, Weather(1013.25, 10.0), 0.55, (0.0, 5.0), np.empty((0, 3)))
+        >>> lifted_by = elevation_of(seen_through_air.direction_n)[0] - seen_through_air.elevation[0]
+        >>> print(f"{lifted_by / ARCSEC:.0f} {np.linalg.norm(seen_through_air.shared_n[0, :, 0]) / ARCSEC:.1f}")
         58 1.0
     """
     of_air = _model_in_air(model, weather, wavelength_um)
@@ -280,7 +280,7 @@ def raised_directions(direction_n: FloatArray, angle: FloatArray) -> FloatArray:
 
     Example:
         >>> direction_n = np.array([np.cos(np.pi / 6.0), 0.5, 0.0])  # in the north, 30° up
-        >>> print(np.rad2deg(elevation_of(lifted(direction_n, 100.0 * ARCSEC))).round(5))
+        >>> print(np.rad2deg(elevation_of(raised_directions(direction_n, 100.0 * ARCSEC))).round(5))
         30.02778
     """
     shape = np.broadcast_shapes(direction_n.shape, (*np.shape(angle), 3))
@@ -298,7 +298,7 @@ def raising_axis(direction_n: FloatArray) -> FloatArray:
         direction_n: (North, Up, East), shape (3,).
 
     Example:
-        >>> print(lifting_axis(np.array([0.0, 0.6, 0.8])))  # a star in the east is raised about South
+        >>> print(raising_axis(np.array([0.0, 0.6, 0.8])))  # a star in the east is raised about South
         [-1.  0.  0.]
     """
     level = np.array([-direction_n[2], 0.0, direction_n[0]])

@@ -31,15 +31,15 @@ def feed(health, count, *, start_ns=START_NS, period_ns=10 * MS, latency_ns=5 * 
     for i in range(count):
         receive_ns = start_ns + i * period_ns
         health.record_arrival(IMU, receive_ns)
-        health.accepted(IMU, receive_ns - latency_ns, receive_ns)
+        health.record_accepted(IMU, receive_ns - latency_ns, receive_ns)
     return receive_ns
 
 
 def reject(health, count, reason, *, start_ns=START_NS, period_ns=10 * MS):
     for i in range(count):
         receive_ns = start_ns + i * period_ns
-        health.arrived(IMU, receive_ns)
-        health.rejected(IMU, Rejection(reason, f"text {i}"), receive_ns)
+        health.record_arrival(IMU, receive_ns)
+        health.record_rejected(IMU, Rejection(reason, f"text {i}"), receive_ns)
     return receive_ns
 
 
@@ -112,8 +112,8 @@ def test_timeout_of_a_required_fast_topic(health, silence_ms, level):
 @pytest.mark.parametrize(("silence_ms", "level"), [(600, Level.OK), (601, Level.WARN), (5000, Level.WARN)])
 def test_timeout_of_an_optional_slow_topic_is_three_periods(health, silence_ms, level):
     for i in range(20):
-        health.arrived(STAR, START_NS + i * 200 * MS)
-        health.accepted(STAR, START_NS + i * 200 * MS, START_NS + i * 200 * MS)
+        health.record_arrival(STAR, START_NS + i * 200 * MS)
+        health.record_accepted(STAR, START_NS + i * 200 * MS, START_NS + i * 200 * MS)
     status = health.statuses(START_NS + (19 * 200 + silence_ms) * MS)[1]
     assert status.level is level
     assert ("no data for" in status.message) == (level is Level.WARN)
@@ -187,8 +187,8 @@ def test_another_rejection_in_between_is_no_clock_offset(health):
 
 def test_delays_of_late_messages_are_kept(health):
     for delay_ms in (500, 2_500, 4_000, 90_000):
-        health.arrived(IMU, START_NS)
-        health.rejected(IMU, Rejection(Reason.LATE, "older than the lag"), START_NS, START_NS - delay_ms * MS)
+        health.record_arrival(IMU, START_NS)
+        health.record_rejected(IMU, Rejection(Reason.LATE, "older than the lag"), START_NS, START_NS - delay_ms * MS)
     values = imu_status(health, START_NS).values
     late = {key: value for key, value in values.items() if key.startswith("late ")}
     assert late == {"late up to 1 s": "1", "late up to 5 s": "2", "late above 60 s": "1"}
@@ -196,7 +196,7 @@ def test_delays_of_late_messages_are_kept(health):
 
 def test_noted_reason_is_counted_and_the_message_accepted(health):
     last_ns = feed(health, 3)
-    health.noted(IMU, Reason.COVARIANCE_UNKNOWN)
+    health.record_note(IMU, Reason.COVARIANCE_UNKNOWN)
     message = imu_message(health, last_ns)
     assert (message.accepted, message.rejected, message.level) == (3, 0, 0)
     assert (message.reasons, list(message.reason_counts)) == (["covariance_unknown"], [1])
@@ -224,16 +224,16 @@ def test_restart_keeps_counts_and_resets_times(health):
 
 
 def test_late_sample_does_not_make_the_data_older(health):
-    health.arrived(IMU, START_NS)
-    health.accepted(IMU, START_NS - 1 * S, START_NS)
-    health.arrived(IMU, START_NS)
-    health.accepted(IMU, START_NS - 2 * S, START_NS)
+    health.record_arrival(IMU, START_NS)
+    health.record_accepted(IMU, START_NS - 1 * S, START_NS)
+    health.record_arrival(IMU, START_NS)
+    health.record_accepted(IMU, START_NS - 2 * S, START_NS)
     assert imu_message(health, START_NS).age_s == pytest.approx(1.0)
 
 
 def test_lost_messages_are_shown(health):
-    health.lost(IMU, 3)
-    health.lost(IMU, 4)
+    health.record_lost(IMU, 3)
+    health.record_lost(IMU, 4)
     assert imu_status(health, START_NS).values["lost by the middleware"] == "7"
 
 

@@ -98,7 +98,7 @@ def test_after_a_slip_of_the_encoders_the_stars_are_new() -> None:
     """The pixel dwell is reset with the encoders' zero points."""
     _, estimate, filter_ = after_five_seconds(0, camera_config(**ERRORS_PX))
     state = estimate.state
-    assert state.pixel_dwells[f"star.{CAMERA_ID}"].exposures > 0
+    assert state.pixel_dwells[f"star.{CAMERA_ID}"].exposure_count > 0
     jump = EncoderJump(state.time_ns, np.array([1e-3, 0.0]), 1e-5)
     assert not filter_.inflate_covariance(state, jump).pixel_dwells
     assert not filter_.exclude_source(state, "encoder").pixel_dwells

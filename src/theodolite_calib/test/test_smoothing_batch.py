@@ -287,7 +287,7 @@ def test_the_filters_covariance_is_the_inverse_of_the_information_matrix(smoothe
     keys |= {"focal_length": ("focal", 0), "parallelism": ("turn", 0)}
     keys |= {f"light.{id_}.rtk": (f"bias {id_}", last_ms) for id_ in LIGHTS_DEG}
     parts = [built.places[key] for key in keys.values()]
-    rows = np.concatenate([model.rows(name) for name in keys])
+    rows = np.concatenate([model.state_indices(name) for name in keys])
     expected = covariance_of(factors, built.size, parts)
     sigma = np.sqrt(expected.diagonal())
     both_sigmas = np.outer(sigma, sigma)

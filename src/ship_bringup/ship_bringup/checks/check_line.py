@@ -78,7 +78,7 @@ def format_number(value: float) -> str:
     """Return a number with three significant digits, never with an exponent.
 
     Example:
-        >>> rounded(0.00150123), rounded(4.0), rounded(1623.4)
+        >>> format_number(0.00150123), format_number(4.0), format_number(1623.4)
         ('0.0015', '4', '1623')
     """
     if not math.isfinite(value) or value == 0.0:

@@ -23,7 +23,7 @@ class StateMemory(Generic[State]):
     """The newest consistent state that is old enough.
 
     Example:
-        >>> memory: Memory[int] = Memory()
+        >>> memory: StateMemory[int] = StateMemory()
         >>> for second in range(40):
         ...     memory.keep(second * SECOND_NS, second)
         >>> memory.recall(40 * SECOND_NS)

@@ -35,7 +35,7 @@ def map_position(azimuth: float, elevation: float) -> tuple[float, float]:
         elevation: rad.
 
     Example:
-        >>> east, north = on_map(np.deg2rad(90.0), np.deg2rad(45.0))
+        >>> east, north = map_position(np.deg2rad(90.0), np.deg2rad(45.0))
         >>> print(round(east, 3), round(north, 3))
         0.5 0.0
     """

@@ -145,7 +145,7 @@ class LiveNode:
         topic = input_topic.topic
         name = self._parameters.topics.get(topic, topic)
         events = SubscriptionEventCallbacks(
-            record_incompatible_qos=partial(self._guard.call, "QoS event", self._on_incompatible_qos, topic),
+            incompatible_qos=partial(self._guard.call, "QoS event", self._on_incompatible_qos, topic),
             message_lost=partial(self._guard.call, "QoS event", self._on_messages_lost, topic),
         )
         with check_overrides(self.node, name):

@@ -49,7 +49,7 @@ class Senders:
     """Counts the active publishers of one topic.
 
     >>> senders = Senders()
-    >>> [senders.came(number, n * 10_000_000) for n, number in enumerate((700, 701, 1, 702, 2, 703))]
+    >>> [senders.add_message(number, n * 10_000_000) for n, number in enumerate((700, 701, 1, 702, 2, 703))]
     [False, False, False, False, True, True]
     """
 

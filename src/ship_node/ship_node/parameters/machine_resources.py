@@ -40,7 +40,7 @@ class MachineResource:
         """Return the resource as text.
 
         Example:
-            >>> str(held_port("sinks.bridge.port", PlaceKind.TCP, 10110, "127.0.0.1"))
+            >>> str(port_resource("sinks.bridge.port", ResourceKind.TCP, 10110, "127.0.0.1"))
             'TCP port 10110 of 127.0.0.1'
         """
         return f"{self.kind.value} {self.name}" + (f" of {self.address}" if self.address else "")
@@ -81,7 +81,7 @@ def path_resource(parameter: str, path: str) -> MachineResource:
     Links to one device are not resolved: at the start another device may be plugged in.
 
     Example:
-        >>> held_path("sinks.log.path", "/var/log//ship/./a.nmea").name
+        >>> path_resource("sinks.log_text.path", "/var/log//ship/./a.nmea").name
         '/var/log/ship/a.nmea'
     """
     return MachineResource(parameter, ResourceKind.PATH, os.path.normpath(path))

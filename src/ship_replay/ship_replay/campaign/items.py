@@ -152,7 +152,7 @@ def parse_seeds(text: str) -> list[int]:
         ValueError: the text has another form.
 
     Example:
-        >>> seeds_of("1,5,7-9")
+        >>> parse_seeds("1,5,7-9")
         [1, 5, 7, 8, 9]
     """
     if not _SEEDS.fullmatch(text):

@@ -35,8 +35,8 @@ def mean_log_time(logs: FloatArray, log_likelihoods: FloatArray, duration_s: flo
     Example:
         A long record, whose likelihood is that of a normal distribution of the logarithm:
 
-        >>> logs = np.log(60.0) + 0.05 * np.linspace(-8.0, 8.0, 41)
-        >>> mean, variance = mean_log_time(logs, -0.5 * ((logs - np.log(60.0)) / 0.05) ** 2, 24_000.0)
+        >>> logs = np.log_text(60.0) + 0.05 * np.linspace(-8.0, 8.0, 41)
+        >>> mean, variance = mean_log_time(logs, -0.5 * ((logs - np.log_text(60.0)) / 0.05) ** 2, 24_000.0)
         >>> print(round(float(np.exp(mean)), 1), round(variance**0.5, 3))
         59.9 0.05
     """

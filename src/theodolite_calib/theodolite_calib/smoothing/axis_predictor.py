@@ -145,7 +145,7 @@ def _common_covariance(one: FloatArray, other: FloatArray) -> FloatArray:
     """Return the largest covariance that is, along common axes, within both of two covariances, shape (3, 3).
 
     Example:
-        >>> print(_smaller(np.diag([4.0, 1.0, 0.0]), np.diag([1.0, 9.0, 5.0])).round(12))
+        >>> print(_common_covariance(np.diag([4.0, 1.0, 0.0]), np.diag([1.0, 9.0, 5.0])).round(12))
         [[1. 0. 0.]
          [0. 1. 0.]
          [0. 0. 0.]]

@@ -49,14 +49,14 @@ class TracedFilter(CalibrationFilter):
 
     def exclude_source(self, state: CalibrationState, source: str) -> CalibrationState:
         """See :meth:`CalibrationFilter.exclude_source`."""
-        return replace(super().exclude_source(state, source), **_trace_fields(leads_back=False))
+        return replace(super().exclude_source(state, source), **_trace_fields(is_predicted_only=False))
 
     def inflate_covariance(self, state: CalibrationState, jump: Jump) -> CalibrationState:
         """See :meth:`CalibrationFilter.inflate_covariance`: the jump adds an error to the state."""
         after = super().inflate_covariance(state, jump)
         both = GaussianEstimate(after.mean, after.covariance)
         jumped_ns = jump.time_ns if isinstance(jump, EncoderJump) else None
-        return replace(after, **_trace_fields(came=StateUpdate(both, both, True, jumped_ns)))
+        return replace(after, **_trace_fields(last_update=StateUpdate(both, both, True, jumped_ns)))
 
     def update_by_beacons(
         self, state: CalibrationState, sighting: Sighting, comparison: Comparison
@@ -78,7 +78,7 @@ def _with_update_trace(predicted: CalibrationState, after: CalibrationState) -> 
     is_update = predicted.is_predicted_only and not predicted.fault_state.excluded_sources & AXIS_SOURCES
     before = GaussianEstimate(predicted.mean, predicted.covariance)
     return replace(
-        after, **_trace_fields(came=StateUpdate(before, GaussianEstimate(after.mean, after.covariance), is_update))
+        after, **_trace_fields(last_update=StateUpdate(before, GaussianEstimate(after.mean, after.covariance), is_update))
     )
 
 
