@@ -33,7 +33,7 @@ def draw(seed, **changes):
 
 
 def observer_of(sky):
-    return Observer(sky.track.at(np.array(START_NS)))
+    return Observer(sky.track.position_at(np.array(START_NS)))
 
 
 def assert_sigma(values, sigma):
@@ -44,7 +44,7 @@ def assert_sigma(values, sigma):
 
 def by_atco13(sky, rows, time_ns):
     """Return observed directions (N, U, E) by ERFA's single function for all effects, its refraction included."""
-    stars, orientation, place = sky.positions[rows], sky.orientation(time_ns), sky.track.at(time_ns)
+    stars, orientation, place = sky.positions[rows], sky.orientation(time_ns), sky.track.position_at(time_ns)
     azimuth, zenith_distance, *_ = erfa.atco13(
         stars.right_ascension,
         stars.declination,

@@ -42,7 +42,7 @@ def share_band(count, share):
 
 def by_atco13(sky, rows, time_ns):
     """Return observed directions (N, U, E) with refraction of stars, at one time or one time per star."""
-    stars, orientation, place = sky.positions[rows], sky.orientation(time_ns), sky.track.at(time_ns)
+    stars, orientation, place = sky.positions[rows], sky.orientation(time_ns), sky.track.position_at(time_ns)
     air = sky.weather
     azimuth, zenith_distance, *_ = erfa.atco13(
         *(getattr(stars, name) for name in vars(stars)),

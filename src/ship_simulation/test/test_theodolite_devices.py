@@ -32,7 +32,7 @@ def since_start_s(run, samples):
 def baseline_errors(run, beacon_id):
     samples, scene = run.theodolite.baselines[beacon_id], run.theodolite.truth.scene
     t_s = since_start_s(run, samples)
-    true_n = scene.lights[beacon_id].path(t_s) + scene.carrier.attitude(t_s) @ scene.theodolite.lever_d
+    true_n = scene.beacons[beacon_id].path(t_s) + scene.carrier.attitude(t_s) @ scene.theodolite.lever_d
     return samples.baseline_n - true_n
 
 

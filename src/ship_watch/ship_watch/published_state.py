@@ -149,7 +149,7 @@ def _source_fields(source: SourceDetails) -> dict[str, Any]:
 
 def _source(message: Any) -> SourceDetails:
     consistency = NisConsistency(
-        float(message.nis_ratio), int(message.nis_degrees), _text(message.nis_text), bool(message.is_consistent)
+        float(message.nis_ratio), int(message.nis_degrees), _text(message.nis_text), bool(message.is_as_stated)
     )
     if not 0 <= message.presence < len(_PRESENCES):
         raise ValueError(f"presence {message.presence} of source '{_text(message.name)}' does not exist")

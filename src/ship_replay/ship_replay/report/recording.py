@@ -252,7 +252,7 @@ class _RecordingReader:
         recording = self._recording
         for point in self._new_points("", self._history.safety):
             for name in ANGLES:
-                if (word := point.words.get(name)) is not None:
+                if (word := point.safety.get(name)) is not None:
                     recording.safety_states.setdefault(name, []).append((point.utc_ns // NS_PER_S, word))
         for topic, points in self._history.budgets.items():
             recording.budgets.setdefault(topic, []).extend(self._new_points(topic, points))
