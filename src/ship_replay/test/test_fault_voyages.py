@@ -246,7 +246,7 @@ def test_a_mounting_shift_without_stars_is_undetectable():
 
 def test_undetectable_cases_are_those_of_the_page():
     page = (ROOT / "docs" / "explanation" / "integrity.md").read_text(encoding="utf-8")
-    section = page.split("## What no data can tell")[1].split("\n##")[0]
+    section = page.split("## Undetectable faults")[1].split("\n##")[0]
     labels = [line.split("|")[2].strip() for line in section.splitlines() if line.startswith("|")][2:]
     assert sorted(label.strip("`") for label in labels if label != "-") == sorted(UNDETECTABLE_CASES)
 
