@@ -4,7 +4,7 @@ A ship rotates while a star sensor exposes. The centroid of a streak is the mean
 The INS measures the rotation of the sensor, and so the offset of that mean from the pixel at mid-exposure, which the
 angular acceleration and its centripetal part cause. A streak of L pixels increases the variance of the light along
 itself by L²/12 over that of an image at rest, s². The centroid's variance along the streak is therefore σ² (1 + L²/(12
-s²)). Across the streak nothing changes (docs/explanation/stars.md).
+s²)). Across the streak nothing changes (docs/explanation/star_camera.md).
 
 A detection without an identity is identified with the predicted attitude of its sensor, as the nearest catalogue star
 within the gate. If a second star is possible too, it stays without an identity.
