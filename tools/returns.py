@@ -25,7 +25,7 @@ from ship_testing.returns.run_cell import run_cell  # noqa: E402
 from ship_testing.returns.table import HEAD, failed_results, failure_lines, results_file, rows, unseen_lines  # noqa: E402
 from ship_testing.returns.voyages import VOYAGES, load_voyage, make_bag  # noqa: E402
 
-PAGE = ROOT / "docs" / "explanation" / "when_inputs_fail.md"
+PAGE = ROOT / "docs" / "explanation" / "recovery.md"
 BEGIN, END = "<!-- returns: python tools/returns.py --table -->", "<!-- end of returns -->"
 
 

@@ -52,7 +52,7 @@ def residuals(ship_filter, watch, exposure, mean):
     predicted = predict_attitude(ship_filter.devices[exposure.source], ship_filter.model, mean, ins)
     prior, model = predicted.prior(state.covariance), ship_filter.model
     field = f"{exposure.source}.field"
-    field_rows = model.rows(field) if field in model.slices else None
+    field_rows = model.state_indices(field) if field in model.slices else None
     return star_residuals(
         exposure,
         predicted.rotation_nv,
@@ -135,7 +135,7 @@ def assert_jacobian_is_derivative(ship_filter, watch, exposure):
 
 def test_one_star_improves_two_components_as_the_bound_says_and_leaves_the_third(ship_filter, watch):
     exposure = exposure_of(watch, "fore", 1)
-    before = ship_filter.predicted(ship_filter.initial_state(), TIME_NS)
+    before = ship_filter.propagate(ship_filter.initial_state(), TIME_NS)
     after, decision = ship_filter.step(before, exposure, ins_track(), watch)
     assert decision.accepted
     star_n = watch.at(TIME_NS).apparent(exposure.positions).direction_n[0]
@@ -163,7 +163,7 @@ def test_the_estimate_converges_to_the_truth(ship_filter, watch, count):
     for id_ in ("fore", "starboard"):
         state, decision = ship_filter.step(state, exposure_of(watch, id_, count), ins_track(error_n=error_n), watch)
         assert decision.accepted
-    rows = ship_filter.model.rows("ins.attitude")
+    rows = ship_filter.model.state_indices("ins.attitude")
     left = error_n - state.mean[rows]
     covariance = state.covariance[np.ix_(rows, rows)]
     # Noise-free stars: the remaining error is that of the prior.
@@ -275,7 +275,7 @@ def test_an_attitude_against_the_icrs_gives_the_horizon_attitude(watch):
     ship_filter = ShipFilter(config)
     device = ship_filter.devices["star.fore"]
     rotation_ns = ROTATION_ND @ device.rotation_dv0
-    moment = watch.at(TIME_NS)
+    moment = watch.sky_at(TIME_NS)
     elevation = np.arcsin(rotation_ns[1, 0])
     angle, _ = moment.refraction_at(elevation)
     level = np.array([-rotation_ns[2, 0], 0.0, rotation_ns[0, 0]]) / np.hypot(rotation_ns[0, 0], rotation_ns[2, 0])

@@ -260,7 +260,7 @@ def test_streaks_wait_for_the_ins_and_any_order_of_arrival_gives_the_same_state(
         run = run_new_adapter(sort_by_arrival(arrivals))
         assert set(run.reasons(FORE)) <= {"gap", "revised"}
         state = run.adapter.core.state
-        states.append((state.mean.tobytes(), state.parts.tobytes()))
+        states.append((state.mean.tobytes(), state.covariance_by_source.tobytes()))
     assert states[1] == states[0]
     assert states[2] == states[0]
 

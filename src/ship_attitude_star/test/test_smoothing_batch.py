@@ -210,7 +210,7 @@ def test_the_filter_covariance_is_the_inverse_of_the_information_matrix(both: tu
     assert state.time_ns == START_NS + last_ms * 1_000_000
     parts = [batch.places[key] for key in (("slow", last_ms), ("clock", 0), ("fore", 0), ("starboard", 0))]
     names = ("ins.attitude", "ins.time_offset", "star.fore.installation", "star.starboard.installation")
-    rows = np.concatenate([model.rows(name) for name in names])
+    rows = np.concatenate([model.state_indices(name) for name in names])
     expected = covariance_of(factors, batch.size, parts)
     sigma = np.sqrt(expected.diagonal())
     both_sigmas = np.outer(sigma, sigma)

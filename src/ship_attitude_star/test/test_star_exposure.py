@@ -272,7 +272,7 @@ def test_identification_rejects_ambiguous_and_unmatched_detections(watch):
     unknown = without_identity(replace(twice, directions_s=nowhere))
     device = ShipFilter(CONFIG).devices["star.fore"]
     prior = StarPrior(ROTATION_ND @ device.rotation_dv0, np.diag((np.array([10.0, 72.0, 10.0]) * ARCSEC) ** 2))
-    result, reasons = identify_stars(unknown, prior, watch.at(TIME_NS))
+    result, reasons = identify_stars(unknown, prior, watch.sky_at(TIME_NS))
     assert result.hip.tolist() == [0, 0, exposure.hip[2], 0]
     assert set(reasons) == {0, 1, 3}
     assert "matched by two detections" in reasons[0].text

@@ -149,7 +149,7 @@ def test_invalid_masks_are_named(kind: type, masks: dict[str, Any], reason: str)
 def test_masks_that_leave_a_part_free_are_accepted(kind: type) -> None:
     config = build(kind, sensor_with({"left": LEFT}))
     masks = config.star_sensors["fore"].sensor_masks
-    assert masks.hide(np.array([[1.0, 0.0, -0.05], [1.0, 0.0, 0.05]])).tolist() == [True, False]
+    assert masks.is_hidden(np.array([[1.0, 0.0, -0.05], [1.0, 0.0, 0.05]])).tolist() == [True, False]
     assert flatten(config)["star_sensors.fore.masks.left.azimuths_deg"] == LEFT["azimuths_deg"]
     # Pixels relative to the boresight do not define the size of the field.
     build(kind, sensor_with({"wall": WALL}, principal_u_px=0.0))

@@ -68,7 +68,7 @@ def test_pixels_become_directions_and_numbers_become_positions() -> None:
     assert exposure.positions.pm_declination[0] / ARCSEC == pytest.approx(0.286, abs=0.001)
     # Position accurate to a milliarcsecond at 1991.25, motion to 0.6 mas a year at most, 23 years later.
     assert 0 < exposure.position_sigma[0] < 0.02 * ARCSEC
-    assert exposure.identified.all()
+    assert exposure.is_identified.all()
     assert np.isnan(exposure.magnitude[0])
     assert exposure.magnitude[1] == pytest.approx(1.3)
 
@@ -106,7 +106,7 @@ def test_a_star_without_number_has_the_given_position_or_none() -> None:
         observations(star(0, right_ascension=1.0, declination=-0.5), star(0, 600.0, 600.0), star(ALTAIR, 100.0))
     )
     assert refused == ()
-    assert exposure.identified.tolist() == [True, False, True]
+    assert exposure.is_identified.tolist() == [True, False, True]
     given = exposure.positions[0]
     assert (given.right_ascension, given.declination, given.pm_declination) == (1.0, -0.5, 0.0)
     assert exposure.position_sigma[0] == pytest.approx(0.05 * ARCSEC)
@@ -132,7 +132,7 @@ def test_a_centroid_without_sigma_has_the_configured_one(sigma_px: float) -> Non
 def test_no_star_is_an_exposure_too() -> None:
     exposure, refused = read_exposure(observations())
     assert (len(exposure), refused) == (0, ())
-    assert read(observations()).empty
+    assert read(observations()).is_empty
     assert not read(observations(star(u=np.nan))).empty
 
 

@@ -151,7 +151,7 @@ def test_the_filter_models_it_as_a_correlated_error(watch) -> None:
         state = ship_filter.initial_state()
         for second in range(1, 40):
             time_ns = TIME_NS + second * SECOND_NS
-            bare_cs = watch.at(time_ns).rotation_horizon_from_icrs().T @ rotation_ns
+            bare_cs = watch.sky_at(time_ns).rotation_horizon_from_icrs().T @ rotation_ns
             inertial = InertialAttitude("star.fore", time_ns, bare_cs, NOISE_S, field=field)
             lifted_ns = to_horizon_attitude(inertial, watch).rotation_nv
             inertial = replace(inertial, rotation_cs=bare_cs @ lifted_ns.T @ rotation_ns)
@@ -167,7 +167,7 @@ def test_the_filter_models_it_as_a_correlated_error(watch) -> None:
 @pytest.mark.parametrize("elevation_deg", [88.0, 89.999, 90.0])
 def test_the_field_covariance_is_regular_at_the_zenith(watch, elevation_deg: float) -> None:
     rotation_ns = rotation_from_angles(0.3, np.deg2rad(elevation_deg), 0.2)
-    rotation_cs = watch.at(TIME_NS).rotation_horizon_from_icrs().T @ rotation_ns
+    rotation_cs = watch.sky_at(TIME_NS).rotation_horizon_from_icrs().T @ rotation_ns
     attitude = to_horizon_attitude(InertialAttitude("star.fore", TIME_NS, rotation_cs, NOISE_S, field=FIELD), watch)
     common_s = rotation_ns.T @ attitude.common_n @ rotation_ns
     # An isotropic compression without rotation: 57″ per radian and 10°/(2 √5).

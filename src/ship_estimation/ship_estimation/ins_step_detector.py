@@ -30,7 +30,7 @@ are irregular: one lost message in ten makes 0.27, stamps at 20 Hz late by 0 to 
 _GAP = 8
 """Maximum gap that a line spans, periods."""
 _SIGMAS = 7.3
-"""Threshold of a step, sigmas: exceeded by noise of three axes once in 6e10 times (explanation/when_inputs_fail.md)."""
+"""Threshold of a step, sigmas: exceeded by noise of three axes once in 6e10 times (explanation/input_checks.md)."""
 _LAG_S = 0.0025
 """Maximum lag of the rates behind the attitude, s."""
 _LEARN_HZ = 25.0

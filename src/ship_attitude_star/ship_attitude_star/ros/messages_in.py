@@ -122,7 +122,7 @@ def attitude_from_numbers(
 def _with_shared_error(attitude: AttitudeMeasurement, sharing: str, has_noise_covariance: bool) -> AttitudeMeasurement:
     """Return an attitude with the configured shared error."""
     if sharing == SHARED_BY_SKY:
-        return SolvedAttitude(**vars(attitude) | {"noise_told": has_noise_covariance})
+        return SolvedAttitude(**vars(attitude) | {"has_noise_covariance": has_noise_covariance})
     if sharing == SHARED_BY_MESSAGES and attitude.common_n.any():
         # Maximum correlation of errors with different covariances: the same vector through each symmetric root.
         values, vectors = np.linalg.eigh(attitude.common_n)

@@ -5,5 +5,5 @@
 - ``displacement`` and ``displacements`` measure whether a source, or all together, have moved, and moved back.
 - ``recovery`` starts the second estimator and decides on its adoption.
 
-The rules are on the page explanation/when_inputs_fail.md.
+The rules are on the page explanation/recovery.md.
 """
