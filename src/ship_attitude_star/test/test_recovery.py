@@ -206,17 +206,17 @@ def test_a_constant_rotation_is_not_adopted_if_the_stored_state_is_too_uncertain
     recovery = run.adapter.recovery
     core = recovery.candidate.core
     assert (recovery.started, recovery.adopted) == (1, 0)
-    assert core.departure_sigmas(core.state, recovery._reference) < MEMORY_SIGMAS
+    assert core.largest_difference_sigmas(core.state, recovery._reference) < MEMORY_SIGMAS
     assert recovery.candidate.valid_since_ns is not None
     assert statuses(run, SPOILT_S + 2.0) == {Status.DEGRADED}
 
 
 def test_a_nan_covariance_is_consistent_with_no_stored_state() -> None:
     core = run_adapter(new_adapter(), voyage(20.0)).adapter.core
-    assert core.departure_sigmas(core.state, core.state) == 0.0
+    assert core.largest_difference_sigmas(core.state, core.state) == 0.0
     parts = core.state.stack.copy()
     parts[0, 0, 0] = np.nan
-    assert not core.departure_sigmas(core.state, changed(core.state, stack=parts)) <= MEMORY_SIGMAS
+    assert not core.largest_difference_sigmas(core.state, changed(core.state, stack=parts)) <= MEMORY_SIGMAS
 
 
 def test_a_fault_from_the_start_leaves_no_stored_state() -> None:

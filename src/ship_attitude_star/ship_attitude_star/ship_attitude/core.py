@@ -39,7 +39,7 @@ from ship_attitude_star.ship_attitude.integrity import integrity_of
 from ship_attitude_star.ship_attitude.linearisation import LinearisedMeasurement
 from ship_attitude_star.ship_attitude.manoeuvre import RecentSource, RecommendedTurn, recommended_manoeuvre
 from ship_attitude_star.ship_attitude.memory import (
-    departure_sigmas,
+    largest_difference_sigmas,
     is_consistent,
     memory_residual,
     propagate_memory,
@@ -469,9 +469,9 @@ class ShipAttitudeCore:
         residual = memory_residual(self.filter, memory, measurement, self._track, self._sky_model)
         return {} if residual is None else {measurement.source: residual}
 
-    def departure_sigmas(self, state: FilterState, memory: FilterState, is_later: bool = False) -> float:
+    def largest_difference_sigmas(self, state: FilterState, memory: FilterState, is_later: bool = False) -> float:
         """Return the largest difference of a constant state from the stored one, in standard deviations of both."""
-        return departure_sigmas(self.filter, state, memory, is_later)
+        return largest_difference_sigmas(self.filter, state, memory, is_later)
 
     def unused_sources(self, sources: Set[str]) -> set[str]:
         """Return the sources of which no measurement was accepted recently."""

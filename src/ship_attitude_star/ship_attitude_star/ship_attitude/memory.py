@@ -77,7 +77,7 @@ def memory_residual(
     return MemoryResidual(to_rotation @ linear.residual, noise_n, expected, drift)
 
 
-def departure_sigmas(filter_: ShipFilter, state: FilterState, memory: FilterState, is_later: bool) -> float:
+def largest_difference_sigmas(filter_: ShipFilter, state: FilterState, memory: FilterState, is_later: bool) -> float:
     """Return the largest difference of a constant state from the stored one, in standard deviations.
 
     The standard deviation is that of both states. For a later state of the same estimator, which contains the

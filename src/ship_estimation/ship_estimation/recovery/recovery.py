@@ -288,7 +288,7 @@ class EstimatorRecovery:
             return False
         # Written so that NaN is inconsistent.
         core = candidate.core
-        if self._reference is None or core.departure_sigmas(core.state, self._reference) <= MEMORY_SIGMAS:
+        if self._reference is None or core.largest_difference_sigmas(core.state, self._reference) <= MEMORY_SIGMAS:
             return True
         self._start(live, from_memory=not candidate.is_from_memory)
         return False
