@@ -390,7 +390,7 @@ def test_fixes_that_come_late_change_nothing() -> None:
             replace(a, receive_ns=a.stamp_ns + round(1e9 * delay_s)) if a.topic == FIX else a for a in solved_voyage()
         ]
         state = sail_solved(sort_by_arrival(late)).adapter.core.state
-        states.append((state.mean.tobytes(), state.parts.tobytes()))
+        states.append((state.mean.tobytes(), state.covariance_by_source.tobytes()))
     assert states[0] == states[1]
 
 

@@ -133,7 +133,7 @@ def test_no_star_is_an_exposure_too() -> None:
     exposure, refused = read_exposure(observations())
     assert (len(exposure), refused) == (0, ())
     assert read(observations()).is_empty
-    assert not read(observations(star(u=np.nan))).empty
+    assert not read(observations(star(u=np.nan))).is_empty
 
 
 STARS = [
