@@ -11,12 +11,12 @@ from ship_bags.command_line import EXIT_DONE, CommandParser, run_command
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "reference" / "performance.md"
 
-HEAD = """# Performance
+HEAD = """# Performance, measured
 
-Speed of the suite, measured by `make bench`. Seconds and microseconds depend on the machine; ratios, both sides
-measured by turns in one run, are comparable between machines. The nodes and the replay always compute the estimates
-that exclude one source (integrity), which may cost 1.6 times as much: that factor is included in their bounds. Reasons
-of a bound that is not met are in the [profiles](../explanation/where_time_goes.md).
+Speed of the suite, measured by `make bench`. [Performance](../explanation/performance.md) explains where the time goes
+and why some bounds are not met. Seconds and microseconds depend on the machine. Ratios are comparable between machines:
+both sides are measured by turns in one run. The nodes and the replay always compute the subfilters for integrity, which
+may cost 1.6 times as much; their bounds include that factor.
 
 Measured on {date}: {processor}, {cores}, Python {python}, numpy {numpy};
 load {load}, mean of 15 minutes. On a busy machine elapsed times are too long, and their ratios uncertain; processor
