@@ -138,7 +138,7 @@ def test_one_star_improves_two_components_as_the_bound_says_and_leaves_the_third
     before = ship_filter.propagate(ship_filter.initial_state(), TIME_NS)
     after, decision = ship_filter.step(before, exposure, ins_track(), watch)
     assert decision.accepted
-    star_n = watch.sky_at(TIME_NS).apparent(exposure.positions).direction_n[0]
+    star_n = watch.sky_at(TIME_NS).apparent_stars(exposure.positions).direction_n[0]
     # Bound: information of the star and the prior, with mounting and shared errors as further noise across the star.
     rows = ship_filter.model.rows("ins.attitude")
     prior = before.covariance[np.ix_(rows, rows)]

@@ -66,7 +66,7 @@ def test_the_attitude_stays_valid() -> None:
     later = [m.status for ns, t, m in run.published if t == "ship/attitude" and ns > START_NS + SECOND_NS // 2]
     assert set(later) == {Status.VALID}
     told = run.diagnostics(f"input {FIX}", START_NS, START_NS + 4 * SECOND_NS)
-    assert any(level > 0 and text.startswith("refused, jump: ") for level, text in told)
+    assert any(level > 0 and text.startswith("rejected, jump: ") for level, text in told)
 
 
 @pytest.mark.slow
