@@ -45,7 +45,7 @@ def by_skyfield(loader, earth, stars, time_ns, site, orientation):
         parallax_mas=stars.parallax_arcsec * 1e3,
     )
     place = wgs84.latlon(np.rad2deg(site.latitude), np.rad2deg(site.longitude), elevation_m=site.height_m)
-    elevation, azimuth, _ = (earth + place).at(timescale.tt_jd(*tt)).observe(star).apparent_stars().altaz()
+    elevation, azimuth, _ = (earth + place).at(timescale.tt_jd(*tt)).observe(star).apparent().altaz()
     e, a = elevation.radians, azimuth.radians
     return np.stack([np.cos(a) * np.cos(e), np.sin(e), np.sin(a) * np.cos(e)], axis=-1)
 

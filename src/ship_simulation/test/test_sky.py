@@ -170,7 +170,7 @@ def test_the_sun_is_where_skyfield_sees_it():
     hours = np.arange(0.0, 24.0, 0.7)
     time_ns = START_NS + np.rint(hours * 3600 * SECOND_NS).astype(np.int64)
     moments = timescale.tt_jd(*tt_julian_date(time_ns))
-    elevation, _, _ = (ephemeris["earth"] + place).at(moments).observe(ephemeris["sun"]).apparent_stars().altaz()
+    elevation, _, _ = (ephemeris["earth"] + place).at(moments).observe(ephemeris["sun"]).apparent().altaz()
     # Aberration (20″) and parallax (9″) of the Sun are neglected, and the interpolation between minutes is linear.
     np.testing.assert_allclose(np.rad2deg(sky.sun_elevation(time_ns)), elevation.degrees, rtol=0.0, atol=0.02)
     ephemeris.close()
