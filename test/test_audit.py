@@ -47,7 +47,7 @@ def test_a_missing_wheel_has_no_licence() -> None:
 
 def evaluate_report(report: str) -> str:
     """Return the result of tools/audit.py for a report about pins of two wheels."""
-    code = f"import audit; print(audit.judge({report}, ['a==1', 'b==2']))"
+    code = f"import audit; print(audit.evaluate_report({report}, ['a==1', 'b==2']))"
     answer = subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT / "tools", capture_output=True, text=True, check=True, env={**os.environ}
     )

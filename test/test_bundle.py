@@ -173,8 +173,8 @@ def test_setup_installs_only_from_the_wheels(aboard: Path) -> None:
 @needs_git
 def test_over_a_ros_installation_its_wheels_are_left_out(aboard: Path) -> None:
     code = (
-        "from setup_wheels import lines_to_install; from wheelhouse import locked;"
-        "lock = locked(open('../requirements.lock').read());"
+        "from setup_wheels import lines_to_install; from wheelhouse import locked_requirements;"
+        "lock = locked_requirements(open('../requirements.lock').read());"
         "print(*lines_to_install(lock, ('ros', 'build', 'python'), '/opt/ros/jazzy'), sep='\\n')"
     )
     printed = run(sys.executable, "-c", code, cwd=aboard / "tools").stdout.splitlines()

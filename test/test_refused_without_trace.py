@@ -215,7 +215,7 @@ def test_a_baseline_without_fixed_solution_only_makes_its_light_unusable(count: 
     without_them, states = everything.run(others), []
     for run in (runs[0], without_them):
         state = run.adapter.core.state
-        states.append((state.mean.tobytes(), state.parts.tobytes(), state.point_count))
+        states.append((state.mean.tobytes(), state.covariance_by_source.tobytes(), state.point_count))
     too_far_apart = others_around_s(others, topic, chosen) > MAX_GAP_S
     assert too_far_apart == (count == 8)
     assert (states[0] == states[1]) == too_far_apart

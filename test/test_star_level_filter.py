@@ -189,7 +189,7 @@ def test_errors_of_long_streaks_fit_their_covariance() -> None:
 class _WithoutAir(LocalSky):
     """Apparent places of stars without air."""
 
-    def apparent(self, stars) -> ApparentStars:
+    def apparent_stars(self, stars) -> ApparentStars:
         seen = super().apparent_stars(stars)
         angle = elevation_of(seen.direction_n) - seen.elevation
         return replace(seen, direction_n=raised_directions(seen.direction_n, -angle))
@@ -198,7 +198,7 @@ class _WithoutAir(LocalSky):
 class SkyWithoutRefraction(SkyModel):
     """Sky without refraction."""
 
-    def at(self, time_ns: int) -> LocalSky | Rejection:
+    def sky_at(self, time_ns: int) -> LocalSky | Rejection:
         moment = super().sky_at(time_ns)
         return moment if isinstance(moment, Rejection) else _WithoutAir(**vars(moment))
 

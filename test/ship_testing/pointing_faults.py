@@ -264,7 +264,7 @@ def run_core(run: SimulatedRun, stamps_of: SimulatedRun | None = None, **changes
         core=core,
         rejected_count=rejected_count,
         start_ns=run.start_ns,
-        excluded_sources={source for decision in decisions for source in decision.excluded},
+        excluded_sources={source for decision in decisions for source in decision.excluded_sources},
     )
 
 

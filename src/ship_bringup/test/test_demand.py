@@ -112,7 +112,7 @@ def test_every_program_has_its_own_enclave(tmp_path, good, monkeypatch):
     set_to(monkeypatch, {})
     options = {"bag": ROOT / "bags" / "demo.mcap"}
     plain, warnings = programs(**options)
-    store = keystore_for_now(tmp_path / "keystore", played=True)
+    store = keystore_for_now(tmp_path / "keystore", is_played=True)
     set_to(monkeypatch, {**good, "ROS_SECURITY_KEYSTORE": str(store.path)})
     monkeypatch.setenv("ROS_DOMAIN_ID", "7")
     secured, told = programs(**options)
@@ -124,7 +124,7 @@ def test_every_program_has_its_own_enclave(tmp_path, good, monkeypatch):
 
 
 def test_secured_suite_needs_all_enclaves_and_the_authority(tmp_path, good, monkeypatch):
-    store = keystore_for_now(tmp_path / "keystore", locked=True)
+    store = keystore_for_now(tmp_path / "keystore", is_locked=True)
     set_to(monkeypatch, {**good, "ROS_SECURITY_KEYSTORE": str(store.path)})
     monkeypatch.setenv("ROS_DOMAIN_ID", "7")
     assert len(programs()[1]) == 1  # the warning that no file is configured

@@ -24,7 +24,7 @@ DOMAIN = 7
 NODE = "/demo/ship_attitude"
 
 
-def rights_in(namespace, locked=False):
+def rights_in(namespace, is_locked=False):
     nodes, _ = check_nodes(ROOT / "examples" / "two_sensors.yaml", namespace)
     return suite_rights([node.adapter for node in nodes], namespace, locked)
 
@@ -120,7 +120,7 @@ def test_keystore_of_another_ship_refuses_the_start(tmp_path):
 
 def test_old_policy_is_a_warning_at_the_start(keystore):
     assert require_keystore(keystore.path, use()) == []
-    keystore.permit(NODE, dataclasses.replace(OF_NODE, declared=()))
+    keystore.permit(NODE, dataclasses.replace(OF_NODE, declarations=()))
     (text,) = require_keystore(keystore.path, use())
     assert "are older than the code" in text
 
@@ -281,7 +281,7 @@ def test_outdated_policies(keystore):
 
 
 def test_policies_from_other_declarations(keystore):
-    keystore.permit(NODE, dataclasses.replace(OF_NODE, declared=OF_NODE.declarations[1:]))
+    keystore.permit(NODE, dataclasses.replace(OF_NODE, declarations=OF_NODE.declarations[1:]))
     fault = single_fault(keystore_faults(keystore.path, use()))
     assert "are older than the code" in fault.text
     assert fault.of_policy

@@ -60,7 +60,7 @@ def test_sensor_publishes_only_its_own_topics(example):
 
 @pytest.mark.parametrize("locked", [False, True])
 def test_only_param_sets_parameters_unless_locked(locked):
-    every = rights_of("theodolite", locked=locked)
+    every = rights_of("theodolite", is_locked=locked)
     for node in ("ship_attitude", "optical_axis", "alerts"):
         for service in ("set_parameters", "set_parameters_atomically"):
             topic = f"rq/demo/{node}/{service}Request"
@@ -74,7 +74,7 @@ def test_only_param_sets_parameters_unless_locked(locked):
 def test_clock_and_truth_need_played_bags():
     for rights in rights_of("two_sensors").values():
         assert not any("clock" in topic or "truth" in topic for topic in written_topics(rights) | read_topics(rights))
-    played = rights_of("two_sensors", played=True)
+    played = rights_of("two_sensors", is_played=True)
     assert [name for name, rights in played.items() if may(rights, "publish", "rt/clock")] == ["/demo/play"]
     assert may(played["/demo/ship_attitude"], "subscribe", "rt/clock")
     assert may(played["/demo/play"], "publish", "rt/demo/truth/attitude")

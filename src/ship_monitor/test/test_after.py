@@ -40,9 +40,9 @@ def pictures(suite):
 
 def whole(pictures):
     """Return the state after the ten minutes have been read."""
-    picture = pictures.look()
+    picture = pictures.current_state()
     while not pictures.is_history_complete:
-        picture = pictures.look()
+        picture = pictures.current_state()
     return picture
 
 
@@ -142,7 +142,7 @@ class TestBagPlayback:
     def test_first_state_has_safety_sources_and_alerts(self, suite, pictures):
         """The last minute is enough except for events and plots."""
         pictures.go_to(450.0)
-        first, later = pictures.look(), whole(pictures)
+        first, later = pictures.current_state(), whole(pictures)
         assert not math.isnan(first.angles[0].value)
         assert [(a.name, a.value, a.safety, a.reason) for a in first.angles] == [
             (a.name, a.value, a.safety, a.reason) for a in later.angles
@@ -169,18 +169,18 @@ class TestBagPlayback:
         original = SuiteMonitor.process_message
         monkeypatch.setattr(SuiteMonitor, "process_message", lambda self, *given: heard.append(given) or original(self, *given))
         pictures.go_to(850.0)
-        pictures.look()
+        pictures.current_state()
         minute = sum(
             START_NS + 790 * NS_PER_S <= each.log_time_ns <= START_NS + 850 * NS_PER_S for each in suite.messages(0)
         )
         at_first = len(heard)
         assert at_first <= minute + 2  # the alerts, and one attitude that another start of its tenths leaves
-        pictures.look()
+        pictures.current_state()
         assert len(heard) <= at_first + 1  # one message of the ten minutes
 
     def test_chosen_time_is_displayed_at_once(self, pictures):
         seen = []
-        pictures.controls(lambda: seen.append(pictures.look().utc_ns))
+        pictures.controls(lambda: seen.append(pictures.current_state().utc_ns))
         slide(pictures, 100.0)
         assert seen == pytest.approx([START_NS + 100 * NS_PER_S], abs=0.1 * NS_PER_S)
 
@@ -221,21 +221,21 @@ class TestBagPlayback:
         monkeypatch.setattr(bag_playback.time, "monotonic", lambda: now[0])
         pictures._controls._play.active = True
         now[0] = 0.5
-        assert (pictures.look().utc_ns - START_NS) / NS_PER_S == pytest.approx(100.5, abs=0.11)
+        assert (pictures.current_state().utc_ns - START_NS) / NS_PER_S == pytest.approx(100.5, abs=0.11)
         pictures._controls._on_speed_clicked()
         now[0] = 1.5
-        assert (pictures.look().utc_ns - START_NS) / NS_PER_S == pytest.approx(110.5, abs=0.11)
+        assert (pictures.current_state().utc_ns - START_NS) / NS_PER_S == pytest.approx(110.5, abs=0.11)
         now[0] = 1000.0
-        pictures.look()
+        pictures.current_state()
         assert not pictures._controls.is_playing
         pictures._controls._play.active = True  # again from the start
         now[0] = 1000.1
-        assert (pictures.look().utc_ns - START_NS) / NS_PER_S == pytest.approx(1.0, abs=0.11)
+        assert (pictures.current_state().utc_ns - START_NS) / NS_PER_S == pytest.approx(1.0, abs=0.11)
 
     def test_drag_stops_the_playback(self, pictures):
         slide(pictures, 100.0)
         pictures._controls._play.active = True
-        pictures.look()
+        pictures.current_state()
         assert pictures._controls.is_playing
         pictures._controls._slider.value = 400.0
         assert not pictures._controls.is_playing

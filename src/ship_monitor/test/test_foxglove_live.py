@@ -75,7 +75,7 @@ def connect(opened, server):
 
 def subscribe(client, topic):
     """Subscribe to a topic of the ship after it has been offered."""
-    client.until(lambda: f"/demo/{topic}" in client.channels)
+    client.wait_until(lambda: f"/demo/{topic}" in client.channels)
     client.subscribe(f"/demo/{topic}")
 
 
@@ -83,7 +83,7 @@ def receive(client, ship, topic, message):
     """Subscribe to a topic of the ship, and publish a message until it arrives: later ones then arrive too."""
     subscribe(client, topic)
     ship.say(topic, message)
-    client.until(lambda: client.received or ship.say(topic, message))
+    client.wait_until(lambda: client.received or ship.say(topic, message))
 
 
 def decoded(client, received):
@@ -111,7 +111,7 @@ def test_messages_arrive_unchanged_with_definition_and_arrival_time(sail, connec
     for data in published:
         ship.say("ship/attitude", data)
         time.sleep(0.01)
-    client.until(lambda: client.received[-1].data == published[-1])
+    client.wait_until(lambda: client.received[-1].data == published[-1])
     received = client.received[-100:]
     assert [each.data for each in received] == published
     times_ns = [each.log_time_ns for each in received]
@@ -136,17 +136,17 @@ def test_all_topics_of_the_namespace_are_offered(sail, connect, server):
     ship.say("ship/error_budget", ErrorBudget())
     other.say("ship/attitude", attitude(START_NS))
     expected = {"/demo/ship/attitude", "/demo/ins/imu", "/demo/ship/error_budget"}
-    client.until(lambda: expected <= set(client.channels))
+    client.wait_until(lambda: expected <= set(client.channels))
     assert not any(topic.startswith("/voyage") for topic in client.channels)
     # Without a client there is no subscription to topics that the page does not read.
-    assert not server.wanted()
+    assert not server.subscribed_topics()
     assert ship.publishers["ins/imu"].get_subscription_count() == 0
     imu = Imu()
     imu.angular_velocity.z = 0.1
     receive(client, ship, "ins/imu", imu)
     assert decoded(client, client.received[0]).angular_velocity.z == 0.1
     client.unsubscribe("/demo/ins/imu")
-    client.until(lambda: ship.publishers["ins/imu"].get_subscription_count() == 0)
+    client.wait_until(lambda: ship.publishers["ins/imu"].get_subscription_count() == 0)
 
 
 @pytest.mark.usefixtures("watch")
@@ -157,7 +157,7 @@ def test_late_clients_get_the_last_message_of_a_latched_topic(sail, connect):
     ship.say("ship/alerts", alerts, LATCHED)
     for client in (connect(), connect()):
         subscribe(client, "ship/alerts")
-        client.until(lambda client=client: client.received)
+        client.wait_until(lambda client=client: client.received)
         assert decoded(client, client.received[0]).header.stamp.sec == 7
 
 
@@ -176,7 +176,7 @@ def test_subscription_survives_a_restart_of_the_estimator(sail, connect):
             ship.say("ship/attitude", message)
             return any(decoded(client, each).heading == message.heading for each in client.received)
 
-        client.until(came)
+        client.wait_until(came)
         ship.stop()
     assert sum(each["op"] == "advertise" for each in client.told) == 1
 
@@ -188,11 +188,11 @@ def test_topic_with_another_type_is_offered_again(sail, connect, watch, is_await
         sail().node.create_subscription(Float64, "told", lambda _: None, 10)
     ship.say("told", String(data="a"))
     receive(client, ship, "told", String(data="a"))
-    client.until(lambda: len(watch._relay._known_types["/demo/told"]) == 1 + is_awaited)
+    client.wait_until(lambda: len(watch._relay._known_types["/demo/told"]) == 1 + is_awaited)
     ship.stop()
     ship = sail()
     ship.say("told", Float64(data=1.0))
-    client.until(lambda: client.channels.get("/demo/told", {}).get("schemaName") == "std_msgs/msg/Float64")
+    client.wait_until(lambda: client.channels.get("/demo/told", {}).get("schemaName") == "std_msgs/msg/Float64")
     client.received.clear()
     receive(client, ship, "told", Float64(data=2.0))
     assert decoded(client, client.received[0]).data == 2.0
@@ -205,14 +205,14 @@ def test_clients_receive_messages_after_a_sleep(sail, connect, watch, monkeypatc
     former = watch._reader.node
     asleep_ns = reader_module._sleep_time_ns() + 3600 * NS_PER_S
     monkeypatch.setattr(reader_module, "_sleep_time_ns", lambda: asleep_ns)
-    client.until(lambda: watch._reader.node is not former)
+    client.wait_until(lambda: watch._reader.node is not former)
     client.received.clear()
 
     def came():
         ship.say("ship/attitude", attitude(START_NS + NS_PER_S))
         return client.received
 
-    client.until(came)
+    client.wait_until(came)
 
 
 def test_page_does_not_depend_on_a_client(sail, connect, watch):
@@ -227,7 +227,7 @@ def test_page_does_not_depend_on_a_client(sail, connect, watch):
         shown = next(each for each in watch.look().angles if each.name == "heading")
         return not shown.is_old and shown.value == 1.0
 
-    client.until(heading)
+    client.wait_until(heading)
 
 
 @pytest.fixture

@@ -36,7 +36,7 @@ def connect(server):
 
 
 def subscribe_and_wait(server, client, *topics):
-    client.until(lambda: all(topic in client.channels for topic in topics))
+    client.wait_until(lambda: all(topic in client.channels for topic in topics))
     client.subscribe(*topics)
     awaited = set(topics)
 
@@ -44,13 +44,13 @@ def subscribe_and_wait(server, client, *topics):
         awaited.difference_update(server.new_subscriptions())
         return not awaited
 
-    client.until(all_came)
-    assert server.wanted() >= set(topics)
+    client.wait_until(all_came)
+    assert server.subscribed_topics() >= set(topics)
 
 
 def test_server_info_has_the_name_and_no_capabilities(server, connect):
     client = connect()
-    told = client.until(lambda: client.told and client.told[0])
+    told = client.wait_until(lambda: client.told and client.told[0])
     assert (told["op"], told["name"], told["capabilities"]) == ("serverInfo", "demo", [])
 
 
@@ -66,25 +66,25 @@ def test_message_arrives_with_bytes_time_and_definition(server, connect):
         "schema": "string data",
     }
     server.forward("/demo/said", MESSAGE, 1_700_000_000_123_456_789)
-    received = client.until(lambda: client.received and client.received[0])
+    received = client.wait_until(lambda: client.received and client.received[0])
     assert (received.log_time_ns, received.data) == (1_700_000_000_123_456_789, MESSAGE)
 
 
 def test_subscribed_topics_follow_the_clients(server, connect):
     server.offer("/demo/said", STRING, "string data")
     server.offer("/demo/other", STRING, "string data")
-    assert server.wanted() == server.new_subscriptions() == frozenset()
+    assert server.subscribed_topics() == server.new_subscriptions() == frozenset()
     first, second = connect(), connect()
     subscribe_and_wait(server, first, "/demo/said")
     assert server.new_subscriptions() == frozenset()
     subscribe_and_wait(server, second, "/demo/said")
-    assert server.wanted() == {"/demo/said"}
+    assert server.subscribed_topics() == {"/demo/said"}
     first.unsubscribe("/demo/said")
     server.forward("/demo/said", MESSAGE, 1)
-    second.until(lambda: len(second.received) == 1)
-    assert server.wanted() == {"/demo/said"}
+    second.wait_until(lambda: len(second.received) == 1)
+    assert server.subscribed_topics() == {"/demo/said"}
     second.close()
-    first.until(lambda: not server.wanted())
+    first.wait_until(lambda: not server.subscribed_topics())
     server.forward("/demo/said", MESSAGE, 2)
     first.listen(0.2)
     assert not first.received
@@ -98,7 +98,7 @@ def test_two_clients_get_the_same_messages_in_order(server, connect):
     for number in range(500):
         server.forward("/demo/said", struct.pack("<I", number), number)
     for client in clients:
-        client.until(lambda client=client: len(client.received) == 500)
+        client.wait_until(lambda client=client: len(client.received) == 500)
         assert [each.data for each in client.received] == [struct.pack("<I", number) for number in range(500)]
         assert [each.log_time_ns for each in client.received] == list(range(500))
 
@@ -110,9 +110,9 @@ def test_topic_with_another_type_is_another_channel(server, connect):
     former = client.channels["/demo/said"]["id"]
     server.offer("/demo/said", STRING, "string data")
     server.offer("/demo/said", "std_msgs/msg/Int32", "int32 data")
-    client.until(lambda: client.channels.get("/demo/said", {}).get("schemaName") == "std_msgs/msg/Int32")
+    client.wait_until(lambda: client.channels.get("/demo/said", {}).get("schemaName") == "std_msgs/msg/Int32")
     assert client.channels["/demo/said"]["id"] != former
-    assert not server.wanted()
+    assert not server.subscribed_topics()
     assert sum(each["op"] == "advertise" for each in client.told) == 2
 
 
@@ -139,21 +139,21 @@ ONLY = "this server is read-only: "
 )
 def test_server_is_read_only(server, connect, request_, refusal):
     client = connect()
-    client.ask(request_)
-    client.until(lambda: any(each.get("message") == refusal for each in client.told))
+    client.send_request(request_)
+    client.wait_until(lambda: any(each.get("message") == refusal for each in client.told))
 
 
 def test_invalid_requests_harm_neither_the_server_nor_others(server, connect):
     server.offer("/demo/said", STRING, "string data")
     good, bad = connect(), connect()
     subscribe_and_wait(server, good, "/demo/said")
-    bad.ask(b"\xff" * 100)
-    bad.ask({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 999}]})
+    bad.send_request(b"\xff" * 100)
+    bad.send_request({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 999}]})
     with socket.create_connection(("127.0.0.1", int(server.address.rpartition(":")[2]))) as stranger:
         stranger.sendall(b"GET / HTTP/1.0\r\n\r\n")
     bad.listen(0.2)
     server.forward("/demo/said", MESSAGE, 1)
-    good.until(lambda: good.received)
+    good.wait_until(lambda: good.received)
 
 
 def resident_mb():
@@ -166,7 +166,7 @@ def test_client_that_does_not_read_delays_nothing_and_memory_is_bounded(server, 
     good = connect()
     subscribe_and_wait(server, good, "/demo/said")
     with client_that_never_reads(server.address, good.channels["/demo/said"]["id"]):
-        good.until(server.new_subscriptions)
+        good.wait_until(server.new_subscriptions)
         payload = bytes(4000)
         before_mb, begin_s = resident_mb(), time.monotonic()
         for number in range(40):
@@ -175,7 +175,7 @@ def test_client_that_does_not_read_delays_nothing_and_memory_is_bounded(server, 
                 server.forward("/demo/said", payload, number)
             good.listen(0.01)
         assert time.monotonic() - begin_s < 10.0
-        good.until(lambda: good.received[-1].log_time_ns == 39)
+        good.wait_until(lambda: good.received[-1].log_time_ns == 39)
         good.received.clear()
         assert resident_mb() - before_mb < 100.0
         begin_s = time.monotonic()

@@ -313,7 +313,7 @@ def test_only_the_marked_source_is_highlighted(panels) -> None:
             "lights": ["frame"] if panels._lights.figure.outline_line_color == theme.text else [],
             "bands": [
                 band
-                for band, drawn in zip(budget._bands, budget._filled, strict=False)
+                for band, drawn in zip(budget._bands, budget._band_renderers, strict=False)
                 if drawn.glyph.fill_color == theme.text
             ],
             "states": [

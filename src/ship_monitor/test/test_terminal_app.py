@@ -15,7 +15,7 @@ from ship_testing.suite_states import SHIFTED_SENSOR_ALERT, state_with_mounting_
 class Suite:
     """A suite with one state, which records its calls."""
 
-    label, name, place = "LIVE", "demo", "namespace /demo, domain 7"
+    label, name, location = "LIVE", "demo", "namespace /demo, domain 7"
 
     def __init__(self):
         self.picture = state_with_mounting_shift()

@@ -195,21 +195,21 @@ def test_slow_client_receives_whole_sentences(open_sink):
 def test_port_in_use_is_an_opening_error(open_sink):
     port = free_port(socket.SOCK_STREAM)
     open_sink(kind="tcp_server", port=port, address="127.0.0.1")
-    refused = open_sink(kind="tcp_server", port=port, address="127.0.0.1").refusal
+    refused = open_sink(kind="tcp_server", port=port, address="127.0.0.1").opening_error
     assert str(refused).startswith(f"parameter 'sinks.bridge.port' = {port}: Address already in use: another")
     assert refused.parameters == ("sinks.bridge.port",)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("", 0))
         taken = other.getsockname()[1]
         sink = open_sink(kind="udp", address="127.0.0.1", port=port, listen_port=taken)
-        assert f"'sinks.bridge.listen_port' = {taken}: Address already in use" in str(sink.refusal)
+        assert f"'sinks.bridge.listen_port' = {taken}: Address already in use" in str(sink.opening_error)
         assert sink.status().level is Level.ERROR
     until(lambda: sink.status().level is Level.OK)
 
 
 def test_foreign_address_is_an_opening_error(open_sink):
     sink = open_sink(kind="tcp_server", port=free_port(), address="192.0.2.1")
-    assert "'sinks.bridge.address' = '192.0.2.1': Cannot assign" in str(sink.refusal)
+    assert "'sinks.bridge.address' = '192.0.2.1': Cannot assign" in str(sink.opening_error)
 
 
 def test_file_as_serial_device_is_an_opening_error(open_sink, tmp_path):
@@ -217,8 +217,8 @@ def test_file_as_serial_device_is_an_opening_error(open_sink, tmp_path):
     path.touch()
     for device in (str(path), "/dev/null"):
         sink = open_sink(kind="serial", device=device)
-        assert "'sinks.bridge.device'" in str(sink.refusal)
-        assert "not a serial device" in str(sink.refusal)
+        assert "'sinks.bridge.device'" in str(sink.opening_error)
+        assert "not a serial device" in str(sink.opening_error)
         assert "Inappropriate ioctl for device; retried" in sink.status().message
 
 
@@ -299,7 +299,7 @@ def test_old_sentences_of_a_blocked_serial_line_are_dropped(open_sink, line):
 def test_missing_serial_device_is_retried(open_sink, tmp_path):
     sink = open_sink(kind="serial", device=str(tmp_path / "ttyUSB7"))
     assert sink.status().level is Level.ERROR
-    assert sink.refusal is None
+    assert sink.opening_error is None
     assert f"{tmp_path}/ttyUSB7 at 38400 Bd: No such file or directory; retried" in sink.status().message
 
 
@@ -311,7 +311,7 @@ def test_serial_device_without_permission_is_an_opening_error(tmp_path):
         "import os\n"
         "from ship_nmea.out.sink import Sink, SinkConfig\n"
         "if os.getuid() == 0: os.setuid(65534)\n"
-        f"raise Sink('gyro', SinkConfig(kind='serial', device={name!r}), print).refusal\n"
+        f"raise Sink('gyro', SinkConfig(kind='serial', device={name!r}), print).opening_error\n"
     )
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
     os.close(far)
@@ -380,7 +380,7 @@ def test_duplicate_sentence_is_refused():
 
 
 def test_folder_as_file_is_refused(open_sink, tmp_path):
-    refused = open_sink(kind="file", path=str(tmp_path)).refusal
+    refused = open_sink(kind="file", path=str(tmp_path)).opening_error
     assert str(refused) == f"parameter 'sinks.bridge.path' = '{tmp_path}': Is a directory"
 
 

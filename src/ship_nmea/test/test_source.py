@@ -35,7 +35,7 @@ def pashr(moment):
 
 
 def published_topics(source, line, arrival_ns, now_ns=0, *sender):
-    return [topic for heard in parse_line(line) for topic, _ in source.take(heard, arrival_ns, now_ns, *sender)]
+    return [topic for heard in parse_line(line) for topic, _ in source.convert(heard, arrival_ns, now_ns, *sender)]
 
 
 def test_backward_jump_of_node_time_resets_the_instrument(source):
@@ -85,7 +85,7 @@ def test_attitude_has_the_time_of_the_zda_of_its_burst(source, zda_first):
         for place, line in enumerate(lines if zda_first else reversed(lines)):
             arrival_ns = datetime_ns(moment) + (place + 1) * NS_PER_S // 10
             for heard in parse_line(line):
-                stamps += [ns_from_stamp(message.header.stamp) for _, message in ins.take(heard, arrival_ns, 0)]
+                stamps += [ns_from_stamp(message.header.stamp) for _, message in ins.convert(heard, arrival_ns, 0)]
     assert stamps == [datetime_ns(START) + second * NS_PER_S for second in range(10)]
 
 
@@ -219,7 +219,7 @@ def test_odd_fields_never_raise(source):
             fields[rng.randrange(len(fields))] = rng.choice(ODD)
         line = sentence(",".join([name, *fields])).encode(errors="replace")
         for heard in parse_line(line):
-            for topic, message in sources[role].take(heard, datetime_ns(START) + number, 0):
+            for topic, message in sources[role].convert(heard, datetime_ns(START) + number, 0):
                 given += 1
                 if topic.endswith("imu"):
                     q = message.orientation

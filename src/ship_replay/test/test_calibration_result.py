@@ -39,7 +39,7 @@ def test_innovation_diagnosis() -> None:
 def test_nothing_measured_leaves_everything_open() -> None:
     combos = find_combinations(PRIOR_COVARIANCE)
     assert [combo.axis for combo in combos] == [*DECK_AXES, None, None, None]
-    assert {combo.observed for combo in combos} == {"no"}
+    assert {combo.observability for combo in combos} == {"no"}
     # Two sensors of 20": the turn of both is known to 20" / sqrt 2.
     assert [combo.sigma / ARCSEC for combo in combos[:3]] == pytest.approx([20.0 / np.sqrt(2.0)] * 3)
 
@@ -50,7 +50,7 @@ def test_at_constant_heading_the_turn_of_all_is_open_and_the_rest_is_not() -> No
     assert [combo.axis for combo in combos] == list(DECK_AXES)
     assert [combo.sigma_before / ARCSEC for combo in combos] == pytest.approx([8.165, 13.877, 8.165], abs=1e-3)
     assert [combo.ratio for combo in combos] == pytest.approx([1.0] * 3, abs=1e-3)
-    assert {combo.observed for combo in combos} == {"no"}
+    assert {combo.observability for combo in combos} == {"no"}
     # The same turn of the deck for both, 13.9": half of it about each sensor's forward, half about its up axis.
     assert combos[1].run_s / ARCSEC == pytest.approx(np.tile([9.81, 9.81, 0.0], (2, 1)), abs=0.02)
 
@@ -60,13 +60,13 @@ def test_one_observation_bounds_a_wide_prior() -> None:
     wide = 180.0 * PRIOR
     combos = find_combinations(against_ins(np.diag(wide.ravel() ** 2), sigma_arcsec=0.1), wide)
     assert [combo.sigma / ARCSEC for combo in combos] == pytest.approx([10.0, 72.0, 10.0], rel=1e-3)
-    assert {combo.observed for combo in combos} == {"no"}
+    assert {combo.observability for combo in combos} == {"no"}
 
 
 def test_an_independent_deck_is_observed() -> None:
     fore_on_deck = np.hstack([LAYOUT[0], np.zeros((3, 3))])
     known = update_covariance(against_ins(PRIOR_COVARIANCE, 0.1), fore_on_deck, (0.5 * ARCSEC) ** 2 * np.eye(3))
-    assert [(combo.axis, combo.observed) for combo in find_combinations(known)] == [(axis, "yes") for axis in DECK_AXES]
+    assert [(combo.axis, combo.observability) for combo in find_combinations(known)] == [(axis, "yes") for axis in DECK_AXES]
 
 
 def test_an_ins_without_errors_is_the_deck() -> None:
@@ -81,7 +81,7 @@ def test_a_boresight_that_was_not_observed_is_named() -> None:
     # 0.1" about five axes; the sixth, forward of the second sensor, not at all.
     measured = np.delete(np.eye(6), 3, axis=0)
     combos = find_combinations(update_covariance(PRIOR_COVARIANCE, measured, (0.1 * ARCSEC) ** 2 * np.eye(5)))
-    (open_one,) = [combo for combo in combos if combo.observed != "yes"]
+    (open_one,) = [combo for combo in combos if combo.observability != "yes"]
     assert open_one.axis is None
     assert np.unravel_index(np.argmax(np.abs(open_one.run_s)), (2, 3)) == (1, 0)
 
@@ -89,7 +89,7 @@ def test_a_boresight_that_was_not_observed_is_named() -> None:
 def test_a_single_sensor_has_no_relative_rotation() -> None:
     one = find_combinations(PRIOR_COVARIANCE[:3, :3], PRIOR[:1], LAYOUT[:1])
     assert [combo.axis for combo in one] == list(DECK_AXES)
-    assert {combo.observed for combo in one} == {"no"}
+    assert {combo.observability for combo in one} == {"no"}
 
 
 def test_shares_are_of_the_remaining_variance() -> None:

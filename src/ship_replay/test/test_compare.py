@@ -77,7 +77,7 @@ def told(pair):
 
 
 def sentences(pair):
-    return pair_summary(pair, error_rows(pair), parameter_differences(*pair.nights))
+    return pair_summary(pair, error_rows(pair), parameter_differences(*pair.recordings))
 
 
 class TestAnotherConfiguration:
@@ -101,11 +101,11 @@ class TestAnotherConfiguration:
         assert pair_page(read_pair(plain, noisier)) == told
 
     def test_the_parameter_and_its_line_are_named(self, pair):
-        found = parameter_differences(*pair.nights)
+        found = parameter_differences(*pair.recordings)
         assert [(one.node, one.name, one.a, one.b) for one in found] == [
             ("ship_attitude", "ins.white_sigma_arcsec", "1", "3")
         ]
-        texts = text_differences(*pair.nights)
+        texts = text_differences(*pair.recordings)
         assert texts["scenario.yaml"] == []
         changed = [line.split() for line in texts["suite.yaml"] if re.match(r"[+-] ", line)]
         assert changed == [["-", "white_sigma_arcsec:", "1.0"], ["+", "white_sigma_arcsec:", "3.0"]]
@@ -151,8 +151,8 @@ class TestAnotherConfiguration:
 
     def test_safe_share(self, pair):
         """95 % pitch of three times the noise, 1.96 · 3″, is over its limit of 3″ at all times."""
-        assert pair.b.night.seconds("pitch")[Safety.SAFE] == 0
-        assert pair.a.night.seconds("pitch")[Safety.SAFE] > 0
+        assert pair.b.recording.seconds("pitch")[Safety.SAFE] == 0
+        assert pair.a.recording.seconds("pitch")[Safety.SAFE] > 0
         assert any(re.match(r"A was SAFE longer in .*pitch", text) for text in sentences(pair))
 
     def test_the_voyage_is_the_same(self, pair):
@@ -260,13 +260,13 @@ def test_a_sensor_out_in_one_only(plain, given, folder):
 
 def with_outages(report_data, outages_s):
     """The same recording with outages of star.fore from and to so many seconds after its start; None: to the end."""
-    start_ns = report_data.night.start_utc_ns
+    start_ns = report_data.recording.start_utc_ns
     events = []
     for from_s, to_s in outages_s:
         events.append(Event(start_ns + from_s * SECOND_NS, "source", "star.fore", "star.fore OUT, no data"))
         if to_s is not None:
             events.append(Event(start_ns + to_s * SECOND_NS, "source", "star.fore", "star.fore IN"))
-    return replace(report_data, night=replace(report_data.night, events=events))
+    return replace(report_data, night=replace(report_data.recording, events=events))
 
 
 @pytest.mark.parametrize(("in_a", "in_b", "expected"), [
@@ -281,7 +281,7 @@ def with_outages(report_data, outages_s):
 def test_differing_outages_of_both_runs(pair, in_a, in_b, expected):
     """Differences of two seconds or less count as the same time; times by hand."""
     changed = replace(pair, a=with_outages(pair.a, in_a), b=with_outages(pair.b, in_b))
-    start_s = pair.a.night.start_utc_ns // SECOND_NS
+    start_s = pair.a.recording.start_utc_ns // SECOND_NS
     told = [text for text in sentences(changed) if re.search(r"out in|outages in", text)]
     since_start = re.compile(r"\b(\d\d):(\d\d):(\d\d)\b")
 
@@ -391,7 +391,7 @@ def test_events_match_by_text_and_time(pair):
         for side, rows in times_and_counts.items()
     }
     changed = replace(
-        pair, **{side: replace(told, night=replace(told.night, events=nights[side]))
+        pair, **{side: replace(told, night=replace(told.recording, events=nights[side]))
                  for side, told in (("a", pair.a), ("b", pair.b))}
     )
     rows, both = events_of_one(changed)

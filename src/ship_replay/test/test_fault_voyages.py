@@ -368,7 +368,7 @@ def report_indications(book, second, topic, received, reasons=(), level=0):
         header=Message(stamp=Message(sec=second, nanosec=0)), topic=topic, received=received, level=level,
         reasons=list(dict(reasons)), reason_counts=list(dict(reasons).values()),
     )  # fmt: skip
-    return [(sign.source, sign.reason) for sign in book.signs(report, second * NS_PER_S)]
+    return [(sign.source, sign.reason) for sign in book.new_indications(report, second * NS_PER_S)]
 
 
 def test_reports_on_inputs_name_what_is_new_in_them_for_each_node():

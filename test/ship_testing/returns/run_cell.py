@@ -149,7 +149,7 @@ class SteppedTruth:
         self._truth = truth
         self.offset_ns = 0
 
-    def exactly_at(self, stamp_ns: int) -> Any:
+    def rotation_at_stamp(self, stamp_ns: int) -> Any:
         """Return the true attitude at a stamp; None if there is none."""
         return self._truth.rotation_at_stamp(stamp_ns - self.offset_ns)
 

@@ -72,7 +72,7 @@ def page(report_data: ReportData) -> str:
         errors=[(series, series.statistics()) for series in evaluation.errors],
         consistency=consistency(evaluation),
         status=drawn["status"],
-        draw_errors=drawn["errors"],
+        drawn_errors=drawn["errors"],
         budgets=[(topic, drawn[topic]) for topic in sorted(recording.budgets)],
         alignment=[
             (topic, alignment_changes(recording.first_estimates[topic], recording.last_estimates[topic]))

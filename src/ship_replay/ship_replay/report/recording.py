@@ -164,13 +164,13 @@ def read_recording(path: Path, limits: Limits | None = None, namespace: str = ""
 class _ReportHistoryKeeper(HistoryRecorder):
     """History of states, budgets and parameters only: errors and innovations come from the evaluation."""
 
-    def note_error(self, topic: str, message: Any) -> None:
+    def record_error(self, topic: str, message: Any) -> None:
         """Ignore an error message."""
 
-    def note_innovation(self, source: str, message: Any, now_ns: int) -> None:
+    def record_innovation(self, source: str, message: Any, now_ns: int) -> None:
         """Ignore an innovation."""
 
-    def note_seen(self, topic: str, message: Any, now_ns: int) -> None:
+    def record_input(self, topic: str, message: Any, now_ns: int) -> None:
         """Ignore a star or light that was seen."""
 
 

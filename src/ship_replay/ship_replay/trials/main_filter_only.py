@@ -27,7 +27,7 @@ class ShipFilterWithoutSubfilters(ShipFilter):
         super().__init__(config)
         self.fault_detector.subfilters.count, self.fault_detector.subfilters.ins_subfilters = 1, ()
 
-    def _judged(
+    def _evaluate(
         self, state: FilterState, predicted: FilterState, measurement: Measurement, found: LinearisedMeasurement
     ) -> tuple[FilterState, AttitudeDecision]:
         linear = found.compared.linear
