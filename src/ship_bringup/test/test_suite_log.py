@@ -95,12 +95,12 @@ def test_file_is_in_the_log_folder_of_ros(monkeypatch, tmp_path):
 SUPERVISOR = """
 import sys
 from pathlib import Path
-from ship_bringup.suite.supervisor import Keeper
+from ship_bringup.suite.supervisor import Supervisor
 from ship_bringup.suite.program import Program
 from ship_bringup.suite.suite_log import SuiteLog
 text = "import os, time\\nopen({pid!r}, 'w').write(str(os.getpid()))\\n"
 text += "while True: print('x', flush=True); time.sleep(.1)"
-raise SystemExit(Keeper([Program("p", (sys.executable, "-c", text))], SuiteLog(Path({log!r})).write).run())
+raise SystemExit(Supervisor([Program("p", (sys.executable, "-c", text))], SuiteLog(Path({log!r})).write).run())
 """
 
 

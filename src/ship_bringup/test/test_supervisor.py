@@ -81,8 +81,8 @@ def test_ended_program_is_started_again(code):
 
 SUCCESSOR = """
 import os, signal, sys, time
-from ship_node.live.start import WAITS
-waited = bool(os.environ.pop(WAITS, ""))
+from ship_node.live.start import WAIT_VARIABLE
+waited = bool(os.environ.pop(WAIT_VARIABLE, ""))
 if waited:
     open({mark!r}, "w").close()
 def wait_for_reserve():
@@ -115,7 +115,7 @@ def test_reserve_process_replaces_the_dead_one(monkeypatch, tmp_path):
 @pytest.mark.slow
 def test_program_without_live_reserve_is_started(monkeypatch, tmp_path):
     monkeypatch.setattr("ship_bringup.suite.supervisor._RESERVE_DELAY_S", 0.2)
-    dies = SUCCESSOR.replace("waited = bool", "if WAITS in os.environ: raise SystemExit(3)\nwaited = bool")
+    dies = SUCCESSOR.replace("waited = bool", "if WAIT_VARIABLE in os.environ: raise SystemExit(3)\nwaited = bool")
     text = dies.format(mark=str(tmp_path / "reserve"), then="time.sleep(2.0)\nraise SystemExit(1)")
     node = Program("node", (sys.executable, "-c", text), has_reserve=True)
     code, lines = run_suite(node, until="node ended", count=2)
@@ -272,8 +272,8 @@ def test_stopped_reserve_process_is_not_used(monkeypatch):
     """A user who stops a node by its name also stops its reserve process."""
     monkeypatch.setattr("ship_bringup.suite.supervisor._RESERVE_DELAY_S", 0.2)
     text = BEATS + (
-        "from ship_node.live.start import WAITS\n"
-        "waited = bool(os.environ.pop(WAITS, ''))\n"
+        "from ship_node.live.start import WAIT_VARIABLE\n"
+        "waited = bool(os.environ.pop(WAIT_VARIABLE, ''))\n"
         "print('reserve' if waited else 'starts', flush=True)\n"
         "if waited:\n    beat_for(0.3)\n    os.kill(os.getpid(), signal.SIGSTOP)\n"
         "beat_for(4.0)\nos.kill(os.getpid(), signal.SIGSTOP)"
@@ -287,8 +287,8 @@ def test_reserve_process_stopped_before_its_first_heartbeat_is_not_used(monkeypa
     monkeypatch.setattr("ship_bringup.suite.supervisor._RESERVE_DELAY_S", 0.2)
     mark = str(tmp_path / "reserve")
     text = BEATS + (
-        "from ship_node.live.start import WAITS\n"
-        f"waited, mark = bool(os.environ.pop(WAITS, '')), {mark!r}\n"
+        "from ship_node.live.start import WAIT_VARIABLE\n"
+        f"waited, mark = bool(os.environ.pop(WAIT_VARIABLE, '')), {mark!r}\n"
         "if waited:\n    open(mark, 'w').close()\n    os.kill(os.getpid(), signal.SIGSTOP)\n"
         "print('starts', flush=True)\n"
         "while not os.path.exists(mark):\n    beat_for(0.1)\n"
@@ -406,9 +406,9 @@ def start_supervisor(*texts, limits=""):
     """Return a supervisor as a process of its own, whose programs print their process ids."""
     programs = ", ".join(f"Program('p{i}', (sys.executable, '-c', {text!r}))" for i, text in enumerate(texts))
     code = (
-        "import sys\nfrom pathlib import Path\nfrom ship_bringup.suite.supervisor import Keeper, Program\n"
+        "import sys\nfrom pathlib import Path\nfrom ship_bringup.suite.supervisor import Program, Supervisor\n"
         "from ship_bringup.suite.suite_log import SuiteLog\n"
-        f"raise SystemExit(Keeper(({programs},), SuiteLog(Path('/dev/null')).write, {limits}).run())"
+        f"raise SystemExit(Supervisor(({programs},), SuiteLog(Path('/dev/null')).write, {limits}).run())"
     )
     return subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
 
