@@ -23,7 +23,7 @@ class StateSource:
 
     label = "SIMULATED · bag"
     name = "demo"
-    place = "namespace /demo, domain 0"
+    location = "namespace /demo, domain 0"
 
     def __init__(self) -> None:
         self.state = suite_states.suite_state()

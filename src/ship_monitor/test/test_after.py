@@ -147,8 +147,8 @@ class TestBagPlayback:
         assert [(a.name, a.value, a.safety, a.reason) for a in first.angles] == [
             (a.name, a.value, a.safety, a.reason) for a in later.angles
         ]
-        assert [(s.name, s.presence, s.verdict) for s in first.sources] == [
-            (s.name, s.presence, s.verdict) for s in later.sources
+        assert [(s.name, s.presence, s.nis_consistency) for s in first.sources] == [
+            (s.name, s.presence, s.nis_consistency) for s in later.sources
         ]
         assert first.alerts is not None
         assert first.alerts == later.alerts
@@ -217,7 +217,7 @@ class TestBagPlayback:
         now = [0.0]
         slide(pictures, 100.0)
         whole(pictures)
-        pictures._last_look_s = 0.0
+        pictures._last_update_s = 0.0
         monkeypatch.setattr(bag_playback.time, "monotonic", lambda: now[0])
         pictures._controls._play.active = True
         now[0] = 0.5

@@ -50,7 +50,7 @@ def subscribe_and_wait(server, client, *topics):
 
 def test_server_info_has_the_name_and_no_capabilities(server, connect):
     client = connect()
-    told = client.wait_until(lambda: client.told and client.told[0])
+    told = client.wait_until(lambda: client.server_messages and client.server_messages[0])
     assert (told["op"], told["name"], told["capabilities"]) == ("serverInfo", "demo", [])
 
 
@@ -86,7 +86,7 @@ def test_subscribed_topics_follow_the_clients(server, connect):
     second.close()
     first.wait_until(lambda: not server.subscribed_topics())
     server.forward("/demo/said", MESSAGE, 2)
-    first.listen(0.2)
+    first.receive(0.2)
     assert not first.received
 
 
@@ -113,7 +113,7 @@ def test_topic_with_another_type_is_another_channel(server, connect):
     client.wait_until(lambda: client.channels.get("/demo/said", {}).get("schemaName") == "std_msgs/msg/Int32")
     assert client.channels["/demo/said"]["id"] != former
     assert not server.subscribed_topics()
-    assert sum(each["op"] == "advertise" for each in client.told) == 2
+    assert sum(each["op"] == "advertise" for each in client.server_messages) == 2
 
 
 ONLY = "this server is read-only: "
@@ -140,7 +140,7 @@ ONLY = "this server is read-only: "
 def test_server_is_read_only(server, connect, request_, refusal):
     client = connect()
     client.send_request(request_)
-    client.wait_until(lambda: any(each.get("message") == refusal for each in client.told))
+    client.wait_until(lambda: any(each.get("message") == refusal for each in client.server_messages))
 
 
 def test_invalid_requests_harm_neither_the_server_nor_others(server, connect):
@@ -151,7 +151,7 @@ def test_invalid_requests_harm_neither_the_server_nor_others(server, connect):
     bad.send_request({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 999}]})
     with socket.create_connection(("127.0.0.1", int(server.address.rpartition(":")[2]))) as stranger:
         stranger.sendall(b"GET / HTTP/1.0\r\n\r\n")
-    bad.listen(0.2)
+    bad.receive(0.2)
     server.forward("/demo/said", MESSAGE, 1)
     good.wait_until(lambda: good.received)
 
@@ -173,7 +173,7 @@ def test_client_that_does_not_read_delays_nothing_and_memory_is_bounded(server, 
             # 160 MB for a client that reads nothing; at most 1024 messages of them, 4 MB, wait.
             for _ in range(1000):
                 server.forward("/demo/said", payload, number)
-            good.listen(0.01)
+            good.receive(0.01)
         assert time.monotonic() - begin_s < 10.0
         good.wait_until(lambda: good.received[-1].log_time_ns == 39)
         good.received.clear()

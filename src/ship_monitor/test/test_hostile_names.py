@@ -94,7 +94,7 @@ def test_names_are_never_executed_in_the_page(browser, kind, caplog):
     name = NAMES[kind]
     source = StateSource()
     source.set(*hostile(name))
-    source.label = source.name = source.place = name
+    source.label = source.name = source.location = name
     with run_page_server(source) as server:
         page = server.address
         browser.open(page, 1280, 4000)

@@ -170,7 +170,7 @@ def test_few_messages_are_sent_to_a_browser_per_second(panels) -> None:
     document = Document()
     document.add_root(panels.layout)
     panels.update(history, PICTURE)
-    panels.seen = {"innovations", "error", "budget"}
+    panels.visible_panels = {"innovations", "error", "budget"}
     sent = []
     document.on_change(sent.append)
     for second in range(1, 11):
@@ -366,7 +366,7 @@ def test_only_the_error_of_the_chosen_angle_is_highlighted(panels) -> None:
 def test_invisible_panel_is_not_drawn_and_catches_up(panels) -> None:
     history = simulated_history()
     panels.update(history, PICTURE)
-    panels.seen = {"inputs"}
+    panels.visible_panels = {"inputs"}
     before = {id(model): model.data for model in panels.layout.select({"type": ColumnDataSource})}
     for points in (*history.innovations.values(), *history.errors.values(), *history.budgets.values()):
         points += [replace(points[-1], utc_ns=points[-1].utc_ns + second * 10**9) for second in (1, 2, 3)]
@@ -375,7 +375,7 @@ def test_invisible_panel_is_not_drawn_and_catches_up(panels) -> None:
     assert all(model.data is before[id(model)] for model in sources)
     row = panels._errors.plots.rows["ship/error_arcsec", "roll"]
     rows = len(row._trail.source.data["t"])
-    panels.seen = {"error"}
+    panels.visible_panels = {"error"}
     panels.update(history, replace(PICTURE, utc_ns=NOW_NS + 3 * 10**9))
     assert len(row._trail.source.data["t"]) == rows + 3
 

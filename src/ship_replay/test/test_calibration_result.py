@@ -52,7 +52,7 @@ def test_at_constant_heading_the_turn_of_all_is_open_and_the_rest_is_not() -> No
     assert [combo.ratio for combo in combos] == pytest.approx([1.0] * 3, abs=1e-3)
     assert {combo.observability for combo in combos} == {"no"}
     # The same turn of the deck for both, 13.9": half of it about each sensor's forward, half about its up axis.
-    assert combos[1].run_s / ARCSEC == pytest.approx(np.tile([9.81, 9.81, 0.0], (2, 1)), abs=0.02)
+    assert combos[1].rotation_s / ARCSEC == pytest.approx(np.tile([9.81, 9.81, 0.0], (2, 1)), abs=0.02)
 
 
 def test_one_observation_bounds_a_wide_prior() -> None:
@@ -83,7 +83,7 @@ def test_a_boresight_that_was_not_observed_is_named() -> None:
     combos = find_combinations(update_covariance(PRIOR_COVARIANCE, measured, (0.1 * ARCSEC) ** 2 * np.eye(5)))
     (open_one,) = [combo for combo in combos if combo.observability != "yes"]
     assert open_one.axis is None
-    assert np.unravel_index(np.argmax(np.abs(open_one.run_s)), (2, 3)) == (1, 0)
+    assert np.unravel_index(np.argmax(np.abs(open_one.rotation_s)), (2, 3)) == (1, 0)
 
 
 def test_a_single_sensor_has_no_relative_rotation() -> None:

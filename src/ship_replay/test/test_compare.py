@@ -266,7 +266,7 @@ def with_outages(report_data, outages_s):
         events.append(Event(start_ns + from_s * SECOND_NS, "source", "star.fore", "star.fore OUT, no data"))
         if to_s is not None:
             events.append(Event(start_ns + to_s * SECOND_NS, "source", "star.fore", "star.fore IN"))
-    return replace(report_data, night=replace(report_data.recording, events=events))
+    return replace(report_data, recording=replace(report_data.recording, events=events))
 
 
 @pytest.mark.parametrize(("in_a", "in_b", "expected"), [
@@ -391,7 +391,7 @@ def test_events_match_by_text_and_time(pair):
         for side, rows in times_and_counts.items()
     }
     changed = replace(
-        pair, **{side: replace(told, night=replace(told.recording, events=nights[side]))
+        pair, **{side: replace(told, recording=replace(told.recording, events=nights[side]))
                  for side, told in (("a", pair.a), ("b", pair.b))}
     )
     rows, both = events_of_one(changed)
