@@ -26,7 +26,7 @@ NODE = "/demo/ship_attitude"
 
 def rights_in(namespace, is_locked=False):
     nodes, _ = check_nodes(ROOT / "examples" / "two_sensors.yaml", namespace)
-    return suite_rights([node.adapter for node in nodes], namespace, locked)
+    return suite_rights([node.adapter for node in nodes], namespace, is_locked)
 
 
 RIGHTS = rights_in("demo")

@@ -166,8 +166,8 @@ def test_fingerprint_depends_on_all_declarations():
     declared = [each.replace("sensor_msgs/msg/Imu", "sensor_msgs/msg/Imu2") for each in one.declarations]
     others = (
         {"publishes": one.publishes - {"/rosout"}},
-        {"declared": tuple(declared)},
-        {"declared": one.declarations[:-1]},
+        {"declarations": tuple(declared)},
+        {"declarations": one.declarations[:-1]},
         {"serves": one.serves | {"/demo/ship_attitude/more"}},
     )
     found = {one.fingerprint, *(type(one)(**{**vars(one), **change}).fingerprint for change in others)}
