@@ -151,8 +151,8 @@ def test_a_thousand_messages_at_ten_times_100_hz_arrive_unchanged(live, tmp_path
         assert [data for _, data in got[topic]] == [data for _, data in sent[topic]], topic
     # Log time is the bag's time, not the wall's.
     assert all(START_NS - 10**9 < time_ns < START_NS + 20 * 10**9 for time_ns, _ in got["ins/imu"])
-    assert "/ins/imu: 1000 messages\n" in recorder.log()
-    assert "1100 messages in" in recorder.log()
+    assert "/ins/imu: 1000 messages\n" in recorder.log_text()
+    assert "1100 messages in" in recorder.log_text()
 
 
 def test_a_recording_carries_what_rosbag2_reads(live, tmp_path):

@@ -197,7 +197,7 @@ def test_diagnostics_are_received_and_published(ship, start, until, tmp_path):
     until(is_lost, 10.0)
     lost = ship.told[name]
     assert lost.message.startswith("lost, ")
-    assert "39.2″ of 6″" in lost.message
+    assert "39.2″ (95 %), limit 6″" in lost.message
     assert ship.told["alerts: callbacks"].level == DiagnosticStatus.OK
 
 

@@ -82,8 +82,8 @@ def subscribe(client, topic):
 def receive(client, ship, topic, message):
     """Subscribe to a topic of the ship, and publish a message until it arrives: later ones then arrive too."""
     subscribe(client, topic)
-    ship.say(topic, message)
-    client.wait_until(lambda: client.received or ship.say(topic, message))
+    ship.publish(topic, message)
+    client.wait_until(lambda: client.received or ship.publish(topic, message))
 
 
 def decoded(client, received):
@@ -103,13 +103,13 @@ def hundred_attitudes():
 @pytest.mark.usefixtures("watch")
 def test_messages_arrive_unchanged_with_definition_and_arrival_time(sail, connect):
     ship, client = sail(), connect()
-    ship.say("ship/attitude", attitude(START_NS))
+    ship.publish("ship/attitude", attitude(START_NS))
     receive(client, ship, "ship/attitude", attitude(START_NS))
     messages = list(hundred_attitudes())
     # Published as bytes: the padding of two serializations of one message differs.
     published, begin_ns = [serialize_message(message) for message in messages], time.time_ns()
     for data in published:
-        ship.say("ship/attitude", data)
+        ship.publish("ship/attitude", data)
         time.sleep(0.01)
     client.wait_until(lambda: client.received[-1].data == published[-1])
     received = client.received[-100:]
@@ -131,9 +131,9 @@ def test_messages_arrive_unchanged_with_definition_and_arrival_time(sail, connec
 @pytest.mark.usefixtures("watch")
 def test_all_topics_of_the_namespace_are_offered(sail, connect, server):
     ship, other, client = sail(), sail("voyage"), connect()
-    ship.say("ship/attitude", attitude(START_NS))
-    ship.say("ins/imu", Imu(), BEST_EFFORT)
-    ship.say("ship/error_budget", ErrorBudget())
+    ship.publish("ship/attitude", attitude(START_NS))
+    ship.publish("ins/imu", Imu(), BEST_EFFORT)
+    ship.publish("ship/error_budget", ErrorBudget())
     other.say("ship/attitude", attitude(START_NS))
     expected = {"/demo/ship/attitude", "/demo/ins/imu", "/demo/ship/error_budget"}
     client.wait_until(lambda: expected <= set(client.channels))
@@ -154,7 +154,7 @@ def test_late_clients_get_the_last_message_of_a_latched_topic(sail, connect):
     ship = sail()
     alerts = AlertArray()
     alerts.header.stamp.sec = 7
-    ship.say("ship/alerts", alerts, LATCHED)
+    ship.publish("ship/alerts", alerts, LATCHED)
     for client in (connect(), connect()):
         subscribe(client, "ship/alerts")
         client.wait_until(lambda client=client: client.received)
@@ -168,12 +168,12 @@ def test_subscription_survives_a_restart_of_the_estimator(sail, connect):
         ship = sail()
         message = attitude(START_NS)
         message.heading = heading
-        ship.say("ship/attitude", message)
+        ship.publish("ship/attitude", message)
         if heading == 0.25:
             subscribe(client, "ship/attitude")
 
         def came(ship=ship, message=message):
-            ship.say("ship/attitude", message)
+            ship.publish("ship/attitude", message)
             return any(decoded(client, each).heading == message.heading for each in client.received)
 
         client.wait_until(came)
@@ -186,12 +186,12 @@ def test_topic_with_another_type_is_offered_again(sail, connect, watch, is_await
     ship, client = sail(), connect()
     if is_awaited:  # Both types are there all the time: somebody listens with the one, the client with the other.
         sail().node.create_subscription(Float64, "told", lambda _: None, 10)
-    ship.say("told", String(data="a"))
+    ship.publish("told", String(data="a"))
     receive(client, ship, "told", String(data="a"))
     client.wait_until(lambda: len(watch._relay._known_types["/demo/told"]) == 1 + is_awaited)
     ship.stop()
     ship = sail()
-    ship.say("told", Float64(data=1.0))
+    ship.publish("told", Float64(data=1.0))
     client.wait_until(lambda: client.channels.get("/demo/told", {}).get("schemaName") == "std_msgs/msg/Float64")
     client.received.clear()
     receive(client, ship, "told", Float64(data=2.0))
@@ -200,7 +200,7 @@ def test_topic_with_another_type_is_offered_again(sail, connect, watch, is_await
 
 def test_clients_receive_messages_after_a_sleep(sail, connect, watch, monkeypatch):
     ship, client = sail(), connect()
-    ship.say("ship/attitude", attitude(START_NS))
+    ship.publish("ship/attitude", attitude(START_NS))
     receive(client, ship, "ship/attitude", attitude(START_NS))
     former = watch._reader.node
     asleep_ns = reader_module._sleep_time_ns() + 3600 * NS_PER_S
@@ -209,7 +209,7 @@ def test_clients_receive_messages_after_a_sleep(sail, connect, watch, monkeypatc
     client.received.clear()
 
     def came():
-        ship.say("ship/attitude", attitude(START_NS + NS_PER_S))
+        ship.publish("ship/attitude", attitude(START_NS + NS_PER_S))
         return client.received
 
     client.wait_until(came)
@@ -217,12 +217,12 @@ def test_clients_receive_messages_after_a_sleep(sail, connect, watch, monkeypatc
 
 def test_page_does_not_depend_on_a_client(sail, connect, watch):
     ship, client = sail(), connect()
-    ship.say("ship/attitude", attitude(START_NS))
+    ship.publish("ship/attitude", attitude(START_NS))
     receive(client, ship, "ship/attitude", attitude(START_NS))
     times = iter(range(START_NS, START_NS + 1000 * NS_PER_S, NS_PER_S // 50))
 
     def heading():
-        ship.say("ship/attitude", attitude(next(times)))
+        ship.publish("ship/attitude", attitude(next(times)))
         watch.tick()
         shown = next(each for each in watch.look().angles if each.name == "heading")
         return not shown.is_old and shown.value == 1.0
@@ -247,7 +247,7 @@ def test_executable_serves_page_and_foxglove_and_ends_with_ctrl_c(sail, opened, 
     process, address = monitor
     ship, client = sail(), FoxgloveClient(address)
     opened.callback(client.close)
-    ship.say("ship/attitude", attitude(START_NS))
+    ship.publish("ship/attitude", attitude(START_NS))
     receive(client, ship, "ship/attitude", attitude(START_NS))
     assert client.server_messages[0]["name"] == "demo"
     assert process.end(signal.SIGINT) == 0
@@ -260,7 +260,7 @@ def test_executable_ends_with_a_client_that_does_not_read(sail, opened, monitor)
     ship, client = sail(), FoxgloveClient(address)
     opened.callback(client.close)
     message = String(data="x" * 60_000)
-    ship.say("told", message)
+    ship.publish("told", message)
     receive(client, ship, "told", message)
     deaf = opened.enter_context(client_that_never_reads(address, client.channels["/demo/told"]["id"]))
     # More than the buffers of a connection: unread messages then wait in the server.
@@ -268,7 +268,7 @@ def test_executable_ends_with_a_client_that_does_not_read(sail, opened, monitor)
 
     def has_come():
         for _ in range(5):
-            ship.say("told", message)
+            ship.publish("told", message)
         return len(client.received) >= 200
 
     client.wait_until(has_come)

@@ -39,7 +39,7 @@ def ship():
 
 def heading(watch):
     watch.tick()
-    return next(each for each in watch.look().angles if each.name == "heading")
+    return next(each for each in watch.current_state().angles if each.name == "heading")
 
 
 def sail(ship, watch, until, time_ns=START_NS):
@@ -47,7 +47,7 @@ def sail(ship, watch, until, time_ns=START_NS):
     times = iter(range(time_ns, time_ns + 1000 * NS_PER_S, NS_PER_S // 50))
 
     def look():
-        ship.say("ship/attitude", attitude(next(times)))
+        ship.publish("ship/attitude", attitude(next(times)))
         return (shown := heading(watch)) and not shown.is_old and shown
 
     return until(look)
@@ -55,7 +55,7 @@ def sail(ship, watch, until, time_ns=START_NS):
 
 def test_location_is_shown_while_waiting(watch):
     watch.tick()
-    assert watch.look().waiting_for == "ship/attitude"
+    assert watch.current_state().waiting_for == "ship/attitude"
     assert watch.place.startswith("namespace /demo, domain ")
     assert (watch.name, watch.label) == ("demo", "LIVE")
 
@@ -64,7 +64,7 @@ def test_location_is_shown_while_waiting(watch):
 def test_suite_started_later_is_shown(watch, ship, until):
     heading(watch)
     assert sail(ship, watch, until).value == 1.0
-    assert watch.look().waiting_for == ""
+    assert watch.current_state().waiting_for == ""
 
 
 @pytest.mark.smoke
@@ -78,9 +78,9 @@ def test_ended_suite_gets_old_and_recovers(watch, until):
 
 def test_step_back_in_time_resets_the_state(watch, ship, until):
     sail(ship, watch, until)
-    ship.say("ship/attitude", attitude(START_NS - 3600 * NS_PER_S))
+    ship.publish("ship/attitude", attitude(START_NS - 3600 * NS_PER_S))
     until(lambda: heading(watch).stamp_ns < START_NS)
-    assert all(event.utc_ns < START_NS for event in watch.look().events)
+    assert all(event.utc_ns < START_NS for event in watch.current_state().events)
 
 
 def test_busy_display_causes_no_timeout(watch, ship, until):
@@ -88,17 +88,17 @@ def test_busy_display_causes_no_timeout(watch, ship, until):
     stamp_ns = heading(watch).stamp_ns
     # Two seconds without an update of the display while the ship publishes; an attitude is old after one.
     for number in range(1, 101):
-        ship.say("ship/attitude", attitude(stamp_ns + number * NS_PER_S // 50))
+        ship.publish("ship/attitude", attitude(stamp_ns + number * NS_PER_S // 50))
         time.sleep(0.02)
     watch.tick()
-    watch.look()
-    assert not [event for event in watch.look().events if "no data" in event.text]
+    watch.current_state()
+    assert not [event for event in watch.current_state().events if "no data" in event.text]
 
 
 def test_played_bag_with_truth_is_simulated(watch, ship, until):
     sail(ship, watch, until)
     assert watch.label == "LIVE"
-    ship.say("truth/attitude", attitude(START_NS))
+    ship.publish("truth/attitude", attitude(START_NS))
     until(lambda: heading(watch) and watch.label == "SIMULATED")
     ship.stop()
     until(lambda: heading(watch).is_old)
@@ -112,9 +112,9 @@ def test_alerts_of_an_ended_node_are_cleared(watch, until):
         ship = SuitePublisher()
         alert = Alert(id="ins.out", priority=Alert.ALARM, instance=1, state=Alert.ACTIVE_UNACKNOWLEDGED)
         ship.publish("ship/alerts", AlertArray(alerts=[alert]), latched)
-        until(lambda: heading(watch) and [alert.id for alert in watch.look().alerts or ()] == ["ins.out"])
+        until(lambda: heading(watch) and [alert.id for alert in watch.current_state().alerts or ()] == ["ins.out"])
         ship.stop()
-        until(lambda: heading(watch) and watch.look().alerts is None)
+        until(lambda: heading(watch) and watch.current_state().alerts is None)
 
 
 @pytest.mark.parametrize(
@@ -143,7 +143,7 @@ def test_page_terminal_and_alerts_show_one_state(ship, until):
     times = iter(range(START_NS, START_NS + 1000 * NS_PER_S, NS_PER_S // 50))
 
     def words():
-        ship.say("ship/attitude", attitude(next(times)))
+        ship.publish("ship/attitude", attitude(next(times)))
         shown = [viewer.current_state().angles for viewer in viewers]
         return [[(angle.limit, angle.safety, angle.reason) for angle in angles[:3]] for angles in shown]
 
@@ -171,8 +171,8 @@ def test_invalid_state_is_dropped_and_later_messages_are_processed(watch, ship, 
     times = iter(range(START_NS, START_NS + 1000 * NS_PER_S, NS_PER_S // 50))
 
     def look():
-        ship.say("ship/suite_state", wrong)
-        ship.say("ship/attitude", attitude(next(times)))
+        ship.publish("ship/suite_state", wrong)
+        ship.publish("ship/attitude", attitude(next(times)))
         shown = heading(watch)
         return "presence 9" in caplog.text and not shown.is_old and shown
 

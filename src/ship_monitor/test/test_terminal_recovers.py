@@ -48,7 +48,7 @@ class Bridge:
         while not condition():
             assert time.monotonic() < deadline_s, "\n".join(self.rows())
             for time_ns in itertools.islice(self._times, 3):
-                self.ship.say("ship/attitude", attitude(time_ns))
+                self.ship.publish("ship/attitude", attitude(time_ns))
             await self.pilot.pause(0.06)
 
     def is_current(self):

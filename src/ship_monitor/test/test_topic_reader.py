@@ -53,22 +53,22 @@ def publish_until_taken(ship, reader, until, message):
     """Publish an attitude until the reader fetches it: messages before the discovery of both sides are lost."""
 
     def look():
-        ship.say("ship/attitude", message)
+        ship.publish("ship/attitude", message)
         return any(each.message == message for each in reader.take().messages)
 
     assert until(look)
 
 
 def test_newest_message_of_streams_and_every_message_of_other_topics(ship, reader, until):
-    ship.say("ins/imu", Imu())
-    ship.say("ship/innovation", Innovation())
+    ship.publish("ins/imu", Imu())
+    ship.publish("ship/innovation", Innovation())
     ship.heard(until, reader.take, "ins/imu", "ship/innovation")
     reader.take()
     for number in range(50):
         imu = Imu()
         imu.header.stamp.sec = number + 1
-        ship.say("ins/imu", imu)
-        ship.say("ship/innovation", Innovation(nis=float(number)), 100)
+        ship.publish("ins/imu", imu)
+        ship.publish("ship/innovation", Innovation(nis=float(number)), 100)
     innovations, imus = [], []
 
     def all_came():
@@ -82,11 +82,11 @@ def test_newest_message_of_streams_and_every_message_of_other_topics(ship, reade
 
 
 def test_arrivals_are_ordered_and_between_two_fetches(ship, reader, until):
-    ship.say("ship/innovation", Innovation())
+    ship.publish("ship/innovation", Innovation())
     ship.heard(until, reader.take, "ship/innovation")
     before_ns = steady_ns()
     for number in range(5):
-        ship.say("ship/innovation", Innovation(nis=float(number)))
+        ship.publish("ship/innovation", Innovation(nis=float(number)))
     arrived = fetch_until(reader, until, "ship/innovation", 5)
     times = [each.arrival_ns for each in arrived]
     assert times == sorted(times)
@@ -94,7 +94,7 @@ def test_arrivals_are_ordered_and_between_two_fetches(ship, reader, until):
 
 
 def test_late_reader_gets_the_last_message_of_a_latched_topic(ship, reader, until):
-    ship.say("ship/alerts", AlertArray(), LATCHED)
+    ship.publish("ship/alerts", AlertArray(), LATCHED)
     assert fetch_until(reader, until, "ship/alerts")
 
 
@@ -106,31 +106,31 @@ def test_restarted_publisher_is_received(reader, until):
 
 
 def test_topic_that_becomes_latched_is_subscribed_again(ship, reader, until):
-    ship.say("ship/alerts", AlertArray())
+    ship.publish("ship/alerts", AlertArray())
     ship.heard(until, reader.take, "ship/alerts")
     ship.node.destroy_publisher(ship.publishers.pop("ship/alerts"))
-    ship.say("ship/alerts", AlertArray(), LATCHED)
+    ship.publish("ship/alerts", AlertArray(), LATCHED)
     assert fetch_until(reader, until, "ship/alerts")
 
 
 @pytest.mark.parametrize(("shift_s", "is_anew"), [(-60, True), (60, False), (-2, False)])
 def test_outputs_that_step_back_are_another_voyage(ship, reader, until, shift_s, is_anew):
-    ship.say("ship/attitude", attitude(1000 * NS_PER_S))
+    ship.publish("ship/attitude", attitude(1000 * NS_PER_S))
     ship.heard(until, reader.take, "ship/attitude")
-    ship.say("ship/attitude", attitude(1000 * NS_PER_S))
+    ship.publish("ship/attitude", attitude(1000 * NS_PER_S))
     fetch_until(reader, until, "ship/attitude")
-    ship.say("ship/attitude", attitude((1000 + shift_s) * NS_PER_S))
+    ship.publish("ship/attitude", attitude((1000 + shift_s) * NS_PER_S))
     taken = until(lambda: (taken := reader.take()).messages and taken)
     assert taken.is_anew is is_anew
     assert taken.messages[-1].message.header.stamp.sec == 1000 + shift_s
 
 
 def test_invalid_attitude_is_no_step_back(ship, reader, until):
-    ship.say("ship/attitude", attitude(1000 * NS_PER_S))
+    ship.publish("ship/attitude", attitude(1000 * NS_PER_S))
     ship.heard(until, reader.take, "ship/attitude")
-    ship.say("ship/attitude", attitude(1000 * NS_PER_S))
+    ship.publish("ship/attitude", attitude(1000 * NS_PER_S))
     fetch_until(reader, until, "ship/attitude")
-    ship.say("ship/attitude", attitude(10 * NS_PER_S, ShipAttitude.INVALID))
+    ship.publish("ship/attitude", attitude(10 * NS_PER_S, ShipAttitude.INVALID))
     taken = until(lambda: (taken := reader.take()).messages and taken)
     assert not taken.is_anew
 
@@ -138,17 +138,17 @@ def test_invalid_attitude_is_no_step_back(ship, reader, until):
 def test_clock_step_back_drops_earlier_messages(ship, reader, until):
     clock = Clock()
     clock.clock.sec = 100
-    ship.say("/clock", clock)
-    ship.say("ship/innovation", Innovation())
+    ship.publish("/clock", clock)
+    ship.publish("ship/innovation", Innovation())
     ship.heard(until, reader.take, "/clock", "ship/innovation")
-    ship.say("/clock", clock)
+    ship.publish("/clock", clock)
     until(lambda: reader.is_played and reader.take() and "/clock" in reader._latest_ns)
-    ship.say("ship/innovation", Innovation(nis=1.0))
+    ship.publish("ship/innovation", Innovation(nis=1.0))
     clock.clock.sec = 40
-    ship.say("/clock", clock)
+    ship.publish("/clock", clock)
     taken = until(lambda: (taken := reader.take()).is_anew and taken)
     assert all(each.message.nis != 1.0 for each in taken.messages)
-    ship.say("ship/innovation", Innovation(nis=2.0))
+    ship.publish("ship/innovation", Innovation(nis=2.0))
     assert fetch_until(reader, until, "ship/innovation")[0].message.nis == 2.0
 
 
@@ -160,27 +160,27 @@ def clock_at(time_s):
 
 def test_clock_in_the_namespace_is_used(ship, reader, until):
     """With `suite --bag --namespace` each suite has the clock of its own bag."""
-    ship.say("ship/innovation", Innovation())
-    ship.say("clock", clock_at(100))
+    ship.publish("ship/innovation", Innovation())
+    ship.publish("clock", clock_at(100))
     ship.heard(until, reader.take, "clock", "ship/innovation")
-    ship.say("clock", clock_at(100))
+    ship.publish("clock", clock_at(100))
     until(lambda: reader.is_played and reader.take() and "/clock" in reader._latest_ns)
-    ship.say("clock", clock_at(40))
+    ship.publish("clock", clock_at(40))
     until(lambda: reader.take().is_anew)
 
 
 def test_own_clock_replaces_the_global_one(ship, reader, until):
-    ship.say("/clock", clock_at(900))
+    ship.publish("/clock", clock_at(900))
     ship.heard(until, reader.take, "/clock")
-    ship.say("/clock", clock_at(900))
+    ship.publish("/clock", clock_at(900))
     until(lambda: reader.is_played and reader.take() and "/clock" in reader._latest_ns)
     # Its own clock is earlier, which is no step back; then the other bag restarts.
-    ship.say("clock", clock_at(100))
+    ship.publish("clock", clock_at(100))
     looks = []
 
     def hear(topic, time_s):
         def look():
-            ship.say(topic, clock_at(time_s))
+            ship.publish(topic, clock_at(time_s))
             looks.append(reader.take())
             return reader._latest_ns.get("/clock") == time_s * NS_PER_S
 
@@ -197,8 +197,8 @@ def test_own_clock_replaces_the_global_one(ship, reader, until):
 
 
 def test_clock_topic_of_another_type_is_ignored(ship, reader, until):
-    ship.say("clock", Imu())
-    ship.say("ship/innovation", Innovation())
+    ship.publish("clock", Imu())
+    ship.publish("ship/innovation", Innovation())
     ship.heard(until, reader.take, "ship/innovation")
     assert not reader.is_played
 
@@ -212,10 +212,10 @@ def test_location_names_other_namespaces_with_a_suite(reader, until):
 
 
 def test_truth_on_the_network_means_simulated(ship, reader, until):
-    ship.say("ship/attitude", attitude(1 * NS_PER_S))
+    ship.publish("ship/attitude", attitude(1 * NS_PER_S))
     ship.heard(until, reader.take, "ship/attitude")
     assert not reader.is_simulated
-    ship.say("truth/attitude", attitude(1 * NS_PER_S))
+    ship.publish("truth/attitude", attitude(1 * NS_PER_S))
     until(lambda: reader.take() and reader.is_simulated)
 
 

@@ -76,7 +76,7 @@ def test_attitude_round_trip(listening, teller):
             sent.header.stamp.sec, sent.header.stamp.nanosec = stamp_fields(max(times_ns))
             publisher.publish(sent)
             time.sleep(0.02)
-            return [one for one in node.heard["ins/imu"] if ns_from_stamp(one.header.stamp) in times_ns]
+            return [one for one in node.received["ins/imu"] if ns_from_stamp(one.header.stamp) in times_ns]
 
         q = node.wait_until(received_messages)[0].orientation
         rotation = rotation_from_quaternion(np.array([q.x, q.y, q.z, q.w]))

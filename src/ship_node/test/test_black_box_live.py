@@ -51,7 +51,7 @@ def test_black_box_contains_everything_in_order_of_use(live_relay, tmp_path):
     assert not relay.call(Trigger, "explode", Trigger.Request()).success
     set_time(50.0)
     relay.wait_until(lambda: relay.adapter.resets)
-    relay.live._box.close()
+    relay.live._black_box.close()
     rows = read_entries(tmp_path / "box.mcap")
     uses = [(topic, what) for topic, what, _ in rows if topic in ("ins/imu", EVENTS_TOPIC)]
     assert uses == [
@@ -106,7 +106,7 @@ def test_a_change_refused_before_the_adapter_is_in_log_black_box_and_diagnostics
     )
     assert reason
     assert f"refused: {reason}" in "".join(capfd.readouterr())
-    relay.live._box.close()
+    relay.live._black_box.close()
     noted = [what for topic, what, _ in read_entries(tmp_path / "box.mcap") if isinstance(what, ChangeRefused)]
     # What JSON has no word for stands there as Python writes it.
     told = value if not isinstance(value, list) else [repr(part) for part in value]
