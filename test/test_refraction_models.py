@@ -15,7 +15,9 @@ def printed_table(*arguments: str) -> str:
 def test_the_table_of_the_docs_is_printed() -> None:
     table = printed_table()
     assert len(table.splitlines()) == 12
-    assert table in (ROOT / "docs" / "explanation" / "refraction.md").read_text(encoding="utf-8"), "run refraction_models.py"
+    assert table in (ROOT / "docs" / "explanation" / "refraction.md").read_text(encoding="utf-8"), (
+        "run refraction_models.py"
+    )
 
 
 def test_costs_and_figure_are_written_and_a_star_costs_the_same_by_each_model(tmp_path: Path) -> None:

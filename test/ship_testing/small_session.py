@@ -64,7 +64,13 @@ class Run(AdapterRun):
     def state(self) -> tuple[Any, ...]:
         """Return the filter's state, bit-exact, without the count of rejections."""
         state = self.adapter.core.state
-        return state.time_ns, state.mean.tobytes(), state.covariance_by_source.tobytes(), state.last_beacons_ns, state.sighting_count
+        return (
+            state.time_ns,
+            state.mean.tobytes(),
+            state.covariance_by_source.tobytes(),
+            state.last_beacons_ns,
+            state.sighting_count,
+        )
 
 
 def config(**changes: Any) -> OpticalAxisConfig:

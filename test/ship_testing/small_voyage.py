@@ -57,7 +57,13 @@ class Run(AdapterRun):
         """Return the filter's state, bit-exact, without the count of rejections."""
         state = self.adapter.core.state
         common = {name: matrix.tobytes() for name, matrix in state.common_n.items()}
-        return state.time_ns, state.mean.tobytes(), state.covariance_by_source.tobytes(), common, dict(state.last_used_ns)
+        return (
+            state.time_ns,
+            state.mean.tobytes(),
+            state.covariance_by_source.tobytes(),
+            common,
+            dict(state.last_used_ns),
+        )
 
 
 def config(**changes: Any) -> ShipAttitudeConfig:

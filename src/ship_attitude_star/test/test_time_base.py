@@ -291,7 +291,7 @@ def test_an_ins_that_drifted_until_stars_return_cannot_verify_utc() -> None:
     off_ns = clock((10.0, -1.0))
     dark = remove_interval(observation_voyage(), 9.5, 35.0, "star/fore/observations", "star/starboard/observations")
     run = run_with_clocks(ShipAttitudeAdapter(observing(ins=drifting), FACTORY), dark, off_ns, live=True)
-    assert run.adapter.core.state.utc is None
+    assert run.adapter.core.state.utc_step is None
     assert not_valid_s(run, 35.0) < 2.0
 
 

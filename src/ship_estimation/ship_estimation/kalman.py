@@ -199,7 +199,7 @@ def propagate_correlated_error(error: FloatArray, decay: FloatArray, sigma: Floa
 
     Example:
         >>> sigma, decay = np.array([10.0, 10.0]), np.array([0.5, 0.5])
-        >>> print(propagate_correlated_error(np.array([8.0, 3600.0]), decay, sigma))  # the second is a step of a degree: kept
+        >>> print(propagate_correlated_error(np.array([8.0, 3600.0]), decay, sigma))  # a step of a degree is kept
         [   4. 3600.]
     """
     return np.where(exceeds_model(error, sigma), error, decay * error)

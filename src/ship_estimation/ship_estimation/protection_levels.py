@@ -220,7 +220,8 @@ def solution_separation(
     Example:
         Without one source each component differs by 4″, and its sigma grows from 1.8″ to 3″:
 
-        >>> k, every = SigmaMultipliers(fault_free=6.0, false_exclusion=5.0, missed_detection=np.array([2.0])), np.eye(3)
+        >>> k = SigmaMultipliers(fault_free=6.0, false_exclusion=5.0, missed_detection=np.array([2.0]))
+        >>> every = np.eye(3)
         >>> found = solution_separation(k, np.array([0]), np.arange(3), (every, every, 3.24 * every), np.zeros(3),
         ...                    np.full((1, 3), 4.0), 3.24 * every[None], 9.0 * every[None])
         >>> print(found.statistic.round(2), found.level.round(1), found.dominant, found.largest_sigma)

@@ -174,9 +174,10 @@ def seen_through_air(
         A star at 45° in the north is raised by 58″, with a sigma of 1.0″ for a temperature known to 5 K:
 
         >>> north_up_n = np.array([[1.0, 1.0, 0.0]]) / np.sqrt(2.0)
-        >>> seen_through_air = seen_through_air("erfa", north_up_n, Weather(1013.25, 10.0), 0.55, (0.0, 5.0), np.empty((0, 3)))
-        >>> lifted_by = elevation_of(seen_through_air.direction_n)[0] - seen_through_air.elevation[0]
-        >>> print(f"{lifted_by / ARCSEC:.0f} {np.linalg.norm(seen_through_air.shared_n[0, :, 0]) / ARCSEC:.1f}")
+        >>> air = Weather(1013.25, 10.0)
+        >>> refracted = seen_through_air("erfa", north_up_n, air, 0.55, (0.0, 5.0), np.empty((0, 3)))
+        >>> lifted_by = elevation_of(refracted.direction_n)[0] - refracted.elevation[0]
+        >>> print(f"{lifted_by / ARCSEC:.0f} {np.linalg.norm(refracted.shared_n[0, :, 0]) / ARCSEC:.1f}")
         58 1.0
     """
     of_air = _model_in_air(model, weather, wavelength_um)

@@ -167,7 +167,9 @@ class TestBagPlayback:
         monkeypatch.setattr(bag_playback, "MAX_READ_S", 0.0)
         heard = []
         original = SuiteMonitor.process_message
-        monkeypatch.setattr(SuiteMonitor, "process_message", lambda self, *given: heard.append(given) or original(self, *given))
+        monkeypatch.setattr(
+            SuiteMonitor, "process_message", lambda self, *given: heard.append(given) or original(self, *given)
+        )
         pictures.go_to(850.0)
         pictures.current_state()
         minute = sum(

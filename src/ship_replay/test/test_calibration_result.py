@@ -66,7 +66,9 @@ def test_one_observation_bounds_a_wide_prior() -> None:
 def test_an_independent_deck_is_observed() -> None:
     fore_on_deck = np.hstack([LAYOUT[0], np.zeros((3, 3))])
     known = update_covariance(against_ins(PRIOR_COVARIANCE, 0.1), fore_on_deck, (0.5 * ARCSEC) ** 2 * np.eye(3))
-    assert [(combo.axis, combo.observability) for combo in find_combinations(known)] == [(axis, "yes") for axis in DECK_AXES]
+    assert [(combo.axis, combo.observability) for combo in find_combinations(known)] == [
+        (axis, "yes") for axis in DECK_AXES
+    ]
 
 
 def test_an_ins_without_errors_is_the_deck() -> None:

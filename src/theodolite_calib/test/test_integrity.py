@@ -127,7 +127,9 @@ def test_an_exclusion_does_not_depend_on_the_order_of_arrival(seed: int) -> None
     assert out_of_order.state() == in_order.state()
     one, other = (run.adapter.core.state for run in (in_order, out_of_order))
     assert set(one.fault_state.excluded_sources) == {"beacon.alpha"}
-    assert one.fault_state.exclusions["beacon.alpha"].exclusion == other.fault_state.exclusions["beacon.alpha"].exclusion
+    assert (
+        one.fault_state.exclusions["beacon.alpha"].exclusion == other.fault_state.exclusions["beacon.alpha"].exclusion
+    )
     assert one.alternatives.mean.tobytes() == other.alternatives.mean.tobytes()
     assert one.alternatives.parts.tobytes() == other.alternatives.parts.tobytes()
     assert one.trust.means.running.tobytes() == other.trust.means.running.tobytes()

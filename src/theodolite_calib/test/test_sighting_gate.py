@@ -74,8 +74,15 @@ def test_two_wrong_of_three_leave_none(three) -> None:
     after, decision = step(
         state, shift_beacons(last, np.array([[90.0, 0.0], [0.0, -120.0], [0.0, 0.0]])), exposure(last)
     )
-    assert (after.mean.tobytes(), after.covariance_by_source.tobytes()) == (state.mean.tobytes(), state.covariance_by_source.tobytes())
-    assert (after.time_ns, after.last_beacons_ns, after.consecutive_rejections) == (state.time_ns, state.last_beacons_ns, 1)
+    assert (after.mean.tobytes(), after.covariance_by_source.tobytes()) == (
+        state.mean.tobytes(),
+        state.covariance_by_source.tobytes(),
+    )
+    assert (after.time_ns, after.last_beacons_ns, after.consecutive_rejections) == (
+        state.time_ns,
+        state.last_beacons_ns,
+        1,
+    )
     assert decision.reason is Reason.LIGHT_CONFLICT
     assert not decision.accepted
 

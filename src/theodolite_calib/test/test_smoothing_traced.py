@@ -45,7 +45,10 @@ def test_its_states_are_those_of_the_filter() -> None:
         one, other = plain.inflate_covariance(one, jump), traced.inflate_covariance(other, jump)
         for name in ("mean", "covariance_by_source", "solution_separation", "ship_covariance_n"):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-    assert {field.name for field in fields(other)} - {field.name for field in fields(one)} == {"last_update", "is_predicted_only"}
+    assert {field.name for field in fields(other)} - {field.name for field in fields(one)} == {
+        "last_update",
+        "is_predicted_only",
+    }
 
 
 def test_a_sighting_leads_back_to_what_was_predicted() -> None:

@@ -142,7 +142,9 @@ def test_ship_drift_is_unknown_without_rates_or_with_a_gap():
 
 def test_corrected_ship_attitude_is_no_drift():
     sharper = [
-        replace(sample, correlated_covariance_n=np.eye(3) * ((30.0 if sample.time_ns < 30 * 10**9 else 1.0) * ARCSEC) ** 2)
+        replace(
+            sample, correlated_covariance_n=np.eye(3) * ((30.0 if sample.time_ns < 30 * 10**9 else 1.0) * ARCSEC) ** 2
+        )
         for sample in drifting_ship(0, 3.0)
     ]
     assert has_ship_drifted(sharper, 2 * PERIOD_NS, ARCSEC) is None

@@ -39,8 +39,8 @@ from ship_attitude_star.ship_attitude.integrity import integrity_of
 from ship_attitude_star.ship_attitude.linearisation import LinearisedMeasurement
 from ship_attitude_star.ship_attitude.manoeuvre import RecentSource, RecommendedTurn, recommended_manoeuvre
 from ship_attitude_star.ship_attitude.memory import (
-    largest_difference_sigmas,
     is_consistent,
+    largest_difference_sigmas,
     memory_residual,
     propagate_memory,
     start_from_memory,

@@ -55,7 +55,9 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
         )
         names = *names, ALL_STARS
     excluded = tuple(sorted((name, exclusion.since_ns) for name, exclusion in state.excluded.items()))
-    has_unresolved_fault = state.unresolved_fault is not None or state.unconfirmed_step is not None or estimate.status is Status.INVALID
+    has_unresolved_fault = (
+        state.unresolved_fault is not None or state.unconfirmed_step is not None or estimate.status is Status.INVALID
+    )
     checked = relevant.is_cross_checked and not has_unresolved_fault
     return integrity_report(estimate.time_ns, config.integrity, suspects.subfilters.k, names, found, excluded, checked)
 

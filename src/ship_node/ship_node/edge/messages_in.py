@@ -79,8 +79,8 @@ def stamp_ns(header: Any, receive_ns: int) -> int:
     """Return the stamp of a header, ns.
 
     Raises:
-        MessageRejected: BAD_STAMP if it is zero, negative or has 1e9 ns or more; FUTURE if it is more than 50 ms ahead of
-            ``receive_ns``.
+        MessageRejected: BAD_STAMP if it is zero, negative or has 1e9 ns or more; FUTURE if it is more than 50 ms ahead
+            of ``receive_ns``.
     """
     if header.stamp.nanosec >= _SECOND_NS:
         raise MessageRejected(
@@ -190,8 +190,8 @@ def covariance_3x3(values: Sequence[float], field: str = "covariance") -> FloatA
     Unknown means all zero, or −1 as the first element (sensor_msgs/Imu): the configured sigma is used then.
 
     Raises:
-        MessageRejected: NON_FINITE; or BAD_COVARIANCE if a variance is negative, or if the matrix is, beyond rounding, not
-            symmetric or not positive semidefinite. Rounding errors are removed.
+        MessageRejected: NON_FINITE; or BAD_COVARIANCE if a variance is negative, or if the matrix is, beyond rounding,
+            not symmetric or not positive semidefinite. Rounding errors are removed.
     """
     try:
         return _covariance_of_bytes(np.array(values, dtype=np.float64).tobytes())

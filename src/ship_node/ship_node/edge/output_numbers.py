@@ -23,7 +23,7 @@ def join_fields(runs: Sequence[Any], names: Iterable[str]) -> list[Any]:
 
     Example:
         >>> from types import SimpleNamespace
-        >>> runs = [SimpleNamespace(overload_text=["a"], angle=np.zeros(1)), SimpleNamespace(overload_text=["b"], angle=np.ones(2))]
+        >>> runs = [SimpleNamespace(text=["a"], angle=np.zeros(1)), SimpleNamespace(text=["b"], angle=np.ones(2))]
         >>> join_fields(runs, ["text", "angle"])
         [['a', 'b'], array([0., 1., 1.])]
     """

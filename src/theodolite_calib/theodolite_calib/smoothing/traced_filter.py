@@ -45,7 +45,9 @@ class TracedFilter(CalibrationFilter):
         self, state: CalibrationState, time_ns: int, new_ship_covariance_n: FloatArray | None
     ) -> CalibrationState:
         """See :meth:`CalibrationFilter.propagate`."""
-        return replace(super().propagate(state, time_ns, new_ship_covariance_n), **_trace_fields(is_predicted_only=True))
+        return replace(
+            super().propagate(state, time_ns, new_ship_covariance_n), **_trace_fields(is_predicted_only=True)
+        )
 
     def exclude_source(self, state: CalibrationState, source: str) -> CalibrationState:
         """See :meth:`CalibrationFilter.exclude_source`."""
@@ -78,7 +80,8 @@ def _with_update_trace(predicted: CalibrationState, after: CalibrationState) -> 
     is_update = predicted.is_predicted_only and not predicted.fault_state.excluded_sources & AXIS_SOURCES
     before = GaussianEstimate(predicted.mean, predicted.covariance)
     return replace(
-        after, **_trace_fields(last_update=StateUpdate(before, GaussianEstimate(after.mean, after.covariance), is_update))
+        after,
+        **_trace_fields(last_update=StateUpdate(before, GaussianEstimate(after.mean, after.covariance), is_update)),
     )
 
 
