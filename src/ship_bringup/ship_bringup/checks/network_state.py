@@ -69,7 +69,7 @@ class Publisher:
 
 @dataclass(frozen=True)
 class ObservedTopic:
-    """What was received of one input of the suite.
+    """Observations of one input of the suite.
 
     Attributes:
         input: the topic.
@@ -90,7 +90,7 @@ class ObservedTopic:
 
 @dataclass(frozen=True)
 class NetworkState:
-    """What was observed.
+    """Observations of the network.
 
     Attributes:
         rmw: the middleware.

@@ -52,7 +52,7 @@ _STRONG_DIGESTS = "sha256", "sha384", "sha512"
 
 @dataclass(frozen=True)
 class KeystoreUse:
-    """What a keystore will be used for.
+    """Use of a keystore.
 
     Attributes:
         rights: of all programs of the suite; enclaves that are not needed here may be on other computers.

@@ -31,7 +31,7 @@ _ALLOWED_PARAMETERS = {
 
 @dataclass(frozen=True)
 class SinkConfig:
-    """Where sentences are sent, which ones, and how often."""
+    """Destination of sentences, their kinds and rate."""
 
     kind: str = parameter(doc="how the sentences are sent", choices=(UDP, TCP_SERVER, SERIAL, FILE))
     sentences: tuple[str, ...] = parameter(

@@ -20,7 +20,7 @@ LineReceiver = Callable[[str, str], None]
 
 
 class Outlet(ABC):
-    """Where a sink sends its sentences.
+    """Destination of a sink.
 
     Attributes:
         place: description of it.

@@ -1,4 +1,4 @@
-"""Whether a replay gives what was recorded, to the last bit: two messages compared, and a whole bag."""
+"""Comparison of a replay with recorded outputs, to the last bit: of two messages, and of a whole bag."""
 
 from collections import Counter, defaultdict, deque
 from collections.abc import Iterator, Sequence
@@ -21,7 +21,7 @@ from ship_replay.offline.replay import ProgressWrapper, match_inputs
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 
 UNCOMPARED_TYPES = DIAGNOSTICS_TYPE, "ship_msgs/msg/InputHealth"
-"""Types of messages that also tell of the middleware, which no replay knows: not compared."""
+"""Types of messages that are not compared: they also contain the state of the middleware."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class Verification:
 
     @property
     def is_verified(self) -> bool:
-        """Whether all outputs are the same, at least up to the sudden end of a file."""
+        """True if all outputs are equal, at least up to the sudden end of a file."""
         return self.difference is None and (self.is_truncated or not self.incomplete_reason)
 
     def add(self, topic: str, difference: Difference | None) -> None:
