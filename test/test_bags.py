@@ -86,7 +86,7 @@ def test_clean_data_cause_no_exclusion(replayed):
     assert sorted(told) == VERDICTS[path.stem]
     for name, course in told.items():
         assert {level for level, _ in course} == {0}
-        assert course[-1][1].startswith("within what" if name == "clocks" else "as stated")
+        assert course[-1][1].startswith("within configured limits" if name == "clocks" else "as stated")
         assert len(course) > 100
 
 

@@ -162,7 +162,7 @@ def test_setup_installs_only_from_the_wheels(aboard: Path) -> None:
     group for which the build waits.
     """
     answer = setup(aboard)
-    assert f"the wheels of wheels/{own_target()} are whole: no network is asked" in answer.stdout
+    assert f"the wheels of wheels/{own_target()} are complete: no network is used" in answer.stdout
     assert "colcon build failed" in answer.stderr
     log = (aboard / ".venv" / "setup.log").read_text()
     (installed,) = (line for line in log.replace("_", "-").splitlines() if line.startswith("Successfully installed"))

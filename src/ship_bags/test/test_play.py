@@ -47,7 +47,7 @@ class Domain:
 
     def play(self, *arguments):
         player = self.start("ship_bags", "play", *arguments)
-        assert self.graph.spin_until(lambda: player.exit_code is not None, 60), player.log()
+        assert self.graph.spin_until(lambda: player.exit_code is not None, 60), player.log_text()
         return player
 
 
@@ -73,7 +73,7 @@ def test_each_loop_is_one_clean_reset_of_a_node(domain, tmp_path):
     told = domain.listen("/diagnostics", DiagnosticArray)
     assert domain.graph.wait_for(publishers={"/ship/attitude": 1}, unless=lambda: node.exit_code is not None)
     player = domain.play(bag, "--loop", "3", "--wait-for-subscribers", "ins/imu", "/clock")
-    assert player.exit_code == 0, player.log()
+    assert player.exit_code == 0, player.log_text()
 
     def counted():
         return [
@@ -100,7 +100,7 @@ def test_each_loop_is_one_clean_reset_of_a_node(domain, tmp_path):
         assert [list(message.covariance) for message in lap[:shared]] == [
             list(message.covariance) for message in laps[0][:shared]
         ]
-    assert node.log().count("clock went back by") == 2
+    assert node.log_text().count("clock went back by") == 2
     # No third reset comes afterwards.
     time.sleep(1.2)
     domain.graph.spin_until(lambda: False, 0.3)
@@ -123,7 +123,7 @@ def test_a_start_offset_keeps_earlier_latched_messages(domain, tmp_path):
     levers = domain.listen("ship/lever", Vector3)
     samples = domain.listen("ins/imu", Imu)
     player = domain.play(tmp_path / "in.mcap", "--start-offset", "0.5", "--loop", "2", "--rate", "2")
-    assert player.exit_code == 0, player.log()
+    assert player.exit_code == 0, player.log_text()
     assert domain.graph.spin_until(lambda: len(samples) == 100)
     # Once a lap, the last of the two; what is not latched and older than the start stays out.
     assert [message.x for message in calibrations] == [10.0, 10.0]
@@ -143,7 +143,7 @@ def test_a_folder_of_split_files_is_played_through(domain, tmp_path):
     assert len(bag.files) > 2
     samples = domain.listen("ins/imu", Imu)
     player = domain.play(tmp_path / "voyage", "--rate", "4")
-    assert player.exit_code == 0, player.log()
+    assert player.exit_code == 0, player.log_text()
     assert domain.graph.spin_until(lambda: len(samples) == 200)
     stamps = [message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in samples]
     assert stamps == [START_NS + number * PERIOD_NS for number in range(200)]
@@ -155,7 +155,7 @@ def test_two_types_under_one_name_are_refused(domain, tmp_path):
         bag.write("ship/lever", vector(), START_NS)
     player = domain.play(tmp_path / "in.mcap", "--remap", "ship/lever:=a/b", "ins/imu:=a/b")
     assert player.exit_code == 2
-    (line,) = player.log().splitlines()
+    (line,) = player.log_text().splitlines()
     assert "in.mcap: topics 'ins/imu' and 'ship/lever' cannot both be read as 'a/b'" in line
 
 

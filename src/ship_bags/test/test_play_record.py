@@ -321,7 +321,7 @@ def test_pause_step_and_resume_by_services(live, tmp_path):
     refusal = call(live, "play_next")
     assert (refusal.success, refusal.message) == (False, "playing: pause first")
     assert live.observer.spin_until(lambda: player.exit_code is not None)
-    assert player.exit_code == 0, player.log()
+    assert player.exit_code == 0, player.log_text()
     assert live.observer.spin_until(lambda: len(messages) == 50)
     assert [message.angular_velocity.x for message in messages] == [float(n) for n in range(50)]
 
@@ -365,8 +365,8 @@ def test_a_type_that_is_missing_or_different_is_skipped(live, tmp_path):
         writer.finish()
     player = live.start(*PLAY, str(tmp_path / "changed.mcap"), "--wait-timeout", "0")
     assert player.wait(30) == 2
-    assert "std_msgs/msg/Float64.value is unknown to this suite" in player.log()
-    assert "none of its topics can be played" in player.log()
+    assert "std_msgs/msg/Float64.value is unknown to this suite" in player.log_text()
+    assert "none of its topics can be played" in player.log_text()
 
 
 # -- bad input and bad ends -----------------------------------------------------------------------------------
@@ -392,7 +392,7 @@ def test_play_refuses_in_one_line(live, tmp_path, options, expected):
     make_bag(tmp_path / "in.mcap", 10)
     player = live.start(*PLAY, *(str(tmp_path / option) if option.endswith(".mcap") else option for option in options))
     assert player.wait(30) == 2
-    lines = player.log().splitlines()
+    lines = player.log_text().splitlines()
     assert len(lines) == 1, lines
     assert lines[0].startswith("play: ")
     assert expected in lines[0]
@@ -412,7 +412,7 @@ def test_record_refuses_in_one_line(live, tmp_path, options, expected):
     before = (tmp_path / "there.mcap").read_bytes()
     recorder = live.start(*RECORD, *(str(tmp_path / o) if o.endswith(".mcap") else o for o in options))
     assert recorder.wait(30) == 2
-    lines = recorder.log().splitlines()
+    lines = recorder.log_text().splitlines()
     assert len(lines) == 1, lines
     assert expected in lines[0]
     assert (tmp_path / "there.mcap").read_bytes() == before
@@ -426,7 +426,7 @@ def test_play_and_record_refuse_to_run_unprotected(live, tmp_path, command):
     live.environment |= {"ROS_SECURITY_ENABLE": "TRUE", "ROS_SECURITY_STRATEGY": "Permissive"}
     process = live.start(*command[:-1], str(tmp_path / command[-1]))
     assert process.wait(30) == 2
-    (line,) = process.log().splitlines()
+    (line,) = process.log_text().splitlines()
     assert line.split(": ")[1].startswith("ROS_SECURITY_ENABLE=TRUE requests DDS security")
     assert not (tmp_path / "out.mcap").exists()
 
@@ -464,7 +464,7 @@ def test_a_full_disk_is_reported_and_leaves_complete_chunks(live, tmp_path):
     player = live.start(*PLAY, str(source), "--wait-for-subscribers", "ins/imu")
     assert recorder.wait(40) == 2
     player.end()
-    lines = recorder.log().splitlines()
+    lines = recorder.log_text().splitlines()
     assert len(lines) == 2, lines  # the first one has the path of the recording
     assert lines[1].startswith(f"record: {path}: recording failed: File too large; the file is complete up to")
     got, problems = contents(path)

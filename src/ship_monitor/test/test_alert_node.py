@@ -145,7 +145,7 @@ def test_alert_is_raised_acknowledged_and_survives_its_node(ship, start, until, 
 
     wrong = ship.acknowledge("attitude.silent", 2)
     assert not wrong.success
-    assert "instance 1 now, not 2" in wrong.message
+    assert "is now instance 1, not 2" in wrong.message
     unknown = ship.acknowledge("attitude.silence", 1)
     assert not unknown.success
     assert "attitude.silent" in unknown.message

@@ -134,7 +134,7 @@ def test_all_topics_of_the_namespace_are_offered(sail, connect, server):
     ship.publish("ship/attitude", attitude(START_NS))
     ship.publish("ins/imu", Imu(), BEST_EFFORT)
     ship.publish("ship/error_budget", ErrorBudget())
-    other.say("ship/attitude", attitude(START_NS))
+    other.publish("ship/attitude", attitude(START_NS))
     expected = {"/demo/ship/attitude", "/demo/ins/imu", "/demo/ship/error_budget"}
     client.wait_until(lambda: expected <= set(client.channels))
     assert not any(topic.startswith("/voyage") for topic in client.channels)
@@ -178,7 +178,7 @@ def test_subscription_survives_a_restart_of_the_estimator(sail, connect):
 
         client.wait_until(came)
         ship.stop()
-    assert sum(each["op"] == "advertise" for each in client.told) == 1
+    assert sum(each["op"] == "advertise" for each in client.server_messages) == 1
 
 
 @pytest.mark.parametrize("is_awaited", [False, True])
@@ -224,7 +224,7 @@ def test_page_does_not_depend_on_a_client(sail, connect, watch):
     def heading():
         ship.publish("ship/attitude", attitude(next(times)))
         watch.tick()
-        shown = next(each for each in watch.look().angles if each.name == "heading")
+        shown = next(each for each in watch.current_state().angles if each.name == "heading")
         return not shown.is_old and shown.value == 1.0
 
     client.wait_until(heading)
@@ -236,7 +236,7 @@ def monitor(opened, tmp_path):
     command = [*executable("ship_monitor", "monitor"), "--namespace", "demo", "--port", "0", "--foxglove", "0"]
     process = opened.enter_context(LiveProcess(command, tmp_path / "log", os.environ))
     deadline_s = time.monotonic() + 60.0
-    while "http://" not in process.log():
+    while "http://" not in process.log_text():
         assert process.exit_code is None, process.log()
         assert time.monotonic() < deadline_s, process.log()
         time.sleep(0.05)

@@ -56,7 +56,7 @@ def sail(ship, watch, until, time_ns=START_NS):
 def test_location_is_shown_while_waiting(watch):
     watch.tick()
     assert watch.current_state().waiting_for == "ship/attitude"
-    assert watch.place.startswith("namespace /demo, domain ")
+    assert watch.location.startswith("namespace /demo, domain ")
     assert (watch.name, watch.label) == ("demo", "LIVE")
 
 

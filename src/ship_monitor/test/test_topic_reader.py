@@ -42,7 +42,7 @@ def fetch_until(reader, until, topic, count=1):
     found = []
 
     def look():
-        found.extend(each for each in reader.take().messages if each.topic == topic)
+        found.extend(each for each in reader.fetch().messages if each.topic == topic)
         return len(found) >= count
 
     until(look)
@@ -54,7 +54,7 @@ def publish_until_taken(ship, reader, until, message):
 
     def look():
         ship.publish("ship/attitude", message)
-        return any(each.message == message for each in reader.take().messages)
+        return any(each.message == message for each in reader.fetch().messages)
 
     assert until(look)
 
@@ -62,8 +62,8 @@ def publish_until_taken(ship, reader, until, message):
 def test_newest_message_of_streams_and_every_message_of_other_topics(ship, reader, until):
     ship.publish("ins/imu", Imu())
     ship.publish("ship/innovation", Innovation())
-    ship.heard(until, reader.take, "ins/imu", "ship/innovation")
-    reader.take()
+    ship.wait_for_subscribers(until, reader.take, "ins/imu", "ship/innovation")
+    reader.fetch()
     for number in range(50):
         imu = Imu()
         imu.header.stamp.sec = number + 1
@@ -72,7 +72,7 @@ def test_newest_message_of_streams_and_every_message_of_other_topics(ship, reade
     innovations, imus = [], []
 
     def all_came():
-        for each in reader.take().messages:
+        for each in reader.fetch().messages:
             (imus if each.topic == "ins/imu" else innovations).append(each.message)
         return len(innovations) >= 50 and imus and imus[-1].header.stamp.sec == 50
 
@@ -83,7 +83,7 @@ def test_newest_message_of_streams_and_every_message_of_other_topics(ship, reade
 
 def test_arrivals_are_ordered_and_between_two_fetches(ship, reader, until):
     ship.publish("ship/innovation", Innovation())
-    ship.heard(until, reader.take, "ship/innovation")
+    ship.wait_for_subscribers(until, reader.take, "ship/innovation")
     before_ns = steady_ns()
     for number in range(5):
         ship.publish("ship/innovation", Innovation(nis=float(number)))
@@ -107,7 +107,7 @@ def test_restarted_publisher_is_received(reader, until):
 
 def test_topic_that_becomes_latched_is_subscribed_again(ship, reader, until):
     ship.publish("ship/alerts", AlertArray())
-    ship.heard(until, reader.take, "ship/alerts")
+    ship.wait_for_subscribers(until, reader.take, "ship/alerts")
     ship.node.destroy_publisher(ship.publishers.pop("ship/alerts"))
     ship.publish("ship/alerts", AlertArray(), LATCHED)
     assert fetch_until(reader, until, "ship/alerts")
@@ -116,22 +116,22 @@ def test_topic_that_becomes_latched_is_subscribed_again(ship, reader, until):
 @pytest.mark.parametrize(("shift_s", "is_anew"), [(-60, True), (60, False), (-2, False)])
 def test_outputs_that_step_back_are_another_voyage(ship, reader, until, shift_s, is_anew):
     ship.publish("ship/attitude", attitude(1000 * NS_PER_S))
-    ship.heard(until, reader.take, "ship/attitude")
+    ship.wait_for_subscribers(until, reader.take, "ship/attitude")
     ship.publish("ship/attitude", attitude(1000 * NS_PER_S))
     fetch_until(reader, until, "ship/attitude")
     ship.publish("ship/attitude", attitude((1000 + shift_s) * NS_PER_S))
-    taken = until(lambda: (taken := reader.take()).messages and taken)
+    taken = until(lambda: (taken := reader.fetch()).messages and taken)
     assert taken.is_anew is is_anew
     assert taken.messages[-1].message.header.stamp.sec == 1000 + shift_s
 
 
 def test_invalid_attitude_is_no_step_back(ship, reader, until):
     ship.publish("ship/attitude", attitude(1000 * NS_PER_S))
-    ship.heard(until, reader.take, "ship/attitude")
+    ship.wait_for_subscribers(until, reader.take, "ship/attitude")
     ship.publish("ship/attitude", attitude(1000 * NS_PER_S))
     fetch_until(reader, until, "ship/attitude")
     ship.publish("ship/attitude", attitude(10 * NS_PER_S, ShipAttitude.INVALID))
-    taken = until(lambda: (taken := reader.take()).messages and taken)
+    taken = until(lambda: (taken := reader.fetch()).messages and taken)
     assert not taken.is_anew
 
 
@@ -140,13 +140,13 @@ def test_clock_step_back_drops_earlier_messages(ship, reader, until):
     clock.clock.sec = 100
     ship.publish("/clock", clock)
     ship.publish("ship/innovation", Innovation())
-    ship.heard(until, reader.take, "/clock", "ship/innovation")
+    ship.wait_for_subscribers(until, reader.take, "/clock", "ship/innovation")
     ship.publish("/clock", clock)
-    until(lambda: reader.is_played and reader.take() and "/clock" in reader._latest_ns)
+    until(lambda: reader.is_played and reader.fetch() and "/clock" in reader._latest_ns)
     ship.publish("ship/innovation", Innovation(nis=1.0))
     clock.clock.sec = 40
     ship.publish("/clock", clock)
-    taken = until(lambda: (taken := reader.take()).is_anew and taken)
+    taken = until(lambda: (taken := reader.fetch()).is_anew and taken)
     assert all(each.message.nis != 1.0 for each in taken.messages)
     ship.publish("ship/innovation", Innovation(nis=2.0))
     assert fetch_until(reader, until, "ship/innovation")[0].message.nis == 2.0
@@ -162,18 +162,18 @@ def test_clock_in_the_namespace_is_used(ship, reader, until):
     """With `suite --bag --namespace` each suite has the clock of its own bag."""
     ship.publish("ship/innovation", Innovation())
     ship.publish("clock", clock_at(100))
-    ship.heard(until, reader.take, "clock", "ship/innovation")
+    ship.wait_for_subscribers(until, reader.take, "clock", "ship/innovation")
     ship.publish("clock", clock_at(100))
-    until(lambda: reader.is_played and reader.take() and "/clock" in reader._latest_ns)
+    until(lambda: reader.is_played and reader.fetch() and "/clock" in reader._latest_ns)
     ship.publish("clock", clock_at(40))
-    until(lambda: reader.take().is_anew)
+    until(lambda: reader.fetch().is_anew)
 
 
 def test_own_clock_replaces_the_global_one(ship, reader, until):
     ship.publish("/clock", clock_at(900))
-    ship.heard(until, reader.take, "/clock")
+    ship.wait_for_subscribers(until, reader.take, "/clock")
     ship.publish("/clock", clock_at(900))
-    until(lambda: reader.is_played and reader.take() and "/clock" in reader._latest_ns)
+    until(lambda: reader.is_played and reader.fetch() and "/clock" in reader._latest_ns)
     # Its own clock is earlier, which is no step back; then the other bag restarts.
     ship.publish("clock", clock_at(100))
     looks = []
@@ -181,7 +181,7 @@ def test_own_clock_replaces_the_global_one(ship, reader, until):
     def hear(topic, time_s):
         def look():
             ship.publish(topic, clock_at(time_s))
-            looks.append(reader.take())
+            looks.append(reader.fetch())
             return reader._latest_ns.get("/clock") == time_s * NS_PER_S
 
         return look
@@ -199,31 +199,31 @@ def test_own_clock_replaces_the_global_one(ship, reader, until):
 def test_clock_topic_of_another_type_is_ignored(ship, reader, until):
     ship.publish("clock", Imu())
     ship.publish("ship/innovation", Innovation())
-    ship.heard(until, reader.take, "ship/innovation")
+    ship.wait_for_subscribers(until, reader.take, "ship/innovation")
     assert not reader.is_played
 
 
 def test_location_names_other_namespaces_with_a_suite(reader, until):
-    assert reader.place.startswith("namespace /demo, domain ")
+    assert reader.location.startswith("namespace /demo, domain ")
     other = SuitePublisher("voyage")
     other.publish("ship/attitude", attitude(1 * NS_PER_S))
-    until(lambda: reader.take() and "suite found in /voyage" in reader.place)
+    until(lambda: reader.fetch() and "suite found in /voyage" in reader.location)
     other.stop()
 
 
 def test_truth_on_the_network_means_simulated(ship, reader, until):
     ship.publish("ship/attitude", attitude(1 * NS_PER_S))
-    ship.heard(until, reader.take, "ship/attitude")
+    ship.wait_for_subscribers(until, reader.take, "ship/attitude")
     assert not reader.is_simulated
     ship.publish("truth/attitude", attitude(1 * NS_PER_S))
-    until(lambda: reader.take() and reader.is_simulated)
+    until(lambda: reader.fetch() and reader.is_simulated)
 
 
 def test_reader_rejoins_the_network_after_a_sleep(ship, reader, until, monkeypatch):
     publish_until_taken(ship, reader, until, attitude(1 * NS_PER_S))
     former = reader._node
     monkeypatch.setattr(reader_module, "_sleep_time_ns", lambda: 3600 * 10**9)
-    reader.take()
+    reader.fetch()
     assert reader._node is not former
     publish_until_taken(ship, reader, until, attitude(2 * NS_PER_S))
 

@@ -153,7 +153,7 @@ def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge
 
     def wait_for(found, tell=lambda: None):
         def look():
-            bridge.look()
+            bridge.read()
             return found(bridge.knows)
 
         return wait_until(ship, look, tell)

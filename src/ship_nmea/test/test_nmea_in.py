@@ -67,7 +67,7 @@ def test_attitudes_are_exact_to_the_printed_decimals(listening, burst, print_deg
     moments = [start + timedelta(milliseconds=100 * number) for number in range(len(ANGLES_DEG))]
     for moment, angles in zip(moments, ANGLES_DEG, strict=True):
         node.send("seapath", burst(moment, *angles))
-    messages = node.heard["ins/imu"]
+    messages = node.received["ins/imu"]
     node.wait_until(lambda: len(messages) == len(ANGLES_DEG))
     for message, moment, angles in zip(messages, moments, ANGLES_DEG, strict=True):
         assert ns_from_stamp(message.header.stamp) == datetime_ns(moment)
@@ -78,7 +78,7 @@ def test_attitudes_are_exact_to_the_printed_decimals(listening, burst, print_deg
         assert np.linalg.norm(np.rad2deg(error)) <= 3 * print_deg
         assert message.header.frame_id == "ins"
         assert message.angular_velocity_covariance[0] == -1.0
-    values = node.wait_until(lambda: (told := node.told("seapath"))[:2] == (OK, "publishes ins/imu") and told[2])
+    values = node.wait_until(lambda: (told := node.source_status("seapath"))[:2] == (OK, "publishes ins/imu") and told[2])
     assert values["ins/imu"] == str(len(ANGLES_DEG))
 
 
@@ -86,7 +86,7 @@ def test_bow_east_is_the_identity_in_ros_axes(listening):
     """REP-103: ENU <- FLU is the identity if the bow points east; independent of our own conversions."""
     node = listening({"seapath": udp("ins")})
     node.send("seapath", psxn(datetime.now(timezone.utc), 90.0, 0.0, 0.0))
-    (message,) = node.wait_until(lambda: node.heard["ins/imu"])
+    (message,) = node.wait_until(lambda: node.received["ins/imu"])
     q = message.orientation
     assert [abs(q.w), q.x, q.y, q.z] == pytest.approx([1.0, 0.0, 0.0, 0.0], abs=1e-9)
 
@@ -104,12 +104,12 @@ def test_each_role_has_its_topics_and_stamps(listening):
     node.send("mast", lines_of("WIXDR,C,23.3,C,0,H,50.1,P,0,P,1009.5,H,0"))
     topics = ["gnss/fix", "reference/gyro/imu", "reference/second/imu"]
     topics += ["met/temperature", "met/humidity", "met/pressure"]
-    node.wait_until(lambda: all(node.heard[topic] for topic in topics))
+    node.wait_until(lambda: all(node.received[topic] for topic in topics))
     for topic in topics:
-        assert before_ns <= ns_from_stamp(node.heard[topic][0].header.stamp) <= time.time_ns()
-    assert node.heard["gnss/fix"][0].latitude == pytest.approx(-(22 + 0.110899 / 60))
-    assert node.heard["reference/gyro/imu"][0].header.frame_id == "gyro"
-    assert node.heard["met/pressure"][0].fluid_pressure == pytest.approx(100_950.0)
+        assert before_ns <= ns_from_stamp(node.received[topic][0].header.stamp) <= time.time_ns()
+    assert node.received["gnss/fix"][0].latitude == pytest.approx(-(22 + 0.110899 / 60))
+    assert node.received["reference/gyro/imu"][0].header.frame_id == "gyro"
+    assert node.received["met/pressure"][0].fluid_pressure == pytest.approx(100_950.0)
 
 
 def test_sentences_without_checksum_need_the_parameter(listening):
@@ -118,13 +118,13 @@ def test_sentences_without_checksum_need_the_parameter(listening):
         node.send(id_, b"$HEHDT,218.0,T\r\n")
         node.send(id_, b"$HEHDT,21\r\n")
         node.send(id_, lines_of("HEHDT,219.0,T"))
-    node.wait_until(lambda: len(node.heard["reference/old/imu"]) == 2 and node.heard["reference/new/imu"])
+    node.wait_until(lambda: len(node.received["reference/old/imu"]) == 2 and node.received["reference/new/imu"])
     for id_, rejected in (("old", "1"), ("new", "2")):
         node.wait_until(
-            lambda id_=id_, rejected=rejected: (told := node.told(id_))
+            lambda id_=id_, rejected=rejected: (told := node.source_status(id_))
             and told[2].get("rejected: half line or no checksum") == rejected
         )
-    assert [len(node.heard[f"reference/{id_}/imu"]) for id_ in ("old", "new")] == [2, 1]
+    assert [len(node.received[f"reference/{id_}/imu"]) for id_ in ("old", "new")] == [2, 1]
 
 
 def test_sources_of_one_port_are_separated_by_talker(listening):
@@ -134,9 +134,9 @@ def test_sources_of_one_port_are_separated_by_talker(listening):
         for id_, talker in (("fore", "HE"), ("aft", "HN"))
     })  # fmt: skip
     node.send("fore", lines_of("HEHDT,10.0,T", "HNHDT,20.0,T", "GPHDT,30.0,T"))
-    node.wait_until(lambda: node.heard["reference/fore/imu"] and node.heard["reference/aft/imu"])
-    assert [len(node.heard[f"reference/{id_}/imu"]) for id_ in ("fore", "aft")] == [1, 1]
-    values = node.wait_until(lambda: (told := node.told("fore"))[2].get("lines") == "3" and told[2])
+    node.wait_until(lambda: node.received["reference/fore/imu"] and node.received["reference/aft/imu"])
+    assert [len(node.received[f"reference/{id_}/imu"]) for id_ in ("fore", "aft")] == [1, 1]
+    values = node.wait_until(lambda: (told := node.source_status("fore"))[2].get("lines") == "3" and told[2])
     assert (values["other talker: HN"], values["other talker: GP"]) == ("1", "1")
 
 
@@ -147,7 +147,7 @@ def test_multicast_group_is_received(listening):
         sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
         data = b"UdPbC\x00\\s:HE0001,n:12*2A\\" + lines_of("HEHDT,10.0,T")
         sender.sendto(data, ("239.192.0.4", node.config.sources["gyro"].port))
-    node.wait_until(lambda: node.heard["reference/gyro/imu"])
+    node.wait_until(lambda: node.received["reference/gyro/imu"])
 
 
 def test_unusable_lines_are_counted_and_the_rest_is_used(listening):
@@ -161,8 +161,8 @@ def test_unusable_lines_are_counted_and_the_rest_is_used(listening):
             lines_of("HEVTG,215.11,T,239.79,M,9.1,N,16.9,K,A"), b"\r\n\r\n",
         )
     ))  # fmt: skip
-    node.wait_until(lambda: len(node.heard["reference/gyro/imu"]) == 10)
-    _, text, values = node.wait_until(lambda: (told := node.told("gyro"))[0] == WARN and told)
+    node.wait_until(lambda: len(node.received["reference/gyro/imu"]) == 10)
+    _, text, values = node.wait_until(lambda: (told := node.source_status("gyro"))[0] == WARN and told)
     assert {name: count for name, count in values.items() if name.startswith(("rejected", "not of", "other"))} == {
         "rejected: binary noise": "1", "rejected: checksum failed": "1", "rejected: half line or no checksum": "2",
         "rejected: line too long": "1", "rejected: no values in it": "1", "rejected: unknown sentence": "1",
@@ -180,7 +180,7 @@ def test_impossible_time_is_an_error(listening):
 
     def error_text():
         node.send("seapath", psxn(datetime(2014, 8, 1, tzinfo=timezone.utc), 10.0, 0.0, 0.0))
-        level, text, _ = node.told("seapath")
+        level, text, _ = node.source_status("seapath")
         return level == ERROR and "instrument time" in text and text
 
     text = node.wait_until(error_text)
@@ -191,11 +191,11 @@ def test_impossible_time_is_an_error(listening):
 def test_source_without_data_is_an_error_until_data_arrives(listening):
     node = listening({"gyro": udp("gyro", silent_after_s=0.3)})
     node.send("gyro", lines_of("HEHDT,10.0,T"))
-    node.wait_until(lambda: node.told("gyro")[0] == ERROR and "no line for" in node.told("gyro")[1])
+    node.wait_until(lambda: node.source_status("gyro")[0] == ERROR and "no line for" in node.source_status("gyro")[1])
 
     def send_and_check():
         node.send("gyro", lines_of("HEHDT,10.0,T"))
-        return node.told("gyro")[0] == OK
+        return node.source_status("gyro")[0] == OK
 
     node.wait_until(send_and_check)
 
@@ -214,12 +214,12 @@ def test_foreign_sender_and_cut_datagrams_lose_no_ins_message(listening):
             if number % 20 == 1:
                 ahead = pashr(moment + timedelta(seconds=30), 90.0, 0.0, 0.0)
                 foreign.sendto(ahead, ("127.0.0.1", node.config.sources["seapath"].port))
-        node.wait_until(lambda: len(node.heard["ins/imu"]) == 100)
-        values = node.wait_until(lambda: (told := node.told("seapath"))[2].get("lines") == "305" and told[2])
+        node.wait_until(lambda: len(node.received["ins/imu"]) == 100)
+        values = node.wait_until(lambda: (told := node.source_status("seapath"))[2].get("lines") == "305" and told[2])
         assert values[f"other sender: 127.0.0.2:{foreign.getsockname()[1]}"] == "5"
         assert values["not of interest: binary"] == "200"
     node.send("gps", b"$INGGA,000000.16,2200.110899,S,01756.359432,W,1,12,0.7,-2.76,M,4.67,M,,*6C\r\n")
-    node.wait_until(lambda: "rejected: sender that is not in 'from'" in node.told("gps")[2])
+    node.wait_until(lambda: "rejected: sender that is not in 'from'" in node.source_status("gps")[2])
     assert node.exception_text() == "no exception"
 
 
@@ -239,20 +239,20 @@ class Server:
 def test_server_restart_and_lines_in_chunks(listening):
     port = free_port(socket.SOCK_STREAM)
     node = listening({"gyro": {"kind": "tcp", "address": "127.0.0.1", "port": port, "becomes": "gyro"}})
-    node.wait_until(lambda: node.told("gyro")[1] == f"tcp 127.0.0.1:{port}: Connection refused; retried")
+    node.wait_until(lambda: node.source_status("gyro")[1] == f"tcp 127.0.0.1:{port}: Connection refused; retried")
     server = Server(port)
     text = lines_of("HEHDT,10.0,T", "HEHDT,20.0,T")
     for place in range(0, len(text), 5):
         server.connection.sendall(text[place : place + 5])
         time.sleep(0.01)
-    node.wait_until(lambda: len(node.heard["reference/gyro/imu"]) == 2)
+    node.wait_until(lambda: len(node.received["reference/gyro/imu"]) == 2)
     server.connection.sendall(b"$HEHDT,30")
     server.close()
-    node.wait_until(lambda: "closed the connection" in node.told("gyro")[1] or "refused" in node.told("gyro")[1])
+    node.wait_until(lambda: "closed the connection" in node.source_status("gyro")[1] or "refused" in node.source_status("gyro")[1])
     server = Server(port)
     server.connection.sendall(lines_of("HEHDT,40.0,T"))
-    node.wait_until(lambda: len(node.heard["reference/gyro/imu"]) == 3)
-    values = node.wait_until(lambda: (told := node.told("gyro"))[2].get("lines") == "3" and told[2])
+    node.wait_until(lambda: len(node.received["reference/gyro/imu"]) == 3)
+    values = node.wait_until(lambda: (told := node.source_status("gyro"))[2].get("lines") == "3" and told[2])
     assert not [name for name in values if name.startswith("rejected")]
     server.close()
 
@@ -261,23 +261,23 @@ def test_serial_line_is_unplugged_and_plugged_in(listening, tmp_path):
     """A real pseudo-terminal, behind a link as udev makes one; it does not exist at the start."""
     device = tmp_path / "ttyUSB0"
     node = listening({"gyro": {"kind": "serial", "device": str(device), "baud": 9600, "becomes": "gyro"}})
-    node.wait_until(lambda: "No such file or directory" in node.told("gyro")[1])
+    node.wait_until(lambda: "No such file or directory" in node.source_status("gyro")[1])
     for _ in range(2):
         controller, terminal = os.openpty()
         device.symlink_to(os.ttyname(terminal))
-        before = len(node.heard["reference/gyro/imu"])
+        before = len(node.received["reference/gyro/imu"])
 
         def has_received(controller=controller, before=before):
             os.write(controller, lines_of("HEHDT,10.0,T")[:7])
             time.sleep(0.01)
             os.write(controller, lines_of("HEHDT,10.0,T")[7:])
-            return len(node.heard["reference/gyro/imu"]) > before and node.told("gyro")[0] != ERROR
+            return len(node.received["reference/gyro/imu"]) > before and node.source_status("gyro")[0] != ERROR
 
         node.wait_until(has_received)
         device.unlink()
         os.close(controller)
         os.close(terminal)
-        node.wait_until(lambda: "; retried" in node.told("gyro")[1])
+        node.wait_until(lambda: "; retried" in node.source_status("gyro")[1])
     assert node.exception_text() == "no exception"
 
 
@@ -325,9 +325,9 @@ def test_busy_port_of_one_source_does_not_stop_the_others(listening):
         other.bind(("127.0.0.1", busy["port"]))
         node = listening({"busy": busy, "well": udp("gyro")}, as_process=True)
         node.send("well", lines_of("HEHDT,10.0,T"))
-        node.wait_until(lambda: node.heard["reference/well/imu"] and node.told("busy")[0] == ERROR)
-        assert node.told("busy")[1].endswith("Address already in use; retried")
-    node.wait_until(lambda: "Address" not in node.told("busy")[1])
+        node.wait_until(lambda: node.received["reference/well/imu"] and node.source_status("busy")[0] == ERROR)
+        assert node.source_status("busy")[1].endswith("Address already in use; retried")
+    node.wait_until(lambda: "Address" not in node.source_status("busy")[1])
     expected = (
         f"nmea_in.yaml:8: parameter 'sources.busy.port' = {busy['port']}: Address already in use: another program uses "
         "it: end that program, or use another port; the others continue, and opening it is retried"
@@ -389,7 +389,7 @@ def test_many_faults_at_once(listening, tmp_path):
         nonlocal sent
         end_s = time.monotonic() + 60.0
         while not happened():
-            assert time.monotonic() < end_s, [node.told(id_) for id_ in node.config.sources]
+            assert time.monotonic() < end_s, [node.source_status(id_) for id_ in node.config.sources]
             node.send("noisy", rng.bytes(500))
             node.send("well", lines_of("HEHDT,10.0,T"))
             sent += 1
@@ -397,22 +397,22 @@ def test_many_faults_at_once(listening, tmp_path):
             while time.monotonic() < next_s:
                 node.spin()
 
-    well = node.heard["reference/well/imu"]
+    well = node.received["reference/well/imu"]
     flooding = threading.Thread(target=flood)
     flooding.start()
     try:
-        run_until(lambda: well and int(node.told("flooded")[2].get("dropped", "0")) > 2000)
+        run_until(lambda: well and int(node.source_status("flooded")[2].get("dropped", "0")) > 2000)
         # Some may be lost before DDS has matched both sides.
-        node.wait_until(lambda: int(node.told("well")[2]["lines"]) == sent)
+        node.wait_until(lambda: int(node.source_status("well")[2]["lines"]) == sent)
         before_mb, before, sent = resident_mb(node.process), len(well), 0
         server.close()
         device.unlink()
         os.close(controller)
         os.close(terminal)
-        run_until(lambda: all("; retried" in node.told(id_)[1] for id_ in ("server", "device")))
-        run_until(lambda: int(node.told("flooded")[2]["dropped"]) > 8000 and "noise" in node.told("noisy")[1])
-        assert node.told("flooded")[1].startswith("overflow: input faster than processing; ")
-        assert node.told("well")[0] == OK
+        run_until(lambda: all("; retried" in node.source_status(id_)[1] for id_ in ("server", "device")))
+        run_until(lambda: int(node.source_status("flooded")[2]["dropped"]) > 8000 and "noise" in node.source_status("noisy")[1])
+        assert node.source_status("flooded")[1].startswith("overflow: input faster than processing; ")
+        assert node.source_status("well")[0] == OK
         node.wait_until(lambda: len(well) - before >= sent)
         assert resident_mb(node.process) - before_mb < 8.0
     finally:

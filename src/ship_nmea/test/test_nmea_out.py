@@ -93,7 +93,7 @@ def test_attitude_is_sent_with_its_quality(ship, bridge, status, mode, quality):
     told = {}
 
     def publish():
-        message = ship.tell(heading_deg, status=status)
+        message = ship.publish(heading_deg, status=status)
         stamp = message.header.stamp
         told[f"{stamp.sec % 60:02d}.{round(stamp.nanosec / 1e6):03d}"] = message
 
@@ -131,16 +131,16 @@ def is_void(bridge):
     (None, "ship/attitude: no message for"),
 ])  # fmt: skip
 def test_invalid_or_old_attitude_is_sent_void(ship, bridge, how, told):
-    read_until(ship, bridge, lambda: shows(bridge, 55.0), lambda: ship.tell(55.0))
+    read_until(ship, bridge, lambda: shows(bridge, 55.0), lambda: ship.publish(55.0))
     ship.statuses.clear()
-    read_until(ship, bridge, lambda: is_void(bridge), lambda: how and ship.tell(**how))
+    read_until(ship, bridge, lambda: is_void(bridge), lambda: how and ship.publish(**how))
     bridge.clear()
 
     def status_has_reason():
         status = ship.statuses.get("nmea_out: attitude")
         return status is not None and told in status.message
 
-    wait_until(ship, status_has_reason, lambda: how and ship.tell(**how))
+    wait_until(ship, status_has_reason, lambda: how and ship.publish(**how))
     bridge.read()
     assert bridge.sentences
     assert not any(one.heading for one in bridge.sentences if type(one).__name__ == "HDT")
@@ -148,14 +148,14 @@ def test_invalid_or_old_attitude_is_sent_void(ship, bridge, how, told):
 
 def test_attitude_at_ten_kilohertz_is_sent_at_the_rate_of_the_sink(ship, bridge):
     """The node stays alive, its sentences are recent, and another sink keeps its own rate."""
-    read_until(ship, bridge, lambda: shows(bridge, 1.0), lambda: ship.tell(1.0))
+    read_until(ship, bridge, lambda: shows(bridge, 1.0), lambda: ship.publish(1.0))
     began_s, before = time.monotonic(), bridge.file.read_text().count("HDT")
     while time.monotonic() - began_s < 3.0:
         for _ in range(500):
-            ship.tell(1.0)
+            ship.publish(1.0)
         bridge.clear()
         ship.spin(0.0)
-    read_until(ship, bridge, lambda: shows(bridge, 2.0), lambda: ship.tell(2.0))
+    read_until(ship, bridge, lambda: shows(bridge, 2.0), lambda: ship.publish(2.0))
     lasted_s = time.monotonic() - began_s
     assert bridge.file.read_text().count("HDT") - before <= lasted_s * 1.0 + 2
     assert bridge.process.poll() is None

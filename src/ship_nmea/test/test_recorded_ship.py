@@ -65,7 +65,7 @@ def test_live_messages_equal_imported_ones(listening, imported):
         },
         use_sim_time=True,
     )
-    assert node.heard.keys() == imported.keys()
+    assert node.received.keys() == imported.keys()
     lines = sorted((time_s, source, line) for source in FILES for time_s, line in excerpt(source))
     for begin_s in range(0, EXCERPT_S, BLOCK_S):
         if begin_s % CLOCK_STEP_S == 0:
@@ -76,9 +76,9 @@ def test_live_messages_equal_imported_ones(listening, imported):
         # As fast as the node takes it, without loss.
         for topic, expected in imported.items():
             count = sum(time_s < begin_s + BLOCK_S for time_s, _ in expected)
-            node.wait_until(lambda topic=topic, count=count: len(node.heard[topic]) >= count)
+            node.wait_until(lambda topic=topic, count=count: len(node.received[topic]) >= count)
     for topic, expected in imported.items():
-        heard, kind = node.heard[topic], type(node.heard[topic][0])
+        heard, kind = node.received[topic], type(node.received[topic][0])
         assert len(heard) == len(expected) > 200
         wanted = [deserialize_message(data, kind) for _, data in expected]
         if topic in ARRIVAL_STAMPED:

@@ -75,7 +75,7 @@ def test_black_box_contains_everything_in_order_of_use(live_relay, tmp_path):
 
 def test_black_box_and_changed_parameters_are_in_the_diagnostics(live_relay, tmp_path):
     relay = live_relay("-p", f"black_box:={tmp_path}/box.mcap")
-    relay.wait_until(lambda: relay.reports("relay: black box", DiagnosticStatus.OK))
+    relay.wait_until(lambda: relay.has_level("relay: black box", DiagnosticStatus.OK))
     assert relay.diagnostics["relay: black box"].message == f"writing {tmp_path}/box.mcap"
     assert relay.diagnostics["relay: parameters"].message == "as at the start"
     assert set_parameter(relay, "gate.count", 5).successful

@@ -78,7 +78,7 @@ def test_exception_in_handle_is_reported_and_the_next_message_is_relayed(live_re
         publisher.publish(imu_message(time.time_ns(), EXPLOSIVE_FRAME))
     publisher.publish(imu_message(time.time_ns()))
     relay.wait_until(lambda: len(relay.attitudes) == 1)
-    relay.wait_until(lambda: relay.reports("relay: callbacks", DiagnosticStatus.ERROR))
+    relay.wait_until(lambda: relay.has_level("relay: callbacks", DiagnosticStatus.ERROR))
     text = relay.diagnostics["relay: callbacks"].message
     assert text.startswith("3 exceptions, the last in ins/imu: RuntimeError: a defect of the adapter")
     assert "relay_adapter.py:" in text
@@ -170,7 +170,7 @@ def test_publisher_with_incompatible_qos_is_an_error_that_names_the_policy(live_
     relay = live_relay(*RELIABLE_INPUT)
     relay.imu_publisher(ReliabilityPolicy.BEST_EFFORT, match=False)
     name = "relay: input ins/imu"
-    relay.wait_until(lambda: relay.reports(name, DiagnosticStatus.ERROR))
+    relay.wait_until(lambda: relay.has_level(name, DiagnosticStatus.ERROR))
     assert "incompatible QoS" in relay.diagnostics[name].message
     assert "RELIABILITY" in relay.diagnostics[name].message
 
@@ -309,7 +309,7 @@ def test_events_waiting_in_bag_time_are_an_overload(live_relay, monkeypatch):
     relay.wait_until(lambda: clock.get_subscription_count() == 1)
     set_time(1000.0)
     relay.wait_until(lambda: relay.live._last_ns == 1000_000_000_000)
-    take, stands, goes_on = relay.live._events.take, threading.Event(), threading.Event()
+    take, stands, goes_on = relay.live._events.process_events, threading.Event(), threading.Event()
 
     def take_after_standstill(timeout_s):
         stands.set()
@@ -338,7 +338,7 @@ def test_an_oversized_message_is_counted_and_dropped(live_relay):
     publisher.publish(imu_message(time.time_ns()))
     relay.wait_until(lambda: len(relay.attitudes) == 1)
     name = "relay: input ins/imu"
-    relay.wait_until(lambda: relay.reports(name, DiagnosticStatus.WARN))
+    relay.wait_until(lambda: relay.has_level(name, DiagnosticStatus.WARN))
     assert "refused, overflow: 1 messages cut, the last larger than" in relay.diagnostics[name].message
     assert len(relay.adapter.handled) == 1
 
@@ -399,7 +399,7 @@ def test_topic_with_a_publisher_and_no_message_is_reported_after_five_seconds(li
     relay.wait_until(lambda: relay.adapter.health._publishers.get("ins/imu") == 1)
     # The timeout begins with the first /clock received: on a busy computer that is not the first one published.
     set_time(1008.0)
-    relay.wait_until(lambda: relay.reports(name, DiagnosticStatus.ERROR))
+    relay.wait_until(lambda: relay.has_level(name, DiagnosticStatus.ERROR))
     text = r"required: 1 publisher\(s\) but no message for [5-8] s: QoS mismatch"
     assert re.match(text, relay.diagnostics[name].message)
 
@@ -407,7 +407,7 @@ def test_topic_with_a_publisher_and_no_message_is_reported_after_five_seconds(li
 def test_clock_that_never_starts_is_an_error(live_relay):
     relay = live_relay(*SIM_TIME)
     name = "relay: clock"
-    relay.wait_until(lambda: relay.reports(name, DiagnosticStatus.ERROR))
+    relay.wait_until(lambda: relay.has_level(name, DiagnosticStatus.ERROR))
     assert "but no /clock for" in relay.diagnostics[name].message
 
 
@@ -419,12 +419,12 @@ def test_timeout_of_clock_is_reported_and_timeouts_continue(live_relay):
     while time.monotonic() < end_s:
         set_time(1000.0)
         relay.spin()
-        assert not relay.reports(name, DiagnosticStatus.ERROR)
+        assert not relay.has_level(name, DiagnosticStatus.ERROR)
     relay.imu_publisher().publish(imu_message(1000_000_000_000))
     relay.wait_until(lambda: len(relay.attitudes) == 1)
     ticks = len(relay.adapter.ticks)
     # No /clock from now on.
-    relay.wait_until(lambda: relay.reports(name, DiagnosticStatus.ERROR))
+    relay.wait_until(lambda: relay.has_level(name, DiagnosticStatus.ERROR))
     assert re.fullmatch(r"no /clock for \d+ s: node time is frozen", relay.diagnostics[name].message)
     relay.wait_until(lambda: len(relay.adapter.ticks) >= ticks + 22)
     # The node time is frozen, the timeout clock goes on, tick by tick.
@@ -433,7 +433,7 @@ def test_timeout_of_clock_is_reported_and_timeouts_continue(live_relay):
     relay.wait_until(lambda: "no data for" in relay.diagnostics["relay: input ins/imu"].message)
 
     set_time(1000.5)
-    relay.wait_until(lambda: relay.reports(name, DiagnosticStatus.OK))
+    relay.wait_until(lambda: relay.has_level(name, DiagnosticStatus.OK))
     relay.wait_until(lambda: relay.adapter.node_times[-1] > 1000_000_000_000)
     assert relay.adapter.ticks == sorted(set(relay.adapter.ticks))
     assert relay.adapter.node_times == sorted(relay.adapter.node_times)
@@ -442,12 +442,12 @@ def test_timeout_of_clock_is_reported_and_timeouts_continue(live_relay):
 
 def test_two_nodes_with_one_name_are_reported(live_relay):
     relay = live_relay()
-    relay.wait_until(lambda: relay.reports("relay: name", DiagnosticStatus.OK))
+    relay.wait_until(lambda: relay.has_level("relay: name", DiagnosticStatus.OK))
     twin = rclpy.create_node("relay", context=relay.context, use_global_arguments=False)
-    relay.wait_until(lambda: relay.reports("relay: name", DiagnosticStatus.ERROR))
+    relay.wait_until(lambda: relay.has_level("relay: name", DiagnosticStatus.ERROR))
     assert relay.diagnostics["relay: name"].message.startswith("2 nodes are called '/relay': stop all but one")
     twin.destroy_node()
-    relay.wait_until(lambda: relay.reports("relay: name", DiagnosticStatus.OK))
+    relay.wait_until(lambda: relay.has_level("relay: name", DiagnosticStatus.OK))
 
 
 def test_a_bag_of_another_year_is_reported_with_the_remedy(live_relay, capfd):
@@ -509,16 +509,16 @@ def test_two_active_publishers_are_named_until_one_has_stopped(two_senders):
     send_until(relay, [first], lambda: len(relay.attitudes) >= 20)
     assert relay.adapter.contested == []
     found_s = send_until(relay, [first, second], lambda: relay.adapter.contested == [("ins/imu", TWO)])
-    send_until(relay, [first, second], lambda: relay.reports("relay: input ins/imu", DiagnosticStatus.ERROR))
+    send_until(relay, [first, second], lambda: relay.has_level("relay: input ins/imu", DiagnosticStatus.ERROR))
     assert relay.diagnostics["relay: input ins/imu"].message == TWO
     over_s = send_until(relay, [first], lambda: relay.adapter.contested[1:] == [("ins/imu", "")])
-    send_until(relay, [first], lambda: relay.reports("relay: input ins/imu", DiagnosticStatus.OK))
+    send_until(relay, [first], lambda: relay.has_level("relay: input ins/imu", DiagnosticStatus.OK))
     print(f"found after {found_s:.2f} s, over {over_s:.2f} s after one has stopped")
 
 
 def test_a_publisher_that_never_sends_is_a_hint_in_the_diagnostics(two_senders):
     relay, first, _ = two_senders
-    send_until(relay, [first], lambda: relay.reports("relay: input ins/imu", DiagnosticStatus.OK))
+    send_until(relay, [first], lambda: relay.has_level("relay: input ins/imu", DiagnosticStatus.OK))
 
     def hint() -> str:
         values = relay.diagnostics["relay: input ins/imu"].values

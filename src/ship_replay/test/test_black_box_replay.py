@@ -242,7 +242,7 @@ def test_a_node_that_did_not_save_by_itself_yet_is_not_expected_to_have_saved(tm
         return replace(record, data=data)
 
     is_time = SavedStart.is_autosave_time
-    monkeypatch.setattr(SavedStart, "is_time", lambda self, ns, period_s: is_time(self, ns, period_s / 60.0))
+    monkeypatch.setattr(SavedStart, "is_autosave_time", lambda self, ns, period_s: is_time(self, ns, period_s / 60.0))
     code, out, _ = verify(capsys, write_changed_copy(box, tmp_path / "old.mcap", without_the_parameter))
     assert code == 0, out
     assert "outputs are equal to the last bit" in out
