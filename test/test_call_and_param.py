@@ -102,7 +102,7 @@ def test_a_source_is_removed_and_added_again(environment):
     assert code == 1
     assert told.startswith("param: refused: parameter 'sources_off': there is no source 'fore': expected some of star.")
     code, _, told = run_command(environment, "param", NODE, "sources_off", "ins")
-    assert (code, "stop what publishes ins/imu" in told) == (1, True)
+    assert (code, "stop the publisher of ins/imu" in told) == (1, True)
 
 
 def test_a_rejection_has_the_reason_of_the_node(environment):

@@ -62,7 +62,7 @@ def publish_until_taken(ship, reader, until, message):
 def test_newest_message_of_streams_and_every_message_of_other_topics(ship, reader, until):
     ship.publish("ins/imu", Imu())
     ship.publish("ship/innovation", Innovation())
-    ship.wait_for_subscribers(until, reader.take, "ins/imu", "ship/innovation")
+    ship.wait_for_subscribers(until, reader.fetch, "ins/imu", "ship/innovation")
     reader.fetch()
     for number in range(50):
         imu = Imu()
@@ -83,7 +83,7 @@ def test_newest_message_of_streams_and_every_message_of_other_topics(ship, reade
 
 def test_arrivals_are_ordered_and_between_two_fetches(ship, reader, until):
     ship.publish("ship/innovation", Innovation())
-    ship.wait_for_subscribers(until, reader.take, "ship/innovation")
+    ship.wait_for_subscribers(until, reader.fetch, "ship/innovation")
     before_ns = steady_ns()
     for number in range(5):
         ship.publish("ship/innovation", Innovation(nis=float(number)))
@@ -107,7 +107,7 @@ def test_restarted_publisher_is_received(reader, until):
 
 def test_topic_that_becomes_latched_is_subscribed_again(ship, reader, until):
     ship.publish("ship/alerts", AlertArray())
-    ship.wait_for_subscribers(until, reader.take, "ship/alerts")
+    ship.wait_for_subscribers(until, reader.fetch, "ship/alerts")
     ship.node.destroy_publisher(ship.publishers.pop("ship/alerts"))
     ship.publish("ship/alerts", AlertArray(), LATCHED)
     assert fetch_until(reader, until, "ship/alerts")
@@ -116,7 +116,7 @@ def test_topic_that_becomes_latched_is_subscribed_again(ship, reader, until):
 @pytest.mark.parametrize(("shift_s", "is_anew"), [(-60, True), (60, False), (-2, False)])
 def test_outputs_that_step_back_are_another_voyage(ship, reader, until, shift_s, is_anew):
     ship.publish("ship/attitude", attitude(1000 * NS_PER_S))
-    ship.wait_for_subscribers(until, reader.take, "ship/attitude")
+    ship.wait_for_subscribers(until, reader.fetch, "ship/attitude")
     ship.publish("ship/attitude", attitude(1000 * NS_PER_S))
     fetch_until(reader, until, "ship/attitude")
     ship.publish("ship/attitude", attitude((1000 + shift_s) * NS_PER_S))
@@ -127,7 +127,7 @@ def test_outputs_that_step_back_are_another_voyage(ship, reader, until, shift_s,
 
 def test_invalid_attitude_is_no_step_back(ship, reader, until):
     ship.publish("ship/attitude", attitude(1000 * NS_PER_S))
-    ship.wait_for_subscribers(until, reader.take, "ship/attitude")
+    ship.wait_for_subscribers(until, reader.fetch, "ship/attitude")
     ship.publish("ship/attitude", attitude(1000 * NS_PER_S))
     fetch_until(reader, until, "ship/attitude")
     ship.publish("ship/attitude", attitude(10 * NS_PER_S, ShipAttitude.INVALID))
@@ -140,7 +140,7 @@ def test_clock_step_back_drops_earlier_messages(ship, reader, until):
     clock.clock.sec = 100
     ship.publish("/clock", clock)
     ship.publish("ship/innovation", Innovation())
-    ship.wait_for_subscribers(until, reader.take, "/clock", "ship/innovation")
+    ship.wait_for_subscribers(until, reader.fetch, "/clock", "ship/innovation")
     ship.publish("/clock", clock)
     until(lambda: reader.is_played and reader.fetch() and "/clock" in reader._latest_ns)
     ship.publish("ship/innovation", Innovation(nis=1.0))
@@ -162,7 +162,7 @@ def test_clock_in_the_namespace_is_used(ship, reader, until):
     """With `suite --bag --namespace` each suite has the clock of its own bag."""
     ship.publish("ship/innovation", Innovation())
     ship.publish("clock", clock_at(100))
-    ship.wait_for_subscribers(until, reader.take, "clock", "ship/innovation")
+    ship.wait_for_subscribers(until, reader.fetch, "clock", "ship/innovation")
     ship.publish("clock", clock_at(100))
     until(lambda: reader.is_played and reader.fetch() and "/clock" in reader._latest_ns)
     ship.publish("clock", clock_at(40))
@@ -171,7 +171,7 @@ def test_clock_in_the_namespace_is_used(ship, reader, until):
 
 def test_own_clock_replaces_the_global_one(ship, reader, until):
     ship.publish("/clock", clock_at(900))
-    ship.wait_for_subscribers(until, reader.take, "/clock")
+    ship.wait_for_subscribers(until, reader.fetch, "/clock")
     ship.publish("/clock", clock_at(900))
     until(lambda: reader.is_played and reader.fetch() and "/clock" in reader._latest_ns)
     # Its own clock is earlier, which is no step back; then the other bag restarts.
@@ -199,7 +199,7 @@ def test_own_clock_replaces_the_global_one(ship, reader, until):
 def test_clock_topic_of_another_type_is_ignored(ship, reader, until):
     ship.publish("clock", Imu())
     ship.publish("ship/innovation", Innovation())
-    ship.wait_for_subscribers(until, reader.take, "ship/innovation")
+    ship.wait_for_subscribers(until, reader.fetch, "ship/innovation")
     assert not reader.is_played
 
 
@@ -213,7 +213,7 @@ def test_location_names_other_namespaces_with_a_suite(reader, until):
 
 def test_truth_on_the_network_means_simulated(ship, reader, until):
     ship.publish("ship/attitude", attitude(1 * NS_PER_S))
-    ship.wait_for_subscribers(until, reader.take, "ship/attitude")
+    ship.wait_for_subscribers(until, reader.fetch, "ship/attitude")
     assert not reader.is_simulated
     ship.publish("truth/attitude", attitude(1 * NS_PER_S))
     until(lambda: reader.fetch() and reader.is_simulated)

@@ -78,7 +78,9 @@ def test_attitudes_are_exact_to_the_printed_decimals(listening, burst, print_deg
         assert np.linalg.norm(np.rad2deg(error)) <= 3 * print_deg
         assert message.header.frame_id == "ins"
         assert message.angular_velocity_covariance[0] == -1.0
-    values = node.wait_until(lambda: (told := node.source_status("seapath"))[:2] == (OK, "publishes ins/imu") and told[2])
+    values = node.wait_until(
+        lambda: (told := node.source_status("seapath"))[:2] == (OK, "publishes ins/imu") and told[2]
+    )
     assert values["ins/imu"] == str(len(ANGLES_DEG))
 
 
@@ -248,7 +250,9 @@ def test_server_restart_and_lines_in_chunks(listening):
     node.wait_until(lambda: len(node.received["reference/gyro/imu"]) == 2)
     server.connection.sendall(b"$HEHDT,30")
     server.close()
-    node.wait_until(lambda: "closed the connection" in node.source_status("gyro")[1] or "refused" in node.source_status("gyro")[1])
+    node.wait_until(
+        lambda: "closed the connection" in node.source_status("gyro")[1] or "refused" in node.source_status("gyro")[1]
+    )
     server = Server(port)
     server.connection.sendall(lines_of("HEHDT,40.0,T"))
     node.wait_until(lambda: len(node.received["reference/gyro/imu"]) == 3)
@@ -410,7 +414,11 @@ def test_many_faults_at_once(listening, tmp_path):
         os.close(controller)
         os.close(terminal)
         run_until(lambda: all("; retried" in node.source_status(id_)[1] for id_ in ("server", "device")))
-        run_until(lambda: int(node.source_status("flooded")[2]["dropped"]) > 8000 and "noise" in node.source_status("noisy")[1])
+        run_until(
+            lambda: (
+                int(node.source_status("flooded")[2]["dropped"]) > 8000 and "noise" in node.source_status("noisy")[1]
+            )
+        )
         assert node.source_status("flooded")[1].startswith("overflow: input faster than processing; ")
         assert node.source_status("well")[0] == OK
         node.wait_until(lambda: len(well) - before >= sent)
