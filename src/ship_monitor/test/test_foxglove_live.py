@@ -237,10 +237,10 @@ def monitor(opened, tmp_path):
     process = opened.enter_context(LiveProcess(command, tmp_path / "log", os.environ))
     deadline_s = time.monotonic() + 60.0
     while "http://" not in process.log_text():
-        assert process.exit_code is None, process.log()
-        assert time.monotonic() < deadline_s, process.log()
+        assert process.exit_code is None, process.log_text()
+        assert time.monotonic() < deadline_s, process.log_text()
         time.sleep(0.05)
-    return process, next(word for word in process.log().split() if word.startswith("ws://127.0.0.1:"))
+    return process, next(word for word in process.log_text().split() if word.startswith("ws://127.0.0.1:"))
 
 
 def test_executable_serves_page_and_foxglove_and_ends_with_ctrl_c(sail, opened, monitor):
@@ -252,7 +252,7 @@ def test_executable_serves_page_and_foxglove_and_ends_with_ctrl_c(sail, opened, 
     assert client.server_messages[0]["name"] == "demo"
     assert process.end(signal.SIGINT) == 0
     client.wait_until(lambda: client.is_over)
-    assert len(process.log().splitlines()) == 2, process.log()
+    assert len(process.log_text().splitlines()) == 2, process.log_text()
 
 
 def test_executable_ends_with_a_client_that_does_not_read(sail, opened, monitor):
@@ -273,5 +273,5 @@ def test_executable_ends_with_a_client_that_does_not_read(sail, opened, monitor)
 
     client.wait_until(has_come)
     assert process.end(signal.SIGTERM) == 0
-    assert len(process.log().splitlines()) == 2, process.log()
+    assert len(process.log_text().splitlines()) == 2, process.log_text()
     assert deaf.fileno() >= 0

@@ -121,7 +121,7 @@ def test_outputs_that_step_back_are_another_voyage(ship, reader, until, shift_s,
     fetch_until(reader, until, "ship/attitude")
     ship.publish("ship/attitude", attitude((1000 + shift_s) * NS_PER_S))
     taken = until(lambda: (taken := reader.fetch()).messages and taken)
-    assert taken.is_anew is is_anew
+    assert taken.time_went_back is is_anew
     assert taken.messages[-1].message.header.stamp.sec == 1000 + shift_s
 
 
@@ -132,7 +132,7 @@ def test_invalid_attitude_is_no_step_back(ship, reader, until):
     fetch_until(reader, until, "ship/attitude")
     ship.publish("ship/attitude", attitude(10 * NS_PER_S, ShipAttitude.INVALID))
     taken = until(lambda: (taken := reader.fetch()).messages and taken)
-    assert not taken.is_anew
+    assert not taken.time_went_back
 
 
 def test_clock_step_back_drops_earlier_messages(ship, reader, until):
@@ -146,7 +146,7 @@ def test_clock_step_back_drops_earlier_messages(ship, reader, until):
     ship.publish("ship/innovation", Innovation(nis=1.0))
     clock.clock.sec = 40
     ship.publish("/clock", clock)
-    taken = until(lambda: (taken := reader.fetch()).is_anew and taken)
+    taken = until(lambda: (taken := reader.fetch()).time_went_back and taken)
     assert all(each.message.nis != 1.0 for each in taken.messages)
     ship.publish("ship/innovation", Innovation(nis=2.0))
     assert fetch_until(reader, until, "ship/innovation")[0].message.nis == 2.0
@@ -166,7 +166,7 @@ def test_clock_in_the_namespace_is_used(ship, reader, until):
     ship.publish("clock", clock_at(100))
     until(lambda: reader.is_played and reader.fetch() and "/clock" in reader._latest_ns)
     ship.publish("clock", clock_at(40))
-    until(lambda: reader.fetch().is_anew)
+    until(lambda: reader.fetch().time_went_back)
 
 
 def test_own_clock_replaces_the_global_one(ship, reader, until):
@@ -190,7 +190,7 @@ def test_own_clock_replaces_the_global_one(ship, reader, until):
     for _ in range(20):
         hear("/clock", 5)()
     until(hear("clock", 101))
-    assert not any(taken.is_anew for taken in looks)
+    assert not any(taken.time_went_back for taken in looks)
     # After its own clock has ended, the global one is used again.
     ship.node.destroy_publisher(ship.publishers.pop("clock"))
     until(hear("/clock", 6))

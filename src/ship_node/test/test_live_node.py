@@ -88,7 +88,7 @@ def test_message_rejected_by_the_adapter_is_counted_and_shown(live_relay):
     relay = live_relay(*RELIABLE_INPUT, "-p", "frame_id:=ins")
     publisher = relay.imu_publisher()
     publisher.publish(imu_message(time.time_ns(), "radar"))
-    relay.wait_until(lambda: "refused, frame" in getattr(relay.diagnostics.get("relay: input ins/imu"), "message", ""))
+    relay.wait_until(lambda: "rejected, frame" in getattr(relay.diagnostics.get("relay: input ins/imu"), "message", ""))
     status = relay.diagnostics["relay: input ins/imu"]
     assert status.message == "refused, frame: frame_id is 'radar': expected 'ins'"
     assert {v.key: v.value for v in status.values}["reason frame"] == "1"
@@ -319,7 +319,7 @@ def test_events_waiting_in_bag_time_are_an_overload(live_relay, monkeypatch):
     # On a busy machine the first event may take long without having been waited for.
     monkeypatch.setattr(node_events, "_WAITED_NS", 10**10)
     monkeypatch.setattr(node_events, "MAX_EVENTS", 1)
-    monkeypatch.setattr(relay.live._events, "take", take_after_standstill)
+    monkeypatch.setattr(relay.live._events, "process_events", take_after_standstill)
     assert stands.wait(TIMEOUT_S)
     for tenth in range(61):
         bag_ns = 1000_000_000_000 + tenth * 100_000_000
@@ -339,7 +339,7 @@ def test_an_oversized_message_is_counted_and_dropped(live_relay):
     relay.wait_until(lambda: len(relay.attitudes) == 1)
     name = "relay: input ins/imu"
     relay.wait_until(lambda: relay.has_level(name, DiagnosticStatus.WARN))
-    assert "refused, overflow: 1 messages cut, the last larger than" in relay.diagnostics[name].message
+    assert "rejected, overflow: 1 messages cut, the last larger than" in relay.diagnostics[name].message
     assert len(relay.adapter.handled) == 1
 
 
