@@ -79,7 +79,7 @@ def crossing(tmp_path_factory):
         time.sleep(BEFORE_S)
         cut_ns = link.cut()
         time.sleep(CUT_S)
-        mended_ns = link.restore()
+        restored_ns = link.restore()
         assert player.wait(MOST_START_S) == 0, player.log_text()
         assert recorder.end() == 0, recorder.log_text()
         assert started.end() == 0, started.log_text()
@@ -91,7 +91,7 @@ def crossing(tmp_path_factory):
         set(times(box, "ins/imu")),
         set(times(box, "ship/attitude")),
         cut_ns,
-        mended_ns,
+        restored_ns,
     )
 
 
@@ -173,6 +173,6 @@ def test_outputs_continue_after_an_interruption(crossing):
     came_ns = crossing.attitude_times.values()
     assert not [time_ns for time_ns in came_ns if silent_ns <= time_ns < crossing.restored_ns], "the link was not cut"
     end_ns = max(crossing.sample_times.values())
-    back_ns = crossing.mended_ns + round(BACK_S * NS_PER_S)
+    back_ns = crossing.restored_ns + round(BACK_S * NS_PER_S)
     assert end_ns > back_ns + 2 * NS_PER_S
     assert_all_come_in_time(crossing, back_ns, end_ns)

@@ -52,9 +52,9 @@ def sessions() -> list[PointingErrors]:
 
 
 def test_sightings_are_used_and_pointings_given(sessions):
-    assert {session.sightings + session.refused for session in sessions} == {120}
+    assert {session.sightings + session.rejected_count for session in sessions} == {120}
     # A gate of 99.99 % refuses one in five runs of 16 sessions, three once in a thousand.
-    assert sum(session.refused for session in sessions) < 3
+    assert sum(session.rejected_count for session in sessions) < 3
     assert {len(session.time_s) for session in sessions} == {1201}
 
 

@@ -299,8 +299,8 @@ def wait_for(condition, process, timeout_s=60.0):
     """Wait until a condition holds, while a process runs."""
     deadline_s = time.monotonic() + timeout_s
     while not condition():
-        assert process.exit_code is None, process.log()
-        assert time.monotonic() < deadline_s, process.log()
+        assert process.exit_code is None, process.log_text()
+        assert time.monotonic() < deadline_s, process.log_text()
         time.sleep(0.1)
 
 

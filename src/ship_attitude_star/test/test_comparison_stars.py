@@ -140,7 +140,7 @@ def test_one_star_improves_two_components_as_the_bound_says_and_leaves_the_third
     assert decision.accepted
     star_n = watch.sky_at(TIME_NS).apparent_stars(exposure.positions).direction_n[0]
     # Bound: information of the star and the prior, with mounting and shared errors as further noise across the star.
-    rows = ship_filter.model.rows("ins.attitude")
+    rows = ship_filter.model.state_indices("ins.attitude")
     prior = before.covariance[np.ix_(rows, rows)]
     posterior = after.covariance[np.ix_(rows, rows)]
     compared = residuals(ship_filter, watch, exposure, before.mean)

@@ -250,7 +250,7 @@ def covered_count(
     count: cython.Py_ssize_t = times_ns.shape[0]
     check("covariances", covariances.shape[0] == count and covariances.shape[1] == covariances.shape[2] == 3)
     check("directions", directions.shape[0] == count and directions.shape[1] == published_directions.shape[0])
-    check("told", directions.shape[2] == published_directions.shape[1])
+    check("published_directions", directions.shape[2] == published_directions.shape[1])
     n: cython.Py_ssize_t
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t

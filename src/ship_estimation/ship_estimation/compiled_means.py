@@ -135,10 +135,10 @@ def updated_means(
         "excess",
         excess.shape[0] == rejection_counts.shape[0] == rows and excess.shape[1] == rejection_counts.shape[1] == count,
     )
-    check("heard_ns", last_measured_ns.shape[0] == inconsistent_since_ns.shape[0] == count)
-    check("turn", innovation.shape[0] == accepted.shape[0] == rows and innovation.shape[2] == 3)
+    check("last_measured_ns", last_measured_ns.shape[0] == inconsistent_since_ns.shape[0] == count)
+    check("innovation", innovation.shape[0] == accepted.shape[0] == rows and innovation.shape[2] == 3)
     check("sources", innovation.shape[1] == accepted.shape[1] == len(sources))
-    check("turn_noise", whitened_noise.shape[0] == whitened_noise.shape[1] == 3)
+    check("whitened_noise", whitened_noise.shape[0] == whitened_noise.shape[1] == 3)
     of_running, of_excess = np.empty((rows, count, weights.shape[0], _COLUMNS)), np.empty((rows, count))
     of_refused = np.empty((rows, count), dtype=np.int64)
     of_heard, of_contradicts = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)

@@ -192,7 +192,7 @@ def predicted_covariances(
     """Return the predicted covariances of several stacks; each state's process noise is added to its error source."""
     matrices: cython.Py_ssize_t = stacks.shape[1]
     n: cython.Py_ssize_t = stacks.shape[2]
-    check("carried", stacks.shape[3] == n == decay.shape[0] == noise.shape[0] == source_of.shape[0])
+    check("stacks", stacks.shape[3] == n == decay.shape[0] == noise.shape[0] == source_of.shape[0])
     result = np.empty((stacks.shape[0], matrices, n, n))
     out: cython.double[:, :, :, ::1] = result
     stack: cython.Py_ssize_t
@@ -506,7 +506,7 @@ def projected_variance(
         excluded_states: not zero for each state that is excluded, shape (n,).
     """
     n: cython.Py_ssize_t = jacobian.shape[1]
-    check("spread", covariance.shape[0] == covariance.shape[1] == excluded_states.shape[0] == n)
+    check("excluded_states", covariance.shape[0] == covariance.shape[1] == excluded_states.shape[0] == n)
     total: cython.double = 0.0
     along: cython.double
     row: cython.Py_ssize_t
@@ -776,7 +776,7 @@ def update(
             _add_noise(own, noise, cython.address(out[sources + row - 1, 0, 0]), room)
             continue
         for s, part in noise_parts:
-            check("booked", 0 <= s < sources and part.shape[0] == part.shape[1] == m)
+            check("noise_parts", 0 <= s < sources and part.shape[0] == part.shape[1] == m)
             _add_noise(own, part, cython.address(out[s, 0, 0]), room)
     for s in range(sources + rows - 1):
         for i in range(n):

@@ -206,7 +206,7 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
         with pytest.raises(ValueError, match="do not fit together"):
             update_subfilters(stack, measured, found, wrong)
     beyond = LinearMeasurement(measured.residual, measured.jacobian, {2: measured.noise})
-    with pytest.raises(ValueError, match="booked"):
+    with pytest.raises(ValueError, match="noise_parts"):
         update_subfilters(stack, beyond, found, everything)
     for states, part, row in ((slice(4, 7), 0, None), (slice(0, 3), 2, None), (slice(0, 3), 0, 2)):
         with pytest.raises(ValueError, match="do not fit together"):
@@ -221,5 +221,5 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
     for wrong in ((means[:, :5].copy(), stack), (means, stack[:1]), (means, stack[:, :5, :5])):
         with pytest.raises(ValueError, match="do not fit together"):
             model.propagate(1.0, *wrong, "slow")
-    with pytest.raises(ValueError, match="carried"):
+    with pytest.raises(ValueError, match="stacks"):
         predict(stack, np.ones(5), np.ones(6), np.zeros(6, dtype=np.intp), 2)

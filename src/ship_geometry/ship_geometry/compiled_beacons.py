@@ -88,7 +88,7 @@ def sight_lines(
     check("drones", drones.shape[2] == drones.shape[3] == 3)
     check("ships", ships.shape[0] == mounts.shape[0] == epochs)
     check("ships", ships.shape[1] == ships.shape[2] == mounts.shape[1] == mounts.shape[2] == 3)
-    check("levers", lever.shape[0] == principal_point.shape[0] == 3)
+    check("lever", lever.shape[0] == principal_point.shape[0] == 3)
     of_directions, of_distances = np.empty((epochs, count, 3)), np.empty((epochs, count))
     of_changes = np.empty((epochs, count, 3, _COLUMNS))
     directions: cython.double[:, :, ::1] = of_directions

@@ -415,7 +415,8 @@ def totals(
     size: cython.Py_ssize_t = by_error.shape[2]
     check("covariances", parts.shape[2] == parts.shape[3] == by_error.shape[1] == 3)
     check("moments", by_error.shape[0] == added.shape[0] == count)
-    check("beside", further_covariance.shape[0] == further_covariance.shape[1] == size and 0 < size <= _ERRORS)
+    check("further_covariance", further_covariance.shape[0] == further_covariance.shape[1] == size)
+    check("errors", 0 < size <= _ERRORS)
     check("source", 0 <= source < sources)
     of_before, of_after = np.empty((count, 3, 3)), np.empty((count, 3, 3))
     before: cython.double[:, :, ::1] = of_before

@@ -165,7 +165,7 @@ def cumulative_rotations(rotation: cython.const[cython.double][:, :], vectors: c
         The rotation after each vector, shape (N, 3, 3).
     """
     count: cython.Py_ssize_t = vectors.shape[0]
-    check("turned_on", rotation.shape[0] == rotation.shape[1] == 3 and vectors.shape[1] == 3)
+    check("rotation", rotation.shape[0] == rotation.shape[1] == 3 and vectors.shape[1] == 3)
     of_rotations = np.empty((count, 3, 3))
     reached: cython.double[:, :, ::1] = of_rotations
     before = cython.declare(cython.double[9])
@@ -568,7 +568,7 @@ def propagate_by_rates(
     samples: cython.Py_ssize_t = rotations.shape[0]
     count: cython.Py_ssize_t = rates.shape[1]
     check("rates", count >= 2 and rates.shape[2] == 3 and rates.shape[0] == samples)
-    check("moved", steps_s.shape[0] == ahead_s.shape[0] == samples and steps_s.shape[1] == count - 1)
+    check("steps_s", steps_s.shape[0] == ahead_s.shape[0] == samples and steps_s.shape[1] == count - 1)
     check("rotations", rotations.shape[1] == rotations.shape[2] == 3)
     of_rotations, of_rates, of_errors = np.empty((samples, 3, 3)), np.empty((samples, 3)), np.zeros((samples, 3, 3))
     results: cython.double[:, :, ::1] = of_rotations

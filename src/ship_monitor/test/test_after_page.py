@@ -55,15 +55,15 @@ def press(browser, key, *, shift=False):
 def test_slider_is_under_the_bar_in_the_colours_of_the_page(browser, bag, theme, size, tmp_path):
     with page_of(bag) as server:
         browser.open(f"{server.address}?theme={theme}", *size)
-        browser.until(f"{UTC} === '{AT_END}'")
-        browser.until("document.querySelector('#controls').offsetHeight > 30")
+        browser.wait_until_true(f"{UTC} === '{AT_END}'")
+        browser.wait_until_true("document.querySelector('#controls').offsetHeight > 30")
         browser.take_screenshot(tmp_path / "page.png")
         assert browser.problems == []
         assert browser.text("#label") == "BAG"
         assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth"), "wider than the window"
         place = "document.querySelector('#{}').getBoundingClientRect().{}"
         track = f"Bokeh.index.find_one({SLIDER}).el.getBoundingClientRect().width"
-        assert browser.until(track) > size[0] / 3
+        assert browser.wait_until_true(track) > size[0] / 3
         assert browser.evaluate(place.format("controls", "top")) >= browser.evaluate(place.format("bar", "bottom"))
         assert browser.evaluate(place.format("controls", "bottom")) <= browser.evaluate(place.format("heading", "top"))
         if size == (1280, 800):  # with what is missing in the bag told beside the slider
@@ -77,26 +77,26 @@ def test_keys_move_the_time_and_play(browser, bag):
     with page_of(bag) as server:
         browser.open(server.address)
         # The first texts are in the page itself; keys work after its models are loaded.
-        browser.until(f"window.Bokeh && Bokeh.documents.length && {UTC} === '{AT_END}'")
+        browser.wait_until_true(f"window.Bokeh && Bokeh.documents.length && {UTC} === '{AT_END}'")
         assert "OUT" in browser.text("#sources")
         press(browser, "ArrowLeft")
-        browser.until(f"{UTC} === '22:28:10'")
+        browser.wait_until_true(f"{UTC} === '22:28:10'")
         press(browser, "ArrowLeft", shift=True)
-        browser.until(f"{UTC} === '22:27:10'")
+        browser.wait_until_true(f"{UTC} === '22:27:10'")
         press(browser, "Home")
-        browser.until(f"{UTC} === '{AT_START}'")
+        browser.wait_until_true(f"{UTC} === '{AT_START}'")
         assert "OUT" not in browser.text("#outs")
         press(browser, " ")
-        browser.until(f"{PLAY}.active && {UTC} >= '22:13:22' && {SLIDER}.value >= 1")
+        browser.wait_until_true(f"{PLAY}.active && {UTC} >= '22:13:22' && {SLIDER}.value >= 1")
         press(browser, " ")
-        browser.until(f"!{PLAY}.active")
+        browser.wait_until_true(f"!{PLAY}.active")
         press(browser, "End")
-        browser.until(f"{UTC} === '{AT_END}'")
+        browser.wait_until_true(f"{UTC} === '{AT_END}'")
         assert browser.problems == []
 
 
 def test_bag_without_outputs_is_reported_in_one_line(browser, tmp_path):
     with page_of(write_imu_bag(tmp_path / "inputs.mcap")) as server:
         browser.open(server.address)
-        browser.until("document.querySelector('#alert-sub').textContent.includes('only inputs')")
+        browser.wait_until_true("document.querySelector('#alert-sub').textContent.includes('only inputs')")
         assert browser.problems == []

@@ -98,10 +98,10 @@ def test_names_are_never_executed_in_the_page(browser, kind, caplog):
     with run_page_server(source) as server:
         page = server.address
         browser.open(page, 1280, 4000)
-        browser.until("monitor.isLinked()")
-        browser.until(f"{FIGURES}.length >= 10", 90.0)
+        browser.wait_until_true("monitor.isLinked()")
+        browser.wait_until_true(f"{FIGURES}.length >= 10", 90.0)
         clock = browser.text("#utc")
-        browser.until(f"document.querySelector('#utc').textContent > '{clock}'")
+        browser.wait_until_true(f"document.querySelector('#utc').textContent > '{clock}'")
         assert browser.evaluate("window.hit") is None
         assert browser.problems == []
         assert [each for each in browser.addresses if not each.startswith((page, page.replace("http", "ws")))] == []

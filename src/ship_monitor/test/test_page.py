@@ -59,7 +59,7 @@ def rectangle(browser, selector):
 def test_first_screen_is_drawn_completely(browser, source, page, theme, size, tmp_path):
     source.set(suite_states.state_with_two_faults(), suite_states.history(is_faulty=True))
     browser.open(f"{page}?theme={theme}", *SIZES[size])
-    browser.until(LIVE)
+    browser.wait_until_true(LIVE)
     browser.take_screenshot(tmp_path / f"{theme}_{size}.png")
     assert browser.problems == []
     assert [
@@ -79,7 +79,7 @@ def test_first_screen_is_drawn_completely(browser, source, page, theme, size, tm
 
 def test_first_screen_at_1280_by_800_matches_the_design(browser, page):
     browser.open(page)
-    browser.until(LIVE)
+    browser.wait_until_true(LIVE)
     assert rectangle(browser, "#bar") == [0, 0, 1280, 64]
     assert rectangle(browser, "#heading") == pytest.approx([16, 76, 276, 268], abs=1.0)
     assert rectangle(browser, "#ages")[:2] == pytest.approx([588, 354], abs=1.0)
@@ -106,7 +106,7 @@ def test_first_screen_at_1280_by_800_matches_the_design(browser, page):
 def test_font_sizes_for_reading_at_a_distance(browser, source, page, selector, least_px):
     source.set(suite_states.state_with_two_faults())
     browser.open(page)
-    browser.until(LIVE)
+    browser.wait_until_true(LIVE)
     assert browser.evaluate(f"parseFloat(getComputedStyle(document.querySelector('{selector}')).fontSize)") >= least_px
 
 
@@ -144,14 +144,14 @@ def test_fallback_font_cuts_nothing_and_console_is_empty(source, page, size, tmp
 def test_reason_fits_its_tile_on_a_phone(browser, source, page):
     source.set(suite_states.state_with_two_faults())
     browser.open(page, *SIZES["phone"])
-    browser.until(LIVE)
+    browser.wait_until_true(LIVE)
     below = "[...document.querySelectorAll('.tile')].filter((each) => each.scrollHeight > each.clientHeight)"
     assert browser.evaluate(f"{below}.map((each) => each.id)") == []
 
 
 def test_phone_layout(browser, page):
     browser.open(page, *SIZES["phone"])
-    browser.until(LIVE)
+    browser.wait_until_true(LIVE)
     tops = [rectangle(browser, selector)[1] for selector in ("#alert", "#heading", "#elevation", "#ages", "#sources")]
     assert tops == sorted(tops)
     assert rectangle(browser, "#heading")[3] == pytest.approx(92, abs=1.0)
@@ -160,11 +160,11 @@ def test_phone_layout(browser, page):
 
 def test_values_change_without_reload(browser, source, page):
     browser.open(page)
-    browser.until(LIVE)
+    browser.wait_until_true(LIVE)
     well = suite_states.suite_state()
     heading = replace(well.angles[0], value=1.0, safety=Safety.UNSAFE, reason="all stars refused")
     source.set(replace(well, angles=(heading, *well.angles[1:])))
-    browser.until("document.querySelector('#heading .digits').textContent === '057.30'")  # 1 rad
+    browser.wait_until_true("document.querySelector('#heading .digits').textContent === '057.30'")  # 1 rad
     assert browser.text("#heading .reason") == "all stars refused"
     assert browser.evaluate("document.querySelector('#heading').dataset.safety") == "UNSAFE"
     assert browser.problems == []
@@ -173,20 +173,20 @@ def test_values_change_without_reload(browser, source, page):
 @pytest.mark.slow
 def test_lost_link_makes_every_value_old(browser, source, page):
     browser.open(page)
-    browser.until(LIVE)
+    browser.wait_until_true(LIVE)
     source.fails = True
-    browser.until("document.documentElement.classList.contains('nolink')")
+    browser.wait_until_true("document.documentElement.classList.contains('nolink')")
     assert browser.text("#alert-text").startswith("NO LINK")
     assert browser.text("#heading .state b") == "UNSAFE"
     assert browser.text("#heading .size").startswith("OLD ")
     source.fails = False
-    browser.until(LIVE)
+    browser.wait_until_true(LIVE)
     assert browser.text("#heading .state b") == "SAFE"
 
 
 def test_lost_link_is_reported_within_two_seconds(browser, page):
     browser.open(page)
-    browser.until(LIVE)
+    browser.wait_until_true(LIVE)
     # Measured by the clock and the timers of the page, not by times of this test.
     limits = browser.evaluate("[monitor.limits.linkLostMs, monitor.limits.lookMs]")
     assert sum(limits) <= 2000
@@ -195,7 +195,7 @@ def test_lost_link_is_reported_within_two_seconds(browser, page):
 def test_busy_page_does_not_report_a_lost_link(browser, page):
     """Opening the plots keeps a page busy: texts received meanwhile are read later."""
     browser.open(page)
-    browser.until(LIVE)
+    browser.wait_until_true(LIVE)
     browser.evaluate(
         "window.losses = 0; new MutationObserver(() => {"
         " losses += document.documentElement.classList.contains('nolink'); })"
@@ -203,9 +203,9 @@ def test_busy_page_does_not_report_a_lost_link(browser, page):
         "setTimeout(() => { const endMs = performance.now() + monitor.limits.linkLostMs + 1000;"
         " while (performance.now() < endMs); window.wasBusy = true; }, 0)"
     )
-    browser.until("window.wasBusy")
+    browser.wait_until_true("window.wasBusy")
     clock = browser.text("#utc")
-    browser.until(f"document.querySelector('#utc').textContent > '{clock}'")
+    browser.wait_until_true(f"document.querySelector('#utc').textContent > '{clock}'")
     assert browser.evaluate("losses") == 0
 
 
@@ -214,23 +214,23 @@ def test_page_reconnects_after_a_restart_of_the_server(browser, source):
     with run_page_server(source) as server:
         port = int(server.address.rstrip("/").rpartition(":")[2])
         browser.open(server.address)
-        browser.until(LIVE)
+        browser.wait_until_true(LIVE)
         browser.evaluate("window.isFormerPage = true")
-    browser.until("document.documentElement.classList.contains('nolink')")
+    browser.wait_until_true("document.documentElement.classList.contains('nolink')")
     with run_page_server(source, port):
-        browser.until(f"!window.isFormerPage && typeof monitor === 'object' && {LIVE}", 60.0)
+        browser.wait_until_true(f"!window.isFormerPage && typeof monitor === 'object' && {LIVE}", 60.0)
         assert browser.text("#heading .state b") == "SAFE"
 
 
 def test_keys_choose_the_theme_and_pause_the_plots(browser, page):
     browser.open(page)
-    browser.until(LIVE)
+    browser.wait_until_true(LIVE)
     browser.press(" ")
-    assert browser.until("!document.querySelector('#paused').hidden")
+    assert browser.wait_until_true("!document.querySelector('#paused').hidden")
     browser.press(" ")
-    assert browser.until("document.querySelector('#paused').hidden")
+    assert browser.wait_until_true("document.querySelector('#paused').hidden")
     browser.press("3")
-    browser.until("document.documentElement.className.includes('night')")
+    browser.wait_until_true("document.documentElement.className.includes('night')")
     assert browser.evaluate("getComputedStyle(document.documentElement).backgroundColor") == "rgb(0, 0, 0)"
     assert browser.evaluate("location.search") == "?theme=night"
 
@@ -238,7 +238,7 @@ def test_keys_choose_the_theme_and_pause_the_plots(browser, page):
 def test_the_alert_line_opens_the_list(browser, source, page):
     source.set(suite_states.state_with_two_faults())
     browser.open(page)
-    browser.until(LIVE)
+    browser.wait_until_true(LIVE)
     browser.evaluate("document.querySelector('#alert').click()")
     assert browser.text("#alerts p:nth-child(2) span") == "WARNING · star.starboard out"
     assert browser.text("#alerts p:nth-child(2) .advice").startswith("Clean the sensor")
@@ -246,16 +246,16 @@ def test_the_alert_line_opens_the_list(browser, source, page):
 
 def test_click_on_a_source_marks_it(browser, page):
     browser.open(page)
-    browser.until(LIVE)
+    browser.wait_until_true(LIVE)
     browser.evaluate("document.querySelector('#sources li:nth-child(2)').click()")
     assert browser.text("#sources li.marked .who") == "star.fore"
 
 
 def test_hovering_shows_all_digits_in_the_colours_of_the_theme(browser, page):
     browser.open(f"{page}?theme=night")
-    browser.until(LIVE)
+    browser.wait_until_true(LIVE)
     browser.call("Input.dispatchMouseEvent", type="mouseMoved", x=100, y=150)
-    browser.until("!document.querySelector('#tip').hidden")
+    browser.wait_until_true("!document.querySelector('#tip').hidden")
     assert browser.text("#tip").startswith("34.392000°\nσ 1.684″")
     assert browser.evaluate("getComputedStyle(document.querySelector('#tip')).color") == "rgb(255, 64, 38)"
 
@@ -265,7 +265,7 @@ def test_names_from_the_network_are_plain_text(browser, source, page):
     evil = "</script><img src=x onerror=window.hit=1>"
     source.set(replace(well, sources=(replace(well.sources[0], name=evil), *well.sources[1:])))
     browser.open(page)
-    browser.until(LIVE)
+    browser.wait_until_true(LIVE)
     assert browser.text("#sources li .who") == evil
     assert browser.evaluate("window.hit") is None
 
@@ -275,7 +275,7 @@ def test_many_sources_are_counted_and_out_ones_are_visible(browser, source, page
     more = tuple(suite_states.source(f"reference.{number}") for number in range(20))
     source.set(replace(faulty, sources=faulty.sources + more))
     browser.open(page)
-    browser.until(LIVE)
+    browser.wait_until_true(LIVE)
     assert browser.text("#more").endswith(" more in")
     list_bottom = "document.querySelector('#sources').getBoundingClientRect().bottom"
     assert browser.evaluate(f"document.querySelector('#more').getBoundingClientRect().bottom <= {list_bottom}")
@@ -286,7 +286,7 @@ def test_suite_without_a_theodolite_has_no_empty_tiles(browser, source, page):
     well = suite_states.suite_state()
     source.set(replace(well, angles=well.angles[:3], pointing_by=""))
     browser.open(page)
-    browser.until(LIVE)
+    browser.wait_until_true(LIVE)
     tiles = "[...document.querySelectorAll('.tile')].filter((each) => each.offsetHeight).map((each) => each.id)"
     assert browser.evaluate(tiles) == ["heading", "pitch", "roll", "ages"]
     rows = [rectangle(browser, f"#{name}") for name in ("heading", "pitch", "roll", "ages")]
@@ -306,14 +306,14 @@ GREY = (".ages dd", "#head", "#sources li .who", "#sources li .age", "#sources l
 @pytest.mark.parametrize("is_linked", [True, False])
 def test_old_data_have_no_ticks_ages_or_counts(browser, source, page, is_linked):
     browser.open(page)
-    browser.until(LIVE)
+    browser.wait_until_true(LIVE)
     assert OLD_COLOUR not in [colour(browser, each) for each in GREY]
     if is_linked:
         source.set(suite_states.suite_state(*suite_states.angles_timed_out(*ANGLES, age_s=19.0)))
-        browser.until("document.documentElement.classList.contains('stale')")
+        browser.wait_until_true("document.documentElement.classList.contains('stale')")
     else:
         source.fails = True
-        browser.until("document.documentElement.classList.contains('nolink')")
+        browser.wait_until_true("document.documentElement.classList.contains('nolink')")
     assert {each: colour(browser, each) for each in GREY} == dict.fromkeys(GREY, OLD_COLOUR)
     glyphs = "[...document.querySelectorAll('#sources li use')].map((each) => each.getAttribute('href'))"
     assert set(browser.evaluate(glyphs)) == {"#unknown"}
@@ -328,10 +328,10 @@ def test_old_data_have_no_ticks_ages_or_counts(browser, source, page, is_linked)
 def test_safety_and_alert_stay_visible_while_scrolled(browser, source, page, size):
     source.set(suite_states.state_with_two_faults())
     browser.open(page, *size)
-    browser.until(LIVE)
+    browser.wait_until_true(LIVE)
     assert not browser.evaluate("document.querySelector('#states').offsetHeight")
     browser.evaluate("scrollTo(0, innerHeight)")
-    browser.until("document.querySelector('#states').offsetHeight")
+    browser.wait_until_true("document.querySelector('#states').offsetHeight")
     states = "[...document.querySelectorAll('#states .chip')].map((each) => each.dataset.safety)"
     assert browser.evaluate(states) == ["CAUTION", "SAFE", "CAUTION", "UNSAFE", "UNSAFE"]
     for selector in ("#states", "#alert-text", "#overall b"):
@@ -344,7 +344,7 @@ def test_safety_and_alert_stay_visible_while_scrolled(browser, source, page, siz
 @pytest.mark.slow
 def test_time_axis_is_visible_at_1366_by_768(browser, page):
     browser.open(page, *LAPTOP)
-    browser.until(LIVE)
+    browser.wait_until_true(LIVE)
     assert browser.evaluate("document.querySelector('#ticks span').getBoundingClientRect().bottom") <= LAPTOP[1]
 
 
@@ -353,7 +353,7 @@ def test_time_axis_is_visible_at_1366_by_768(browser, page):
 def test_list_is_readable_with_two_sources_out(browser, source, page, size):
     source.set(suite_states.state_with_two_faults())
     browser.open(page, *size)
-    browser.until(LIVE)
+    browser.wait_until_true(LIVE)
     assert browser.evaluate("document.querySelector('#more').hidden"), "all eight are listed"
     cut = "[...document.querySelectorAll('#sources li')].filter((each) => each.scrollHeight > each.clientHeight + 1)"
     assert browser.evaluate(f"{cut}.length") == 0
@@ -363,7 +363,7 @@ def test_list_is_readable_with_two_sources_out(browser, source, page, size):
 def test_phone_texts_do_not_overlap(browser, source, page):
     source.set(suite_states.state_with_two_faults())
     browser.open(page, *SIZES["phone"])
-    browser.until(LIVE)
+    browser.wait_until_true(LIVE)
     word, state = rectangle(browser, "#azimuth .state b"), rectangle(browser, "#azimuth .state")
     stripe = "getComputedStyle(document.querySelector('#azimuth .state'), '::after')"
     stripe_px = browser.evaluate(f"parseFloat({stripe}.width)")
@@ -377,7 +377,7 @@ def test_phone_texts_do_not_overlap(browser, source, page):
 def test_local_time_is_shown_with_utc(browser, source):
     with run_page_server(source, zone=ZoneInfo("Europe/Oslo")) as server:
         browser.open(server.address)
-        browser.until(LIVE)
+        browser.wait_until_true(LIVE)
         assert browser.text("#local").startswith("14:00:")
         assert browser.text("#local").endswith(" CEST")
 
@@ -385,13 +385,13 @@ def test_local_time_is_shown_with_utc(browser, source):
 def test_waiting_page_names_output_and_location(browser, source, page):
     source.set(replace(suite_states.suite_state(), waiting_for="ship/attitude", utc_ns=0))
     browser.open(page)
-    browser.until("document.querySelector('#alert-text').textContent === 'waiting for ship/attitude'")
+    browser.wait_until_true("document.querySelector('#alert-text').textContent === 'waiting for ship/attitude'")
     assert browser.text("#alert-sub") == "namespace /demo, domain 0"
 
 
 def test_first_paint_does_not_wait_for_bokeh(browser, page):
     browser.open(page)
-    browser.until(LIVE)
+    browser.wait_until_true(LIVE)
     # Both times are from the browser's timeline, so that a loaded computer delays both.
     painted, loaded = browser.evaluate(
         "[performance.getEntriesByName('first-contentful-paint')[0].startTime,"
@@ -423,15 +423,16 @@ TITLES = [
 def test_panels_are_drawn_when_they_become_visible(browser, source, page, theme, size, tmp_path):
     source.set(simulated_state(), simulated_history())
     browser.open(f"{page}?theme={theme}", *SIZES[size])
-    browser.until("monitor.isLinked()")
+    browser.wait_until_true("monitor.isLinked()")
     assert browser.evaluate(f"{INSIDE}.filter((each) => each.tagName === 'CANVAS').length") == 0, "they rest"
     if size == "phone":
         browser.evaluate("document.querySelector('#plots-wanted').click()")
     browser.evaluate("document.querySelector('#panels').scrollIntoView()")
     for title in TITLES:
-        browser.until(f"{INSIDE}.some((each) => each.tagName === 'B' && each.textContent.startsWith('{title}'))")
+        is_bold = f"each.tagName === 'B' && each.textContent.startsWith('{title}')"
+        browser.wait_until_true(f"{INSIDE}.some((each) => {is_bold})")
     drawn = f"{INSIDE}.filter((each) => each.tagName === 'CANVAS' && each.width > 100 && each.height > 50).length"
-    assert browser.until(f"{drawn} >= 10 && {drawn}") >= 10
+    assert browser.wait_until_true(f"{drawn} >= 10 && {drawn}") >= 10
     browser.take_screenshot(tmp_path / f"panels_{theme}_{size}.png", whole=True)
     assert browser.problems == []
     assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth"), "wider than the window"
@@ -469,18 +470,19 @@ MARKED = f"""(() => {{
 def test_click_on_a_tile_shows_its_budget_and_error(browser, source, page, size):
     source.set(simulated_state(), simulated_history())
     browser.open(page, *SIZES[size])
-    browser.until("monitor.isLinked()")
+    browser.wait_until_true("monitor.isLinked()")
     browser.evaluate("document.querySelector('#roll').click()")
-    browser.until(f"{PANEL}('Error budget')[0].startsWith('roll, ')", 90.0)  # the panels are made and drawn meanwhile
-    browser.until(f"{FIGURES}.some((each) => each.title?.text === '▶ roll')")
-    assert browser.until(f"{PANEL}('Error budget')[1] && {PANEL}('Error inside')[1]")
+    # The panels are made and drawn meanwhile.
+    browser.wait_until_true(f"{PANEL}('Error budget')[0].startsWith('roll, ')", 90.0)
+    browser.wait_until_true(f"{FIGURES}.some((each) => each.title?.text === '▶ roll')")
+    assert browser.wait_until_true(f"{PANEL}('Error budget')[1] && {PANEL}('Error inside')[1]")
 
 
 @pytest.mark.slow
 def test_panels_are_placed_one_by_one_with_text_updates_between(browser, source, page):
     source.set(simulated_state(), simulated_history())
     browser.open(page, 1280, 1600)
-    browser.until("monitor.isLinked()")
+    browser.wait_until_true("monitor.isLinked()")
     # Number of plots in the document at each text: texts in between keep the link while plots are made.
     browser.evaluate(
         "window.plots = []; const show = monitor.show; monitor.show = (model) => {"
@@ -490,32 +492,32 @@ def test_panels_are_placed_one_by_one_with_text_updates_between(browser, source,
     browser.evaluate("document.querySelector('#panels').scrollIntoView()")
     titles = f"{FIGURES}.map((each) => each.title?.text ?? '')"
     for title in ("heading", "pitch", "roll", "elevation"):
-        browser.until(f"{titles}.includes('{title}')", 90.0)
+        browser.wait_until_true(f"{titles}.includes('{title}')", 90.0)
     for name in ("star.fore", "star.starboard", "lights"):
-        browser.until(f"{titles}.some((each) => each.includes('{name}'))", 90.0)
-    browser.until("plots.at(-1) === 14", 90.0)
+        browser.wait_until_true(f"{titles}.some((each) => each.includes('{name}'))", 90.0)
+    browser.wait_until_true("plots.at(-1) === 14", 90.0)
     assert max(np.diff(browser.evaluate("plots"))) <= 3  # the plots of one panel
     assert browser.problems == []
 
 
 def counted(browser, each):
     """Wait until the given numbers of each kind are marked."""
-    browser.until(f"JSON.stringify({MARKED}) === '{json.dumps([each] * 4, separators=(',', ':'))}'")
+    browser.wait_until_true(f"JSON.stringify({MARKED}) === '{json.dumps([each] * 4, separators=(',', ':'))}'")
 
 
 @pytest.mark.slow
 def test_mark_is_in_every_panel_until_escape(browser, source, page):
     source.set(simulated_state(), simulated_history())
     browser.open(page, 1280, 4000)  # all panels in sight
-    browser.until("monitor.isLinked()")
-    browser.until(f"{FIGURES}.length === 14")
+    browser.wait_until_true("monitor.isLinked()")
+    browser.wait_until_true(f"{FIGURES}.length === 14")
     counted(browser, 0)
     browser.evaluate("document.querySelector('#sources li:nth-child(1)').click()")
     # The title and frame of its innovations and of its field of view; the rows of its input and of its alert; the two
     # parts of the budget that star sensors bring.
     counted(browser, 2)
     clock = browser.text("#utc")
-    browser.until(f"document.querySelector('#utc').textContent > '{clock}'")
+    browser.wait_until_true(f"document.querySelector('#utc').textContent > '{clock}'")
     counted(browser, 2)
     assert browser.text("#sources li.marked .who") == "star.starboard"
     other = Browser()
@@ -529,9 +531,9 @@ def test_mark_is_in_every_panel_until_escape(browser, source, page):
     counted(browser, 0)
     assert browser.evaluate("document.querySelector('#sources li.marked')") is None
     browser.evaluate("document.querySelector('#sources li:nth-child(2)').click()")
-    browser.until(f"{MARKED}[0] === 2")
+    browser.wait_until_true(f"{MARKED}[0] === 2")
     browser.evaluate("document.querySelector('#sources li:nth-child(2)').click()")
-    browser.until(f"{MARKED}[0] === 0")
+    browser.wait_until_true(f"{MARKED}[0] === 0")
     assert browser.problems == []
 
 
@@ -539,13 +541,13 @@ def test_mark_is_in_every_panel_until_escape(browser, source, page):
 def test_change_of_theme_keeps_the_mark(browser, source, page):
     source.set(simulated_state(), simulated_history())
     browser.open(page)
-    browser.until("monitor.isLinked()")
+    browser.wait_until_true("monitor.isLinked()")
     browser.evaluate("document.querySelector('#sources li:nth-child(1)').click()")
     browser.press("3")
-    browser.until("document.documentElement.className.includes('night') && monitor.isLinked()")
+    browser.wait_until_true("document.documentElement.className.includes('night') && monitor.isLinked()")
     assert browser.text("#sources li.marked .who") == "star.starboard"
     browser.evaluate("document.querySelector('#panels').scrollIntoView()")
-    browser.until(f"{MARKED}[0] > 0")
+    browser.wait_until_true(f"{MARKED}[0] > 0")
 
 
 @pytest.mark.slow
@@ -561,7 +563,7 @@ def test_only_visible_panels_are_drawn(browser, source, page, monkeypatch):
         monkeypatch.setattr(kind, "update", noted)
     source.set(simulated_state(), simulated_history())
     browser.open(page)
-    browser.until("monitor.isLinked()")
+    browser.wait_until_true("monitor.isLinked()")
     for where, wanted, unwanted in (
         ("document.querySelector('#panels').scrollIntoView()", InnovationPanel, InputsPanel),
         ("scrollTo(0, document.body.scrollHeight)", InputsPanel, InnovationPanel),
@@ -578,7 +580,7 @@ def test_only_visible_panels_are_drawn(browser, source, page, monkeypatch):
         """True if nothing was drawn while the time of the page advanced."""
         drawn.clear()
         clock = browser.text("#utc")
-        browser.until(f"document.querySelector('#utc').textContent > '{clock}'")
+        browser.wait_until_true(f"document.querySelector('#utc').textContent > '{clock}'")
         return not drawn
 
     browser.wait(rests, "all rest")

@@ -105,7 +105,8 @@ def opened(browser, address, theme, width):
         f"document.body.style.background = '{THEMES[theme].background}'; document.body.style.margin = 0;"
         """document.head.insertAdjacentHTML("beforeend", '<meta name="viewport" content="width=device-width">')"""
     )
-    browser.until("typeof Bokeh !== 'undefined' && Bokeh.documents.length === 1 && Bokeh.documents[0].is_idle")
+    is_loaded = "typeof Bokeh !== 'undefined' && Bokeh.documents.length === 1"
+    browser.wait_until_true(f"{is_loaded} && Bokeh.documents[0].is_idle")
 
 
 def evaluated(browser, expression):
@@ -164,7 +165,7 @@ def test_drag_zooms_all_plots_and_double_click_returns(browser):
         browser.wait(lambda: panels.times.is_paused and shown_range.end - shown_range.start < 300e3, "paused, zoomed")
         assert shown_range.end - shown_range.start > 20e3
         before = panels.times.range.end
-        browser.wait(lambda: panels.times._latest[1] > before, "time goes on")
+        browser.wait(lambda: panels.times._latest_range[1] > before, "time goes on")
         assert panels.times.range.end == before
 
         def is_live_again():

@@ -154,7 +154,7 @@ def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge
     def wait_for(found, tell=lambda: None):
         def look():
             bridge.read()
-            return found(bridge.knows)
+            return found(bridge.alert_management)
 
         return wait_until(ship, look, tell)
 
@@ -163,20 +163,20 @@ def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge
         wing.setblocking(False)
         wait_until(ship, bridge.display.connect)
         # No alert node yet: an empty list would report that there is no alert.
-        wait_for(lambda knows: "V" in knows.beats)
-        assert bridge.knows.listed is None
+        wait_for(lambda state: "V" in state.beats)
+        assert bridge.alert_management.listed is None
         alerts = processes(
             "alerts", "-c", "import sys; from ship_monitor.alerts.alert_node import main; sys.exit(main())",
             "--limits", str(limits), "--state", str(tmp_path / "alerts.json"), "--ros-args", "-r", "__ns:=/demo",
         )  # fmt: skip
-        wait_for(lambda knows: knows.beats[-1] == "A" and knows.listed is not None, ship.tell)
+        wait_for(lambda state: state.beats[-1] == "A" and state.listed is not None, ship.publish)
         wait_until(
-            ship, lambda: set(ship.alerts or ()) == {"attitude.degraded"}, ship.tell
+            ship, lambda: set(ship.alerts or ()) == {"attitude.degraded"}, ship.publish
         )  # ship/attitude was received
-        wait_for(lambda knows: knows.state(SILENT) == "V")  # no ship/attitude any more
-        told = bridge.knows.alerts["ZZZ", SILENT, 1]
-        assert (told.priority, told.text) == ("A", "ATTITUDE SILENT")
-        wait_for(lambda knows: ("ZZZ", SILENT, 1) in knows.listed)
+        wait_for(lambda state: state.state(SILENT) == "V")  # no ship/attitude any more
+        shown = bridge.alert_management.alerts["ZZZ", SILENT, 1]
+        assert (shown.priority, shown.text) == ("A", "ATTITUDE SILENT")
+        wait_for(lambda state: ("ZZZ", SILENT, 1) in state.listed)
 
         # A client that receives no alerts cannot acknowledge any.
         wait_until(ship, mute.connect)
@@ -194,21 +194,21 @@ def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge
         bridge.command(SILENT, 1, "S")  # silencing one alert is not supported
         bridge.command(SILENT + 1, 1, "A")  # no such alert
         refused = [(SILENT, 2, "A"), (SILENT, 1, "S"), (SILENT + 1, 1, "A")]
-        wait_for(lambda knows: sorted(knows.refused) == sorted(refused))
+        wait_for(lambda state: sorted(state.refusals) == sorted(refused))
         assert ship.alerts["attitude.silent"].state == Alert.ACTIVE_UNACKNOWLEDGED
         bridge.display.send(f"BNACN,120000.00,FEC,{SILENT},1,A,C")  # to another source: no answer at all
         bridge.display.connection.sendall(b"$BNACN,broken*00\r\n\xff\xfe$\r\n")
         bridge.command(SILENT, 1, "Q")
         bridge.command(SILENT, 1, "A")
-        wait_for(lambda knows: knows.state(SILENT) == "A")
+        wait_for(lambda state: state.state(SILENT) == "A")
         wait_until(ship, lambda: ship.alerts["attitude.silent"].state == Alert.ACTIVE_ACKNOWLEDGED)
-        assert sorted(bridge.knows.refused) == sorted(refused)
-        revision = bridge.knows.alerts["ZZZ", SILENT, 1].revision
-        assert revision == told.revision + 1
-        wait_for(lambda knows: knows.listed.get(("ZZZ", SILENT, 1)) == revision)
+        assert sorted(bridge.alert_management.refusals) == sorted(refused)
+        revision = bridge.alert_management.alerts["ZZZ", SILENT, 1].revision
+        assert revision == shown.revision + 1
+        wait_for(lambda state: state.listed.get(("ZZZ", SILENT, 1)) == revision)
         # ship/attitude is published again: the alert is rectified and removed from the list.
-        wait_for(lambda knows: knows.state(SILENT) == "N", ship.tell)
-        wait_for(lambda knows: ("ZZZ", SILENT, 1) not in knows.listed, ship.tell)
+        wait_for(lambda state: state.state(SILENT) == "N", ship.publish)
+        wait_for(lambda state: ("ZZZ", SILENT, 1) not in state.listed, ship.publish)
 
         # The wing receives the same, and may acknowledge, too.
         heard = []
@@ -228,7 +228,7 @@ def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge
         # The alert node has ended: the heartbeat reports it to the bridge, and no empty list is sent.
         alerts.send_signal(signal.SIGINT)
         alerts.wait(20.0)
-        wait_for(lambda knows: knows.beats[-1] == "V")
+        wait_for(lambda state: state.beats[-1] == "V")
         wait_until(ship, lambda: ship.statuses["nmea_out: alerts"].level == b"\x01")
         values = {pair.key: pair.value for pair in ship.statuses["nmea_out: alerts"].values}
         assert values["not allowed"] == "2"

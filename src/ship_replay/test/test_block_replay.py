@@ -175,13 +175,13 @@ def test_most_of_a_healthy_ins_is_taken_in_blocks(
 ) -> None:
     """Otherwise one-by-one replay would be compared with itself."""
     taken = []
-    end_ahead = core.end_ahead
+    finish_batch = core.finish_batch
 
     def counted(self: Any, ahead: Any) -> Any:
         taken.append(ahead.followed.usual)
-        return end_ahead(self, ahead)
+        return finish_batch(self, ahead)
 
-    monkeypatch.setattr(core, "end_ahead", counted)
+    monkeypatch.setattr(core, "finish_batch", counted)
     _, summary = replay_faults(BlockRun, suite_bag, Injection(suite_bag, {}, 0))
     assert sum(taken) > 0.8 * summary.inputs["ins/imu"]
 
@@ -189,13 +189,13 @@ def test_most_of_a_healthy_ins_is_taken_in_blocks(
 @pytest.mark.slow
 def test_nearly_all_pointings_are_put_out_together(suite_bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     counts = []
-    of_due = PointingOutput.compute_pending
+    compute_pending = PointingOutput.compute_pending
 
     def counted(self: PointingOutput, due: Any) -> Any:
         counts.append(len(due))
-        return of_due(self, due)
+        return compute_pending(self, due)
 
-    monkeypatch.setattr(PointingOutput, "of_due", counted)
+    monkeypatch.setattr(PointingOutput, "compute_pending", counted)
     _, summary = replay_faults(BlockRun, suite_bag, Injection(suite_bag, {}, 0))
     assert sum(counts) > 0.8 * summary.inputs["theodolite/encoder"]
     assert max(counts) > 10

@@ -130,6 +130,6 @@ def test_an_exclusion_does_not_depend_on_the_order_of_arrival(seed: int) -> None
     assert (
         one.fault_state.exclusions["beacon.alpha"].exclusion == other.fault_state.exclusions["beacon.alpha"].exclusion
     )
-    assert one.alternatives.mean.tobytes() == other.alternatives.mean.tobytes()
-    assert one.alternatives.parts.tobytes() == other.alternatives.parts.tobytes()
-    assert one.trust.means.running.tobytes() == other.trust.means.running.tobytes()
+    assert one.subfilters.mean.tobytes() == other.subfilters.mean.tobytes()
+    assert one.subfilters.covariances.tobytes() == other.subfilters.covariances.tobytes()
+    assert one.fault_state.innovation_means.running.tobytes() == other.fault_state.innovation_means.running.tobytes()

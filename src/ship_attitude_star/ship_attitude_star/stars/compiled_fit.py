@@ -91,7 +91,7 @@ def linearise_stars(
         if not mounted and not turns:
             continue
         check("sensor", sensor[k] >= 0 and (not mounted or 3 * sensor[k] < mounted))
-        check("turned_b", not turns or sensor[k] < time_transfer_b.shape[0])
+        check("time_transfer_b", not turns or sensor[k] < time_transfer_b.shape[0])
         for c in range(3 if mounted else 0):
             for i in range(3):
                 axis = 0.0

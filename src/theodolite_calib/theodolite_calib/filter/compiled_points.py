@@ -41,7 +41,7 @@ def jacobian_by_states(
     count: cython.Py_ssize_t = by_attitude.shape[0]
     errors: cython.Py_ssize_t = lines.shape[2]
     n: cython.Py_ssize_t = by_state_n.shape[1]
-    check("lights", by_direction.shape[0] == by_focal_length.shape[0] == lines.shape[0] == count)
+    check("lines", by_direction.shape[0] == by_focal_length.shape[0] == lines.shape[0] == count)
     check("points", by_attitude.shape[1] == by_direction.shape[1] == by_focal_length.shape[1] == 2)
     check("vectors", by_attitude.shape[2] == by_direction.shape[2] == lines.shape[1] == by_state_n.shape[0] == 3)
     check("states", 0 <= focal_length < n and couplings.shape[1] == 3)
@@ -54,7 +54,7 @@ def jacobian_by_states(
     c: cython.Py_ssize_t
     i: cython.Py_ssize_t
     for i in range(couplings.shape[0]):
-        check("places", -1 <= couplings[i, 0] < count and 0 <= couplings[i, 1] < errors and 0 <= couplings[i, 2] < n)
+        check("couplings", -1 <= couplings[i, 0] < count and 0 <= couplings[i, 1] < errors and 0 <= couplings[i, 2] < n)
     for beacon in range(count):
         for k in range(2):
             for c in range(n):
@@ -82,7 +82,7 @@ def covariances_by_rotation(rows: cython.const[cython.double][:, :], covariances
         covariances: covariances of rotations, shape (p, 3, 3).
     """
     m: cython.Py_ssize_t = rows.shape[0]
-    check("turns", rows.shape[1] == covariances.shape[1] == covariances.shape[2] == 3)
+    check("covariances", rows.shape[1] == covariances.shape[1] == covariances.shape[2] == 3)
     result = np.empty((covariances.shape[0], m, m))
     out: cython.double[:, :, ::1] = result
     half = cython.declare(cython.double[3])
@@ -111,7 +111,7 @@ def covariance_by_own_error(
         covariance: covariance of the errors, shape (N, 3, 3).
     """
     count: cython.Py_ssize_t = covariance.shape[0]
-    check("lights", by_error.shape[0] == count and by_error.shape[1] == 2 and by_error.shape[2] >= 3)
+    check("lines", by_error.shape[0] == count and by_error.shape[1] == 2 and by_error.shape[2] >= 3)
     check("errors", covariance.shape[1] == covariance.shape[2] == 3)
     result = np.zeros((2 * count, 2 * count))
     out: cython.double[:, ::1] = result
