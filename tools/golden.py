@@ -4,7 +4,8 @@ Each bag is replayed twice, in blocks and one message at a time. `test/golden_re
 
 - ``messages``: number of messages;
 - ``sum``: sum of asinh(x / 1 nano-unit) over all numbers x in them, which changes by δ where one number changes by the
-  ratio 1 + δ, whatever its unit; numbers that are not finite count as nothing;
+  ratio 1 + δ, whatever its unit;
+- ``finite``: how many of them are finite; the others are left out of the sum;
 - ``sha256``: hash of the same numbers (first 16 digits). Texts are left out.
 
 Mathematical libraries round differently on other processors: there the hashes differ and the sums agree.
@@ -51,6 +52,7 @@ class _Sum:
     """Numbers of one topic."""
 
     messages: int = 0
+    finite: int = 0
     total: float = 0.0
     digest: "hashlib._Hash" = field(default_factory=hashlib.sha256)
 
@@ -58,11 +60,18 @@ class _Sum:
         """Add the numbers of a message."""
         self.messages += 1
         self.digest.update(values.tobytes())
-        self.total += float(np.arcsinh(values[np.isfinite(values)] * 1e9).sum())
+        finite = values[np.isfinite(values)]
+        self.finite += finite.size
+        self.total += float(np.arcsinh(finite * 1e9).sum())
 
     def row(self) -> Row:
         """Return the line of the table."""
-        return {"messages": self.messages, "sum": self.total, "sha256": self.digest.hexdigest()[:16]}
+        return {
+            "messages": self.messages,
+            "finite": self.finite,
+            "sum": self.total,
+            "sha256": self.digest.hexdigest()[:16],
+        }
 
 
 def replayed_rows(name: str, one_by_one: bool, folder: Path) -> dict[str, Row]:
@@ -114,8 +123,8 @@ def differences(wanted: dict[str, Row], found: dict[str, Row], tolerance: float)
         old, new = wanted.get(topic), found.get(topic)
         if old is None or new is None:
             yield f"{topic}: {'not in the table' if old is None else 'not published'}"
-        elif old["messages"] != new["messages"]:
-            yield f"{topic}: {new['messages']} messages, {old['messages']} in the table"
+        elif unequal := [key for key in ("messages", "finite") if old[key] != new[key]]:
+            yield f"{topic}: {', '.join(f'{key} {new[key]}, {old[key]} in the table' for key in unequal)}"
         elif old["sha256"] != new["sha256"]:
             change = abs(float(new["sum"]) - float(old["sum"])) / max(abs(float(old["sum"])), 1.0)
             if not change <= tolerance or not tolerance:
@@ -167,7 +176,7 @@ def _text(rows: dict[str, dict[str, Row]]) -> str:
     for name in (name for name in NAMES if name in rows):
         lines.append(f"{name}:")
         for topic, row in rows[name].items():
-            numbers = f"messages: {row['messages']}, sum: {row['sum']!r}, sha256: '{row['sha256']}'"
+            numbers = ", ".join(f"{key}: {value!r}" for key, value in row.items())
             lines.append(f"  {topic}: {{{numbers}}}")
     return "\n".join(lines) + "\n"
 

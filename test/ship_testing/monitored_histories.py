@@ -15,10 +15,10 @@ from ship_watch.history import (
     BeaconPoint,
     BudgetPoint,
     ErrorPoint,
+    ExposurePoint,
     History,
     InnovationPoint,
     ParameterEstimate,
-    StarExposure,
 )
 from ship_watch.suite_state import Event, SuiteState
 
@@ -151,9 +151,9 @@ def _beacon_points(rng: np.random.Generator, x: float, z: float) -> list[BeaconP
 
 def _star_residuals(
     rng: np.random.Generator, azimuth: float, elevation: float, right_arcsec: float = 0.0
-) -> StarExposure:
+) -> ExposurePoint:
     right = (right_arcsec + rng.normal(0.0, 4.0, 8)) * ARCSEC
-    return StarExposure(
+    return ExposurePoint(
         utc_ns=NOW_NS,
         u=rng.uniform(60.0, 2000.0, 8),
         v=rng.uniform(60.0, 2000.0, 8),

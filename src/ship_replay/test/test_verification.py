@@ -104,6 +104,16 @@ def test_texts_that_differ_are_counted_and_no_difference(parts, tmp_path, capsys
     assert re.search(r"verified: the numbers of \d+ outputs are equal to the last bit", out)
 
 
+def test_another_name_is_a_difference(parts, tmp_path, capsys):
+    def change_source(message):
+        message.source = f"{message.source}2"
+
+    path = join_parts(tmp_path / "b.mcap", parts, change=partial(with_changed_innovations, change=change_source))
+    code, out, _ = verify(capsys, path)
+    assert code == 1
+    assert re.search(r"first difference: ship/innovation, stamp .*, field source: recorded", out)
+
+
 def test_a_number_that_differs_beside_a_text_is_the_difference(parts, tmp_path, capsys):
     def change_both(message):
         rename_components(message)
@@ -130,4 +140,4 @@ def test_what_is_missing_at_the_end_is_a_difference(parts, tmp_path, capsys):
 def test_a_bag_without_outputs_is_refused(parts, tmp_path, capsys):
     code, _, err = verify(capsys, join_parts(tmp_path / "b.mcap", parts, change=lambda outputs: []))
     assert code == 2
-    assert "it holds no outputs of ship_attitude: there is nothing to verify" in err
+    assert "no outputs of ship_attitude in this bag: there is nothing to verify" in err

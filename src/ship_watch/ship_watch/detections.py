@@ -12,7 +12,7 @@ import numpy as np
 
 from ship_bags.stamps import ns_from_stamp
 from ship_geometry.rotations import FloatArray
-from ship_watch.history import BeaconPoint, History, StarExposure, append
+from ship_watch.history import BeaconPoint, ExposurePoint, History, append
 
 _PENDING_MESSAGES = 8
 """Number of messages that wait for their counterpart."""
@@ -72,7 +72,7 @@ class StarExposures:
         if not used and solution is not None:
             used = int(solution.star_count)
         excluded = len(names) - used if names else int(solution.rejected_count) if solution is not None else 0
-        self._history.star_exposures[source] = StarExposure(
+        self._history.star_exposures[source] = ExposurePoint(
             utc_ns=utc_ns,
             u=np.array([star.u for star in stars], dtype=float),
             v=np.array([star.v for star in stars], dtype=float),

@@ -105,7 +105,7 @@ class BeaconPoint:
 
 
 @dataclass(frozen=True)
-class StarExposure:
+class ExposurePoint:
     """Last exposure of a star sensor, with arrays of shape (n,) for its stars.
 
     Attributes:
@@ -171,7 +171,7 @@ class History:
     budgets: dict[str, deque[BudgetPoint]] = field(default_factory=dict)
     safety: deque[SafetyPoint] = field(default_factory=deque)
     beacons: dict[str, deque[BeaconPoint]] = field(default_factory=dict)
-    star_exposures: dict[str, StarExposure] = field(default_factory=dict)
+    star_exposures: dict[str, ExposurePoint] = field(default_factory=dict)
     alignment: tuple[ParameterEstimate, ...] = ()
     calibration: tuple[ParameterEstimate, ...] = ()
     position: tuple[float, float] | None = None

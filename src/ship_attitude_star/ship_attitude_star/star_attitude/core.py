@@ -26,7 +26,7 @@ from ship_attitude_star.star_attitude.exposure_solver import (
     solve_deck,
     solve_exposure,
 )
-from ship_attitude_star.star_attitude.ins_motion import INS, InsBatch, InsMotion
+from ship_attitude_star.star_attitude.ins_motion import INS, InsMotion, MotionBatch
 from ship_attitude_star.stars.config import JOINT
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.solution import invalid_solution
@@ -195,11 +195,11 @@ class StarCore:
         self._advance(outcome)
         return outcome
 
-    def evaluate_batch(self, block: SampleBlock, arrivals_ns: StampArray) -> InsBatch | None:
+    def evaluate_batch(self, block: SampleBlock, arrivals_ns: StampArray) -> MotionBatch | None:
         """Check the INS samples of a block as one batch; see :meth:`InsMotion.evaluate_batch`."""
         return self._ins.evaluate_batch(block, arrivals_ns, self._config.lag_s)
 
-    def commit_batch(self, batch: InsBatch, stop: int) -> None:
+    def commit_batch(self, batch: MotionBatch, stop: int) -> None:
         """Commit the samples of a batch before index ``stop``."""
         while batch.committed_count < stop:
             # A pending exposure may need this sample. Pending groups wait for exposures only.
@@ -210,7 +210,7 @@ class StarCore:
             if outcome.solved or outcome.not_joined:
                 batch.pending_outcomes.append((end - 1, outcome))
 
-    def finish_batch(self, batch: InsBatch) -> StarOutcome | None:
+    def finish_batch(self, batch: MotionBatch) -> StarOutcome | None:
         """Finish a batch; return the outcome of the sample that needs separate handling, None without one."""
         refusal = self._ins.finish_batch(batch)
         if batch.checked.last is None:
@@ -220,7 +220,7 @@ class StarCore:
         self._advance(outcome)
         return outcome
 
-    def batch_estimates(self, _turns: InsBatch) -> list[tuple[slice, StarOutcome]]:
+    def batch_estimates(self, _turns: MotionBatch) -> list[tuple[slice, StarOutcome]]:
         """Return no estimates: INS samples produce only the outcomes of :meth:`commit_batch`."""
         return []
 

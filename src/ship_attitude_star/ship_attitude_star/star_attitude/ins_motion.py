@@ -63,7 +63,7 @@ class DeckTurns:
 
 
 @dataclass
-class InsBatch:
+class MotionBatch:
     """A batch of checked INS samples.
 
     Attributes:
@@ -113,7 +113,7 @@ class InsMotion:
         """Add a sample; return the rejection if it is not used."""
         return self._use(self._plausibility.ins.check(sample, self.track, self._plausibility.motion_references))
 
-    def evaluate_batch(self, block: SampleBlock, arrivals_ns: StampArray, lag_s: float) -> InsBatch | None:
+    def evaluate_batch(self, block: SampleBlock, arrivals_ns: StampArray, lag_s: float) -> MotionBatch | None:
         """Check the samples of a block as one batch, up to the first sample that needs separate handling.
 
         No other sample may be added until the batch is committed (:meth:`commit_batch`, :meth:`finish_batch`).
@@ -139,14 +139,14 @@ class InsMotion:
         checked = guard.check_block(samples, block)
         if not checked.count:
             return None
-        return InsBatch(samples[: checked.accepted_count], block.rotations_nd[: checked.count], checked)
+        return MotionBatch(samples[: checked.accepted_count], block.rotations_nd[: checked.count], checked)
 
-    def commit_batch(self, batch: InsBatch, stop: int) -> None:
+    def commit_batch(self, batch: MotionBatch, stop: int) -> None:
         """Commit the samples of a batch before index ``stop``."""
         self.track.extend(batch.samples[batch.committed_count : stop])
         batch.committed_count, self._plausibility.ins.by_rates = stop, batch.checked.by_rates(stop - 1)
 
-    def finish_batch(self, batch: InsBatch) -> Rejection | None:
+    def finish_batch(self, batch: MotionBatch) -> Rejection | None:
         """Finish a batch; use a last sample that needs separate handling and return its rejection, if any."""
         self._plausibility.ins.commit_block(batch.values, batch.checked, self._plausibility.motion_references)
         return None if batch.checked.last is None else self._use(batch.checked.last)

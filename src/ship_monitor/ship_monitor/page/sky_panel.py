@@ -20,7 +20,7 @@ from ship_monitor.page.figures import (
 from ship_monitor.page.marking import with_mark
 from ship_monitor.page.sky import boresight, map_position, moon_direction
 from ship_monitor.page.themes import Theme
-from ship_watch.history import History, StarExposure
+from ship_watch.history import ExposurePoint, History
 from ship_watch.suite_state import Presence, SourceDetails, SuiteState
 
 MAX_FIELDS = 3
@@ -203,7 +203,7 @@ class _Field:
         draw_texts(self.figure, self._scale_text, text_color=theme.second_text, y_offset=-2, text_baseline="bottom")
 
     def update(
-        self, name: str, exposure: StarExposure, source: SourceDetails | None, field_count: int, *, is_marked: bool
+        self, name: str, exposure: ExposurePoint, source: SourceDetails | None, field_count: int, *, is_marked: bool
     ) -> None:
         """Draw the last exposure; the size of the detector is estimated from all stars so far."""
         theme, is_bad = self._theme, _is_out(source) or not exposure.is_accepted
@@ -233,20 +233,20 @@ class _Field:
         self.figure.title.text_color = theme.caution_border if is_bad else theme.text
 
 
-def residual_star_mask(exposure: StarExposure) -> np.ndarray:
+def residual_star_mask(exposure: ExposurePoint) -> np.ndarray:
     """Return a mask of the stars with a residual, shape (n,)."""
     if len(exposure.residual_right) != len(exposure.u):
         return np.zeros(len(exposure.u), bool)
     return np.asarray(np.isfinite(exposure.residual_right) & np.isfinite(exposure.residual_up))
 
 
-def used_star_mask(exposure: StarExposure) -> np.ndarray:
+def used_star_mask(exposure: ExposurePoint) -> np.ndarray:
     """Return a mask of the stars drawn as used, shape (n,): those with a residual; all if no star has one."""
     mask = residual_star_mask(exposure)
     return mask if mask.any() else np.ones(len(exposure.u), bool)
 
 
-def positions_in_field(exposure: StarExposure) -> tuple[np.ndarray, np.ndarray]:
+def positions_in_field(exposure: ExposurePoint) -> tuple[np.ndarray, np.ndarray]:
     """Return the positions of the stars, across and up, in a field of view with half side 1."""
     if not len(exposure.u):
         return np.empty(0), np.empty(0)

@@ -38,7 +38,7 @@ _SIGMA_FACTOR = 3.0
 """Factor on the configured sigmas, so that sigmas too small by this factor cause no rejections."""
 
 
-class StarComparison(NamedTuple):
+class StarInnovation(NamedTuple):
     """A star measurement compared with the INS: value = jacobian @ (errors of the filter's model) + noise.
 
     Attributes:
@@ -67,7 +67,7 @@ class StarComparisons:
         rejected: measurements that the node did not use.
     """
 
-    accepted: dict[tuple[str, int], StarComparison] = field(default_factory=dict)
+    accepted: dict[tuple[str, int], StarInnovation] = field(default_factory=dict)
     rejected: set[tuple[str, int]] = field(default_factory=set)
 
     def add_decisions(self, core: ShipAttitudeCore, decisions: Iterable[AttitudeDecision]) -> None:
@@ -91,7 +91,7 @@ class StarComparisons:
             # The INS is levelled by gravity: the given deflection is no error of the INS.
             attitude = core.filter.model.slices["ins.attitude"]
             value = value - linear.jacobian[:, attitude] @ (here.deflection_jacobian @ here.given_deflection)
-        self.accepted[key] = StarComparison(
+        self.accepted[key] = StarInnovation(
             measurement.time_ns, measurement.source, value, linear.jacobian, linear.noise, here
         )
 
@@ -113,7 +113,7 @@ class NoiseSession:
     name: str
     config: ShipAttitudeConfig
     model: ShipStateModel
-    comparisons: list[StarComparison]
+    comparisons: list[StarInnovation]
     common_n: Mapping[str, FloatArray]
     rejected_count: int
     problems: list[str]
@@ -218,7 +218,7 @@ class _NullSink:
         """Ignore the truth: an identification must not use it."""
 
 
-def mean_location(pairs: Iterable[StarComparison]) -> LocalVertical | None:
+def mean_location(pairs: Iterable[StarInnovation]) -> LocalVertical | None:
     """Return mean latitude and velocity of the ship over the comparisons; None without any position fix."""
     places = [pair.here for pair in pairs if not np.isnan(pair.here.latitude)]
     if not places:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ship_estimation.kalman import StateModel
 from ship_geometry.rotations import ARCSEC, FloatArray
 from ship_geometry.time_scales import SECOND_NS
-from ship_replay.ins_noise.session import NoiseSession, StarComparison
+from ship_replay.ins_noise.session import NoiseSession, StarInnovation
 
 MOST_EPOCHS = 6000
 """Maximum number of epochs of a record, more than three hours at 0.5 Hz; longer records are thinned."""
@@ -118,13 +118,13 @@ def star_record(session: NoiseSession, most_epochs: int = MOST_EPOCHS) -> StarRe
     )
 
 
-def _columns(pair: StarComparison, model: StateModel, others: "_OtherStates") -> FloatArray:
+def _columns(pair: StarInnovation, model: StateModel, others: "_OtherStates") -> FloatArray:
     """Return the Jacobian by u and the other states, in their units, and the value, shape (m, s)."""
     by_attitude = ARCSEC * pair.jacobian[:, model.slices["ins.attitude"]]
     return np.column_stack([by_attitude, pair.jacobian[:, others.rows] * others.scale, pair.value])
 
 
-def _white_gain(pair: StarComparison, model: StateModel) -> float:
+def _white_gain(pair: StarInnovation, model: StateModel) -> float:
     """Return the variance of the white noise in a comparison over that of a sample; interpolation reduces it."""
     by_white, by_slow = (pair.jacobian[:, model.slices[name]] for name in ("ins.noise", "ins.attitude"))
     return float((np.sum(by_white * by_slow) / np.sum(by_slow**2)) ** 2)

@@ -44,6 +44,7 @@ from ship_replay.offline.black_box_identity import (
     check_topics,
     older_message_converters,
 )
+from ship_replay.offline.message_values import are_texts
 from ship_replay.offline.verification import UNCOMPARED_TYPES, Difference, Verification, message_difference, stamp_of
 
 ProgressWrapper = Callable[[Iterator[BagRecord], Bag], Iterator[BagRecord]]
@@ -304,8 +305,8 @@ class _BlackBoxReplay:
 
     def _compare_values(self, what: str, time_ns: int, field: str, recorded: Any, replayed: Any) -> None:
         if recorded != replayed:
-            are_texts = isinstance(recorded, str) and isinstance(replayed, str)
-            difference = Difference(what, time_ns, field, repr(recorded), repr(replayed), is_text=are_texts)
+            is_text = are_texts(recorded, replayed)
+            difference = Difference(what, time_ns, field, repr(recorded), repr(replayed), is_text=is_text)
             self._result.add_difference(difference)
 
     def _check_no_pending_outputs(self, time_ns: int) -> None:
@@ -331,7 +332,7 @@ def _use_text(use: FileUse | None) -> str:
 
 def _content_difference(path: Path, time_ns: int, recorded: bytes, replayed: bytes) -> Difference:
     """Return the first line that differs; it is one of texts if the documents differ in nothing but texts."""
-    is_text = _without_texts(recorded) == _without_texts(replayed) is not None
+    is_text = _differ_in_texts_alone(recorded, replayed)
     one, other = (content.decode(errors="replace").splitlines() for content in (recorded, replayed))
     for number, (a, b) in enumerate(zip(one, other, strict=False), 1):
         if a != b:
@@ -340,17 +341,17 @@ def _content_difference(path: Path, time_ns: int, recorded: bytes, replayed: byt
     return Difference(f"file {path}", time_ns, "length", *sizes, is_text)
 
 
-def _without_texts(content: bytes) -> str | None:
-    """Return a YAML document with its texts blanked, as text to the last bit; None if it cannot be read."""
+def _differ_in_texts_alone(recorded: bytes, replayed: bytes) -> bool:
+    """True if two YAML documents are equal except for the words of their texts; False if one cannot be read."""
 
-    def blanked(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: blanked(one) for key, one in value.items()}
-        if isinstance(value, list):
-            return [blanked(one) for one in value]
-        return "" if isinstance(value, str) else value
+    def are_equal(one: Any, other: Any) -> bool:
+        if isinstance(one, dict) and isinstance(other, dict):
+            return list(one) == list(other) and all(map(are_equal, one.values(), other.values()))
+        if isinstance(one, list) and isinstance(other, list):
+            return len(one) == len(other) and all(map(are_equal, one, other))
+        return are_texts(one, other) or repr(one) == repr(other)
 
     try:
-        return repr(blanked(yaml.safe_load(content)))
+        return are_equal(yaml.safe_load(recorded), yaml.safe_load(replayed))
     except yaml.YAMLError:
-        return None
+        return False

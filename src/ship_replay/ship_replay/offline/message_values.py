@@ -1,4 +1,4 @@
-"""The values in a message, field by field: what a comparison of two messages and a golden table are made of."""
+"""The values in a message, field by field, for the comparison of two messages and for the golden table."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -28,6 +28,18 @@ def values(message: Any, name: str = "") -> Iterator[tuple[str, Value]]:
             yield from values(element, f"{name}[{i}]")
     else:
         yield name, message if isinstance(message, str) else np.asarray(message)
+
+
+def are_texts(one: object, other: object) -> bool:
+    """True if both values are strings and one of them is a sentence.
+
+    Strings without a space are names, as of frames, sources and reasons. They are compared like numbers.
+
+    Example:
+        >>> are_texts("late: 2 s", "late by 2 s"), are_texts("star.fore", "star.aft"), are_texts("1", 1)
+        (True, False, False)
+    """
+    return isinstance(one, str) and isinstance(other, str) and " " in one + other
 
 
 def numbers(message: Any) -> npt.NDArray[np.float64]:

@@ -1,4 +1,7 @@
-"""Comparison of a replay with recorded outputs, to the last bit: of two messages, and of a whole bag."""
+"""Comparison of a replay with recorded outputs, to the last bit: of two messages, and of a whole bag.
+
+Numbers and names (strings without a space) must be equal. Texts with other words are counted.
+"""
 
 from collections import Counter, defaultdict, deque
 from collections.abc import Iterator, Sequence
@@ -16,7 +19,7 @@ from ship_bags.topic_names import relative_topics
 from ship_node.edge.adapter import Adapter
 from ship_node.edge.messages_out import DIAGNOSTICS_TYPE
 from ship_replay.offline.adapter_chain import AdapterChain, suite_chain
-from ship_replay.offline.message_values import values
+from ship_replay.offline.message_values import are_texts, values
 from ship_replay.offline.replay import ProgressWrapper, match_inputs
 from ship_replay.offline.replay_run import ReplayRun, ReplaySummary
 
@@ -26,15 +29,15 @@ UNCOMPARED_TYPES = DIAGNOSTICS_TYPE, "ship_msgs/msg/InputHealth"
 
 @dataclass(frozen=True)
 class Difference:
-    """The first thing that a replay gave otherwise than it was recorded.
+    """A field in which a replayed message differs from the recorded one, or a message that only one of the two has.
 
     Attributes:
         topic: topic, service or file.
-        stamp_ns: stamp of the message, or time of what has none.
-        field: dotted name of the field, empty where one of the two gave nothing at all.
+        stamp_ns: stamp of the message, or its time where it has no stamp.
+        field: dotted name of the field; empty where there is no message on one side.
         recorded: its value in the bag.
         replayed: its value now.
-        is_text: True if it is a text, whose numbers are equal.
+        is_text: True if only the words of a text differ.
     """
 
     topic: str
@@ -53,7 +56,7 @@ class Difference:
 
 
 def message_difference(topic: str, recorded: Any, replayed: Any, time_ns: int) -> Difference | None:
-    """Return the first number in which two messages differ, or else the first text; None where all bits are the same.
+    """Return the first number or name in which two messages differ, or else the first text; None if they are equal.
 
     Args:
         topic: topic of both.
@@ -68,7 +71,7 @@ def message_difference(topic: str, recorded: Any, replayed: Any, time_ns: int) -
     read = message_store().deserialize_cdr
     pair = read(one, recorded.__msgtype__), read(other, replayed.__msgtype__)
     found = list(_value_differences(topic, *pair, stamp_of(recorded, time_ns)))
-    return next((difference for difference in found if not difference.is_text), found[0])
+    return next((difference for difference in found if not difference.is_text), found[0] if found else None)
 
 
 def stamp_of(message: Any, time_ns: int) -> int:
@@ -82,7 +85,7 @@ def _value_differences(topic: str, recorded: Any, replayed: Any, stamp_ns: int) 
     for (name, one), (_, other) in zip(values(recorded), values(replayed), strict=False):
         if isinstance(one, str) or isinstance(other, str):
             if one != other:
-                yield Difference(topic, stamp_ns, name, repr(one), repr(other), is_text=True)
+                yield Difference(topic, stamp_ns, name, repr(one), repr(other), is_text=are_texts(one, other))
         elif one.shape != other.shape:
             yield Difference(topic, stamp_ns, f"{name} (length)", str(one.size), str(other.size))
             return
@@ -100,13 +103,13 @@ class Verification:
 
     Attributes:
         input_counts: input topic or kind of event → how many the adapter was given.
-        equal_counts: output topic → messages whose numbers are equal to the last bit.
-        other_texts: output topic → those of them in which a text differs.
-        difference: the first difference in a number; None where there is none.
-        text_difference: the first difference in a text; None where there is none.
-        notes: what else is to be said, one line each.
-        incomplete_reason: why not all of the bag could be compared; empty where all was.
-        is_truncated: whether that is nothing but the file's sudden end.
+        equal_counts: output topic → number of messages whose numbers and names are equal to the last bit.
+        other_texts: output topic → number of those in which a text differs.
+        difference: the first difference in a number or name; None if there is none.
+        text_difference: the first difference in a text; None if there is none.
+        notes: further lines for the user.
+        incomplete_reason: why a part of the bag could not be compared; empty if all of it was.
+        is_truncated: True if the only reason is that the file ends suddenly.
     """
 
     input_counts: Counter[str] = field(default_factory=Counter)
@@ -128,7 +131,7 @@ class Verification:
 
         Args:
             topic: topic of both.
-            difference: of a number or a text; None where they are equal.
+            difference: a number, name or text that differs; None if they are equal.
         """
         if difference is not None:
             self.add_difference(difference)
@@ -136,7 +139,7 @@ class Verification:
             self.equal_counts[topic] += 1
 
     def add_difference(self, difference: Difference) -> None:
-        """Add a difference: the first one in a number is kept, those in texts are counted."""
+        """Add a difference: the first one in a number or name is kept, those in texts are counted."""
         if not difference.is_text:
             self.difference = self.difference or difference
         elif self.difference is None:
@@ -151,10 +154,10 @@ def verify_bag(
     namespace: str = "",
     progress: ProgressWrapper = lambda records, bag: records,
 ) -> Verification:
-    """Compare what a replay gives with what a bag holds.
+    """Compare the outputs of a replay with those recorded in a bag.
 
-    A recorder does not know the order in which the node used its inputs, nor its service calls: only a black box makes
-    sure that a difference is one of the estimate.
+    A recorder does not know the order in which the node used its inputs, nor its service calls. With a black box, a
+    difference is always one of the estimate.
 
     Args:
         bag: inputs and outputs of one run.
@@ -164,9 +167,9 @@ def verify_bag(
         progress: wraps the iteration over the bag, for a progress bar.
 
     Raises:
-        BadInput: the bag, its topics or the configuration do not serve, or it holds no outputs.
+        BadInput: the bag, its topics or the configuration cannot be used, or the bag contains no outputs.
     """
-    # Each node is given the recorded messages, those of other nodes too: these are what it was given at sea.
+    # Each node gets the recorded messages, also those of other nodes, as it did at sea.
     chain, left_out = suite_chain(bag, adapter_classes, RosbagsFactory(), config_path, namespace, linked=False)
     inputs = {name: relative for relative, name in match_inputs(bag, chain, namespace).items()}
     outputs = _recorded_outputs(bag, chain, namespace)
@@ -188,9 +191,9 @@ def verify_bag(
 
 
 def _recorded_outputs(bag: Bag, chain: AdapterChain, namespace: str) -> dict[str, str]:
-    """Name in the bag → relative name, of the outputs that are compared.
+    """Return name in the bag → relative name, for the outputs that are compared.
 
-    Topics with one name for all, as ``/tf``, are not: a recorder does not know whose messages these are.
+    Topics that several nodes share, as ``/tf``, are not compared: a recorder does not know which node published.
     """
     found = relative_topics(bag.topics, namespace)
     outputs = {}
@@ -203,12 +206,12 @@ def _recorded_outputs(bag: Bag, chain: AdapterChain, namespace: str) -> dict[str
                 raise BadInput(f"topic '{name}' is {bag.topics[name]}: expected {output.type_name}", file=bag.path)
             outputs[name] = output.topic
     if not outputs:
-        raise BadInput(f"it holds no outputs of {chain.name}: there is nothing to verify", file=bag.path)
+        raise BadInput(f"no outputs of {chain.name} in this bag: there is nothing to verify", file=bag.path)
     return outputs
 
 
 class _Comparison:
-    """Pairs recorded with replayed messages, topic by topic in order; takes the outputs of a replay as a bag does."""
+    """Pairs recorded with replayed messages of each topic, in order; a writer of bags for the replay."""
 
     def __init__(self, topics: set[str]) -> None:
         self.result = Verification()
@@ -217,21 +220,21 @@ class _Comparison:
         self._replayed: defaultdict[str, deque[tuple[Any, int]]] = defaultdict(deque)
 
     def write(self, topic: str, message: Any, log_time_ns: int) -> None:
-        """Take what the replay gave."""
+        """Add a replayed message."""
         if topic in self._topics:
             self._replayed[topic].append((message, log_time_ns))
             self._compare(topic)
 
     def write_raw(self, topic: str, type_name: str, data: bytes, log_time_ns: int) -> None:
-        """Pass over the truth, which no node gives."""
+        """Ignore the truth, which no node publishes."""
 
     def add_recorded(self, topic: str, message: Any, log_time_ns: int) -> None:
-        """Take what was recorded."""
+        """Add a recorded message."""
         self._recorded[topic].append((message, log_time_ns))
         self._compare(topic)
 
     def finish(self) -> None:
-        """End the comparison: a message that is left over on one side is a difference."""
+        """End the comparison: a message that only one side has is a difference."""
         unmatched = []
         for side, found in ((self._recorded, ("a message", "nothing")), (self._replayed, ("nothing", "a message"))):
             for topic, rest in side.items():

@@ -8,7 +8,7 @@ from ship_bags.mcap.bag_writer import SUITE_ATTACHMENT
 from ship_estimation.parameters import flatten
 from ship_replay.evaluation.evaluate import named_config
 from ship_replay.offline.nodes import ADAPTERS
-from ship_replay.report.recording import Recording
+from ship_replay.report.recording import RecordedHistory
 
 _NODES = {kind.node_name: kind.config_type for kind in ADAPTERS}
 _TEXTS = (".yaml", ".yml")
@@ -24,7 +24,7 @@ class ParameterDifference:
     b: str
 
 
-def attached_texts(recording: Recording) -> dict[str, str]:
+def attached_texts(recording: RecordedHistory) -> dict[str, str]:
     """Return name → text of the configurations attached to a bag."""
     return {
         name: data.decode(errors="replace") for name, data in sorted(recording.attachments.items())
@@ -32,7 +32,7 @@ def attached_texts(recording: Recording) -> dict[str, str]:
     }
 
 
-def text_differences(a: Recording, b: Recording) -> dict[str, list[str]]:
+def text_differences(a: RecordedHistory, b: RecordedHistory) -> dict[str, list[str]]:
     """Return name of an attached configuration → lines of its unified diff from A to B; no lines if both are equal."""
     texts_a, texts_b = attached_texts(a), attached_texts(b)
     return {
@@ -47,7 +47,7 @@ def text_differences(a: Recording, b: Recording) -> dict[str, list[str]]:
     }
 
 
-def parameter_differences(a: Recording, b: Recording) -> list[ParameterDifference]:
+def parameter_differences(a: RecordedHistory, b: RecordedHistory) -> list[ParameterDifference]:
     """Return the parameters that differ, defaults included.
 
     A parameter written out at its default in one file only does not differ. A node configured in one file only is one
@@ -71,7 +71,7 @@ def parameter_differences(a: Recording, b: Recording) -> list[ParameterDifferenc
     return found
 
 
-def _parameters(recording: Recording, node: str, kind: type) -> dict[str, Any] | None:
+def _parameters(recording: RecordedHistory, node: str, kind: type) -> dict[str, Any] | None:
     if SUITE_ATTACHMENT not in recording.attachments:
         return None
     config = named_config(recording.attachments[SUITE_ATTACHMENT].decode(errors="replace"), kind, node)

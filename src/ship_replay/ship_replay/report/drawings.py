@@ -26,7 +26,7 @@ from ship_node.documents.figure_files import MAX_ROWS, short_name
 from ship_replay.evaluation.evaluate import Evaluation
 from ship_replay.evaluation.figures import attitude_error_figure, innovation_figure
 from ship_replay.evaluation.statistics import AttitudeErrors, SourceInnovations
-from ship_replay.report.recording import Recording
+from ship_replay.report.recording import RecordedHistory
 from ship_replay.report.time_axis import gap_times, utc_axis, with_gaps
 from ship_watch.history import BudgetPoint, extreme_rows
 from ship_watch.suite_state import ANGLES, Safety
@@ -74,7 +74,7 @@ def svg(figure: Figure, name: str) -> str:
     return "\n".join(line.rstrip() for line in text.strip().splitlines())
 
 
-def source_colours(recording: Recording, evaluation: Evaluation) -> dict[str, str]:
+def source_colours(recording: RecordedHistory, evaluation: Evaluation) -> dict[str, str]:
     """Return one colour for each source, the same in all figures of a report."""
     named = [errors.label for errors in evaluation.errors]
     named += [*evaluation.innovations, *(source_of(refusal.source) for refusal in recording.rejections)]
@@ -88,7 +88,7 @@ def source_of(name: str) -> str:
     return source_of_name(name) or source_of_topic(name) or name
 
 
-def status_svg(recording: Recording, marked: Iterable[int] = ()) -> str:
+def status_svg(recording: RecordedHistory, marked: Iterable[int] = ()) -> str:
     """Return a bar of states for each angle, one second per point, and the accuracy below; empty without any angle.
 
     Args:
@@ -184,7 +184,7 @@ def budget_svg(topic: str, points: Sequence[BudgetPoint], start_ns: int) -> str:
     return svg(figure, "budget-" + topic.partition("/")[0])
 
 
-def rejections_svg(recording: Recording, colours: Mapping[str, str]) -> str:
+def rejections_svg(recording: RecordedHistory, colours: Mapping[str, str]) -> str:
     """Return the times at which measurements were not used: one row per source, one bar per second."""
     rows: dict[str, set[int]] = {}
     for refusal in recording.rejections:

@@ -16,7 +16,7 @@ from ship_node.black_box.versions import LIBRARIES, SUITE_PACKAGES, package_vers
 from ship_replay.report.consistency import consistency
 from ship_replay.report.drawings import budget_svg, errors_svg, rejections_svg, source_colours, status_svg
 from ship_replay.report.event_groups import event_rows
-from ship_replay.report.recording import Recording
+from ship_replay.report.recording import RecordedHistory
 from ship_replay.report.report_data import ReportData
 from ship_replay.report.summary import summary
 from ship_replay.report.tables import alignment_changes, outage_rows, rejection_rows, shares
@@ -113,7 +113,7 @@ def versions() -> list[tuple[str, str]]:
     return [("suite, commit", own), ("python", platform.python_version()), *package_versions(_PACKAGES).items()]
 
 
-def recorded_versions(recording: Recording) -> list[tuple[str, str]]:
+def recorded_versions(recording: RecordedHistory) -> list[tuple[str, str]]:
     """Return the commit of the suite that made the bag, and the versions in a black box; empty if it has neither."""
     commit = recording.metadata.get(COMMIT_RECORD, {}).get("commit", "")
     of_commit = [("suite, commit", commit)] if commit else []

@@ -15,7 +15,7 @@ from ship_replay.report.published import (
     read_published,
     span,
 )
-from ship_replay.report.recording import Recording, read_recording
+from ship_replay.report.recording import RecordedHistory, read_recording
 from ship_replay.report.report_data import ReportData, check_truth, is_short, process_pool, read_report_data
 from ship_replay.report.wording import duration, utc
 from ship_watch.limits import Limits
@@ -46,7 +46,7 @@ class Pair:
         return self.a.recording.sha256 == self.b.recording.sha256
 
     @property
-    def recordings(self) -> tuple[Recording, Recording]:
+    def recordings(self) -> tuple[RecordedHistory, RecordedHistory]:
         """Recordings A and B."""
         return self.a.recording, self.b.recording
 

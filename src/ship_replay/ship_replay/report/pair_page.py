@@ -19,7 +19,7 @@ from ship_replay.report.pair_tables import (
     rejection_rows_of_both,
 )
 from ship_replay.report.pair_warnings import pair_warnings
-from ship_replay.report.recording import Recording
+from ship_replay.report.recording import RecordedHistory
 from ship_replay.report.tables import shares
 from ship_replay.report.wording import duration, utc
 from ship_watch.suite_state import ANGLES
@@ -95,7 +95,7 @@ def _problems(pair: Pair) -> list[str]:
     return [f"{letters}: {problem}" for problem, letters in found.items()]
 
 
-def _shares_of_both(a: Recording, b: Recording) -> list[tuple[str, dict[str, float] | None, dict[str, float] | None]]:
+def _shares_of_both(a: RecordedHistory, b: RecordedHistory) -> list[tuple[str, dict[str, float] | None, dict[str, float] | None]]:
     """Return angle, and the share of each state in A and in B; None where the angle was not published."""
     of_a, of_b = ({name: share for name, share, _ in shares(recording)} for recording in (a, b))
     return [(name, of_a.get(name), of_b.get(name)) for name in ANGLES if name in of_a or name in of_b]

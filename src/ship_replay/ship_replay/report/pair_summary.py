@@ -8,7 +8,7 @@ from ship_replay.report.configurations import ParameterDifference
 from ship_replay.report.pair import Pair, input_sentences
 from ship_replay.report.pair_tables import SAME_TIME_NS, ErrorRow
 from ship_replay.report.published import OutputDifference
-from ship_replay.report.recording import Recording
+from ship_replay.report.recording import RecordedHistory
 from ship_replay.report.tables import SourceOutage, outages
 from ship_replay.report.wording import number, utc
 from ship_watch.orientations import ORIENTATIONS, channel_name
@@ -189,7 +189,7 @@ def _output_rows(errors: Sequence[ErrorRow]) -> list[ErrorRow]:
     return [row for row in errors if row.label in labels]
 
 
-def _safe_share(recording: Recording, angle: str) -> float:
+def _safe_share(recording: RecordedHistory, angle: str) -> float:
     """Return the SAFE share of the time in which an angle was published; NaN if it never was."""
     seconds = recording.seconds(angle)
     total = sum(seconds.values())

@@ -15,7 +15,7 @@ from ship_replay.evaluation.statistics import AttitudeErrors
 from ship_replay.report.consistency import SigmaFit, consistency
 from ship_replay.report.pair import Pair
 from ship_replay.report.published import OutputDifference
-from ship_replay.report.recording import Recording
+from ship_replay.report.recording import RecordedHistory
 from ship_replay.report.tables import shown_scale, shown_value
 from ship_replay.report.wording import number, rounded_to_sigma, utc
 from ship_watch.history import BudgetPoint, ParameterEstimate
@@ -279,7 +279,7 @@ def _alignment_row(
     return row
 
 
-def _rejection_counts(recording: Recording) -> Counter[tuple[bool, str, str, str]]:
+def _rejection_counts(recording: RecordedHistory) -> Counter[tuple[bool, str, str, str]]:
     counts: Counter[tuple[bool, str, str, str]] = Counter()
     for refusal in recording.rejections:
         counts[refusal.is_note, refusal.source, refusal.by, refusal.reason] += refusal.count

@@ -57,7 +57,7 @@ class RecordedAlert:
 
 
 @dataclass(frozen=True)
-class Rejection:
+class RejectedMeasurement:
     """A measurement that was not used: source, reason, and whether the node or the filter rejected it.
 
     A note is no rejection: the measurement was used.
@@ -72,7 +72,7 @@ class Rejection:
 
 
 @dataclass
-class Recording:
+class RecordedHistory:
     """States, events, alerts, rejections and budgets of one recording.
 
     Attributes:
@@ -112,7 +112,7 @@ class Recording:
     events: list[Event] = field(default_factory=list)
     alerts: list[RecordedAlert] = field(default_factory=list)
     alerts_are_recorded: bool = False
-    rejections: list[Rejection] = field(default_factory=list)
+    rejections: list[RejectedMeasurement] = field(default_factory=list)
     budgets: dict[str, list[BudgetPoint]] = field(default_factory=dict)
     first_estimates: dict[str, tuple[ParameterEstimate, ...]] = field(default_factory=dict)
     last_estimates: dict[str, tuple[ParameterEstimate, ...]] = field(default_factory=dict)
@@ -137,7 +137,7 @@ class Recording:
         return Counter(word for _, word in self.safety_states.get(angle, ()))
 
 
-def read_recording(path: Path, limits: Limits | None = None, namespace: str = "") -> Recording:
+def read_recording(path: Path, limits: Limits | None = None, namespace: str = "") -> RecordedHistory:
     """Read a bag with outputs of the suite.
 
     Raises:
@@ -152,7 +152,7 @@ def read_recording(path: Path, limits: Limits | None = None, namespace: str = ""
                 f"no outputs of the suite: expected topic {' or '.join(OUTPUTS)}, as replay writes them; found {found}",
                 file=path,
             )
-        recording = Recording(
+        recording = RecordedHistory(
             path, content_sha256(path), bag.start_ns or 0, bag.end_ns or 0, limits,
             {topic: bag.topics[name] for topic, name in topics.items()}, dict(bag.attachments), dict(bag.metadata),
         )
@@ -177,7 +177,7 @@ class _ReportHistoryKeeper(HistoryRecorder):
 class _RecordingReader:
     """Reader of one bag, in one pass."""
 
-    def __init__(self, recording: Recording, alerts_are_recorded: bool) -> None:
+    def __init__(self, recording: RecordedHistory, alerts_are_recorded: bool) -> None:
         self._recording, self._watch = recording, SuiteMonitor(recording.limits, _ReportHistoryKeeper)
         recording.alerts_are_recorded = alerts_are_recorded
         self._alert_states = AlertList(recording.limits.alerts, (), recording.start_ns)
@@ -284,7 +284,7 @@ class _RecordingReader:
     def _record_rejection(self, message: Any) -> None:
         if not message.accepted:
             stamp_ns = ns_from_stamp(message.header.stamp)
-            self._recording.rejections.append(Rejection(stamp_ns, str(message.source), reason_name(message), "filter"))
+            self._recording.rejections.append(RejectedMeasurement(stamp_ns, str(message.source), reason_name(message), "filter"))
 
     def _record_health(self, message: Any) -> None:
         """Record rejections and notes from input_health.
@@ -300,7 +300,7 @@ class _RecordingReader:
             self._reason_counts[topic, str(reason)] = int(count)
             more = int(count) - (before if count >= before else 0)
             if more:
-                self._recording.rejections.append(Rejection(stamp_ns, topic, str(reason), "node", more, is_note))
+                self._recording.rejections.append(RejectedMeasurement(stamp_ns, topic, str(reason), "node", more, is_note))
 
     def _record_alerts(self, state: SuiteState) -> None:
         """Record the changes of published alerts."""

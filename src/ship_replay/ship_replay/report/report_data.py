@@ -14,7 +14,7 @@ from ship_bags.mcap.bag_reader import read_bag
 from ship_bags.renamed_topics import current_names
 from ship_bags.topic_names import relative_topics
 from ship_replay.evaluation.evaluate import Evaluation, evaluate
-from ship_replay.report.recording import Recording, read_recording
+from ship_replay.report.recording import RecordedHistory, read_recording
 from ship_watch.limits import Limits
 from ship_watch.orientations import ORIENTATIONS
 
@@ -28,7 +28,7 @@ _TRUTH_TOPICS = [orientation.truth_topic for orientation in ORIENTATIONS]
 class ReportData:
     """A recording and its evaluation: all data of a report page."""
 
-    recording: Recording
+    recording: RecordedHistory
     evaluation: Evaluation
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from ship_bags.stamps import NS_PER_S
 from ship_replay.report.event_groups import states_of
-from ship_replay.report.recording import Recording
+from ship_replay.report.recording import RecordedHistory
 from ship_replay.report.tables import SourceOutage, outages, root_outages
 from ship_replay.report.wording import duration, number, utc
 from ship_watch.suite_state import ANGLES, Safety
@@ -20,7 +20,7 @@ _CONSEQUENCE_SUFFIX = ".degraded"
 """Suffix of alerts about an output over its limit: the source that caused it has its own alert."""
 
 
-def summary(recording: Recording) -> list[str]:
+def summary(recording: RecordedHistory) -> list[str]:
     """Return the five sentences; one if no output was published."""
     if not any(recording.safety_states.get(name) for name in ANGLES):
         return ["Availability: no attitude and no pointing was published."]
@@ -34,13 +34,13 @@ def summary(recording: Recording) -> list[str]:
     ]
 
 
-def worst_source(recording: Recording) -> str:
+def worst_source(recording: RecordedHistory) -> str:
     """Return the source with the longest own outage; empty if none was out."""
     seconds = _seconds_out(recording, root_outages(outages(recording)))
     return max(seconds, key=lambda source: seconds[source], default="")
 
 
-def valid_shares(recording: Recording) -> dict[str, float]:
+def valid_shares(recording: RecordedHistory) -> dict[str, float]:
     """Return topic of an output → share of the time in which it was VALID."""
     length_s = max((recording.end_ns - recording.start_ns) / NS_PER_S, 1e-9)
     return {
@@ -48,7 +48,7 @@ def valid_shares(recording: Recording) -> dict[str, float]:
     }
 
 
-def _availability_sentence(recording: Recording) -> str:
+def _availability_sentence(recording: RecordedHistory) -> str:
     parts = [
         f"{name} SAFE {100.0 * seconds[Safety.SAFE] / total:.1f} %"
         for name in ANGLES if (total := (seconds := recording.seconds(name)).total())
@@ -57,7 +57,7 @@ def _availability_sentence(recording: Recording) -> str:
     return f"Availability: {', '.join(parts)} of the time."
 
 
-def _worst_source_sentence(recording: Recording, found: Sequence[SourceOutage]) -> str:
+def _worst_source_sentence(recording: RecordedHistory, found: Sequence[SourceOutage]) -> str:
     roots = root_outages(found)
     source = worst_source(recording)
     if not source:
@@ -70,7 +70,7 @@ def _worst_source_sentence(recording: Recording, found: Sequence[SourceOutage]) 
     return f"Worst source: {source}, out {times}, {length}, {mine[0].text}."
 
 
-def _cause_sentence(recording: Recording, found: Sequence[SourceOutage]) -> str:
+def _cause_sentence(recording: RecordedHistory, found: Sequence[SourceOutage]) -> str:
     """Return the sentence about each source that failed, and the sources and angles affected by it."""
     roots = list(dict.fromkeys(outage.source for outage in root_outages(found)))
     if not roots:
@@ -93,7 +93,7 @@ def _cause_sentence(recording: Recording, found: Sequence[SourceOutage]) -> str:
     return f"Cause → consequence: {'; '.join(texts)}{more}."
 
 
-def _mounting_sentence(recording: Recording) -> str:
+def _mounting_sentence(recording: RecordedHistory) -> str:
     """Return the sentence about shifted mountings, or about estimates far from their first values."""
     shifted = [event for event in recording.events if event.kind == "source" and _SHIFTED in event.text]
     if shifted:
@@ -114,7 +114,7 @@ def _mounting_sentence(recording: Recording) -> str:
     return f"Mountings: no source was reinstated with a shifted mounting, but {', '.join(texts)}."
 
 
-def _advice_sentence(recording: Recording) -> str:
+def _advice_sentence(recording: RecordedHistory) -> str:
     """Return the advice of the raised alerts, causes first, then by priority."""
     raised = [record.alert for record in recording.alerts if record.what in ("raised", "active not acknowledged")]
     raised.sort(key=lambda alert: (alert.id.endswith(_CONSEQUENCE_SUFFIX), -int(alert.priority)))
@@ -125,7 +125,7 @@ def _advice_sentence(recording: Recording) -> str:
     return f"To do: {'. '.join(kept)}." if kept else "To do: nothing."
 
 
-def _seconds_out(recording: Recording, found: Sequence[SourceOutage]) -> Counter[str]:
+def _seconds_out(recording: RecordedHistory, found: Sequence[SourceOutage]) -> Counter[str]:
     _, end_ns = recording.span_ns
     seconds: Counter[str] = Counter()
     for outage in found:
@@ -134,7 +134,7 @@ def _seconds_out(recording: Recording, found: Sequence[SourceOutage]) -> Counter
     return seconds
 
 
-def _was_not_always_safe(recording: Recording, name: str) -> bool:
+def _was_not_always_safe(recording: RecordedHistory, name: str) -> bool:
     """True if an angle was published and not always SAFE."""
     seconds = recording.seconds(name)
     return seconds.total() > seconds[Safety.SAFE]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC, wrap_pi
-from ship_replay.report.recording import Recording
+from ship_replay.report.recording import RecordedHistory
 from ship_replay.report.wording import duration, number, rounded_to_sigma, utc
 from ship_watch.history import ParameterEstimate
 from ship_watch.suite_state import ANGLES, Safety
@@ -38,7 +38,7 @@ class SourceOutage:
         return f"{utc(self.from_ns)} to {utc(self.to_ns) if self.to_ns else 'the end'} ({self.why})"
 
 
-def outages(recording: Recording) -> list[SourceOutage]:
+def outages(recording: RecordedHistory) -> list[SourceOutage]:
     """Return the outages of all sources; an outage whose reason changes is still one."""
     found: list[SourceOutage] = []
     last: dict[str, int] = {}
@@ -60,7 +60,7 @@ def root_outages(found: Sequence[SourceOutage]) -> list[SourceOutage]:
     return [outage for outage in found if not outage.why.startswith(_NEEDS)]
 
 
-def outage_rows(recording: Recording) -> list[dict[str, str]]:
+def outage_rows(recording: RecordedHistory) -> list[dict[str, str]]:
     """Return a row for each outage: source, from, to, length and reason."""
     _, end_ns = recording.span_ns
     return [
@@ -72,7 +72,7 @@ def outage_rows(recording: Recording) -> list[dict[str, str]]:
     ]
 
 
-def shares(recording: Recording) -> list[tuple[str, dict[str, float], Counter[Safety]]]:
+def shares(recording: RecordedHistory) -> list[tuple[str, dict[str, float], Counter[Safety]]]:
     """Return angle, share of the time of each state and seconds of each state, for the angles published."""
     rows = []
     for name in ANGLES:
@@ -103,7 +103,7 @@ def alignment_changes(before: Sequence[ParameterEstimate], after: Sequence[Param
     return rows
 
 
-def rejection_rows(recording: Recording) -> list[dict[str, str]]:
+def rejection_rows(recording: RecordedHistory) -> list[dict[str, str]]:
     """Return a row for each source, place and reason: count, first and last time; rejections before notes."""
     counts: Counter[tuple[bool, str, str, str]] = Counter()
     times: dict[tuple[bool, str, str, str], tuple[int, int]] = {}

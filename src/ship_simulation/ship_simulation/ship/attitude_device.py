@@ -161,7 +161,7 @@ class DeviceTruth:
 
 
 @dataclass(frozen=True)
-class ExposureMotion:
+class DeviceExposures:
     """The exposures of a device that observes stars, and its true attitude at each.
 
     Attributes:
@@ -182,7 +182,7 @@ class ExposureMotion:
 
 
 @dataclass(frozen=True)
-class StarSensorMotion(ExposureMotion):
+class StarSensorMotion(DeviceExposures):
     """A star sensor's exposures.
 
     Attributes:

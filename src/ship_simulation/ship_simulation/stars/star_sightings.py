@@ -17,7 +17,7 @@ from ship_geometry.star_directions import StarPositions, fixed_stars
 from ship_simulation.draws.noise import arrival_times, centroids, is_outside, random_stream
 from ship_simulation.draws.stretch import Draws
 from ship_simulation.scenario.scenario import Scenario, StarImaging
-from ship_simulation.ship.attitude_device import ExposureMotion, StarSensorMotion, sigma_of_attitudes
+from ship_simulation.ship.attitude_device import DeviceExposures, StarSensorMotion, sigma_of_attitudes
 from ship_simulation.stars.sky import TrueSky, julian_year, position_of_date
 from ship_simulation.stars.spatial_errors import DetectorErrors
 from ship_simulation.stars.star_field import stars_in_field, swap_identities
@@ -103,7 +103,7 @@ class SightingsTruth:
 
 
 def simulate_sightings(
-    source: str, config: StarImaging, motion: ExposureMotion, sky: TrueSky, draws: Draws
+    source: str, config: StarImaging, motion: DeviceExposures, sky: TrueSky, draws: Draws
 ) -> tuple[StarSightings, SightingsTruth]:
     """Return all exposures of a star sensor, or of a camera on the theodolite; empty by day, and in outages.
 
@@ -165,7 +165,7 @@ class _Spots:
 def _true_spots(
     source: str,
     config: StarImaging,
-    motion: ExposureMotion,
+    motion: DeviceExposures,
     sky: TrueSky,
     is_observing: NDArray[np.bool_],
     draws: Draws,

@@ -8,7 +8,7 @@ from ship_geometry.time_scales import SECOND_NS
 from ship_simulation.draws.noise import exposure_times, random_stream
 from ship_simulation.draws.stretch import Draws, Stretch
 from ship_simulation.scenario.scenario import StarTelescope
-from ship_simulation.ship.attitude_device import ExposureMotion
+from ship_simulation.ship.attitude_device import DeviceExposures
 from ship_simulation.stars.sky import TrueSky
 from ship_simulation.stars.star_sightings import StarSightings, simulate_sightings
 from ship_simulation.theodolite.scene import Scene
@@ -37,7 +37,7 @@ def simulate_mount_stars(
     return sightings
 
 
-def _motion(config: StarTelescope, parallelism: FloatArray, scene: Scene, stretch: Stretch) -> ExposureMotion:
+def _motion(config: StarTelescope, parallelism: FloatArray, scene: Scene, stretch: Stretch) -> DeviceExposures:
     """Return the attitude of a camera: R_camera(t) = R_main(t) R(azimuth, elevation, roll)^T."""
     time_ns = stretch.stamps(config.rate_hz, config.phase_s)
     since_start_s = (time_ns - stretch.start_ns) / SECOND_NS
@@ -50,7 +50,7 @@ def _motion(config: StarTelescope, parallelism: FloatArray, scene: Scene, stretc
 
     middle_ns = rotation_ns(since_start_s)
     passing = [rotation_ns(since_start_s + t_s) for t_s in times.since_middle_s] if config.exposure_s else [middle_ns]
-    return ExposureMotion(
+    return DeviceExposures(
         time_ns=time_ns,
         since_start_s=since_start_s,
         valid_ns=time_ns,
