@@ -284,7 +284,8 @@ class _RecordingReader:
     def _record_rejection(self, message: Any) -> None:
         if not message.accepted:
             stamp_ns = ns_from_stamp(message.header.stamp)
-            self._recording.rejections.append(RejectedMeasurement(stamp_ns, str(message.source), reason_name(message), "filter"))
+            rejected = RejectedMeasurement(stamp_ns, str(message.source), reason_name(message), "filter")
+            self._recording.rejections.append(rejected)
 
     def _record_health(self, message: Any) -> None:
         """Record rejections and notes from input_health.
@@ -300,7 +301,8 @@ class _RecordingReader:
             self._reason_counts[topic, str(reason)] = int(count)
             more = int(count) - (before if count >= before else 0)
             if more:
-                self._recording.rejections.append(RejectedMeasurement(stamp_ns, topic, str(reason), "node", more, is_note))
+                rejected = RejectedMeasurement(stamp_ns, topic, str(reason), "node", more, is_note)
+                self._recording.rejections.append(rejected)
 
     def _record_alerts(self, state: SuiteState) -> None:
         """Record the changes of published alerts."""
