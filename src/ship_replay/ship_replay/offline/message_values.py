@@ -40,9 +40,3 @@ def are_texts(one: object, other: object) -> bool:
         (True, False, False)
     """
     return isinstance(one, str) and isinstance(other, str) and " " in one + other
-
-
-def numbers(message: Any) -> npt.NDArray[np.float64]:
-    """Return all numbers in a message, lengths of its sequences included, in the order of its fields."""
-    found = [np.atleast_1d(value) for _, value in values(message) if not isinstance(value, str)]
-    return np.concatenate(found).astype(float) if found else np.empty(0)
