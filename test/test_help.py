@@ -13,6 +13,7 @@ import pytest
 
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
+from ship_bags.command_line import LAUNCHER_VARIABLE
 from ship_bags.message_factory import RosidlFactory
 from ship_estimation.parameters import describe
 from ship_node.parameters.usage import usage_text
@@ -36,17 +37,23 @@ def help_of(name, module, capsys):
     return capsys.readouterr().out
 
 
+@pytest.mark.parametrize("start", ["./ros2run", "ros2 run"])
 @pytest.mark.parametrize(("name", "module"), EXECUTABLES)
-def test_every_help_ends_with_an_example(name, module, capsys):
+def test_every_help_begins_with_the_whole_command_and_ends_with_an_example(name, module, start, capsys, monkeypatch):
+    monkeypatch.delenv(LAUNCHER_VARIABLE, raising=False)
+    if start == "./ros2run":
+        monkeypatch.setenv(LAUNCHER_VARIABLE, start)
+    command = f"{start} {module.partition('.')[0]} {name}"
     shown = help_of(name, module, capsys)
+    assert re.match(rf"usage: {re.escape(command)}\s+\[", shown)
     *_, head, example = shown.rstrip().splitlines()
     assert head == "example:"
-    command = shlex.split(example)
-    assert command[:3] == ["./ros2run", module.partition(".")[0], name]
+    assert example.startswith(f"  {command} ")
     assert "exit code" in shown
     # Files of the repository that it names are there, and its options are known.
-    assert all((ROOT / word).exists() for word in command if word.startswith(("bags/", "examples/")))
-    assert all(word in shown for word in command if word.startswith("--"))
+    words = shlex.split(example)
+    assert all((ROOT / word).exists() for word in words if word.startswith(("bags/", "examples/")))
+    assert all(word in shown for word in words if word.startswith("--"))
 
 
 @pytest.mark.parametrize(("name", "module"), [row for row in EXECUTABLES if row[0] not in NODES])
@@ -54,7 +61,7 @@ def test_an_abbreviated_option_is_refused(name, module, capsys):
     with pytest.raises(SystemExit) as left:
         importlib.import_module(module).main(["--hel"])
     assert left.value.code == 2
-    assert "--hel" in capsys.readouterr().err
+    assert re.match(rf"{name}: .*\(see ros2 run {module.partition('.')[0]} {name} --help\)\n$", capsys.readouterr().err)
 
 
 def test_no_tool_takes_abbreviated_options():

@@ -13,6 +13,7 @@ from unittest import mock
 
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
 from ship_attitude_star.ros.star_attitude_adapter import StarAttitudeAdapter
+from ship_bags.command_line import LAUNCHER_VARIABLE
 from ship_bags.message_factory import RosidlFactory
 from ship_estimation.parameters import ParameterDescription, describe
 from ship_node.edge.adapter import Adapter
@@ -234,16 +235,13 @@ def _executables(package: str) -> list[tuple[str, str]]:
     return [(name, module) for name, module in found if not module.endswith(".moved")]
 
 
+@mock.patch.dict(os.environ, {"COLUMNS": _HELP_WIDTH, LAUNCHER_VARIABLE: "./ros2run"})
 def _help_of(package: str, name: str, module: str) -> str:
     for adapter in ADAPTERS:
         if adapter.node_name == name:
             return usage_text(adapter, package, RosidlFactory())
     printed = io.StringIO()
-    with (
-        mock.patch.dict(os.environ, {"COLUMNS": _HELP_WIDTH}),
-        contextlib.redirect_stdout(printed),
-        contextlib.suppress(SystemExit),
-    ):
+    with contextlib.redirect_stdout(printed), contextlib.suppress(SystemExit):
         importlib.import_module(module).main(["--help"])
     return printed.getvalue()
 

@@ -9,6 +9,7 @@ import contextlib
 import io
 import os
 import select
+import shutil
 import signal
 import sys
 import threading
@@ -21,6 +22,9 @@ from ship_bags.progress import erase_progress
 from ship_bags.renamed_topics import TopicNames, names_from_options, topic_names, use_names
 from ship_geometry.input_error import InputError
 
+LAUNCHER_VARIABLE = "SHIP_LAUNCHER"
+"""Environment variable with the command that starts executables; the script ``ros2run`` sets it."""
+
 EXIT_DONE = 0
 EXIT_BOUND_NOT_MET = 1
 EXIT_BAD_INPUT = 2
@@ -28,25 +32,40 @@ EXIT_INTERRUPTED = 130
 EXIT_NO_READER = 141
 """Exit code that a shell gives for a program ended by SIGPIPE, such as cat or grep before ``head``."""
 
+_MARGIN = 2
+"""Columns at the right that argparse leaves free."""
+
 
 class CommandParser(argparse.ArgumentParser):
-    """Argument parser with one-line errors, whose help ends with an example.
+    """Argument parser with one-line errors, whose help begins with the whole command and ends with an example.
 
     Options must be written out: an abbreviation would change its meaning when an option with the same beginning is
     added.
 
     Args:
-        example: a whole command line; empty for a tool that is not an executable of the suite.
+        prog: name of the command, before its error texts.
+        package: package of the executable; empty for a tool that is not an executable of the suite.
+        example: arguments of an example; of a tool a whole command line.
         options: as of argparse.
     """
 
-    def __init__(self, *, example: str = "", **options: Any) -> None:
-        super().__init__(allow_abbrev=False, **options)
-        self._example = example
+    def __init__(self, *, prog: str, package: str = "", example: str = "", **options: Any) -> None:
+        super().__init__(prog=prog, allow_abbrev=False, **options)
+        self._command = f"{launcher()} {package} {prog}" if package else prog
+        self._example = f"{self._command} {example}" if package else example
 
     def format_help(self) -> str:
-        """Return the help with the example, whose long lines are not wrapped."""
-        return super().format_help() + (f"\nexample:\n  {self._example}\n" if self._example else "")
+        """Return the help with the whole command and the example, whose long lines are not wrapped.
+
+        Arguments that do not fit next to the command are below it.
+        """
+        usage, _, rest = super().format_help().partition("\n\n")
+        arguments = [line.strip() for line in usage.removeprefix(f"usage: {self.prog} ").splitlines()]
+        usage = " ".join(["usage:", self._command, *arguments])
+        if len(usage) > shutil.get_terminal_size().columns - _MARGIN:
+            usage = f"\n{' ' * len('usage: ')}".join([f"usage: {self._command}", *arguments])
+        example = f"\nexample:\n  {self._example}\n" if self._example else ""
+        return f"{usage}\n\n{rest}{example}"
 
     def print_help(self, file: Any = None) -> None:
         """Print the help; exit with :data:`EXIT_NO_READER` if the reader of stdout is gone."""
@@ -57,7 +76,12 @@ class CommandParser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Exit with one line about the wrong arguments."""
-        self.exit(EXIT_BAD_INPUT, f"{self.prog}: {message} (see {self.prog} --help)\n")
+        self.exit(EXIT_BAD_INPUT, f"{self.prog}: {message} (see {self._command} --help)\n")
+
+
+def launcher() -> str:
+    """Return the command that starts executables: ``./ros2run`` if that script started this one, else ``ros2 run``."""
+    return os.environ.get(LAUNCHER_VARIABLE, "ros2 run")
 
 
 def print_text(text: str) -> int:

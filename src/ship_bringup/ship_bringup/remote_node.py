@@ -39,8 +39,9 @@ def node_command_parser(prog: str, example: str, description: str, epilog: str) 
         epilog: its exit codes.
     """
     parser = CommandParser(
+        package="ship_bringup",
         prog=prog,
-        example=f"./ros2run ship_bringup {prog} {example}",
+        example=example,
         description=description,
         epilog=epilog,
         formatter_class=argparse.RawDescriptionHelpFormatter,

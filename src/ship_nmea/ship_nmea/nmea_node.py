@@ -60,16 +60,17 @@ def run_nmea_node(
     """
     rows = "\n".join(key_rows(config_type))
     parser = CommandParser(
+        package="ship_nmea",
         prog=name,
-        usage=f"{name} [--help] [--ros-args [--params-file FILE] [-p NAME:=VALUE] ...]",
-        example=f"./ros2run ship_nmea {name} --ros-args --params-file suite.yaml -r __ns:=/aurora",
+        usage="%(prog)s [--help] [--ros-args [--params-file FILE] [-p NAME:=VALUE] ...]",
+        example="--ros-args --params-file suite.yaml -r __ns:=/aurora",
         description=description,
         epilog=f"parameters (read at the start):\n{rows}\n\nexit code: {_EXIT_CODE_TEXT}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     own, ros = split_ros_arguments(sys.argv[1:] if arguments is None else arguments)
     parser.parse_args(own)
-    return run_node(name, partial(NmeaNode, name, config_type, make_work), ros)
+    return run_node("ship_nmea", name, partial(NmeaNode, name, config_type, make_work), ros)
 
 
 class Work(Protocol):

@@ -45,7 +45,7 @@ def test_help_shows_topics_and_parameters_with_units():
         ),
         (["--ros-args", "-p", "gate.bias_deg:=.nan"], "relay: parameter 'gate.bias_deg' must be finite, got nan"),
         (["--ros-args", "--params-file", "absent.yaml"], "relay: absent.yaml: cannot be read: No such file"),
-        (["bag.mcap"], "relay: unknown argument 'bag.mcap': parameters follow --ros-args, see --help"),
+        (["bag.mcap"], "relay: unknown argument 'bag.mcap': parameters follow --ros-args (see "),
     ],
 )
 def test_bad_start_exits_2_with_one_line(arguments, line):

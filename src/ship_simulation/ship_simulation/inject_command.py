@@ -38,8 +38,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> CommandParser:
     kinds = "\n".join(kind_rows())
     parser = CommandParser(
+        package="ship_simulation",
         prog="inject",
-        example="./ros2run ship_simulation inject bags/demo.mcap --faults bags/faults/demo.yaml --out faulty.mcap",
+        example="bags/demo.mcap --faults bags/faults/demo.yaml --out faulty.mcap",
         description=_DESCRIPTION,
         epilog=f"kinds of faults:\n{kinds}\n\nexit code: 0 written; 2 bad input or usage; 130 interrupted",
         formatter_class=argparse.RawDescriptionHelpFormatter,

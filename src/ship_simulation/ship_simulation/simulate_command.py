@@ -36,8 +36,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> CommandParser:
     kinds = "\n".join(kind_rows())
     parser = CommandParser(
+        package="ship_simulation",
         prog="simulate",
-        example="./ros2run ship_simulation simulate bags/scenarios/demo.yaml --out demo.mcap --seed 1",
+        example="bags/scenarios/demo.yaml --out demo.mcap --seed 1",
         description=_DESCRIPTION,
         epilog=f"keys of SCENARIO.yaml, nested at the dots (<id>: any name):\n{_keys()}\n\n"
         f"kinds of faults (faults.<id>.kind):\n{kinds}\n\n"

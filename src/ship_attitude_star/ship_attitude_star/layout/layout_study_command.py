@@ -55,8 +55,9 @@ def _keys() -> str:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
+        package="ship_attitude_star",
         prog="layout_study",
-        example="./ros2run ship_attitude_star layout_study layout.yaml --out study",
+        example="layout.yaml --out study",
         description="Study the mounting of star sensors. Results: errors [arcsec, 1 sigma] of heading, pitch and roll "
         "of all sensors together, by error source and over all directions [deg]; recommended azimuths [deg]; noise of "
         "sensors from their optics [m, px] and the stars of the catalogue over the sky; with a requirement, the "

@@ -29,8 +29,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
+        package="ship_bags",
         prog="export",
-        example="./ros2run ship_bags export bags/demo.mcap --topics ins/imu gnss/fix --format netcdf --out tables",
+        example="bags/demo.mcap --topics ins/imu gnss/fix --format netcdf --out tables",
         description=_DESCRIPTION,
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -24,8 +24,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
+        package="ship_bags",
         prog="import_nmea",
-        example="./ros2run ship_bags import_nmea --ins seapath.log --out voyage.mcap --resample 20",
+        example="--ins seapath.log --out voyage.mcap --resample 20",
         epilog="exit code: 0 written; 2 bad input or usage, with one line of reason; 130 interrupted",
         description="Turn ship logs (lines 'RECEIVE_TIME SENTENCE': GGA, ZDA, HDT, THS, PSXN 20 and 23, PASHR, PRDID, "
         "PTNTHPR, PSAT,HPR, ROT, MDA, XDR, MET) into a bag with ins/imu, reference/<name>/imu, gnss/fix and met/*. Log "

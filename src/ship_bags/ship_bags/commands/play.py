@@ -31,8 +31,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
+        package="ship_bags",
         prog="play",
-        example="./ros2run ship_bags play bags/demo.mcap --rate 2",
+        example="bags/demo.mcap --rate 2",
         description=_DESCRIPTION,
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,

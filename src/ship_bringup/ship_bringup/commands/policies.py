@@ -33,8 +33,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
+        package="ship_bringup",
         prog="policies",
-        example="./ros2run ship_bringup policies examples/two_sensors.yaml --out policies --namespace demo --locked",
+        example="examples/two_sensors.yaml --out policies --namespace demo --locked",
         description=_DESCRIPTION,
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,

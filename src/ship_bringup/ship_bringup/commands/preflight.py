@@ -80,8 +80,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
+        package="ship_bringup",
         prog="preflight",
-        example="./ros2run ship_bringup preflight examples/two_sensors.yaml --box /tmp --hours 12",
+        example="examples/two_sensors.yaml --box /tmp --hours 12",
         description=_DESCRIPTION,
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,

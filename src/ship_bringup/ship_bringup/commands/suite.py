@@ -52,8 +52,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
+        package="ship_bringup",
         prog="suite",
-        example="./ros2run ship_bringup suite examples/two_sensors.yaml --bag bags/demo.mcap",
+        example="examples/two_sensors.yaml --bag bags/demo.mcap",
         description=_DESCRIPTION,
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,

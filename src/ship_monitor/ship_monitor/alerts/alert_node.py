@@ -65,8 +65,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
+        package="ship_monitor",
         prog=_NAME,
-        example="./ros2run ship_monitor alerts --limits ship.yaml --ros-args -r __ns:=/demo",
+        example="--limits ship.yaml --ros-args -r __ns:=/demo",
         description=_DESCRIPTION,
         epilog="exit code: 0 ended by a signal; 2 bad input or usage",
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -50,8 +50,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
+        package="ship_monitor",
         prog="monitor",
-        example="./ros2run ship_monitor monitor --namespace demo --limits limits.yaml --theme dusk",
+        example="--namespace demo --limits limits.yaml --theme dusk",
         description=_DESCRIPTION,
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,

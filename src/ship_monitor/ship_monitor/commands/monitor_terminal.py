@@ -32,8 +32,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
+        package="ship_monitor",
         prog="monitor_terminal",
-        example="./ros2run ship_monitor monitor_terminal --namespace demo --limits limits.yaml --theme night",
+        example="--namespace demo --limits limits.yaml --theme night",
         description=_DESCRIPTION,
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,

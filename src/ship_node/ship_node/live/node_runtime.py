@@ -15,7 +15,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from ship_bags.command_line import print_text
+from ship_bags.command_line import launcher, print_text
 from ship_bags.errors import BadInput
 from ship_bags.live.dds import prepare_dds
 from ship_bags.message_factory import RosidlFactory
@@ -56,15 +56,22 @@ def run(adapter_class: type[Adapter], args: Sequence[str] | None = None) -> int:
             the help text is gone.
     """
     arguments = list(sys.argv[1:] if args is None else args)
+    package = adapter_class.__module__.partition(".")[0]
     if "-h" in arguments or "--help" in arguments:
-        return print_text(usage_text(adapter_class, adapter_class.__module__.partition(".")[0], RosidlFactory()))
-    return run_node(adapter_class.node_name, partial(LiveNode, adapter_class), arguments)
+        return print_text(usage_text(adapter_class, package, RosidlFactory()))
+    return run_node(package, adapter_class.node_name, partial(LiveNode, adapter_class), arguments)
 
 
-def run_node(name: str, make: Callable[[Context, tuple[Path, ...]], RunnableNode], arguments: Sequence[str]) -> int:
+def run_node(
+    package: str,
+    name: str,
+    make: Callable[[Context, tuple[Path, ...]], RunnableNode],
+    arguments: Sequence[str],
+) -> int:
     """Run a node until SIGINT or SIGTERM.
 
     Args:
+        package: package of its executable.
         name: name of the node, without namespace.
         make: returns the node, from an initialised context and the parameter files of the command line.
         arguments: for ROS.
@@ -82,7 +89,7 @@ def run_node(name: str, make: Callable[[Context, tuple[Path, ...]], RunnableNode
     signal.signal(signal.SIGTERM, stop)
     context = Context()
     try:
-        node = _start(name, make, list(arguments), context)
+        node = _start(package, name, make, list(arguments), context)
     except _BAD_START as error:
         context.try_shutdown()
         reason = str(error).strip().partition("\n")[0]
@@ -95,7 +102,11 @@ def run_node(name: str, make: Callable[[Context, tuple[Path, ...]], RunnableNode
 
 
 def _start(
-    name: str, make: Callable[[Context, tuple[Path, ...]], RunnableNode], arguments: list[str], context: Context
+    package: str,
+    name: str,
+    make: Callable[[Context, tuple[Path, ...]], RunnableNode],
+    arguments: list[str],
+    context: Context,
 ) -> RunnableNode:
     files = tuple(Path(path) for flag, path in pairwise(arguments) if flag == "--params-file")
     for path in files:
@@ -106,5 +117,6 @@ def _start(
     rclpy.init(args=[name, *arguments], context=context, signal_handler_options=SignalHandlerOptions.NO)
     unknown = remove_ros_args([name, *arguments])[1:]
     if unknown:
-        raise BadInput(f"unknown argument '{unknown[0]}': parameters follow --ros-args, see --help")
+        command = f"{launcher()} {package} {name}"
+        raise BadInput(f"unknown argument '{unknown[0]}': parameters follow --ros-args (see {command} --help)")
     return make(context, files)

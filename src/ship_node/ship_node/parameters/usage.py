@@ -3,6 +3,7 @@
 import inspect
 from typing import Any
 
+from ship_bags.command_line import launcher
 from ship_bags.message_factory import MessageFactory
 from ship_bags.parameter_yaml import BLACK_BOX_PARAMETER, BLACK_BOX_PART_PARAMETER, RELIABLE_INPUTS_PARAMETER
 from ship_bags.renamed_topics import TOPICS_PARAMETER
@@ -53,10 +54,11 @@ def usage_text(adapter_class: type[Adapter], package: str, factory: MessageFacto
         factory: makes the adapter's messages.
     """
     name = adapter_class.node_name
+    command = f"{launcher()} {package} {name}"
     inputs, outputs = topic_rows(adapter_class, factory)
     return "\n".join(
         [
-            f"usage: {package} {name} [--help] [--ros-args [--params-file FILE] [-p NAME:=VALUE] ...]",
+            f"usage: {command} [--help] [--ros-args [--params-file FILE] [-p NAME:=VALUE] ...]",
             "",
             (inspect.getdoc(adapter_class) or name).splitlines()[0],
             "",
@@ -73,7 +75,7 @@ def usage_text(adapter_class: type[Adapter], package: str, factory: MessageFacto
             "exit code: 0 ended by SIGINT or SIGTERM, 2 bad parameters or arguments (with one line of reason)",
             "",
             "example:",
-            f"  ./ros2run {package} {name} --ros-args --params-file suite.yaml -p black_box:=/var/log/ship/",
+            f"  {command} --ros-args --params-file suite.yaml -p black_box:=/var/log/ship/",
         ]
     )
 

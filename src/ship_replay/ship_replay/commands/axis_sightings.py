@@ -20,8 +20,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
+        package="ship_replay",
         prog="axis_sightings",
-        example="./ros2run ship_replay axis_sightings bags/theodolite.mcap --out sightings.csv",
+        example="bags/theodolite.mcap --out sightings.csv",
         epilog="exit code: 0 written; 2 bad input or usage, with a one-line reason; 130 interrupted",
         description="Write the sightings of a bag as a table for fit_axes. Each exposure with two lights or more that "
         "the node optical_axis used is one row: encoder angles [deg], true direction of the main axis on deck minus "

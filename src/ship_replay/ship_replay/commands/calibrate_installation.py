@@ -24,8 +24,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
+        package="ship_replay",
         prog="calibrate_installation",
-        example="./ros2run ship_replay calibrate_installation harbour.mcap --out alignment.yaml --report report",
+        example="harbour.mcap --out alignment.yaml --report report",
         epilog="exit code: 0 written; 2 bad input or usage, with a one-line reason; 130 interrupted",
         description="Find the installation angles of all star sensors from a session in harbour or at sea: a bag with "
         "ins/imu, the sensors' topics and, if there is one, reference/<name>/imu of known installation. Writes the "

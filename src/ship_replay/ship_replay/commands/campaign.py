@@ -31,8 +31,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
+        package="ship_replay",
         prog="campaign",
-        example="./ros2run ship_replay campaign bags/demo.mcap --config examples/two_sensors.yaml --out out/campaign",
+        example="bags/demo.mcap --config examples/two_sensors.yaml --out out/campaign",
         epilog="exit code: 0 all items completed; 1 an item failed, its line in the table contains the error; 2 bad "
         "input or usage; 130 interrupted: completed results are kept",
         description="Run many items: each bag, and each scenario with each seed, under each parameter set. A scenario "

@@ -26,8 +26,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
+        package="ship_replay",
         prog="check_config",
-        example="./ros2run ship_replay check_config examples/two_sensors.yaml bags/demo.mcap",
+        example="examples/two_sensors.yaml bags/demo.mcap",
         epilog="exit code: 0 no errors, possibly warnings; 1 more than half of an input would not be used; "
         "2 errors found, or bad usage",
         description="Check a suite configuration (ROS 2 parameter file; units are in the parameter names), "

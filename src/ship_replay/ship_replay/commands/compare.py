@@ -16,8 +16,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
+        package="ship_replay",
         prog="compare",
-        example="./ros2run ship_replay compare again.mcap calmer.mcap --truth bags/demo.mcap --out compared.html",
+        example="again.mcap calmer.mcap --truth bags/demo.mcap --out compared.html",
         epilog="exit code: 0 written; 2 bad input or usage, with a one-line reason; 130 interrupted",
         description="Show two recordings, of two runs or of two configurations, side by side in one HTML file that "
         "needs no network and is printable: SAFE shares, errors [arcsec], B minus A of the outputs at equal stamps, "

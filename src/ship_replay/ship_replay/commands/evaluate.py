@@ -19,8 +19,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
+        package="ship_replay",
         prog="evaluate",
-        example="./ros2run ship_replay evaluate out.mcap --against bags/demo.mcap --bounds bags/demo.expected.yaml",
+        example="out.mcap --against bags/demo.mcap --bounds bags/demo.expected.yaml",
         epilog="exit code: 0 evaluated, all bounds met; 1 a bound is not met; 2 bad input or usage; 130 interrupted",
         description="Evaluate a run: with truth, RMS, bias, predicted sigma [arcsec] and NEES by source; always "
         "innovations [arcsec] by source and the last alignment. Exit code 1 if a bound is not met.",

@@ -22,8 +22,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
+        package="ship_replay",
         prog="identify_noise",
-        example="./ros2run ship_replay identify_noise night.mcap --out noise.yaml",
+        example="night.mcap --out noise.yaml",
         epilog="exit code: 0 identified, with or without warnings; 2 bad input or usage, with a one-line reason; 130 "
         "interrupted",
         description="Identify the error model of the INS from a bag with ins/imu, star sensors and, for the model "

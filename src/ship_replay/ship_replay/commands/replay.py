@@ -27,8 +27,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
+        package="ship_replay",
         prog="replay",
-        example="./ros2run ship_replay replay bags/demo.mcap --out out.mcap --report report",
+        example="bags/demo.mcap --out out.mcap --report report",
         epilog="exit code: 0 replayed, with --verify: and all numbers equal to the last bit; 1 --verify found another "
         "number or could not compare all; 2 bad input or usage, with a one-line reason; 130 interrupted",
         description=f"Replay a bag through the nodes that the configuration has sections for "

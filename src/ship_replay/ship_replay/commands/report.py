@@ -41,8 +41,9 @@ def limits_of(options: argparse.Namespace) -> Limits:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
+        package="ship_replay",
         prog="report",
-        example="./ros2run ship_replay report out.mcap --truth bags/demo.mcap --out night.html",
+        example="out.mcap --truth bags/demo.mcap --out night.html",
         epilog="exit code: 0 written; 2 bad input or usage, with a one-line reason; 130 interrupted",
         description="Summarise a recording in one HTML file that needs no network and is printable: SAFE, CAUTION and "
         "UNSAFE shares of each angle, outages, errors [arcsec] or innovations with their σ, budget, alignment, "

@@ -18,8 +18,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
+        package="ship_replay",
         prog="smooth",
-        example="./ros2run ship_replay smooth bags/demo.mcap --out smoothed.mcap",
+        example="bags/demo.mcap --out smoothed.mcap",
         epilog="exit code: 0 written; 2 bad input or usage, with a one-line reason; 130 interrupted",
         description="Write ship/attitude_smoothed: the attitude of ship_attitude at each stamp of the INS from all "
         "measurements of the bag, later ones included (Rauch, Tung and Striebel), with its covariance; and "

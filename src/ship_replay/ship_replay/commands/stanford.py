@@ -27,8 +27,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
+        package="ship_replay",
         prog="stanford",
-        example="./ros2run ship_replay stanford out1.mcap out2.mcap --figure stanford.png --alert-limit 30 30 30",
+        example="out1.mcap out2.mcap --figure stanford.png --alert-limit 30 30 30",
         epilog="exit code: 0 no error was above its protection level; 1 one was; 2 bad input or usage; 130 interrupted",
         description="Errors against protection levels (a Stanford diagram) of the ship's attitude and of the pointing, "
         "over all bags together. An epoch is an output whose truth is known; the level is the last published one. "

@@ -42,8 +42,9 @@ def _parser() -> CommandParser:
     columns = "\n".join(f"  {name:26}{doc}" for name, doc in COLUMNS.items())
     terms = "\n".join(f"  {name:10}{meaning}" for name, meaning in MEANINGS.items())
     parser = CommandParser(
+        package="theodolite_calib",
         prog="fit_axes",
-        example="./ros2run theodolite_calib fit_axes sightings.csv --out fit --flexure",
+        example="sightings.csv --out fit --flexure",
         description="Axis errors [arcsec, 1 sigma] of a theodolite from sightings of known directions.",
         epilog=f"columns of the table, all in degrees:\n{columns}\n  {LABEL_COLUMN:26}number or name, optional\n"
         f"  {TIME_COLUMN:26}moment, UTC as POSIX time [s], optional\n"

@@ -27,8 +27,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
+        package="theodolite_calib",
         prog="design_study",
-        example="./ros2run theodolite_calib design_study design.yaml --out study",
+        example="design.yaml --out study",
         description="Accuracy of the theodolite's pointing from the lights of drones, before the voyage: "
         "error [arcsec, 1 sigma, on the sky] by source, best positions of the drones within limits, and the error "
         "over distance [m] and separation [deg] of the lights, focal length [m], pixel [m], and the errors of lever, "

@@ -36,8 +36,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> CommandParser:
     parser = CommandParser(
+        package="theodolite_calib",
         prog="triangulate",
-        example="./ros2run theodolite_calib triangulate stations.yaml --target buoy --out places.csv",
+        example="stations.yaml --target buoy --out places.csv",
         description="Positions of a target [m, East, North, Up from a stated origin] with covariance [m^2], from the "
         "recorded directions to it (theodolite/target_direction) of two or more theodolites, at each stamp of the "
         "first one in the file that sees it at that time.",
