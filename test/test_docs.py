@@ -12,6 +12,7 @@ from tools.reference_pages import FOLDER, texts
 ROOT = Path(__file__).parents[1]
 PUBLISHED = sorted([*ROOT.glob("*.md"), ROOT / "bags" / "README.md", *(ROOT / "docs").rglob("*.md")])
 LINK = re.compile(r"\]\(([^)\s]+)\)")
+MOST_WORDS = 2500
 HEADING = re.compile(r"^#+ +(.+)$", re.MULTILINE)
 
 
@@ -39,6 +40,12 @@ def test_every_link_of_a_page_leads_somewhere(path: Path) -> None:
         target = (path.parent / place).resolve() if place else path
         assert target.exists(), link
         assert not anchor or anchor in anchors(target), link
+
+
+def test_no_page_of_the_docs_is_too_long() -> None:
+    """More than 2500 words are not read. Each bar of a table counts as a word, as in ``wc -w``."""
+    words = {str(path.relative_to(ROOT)): len(path.read_text(encoding="utf-8").split()) for path in PUBLISHED}
+    assert {page: count for page, count in words.items() if page.startswith("docs/") and count > MOST_WORDS} == {}
 
 
 def test_every_page_that_code_names_exists() -> None:
