@@ -2,9 +2,9 @@
 
 Each bag is replayed twice, in blocks and one message at a time. `test/golden_replays.yaml` holds a line for each topic:
 
-- ``messages``: number of messages;
-- ``sum``: sum of asinh(x / 1 nano-unit) over all numbers x in them, which changes by δ where one number changes by the
-  ratio 1 + δ, whatever its unit; numbers that are not finite count as nothing;
+- ``messages``: number of messages.
+- ``sum``: sum of asinh(x / 1 nano-unit) over all numbers x in them. It changes by δ where one number changes by the
+  ratio 1 + δ, whatever its unit. Numbers that are not finite count as nothing.
 - ``sha256``: hash of the same numbers (first 16 digits). Texts are left out.
 
 Mathematical libraries round differently on other processors: there the hashes differ and the sums agree.
