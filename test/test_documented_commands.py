@@ -97,7 +97,8 @@ def test_the_commands_of_a_page_run_as_printed(page: Path, checkout: Path) -> No
 
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "live") + blocks(page, "shown")], ids=name)
 def test_files_named_by_the_other_commands_of_a_page_exist(page: Path) -> None:
-    shown = (ROOT / "docs" / "reference" / "executables.md").read_text(encoding="utf-8")
+    pages = (ROOT / "docs" / "reference" / "executables").glob("*.md")
+    shown = "".join(page.read_text(encoding="utf-8") for page in pages)
     helps = dict(re.findall(r"^## `(\w+)`\n(.*?)(?=^## |\Z)", shown, re.MULTILINE | re.DOTALL))
     targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
     for line in "".join(blocks(page, "live") + blocks(page, "shown")).splitlines():

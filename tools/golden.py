@@ -2,11 +2,11 @@
 
 Each bag is replayed twice, in blocks and one message at a time. `test/golden_replays.yaml` holds a line for each topic:
 
-- ``messages``: number of messages;
-- ``sum``: sum of asinh(x / u) over all numbers x in them, which changes by δ where a number far above u changes by the
-  ratio 1 + δ. u is 1e-9 of the number's unit, and 1 for test statistics: near zero these are differences of nearly
-  equal estimates, where only rounding is left;
-- ``finite``: how many of them are finite; the others are left out of the sum;
+- ``messages``: number of messages.
+- ``sum``: sum of asinh(x / u) over all finite numbers x in them. It changes by δ where a number far above u changes by
+  the ratio 1 + δ. The constant u is 1e-9 of the number's unit, and 1 for test statistics: near zero these are
+  differences of nearly equal estimates, of which only rounding is left.
+- ``finite``: number of finite numbers in them.
 - ``sha256``: hash of the same numbers (first 16 digits). Texts are left out.
 
 Mathematical libraries round differently on other processors: there the hashes differ and the sums agree.

@@ -2,12 +2,11 @@
 
 import contextlib
 import importlib
-import inspect
 import io
 import os
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from unittest import mock
 
@@ -26,6 +25,11 @@ from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 from theodolite_calib.ros.triangulation_adapter import TriangulationAdapter
 
 ROOT = Path(__file__).parents[1]
+if str(ROOT) not in sys.path:
+    sys.path.insert(0, str(ROOT))
+
+from tools import reference_groups as groups  # noqa: E402  # found with the folder above, also from a script
+
 FOLDER = ROOT / "docs" / "reference"
 ADAPTERS: tuple[type[Adapter], ...] = (
     ShipAttitudeAdapter, StarAttitudeAdapter, OpticalAxisAdapter, TriangulationAdapter
@@ -34,8 +38,8 @@ ADAPTERS: tuple[type[Adapter], ...] = (
 _HELP_WIDTH = "110"
 _LIST_INDENT, _CONTINUED_INDENT = 3, 10
 """Spaces before an entry of a list in a message's comments, and before the second line of an entry."""
-_WRITTEN = "This page is written by `python tools/reference_pages.py`; a test compares it with the code.\n"
 _PARAMETER_COLUMNS = "| parameter | default | unit | allowed | |\n|---|---|---|---|---|\n"
+_KEY_COLUMNS = _PARAMETER_COLUMNS.replace("parameter", "key")
 
 PARAMETERS_HEAD = f"""# Parameters
 
@@ -56,15 +60,14 @@ Every node has `reliable_inputs` (`false`): messages to its inputs that were los
 ([lossy links](../how-to/lossy_links.md)). Every node has the map `topics`: the ship's names of its inputs, if they
 differ ([topics under other names](../how-to/replay_a_night.md#topics-under-other-names)).
 
-{_WRITTEN}"""
+{groups.WRITTEN}"""
 
 SCENARIO_HEAD = f"""# Keys of a scenario
 
 Input of `simulate`, nested at the dots; `<id>` is any name. Units are in the names.
 [bags/README.md](../../bags/README.md) describes what is simulated from it, and lists the scenarios.
 
-{_WRITTEN}
-"""
+{groups.WRITTEN}"""
 
 LIMITS_HEAD = f"""# Limits of a ship
 
@@ -85,7 +88,7 @@ those of its kind, else `every_input`.
       star_bow: {{rate_hz: 2.0}}
     machine: {{disk_path: /data, disk_free_gb: 50}}
 
-{_WRITTEN}
+{groups.WRITTEN}
 """
 
 MESSAGES_HEAD = f"""# Messages
@@ -93,7 +96,7 @@ MESSAGES_HEAD = f"""# Messages
 The messages of the package `ship_msgs`. Constants come first in each table, then the fields. The nodes also use
 messages of ROS 2 itself; they are listed in [topics.md](topics.md).
 
-{_WRITTEN}"""
+{groups.WRITTEN}"""
 
 TOPICS_HEAD = f"""# Topics
 
@@ -102,7 +105,7 @@ of a beacon, or the name of a reference. Inputs are best effort unless set by `q
 of a *latched* one late subscribers receive the last message. An input is *required* if the node has no valid output
 without it.
 
-{_WRITTEN}"""
+{groups.WRITTEN}"""
 
 EXECUTABLES_HEAD = f"""# Executables
 
@@ -110,27 +113,37 @@ Each is started with `./ros2run PACKAGE EXECUTABLE`, or `ros2 run` where ROS 2 i
 `--help`.
 The parameters of nodes are in [parameters.md](parameters.md), the keys of a scenario in [scenario.md](scenario.md).
 
-{_WRITTEN}"""
+{groups.WRITTEN}"""
 
 
-def parameters_page() -> str:
+def parameters_pages() -> dict[str, str]:
     """Every parameter of every node, from the dataclasses of the nodes."""
-    text = PARAMETERS_HEAD
+    sections: dict[str, str] = {}
     for node in (*ADAPTERS, *COMPANIONS):
-        text += f"\n## `{node.node_name}`\n\n{_PARAMETER_COLUMNS}"
-        text += "".join(_parameter_row(parameter) for parameter in describe(node.config_type))
-    return text
+        tables = _tables(describe(node.config_type), _PARAMETER_COLUMNS, node.node_name)
+        sections |= {f"{node.node_name}/{section}": table for section, table in tables.items()}
+    return groups.split("parameters", PARAMETERS_HEAD, sections, groups.PARAMETERS)
 
 
-def scenario_page() -> str:
+def scenario_pages() -> dict[str, str]:
     """Every key of a scenario."""
-    rows = "".join(_parameter_row(key) for key in describe(Scenario))
-    return SCENARIO_HEAD + _PARAMETER_COLUMNS.replace("parameter", "key") + rows
+    sections = _tables(describe(Scenario), _KEY_COLUMNS, "scenario")
+    return groups.split("scenario", SCENARIO_HEAD, sections, groups.SCENARIO)
 
 
 def limits_page() -> str:
     """Every limit that a ship may set."""
-    return LIMITS_HEAD + _PARAMETER_COLUMNS.replace("parameter", "key") + "".join(map(_parameter_row, describe(Limits)))
+    return LIMITS_HEAD + _KEY_COLUMNS + "".join(map(_parameter_row, describe(Limits)))
+
+
+def _tables(parameters: Iterable[ParameterDescription], columns: str, general: str) -> dict[str, str]:
+    """Return a table for each first part of the names; parameters without parts are in the table `general`."""
+    tables: dict[str, str] = {}
+    for parameter in parameters:
+        first, dot, _ = parameter.name.partition(".")
+        section = first if dot else general
+        tables[section] = tables.get(section, columns) + _parameter_row(parameter)
+    return tables
 
 
 def _parameter_row(parameter: ParameterDescription) -> str:
@@ -151,13 +164,14 @@ def _allowed(parameter: ParameterDescription) -> str:
     return f"{low} … {high}"
 
 
-def messages_page() -> str:
+def messages_pages() -> dict[str, str]:
     """Every message of ship_msgs with the comments of its file."""
     paths = sorted((ROOT / "src" / "ship_msgs" / "msg").glob("*.msg"))
-    return MESSAGES_HEAD + "".join(_message(path.stem, path.read_text(encoding="utf-8")) for path in paths)
+    sections = {path.stem: _message(path.read_text(encoding="utf-8")) for path in paths}
+    return groups.split("messages", MESSAGES_HEAD, sections, groups.MESSAGES)
 
 
-def _message(name: str, text: str) -> str:
+def _message(text: str) -> str:
     head, _, body = text.partition("\n\n")
     about = " ".join(line.lstrip("# ") for line in head.splitlines())
     rows, comment = "", ""
@@ -174,7 +188,7 @@ def _message(name: str, text: str) -> str:
             kind, declared = line.split(maxsplit=1)
             rows += f"| `{kind}` | `{declared.replace('=', ' = ')}` | {comment.strip()} |\n"
             follows_declaration = True
-    return f"\n## {name}\n\n{about}\n\n| type | name | |\n|---|---|---|\n{rows}"
+    return f"{about}\n\n| type | name | |\n|---|---|---|\n{rows}"
 
 
 def _in_cell(line: str) -> str:
@@ -206,22 +220,19 @@ def _condition(need: str) -> str:
 
 def _type(name: str) -> str:
     package, _, short = name.partition("/msg/")
-    return f"[{short}](messages.md#{short.lower()})" if package == "ship_msgs" else f"`{name}`"
+    if package != "ship_msgs":
+        return f"`{name}`"
+    return f"[{short}](messages/{groups.page_of(short, groups.MESSAGES)}.md#{short.lower()})"
 
 
-def executables_page() -> str:
+def executables_pages() -> dict[str, str]:
     """Every executable with its help, without the long tables that have pages of their own."""
-    text = EXECUTABLES_HEAD
-    entries = {package: _executables(package) for package in sorted(path.parent.name for path in _setup_files())}
-    text += "\n| package | executables |\n|---|---|\n"
-    for package, found in entries.items():
-        if found:
-            text += f"| `{package}` | {', '.join(f'[`{name}`](#{name})' for name, _ in found)} |\n"
-    for package, found in entries.items():
-        for name, module in found:
+    sections = {}
+    for package in sorted(path.parent.name for path in _setup_files()):
+        for name, module in _executables(package):
             shown = _without_tables(_help_of(package, name, module)).strip("\n")
-            text += f"\n## `{name}`\n\n```text\n{shown}\n```\n"
-    return text
+            sections[f"{package}/{name}"] = f"```text\n{shown}\n```\n"
+    return groups.split("executables", EXECUTABLES_HEAD, sections, groups.EXECUTABLES)
 
 
 def _setup_files() -> list[Path]:
@@ -248,24 +259,31 @@ def _help_of(package: str, name: str, module: str) -> str:
 
 def _without_tables(shown: str) -> str:
     """Return the help without the parameters of a node and the keys of a scenario."""
-    for block, instead in ((r"parameters \(", "parameters: parameters.md"), ("keys of SCENARIO", "keys: scenario.md")):
-        shown = re.sub(rf"^{block}.*?\n\n", f"{instead}\n\n", shown, flags=re.MULTILINE | re.DOTALL)
+    for block, page in ((r"parameters \(", "parameters"), ("keys of SCENARIO", "scenario")):
+        shown = re.sub(rf"^{block}.*?\n\n", f"{page}: ../{page}.md\n\n", shown, flags=re.MULTILINE | re.DOTALL)
     return shown
 
 
 PAGES: dict[str, Callable[[], str]] = {
-    "parameters": parameters_page,
-    "scenario": scenario_page,
     "limits": limits_page,
-    "messages": messages_page,
     "topics": topics_page,
-    "executables": executables_page,
 }
 """Name of each page → function that returns its text."""
+SPLIT_PAGES = parameters_pages, scenario_pages, messages_pages, executables_pages
+"""Functions that return the texts of an index and of its pages."""
+
+
+def texts() -> dict[str, str]:
+    """Return the text of every page, by its path in docs/reference."""
+    found = {f"{name}.md": page() for name, page in PAGES.items()}
+    for pages in SPLIT_PAGES:
+        found |= pages()
+    return found
 
 
 if __name__ == "__main__":
-    for name, page in PAGES.items():
-        path = FOLDER / f"{name}.md"
-        path.write_text(page(), encoding="utf-8")
-        sys.stdout.write(f"{path.relative_to(ROOT)}: {(inspect.getdoc(page) or '').rstrip('.')}\n")
+    for name, text in texts().items():
+        path = FOLDER / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+        sys.stdout.write(f"{path.relative_to(ROOT)}\n")

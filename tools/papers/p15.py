@@ -24,7 +24,7 @@ PRINTED_V = np.array([0.229426, 0.671988, 0.704128])
 PRINTED_AZIMUTH_DEG, PRINTED_ELEVATION_DEG = 71.9528, 42.2207
 PRINTED_REFRACTION_ARCSEC, PRINTED_RAISED_DEG = 59.34, 42.2372
 
-_HIDDEN = "aberration and UT1 omitted, as presumably in the paper"
+_HIDDEN = "see the steps below"
 
 
 def section() -> str:
@@ -38,8 +38,8 @@ def section() -> str:
 direction is that of β Lyrae, HIP 92420. North, Up, East are the components of V.
 
 {rows_table(example())}
-Step by step. Each row adds a correction to the one above; *difference* is our place minus the printed one, which is
-rounded to 0.2″:
+Ours is without aberration and with UT1 = UTC, presumably as in the paper; *in full* has both corrections. In the steps,
+each row adds a correction to the one above. *Difference* is our place minus the printed one, which is rounded to 0.2″.
 
 {added}
 The printed place lacks both corrections, which are {_missing_arcsec():.0f}″. The suite applies them; tests check both.
@@ -47,11 +47,15 @@ The remaining 2.8″ of elevation in the first row are not explained.
 
 ### The trial alongside
 
-Our text of the paper lacks tables 1 and 2 (the sensors; the stars that they identified, five in one and three in the
-other), the vectors and matrices of the example, and the curves of figure 4 with the numbers under it: attitudes by the
-two sensors compared with those of a strapdown INS with laser gyros, the ship moored. No printed values remain to be
-compared. Such a trial with the scenario `mooring`, and the availability of an attitude compared with the methods that
-the paper replaces, are in [availability](explanation/availability.md).
+The paper compares the attitudes by two sensors with those of a strapdown INS with laser gyros, the ship moored. One
+sensor identified five stars, the other three. No printed values can be compared, because our text lacks:
+
+- tables 1 and 2: the sensors, and the stars that they identified;
+- the vectors and matrices of the example;
+- the curves of figure 4, and the numbers under it.
+
+[Availability](explanation/availability.md) has such a trial with the scenario `mooring`, and the availability of an
+attitude compared with the methods that the paper replaces.
 """
 
 

@@ -30,5 +30,5 @@ def rows_table(rows: Iterable[Row]) -> str:
 def table(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
     """Return a Markdown table."""
     names = list(header)
-    lines = [names, ["---"] * len(names), *(list(row) for row in rows)]
-    return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
+    lines = [f"| {' | '.join(cells)} |\n" for cells in (names, *rows)]
+    return "".join([lines[0], "|---" * len(names) + "|\n", *lines[1:]])

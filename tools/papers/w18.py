@@ -132,10 +132,12 @@ def section(figure: str) -> str:
 {rows_table(printed_values())}
 ### The figure of its simulation in two readings
 
-Two lights at (3°, 2°) and (−2°, −3°) from the axis, 2 km away; f 100 mm ± 0.1 mm, a tenth of a pixel of 6.5 µm, 2″ of
-refraction at each light, all drawn independently at each of {_EPOCHS} epochs. The paper's method is the mean of two
-TRIADs, its (22) corrected ([errata](explanation/errata.md)); ours is the suite's maximum likelihood, with f from the
-angle between the lights. Mean, standard deviation and root mean square of the axis' error on the sky:
+Two lights are 2 km away, at (3°, 2°) and (−2°, −3°) from the axis. The errors are drawn independently at each of
+{_EPOCHS} epochs: f 100 mm ± 0.1 mm, a tenth of a pixel of 6.5 µm, 2″ of refraction at each light.
+
+The paper's method is the mean of two TRIADs, its (22) corrected ([errata](explanation/errata.md)). Ours is the suite's
+maximum likelihood, with f from the angle between the lights. Mean, standard deviation and root mean square (total) of
+the axis' error on the sky:
 
 {readings}
 ![Errors of the telescope's axis in both readings]({figure})
@@ -144,14 +146,14 @@ The paper's method has {_over_elevations(SURVEYED)} surveyed and {_over_elevatio
 of {elevations}°.
 
 **The printed total is mostly a constant.** Its mean is {PRINTED_MEAN_ARCSEC / PRINTED_SIGMA_ARCSEC:.2f} times its σ.
-Zero-mean normal errors in a plane have at most √(π / (4 − π)) = {RAYLEIGH_RATIO:.2f}: that is the Rayleigh
-distribution, of isotropic errors; others have less. A focal length that is wrong by the listed 0.1 mm at all epochs,
-constant instead of drawn at each, has 2.0 to 2.2. About twice as much comes near, but the paper lists no such error:
+Zero-mean normal errors in a plane have at most √(π / (4 − π)) = {RAYLEIGH_RATIO:.2f}, if they are isotropic (Rayleigh
+distribution). A focal length that is wrong by the listed 0.1 mm at all epochs has 2.0 to 2.2. About twice as much comes
+near, but the paper lists no such error:
 
 {of_focal_length}
 The paper lists one constant of the size needed: N′, 60 mm. Unsurveyed, with equal parts forward, up and right, it moves
-both lights equally, by {_constant_arcsec():.2f}″. Of fourteen directions, along the axes and midway between them, that
-one, or its opposite, fits best (a test): a strong hypothesis, not a proof.
+both lights equally, by {_constant_arcsec():.2f}″. Of fourteen directions, along the axes and midway between them, this
+one or its opposite fits best (a test). That is a strong hypothesis, not a proof.
 
 Hence there are two rows for the suite. With N′ surveyed an epoch has 3.47″, which is the bound, and many epochs less.
 With N′ unsurveyed no method with lights alone has less than the constant, for any number of epochs. The scenarios
@@ -180,7 +182,7 @@ def printed_values() -> Iterator[Row]:
     """Yield the values that the paper prints."""
     mean, sigma, total = summary(axis_errors(UNSURVEYED).triads)
     _, _, surveyed = summary(axis_errors(SURVEYED).triads)
-    constant = "N′ unsurveyed, 2.7 cm as a norm: see below"
+    constant = "N′ unsurveyed: see below"
     yield Row("mean of the axis' error", f"{PRINTED_MEAN_ARCSEC:.2f}″", f"{mean:.2f}″", constant)
     yield Row("its standard deviation", f"{PRINTED_SIGMA_ARCSEC:.2f}″", f"{sigma:.2f}″", constant)
     squares = np.hypot(PRINTED_MEAN_ARCSEC, PRINTED_SIGMA_ARCSEC)

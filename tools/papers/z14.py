@@ -28,7 +28,7 @@ _GREATEST_PITCH = np.deg2rad(85.0)
 def section(folder: str) -> str:
     """Return the section of the page about this paper; ``folder`` has its figures."""
     pictures = "".join(
-        f"![Figure {sweep.number} of [Z14]: errors over {sweep.symbol}]({folder}/z14_figure_{sweep.number}.png)\n\n"
+        f"![Figure {sweep.number}: errors over {sweep.symbol}]({folder}/z14_figure_{sweep.number}.png)\n\n"
         for sweep in SWEEPS
     )
     readings = ("", "conclusion", "the paper's reading", "physical reading", "where it does not hold")
@@ -38,9 +38,9 @@ def section(folder: str) -> str:
     )
     return f"""## [Z14]: error model of a star sensor's installation
 
-There are two readings ([errata](explanation/errata.md)): *the paper's*, which takes R(A0, E0, γ0) as sensor from deck
-in its factors and figures, and *the physical one*, its own (4), which the suite uses. As 235°, Es 45°,
-γs 90°, E0 35°, γ0 0 unless swept.
+There are two readings ([errata](explanation/errata.md)). *The paper's* takes R(A0, E0, γ0) as sensor from deck in its
+factors and figures. *The physical one* is its own (4), which the suite uses. Angles that are not swept: As 235°,
+Es 45°, γs 90°, E0 35°, γ0 0.
 
 {rows_table(_printed_section())}
 ### Its fifteen conclusions
@@ -59,16 +59,15 @@ operating point.
 
 {pictures}### Its factors (8)–(38)
 
-Each printed factor compared with its exact value by the suite's Jacobian, in the paper's own reading, at
-{ATTITUDES} random attitudes: largest difference. N and D are the elements of R whose quotient is the tangent of the
-heading (K) and of the roll (θ), S is the sine of the pitch.
+Largest difference between each printed factor and its exact value at {ATTITUDES} random attitudes. The exact value is
+that of the suite's Jacobian in the paper's reading. N and D are the elements of R whose quotient is the tangent of the
+heading (K) and of the roll (θ). S is the sine of the pitch.
 
 {factors}
 {_factors_in_words()}
 
-Joined by (5)–(7), the printed factors are the suite's Jacobian in the paper's reading
-{_largest_joint_difference(PAPER)}; in the physical reading a derivative
-differs by up to {_largest_joint_difference(PHYSICAL)}.
+Joined by (5)–(7), the printed factors are the suite's Jacobian {_largest_joint_difference(PAPER)} in the paper's
+reading. In the physical reading a derivative differs by up to {_largest_joint_difference(PHYSICAL)}.
 """
 
 
@@ -124,8 +123,9 @@ def _factors_in_words() -> str:
     completed = sum(factor.remark == SUBSCRIPTS for factor in FACTORS)
     right = len(FACTORS) - lost - len(wrong)
     return (
-        f"Of {len(FACTORS)} factors {right} are exact in the paper's reading, {completed} of them with subscripts "
-        f"that had to be\nrestored; {', '.join(wrong)} is misprinted; {lost} are missing in our text."
+        f"Of {len(FACTORS)} factors {right} are exact in the paper's reading. In {completed} of them the scan lacks "
+        f"subscripts, which are restored by the\npattern of the others. {', '.join(wrong)} is misprinted. {lost} are "
+        "missing in the scan, completely or except their first terms."
     )
 
 

@@ -87,8 +87,8 @@ def _printed_formula(formula: str) -> Callable[[FloatArray], FloatArray]:
     return value
 
 
-SUBSCRIPTS = "subscripts missing in the scan, restored by the pattern of the others"
-_LOST = "missing in the scan, completely or except its first terms"
+SUBSCRIPTS = "subscripts restored"
+_LOST = "missing"
 
 _N_K = "Ca*Ce*SA*CE + Se*(CA*SG - SA*SE*CG) + Sa*Ce*(CA*CG + SA*SE*SG)"
 _D_K = "-Ca*Ce*CA*CE + Se*(SA*SG + CA*SE*CG) + Sa*Ce*(SA*CG - CA*SE*SG)"

@@ -2,8 +2,8 @@
 
 The gate of every measurement needs these few functions. scipy has them too, but its import takes longer than all other
 imports of a node. The probability that χ² of k degrees of freedom is below v is the regularised incomplete gamma
-function P(a, x), a = k/2, x = v/2: its series for x < a + 1, otherwise the continued fraction of Q = 1 − P (Press et
-al. 2007, §6.2). A small tail is computed directly and never as one minus the other.
+function P(a, x) with a = k/2 and x = v/2. It is computed by its series for x < a + 1, otherwise by the continued
+fraction of Q = 1 − P (Press et al. 2007, §6.2). A small tail is computed directly and never as one minus the other.
 """
 
 import math

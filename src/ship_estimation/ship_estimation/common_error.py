@@ -201,6 +201,7 @@ def with_common_error(
         >>> sums[0, 1] = 4.0
         >>> k = SigmaMultipliers(fault_free=6.0, false_exclusion=5.0, missed_detection=np.array([2.0]))
         >>> others = SolutionSeparation(np.array([1.0]), np.full(3, 8.0), 0, 1.0)
+
         >>> found = with_common_error(others, k, 1.0, 6.0, CorrectionSums(sums, 3.0), every, every)
         >>> print(found.statistic, found.level.round(1), found.dominant)
         [1.  2.5] [14.2 14.2 14.2] 1

@@ -86,8 +86,9 @@ def rotation_steps(
         longest_ns: maximum interval between two rates.
 
     Returns:
-        Rotation vectors about the axes of the deck, rad, shape (N, 3), and bounds of the integration error up to each
-        sample, shape (N,): infinite from the first gap, or number that is not finite, on.
+        Rotation vectors about the axes of the deck, rad, shape (N, 3).
+        Bounds of the integration error up to each sample, rad, shape (N,). They are infinite from the first gap on, or
+        from the first number on that is not finite.
     """
     count: cython.Py_ssize_t = times_ns.shape[0]
     check("rates", rates.shape[0] == count and rates.shape[1] == last_rate.shape[0] == twice_drift.shape[0] == 3)

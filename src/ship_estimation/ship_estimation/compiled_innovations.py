@@ -72,7 +72,7 @@ def innovation_statistics(
 
     Returns:
         Normalised square of each part, own share, and mean along each axis in its sigma and in rad, as in
-        :class:`ship_estimation.innovations.Innovation`; None for a number that is not finite, or a covariance that is
+        :class:`ship_estimation.innovations.Innovation`. None for a number that is not finite, or a covariance that is
         not positive definite.
     """
     m: cython.Py_ssize_t = residual.shape[0]

@@ -97,6 +97,7 @@ class MeasuredNoise(NamedTuple):
 
         >>> MeasuredNoise(0, 0.0, 1.6e-5, 3e-4, 40).text(ARCSEC)
         'stamps jitter by 4.0 ms (1 sigma): attitude noise is 14.3″ at this rate of turn, stated 1.0″'
+
         >>> MeasuredNoise(0, (12.0 * ARCSEC) ** 2, 0.0, 1e-3, 40).text(ARCSEC)
         'attitude noise is 12.0″ (1 sigma), stated 1.0″: coarse digits?'
         """

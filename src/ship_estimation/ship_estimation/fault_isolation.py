@@ -125,6 +125,7 @@ def isolate_fault(
         >>> excess, heard_ns = np.array([[2.0, 0.1], [9.0, 0.1], [2.0, 0.1]]), np.zeros(2, dtype=int)
         >>> seen = replace(initial_means(3, 2), excess=excess, last_measured_ns=heard_ns)
         >>> uses = np.array([[True, True], [False, True], [True, False]])
+
         >>> isolate_fault(seen, uses, np.array([0.0, 4.0, 1.0]), 5.0, [1, 2], now_ns=0)
         FaultIsolation(is_detected=True, subfilter=1, explaining_subfilters=(1,))
     """

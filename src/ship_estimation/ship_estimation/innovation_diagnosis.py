@@ -99,12 +99,14 @@ class InnovationHistory:
         >>> from ship_estimation.rejections import Reason
         >>> from ship_geometry.rotations import ARCSEC
         >>> from ship_geometry.vector_track import VectorSample
+
         >>> book, rng, stated = InnovationHistory(), np.random.default_rng(1), ARCSEC**2 * np.eye(3)
         >>> for time_ns in range(0, 60 * SECOND_NS, SECOND_NS // 5):
         ...     measured = VectorSample(time_ns, 2.0 * ARCSEC * rng.standard_normal(3))
         ...     decision = MeasurementDecision(measured, Reason.NONE, True, ("forward", "up", "right"), measured.vector,
         ...                         covariance=stated, noise=stated)
         ...     book.add("star.bow", decision)
+
         >>> print(book.diagnoses()["star.bow"].text)
         sigma optimistic by 1.9: the noise is understated; 300 measurements
     """

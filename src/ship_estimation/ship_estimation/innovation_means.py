@@ -52,8 +52,8 @@ class InnovationMeans:
     """Windowed means of whitened innovations; h filters, s sources, w window lengths.
 
     Attributes:
-        running: in five columns the mean innovation (three), the filled share of the window (0 at the start, soon 1),
-            and the variance of a mean of independent innovations as a share of that of one; shape (h, s, w, 5).
+        running: shape (h, s, w, 5). Columns 0 to 2: the mean innovation. Column 3: the filled share of the window, 0 at
+            the start, soon 1. Column 4: the variance of a mean of independent innovations as a share of that of one.
         excess: largest chi² of a mean over its limit, shape (h, s). For a source that a filter excludes, it is used in
             the main filter only.
         rejection_counts: number of successive rejections, shape (h, s).

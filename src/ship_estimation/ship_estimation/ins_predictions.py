@@ -100,6 +100,7 @@ class InsPredictions:
     >>> turns = [exp_rotation(np.array([0.0, 1e-4 * n, 0.0])) for n in (0, 1, 2, 50)]
     >>> samples = [AttitudeSample(n * 10_000_000, turn) for n, turn in enumerate(turns)]
     >>> seen = [NumberedSample(sample, n, samples[n - 1], None) for n, sample in enumerate(samples)]
+
     >>> matches = [predictions.match(one, end, rates_measured=False) for one, end in zip(seen[1:], seen[2:])]
     >>> [round(vector_length(match.difference), 4) for match in matches]
     [0.0, 0.0047]

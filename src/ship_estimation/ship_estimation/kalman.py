@@ -95,7 +95,10 @@ class StateModel:
         >>> model = StateModel([ins, mount], noise_sources=["star_noise"])
         >>> print(model.sources, model.slices["mount"])
         ['ins_drift', 'installation', 'star_noise'] slice(1, 2, None)
-        >>> decay, noise = model.transition(dt_s=1800.0)  # decay factors and added variance
+
+        Decay factors and added variance of a step:
+
+        >>> decay, noise = model.transition(dt_s=1800.0)
         >>> print(decay.round(3), noise.round(1))
         [0.368 1.   ] [86.5  0. ]
     """

@@ -353,6 +353,7 @@ def integrity_report(
         >>> limits = IntegrityConfig(alert_limit_arcsec=(24.0, 24.0, 24.0))
         >>> k = SigmaMultipliers(fault_free=6.0, false_exclusion=5.0, missed_detection=np.array([2.0]))
         >>> found = SolutionSeparation(np.array([1.67]), np.full(3, 18.0 * ARCSEC), 0, 3.0 * ARCSEC)
+
         >>> report = integrity_report(0, limits, k, ("star.bow",), found, excluded=(), is_checked=True)
         >>> print(report.state.name, report.dominant, (report.level / ARCSEC).round(1))
         MET star.bow [18. 18. 18.]
@@ -385,6 +386,7 @@ def alert_limit_text(report: IntegrityReport, quantities: Sequence[str]) -> str:
     Example:
         >>> level = ARCSEC * np.array([3.6, 7.2, 14.4])
         >>> report = IntegrityReport(0, IntegrityState.EXCEEDED, level, ("ins",), np.zeros(1), 5.1, (), "ins", 0.0)
+
         >>> alert_limit_text(report, ["heading", "pitch", "roll"])
         'a protection level is above its alert limit: heading 3.6″, pitch 7.2″, roll 14.4″'
     """

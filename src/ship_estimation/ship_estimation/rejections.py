@@ -6,13 +6,13 @@ A measurement is checked in this order:
 2. the reader of its message (``ros/`` of each estimator, with the checks of ``ship_node/edge/messages_in``): fields;
    and the adapter (``ship_node/edge/reporting_adapter``), if the source is switched off: OFF;
 3. :class:`ship_estimation.time_ordered_estimator.LagWindow`: LATE;
-4. the checks of a single stream: :mod:`ship_estimation.ins_check` for an INS, ``guards/`` for star sensors and
-   references, ``theodolite_calib/measured/encoder_watch`` for encoders: STUCK, UNITS, and GATE for a single sample that
-   jumps; ``sky/stamped_values`` for position and weather: JUMP;
+4. the checks of a single stream (:mod:`ship_estimation.ins_check` for an INS, ``guards/`` for star sensors and
+   references, ``theodolite_calib/measured/encoder_check`` for encoders): STUCK, UNITS, and GATE for a single sample
+   that jumps. The checks of position and weather (``sky/stamped_values``): JUMP;
 5. :class:`ship_estimation.time_ordered_estimator.TimeOrderedEstimator`: DUPLICATE, CONFLICT, OVERFLOW, and FAILED for
    defects of the software;
-6. the filter, which computes the innovation (``ship_attitude/filter``, ``theodolite_calib/filter/judgement``), and its
-   measurement model (``ship_attitude/comparison``, ``theodolite_calib/measured/sighting``): all others.
+6. the filter, which computes the innovation (``ship_attitude/filter``, ``theodolite_calib/filter/sighting_gate``), and
+   its measurement model (``ship_attitude/comparison``, ``theodolite_calib/measured/sighting``): all others.
 
 ``star_attitude`` checks 5 before 4, and encoder readings in degrees are rejected before their age is checked.
 """
@@ -180,12 +180,18 @@ class StampConflicts:
         >>> conflicts = StampConflicts()
         >>> conflicts.record("ship", 5 * SECOND_NS, Rejection(Reason.CONFLICT, "the same stamp with other content"))
         >>> conflicts.record("encoder", 5 * SECOND_NS, Rejection(Reason.DUPLICATE, "the same again"))
+
+        A conflict is active for ten seconds; a duplicate is none:
+
         >>> conflicts.active_at(12 * SECOND_NS)
         {'ship': 5000000000}
         >>> conflicts.active_at(16 * SECOND_NS)
         {}
         >>> conflicts.common_interval({"ship", "encoder"}), conflicts.common_interval({"ship"})
         (None, (5000000000, 15000000000))
+
+        Two publishers are a conflict until a call with an empty text:
+
         >>> conflicts.set_duplicate_publishers("ins", 20 * SECOND_NS, "two publishers send on ins/imu")
         >>> conflicts.active_at(30 * SECOND_NS), conflicts.text({"ins"})
         ({'ins': 18000000000}, 'two publishers send on ins/imu')

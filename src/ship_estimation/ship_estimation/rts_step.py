@@ -1,12 +1,13 @@
 """Backward step of the Rauch-Tung-Striebel smoother: an earlier state from a later one.
 
-Forward in time the filter goes from an estimate x of covariance P to the prediction of a later state y, of mean p and
-covariance Q, with C the covariance between the two (C = P F^T where y = F x + noise). Then, for Gaussian errors,
+Forward in time the filter goes from an estimate x of covariance P to the prediction of a later state y. The prediction
+has the mean p and the covariance Q. C is the covariance between the two (C = P F^T where y = F x + noise). Then, for
+Gaussian errors,
 
     x = (mean + C Q^-1 (y - p)) + error of covariance (P - C Q^-1 C^T)
 
 whatever is measured later. Applied from the last state to the first one this is the smoother of Rauch, Tung and
-Striebel (AIAA Journal 3 (1965) 1445): the estimate of y by all measurements gives the estimate of x by all of them.
+Striebel (AIAA Journal 3 (1965) 1445). The estimate of y by all measurements gives the estimate of x by all of them.
 """
 
 from typing import NamedTuple

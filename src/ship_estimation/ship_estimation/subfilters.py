@@ -223,6 +223,7 @@ def update_subfilters(
         >>> stack = np.tile(4.0 * np.eye(2), (2, 1, 1))
         >>> measured = LinearMeasurement(np.array([9.0]), np.array([[1.0, 1.0]]), {0: np.array([[1.0]])})
         >>> found = subfilter_innovations(np.zeros((2, 2)), stack, measured, np.zeros(2), np.array([[1.0, 0.0, 0.0]]))
+
         >>> corrections, after = update_subfilters(stack, measured, found, np.array([[True, True], [False, True]]))
         >>> print(corrections, after[1].round(3).tolist())
         [[4. 4.]

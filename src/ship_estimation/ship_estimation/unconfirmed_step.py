@@ -37,6 +37,9 @@ class UnconfirmedStep(NamedTuple):
         (True, 20)
         >>> step.with_confirmation(20).with_confirmation(30) is None
         True
+
+        Another source may confirm it at the same time:
+
         >>> first = UnconfirmedStep(9, "one exposure alone", "stars", confirmed_ns=10, confirmed_by="star.fore")
         >>> first.with_confirmation(10, "star.fore") is first, first.with_confirmation(10, "star.aft")
         (True, None)

@@ -99,8 +99,8 @@ Terms of the theodolite
         The scale on an axis of the mount; the two encoders measure azimuth and elevation.
     Axis errors
         The terms of a pointing model (Wallace, TPOINT): g and h, zero points of the encoders; c, collimation; I,
-        non-perpendicularity (tilt of the horizontal axis); beta_x and beta_y, tilt of the vertical axis towards the bow
-        and towards starboard; flexure of the tube.
+        non-perpendicularity (tilt of the horizontal axis). Further terms: beta_x and beta_y, tilt of the vertical axis
+        towards the bow and towards starboard; flexure of the tube.
     Axis geometry
         The rotations from the ship's attitude through foot and mount to the main optical axis.
     Parallelism

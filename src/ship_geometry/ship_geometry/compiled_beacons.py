@@ -75,10 +75,11 @@ def sight_lines(
         earth_radius_m: Earth radius R; a light at the distance d appears higher by k d²/(2 R).
 
     Returns:
-        Unit vectors in n, refraction included, shape (E, N, 3); distances, m, shape (E, N); and the derivative of the
-        unit vectors, rad per unit, shape (E, N, 3, 19). Its columns, three each, are the baseline (n), the lever (d),
-        the principal point (m), the light's lever (b), and rotations of ship and drone (rotation vectors in n); the
-        last column is the refraction coefficient.
+        Unit vectors in n, refraction included, shape (E, N, 3).
+        Distances, m, shape (E, N).
+        Derivative of the unit vectors, rad per unit, shape (E, N, 3, 19). Three columns each are of the baseline (n),
+        the lever (d), the principal point (m), the light's lever (b), and the rotation vectors (n) of ship and drone.
+        The last column is of the refraction coefficient.
     """
     epochs: cython.Py_ssize_t = baselines.shape[0]
     count: cython.Py_ssize_t = baselines.shape[1]
@@ -162,8 +163,10 @@ def image_points(
         principal_points_m: of the detector (x right, z up), shape (E, 2).
 
     Returns:
-        Points, m, shape (E, N, 2); their derivatives by the rotation vector of the telescope in n and by the
-        directions, m/rad, shape (E, N, 2, 3) each; and by the focal length, m/m, shape (E, N, 2).
+        Points, m, shape (E, N, 2).
+        Their derivative by the rotation vector of the telescope in n, m/rad, shape (E, N, 2, 3).
+        Their derivative by the directions, m/rad, shape (E, N, 2, 3).
+        Their derivative by the focal length, m/m, shape (E, N, 2).
     """
     epochs: cython.Py_ssize_t = directions.shape[0]
     count: cython.Py_ssize_t = directions.shape[1]

@@ -159,9 +159,11 @@ def axis_geometries(
         angles: encoder readings of azimuth and elevation, rad, shape (N, 2).
 
     Returns:
-        The corrected attitude of the ship (n from d), the main frame in the deck including the bending e (d from m)
-        and in the horizon (n from m), shape (N, 3, 3) each; and the derivative of the main frame, as rotation vector in
-        n, by errors, shape (N, 3, 14), and by encoder angles, shape (N, 3, 2).
+        The corrected attitude of the ship (n from d), shape (N, 3, 3).
+        The main frame in the deck including the bending e (d from m), shape (N, 3, 3).
+        The main frame in the horizon (n from m), shape (N, 3, 3).
+        Its derivative, as rotation vector in n, by the errors, shape (N, 3, 14).
+        The same by the encoder angles, shape (N, 3, 2).
     """
     count: cython.Py_ssize_t = errors.shape[0]
     check("moments", rotations.shape[0] == rates.shape[0] == angles.shape[0] == count)
@@ -291,8 +293,9 @@ def pointings(
         white: index of the error source of the further attitude error.
 
     Returns:
-        The main frame in the horizon, shape (N, 3, 3); its derivative, as rotation vector in n, by the errors, shape
-        (N, 3, k); and the covariance of that vector by error source, rad², shape (N, n_sources, 3, 3).
+        The main frame in the horizon, shape (N, 3, 3).
+        Its derivative, as rotation vector in n, by the errors, shape (N, 3, k).
+        The covariance of that vector by error source, rad², shape (N, n_sources, 3, 3).
     """
     count: cython.Py_ssize_t = since_ns.shape[0]
     sources: cython.Py_ssize_t = parts.shape[0]

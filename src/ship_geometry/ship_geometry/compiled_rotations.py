@@ -269,8 +269,9 @@ def composed_attitude(
         base_error: covariance of an error of the base about its own axes, rad², shape (3, 3).
 
     Returns:
-        The attitude, shape (3, 3); its derivative by the states as a rotation vector in the frame on the right, shape
-        (3, n); and the covariance of the base's error in that frame, rad², shape (3, 3).
+        The attitude, shape (3, 3).
+        Its derivative by the states as a rotation vector in the frame on the right, shape (3, n).
+        The covariance of the base's error in that frame, rad², shape (3, 3).
     """
     n: cython.Py_ssize_t = mean.shape[0]
     count: cython.Py_ssize_t = links.shape[0]
@@ -475,9 +476,12 @@ def interpolate_attitude(
         largest: bound of the sum of the errors' squares, rad².
 
     Returns:
-        Rotation and rate; the variance of the attitude per variance of the samples' noise; the estimates of the error,
-        rotation vectors about the axes of the deck, rad, shape (k, 3): two, or one without another sample; and their
-        covariance, rad², shape (3, 3).
+        The rotation.
+        The rate.
+        The variance of the attitude per variance of the samples' noise.
+        The estimates of the error, rotation vectors about the axes of the deck, rad, shape (k, 3): two, or one without
+        another sample.
+        Their covariance, rad², shape (3, 3).
     """
     check("attitudes", first.shape[0] == first.shape[1] == second.shape[0] == second.shape[1] == 3)
     check("other", other.shape[0] == other.shape[1] == first_rate.shape[0] == second_rate.shape[0] == 3)

@@ -102,9 +102,11 @@ def horizon_radii_m(position: GeodeticPosition) -> tuple[FloatArray, FloatArray]
     They are the radii of curvature in the meridian and in the prime vertical, each plus the height.
 
     Example:
+        A minute of arc at the equator:
+
         >>> north_m, east_m = horizon_radii_m(GeodeticPosition(latitude=0.0, longitude=0.0, height_m=0.0))
-        >>> print(f"{north_m * np.pi / 180.0 / 60.0:.1f} m, {east_m * np.pi / 180.0 / 60.0:.1f} m a minute of arc")
-        1842.9 m, 1855.3 m a minute of arc
+        >>> print(f"{north_m * np.pi / 180.0 / 60.0:.1f} m, {east_m * np.pi / 180.0 / 60.0:.1f} m")
+        1842.9 m, 1855.3 m
     """
     sine = np.sin(position.latitude)
     root = 1.0 - _WGS84_E2 * sine * sine

@@ -176,6 +176,7 @@ def seen_through_air(
         >>> north_up_n = np.array([[1.0, 1.0, 0.0]]) / np.sqrt(2.0)
         >>> air = Weather(1013.25, 10.0)
         >>> refracted = seen_through_air("erfa", north_up_n, air, 0.55, (0.0, 5.0), np.empty((0, 3)))
+
         >>> lifted_by = elevation_of(refracted.direction_n)[0] - refracted.elevation[0]
         >>> print(f"{lifted_by / ARCSEC:.0f} {np.linalg.norm(refracted.shared_n[0, :, 0]) / ARCSEC:.1f}")
         58 1.0
@@ -229,8 +230,11 @@ def _model_in_air(
     The last results are cached, because the weather changes far less often than the sky.
 
     Returns:
-        Coefficients of the powers of x, shape (t, 3): value (rad), derivative by hPa, derivative by K; the curvature c
-        in x; lowest elevation; True if they belong to the observed zenith distance; standard deviations of the model.
+        Coefficients of the powers of x, shape (t, 3): value (rad), derivative by hPa, derivative by K.
+        The curvature c in x.
+        The lowest elevation.
+        True if the coefficients belong to the observed zenith distance.
+        Standard deviations of the model.
     """
     # Five kinds of weather: as given, more and less pressure, higher and lower temperature.
     given, more_pressure, less_pressure, warmer, colder = range(5)

@@ -92,6 +92,7 @@ def stars_from_epoch(stars: StarPositions, epoch_year: float) -> StarPositions:
         >>> mas = np.deg2rad(1e-3 / 3600.0)
         >>> alpha, delta = np.deg2rad(269.4540), np.deg2rad(4.6683)
         >>> then = StarPositions(alpha, delta, -798.6 * mas / np.cos(delta), 10_328.1 * mas, 0.5482)
+
         >>> print(((stars_from_epoch(then, 1991.25).declination - delta) / (1e3 * mas)).round(1))
         90.4
     """
@@ -148,8 +149,10 @@ def directions(stars: StarPositions, time_ns: TimeNs, observer: Observer, orient
         >>> mas = np.deg2rad(1e-3 / 3600.0)
         >>> motion = 1.90 * mas / np.cos(0.5822885787), -3.53 * mas  # a year
         >>> hip_92420 = StarPositions(4.9309037606, 0.5822885787, *motion, parallax_arcsec=0.00339)
+
         >>> time_ns = 1_404_906_607_800_000_000
         >>> ship = Observer(GeodeticPosition(np.deg2rad(31.945213), np.deg2rad(120.293086), height_m=0.0))
+
         >>> orientation = earth_orientation_table().at(time_ns)
         >>> north, up, east = directions(stars_from_epoch(hip_92420, 1991.25), time_ns, ship, orientation)
         >>> print(np.rad2deg([np.arctan2(east, north), np.arcsin(up)]).round(4))  # azimuth, elevation

@@ -63,9 +63,11 @@ def solve(reference_n: FloatArray, measured_d: FloatArray, sigma: FloatArray | f
 
         >>> reference_n = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
         >>> rotation_nd = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+
         >>> solution = solve(reference_n, reference_n @ rotation_nd, np.deg2rad(3.0 / 3600.0))
         >>> print(np.allclose(solution.rotation_nd, rotation_nd, atol=1e-15))
         True
+
         >>> print((np.rad2deg(np.sqrt(np.diagonal(solution.covariance_n))) * 3600.0).round(2))  # arcseconds
         [3.   3.   2.12]
     """

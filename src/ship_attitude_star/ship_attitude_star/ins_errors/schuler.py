@@ -1,9 +1,14 @@
 """Schuler error process of an INS: errors driven by its gyroscopes and accelerometers.
 
 A tilt error couples gravity into the measured acceleration, which causes a velocity error, which rotates the computed
-horizon: an oscillation with a period of 84.4 min. With u the attitude error (R_true = exp(u) R_ins), v the velocity
-error, l the latitude error, e the gyroscope drift, b the accelerometer bias and (xi, eta) the deflection of the
-vertical, about (North, Up, East):
+horizon: an oscillation with a period of 84.4 min. All vectors are about (North, Up, East):
+
+    u           attitude error, R_true = exp(u) R_ins
+    v, l        errors of velocity and latitude
+    e, b        gyroscope drift, accelerometer bias
+    (xi, eta)   deflection of the vertical
+
+The equations are
 
     du/dt = u x w + (v_E / R_E, v_E tan L / R_E, -v_N / R_N) + (-W sin L, W cos L + V_E / (R_E cos² L), 0) l - e
     dv_N/dt =  g u_E + g xi  + b_N - (2 W sin L + V_E tan L / R_E) v_E - c V_E l - v_N / T

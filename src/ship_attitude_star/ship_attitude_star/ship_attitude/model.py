@@ -43,8 +43,8 @@ With R_i the attitude of the INS at the time of a measurement, a device measures
 
     R_measured = exp(-z) exp(c) exp(a) exp(w) R_i exp(f) R0 exp(m) exp(s) exp(noise)        horizon from device
 
-where c is the common error of a star sensor, f its flexure, m the installation error, s the correlated error of a
-reference, and z the rotation of the sky that all star sensors share, a sum over its causes.
+where c is the common error of a star sensor, f its flexure, m the installation error and s the correlated error of a
+reference. All star sensors share z, the rotation of the sky; it is a sum over its causes.
 """
 
 import math

@@ -4,9 +4,10 @@ The attitude is used to select stars. Rotations propagate the stars of an exposu
 several sensors to one time.
 
 A rotation is the difference of two INS attitudes and has the noise of both. An interpolated attitude is a weighted mean
-of the samples around it, so attitudes close together share the noise of the same samples. With the weights w1 at one
-end and w2 at the other, the noise variance of a rotation is (w1 - w2)² of each sample: zero if the ends coincide, the
-sum of both if they have no sample in common. Several rotations to one time share the noise at that time.
+of the samples around it, so attitudes close together share the noise of the same samples. A sample of weight w1 at one
+end and w2 at the other adds (w1 - w2)² times its variance to that of the rotation. The sum is zero if the ends
+coincide. If they have no sample in common, it is the sum of the variances at the two ends. Several rotations to one
+time share the noise at that time.
 """
 
 from collections.abc import Sequence

@@ -19,8 +19,8 @@ _CONVERGED = 1e-14
 class Distortion:
     """Brown–Conrady distortion. Points are x right, y down in focal lengths from the principal point.
 
-    The distorted point is the sum of two terms: the ideal point times 1 + k1 r² + k2 r⁴ + k3 r⁶, and (2 p1 x y + p2 (r²
-    + 2 x²), p1 (r² + 2 y²) + 2 p2 x y).
+    The distorted point is the sum of two terms. The radial one is the ideal point times 1 + k1 r² + k2 r⁴ + k3 r⁶. The
+    tangential one is (2 p1 x y + p2 (r² + 2 x²), p1 (r² + 2 y²) + 2 p2 x y).
     """
 
     k1: float = 0.0

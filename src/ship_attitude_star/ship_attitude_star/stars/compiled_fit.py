@@ -390,8 +390,10 @@ def residuals(
         first: index of the first state of the shared errors.
 
     Returns:
-        Measured minus expected direction, shape (2 m,); its derivative by the states, shape (2 m, n), and by a rotation
-        of the sensor, shape (2 m, 3); and the two directions across each line of sight, shape (m, 2, 3).
+        Measured minus expected direction, shape (2 m,).
+        Its derivative by the states, shape (2 m, n).
+        Its derivative by a rotation of the sensor, shape (2 m, 3).
+        The two directions across each line of sight, shape (m, 2, 3).
     """
     n: cython.Py_ssize_t = to_sensor.shape[1]
     shared: cython.Py_ssize_t = shared_n.shape[2]

@@ -1,11 +1,11 @@
 """Errors of a camera's optics parameters: focal length, principal point, leading radial distortion.
 
 They are constant and common to all exposures of the camera. Each displaces the measured directions in a pattern over
-the field. With the point (x, y) of a star in focal lengths from the principal point, its centroid moves
+the field. The centroid of a star at (x, y), in focal lengths from the principal point, moves as follows:
 
-* by e (x, y) for a focal length that is longer by the relative error e,
-* by the error of the principal point, the same everywhere,
-* by the error of k1 times (x² + y²) (x, y).
+* A focal length that is longer by the relative error e moves it by e (x, y).
+* An error of the principal point moves it by this error, the same everywhere.
+* An error of k1 moves it by this error times (x² + y²) (x, y).
 
 An error of the principal point is nearly a rotation of the camera. The mounting is calibrated with the camera's own
 stars and the same parameters, so it already contains that rotation. Only the part that no rotation explains remains: an

@@ -1,9 +1,10 @@
 """An attitude as sentences: HDT, THS, ROT, PASHR, PSXN 20 and 23.
 
 Signs of all of them are those of the suite: heading clockwise from true North, pitch positive with the bow up, roll
-positive with the starboard side down, which is "port side up" in Kongsberg's Seapath manual (PSXN) and what Trimble and
-NovAtel print (PASHR). A rate of turn is negative if the bow turns to port. Without an attitude the fields are void and
-the status is invalid: no sentence repeats an old value. Heave, which the suite does not estimate, is void.
+positive with the starboard side down. This roll is called "port side up" in Kongsberg's Seapath manual (PSXN), and has
+the sign that Trimble and NovAtel print (PASHR). A rate of turn is negative if the bow turns to port. Without an
+attitude the fields are void and the status is invalid: no sentence repeats an old value. Heave, which the suite does
+not estimate, is void.
 """
 
 import math

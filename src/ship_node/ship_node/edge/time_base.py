@@ -3,15 +3,15 @@
 The clock of an input is observed as its stamps minus the timeout-clock time, which is never set. A late message looks
 like a clock that is behind. A clock has moved only if no delay explains the difference:
 
-- back: its stamp is no newer than the newest one of its own input;
-- forward: its stamp is ahead of the node's clock, or by more than :data:`_LONGEST_DELAY_NS`;
+- back: its stamp is no newer than the newest one of its own input.
+- forward: its stamp is ahead of the node's clock, or has moved by more than :data:`_LONGEST_DELAY_NS`.
 - either way: it follows a step of the computer's clock within a second.
 
 The time base has stepped if every present input has moved by the same time and no message has contradicted it for 0.3
 s. At least two clocks must agree; the computer's clock counts as one. One device alone is never a step of the time
 base.
 
-A step back of the computer's clock is confirmed by the first input that follows it: an input that does not follow is
+A step back of the computer's clock is confirmed by the first input that follows it. An input that does not follow is
 ahead of the node's clock, and could not be used in any case.
 """
 

@@ -179,7 +179,7 @@ def queue_clock(node: "Node", on_clock: Callable[[], None] = lambda: None) -> No
     """Queue every message of /clock until the node processes it; without ``use_sim_time`` do nothing.
 
     rclpy keeps the newest only. In a node that is behind for a moment (a fast bag, a busy computer), time then runs
-    ahead of the inputs that still wait: they seem late, and their timeout is reported although they are in the queue.
+    ahead of the inputs that still wait. They seem late, and their timeout is reported although they are in the queue.
     With an executor that processes messages in order of arrival, queued time is right for each of them.
 
     Args:

@@ -3,7 +3,9 @@
 The filter uses the information (matrix L, vector h) of each epoch, which has the same form for any number and kind of
 measurements. The likelihood is the density of the innovations (Schweppe 1965), and exact:
 
-    log p = -1/2 log det(I + L P) + h·m - 1/2 m·L m + 1/2 r·(P' r)        r = h - L m,  P' = P - P (I + L P)^-1 L P
+    log p = -1/2 log det(I + L P) + h·m - 1/2 m·L m + 1/2 r·(P' r)
+
+with r = h - L m and P' = P - P (I + L P)^-1 L P.
 
 Constants (installations, clocks) are no states: the mean is propagated as a linear function of them, and they are
 integrated out at the end (de Jong 1991). Several parameter sets are computed together: a gradient by differences costs

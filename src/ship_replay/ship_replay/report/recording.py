@@ -301,8 +301,8 @@ class _RecordingReader:
             self._reason_counts[topic, str(reason)] = int(count)
             more = int(count) - (before if count >= before else 0)
             if more:
-                rejected = RejectedMeasurement(stamp_ns, topic, str(reason), "node", more, is_note)
-                self._recording.rejections.append(rejected)
+                by_node = RejectedMeasurement(stamp_ns, topic, str(reason), "node", more, is_note)
+                self._recording.rejections.append(by_node)
 
     def _record_alerts(self, state: SuiteState) -> None:
         """Record the changes of published alerts."""

@@ -6,6 +6,7 @@ the deck, m the main frame, t the telescope, b a drone, k the refraction coeffic
 
     rotation_nm = rotation_nd · exp(deformation) · rotation_dm(encoder; axis errors)
     rotation_nt = rotation_nm · R(ΔA, ΔE, Δω)^T
+
     path_n      = drone + rotation_nb · light lever - rotation_nm · N'       drone: from the intersection of the axes
     baseline_n  = drone + rotation_nd · theodolite lever
 

@@ -148,9 +148,11 @@ def beacon_innovations(
             subfilter, shape (l, h + 1, m).
 
     Returns:
-        Residual of each subfilter, zero for unused components, shape (h, m); optimal gain, shape (h, n, m), and
-            normalised innovation squared, shape (h,), from the components used; whitened residual of each beacon in the
-            main filter and in every subfilter, with a trailing zero, shape (h + 1, l, 3).
+        Residual of each subfilter, zero for unused components, shape (h, m).
+        Optimal gain from the components used, shape (h, n, m).
+        Normalised innovation squared of these components, shape (h,).
+        Whitened residual of each beacon in the main filter and in every subfilter, with a trailing zero, shape
+        (h + 1, l, 3).
 
     Raises:
         numpy.linalg.LinAlgError: A covariance is not positive definite.

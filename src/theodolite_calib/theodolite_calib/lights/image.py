@@ -167,7 +167,7 @@ class BeaconStreaks:
 
     A detected point is the mean of the beacon's path over the detector. Encoders, ship and baselines give that path,
     and so the offset of its mean from the point at the middle of the exposure. A streak of length L spreads the light
-    by L²/12 more than the image s² of a light at rest, and the variance of the point along it increases in proportion:
+    by L²/12 more than the image s² of a light at rest. The variance of the point along it increases in proportion:
     σ² (1 + L²/(12 s²)) (docs/explanation/theodolite.md).
 
     Attributes:

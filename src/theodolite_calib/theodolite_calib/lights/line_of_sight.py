@@ -5,7 +5,7 @@
     W = baseline + rotation_nb · light lever - rotation_nd · (theodolite lever + rotation_dm · N')
 
 with n horizon (North, Up, East), d deck, m main frame of the theodolite, b drone (nose, up, right). The light appears
-along W raised by k d²/(2 R), d its distance: an angle of k/(2 R) times the *horizontal* distance, which vanishes at the
+along W raised by k d²/(2 R), d its distance. The angle is k/(2 R) times the *horizontal* distance. It vanishes at the
 zenith, since air layered by height bends no vertical ray.
 
 Each error is a named :class:`ErrorTerm` in its own natural axes, so that a filter can keep it as a state.

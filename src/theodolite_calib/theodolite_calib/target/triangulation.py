@@ -106,7 +106,7 @@ def triangulate(
         gate_probability: probability that consistent directions pass the test of their residuals.
 
     Returns:
-        Position, with a rejection in it if the directions are inconsistent; or the rejection if they give no position:
+        Position, with a rejection in it if the directions are inconsistent. If they give no position, the rejection:
             fewer than two, parallel ones, lines that meet behind a theodolite, or so nearly parallel ones that the
             distance is unknown.
     """
