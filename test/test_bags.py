@@ -76,18 +76,18 @@ def test_an_offline_replay_meets_the_bounds(replayed):
 @pytest.mark.slow
 def test_clean_data_cause_no_exclusion(replayed):
     path, out, _ = replayed
-    told: dict[str, list[tuple[int, str]]] = {}
+    statuses: dict[str, list[tuple[int, str]]] = {}
     with read_bag(out) as bag:
         for record in bag.records(["/diagnostics"]):
             for status in record.decode().status:
                 thing = status.name.partition(": ")[2]
                 if thing.startswith("verdict ") or thing == "clocks":
-                    told.setdefault(thing, []).append((int(status.level), status.message))
-    assert sorted(told) == VERDICTS[path.stem]
-    for name, course in told.items():
-        assert {level for level, _ in course} == {0}
-        assert course[-1][1].startswith("within configured limits" if name == "clocks" else "as stated")
-        assert len(course) > 100
+                    statuses.setdefault(thing, []).append((int(status.level), status.message))
+    assert sorted(statuses) == VERDICTS[path.stem]
+    for name, history in statuses.items():
+        assert {level for level, _ in history} == {0}
+        assert history[-1][1].startswith("within configured limits" if name == "clocks" else "as stated")
+        assert len(history) > 100
 
 
 @pytest.mark.slow

@@ -64,21 +64,21 @@ def test_an_alert_is_acknowledged_by_its_id_and_instance(environment):
     code, said, _ = run_command(environment, "call", "/alpha/alerts", "acknowledge", "id=there.is.none", "instance=7")
     assert code == 1
     assert said.startswith("not done: ")
-    code, _, told = run_command(environment, "call", "/alpha/alerts", "acknowledge", "id=x")
-    assert (code, told) == (2, "call: service 'acknowledge' needs instance=<uint32>\n")
-    code, _, told = run_command(environment, "call", "/alpha/alerts", "acknowledge", "id=x", "instance=one")
-    assert (code, told) == (2, "call: field 'instance' of service 'acknowledge': 'one' is no uint32\n")
+    code, _, error = run_command(environment, "call", "/alpha/alerts", "acknowledge", "id=x")
+    assert (code, error) == (2, "call: service 'acknowledge' needs instance=<uint32>\n")
+    code, _, error = run_command(environment, "call", "/alpha/alerts", "acknowledge", "id=x", "instance=one")
+    assert (code, error) == (2, "call: field 'instance' of service 'acknowledge': 'one' is no uint32\n")
 
 
 def test_an_unknown_name_is_answered_with_the_nearest(environment):
-    code, _, told = run_command(environment, "call", "/alpha/ship_atitude", "reset")
-    assert (code, told.count("\n")) == (2, 1)
-    assert told.startswith(f"call: no node '/alpha/ship_atitude': did you mean '{NODE}'? There are ")
-    code, _, told = run_command(environment, "call", NODE, "restet")
-    assert (code, "did you mean 'reset'?" in told) == (2, True)
-    code, _, told = run_command(environment, "param", NODE, "gate.probabilty")
+    code, _, error = run_command(environment, "call", "/alpha/ship_atitude", "reset")
+    assert (code, error.count("\n")) == (2, 1)
+    assert error.startswith(f"call: no node '/alpha/ship_atitude': did you mean '{NODE}'? There are ")
+    code, _, error = run_command(environment, "call", NODE, "restet")
+    assert (code, "did you mean 'reset'?" in error) == (2, True)
+    code, _, error = run_command(environment, "param", NODE, "gate.probabilty")
     said = f"param: node {NODE}: no parameter 'gate.probabilty': did you mean 'gate.probability'?\n"
-    assert (code, told) == (2, said)
+    assert (code, error) == (2, said)
 
 
 def test_parameters_are_listed_with_units_read_and_set(environment):
@@ -98,22 +98,24 @@ def test_a_source_is_removed_and_added_again(environment):
         "",
     )
     assert run_command(environment, "param", NODE, "sources_off", "[]") == (0, "sources_off = [], was star.fore\n", "")
-    code, _, told = run_command(environment, "param", NODE, "sources_off", "fore")
+    code, _, error = run_command(environment, "param", NODE, "sources_off", "fore")
     assert code == 1
-    assert told.startswith("param: refused: parameter 'sources_off': there is no source 'fore': expected some of star.")
-    code, _, told = run_command(environment, "param", NODE, "sources_off", "ins")
-    assert (code, "stop the publisher of ins/imu" in told) == (1, True)
+    assert error.startswith(
+        "param: refused: parameter 'sources_off': there is no source 'fore': expected some of star."
+    )
+    code, _, error = run_command(environment, "param", NODE, "sources_off", "ins")
+    assert (code, "stop the publisher of ins/imu" in error) == (1, True)
 
 
 def test_a_rejection_has_the_reason_of_the_node(environment):
-    code, _, told = run_command(environment, "param", NODE, "gate.probability", "7")
-    assert (code, told.count("\n")) == (1, 1)
-    assert told.startswith("param: refused: parameter 'gate.probability' = 7.0 is out of its range [0.5, ")
-    code, _, told = run_command(environment, "param", NODE, "lag_s", "3")
-    assert (code, told.startswith("param: refused: parameter 'lag_s' cannot be changed")) == (1, True)
-    code, _, told = run_command(environment, "param", NODE, "gate.probability", "high")
+    code, _, error = run_command(environment, "param", NODE, "gate.probability", "7")
+    assert (code, error.count("\n")) == (1, 1)
+    assert error.startswith("param: refused: parameter 'gate.probability' = 7.0 is out of its range [0.5, ")
+    code, _, error = run_command(environment, "param", NODE, "lag_s", "3")
+    assert (code, error.startswith("param: refused: parameter 'lag_s' cannot be changed")) == (1, True)
+    code, _, error = run_command(environment, "param", NODE, "gate.probability", "high")
     assert code == 2
-    assert re.fullmatch(r"param: parameter 'gate\.probability' is .*: expected a number\n", told)
+    assert re.fullmatch(r"param: parameter 'gate\.probability' is .*: expected a number\n", error)
 
 
 @pytest.mark.parametrize(

@@ -58,9 +58,9 @@ def reported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     given, out = replay_with_faults(folder, request.param, FAULTS[request.param])
     with read_bag(given) as played:
         start_ns = played.start_ns or 0
-    told = read_report_data(out, given)
-    (folder / "report.html").write_text(page(told))
-    return FaultReport(request.param, start_ns, told, folder / "report.html")
+    data = read_report_data(out, given)
+    (folder / "report.html").write_text(page(data))
+    return FaultReport(request.param, start_ns, data, folder / "report.html")
 
 
 @pytest.mark.slow

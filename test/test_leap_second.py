@@ -85,7 +85,7 @@ def test_outputs_are_right_and_valid_throughout(node: str, topic: str) -> None:
     assert [message for message in before if not error_in_sigmas(known, message) < SIGMAS] == []
     assert [message for message in after if not error_in_sigmas(as_stamped, message) < SIGMAS] == []
     assert run.adapter.notices == ["time base stepped by -1.000 s: reset, mountings and calibration kept"]
-    assert not {source for told in run.messages(run.adapter.integrity_topic) for source in told.excluded}
+    assert not {source for report in run.messages(run.adapter.integrity_topic) for source in report.excluded}
 
 
 def test_stars_of_the_repeated_second_are_not_used() -> None:

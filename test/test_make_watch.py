@@ -52,5 +52,5 @@ def test_a_port_in_use_is_one_line():
         port = taken.getsockname()[1]
         ended = subprocess.run(watch(port), capture_output=True, text=True, timeout=60, check=False)
     assert (ended.returncode, ended.stdout) == (2, "")
-    told = f"watch: port {port} of 127.0.0.1: Address already in use: use another, make watch PORT={port + 1}\n"
-    assert ended.stderr == told
+    expected = f"watch: port {port} of 127.0.0.1: Address already in use: use another, make watch PORT={port + 1}\n"
+    assert ended.stderr == expected

@@ -51,10 +51,10 @@ def in_the_mast(stars: list[Any]) -> int:
 
 def test_every_detection_on_the_mast_is_rejected_with_its_reason(night: Path) -> None:
     spots = sum(in_the_mast(message.stars) for message in messages(night / "in.mcap", "star/fore/observations"))
-    told = [m for m in messages(night / "out.mcap", "star/innovation") if "inside the mask mast" in m.reason_text]
-    assert 10 < spots == len(told)
-    assert {message.source for message in told} == {"star.fore"}
-    assert {message.reason for message in told} == {Reason.UNIDENTIFIED.value}
+    rejections = [m for m in messages(night / "out.mcap", "star/innovation") if "inside the mask mast" in m.reason_text]
+    assert 10 < spots == len(rejections)
+    assert {message.source for message in rejections} == {"star.fore"}
+    assert {message.reason for message in rejections} == {Reason.UNIDENTIFIED.value}
 
 
 def test_the_attitude_stays_valid_by_the_stars_outside_the_mast(night: Path) -> None:

@@ -79,14 +79,14 @@ def _night(tmp_path_factory: pytest.TempPathFactory) -> tuple[Messages, Messages
 def test_directions_of_every_image_are_those_of_replay_and_truth(night: tuple[Messages, Messages]) -> None:
     live, offline = night
     truths = by_stamp(live[TRUTH])
-    told, replayed = by_stamp(live[DIRECTION]), by_stamp(offline[DIRECTION])
+    published, replayed = by_stamp(live[DIRECTION]), by_stamp(offline[DIRECTION])
     assert len(truths) > 90
     # One at each end may have no pointing on both its sides.
-    assert set(told) >= set(sorted(truths)[1:-3])
-    off_rad = [np.linalg.norm(vector(told[ns].direction) - vector(replayed[ns].direction)) for ns in told]
+    assert set(published) >= set(sorted(truths)[1:-3])
+    off_rad = [np.linalg.norm(vector(published[ns].direction) - vector(replayed[ns].direction)) for ns in published]
     # They may differ by lights and stars that came before or after.
     assert np.mean(np.array(off_rad) < 1e-9) > 0.8
-    for time_ns, message in told.items():
+    for time_ns, message in published.items():
         truth = truths[time_ns]
         # Chi-square with two degrees: beyond 27.6 is one in a million; with three beyond 30.7.
         assert square(vector(truth.direction) - vector(message.direction), message.direction_covariance) < 27.6
@@ -119,17 +119,17 @@ def _stations(tmp_path_factory: pytest.TempPathFactory) -> tuple[Messages, Messa
 
 def test_places_are_published_live_and_are_those_of_replay_and_truth(stations: tuple[Messages, Messages, Path]) -> None:
     live, offline, _ = stations
-    told, replayed = by_stamp(live[POSITION_TOPIC]), by_stamp(offline[POSITION_TOPIC])
+    published, replayed = by_stamp(live[POSITION_TOPIC]), by_stamp(offline[POSITION_TOPIC])
     # Before the first direction of the first theodolite, and where one comes too late, another leads.
-    assert sum((time_ns - START_NS) % PERIOD_NS == 0 for time_ns in told) >= 95
-    same = sorted(told.keys() & replayed.keys())
+    assert sum((time_ns - START_NS) % PERIOD_NS == 0 for time_ns in published) >= 95
+    same = sorted(published.keys() & replayed.keys())
     assert len(same) >= 95
-    off_m = [np.linalg.norm(vector(told[ns].position) - vector(replayed[ns].position)) for ns in same]
+    off_m = [np.linalg.norm(vector(published[ns].position) - vector(replayed[ns].position)) for ns in same]
     # A direction that came earlier or later bends the curve between its neighbours.
     assert np.median(off_m) < 1e-6
     for time_ns in same:
-        error_m = vector(told[time_ns].position) - ENU_FROM_HORIZON @ buoy_n((time_ns - START_NS) * 1e-9)
-        assert square(error_m, told[time_ns].position_covariance) < 30.7
+        error_m = vector(published[time_ns].position) - ENU_FROM_HORIZON @ buoy_n((time_ns - START_NS) * 1e-9)
+        assert square(error_m, published[time_ns].position_covariance) < 30.7
 
 
 def test_the_black_box_of_the_node_is_equal_to_the_last_bit(
@@ -138,6 +138,6 @@ def test_the_black_box_of_the_node_is_equal_to_the_last_bit(
     from ship_replay.commands.replay import main
 
     code = main([str(stations[2]), "--verify"])
-    told = capsys.readouterr()
-    assert code == 0, told.out + told.err
-    assert "outputs are equal to the last bit" in told.out
+    printed = capsys.readouterr()
+    assert code == 0, printed.out + printed.err
+    assert "outputs are equal to the last bit" in printed.out

@@ -155,7 +155,7 @@ def test_overload_has_a_status_and_ends(bag, tmp_path, monkeypatch):
             stack.enter_context(LiveProcess(command, tmp_path / f"{name}.log", environment))
         assert observer.spin_until(lambda: set(NODES) <= set(observer.node.get_node_names()), LIMIT_S)
         with busy_core(core), play(FASTEST):
-            told = waited_s(observer, lambda: set(NODES) <= set(heard.behind))
+            reported = waited_s(observer, lambda: set(NODES) <= set(heard.behind))
             shown = waited_s(observer, lambda: {level for level, _ in heard.overload.values()} == {2})
             for node, (_, text) in heard.overload.items():
                 assert re.fullmatch(BEHIND.format(node=node), text), text
@@ -169,7 +169,7 @@ def test_overload_has_a_status_and_ends(bag, tmp_path, monkeypatch):
         with play(USUAL):
             valid = waited_s(observer, lambda: all(Status.VALID in claims for claims in heard.claims.values()))
             ok = waited_s(observer, lambda: {level for level, _ in heard.overload.values()} == {0})
-    print(f"behind after {told:.1f} s, shown {shown:.1f} s later, all cut {cut:.1f} s later")
+    print(f"behind after {reported:.1f} s, shown {shown:.1f} s later, all cut {cut:.1f} s later")
     print(f"VALID after {valid:.1f} s, over {ok:.1f} s later")
     assert heard.excluded == set()
     assert heard.worst_sigmas < MOST_SIGMAS

@@ -129,8 +129,8 @@ def test_points_of_moving_lights_refer_to_the_middle_of_the_exposure(exposure_s)
     run = simulate(scenario, seed=3)
     telescope, scene, images = scenario.theodolite.telescope, run.theodolite.truth.scene, run.theodolite.images
     # The estimator takes no baseline for exact.
-    told = with_beacons(scenario, rtk__sigma_m=0.001)
-    core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(told)))
+    declared = with_beacons(scenario, rtk__sigma_m=0.001)
+    core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(declared)))
     feed_pointing(core, run)
     middle_s = (images.time_ns - run.start_ns) * 1e-9
     true_m = points_on_detector(telescope, scene, middle_s, scene.mount(middle_s))

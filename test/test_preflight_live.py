@@ -70,10 +70,10 @@ def preflight(observer, environment, *arguments):
     piped = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen(command, env=environment, cwd=environment["ROS_LOG_DIR"], **piped) as process:
         assert observer.spin_until(lambda: process.poll() is not None, READY_S)
-        said, told = process.communicate()
+        output, error = process.communicate()
     row = re.compile(r"^  (\w+) +(OK|WARN|FAIL|not checked) +(.*)$", re.MULTILINE)
-    assert said.splitlines()[-1].partition(": ")[2].startswith("NOT READY: " if process.returncode else "READY: ")
-    return process.returncode, row.findall(said), told
+    assert output.splitlines()[-1].partition(": ")[2].startswith("NOT READY: " if process.returncode else "READY: ")
+    return process.returncode, row.findall(output), error
 
 
 def failed_checks(rows):
@@ -89,8 +89,8 @@ def test_a_ship_that_is_ready(tmp_path, domain):
         publish(observer.node, "/diagnostics", DiagnosticArray, 1.0)  # as drivers do
         for sensor in ("fore", "starboard"):
             publish(observer.node, f"/demo/star/{sensor}/horizon_attitude", StarHorizonAttitude, 5.0)
-        code, rows, told = preflight(observer, environment, EXAMPLE, "--namespace", "demo", "--listen", "2")
-    assert (code, told, failed_checks(rows)) == (0, "", [])
+        code, rows, error = preflight(observer, environment, EXAMPLE, "--namespace", "demo", "--listen", "2")
+    assert (code, error, failed_checks(rows)) == (0, "", [])
     sensors = [found for check, result, found in rows if (check, result) == ("sensors", "OK")]
     assert len(sensors) == 3
     rates_hz = {found.split(":")[0]: float(re.search(r": ([\d.]+) Hz", found)[1]) for found in sensors}
@@ -114,8 +114,8 @@ def test_late_sensors_are_waited_for(are_there, tmp_path, domain):
                 star(silent_s=late_s)
             else:
                 after_link(observer.node, imu, late_s, star)
-        code, rows, told = preflight(observer, environment, EXAMPLE, "--namespace", "demo", "--listen", "1")
-    assert (code, told, failed_checks(rows)) == (0, "", [])
+        code, rows, error = preflight(observer, environment, EXAMPLE, "--namespace", "demo", "--listen", "1")
+    assert (code, error, failed_checks(rows)) == (0, "", [])
     assert len([found for check, result, found in rows if (check, result) == ("sensors", "OK")]) == 3
 
 
@@ -133,11 +133,11 @@ def test_simultaneous_faults_are_all_reported(tmp_path, domain):
         best_effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
         publish(observer.node, "/star/fore/horizon_attitude", StarHorizonAttitude, 5.0, qos=best_effort)
         publish(observer.node, "/ship/attitude", ShipAttitude, 5.0)
-        code, rows, told = preflight(
+        code, rows, error = preflight(
             observer, environment, path, "--limits", limits, "--listen", "1", "--hours", "1e7", "--box", "/proc/boxes"
         )
     lines = failed_checks(rows)
-    assert (code, told) == (1, "")
+    assert (code, error) == (1, "")
     for expected in (
         rf"parameters: {re.escape(str(path))}:\d+: parameter 'lag_s'",
         r"security: machine.require_security demands it, and no DDS security: .* built without it",
@@ -217,6 +217,6 @@ def test_a_suite_whose_profile_requires_security_does_not_start_without_it(tmp_p
     command = [*executable("ship_bringup", "suite"), str(EXAMPLE), "--limits", str(limits)]
     ended = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=False)
     assert (ended.returncode, ended.stdout) == (2, "")
-    told = f"suite: {limits}: machine.require_security is true, and no DDS security: "
-    assert ended.stderr.startswith(told)
+    expected = f"suite: {limits}: machine.require_security is true, and no DDS security: "
+    assert ended.stderr.startswith(expected)
     assert ended.stderr.count("\n") == 1

@@ -65,11 +65,11 @@ def test_clocks_and_installation_of_two_systems_are_estimated(tmp_path: Path, ti
 
 def rejection_reasons(given: Iterable[SkyInput]) -> list[Rejection | None]:
     """Return the rejections of consecutive fixes or weather readings."""
-    surroundings, told = Surroundings(SkyConfig()), []
+    surroundings, reasons = Surroundings(SkyConfig()), []
     for one in given:
-        told.append(surroundings.rejection(one))
+        reasons.append(surroundings.rejection(one))
         surroundings.insert(one)
-    return told
+    return reasons
 
 
 def test_the_position_of_a_sailing_ship_is_not_rejected(tmp_path: Path) -> None:

@@ -146,7 +146,7 @@ def test_errors_of_low_stars_fit_their_covariance_by_erfa_and_are_smaller_by_tra
     """
     truth = low_elevation_scenario("ray_trace")
     low_bound, high_bound = mean_nees_band(SEEDS, degrees=3)
-    by_formula, by_rays = (joint_errors(truth, told) for told in (low_elevation_scenario("erfa"), truth))
+    by_formula, by_rays = (joint_errors(truth, scenario) for scenario in (low_elevation_scenario("erfa"), truth))
     nees = [float(np.mean(each_nees(*found))) for found in (by_formula, by_rays)]
     rms = [np.sqrt(np.mean(errors_n[:, [0, 2]] ** 2)) / ARCSEC for errors_n, _ in (by_formula, by_rays)]
     print(f"erfa: NEES {nees[0]:.2f}, tilt {rms[0]:.2f}″; ray_trace: NEES {nees[1]:.2f}, tilt {rms[1]:.2f}″")
@@ -160,11 +160,11 @@ def test_an_error_of_the_clock_is_modelled_with_that_of_ut1() -> None:
     """A rotation of the Earth by 0.2 s more or less than the stamps: 3″, as with such an error of all clocks."""
     late = one_epoch(earth_rotation_sigma_s=0.2)
     low_bound, high_bound = mean_nees_band(SEEDS, degrees=3)
-    told = normalised_errors(late, utc_sigma_s=0.2)
-    untold = normalised_errors(late)
-    print(f"NEES {np.mean(told):.2f} told, {np.mean(untold):.2f} untold")
-    assert low_bound < np.mean(told) < high_bound
-    assert np.mean(untold) > high_bound
+    stated = normalised_errors(late, utc_sigma_s=0.2)
+    unstated = normalised_errors(late)
+    print(f"NEES {np.mean(stated):.2f} stated, {np.mean(unstated):.2f} not stated")
+    assert low_bound < np.mean(stated) < high_bound
+    assert np.mean(unstated) > high_bound
 
 
 def test_a_tracker_in_the_icrs_is_rotated_to_the_true_horizon() -> None:

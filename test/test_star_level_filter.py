@@ -142,9 +142,9 @@ def test_streaks_without_exposure_time_are_detected(exposure_s):
     """The errors are larger than they say; or the sensors are found to contradict it."""
     lies = [without_exposure_length(run) for run in run_with_streaks(exposure_s, 3)]
     found = [(*run_to_end(lie), lie) for lie in lies]
-    told = [core.state.unresolved_fault is not None or bool(core.state.exclusion_counts) for core, _, _ in found]
+    detected = [core.state.unresolved_fault is not None or bool(core.state.exclusion_counts) for core, _, _ in found]
     nees = [final_error_squared(lie, estimate) for _, estimate, lie in found]
-    assert any(told) or np.mean(nees) > mean_nees_band(len(nees), 3)[1], (told, nees)
+    assert any(detected) or np.mean(nees) > mean_nees_band(len(nees), 3)[1], (detected, nees)
 
 
 def large_roll_scenario(ins_rate_hz: float) -> Scenario:

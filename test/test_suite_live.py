@@ -47,7 +47,7 @@ def run(*arguments):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "expected"),
     [
         (NODE.replace("lag_s", "lagg_s"), r":3: parameter 'lagg_s' is unknown: .*did you mean 'lag_s'\?"),
         (NODE.replace("2.0", "-1.0"), r":3: parameter 'lag_s' .*-1\.0"),
@@ -57,12 +57,12 @@ def run(*arguments):
         (NODE + NMEA_OUT.replace("port", "prt"), r":7: parameter 'sinks\.bridge\.prt' is unknown: .* mean 'port'"),
     ],
 )
-def test_a_bad_suite_file_is_one_line_with_file_line_and_what_was_expected(tmp_path, text, told):
+def test_a_bad_suite_file_is_one_line_with_file_line_and_what_was_expected(tmp_path, text, expected):
     path = tmp_path / "suite.yaml"
     path.write_text(text)
     ended = run(path)
     assert (ended.returncode, ended.stdout) == (2, "")
-    assert re.fullmatch(rf"suite: {re.escape(str(path))}{told}.*\n", ended.stderr), ended.stderr
+    assert re.fullmatch(rf"suite: {re.escape(str(path))}{expected}.*\n", ended.stderr), ended.stderr
 
 
 def test_a_pipe_in_place_of_a_file_is_refused_at_once(tmp_path):
@@ -107,34 +107,34 @@ def test_a_bag_is_played_to_its_end_into_the_suite_that_is_attached_to_it(tmp_pa
     assert "suite.yaml: ship_attitude has no alignment_file" in log
 
 
-@pytest.mark.parametrize("tell_simulated", [False, True])
-def test_the_attitude_of_a_bag_is_sent_as_sentences_with_mode_simulator(tmp_path, domain, tell_simulated):
+@pytest.mark.parametrize("is_tell_simulated", [False, True])
+def test_the_attitude_of_a_bag_is_sent_as_sentences_with_mode_simulator(tmp_path, domain, is_tell_simulated):
     """Only THS has a mode for it; HDT is invalid unless configured, as for a training."""
-    path, told = tmp_path / "suite.yaml", tmp_path / "told.nmea"
+    path, log_path = tmp_path / "suite.yaml", tmp_path / "log.nmea"
     nodes = {
         "/**/nmea_in": {"sources": {"gyro": {"kind": "serial", "device": "/dev/ttyUSB7", "becomes": "gyro"}}},
         # Of a bag at 5 times its speed a moment on the way is a quarter of a second of the ship.
         "/**/nmea_out": {
             "longest_age_s": 30.0,
-            "tell_simulated": tell_simulated,
-            "sinks": {"log": {"kind": "file", "path": str(told), "sentences": ["THS", "HDT"], "rate_hz": 100.0}},
+            "tell_simulated": is_tell_simulated,
+            "sinks": {"log": {"kind": "file", "path": str(log_path), "sentences": ["THS", "HDT"], "rate_hz": 100.0}},
         },
     }
     path.write_text((ROOT / "examples" / "two_sensors.yaml").read_text() + sections_text(nodes))
     command = suite(path, "--bag", DEMO, "--rate", "5", "--namespace", "aurora")
     with LiveProcess(command, tmp_path / "suite.log", live_environment(domain, tmp_path)) as process:
         end_s = time.monotonic() + 60.0
-        while not (told.exists() and told.read_text().count(",S*") > 50):
+        while not (log_path.exists() and log_path.read_text().count(",S*") > 50):
             assert time.monotonic() < end_s, process.log_text()
             time.sleep(0.1)
         process.end()
         assert "nmea_in" not in process.log_text()
-    lines = told.read_text().split()
+    lines = log_path.read_text().split()
     headings = [line for line in lines if line.startswith("$INHDT")]
     others = [line for line in lines if line not in headings]
     assert not [line for line in others if not re.fullmatch(r"\$INTHS,(\d+\.\d{4},S|,V)\*[0-9A-F]{2}", line)]
     assert sum(not line.startswith("$INHDT,,T") for line in headings) == (
-        sum(",S*" in line for line in others) if tell_simulated else 0
+        sum(",S*" in line for line in others) if is_tell_simulated else 0
     )
 
 
@@ -150,8 +150,8 @@ def test_a_port_in_use_ends_nmea_out_and_not_the_suite(tmp_path, domain):
             assert process.wait(120) == 2, process.log_text()
             log = process.log_text()
     line = path.read_text().splitlines().index(sink.splitlines()[-1]) + 1
-    told = rf"^\[nmea_out\] nmea_out: {path}:{line}: parameter 'sinks.bridge.port' = .* in use"
-    assert re.search(told, log, re.MULTILINE), log
+    expected = rf"^\[nmea_out\] nmea_out: {path}:{line}: parameter 'sinks.bridge.port' = .* in use"
+    assert re.search(expected, log, re.MULTILINE), log
     assert re.search(r"^\[suite\] nmea_out ended .*: exit code 2; started again ", log, re.MULTILINE)
     assert re.search(r"^\[suite\] play ended after .*: exit code 0; the suite ends with it$", log, re.MULTILINE), log
 

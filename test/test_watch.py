@@ -53,13 +53,13 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 def test_a_displaced_star_sensor_is_out_and_its_direction_is_reported(one_by_one: MonitoredVoyage) -> None:
     first_s = 30.117  # its first exposure after the knock
     assert first_s < one_by_one.out_s["star.starboard"][0] <= first_s + 2.0
-    told = one_by_one.shown_sources["star.starboard"][0]
-    assert told.reason == "excluded"
-    axis, size = told.disagreement.split(" ")
+    starboard = one_by_one.shown_sources["star.starboard"][0]
+    assert starboard.reason == "excluded"
+    axis, size = starboard.disagreement.split(" ")
     assert axis == "right"
     # 50″, with the noise of three exposures: a sigma of 3.2″ each
     assert float(size.rstrip("″")) == pytest.approx(50.0, abs=6.0)
-    assert told.out_since_ns - one_by_one.start_ns == pytest.approx(30.117e9, abs=0.6e9)
+    assert starboard.out_since_ns - one_by_one.start_ns == pytest.approx(30.117e9, abs=0.6e9)
 
 
 @pytest.mark.slow
@@ -125,8 +125,8 @@ def test_a_float_baseline_is_out_and_lights_only_need_it(theodolite: MonitoredVo
 
 @pytest.mark.slow
 def test_exchanged_light_names_are_reported_although_corrected(theodolite: MonitoredVoyage) -> None:
-    told = [(time_s, text) for time_s, text in theodolite.events("source") if "lights" in text]
-    exchanged = [time_s for time_s, text in told if text == "lights IN, names exchanged"]
+    texts = [(time_s, text) for time_s, text in theodolite.events("source") if "lights" in text]
+    exchanged = [time_s for time_s, text in texts if text == "lights IN, names exchanged"]
     assert len(exchanged) == 1
     assert 25.0 < exchanged[0] <= 27.0
     (alert,) = (found for found in conditions(theodolite.state_at[28.0], Limits()) if found.source == "lights")

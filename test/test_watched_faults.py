@@ -68,14 +68,14 @@ class FirstReports:
         lines = screen(picture, picture.alerts, View(80, 24, "ship", "LIVE", ""))
         rows = [plain_text(line) for line in lines]
         for source in picture.sources:
-            told = source.reason or source.disagreement
-            if source.because_of or not told or source.presence is Presence.OFF:
+            text = source.reason or source.disagreement
+            if source.because_of or not text or source.presence is Presence.OFF:
                 continue
             self.record("picture", source.name, picture.utc_ns)
-            if any(source.name in row and told[:20] in row for row in rows):
+            if any(source.name in row and text[:20] in row for row in rows):
                 self.record("terminal", source.name, picture.utc_ns)
             texts = json.dumps(page["sources"], ensure_ascii=False)
-            if source.name in texts and told in texts:
+            if source.name in texts and text in texts:
                 self.record("page", source.name, picture.utc_ns)
 
     def record_branch(self, path: str, text: str, utc_ns: int) -> None:
@@ -85,8 +85,10 @@ class FirstReports:
 
     def check(self, soon_s: Callable[[str], float], early_s: float = 0.0) -> None:
         """Assert that every output named every source soon after it could be detected, and no other before them."""
-        told = {(output, source): known_s for source, known_s in DETECTABLE_S[self._bag].items() for output in OUTPUTS}
-        for (output, source), known_s in told.items():
+        detectable = {
+            (output, source): known_s for source, known_s in DETECTABLE_S[self._bag].items() for output in OUTPUTS
+        }
+        for (output, source), known_s in detectable.items():
             first_s = self.first_s.get((output, source), math.inf)
             assert known_s - early_s <= first_s <= known_s + soon_s(source), (output, source, self.first_s)
         # Only faulty sources are named; the attitude in the alerts is no source.

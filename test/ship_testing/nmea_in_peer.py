@@ -144,7 +144,7 @@ class NmeaInPeer:
         """Process messages until the condition is true; return its result."""
         deadline_s = time.monotonic() + TIMEOUT_S
         while not (found := condition()):
-            assert time.monotonic() < deadline_s, {name: told.message for name, told in self._diagnostics.items()}
+            assert time.monotonic() < deadline_s, {name: status.message for name, status in self._diagnostics.items()}
             self.spin()
         return found
 

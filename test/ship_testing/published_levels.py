@@ -41,7 +41,8 @@ class ProtectionLevelRun(AdapterRun):
     def exceedances(self) -> list[tuple[int, np.ndarray, np.ndarray]]:
         """Return stamp, published, own levels of outputs with own levels unknown or above by more than a twentieth."""
         return [
-            (stamp_of(message), told, own)
-            for message, told, own in self.published_and_own_levels()
-            if np.any(np.isfinite(told) & ~(own <= 1.05 * told)) or (np.isnan(told).any() != np.isnan(own).any())
+            (stamp_of(message), published, own)
+            for message, published, own in self.published_and_own_levels()
+            if np.any(np.isfinite(published) & ~(own <= 1.05 * published))
+            or (np.isnan(published).any() != np.isnan(own).any())
         ]

@@ -203,8 +203,8 @@ def test_a_file_without_alignment_is_named(tmp_path: Path, content: bytes) -> No
     assert "alignment" in adapter.start_warnings[-1]
     attitudes = run_adapter(adapter, voyage()).messages("ship/attitude")
     assert (attitudes[0].status, attitudes[-1].status) == (Status.DEGRADED, Status.VALID)
-    level, told = alignment_text(adapter, END_NS)
-    assert (level, f"set aside as {path}.unreadable" in told) == (1, True)
+    level, text = alignment_text(adapter, END_NS)
+    assert (level, f"set aside as {path}.unreadable" in text) == (1, True)
     assert path.with_name("alignment.yaml.unreadable").read_bytes() == content
     assert adapter.service("save_alignment", END_NS).success
     assert alignment_text(adapter, END_NS + 10 * 10**9) == (0, "as configured or saved")
@@ -223,9 +223,9 @@ def test_without_a_file_the_node_starts_as_configured(tmp_path: Path) -> None:
 def test_the_services_save_and_load(tmp_path: Path) -> None:
     path = tmp_path / "ship" / "alignment.yaml"
     run = run_adapter(new_adapter(alignment_file=str(path)), voyage())
-    told = run.adapter.service("save_alignment", run.now_ns)
-    assert told.success
-    assert str(path) in told.message
+    answer = run.adapter.service("save_alignment", run.now_ns)
+    assert answer.success
+    assert str(path) in answer.message
     assert ALIGNMENT_FILE.load(path).time_ns == run.adapter.core.state.time_ns
 
     later = ShipAttitudeAdapter(config(), FACTORY)
@@ -248,9 +248,9 @@ def test_a_path_that_cannot_be_written_is_named_and_the_node_continues(tmp_path:
     (tmp_path / "file").write_text("", encoding="utf-8")
     path = tmp_path / "file" / "alignment.yaml"
     adapter = run_adapter(new_adapter(alignment_file=str(path)), voyage()).adapter
-    told = adapter.service("save_alignment", START_NS)
-    assert not told.success
-    assert str(path) in told.message
+    answer = adapter.service("save_alignment", START_NS)
+    assert not answer.success
+    assert str(path) in answer.message
 
 
 def test_after_a_jump_of_the_clock_the_saved_alignment_is_the_start_again(saved: Path) -> None:
@@ -276,8 +276,8 @@ def test_a_voyage_without_stars_does_not_make_the_alignment_younger_or_older(sav
 
 def test_without_measurements_nothing_is_saved(tmp_path: Path) -> None:
     adapter = start_adapter(tmp_path / "none.yaml")
-    told = adapter.service("save_alignment", START_NS)
-    assert (told.success, "no star" in told.message) == (False, True)
+    answer = adapter.service("save_alignment", START_NS)
+    assert (answer.success, "no star" in answer.message) == (False, True)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -441,8 +441,8 @@ def test_rates_in_degrees_are_detected_and_rejected_until_corrected() -> None:
     assert 5.0 <= first_s <= 5.7
     assert "rad/s" in refused[0].reason_text
     assert "57" in refused[0].reason_text
-    told_ns = round(first_s * SECOND_NS) + arrivals[0].receive_ns
-    reports = run.diagnostics(f"input {INS}", told_ns, told_ns + 1_100_000_000)
+    detected_ns = round(first_s * SECOND_NS) + arrivals[0].receive_ns
+    reports = run.diagnostics(f"input {INS}", detected_ns, detected_ns + 1_100_000_000)
     assert any(level >= 1 and "units" in text for level, text in reports)
     # Within six seconds of correct rates the effect of the wrong ones is gone.
     assert run.messages("ship/attitude")[-1].status == 0

@@ -92,9 +92,9 @@ def test_the_filter_stores_the_pixel_dwell_of_a_sensor(watch):
         ShipAttitudeConfig,
         {"star_sensors": {"fore": {"input": "observations", **SENSORS["fore"], "camera": camera}}},
     )
-    ship_filter, told = ShipFilter(config), config.star_sensors["fore"].camera
+    ship_filter, sensor = ShipFilter(config), config.star_sensors["fore"].camera
     exposure = exposure_of(watch, "fore", 4)
-    exposure = replace(exposure, spatial=told.spatial_errors(told.camera("camera")))
+    exposure = replace(exposure, spatial=sensor.spatial_errors(sensor.camera("camera")))
     state, first = ship_filter.step(ship_filter.initial_state(), exposure, ins_track(), watch)
     later = replace(exposure, time_ns=TIME_NS + 50_000_000)
     state, second = ship_filter.step(state, later, ins_track(), watch)

@@ -61,7 +61,7 @@ def false_exposure(watch: SkyModel, count: int, rng: np.random.Generator) -> Sta
 @pytest.mark.parametrize("prior", [(72.0, 10.0), (DEGREE, 10.0), (3.0 * DEGREE, 10.0)], ids=str)
 def test_the_number_of_false_matches_is_the_expected_one(watch: SkyModel, prior: tuple[float, float]) -> None:
     """Stars anywhere in the sky, drawn and counted; the bound is that of a Poisson number with the expected mean."""
-    known, rng, fitting, told = prior_of(*prior), np.random.default_rng(1), 0, 0.0
+    known, rng, fitting, expected = prior_of(*prior), np.random.default_rng(1), 0, 0.0
     for _ in range(60):
         # The position of the field in the sky is drawn too, because stars are not uniformly distributed.
         turn = exp_rotation(np.array([0.0, rng.uniform(0.0, 2.0 * np.pi), 0.0]))
@@ -74,9 +74,9 @@ def test_the_number_of_false_matches_is_the_expected_one(watch: SkyModel, prior:
         for row in range(4):
             turned = basis[row] @ np.cross(np.eye(3), moved.rotation_nb @ exposure.directions_s[row])
             gate = turned @ moved.covariance_n @ turned.T + SIGMA**2 * np.eye(2)
-            told += density[row] * np.pi * chi_square_gate(0.9999, 2) * np.sqrt(np.linalg.det(gate))
+            expected += density[row] * np.pi * chi_square_gate(0.9999, 2) * np.sqrt(np.linalg.det(gate))
     # Near the Milky Way there are up to three times as many stars as on average.
-    assert poisson.ppf(5e-4, told / 3.0) <= fitting <= poisson.ppf(1.0 - 5e-4, 3.0 * told)
+    assert poisson.ppf(5e-4, expected / 3.0) <= fitting <= poisson.ppf(1.0 - 5e-4, 3.0 * expected)
 
 
 @pytest.mark.statistics

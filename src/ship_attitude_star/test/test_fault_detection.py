@@ -489,11 +489,11 @@ def test_with_the_ins_excluded_neither_of_two_star_sensors_is_isolated() -> None
 @pytest.mark.slow
 def test_solution_separations_are_in_the_covariance_and_not_in_the_levels() -> None:
     sailed = run_with_errors(InjectedError("star.port", UP * 10.0 / 60.0 * ARCSEC, 20.0, per_s=True), seconds=240.0)
-    told = [
+    published = [
         one for one in sailed.estimates if one.status is Status.VALID and one.state.separation_covariance_n is not None
     ]
-    assert told
-    for one in told[:: max(len(told) // 20, 1)]:
+    assert published
+    for one in published[:: max(len(published) // 20, 1)]:
         assert one.covariance_n - one.covariance_without_separation_n == pytest.approx(
             one.state.separation_covariance_n, rel=1e-6
         )
@@ -578,14 +578,14 @@ def test_a_mounting_shift_without_stars_does_not_exclude_the_ins(seed: int, size
 def test_the_fast_consistency_test_equals_the_full_one(
     lies: tuple[InjectedError, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told = run_with_errors(*lies, seconds=40.0)
+    expected = run_with_errors(*lies, seconds=40.0)
     asked = []
     monkeypatch.setattr(FaultDetector, "_is_all_consistent", lambda *_: bool(asked.append(None)))
     RUNS_BEFORE_ERRORS.clear()
     looked = run_with_errors(*lies, seconds=40.0)
     assert asked
-    assert (looked.excluded, looked.reasons) == (told.excluded, told.reasons)
-    for one, other in zip(looked.estimates, told.estimates, strict=True):
+    assert (looked.excluded, looked.reasons) == (expected.excluded, expected.reasons)
+    for one, other in zip(looked.estimates, expected.estimates, strict=True):
         assert (one.status, one.text) == (other.status, other.text)
         np.testing.assert_array_equal(one.rotation_nd, other.rotation_nd)
         np.testing.assert_array_equal(one.covariance_n, other.covariance_n)
@@ -655,9 +655,9 @@ def test_two_simultaneous_mounting_shifts_are_excluded_with_pairs(
     assert sailed.estimates[-1].status is Status.VALID
     assert_consistent(sailed)
     # Two that remain check one another; a single one is not checked.
-    told = sailed.reports[-1][0]
-    assert (told.state is IntegrityState.UNAVAILABLE) == (sensors == THREE)
-    assert not any("+" in name for name in told.hypotheses)
+    report = sailed.reports[-1][0]
+    assert (report.state is IntegrityState.UNAVAILABLE) == (sensors == THREE)
+    assert not any("+" in name for name in report.hypotheses)
     # Subfilters without one source show the fault, but do not isolate it. All stars may be excluded
     # together, if the corrections add up to more than the drift of the INS.
     without_pairs = run_with_errors(*lies, sensors=sensors, seconds=20.0)

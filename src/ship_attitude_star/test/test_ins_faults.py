@@ -169,8 +169,8 @@ def test_without_stars_a_jump_stays_degraded() -> None:
     )
     after = [m for m in run.messages("ship/attitude") if seconds(m) >= 4.0]
     assert {m.status for m in after} == {Status.DEGRADED}
-    told = run.diagnostics("attitude", run.now_ns - SECOND_NS, run.now_ns)[-1][1]
-    assert told.endswith("confirmation by stars of two different times is pending")
+    text = run.diagnostics("attitude", run.now_ns - SECOND_NS, run.now_ns)[-1][1]
+    assert text.endswith("confirmation by stars of two different times is pending")
 
 
 def test_the_number_of_rejected_samples_is_a_live_parameter() -> None:
@@ -215,7 +215,7 @@ def test_a_sigma_of_the_ins_that_contradicts_the_configured_one_is_reported() ->
     run = run_adapter(new_adapter(), change_where(voyage(), of_ins(), states))
     reports = run.diagnostics("ins noise", START_NS + SECOND_NS, run.now_ns)
     text = "ins/imu states a sigma of 360 arcsec in heading, ins.heading_sigma_arcsec is "
-    assert {(level, told.startswith(text)) for level, told in reports} == {(1, True)}
+    assert {(level, found.startswith(text)) for level, found in reports} == {(1, True)}
     assert_same_attitudes(run, run_adapter(new_adapter(), voyage()))
     reports = run_adapter(new_adapter(), voyage()).diagnostics("ins noise", START_NS + SECOND_NS, run.now_ns)
     assert {level for level, _ in reports} == {0}
@@ -296,8 +296,8 @@ def test_a_frozen_ins_and_a_frozen_star_are_detected_by_the_other_star_and_the_r
     faulty = change_where(change_where(arrivals, of_ins(4.0, 9.0), hold_values(arrivals, 4.0)), chosen, freeze)
     run = run_adapter(new_adapter(), faulty)
     for source in ("ins", "star.fore"):
-        told = [seconds(m) for m in run.innovations(Reason.STUCK) if m.source == source]
-        assert 4.0 < told[0] < 6.0
+        detected_s = [seconds(m) for m in run.innovations(Reason.STUCK) if m.source == source]
+        assert 4.0 < detected_s[0] < 6.0
     assert max(seconds(m) for m in run.innovations(Reason.STUCK)) < 9.0
     assert_consistent(run)
     assert run.messages("ship/attitude")[-1].status == Status.VALID

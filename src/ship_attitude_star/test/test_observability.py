@@ -44,20 +44,20 @@ def sigmas_arcsec(core: ShipAttitudeCore) -> tuple[float, float]:
 
 def test_at_constant_heading_sums_are_observable_and_combinations_are_not() -> None:
     core = run_voyage(voyage(0.0, 290.0))
-    told = core.observability()
+    observability = core.observability()
     # Installation of 1 arcsecond against 10 and 72 of the INS: the INS is observable, the sensors hardly.
-    assert told.sigma_ratios["ins.up"] < 0.05
-    assert told.sigma_ratios["star.fore.up"] > 0.5
-    assert any("star.fore" in words for words in told.unobservable_combinations)
+    assert observability.sigma_ratios["ins.up"] < 0.05
+    assert observability.sigma_ratios["star.fore.up"] > 0.5
+    assert any("star.fore" in words for words in observability.unobservable_combinations)
     # The other sensor makes the roll about its boresight observable: 20″, noise 100″ in each of 145 exposures.
-    assert told.sigma_ratios["star.fore.forward"] < 0.5
+    assert observability.sigma_ratios["star.fore.forward"] < 0.5
 
 
 def test_before_any_star_nothing_is_observed() -> None:
     core = core_for(voyage(0.0, 10.0))
-    told = core.observability()
-    assert set(told.sigma_ratios.values()) == {1.0}
-    assert len(told.unobservable_combinations) == len(told.sigma_ratios)
+    observability = core.observability()
+    assert set(observability.sigma_ratios.values()) == {1.0}
+    assert len(observability.unobservable_combinations) == len(observability.sigma_ratios)
 
 
 def with_mounting_sigma_5_arcsec(scenario: Scenario) -> Scenario:

@@ -33,34 +33,34 @@ def run_with_mounting_shift() -> Run:
 
 
 def test_a_mounting_shift_is_excluded_within_three_measurements() -> None:
-    told = [m for m in run_with_mounting_shift().messages("ship/integrity") if m.excluded]
-    assert told[0].excluded == ["star.fore"]
-    assert stamp_of(told[0]) - KNOCKED_NS < 0.7 * SECOND_NS  # three periods of 0.2 s, and 0.12 s of latency
+    reports = [m for m in run_with_mounting_shift().messages("ship/integrity") if m.excluded]
+    assert reports[0].excluded == ["star.fore"]
+    assert stamp_of(reports[0]) - KNOCKED_NS < 0.7 * SECOND_NS  # three periods of 0.2 s, and 0.12 s of latency
 
 
 def test_the_diagnostics_name_the_excluded_source_and_the_time() -> None:
-    told = next(m for m in run_with_mounting_shift().messages("ship/integrity") if m.excluded)
+    report = next(m for m in run_with_mounting_shift().messages("ship/integrity") if m.excluded)
     report_ns = START_NS + 9 * SECOND_NS
     ((level, text),) = run_with_mounting_shift().diagnostics("integrity", report_ns, report_ns + SECOND_NS)
     assert level == Level.WARN
     seconds = re.fullmatch(r"excluded: star\.fore for (\d+) s", text)
     assert seconds is not None
     # By the levels published last, once a second.
-    assert int(seconds[1]) == pytest.approx((report_ns - stamp_of(told)) / SECOND_NS, abs=1.5)
+    assert int(seconds[1]) == pytest.approx((report_ns - stamp_of(report)) / SECOND_NS, abs=1.5)
 
 
 def test_no_level_is_published_for_an_attitude_before_the_exclusion() -> None:
     """Of two sensors one is left, which is not checked: there is no level from then on."""
-    told = [m for m in run_with_mounting_shift().messages("ship/integrity") if m.excluded]
-    assert {m.state for m in told} == {UNAVAILABLE}
-    assert np.isnan([m.protection_level for m in told]).all()
+    reports = [m for m in run_with_mounting_shift().messages("ship/integrity") if m.excluded]
+    assert {m.state for m in reports} == {UNAVAILABLE}
+    assert np.isnan([m.protection_level for m in reports]).all()
     attitudes = {stamp_of(m): m for m in run_with_mounting_shift().messages("ship/attitude")}
-    assert "star.fore" not in attitudes[stamp_of(told[0])].sources
+    assert "star.fore" not in attitudes[stamp_of(reports[0])].sources
 
 
 def test_levels_are_published_before_the_attitude_and_once_a_second() -> None:
-    told = run_with_mounting_shift().messages("ship/integrity")
-    before = [m for m in told if not m.excluded and stamp_of(m) > START_NS + SECOND_NS]
+    reports = run_with_mounting_shift().messages("ship/integrity")
+    before = [m for m in reports if not m.excluded and stamp_of(m) > START_NS + SECOND_NS]
     assert 3 <= len(before) <= 6
     assert all(np.all(np.asarray(m.protection_level) < 200.0 * ARCSEC) for m in before)
 
@@ -78,5 +78,5 @@ def test_published_levels_cover_each_output() -> None:
 
 def test_constant_levels_are_published_once_a_second() -> None:
     run = ProtectionLevelRun(new_adapter(), voyage(30.0))
-    told = [m for m in run.messages("ship/integrity") if stamp_of(m) >= START_NS + 15 * SECOND_NS]
-    assert 14 <= len(told) <= 16
+    reports = [m for m in run.messages("ship/integrity") if stamp_of(m) >= START_NS + 15 * SECOND_NS]
+    assert 14 <= len(reports) <= 16

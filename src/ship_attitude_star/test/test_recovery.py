@@ -351,6 +351,6 @@ def test_an_exception_in_the_second_estimator_costs_no_output(monkeypatch: pytes
 def test_smoothed_attitudes_continue_after_an_adoption() -> None:
     run = run_voyage(calm(), smoothing_lag_s=5.0)
     assert run.adapter.recovery.adopted == 1
-    told = [since_start_s(m) for m in run.messages("ship/attitude_smoothed")]
-    assert all(earlier < later for earlier, later in pairwise(told))
-    assert told[-1] > LENGTH_S - 8.0
+    stamps_s = [since_start_s(m) for m in run.messages("ship/attitude_smoothed")]
+    assert all(earlier < later for earlier, later in pairwise(stamps_s))
+    assert stamps_s[-1] > LENGTH_S - 8.0

@@ -78,8 +78,8 @@ def star(sharing: str) -> StarSensorConfig:
 
 
 def content(reading: ReadMessage[AttitudeMeasurement]) -> tuple[Any, ...]:
-    told = {name: getattr(reading.value, name) for name in ("source", "shared_by", "covariance_known")}
-    return type(reading.value), reading.value.time_ns, reading.value.content(), reading.covariance_known, told
+    properties = {name: getattr(reading.value, name) for name in ("source", "shared_by", "covariance_known")}
+    return type(reading.value), reading.value.time_ns, reading.value.content(), reading.covariance_known, properties
 
 
 @pytest.mark.parametrize("sharing", [SHARED_BY_SKY, SHARED_BY_MESSAGES, "none"])

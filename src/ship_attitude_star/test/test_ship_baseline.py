@@ -176,8 +176,8 @@ def test_without_the_section_there_is_no_such_device() -> None:
 def test_alignment_contains_its_direction() -> None:
     core = ShipAttitudeCore(make_config())
     run_core(core, np.zeros(3), lambda _, true_nd: true_nd @ BASELINE_D, seconds=3)
-    told = core.alignment()
-    at = dict(zip(told.names, told.values, strict=True))
+    alignment = core.alignment()
+    at = dict(zip(alignment.names, alignment.values, strict=True))
     assert at["baseline.azimuth"] == pytest.approx(np.arctan2(-1.5, 8.0) % (2.0 * np.pi), abs=1e-4)
     assert at["baseline.elevation"] == pytest.approx(np.arctan2(0.4, np.hypot(8.0, 1.5)), abs=1e-4)
 

@@ -268,11 +268,11 @@ def test_streaks_wait_for_the_ins_and_any_order_of_arrival_gives_the_same_state(
 def test_the_ship_attitude_by_streaks_is_consistent_with_its_covariance() -> None:
     assert worst_sigmas(run_new_adapter(voyage_with_streaks())) < 2.5
 
-    def not_told(message: Any) -> None:
+    def hide_length(message: Any) -> None:
         message.exposure_s = np.nan
 
-    believed = change_where(voyage_with_streaks(), lambda a: a.topic in (FORE, STARBOARD), not_told)
-    assert worst_sigmas(run_new_adapter(believed)) > 4.0
+    as_points = change_where(voyage_with_streaks(), lambda a: a.topic in (FORE, STARBOARD), hide_length)
+    assert worst_sigmas(run_new_adapter(as_points)) > 4.0
 
 
 def worst_sigmas(run: Run) -> float:

@@ -251,11 +251,11 @@ def separate_errors(message: Any, known: Knowledge = POOR_FIX) -> AttitudeMeasur
     return found
 
 
-@pytest.mark.parametrize("noise_told", [True, False], ids=["noise told", "one covariance"])
+@pytest.mark.parametrize("is_noise_stated", [True, False], ids=["noise stated", "one covariance"])
 @pytest.mark.parametrize("known", [POOR_FIX, POOR_WEATHER], ids=["poor fix", "poor weather"])
-def test_separated_errors_add_up_to_the_stated_covariance(known: Knowledge, noise_told: bool) -> None:
+def test_separated_errors_add_up_to_the_stated_covariance(known: Knowledge, is_noise_stated: bool) -> None:
     message = one_solution(known)
-    if not noise_told:
+    if not is_noise_stated:
         message.noise_covariance[:] = 0.0
     found, total_n = separate_errors(message, known), horizon_covariance(message.rotation_covariance.reshape(3, 3))
     noise_n = found.rotation_nv @ found.noise_v @ found.rotation_nv.T
@@ -263,7 +263,7 @@ def test_separated_errors_add_up_to_the_stated_covariance(known: Knowledge, nois
     for part in (found.noise_v, found.common_n):
         assert np.linalg.eigvalsh(part)[0] > -1e-9 * np.trace(total_n)
     # Of the suite's own solutions only the catalogue's error remains, at most 0.02" per star.
-    if noise_told:
+    if is_noise_stated:
         assert np.sqrt(np.trace(found.common_n)) < 0.1 * ARCSEC
 
 
@@ -278,10 +278,10 @@ def test_the_shared_rotations_equal_finite_differences_of_the_sky() -> None:
         (2, sky(config, north, POOR_WEATHER.fix_m)),
         (0, sky(replace(config, sky=denser), POSITION, POOR_WEATHER.fix_m)),
     ):
-        moved, as_told = (
+        moved, unmoved = (
             solve_exposure(exposure, (), None, one)[1] for one in (watch, sky_model_with_inputs(POOR_WEATHER))
         )
-        turn_n = log_rotation(moved.solution.rotation_nb @ as_told.solution.rotation_nb.T)
+        turn_n = log_rotation(moved.solution.rotation_nb @ unmoved.solution.rotation_nb.T)
         expected_n = found.shared_n[:, column]
         if column == 0:
             # One sigma of pressure and temperature together.

@@ -60,13 +60,13 @@ def sky() -> SkyModel:
 @functools.cache
 def surroundings() -> tuple[SkyInput, ...]:
     """Place and air, twice."""
-    told = []
+    values = []
     for since_ns in (0, 1_000_000_000):
         for topic in (FIX, PRESSURE, TEMPERATURE, HUMIDITY):
             message = fix(since_ns) if topic == FIX else air(topic, since_ns)
             read = surroundings_reader(topic, CONFIG.sky)(message, receive_ns=START_NS + since_ns)
-            told.append(read.value)
-    return tuple(told)
+            values.append(read.value)
+    return tuple(values)
 
 
 @functools.cache
@@ -111,8 +111,8 @@ def joint_nees(periods: float, seed: int) -> float:
     # Of 16 places between two INS samples one, so that the exact skies are few.
     first_ns = 800_000_000 + int(rng.integers(16)) * INS_PERIOD_NS // 16
     core = StarCore(CONFIG, sky())
-    for told in surroundings():
-        assert core.add_surroundings(told) is None
+    for value in surroundings():
+        assert core.add_surroundings(value) is None
     for time_ns, rotation_nd, rate_d in exact_ins_samples():
         noise = exp_rotation(WHITE_SIGMA_ARCSEC * ARCSEC * rng.standard_normal(3))
         core.add_ins(AttitudeSample(time_ns, noise @ rotation_nd, rate_d))

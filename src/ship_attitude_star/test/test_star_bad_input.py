@@ -197,8 +197,8 @@ def test_mend_08_of_two_exposures_of_one_stamp_neither_holds_nor_do_those_after_
         second = replace(second, receive_ns=mine.receive_ns + apart_ns)
         runs.append(run_new_adapter(sort_by_arrival((*without(voyage(), index), first, second))))
     for run in runs:
-        told, *after = innovations(run, Reason.CONFLICT)
-        assert told.reason_text == "the same stamp with different content: do two sensors publish on one topic?"
+        conflict, *after = innovations(run, Reason.CONFLICT)
+        assert conflict.reason_text == "the same stamp with different content: do two sensors publish on one topic?"
         known_ns = mine.receive_ns + apart_ns
         of_sensor = [a for a in voyage() if a.topic == FORE]
         exposures = [a for a in of_sensor if a.stamp_ns == mine.stamp_ns or a.receive_ns > known_ns]

@@ -81,11 +81,11 @@ def test_without_a_length_an_exposure_is_used_as_it_is(not_given: float) -> None
     assert refused == ()
     assert exposure.length is None
     message.exposure_s = 0.25
-    told = read_exposure(message)[0]
-    assert (told.length.exposure_s, told.length.psf_sigma_px, told.length.camera) == (0.25, 0.8, CAMERA)
-    np.testing.assert_array_equal(told.directions_s, exposure.directions_s)
+    received = read_exposure(message)[0]
+    assert (received.length.exposure_s, received.length.psf_sigma_px, received.length.camera) == (0.25, 0.8, CAMERA)
+    np.testing.assert_array_equal(received.directions_s, exposure.directions_s)
     # Which of two messages of one stamp is kept must not depend on their order.
-    assert told.content() != exposure.content()
+    assert received.content() != exposure.content()
 
 
 @pytest.mark.parametrize(

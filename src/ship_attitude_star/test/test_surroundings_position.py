@@ -315,12 +315,12 @@ def test_a_lasting_jump_is_accepted_and_no_line_connects_it() -> None:
 
 def test_changes_within_the_limits_are_accepted() -> None:
     def refused(*fixes, **config) -> list:
-        told, sky = [], Fixes(SkyConfig(**config))
+        rejections, sky = [], Fixes(SkyConfig(**config))
         for since_s, position, *sigma_m in fixes:
             fix = PositionFix(ns(since_s), position, np.eye(3) * (sigma_m[0] if sigma_m else 3.0) ** 2)
-            told.append(sky.rejection(fix))
+            rejections.append(sky.rejection(fix))
             sky.insert(fix)
-        return [refusal for refusal in told if refusal is not None]
+        return [refusal for refusal in rejections if refusal is not None]
 
     # Another antenna 45 m along the ship; minutes without fixes; a receiver that states a large error.
     assert refused(*(moving_fix(t) for t in range(5)), *(moving_fix(t, 45.0) for t in range(5, 10))) == []

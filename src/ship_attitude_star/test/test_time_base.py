@@ -182,8 +182,8 @@ def test_estimated_ins_errors_are_kept() -> None:
     assert heading_sigma(20.0) == pytest.approx(heading_sigma(19.9), rel=0.05)
     state, calm = run.adapter.core.state, run_with_clocks(new_adapter(), long_voyage(), clock()).adapter.core.state
     assert state.mean == pytest.approx(calm.mean, abs=3e-6)
-    told = dict(run.diagnostics("time base", START_NS, run.now_ns))
-    assert told == {1: "stepped by -300.000 s: reset, mountings and calibration kept"}
+    reports = dict(run.diagnostics("time base", START_NS, run.now_ns))
+    assert reports == {1: "stepped by -300.000 s: reset, mountings and calibration kept"}
 
 
 @pytest.mark.slow

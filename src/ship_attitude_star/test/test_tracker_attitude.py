@@ -125,16 +125,16 @@ def test_uncorrected_aberration_is_corrected_once(watch, sky) -> None:
     seen_n, natural_c, proper_c = sky
     off = {}
     for removed, catalogue_c in ((True, proper_c), (False, natural_c)):
-        for told in (True, False):
+        for stated in (True, False):
             errors = []
             for rotation_ns, _ in scenes((60.0, 85.0), 20):
                 rotation_cs = solve_attitude(seen_n, catalogue_c, rotation_ns, 1000)
                 inertial = InertialAttitude(
-                    "star.fore", TIME_NS, rotation_cs, NOISE_S, field=replace(FIELD, aberration_removed=told)
+                    "star.fore", TIME_NS, rotation_cs, NOISE_S, field=replace(FIELD, aberration_removed=stated)
                 )
                 attitude = to_horizon_attitude(inertial, watch)
                 errors.append(np.linalg.norm(log_rotation(rotation_ns @ attitude.rotation_nv.T)[:3]))
-            off[removed, told] = np.median(errors) / ARCSEC
+            off[removed, stated] = np.median(errors) / ARCSEC
     assert max(off[True, True], off[False, False]) < 5.0
     assert min(off[True, False], off[False, True]) > 8.0
 

@@ -388,10 +388,10 @@ def test_the_page_names_the_values_as_the_definitions_do():
     rows = re.findall(r"^\| `(\w+)` \| (`.*`) \| (0 .*) \|$", page, re.MULTILINE)
     assert len(rows) == 9
     for column, types, text in rows:
-        told = {name: int(value) for value, name in (each.split() for each in text.split(", "))}
+        documented = {name: int(value) for value, name in (each.split() for each in text.split(", "))}
         for name in re.findall(r"\w+", types):
             type_name = f"ship_msgs/msg/{name}"
-            assert value_names(type_name, column, message_store().fielddefs[type_name][0]) == told
+            assert value_names(type_name, column, message_store().fielddefs[type_name][0]) == documented
 
 
 @pytest.mark.parametrize("type_name", [name for name in TYPES if name.startswith("ship_msgs") and constants(name)])

@@ -31,17 +31,17 @@ def test_a_new_file_begins_by_size_and_rosbags_reads_them_as_one(tmp_path):
         write(bag, range(part * 10, part * 10 + 10))
         bag.flush()
     bag.close()
-    told = information(tmp_path / "voyage")
-    names = told["relative_file_paths"]
+    metadata = information(tmp_path / "voyage")
+    names = metadata["relative_file_paths"]
     assert len(names) > 2
     assert names == [f"voyage_{number}.mcap" for number in range(len(names))]
     # A file goes beyond the limit by one flush at most, and by its summary.
     assert all((tmp_path / "voyage" / name).stat().st_size < 3000 + 6000 for name in names)
-    assert (told["version"], told["storage_identifier"], told["message_count"]) == (9, "mcap", 200)
-    assert told["starting_time"]["nanoseconds_since_epoch"] == START_NS
-    assert told["duration"]["nanoseconds"] == 199 * PERIOD_NS
-    assert sum(file["message_count"] for file in told["files"]) == 200
-    imu_topic, latched_topic = told["topics_with_message_count"]
+    assert (metadata["version"], metadata["storage_identifier"], metadata["message_count"]) == (9, "mcap", 200)
+    assert metadata["starting_time"]["nanoseconds_since_epoch"] == START_NS
+    assert metadata["duration"]["nanoseconds"] == 199 * PERIOD_NS
+    assert sum(file["message_count"] for file in metadata["files"]) == 200
+    imu_topic, latched_topic = metadata["topics_with_message_count"]
     assert (imu_topic["topic_metadata"]["name"], imu_topic["message_count"]) == ("/ins/imu", 200)
     assert latched_topic["topic_metadata"]["offered_qos_profiles"][0]["durability"] == "transient_local"
     assert imu_topic["topic_metadata"]["type_description_hash"].startswith("RIHS01_")

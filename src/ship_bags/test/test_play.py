@@ -70,7 +70,7 @@ def test_each_loop_is_one_clean_reset_of_a_node(domain, tmp_path):
     (tmp_path / "suite.yaml").write_text(SUITE)
     node = domain.start("ship_attitude_star", "ship_attitude", "--ros-args", "--params-file", tmp_path / "suite.yaml")
     attitudes = domain.listen("ship/attitude", ShipAttitude)
-    told = domain.listen("/diagnostics", DiagnosticArray)
+    received = domain.listen("/diagnostics", DiagnosticArray)
     assert domain.graph.wait_for(publishers={"/ship/attitude": 1}, unless=lambda: node.exit_code is not None)
     player = domain.play(bag, "--loop", "3", "--wait-for-subscribers", "ins/imu", "/clock")
     assert player.exit_code == 0, player.log_text()
@@ -78,7 +78,7 @@ def test_each_loop_is_one_clean_reset_of_a_node(domain, tmp_path):
     def counted():
         return [
             value.value
-            for array in told
+            for array in received
             for status in array.status
             for value in status.values
             if value.key == "clock jumps back"

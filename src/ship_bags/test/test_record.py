@@ -135,11 +135,11 @@ class TestLive:
             recording.send(1500)
             assert recording.process.end(signal.SIGINT) == 0
         assert sample_numbers(folder) == list(range(1500))
-        told = information(folder)
-        assert len(told["relative_file_paths"]) > 3
-        assert told["message_count"] == len(rosbags_times(folder)) == 1500
+        metadata = information(folder)
+        assert len(metadata["relative_file_paths"]) > 3
+        assert metadata["message_count"] == len(rosbags_times(folder)) == 1500
         # The publisher's QoS, as far as DDS transmits it.
-        profiles = told["topics_with_message_count"][0]["topic_metadata"]["offered_qos_profiles"]
+        profiles = metadata["topics_with_message_count"][0]["topic_metadata"]["offered_qos_profiles"]
         # A publisher of the test before may still be known to DDS.
         assert ("reliable", "volatile") in {(profile["reliability"], profile["durability"]) for profile in profiles}
 

@@ -74,9 +74,9 @@ def test_an_oversized_chunk_is_refused_with_its_offset(tmp_path, compression, st
     offset = with_chunks(tmp_path / "a.mcap", chunk_bytes(content, compression, stated))
     with read_bag(tmp_path / "a.mcap") as bag:
         assert sum(1 for _ in bag.records()) == 100
-        told = [problem for problem in bag.problems if f"the chunk at byte {offset} is damaged" in problem]
-    assert len(told) == 1
-    assert complaint in told[0]
+        problems = [problem for problem in bag.problems if f"the chunk at byte {offset} is damaged" in problem]
+    assert len(problems) == 1
+    assert complaint in problems[0]
 
 
 def test_a_chunk_of_too_many_empty_messages_is_refused(tmp_path):

@@ -79,17 +79,17 @@ P256 = "-algorithm", "EC", "-pkeyopt", "ec_paramgen_curve:prime256v1"
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "finding"),
     [
         (("-algorithm", "RSA", "-pkeyopt", "rsa_keygen_bits:1024"), "its RSA key has 1024 bits: expected"),
         (("-algorithm", "EC", "-pkeyopt", "ec_paramgen_curve:secp224r1"), "its curve secp224r1 has 224 bits"),
         (("-algorithm", "EC", "-pkeyopt", "ec_paramgen_curve:wap-wsg-idm-ecid-wtls8"), "its key cannot be used"),
     ],
 )
-def test_too_short_key(keystore, tmp_path, options, told):
+def test_too_short_key(keystore, tmp_path, options, finding):
     issue(keystore, tmp_path, *options)
     texts = texts_of(keystore)
-    assert any(text.startswith(f"{keystore.folder(NODE)}/cert.pem: too weak: {told}") for text in texts), texts
+    assert any(text.startswith(f"{keystore.folder(NODE)}/cert.pem: too weak: {finding}") for text in texts), texts
 
 
 @pytest.mark.parametrize(
@@ -140,8 +140,8 @@ def test_private_key_of_the_authority(keystore, place):
     path = keystore.path / place
     write_private(path, AUTHORITY.key)
     (text,) = texts_of(keystore)
-    told = "the private key of the authority 'CN=sros2CA': whoever reads it can make certificates of this ship"
-    assert text == f"{path}: {told}"
+    expected = "the private key of the authority 'CN=sros2CA': whoever reads it can make certificates of this ship"
+    assert text == f"{path}: {expected}"
     # It is corrected ashore: a suite can be started again at sea.
     assert require_keystore(keystore.path, KeystoreUse(RIGHTS, DOMAIN, NOW, 30 * DAY)) == [text]
     (row, *_) = check_keystore(str(keystore.path), KeystoreUse(RIGHTS, DOMAIN, NOW, 30 * DAY), False)

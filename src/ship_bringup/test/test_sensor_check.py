@@ -31,7 +31,7 @@ def test_good_sensor():
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "expected"),
     [({"publishers": ()}, "no publisher"),
      ({"publishers": (Publisher("/d", "std_msgs/msg/String"),)}, "/d publishes std_msgs/msg/String, expected " + IMU),
      ({"count": 0}, "/ins_driver publishes it, but no message arrived"),
@@ -43,15 +43,15 @@ def test_good_sensor():
      ({"age_s": 2.1}, "later than lag_s"),
      ({"age_s": float("nan")}, "stamps nan")],
 )  # fmt: skip
-def test_unusable_sensor_fails(changes, told):
+def test_unusable_sensor_fails(changes, expected):
     result, found = evaluate(**changes)
     assert result is Result.FAIL
-    assert told in found
+    assert expected in found
 
 
 def test_single_message_of_a_slow_sensor():
-    told = "ins/imu: one message from /ins_driver, stamps 0.012 s old"
-    assert evaluate(limits=Limits(), count=1, rate_hz=0.0) == (Result.OK, told)
+    text = "ins/imu: one message from /ins_driver, stamps 0.012 s old"
+    assert evaluate(limits=Limits(), count=1, rate_hz=0.0) == (Result.OK, text)
 
 
 @pytest.mark.parametrize(
@@ -64,13 +64,13 @@ def test_rate_from_mean_interval(count, span_s, rate_hz):
 
 
 @pytest.mark.parametrize(
-    ("age_s", "told"),
+    ("age_s", "text"),
     [(390513437.825, "12 years old"), (-390513437.825, "12 years in the future"), (119.0, "119.000 s old"),
      (130.0, "2 minutes old"), (3.0 * 3600.0, "3 hours old"), (5.0 * 86400.0, "5 days old")],
 )  # fmt: skip
-def test_age_texts(age_s, told):
+def test_age_texts(age_s, text):
     """390513437.825 s / (365.25 x 86400 s) = 12.4 years."""
-    assert evaluate(age_s=age_s)[1].endswith(f"stamps {told}")
+    assert evaluate(age_s=age_s)[1].endswith(f"stamps {text}")
 
 
 def test_old_stamps_with_clock_are_of_a_bag():

@@ -372,9 +372,9 @@ def test_restart_without_file_descriptors_is_retried():
     before = resource.prlimit(keeper.pid, resource.RLIMIT_NOFILE)
     resource.prlimit(keeper.pid, resource.RLIMIT_NOFILE, (4, before[1]))
     os.kill(first, signal.SIGKILL)
-    told = [keeper.stdout.readline() for _ in range(4)]
-    assert "started again at once" in told[0]
-    assert all(re.search(r"cannot be started: Too many open files; tried again in [124] s", each) for each in told[1:])
+    lines = [keeper.stdout.readline() for _ in range(4)]
+    assert "started again at once" in lines[0]
+    assert all(re.search(r"cannot be started: Too many open files; tried again in [124] s", each) for each in lines[1:])
     assert keeper.poll() is None
     os.kill(other, 0)
     resource.prlimit(keeper.pid, resource.RLIMIT_NOFILE, before)

@@ -134,21 +134,21 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
 @pytest.mark.parametrize("seed", range(20))
 def test_outputs_are_covered_up_to_the_first_one_beyond_a_bound(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    count, told = 12, rng.uniform(-1.0, 1.0, (3, 3))
+    count, published = 12, rng.uniform(-1.0, 1.0, (3, 3))
     times_ns, covariances = 100 * np.arange(count), rng.uniform(0.0, 1.0, (count, 3, 3))
-    directions = told + rng.uniform(-0.1, 0.1, (count, 3, 3))
+    directions = published + rng.uniform(-0.1, 0.1, (count, 3, 3))
     if seed % 4 == 0:
         covariances[rng.integers(count), 1, 1] = np.nan
     until_ns, variance, turned = int(rng.integers(300, 1500)), rng.uniform(1.5, 3.0), rng.uniform(0.08, 0.101)
     within = (
         (times_ns < until_ns)
         & (covariances.trace(axis1=1, axis2=2) <= variance)
-        & (np.abs(directions - told).max(axis=(1, 2)) <= turned)
+        & (np.abs(directions - published).max(axis=(1, 2)) <= turned)
     )
     expected = count if within.all() else int(np.argmin(within))
-    found = compiled_integrity.covered_count(times_ns, covariances, directions, until_ns, variance, told, turned)
+    found = compiled_integrity.covered_count(times_ns, covariances, directions, until_ns, variance, published, turned)
     assert found == expected
-    assert compiled_integrity.covered_count(times_ns, covariances, directions, 10**6, np.inf, told, np.inf) == (
+    assert compiled_integrity.covered_count(times_ns, covariances, directions, 10**6, np.inf, published, np.inf) == (
         count if seed % 4 else int(np.argmax(np.isnan(covariances.trace(axis1=1, axis2=2))))
     )
 
@@ -160,12 +160,12 @@ def test_outputs_of_other_shapes_are_refused() -> None:
             compiled_integrity.covered_count(*outputs, 1, 1.0, np.zeros((3, 3)), 1.0)
 
 
-def numpy_coverage(level: FloatArray, told: FloatArray, covariance: FloatArray, entering: float):
+def numpy_coverage(level: FloatArray, published: FloatArray, covariance: FloatArray, entering: float):
     """Return the coverage of an output by published levels, and the bounds of variance and rotation for later ones."""
-    covers = bool(np.all(level <= 1.05 * told) or np.all(np.isnan(level) & np.isnan(told)))
+    covers = bool(np.all(level <= 1.05 * published) or np.all(np.isnan(level) & np.isnan(published)))
     if not np.isfinite(level).all():
         return covers, np.inf, np.inf
-    room = 0.5 * (np.min(1.05 * told / level) - 1.0)
+    room = 0.5 * (np.min(1.05 * published / level) - 1.0)
     variance = covariance.trace() + np.linalg.eigvalsh(covariance)[0] * ((1.0 + room) ** 2 - 1.0)
     return covers, variance, room * level.min() / max(entering, 1e-12)
 
@@ -174,13 +174,13 @@ def numpy_coverage(level: FloatArray, told: FloatArray, covariance: FloatArray, 
 def test_coverage_of_published_levels_equals_numpy(seed: int) -> None:
     rng = np.random.default_rng(seed)
     level, covariance = rng.uniform(1e-5, 1e-4, 3), covariances(rng, 3)
-    told = level * rng.uniform(0.93, 1.1, 3)
+    published = level * rng.uniform(0.93, 1.1, 3)
     if seed % 5 == 0:
         level[seed % 3] = np.nan
     if seed % 10 == 0:
-        level[:] = told[:] = np.nan
+        level[:] = published[:] = np.nan
     entering = 0.0 if seed % 7 == 0 else 1e-4
-    found = compiled_integrity.coverage(level, told, covariance, entering, 1.05, 1e-12)
-    expected = numpy_coverage(level, told, covariance, entering)
+    found = compiled_integrity.coverage(level, published, covariance, entering, 1.05, 1e-12)
+    expected = numpy_coverage(level, published, covariance, entering)
     assert found[0] is expected[0]
     np.testing.assert_allclose(found[1:], expected[1:], rtol=1e-11)

@@ -99,12 +99,12 @@ def _voyage(seed, sensors, knocks=None, epochs=2 * AT, pairs=False):
         epochs: measurements of each sensor.
         pairs: whether rows leave out two.
     """
-    base, told = copy.deepcopy(_before_shifts(seed, sensors, pairs)), None
+    base, detected_at = copy.deepcopy(_before_shifts(seed, sensors, pairs)), None
     for epoch, found in base.until(epochs, knocks or {}):
-        told = epoch - AT if found.is_detected and told is None else told
+        detected_at = epoch - AT if found.is_detected and detected_at is None else detected_at
         if found.subfilter is not None:
-            return told, base.bank.left_out[found.subfilter]
-    return None if told is None else (told, None)
+            return detected_at, base.bank.left_out[found.subfilter]
+    return None if detected_at is None else (detected_at, None)
 
 
 @pytest.mark.parametrize("sensors", [2, 3])
@@ -163,11 +163,11 @@ def test_pair_subfilter_is_tested_if_no_single_one_explains_the_fault_or_if_it_s
     assert isolate_fault(seen, uses, np.zeros(4), 5.0, [1, 2], 0, larger_subfilters=[3]).subfilter == 3
     agrees = initial_means(4, 3)
     agrees.last_measured_ns[:] = 0
-    for far, told in ((6.0, 3), (5.2, None)):
+    for far, expected in ((6.0, 3), (5.2, None)):
         # No separation is clearly the largest, and no subfilter of one source exceeds the threshold.
         assert (
             isolate_fault(agrees, uses, np.array([0.0, 4.5, 4.4, far]), 5.0, [1, 2], 0, larger_subfilters=[3]).subfilter
-            == told
+            == expected
         )
 
 

@@ -289,5 +289,5 @@ def test_clock_offset_is_reported_above_four_configured_sigmas() -> None:
         "ins clock off by 12 ms, 8 sigma of ins.time_offset_sigma_s"
     ]
     mean[4] = -0.0041
-    told = clock_diagnoses(model, mean, {"star": "star_sensors"})
-    assert told[1:] == ["star.bow clock off by -4.1 ms, 4 sigma of star_sensors.bow.time_offset_sigma_s"]
+    reports = clock_diagnoses(model, mean, {"star": "star_sensors"})
+    assert reports[1:] == ["star.bow clock off by -4.1 ms, 4 sigma of star_sensors.bow.time_offset_sigma_s"]

@@ -62,9 +62,9 @@ def test_freeze_in_calm_swell_is_detected_within_two_seconds_and_ends_with_the_n
     samples = stream(**HEALTHY[PRINTED])
     frozen = [replace(s, rotation_nd=samples[3000].rotation_nd) for s in samples[3000:3300]]
     results, _, jumps = check_sample([*samples[:3000], *frozen, *samples[3300:]])
-    told = results.index("STUCK")
-    assert 3000 < told <= 3200
-    assert set(results[told:3300]) == {"STUCK"}
+    detected = results.index("STUCK")
+    assert 3000 < detected <= 3200
+    assert set(results[detected:3300]) == {"STUCK"}
     moved = next(i for i in range(3300, 3400) if np.any(samples[i].rotation_nd != frozen[0].rotation_nd))
     assert set(results[moved:]) == {""}
     assert jumps == 0
@@ -211,16 +211,16 @@ def test_drift_of_the_attitude_against_its_rates_is_detected_within_seconds(per_
     walk = np.cumsum(rng.normal(0.0, 0.3 / np.sqrt(50.0), len(samples)))
     creeps_s = [max(one.time_ns - samples[5000].time_ns, 0) * 1e-9 for one in samples]
     off = walk + per_min_arcsec / 60.0 * np.array(creeps_s)
-    guard, told = InsCheck(CheckedInsConfig()), []
+    guard, detected_s = InsCheck(CheckedInsConfig()), []
     for one, east, creeping_s in zip(samples, off, creeps_s, strict=True):
         judged_one = guard.check(replace(one, rotation_nd=east_attitude(east) @ one.rotation_nd), NOTHING_LATE, {})
         if judged_one.jumps:
-            told.append(creeping_s)
+            detected_s.append(creeping_s)
             assert judged_one.jumps[0].is_drift
             assert judged_one.rejection is not None
             assert "drifted" in judged_one.rejection.text
-    assert bool(told) == (per_min_arcsec > 0.0)
-    assert not told or 0.0 < told[0] < 7.0
+    assert bool(detected_s) == (per_min_arcsec > 0.0)
+    assert not detected_s or 0.0 < detected_s[0] < 7.0
 
 
 @pytest.mark.parametrize(("every", "phase"), [(5, 1), (10, 2)])

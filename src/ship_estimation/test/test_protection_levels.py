@@ -46,8 +46,8 @@ def test_error_under_an_undetected_fault_is_within_the_protection_level():
             np.array([np.delete(measured, i, 0).mean(axis=0) for i in range(3)]),
         )
         found = solution_separations(left_out - estimate_0, np.full((3, 3), 4.5), np.full(3, 3.0), k)
-        told = found.statistic.max() > k.false_exclusion
-        misled += not told and bool(np.any(np.abs(estimate_0) > found.level))
+        is_detected = found.statistic.max() > k.false_exclusion
+        misled += not is_detected and bool(np.any(np.abs(estimate_0) > found.level))
     assert misled == 0
 
 
@@ -69,8 +69,8 @@ def misled_by_two_faults(sensors, bias, pairs, draws=300, seed=5):
         estimate = measured.mean(axis=0)
         distance = np.array([measured[row].mean(axis=0) for row in uses]) - estimate
         found = solution_separations(distance, variances, np.full(3, 9.0 / sensors), k)
-        told = not found.statistic.max() <= k.false_exclusion
-        misled += not told and bool(np.any(np.abs(estimate) > found.level))
+        is_detected = not found.statistic.max() <= k.false_exclusion
+        misled += not is_detected and bool(np.any(np.abs(estimate) > found.level))
     return misled / draws
 
 
@@ -136,10 +136,10 @@ def test_no_level_with_a_separation_above_its_threshold(statistic):
         # In the subfilter the sigma is 2 instead of the square root of 3: the separation has a sigma of 1.
         distance = np.array([[0.5] * 3, [beyond] * 3])
         found = solution_separations(distance, np.full((2, 3), 4.0), np.full(3, 3.0), k)
-        told = integrity_report(0, IntegrityConfig(), k, ("star.bow", "ins"), found, (), is_checked=True)
-        assert told.state is state
-        np.testing.assert_allclose(told.statistic, [0.5, beyond])
-        assert np.isfinite(told.level).all() == (state is IntegrityState.NO_LIMIT)
+        report = integrity_report(0, IntegrityConfig(), k, ("star.bow", "ins"), found, (), is_checked=True)
+        assert report.state is state
+        np.testing.assert_allclose(report.statistic, [0.5, beyond])
+        assert np.isfinite(report.level).all() == (state is IntegrityState.NO_LIMIT)
 
 
 def test_excluded_source_does_not_affect_the_level():
@@ -147,10 +147,10 @@ def test_excluded_source_does_not_affect_the_level():
     k = SigmaMultipliers(fault_free=6.0, false_exclusion=5.12, missed_detection=np.array([2.0, 2.0]))
     distance, variance = np.array([[100.0] * 3, [0.5] * 3]), np.array([[9.0] * 3, [4.0] * 3])
     found = solution_separations(distance, variance, np.full(3, 3.0), k, subfilter_indices=[1])
-    told = integrity_report(7, IntegrityConfig(), k, ("ins",), found, (("star.bow", 5),), is_checked=True)
-    assert told.largest_sigma == 2.0
-    assert (told.hypotheses, told.excluded, told.dominant) == (("ins",), (("star.bow", 5),), "")
-    np.testing.assert_allclose(told.level, 6.0 * np.sqrt(3.0))
+    report = integrity_report(7, IntegrityConfig(), k, ("ins",), found, (("star.bow", 5),), is_checked=True)
+    assert report.largest_sigma == 2.0
+    assert (report.hypotheses, report.excluded, report.dominant) == (("ins",), (("star.bow", 5),), "")
+    np.testing.assert_allclose(report.level, 6.0 * np.sqrt(3.0))
 
 
 def test_without_tested_hypotheses_there_is_no_level():
@@ -158,9 +158,9 @@ def test_without_tested_hypotheses_there_is_no_level():
     found = solution_separations(np.zeros((1, 3)), np.full((1, 3), 9.0), np.full(3, 3.0), k, subfilter_indices=nobody)
     for limit, state in (((), IntegrityState.NO_LIMIT), ((1e6,) * 3, IntegrityState.EXCEEDED)):
         config = IntegrityConfig(alert_limit_arcsec=limit)
-        told = integrity_report(0, config, k, (), found, (), is_checked=True)
-        assert (told.state, told.largest_sigma, told.dominant) == (state, 0.0, "")
-        assert np.isnan(told.level).all()
+        report = integrity_report(0, config, k, (), found, (), is_checked=True)
+        assert (report.state, report.largest_sigma, report.dominant) == (state, 0.0, "")
+        assert np.isnan(report.level).all()
 
 
 def test_separation_inflation_starts_at_three_sigmas_and_ignores_nan():

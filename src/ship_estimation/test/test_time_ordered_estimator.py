@@ -199,10 +199,10 @@ def test_measurement_waits_for_its_data_up_to_the_lag() -> None:
     estimator.add_sample(0, 0.1)
     assert estimator.add(toy(10)).decisions == []
     assert estimator.add(toy(20)).decisions == []
-    told = estimator.add_sample(15, 0.1).decisions
-    assert told == []  # a differenced rate needs one more
-    told = estimator.add_sample(18, 0.1).decisions
-    assert [decision.measurement.time_ns // MS for decision in told] == [10]
+    decisions = estimator.add_sample(15, 0.1).decisions
+    assert decisions == []  # a differenced rate needs one more
+    decisions = estimator.add_sample(18, 0.1).decisions
+    assert [decision.measurement.time_ns // MS for decision in decisions] == [10]
     outcome = estimator.add(toy(2021))
     assert [decision.measurement.time_ns // MS for decision in outcome.decisions] == [20]
 
@@ -410,8 +410,8 @@ def test_flood_with_random_stamps_is_limited_by_overflow() -> None:
     # Each once, once more when the window closes, and the repeats of each second; the first second has one in reserve.
     assert len(estimator.decided) < 2 * (taken + len(in_order)) + MOST_REPEATS_PER_S * (seconds + LAG_S + 1.0)
     assert max(at_once) < MOST_REPEATS_AT_ONCE + 20
-    told = next(text for text in texts if "source" in text)
-    assert told.endswith(f"later ones of their source: {MOST_OVERTAKEN_PER_S} such pairs a second are accepted")
+    report = next(text for text in texts if "source" in text)
+    assert report.endswith(f"later ones of their source: {MOST_OVERTAKEN_PER_S} such pairs a second are accepted")
 
 
 def test_overflow_does_not_change_the_state() -> None:
@@ -421,8 +421,8 @@ def test_overflow_does_not_change_the_state() -> None:
         if outcome.rejection is None or outcome.rejection.reason is not Reason.OVERFLOW:
             assert without.add(late).rejection == outcome.rejection
         assert estimator.shell.state == without.shell.state, number
-    told, told_without = ([(d.measurement, d.accepted) for d in e.decided] for e in (estimator, without))
-    assert told == told_without
+    decisions, decisions_without = ([(d.measurement, d.accepted) for d in e.decided] for e in (estimator, without))
+    assert decisions == decisions_without
 
 
 def test_flood_of_late_samples_is_rate_limited_and_gives_the_same_state() -> None:

@@ -102,11 +102,11 @@ def test_faults_of_a_theodolite_name_their_sources(tmp_path: Path) -> None:
 def test_alerts_of_sources_name_the_lost_functions(faulty: Path) -> None:
     """While a source that causes a lost angle is OUT, the output has no alert of its own."""
     voyage = Voyage(faulty)
-    told: set[str] = set()
+    active: set[str] = set()
     for time_s, change in voyage.changes:
-        (told.add if change.alert.state in (1, 2, 3) else told.discard)(change.alert.id)
+        (active.add if change.alert.state in (1, 2, 3) else active.discard)(change.alert.id)
         if 20.6 <= time_s <= 25.0:
-            assert told == {"ins.out"}
+            assert active == {"ins.out"}
 
 
 @pytest.mark.slow

@@ -38,15 +38,15 @@ class Ship:
         self.executor.add_node(self.node)
         self.attitudes = self.node.create_publisher(ShipAttitude, "ship/attitude", 10)
         self.diagnostics = self.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.heard, self.told = [], {}
-        self.node.create_subscription(AlertArray, "ship/alerts", self.heard.append, LATCHED)
+        self.alert_messages, self.statuses = [], {}
+        self.node.create_subscription(AlertArray, "ship/alerts", self.alert_messages.append, LATCHED)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._take_statuses, 100)
         self.acknowledger = self.node.create_client(AcknowledgeAlert, "alerts/acknowledge")
         self.silencer = self.node.create_client(Trigger, "alerts/silence")
-        self.box_level = None
+        self.black_box_level = None
 
     def _take_statuses(self, message):
-        self.told |= {status.name: status for status in message.status}
+        self.statuses |= {status.name: status for status in message.status}
 
     def sail(self, seconds=0.1, sigma_arcsec=0.5, is_silent=False):
         """Run for some seconds, with or without attitudes at 20 Hz."""
@@ -58,16 +58,16 @@ class Ship:
                 variance = (sigma_arcsec * 4.848e-6) ** 2
                 message.covariance = [variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance]
                 self.attitudes.publish(message)
-            if self.box_level is not None:
+            if self.black_box_level is not None:
                 text, values = "writing failed: No space left on device", [KeyValue(key="bytes", value="1")]
                 name = "ship_attitude: black box"
-                status = DiagnosticStatus(level=self.box_level, name=name, message=text, values=values)
+                status = DiagnosticStatus(level=self.black_box_level, name=name, message=text, values=values)
                 self.diagnostics.publish(DiagnosticArray(status=[status]))
             self.executor.spin_once(timeout_sec=0.05)
 
     def alerts(self):
         """Return id → alert of the last message; None before the first."""
-        return {alert.id: alert for alert in self.heard[-1].alerts} if self.heard else None
+        return {alert.id: alert for alert in self.alert_messages[-1].alerts} if self.alert_messages else None
 
     def call(self, client, request):
         """Return the answer of a service."""
@@ -157,11 +157,11 @@ def test_alert_is_raised_acknowledged_and_survives_its_node(ship, start, until, 
 
     node.kill()
     node.wait(10)
-    ship.heard.clear()
+    ship.alert_messages.clear()
     again = start(*named)
     # The first message of the new node contains the alert with its acknowledgement.
     sailing(lambda alerts: alerts is not None, is_silent=True)
-    first = {alert.id: (alert.priority, alert.state, alert.instance) for alert in ship.heard[0].alerts}
+    first = {alert.id: (alert.priority, alert.state, alert.instance) for alert in ship.alert_messages[0].alerts}
     assert first["attitude.silent"] == (Alert.ALARM, ACKNOWLEDGED, 1)
     sailing(lambda alerts: "attitude.silent" not in alerts)
     assert states(ship.alerts()) == {"attitude.degraded": (Alert.CAUTION, ACKNOWLEDGED)}
@@ -184,7 +184,7 @@ def test_diagnostics_are_received_and_published(ship, start, until, tmp_path):
         ship.sail(0.2, sigma_arcsec=20.0)
         return "ship_attitude.box" in (ship.alerts() or {})
 
-    ship.box_level = DiagnosticStatus.ERROR
+    ship.black_box_level = DiagnosticStatus.ERROR
     until(look, 30.0)
     assert ship.alerts()["ship_attitude.box"].priority == Alert.WARNING
     name = "alerts: functions/heading within 6″"
@@ -192,13 +192,13 @@ def test_diagnostics_are_received_and_published(ship, start, until, tmp_path):
     def is_lost():
         # Before the first message the function is unknown, not lost.
         ship.sail(0.2, sigma_arcsec=20.0)
-        return name in ship.told and ship.told[name].level == DiagnosticStatus.ERROR
+        return name in ship.statuses and ship.statuses[name].level == DiagnosticStatus.ERROR
 
     until(is_lost, 10.0)
-    lost = ship.told[name]
+    lost = ship.statuses[name]
     assert lost.message.startswith("lost, ")
     assert "39.2″ (95 %), limit 6″" in lost.message
-    assert ship.told["alerts: callbacks"].level == DiagnosticStatus.OK
+    assert ship.statuses["alerts: callbacks"].level == DiagnosticStatus.OK
 
 
 def test_wrong_limits_end_the_node_at_once(tmp_path, capsys):
@@ -206,10 +206,10 @@ def test_wrong_limits_end_the_node_at_once(tmp_path, capsys):
     limits = tmp_path / "limits.yaml"
     limits.write_text("tilt_arcsec: 3.0\nhedding_arcsec: 5.0\n")
     assert main(["--limits", str(limits)]) == 2
-    told = capsys.readouterr().err
-    assert f"{limits}:2: parameter 'hedding_arcsec' is unknown" in told
-    assert "did you mean 'heading_arcsec'?" in told
-    assert told.count("\n") == 1
+    error = capsys.readouterr().err
+    assert f"{limits}:2: parameter 'hedding_arcsec' is unknown" in error
+    assert "did you mean 'heading_arcsec'?" in error
+    assert error.count("\n") == 1
 
 
 def test_each_namespace_has_its_own_file(monkeypatch, tmp_path):
@@ -228,10 +228,10 @@ def test_alerts_are_in_the_recording(start, tmp_path):
     assert record(["--out", str(bag), "--duration-s", "14"]) == 0
     with read_bag(bag) as recorded:
         messages = [each.decode() for each in recorded.records(["/demo/ship/alerts"])]
-    told = [[(alert.id, alert.priority, alert.state) for alert in message.alerts] for message in messages]
+    states = [[(alert.id, alert.priority, alert.state) for alert in message.alerts] for message in messages]
     warning, alarm = (("attitude.silent", priority, UNACKNOWLEDGED) for priority in (Alert.WARNING, Alert.ALARM))
-    assert [warning] in told
-    assert told[-1] == [alarm]
+    assert [warning] in states
+    assert states[-1] == [alarm]
 
 
 @pytest.mark.parametrize(

@@ -50,8 +50,8 @@ def subscribe_and_wait(server, client, *topics):
 
 def test_server_info_has_the_name_and_no_capabilities(server, connect):
     client = connect()
-    told = client.wait_until(lambda: client.server_messages and client.server_messages[0])
-    assert (told["op"], told["name"], told["capabilities"]) == ("serverInfo", "demo", [])
+    info = client.wait_until(lambda: client.server_messages and client.server_messages[0])
+    assert (info["op"], info["name"], info["capabilities"]) == ("serverInfo", "demo", [])
 
 
 def test_message_arrives_with_bytes_time_and_definition(server, connect):

@@ -58,7 +58,7 @@ class Minutes:
 @contextlib.contextmanager
 def served(theme):
     """Return the address of a page with the panels only, and the panels."""
-    told: Queue = Queue()
+    queue: Queue = Queue()
     minutes = Minutes()
 
     def fill(document):
@@ -72,21 +72,21 @@ def served(theme):
             panels.update(minutes.history, minutes.picture)
 
         document.add_periodic_callback(go_on, 1000)
-        told.put(panels)
+        queue.put(panels)
 
     def run():
         asyncio.set_event_loop(asyncio.new_event_loop())
         server = Server({"/": Application(FunctionHandler(fill))}, port=0, address="127.0.0.1")
         server.start()
-        told.put(server)
+        queue.put(server)
         server.io_loop.start()
         server.stop()
 
     thread = threading.Thread(target=run, daemon=True)
     thread.start()
-    server = told.get(timeout=20.0)
+    server = queue.get(timeout=20.0)
     try:
-        yield f"http://127.0.0.1:{server.port}/", told
+        yield f"http://127.0.0.1:{server.port}/", queue
     finally:
         server.io_loop.add_callback(server.io_loop.stop)
         thread.join(20.0)
@@ -146,9 +146,9 @@ def test_new_points_are_streamed_and_the_time_goes_on(browser):
 
 @pytest.mark.slow
 def test_drag_zooms_all_plots_and_double_click_returns(browser):
-    with served("day") as (address, told):
+    with served("day") as (address, queue):
         opened(browser, address, "day", 1280)
-        panels = told.get(timeout=20.0)
+        panels = queue.get(timeout=20.0)
         ranges = (
             "[...new Set(found('Figure').map((each) => each.model.x_range).filter((range) => range.end > 1e12))].length"
         )

@@ -72,10 +72,10 @@ def sleep(monkeypatch):
     """Simulate a sleep of the computer: only CLOCK_BOOTTIME advances."""
 
     def fall_asleep(duration_ns):
-        told_ns = time.clock_gettime_ns
+        true_clock_ns = time.clock_gettime_ns
 
         def after(clock):
-            return told_ns(clock) + (duration_ns if clock == time.CLOCK_BOOTTIME else 0)
+            return true_clock_ns(clock) + (duration_ns if clock == time.CLOCK_BOOTTIME else 0)
 
         monkeypatch.setattr(time, "clock_gettime_ns", after)
 

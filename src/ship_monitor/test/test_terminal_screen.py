@@ -267,27 +267,27 @@ WIDE = st.text(alphabet=st.sampled_from("aß漢字ｆ🚢\u0301\x1b\t\n−″σ�
     count=st.integers(0, 30),
 )
 def test_every_line_has_the_width_of_the_terminal(
-    name, told, number, other, width, height, chosen, is_ascii, safety, is_old, count
+    name, text, number, other, width, height, chosen, is_ascii, safety, is_old, count
 ):
     changed = {
         "value": number,
         "accuracy_95": other,
         "age_s": abs(other),
         "safety": safety,
-        "reason": told,
+        "reason": text,
         "is_old": is_old,
     }
-    heard = dataclasses.replace(SHIFTED_SENSOR_INPUT, topic=name, latency_s=number, age_s=other, reasons={told: 10**9})
+    heard = dataclasses.replace(SHIFTED_SENSOR_INPUT, topic=name, latency_s=number, age_s=other, reasons={text: 10**9})
     shown = state_with_mounting_shift(
         angles=tuple(angle(each, **changed) for each in ANGLES),
-        sources=tuple(source(f"{name}{place}", reason=told, rate_hz=number, age_s=other) for place in range(count)),
-        alerts=(dataclasses.replace(SHIFTED_SENSOR_ALERT, text=told),),
+        sources=tuple(source(f"{name}{place}", reason=text, rate_hz=number, age_s=other) for place in range(count)),
+        alerts=(dataclasses.replace(SHIFTED_SENSOR_ALERT, text=text),),
         inputs=(heard,) * count,
-        events=(Event(NOW_NS, "state", name, told),) * count,
-        waiting_for=told,
+        events=(Event(NOW_NS, "state", name, text),) * count,
+        waiting_for=text,
     )
     view = dataclasses.replace(
-        VIEW, width=width, height=height, name=name, location=told, chosen=chosen, is_ascii=is_ascii
+        VIEW, width=width, height=height, name=name, location=text, chosen=chosen, is_ascii=is_ascii
     )
     for lines in (screen(shown, shown.alerts, view), details(shown, shown.alerts, view), help_page(shown, view)):
         assert len(lines) == height

@@ -151,12 +151,12 @@ def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge
     processes("nmea_out", "-m", "ship_nmea.commands.nmea_out", "--ros-args", "--params-file", str(suite),
               "-r", "__ns:=/demo")  # fmt: skip
 
-    def wait_for(found, tell=lambda: None):
+    def wait_for(found, act=lambda: None):
         def look():
             bridge.read()
             return found(bridge.alert_management)
 
-        return wait_until(ship, look, tell)
+        return wait_until(ship, look, act)
 
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as wing:
         wing.bind(("127.0.0.1", udp_port))

@@ -316,8 +316,8 @@ def test_serial_device_without_permission_is_an_opening_error(tmp_path):
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
     os.close(far)
     os.close(near)
-    told = ended.stderr.splitlines()[-1]
-    assert f"BadInput: parameter 'sinks.gyro.device' = '{name}': Permission denied: not permitted" in told
+    error = ended.stderr.splitlines()[-1]
+    assert f"BadInput: parameter 'sinks.gyro.device' = '{name}': Permission denied: not permitted" in error
 
 
 def test_a_file_is_appended_to(open_sink, tmp_path):
@@ -356,20 +356,20 @@ def test_full_disk_leaves_no_half_sentence(tmp_path):
     assert path.read_bytes() == f"{SENTENCE}\r\n".encode()
 
 
-@pytest.mark.parametrize(("kind", "told"), [
+@pytest.mark.parametrize(("kind", "advice"), [
     ("tcp_server", "ports below 1024"), ("udp", "ports below 1024"), ("serial", "'dialout'"), ("file", "a folder"),
 ])  # fmt: skip
-def test_advice_on_missing_permission_depends_on_the_kind(kind, told):
+def test_advice_on_missing_permission_depends_on_the_kind(kind, advice):
     named_by = {kind: ("port", "address")}
-    assert told in str(
+    assert advice in str(
         permanent_error(PermissionError(errno.EACCES, "no"), "sinks.bridge", SinkConfig(kind=kind), named_by)
     )
 
 
 def test_unsupported_rate_names_its_parameter():
     problem, named_by = OSError(errno.EINVAL, "no"), {"serial": ("device", "baud")}
-    told = str(permanent_error(problem, "sinks.gyro", SinkConfig(kind="serial", baud=12345), named_by))
-    assert told.startswith("parameter 'sinks.gyro.baud' = 12345: Invalid argument: expected a rate")
+    error = str(permanent_error(problem, "sinks.gyro", SinkConfig(kind="serial", baud=12345), named_by))
+    assert error.startswith("parameter 'sinks.gyro.baud' = 12345: Invalid argument: expected a rate")
     assert permanent_error(OSError(errno.ENOENT, "no"), "sinks.gyro", SinkConfig(kind="serial"), named_by) is None
 
 

@@ -59,10 +59,10 @@ def test_corrected_clock_is_used_again(source):
     ins, given = source(becomes="ins"), []
     for second in range(20):
         arrival = START + timedelta(seconds=second)
-        told = arrival + timedelta(seconds=30 if second < 10 else 0)
-        fix = sentence(f"INGGA,{told:%H%M%S}.00,2200.110899,S,01756.359432,W,1,12,0.7,-2.76,M,4.67,M,,").encode()
+        stated = arrival + timedelta(seconds=30 if second < 10 else 0)
+        fix = sentence(f"INGGA,{stated:%H%M%S}.00,2200.110899,S,01756.359432,W,1,12,0.7,-2.76,M,4.67,M,,").encode()
         assert published_topics(ins, fix, datetime_ns(arrival), second * NS_PER_S) == ["gnss/fix"]
-        given += [second for _ in published_topics(ins, pashr(told), datetime_ns(arrival), second * NS_PER_S)]
+        given += [second for _ in published_topics(ins, pashr(stated), datetime_ns(arrival), second * NS_PER_S)]
         if second == 9:
             status = ins.status("", 0, second * NS_PER_S)
             assert status.level == Level.WARN
@@ -155,7 +155,7 @@ def test_ths_takes_precedence_over_hdt(source):
 
 
 @pytest.mark.parametrize(
-    ("bodies", "told"),
+    ("bodies", "reason"),
     [
         (["HEVTG,,T,,M,,N,,K,A"], "lines come, but no reference/a/imu for 2 s: received: HEVTG"),
         (["GPHDT,10.0,T"], "received: no usable sentences, of other talkers GP"),
@@ -163,13 +163,13 @@ def test_ths_takes_precedence_over_hdt(source):
         ([], "udp 0.0.0.0:10110: no line for 2 s"),
     ],
 )
-def test_source_without_messages_is_reported_with_the_reason(source, bodies, told):
+def test_source_without_messages_is_reported_with_the_reason(source, bodies, reason):
     gyro = source(becomes="gyro", silent_after_s=1.0, talkers=["HE"])
     for body in bodies:
         published_topics(gyro, sentence(body).encode(), datetime_ns(START), 2 * NS_PER_S)
     status = gyro.status("", 0, 2 * NS_PER_S)
     assert status.level == Level.ERROR
-    assert told in status.message
+    assert reason in status.message
 
 
 def test_past_fault_is_a_warning_for_ten_seconds(source):

@@ -115,7 +115,7 @@ def test_working_time_before_a_clock_jump_back_delays_no_detection() -> None:
 
 
 def test_overload_text() -> None:
-    told = current_overload(3_240 * MS, {"ins/imu": 320})
-    assert (told.behind_s, told.cut) == (3.24, {"ins/imu": 320})
-    assert told.cores >= 1
-    assert told.text("relay").startswith("relay is 3.2 s behind: the computer is too slow (")
+    overload = current_overload(3_240 * MS, {"ins/imu": 320})
+    assert (overload.behind_s, overload.cut) == (3.24, {"ins/imu": 320})
+    assert overload.cores >= 1
+    assert overload.text("relay").startswith("relay is 3.2 s behind: the computer is too slow (")

@@ -65,8 +65,8 @@ EVENTS: list[Event] = [
 
 def new_box(path: Path | str, failures: list[str] | None = None, part_bytes: int = 0) -> BlackBox:
     adapter = RelayAdapter(CONFIG, RosidlFactory())
-    told = [] if failures is None else failures
-    return BlackBox(str(path), adapter, CONFIG, adapter.outputs, "/ship", told.append, part_bytes)
+    reports = [] if failures is None else failures
+    return BlackBox(str(path), adapter, CONFIG, adapter.outputs, "/ship", reports.append, part_bytes)
 
 
 @pytest.mark.parametrize("event", EVENTS, ids=lambda event: type(event).__name__)

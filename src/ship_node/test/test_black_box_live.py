@@ -109,8 +109,8 @@ def test_a_change_refused_before_the_adapter_is_in_log_black_box_and_diagnostics
     relay.live._black_box.close()
     noted = [what for topic, what, _ in read_entries(tmp_path / "box.mcap") if isinstance(what, ChangeRefused)]
     # What JSON has no word for stands there as Python writes it.
-    told = value if not isinstance(value, list) else [repr(part) for part in value]
-    assert noted == [ChangeRefused({name: told}, reason)]
+    recorded = value if not isinstance(value, list) else [repr(part) for part in value]
+    assert noted == [ChangeRefused({name: recorded}, reason)]
 
 
 def test_black_box_parameter_is_read_only_and_optional(live_relay, tmp_path):

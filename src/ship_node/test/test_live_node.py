@@ -288,9 +288,9 @@ def test_overload_state_begins_and_ends_with_the_load(live_relay):
 
     publish_until(lambda: len(relay.adapter.overloads) == 2)
     publish_until(lambda: len(used) > 3 and used[-1] > used[-2])
-    for told in relay.adapter.overloads:
-        assert told.behind_s > 1.0
-        assert told.cut["ins/imu"] > 10
+    for overload in relay.adapter.overloads:
+        assert overload.behind_s > 1.0
+        assert overload.cut["ins/imu"] > 10
     load_s = 0.0
     publish_until(lambda: relay.adapter.overloads[-1].behind_s == 0.0)
     assert used == sorted(used)

@@ -41,9 +41,9 @@ def test_a_log_line_has_its_level_and_code_location(own_domain, capfd):
     ]
     assert {(line.name, line.file) for line in lines} == {("told", __file__)}
     assert lines[-1].function == "test_a_log_line_has_its_level_and_code_location"
-    told = capfd.readouterr().err
-    assert "[ERROR]" in told
-    assert "nobody asks" not in told
+    output = capfd.readouterr().err
+    assert "[ERROR]" in output
+    assert "nobody asks" not in output
     executor.shutdown()
     node.destroy_node()
     rclpy.shutdown(context=context)

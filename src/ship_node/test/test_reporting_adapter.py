@@ -131,9 +131,9 @@ def test_an_invalid_estimate_has_no_budget(adapter: TinyAdapter) -> None:
 def test_an_unreadable_message_is_reported_at_its_stamp_if_valid(
     adapter: TinyAdapter, reason: Reason, stamp_ns: int
 ) -> None:
-    ((topic, told),) = adapter.handle(JUDGED, message(bad=reason), NOW_NS + 7)
-    assert (topic, told.source, told.reason, told.accepted) == ("tiny/innovation", "device", reason, False)
-    assert told.header.stamp.sec * S + told.header.stamp.nanosec == stamp_ns
+    ((topic, report),) = adapter.handle(JUDGED, message(bad=reason), NOW_NS + 7)
+    assert (topic, report.source, report.reason, report.accepted) == ("tiny/innovation", "device", reason, False)
+    assert report.header.stamp.sec * S + report.header.stamp.nanosec == stamp_ns
     assert health(adapter, JUDGED) == (1, 0, 1, {reason.word: 1})
     assert adapter.core.calls == []
 
@@ -141,7 +141,7 @@ def test_an_unreadable_message_is_reported_at_its_stamp_if_valid(
 def test_rejections_by_the_core_and_rejected_parts_are_reported_and_counted(adapter: TinyAdapter) -> None:
     adapter.core.next = Outcome(Rejection(Reason.LATE, "too late"))
     published = adapter.handle(JUDGED, message(left_out=("a", "b"), known=False), NOW_NS)
-    assert [told.reason_text for _, told in published] == ["a: degrees?", "b: degrees?", "too late"]
+    assert [report.reason_text for _, report in published] == ["a: degrees?", "b: degrees?", "too late"]
     assert health(adapter, JUDGED) == (1, 0, 1, {"covariance_unknown": 1, "units": 2, "late": 1})
 
 
@@ -164,9 +164,9 @@ def test_decisions_are_counted_by_topic_and_reported_by_source(adapter: TinyAdap
         for reason, used, text in ((Reason.NONE, True, ""), (Reason.GATE, False, "too far"))
     )
     adapter.core.next = Outcome(decisions=[used, refused])
-    told = [m for _, m in adapter.handle(JUDGED, message(), NOW_NS)]
+    sent = [m for _, m in adapter.handle(JUDGED, message(), NOW_NS)]
     assert list(adapter.innovation_report.pending) == [("device", used), ("device", refused)]
-    assert [(m.source, m.accepted, m.reason_text) for m in told] == [("device", True, ""), ("device", False, "too far")]
+    assert [(m.source, m.accepted, m.reason_text) for m in sent] == [("device", True, ""), ("device", False, "too far")]
     assert health(adapter, JUDGED) == (1, 1, 1, {"gate": 1})
 
 
@@ -183,8 +183,8 @@ def test_a_conflict_is_in_the_diagnostics_until_the_source_is_used_again(adapter
 
 def test_a_failed_output_is_reported(adapter: TinyAdapter) -> None:
     adapter.core.next = Outcome(failures=[(NOW_NS, Rejection(Reason.FAILED, "a defect"))])
-    ((_, told),) = adapter.handle(FAST, message(), NOW_NS)
-    assert (told.source, told.reason) == ("tiny/value", Reason.FAILED)
+    ((_, report),) = adapter.handle(FAST, message(), NOW_NS)
+    assert (report.source, report.reason) == ("tiny/value", Reason.FAILED)
     assert adapter.health.take_failures() == ["tiny/value: a defect"]
 
 
@@ -193,8 +193,8 @@ def test_slow_topics_are_published_once_a_period_and_their_failure_is_reported(a
     assert topics == ["tiny/slow", "input_health", "input_health", "/diagnostics"]
     assert adapter.tick(NOW_NS + S // 2) == []
     adapter.slow_fails = True
-    ((_, told),) = adapter.tick(NOW_NS + S)
-    assert (told.source, told.reason) == ("slow topics", Reason.FAILED)
+    ((_, report),) = adapter.tick(NOW_NS + S)
+    assert (report.source, report.reason) == ("slow topics", Reason.FAILED)
     adapter.set_parameters({"slow_topics_period_s": 5.0})
     adapter.slow_fails = False
     assert adapter.tick(NOW_NS + 2 * S) != []
@@ -260,8 +260,8 @@ def test_a_source_that_is_off_is_counted_and_not_passed_to_the_core(adapter: Tin
     assert config is adapter.config
     assert config.sources_off == ("device", "device")
     for number in range(30):
-        ((topic, told),) = adapter.handle(JUDGED, message(left_out=("polaris",)), NOW_NS + number * S // 10)
-        assert (topic, told.source, told.reason, told.accepted) == ("tiny/innovation", "device", Reason.OFF, False)
+        ((topic, one),) = adapter.handle(JUDGED, message(left_out=("polaris",)), NOW_NS + number * S // 10)
+        assert (topic, one.source, one.reason, one.accepted) == ("tiny/innovation", "device", Reason.OFF, False)
     ((_, unread),) = adapter.handle(JUDGED, message(bad=Reason.UNITS), NOW_NS + 3 * S)
     assert unread.reason == Reason.UNITS
     assert adapter.core.calls == [config]
@@ -306,8 +306,8 @@ def test_an_overloaded_node_publishes_invalid_with_the_reason(adapter: TinyAdapt
     adapter.no_output = lambda now_ns, text: SimpleNamespace(status=Status.INVALID, text=text)  # type: ignore[method-assign]
     why = "tiny is 3.2 s behind: the computer is too slow (2 cores, load 12)"
     published = adapter.overload(Overload(3.2, 2, 12.0, {FAST: 320, JUDGED: 5}), NOW_NS)
-    told = [(m.source, m.reason, m.reason_text) for topic, m in published if topic == "tiny/innovation"]
-    assert told == [
+    output = [(m.source, m.reason, m.reason_text) for topic, m in published if topic == "tiny/innovation"]
+    assert output == [
         ("fast", Reason.BEHIND, f"320 messages cut: {why}"),
         ("device", Reason.BEHIND, f"5 messages cut: {why}"),
         ("tiny", Reason.BEHIND, why),
@@ -323,8 +323,8 @@ def test_an_overloaded_node_publishes_invalid_with_the_reason(adapter: TinyAdapt
     assert adapter.handle(FAST, message(), NOW_NS + 1) == []
     assert adapter.latest is invalid
     ticks = [adapter.tick(NOW_NS + tenth * S // 10) for tenth in range(1, 21)]
-    assert [tenth for tenth, told in enumerate(ticks, 1) if "tiny/value" in dict(told)] == [10, 20]
-    *_, array = [message for told in ticks for topic, message in told if topic == "/diagnostics"]
+    assert [tenth for tenth, output in enumerate(ticks, 1) if "tiny/value" in dict(output)] == [10, 20]
+    *_, array = [message for output in ticks for topic, message in output if topic == "/diagnostics"]
     (status,) = [status for status in array.status if status.name == "tiny: overload"]
     assert (status.level, status.message) == (Level.ERROR, why)
 

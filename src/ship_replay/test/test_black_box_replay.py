@@ -248,12 +248,12 @@ def test_a_node_that_did_not_save_by_itself_yet_is_not_expected_to_have_saved(tm
     assert "outputs are equal to the last bit" in out
     suite = tmp_path / "suite.yaml"
     with read_bag(box) as bag:
-        told = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT].decode())
-    (section,) = told.values()
+        values = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT].decode())
+    (section,) = values.values()
     for period_s, same in ((None, True), (0.0, True), (60.0, False)):
         section["ros__parameters"].pop("alignment_autosave_s", None)
         section["ros__parameters"] |= {} if period_s is None else {"alignment_autosave_s": period_s}
-        suite.write_text(yaml.safe_dump(told), encoding="utf-8")
+        suite.write_text(yaml.safe_dump(values), encoding="utf-8")
         code, out, _ = verify(capsys, tmp_path / "old.mcap", "--config", suite)
         assert (code == 0) is same, out
 

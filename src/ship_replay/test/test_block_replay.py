@@ -58,27 +58,27 @@ def replay_faults(run_class: type[ReplayRun], bag_path: Path, injection: Injecti
 
 def assert_equal(bag_path: Path, injection: Injection | None = None) -> None:
     injection = injection or Injection(bag_path, {}, 0)
-    expected, told = replay_faults(ReplayRun, bag_path, injection)
-    found, also_told = replay_faults(BlockRun, bag_path, injection)
+    expected, of_run = replay_faults(ReplayRun, bag_path, injection)
+    found, of_blocks = replay_faults(BlockRun, bag_path, injection)
     assert {topic: len(messages) for topic, messages in found.items()} == {
         topic: len(messages) for topic, messages in expected.items()
     }
     for topic, messages in expected.items():
         odd = next((n for n, (one, other) in enumerate(zip(messages, found[topic], strict=True)) if one != other), None)
         assert odd is None, f"{topic}: message {odd} of {len(messages)} at {messages[odd][0]}"
-    assert (also_told.inputs, also_told.outputs, also_told.rejected) == (told.inputs, told.outputs, told.rejected)
-    for topic, course in told.status_histories.items():
-        assert (also_told.status_histories[topic].counts, also_told.status_histories[topic].spans) == (
-            course.counts,
-            course.spans,
+    assert (of_blocks.inputs, of_blocks.outputs, of_blocks.rejected) == (of_run.inputs, of_run.outputs, of_run.rejected)
+    for topic, history in of_run.status_histories.items():
+        assert (of_blocks.status_histories[topic].counts, of_blocks.status_histories[topic].spans) == (
+            history.counts,
+            history.spans,
         )
-    exclusions = [{topic: one.lines(0) for topic, one in each.exclusions.items()} for each in (told, also_told)]
+    exclusions = [{topic: one.lines(0) for topic, one in each.exclusions.items()} for each in (of_run, of_blocks)]
     assert exclusions[0] == exclusions[1]
-    for topic, times in told.times.items():
-        for one, other in zip(_gaps(times), _gaps(also_told.times[topic]), strict=True):
+    for topic, times in of_run.times.items():
+        for one, other in zip(_gaps(times), _gaps(of_blocks.times[topic]), strict=True):
             np.testing.assert_array_equal(one, other)
-    assert also_told.log_delays.irregularity_text() == told.log_delays.irregularity_text()
-    assert also_told.log_delays.median_ns() == told.log_delays.median_ns()
+    assert of_blocks.log_delays.irregularity_text() == of_run.log_delays.irregularity_text()
+    assert of_blocks.log_delays.median_ns() == of_run.log_delays.median_ns()
 
 
 def _gaps(times: Any) -> list[np.ndarray]:

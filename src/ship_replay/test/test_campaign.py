@@ -160,9 +160,9 @@ class TestResults:
         assert {name: row[name] for name in expected} == {
             name: "" if value is None else repr(value) for name, value in expected.items()
         }
-        told = capsys.readouterr().out
+        printed = capsys.readouterr().out
         outputs = sum(int(row[name]) for name in row if name.startswith("status.ship/attitude."))
-        assert f"{outputs} outputs" in told or f"of {outputs} outputs" in told
+        assert f"{outputs} outputs" in printed or f"of {outputs} outputs" in printed
 
     def test_two_workers_give_the_same_bytes(self, by_one, scenario, tmp_path):
         assert main([str(scenario), "--seeds", "1-3", "--workers", "2", "--out", str(tmp_path / "two")]) == 0

@@ -86,8 +86,8 @@ ship_attitude:
 def test_each_error_is_reported_once(check):
     _, lines, errors = check(GOOD.replace("    ins:", "    lagg_s: 1.0\n    ins:"))
     assert "".join(lines + errors).count("lagg_s") == 1
-    told = "expected one of lag_s, max_age_s, smoothing_lag_s or 18 others; did you mean 'lag_s'?"
-    assert lines[0] == f"error: suite.yaml:3: parameter 'lagg_s' is unknown: {told}"
+    remedy = "expected one of lag_s, max_age_s, smoothing_lag_s or 18 others; did you mean 'lag_s'?"
+    assert lines[0] == f"error: suite.yaml:3: parameter 'lagg_s' is unknown: {remedy}"
 
 
 def test_wrong_frame_id(check, tmp_path):
@@ -221,8 +221,10 @@ def test_a_topic_missing_for_two_nodes_is_reported_once_with_both(check, tmp_pat
     camera = "camera: {focal_length_m: 0.05, pixel_pitch_m: 5.5e-6}"
     text = STARS.replace("input: solution}", f"input: observations, {camera}}}")
     _, lines, _ = check(text, star_bag(tmp_path / "a.mcap"))
-    told = [line for line in lines if "gnss/fix" in line]
-    assert told == ["error: suite.yaml: topic 'gnss/fix' is not in a.mcap: needed by ship_attitude and star_attitude"]
+    reported = [line for line in lines if "gnss/fix" in line]
+    assert reported == [
+        "error: suite.yaml: topic 'gnss/fix' is not in a.mcap: needed by ship_attitude and star_attitude"
+    ]
 
 
 def test_a_camera_out_of_range_is_reported_once(check):
@@ -361,8 +363,8 @@ def test_they_may_stand_alone_in_it(check, tmp_path):
     code, (line,), _ = check(NMEA.replace("port: 10111", "port: 0"))
     assert (code, line[:50]) == (2, "error: suite.yaml:8: parameter 'sources.gyro.port'")
     code, (warning, _), _ = check(NMEA, write_bag(tmp_path / "a.mcap"))
-    told = "warning: suite.yaml: no section for an estimator: the bag is not checked"
-    assert (code, warning) == (0, told)
+    expected = "warning: suite.yaml: no section for an estimator: the bag is not checked"
+    assert (code, warning) == (0, expected)
 
 
 def nmea(sink, source, out="/**/nmea_out", heard="/**/nmea_in"):
@@ -377,7 +379,7 @@ LISTENS = "kind: udp, address: 10.0.0.1, port: 1, listen_port: 10110"
 
 
 @pytest.mark.parametrize(
-    ("sink", "source", "told"),
+    ("sink", "source", "error"),
     [
         (TTY, TTY, "device' = '/dev/ttyUSB0' of /nmea_out: 'sources.g.device' of /nmea_in, line 15, has path /dev/tty"),
         (LISTENS, "kind: udp, port: 10110", "listen_port' = 10110 of /nmea_out: 'sources.g.port' of /nmea_in, line 15"),
@@ -387,10 +389,10 @@ LISTENS = "kind: udp, address: 10.0.0.1, port: 1, listen_port: 10110"
         ("kind: tcp_server, port: 10110", "kind: udp, port: 10110", ""),
     ],
 )  # fmt: skip
-def test_a_resource_of_both_nmea_nodes_is_an_error(check, sink, source, told):
+def test_a_resource_of_both_nmea_nodes_is_an_error(check, sink, source, error):
     code, (line,), _ = check(GOOD + nmea(sink, source))
-    assert code == (2 if told else 0)
-    assert line.startswith(f"error: suite.yaml:11: parameter 'sinks.s.{told}" if told else "suite.yaml: good")
+    assert code == (2 if error else 0)
+    assert line.startswith(f"error: suite.yaml:11: parameter 'sinks.s.{error}" if error else "suite.yaml: good")
 
 
 def test_the_same_place_of_another_namespace_is_another_machines(check):

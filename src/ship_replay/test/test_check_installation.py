@@ -73,8 +73,8 @@ def test_radians_for_degrees_contradict_the_bag(check, solved):
     text = text.replace("_deg: 90.0", "_deg: 1.5708").replace("elevation_deg: 45.0", "elevation_deg: 0.7854")
     code, lines = check(text, bag)
     assert code == 2
-    told = [re.sub(r"^error: suite.yaml:\d+: parameter '|'.*give|\d\d deg: radians", "", line) for line in lines]
-    assert told == [
+    parameters = [re.sub(r"^error: suite.yaml:\d+: parameter '|'.*give|\d\d deg: radians", "", line) for line in lines]
+    assert parameters == [
         "star_sensors.fore.elevation_deg 45. for degrees?",
         "star_sensors.starboard.azimuth_deg 89. for degrees?",
         "star_sensors.starboard.elevation_deg 45. for degrees?",

@@ -127,8 +127,10 @@ def test_a_wrong_centroid_sigma_is_named_with_the_value_that_fits(check, tmp_pat
     assert check(bag)[0] == 0
     code, lines = check(rewrite_bag(tmp_path / "bare.mcap", bag, without_sigma), change)
     assert code == 0
-    told = [re.fullmatch(r".*'star_sensors.(\w+).camera.centroid_sigma_px' = .*: (\S+) fits", line) for line in lines]
-    fits = {match[1]: float(match[2]) for match in told if match}
+    matches = [
+        re.fullmatch(r".*'star_sensors.(\w+).camera.centroid_sigma_px' = .*: (\S+) fits", line) for line in lines
+    ]
+    fits = {match[1]: float(match[2]) for match in matches if match}
     assert fits.keys() == configured.keys()
     for id_, value in fits.items():
         assert value == pytest.approx(configured[id_], rel=0.15)

@@ -429,15 +429,15 @@ def test_an_exception_is_recorded_with_its_faults(bag, monkeypatch):
 
 
 def test_a_replay_without_faults_is_that_of_the_bag(bag):
-    told, clean = replay_injection(Injection(bag, {}, 1)), replay_fault_free(bag)
-    assert [claim[:4] for claim in told.valid_outputs] == [claim[:4] for claim in clean.outputs.valid_outputs]
+    outputs, clean = replay_injection(Injection(bag, {}, 1)), replay_fault_free(bag)
+    assert [claim[:4] for claim in outputs.valid_outputs] == [claim[:4] for claim in clean.outputs.valid_outputs]
     assert round(clean.length_s) == 40
     assert len(clean.arrivals_ns["ins/imu"]) == 1001
     assert clean.beacon_times_ns.size == 0
     assert math.isnan(clean.encoder_sigma_arcsec)
-    assert len(told.valid_outputs) == pytest.approx(401, abs=3)
-    assert np.median([claim[3] for claim in told.valid_outputs]) < 3.0
-    assert told.failure_count == 0
+    assert len(outputs.valid_outputs) == pytest.approx(401, abs=3)
+    assert np.median([claim[3] for claim in outputs.valid_outputs]) < 3.0
+    assert outputs.failure_count == 0
 
 
 @pytest.mark.slow

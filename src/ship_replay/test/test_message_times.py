@@ -66,8 +66,8 @@ def test_replay_by_stamps_of_a_stalled_recording(bags, tmp_path):
 def test_irregular_log_times_are_reported(bags, tmp_path, capsys):
     for bag in bags:
         assert main([str(bag), "--out", str(tmp_path / f"out_{bag.name}")]) == 0
-    told = [line for line in capsys.readouterr().out.splitlines() if "log times" in line]
-    (line,) = told
+    reported = [line for line in capsys.readouterr().out.splitlines() if "log times" in line]
+    (line,) = reported
     assert "messages were logged more than 0.5 s later after their stamps than usual, the most by 3.00 s" in line
     assert "--arrival stamps" in line
 

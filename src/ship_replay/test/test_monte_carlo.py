@@ -117,8 +117,8 @@ def test_ins_samples_in_batches_equal_those_one_by_one(name):
         for outcomes, core in zip((attitude_outcomes, one_by_one), cores, strict=True)
     )
     for attribute in ("estimates", "decisions", "refusal"):
-        told = [[getattr(outcome, attribute) for outcome in some] for some in (found, expected)]
-        one, other = ([each for each in some if each] for some in told)
+        values = [[getattr(outcome, attribute) for outcome in some] for some in (found, expected)]
+        one, other = ([each for each in some if each] for some in values)
         assert len(one) == len(other)
         if attribute == "estimates":
             for (mine,), (theirs,) in zip(one, other, strict=True):

@@ -269,8 +269,8 @@ class TestBadInput:
         with BagWriter(bag) as writer:
             writer.add_attachment("suite.yaml", TRIANGULATION)
             writer.write("/fleet/west/theodolite/target_direction", imu(START_NS), START_NS)
-        told = r"no message of east/theodolite/target_direction, west/.* could be read; .*--namespace"
-        with pytest.raises(BadInput, match=told):
+        text = r"no message of east/theodolite/target_direction, west/.* could be read; .*--namespace"
+        with pytest.raises(BadInput, match=text):
             replay(bag, tmp_path / "out.mcap", (TriangulationAdapter,))
 
     def test_output_over_the_input(self, tmp_path):

@@ -68,11 +68,11 @@ def test_states_follow_the_limits(night_path):
 
 
 def test_no_state_without_output(night_path):
-    told = {second for second, _ in read_recording(night_path).safety_states["heading"]}
+    seconds = {second for second, _ in read_recording(night_path).safety_states["heading"]}
     start_s = START_NS // SECOND_NS
     # The limit of age is 1 s: from 22 s on the last value is old, until one comes at 25 s.
-    assert not told & {start_s + 22, start_s + 23, start_s + 24}
-    assert {start_s + 18, start_s + 27} <= told
+    assert not seconds & {start_s + 22, start_s + 23, start_s + 24}
+    assert {start_s + 18, start_s + 27} <= seconds
 
 
 def test_rejections_are_counted_with_their_times(night_path):
@@ -82,22 +82,22 @@ def test_rejections_are_counted_with_their_times(night_path):
 
 
 def test_a_source_rejected_five_times_is_in_summary_and_alerts(night_path):
-    told = read_report_data(night_path)
-    out = [event for event in told.recording.events if event.subject == "star.fore" and "OUT" in event.text]
+    data = read_report_data(night_path)
+    out = [event for event in data.recording.events if event.subject == "star.fore" and "OUT" in event.text]
     assert abs(out[0].utc_ns - (START_NS + 34 * SECOND_NS)) <= 2 * SECOND_NS // 10
-    assert summary(told.recording)[1].startswith("Worst source: star.fore, out once, ")
-    assert "star.fore: clean the sensor and check its mounting" in summary(told.recording)[4]
-    assert "<td>star.fore</td>" in section(page(told), "verdict")
-    assert not told.recording.alerts_are_recorded
-    assert "star.fore.out" in {one.alert.id for one in told.recording.alerts}
+    assert summary(data.recording)[1].startswith("Worst source: star.fore, out once, ")
+    assert "star.fore: clean the sensor and check its mounting" in summary(data.recording)[4]
+    assert "<td>star.fore</td>" in section(page(data), "verdict")
+    assert not data.recording.alerts_are_recorded
+    assert "star.fore.out" in {one.alert.id for one in data.recording.alerts}
 
 
 def test_an_outage_whose_reason_changes_is_one(night_path):
     night = read_recording(night_path)
     first = START_NS + 10 * SECOND_NS
-    told = [("star.fore OUT, 5 rejected in a row", 0), ("star.fore OUT, no data", 1), ("star.fore IN", 5),
+    texts = [("star.fore OUT, 5 rejected in a row", 0), ("star.fore OUT, no data", 1), ("star.fore IN", 5),
             ("ins OUT, no data", 7)]
-    night.events = [Event(first + after * SECOND_NS, "source", text.split()[0], text) for text, after in told]
+    night.events = [Event(first + after * SECOND_NS, "source", text.split()[0], text) for text, after in texts]
     assert [(one.source, one.from_ns - first, one.to_ns and one.to_ns - first, one.why) for one in outages(night)] == [
         ("star.fore", 0, 5 * SECOND_NS, "5 rejected in a row"), ("ins", 7 * SECOND_NS, 0, "no data")
     ]
@@ -198,12 +198,12 @@ def events(*entries):
 
 class TestFiveSentences:
     def test_each_opens_the_page_in_its_order(self, night_path):
-        told = read_report_data(night_path)
-        sentences = summary(told.recording)
+        data = read_report_data(night_path)
+        sentences = summary(data.recording)
         assert [text.partition(":")[0] for text in sentences] == [
             "Availability", "Worst source", "Cause → consequence", "Mountings", "To do"
         ]
-        shown = re.findall(r"<p>(.*?)</p>", section(page(told), "verdict").partition("<table>")[0])
+        shown = re.findall(r"<p>(.*?)</p>", section(page(data), "verdict").partition("<table>")[0])
         assert len(shown) == 5
 
     def test_availability_counts_missing_outputs(self, night_path):
@@ -282,10 +282,10 @@ def test_ticks_are_at_round_times(length_s, step_s):
 
 
 def test_a_source_has_one_colour_in_all_figures(night_path):
-    told = read_report_data(night_path)
-    colours = source_colours(told.recording, told.evaluation)
+    data = read_report_data(night_path)
+    colours = source_colours(data.recording, data.evaluation)
     assert len({*colours.values()}) == len(colours) == 2
-    text = page(told)
+    text = page(data)
     assert colours["star.fore"] in section(text, "refusals")
     assert colours["fused"] in section(text, "errors")
 

@@ -1,6 +1,7 @@
 """Consistency tests by Monte Carlo: AR(1) errors and χ² innovations, with correct and wrong sigmas, by seed."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -27,10 +28,10 @@ def ar1(seed: int, time_s: float, count: int = FIVE_MINUTES) -> np.ndarray:
 
 def errors(normalised: np.ndarray, sigma_ratio: float = 1.0) -> AttitudeErrors:
     """Return errors with a sigma of 2″ that is stated as 2″ over the ratio."""
-    told = np.full_like(normalised, 2.0 / sigma_ratio)
-    nees = np.sum((normalised * 2.0 / told) ** 2, axis=1)
+    sigmas = np.full_like(normalised, 2.0 / sigma_ratio)
+    nees = np.sum((normalised * 2.0 / sigmas) ** 2, axis=1)
     time_ns = np.arange(len(normalised), dtype=np.int64) * NS // RATE_HZ
-    return AttitudeErrors("fused", ("heading", "pitch", "roll"), time_ns, normalised * 2.0, told, nees)
+    return AttitudeErrors("fused", ("heading", "pitch", "roll"), time_ns, normalised * 2.0, sigmas, nees)
 
 
 def innovations(seed: int, sigma_ratios: list[float], a_minute: int = 300) -> SourceInnovations:
@@ -100,13 +101,12 @@ def test_errors_correlated_over_the_run_give_no_result() -> None:
 
 
 def test_missing_sigmas_are_reported() -> None:
-    told = errors(ar1(1, 3.0))
-    half = AttitudeErrors(told.label, told.channels, told.time_ns, told.error_arcsec, told.sigma_arcsec,
-                          np.where(np.arange(FIVE_MINUTES) < 2000, told.nees, np.nan))
+    complete = errors(ar1(1, 3.0))
+    half = replace(complete, nees=np.where(np.arange(FIVE_MINUTES) < 2000, complete.nees, np.nan))
     fit = nees_fit(half)
     assert fit.count == 2000
-    assert fit.mean == pytest.approx(np.mean(told.nees[:2000]))
-    none = AttitudeErrors("ins", told.channels, told.time_ns, told.error_arcsec, told.sigma_arcsec, told.nees * np.nan)
+    assert fit.mean == pytest.approx(np.mean(complete.nees[:2000]))
+    none = replace(complete, label="ins", nees=complete.nees * np.nan)
     assert nees_fit(none).words == "no σ stated"
 
 

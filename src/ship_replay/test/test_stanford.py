@@ -184,10 +184,10 @@ def test_the_command_prints_writes_and_draws_and_fails_where_an_epoch_misled(run
     printed = capsys.readouterr().out
     for words in ("hazardously", "unavailable", "heading", "40.00 %", "2.25"):
         assert words in printed
-    told = json.loads(values.read_text())
-    assert told["fused.heading.misleading"] == 1
-    assert told["fused.pitch.hazardously_misleading"] == 1
-    assert told["fused.roll.unavailable"] == 4
+    counts = json.loads(values.read_text())
+    assert counts["fused.heading.misleading"] == 1
+    assert counts["fused.pitch.hazardously_misleading"] == 1
+    assert counts["fused.roll.unavailable"] == 4
     assert figure.read_bytes().startswith(b"\x89PNG")
 
 

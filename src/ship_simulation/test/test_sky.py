@@ -193,11 +193,11 @@ def test_errors_common_to_all_stars_have_their_sigmas():
 
 
 def test_without_a_sigma_ut1_has_the_error_of_its_table():
-    told = earth_orientation_table().at(START_NS)
+    tabulated = earth_orientation_table().at(START_NS)
     skies = [draw(seed) for seed in range(100)]
-    assert_sigma([sky.ut1_error_s for sky in skies], float(told.ut1_sigma_s))
+    assert_sigma([sky.ut1_error_s for sky in skies], float(tabulated.ut1_sigma_s))
     true = skies[0].orientation(np.array(START_NS))
-    assert true.ut1_minus_utc_s - told.ut1_minus_utc_s == pytest.approx(skies[0].ut1_error_s, abs=1e-15)
+    assert true.ut1_minus_utc_s - tabulated.ut1_minus_utc_s == pytest.approx(skies[0].ut1_error_s, abs=1e-15)
 
 
 def test_star_positions_have_the_errors_of_the_catalogue():
@@ -231,8 +231,8 @@ def test_fixes_have_a_white_and_a_correlated_error_and_state_them():
     )
     fixes = simulate(dataclasses.replace(scenario, star_sensors={}), seed=1).fixes
     true = ShipTrack(scenario.position, START_NS).position_at(fixes.time_ns)
-    told = GeodeticPosition(np.deg2rad(fixes.latitude_deg), np.deg2rad(fixes.longitude_deg), fixes.height_m)
-    error_m = vector_between(true, told)
+    stated = GeodeticPosition(np.deg2rad(fixes.latitude_deg), np.deg2rad(fixes.longitude_deg), fixes.height_m)
+    error_m = vector_between(true, stated)
     sigma_m = np.sqrt(2.0**2 + 10.0**2)
     np.testing.assert_allclose(fixes.covariance_m2, sigma_m**2 * np.eye(3))
     for axis in range(3):

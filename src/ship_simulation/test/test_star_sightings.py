@@ -66,9 +66,9 @@ def test_a_star_behind_a_mask_is_not_seen_and_the_next_brightest_is(most_stars):
     """Compared with the same voyage without the mast; each star is looked up in the mast's rectangle."""
     mast = MaskConfig(azimuths_deg=(340.0, 361.0, 361.0, 340.0), elevations_deg=(-5.0, -5.0, 47.0, 47.0))
     free = with_sensor(paper_stars(), most_stars=1000, camera=QUIET)
-    said, truth, sky = sightings_of(free)
+    sightings, truth, sky = sightings_of(free)
     masked = dataclasses.replace(free.star_sensors[FORE], most_stars=most_stars, masks={"mast": mast})
-    told, told_truth, _ = sightings_of(dataclasses.replace(free, star_sensors={FORE: masked}))
+    masked_sightings, masked_truth, _ = sightings_of(dataclasses.replace(free, star_sensors={FORE: masked}))
     rotation_ds = rotation_from_angles(0.0, np.deg2rad(45.0), 0.0)
     bow, up, starboard = (truth.direction_s @ rotation_ds.T).T
     azimuth_deg = np.rad2deg(np.arctan2(starboard, bow))
@@ -76,8 +76,8 @@ def test_a_star_behind_a_mask_is_not_seen_and_the_next_brightest_is(most_stars):
     hidden = (azimuth_deg > -20.0) & (azimuth_deg < 1.0) & (elevation_deg < 47.0)
     assert 0.1 < hidden.mean() < 0.9
     magnitude = sky.catalogue.magnitude[sky.catalogue.rows(truth.hip)]
-    for number, found in enumerate(stars_by_exposure(told, told_truth)):
-        rows = np.arange(truth.hip.size)[said.rows(number)]
+    for number, found in enumerate(stars_by_exposure(masked_sightings, masked_truth)):
+        rows = np.arange(truth.hip.size)[sightings.rows(number)]
         seen = rows[~hidden[rows]]
         brightest = seen[np.argsort(magnitude[seen], kind="stable")][:most_stars]
         assert found == set(truth.hip[brightest].tolist())
@@ -206,12 +206,12 @@ def test_stars_may_be_identified_by_their_directions_or_not_at_all():
     by_direction, truth, sky = sightings_of(paper_stars_one(direction_given=True))
     assert not by_direction.stars.hip.any()
     known = sky.catalogue.at_j2000[sky.catalogue.rows(truth.hip)]
-    told = by_direction.stars.positions
-    apart = erfa.seps(known.right_ascension, known.declination, told.right_ascension, told.declination)
+    published = by_direction.stars.positions
+    separation = erfa.seps(known.right_ascension, known.declination, published.right_ascension, published.declination)
     # The reported direction contains the proper motion of fourteen years.
-    assert np.all(apart < 40.0 * ARCSEC)
-    assert np.max(apart) > 0.1 * ARCSEC
-    assert not np.any(told.pm_declination)
+    assert np.all(separation < 40.0 * ARCSEC)
+    assert np.max(separation) > 0.1 * ARCSEC
+    assert not np.any(published.pm_declination)
     nameless, _, _ = sightings_of(paper_stars_one(identified=False))
     assert not nameless.stars.hip.any()
     assert not np.isfinite(nameless.stars.positions.right_ascension).any()

@@ -344,8 +344,8 @@ def test_most_urgent_comes_first() -> None:
     kinds = {"a": Priority.CAUTION, "b": Priority.ALARM, "c": Priority.WARNING, "d": Priority.ALARM}
     voyage.go(2.0, *(replace(OUT, id=id_, priority=priority) for id_, priority in kinds.items()))
     voyage.acknowledge("b")
-    told: tuple[AlertEntry, ...] = voyage.book.alerts
-    assert [alert.id for alert in told] == ["d", "c", "b", "a"]
+    alerts: tuple[AlertEntry, ...] = voyage.book.alerts
+    assert [alert.id for alert in alerts] == ["d", "c", "b", "a"]
     voyage.go(10.0, *(replace(OUT, id=id_, priority=priority) for id_, priority in kinds.items() if id_ != "d"))
     assert [alert.id for alert in voyage.book.alerts] == ["c", "d", "b", "a"]
 

@@ -214,8 +214,8 @@ def test_old_or_missing_integrity_is_no_integrity_data() -> None:
     watch = monitor_after(10.0)
     for tenth in range(101, 140):
         watch.process_message("ship/attitude", attitude(UTC + tenth * SECOND // 10), at(tenth / 10))
-        told = watch.current_state(at(tenth / 10)).angles[0]
-        assert (told.safety, told.reason) == ((0, "") if tenth <= 130 else (1, "no integrity data"))
+        angle = watch.current_state(at(tenth / 10)).angles[0]
+        assert (angle.safety, angle.reason) == ((0, "") if tenth <= 130 else (1, "no integrity data"))
     watch = SuiteMonitor()
     watch.process_message("ship/attitude", attitude(UTC), at(0.0))
     assert watch.current_state(at(0.1)).angles[0].safety is Safety.CAUTION
@@ -245,9 +245,15 @@ def test_source_without_data_is_out_after_two_seconds_and_named_by_the_angle() -
 def test_stars_are_not_the_cause_if_all_messages_stop() -> None:
     """All messages stop, as at the end of a bag: no cause is named for three seconds, then the missing reports."""
     watch = monitor_after(10.0)
-    told = rejection(UTC + 10 * SECOND, "star.bow", Reason.NONE)
-    told.accepted, told.components, told.residual, told.sigma, told.nis = True, ["up"], [1e-6], [1e-6], 1.0
-    watch.process_message("ship/innovation", told, at(10.0))
+    message = rejection(UTC + 10 * SECOND, "star.bow", Reason.NONE)
+    message.accepted, message.components, message.residual, message.sigma, message.nis = (
+        True,
+        ["up"],
+        [1e-6],
+        [1e-6],
+        1.0,
+    )
+    watch.process_message("ship/innovation", message, at(10.0))
     reasons = set()
     for tenth in range(100, 200):
         picture = watch.current_state(at(tenth / 10))
@@ -311,8 +317,8 @@ def test_reason_of_a_caution_is_current_at_any_time() -> None:
         assert (pitch.safety, pitch.reason) == (Safety.CAUTION, f"within 4″ again; SAFE in {left_s} s")
     feed(watch, 17.0, 17.2)
     assert watch.current_state(at(17.2)).angles[1].safety is Safety.SAFE
-    told = [event.text for event in watch.current_state(at(17.2)).events if event.subject == "pitch"]
-    assert told[:2] == ["pitch CAUTION → SAFE", "pitch SAFE → CAUTION, over the limit"]
+    events = [event.text for event in watch.current_state(at(17.2)).events if event.subject == "pitch"]
+    assert events[:2] == ["pitch CAUTION → SAFE", "pitch SAFE → CAUTION, over the limit"]
 
 
 def test_topics_are_monitored_only_with_their_type() -> None:
@@ -409,8 +415,8 @@ def test_restart_of_a_node_is_one_event() -> None:
     for second in range(11, 15):
         for topic in ("star/bow/solution", "reference/gyro/imu", "star/stern/solution"):
             watch.process_message("input_health", health(UTC + second * SECOND, topic, 5 * (second - 11)), at(second))
-    told = [event.text for event in watch.current_state(at(15.0)).events if event.kind == "node"]
-    assert told == ["ship_attitude started"]
+    events = [event.text for event in watch.current_state(at(15.0)).events if event.kind == "node"]
+    assert events == ["ship_attitude started"]
 
 
 def alert(state: int, priority: int = 1, raised_s: int = 0) -> SimpleNamespace:
@@ -440,9 +446,15 @@ def test_buffers_are_bounded_by_ten_minutes() -> None:
     for second in range(1500):
         ns = UTC + second * SECOND
         watch.process_message("ship/attitude", attitude(ns), at(second))
-        told = rejection(ns, "star.bow", Reason.NONE)
-        told.accepted, told.components, told.residual, told.sigma, told.nis = True, ["up"], [1e-6], [1e-6], 1.0
-        watch.process_message("ship/innovation", told, at(second))
+        message = rejection(ns, "star.bow", Reason.NONE)
+        message.accepted, message.components, message.residual, message.sigma, message.nis = (
+            True,
+            ["up"],
+            [1e-6],
+            [1e-6],
+            1.0,
+        )
+        watch.process_message("ship/innovation", message, at(second))
     points = watch.history.innovations["star.bow"]
     assert (len(points), points[0].utc_ns) == (601, UTC + 899 * SECOND)
     assert len(watch.history.safety) == 601
@@ -457,9 +469,9 @@ def test_single_stamp_of_another_year_sets_the_time_only_briefly() -> None:
 
 
 def overload_report(ns: int, node: str, text: str) -> SimpleNamespace:
-    told = rejection(ns, node, Reason.BEHIND)
-    told.reason_text = text
-    return told
+    message = rejection(ns, node, Reason.BEHIND)
+    message.reason_text = text
+    return message
 
 
 def test_overloaded_node_is_the_cause_until_the_source_is_in_again() -> None:

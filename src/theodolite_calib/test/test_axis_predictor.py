@@ -74,11 +74,11 @@ def test_it_is_the_filters_prediction(sizes: tuple) -> None:
     scale = np.where(scale > 0.0, scale, 1.0)
     for place, time_ns in enumerate(TIMES_NS):
         there = filter_.propagate(state, time_ns, random_array(at_moments))
-        of_told = there.covariance[np.ix_(between.state_indices, between.state_indices)]
-        sigma = np.sqrt(np.where(of_told.diagonal() > 0.0, of_told.diagonal(), 1.0))
+        of_states = there.covariance[np.ix_(between.state_indices, between.state_indices)]
+        sigma = np.sqrt(np.where(of_states.diagonal() > 0.0, of_states.diagonal(), 1.0))
         np.testing.assert_allclose(found.mean[place] / sigma, there.mean[between.state_indices] / sigma, atol=1e-9)
         both_sigmas = np.outer(sigma, sigma)
-        np.testing.assert_allclose(found.covariance[place] / both_sigmas, of_told / both_sigmas, atol=1e-9)
+        np.testing.assert_allclose(found.covariance[place] / both_sigmas, of_states / both_sigmas, atol=1e-9)
         # Whatever is stated, both moments are of one distribution: no combination of them has a negative variance.
         whole = np.block([[found.covariance[place], cross[place]], [cross[place].T, then.covariance]])
         both = np.concatenate([sigma, scale])

@@ -193,8 +193,8 @@ def test_a_source_that_contradicts_itself_is_not_valid_until_it_has_agreed_with_
     index = index_at(arrivals, topic, MOMENT_S)
     run = run_adapter(new_adapter(), add_copy(arrivals, index, change, arrivals[index].receive_ns + 1))
     source, until_s = NAMED[topic], MOMENT_S + 10.0
-    told = run.diagnostics("pointing", arrivals[index].receive_ns + SECOND_NS, run.now_ns)[0]
-    assert told == (1, f"DEGRADED: {source} sent conflicting data with one stamp")
+    report = run.diagnostics("pointing", arrivals[index].receive_ns + SECOND_NS, run.now_ns)[0]
+    assert report == (1, f"DEGRADED: {source} sent conflicting data with one stamp")
     in_doubt = [m.status for m in run.pointings if MOMENT_S + 0.2 < seconds(m) < until_s]
     assert set(in_doubt) == {Status.DEGRADED}
     assert {m.status for m in run.pointings if seconds(m) > until_s + 0.2} == {Status.VALID}
@@ -237,9 +237,9 @@ def test_beacons_without_exposure_length_are_points():
     points = run_adapter(new_adapter(), not_given)
     assert points.results() == run_adapter(new_adapter(), zero).results()
     assert points.reasons(BEACONS) == {}
-    told, as_points = fault_free_run().messages("theodolite/pointing")[-1], points.messages("theodolite/pointing")[-1]
-    assert abs(told.azimuth - as_points.azimuth) * np.cos(told.elevation) < 0.3 * ARCSEC
-    assert abs(told.elevation - as_points.elevation) < 0.3 * ARCSEC
+    streaks, as_points = (run.messages("theodolite/pointing")[-1] for run in (fault_free_run(), points))
+    assert abs(streaks.azimuth - as_points.azimuth) * np.cos(streaks.elevation) < 0.3 * ARCSEC
+    assert abs(streaks.elevation - as_points.elevation) < 0.3 * ARCSEC
     longer = run_adapter(
         new_adapter(), change_where(session(), lambda a: a.topic == BEACONS, set_field("exposure_s", 0.1))
     )

@@ -53,8 +53,8 @@ class Run:
 
     def check_samples(self, samples: Iterable[ShipSample]) -> None:
         for sample in samples:
-            told_rad = stated_step_rad(sample.correlated_covariance_n, self._stated)
-            judged = self._checked(sample, told_rad)
+            stated_rad = stated_step_rad(sample.correlated_covariance_n, self._stated)
+            judged = self._checked(sample, stated_rad)
             self.said.append((comparable_result(judged), self.guard.rate_status))
             if judged.rejection is None and (self._used.newest is None or sample.time_ns > self._used.newest.time_ns):
                 self._stated = sample.correlated_covariance_n

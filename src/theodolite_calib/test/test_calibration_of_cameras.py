@@ -96,8 +96,8 @@ def test_a_camera_that_looks_backward_is_within_half_a_turn(tmp_path: Path, azim
 
 @pytest.mark.parametrize("angle", ["azimuth", "elevation", "roll"])
 def test_remounted_camera_is_ignored_and_the_rest_used(angle: str) -> None:
-    told = {f"telescopes__{CAMERA_ID}__{angle}_deg": MOUNTED_DEG[f"{angle}_deg"] + 0.1}
-    settings = mount_config(1.0, **told)
+    mounting = {f"telescopes__{CAMERA_ID}__{angle}_deg": MOUNTED_DEG[f"{angle}_deg"] + 0.1}
+    settings = mount_config(1.0, **mounting)
     filter_ = CalibrationFilter(settings)
     state, (message,) = state_from_prior(filter_, settings, saved_prior(mount_config(1.0)), NOW_NS)
     assert message.startswith(f"saved calibration of camera '{CAMERA_ID}' is not used: its {angle} is 3")

@@ -117,9 +117,9 @@ def test_a_requirement_that_is_not_met_is_exit_code_1(tmp_path: Path, capsys: py
     values = ONE_DRONE | {"required_arcsec": 0.5}
     values["optical_axis"] = values["optical_axis"] | {"escort": {"elevation_min_deg": 40.0}}
     assert main([str(write(tmp_path / "one.yaml", values)), "--out", str(tmp_path / "out")]) == 1
-    told = capsys.readouterr().out
-    assert "required 0.5 arcsec" in told
-    assert "limits reached: elevation_min_deg" in told
+    printed = capsys.readouterr().out
+    assert "required 0.5 arcsec" in printed
+    assert "limits reached: elevation_min_deg" in printed
     page = (tmp_path / "out" / "design_study.html").read_text(encoding="utf-8")
     assert "is <b>not</b> met" in page
     assert "No position of the drones is within the limits: elevation_min_deg leaves none" in page

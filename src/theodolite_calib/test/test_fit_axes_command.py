@@ -315,7 +315,7 @@ def test_repeated_rows_count_once(tmp_path: Path, capsys: pytest.CaptureFixture[
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "text"),
     [
         (lambda row: row, None),
         (lambda row: [*row[:2], row[2] * math.cos(math.radians(row[1])), row[3]], "already multiplied by cos E"),
@@ -324,17 +324,17 @@ def test_repeated_rows_count_once(tmp_path: Path, capsys: pytest.CaptureFixture[
     ],
 )
 def test_wrong_offset_conventions_are_reported(
-    changed: Callable[[list[float]], list[float]], told: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    changed: Callable[[list[float]], list[float]], text: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     table = write_table(tmp_path / "s.csv", [changed(row) for row in table_rows()])
     assert main([str(table), "--out", str(tmp_path / "out")]) == 0
     shown = capsys.readouterr().out
     # No sighting can show the common sign of both: the first one is printed.
     assert "observation S0 has the true direction" in shown
-    assert ("warning: " in shown) == (told is not None)
-    assert (tmp_path / "out" / "calibration.yaml").exists() == (told is None)
-    if told is not None:
-        assert told in shown
+    assert ("warning: " in shown) == (text is not None)
+    assert (tmp_path / "out" / "calibration.yaml").exists() == (text is None)
+    if text is not None:
+        assert text in shown
 
 
 @pytest.mark.parametrize(

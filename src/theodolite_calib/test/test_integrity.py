@@ -32,10 +32,10 @@ def seconds(message: Any) -> float:
 
 def test_levels_go_out_once_a_second_and_name_their_hypotheses() -> None:
     run = fault_free_run()
-    told = run.messages(TOPIC)
-    assert 5 <= len(told) <= 8
-    assert {m.header.frame_id for m in told} == {"theodolite_main"}
-    last = told[-1]
+    reports = run.messages(TOPIC)
+    assert 5 <= len(reports) <= 8
+    assert {m.header.frame_id for m in reports} == {"theodolite_main"}
+    last = reports[-1]
     assert last.quantities == ["azimuth_cos_elevation", "elevation", "image_rotation"]
     assert last.hypotheses == ["beacon.alpha", "beacon.bravo", "encoder", "ship_attitude"]
     assert (last.state, last.excluded) == (Integrity.NO_LIMIT, [])
@@ -61,11 +61,11 @@ def test_exclusion_is_published_at_once_and_in_diagnostics() -> None:
         session(10.0), lambda a: a.topic == BASELINE["alpha"] and a.stamp_ns - START_NS > 5 * SECOND_NS, moved
     )
     run = run_adapter(new_adapter(), wrong)
-    told = [m for m in run.messages(TOPIC) if m.excluded]
-    assert told[0].excluded == ["beacon.alpha"]
-    assert 4.8 < seconds(told[0]) < 6.5
-    assert told[-1].excluded_for_s[0] == pytest.approx(seconds(told[-1]) - seconds(told[0]), abs=0.6)
-    assert told[-1].hypotheses == ["beacon.bravo", "encoder", "ship_attitude"]
+    reports = [m for m in run.messages(TOPIC) if m.excluded]
+    assert reports[0].excluded == ["beacon.alpha"]
+    assert 4.8 < seconds(reports[0]) < 6.5
+    assert reports[-1].excluded_for_s[0] == pytest.approx(seconds(reports[-1]) - seconds(reports[0]), abs=0.6)
+    assert reports[-1].hypotheses == ["beacon.bravo", "encoder", "ship_attitude"]
     assert run.pointings[-1].status == Status.VALID
     since_ns = START_NS + 9 * SECOND_NS
     assert any("beacon.alpha" in text for _, text in run.diagnostics("integrity", since_ns, since_ns + 2 * SECOND_NS))

@@ -145,8 +145,8 @@ def repeat_times(topics: tuple[str, ...]) -> tuple[Arrival, ...]:
 
 def lights_used(run: Run) -> list[float]:
     """Return the stamps of accepted beacons, s after the start."""
-    told = [m for m in run.messages("theodolite/innovation") if m.source == "lights" and m.accepted]
-    return sorted({(stamp_of(m) - START_NS) / SECOND_NS for m in told})
+    accepted = [m for m in run.messages("theodolite/innovation") if m.source == "lights" and m.accepted]
+    return sorted({(stamp_of(m) - START_NS) / SECOND_NS for m in accepted})
 
 
 def test_beacons_are_rejected_while_encoders_and_ship_repeat_times() -> None:

@@ -83,5 +83,5 @@ def test_multiplied_offsets_are_reported_despite_smaller_residuals(
     )
     assert rms(fit(multiplied, fixed).residuals) < 0.9 * rms(fit(sightings, fixed).residuals)
     assert table_warnings(sightings, fixed) == []
-    (told,) = table_warnings(multiplied, fixed)
-    assert "already multiplied by cos E" in told
+    (text,) = table_warnings(multiplied, fixed)
+    assert "already multiplied by cos E" in text

@@ -192,9 +192,9 @@ def test_rates_in_degrees_are_reported_and_the_ins_rejected() -> None:
     run = run_adapter(adapter(), change_where(session_with_ins_only(10.0), of_topic(INS), scale_rates(DEGREES)))
     assert run.reasons(INS).keys() == {"units"}
     assert "degrees for radians?" in run.innovations(Reason.UNITS)[0].reason_text
-    told_s = min(seconds(m) for m in run.innovations(Reason.UNITS))
-    assert 5.0 < told_s < 7.0
-    assert {m.status for m in run.pointings if seconds(m) > told_s + 0.1} == {Status.INVALID}
+    detected_s = min(seconds(m) for m in run.innovations(Reason.UNITS))
+    assert 5.0 < detected_s < 7.0
+    assert {m.status for m in run.pointings if seconds(m) > detected_s + 0.1} == {Status.INVALID}
     assert assert_within_covariance(run)
 
 

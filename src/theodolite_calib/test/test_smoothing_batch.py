@@ -169,7 +169,7 @@ def run_smoother() -> tuple[SmoothingAxisCore, list[PointingEstimate], list[Poin
     asked_ns = {START_NS + ms * 1_000_000 for ms in ASKED_MS}
     again = list(core.smooth_remaining())
     assert [one.time_ns for one in again] == [one.time_ns for one in at_once]
-    return core, *([one for one in told if one.time_ns in asked_ns] for told in (at_once, again))
+    return core, *([one for one in estimates if one.time_ns in asked_ns] for estimates in (at_once, again))
 
 
 # -- the batch --------------------------------------------------------------------------------------------------------

@@ -80,7 +80,7 @@ def squared_axis_errors(rotation_nm: FloatArray, estimate: PointingEstimate) -> 
 
 def one_exposure(mount: Mount, count: int) -> tuple[float, float, float]:
     """Return RMS and stated sigma of the pointing by one exposure (arcsec), and the mean NEES."""
-    told = []
+    errors = []
     for seed in range(SEEDS):
         night, rng = mount.run(seed)
         encoder = random_field(rng)
@@ -89,8 +89,8 @@ def one_exposure(mount: Mount, count: int) -> tuple[float, float, float]:
         estimate = mount.pointing(night, state, encoder)
         assert (estimate.mode, estimate.status) == (Mode.STARS, Status.VALID)
         assert np.isnan(estimate.rotation_nt).all()  # the calibration telescope has seen nothing
-        told.append(squared_axis_errors(night.main_axis(encoder), estimate))
-    squares, variances, nees = np.mean(told, axis=0)
+        errors.append(squared_axis_errors(night.main_axis(encoder), estimate))
+    squares, variances, nees = np.mean(errors, axis=0)
     return float(np.sqrt(squares)) / ARCSEC, float(np.sqrt(variances)) / ARCSEC, float(nees)
 
 
@@ -124,16 +124,16 @@ def streak_exposure(sighting: StarSighting, rng: np.random.Generator) -> tuple[S
 
 
 def test_through_a_camera_that_turns_the_pointing_comes_to_the_bound_of_the_streaks_drawn(watch) -> None:
-    mount, told, bounds = Mount(SETTINGS, watch), [], []
+    mount, errors, bounds = Mount(SETTINGS, watch), [], []
     for seed in range(SEEDS):
         night, rng = mount.run(500 + seed)
         encoder = random_field(rng)
         sighting, bound = streak_exposure(night.sighting(encoder, 5), rng)
         state, decision = mount.step(mount.filter.initial_state(), sighting)
         assert decision.accepted, decision.text
-        told.append(squared_axis_errors(night.main_axis(encoder), mount.pointing(night, state, encoder)))
+        errors.append(squared_axis_errors(night.main_axis(encoder), mount.pointing(night, state, encoder)))
         bounds.append(np.trace(bound))
-    squares, variances, nees = np.mean(told, axis=0)
+    squares, variances, nees = np.mean(errors, axis=0)
     low, high = mean_nees_band(SEEDS, 3)
     assert low <= nees <= high
     least, most = sigma_ratio_band(2 * SEEDS)

@@ -243,8 +243,8 @@ def nees_of_draws(plunged: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         across = np.linalg.svd(estimate.direction_n[None])[2][1:]
         error_n = true_n - estimate.direction_n
         direction.append(normalized_error_squared(across @ error_n, across @ estimate.covariance_n @ across.T))
-        told, covariance = direction_angles(estimate.direction_n, estimate.covariance_n)
-        error = direction_angles(true_n, np.zeros((3, 3)))[0] - told
+        estimated, covariance = direction_angles(estimate.direction_n, estimate.covariance_n)
+        error = direction_angles(true_n, np.zeros((3, 3)))[0] - estimated
         error[0] = (error[0] + np.pi) % (2.0 * np.pi) - np.pi
         angles.append(normalized_error_squared(error, covariance))
         place.append(normalized_error_squared(true_place_n - estimate.position_n, estimate.position_covariance_n))
@@ -275,15 +275,15 @@ def test_an_exposure_of_known_length_is_brought_to_its_middle() -> None:
     moments_s = exposure_s * ((np.arange(1000) + 0.5) / 1000 - 0.5)
     mean_m = np.mean([point_m(t_s) for t_s in moments_s], axis=0)
     off = {}
-    for told_s in (exposure_s, 0.0):
+    for stated_s in (exposure_s, 0.0):
         core = OpticalAxisCore(config())
         for step in range(-50, 51):
             stamp_ns = START_NS + step * SECOND_NS // 100
             core.add_ship(ShipSample(stamp_ns, np.eye(3), np.zeros(3), np.diag(SHIP_SIGMA_N**2)))
             core.add_encoder(EncoderSample(stamp_ns, np.array([1.0, elevation(0.01 * step)]), ARCSEC))
-        sample = TargetSample(START_NS, "buoy", mean_m, 1e-6, told_s, 0.0, np.nan, np.nan)
+        sample = TargetSample(START_NS, "buoy", mean_m, 1e-6, stated_s, 0.0, np.nan, np.nan)
         (estimate,) = core.add_target(sample).targets
-        off[told_s] = np.linalg.norm(estimate.direction_n - rotation_from_angles(1.002, 0.52, 0.0)[:, 0]) / ARCSEC
+        off[stated_s] = np.linalg.norm(estimate.direction_n - rotation_from_angles(1.002, 0.52, 0.0)[:, 0]) / ARCSEC
     # swing (2 pi / period)^2 T^2 / 24 = 59"; what is left is the fourth derivative.
     assert off[0.0] == pytest.approx(59.2, abs=1.5)
     assert off[exposure_s] < 1.0
@@ -292,7 +292,7 @@ def test_an_exposure_of_known_length_is_brought_to_its_middle() -> None:
 def test_an_estimator_that_replaces_another_one_goes_on_with_its_pointings_and_images() -> None:
     """The pending image is answered once, by the second estimator; the answered one is known to it."""
 
-    def told(core: OpticalAxisCore, steps: range) -> list[PointingOutcome]:
+    def pointings(core: OpticalAxisCore, steps: range) -> list[PointingOutcome]:
         outcomes = []
         for step in steps:
             stamp_ns = START_NS + step * SECOND_NS // 100
@@ -305,13 +305,13 @@ def test_an_estimator_that_replaces_another_one_goes_on_with_its_pointings_and_i
 
     live = OpticalAxisCore(config())
     second = live.make_second(None)
-    before, _ = told(live, range(-50, 1)), told(second, range(-50, 1))
+    before, _ = pointings(live, range(-50, 1)), pointings(second, range(-50, 1))
     assert len(live.add_target(image(-100_000_000)).targets) == 1
     assert not live.add_target(image(5_000_000)).targets
     last_ns = max(estimate.time_ns for outcome in before for estimate in outcome.estimates)
     second.take_over_outputs(live)
     assert second.add_target(image(-100_000_000)).rejection is not None
-    after = told(second, range(1, 5))
+    after = pointings(second, range(1, 5))
     assert [target.time_ns for outcome in after for target in outcome.targets] == [START_NS + 5_000_000]
     times_ns = [estimate.time_ns for outcome in after for estimate in outcome.estimates]
     assert times_ns == [last_ns + step * SECOND_NS // 100 for step in range(1, 5)]

@@ -153,9 +153,9 @@ def test_images_without_a_main_detector_are_rejected_with_advice() -> None:
     run = run_adapter(new_adapter(), sort_by_arrival((*session(), *images())), START_NS + 9 * SECOND_NS)
     assert run.messages(DIRECTION) == []
     assert run.reasons(TARGET) == {"unknown_sensor": len(images())}
-    told = run.innovations(Reason.UNKNOWN_SENSOR)[0]
-    assert told.source == "target"
-    assert "main_detector.focal_length_m is not set" in told.reason_text
+    rejection = run.innovations(Reason.UNKNOWN_SENSOR)[0]
+    assert rejection.source == "target"
+    assert "main_detector.focal_length_m is not set" in rejection.reason_text
 
 
 def test_an_unknown_range_gives_a_direction_and_no_place() -> None:

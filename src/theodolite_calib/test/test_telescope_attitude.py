@@ -117,8 +117,8 @@ def test_a_part_of_the_budget_is_what_its_source_does(source):
     error = error_n(epochs, attitude)
     values, axes = np.linalg.eigh(part)
     # Some sources move the telescope in fewer than three ways.
-    told = values > 1e-3 * values[-1]
-    ratio = np.sqrt(np.mean((error @ axes[:, told]) ** 2, axis=0) / values[told])
+    significant = values > 1e-3 * values[-1]
+    ratio = np.sqrt(np.mean((error @ axes[:, significant]) ** 2, axis=0) / values[significant])
     low, high = sigma_ratio_band(count)
     assert np.all((ratio > low) & (ratio < high))
 

@@ -275,9 +275,9 @@ def test_nothing_is_interpolated_across_an_invalid_direction(invalid_comes_first
         message = buoy_message(number, START_NS + index * PERIOD_NS + 10_000_000 * number, status=int(worth))
         found += published_positions(give_message(adapter, number, message, START_NS + 11 * PERIOD_NS))
     since = {ns_from_stamp(message.header.stamp) - START_NS: message.status for message in found}
-    told = [since[index * PERIOD_NS] for index in range(1, 11)]
+    statuses = [since[index * PERIOD_NS] for index in range(1, 11)]
     # At 0.3 s the second's next direction claims nothing, at 1.0 s its last.
-    assert told == [Status.VALID] * 2 + [Status.INVALID] * 8
+    assert statuses == [Status.VALID] * 2 + [Status.INVALID] * 8
 
 
 @pytest.mark.parametrize("invalid_comes_first", [True, False])
