@@ -139,8 +139,8 @@ def test_two_stars_suffice_for_a_boresight_by_geometry_and_one_does_not() -> Non
     seen = trials.views(scene, trials.some_stars(scene, (2, 2)))
     found = two_boresights(seen, scene.erfa_sky, MIN_STARS_BY_GEOMETRY)
     assert found is not None
-    apart = wrap_pi(angles_from_rotation(found) - angles_from_rotation(scene.rotation_nd))
-    assert np.max(np.abs(apart)) < 60.0 * ARCSEC
+    error = wrap_pi(angles_from_rotation(found) - angles_from_rotation(scene.rotation_nd))
+    assert np.max(np.abs(error)) < 60.0 * ARCSEC
     one = trials.views(scene, trials.some_stars(scene, (1, 8)))
     assert two_boresights(one, scene.erfa_sky, MIN_STARS_BY_GEOMETRY) is None
 

@@ -52,18 +52,18 @@ def run_command(environment, command, *arguments):
 def test_services_are_listed_and_called(environment):
     assert run_command(environment, "call", NODE) == (0, "load_alignment\nreset\nsave_alignment\n", "")
     assert run_command(environment, "call", NODE, "reset") == (0, "done: the filter was reset\n", "")
-    code, said, _ = run_command(environment, "call", NODE, "save_alignment")
+    code, printed, _ = run_command(environment, "call", NODE, "save_alignment")
     assert code == 1
-    assert said.startswith("not done: parameter 'alignment_file' is empty")
+    assert printed.startswith("not done: parameter 'alignment_file' is empty")
 
 
 def test_an_alert_is_acknowledged_by_its_id_and_instance(environment):
     code, listed, _ = run_command(environment, "call", "/alpha/alerts")
     assert code == 0
     assert listed == "acknowledge id=<string> instance=<uint32>\nsilence\n"
-    code, said, _ = run_command(environment, "call", "/alpha/alerts", "acknowledge", "id=there.is.none", "instance=7")
+    code, out, _ = run_command(environment, "call", "/alpha/alerts", "acknowledge", "id=there.is.none", "instance=7")
     assert code == 1
-    assert said.startswith("not done: ")
+    assert out.startswith("not done: ")
     code, _, error = run_command(environment, "call", "/alpha/alerts", "acknowledge", "id=x")
     assert (code, error) == (2, "call: service 'acknowledge' needs instance=<uint32>\n")
     code, _, error = run_command(environment, "call", "/alpha/alerts", "acknowledge", "id=x", "instance=one")
@@ -77,8 +77,8 @@ def test_an_unknown_name_is_answered_with_the_nearest(environment):
     code, _, error = run_command(environment, "call", NODE, "restet")
     assert (code, "did you mean 'reset'?" in error) == (2, True)
     code, _, error = run_command(environment, "param", NODE, "gate.probabilty")
-    said = f"param: node {NODE}: no parameter 'gate.probabilty': did you mean 'gate.probability'?\n"
-    assert (code, error) == (2, said)
+    expected = f"param: node {NODE}: no parameter 'gate.probabilty': did you mean 'gate.probability'?\n"
+    assert (code, error) == (2, expected)
 
 
 def test_parameters_are_listed_with_units_read_and_set(environment):

@@ -142,12 +142,12 @@ def test_overload_has_a_status_and_ends(bag, tmp_path, monkeypatch):
 
     def waited_s(observer: GraphObserver, happened: Callable[[], bool]) -> float:
         start_s = time.monotonic()
-        assert observer.spin_until(happened, LIMIT_S), heard.summary()
+        assert observer.spin_until(happened, LIMIT_S), nodes.summary()
         return time.monotonic() - start_s
 
     with contextlib.ExitStack() as stack:
         observer = stack.enter_context(GraphObserver(domain))
-        heard = NodeObserver(observer, truth)
+        nodes = NodeObserver(observer, truth)
         for name, package in NODES.items():
             options = ["--ros-args", "--params-file", str(tmp_path / "suite.yaml"), "-p", "use_sim_time:=true"]
             options += ["-p", f"black_box:={tmp_path / name}.mcap"]
@@ -155,24 +155,24 @@ def test_overload_has_a_status_and_ends(bag, tmp_path, monkeypatch):
             stack.enter_context(LiveProcess(command, tmp_path / f"{name}.log", environment))
         assert observer.spin_until(lambda: set(NODES) <= set(observer.node.get_node_names()), LIMIT_S)
         with busy_core(core), play(FASTEST):
-            reported = waited_s(observer, lambda: set(NODES) <= set(heard.behind))
-            shown = waited_s(observer, lambda: {level for level, _ in heard.overload.values()} == {2})
-            for node, (_, text) in heard.overload.items():
+            reported = waited_s(observer, lambda: set(NODES) <= set(nodes.behind))
+            shown = waited_s(observer, lambda: {level for level, _ in nodes.overload.values()} == {2})
+            for node, (_, text) in nodes.overload.items():
                 assert re.fullmatch(BEHIND.format(node=node), text), text
-            cut = waited_s(observer, lambda: {"ins", "star.bow", "encoder", "lights"} <= set(heard.behind))
-            for claims in heard.claims.values():
+            cut = waited_s(observer, lambda: {"ins", "star.bow", "encoder", "lights"} <= set(nodes.behind))
+            for claims in nodes.claims.values():
                 claims.clear()
-            waited_s(observer, lambda: all(Status.INVALID in claims for claims in heard.claims.values()))
-        for claims in heard.claims.values():
+            waited_s(observer, lambda: all(Status.INVALID in claims for claims in nodes.claims.values()))
+        for claims in nodes.claims.values():
             claims.clear()
-        heard.refusals.clear()
+        nodes.refusals.clear()
         with play(USUAL):
-            valid = waited_s(observer, lambda: all(Status.VALID in claims for claims in heard.claims.values()))
-            ok = waited_s(observer, lambda: {level for level, _ in heard.overload.values()} == {0})
+            valid = waited_s(observer, lambda: all(Status.VALID in claims for claims in nodes.claims.values()))
+            ok = waited_s(observer, lambda: {level for level, _ in nodes.overload.values()} == {0})
     print(f"behind after {reported:.1f} s, shown {shown:.1f} s later, all cut {cut:.1f} s later")
     print(f"VALID after {valid:.1f} s, over {ok:.1f} s later")
-    assert heard.excluded == set()
-    assert heard.worst_sigmas < MOST_SIGMAS
+    assert nodes.excluded == set()
+    assert nodes.worst_sigmas < MOST_SIGMAS
     for name in NODES:
         command = [*executable("ship_replay", "replay"), str(tmp_path / f"{name}.mcap"), "--verify"]
         verified = subprocess.run(command, capture_output=True, text=True, timeout=300.0, check=False)

@@ -216,9 +216,9 @@ def test_a_baseline_without_fixed_solution_only_makes_its_light_unusable(count: 
     for run in (runs[0], without_them):
         state = run.adapter.core.state
         states.append((state.mean.tobytes(), state.covariance_by_source.tobytes(), state.point_count))
-    too_far_apart = others_around_s(others, topic, chosen) > MAX_GAP_S
-    assert too_far_apart == (count == 8)
-    assert (states[0] == states[1]) == too_far_apart
+    is_gap_too_long = others_around_s(others, topic, chosen) > MAX_GAP_S
+    assert is_gap_too_long == (count == 8)
+    assert (states[0] == states[1]) == is_gap_too_long
     assert states[0][2] <= states[1][2]
 
 

@@ -79,7 +79,7 @@ def sigmas_arcsec(estimates: list[AttitudeEstimate]) -> np.ndarray:
 
 @pytest.mark.statistics
 @pytest.mark.parametrize(
-    ("name", "asked_s"),
+    ("name", "epochs_s"),
     [
         # Before the first star, after it, between stars, after them, at the end.
         ("demo.yaml", [0.0, 3.0, 30.0, 47.0, 59.8]),
@@ -87,10 +87,10 @@ def sigmas_arcsec(estimates: list[AttitudeEstimate]) -> np.ndarray:
         ("schuler.yaml", [3.0, 30.0, 47.0, 59.8]),
     ],
 )
-def test_smoothed_attitudes_are_consistent(name: str, asked_s: list[float]) -> None:
+def test_smoothed_attitudes_are_consistent(name: str, epochs_s: list[float]) -> None:
     scenario, found, worth = reduced_scenario(name, 60.0, (20.0, 40.0)), [], []
     for seed in range(SEEDS):
-        pair, true_nd = run_voyage(scenario, 100 + seed, asked_s)
+        pair, true_nd = run_voyage(scenario, 100 + seed, epochs_s)
         at_once, smoothed = sigmas_arcsec(pair.filtered), sigmas_arcsec(pair.smoothed)
         assert np.all(smoothed <= at_once * (1.0 + 1e-6))
         assert [one.status for one in pair.smoothed] == [one.status for one in pair.filtered]
@@ -138,7 +138,7 @@ def smooth_faulty_voyage(ins: list[AttitudeSample], fault_arcsec: float, seed: i
         10**18,
     )
     mounted = {id_: exp_rotation(MOUNTED * rng.standard_normal(3)) for id_ in SENSORS}
-    asked_s = []
+    epochs_s = []
     for number, sample in enumerate(ins):
         since_s = (sample.time_ns - first_ns) * 1e-9
         if number % 10 == 0:
@@ -150,11 +150,11 @@ def smooth_faulty_voyage(ins: list[AttitudeSample], fault_arcsec: float, seed: i
                 core.add_measurement(AttitudeMeasurement(f"star.{id_}", sample.time_ns, rotation, np.diag(NOISE**2)))
         outcome = core.add_ins(sample, estimate=number % 25 == 5 or number == JUMP - 1)
         pair.filtered.extend(outcome.estimates)
-        asked_s += [since_s] * len(outcome.estimates)
+        epochs_s += [since_s] * len(outcome.estimates)
         core.take_smoothed()
     pair.smoothed.extend(core.smooth_remaining())
     assert len(pair.smoothed) == len(pair.filtered) == 61
-    return pair, attitudes(np.array(asked_s), SWELL)
+    return pair, attitudes(np.array(epochs_s), SWELL)
 
 
 def slow_error(seed: int) -> tuple[float, float, float]:

@@ -274,8 +274,8 @@ def test_through_the_deck_as_tf2_interpolates_it_the_main_axis_is_the_pointing(b
         if pointing.status == Status.INVALID:
             continue
         chain = slerp(ns - min(decks)) * rotation_from_message(mains[ns].transform.rotation)
-        said = ros_rotation(pointing.azimuth, pointing.elevation, pointing.image_rotation)
-        assert angle_between(chain, said) < BEYOND_ROUNDING
+        published = ros_rotation(pointing.azimuth, pointing.elevation, pointing.image_rotation)
+        assert angle_between(chain, published) < BEYOND_ROUNDING
         between[ns in decks] += 1
     assert between[False] > 100
     assert between[True] > 50
@@ -294,8 +294,8 @@ def test_by_the_ins_alone_the_parent_of_the_main_axis_is_the_horizon(tmp_path):
     assert [ns_from_stamp(t.header.stamp) for t in mains] == list(pointings)
     for main, pointing in zip(mains, pointings.values(), strict=True):
         assert main.header.frame_id == "horizon"
-        said = ros_rotation(pointing.azimuth, pointing.elevation, pointing.image_rotation)
-        assert angle_between(rotation_from_message(main.transform.rotation), said) < BEYOND_ROUNDING
+        published = ros_rotation(pointing.azimuth, pointing.elevation, pointing.image_rotation)
+        assert angle_between(rotation_from_message(main.transform.rotation), published) < BEYOND_ROUNDING
 
 
 def test_no_transform_is_published_for_an_invalid_pointing():
@@ -308,19 +308,19 @@ def test_no_transform_is_published_for_an_invalid_pointing():
 @pytest.mark.live
 def test_late_subscribers_receive_the_sensor_frames(tmp_path, monkeypatch):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    domain, heard = free_domain_id(), []
+    domain, received = free_domain_id(), []
     command = [*executable("ship_attitude_star", "ship_attitude"), "--ros-args", "--params-file"]
     command += [str(ROOT / "examples" / "two_sensors.yaml"), "-p", "slow_topics_period_s:=60.0"]
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     environment = live_environment(domain, tmp_path)
     with GraphObserver(domain) as observer, LiveProcess(command, tmp_path / "node.log", environment) as process:
-        observer.node.create_subscription(TFMessage, "/tf_static", heard.append, latched)
-        assert observer.spin_until(lambda: heard, 60.0), process.log_text()
+        observer.node.create_subscription(TFMessage, "/tf_static", received.append, latched)
+        assert observer.spin_until(lambda: received, 60.0), process.log_text()
         # The node publishes it again only after a minute: this subscriber receives the latched message.
-        observer.node.create_subscription(TFMessage, "/tf_static", heard.append, latched)
-        assert observer.spin_until(lambda: len(heard) > 1), process.log_text()
+        observer.node.create_subscription(TFMessage, "/tf_static", received.append, latched)
+        assert observer.spin_until(lambda: len(received) > 1), process.log_text()
         assert process.end() == 0
-    assert {(t.header.frame_id, t.child_frame_id) for t in heard[1].transforms} == {
+    assert {(t.header.frame_id, t.child_frame_id) for t in received[1].transforms} == {
         ("deck", "star_fore"), ("deck", "star_starboard"),
     }  # fmt: skip
-    assert heard[1] == heard[0]
+    assert received[1] == received[0]

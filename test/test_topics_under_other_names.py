@@ -192,8 +192,8 @@ def test_an_invalid_remap_is_one_line(renamed, tmp_path, capsys, words, line):
     except SystemExit as end:
         code = end.code
     assert code == 2
-    (said,) = capsys.readouterr().err.splitlines()
-    assert line in said
+    (error,) = capsys.readouterr().err.splitlines()
+    assert line in error
 
 
 @pytest.mark.parametrize(
@@ -208,8 +208,8 @@ def test_a_wrong_map_is_one_line_with_its_place(renamed, tmp_path, capsys, entri
     path = tmp_path / "suite.yaml"
     path.write_text(f"/**/ship_attitude:\n  ros__parameters:\n    topics:\n{entries}    ins:\n      frame_id: ins\n")
     assert replay([str(renamed), "--config", str(path), "--out", str(tmp_path / "out.mcap")]) == 2
-    (said,) = capsys.readouterr().err.splitlines()
-    assert line in said
+    (error,) = capsys.readouterr().err.splitlines()
+    assert line in error
 
 
 def test_an_entry_without_a_node_input_is_named(tmp_path, capsys):
@@ -268,8 +268,8 @@ def test_preflight_subscribes_to_the_ships_topic_names(monkeypatch):
     driver.create_publisher(Imu, "/imu/data", 10)
     topic = InputTopic("ins/imu", "sensor_msgs/msg/Imu", required=False, depth=100)
     try:
-        (heard,) = observe_network([topic], [], "ship", 0.1, {"ins/imu": "/imu/data"}).inputs
-        assert [publisher.node for publisher in heard.publishers] == ["/driver"]
+        (observed,) = observe_network([topic], [], "ship", 0.1, {"ins/imu": "/imu/data"}).inputs
+        assert [publisher.node for publisher in observed.publishers] == ["/driver"]
     finally:
         driver.destroy_node()
         context.try_shutdown()

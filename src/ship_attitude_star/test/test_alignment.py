@@ -292,7 +292,7 @@ def save_smaller_covariance(path: Path) -> bytes:
 
 
 def test_a_node_saves_by_itself_once_a_period_what_the_service_would_save(tmp_path: Path) -> None:
-    path, asked = tmp_path / "alignment.yaml", tmp_path / "asked.yaml"
+    path, requested = tmp_path / "alignment.yaml", tmp_path / "asked.yaml"
     files = CountedFiles()
     adapter = ShipAttitudeAdapter(config(alignment_file=str(path), alignment_autosave_s=1.0), FACTORY, files)
     run = run_adapter(adapter, voyage())
@@ -301,8 +301,8 @@ def test_a_node_saves_by_itself_once_a_period_what_the_service_would_save(tmp_pa
     until = [arrival for arrival in voyage() if arrival.receive_ns <= files.last_written_ns]
     assert len(until) > 100
     assert ALIGNMENT_FILE.load(path).time_ns < run.adapter.core.state.time_ns
-    ALIGNMENT_FILE.save(asked, run_adapter(new_adapter(), until).adapter.core.alignment_to_save())
-    assert asked.read_bytes() == path.read_bytes()
+    ALIGNMENT_FILE.save(requested, run_adapter(new_adapter(), until).adapter.core.alignment_to_save())
+    assert requested.read_bytes() == path.read_bytes()
     # Nothing else changes.
     assert run.results() == fault_free_run().results()
 

@@ -167,7 +167,7 @@ def assert_reported_once(run: Run, topic: str, reason: str, text: str, receive_n
     assert not innovation.accepted
     assert text in innovation.reason_text
     reports = run.diagnostics(f"input {topic}", receive_ns, receive_ns + 1_100_000_000)
-    assert any(level == 1 and reason in said and text in said for level, said in reports)
+    assert any(level == 1 and reason in reported and text in reported for level, reported in reports)
 
 
 def test_without_faults_nothing_is_refused() -> None:
@@ -297,8 +297,8 @@ def test_the_same_message_again_is_a_duplicate(topic: str) -> None:
 
 
 @pytest.mark.parametrize("topic", [INS, FORE])
-@pytest.mark.parametrize("apart_s", [0.001, 1.0])
-def test_of_two_messages_with_one_stamp_the_same_one_is_kept_in_either_order(topic: str, apart_s: float) -> None:
+@pytest.mark.parametrize("delay_s", [0.001, 1.0])
+def test_of_two_messages_with_one_stamp_the_same_one_is_kept_in_either_order(topic: str, delay_s: float) -> None:
     def other(message: Any) -> None:
         if topic == INS:
             message.angular_velocity.x += 1e-4
@@ -308,7 +308,7 @@ def test_of_two_messages_with_one_stamp_the_same_one_is_kept_in_either_order(top
     arrivals = voyage()
     index = index_at(arrivals, topic, 2.6)  # the INS sample just before the star's of 2.613 s
     one, another = arrivals[index], changed_copy(arrivals[index], other)
-    second_ns = one.receive_ns + round(apart_s * SECOND_NS)
+    second_ns = one.receive_ns + round(delay_s * SECOND_NS)
     one_first, another_first = (
         run_adapter(
             new_adapter(), sort_by_arrival((*without(arrivals, index), first, replace(second, receive_ns=second_ns)))

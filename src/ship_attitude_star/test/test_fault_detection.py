@@ -579,11 +579,11 @@ def test_the_fast_consistency_test_equals_the_full_one(
     lies: tuple[InjectedError, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     expected = run_with_errors(*lies, seconds=40.0)
-    asked = []
-    monkeypatch.setattr(FaultDetector, "_is_all_consistent", lambda *_: bool(asked.append(None)))
+    calls = []
+    monkeypatch.setattr(FaultDetector, "_is_all_consistent", lambda *_: bool(calls.append(None)))
     RUNS_BEFORE_ERRORS.clear()
     looked = run_with_errors(*lies, seconds=40.0)
-    assert asked
+    assert calls
     assert (looked.excluded, looked.reasons) == (expected.excluded, expected.reasons)
     for one, other in zip(looked.estimates, expected.estimates, strict=True):
         assert (one.status, one.text) == (other.status, other.text)

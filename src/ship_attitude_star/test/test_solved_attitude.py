@@ -336,10 +336,10 @@ def test_shared_errors_are_as_configured() -> None:
     message = one_solution()
     common_n = read(message, "none").common_n
     assert type(read(message, "none")) is type(read(message, "by_input")) is AttitudeMeasurement
-    alike = read(message, "message")
-    np.testing.assert_array_equal(alike.common_n, 0.0)
-    np.testing.assert_allclose(alike.correlated_n, common_n, atol=1e-9 * np.trace(common_n))
-    np.testing.assert_allclose(alike.shared_n, alike.shared_n.T, atol=1e-15)
+    shared = read(message, "message")
+    np.testing.assert_array_equal(shared.common_n, 0.0)
+    np.testing.assert_allclose(shared.correlated_n, common_n, atol=1e-9 * np.trace(common_n))
+    np.testing.assert_allclose(shared.shared_n, shared.shared_n.T, atol=1e-15)
 
 
 @pytest.mark.parametrize("input_", ["observations", "inertial_attitude"])

@@ -93,8 +93,8 @@ def test_the_variance_of_exposures_on_the_same_pixels_matches_their_error(step_p
     is compared with it; the overlap decreases linearly, the filter's model exponentially.
     """
     exposures, number = information_ratios(drift(step_px), stars=100), np.arange(300)
-    apart = np.abs(number[:, None] - number)[..., None] * np.abs(step_px)
-    overlap = np.prod(np.maximum(1.0 - apart, 0.0), axis=-1)
+    distance_px = np.abs(number[:, None] - number)[..., None] * np.abs(step_px)
+    overlap = np.prod(np.maximum(1.0 - distance_px, 0.0), axis=-1)
     variance = exposures @ overlap @ exposures / exposures.sum() ** 2
     assert variance == pytest.approx(1.0 / exposures.sum(), rel=0.15)
 
@@ -132,13 +132,13 @@ def test_a_rotation_about_the_boresight_counts_as_movement():
     """Twelve stars rotate about the middle of the detector, with the same root mean square movement as a shift."""
     places = np.random.default_rng(11).uniform(-400.0, 400.0, (12, 2))
     arm = np.sqrt(np.mean(np.sum((places - places.mean(axis=0)) ** 2, axis=1)))
-    begun = ERRORS.pixel_dwell(CAMERA.directions(HALF_PX + places), np.full(12, 1e-12), None)
+    dwell = ERRORS.pixel_dwell(CAMERA.directions(HALF_PX + places), np.full(12, 1e-12), None)
     for way_px in (1.0, 2.0):
         cosine, sine = np.cos(way_px / arm), np.sin(way_px / arm)
         turned = (places - places.mean(axis=0)) @ np.array([[cosine, sine], [-sine, cosine]]) + places.mean(axis=0)
         shifted = places + np.array([way_px, 0.0])
         by_turn, by_shift = (
-            ERRORS.pixel_dwell(CAMERA.directions(HALF_PX + moved), np.full(12, 1e-12), begun).excess_ratio
+            ERRORS.pixel_dwell(CAMERA.directions(HALF_PX + moved), np.full(12, 1e-12), dwell).excess_ratio
             for moved in (turned, shifted)
         )
         assert by_turn == pytest.approx(by_shift, rel=0.02)

@@ -97,7 +97,7 @@ def assert_reported_once(run: Run, topic: str, reason: str, text: str, receive_n
         for entry in report.status
         if entry.name == f"star_attitude: input {topic}"
     ]
-    assert any(level == 1 and text in said for level, said in levels)
+    assert any(level == 1 and text in reported for level, reported in levels)
 
 
 def innovations(run: Run, reason: Reason) -> list[Any]:
@@ -186,20 +186,20 @@ def test_the_same_exposure_again_is_dropped() -> None:
     assert run.reasons(FORE) == {"duplicate": 1}
 
 
-@pytest.mark.parametrize("apart_ns", [20_000_000, 200_000_000], ids=["joint solution open", "joint solution out"])
-def test_mend_08_of_two_exposures_of_one_stamp_neither_holds_nor_do_those_after_them(apart_ns: int) -> None:
+@pytest.mark.parametrize("delay_ns", [20_000_000, 200_000_000], ids=["joint solution open", "joint solution out"])
+def test_mend_08_of_two_exposures_of_one_stamp_neither_holds_nor_do_those_after_them(delay_ns: int) -> None:
     """A sensor that contradicts itself gives no attitude until it has agreed with itself for ten seconds."""
     index = index_at(voyage(), FORE, MOMENT_S)
     mine = voyage()[index]
     pair = mine, changed_copy(mine, set_star_fields(0, u=17.0))
     runs = []
     for first, second in itertools.permutations(pair):
-        second = replace(second, receive_ns=mine.receive_ns + apart_ns)
+        second = replace(second, receive_ns=mine.receive_ns + delay_ns)
         runs.append(run_new_adapter(sort_by_arrival((*without(voyage(), index), first, second))))
     for run in runs:
         conflict, *after = innovations(run, Reason.CONFLICT)
         assert conflict.reason_text == "the same stamp with different content: do two sensors publish on one topic?"
-        known_ns = mine.receive_ns + apart_ns
+        known_ns = mine.receive_ns + delay_ns
         of_sensor = [a for a in voyage() if a.topic == FORE]
         exposures = [a for a in of_sensor if a.stamp_ns == mine.stamp_ns or a.receive_ns > known_ns]
         assert [stamp_of(message) for message in after] == [a.stamp_ns for a in exposures]
@@ -210,9 +210,9 @@ def test_mend_08_of_two_exposures_of_one_stamp_neither_holds_nor_do_those_after_
         assert run.messages("star/starboard/solution")[-1].status == 0
         assert run.messages("star/joint/solution")[-1].status == 0
     joint = [[exact_value(message) for message in run.messages("star/joint/solution")] for run in runs]
-    assert (joint[0] == joint[1]) == (apart_ns < 64_000_000)
+    assert (joint[0] == joint[1]) == (delay_ns < 64_000_000)
     late = [run.reasons(FORE).get("late", 0) for run in runs]
-    assert late == ([0, 0] if apart_ns < 64_000_000 else [1, 1])
+    assert late == ([0, 0] if delay_ns < 64_000_000 else [1, 1])
 
 
 def test_a_fix_with_the_same_stamp_and_another_place_is_told() -> None:

@@ -232,10 +232,10 @@ def test_stars_in_one_direction_are_refused_with_the_reason():
     scene = draw_scene(np.random.default_rng(19), (1, 0))
     star = scene.stars
     turn = exp_rotation(10.0 * ARCSEC * np.cross(star.measured_b[0], [0.0, 0.0, 1.0]))
-    beside = scene.rotation_nd @ turn @ scene.rotation_nd.T
+    small_turn = scene.rotation_nd @ turn @ scene.rotation_nd.T
     stars = MatchedStars(
         np.array([star.measured_b[0], turn @ star.measured_b[0]]),
-        np.array([star.reference_n[0], beside @ star.reference_n[0]]),
+        np.array([star.reference_n[0], small_turn @ star.reference_n[0]]),
         np.repeat(star.sigma, 2),
         np.zeros(2),
         np.repeat(star.shared_n, 2, axis=0),

@@ -72,12 +72,12 @@ def test_more_filters_than_allowed_are_refused_with_a_remedy(sensors: int, rows:
 def test_a_pair_is_relevant_while_two_others_are_in_use() -> None:
     found, sensors = subfilter_set(4, pairs=True, max_hypotheses=16), [f"star.s{number}" for number in range(4)]
 
-    def asked(in_use: list[str], *excluded: str) -> set[str]:
+    def relevant_pairs(in_use: list[str], *excluded: str) -> set[str]:
         return {found.names[row - 1] for row in found.relevant_pairs(in_use, excluded)}
 
-    assert asked(sensors) == set(found.names[5:])
+    assert relevant_pairs(sensors) == set(found.names[5:])
     # A pair of an excluded source and another equals the subfilter without the other one.
     of_three = {"star.s1+star.s2", "star.s1+star.s3", "star.s2+star.s3", "star.s1+ins", "star.s2+ins", "star.s3+ins"}
-    assert asked(sensors[1:], "star.s0") == of_three
-    assert asked(sensors[2:], "star.s0", "star.s1") == set()
-    assert asked(sensors, "ins") == set()
+    assert relevant_pairs(sensors[1:], "star.s0") == of_three
+    assert relevant_pairs(sensors[2:], "star.s0", "star.s1") == set()
+    assert relevant_pairs(sensors, "ins") == set()

@@ -186,8 +186,8 @@ def test_with_one_fix_the_error_allows_any_course() -> None:
 
 def test_fixes_with_a_long_gap_give_no_velocity() -> None:
     fast = {"fix_max_age_s": 60.0, "max_speed_m_per_s": 100.0}
-    apart = track((0, position_at(0.0, 10.0)), (121, position_at(0.0, 10.1)), **fast)
-    assert distance_m(apart.position(ns(3)), position_at(0.0, 10.0)) < 1e-6
+    distant = track((0, position_at(0.0, 10.0)), (121, position_at(0.0, 10.1)), **fast)
+    assert distance_m(distant.position(ns(3)), position_at(0.0, 10.0)) < 1e-6
     joined = track((0, position_at(0.0, 10.0)), (120, position_at(0.0, 10.1)), **fast)
     # The chord of 11 km is below the sea surface by s (L - s) / 2R: 2.3 m in its middle.
     assert distance_m(joined.position(ns(60)), position_at(0.0, 10.05)) == pytest.approx(
@@ -247,17 +247,17 @@ def test_cached_results_equal_recomputed_ones_for_late_inputs(seed: int) -> None
     arrivals_s = stamps_s + rng.choice([0.0, 1.0], 25) * rng.uniform(0.0, 3.0, 25)
     # Results change at the stamps, at the ends of delays, and in between.
     moments_s = np.sort(np.concatenate([stamps_s, stamps_s + 0.5, rng.uniform(-2.0, stamps_s[-1] + 3.0, 50)]))
-    kept, taken, oldest_s = track(fix_max_age_s=max_age_s), [], -np.inf
+    cached, taken, oldest_s = track(fix_max_age_s=max_age_s), [], -np.inf
     for index in np.argsort(arrivals_s, kind="stable"):
         if stamps_s[index] < oldest_s:
             continue
         taken.append((stamps_s[index], position_at(50.0 + north_m[index] / 111_229.0, 10.0)))
-        kept.insert(PositionFix(ns(stamps_s[index]), taken[-1][1], SIGMA_M))
+        cached.insert(PositionFix(ns(stamps_s[index]), taken[-1][1], SIGMA_M))
         oldest_s = max(oldest_s, arrivals_s[index] - 3.0)
-        kept.drop_before(ns(oldest_s))
-        anew = track(*taken, fix_max_age_s=max_age_s)
+        cached.drop_before(ns(oldest_s))
+        recomputed = track(*taken, fix_max_age_s=max_age_s)
         for moment in (ns(since_s) for since_s in moments_s if since_s >= oldest_s):
-            assert position_bytes(kept.position(moment)) == position_bytes(anew.position(moment))
+            assert position_bytes(cached.position(moment)) == position_bytes(recomputed.position(moment))
 
 
 def test_a_repeated_stamp_is_rejected() -> None:

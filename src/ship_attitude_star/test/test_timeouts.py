@@ -54,12 +54,12 @@ def assert_in_order(run: Run) -> None:
 
 def assert_invalid_once_a_second(run: Run, from_s: float, until_s: float) -> None:
     """From within a second and a tick on, only INVALID is published, no budget, and no OK status."""
-    said = [ns for ns in invalid_times_ns(run) if at(from_s) <= ns < at(until_s)]
-    assert said[0] <= at(from_s + 1.1)
-    assert all(SECOND_NS <= later - earlier <= 1.1 * SECOND_NS for earlier, later in pairwise(said))
-    assert until_s - (said[-1] - START_NS) / SECOND_NS <= 1.2
-    assert [topic for ns, topic, _ in run.published if topic in BUDGETS and said[0] < ns < at(until_s)] == []
-    statuses = run.diagnostics("attitude", said[0], at(until_s))
+    times_ns = [ns for ns in invalid_times_ns(run) if at(from_s) <= ns < at(until_s)]
+    assert times_ns[0] <= at(from_s + 1.1)
+    assert all(SECOND_NS <= later - earlier <= 1.1 * SECOND_NS for earlier, later in pairwise(times_ns))
+    assert until_s - (times_ns[-1] - START_NS) / SECOND_NS <= 1.2
+    assert [topic for ns, topic, _ in run.published if topic in BUDGETS and times_ns[0] < ns < at(until_s)] == []
+    statuses = run.diagnostics("attitude", times_ns[0], at(until_s))
     assert {(level, text.partition(":")[0]) for level, text in statuses} == {(2, "INVALID")}
 
 

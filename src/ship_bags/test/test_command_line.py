@@ -81,8 +81,8 @@ def test_ctrl_c_is_one_line_and_leaves_no_partial_file(case, tmp_path):
         write_session(tmp_path / "session.mcap", session(STILL))
     command = [sys.executable, "-c", RUNNER, module, moments, *arguments]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    said = f"{case}: interrupted\n"
-    assert done.stderr == "".join(f"at {number}: {said}" for number in moments.split(","))
+    text = f"{case}: interrupted\n"
+    assert done.stderr == "".join(f"at {number}: {text}" for number in moments.split(","))
     assert done.returncode == 0
 
 

@@ -483,8 +483,8 @@ def test_a_topic_without_messages_in_the_time_range_is_reported(tmp_path, capsys
     arguments = [str(tmp_path / "two.mcap"), "--out", str(tmp_path / "out"), "--from", "2023-11-14T22:13:25Z"]
     for kind, suffix in SUFFIXES.items():
         assert main([*arguments, "--format", kind]) == 0
-        said = "no message was logged between --from and --to, so no file is written, of 'early', 'first'"
-        assert capsys.readouterr().err == f"export: {said}\n"
+        expected = "no message was logged between --from and --to, so no file is written, of 'early', 'first'"
+        assert capsys.readouterr().err == f"export: {expected}\n"
         assert [path.name for path in (tmp_path / "out").glob(f"*{suffix}*")] == [f"late{suffix}"]
     assert main([*arguments, "--topics", "early"]) == 2
     line = capsys.readouterr().err
@@ -643,8 +643,8 @@ def unknown_schema_bag(path):
 def test_a_topic_without_definition_is_skipped_and_refused_if_requested(tmp_path, capsys):
     path = unknown_schema_bag(tmp_path / "secret.mcap")
     assert main([str(path), "--out", str(tmp_path / "out")]) == 0
-    said = capsys.readouterr()
-    assert "topic 'acme' is skipped: the definition of acme_msgs/msg/Secret is not in the bag" in said.err
+    printed = capsys.readouterr()
+    assert "topic 'acme' is skipped: the definition of acme_msgs/msg/Secret is not in the bag" in printed.err
     assert [made.name for made in (tmp_path / "out").iterdir()] == ["ins.imu.csv"]
     line = refusal([path, "--out", tmp_path / "other", "--topics", "acme"], capsys)
     assert "topic 'acme' cannot be exported: the definition of acme_msgs/msg/Secret is not in the bag" in line
@@ -837,8 +837,8 @@ def test_ctrl_c_leaves_nothing_behind(tmp_path):
         assert process.poll() is None
         time.sleep(0.002)
     process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=60)
-    assert (process.returncode, said) == (130, "export: interrupted\n")
+    _, error = process.communicate(timeout=60)
+    assert (process.returncode, error) == (130, "export: interrupted\n")
     assert [path.name for path in tmp_path.iterdir()] == ["long.mcap"]
 
 

@@ -104,8 +104,8 @@ def test_every_file_repeats_the_latched_messages_and_the_bag_has_each_once(tmp_p
     bag = FolderWriter(tmp_path / "voyage", SplitLimits(size_bytes=3000))
     for topic in ("/tf_static", "/ship/calibration"):
         bag.add_topic(topic, VECTOR, latched=True)
-    said = [("/tf_static", 1.0), ("/tf_static", 2.0), ("/ship/calibration", 3.0)]
-    for number, (topic, value) in enumerate(said):
+    latched = [("/tf_static", 1.0), ("/tf_static", 2.0), ("/ship/calibration", 3.0)]
+    for number, (topic, value) in enumerate(latched):
         bag.write_raw(topic, VECTOR, serialize(vector(value)), START_NS + number)
     for part in range(12):
         write(bag, range(part * 10 + 1, part * 10 + 11))
@@ -113,13 +113,13 @@ def test_every_file_repeats_the_latched_messages_and_the_bag_has_each_once(tmp_p
     bag.close()
     with read_bag(tmp_path / "voyage") as whole:
         given = [(r.topic, r.decode().x) for r in whole.records({"/tf_static", "/ship/calibration"})]
-        assert given == said
+        assert given == latched
         assert sum(1 for _ in whole.records_in_file_order()) == 123
     names = information(tmp_path / "voyage")["relative_file_paths"]
     assert len(names) > 2
     for name in names[:-1]:
         with read_bag(tmp_path / "voyage" / name) as alone:
             records = list(alone.records())
-            assert [(r.topic, r.decode().x) for r in records if r.topic != "/ins/imu"] == said
+            assert [(r.topic, r.decode().x) for r in records if r.topic != "/ins/imu"] == latched
             # A player of this file alone must not wait for hours between them.
             assert records[-1].log_time_ns - records[0].log_time_ns < 2 * NS_PER_S

@@ -261,9 +261,9 @@ def test_gps_week_rollovers_are_corrected_and_reported(imported, capsys, rollove
     for topic in ("ins/imu", "reference/second/imu", "gnss/fix"):
         stamps = [[ns_from_stamp(message.header.stamp) for _, message in run[topic]] for run in (found, expected)]
         assert stamps[0] == stamps[1]
-    said = f"instrument time corrected by {1024 * rollovers:+d} weeks (GPS week rollover)"
-    assert counts["files"]["ins.log"]["put_right"] == {said: 1}
-    assert f"{said} 1" in capsys.readouterr().out
+    correction = f"instrument time corrected by {1024 * rollovers:+d} weeks (GPS week rollover)"
+    assert counts["files"]["ins.log"]["put_right"] == {correction: 1}
+    assert f"{correction} 1" in capsys.readouterr().out
 
 
 def test_a_single_wrong_time_rejects_only_its_attitude(imported, capsys):

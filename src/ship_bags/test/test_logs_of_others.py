@@ -102,7 +102,7 @@ def assert_stamped_when_measured(messages, count):
 )  # fmt: skip
 def test_complete_sentences_without_checksum_are_used_only_on_request(text):
     def is_used(line, needs_checksum):
-        return any(isinstance(heard.result, Sentence) for heard in parse_line(line.encode(), needs_checksum))
+        return any(isinstance(parsed.result, Sentence) for parsed in parse_line(line.encode(), needs_checksum))
 
     assert is_used(text, needs_checksum=False)
     assert not is_used(text, needs_checksum=True)

@@ -259,8 +259,8 @@ def test_a_year_at_a_huge_rate_is_played_immediately(live, tmp_path):
     times, messages = [], []
     subscribe(live, "/clock", Clock, times)
     subscribe(live, "ins/imu", Imu, messages)
-    said = live.play(tmp_path / "in.mcap", "--rate", "1e9")
-    assert "play: 3 messages" in said
+    printed = live.play(tmp_path / "in.mcap", "--rate", "1e9")
+    assert "play: 3 messages" in printed
     assert live.observer.spin_until(lambda: len(messages) == 3)
     assert live.observer.spin_until(lambda: ns(times[-1]) >= START_NS + year_ns)
     assert START_NS - 61 * 10**9 < ns(times[0]) < START_NS
@@ -276,9 +276,9 @@ def test_topics_without_subscribers_are_reported_and_not_waited_for(live, tmp_pa
                 bag.write(topic, imu(factory, number), START_NS + number * PERIOD_NS)
     messages = []
     subscribe(live, "ins/imu", Imu, messages)
-    said = live.play(tmp_path / "in.mcap", "--wait-timeout", "50")
-    assert "no subscriber of /reference/gyro/imu; playing nevertheless" in said
-    assert "no match" not in said
+    printed = live.play(tmp_path / "in.mcap", "--wait-timeout", "50")
+    assert "no subscriber of /reference/gyro/imu; playing nevertheless" in printed
+    assert "no match" not in printed
     assert live.observer.spin_until(lambda: len(messages) == 10)
 
 
@@ -351,8 +351,8 @@ def test_a_type_that_is_missing_or_different_is_skipped(live, tmp_path):
         bag.write("thing", factory.make("other_msgs/msg/Thing", x=1.0), START_NS)
     received = []
     subscribe(live, "ins/imu", Imu, received)
-    said = live.play(tmp_path / "good.mcap")
-    assert "topic 'thing' is not played: message type other_msgs/msg/Thing is not installed" in said
+    printed = live.play(tmp_path / "good.mcap")
+    assert "topic 'thing' is not played: message type other_msgs/msg/Thing is not installed" in printed
     assert live.observer.spin_until(lambda: len(received) == 1)
 
     # std_msgs/Float64 of another time, whose field was named and sized otherwise.

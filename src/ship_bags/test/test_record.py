@@ -34,9 +34,9 @@ def test_split_options_refused_in_one_line(options, expected, capsys):
     with pytest.raises(SystemExit) as left:
         main(options)
     assert left.value.code == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert expected.removesuffix("\n") in said
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert expected.removesuffix("\n") in error
 
 
 # -- clocks -------------------------------------------------------------------------------------------------------
@@ -177,9 +177,9 @@ class TestLive:
             at_clock(400, lambda: "stepped by" in recording.process.log_text())
             recording.send(20)
             assert recording.process.end() == 0
-            said = recording.process.log_text()
-        assert said.count("stepped by") == 1
-        assert "/clock stepped by -600.000 s to 1970-01-01T00:06:40.000Z; recording goes on" in said
+            log = recording.process.log_text()
+        assert log.count("stepped by") == 1
+        assert "/clock stepped by -600.000 s to 1970-01-01T00:06:40.000Z; recording goes on" in log
         with read_bag(path) as bag:
             assert sum(1 for _ in bag.records()) == recording.count
             assert bag.metadata["clock_step_1"] == {

@@ -263,9 +263,9 @@ class TestCommand:
             (tmp_path / name).write_bytes(unfinished)
         (tmp_path / "b.mcap").write_bytes(b"SQLite format 3\x00" * 10)
         assert main(["--recover", *(str(tmp_path / name) for name in ("a.mcap", "b.mcap", "c.mcap"))]) == 2
-        said = capsys.readouterr()
-        assert said.err == f"record: {tmp_path}/b.mcap: not an MCAP file\n"
-        assert said.out.count("300 messages on 2 topics, all read back by mcap and rosbags") == 2
+        printed = capsys.readouterr()
+        assert printed.err == f"record: {tmp_path}/b.mcap: not an MCAP file\n"
+        assert printed.out.count("300 messages on 2 topics, all read back by mcap and rosbags") == 2
         assert not (tmp_path / "b.recovered.mcap").exists()
 
     def test_nothing_is_overwritten(self, unfinished, tmp_path, capsys):
@@ -288,10 +288,10 @@ class TestCommand:
         if content is not None:
             source.write_bytes(content)
         assert main(["--recover", str(source)]) == 2
-        said = capsys.readouterr().err
-        assert said.count("\n") == 1
-        assert str(source) in said
-        assert expected in said
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1
+        assert str(source) in error
+        assert expected in error
 
     def test_one_name_for_several_results(self, capsys):
         with pytest.raises(SystemExit) as left:

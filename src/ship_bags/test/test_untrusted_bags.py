@@ -145,10 +145,10 @@ def test_a_bad_attached_configuration_is_one_line_and_no_file_is_read(tmp_path, 
         (identify_noise_command.main, ["--out", str(tmp_path / "noise.yaml")]),
     ):
         assert main([str(bag), *arguments]) == 2
-        said = capsys.readouterr()
-        assert said.err.count("\n") == 1
-        assert f"{bag}: " in said.err
-        assert "hash" not in said.err + said.out
+        printed = capsys.readouterr()
+        assert printed.err.count("\n") == 1
+        assert f"{bag}: " in printed.err
+        assert "hash" not in printed.err + printed.out
     assert sorted(path.name for path in tmp_path.iterdir()) == ["in.mcap", "secret"]
 
 
@@ -220,12 +220,12 @@ def write_topics(path, count, definition="string data", type_name="std_msgs/msg/
 
 def test_time_of_info_grows_linearly_with_the_topics(tmp_path, monkeypatch):
     """For 65 000 topics, the maximum of MCAP: the start of the bag is found once, not once per topic."""
-    asked = []
+    calls = []
     start = BagContent.start_ns
-    monkeypatch.setattr(BagContent, "start_ns", property(lambda content: asked.append(1) or start.fget(content)))
+    monkeypatch.setattr(BagContent, "start_ns", property(lambda content: calls.append(1) or start.fget(content)))
     content = bag_content(write_topics(tmp_path / "many.mcap", 300))
     assert len(list(info_command._lines(tmp_path / "many.mcap", content))) > 300
-    assert len(asked) < 10
+    assert len(calls) < 10
 
 
 @pytest.mark.parametrize(

@@ -89,8 +89,8 @@ def test_stamps_within_the_limits(age_s):
 def test_weather_and_position_may_exceed_lag():
     for name in ("gnss/fix", "met/pressure"):
         topic = InputTopic(name, IMU, required=True, depth=100)
-        heard = dataclasses.replace(GOOD, input=topic, age_s=2.1)
-        (row,) = check_sensors(NetworkState("rmw", inputs=(heard,)), LIMITS, {name: 2.0}, {})
+        observed = dataclasses.replace(GOOD, input=topic, age_s=2.1)
+        (row,) = check_sensors(NetworkState("rmw", inputs=(observed,)), LIMITS, {name: 2.0}, {})
         assert row.result is Result.OK
 
 
@@ -121,8 +121,8 @@ def test_advice_names_the_setting_of_the_unmet_quality(tmp_path):
          "qos_overrides in the suite file"),
     ):  # fmt: skip
         path.write_text(f"/**/ship_attitude: {{ros__parameters: {parameters}}}\n")
-        asked = find_requested_qos(path, ["ins/imu"], "", by_option)
-        (row,) = check_sensors(NetworkState("rmw", inputs=(weak,)), LIMITS, {"ins/imu": 2.0}, asked)
+        requested = find_requested_qos(path, ["ins/imu"], "", by_option)
+        (row,) = check_sensors(NetworkState("rmw", inputs=(weak,)), LIMITS, {"ins/imu": 2.0}, requested)
         assert (row.result, row.advice) == (Result.FAIL, f"let the driver offer it, or leave out {setting}")
 
 
@@ -135,8 +135,8 @@ def test_required_input_of_nmea_in_fails_until_received():
     spare = dataclasses.replace(GOOD, input=dataclasses.replace(GOOD.input, required=False), publishers=())
     (row,) = check_sensors(NetworkState("rmw", inputs=(spare,)), LIMITS, {}, {}, ["ins/imu"])
     assert row.result is Result.NOT_CHECKED
-    heard = NetworkState("rmw", inputs=(dataclasses.replace(GOOD, rate_hz=1.0),))
-    (row,) = check_sensors(heard, LIMITS, {}, {}, ["ins/imu"])
+    network = NetworkState("rmw", inputs=(dataclasses.replace(GOOD, rate_hz=1.0),))
+    (row,) = check_sensors(network, LIMITS, {}, {}, ["ins/imu"])
     assert row.result is Result.FAIL
 
 

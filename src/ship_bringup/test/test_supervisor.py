@@ -62,9 +62,9 @@ def test_lines_have_the_name_as_prefix_and_none_is_lost():
 
 def test_line_without_end_is_cut_without_loss():
     _, lines = run_suite(program("long", "print('x' * 300_000)"), until="long ended")
-    said = [line.removeprefix("[long] ") for line in lines if line.startswith("[long]")]
-    assert len(said) > 1
-    assert "".join(said) == "x" * 300_000
+    printed = [line.removeprefix("[long] ") for line in lines if line.startswith("[long]")]
+    assert len(printed) > 1
+    assert "".join(printed) == "x" * 300_000
 
 
 @pytest.mark.slow
@@ -103,8 +103,8 @@ def test_reserve_process_replaces_the_dead_one(monkeypatch, tmp_path):
     node = Program("node", (sys.executable, "-c", text), has_reserve=True)
     code, lines = run_suite(node, until="node ended", count=2)
     assert code == 137
-    said = [line for line in lines if line.startswith("[node]")]
-    assert said == ["[node] from the start", "[node] in reserve"]
+    printed = [line for line in lines if line.startswith("[node]")]
+    assert printed == ["[node] from the start", "[node] in reserve"]
     # Its run time counts from begin(), and its wait in reserve is no run of its own.
     assert [line.partition(": ")[2] for line in lines if "ended" in line] == [
         "signal 9, SIGKILL; started again at once (restart 1 in a row)",
@@ -314,9 +314,9 @@ def test_standstill_of_the_supervisor_does_not_count():
             time.sleep(8.0)
     time.sleep(3.0)
     keeper.send_signal(signal.SIGINT)
-    said = keeper.communicate(timeout=FAR_S)[0]
+    output = keeper.communicate(timeout=FAR_S)[0]
     assert keeper.returncode == 0
-    assert "[suite]" not in said
+    assert "[suite]" not in output
 
 
 @pytest.mark.slow
@@ -333,12 +333,12 @@ def test_program_without_processor_time_is_not_frozen():
         keeper = start_supervisor("print('runs', flush=True)\n" + text, limits="1.0, 6.0")
         time.sleep(12.0)
         keeper.send_signal(signal.SIGINT)
-        said = keeper.communicate(timeout=FAR_S)[0]
+        output = keeper.communicate(timeout=FAR_S)[0]
     finally:
         for hog in hogs:
             hog.kill()
             hog.wait()
-    assert not re.search(r"sent no heartbeat for \d+ s: killed", said), said
+    assert not re.search(r"sent no heartbeat for \d+ s: killed", output), output
 
 
 @pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN])

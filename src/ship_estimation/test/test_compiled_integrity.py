@@ -27,11 +27,11 @@ def covariances(rng: np.random.Generator, *shape: int) -> FloatArray:
 def numpy_separation(distance: FloatArray, variance: FloatArray, variance_0: FloatArray, k: SigmaMultipliers):
     """Return statistic, level and dominant hypothesis."""
     grown = np.maximum(variance, variance_0)
-    apart = np.sqrt(np.maximum(grown - variance_0, np.maximum(1e-6 * variance_0, 1e-24)))
-    levels = k.false_exclusion * apart + k.missed_detection[:, None] * np.sqrt(grown)
+    sigmas = np.sqrt(np.maximum(grown - variance_0, np.maximum(1e-6 * variance_0, 1e-24)))
+    levels = k.false_exclusion * sigmas + k.missed_detection[:, None] * np.sqrt(grown)
     levels = np.vstack([k.fault_free * np.sqrt(variance_0), levels])
     dominant = int(np.argmax(np.max(levels, axis=-1))) - 1
-    return np.max(np.abs(distance) / apart, axis=-1), np.max(levels, axis=0), dominant
+    return np.max(np.abs(distance) / sigmas, axis=-1), np.max(levels, axis=0), dominant
 
 
 @pytest.mark.parametrize("hypotheses", [1, 3, 10])
@@ -43,22 +43,24 @@ def test_separations_and_levels_by_states_equal_numpy(hypotheses: int) -> None:
     # The subfilter is as much less accurate as two sources make it, so that differences keep their relative accuracy.
     left_out += 10.0 * parts.sum(axis=0)
     means = mean + 1e-6 * rng.standard_normal((hypotheses, STATES))
-    k, asked = SigmaMultipliers(6.0, 5.1, rng.uniform(0.0, 3.0, hypotheses)), np.arange(hypotheses)[::2]
+    k, subfilters = SigmaMultipliers(6.0, 5.1, rng.uniform(0.0, 3.0, hypotheses)), np.arange(hypotheses)[::2]
     by_output = to_components, by_states, covariance
-    found = solution_separation(k, asked, CHOSEN, by_output, mean, means, parts, left_out)
-    first, beside = parts.sum(axis=0)[np.ix_(CHOSEN, CHOSEN)], left_out[:, CHOSEN[:, None], CHOSEN]
+    found = solution_separation(k, subfilters, CHOSEN, by_output, mean, means, parts, left_out)
+    first, without_source = parts.sum(axis=0)[np.ix_(CHOSEN, CHOSEN)], left_out[:, CHOSEN[:, None], CHOSEN]
     of_all = to_components @ covariance @ to_components.T
-    without = np.diagonal(of_all + by_states @ (beside - first) @ by_states.T, axis1=-2, axis2=-1)
+    without = np.diagonal(of_all + by_states @ (without_source - first) @ by_states.T, axis1=-2, axis2=-1)
     distance, in_question = (
         (means - mean)[:, CHOSEN] @ by_states.T,
-        SigmaMultipliers(6.0, 5.1, k.missed_detection[asked]),
+        SigmaMultipliers(6.0, 5.1, k.missed_detection[subfilters]),
     )
-    statistic, level, dominant = numpy_separation(distance[asked], without[asked], np.diagonal(of_all), in_question)
+    statistic, level, dominant = numpy_separation(
+        distance[subfilters], without[subfilters], np.diagonal(of_all), in_question
+    )
     np.testing.assert_allclose(found.statistic, statistic, rtol=1e-12)
     np.testing.assert_allclose(found.level, level, rtol=1e-13)
     assert found.dominant == dominant
     assert found.largest_sigma == pytest.approx(
-        np.sqrt(np.diagonal(beside[asked], axis1=-2, axis2=-1).max()), rel=1e-15
+        np.sqrt(np.diagonal(without_source[subfilters], axis1=-2, axis2=-1).max()), rel=1e-15
     )
 
 

@@ -48,9 +48,9 @@ class FilterBank:
         self.seen = updated_means(self.seen, sensor, compared.whitened_innovation, accepted, time_ns, self.limit)
 
     def isolation(self, time_ns):
-        apart = self.means[1:, :3] - self.means[0, :3]
+        separation = self.means[1:, :3] - self.means[0, :3]
         total = self.stack[:, range(3), range(3)]
-        statistic = np.max(np.abs(apart) / np.sqrt(np.maximum(total[1:] - total[0], 1e-6 * total[0])), axis=-1)
+        statistic = np.max(np.abs(separation) / np.sqrt(np.maximum(total[1:] - total[0], 1e-6 * total[0])), axis=-1)
         one, two = range(1, self.sensors + 1), range(self.sensors + 1, len(self.left_out))
         return isolate_fault(
             self.seen, self.uses, np.concatenate([[0.0], statistic]), 5.1, one, time_ns, larger_subfilters=two
@@ -176,13 +176,13 @@ def test_separation_isolates_nothing_after_a_rejection():
     uses = np.array([[True, True], [False, True], [True, False]])
     seen = initial_means(3, 2)
     seen.last_measured_ns[:] = 0
-    apart = np.array([0.0, 2000.0, 4.0])
-    assert isolate_fault(seen, uses, apart, 5.0, [1, 2], 0).subfilter == 1
+    separation = np.array([0.0, 2000.0, 4.0])
+    assert isolate_fault(seen, uses, separation, 5.0, [1, 2], 0).subfilter == 1
     seen.rejection_counts[0, 1] = 1
-    found = isolate_fault(seen, uses, apart, 5.0, [1, 2], 0)
+    found = isolate_fault(seen, uses, separation, 5.0, [1, 2], 0)
     assert (found.is_detected, found.subfilter) == (True, None)
     # Rejections of a source that the main filter does not use have no effect.
-    assert isolate_fault(seen, uses & [True, False], apart, 5.0, [1, 2], 0).subfilter == 1
+    assert isolate_fault(seen, uses & [True, False], separation, 5.0, [1, 2], 0).subfilter == 1
 
 
 def test_single_gross_error_excludes_no_source():

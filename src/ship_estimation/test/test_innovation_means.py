@@ -43,18 +43,18 @@ def numpy_means(
 ) -> InnovationMeans:
     largest, size = np.sqrt(0.5 * LIMIT), np.linalg.norm(turn, axis=-1)
     running, excess, refused = means.running.copy(), means.excess.copy(), means.rejection_counts.copy()
-    heard_ns, contradicts_ns = means.last_measured_ns.copy(), means.inconsistent_since_ns.copy()
+    measured_ns, contradicts_ns = means.last_measured_ns.copy(), means.inconsistent_since_ns.copy()
     refused[:, sources] = np.where(accepted, 0, refused[:, sources] + 1)
     now = numpy_mean(running[:, sources], turn * (largest / np.maximum(size, largest))[..., None])
     chi2 = np.sum(now[..., :3] ** 2, axis=-1) / now[..., 4]
     if noise is not None:
         chi2[0] = numpy_chi2_with_constant_error(now[0, 0], noise)
     running[:, sources], excess[:, sources] = now, chi2.max(axis=-1) / LIMIT
-    heard_ns[sources] = np.maximum(heard_ns[sources], time_ns)
+    measured_ns[sources] = np.maximum(measured_ns[sources], time_ns)
     well = (excess[0, sources] <= CONSISTENT_RATIO) & (refused[0, sources] == 0)
     since_ns = np.where(contradicts_ns[sources] == NEVER_NS, time_ns, contradicts_ns[sources])
     contradicts_ns[sources] = np.where(well, NEVER_NS, since_ns)
-    return InnovationMeans(running, excess, refused, heard_ns, contradicts_ns)
+    return InnovationMeans(running, excess, refused, measured_ns, contradicts_ns)
 
 
 def equal(found: InnovationMeans, expected: InnovationMeans) -> None:
@@ -65,12 +65,12 @@ def equal(found: InnovationMeans, expected: InnovationMeans) -> None:
 
 
 @pytest.mark.parametrize("sources", [[1], [2, 0]])
-@pytest.mark.parametrize("beside", [False, True])
-def test_innovation_means_equal_numpy(sources: list[int], beside: bool) -> None:
+@pytest.mark.parametrize("has_noise", [False, True])
+def test_innovation_means_equal_numpy(sources: list[int], has_noise: bool) -> None:
     """A hundred measurements with rejections, gross errors and late ones."""
     rng = np.random.default_rng(1)
     root = rng.normal(size=(3, 3))
-    noise = 0.1 * root @ root.T if beside and len(sources) == 1 else None
+    noise = 0.1 * root @ root.T if has_noise and len(sources) == 1 else None
     means, contradicted = initial_means(ROWS, SOURCES), 0
     for number in range(100):
         turn = rng.normal(scale=0.5 if number % 9 else 20.0, size=(ROWS, len(sources), 3))

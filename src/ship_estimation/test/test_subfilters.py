@@ -68,10 +68,10 @@ def test_subfilter_gets_no_information_from_its_excluded_source():
             correction, without = update_subfilters(without, measured, compared, everything)
             without_mean = without_mean + correction
     np.testing.assert_allclose(mean[0, ~own], without_mean[0, ~own], rtol=1e-8, atol=1e-10)
-    after, never_heard = stack.sum(0), without.sum(0)
-    np.testing.assert_allclose(after[:5, :5], never_heard[:5, :5], rtol=1e-8, atol=1e-9)
+    after, never_updated = stack.sum(0), without.sum(0)
+    np.testing.assert_allclose(after[:5, :5], never_updated[:5, :5], rtol=1e-8, atol=1e-9)
     assert np.all(np.linalg.eigvalsh(after) > 0.0)
-    assert np.trace(after[5:, 5:]) < 0.5 * np.trace(never_heard[5:, 5:])
+    assert np.trace(after[5:, 5:]) < 0.5 * np.trace(never_updated[5:, 5:])
 
 
 def test_restart_from_a_subfilter_keeps_the_shares_of_the_sources():
@@ -122,10 +122,10 @@ def test_solution_separations_in_their_sigmas(wrong: float) -> None:
     stack, means = roots @ roots.transpose(0, 2, 1), rng.normal(size=(4, 5))
     stack[3] *= 0.1
     means[2, 3] += wrong
-    apart, statistic = solution_separations(means, stack, slice(1, 4))
+    separations, statistic = solution_separations(means, stack, slice(1, 4))
     variance = filter_covariances(stack, 4)[:, range(1, 4), range(1, 4)]
     expected = means[:, 1:4] - means[0, 1:4]
-    np.testing.assert_array_equal(apart, expected)
+    np.testing.assert_array_equal(separations, expected)
     sigma = separation_sigma(variance, variance[0])
     np.testing.assert_allclose(statistic, np.abs(expected / sigma).max(axis=-1), rtol=1e-13)
     with pytest.raises(ValueError, match="do not fit together"):

@@ -339,14 +339,14 @@ def test_invalid_is_reported_once_a_second_after_the_timeout_for_any_stamps(pati
     patience_ns = round(patience_s * SECOND_NS)
     outcome = ToyOutcome()
     estimator.shell.add_output(outcome, 10**18, 0, lambda state: 1.0, patience_ns)
-    said = []
+    reported_ns = []
     for waiting_ns in range(0, 8 * SECOND_NS, 100 * MS):
         outcome = ToyOutcome()
         estimator.shell.report_invalid(outcome, waiting_ns, lambda: math.nan)
         if outcome.estimates:
-            said.append(waiting_ns)
+            reported_ns.append(waiting_ns)
     first_ns = max(patience_ns, SECOND_NS) + 100 * MS
-    assert said == list(range(first_ns, 8 * SECOND_NS, SECOND_NS))
+    assert reported_ns == list(range(first_ns, 8 * SECOND_NS, SECOND_NS))
 
 
 def test_earlier_outputs_may_follow_a_clock_jump_but_not_a_reset() -> None:
@@ -362,12 +362,12 @@ def test_earlier_outputs_may_follow_a_clock_jump_but_not_a_reset() -> None:
 
 
 def test_invalid_is_due_at_once_before_the_first_output() -> None:
-    estimator, said = Estimator(), []
+    estimator, counts = Estimator(), []
     for waiting_ns in (0, SECOND_NS - 1, SECOND_NS):
         outcome = ToyOutcome()
         estimator.shell.report_invalid(outcome, waiting_ns, lambda: math.nan)
-        said.append(len(outcome.estimates))
-    assert said == [1, 0, 1]
+        counts.append(len(outcome.estimates))
+    assert counts == [1, 0, 1]
 
 
 def test_the_window_closes_behind_the_lag_and_the_reach() -> None:

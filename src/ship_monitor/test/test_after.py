@@ -165,20 +165,20 @@ class TestBagPlayback:
     def test_one_update_reads_the_minute_and_a_part_of_the_ten(self, suite, pictures, monkeypatch):
         """The messages are counted; each update of the ten minutes ends at its deadline."""
         monkeypatch.setattr(bag_playback, "MAX_READ_S", 0.0)
-        heard = []
+        processed = []
         original = SuiteMonitor.process_message
         monkeypatch.setattr(
-            SuiteMonitor, "process_message", lambda self, *given: heard.append(given) or original(self, *given)
+            SuiteMonitor, "process_message", lambda self, *given: processed.append(given) or original(self, *given)
         )
         pictures.go_to(850.0)
         pictures.current_state()
         minute = sum(
             START_NS + 790 * NS_PER_S <= each.log_time_ns <= START_NS + 850 * NS_PER_S for each in suite.messages(0)
         )
-        at_first = len(heard)
+        at_first = len(processed)
         assert at_first <= minute + 2  # the alerts, and one attitude that another start of its tenths leaves
         pictures.current_state()
-        assert len(heard) <= at_first + 1  # one message of the ten minutes
+        assert len(processed) <= at_first + 1  # one message of the ten minutes
 
     def test_chosen_time_is_displayed_at_once(self, pictures):
         seen = []

@@ -33,13 +33,13 @@ class Voyage:
 
     def __init__(self, *paths: Path, state: Path | None = None, acknowledge: bool = False) -> None:
         self.changes: list[tuple[float, AlertChange]] = []
-        self.said: list[str] = []
+        self.reports: list[str] = []
         keeper: AlertManager | None = None
         start_ns = due_ns = 0
         for time_ns, topic, message in records(*paths):
             if keeper is None:
                 start_ns = due_ns = time_ns
-                keeper = AlertManager(Limits(), state, time_ns, self.said.append)
+                keeper = AlertManager(Limits(), state, time_ns, self.reports.append)
             while due_ns <= time_ns:
                 for change in keeper.update(due_ns, CLOCK_NS):
                     self.changes.append(((due_ns - start_ns) / NS_PER_S, change))
@@ -126,14 +126,14 @@ def test_crash_loses_no_alert(faulty: Path, tmp_path: Path) -> None:
         state.unlink(missing_ok=True)
         before = Voyage(faulty, state=state, acknowledge=acknowledge)
         assert before.manager.alerts
-        again = AlertManager(Limits(), state, before.end_ns, before.said.append)
+        again = AlertManager(Limits(), state, before.end_ns, before.reports.append)
         assert repr(again.alerts) == repr(before.manager.alerts)
         states = {alert.id: alert.state for alert in again.alerts}
         # No data for nine seconds after the start: no alert ends, none is raised twice.
         for tenth in range(90):
             assert again.update(before.end_ns + tenth * NS_PER_S // 10, CLOCK_NS) == ()
         assert {alert.id: alert.state for alert in again.alerts} == states
-        assert before.said == []
+        assert before.reports == []
 
 
 @pytest.mark.parametrize("content", ["", "[]", "{", '{"format": "ship_alerts", "version": 9, "alerts": []}', "\0"])
@@ -141,11 +141,11 @@ def test_corrupt_file_is_reported_and_replaced(tmp_path: Path, content: str) -> 
     """One line names the file; the node continues and writes a valid one."""
     state = tmp_path / "alerts.json"
     state.write_text(content)
-    said: list[str] = []
-    keeper = AlertManager(Limits(), state, 0, said.append)
-    assert len(said) == 1
-    assert str(state) in said[0]
-    assert "\n" not in said[0]
+    reports: list[str] = []
+    keeper = AlertManager(Limits(), state, 0, reports.append)
+    assert len(reports) == 1
+    assert str(state) in reports[0]
+    assert "\n" not in reports[0]
     for second in range(20):
         keeper.update(second * NS_PER_S, CLOCK_NS)
     assert [alert.id for alert in keeper.alerts] == ["attitude.silent"]
@@ -155,12 +155,12 @@ def test_corrupt_file_is_reported_and_replaced(tmp_path: Path, content: str) -> 
 def test_full_disk_is_reported_once_and_retried(tmp_path: Path) -> None:
     """While the file cannot be written alerts continue; they are saved as soon as it can be."""
     state = tmp_path / "folder" / "alerts.json"
-    said: list[str] = []
-    keeper = AlertManager(Limits(), state, 0, said.append)
+    reports: list[str] = []
+    keeper = AlertManager(Limits(), state, 0, reports.append)
     state.parent.write_text("a file in the place of the folder")
     for tenth in range(150):
         keeper.update(tenth * NS_PER_S // 10, CLOCK_NS)
-    assert len(said) == 1
+    assert len(reports) == 1
     assert [alert.id for alert in keeper.alerts] == ["attitude.silent"]
     state.parent.unlink()
     keeper.update(151 * NS_PER_S // 10, CLOCK_NS)

@@ -32,7 +32,7 @@ def panels():
 def test_empty_suite_has_empty_panels_with_notes(panels) -> None:
     panels.update(History(), replace(PICTURE, utc_ns=0, angles=(), sources=(), inputs=(), events=()))
     texts = " ".join(div.text for div in panels.layout.select({"type": Div}))
-    for said in (
+    for note in (
         "no innovations yet",
         "no truth data",
         "no error budget data",
@@ -40,7 +40,7 @@ def test_empty_suite_has_empty_panels_with_notes(panels) -> None:
         "no input health data",
         "no events yet",
     ):
-        assert said in texts
+        assert note in texts
 
 
 @pytest.mark.slow

@@ -91,22 +91,22 @@ def test_endless_request_is_closed(monkeypatch):
     monkeypatch.setattr(bounded_server, "REQUEST_TIMEOUT_S", 0.3)
     with run_page_server() as server:
         place = "127.0.0.1", int(server.address.strip("/").rpartition(":")[2])
-        for begun in (
+        for start in (
             b"",
             b"GET / HTTP/1.1\r\nHost: loc",
             b"POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9\r\n\r\nab",
         ):
             with socket.create_connection(place, timeout=20.0) as connection:
-                connection.sendall(begun)
+                connection.sendall(start)
                 assert ends(connection)
         assert status(place) == 200
 
 
 def test_too_many_connections_are_closed_with_one_line(page, lines):
-    begun = [socket.create_connection(page, timeout=20.0) for _ in range(MAX_CONNECTIONS + 20)]
-    assert all(ends(each) for each in begun[-20:])
+    connections = [socket.create_connection(page, timeout=20.0) for _ in range(MAX_CONNECTIONS + 20)]
+    assert all(ends(each) for each in connections[-20:])
     assert lines.texts == [f"127.0.0.1: connection closed: {MAX_CONNECTIONS} are open, the maximum"]
-    for each in begun:
+    for each in connections:
         each.close()
 
     def answers():

@@ -277,12 +277,14 @@ def test_every_line_has_the_width_of_the_terminal(
         "reason": text,
         "is_old": is_old,
     }
-    heard = dataclasses.replace(SHIFTED_SENSOR_INPUT, topic=name, latency_s=number, age_s=other, reasons={text: 10**9})
+    an_input = dataclasses.replace(
+        SHIFTED_SENSOR_INPUT, topic=name, latency_s=number, age_s=other, reasons={text: 10**9}
+    )
     shown = state_with_mounting_shift(
         angles=tuple(angle(each, **changed) for each in ANGLES),
         sources=tuple(source(f"{name}{place}", reason=text, rate_hz=number, age_s=other) for place in range(count)),
         alerts=(dataclasses.replace(SHIFTED_SENSOR_ALERT, text=text),),
-        inputs=(heard,) * count,
+        inputs=(an_input,) * count,
         events=(Event(NOW_NS, "state", name, text),) * count,
         waiting_for=text,
     )

@@ -211,14 +211,16 @@ def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge
         wait_for(lambda state: ("ZZZ", SILENT, 1) not in state.listed, ship.publish)
 
         # The wing receives the same, and may acknowledge, too.
-        heard = []
+        received = []
 
         def wing_alert(state):
             try:
-                heard.extend(pynmea2.parse(line, check=True) for line in wing.recv(2000).decode().split("\r\n") if line)
+                received.extend(
+                    pynmea2.parse(line, check=True) for line in wing.recv(2000).decode().split("\r\n") if line
+                )
             except BlockingIOError:
                 return None
-            fitting = [one for one in heard if one.number == 1 and (one.alert, one.state) == (SILENT, state)]
+            fitting = [one for one in received if one.number == 1 and (one.alert, one.state) == (SILENT, state)]
             return fitting[-1] if fitting else None
 
         again = wait_until(ship, lambda: (found := wing_alert("V")) and found.instance == 2 and found)

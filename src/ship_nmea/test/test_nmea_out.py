@@ -201,11 +201,11 @@ def test_bad_parameter_is_one_line_with_file_line_and_expectation(tmp_path, monk
         port = str(busy.getsockname()[1])
         path.write_text(text.replace("BUSY", port))
         code = main(["--ros-args", "--params-file", str(path)])
-    said = capsys.readouterr()
-    assert (code, said.out) == (2, "")
+    printed = capsys.readouterr()
+    assert (code, printed.out) == (2, "")
     place = f"nmea_out: {path}" if expected.startswith(":") and "names no sink" not in expected else "nmea_out"
-    assert said.err.count("\n") == 1
-    assert said.err.startswith(place + expected.replace("BUSY", port)), said.err
+    assert printed.err.count("\n") == 1
+    assert printed.err.startswith(place + expected.replace("BUSY", port)), printed.err
 
 
 def test_busy_port_of_one_sink_does_not_stop_the_others(tmp_path):

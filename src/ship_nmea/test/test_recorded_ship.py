@@ -78,11 +78,11 @@ def test_live_messages_equal_imported_ones(listening, imported):
             count = sum(time_s < begin_s + BLOCK_S for time_s, _ in expected)
             node.wait_until(lambda topic=topic, count=count: len(node.received[topic]) >= count)
     for topic, expected in imported.items():
-        heard, kind = node.received[topic], type(node.received[topic][0])
-        assert len(heard) == len(expected) > 200
+        received, kind = node.received[topic], type(node.received[topic][0])
+        assert len(received) == len(expected) > 200
         wanted = [deserialize_message(data, kind) for _, data in expected]
         if topic in ARRIVAL_STAMPED:
-            for message in (*heard, *wanted):
+            for message in (*received, *wanted):
                 message.header.stamp.sec = message.header.stamp.nanosec = 0
-        assert [value_bytes(message) for message in heard] == [value_bytes(message) for message in wanted]
+        assert [value_bytes(message) for message in received] == [value_bytes(message) for message in wanted]
     assert node.exception_text() == "no exception"

@@ -36,13 +36,13 @@ def until(look):
 
 @pytest.fixture
 def open_sink():
-    """Make started sinks, which are closed after the test. The lines that they receive are in ``heard``."""
+    """Make started sinks, which are closed after the test. The lines that they receive are in ``received_lines``."""
     sinks = []
 
     def make(**values):
-        heard = []
-        sink = Sink("bridge", SinkConfig(**values), lambda text, _: heard.append(text))
-        sink.heard = heard
+        lines = []
+        sink = Sink("bridge", SinkConfig(**values), lambda text, _: lines.append(text))
+        sink.received_lines = lines
         sinks.append(sink)
         sink.start()
         return sink
@@ -68,8 +68,8 @@ def test_udp_sends_whole_sentences_and_receives_commands(open_sink):
         sink.put(SENTENCE)
         assert bridge.recv(1000) == f"{SENTENCE}\r\n".encode()
         bridge.sendto(b"$IIACN,1*00\r\n$IIHBT,2*00", ("127.0.0.1", listen_port))
-        until(lambda: "$IIHBT,2*00" in sink.heard)
-        assert "$IIACN,1*00" in sink.heard
+        until(lambda: "$IIHBT,2*00" in sink.received_lines)
+        assert "$IIACN,1*00" in sink.received_lines
         assert sink.status().level is Level.OK
 
 
@@ -103,7 +103,7 @@ def test_tcp_serves_several_clients_and_receives_lines_in_chunks(open_sink):
             assert client.recv(1000) == f"{SENTENCE}\r\n".encode()
         for piece in (b"$IIA", b"CN,1*00\r", b"\n$II"):
             two.sendall(piece)
-        until(lambda: sink.heard == ["$IIACN,1*00"])
+        until(lambda: sink.received_lines == ["$IIACN,1*00"])
     until(lambda: "0 clients" in sink.status().message)
     assert sink.status().level is Level.OK
 
@@ -250,7 +250,7 @@ def test_serial_sends_and_receives_at_its_rate(open_sink, line):
     assert os.read(far, 1000) == f"{SENTENCE}\r\n".encode()
     assert termios.tcgetattr(far)[5] == termios.B4800
     os.write(far, b"$IIACN,1*00\r\n")
-    until(lambda: sink.heard == ["$IIACN,1*00"])
+    until(lambda: sink.received_lines == ["$IIACN,1*00"])
 
 
 def test_lost_serial_line_is_reported_and_opened_again(open_sink, tmp_path):

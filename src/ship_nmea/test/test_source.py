@@ -35,7 +35,7 @@ def pashr(moment):
 
 
 def published_topics(source, line, arrival_ns, now_ns=0, *sender):
-    return [topic for heard in parse_line(line) for topic, _ in source.convert(heard, arrival_ns, now_ns, *sender)]
+    return [topic for parsed in parse_line(line) for topic, _ in source.convert(parsed, arrival_ns, now_ns, *sender)]
 
 
 def test_backward_jump_of_node_time_resets_the_instrument(source):
@@ -84,8 +84,8 @@ def test_attitude_has_the_time_of_the_zda_of_its_burst(source, zda_first):
         lines = [zda(moment), sentence("PSXN,23,1.0,2.0,90.0,0.20").encode()]
         for place, line in enumerate(lines if zda_first else reversed(lines)):
             arrival_ns = datetime_ns(moment) + (place + 1) * NS_PER_S // 10
-            for heard in parse_line(line):
-                stamps += [ns_from_stamp(message.header.stamp) for _, message in ins.convert(heard, arrival_ns, 0)]
+            for parsed in parse_line(line):
+                stamps += [ns_from_stamp(message.header.stamp) for _, message in ins.convert(parsed, arrival_ns, 0)]
     assert stamps == [datetime_ns(START) + second * NS_PER_S for second in range(10)]
 
 
@@ -146,8 +146,19 @@ def test_ths_takes_precedence_over_hdt(source):
     """HDT is used before the first THS and 3 s after the last one, whatever its mode."""
     gyro = source(becomes="gyro")
     hdt, used = "HDT,10.0,T", []
-    said = {0: hdt, 1: "THS,1.0,A", 2: hdt, 3: "THS,1.0,V", 4: "THS,,V", 6: hdt, 7: hdt, 8: hdt, 9: "THS,1,A", 10: hdt}
-    for second, body in said.items():
+    bodies = {
+        0: hdt,
+        1: "THS,1.0,A",
+        2: hdt,
+        3: "THS,1.0,V",
+        4: "THS,,V",
+        6: hdt,
+        7: hdt,
+        8: hdt,
+        9: "THS,1,A",
+        10: hdt,
+    }
+    for second, body in bodies.items():
         if published_topics(gyro, sentence(f"HE{body}").encode(), datetime_ns(START) + second * NS_PER_S):
             used.append(second)
     assert used == [0, 1, 8, 9]
@@ -218,8 +229,8 @@ def test_odd_fields_never_raise(source):
         for _ in range(rng.randint(0, 2)):
             fields[rng.randrange(len(fields))] = rng.choice(ODD)
         line = sentence(",".join([name, *fields])).encode(errors="replace")
-        for heard in parse_line(line):
-            for topic, message in sources[role].convert(heard, datetime_ns(START) + number, 0):
+        for parsed in parse_line(line):
+            for topic, message in sources[role].convert(parsed, datetime_ns(START) + number, 0):
                 given += 1
                 if topic.endswith("imu"):
                     q = message.orientation

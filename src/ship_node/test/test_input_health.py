@@ -285,8 +285,8 @@ def test_occasional_topics_have_no_timeout():
     )
     book.statuses(START_NS)
     book.set_publisher_count(target, 1)
-    (unheard,) = book.statuses(START_NS + 60 * S)
-    assert (unheard.level, unheard.message) == (Level.OK, "no message yet")
+    (status,) = book.statuses(START_NS + 60 * S)
+    assert (status.level, status.message) == (Level.OK, "no message yet")
     for i in range(10):
         book.record_arrival(target, START_NS + i * 100 * MS)
         book.record_accepted(target, START_NS + i * 100 * MS, START_NS + i * 100 * MS)

@@ -288,17 +288,17 @@ def test_a_source_switched_on_is_used_from_its_next_message(adapter: TinyAdapter
 
 
 @pytest.mark.parametrize(
-    ("source", "said"), [("camera", "expected some of device"), ("fast", "'fast' cannot be switched off")]
+    ("source", "expected"), [("camera", "expected some of device"), ("fast", "'fast' cannot be switched off")]
 )
 def test_a_source_that_cannot_be_switched_off_is_refused(
-    adapter: TinyAdapter, source: str, said: str
+    adapter: TinyAdapter, source: str, expected: str
 ) -> None:
     adapter.set_parameters({"sources_off": ["device"]})
     before, calls = adapter.config, list(adapter.core.calls)
-    with pytest.raises(ParameterError, match=said):
+    with pytest.raises(ParameterError, match=expected):
         adapter.set_parameters({"sources_off": [source]})
     assert (adapter.config, adapter.core.calls, adapter.is_off(JUDGED)) == (before, calls, True)
-    with pytest.raises(ParameterError, match=said):
+    with pytest.raises(ParameterError, match=expected):
         TinyAdapter(TinyConfig(sources_off=(source,)), TinyCore(), FACTORY)
 
 

@@ -106,10 +106,10 @@ def test_the_same_bag_gives_the_same_table(table, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("bag", "out", "said"),
+    ("bag", "out", "expected"),
     [("theodolite.mcap", "table.txt", "fit_axes reads .csv"), ("demo.mcap", "table.csv", "optical_axis")],
 )
-def test_bad_input_is_one_line(bag, out, said, tmp_path, capsys):
+def test_bad_input_is_one_line(bag, out, expected, tmp_path, capsys):
     assert main([str(BAGS / bag), "--out", str(tmp_path / out)]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert said in line
+    assert expected in line

@@ -201,8 +201,8 @@ class TestResults:
         bad.write_bytes(b"no bag")
         arguments = [str(bad), str(scenario), "--out", str(tmp_path / "out")]
         assert main(arguments) == 1
-        said = capsys.readouterr().out
-        assert f"failed: {bad}, as attached: {bad}: " in said
+        printed = capsys.readouterr().out
+        assert f"failed: {bad}, as attached: {bad}: " in printed
         with (tmp_path / "out" / TABLE).open(newline="") as stream:
             rows = {row["source"]: row for row in csv.DictReader(stream)}
         assert rows[str(bad)]["error"].startswith(f"{bad}: ")

@@ -172,8 +172,8 @@ def test_mirrored_axes_are_named(check, deck, tmp_path, mirror, words):
     bag, text = deck
     lines = check(text, change_bag(bag, tmp_path, FORE, lambda star: mirror(star, IMAGE_PX[FORE])))
     expected = "expected u to the right and v down, looking out of the sensor"
-    said = f"stars on '{FORE}' in BAG fit the sky only in a mirrored image: {words}; {expected}"
-    assert lines[0] == f"error: star_sensors.fore.camera: {said}"
+    expected_text = f"stars on '{FORE}' in BAG fit the sky only in a mirrored image: {words}; {expected}"
+    assert lines[0] == f"error: star_sensors.fore.camera: {expected_text}"
     assert len(lines) == 1
 
 
@@ -203,14 +203,14 @@ def test_mirrored_axes_of_a_camera_on_the_theodolite_are_named(check, mount, tmp
 def test_magnitudes_that_are_not_the_catalogues_are_named(check, deck, mount, tmp_path, change, offset):
     for (bag, text), topic, section in ((deck, FORE, "star_sensors.fore"), (mount, NIGHT, "telescopes.night")):
         (line,) = check(text, change_bag(bag, tmp_path, topic, change))
-        said = re.fullmatch(
+        match = re.fullmatch(
             rf"warning: {section}: magnitudes of stars on '{topic}' in BAG are (\S+) fainter than the catalogue's "
             r"\(Hp\), sigma \S+: instrumental, or of another band; subtract \S+, or give NaN",
             line,
         )
-        assert said, line
+        assert match, line
         # The simulated sensors measure magnitudes with 0.1.
-        assert float(said[1]) == pytest.approx(offset, abs=0.1)
+        assert float(match[1]) == pytest.approx(offset, abs=0.1)
 
 
 def test_pixels_counted_from_one_are_named(check, deck, tmp_path):

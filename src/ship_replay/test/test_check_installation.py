@@ -140,8 +140,10 @@ def test_the_telescopes_focal_length_and_rejected_inputs(check):
     assert check(text, bag)[0] == 0
     code, (line,) = check(text.replace("focal_length_m: 0.1\n", "focal_length_m: 1.0\n"), bag)
     assert code == 2
-    said = "parameter 'telescope.focal_length_m' = 1 m, but lights on 'theodolite/beacons' in BAG have distances that"
-    assert line.endswith(f"{said} fit 0.1 m")
+    expected = (
+        "parameter 'telescope.focal_length_m' = 1 m, but lights on 'theodolite/beacons' in BAG have distances that"
+    )
+    assert line.endswith(f"{expected} fit 0.1 m")
 
 
 def test_attitudes_in_degrees_are_reported(check, tmp_path):
@@ -156,8 +158,8 @@ def test_attitudes_in_degrees_are_reported(check, tmp_path):
     text = "/**/ship_attitude: {ros__parameters: {star_sensors: {fore: {azimuth_deg: 0.0, elevation_deg: 45.0}}}}\n"
     code, lines = check(text, bag)
     assert code == 2
-    said = "ship_attitude: of 40 messages on 'star/fore/horizon_attitude' 0 were used, 40 times for units"
-    assert lines == [f"error: degrees.mcap: {said}"]
+    expected = "ship_attitude: of 40 messages on 'star/fore/horizon_attitude' 0 were used, 40 times for units"
+    assert lines == [f"error: degrees.mcap: {expected}"]
 
 
 def degrees(factory, header, fields):
@@ -178,8 +180,8 @@ def test_a_reference_is_compared_with_the_ins(check, tmp_path):
     assert check(text, bag) == (0, ["suite.yaml: good for reference.mcap"])
     code, lines = check(text.replace("28.6", "0.5"), bag)
     assert code == 2
-    said = "parameter 'references.b.heading_deg' = 0.5 deg, but 'reference/b/imu' and 'ins/imu' in reference.mcap"
-    assert lines == [f"error: suite.yaml:1: {said} give 28.65 deg: radians for degrees?"]
+    expected = "parameter 'references.b.heading_deg' = 0.5 deg, but 'reference/b/imu' and 'ins/imu' in reference.mcap"
+    assert lines == [f"error: suite.yaml:1: {expected} give 28.65 deg: radians for degrees?"]
 
 
 @pytest.mark.parametrize("name", ["demo", "theodolite"])

@@ -520,8 +520,8 @@ def test_without_a_voyage_no_bound_is_broken():
 def test_pairs_are_those_that_overlap_the_longest_wrong_claim_first():
     both = overlapping(0)
     other = {**both["faults"][0], "threat": "star knock", "start_s": 15.0, "end_s": 30.0, "worst_sigmas": 7.0}
-    apart = {**both["faults"][0], "threat": "flood", "start_s": 40.0, "end_s": 50.0}
-    both["faults"] += [other, apart]
+    later = {**both["faults"][0], "threat": "flood", "start_s": 40.0, "end_s": 50.0}
+    both["faults"] += [other, later]
     assert pair_rows([both]) == [("ins step + star knock", "1", "0.00", "7.00", "0.40")]
     longer = overlapping(1)
     longer["faults"].append({**other, "threat": "flood", "worst_sigmas": 6.0, "longest_beyond_s": 0.3})

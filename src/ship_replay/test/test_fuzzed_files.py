@@ -233,12 +233,12 @@ def test_no_mutation_of_a_file_ends_in_a_traceback(kind, whole, tmp_path, monkey
         given = [argument.format(path, folder=place) for argument in arguments]
         given = [str(place / text) if text == "fit" or text.startswith("new.") else text for text in given]
         code = command.main(given)
-        said = capsys.readouterr()
+        printed = capsys.readouterr()
         assert code in (0, 1, 2), seed
-        assert code == 2 or not said.err, (seed, said.err)
+        assert code == 2 or not printed.err, (seed, printed.err)
         if code == 2 and command is not check_config_command:
-            assert said.err.count("\n") == 1, (seed, said.err)
-        assert len(said.err) < 3000, seed
-        assert "\x1b" not in said.err + said.out, seed
+            assert printed.err.count("\n") == 1, (seed, printed.err)
+        assert len(printed.err) < 3000, seed
+        assert "\x1b" not in printed.err + printed.out, seed
         assert not list(place.rglob("*.part*")), seed
         shutil.rmtree(place)

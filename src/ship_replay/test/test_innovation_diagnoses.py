@@ -59,13 +59,13 @@ def test_an_understated_sigma_is_reported_within_a_minute_for_that_sensor() -> N
 @pytest.mark.slow
 def test_a_sensor_off_by_a_degree_is_biased_although_unused() -> None:
     """This is too large for a mounting shift: it is not adopted as a new mounting."""
-    begun_ns: list[int] = []
+    stamps_ns: list[int] = []
 
     def turned(topic: str, message: Any) -> None:
         if topic == "star/fore/horizon_attitude":
             stamp_ns = message.header.stamp.sec * TICK_NS + message.header.stamp.nanosec
-            begun_ns.append(stamp_ns)
-            if stamp_ns - begun_ns[0] > MINUTE_NS // 4:
+            stamps_ns.append(stamp_ns)
+            if stamp_ns - stamps_ns[0] > MINUTE_NS // 4:
                 message.elevation += np.deg2rad(1.0)
 
     statuses = verdicts("demo.mcap", turned)

@@ -59,7 +59,7 @@ def joint_density(session: NoiseSession, of_ins, white_arcsec: float) -> float:
     whole = np.zeros((sizes[-1], sizes[-1]))
     for i, one in enumerate(pairs):
         for j, other in enumerate(pairs[: i + 1]):
-            apart_s, since_s = (one.time_ns - other.time_ns) * 1e-9, (other.time_ns - first_ns) * 1e-9
+            lag_s, since_s = (one.time_ns - other.time_ns) * 1e-9, (other.time_ns - first_ns) * 1e-9
             block = one.jacobian[:, attitude] @ of_ins(i, j) @ other.jacobian[:, attitude].T
             if one.time_ns == other.time_ns:
                 white = (white_arcsec * ARCSEC) ** 2
@@ -71,7 +71,7 @@ def joint_density(session: NoiseSession, of_ins, white_arcsec: float) -> float:
                 shared = session.common_n.get(source) if name.endswith(".common") else np.diag(of_block.sigma**2)
                 if shared is None:
                     continue
-                covariance = shared * np.exp(-apart_s / of_block.time_s) + np.diag(of_block.walk**2) * since_s
+                covariance = shared * np.exp(-lag_s / of_block.time_s) + np.diag(of_block.walk**2) * since_s
                 rows = model.slices[name]
                 block += one.jacobian[:, rows] @ covariance @ other.jacobian[:, rows].T
             if i == j:
@@ -97,9 +97,9 @@ def test_gauss_markov_is_the_joint_density(session: NoiseSession) -> None:
     model = GaussMarkovModel(session.config.ins)
 
     def of_ins(i: int, j: int) -> np.ndarray:
-        apart_s = (session.comparisons[i].time_ns - session.comparisons[j].time_ns) * 1e-9
+        lag_s = (session.comparisons[i].time_ns - session.comparisons[j].time_ns) * 1e-9
         variances = (ARCSEC * np.array([tilt, heading, tilt])) ** 2
-        return np.diag(variances * np.exp(-apart_s / np.array([tilt_s, heading_s, tilt_s])))
+        return np.diag(variances * np.exp(-lag_s / np.array([tilt_s, heading_s, tilt_s])))
 
     expected = joint_density(session, of_ins, white)
     # Sets side by side do not touch one another.

@@ -36,11 +36,11 @@ def test_an_estimator_reads_in_the_messages_what_the_run_holds(identity):
         paper_stars(duration_s=4.0), false_stars=1.0, outages={"cloud": Outage(1.0, 2.0)}, exposure_s=0.05, **identity
     )
     run = simulate(scenario, seed=1)
-    said, config = run.stars["fore"], scenario.star_sensors["fore"].camera
+    sightings, config = run.stars["fore"], scenario.star_sensors["fore"].camera
     entries = entries_of(run, OBSERVATIONS)
-    assert len(entries) == said.time_ns.size == 21
+    assert len(entries) == sightings.time_ns.size == 21
     for index, (message, log) in enumerate(entries):
-        assert log == said.log_time_ns[index]
+        assert log == sightings.log_time_ns[index]
         assert message.exposure_s == pytest.approx(0.05)
         reading = read_exposure(
             message, "fore", "star_fore", config.camera("camera"), config, hipparcos(), receive_ns=log

@@ -47,13 +47,13 @@ def test_pixels_counted_from_one_are_named(of_fore, of_starboard):
     """The difference of chi² between two counts d apart is normal: mean d², standard deviation 2 d."""
     found = [find_counted_from_one(seed, of_fore, of_starboard) for seed in range(500)]
     true = tuple(np.flatnonzero([of_fore, of_starboard]))
-    apart = [
+    offsets = [
         separation(of_fore - other_fore, of_starboard - other_starboard)
         for other_fore, other_starboard in ((0, 0), (1, 0), (0, 1), (1, 1))
         if (other_fore, other_starboard) != (of_fore, of_starboard)
     ]
     # At least so often no other count is likely, less 1 % by the demand on the fit.
-    share = 1.0 - sum(norm.sf((d**2 - 12.0) / (2.0 * d)) for d in apart) - 0.01
+    share = 1.0 - sum(norm.sf((d**2 - 12.0) / (2.0 * d)) for d in offsets) - 0.01
     assert found.count(true) >= binom.ppf(0.001, len(found), share)
     # What is named is so, but for chance.
     wrong = [cameras for cameras in found if not set(cameras) <= set(true)]

@@ -251,8 +251,8 @@ class TestEvents:
         assert "–" in rows[0].when
 
     def test_changes_minutes_apart_are_rows_of_their_own(self):
-        apart = [(100 * number, "source", f"ins {'IN' if number % 2 else 'OUT, no data'}") for number in range(8)]
-        assert len(event_rows(events(*apart))) == 8
+        changes = [(100 * number, "source", f"ins {'IN' if number % 2 else 'OUT, no data'}") for number in range(8)]
+        assert len(event_rows(events(*changes))) == 8
 
     def test_each_time_leads_to_its_line_in_the_figure(self, night_path):
         text = page(read_report_data(night_path))

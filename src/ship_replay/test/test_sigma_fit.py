@@ -96,8 +96,8 @@ def test_errors_correlated_over_the_run_give_no_result() -> None:
     assert fit.words == TOO_FEW_INDEPENDENT_TEXT
     assert fit.ratio == pytest.approx(2.0)
     assert fit.independent < 2.0
-    said = [nees_fit(errors(ar1(seed, 100.0))).words for seed in range(100)]
-    assert said.count(TOO_FEW_INDEPENDENT_TEXT) > 90
+    texts = [nees_fit(errors(ar1(seed, 100.0))).words for seed in range(100)]
+    assert texts.count(TOO_FEW_INDEPENDENT_TEXT) > 90
 
 
 def test_missing_sigmas_are_reported() -> None:

@@ -99,8 +99,8 @@ def test_an_ins_at_one_hertz_is_an_error_with_advice(tmp_path, capsys):
     config.write_text(SUITE)
     assert check_config([str(config), str(bag)]) == 2
     lines = capsys.readouterr().err.splitlines()
-    said = f"error: {config}:3: parameter 'ins.max_gap_s' = 0.5 s, but messages of 'ins/imu' in {bag} are stamped 1 s"
-    assert lines[0].startswith(f"{said} apart (59 of 59 gaps are longer): no interpolation across such a gap")
+    text = f"error: {config}:3: parameter 'ins.max_gap_s' = 0.5 s, but messages of 'ins/imu' in {bag} are stamped 1 s"
+    assert lines[0].startswith(f"{text} apart (59 of 59 gaps are longer): no interpolation across such a gap")
     assert lines[0].endswith("record it faster (import_nmea --resample HZ), or set 'ins.max_gap_s' to 1.5")
     assert check_config([str(config), str(slow_bag(tmp_path / "b.mcap", period_s=0.1))]) == 0
 
@@ -148,8 +148,8 @@ def test_a_replay_names_a_missing_input(tmp_path, capsys):
     out = capsys.readouterr().out
     heading = "why 400 DEGRADED of 400 outputs of ship_attitude:\n"
     no_stars = "  no star_sensors are configured: by references alone the attitude stays DEGRADED, horizon GRAVITY\n"
-    said = "  diagnostics, 20 of 20: DEGRADED: INS alone, no star yet\n"
-    assert f"{heading}{said}{no_stars}  no messages on 'reference/b/imu'" in out
+    text = "  diagnostics, 20 of 20: DEGRADED: INS alone, no star yet\n"
+    assert f"{heading}{text}{no_stars}  no messages on 'reference/b/imu'" in out
 
 
 def test_a_replay_gives_the_reason_that_the_node_itself_gave(tmp_path, capsys):
@@ -171,8 +171,8 @@ def test_a_replay_gives_the_reason_that_the_node_itself_gave(tmp_path, capsys):
 
 def test_diagnostics_are_counted_without_numbers_and_only_if_poor() -> None:
     course = history_of((0.0, DEGRADED))
-    for saying in ("above its limit: 3.5″", "above its limit: 12″", "INS alone"):
-        course.add_diagnostic(saying)
+    for text in ("above its limit: 3.5″", "above its limit: 12″", "INS alone"):
+        course.add_diagnostic(text)
     course.add(Output(make_header(RosbagsFactory(), START_NS + SECOND_NS, ""), VALID))
     course.add_diagnostic("VALID")
     assert course.diagnostic_lines == ["diagnostics, 2 of 3: above its limit: 12″", "diagnostics, 1 of 3: INS alone"]

@@ -333,8 +333,8 @@ def test_the_same_seed_gives_the_same_bytes_and_another_fault_does_not_change_wh
     first = inject(bag, tmp_path, [flood], 4).read_bytes()
     assert inject(bag, tmp_path, [flood], 4).read_bytes() == first
     alone = [r.data for r in records_of(inject(bag, tmp_path, [flood], 4), BOW)]
-    beside = inject(bag, tmp_path, [flood, f"topic: {INS}, kind: reorder, {WINDOW}, delay_s: 0.2"], 4)
-    assert [r.data for r in records_of(beside, BOW)] == alone
+    with_another = inject(bag, tmp_path, [flood, f"topic: {INS}, kind: reorder, {WINDOW}, delay_s: 0.2"], 4)
+    assert [r.data for r in records_of(with_another, BOW)] == alone
 
 
 def test_faults_of_one_topic_combine_and_may_change_only_one_of_two_copies(bag, tmp_path):

@@ -110,8 +110,8 @@ def test_the_almanacs_refraction_is_another():
     elevation = elevation_of(ours)
     # models.md §2: 0.4″ apart at 42°; none below 14° and 5°.
     middle = (elevation > np.deg2rad(30.0)) & (elevation < np.deg2rad(60.0))
-    apart = angle_between(ours, theirs)[middle] / ARCSEC
-    assert np.all((apart > 0.1) & (apart < 1.0))
+    difference = angle_between(ours, theirs)[middle] / ARCSEC
+    assert np.all((difference > 0.1) & (difference < 1.0))
     assert np.isnan(theirs[:, 0]).sum() > np.isnan(ours[:, 0]).sum() > 0
 
 

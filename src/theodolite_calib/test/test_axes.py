@@ -199,17 +199,17 @@ def test_zenith_is_reached_only_if_the_errors_allow() -> None:
     # c and I that cancel let the optical axis through the vertical axis; c + I = 60″ keep it 60″ away.
     through = main_axis_rotation(AxisErrors(c=30.0 * ARCSEC, I=-30.0 * ARCSEC), 0.7, 0.5 * np.pi)[:, 0]
     assert angle_between(through, up) <= 1e-15
-    apart = AxisErrors(c=20.0 * ARCSEC, I=40.0 * ARCSEC)
-    off = angle_between(main_axis_rotation(apart, np.arange(6.0), np.full(6, 0.5 * np.pi))[..., 0], up)
+    axes = AxisErrors(c=20.0 * ARCSEC, I=40.0 * ARCSEC)
+    off = angle_between(main_axis_rotation(axes, np.arange(6.0), np.full(6, 0.5 * np.pi))[..., 0], up)
     np.testing.assert_allclose(off, 60.0 * ARCSEC, atol=1e-12)
 
 
 @pytest.mark.parametrize(("off_arcsec", "reached"), [(0.0, False), (59.99, False), (60.01, True), (80.0, True)])
 def test_unreachable_directions_have_no_encoder_angles(off_arcsec: float, reached: bool) -> None:
-    apart = AxisErrors(c=20.0 * ARCSEC, I=40.0 * ARCSEC)
+    axes = AxisErrors(c=20.0 * ARCSEC, I=40.0 * ARCSEC)
     wanted = main_axis_rotation(AxisErrors(), 2.0, 0.5 * np.pi - off_arcsec * ARCSEC)[:, 0]
     for plunged in (False, True):
-        azimuth, elevation = encoder_angles(apart, wanted, plunged=plunged)
+        azimuth, elevation = encoder_angles(axes, wanted, plunged=plunged)
         assert np.isfinite(azimuth) == np.isfinite(elevation) == reached
 
 

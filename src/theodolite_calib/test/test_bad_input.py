@@ -149,9 +149,9 @@ def test_a_dropped_message_leaves_everything_as_without_it(topic: str, change: C
     without_it = run_adapter(new_adapter(), without(session(), index))
     assert bad.reasons(topic) == {reason: 1}
     assert bad.health(topic).rejected == 1
-    ((source, said),) = has_reason(bad, Reason[reason.upper()])
+    ((source, reason_text),) = has_reason(bad, Reason[reason.upper()])
     assert source == SOURCE[topic]
-    assert text in said
+    assert text in reason_text
     assert bad.results() == without_it.results()
     assert bad.state() == without_it.state()
 
@@ -360,9 +360,9 @@ def test_unreadable_beacon_is_rejected(change: Change, reason: Reason, text: str
         message.beacons = [make_sighting(message, "bravo")]
 
     run = run_adapter(new_adapter(), replace_message(session(), index, spoil))
-    ((source, said),) = has_reason(run, reason)
+    ((source, reason_text),) = has_reason(run, reason)
     assert source.startswith("light.")
-    assert text in said
+    assert text in reason_text
     assert run.reasons(BEACONS) == {reason.name.lower(): 1}
     assert run.state() == run_adapter(new_adapter(), replace_message(session(), index, leave_out)).state()
 
@@ -407,9 +407,9 @@ def test_baseline_later_than_the_lag_is_rejected() -> None:
     late_ns = session()[index].receive_ns + SECOND_NS
     run = run_adapter(new_adapter(lag_s=0.5), replace_message(session(), index, lambda message: None, late_ns))
     assert run.reasons(ALPHA) == {"late": 1}
-    ((source, said),) = has_reason(run, Reason.LATE)
+    ((source, text),) = has_reason(run, Reason.LATE)
     assert source == "baseline.alpha"
-    assert "more than lag_s = 0.5" in said
+    assert "more than lag_s = 0.5" in text
     assert assert_within_covariance(run)
 
 

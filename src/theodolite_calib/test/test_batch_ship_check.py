@@ -48,14 +48,14 @@ class Run:
     """Check with announcements of nothing or of whole blocks, and its results as the ship check requests them."""
 
     def __init__(self, guard: BatchShipCheck | InsCheck) -> None:
-        self.guard, self.said = guard, []
+        self.guard, self.results = guard, []
         self._used, self._stated = AttitudeTrack(500_000_000), None
 
     def check_samples(self, samples: Iterable[ShipSample]) -> None:
         for sample in samples:
             stated_rad = stated_step_rad(sample.correlated_covariance_n, self._stated)
             judged = self._checked(sample, stated_rad)
-            self.said.append((comparable_result(judged), self.guard.rate_status))
+            self.results.append((comparable_result(judged), self.guard.rate_status))
             if judged.rejection is None and (self._used.newest is None or sample.time_ns > self._used.newest.time_ns):
                 self._stated = sample.correlated_covariance_n
                 self._used.insert(judged.sample)
@@ -75,7 +75,7 @@ def comparable_result(result: CheckedInsSample) -> tuple[Any, ...]:
 def one_by_one(samples: Sequence[ShipSample]) -> list[Any]:
     run = Run(InsCheck(CONFIG))
     run.check_samples(samples)
-    return run.said
+    return run.results
 
 
 VOYAGES = {
@@ -99,10 +99,10 @@ def test_announced_batch_gives_the_same_results(name: str, monkeypatch: pytest.M
     for start in range(0, COUNT, BLOCK):
         run.guard.expect(samples[start : start + BLOCK])
         run.check_samples(samples[start : start + BLOCK])
-    assert run.said == one_by_one(samples)
+    assert run.results == one_by_one(samples)
     assert sum(ahead) > COUNT // 3
     if name != "calm":
-        assert any(one[0][1] is not None or one[0][3] is not None for one in run.said)
+        assert any(one[0][1] is not None or one[0][3] is not None for one in run.results)
 
 
 @pytest.mark.parametrize("name", VOYAGES)
@@ -120,7 +120,7 @@ def test_wrong_announcement_gives_the_same_results(name: str) -> None:
         run.guard.expect(block)
         run.check_samples(coming)
         came += coming
-    assert run.said == one_by_one(came)
+    assert run.results == one_by_one(came)
 
 
 def test_partial_or_early_announcement_gives_the_same_results() -> None:
@@ -131,7 +131,7 @@ def test_partial_or_early_announcement_gives_the_same_results() -> None:
     run.check_samples(samples[600:800])
     run.guard.expect(samples[900:1000])  # a hundred of the last ones have not come yet
     run.check_samples(samples[800:])
-    assert run.said == one_by_one(samples)
+    assert run.results == one_by_one(samples)
 
 
 def test_noise_change_within_a_batch() -> None:
@@ -142,7 +142,7 @@ def test_noise_change_within_a_batch() -> None:
         for one in (run, plain):
             one.check_samples(samples[some])
             one.guard.reconfigure(louder)
-    assert run.said == plain.said
+    assert run.results == plain.results
 
 
 def test_unreported_step_is_checked_one_by_one() -> None:

@@ -80,9 +80,9 @@ def test_encoder_is_reinstated_a_minute_after_the_gap() -> None:
     returned = []
     for time_ns in range(back_ns, back_ns + 62 * SECOND_NS, SECOND_NS):
         trust = REFEREE.restart_timers(trust, (SECOND,), time_ns)
-        heard_ns = trust.innovation_means.last_measured_ns.copy()
-        heard_ns[ROWS.beacons.index(SECOND)] = time_ns
-        trust = replace(trust, innovation_means=replace(trust.innovation_means, last_measured_ns=heard_ns))
+        measured_ns = trust.innovation_means.last_measured_ns.copy()
+        measured_ns[ROWS.beacons.index(SECOND)] = time_ns
+        trust = replace(trust, innovation_means=replace(trust.innovation_means, last_measured_ns=measured_ns))
         if ENCODER in trust.exclusions:
             trust = REFEREE.monitor_prediction(trust, ENCODER, True, time_ns)
             returned += [] if ENCODER in trust.exclusions else [(time_ns - back_ns) / SECOND_NS]

@@ -117,21 +117,21 @@ def test_of_fourteen_directions_equal_parts_fit_the_print_best():
 
 def test_no_zero_mean_errors_in_a_plane_have_the_printed_mean_and_spread():
     """Printed: 5.90/1.71 = 3.45. Isotropic normal errors have at most sqrt(pi/(4 - pi)) = 1.913."""
-    alike = np.sqrt(np.pi / (4.0 - np.pi))
-    assert alike == pytest.approx(1.913, abs=5e-4)
+    equal_sigmas = np.sqrt(np.pi / (4.0 - np.pi))
+    assert equal_sigmas == pytest.approx(1.913, abs=5e-4)
     drawn = np.random.default_rng(18).standard_normal((400_000, 2))
     ratios = []
     for narrower in (1.0, 0.7, 0.3, 0.0):
         sizes = np.hypot(drawn[:, 0], narrower * drawn[:, 1])
         ratios.append(sizes.mean() / sizes.std())
-    assert ratios[0] == pytest.approx(alike, abs=0.01)
+    assert ratios[0] == pytest.approx(equal_sigmas, abs=0.01)
     assert ratios == sorted(ratios, reverse=True)
     # The paper's method on its own model, with N' surveyed.
     epochs, _ = solve_epochs(30.0, 0.0)
     error = axis_error_arcsec(
         epochs, mean_of_two_triads(epochs.lines().direction_n, epochs.camera.directions(epochs.image.point_m))
     )
-    assert error.mean() / error.std() < alike
+    assert error.mean() / error.std() < equal_sigmas
     assert 5.90 / 1.71 > 3.4
 
 

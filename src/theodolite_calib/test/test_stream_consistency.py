@@ -151,7 +151,7 @@ def test_corrected_ship_attitude_is_no_drift():
 
 
 @pytest.mark.parametrize(
-    ("source", "explaining", "alike", "ship", "named"),
+    ("source", "explaining", "is_common", "ship", "named"),
     [
         ("beacon.a", {"beacon.a", ENCODER, SHIP}, True, False, ENCODER),
         ("beacon.a", {"beacon.a", ENCODER, SHIP}, True, True, SHIP),
@@ -166,5 +166,5 @@ def test_corrected_ship_attitude_is_no_drift():
         (None, {ENCODER, SHIP}, False, False, None),
     ],
 )
-def test_isolation_of_a_drift(source, explaining, alike, ship, named):
-    assert isolate_drift_fault(source, explaining, alike, ship) == named
+def test_isolation_of_a_drift(source, explaining, is_common, ship, named):
+    assert isolate_drift_fault(source, explaining, is_common, ship) == named
