@@ -20,7 +20,7 @@ BAGS = sorted((ROOT / "bags").glob("*.mcap"))
 MAKE_BAGS = ROOT / "tools" / "make_bags.py"
 SIZE_LIMIT_BYTES = 3_000_000
 
-VERDICTS = {
+DIAGNOSES = {
     "demo": ["clocks", "verdict star.fore", "verdict star.starboard"],
     "theodolite": ["clocks", "verdict lights"],
 }
@@ -68,9 +68,9 @@ def test_an_offline_replay_meets_the_bounds(replayed):
     path, out, problems = replayed
     assert problems == []
     bounds = read_bounds(path.with_suffix(".expected.yaml"))
-    judged = check_bounds(evaluate(out, path, bounds.skip_s).quantities(), bounds, path.name)
-    assert judged
-    assert [bound.line for bound in judged if not bound.is_met] == []
+    checked = check_bounds(evaluate(out, path, bounds.skip_s).quantities(), bounds, path.name)
+    assert checked
+    assert [bound.line for bound in checked if not bound.is_met] == []
 
 
 @pytest.mark.slow
@@ -83,7 +83,7 @@ def test_clean_data_cause_no_exclusion(replayed):
                 thing = status.name.partition(": ")[2]
                 if thing.startswith("verdict ") or thing == "clocks":
                     statuses.setdefault(thing, []).append((int(status.level), status.message))
-    assert sorted(statuses) == VERDICTS[path.stem]
+    assert sorted(statuses) == DIAGNOSES[path.stem]
     for name, history in statuses.items():
         assert {level for level, _ in history} == {0}
         assert history[-1][1].startswith("within configured limits" if name == "clocks" else "as stated")

@@ -85,11 +85,11 @@ def test_the_report_lists_each_fault_with_its_time_and_source(reported: FaultRep
         assert f'<tr><td class="w">{utc(raised[0].utc_ns)}</td>' in text
     assert {one.alert.source for one in night.alerts if seconds(one.utc_ns) < END_S[bag]} <= {*known_s, ""}
 
-    verdict = section(text, "verdict")
+    summary = section(text, "verdict")
     out_first = {one.source: one for one in reversed(outages(night))}
     for source in known_s.keys() - {"lights"}:  # exchanged lights are put right and remain in use
         first = out_first[source]
-        assert f'<td>{source}</td><td class="w">{utc(first.from_ns)}</td>' in verdict
+        assert f'<td>{source}</td><td class="w">{utc(first.from_ns)}</td>' in summary
         if source in BACK_S:
             least_s, most_s = BACK_S[source]
             assert least_s <= seconds(first.to_ns) <= most_s

@@ -39,8 +39,8 @@ def angles(runs: list[FinalError]) -> np.ndarray:
 def test_the_filters_errors_are_no_larger_and_both_are_consistent(runs) -> None:
     rms_arcsec = [np.sqrt(np.mean(angles(of) ** 2, axis=0)) / ARCSEC for of in runs]
     nees = [np.mean([run.nees for run in of]) for of in runs]
-    for who, rms, value in zip(("filter", "iSAM2"), rms_arcsec, nees, strict=True):
-        print(f"{who}: RMS {np.round(rms, 2)} arcsec, NEES {value:.2f}")
+    for name, rms, value in zip(("filter", "iSAM2"), rms_arcsec, nees, strict=True):
+        print(f"{name}: RMS {np.round(rms, 2)} arcsec, NEES {value:.2f}")
     ours, theirs = rms_arcsec
     assert np.all(ours <= NO_LARGER * theirs)
     low, high = mean_nees_band(SEEDS, 3)

@@ -273,5 +273,5 @@ def test_the_live_run_meets_the_bounds(runs):
     with read_bag(path) as played, read_bag(recorded_path) as recorded:
         # On a busy machine the first message reaches the recorder late: the same stamps are to be left out.
         late_s = ((recorded.start_ns or 0) - (played.start_ns or 0)) / NS_PER_S
-    judged = check_bounds(evaluate(recorded_path, path, bounds.skip_s - late_s).quantities(), bounds, path.name)
-    assert [bound.line for bound in judged if not bound.is_met] == []
+    checked = check_bounds(evaluate(recorded_path, path, bounds.skip_s - late_s).quantities(), bounds, path.name)
+    assert [bound.line for bound in checked if not bound.is_met] == []

@@ -169,9 +169,11 @@ def test_the_recorder_at_the_other_end_has_every_published_attitude(crossing):
 
 
 def test_outputs_continue_after_an_interruption(crossing):
-    silent_ns = crossing.cut_ns + NS_PER_S
+    interrupted_ns = crossing.cut_ns + NS_PER_S
     came_ns = crossing.attitude_times.values()
-    assert not [time_ns for time_ns in came_ns if silent_ns <= time_ns < crossing.restored_ns], "the link was not cut"
+    assert not [time_ns for time_ns in came_ns if interrupted_ns <= time_ns < crossing.restored_ns], (
+        "the link was not cut"
+    )
     end_ns = max(crossing.sample_times.values())
     back_ns = crossing.restored_ns + round(BACK_S * NS_PER_S)
     assert end_ns > back_ns + 2 * NS_PER_S

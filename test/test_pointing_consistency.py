@@ -81,8 +81,8 @@ def test_the_error_grows_as_the_deformation_drifts(sessions):
     # With lights the floor of 3" to 5"; of the deformation 28.3" (20" in each of two axes) sqrt(1 - exp(-2 t / 600 s)).
     assert 2.0 < sigmas_arcsec["with lights"] < 6.0
     for moment in ("half a minute after", "at the end"):
-        forgotten_s = MOMENTS_S[moment] - LEAVE_S
-        deformation = 28.3 * np.sqrt(1.0 - np.exp(-2.0 * forgotten_s / 600.0))
+        since_leave_s = MOMENTS_S[moment] - LEAVE_S
+        deformation = 28.3 * np.sqrt(1.0 - np.exp(-2.0 * since_leave_s / 600.0))
         assert deformation < sigmas_arcsec[moment] < np.hypot(deformation, 8.0)
 
 
@@ -117,9 +117,9 @@ def test_errors_of_streaked_lights_fit_their_covariance():
     assert low < np.mean([nees for nees, _ in found]) < high
     assert sum(refused for _, refused in found) < 3
     # Without the exposure time the points contradict one another.
-    lies = [final_nees(scenario, seed, streak_scenario(0.0)) for seed in range(4)]
-    assert np.mean([nees for nees, _ in lies]) > mean_nees_band(len(lies), degrees=3)[1]
-    assert sum(refused for _, refused in lies) > 20
+    without_exposure = [final_nees(scenario, seed, streak_scenario(0.0)) for seed in range(4)]
+    assert np.mean([nees for nees, _ in without_exposure]) > mean_nees_band(len(without_exposure), degrees=3)[1]
+    assert sum(refused for _, refused in without_exposure) > 20
 
 
 @pytest.mark.parametrize("exposure_s", [0.2, 1.0])

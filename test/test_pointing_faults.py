@@ -147,10 +147,10 @@ def test_encoders_that_step_without_lights_are_suspect_to_the_end(seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("knock_arcsec", [(0.0, 20.0), (-30.0, 0.0), (0.0, -300.0)])
-def test_a_displaced_telescope_is_named_if_neither_encoders_nor_ship_have_stepped(seed, knock_arcsec):
+@pytest.mark.parametrize("shift_arcsec", [(0.0, 20.0), (-30.0, 0.0), (0.0, -300.0)])
+def test_a_displaced_telescope_is_named_if_neither_encoders_nor_ship_have_stepped(seed, shift_arcsec):
     """Before: the encoders were excluded, or the ship's attitude; all three have similar effects on the lights."""
-    found = run_core(shift_telescope(fault_free_session(seed), *knock_arcsec), integrity__return_after_s=20.0)
+    found = run_core(shift_telescope(fault_free_session(seed), *shift_arcsec), integrity__return_after_s=20.0)
     assert found.excluded_sources == {"telescope"}
     assert found.worst(Status.VALID, Status.DEGRADED) < 4.0
     # Its new place on the axis is learnt meanwhile.

@@ -30,7 +30,7 @@ def domain(monkeypatch):
     return free_domain_id()
 
 
-def publish(node, topic, kind, rate_hz, ahead_s=0.0, qos=10, silent_s=0.0):
+def publish(node, topic, kind, rate_hz, ahead_s=0.0, qos=10, pause_s=0.0):
     """Publish messages of a type, stamped by the clock or ahead of it; optionally silent for a time after discovery."""
     publisher = node.create_publisher(kind, topic, qos)
 
@@ -43,8 +43,8 @@ def publish(node, topic, kind, rate_hz, ahead_s=0.0, qos=10, silent_s=0.0):
     def begin():
         node.create_timer(1.0 / rate_hz, send)
 
-    if silent_s:
-        after_link(node, publisher, silent_s, begin)
+    if pause_s:
+        after_link(node, publisher, pause_s, begin)
     else:
         begin()
     return publisher

@@ -143,8 +143,8 @@ def smooth_faulty_voyage(ins: list[AttitudeSample], fault_arcsec: float, seed: i
         since_s = (sample.time_ns - first_ns) * 1e-9
         if number % 10 == 0:
             for id_, angles_deg in SENSORS.items():
-                lie = exp_rotation(np.array([0.0, 0.0, fault_arcsec * ARCSEC * (id_ == "aft" and since_s > 15.0)]))
-                sensor = rotation_from_angles(*np.deg2rad([*angles_deg, 0.0])) @ mounted[id_] @ lie
+                shift = exp_rotation(np.array([0.0, 0.0, fault_arcsec * ARCSEC * (id_ == "aft" and since_s > 15.0)]))
+                sensor = rotation_from_angles(*np.deg2rad([*angles_deg, 0.0])) @ mounted[id_] @ shift
                 true_nd = attitudes(np.array([since_s]), SWELL)[0]
                 rotation = true_nd @ sensor @ exp_rotation(NOISE * rng.standard_normal(3))
                 core.add_measurement(AttitudeMeasurement(f"star.{id_}", sample.time_ns, rotation, np.diag(NOISE**2)))

@@ -140,10 +140,10 @@ def test_with_streaks_of_a_fifth_of_a_second_the_error_fits_its_covariance():
 @pytest.mark.parametrize("exposure_s", [0.1, 0.2])
 def test_streaks_without_exposure_time_are_detected(exposure_s):
     """The errors are larger than they say; or the sensors are found to contradict it."""
-    lies = [without_exposure_length(run) for run in run_with_streaks(exposure_s, 3)]
-    found = [(*run_to_end(lie), lie) for lie in lies]
+    runs = [without_exposure_length(run) for run in run_with_streaks(exposure_s, 3)]
+    found = [(*run_to_end(one), one) for one in runs]
     detected = [core.state.unresolved_fault is not None or bool(core.state.exclusion_counts) for core, _, _ in found]
-    nees = [final_error_squared(lie, estimate) for _, estimate, lie in found]
+    nees = [final_error_squared(one, estimate) for _, estimate, one in found]
     assert any(detected) or np.mean(nees) > mean_nees_band(len(nees), 3)[1], (detected, nees)
 
 

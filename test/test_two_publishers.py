@@ -122,8 +122,8 @@ def test_two_ins_in_a_bag_are_reported_until_they_end(
 
 
 def test_check_config_names_two_ins_in_a_bag(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with read_bag(bag) as opened:
-        (tmp_path / "suite.yaml").write_bytes(opened.attachments["suite.yaml"])
+    with read_bag(bag) as content:
+        (tmp_path / "suite.yaml").write_bytes(content.attachments["suite.yaml"])
     assert check_config([str(tmp_path / "suite.yaml"), str(bag)]) == 0
     assert "two streams alternate on ins/imu, 0.5° apart" in capsys.readouterr().out
 

@@ -19,12 +19,12 @@ from ship_watch.limits import Limits
 from ship_watch.suite_monitor import SuiteMonitor
 from ship_watch.suite_state import Presence, Safety
 
-KNOCK = "knock: {topic: star/starboard/horizon_attitude, kind: knock, start_s: 30.0, right_arcsec: 50.0"
+MOUNTING_SHIFT = "knock: {topic: star/starboard/horizon_attitude, kind: knock, start_s: 30.0, right_arcsec: 50.0"
 ONE_BY_ONE = (
-    KNOCK + ", end_s: 35.0}, step: {topic: ins/imu, kind: bias, start_s: 55.0, up_arcsec: 100.0}, "
+    MOUNTING_SHIFT + ", end_s: 35.0}, step: {topic: ins/imu, kind: bias, start_s: 55.0, up_arcsec: 100.0}, "
     "silent: {topic: star/fore/horizon_attitude, kind: drop, start_s: 100.0, end_s: 108.0}"
 )
-TOGETHER = KNOCK + "}, step: {topic: ins/imu, kind: bias, start_s: 31.0, up_arcsec: 100.0}"
+TOGETHER = MOUNTING_SHIFT + "}, step: {topic: ins/imu, kind: bias, start_s: 31.0, up_arcsec: 100.0}"
 THEODOLITE = (
     "float: {topic: beacon/a/baseline, kind: corrupt, field: fix, value: 3, start_s: 10.0, end_s: 16.0}, "
     "swap: {topic: theodolite/beacons, kind: swap, start_s: 25.0, end_s: 33.0}, "
@@ -75,16 +75,16 @@ def test_an_ins_that_steps_is_out_and_returns(one_by_one: MonitoredVoyage) -> No
 def test_a_silent_star_sensor_is_out_within_two_seconds_of_the_first_that_is_missing(
     one_by_one: MonitoredVoyage,
 ) -> None:
-    clouds, silent = one_by_one.out_s["star.fore"]
-    assert CLOUDS[0] < clouds < CLOUDS[1]
-    assert 101.9 <= silent <= 100.033 + 0.2 + 2.0  # at 5 Hz after the last of 99.833, arriving 0.1 s later
+    clouds_s, no_data_s = one_by_one.out_s["star.fore"]
+    assert CLOUDS[0] < clouds_s < CLOUDS[1]
+    assert 101.9 <= no_data_s <= 100.033 + 0.2 + 2.0  # at 5 Hz after the last of 99.833, arriving 0.1 s later
     assert one_by_one.shown_sources["star.fore"][1].reason == "no data"
     assert one_by_one.back_s["star.fore"] == [pytest.approx(91.0, abs=1.0), pytest.approx(109.0, abs=1.0)]
 
 
 def test_no_other_source_is_named(one_by_one: MonitoredVoyage) -> None:
-    guilty = [name for time_s, name in one_by_one.root_causes if not CLOUDS[0] < time_s < CLOUDS[1]]
-    assert guilty == ["star.starboard", "ins", "star.fore"]
+    causes = [name for time_s, name in one_by_one.root_causes if not CLOUDS[0] < time_s < CLOUDS[1]]
+    assert causes == ["star.starboard", "ins", "star.fore"]
 
 
 @pytest.mark.slow
@@ -138,8 +138,8 @@ def test_a_silent_encoder_is_out_and_the_pointing_names_it(theodolite: Monitored
     assert 61.9 < theodolite.out_s["encoder"][0] <= 60.002 + 2.0 + 1e-6
     assert "needs encoder" in [source.reason for source in theodolite.shown_sources["lights"]]
     assert theodolite.back_s["encoder"][0] == pytest.approx(66.2, abs=0.5)
-    guilty = [name for time_s, name in theodolite.root_causes if 40.0 < time_s < 79.0]
-    assert guilty == ["encoder"]  # no source is named for an output that returns later
+    causes = [name for time_s, name in theodolite.root_causes if 40.0 < time_s < 79.0]
+    assert causes == ["encoder"]  # no source is named for an output that returns later
 
 
 def test_a_good_voyage_is_safe_and_no_source_is_out(clean: tuple[Path, Path]) -> None:
@@ -154,8 +154,8 @@ def test_a_good_voyage_is_safe_and_no_source_is_out(clean: tuple[Path, Path]) ->
     assert heading.accuracy_95 == pytest.approx(1.96 * math.sqrt(last.covariance[0]))
     assert picture.ages_s["stars"] == min(each.age_s for each in picture.sources if each.name.startswith("star."))
     # Two star sensors with consistent sigmas: estimated with 600 degrees of freedom each.
-    verdicts = {source.name: source.nis_consistency for source in picture.sources if source.nis_consistency}
-    assert {name: verdict.is_consistent for name, verdict in verdicts.items() if verdict} == {
+    consistencies = {source.name: source.nis_consistency for source in picture.sources if source.nis_consistency}
+    assert {name: consistency.is_consistent for name, consistency in consistencies.items() if consistency} == {
         "star.fore": True, "star.starboard": True
     }  # fmt: skip
 

@@ -27,7 +27,7 @@ DURATION_S, INS_HZ = 4.0, 20.0
 DEGREE = 3600.0
 FALSE_SHARE = 0.3
 """Of the detections of stars without names."""
-LASTING_S = 1e7
+CONSTANT_S = 1e7
 """Correlation time of an error that stays over the voyage, s.
 
 With the times of the reference case an error of degrees changes by a minute of arc in a second. The checks of the INS
@@ -66,8 +66,8 @@ class Prior:
             rate_hz=INS_HZ,
             heading_sigma_arcsec=self.heading,
             tilt_sigma_arcsec=self.tilt,
-            heading_time_s=LASTING_S if self.is_constant else whole.ins.heading_time_s,
-            tilt_time_s=LASTING_S if self.is_constant else whole.ins.tilt_time_s,
+            heading_time_s=CONSTANT_S if self.is_constant else whole.ins.heading_time_s,
+            tilt_time_s=CONSTANT_S if self.is_constant else whole.ins.tilt_time_s,
         )
         return replace(whole, duration_s=DURATION_S, ins=ins, star_sensors=sensors)
 

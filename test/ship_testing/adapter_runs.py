@@ -52,8 +52,8 @@ class AdapterRun:
 
     def results(self) -> list[tuple[int, str, Any]]:
         """Return all estimates, bit-exact, without the diagnostics and innovations about inputs."""
-        judgements = "/innovation", "input_health", "/diagnostics"
-        return [(ns, topic, exact_value(m)) for ns, topic, m in self.published if not topic.endswith(judgements)]
+        evaluations = "/innovation", "input_health", "/diagnostics"
+        return [(ns, topic, exact_value(m)) for ns, topic, m in self.published if not topic.endswith(evaluations)]
 
     def reasons(self, topic: str) -> dict[str, int]:
         health = self.health(topic)

@@ -70,8 +70,8 @@ def freeze_encoders(run: SimulatedRun, until_s: float = np.inf) -> SimulatedRun:
     first = int(np.argmax(faulty))
     azimuth = np.where(faulty, readings.azimuth[first], readings.azimuth)
     elevation = np.where(faulty, readings.elevation[first], readings.elevation)
-    standing = replace(readings, azimuth=azimuth, elevation=elevation)
-    return replace(run, theodolite=replace(run.theodolite, encoder=standing))
+    frozen = replace(readings, azimuth=azimuth, elevation=elevation)
+    return replace(run, theodolite=replace(run.theodolite, encoder=frozen))
 
 
 def duplicate_encoder_readings(run: SimulatedRun, azimuth_arcsec: float, until_s: float = np.inf) -> SimulatedRun:
@@ -117,8 +117,8 @@ def shift_telescope(
     images, focal_length_m = run.theodolite.images, run.scenario.theodolite.telescope.focal_length_m
     is_faulty = np.repeat(_is_faulty(run, images.time_ns, until_s), np.diff(images.first))
     moved_m = focal_length_m * ARCSEC * np.array([right_arcsec, up_arcsec])
-    knocked = replace(images, point_m=images.point_m + is_faulty[:, None] * moved_m)
-    return replace(run, theodolite=replace(run.theodolite, images=knocked))
+    shifted = replace(images, point_m=images.point_m + is_faulty[:, None] * moved_m)
+    return replace(run, theodolite=replace(run.theodolite, images=shifted))
 
 
 def shift_beacon_stamps(run: SimulatedRun, delay_s: float, until_s: float = np.inf) -> SimulatedRun:

@@ -472,13 +472,13 @@ def test_a_frozen_ins_is_reported_at_once_and_its_first_new_value_is_used() -> N
     assert run.messages("ship/attitude")[-1].status == 0
 
 
-@pytest.mark.parametrize("witness", [INS, "other star sensor"])
-def test_a_frozen_star_sensor_is_reported_within_a_second_and_recovers_at_once(witness: str) -> None:
+@pytest.mark.parametrize("motion_reference", [INS, "other star sensor"])
+def test_a_frozen_star_sensor_is_reported_within_a_second_and_recovers_at_once(motion_reference: str) -> None:
     """While the INS moves, or, during an INS timeout, the other star sensor."""
     arrivals = voyage(16.0)
     frozen = arrivals[index_at(arrivals, FORE, 3.0)].message
     from_ns, until_ns = arrivals[0].stamp_ns + 3 * SECOND_NS, arrivals[0].stamp_ns + 10 * SECOND_NS
-    if witness != INS:
+    if motion_reference != INS:
         arrivals = tuple(a for a in arrivals if a.topic != INS or not from_ns <= a.stamp_ns < until_ns)
 
     def freeze(message: Any) -> None:

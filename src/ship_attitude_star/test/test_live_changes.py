@@ -90,11 +90,11 @@ def test_a_narrower_gate_acts_at_once() -> None:
     adapter = run_adapter(new_adapter(), voyage()[:HALF]).adapter
     adapter.set_parameters({"gate.probability": 0.5})
     rest = run_adapter(adapter, voyage()[HALF:])
-    judged = [m for m in rest.messages("ship/innovation") if m.source.startswith("star")]
+    evaluated = [m for m in rest.messages("ship/innovation") if m.source.startswith("star")]
     # chi2 of three degrees exceeds its median half of the time; of 24 and more draws, not fewer than 4 do.
-    assert len(judged) >= 24
+    assert len(evaluated) >= 24
     assert len(rest.innovations(Reason.GATE)) >= 4
-    assert {round(m.gate, 3) for m in judged} == {2.366}
+    assert {round(m.gate, 3) for m in evaluated} == {2.366}
 
 
 def last_sigma(run: Run) -> np.ndarray:

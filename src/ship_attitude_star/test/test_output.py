@@ -100,8 +100,8 @@ def test_each_filter_is_propagated_and_inflated_independently() -> None:
     stack = root @ root.swapaxes(-1, -2)
     common_n = MappingProxyType({"star.fore": (20.0 * ARCSEC) ** 2 * np.eye(3)})
     jump = InsJump(61_000_000_000, np.array([0.0, 0.01, 0.0]), 1e-4)
-    stays = MappingProxyType({"star.fore": PixelDwell(np.eye(3)[:1], 3, 0.5)})
-    together = replace(initial, time_ns=1_000_000_000, means=means, stack=stack, common_n=common_n, pixel_dwells=stays)
+    dwells = MappingProxyType({"star.fore": PixelDwell(np.eye(3)[:1], 3, 0.5)})
+    together = replace(initial, time_ns=1_000_000_000, means=means, stack=stack, common_n=common_n, pixel_dwells=dwells)
     after = FILTER.apply_ins_change(FILTER.propagate(together, 31_000_000_000), jump)
     assert not after.pixel_dwells  # the effect of earlier stars is gone
     for row in range(rows):

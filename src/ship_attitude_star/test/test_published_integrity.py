@@ -14,7 +14,7 @@ from ship_testing.published_levels import ProtectionLevelRun
 from ship_testing.small_voyage import FORE, INS, STARBOARD, Run, new_adapter, remove_interval, run_adapter, voyage
 
 UNAVAILABLE = 2
-KNOCKED_NS = START_NS + 5 * SECOND_NS
+SHIFT_NS = START_NS + 5 * SECOND_NS
 
 
 def shift_mounting(message: Any) -> None:
@@ -27,7 +27,7 @@ def run_with_mounting_shift() -> Run:
     """Two star sensors, one of them with a mounting shift of 60″ after five seconds."""
 
     def chosen(arrival: Arrival) -> bool:
-        return arrival.topic == FORE and arrival.stamp_ns >= KNOCKED_NS
+        return arrival.topic == FORE and arrival.stamp_ns >= SHIFT_NS
 
     return run_adapter(new_adapter(), change_where(voyage(10.0), chosen, shift_mounting))
 
@@ -35,7 +35,7 @@ def run_with_mounting_shift() -> Run:
 def test_a_mounting_shift_is_excluded_within_three_measurements() -> None:
     reports = [m for m in run_with_mounting_shift().messages("ship/integrity") if m.excluded]
     assert reports[0].excluded == ["star.fore"]
-    assert stamp_of(reports[0]) - KNOCKED_NS < 0.7 * SECOND_NS  # three periods of 0.2 s, and 0.12 s of latency
+    assert stamp_of(reports[0]) - SHIFT_NS < 0.7 * SECOND_NS  # three periods of 0.2 s, and 0.12 s of latency
 
 
 def test_the_diagnostics_name_the_excluded_source_and_the_time() -> None:
@@ -67,10 +67,10 @@ def test_levels_are_published_before_the_attitude_and_once_a_second() -> None:
 
 def test_published_levels_cover_each_output() -> None:
     """Sensors start, one has a mounting shift and is excluded, all time out and return: no level is too small."""
-    knocked = change_where(voyage(20.0), lambda a: a.topic == FORE and a.stamp_ns >= KNOCKED_NS, shift_mounting)
-    silent = remove_interval(voyage(20.0), 5.0, 9.0, FORE, STARBOARD)
+    shifted = change_where(voyage(20.0), lambda a: a.topic == FORE and a.stamp_ns >= SHIFT_NS, shift_mounting)
+    without_stars = remove_interval(voyage(20.0), 5.0, 9.0, FORE, STARBOARD)
     without_ins = remove_interval(voyage(20.0), 5.0, 6.5, INS)
-    for arrivals in (knocked, silent, without_ins):
+    for arrivals in (shifted, without_stars, without_ins):
         run = ProtectionLevelRun(new_adapter(), arrivals)
         assert len(run.published_and_own_levels()) > 400
         assert run.exceedances() == []

@@ -249,11 +249,11 @@ def test_a_temporary_rotation_of_all_stars_ends_although_they_are_not_reinstated
 
 
 def test_a_sensor_with_a_mounting_shift_stays_excluded_and_does_not_prevent_the_adoption() -> None:
-    def knocked(arrival: Arrival) -> Arrival:
+    def shift_mounting(arrival: Arrival) -> Arrival:
         is_hit = arrival.topic == FORE and arrival.stamp_ns >= START_NS + 35 * SECOND_NS
         return turn_star_messages([arrival], 60.0 * UP, 0.0)[0] if is_hit else arrival
 
-    run = run_voyage(list(map(knocked, voyage(150.0))))
+    run = run_voyage(list(map(shift_mounting, voyage(150.0))))
     assert run.adapter.recovery.adopted == 1
     assert statuses(run, 140.0) == {Status.VALID}
     assert set(run.adapter.core.state.excluded) == {"star.fore"}

@@ -93,10 +93,10 @@ def test_unknown_sigmas_are_not_admissible() -> None:
     assert not Candidate("a", layout, np.full(3, np.nan), float("nan"), ()).is_admissible
     low = {"alternatives": {"low": {"sensors": {"fore": {"azimuth_deg": 270.0, "elevation_deg": 6.0}}}}}
     required = required_of(requirement={"heading_arcsec": 1e4}, ship_roll_deg=-8.0, **low)
-    judged = next(one for one in required.ranking if one.name == "low")
-    assert np.isnan(judged.requirement_use)
-    assert not judged.is_admissible
-    assert required.ranking[-1] is judged
+    poor = next(one for one in required.ranking if one.name == "low")
+    assert np.isnan(poor.requirement_use)
+    assert not poor.is_admissible
+    assert required.ranking[-1] is poor
 
 
 @pytest.mark.slow

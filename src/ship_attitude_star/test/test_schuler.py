@@ -59,9 +59,9 @@ def test_two_hours_are_the_matrix_exponential(damping_time_s: float) -> None:
     vertical = at_anchor(60, deflection="constant", xi_arcsec=20.0, sigma_arcsec=2.0)
     ins = process(replace(CONFIG, damping_time_s=damping_time_s))
     here, dt_s = vertical.at(ns(1.0)), 7200.7
-    carried = ins.propagation(ns(1.0), here, [ns(1.0 + dt_s)], vertical)
+    propagated = ins.propagation(ns(1.0), here, [ns(1.0 + dt_s)], vertical)
     rates = ins.system_matrix(here)
-    np.testing.assert_allclose(carried.transition[0], expm(rates * dt_s), rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(propagated.transition[0], expm(rates * dt_s), rtol=1e-8, atol=1e-10)
     config = CONFIG
     density = np.diag(
         [config.angle_walk**2] * 3
@@ -181,8 +181,8 @@ def test_a_changing_deflection_drives_the_oscillation() -> None:
     state = np.zeros(13)
     state[3] = 60.0 * ARCSEC
     half_period_s = 0.5 * 84.4 * 60.0
-    carried = ins.propagation(ns(1.0), here, [ns(1.0 + half_period_s)], vertical)
-    (after,) = ins.propagated_means(state[None], here, carried)[0]
+    propagated = ins.propagation(ns(1.0), here, [ns(1.0 + half_period_s)], vertical)
+    (after,) = ins.propagated_means(state[None], here, propagated)[0]
     assert after[2] / ARCSEC == pytest.approx(-120.0, abs=2.0)
     assert after[3] == state[3]
 

@@ -73,11 +73,11 @@ def test_the_polynomial_leaves_out_a_thousandth_of_its_variance():
 def information_ratios(steps_px: np.ndarray, stars: int = 12, noise_px: float = 0.0, seed: int = 3) -> np.ndarray:
     """Return the information of successive exposures, relative to a single one, for given movements, shape (n,)."""
     rng = np.random.default_rng([7, seed])
-    places, stay, found = rng.uniform(100.0, 1400.0, (stars, 2)), None, []
+    places, dwell, found = rng.uniform(100.0, 1400.0, (stars, 2)), None, []
     for place in np.cumsum(steps_px, axis=0):
         seen = places + place + noise_px * rng.standard_normal((stars, 2))
-        stay = ERRORS.pixel_dwell(CAMERA.directions(seen), np.full(stars, noise_px * PIXEL_RAD), stay)
-        found.append(1.0 / (1.0 + stay.excess_ratio))
+        dwell = ERRORS.pixel_dwell(CAMERA.directions(seen), np.full(stars, noise_px * PIXEL_RAD), dwell)
+        found.append(1.0 / (1.0 + dwell.excess_ratio))
     return np.array(found)
 
 
@@ -155,8 +155,8 @@ def test_at_the_fold_of_a_distortion_the_error_is_finite():
 
 def test_stars_on_new_pixels_start_a_new_dwell():
     assert information_ratios(drift((8.0, 0.0), 5)).tolist() == [1.0] * 5
-    stay = ERRORS.pixel_dwell(CAMERA.directions(np.array([[300.0, 400.0]])), np.full(1, 1e-6), None)
-    other = ERRORS.pixel_dwell(CAMERA.directions(np.array([[900.0, 200.0]])), np.full(1, 1e-6), stay)
+    dwell = ERRORS.pixel_dwell(CAMERA.directions(np.array([[300.0, 400.0]])), np.full(1, 1e-6), None)
+    other = ERRORS.pixel_dwell(CAMERA.directions(np.array([[900.0, 200.0]])), np.full(1, 1e-6), dwell)
     assert (other.exposure_count, other.excess_ratio) == (0, 0.0)
 
 

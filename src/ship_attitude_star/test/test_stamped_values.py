@@ -171,14 +171,14 @@ def test_any_order_of_arrival_gives_the_same_values(seed: int) -> None:
     expected = accepted_values(insert_in_order(stamped, range(len(stamped))))
     assert accepted_values(insert_in_order(stamped, rng.permutation(len(stamped)))) == expected
     # Up to 10 s late; older values are dropped.
-    late, newest_ns, forgotten = StampedValues[Reading](BRIEF), 0, []
+    late, newest_ns, discarded = StampedValues[Reading](BRIEF), 0, []
     for index in np.argsort([time_ns + rng.uniform(0.0, ns(10)) for time_ns, _ in stamped]):
         late.insert(*stamped[index])
         newest_ns = max(newest_ns, stamped[index][0])
         before = accepted_values(late)
         late.drop_before(newest_ns - ns(10), keep=2)
-        forgotten += before[: len(before) - len(late.times)]
-    assert forgotten + accepted_values(late) == expected
+        discarded += before[: len(before) - len(late.times)]
+    assert discarded + accepted_values(late) == expected
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -215,36 +215,36 @@ SETTLES = JumpLimits(max_step=10.0, max_rate=2.0, confirmation_s=60.0, unit="m",
 
 def provisional_results(*stamped: tuple[float, float]) -> tuple[list[float], list[bool]]:
     """Return the times of the rejected values, and after each value whether provisional values are in conflict."""
-    values, refused, disputed = StampedValues[Reading](SETTLES), [], []
+    values, refused, conflicts = StampedValues[Reading](SETTLES), [], []
     for since_s, value in stamped:
         if values.rejection(ns(since_s), Reading(value)) is not None:
             refused.append(since_s)
         values.insert(ns(since_s), Reading(value))
-        disputed.append(values.has_conflict_at(ns(since_s)))
-    return refused, disputed
+        conflicts.append(values.has_conflict_at(ns(since_s)))
+    return refused, conflicts
 
 
 GOOD = [(float(t), 1000.0 + t) for t in range(5, 15)]
 
 
 def test_a_provisional_value_is_replaced_by_the_minimum_number_even_if_repeated() -> None:
-    for stood in (2, 5):
-        refused, disputed = provisional_results(*((float(t), 0.0) for t in range(stood)), *GOOD)
+    for count in (2, 5):
+        refused, conflicts = provisional_results(*((float(t), 0.0) for t in range(count)), *GOOD)
         assert refused == [5.0, 6.0, 7.0]
-        assert disputed == [False] * stood + [True] * 3 + [False] * 7
+        assert conflicts == [False] * count + [True] * 3 + [False] * 7
 
 
 def test_two_values_contradict_several_provisional_ones() -> None:
-    refused, disputed = provisional_results((2.0, 0.0), (3.0, 1.0), (4.0, 2.0), *GOOD)
+    refused, conflicts = provisional_results((2.0, 0.0), (3.0, 1.0), (4.0, 2.0), *GOOD)
     assert refused == [5.0, 6.0, 7.0]
-    assert disputed == [False] * 4 + [True, True] + [False] * 7
+    assert conflicts == [False] * 4 + [True, True] + [False] * 7
 
 
 def test_an_established_value_is_replaced_only_after_the_confirmation_time() -> None:
     settled = [(0.1 * t, float(t)) for t in range(4)]
-    refused, disputed = provisional_results(*settled, *((float(t), 1000.0) for t in range(5, 70)))
+    refused, conflicts = provisional_results(*settled, *((float(t), 1000.0) for t in range(5, 70)))
     assert refused == [float(t) for t in range(5, 65)]
-    assert not any(disputed)
+    assert not any(conflicts)
 
 
 def test_a_step_of_the_clocks_keeps_values_established_or_provisional() -> None:
@@ -260,12 +260,12 @@ def test_a_step_of_the_clocks_keeps_values_established_or_provisional() -> None:
 
 
 def test_inconsistent_rejected_values_replace_nothing() -> None:
-    refused, disputed = provisional_results(
+    refused, conflicts = provisional_results(
         (0.0, 0.0), (1.0, 0.0), *((float(t), 500.0 * (t % 3)) for t in range(2, 60))
     )
     assert refused == [float(t) for t in range(2, 60) if t % 3]
-    assert disputed[2]
-    assert not disputed[3]
+    assert conflicts[2]
+    assert not conflicts[3]
 
 
 @pytest.mark.parametrize("seed", range(40))

@@ -104,12 +104,12 @@ def test_the_noise_grows_only_along_the_streak(watch, exposure_s):
     along = CAMERA.directions(pixels[500] + 0.5 * streak_px / length_px[:, None])
     along -= CAMERA.directions(pixels[500] - 0.5 * streak_px / length_px[:, None])
     along /= np.linalg.norm(along, axis=-1, keepdims=True)
-    aside = np.cross(found.directions_s, along)
+    across = np.cross(found.directions_s, along)
     expected = sigma_px**2 * length_px**2 / (12.0 * PSF_PX**2)
     added = np.einsum("ki,kij,kj->k", along, found.smear_s, along) / scale**2
     # The camera's scale depends on position and direction in the field, which one sigma for both axes neglects.
     np.testing.assert_allclose(added, expected, rtol=0.03)
-    assert np.all(np.einsum("ki,kij,kj->k", aside, found.smear_s, aside) < 1e-3 * expected * scale**2)
+    assert np.all(np.einsum("ki,kij,kj->k", across, found.smear_s, across) < 1e-3 * expected * scale**2)
     outward = np.einsum("kij,kj->ki", found.smear_s, found.directions_s)
     assert np.max(np.abs(outward)) < 1e-4 * np.max(found.smear_s)
 

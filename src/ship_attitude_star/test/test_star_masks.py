@@ -101,7 +101,7 @@ def test_a_star_behind_a_mask_is_no_candidate_except_within_the_prior_error(
         found = find_candidates(exposure.directions_s, exposure.sigma, magnitude, None, prior, moment, masks)
         return set(found.rows.tolist())
 
-    everywhere, open_ = stars(None), stars(to_port_of(edge_deg))
+    everywhere, unmasked = stars(None), stars(to_port_of(edge_deg))
     rows = np.array(sorted(everywhere))
     direction_s = moment.apparent_stars(watch.catalogue.at_j2000[rows]).direction_n @ ROTATION_NS
     places_deg = deck_places_deg(direction_s)
@@ -112,9 +112,9 @@ def test_a_star_behind_a_mask_is_no_candidate_except_within_the_prior_error(
     margin_deg = np.rad2deg(5.0 * np.sqrt(3.0) * sigma_arcsec * ARCSEC)
     surely_out = set(rows[deep_deg > margin_deg + 0.26].tolist())
     surely_in = set(rows[deep_deg < margin_deg].tolist())
-    assert open_ <= everywhere
-    assert not open_ & surely_out
-    assert surely_in <= open_
+    assert unmasked <= everywhere
+    assert not unmasked & surely_out
+    assert surely_in <= unmasked
     assert surely_out
 
 

@@ -168,11 +168,11 @@ def error_with_prior(scene: Scene, error_n: np.ndarray) -> float | None:
     if not members.any():
         return None
     fit = linearise_stars(scene.stars, prior.rotation_nb).with_prior(prior.covariance_n)
-    judgement = fit.solve(members)
+    solution = fit.solve(members)
     # Its unknowns are in units of their standard deviations.
     roots = square_root(prior.covariance_n)
-    covariance_n = roots @ np.linalg.inv(judgement.information_with_prior)[:3, :3] @ roots.T
-    return float(normalized_error_squared(error_n - roots @ judgement.unknowns[:3], covariance_n))
+    covariance_n = roots @ np.linalg.inv(solution.information_with_prior)[:3, :3] @ roots.T
+    return float(normalized_error_squared(error_n - roots @ solution.unknowns[:3], covariance_n))
 
 
 @pytest.mark.parametrize("kind", ["false_stars", "swapped_pairs"])

@@ -96,9 +96,9 @@ def test_rejected_ins_samples_give_no_attitude() -> None:
 def test_attitudes_come_from_stars_while_the_ins_is_rejected() -> None:
     arrivals = change_where(voyage(8.0), lambda a: a.topic == INS and at(3.0) < a.stamp_ns < at(6.0), wrong_frame)
     run = run_adapter(new_adapter(), arrivals)
-    carried = [m for m in published_attitudes(run) if at(4.0) < stamp_of(m) < at(6.0)]
-    assert len(carried) == 20
-    assert {m.status for m in carried} == {Status.DEGRADED}
+    by_stars = [m for m in published_attitudes(run) if at(4.0) < stamp_of(m) < at(6.0)]
+    assert len(by_stars) == 20
+    assert {m.status for m in by_stars} == {Status.DEGRADED}
     assert [ns for ns in invalid_times_ns(run) if ns > at(4.0)] == []
     assert_in_order(run)
 
@@ -240,8 +240,8 @@ def test_attitudes_come_from_stars_while_the_ins_is_too_late() -> None:
     """It arrives at its full rate, each sample 3 s old: more than the lag behind the stars."""
     run = run_adapter(new_adapter(), with_latency(voyage(8.0), lambda topic: 3.0 if topic == INS else 0.0))
     assert run.reasons(INS)["late"] > 100
-    carried = [m for m in published_attitudes(run) if "ins" not in m.sources]
-    assert {m.status for m in carried} == {Status.DEGRADED}
-    assert len(carried) > 60
+    by_stars = [m for m in published_attitudes(run) if "ins" not in m.sources]
+    assert {m.status for m in by_stars} == {Status.DEGRADED}
+    assert len(by_stars) > 60
     assert [ns for ns in invalid_times_ns(run) if ns < at(9.0)] == []
     assert_in_order(run)

@@ -129,13 +129,13 @@ def test_an_unreadable_definition_affects_only_its_topic(tmp_path, text):
 def test_windows_line_ends_in_a_definition_are_read(tmp_path):
     text = definition(IMU).replace("\n", "\r\n")
     bag = write_bag(tmp_path / "a.mcap", {"/ins/imu": (IMU, text, serialize(imu(START_NS)))})
-    with read_bag(bag) as opened:
-        assert [record.decode().header.frame_id for record in opened.records()] == ["ins"] * 3
-        assert opened.differences == {}
+    with read_bag(bag) as content:
+        assert [record.decode().header.frame_id for record in content.records()] == ["ins"] * 3
+        assert content.differences == {}
 
 
 def test_xcdr2_is_read_if_the_padding_is_the_same(tmp_path):
     data = bytes(serialize(imu(START_NS)))
     bag = write_bag(tmp_path / "a.mcap", {"/ins/imu": (IMU, definition(IMU), b"\0\7" + data[2:])})
-    with read_bag(bag) as opened:
-        assert [bytes(record.data) for record in opened.records()] == [data] * 3
+    with read_bag(bag) as content:
+        assert [bytes(record.data) for record in content.records()] == [data] * 3

@@ -80,9 +80,9 @@ def test_missing_inputs_count_with_typical_values():
     chain, observed, _, _ = chain_and_inputs(path)
     full, without_inputs = estimate_write_rates(chain.adapters, observed), estimate_write_rates(chain.adapters, [])
     assert 0.5 < without_inputs.record / full.record < 2.0
-    silent = [ObservedTopic(InputTopic("ins/imu", "sensor_msgs/msg/Imu", True, 1))]
-    assert estimate_write_rates(chain.adapters, silent) == without_inputs
-    one_message = [dataclasses.replace(silent[0], count=1, message_bytes=316.0)]
+    no_message = [ObservedTopic(InputTopic("ins/imu", "sensor_msgs/msg/Imu", True, 1))]
+    assert estimate_write_rates(chain.adapters, no_message) == without_inputs
+    one_message = [dataclasses.replace(no_message[0], count=1, message_bytes=316.0)]
     assert estimate_write_rates(chain.adapters, one_message) == without_inputs
 
 

@@ -163,7 +163,7 @@ def test_unknown_private_key_outside_the_enclaves(keystore):
 
 
 @pytest.mark.parametrize(
-    ("place", "mode", "who", "harm"),
+    ("place", "mode", "users", "harm"),
     [
         ("", 0o777, "all users", "replace the files in it"),
         ("enclaves/demo", 0o757, "all users", "replace the files in it"),
@@ -172,10 +172,10 @@ def test_unknown_private_key_outside_the_enclaves(keystore):
         ("enclaves/demo/ship_attitude/cert.pem", 0o664, "its group", "change it"),
     ],
 )
-def test_folders_and_files_writable_by_others(keystore, place, mode, who, harm):
+def test_folders_and_files_writable_by_others(keystore, place, mode, users, harm):
     path = keystore.path / place
     path.chmod(mode)
     (fault,) = faults_of(keystore)
-    assert fault.text == f"{path}: mode {mode:o}: {who} may {harm}"
-    assert fault.is_error == (who == "all users")
+    assert fault.text == f"{path}: mode {mode:o}: {users} may {harm}"
+    assert fault.is_error == (users == "all users")
     assert fault.advice == f"chmod go-w {path}"

@@ -127,8 +127,8 @@ def test_advice_names_the_setting_of_the_unmet_quality(tmp_path):
 
 
 def test_required_input_of_nmea_in_fails_until_received():
-    silent = NetworkState("rmw", inputs=(dataclasses.replace(GOOD, publishers=()),))
-    (row,) = check_sensors(silent, LIMITS, {}, {}, ["ins/imu"], "./ros2run nmea_in")
+    without_publisher = NetworkState("rmw", inputs=(dataclasses.replace(GOOD, publishers=()),))
+    (row,) = check_sensors(without_publisher, LIMITS, {}, {}, ["ins/imu"], "./ros2run nmea_in")
     assert row.result is Result.FAIL
     assert row.finding == "ins/imu: not received: no publisher before nmea_in runs, which the suite starts"
     assert row.advice == "start ./ros2run nmea_in, then preflight again, and end it before the suite"

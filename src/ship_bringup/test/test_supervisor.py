@@ -243,9 +243,9 @@ def test_frozen_program_is_reported_killed_and_restarted(how):
     times = re.fullmatch(r"\[suite\] node is frozen: no heartbeat for (\d) s, .*started again in (\d) s", own[0])
     assert times, own
     # A busy machine checks later; both times are of one look.
-    silent_s, left_s = map(int, times.groups())
-    assert silent_s in (2, 3)
-    assert silent_s + left_s == 4
+    frozen_s, left_s = map(int, times.groups())
+    assert frozen_s in (2, 3)
+    assert frozen_s + left_s == 4
     assert kill_time_s(own[1]) in (4, 5)
     assert re.fullmatch(r"\[suite\] node ended .* signal 9, SIGKILL; started again at once .*", own[2])
 

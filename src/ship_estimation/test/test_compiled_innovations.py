@@ -100,9 +100,9 @@ def test_part_sizes_equal_numpy(count: int, parts: int) -> None:
 @pytest.mark.parametrize("count", [0, 20, 41, 300])
 def test_axis_statistics_equal_numpy(count: int) -> None:
     numbers = random_innovations(np.random.default_rng(count), count, 3, 2)
-    figures, lasting = compiled_innovations.axis_statistics(numbers, 3, 20, 1.4826, 3.0)
+    figures, common = compiled_innovations.axis_statistics(numbers, 3, 20, 1.4826, 3.0)
     unused = numbers[numbers[:, 4] == 0.0]
-    assert lasting == (np.max(1.0 - unused[:, 3]) if len(unused) else 0.0)
+    assert common == (np.max(1.0 - unused[:, 3]) if len(unused) else 0.0)
     for axis, (known, *found) in enumerate(figures):
         values = numbers[:, 5 + 2 * axis]
         values = values[~np.isnan(values)]

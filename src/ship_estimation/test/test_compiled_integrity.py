@@ -34,16 +34,16 @@ def numpy_separation(distance: FloatArray, variance: FloatArray, variance_0: Flo
     return np.max(np.abs(distance) / sigmas, axis=-1), np.max(levels, axis=0), dominant
 
 
-@pytest.mark.parametrize("hypotheses", [1, 3, 10])
-def test_separations_and_levels_by_states_equal_numpy(hypotheses: int) -> None:
+@pytest.mark.parametrize("count", [1, 3, 10])
+def test_separations_and_levels_by_states_equal_numpy(count: int) -> None:
     rng = np.random.default_rng(1)
     to_components, by_states = rng.standard_normal((2, 3, 3))
     covariance, parts = covariances(rng, 3), covariances(rng, SOURCES, STATES)
-    left_out, mean = covariances(rng, hypotheses, STATES), 1e-5 * rng.standard_normal(STATES)
+    left_out, mean = covariances(rng, count, STATES), 1e-5 * rng.standard_normal(STATES)
     # The subfilter is as much less accurate as two sources make it, so that differences keep their relative accuracy.
     left_out += 10.0 * parts.sum(axis=0)
-    means = mean + 1e-6 * rng.standard_normal((hypotheses, STATES))
-    k, subfilters = SigmaMultipliers(6.0, 5.1, rng.uniform(0.0, 3.0, hypotheses)), np.arange(hypotheses)[::2]
+    means = mean + 1e-6 * rng.standard_normal((count, STATES))
+    k, subfilters = SigmaMultipliers(6.0, 5.1, rng.uniform(0.0, 3.0, count)), np.arange(count)[::2]
     by_output = to_components, by_states, covariance
     found = solution_separation(k, subfilters, CHOSEN, by_output, mean, means, parts, left_out)
     first, without_source = parts.sum(axis=0)[np.ix_(CHOSEN, CHOSEN)], left_out[:, CHOSEN[:, None], CHOSEN]

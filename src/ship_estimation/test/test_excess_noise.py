@@ -37,11 +37,11 @@ def jittering(samples: list[AttitudeSample], sigma_s: float, first: int) -> list
 
 def changes(samples: list[AttitudeSample], **config: float) -> list[tuple[float, ExtraNoise]]:
     """Return the changes of the noise: time after the first sample, s, and the noise then."""
-    guard, found = InsCheck(CheckedInsConfig(**config)), []
+    ins_check, found = InsCheck(CheckedInsConfig(**config)), []
     for sample in samples:
-        judged: CheckedInsSample = guard.check(sample, NOTHING_LATE, {})
-        if judged.noise is not None:
-            found.append(((sample.time_ns - samples[0].time_ns) * 1e-9, judged.noise))
+        checked: CheckedInsSample = ins_check.check(sample, NOTHING_LATE, {})
+        if checked.noise is not None:
+            found.append(((sample.time_ns - samples[0].time_ns) * 1e-9, checked.noise))
     return found
 
 
@@ -129,16 +129,16 @@ def test_larger_stated_noise_ends_or_reduces_an_excess() -> None:
     """Noise of 1″ and further noise of 5″ make 5.1″ together."""
     samples = noisy(stream(20.0, 20.0), 5.0, 0)
     for stated_arcsec, excess_arcsec in ((5.1, 0.0), (2.0, np.sqrt(26.0 - 4.0))):
-        guard = InsCheck(CheckedInsConfig(white_sigma_arcsec=1.0))
+        ins_check = InsCheck(CheckedInsConfig(white_sigma_arcsec=1.0))
         for sample in samples[:-1]:
-            guard.check(sample, NOTHING_LATE, {})
-        assert guard.excess_text != ""
-        guard.reconfigure(CheckedInsConfig(white_sigma_arcsec=stated_arcsec))
-        noise = guard.check(samples[-1], NOTHING_LATE, {}).noise
+            ins_check.check(sample, NOTHING_LATE, {})
+        assert ins_check.excess_text != ""
+        ins_check.reconfigure(CheckedInsConfig(white_sigma_arcsec=stated_arcsec))
+        noise = ins_check.check(samples[-1], NOTHING_LATE, {}).noise
         assert noise is not None
         assert noise.from_ns == samples[-2].time_ns
         assert sigma_arcsec(noise) == pytest.approx(excess_arcsec, rel=0.3)
-        assert (guard.excess_text != "") == (excess_arcsec > 0.0)
+        assert (ins_check.excess_text != "") == (excess_arcsec > 0.0)
 
 
 def test_extra_noise_applies_from_its_stamp_on() -> None:

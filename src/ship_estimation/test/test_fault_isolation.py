@@ -69,12 +69,12 @@ class Base:
         self.mounting = MOUNTING * self.rng.standard_normal((sensors, 3))
         self.angle = 10.0 * self.rng.standard_normal(3)
 
-    def until(self, epoch, knocks):
+    def until(self, epoch, shifts):
         """Yield the fault isolation of each measurement before an epoch, with its epoch."""
         while self.epoch < epoch:
             for sensor, mounting in enumerate(self.mounting):
                 self.angle = self.angle + WALK * self.rng.standard_normal(3)
-                wrong = knocks.get(sensor, 0.0) * np.array([0.0, 1.0, 0.0])
+                wrong = shifts.get(sensor, 0.0) * np.array([0.0, 1.0, 0.0])
                 measured = self.angle + mounting + wrong + NOISE * self.rng.standard_normal(3)
                 self.bank.add(sensor, measured, self.epoch * SECOND_NS // 5)
                 yield self.epoch, self.bank.isolation(self.epoch * SECOND_NS // 5)
@@ -89,7 +89,7 @@ def _before_shifts(seed, sensors, pairs):
     return base
 
 
-def _voyage(seed, sensors, knocks=None, epochs=2 * AT, pairs=False):
+def _voyage(seed, sensors, shifts=None, epochs=2 * AT, pairs=False):
     """Return the epochs after the shifts until a fault is detected, and the sensors first isolated; None without one.
 
     Args:
@@ -100,7 +100,7 @@ def _voyage(seed, sensors, knocks=None, epochs=2 * AT, pairs=False):
         pairs: whether rows leave out two.
     """
     base, detected_at = copy.deepcopy(_before_shifts(seed, sensors, pairs)), None
-    for epoch, found in base.until(epochs, knocks or {}):
+    for epoch, found in base.until(epochs, shifts or {}):
         detected_at = epoch - AT if found.is_detected and detected_at is None else detected_at
         if found.subfilter is not None:
             return detected_at, base.bank.left_out[found.subfilter]
@@ -112,11 +112,11 @@ def test_fault_free_sources_are_not_excluded(sensors):
     assert [_voyage(seed, sensors, epochs=1000) for seed in range(3)] == [None] * 3
 
 
-@pytest.mark.parametrize("knocked", [0, 2])
-@pytest.mark.parametrize("knock", [30.0, 60.0, -60.0])
-def test_shift_of_ten_sigmas_is_isolated_within_three_measurements(knock, knocked):
-    found = [_voyage(seed, 3, {knocked: knock}) for seed in range(8)]
-    assert [named for _, named in found] == [(knocked,)] * 8
+@pytest.mark.parametrize("sensor", [0, 2])
+@pytest.mark.parametrize("shift", [30.0, 60.0, -60.0])
+def test_shift_of_ten_sigmas_is_isolated_within_three_measurements(shift, sensor):
+    found = [_voyage(seed, 3, {sensor: shift}) for seed in range(8)]
+    assert [named for _, named in found] == [(sensor,)] * 8
     assert max(epochs for epochs, _ in found) <= 3
 
 
@@ -133,9 +133,9 @@ def test_fault_of_one_of_two_sensors_is_isolated_by_the_motion_of_the_base():
 
 
 @pytest.mark.parametrize("sensors", [3, 4])
-@pytest.mark.parametrize("knocks", [(40.0, 40.0), (40.0, -60.0), (25.0, 1e4)])
-def test_simultaneous_shifts_of_two_sensors_are_isolated_with_subfilters_of_pairs(sensors, knocks):
-    both = dict(zip((0, 2), knocks, strict=True))
+@pytest.mark.parametrize("shifts", [(40.0, 40.0), (40.0, -60.0), (25.0, 1e4)])
+def test_simultaneous_shifts_of_two_sensors_are_isolated_with_subfilters_of_pairs(sensors, shifts):
+    both = dict(zip((0, 2), shifts, strict=True))
     found = [_voyage(seed, sensors, both, pairs=True) for seed in range(4)]
     assert [named for _, named in found] == [(0, 2)] * 4
     assert max(epochs for epochs, _ in found) <= 3
@@ -143,10 +143,10 @@ def test_simultaneous_shifts_of_two_sensors_are_isolated_with_subfilters_of_pair
     assert _voyage(0, sensors, both)[1] is None
 
 
-@pytest.mark.parametrize("knock", [12.0, 30.0, 1e4])
-def test_single_fault_is_preferred_over_pairs(knock):
+@pytest.mark.parametrize("shift", [12.0, 30.0, 1e4])
+def test_single_fault_is_preferred_over_pairs(shift):
     """A pair explains whatever a single source of it does."""
-    assert [_voyage(seed, 4, {1: knock}, pairs=True)[1] for seed in range(4)] == [(1,)] * 4
+    assert [_voyage(seed, 4, {1: shift}, pairs=True)[1] for seed in range(4)] == [(1,)] * 4
 
 
 def test_without_pairs_fault_free_sources_are_not_excluded():

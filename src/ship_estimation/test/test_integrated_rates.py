@@ -30,17 +30,17 @@ class CheckedStream(NamedTuple):
 
     refused: list[int]
     jumps: dict[int, tuple[InsJump, ...]]
-    guard: InsCheck
+    ins_check: InsCheck
 
 
 def check_stream(samples: Iterable[AttitudeSample], **config: Any) -> CheckedStream:
     found = CheckedStream([], {}, InsCheck(CheckedInsConfig(**config)))
     for number, sample in enumerate(samples):
-        judged = found.guard.check(sample, NOTHING_LATE, {})
-        if judged.rejection is not None:
+        checked = found.ins_check.check(sample, NOTHING_LATE, {})
+        if checked.rejection is not None:
             found.refused.append(number)
-        if judged.jumps:
-            found.jumps[number] = judged.jumps
+        if checked.jumps:
+            found.jumps[number] = checked.jumps
     return found
 
 
@@ -249,12 +249,12 @@ def test_changed_rate_noise_applies_at_once() -> None:
         counts.append(seen)
     assert counts[0] <= 5
     assert counts[1] >= 8
-    guard = InsCheck(CheckedInsConfig())
+    ins_check = InsCheck(CheckedInsConfig())
     samples, first = stream(32.0, 100.0, rate_noise_arcsec_per_s=60.0), number_at(100.0, 30.0)
     samples, refused = with_step(samples, first, (0.0, 20.0, 0.0)), []
     for number, sample in enumerate(samples):
         if number == 100:
-            guard.reconfigure(CheckedInsConfig(rate_sigma_arcsec_per_s=60.0))
-        if guard.check(sample, NOTHING_LATE, {}).rejection is not None:
+            ins_check.reconfigure(CheckedInsConfig(rate_sigma_arcsec_per_s=60.0))
+        if ins_check.check(sample, NOTHING_LATE, {}).rejection is not None:
             refused.append(number)
     assert refused[0] == first

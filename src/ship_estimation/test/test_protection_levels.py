@@ -37,7 +37,7 @@ def test_error_under_an_undetected_fault_is_within_the_protection_level():
     rng = np.random.default_rng(5)
     sigma = np.array([3.0, 3.0, 3.0])
     k = SigmaMultipliers(fault_free=4.0, false_exclusion=4.0, missed_detection=np.full(3, 3.0))
-    misled = 0
+    misleading = 0
     for bias in np.linspace(0.0, 40.0, 400):
         measured = sigma[:, None] * rng.standard_normal((3, 3))
         measured[0] += bias
@@ -47,11 +47,11 @@ def test_error_under_an_undetected_fault_is_within_the_protection_level():
         )
         found = solution_separations(left_out - estimate_0, np.full((3, 3), 4.5), np.full(3, 3.0), k)
         is_detected = found.statistic.max() > k.false_exclusion
-        misled += not is_detected and bool(np.any(np.abs(estimate_0) > found.level))
-    assert misled == 0
+        misleading += not is_detected and bool(np.any(np.abs(estimate_0) > found.level))
+    assert misleading == 0
 
 
-def misled_by_two_faults(sensors, bias, pairs, draws=300, seed=5):
+def misleading_ratio(sensors, bias, pairs, draws=300, seed=5):
     """Return the probability that two equal faults are not detected and an error exceeds its protection level.
 
     The estimate is the mean of the sensors, of three components; each sensor measures them with the sigma 3, so k
@@ -62,7 +62,7 @@ def misled_by_two_faults(sensors, bias, pairs, draws=300, seed=5):
     uses = [sorted(everyone - set(names)) for names in left_out]
     k = SigmaMultipliers(fault_free=4.0, false_exclusion=5.0, missed_detection=np.full(len(uses), MISSED))
     variances = np.array([[9.0 / len(row)] * 3 for row in uses])
-    misled = 0
+    misleading = 0
     for _ in range(draws):
         measured = 3.0 * rng.standard_normal((sensors, 3))
         measured[:2] += bias
@@ -70,8 +70,8 @@ def misled_by_two_faults(sensors, bias, pairs, draws=300, seed=5):
         distance = np.array([measured[row].mean(axis=0) for row in uses]) - estimate
         found = solution_separations(distance, variances, np.full(3, 9.0 / sensors), k)
         is_detected = not found.statistic.max() <= k.false_exclusion
-        misled += not is_detected and bool(np.any(np.abs(estimate) > found.level))
-    return misled / draws
+        misleading += not is_detected and bool(np.any(np.abs(estimate) > found.level))
+    return misleading / draws
 
 
 MISSED = 2.0
@@ -83,9 +83,9 @@ def test_error_under_two_undetected_faults_is_within_the_protection_level_of_pai
     biases = np.linspace(0.0, 40.0, 21)
     # Each of three components may exceed it.
     most = 3.0 * norm.sf(MISSED)
-    assert max(misled_by_two_faults(sensors, bias, pairs=True) for bias in biases) <= most
+    assert max(misleading_ratio(sensors, bias, pairs=True) for bias in biases) <= most
     # The levels of single faults do not guarantee that.
-    assert max(misled_by_two_faults(sensors, bias, pairs=False) for bias in biases) > 3.0 * most
+    assert max(misleading_ratio(sensors, bias, pairs=False) for bias in biases) > 3.0 * most
 
 
 def test_prior_of_two_faults_is_the_product_of_their_hourly_probabilities():
@@ -154,8 +154,8 @@ def test_excluded_source_does_not_affect_the_level():
 
 
 def test_without_tested_hypotheses_there_is_no_level():
-    k, nobody = SigmaMultipliers(fault_free=6.0, false_exclusion=5.0, missed_detection=np.array([2.0])), []
-    found = solution_separations(np.zeros((1, 3)), np.full((1, 3), 9.0), np.full(3, 3.0), k, subfilter_indices=nobody)
+    k, none = SigmaMultipliers(fault_free=6.0, false_exclusion=5.0, missed_detection=np.array([2.0])), []
+    found = solution_separations(np.zeros((1, 3)), np.full((1, 3), 9.0), np.full(3, 3.0), k, subfilter_indices=none)
     for limit, state in (((), IntegrityState.NO_LIMIT), ((1e6,) * 3, IntegrityState.EXCEEDED)):
         config = IntegrityConfig(alert_limit_arcsec=limit)
         report = integrity_report(0, config, k, (), found, (), is_checked=True)

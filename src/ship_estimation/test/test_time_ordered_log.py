@@ -129,14 +129,14 @@ def test_committed_measurements_stay_in_the_state(
     log.apply(step, failed)
     log.commit_before(oldest_ns)
     assert log.state == in_own_order(known)[0]
-    forgotten = {key: value for key, value in known.items() if key[0] < oldest_ns}
-    assert all(log.get(key) is None for key in forgotten)
+    dropped = {key: value for key, value in known.items() if key[0] < oldest_ns}
+    assert all(log.get(key) is None for key in dropped)
     within = {key: value for key, value in late.items() if key[0] >= oldest_ns}
     for key, value in within.items():
         insert(log, key, value)
     log.apply(step, failed)
-    kept = {key: value for key, value in known.items() if key not in forgotten}
-    assert log.state == in_own_order({**kept, **within}, in_own_order(forgotten)[0])[0]
+    kept = {key: value for key, value in known.items() if key not in dropped}
+    assert log.state == in_own_order({**kept, **within}, in_own_order(dropped)[0])[0]
 
 
 @repeatable

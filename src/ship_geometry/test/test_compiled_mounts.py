@@ -73,33 +73,33 @@ def readings(size: int) -> tuple[list[FloatArray], tuple[Any, ...]]:
     of_each = [rng.integers(-(10**8), 2 * 10**9, COUNT), rotations, rates, rng.random(COUNT), angles, rng.random(COUNT)]
     of_each += [rng.uniform(0.3, 1.0, (COUNT, 3)), roots @ roots.swapaxes(1, 2)]
     of_states, of_steady = rng.standard_normal((SOURCES, size, size)), rng.standard_normal((2, 3, 3))
-    lasting = np.array([0, 1, 0, 0, 0, 0], dtype=np.uint8)
+    exceeds_model = np.array([0, 1, 0, 0, 0, 0], dtype=np.uint8)
     parts, steady = of_states @ of_states.swapaxes(1, 2), of_steady @ of_steady.swapaxes(1, 2)
     time_s = rng.uniform(1.0, 5.0, 6)
-    return of_each, (errors[0], lasting, time_s, steady, parts, SHIP, BENDING, ENCODER, WHITE)
+    return of_each, (errors[0], exceeds_model, time_s, steady, parts, SHIP, BENDING, ENCODER, WHITE)
 
 
 @pytest.mark.parametrize("size", [13, 14])
 def test_pointings_are_corrected_as_by_numpy(size: int) -> None:
     of_each, estimate = readings(size)
-    errors, lasting, time_s, steady, parts, *_ = estimate
+    errors, exceeds_model, time_s, steady, parts, *_ = estimate
     rotation_nm, by_error, found = compiled_mounts.pointings(*of_each, *estimate)
     for number, (since_ns, rotation, rate, white, angles, noise, kept, new) in enumerate(zip(*of_each, strict=True)):
         decay, left = np.ones(size), np.ones(size)
         decay[:6], left[:3] = np.exp(-1e-9 * max(since_ns, 0) / time_s), kept
         now = errors.copy()
-        now[:6] *= np.where(lasting, 1.0, decay[:6])
+        now[:6] *= np.where(exceeds_model, 1.0, decay[:6])
         now[:3] *= kept
         chain = compiled_mounts.axis_geometries(now[None], rotation[None], rate[None], angles[None])
         by_all, by_encoder = chain[3][0][:, :size], chain[4][0]
         equal(rotation_nm[number], chain[2][0])
         equal(by_error[number], by_all)
-        carried = parts * np.outer(decay, decay)
-        carried[SHIP, :3, :3] += (1.0 - np.outer(decay[:3], decay[:3])) * steady[0]
-        carried[BENDING, 3:6, 3:6] += (1.0 - np.outer(decay[3:6], decay[3:6])) * steady[1]
-        carried *= np.outer(left, left)
-        carried[SHIP, :3, :3] += new
-        expected = by_all @ carried @ by_all.T
+        propagated = parts * np.outer(decay, decay)
+        propagated[SHIP, :3, :3] += (1.0 - np.outer(decay[:3], decay[:3])) * steady[0]
+        propagated[BENDING, 3:6, 3:6] += (1.0 - np.outer(decay[3:6], decay[3:6])) * steady[1]
+        propagated *= np.outer(left, left)
+        propagated[SHIP, :3, :3] += new
+        expected = by_all @ propagated @ by_all.T
         expected[ENCODER] += noise * by_encoder @ by_encoder.T
         expected[WHITE] += white * np.eye(3)
         np.testing.assert_allclose(found[number], expected, rtol=1e-13, atol=1e-12)

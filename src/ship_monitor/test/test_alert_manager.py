@@ -18,7 +18,7 @@ LOOK_NS = NS_PER_S // 5
 CLOCK_NS = 1_700_000_000 * NS_PER_S
 
 INS_STEP = "step: {topic: ins/imu, kind: bias, start_s: 20.0, up_arcsec: 100.0}"
-KNOCK = "knock: {topic: star/starboard/horizon_attitude, kind: knock, start_s: 40.0, right_arcsec: 50.0}"
+MOUNTING_SHIFT = "knock: {topic: star/starboard/horizon_attitude, kind: knock, start_s: 40.0, right_arcsec: 50.0}"
 
 
 THEODOLITE = (
@@ -58,7 +58,7 @@ class Voyage:
 @pytest.fixture(scope="module")
 def faulty(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the outputs of the demo voyage with an INS step and a shifted star sensor."""
-    return replay_with_faults(tmp_path_factory.mktemp("faulty"), "demo", f"{INS_STEP}, {KNOCK}")[1]
+    return replay_with_faults(tmp_path_factory.mktemp("faulty"), "demo", f"{INS_STEP}, {MOUNTING_SHIFT}")[1]
 
 
 @pytest.mark.slow
@@ -75,8 +75,8 @@ def test_each_fault_names_its_source_within_two_seconds(faulty: Path) -> None:
     time_s, star = voyage.first("star.starboard.out")
     assert 40.0 <= time_s <= 42.0
     assert star.alert.priority is Priority.WARNING
-    blamed = {change.alert.source for time_s, change in voyage.changes if 20.0 <= time_s < 60.0}
-    assert blamed == {"ins", "star.starboard", ""}
+    named = {change.alert.source for time_s, change in voyage.changes if 20.0 <= time_s < 60.0}
+    assert named == {"ins", "star.starboard", ""}
     assert not [change for _, change in voyage.changes if "fore" in change.alert.id]
 
 
@@ -93,8 +93,8 @@ def test_faults_of_a_theodolite_name_their_sources(tmp_path: Path) -> None:
         # Two seconds after the filter can detect it; the timeout of the encoder itself is two seconds.
         assert start_s < time_s <= start_s + 2.0 + 2 * LOOK_NS / NS_PER_S
         assert (change.alert.source, change.alert.priority) == (source, priority)
-    blamed = {change.alert.source for time_s, change in voyage.changes if time_s < 79.0}
-    assert blamed <= {"baselines", "lights", "encoder", ""}
+    named = {change.alert.source for time_s, change in voyage.changes if time_s < 79.0}
+    assert named <= {"baselines", "lights", "encoder", ""}
     assert "Pointing lost" in voyage.first("encoder.out")[1].alert.text
 
 

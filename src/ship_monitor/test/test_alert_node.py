@@ -48,11 +48,11 @@ class Ship:
     def _take_statuses(self, message):
         self.statuses |= {status.name: status for status in message.status}
 
-    def sail(self, seconds=0.1, sigma_arcsec=0.5, is_silent=False):
+    def sail(self, seconds=0.1, sigma_arcsec=0.5, is_stopped=False):
         """Run for some seconds, with or without attitudes at 20 Hz."""
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
-            if not is_silent:
+            if not is_stopped:
                 message = ShipAttitude(heading=1.0, star_age_s=0.1)
                 message.header.stamp.sec, message.header.stamp.nanosec = stamp_fields(time.time_ns())
                 variance = (sigma_arcsec * 4.848e-6) ** 2
@@ -138,10 +138,10 @@ def test_alert_is_raised_acknowledged_and_survives_its_node(ship, start, until, 
     # Without ship/integrity the attitude is a caution, which needs no acknowledgement.
     sailing(lambda alerts: states(alerts) == {"attitude.degraded": (Alert.CAUTION, ACKNOWLEDGED)})
     sailing(lambda alerts: "attitude.silent" in alerts, is_silent=True)
-    silent = ship.alerts()["attitude.silent"]
-    assert (silent.priority, silent.state, silent.instance) == (Alert.ALARM, UNACKNOWLEDGED, 1)
-    assert silent.text == "Heading and tilt lost: no data on ship/attitude"
-    assert abs(silent.raised.sec - time.time()) < 20.0
+    alarm = ship.alerts()["attitude.silent"]
+    assert (alarm.priority, alarm.state, alarm.instance) == (Alert.ALARM, UNACKNOWLEDGED, 1)
+    assert alarm.text == "Heading and tilt lost: no data on ship/attitude"
+    assert abs(alarm.raised.sec - time.time()) < 20.0
 
     wrong = ship.acknowledge("attitude.silent", 2)
     assert not wrong.success

@@ -32,42 +32,42 @@ BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 @pytest.fixture
-def opened():
-    with contextlib.ExitStack() as left_open:
-        yield left_open
+def resources():
+    with contextlib.ExitStack() as stack:
+        yield stack
 
 
 @pytest.fixture
-def server(opened):
+def server(resources):
     server = FoxgloveServer("demo", "127.0.0.1", 0)
-    opened.callback(server.close)
+    resources.callback(server.close)
     return server
 
 
 @pytest.fixture
-def watch(opened, server):
+def watch(resources, server):
     watch = LiveSuite("monitor", "demo", Limits(), server)
-    opened.callback(watch.close)
+    resources.callback(watch.close)
     return watch
 
 
 @pytest.fixture
-def sail(opened):
+def sail(resources):
     """Return a function that starts a ship."""
 
     def make(namespace="demo"):
         ship = SuitePublisher(namespace)
-        opened.callback(ship.stop)
+        resources.callback(ship.stop)
         return ship
 
     return make
 
 
 @pytest.fixture
-def connect(opened, server):
+def connect(resources, server):
     def make():
         client = FoxgloveClient(server.address)
-        opened.callback(client.close)
+        resources.callback(client.close)
         return client
 
     return make
@@ -231,10 +231,10 @@ def test_page_does_not_depend_on_a_client(sail, connect, watch):
 
 
 @pytest.fixture
-def monitor(opened, tmp_path):
+def monitor(resources, tmp_path):
     """Return the executable, and its address for Foxglove."""
     command = [*executable("ship_monitor", "monitor"), "--namespace", "demo", "--port", "0", "--foxglove", "0"]
-    process = opened.enter_context(LiveProcess(command, tmp_path / "log", os.environ))
+    process = resources.enter_context(LiveProcess(command, tmp_path / "log", os.environ))
     deadline_s = time.monotonic() + 60.0
     while "http://" not in process.log_text():
         assert process.exit_code is None, process.log_text()
@@ -243,10 +243,10 @@ def monitor(opened, tmp_path):
     return process, next(word for word in process.log_text().split() if word.startswith("ws://127.0.0.1:"))
 
 
-def test_executable_serves_page_and_foxglove_and_ends_with_ctrl_c(sail, opened, monitor):
+def test_executable_serves_page_and_foxglove_and_ends_with_ctrl_c(sail, resources, monitor):
     process, address = monitor
     ship, client = sail(), FoxgloveClient(address)
-    opened.callback(client.close)
+    resources.callback(client.close)
     ship.publish("ship/attitude", attitude(START_NS))
     receive(client, ship, "ship/attitude", attitude(START_NS))
     assert client.server_messages[0]["name"] == "demo"
@@ -255,14 +255,14 @@ def test_executable_serves_page_and_foxglove_and_ends_with_ctrl_c(sail, opened, 
     assert len(process.log_text().splitlines()) == 2, process.log_text()
 
 
-def test_executable_ends_with_a_client_that_does_not_read(sail, opened, monitor):
+def test_executable_ends_with_a_client_that_does_not_read(sail, resources, monitor):
     process, address = monitor
     ship, client = sail(), FoxgloveClient(address)
-    opened.callback(client.close)
+    resources.callback(client.close)
     message = String(data="x" * 60_000)
     ship.publish("told", message)
     receive(client, ship, "told", message)
-    deaf = opened.enter_context(client_that_never_reads(address, client.channels["/demo/told"]["id"]))
+    deaf = resources.enter_context(client_that_never_reads(address, client.channels["/demo/told"]["id"]))
     # More than the buffers of a connection: unread messages then wait in the server.
     client.received.clear()
 

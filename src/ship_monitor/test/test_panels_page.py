@@ -99,7 +99,7 @@ def browser():
     browser.close()
 
 
-def opened(browser, address, theme, width):
+def open_page(browser, address, theme, width):
     browser.open(address, width, 1800)
     browser.evaluate(
         f"document.body.style.background = '{THEMES[theme].background}'; document.body.style.margin = 0;"
@@ -118,7 +118,7 @@ def evaluated(browser, expression):
 @pytest.mark.parametrize("width", [1280, 390])
 def test_panels_are_drawn_in_every_theme_and_width(browser, theme, width, tmp_path):
     with served(theme) as (address, _):
-        opened(browser, address, theme, width)
+        open_page(browser, address, theme, width)
         browser.wait(lambda: evaluated(browser, "found('Figure').length") == 14, "all plots")
         browser.wait(lambda: has_text_at(browser, "found('Figure')[4]"), "what is told of the error of pitch")
         browser.take_screenshot(tmp_path / f"{theme}_{width}.png", whole=True)
@@ -135,7 +135,7 @@ def test_panels_are_drawn_in_every_theme_and_width(browser, theme, width, tmp_pa
 @pytest.mark.slow
 def test_new_points_are_streamed_and_the_time_goes_on(browser):
     with served("day") as (address, _):
-        opened(browser, address, "day", 1280)
+        open_page(browser, address, "day", 1280)
         count = "Math.max(...found('Figure')[0].model.renderers.map((each) => each.data_source.get_length() ?? 0))"
         end = "found('Figure')[0].model.x_range.end"
         first = evaluated(browser, f"[{count}, {end}]")
@@ -147,7 +147,7 @@ def test_new_points_are_streamed_and_the_time_goes_on(browser):
 @pytest.mark.slow
 def test_drag_zooms_all_plots_and_double_click_returns(browser):
     with served("day") as (address, queue):
-        opened(browser, address, "day", 1280)
+        open_page(browser, address, "day", 1280)
         panels = queue.get(timeout=20.0)
         ranges = (
             "[...new Set(found('Figure').map((each) => each.model.x_range).filter((range) => range.end > 1e12))].length"

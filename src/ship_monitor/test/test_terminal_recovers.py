@@ -57,11 +57,11 @@ class Bridge:
 
 @contextlib.asynccontextmanager
 async def bridge():
-    with contextlib.ExitStack() as left_open:
+    with contextlib.ExitStack() as stack:
         ship = SuitePublisher()
-        left_open.callback(ship.stop)
+        stack.callback(ship.stop)
         suite = LiveSuite("monitor_terminal", "demo", Limits())
-        left_open.callback(suite.close)
+        stack.callback(suite.close)
         app = TerminalApp(suite)
         async with app.run_test(size=(80, 24)) as pilot:
             yield Bridge(app, pilot, ship)

@@ -284,7 +284,7 @@ def test_throttle_selects_the_rate():
     jitter = [0, 3_000_000, -2_000_000, 1_000_000, -3_000_000]
     for rate_hz, taken in ((10.0, 100), (100.0, 1000), (1000.0, 1000), (30.0, 300)):
         pace = Throttle(rate_hz)
-        due = [pace.is_due(number * period_ns + jitter[number % 5]) for number in range(1000)]
-        assert abs(sum(due) - taken) <= 2
+        sent = [pace.is_due(number * period_ns + jitter[number % 5]) for number in range(1000)]
+        assert abs(sum(sent) - taken) <= 2
     pace = Throttle(10.0)
     assert [pace.is_due(time_ns) for time_ns in (0, 10**12, 10**12 + 1, 10**12 + 10**8)] == [True, True, False, True]

@@ -88,12 +88,12 @@ def test_first_message_timeout_text_depends_on_the_publishers(health):
 
 def test_a_configured_device_without_messages_is_a_warning():
     """As after a mistyped id: its topic has no publisher."""
-    book = InputHealthMonitor(
+    monitor = InputHealthMonitor(
         [InputTopic(STAR, "ship_msgs/msg/StarHorizonAttitude", False, depth=10, is_configured=True)]
     )
-    book.statuses(START_NS)
-    book.set_publisher_count(STAR, 0)
-    (early,), (late,) = book.statuses(START_NS + 4 * S), book.statuses(START_NS + 5 * S)
+    monitor.statuses(START_NS)
+    monitor.set_publisher_count(STAR, 0)
+    (early,), (late,) = monitor.statuses(START_NS + 4 * S), monitor.statuses(START_NS + 5 * S)
     assert (early.level, early.message) == (Level.OK, "no message yet")
     assert (late.level, late.message) == (Level.WARN, "no message for 5 s since the start: no publisher")
 
@@ -256,9 +256,9 @@ def test_too_old_stamps_are_an_error(health):
 
 
 def test_maximum_age_of_stamps():
-    book = InputHealthMonitor([InputTopic(IMU, "sensor_msgs/msg/Imu", required=True, depth=100)], max_age_s=10.0)
-    assert imu_status(book, feed(book, 3, latency_ns=10 * S)).level == Level.OK
-    assert imu_status(book, feed(book, 3, latency_ns=10 * S + 1)).level == Level.ERROR
+    monitor = InputHealthMonitor([InputTopic(IMU, "sensor_msgs/msg/Imu", required=True, depth=100)], max_age_s=10.0)
+    assert imu_status(monitor, feed(monitor, 3, latency_ns=10 * S)).level == Level.OK
+    assert imu_status(monitor, feed(monitor, 3, latency_ns=10 * S + 1)).level == Level.ERROR
 
 
 @pytest.mark.parametrize(
@@ -280,15 +280,15 @@ def test_duration_texts(seconds, text):
 
 def test_occasional_topics_have_no_timeout():
     target = "theodolite/target"
-    book = InputHealthMonitor(
+    monitor = InputHealthMonitor(
         [InputTopic(target, "ship_msgs/msg/TargetImage", required=False, depth=10, is_occasional=True)]
     )
-    book.statuses(START_NS)
-    book.set_publisher_count(target, 1)
-    (status,) = book.statuses(START_NS + 60 * S)
+    monitor.statuses(START_NS)
+    monitor.set_publisher_count(target, 1)
+    (status,) = monitor.statuses(START_NS + 60 * S)
     assert (status.level, status.message) == (Level.OK, "no message yet")
     for i in range(10):
-        book.record_arrival(target, START_NS + i * 100 * MS)
-        book.record_accepted(target, START_NS + i * 100 * MS, START_NS + i * 100 * MS)
-    (gone,) = book.statuses(START_NS + 120 * S)
+        monitor.record_arrival(target, START_NS + i * 100 * MS)
+        monitor.record_accepted(target, START_NS + i * 100 * MS, START_NS + i * 100 * MS)
+    (gone,) = monitor.statuses(START_NS + 120 * S)
     assert gone.level is Level.OK

@@ -520,11 +520,11 @@ def test_a_publisher_that_never_sends_is_a_hint_in_the_diagnostics(two_senders):
     relay, first, _ = two_senders
     send_until(relay, [first], lambda: relay.has_level("relay: input ins/imu", DiagnosticStatus.OK))
 
-    def hint() -> str:
+    def input_text() -> str:
         values = relay.diagnostics["relay: input ins/imu"].values
         return next((value.value for value in values if value.key == "publishers"), "")
 
-    send_until(relay, [first], lambda: hint() == "2: /ins_a, /ins_b")
+    send_until(relay, [first], lambda: input_text() == "2: /ins_a, /ins_b")
     assert relay.adapter.contested == []
 
 

@@ -139,8 +139,8 @@ def test_faulted_bags_of_all_nodes(suite_bag: Path, seed: int) -> None:
 def test_a_second_estimator_that_is_adopted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The filter is corrupted after 20 s; half a minute later the second estimator replaces it."""
     bag, adopted, spoilt = make_bag(SCENARIOS / "demo.yaml", 70.0, 3, tmp_path / "demo.mcap"), [], set()
-    with read_bag(bag) as opened:
-        start_ns = opened.start_ns or 0
+    with read_bag(bag) as content:
+        start_ns = content.start_ns or 0
     look = ShipAttitudeAdapter._decide
 
     def spoilt_look(self: ShipAttitudeAdapter, now_ns: int, waiting_ns: int) -> Any:

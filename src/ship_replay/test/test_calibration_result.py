@@ -83,9 +83,9 @@ def test_a_boresight_that_was_not_observed_is_named() -> None:
     # 0.1" about five axes; the sixth, forward of the second sensor, not at all.
     measured = np.delete(np.eye(6), 3, axis=0)
     combos = find_combinations(update_covariance(PRIOR_COVARIANCE, measured, (0.1 * ARCSEC) ** 2 * np.eye(5)))
-    (open_one,) = [combo for combo in combos if combo.observability != "yes"]
-    assert open_one.axis is None
-    assert np.unravel_index(np.argmax(np.abs(open_one.rotation_s)), (2, 3)) == (1, 0)
+    (unobserved,) = [combo for combo in combos if combo.observability != "yes"]
+    assert unobserved.axis is None
+    assert np.unravel_index(np.argmax(np.abs(unobserved.rotation_s)), (2, 3)) == (1, 0)
 
 
 def test_a_single_sensor_has_no_relative_rotation() -> None:

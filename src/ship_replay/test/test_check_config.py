@@ -377,15 +377,15 @@ def nmea(sink, source, out_section="/**/nmea_out", in_section="/**/nmea_in"):
 
 
 TTY = "kind: serial, device: /dev/ttyUSB0"
-LISTENS = "kind: udp, address: 10.0.0.1, port: 1, listen_port: 10110"
+UDP = "kind: udp, address: 10.0.0.1, port: 1, listen_port: 10110"
 
 
 @pytest.mark.parametrize(
     ("sink", "source", "error"),
     [
         (TTY, TTY, "device' = '/dev/ttyUSB0' of /nmea_out: 'sources.g.device' of /nmea_in, line 15, has path /dev/tty"),
-        (LISTENS, "kind: udp, port: 10110", "listen_port' = 10110 of /nmea_out: 'sources.g.port' of /nmea_in, line 15"),
-        (LISTENS, "kind: udp, port: 10111", ""),
+        (UDP, "kind: udp, port: 10110", "listen_port' = 10110 of /nmea_out: 'sources.g.port' of /nmea_in, line 15"),
+        (UDP, "kind: udp, port: 10111", ""),
         ("kind: udp, address: 127.0.0.1, port: 10110", "kind: udp, port: 10110", ""),
         ("kind: tcp_server, port: 10110", "kind: tcp, address: 127.0.0.1, port: 10110", ""),
         ("kind: tcp_server, port: 10110", "kind: udp, port: 10110", ""),

@@ -23,8 +23,8 @@ def check(tmp_path, capsys):
     """Run the command on a bag with its own suite, or a changed one; return exit code and lines."""
 
     def run(bag, change=lambda suite: None):
-        with read_bag(bag) as opened:
-            suite = yaml.safe_load(opened.attachments[SUITE_ATTACHMENT])
+        with read_bag(bag) as content:
+            suite = yaml.safe_load(content.attachments[SUITE_ATTACHMENT])
         change(suite)
         config = tmp_path / "suite.yaml"
         config.write_text(yaml.safe_dump(suite))

@@ -18,7 +18,7 @@ MINUTE_NS = 60_000_000_000
 TICK_NS = 1_000_000_000
 
 
-def verdicts(name: str, change: Callable[[str, Any], None]) -> dict[str, list[tuple[int, str]]]:
+def diagnoses(name: str, change: Callable[[str, Any], None]) -> dict[str, list[tuple[int, str]]]:
     """Return level and text of each diagnosis and of the clocks, second by second, in a minute of a changed bag."""
     statuses: dict[str, list[tuple[int, str]]] = {}
     with read_bag(BAGS / name) as bag:
@@ -48,7 +48,7 @@ def test_an_understated_sigma_is_reported_within_a_minute_for_that_sensor() -> N
             for name in ("covariance", "rotation_covariance", "noise_covariance"):
                 setattr(message, name, np.asarray(getattr(message, name)) / 4.0)
 
-    statuses = verdicts("demo.mcap", understated)
+    statuses = diagnoses("demo.mcap", understated)
     level, text = statuses["verdict star.fore"][-1]
     assert level == 1
     assert text.startswith("sigma optimistic by ")
@@ -68,7 +68,7 @@ def test_a_sensor_off_by_a_degree_is_biased_although_unused() -> None:
             if stamp_ns - stamps_ns[0] > MINUTE_NS // 4:
                 message.elevation += np.deg2rad(1.0)
 
-    statuses = verdicts("demo.mcap", turned)
+    statuses = diagnoses("demo.mcap", turned)
     level, text = statuses["verdict star.fore"][-1]
     assert level == 1
     assert text.startswith("bias of ")

@@ -24,7 +24,7 @@ from ship_replay.ins_noise.star_record import star_record
 from ship_simulation.scenario.motion_scenario import AngleMotion, Wave
 from ship_testing.noise_sessions import STILL, scenario, simulated_noise_session
 
-LASTING = {"common_sigma_arcsec": 2.0, "common_time_s": 300.0, "time_offset_sigma_s": 0.001, "phase_s": 0.5}
+CORRELATED = {"common_sigma_arcsec": 2.0, "common_time_s": 300.0, "time_offset_sigma_s": 0.001, "phase_s": 0.5}
 ROLLING = replace(STILL, roll=AngleMotion(waves={"slow": Wave(amplitude_deg=4.0, period_s=200.0)}))
 WALK = 30.0
 """Of the installation, arcsec/√h."""
@@ -33,7 +33,7 @@ WALK = 30.0
 @pytest.fixture(scope="module")
 def session() -> NoiseSession:
     """Two minutes with other states of every kind: constant, random walk, Gauss-Markov. Stars are between samples."""
-    voyage = scenario(120.0, star=LASTING)
+    voyage = scenario(120.0, star=CORRELATED)
     found = simulated_noise_session(replace(voyage, carrier=ROLLING, ins=replace(voyage.ins, rate_hz=1.0)), 1)
     block = found.model.blocks["star.fore.installation"]
     object.__setattr__(block, "walk", np.full(3, WALK * ARCSEC / 60.0))
@@ -144,8 +144,8 @@ def test_schuler_is_the_joint_density(session: NoiseSession, damping_time_s: flo
     stamps = sorted({pair.time_ns for pair in session.comparisons})
 
     def way(since_ns: int, until_ns: int) -> tuple[np.ndarray, np.ndarray]:
-        carried = process.propagation(since_ns, here, [until_ns], Still(here))
-        return carried.transition[0], carried.ins_noise[0]
+        propagated = process.propagation(since_ns, here, [until_ns], Still(here))
+        return propagated.transition[0], propagated.ins_noise[0]
 
     at = {stamps[0]: np.diag(start**2)}
     for before, after in itertools.pairwise(stamps):

@@ -70,10 +70,10 @@ def alert(state, second, text="star.fore out: no data"):
 def test_alerts_that_were_recorded_stand_before_those_computed(night_path, tmp_path):
     """With the texts and times of the alert node, and with acknowledgements, which cannot be computed."""
     path = tmp_path / "out.mcap"
-    course = [(10, AlertState.ACTIVE_UNACKNOWLEDGED), (14, AlertState.ACTIVE_ACKNOWLEDGED), (20, None)]
+    history = [(10, AlertState.ACTIVE_UNACKNOWLEDGED), (14, AlertState.ACTIVE_ACKNOWLEDGED), (20, None)]
     with BagWriter(path) as writer, read_bag(night_path) as bag:
         records = [(record.log_time_ns, record) for record in bag.records()]
-        states = [(START_NS + second * SECOND_NS, (state, second)) for second, state in course]
+        states = [(START_NS + second * SECOND_NS, (state, second)) for second, state in history]
         for time_ns, what in sorted(records + states, key=lambda entry: entry[0]):
             if isinstance(what, tuple):
                 header = make_header(FACTORY, time_ns, "")

@@ -70,8 +70,8 @@ def test_independent_ones_of_white_noise_of_nothing_and_of_a_bias() -> None:
 def test_a_correct_sigma_is_accepted(time_s: float) -> None:
     """One of 1000 consistent runs is outside a band of 99.9 %; more than 6 in one of ten thousand such tests."""
     fits = [nees_fit(errors(ar1(seed, time_s))) for seed in range(1000)]
-    condemned = [fit for fit in fits if "optimistic" in fit.words or "pessimistic" in fit.words]
-    assert len(condemned) <= binom.ppf(0.9999, 1000, 0.001)
+    rejected = [fit for fit in fits if "optimistic" in fit.words or "pessimistic" in fit.words]
+    assert len(rejected) <= binom.ppf(0.9999, 1000, 0.001)
     if time_s <= 10.0:
         assert sum(fit.words == f"σ as stated ({fit.ratio:.2f})" for fit in fits) >= 990
 
@@ -136,8 +136,8 @@ def test_minutes_with_a_false_sigma_are_counted() -> None:
 def test_one_minute_equals_the_live_page() -> None:
     part = innovations(3, [1.6])
     window = NisWindow()
-    for stamp_ns, judged in sorted(part.accepted.items()):
-        window.add(stamp_ns, judged.nis, 3)
+    for stamp_ns, innovation in sorted(part.accepted.items()):
+        window.add(stamp_ns, innovation.nis, 3)
     assert nis_fit("star.bow", part).words == f"{window.consistency(60 * NS - 1).text} in 1 of 1 minutes"
 
 

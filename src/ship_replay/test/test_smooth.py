@@ -114,8 +114,8 @@ def test_each_pointing_is_smoothed_with_the_smoothed_attitude(theodolite_bag, tm
     assert len(messages(smoothed, "ship/attitude_smoothed")) == 241
     numbers = tmp_path / "numbers.json"
     assert evaluate([str(smoothed), "--json", str(numbers)]) == 0
-    judged = json.loads(numbers.read_text())
-    assert judged["smoothed.samples"] == judged["smoothed_pointing.samples"] == 121
+    evaluated = json.loads(numbers.read_text())
+    assert evaluated["smoothed.samples"] == evaluated["smoothed_pointing.samples"] == 121
 
 
 def test_pointings_are_smoothed_by_a_recorded_attitude_too(theodolite_bag, tmp_path):

@@ -80,9 +80,9 @@ def bag(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def start_ns(bag):
-    with read_bag(bag) as opened:
-        assert {topic: opened.topics[topic] for topic in TOPICS} == TOPICS
-        return opened.start_ns
+    with read_bag(bag) as content:
+        assert {topic: content.topics[topic] for topic in TOPICS} == TOPICS
+        return content.start_ns
 
 
 def fault_of(kind, topic):

@@ -71,14 +71,14 @@ def test_processes_and_streams_go_on_where_they_were_left():
 def test_a_correlated_error_drops_no_part_that_is_still_requested():
     moments_s = np.linspace(0.0, 400.0, 1001)
     whole = CorrelatedError(random_stream(1, "test"), 390.0, np.array([1.0, 2.0]), 6.0)
-    forgetful = CorrelatedError(random_stream(1, "test"), 390.0, np.array([1.0, 2.0]), 6.0)
+    dropping = CorrelatedError(random_stream(1, "test"), 390.0, np.array([1.0, 2.0]), 6.0)
     expected = whole.values_at(moments_s)
     for first in range(0, 1001, 77):
         part = slice(first, first + 77)
-        forgetful.drop_before(moments_s[first] - 1.0)
-        np.testing.assert_array_equal(forgetful.values_at(moments_s[part]), expected[part])
+        dropping.drop_before(moments_s[first] - 1.0)
+        np.testing.assert_array_equal(dropping.values_at(moments_s[part]), expected[part])
     with pytest.raises(ValueError, match="dropped"):
-        forgetful.values_at(np.array([3.0]))
+        dropping.values_at(np.array([3.0]))
 
 
 @pytest.mark.parametrize(

@@ -21,8 +21,8 @@ OUT = Condition("star.bow.out", Priority.WARNING, "star.bow", "star.bow out: ref
 class Voyage:
     """A list of alerts that is updated four times a second."""
 
-    def __init__(self, book: AlertList | None = None, start_s: float = 0.0) -> None:
-        self.book = book or AlertList(TIMES)
+    def __init__(self, alert_list: AlertList | None = None, start_s: float = 0.0) -> None:
+        self.alert_list = alert_list or AlertList(TIMES)
         self.now_s = start_s
         self.changes: list[AlertChange] = []
 
@@ -32,16 +32,16 @@ class Voyage:
         for _ in range(round(4 * seconds)):
             self.now_s += 0.25
             now_ns = round(self.now_s * S)
-            self.changes += self.book.update(conditions, now_ns, UTC + now_ns)
+            self.changes += self.alert_list.update(conditions, now_ns, UTC + now_ns)
         return self.changes[before:]
 
     def acknowledge(self, id_: str, instance: int = 1) -> str:
         """Acknowledge an alert now; return the text of the answer."""
-        return self.book.acknowledge(id_, instance, UTC + round(self.now_s * S))[1]
+        return self.alert_list.acknowledge(id_, instance, UTC + round(self.now_s * S))[1]
 
     def states(self) -> dict[str, str]:
         """Return priority and state of each alert."""
-        return {alert.id: f"{alert.priority.name} {AlertState(alert.state).name}" for alert in self.book.alerts}
+        return {alert.id: f"{alert.priority.name} {AlertState(alert.state).name}" for alert in self.alert_list.alerts}
 
 
 def test_situation_is_raised_once_and_over_after_its_hold() -> None:
@@ -53,7 +53,7 @@ def test_situation_is_raised_once_and_over_after_its_hold() -> None:
     assert voyage.acknowledge("star.bow.out") == "'star.bow.out' acknowledged"
     assert voyage.go(4.75) == []
     assert [change.alert.state for change in voyage.go(1.0)] == [AlertState.NORMAL]
-    assert voyage.book.alerts == ()
+    assert voyage.alert_list.alerts == ()
 
 
 def test_alert_of_a_past_situation_stays_until_acknowledged() -> None:
@@ -63,7 +63,7 @@ def test_alert_of_a_past_situation_stays_until_acknowledged() -> None:
     voyage.go(3600.0)
     assert voyage.states() == {"star.bow.out": "WARNING RECTIFIED_UNACKNOWLEDGED"}
     assert voyage.acknowledge("star.bow.out") == "'star.bow.out' acknowledged, and over"
-    assert voyage.book.alerts == ()
+    assert voyage.alert_list.alerts == ()
 
 
 @pytest.mark.parametrize("period_s", [0.5, 1.0, 2.0, 5.0, 9.0])
@@ -74,7 +74,7 @@ def test_flapping_input_gives_one_alert(period_s: float) -> None:
         voyage.go(period_s / 2.0, OUT)
         voyage.go(period_s / 2.0)
     assert sum(change.description == "raised" for change in voyage.changes) == 1
-    assert [(alert.id, alert.instance) for alert in voyage.book.alerts] == [("star.bow.out", 1)]
+    assert [(alert.id, alert.instance) for alert in voyage.alert_list.alerts] == [("star.bow.out", 1)]
     voyage.acknowledge("star.bow.out")
     before = len(voyage.changes)
     for _ in range(round(600.0 / period_s)):
@@ -92,7 +92,7 @@ def test_slow_flapping_is_held_longer_each_time() -> None:
         voyage.go(30.0)
     # Holds of 5, 10 and 20 s are shorter than the pauses of 30 s, that of 40 s is not.
     assert [change.description for change in voyage.changes] == ["raised", "over"] * 3 + ["raised"]
-    assert voyage.book.alerts[0].instance == 4
+    assert voyage.alert_list.alerts[0].instance == 4
 
 
 def test_random_flapping_never_gives_two_alerts_of_one_situation() -> None:
@@ -103,7 +103,7 @@ def test_random_flapping_never_gives_two_alerts_of_one_situation() -> None:
         for _ in range(200):
             there = bool(draws.integers(2))
             voyage.go(float(draws.exponential(4.0)), *([OUT] if there else []))
-            assert len(voyage.book.alerts) <= 1
+            assert len(voyage.alert_list.alerts) <= 1
         raised = [change.alert.instance for change in voyage.changes if change.description == "raised"]
         assert raised == list(range(1, len(raised) + 1))
         assert all(change.alert.state != AlertState.NORMAL for change in voyage.changes)
@@ -119,13 +119,13 @@ def test_random_situations_keep_the_rules() -> None:
             lost = frozenset(draws.choice(["heading", "tilt"], size=draws.integers(3), replace=False).tolist())
             priority = Priority(int(draws.integers(3)))
             condition = replace(OUT, priority=priority, text=f"out {sorted(lost)}", lost_functions=lost)
-            before = voyage.book.alerts
+            before, current = voyage.alert_list.alerts, voyage.alert_list
             voyage.go(float(draws.exponential(4.0)), *([condition] if draws.integers(3) else []))
             for alert in before:
                 if not alert.is_acknowledged:
-                    assert voyage.book.alerts[0].priority >= alert.priority
+                    assert current.alerts[0].priority >= alert.priority
                 if draws.integers(4) == 0:
-                    voyage.acknowledge(alert.id, voyage.book.alerts[0].instance if voyage.book.alerts else 0)
+                    voyage.acknowledge(alert.id, current.alerts[0].instance if current.alerts else 0)
             for change in voyage.changes:
                 assert change.alert.priority is not Priority.CAUTION or change.alert.state in (0, 3)
         raised = [change.alert.instance for change in voyage.changes if change.description == "raised"]
@@ -143,11 +143,11 @@ def test_more_lost_functions_than_acknowledged_give_a_new_instance() -> None:
     for _ in range(50):
         voyage.go(0.5, heading)
         voyage.go(0.5, both)
-    assert voyage.book.alerts[0].instance == 1
+    assert voyage.alert_list.alerts[0].instance == 1
     pointing = replace(both, lost_functions=both.lost_functions | {"pointing"})
     assert [change.description for change in voyage.go(1.0, pointing)] == ["now also affects pointing"]
     assert voyage.states() == {"star.bow.out": "WARNING ACTIVE_UNACKNOWLEDGED"}
-    assert voyage.book.alerts[0].instance == 2
+    assert voyage.alert_list.alerts[0].instance == 2
 
 
 def test_flickering_text_is_not_taken_over() -> None:
@@ -195,7 +195,7 @@ def test_unacknowledged_warning_becomes_an_alarm() -> None:
     changes = voyage.go(0.5, lost)
     assert [change.description for change in changes] == ["became an alarm: not acknowledged for 60 s"]
     # An acknowledgement of the warning does not count for the alarm.
-    assert voyage.book.acknowledge("star.bow.out", 1, 0)[0] is None
+    assert voyage.alert_list.acknowledge("star.bow.out", 1, 0)[0] is None
     voyage.go(600.0, lost)
     assert voyage.states() == {"star.bow.out": "ALARM ACTIVE_UNACKNOWLEDGED"}
     voyage.acknowledge("star.bow.out", 2)
@@ -219,7 +219,7 @@ def test_silence_lasts_half_a_minute_and_covers_no_new_alert() -> None:
     """Active alerts are silent for 30 s; an alert raised meanwhile sounds."""
     voyage = Voyage()
     voyage.go(1.0, OUT)
-    assert len(voyage.book.silence(round(voyage.now_s * S), UTC)) == 1
+    assert len(voyage.alert_list.silence(round(voyage.now_s * S), UTC)) == 1
     other = replace(OUT, id="gnss.out", source="gnss")
     voyage.go(10.0, OUT, other)
     assert voyage.states() == {
@@ -237,7 +237,7 @@ def test_caution_needs_no_acknowledgement() -> None:
     assert voyage.states() == {"star.bow.out": "CAUTION ACTIVE_ACKNOWLEDGED"}
     assert "needs no acknowledgement" in voyage.acknowledge("star.bow.out")
     voyage.go(6.0)
-    assert voyage.book.alerts == ()
+    assert voyage.alert_list.alerts == ()
 
 
 def test_escalation_is_a_new_instance_and_deescalation_waits() -> None:
@@ -289,9 +289,9 @@ def test_situation_explained_by_another_alert_has_no_alert() -> None:
 def test_start_of_the_suite_is_no_alert() -> None:
     """An output that was never received raises an alert ten seconds after the start."""
     voyage = Voyage()
-    silent = replace(OUT, may_be_startup=True)
-    assert voyage.go(9.0, silent) == []
-    assert [change.description for change in voyage.go(2.0, silent)] == ["raised"]
+    starting = replace(OUT, may_be_startup=True)
+    assert voyage.go(9.0, starting) == []
+    assert [change.description for change in voyage.go(2.0, starting)] == ["raised"]
 
 
 def test_restart_keeps_alerts_and_acknowledgements() -> None:
@@ -302,7 +302,7 @@ def test_restart_keeps_alerts_and_acknowledgements() -> None:
     voyage.acknowledge("star.bow.out")
     voyage.acknowledge("gnss.out")
     before = voyage.states()
-    saved = json.loads(json.dumps(voyage.book.serialise()))
+    saved = json.loads(json.dumps(voyage.alert_list.serialise()))
     again = Voyage(AlertList(TIMES, saved, round(100.0 * S)), 100.0)
     assert again.states() == before
     # The suite has no data for some seconds after a start: no alert ends meanwhile.
@@ -313,7 +313,7 @@ def test_restart_keeps_alerts_and_acknowledgements() -> None:
     }
     again.go(400.0, ins)
     again.go(1.0, OUT, ins)
-    assert {alert.id: alert.instance for alert in again.book.alerts} == {"star.bow.out": 2, "ins.out": 1}
+    assert {alert.id: alert.instance for alert in again.alert_list.alerts} == {"star.bow.out": 2, "ins.out": 1}
 
 
 def test_restart_without_data_changes_nothing() -> None:
@@ -321,7 +321,7 @@ def test_restart_without_data_changes_nothing() -> None:
     voyage = Voyage()
     voyage.go(5.0, replace(OUT, priority=Priority.ALARM, text="no data"))
     voyage.acknowledge("star.bow.out")
-    again = Voyage(AlertList(TIMES, voyage.book.serialise(), round(100.0 * S)), 100.0)
+    again = Voyage(AlertList(TIMES, voyage.alert_list.serialise(), round(100.0 * S)), 100.0)
     never = replace(OUT, text="never received", may_be_startup=True, is_never_received=True, becomes_alarm=True)
     assert again.go(300.0, never) == []
     assert again.states() == {"star.bow.out": "ALARM ACTIVE_ACKNOWLEDGED"}
@@ -335,7 +335,7 @@ def test_corrupt_file_is_refused(spoilt: dict[str, object]) -> None:
     voyage = Voyage()
     voyage.go(5.0, OUT)
     with pytest.raises(ValueError, match="not a saved alert"):
-        AlertList(TIMES, [{**voyage.book.serialise()[0], **spoilt}])
+        AlertList(TIMES, [{**voyage.alert_list.serialise()[0], **spoilt}])
 
 
 def test_most_urgent_comes_first() -> None:
@@ -344,10 +344,10 @@ def test_most_urgent_comes_first() -> None:
     kinds = {"a": Priority.CAUTION, "b": Priority.ALARM, "c": Priority.WARNING, "d": Priority.ALARM}
     voyage.go(2.0, *(replace(OUT, id=id_, priority=priority) for id_, priority in kinds.items()))
     voyage.acknowledge("b")
-    alerts: tuple[AlertEntry, ...] = voyage.book.alerts
+    alerts: tuple[AlertEntry, ...] = voyage.alert_list.alerts
     assert [alert.id for alert in alerts] == ["d", "c", "b", "a"]
     voyage.go(10.0, *(replace(OUT, id=id_, priority=priority) for id_, priority in kinds.items() if id_ != "d"))
-    assert [alert.id for alert in voyage.book.alerts] == ["c", "d", "b", "a"]
+    assert [alert.id for alert in voyage.alert_list.alerts] == ["c", "d", "b", "a"]
 
 
 def test_last_change_comes_first_among_equals() -> None:
@@ -356,7 +356,7 @@ def test_last_change_comes_first_among_equals() -> None:
     older, newer = replace(OUT, id="older"), replace(OUT, id="newer")
     voyage.go(20.0, older)
     voyage.go(20.0, older, newer)
-    assert [alert.id for alert in voyage.book.alerts] == ["newer", "older"]
+    assert [alert.id for alert in voyage.alert_list.alerts] == ["newer", "older"]
     changes = voyage.go(21.0, older, newer)
     assert [(change.alert.id, change.description[:8]) for change in changes] == [("older", "repeated")]
-    assert [alert.id for alert in voyage.book.alerts] == ["older", "newer"]
+    assert [alert.id for alert in voyage.alert_list.alerts] == ["older", "newer"]

@@ -82,10 +82,10 @@ def test_memory_is_bounded_for_unlimited_names(caplog):
 
 
 def test_number_of_past_alerts_is_bounded():
-    book = AlertList(AlertTimes(raise_after_s=0.0, clear_after_s=0.0, start_s=0.0))
+    alert_list = AlertList(AlertTimes(raise_after_s=0.0, clear_after_s=0.0, start_s=0.0))
     for number in range(2 * MAX_ALERTS):
-        book.update([Condition(f"node{number}.lost", Priority.CAUTION, "", "lost")], number * NS, START_NS)
-    assert len(book.serialise()) <= MAX_ALERTS + 2
+        alert_list.update([Condition(f"node{number}.lost", Priority.CAUTION, "", "lost")], number * NS, START_NS)
+    assert len(alert_list.serialise()) <= MAX_ALERTS + 2
 
 
 @pytest.mark.parametrize("name", ["x" * (MAX_NAME_LENGTH + 1), ("node", "x" * MAX_NAME_LENGTH)])

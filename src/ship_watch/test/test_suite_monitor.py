@@ -142,15 +142,15 @@ def test_old_output_recovers_after_five_seconds() -> None:
 )
 def test_brief_excess_of_a_limit_is_displayed_and_no_alert(seconds: float, every: int, alerts: list[str]) -> None:
     """The safety follows at once; an alert needs five seconds over the limit, short dips below it included."""
-    watch, book, shown = SuiteMonitor(), AlertList(Limits().alerts), set()
+    watch, alert_list, shown = SuiteMonitor(), AlertList(Limits().alerts), set()
     for tenth in range(300):
         second, is_over = tenth / 10, 200 <= tenth < 200 + 10 * seconds and tenth % every == 0
         feed(watch, second, second, sigma_arcsec=3.0 if is_over else 1.0)
         picture = watch.current_state(at(second))
         shown |= {angle.safety for angle in picture.angles if second > 15}
-        book.update(conditions(picture, Limits()), at(second), picture.utc_ns)
+        alert_list.update(conditions(picture, Limits()), at(second), picture.utc_ns)
     assert shown == {Safety.SAFE, Safety.CAUTION}
-    assert [alert.id for alert in book.alerts] == alerts
+    assert [alert.id for alert in alert_list.alerts] == alerts
 
 
 def test_nan_is_unsafe_in_each_angle() -> None:

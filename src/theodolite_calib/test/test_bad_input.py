@@ -195,8 +195,8 @@ def test_a_source_that_contradicts_itself_is_not_valid_until_it_has_agreed_with_
     source, until_s = NAMED[topic], MOMENT_S + 10.0
     report = run.diagnostics("pointing", arrivals[index].receive_ns + SECOND_NS, run.now_ns)[0]
     assert report == (1, f"DEGRADED: {source} sent conflicting data with one stamp")
-    in_doubt = [m.status for m in run.pointings if MOMENT_S + 0.2 < seconds(m) < until_s]
-    assert set(in_doubt) == {Status.DEGRADED}
+    statuses = [m.status for m in run.pointings if MOMENT_S + 0.2 < seconds(m) < until_s]
+    assert set(statuses) == {Status.DEGRADED}
     assert {m.status for m in run.pointings if seconds(m) > until_s + 0.2} == {Status.VALID}
 
 

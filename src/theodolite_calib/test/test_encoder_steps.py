@@ -29,8 +29,8 @@ def check_readings(angles, acceleration=FAST, times_ns=None):
     watch, found = EncoderCheck(ARCSEC, acceleration), []
     for number, row in enumerate(angles):
         time_ns = number * PERIOD_NS if times_ns is None else int(times_ns[number])
-        judged = watch.check(EncoderSample(time_ns, row, ARCSEC), VectorTrack(PERIOD_NS))
-        found.append((bool(watch.unconfirmed_reason), judged.rejection, judged.jump))
+        checked = watch.check(EncoderSample(time_ns, row, ARCSEC), VectorTrack(PERIOD_NS))
+        found.append((bool(watch.unconfirmed_reason), checked.rejection, checked.jump))
     return watch, found
 
 
@@ -44,7 +44,7 @@ def test_step_is_unconfirmed_until_beacons_agree(axis):
         angles[at:, axis] += 20.0 * ARCSEC
         watch, found = check_readings(angles)
         first += found[at][0]
-        lasts += all(doubt for doubt, *_ in found[at:])
+        lasts += all(is_unconfirmed for is_unconfirmed, *_ in found[at:])
         assert all(refusal is None and jump is None for _, refusal, jump in found)
         watch.confirm((at - 1) * PERIOD_NS)
         assert bool(watch.unconfirmed_reason) == found[-1][0]
@@ -67,7 +67,7 @@ def test_a_step_that_no_mount_can_make_in_place_is_a_slip():
         assert refusal.reason is Reason.GATE
         assert jump.time_ns == at * PERIOD_NS - 1
         assert np.all(np.abs(jump.jump - [0.0, -55.0 * ARCSEC]) < 4.5 * jump.sigma_rad)
-        assert all(doubt for doubt, *_ in found[at:])
+        assert all(is_unconfirmed for is_unconfirmed, *_ in found[at:])
         # A mount with twice the acceleration goes 72" so: then it may have moved.
         assert all(refusal is None for _, refusal, _ in check_readings(angles, 2.0 * FAST)[1])
 
@@ -75,7 +75,7 @@ def test_a_step_that_no_mount_can_make_in_place_is_a_slip():
 def test_slews_are_no_steps():
     """Trapezoids of rate up to the mount's acceleration, at any phase: unconfirmed at one reading of each corner."""
     seconds = np.arange(600) / RATE_HZ
-    corners = doubts = 0
+    corners = unconfirmed = 0
     for seed in range(60):
         rng = np.random.default_rng(seed)
         acceleration, top = np.radians(rng.uniform(1.0, 60.0)), np.radians(rng.uniform(0.5, 10.0))
@@ -88,15 +88,15 @@ def test_slews_are_no_steps():
         _, found = check_readings(angles % (2 * np.pi), FAST)
         assert all(refusal is None and jump is None for _, refusal, jump in found)
         assert not found[-1][0]
-        corners, doubts = corners + 4, doubts + sum(doubt for doubt, *_ in found)
-    assert doubts <= 2 * corners
+        corners, unconfirmed = corners + 4, unconfirmed + sum(is_unconfirmed for is_unconfirmed, *_ in found)
+    assert unconfirmed <= 2 * corners
 
 
 def test_single_wrong_reading_is_not_unconfirmed():
     angles = motion(np.arange(130) / RATE_HZ, np.random.default_rng(1))
     angles[100] += 60.0 * ARCSEC
     _, found = check_readings(angles)
-    assert [number for number, (doubt, *_) in enumerate(found) if doubt] == [100]
+    assert [number for number, (is_unconfirmed, *_) in enumerate(found) if is_unconfirmed] == [100]
 
 
 @pytest.mark.statistics
@@ -107,7 +107,7 @@ def test_valid_readings_are_no_steps(sigma_arcsec):
     seconds = np.arange(20_000) / RATE_HZ + rng.uniform(-0.1, 0.1, 20_000) / RATE_HZ
     angles = motion(seconds, rng, sigma_arcsec)
     _, found = check_readings(angles, times_ns=np.round(seconds * 1e9) + 10**9)
-    assert not any(doubt for doubt, *_ in found)
+    assert not any(is_unconfirmed for is_unconfirmed, *_ in found)
 
 
 def test_a_mount_that_takes_out_the_roll_at_twenty_hertz_hides_no_step():
@@ -120,5 +120,5 @@ def test_a_mount_that_takes_out_the_roll_at_twenty_hertz_hides_no_step():
         angles[at:, 1] += 20.0 * ARCSEC
         _, found = check_readings(angles, times_ns=np.round(seconds * 1e9))
         first += found[at][0]
-        assert not any(doubt for doubt, *_ in found[:at])
+        assert not any(is_unconfirmed for is_unconfirmed, *_ in found[:at])
     assert first >= 99

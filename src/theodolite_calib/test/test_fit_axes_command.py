@@ -21,7 +21,7 @@ from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
 
 HEADER = "observation,encoder_azimuth_deg,encoder_elevation_deg,azimuth_offset_deg,elevation_offset_deg"
 COUNT = 40
-KNOCKED = 11
+OUTLIER = 11
 
 
 def table_rows() -> list[list[float]]:
@@ -29,7 +29,7 @@ def table_rows() -> list[list[float]]:
     rng = np.random.default_rng(1)
     sightings = simulate_sightings(rng, ERRORS, random_angles(rng, COUNT, (10.0, 85.0)), 5.0)
     azimuth, elevation = azimuth_and_elevation(sightings.direction_d)
-    elevation[KNOCKED] += 120.0 * ARCSEC
+    elevation[OUTLIER] += 120.0 * ARCSEC
     offsets = wrap_pi(azimuth - sightings.azimuth), elevation - sightings.elevation
     return np.rad2deg([sightings.azimuth, sightings.elevation, *offsets]).T.tolist()
 
@@ -78,7 +78,7 @@ def test_tables_are_consistent(folder: Path) -> None:
 
     residuals = rows_of(folder / "residuals.csv")
     assert [row["observation"] for row in residuals if row["outlier"] == "yes"] == document["outliers"]
-    assert f"S{KNOCKED}" in document["outliers"]
+    assert f"S{OUTLIER}" in document["outliers"]
     sizes = np.array([float(row["after_arcsec"]) for row in residuals])
     assert np.sqrt(np.mean(sizes**2)) == pytest.approx(document["rms_after_arcsec"], abs=1e-4)
     left_out = np.array([[float(row[f"left_out_{side}_arcsec"]) for side in ("right", "up")] for row in residuals])

@@ -75,12 +75,12 @@ def frozen_ship() -> Any:
     """Return a ship's attitude that is constant for four seconds while she rolls."""
     frozen: list[Any] = []
 
-    def stand(message: Any) -> None:
+    def freeze(message: Any) -> None:
         frozen.append(message)
         for name in ("orientation", "angular_velocity"):
             setattr(message, name, getattr(frozen[0], name))
 
-    return change_where(session(12.0), lambda a: a.topic == SHIP and 4.0 <= seconds(a.message) < 8.0, stand)
+    return change_where(session(12.0), lambda a: a.topic == SHIP and 4.0 <= seconds(a.message) < 8.0, freeze)
 
 
 def lost_lights() -> Any:

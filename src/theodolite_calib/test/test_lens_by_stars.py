@@ -116,10 +116,10 @@ def test_beacons_alone_confuse_n_with_axis_errors() -> None:
     filter_, state, _ = state_after_sweep(0, None)
     _, sigma_m = lens_error_m(filter_, state)
     assert np.min(sigma_m) > 0.9 * LENS_M
-    open_ones = calibration_from_state(filter_, SETTINGS, state).unobservable
+    unobservable = calibration_from_state(filter_, SETTINGS, state).unobservable
     # A radian of collimation is 2 km of N': so far the lights are away.
-    assert "c + 2e+03 lens_right" in open_ones
-    assert "h + 2e+03 lens_up" in open_ones
+    assert "c + 2e+03 lens_right" in unobservable
+    assert "h + 2e+03 lens_up" in unobservable
 
 
 def test_star_sensor_on_the_main_tube_observes_parallelism(watch) -> None:

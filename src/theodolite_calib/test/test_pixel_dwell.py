@@ -56,8 +56,8 @@ def after_five_seconds(
     for time_ns, turn_d in zip((TIME_NS + times_ns).tolist(), bent_d, strict=True):
         night = MountSession(settings, replace(errors, deformation_d=turn_d), watch, rng, detector)
         state, _ = step(state, night.sighting(encoder, STARS, time_ns))
-    due = PendingPointing(night.reading(encoder, time_ns), night.ship(), "", 0.0, state)
-    return night.main_axis(encoder), PointingOutput(settings, filter_).estimate(due), filter_
+    pending = PendingPointing(night.reading(encoder, time_ns), night.ship(), "", 0.0, state)
+    return night.main_axis(encoder), PointingOutput(settings, filter_).estimate(pending), filter_
 
 
 def mean_nees(settings: OpticalAxisConfig) -> tuple[float, PointingEstimate, CalibrationFilter]:

@@ -201,7 +201,7 @@ def test_the_jacobian_is_that_of_finite_differences(source: str) -> None:
 
 def test_stars_without_a_name_are_named_by_the_predicted_pointing(watch) -> None:
     mount = Mount(SETTINGS, watch)
-    named, left_open = 0, 0
+    named, unnamed = 0, 0
     for seed in range(20):
         night, rng = mount.run(seed)
         sighting = night.sighting(random_field(rng), 6)
@@ -210,10 +210,10 @@ def test_stars_without_a_name_are_named_by_the_predicted_pointing(watch) -> None
         assert decision.accepted
         names = {component.removesuffix(" up") for component in decision.components if component.endswith(" up")}
         assert names <= {f"HIP {number}" for number in sighting.exposure.hip}
-        named, left_open = named + len(names), left_open + len(decision.rejected_parts)
+        named, unnamed = named + len(names), unnamed + len(decision.rejected_parts)
     # By a prediction known to a minute of arc one in a hundred has two candidates.
     assert named >= 110
-    assert named + left_open == 120
+    assert named + unnamed == 120
 
 
 def test_pointing_without_beacons_stars_and_calibration_is_degraded(watch) -> None:

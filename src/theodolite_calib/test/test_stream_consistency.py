@@ -37,12 +37,12 @@ def samples(seed, encoder_step=(0.0, 0.0), ship_step_n=(0.0, 0.0, 0.0), rates=Tr
     rng = np.random.default_rng(seed)
     encoder, ship = [], []
     for time_ns in range(SINCE_NS - 10**9, END_NS + 1, PERIOD_NS):
-        lies = time_ns >= step_ns
+        is_stepped = time_ns >= step_ns
         t = time_ns * 1e-9
         angles = np.radians([1.2 * t, 40.0 + 30.0 * np.sin(2 * np.pi * t / 110.0)]) + ARCSEC * rng.standard_normal(2)
-        encoder.append(EncoderSample(time_ns, angles + lies * ARCSEC * np.array(encoder_step), ARCSEC))
+        encoder.append(EncoderSample(time_ns, angles + is_stepped * ARCSEC * np.array(encoder_step), ARCSEC))
         rotation_nd, rate_d = ship_at(t, rng)
-        turned = exp_rotation(lies * ARCSEC * np.array(ship_step_n)) @ rotation_nd
+        turned = exp_rotation(is_stepped * ARCSEC * np.array(ship_step_n)) @ rotation_nd
         ship.append(ShipSample(time_ns, turned, rate_d if rates else None))
     return encoder, ship
 
@@ -83,9 +83,9 @@ def test_undetectable_step_keeps_the_isolated_source(rows):
 
 def test_degraded_ship_is_isolated_or_no_source():
     encoder, ship = samples(1, encoder_step=(0.0, 25.0))
-    doubtful = [*ship[:25], replace(ship[25], status=Status.DEGRADED), *ship[26:]]
+    degraded = [*ship[:25], replace(ship[25], status=Status.DEGRADED), *ship[26:]]
     gappy = [*ship[:20], *ship[24:]]
-    for attitudes in (doubtful, gappy):
+    for attitudes in (degraded, gappy):
         streams = check_streams(encoder, attitudes)
         assert isolate_step_fault(ENCODER, BOTH, streams, 25.0 * ARCSEC) == SHIP
         assert isolate_step_fault(ENCODER, {ENCODER}, streams, 25.0 * ARCSEC) is None
@@ -112,8 +112,8 @@ def drifting_ship(seed, drift_arcsec_per_s, rates=True, drift_s=20.0):
     for time_ns in range(0, 60 * 10**9, PERIOD_NS):
         rotation_nd, rate_d = ship_at(time_ns * 1e-9, rng)
         since_s = time_ns * 1e-9 - 10.0
-        crept_s = since_s if 0.0 < since_s < drift_s else 0.0
-        turned = exp_rotation(crept_s * drift_arcsec_per_s * ARCSEC * np.array([0.0, 1.0, 0.0])) @ rotation_nd
+        drifted_s = since_s if 0.0 < since_s < drift_s else 0.0
+        turned = exp_rotation(drifted_s * drift_arcsec_per_s * ARCSEC * np.array([0.0, 1.0, 0.0])) @ rotation_nd
         found.append(ShipSample(time_ns, turned, rate_d if rates else None))
     return found
 

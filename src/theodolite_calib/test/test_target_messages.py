@@ -202,10 +202,10 @@ def test_image_without_pointing_is_invalid_and_reported(topic: str, text: str) -
     """Without data the image waits for the lag; then INVALID with NaN is published, and the reason is in health."""
     base = tuple(a for a in session() if not (a.topic == topic and a.stamp_ns > START_NS + 3 * SECOND_NS))
     run = run_of(arrival_of(image(2.05)), arrival_of(image(4.05)), base=base)
-    first, silent = sorted(run.messages(DIRECTION), key=stamp_of)
-    assert (first.status, silent.status) == (Status.VALID, Status.INVALID)
-    numbers = [silent.azimuth, silent.elevation, *silent.covariance, silent.direction.x, silent.position.x]
-    assert np.isnan([*numbers, *silent.direction_covariance, *silent.position_covariance]).all()
+    first, invalid = sorted(run.messages(DIRECTION), key=stamp_of)
+    assert (first.status, invalid.status) == (Status.VALID, Status.INVALID)
+    numbers = [invalid.azimuth, invalid.elevation, *invalid.covariance, invalid.direction.x, invalid.position.x]
+    assert np.isnan([*numbers, *invalid.direction_covariance, *invalid.position_covariance]).all()
     assert run.reasons(TARGET) == {"gap": 1}
     assert text in run.innovations(Reason.GAP)[0].reason_text
 

@@ -134,12 +134,12 @@ def test_theodolite_without_data_is_awaited_until_overdue(interval_s: float) -> 
     config = config_of(3, max_gap_s=8.0)
     of_two = [arrivals(number, periodic_times(interval_s)[:100]) for number in (0, 1)]
     run = run_of(config, *of_two, arrivals(2, periodic_times(interval_s)[:10]))
-    silent_ns = START_NS + round(9 * interval_s * SECOND_NS) + LATENCY_NS
-    overdue_ns = silent_ns + round((interval_s + config.lag_s) * SECOND_NS)
+    last_ns = START_NS + round(9 * interval_s * SECOND_NS) + LATENCY_NS
+    overdue_ns = last_ns + round((interval_s + config.lag_s) * SECOND_NS)
     published = [
         (published_ns, message)
         for published_ns, topic, message in run.published
-        if topic == POSITION_TOPIC and stamp_of(message) > silent_ns
+        if topic == POSITION_TOPIC and stamp_of(message) > last_ns
     ]
     assert len(published) >= 10
     for published_ns, message in published:
@@ -162,13 +162,13 @@ def test_a_clock_that_lags_behind_holds_no_place_for_ever() -> None:
 @pytest.mark.parametrize("interval_s", [0.1, 5.0])
 def test_repeated_messages_have_no_effect(interval_s: float) -> None:
     config, since_s = config_of(3, max_gap_s=8.0), periodic_times(interval_s)[:20]
-    of_two, silent = [arrivals(number, since_s) for number in (0, 1)], arrivals(2, since_s[:10])
-    last = silent[-1]
+    of_two, interrupted = [arrivals(number, since_s) for number in (0, 1)], arrivals(2, since_s[:10])
+    last = interrupted[-1]
     repeated = [replace(last, receive_ns=last.receive_ns + round(s * SECOND_NS)) for s in np.arange(0.03, 20.0, 0.07)]
-    run = run_of(config, *of_two, silent, repeated)
+    run = run_of(config, *of_two, interrupted, repeated)
     assert run.reasons(last.topic).keys() <= {"duplicate", "late"}
     # The run with the repetitions may be longer; three theodolites answer all within it.
-    assert results(run) == results(run_of(config, *of_two, silent))
+    assert results(run) == results(run_of(config, *of_two, interrupted))
 
 
 def test_late_directions_to_forgotten_targets_forget_no_other() -> None:
