@@ -65,12 +65,12 @@ def reported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 
 @pytest.mark.slow
 def test_the_report_lists_each_fault_with_its_time_and_source(reported: FaultReport) -> None:
-    bag, night, seconds = reported.bag, reported.events.recording, reported.seconds
+    bag, recording, seconds = reported.bag, reported.events.recording, reported.seconds
     text = reported.path.read_text()
     known_s = DETECTABLE_S[bag]
     # Affected sources are reported with the faulty one, and none before the first fault.
     by_source: dict[str, list[Event]] = {}
-    for event in night.events:
+    for event in recording.events:
         if event.kind == "source" and seconds(event.utc_ns) < END_S[bag] and "needs" not in event.text:
             by_source.setdefault(event.subject, []).append(event)
     assert set(by_source) == set(known_s)
@@ -80,13 +80,13 @@ def test_the_report_lists_each_fault_with_its_time_and_source(reported: FaultRep
         assert re.fullmatch(TEXTS[source], event.text)
         link = f'<a href="#status-mark-{event.utc_ns // NS_PER_S}">{utc(event.utc_ns)}</a>'
         assert f'<tr><td class="w">{link}</td><td>source</td><td>{event.text}</td></tr>' in text
-        raised = [one for one in night.alerts if one.what == "raised" and one.alert.source == source]
+        raised = [one for one in recording.alerts if one.what == "raised" and one.alert.source == source]
         assert fault_s <= seconds(raised[0].utc_ns) <= fault_s + detection_limit_s(source) + ALERTS_LATER_S, raised[0]
         assert f'<tr><td class="w">{utc(raised[0].utc_ns)}</td>' in text
-    assert {one.alert.source for one in night.alerts if seconds(one.utc_ns) < END_S[bag]} <= {*known_s, ""}
+    assert {one.alert.source for one in recording.alerts if seconds(one.utc_ns) < END_S[bag]} <= {*known_s, ""}
 
     summary = section(text, "verdict")
-    out_first = {one.source: one for one in reversed(outages(night))}
+    out_first = {one.source: one for one in reversed(outages(recording))}
     for source in known_s.keys() - {"lights"}:  # exchanged lights are put right and remain in use
         first = out_first[source]
         assert f'<td>{source}</td><td class="w">{utc(first.from_ns)}</td>' in summary

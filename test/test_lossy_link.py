@@ -83,13 +83,13 @@ def crossing(tmp_path_factory):
         assert player.wait(MOST_START_S) == 0, player.log_text()
         assert recorder.end() == 0, recorder.log_text()
         assert started.end() == 0, started.log_text()
-    (box,) = (folder / "box").glob("ship_attitude*.mcap")
+    (path,) = (folder / "box").glob("ship_attitude*.mcap")
     return LinkRun(
         sent,
         times(recorded, "ins/imu"),
         times(recorded, "ship/attitude"),
-        set(times(box, "ins/imu")),
-        set(times(box, "ship/attitude")),
+        set(times(path, "ins/imu")),
+        set(times(path, "ship/attitude")),
         cut_ns,
         restored_ns,
     )

@@ -69,15 +69,15 @@ def square(error: np.ndarray, covariance: Any) -> float:
     return float(error @ np.linalg.pinv(np.reshape(covariance, (3, 3)), rcond=1e-9, hermitian=True) @ error)
 
 
-@pytest.fixture(scope="module", name="night")
-def _night(tmp_path_factory: pytest.TempPathFactory) -> tuple[Messages, Messages]:
-    folder = tmp_path_factory.mktemp("night")
-    write_bag(with_stars_and_targets(bag_scenario(duration_s=10.0)), 3, folder / "night.mcap", b"")
-    return live_and_offline(folder / "night.mcap", OpticalAxisAdapter, folder, 2.0, {})
+@pytest.fixture(scope="module", name="runs")
+def _runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Messages, Messages]:
+    folder = tmp_path_factory.mktemp("run")
+    write_bag(with_stars_and_targets(bag_scenario(duration_s=10.0)), 3, folder / "in.mcap", b"")
+    return live_and_offline(folder / "in.mcap", OpticalAxisAdapter, folder, 2.0, {})
 
 
-def test_directions_of_every_image_are_those_of_replay_and_truth(night: tuple[Messages, Messages]) -> None:
-    live, offline = night
+def test_directions_of_every_image_are_those_of_replay_and_truth(runs: tuple[Messages, Messages]) -> None:
+    live, offline = runs
     truths = by_stamp(live[TRUTH])
     published, replayed = by_stamp(live[DIRECTION]), by_stamp(offline[DIRECTION])
     assert len(truths) > 90
@@ -93,8 +93,8 @@ def test_directions_of_every_image_are_those_of_replay_and_truth(night: tuple[Me
         assert square(vector(truth.position) - vector(message.position), message.position_covariance) < 30.7
 
 
-def test_stars_and_lights_point_in_the_live_node(night: tuple[Messages, Messages]) -> None:
-    live, _ = night
+def test_stars_and_lights_point_in_the_live_node(runs: tuple[Messages, Messages]) -> None:
+    live, _ = runs
     modes = [message.mode for message in live[POINTING]]
     assert modes.count(Mode.STARS_AND_LIGHTS) > 0.8 * len(modes)
     accepted = [message for message in live["theodolite/innovation"] if message.source == "star.night"]
@@ -105,16 +105,18 @@ def test_stars_and_lights_point_in_the_live_node(night: tuple[Messages, Messages
 def _stations(tmp_path_factory: pytest.TempPathFactory) -> tuple[Messages, Messages, Path]:
     """Return directions of three theodolites to a buoy for ten seconds, each at other times."""
     folder, rng = tmp_path_factory.mktemp("stations"), np.random.default_rng(5)
-    moments = [(START_NS + index * PERIOD_NS + 10_000_000 * n, n) for index in range(100) for n in range(3)]
+    epochs = [(START_NS + index * PERIOD_NS + 10_000_000 * n, n) for index in range(100) for n in range(3)]
     with BagWriter(folder / "in.mcap") as bag:
         suite = {"/**/triangulation": {"ros__parameters": triangulation_values(3)}}
         bag.add_attachment(SUITE_ATTACHMENT, yaml.safe_dump(suite))
-        for time_ns, number in moments:
+        for time_ns, number in epochs:
             seen_n = exp_rotation(SIGMA * rng.standard_normal(3)) @ buoy_direction(number, (time_ns - START_NS) * 1e-9)
             message = direction_message(time_ns, seen_n, SIGMA)
             bag.write(f"t{number}/theodolite/target_direction", message, time_ns + LATENCY_NS)
-    box = folder / "box.mcap"
-    return *live_and_offline(folder / "in.mcap", TriangulationAdapter, folder, 4.0, {"black_box": str(box)}), box
+    black_box = folder / "box.mcap"
+    return *live_and_offline(
+        folder / "in.mcap", TriangulationAdapter, folder, 4.0, {"black_box": str(black_box)}
+    ), black_box
 
 
 def test_places_are_published_live_and_are_those_of_replay_and_truth(stations: tuple[Messages, Messages, Path]) -> None:

@@ -27,7 +27,7 @@ ROOT = Path(__file__).parents[1]
 
 SEEDS = 16
 LEAVE_S, END_S = 120.0, 240.0
-MOMENTS_S = {"with lights": 119.0, "half a minute after": 150.0, "at the end": END_S}
+TIMES_S = {"with lights": 119.0, "half a minute after": 150.0, "at the end": END_S}
 
 
 @pytest.fixture(scope="module")
@@ -65,9 +65,9 @@ def test_modes_follow_the_lights(sessions):
     assert set(session.mode[session.time_s > LEAVE_S + 4.0]) == {Mode.ENCODER}
 
 
-@pytest.mark.parametrize("moment", MOMENTS_S)
-def test_errors_fit_their_covariance(sessions, moment):
-    rows = [int(np.argmin(np.abs(session.time_s - MOMENTS_S[moment]))) for session in sessions]
+@pytest.mark.parametrize("label", TIMES_S)
+def test_errors_fit_their_covariance(sessions, label):
+    rows = [int(np.argmin(np.abs(session.time_s - TIMES_S[label]))) for session in sessions]
     errors_n = np.array([session.error_n[row] for session, row in zip(sessions, rows, strict=True)])
     covariances_n = np.array([session.covariance_n[row] for session, row in zip(sessions, rows, strict=True)])
     low, high = mean_nees_band(SEEDS, degrees=3)
@@ -76,14 +76,14 @@ def test_errors_fit_their_covariance(sessions, moment):
 
 def test_the_error_grows_as_the_deformation_drifts(sessions):
     session = sessions[0]
-    rows = {moment: np.argmin(np.abs(session.time_s - at_s)) for moment, at_s in MOMENTS_S.items()}
-    sigmas_arcsec = {moment: session.sigma_on_sky[row] / ARCSEC for moment, row in rows.items()}
+    rows = {label: np.argmin(np.abs(session.time_s - at_s)) for label, at_s in TIMES_S.items()}
+    sigmas_arcsec = {label: session.sigma_on_sky[row] / ARCSEC for label, row in rows.items()}
     # With lights the floor of 3" to 5"; of the deformation 28.3" (20" in each of two axes) sqrt(1 - exp(-2 t / 600 s)).
     assert 2.0 < sigmas_arcsec["with lights"] < 6.0
-    for moment in ("half a minute after", "at the end"):
-        since_leave_s = MOMENTS_S[moment] - LEAVE_S
+    for label in ("half a minute after", "at the end"):
+        since_leave_s = TIMES_S[label] - LEAVE_S
         deformation = 28.3 * np.sqrt(1.0 - np.exp(-2.0 * since_leave_s / 600.0))
-        assert deformation < sigmas_arcsec[moment] < np.hypot(deformation, 8.0)
+        assert deformation < sigmas_arcsec[label] < np.hypot(deformation, 8.0)
 
 
 def streak_scenario(exposure_s: float, **changes: Any) -> Scenario:

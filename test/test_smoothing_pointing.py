@@ -309,22 +309,22 @@ def test_later_stars_improve_earlier_pointings() -> None:
     found, errors = [], {"at_once": [], "smoothed": []}
     for seed in range(SEEDS // 2):
         rng = np.random.default_rng(seed)
-        night = MountSession(settings, draw_errors(settings, rng), mount_sky(settings), rng)
+        session = MountSession(settings, draw_errors(settings, rng), mount_sky(settings), rng)
         core, filtered, true_nm = SmoothingAxisCore(settings, load_sky_model(settings.sky)), [], []
         for given in anchored_readings():
             core.add_surroundings(given)
         for number in range(80):
             time_ns = TIME_NS + number * 250_000_000
-            ship = night.ship()
+            ship = session.ship()
             core.add_ship(ShipSample(time_ns, ship.rotation_nd, ship.rate_d, ship.correlated_covariance_n))
             # Each five seconds another field; from the second on with stars.
             if number % 20 == 0:
                 field = random_field(rng)
             if number >= 20 and number % 4 == 2:
-                core.add_stars(night.exposure(field, 6, time_ns))
-            estimates = core.add_encoder(night.reading(field, time_ns)).estimates
+                core.add_stars(session.exposure(field, 6, time_ns))
+            estimates = core.add_encoder(session.reading(field, time_ns)).estimates
             filtered += estimates
-            true_nm += [night.main_axis(field)] * len(estimates)
+            true_nm += [session.main_axis(field)] * len(estimates)
         smoothed = list(core.smooth_remaining())
         assert len(smoothed) == len(filtered)
         first = slice(2, 12)

@@ -199,8 +199,8 @@ class SkyWithoutRefraction(SkyModel):
     """Sky without refraction."""
 
     def sky_at(self, time_ns: int) -> LocalSky | Rejection:
-        moment = super().sky_at(time_ns)
-        return moment if isinstance(moment, Rejection) else _WithoutAir(**vars(moment))
+        sky = super().sky_at(time_ns)
+        return sky if isinstance(sky, Rejection) else _WithoutAir(**vars(sky))
 
 
 class _WithoutVelocity(RefreshedSky):

@@ -28,7 +28,7 @@ from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 BAGS = ROOT / "bags"
 LENGTH_NS = 8_000_000_000
-BOX_FORMAT = "2"
+FORMAT = "2"
 Record = Schema | Channel | Message | Attachment | Metadata
 
 
@@ -68,7 +68,7 @@ class NoSubscriber:
         """Discard the message."""
 
 
-def make_box(
+def make_black_box(
     path: Path,
     saved_path: Path,
     close: bool = True,
@@ -109,8 +109,8 @@ def make_box(
     def node_time(waiting_ns: int) -> int:
         return start_ns + node_ns(waiting_ns - start_ns)
 
-    box = BlackBox(str(path), adapter, config, adapter.outputs, "/", print, part_bytes)
-    calls = AdapterCalls(adapter, {output.topic: NoSubscriber() for output in adapter.outputs}, files, box)
+    black_box = BlackBox(str(path), adapter, config, adapter.outputs, "/", print, part_bytes)
+    calls = AdapterCalls(adapter, {output.topic: NoSubscriber() for output in adapter.outputs}, files, black_box)
     plan = _plan(calls, node)
     if is_overloaded:
         busiest = adapter.inputs[0].topic
@@ -135,8 +135,8 @@ def make_box(
         message = deserialize_message(record.data, kinds[record.topic])
         calls.handle(record.topic, record.data, message, now_ns, waiting_ns)
     if close:
-        box.close()
-    return box
+        black_box.close()
+    return black_box
 
 
 def _wait_for(path: Path) -> None:
@@ -169,7 +169,7 @@ def _plan(calls: AdapterCalls, node: RecordedNode) -> list[tuple[int, Callable[[
 
 
 def write_changed_copy(
-    box: Path,
+    black_box: Path,
     path: Path,
     change: Callable[[Record, Mapping[int, str]], Record | list[Record] | None],
     renumber: bool = False,
@@ -181,7 +181,7 @@ def write_changed_copy(
     count = 0
     topics: dict[int, str] = {}
     kept: set[tuple[type, int]] = set()
-    with box.open("rb") as stream, path.open("wb") as out:
+    with black_box.open("rb") as stream, path.open("wb") as out:
         writer = Writer(out)
         writer.start("ros2", "test")
         for record in StreamReader(stream).records:

@@ -27,7 +27,7 @@ from ship_testing.adapter_runs import (
 )
 from ship_testing.small_voyage import FORE, INS, Run, fault_free_run, new_adapter, run_adapter, voyage
 
-MOMENT_S = 2.5
+CHANGE_S = 2.5
 SOURCE = {INS: "ins", FORE: "star.fore"}
 ONE_SIGMA = 3.0 * ARCSEC
 
@@ -142,14 +142,14 @@ DROPPED = [
 
 
 @functools.cache
-def run_without(topic: str, moment_s: float = MOMENT_S) -> Run:
-    return run_adapter(new_adapter(), without(voyage(), index_at(voyage(), topic, moment_s)))
+def run_without(topic: str, change_s: float = CHANGE_S) -> Run:
+    return run_adapter(new_adapter(), without(voyage(), index_at(voyage(), topic, change_s)))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("topic", "change", "reason", "text"), [c[1:] for c in DROPPED], ids=[c[0] for c in DROPPED])
 def test_a_bad_message_is_reported_and_changes_nothing(topic: str, change: Change, reason: str, text: str) -> None:
-    index = index_at(voyage(), topic, MOMENT_S)
+    index = index_at(voyage(), topic, CHANGE_S)
     run = run_adapter(new_adapter(), replace_message(voyage(), index, change))
 
     assert run.results() == run_without(topic).results()
@@ -260,7 +260,7 @@ def test_an_ins_without_covariance_is_used_as_configured(unknown: Change, accept
 @pytest.mark.parametrize("accepted", [False, True])
 def test_a_reference_without_an_orientation_is_refused_unless_accepted(accepted: bool) -> None:
     """The message that an INS of the same attitude sends, with the first element of its covariance at -1."""
-    topic, index = "reference/gyro/imu", index_at(voyage(), INS, MOMENT_S)
+    topic, index = "reference/gyro/imu", index_at(voyage(), INS, CHANGE_S)
     arrival = changed_copy(voyage()[index], set_field("orientation_covariance.0", -1.0))
     unset = replace(arrival, topic=topic, receive_ns=arrival.receive_ns + 1)
     adapter = new_adapter(references={"gyro": {"accept_unset_covariance": accepted}})
@@ -288,7 +288,7 @@ def test_an_ins_without_rates_is_used_without_them() -> None:
 
 @pytest.mark.parametrize("topic", [INS, FORE])
 def test_the_same_message_again_is_a_duplicate(topic: str) -> None:
-    index = index_at(voyage(), topic, MOMENT_S)
+    index = index_at(voyage(), topic, CHANGE_S)
     again_ns = voyage()[index].receive_ns + SECOND_NS
     run = run_adapter(new_adapter(), add_copy(voyage(), index, lambda message: None, again_ns))
     assert run.results() == fault_free_run().results()
@@ -399,7 +399,7 @@ def test_a_message_older_than_the_lag_is_dropped(topic: str) -> None:
 
 
 def test_ten_messages_in_a_row_from_the_future_are_a_clock_offset() -> None:
-    from_ns = voyage()[index_at(voyage(), INS, MOMENT_S)].receive_ns
+    from_ns = voyage()[index_at(voyage(), INS, CHANGE_S)].receive_ns
     ahead = change_where(voyage(), lambda a: a.topic == INS and a.receive_ns >= from_ns, stamp_ahead(0.2))
     run = run_adapter(new_adapter(), ahead)
     tenth_ns = from_ns + 9 * 40_000_000
@@ -414,7 +414,7 @@ def test_ten_messages_in_a_row_from_the_future_are_a_clock_offset() -> None:
 def test_a_star_far_off_once_is_gated_and_changes_nothing() -> None:
     """600" in heading: four times the sigma about Up that a sensor looking up by 45° has, 100" sin 45°."""
     run = run_adapter(
-        new_adapter(), replace_message(voyage(), index_at(voyage(), FORE, MOMENT_S), set_field("azimuth", 0.7))
+        new_adapter(), replace_message(voyage(), index_at(voyage(), FORE, CHANGE_S), set_field("azimuth", 0.7))
     )
     assert run.results() == run_without(FORE).results()
     assert run.state() == run_without(FORE).state()

@@ -275,11 +275,11 @@ def test_an_attitude_against_the_icrs_gives_the_horizon_attitude(watch):
     ship_filter = ShipFilter(config)
     device = ship_filter.devices["star.fore"]
     rotation_ns = ROTATION_ND @ device.rotation_dv0
-    moment = watch.sky_at(TIME_NS)
+    sky = watch.sky_at(TIME_NS)
     elevation = np.arcsin(rotation_ns[1, 0])
-    angle, _ = moment.refraction_at(elevation)
+    angle, _ = sky.refraction_at(elevation)
     level = np.array([-rotation_ns[2, 0], 0.0, rotation_ns[0, 0]]) / np.hypot(rotation_ns[0, 0], rotation_ns[2, 0])
-    seen = moment.rotation_horizon_from_icrs().T @ exp_rotation(-angle * level) @ rotation_ns
+    seen = sky.rotation_horizon_from_icrs().T @ exp_rotation(-angle * level) @ rotation_ns
     inertial = InertialAttitude("star.fore", TIME_NS, seen, np.diag((np.array([20.0, 3.0, 3.0]) * ARCSEC) ** 2))
     _, decision = ship_filter.step(ship_filter.initial_state(), inertial, ins_track(), watch)
     assert decision.accepted

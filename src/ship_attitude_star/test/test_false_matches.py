@@ -66,11 +66,11 @@ def test_the_number_of_false_matches_is_the_expected_one(watch: SkyModel, prior:
         # The position of the field in the sky is drawn too, because stars are not uniformly distributed.
         turn = exp_rotation(np.array([0.0, rng.uniform(0.0, 2.0 * np.pi), 0.0]))
         moved = StarPrior(turn @ known.rotation_nb, turn @ known.covariance_n @ turn.T)
-        exposure, moment = false_exposure(watch, 4, rng), watch.sky_at(TIME_NS)
-        found = find_candidates(exposure.directions_s, exposure.sigma, exposure.magnitude, None, moved, moment)
+        exposure, sky = false_exposure(watch, 4, rng), watch.sky_at(TIME_NS)
+        found = find_candidates(exposure.directions_s, exposure.sigma, exposure.magnitude, None, moved, sky)
         fitting += int(np.count_nonzero(found.is_match))
         basis = perpendicular_basis(exposure.directions_s @ moved.rotation_nb.T)
-        density = moment.bright.density(exposure.magnitude, 1.5)
+        density = sky.bright.density(exposure.magnitude, 1.5)
         for row in range(4):
             turned = basis[row] @ np.cross(np.eye(3), moved.rotation_nb @ exposure.directions_s[row])
             gate = turned @ moved.covariance_n @ turned.T + SIGMA**2 * np.eye(2)

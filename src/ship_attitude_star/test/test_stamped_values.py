@@ -275,12 +275,12 @@ def test_any_order_of_arrival_gives_the_same_conflicts(seed: int) -> None:
     in_order = StampedValues[Reading](limits)
     for one in stamped:
         in_order.insert(*one)
-    shuffled, moments = StampedValues[Reading](limits), [ns(t) for t in range(100)]
+    shuffled, times_ns = StampedValues[Reading](limits), [ns(t) for t in range(100)]
     for index in rng.permutation(len(stamped)):
-        before = [shuffled.has_conflict_at(time_ns) for time_ns in moments]
+        before = [shuffled.has_conflict_at(time_ns) for time_ns in times_ns]
         shuffled.insert(*stamped[index])
-        changed = [t for t, was in zip(moments, before, strict=True) if shuffled.has_conflict_at(t) != was]
+        changed = [t for t, was in zip(times_ns, before, strict=True) if shuffled.has_conflict_at(t) != was]
         since_ns = shuffled.conflict_changed_ns
         assert not changed or (since_ns is not None and since_ns <= changed[0])
     assert accepted_values(shuffled) == accepted_values(in_order)
-    assert [shuffled.has_conflict_at(t) for t in moments] == [in_order.has_conflict_at(t) for t in moments]
+    assert [shuffled.has_conflict_at(t) for t in times_ns] == [in_order.has_conflict_at(t) for t in times_ns]

@@ -61,13 +61,13 @@ from ship_testing.star_voyage import (
     without_topics,
 )
 
-MOMENT_S = 1.5
+CHANGE_S = 1.5
 DAY_NS = 86_400 * SECOND_NS
 
 
 @functools.cache
 def run_without(topic: str) -> Run:
-    return run_new_adapter(without(voyage(), index_at(voyage(), topic, MOMENT_S)))
+    return run_new_adapter(without(voyage(), index_at(voyage(), topic, CHANGE_S)))
 
 
 @pytest.mark.slow
@@ -75,7 +75,7 @@ def run_without(topic: str) -> Run:
     ("topic", "change", "reason", "text"), [c[1:] for c in REJECTED_MESSAGES], ids=[c[0] for c in REJECTED_MESSAGES]
 )
 def test_a_bad_message_is_told_and_changes_nothing(topic: str, change: Change, reason: str, text: str) -> None:
-    index = index_at(voyage(), topic, MOMENT_S)
+    index = index_at(voyage(), topic, CHANGE_S)
     run = run_new_adapter(replace_message(voyage(), index, change))
 
     assert published_bytes(run) == published_bytes(run_without(topic))
@@ -111,7 +111,7 @@ def innovations(run: Run, reason: Reason) -> list[Any]:
     ("change", "reason", "text"), [s[1:] for s in REJECTED_STARS], ids=[s[0] for s in REJECTED_STARS]
 )
 def test_a_bad_star_alone_is_refused(change: Change, reason: Reason, text: str) -> None:
-    index = index_at(voyage(), FORE, MOMENT_S)
+    index = index_at(voyage(), FORE, CHANGE_S)
     run, expected = (
         run_new_adapter(replace_message(voyage(), index, change)),
         run_new_adapter(replace_message(voyage(), index, remove_star(3))),
@@ -134,7 +134,7 @@ def solution_at(run: Run, index: int) -> Any:
 
 @pytest.mark.parametrize("ins", [True, False])
 def test_a_false_star_is_named_with_its_angle(ins: bool) -> None:
-    index = index_at(voyage(), FORE, MOMENT_S)
+    index = index_at(voyage(), FORE, CHANGE_S)
     u, v = (getattr(voyage()[index].message.stars[2], name) for name in "uv")
     # 3 px right and 4 px down: 5 px of 82.5″, less off axis.
     arrivals = replace_message(voyage(), index, set_star_fields(2, u=u + 3.0, v=v + 4.0))
@@ -155,7 +155,7 @@ def test_a_false_star_is_named_with_its_angle(ins: bool) -> None:
 
 
 def test_two_stars_with_each_other_s_name_are_both_refused() -> None:
-    index = index_at(voyage(), FORE, MOMENT_S)
+    index = index_at(voyage(), FORE, CHANGE_S)
     first, second = (voyage()[index].message.stars[row].catalogue_id for row in (0, 5))
 
     def swap(message: Any) -> None:
@@ -168,7 +168,7 @@ def test_two_stars_with_each_other_s_name_are_both_refused() -> None:
 
 
 def test_a_star_seen_twice_counts_once() -> None:
-    index = index_at(voyage(), FORE, MOMENT_S)
+    index = index_at(voyage(), FORE, CHANGE_S)
     run = run_new_adapter(replace_message(voyage(), index, lambda message: message.stars.append(message.stars[0])))
     assert solution_at(run, index).star_count == STARS
     assert run.reasons(FORE) == {"duplicate": 1}
@@ -180,7 +180,7 @@ def test_a_star_seen_twice_counts_once() -> None:
 
 
 def test_the_same_exposure_again_is_dropped() -> None:
-    index = index_at(voyage(), FORE, MOMENT_S)
+    index = index_at(voyage(), FORE, CHANGE_S)
     run = run_new_adapter(add_copy(voyage(), index, lambda message: None, voyage()[index].receive_ns + 20_000_000))
     assert published_bytes(run) == published_bytes(fault_free_run())
     assert run.reasons(FORE) == {"duplicate": 1}
@@ -189,7 +189,7 @@ def test_the_same_exposure_again_is_dropped() -> None:
 @pytest.mark.parametrize("delay_ns", [20_000_000, 200_000_000], ids=["joint solution open", "joint solution out"])
 def test_mend_08_of_two_exposures_of_one_stamp_neither_holds_nor_do_those_after_them(delay_ns: int) -> None:
     """A sensor that contradicts itself gives no attitude until it has agreed with itself for ten seconds."""
-    index = index_at(voyage(), FORE, MOMENT_S)
+    index = index_at(voyage(), FORE, CHANGE_S)
     mine = voyage()[index]
     pair = mine, changed_copy(mine, set_star_fields(0, u=17.0))
     runs = []

@@ -93,17 +93,17 @@ def test_a_star_behind_a_mask_is_no_candidate_except_within_the_prior_error(
     watch: SkyModel, sigma_arcsec: float
 ) -> None:
     """Stars to port of the edge by more than five sigmas and the step of the edge are out, others are in."""
-    exposure, moment = without_identity(exposure_of(watch, "fore", 8)), watch.sky_at(TIME_NS)
+    exposure, sky = without_identity(exposure_of(watch, "fore", 8)), watch.sky_at(TIME_NS)
     edge_deg, prior = median_split(exposure), prior_of(sigma_arcsec)
 
     def stars(masks: SensorMasks | None) -> set[int]:
         magnitude = np.full(len(exposure), np.nan)
-        found = find_candidates(exposure.directions_s, exposure.sigma, magnitude, None, prior, moment, masks)
+        found = find_candidates(exposure.directions_s, exposure.sigma, magnitude, None, prior, sky, masks)
         return set(found.rows.tolist())
 
     everywhere, unmasked = stars(None), stars(to_port_of(edge_deg))
     rows = np.array(sorted(everywhere))
-    direction_s = moment.apparent_stars(watch.catalogue.at_j2000[rows]).direction_n @ ROTATION_NS
+    direction_s = sky.apparent_stars(watch.catalogue.at_j2000[rows]).direction_n @ ROTATION_NS
     places_deg = deck_places_deg(direction_s)
     # Distance to the meridian of the edge.
     deep_deg = np.rad2deg(

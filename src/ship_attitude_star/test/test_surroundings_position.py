@@ -211,11 +211,11 @@ def test_any_order_of_arrival_gives_the_same_positions_to_the_last_bit() -> None
     rng = np.random.default_rng(11)
     fixes = [(float(t), position_at(50.0 + 1e-4 * rng.normal(), 10.0 + 1e-4 * rng.normal())) for t in (0, 1, 2, 4, 9)]
     fixes.append((4.0, position_at(50.0, 10.00005)))  # another with the same stamp
-    moments = [ns(t) for t in (-3.0, 0.0, 0.25, 0.5, 1.5, 2.0, 3.3, 4.0, 4.6, 7.0, 9.0, 9.7, 12.0)]
+    times_ns = [ns(t) for t in (-3.0, 0.0, 0.25, 0.5, 1.5, 2.0, 3.3, 4.0, 4.6, 7.0, 9.0, 9.7, 12.0)]
 
     def answers(order) -> list[bytes]:
         found = track(*order)
-        return [position_bytes(found.position(moment)) for moment in moments]
+        return [position_bytes(found.position(time_ns)) for time_ns in times_ns]
 
     expected = answers(fixes)
     assert all(answers(order) == expected for order in itertools.islice(itertools.permutations(fixes), 0, 720, 7))
@@ -224,16 +224,16 @@ def test_any_order_of_arrival_gives_the_same_positions_to_the_last_bit() -> None
 def test_nothing_changes_at_or_before_the_returned_time() -> None:
     times = [0, 1, 2, 4, 9]
     places = {t: position_at(50.0 + 1e-4 * t * t, 10.0) for t in times}
-    moments = np.arange(-5.0, 15.0, 0.25)
+    times_s = np.arange(-5.0, 15.0, 0.25)
     whole = track(*places.items(), max_speed_m_per_s=1000.0)
     for late in times:
         others = track(*((t, places[t]) for t in times if t != late), max_speed_m_per_s=1000.0)
-        before = [position_bytes(others.position(ns(m))) for m in moments]
+        before = [position_bytes(others.position(ns(m))) for m in times_s]
         changed_after_ns = others.insert(PositionFix(ns(late), places[late], SIGMA_M))
-        for moment, old in zip(moments, before, strict=True):
+        for time_s, old in zip(times_s, before, strict=True):
             # A cached result must equal the recomputed one.
-            assert position_bytes(others.position(ns(moment))) == position_bytes(whole.position(ns(moment)))
-            assert position_bytes(whole.position(ns(moment))) == old or ns(moment) > changed_after_ns
+            assert position_bytes(others.position(ns(time_s))) == position_bytes(whole.position(ns(time_s)))
+            assert position_bytes(whole.position(ns(time_s))) == old or ns(time_s) > changed_after_ns
     assert others.insert(PositionFix(ns(9), places[9], SIGMA_M)) is None
 
 
@@ -246,7 +246,7 @@ def test_cached_results_equal_recomputed_ones_for_late_inputs(seed: int) -> None
     north_m = 2.0 * stamps_s + rng.normal(0.0, 1.0, 25) + np.where(rng.random(25) < 0.1, 500.0, 0.0)
     arrivals_s = stamps_s + rng.choice([0.0, 1.0], 25) * rng.uniform(0.0, 3.0, 25)
     # Results change at the stamps, at the ends of delays, and in between.
-    moments_s = np.sort(np.concatenate([stamps_s, stamps_s + 0.5, rng.uniform(-2.0, stamps_s[-1] + 3.0, 50)]))
+    times_s = np.sort(np.concatenate([stamps_s, stamps_s + 0.5, rng.uniform(-2.0, stamps_s[-1] + 3.0, 50)]))
     cached, taken, oldest_s = track(fix_max_age_s=max_age_s), [], -np.inf
     for index in np.argsort(arrivals_s, kind="stable"):
         if stamps_s[index] < oldest_s:
@@ -256,8 +256,8 @@ def test_cached_results_equal_recomputed_ones_for_late_inputs(seed: int) -> None
         oldest_s = max(oldest_s, arrivals_s[index] - 3.0)
         cached.drop_before(ns(oldest_s))
         recomputed = track(*taken, fix_max_age_s=max_age_s)
-        for moment in (ns(since_s) for since_s in moments_s if since_s >= oldest_s):
-            assert position_bytes(cached.position(moment)) == position_bytes(recomputed.position(moment))
+        for time_ns in (ns(since_s) for since_s in times_s if since_s >= oldest_s):
+            assert position_bytes(cached.position(time_ns)) == position_bytes(recomputed.position(time_ns))
 
 
 def test_a_repeated_stamp_is_rejected() -> None:

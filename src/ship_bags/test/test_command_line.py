@@ -71,7 +71,7 @@ CASES = {
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_ctrl_c_is_one_line_and_leaves_no_partial_file(case, tmp_path):
-    module, moments, arguments = CASES[case]
+    module, interrupts, arguments = CASES[case]
     if case == "simulate":
         (tmp_path / "short.yaml").write_text(SHORT)
     elif case == "replay":
@@ -79,10 +79,10 @@ def test_ctrl_c_is_one_line_and_leaves_no_partial_file(case, tmp_path):
         (tmp_path / "suite.yaml").write_text("ship_attitude: {ros__parameters: {ins: {frame_id: ins}}}\n")
     elif case == "calibrate_installation":
         write_session(tmp_path / "session.mcap", session(STILL))
-    command = [sys.executable, "-c", RUNNER, module, moments, *arguments]
+    command = [sys.executable, "-c", RUNNER, module, interrupts, *arguments]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     text = f"{case}: interrupted\n"
-    assert done.stderr == "".join(f"at {number}: {text}" for number in moments.split(","))
+    assert done.stderr == "".join(f"at {number}: {text}" for number in interrupts.split(","))
     assert done.returncode == 0
 
 

@@ -33,8 +33,8 @@ MIDNIGHT_NS = datetime_ns(datetime(2014, 8, 1, tzinfo=timezone.utc))
 
 
 def line(receive_s, body):
-    moment = datetime(2014, 8, 1, tzinfo=timezone.utc) + timedelta(seconds=receive_s)
-    return f"{moment:%Y-%m-%dT%H:%M:%S.%f}Z {sentence(body)}\n"
+    time = datetime(2014, 8, 1, tzinfo=timezone.utc) + timedelta(seconds=receive_s)
+    return f"{time:%Y-%m-%dT%H:%M:%S.%f}Z {sentence(body)}\n"
 
 
 def seapath(times_s, angles_deg, delay_s=0.3):

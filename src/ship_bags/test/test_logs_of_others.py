@@ -193,8 +193,8 @@ def test_a_clock_that_is_ahead_or_behind_is_reported(imported, offset_s):
 )
 @pytest.mark.parametrize("fraction", ["", ".5", ",500", ".500000", ".500000000"])
 def test_the_utc_offset_of_a_receive_time(imported, offset, hours, fraction):
-    moments = [START + timedelta(hours=hours, seconds=time_s) for time_s in range(3)]
-    text = "".join(f"{moment:%Y-%m-%dT%H:%M:%S}{fraction}{offset} {psxn(0)}\n" for moment in moments)
+    times = [START + timedelta(hours=hours, seconds=time_s) for time_s in range(3)]
+    text = "".join(f"{time:%Y-%m-%dT%H:%M:%S}{fraction}{offset} {psxn(0)}\n" for time in times)
     found, _ = imported("--time", "receive", ins=text)
     assert stamps_s(found["ins/imu"]) == [time_s + (0.5 if fraction else 0.0) for time_s in range(3)]
 

@@ -17,7 +17,7 @@ from ship_replay.offline.adapter_chain import suite_chain
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
 from ship_testing.bag_parts import write_beginning
-from ship_testing.black_boxes import LENGTH_NS, OPTICAL_AXIS, SHIP_ATTITUDE, make_box
+from ship_testing.black_boxes import LENGTH_NS, OPTICAL_AXIS, SHIP_ATTITUDE, make_black_box
 from ship_watch.limits import Limits, MachineLimits
 
 ROOT = Path(__file__).parents[3]
@@ -67,7 +67,7 @@ def test_record_size_is_within_the_estimate(name, tmp_path):
 
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
 def test_black_box_size_is_within_the_estimate(node, tmp_path):
-    make_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=node)
+    make_black_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=node)
     chain, observed, _, _ = chain_and_inputs(node.bag)
     own = [adapter for adapter in chain.adapters if isinstance(adapter, node.adapter_class)]
     measured = (tmp_path / "box.mcap").stat().st_size / (LENGTH_NS * 1e-9 + TAIL_S)

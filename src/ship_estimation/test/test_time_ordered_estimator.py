@@ -100,9 +100,9 @@ def toy(time_ms: int, value: float = 0.5, source: str = "toy") -> Toy:
 
 def state_for_outputs(estimator: Estimator) -> float:
     """Return the state for an output at the next time."""
-    outcome, moments = ToyOutcome(), itertools.count(10**15)
+    outcome, times_ns = ToyOutcome(), itertools.count(10**15)
     while not outcome.estimates:
-        estimator.shell.add_output(outcome, next(moments), 0, lambda state: state)
+        estimator.shell.add_output(outcome, next(times_ns), 0, lambda state: state)
     return outcome.estimates[0]
 
 

@@ -30,8 +30,8 @@ def source():
     return make
 
 
-def pashr(moment):
-    return sentence(f"PASHR,{moment:%H%M%S.%f},90.0,T,+1.0,+2.0,,0.1,0.1,0.1,1,1").encode()
+def pashr(time_of_fix):
+    return sentence(f"PASHR,{time_of_fix:%H%M%S.%f},90.0,T,+1.0,+2.0,,0.1,0.1,0.1,1,1").encode()
 
 
 def published_topics(source, line, arrival_ns, now_ns=0, *sender):

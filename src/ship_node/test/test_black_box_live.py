@@ -20,7 +20,7 @@ from ship_node.black_box.black_box_format import (
     ServiceCalled,
     Tick,
 )
-from ship_testing.box_entries import SECOND_NS, read_entries
+from ship_testing.black_box_entries import SECOND_NS, read_entries
 from ship_testing.live_relay import RELIABLE_INPUT, SIM_TIME, imu_message
 from ship_testing.places import RELAY_PROGRAM
 

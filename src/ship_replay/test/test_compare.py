@@ -385,13 +385,13 @@ def test_invalid_outputs_only(tmp_path):
 def test_events_match_by_text_and_time(pair):
     """Events two seconds apart, or with another number in the text, are the same; three seconds apart they differ."""
     times_and_counts = {"a": [(10, 5)], "b": [(12, 7), (15, 5)]}
-    nights = {
+    histories = {
         side: [Event(time_s * SECOND_NS, "source", "ins", f"ins OUT, {count} rejected in a row")
                for time_s, count in rows]
         for side, rows in times_and_counts.items()
     }
     changed = replace(
-        pair, **{side: replace(data, recording=replace(data.recording, events=nights[side]))
+        pair, **{side: replace(data, recording=replace(data.recording, events=histories[side]))
                  for side, data in (("a", pair.a), ("b", pair.b))}
     )
     rows, both = events_of_one(changed)
@@ -484,9 +484,9 @@ class TestWarnings:
     def test_commits(self, tmp_path):
         bags = []
         for letter in "ab":
-            night = write_attitudes(tmp_path / f"{letter}.mcap", 5)
+            recording = write_attitudes(tmp_path / f"{letter}.mcap", 5)
             bags.append(tmp_path / f"{letter}_out.mcap")
-            with BagWriter(bags[-1]) as writer, read_bag(night) as bag:
+            with BagWriter(bags[-1]) as writer, read_bag(recording) as bag:
                 writer.add_metadata("suite", {"commit": letter * 8})
                 for record in bag.records():
                     writer.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)

@@ -67,8 +67,8 @@ def test_nothing_is_written_over_without_force(tmp_path, capsys):
 def test_truth_is_of_one_bag(tmp_path, capsys):
     folder = tmp_path / "voyage"
     folder.mkdir()
-    night = write_bag(folder / "a.mcap", 5)
-    assert "--truth is for one bag" in usage_error(main, capsys, folder, "--truth", night, "--out", tmp_path / "b.html")
+    path = write_bag(folder / "a.mcap", 5)
+    assert "--truth is for one bag" in usage_error(main, capsys, folder, "--truth", path, "--out", tmp_path / "b.html")
 
 
 def test_a_folder_without_bags_is_refused(tmp_path, capsys):

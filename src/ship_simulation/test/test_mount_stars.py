@@ -49,9 +49,9 @@ def test_stars_are_imaged_according_to_main_axis_mounting_and_sky(exposure_s):
         time_ns = run.theodolite.stars["night"].time_ns[index]
         mount = truth.scene.mount((time_ns - run.start_ns) * 1e-9 + since_middle_s)
         rotation_ns = mount.rotation_nm @ rotation_from_angles(*truth.star_parallelism["night"]).T
-        moments_ns = time_ns + np.rint(since_middle_s * 1e9).astype(np.int64)
+        times_ns = time_ns + np.rint(since_middle_s * 1e9).astype(np.int64)
         for star in message.stars:
-            place_n = sky.directions(sky.positions[np.array([rows[star.catalogue_id]])], moments_ns)
+            place_n = sky.directions(sky.positions[np.array([rows[star.catalogue_id]])], times_ns)
             forward, up, right = (place_n[:, None] @ rotation_ns)[:, 0].T
             way_px = MIDDLE_PX + np.stack([right, -up], axis=-1) / forward[:, None] / per_px
             np.testing.assert_allclose([star.u, star.v], weight @ way_px, atol=4e-3)

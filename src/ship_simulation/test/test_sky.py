@@ -76,10 +76,10 @@ def test_directions_with_air_are_those_of_atco13():
     rows = sky.catalogue.rows_brighter_than(4.0)
     time_ns = np.array([START_NS, START_NS + 3600 * SECOND_NS])
     ours = sky.directions(sky.positions[rows], time_ns[:, None])
-    for moment, direction_n in zip(time_ns, ours, strict=True):
+    for stamp_ns, direction_n in zip(time_ns, ours, strict=True):
         high = elevation_of(direction_n) > np.deg2rad(15.0)
         assert np.count_nonzero(high) > 100
-        difference = angle_between(direction_n[high], by_atco13(sky, rows[high], moment))
+        difference = angle_between(direction_n[high], by_atco13(sky, rows[high], stamp_ns))
         # ERFA evaluates the refraction of its two constants differently: 0.03 mas at 15°.
         assert np.max(difference) < 0.1 * MAS
 
@@ -169,8 +169,8 @@ def test_the_sun_is_where_skyfield_sees_it():
     place = wgs84.latlon(31.945213, 120.293086, elevation_m=20.0)
     hours = np.arange(0.0, 24.0, 0.7)
     time_ns = START_NS + np.rint(hours * 3600 * SECOND_NS).astype(np.int64)
-    moments = timescale.tt_jd(*tt_julian_date(time_ns))
-    elevation, _, _ = (ephemeris["earth"] + place).at(moments).observe(ephemeris["sun"]).apparent().altaz()
+    times = timescale.tt_jd(*tt_julian_date(time_ns))
+    elevation, _, _ = (ephemeris["earth"] + place).at(times).observe(ephemeris["sun"]).apparent().altaz()
     # Aberration (20″) and parallax (9″) of the Sun are neglected, and the interpolation between minutes is linear.
     np.testing.assert_allclose(np.rad2deg(sky.sun_elevation(time_ns)), elevation.degrees, rtol=0.0, atol=0.02)
     ephemeris.close()

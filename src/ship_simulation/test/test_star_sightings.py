@@ -96,8 +96,8 @@ def test_each_star_is_imaged_according_to_attitude_and_erfa():
     mounted = run.truth.stars[FORE]
     nominal = rotation_from_angles(0.0, np.deg2rad(45.0), 0.0)
     np.testing.assert_allclose(mounted.rotation_dv, nominal @ exp_rotation(mounted.installation_error_v))
-    moments_s = (sightings.time_ns - run.start_ns) / SECOND_NS + 0.3
-    stiff = make_carrier(scenario.carrier, 3).attitude(moments_s) @ mounted.rotation_dv
+    times_s = (sightings.time_ns - run.start_ns) / SECOND_NS + 0.3
+    stiff = make_carrier(scenario.carrier, 3).attitude(times_s) @ mounted.rotation_dv
     bend = log_rotation(np.swapaxes(truth.rotation_nv, -1, -2) @ stiff)
     assert 10.0 < np.sqrt(np.mean(bend**2)) / ARCSEC < 250.0
     exposure = np.repeat(np.arange(sightings.time_ns.size), np.diff(sightings.first))

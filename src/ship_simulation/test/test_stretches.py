@@ -60,8 +60,8 @@ def test_messages_of_a_sea_do_not_depend_on_the_stretches():
 
 def test_targets_and_stars_on_the_mount_do_not_depend_on_the_stretches():
     scenario = load_scenario(SCENARIOS / "theodolite_night.yaml")
-    night = dataclasses.replace(scenario.telescopes["night"], jitter_s=1.3)
-    scenario = dataclasses.replace(scenario, duration_s=7.0, telescopes={"night": night})
+    telescope = dataclasses.replace(scenario.telescopes["night"], jitter_s=1.3)
+    scenario = dataclasses.replace(scenario, duration_s=7.0, telescopes={"night": telescope})
     assert logged(simulate_stretches(scenario, 3, 2)) == logged([simulate(scenario, 3)])
 
 

@@ -237,7 +237,7 @@ def test_the_same_seed_gives_the_same_bag_and_the_scenario_is_in_it(tmp_path):
         assert bag.attachments["scenario.yaml"].decode() == text
 
 
-NIGHT_BROKEN = {
+STARS_BROKEN = {
     "no detector": (
         "    focal_length_m: 1.5\n",
         "",
@@ -299,9 +299,9 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize("case", NIGHT_BROKEN)
+@pytest.mark.parametrize("case", STARS_BROKEN)
 def test_a_broken_star_scenario_is_one_line_with_file_line_and_key(case, tmp_path, capsys):
-    assert_refused("theodolite_night.yaml", NIGHT_BROKEN[case], tmp_path, capsys)
+    assert_refused("theodolite_night.yaml", STARS_BROKEN[case], tmp_path, capsys)
 
 
 @pytest.mark.parametrize("case", BROKEN)

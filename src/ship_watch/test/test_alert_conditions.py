@@ -142,11 +142,11 @@ def test_alert_uses_the_safety_without_hold() -> None:
 
 def test_brief_excess_of_a_limit_is_no_alert_and_a_lost_function_is() -> None:
     """A brief excess is no alert of the output, but the alert of a source that causes it names it at once."""
-    moment = {"over_limit_s": 4.9}
-    assert conditions(suite_state(replace(angle_over_limit("roll"), **moment)), LIMITS) == []
-    assert list(alerts_of(suite_state(replace(unsafe_angle("roll"), **moment)))) == ["attitude.degraded"]
+    brief = {"over_limit_s": 4.9}
+    assert conditions(suite_state(replace(angle_over_limit("roll"), **brief)), LIMITS) == []
+    assert list(alerts_of(suite_state(replace(unsafe_angle("roll"), **brief)))) == ["attitude.degraded"]
     by_ins = conditions(
-        suite_state(source_out("ins", "no data"), replace(angle_over_limit("roll", "ins"), **moment)), LIMITS
+        suite_state(source_out("ins", "no data"), replace(angle_over_limit("roll", "ins"), **brief)), LIMITS
     )
     assert [each.lost_functions for each in by_ins] == [{"tilt"}]
 

@@ -60,12 +60,12 @@ def correlated_state(filter_: TracedFilter, size: float | None):
 
 @pytest.mark.parametrize("sizes", STATED.values(), ids=STATED)
 def test_it_is_the_filters_prediction(sizes: tuple) -> None:
-    before, at_moments, after = sizes
+    before, between_sizes, after = sizes
     # Of the INS alone the configuration states the error.
-    source = "ins/imu" if at_moments is None else "ship/attitude"
+    source = "ins/imu" if between_sizes is None else "ship/attitude"
     filter_ = TracedFilter(config(ship__source=source, **ERRORS))
     state = correlated_state(filter_, before)
-    between = predictor_of(filter_, at_moments)
+    between = predictor_of(filter_, between_sizes)
     anchor = Anchor(START_NS, GaussianEstimate(state.mean, state.covariance), state.prediction_input)
     then = filter_.propagate(state, TIMES_NS[-1], random_array(after))
     later = Anchor(TIMES_NS[-1], GaussianEstimate(then.mean, then.covariance), then.prediction_input)
@@ -73,7 +73,7 @@ def test_it_is_the_filters_prediction(sizes: tuple) -> None:
     scale = np.sqrt(then.covariance.diagonal())
     scale = np.where(scale > 0.0, scale, 1.0)
     for place, time_ns in enumerate(TIMES_NS):
-        there = filter_.propagate(state, time_ns, random_array(at_moments))
+        there = filter_.propagate(state, time_ns, random_array(between_sizes))
         of_states = there.covariance[np.ix_(between.state_indices, between.state_indices)]
         sigma = np.sqrt(np.where(of_states.diagonal() > 0.0, of_states.diagonal(), 1.0))
         np.testing.assert_allclose(found.mean[place] / sigma, there.mean[between.state_indices] / sigma, atol=1e-9)
@@ -83,12 +83,12 @@ def test_it_is_the_filters_prediction(sizes: tuple) -> None:
         whole = np.block([[found.covariance[place], cross[place]], [cross[place].T, then.covariance]])
         both = np.concatenate([sigma, scale])
         assert np.linalg.eigvalsh(whole / np.outer(both, both))[0] > -1e-9
-    if at_moments == after:
+    if between_sizes == after:
         # At the later sighting itself it is that prediction.
         np.testing.assert_allclose(
             cross[-1] / scale, then.covariance[between.state_indices] / scale, atol=1e-9 * scale.max()
         )
-    if at_moments == before:
+    if between_sizes == before:
         expected = between.cross_to(anchor, later)[between.state_indices]
         np.testing.assert_allclose(cross[0] / scale, expected / scale, atol=1e-9 * scale.max())
 

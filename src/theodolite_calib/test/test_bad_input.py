@@ -41,7 +41,7 @@ from ship_testing.small_session import (
 from theodolite_calib.measured.samples import Mode
 from theodolite_calib.ros.messages_in import MAX_BEACONS
 
-MOMENT_S = 3.0
+CHANGE_S = 3.0
 ALPHA = BASELINE["alpha"]
 SOURCE = {ENCODER: "encoder", SHIP: "ship", BEACONS: "lights", ALPHA: "baseline.alpha", IMU["alpha"]: "drone.alpha"}
 
@@ -144,7 +144,7 @@ def test_the_clean_session_is_right_across_the_wrap_of_the_azimuth() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("topic", "change", "reason", "text"), [c[1:] for c in DROPPED], ids=[c[0] for c in DROPPED])
 def test_a_dropped_message_leaves_everything_as_without_it(topic: str, change: Change, reason: str, text: str) -> None:
-    index = index_at(session(), topic, MOMENT_S)
+    index = index_at(session(), topic, CHANGE_S)
     bad = run_adapter(new_adapter(), replace_message(session(), index, change))
     without_it = run_adapter(new_adapter(), without(session(), index))
     assert bad.reasons(topic) == {reason: 1}
@@ -158,7 +158,7 @@ def test_a_dropped_message_leaves_everything_as_without_it(topic: str, change: C
 
 @pytest.mark.parametrize("topic", [ENCODER, SHIP, ALPHA, IMU["alpha"], BEACONS])
 def test_the_same_message_again_changes_nothing(topic: str) -> None:
-    index = index_at(session(), topic, MOMENT_S)
+    index = index_at(session(), topic, CHANGE_S)
     again_ns = session()[index].receive_ns + 5_000_000
     run = run_adapter(new_adapter(), add_copy(session(), index, lambda message: None, again_ns))
     assert run.reasons(topic) == {"duplicate": 1}
@@ -176,7 +176,7 @@ OTHER = [
 
 @pytest.mark.parametrize(("topic", "change"), OTHER)
 def test_of_two_contents_of_one_stamp_the_order_of_arrival_does_not_choose(topic: str, change: Change) -> None:
-    index = index_at(session(), topic, MOMENT_S)
+    index = index_at(session(), topic, CHANGE_S)
     arrival = session()[index]
     after_ns, before_ns = arrival.receive_ns + 1, arrival.receive_ns - 1
     second = run_adapter(new_adapter(), add_copy(session(), index, change, after_ns))
@@ -190,12 +190,12 @@ def test_a_source_that_contradicts_itself_is_not_valid_until_it_has_agreed_with_
     topic: str, change: Change
 ) -> None:
     arrivals = session(15.0)
-    index = index_at(arrivals, topic, MOMENT_S)
+    index = index_at(arrivals, topic, CHANGE_S)
     run = run_adapter(new_adapter(), add_copy(arrivals, index, change, arrivals[index].receive_ns + 1))
-    source, until_s = NAMED[topic], MOMENT_S + 10.0
+    source, until_s = NAMED[topic], CHANGE_S + 10.0
     report = run.diagnostics("pointing", arrivals[index].receive_ns + SECOND_NS, run.now_ns)[0]
     assert report == (1, f"DEGRADED: {source} sent conflicting data with one stamp")
-    statuses = [m.status for m in run.pointings if MOMENT_S + 0.2 < seconds(m) < until_s]
+    statuses = [m.status for m in run.pointings if CHANGE_S + 0.2 < seconds(m) < until_s]
     assert set(statuses) == {Status.DEGRADED}
     assert {m.status for m in run.pointings if seconds(m) > until_s + 0.2} == {Status.VALID}
 
@@ -252,7 +252,7 @@ def test_exchanged_names_are_corrected_and_reported() -> None:
         alpha, bravo = make_sighting(message, "alpha"), make_sighting(message, "bravo")
         alpha.beacon_id, bravo.beacon_id = "bravo", "alpha"
 
-    run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), BEACONS, MOMENT_S), exchange))
+    run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), BEACONS, CHANGE_S), exchange))
     (message,) = run.innovations(Reason.LIGHT_CONFLICT)
     assert message.accepted
     assert "bravo is alpha, alpha is bravo" in message.reason_text
@@ -261,7 +261,7 @@ def test_exchanged_names_are_corrected_and_reported() -> None:
 
 
 def test_wrong_beacon_is_rejected_by_angle() -> None:
-    index = index_at(session(), BEACONS, MOMENT_S)
+    index = index_at(session(), BEACONS, CHANGE_S)
 
     def shift(message: Any) -> None:
         make_sighting(message, "bravo").x += 0.1 * np.deg2rad(100.0 / 3600.0)
@@ -309,7 +309,7 @@ def test_no_solution_is_not_fixed_whatever_its_numbers() -> None:
     def none(message: Any) -> None:
         message.fix, message.enu.x = 0, np.nan
 
-    run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), ALPHA, MOMENT_S), none))
+    run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), ALPHA, CHANGE_S), none))
     assert run.reasons(ALPHA) == {"not_fixed": 1}
     # No exposure waits for a better one, and nothing is drawn through it.
     assert run.reasons(BEACONS).keys() <= {"not_fixed"}
@@ -351,7 +351,7 @@ def test_image_without_beacons_is_valid() -> None:
     ],
 )
 def test_unreadable_beacon_is_rejected(change: Change, reason: Reason, text: str) -> None:
-    index = index_at(session(), BEACONS, MOMENT_S)
+    index = index_at(session(), BEACONS, CHANGE_S)
 
     def spoil(message: Any) -> None:
         change(make_sighting(message, "alpha"))
@@ -371,14 +371,14 @@ def test_duplicate_beacon_name_is_rejected() -> None:
     def twice(message: Any) -> None:
         make_sighting(message, "alpha").beacon_id = "bravo"
 
-    run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), BEACONS, MOMENT_S), twice))
+    run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), BEACONS, CHANGE_S), twice))
     assert run.reasons(BEACONS) == {"conflict": 2}
     assert assert_within_covariance(run)
 
 
 def test_baseline_of_another_drone_is_rejected() -> None:
     ids = {"beacons__alpha__rtk__rover_id": "alpha", "beacons__alpha__rtk__base_id": "ship"}
-    index = index_at(session(), ALPHA, MOMENT_S)
+    index = index_at(session(), ALPHA, CHANGE_S)
     run = run_adapter(new_adapter(**ids), replace_message(session(), index, set_field("rover_id", "bravo")))
     assert has_reason(run, Reason.UNKNOWN_SENSOR) == [("baseline.alpha", "rover_id is 'bravo': expected 'alpha'")]
     assert run.state() == run_adapter(new_adapter(**ids), without(session(), index)).state()
@@ -395,7 +395,7 @@ def test_exchanged_baselines_are_a_conflict() -> None:
 
 
 def test_a_baseline_one_second_late_is_applied_at_its_own_time() -> None:
-    index = index_at(session(), ALPHA, MOMENT_S)
+    index = index_at(session(), ALPHA, CHANGE_S)
     late_ns = session()[index].receive_ns + SECOND_NS
     run = run_adapter(new_adapter(), replace_message(session(), index, lambda message: None, late_ns))
     assert run.state() == fault_free_run().state()
@@ -403,7 +403,7 @@ def test_a_baseline_one_second_late_is_applied_at_its_own_time() -> None:
 
 
 def test_baseline_later_than_the_lag_is_rejected() -> None:
-    index = index_at(session(), ALPHA, MOMENT_S)
+    index = index_at(session(), ALPHA, CHANGE_S)
     late_ns = session()[index].receive_ns + SECOND_NS
     run = run_adapter(new_adapter(lag_s=0.5), replace_message(session(), index, lambda message: None, late_ns))
     assert run.reasons(ALPHA) == {"late": 1}
@@ -488,7 +488,7 @@ def test_too_many_beacons_and_long_ids_are_cut() -> None:
             stranger.beacon_id = f"{number}" + "x" * 10**5
         message.beacons = [*message.beacons, *strangers]
 
-    run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), BEACONS, MOMENT_S), crowded))
+    run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), BEACONS, CHANGE_S), crowded))
     strangers = has_reason(run, Reason.UNKNOWN_SENSOR)
     assert len(strangers) == MAX_BEACONS - 2
     assert max(len(text) for both in strangers for text in both) <= LONGEST_TEXT

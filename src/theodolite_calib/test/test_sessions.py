@@ -114,8 +114,8 @@ def test_pointing_after_the_last_beacons() -> None:
     assert rms(left.sigma[:, 7]) == pytest.approx(29.7, rel=0.02)
     # One error of two components a session counts, those of one session belong together.
     low, high = sigma_ratio_band(2 * SEEDS)
-    for moment in (0, 6, 7):
-        assert low < rms(left.error[:, moment] / left.sigma[:, moment]) < high
+    for index in (0, 6, 7):
+        assert low < rms(left.error[:, index] / left.sigma[:, index]) < high
     assert rms(left.error[:, :7]) < 8.5 * high
     assert rms(left.error[:, 7]) < 31.0 * high
 

@@ -64,9 +64,9 @@ class Mount:
         rng = np.random.default_rng(seed)
         return MountSession(self.settings, draw_errors(self.settings, rng), self.watch, rng), rng
 
-    def pointing(self, night: MountSession, state: CalibrationState, encoder: FloatArray, time_ns: int = TIME_NS):
-        reading = night.reading(encoder, time_ns)
-        return self._output.estimate(PendingPointing(reading, night.ship(), "", 0.0, state))
+    def pointing(self, session: MountSession, state: CalibrationState, encoder: FloatArray, time_ns: int = TIME_NS):
+        reading = session.reading(encoder, time_ns)
+        return self._output.estimate(PendingPointing(reading, session.ship(), "", 0.0, state))
 
 
 def squared_axis_errors(rotation_nm: FloatArray, estimate: PointingEstimate) -> tuple[float, float, float]:
@@ -82,14 +82,14 @@ def one_exposure(mount: Mount, count: int) -> tuple[float, float, float]:
     """Return RMS and stated sigma of the pointing by one exposure (arcsec), and the mean NEES."""
     errors = []
     for seed in range(SEEDS):
-        night, rng = mount.run(seed)
+        session, rng = mount.run(seed)
         encoder = random_field(rng)
-        state, decision = mount.step(mount.filter.initial_state(), night.sighting(encoder, count))
+        state, decision = mount.step(mount.filter.initial_state(), session.sighting(encoder, count))
         assert decision.accepted, (seed, decision.text)
-        estimate = mount.pointing(night, state, encoder)
+        estimate = mount.pointing(session, state, encoder)
         assert (estimate.mode, estimate.status) == (Mode.STARS, Status.VALID)
         assert np.isnan(estimate.rotation_nt).all()  # the calibration telescope has seen nothing
-        errors.append(squared_axis_errors(night.main_axis(encoder), estimate))
+        errors.append(squared_axis_errors(session.main_axis(encoder), estimate))
     squares, variances, nees = np.mean(errors, axis=0)
     return float(np.sqrt(squares)) / ARCSEC, float(np.sqrt(variances)) / ARCSEC, float(nees)
 
@@ -126,12 +126,12 @@ def streak_exposure(sighting: StarSighting, rng: np.random.Generator) -> tuple[S
 def test_through_a_camera_that_turns_the_pointing_comes_to_the_bound_of_the_streaks_drawn(watch) -> None:
     mount, errors, bounds = Mount(SETTINGS, watch), [], []
     for seed in range(SEEDS):
-        night, rng = mount.run(500 + seed)
+        session, rng = mount.run(500 + seed)
         encoder = random_field(rng)
-        sighting, bound = streak_exposure(night.sighting(encoder, 5), rng)
+        sighting, bound = streak_exposure(session.sighting(encoder, 5), rng)
         state, decision = mount.step(mount.filter.initial_state(), sighting)
         assert decision.accepted, decision.text
-        errors.append(squared_axis_errors(night.main_axis(encoder), mount.pointing(night, state, encoder)))
+        errors.append(squared_axis_errors(session.main_axis(encoder), mount.pointing(session, state, encoder)))
         bounds.append(np.trace(bound))
     squares, variances, nees = np.mean(errors, axis=0)
     low, high = mean_nees_band(SEEDS, 3)
@@ -150,10 +150,10 @@ def test_parallelism_dominates_the_budget(watch) -> None:
     assert low <= nees <= high
     assert 1.6 < sigma < 1.9
     assert rms == pytest.approx(sigma, rel=0.2)
-    night, rng = mount.run(0)
+    session, rng = mount.run(0)
     encoder = random_field(rng)
-    state, _ = mount.step(mount.filter.initial_state(), night.sighting(encoder, 4))
-    estimate = mount.pointing(night, state, encoder)
+    state, _ = mount.step(mount.filter.initial_state(), session.sighting(encoder, 4))
+    estimate = mount.pointing(session, state, encoder)
     across = estimate.rotation_nm[:, 1:].T
     parts = {
         source: float(np.sqrt(np.trace(across @ part @ across.T))) / ARCSEC
@@ -171,9 +171,9 @@ def test_the_jacobian_is_that_of_finite_differences(source: str) -> None:
     settings = mount_config(ship__source=source, axes__flexure_sigma_arcsec=10.0, sky__utc_sigma_s=0.01)
     watch = mount_sky(settings)
     mount = Mount(settings, watch)
-    night, rng = mount.run(5)
+    session, rng = mount.run(5)
     encoder, model = random_field(rng), mount.filter.stars
-    sighting = night.sighting(encoder, 5)
+    sighting = session.sighting(encoder, 5)
     sighting = replace(sighting, ship=replace(sighting.ship, rate_d=np.array([0.05, 0.01, -0.02])))
     sigma = np.sqrt(np.diagonal(mount.filter.initial_state().covariance))
     mean = 0.3 * sigma * rng.standard_normal(sigma.size)
@@ -203,8 +203,8 @@ def test_stars_without_a_name_are_named_by_the_predicted_pointing(watch) -> None
     mount = Mount(SETTINGS, watch)
     named, unnamed = 0, 0
     for seed in range(20):
-        night, rng = mount.run(seed)
-        sighting = night.sighting(random_field(rng), 6)
+        session, rng = mount.run(seed)
+        sighting = session.sighting(random_field(rng), 6)
         nameless = replace(sighting, exposure=without_identity(sighting.exposure))
         _, decision = mount.step(mount.filter.initial_state(), nameless)
         assert decision.accepted
@@ -218,43 +218,43 @@ def test_stars_without_a_name_are_named_by_the_predicted_pointing(watch) -> None
 
 def test_pointing_without_beacons_stars_and_calibration_is_degraded(watch) -> None:
     mount = Mount(SETTINGS, watch)
-    night, rng = mount.run(0)
-    estimate = mount.pointing(night, mount.filter.initial_state(), random_field(rng))
+    session, rng = mount.run(0)
+    estimate = mount.pointing(session, mount.filter.initial_state(), random_field(rng))
     assert (estimate.mode, estimate.status) == (Mode.ENCODER, Status.DEGRADED)
     assert estimate.text == "no light or star used yet and no calibration loaded: axis errors as configured"
 
 
-def state_after_shift(night: MountSession) -> MountSession:
+def state_after_shift(session: MountSession) -> MountSession:
     """Return the state after a shift of camera or encoders by 100″, which stars cannot distinguish."""
-    errors = replace(night.errors, parallelism=night.errors.parallelism + np.array([0.0, 100.0, 0.0]) * ARCSEC)
-    return MountSession(night.settings, errors, night.sky_model, night.rng)
+    errors = replace(session.errors, parallelism=session.errors.parallelism + np.array([0.0, 100.0, 0.0]) * ARCSEC)
+    return MountSession(session.settings, errors, session.sky_model, session.rng)
 
 
 def test_inconsistent_stars_are_rejected_and_degrade_the_pointing(watch) -> None:
     mount = Mount(SETTINGS, watch)
-    night, _ = mount.run(1)
+    session, _ = mount.run(1)
     encoder = np.array([1.0, 0.9])
-    state, _ = mount.step(mount.filter.initial_state(), night.sighting(encoder, 6))
+    state, _ = mount.step(mount.filter.initial_state(), session.sighting(encoder, 6))
     for number in range(1, 4):
         time_ns = TIME_NS + number * SECOND_NS // 10
-        state, decision = mount.step(state, state_after_shift(night).sighting(encoder, 6, time_ns))
+        state, decision = mount.step(state, state_after_shift(session).sighting(encoder, 6, time_ns))
         assert not decision.accepted
         assert decision.reason in (Reason.GATE, Reason.ATTITUDE_CONFLICT, Reason.MISIDENTIFIED)
         assert state.consecutive_rejections == number
-        estimate = mount.pointing(night, state, encoder, time_ns)
+        estimate = mount.pointing(session, state, encoder, time_ns)
         assert estimate.status is Status.DEGRADED
         assert "stars were inconsistent" in estimate.text
-    state, decision = mount.step(state, night.sighting(encoder, 6, TIME_NS + SECOND_NS))
+    state, decision = mount.step(state, session.sighting(encoder, 6, TIME_NS + SECOND_NS))
     assert decision.accepted
-    assert mount.pointing(night, state, encoder, TIME_NS + SECOND_NS).status is Status.VALID
+    assert mount.pointing(session, state, encoder, TIME_NS + SECOND_NS).status is Status.VALID
 
 
 def test_identified_stars_give_the_attitude_without_encoders(watch) -> None:
     """The encoders slipped by a degree: stars without names are not identified, which is no contradiction."""
     mount = Mount(SETTINGS, watch)
-    night, _ = mount.run(3)
+    session, _ = mount.run(3)
     encoder = np.array([2.0, 0.8])
-    sighting = night.sighting(encoder, 6)
+    sighting = session.sighting(encoder, 6)
     state, _ = mount.step(mount.filter.initial_state(), sighting)
     left_out = ExclusionRecord(ExcludedSource(TIME_NS), "slipped")
     state = replace(state, fault_state=replace(state.fault_state, exclusions={ENCODER: left_out}))
@@ -266,18 +266,18 @@ def test_identified_stars_give_the_attitude_without_encoders(watch) -> None:
     after, decision = mount.step(state, sighting)
     assert decision.accepted
     camera_ns = mount.filter.stars.predict(after.mean, sighting).rotation_ns
-    truth_ns = night.main_axis(encoder) @ rotation_from_angles(
-        *(SETTINGS.telescopes[CAMERA_ID].parallelism + night.errors.parallelism)
+    truth_ns = session.main_axis(encoder) @ rotation_from_angles(
+        *(SETTINGS.telescopes[CAMERA_ID].parallelism + session.errors.parallelism)
     ).T
     assert np.linalg.norm(log_rotation(camera_ns.T @ truth_ns)[1:]) / ARCSEC < 4.0
-    assert mount.pointing(night, after, encoder).status is Status.DEGRADED
+    assert mount.pointing(session, after, encoder).status is Status.DEGRADED
 
 
 def test_one_false_star_is_left_out_and_the_others_are_used(watch) -> None:
     mount = Mount(SETTINGS, watch)
-    night, rng = mount.run(2)
+    session, rng = mount.run(2)
     encoder = random_field(rng)
-    sighting = night.sighting(encoder, 6)
+    sighting = session.sighting(encoder, 6)
     directions_s = sighting.exposure.directions_s.copy()
     directions_s[2] = exp_rotation(np.array([0.0, 60.0, 40.0]) * ARCSEC) @ directions_s[2]
     name = f"HIP {sighting.exposure.hip[2]}"
@@ -285,17 +285,17 @@ def test_one_false_star_is_left_out_and_the_others_are_used(watch) -> None:
     state, decision = mount.step(mount.filter.initial_state(), wrong)
     assert decision.accepted
     assert [left_out for left_out, _ in decision.rejected_parts] == [name]
-    squares, variance, _ = squared_axis_errors(night.main_axis(encoder), mount.pointing(night, state, encoder))
+    squares, variance, _ = squared_axis_errors(session.main_axis(encoder), mount.pointing(session, state, encoder))
     assert squares < 13.8 * variance  # one in a thousand
 
 
 def test_exposures_of_a_camera_that_stands_still_are_all_used(watch) -> None:
     """Unobservable combinations stay unknown although the stars are known to an arcsecond: no step fails."""
     mount = Mount(SETTINGS, watch)
-    night, rng = mount.run(4)
+    session, rng = mount.run(4)
     encoder, state = random_field(rng), mount.filter.initial_state()
     for number in range(20):
-        state, decision = mount.step(state, night.sighting(encoder, 12, TIME_NS + number * SECOND_NS // 5))
+        state, decision = mount.step(state, session.sighting(encoder, 12, TIME_NS + number * SECOND_NS // 5))
         assert decision.accepted, decision.text
     root = state.observability.root
     assert np.all(np.isfinite(root))
@@ -311,12 +311,12 @@ def test_a_night_of_stars_calibrates_the_axes_for_the_day(watch) -> None:
     afterwards_s = np.arange(5.0, 31.0, 5.0)
     squares, nees, left = [], [], []
     for seed in range(seeds):
-        night, rng = mount.run(100 + seed)
+        session, rng = mount.run(100 + seed)
         times_s = np.concatenate([np.arange(exposures) * 0.25, 0.25 * exposures + afterwards_s])
         bent_d = gauss_markov(rng, times_s, deformation, settings.deformation.time_s)
         state = mount.filter.initial_state()
         for time_s, turn_d in zip(times_s, bent_d, strict=True):
-            now = MountSession(settings, replace(night.errors, deformation_d=turn_d), watch, rng)
+            now = MountSession(settings, replace(session.errors, deformation_d=turn_d), watch, rng)
             encoder, time_ns = random_field(rng), TIME_NS + round(time_s * SECOND_NS)
             if time_s < 0.25 * exposures:
                 state, decision = mount.step(state, now.sighting(encoder, 6, time_ns))

@@ -272,8 +272,8 @@ def test_an_exposure_of_known_length_is_brought_to_its_middle() -> None:
         seen_m = rotation_from_angles(1.0, elevation(t_s), 0.0).T @ rotation_from_angles(1.002, 0.52, 0.0)[:, 0]
         return image_of(seen_m, 1.5, np.array([2e-4, -3e-4]))
 
-    moments_s = exposure_s * ((np.arange(1000) + 0.5) / 1000 - 0.5)
-    mean_m = np.mean([point_m(t_s) for t_s in moments_s], axis=0)
+    times_s = exposure_s * ((np.arange(1000) + 0.5) / 1000 - 0.5)
+    mean_m = np.mean([point_m(t_s) for t_s in times_s], axis=0)
     off = {}
     for stated_s in (exposure_s, 0.0):
         core = OpticalAxisCore(config())
