@@ -43,7 +43,7 @@ def test_a_run_with_changes_and_services_is_equal_to_the_last_bit(paths):
 
 
 def test_a_run_from_the_saved_alignment_is_equal_to_the_last_bit(paths):
-    assert [box.name for box in paths] == ["ship_attitude.mcap", "ship_attitude_2.mcap"]
+    assert [path.name for path in paths] == ["ship_attitude.mcap", "ship_attitude_2.mcap"]
     with read_bag(paths[1]) as bag:
         read_at_start = bag.attachments["files/0001/alignment.yaml"]
     with read_bag(paths[0]) as bag:
@@ -58,7 +58,7 @@ def test_a_run_from_the_saved_alignment_is_equal_to_the_last_bit(paths):
 def killed_path(tmp_path_factory):
     """Return the box of a node killed in the middle of a voyage."""
     folder = tmp_path_factory.mktemp("killed")
-    box = folder / "box.mcap"
+    path = folder / "box.mcap"
 
     def kill_late(elapsed_s):
         if elapsed_s > 6.0:
@@ -66,13 +66,13 @@ def killed_path(tmp_path_factory):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        parameters = {"black_box": str(box)}
+        parameters = {"black_box": str(path)}
         with (
             LiveRun(DEMO, ShipAttitudeAdapter, "ship_attitude_star", folder / "run", parameters) as run,
             pytest.raises(LiveFailure, match="the node ended with exit code -9"),
         ):
             run.play(4.0, kill_late)
-    return box
+    return path
 
 
 def test_a_killed_nodes_box_is_verified_up_to_the_cut(killed_path):

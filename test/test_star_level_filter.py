@@ -53,18 +53,18 @@ def runs() -> list[SimulatedRun]:
 
 
 def final_nees(
-    run: SimulatedRun, watch: type[SkyModel] = SkyModel, table: EarthOrientationTable | None = None
+    run: SimulatedRun, sky_class: type[SkyModel] = SkyModel, table: EarthOrientationTable | None = None
 ) -> float:
     """Return NEES of the fused attitude at the end, by an estimator with another sky if given."""
-    return final_error_squared(run, run_to_end(run, watch, table)[1])
+    return final_error_squared(run, run_to_end(run, sky_class, table)[1])
 
 
 def run_to_end(
-    run: SimulatedRun, watch: type[SkyModel] = SkyModel, table: EarthOrientationTable | None = None
+    run: SimulatedRun, sky_class: type[SkyModel] = SkyModel, table: EarthOrientationTable | None = None
 ) -> tuple[ShipAttitudeCore, AttitudeEstimate]:
     """Return the estimator at the end, and its last attitude."""
     config = core_for(run.scenario).config
-    core = ShipAttitudeCore(config, watch(config.sky, table or earth_orientation_table(), hipparcos()))
+    core = ShipAttitudeCore(config, sky_class(config.sky, table or earth_orientation_table(), hipparcos()))
     return core, feed_attitude(core, run)[0]
 
 

@@ -102,7 +102,7 @@ def test_all_outputs_name_the_right_source_in_a_replay(bag: str, tmp_path: Path)
     paths = (given, replayed_path) if bag == "theodolite" else (replayed_path,)
     with read_bag(given) as played:
         start_ns = played.start_ns or 0
-    watch, keeper, named = (
+    monitor, keeper, named = (
         SuiteMonitor(Limits()),
         AlertManager(Limits(), None, start_ns, print),
         FirstReports(bag, start_ns),
@@ -113,13 +113,13 @@ def test_all_outputs_name_the_right_source_in_a_replay(bag: str, tmp_path: Path)
             break
         while due_ns <= time_ns:
             keeper.update(due_ns, due_ns)
-            named.record_state(watch.current_state(due_ns), watch.history)
+            named.record_state(monitor.current_state(due_ns), monitor.history)
             for alert in keeper.alerts:
                 named.record("alerts", alert.source, due_ns)
             for branch in keeper.diagnostic_entries():
                 named.record_branch(branch.path, branch.text, due_ns)
             due_ns += LOOK_NS
-        watch.process_message(topic, message, time_ns)
+        monitor.process_message(topic, message, time_ns)
         keeper.process_message(topic, message, time_ns)
     named.check(detection_limit_s)
 
@@ -134,23 +134,23 @@ class SuiteUnderTest:
         command = [*executable("ship_bringup", "suite"), "--bag", str(bag), "--monitor", "--port", str(port)]
         domain = int(os.environ["ROS_DOMAIN_ID"])
         self.process = LiveProcess(command, folder / "suite.log", live_environment(domain, folder / "ros"))
-        self.watch = LiveSuite("watcher", "", Limits())
+        self.live_suite = LiveSuite("watcher", "", Limits())
         self.diagnostics = TopicReader(
             "statuses", "", lambda topic, _: MAX_QUEUE_DEPTH if topic == "/diagnostics" else 0
         )
 
     def close(self) -> None:
         """End all processes; first the observers."""
-        self.watch.close()
+        self.live_suite.close()
         self.diagnostics.close()
         self.process.end()
 
     def read(self, named: FirstReports) -> SuiteState:
         """Process received messages, and record the sources they name."""
-        self.watch.tick()
-        picture = self.watch.current_state()
+        self.live_suite.tick()
+        picture = self.live_suite.current_state()
         if picture.utc_ns:
-            named.record_state(picture, self.watch.history)
+            named.record_state(picture, self.live_suite.history)
         for alert in picture.alerts or ():
             named.record("alerts", alert.source, alert.raised_ns)
         for arrived in self.diagnostics.fetch().messages:
@@ -181,7 +181,7 @@ def test_all_outputs_name_the_right_source_live(bag: str, tmp_path: Path, monkey
             assert time.monotonic() < deadline_s, suite.process.log_text()
             alert = alert_to_show(picture.alerts)
             if alert is not None and not alert.is_acknowledged and not acknowledged:
-                acknowledged = suite.watch.acknowledge(alert.id, alert.instance)
+                acknowledged = suite.live_suite.acknowledge(alert.id, alert.instance)
             time.sleep(0.1)
     finally:
         suite.close()

@@ -107,10 +107,10 @@ def draw_scene(seed: int) -> Scene:
     scenario = _scenario(rng)
     run = simulate(scenario, seed)
     config = build(StarAttitudeConfig, star_attitude_configuration(scenario))
-    watch = load_sky_model(config.sky)
+    sky_model = load_sky_model(config.sky)
     for _, source, index in run.arrivals():
         if source in SKY_SOURCES:
-            watch.surroundings.insert(sky_input(run, source, index))
+            sky_model.surroundings.insert(sky_input(run, source, index))
     exposures = {id_: star_exposure(run, id_, 0) for id_ in run.stars}
     if any(len(exposure) < CLEAR_STARS for exposure in exposures.values()):
         raise ValueError(f"seed {seed}: a field with fewer than {CLEAR_STARS} stars")
@@ -121,7 +121,7 @@ def draw_scene(seed: int) -> Scene:
     return Scene(
         exposures=exposures,
         config=config,
-        sky_model=watch,
+        sky_model=sky_model,
         erfa_sky=ErfaSky(run.start_ns, run.fixes.position(0), weather),
         rotation_nd=rotation_nd,
         ins=StarPrior(ins_nd, np.diag(_INS_SIGMA**2)),

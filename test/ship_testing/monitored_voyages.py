@@ -72,7 +72,7 @@ class MonitoredVoyage:
         state_at: the suite state of each whole second.
     """
 
-    watch: SuiteMonitor
+    monitor: SuiteMonitor
     start_ns: int
     end_ns: int = 0
     out_s: dict[str, list[float]] = field(default_factory=dict)
@@ -88,7 +88,7 @@ class MonitoredVoyage:
 
     def last_state(self) -> SuiteState:
         """Return the suite state at the end."""
-        return self.watch.current_state(self.end_ns)
+        return self.monitor.current_state(self.end_ns)
 
 
 def replay_with_faults(folder: Path, bag: str, faults: str = "") -> tuple[Path, Path]:
@@ -140,10 +140,10 @@ def monitor_voyage(*paths: Path) -> MonitoredVoyage:
         if voyage is None:
             voyage, due_ns = MonitoredVoyage(SuiteMonitor(), time_ns), time_ns
         while due_ns <= time_ns:
-            picture = voyage.watch.current_state(due_ns)
+            picture = voyage.monitor.current_state(due_ns)
             before = _record_state(voyage, picture, before, (due_ns - voyage.start_ns) * 1e-9)
             due_ns += STEP_NS
-        voyage.watch.process_message(topic, message, time_ns)
+        voyage.monitor.process_message(topic, message, time_ns)
         voyage.end_ns = time_ns
     assert voyage is not None
     return voyage

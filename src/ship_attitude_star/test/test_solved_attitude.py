@@ -74,11 +74,11 @@ def ship(known: Knowledge, **sensor: Any) -> ShipAttitudeConfig:
 
 
 def sky(config: ShipAttitudeConfig, position: GeodeticPosition, sigma_m: float) -> SkyModel:
-    watch = load_sky_model(config.sky)
+    sky_model = load_sky_model(config.sky)
     for second in range(-2, EPOCHS + 2):
         fix = PositionFix(TIME_NS + second * SECOND_NS, position, np.eye(3) * sigma_m**2)
-        watch.surroundings.insert(fix)
-    return watch
+        sky_model.surroundings.insert(fix)
+    return sky_model
 
 
 @functools.cache
@@ -274,12 +274,12 @@ def test_the_shared_rotations_equal_finite_differences_of_the_sky() -> None:
     config = ship(POOR_WEATHER)
     north = replace(POSITION, latitude=POSITION.latitude + POOR_WEATHER.fix_m / METRES_PER_RADIAN)
     denser = replace(config.sky, pressure_hpa=config.sky.pressure_hpa + 1.0)
-    for column, watch in (
+    for column, sky_model in (
         (2, sky(config, north, POOR_WEATHER.fix_m)),
         (0, sky(replace(config, sky=denser), POSITION, POOR_WEATHER.fix_m)),
     ):
         moved, unmoved = (
-            solve_exposure(exposure, (), None, one)[1] for one in (watch, sky_model_with_inputs(POOR_WEATHER))
+            solve_exposure(exposure, (), None, one)[1] for one in (sky_model, sky_model_with_inputs(POOR_WEATHER))
         )
         turn_n = log_rotation(moved.solution.rotation_nb @ unmoved.solution.rotation_nb.T)
         expected_n = found.shared_n[:, column]

@@ -65,14 +65,14 @@ class Width:
 class Sky:
     """Exposures without errors by sensor and stamp, and how errors that stars share displace their stars."""
 
-    watch: SkyModel
+    sky_model: SkyModel
     fields: dict[tuple[str, int], tuple[StarExposure, FloatArray, FloatArray]]
 
     def seen(self, id_: str, time_ns: int, count: int, mounted_s: FloatArray, shared: FloatArray, rng: Any):
         """An exposure with all errors."""
         if (id_, time_ns) not in self.fields:
-            exposure = exposure_of(self.watch, id_, 8, None, time_ns)
-            apparent = self.watch.sky_at(time_ns).apparent_stars(exposure.positions)
+            exposure = exposure_of(self.sky_model, id_, 8, None, time_ns)
+            apparent = self.sky_model.sky_at(time_ns).apparent_stars(exposure.positions)
             self.fields[id_, time_ns] = exposure, apparent.direction_n, apparent.shared_n
         exposure, direction_n, shared_n = self.fields[id_, time_ns]
         angles = np.deg2rad([SENSORS[id_]["azimuth_deg"], SENSORS[id_]["elevation_deg"], 0.0])
@@ -88,9 +88,9 @@ def sky() -> Sky:
     return Sky(sky_at_anchor(configuration()), {})
 
 
-def solve_attitude(exposure: StarExposure, watch: SkyModel) -> AttitudeMeasurement:
+def solve_attitude(exposure: StarExposure, sky_model: SkyModel) -> AttitudeMeasurement:
     """The attitude of the sensor by these stars alone."""
-    _, stars, _ = visible_stars(exposure, watch, None)
+    _, stars, _ = visible_stars(exposure, sky_model, None)
     solution = solve_stars(stars)
     rotation_ns = solution.rotation_nb
     noise_s = rotation_ns.T @ solution.noise_n @ rotation_ns
@@ -119,9 +119,9 @@ def end(sky: Sky, seed: int, width: Width, count: int = 8) -> dict[str, tuple[Fl
         ship_filter = ShipFilter(width.config(kind))
         state, refused = ship_filter.initial_state(), 0
         for exposure in exposures:
-            measurement = exposure if kind == "observations" else solve_attitude(exposure, sky.watch)
+            measurement = exposure if kind == "observations" else solve_attitude(exposure, sky.sky_model)
             track = tracks[exposure.time_ns]
-            state, decision = ship_filter.step(state, measurement, track, sky.watch)
+            state, decision = ship_filter.step(state, measurement, track, sky.sky_model)
             refused += not decision.accepted
         rows = ship_filter.model.state_indices("ins.attitude")
         found_n, by_error = state.mean[rows], left_jacobian(state.mean[rows])
@@ -176,8 +176,8 @@ def test_mend_14_the_first_exposure_is_confirmed_by_the_next_one_or_by_another_s
 
     def after(state: FilterState, id_: str, time_ns: int) -> FilterState:
         exposure = sky.seen(id_, time_ns, 8, np.zeros(3), np.zeros(4), rng)
-        measurement = exposure if kind == "observations" else solve_attitude(exposure, sky.watch)
-        state, decision = ship_filter.step(state, measurement, ins_track(time_ns), sky.watch)
+        measurement = exposure if kind == "observations" else solve_attitude(exposure, sky.sky_model)
+        state, decision = ship_filter.step(state, measurement, ins_track(time_ns), sky.sky_model)
         assert decision.accepted
         return state
 
@@ -270,7 +270,7 @@ def test_mend_11_a_solution_is_not_against_an_ins_that_is_off_as_stated(sky: Sky
     true_ns = ROTATION_ND @ rotation_from_angles(0.0, np.deg2rad(45.0), 0.0)
     sigma = np.array([10.0, 3.0 * DEGREE, 10.0]) * ARCSEC
     prior = StarPrior(exp_rotation(np.deg2rad([0.0, 3.0, 0.0])) @ true_ns, np.diag(sigma**2))
-    _, stars, _ = visible_stars(exposure, sky.watch, prior)
+    _, stars, _ = visible_stars(exposure, sky.sky_model, prior)
     solution, against_prior = solve_with_fallback(stars, prior)
     assert solution.status is SolutionStatus.VALID
     assert solution.members.all()
@@ -290,7 +290,7 @@ def test_mend_11_what_the_gate_judges_is_chi_square(sky: Sky, width: Width) -> N
         exposure = sky.seen("fore", TIME_NS, 8, mounted_s, rng.standard_normal(4), rng)
         track = ins_track(TIME_NS, log_rotation(exp_rotation(error_n) @ exp_rotation(white_n)))
         ship_filter = ShipFilter(width.config("observations"))
-        values.append(ship_filter.step(ship_filter.initial_state(), exposure, track, sky.watch)[1].nis)
+        values.append(ship_filter.step(ship_filter.initial_state(), exposure, track, sky.sky_model)[1].nis)
     low, high = mean_nees_band(SEEDS, 16)
     assert low <= np.mean(values) <= high
 
@@ -311,7 +311,7 @@ def test_mend_11_two_exchanged_names_never_make_a_wrong_attitude(sky: Sky, width
         exchanged = replace(exposure, hip=exposure.hip[names], positions=exposure.positions[names])
         ship_filter = ShipFilter(width.config("observations"))
         track = ins_track(TIME_NS, error_n)
-        state, decision = ship_filter.step(ship_filter.initial_state(), exchanged, track, sky.watch)
+        state, decision = ship_filter.step(ship_filter.initial_state(), exchanged, track, sky.sky_model)
         if decision.accepted:
             used += 1
             rows = ship_filter.model.state_indices("ins.attitude")

@@ -44,9 +44,9 @@ def test_split_options_refused_in_one_line(options, expected, capsys):
 
 class TestClockStepDetector:
     def steps(self, offsets_ns, reading_ns=1000):
-        watch = ClockStepDetector()
+        detector = ClockStepDetector()
         looks = [(number * 10**8, offset_ns) for number, offset_ns in enumerate(offsets_ns)]
-        return [watch.detect_step(steady, steady + offset, steady + reading_ns) for steady, offset in looks]
+        return [detector.detect_step(steady, steady + offset, steady + reading_ns) for steady, offset in looks]
 
     def test_a_running_clock_does_not_step(self):
         # Slewed by 500 ppm, the most that adjtime allows: 50 µs in each 100 ms.
@@ -57,11 +57,11 @@ class TestClockStepDetector:
         assert self.steps([10**18, 10**18, 10**18 + step_ns, 10**18 + step_ns]) == [None, None, step_ns, None]
 
     def test_a_pause_between_the_two_readings_is_no_step(self):
-        watch = ClockStepDetector()
-        assert watch.detect_step(0, 10**18, 1000) is None
+        detector = ClockStepDetector()
+        assert detector.detect_step(0, 10**18, 1000) is None
         # The process slept for 2 s after it read the steady clock.
-        assert watch.detect_step(10**8, 10**18 + 10**8 + 2 * 10**9, 10**8 + 2 * 10**9) is None
-        assert watch.detect_step(2 * 10**8, 10**18 + 2 * 10**8, 2 * 10**8 + 1000) is None
+        assert detector.detect_step(10**8, 10**18 + 10**8 + 2 * 10**9, 10**8 + 2 * 10**9) is None
+        assert detector.detect_step(2 * 10**8, 10**18 + 2 * 10**8, 2 * 10**8 + 1000) is None
 
 
 # -- live ---------------------------------------------------------------------------------------------------------

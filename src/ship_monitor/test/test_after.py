@@ -133,9 +133,9 @@ class TestBagPlayback:
         pictures.go_to(at_s)
         shown = whole(pictures)
         time_ns = min(START_NS + round(at_s * NS_PER_S), suite.end_ns)
-        watch = monitor_after(suite, max(time_ns - round(HISTORY_S * NS_PER_S), 0), time_ns)
-        assert shown == watch.current_state(time_ns)
-        assert pictures.history.ribbons == watch.history.safety
+        monitor = monitor_after(suite, max(time_ns - round(HISTORY_S * NS_PER_S), 0), time_ns)
+        assert shown == monitor.current_state(time_ns)
+        assert pictures.history.ribbons == monitor.history.safety
         heading = next(angle for angle in shown.angles if angle.name == "heading")
         assert heading.value == pytest.approx(TURN_RAD_PER_S * (time_ns - START_NS) / NS_PER_S, abs=2e-5)
 

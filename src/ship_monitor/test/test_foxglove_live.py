@@ -45,10 +45,10 @@ def server(resources):
 
 
 @pytest.fixture
-def watch(resources, server):
-    watch = LiveSuite("monitor", "demo", Limits(), server)
-    resources.callback(watch.close)
-    return watch
+def live_suite(resources, server):
+    live_suite = LiveSuite("monitor", "demo", Limits(), server)
+    resources.callback(live_suite.close)
+    return live_suite
 
 
 @pytest.fixture
@@ -100,7 +100,7 @@ def hundred_attitudes():
         yield message
 
 
-@pytest.mark.usefixtures("watch")
+@pytest.mark.usefixtures("live_suite")
 def test_messages_arrive_unchanged_with_definition_and_arrival_time(sail, connect):
     ship, client = sail(), connect()
     ship.publish("ship/attitude", attitude(START_NS))
@@ -128,7 +128,7 @@ def test_messages_arrive_unchanged_with_definition_and_arrival_time(sail, connec
         )
 
 
-@pytest.mark.usefixtures("watch")
+@pytest.mark.usefixtures("live_suite")
 def test_all_topics_of_the_namespace_are_offered(sail, connect, server):
     ship, other, client = sail(), sail("voyage"), connect()
     ship.publish("ship/attitude", attitude(START_NS))
@@ -149,7 +149,7 @@ def test_all_topics_of_the_namespace_are_offered(sail, connect, server):
     client.wait_until(lambda: ship.publishers["ins/imu"].get_subscription_count() == 0)
 
 
-@pytest.mark.usefixtures("watch")
+@pytest.mark.usefixtures("live_suite")
 def test_late_clients_get_the_last_message_of_a_latched_topic(sail, connect):
     ship = sail()
     alerts = AlertArray()
@@ -161,7 +161,7 @@ def test_late_clients_get_the_last_message_of_a_latched_topic(sail, connect):
         assert decoded(client, client.received[0]).header.stamp.sec == 7
 
 
-@pytest.mark.usefixtures("watch")
+@pytest.mark.usefixtures("live_suite")
 def test_subscription_survives_a_restart_of_the_estimator(sail, connect):
     client = connect()
     for heading in (0.25, 0.5):
@@ -182,13 +182,13 @@ def test_subscription_survives_a_restart_of_the_estimator(sail, connect):
 
 
 @pytest.mark.parametrize("is_awaited", [False, True])
-def test_topic_with_another_type_is_offered_again(sail, connect, watch, is_awaited):
+def test_topic_with_another_type_is_offered_again(sail, connect, live_suite, is_awaited):
     ship, client = sail(), connect()
     if is_awaited:  # Both types are there all the time: somebody listens with the one, the client with the other.
         sail().node.create_subscription(Float64, "told", lambda _: None, 10)
     ship.publish("told", String(data="a"))
     receive(client, ship, "told", String(data="a"))
-    client.wait_until(lambda: len(watch._relay._known_types["/demo/told"]) == 1 + is_awaited)
+    client.wait_until(lambda: len(live_suite._relay._known_types["/demo/told"]) == 1 + is_awaited)
     ship.stop()
     ship = sail()
     ship.publish("told", Float64(data=1.0))
@@ -198,14 +198,14 @@ def test_topic_with_another_type_is_offered_again(sail, connect, watch, is_await
     assert decoded(client, client.received[0]).data == 2.0
 
 
-def test_clients_receive_messages_after_a_sleep(sail, connect, watch, monkeypatch):
+def test_clients_receive_messages_after_a_sleep(sail, connect, live_suite, monkeypatch):
     ship, client = sail(), connect()
     ship.publish("ship/attitude", attitude(START_NS))
     receive(client, ship, "ship/attitude", attitude(START_NS))
-    former = watch._reader.node
+    former = live_suite._reader.node
     asleep_ns = reader_module._sleep_time_ns() + 3600 * NS_PER_S
     monkeypatch.setattr(reader_module, "_sleep_time_ns", lambda: asleep_ns)
-    client.wait_until(lambda: watch._reader.node is not former)
+    client.wait_until(lambda: live_suite._reader.node is not former)
     client.received.clear()
 
     def came():
@@ -215,7 +215,7 @@ def test_clients_receive_messages_after_a_sleep(sail, connect, watch, monkeypatc
     client.wait_until(came)
 
 
-def test_page_does_not_depend_on_a_client(sail, connect, watch):
+def test_page_does_not_depend_on_a_client(sail, connect, live_suite):
     ship, client = sail(), connect()
     ship.publish("ship/attitude", attitude(START_NS))
     receive(client, ship, "ship/attitude", attitude(START_NS))
@@ -223,8 +223,8 @@ def test_page_does_not_depend_on_a_client(sail, connect, watch):
 
     def heading():
         ship.publish("ship/attitude", attitude(next(times)))
-        watch.tick()
-        shown = next(each for each in watch.current_state().angles if each.name == "heading")
+        live_suite.tick()
+        shown = next(each for each in live_suite.current_state().angles if each.name == "heading")
         return not shown.is_old and shown.value == 1.0
 
     client.wait_until(heading)

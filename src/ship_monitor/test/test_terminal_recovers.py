@@ -83,7 +83,7 @@ def sleep(monkeypatch):
 
 
 def test_restarted_bag_is_shown_from_its_start():
-    async def watch():
+    async def run_app():
         async with bridge() as seen:
             seen.sail_from(START_NS + HOUR_NS)
             await seen.until(seen.is_current)
@@ -93,11 +93,11 @@ def test_restarted_bag_is_shown_from_its_start():
             await seen.until(seen.is_current)
             assert not any("13:00:" in row for row in seen.rows())
 
-    asyncio.run(watch())
+    asyncio.run(run_app())
 
 
 def test_values_are_old_after_a_sleep_and_then_recover(sleep):
-    async def watch():
+    async def run_app():
         async with bridge() as seen:
             seen.sail_from(START_NS)
             await seen.until(seen.is_current)
@@ -109,11 +109,11 @@ def test_values_are_old_after_a_sleep_and_then_recover(sleep):
             seen.sail_from(START_NS + HOUR_NS)
             await seen.until(seen.is_current)
 
-    asyncio.run(watch())
+    asyncio.run(run_app())
 
 
 def test_pause_includes_the_time_of_a_sleep(sleep):
-    async def watch():
+    async def run_app():
         async with bridge() as seen:
             seen.sail_from(START_NS)
             await seen.until(seen.is_current)
@@ -121,4 +121,4 @@ def test_pause_includes_the_time_of_a_sleep(sleep):
             sleep(HOUR_NS)
             await seen.until(lambda: any("PAUSED" in row and "60 min" in row for row in seen.rows()))
 
-    asyncio.run(watch())
+    asyncio.run(run_app())

@@ -30,8 +30,8 @@ def source():
     return make
 
 
-def pashr(time_of_fix):
-    return sentence(f"PASHR,{time_of_fix:%H%M%S.%f},90.0,T,+1.0,+2.0,,0.1,0.1,0.1,1,1").encode()
+def pashr(utc):
+    return sentence(f"PASHR,{utc:%H%M%S.%f},90.0,T,+1.0,+2.0,,0.1,0.1,0.1,1,1").encode()
 
 
 def published_topics(source, line, arrival_ns, now_ns=0, *sender):
@@ -43,8 +43,8 @@ def test_backward_jump_of_node_time_resets_the_instrument(source):
     ins = source(becomes="ins")
     for _ in range(2):
         for seconds in range(3):
-            moment = START + timedelta(seconds=seconds)
-            assert published_topics(ins, pashr(moment), datetime_ns(moment)) == ["ins/imu"]
+            utc = START + timedelta(seconds=seconds)
+            assert published_topics(ins, pashr(utc), datetime_ns(utc)) == ["ins/imu"]
 
 
 def test_no_line_is_used_without_node_time(source):
@@ -72,18 +72,18 @@ def test_corrected_clock_is_used_again(source):
     assert "ahead" not in ins.status("", 0, 30 * NS_PER_S - 1).message
 
 
-def zda(moment):
-    return sentence(f"GPZDA,{moment:%H%M%S}.00,{moment:%d,%m,%Y},,").encode()
+def zda(utc):
+    return sentence(f"GPZDA,{utc:%H%M%S}.00,{utc:%d,%m,%Y},,").encode()
 
 
 @pytest.mark.parametrize("zda_first", [True, False])
 def test_attitude_has_the_time_of_the_zda_of_its_burst(source, zda_first):
     ins, stamps = source(becomes="ins"), []
     for second in range(10):
-        moment = START + timedelta(seconds=second)
-        lines = [zda(moment), sentence("PSXN,23,1.0,2.0,90.0,0.20").encode()]
+        utc = START + timedelta(seconds=second)
+        lines = [zda(utc), sentence("PSXN,23,1.0,2.0,90.0,0.20").encode()]
         for place, line in enumerate(lines if zda_first else reversed(lines)):
-            arrival_ns = datetime_ns(moment) + (place + 1) * NS_PER_S // 10
+            arrival_ns = datetime_ns(utc) + (place + 1) * NS_PER_S // 10
             for parsed in parse_line(line):
                 stamps += [ns_from_stamp(message.header.stamp) for _, message in ins.convert(parsed, arrival_ns, 0)]
     assert stamps == [datetime_ns(START) + second * NS_PER_S for second in range(10)]

@@ -55,19 +55,19 @@ def invented(number, stamp_ns):
 
 def test_memory_is_bounded_for_unlimited_names(caplog):
     names._logged_s.clear()
-    watch, sizes = SuiteMonitor(Limits()), []
+    monitor, sizes = SuiteMonitor(Limits()), []
     known = "star.fore"
     tracemalloc.start()
     for number in range(3 * MAX_NAMES):
         now_ns = number * NS // 100
-        watch.process_message("ship/innovation", innovation(START_NS + now_ns, known, [0.0, 0.0], [1.0, 1.0], 1.0,
+        monitor.process_message("ship/innovation", innovation(START_NS + now_ns, known, [0.0, 0.0], [1.0, 1.0], 1.0,
                                                  components=("right", "up")), now_ns)  # fmt: skip
         for topic, message in invented(number, START_NS + now_ns):
-            watch.process_message(topic, message, now_ns)
+            monitor.process_message(topic, message, now_ns)
         if number % MAX_NAMES == MAX_NAMES - 1:
             sizes.append(tracemalloc.get_traced_memory()[0])
     tracemalloc.stop()
-    picture, history = watch.current_state(now_ns), watch.history
+    picture, history = monitor.current_state(now_ns), monitor.history
     assert len(picture.sources) <= MAX_NAMES + 3
     assert len(picture.inputs) <= MAX_NAMES
     assert all(

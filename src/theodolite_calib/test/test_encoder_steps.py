@@ -26,12 +26,12 @@ def motion(seconds, rng, sigma_arcsec=1.0):
 
 def check_readings(angles, acceleration=FAST, times_ns=None):
     """Return for each reading: True if unconfirmed after it; its rejection; the slip that it proves."""
-    watch, found = EncoderCheck(ARCSEC, acceleration), []
+    check, found = EncoderCheck(ARCSEC, acceleration), []
     for number, row in enumerate(angles):
         time_ns = number * PERIOD_NS if times_ns is None else int(times_ns[number])
-        checked = watch.check(EncoderSample(time_ns, row, ARCSEC), VectorTrack(PERIOD_NS))
-        found.append((bool(watch.unconfirmed_reason), checked.rejection, checked.jump))
-    return watch, found
+        checked = check.check(EncoderSample(time_ns, row, ARCSEC), VectorTrack(PERIOD_NS))
+        found.append((bool(check.unconfirmed_reason), checked.rejection, checked.jump))
+    return check, found
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -42,14 +42,14 @@ def test_step_is_unconfirmed_until_beacons_agree(axis):
     for seed in range(200):
         angles = motion(seconds, np.random.default_rng(seed))
         angles[at:, axis] += 20.0 * ARCSEC
-        watch, found = check_readings(angles)
+        check, found = check_readings(angles)
         first += found[at][0]
         lasts += all(is_unconfirmed for is_unconfirmed, *_ in found[at:])
         assert all(refusal is None and jump is None for _, refusal, jump in found)
-        watch.confirm((at - 1) * PERIOD_NS)
-        assert bool(watch.unconfirmed_reason) == found[-1][0]
-        watch.confirm(119 * PERIOD_NS)
-        assert not watch.unconfirmed_reason
+        check.confirm((at - 1) * PERIOD_NS)
+        assert bool(check.unconfirmed_reason) == found[-1][0]
+        check.confirm(119 * PERIOD_NS)
+        assert not check.unconfirmed_reason
     assert first == 200
     assert lasts >= 196  # 2.5 sigma one-sided, as the next reading against 1.25 of the first one
 

@@ -47,14 +47,14 @@ def after_five_seconds(
     """Return the true main axis after 25 exposures of the brightest stars, the estimate, and its filter."""
     rng = np.random.default_rng([31, seed])
     detector = DetectorErrors(rng, Detector(**CAMERA, width_px=2201, height_px=2201, **ERRORS_PX))
-    watch = mount_sky(settings)
+    sky_model = mount_sky(settings)
     errors, encoder, filter_ = draw_errors(settings, rng), random_field(rng), CalibrationFilter(settings)
-    step, state = StarStep(settings, filter_, watch), filter_.initial_state()
+    step, state = StarStep(settings, filter_, sky_model), filter_.initial_state()
     deformation = np.full(3, settings.deformation.sigma_arcsec * ARCSEC)
     times_ns = np.arange(EXPOSURES) * PERIOD_NS
     bent_d = gauss_markov(rng, times_ns * 1e-9, deformation, settings.deformation.time_s)
     for time_ns, turn_d in zip((TIME_NS + times_ns).tolist(), bent_d, strict=True):
-        session = MountSession(settings, replace(errors, deformation_d=turn_d), watch, rng, detector)
+        session = MountSession(settings, replace(errors, deformation_d=turn_d), sky_model, rng, detector)
         state, _ = step(state, session.sighting(encoder, STARS, time_ns))
     pending = PendingPointing(session.reading(encoder, time_ns), session.ship(), "", 0.0, state)
     return session.main_axis(encoder), PointingOutput(settings, filter_).estimate(pending), filter_

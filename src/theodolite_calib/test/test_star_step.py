@@ -44,7 +44,7 @@ SEEDS = 50
 SECOND_NS = 1_000_000_000
 
 
-@pytest.fixture(scope="module", name="watch")
+@pytest.fixture(scope="module", name="sky_model")
 def _sky() -> SkyModel:
     return mount_sky(SETTINGS)
 
@@ -57,12 +57,12 @@ class Mount:
     """A filter with its step and its output."""
 
     def __init__(self, settings: OpticalAxisConfig, sky_model: SkyModel) -> None:
-        self.settings, self.watch, self.filter = settings, sky_model, CalibrationFilter(settings)
+        self.settings, self.sky_model, self.filter = settings, sky_model, CalibrationFilter(settings)
         self.step, self._output = StarStep(settings, self.filter, sky_model), PointingOutput(settings, self.filter)
 
     def run(self, seed: int) -> tuple[MountSession, np.random.Generator]:
         rng = np.random.default_rng(seed)
-        return MountSession(self.settings, draw_errors(self.settings, rng), self.watch, rng), rng
+        return MountSession(self.settings, draw_errors(self.settings, rng), self.sky_model, rng), rng
 
     def pointing(self, session: MountSession, state: CalibrationState, encoder: FloatArray, time_ns: int = TIME_NS):
         reading = session.reading(encoder, time_ns)
@@ -95,8 +95,8 @@ def one_exposure(mount: Mount, count: int) -> tuple[float, float, float]:
 
 
 @pytest.mark.parametrize(("count", "most_arcsec"), [(4, 1.2), (8, 0.9)])
-def test_one_exposure_matches_its_covariance(watch, count: int, most_arcsec: float) -> None:
-    rms, sigma, nees = one_exposure(Mount(SETTINGS, watch), count)
+def test_one_exposure_matches_its_covariance(sky_model, count: int, most_arcsec: float) -> None:
+    rms, sigma, nees = one_exposure(Mount(SETTINGS, sky_model), count)
     low, high = mean_nees_band(SEEDS, 3)
     assert low <= nees <= high
     least, most = sigma_ratio_band(2 * SEEDS)
@@ -123,8 +123,8 @@ def streak_exposure(sighting: StarSighting, rng: np.random.Generator) -> tuple[S
     return replace(sighting, exposure=seen), np.linalg.inv(information)[1:, 1:]
 
 
-def test_through_a_camera_that_turns_the_pointing_comes_to_the_bound_of_the_streaks_drawn(watch) -> None:
-    mount, errors, bounds = Mount(SETTINGS, watch), [], []
+def test_through_a_camera_that_turns_the_pointing_comes_to_the_bound_of_the_streaks_drawn(sky_model) -> None:
+    mount, errors, bounds = Mount(SETTINGS, sky_model), [], []
     for seed in range(SEEDS):
         session, rng = mount.run(500 + seed)
         encoder = random_field(rng)
@@ -143,8 +143,8 @@ def test_through_a_camera_that_turns_the_pointing_comes_to_the_bound_of_the_stre
     assert np.sqrt(squares) <= 1.15 * np.sqrt(np.mean(bounds))
 
 
-def test_parallelism_dominates_the_budget(watch) -> None:
-    mount = Mount(mount_config(parallelism_sigma_arcsec=1.0), watch)
+def test_parallelism_dominates_the_budget(sky_model) -> None:
+    mount = Mount(mount_config(parallelism_sigma_arcsec=1.0), sky_model)
     rms, sigma, nees = one_exposure(mount, 4)
     low, high = mean_nees_band(SEEDS, 3)
     assert low <= nees <= high
@@ -169,8 +169,8 @@ def test_parallelism_dominates_the_budget(watch) -> None:
 @pytest.mark.parametrize("source", ["ship/attitude", "ins/imu"])
 def test_the_jacobian_is_that_of_finite_differences(source: str) -> None:
     settings = mount_config(ship__source=source, axes__flexure_sigma_arcsec=10.0, sky__utc_sigma_s=0.01)
-    watch = mount_sky(settings)
-    mount = Mount(settings, watch)
+    sky_model = mount_sky(settings)
+    mount = Mount(settings, sky_model)
     session, rng = mount.run(5)
     encoder, model = random_field(rng), mount.filter.stars
     sighting = session.sighting(encoder, 5)
@@ -181,7 +181,7 @@ def test_the_jacobian_is_that_of_finite_differences(source: str) -> None:
     prior = StarPrior(model.predict(mean, sighting).rotation_ns, (300.0 * ARCSEC) ** 2 * np.eye(3))
 
     def seen(at: FloatArray):
-        found = model.residuals(model.predict(at, sighting), at, sighting, prior, watch)
+        found = model.residuals(model.predict(at, sighting), at, sighting, prior, sky_model)
         assert len(found.residual) == 10
         return found
 
@@ -199,8 +199,8 @@ def test_the_jacobian_is_that_of_finite_differences(source: str) -> None:
         assert camera.by_state_n[:, column] == pytest.approx(turned, abs=1e-6 * np.max(np.abs(turned)) + 1e-12)
 
 
-def test_stars_without_a_name_are_named_by_the_predicted_pointing(watch) -> None:
-    mount = Mount(SETTINGS, watch)
+def test_stars_without_a_name_are_named_by_the_predicted_pointing(sky_model) -> None:
+    mount = Mount(SETTINGS, sky_model)
     named, unnamed = 0, 0
     for seed in range(20):
         session, rng = mount.run(seed)
@@ -216,8 +216,8 @@ def test_stars_without_a_name_are_named_by_the_predicted_pointing(watch) -> None
     assert named + unnamed == 120
 
 
-def test_pointing_without_beacons_stars_and_calibration_is_degraded(watch) -> None:
-    mount = Mount(SETTINGS, watch)
+def test_pointing_without_beacons_stars_and_calibration_is_degraded(sky_model) -> None:
+    mount = Mount(SETTINGS, sky_model)
     session, rng = mount.run(0)
     estimate = mount.pointing(session, mount.filter.initial_state(), random_field(rng))
     assert (estimate.mode, estimate.status) == (Mode.ENCODER, Status.DEGRADED)
@@ -230,8 +230,8 @@ def state_after_shift(session: MountSession) -> MountSession:
     return MountSession(session.settings, errors, session.sky_model, session.rng)
 
 
-def test_inconsistent_stars_are_rejected_and_degrade_the_pointing(watch) -> None:
-    mount = Mount(SETTINGS, watch)
+def test_inconsistent_stars_are_rejected_and_degrade_the_pointing(sky_model) -> None:
+    mount = Mount(SETTINGS, sky_model)
     session, _ = mount.run(1)
     encoder = np.array([1.0, 0.9])
     state, _ = mount.step(mount.filter.initial_state(), session.sighting(encoder, 6))
@@ -249,9 +249,9 @@ def test_inconsistent_stars_are_rejected_and_degrade_the_pointing(watch) -> None
     assert mount.pointing(session, state, encoder, TIME_NS + SECOND_NS).status is Status.VALID
 
 
-def test_identified_stars_give_the_attitude_without_encoders(watch) -> None:
+def test_identified_stars_give_the_attitude_without_encoders(sky_model) -> None:
     """The encoders slipped by a degree: stars without names are not identified, which is no contradiction."""
-    mount = Mount(SETTINGS, watch)
+    mount = Mount(SETTINGS, sky_model)
     session, _ = mount.run(3)
     encoder = np.array([2.0, 0.8])
     sighting = session.sighting(encoder, 6)
@@ -273,8 +273,8 @@ def test_identified_stars_give_the_attitude_without_encoders(watch) -> None:
     assert mount.pointing(session, after, encoder).status is Status.DEGRADED
 
 
-def test_one_false_star_is_left_out_and_the_others_are_used(watch) -> None:
-    mount = Mount(SETTINGS, watch)
+def test_one_false_star_is_left_out_and_the_others_are_used(sky_model) -> None:
+    mount = Mount(SETTINGS, sky_model)
     session, rng = mount.run(2)
     encoder = random_field(rng)
     sighting = session.sighting(encoder, 6)
@@ -289,9 +289,9 @@ def test_one_false_star_is_left_out_and_the_others_are_used(watch) -> None:
     assert squares < 13.8 * variance  # one in a thousand
 
 
-def test_exposures_of_a_camera_that_stands_still_are_all_used(watch) -> None:
+def test_exposures_of_a_camera_that_stands_still_are_all_used(sky_model) -> None:
     """Unobservable combinations stay unknown although the stars are known to an arcsecond: no step fails."""
-    mount = Mount(SETTINGS, watch)
+    mount = Mount(SETTINGS, sky_model)
     session, rng = mount.run(4)
     encoder, state = random_field(rng), mount.filter.initial_state()
     for number in range(20):
@@ -303,10 +303,10 @@ def test_exposures_of_a_camera_that_stands_still_are_all_used(watch) -> None:
     assert mount.filter.observability.unobservable_combinations(state.observability)
 
 
-def test_a_night_of_stars_calibrates_the_axes_for_the_day(watch) -> None:
+def test_a_night_of_stars_calibrates_the_axes_for_the_day(sky_model) -> None:
     """Half a minute all over the sky; then as long by the encoders, while the deformation continues."""
     settings = mount_config(encoder__sigma_arcsec=0.5, ship__white_sigma_arcsec=0.5)
-    mount, seeds, exposures = Mount(settings, watch), 6, 120
+    mount, seeds, exposures = Mount(settings, sky_model), 6, 120
     deformation = np.full(3, settings.deformation.sigma_arcsec * ARCSEC)
     afterwards_s = np.arange(5.0, 31.0, 5.0)
     squares, nees, left = [], [], []
@@ -316,7 +316,7 @@ def test_a_night_of_stars_calibrates_the_axes_for_the_day(watch) -> None:
         bent_d = gauss_markov(rng, times_s, deformation, settings.deformation.time_s)
         state = mount.filter.initial_state()
         for time_s, turn_d in zip(times_s, bent_d, strict=True):
-            now = MountSession(settings, replace(session.errors, deformation_d=turn_d), watch, rng)
+            now = MountSession(settings, replace(session.errors, deformation_d=turn_d), sky_model, rng)
             encoder, time_ns = random_field(rng), TIME_NS + round(time_s * SECOND_NS)
             if time_s < 0.25 * exposures:
                 state, decision = mount.step(state, now.sighting(encoder, 6, time_ns))
