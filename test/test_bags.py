@@ -57,15 +57,15 @@ def test_a_bag_is_small_and_fits_its_sum_and_scenario(path):
 
 
 @pytest.fixture(scope="module", params=BAGS, ids=lambda path: path.stem)
-def replayed(request, tmp_path_factory) -> tuple[Path, Path, list[str]]:
+def replayed_bag(request, tmp_path_factory) -> tuple[Path, Path, list[str]]:
     """Return a bag, its outputs of an offline replay, and the problems that the replay reported."""
     out = tmp_path_factory.mktemp("replayed") / "out.mcap"
     return request.param, out, replay(request.param, out, ADAPTERS).problems
 
 
 @pytest.mark.slow
-def test_an_offline_replay_meets_the_bounds(replayed):
-    path, out, problems = replayed
+def test_an_offline_replay_meets_the_bounds(replayed_bag):
+    path, out, problems = replayed_bag
     assert problems == []
     bounds = read_bounds(path.with_suffix(".expected.yaml"))
     checked = check_bounds(evaluate(out, path, bounds.skip_s).quantities(), bounds, path.name)
@@ -74,8 +74,8 @@ def test_an_offline_replay_meets_the_bounds(replayed):
 
 
 @pytest.mark.slow
-def test_clean_data_cause_no_exclusion(replayed):
-    path, out, _ = replayed
+def test_clean_data_cause_no_exclusion(replayed_bag):
+    path, out, _ = replayed_bag
     statuses: dict[str, list[tuple[int, str]]] = {}
     with read_bag(out) as bag:
         for record in bag.records(["/diagnostics"]):

@@ -62,7 +62,7 @@ def entries(
 
 
 @pytest.fixture(scope="module", name="advised")
-def _advised(voyage: tuple[Path, dict[str, Any]]) -> list[tuple[str, bytes, int, Any]]:
+def _advised_entries(voyage: tuple[Path, dict[str, Any]]) -> list[tuple[str, bytes, int, Any]]:
     return entries(voyage, "advised", {"enabled": True, "period_s": PERIOD_S, **LIMITS})
 
 

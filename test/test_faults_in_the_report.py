@@ -53,7 +53,7 @@ class FaultReport:
 
 
 @pytest.fixture(scope="module", params=list(FAULTS))
-def reported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> FaultReport:
+def fault_report(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> FaultReport:
     folder = tmp_path_factory.mktemp(request.param)
     given, out = replay_with_faults(folder, request.param, FAULTS[request.param])
     with read_bag(given) as played:
@@ -64,9 +64,9 @@ def reported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 
 
 @pytest.mark.slow
-def test_the_report_lists_each_fault_with_its_time_and_source(reported: FaultReport) -> None:
-    bag, recording, seconds = reported.bag, reported.events.recording, reported.seconds
-    text = reported.path.read_text()
+def test_the_report_lists_each_fault_with_its_time_and_source(fault_report: FaultReport) -> None:
+    bag, recording, seconds = fault_report.bag, fault_report.events.recording, fault_report.seconds
+    text = fault_report.path.read_text()
     known_s = DETECTABLE_S[bag]
     # Affected sources are reported with the faulty one, and none before the first fault.
     by_source: dict[str, list[Event]] = {}
@@ -97,22 +97,22 @@ def test_the_report_lists_each_fault_with_its_time_and_source(reported: FaultRep
 
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
-def test_the_page_opens_without_network_fits_its_window_and_prints(reported: FaultReport) -> None:
+def test_the_page_opens_without_network_fits_its_window_and_prints(fault_report: FaultReport) -> None:
     browser = Browser()
     try:
         for width, height in ((1280, 800), (390, 844)):
-            browser.open(reported.path.as_uri(), width, height)
+            browser.open(fault_report.path.as_uri(), width, height)
             assert browser.problems == []
             assert [address for address in browser.addresses if not address.startswith("file:")] == []
             # Nothing but tables and figures, which have scroll bars of their own, is wider than the window.
             assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth")
-            browser.take_screenshot(reported.path.with_name(f"report_{width}.png"))
-        browser.open(reported.path.as_uri(), 1000, 1180)
-        browser.take_screenshot(reported.path.with_name("report.png"))
+            browser.take_screenshot(fault_report.path.with_name(f"report_{width}.png"))
+        browser.open(fault_report.path.as_uri(), 1000, 1180)
+        browser.take_screenshot(fault_report.path.with_name("report.png"))
         printed = base64.b64decode(browser.call("Page.printToPDF", preferCSSPageSize=True)["data"])
     finally:
         browser.close()
-    reported.path.with_suffix(".pdf").write_bytes(printed)
+    fault_report.path.with_suffix(".pdf").write_bytes(printed)
     sizes = re.findall(rb"/MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", printed)
     assert 5 <= len(sizes) <= 15
     # A4 in points.

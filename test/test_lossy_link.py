@@ -77,7 +77,7 @@ def crossing(tmp_path_factory):
         player = link.start(NEAR, "play", [*play, "--wait-for-subscribers", "ins/imu=2"])
         wait_for_attitude(recorded, player)
         time.sleep(BEFORE_S)
-        cut_ns = link.cut()
+        cut_ns = link.interrupt()
         time.sleep(CUT_S)
         restored_ns = link.restore()
         assert player.wait(MOST_START_S) == 0, player.log_text()

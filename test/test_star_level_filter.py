@@ -80,14 +80,14 @@ def test_a_fix_in_time_rewinds_nothing() -> None:
     core, steps = core_for(run.scenario), 0
     step = core.filter.step
 
-    def counted(*arguments):
+    def count_steps(*arguments):
         nonlocal steps
         found = step(*arguments)
         # None: it waits for a sample of the INS.
         steps += found is not None
         return found
 
-    core.filter.step = counted
+    core.filter.step = count_steps
     feed_attitude(core, run)
     # Before, every fix rewound: 1.80 steps an exposure.
     assert steps <= 1.1 * sum(len(samples.time_ns) for samples in run.stars.values())

@@ -179,11 +179,11 @@ def assert_flood_costs_little(
     """
     steps, step = [0], core._step  # type: ignore[attr-defined]
 
-    def counted(*arguments: Any) -> Any:
+    def count_steps(*arguments: Any) -> Any:
         steps[0] += 1
         return step(*arguments)
 
-    monkeypatch.setattr(core, "_step", counted)
+    monkeypatch.setattr(core, "_step", count_steps)
     flood = flood_topic(arrivals, topic, 50, up_to_s=1.9)
     run = drive(flood)
     overflow = run.innovations(Reason.OVERFLOW)

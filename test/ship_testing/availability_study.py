@@ -175,7 +175,7 @@ def stars_in_gaps(scene: Scene, cover: float, patch_deg: float) -> dict[str, np.
     directions_d = np.concatenate(
         [one.directions_s @ scene.config.star_sensors[id_].rotation_ds.T for id_, one in scene.exposures.items()]
     )
-    hidden = norm.cdf(_correlated(scene.clouds, directions_d, np.deg2rad(patch_deg))) < cover
+    hidden = norm.cdf(_correlated_numbers(scene.clouds, directions_d, np.deg2rad(patch_deg))) < cover
     seen, first = {}, 0
     for id_, exposure in scene.exposures.items():
         seen[id_] = np.flatnonzero(~hidden[first : first + len(exposure)])
@@ -183,7 +183,7 @@ def stars_in_gaps(scene: Scene, cover: float, patch_deg: float) -> dict[str, np.
     return seen
 
 
-def _correlated(white: FloatArray, directions: FloatArray, length: float) -> FloatArray:
+def _correlated_numbers(white: FloatArray, directions: FloatArray, length: float) -> FloatArray:
     """Return standard normal numbers correlated by the places of the stars; the given ones where the length is 0."""
     if not length:
         return white

@@ -72,7 +72,7 @@ class LossyLink:
         place = f"--net=/proc/{self._relay.pid}/root/run/netns/{end}"
         return self._start(["nsenter", place, *command], name)
 
-    def cut(self) -> int:
+    def interrupt(self) -> int:
         """Drop all packets from now on; return the time, ns."""
         os.kill(self._relay.pid, SIGUSR1)
         return time.time_ns()

@@ -69,7 +69,7 @@ class AttitudeErrors(NamedTuple):
         """Return the largest ratio of an error to its protection level while VALID."""
         return max((claim.level_ratio for claim in self.attitudes if claim.status is Status.VALID), default=0.0)
 
-    def excluded(self) -> set[str]:
+    def excluded_sources(self) -> set[str]:
         """Return all sources that were excluded at some time."""
         return {name for claim in self.attitudes for name in claim.excluded}
 

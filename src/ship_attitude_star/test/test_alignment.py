@@ -24,7 +24,7 @@ END_NS = START_NS + 60 * 10**9
 
 
 @pytest.fixture
-def saved(tmp_path: Path) -> Path:
+def saved_path(tmp_path: Path) -> Path:
     """Alignment file of the voyage."""
     path = tmp_path / "alignment.yaml"
     ALIGNMENT_FILE.save(path, fault_free_run().adapter.core.alignment_to_save())
@@ -56,8 +56,12 @@ def alignment_text(adapter: ShipAttitudeAdapter, now_ns: int) -> tuple[int, str]
     return status.level, status.message
 
 
-def test_saved_alignment_is_the_prior_of_the_next_voyage(saved: Path) -> None:
-    before, configured, now = fault_free_run().adapter, start_adapter(saved.with_name("none")), start_adapter(saved)
+def test_saved_alignment_is_the_prior_of_the_next_voyage(saved_path: Path) -> None:
+    before, configured, now = (
+        fault_free_run().adapter,
+        start_adapter(saved_path.with_name("none")),
+        start_adapter(saved_path),
+    )
     assert alignment_text(now, START_NS) == (0, "as configured or saved")
     for name in ("ins.time_offset", *(f"star.{s}.{a}" for s in ("fore", "starboard") for a in ("elevation", "roll"))):
         assert value_of(now)[name] == pytest.approx(value_of(before)[name], abs=1e-12)
@@ -70,9 +74,9 @@ def test_saved_alignment_is_the_prior_of_the_next_voyage(saved: Path) -> None:
     assert sigma_of(now)["ins.up"] == pytest.approx(72.0 * ARCSEC)
 
 
-def test_the_next_voyage_starts_closer_and_accepts_its_stars(saved: Path) -> None:
+def test_the_next_voyage_starts_closer_and_accepts_its_stars(saved_path: Path) -> None:
     fresh, primed = (
-        run_adapter(new_adapter(alignment_file=str(p)), voyage(1.0)) for p in (saved.with_name("none"), saved)
+        run_adapter(new_adapter(alignment_file=str(p)), voyage(1.0)) for p in (saved_path.with_name("none"), saved_path)
     )
     fresh_last, primed_last = (run.messages("ship/attitude")[-1] for run in (fresh, primed))
     assert np.all(np.diagonal(np.reshape(primed_last.covariance - fresh_last.covariance, (3, 3))) < 0.0)
@@ -82,20 +86,20 @@ def test_the_next_voyage_starts_closer_and_accepts_its_stars(saved: Path) -> Non
     assert part.trace() > 0.0
 
 
-def test_a_file_keeps_every_number(saved: Path) -> None:
-    prior, read = fault_free_run().adapter.core.alignment_to_save(), ALIGNMENT_FILE.load(saved)
+def test_a_file_keeps_every_number(saved_path: Path) -> None:
+    prior, read = fault_free_run().adapter.core.alignment_to_save(), ALIGNMENT_FILE.load(saved_path)
     assert (read.time_ns, read.serials, read.names) == (prior.time_ns, {"fore": "F1", "starboard": "S1"}, prior.names)
     assert read.time_offsets_s == prior.time_offsets_s
     assert np.array_equal(read.covariance, prior.covariance)
     for name, rotation_dv in prior.rotations_dv.items():
         # Angles in degrees and back: a few 1e-16.
         assert np.allclose(log_rotation(rotation_dv.T @ read.rotations_dv[name]), 0.0, atol=2e-15)
-    assert list(saved.parent.iterdir()) == [saved]  # nothing partial is left
+    assert list(saved_path.parent.iterdir()) == [saved_path]  # nothing partial is left
 
 
-def test_another_serial_number_keeps_the_configured_prior(saved: Path) -> None:
-    configured = start_adapter(saved.with_name("none"))
-    now = start_adapter(saved, star_sensors__fore__serial="F2")
+def test_another_serial_number_keeps_the_configured_prior(saved_path: Path) -> None:
+    configured = start_adapter(saved_path.with_name("none"))
+    now = start_adapter(saved_path, star_sensors__fore__serial="F2")
     for axis in ("azimuth", "elevation", "roll"):
         assert value_of(now)[f"star.fore.{axis}"] == value_of(configured)[f"star.fore.{axis}"]
         assert sigma_of(now)[f"star.fore.{axis}"] == sigma_of(configured)[f"star.fore.{axis}"]
@@ -105,10 +109,10 @@ def test_another_serial_number_keeps_the_configured_prior(saved: Path) -> None:
     assert all(word in text for word in ("'fore'", "'F1'", "'F2'", "configured prior"))
 
 
-def test_to_an_old_file_the_configured_uncertainty_is_added(saved: Path) -> None:
+def test_to_an_old_file_the_configured_uncertainty_is_added(saved_path: Path) -> None:
     now_ns = START_NS + 31 * DAY_NS
-    configured = start_adapter(saved.with_name("none"))
-    old, young = start_adapter(saved, now_ns), start_adapter(saved, now_ns - 2 * DAY_NS)
+    configured = start_adapter(saved_path.with_name("none"))
+    old, young = start_adapter(saved_path, now_ns), start_adapter(saved_path, now_ns - 2 * DAY_NS)
     for name in ("ins.time_offset", "star.fore.azimuth", "star.fore.elevation", "star.fore.roll"):
         assert value_of(old)[name] == value_of(young)[name] != value_of(configured)[name]
         assert sigma_of(old)[name] > sigma_of(configured)[name] > sigma_of(young)[name]
@@ -119,26 +123,28 @@ def test_to_an_old_file_the_configured_uncertainty_is_added(saved: Path) -> None
     assert alignment_text(young, now_ns - 2 * DAY_NS)[0] == 0
 
 
-def test_the_random_walk_of_the_time_between_is_added(saved: Path) -> None:
+def test_the_random_walk_of_the_time_between_is_added(saved_path: Path) -> None:
     walk = {"star_sensors__fore__installation_walk_up_arcsec_per_sqrt_h": 1.0}
-    sigma = [sigma_of(start_adapter(saved, START_NS + 25 * 3600 * 10**9, **w))["star.fore.azimuth"] for w in ({}, walk)]
+    sigma = [
+        sigma_of(start_adapter(saved_path, START_NS + 25 * 3600 * 10**9, **w))["star.fore.azimuth"] for w in ({}, walk)
+    ]
     # Azimuth of a sensor at elevation 45° is (rotation about its up axis) / cos 45° and more: 1" a root hour, 25 hours.
     added = math.sqrt(sigma[1] ** 2 - sigma[0] ** 2)
     assert added == pytest.approx(5.0 * ARCSEC * math.sqrt(2.0), rel=1e-3)
 
 
-def test_sensors_missing_in_the_file_or_in_the_configuration(saved: Path) -> None:
+def test_sensors_missing_in_the_file_or_in_the_configuration(saved_path: Path) -> None:
     aft = {"azimuth_deg": 180.0, "elevation_deg": 45.0}
     now = start_adapter(
-        saved, star_sensors={"fore": {"azimuth_deg": 0.0, "elevation_deg": 45.0, "serial": "F1"}, "aft": aft}
+        saved_path, star_sensors={"fore": {"azimuth_deg": 0.0, "elevation_deg": 45.0, "serial": "F1"}, "aft": aft}
     )
     assert sigma_of(now)["star.aft.elevation"] == pytest.approx(ARCSEC)
     assert sigma_of(now)["star.fore.elevation"] < ARCSEC
     assert "star.starboard.elevation" not in sigma_of(now)
 
 
-def document(saved: Path) -> dict[str, Any]:
-    return yaml.safe_load(saved.read_text(encoding="utf-8"))
+def document(saved_path: Path) -> dict[str, Any]:
+    return yaml.safe_load(saved_path.read_text(encoding="utf-8"))
 
 
 def without(*keys: str) -> Any:
@@ -181,16 +187,16 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("change", "text"), BROKEN, ids=[text for _, text in BROKEN])
-def test_a_broken_file_is_set_aside_and_named_at_the_start(saved: Path, change: Any, text: str) -> None:
-    content = document(saved)
+def test_a_broken_file_is_set_aside_and_named_at_the_start(saved_path: Path, change: Any, text: str) -> None:
+    content = document(saved_path)
     change(content)
-    saved.write_text(yaml.safe_dump(content), encoding="utf-8")
-    *_, warning = new_adapter(alignment_file=str(saved)).start_warnings
-    assert warning.startswith(f"{saved}: ")
+    saved_path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    *_, warning = new_adapter(alignment_file=str(saved_path)).start_warnings
+    assert warning.startswith(f"{saved_path}: ")
     assert text in warning
-    assert warning.endswith(f"; set aside as {saved}.unreadable; the filter starts as configured")
+    assert warning.endswith(f"; set aside as {saved_path}.unreadable; the filter starts as configured")
     assert "\n" not in warning
-    assert not saved.exists()
+    assert not saved_path.exists()
 
 
 @pytest.mark.parametrize(
@@ -253,23 +259,23 @@ def test_a_path_that_cannot_be_written_is_named_and_the_node_continues(tmp_path:
     assert str(path) in answer.message
 
 
-def test_after_a_jump_of_the_clock_the_saved_alignment_is_the_start_again(saved: Path) -> None:
-    run = run_adapter(new_adapter(alignment_file=str(saved)), voyage(1.0))
+def test_after_a_jump_of_the_clock_the_saved_alignment_is_the_start_again(saved_path: Path) -> None:
+    run = run_adapter(new_adapter(alignment_file=str(saved_path)), voyage(1.0))
     run.adapter.clock_jumped_back(START_NS)
     again = run_adapter(run.adapter, voyage(1.0))
-    assert again.state() == saved_run_state(saved)
-    assert again.results() == run_adapter(new_adapter(alignment_file=str(saved)), voyage(1.0)).results()
+    assert again.state() == saved_run_state(saved_path)
+    assert again.results() == run_adapter(new_adapter(alignment_file=str(saved_path)), voyage(1.0)).results()
 
 
-def saved_run_state(saved: Path) -> Any:
-    return run_adapter(new_adapter(alignment_file=str(saved)), voyage(1.0)).state()
+def saved_run_state(saved_path: Path) -> Any:
+    return run_adapter(new_adapter(alignment_file=str(saved_path)), voyage(1.0)).state()
 
 
-def test_a_voyage_without_stars_does_not_make_the_alignment_younger_or_older(saved: Path) -> None:
+def test_a_voyage_without_stars_does_not_make_the_alignment_younger_or_older(saved_path: Path) -> None:
     """Saved again before the first star of a voyage, the alignment equals the loaded one."""
-    adapter, before = start_adapter(saved, START_NS + DAY_NS), document(saved)
+    adapter, before = start_adapter(saved_path, START_NS + DAY_NS), document(saved_path)
     assert adapter.service("save_alignment", START_NS + DAY_NS).success
-    after = document(saved)
+    after = document(saved_path)
     assert after["time_ns"] == before["time_ns"]
     assert after["covariance"] == before["covariance"]
 

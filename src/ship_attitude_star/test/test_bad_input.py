@@ -484,10 +484,10 @@ def test_a_frozen_star_sensor_is_reported_within_a_second_and_recovers_at_once(m
     def freeze(message: Any) -> None:
         message.azimuth, message.elevation, message.roll = frozen.azimuth, frozen.elevation, frozen.roll
 
-    def chosen(arrival: Arrival) -> bool:
+    def is_frozen(arrival: Arrival) -> bool:
         return arrival.topic == FORE and from_ns <= arrival.stamp_ns < until_ns
 
-    run = run_adapter(new_adapter(), change_where(arrivals, chosen, freeze))
+    run = run_adapter(new_adapter(), change_where(arrivals, is_frozen, freeze))
     stuck = [stamp_of(m) for m in run.innovations(Reason.STUCK)]
     # 35 frozen at 5 Hz in seven seconds: the first is true, the next two are not certain.
     assert len(stuck) == run.reasons(FORE)["stuck"] == 35 - 3

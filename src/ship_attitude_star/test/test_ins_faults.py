@@ -290,10 +290,10 @@ def test_a_frozen_ins_and_a_frozen_star_are_detected_by_the_other_star_and_the_r
     def freeze(message: Any) -> None:
         message.azimuth, message.elevation, message.roll = star.azimuth, star.elevation, star.roll
 
-    def chosen(arrival: Arrival) -> bool:
+    def of_fore(arrival: Arrival) -> bool:
         return arrival.topic == FORE and 4.0 <= (arrival.stamp_ns - START_NS) * 1e-9 < 8.0
 
-    faulty = change_where(change_where(arrivals, of_ins(4.0, 9.0), hold_values(arrivals, 4.0)), chosen, freeze)
+    faulty = change_where(change_where(arrivals, of_ins(4.0, 9.0), hold_values(arrivals, 4.0)), of_fore, freeze)
     run = run_adapter(new_adapter(), faulty)
     for source in ("ins", "star.fore"):
         detected_s = [seconds(m) for m in run.innovations(Reason.STUCK) if m.source == source]

@@ -26,10 +26,10 @@ def shift_mounting(message: Any) -> None:
 def run_with_mounting_shift() -> Run:
     """Two star sensors, one of them with a mounting shift of 60″ after five seconds."""
 
-    def chosen(arrival: Arrival) -> bool:
+    def is_shifted(arrival: Arrival) -> bool:
         return arrival.topic == FORE and arrival.stamp_ns >= SHIFT_NS
 
-    return run_adapter(new_adapter(), change_where(voyage(10.0), chosen, shift_mounting))
+    return run_adapter(new_adapter(), change_where(voyage(10.0), is_shifted, shift_mounting))
 
 
 def test_a_mounting_shift_is_excluded_within_three_measurements() -> None:

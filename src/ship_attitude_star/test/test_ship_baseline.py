@@ -88,20 +88,20 @@ def test_jacobian_is_the_difference_quotient() -> None:
     ins = InterpolatedAttitude(rotation_nd, np.array([0.01, -0.02, 0.03]), 1.0, np.zeros((3, 3)), None)
     measured = BaselineMeasurement(START_NS, rotation_nd @ BASELINE_D + rng.normal(0.0, 0.004, 3), 1.6e-5 * np.eye(3))
 
-    def compared(mean: np.ndarray) -> Any:
+    def residuals_at(mean: np.ndarray) -> Any:
         predicted = predict_attitude(device, model, mean, ins)
         return compare(measured, device, predicted, model, mean, np.eye(model.size), None)
 
     mean = 20.0 * ARCSEC * rng.standard_normal(model.size)
     clock = model.state_indices("ins.time_offset")
     mean[clock] = 0.001
-    analytic, step = compared(mean).linear.jacobian, 1e-6
+    analytic, step = residuals_at(mean).linear.jacobian, 1e-6
     for state in range(model.size):
         if state in clock:
             continue  # The time of the INS attitude is not changed here.
         off = np.zeros(model.size)
         off[state] = step
-        quotient = (compared(mean - off).linear.residual - compared(mean + off).linear.residual) / (2.0 * step)
+        quotient = (residuals_at(mean - off).linear.residual - residuals_at(mean + off).linear.residual) / (2.0 * step)
         np.testing.assert_allclose(analytic[:, state], quotient, atol=2e-3)
 
 

@@ -162,7 +162,7 @@ def test_the_linearised_streaks_are_the_derivative():
         assert np.max(np.abs(numeric - fit.jacobian[:, :, axis])) < 1e-3 * np.max(np.abs(fit.jacobian[:, :, :3]))
 
 
-def exposed(sky_model, exposure_s: float = 0.2):
+def streaked_exposure(sky_model, exposure_s: float = 0.2):
     return with_streaks(exposure_of(sky_model, "fore", 6), CONFIG.star_sensors["fore"].rotation_ds, exposure_s)[0]
 
 
@@ -172,15 +172,15 @@ def test_the_filter_s_jacobian_with_streaks_is_the_derivative(sky_model):
     sigma = np.sqrt(np.diagonal(state.covariance))
     rng = np.random.default_rng(1)
     mean = 0.3 * sigma * rng.standard_normal(ship_filter.model.size)
-    seen = reduced_to_middle(exposed(sky_model), CONFIG.star_sensors["fore"].rotation_ds)
+    seen = reduced_to_middle(streaked_exposure(sky_model), CONFIG.star_sensors["fore"].rotation_ds)
     ins = rolling_track().at(TIME_NS)
 
-    def compared(mean: FloatArray):
+    def residuals_at(mean: FloatArray):
         predicted = predict_attitude(ship_filter.devices["star.fore"], ship_filter.model, mean, ins)
         device, covariance = ship_filter.devices["star.fore"], state.covariance
         return compare(seen, device, predicted, ship_filter.model, mean, covariance, sky_model).linear
 
-    here = compared(mean)
+    here = residuals_at(mean)
     noise = here.noise_by_source[ship_filter.model.sources.index("star_noise")]
     assert np.max(np.abs(noise - np.diag(np.diagonal(noise)))) > 0.1 * np.max(noise)
     clock = ship_filter.model.slices["ins.time_offset"].start
@@ -189,7 +189,7 @@ def test_the_filter_s_jacobian_with_streaks_is_the_derivative(sky_model):
             continue  # it moves the sample of the INS that is compared, not what is predicted from it
         step = np.zeros(ship_filter.model.size)
         step[row] = 1e-2 * sigma[row]
-        numeric = (compared(mean - step).residual - compared(mean + step).residual) / (2.0 * step[row])
+        numeric = (residuals_at(mean - step).residual - residuals_at(mean + step).residual) / (2.0 * step[row])
         scale = max(np.max(np.abs(here.jacobian[:, row])), 1e-9)
         np.testing.assert_allclose(here.jacobian[:, row], numeric, atol=1e-4 * scale)
 
@@ -197,7 +197,7 @@ def test_the_filter_s_jacobian_with_streaks_is_the_derivative(sky_model):
 def test_the_filter_models_streaks(sky_model):
     ship_filter = ShipFilter(CONFIG)
     start, track = ship_filter.initial_state(), rolling_track()
-    seen = exposed(sky_model)
+    seen = streaked_exposure(sky_model)
     true = exposure_of(sky_model, "fore", 6)
     _, right = ship_filter.step(start, seen, track, sky_model)
     _, still = ship_filter.step(start, true, track, sky_model)
@@ -220,7 +220,7 @@ def test_an_exposure_waits_for_the_ins_to_its_end_and_any_order_gives_the_same_s
     states = []
     for after in (5, 60, 110, 200):
         core = core_with_fix(sky_at_anchor(CONFIG))
-        exposure = exposed(sky_at_anchor(CONFIG))
+        exposure = streaked_exposure(sky_at_anchor(CONFIG))
         samples = ins_samples()
         decisions = []
         for sample in samples[:after]:
@@ -247,7 +247,7 @@ def test_a_late_ins_sample_within_the_exposure_is_used_for_it():
             if not (late and number == held_back):
                 core.add_ins(sample)
             if number == 50:
-                core.add_measurement(exposed(sky_at_anchor(CONFIG)))
+                core.add_measurement(streaked_exposure(sky_at_anchor(CONFIG)))
         if late:
             core.add_ins(samples[held_back])
         states.append(core.state)
@@ -256,7 +256,7 @@ def test_a_late_ins_sample_within_the_exposure_is_used_for_it():
 
 def test_an_exposure_without_ins_samples_over_its_length_is_rejected():
     core = core_with_fix(sky_at_anchor(CONFIG))
-    core.add_measurement(exposed(sky_at_anchor(CONFIG)))
+    core.add_measurement(streaked_exposure(sky_at_anchor(CONFIG)))
     decisions = []
     for sample in ins_samples(first_s=-0.05):
         decisions += core.add_ins(sample).decisions

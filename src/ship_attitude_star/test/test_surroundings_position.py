@@ -314,28 +314,30 @@ def test_a_lasting_jump_is_accepted_and_no_line_connects_it() -> None:
 
 
 def test_changes_within_the_limits_are_accepted() -> None:
-    def refused(*fixes, **config) -> list:
-        rejections, sky = [], Fixes(SkyConfig(**config))
+    def rejections(*fixes, **config) -> list:
+        found, sky = [], Fixes(SkyConfig(**config))
         for since_s, position, *sigma_m in fixes:
             fix = PositionFix(ns(since_s), position, np.eye(3) * (sigma_m[0] if sigma_m else 3.0) ** 2)
-            rejections.append(sky.rejection(fix))
+            found.append(sky.rejection(fix))
             sky.insert(fix)
-        return [refusal for refusal in rejections if refusal is not None]
+        return [refusal for refusal in found if refusal is not None]
 
     # Another antenna 45 m along the ship; minutes without fixes; a receiver that states a large error.
-    assert refused(*(moving_fix(t) for t in range(5)), *(moving_fix(t, 45.0) for t in range(5, 10))) == []
-    assert refused(moving_fix(0), moving_fix(1), moving_fix(400), moving_fix(401)) == []
-    assert refused(*((*moving_fix(t, 300.0 * (t % 2)), 100.0) for t in range(20))) == []
+    assert rejections(*(moving_fix(t) for t in range(5)), *(moving_fix(t, 45.0) for t in range(5, 10))) == []
+    assert rejections(moving_fix(0), moving_fix(1), moving_fix(400), moving_fix(401)) == []
+    assert rejections(*((*moving_fix(t, 300.0 * (t % 2)), 100.0) for t in range(20))) == []
     # The date line, and over the pole by 11 m on either side.
     assert (
-        refused((0, position_at(0.0, 179.9999)), (1, position_at(0.0, -179.9999)), (2, position_at(0.0, -179.9997)))
+        rejections((0, position_at(0.0, 179.9999)), (1, position_at(0.0, -179.9999)), (2, position_at(0.0, -179.9997)))
         == []
     )
     assert (
-        refused((0, position_at(89.9999, 30.0)), (1, position_at(89.9999, -150.0)), (2, position_at(89.9997, -150.0)))
+        rejections(
+            (0, position_at(89.9999, 30.0)), (1, position_at(89.9999, -150.0)), (2, position_at(89.9997, -150.0))
+        )
         == []
     )
     # On the opposite side of the Earth the chord has no horizontal part: it is a jump nevertheless.
-    assert len(refused((0, position_at(0.0, 10.0)), (1, position_at(0.0, 10.0)), (2, position_at(0.0, -170.0)))) == 1
+    assert len(rejections((0, position_at(0.0, 10.0)), (1, position_at(0.0, 10.0)), (2, position_at(0.0, -170.0)))) == 1
     # Height is not compared.
-    assert refused((0, position_at(50.0, 10.0, 20.0)), (1, position_at(50.0, 10.0, 900.0))) == []
+    assert rejections((0, position_at(50.0, 10.0, 20.0)), (1, position_at(50.0, 10.0, 900.0))) == []

@@ -68,7 +68,9 @@ class Sky:
     sky_model: SkyModel
     fields: dict[tuple[str, int], tuple[StarExposure, FloatArray, FloatArray]]
 
-    def seen(self, id_: str, time_ns: int, count: int, mounted_s: FloatArray, shared: FloatArray, rng: Any):
+    def exposure_with_errors(
+        self, id_: str, time_ns: int, count: int, mounted_s: FloatArray, shared: FloatArray, rng: Any
+    ):
         """An exposure with all errors."""
         if (id_, time_ns) not in self.fields:
             exposure = exposure_of(self.sky_model, id_, 8, None, time_ns)
@@ -105,7 +107,7 @@ def end(sky: Sky, seed: int, width: Width, count: int = 8) -> dict[str, tuple[Fl
     mounted_s = {id_: INSTALLATION * rng.standard_normal(3) for id_ in SENSORS}
     shared = rng.standard_normal(4)
     exposures = [
-        sky.seen(id_, TIME_NS + 100_000_000 * step, count, mounted_s[id_], shared, rng)
+        sky.exposure_with_errors(id_, TIME_NS + 100_000_000 * step, count, mounted_s[id_], shared, rng)
         for step, id_ in enumerate([*SENSORS] * 4)
     ]
     tracks = {
@@ -175,7 +177,7 @@ def test_mend_14_the_first_exposure_is_confirmed_by_the_next_one_or_by_another_s
     ship_filter, rng = ShipFilter(Width(heading, 10.0).config(kind)), np.random.default_rng(14)
 
     def after(state: FilterState, id_: str, time_ns: int) -> FilterState:
-        exposure = sky.seen(id_, time_ns, 8, np.zeros(3), np.zeros(4), rng)
+        exposure = sky.exposure_with_errors(id_, time_ns, 8, np.zeros(3), np.zeros(4), rng)
         measurement = exposure if kind == "observations" else solve_attitude(exposure, sky.sky_model)
         state, decision = ship_filter.step(state, measurement, ins_track(time_ns), sky.sky_model)
         assert decision.accepted
@@ -222,11 +224,11 @@ def test_mend_14_one_step_leads_to_the_most_likely_clock_and_attitude(seed: int)
         track.insert(AttitudeSample(TIME_NS + step * 50_000_000, rotation_nd, rate_d))
     measurement = AttitudeMeasurement("star.fore", TIME_NS, measured_ns, np.diag(sigma[10:] ** 2))
 
-    def whitened(scaled: FloatArray) -> FloatArray:
+    def whitened_residuals(scaled: FloatArray) -> FloatArray:
         left = log_rotation(sensor(scaled * sigma[:10]).T @ measured_ns)
         return np.r_[scaled, left / sigma[10:]]
 
-    likeliest = sigma[:10] * least_squares(whitened, np.zeros(10), xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+    likeliest = sigma[:10] * least_squares(whitened_residuals, np.zeros(10), xtol=1e-15, ftol=1e-15, gtol=1e-15).x
     state, decision = ship_filter.step(ship_filter.initial_state(), measurement, track, None)
     assert decision.accepted
     rows = np.concatenate(
@@ -244,12 +246,12 @@ def test_mend_14_one_step_leads_to_the_most_likely_clock_and_attitude(seed: int)
 def test_mend_11_no_valid_attitude_is_wrong_where_the_ins_is_off_as_stated(off_deg: float) -> None:
     """Of 431 VALID attitudes, 421 were off by more than five sigma, 3° off with a sigma of 3°."""
 
-    def turned(message: Any) -> None:
+    def turn_ins(message: Any) -> None:
         q = message.orientation
         rotation_nd = rotation_from_quaternion(np.array([q.x, q.y, q.z, q.w]))
         message.orientation = quaternion_message(exp_rotation(np.deg2rad([0.0, off_deg, 0.0])) @ rotation_nd)
 
-    arrivals = change_where(voyage(3.0, noise=True), lambda arrival: arrival.topic == INS, turned)
+    arrivals = change_where(voyage(3.0, noise=True), lambda arrival: arrival.topic == INS, turn_ins)
     run = run_new_adapter(arrivals, ins={"frame_id": "ins", "heading_sigma_arcsec": 3.0 * DEGREE})
     valid = [message for message in run.messages("ship/attitude") if message.status == Status.VALID]
     assert len(valid) > 50
@@ -266,7 +268,7 @@ def test_mend_11_no_valid_attitude_is_wrong_where_the_ins_is_off_as_stated(off_d
 def test_mend_11_a_solution_is_not_against_an_ins_that_is_off_as_stated(sky: Sky, count: int) -> None:
     """Linearised at the INS, 3° off, the right stars contradict it by 283″."""
     rng = np.random.default_rng(4)
-    exposure = sky.seen("fore", TIME_NS, count, np.zeros(3), np.zeros(4), rng)
+    exposure = sky.exposure_with_errors("fore", TIME_NS, count, np.zeros(3), np.zeros(4), rng)
     true_ns = ROTATION_ND @ rotation_from_angles(0.0, np.deg2rad(45.0), 0.0)
     sigma = np.array([10.0, 3.0 * DEGREE, 10.0]) * ARCSEC
     prior = StarPrior(exp_rotation(np.deg2rad([0.0, 3.0, 0.0])) @ true_ns, np.diag(sigma**2))
@@ -287,7 +289,7 @@ def test_mend_11_what_the_gate_judges_is_chi_square(sky: Sky, width: Width) -> N
         rng = np.random.default_rng([13, seed])
         error_n = np.array([width.tilt, width.heading, width.tilt]) * ARCSEC * rng.standard_normal(3)
         white_n, mounted_s = ARCSEC * rng.standard_normal(3), INSTALLATION * rng.standard_normal(3)
-        exposure = sky.seen("fore", TIME_NS, 8, mounted_s, rng.standard_normal(4), rng)
+        exposure = sky.exposure_with_errors("fore", TIME_NS, 8, mounted_s, rng.standard_normal(4), rng)
         track = ins_track(TIME_NS, log_rotation(exp_rotation(error_n) @ exp_rotation(white_n)))
         ship_filter = ShipFilter(width.config("observations"))
         values.append(ship_filter.step(ship_filter.initial_state(), exposure, track, sky.sky_model)[1].nis)
@@ -304,7 +306,7 @@ def test_mend_11_two_exchanged_names_never_make_a_wrong_attitude(sky: Sky, width
     for seed in range(20):
         rng = np.random.default_rng([17, seed])
         error_n = np.array([width.tilt, width.heading, width.tilt]) * ARCSEC * rng.standard_normal(3)
-        exposure = sky.seen("fore", TIME_NS, count, np.zeros(3), rng.standard_normal(4), rng)
+        exposure = sky.exposure_with_errors("fore", TIME_NS, count, np.zeros(3), rng.standard_normal(4), rng)
         one, other = rng.choice(count, 2, replace=False)
         names = np.arange(count)
         names[[one, other]] = other, one

@@ -45,22 +45,22 @@ def contents(path):
 
 
 @pytest.fixture(params=CONVERSIONS)
-def converted(request, plain, tmp_path):
+def converted_bag(request, plain, tmp_path):
     """Convert it to another storage with the tool of the library that reads it."""
     command = ["rosbags-convert", "--src", plain, "--dst", tmp_path / "other", *CONVERSIONS[request.param]]
     subprocess.run(list(map(str, command)), check=True, capture_output=True)
     return tmp_path / "other"
 
 
-def test_other_storages_are_read_the_same(plain, converted, capsys):
-    assert contents(converted) == contents(plain)
-    with read_bag(converted) as bag:
+def test_other_storages_are_read_the_same(plain, converted_bag, capsys):
+    assert contents(converted_bag) == contents(plain)
+    with read_bag(converted_bag) as bag:
         since_ns = START_NS + 40 * PERIOD_NS
         assert next(bag.records({"/ins/imu"}, since_ns)).log_time_ns == since_ns
         last = bag.last_before("/ins/imu", START_NS + 10 * PERIOD_NS)
         assert last.log_time_ns == START_NS + 9 * PERIOD_NS
         assert last.decode().header.frame_id == "ins"
-    assert info([str(converted)]) == 0
+    assert info([str(converted_bag)]) == 0
     assert "/ins/imu" in capsys.readouterr().out
 
 

@@ -206,7 +206,7 @@ def test_nan_is_inconsistent():
 def test_successive_rejections_make_a_filter_inconsistent_without_a_mean(after):
     uses = np.array([[True, True], [False, True], [True, False]])
 
-    def found(by_all, by_second):
+    def isolation_after(by_all, by_second):
         seen = initial_means(3, 2)
         seen.last_measured_ns[:], seen.excess[:, 0], seen.rejection_counts[[0, 2], 0] = (
             0,
@@ -215,10 +215,10 @@ def test_successive_rejections_make_a_filter_inconsistent_without_a_mean(after):
         )
         return isolate_fault(seen, uses, np.zeros(3), 5.0, [1, 2], 0, after)
 
-    assert not found(after - 1, after).is_detected
-    assert found(after, after).subfilter == 1
+    assert not isolation_after(after - 1, after).is_detected
+    assert isolation_after(after, after).subfilter == 1
     # The subfilter that uses the same source is consistent: it may still be the fault-free one.
-    assert (found(after, after - 1).is_detected, found(after, after - 1).subfilter) == (True, None)
+    assert (isolation_after(after, after - 1).is_detected, isolation_after(after, after - 1).subfilter) == (True, None)
 
 
 def test_source_is_reinstated_after_an_unbroken_time_of_consistency():

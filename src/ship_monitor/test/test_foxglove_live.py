@@ -86,7 +86,7 @@ def receive(client, ship, topic, message):
     client.wait_until(lambda: client.received or ship.publish(topic, message))
 
 
-def decoded(client, received):
+def decode(client, received):
     """Return a message decoded with its advertised definition only."""
     channel = client.channels[received.topic]
     schema = Schema(1, channel["schema"].encode(), channel["schemaEncoding"], channel["schemaName"])
@@ -119,7 +119,7 @@ def test_messages_arrive_unchanged_with_definition_and_arrival_time(sail, connec
     # Arrival times of the single messages, not of the fetches twenty times a second.
     assert len(set(times_ns)) == 100
     for each, message in zip(received, messages, strict=True):
-        found = decoded(client, each)
+        found = decode(client, each)
         assert (found.heading, list(found.covariance)) == (message.heading, list(message.covariance))
         assert (found.header.stamp.sec, found.header.stamp.nanosec, found.status) == (
             message.header.stamp.sec,
@@ -144,7 +144,7 @@ def test_all_topics_of_the_namespace_are_offered(sail, connect, server):
     imu = Imu()
     imu.angular_velocity.z = 0.1
     receive(client, ship, "ins/imu", imu)
-    assert decoded(client, client.received[0]).angular_velocity.z == 0.1
+    assert decode(client, client.received[0]).angular_velocity.z == 0.1
     client.unsubscribe("/demo/ins/imu")
     client.wait_until(lambda: ship.publishers["ins/imu"].get_subscription_count() == 0)
 
@@ -158,7 +158,7 @@ def test_late_clients_get_the_last_message_of_a_latched_topic(sail, connect):
     for client in (connect(), connect()):
         subscribe(client, "ship/alerts")
         client.wait_until(lambda client=client: client.received)
-        assert decoded(client, client.received[0]).header.stamp.sec == 7
+        assert decode(client, client.received[0]).header.stamp.sec == 7
 
 
 @pytest.mark.usefixtures("live_suite")
@@ -174,7 +174,7 @@ def test_subscription_survives_a_restart_of_the_estimator(sail, connect):
 
         def came(ship=ship, message=message):
             ship.publish("ship/attitude", message)
-            return any(decoded(client, each).heading == message.heading for each in client.received)
+            return any(decode(client, each).heading == message.heading for each in client.received)
 
         client.wait_until(came)
         ship.stop()
@@ -195,7 +195,7 @@ def test_topic_with_another_type_is_offered_again(sail, connect, live_suite, is_
     client.wait_until(lambda: client.channels.get("/demo/told", {}).get("schemaName") == "std_msgs/msg/Float64")
     client.received.clear()
     receive(client, ship, "told", Float64(data=2.0))
-    assert decoded(client, client.received[0]).data == 2.0
+    assert decode(client, client.received[0]).data == 2.0
 
 
 def test_clients_receive_messages_after_a_sleep(sail, connect, live_suite, monkeypatch):

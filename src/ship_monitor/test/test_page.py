@@ -500,7 +500,7 @@ def test_panels_are_placed_one_by_one_with_text_updates_between(browser, source,
     assert browser.problems == []
 
 
-def counted(browser, each):
+def wait_for_marks(browser, each):
     """Wait until the given numbers of each kind are marked."""
     browser.wait_until_true(f"JSON.stringify({MARKED}) === '{json.dumps([each] * 4, separators=(',', ':'))}'")
 
@@ -511,24 +511,24 @@ def test_mark_is_in_every_panel_until_escape(browser, source, page):
     browser.open(page, 1280, 4000)  # all panels in sight
     browser.wait_until_true("monitor.isLinked()")
     browser.wait_until_true(f"{FIGURES}.length === 14")
-    counted(browser, 0)
+    wait_for_marks(browser, 0)
     browser.evaluate("document.querySelector('#sources li:nth-child(1)').click()")
     # The title and frame of its innovations and of its field of view; the rows of its input and of its alert; the two
     # parts of the budget that star sensors bring.
-    counted(browser, 2)
+    wait_for_marks(browser, 2)
     clock = browser.text("#utc")
     browser.wait_until_true(f"document.querySelector('#utc').textContent > '{clock}'")
-    counted(browser, 2)
+    wait_for_marks(browser, 2)
     assert browser.text("#sources li.marked .who") == "star.starboard"
     other = Browser()
     try:
         other.open(page, 1280, 4000)
         other.wait_until_true(f"{FIGURES}.length === 14")
-        counted(other, 0)
+        wait_for_marks(other, 0)
     finally:
         other.close()
     browser.evaluate("document.dispatchEvent(new KeyboardEvent('keydown', {key: 'Escape'}))")
-    counted(browser, 0)
+    wait_for_marks(browser, 0)
     assert browser.evaluate("document.querySelector('#sources li.marked')") is None
     browser.evaluate("document.querySelector('#sources li:nth-child(2)').click()")
     browser.wait_until_true(f"{MARKED}[0] === 2")
@@ -556,11 +556,11 @@ def test_only_visible_panels_are_drawn(browser, source, page, monkeypatch):
     for kind in (InnovationPanel, SkyPanel, InputsPanel):
         update = kind.update
 
-        def noted(self, *arguments, kind=kind, update=update, **options):
+        def record_update(self, *arguments, kind=kind, update=update, **options):
             drawn.append(kind)
             update(self, *arguments, **options)
 
-        monkeypatch.setattr(kind, "update", noted)
+        monkeypatch.setattr(kind, "update", record_update)
     source.set(simulated_state(), simulated_history())
     browser.open(page)
     browser.wait_until_true("monitor.isLinked()")

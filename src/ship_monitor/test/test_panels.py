@@ -303,7 +303,7 @@ def test_only_the_marked_source_is_highlighted(panels) -> None:
     event = Event(NOW_NS, "source", "star.fore", "star.fore IN")
     picture = replace(PICTURE, events=(*PICTURE.events, event))
 
-    def highlighted() -> dict[str, list[str]]:
+    def highlights() -> dict[str, list[str]]:
         budget, states, rows = panels._budget, panels._alignment, panels._innovations.plots.rows
         squares = panels._sky._map._squares.data
         tables = {"events": panels._events._table.text, "inputs": panels._inputs._table.text}
@@ -329,10 +329,10 @@ def test_only_the_marked_source_is_highlighted(panels) -> None:
         }
 
     panels.update(history, picture)
-    assert not any(highlighted().values())
+    assert not any(highlights().values())
     panels.marked = "star.fore"
     panels.update(history, picture)
-    found = highlighted()
+    found = highlights()
     assert found["innovations"] == found["frames"] == found["fields"] == ["star.fore"]
     assert len(found["map"]) == 1
     assert found["lights"] == []
@@ -342,16 +342,16 @@ def test_only_the_marked_source_is_highlighted(panels) -> None:
     assert "▶ star/" in found["inputs"][0]
     panels.marked = "lights"
     panels.update(history, picture)
-    found = highlighted()
+    found = highlights()
     assert found["innovations"] == ["lights"]
     assert found["lights"] == ["frame"]
     assert found["fields"] == found["states"] == []
     panels.marked = "weather"
     panels.update(history, picture)
-    assert highlighted()["bands"] == ["refraction"]  # the smallest of all has a band of its own
+    assert highlights()["bands"] == ["refraction"]  # the smallest of all has a band of its own
     panels.marked = ""
     panels.update(history, picture)
-    assert not any(highlighted().values())
+    assert not any(highlights().values())
 
 
 def test_only_the_error_of_the_chosen_angle_is_highlighted(panels) -> None:

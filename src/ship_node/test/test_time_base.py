@@ -76,20 +76,20 @@ def test_a_step_of_all_stamps_is_detected_within_1_3_s(step_s: float, at_s: floa
 
 @pytest.mark.parametrize("step_s", [-900.0, -1.0, -0.15])
 def test_a_step_back_of_the_computers_clock_is_confirmed_by_the_first_input(step_s: float) -> None:
-    def stepped(waiting_s: float) -> float:
+    def step_at(waiting_s: float) -> float:
         return step_s if waiting_s >= 20.0 else 0.0
 
-    ((waiting_s, detected_s),) = detected_steps(lambda topic, valid_s: stepped(valid_s), computer_s=stepped)
+    ((waiting_s, detected_s),) = detected_steps(lambda topic, valid_s: step_at(valid_s), computer_s=step_at)
     assert 20.0 <= waiting_s < 20.02
     assert detected_s == step_s
 
 
 @pytest.mark.parametrize("step_s", [0.2, 1.0, 900.0])
 def test_a_step_forward_of_the_computers_clock_is_confirmed_by_all_inputs(step_s: float) -> None:
-    def stepped(waiting_s: float) -> float:
+    def step_at(waiting_s: float) -> float:
         return step_s if waiting_s >= 20.0 else 0.0
 
-    ((waiting_s, detected_s),) = detected_steps(lambda topic, valid_s: stepped(valid_s), computer_s=stepped)
+    ((waiting_s, detected_s),) = detected_steps(lambda topic, valid_s: step_at(valid_s), computer_s=step_at)
     assert 20.3 <= waiting_s < 21.5
     assert detected_s == step_s
 

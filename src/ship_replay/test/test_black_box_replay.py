@@ -124,11 +124,11 @@ def test_box_records_the_waiting_time_for_timeouts(node, tmp_path, capsys):
     def node_ns(waiting_ns):
         return waiting_ns + (700_000_000 if 3_500_000_000 < waiting_ns < 6_000_000_000 else 0)
 
-    def lost(waiting_ns):
+    def is_lost(waiting_ns):
         return 3_000_000_000 < waiting_ns < 5_200_000_000
 
     black_box = make_black_box(
-        tmp_path / "box.mcap", tmp_path / "saved.yaml", node=node, node_ns=node_ns, is_lost=lost
+        tmp_path / "box.mcap", tmp_path / "saved.yaml", node=node, node_ns=node_ns, is_lost=is_lost
     ).path
     code, out, _ = verify(capsys, black_box)
     assert code == 0, out

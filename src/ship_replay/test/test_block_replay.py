@@ -177,11 +177,11 @@ def test_most_of_a_healthy_ins_is_taken_in_blocks(
     taken = []
     finish_batch = core.finish_batch
 
-    def counted(self: Any, ahead: Any) -> Any:
+    def count_calls(self: Any, ahead: Any) -> Any:
         taken.append(ahead.followed.usual)
         return finish_batch(self, ahead)
 
-    monkeypatch.setattr(core, "finish_batch", counted)
+    monkeypatch.setattr(core, "finish_batch", count_calls)
     _, summary = replay_faults(BlockRun, suite_bag, Injection(suite_bag, {}, 0))
     assert sum(taken) > 0.8 * summary.inputs["ins/imu"]
 
@@ -191,11 +191,11 @@ def test_nearly_all_pointings_are_put_out_together(suite_bag: Path, monkeypatch:
     counts = []
     compute_pending = PointingOutput.compute_pending
 
-    def counted(self: PointingOutput, due: Any) -> Any:
+    def count_calls(self: PointingOutput, due: Any) -> Any:
         counts.append(len(due))
         return compute_pending(self, due)
 
-    monkeypatch.setattr(PointingOutput, "compute_pending", counted)
+    monkeypatch.setattr(PointingOutput, "compute_pending", count_calls)
     _, summary = replay_faults(BlockRun, suite_bag, Injection(suite_bag, {}, 0))
     assert sum(counts) > 0.8 * summary.inputs["theodolite/encoder"]
     assert max(counts) > 10

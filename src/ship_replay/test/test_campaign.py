@@ -61,75 +61,75 @@ def files_of(folder):
 
 class TestKeys:
     @pytest.fixture
-    def given(self, tmp_path):
+    def inputs(self, tmp_path):
         (tmp_path / "voyage.yaml").write_text(SHORT)
         (tmp_path / "suite.yaml").write_text(SUITE)
-        (tmp_path / "night.mcap").write_bytes(b"a night")
+        (tmp_path / "voyage.mcap").write_bytes(b"a voyage")
         return tmp_path
 
     def key(self, folder, source="voyage.yaml", seeds=(1,), **others):
         (item,) = campaign_items([folder / source], [folder / "suite.yaml"], seeds, **others)
         return item.key
 
-    @pytest.mark.parametrize("name", ["voyage.yaml", "suite.yaml", "night.mcap"])
-    def test_contents_are_in_the_key(self, given, name):
-        sources = "voyage.yaml", "night.mcap"
-        before = [self.key(given, source) for source in sources]
-        with (given / name).open("a") as stream:
+    @pytest.mark.parametrize("name", ["voyage.yaml", "suite.yaml", "voyage.mcap"])
+    def test_contents_are_in_the_key(self, inputs, name):
+        sources = "voyage.yaml", "voyage.mcap"
+        before = [self.key(inputs, source) for source in sources]
+        with (inputs / name).open("a") as stream:
             stream.write("\n")
-        after = [self.key(given, source) for source in sources]
+        after = [self.key(inputs, source) for source in sources]
         changed = [old != new for old, new in zip(before, after, strict=True)]
         assert changed == [name in ("suite.yaml", source) for source in sources]
 
-    @pytest.mark.parametrize("change", [{"seeds": (2,)}, {"skip_s": 1.0}, {"source": "night.mcap"}])
-    def test_seed_and_start_are_in_the_key(self, given, change):
-        assert self.key(given, **change) != self.key(given)
+    @pytest.mark.parametrize("change", [{"seeds": (2,)}, {"skip_s": 1.0}, {"source": "voyage.mcap"}])
+    def test_seed_and_start_are_in_the_key(self, inputs, change):
+        assert self.key(inputs, **change) != self.key(inputs)
 
-    def test_the_namespace_is_in_the_key_of_a_bag_alone(self, given):
-        assert self.key(given, "night.mcap", namespace="ship") != self.key(given, "night.mcap")
-        assert self.key(given, namespace="ship") == self.key(given)
+    def test_the_namespace_is_in_the_key_of_a_bag_alone(self, inputs):
+        assert self.key(inputs, "voyage.mcap", namespace="ship") != self.key(inputs, "voyage.mcap")
+        assert self.key(inputs, namespace="ship") == self.key(inputs)
 
-    def test_no_parameter_set_is_another_key(self, given):
-        (item,) = campaign_items([given / "voyage.yaml"], [], [1])
-        assert item.key != self.key(given)
+    def test_no_parameter_set_is_another_key(self, inputs):
+        (item,) = campaign_items([inputs / "voyage.yaml"], [], [1])
+        assert item.key != self.key(inputs)
 
-    def test_the_code_is_in_the_key(self, given):
-        (item,) = campaign_items([given / "voyage.yaml"], [], [1])
+    def test_the_code_is_in_the_key(self, inputs):
+        (item,) = campaign_items([inputs / "voyage.yaml"], [], [1])
         assert dataclasses.replace(item, code="another").key != item.key
 
-    def test_the_code_is_its_source_files_wherever_they_lie(self, given):
-        (given / "code" / "room").mkdir(parents=True)
-        (given / "code" / "room" / "one.py").write_text("1\n")
-        code = folder_sha256(given / "code", "package")
-        shutil.copytree(given / "code", given / "elsewhere")
-        assert folder_sha256(given / "elsewhere", "package") == code
-        (given / "code" / "room" / "one.pyc").write_bytes(b"compiled")
-        assert folder_sha256(given / "code", "package") == code
-        (given / "elsewhere" / "room" / "one.py").write_text("2\n")
-        assert folder_sha256(given / "elsewhere", "package") != code
+    def test_the_code_is_its_source_files_wherever_they_lie(self, inputs):
+        (inputs / "code" / "room").mkdir(parents=True)
+        (inputs / "code" / "room" / "one.py").write_text("1\n")
+        code = folder_sha256(inputs / "code", "package")
+        shutil.copytree(inputs / "code", inputs / "elsewhere")
+        assert folder_sha256(inputs / "elsewhere", "package") == code
+        (inputs / "code" / "room" / "one.pyc").write_bytes(b"compiled")
+        assert folder_sha256(inputs / "code", "package") == code
+        (inputs / "elsewhere" / "room" / "one.py").write_text("2\n")
+        assert folder_sha256(inputs / "elsewhere", "package") != code
 
-    def test_names_and_times_of_files_are_not_in_the_key(self, given, tmp_path):
+    def test_names_and_times_of_files_are_not_in_the_key(self, inputs, tmp_path):
         other = tmp_path / "elsewhere"
         other.mkdir()
         for name, new in (("voyage.yaml", "renamed.yaml"), ("suite.yaml", "suite.yaml")):
-            (other / new).write_bytes((given / name).read_bytes())
-        os.utime(given / "voyage.yaml", (1.0, 1.0))
-        assert self.key(other, "renamed.yaml") == self.key(given)
+            (other / new).write_bytes((inputs / name).read_bytes())
+        os.utime(inputs / "voyage.yaml", (1.0, 1.0))
+        assert self.key(other, "renamed.yaml") == self.key(inputs)
 
-    def test_a_recording_that_a_scenario_follows_is_in_the_key(self, given):
-        (given / "ride.yaml").write_text(
+    def test_a_recording_that_a_scenario_follows_is_in_the_key(self, inputs):
+        (inputs / "ride.yaml").write_text(
             'start_utc: "2014-07-09T11:50:07.8Z"\nduration_s: 4.0\n'
-            "carrier: {kind: recorded, recording: {bag: night.mcap}}\n"
+            "carrier: {kind: recorded, recording: {bag: voyage.mcap}}\n"
         )
-        before = self.key(given, "ride.yaml")
-        (given / "night.mcap").write_bytes(b"another night")
-        assert self.key(given, "ride.yaml") != before
+        before = self.key(inputs, "ride.yaml")
+        (inputs / "voyage.mcap").write_bytes(b"another voyage")
+        assert self.key(inputs, "ride.yaml") != before
 
-    def test_an_item_whose_file_was_changed_meanwhile_fails(self, given):
-        (item,) = campaign_items([given / "night.mcap"], [], [])
-        (given / "night.mcap").write_bytes(b"another night")
+    def test_an_item_whose_file_was_changed_meanwhile_fails(self, inputs):
+        (item,) = campaign_items([inputs / "voyage.mcap"], [], [])
+        (inputs / "voyage.mcap").write_bytes(b"another voyage")
         ((_, result),) = run_in_processes(run_item, [item], 1)
-        assert result["error"] == f"{given}/night.mcap: has changed since the campaign began"
+        assert result["error"] == f"{inputs}/voyage.mcap: has changed since the campaign began"
 
 
 @pytest.mark.parametrize(
@@ -215,14 +215,14 @@ class TestResults:
 
 
 class TestKilled:
-    def made(self, make, scenario, tmp_path, workers=2):
+    def make_all(self, make, scenario, tmp_path, workers=2):
         path = tmp_path / "short.yaml"
         shutil.copy(scenario, path)
         made = list(run_in_processes(make, campaign_items([path], [], range(1, 5)), workers))
         return {item.seed: result for item, result in made}
 
     def test_the_item_of_a_killed_worker_is_made_again(self, scenario, tmp_path):
-        found = self.made(dies_once, scenario, tmp_path)
+        found = self.make_all(dies_once, scenario, tmp_path)
         assert (tmp_path / "died").exists()
         assert {seed: (result["error"], result["values"]["seed"]) for seed, result in found.items()} == {
             seed: (None, float(seed)) for seed in range(1, 5)
@@ -230,7 +230,7 @@ class TestKilled:
 
     @pytest.mark.parametrize("workers", [1, 2])
     def test_an_item_that_kills_its_worker_each_time_fails_alone(self, scenario, tmp_path, workers):
-        found = self.made(dies_always, scenario, tmp_path, workers)
+        found = self.make_all(dies_always, scenario, tmp_path, workers)
         folders = (tmp_path / "deaths").read_text().splitlines()
         assert len(folders) == MAX_WORKER_FAILURES
         assert not any(Path(folder).exists() for folder in folders)
@@ -356,8 +356,8 @@ class TestCluster:
     ],
 )
 def test_bad_usage_is_one_line_and_two(arguments, complaint, scenario, tmp_path, capsys):
-    bag = tmp_path / "night.mcap"
-    bag.write_bytes(b"a night")
+    bag = tmp_path / "voyage.mcap"
+    bag.write_bytes(b"a voyage")
     given = [argument.format(short=scenario, bag=bag) for argument in arguments]
     try:
         code = main([*given, "--out", str(tmp_path / "out")])
@@ -374,7 +374,7 @@ class TestPooled:
     """Two results made by hand: 100 samples of 3″ and 300 of 5″, equivalent to 10 and 30 independent ones."""
 
     @pytest.fixture
-    def made(self, scenario):
+    def results(self, scenario):
         items = campaign_items([scenario], [], [1, 2, 3])
         return [
             (items[0], self.result(samples=100.0, rms=3.0, sigma=2.0, nees=6.0, independent=10.0, valid=90)),
@@ -393,8 +393,8 @@ class TestPooled:
             "refused": {"ins/imu": {"gate": 2, "stale": 1}},
         }
 
-    def test_errors_statuses_and_refusals_by_hand(self, made):
-        (pool,) = pools(made, lambda item: item.parameters_name)
+    def test_errors_statuses_and_refusals_by_hand(self, results):
+        (pool,) = pools(results, lambda item: item.parameters_name)
         assert (pool.name, pool.items, pool.failed, pool.refused) == ("as attached", 2, 1, 6)
         (fused,) = pool.errors
         (heading,) = fused.channels
@@ -407,18 +407,18 @@ class TestPooled:
         assert "as stated" in fused.fit.words
         assert pool.shares == {"ship/attitude": {"VALID": 0.5, "COASTING": 0.5}}
 
-    def test_a_missing_sigma_is_not_made_up(self, made):
-        made[0][1]["errors"]["fused"] |= {"heading.sigma_arcsec": None, "heading.rms_over_sigma": None}
-        (pool,) = pools(made, lambda item: item.parameters_name)
+    def test_a_missing_sigma_is_not_made_up(self, results):
+        results[0][1]["errors"]["fused"] |= {"heading.sigma_arcsec": None, "heading.rms_over_sigma": None}
+        (pool,) = pools(results, lambda item: item.parameters_name)
         assert math.isnan(pool.errors[0].channels[0].sigma_arcsec)
         assert pool.errors[0].channels[0].rms_arcsec > 0.0
 
-    def test_the_worst_come_first(self, made):
-        assert [(each.item.seed, each.ratio) for each in worst_items(made)] == [(1, 1.5), (2, 1.0)]
+    def test_the_worst_come_first(self, results):
+        assert [(each.item.seed, each.ratio) for each in worst_items(results)] == [(1, 1.5), (2, 1.0)]
 
-    def test_the_order_of_completion_has_no_effect(self, made):
-        assert csv_table(made[::-1]) == csv_table(made)
-        assert page(made[::-1]) == page(made)
+    def test_the_order_of_completion_has_no_effect(self, results):
+        assert csv_table(results[::-1]) == csv_table(results)
+        assert page(results[::-1]) == page(results)
 
 
 def test_a_result_of_another_item_is_refused(scenario, tmp_path):

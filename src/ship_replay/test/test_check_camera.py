@@ -43,7 +43,7 @@ def mount_scenario(identified):
     return scenario
 
 
-def simulated(folder, scenario, seed=1):
+def simulate_bag(folder, scenario, seed=1):
     """A bag of a scenario with exact optics, and its suite configuration with the errors of a surveyed lens."""
     make_optics_exact(scenario)
     (folder / "scenario.yaml").write_text(yaml.safe_dump(scenario))
@@ -56,12 +56,12 @@ def simulated(folder, scenario, seed=1):
 
 @pytest.fixture(scope="module", params=[True, False], ids=["named", "unnamed"])
 def deck(tmp_path_factory, request):
-    return simulated(tmp_path_factory.mktemp("deck"), deck_scenario(request.param))
+    return simulate_bag(tmp_path_factory.mktemp("deck"), deck_scenario(request.param))
 
 
 @pytest.fixture(scope="module", params=[True, False], ids=["named", "unnamed"])
 def mount(tmp_path_factory, request):
-    return simulated(tmp_path_factory.mktemp("mount"), mount_scenario(request.param))
+    return simulate_bag(tmp_path_factory.mktemp("mount"), mount_scenario(request.param))
 
 
 @pytest.fixture
@@ -94,7 +94,7 @@ def change_bag(bag, folder, topic, change):
     return copy
 
 
-def shifted(star):
+def shift_by_a_pixel(star):
     star.u, star.v = star.u + 1.0, star.v + 1.0
 
 
@@ -106,7 +106,7 @@ def v_upwards(star, edge_px):
     star.v = edge_px - star.v
 
 
-def exchanged(star, edge_px):
+def exchange_axes(star, edge_px):
     star.u, star.v = star.v, star.u
 
 
@@ -123,7 +123,7 @@ MIRRORS = pytest.mark.parametrize(
     [
         (u_to_the_left, "u counts to the left"),
         (v_upwards, "v counts upwards"),
-        (exchanged, "u and v are exchanged"),
+        (exchange_axes, "u and v are exchanged"),
     ],
 )
 
@@ -179,7 +179,7 @@ def test_mirrored_axes_are_named(check, deck, tmp_path, mirror, words):
 
 def test_mirrored_axes_without_an_ins_are_named_as_such(check, tmp_path):
     """Which of the axes is reversed is not stated: there is no predicted attitude."""
-    bag, text = simulated(tmp_path, deck_scenario(True))
+    bag, text = simulate_bag(tmp_path, deck_scenario(True))
     mirrored = change_bag(bag, tmp_path, FORE, lambda star: v_upwards(star, IMAGE_PX[FORE]))
     alone = tmp_path / "alone.mcap"
     with read_bag(mirrored) as whole, BagWriter(alone) as writer:
@@ -215,7 +215,7 @@ def test_magnitudes_that_are_not_the_catalogues_are_named(check, deck, mount, tm
 
 def test_pixels_counted_from_one_are_named(check, deck, tmp_path):
     bag, text = deck
-    (line,) = check(text, change_bag(bag, tmp_path, STARBOARD, shifted))
+    (line,) = check(text, change_bag(bag, tmp_path, STARBOARD, shift_by_a_pixel))
     assert line.startswith("warning: parameter 'star_sensors.starboard.camera.principal_u_px': by ")
     assert line.endswith("one pixel to the right and down: if pixels are counted from 1, subtract 1 from u and v")
 
@@ -226,7 +226,7 @@ def test_pixels_counted_from_one_are_named(check, deck, tmp_path):
 def test_bags_without_faults_give_no_finding(check, tmp_path, scenario, seeds, identified):
     """Installations, INS and stars are drawn for each seed by their sigmas."""
     for seed in seeds:
-        bag, text = simulated(tmp_path, scenario(identified), seed)
+        bag, text = simulate_bag(tmp_path, scenario(identified), seed)
         assert check(text, bag) == []
 
 

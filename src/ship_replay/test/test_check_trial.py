@@ -35,7 +35,7 @@ def check(tmp_path, capsys):
     return run
 
 
-def simulated(folder, name, duration_s, change=lambda scenario: None):
+def simulate_bag(folder, name, duration_s, change=lambda scenario: None):
     scenario = yaml.safe_load((BAGS / "scenarios" / f"{name}.yaml").read_text()) | {"duration_s": duration_s}
     change(scenario)
     (folder / f"{name}.yaml").write_text(yaml.safe_dump(scenario))
@@ -67,11 +67,11 @@ def test_a_healthy_bag_is_good(check, name):
 
 @pytest.mark.slow
 def test_an_ins_that_stamps_gps_time_is_reported_with_advice(check, tmp_path):
-    def ahead(topic, message):
+    def stamp_ahead(topic, message):
         if topic == "ins/imu":
             message.header.stamp.sec += 18
 
-    code, lines = check(rewrite_bag(tmp_path / "ahead.mcap", BAGS / "demo.mcap", ahead))
+    code, lines = check(rewrite_bag(tmp_path / "ahead.mcap", BAGS / "demo.mcap", stamp_ahead))
     assert code == 1
     assert lines[0].startswith("not used: BAG: ship_attitude: of 3000 messages on 'ins/imu' 0 were used, 3000 times")
     assert re.search(r"\(100 % not used\): stamp is 1[78]\.\d+ s ahead", lines[0])
@@ -96,7 +96,7 @@ def test_an_input_refused_for_the_second_half_of_the_bag_ends_with_one(check, tm
 
 
 def test_stars_without_fixes_end_with_one(check, tmp_path):
-    bag = simulated(tmp_path, "paper_stars", 8.0)
+    bag = simulate_bag(tmp_path, "paper_stars", 8.0)
 
     def no_fix(topic, message):
         if topic == "gnss/fix":
@@ -110,7 +110,7 @@ def test_stars_without_fixes_end_with_one(check, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.5, 2.5])
 def test_a_wrong_centroid_sigma_is_named_with_the_value_that_fits(check, tmp_path, factor):
-    bag = simulated(tmp_path, "paper_stars", 12.0)
+    bag = simulate_bag(tmp_path, "paper_stars", 12.0)
     configured = {}
 
     def change(suite):

@@ -43,26 +43,26 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def given(folder):
+def inputs(folder):
     """The first seconds of the demonstration's inputs."""
     return write_beginning(BAGS / "demo.mcap", folder / "in.mcap", LENGTH_S)
 
 
 @pytest.fixture(scope="module")
-def plain(folder, given):
+def plain(folder, inputs):
     """The inputs, replayed with their own configuration."""
-    replay(given, folder / "plain.mcap", ADAPTERS)
+    replay(inputs, folder / "plain.mcap", ADAPTERS)
     return folder / "plain.mcap"
 
 
 @pytest.fixture(scope="module")
-def noisier(folder, given):
+def noisier(folder, inputs):
     """The inputs, replayed with a configuration in which the INS is three times as noisy."""
-    with read_bag(given) as bag:
+    with read_bag(inputs) as bag:
         text = bag.attachments["suite.yaml"].decode()
     assert text.count(NOISE) == 1
     (folder / "noisier.yaml").write_text(text.replace(NOISE, "white_sigma_arcsec: 3.0"))
-    replay(given, folder / "noisier.mcap", ADAPTERS, folder / "noisier.yaml")
+    replay(inputs, folder / "noisier.mcap", ADAPTERS, folder / "noisier.yaml")
     return folder / "noisier.mcap"
 
 
@@ -221,8 +221,8 @@ def test_the_last_bit_counts(plain, folder):
 @pytest.mark.slow
 def test_an_angle_in_one_run_only(plain, noisier, folder):
     """A has replayed pointings and attitudes; B has attitudes only."""
-    given = write_beginning(BAGS / "theodolite.mcap", folder / "theodolite_in.mcap", LENGTH_S)
-    replay(given, folder / "theodolite.mcap", ADAPTERS)
+    inputs = write_beginning(BAGS / "theodolite.mcap", folder / "theodolite_in.mcap", LENGTH_S)
+    replay(inputs, folder / "theodolite.mcap", ADAPTERS)
     with BagWriter(folder / "both.mcap") as writer:
         for path in (plain, folder / "theodolite.mcap"):
             with read_bag(path) as bag:
@@ -241,12 +241,12 @@ def test_an_angle_in_one_run_only(plain, noisier, folder):
     assert cells[1::2] == ["–"] * 3
 
 
-def test_a_sensor_out_in_one_only(plain, given, folder):
+def test_a_sensor_out_in_one_only(plain, inputs, folder):
     """B lacks the data of the forward sensor from 8 s on: the summary names it, and the received messages."""
     topic = "star/fore/horizon_attitude"
-    with read_bag(given) as bag:
+    with read_bag(inputs) as bag:
         cut_ns = bag.start_ns + 8 * SECOND_NS
-    lame = write_part(given, folder / "lame_in.mcap", lambda one: one.topic != topic or one.log_time_ns < cut_ns)
+    lame = write_part(inputs, folder / "lame_in.mcap", lambda one: one.topic != topic or one.log_time_ns < cut_ns)
     replay(lame, folder / "lame.mcap", ADAPTERS)
     pair = read_pair(plain, folder / "lame.mcap")
     texts = sentences(pair)
@@ -285,11 +285,11 @@ def test_differing_outages_of_both_runs(pair, in_a, in_b, expected):
     texts = [text for text in sentences(changed) if re.search(r"out in|outages in", text)]
     since_start = re.compile(r"\b(\d\d):(\d\d):(\d\d)\b")
 
-    def shown(match):
+    def seconds_since_start(match):
         hour, minute, second = map(int, match.groups())
         return str(hour * 3600 + minute * 60 + second - start_s % 86400)
 
-    assert [since_start.sub(shown, text) for text in texts] == expected
+    assert [since_start.sub(seconds_since_start, text) for text in texts] == expected
 
 
 def test_injected_faults_are_other_inputs(plain, folder):

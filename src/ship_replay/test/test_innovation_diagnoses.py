@@ -43,12 +43,12 @@ def diagnoses(name: str, change: Callable[[str, Any], None]) -> dict[str, list[t
 
 @pytest.mark.slow
 def test_an_understated_sigma_is_reported_within_a_minute_for_that_sensor() -> None:
-    def understated(topic: str, message: Any) -> None:
+    def understate(topic: str, message: Any) -> None:
         if topic == "star/fore/horizon_attitude":
             for name in ("covariance", "rotation_covariance", "noise_covariance"):
                 setattr(message, name, np.asarray(getattr(message, name)) / 4.0)
 
-    statuses = diagnoses("demo.mcap", understated)
+    statuses = diagnoses("demo.mcap", understate)
     level, text = statuses["verdict star.fore"][-1]
     assert level == 1
     assert text.startswith("sigma optimistic by ")
@@ -61,14 +61,14 @@ def test_a_sensor_off_by_a_degree_is_biased_although_unused() -> None:
     """This is too large for a mounting shift: it is not adopted as a new mounting."""
     stamps_ns: list[int] = []
 
-    def turned(topic: str, message: Any) -> None:
+    def turn_sensor(topic: str, message: Any) -> None:
         if topic == "star/fore/horizon_attitude":
             stamp_ns = message.header.stamp.sec * TICK_NS + message.header.stamp.nanosec
             stamps_ns.append(stamp_ns)
             if stamp_ns - stamps_ns[0] > MINUTE_NS // 4:
                 message.elevation += np.deg2rad(1.0)
 
-    statuses = diagnoses("demo.mcap", turned)
+    statuses = diagnoses("demo.mcap", turn_sensor)
     level, text = statuses["verdict star.fore"][-1]
     assert level == 1
     assert text.startswith("bias of ")

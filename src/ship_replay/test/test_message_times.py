@@ -21,7 +21,7 @@ SECOND_NS = 10**9
 STALL_S = (6.0, 9.0)
 
 
-def stalled(path, stall_s):
+def write_stalled(path, stall_s):
     """Write the first fifteen seconds of the demo; messages of the stall are logged at its end."""
     with read_bag(DEMO) as bag, BagWriter(path) as out:
         out.add_attachment("suite.yaml", bag.attachments["suite.yaml"])
@@ -44,7 +44,7 @@ def attitudes(path):
 @pytest.fixture(scope="module")
 def bags(tmp_path_factory):
     folder = tmp_path_factory.mktemp("stall")
-    return stalled(folder / "regular.mcap", (0.0, 0.0)), stalled(folder / "stalled.mcap", STALL_S)
+    return write_stalled(folder / "regular.mcap", (0.0, 0.0)), write_stalled(folder / "stalled.mcap", STALL_S)
 
 
 def test_replay_by_stamps_of_a_stalled_recording(bags, tmp_path):

@@ -49,7 +49,7 @@ beacons:
 """
 
 
-def simulated(folder, text):
+def simulate_bag(folder, text):
     path = folder / "in.mcap"
     scenario = path.with_suffix(".yaml")
     scenario.write_text(text)
@@ -59,12 +59,12 @@ def simulated(folder, text):
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
-    return simulated(tmp_path_factory.mktemp("smooth"), SCENARIO)
+    return simulate_bag(tmp_path_factory.mktemp("smooth"), SCENARIO)
 
 
 @pytest.fixture(scope="module")
 def theodolite_bag(tmp_path_factory):
-    return simulated(tmp_path_factory.mktemp("smooth_theodolite"), SCENARIO + THEODOLITE)
+    return simulate_bag(tmp_path_factory.mktemp("smooth_theodolite"), SCENARIO + THEODOLITE)
 
 
 def messages(path, topic):
@@ -175,7 +175,7 @@ def test_bad_input_is_one_line(bag, tmp_path, capsys):
 @pytest.mark.slow
 def test_attitudes_of_before_an_adoption_are_smoothed_too(tmp_path, monkeypatch):
     """The filter is corrupted after 15 s and replaced about half a minute later: two segments, no attitude is lost."""
-    bag, out = simulated(tmp_path, SCENARIO.replace("duration_s: 12.0", "duration_s: 60.0")), tmp_path / "out.mcap"
+    bag, out = simulate_bag(tmp_path, SCENARIO.replace("duration_s: 12.0", "duration_s: 60.0")), tmp_path / "out.mcap"
     look, adapters = ShipAttitudeAdapter._decide, set()
     (start_ns, _), *_ = messages(bag, "ins/imu")
 

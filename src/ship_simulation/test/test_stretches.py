@@ -40,7 +40,7 @@ def everything(**changes):
     return dataclasses.replace(found, **changes)
 
 
-def logged(runs):
+def logged_messages(runs):
     return [(topic, serialize(message), log_ns) for topic, message, log_ns in generate_messages(runs, RosbagsFactory())]
 
 
@@ -48,27 +48,27 @@ def logged(runs):
 @pytest.mark.parametrize("faults", [{}, FAULTS], ids=["clean", "faults"])
 def test_messages_do_not_depend_on_the_stretches(length_s, faults):
     scenario = everything(faults=faults)
-    expected = logged([simulate(scenario, 3)])
+    expected = logged_messages([simulate(scenario, 3)])
     assert [entry[2] for entry in expected] == sorted(entry[2] for entry in expected)
-    assert logged(simulate_stretches(scenario, 3, length_s)) == expected
+    assert logged_messages(simulate_stretches(scenario, 3, length_s)) == expected
 
 
 def test_messages_of_a_sea_do_not_depend_on_the_stretches():
     scenario = dataclasses.replace(load_scenario(SCENARIOS / "sea_state_5.yaml"), duration_s=9.0)
-    assert logged(simulate_stretches(scenario, 3, 2)) == logged([simulate(scenario, 3)])
+    assert logged_messages(simulate_stretches(scenario, 3, 2)) == logged_messages([simulate(scenario, 3)])
 
 
 def test_targets_and_stars_on_the_mount_do_not_depend_on_the_stretches():
     scenario = load_scenario(SCENARIOS / "theodolite_night.yaml")
     telescope = dataclasses.replace(scenario.telescopes["night"], jitter_s=1.3)
     scenario = dataclasses.replace(scenario, duration_s=7.0, telescopes={"night": telescope})
-    assert logged(simulate_stretches(scenario, 3, 2)) == logged([simulate(scenario, 3)])
+    assert logged_messages(simulate_stretches(scenario, 3, 2)) == logged_messages([simulate(scenario, 3)])
 
 
 def test_a_rare_sample_is_the_last_of_the_truth_wherever_it_is():
     ins = dataclasses.replace(everything().ins, rate_hz=0.3)
     scenario = everything(ins=ins)
-    assert logged(simulate_stretches(scenario, 3, 2)) == logged([simulate(scenario, 3)])
+    assert logged_messages(simulate_stretches(scenario, 3, 2)) == logged_messages([simulate(scenario, 3)])
 
 
 def test_a_stretch_contains_only_its_samples():

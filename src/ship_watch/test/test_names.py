@@ -28,7 +28,7 @@ def health(topic, stamp_ns, reasons=()):
     )  # fmt: skip
 
 
-def invented(number, stamp_ns):
+def invented_messages(number, stamp_ns):
     """Yield topic and message of each kind that contains names, with new names."""
     header = make_header(FACTORY, stamp_ns)
     yield "input_health", health(f"reference/ship{number}/attitude", stamp_ns, [f"reason {number}"])
@@ -62,7 +62,7 @@ def test_memory_is_bounded_for_unlimited_names(caplog):
         now_ns = number * NS // 100
         monitor.process_message("ship/innovation", innovation(START_NS + now_ns, known, [0.0, 0.0], [1.0, 1.0], 1.0,
                                                  components=("right", "up")), now_ns)  # fmt: skip
-        for topic, message in invented(number, START_NS + now_ns):
+        for topic, message in invented_messages(number, START_NS + now_ns):
             monitor.process_message(topic, message, now_ns)
         if number % MAX_NAMES == MAX_NAMES - 1:
             sizes.append(tracemalloc.get_traced_memory()[0])

@@ -482,13 +482,13 @@ def test_encoder_in_degrees_is_rejected() -> None:
 
 
 def test_too_many_beacons_and_long_ids_are_cut() -> None:
-    def crowded(message: Any) -> None:
+    def crowd(message: Any) -> None:
         strangers = [copy.copy(make_sighting(message, "alpha")) for _ in range(MAX_BEACONS + 50)]
         for number, stranger in enumerate(strangers):
             stranger.beacon_id = f"{number}" + "x" * 10**5
         message.beacons = [*message.beacons, *strangers]
 
-    run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), BEACONS, CHANGE_S), crowded))
+    run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), BEACONS, CHANGE_S), crowd))
     strangers = has_reason(run, Reason.UNKNOWN_SENSOR)
     assert len(strangers) == MAX_BEACONS - 2
     assert max(len(text) for both in strangers for text in both) <= LONGEST_TEXT

@@ -54,11 +54,11 @@ def test_integrity_is_unavailable_without_beacons() -> None:
 
 
 def test_exclusion_is_published_at_once_and_in_diagnostics() -> None:
-    def moved(message: Any) -> None:
+    def move_up(message: Any) -> None:
         message.enu.z += 3.0
 
     wrong = change_where(
-        session(10.0), lambda a: a.topic == BASELINE["alpha"] and a.stamp_ns - START_NS > 5 * SECOND_NS, moved
+        session(10.0), lambda a: a.topic == BASELINE["alpha"] and a.stamp_ns - START_NS > 5 * SECOND_NS, move_up
     )
     run = run_adapter(new_adapter(), wrong)
     reports = [m for m in run.messages(TOPIC) if m.excluded]
@@ -114,11 +114,11 @@ def test_impossible_configuration_is_refused_by_name(changes: dict[str, Any], na
 def test_an_exclusion_does_not_depend_on_the_order_of_arrival(seed: int) -> None:
     """A baseline jumps by 3 m; messages of beacons and baselines are up to two seconds late."""
 
-    def moved(message: Any) -> None:
+    def move_up(message: Any) -> None:
         message.enu.z += 3.0
 
     wrong = change_where(
-        session(), lambda a: a.topic == BASELINE["alpha"] and a.stamp_ns - START_NS > 3 * SECOND_NS, moved
+        session(), lambda a: a.topic == BASELINE["alpha"] and a.stamp_ns - START_NS > 3 * SECOND_NS, move_up
     )
     rng = np.random.default_rng(seed)
     late = np.array([a.topic in (BEACONS, *BASELINE.values()) for a in wrong])

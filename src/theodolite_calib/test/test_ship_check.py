@@ -150,11 +150,11 @@ def test_beacons_before_a_jump_do_not_confirm_it() -> None:
 
 
 def test_simultaneous_encoder_slip_and_ins_jump() -> None:
-    def slipped(message: Any) -> None:
+    def slip(message: Any) -> None:
         message.azimuth = (message.azimuth + np.deg2rad(0.4)) % (2.0 * np.pi)
 
     arrivals = change_where(session_with_ins_only(10.0), of_topic(INS, 3.0), turn_attitude(0.0, 0.3, 0.2))
-    run = run_adapter(adapter(), change_where(arrivals, of_topic(ENCODER, 3.1), slipped))
+    run = run_adapter(adapter(), change_where(arrivals, of_topic(ENCODER, 3.1), slip))
     assert (run.reasons(INS), run.reasons(ENCODER)) == ({"gate": 5}, {"gate": 5})
     assert assert_within_covariance(run)
     assert run.pointings[-1].status == Status.VALID

@@ -109,18 +109,18 @@ def streak_exposure(sighting: StarSighting, rng: np.random.Generator) -> tuple[S
     length = ExposureLength(0.02, SETTINGS.telescopes[CAMERA_ID].camera.camera("camera"), 0.8)
     rate_s = np.deg2rad(3.0) * unit(rng.standard_normal(3) * [0.3, 1.0, 1.0])
     turns = exp_rotation(-np.array(length.nodes.offset_ns)[:, None] * 1e-9 * rate_s)
-    seen = reduce_to_mid_exposure(replace(sighting.exposure, length=length), turns)
-    assert seen.smear_s is not None
-    noise_s = (square_roots(seen.smear_s) @ rng.standard_normal((len(seen), 3, 1)))[..., 0]
-    seen = replace(seen, directions_s=unit(seen.directions_s + noise_s))
+    residuals_at = reduce_to_mid_exposure(replace(sighting.exposure, length=length), turns)
+    assert residuals_at.smear_s is not None
+    noise_s = (square_roots(residuals_at.smear_s) @ rng.standard_normal((len(residuals_at), 3, 1)))[..., 0]
+    residuals_at = replace(residuals_at, directions_s=unit(residuals_at.directions_s + noise_s))
     # Information of each star on a small turn of the camera, by hand: across the line of sight, the covariance drawn.
     information = np.zeros((3, 3))
-    for direction_s, smear_s in zip(seen.directions_s, seen.smear_s, strict=True):
+    for direction_s, smear_s in zip(residuals_at.directions_s, residuals_at.smear_s, strict=True):
         across = np.linalg.svd(direction_s[None])[2][1:]
         covariance = STAR_SIGMA**2 * np.eye(2) + across @ smear_s @ across.T
         by_turn = across @ -skew(direction_s)
         information += by_turn.T @ np.linalg.solve(covariance, by_turn)
-    return replace(sighting, exposure=seen), np.linalg.inv(information)[1:, 1:]
+    return replace(sighting, exposure=residuals_at), np.linalg.inv(information)[1:, 1:]
 
 
 def test_through_a_camera_that_turns_the_pointing_comes_to_the_bound_of_the_streaks_drawn(sky_model) -> None:
@@ -180,19 +180,19 @@ def test_the_jacobian_is_that_of_finite_differences(source: str) -> None:
     # Wide enough that all stars are believed at any of these states.
     prior = StarPrior(model.predict(mean, sighting).rotation_ns, (300.0 * ARCSEC) ** 2 * np.eye(3))
 
-    def seen(at: FloatArray):
+    def residuals_at(at: FloatArray):
         found = model.residuals(model.predict(at, sighting), at, sighting, prior, sky_model)
         assert len(found.residual) == 10
         return found
 
-    here, camera = seen(mean), model.predict(mean, sighting)
+    here, camera = residuals_at(mean), model.predict(mean, sighting)
     for column, one in enumerate(sigma):
         if one == 0.0:
             continue
         step = np.zeros(sigma.size)
         step[column] = 0.05 * one
         # The residual is measured minus predicted.
-        numeric = (seen(mean - step).residual - seen(mean + step).residual) / (2.0 * step[column])
+        numeric = (residuals_at(mean - step).residual - residuals_at(mean + step).residual) / (2.0 * step[column])
         assert here.jacobian[:, column] == pytest.approx(numeric, abs=2e-3 * np.max(np.abs(numeric)) + 1e-9)
         ahead, behind = (model.predict(mean + sign * step, sighting).rotation_ns for sign in (1.0, -1.0))
         turned = log_rotation(ahead @ behind.T) / (2.0 * step[column])

@@ -136,11 +136,11 @@ def test_derivatives_of_angles_and_place(seed: int) -> None:
     across = rotation_nm[:, 1:]
     covariance_n = across @ np.diag([1e-10, 4e-10]) @ across.T
 
-    def moved(offset):
+    def moved_direction(offset):
         vector = direction_n + across @ offset
         return vector / np.linalg.norm(vector)
 
-    by_offset = central_difference(lambda o: direction_angles(moved(o), covariance_n)[0], np.zeros(2), 1e-6)
+    by_offset = central_difference(lambda o: direction_angles(moved_direction(o), covariance_n)[0], np.zeros(2), 1e-6)
     _, found = direction_angles(direction_n, covariance_n)
     np.testing.assert_allclose(found, by_offset @ np.diag([1e-10, 4e-10]) @ by_offset.T, rtol=1e-6)
 
@@ -152,7 +152,9 @@ def test_derivatives_of_angles_and_place(seed: int) -> None:
         lambda k: ranged_position(direction_n, 2000.0, float(k[0])).path_n, np.array([0.13]), 1e-3
     )
     np.testing.assert_allclose(place.by_coefficient_n, by_k[:, 0], atol=2e-5)  # of 0.31 m
-    by_direction = central_difference(lambda o: ranged_position(moved(o), 2000.0, 0.13).path_n, np.zeros(2), 1e-6)
+    by_direction = central_difference(
+        lambda o: ranged_position(moved_direction(o), 2000.0, 0.13).path_n, np.zeros(2), 1e-6
+    )
     np.testing.assert_allclose(place.by_direction_n @ across, by_direction, atol=0.05)  # of 2000 m: the bend, 2e-5
 
 
