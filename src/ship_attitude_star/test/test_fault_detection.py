@@ -634,9 +634,9 @@ def test_a_subfilter_without_a_sensor_equals_a_filter_without_it() -> None:
         ShipAttitudeCore(without), [a for a in arrivals if getattr(a[1], "source", "") != "star.bow"]
     ).core
     ins = core.filter.model.slices["ins.attitude"]
-    row = core.filter.fault_detector.subfilters.names.index("star.bow") + 1
-    np.testing.assert_allclose(core.state.means[row, ins], single.state.mean[ins], atol=1e-3 * ARCSEC)
-    covariance = filter_covariances(core.state.stack, len(core.state.means))[row]
+    index = core.filter.fault_detector.subfilters.names.index("star.bow") + 1
+    np.testing.assert_allclose(core.state.means[index, ins], single.state.mean[ins], atol=1e-3 * ARCSEC)
+    covariance = filter_covariances(core.state.stack, len(core.state.means))[index]
     np.testing.assert_allclose(covariance[ins, ins], single.state.covariance[ins, ins], rtol=1e-5)
 
 
@@ -741,9 +741,9 @@ def test_a_subfilter_without_two_sensors_equals_a_filter_without_them() -> None:
     of_port = [arrival for arrival in arrivals if getattr(arrival[1], "source", "") not in left_out]
     single = run_core(ShipAttitudeCore(configuration(("port",))), of_port).core
     ins = core.filter.model.slices["ins.attitude"]
-    row = core.filter.fault_detector.subfilters.names.index("star.aft+star.bow") + 1
-    np.testing.assert_allclose(core.state.means[row, ins], single.state.mean[ins], atol=1e-3 * ARCSEC)
-    covariance = filter_covariances(core.state.stack, len(core.state.means))[row]
+    index = core.filter.fault_detector.subfilters.names.index("star.aft+star.bow") + 1
+    np.testing.assert_allclose(core.state.means[index, ins], single.state.mean[ins], atol=1e-3 * ARCSEC)
+    covariance = filter_covariances(core.state.stack, len(core.state.means))[index]
     np.testing.assert_allclose(covariance[ins, ins], single.state.covariance[ins, ins], rtol=1e-5)
 
 

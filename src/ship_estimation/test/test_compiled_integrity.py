@@ -72,10 +72,12 @@ def test_separations_and_levels_equal_numpy(seed: int) -> None:
     # Some without separation, some more accurate without the source.
     variance = variance_0 * rng.choice([0.9, 1.0, 1.0 + 1e-9, 1.3, 4.0], (count, 3))
     distance = 1e-5 * rng.standard_normal((count, 3))
-    for rows in ([*range(count)], [*range(count)][::2]):
-        found = solution_separations(distance, variance, variance_0, k, rows)
-        in_question = SigmaMultipliers(k.fault_free, k.false_exclusion, k.missed_detection[rows])
-        statistic, level, dominant = numpy_separation(distance[rows], variance[rows], variance_0, in_question)
+    for subfilters in ([*range(count)], [*range(count)][::2]):
+        found = solution_separations(distance, variance, variance_0, k, subfilters)
+        in_question = SigmaMultipliers(k.fault_free, k.false_exclusion, k.missed_detection[subfilters])
+        statistic, level, dominant = numpy_separation(
+            distance[subfilters], variance[subfilters], variance_0, in_question
+        )
         np.testing.assert_allclose(found.statistic, statistic, rtol=1e-13)
         np.testing.assert_allclose(found.level, level, rtol=1e-13)
         assert found.dominant == dominant

@@ -20,7 +20,7 @@ NOISE, WALK, MOUNTING = 3.0, 0.3, 20.0
 class FilterBank:
     """An angle about each axis with a random walk, measured by sensors whose mounting is estimated.
 
-    A row without each sensor and, where there are ``pairs``, without each two.
+    A subfilter leaves out each sensor and, with ``pairs``, each two.
     """
 
     def __init__(self, sensors, pairs=False):
@@ -28,11 +28,11 @@ class FilterBank:
         one = [(sensor,) for sensor in range(sensors)]
         self.left_out = [(), *one, *(itertools.combinations(range(sensors), 2) if pairs else ())]
         self.uses = np.array([[sensor not in out for sensor in range(sensors)] for out in self.left_out])
-        rows = len(self.left_out)
-        self.means = np.zeros((rows, size))
+        filters = len(self.left_out)
+        self.means = np.zeros((filters, size))
         prior = np.diag(np.repeat([10.0, *[MOUNTING] * sensors], 3) ** 2)
-        self.stack = np.tile(prior, (rows, 1, 1))
-        self.seen, self.limit = initial_means(rows, sensors), excess_limit(IntegrityConfig(), sensors)
+        self.stack = np.tile(prior, (filters, 1, 1))
+        self.seen, self.limit = initial_means(filters, sensors), excess_limit(IntegrityConfig(), sensors)
 
     def add(self, sensor, residual, time_ns):
         jacobian = np.zeros((3, self.means.shape[1]))
@@ -97,7 +97,7 @@ def _voyage(seed, sensors, shifts=None, epochs=2 * AT, pairs=False):
         sensors: how many.
         knocks: by sensor, about the second axis, from AT on.
         epochs: measurements of each sensor.
-        pairs: whether rows leave out two.
+        pairs: add subfilters that leave out two sensors.
     """
     base, detected_at = copy.deepcopy(_before_shifts(seed, sensors, pairs)), None
     for epoch, found in base.until(epochs, shifts or {}):

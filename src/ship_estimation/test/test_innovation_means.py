@@ -16,7 +16,7 @@ from ship_estimation.innovation_means import (
     updated_means,
 )
 
-ROWS, SOURCES, LIMIT = 4, 3, 37.4
+FILTERS, SOURCES, LIMIT = 4, 3, 37.4
 WEIGHTS = np.array([2.0 / (count + 1.0) for count in WINDOW_LENGTHS])[:, None]
 
 
@@ -71,10 +71,10 @@ def test_innovation_means_equal_numpy(sources: list[int], has_noise: bool) -> No
     rng = np.random.default_rng(1)
     root = rng.normal(size=(3, 3))
     noise = 0.1 * root @ root.T if has_noise and len(sources) == 1 else None
-    means, contradicted = initial_means(ROWS, SOURCES), 0
+    means, contradicted = initial_means(FILTERS, SOURCES), 0
     for number in range(100):
-        turn = rng.normal(scale=0.5 if number % 9 else 20.0, size=(ROWS, len(sources), 3))
-        accepted = rng.uniform(size=(ROWS, len(sources))) < 0.8
+        turn = rng.normal(scale=0.5 if number % 9 else 20.0, size=(FILTERS, len(sources), 3))
+        accepted = rng.uniform(size=(FILTERS, len(sources))) < 0.8
         time_ns = number + int(rng.integers(-3, 3))
         expected = numpy_means(means, sources, turn, accepted, time_ns, noise)
         found = updated_means(means, sources, turn, accepted, time_ns, LIMIT, noise)
@@ -88,10 +88,10 @@ def test_innovation_means_equal_numpy(sources: list[int], has_noise: bool) -> No
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, 1e200])
 def test_nan_innovation_counts_as_a_rejection_without_a_mean(wrong: float) -> None:
-    means, turn = initial_means(ROWS, SOURCES), np.zeros((ROWS, 3))
+    means, turn = initial_means(FILTERS, SOURCES), np.zeros((FILTERS, 3))
     turn[2, 1] = wrong
-    found = updated_means(means, 1, turn, np.ones(ROWS, dtype=bool), 5, LIMIT)
-    refused = np.zeros((ROWS, SOURCES))
+    found = updated_means(means, 1, turn, np.ones(FILTERS, dtype=bool), 5, LIMIT)
+    refused = np.zeros((FILTERS, SOURCES))
     refused[:, 1] = 1
     np.testing.assert_array_equal(found.rejection_counts, refused)
     equal(replace(found, rejection_counts=means.rejection_counts), means)
@@ -115,7 +115,7 @@ def test_largest_mean_component_equals_numpy() -> None:
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
     """The loops do not check bounds."""
-    means, turn, accepted = initial_means(ROWS, SOURCES), np.zeros((ROWS, 3)), np.ones(ROWS, dtype=bool)
+    means, turn, accepted = initial_means(FILTERS, SOURCES), np.zeros((FILTERS, 3)), np.ones(FILTERS, dtype=bool)
     calls = [
         lambda: updated_means(means, SOURCES, turn, accepted, 0, LIMIT),
         lambda: updated_means(means, 0, turn[:2], accepted, 0, LIMIT),

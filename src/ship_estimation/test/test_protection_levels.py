@@ -61,13 +61,13 @@ def misleading_ratio(sensors, bias, pairs, draws=300, seed=5):
     left_out = [*itertools.combinations(everyone, 1), *(itertools.combinations(everyone, 2) if pairs else ())]
     uses = [sorted(everyone - set(names)) for names in left_out]
     k = SigmaMultipliers(fault_free=4.0, false_exclusion=5.0, missed_detection=np.full(len(uses), MISSED))
-    variances = np.array([[9.0 / len(row)] * 3 for row in uses])
+    variances = np.array([[9.0 / len(used)] * 3 for used in uses])
     misleading = 0
     for _ in range(draws):
         measured = 3.0 * rng.standard_normal((sensors, 3))
         measured[:2] += bias
         estimate = measured.mean(axis=0)
-        distance = np.array([measured[row].mean(axis=0) for row in uses]) - estimate
+        distance = np.array([measured[used].mean(axis=0) for used in uses]) - estimate
         found = solution_separations(distance, variances, np.full(3, 9.0 / sensors), k)
         is_detected = not found.statistic.max() <= k.false_exclusion
         misleading += not is_detected and bool(np.any(np.abs(estimate) > found.level))

@@ -18,9 +18,9 @@ from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.filter.subfilters import BEACON_PREFIX, ENCODER
 
 SETTINGS = config()
-ROWS = CalibrationFilter(SETTINGS).subfilters
-DETECTOR = FaultDetector(SETTINGS.integrity, SETTINGS.gate, ROWS, threshold=5.0)
-FIRST, SECOND = ROWS.beacons[:2]
+SUBFILTERS = CalibrationFilter(SETTINGS).subfilters
+DETECTOR = FaultDetector(SETTINGS.integrity, SETTINGS.gate, SUBFILTERS, threshold=5.0)
+FIRST, SECOND = SUBFILTERS.beacons[:2]
 AGREED_NS, LAST_NS = 10 * SECOND_NS, 40 * SECOND_NS
 
 
@@ -28,10 +28,10 @@ def consistent_state(received_ns: dict[str, int]) -> FaultState:
     """Return a state with the first drone, encoders and beacons consistent since 10 s, and the last times of each
     beacon.
     """
-    state = initial_fault_state(ROWS)
+    state = initial_fault_state(SUBFILTERS)
     seen_ns = state.innovation_means.last_measured_ns.copy()
     for name, time_ns in received_ns.items():
-        seen_ns[ROWS.beacons.index(name)] = time_ns
+        seen_ns[SUBFILTERS.beacons.index(name)] = time_ns
     left_out = {
         name: ExclusionRecord(ExcludedSource(0, consistent_since_ns=AGREED_NS), "")
         for name in (BEACON_PREFIX + FIRST, ENCODER)
@@ -85,7 +85,7 @@ def test_encoder_is_reinstated_a_minute_after_the_gap() -> None:
     for time_ns in range(back_ns, back_ns + 62 * SECOND_NS, SECOND_NS):
         state = DETECTOR.restart_timers(state, (SECOND,), time_ns)
         measured_ns = state.innovation_means.last_measured_ns.copy()
-        measured_ns[ROWS.beacons.index(SECOND)] = time_ns
+        measured_ns[SUBFILTERS.beacons.index(SECOND)] = time_ns
         state = replace(state, innovation_means=replace(state.innovation_means, last_measured_ns=measured_ns))
         if ENCODER in state.exclusions:
             state = DETECTOR.monitor_prediction(state, ENCODER, True, time_ns)

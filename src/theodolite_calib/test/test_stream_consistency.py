@@ -66,9 +66,9 @@ def check_streams(encoder, ship):
 def test_who_stepped_is_named(steps, off_arcsec, name, rates):
     """Independent of the source isolated by the subfilters: both explain the step."""
     named = [
-        isolate_step_fault(rows, BOTH, check_streams(*samples(seed, rates=rates, **steps)), off_arcsec * ARCSEC)
+        isolate_step_fault(source, BOTH, check_streams(*samples(seed, rates=rates, **steps)), off_arcsec * ARCSEC)
         for seed in range(20)
-        for rows in (ENCODER, SHIP)
+        for source in (ENCODER, SHIP)
     ]
     # Without rates the ship's own motion hides steps of few sigmas: the isolated source is kept.
     sure = off_arcsec > 50.0 or rates or name == ENCODER
@@ -76,9 +76,11 @@ def test_who_stepped_is_named(steps, off_arcsec, name, rates):
     assert set(named) <= allowed
 
 
-@pytest.mark.parametrize("rows", [ENCODER, SHIP])
-def test_undetectable_step_keeps_the_isolated_source(rows):
-    assert {isolate_step_fault(rows, BOTH, check_streams(*samples(seed)), 5.0 * ARCSEC) for seed in range(20)} == {rows}
+@pytest.mark.parametrize("source", [ENCODER, SHIP])
+def test_undetectable_step_keeps_the_isolated_source(source):
+    assert {isolate_step_fault(source, BOTH, check_streams(*samples(seed)), 5.0 * ARCSEC) for seed in range(20)} == {
+        source
+    }
 
 
 def test_degraded_ship_is_isolated_or_no_source():
