@@ -75,7 +75,7 @@ def killed_path(tmp_path_factory):
     return path
 
 
-def test_a_killed_nodes_box_is_verified_up_to_the_cut(killed_path):
+def test_a_killed_nodes_black_box_is_verified_up_to_the_cut(killed_path):
     outcome = verify_box(killed_path)
     assert outcome.returncode == 0, outcome.stdout + outcome.stderr
     assert "the black box ends suddenly" in outcome.stdout
@@ -83,7 +83,7 @@ def test_a_killed_nodes_box_is_verified_up_to_the_cut(killed_path):
     assert "outputs are equal to the last bit" in outcome.stdout
 
 
-def test_a_recovered_box_is_verified(killed_path):
+def test_a_recovered_black_box_is_verified(killed_path):
     command = [*executable("ship_bags", "record"), "--recover", str(killed_path)]
     recovery = subprocess.run(command, capture_output=True, text=True, check=False)
     assert recovery.returncode == 0, recovery.stdout + recovery.stderr

@@ -147,8 +147,8 @@ def run_offline(node: Node, path: Path, saved_path: Path) -> Outcome:
 def run_live(node: Node, path: Path, folder: Path, unclaimed_offline: int) -> tuple[Outcome, Path]:
     """Run the bag through the node's process; return outputs, the file saved by its service, and the recording.
 
-    If the machine is so busy that messages to the node were discarded (it reports them), or arrived so late that it had
-    no output where it has one offline, the bag is played more slowly: lost messages cannot be compared.
+    The bag is played more slowly if the busy machine discarded messages to the node (which reports them), or delivered
+    them so late that outputs are missing: lost messages cannot be compared.
     """
     for slower in (1, 2, 4):
         run_folder = folder / f"live_{slower}"

@@ -115,7 +115,7 @@ def test_two_baselines_that_jump_back_are_used_again(seed):
         (0.0, 100.0),  # 35.0
     ],
 )
-def test_encoders_that_step_in_place_are_suspect_until_lights_are_seen(seed, azimuth_arcsec, elevation_arcsec):
+def test_encoders_that_step_in_place_are_degraded_until_lights_are_seen(seed, azimuth_arcsec, elevation_arcsec):
     """At 20 Hz a mount of 100 deg/s² moves 225" and stands again between two readings: it may be no slip."""
     run = offset_encoders(fault_free_session(seed), azimuth_arcsec, elevation_arcsec)
     found = run_core(run, integrity__return_after_s=20.0)
@@ -138,7 +138,7 @@ def test_encoder_steps_beyond_the_mounts_acceleration_are_detected(seed):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_encoders_that_step_without_lights_are_suspect_to_the_end(seed):
+def test_encoders_that_step_without_lights_are_degraded_to_the_end(seed):
     """Before: COASTING, wrong by 42" at a sigma of 8"."""
     found = run_core(offset_encoders(fault_free_session(seed, beacons_leave_s=30.0), 0.0, 40.0))
     assert set(found.status[found.time_s >= FAULT_S]) == {Status.DEGRADED}
@@ -168,7 +168,7 @@ def test_late_stamps_of_lights_do_not_exclude_the_ship(seed):
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("arcsec_per_s", [3.3, -2.5])
-def test_encoders_that_creep_are_named_and_no_drone_is(seed, arcsec_per_s):
+def test_drifting_encoders_are_named_and_no_drone_is(seed, arcsec_per_s):
     """Before, in theodolite_1 at 3.3"/s: both drones were excluded one after the other; VALID at 1.42 of the level."""
     found = run_core(drift_encoders(fault_free_session(seed), arcsec_per_s))
     assert found.excluded_sources == {"encoder"}

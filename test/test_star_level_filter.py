@@ -139,7 +139,7 @@ def test_with_streaks_of_a_fifth_of_a_second_the_error_fits_its_covariance():
 
 @pytest.mark.parametrize("exposure_s", [0.1, 0.2])
 def test_streaks_without_exposure_time_are_detected(exposure_s):
-    """The errors are larger than they say; or the sensors are found to contradict it."""
+    """Either a fault is detected, or the errors exceed their covariance."""
     runs = [without_exposure_length(run) for run in run_with_streaks(exposure_s, 3)]
     found = [(*run_to_end(one), one) for one in runs]
     detected = [core.state.unresolved_fault is not None or bool(core.state.exclusion_counts) for core, _, _ in found]
@@ -174,7 +174,7 @@ def test_a_higher_ins_rate_does_not_reduce_the_sigma_of_its_clock() -> None:
 
 @pytest.mark.statistics
 def test_errors_of_long_streaks_fit_their_covariance() -> None:
-    """With the noise of two samples in the rate, the roll's RMS was 1.19 sigma and NEES 3.54."""
+    """A rate with the noise of two samples had a roll RMS of 1.19 sigma and a NEES of 3.54."""
     scenario = large_roll_scenario(100.0)
     results = [final_error(scenario, seed) for seed in range(LONG_STREAK_SEEDS)]
     ratio = np.sqrt(np.mean([(result.angles / result.sigma) ** 2 for result in results], axis=0))

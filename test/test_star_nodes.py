@@ -231,7 +231,7 @@ def test_a_black_box_of_the_node_is_equal_to_the_last_bit(tmp_path: Path, capsys
 
 @pytest.mark.smoke
 @pytest.mark.live
-def test_live_over_dds_the_outputs_and_the_box_are_the_same(
+def test_live_over_dds_the_outputs_and_the_black_box_are_the_same(
     both: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

@@ -82,7 +82,7 @@ def test_neither_a_file_nor_a_bag():
     assert ended.stderr == "suite: no FILE: expected a suite file, or --bag with a bag that has one attached\n"
 
 
-def test_a_folder_for_boxes_that_cannot_be_written_starts_nothing():
+def test_a_folder_for_black_boxes_that_cannot_be_written_starts_nothing():
     ended = run("--bag", DEMO, "--box", "/proc/boxes")
     assert (ended.returncode, ended.stdout) == (2, "")
     assert re.fullmatch(r"suite: --box /proc/boxes: .*: expected a folder that can be written\n", ended.stderr)
@@ -113,7 +113,7 @@ def test_the_attitude_of_a_bag_is_sent_as_sentences_with_mode_simulator(tmp_path
     path, log_path = tmp_path / "suite.yaml", tmp_path / "log.nmea"
     nodes = {
         "/**/nmea_in": {"sources": {"gyro": {"kind": "serial", "device": "/dev/ttyUSB7", "becomes": "gyro"}}},
-        # Of a bag at 5 times its speed a moment on the way is a quarter of a second of the ship.
+        # The bag is played at 5 times its speed: a delay of 50 ms is a quarter of a second of its time.
         "/**/nmea_out": {
             "longest_age_s": 30.0,
             "tell_simulated": is_tell_simulated,
@@ -219,7 +219,7 @@ def test_two_suites_in_two_namespaces_do_not_mix(tmp_path, domain):
 
 
 def test_a_killed_node_is_restarted_within_two_seconds_with_its_saved_alignment(tmp_path, domain, monkeypatch):
-    """In the usual company: another node, page, alerts, a box, and a recorder, which has the gap of the data.
+    """The suite has another node, page, alerts, a black box, and a recorder, whose bag contains the gap of the data.
 
     Measured with 25 processes competing for the four cores, 10 kills: gap 0.8 s in the median, 1.7 s at most. It needs
     at most 0.2 s of work, as the reserve process has imported its libraries before; the rest is the 0.5 s of the
@@ -330,7 +330,7 @@ def has_reserve(suite_pid, name):
 
 
 def test_every_status_of_the_nodes_has_one_place_in_the_aggregator_file(tmp_path, domain):
-    """Of the nodes of two examples, which are all nodes, and of the alerts."""
+    """The statuses are those of the nodes of two examples, which have all nodes, and of the alerts."""
     names: set[str] = set()
     environment = live_environment(domain, tmp_path)
     stars = suite(ROOT / "examples" / "three_sensors.yaml", "--namespace", "stars", "--box", tmp_path)

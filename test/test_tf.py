@@ -97,7 +97,7 @@ def test_no_transform_is_from_the_future():
 
 
 def test_from_the_deck_there_is_a_frame_to_each_configured_star_sensor():
-    """As configured before the first star; then with the estimate in ship/alignment."""
+    """The frames are as configured before the first star; later they have the estimate in ship/alignment."""
     run = fault_free_run()
     first, *_, last = run.messages("/tf_static")
     for static, alignment in ((first, None), (last, run.messages("ship/alignment")[-1])):

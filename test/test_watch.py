@@ -1,8 +1,8 @@
 """Monitoring of a voyage with faults names the right source, soon, and no others.
 
-Times are seconds after the first message of the bag. The faults occur one after another, ending, and two at a time: an
-INS whose heading steps by 100″, a star sensor displaced by 50″, an RTK baseline that is only FLOAT, lights with each
-other's names, a silent instrument.
+Times are seconds after the first message of the bag. The faults are a heading step of the INS of 100″, a star sensor
+displaced by 50″, an RTK baseline that is only FLOAT, exchanged names of lights, and missing data of an instrument. They
+occur one after another, with an end, and two at a time.
 """
 
 import math
@@ -51,7 +51,7 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 @pytest.mark.slow
 def test_a_displaced_star_sensor_is_out_and_its_direction_is_reported(one_by_one: MonitoredVoyage) -> None:
-    first_s = 30.117  # its first exposure after the knock
+    first_s = 30.117  # its first exposure after the mounting shift
     assert first_s < one_by_one.out_s["star.starboard"][0] <= first_s + 2.0
     starboard = one_by_one.shown_sources["star.starboard"][0]
     assert starboard.reason == "excluded"
@@ -72,7 +72,7 @@ def test_an_ins_that_steps_is_out_and_returns(one_by_one: MonitoredVoyage) -> No
     assert "heading CAUTION → UNSAFE, ins rejected" in words
 
 
-def test_a_silent_star_sensor_is_out_within_two_seconds_of_the_first_that_is_missing(
+def test_a_star_sensor_without_data_is_out_within_two_seconds_of_the_first_missing_message(
     one_by_one: MonitoredVoyage,
 ) -> None:
     clouds_s, no_data_s = one_by_one.out_s["star.fore"]
@@ -134,7 +134,7 @@ def test_exchanged_light_names_are_reported_although_corrected(theodolite: Monit
     assert safety_between(theodolite, 26.0, 33.0) == {Safety.SAFE}
 
 
-def test_a_silent_encoder_is_out_and_the_pointing_names_it(theodolite: MonitoredVoyage) -> None:
+def test_an_encoder_without_data_is_out_and_the_pointing_names_it(theodolite: MonitoredVoyage) -> None:
     assert 61.9 < theodolite.out_s["encoder"][0] <= 60.002 + 2.0 + 1e-6
     assert "needs encoder" in [source.reason for source in theodolite.shown_sources["lights"]]
     assert theodolite.back_s["encoder"][0] == pytest.approx(66.2, abs=0.5)

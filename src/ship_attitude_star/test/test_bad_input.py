@@ -217,7 +217,7 @@ def test_a_star_without_covariance_gets_the_configured_sigma(unknown: Change) ->
 
 
 def test_an_exact_axis_without_other_uncertainty_is_rejected_and_does_not_block() -> None:
-    """With every sigma of the configuration at zero, only the star's own covariance is left, as good as singular."""
+    """Every configured sigma is zero: only the star's own covariance is left, which is nearly singular."""
     exact = {"ins__time_offset_sigma_s": 0.0}
     exact |= {f"ins__{name}_sigma_arcsec": 0.0 for name in ("tilt", "heading", "white")}
     for axis in ("forward", "up", "right"):
@@ -232,7 +232,7 @@ def test_an_exact_axis_without_other_uncertainty_is_rejected_and_does_not_block(
 
 
 def test_a_configured_sigma_is_used_if_the_message_gives_none() -> None:
-    """With 30 times the sigma, the fore sensor has almost no weight for the heading."""
+    """The fore sensor has almost no weight for the heading if its sigma is 30 times as large."""
     arrivals = change_where(voyage(), lambda a: a.topic.startswith("star"), set_field("rotation_covariance", 0.0))
     coarse = {
         f"star_sensors__{sensor}__sigma_{axis}_arcsec": 3000.0
@@ -339,10 +339,10 @@ def attitudes(run: Run) -> list[Any]:
 
 
 @pytest.mark.parametrize("topic", [INS, FORE])
-def test_a_source_that_contradicts_itself_is_not_valid_for_ten_seconds(
+def test_a_source_with_conflicting_messages_is_not_valid_for_ten_seconds(
     topic: str,
 ) -> None:
-    """By 20″, once: whichever of the two is kept, outputs based on it are not VALID."""
+    """Two messages with one stamp differ by 20″: outputs based on either of them are not VALID."""
     arrivals = voyage(16.0)
     index = index_at(arrivals, topic, 3.0)
     run = run_adapter(new_adapter(), add_copy(arrivals, index, turn_heading(20.0), arrivals[index].receive_ns + 1))
@@ -367,7 +367,7 @@ def turn_heading(arcsec: float) -> Change:
     return change
 
 
-def test_a_star_sensor_that_contradicts_itself_and_is_refused_does_no_harm_to_the_others() -> None:
+def test_a_rejected_star_sensor_with_conflicting_messages_does_not_affect_the_others() -> None:
     """Two publishers on one topic, 400″ apart from all others: neither is used, and the other sources are VALID."""
     arrivals = voyage(8.0)
     since_ns = START_NS + 3 * SECOND_NS
@@ -498,7 +498,7 @@ def test_a_frozen_star_sensor_is_reported_within_a_second_and_recovers_at_once(m
 
 
 def test_a_ship_at_rest_is_not_stuck() -> None:
-    """In dock the INS repeats one value, and the stars vary by their noise: 100" about the boresight."""
+    """The INS repeats one value in dock, and the stars vary by their noise of 100" about the boresight."""
     first = {topic: voyage()[index_at(voyage(), topic, 0.0)].message for topic in (INS, FORE)}
     rng = np.random.default_rng(7)
 

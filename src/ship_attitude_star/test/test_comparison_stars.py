@@ -133,7 +133,7 @@ def assert_jacobian_is_derivative(ship_filter, sky_model, exposure):
         np.testing.assert_allclose(here.jacobian[:, row], numeric, atol=1e-4 * scale)
 
 
-def test_one_star_improves_two_components_as_the_bound_says_and_leaves_the_third(ship_filter, sky_model):
+def test_one_star_improves_two_components_to_the_bound_and_leaves_the_third(ship_filter, sky_model):
     exposure = exposure_of(sky_model, "fore", 1)
     before = ship_filter.propagate(ship_filter.initial_state(), TIME_NS)
     after, decision = ship_filter.step(before, exposure, ins_track(), sky_model)

@@ -32,7 +32,7 @@ def failing_where(bad: Callable[..., bool], function: Callable[..., Any]) -> Cal
 
 
 def assert_reported(run: AdapterRun, source: str, time_ns: int) -> None:
-    """In an innovation message, and once in the log."""
+    """Assert that the failure is in one innovation message, and once in the log."""
     (innovation,) = run.innovations(Reason.FAILED)
     assert (innovation.source, stamp_of(innovation), innovation.accepted) == (source, time_ns, False)
     assert innovation.reason_text.startswith(DEFECT)

@@ -262,7 +262,7 @@ def test_at_rest_the_result_of_the_rate_check_is_kept() -> None:
     assert set(run.reasons(INS)) <= {"units", "gate", "stuck", "rate_not_measured"}
 
 
-def test_five_seconds_of_rates_in_degrees_have_no_lasting_effect() -> None:
+def test_five_seconds_of_rates_in_degrees_have_no_later_effect() -> None:
     run = run_adapter(new_adapter(), change_where(voyage(30.0), of_ins(6.0, 11.5), scale_rates(np.rad2deg(1.0))))
     assert run.reasons(INS).keys() >= {"gate", "units"}
     assert_consistent(run)
@@ -274,7 +274,7 @@ def test_five_seconds_of_rates_in_degrees_have_no_lasting_effect() -> None:
     assert sigma_s < 0.001
 
 
-def test_rates_in_degrees_from_the_start_have_no_lasting_effect() -> None:
+def test_rates_in_degrees_from_the_start_have_no_later_effect() -> None:
     run = run_adapter(new_adapter(), change_where(voyage(20.0), of_ins(0.0, 5.0), scale_rates(np.rad2deg(1.0))))
     assert_consistent(run)
     assert run.messages("ship/attitude")[-1].status == Status.VALID

@@ -65,7 +65,7 @@ def test_the_shuffled_order_differs() -> None:
 @pytest.mark.parametrize(("topic", "since_s"), [(INS, 2.60), (INS, 2.64), (FORE, 2.6)])
 @pytest.mark.parametrize("late_s", [0.5, 1.0, LAG_S])
 def test_one_late_message_is_applied_at_its_own_time(topic: str, since_s: float, late_s: float) -> None:
-    """As late as possible behind the newest received stamp; the INS samples are those around the stamp of a star."""
+    """The message is as late as possible after the newest stamp; INS samples are those around a star's stamp."""
     index = index_at(voyage(), topic, since_s)
     limit_ns = voyage()[index].stamp_ns + round(late_s * SECOND_NS)
     too_new = next(a for a in voyage() if a.stamp_ns > limit_ns)

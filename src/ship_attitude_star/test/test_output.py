@@ -110,4 +110,5 @@ def test_each_filter_is_propagated_and_inflated_independently() -> None:
         one = replace(together, means=means[index : index + 1], stack=parts)
         alone = FILTER.apply_ins_change(FILTER.propagate(one, 31_000_000_000), jump)
         assert after.means[index].tobytes() == alone.mean.tobytes()
-        np.testing.assert_allclose(filter_covariances(after.stack, filters)[index], alone.covariance, rtol=1e-12, atol=1e-20)
+        covariance = filter_covariances(after.stack, filters)[index]
+        np.testing.assert_allclose(covariance, alone.covariance, rtol=1e-12, atol=1e-20)

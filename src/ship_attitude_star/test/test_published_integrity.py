@@ -50,7 +50,7 @@ def test_the_diagnostics_name_the_excluded_source_and_the_time() -> None:
 
 
 def test_no_level_is_published_for_an_attitude_before_the_exclusion() -> None:
-    """Of two sensors one is left, which is not checked: there is no level from then on."""
+    """The remaining one of two sensors cannot be checked: there is no level from then on."""
     reports = [m for m in run_with_mounting_shift().messages("ship/integrity") if m.excluded]
     assert {m.state for m in reports} == {UNAVAILABLE}
     assert np.isnan([m.protection_level for m in reports]).all()

@@ -276,7 +276,7 @@ def test_the_ship_attitude_by_streaks_is_consistent_with_its_covariance() -> Non
 
 
 def worst_sigmas(run: Run) -> float:
-    """Of the attitudes after the first second, in sigmas of all three axes together, over the root of three."""
+    """Return the largest error of the attitudes after the first second, as the root of NEES / 3."""
     late = [m for m in run.messages("ship/attitude") if stamp_of(m) > START_NS + SECOND_NS]
     covariances_n = [horizon_covariance(m.rotation_covariance.reshape(3, 3)) for m in late]
     pairs = zip(late, covariances_n, strict=True)

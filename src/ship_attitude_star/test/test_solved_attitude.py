@@ -369,7 +369,7 @@ def sail_solved(arrivals: Iterable[Arrival], shared: str = "by_input") -> Run:
 
 
 def test_the_node_estimates_the_same_from_solutions_and_stars() -> None:
-    """With exact optics: the filter estimates errors of the optics from stars, and not from solutions."""
+    """The optics are exact, since the filter estimates their errors from stars and not from solutions."""
     exact = {id_: {**values, "camera": EXACT_CAMERA} for id_, values in OBSERVING.items()}
     by_stars = run_new_adapter(star_voyage(), star_sensors=exact)
     by_solutions = sail_solved(solved_voyage(solved_by(star_voyage(), **EXACT_OPTICS)))
@@ -406,7 +406,7 @@ def test_without_a_fix_solutions_are_rejected_unless_configured_as_complete() ->
 
 
 def test_without_the_ins_a_solution_has_its_full_error() -> None:
-    """A single sensor has the error of the fix too, whether or not other sensors share it."""
+    """A single sensor has the error of the fix too, with or without other sensors that share it."""
     cut_ns = START_NS + SECOND_NS
     cut = [a for a in solved_voyage() if a.topic != INS or a.receive_ns < cut_ns]
     sigmas = []

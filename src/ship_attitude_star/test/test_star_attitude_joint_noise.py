@@ -1,8 +1,8 @@
-"""How good the joint solution is when the INS's noise moves exposures of two sensors to one moment: by Monte Carlo.
+"""Monte Carlo of the joint solution of two sensors whose exposures a noisy INS propagates to one time.
 
-Each seed draws the noise of the centroids, of every INS sample and the mounting of both sensors. The sky, the place and
-the air are as told. So the errors must be as large as the parts "star_noise" and "installation" of the covariance say;
-the second holds the errors of the turn.
+Each seed draws the noise of the centroids, of every INS sample, and the mounting of both sensors. Sky, place and air
+are exact. So the errors must match the parts "star_noise" and "installation" of the covariance. The second includes the
+errors of the rotation between the exposures.
 """
 
 import functools
@@ -96,7 +96,7 @@ def exact_ins_samples() -> tuple[tuple[int, FloatArray, FloatArray], ...]:
 
 
 def noisy_exposure(topic: str, since_ns: int, rng: np.random.Generator) -> StarExposure:
-    """What a sensor sees that is mounted a little otherwise than it is said to be."""
+    """Return the exposure of a sensor with a mounting error and noise of the centroids."""
     exact = exact_exposure(topic, since_ns)
     sensor = CONFIG.star_sensors[topic.split("/")[1]]
     turned_s = exact.directions_s @ exp_rotation(sensor.installation_sigma_s * rng.standard_normal(3))
@@ -106,7 +106,7 @@ def noisy_exposure(topic: str, since_ns: int, rng: np.random.Generator) -> StarE
 
 
 def joint_nees(periods: float, seed: int) -> float:
-    """NEES of the joint solution of two exposures, so many INS periods apart."""
+    """Return the NEES of the joint solution of two exposures that are a number of INS periods apart."""
     rng = np.random.default_rng([seed, round(10.0 * periods)])
     # Of 16 places between two INS samples one, so that the exact skies are few.
     first_ns = 800_000_000 + int(rng.integers(16)) * INS_PERIOD_NS // 16
@@ -128,7 +128,7 @@ def joint_nees(periods: float, seed: int) -> float:
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("periods", [0.0, 0.3, 1.0, 2.5, 10.0])
-def test_the_joint_solution_is_as_good_as_it_says_however_close_the_exposures(periods: float) -> None:
+def test_the_joint_solution_matches_its_covariance_for_any_time_between_the_exposures(periods: float) -> None:
     low, high = mean_nees_band(SEEDS, 3)
     mean = np.mean([joint_nees(periods, seed) for seed in range(SEEDS)])
     assert low < mean < high

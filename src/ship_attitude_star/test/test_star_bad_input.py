@@ -1,4 +1,4 @@
-"""What star_attitude cannot use: the reason, where it is told, and that all else comes out as without it."""
+"""Bad input of star_attitude: the reason of the rejection, where it is published, and unchanged other outputs."""
 
 import functools
 import itertools
@@ -74,7 +74,7 @@ def run_without(topic: str) -> Run:
 @pytest.mark.parametrize(
     ("topic", "change", "reason", "text"), [c[1:] for c in REJECTED_MESSAGES], ids=[c[0] for c in REJECTED_MESSAGES]
 )
-def test_a_bad_message_is_told_and_changes_nothing(topic: str, change: Change, reason: str, text: str) -> None:
+def test_a_bad_message_is_reported_and_changes_nothing(topic: str, change: Change, reason: str, text: str) -> None:
     index = index_at(voyage(), topic, CHANGE_S)
     run = run_new_adapter(replace_message(voyage(), index, change))
 
@@ -118,7 +118,7 @@ def test_a_bad_star_alone_is_refused(change: Change, reason: Reason, text: str) 
     )
 
     for message in run.messages(FORE_SOLUTION):
-        # Nothing but the count of what was refused tells the two runs apart.
+        # The two runs differ only in the number of rejected stars.
         message.rejected_count -= stamp_of(message) == voyage()[index].stamp_ns
     assert published_bytes(run) == published_bytes(expected)
     assert run.reasons(FORE) == {reason.name.lower(): 1}
@@ -188,7 +188,7 @@ def test_the_same_exposure_again_is_dropped() -> None:
 
 @pytest.mark.parametrize("delay_ns", [20_000_000, 200_000_000], ids=["joint solution open", "joint solution out"])
 def test_mend_08_of_two_exposures_of_one_stamp_neither_holds_nor_do_those_after_them(delay_ns: int) -> None:
-    """A sensor that contradicts itself gives no attitude until it has agreed with itself for ten seconds."""
+    """A sensor with conflicting exposures gives no attitude until it has been consistent for ten seconds."""
     index = index_at(voyage(), FORE, CHANGE_S)
     mine = voyage()[index]
     pair = mine, changed_copy(mine, set_star_fields(0, u=17.0))
@@ -215,7 +215,7 @@ def test_mend_08_of_two_exposures_of_one_stamp_neither_holds_nor_do_those_after_
     assert late == ([0, 0] if delay_ns < 64_000_000 else [1, 1])
 
 
-def test_a_fix_with_the_same_stamp_and_another_place_is_told() -> None:
+def test_a_fix_with_the_same_stamp_and_another_position_is_reported() -> None:
     index = index_at(voyage(), FIX, 0.5)
     run = run_new_adapter(add_copy(voyage(), index, set_field("latitude", 32.0), voyage()[index].receive_ns + 1))
     assert run.reasons(FIX) == {"conflict": 1}
@@ -305,7 +305,7 @@ def test_beyond_the_table_of_earth_orientation_there_is_no_attitude() -> None:
 
 
 @pytest.mark.slow
-def test_without_weather_refraction_is_less_well_known_and_it_says_so() -> None:
+def test_without_weather_the_refraction_error_is_larger_and_reported() -> None:
     run = run_new_adapter(without_topics(voyage(), PRESSURE, TEMPERATURE, HUMIDITY))
     message, clean = run.messages(FORE_SOLUTION)[0], fault_free_run().messages(FORE_SOLUTION)[0]
     assert message.status == SolutionStatus.VALID
@@ -317,7 +317,7 @@ def test_without_weather_refraction_is_less_well_known_and_it_says_so() -> None:
     assert status.message.startswith("no weather: pressure, temperature, humidity from parameters")
 
 
-def test_a_night_of_clouds_is_no_fault() -> None:
+def test_exposures_without_stars_are_no_fault() -> None:
     def nothing(message: Any) -> None:
         message.stars = []
 
@@ -327,7 +327,7 @@ def test_a_night_of_clouds_is_no_fault() -> None:
     assert run.health(FORE).rejected == 0
 
 
-def test_mend_07_another_noise_of_the_ins_reaches_its_guard() -> None:
+def test_mend_07_another_noise_of_the_ins_reaches_its_check() -> None:
     """One sample off by 60", as in the test of ship_attitude."""
 
     def off(message: Any) -> None:

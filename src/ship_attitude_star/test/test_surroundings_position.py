@@ -302,7 +302,7 @@ def test_a_fix_that_jumps_is_rejected_and_the_line_is_extrapolated(off_m: float)
     assert fixes.insert(back) == ns(30.5) - 1
 
 
-def test_a_lasting_jump_is_accepted_and_no_line_connects_it() -> None:
+def test_a_permanent_jump_is_accepted_and_no_line_connects_it() -> None:
     """After 25 s (``JUMP_CONFIRMATION_S``)."""
     fixes = track(*(moving_fix(t) for t in range(10)), *(moving_fix(t, 1000.0) for t in range(10, 36)))
     # A fix is used from gnss_delay_s after its stamp on. No line connects it to the position before.

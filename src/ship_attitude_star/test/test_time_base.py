@@ -77,7 +77,7 @@ def run_with_clocks(
 
 
 def _hand_over_one(run: Run, arrival: Arrival, off_ns: Clock) -> None:
-    """As :func:`hand_over` of one after another: ticks on the same grid."""
+    """Give one message to the adapter, after the ticks that precede it on the grid of :func:`hand_over`."""
     if not hasattr(run, "grid_ns"):
         run.grid_ns = arrival.receive_ns // 100_000_000
     while (run.grid_ns + 1) * 100_000_000 <= arrival.receive_ns:
@@ -295,7 +295,7 @@ def test_an_ins_that_drifted_until_stars_return_cannot_verify_utc() -> None:
     assert not_valid_s(run, 35.0) < 2.0
 
 
-def test_a_contested_sensor_stays_contested_after_a_step() -> None:
+def test_duplicate_publishers_of_a_sensor_are_kept_after_a_step() -> None:
     off_ns = clock((10.0, -300.0))
     adapter = new_adapter()
     run_with_clocks(adapter, [a for a in voyage(15.0) if a.receive_ns < START_NS + 5 * SECOND_NS], off_ns)

@@ -1,6 +1,6 @@
 """A prior of any width, from a minute of arc to half a turn: stars one by one, or solved, lead to the same attitude.
 
-Truth is drawn with the prior that the filter is told: error of the INS, its white noise, mounting, what stars share.
+Truth is drawn from the filter's prior: error of the INS, its white noise, mounting, and the errors common to all stars.
 """
 
 from dataclasses import dataclass, replace
@@ -101,7 +101,7 @@ def solve_attitude(exposure: StarExposure, sky_model: SkyModel) -> AttitudeMeasu
 
 
 def end(sky: Sky, seed: int, width: Width, count: int = 8) -> dict[str, tuple[FloatArray, FloatArray, int]]:
-    """By kind of input: error of the INS's estimated error (horizon), its covariance, and how many were refused."""
+    """Return by kind of input: error of the estimated INS error (horizon), its covariance, and number of rejections."""
     rng = np.random.default_rng([11, seed])
     error_n = np.array([width.tilt, width.heading, width.tilt]) * ARCSEC * rng.standard_normal(3)
     mounted_s = {id_: INSTALLATION * rng.standard_normal(3) for id_ in SENSORS}
@@ -145,7 +145,7 @@ WIDTHS = [
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("width", WIDTHS, ids=str)
-def test_mend_11_single_stars_and_solutions_are_honest_and_agree(sky: Sky, width: Width) -> None:
+def test_mend_11_single_stars_and_solutions_match_their_covariance_and_agree(sky: Sky, width: Width) -> None:
     ends = [end(sky, seed, width) for seed in range(SEEDS)]
     low, high = mean_nees_band(SEEDS, 3)
     for kind in ("observations", "solution"):
@@ -244,7 +244,7 @@ def test_mend_14_one_step_leads_to_the_most_likely_clock_and_attitude(seed: int)
 
 @pytest.mark.parametrize("off_deg", [3.0, -3.0, 9.0])
 def test_mend_11_no_valid_attitude_is_wrong_where_the_ins_is_off_as_stated(off_deg: float) -> None:
-    """Of 431 VALID attitudes, 421 were off by more than five sigma, 3° off with a sigma of 3°."""
+    """An INS that was 3° off with a sigma of 3° once made 421 of 431 VALID attitudes wrong by more than five sigma."""
 
     def turn_ins(message: Any) -> None:
         q = message.orientation
@@ -282,7 +282,7 @@ def test_mend_11_a_solution_is_not_against_an_ins_that_is_off_as_stated(sky: Sky
 
 
 @pytest.mark.parametrize("width", [WIDTHS[0], WIDTHS[3], WIDTHS[4]], ids=str)
-def test_mend_11_what_the_gate_judges_is_chi_square(sky: Sky, width: Width) -> None:
+def test_mend_11_the_gate_statistic_is_chi_square(sky: Sky, width: Width) -> None:
     """The sum of squares at the estimate, of the first exposure of each seed: sixteen residuals, sixteen degrees."""
     values = []
     for seed in range(SEEDS):

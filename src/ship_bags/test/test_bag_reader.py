@@ -419,7 +419,7 @@ class TestBadInput:
         self.assert_refused(tmp_path / "a.mcap", "holds no messages .*no footer")
 
     def test_all_chunks_damaged(self, tmp_path):
-        """The summary tells of two chunks, none of which can be read."""
+        """The summary lists two chunks, none of which can be read."""
         path = write_numbered(tmp_path / "a.mcap", TIMES[:45])
         data = bytearray(path.read_bytes())
         chunks = chunk_offsets(data)

@@ -55,7 +55,7 @@ for number in map(int, moments.split(",")):
     half = [name for name, content in found.items() if whole.get(name) != content]
     sys.stderr.write(f"{code} {half}\\n" if code != 130 or half else "")
 """
-# Command, moments that it has at least (the later ones in the middle of its files), arguments.
+# Command, numbers of the interrupts (later ones are in the middle of its files), arguments.
 CASES = {
     "simulate": ("ship_simulation.simulate_command", "1,2", ["short.yaml", "--out", "out.mcap"]),
     "replay": ("ship_replay.commands.replay", "1,2", ["in.mcap", "--config", "suite.yaml", "--out", "out.mcap"]),
@@ -88,8 +88,8 @@ def test_ctrl_c_is_one_line_and_leaves_no_partial_file(case, tmp_path):
 
 @pytest.mark.parametrize("unbuffered", ["", "1"], ids=["", "unbuffered"])
 @pytest.mark.parametrize("option", [[], ["--json"], ["--suite"]], ids=str)
-def test_a_command_whose_reader_is_gone_ends_silently(option, unbuffered, tmp_path):
-    """As `info BAG | head -1`."""
+def test_a_command_whose_reader_is_gone_ends_without_output(option, unbuffered, tmp_path):
+    """The command ends as in `info BAG | head -1`."""
     bag = write_imu_bag(tmp_path / "a.mcap", 3, attachments=[(SUITE_ATTACHMENT, "a: 1\n")])
     reader, writer = os.pipe()
     os.close(reader)

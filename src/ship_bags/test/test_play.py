@@ -189,8 +189,8 @@ def test_keys_on_a_terminal_step_speed_up_and_pause(domain, tmp_path):
     options = ("--paused", "--rate", "0.001", "--wait-for-subscribers", "ins/imu", "/clock")
     command = [*executable("ship_bags", "play"), write_imu_bag(tmp_path / "in.mcap", count=100), *options]
 
-    def stands():
-        """Whether the clock was said anew and did not move."""
+    def is_clock_stopped():
+        """Return True if the clock was published again with the same time."""
         seen = len(times)
         assert domain.graph.spin_until(lambda: len(times) >= seen + 3)
         return times[-1].clock == times[-3].clock
@@ -200,14 +200,14 @@ def test_keys_on_a_terminal_step_speed_up_and_pause(domain, tmp_path):
         assert domain.graph.spin_until(lambda: not termios.tcgetattr(terminal)[3] & termios.ICANON)
         os.write(keys, b"sxs")
         assert domain.graph.spin_until(lambda: len(samples) == 2)
-        assert domain.graph.spin_until(stands)
+        assert domain.graph.spin_until(is_clock_stopped)
         assert len(samples) == 2
         os.write(keys, b" " + 8 * b"+")
         assert domain.graph.spin_until(lambda: len(samples) > 10)
         os.write(keys, b" ")
-        assert domain.graph.spin_until(stands)
+        assert domain.graph.spin_until(is_clock_stopped)
         reached = len(samples)
-        assert domain.graph.spin_until(stands)
+        assert domain.graph.spin_until(is_clock_stopped)
         assert len(samples) == reached < 100
         os.write(keys, 4 * b"+" + b" ")
         assert domain.graph.spin_until(lambda: process.poll() is not None)

@@ -247,7 +247,7 @@ def test_with_ticks_left_out_the_clock_is_not_late(tmp_path, stride):
 
 
 def test_a_year_at_a_huge_rate_is_played_immediately(live, tmp_path):
-    """With all ticks, years of /clock would precede the first message, and three billion ticks follow it."""
+    """Ticks of the whole year are left out: three billion of them would follow the first messages."""
     from rosgraph_msgs.msg import Clock
     from sensor_msgs.msg import Imu
 

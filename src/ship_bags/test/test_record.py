@@ -68,7 +68,7 @@ class TestClockStepDetector:
 
 
 class Recording:
-    """`record` in a domain of its own, beside a node that publishes numbered samples."""
+    """`record` in a domain of its own, with a node that publishes numbered samples."""
 
     def __init__(self, folder, *options):
         from rclpy.qos import QoSProfile

@@ -294,7 +294,7 @@ def test_policies_of_another_program_without_fingerprint(keystore):
 
 
 def test_policies_that_allow_too_much(keystore):
-    """As 'ros2 security create_enclave' makes them without a policy: everything is allowed."""
+    """Everything is allowed, as by 'ros2 security create_enclave' without a policy."""
     text = permissions_text(OF_NODE, DOMAIN, NOW - DAY, NOW + YEAR)
     wide = text.replace("<topic>rt/rosout</topic>", "<topic>rt/*</topic>")
     keystore.sign(keystore.folder(NODE) / "permissions.p7s", wide)

@@ -149,7 +149,7 @@ def test_private_key_of_the_authority(keystore, place):
 
 
 def test_links_to_one_key_are_one_fault(keystore):
-    """As ``ros2 security`` lays them out."""
+    """The links are those that ``ros2 security`` makes."""
     write_private(keystore.path / "private" / "ca.key.pem", AUTHORITY.key)
     for name in ("identity_ca.key.pem", "permissions_ca.key.pem"):
         (keystore.path / "private" / name).symlink_to("ca.key.pem")

@@ -92,7 +92,7 @@ def test_steps_from_fourteen_sigma_on_are_detected_at_the_sample(rate_hz: float,
 @pytest.mark.statistics
 @pytest.mark.parametrize(("rate_hz", "least_arcsec"), [(20.0, 12.0), (50.0, 7.0), (100.0, 6.0), (200.0, 5.0)])
 def test_smaller_steps_are_detected_within_a_fifth_of_a_second(rate_hz: float, least_arcsec: float) -> None:
-    """In forty runs each; ``least_arcsec`` is the value in the documentation."""
+    """Forty runs for each rate; ``least_arcsec`` is the value in the documentation."""
     first = number_at(rate_hz)
     for seed in range(40):
         step = np.random.default_rng(seed).standard_normal(3)

@@ -54,8 +54,8 @@ def test_error_under_an_undetected_fault_is_within_the_protection_level():
 def misleading_ratio(sensors, bias, pairs, draws=300, seed=5):
     """Return the probability that two equal faults are not detected and an error exceeds its protection level.
 
-    The estimate is the mean of the sensors, of three components; each sensor measures them with the sigma 3, so k
-    sensors have the variance 9/k, and two nested estimates differ by the difference of their variances.
+    The estimate is the mean of the sensors, of three components. Each sensor measures them with a sigma of 3: the mean
+    of k sensors has the variance 9/k. The variance of the separation of nested estimates is the difference of theirs.
     """
     rng, everyone = np.random.default_rng(seed), set(range(sensors))
     left_out = [*itertools.combinations(everyone, 1), *(itertools.combinations(everyone, 2) if pairs else ())]

@@ -75,7 +75,7 @@ def test_value_may_be_repeated_at_rest() -> None:
 
 
 def test_resolution_is_estimated_from_the_changes_of_the_value() -> None:
-    """With a resolution of a tenth of a degree a smaller rotation shows nothing."""
+    """A rotation below the resolution of a tenth of a degree changes no value."""
     check, start_ms = after([0.1 * (n // 4) for n in range(40)])
     # A rotation about one axis changes two rows of the matrix, each by the step.
     assert check.coarseness_rad == pytest.approx(np.deg2rad(0.1), rel=1e-3)

@@ -65,7 +65,7 @@ def faulty(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_each_fault_names_its_source_within_two_seconds(faulty: Path) -> None:
     """INS step of 100″ at 20 s, star sensor shifted by 50″ at 40 s: two alerts of two sources.
 
-    The step takes the heading for three tenths of a second; what is over its limit from then on is told.
+    The heading is lost for three tenths of a second after the step; then angles over their limits are reported.
     """
     voyage = Voyage(faulty)
     time_s, ins = voyage.first("ins.out")

@@ -235,12 +235,14 @@ def test_alerts_are_in_the_recording(start, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("node", "hardware_id"), [("star_attitude", ""), ("ship_attitude", "/other/ship_attitude")], ids=["by name", "told"]
+    ("node", "hardware_id"),
+    [("star_attitude", ""), ("ship_attitude", "/other/ship_attitude")],
+    ids=["by name", "by hardware id"],
 )
 def test_diagnostics_of_another_suite_are_ignored(node, hardware_id, ship, start, until, tmp_path):
     """A node of another namespace publishes its clock status on the same topic: no alert of this suite.
 
-    Where the nodes of the two suites have one name, the node itself tells which one it is.
+    The hardware id distinguishes the nodes of the two suites if they have the same name.
     """
     stranger = Node(node, context=ship.context, namespace="other")
     diagnostics = stranger.create_publisher(DiagnosticArray, "/diagnostics", 10)

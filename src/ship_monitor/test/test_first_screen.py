@@ -130,7 +130,7 @@ def test_sources_that_are_out_have_banners_and_reasons():
         "right +49″ · 81 rejected in a row since 11:59:28",
         "no data since 11:59:55",
     ]
-    assert sources["why"] == [], "the list says it"
+    assert sources["why"] == [], "the list names them"
 
 
 def test_single_source_out_has_two_more_lines():

@@ -184,17 +184,17 @@ def test_subscription_survives_a_restart_of_the_estimator(sail, connect):
 @pytest.mark.parametrize("is_awaited", [False, True])
 def test_topic_with_another_type_is_offered_again(sail, connect, live_suite, is_awaited):
     ship, client = sail(), connect()
-    if is_awaited:  # Both types are there all the time: somebody listens with the one, the client with the other.
-        sail().node.create_subscription(Float64, "told", lambda _: None, 10)
-    ship.publish("told", String(data="a"))
-    receive(client, ship, "told", String(data="a"))
-    client.wait_until(lambda: len(live_suite._relay._known_types["/demo/told"]) == 1 + is_awaited)
+    if is_awaited:  # Both types exist at any time: a subscriber has the one, the client has the other.
+        sail().node.create_subscription(Float64, "text", lambda _: None, 10)
+    ship.publish("text", String(data="a"))
+    receive(client, ship, "text", String(data="a"))
+    client.wait_until(lambda: len(live_suite._relay._known_types["/demo/text"]) == 1 + is_awaited)
     ship.stop()
     ship = sail()
-    ship.publish("told", Float64(data=1.0))
-    client.wait_until(lambda: client.channels.get("/demo/told", {}).get("schemaName") == "std_msgs/msg/Float64")
+    ship.publish("text", Float64(data=1.0))
+    client.wait_until(lambda: client.channels.get("/demo/text", {}).get("schemaName") == "std_msgs/msg/Float64")
     client.received.clear()
-    receive(client, ship, "told", Float64(data=2.0))
+    receive(client, ship, "text", Float64(data=2.0))
     assert decode(client, client.received[0]).data == 2.0
 
 
@@ -260,15 +260,15 @@ def test_executable_ends_with_a_client_that_does_not_read(sail, resources, monit
     ship, client = sail(), FoxgloveClient(address)
     resources.callback(client.close)
     message = String(data="x" * 60_000)
-    ship.publish("told", message)
-    receive(client, ship, "told", message)
-    deaf = resources.enter_context(client_that_never_reads(address, client.channels["/demo/told"]["id"]))
+    ship.publish("text", message)
+    receive(client, ship, "text", message)
+    deaf = resources.enter_context(client_that_never_reads(address, client.channels["/demo/text"]["id"]))
     # More than the buffers of a connection: unread messages then wait in the server.
     client.received.clear()
 
     def has_come():
         for _ in range(5):
-            ship.publish("told", message)
+            ship.publish("text", message)
         return len(client.received) >= 200
 
     client.wait_until(has_come)

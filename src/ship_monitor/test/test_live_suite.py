@@ -135,7 +135,7 @@ def test_queue_depths(topic, type_name, count):
 
 
 def test_page_terminal_and_alerts_show_one_state(ship, until):
-    """With an alert node with tight limits displays show its state, and their own after its end."""
+    """Displays show the state of an alert node with tight limits, and their own state after its end."""
     tight = Limits(heading_arcsec=0.2, tilt_arcsec=0.2, pointing_arcsec=0.2)
     context = Context()
     rclpy.init(context=context)

@@ -438,7 +438,7 @@ def test_panels_are_drawn_when_they_become_visible(browser, source, page, theme,
     assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth"), "wider than the window"
 
 
-# What a panel says of itself, and whether it is within the window.
+# Text after a panel's title, and true if the panel is within the window.
 PANEL = f"""((title) => {{
   const box = {INSIDE}.find((each) => each.tagName === 'B' && each.textContent.startsWith(title));
   const panel = box.getRootNode().host.getRootNode().host.getBoundingClientRect();
@@ -458,7 +458,7 @@ MARKED = f"""(() => {{
   const rows = {INSIDE}.filter((each) => each.tagName === 'TR' && each.classList.contains('marked')).length;
   const states = {FIGURES}.flatMap((each) => [...each.left, ...each.right])
     .flatMap((axis) => axis.major_label_overrides ?? [])
-    .flatMap((told) => told instanceof Map ? [...told.values()] : Object.values(told))
+    .flatMap((data) => data instanceof Map ? [...data.values()] : Object.values(data))
     .filter((text) => String(text).startsWith('▶'));
   return [titled.length, framed, rows, states.length];
 }})()"""

@@ -120,7 +120,7 @@ def test_panels_are_drawn_in_every_theme_and_width(browser, theme, width, tmp_pa
     with serve_panels(theme) as (address, _):
         open_page(browser, address, theme, width)
         browser.wait(lambda: evaluate(browser, "found('Figure').length") == 14, "all plots")
-        browser.wait(lambda: has_text_at(browser, "found('Figure')[4]"), "what is told of the error of pitch")
+        browser.wait(lambda: has_text_at(browser, "found('Figure')[4]"), "the text of the error of pitch")
         browser.take_screenshot(tmp_path / f"{theme}_{width}.png", whole=True)
         assert browser.problems == []
         assert browser.evaluate("document.documentElement.scrollWidth") <= width

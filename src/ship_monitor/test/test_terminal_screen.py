@@ -255,7 +255,7 @@ WIDE = st.text(alphabet=st.sampled_from("aß漢字ｆ🚢\u0301\x1b\t\n−″σ�
 @settings(max_examples=150, deadline=None)
 @given(
     name=WIDE,
-    told=WIDE,
+    text=WIDE,
     number=st.floats(),
     other=st.floats(),
     width=st.integers(0, 200),

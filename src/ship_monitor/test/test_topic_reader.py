@@ -159,7 +159,7 @@ def clock_at(time_s):
 
 
 def test_clock_in_the_namespace_is_used(ship, reader, until):
-    """With `suite --bag --namespace` each suite has the clock of its own bag."""
+    """Each suite has the clock of its own bag, as with `suite --bag --namespace`."""
     ship.publish("ship/innovation", Innovation())
     ship.publish("clock", clock_at(100))
     ship.wait_for_subscribers(until, reader.fetch, "clock", "ship/innovation")

@@ -162,7 +162,7 @@ def test_every_change_is_sent_once_with_the_next_revision():
 
 
 def test_escalation_is_a_new_instance_after_the_old_one_is_normal():
-    """As ship_watch escalates: an unacknowledged warning ends, and an alarm with the next instance begins."""
+    """An unacknowledged warning ends, and an alarm with the next instance begins, as in ship_watch."""
     ledger = SentAlerts()
     (warning,) = ledger.update([alert()], 0)
     ended, alarm = ledger.update([alert(instance=2, priority=Alert.ALARM)], 9)

@@ -87,7 +87,7 @@ def test_first_message_timeout_text_depends_on_the_publishers(health):
 
 
 def test_a_configured_device_without_messages_is_a_warning():
-    """As after a mistyped id: its topic has no publisher."""
+    """Its topic has no publisher, as after a mistyped id."""
     monitor = InputHealthMonitor(
         [InputTopic(STAR, "ship_msgs/msg/StarHorizonAttitude", False, depth=10, is_configured=True)]
     )

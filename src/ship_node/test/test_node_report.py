@@ -87,7 +87,7 @@ def test_a_change_of_level_is_one_log_line(lines: Lines) -> None:
     assert lines.lines == ["info attitude: VALID", "error attitude: INVALID", "info attitude: VALID"]
 
 
-def test_each_reason_of_a_lasting_fault_is_logged_once(lines: Lines) -> None:
+def test_each_reason_of_a_continuing_fault_is_logged_once(lines: Lines) -> None:
     log = StatusLog(lines)
     log.update([DiagnosticStatus("source gyro", Level.OK, "gives")])
     messages = "no line for 3 s", "no line for 4 s", "broken, as '$HE'", "no line for 5 s", "broken, as '$HEHDT'"

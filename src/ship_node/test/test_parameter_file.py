@@ -148,7 +148,7 @@ def test_a_file_for_other_nodes_is_a_warning():
 
 
 def test_a_section_for_all_nodes_matches():
-    """As ros2 launch writes inline parameters; a section with the node's name that does not match is a warning."""
+    """ros2 launch writes inline parameters so; a section with the node's name that does not match is a warning."""
     inline = "/**: {ros__parameters: {lag_s: 1.0}}\n"
     assert section_warning(inline, AURORA) == ""
     assert section_warning(f"{inline}/**/ship_attitude: {{ros__parameters: {{x: 1}}}}\n", AURORA) == ""

@@ -72,7 +72,7 @@ class TinyCore:
 
 def read(message: Any, receive_ns: int, scale: int = 1) -> ReadMessage[Value]:
     if message.bad is not None:
-        raise MessageRejected(message.bad, "as the message says")
+        raise MessageRejected(message.bad, "as in the message")
     left_out = tuple((name, Rejection(Reason.UNITS, "degrees?")) for name in message.left_out)
     return ReadMessage(Value(message.stamp_ns), message.known, left_out, message.empty)
 

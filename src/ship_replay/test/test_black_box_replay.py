@@ -48,7 +48,7 @@ def error_text(capsys, *arguments):
     return err
 
 
-def test_a_whole_box_is_equal_to_the_last_bit(black_box, capsys):
+def test_a_whole_black_box_is_equal_to_the_last_bit(black_box, capsys):
     code, out, _ = verify(capsys, black_box)
     assert code == 0, out
     # 8 s at 100 Hz and 300 messages more after the clock went back; 2 parameter changes, one refused by the adapter
@@ -61,7 +61,7 @@ def test_a_whole_box_is_equal_to_the_last_bit(black_box, capsys):
     assert "note" not in out
 
 
-def test_a_box_of_several_files_is_equal_to_the_last_bit(tmp_path, capsys):
+def test_a_black_box_of_several_files_is_equal_to_the_last_bit(tmp_path, capsys):
     """The first file is given; a later one by itself is refused with the name of the first."""
     black_box = make_black_box(tmp_path / "box.mcap", tmp_path / "alignment.yaml", part_bytes=1).path
     assert (tmp_path / "box.part2.mcap").is_file()
@@ -77,7 +77,7 @@ def test_a_box_of_several_files_is_equal_to_the_last_bit(tmp_path, capsys):
     assert "entries are missing before" in out
 
 
-def test_a_box_of_the_optical_axis_is_equal_to_the_last_bit(tmp_path, capsys):
+def test_a_black_box_of_the_optical_axis_is_equal_to_the_last_bit(tmp_path, capsys):
     black_box = make_black_box(tmp_path / "box.mcap", tmp_path / "calibration.yaml", node=OPTICAL_AXIS).path
     code, out, _ = verify(capsys, black_box)
     assert code == 0, out
@@ -102,7 +102,7 @@ def test_a_box_of_the_optical_axis_is_equal_to_the_last_bit(tmp_path, capsys):
     ],
     ids=["ship_attitude", "optical_axis"],
 )
-def test_a_box_with_an_exclusion_in_it_is_equal_to_the_last_bit(node, fault, source, tmp_path, capsys):
+def test_a_black_box_with_an_exclusion_is_equal_to_the_last_bit(node, fault, source, tmp_path, capsys):
     faults, hit = tmp_path / "faults.yaml", tmp_path / "hit.mcap"
     faults.write_text(f"faults: {{one: {{{fault}, start_s: 3.0}}}}")
     assert inject([str(node.bag), "--faults", str(faults), "--out", str(hit)]) == 0
@@ -118,7 +118,7 @@ def test_a_box_with_an_exclusion_in_it_is_equal_to_the_last_bit(node, fault, sou
 
 @pytest.mark.slow
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
-def test_box_records_the_waiting_time_for_timeouts(node, tmp_path, capsys):
+def test_a_black_box_records_the_waiting_time_for_timeouts(node, tmp_path, capsys):
     """The node's clock is put forward while nothing comes for 2.2 s, and back later."""
 
     def node_ns(waiting_ns):
@@ -176,7 +176,7 @@ def older(kind):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship", "axis"])
-def test_box_of_a_node_that_was_behind_is_equal_to_the_last_bit(tmp_path, capsys, node):
+def test_a_black_box_of_a_node_that_was_behind_is_equal_to_the_last_bit(tmp_path, capsys, node):
     black_box = make_black_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=node, is_overloaded=True).path
     code, out, _ = verify(capsys, black_box)
     assert code == 0, out
@@ -192,7 +192,7 @@ def test_box_of_a_node_that_was_behind_is_equal_to_the_last_bit(tmp_path, capsys
 
 @pytest.mark.slow
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship", "axis"])
-def test_a_box_of_before_a_topic_was_published_is_still_equal_to_the_last_bit(tmp_path, capsys, node):
+def test_a_black_box_from_before_a_topic_was_published_is_equal_to_the_last_bit(tmp_path, capsys, node):
     black_box = tmp_path / "box.mcap"
     make_black_box(black_box, tmp_path / "saved.yaml", node=replace(node, adapter_class=older(node.adapter_class)))
     with read_bag(black_box) as bag:
@@ -279,7 +279,7 @@ def without_an_orientation(node, folder):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
-def test_a_box_with_refused_orientations_is_equal_to_the_last_bit(tmp_path, capsys, node):
+def test_a_black_box_with_refused_orientations_is_equal_to_the_last_bit(tmp_path, capsys, node):
     hit = without_an_orientation(node, tmp_path)
     black_box = make_black_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=replace(node, bag=hit)).path
     with read_bag(black_box) as bag:
@@ -292,7 +292,7 @@ def test_a_box_with_refused_orientations_is_equal_to_the_last_bit(tmp_path, caps
 
 @pytest.mark.slow
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
-def test_a_box_of_before_orientations_were_refused_is_replayed_as_recorded(tmp_path, capsys, node):
+def test_a_black_box_from_before_orientations_were_refused_is_replayed_as_recorded(tmp_path, capsys, node):
     """Its node used them without the parameter, and stated no covariance of the rates in ship/imu."""
     hit = without_an_orientation(node, tmp_path)
     parameters = {f"{group}.accept_unset_covariance": True for group in UNSET_INPUTS[node.adapter_class][1]}
@@ -454,7 +454,7 @@ def test_a_damaged_chunk_ends_the_verification_and_is_reported(black_box, tmp_pa
 
 
 @pytest.mark.parametrize("part", [0.3, 0.6, 0.9])
-def test_a_cut_box_is_verified_up_to_the_cut(black_box, tmp_path, capsys, part):
+def test_a_cut_black_box_is_verified_up_to_the_cut(black_box, tmp_path, capsys, part):
     cut = tmp_path / "b.mcap"
     data = black_box.read_bytes()
     cut.write_bytes(data[: round(part * len(data))])
@@ -507,7 +507,7 @@ class TestRefused:
         line = error_text(capsys, copy)
         assert f"attachment {name} is missing: the content of {black_box.with_name('alignment.yaml')}" in line
 
-    def test_with_parameters_that_this_node_does_not_know(self, black_box, tmp_path, capsys):
+    def test_with_parameters_that_this_node_does_not_have(self, black_box, tmp_path, capsys):
         copy = write_changed_copy(
             black_box, tmp_path / "b.mcap", with_suite(lambda text: text.replace("lag_s", "delay_s"))
         )

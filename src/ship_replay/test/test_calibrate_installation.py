@@ -104,7 +104,7 @@ def test_with_a_reference_the_node_starts_from_the_true_angles(tmp_path, capsys)
         for angle, value in zip(("azimuth", "elevation", "roll"), true, strict=True):
             name = f"star.{id_}.{angle}"
             index, stated = alignment.names.index(name), result.values["angles"][name]
-            # What the file says, the report says, and the truth is.
+            # The file, the report and the truth agree.
             assert np.rad2deg(wrap_pi(alignment.values[index])) == pytest.approx(stated["installed_deg"], abs=1e-9)
             assert sigma[index] / ARCSEC == pytest.approx(stated["sigma_arcsec"], rel=1e-4)
             assert abs(wrap_pi(alignment.values[index] - value)) < 4.0 * sigma[index] < 2.0 * sigma_before[index]

@@ -53,7 +53,7 @@ CALM = {"bow": "no", "up": "no", "starboard": "no"}
     [
         (session(STILL), CALM),
         (session(STILL, sigma_arcsec=1200.0), CALM),
-        # The INS's heading error turns with the ship: a turn in calm water tells only its tilt.
+        # The INS's heading error turns with the ship: a turn in calm water makes only its tilt observable.
         (session(TURN), CALM | {"bow": "yes", "starboard": "yes"}),
         (session(HEELING), dict.fromkeys(CALM, "yes")),
         (session(STILL, reference=True), dict.fromkeys(CALM, "yes")),

@@ -36,7 +36,7 @@ def test_innovation_diagnosis() -> None:
     ]  # fmt: skip
 
 
-def test_nothing_measured_leaves_everything_open() -> None:
+def test_nothing_measured_leaves_everything_unobserved() -> None:
     combos = find_combinations(PRIOR_COVARIANCE)
     assert [combo.axis for combo in combos] == [*DECK_AXES, None, None, None]
     assert {combo.observability for combo in combos} == {"no"}
@@ -44,7 +44,7 @@ def test_nothing_measured_leaves_everything_open() -> None:
     assert [combo.sigma / ARCSEC for combo in combos[:3]] == pytest.approx([20.0 / np.sqrt(2.0)] * 3)
 
 
-def test_at_constant_heading_the_turn_of_all_is_open_and_the_rest_is_not() -> None:
+def test_at_constant_heading_only_the_turn_of_all_is_unobserved() -> None:
     combos = find_combinations(against_ins(PRIOR_COVARIANCE, sigma_arcsec=0.1))
     # 1 / sqrt(2 / 20² + 1 / 10²) and 1 / sqrt(2 / 20² + 1 / 72²): prior and INS, by hand.
     assert [combo.axis for combo in combos] == list(DECK_AXES)

@@ -75,7 +75,7 @@ def check(tmp_path, capsys):
         captured = capsys.readouterr()
         lines = (captured.err + captured.out).replace(f"{config}", "suite").replace(str(bag), "BAG").splitlines()
         found = [re.sub(r" suite:\d+:", "", line) for line in lines if line.startswith(("error", "warning"))]
-        # Both nodes that take a camera say the same.
+        # Both nodes with a camera report the same.
         return list(dict.fromkeys(line for line in found if "camera" in line or "magnitudes" in line))
 
     return run
@@ -178,7 +178,7 @@ def test_mirrored_axes_are_named(check, deck, tmp_path, mirror, words):
 
 
 def test_mirrored_axes_without_an_ins_are_named_as_such(check, tmp_path):
-    """Which of the axes is reversed is not stated: there is no predicted attitude."""
+    """The reversed axis is not named, since there is no predicted attitude."""
     bag, text = simulate_bag(tmp_path, deck_scenario(True))
     mirrored = change_bag(bag, tmp_path, FORE, lambda star: v_upwards(star, IMAGE_PX[FORE]))
     alone = tmp_path / "alone.mcap"

@@ -108,7 +108,7 @@ def test_ins_alone(tmp_path):
     assert values["ins.nees_mean"] == pytest.approx(0.25)
 
 
-def test_a_star_sensor_alone_is_carried_to_the_deck_by_its_nominal_installation(tmp_path):
+def test_a_star_sensor_alone_is_rotated_to_the_deck_by_its_nominal_installation(tmp_path):
     path = tmp_path / "a.mcap"
     rotation_dv = rotation_from_angles(*np.deg2rad([30.0, 40.0, 5.0]))
     rotation_nd = rotation_from_angles(1.0, 0.0, 0.0)

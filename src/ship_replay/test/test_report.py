@@ -212,7 +212,7 @@ class TestFiveSentences:
         share = re.search(r"ship/attitude VALID ([\d.]+) % of the time", summary(read_recording(recording_path))[0])
         assert float(share[1]) == pytest.approx(90.0, abs=1.0)
 
-    def test_the_cause_stands_before_what_needs_it(self, recording_path):
+    def test_the_cause_precedes_its_consequences(self, recording_path):
         recording = read_recording(recording_path)
         recording.events = events(
             (5, "source", "star.fore OUT, needs ins"), (5, "source", "ins OUT, no data"),
@@ -251,7 +251,7 @@ class TestEvents:
         assert sum(row.count for row in rows) == 10
         assert "–" in rows[0].when
 
-    def test_changes_minutes_apart_are_rows_of_their_own(self):
+    def test_changes_with_minutes_between_them_have_their_own_rows(self):
         changes = [(100 * number, "source", f"ins {'IN' if number % 2 else 'OUT, no data'}") for number in range(8)]
         assert len(event_rows(events(*changes))) == 8
 

@@ -67,8 +67,8 @@ def alert(state, second, text="star.fore out: no data"):
     )
 
 
-def test_alerts_that_were_recorded_stand_before_those_computed(recording_path, tmp_path):
-    """With the texts and times of the alert node, and with acknowledgements, which cannot be computed."""
+def test_recorded_alerts_replace_computed_ones(recording_path, tmp_path):
+    """They have the texts and times of the alert node, and acknowledgements, which cannot be computed."""
     path = tmp_path / "out.mcap"
     history = [(10, AlertState.ACTIVE_UNACKNOWLEDGED), (14, AlertState.ACTIVE_ACKNOWLEDGED), (20, None)]
     with BagWriter(path) as writer, read_bag(recording_path) as bag:

@@ -70,7 +70,7 @@ def _run(tmp_path):
         ((5.0, -19.0, 29.0), Status.VALID),
         ((-11.0, 19.0, 29.0), Status.VALID),  # heading above its level
         ((9.0, 45.0, 0.0), Status.VALID),  # pitch above its level and the limit
-        ((9.0, 45.0, 0.0), Status.DEGRADED),  # told
+        ((9.0, 45.0, 0.0), Status.DEGRADED),  # reported by the status
         ((math.nan, math.nan, math.nan), Status.INVALID),
         ((0.0, 0.0, 0.0), Status.COASTING),
         ((45.0, 0.0, 31.0), Status.VALID),  # the level of heading is above the limit; roll above its level

@@ -104,7 +104,7 @@ def test_texts_that_differ_are_counted_and_no_difference(parts, tmp_path, capsys
     assert re.search(r"verified: the numbers of \d+ outputs are equal to the last bit", out)
 
 
-def test_a_number_that_differs_beside_a_text_is_the_difference(parts, tmp_path, capsys):
+def test_a_number_that_differs_next_to_a_text_is_the_difference(parts, tmp_path, capsys):
     def change_both(message):
         rename_components(message)
         message.nis = np.nextafter(message.nis, 1e9)

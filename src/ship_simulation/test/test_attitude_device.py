@@ -41,7 +41,7 @@ def assert_sigma(values, sigma, probability=0.999):
     assert low < np.sqrt(np.mean(values**2)) / sigma < high
 
 
-def test_a_run_starts_at_its_moment_and_keeps_its_rates():
+def test_a_run_starts_at_its_time_and_keeps_its_rates():
     run = simulate(paper(duration_s=10.0), seed=1)
     # 2014-07-09T11:50:07Z is 1404906607 by `date -u +%s`.
     assert run.start_ns == 1_404_906_607_800_000_000
@@ -67,7 +67,7 @@ def test_ins_samples_obey_the_equation_of_the_model():
     np.testing.assert_allclose(neighbours, 0.0, atol=3.3 / np.sqrt(len(white_n)))
 
 
-def test_ins_rates_are_those_at_the_moment_of_validity():
+def test_ins_rates_are_those_at_the_time_of_validity():
     run = simulate(with_ins(paper(duration_s=5.0), time_offset_s=0.5), seed=2)
     times_s = (run.ins.time_ns - run.start_ns) / SECOND_NS + run.truth.ins.time_offset_s
     assert 0.4 < run.truth.ins.time_offset_s < 0.6

@@ -125,7 +125,7 @@ def check_a_kind(bag, start_ns, kind, topic):
 
 @pytest.mark.parametrize("topic", TOPICS)
 def test_covariance_faults_apply_to_all_types_with_covariances(topic):
-    """By the definitions of the messages; the nodes use only the orientation covariance of an IMU."""
+    """The definitions of the messages name the covariances; of an IMU the nodes use only that of the orientation."""
     fields = message_store().fielddefs[TOPICS[topic]][1]
     names = [name for name, _ in fields if re.fullmatch(r"(\w+_)?covariance", name)]
     taken = [name for name in names if name not in ("angular_velocity_covariance", "linear_acceleration_covariance")]

@@ -119,7 +119,7 @@ def test_a_mounting_shift_rotates_an_attitude_in_the_device_frame(bag, tmp_path,
 
 
 def test_a_mounting_shift_rotates_the_measured_star_directions(bag, tmp_path):
-    """With R' = R exp(t) the sensor sees a fixed star at exp(-t) s, computed here with scipy."""
+    """The sensor sees a fixed star at exp(-t) s after a rotation R' = R exp(t), computed here with scipy."""
     scenario = load_scenario(ROOT / "bags" / "scenarios" / "everything.yaml")
     camera = scenario.star_sensors["starboard"].camera.camera("")
     turn = Rotation.from_rotvec(np.array([40.0, 25.0, -15.0]) * ARCSEC)

@@ -215,7 +215,7 @@ def test_unacknowledged_warning_is_repeated() -> None:
     assert voyage.go(301.0, OUT) == []
 
 
-def test_silence_lasts_half_a_minute_and_covers_no_new_alert() -> None:
+def test_silencing_lasts_half_a_minute_and_affects_no_new_alert() -> None:
     """Active alerts are silent for 30 s; an alert raised meanwhile sounds."""
     voyage = Voyage()
     voyage.go(1.0, OUT)
@@ -351,7 +351,7 @@ def test_most_urgent_comes_first() -> None:
 
 
 def test_last_change_comes_first_among_equals() -> None:
-    """Of two warnings the newer one comes first; the older one after it is repeated."""
+    """The newer of two warnings comes first; the older one comes first after it is repeated."""
     voyage = Voyage()
     older, newer = replace(OUT, id="older"), replace(OUT, id="newer")
     voyage.go(20.0, older)

@@ -167,7 +167,7 @@ def pointing(ns: int, covariance: Any) -> SimpleNamespace:
 
 
 def test_covariance_of_zeros_means_unknown_accuracy() -> None:
-    """As in sensor_msgs: "If the covariance is unknown, all elements are 0"."""
+    """The rule is that of sensor_msgs: "If the covariance is unknown, all elements are 0"."""
     monitor = monitor_after(10.0)
     monitor.process_message("ship/attitude", attitude(UTC + 10_500_000_000, sigma_arcsec=0.0), at(10.5))
     monitor.process_message("theodolite/pointing", pointing(UTC + 10_500_000_000, np.zeros(9)), at(10.5))

@@ -91,7 +91,7 @@ DROPPED = [
     ("encoder from the future", ENCODER, shift_stamp(0.06), "future", "ahead"),
     ("ship NaN", SHIP, set_field("orientation.x", np.nan), "non_finite", "orientation"),
     ("ship quaternion zero", SHIP, set_field("orientation.w", 10.0), "bad_quaternion", "expected 1"),
-    ("ship says INVALID", SHIP, set_field("status", 3), "gap", "INVALID"),
+    ("ship INVALID", SHIP, set_field("status", 3), "gap", "INVALID"),
     ("ship status unknown", SHIP, set_field("status", 9), "units", "status 9"),
     ("ship variance negative", SHIP, set_field("rotation_covariance", NEGATIVE), "bad_covariance", "negative"),
     ("ship not symmetric", SHIP, set_field("rotation_covariance", NOT_SYMMETRIC), "bad_covariance", "symmetric"),
@@ -186,7 +186,7 @@ def test_of_two_contents_of_one_stamp_the_order_of_arrival_does_not_choose(topic
 
 
 @pytest.mark.parametrize(("topic", "change"), OTHER)
-def test_a_source_that_contradicts_itself_is_not_valid_until_it_has_agreed_with_itself_for_ten_seconds(
+def test_a_source_with_conflicting_messages_is_not_valid_until_ten_consistent_seconds_later(
     topic: str, change: Change
 ) -> None:
     arrivals = session(15.0)

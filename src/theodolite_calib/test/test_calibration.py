@@ -71,7 +71,7 @@ def test_broken_file_is_refused_by_name(tmp_path: Path, old: str, new: str, text
     assert text in str(error.value)
 
 
-def test_a_session_that_starts_from_it_knows_what_was_known() -> None:
+def test_a_session_that_starts_from_it_has_its_estimates() -> None:
     filter_ = CalibrationFilter(config())
     state, messages = state_from_prior(filter_, config(), save_calibration(), NOW_NS)
     assert messages == []

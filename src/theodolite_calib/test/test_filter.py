@@ -211,7 +211,7 @@ def test_normalised_innovations_are_chi_square() -> None:
 
 
 @pytest.mark.parametrize("source", ["ship/attitude", "ins/imu"])
-def test_hypotheses_are_carried_as_each_alone(source: str) -> None:
+def test_subfilters_are_propagated_as_each_alone(source: str) -> None:
     """Two states of one model on one leading axis, over a minute in which stars end, and over a jump."""
     settings = config(**{**EVERYTHING, "ship__source": source})
     filter_ = CalibrationFilter(settings)

@@ -152,7 +152,7 @@ def test_beacon_outputs_are_valid_while_recent(source: str) -> None:
         np.testing.assert_allclose(ship.chord_nd @ run.rotation_dm, run.rotation_nm, rtol=0.0, atol=1e-14)
 
 
-def test_pointings_that_are_due_are_those_put_out_at_once_and_one_that_fails_fails_alone(
+def test_pending_pointings_equal_those_computed_at_once_and_one_that_fails_fails_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     settings, filter_, state = state_after_beacons("ins/imu")

@@ -41,7 +41,7 @@ def rms(values: FloatArray) -> FloatArray:
 
 
 @DIRECTIONS
-def test_maximum_likelihood_reaches_the_bound_and_knows_it(elevation_deg, rotation_deg):
+def test_maximum_likelihood_reaches_the_bound_and_matches_its_covariance(elevation_deg, rotation_deg):
     epochs, attitude = solve_epochs(elevation_deg, rotation_deg)
     assert attitude.solved.all()
     # Bound 3.47".

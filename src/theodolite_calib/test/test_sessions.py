@@ -189,7 +189,7 @@ def unobservable_after(low_deg: float, high_deg: float, **changes: float) -> set
     )
 
 
-def test_exactly_three_combinations_are_open_after_a_full_sweep() -> None:
+def test_exactly_three_combinations_are_unobservable_after_a_full_sweep() -> None:
     assert unobservable_after(10.0, 70.0) == THREE
 
 

@@ -303,7 +303,7 @@ def test_exposures_of_a_camera_that_stands_still_are_all_used(sky_model) -> None
     assert mount.filter.observability.unobservable_combinations(state.observability)
 
 
-def test_a_night_of_stars_calibrates_the_axes_for_the_day(sky_model) -> None:
+def test_a_session_of_stars_calibrates_the_axes_for_the_day(sky_model) -> None:
     """Half a minute all over the sky; then as long by the encoders, while the deformation continues."""
     settings = mount_config(encoder__sigma_arcsec=0.5, ship__white_sigma_arcsec=0.5)
     mount, seeds, exposures = Mount(settings, sky_model), 6, 120

@@ -63,7 +63,7 @@ def check_streams(encoder, ship):
         ({}, 100.0, TELESCOPE),
     ],
 )
-def test_who_stepped_is_named(steps, off_arcsec, name, rates):
+def test_the_stepped_source_is_named(steps, off_arcsec, name, rates):
     """Independent of the source isolated by the subfilters: both explain the step."""
     named = [
         isolate_step_fault(source, BOTH, check_streams(*samples(seed, rates=rates, **steps)), off_arcsec * ARCSEC)

@@ -171,7 +171,7 @@ def test_repeated_messages_have_no_effect(interval_s: float) -> None:
     assert results(run) == results(run_of(config, *of_two, interrupted))
 
 
-def test_late_directions_to_forgotten_targets_forget_no_other() -> None:
+def test_late_directions_to_dropped_targets_drop_no_other() -> None:
     config = config_of(2)
     of_two = [arrivals(number, np.arange(0.0, 10.0, 0.5)) for number in (0, 1)]
     early = arrivals(0, [0.1])[0]

@@ -67,14 +67,14 @@ def random_optics(seed: int, ratio: float) -> TrueOptics:
 
 @dataclass(frozen=True)
 class SessionResult:
-    """What the pointings of one session were worth; k of them.
+    """Errors of the k pointings of one session, and the final state.
 
     Attributes:
-        valid: which were VALID, shape (k,).
+        valid: True for the VALID ones, shape (k,).
         in_sigmas: largest error of an angle in its sigmas, shape (k,).
         of_level: largest error of an angle as a share of its protection level, shape (k,); NaN without a level.
         nees: of the last pointing.
-        texts: why a pointing was not VALID, and why a sighting was not used, of each moment.
+        texts: reasons why pointings were not VALID and sightings were not used.
         state: of the filter at the end.
         filter_: the filter.
     """
