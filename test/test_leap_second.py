@@ -96,9 +96,9 @@ def test_stars_of_the_repeated_second_are_not_used() -> None:
     assert {message.status for _, message in solutions} == {0}
     assert not np.any((since_s > 0.2) & (since_s < 1.0))
     assert np.min(since_s[since_s > 1.0]) < 1.5
-    refused = [m for m in run.messages("star/innovation") if m.reason == Reason.CLOCK]
-    assert {"a leap second is inserted" in m.reason_text for m in refused} == {True}
-    assert len(refused) == 5
+    rejected = [m for m in run.messages("star/innovation") if m.reason == Reason.CLOCK]
+    assert {"a leap second is inserted" in m.reason_text for m in rejected} == {True}
+    assert len(rejected) == 5
 
 
 def test_the_attitude_by_solutions_of_star_attitude_is_valid_within_two_seconds() -> None:

@@ -82,8 +82,8 @@ def test_a_declared_unsurveyed_lens_gives_a_consistent_pointing():
     for seed in range(6):
         run = simulate(scenario, seed)
         core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(declared)))
-        estimates, _, refused = feed_pointing(core, run)
-        assert refused < 3
+        estimates, _, rejected = feed_pointing(core, run)
+        assert rejected < 3
         true_nm = theodolite_of(run).truth.mount.rotation_nm[-1]
         errors.append(angle_between(true_nm[:, 0], estimates[-1].rotation_nm[:, 0]))
         axis_n, covariance = true_nm[:, 0], estimates[-1].covariance_n

@@ -59,7 +59,7 @@ class NodeObserver:
         self.behind: dict[str, list[str]] = defaultdict(list)
         self.excluded: set[str] = set()
         self.overload: dict[str, tuple[int, str]] = {}
-        self.refusals: dict[str, tuple[int, str]] = {}
+        self.rejections: dict[str, tuple[int, str]] = {}
         self.worst_sigmas = 0.0
         self._truth = truth
         node = observer.node
@@ -86,12 +86,12 @@ class NodeObserver:
     def summary(self) -> str:
         """Return the received messages as text, for a test that times out."""
         claims = {topic: Counter(statuses) for topic, statuses in self.claims.items()}
-        return f"{claims}\nexcluded: {self.excluded}\noverload: {self.overload}\nrefusals: {self.refusals}"
+        return f"{claims}\nexcluded: {self.excluded}\noverload: {self.overload}\nrefusals: {self.rejections}"
 
     def _receive_innovation(self, message: Innovation) -> None:
         if message.reason_text:
-            count, _ = self.refusals.get(message.source, (0, ""))
-            self.refusals[message.source] = count + 1, message.reason_text
+            count, _ = self.rejections.get(message.source, (0, ""))
+            self.rejections[message.source] = count + 1, message.reason_text
         if message.reason == Reason.BEHIND:
             self.behind[message.source].append(message.reason_text)
 
@@ -165,7 +165,7 @@ def test_overload_has_a_status_and_ends(bag, tmp_path, monkeypatch):
             waited_s(observer, lambda: all(Status.INVALID in claims for claims in nodes.claims.values()))
         for claims in nodes.claims.values():
             claims.clear()
-        nodes.refusals.clear()
+        nodes.rejections.clear()
         with play(USUAL):
             valid = waited_s(observer, lambda: all(Status.VALID in claims for claims in nodes.claims.values()))
             ok = waited_s(observer, lambda: {level for level, _ in nodes.overload.values()} == {0})

@@ -104,9 +104,9 @@ def final_nees(scenario: Scenario, seed: int, configured: Scenario) -> tuple[flo
     """Return NEES of a session with another exposure time configured in the core, and the number of its rejections."""
     run = simulate(scenario, seed)
     core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(scenario)))
-    estimates, _, refused = feed_pointing(core, dataclasses.replace(run, scenario=configured))
+    estimates, _, rejected = feed_pointing(core, dataclasses.replace(run, scenario=configured))
     error_n = log_rotation(run.theodolite.truth.mount.rotation_nm[-1] @ estimates[-1].rotation_nm.T)
-    return float(normalized_error_squared(error_n, estimates[-1].covariance_n)), refused
+    return float(normalized_error_squared(error_n, estimates[-1].covariance_n)), rejected
 
 
 @pytest.mark.statistics
@@ -115,11 +115,11 @@ def test_errors_of_streaked_lights_fit_their_covariance():
     found = [final_nees(scenario, seed, scenario) for seed in range(SEEDS)]
     low, high = mean_nees_band(SEEDS, degrees=3)
     assert low < np.mean([nees for nees, _ in found]) < high
-    assert sum(refused for _, refused in found) < 3
+    assert sum(rejected for _, rejected in found) < 3
     # Without the exposure time the points contradict one another.
     without_exposure = [final_nees(scenario, seed, streak_scenario(0.0)) for seed in range(4)]
     assert np.mean([nees for nees, _ in without_exposure]) > mean_nees_band(len(without_exposure), degrees=3)[1]
-    assert sum(refused for _, refused in without_exposure) > 20
+    assert sum(rejected for _, rejected in without_exposure) > 20
 
 
 @pytest.mark.parametrize("exposure_s", [0.2, 1.0])

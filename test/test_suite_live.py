@@ -107,8 +107,8 @@ def test_a_bag_is_played_to_its_end_into_the_suite_that_is_attached_to_it(tmp_pa
     assert "suite.yaml: ship_attitude has no alignment_file" in log
 
 
-@pytest.mark.parametrize("is_tell_simulated", [False, True])
-def test_the_attitude_of_a_bag_is_sent_as_sentences_with_mode_simulator(tmp_path, domain, is_tell_simulated):
+@pytest.mark.parametrize("is_simulated_sent", [False, True])
+def test_the_attitude_of_a_bag_is_sent_as_sentences_with_mode_simulator(tmp_path, domain, is_simulated_sent):
     """Only THS has a mode for it; HDT is invalid unless configured, as for a training."""
     path, log_path = tmp_path / "suite.yaml", tmp_path / "log.nmea"
     nodes = {
@@ -116,7 +116,7 @@ def test_the_attitude_of_a_bag_is_sent_as_sentences_with_mode_simulator(tmp_path
         # The bag is played at 5 times its speed: a delay of 50 ms is a quarter of a second of its time.
         "/**/nmea_out": {
             "longest_age_s": 30.0,
-            "tell_simulated": is_tell_simulated,
+            "tell_simulated": is_simulated_sent,
             "sinks": {"log": {"kind": "file", "path": str(log_path), "sentences": ["THS", "HDT"], "rate_hz": 100.0}},
         },
     }
@@ -134,7 +134,7 @@ def test_the_attitude_of_a_bag_is_sent_as_sentences_with_mode_simulator(tmp_path
     others = [line for line in lines if line not in headings]
     assert not [line for line in others if not re.fullmatch(r"\$INTHS,(\d+\.\d{4},S|,V)\*[0-9A-F]{2}", line)]
     assert sum(not line.startswith("$INHDT,,T") for line in headings) == (
-        sum(",S*" in line for line in others) if is_tell_simulated else 0
+        sum(",S*" in line for line in others) if is_simulated_sent else 0
     )
 
 

@@ -153,8 +153,8 @@ def flood_topic(arrivals: Arrivals, topic: str, factor: int, up_to_s: float, see
 
 def without_rejected(arrivals: Arrivals, topic: str, innovations: Iterable[Any]) -> Arrivals:
     """Return the arrivals of a topic, all of different stamps, without those that innovations report as rejected."""
-    refused_ns = {stamp_of(message) for message in innovations}
-    return tuple(a for a in arrivals if a.topic != topic or a.stamp_ns not in refused_ns)
+    rejected_ns = {stamp_of(message) for message in innovations}
+    return tuple(a for a in arrivals if a.topic != topic or a.stamp_ns not in rejected_ns)
 
 
 def assert_flood_costs_little(

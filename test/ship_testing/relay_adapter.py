@@ -84,8 +84,8 @@ class RelayAdapter:
             time_ns = stamp_ns(message.header, receive_ns)
             check_frame(message.header.frame_id, self.config.frame_id)
             x, y, z, w = unit_quaternion(message.orientation)
-        except MessageRejected as refused:
-            self.health.record_rejected(topic, refused.rejection, receive_ns)
+        except MessageRejected as rejected:
+            self.health.record_rejected(topic, rejected.rejection, receive_ns)
             return []
         self.health.record_accepted(topic, time_ns, receive_ns)
         self.handled.append(receive_ns)

@@ -170,7 +170,7 @@ def assert_reported_once(run: Run, topic: str, reason: str, text: str, receive_n
     assert any(level == 1 and reason in reported and text in reported for level, reported in reports)
 
 
-def test_without_faults_nothing_is_refused() -> None:
+def test_without_faults_nothing_is_rejected() -> None:
     assert {m.reason for m in fault_free_run().messages("ship/innovation")} == {Reason.NONE}
     assert run_without(INS).results() != fault_free_run().results()  # the comparisons above would see a difference
     assert run_without(FORE).state() != fault_free_run().state()
@@ -258,7 +258,7 @@ def test_an_ins_without_covariance_is_used_as_configured(unknown: Change, accept
 
 
 @pytest.mark.parametrize("accepted", [False, True])
-def test_a_reference_without_an_orientation_is_refused_unless_accepted(accepted: bool) -> None:
+def test_a_reference_without_an_orientation_is_rejected_unless_configured(accepted: bool) -> None:
     """The message that an INS of the same attitude sends, with the first element of its covariance at -1."""
     topic, index = "reference/gyro/imu", index_at(voyage(), INS, CHANGE_S)
     arrival = changed_copy(voyage()[index], set_field("orientation_covariance.0", -1.0))
@@ -436,17 +436,17 @@ def test_rates_in_degrees_are_detected_and_rejected_until_corrected() -> None:
     run = run_adapter(
         new_adapter(), change_where(arrivals, lambda a: a.topic == INS and a.receive_ns < wrong_until_ns, degrees)
     )
-    refused = run.innovations(Reason.UNITS)
-    first_s = (stamp_of(refused[0]) - arrivals[0].stamp_ns) * 1e-9
+    rejected = run.innovations(Reason.UNITS)
+    first_s = (stamp_of(rejected[0]) - arrivals[0].stamp_ns) * 1e-9
     assert 5.0 <= first_s <= 5.7
-    assert "rad/s" in refused[0].reason_text
-    assert "57" in refused[0].reason_text
+    assert "rad/s" in rejected[0].reason_text
+    assert "57" in rejected[0].reason_text
     detected_ns = round(first_s * SECOND_NS) + arrivals[0].receive_ns
     reports = run.diagnostics(f"input {INS}", detected_ns, detected_ns + 1_100_000_000)
     assert any(level >= 1 and "units" in text for level, text in reports)
     # Within six seconds of correct rates the effect of the wrong ones is gone.
     assert run.messages("ship/attitude")[-1].status == 0
-    assert stamp_of(refused[-1]) < wrong_until_ns + 6 * SECOND_NS
+    assert stamp_of(rejected[-1]) < wrong_until_ns + 6 * SECOND_NS
 
 
 def test_a_frozen_ins_is_reported_at_once_and_its_first_new_value_is_used() -> None:

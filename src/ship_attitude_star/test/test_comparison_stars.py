@@ -172,14 +172,14 @@ def test_the_estimate_converges_to_the_truth(ship_filter, sky_model, count):
     assert np.linalg.norm(left) < 0.1 * np.linalg.norm(error_n)
 
 
-def test_a_star_of_another_identity_is_refused_by_name_and_the_rest_is_used(ship_filter, sky_model):
+def test_a_star_of_another_identity_is_rejected_by_name_and_the_rest_is_used(ship_filter, sky_model):
     exposure = exposure_of(sky_model, "fore", 6)
     swapped = [1, 0, 2, 3, 4, 5]
     wrong = replace(exposure, hip=exposure.hip[swapped], positions=exposure.positions[swapped])
     _, decision = ship_filter.step(ship_filter.initial_state(), wrong, ins_track(), sky_model)
     assert decision.accepted
     assert {name for name, _ in decision.rejected_parts} == {f"HIP {hip}" for hip in exposure.hip[:2]}
-    assert all(refusal.reason is Reason.MISIDENTIFIED for _, refusal in decision.rejected_parts)
+    assert all(rejection.reason is Reason.MISIDENTIFIED for _, rejection in decision.rejected_parts)
     assert decision.components[0] == f"HIP {exposure.hip[2]} up"
 
 

@@ -312,14 +312,14 @@ def test_the_configured_number_of_rejections_of_all_stars_excludes_them(
     changes = {"gate": {"degraded_after": after}, "ins": {"jump_samples": 1000, "time_offset_sigma_s": 0.0}}
     error = InjectedError(source, UP * 100.0 * ARCSEC, 10.0)
     sailed = run_with_errors(error, sensors=("bow", "port"), seconds=15.0, rates=rates, **changes)
-    refused_s = 10.068 + (after - 1) * STAR_NS / SECOND_NS
+    rejected_s = 10.068 + (after - 1) * STAR_NS / SECOND_NS
     degraded_s = next(one.time_ns / SECOND_NS for one in sailed.between(10.0, 15.0) if one.status is Status.DEGRADED)
     # Without rates the first rejection is a fault, as the INS may have jumped; with them the third at the latest.
-    assert degraded_s <= refused_s + INS_NS / SECOND_NS
+    assert degraded_s <= rejected_s + INS_NS / SECOND_NS
     assert {one.status for one in sailed.between(degraded_s, 15.0)} == {Status.DEGRADED}
     excluded_s, names = sailed.first_exclusion()
     assert names == ("star.bow", "star.port")
-    assert refused_s < excluded_s <= refused_s + 0.1
+    assert rejected_s < excluded_s <= rejected_s + 0.1
 
 
 @pytest.mark.slow

@@ -122,7 +122,7 @@ def thin_out(arrivals: Arrivals, keep: int) -> Arrivals:
 
 
 @pytest.mark.parametrize("zero_rates", [False, True])
-def test_one_wrong_sample_is_refused_and_changes_nothing(zero_rates: bool) -> None:
+def test_one_wrong_sample_is_rejected_and_changes_nothing(zero_rates: bool) -> None:
     """``orientation.w`` negated once: a unit quaternion, more than a right angle away from the ship."""
     arrivals = change_where(voyage(), of_ins(), scale_rates(0.0)) if zero_rates else voyage()
     index = index_at(arrivals, INS, 3.0)
@@ -134,7 +134,7 @@ def test_one_wrong_sample_is_refused_and_changes_nothing(zero_rates: bool) -> No
     assert run.state() == without.state()
 
 
-def test_a_wrong_sample_that_comes_late_is_refused_too() -> None:
+def test_a_late_wrong_sample_is_rejected_too() -> None:
     index = index_at(voyage(), INS, 3.0)
     run = run_adapter(
         new_adapter(), replace_message(voyage(), index, negate_w, voyage()[index].receive_ns + SECOND_NS // 2)
@@ -237,8 +237,8 @@ def assert_same_attitudes(one: Run, other: Run) -> None:
 
 def test_failing_rates_cost_half_a_second_and_no_star() -> None:
     run = run_adapter(new_adapter(), change_where(voyage(12.0), of_ins(4.0, 9.0), scale_rates(0.0)))
-    refused = run.reasons(INS)["gate"]
-    assert 1 <= refused <= 16
+    rejected = run.reasons(INS)["gate"]
+    assert 1 <= rejected <= 16
     assert_consistent(run)
     assert only_gaps(run) <= 3
     # No star is rejected: the estimated INS errors are kept.
@@ -310,13 +310,13 @@ def test_a_jump_with_rates_in_degrees_and_back() -> None:
     assert run.messages("ship/attitude")[-1].status == Status.VALID
 
 
-def test_a_wrong_sample_while_frozen_is_refused() -> None:
+def test_a_wrong_sample_while_frozen_is_rejected() -> None:
     frozen = change_where(voyage(10.0), of_ins(3.0, 6.0), hold_values(voyage(10.0), 3.0))
     run = run_adapter(
         new_adapter(), replace_message(frozen, index_at(frozen, INS, 5.0), turn_attitude(0.0, 3600.0, 0.0))
     )
-    refused = run.reasons(INS)
-    assert refused["gate"] + refused["stuck"] == 74
+    rejected = run.reasons(INS)
+    assert rejected["gate"] + rejected["stuck"] == 74
     assert_consistent(run)
     assert run.messages("ship/attitude")[-1].status == Status.VALID
 

@@ -51,20 +51,20 @@ def test_a_wrong_focal_length_is_named_with_the_value_that_fits(sky_model, scale
         seen = exposure(sky_model, scale, rng)
         seen = seen if named else without_identity(seen)
         _, solved = solve_exposure(seen, (), prior(rng, 30.0 * ARCSEC), sky_model)
-        refusal = solved.solution.rejection
-        assert refusal is not None
-        assert refusal.reason is Reason.MISIDENTIFIED
-        found = TEXT.match(refusal.text)
-        assert found, refusal.text
+        rejection = solved.solution.rejection
+        assert rejection is not None
+        assert rejection.reason is Reason.MISIDENTIFIED
+        found = TEXT.match(rejection.text)
+        assert found, rejection.text
         # Ten stars of 3″ in a field of 14° give 0.01 % at worst; four times that.
         assert float(found[1]) == pytest.approx(50.0 * (1.0 + scale), abs=0.02)
 
 
 def test_named_stars_need_no_attitude_for_it(sky_model):
     rng = np.random.default_rng(2)
-    refusal = check_focal_length(exposure(sky_model, 3e-3, rng), sky_model, None, used_count=0)
-    assert refusal is not None
-    assert TEXT.match(refusal.text)
+    rejection = check_focal_length(exposure(sky_model, 3e-3, rng), sky_model, None, used_count=0)
+    assert rejection is not None
+    assert TEXT.match(rejection.text)
 
 
 @pytest.mark.parametrize("scale", [0.0, 2e-4, -4e-4])

@@ -145,9 +145,9 @@ def test_a_wrong_solution_is_rejected_and_changes_nothing(spoilt: Any, text: str
 
     with_it, decisions = run_core(cores[0], error_n, solutions, seconds=10)
     without, _ = run_core(cores[1], error_n, lambda second, nd: None if second == 5 else nd @ BASELINE_D, seconds=10)
-    refused = [decision for decision in decisions if not decision.accepted]
-    assert [decision.reason for decision in refused] == [Reason.GATE]
-    assert text in refused[0].text
+    rejected = [decision for decision in decisions if not decision.accepted]
+    assert [decision.reason for decision in rejected] == [Reason.GATE]
+    assert text in rejected[0].text
     np.testing.assert_array_equal(with_it[-1].rotation_nd, without[-1].rotation_nd)
     np.testing.assert_array_equal(with_it[-1].covariance_n, without[-1].covariance_n)
 
@@ -220,9 +220,9 @@ def solution_message(**changes: Any) -> RtkBaseline:
 def test_an_unusable_message_is_rejected_with_the_reason(changes: dict[str, Any], reason: Reason) -> None:
     config = make_config().ship_baseline
     assert baseline(solution_message(), START_NS, config).covariance_known
-    with pytest.raises(MessageRejected) as refused:
+    with pytest.raises(MessageRejected) as rejected:
         baseline(solution_message(**changes), START_NS, config)
-    assert refused.value.rejection.reason is reason
+    assert rejected.value.rejection.reason is reason
 
 
 def test_a_covariance_of_zeros_is_the_configured_one() -> None:

@@ -119,7 +119,7 @@ def test_a_bad_message_is_reported_and_changes_nothing(topic: str, change: Chang
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("change", "reason"), [s[1:3] for s in REJECTED_STARS], ids=[s[0] for s in REJECTED_STARS])
-def test_a_bad_star_alone_is_refused(change: Change, reason: Reason) -> None:
+def test_a_bad_star_alone_is_rejected(change: Change, reason: Reason) -> None:
     index = index_at(voyage(), FORE, CHANGE_S)
     run, lacking = (
         run_new_adapter(replace_message(voyage(), index, change)),

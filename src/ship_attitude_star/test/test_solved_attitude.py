@@ -327,9 +327,9 @@ def test_below_the_refraction_model_the_stated_covariance_is_used(elevation_deg:
 
 
 def test_without_a_fix_shared_errors_cannot_be_separated() -> None:
-    refusal = to_horizon_attitude(read(one_solution()), load_sky_model(ship(POOR_FIX).sky))
-    assert isinstance(refusal, Rejection)
-    assert refusal.reason is Reason.NO_FIX
+    rejection = to_horizon_attitude(read(one_solution()), load_sky_model(ship(POOR_FIX).sky))
+    assert isinstance(rejection, Rejection)
+    assert rejection.reason is Reason.NO_FIX
 
 
 def test_shared_errors_are_as_configured() -> None:

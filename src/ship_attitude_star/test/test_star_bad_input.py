@@ -110,7 +110,7 @@ def innovations(run: Run, reason: Reason) -> list[Any]:
 @pytest.mark.parametrize(
     ("change", "reason", "text"), [s[1:] for s in REJECTED_STARS], ids=[s[0] for s in REJECTED_STARS]
 )
-def test_a_bad_star_alone_is_refused(change: Change, reason: Reason, text: str) -> None:
+def test_a_bad_star_alone_is_rejected(change: Change, reason: Reason, text: str) -> None:
     index = index_at(voyage(), FORE, CHANGE_S)
     run, expected = (
         run_new_adapter(replace_message(voyage(), index, change)),
@@ -154,7 +154,7 @@ def test_a_false_star_is_named_with_its_angle(ins: bool) -> None:
     assert run.reasons(FORE) == {"misidentified": 1}
 
 
-def test_two_stars_with_each_other_s_name_are_both_refused() -> None:
+def test_two_stars_with_exchanged_names_are_both_rejected() -> None:
     index = index_at(voyage(), FORE, CHANGE_S)
     first, second = (voyage()[index].message.stars[row].catalogue_id for row in (0, 5))
 

@@ -195,10 +195,10 @@ def test_a_misidentified_star_is_named_with_its_angle():
     scene = draw_scene(np.random.default_rng(15), (4, 4), neighbours=1)
     solution = solve_stars(scene.stars)
     assert np.flatnonzero(~solution.members).tolist() == [8]
-    refusal = solution.rejected[8]
+    rejection = solution.rejected[8]
     angle = angle_between(scene.stars.measured_b[8] @ solution.rotation_nb.T, scene.stars.reference_n[8]) / ARCSEC
-    assert refusal.reason is Reason.MISIDENTIFIED
-    assert f'{angle:.1f}" from its expected direction, sigma 3.0"' in refusal.text
+    assert rejection.reason is Reason.MISIDENTIFIED
+    assert f'{angle:.1f}" from its expected direction, sigma 3.0"' in rejection.text
 
 
 def test_a_prior_verifies_two_stars_and_does_not_enter_the_attitude():
@@ -213,13 +213,13 @@ def test_a_prior_detects_swapped_identities_of_two_stars():
     scene = draw_scene(np.random.default_rng(17), (0, 0), swapped_pairs=1)
     prior = StarPrior(scene.rotation_nd, np.diag(PRIOR_SIGMA**2))
     assert solve_stars(scene.stars).status is SolutionStatus.UNVERIFIED
-    refused = solve_stars(scene.stars, prior)
-    assert refused.status is SolutionStatus.INVALID
-    assert refused.rejection.reason is Reason.TOO_FEW_STARS
+    rejected = solve_stars(scene.stars, prior)
+    assert rejected.status is SolutionStatus.INVALID
+    assert rejected.rejection.reason is Reason.TOO_FEW_STARS
 
 
 @pytest.mark.parametrize("count", [0, 1])
-def test_too_few_stars_are_refused(count):
+def test_too_few_stars_are_rejected(count):
     scene = draw_scene(np.random.default_rng(18), (count, 0))
     solution = solve_stars(scene.stars)
     assert solution.status is SolutionStatus.INVALID
@@ -227,7 +227,7 @@ def test_too_few_stars_are_refused(count):
     assert np.isnan(solution.covariance_n).all()
 
 
-def test_stars_in_one_direction_are_refused_with_the_reason():
+def test_stars_in_one_direction_are_rejected_with_the_reason():
     """Two stars 10″ apart do not determine the rotation about them."""
     scene = draw_scene(np.random.default_rng(19), (1, 0))
     star = scene.stars

@@ -199,8 +199,8 @@ def test_without_a_recent_fix_the_position_is_rejected_with_a_reason() -> None:
     assert track().position(ns(0)).reason is Reason.NO_FIX
     fixes = track((0, position_at(50.0, 10.0)), fix_max_age_s=60.0)
     assert isinstance(fixes.position(ns(60)), ShipPosition)
-    refusal = fixes.position(ns(60.1))
-    assert (refusal.reason, refusal.text) == (
+    rejection = fixes.position(ns(60.1))
+    assert (rejection.reason, rejection.text) == (
         Reason.NO_FIX,
         "the nearest position fix is 60.1 s older: more than fix_max_age_s = 60",
     )
@@ -287,9 +287,9 @@ def test_a_fix_that_jumps_is_rejected_and_the_line_is_extrapolated(off_m: float)
     fixes = track(*(moving_fix(t) for t in range(10)))
     for t in range(10, 30):
         wrong = PositionFix(ns(t), moving_fix(t, off_m)[1], SIGMA_M)
-        refusal = fixes.rejection(wrong)
-        assert refusal is not None
-        assert (refusal.reason, "from the last accepted value" in refusal.text) == (Reason.JUMP, True)
+        rejection = fixes.rejection(wrong)
+        assert rejection is not None
+        assert (rejection.reason, "from the last accepted value" in rejection.text) == (Reason.JUMP, True)
         assert fixes.insert(wrong) is None
         place = fixes.position(ns(t))
         assert distance_m(place, moving_fix(t)[1]) < 0.1
@@ -320,7 +320,7 @@ def test_changes_within_the_limits_are_accepted() -> None:
             fix = PositionFix(ns(since_s), position, np.eye(3) * (sigma_m[0] if sigma_m else 3.0) ** 2)
             found.append(sky.rejection(fix))
             sky.insert(fix)
-        return [refusal for refusal in found if refusal is not None]
+        return [rejection for rejection in found if rejection is not None]
 
     # Another antenna 45 m along the ship; minutes without fixes; a receiver that states a large error.
     assert rejections(*(moving_fix(t) for t in range(5)), *(moving_fix(t, 45.0) for t in range(5, 10))) == []

@@ -115,9 +115,9 @@ def test_attitudes_come_from_stars_while_no_ins_sample_has_a_rate() -> None:
 
     arrivals = change_where([a for a in voyage(8.0) if is_kept(a)], lambda a: a.topic == INS, without_rates)
     run = run_adapter(new_adapter(), arrivals)
-    carried = [m for m in published_attitudes(run) if at(4.2) < stamp_of(m) < at(7.5)]
-    assert {m.status for m in carried} == {Status.DEGRADED}
-    assert len(carried) > 25
+    by_stars = [m for m in published_attitudes(run) if at(4.2) < stamp_of(m) < at(7.5)]
+    assert {m.status for m in by_stars} == {Status.DEGRADED}
+    assert len(by_stars) > 25
     assert [ns for ns in invalid_times_ns(run) if ns > at(4.2)] == []
     assert_in_order(run)
 

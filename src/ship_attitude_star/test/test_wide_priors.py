@@ -119,16 +119,16 @@ def end(sky: Sky, seed: int, width: Width, count: int = 8) -> dict[str, tuple[Fl
     results = {}
     for kind in ("observations", "solution"):
         ship_filter = ShipFilter(width.config(kind))
-        state, refused = ship_filter.initial_state(), 0
+        state, rejected = ship_filter.initial_state(), 0
         for exposure in exposures:
             measurement = exposure if kind == "observations" else solve_attitude(exposure, sky.sky_model)
             track = tracks[exposure.time_ns]
             state, decision = ship_filter.step(state, measurement, track, sky.sky_model)
-            refused += not decision.accepted
+            rejected += not decision.accepted
         rows = ship_filter.model.state_indices("ins.attitude")
         found_n, by_error = state.mean[rows], left_jacobian(state.mean[rows])
         left_n = log_rotation(exp_rotation(error_n) @ exp_rotation(found_n).T)
-        results[kind] = left_n, by_error @ state.covariance[np.ix_(rows, rows)] @ by_error.T, refused
+        results[kind] = left_n, by_error @ state.covariance[np.ix_(rows, rows)] @ by_error.T, rejected
     return results
 
 
@@ -164,8 +164,8 @@ def test_mend_11_two_stars_a_sensor_are_enough_where_they_leave_no_other_attitud
     low, high = mean_nees_band(SEEDS, 3)
     assert low <= np.mean([normalized_error_squared(*found[:2]) for found in ends]) <= high
     assert sum(found[2] for found in ends) <= 1
-    _, _, refused = end(sky, 1, Width(30.0 * DEGREE, 10.0 * DEGREE), count=2)["observations"]
-    assert refused == 8
+    _, _, rejected = end(sky, 1, Width(30.0 * DEGREE, 10.0 * DEGREE), count=2)["observations"]
+    assert rejected == 8
 
 
 @pytest.mark.parametrize("heading", [72.0, 3.0 * DEGREE, 10.0 * DEGREE])

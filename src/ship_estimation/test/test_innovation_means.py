@@ -42,19 +42,19 @@ def numpy_means(
     noise: np.ndarray | None,
 ) -> InnovationMeans:
     largest, size = np.sqrt(0.5 * LIMIT), np.linalg.norm(turn, axis=-1)
-    running, excess, refused = means.running.copy(), means.excess.copy(), means.rejection_counts.copy()
+    running, excess, rejected = means.running.copy(), means.excess.copy(), means.rejection_counts.copy()
     measured_ns, contradicts_ns = means.last_measured_ns.copy(), means.inconsistent_since_ns.copy()
-    refused[:, sources] = np.where(accepted, 0, refused[:, sources] + 1)
+    rejected[:, sources] = np.where(accepted, 0, rejected[:, sources] + 1)
     now = numpy_mean(running[:, sources], turn * (largest / np.maximum(size, largest))[..., None])
     chi2 = np.sum(now[..., :3] ** 2, axis=-1) / now[..., 4]
     if noise is not None:
         chi2[0] = numpy_chi2_with_constant_error(now[0, 0], noise)
     running[:, sources], excess[:, sources] = now, chi2.max(axis=-1) / LIMIT
     measured_ns[sources] = np.maximum(measured_ns[sources], time_ns)
-    well = (excess[0, sources] <= CONSISTENT_RATIO) & (refused[0, sources] == 0)
+    well = (excess[0, sources] <= CONSISTENT_RATIO) & (rejected[0, sources] == 0)
     since_ns = np.where(contradicts_ns[sources] == NEVER_NS, time_ns, contradicts_ns[sources])
     contradicts_ns[sources] = np.where(well, NEVER_NS, since_ns)
-    return InnovationMeans(running, excess, refused, measured_ns, contradicts_ns)
+    return InnovationMeans(running, excess, rejected, measured_ns, contradicts_ns)
 
 
 def equal(found: InnovationMeans, expected: InnovationMeans) -> None:
@@ -91,9 +91,9 @@ def test_nan_innovation_counts_as_a_rejection_without_a_mean(wrong: float) -> No
     means, turn = initial_means(FILTERS, SOURCES), np.zeros((FILTERS, 3))
     turn[2, 1] = wrong
     found = updated_means(means, 1, turn, np.ones(FILTERS, dtype=bool), 5, LIMIT)
-    refused = np.zeros((FILTERS, SOURCES))
-    refused[:, 1] = 1
-    np.testing.assert_array_equal(found.rejection_counts, refused)
+    rejected = np.zeros((FILTERS, SOURCES))
+    rejected[:, 1] = 1
+    np.testing.assert_array_equal(found.rejection_counts, rejected)
     equal(replace(found, rejection_counts=means.rejection_counts), means)
 
 

@@ -117,8 +117,8 @@ def test_wrong_unit_is_identified_and_right_rates_are_confirmed_again(factor: fl
     assert 5.0 <= results.index("UNITS") / 50.0 <= 6.5
     assert set(results[results.index("UNITS") :]) == {"UNITS"}
     back = [ins_check.check(sample, NOTHING_LATE, {}) for sample in right[1000:]]
-    refused = [n for n, result in enumerate(back) if result.rejection is not None]
-    assert max(refused) < 2.5 * 50.0
+    rejected = [n for n, result in enumerate(back) if result.rejection is not None]
+    assert max(rejected) < 2.5 * 50.0
     assert ins_check.rate_status is RateStatus.MEASURED
     assert back[-1].sample.rate_d is not None
 
@@ -163,14 +163,14 @@ def test_nan_sample_is_rejected() -> None:
 def test_changed_noise_applies_at_once() -> None:
     samples = stream(20.0, 50.0)
     samples[700] = replace(samples[700], rotation_nd=exp_rotation(np.full(3, 40.0 * ARCSEC)) @ samples[700].rotation_nd)
-    for sigma_arcsec, refused in ((1.0, {"", "GATE"}), (20.0, {""})):
+    for sigma_arcsec, rejected in ((1.0, {"", "GATE"}), (20.0, {""})):
         ins_check = InsCheck(CheckedInsConfig())
         for sample in samples[:500]:
             ins_check.check(sample, NOTHING_LATE, {})
         ins_check.reconfigure(CheckedInsConfig(white_sigma_arcsec=sigma_arcsec))
         later = [ins_check.check(sample, NOTHING_LATE, {}).rejection for sample in samples[500:]]
-        assert {"" if refusal is None else refusal.reason.name for refusal in later} == refused
-        assert Counter(refusal is None for refusal in later)[False] <= 1
+        assert {"" if rejection is None else rejection.reason.name for rejection in later} == rejected
+        assert Counter(rejection is None for rejection in later)[False] <= 1
 
 
 def test_jump_that_a_clock_step_explains_is_shared_equally() -> None:

@@ -59,7 +59,7 @@ class Estimator:
         model: EstimatorModel[float, Toy, MeasurementDecision[Toy], float] = EstimatorModel(
             step=self.step,
             inflate=self.inflate,
-            failure_decision=lambda toy, refusal: MeasurementDecision(toy, refusal.reason, text=refusal.text),
+            failure_decision=lambda toy, rejection: MeasurementDecision(toy, rejection.reason, text=rejection.text),
             until_ns=lambda decision: decision.measurement.time_ns,
             drop_before=self.track.drop_before,
             on_decision=self.decided.append,
@@ -154,7 +154,7 @@ def test_changed_decision_is_reported_as_revised() -> None:
         EstimatorModel(
             step=step,
             inflate=lambda state, jump: state,
-            failure_decision=lambda toy, refusal: MeasurementDecision(toy, refusal.reason),
+            failure_decision=lambda toy, rejection: MeasurementDecision(toy, rejection.reason),
             until_ns=lambda decision: decision.measurement.time_ns,
             drop_before=lambda time_ns: None,
         ),
@@ -226,9 +226,9 @@ def test_failed_inflation_is_reported_once() -> None:
     before = estimator.shell.state
     estimator.shell.add_jump(120 * MS, "toy", math.nan)
     estimator.shell.apply(outcome)
-    ((time_ns, refusal),) = outcome.failures
-    assert (time_ns, refusal.reason) == (120 * MS, Reason.FAILED)
-    assert "no size" in refusal.text
+    ((time_ns, rejection),) = outcome.failures
+    assert (time_ns, rejection.reason) == (120 * MS, Reason.FAILED)
+    assert "no size" in rejection.text
     assert estimator.shell.state == before
     # A repeated application does not report it again, and continues after it.
     estimator.shell.add(toy(110), outcome)
@@ -312,7 +312,7 @@ def add_one_output(estimator: Estimator, number: int) -> None:
 
     estimator.shell.add_output(outcome, time_ns, number, estimate)
     assert len(outcome.estimates) + len(outcome.failures) <= 1
-    assert all(refusal.reason is Reason.FAILED for _, refusal in outcome.failures)
+    assert all(rejection.reason is Reason.FAILED for _, rejection in outcome.failures)
     estimator.claimed += [time_ns] * len(outcome.estimates)
 
 
@@ -329,8 +329,8 @@ def test_outputs_strictly_increase_and_a_failure_is_reported() -> None:
     estimator.shell.add_output(outcome, 31 * MS, 0, lambda state: None)
     estimator.shell.add_output(outcome, 30 * MS, 0, lambda state: 30.0)
     assert outcome.estimates == [10.0, 20.0, 30.0]
-    ((time_ns, refusal),) = outcome.failures
-    assert (time_ns, refusal.reason) == (30 * MS, Reason.FAILED)
+    ((time_ns, rejection),) = outcome.failures
+    assert (time_ns, rejection.reason) == (30 * MS, Reason.FAILED)
 
 
 @pytest.mark.parametrize("patience_s", [0.05, 1.0, 3.0])

@@ -124,26 +124,26 @@ def test_frozen_value_that_returns_to_the_bit_is_still_stuck() -> None:
     )
 
 
-TAKEN, REFUSED, JUMPED = JumpDecision.ACCEPTED, JumpDecision.REJECTED, JumpDecision.JUMPED
+TAKEN, REJECTED, JUMPED = JumpDecision.ACCEPTED, JumpDecision.REJECTED, JumpDecision.JUMPED
 NEXT = PredictionStep(seconds=0.01, samples=1, uncertain_rad=0.0, noise_gain=2.0, coarseness_rad=0.0)
 
 
 def test_consistent_rejected_values_are_accepted_after_a_number_of_samples() -> None:
     check = JumpCheck(3)
-    assert [check.check(n, False, n > 0) for n in range(4)] == [REFUSED, REFUSED, REFUSED, JUMPED]
+    assert [check.check(n, False, n > 0) for n in range(4)] == [REJECTED, REJECTED, REJECTED, JUMPED]
     assert check.check(4, True, True) is TAKEN
 
 
 def test_inconsistent_rejected_values_are_never_accepted() -> None:
     check = JumpCheck(3)
-    assert {check.check(n, False, False) for n in range(50)} == {REFUSED}
+    assert {check.check(n, False, False) for n in range(50)} == {REJECTED}
 
 
 def test_value_that_continues_the_last_accepted_one_resets_the_count() -> None:
     check = JumpCheck(2)
     cases = ((False, False), (False, True), (True, False), (False, False))
     results = [check.check(n, *case) for n, case in enumerate(cases)]
-    assert results == [REFUSED, REFUSED, TAKEN, REFUSED]
+    assert results == [REJECTED, REJECTED, TAKEN, REJECTED]
     assert (check.rejected_count, check.since_ns) == (1, 3)
 
 

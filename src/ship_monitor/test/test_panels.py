@@ -86,11 +86,11 @@ def test_shifted_sensor_is_shown_rejected_and_shaded(panels) -> None:
     panels.update(simulated_history(), PICTURE)
     row = panels._innovations.plots.rows["star.starboard"]
     right = row._trails[1].source.data
-    times, refused, used = (np.asarray(right[name]) for name in ("t", "refused", "used"))
+    times, rejected, used = (np.asarray(right[name]) for name in ("t", "refused", "used"))
     shifted_ms = (NOW_NS - SHIFT_AGE_S * 1e9) * 1e-6
-    assert np.nanmin(times[np.isfinite(refused)]) >= shifted_ms
+    assert np.nanmin(times[np.isfinite(rejected)]) >= shifted_ms
     assert np.nanmax(times[np.isfinite(used)]) <= shifted_ms
-    assert np.nanmean(refused) == pytest.approx(49.0, abs=2.0)
+    assert np.nanmean(rejected) == pytest.approx(49.0, abs=2.0)
     assert row._height.end == 60.0
     assert row._out.data == {"start": [shifted_ms], "end": [NOW_NS * 1e-6]}
     assert row.figure.title.text.startswith("✕ star.starboard  OUT · axis ±60″")

@@ -159,13 +159,13 @@ def test_an_exception_of_the_core_is_raised_and_the_arrival_counted(adapter: Tin
 
 
 def test_decisions_are_counted_by_topic_and_reported_by_source(adapter: TinyAdapter) -> None:
-    used, refused = (
+    used, rejected = (
         MeasurementDecision(Value(NOW_NS), reason, used, ("up",), np.array([1e-5]), np.array([1e-5]), 1.0, 6.6, text)
         for reason, used, text in ((Reason.NONE, True, ""), (Reason.GATE, False, "too far"))
     )
-    adapter.core.next = Outcome(decisions=[used, refused])
+    adapter.core.next = Outcome(decisions=[used, rejected])
     sent = [m for _, m in adapter.handle(CHECKED, message(), NOW_NS)]
-    assert list(adapter.innovation_report.pending) == [("device", used), ("device", refused)]
+    assert list(adapter.innovation_report.pending) == [("device", used), ("device", rejected)]
     assert [(m.source, m.accepted, m.reason_text) for m in sent] == [("device", True, ""), ("device", False, "too far")]
     assert health(adapter, CHECKED) == (1, 1, 1, {"gate": 1})
 

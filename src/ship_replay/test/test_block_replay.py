@@ -191,9 +191,9 @@ def test_nearly_all_pointings_are_put_out_together(suite_bag: Path, monkeypatch:
     counts = []
     compute_pending = PointingOutput.compute_pending
 
-    def count_calls(self: PointingOutput, due: Any) -> Any:
-        counts.append(len(due))
-        return compute_pending(self, due)
+    def count_calls(self: PointingOutput, pending: Any) -> Any:
+        counts.append(len(pending))
+        return compute_pending(self, pending)
 
     monkeypatch.setattr(PointingOutput, "compute_pending", count_calls)
     _, summary = replay_faults(BlockRun, suite_bag, Injection(suite_bag, {}, 0))

@@ -393,7 +393,7 @@ class TestPooled:
             "refused": {"ins/imu": {"gate": 2, "stale": 1}},
         }
 
-    def test_errors_statuses_and_refusals_by_hand(self, results):
+    def test_errors_statuses_and_rejections_by_hand(self, results):
         (pool,) = pools(results, lambda item: item.parameters_name)
         assert (pool.name, pool.items, pool.failed, pool.refused) == ("as attached", 2, 1, 6)
         (fused,) = pool.errors

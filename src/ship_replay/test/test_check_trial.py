@@ -81,7 +81,7 @@ def test_an_ins_that_stamps_gps_time_is_reported_with_advice(check, tmp_path):
 
 
 @pytest.mark.slow
-def test_an_input_refused_for_the_second_half_of_the_bag_ends_with_one(check, tmp_path):
+def test_an_input_rejected_for_the_second_half_of_the_bag_ends_with_one(check, tmp_path):
     first_ns = []
 
     def from_10_s_on(topic, message):

@@ -217,8 +217,8 @@ def write_innovations(path):
             nis = float(np.sum((residual / [1.0, 2.0, 3.0]) ** 2))
             sigma = np.array([1.0, 2.0, 3.0]) * ARCSEC
             bag.write("ship/innovation", innovation(stamp_ns, "reference.b", residual * ARCSEC, sigma, nis), stamp_ns)
-        refused = innovation(stamp_ns + SECOND_NS, "reference.b", [1.0] * 3, [1e-3] * 3, 1e6, False, reason=19)
-        bag.write("ship/innovation", refused, stamp_ns + SECOND_NS)
+        rejected = innovation(stamp_ns + SECOND_NS, "reference.b", [1.0] * 3, [1e-3] * 3, 1e6, False, reason=19)
+        bag.write("ship/innovation", rejected, stamp_ns + SECOND_NS)
         late = innovation(stamp_ns + SECOND_NS, "star.fore", [], [], float("nan"), False, reason=8, components=())
         bag.write("ship/innovation", late, stamp_ns + SECOND_NS)
         bag.write("ship/alignment", alignment(stamp_ns), stamp_ns)

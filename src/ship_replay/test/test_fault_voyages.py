@@ -273,12 +273,12 @@ def named_sources(*signs):
     return first_named_sources(outputs_of(indications=signs).indications)
 
 
-STARS_REFUSED = [("star.bow", 10.1 + 0.1 * i, "gate") for i in range(5)]
+STARS_REJECTED = [("star.bow", 10.1 + 0.1 * i, "gate") for i in range(5)]
 
 
 def test_exclusion_precedes_rejection_in_comparison():
-    assert named_sources(*STARS_REFUSED) == {"star.bow"}
-    assert named_sources(*STARS_REFUSED, ("ins", 11.0, EXCLUSION)) == {"ins"}
+    assert named_sources(*STARS_REJECTED) == {"star.bow"}
+    assert named_sources(*STARS_REJECTED, ("ins", 11.0, EXCLUSION)) == {"ins"}
     # With several exclusions, all are named.
     assert named_sources(("ins", 11.0, EXCLUSION), ("star.bow", 12.0, EXCLUSION)) == {"ins", "star.bow"}
 
@@ -290,15 +290,15 @@ def test_repeated_own_rejections_precede_later_exclusions():
     assert named_sources(*exclusions, *((source, t + 1.0, why) for source, t, why in ins)) == {"star.bow", "star.port"}
     # Once is no pattern; and a star in the gate is refused by comparison, which may be the others' fault.
     assert named_sources(ins[0], *exclusions) == {"star.bow", "star.port"}
-    assert named_sources(*STARS_REFUSED, *ins) == {"ins"}
+    assert named_sources(*STARS_REJECTED, *ins) == {"ins"}
     assert named_sources(
-        ("theodolite/encoder", 10.2, NO_DATA), *STARS_REFUSED, ("theodolite/encoder", 11.2, NO_DATA)
+        ("theodolite/encoder", 10.2, NO_DATA), *STARS_REJECTED, ("theodolite/encoder", 11.2, NO_DATA)
     ) == {"theodolite/encoder"}
     assert named_sources(("star.bow", 10.0, "frame"), ("star.bow", 10.1, "frame"), *exclusions) == {"star.bow"}
 
 
 def test_repeated_rejections_precede_a_single_one():
-    assert named_sources(("lights", 10.0, "gate"), *STARS_REFUSED) == {"star.bow"}
+    assert named_sources(("lights", 10.0, "gate"), *STARS_REJECTED) == {"star.bow"}
     assert named_sources(("lights", 10.0, "gate"), ("star.bow", 10.1, "gate")) == {"lights"}
     assert named_sources() == set()
 

@@ -202,7 +202,7 @@ def test_rejected_and_noted_messages_are_two_lists(tmp_path, capsys):
     assert "noted: ins/imu: covariance_unknown 3" in lines
 
 
-def test_refusals_and_undecodable_messages_are_counted(tmp_path):
+def test_rejections_and_undecodable_messages_are_counted(tmp_path):
     path = tmp_path / "in.mcap"
     with BagWriter(path) as bag:
         bag.add_attachment("suite.yaml", SUITE)

@@ -76,9 +76,9 @@ def test_no_state_without_output(recording_path):
 
 
 def test_rejections_are_counted_with_their_times(recording_path):
-    refusals = [one for one in read_recording(recording_path).rejections if one.by == "filter"]
-    assert {one.source for one in refusals} == {"star.fore"}
-    assert [one.utc_ns for one in refusals] == [START_NS + second * SECOND_NS for second in range(30, 37)]
+    rejections = [one for one in read_recording(recording_path).rejections if one.by == "filter"]
+    assert {one.source for one in rejections} == {"star.fore"}
+    assert [one.utc_ns for one in rejections] == [START_NS + second * SECOND_NS for second in range(30, 37)]
 
 
 def test_a_source_rejected_five_times_is_in_summary_and_alerts(recording_path):

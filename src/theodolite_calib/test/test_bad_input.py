@@ -418,9 +418,9 @@ def test_baselines_one_second_old_are_a_conflict() -> None:
     stale = change_where(session(), lambda a: a.topic == ALPHA, shift_stamp(1.0))
     stale = sort_by_arrival(Arrival(a.topic, a.message, a.receive_ns + SECOND_NS * (a.topic == ALPHA)) for a in stale)
     run = run_adapter(new_adapter(), stale)
-    refused = run.innovations(Reason.LIGHT_CONFLICT)
-    assert len(refused) == 3
-    assert not any(m.accepted for m in refused)
+    rejected = run.innovations(Reason.LIGHT_CONFLICT)
+    assert len(rejected) == 3
+    assert not any(m.accepted for m in rejected)
     assert {m.source for m in run.innovations(Reason.EXCLUDED)} == {"light.alpha"}
     assert len(run.innovations(Reason.EXCLUDED)) >= 5
     assert (run.pointings[-1].status, run.pointings[-1].light_count) == (Status.VALID, 1)
@@ -455,8 +455,8 @@ def seconds_of(arrival: Arrival) -> float:
 
 def test_an_encoder_comes_back_after_twenty_changing_readings() -> None:
     run = run_adapter(new_adapter(integrity__return_after_s=1.0), frozen_encoders(2.0, 5.0))
-    refused = run.reasons(ENCODER)["stuck"]
-    assert 20 < refused < 60
+    rejected = run.reasons(ENCODER)["stuck"]
+    assert 20 < rejected < 60
     assert run.pointings[-1].status == Status.VALID
     assert assert_within_covariance(run)
 
@@ -525,8 +525,8 @@ def test_drone_without_covariance_is_used_if_accepted() -> None:
     run = run_adapter(new_adapter(**accepted), unset)
     assert all(run.health(topic).rejected == 0 for topic in imus)
     assert run.results() == fault_free_run().results()
-    refused = run_adapter(new_adapter(), unset)
-    assert all(refused.reasons(topic) == {"not_given": refused.health(topic).received} for topic in imus)
+    rejected = run_adapter(new_adapter(), unset)
+    assert all(rejected.reasons(topic) == {"not_given": rejected.health(topic).received} for topic in imus)
 
 
 def test_without_the_ship_no_pointing_is_claimed() -> None:

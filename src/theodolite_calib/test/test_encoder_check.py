@@ -111,13 +111,13 @@ def test_beacons_before_the_stop_are_no_reference() -> None:
 
 def test_stuck_detection_and_recovery() -> None:
     check, number = stop_in_motion()
-    refusals = []
+    rejections = []
     for later in range(number + 1, number + 60):
         give_beacon_attitude(check, later, 1.0 + 0.001 * later)
-        refusals.append(check_reading(check, reading(later, 1.0 + 0.02 * 0.09)))
+        rejections.append(check_reading(check, reading(later, 1.0 + 0.02 * 0.09)))
     # Half a second is not judged: that of the last reading that moved, the one after it, and forty-eight of these.
-    assert [r is not None for r in refusals] == [False] * 48 + [True] * 11
-    assert refusals[-1].reason is Reason.STUCK
+    assert [r is not None for r in rejections] == [False] * 48 + [True] * 11
+    assert rejections[-1].reason is Reason.STUCK
     assert [check_reading(check, reading(number + 60 + k, 1.1 + 0.001 * k)) for k in range(25)] == [None] * 25
 
 
@@ -125,10 +125,10 @@ def test_angles_are_taken_modulo_a_turn() -> None:
     check = EncoderCheck(ARCSEC, FREE)
     # The mount counts on past a full turn, and its zero is set back by two turns at 50.
     turns = [6.2 + 0.01 * number - (4.0 * np.pi if number >= 50 else 0.0) for number in range(100)]
-    refusals = [
+    rejections = [
         check_reading(check, reading(number, azimuth, 0.5 + 2.0 * np.pi)) for number, azimuth in enumerate(turns)
     ]
-    assert refusals == [None] * 100
+    assert rejections == [None] * 100
     assert check.unconfirmed_reason == ""
     # Plunged, the elevation goes up to three quarters of a turn.
     assert check_reading(EncoderCheck(ARCSEC, FREE), reading(0, 1.0, 4.7)) is None
@@ -142,8 +142,8 @@ def test_degrees_are_rejected_until_radians_persist() -> None:
     for number in range(3, 23):
         assert check_reading(check, reading(number, 355.0, 28.6)).reason is Reason.UNITS
     # An elevation of nine degrees could be one in radians, counted too far.
-    refusals = [check_reading(check, reading(30 + number, 355.0, 9.0)) for number in range(19)]
-    assert all(refusal.reason is Reason.UNITS for refusal in refusals)
+    rejections = [check_reading(check, reading(30 + number, 355.0, 9.0)) for number in range(19)]
+    assert all(rejection.reason is Reason.UNITS for rejection in rejections)
     assert check_reading(check, reading(60, 6.2, 0.5)) is None
 
 
@@ -221,14 +221,14 @@ def test_live_changes_reach_the_encoder_check() -> None:
     """One reading has an error of 0.1°, which a mount of 100°/s² can reach within 50 ms and one of 10°/s² cannot."""
     spoilt = replace_message(session(), index_at(session(), ENCODER, 4.0), replace_reading(0.1))
     half = index_at(spoilt, ENCODER, 3.0)
-    for changes, refused in (
+    for changes, rejected in (
         ({}, 0),
         ({"encoder.max_acceleration_deg_per_s2": 10.0}, 1),
         ({"encoder.max_acceleration_deg_per_s2": 10.0, "encoder.sigma_arcsec": 100.0}, 0),
     ):
         adapter = run_adapter(new_adapter(), spoilt[:half]).adapter
         adapter.set_parameters(changes)
-        assert run_adapter(adapter, spoilt[half:]).reasons(ENCODER).get("gate", 0) == refused
+        assert run_adapter(adapter, spoilt[half:]).reasons(ENCODER).get("gate", 0) == rejected
 
 
 def test_slip_of_degrees_is_never_valid() -> None:

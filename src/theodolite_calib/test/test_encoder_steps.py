@@ -45,7 +45,7 @@ def test_step_is_unconfirmed_until_beacons_agree(axis):
         check, found = check_readings(angles)
         first += found[at][0]
         lasts += all(is_unconfirmed for is_unconfirmed, *_ in found[at:])
-        assert all(refusal is None and jump is None for _, refusal, jump in found)
+        assert all(rejection is None and jump is None for _, rejection, jump in found)
         check.confirm((at - 1) * PERIOD_NS)
         assert bool(check.unconfirmed_reason) == found[-1][0]
         check.confirm(119 * PERIOD_NS)
@@ -61,15 +61,15 @@ def test_a_step_that_no_mount_can_make_in_place_is_a_slip():
         angles = motion(seconds, np.random.default_rng(seed))
         angles[at:, 1] -= 55.0 * ARCSEC
         _, found = check_readings(angles)
-        (number,) = [n for n, (_, refusal, _) in enumerate(found) if refusal is not None]
-        _, refusal, jump = found[number]
+        (number,) = [n for n, (_, rejection, _) in enumerate(found) if rejection is not None]
+        _, rejection, jump = found[number]
         assert number == at + 1
-        assert refusal.reason is Reason.GATE
+        assert rejection.reason is Reason.GATE
         assert jump.time_ns == at * PERIOD_NS - 1
         assert np.all(np.abs(jump.jump - [0.0, -55.0 * ARCSEC]) < 4.5 * jump.sigma_rad)
         assert all(is_unconfirmed for is_unconfirmed, *_ in found[at:])
         # A mount with twice the acceleration goes 72" so: then it may have moved.
-        assert all(refusal is None for _, refusal, _ in check_readings(angles, 2.0 * FAST)[1])
+        assert all(rejection is None for _, rejection, _ in check_readings(angles, 2.0 * FAST)[1])
 
 
 def test_slews_are_no_steps():
@@ -86,7 +86,7 @@ def test_slews_are_no_steps():
         angles = motion(seconds, rng)
         angles[:, 0] += turned * rng.choice([-1.0, 1.0])
         _, found = check_readings(angles % (2 * np.pi), FAST)
-        assert all(refusal is None and jump is None for _, refusal, jump in found)
+        assert all(rejection is None and jump is None for _, rejection, jump in found)
         assert not found[-1][0]
         corners, unconfirmed = corners + 4, unconfirmed + sum(is_unconfirmed for is_unconfirmed, *_ in found)
     assert unconfirmed <= 2 * corners

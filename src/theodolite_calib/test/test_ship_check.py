@@ -169,14 +169,14 @@ def test_number_of_rejections_is_a_live_parameter() -> None:
     assert run_adapter(changed, jumped[half:]).reasons(INS) == {"gate": 9}
 
 
-@pytest.mark.parametrize(("sigma_arcsec", "refused"), [(1.0, 1), (100.0, 0)])
-def test_live_noise_change_reaches_the_check(sigma_arcsec: float, refused: int) -> None:
+@pytest.mark.parametrize(("sigma_arcsec", "rejected"), [(1.0, 1), (100.0, 0)])
+def test_live_noise_change_reaches_the_check(sigma_arcsec: float, rejected: int) -> None:
     arrivals = session_with_ins_only()
     spoilt = replace_message(arrivals, index_at(arrivals, INS, 4.017), turn_attitude(0.0, 0.1, 0.0))
     half = index_at(spoilt, ENCODER, 2.0)
     changed = run_adapter(adapter(), spoilt[:half]).adapter
     changed.set_parameters({"ins.white_sigma_arcsec": sigma_arcsec})
-    assert run_adapter(changed, spoilt[half:]).reasons(INS).get("gate", 0) == refused
+    assert run_adapter(changed, spoilt[half:]).reasons(INS).get("gate", 0) == rejected
 
 
 @pytest.mark.parametrize("factor", [ZERO, -1.0, 2.0])
@@ -207,8 +207,8 @@ def test_stuck_ins_is_detected_by_its_own_rates() -> None:
 
     run = run_adapter(adapter(), change_where(arrivals, of_topic(INS, 3.0, 5.0), freeze))
     assert run.reasons(INS).keys() <= {"stuck", "gate"}
-    refused_s = [seconds(m) for m in run.innovations(Reason.STUCK)]
-    assert refused_s
-    assert max(refused_s) < 5.0
+    rejected_s = [seconds(m) for m in run.innovations(Reason.STUCK)]
+    assert rejected_s
+    assert max(rejected_s) < 5.0
     assert assert_within_covariance(run)
     assert run.pointings[-1].status == Status.VALID

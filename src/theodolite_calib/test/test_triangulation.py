@@ -66,23 +66,23 @@ def test_without_errors_the_place_is_exact_on_the_curved_earth(spread_m: float, 
 
 @functools.cache
 def errors() -> tuple[np.ndarray, np.ndarray, float]:
-    nees, chi_square, refused = [], [], 0
+    nees, chi_square, rejected = [], [], 0
     for seed in range(DRAWS):
         directions, target_n = random_stations(seed)
         place = triangulate_directions(directions)
         nees.append(normalized_error_squared(target_n - place.position_n, place.covariance_n))
         chi_square.append(place.chi_square)
-        refused += place.rejection is not None
-    return np.array(nees), np.array(chi_square), refused
+        rejected += place.rejection is not None
+    return np.array(nees), np.array(chi_square), rejected
 
 
 def test_three_theodolites_match_their_covariance_at_2_km() -> None:
-    nees, chi_square, refused = errors()
+    nees, chi_square, rejected = errors()
     low, high = mean_nees_band(DRAWS, 3)
     assert low < nees.mean() < high
     low, high = mean_nees_band(DRAWS, 3)  # six residuals, three of them spent on the place
     assert low < chi_square.mean() < high
-    assert refused <= 6  # one in a thousand: more has a probability of 1e-4 (Poisson of mean 1)
+    assert rejected <= 6  # one in a thousand: more has a probability of 1e-4 (Poisson of mean 1)
 
 
 def test_wrong_direction_rejects_the_set() -> None:
