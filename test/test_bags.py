@@ -24,7 +24,7 @@ DIAGNOSES = {
     "demo": ["clocks", "verdict star.fore", "verdict star.starboard"],
     "theodolite": ["clocks", "verdict lights"],
 }
-"""Bag → what verdicts there are on."""
+"""Bag → sources and models with an innovation diagnosis."""
 
 every_bag = pytest.mark.parametrize("path", BAGS, ids=lambda path: path.stem)
 

@@ -1,4 +1,4 @@
-"""The live node's black box: bit-exact after all operations of a watch, after a restart, after kill -9.
+"""The live node's black box: bit-exact after all operations, after a restart, and after kill -9.
 
 ``tools/black_box_run.py`` does the same for ten minutes.
 """
@@ -26,7 +26,7 @@ DEMO = ROOT / "bags" / "demo.mcap"
 
 @pytest.fixture(scope="module")
 def paths(tmp_path_factory):
-    """Return boxes of a voyage of 30 s with changes, save, reset and load, and of a second one from its alignment."""
+    """Return black boxes of two voyages: 30 s with changes, save, reset and load; then from the saved alignment."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         return eventful_runs(tmp_path_factory.mktemp("black_box"), duration_s=30.0, rate=3.0)
@@ -56,7 +56,7 @@ def test_a_run_from_the_saved_alignment_is_equal_to_the_last_bit(paths):
 
 @pytest.fixture(scope="module")
 def killed_path(tmp_path_factory):
-    """Return the box of a node killed in the middle of a voyage."""
+    """Return the black box of a node killed in the middle of a voyage."""
     folder = tmp_path_factory.mktemp("killed")
     path = folder / "box.mcap"
 

@@ -13,7 +13,7 @@ from ship_testing import ship_faults
 from ship_testing.ship_faults import AttitudeError, turn_ins
 
 STEP_S, END_S = 18.0, 21.0
-"""Both star sensors expose at the moment of the step: an exposure is compared with the INS's attitude of before it."""
+"""Both star sensors expose at the time of the step: an exposure is compared with the INS's attitude before it."""
 
 
 def voyage(rate_hz: float, **ins: float) -> SimulatedRun:

@@ -53,6 +53,6 @@ def test_each_run_ends_at_the_same_attitude_with_the_same_sigma(runs) -> None:
     sigma = np.array([run.sigma for run in theirs])
     difference = (angles(ours) - angles(theirs)) / sigma
     assert np.all(np.sqrt(np.mean(difference**2, axis=0)) < SAME_DATA)
-    # The filter's sigma is larger where something is in dispute: the median run has none.
+    # The filter's sigma is larger with an unresolved fault: the median run has none.
     ratio = np.median(np.array([run.sigma for run in ours]) / sigma, axis=0)
     assert ratio == pytest.approx(1.0, abs=0.01)

@@ -155,7 +155,7 @@ def test_a_plotjuggler_layout_with_a_misspelt_name_is_refused(
 
 
 PREFIXES = {"demo": "/demo", "replayed": ""}
-"""Names of the files that the page makes → what stands before the topics in them."""
+"""Names of the files that the page makes → prefix of the topics in them."""
 
 
 def test_the_printed_commands_rename_every_topic(by_topic: MessagesByTopic, tmp_path: Path) -> None:

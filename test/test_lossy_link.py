@@ -34,8 +34,10 @@ TAIL_S = 1.0
 LEAST_RATE_HZ = 92.0
 """At which the player sends its 100 Hz on a busy machine."""
 BACK_S = 18.0
-"""So long after the cut all must be as before it. Measured: 3 to 5 s on two cores that eight programs wanted, and over
-10 s where fourteen wanted them: the node makes up for the samples of the cut first."""
+"""Time after the interruption at which all must be as before it, s.
+
+Measured: 3 to 5 s with eight programs on two cores, and over 10 s with fourteen: the node first processes the samples
+of the interruption."""
 MOST_START_S = 60.0
 
 

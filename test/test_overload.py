@@ -50,7 +50,7 @@ class NodeObserver:
         behind: text of each rejection with the reason BEHIND, by the name of the source.
         excluded: sources that were excluded at any time.
         overload: node → level and text of its status "overload".
-        refusals: source → count and text of its last rejections.
+        rejections: source → count and text of its last rejections.
         worst_sigmas: largest error of a VALID attitude over its sigma.
     """
 

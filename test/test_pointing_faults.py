@@ -116,7 +116,7 @@ def test_two_baselines_that_jump_back_are_used_again(seed):
     ],
 )
 def test_encoders_that_step_in_place_are_degraded_until_lights_are_seen(seed, azimuth_arcsec, elevation_arcsec):
-    """At 20 Hz a mount of 100 deg/s² moves 225" and stands again between two readings: it may be no slip."""
+    """A mount of 100 deg/s² moves 225" and stops again between two readings of 20 Hz: it may be no slip."""
     run = offset_encoders(fault_free_session(seed), azimuth_arcsec, elevation_arcsec)
     found = run_core(run, integrity__return_after_s=20.0)
     assert found.worst(Status.VALID) < 4.0
@@ -131,7 +131,7 @@ def test_encoder_steps_beyond_the_mounts_acceleration_are_detected(seed):
     """424", before VALID at 106 sigma until the next lights: the zero points are open, and lights find them."""
     found = run_core(offset_encoders(fault_free_session(seed), 300.0, -300.0))
     assert found.worst(Status.VALID, Status.DEGRADED) < 4.0
-    # Until lights of two moments, 0.2 s apart, have agreed.
+    # Until lights at two times, 0.2 s apart, are consistent.
     assert found.duration_s(Status.DEGRADED) < 0.7
     assert found.status[-1] == Status.VALID
     assert found.excluded_sources == set()

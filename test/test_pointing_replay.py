@@ -101,7 +101,7 @@ def test_a_fault_has_its_reason_and_no_wrong_pointing_is_valid(case, tmp_path):
 @pytest.mark.parametrize("scenario", [with_fault(IMAGE, "hide"), with_fault(BASELINE, "delay", delay_s=1.0)])
 def test_a_hidden_light_and_late_baselines_cause_no_rejection(scenario, tmp_path):
     path, rejected = replay_scenario(scenario, tmp_path)
-    # Exposures wait for their baselines, those of the last moments in vain.
+    # Exposures wait for their baselines; the last ones never arrive.
     assert set(rejected.get(IMAGE, {})) <= {"gap", "revised"}
     assert worst_valid_sigmas(path) < 4.5
     assert evaluate(path).quantities()["pointing.invalid"] == 0

@@ -31,7 +31,7 @@ def domain(monkeypatch):
 
 
 def publish(node, topic, kind, rate_hz, ahead_s=0.0, qos=10, pause_s=0.0):
-    """Publish messages of a type, stamped by the clock or ahead of it; optionally silent for a time after discovery."""
+    """Publish messages of a type, stamped by the clock or ahead of it; optionally from a time after discovery on."""
     publisher = node.create_publisher(kind, topic, qos)
 
     def send():
@@ -103,7 +103,7 @@ def test_a_ship_that_is_ready(tmp_path, domain):
 
 @pytest.mark.parametrize("are_there", [True, False])
 def test_late_sensors_are_waited_for(are_there, tmp_path, domain):
-    """They speak, or are there at all, only after discovery (4 s) and listening (1 s) are over."""
+    """They publish, or start, only after discovery (4 s) and listening (1 s) have ended."""
     environment, late_s = live_environment(domain, tmp_path), 5.5
     with GraphObserver(domain) as observer:
         imu = publish(observer.node, "/demo/ins/imu", Imu, 50.0)

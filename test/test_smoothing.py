@@ -179,7 +179,7 @@ def test_smoothing_across_a_jump_of_the_ins_is_consistent() -> None:
 
 
 def test_an_excluded_sensor_has_no_effect_on_smoothing() -> None:
-    # A minute of arc, with an effect for a second; after the exclusion the rows start again, and the chain with them.
+    # A minute of arc, with an effect for a second. The subfilters, and the smoother, restart after the exclusion.
     ins = with_step(stream(30.0, 50.0), 0, slow_error(0))
     pair, true_nd = smooth_faulty_voyage(ins, 60.0, 0)
     assert any("star.aft" not in one.sources for one in pair.filtered[35:])
@@ -210,7 +210,7 @@ def test_with_a_lag_each_attitude_is_also_published_smoothed_and_nothing_else_ch
         at_last, variances = whole[stamp_ns], np.diagonal(message.covariance.reshape(3, 3))
         assert message.status == at_once[stamp_ns].status
         assert np.all(variances <= np.diagonal(at_once[stamp_ns].covariance.reshape(3, 3)) * (1.0 + 1e-6))
-        # Two seconds of stars more, and all that came later besides.
+        # It has two more seconds of stars, and all later data.
         assert np.all(np.diagonal(at_last.covariance.reshape(3, 3)) <= variances * (1.0 + 1e-6))
     again = run_adapter(new_adapter(smoothing_lag_s=lag_s), arrivals)
     assert again.results() == run.results()

@@ -182,8 +182,8 @@ FAULT_S = 58.0
 
 @pytest.mark.statistics
 def test_smoothing_before_a_slip_of_the_encoders_is_consistent() -> None:
-    # In the gap of the lights the encoders slip by two degrees, further than a mount could turn between two readings:
-    # an error that comes at that moment.
+    # The encoders slip by two degrees in the gap of the lights, further than a mount could turn between two readings:
+    # the error begins at that time.
     scenario, found, gained = replace(with_theodolite(session(), encoder__rate_hz=20.0), duration_s=75.0), [], []
     for seed in range(6):
         run, core = simulate(scenario, seed), axis_core(scenario)

@@ -35,7 +35,7 @@ FEW = int(os.environ.get("SKY_SEEDS", "4"))
 """Seeds that show an error which is far beyond the covariance; ``make campaign`` takes more of both."""
 LONG_STREAK_SEEDS = 200
 SURELY_WRONG = 6.0
-"""Mean NEES that the issue asks for at least where a part of the chain is missing; honest is 3."""
+"""Least mean NEES if a part of the model is missing; 3 is consistent."""
 
 
 def short_scenario(**changes) -> Scenario:

@@ -263,7 +263,7 @@ def gap_after_kill_s(folder, environment):
         assert re.search(r"no alignment at", process.log_text())
         os.kill(node_of(process.pid, "ship_attitude"), signal.SIGKILL)
         killed_ns = time.time_ns()
-        # The successor has begun with what was saved, has used stars, and has saved what it learned.
+        # The successor started from the saved alignment, used stars, and saved its estimate.
         wait_for(lambda: ", 0 min old" in process.log_text() and saved.stat().st_mtime_ns > killed_ns, process)
         assert process.end(signal.SIGTERM) == 0
         for other in others:
@@ -271,13 +271,13 @@ def gap_after_kill_s(folder, environment):
         log = process.log_text()
     with read_bag(recorded) as bag:
         stamps = {ns_from_stamp(record.decode().header.stamp) for record in bag.records()}
-    # A second of the bag is one of the clock on the wall.
+    # A second of the bag is one of the computer's clock.
     return max(later - earlier for earlier, later in itertools.pairwise(sorted(stamps))) / NS_PER_S, log, saved
 
 
 @pytest.mark.slow
 def test_a_node_that_is_stopped_is_reported_and_replaced(tmp_path, domain):
-    """Together with its reserve process, as by a user who stops all processes of that name."""
+    """Its reserve process is stopped too, as if a user stops all processes of that name."""
     command = suite("--bag", DEMO, "--loop", "0", "--frozen-report", "2", "--frozen-restart", "5")
     with LiveProcess(command, tmp_path / "suite.log", live_environment(domain, tmp_path)) as process:
         valid = "[ship_attitude]: attitude: VALID"

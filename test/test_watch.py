@@ -100,7 +100,7 @@ def test_two_simultaneous_faults_are_distinguished(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_source_that_only_degrades_is_not_named_for_a_missing_output(tmp_path: Path) -> None:
-    """A FLOAT baseline, and then no encoder: until its silence is detected no source is named, then the encoder."""
+    """A FLOAT baseline, and then no encoder: no source is named before the encoder's timeout, then the encoder."""
     faults = (
         "float: {topic: beacon/a/baseline, kind: corrupt, field: fix, value: 3, start_s: 12.0, end_s: 25.0}, "
         "quiet: {topic: theodolite/encoder, kind: drop, start_s: 20.0, end_s: 25.0}"
@@ -176,7 +176,7 @@ def test_a_recording_shows_the_same_as_live(clean: tuple[Path, Path]) -> None:
     assert [(s.name, s.presence, s.reason) for s in here.sources] == [
         (s.name, s.presence, s.reason) for s in there.sources
     ]
-    # Words are judged at whole tenths of a second of the one clock or the other.
+    # States are evaluated at whole tenths of a second of either clock.
     assert [e.text for e in here.events] == [e.text for e in there.events]
     assert all(abs(a.utc_ns - b.utc_ns) <= 1e8 for a, b in zip(here.events, there.events, strict=True))
 

@@ -28,7 +28,7 @@ DEGREE = 3600.0
 FALSE_SHARE = 0.3
 """Of the detections of stars without names."""
 CONSTANT_S = 1e7
-"""Correlation time of an error that stays over the voyage, s.
+"""Correlation time of an error that is constant over the voyage, s.
 
 With the times of the reference case an error of degrees changes by a minute of arc in a second. The checks of the INS
 count such a walk as noise too, so that the covariance is larger than the error."""
@@ -36,7 +36,7 @@ count such a walk as noise too, so that the covariance is larger than the error.
 
 @dataclass(frozen=True)
 class Prior:
-    """Sigmas of the INS's error, arcseconds; whether it is constant; whether stars are identified, none falsely.
+    """Sigmas of the INS's error, arcseconds; True if it is constant; True if all stars are correctly identified.
 
     Exposures are points in time, or last some seconds, the first ones from before the INS's first sample.
     """

@@ -74,7 +74,7 @@ class Scene:
         rotation_nd: true attitude, shape (3, 3).
         ins: attitude of the deck by the INS.
         order: of each sensor's stars, for cases with only some of them.
-        clouds: one standard normal number per star, all sensors in a row.
+        clouds: one standard normal number per star, sensor by sensor.
     """
 
     exposures: dict[str, StarExposure]
@@ -131,7 +131,7 @@ def draw_scene(seed: int) -> Scene:
 
 
 def _scenario(rng: np.random.Generator) -> Scenario:
-    """Return ``paper_stars`` for one second of some night, on some heading; one exposure of each sensor at start."""
+    """Return ``paper_stars`` for a second of a random night, at a random heading, with one exposure of each sensor."""
     whole = _whole_scenario()
     midnight = datetime(2014, 1, 1, 16, tzinfo=timezone.utc) + timedelta(days=int(rng.integers(365)))
     start = midnight + timedelta(seconds=float(rng.uniform(-7200.0, 7200.0)))
@@ -166,12 +166,12 @@ def _whole_scenario() -> Scenario:
 
 
 def some_stars(scene: Scene, counts: Sequence[int]) -> dict[str, np.ndarray]:
-    """Return the rows of the first stars by sensor, this many of each."""
+    """Return the indices of the first stars by sensor, with a given number of each."""
     return {id_: np.sort(scene.order[id_][:count]) for id_, count in zip(scene.exposures, counts, strict=True)}
 
 
 def stars_in_gaps(scene: Scene, cover: float, patch_deg: float) -> dict[str, np.ndarray]:
-    """Return the rows of the stars that no cloud hides, by sensor."""
+    """Return the indices of the stars that no cloud hides, by sensor."""
     directions_d = np.concatenate(
         [one.directions_s @ scene.config.star_sensors[id_].rotation_ds.T for id_, one in scene.exposures.items()]
     )

@@ -62,7 +62,7 @@ class MonitoredVoyage:
     """Monitored states of a voyage.
 
     Attributes:
-        watch: at the end.
+        monitor: state at the end.
         start_ns: log time of the first message.
         end_ns: of the last.
         out_s: source → times of its exclusion, s.

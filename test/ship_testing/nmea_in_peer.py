@@ -46,7 +46,7 @@ class NmeaInPeer:
         path: path of its parameter file.
         sources: id → parameters of a source.
         namespace: of the node.
-        use_sim_time: whether it uses /clock.
+        use_sim_time: True to use /clock.
         as_process: run it as a separate process, whose log is next to the parameter file; otherwise in a thread.
 
     Attributes:

@@ -97,14 +97,14 @@ def shift_encoder_stamps(run: SimulatedRun, delay_s: float, until_s: float = np.
 
 
 def drift_encoders(run: SimulatedRun, azimuth_arcsec_per_s: float, until_s: float = np.inf) -> SimulatedRun:
-    """Let the encoders' azimuth creep from FAULT_S on."""
+    """Let the encoders' azimuth drift from FAULT_S on."""
     readings = run.theodolite.encoder
     drift = azimuth_arcsec_per_s * ARCSEC * _fault_duration_s(run, readings.time_ns, until_s)
     return replace(run, theodolite=replace(run.theodolite, encoder=replace(readings, azimuth=readings.azimuth + drift)))
 
 
 def drift_ship_attitude(run: SimulatedRun, arcsec_n_per_s: tuple[float, ...], until_s: float = np.inf) -> SimulatedRun:
-    """Let ``ship/attitude`` creep about North, Up and East from FAULT_S on; its rates do not show it."""
+    """Let ``ship/attitude`` drift about North, Up and East from FAULT_S on; its rates do not contain it."""
     fused, turning_n = run.fused, ARCSEC * np.array(arcsec_n_per_s)
     rotation_nd = exp_rotation(_fault_duration_s(run, fused.time_ns, until_s)[:, None] * turning_n) @ fused.rotation_nd
     return replace(run, fused=replace(fused, rotation_nd=rotation_nd))

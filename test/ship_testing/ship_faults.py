@@ -140,7 +140,7 @@ def run_core(
         run: the voyage.
         exchanged_s: begin and end of an exchange of the cables of two star sensors.
         from_s: time of the first attitude that is computed.
-        levels: whether errors are compared with their protection levels.
+        levels: True to compare errors with their protection levels.
     """
     core, carrier, found = core_for(run.scenario), make_carrier(run.scenario.carrier, run.seed), []
     for log_ns, source, index in run.arrivals():

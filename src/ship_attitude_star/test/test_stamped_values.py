@@ -46,7 +46,7 @@ def accepted_values(values: StampedValues[Reading]) -> list[tuple[int, float, bo
 
 
 STEADY = [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (3.0, 1e-9), (4.0, 0.0)]
-"""At rest, as good as; but it does not stand to the last bit."""
+"""At rest, but not constant to the last bit."""
 
 
 def test_a_value_within_its_limit_is_accepted() -> None:
@@ -123,7 +123,7 @@ def test_nan_is_rejected() -> None:
 
 
 def test_a_good_source_is_not_rejected() -> None:
-    # Ten hours at 1 Hz, noise as stated, nothing at once and nothing in time: the five sigmas alone carry it. The
+    # Ten hours at 1 Hz with noise as stated; the limit is five sigmas alone, without a step and without a rate. The
     # difference of two is normal with sqrt(2) sigma: beyond five of them with 5.7e-7, 0.02 in 36 000.
     rng = np.random.default_rng(20260301)
     values, rejected = StampedValues[Reading](JumpLimits(0.0, 0.0, 60.0, "m")), 0
@@ -138,7 +138,7 @@ BRIEF = JumpLimits(max_step=10.0, max_rate=2.0, confirmation_s=8.0, unit="m")
 
 
 def draw_readings(rng: np.random.Generator) -> list[tuple[int, Reading]]:
-    """Return values with jumps, some of them lasting, with gaps, and with conflicting values of one stamp."""
+    """Return values with jumps, some of them permanent, with gaps, and with conflicting values of one stamp."""
     times_ns = np.cumsum(rng.integers(1, 4, 40)) * SECOND_NS
     places = rng.choice([0.0, 0.0, 0.0, 15.0, 25.0, 400.0], 8)
     stamped = [
@@ -214,7 +214,7 @@ SETTLES = JumpLimits(max_step=10.0, max_rate=2.0, confirmation_s=60.0, unit="m",
 
 
 def provisional_results(*stamped: tuple[float, float]) -> tuple[list[float], list[bool]]:
-    """Return the times of the rejected values, and after each value whether provisional values are in conflict."""
+    """Return the times of the rejected values, and after each value True if provisional values are in conflict."""
     values, rejected, conflicts = StampedValues[Reading](SETTLES), [], []
     for since_s, value in stamped:
         if values.rejection(ns(since_s), Reading(value)) is not None:

@@ -66,7 +66,7 @@ def without_ins() -> tuple[Arrival, ...]:
 
 
 def simultaneous(*counts: int) -> tuple[Arrival, ...]:
-    """Both sensors expose at once, with the given numbers of stars; besides only position and weather."""
+    """Return simultaneous exposures of both sensors with the given numbers of stars, position and weather."""
     arrivals = list(with_topics(voyage(), FIX, PRESSURE, TEMPERATURE, HUMIDITY))
     for topic, count in zip((FORE, STARBOARD), counts, strict=True):
         for since_ns in range(PHASE_NS[FORE], SECOND_NS, PERIOD_NS):

@@ -44,7 +44,7 @@ from ship_testing.star_voyage import (
 SEEDS = 300
 INS_PERIOD_NS = 40_000_000
 WHITE_SIGMA_ARCSEC = 4.0
-"""Large against the stars' 1.3″, so that it is seen whether it counts rightly."""
+"""White noise of the INS; it is large compared with the stars' 1.3″, so that a wrong weight is detected."""
 
 CONFIG = config(
     ins__white_sigma_arcsec=WHITE_SIGMA_ARCSEC, ins__time_offset_sigma_s=0.0, joint__window_s=0.5, joint__wait_s=1.0

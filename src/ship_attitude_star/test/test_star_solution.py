@@ -19,10 +19,10 @@ from ship_geometry.rotations import ARCSEC, angle_between, exp_rotation, log_rot
 from ship_testing.star_scenes import SIGMA, Scene, attitude_error, draw_scene
 
 WRONG = 30.7
-"""NEES that one in a million honest attitudes exceeds: chi², three degrees of freedom."""
+"""NEES that one in a million consistent attitudes exceeds: chi², three degrees of freedom."""
 SCENES = int(os.environ.get("STAR_SCENES", "150"))
 EPOCHS = int(os.environ.get("STAR_EPOCHS", "400"))
-"""`make campaign` asks for 10 000 of each."""
+"""`make campaign` runs 10 000 of each."""
 
 
 def nees(scene: Scene, solution) -> float:

@@ -20,7 +20,7 @@ SENTENCES = {
     "PSAT,HPR": (sentence("PSAT,HPR,235410.50,89.58,3.35,-0.21,N"), (89.58, 3.35, -0.21)),
     "ROT": (sentence("HEROT,-30.0,A"), None),
 }
-"""Row → a sentence, and its heading, pitch (bow up) and roll (starboard down), degrees."""
+"""Kind → a sentence, and its heading, pitch (bow up) and roll (starboard down), degrees."""
 
 RECEIVE_NS = 1_268_178_851 * NS_PER_S
 """2010-03-09T23:54:11Z."""

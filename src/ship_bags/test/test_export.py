@@ -49,7 +49,7 @@ TOGETHER = [
     ("Integrity", {"excluded": 1, "excluded_for_s": 1}),
     ("JointState", {"name": 1, "position": 1, "velocity": 1, "effort": 1}),
 ]
-"""Arrays that share a table, by the last part of their type: which, and how many of each stand in a row."""
+"""Arrays that share a table, by the last part of their type: name → number of elements in a row."""
 
 
 def constants(type_name):
@@ -348,7 +348,7 @@ def flags(path):
     """Return name of a variable → meanings of its values, as in a NetCDF file."""
     with netcdf_file(path, mmap=False) as file:
         flagged = {name: each for name, each in file.variables.items() if hasattr(each, "flag_meanings")}
-        # The conventions ask for values of the kind of the variable itself; a single one is read as a plain number.
+        # The conventions require values of the type of the variable; a single one is read as a plain number.
         arrays = [each for each in flagged.values() if np.ndim(each.flag_values)]
         assert all(each.flag_values.dtype == each.data.dtype for each in arrays)
         return {

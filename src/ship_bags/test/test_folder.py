@@ -69,7 +69,7 @@ def test_a_new_file_begins_by_time(tmp_path):
         bag.flush()
     bag.close()
     counts = [file["message_count"] for file in information(tmp_path / "voyage")["files"]]
-    # The last file was begun when the third message's time was over.
+    # The last file was started at the end of the third message's period.
     assert counts == [1, 1, 1, 0]
     assert len(rosbags_times(tmp_path / "voyage")) == 3
 

@@ -68,7 +68,7 @@ def test_a_recording_contains_the_parameters_of_the_nodes(name, tmp_path, monkey
     config = load_config(ShipAttitudeConfig, text, "/aurora/ship_attitude")
     assert (config.ins.white_sigma_arcsec, config.ins.frame_id) == (2.5, "1e3")
     assert list(config.star_sensors) == ["fore"]
-    # A suite file that was given to another node must not write over this one's box.
+    # A suite file that was given to another node must not overwrite this one's black box.
     assert "box.mcap" not in text
     summary = replay(out, tmp_path / "again.mcap", (ShipAttitudeAdapter,), namespace="aurora")
     assert summary.inputs["ins/imu"] == 30

@@ -162,7 +162,7 @@ def test_damage_in_the_first_chunk_with_the_definitions(unfinished_recording, tm
     source.write_bytes(data)
     recovery = recover(source, recovered_path(source))
     expected = original(unfinished_recording, tmp_path)
-    # Its times stand again with its messages.
+    # Its times are restored with its messages.
     lost = 0 if part == "start time" else PER_CHUNK
     assert by_mcap(recovery.path) == sorted(expected[lost:])
 

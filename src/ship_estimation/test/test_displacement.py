@@ -196,7 +196,7 @@ def test_steps_in_every_second_for_half_an_hour_leave_a_covariance() -> None:
 
 
 def test_displacement_in_the_first_measurements_ends() -> None:
-    """After frozen encoders the stored state is known to 20°: the fault is in the first measurements, and it ends."""
+    """The stored state has a sigma of 20° after frozen encoders: a fault of the first measurements ends."""
     source, vague = Displacement(), np.deg2rad(20.0) ** 2 * np.eye(3)
     for second in range(30):
         source.add(MemoryResidual(np.array([0.0, 10000.0 * ARCSEC * (second < 4), 0.0]), NOISE, vague, DRIFT))

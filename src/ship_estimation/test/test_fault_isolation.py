@@ -95,7 +95,7 @@ def _voyage(seed, sensors, shifts=None, epochs=2 * AT, pairs=False):
     Args:
         seed: of the noise.
         sensors: how many.
-        knocks: by sensor, about the second axis, from AT on.
+        shifts: mounting shift of each sensor about the second axis, from AT on.
         epochs: measurements of each sensor.
         pairs: add subfilters that leave out two sensors.
     """

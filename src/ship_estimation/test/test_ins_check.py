@@ -174,7 +174,7 @@ def test_changed_noise_applies_at_once() -> None:
 
 
 def test_jump_that_a_clock_step_explains_is_shared_equally() -> None:
-    """Against the moments of draws that attribute each jump to the attitude or to the clock."""
+    """Mean and covariance equal those of draws that attribute each jump to the attitude or to the clock."""
     rng, jump = np.random.default_rng(5), InsJump(0, np.array([2e-3, -1e-3, 5e-4]), 1e-12, -0.03)
     of_clock = rng.random(40_000) < 0.5
     changed = np.column_stack([-jump.jump_n * ~of_clock[:, None], jump.clock_s * of_clock])
@@ -182,7 +182,7 @@ def test_jump_that_a_clock_step_explains_is_shared_equally() -> None:
     scale = np.append(np.abs(jump.jump_n), 0.03)
     np.testing.assert_allclose(changed.mean(axis=0) / scale, mean / scale, atol=0.01)
     scale = np.outer(scale, scale)
-    # A clock step is known to a tenth of it, and two large rotations do not commute.
+    # The sigma of a clock step is a tenth of it, and two large rotations do not commute.
     np.testing.assert_allclose(np.cov(changed.T) / scale, covariance / scale, atol=0.02)
 
 

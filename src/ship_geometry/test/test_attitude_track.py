@@ -55,7 +55,7 @@ def irregular(seed: int, count: int = 24) -> list[AttitudeSample]:
 
 
 def times_around(samples: list[AttitudeSample], seed: int, count: int = 150) -> list[int]:
-    """Random moments around the samples, and each sample's own stamp."""
+    """Return random times around the samples, and each sample's own stamp, ns."""
     first, last = min(s.time_ns for s in samples), max(s.time_ns for s in samples)
     rng = np.random.default_rng(seed)
     random = rng.integers(first - 2 * STEP_NS, last + 2 * STEP_NS, count).tolist()

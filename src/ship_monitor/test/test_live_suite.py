@@ -103,7 +103,7 @@ def test_played_bag_with_truth_is_simulated(live_suite, ship, until):
     ship.stop()
     until(lambda: heading(live_suite).is_old)
     time.sleep(2 * DISCOVERY_NS / NS_PER_S)
-    assert live_suite.label == "SIMULATED"  # what stands there still is that of the simulation
+    assert live_suite.label == "SIMULATED"  # the displayed values are still simulated
 
 
 def test_alerts_of_an_ended_node_are_cleared(live_suite, until):
@@ -165,7 +165,7 @@ def test_page_terminal_and_alerts_show_one_state(ship, until):
         thread.join()
         for viewer in viewers:
             viewer.close()
-        node.destroy_node()  # without this its latched alerts stay in the domain, for other tests too
+        node.destroy_node()  # otherwise its latched alerts remain in the domain for other tests
         context.try_shutdown()
 
 

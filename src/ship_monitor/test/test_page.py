@@ -514,7 +514,7 @@ def test_mark_is_in_every_panel_until_escape(browser, source, page):
     wait_for_marks(browser, 0)
     browser.evaluate("document.querySelector('#sources li:nth-child(1)').click()")
     # The title and frame of its innovations and of its field of view; the rows of its input and of its alert; the two
-    # parts of the budget that star sensors bring.
+    # parts of the budget that star sensors contribute.
     wait_for_marks(browser, 2)
     clock = browser.text("#utc")
     browser.wait_until_true(f"document.querySelector('#utc').textContent > '{clock}'")

@@ -68,7 +68,7 @@ def test_corrected_clock_is_used_again(source):
             assert status.level == Level.WARN
             assert status.message.startswith("its clock is 30 s ahead of this computer's: set the clocks")
     assert given == [*range(10), *range(14, 20)]
-    assert ins.status("", 0, 30 * NS_PER_S - 1).level == Level.ERROR  # silent again
+    assert ins.status("", 0, 30 * NS_PER_S - 1).level == Level.ERROR  # no data again
     assert "ahead" not in ins.status("", 0, 30 * NS_PER_S - 1).message
 
 

@@ -70,7 +70,7 @@ def test_overload_ends_after_one_second_of_short_waits_with_a_frozen_clock() -> 
 
 
 def evaluate_hiccups(node: Node, seconds: float, hiccup_ms: int, rate: float) -> list[OverloadChange]:
-    """Return the changes while the node stands still for ``hiccup_ms`` each 0.9 s and then processes the queue."""
+    """Return the changes while the node stops for ``hiccup_ms`` each 0.9 s and then processes the queue."""
     changes = []
     for _ in range(round(seconds / 0.9)):
         changes += node.evaluate_for(0.9, 0.0)

@@ -108,7 +108,7 @@ def test_a_change_refused_before_the_adapter_is_in_log_black_box_and_diagnostics
     assert f"refused: {reason}" in "".join(capfd.readouterr())
     relay.live._black_box.close()
     noted = [what for topic, what, _ in read_entries(tmp_path / "box.mcap") if isinstance(what, ChangeRefused)]
-    # What JSON has no word for stands there as Python writes it.
+    # Values without a JSON form are recorded in Python's notation.
     recorded = value if not isinstance(value, list) else [repr(part) for part in value]
     assert noted == [ChangeRefused({name: recorded}, reason)]
 

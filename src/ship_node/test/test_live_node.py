@@ -259,7 +259,7 @@ def test_waiting_messages_are_processed_before_timeouts_after_a_standstill(live_
         relay.spin()
         time.sleep(0.03)
     relay.wait_until(lambda: len(relay.attitudes) == 30)
-    # The timeout clock hardly advanced: at most two ticks lie between the messages before and after the standstill.
+    # The timeout clock hardly advanced: at most two ticks are between the messages before and after the stop.
     stop_ns = max(later - earlier for earlier, later in pairwise(uses))
     assert stop_ns <= 2 * TICK_PERIOD_NS
     assert sum(uses[0] < tick_ns <= uses[1] for tick_ns in relay.adapter.ticks) <= 2
@@ -541,7 +541,7 @@ def test_a_restarted_publisher_counts_as_one(live_relay):
         count = len(relay.attitudes)
         process = subprocess.Popen([sys.executable, "-c", script], env=os.environ | {"PYTHONPATH": path})
         try:
-            relay.wait_until(lambda: len(relay.attitudes) >= count + 100)  # noqa: B023 - asked in this round alone
+            relay.wait_until(lambda: len(relay.attitudes) >= count + 100)  # noqa: B023 - called in this round alone
         finally:
             process.kill()
             process.wait()

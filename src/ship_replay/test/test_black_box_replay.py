@@ -137,7 +137,7 @@ def test_a_black_box_records_the_waiting_time_for_timeouts(node, tmp_path, capsy
         start_ns = bag.start_ns
         given = [r for r in bag.records_in_file_order() if r.topic == topic]
         invalid = [r for r in given if r.decode().status == 3 and r.log_time_ns - start_ns > 1_000_000_000]
-    # Silent from 3 s on; said within a second and a tick of it, and once more a second later.
+    # No data from 3 s on; INVALID is published within a second and a tick, and once more a second later.
     invalid_s = [(r.log_time_ns - start_ns) * 1e-9 - 0.7 for r in invalid]
     assert len(invalid_s) == 2
     assert 3.95 < invalid_s[0] <= 4.1
@@ -539,7 +539,7 @@ def with_suite(change):
 
 @pytest.fixture
 def suite(black_box, tmp_path):
-    """The black box's own parameters as a file."""
+    """Return a file with the parameters of the black box."""
     with read_bag(black_box) as bag:
         text = bag.attachments[SUITE_ATTACHMENT]
     path = tmp_path / "suite.yaml"

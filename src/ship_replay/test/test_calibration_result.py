@@ -40,7 +40,7 @@ def test_nothing_measured_leaves_everything_unobserved() -> None:
     combos = find_combinations(PRIOR_COVARIANCE)
     assert [combo.axis for combo in combos] == [*DECK_AXES, None, None, None]
     assert {combo.observability for combo in combos} == {"no"}
-    # Two sensors of 20": the turn of both is known to 20" / sqrt 2.
+    # Two sensors of 20": the sigma of the turn of both is 20" / sqrt 2.
     assert [combo.sigma / ARCSEC for combo in combos[:3]] == pytest.approx([20.0 / np.sqrt(2.0)] * 3)
 
 

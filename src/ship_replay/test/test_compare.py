@@ -250,7 +250,7 @@ def test_a_sensor_out_in_one_only(plain, inputs, folder):
     replay(lame, folder / "lame.mcap", ADAPTERS)
     pair = read_pair(plain, folder / "lame.mcap")
     texts = sentences(pair)
-    # The bag begins at 11:50:07.8; of a star sensor three seconds of silence are an outage.
+    # The bag begins at 11:50:07.8; three seconds without data of a star sensor are an outage.
     assert any(re.match(r"star.fore was out in B and not in A: 11:50:1\d to the end \(", one) for one in texts)
     assert any(re.search(rf"{topic} \d+ in A, \d+ in B", text) for text in texts)
     events, both = events_of_one(pair)
@@ -259,7 +259,7 @@ def test_a_sensor_out_in_one_only(plain, inputs, folder):
 
 
 def with_outages(report_data, outages_s):
-    """The same recording with outages of star.fore from and to so many seconds after its start; None: to the end."""
+    """Return the recording with outages of star.fore from and to seconds after its start; None: to the end."""
     start_ns = report_data.recording.start_utc_ns
     events = []
     for from_s, to_s in outages_s:

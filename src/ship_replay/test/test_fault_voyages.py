@@ -377,7 +377,7 @@ def test_reports_on_inputs_name_what_is_new_in_them_for_each_node():
     assert report_indications(history, 1, "ins/imu", 90) == []
     assert report_indications(history, 2, "ins/imu", 200, {"frame": 2, "revised": 3}) == [("ins/imu", "frame")]
     assert report_indications(history, 2, "ins/imu", 190) == []
-    # The same counts again, and refusals that rest on others, say nothing new of the input itself.
+    # Repeated counts, and rejections caused by other inputs, are no new indication of this input.
     assert report_indications(history, 3, "ins/imu", 300, {"frame": 2, "excluded": 4}) == []
     assert report_indications(history, 3, "ins/imu", 290, {"frame": 1}) == [("ins/imu", "frame")]
     assert report_indications(history, 4, "ins/imu", 300, {"frame": 2}, level=1) == [("ins/imu", NO_DATA)]

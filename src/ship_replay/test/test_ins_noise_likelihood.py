@@ -126,7 +126,7 @@ def test_schuler_is_the_joint_density(session: NoiseSession, damping_time_s: flo
     sensors, here = Sensors(), mean_location(session.comparisons)
     assert here is not None
     assert here.latitude == pytest.approx(np.deg2rad(40.0), abs=1e-4)
-    # 8 m/s, which the first of twelve epochs does not know yet: it takes two fixes.
+    # 8 m/s, unknown at the first of twelve epochs: a velocity needs two fixes.
     assert np.hypot(*here.velocity_m_per_s) == pytest.approx(8.0 * 11.0 / 12.0, abs=0.1)
     config = SchulerConfig(
         velocity_sigma_m_per_s=sensors.velocity,

@@ -107,10 +107,10 @@ def test_each_pointing_is_smoothed_with_the_smoothed_attitude(theodolite_bag, tm
         assert ns_from_stamp(message.header.stamp) == ns_from_stamp(before.header.stamp)
         assert (message.status, message.mode, message.light_count) == (before.status, before.mode, before.light_count)
         assert np.isfinite(message.telescope_azimuth) == np.isfinite(before.telescope_azimuth)
-    # Before the first lights the zero points of the encoders were known to 30".
+    # Before the first lights the sigma of the encoders' zero points was 30".
     assert again[20][1].mode == again[20][1].ENCODER
     assert np.all(variances(again[20][1])[:2] < 0.1 * variances(valid[20][1])[:2])
-    # The ship's attitudes are what they are without the theodolite, and evaluate judges both.
+    # The ship's attitudes equal those without the theodolite, and both are evaluated.
     assert len(messages(smoothed, "ship/attitude_smoothed")) == 241
     numbers = tmp_path / "numbers.json"
     assert evaluate([str(smoothed), "--json", str(numbers)]) == 0

@@ -62,7 +62,7 @@ START_S, END_S = 0.0, 1.5
 UNCHANGED = {
     ("freeze", topic) for topic in ("met/pressure", "met/temperature", "met/humidity", "gravity/deflection")
 } | {("swap", "theodolite/night/stars")}
-"""The simulated weather, and the deflection at anchor, stand still anyway; stars without names cannot exchange them."""
+"""Simulated weather, and the deflection at anchor, are constant anyway; stars without names cannot exchange them."""
 
 
 @pytest.fixture(scope="module")

@@ -34,9 +34,9 @@ def stars_of(run):
 
 @pytest.mark.parametrize("exposure_s", [0.0, 0.8])
 def test_stars_are_imaged_according_to_main_axis_mounting_and_sky(exposure_s):
-    # Of an exposure the mean of the way, by the trapezoidal rule; the mount sweeps 12' in the longer one. For the
-    # simulation the sky stands still meanwhile: what its turn, 12", and that of the image, 2°, have as product is left,
-    # 0.03" or 0.002 px.
+    # The expected image is the mean of the star's path, by the trapezoidal rule; the mount sweeps 12' in the longer
+    # exposure. The simulation holds the sky constant meanwhile. The remaining difference is the product of its turn of
+    # 12" and that of the image of 2°: 0.03" or 0.002 px.
     settings = {"identified": True, "false_stars": 0.0, "camera__centroid_sigma_px": 1e-6}
     run = simulate(short_run(exposure_s=exposure_s, **settings), seed=1)
     truth, sky, found = run.theodolite.truth, run.truth.sky, stars_of(run)

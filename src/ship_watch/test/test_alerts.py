@@ -295,7 +295,7 @@ def test_start_of_the_suite_is_no_alert() -> None:
 
 
 def test_restart_keeps_alerts_and_acknowledgements() -> None:
-    """Through a file, acknowledged and unacknowledged alerts stay so, past situations end, instances count on."""
+    """Alerts keep their acknowledgement through a file, past situations end, and instances continue to count."""
     voyage = Voyage()
     gnss, ins = replace(OUT, id="gnss.out", source="gnss"), replace(OUT, id="ins.out", value=math.nan)
     voyage.go(5.0, OUT, gnss, ins)

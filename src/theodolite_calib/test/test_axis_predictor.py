@@ -25,7 +25,7 @@ ERRORS = {
     **{f"beacons__{name}__rtk__bias_sigma_m": 0.02 for name in BEACONS_DEG},
 }
 
-# Stated size of the ship's error at the sighting before, at the moments and at the sighting after, in units of one.
+# Stated size of the ship's error at the sighting before, at the times between, and at the sighting after.
 STATED = {
     "steady": (1.0, 1.0, 1.0),
     "slowly changing": (1.0, 1.3, 0.8),
@@ -79,7 +79,7 @@ def test_it_is_the_filters_prediction(sizes: tuple) -> None:
         np.testing.assert_allclose(found.mean[place] / sigma, there.mean[between.state_indices] / sigma, atol=1e-9)
         both_sigmas = np.outer(sigma, sigma)
         np.testing.assert_allclose(found.covariance[place] / both_sigmas, of_states / both_sigmas, atol=1e-9)
-        # Whatever is stated, both moments are of one distribution: no combination of them has a negative variance.
+        # Both times are of one distribution for any stated size: no combination of them has a negative variance.
         whole = np.block([[found.covariance[place], cross[place]], [cross[place].T, then.covariance]])
         both = np.concatenate([sigma, scale])
         assert np.linalg.eigvalsh(whole / np.outer(both, both))[0] > -1e-9
@@ -107,7 +107,7 @@ def test_before_the_first_sighting_the_errors_are_what_they_may_be() -> None:
     for place, last_s in enumerate(lasts_s):
         expected = first.covariance[np.ix_(between.state_indices, between.state_indices)]
         np.testing.assert_allclose(found.covariance[place], expected, atol=1e-20)
-        # The axes stay; ship and deformation die out with their own times.
+        # The axes are constant; ship and deformation decay with their own time constants.
         np.testing.assert_allclose(cross[place, axes, axes], first.covariance[axes, axes])
         np.testing.assert_allclose(cross[place, :3, :3], np.exp(-last_s / 40.0) * STATED_N)
         np.testing.assert_allclose(cross[place, 3:6, 3:6], np.exp(-last_s / 25.0) * first.covariance[3:6, 3:6])

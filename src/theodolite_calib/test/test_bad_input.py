@@ -231,7 +231,7 @@ def turn_heading(arcsec: float) -> Change:
 
 
 def test_beacons_without_exposure_length_are_points():
-    """The session's lights stand still on the detector, so that its exposures have no streaks either."""
+    """The session's lights do not move on the detector, so that its exposures have no streaks either."""
     not_given = change_where(session(), lambda a: a.topic == BEACONS, set_field("exposure_s", np.nan))
     zero = change_where(session(), lambda a: a.topic == BEACONS, set_field("exposure_s", 0.0))
     points = run_adapter(new_adapter(), not_given)
@@ -512,7 +512,7 @@ def test_covariances_that_are_not_given_are_not_perfect() -> None:
         assert run.reasons(topic) == {"covariance_unknown": run.health(topic).received}
         assert run.health(topic).rejected == 0
     # The ship's attitude then has the INS's errors, the others the configured ones, equal to those of the messages.
-    # Not of a single one: what the estimates without one source dispute comes and goes with each sighting.
+    # Single covariances are not compared: the separations of the subfilters vary with each sighting.
     of_each = ([m.rotation_covariance[0] for m in one.pointings] for one in (run, fault_free_run()))
     assert np.greater(*(np.median(covariance) for covariance in of_each))
     assert assert_within_covariance(run)

@@ -22,11 +22,11 @@ from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
 
 NOW_NS = 1_767_225_600_000_000_000
 OFF = np.array([0.8, -1.1, 0.5]) * ARCSEC
-"""Correction of the configured mounting, estimated in one night."""
+"""Correction of the configured mounting, estimated in one session."""
 
 
 def calibrated_state(settings: OpticalAxisConfig) -> tuple[CalibrationFilter, CalibrationState]:
-    """Return a state with the camera's mounting known to a third of the configured sigma, and collimation with it."""
+    """Return a state with a third of the configured sigma of the camera's mounting, correlated with the collimation."""
     filter_ = CalibrationFilter(settings)
     state = filter_.initial_state()
     rows = filter_.model.state_indices(f"telescope.{CAMERA_ID}.parallelism")

@@ -56,14 +56,14 @@ def stop_in_motion(rate: float = 0.02) -> tuple[EncoderCheck, int]:
 def test_stopped_readings_are_unconfirmed_until_beacons_confirm() -> None:
     check, number = stop_in_motion()
     assert check.unconfirmed_reason
-    check.confirm((number - 3) * PERIOD_NS)  # of before they stood still
+    check.confirm((number - 3) * PERIOD_NS)  # before they stopped
     assert check.unconfirmed_reason
     check.confirm((number + 1) * PERIOD_NS)
     assert not check.unconfirmed_reason
 
 
 def test_encoder_jump_is_confirmed_by_beacons_at_two_times() -> None:
-    """The first beacons fit any inflated estimate, also an axis that stands still while it rotates."""
+    """The first beacons fit any inflated estimate, also readings that do not change while the axis rotates."""
     check = EncoderCheck(ARCSEC, max_acceleration=1.0)
     for number in range(10):
         check_reading(check, reading(number, 1.0 + 2e-4 * number))
@@ -115,7 +115,7 @@ def test_stuck_detection_and_recovery() -> None:
     for later in range(number + 1, number + 60):
         give_beacon_attitude(check, later, 1.0 + 0.001 * later)
         rejections.append(check_reading(check, reading(later, 1.0 + 0.02 * 0.09)))
-    # Half a second is not judged: that of the last reading that moved, the one after it, and forty-eight of these.
+    # Half a second is not checked: the last reading that moved, the one after it, and forty-eight of these.
     assert [r is not None for r in rejections] == [False] * 48 + [True] * 11
     assert rejections[-1].reason is Reason.STUCK
     assert [check_reading(check, reading(number + 60 + k, 1.1 + 0.001 * k)) for k in range(25)] == [None] * 25

@@ -142,6 +142,6 @@ def test_star_sensor_on_the_main_tube_observes_parallelism(sky_model) -> None:
     sigma = np.sqrt(np.diagonal(calibration.covariance)[first : first + 3]) / ARCSEC
     error = (calibration.values[first : first + 3] - drawn.parallelism) / ARCSEC
     assert np.max(sigma[:2]) < 1.0
-    # 15 mm of slow error of each baseline, 2 km away, on lights that are 7° apart: 18″ of rotation, and less all round.
+    # 15 mm of correlated error of each baseline, 2 km away, on lights that are 7° apart: 18″ of rotation or less.
     assert sigma[2] < 10.0
     assert np.max(np.abs(error / sigma)) < 3.5

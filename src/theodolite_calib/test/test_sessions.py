@@ -128,7 +128,7 @@ def test_better_than_the_ins_and_an_uncalibrated_encoder() -> None:
 
 
 TEN_SECONDS = {
-    # Of an attitude that is constant and hardly known: not the hull's swaying is in question here.
+    # The attitude is constant with a wide prior: the hull's deformation is not part of this test.
     "deformation__sigma_arcsec": 60.0,
     "deformation__time_s": 1e7,
     "ship__white_sigma_arcsec": 0.0,

@@ -177,7 +177,7 @@ def test_the_jacobian_is_that_of_finite_differences(source: str) -> None:
     sighting = replace(sighting, ship=replace(sighting.ship, rate_d=np.array([0.05, 0.01, -0.02])))
     sigma = np.sqrt(np.diagonal(mount.filter.initial_state().covariance))
     mean = 0.3 * sigma * rng.standard_normal(sigma.size)
-    # Wide enough that all stars are believed at any of these states.
+    # Wide enough that all stars are accepted at any of these states.
     prior = StarPrior(model.predict(mean, sighting).rotation_ns, (300.0 * ARCSEC) ** 2 * np.eye(3))
 
     def residuals_at(at: FloatArray):
@@ -211,7 +211,7 @@ def test_stars_without_a_name_are_named_by_the_predicted_pointing(sky_model) -> 
         names = {component.removesuffix(" up") for component in decision.components if component.endswith(" up")}
         assert names <= {f"HIP {number}" for number in sighting.exposure.hip}
         named, unnamed = named + len(names), unnamed + len(decision.rejected_parts)
-    # By a prediction known to a minute of arc one in a hundred has two candidates.
+    # With a prediction sigma of a minute of arc one star in a hundred has two candidates.
     assert named >= 110
     assert named + unnamed == 120
 
@@ -290,7 +290,7 @@ def test_one_false_star_is_left_out_and_the_others_are_used(sky_model) -> None:
 
 
 def test_exposures_of_a_camera_that_stands_still_are_all_used(sky_model) -> None:
-    """Unobservable combinations stay unknown although the stars are known to an arcsecond: no step fails."""
+    """Unobservable combinations keep their prior although the stars have a sigma of an arcsecond: no step fails."""
     mount = Mount(SETTINGS, sky_model)
     session, rng = mount.run(4)
     encoder, state = random_field(rng), mount.filter.initial_state()

@@ -213,7 +213,7 @@ def run_target(seed: int, settings: OpticalAxisConfig, plunged: bool) -> tuple[T
     target_m = np.array([1.0, up, right]) / np.linalg.norm([1.0, up, right])
     direction_n = main_at(t_s) @ target_m
     distance_m = rng.uniform(200.0, 4000.0)
-    # The air raises what is seen: the target itself is so much lower.
+    # Refraction raises the apparent direction: the target itself is lower by this amount.
     path_n = distance_m * direction_n - [0.0, coefficient * distance_m**2 / (2.0 * EARTH_RADIUS_M), 0.0]
     rolled = rho + 60.0 * ARCSEC * normal()
     cosine, sine = np.cos(rolled), np.sin(rolled)
@@ -292,7 +292,7 @@ def test_an_exposure_of_known_length_is_brought_to_its_middle() -> None:
 
 
 def test_an_estimator_that_replaces_another_one_goes_on_with_its_pointings_and_images() -> None:
-    """The pending image is answered once, by the second estimator; the answered one is known to it."""
+    """The second estimator answers the pending image once, and does not repeat the answered one."""
 
     def pointings(core: OpticalAxisCore, steps: range) -> list[PointingOutcome]:
         outcomes = []

@@ -15,7 +15,7 @@ ENCODER_SIGMA = 1.0 * ARCSEC
 BASELINE_VARIANCE = 0.01**2
 VALID, DEGRADED = Status.VALID, Status.DEGRADED
 ABOUT = {"long before": -STEP_NS - 1, "before": -1, "at it": 0, "after": 1, "long after": STEP_NS}
-"""Moments about one sample, ns."""
+"""Times relative to one sample, ns."""
 
 
 def encoder_angles(time_s: float) -> np.ndarray:
