@@ -49,7 +49,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class _Sink(VoyageSink):
-    """Also stores the statuses of the pointing and the texts of the diagnostics of recovery."""
+    """Sink that also stores the statuses of the pointing and the texts of the diagnostics of recovery."""
 
     def __init__(self, truths: dict[str, Truth]) -> None:
         super().__init__(truths)

@@ -227,7 +227,7 @@ def no_rate(message: Any) -> None:
 
 
 def assert_same_attitudes(one: Run, other: Run) -> None:
-    """To the last bit, but for the first half second."""
+    """Assert that two runs are equal to the last bit after the first half second."""
     attitudes = [
         {stamp_of(m): rotation_of(m).tobytes() for m in run.messages("ship/attitude") if seconds(m) > 0.5}
         for run in (one, other)

@@ -166,7 +166,7 @@ def batch_equations(batch: BatchProblem, requested_ms: list[int]) -> list[tuple]
 
 
 def steps_of(batch: BatchProblem) -> np.ndarray:
-    """For the differences: 10 µs for the clock, 1e-6 for angles."""
+    """Return the steps of the finite differences: 10 µs for the clock, 1e-6 for angles."""
     steps = np.full(batch.size, 1e-6)
     steps[batch.places["clock", 0]] = 1e-5
     return steps

@@ -53,7 +53,7 @@ def assert_in_order(run: Run) -> None:
 
 
 def assert_invalid_once_a_second(run: Run, from_s: float, until_s: float) -> None:
-    """From within a second and a tick on, only INVALID is published, no budget, and no OK status."""
+    """Assert that only INVALID is published, no budget and no OK status, after a second and a tick."""
     times_ns = [ns for ns in invalid_times_ns(run) if at(from_s) <= ns < at(until_s)]
     assert times_ns[0] <= at(from_s + 1.1)
     assert all(SECOND_NS <= later - earlier <= 1.1 * SECOND_NS for earlier, later in pairwise(times_ns))

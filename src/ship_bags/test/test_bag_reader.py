@@ -300,7 +300,7 @@ def test_flipped_bit_in_the_summary_loses_nothing(tmp_path, bag_bytes):
 
 
 def test_every_byte_of_a_small_bag_may_be_wrong(tmp_path):
-    """For any wrong byte: no exception except BadInput, and no message that is not in the bag."""
+    """Any wrong byte causes no exception except BadInput, and no message that is not in the bag."""
     path = tmp_path / "small.mcap"
     data = write_numbered(path, range(1, 61)).read_bytes()
     truth = {(time, time - 1) for time in range(1, 61)}

@@ -219,7 +219,7 @@ def write_topics(path, count, definition="string data", type_name="std_msgs/msg/
 
 
 def test_time_of_info_grows_linearly_with_the_topics(tmp_path, monkeypatch):
-    """For 65 000 topics, the maximum of MCAP: the start of the bag is found once, not once per topic."""
+    """The start of a bag with 65 000 topics, the maximum of MCAP, is found once, not once per topic."""
     calls = []
     start = BagContent.start_ns
     monkeypatch.setattr(BagContent, "start_ns", property(lambda content: calls.append(1) or start.fget(content)))

@@ -215,7 +215,7 @@ def beat_for(time_s):
 
 
 def test_bad_input_of_a_node_that_has_run_is_retried():
-    """For example a parameter file changed at sea: the suite waits for its correction."""
+    """The suite waits for its correction, for example of a parameter file that was changed at sea."""
     text = BEATS + "beat_for(0.5)\nraise SystemExit(2)"
     code, lines = run_suite(program("node", text), until="node ended", count=3)
     assert code == 2

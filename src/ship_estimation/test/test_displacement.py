@@ -51,7 +51,7 @@ def test_noise_and_drift_are_no_step() -> None:
 @pytest.mark.parametrize("arcsec", [20.0, 60.0, 120.0, -3600.0])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_permanent_displacement_never_ends(arcsec: float, seed: int) -> None:
-    """For an hour, in which the INS's heading drifts by a similar amount (its sigma after an hour is 50″)."""
+    """The INS's heading drifts by a similar amount within this hour (its sigma after an hour is 50″)."""
     found = displaced_each_second(turn_between(arcsec, 20, 4000, 3600), seed)
     assert not any(found[:20])
     assert all(found[22:])

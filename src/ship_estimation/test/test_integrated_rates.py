@@ -216,7 +216,7 @@ def test_larger_noise_than_configured_is_estimated(rate_hz: float, amplitude_deg
 
 
 def test_start_of_a_rotation_is_no_step() -> None:
-    """From rest to 20°/s within four seconds, with rates that lag by 2 ms and are 0.1 % too large."""
+    """The rotation reaches 20°/s within four seconds; its rates lag by 2 ms and are 0.1 % too large."""
     t_s = np.arange(0.0, 40.0, 0.01)
 
     def true_nd(at_s: FloatArray) -> FloatArray:

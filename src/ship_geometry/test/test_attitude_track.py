@@ -63,7 +63,7 @@ def times_around(samples: list[AttitudeSample], seed: int, count: int = 150) -> 
 
 
 def identical(first: InterpolatedAttitude | None, second: InterpolatedAttitude | None) -> bool:
-    """To the last bit."""
+    """Return True if the attitudes are equal to the last bit."""
     if first is None or second is None:
         return first is second
     return (
@@ -210,7 +210,7 @@ def test_any_order_of_arrival_gives_the_same_track_to_the_bit(seed: int) -> None
 
 @pytest.mark.parametrize("seed", range(20))
 def test_insert_returns_the_stamp_after_which_attitudes_change(seed: int) -> None:
-    """At or before the returned stamp nothing has changed; None means this for all final values."""
+    """Nothing has changed at or before the returned stamp; None means that no final value has changed."""
     samples = irregular(seed)
     rng = np.random.default_rng(seed)
     times = times_around(samples, seed, 50)

@@ -172,7 +172,7 @@ def test_default_decimals_show_star_sensor_accuracy():
 
 @pytest.mark.parametrize("angles_deg", [(10.0, 0.0, 0.0), (350.0, 20.0, -15.0), (180.0, -35.0, 40.0)])
 def test_heading_rate_is_the_derivative_of_heading(angles_deg):
-    """Against the heading a short time later, by the rotations of ship_geometry."""
+    """The expected rate is by the heading a short time later, with the rotations of ship_geometry."""
     rate_flu = np.array([0.02, -0.03, 0.05])
     rotation_nd = rotation_from_angles(*np.radians(angles_deg))
     step_s = 1e-6

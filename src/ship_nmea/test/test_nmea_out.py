@@ -279,7 +279,7 @@ def test_bad_parameter_ends_the_process_with_2():
 
 
 def test_throttle_selects_the_rate():
-    """Also with jitter; after a gap there is no burst."""
+    """The rate holds with jitter too, and there is no burst after a gap."""
     period_ns = 10_000_000
     jitter = [0, 3_000_000, -2_000_000, 1_000_000, -3_000_000]
     for rate_hz, taken in ((10.0, 100), (100.0, 1000), (1000.0, 1000), (30.0, 300)):

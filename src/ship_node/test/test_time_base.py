@@ -229,7 +229,7 @@ def test_the_step_is_that_of_the_fastest_input() -> None:
 
 
 def test_an_input_far_ahead_is_unused_while_others_are_present() -> None:
-    """Also if the node's clock does not reject it because it is ahead itself."""
+    """The input is unused even if the node's clock is ahead too, and so does not reject it."""
     clocks = TimeBase()
 
     def ahead_s(topic: str, valid_s: float) -> float:

@@ -107,7 +107,7 @@ def next_voyage(calibration_run: SimulatedRun) -> Scenario:
 
 @pytest.mark.statistics
 def test_a_voyage_with_the_calibration_is_better_and_consistent(tmp_path: Path) -> None:
-    """Through the file and its real loader."""
+    """The calibration passes through the file and its real loader."""
     scenario = session(STILL, reference=True)
     # The voyage goes without the reference that the harbour had.
     config = build(ShipAttitudeConfig, suite_configuration(session(STILL)))

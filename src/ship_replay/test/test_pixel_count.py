@@ -62,7 +62,7 @@ def test_pixels_counted_from_one_are_named(of_fore, of_starboard):
 
 @pytest.mark.parametrize("installation_arcsec", [(20.0, 1.0, 1.0), (20.0, 5.0, 5.0), (60.0, 60.0, 60.0)])
 def test_pixels_counted_from_zero_are_hardly_ever_named(installation_arcsec):
-    """At most 3 in 10 000 of 2000 draws for each of three alternatives, by the binomial bound of 99.9 %."""
+    """The probability is at most 3 in 10 000: 2000 draws of each of three alternatives, binomial bound of 99.9 %."""
     found = [find_counted_from_one(seed, False, False, installation_arcsec) for seed in range(2000)]
     assert len(found) - found.count(()) <= binom.ppf(0.999, len(found), 9e-4)
 

@@ -145,7 +145,7 @@ def test_change_of_the_direction() -> None:
 
 @pytest.mark.parametrize("errors", [AxisErrors(), SMALL, LARGE])
 def test_inverse_gives_the_encoder_angles_back(errors: AxisErrors) -> None:
-    """To 1e-12 rad on the sky, in all quadrants, on the same face."""
+    """The error is at most 1e-12 rad on the sky, in all quadrants, on the same face."""
     azimuth, elevation = everywhere()
     direction = main_axis_rotation(errors, azimuth, elevation)[..., 0]
     raised = elevation - errors.h + errors.flexure * np.cos(elevation)

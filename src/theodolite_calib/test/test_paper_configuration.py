@@ -104,7 +104,7 @@ def test_the_papers_method_with_the_lens_left_in(elevation_deg):
 
 
 def test_of_fourteen_directions_equal_parts_fit_the_print_best():
-    """Along the axes and midway between them; the opposite of a direction has the same errors."""
+    """The directions are along the axes and midway between them; opposite directions have the same errors."""
     directions = [np.array(each) for each in product((-1.0, 0.0, 1.0), repeat=3) if np.count_nonzero(each) in (1, 3)]
     assert len(directions) == 14
     found = [unsurveyed_lens_errors_arcsec(direction) for direction in directions]
