@@ -102,7 +102,7 @@ def test_all_outputs_name_the_right_source_in_a_replay(bag: str, tmp_path: Path)
     paths = (given, replayed_path) if bag == "theodolite" else (replayed_path,)
     with read_bag(given) as played:
         start_ns = played.start_ns or 0
-    monitor, keeper, named = (
+    monitor, manager, named = (
         SuiteMonitor(Limits()),
         AlertManager(Limits(), None, start_ns, print),
         FirstReports(bag, start_ns),
@@ -112,15 +112,15 @@ def test_all_outputs_name_the_right_source_in_a_replay(bag: str, tmp_path: Path)
         if time_ns > start_ns + END_S[bag] * NS_PER_S:
             break
         while due_ns <= time_ns:
-            keeper.update(due_ns, due_ns)
+            manager.update(due_ns, due_ns)
             named.record_state(monitor.current_state(due_ns), monitor.history)
-            for alert in keeper.alerts:
+            for alert in manager.alerts:
                 named.record("alerts", alert.source, due_ns)
-            for branch in keeper.diagnostic_entries():
+            for branch in manager.diagnostic_entries():
                 named.record_branch(branch.path, branch.text, due_ns)
             due_ns += LOOK_NS
         monitor.process_message(topic, message, time_ns)
-        keeper.process_message(topic, message, time_ns)
+        manager.process_message(topic, message, time_ns)
     named.check(detection_limit_s)
 
 

@@ -113,13 +113,13 @@ def replay_with_faults(folder: Path, bag: str, faults: str = "") -> tuple[Path, 
 
 def _inject_faults(place: Path, given: Path, faults: str) -> Path:
     """Return the bag with these faults."""
-    spoilt = place / "in.mcap"
-    if not spoilt.exists():
+    faulty = place / "in.mcap"
+    if not faulty.exists():
         (place / "faults.yaml").write_text(f"faults: {{{faults}}}\n")
         named = ["--faults", str(place / "faults.yaml"), "--out", str(place / "part.mcap"), "--seed", "1"]
         assert inject([str(given), *named]) == 0
-        (place / "part.mcap").rename(spoilt)
-    return spoilt
+        (place / "part.mcap").rename(faulty)
+    return faulty
 
 
 def records(*paths: Path) -> Iterator[tuple[int, str, Any]]:

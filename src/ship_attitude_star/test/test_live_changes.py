@@ -144,8 +144,8 @@ def test_changed_ins_noise_reaches_the_ins_check() -> None:
         rotation_nd = rotation_from_quaternion(np.array([getattr(message.orientation, axis) for axis in "xyzw"]))
         message.orientation = quaternion_message(exp_rotation(np.array([0.0, 60.0, 0.0]) * ARCSEC) @ rotation_nd)
 
-    spoilt = replace_message(voyage(), index_at(voyage(), INS, 4.0), off)
+    changed = replace_message(voyage(), index_at(voyage(), INS, 4.0), off)
     for white_arcsec, reasons in ((1.0, {"gate": 1}), (20.0, {})):
-        adapter = run_adapter(new_adapter(), spoilt[:HALF]).adapter
+        adapter = run_adapter(new_adapter(), changed[:HALF]).adapter
         adapter.set_parameters({"ins.white_sigma_arcsec": white_arcsec})
-        assert run_adapter(adapter, spoilt[HALF:]).reasons(INS) == reasons
+        assert run_adapter(adapter, changed[HALF:]).reasons(INS) == reasons

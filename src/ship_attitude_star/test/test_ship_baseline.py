@@ -128,20 +128,20 @@ def test_errors_of_many_draws_are_consistent_with_the_covariance() -> None:
 
 
 @pytest.mark.parametrize(
-    ("spoilt", "text"),
+    ("change", "text"),
     [
         (lambda vector_n: 1.02 * vector_n, "wrong RTK solution"),
         (lambda vector_n: -vector_n, "are base and rover exchanged?"),
         (lambda vector_n: np.full(3, np.nan), "wrong RTK solution"),
     ],
 )
-def test_a_wrong_solution_is_rejected_and_changes_nothing(spoilt: Any, text: str) -> None:
+def test_a_wrong_solution_is_rejected_and_changes_nothing(change: Any, text: str) -> None:
     cores = ShipAttitudeCore(make_config()), ShipAttitudeCore(make_config())
     error_n = np.array([0.0, 20.0, 0.0]) * ARCSEC
 
     def solutions(second: int, true_nd: np.ndarray) -> np.ndarray:
         vector_n = true_nd @ BASELINE_D
-        return spoilt(vector_n) if second == 5 else vector_n
+        return change(vector_n) if second == 5 else vector_n
 
     with_it, decisions = run_core(cores[0], error_n, solutions, seconds=10)
     without, _ = run_core(cores[1], error_n, lambda second, nd: None if second == 5 else nd @ BASELINE_D, seconds=10)

@@ -334,8 +334,8 @@ def test_mend_07_another_noise_of_the_ins_reaches_its_check() -> None:
         rotation_nd = rotation_from_quaternion(np.array([getattr(message.orientation, axis) for axis in "xyzw"]))
         message.orientation = quaternion_message(exp_rotation(np.array([0.0, 60.0, 0.0]) * ARCSEC) @ rotation_nd)
 
-    spoilt = replace_message(ins_only(5.0), index_at(ins_only(5.0), INS, 4.0), off)
+    changed = replace_message(ins_only(5.0), index_at(ins_only(5.0), INS, 4.0), off)
     for white_arcsec, reasons in ((1.0, {"gate": 1}), (20.0, {})):
-        adapter = run_adapter(new_adapter(), spoilt[:50]).adapter
+        adapter = run_adapter(new_adapter(), changed[:50]).adapter
         adapter.set_parameters({"ins.white_sigma_arcsec": white_arcsec})
-        assert run_adapter(adapter, spoilt[50:]).reasons(INS) == reasons
+        assert run_adapter(adapter, changed[50:]).reasons(INS) == reasons

@@ -304,18 +304,18 @@ def test_reserve_process_stopped_before_its_first_heartbeat_is_not_used(monkeypa
 @pytest.mark.slow
 def test_standstill_of_the_supervisor_does_not_count():
     """All are stopped and continued together, as on a suspended computer."""
-    keeper = start_supervisor(BEATS + "print(os.getpid(), flush=True)\nbeat_for(60.0)", limits="2.0, 4.0")
-    pid = read_pids(keeper, 1)[0]
+    supervisor = start_supervisor(BEATS + "print(os.getpid(), flush=True)\nbeat_for(60.0)", limits="2.0, 4.0")
+    pid = read_pids(supervisor, 1)[0]
     time.sleep(1.5)
     for number in (signal.SIGSTOP, signal.SIGCONT):
-        os.kill(keeper.pid, number)
+        os.kill(supervisor.pid, number)
         os.kill(pid, number)
         if number == signal.SIGSTOP:
             time.sleep(8.0)
     time.sleep(3.0)
-    keeper.send_signal(signal.SIGINT)
-    output = keeper.communicate(timeout=FAR_S)[0]
-    assert keeper.returncode == 0
+    supervisor.send_signal(signal.SIGINT)
+    output = supervisor.communicate(timeout=FAR_S)[0]
+    assert supervisor.returncode == 0
     assert "[suite]" not in output
 
 
@@ -330,10 +330,10 @@ def test_program_without_processor_time_is_not_frozen():
             f"os.sched_setaffinity(0, [{core}])\nbeat_for(1.0)\nos.sched_setscheduler(0, os.SCHED_IDLE, "
             "os.sched_param(0))\nwhile True:\n    heartbeat().beat(time.monotonic_ns())\n    sum(range(20_000_000))"
         )
-        keeper = start_supervisor("print('runs', flush=True)\n" + text, limits="1.0, 6.0")
+        supervisor = start_supervisor("print('runs', flush=True)\n" + text, limits="1.0, 6.0")
         time.sleep(12.0)
-        keeper.send_signal(signal.SIGINT)
-        output = keeper.communicate(timeout=FAR_S)[0]
+        supervisor.send_signal(signal.SIGINT)
+        output = supervisor.communicate(timeout=FAR_S)[0]
     finally:
         for hog in hogs:
             hog.kill()
@@ -367,22 +367,22 @@ def test_failed_start_is_retried(monkeypatch, number, where):
 def test_restart_without_file_descriptors_is_retried():
     """The limits of a running supervisor are lowered below its use, and raised again."""
     text = BEATS + "heartbeat().beat(time.monotonic_ns())\nprint(os.getpid(), flush=True)\nbeat_for(60.0)"
-    keeper = start_supervisor(text, text)
-    first, other = read_pids(keeper, 2)
-    before = resource.prlimit(keeper.pid, resource.RLIMIT_NOFILE)
-    resource.prlimit(keeper.pid, resource.RLIMIT_NOFILE, (4, before[1]))
+    supervisor = start_supervisor(text, text)
+    first, other = read_pids(supervisor, 2)
+    before = resource.prlimit(supervisor.pid, resource.RLIMIT_NOFILE)
+    resource.prlimit(supervisor.pid, resource.RLIMIT_NOFILE, (4, before[1]))
     os.kill(first, signal.SIGKILL)
-    lines = [keeper.stdout.readline() for _ in range(4)]
+    lines = [supervisor.stdout.readline() for _ in range(4)]
     assert "started again at once" in lines[0]
     assert all(re.search(r"cannot be started: Too many open files; tried again in [124] s", each) for each in lines[1:])
-    assert keeper.poll() is None
+    assert supervisor.poll() is None
     os.kill(other, 0)
-    resource.prlimit(keeper.pid, resource.RLIMIT_NOFILE, before)
-    while (line := keeper.stdout.readline()).startswith("[suite]"):
+    resource.prlimit(supervisor.pid, resource.RLIMIT_NOFILE, before)
+    while (line := supervisor.stdout.readline()).startswith("[suite]"):
         pass
     assert re.match(r"\[p[01]\] \d+", line)
-    keeper.send_signal(signal.SIGTERM)
-    assert keeper.wait(FAR_S) == 0
+    supervisor.send_signal(signal.SIGTERM)
+    assert supervisor.wait(FAR_S) == 0
 
 
 def test_exception_in_the_supervisor_ends_nothing(monkeypatch):
@@ -436,30 +436,30 @@ def wait_until_gone(pids):
 
 
 def test_programs_end_when_the_suite_is_killed():
-    keeper = start_supervisor(PRINTS_ITS_ID, IGNORES_SIGINT)
-    pids = read_pids(keeper, 2)
-    keeper.kill()
-    keeper.wait()
+    supervisor = start_supervisor(PRINTS_ITS_ID, IGNORES_SIGINT)
+    pids = read_pids(supervisor, 2)
+    supervisor.kill()
+    supervisor.wait()
     wait_until_gone(pids)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_signal_ends_all_programs(number):
-    keeper = start_supervisor(PRINTS_ITS_ID, PRINTS_ITS_ID)
-    pids = read_pids(keeper, 2)
-    keeper.send_signal(number)
-    assert keeper.wait(FAR_S) == 0
+    supervisor = start_supervisor(PRINTS_ITS_ID, PRINTS_ITS_ID)
+    pids = read_pids(supervisor, 2)
+    supervisor.send_signal(number)
+    assert supervisor.wait(FAR_S) == 0
     assert all(map(is_gone, pids))
 
 
 def test_second_signal_kills_at_once():
-    keeper = start_supervisor(IGNORES_SIGINT)
-    pids = read_pids(keeper, 1)
-    keeper.send_signal(signal.SIGINT)
+    supervisor = start_supervisor(IGNORES_SIGINT)
+    pids = read_pids(supervisor, 1)
+    supervisor.send_signal(signal.SIGINT)
     time.sleep(0.3)
     os.kill(pids[0], 0)
     started_s = time.monotonic()
-    keeper.send_signal(signal.SIGINT)
-    keeper.wait(FAR_S)
+    supervisor.send_signal(signal.SIGINT)
+    supervisor.wait(FAR_S)
     assert time.monotonic() - started_s < 5.0  # not the timeout of ten seconds
     assert is_gone(pids[0])

@@ -74,12 +74,12 @@ def test_attitudes_accepted_against_the_rates_are_a_jump() -> None:
     """A frozen INS that then drifts by 165″/min, which its stuck check cannot detect; its rates continue."""
     samples = stream(20.0, 100.0)
     frozen, drifts_ns = samples[1000], samples[1080].time_ns
-    lying = [
+    faulty = [
         replace(s, rotation_nd=east_attitude(2.75e-9 * max(s.time_ns - drifts_ns, 0)) @ frozen.rotation_nd)
         for s in samples[1000:1500]
     ]
     ins_check = InsCheck(CheckedInsConfig())
-    found = [ins_check.check(sample, NOTHING_LATE, {}) for sample in [*samples[:1000], *lying]]
+    found = [ins_check.check(sample, NOTHING_LATE, {}) for sample in [*samples[:1000], *faulty]]
     reasons = {result.rejection.reason.name for result in found if result.rejection is not None}
     assert reasons == {"GATE", "STUCK"}
     taken = next(n for n in range(1080, 1500) if found[n].rejection is None)

@@ -333,19 +333,19 @@ def test_outputs_strictly_increase_and_a_failure_is_reported() -> None:
     assert (time_ns, rejection.reason) == (30 * MS, Reason.FAILED)
 
 
-@pytest.mark.parametrize("patience_s", [0.05, 1.0, 3.0])
-def test_invalid_is_reported_once_a_second_after_the_timeout_for_any_stamps(patience_s: float) -> None:
+@pytest.mark.parametrize("timeout_s", [0.05, 1.0, 3.0])
+def test_invalid_is_reported_once_a_second_after_the_timeout_for_any_stamps(timeout_s: float) -> None:
     estimator = Estimator()
-    patience_ns = round(patience_s * SECOND_NS)
+    timeout_ns = round(timeout_s * SECOND_NS)
     outcome = ToyOutcome()
-    estimator.shell.add_output(outcome, 10**18, 0, lambda state: 1.0, patience_ns)
+    estimator.shell.add_output(outcome, 10**18, 0, lambda state: 1.0, timeout_ns)
     reported_ns = []
     for waiting_ns in range(0, 8 * SECOND_NS, 100 * MS):
         outcome = ToyOutcome()
         estimator.shell.report_invalid(outcome, waiting_ns, lambda: math.nan)
         if outcome.estimates:
             reported_ns.append(waiting_ns)
-    first_ns = max(patience_ns, SECOND_NS) + 100 * MS
+    first_ns = max(timeout_ns, SECOND_NS) + 100 * MS
     assert reported_ns == list(range(first_ns, 8 * SECOND_NS, SECOND_NS))
 
 

@@ -34,21 +34,21 @@ class Voyage:
     def __init__(self, *paths: Path, state: Path | None = None, acknowledge: bool = False) -> None:
         self.changes: list[tuple[float, AlertChange]] = []
         self.reports: list[str] = []
-        keeper: AlertManager | None = None
+        manager: AlertManager | None = None
         start_ns = due_ns = 0
         for time_ns, topic, message in records(*paths):
-            if keeper is None:
+            if manager is None:
                 start_ns = due_ns = time_ns
-                keeper = AlertManager(Limits(), state, time_ns, self.reports.append)
+                manager = AlertManager(Limits(), state, time_ns, self.reports.append)
             while due_ns <= time_ns:
-                for change in keeper.update(due_ns, CLOCK_NS):
+                for change in manager.update(due_ns, CLOCK_NS):
                     self.changes.append(((due_ns - start_ns) / NS_PER_S, change))
                     if acknowledge:
-                        keeper.acknowledge(change.alert.id, change.alert.instance, CLOCK_NS)
+                        manager.acknowledge(change.alert.id, change.alert.instance, CLOCK_NS)
                 due_ns += LOOK_NS
-            keeper.process_message(topic, message, time_ns)
-        assert keeper is not None
-        self.manager, self.end_ns = keeper, due_ns
+            manager.process_message(topic, message, time_ns)
+        assert manager is not None
+        self.manager, self.end_ns = manager, due_ns
 
     def first(self, id_: str) -> tuple[float, AlertChange]:
         """Return time and change of the first report of an alert."""
@@ -142,13 +142,13 @@ def test_corrupt_file_is_reported_and_replaced(tmp_path: Path, content: str) -> 
     state = tmp_path / "alerts.json"
     state.write_text(content)
     reports: list[str] = []
-    keeper = AlertManager(Limits(), state, 0, reports.append)
+    manager = AlertManager(Limits(), state, 0, reports.append)
     assert len(reports) == 1
     assert str(state) in reports[0]
     assert "\n" not in reports[0]
     for second in range(20):
-        keeper.update(second * NS_PER_S, CLOCK_NS)
-    assert [alert.id for alert in keeper.alerts] == ["attitude.silent"]
+        manager.update(second * NS_PER_S, CLOCK_NS)
+    assert [alert.id for alert in manager.alerts] == ["attitude.silent"]
     assert json.loads(state.read_text())["alerts"][0]["id"] == "attitude.silent"
 
 
@@ -156,14 +156,14 @@ def test_full_disk_is_reported_once_and_retried(tmp_path: Path) -> None:
     """While the file cannot be written alerts continue; they are saved as soon as it can be."""
     state = tmp_path / "folder" / "alerts.json"
     reports: list[str] = []
-    keeper = AlertManager(Limits(), state, 0, reports.append)
+    manager = AlertManager(Limits(), state, 0, reports.append)
     state.parent.write_text("a file in the place of the folder")
     for tenth in range(150):
-        keeper.update(tenth * NS_PER_S // 10, CLOCK_NS)
+        manager.update(tenth * NS_PER_S // 10, CLOCK_NS)
     assert len(reports) == 1
-    assert [alert.id for alert in keeper.alerts] == ["attitude.silent"]
+    assert [alert.id for alert in manager.alerts] == ["attitude.silent"]
     state.parent.unlink()
-    keeper.update(151 * NS_PER_S // 10, CLOCK_NS)
+    manager.update(151 * NS_PER_S // 10, CLOCK_NS)
     assert json.loads(state.read_text())["alerts"][0]["state"] == AlertState.ACTIVE_UNACKNOWLEDGED
 
 
@@ -179,16 +179,16 @@ def test_sleep_of_the_computer_raises_no_false_alarm(faulty: Path) -> None:
 
 def test_node_status_expires() -> None:
     """An ended black box is a warning; it clears when the node stops publishing its status."""
-    keeper = AlertManager(Limits(), None, 0, lambda _: None)
+    manager = AlertManager(Limits(), None, 0, lambda _: None)
     ended = NodeStatus("ship_attitude", "black box", 2, "box.mcap: writing failed: No space left on device")
     for second in range(8):
-        keeper.process_status(ended, second * NS_PER_S)
-        keeper.update(second * NS_PER_S, CLOCK_NS)
-    assert [alert.id for alert in keeper.alerts] == ["ship_attitude.box"]
+        manager.process_status(ended, second * NS_PER_S)
+        manager.update(second * NS_PER_S, CLOCK_NS)
+    assert [alert.id for alert in manager.alerts] == ["ship_attitude.box"]
     states = set()
     for second in range(8, 30):
-        keeper.update(second * NS_PER_S, CLOCK_NS)
-        states |= {alert.state for alert in keeper.alerts if alert.id == "ship_attitude.box"}
+        manager.update(second * NS_PER_S, CLOCK_NS)
+        states |= {alert.state for alert in manager.alerts if alert.id == "ship_attitude.box"}
     assert states == {AlertState.ACTIVE_UNACKNOWLEDGED, AlertState.RECTIFIED_UNACKNOWLEDGED}
 
 
@@ -197,16 +197,16 @@ def test_full_or_missing_disk_raises_an_alert(tmp_path: Path) -> None:
     machine = Limits().machine
     for path in (tmp_path, tmp_path / "gone"):
         limits = Limits(machine=type(machine)(disk_path=str(path), disk_free_gb=1e6))
-        keeper = AlertManager(limits, None, 0, lambda _: None)
+        manager = AlertManager(limits, None, 0, lambda _: None)
         for tenth in range(5):
-            keeper.update(tenth * LOOK_NS, CLOCK_NS)
-        assert [alert.id for alert in keeper.alerts] == ["disk.full"]
+            manager.update(tenth * LOOK_NS, CLOCK_NS)
+        assert [alert.id for alert in manager.alerts] == ["disk.full"]
 
 
 def test_number_of_statuses_is_bounded():
-    keeper = AlertManager(Limits(), None, 0, print)
+    manager = AlertManager(Limits(), None, 0, print)
     for number in range(3 * MAX_STATUSES):
-        keeper.process_status(NodeStatus("ship_attitude", f"invented {number}", 2, "x"), number)
-    assert len(keeper._statuses) == MAX_STATUSES
-    keeper.update(MAX_STATUS_AGE_NS + 3 * MAX_STATUSES, CLOCK_NS)
-    assert not keeper._statuses
+        manager.process_status(NodeStatus("ship_attitude", f"invented {number}", 2, "x"), number)
+    assert len(manager._statuses) == MAX_STATUSES
+    manager.update(MAX_STATUS_AGE_NS + 3 * MAX_STATUSES, CLOCK_NS)
+    assert not manager._statuses

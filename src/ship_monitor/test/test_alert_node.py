@@ -244,8 +244,8 @@ def test_diagnostics_of_another_suite_are_ignored(node, hardware_id, ship, start
 
     The hardware id distinguishes the nodes of the two suites if they have the same name.
     """
-    stranger = Node(node, context=ship.context, namespace="other")
-    diagnostics = stranger.create_publisher(DiagnosticArray, "/diagnostics", 10)
+    other_node = Node(node, context=ship.context, namespace="other")
+    diagnostics = other_node.create_publisher(DiagnosticArray, "/diagnostics", 10)
     start("--state", str(tmp_path / "alerts.json"))
     # The second status belongs to this suite by its name and is in the same message, so both are received together.
     statuses = [
@@ -260,4 +260,4 @@ def test_diagnostics_of_another_suite_are_ignored(node, hardware_id, ship, start
 
     until(look, 30.0)
     assert not [id_ for id_ in ship.alerts() if id_.endswith(".clock")]
-    stranger.destroy_node()
+    other_node.destroy_node()

@@ -262,7 +262,7 @@ def test_executable_ends_with_a_client_that_does_not_read(sail, resources, monit
     message = String(data="x" * 60_000)
     ship.publish("text", message)
     receive(client, ship, "text", message)
-    deaf = resources.enter_context(client_that_never_reads(address, client.channels["/demo/text"]["id"]))
+    stalled = resources.enter_context(client_that_never_reads(address, client.channels["/demo/text"]["id"]))
     # More than the buffers of a connection: unread messages then wait in the server.
     client.received.clear()
 
@@ -274,4 +274,4 @@ def test_executable_ends_with_a_client_that_does_not_read(sail, resources, monit
     client.wait_until(has_come)
     assert process.end(signal.SIGTERM) == 0
     assert len(process.log_text().splitlines()) == 2, process.log_text()
-    assert deaf.fileno() >= 0
+    assert stalled.fileno() >= 0

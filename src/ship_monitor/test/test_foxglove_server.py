@@ -149,8 +149,8 @@ def test_invalid_requests_harm_neither_the_server_nor_others(server, connect):
     subscribe_and_wait(server, good, "/demo/said")
     bad.send_request(b"\xff" * 100)
     bad.send_request({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 999}]})
-    with socket.create_connection(("127.0.0.1", int(server.address.rpartition(":")[2]))) as stranger:
-        stranger.sendall(b"GET / HTTP/1.0\r\n\r\n")
+    with socket.create_connection(("127.0.0.1", int(server.address.rpartition(":")[2]))) as connection:
+        connection.sendall(b"GET / HTTP/1.0\r\n\r\n")
     bad.receive(0.2)
     server.forward("/demo/said", MESSAGE, 1)
     good.wait_until(lambda: good.received)

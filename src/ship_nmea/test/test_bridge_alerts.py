@@ -136,7 +136,7 @@ def count(ship, name):
 
 def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge, processes, tmp_path):
     udp_port, listen_port = free_port(), free_port()
-    mute = Display(free_port(socket.SOCK_STREAM))
+    heading_display = Display(free_port(socket.SOCK_STREAM))
     limits = tmp_path / "limits.yaml"
     limits.write_text("alerts: {clear_after_s: 1.0}\n")
     suite = tmp_path / "suite.yaml"
@@ -146,7 +146,7 @@ def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge
         "from: [127.0.0.1]}\n"
         f"      wing: {{kind: udp, address: 127.0.0.1, port: {udp_port}, listen_port: {listen_port}, "
         "sentences: [ALF]}\n"
-        f"      mute: {{kind: tcp_server, port: {mute.port}, sentences: [HDT], from: [127.0.0.1]}}\n"
+        f"      heading: {{kind: tcp_server, port: {heading_display.port}, sentences: [HDT], from: [127.0.0.1]}}\n"
     )
     processes("nmea_out", "-m", "ship_nmea.commands.nmea_out", "--ros-args", "--params-file", str(suite),
               "-r", "__ns:=/demo")  # fmt: skip
@@ -179,16 +179,16 @@ def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge
         wait_for(lambda state: ("ZZZ", NO_DATA, 1) in state.listed)
 
         # A client that receives no alerts cannot acknowledge any.
-        wait_until(ship, mute.connect)
-        mute.send(f"BNACN,120000.00,ZZZ,{NO_DATA},1,A,C")
-        wait_until(ship, lambda: mute.read() or mute.last("ARC"))
-        mute.close()
+        wait_until(ship, heading_display.connect)
+        heading_display.send(f"BNACN,120000.00,ZZZ,{NO_DATA},1,A,C")
+        wait_until(ship, lambda: heading_display.read() or heading_display.last("ARC"))
+        heading_display.close()
         # A host that is not the bridge cannot acknowledge any, and receives no answer.
         for number, (kind, port) in enumerate(
             ((socket.SOCK_STREAM, bridge.display.port), (socket.SOCK_DGRAM, listen_port)), start=1
         ):
-            with connect_as_other_host(kind, port) as stranger:
-                stranger.send(acknowledgement(NO_DATA))
+            with connect_as_other_host(kind, port) as other_host:
+                other_host.send(acknowledgement(NO_DATA))
                 wait_until(ship, lambda number=number: count(ship, "not allowed") == number)
         bridge.command(NO_DATA, 2, "A")  # no such instance
         bridge.command(NO_DATA, 1, "S")  # silencing one alert is not supported

@@ -21,13 +21,13 @@ from ship_nmea.out.sink import MAX_QUEUED, RETRY_S, Sink
 from ship_node.edge.messages_out import Level
 from ship_testing.nmea_in_peer import free_port
 
-PATIENCE_S = 20.0
+TIMEOUT_S = 20.0
 SENTENCE = "$INHDT,12.3456,T*08"
 
 
 def until(look):
     """Return the value of ``look`` as soon as it is true."""
-    end_s = time.monotonic() + PATIENCE_S
+    end_s = time.monotonic() + TIMEOUT_S
     while not (found := look()) and time.monotonic() < end_s:
         time.sleep(0.01)
     assert found
@@ -53,15 +53,15 @@ def open_sink():
 
 
 def connect(port):
-    client = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S)
-    client.settimeout(PATIENCE_S)
+    client = socket.create_connection(("127.0.0.1", port), timeout=TIMEOUT_S)
+    client.settimeout(TIMEOUT_S)
     return client
 
 
 def test_udp_sends_whole_sentences_and_receives_commands(open_sink):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as bridge:
         bridge.bind(("127.0.0.1", 0))
-        bridge.settimeout(PATIENCE_S)
+        bridge.settimeout(TIMEOUT_S)
         listen_port = free_port()
         port = bridge.getsockname()[1]
         sink = open_sink(kind="udp", address="127.0.0.1", port=port, listen_port=listen_port)
@@ -87,7 +87,7 @@ def test_udp_reaches_a_group(open_sink):
         member.bind(("239.192.0.1", 0))
         own = socket.inet_aton("127.0.0.1")
         member.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton("239.192.0.1") + own)
-        member.settimeout(PATIENCE_S)
+        member.settimeout(TIMEOUT_S)
         port = member.getsockname()[1]
         open_sink(kind="udp", address="239.192.0.1", port=port, interface="127.0.0.1").put(SENTENCE)
         assert member.recv(1000) == f"{SENTENCE}\r\n".encode()
@@ -158,7 +158,7 @@ def test_one_host_cannot_use_all_connections(open_sink):
     clients = [connect(port) for _ in range(MAX_CLIENTS_PER_HOST + 2)]
     try:
         until(lambda: "2 clients disconnected, 127.0.0.1 has 8 connections, the max" in sink.status().message)
-        with socket.create_connection(("127.0.0.1", port), PATIENCE_S, ("127.0.0.2", 0)) as other:
+        with socket.create_connection(("127.0.0.1", port), TIMEOUT_S, ("127.0.0.2", 0)) as other:
             until(lambda: "9 clients" in sink.status().message)
             sink.put(SENTENCE)
             assert other.recv(1000) == f"{SENTENCE}\r\n".encode()
@@ -173,7 +173,7 @@ def test_slow_client_receives_whole_sentences(open_sink):
     with socket.socket() as slow:
         slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
         slow.connect(("127.0.0.1", port))
-        slow.settimeout(PATIENCE_S)
+        slow.settimeout(TIMEOUT_S)
         until(lambda: "1 clients" in sink.status().message)
         number = 0
 
@@ -391,7 +391,7 @@ def test_hanging_disk_delays_neither_node_nor_end(tmp_path):
     reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     sink = Sink("log", SinkConfig(kind="file", path=str(path)), print)
     sink.start()
-    end_s = time.monotonic() + PATIENCE_S
+    end_s = time.monotonic() + TIMEOUT_S
     while "dropped" not in sink.status().message and time.monotonic() < end_s:
         began_s = time.monotonic()
         sink.put(SENTENCE * 100)

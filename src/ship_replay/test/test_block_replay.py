@@ -138,22 +138,22 @@ def test_faulted_bags_of_all_nodes(suite_bag: Path, seed: int) -> None:
 @pytest.mark.slow
 def test_a_second_estimator_that_is_adopted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The filter is corrupted after 20 s; half a minute later the second estimator replaces it."""
-    bag, adopted, spoilt = make_bag(SCENARIOS / "demo.yaml", 70.0, 3, tmp_path / "demo.mcap"), [], set()
+    bag, adopted, faulty = make_bag(SCENARIOS / "demo.yaml", 70.0, 3, tmp_path / "demo.mcap"), [], set()
     with read_bag(bag) as content:
         start_ns = content.start_ns or 0
     look = ShipAttitudeAdapter._decide
 
-    def spoilt_look(self: ShipAttitudeAdapter, now_ns: int, waiting_ns: int) -> Any:
+    def decide_with_fault(self: ShipAttitudeAdapter, now_ns: int, waiting_ns: int) -> Any:
         self.recovery._config = replace(self.recovery._config, confirm_s=30.0)
-        if waiting_ns - start_ns >= 20 * NS_PER_S and id(self) not in spoilt:
-            spoilt.add(id(self))
+        if waiting_ns - start_ns >= 20 * NS_PER_S and id(self) not in faulty:
+            faulty.add(id(self))
             make_overconfident(self)
         published = look(self, now_ns, waiting_ns)
         if self.recovery.adopted > adopted.count(id(self)):
             adopted.append(id(self))
         return published
 
-    monkeypatch.setattr(ShipAttitudeAdapter, "_decide", spoilt_look)
+    monkeypatch.setattr(ShipAttitudeAdapter, "_decide", decide_with_fault)
     assert_equal(bag)
     assert len(adopted) == len(set(adopted)) == 2
 

@@ -36,7 +36,7 @@ SUITE = """\
   ros__parameters:
     star_sensors: {fore: {azimuth_deg: 10.0, elevation_deg: 45.0}}
 """
-PATIENCE_S = 120.0
+TIMEOUT_S = 120.0
 
 
 @pytest.fixture(scope="module")
@@ -242,7 +242,7 @@ class TestKilled:
     def test_a_worker_killed_from_outside_loses_nothing(self, by_one, scenario, tmp_path):
         with Command(scenario, tmp_path / "out") as command:
             os.kill(command.a_worker(), signal.SIGKILL)
-            assert command.process.wait(PATIENCE_S) == 0
+            assert command.process.wait(TIMEOUT_S) == 0
         assert files_of(tmp_path / "out") == files_of(by_one)
 
     @pytest.mark.slow
@@ -252,7 +252,7 @@ class TestKilled:
             until(lambda: results.exists() and list(results.glob("*.json")))
             worker = command.a_worker()
             os.killpg(command.process.pid, signal.SIGINT)
-            assert command.process.wait(PATIENCE_S) == 130
+            assert command.process.wait(TIMEOUT_S) == 130
             assert command.process.stderr.read() == "campaign: interrupted\n"
         until(lambda: not Path(f"/proc/{worker}").exists())
         kept = len(list(results.iterdir()))
@@ -303,7 +303,7 @@ def children(pid):
 
 def until(found):
     """Return the result of a function as soon as it is not empty."""
-    end_s = time.monotonic() + PATIENCE_S
+    end_s = time.monotonic() + TIMEOUT_S
     while not (value := found()):
         assert time.monotonic() < end_s
         time.sleep(0.01)

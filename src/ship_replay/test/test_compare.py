@@ -246,9 +246,9 @@ def test_a_sensor_out_in_one_only(plain, inputs, folder):
     topic = "star/fore/horizon_attitude"
     with read_bag(inputs) as bag:
         cut_ns = bag.start_ns + 8 * SECOND_NS
-    lame = write_part(inputs, folder / "lame_in.mcap", lambda one: one.topic != topic or one.log_time_ns < cut_ns)
-    replay(lame, folder / "lame.mcap", ADAPTERS)
-    pair = read_pair(plain, folder / "lame.mcap")
+    degraded = write_part(inputs, folder / "cut_in.mcap", lambda one: one.topic != topic or one.log_time_ns < cut_ns)
+    replay(degraded, folder / "degraded.mcap", ADAPTERS)
+    pair = read_pair(plain, folder / "degraded.mcap")
     texts = sentences(pair)
     # The bag begins at 11:50:07.8; three seconds without data of a star sensor are an outage.
     assert any(re.match(r"star.fore was out in B and not in A: 11:50:1\d to the end \(", one) for one in texts)

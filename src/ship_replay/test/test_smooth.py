@@ -179,14 +179,14 @@ def test_attitudes_of_before_an_adoption_are_smoothed_too(tmp_path, monkeypatch)
     look, adapters = ShipAttitudeAdapter._decide, set()
     (start_ns, _), *_ = messages(bag, "ins/imu")
 
-    def spoilt_look(self, now_ns, waiting_ns):
+    def decide_with_fault(self, now_ns, waiting_ns):
         self.recovery._config = replace(self.recovery._config, confirm_s=25.0)
         if waiting_ns - start_ns >= 15_000_000_000 and self not in adapters:
             adapters.add(self)
             make_overconfident(self)
         return look(self, now_ns, waiting_ns)
 
-    monkeypatch.setattr(ShipAttitudeAdapter, "_decide", spoilt_look)
+    monkeypatch.setattr(ShipAttitudeAdapter, "_decide", decide_with_fault)
     assert smooth([str(bag), "--out", str(out)]) == 0
     (adapter,) = adapters
     assert adapter.recovery.adopted == 1

@@ -135,12 +135,12 @@ def faulty(topic, kind, **changes):
     return clean, entries_of(simulate(dataclasses.replace(scenario, faults={"f": fault}), seed=1), topic)
 
 
-def changed_entries(clean, spoilt):
+def changed_entries(clean, changed):
     """Return the pairs (clean, faulty) that differ; they are those from 1 s to 2 s."""
-    assert len(clean) == len(spoilt)
+    assert len(clean) == len(changed)
     start_ns = 1_404_906_607_800_000_000
     pairs = []
-    for (before, _), (after, _) in zip(clean, spoilt, strict=True):
+    for (before, _), (after, _) in zip(clean, changed, strict=True):
         inside = SECOND_NS <= ns_from_stamp(before.header.stamp) - start_ns < 2 * SECOND_NS
         assert inside == (serialize(before) != serialize(after))
         if inside:

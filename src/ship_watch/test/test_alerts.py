@@ -328,14 +328,14 @@ def test_restart_without_data_changes_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    "spoilt", [{"state": 7}, {"priority": 5}, {"text": 3}, {"instance": "2"}, {"colour": "red"}, {"changed_ns": None}]
+    "changes", [{"state": 7}, {"priority": 5}, {"text": 3}, {"instance": "2"}, {"colour": "red"}, {"changed_ns": None}]
 )
-def test_corrupt_file_is_refused(spoilt: dict[str, object]) -> None:
+def test_corrupt_file_is_refused(changes: dict[str, object]) -> None:
     """A file with invalid values is not used in part."""
     voyage = Voyage()
     voyage.go(5.0, OUT)
     with pytest.raises(ValueError, match="not a saved alert"):
-        AlertList(TIMES, [{**voyage.alert_list.serialise()[0], **spoilt}])
+        AlertList(TIMES, [{**voyage.alert_list.serialise()[0], **changes}])
 
 
 def test_most_urgent_comes_first() -> None:

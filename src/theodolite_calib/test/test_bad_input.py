@@ -483,16 +483,16 @@ def test_encoder_in_degrees_is_rejected() -> None:
 
 def test_too_many_beacons_and_long_ids_are_cut() -> None:
     def crowd(message: Any) -> None:
-        strangers = [copy.copy(make_sighting(message, "alpha")) for _ in range(MAX_BEACONS + 50)]
-        for number, stranger in enumerate(strangers):
-            stranger.beacon_id = f"{number}" + "x" * 10**5
-        message.beacons = [*message.beacons, *strangers]
+        unknown = [copy.copy(make_sighting(message, "alpha")) for _ in range(MAX_BEACONS + 50)]
+        for number, one in enumerate(unknown):
+            one.beacon_id = f"{number}" + "x" * 10**5
+        message.beacons = [*message.beacons, *unknown]
 
     run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), BEACONS, CHANGE_S), crowd))
-    strangers = has_reason(run, Reason.UNKNOWN_SENSOR)
-    assert len(strangers) == MAX_BEACONS - 2
-    assert max(len(text) for both in strangers for text in both) <= LONGEST_TEXT
-    assert strangers[0][1].endswith("…' is unknown: expected alpha, bravo")
+    unknown = has_reason(run, Reason.UNKNOWN_SENSOR)
+    assert len(unknown) == MAX_BEACONS - 2
+    assert max(len(text) for both in unknown for text in both) <= LONGEST_TEXT
+    assert unknown[0][1].endswith("…' is unknown: expected alpha, bravo")
     ((_, text),) = has_reason(run, Reason.OVERFLOW)
     assert text == f"{MAX_BEACONS + 52} lights in one image: only the first {MAX_BEACONS} are used"
     assert run.state() == fault_free_run().state()

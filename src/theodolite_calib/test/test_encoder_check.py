@@ -219,16 +219,16 @@ def test_readings_after_a_stuck_encoder_are_unconfirmed() -> None:
 
 def test_live_changes_reach_the_encoder_check() -> None:
     """One reading has an error of 0.1°, which a mount of 100°/s² can reach within 50 ms and one of 10°/s² cannot."""
-    spoilt = replace_message(session(), index_at(session(), ENCODER, 4.0), replace_reading(0.1))
-    half = index_at(spoilt, ENCODER, 3.0)
+    arrivals = replace_message(session(), index_at(session(), ENCODER, 4.0), replace_reading(0.1))
+    half = index_at(arrivals, ENCODER, 3.0)
     for changes, rejected in (
         ({}, 0),
         ({"encoder.max_acceleration_deg_per_s2": 10.0}, 1),
         ({"encoder.max_acceleration_deg_per_s2": 10.0, "encoder.sigma_arcsec": 100.0}, 0),
     ):
-        adapter = run_adapter(new_adapter(), spoilt[:half]).adapter
+        adapter = run_adapter(new_adapter(), arrivals[:half]).adapter
         adapter.set_parameters(changes)
-        assert run_adapter(adapter, spoilt[half:]).reasons(ENCODER).get("gate", 0) == rejected
+        assert run_adapter(adapter, arrivals[half:]).reasons(ENCODER).get("gate", 0) == rejected
 
 
 def test_slip_of_degrees_is_never_valid() -> None:

@@ -94,8 +94,8 @@ def test_late_wrong_sample_is_rejected() -> None:
     """It has an error of a degree, which only the rates of its neighbour contradict."""
     arrivals = session_with_ins_only()
     index = index_at(arrivals, INS, 3.017)
-    spoilt = replace_message(arrivals, index, turn_attitude(1.0, 0.0, 0.0))
-    late = Arrival(INS, spoilt[index].message, spoilt[index].receive_ns + SECOND_NS // 2)
+    faulty = replace_message(arrivals, index, turn_attitude(1.0, 0.0, 0.0))
+    late = Arrival(INS, faulty[index].message, faulty[index].receive_ns + SECOND_NS // 2)
     run = run_adapter(adapter(), sort_by_arrival([*without(arrivals, index), late]))
     assert run.reasons(INS) == {"gate": 1}
     assert run.results() == run_adapter(adapter(), without(arrivals, index)).results()
@@ -172,11 +172,11 @@ def test_number_of_rejections_is_a_live_parameter() -> None:
 @pytest.mark.parametrize(("sigma_arcsec", "rejected"), [(1.0, 1), (100.0, 0)])
 def test_live_noise_change_reaches_the_check(sigma_arcsec: float, rejected: int) -> None:
     arrivals = session_with_ins_only()
-    spoilt = replace_message(arrivals, index_at(arrivals, INS, 4.017), turn_attitude(0.0, 0.1, 0.0))
-    half = index_at(spoilt, ENCODER, 2.0)
-    changed = run_adapter(adapter(), spoilt[:half]).adapter
+    faulty = replace_message(arrivals, index_at(arrivals, INS, 4.017), turn_attitude(0.0, 0.1, 0.0))
+    half = index_at(faulty, ENCODER, 2.0)
+    changed = run_adapter(adapter(), faulty[:half]).adapter
     changed.set_parameters({"ins.white_sigma_arcsec": sigma_arcsec})
-    assert run_adapter(changed, spoilt[half:]).reasons(INS).get("gate", 0) == rejected
+    assert run_adapter(changed, faulty[half:]).reasons(INS).get("gate", 0) == rejected
 
 
 @pytest.mark.parametrize("factor", [ZERO, -1.0, 2.0])

@@ -314,7 +314,7 @@ def test_no_flood_of_names_or_directions_grows_without_bound() -> None:
 
 def test_no_message_whatsoever_raises_or_does_damage() -> None:
     rng, adapter = np.random.default_rng(4713), adapter_of(3)
-    spoilt, found, now_ns = paths(buoy_message(0, START_NS, factory=RosidlFactory())), set(), START_NS
+    fields, found, now_ns = paths(buoy_message(0, START_NS, factory=RosidlFactory())), set(), START_NS
     for index in range(300):
         now_ns = START_NS + index * PERIOD_NS + LATENCY_NS
         for number in range(3):
@@ -322,7 +322,7 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
             published = give_message(adapter, number, buoy_message(number, time_ns), now_ns)
             for _ in range(3):
                 bad = buoy_message(number, time_ns, factory=RosidlFactory())
-                put_garbage(bad, spoilt, rng)
+                put_garbage(bad, fields, rng)
                 published += give_message(adapter, number, bad, now_ns)
             found |= {reason for _, reason in published_reasons(published)}
             for message in published_positions(published):
