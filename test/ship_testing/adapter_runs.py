@@ -143,11 +143,11 @@ def flood_topic(arrivals: Arrivals, topic: str, factor: int, up_to_s: float, see
     """Return ``factor`` arrivals for each of a topic: the others have earlier stamps, each by another time."""
     rng = np.random.default_rng(seed)
 
-    def earlier(message: Any) -> None:
+    def set_earlier_stamp(message: Any) -> None:
         ns = stamp_of(message) - int(rng.uniform(0.0, up_to_s * SECOND_NS))
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(ns, SECOND_NS)
 
-    more = [changed_copy(a, earlier) for a in arrivals if a.topic == topic for _ in range(factor - 1)]
+    more = [changed_copy(a, set_earlier_stamp) for a in arrivals if a.topic == topic for _ in range(factor - 1)]
     return sort_by_arrival([*arrivals, *more])
 
 

@@ -20,12 +20,12 @@ class ProtectionLevelRun(AdapterRun):
         self.level_of: dict[int, np.ndarray] = {}
         to_messages = adapter._estimate_messages
 
-        def noting(estimate: Any) -> Any:
+        def to_noted_messages(estimate: Any) -> Any:
             if estimate.status is not Status.INVALID:
                 self.level_of[estimate.time_ns] = adapter.core.integrity(estimate).level
             return to_messages(estimate)
 
-        adapter._estimate_messages = noting
+        adapter._estimate_messages = to_noted_messages
         hand_over(self, arrivals, until_ns)
 
     def published_and_own_levels(self) -> list[tuple[Any, np.ndarray, np.ndarray]]:

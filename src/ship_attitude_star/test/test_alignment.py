@@ -147,7 +147,7 @@ def document(saved_path: Path) -> dict[str, Any]:
     return yaml.safe_load(saved_path.read_text(encoding="utf-8"))
 
 
-def without(*keys: str) -> Any:
+def remove_key(*keys: str) -> Any:
     def change(content: dict[str, Any]) -> None:
         for key in keys[:-1]:
             content = content[key]
@@ -168,10 +168,10 @@ def with_value(value: Any, *keys: Any) -> Any:
 BROKEN = [
     (with_value("other", "format"), "expected 'format: ship_attitude alignment'"),
     (with_value(2, "version"), "version 2"),
-    (without("covariance"), "'covariance' is missing"),
-    (without("installation", "star.fore"), "star.fore"),
-    (without("installation", "star.fore", "roll_deg"), "roll_deg"),
-    (without("time_offset_s", "ins.time_offset"), "ins.time_offset"),
+    (remove_key("covariance"), "'covariance' is missing"),
+    (remove_key("installation", "star.fore"), "star.fore"),
+    (remove_key("installation", "star.fore", "roll_deg"), "roll_deg"),
+    (remove_key("time_offset_s", "ins.time_offset"), "ins.time_offset"),
     (with_value([1, 2], "covariance_of"), "covariance_of"),
     (with_value(["star.fore"], "installation"), "installation"),
     (with_value(3.0, "serials"), "serials"),

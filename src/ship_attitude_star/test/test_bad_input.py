@@ -186,11 +186,11 @@ def test_a_quaternion_a_little_long_is_renormalised() -> None:
 
 
 def test_angles_counted_past_a_turn_are_the_same_attitude() -> None:
-    def further(message: Any) -> None:
+    def add_turns(message: Any) -> None:
         message.azimuth += 2.0 * np.pi
         message.roll -= 4.0 * np.pi
 
-    run = run_adapter(new_adapter(), change_where(voyage(), lambda a: a.topic == FORE, further))
+    run = run_adapter(new_adapter(), change_where(voyage(), lambda a: a.topic == FORE, add_turns))
     assert run.reasons(FORE) == {}
     clean = fault_free_run()
     for one, other in zip(run.messages("ship/attitude"), clean.messages("ship/attitude"), strict=True):
@@ -502,7 +502,7 @@ def test_a_ship_at_rest_is_not_stuck() -> None:
     first = {topic: voyage()[index_at(voyage(), topic, 0.0)].message for topic in (INS, FORE)}
     rng = np.random.default_rng(7)
 
-    def rest(message: Any) -> None:
+    def set_at_rest(message: Any) -> None:
         if hasattr(message, "orientation"):
             message.orientation = first[INS].orientation
             message.angular_velocity = first[INS].linear_acceleration  # zero
@@ -510,5 +510,7 @@ def test_a_ship_at_rest_is_not_stuck() -> None:
             message.azimuth, message.elevation = first[FORE].azimuth, first[FORE].elevation
             message.roll = first[FORE].roll + 100.0 * ARCSEC * rng.standard_normal()
 
-    run = run_adapter(new_adapter(), change_where([a for a in voyage() if a.topic in first], lambda a: True, rest))
+    run = run_adapter(
+        new_adapter(), change_where([a for a in voyage() if a.topic in first], lambda a: True, set_at_rest)
+    )
     assert run.reasons(INS) == {}

@@ -45,7 +45,7 @@ def prior_of(heading_arcsec: float, tilt_arcsec: float) -> StarPrior:
     return StarPrior(ROTATION_NS, np.diag(sigma**2))
 
 
-def wide(heading_arcsec: float, tilt_arcsec: float = 10.0, **changes) -> ShipAttitudeConfig:
+def wide_prior(heading_arcsec: float, tilt_arcsec: float = 10.0, **changes) -> ShipAttitudeConfig:
     ins = {"heading_sigma_arcsec": heading_arcsec, "tilt_sigma_arcsec": tilt_arcsec}
     return configuration(ins=ins, **changes)
 
@@ -86,7 +86,7 @@ def test_false_detections_alone_never_give_an_attitude(
     sky_model: SkyModel, prior: tuple[float, float], count: int
 ) -> None:
     """Without the limit, 13 of 240 such exposures gave a VALID attitude with an error of degrees."""
-    ship_filter = ShipFilter(wide(*prior))
+    ship_filter = ShipFilter(wide_prior(*prior))
     for seed in range(60):
         exposure = false_exposure(sky_model, count, np.random.default_rng([3, seed]))
         _, decision = ship_filter.step(ship_filter.initial_state(), exposure, ins_track(), sky_model)
@@ -97,7 +97,7 @@ def test_false_detections_alone_never_give_an_attitude(
 @pytest.mark.parametrize("off_deg", [-9.0, -3.0, 0.5, 3.0, 6.0])
 def test_stars_without_identity_are_identified_with_a_wide_heading(sky_model: SkyModel, off_deg: float) -> None:
     """The gate is curved: a star rotated by 3° about the vertical is 283″ off its tangent."""
-    ship_filter = ShipFilter(wide(3.0 * DEGREE))
+    ship_filter = ShipFilter(wide_prior(3.0 * DEGREE))
     exposure = exposure_of(sky_model, "fore", 8, np.random.default_rng(3))
     error_n = np.deg2rad([0.0, off_deg, 0.0])
     state, decision = ship_filter.step(
@@ -125,7 +125,7 @@ def test_stars_without_identity_are_identified_with_a_wide_heading(sky_model: Sk
 def test_a_single_star_is_accepted_if_the_prior_leaves_no_rival(
     sky_model: SkyModel, heading: float, tilt: float, named: bool, used: bool
 ) -> None:
-    ship_filter = ShipFilter(wide(heading, tilt))
+    ship_filter = ShipFilter(wide_prior(heading, tilt))
     exposure = exposure_of(sky_model, "fore", 1)
     exposure = exposure if named else without_identity(exposure)
     state, decision = ship_filter.step(ship_filter.initial_state(), exposure, ins_track(), sky_model)
@@ -159,7 +159,7 @@ def test_the_solver_of_solutions_has_the_same_limit(sky_model: SkyModel) -> None
 
 def test_successive_unidentified_exposures_inflate_the_covariance(sky_model: SkyModel) -> None:
     """INS error 6′, stated sigma 10″: no star is identified until rejections inflate the covariance."""
-    ship_filter = ShipFilter(wide(10.0, gate={"reopen_after": 3, "reopen_factor": 400.0}))
+    ship_filter = ShipFilter(wide_prior(10.0, gate={"reopen_after": 3, "reopen_factor": 400.0}))
     state, error_n, reasons = ship_filter.initial_state(), np.deg2rad([0.0, 0.1, 0.0]), []
     runs: list[int] = []
     before: FloatArray = state.covariance

@@ -251,12 +251,12 @@ def test_at_rest_the_result_of_the_rate_check_is_kept() -> None:
     arrivals = change_where(voyage(22.0), of_ins(0.0, 22.0), scale_rates(np.rad2deg(1.0)))
     first = arrivals[index_at(arrivals, INS, 8.0)].message
 
-    def rest(message: Any) -> None:
+    def set_at_rest(message: Any) -> None:
         message.orientation = first.orientation
         for axis in AXES:
             setattr(message.angular_velocity, axis, 0.0)
 
-    run = run_adapter(new_adapter(), change_where(arrivals, of_ins(8.0, 18.0), rest))
+    run = run_adapter(new_adapter(), change_where(arrivals, of_ins(8.0, 18.0), set_at_rest))
     used = {m.sources[0] for m in run.messages("ship/attitude") if seconds(m) > 6.0 and m.status != Status.INVALID}
     assert "ins" not in used
     assert set(run.reasons(INS)) <= {"units", "gate", "stuck", "rate_not_measured"}

@@ -96,11 +96,11 @@ def test_a_late_star_that_changes_an_earlier_decision_marks_it_revised() -> None
     The INS heading is known to 72"; 150" is within the gate then, and far outside once two sensors were used.
     """
 
-    def off(message: Any) -> None:
+    def shift_azimuth(message: Any) -> None:
         message.azimuth += 150.0 * np.pi / (180 * 3600)
 
     wrong = index_at(voyage(), STARBOARD, 1.6)
-    moved = replace_message(voyage(), wrong, off)
+    moved = replace_message(voyage(), wrong, shift_azimuth)
     good = [a for a in moved if a.topic != INS and a.stamp_ns < moved[wrong].stamp_ns]
     late = sort_by_arrival(
         replace(a, receive_ns=START_NS + 1_900_000_000) if a in good else a

@@ -140,11 +140,11 @@ def test_a_reset_keeps_the_live_changes() -> None:
 def test_changed_ins_noise_reaches_the_ins_check() -> None:
     """One sample off by 60": seven sigmas of the first noise, and far within the second."""
 
-    def off(message: Any) -> None:
+    def rotate_up(message: Any) -> None:
         rotation_nd = rotation_from_quaternion(np.array([getattr(message.orientation, axis) for axis in "xyzw"]))
         message.orientation = quaternion_message(exp_rotation(np.array([0.0, 60.0, 0.0]) * ARCSEC) @ rotation_nd)
 
-    changed = replace_message(voyage(), index_at(voyage(), INS, 4.0), off)
+    changed = replace_message(voyage(), index_at(voyage(), INS, 4.0), rotate_up)
     for white_arcsec, reasons in ((1.0, {"gate": 1}), (20.0, {})):
         adapter = run_adapter(new_adapter(), changed[:HALF]).adapter
         adapter.set_parameters({"ins.white_sigma_arcsec": white_arcsec})

@@ -149,10 +149,10 @@ def test_without_a_fix_no_star_is_used_and_the_ins_continues() -> None:
 def test_a_fix_older_than_a_minute_is_none() -> None:
     """Fixes end a minute before the stars begin."""
 
-    def older(message: Any) -> None:
+    def set_older_stamp(message: Any) -> None:
         message.header.stamp.sec -= 64
 
-    run = run_new_adapter(change_where(voyage(), lambda arrival: arrival.topic == FIX, older))
+    run = run_new_adapter(change_where(voyage(), lambda arrival: arrival.topic == FIX, set_older_stamp))
     assert set(run.reasons(FORE)) == {"no_fix"}
     assert "more than fix_max_age_s = 60" in run.innovations(Reason.NO_FIX)[-1].reason_text
 

@@ -318,10 +318,10 @@ def test_without_weather_the_refraction_error_is_larger_and_reported() -> None:
 
 
 def test_exposures_without_stars_are_no_fault() -> None:
-    def nothing(message: Any) -> None:
+    def remove_stars(message: Any) -> None:
         message.stars = []
 
-    run = run_new_adapter(change_where(voyage(), lambda a: a.topic == FORE, nothing))
+    run = run_new_adapter(change_where(voyage(), lambda a: a.topic == FORE, remove_stars))
     assert {message.status for message in run.messages(FORE_SOLUTION)} == {SolutionStatus.INVALID}
     assert {message.star_count for message in run.messages("star/joint/solution")} == {STARS}
     assert run.health(FORE).rejected == 0
@@ -330,11 +330,11 @@ def test_exposures_without_stars_are_no_fault() -> None:
 def test_mend_07_another_noise_of_the_ins_reaches_its_check() -> None:
     """One sample off by 60", as in the test of ship_attitude."""
 
-    def off(message: Any) -> None:
+    def rotate_up(message: Any) -> None:
         rotation_nd = rotation_from_quaternion(np.array([getattr(message.orientation, axis) for axis in "xyzw"]))
         message.orientation = quaternion_message(exp_rotation(np.array([0.0, 60.0, 0.0]) * ARCSEC) @ rotation_nd)
 
-    changed = replace_message(ins_only(5.0), index_at(ins_only(5.0), INS, 4.0), off)
+    changed = replace_message(ins_only(5.0), index_at(ins_only(5.0), INS, 4.0), rotate_up)
     for white_arcsec, reasons in ((1.0, {"gate": 1}), (20.0, {})):
         adapter = run_adapter(new_adapter(), changed[:50]).adapter
         adapter.set_parameters({"ins.white_sigma_arcsec": white_arcsec})

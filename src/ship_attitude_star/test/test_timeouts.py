@@ -188,11 +188,11 @@ def test_a_corrected_clock_is_no_timeout(step_s: float) -> None:
 def test_a_leap_second_costs_attitudes_only_until_it_is_detected() -> None:
     """One second of stamps is repeated; the clocks of the node continue. All inputs show the step within 0.4 s."""
 
-    def back(message: Any) -> None:
+    def set_back(message: Any) -> None:
         message.header.stamp.sec -= 1
 
     arrivals = voyage(17.0)
-    run = run_adapter(new_adapter(), change_where(arrivals, lambda a: a.stamp_ns >= at(3.0), back))
+    run = run_adapter(new_adapter(), change_where(arrivals, lambda a: a.stamp_ns >= at(3.0), set_back))
     assert invalid_times_ns(run) == []
     before = [m for ns, m in attitudes_by_time(run) if ns < at(3.0)]
     after = [m for ns, m in attitudes_by_time(run) if ns >= at(3.0)]

@@ -176,24 +176,24 @@ def test_mend_14_the_first_exposure_is_confirmed_by_the_next_one_or_by_another_s
     """Before, the first exposure made the attitude VALID, whatever the prior."""
     ship_filter, rng = ShipFilter(Width(heading, 10.0).config(kind)), np.random.default_rng(14)
 
-    def after(state: FilterState, id_: str, time_ns: int) -> FilterState:
+    def state_after(state: FilterState, id_: str, time_ns: int) -> FilterState:
         exposure = sky.exposure_with_errors(id_, time_ns, 8, np.zeros(3), np.zeros(4), rng)
         measurement = exposure if kind == "observations" else solve_attitude(exposure, sky.sky_model)
         state, decision = ship_filter.step(state, measurement, ins_track(time_ns), sky.sky_model)
         assert decision.accepted
         return state
 
-    first = after(ship_filter.initial_state(), "fore", TIME_NS)
+    first = state_after(ship_filter.initial_state(), "fore", TIME_NS)
     assert first.unconfirmed_step is not None
     assert first.unconfirmed_step.text == (
         "the attitude rests on one star measurement; confirmation by stars of another time or sensor is pending"
     )
-    assert after(first, "starboard", TIME_NS).unconfirmed_step is None
-    second = after(first, "fore", TIME_NS + 100_000_000)
+    assert state_after(first, "starboard", TIME_NS).unconfirmed_step is None
+    second = state_after(first, "fore", TIME_NS + 100_000_000)
     assert second.unconfirmed_step is None
     # A sensor that was excluded has agreed with the others before it is used again.
     excluded = replace(second, last_used_ns=MappingProxyType({}), exclusion_counts=MappingProxyType({"star.fore": 1}))
-    assert after(excluded, "fore", TIME_NS + 200_000_000).unconfirmed_step is None
+    assert state_after(excluded, "fore", TIME_NS + 200_000_000).unconfirmed_step is None
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -27,7 +27,7 @@ def noisy(samples: list[AttitudeSample], sigma_arcsec: float, first: int) -> lis
     ]
 
 
-def jittering(samples: list[AttitudeSample], sigma_s: float, first: int) -> list[AttitudeSample]:
+def with_jitter(samples: list[AttitudeSample], sigma_s: float, first: int) -> list[AttitudeSample]:
     late_ns = np.abs(np.random.default_rng(4).normal(0.0, sigma_s * 1e9, len(samples))).astype(int)
     return [
         replace(sample, time_ns=sample.time_ns + int(late)) if number >= first else sample
@@ -70,7 +70,7 @@ def test_excess_of_one_half_is_detected_within_half_a_minute(rate_hz: float) -> 
 def test_jitter_is_distinguished_from_attitude_noise_and_its_end_is_detected(rate_hz: float) -> None:
     samples = stream(60.0, rate_hz)
     first, last = round(30.0 * rate_hz), round(45.0 * rate_hz)
-    ends = [*jittering(samples[:last], 0.004, first), *samples[last:]]
+    ends = [*with_jitter(samples[:last], 0.004, first), *samples[last:]]
     found = changes(ends)
     assert 30.0 < found[0][0] < 32.0
     # The standard deviation of the folded normal is 0.60 of its parameter.
@@ -85,7 +85,7 @@ def test_at_rest_jitter_is_not_reported() -> None:
     moving, resting = stream(30.0, 50.0), stream(30.0, 50.0, amplitude_deg=(0.0, 0.0, 0.0))
     later_ns = moving[-1].time_ns + 20_000_000 - resting[0].time_ns
     samples = [*moving, *(replace(sample, time_ns=sample.time_ns + later_ns) for sample in resting)]
-    assert not changes(jittering(samples, 0.004, len(moving)))
+    assert not changes(with_jitter(samples, 0.004, len(moving)))
 
 
 HEALTHY: dict[str, dict[str, object]] = {

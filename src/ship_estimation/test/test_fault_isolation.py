@@ -69,7 +69,7 @@ class Base:
         self.mounting = MOUNTING * self.rng.standard_normal((sensors, 3))
         self.angle = 10.0 * self.rng.standard_normal(3)
 
-    def until(self, epoch, shifts):
+    def isolations_until(self, epoch, shifts):
         """Yield the fault isolation of each measurement before an epoch, with its epoch."""
         while self.epoch < epoch:
             for sensor, mounting in enumerate(self.mounting):
@@ -85,7 +85,7 @@ class Base:
 def _before_shifts(seed, sensors, pairs):
     """Return the base at AT, without a detected fault; it is the same for all shifts."""
     base = Base(seed, sensors, pairs)
-    assert not any(found.is_detected for _, found in base.until(AT, {}))
+    assert not any(found.is_detected for _, found in base.isolations_until(AT, {}))
     return base
 
 
@@ -100,7 +100,7 @@ def _voyage(seed, sensors, shifts=None, epochs=2 * AT, pairs=False):
         pairs: add subfilters that leave out two sensors.
     """
     base, detected_at = copy.deepcopy(_before_shifts(seed, sensors, pairs)), None
-    for epoch, found in base.until(epochs, shifts or {}):
+    for epoch, found in base.isolations_until(epochs, shifts or {}):
         detected_at = epoch - AT if found.is_detected and detected_at is None else detected_at
         if found.subfilter is not None:
             return detected_at, base.bank.left_out[found.subfilter]

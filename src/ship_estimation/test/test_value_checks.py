@@ -33,7 +33,7 @@ def reference_attitudes(
     return {"other": MotionReference(time_ms * MS, rolled_attitude(degrees), sigma_rad, drift)}
 
 
-def after(values_deg: list[float], step_ms: int = 50) -> tuple[StuckCheck, int]:
+def check_after(values_deg: list[float], step_ms: int = 50) -> tuple[StuckCheck, int]:
     """Return a check after values that other sources confirmed, and the time of the next value, ms."""
     check = StuckCheck()
     for n, degrees in enumerate(values_deg):
@@ -47,7 +47,7 @@ MOVING = [0.05 * n for n in range(20)]
 
 
 def test_value_repeated_during_a_rotation_is_stuck_after_half_a_second() -> None:
-    check, start_ms = after(MOVING)
+    check, start_ms = check_after(MOVING)
     held = MOVING[-1]
     times_ms = range(start_ms, start_ms + 1000, 50)
     stuck = [
@@ -65,7 +65,7 @@ def test_value_repeated_during_a_rotation_is_stuck_after_half_a_second() -> None
 
 
 def test_value_may_be_repeated_at_rest() -> None:
-    check, start_ms = after(MOVING)
+    check, start_ms = check_after(MOVING)
     assert not any(
         check.observe(
             t * MS, rolled_attitude(MOVING[-1]), ARCSEC, reference_attitudes(t, MOVING[-1] + 0.2 * ARCSEC * (t % 2))
@@ -76,7 +76,7 @@ def test_value_may_be_repeated_at_rest() -> None:
 
 def test_resolution_is_estimated_from_the_changes_of_the_value() -> None:
     """A rotation below the resolution of a tenth of a degree changes no value."""
-    check, start_ms = after([0.1 * (n // 4) for n in range(40)])
+    check, start_ms = check_after([0.1 * (n // 4) for n in range(40)])
     # A rotation about one axis changes two rows of the matrix, each by the step.
     assert check.coarseness_rad == pytest.approx(np.deg2rad(0.1), rel=1e-3)
     held = 0.9
@@ -88,12 +88,12 @@ def test_resolution_is_estimated_from_the_changes_of_the_value() -> None:
 
 
 def test_source_without_repeated_values_has_no_coarseness() -> None:
-    assert after(MOVING)[0].coarseness_rad == 0.0
+    assert check_after(MOVING)[0].coarseness_rad == 0.0
 
 
 @pytest.mark.parametrize(("sigma_rad", "drift"), [(np.deg2rad(0.2), 0.0), (ARCSEC, np.deg2rad(1.0))])
 def test_uncertain_motion_reference_is_ignored(sigma_rad: float, drift: float) -> None:
-    check, start_ms = after(MOVING)
+    check, start_ms = check_after(MOVING)
     times_ms = range(start_ms, start_ms + 1000, 50)
     for t in times_ms:
         references = reference_attitudes(t, MOVING[-1] + 0.0005 * (t - start_ms), sigma_rad, drift)
@@ -101,7 +101,7 @@ def test_uncertain_motion_reference_is_ignored(sigma_rad: float, drift: float) -
 
 
 def test_earlier_attitude_of_a_motion_reference_is_ignored() -> None:
-    check, start_ms = after(MOVING)
+    check, start_ms = check_after(MOVING)
     times_ms = range(start_ms, start_ms + 2000, 50)
     assert not any(
         check.observe(t * MS, rolled_attitude(MOVING[-1]), ARCSEC, reference_attitudes(t % 700, 0.01 * t))
@@ -110,7 +110,7 @@ def test_earlier_attitude_of_a_motion_reference_is_ignored() -> None:
 
 
 def test_frozen_value_that_returns_to_the_bit_is_still_stuck() -> None:
-    check, start_ms = after(MOVING)
+    check, start_ms = check_after(MOVING)
     for t in range(start_ms, start_ms + 1000, 50):
         stuck = check.observe(
             t * MS, rolled_attitude(MOVING[-1]), ARCSEC, reference_attitudes(t, MOVING[-1] + 0.001 * (t - start_ms))

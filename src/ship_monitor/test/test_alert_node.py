@@ -127,17 +127,17 @@ def test_alert_is_raised_acknowledged_and_survives_its_node(ship, start, until, 
     named = ("--limits", str(limits), "--state", str(state))
     node = start(*named)
 
-    def sailing(found, **how):
+    def result_of_sailing(found, **how):
         def look():
             ship.sail(0.2, **how)
             return found(ship.alerts())
 
         return until(look, 30.0)
 
-    sailing(lambda alerts: alerts is not None and ship.acknowledger.service_is_ready())
+    result_of_sailing(lambda alerts: alerts is not None and ship.acknowledger.service_is_ready())
     # Without ship/integrity the attitude is a caution, which needs no acknowledgement.
-    sailing(lambda alerts: states(alerts) == {"attitude.degraded": (Alert.CAUTION, ACKNOWLEDGED)})
-    sailing(lambda alerts: "attitude.silent" in alerts, is_silent=True)
+    result_of_sailing(lambda alerts: states(alerts) == {"attitude.degraded": (Alert.CAUTION, ACKNOWLEDGED)})
+    result_of_sailing(lambda alerts: "attitude.silent" in alerts, is_silent=True)
     alarm = ship.alerts()["attitude.silent"]
     assert (alarm.priority, alarm.state, alarm.instance) == (Alert.ALARM, UNACKNOWLEDGED, 1)
     assert alarm.text == "Heading and tilt lost: no data on ship/attitude"
@@ -150,20 +150,20 @@ def test_alert_is_raised_acknowledged_and_survives_its_node(ship, start, until, 
     assert not unknown.success
     assert "attitude.silent" in unknown.message
     assert ship.call(ship.silencer, Trigger.Request()).message == "1 silenced"
-    sailing(lambda alerts: alerts["attitude.silent"].state == Alert.ACTIVE_SILENCED, is_silent=True)
+    result_of_sailing(lambda alerts: alerts["attitude.silent"].state == Alert.ACTIVE_SILENCED, is_silent=True)
     right = ship.acknowledge("attitude.silent", 1)
     assert (right.success, right.message) == (True, "'attitude.silent' acknowledged")
-    sailing(lambda alerts: alerts["attitude.silent"].state == ACKNOWLEDGED, is_silent=True)
+    result_of_sailing(lambda alerts: alerts["attitude.silent"].state == ACKNOWLEDGED, is_silent=True)
 
     node.kill()
     node.wait(10)
     ship.alert_messages.clear()
     again = start(*named)
     # The first message of the new node contains the alert with its acknowledgement.
-    sailing(lambda alerts: alerts is not None, is_silent=True)
+    result_of_sailing(lambda alerts: alerts is not None, is_silent=True)
     first = {alert.id: (alert.priority, alert.state, alert.instance) for alert in ship.alert_messages[0].alerts}
     assert first["attitude.silent"] == (Alert.ALARM, ACKNOWLEDGED, 1)
-    sailing(lambda alerts: "attitude.silent" not in alerts)
+    result_of_sailing(lambda alerts: "attitude.silent" not in alerts)
     assert states(ship.alerts()) == {"attitude.degraded": (Alert.CAUTION, ACKNOWLEDGED)}
     assert json.loads(state.read_text())["format"] == "ship_alerts"
 

@@ -141,13 +141,13 @@ def test_single_source_out_has_two_more_lines():
     ]
 
 
-def needing(*names, cause="encoder", reason="needs encoder"):
+def dependent_sources(*names, cause="encoder", reason="needs encoder"):
     return [suite_states.source_out(name, reason, because_of=cause, out_since_ns=suite_states.NOW_NS) for name in names]
 
 
 def test_consequence_is_below_its_cause_without_a_banner():
     encoder = suite_states.source_out("encoder", "no data", out_since_ns=suite_states.NOW_NS - suite_states.NS)
-    listed = (suite_states.SHIFTED_SENSOR, encoder, *needing("lights"), suite_states.source("ins"))
+    listed = (suite_states.SHIFTED_SENSOR, encoder, *dependent_sources("lights"), suite_states.source("ins"))
     sources = first_screen(replace(WELL, sources=listed), History(), "LIVE", "")["sources"]
     assert [name for name, _ in sources["out"]] == ["star.starboard", "encoder"]
     rows = [(row["name"], row["is_because"]) for row in sources["rows"][:3]]
@@ -155,7 +155,7 @@ def test_consequence_is_below_its_cause_without_a_banner():
 
 
 def test_overloaded_node_has_the_banner_of_its_consequences():
-    behind = needing("star.fore", "lights", cause="ship_attitude", reason="ship_attitude is behind")
+    behind = dependent_sources("star.fore", "lights", cause="ship_attitude", reason="ship_attitude is behind")
     sources = first_screen(suite_states.suite_state(*behind), History(), "LIVE", "")["sources"]
     assert sources["out"] == [("ship_attitude", "ship_attitude is behind")]
     assert [row["is_because"] for row in sources["rows"][:3]] == [True, True, False]

@@ -40,11 +40,11 @@ def subscribe_and_wait(server, client, *topics):
     client.subscribe(*topics)
     awaited = set(topics)
 
-    def all_came():
+    def have_all_come():
         awaited.difference_update(server.new_subscriptions())
         return not awaited
 
-    client.wait_until(all_came)
+    client.wait_until(have_all_come)
     assert server.subscribed_topics() >= set(topics)
 
 

@@ -569,19 +569,19 @@ def test_only_visible_panels_are_drawn(browser, source, page, monkeypatch):
         ("scrollTo(0, document.body.scrollHeight)", InputsPanel, InnovationPanel),
     ):
 
-        def is_so(where=where, wanted=wanted, unwanted=unwanted):
+        def is_drawn_only(where=where, wanted=wanted, unwanted=unwanted):
             browser.evaluate(where)  # once more: the page grows while its panels come
             return wanted in drawn[-3:] and unwanted not in drawn[-3:]
 
-        browser.wait(is_so, where, 90.0)
+        browser.wait(is_drawn_only, where, 90.0)
     browser.evaluate("scrollTo(0, 0)")
 
-    def rests():
+    def is_idle():
         """True if nothing was drawn while the time of the page advanced."""
         drawn.clear()
         clock = browser.text("#utc")
         browser.wait_until_true(f"document.querySelector('#utc').textContent > '{clock}'")
         return not drawn
 
-    browser.wait(rests, "all rest")
+    browser.wait(is_idle, "all rest")
     assert browser.problems == []

@@ -43,7 +43,7 @@ class Minutes:
     def __init__(self) -> None:
         self.history, self.picture = simulated_history(), simulated_state()
 
-    def go_on(self) -> None:
+    def advance(self) -> None:
         """Advance by one second."""
         second = 1_000_000_000
         self.picture = replace(self.picture, utc_ns=self.picture.utc_ns + second)
@@ -67,11 +67,11 @@ def serve_panels(theme):
         document.config.notify_connection_status = False
         panels.update(minutes.history, minutes.picture)
 
-        def go_on():
-            minutes.go_on()
+        def advance():
+            minutes.advance()
             panels.update(minutes.history, minutes.picture)
 
-        document.add_periodic_callback(go_on, 1000)
+        document.add_periodic_callback(advance, 1000)
         queue.put(panels)
 
     def run():

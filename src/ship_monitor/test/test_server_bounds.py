@@ -64,7 +64,7 @@ def ends(connection):
     return True
 
 
-def until(condition, limit_s=30.0):
+def wait_until(condition, limit_s=30.0):
     deadline_s = time.monotonic() + limit_s
     while not condition():
         assert time.monotonic() < deadline_s
@@ -74,7 +74,7 @@ def until(condition, limit_s=30.0):
 @pytest.mark.parametrize("path", ["/%00", "/static/js/%00", "/static/a%00b.js", "/fonts/%00.ttf", "/health%00"])
 def test_nul_in_a_path_is_not_found(page, lines, path):
     assert status(page, path) == 404
-    until(lambda: len(lines.texts) == 1)
+    wait_until(lambda: len(lines.texts) == 1)
     assert not lines.tracebacks
 
 
@@ -115,15 +115,15 @@ def test_too_many_connections_are_closed_with_one_line(page, lines):
         except (ConnectionError, http.client.HTTPException):
             return False
 
-    until(answers)
+    wait_until(answers)
 
 
 def test_too_many_pages_are_refused_until_others_are_closed(page, lines):
     assert [status(page, "/") for _ in range(MAX_PAGES)] == [200] * MAX_PAGES
     assert [status(page, "/") for _ in range(20)] == [503] * 20
     assert status(page, "/autoload.js?bokeh-autoload-element=1") == 503
-    until(lambda: len(lines.texts) == 1)
+    wait_until(lambda: len(lines.texts) == 1)
     assert status(page) == 200
     # Bokeh collects garbage after each closed page; objects from before are excluded.
     assert gc.get_freeze_count() > 0
-    until(lambda: status(page, "/") == 200)
+    wait_until(lambda: status(page, "/") == 200)

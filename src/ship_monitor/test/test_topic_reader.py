@@ -71,12 +71,12 @@ def test_newest_message_of_streams_and_every_message_of_other_topics(ship, reade
         ship.publish("ship/innovation", Innovation(nis=float(number)), 100)
     innovations, imus = [], []
 
-    def all_came():
+    def have_all_come():
         for each in reader.fetch().messages:
             (imus if each.topic == "ins/imu" else innovations).append(each.message)
         return len(innovations) >= 50 and imus and imus[-1].header.stamp.sec == 50
 
-    until(all_came)
+    until(have_all_come)
     assert [each.nis for each in innovations][-50:] == [float(number) for number in range(50)]
     assert len(imus) < 50
 

@@ -157,7 +157,7 @@ NEWER = {
 }
 
 
-def older(kind):
+def older_release(kind):
     """The node of a release that did not publish the newer topics."""
     newer = NEWER[kind]
 
@@ -194,7 +194,9 @@ def test_a_black_box_of_a_node_that_was_behind_is_equal_to_the_last_bit(tmp_path
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship", "axis"])
 def test_a_black_box_from_before_a_topic_was_published_is_equal_to_the_last_bit(tmp_path, capsys, node):
     black_box = tmp_path / "box.mcap"
-    make_black_box(black_box, tmp_path / "saved.yaml", node=replace(node, adapter_class=older(node.adapter_class)))
+    make_black_box(
+        black_box, tmp_path / "saved.yaml", node=replace(node, adapter_class=older_release(node.adapter_class))
+    )
     with read_bag(black_box) as bag:
         assert not NEWER[node.adapter_class] & set(bag.topics)
     code, out, _ = verify(capsys, black_box)
@@ -300,7 +302,7 @@ def test_a_black_box_from_before_orientations_were_refused_is_replayed_as_record
     like_then = replace(node, bag=hit, parameters={**node.parameters, **parameters})
     black_box = make_black_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=like_then).path
 
-    def as_then(record, topics):
+    def as_recorded_then(record, topics):
         if isinstance(record, Attachment) and record.name == SUITE_ATTACHMENT:
             data = re.sub(rb'(?m)^ *"accept_unset_covariance": .*\n', b"", record.data)
             assert data != record.data
@@ -313,7 +315,7 @@ def test_a_black_box_from_before_orientations_were_refused_is_replayed_as_record
             return replace(record, data=bytes(store.serialize_cdr(imu, kind)))
         return record
 
-    old = write_changed_copy(black_box, tmp_path / "old.mcap", as_then)
+    old = write_changed_copy(black_box, tmp_path / "old.mcap", as_recorded_then)
     code, out, _ = verify(capsys, old, "--out", tmp_path / "replayed.mcap")
     assert code == 0, out
     assert "outputs are equal to the last bit" in out
@@ -503,7 +505,7 @@ class TestRefused:
 
     def test_with_the_content_of_a_file_missing(self, black_box, tmp_path, capsys):
         name = "files/0002/alignment.yaml"
-        copy = write_changed_copy(black_box, tmp_path / "b.mcap", without(name))
+        copy = write_changed_copy(black_box, tmp_path / "b.mcap", without_attachment(name))
         line = error_text(capsys, copy)
         assert f"attachment {name} is missing: the content of {black_box.with_name('alignment.yaml')}" in line
 
@@ -522,7 +524,7 @@ class TestRefused:
         assert "'star/starboard/horizon_attitude' (ship_msgs/msg/StarHorizonAttitude) is no topic of" in line
 
 
-def without(name):
+def without_attachment(name):
     return lambda r, topics: None if isinstance(r, Attachment) and r.name == name else r
 
 
@@ -550,7 +552,7 @@ def suite(black_box, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["suite.yaml", "versions.json"])
 def test_a_missing_attachment_is_refused_or_replaced_by_config(black_box, suite, tmp_path, capsys, name):
-    copy = write_changed_copy(black_box, tmp_path / "b.mcap", without(name))
+    copy = write_changed_copy(black_box, tmp_path / "b.mcap", without_attachment(name))
     line = error_text(capsys, copy)
     assert name in line
     assert "--config" in line

@@ -249,12 +249,12 @@ class TestKilled:
     def test_ctrl_c_keeps_what_is_made(self, by_one, scenario, tmp_path, capsys):
         results = tmp_path / "out" / "results"
         with Command(scenario, tmp_path / "out", "--workers", "1") as command:
-            until(lambda: results.exists() and list(results.glob("*.json")))
+            wait_until(lambda: results.exists() and list(results.glob("*.json")))
             worker = command.a_worker()
             os.killpg(command.process.pid, signal.SIGINT)
             assert command.process.wait(TIMEOUT_S) == 130
             assert command.process.stderr.read() == "campaign: interrupted\n"
-        until(lambda: not Path(f"/proc/{worker}").exists())
+        wait_until(lambda: not Path(f"/proc/{worker}").exists())
         kept = len(list(results.iterdir()))
         assert 1 <= kept <= 2
         assert main([str(scenario), "--seeds", "1-3", "--out", str(tmp_path / "out")]) == 0
@@ -281,7 +281,7 @@ class Command:
 
     def a_worker(self):
         """The process of a worker, created by the fork server among the children of the command."""
-        return until(
+        return wait_until(
             lambda: next(
                 (
                     worker
@@ -301,7 +301,7 @@ def children(pid):
         return []
 
 
-def until(found):
+def wait_until(found):
     """Return the result of a function as soon as it is not empty."""
     end_s = time.monotonic() + TIMEOUT_S
     while not (value := found()):

@@ -138,11 +138,11 @@ def test_a_wrong_centroid_sigma_is_named_with_the_value_that_fits(check, tmp_pat
 
 @pytest.mark.slow
 def test_stars_that_state_too_small_a_noise_are_named_with_the_factor_of_their_variance(check, tmp_path):
-    def smaller(topic, message):
+    def reduce_covariance(topic, message):
         if topic == "star/fore/horizon_attitude":
             message.noise_covariance = np.array(message.noise_covariance) / 9.0
 
-    _, lines = check(rewrite_bag(tmp_path / "small.mcap", BAGS / "demo.mcap", smaller))
+    _, lines = check(rewrite_bag(tmp_path / "small.mcap", BAGS / "demo.mcap", reduce_covariance))
     (line,) = [line for line in lines if "topic 'star/fore/horizon_attitude' states a noise" in line]
     assert 6.0 < float(re.search(r"(\S+) times its variance fits", line)[1]) < 12.0
 

@@ -57,7 +57,7 @@ SCENARIO = SHORT.replace("duration_s: 4.0", "duration_s: 1.0")
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
+def unchanged_inputs(tmp_path_factory):
     """Unchanged inputs of all commands."""
     folder = tmp_path_factory.mktemp("whole")
     (folder / "scenario.yaml").write_text(SCENARIO)
@@ -218,17 +218,17 @@ KINDS = {
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_mutation_of_a_file_ends_in_a_traceback(kind, whole, tmp_path, monkeypatch, capsys):
+def test_no_mutation_of_a_file_ends_in_a_traceback(kind, unchanged_inputs, tmp_path, monkeypatch, capsys):
     name, change, commands = KINDS[kind]
-    data = (whole / name).read_bytes()
-    monkeypatch.chdir(whole)
+    data = (unchanged_inputs / name).read_bytes()
+    monkeypatch.chdir(unchanged_inputs)
     for seed in range(COUNT * len(commands)):
         place = tmp_path / str(seed)
         place.mkdir()
         path = place / name
         path.write_bytes(change(random.Random(seed), data))
         if kind == "information":
-            shutil.copy(whole / "in.mcap", place)
+            shutil.copy(unchanged_inputs / "in.mcap", place)
         command, arguments = commands[seed % len(commands)]
         given = [argument.format(path, folder=place) for argument in arguments]
         given = [str(place / text) if text == "fit" or text.startswith("new.") else text for text in given]

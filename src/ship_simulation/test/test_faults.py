@@ -48,7 +48,7 @@ def in_window(entries, run_start_ns=1_404_906_607_800_000_000):
     return [m for t, m in stamped if SECOND_NS <= t < 2 * SECOND_NS]
 
 
-def same(first, second):
+def are_equal(first, second):
     return serialize(first) == serialize(second)
 
 
@@ -74,7 +74,7 @@ def test_duplicate_repeats_the_bytes():
     assert len(doubled) - len(clean) == 20
     window = in_window(doubled)
     assert len(window) == 40
-    assert all(same(first, second) for first, second in zip(window[::2], window[1::2], strict=True))
+    assert all(are_equal(first, second) for first, second in zip(window[::2], window[1::2], strict=True))
 
 
 def test_conflict_repeats_the_stamp_with_other_values():
@@ -94,7 +94,7 @@ def test_freeze_keeps_the_values_under_new_stamps():
     assert all(np.array_equal(quaternion(m), first) for m in window)
     assert len({ns_from_stamp(m.header.stamp) for m in window}) == 20
     after = [m for m, _ in frozen][-1]
-    assert same(after, clean[-1][0])
+    assert are_equal(after, clean[-1][0])
 
 
 @pytest.mark.parametrize(
@@ -118,7 +118,7 @@ def test_a_field_fault_is_limited_to_its_window(topic, kind, differs):
     assert all(differs(m) for m in window)
     outside = [(a, b) for (a, _), (b, _) in zip(clean, changed, strict=True) if not any(b is w for w in window)]
     assert len(outside) == len(clean) - len(window)
-    assert all(same(a, b) and not differs(b) for a, b in outside)
+    assert all(are_equal(a, b) and not differs(b) for a, b in outside)
 
 
 def test_rates_in_degrees_are_larger_by_57():

@@ -306,10 +306,10 @@ def test_float_baseline_is_rejected_and_the_other_beacon_used() -> None:
 
 
 def test_no_solution_is_not_fixed_whatever_its_numbers() -> None:
-    def none(message: Any) -> None:
+    def remove_fix(message: Any) -> None:
         message.fix, message.enu.x = 0, np.nan
 
-    run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), ALPHA, CHANGE_S), none))
+    run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), ALPHA, CHANGE_S), remove_fix))
     assert run.reasons(ALPHA) == {"not_fixed": 1}
     # No exposure waits for a better one, and nothing is drawn through it.
     assert run.reasons(BEACONS).keys() <= {"not_fixed"}

@@ -54,7 +54,7 @@ def inputs() -> tuple[BeaconPoses, Ship, Survey]:
 def disturbed_lines(name: str, error: FloatArray, lights: BeaconPoses, ship: Ship, survey: Survey) -> LinesOfSight:
     """Return lines of sight of the used values plus an error: (k,) if common, (N, k) if not."""
 
-    def longer(lever: LeverArm) -> LeverArm:
+    def with_longer(lever: LeverArm) -> LeverArm:
         return replace(lever, vector_m=lever.vector_m + error)
 
     match name:
@@ -62,7 +62,7 @@ def disturbed_lines(name: str, error: FloatArray, lights: BeaconPoses, ship: Shi
             lights = replace(lights, baseline_n=lights.baseline_n + error)
         case "theodolite_lever" | "principal_point" | "light_lever":
             lever = name.replace("light", "beacon")
-            survey = replace(survey, **{lever: longer(getattr(survey, lever))})
+            survey = replace(survey, **{lever: with_longer(getattr(survey, lever))})
         case "ship_attitude":
             ship = replace(ship, rotation_nd=exp_rotation(error) @ ship.rotation_nd)
         case "drone_attitude":

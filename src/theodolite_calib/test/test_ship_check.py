@@ -106,13 +106,13 @@ def test_late_wrong_sample_is_rejected() -> None:
 def test_permanent_jump_inflates_the_covariance_until_beacons_agree(
     degrees_n: tuple[float, ...], offset_s: float
 ) -> None:
-    def earlier(message: Any) -> None:
+    def set_earlier_stamp(message: Any) -> None:
         # A clock that lags by the configured offset.
         stamp_ns = stamp_of(message) - round(offset_s * SECOND_NS)
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, SECOND_NS)
 
     arrivals = change_where(session_with_ins_only(10.0), of_topic(INS, 3.0), turn_attitude(*degrees_n))
-    run = run_adapter(adapter(ins__time_offset_s=offset_s), change_where(arrivals, of_topic(INS), earlier))
+    run = run_adapter(adapter(ins__time_offset_s=offset_s), change_where(arrivals, of_topic(INS), set_earlier_stamp))
     assert run.reasons(INS) == {"gate": 5}
     after = [m for m in run.pointings if seconds(m) >= 3.0 and m.status != Status.INVALID]
     degraded = [m for m in after if m.status == Status.DEGRADED]

@@ -256,13 +256,15 @@ def test_smoothed_pointings_are_batch_least_squares(smoother_and_batch: tuple) -
         at = [unknowns[part] for part in parts]
         rotation_nm = main_nm(*at, encoders(ms), ms)
 
-        def off(change: np.ndarray, at=at, ms=ms, rotation_nm=rotation_nm) -> np.ndarray:
+        def rotation_off(change: np.ndarray, at=at, ms=ms, rotation_nm=rotation_nm) -> np.ndarray:
             ship, bent, axes, read = np.split(change, [3, 6, 13])
             moved = main_nm(at[0] + ship, at[1] + bent, at[2] + axes, encoders(ms) + read, ms)
             return Rotation.from_matrix(moved @ rotation_nm.T).as_rotvec()
 
         step = 1e-6
-        slopes = np.array([(off(step * unit) - off(-step * unit)) / (2 * step) for unit in np.eye(15)]).T
+        slopes = np.array(
+            [(rotation_off(step * unit) - rotation_off(-step * unit)) / (2 * step) for unit in np.eye(15)]
+        ).T
         expected = slopes[:, :13] @ covariance_of(factors, built.size, parts) @ slopes[:, :13].T
         expected += ENCODER**2 * slopes[:, 13:] @ slopes[:, 13:].T + SHIP_WHITE**2 * np.eye(3)
         sigma = np.sqrt(expected.diagonal())
