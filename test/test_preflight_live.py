@@ -111,7 +111,7 @@ def test_late_sensors_are_waited_for(are_there, tmp_path, domain):
             topic = f"/demo/star/{sensor}/horizon_attitude"
             star = partial(publish, observer.node, topic, StarHorizonAttitude, 5.0)
             if are_there:
-                star(silent_s=late_s)
+                star(pause_s=late_s)
             else:
                 after_link(observer.node, imu, late_s, star)
         code, rows, error = preflight(observer, environment, EXAMPLE, "--namespace", "demo", "--listen", "1")

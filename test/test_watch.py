@@ -202,7 +202,7 @@ def test_missing_errors_against_truth_are_computed(clean: tuple[Path, Path]) -> 
 
 
 def test_history_has_the_data_of_plots(theodolite: MonitoredVoyage) -> None:
-    history = theodolite.watch.history
+    history = theodolite.monitor.history
     assert set(history.beacons) == {"a", "b"}
     used = [point for point in history.beacons["b"] if point.is_used]
     assert len(used) > 300
@@ -221,7 +221,7 @@ def test_history_has_the_data_of_plots(theodolite: MonitoredVoyage) -> None:
 def safety_between(voyage: MonitoredVoyage, start_s: float, end_s: float) -> set[Safety | None]:
     """Return the states of the azimuth in the ribbon."""
     points = [
-        point for point in voyage.watch.history.safety if start_s <= (point.utc_ns - voyage.start_ns) * 1e-9 < end_s
+        point for point in voyage.monitor.history.safety if start_s <= (point.utc_ns - voyage.start_ns) * 1e-9 < end_s
     ]
     return {point.safety["azimuth"] for point in points}
 

@@ -137,7 +137,7 @@ def test_alert_is_raised_acknowledged_and_survives_its_node(ship, start, until, 
     result_of_sailing(lambda alerts: alerts is not None and ship.acknowledger.service_is_ready())
     # Without ship/integrity the attitude is a caution, which needs no acknowledgement.
     result_of_sailing(lambda alerts: states(alerts) == {"attitude.degraded": (Alert.CAUTION, ACKNOWLEDGED)})
-    result_of_sailing(lambda alerts: "attitude.silent" in alerts, is_silent=True)
+    result_of_sailing(lambda alerts: "attitude.silent" in alerts, is_stopped=True)
     alarm = ship.alerts()["attitude.silent"]
     assert (alarm.priority, alarm.state, alarm.instance) == (Alert.ALARM, UNACKNOWLEDGED, 1)
     assert alarm.text == "Heading and tilt lost: no data on ship/attitude"
@@ -150,17 +150,17 @@ def test_alert_is_raised_acknowledged_and_survives_its_node(ship, start, until, 
     assert not unknown.success
     assert "attitude.silent" in unknown.message
     assert ship.call(ship.silencer, Trigger.Request()).message == "1 silenced"
-    result_of_sailing(lambda alerts: alerts["attitude.silent"].state == Alert.ACTIVE_SILENCED, is_silent=True)
+    result_of_sailing(lambda alerts: alerts["attitude.silent"].state == Alert.ACTIVE_SILENCED, is_stopped=True)
     right = ship.acknowledge("attitude.silent", 1)
     assert (right.success, right.message) == (True, "'attitude.silent' acknowledged")
-    result_of_sailing(lambda alerts: alerts["attitude.silent"].state == ACKNOWLEDGED, is_silent=True)
+    result_of_sailing(lambda alerts: alerts["attitude.silent"].state == ACKNOWLEDGED, is_stopped=True)
 
     node.kill()
     node.wait(10)
     ship.alert_messages.clear()
     again = start(*named)
     # The first message of the new node contains the alert with its acknowledgement.
-    result_of_sailing(lambda alerts: alerts is not None, is_silent=True)
+    result_of_sailing(lambda alerts: alerts is not None, is_stopped=True)
     first = {alert.id: (alert.priority, alert.state, alert.instance) for alert in ship.alert_messages[0].alerts}
     assert first["attitude.silent"] == (Alert.ALARM, ACKNOWLEDGED, 1)
     result_of_sailing(lambda alerts: "attitude.silent" not in alerts)

@@ -507,11 +507,11 @@ def send_until(relay, senders, happened) -> float:
 def test_two_active_publishers_are_named_until_one_has_stopped(two_senders):
     relay, first, second = two_senders
     send_until(relay, [first], lambda: len(relay.attitudes) >= 20)
-    assert relay.adapter.contested == []
-    found_s = send_until(relay, [first, second], lambda: relay.adapter.contested == [("ins/imu", TWO)])
+    assert relay.adapter.duplicates == []
+    found_s = send_until(relay, [first, second], lambda: relay.adapter.duplicates == [("ins/imu", TWO)])
     send_until(relay, [first, second], lambda: relay.has_level("relay: input ins/imu", DiagnosticStatus.ERROR))
     assert relay.diagnostics["relay: input ins/imu"].message == TWO
-    over_s = send_until(relay, [first], lambda: relay.adapter.contested[1:] == [("ins/imu", "")])
+    over_s = send_until(relay, [first], lambda: relay.adapter.duplicates[1:] == [("ins/imu", "")])
     send_until(relay, [first], lambda: relay.has_level("relay: input ins/imu", DiagnosticStatus.OK))
     print(f"found after {found_s:.2f} s, over {over_s:.2f} s after one has stopped")
 
@@ -525,7 +525,7 @@ def test_a_publisher_that_never_sends_is_a_hint_in_the_diagnostics(two_senders):
         return next((value.value for value in values if value.key == "publishers"), "")
 
     send_until(relay, [first], lambda: input_text() == "2: /ins_a, /ins_b")
-    assert relay.adapter.contested == []
+    assert relay.adapter.duplicates == []
 
 
 @pytest.mark.slow
@@ -546,4 +546,4 @@ def test_a_restarted_publisher_counts_as_one(live_relay):
             process.kill()
             process.wait()
     assert relay.live.node.count_publishers("/ins/imu") == 2, "the lease of the first one has not ended"
-    assert relay.adapter.contested == []
+    assert relay.adapter.duplicates == []
