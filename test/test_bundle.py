@@ -55,7 +55,7 @@ def build_wheel(path: Path) -> None:
 @pytest.fixture(scope="module")
 def source_checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a git checkout with the tools and a lock; next to it is index/ with the wheels."""
-    folder = tmp_path_factory.mktemp("ashore") / "suite"
+    folder = tmp_path_factory.mktemp("source") / "suite"
     (folder / "tools").mkdir(parents=True)
     for name in TOOLS:
         shutil.copy(ROOT / "tools" / name, folder / "tools")

@@ -20,7 +20,7 @@ NODE = "/alpha/ship_attitude"
 @pytest.fixture(scope="module")
 def environment(tmp_path_factory):
     """Return the environment of a suite of one node in the namespace alpha, and of the alert node."""
-    folder = tmp_path_factory.mktemp("asked")
+    folder = tmp_path_factory.mktemp("nodes")
     domain = free_domain_id()
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

@@ -642,7 +642,7 @@ def test_a_subfilter_without_a_sensor_equals_a_filter_without_it() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sensors", [THREE, FOUR], ids=["three", "four"])
-@pytest.mark.parametrize("shifts_arcsec", [(30.0, 30.0), (15.0, -15.0)], ids=["alike", "differently"])
+@pytest.mark.parametrize("shifts_arcsec", [(30.0, 30.0), (15.0, -15.0)], ids=["equal", "differently"])
 def test_two_simultaneous_mounting_shifts_are_excluded_with_pairs(
     sensors: tuple[str, ...], shifts_arcsec: tuple[float, float]
 ) -> None:

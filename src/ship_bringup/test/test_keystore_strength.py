@@ -62,7 +62,7 @@ def write_private(path, key):
 
 def issue(keystore, folder, *new_key_options, digest="sha256", extensions="basicConstraints=CA:FALSE"):
     """Give the node a certificate with a key of these options, signed by the authority."""
-    ours = folder / "ashore"
+    ours = folder / "source"
     write_private(ours / "ca.key", AUTHORITY.key)
     Keystore.write_certificate(ours / "ca.pem", AUTHORITY.certificate)
     (ours / "extensions").write_text(extensions)
