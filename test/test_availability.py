@@ -139,8 +139,8 @@ def test_two_stars_suffice_for_a_boresight_by_geometry_and_one_does_not() -> Non
     seen = trials.views(scene, trials.some_stars(scene, (2, 2)))
     found = two_boresights(seen, scene.erfa_sky, MIN_STARS_BY_GEOMETRY)
     assert found is not None
-    apart = wrap_pi(angles_from_rotation(found) - angles_from_rotation(scene.rotation_nd))
-    assert np.max(np.abs(apart)) < 60.0 * ARCSEC
+    error = wrap_pi(angles_from_rotation(found) - angles_from_rotation(scene.rotation_nd))
+    assert np.max(np.abs(error)) < 60.0 * ARCSEC
     one = trials.views(scene, trials.some_stars(scene, (1, 8)))
     assert two_boresights(one, scene.erfa_sky, MIN_STARS_BY_GEOMETRY) is None
 
@@ -202,13 +202,13 @@ def small_part() -> trials.Results:
 
 
 def test_the_small_part_of_the_table_is_what_the_command_computes() -> None:
-    told, found = cells(table_of("small part")), cells(availability.small_table(small_part()))
-    assert told.keys() == found.keys()
-    apart = [abs(np.array(told[key]) - found[key]) for key in told if told[key] != found[key]]
+    documented, found = cells(table_of("small part")), cells(availability.small_table(small_part()))
+    assert documented.keys() == found.keys()
+    differences = [abs(np.array(documented[key]) - found[key]) for key in documented if documented[key] != found[key]]
     # On another processor the last bits differ, and with them a star at the edge of a gate: one exposure in one case.
     one_exposure = 100.0 / availability.SMALL_PART
-    assert len(apart) <= 1, "run python tools/availability.py"
-    assert np.max(apart, initial=0.0) <= one_exposure + 1e-9, "run python tools/availability.py"
+    assert len(differences) <= 1, "run python tools/availability.py"
+    assert np.max(differences, initial=0.0) <= one_exposure + 1e-9, "run python tools/availability.py"
 
 
 def test_the_whole_table_agrees_with_the_small_part() -> None:

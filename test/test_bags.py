@@ -20,11 +20,11 @@ BAGS = sorted((ROOT / "bags").glob("*.mcap"))
 MAKE_BAGS = ROOT / "tools" / "make_bags.py"
 SIZE_LIMIT_BYTES = 3_000_000
 
-VERDICTS = {
+DIAGNOSES = {
     "demo": ["clocks", "verdict star.fore", "verdict star.starboard"],
     "theodolite": ["clocks", "verdict lights"],
 }
-"""Bag → what verdicts there are on."""
+"""Bag → sources and models with an innovation diagnosis."""
 
 every_bag = pytest.mark.parametrize("path", BAGS, ids=lambda path: path.stem)
 
@@ -57,37 +57,37 @@ def test_a_bag_is_small_and_fits_its_sum_and_scenario(path):
 
 
 @pytest.fixture(scope="module", params=BAGS, ids=lambda path: path.stem)
-def replayed(request, tmp_path_factory) -> tuple[Path, Path, list[str]]:
+def replayed_bag(request, tmp_path_factory) -> tuple[Path, Path, list[str]]:
     """Return a bag, its outputs of an offline replay, and the problems that the replay reported."""
     out = tmp_path_factory.mktemp("replayed") / "out.mcap"
     return request.param, out, replay(request.param, out, ADAPTERS).problems
 
 
 @pytest.mark.slow
-def test_an_offline_replay_meets_the_bounds(replayed):
-    path, out, problems = replayed
+def test_an_offline_replay_meets_the_bounds(replayed_bag):
+    path, out, problems = replayed_bag
     assert problems == []
     bounds = read_bounds(path.with_suffix(".expected.yaml"))
-    judged = check_bounds(evaluate(out, path, bounds.skip_s).quantities(), bounds, path.name)
-    assert judged
-    assert [bound.line for bound in judged if not bound.is_met] == []
+    checked = check_bounds(evaluate(out, path, bounds.skip_s).quantities(), bounds, path.name)
+    assert checked
+    assert [bound.line for bound in checked if not bound.is_met] == []
 
 
 @pytest.mark.slow
-def test_clean_data_cause_no_exclusion(replayed):
-    path, out, _ = replayed
-    told: dict[str, list[tuple[int, str]]] = {}
+def test_clean_data_cause_no_exclusion(replayed_bag):
+    path, out, _ = replayed_bag
+    statuses: dict[str, list[tuple[int, str]]] = {}
     with read_bag(out) as bag:
         for record in bag.records(["/diagnostics"]):
             for status in record.decode().status:
                 thing = status.name.partition(": ")[2]
                 if thing.startswith("verdict ") or thing == "clocks":
-                    told.setdefault(thing, []).append((int(status.level), status.message))
-    assert sorted(told) == VERDICTS[path.stem]
-    for name, course in told.items():
-        assert {level for level, _ in course} == {0}
-        assert course[-1][1].startswith("within configured limits" if name == "clocks" else "as stated")
-        assert len(course) > 100
+                    statuses.setdefault(thing, []).append((int(status.level), status.message))
+    assert sorted(statuses) == DIAGNOSES[path.stem]
+    for name, history in statuses.items():
+        assert {level for level, _ in history} == {0}
+        assert history[-1][1].startswith("within configured limits" if name == "clocks" else "as stated")
+        assert len(history) > 100
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""The live node's black box: bit-exact after all operations of a watch, after a restart, after kill -9.
+"""The live node's black box: bit-exact after all operations, after a restart, and after kill -9.
 
 ``tools/black_box_run.py`` does the same for ten minutes.
 """
@@ -25,15 +25,15 @@ DEMO = ROOT / "bags" / "demo.mcap"
 
 
 @pytest.fixture(scope="module")
-def boxes(tmp_path_factory):
-    """Return boxes of a voyage of 30 s with changes, save, reset and load, and of a second one from its alignment."""
+def paths(tmp_path_factory):
+    """Return black boxes of two voyages: 30 s with changes, save, reset and load; then from the saved alignment."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         return eventful_runs(tmp_path_factory.mktemp("black_box"), duration_s=30.0, rate=3.0)
 
 
-def test_a_run_with_changes_and_services_is_equal_to_the_last_bit(boxes):
-    outcome = verify_box(boxes[0])
+def test_a_run_with_changes_and_services_is_equal_to_the_last_bit(paths):
+    outcome = verify_box(paths[0])
     assert outcome.returncode == 0, outcome.stdout + outcome.stderr
     services = "~/save_alignment 1", "~/reset 1", "~/load_alignment 1"
     for used in ("ins/imu 3001", "parameters 4", "parameters refused 1", *services):
@@ -42,23 +42,23 @@ def test_a_run_with_changes_and_services_is_equal_to_the_last_bit(boxes):
     assert re.search(r"^equal: .*ship/imu 3001", outcome.stdout, re.MULTILINE)
 
 
-def test_a_run_from_the_saved_alignment_is_equal_to_the_last_bit(boxes):
-    assert [box.name for box in boxes] == ["ship_attitude.mcap", "ship_attitude_2.mcap"]
-    with read_bag(boxes[1]) as bag:
+def test_a_run_from_the_saved_alignment_is_equal_to_the_last_bit(paths):
+    assert [path.name for path in paths] == ["ship_attitude.mcap", "ship_attitude_2.mcap"]
+    with read_bag(paths[1]) as bag:
         read_at_start = bag.attachments["files/0001/alignment.yaml"]
-    with read_bag(boxes[0]) as bag:
+    with read_bag(paths[0]) as bag:
         # Written by the save, read by the load, and still there for the next start.
         assert bag.attachments["files/0001/alignment.yaml"] == read_at_start
         assert bag.attachments["files/0002/alignment.yaml"] == read_at_start
-    outcome = verify_box(boxes[1])
+    outcome = verify_box(paths[1])
     assert outcome.returncode == 0, outcome.stdout + outcome.stderr
 
 
 @pytest.fixture(scope="module")
-def killed_box(tmp_path_factory):
-    """Return the box of a node killed in the middle of a voyage."""
+def killed_path(tmp_path_factory):
+    """Return the black box of a node killed in the middle of a voyage."""
     folder = tmp_path_factory.mktemp("killed")
-    box = folder / "box.mcap"
+    path = folder / "box.mcap"
 
     def kill_late(elapsed_s):
         if elapsed_s > 6.0:
@@ -66,29 +66,29 @@ def killed_box(tmp_path_factory):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        parameters = {"black_box": str(box)}
+        parameters = {"black_box": str(path)}
         with (
             LiveRun(DEMO, ShipAttitudeAdapter, "ship_attitude_star", folder / "run", parameters) as run,
             pytest.raises(LiveFailure, match="the node ended with exit code -9"),
         ):
             run.play(4.0, kill_late)
-    return box
+    return path
 
 
-def test_a_killed_nodes_box_is_verified_up_to_the_cut(killed_box):
-    outcome = verify_box(killed_box)
+def test_a_killed_nodes_black_box_is_verified_up_to_the_cut(killed_path):
+    outcome = verify_box(killed_path)
     assert outcome.returncode == 0, outcome.stdout + outcome.stderr
     assert "the black box ends suddenly" in outcome.stdout
     assert "no footer" in outcome.stdout
     assert "outputs are equal to the last bit" in outcome.stdout
 
 
-def test_a_recovered_box_is_verified(killed_box):
-    command = [*executable("ship_bags", "record"), "--recover", str(killed_box)]
+def test_a_recovered_black_box_is_verified(killed_path):
+    command = [*executable("ship_bags", "record"), "--recover", str(killed_path)]
     recovery = subprocess.run(command, capture_output=True, text=True, check=False)
     assert recovery.returncode == 0, recovery.stdout + recovery.stderr
     assert "all read back by mcap and rosbags" in recovery.stdout
-    recovered, original = verify_box(recovered_path(killed_box)), verify_box(killed_box)
+    recovered, original = verify_box(recovered_path(killed_path)), verify_box(killed_path)
     assert recovered.returncode == 0, recovered.stdout + recovered.stderr
     # The file is whole now, but the node still ended suddenly.
     assert "no footer" not in recovered.stdout

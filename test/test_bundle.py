@@ -53,9 +53,9 @@ def build_wheel(path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def ashore(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def source_checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a git checkout with the tools and a lock; next to it is index/ with the wheels."""
-    folder = tmp_path_factory.mktemp("ashore") / "suite"
+    folder = tmp_path_factory.mktemp("source") / "suite"
     (folder / "tools").mkdir(parents=True)
     for name in TOOLS:
         shutil.copy(ROOT / "tools" / name, folder / "tools")
@@ -75,76 +75,82 @@ def ashore(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def bundle(ashore: Path, out: str, *options: str) -> "subprocess.CompletedProcess[str]":
-    index = {"PIP_NO_INDEX": "1", "PIP_FIND_LINKS": str(ashore.parent / "index"), "PIP_CONFIG_FILE": os.devnull}
-    return run(sys.executable, "tools/bundle.py", "--out", out, *options, cwd=ashore, **index)
+def bundle(source_checkout: Path, out: str, *options: str) -> "subprocess.CompletedProcess[str]":
+    index = {
+        "PIP_NO_INDEX": "1",
+        "PIP_FIND_LINKS": str(source_checkout.parent / "index"),
+        "PIP_CONFIG_FILE": os.devnull,
+    }
+    return run(sys.executable, "tools/bundle.py", "--out", out, *options, cwd=source_checkout, **index)
 
 
 @pytest.fixture(scope="module")
-def tar(ashore: Path) -> Path:
-    made = bundle(ashore, "out/first")
+def tar(source_checkout: Path) -> Path:
+    made = bundle(source_checkout, "out/first")
     assert made.returncode == 0, made.stderr
     assert "1 files differ from HEAD" in made.stdout
-    (path,) = (ashore / "out" / "first").iterdir()
+    (path,) = (source_checkout / "out" / "first").iterdir()
     assert path.name.endswith(f"-{own_target()}.tar")
     return path
 
 
 @pytest.fixture
-def aboard(tar: Path, tmp_path: Path) -> Path:
+def unpacked_bundle(tar: Path, tmp_path: Path) -> Path:
     """Return the unpacked bundle."""
     assert run("tar", "--extract", "--file", tar, cwd=tmp_path).returncode == 0
     (folder,) = tmp_path.iterdir()
     return folder
 
 
-def setup(aboard: Path) -> "subprocess.CompletedProcess[str]":
-    return run(sys.executable, "tools/setup_environment.py", cwd=aboard, PIP_INDEX_URL="http://127.0.0.1:9/simple")
+def setup(unpacked_bundle: Path) -> "subprocess.CompletedProcess[str]":
+    return run(
+        sys.executable, "tools/setup_environment.py", cwd=unpacked_bundle, PIP_INDEX_URL="http://127.0.0.1:9/simple"
+    )
 
 
-def refusal(aboard: Path) -> str:
+def refusal(unpacked_bundle: Path) -> str:
     """Return the one-line error of a setup that created nothing."""
-    answer = setup(aboard)
+    answer = setup(unpacked_bundle)
     assert answer.returncode == 2
-    assert not (aboard / ".venv").exists()
+    assert not (unpacked_bundle / ".venv").exists()
     (line,) = answer.stderr.splitlines()
     return line
 
 
 @pytest.mark.slow
 @needs_git
-def test_the_tar_holds_the_tracked_files_and_the_wheels(ashore: Path, aboard: Path) -> None:
-    listed = run("git", "ls-tree", "-r", "-z", "--name-only", "HEAD", cwd=ashore).stdout.split("\0")[:-1]
+def test_the_tar_holds_the_tracked_files_and_the_wheels(source_checkout: Path, unpacked_bundle: Path) -> None:
+    listed = run("git", "ls-tree", "-r", "-z", "--name-only", "HEAD", cwd=source_checkout).stdout.split("\0")[:-1]
     wheels = [f"wheels/{own_target()}/{name}" for name in (SUMS, ROS_WHEEL, WHEEL)]
-    there = [str(path.relative_to(aboard)) for path in aboard.rglob("*") if path.is_file()]
+    there = [str(path.relative_to(unpacked_bundle)) for path in unpacked_bundle.rglob("*") if path.is_file()]
     assert sorted(there) == sorted(listed + wheels)
-    assert (aboard / "with space.txt").read_text() == "tracked\n"
-    assert os.access(aboard / "tools" / "setup", os.X_OK)
-    checked = run("sha256sum", "--check", "--strict", SUMS, cwd=aboard / "wheels" / own_target())
+    assert (unpacked_bundle / "with space.txt").read_text() == "tracked\n"
+    assert os.access(unpacked_bundle / "tools" / "setup", os.X_OK)
+    checked = run("sha256sum", "--check", "--strict", SUMS, cwd=unpacked_bundle / "wheels" / own_target())
     assert checked.returncode == 0, checked.stderr
 
 
 @needs_git
-def test_the_same_commit_gives_the_same_bytes(ashore: Path, tar: Path) -> None:
-    (ashore.parent / "index" / WHEEL).touch()
-    assert bundle(ashore, "out/second").returncode == 0
-    assert (ashore / "out" / "second" / tar.name).read_bytes() == tar.read_bytes()
+def test_the_same_commit_gives_the_same_bytes(source_checkout: Path, tar: Path) -> None:
+    (source_checkout.parent / "index" / WHEEL).touch()
+    assert bundle(source_checkout, "out/second").returncode == 0
+    assert (source_checkout / "out" / "second" / tar.name).read_bytes() == tar.read_bytes()
 
 
 @needs_git
-def test_a_bundle_for_another_python_takes_the_pins_of_that_one(ashore: Path) -> None:
+def test_a_bundle_for_another_python_takes_the_pins_of_that_one(source_checkout: Path) -> None:
     other = "3.12" if sys.version_info[:2] != (3, 12) else "3.11"
-    made = bundle(ashore, "out/other", "--for", other)
+    made = bundle(source_checkout, "out/other", "--for", other)
     assert made.returncode == 0, made.stderr
-    (path,) = (ashore / "out" / "other").iterdir()
+    (path,) = (source_checkout / "out" / "other").iterdir()
     assert f"-python{other}-" in path.name
 
 
 @needs_git
-def test_a_wheel_that_is_not_available_is_one_line_and_no_tar(ashore: Path, tmp_path: Path) -> None:
+def test_a_wheel_that_is_not_available_is_one_line_and_no_tar(source_checkout: Path, tmp_path: Path) -> None:
     folder = tmp_path / "suite"
-    shutil.copytree(ashore, folder, ignore=shutil.ignore_patterns("out"))
-    shutil.copytree(ashore.parent / "index", tmp_path / "index")
+    shutil.copytree(source_checkout, folder, ignore=shutil.ignore_patterns("out"))
+    shutil.copytree(source_checkout.parent / "index", tmp_path / "index")
     (tmp_path / "index" / WHEEL).rename(tmp_path / "index" / WHEEL.replace("1.0", "1.1"))
     made = bundle(folder, "out")
     assert made.returncode == 2
@@ -155,52 +161,52 @@ def test_a_wheel_that_is_not_available_is_one_line_and_no_tar(ashore: Path, tmp_
 
 @pytest.mark.slow
 @needs_git
-def test_setup_installs_only_from_the_wheels(aboard: Path) -> None:
+def test_setup_installs_only_from_the_wheels(unpacked_bundle: Path) -> None:
     """The configuration of pip has no effect: an index without a server is never requested.
 
     The build after it needs colcon and fails, which ends the installations in progress; but both wheels are in the
     group for which the build waits.
     """
-    answer = setup(aboard)
+    answer = setup(unpacked_bundle)
     assert f"the wheels of wheels/{own_target()} are complete: no network is used" in answer.stdout
     assert "colcon build failed" in answer.stderr
-    log = (aboard / ".venv" / "setup.log").read_text()
+    log = (unpacked_bundle / ".venv" / "setup.log").read_text()
     (installed,) = (line for line in log.replace("_", "-").splitlines() if line.startswith("Successfully installed"))
     assert {"ros-part-1.0", "tiny-part-1.0"} <= set(installed.split())
     assert "127.0.0.1" not in log
 
 
 @needs_git
-def test_over_a_ros_installation_its_wheels_are_left_out(aboard: Path) -> None:
+def test_over_a_ros_installation_its_wheels_are_left_out(unpacked_bundle: Path) -> None:
     code = (
         "from setup_wheels import lines_to_install; from wheelhouse import locked_requirements;"
         "lock = locked_requirements(open('../requirements.lock').read());"
         "print(*lines_to_install(lock, ('ros', 'build', 'python'), '/opt/ros/jazzy'), sep='\\n')"
     )
-    printed = run(sys.executable, "-c", code, cwd=aboard / "tools").stdout.splitlines()
+    printed = run(sys.executable, "-c", code, cwd=unpacked_bundle / "tools").stdout.splitlines()
     assert printed == ["Tiny.Part==1.0", "old==1 ; python_version < '3.0'"]
 
 
 @needs_git
-def test_a_damaged_wheel_is_named(aboard: Path) -> None:
-    path = aboard / "wheels" / own_target() / WHEEL
+def test_a_damaged_wheel_is_named(unpacked_bundle: Path) -> None:
+    path = unpacked_bundle / "wheels" / own_target() / WHEEL
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
     path.write_bytes(content)
-    assert f"{WHEEL} is damaged" in refusal(aboard)
+    assert f"{WHEEL} is damaged" in refusal(unpacked_bundle)
 
 
 @needs_git
-def test_a_missing_wheel_is_named(aboard: Path) -> None:
-    (aboard / "wheels" / own_target() / WHEEL).unlink()
-    assert f"{WHEEL} is missing" in refusal(aboard)
+def test_a_missing_wheel_is_named(unpacked_bundle: Path) -> None:
+    (unpacked_bundle / "wheels" / own_target() / WHEEL).unlink()
+    assert f"{WHEEL} is missing" in refusal(unpacked_bundle)
 
 
 @needs_git
-def test_wheels_for_another_lock_are_refused(aboard: Path) -> None:
-    with (aboard / "requirements.lock").open("a") as lock:
+def test_wheels_for_another_lock_are_refused(unpacked_bundle: Path) -> None:
+    with (unpacked_bundle / "requirements.lock").open("a") as lock:
         lock.write("more==1\n")
-    assert "made for another requirements.lock" in refusal(aboard)
+    assert "made for another requirements.lock" in refusal(unpacked_bundle)
 
 
 @needs_git
@@ -208,23 +214,23 @@ def test_wheels_for_another_lock_are_refused(aboard: Path) -> None:
     ("keep", "complaint"),
     [(0, "is missing or does not begin with requirements.lock"), (2, "has no wheel of Tiny.Part==1.0")],
 )
-def test_sums_cut_short_are_refused(aboard: Path, keep: int, complaint: str) -> None:
-    path = aboard / "wheels" / own_target() / SUMS
+def test_sums_cut_short_are_refused(unpacked_bundle: Path, keep: int, complaint: str) -> None:
+    path = unpacked_bundle / "wheels" / own_target() / SUMS
     path.write_text("".join(path.read_text().splitlines(keepends=True)[:keep]))
-    assert complaint in refusal(aboard)
+    assert complaint in refusal(unpacked_bundle)
 
 
 @needs_git
-def test_a_line_of_the_sums_that_names_a_file_elsewhere_is_refused(aboard: Path) -> None:
-    path = aboard / "wheels" / own_target() / SUMS
+def test_a_line_of_the_sums_that_names_a_file_elsewhere_is_refused(unpacked_bundle: Path) -> None:
+    path = unpacked_bundle / "wheels" / own_target() / SUMS
     path.write_text(path.read_text() + "0" * 64 + "  ../elsewhere.whl\n")
-    assert f"{SUMS} line 4" in refusal(aboard)
+    assert f"{SUMS} line 4" in refusal(unpacked_bundle)
 
 
 @needs_git
-def test_wheels_for_another_python_are_refused(aboard: Path) -> None:
-    (aboard / "wheels" / own_target()).rename(aboard / "wheels" / target("3.9", "riscv64"))
-    line = refusal(aboard)
+def test_wheels_for_another_python_are_refused(unpacked_bundle: Path) -> None:
+    (unpacked_bundle / "wheels" / own_target()).rename(unpacked_bundle / "wheels" / target("3.9", "riscv64"))
+    line = refusal(unpacked_bundle)
     assert "are for python3.9-riscv64" in line
     assert own_target() in line
 

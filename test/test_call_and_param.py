@@ -20,7 +20,7 @@ NODE = "/alpha/ship_attitude"
 @pytest.fixture(scope="module")
 def environment(tmp_path_factory):
     """Return the environment of a suite of one node in the namespace alpha, and of the alert node."""
-    folder = tmp_path_factory.mktemp("asked")
+    folder = tmp_path_factory.mktemp("nodes")
     domain = free_domain_id()
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -52,33 +52,33 @@ def run_command(environment, command, *arguments):
 def test_services_are_listed_and_called(environment):
     assert run_command(environment, "call", NODE) == (0, "load_alignment\nreset\nsave_alignment\n", "")
     assert run_command(environment, "call", NODE, "reset") == (0, "done: the filter was reset\n", "")
-    code, said, _ = run_command(environment, "call", NODE, "save_alignment")
+    code, printed, _ = run_command(environment, "call", NODE, "save_alignment")
     assert code == 1
-    assert said.startswith("not done: parameter 'alignment_file' is empty")
+    assert printed.startswith("not done: parameter 'alignment_file' is empty")
 
 
 def test_an_alert_is_acknowledged_by_its_id_and_instance(environment):
     code, listed, _ = run_command(environment, "call", "/alpha/alerts")
     assert code == 0
     assert listed == "acknowledge id=<string> instance=<uint32>\nsilence\n"
-    code, said, _ = run_command(environment, "call", "/alpha/alerts", "acknowledge", "id=there.is.none", "instance=7")
+    code, out, _ = run_command(environment, "call", "/alpha/alerts", "acknowledge", "id=there.is.none", "instance=7")
     assert code == 1
-    assert said.startswith("not done: ")
-    code, _, told = run_command(environment, "call", "/alpha/alerts", "acknowledge", "id=x")
-    assert (code, told) == (2, "call: service 'acknowledge' needs instance=<uint32>\n")
-    code, _, told = run_command(environment, "call", "/alpha/alerts", "acknowledge", "id=x", "instance=one")
-    assert (code, told) == (2, "call: field 'instance' of service 'acknowledge': 'one' is no uint32\n")
+    assert out.startswith("not done: ")
+    code, _, error = run_command(environment, "call", "/alpha/alerts", "acknowledge", "id=x")
+    assert (code, error) == (2, "call: service 'acknowledge' needs instance=<uint32>\n")
+    code, _, error = run_command(environment, "call", "/alpha/alerts", "acknowledge", "id=x", "instance=one")
+    assert (code, error) == (2, "call: field 'instance' of service 'acknowledge': 'one' is no uint32\n")
 
 
 def test_an_unknown_name_is_answered_with_the_nearest(environment):
-    code, _, told = run_command(environment, "call", "/alpha/ship_atitude", "reset")
-    assert (code, told.count("\n")) == (2, 1)
-    assert told.startswith(f"call: no node '/alpha/ship_atitude': did you mean '{NODE}'? There are ")
-    code, _, told = run_command(environment, "call", NODE, "restet")
-    assert (code, "did you mean 'reset'?" in told) == (2, True)
-    code, _, told = run_command(environment, "param", NODE, "gate.probabilty")
-    said = f"param: node {NODE}: no parameter 'gate.probabilty': did you mean 'gate.probability'?\n"
-    assert (code, told) == (2, said)
+    code, _, error = run_command(environment, "call", "/alpha/ship_atitude", "reset")
+    assert (code, error.count("\n")) == (2, 1)
+    assert error.startswith(f"call: no node '/alpha/ship_atitude': did you mean '{NODE}'? There are ")
+    code, _, error = run_command(environment, "call", NODE, "restet")
+    assert (code, "did you mean 'reset'?" in error) == (2, True)
+    code, _, error = run_command(environment, "param", NODE, "gate.probabilty")
+    expected = f"param: node {NODE}: no parameter 'gate.probabilty': did you mean 'gate.probability'?\n"
+    assert (code, error) == (2, expected)
 
 
 def test_parameters_are_listed_with_units_read_and_set(environment):
@@ -98,22 +98,24 @@ def test_a_source_is_removed_and_added_again(environment):
         "",
     )
     assert run_command(environment, "param", NODE, "sources_off", "[]") == (0, "sources_off = [], was star.fore\n", "")
-    code, _, told = run_command(environment, "param", NODE, "sources_off", "fore")
+    code, _, error = run_command(environment, "param", NODE, "sources_off", "fore")
     assert code == 1
-    assert told.startswith("param: refused: parameter 'sources_off': there is no source 'fore': expected some of star.")
-    code, _, told = run_command(environment, "param", NODE, "sources_off", "ins")
-    assert (code, "stop the publisher of ins/imu" in told) == (1, True)
+    assert error.startswith(
+        "param: refused: parameter 'sources_off': there is no source 'fore': expected some of star."
+    )
+    code, _, error = run_command(environment, "param", NODE, "sources_off", "ins")
+    assert (code, "stop the publisher of ins/imu" in error) == (1, True)
 
 
 def test_a_rejection_has_the_reason_of_the_node(environment):
-    code, _, told = run_command(environment, "param", NODE, "gate.probability", "7")
-    assert (code, told.count("\n")) == (1, 1)
-    assert told.startswith("param: refused: parameter 'gate.probability' = 7.0 is out of its range [0.5, ")
-    code, _, told = run_command(environment, "param", NODE, "lag_s", "3")
-    assert (code, told.startswith("param: refused: parameter 'lag_s' cannot be changed")) == (1, True)
-    code, _, told = run_command(environment, "param", NODE, "gate.probability", "high")
+    code, _, error = run_command(environment, "param", NODE, "gate.probability", "7")
+    assert (code, error.count("\n")) == (1, 1)
+    assert error.startswith("param: refused: parameter 'gate.probability' = 7.0 is out of its range [0.5, ")
+    code, _, error = run_command(environment, "param", NODE, "lag_s", "3")
+    assert (code, error.startswith("param: refused: parameter 'lag_s' cannot be changed")) == (1, True)
+    code, _, error = run_command(environment, "param", NODE, "gate.probability", "high")
     assert code == 2
-    assert re.fullmatch(r"param: parameter 'gate\.probability' is .*: expected a number\n", told)
+    assert re.fullmatch(r"param: parameter 'gate\.probability' is .*: expected a number\n", error)
 
 
 @pytest.mark.parametrize(

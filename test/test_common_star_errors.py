@@ -36,7 +36,7 @@ def test_equally_rotated_stars_do_not_exclude_the_ins(turn_n: FloatArray, from_s
     found = run_with_common_error(turn_n, from_s, seed)
     assert found.worst_in_sigmas() < 5.0
     assert found.worst_level_ratio() < 1.0
-    assert found.excluded() == {"star.fore", "star.starboard"}
+    assert found.excluded_sources() == {"star.fore", "star.starboard"}
     assert found.statuses(from_s + 4.0) == {Status.DEGRADED}
     # What the estimate had followed is taken back: the INS alone wanders by a part of it.
     assert found.largest_error(from_s + 4.0, from_s + 10.0) < 0.7 * np.linalg.norm(turn_n)
@@ -49,7 +49,7 @@ def test_no_common_error_of_any_size_axis_and_time_is_valid_beyond_five_sigmas_o
     def check(turn_n: FloatArray, from_s: float, seed: int) -> None:
         found = run_with_common_error(turn_n, from_s, seed)
         assert found.worst_level_ratio() < 1.0
-        assert "ins" not in found.excluded()
+        assert "ins" not in found.excluded_sources()
         # About Up the INS drifts by 1 arcsec in a second: 10 arcsec are five of its standard deviations.
         if abs(turn_n[1]) != 10.0 * ARCSEC:
             assert found.worst_in_sigmas() < 5.0

@@ -1,4 +1,4 @@
-"""Covariance of the fused attitude compared with an independent bound; and whether Monte Carlo detects a too small one.
+"""Covariance of the fused attitude compared with an independent bound; Monte Carlo detects one that is too small.
 
 The Monte Carlo itself: ``test_campaign_cases.py`` and ``make campaign``.
 """

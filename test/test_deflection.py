@@ -44,8 +44,8 @@ def voyage(gravity: Gravity | None = None, **changes: Any) -> Scenario:
 
 
 def core_of(scenario: Scenario, **parameters: Any) -> ShipAttitudeCore:
-    told = suite_configuration(scenario)
-    return ShipAttitudeCore(build(ShipAttitudeConfig, {**told, **parameters}))
+    configuration = suite_configuration(scenario)
+    return ShipAttitudeCore(build(ShipAttitudeConfig, {**configuration, **parameters}))
 
 
 def last_estimate(core: ShipAttitudeCore, run: SimulatedRun) -> AttitudeEstimate:
@@ -107,11 +107,12 @@ def test_alongside_an_hour_of_stars_determines_the_deflection() -> None:
         position, ins = replace(scenario.position, speed_m_per_s=0.0), replace(scenario.ins, tilt_sigma_arcsec=1.0)
         scenario = replace(scenario, position=position, ins=ins)
         run, core = simulate(scenario, 200 + seed), core_of(scenario)
-        told = core.deflection(last_estimate(core, run).time_ns)
-        assert told is not None
-        assert told.covariance is not None
-        assert np.all(np.sqrt(told.covariance.diagonal()) < 1.5 * ARCSEC)
-        squares.append(float(normalized_error_squared(told.deflection - run.truth.deflection[-1], told.covariance)))
+        estimate = core.deflection(last_estimate(core, run).time_ns)
+        assert estimate is not None
+        assert estimate.covariance is not None
+        assert np.all(np.sqrt(estimate.covariance.diagonal()) < 1.5 * ARCSEC)
+        error = estimate.deflection - run.truth.deflection[-1]
+        squares.append(float(normalized_error_squared(error, estimate.covariance)))
     low, high = mean_nees_band(SEEDS, 2)
     assert low < np.mean(squares) < high
 

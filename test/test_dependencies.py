@@ -43,7 +43,7 @@ def test_no_library_is_declared_that_is_not_imported(package: str) -> None:
 
 @pytest.mark.parametrize("package", PYTHON_PACKAGES)
 def test_every_library_that_tests_import_is_listed_and_declared(package: str) -> None:
-    """Without packages of ROS and of the suite: tests use all of them, and all are built."""
+    """Packages of ROS and of the suite are exempt: tests use all of them, and all are built."""
     keys = declared_keys(package, "depend", "exec_depend", "test_depend")
     wanted = imported_names(SRC / package / "test") & LIBRARIES.keys()
     assert {LIBRARIES[name].key for name in wanted} - {""} - keys == set()

@@ -62,7 +62,7 @@ def entries(
 
 
 @pytest.fixture(scope="module", name="advised")
-def _advised(voyage: tuple[Path, dict[str, Any]]) -> list[tuple[str, bytes, int, Any]]:
+def _advised_entries(voyage: tuple[Path, dict[str, Any]]) -> list[tuple[str, bytes, int, Any]]:
     return entries(voyage, "advised", {"enabled": True, "period_s": PERIOD_S, **LIMITS})
 
 
@@ -71,15 +71,15 @@ def messages(outputs: list[tuple[str, bytes, int, Any]], topic: str) -> list[Any
 
 
 def test_published_once_in_a_period_with_places_within_the_limits(advised, voyage) -> None:
-    told, pointings = messages(advised, ESCORT), messages(advised, POINTING)
-    stamps = [ns_from_stamp(message.header.stamp) for message in told]
-    assert DURATION_S / PERIOD_S - 2 <= len(told) <= DURATION_S / PERIOD_S + 1
+    published, pointings = messages(advised, ESCORT), messages(advised, POINTING)
+    stamps = [ns_from_stamp(message.header.stamp) for message in published]
+    assert DURATION_S / PERIOD_S - 2 <= len(published) <= DURATION_S / PERIOD_S + 1
     assert np.all(np.diff(stamps) >= PERIOD_S * SECOND_NS)
     by_stamp = {ns_from_stamp(message.header.stamp): message for message in pointings}
     lever_m = parameters_of(voyage)["lever"]
     assert any(lever_m.values())
     checked = 0
-    for message, stamp in zip(told, stamps, strict=True):
+    for message, stamp in zip(published, stamps, strict=True):
         assert message.header.frame_id == "horizon"
         assert list(message.beacon_ids) == sorted(parameters_of(voyage)["beacons"])
         assert 0.0 < message.sigma_advised <= message.sigma_now
@@ -131,18 +131,18 @@ def test_other_outputs_are_those_without_advice(advised, voyage) -> None:
 def test_a_removed_drone_has_no_position(voyage) -> None:
     escort = {"enabled": True, "period_s": 4.0, **LIMITS}
     first, second = sorted(parameters_of(voyage)["beacons"])
-    told = messages(entries(voyage, "one", escort, sources_off=[f"baseline.{first}"]), ESCORT)
-    assert [list(message.beacon_ids) for message in told] == [[second]] * len(told)
-    assert len(told) >= 2
+    published = messages(entries(voyage, "one", escort, sources_off=[f"baseline.{first}"]), ESCORT)
+    assert [list(message.beacon_ids) for message in published] == [[second]] * len(published)
+    assert len(published) >= 2
     assert messages(entries(voyage, "dark", escort, sources_off=["lights"]), ESCORT) == []
 
 
 @pytest.mark.slow
 def test_no_place_is_nan_with_the_limit(voyage) -> None:
     escort = LIMITS | {"enabled": True, "elevation_min_deg": 79.0, "period_s": 4.0}
-    told = messages(entries(voyage, "none", escort), ESCORT)
-    assert len(told) >= 2
-    for message in told:
+    published = messages(entries(voyage, "none", escort), ESCORT)
+    assert len(published) >= 2
+    for message in published:
         assert [list(message.limits_reached)] == [["elevation_min_deg"]]
         assert np.isnan([[place.x, place.y, place.z] for place in message.places]).all()
         assert np.isnan(message.sigma_advised)

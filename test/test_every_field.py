@@ -109,11 +109,11 @@ def test_no_value_of_any_field_raises_or_makes_an_output_inconsistent(topic: str
     for path, value in cases(topic, one_light):
         adapter, shared = start(one_light)
         run = AdapterRun(copy.deepcopy(adapter, dict(shared)))
-        spoilt = concerned[:1] if one_light else concerned
-        heard = list(rest)
-        for index in spoilt:
-            heard[index] = changed_copy(rest[index], lambda message, p=path, v=value: set_field(message, p, v))
-        hand_over(run, heard)
+        changed_indices = concerned[:1] if one_light else concerned
+        changed = list(rest)
+        for index in changed_indices:
+            changed[index] = changed_copy(rest[index], lambda message, p=path, v=value: set_field(message, p, v))
+        hand_over(run, changed)
         for _, _, message in run.published:
             message_bytes(message)
         if not worst_error_in_sigmas(voyage(NODE), run) < 5.0:

@@ -86,8 +86,8 @@ def test_an_example_is_valid_and_meets_its_bounds(name: str, tmp_path: Path, cap
     options = ["--namespace", namespace] if namespace else []
     assert check_config([str(config), str(bag), *options]) == 0
     assert replay([str(bag), "--config", str(config), "--out", str(out), *options]) == 0
-    told = [line for line in capsys.readouterr().out.splitlines() if line.startswith(("warning", "error"))]
-    assert told == []
+    reported = [line for line in capsys.readouterr().out.splitlines() if line.startswith(("warning", "error"))]
+    assert reported == []
     with read_bag(out) as replayed:
         last = {record.topic: record.decode() for record in replayed.records(expected)}
     assert {topic: message.status for topic, message in last.items()} == expected
@@ -159,8 +159,8 @@ def test_a_node_starts_with_its_example_without_warnings(
     with LiveProcess(command, tmp_path / "node.log", live_environment(free_domain_id(), tmp_path / "ros")) as process:
         wait_for("names no topic and policy", process)
         assert process.end() == 0
-        told = [line for line in process.log_text().splitlines() if "[WARN]" in line or "[ERROR]" in line]
-    assert len(told) == 1
+        logged = [line for line in process.log_text().splitlines() if "[WARN]" in line or "[ERROR]" in line]
+    assert len(logged) == 1
 
 
 @pytest.mark.live

@@ -53,24 +53,24 @@ class FaultReport:
 
 
 @pytest.fixture(scope="module", params=list(FAULTS))
-def reported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> FaultReport:
+def fault_report(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> FaultReport:
     folder = tmp_path_factory.mktemp(request.param)
     given, out = replay_with_faults(folder, request.param, FAULTS[request.param])
     with read_bag(given) as played:
         start_ns = played.start_ns or 0
-    told = read_report_data(out, given)
-    (folder / "report.html").write_text(page(told))
-    return FaultReport(request.param, start_ns, told, folder / "report.html")
+    data = read_report_data(out, given)
+    (folder / "report.html").write_text(page(data))
+    return FaultReport(request.param, start_ns, data, folder / "report.html")
 
 
 @pytest.mark.slow
-def test_the_report_lists_each_fault_with_its_time_and_source(reported: FaultReport) -> None:
-    bag, night, seconds = reported.bag, reported.events.recording, reported.seconds
-    text = reported.path.read_text()
+def test_the_report_lists_each_fault_with_its_time_and_source(fault_report: FaultReport) -> None:
+    bag, recording, seconds = fault_report.bag, fault_report.events.recording, fault_report.seconds
+    text = fault_report.path.read_text()
     known_s = DETECTABLE_S[bag]
     # Affected sources are reported with the faulty one, and none before the first fault.
     by_source: dict[str, list[Event]] = {}
-    for event in night.events:
+    for event in recording.events:
         if event.kind == "source" and seconds(event.utc_ns) < END_S[bag] and "needs" not in event.text:
             by_source.setdefault(event.subject, []).append(event)
     assert set(by_source) == set(known_s)
@@ -80,16 +80,16 @@ def test_the_report_lists_each_fault_with_its_time_and_source(reported: FaultRep
         assert re.fullmatch(TEXTS[source], event.text)
         link = f'<a href="#status-mark-{event.utc_ns // NS_PER_S}">{utc(event.utc_ns)}</a>'
         assert f'<tr><td class="w">{link}</td><td>source</td><td>{event.text}</td></tr>' in text
-        raised = [one for one in night.alerts if one.what == "raised" and one.alert.source == source]
+        raised = [one for one in recording.alerts if one.what == "raised" and one.alert.source == source]
         assert fault_s <= seconds(raised[0].utc_ns) <= fault_s + detection_limit_s(source) + ALERTS_LATER_S, raised[0]
         assert f'<tr><td class="w">{utc(raised[0].utc_ns)}</td>' in text
-    assert {one.alert.source for one in night.alerts if seconds(one.utc_ns) < END_S[bag]} <= {*known_s, ""}
+    assert {one.alert.source for one in recording.alerts if seconds(one.utc_ns) < END_S[bag]} <= {*known_s, ""}
 
-    verdict = section(text, "verdict")
-    out_first = {one.source: one for one in reversed(outages(night))}
+    summary = section(text, "verdict")
+    out_first = {one.source: one for one in reversed(outages(recording))}
     for source in known_s.keys() - {"lights"}:  # exchanged lights are put right and remain in use
         first = out_first[source]
-        assert f'<td>{source}</td><td class="w">{utc(first.from_ns)}</td>' in verdict
+        assert f'<td>{source}</td><td class="w">{utc(first.from_ns)}</td>' in summary
         if source in BACK_S:
             least_s, most_s = BACK_S[source]
             assert least_s <= seconds(first.to_ns) <= most_s
@@ -97,22 +97,22 @@ def test_the_report_lists_each_fault_with_its_time_and_source(reported: FaultRep
 
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
-def test_the_page_opens_without_network_fits_its_window_and_prints(reported: FaultReport) -> None:
+def test_the_page_opens_without_network_fits_its_window_and_prints(fault_report: FaultReport) -> None:
     browser = Browser()
     try:
         for width, height in ((1280, 800), (390, 844)):
-            browser.open(reported.path.as_uri(), width, height)
+            browser.open(fault_report.path.as_uri(), width, height)
             assert browser.problems == []
             assert [address for address in browser.addresses if not address.startswith("file:")] == []
             # Nothing but tables and figures, which have scroll bars of their own, is wider than the window.
             assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth")
-            browser.take_screenshot(reported.path.with_name(f"report_{width}.png"))
-        browser.open(reported.path.as_uri(), 1000, 1180)
-        browser.take_screenshot(reported.path.with_name("report.png"))
+            browser.take_screenshot(fault_report.path.with_name(f"report_{width}.png"))
+        browser.open(fault_report.path.as_uri(), 1000, 1180)
+        browser.take_screenshot(fault_report.path.with_name("report.png"))
         printed = base64.b64decode(browser.call("Page.printToPDF", preferCSSPageSize=True)["data"])
     finally:
         browser.close()
-    reported.path.with_suffix(".pdf").write_bytes(printed)
+    fault_report.path.with_suffix(".pdf").write_bytes(printed)
     sizes = re.findall(rb"/MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", printed)
     assert 5 <= len(sizes) <= 15
     # A4 in points.

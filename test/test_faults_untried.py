@@ -55,7 +55,7 @@ def test_a_reference_and_a_star_tracker_under_faults(topic: str, kind: str, size
     run = known.run()
     assert worst_error_in_sigmas(known, run) < SIGMAS
     claimed = [message for message in run.messages("ship/attitude") if message.status != Status.INVALID]
-    # A source that contradicted itself remains suspect for ten more seconds.
+    # A source with conflicting messages remains degraded for ten more seconds.
     assert claimed[-1].status == (Status.DEGRADED if kind == "conflict" and "reference" not in topic else Status.VALID)
 
 

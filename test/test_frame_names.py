@@ -42,11 +42,11 @@ def test_every_message_of_the_ship_names_the_frames_as_configured():
     }  # fmt: skip
 
 
-@pytest.mark.parametrize(("publish_tf", "told"), [(True, {"/tf", "/tf_static"}), (False, set())])
-def test_transforms_are_left_to_another_node(publish_tf, told):
+@pytest.mark.parametrize(("publish_tf", "topics"), [(True, {"/tf", "/tf_static"}), (False, set())])
+def test_transforms_are_left_to_another_node(publish_tf, topics):
     run = run_adapter(new_adapter(publish_tf=publish_tf), voyage())
-    assert {topic for _, topic, _ in run.published if topic.startswith("/tf")} == told
-    assert {output.topic for output in run.adapter.outputs if output.topic.startswith("/tf")} == told
+    assert {topic for _, topic, _ in run.published if topic.startswith("/tf")} == topics
+    assert {output.topic for output in run.adapter.outputs if output.topic.startswith("/tf")} == topics
     others = [(ns, topic, message) for ns, topic, message in fault_free_run().published if not topic.startswith("/tf")]
     assert [topic for _, topic, _ in run.published if not topic.startswith("/tf")] == [topic for _, topic, _ in others]
 

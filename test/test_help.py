@@ -72,8 +72,8 @@ def test_no_tool_takes_abbreviated_options():
 
 
 @pytest.mark.parametrize("name", ["ship_attitude", "optical_axis", "nmea_in", "alerts", "replay"])
-def test_a_help_with_a_closed_pipe_ends_silently(name):
-    """As ``ship_attitude --help | head -1``: exit code 141, as that of ``cat``."""
+def test_a_help_with_a_closed_pipe_ends_without_output(name):
+    """The exit code of ``ship_attitude --help | head -1`` is 141, as that of ``cat``."""
     module, function = re.search(rf'"{name} = ([\w.]+):(\w+)"', SETUPS).groups()
     reader, writer = os.pipe()
     os.close(reader)

@@ -13,7 +13,7 @@ from ship_testing import ship_faults
 from ship_testing.ship_faults import AttitudeError, turn_ins
 
 STEP_S, END_S = 18.0, 21.0
-"""Both star sensors expose at the moment of the step: an exposure is compared with the INS's attitude of before it."""
+"""Both star sensors expose at the time of the step: an exposure is compared with the INS's attitude before it."""
 
 
 def voyage(rate_hz: float, **ins: float) -> SimulatedRun:
@@ -55,10 +55,10 @@ def test_a_smaller_step_increases_the_covariance_from_its_time_on(rate_hz, arcse
     """Some attitudes are VALID before the means show it; stars compared since the step are compared again."""
     for axis in range(3):
         found = run_with_step(voyage(rate_hz), tuple(arcsec * np.eye(3)[axis]))
-        told_s = next(claim.time_s for claim in found if claim.status is Status.DEGRADED)
-        assert told_s < STEP_S + 0.25
+        degraded_s = next(claim.time_s for claim in found if claim.status is Status.DEGRADED)
+        assert degraded_s < STEP_S + 0.25
         assert max(claim.sigmas for claim in found) < 6.0
-        assert max(claim.sigmas for claim in found if claim.time_s >= told_s) < 5.0
+        assert max(claim.sigmas for claim in found if claim.time_s >= degraded_s) < 5.0
         assert found[-1].status is Status.VALID
 
 

@@ -39,8 +39,8 @@ def angles(runs: list[FinalError]) -> np.ndarray:
 def test_the_filters_errors_are_no_larger_and_both_are_consistent(runs) -> None:
     rms_arcsec = [np.sqrt(np.mean(angles(of) ** 2, axis=0)) / ARCSEC for of in runs]
     nees = [np.mean([run.nees for run in of]) for of in runs]
-    for who, rms, value in zip(("filter", "iSAM2"), rms_arcsec, nees, strict=True):
-        print(f"{who}: RMS {np.round(rms, 2)} arcsec, NEES {value:.2f}")
+    for name, rms, value in zip(("filter", "iSAM2"), rms_arcsec, nees, strict=True):
+        print(f"{name}: RMS {np.round(rms, 2)} arcsec, NEES {value:.2f}")
     ours, theirs = rms_arcsec
     assert np.all(ours <= NO_LARGER * theirs)
     low, high = mean_nees_band(SEEDS, 3)
@@ -51,8 +51,8 @@ def test_the_filters_errors_are_no_larger_and_both_are_consistent(runs) -> None:
 def test_each_run_ends_at_the_same_attitude_with_the_same_sigma(runs) -> None:
     ours, theirs = runs
     sigma = np.array([run.sigma for run in theirs])
-    apart = (angles(ours) - angles(theirs)) / sigma
-    assert np.all(np.sqrt(np.mean(apart**2, axis=0)) < SAME_DATA)
-    # The filter's sigma is larger where something is in dispute: the median run has none.
+    difference = (angles(ours) - angles(theirs)) / sigma
+    assert np.all(np.sqrt(np.mean(difference**2, axis=0)) < SAME_DATA)
+    # The filter's sigma is larger with an unresolved fault: the median run has none.
     ratio = np.median(np.array([run.sigma for run in ours]) / sigma, axis=0)
     assert ratio == pytest.approx(1.0, abs=0.01)

@@ -52,9 +52,9 @@ def sample_evenly(messages: list[Any]) -> list[Any]:
 
 
 @pytest.fixture(scope="module")
-def night(tmp_path_factory: pytest.TempPathFactory) -> MessagesByTopic:
+def by_topic(tmp_path_factory: pytest.TempPathFactory) -> MessagesByTopic:
     """Return the outputs of a suite with all nodes; the one alert is hand-made."""
-    folder = tmp_path_factory.mktemp("night")
+    folder = tmp_path_factory.mktemp("run")
     found: MessagesByTopic = {}
     for bag_name in ("demo", "theodolite"):
         for topic, messages in messages_of(bag_name, folder).items():
@@ -72,20 +72,20 @@ def plotjuggler() -> ET.Element:
     return ET.parse(LAYOUTS / "plotjuggler.xml").getroot()
 
 
-def test_all_names_in_the_foxglove_layout_exist(foxglove: dict[str, Any], night: MessagesByTopic) -> None:
-    check_foxglove(foxglove, night)
+def test_all_names_in_the_foxglove_layout_exist(foxglove: dict[str, Any], by_topic: MessagesByTopic) -> None:
+    check_foxglove(foxglove, by_topic)
     assert len(paths(foxglove)) > 80
 
 
-def test_each_word_of_each_path_is_checked(foxglove: dict[str, Any], night: MessagesByTopic) -> None:
-    scripts = Scripts(foxglove, night)
+def test_each_word_of_each_path_is_checked(foxglove: dict[str, Any], by_topic: MessagesByTopic) -> None:
+    scripts = Scripts(foxglove, by_topic)
     for path in sorted(set(paths(foxglove))):
         for word in re.finditer(r"\w+", path):
             wrong = "99" if word[0].isdigit() else word[0] + "x"
             if word[0].isdigit() and path.startswith(SCRIPTS):
                 continue  # the length of a script's array is known only in the viewer
             with pytest.raises(AssertionError):
-                check_path(path[: word.start()] + wrong + path[word.end() :], foxglove, night, scripts, (object,))
+                check_path(path[: word.start()] + wrong + path[word.end() :], foxglove, by_topic, scripts, (object,))
 
 
 @pytest.mark.parametrize(
@@ -106,22 +106,22 @@ def test_each_word_of_each_path_is_checked(foxglove: dict[str, Any], night: Mess
         ("residual_arcsec: number[]", "residual_arcsec: number"),
     ],
 )
-def test_a_foxglove_layout_with_a_misspelt_name_is_refused(night: MessagesByTopic, right: str, wrong: str) -> None:
+def test_a_foxglove_layout_with_a_misspelt_name_is_refused(by_topic: MessagesByTopic, right: str, wrong: str) -> None:
     text = (LAYOUTS / "foxglove.json").read_text(encoding="utf-8")
     assert right in text
     with pytest.raises((AssertionError, KeyError)):
-        check_foxglove(json.loads(text.replace(right, wrong, 1)), night)
+        check_foxglove(json.loads(text.replace(right, wrong, 1)), by_topic)
 
 
-def test_all_names_in_the_plotjuggler_layout_exist(plotjuggler: ET.Element, night: MessagesByTopic) -> None:
-    check_plotjuggler(plotjuggler, night)
+def test_all_names_in_the_plotjuggler_layout_exist(plotjuggler: ET.Element, by_topic: MessagesByTopic) -> None:
+    check_plotjuggler(plotjuggler, by_topic)
     assert [tab.get("tab_name") for tab in plotjuggler.iter("Tab")] == [
         "Attitude", "Pointing", "Errors", "Innovations", "Inputs", "Budget"
     ]  # fmt: skip
 
 
 @pytest.mark.slow
-def test_each_name_in_the_plotjuggler_layout_is_checked(plotjuggler: ET.Element, night: MessagesByTopic) -> None:
+def test_each_name_in_the_plotjuggler_layout_is_checked(plotjuggler: ET.Element, by_topic: MessagesByTopic) -> None:
     for which in ("curve", "snippet"):
         for index, _ in enumerate(plotjuggler.iter(which)):
             broken = copy.deepcopy(plotjuggler)
@@ -131,7 +131,7 @@ def test_each_name_in_the_plotjuggler_layout_is_checked(plotjuggler: ET.Element,
             else:
                 element.find("linked_source").text += "x"
             with pytest.raises(AssertionError):
-                check_plotjuggler(broken, night)
+                check_plotjuggler(broken, by_topic)
 
 
 @pytest.mark.parametrize(
@@ -145,22 +145,24 @@ def test_each_name_in_the_plotjuggler_layout_is_checked(plotjuggler: ET.Element,
         ("1 COASTING", "1 COSTING"),
     ],
 )
-def test_a_plotjuggler_layout_with_a_misspelt_name_is_refused(night: MessagesByTopic, right: str, wrong: str) -> None:
+def test_a_plotjuggler_layout_with_a_misspelt_name_is_refused(
+    by_topic: MessagesByTopic, right: str, wrong: str
+) -> None:
     text = (LAYOUTS / "plotjuggler.xml").read_text(encoding="utf-8")
     assert right in text
     with pytest.raises(AssertionError):
-        check_plotjuggler(ET.fromstring(text.replace(right, wrong, 1)), night)
+        check_plotjuggler(ET.fromstring(text.replace(right, wrong, 1)), by_topic)
 
 
 PREFIXES = {"demo": "/demo", "replayed": ""}
-"""Names of the files that the page makes → what stands before the topics in them."""
+"""Names of the files that the page makes → prefix of the topics in them."""
 
 
-def test_the_printed_commands_rename_every_topic(night: MessagesByTopic, tmp_path: Path) -> None:
+def test_the_printed_commands_rename_every_topic(by_topic: MessagesByTopic, tmp_path: Path) -> None:
     lines = re.findall(r"^sed -E .*$", HOW_TO.read_text(encoding="utf-8"), re.MULTILINE)
     subprocess.run("\n".join(lines).replace(" out/", f" {tmp_path}/"), shell=True, cwd=ROOT, check=True)
     for name, prefix in PREFIXES.items():
-        own = {with_prefix(topic, prefix): messages for topic, messages in night.items()}
+        own = {with_prefix(topic, prefix): messages for topic, messages in by_topic.items()}
         check_foxglove(json.loads((tmp_path / f"{name}.json").read_text(encoding="utf-8")), own)
         check_plotjuggler(ET.parse(tmp_path / f"{name}.xml").getroot(), own)
     assert len(lines) == len(list(tmp_path.iterdir())) == 2 * len(PREFIXES)

@@ -85,7 +85,7 @@ def test_outputs_are_right_and_valid_throughout(node: str, topic: str) -> None:
     assert [message for message in before if not error_in_sigmas(known, message) < SIGMAS] == []
     assert [message for message in after if not error_in_sigmas(as_stamped, message) < SIGMAS] == []
     assert run.adapter.notices == ["time base stepped by -1.000 s: reset, mountings and calibration kept"]
-    assert not {source for told in run.messages(run.adapter.integrity_topic) for source in told.excluded}
+    assert not {source for report in run.messages(run.adapter.integrity_topic) for source in report.excluded}
 
 
 def test_stars_of_the_repeated_second_are_not_used() -> None:
@@ -96,9 +96,9 @@ def test_stars_of_the_repeated_second_are_not_used() -> None:
     assert {message.status for _, message in solutions} == {0}
     assert not np.any((since_s > 0.2) & (since_s < 1.0))
     assert np.min(since_s[since_s > 1.0]) < 1.5
-    refused = [m for m in run.messages("star/innovation") if m.reason == Reason.CLOCK]
-    assert {"a leap second is inserted" in m.reason_text for m in refused} == {True}
-    assert len(refused) == 5
+    rejected = [m for m in run.messages("star/innovation") if m.reason == Reason.CLOCK]
+    assert {"a leap second is inserted" in m.reason_text for m in rejected} == {True}
+    assert len(rejected) == 5
 
 
 def test_the_attitude_by_solutions_of_star_attitude_is_valid_within_two_seconds() -> None:

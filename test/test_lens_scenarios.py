@@ -77,13 +77,13 @@ def test_an_unsurveyed_lens_is_a_constant_error_beyond_the_sigma():
 def test_a_declared_unsurveyed_lens_gives_a_consistent_pointing():
     """3.5 cm per axis: 60 mm in any direction."""
     scenario = scenario_of("lens_unsurveyed")
-    told = with_theodolite(scenario, telescope__lens__sigma_m=0.0346)
+    declared = with_theodolite(scenario, telescope__lens__sigma_m=0.0346)
     errors, covariances = [], []
     for seed in range(6):
         run = simulate(scenario, seed)
-        core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(told)))
-        estimates, _, refused = feed_pointing(core, run)
-        assert refused < 3
+        core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(declared)))
+        estimates, _, rejected = feed_pointing(core, run)
+        assert rejected < 3
         true_nm = theodolite_of(run).truth.mount.rotation_nm[-1]
         errors.append(angle_between(true_nm[:, 0], estimates[-1].rotation_nm[:, 0]))
         axis_n, covariance = true_nm[:, 0], estimates[-1].covariance_n
@@ -105,7 +105,7 @@ def test_each_sighting_alone_has_the_bound_of_one_epoch(name, expected_arcsec):
 def sighting_errors_arcsec(scenario, seed: int) -> FloatArray:
     """Return errors of the telescope's axis by each sighting of a voyage alone, shape (60,)."""
     run = simulate(scenario, seed)
-    theodolite, told = theodolite_of(run), scenario.theodolite
+    theodolite, stated = theodolite_of(run), scenario.theodolite
     images, scene = theodolite.images, theodolite.truth.scene
     since_s = (images.time_ns - run.start_ns) * 1e-9
     mount = scene.mount(since_s)
@@ -120,18 +120,18 @@ def sighting_errors_arcsec(scenario, seed: int) -> FloatArray:
     )
     none = np.zeros(3)
     survey = Survey(
-        theodolite_lever=LeverArm(vector(told.lever), none),
-        principal_point=LeverArm(vector(told.telescope.lens), none),
+        theodolite_lever=LeverArm(vector(stated.lever), none),
+        principal_point=LeverArm(vector(stated.telescope.lens), none),
         beacon_lever=LeverArm(vector(scenario.beacons["a"].light), none),
         rtk_base_sigma_m=none,
         rtk_bias_sigma_m=none,
-        refraction_coefficient=told.air.coefficient,
+        refraction_coefficient=stated.air.coefficient,
         refraction_sigma=0.0,
-        refraction_beacon_sigma=told.air.light_sigma,
+        refraction_beacon_sigma=stated.air.light_sigma,
     )
     ship = Ship(mount.rotation_nd, np.zeros((3, 3)), np.swapaxes(mount.rotation_nd, -1, -2) @ mount.rotation_nm)
     points_m = images.point_m.reshape(-1, 2, 2)
-    camera = Camera(told.telescope.focal_length_m, told.telescope.focal_length_sigma_m, none[:2])
+    camera = Camera(stated.telescope.focal_length_m, stated.telescope.focal_length_sigma_m, none[:2])
     image = Image(points_m, np.full(points_m.shape[:-1], images.sigma_m))
     attitude = solve_attitude(image, camera, lines_of_sight(lights, ship, survey))
     assert attitude.solved.all()
@@ -145,9 +145,9 @@ def vector(lever) -> FloatArray:
 
 def test_both_scenarios_differ_only_in_the_lens_and_the_baselines():
     surveyed, unsurveyed = map(scenario_of, NAMES)
-    lens, untold = surveyed.theodolite.telescope.lens, unsurveyed.theodolite.telescope.lens_untold
+    lens, undeclared = surveyed.theodolite.telescope.lens, unsurveyed.theodolite.telescope.lens_untold
     assert np.linalg.norm(vector(lens)) == pytest.approx(0.06, abs=1e-5)
-    np.testing.assert_array_equal(vector(lens), vector(untold))
+    np.testing.assert_array_equal(vector(lens), vector(undeclared))
     assert unsurveyed.beacons["a"].rtk.sigma_m * np.sqrt(3.0) == pytest.approx(0.027, abs=5e-5)
     same = with_theodolite(
         unsurveyed, telescope__lens=lens, telescope__lens_untold=surveyed.theodolite.telescope.lens_untold

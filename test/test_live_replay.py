@@ -147,8 +147,8 @@ def run_offline(node: Node, path: Path, saved_path: Path) -> Outcome:
 def run_live(node: Node, path: Path, folder: Path, unclaimed_offline: int) -> tuple[Outcome, Path]:
     """Run the bag through the node's process; return outputs, the file saved by its service, and the recording.
 
-    If the machine is so busy that messages to the node were discarded (it reports them), or arrived so late that it had
-    no output where it has one offline, the bag is played more slowly: lost messages cannot be compared.
+    The bag is played more slowly if the busy machine discarded messages to the node (which reports them), or delivered
+    them so late that outputs are missing: lost messages cannot be compared.
     """
     for slower in (1, 2, 4):
         run_folder = folder / f"live_{slower}"
@@ -273,5 +273,5 @@ def test_the_live_run_meets_the_bounds(runs):
     with read_bag(path) as played, read_bag(recorded_path) as recorded:
         # On a busy machine the first message reaches the recorder late: the same stamps are to be left out.
         late_s = ((recorded.start_ns or 0) - (played.start_ns or 0)) / NS_PER_S
-    judged = check_bounds(evaluate(recorded_path, path, bounds.skip_s - late_s).quantities(), bounds, path.name)
-    assert [bound.line for bound in judged if not bound.is_met] == []
+    checked = check_bounds(evaluate(recorded_path, path, bounds.skip_s - late_s).quantities(), bounds, path.name)
+    assert [bound.line for bound in checked if not bound.is_met] == []

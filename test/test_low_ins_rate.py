@@ -27,9 +27,13 @@ def test_errors_fit_their_covariance_in_sea_state_5_at_one_sample_a_second() -> 
     """Ten exposures share one error of interpolation, 7" RMS; as ten independent ones NEES was 4.9, once 33."""
     whole = load_scenario(SCENARIOS / "sea_state_5.yaml")
     scenario = replace(whole, ins=replace(whole.ins, rate_hz=1.0))
-    told = suite_configuration(scenario)
-    told = {**told, "ins": {**told["ins"], "max_gap_s": 1.5, "silence_s": 3.0}, "coasting_after_s": 4.5}
-    config, nees = build(ShipAttitudeConfig, told), []
+    configuration = suite_configuration(scenario)
+    configuration = {
+        **configuration,
+        "ins": {**configuration["ins"], "max_gap_s": 1.5, "silence_s": 3.0},
+        "coasting_after_s": 4.5,
+    }
+    config, nees = build(ShipAttitudeConfig, configuration), []
     for seed in range(SEEDS):
         run = simulate(scenario, seed)
         estimate, _ = feed_attitude(ShipAttitudeCore(config), run)

@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[1]
 START_S = 120.0
 
 
-def watch(port):
+def run_watch(port):
     return [sys.executable, str(ROOT / "tools" / "watch.py"), "--port", str(port)]
 
 
@@ -27,7 +27,7 @@ def test_the_page_of_the_voyage_is_served_and_all_ends_with_ctrl_c(tmp_path):
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     environment = live_environment(free_domain_id(), tmp_path)
-    with LiveProcess(watch(port), tmp_path / "watch.log", environment) as process:
+    with LiveProcess(run_watch(port), tmp_path / "watch.log", environment) as process:
         address, deadline_s = f"http://127.0.0.1:{port}/", time.monotonic() + START_S
         # The address is printed at the start, and again by the page, which may be later than the outputs.
         while process.log_text().count(address) < 2 or not all(
@@ -50,7 +50,7 @@ def test_a_port_in_use_is_one_line():
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        ended = subprocess.run(watch(port), capture_output=True, text=True, timeout=60, check=False)
+        ended = subprocess.run(run_watch(port), capture_output=True, text=True, timeout=60, check=False)
     assert (ended.returncode, ended.stdout) == (2, "")
-    told = f"watch: port {port} of 127.0.0.1: Address already in use: use another, make watch PORT={port + 1}\n"
-    assert ended.stderr == told
+    expected = f"watch: port {port} of 127.0.0.1: Address already in use: use another, make watch PORT={port + 1}\n"
+    assert ended.stderr == expected

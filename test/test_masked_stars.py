@@ -21,9 +21,9 @@ VALID = 0
 
 
 @pytest.fixture(scope="module")
-def night(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return six seconds of unidentified and as many false stars, with a mast in the field of ``fore``; replayed."""
-    folder = tmp_path_factory.mktemp("night")
+    folder = tmp_path_factory.mktemp("run")
     voyage = yaml.safe_load(PAPER_STARS.read_text(encoding="utf-8"))
     voyage["duration_s"], voyage["ins"]["rate_hz"] = 6.0, 20.0
     for sensor in voyage["star_sensors"].values():
@@ -49,21 +49,23 @@ def in_the_mast(stars: list[Any]) -> int:
     return int(np.count_nonzero((azimuth_deg > -20.0) & (azimuth_deg < -1.0)))
 
 
-def test_every_detection_on_the_mast_is_rejected_with_its_reason(night: Path) -> None:
-    spots = sum(in_the_mast(message.stars) for message in messages(night / "in.mcap", "star/fore/observations"))
-    told = [m for m in messages(night / "out.mcap", "star/innovation") if "inside the mask mast" in m.reason_text]
-    assert 10 < spots == len(told)
-    assert {message.source for message in told} == {"star.fore"}
-    assert {message.reason for message in told} == {Reason.UNIDENTIFIED.value}
+def test_every_detection_on_the_mast_is_rejected_with_its_reason(run_folder: Path) -> None:
+    spots = sum(in_the_mast(message.stars) for message in messages(run_folder / "in.mcap", "star/fore/observations"))
+    rejections = [
+        m for m in messages(run_folder / "out.mcap", "star/innovation") if "inside the mask mast" in m.reason_text
+    ]
+    assert 10 < spots == len(rejections)
+    assert {message.source for message in rejections} == {"star.fore"}
+    assert {message.reason for message in rejections} == {Reason.UNIDENTIFIED.value}
 
 
-def test_the_attitude_stays_valid_by_the_stars_outside_the_mast(night: Path) -> None:
-    assert messages(night / "out.mcap", "ship/attitude")[-1].status == VALID
-    assert sum(m.status == VALID for m in messages(night / "out.mcap", "star/fore/solution")) > 6
+def test_the_attitude_stays_valid_by_the_stars_outside_the_mast(run_folder: Path) -> None:
+    assert messages(run_folder / "out.mcap", "ship/attitude")[-1].status == VALID
+    assert sum(m.status == VALID for m in messages(run_folder / "out.mcap", "star/fore/solution")) > 6
 
 
-def test_different_masks_of_the_nodes_are_an_error(night: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with read_bag(night / "in.mcap") as bag:
+def test_different_masks_of_the_nodes_are_an_error(run_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with read_bag(run_folder / "in.mcap") as bag:
         suite = bag.attachments[SUITE_ATTACHMENT].decode()
     sections = yaml.safe_load(suite)
     assert all(
@@ -71,6 +73,6 @@ def test_different_masks_of_the_nodes_are_an_error(night: Path, capsys: pytest.C
     )
     (name,) = (name for name in sections if name.endswith("star_attitude"))
     sections[name]["ros__parameters"]["star_sensors"]["fore"]["masks"]["mast"]["azimuths_deg"][0] = -25.0
-    (night / "suite.yaml").write_text(yaml.safe_dump(sections), encoding="utf-8")
-    check_config([str(night / "suite.yaml")])
+    (run_folder / "suite.yaml").write_text(yaml.safe_dump(sections), encoding="utf-8")
+    check_config([str(run_folder / "suite.yaml")])
     assert "parameter 'star_sensors.fore.masks'" in capsys.readouterr().out

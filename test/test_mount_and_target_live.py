@@ -69,32 +69,32 @@ def square(error: np.ndarray, covariance: Any) -> float:
     return float(error @ np.linalg.pinv(np.reshape(covariance, (3, 3)), rcond=1e-9, hermitian=True) @ error)
 
 
-@pytest.fixture(scope="module", name="night")
-def _night(tmp_path_factory: pytest.TempPathFactory) -> tuple[Messages, Messages]:
-    folder = tmp_path_factory.mktemp("night")
-    write_bag(with_stars_and_targets(bag_scenario(duration_s=10.0)), 3, folder / "night.mcap", b"")
-    return live_and_offline(folder / "night.mcap", OpticalAxisAdapter, folder, 2.0, {})
+@pytest.fixture(scope="module", name="runs")
+def _runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Messages, Messages]:
+    folder = tmp_path_factory.mktemp("run")
+    write_bag(with_stars_and_targets(bag_scenario(duration_s=10.0)), 3, folder / "in.mcap", b"")
+    return live_and_offline(folder / "in.mcap", OpticalAxisAdapter, folder, 2.0, {})
 
 
-def test_directions_of_every_image_are_those_of_replay_and_truth(night: tuple[Messages, Messages]) -> None:
-    live, offline = night
+def test_directions_of_every_image_are_those_of_replay_and_truth(runs: tuple[Messages, Messages]) -> None:
+    live, offline = runs
     truths = by_stamp(live[TRUTH])
-    told, replayed = by_stamp(live[DIRECTION]), by_stamp(offline[DIRECTION])
+    published, replayed = by_stamp(live[DIRECTION]), by_stamp(offline[DIRECTION])
     assert len(truths) > 90
     # One at each end may have no pointing on both its sides.
-    assert set(told) >= set(sorted(truths)[1:-3])
-    off_rad = [np.linalg.norm(vector(told[ns].direction) - vector(replayed[ns].direction)) for ns in told]
+    assert set(published) >= set(sorted(truths)[1:-3])
+    off_rad = [np.linalg.norm(vector(published[ns].direction) - vector(replayed[ns].direction)) for ns in published]
     # They may differ by lights and stars that came before or after.
     assert np.mean(np.array(off_rad) < 1e-9) > 0.8
-    for time_ns, message in told.items():
+    for time_ns, message in published.items():
         truth = truths[time_ns]
         # Chi-square with two degrees: beyond 27.6 is one in a million; with three beyond 30.7.
         assert square(vector(truth.direction) - vector(message.direction), message.direction_covariance) < 27.6
         assert square(vector(truth.position) - vector(message.position), message.position_covariance) < 30.7
 
 
-def test_stars_and_lights_point_in_the_live_node(night: tuple[Messages, Messages]) -> None:
-    live, _ = night
+def test_stars_and_lights_point_in_the_live_node(runs: tuple[Messages, Messages]) -> None:
+    live, _ = runs
     modes = [message.mode for message in live[POINTING]]
     assert modes.count(Mode.STARS_AND_LIGHTS) > 0.8 * len(modes)
     accepted = [message for message in live["theodolite/innovation"] if message.source == "star.night"]
@@ -105,31 +105,33 @@ def test_stars_and_lights_point_in_the_live_node(night: tuple[Messages, Messages
 def _stations(tmp_path_factory: pytest.TempPathFactory) -> tuple[Messages, Messages, Path]:
     """Return directions of three theodolites to a buoy for ten seconds, each at other times."""
     folder, rng = tmp_path_factory.mktemp("stations"), np.random.default_rng(5)
-    moments = [(START_NS + index * PERIOD_NS + 10_000_000 * n, n) for index in range(100) for n in range(3)]
+    epochs = [(START_NS + index * PERIOD_NS + 10_000_000 * n, n) for index in range(100) for n in range(3)]
     with BagWriter(folder / "in.mcap") as bag:
         suite = {"/**/triangulation": {"ros__parameters": triangulation_values(3)}}
         bag.add_attachment(SUITE_ATTACHMENT, yaml.safe_dump(suite))
-        for time_ns, number in moments:
+        for time_ns, number in epochs:
             seen_n = exp_rotation(SIGMA * rng.standard_normal(3)) @ buoy_direction(number, (time_ns - START_NS) * 1e-9)
             message = direction_message(time_ns, seen_n, SIGMA)
             bag.write(f"t{number}/theodolite/target_direction", message, time_ns + LATENCY_NS)
-    box = folder / "box.mcap"
-    return *live_and_offline(folder / "in.mcap", TriangulationAdapter, folder, 4.0, {"black_box": str(box)}), box
+    black_box = folder / "box.mcap"
+    return *live_and_offline(
+        folder / "in.mcap", TriangulationAdapter, folder, 4.0, {"black_box": str(black_box)}
+    ), black_box
 
 
 def test_places_are_published_live_and_are_those_of_replay_and_truth(stations: tuple[Messages, Messages, Path]) -> None:
     live, offline, _ = stations
-    told, replayed = by_stamp(live[POSITION_TOPIC]), by_stamp(offline[POSITION_TOPIC])
+    published, replayed = by_stamp(live[POSITION_TOPIC]), by_stamp(offline[POSITION_TOPIC])
     # Before the first direction of the first theodolite, and where one comes too late, another leads.
-    assert sum((time_ns - START_NS) % PERIOD_NS == 0 for time_ns in told) >= 95
-    same = sorted(told.keys() & replayed.keys())
+    assert sum((time_ns - START_NS) % PERIOD_NS == 0 for time_ns in published) >= 95
+    same = sorted(published.keys() & replayed.keys())
     assert len(same) >= 95
-    off_m = [np.linalg.norm(vector(told[ns].position) - vector(replayed[ns].position)) for ns in same]
+    off_m = [np.linalg.norm(vector(published[ns].position) - vector(replayed[ns].position)) for ns in same]
     # A direction that came earlier or later bends the curve between its neighbours.
     assert np.median(off_m) < 1e-6
     for time_ns in same:
-        error_m = vector(told[time_ns].position) - ENU_FROM_HORIZON @ buoy_n((time_ns - START_NS) * 1e-9)
-        assert square(error_m, told[time_ns].position_covariance) < 30.7
+        error_m = vector(published[time_ns].position) - ENU_FROM_HORIZON @ buoy_n((time_ns - START_NS) * 1e-9)
+        assert square(error_m, published[time_ns].position_covariance) < 30.7
 
 
 def test_the_black_box_of_the_node_is_equal_to_the_last_bit(
@@ -138,6 +140,6 @@ def test_the_black_box_of_the_node_is_equal_to_the_last_bit(
     from ship_replay.commands.replay import main
 
     code = main([str(stations[2]), "--verify"])
-    told = capsys.readouterr()
-    assert code == 0, told.out + told.err
-    assert "outputs are equal to the last bit" in told.out
+    printed = capsys.readouterr()
+    assert code == 0, printed.out + printed.err
+    assert "outputs are equal to the last bit" in printed.out

@@ -47,15 +47,15 @@ def _voyage(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[int, n
     write_bag(scenario, 3, folder / "both.mcap", b"")
     truth_nm = {}
     with read_bag(folder / "both.mcap") as bag:
-        told = [(record.topic, record.decode(), record.log_time_ns) for record in bag.records()]
-    for topic, message, time_ns in told:
+        records = [(record.topic, record.decode(), record.log_time_ns) for record in bag.records()]
+    for topic, message, time_ns in records:
         if topic == "truth/pointing":
             truth_nm[time_ns] = rotation_from_angles(message.azimuth, message.elevation, message.image_rotation)
-    ends_ns = told[0][2] + ENDS_NS
+    ends_ns = records[0][2] + ENDS_NS
 
     def bag_of(name: str, keep: Callable[[str], bool], ending: tuple[str, ...] = ()) -> None:
         with BagWriter(folder / name) as out:
-            for topic, message, time_ns in told:
+            for topic, message, time_ns in records:
                 if keep(topic) and not (topic in ending and time_ns > ends_ns):
                     out.write(topic, message, time_ns)
 
@@ -73,8 +73,8 @@ def replay_bag(folder: Path, bag: str, *, one_by_one: bool = False) -> list[tupl
     if not out.exists():
         summary = replay(folder / bag, out, ADAPTERS, folder / "suite.yaml", one_by_one=one_by_one)
         assert summary.problems == []
-    with read_bag(out) as told:
-        return [(record.topic.strip("/"), record.decode(), bytes(record.data)) for record in told.records()]
+    with read_bag(out) as replayed:
+        return [(record.topic.strip("/"), record.decode(), bytes(record.data)) for record in replayed.records()]
 
 
 def decode_topic(outputs: list[tuple[str, Any, bytes]], topic: str) -> list[Any]:
@@ -100,8 +100,8 @@ def errors(pointings: list[Any], truth_nm: dict[int, np.ndarray]) -> tuple[np.nd
 @pytest.mark.statistics
 def test_by_stars_alone_the_error_of_the_pointing_fits_its_covariance(voyage) -> None:
     folder, truth_nm = voyage
-    told = replay_bag(folder, "stars.mcap")
-    pointings = [message for message in decode_topic(told, POINTING) if message.mode == Mode.STARS]
+    replayed = replay_bag(folder, "stars.mcap")
+    pointings = [message for message in decode_topic(replayed, POINTING) if message.mode == Mode.STARS]
     assert len(pointings) > 300
     assert {message.status for message in pointings} == {Status.VALID}
     assert {message.light_count for message in pointings} == {0}
@@ -111,7 +111,7 @@ def test_by_stars_alone_the_error_of_the_pointing_fits_its_covariance(voyage) ->
     assert np.sqrt(np.mean(np.sum(off**2, axis=-1))) < 3.0
     # Chi-square with three degrees: beyond 30.7 is one in a million.
     assert np.max(nees) < 30.7
-    accepted = [message for message in decode_topic(told, INNOVATION) if message.source in SOURCES]
+    accepted = [message for message in decode_topic(replayed, INNOVATION) if message.source in SOURCES]
     assert sum(message.accepted for message in accepted) > 70
     named = {component.split(" ")[0] for message in accepted if message.accepted for component in message.components}
     assert named == {"HIP"}
@@ -119,16 +119,16 @@ def test_by_stars_alone_the_error_of_the_pointing_fits_its_covariance(voyage) ->
 
 def test_with_lights_too_the_mode_is_that_of_both(voyage) -> None:
     folder, truth_nm = voyage
-    told = replay_bag(folder, "both.mcap")
-    modes = {message.mode for message in decode_topic(told, POINTING)}
+    replayed = replay_bag(folder, "both.mcap")
+    modes = {message.mode for message in decode_topic(replayed, POINTING)}
     assert Mode.STARS_AND_LIGHTS in modes
-    pointings = [message for message in decode_topic(told, POINTING) if message.mode == Mode.STARS_AND_LIGHTS]
+    pointings = [message for message in decode_topic(replayed, POINTING) if message.mode == Mode.STARS_AND_LIGHTS]
     assert {message.status for message in pointings} == {Status.VALID}
     assert {message.light_count for message in pointings} <= {1, 2}
     _, nees = errors(pointings, truth_nm)
     assert len(nees) > 0
     assert np.max(nees) < 30.7
-    (budget, *_) = decode_topic(told, "theodolite/error_budget")[-1:]
+    (budget, *_) = decode_topic(replayed, "theodolite/error_budget")[-1:]
     assert {"star_noise", "refraction", "earth_rotation", "ship_position", "parallelism"} <= set(budget.sources)
 
 
@@ -142,12 +142,12 @@ def test_a_replay_in_blocks_gives_what_one_by_one_gives(voyage) -> None:
 @pytest.mark.slow
 def test_without_a_fix_no_star_is_used_and_the_pointing_is_that_without_stars(voyage) -> None:
     folder, _ = voyage
-    told, without = replay_bag(folder, "no_fix.mcap"), replay_bag(folder, "lights.mcap")
-    stars = [message for message in decode_topic(told, INNOVATION) if message.source in SOURCES]
+    replayed, without = replay_bag(folder, "no_fix.mcap"), replay_bag(folder, "lights.mcap")
+    stars = [message for message in decode_topic(replayed, INNOVATION) if message.source in SOURCES]
     assert len(stars) > 70
     assert {message.reason for message in stars} == {Reason.NO_FIX}
     assert not any(message.accepted for message in stars)
-    pointings = [[data for topic, _, data in one if topic == POINTING] for one in (told, without)]
+    pointings = [[data for topic, _, data in one if topic == POINTING] for one in (replayed, without)]
     assert pointings[0] == pointings[1]
 
 
@@ -155,9 +155,11 @@ def test_without_a_fix_no_star_is_used_and_the_pointing_is_that_without_stars(vo
 @pytest.mark.parametrize("bag", ["no_ship.mcap", "no_mount.mcap"])
 def test_without_ship_or_encoders_identified_stars_give_the_pointing(voyage, bag: str) -> None:
     folder, truth_nm = voyage
-    told = replay_bag(folder, bag)
+    replayed = replay_bag(folder, bag)
     alone_ns = min(truth_nm) + ENDS_NS + 1_200_000_000
-    pointings = [message for message in decode_topic(told, POINTING) if ns_from_stamp(message.header.stamp) > alone_ns]
+    pointings = [
+        message for message in decode_topic(replayed, POINTING) if ns_from_stamp(message.header.stamp) > alone_ns
+    ]
     assert {(message.mode, message.status) for message in pointings} == {(Mode.STARS, Status.DEGRADED)}
     off, nees = errors(pointings, truth_nm)
     assert len(off) == len(pointings) >= 20  # every other exposure has names
@@ -167,4 +169,4 @@ def test_without_ship_or_encoders_identified_stars_give_the_pointing(voyage, bag
     low, high = 1.5, 5.0  # of 3: the shared errors are one draw
     assert low < np.mean(nees) < high
     one_by_one = replay_bag(folder, bag, one_by_one=True)
-    assert [(topic, data) for topic, _, data in told] == [(topic, data) for topic, _, data in one_by_one]
+    assert [(topic, data) for topic, _, data in replayed] == [(topic, data) for topic, _, data in one_by_one]

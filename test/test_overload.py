@@ -50,7 +50,7 @@ class NodeObserver:
         behind: text of each rejection with the reason BEHIND, by the name of the source.
         excluded: sources that were excluded at any time.
         overload: node → level and text of its status "overload".
-        refusals: source → count and text of its last rejections.
+        rejections: source → count and text of its last rejections.
         worst_sigmas: largest error of a VALID attitude over its sigma.
     """
 
@@ -59,7 +59,7 @@ class NodeObserver:
         self.behind: dict[str, list[str]] = defaultdict(list)
         self.excluded: set[str] = set()
         self.overload: dict[str, tuple[int, str]] = {}
-        self.refusals: dict[str, tuple[int, str]] = {}
+        self.rejections: dict[str, tuple[int, str]] = {}
         self.worst_sigmas = 0.0
         self._truth = truth
         node = observer.node
@@ -86,12 +86,12 @@ class NodeObserver:
     def summary(self) -> str:
         """Return the received messages as text, for a test that times out."""
         claims = {topic: Counter(statuses) for topic, statuses in self.claims.items()}
-        return f"{claims}\nexcluded: {self.excluded}\noverload: {self.overload}\nrefusals: {self.refusals}"
+        return f"{claims}\nexcluded: {self.excluded}\noverload: {self.overload}\nrefusals: {self.rejections}"
 
     def _receive_innovation(self, message: Innovation) -> None:
         if message.reason_text:
-            count, _ = self.refusals.get(message.source, (0, ""))
-            self.refusals[message.source] = count + 1, message.reason_text
+            count, _ = self.rejections.get(message.source, (0, ""))
+            self.rejections[message.source] = count + 1, message.reason_text
         if message.reason == Reason.BEHIND:
             self.behind[message.source].append(message.reason_text)
 
@@ -142,12 +142,12 @@ def test_overload_has_a_status_and_ends(bag, tmp_path, monkeypatch):
 
     def waited_s(observer: GraphObserver, happened: Callable[[], bool]) -> float:
         start_s = time.monotonic()
-        assert observer.spin_until(happened, LIMIT_S), heard.summary()
+        assert observer.spin_until(happened, LIMIT_S), nodes.summary()
         return time.monotonic() - start_s
 
     with contextlib.ExitStack() as stack:
         observer = stack.enter_context(GraphObserver(domain))
-        heard = NodeObserver(observer, truth)
+        nodes = NodeObserver(observer, truth)
         for name, package in NODES.items():
             options = ["--ros-args", "--params-file", str(tmp_path / "suite.yaml"), "-p", "use_sim_time:=true"]
             options += ["-p", f"black_box:={tmp_path / name}.mcap"]
@@ -155,24 +155,24 @@ def test_overload_has_a_status_and_ends(bag, tmp_path, monkeypatch):
             stack.enter_context(LiveProcess(command, tmp_path / f"{name}.log", environment))
         assert observer.spin_until(lambda: set(NODES) <= set(observer.node.get_node_names()), LIMIT_S)
         with busy_core(core), play(FASTEST):
-            told = waited_s(observer, lambda: set(NODES) <= set(heard.behind))
-            shown = waited_s(observer, lambda: {level for level, _ in heard.overload.values()} == {2})
-            for node, (_, text) in heard.overload.items():
+            reported = waited_s(observer, lambda: set(NODES) <= set(nodes.behind))
+            shown = waited_s(observer, lambda: {level for level, _ in nodes.overload.values()} == {2})
+            for node, (_, text) in nodes.overload.items():
                 assert re.fullmatch(BEHIND.format(node=node), text), text
-            cut = waited_s(observer, lambda: {"ins", "star.bow", "encoder", "lights"} <= set(heard.behind))
-            for claims in heard.claims.values():
+            cut = waited_s(observer, lambda: {"ins", "star.bow", "encoder", "lights"} <= set(nodes.behind))
+            for claims in nodes.claims.values():
                 claims.clear()
-            waited_s(observer, lambda: all(Status.INVALID in claims for claims in heard.claims.values()))
-        for claims in heard.claims.values():
+            waited_s(observer, lambda: all(Status.INVALID in claims for claims in nodes.claims.values()))
+        for claims in nodes.claims.values():
             claims.clear()
-        heard.refusals.clear()
+        nodes.rejections.clear()
         with play(USUAL):
-            valid = waited_s(observer, lambda: all(Status.VALID in claims for claims in heard.claims.values()))
-            ok = waited_s(observer, lambda: {level for level, _ in heard.overload.values()} == {0})
-    print(f"behind after {told:.1f} s, shown {shown:.1f} s later, all cut {cut:.1f} s later")
+            valid = waited_s(observer, lambda: all(Status.VALID in claims for claims in nodes.claims.values()))
+            ok = waited_s(observer, lambda: {level for level, _ in nodes.overload.values()} == {0})
+    print(f"behind after {reported:.1f} s, shown {shown:.1f} s later, all cut {cut:.1f} s later")
     print(f"VALID after {valid:.1f} s, over {ok:.1f} s later")
-    assert heard.excluded == set()
-    assert heard.worst_sigmas < MOST_SIGMAS
+    assert nodes.excluded == set()
+    assert nodes.worst_sigmas < MOST_SIGMAS
     for name in NODES:
         command = [*executable("ship_replay", "replay"), str(tmp_path / f"{name}.mcap"), "--verify"]
         verified = subprocess.run(command, capture_output=True, text=True, timeout=300.0, check=False)

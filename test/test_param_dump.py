@@ -45,10 +45,10 @@ NODES = {adapter.node_name: partial(LiveNode, adapter) for adapter in ADAPTERS} 
 }
 
 
-def put(group: dict[str, Any], name: str, value: Any) -> None:
+def set_nested(group: dict[str, Any], name: str, value: Any) -> None:
     first, dot, rest = name.partition(".")
     if dot:
-        put(group.setdefault(first, {}), rest, value)
+        set_nested(group.setdefault(first, {}), rest, value)
     else:
         group[first] = value
 
@@ -63,7 +63,7 @@ def dump(name: str, file: Path) -> tuple[str, dict[str, Parameter.Type]]:
         parameters: dict[str, Any] = {}
         for parameter, kept in sorted(node.node._parameters.items()):
             value = parameter_value_to_python(kept.get_parameter_value())
-            put(parameters, parameter, list(value) if hasattr(value, "typecode") else value)
+            set_nested(parameters, parameter, list(value) if hasattr(value, "typecode") else value)
         text = yaml.dump({node.node.get_fully_qualified_name(): {"ros__parameters": parameters}})
         types = {parameter: kept.type_ for parameter, kept in node.node._parameters.items()}
         node.close()

@@ -27,7 +27,7 @@ ROOT = Path(__file__).parents[1]
 
 SEEDS = 16
 LEAVE_S, END_S = 120.0, 240.0
-MOMENTS_S = {"with lights": 119.0, "half a minute after": 150.0, "at the end": END_S}
+TIMES_S = {"with lights": 119.0, "half a minute after": 150.0, "at the end": END_S}
 
 
 @pytest.fixture(scope="module")
@@ -65,9 +65,9 @@ def test_modes_follow_the_lights(sessions):
     assert set(session.mode[session.time_s > LEAVE_S + 4.0]) == {Mode.ENCODER}
 
 
-@pytest.mark.parametrize("moment", MOMENTS_S)
-def test_errors_fit_their_covariance(sessions, moment):
-    rows = [int(np.argmin(np.abs(session.time_s - MOMENTS_S[moment]))) for session in sessions]
+@pytest.mark.parametrize("label", TIMES_S)
+def test_errors_fit_their_covariance(sessions, label):
+    rows = [int(np.argmin(np.abs(session.time_s - TIMES_S[label]))) for session in sessions]
     errors_n = np.array([session.error_n[row] for session, row in zip(sessions, rows, strict=True)])
     covariances_n = np.array([session.covariance_n[row] for session, row in zip(sessions, rows, strict=True)])
     low, high = mean_nees_band(SEEDS, degrees=3)
@@ -76,14 +76,14 @@ def test_errors_fit_their_covariance(sessions, moment):
 
 def test_the_error_grows_as_the_deformation_drifts(sessions):
     session = sessions[0]
-    rows = {moment: np.argmin(np.abs(session.time_s - at_s)) for moment, at_s in MOMENTS_S.items()}
-    sigmas_arcsec = {moment: session.sigma_on_sky[row] / ARCSEC for moment, row in rows.items()}
+    rows = {label: np.argmin(np.abs(session.time_s - at_s)) for label, at_s in TIMES_S.items()}
+    sigmas_arcsec = {label: session.sigma_on_sky[row] / ARCSEC for label, row in rows.items()}
     # With lights the floor of 3" to 5"; of the deformation 28.3" (20" in each of two axes) sqrt(1 - exp(-2 t / 600 s)).
     assert 2.0 < sigmas_arcsec["with lights"] < 6.0
-    for moment in ("half a minute after", "at the end"):
-        forgotten_s = MOMENTS_S[moment] - LEAVE_S
-        deformation = 28.3 * np.sqrt(1.0 - np.exp(-2.0 * forgotten_s / 600.0))
-        assert deformation < sigmas_arcsec[moment] < np.hypot(deformation, 8.0)
+    for label in ("half a minute after", "at the end"):
+        since_leave_s = TIMES_S[label] - LEAVE_S
+        deformation = 28.3 * np.sqrt(1.0 - np.exp(-2.0 * since_leave_s / 600.0))
+        assert deformation < sigmas_arcsec[label] < np.hypot(deformation, 8.0)
 
 
 def streak_scenario(exposure_s: float, **changes: Any) -> Scenario:
@@ -104,9 +104,9 @@ def final_nees(scenario: Scenario, seed: int, configured: Scenario) -> tuple[flo
     """Return NEES of a session with another exposure time configured in the core, and the number of its rejections."""
     run = simulate(scenario, seed)
     core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(scenario)))
-    estimates, _, refused = feed_pointing(core, dataclasses.replace(run, scenario=configured))
+    estimates, _, rejected = feed_pointing(core, dataclasses.replace(run, scenario=configured))
     error_n = log_rotation(run.theodolite.truth.mount.rotation_nm[-1] @ estimates[-1].rotation_nm.T)
-    return float(normalized_error_squared(error_n, estimates[-1].covariance_n)), refused
+    return float(normalized_error_squared(error_n, estimates[-1].covariance_n)), rejected
 
 
 @pytest.mark.statistics
@@ -115,11 +115,11 @@ def test_errors_of_streaked_lights_fit_their_covariance():
     found = [final_nees(scenario, seed, scenario) for seed in range(SEEDS)]
     low, high = mean_nees_band(SEEDS, degrees=3)
     assert low < np.mean([nees for nees, _ in found]) < high
-    assert sum(refused for _, refused in found) < 3
+    assert sum(rejected for _, rejected in found) < 3
     # Without the exposure time the points contradict one another.
-    lies = [final_nees(scenario, seed, streak_scenario(0.0)) for seed in range(4)]
-    assert np.mean([nees for nees, _ in lies]) > mean_nees_band(len(lies), degrees=3)[1]
-    assert sum(refused for _, refused in lies) > 20
+    without_exposure = [final_nees(scenario, seed, streak_scenario(0.0)) for seed in range(4)]
+    assert np.mean([nees for nees, _ in without_exposure]) > mean_nees_band(len(without_exposure), degrees=3)[1]
+    assert sum(rejected for _, rejected in without_exposure) > 20
 
 
 @pytest.mark.parametrize("exposure_s", [0.2, 1.0])
@@ -129,8 +129,8 @@ def test_points_of_moving_lights_refer_to_the_middle_of_the_exposure(exposure_s)
     run = simulate(scenario, seed=3)
     telescope, scene, images = scenario.theodolite.telescope, run.theodolite.truth.scene, run.theodolite.images
     # The estimator takes no baseline for exact.
-    told = with_beacons(scenario, rtk__sigma_m=0.001)
-    core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(told)))
+    declared = with_beacons(scenario, rtk__sigma_m=0.001)
+    core = OpticalAxisCore(build(OpticalAxisConfig, optical_axis_configuration(declared)))
     feed_pointing(core, run)
     middle_s = (images.time_ns - run.start_ns) * 1e-9
     true_m = points_on_detector(telescope, scene, middle_s, scene.mount(middle_s))

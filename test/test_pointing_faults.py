@@ -115,8 +115,8 @@ def test_two_baselines_that_jump_back_are_used_again(seed):
         (0.0, 100.0),  # 35.0
     ],
 )
-def test_encoders_that_step_in_place_are_suspect_until_lights_are_seen(seed, azimuth_arcsec, elevation_arcsec):
-    """At 20 Hz a mount of 100 deg/s² moves 225" and stands again between two readings: it may be no slip."""
+def test_encoders_that_step_in_place_are_degraded_until_lights_are_seen(seed, azimuth_arcsec, elevation_arcsec):
+    """A mount of 100 deg/s² moves 225" and stops again between two readings of 20 Hz: it may be no slip."""
     run = offset_encoders(fault_free_session(seed), azimuth_arcsec, elevation_arcsec)
     found = run_core(run, integrity__return_after_s=20.0)
     assert found.worst(Status.VALID) < 4.0
@@ -131,14 +131,14 @@ def test_encoder_steps_beyond_the_mounts_acceleration_are_detected(seed):
     """424", before VALID at 106 sigma until the next lights: the zero points are open, and lights find them."""
     found = run_core(offset_encoders(fault_free_session(seed), 300.0, -300.0))
     assert found.worst(Status.VALID, Status.DEGRADED) < 4.0
-    # Until lights of two moments, 0.2 s apart, have agreed.
+    # Until lights at two times, 0.2 s apart, are consistent.
     assert found.duration_s(Status.DEGRADED) < 0.7
     assert found.status[-1] == Status.VALID
     assert found.excluded_sources == set()
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_encoders_that_step_without_lights_are_suspect_to_the_end(seed):
+def test_encoders_that_step_without_lights_are_degraded_to_the_end(seed):
     """Before: COASTING, wrong by 42" at a sigma of 8"."""
     found = run_core(offset_encoders(fault_free_session(seed, beacons_leave_s=30.0), 0.0, 40.0))
     assert set(found.status[found.time_s >= FAULT_S]) == {Status.DEGRADED}
@@ -147,10 +147,10 @@ def test_encoders_that_step_without_lights_are_suspect_to_the_end(seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("knock_arcsec", [(0.0, 20.0), (-30.0, 0.0), (0.0, -300.0)])
-def test_a_displaced_telescope_is_named_if_neither_encoders_nor_ship_have_stepped(seed, knock_arcsec):
+@pytest.mark.parametrize("shift_arcsec", [(0.0, 20.0), (-30.0, 0.0), (0.0, -300.0)])
+def test_a_displaced_telescope_is_named_if_neither_encoders_nor_ship_have_stepped(seed, shift_arcsec):
     """Before: the encoders were excluded, or the ship's attitude; all three have similar effects on the lights."""
-    found = run_core(shift_telescope(fault_free_session(seed), *knock_arcsec), integrity__return_after_s=20.0)
+    found = run_core(shift_telescope(fault_free_session(seed), *shift_arcsec), integrity__return_after_s=20.0)
     assert found.excluded_sources == {"telescope"}
     assert found.worst(Status.VALID, Status.DEGRADED) < 4.0
     # Its new place on the axis is learnt meanwhile.
@@ -168,7 +168,7 @@ def test_late_stamps_of_lights_do_not_exclude_the_ship(seed):
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("arcsec_per_s", [3.3, -2.5])
-def test_encoders_that_creep_are_named_and_no_drone_is(seed, arcsec_per_s):
+def test_drifting_encoders_are_named_and_no_drone_is(seed, arcsec_per_s):
     """Before, in theodolite_1 at 3.3"/s: both drones were excluded one after the other; VALID at 1.42 of the level."""
     found = run_core(drift_encoders(fault_free_session(seed), arcsec_per_s))
     assert found.excluded_sources == {"encoder"}

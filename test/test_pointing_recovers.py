@@ -49,7 +49,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class _Sink(VoyageSink):
-    """Also stores the statuses of the pointing and the texts of the diagnostics of recovery."""
+    """Sink that also stores the statuses of the pointing and the texts of the diagnostics of recovery."""
 
     def __init__(self, truths: dict[str, Truth]) -> None:
         super().__init__(truths)
@@ -196,8 +196,8 @@ def test_pointings_above_the_alert_limit_are_no_trouble(session):
 
 
 class _Smoothing(OpticalAxisAdapter):
-    def make_core(self, config: OpticalAxisConfig, watch: SkyModel | None) -> SmoothingAxisCore:
-        return SmoothingAxisCore(config, watch)
+    def make_core(self, config: OpticalAxisConfig, sky_model: SkyModel | None) -> SmoothingAxisCore:
+        return SmoothingAxisCore(config, sky_model)
 
 
 def test_smoothing_has_the_pointings_of_both_estimators(session):

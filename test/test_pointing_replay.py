@@ -91,8 +91,8 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_a_fault_has_its_reason_and_no_wrong_pointing_is_valid(case, tmp_path):
     scenario, topic, reason = CASES[case]
-    path, refused = replay_scenario(scenario, tmp_path)
-    assert refused[topic][reason] > 5
+    path, rejected = replay_scenario(scenario, tmp_path)
+    assert rejected[topic][reason] > 5
     assert reason in reasons(path)
     # Of 700 pointings with three correlated channels.
     assert worst_valid_sigmas(path) < 4.5
@@ -100,9 +100,9 @@ def test_a_fault_has_its_reason_and_no_wrong_pointing_is_valid(case, tmp_path):
 
 @pytest.mark.parametrize("scenario", [with_fault(IMAGE, "hide"), with_fault(BASELINE, "delay", delay_s=1.0)])
 def test_a_hidden_light_and_late_baselines_cause_no_rejection(scenario, tmp_path):
-    path, refused = replay_scenario(scenario, tmp_path)
-    # Exposures wait for their baselines, those of the last moments in vain.
-    assert set(refused.get(IMAGE, {})) <= {"gap", "revised"}
+    path, rejected = replay_scenario(scenario, tmp_path)
+    # Exposures wait for their baselines; the last ones never arrive.
+    assert set(rejected.get(IMAGE, {})) <= {"gap", "revised"}
     assert worst_valid_sigmas(path) < 4.5
     assert evaluate(path).quantities()["pointing.invalid"] == 0
 
@@ -115,8 +115,8 @@ def test_stars_ins_and_lights_in_one_replay(tmp_path):
         star_sensors=paper.star_sensors,
         fused_attitude=FusedAttitude(),
     )
-    path, refused = replay_scenario(scenario, tmp_path)
-    assert refused == {}
+    path, rejected = replay_scenario(scenario, tmp_path)
+    assert rejected == {}
     values = evaluate(path, skip_s=5.0).quantities()
     assert values["fused.heading.rms_arcsec"] < 15.0
     assert values["pointing.two_lights.samples"] == values["pointing.samples"] == 151

@@ -46,13 +46,13 @@ def domain(monkeypatch):
 
 def network_rights(node, names):
     """Return topics and services of the nodes of a namespace: published, subscribed, served, called."""
-    asked = (
+    queries = (
         node.get_publisher_names_and_types_by_node,
         node.get_subscriber_names_and_types_by_node,
         node.get_service_names_and_types_by_node,
         node.get_client_names_and_types_by_node,
     )
-    return [{topic for name in names for topic, _ in ask(name, f"/{NAMESPACE}")} for ask in asked]
+    return [{topic for name in names for topic, _ in query(name, f"/{NAMESPACE}")} for query in queries]
 
 
 def test_every_program_has_rights_for_its_network_entities(tmp_path, domain):

@@ -119,7 +119,7 @@ def path_without_compilers(tmp_path: Path) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed: it tells which files are copied")
+@pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed: it lists the files to copy")
 @pytest.mark.skipif((ROOT / ".venv" / ".ros_prefix").exists(), reason="tried over the wheels alone")
 def test_a_checkout_with_prebuilt_wheels_is_set_up_without_a_compiler(
     tmp_path: Path, path_without_compilers: str

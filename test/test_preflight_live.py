@@ -30,8 +30,8 @@ def domain(monkeypatch):
     return free_domain_id()
 
 
-def publish(node, topic, kind, rate_hz, ahead_s=0.0, qos=10, silent_s=0.0):
-    """Publish messages of a type, stamped by the clock or ahead of it; optionally silent for a time after discovery."""
+def publish(node, topic, kind, rate_hz, ahead_s=0.0, qos=10, pause_s=0.0):
+    """Publish messages of a type, stamped by the clock or ahead of it; optionally from a time after discovery on."""
     publisher = node.create_publisher(kind, topic, qos)
 
     def send():
@@ -43,8 +43,8 @@ def publish(node, topic, kind, rate_hz, ahead_s=0.0, qos=10, silent_s=0.0):
     def begin():
         node.create_timer(1.0 / rate_hz, send)
 
-    if silent_s:
-        after_link(node, publisher, silent_s, begin)
+    if pause_s:
+        after_link(node, publisher, pause_s, begin)
     else:
         begin()
     return publisher
@@ -70,10 +70,10 @@ def preflight(observer, environment, *arguments):
     piped = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen(command, env=environment, cwd=environment["ROS_LOG_DIR"], **piped) as process:
         assert observer.spin_until(lambda: process.poll() is not None, READY_S)
-        said, told = process.communicate()
+        output, error = process.communicate()
     row = re.compile(r"^  (\w+) +(OK|WARN|FAIL|not checked) +(.*)$", re.MULTILINE)
-    assert said.splitlines()[-1].partition(": ")[2].startswith("NOT READY: " if process.returncode else "READY: ")
-    return process.returncode, row.findall(said), told
+    assert output.splitlines()[-1].partition(": ")[2].startswith("NOT READY: " if process.returncode else "READY: ")
+    return process.returncode, row.findall(output), error
 
 
 def failed_checks(rows):
@@ -89,8 +89,8 @@ def test_a_ship_that_is_ready(tmp_path, domain):
         publish(observer.node, "/diagnostics", DiagnosticArray, 1.0)  # as drivers do
         for sensor in ("fore", "starboard"):
             publish(observer.node, f"/demo/star/{sensor}/horizon_attitude", StarHorizonAttitude, 5.0)
-        code, rows, told = preflight(observer, environment, EXAMPLE, "--namespace", "demo", "--listen", "2")
-    assert (code, told, failed_checks(rows)) == (0, "", [])
+        code, rows, error = preflight(observer, environment, EXAMPLE, "--namespace", "demo", "--listen", "2")
+    assert (code, error, failed_checks(rows)) == (0, "", [])
     sensors = [found for check, result, found in rows if (check, result) == ("sensors", "OK")]
     assert len(sensors) == 3
     rates_hz = {found.split(":")[0]: float(re.search(r": ([\d.]+) Hz", found)[1]) for found in sensors}
@@ -103,7 +103,7 @@ def test_a_ship_that_is_ready(tmp_path, domain):
 
 @pytest.mark.parametrize("are_there", [True, False])
 def test_late_sensors_are_waited_for(are_there, tmp_path, domain):
-    """They speak, or are there at all, only after discovery (4 s) and listening (1 s) are over."""
+    """They publish, or start, only after discovery (4 s) and listening (1 s) have ended."""
     environment, late_s = live_environment(domain, tmp_path), 5.5
     with GraphObserver(domain) as observer:
         imu = publish(observer.node, "/demo/ins/imu", Imu, 50.0)
@@ -111,11 +111,11 @@ def test_late_sensors_are_waited_for(are_there, tmp_path, domain):
             topic = f"/demo/star/{sensor}/horizon_attitude"
             star = partial(publish, observer.node, topic, StarHorizonAttitude, 5.0)
             if are_there:
-                star(silent_s=late_s)
+                star(pause_s=late_s)
             else:
                 after_link(observer.node, imu, late_s, star)
-        code, rows, told = preflight(observer, environment, EXAMPLE, "--namespace", "demo", "--listen", "1")
-    assert (code, told, failed_checks(rows)) == (0, "", [])
+        code, rows, error = preflight(observer, environment, EXAMPLE, "--namespace", "demo", "--listen", "1")
+    assert (code, error, failed_checks(rows)) == (0, "", [])
     assert len([found for check, result, found in rows if (check, result) == ("sensors", "OK")]) == 3
 
 
@@ -133,11 +133,11 @@ def test_simultaneous_faults_are_all_reported(tmp_path, domain):
         best_effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
         publish(observer.node, "/star/fore/horizon_attitude", StarHorizonAttitude, 5.0, qos=best_effort)
         publish(observer.node, "/ship/attitude", ShipAttitude, 5.0)
-        code, rows, told = preflight(
+        code, rows, error = preflight(
             observer, environment, path, "--limits", limits, "--listen", "1", "--hours", "1e7", "--box", "/proc/boxes"
         )
     lines = failed_checks(rows)
-    assert (code, told) == (1, "")
+    assert (code, error) == (1, "")
     for expected in (
         rf"parameters: {re.escape(str(path))}:\d+: parameter 'lag_s'",
         r"security: machine.require_security demands it, and no DDS security: .* built without it",
@@ -173,8 +173,8 @@ def test_an_ins_that_nmea_in_will_read_is_not_ready_before_it_is_received(tmp_pa
         code, rows, _ = preflight(observer, environment, path, "--namespace", "demo", "--listen", "1")
         by_hand.destroy_node()
     assert ("parameters", "OK", f"{path}: good for ship_attitude, nmea_in") in rows
-    unheard = "sensors: ins/imu: not received: no publisher before nmea_in runs, which the suite starts"
-    assert (code, failed_checks(rows)) == (1, [unheard])
+    expected = "sensors: ins/imu: not received: no publisher before nmea_in runs, which the suite starts"
+    assert (code, failed_checks(rows)) == (1, [expected])
     assert ("domain", "WARN", "/demo/nmea_in is running already") in rows
 
 
@@ -217,6 +217,6 @@ def test_a_suite_whose_profile_requires_security_does_not_start_without_it(tmp_p
     command = [*executable("ship_bringup", "suite"), str(EXAMPLE), "--limits", str(limits)]
     ended = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=False)
     assert (ended.returncode, ended.stdout) == (2, "")
-    told = f"suite: {limits}: machine.require_security is true, and no DDS security: "
-    assert ended.stderr.startswith(told)
+    expected = f"suite: {limits}: machine.require_security is true, and no DDS security: "
+    assert ended.stderr.startswith(expected)
     assert ended.stderr.count("\n") == 1

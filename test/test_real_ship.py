@@ -32,7 +32,7 @@ SEEDS = 12
 pytestmark = pytest.mark.skipif(not LOGS.is_dir(), reason=f"the ship's records are not here: {LOGS}")
 
 
-def imported(tmp_path: Path, time: str) -> Path:
+def import_ship(tmp_path: Path, time: str) -> Path:
     """Return Seapath `seap` as INS, resampled, and `s330` as reference."""
     bag = tmp_path / f"{time}.mcap"
     arguments = ["--ins", str(LOGS / "NBP1406_seap-2014-08-01")]
@@ -45,7 +45,7 @@ def imported(tmp_path: Path, time: str) -> Path:
 @pytest.mark.parametrize(("time", "offset_s"), [("instrument", 0.012), ("receive", 0.110)])
 def test_clocks_and_installation_of_two_systems_are_estimated(tmp_path: Path, time: str, offset_s: float) -> None:
     fused = tmp_path / "fused.mcap"
-    assert replay([str(imported(tmp_path, time)), "--out", str(fused), "--config", str(CONFIG)]) == 0
+    assert replay([str(import_ship(tmp_path, time)), "--out", str(fused), "--config", str(CONFIG)]) == 0
     with read_bag(fused) as bag:
         alignment = [record.decode() for record in bag.records(topics=["ship/alignment"])][-1]
         innovations = [record.decode() for record in bag.records(topics=["ship/innovation"])]
@@ -65,15 +65,15 @@ def test_clocks_and_installation_of_two_systems_are_estimated(tmp_path: Path, ti
 
 def rejection_reasons(given: Iterable[SkyInput]) -> list[Rejection | None]:
     """Return the rejections of consecutive fixes or weather readings."""
-    surroundings, told = Surroundings(SkyConfig()), []
+    surroundings, reasons = Surroundings(SkyConfig()), []
     for one in given:
-        told.append(surroundings.rejection(one))
+        reasons.append(surroundings.rejection(one))
         surroundings.insert(one)
-    return told
+    return reasons
 
 
 def test_the_position_of_a_sailing_ship_is_not_rejected(tmp_path: Path) -> None:
-    with read_bag(imported(tmp_path, "instrument")) as bag:
+    with read_bag(import_ship(tmp_path, "instrument")) as bag:
         records = list(bag.records(topics=["gnss/fix"]))
     fixes = [position_fix(record.decode(), SkyConfig(), record.log_time_ns).value for record in records]
     assert rejection_reasons(fixes) == [None] * 715
@@ -93,7 +93,7 @@ def test_the_weather_is_not_rejected() -> None:
 
 def test_errors_fit_their_covariance_on_recorded_motion(tmp_path: Path) -> None:
     """One error per seed; 99.9 % bands for as many seeds. ``tools/campaign.py recorded`` runs more."""
-    bag = imported(tmp_path, "instrument")
+    bag = import_ship(tmp_path, "instrument")
     whole = load_scenario(ROOT / "bags" / "scenarios" / "recorded.yaml", recording=bag)
     scenario = replace(whole, duration_s=60.0, ins=replace(whole.ins, rate_hz=20.0))
     results = [final_error(scenario, seed) for seed in range(SEEDS)]

@@ -48,10 +48,10 @@ def with_stamp(time_ns: Callable[[Arrival], int]) -> Change:
     """Return the same message with another stamp."""
 
     def change(arrival: Arrival) -> Arrival:
-        def put(message: Any) -> None:
+        def change_message(message: Any) -> None:
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(time_ns(arrival), SECOND_NS)
 
-        return changed_copy(arrival, put)
+        return changed_copy(arrival, change_message)
 
     return change
 
@@ -63,12 +63,12 @@ def another_frame(arrival: Arrival) -> Arrival:
 def set_infinite(arrival: Arrival) -> Arrival:
     *parents, leaf = FIRST_NUMBER[type_name_of(arrival.message)].split(".")
 
-    def put(message: Any) -> None:
+    def change_message(message: Any) -> None:
         for name in parents:
             message = getattr(message, name)
         setattr(message, leaf, np.inf)
 
-    return changed_copy(arrival, put)
+    return changed_copy(arrival, change_message)
 
 
 def repeat_after(after_s: float) -> Change:
@@ -82,7 +82,7 @@ def bad_quaternion(arrival: Arrival) -> Arrival:
 def negative_variance(arrival: Arrival) -> Arrival:
     """Set a negative variance in the first field of the message's accuracy, of any shape."""
 
-    def put(message: Any) -> None:
+    def change_message(message: Any) -> None:
         name = next(name for name in VARIANCES if hasattr(message, name))
         value = getattr(message, name)
         if isinstance(value, np.ndarray):
@@ -90,16 +90,16 @@ def negative_variance(arrival: Arrival) -> Arrival:
         else:
             setattr(message, name, -1.0)
 
-    return changed_copy(arrival, put)
+    return changed_copy(arrival, change_message)
 
 
 def no_orientation(arrival: Arrival) -> Arrival:
     """Set the first element of the covariance to -1: by Imu.msg there is no orientation."""
 
-    def put(message: Any) -> None:
+    def change_message(message: Any) -> None:
         message.orientation_covariance[0] = -1.0
 
-    return changed_copy(arrival, put)
+    return changed_copy(arrival, change_message)
 
 
 VARIANCES = (
@@ -216,9 +216,9 @@ def test_a_baseline_without_fixed_solution_only_makes_its_light_unusable(count: 
     for run in (runs[0], without_them):
         state = run.adapter.core.state
         states.append((state.mean.tobytes(), state.covariance_by_source.tobytes(), state.point_count))
-    too_far_apart = others_around_s(others, topic, chosen) > MAX_GAP_S
-    assert too_far_apart == (count == 8)
-    assert (states[0] == states[1]) == too_far_apart
+    is_gap_too_long = others_around_s(others, topic, chosen) > MAX_GAP_S
+    assert is_gap_too_long == (count == 8)
+    assert (states[0] == states[1]) == is_gap_too_long
     assert states[0][2] <= states[1][2]
 
 

@@ -32,10 +32,10 @@ def test_alone_it_lists_packages_and_their_executables() -> None:
 
 def test_a_package_alone_lists_its_executables() -> None:
     for arguments in (["ship_bags"], ["ship_bags", ""]):
-        asked = ros2run(ROOT, *arguments)
-        assert (asked.returncode, asked.stdout) == (2, "")
+        run = ros2run(ROOT, *arguments)
+        assert (run.returncode, run.stdout) == (2, "")
         listed = "export import_nmea info play record"
-        assert asked.stderr == f"ros2run: name an executable of package 'ship_bags': {listed}\n"
+        assert run.stderr == f"ros2run: name an executable of package 'ship_bags': {listed}\n"
     wrong = ros2run(ROOT, "ship_bags", "rekord")
     assert wrong.stderr == f"ros2run: no executable 'rekord' in package 'ship_bags'; there are: {listed}\n"
 
@@ -51,7 +51,7 @@ def test_before_the_first_build_the_list_explains_how_to_build(tmp_path: Path) -
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "package"), PLACES.items())
 def test_an_executable_that_moved_is_named_in_its_old_package(name: str, package: str) -> None:
-    asked = ros2run(ROOT, "ship_replay", name, "--help")
-    assert asked.returncode == 2
-    assert asked.stderr == f"{name} has moved from ship_replay to {package}: ros2 run {package} {name}\n"
+    run = ros2run(ROOT, "ship_replay", name, "--help")
+    assert run.returncode == 2
+    assert run.stderr == f"{name} has moved from ship_replay to {package}: ros2 run {package} {name}\n"
     assert ros2run(ROOT, package, name, "--help").stdout.startswith(f"usage: ./ros2run {package} {name}\n")

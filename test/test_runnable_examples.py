@@ -16,7 +16,7 @@ MODULES = [
     for module in pkgutil.iter_modules(package.__path__, package.__name__ + ".")
     if not module.name.rpartition(".")[2].startswith("compiled_")
 ]
-"""Of the compiled steps the examples stand where they are called."""
+"""Modules with examples; those of the compiled steps are in the modules that call them."""
 
 
 @pytest.mark.parametrize("name", MODULES)

@@ -57,15 +57,15 @@ def test_the_nodes_accept_the_suite_file_of_each_scenario(scenario):
     nodes = configured_nodes(scenario)
     assert nodes
     for config, values in nodes.values():
-        loaded, told = flatten(config), dict(flatten_names(values))
-        assert {name: loaded[name] for name in told} == told
+        loaded, written = flatten(config), dict(flatten_names(values))
+        assert {name: loaded[name] for name in written} == written
 
 
 def test_parameters_with_the_name_of_a_scenario_key_are_written(scenario):
     for config, values in configured_nodes(scenario).values():
-        for device, told, kind in devices(scenario, config, values):
+        for device, written, kind in devices(scenario, config, values):
             missing = {
-                name for name in shared_names(device, kind) - told.keys() if has_other_default(name, device, kind)
+                name for name in shared_names(device, kind) - written.keys() if has_other_default(name, device, kind)
             }
             assert not missing, (type(device).__name__, kind.__name__, missing)
 
@@ -87,14 +87,14 @@ def flatten_names(values, prefix=""):
 def devices(scenario, config, values):
     """Yield (device of the scenario, its parameters of the node, the node's dataclass), its groups likewise."""
     yield from grouped_parameters(scenario.ins, values["ins"], type(config.ins))
-    for key, told in values.get("star_sensors", {}).items():
-        yield from grouped_parameters(scenario.star_sensors[key], told, type(config.star_sensors[key]))
-    for key, told in values.get("references", {}).items():
-        yield from grouped_parameters(scenario.references[key], told, type(config.references[key]))
-    for key, told in values.get("beacons", {}).items():
-        yield from grouped_parameters(scenario.beacons[key], told, type(config.beacons[key]))
-    for key, told in values.get("telescopes", {}).items():
-        yield from grouped_parameters(scenario.telescopes[key], told, type(config.telescopes[key]))
+    for key, written in values.get("star_sensors", {}).items():
+        yield from grouped_parameters(scenario.star_sensors[key], written, type(config.star_sensors[key]))
+    for key, written in values.get("references", {}).items():
+        yield from grouped_parameters(scenario.references[key], written, type(config.references[key]))
+    for key, written in values.get("beacons", {}).items():
+        yield from grouped_parameters(scenario.beacons[key], written, type(config.beacons[key]))
+    for key, written in values.get("telescopes", {}).items():
+        yield from grouped_parameters(scenario.telescopes[key], written, type(config.telescopes[key]))
     if "telescope" in values:
         yield from grouped_parameters(scenario.theodolite, values, type(config))
 

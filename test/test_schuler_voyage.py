@@ -45,11 +45,14 @@ def voyage(name: str = "schuler.yaml", schuler: SchulerConfig | None = None, **c
 
 
 def core_of(scenario: Scenario, **ins: Any) -> ShipAttitudeCore:
-    told = suite_configuration(scenario)
+    configuration = suite_configuration(scenario)
     # Samples come each ten seconds, those of the stars with them.
     thin = {"silence_s": 20.0}
     return ShipAttitudeCore(
-        build(ShipAttitudeConfig, {**told, "ins": {**told["ins"], **thin, **ins}, "coasting_after_s": 20.0})
+        build(
+            ShipAttitudeConfig,
+            {**configuration, "ins": {**configuration["ins"], **thin, **ins}, "coasting_after_s": 20.0},
+        )
     )
 
 
@@ -126,12 +129,12 @@ def test_a_change_of_the_vertical_drives_the_model_with_the_table(damping_time_s
 
 
 @pytest.mark.statistics
-@pytest.mark.parametrize("told", ["unknown", "none"])
-def test_an_unmodelled_change_of_the_vertical_is_consistent(told: str) -> None:
+@pytest.mark.parametrize("known_by", ["unknown", "none"])
+def test_an_unmodelled_change_of_the_vertical_is_consistent(known_by: str) -> None:
     # Drawn by the filter's default model: 20 arcseconds over 30 km.
     nees = []
     for seed in range(SEEDS):
-        gravity = Gravity(sigma_arcsec=20.0, told=told, told_unknown_sigma_arcsec=20.0)
+        gravity = Gravity(sigma_arcsec=20.0, told=known_by, told_unknown_sigma_arcsec=20.0)
         scenario = voyage("deflection.yaml", gravity=gravity)
         nees.append(errors_under_clouds(core_of(scenario), simulate(scenario, 30 + seed), 1200)[1])
     low, high = mean_nees_band(SEEDS, 3)
@@ -178,16 +181,16 @@ def test_before_the_first_position_fix_no_star_is_used() -> None:
     late = _WithLateFixes(whole, whole.start_ns + 300 * 1_000_000_000)
     for run, first_ns in ((whole, whole.start_ns), (late, late.since_ns)):
         stamps = [int(whole.ins.time_ns[row]) for row in (5, 55)]
-        core, decisions, told = core_of(scenario), [], {}
+        core, decisions, estimates = core_of(scenario), [], {}
         for outcome in attitude_outcomes(core, run, set(stamps)):
             decisions += outcome.decisions
-            told |= {estimate.time_ns: estimate for estimate in outcome.estimates}
-        refused = [decision for decision in decisions if decision.reason is Reason.NO_FIX]
-        assert all(decision.measurement.time_ns < first_ns for decision in refused)
-        assert bool(refused) is (run is late)
-        statuses = [told[stamp_ns].status for stamp_ns in stamps]
+            estimates |= {estimate.time_ns: estimate for estimate in outcome.estimates}
+        rejected = [decision for decision in decisions if decision.reason is Reason.NO_FIX]
+        assert all(decision.measurement.time_ns < first_ns for decision in rejected)
+        assert bool(rejected) is (run is late)
+        statuses = [estimates[stamp_ns].status for stamp_ns in stamps]
         assert statuses == ([Status.DEGRADED, Status.VALID] if run is late else [Status.VALID, Status.VALID])
-        last = told[stamps[1]]
+        last = estimates[stamps[1]]
         true_nd = whole.truth.rotation_nd[55]
         error_n = log_rotation(true_nd @ last.rotation_nd.T)
         # 16.3: chi-square of three, 99.9 %.

@@ -45,17 +45,17 @@ def test_fixed_solutions_are_used_and_the_others_reported(tmp_path: Path, capsys
     assert check_config([str(suite), str(bag)]) == 0
     assert replay([str(bag), "--config", str(suite), "--out", str(out)]) == 0
     capsys.readouterr()
-    told, sources = [], set()
+    innovations, sources = [], set()
     with read_bag(out) as made:
         for record in made.records():
             if record.topic == "ship/innovation":
-                told.append(record.decode())
+                innovations.append(record.decode())
             elif record.topic == "ship/attitude":
                 sources |= set(record.decode().sources)
-    assert {(one.source, tuple(one.components)) for one in told if one.accepted} == {
+    assert {(one.source, tuple(one.components)) for one in innovations if one.accepted} == {
         ("baseline", ("baseline up", "baseline right"))
     }
     # 61 solutions in 30 s at 2 Hz; 10 of them FLOAT, 4 without one; the last waits for an INS sample after it.
-    reasons = Counter(int(one.reason) for one in told)
+    reasons = Counter(int(one.reason) for one in innovations)
     assert reasons == {Reason.NONE: 46, Reason.NOT_FIXED: 14}
     assert sources == {"ins", "baseline"}

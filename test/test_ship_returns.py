@@ -78,7 +78,10 @@ def test_an_ins_whose_heading_flips_by_about_half_a_turn_and_back():
 @pytest.mark.parametrize("from_s", [0.0, 12.3, 15.0, 16.7, 18.1])
 @pytest.mark.parametrize("most_ms", [4.0, 12.0])
 def test_stamps_of_an_ins_that_are_late_at_random(most_ms, from_s, seed):
-    """Once for 60 s, from the start or later. [0 to 12 ms from the start: VALID 4 s with NEES 65, then never again]"""
+    """Delays last 60 s, from the start or later.
+
+    [0 to 12 ms from the start: VALID 4 s with NEES 65, then never again]
+    """
     end_s = from_s + 60.0
     found = run_core(delay_ins_stamps(voyage(end_s + 20.0, RATE_HZ, seed), 1e-3 * most_ms, from_s, end_s, seed))
     assert found.worst_in_sigmas(from_s + 2.5) < 5.0

@@ -58,13 +58,13 @@ def run_voyage(scenario: Scenario, seed: int, output_times_s: list[float]) -> tu
     stamps = run.ins.time_ns[run.truth.ins_index]
     rows = [int(np.searchsorted(stamps, stamps[0] + round(second * 1e9))) for second in output_times_s]
     core = SmoothingCore(build(ShipAttitudeConfig, suite_configuration(scenario)), None, None)
-    told = EstimatePair([], [])
+    pair = EstimatePair([], [])
     for outcome in attitude_outcomes(core, run, set(stamps[rows].tolist())):
-        told.filtered.extend(outcome.estimates)
+        pair.filtered.extend(outcome.estimates)
         assert core.take_smoothed() == []
-    told.smoothed.extend(core.smooth_remaining())
-    assert [one.time_ns for one in told.smoothed] == [one.time_ns for one in told.filtered] == stamps[rows].tolist()
-    return told, run.truth.rotation_nd[rows]
+    pair.smoothed.extend(core.smooth_remaining())
+    assert [one.time_ns for one in pair.smoothed] == [one.time_ns for one in pair.filtered] == stamps[rows].tolist()
+    return pair, run.truth.rotation_nd[rows]
 
 
 def nees(estimates: list[AttitudeEstimate], true_nd: np.ndarray) -> list[float]:
@@ -79,7 +79,7 @@ def sigmas_arcsec(estimates: list[AttitudeEstimate]) -> np.ndarray:
 
 @pytest.mark.statistics
 @pytest.mark.parametrize(
-    ("name", "asked_s"),
+    ("name", "epochs_s"),
     [
         # Before the first star, after it, between stars, after them, at the end.
         ("demo.yaml", [0.0, 3.0, 30.0, 47.0, 59.8]),
@@ -87,15 +87,15 @@ def sigmas_arcsec(estimates: list[AttitudeEstimate]) -> np.ndarray:
         ("schuler.yaml", [3.0, 30.0, 47.0, 59.8]),
     ],
 )
-def test_smoothed_attitudes_are_consistent(name: str, asked_s: list[float]) -> None:
+def test_smoothed_attitudes_are_consistent(name: str, epochs_s: list[float]) -> None:
     scenario, found, worth = reduced_scenario(name, 60.0, (20.0, 40.0)), [], []
     for seed in range(SEEDS):
-        told, true_nd = run_voyage(scenario, 100 + seed, asked_s)
-        at_once, smoothed = sigmas_arcsec(told.filtered), sigmas_arcsec(told.smoothed)
+        pair, true_nd = run_voyage(scenario, 100 + seed, epochs_s)
+        at_once, smoothed = sigmas_arcsec(pair.filtered), sigmas_arcsec(pair.smoothed)
         assert np.all(smoothed <= at_once * (1.0 + 1e-6))
-        assert [one.status for one in told.smoothed] == [one.status for one in told.filtered]
+        assert [one.status for one in pair.smoothed] == [one.status for one in pair.filtered]
         worth.append(smoothed / at_once)
-        found.append(nees(told.smoothed, true_nd))
+        found.append(nees(pair.smoothed, true_nd))
     low, high = mean_nees_band(SEEDS, 3)
     for mean_nees in np.mean(found, axis=0):
         assert low < mean_nees < high
@@ -131,30 +131,30 @@ CONFIG = build(
 
 def smooth_faulty_voyage(ins: list[AttitudeSample], fault_arcsec: float, seed: int) -> tuple[EstimatePair, np.ndarray]:
     """Return thirty seconds with three sensors, one rotated from 15 s on; smoothed each half second and at JUMP - 1."""
-    rng, core, told, first_ns = (
+    rng, core, pair, first_ns = (
         np.random.default_rng(seed),
         SmoothingCore(CONFIG, None, None),
         EstimatePair([], []),
         10**18,
     )
     mounted = {id_: exp_rotation(MOUNTED * rng.standard_normal(3)) for id_ in SENSORS}
-    asked_s = []
+    epochs_s = []
     for number, sample in enumerate(ins):
         since_s = (sample.time_ns - first_ns) * 1e-9
         if number % 10 == 0:
             for id_, angles_deg in SENSORS.items():
-                lie = exp_rotation(np.array([0.0, 0.0, fault_arcsec * ARCSEC * (id_ == "aft" and since_s > 15.0)]))
-                sensor = rotation_from_angles(*np.deg2rad([*angles_deg, 0.0])) @ mounted[id_] @ lie
+                shift = exp_rotation(np.array([0.0, 0.0, fault_arcsec * ARCSEC * (id_ == "aft" and since_s > 15.0)]))
+                sensor = rotation_from_angles(*np.deg2rad([*angles_deg, 0.0])) @ mounted[id_] @ shift
                 true_nd = attitudes(np.array([since_s]), SWELL)[0]
                 rotation = true_nd @ sensor @ exp_rotation(NOISE * rng.standard_normal(3))
                 core.add_measurement(AttitudeMeasurement(f"star.{id_}", sample.time_ns, rotation, np.diag(NOISE**2)))
         outcome = core.add_ins(sample, estimate=number % 25 == 5 or number == JUMP - 1)
-        told.filtered.extend(outcome.estimates)
-        asked_s += [since_s] * len(outcome.estimates)
+        pair.filtered.extend(outcome.estimates)
+        epochs_s += [since_s] * len(outcome.estimates)
         core.take_smoothed()
-    told.smoothed.extend(core.smooth_remaining())
-    assert len(told.smoothed) == len(told.filtered) == 61
-    return told, attitudes(np.array(asked_s), SWELL)
+    pair.smoothed.extend(core.smooth_remaining())
+    assert len(pair.smoothed) == len(pair.filtered) == 61
+    return pair, attitudes(np.array(epochs_s), SWELL)
 
 
 def slow_error(seed: int) -> tuple[float, float, float]:
@@ -169,9 +169,9 @@ def test_smoothing_across_a_jump_of_the_ins_is_consistent() -> None:
     found = []
     for seed in range(SEEDS // 2):
         ins = with_step(stream(30.0, 50.0, seed=seed), 0, slow_error(seed))
-        told, true_nd = smooth_faulty_voyage(with_step(ins, JUMP, (20.0, 200.0, -30.0)), 0.0, seed)
-        assert np.all(sigmas_arcsec(told.smoothed) <= sigmas_arcsec(told.filtered) * (1.0 + 1e-6))
-        found.append(nees(told.smoothed, true_nd))
+        pair, true_nd = smooth_faulty_voyage(with_step(ins, JUMP, (20.0, 200.0, -30.0)), 0.0, seed)
+        assert np.all(sigmas_arcsec(pair.smoothed) <= sigmas_arcsec(pair.filtered) * (1.0 + 1e-6))
+        found.append(nees(pair.smoothed, true_nd))
     low, high = mean_nees_band(SEEDS // 2, 3)
     before_the_jump = [number for number in range(JUMP) if number % 25 == 5 or number == JUMP - 1].index(JUMP - 1)
     for mean_nees in np.mean(found, axis=0)[[0, 10, 20, 29, before_the_jump, before_the_jump + 1, 40, 50, 60]]:
@@ -179,13 +179,13 @@ def test_smoothing_across_a_jump_of_the_ins_is_consistent() -> None:
 
 
 def test_an_excluded_sensor_has_no_effect_on_smoothing() -> None:
-    # A minute of arc, with an effect for a second; after the exclusion the rows start again, and the chain with them.
+    # A minute of arc, with an effect for a second. The subfilters, and the smoother, restart after the exclusion.
     ins = with_step(stream(30.0, 50.0), 0, slow_error(0))
-    told, true_nd = smooth_faulty_voyage(ins, 60.0, 0)
-    assert any("star.aft" not in one.sources for one in told.filtered[35:])
-    assert [one.status for one in told.smoothed] == [one.status for one in told.filtered]
+    pair, true_nd = smooth_faulty_voyage(ins, 60.0, 0)
+    assert any("star.aft" not in one.sources for one in pair.filtered[35:])
+    assert [one.status for one in pair.smoothed] == [one.status for one in pair.filtered]
     # Chi-square of three degrees of freedom exceeds it once in ten thousand.
-    assert max(nees(told.smoothed, true_nd)) < 21.1
+    assert max(nees(pair.smoothed, true_nd)) < 21.1
 
 
 # -- with a fixed lag ---------------------------------------------------------------------------------------------
@@ -194,7 +194,7 @@ def test_an_excluded_sensor_has_no_effect_on_smoothing() -> None:
 def test_with_a_lag_each_attitude_is_also_published_smoothed_and_nothing_else_changes() -> None:
     arrivals, lag_s = voyage(12.0), 4.0
     run, plain = run_adapter(new_adapter(smoothing_lag_s=lag_s), arrivals), run_adapter(new_adapter(), arrivals)
-    assert [told for told in run.results() if told[1] != SMOOTHED_TOPIC] == plain.results()
+    assert [result for result in run.results() if result[1] != SMOOTHED_TOPIC] == plain.results()
     assert not plain.messages(SMOOTHED_TOPIC)
     at_once = {stamp_of(message): message for message in run.messages("ship/attitude")}
     smoothed = run.messages(SMOOTHED_TOPIC)
@@ -210,7 +210,7 @@ def test_with_a_lag_each_attitude_is_also_published_smoothed_and_nothing_else_ch
         at_last, variances = whole[stamp_ns], np.diagonal(message.covariance.reshape(3, 3))
         assert message.status == at_once[stamp_ns].status
         assert np.all(variances <= np.diagonal(at_once[stamp_ns].covariance.reshape(3, 3)) * (1.0 + 1e-6))
-        # Two seconds of stars more, and all that came later besides.
+        # It has two more seconds of stars, and all later data.
         assert np.all(np.diagonal(at_last.covariance.reshape(3, 3)) <= variances * (1.0 + 1e-6))
     again = run_adapter(new_adapter(smoothing_lag_s=lag_s), arrivals)
     assert again.results() == run.results()

@@ -118,28 +118,28 @@ def run_core(core: OpticalAxisCore, run: SimulatedRun) -> Iterator[PointingOutco
 
 @pytest.fixture(scope="module")
 def sessions() -> list[EstimatePair]:
-    scenario, told = session(), []
+    scenario, smoothed = session(), []
     for seed in range(SEEDS):
         run, core = simulate(scenario, seed), axis_core(scenario)
-        told.append(smoothed_pointings(core, run_core(core, run), run))
-    return told
+        smoothed.append(smoothed_pointings(core, run_core(core, run), run))
+    return smoothed
 
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("second", [1.0, 15.0, 29.0, 40.0, 57.0, 64.0, 89.0, 105.0])
 def test_smoothed_pointings_are_consistent(sessions: list[EstimatePair], second: float) -> None:
     place = sessions[0].place(second)
-    found = [nees(told.smoothed[place : place + 1], told.true_nm[place : place + 1])[0] for told in sessions]
+    found = [nees(one.smoothed[place : place + 1], one.true_nm[place : place + 1])[0] for one in sessions]
     low, high = mean_nees_band(SEEDS, 3)
     assert low < np.mean(found) < high
 
 
 def test_no_variance_grows_and_later_measurements_improve_earlier_pointings(sessions: list[EstimatePair]) -> None:
     # Shortly before an exclusion the filtered pointings still depend on the source.
-    kept = [told for told in sessions if not told.excluded]
-    assert len(kept) > SEEDS // 2
-    for told in kept:
-        at_once, smoothed = covariances(told.filtered), covariances(told.smoothed)
+    without_fault = [session for session in sessions if not session.excluded]
+    assert len(without_fault) > SEEDS // 2
+    for session in without_fault:
+        at_once, smoothed = covariances(session.filtered), covariances(session.smoothed)
         scale = np.trace(at_once, axis1=1, axis2=2)
         assert np.all(np.linalg.eigvalsh(at_once - smoothed)[:, 0] > -1e-9 * scale)
     # By encoders alone, in the thirty seconds before the first lights.
@@ -147,13 +147,14 @@ def test_no_variance_grows_and_later_measurements_improve_earlier_pointings(sess
     assert {one.mode for one in sessions[0].filtered[before]} == {Mode.ENCODER}
     errors = {
         name: rms_arcsec(
-            np.array([error_vectors_n(getattr(told, name)[before], told.true_nm[before]) for told in sessions])
+            np.array([error_vectors_n(getattr(session, name)[before], session.true_nm[before]) for session in sessions])
         )
-        for name in ("at_once", "smoothed")
+        for name in ("filtered", "smoothed")
     }
-    print(f"before the first lights: at once {errors['at_once']:.1f} arcsec, smoothed {errors['smoothed']:.1f} arcsec")
-    assert errors["at_once"] > 40.0
-    assert errors["smoothed"] < 0.25 * errors["at_once"]
+    texts = [f"{name} {error:.1f} arcsec" for name, error in errors.items()]
+    print(f"before the first lights: {', '.join(texts)}")
+    assert errors["filtered"] > 40.0
+    assert errors["smoothed"] < 0.25 * errors["filtered"]
     # After the last lights there are no further measurements.
     last = sessions[0]
     np.testing.assert_allclose(
@@ -181,8 +182,8 @@ FAULT_S = 58.0
 
 @pytest.mark.statistics
 def test_smoothing_before_a_slip_of_the_encoders_is_consistent() -> None:
-    # In the gap of the lights the encoders slip by two degrees, further than a mount could turn between two readings:
-    # an error that comes at that moment.
+    # The encoders slip by two degrees in the gap of the lights, further than a mount could turn between two readings:
+    # the error begins at that time.
     scenario, found, gained = replace(with_theodolite(session(), encoder__rate_hz=20.0), duration_s=75.0), [], []
     for seed in range(6):
         run, core = simulate(scenario, seed), axis_core(scenario)
@@ -190,10 +191,12 @@ def test_smoothing_before_a_slip_of_the_encoders_is_consistent() -> None:
         late = readings.time_ns > run.start_ns + round(FAULT_S * 1e9)
         slipped = replace(readings, azimuth=np.mod(readings.azimuth + np.deg2rad(2.0) * late, 2.0 * np.pi))
         run = replace(run, theodolite=replace(run.theodolite, encoder=slipped))
-        told = smoothed_pointings(core, run_core(core, run), run)
-        places = [told.place(second) for second in (5.0, 25.0, 40.0, 55.0, FAULT_S)]
-        found.append(nees([told.smoothed[place] for place in places], told.true_nm[places]))
-        variances = [np.trace(covariances(all_), axis1=1, axis2=2)[places] for all_ in (told.filtered, told.smoothed)]
+        result = smoothed_pointings(core, run_core(core, run), run)
+        places = [result.place(second) for second in (5.0, 25.0, 40.0, 55.0, FAULT_S)]
+        found.append(nees([result.smoothed[place] for place in places], result.true_nm[places]))
+        variances = [
+            np.trace(covariances(all_), axis1=1, axis2=2)[places] for all_ in (result.filtered, result.smoothed)
+        ]
         gained.append(np.sqrt(variances[1] / variances[0]))
     low, high = mean_nees_band(6, 3)
     for mean_nees in np.mean(found, axis=0):
@@ -212,13 +215,13 @@ def test_an_excluded_drone_has_no_effect_on_smoothing() -> None:
     baseline_n = baselines["a"].baseline_n + np.array([0.6, -0.4, 0.5]) * late[:, None]
     baselines["a"] = replace(baselines["a"], baseline_n=baseline_n)
     run = replace(run, theodolite=replace(run.theodolite, baselines=baselines))
-    told = smoothed_pointings(core, run_core(core, run), run)
-    assert told.excluded == {BEACON_PREFIX + "a"}
+    result = smoothed_pointings(core, run_core(core, run), run)
+    assert result.excluded == {BEACON_PREFIX + "a"}
     # Chi-square of three degrees of freedom exceeds it once in ten thousand.
-    assert np.max(nees(told.smoothed, told.true_nm)) < 21.1
+    assert np.max(nees(result.smoothed, result.true_nm)) < 21.1
     # The other drone's lights continue to improve the axes, but not those before: the estimate is another one.
-    assert is_unchanged(told, 40.0, 40.5)
-    assert not is_unchanged(told, 45.0, 80.0)
+    assert is_unchanged(result, 40.0, 40.5)
+    assert not is_unchanged(result, 45.0, 80.0)
 
 
 def test_excluded_encoders_change_no_smoothed_pointing() -> None:
@@ -229,13 +232,13 @@ def test_excluded_encoders_change_no_smoothed_pointing() -> None:
     late = readings.time_ns > run.start_ns + round(FAULT_S * 1e9)
     slipped = replace(readings, azimuth=np.mod(readings.azimuth + np.deg2rad(0.5) * late, 2.0 * np.pi))
     run = replace(run, theodolite=replace(run.theodolite, encoder=slipped))
-    told = smoothed_pointings(core, run_core(core, run), run)
-    assert told.excluded == {ENCODER}
-    assert np.max(nees(told.smoothed, told.true_nm)) < 21.1
+    result = smoothed_pointings(core, run_core(core, run), run)
+    assert result.excluded == {ENCODER}
+    assert np.max(nees(result.smoothed, result.true_nm)) < 21.1
     # From the last lights before on; and each later sighting is independent.
-    assert not is_unchanged(told, 45.0, 49.0)
-    assert is_unchanged(told, 50.0, FAULT_S)
-    assert is_unchanged(told, 70.0, 88.0)
+    assert not is_unchanged(result, 45.0, 49.0)
+    assert is_unchanged(result, 50.0, FAULT_S)
+    assert is_unchanged(result, 70.0, 88.0)
 
 
 def is_unchanged(estimates: EstimatePair, start_s: float, end_s: float) -> bool:
@@ -289,10 +292,10 @@ def run_voyage(seed: int) -> EstimatePair:
 def test_smoothing_with_the_smoothed_ship_attitude_is_consistent() -> None:
     found = []
     for seed in range(SEEDS // 2):
-        told = run_voyage(seed)
+        result = run_voyage(seed)
         # Before the first lights, with all, without stars, without stars and lights, without lights, at the end.
-        places = [told.place(second) for second in (2.0, 14.0, 28.0, 34.0, 42.0, 55.0, 74.0)]
-        found.append(nees([told.smoothed[place] for place in places], told.true_nm[places]))
+        places = [result.place(second) for second in (2.0, 14.0, 28.0, 34.0, 42.0, 55.0, 74.0)]
+        found.append(nees([result.smoothed[place] for place in places], result.true_nm[places]))
     low, high = mean_nees_band(SEEDS // 2, 3)
     for mean_nees in np.mean(found, axis=0):
         assert low < mean_nees < high
@@ -306,29 +309,29 @@ def test_later_stars_improve_earlier_pointings() -> None:
     found, errors = [], {"at_once": [], "smoothed": []}
     for seed in range(SEEDS // 2):
         rng = np.random.default_rng(seed)
-        night = MountSession(settings, draw_errors(settings, rng), mount_sky(settings), rng)
-        core, told, true_nm = SmoothingAxisCore(settings, load_sky_model(settings.sky)), [], []
+        session = MountSession(settings, draw_errors(settings, rng), mount_sky(settings), rng)
+        core, filtered, true_nm = SmoothingAxisCore(settings, load_sky_model(settings.sky)), [], []
         for given in anchored_readings():
             core.add_surroundings(given)
         for number in range(80):
             time_ns = TIME_NS + number * 250_000_000
-            ship = night.ship()
+            ship = session.ship()
             core.add_ship(ShipSample(time_ns, ship.rotation_nd, ship.rate_d, ship.correlated_covariance_n))
             # Each five seconds another field; from the second on with stars.
             if number % 20 == 0:
                 field = random_field(rng)
             if number >= 20 and number % 4 == 2:
-                core.add_stars(night.exposure(field, 6, time_ns))
-            estimates = core.add_encoder(night.reading(field, time_ns)).estimates
-            told += estimates
-            true_nm += [night.main_axis(field)] * len(estimates)
+                core.add_stars(session.exposure(field, 6, time_ns))
+            estimates = core.add_encoder(session.reading(field, time_ns)).estimates
+            filtered += estimates
+            true_nm += [session.main_axis(field)] * len(estimates)
         smoothed = list(core.smooth_remaining())
-        assert len(smoothed) == len(told)
+        assert len(smoothed) == len(filtered)
         first = slice(2, 12)
-        assert {one.mode for one in told[first]} == {Mode.ENCODER}
-        for name, estimates in (("at_once", told), ("smoothed", smoothed)):
+        assert {one.mode for one in filtered[first]} == {Mode.ENCODER}
+        for name, estimates in (("at_once", filtered), ("smoothed", smoothed)):
             errors[name].append(error_vectors_n(estimates[first], np.array(true_nm[first])))
-        places = [5, 30, 50, len(told) - 2]
+        places = [5, 30, 50, len(filtered) - 2]
         found.append(nees([smoothed[place] for place in places], np.array(true_nm)[places]))
     low, high = mean_nees_band(SEEDS // 2, 3)
     for mean_nees in np.mean(found, axis=0):

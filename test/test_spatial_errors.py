@@ -29,11 +29,11 @@ LARGE = {"field_spatial_sigma_px": 0.3, "pixel_spatial_sigma_px": 0.2}
 def solve_first_exposure(run: SimulatedRun):
     """Return the attitude of the sensor by the first exposure of a run, and the true one (horizon from sensor)."""
     config = build(StarAttitudeConfig, star_attitude_configuration(run.scenario))
-    watch = load_sky_model(config.sky)
+    sky_model = load_sky_model(config.sky)
     for _, source, index in run.arrivals():
         if source in SKY_SOURCES:
-            watch.surroundings.insert(sky_input(run, source, index))
-    _, outcome = solve_exposure(star_exposure(run, "fore", 0), (), None, watch)
+            sky_model.surroundings.insert(sky_input(run, source, index))
+    _, outcome = solve_exposure(star_exposure(run, "fore", 0), (), None, sky_model)
     return outcome.solution, run.truth.sightings["fore"].rotation_nv[0]
 
 

@@ -40,15 +40,15 @@ def one_epoch(**changes) -> Scenario:
 
 def configured_sky(run: SimulatedRun, configuration: ShipAttitudeConfig) -> SkyModel:
     """Return the sky by the fixes and the weather station."""
-    watch = load_sky_model(configuration.sky)
+    sky_model = load_sky_model(configuration.sky)
     for _, source, index in run.arrivals():
         if source in SKY_SOURCES:
-            watch.surroundings.insert(sky_input(run, source, index))
-    return watch
+            sky_model.surroundings.insert(sky_input(run, source, index))
+    return sky_model
 
 
 def sighted_stars(
-    exposures: dict[str, StarExposure], watch: SkyModel, configuration: ShipAttitudeConfig
+    exposures: dict[str, StarExposure], sky_model: SkyModel, configuration: ShipAttitudeConfig
 ) -> MatchedStars:
     """Return all stars of several sensors in the deck."""
     parts, mounting_b, field_b, field_sources = [], [], [], ()
@@ -61,7 +61,7 @@ def sighted_stars(
             sensor.installation_sigma_right_arcsec,
         ]
         mounting_b.append(rotation_ds * np.array(sigma_s) * ARCSEC)
-        apparent = watch.sky_at(exposure.time_ns).apparent_stars(exposure.positions)
+        apparent = sky_model.sky_at(exposure.time_ns).apparent_stars(exposure.positions)
         measured_b = exposure.directions_s @ rotation_ds.T
         of_sensor = np.full(len(exposure), index)
         field_b.append(rotation_ds @ exposure.field_modes)
@@ -146,7 +146,7 @@ def test_errors_of_low_stars_fit_their_covariance_by_erfa_and_are_smaller_by_tra
     """
     truth = low_elevation_scenario("ray_trace")
     low_bound, high_bound = mean_nees_band(SEEDS, degrees=3)
-    by_formula, by_rays = (joint_errors(truth, told) for told in (low_elevation_scenario("erfa"), truth))
+    by_formula, by_rays = (joint_errors(truth, scenario) for scenario in (low_elevation_scenario("erfa"), truth))
     nees = [float(np.mean(each_nees(*found))) for found in (by_formula, by_rays)]
     rms = [np.sqrt(np.mean(errors_n[:, [0, 2]] ** 2)) / ARCSEC for errors_n, _ in (by_formula, by_rays)]
     print(f"erfa: NEES {nees[0]:.2f}, tilt {rms[0]:.2f}″; ray_trace: NEES {nees[1]:.2f}, tilt {rms[1]:.2f}″")
@@ -160,11 +160,11 @@ def test_an_error_of_the_clock_is_modelled_with_that_of_ut1() -> None:
     """A rotation of the Earth by 0.2 s more or less than the stamps: 3″, as with such an error of all clocks."""
     late = one_epoch(earth_rotation_sigma_s=0.2)
     low_bound, high_bound = mean_nees_band(SEEDS, degrees=3)
-    told = normalised_errors(late, utc_sigma_s=0.2)
-    untold = normalised_errors(late)
-    print(f"NEES {np.mean(told):.2f} told, {np.mean(untold):.2f} untold")
-    assert low_bound < np.mean(told) < high_bound
-    assert np.mean(untold) > high_bound
+    stated = normalised_errors(late, utc_sigma_s=0.2)
+    unstated = normalised_errors(late)
+    print(f"NEES {np.mean(stated):.2f} stated, {np.mean(unstated):.2f} not stated")
+    assert low_bound < np.mean(stated) < high_bound
+    assert np.mean(unstated) > high_bound
 
 
 def test_a_tracker_in_the_icrs_is_rotated_to_the_true_horizon() -> None:
@@ -187,10 +187,10 @@ def test_a_tracker_in_the_icrs_is_rotated_to_the_true_horizon() -> None:
         earth_rotation_sigma_s=1e-9,
     )
     run = simulate(exact, seed=1)
-    watch = configured_sky(run, build(ShipAttitudeConfig, suite_configuration(exact)))
+    sky_model = configured_sky(run, build(ShipAttitudeConfig, suite_configuration(exact)))
     for id_, samples in run.stars.items():
         inertial = InertialAttitude(id_, int(samples.time_ns[0]), samples.rotation_cv[0], samples.noise_v)
-        found = to_horizon_attitude(inertial, watch)
+        found = to_horizon_attitude(inertial, sky_model)
         true_ns = run.truth.rotation_nd[0] @ run.truth.stars[id_].rotation_dv
         # The estimator refreshes the slow part of its chain every ten seconds.
         assert np.max(np.abs(log_rotation(true_ns.T @ found.rotation_nv))) < 0.5e-3 * ARCSEC

@@ -35,7 +35,7 @@ FEW = int(os.environ.get("SKY_SEEDS", "4"))
 """Seeds that show an error which is far beyond the covariance; ``make campaign`` takes more of both."""
 LONG_STREAK_SEEDS = 200
 SURELY_WRONG = 6.0
-"""Mean NEES that the issue asks for at least where a part of the chain is missing; honest is 3."""
+"""Least mean NEES if a part of the model is missing; 3 is consistent."""
 
 
 def short_scenario(**changes) -> Scenario:
@@ -53,18 +53,18 @@ def runs() -> list[SimulatedRun]:
 
 
 def final_nees(
-    run: SimulatedRun, watch: type[SkyModel] = SkyModel, table: EarthOrientationTable | None = None
+    run: SimulatedRun, sky_class: type[SkyModel] = SkyModel, table: EarthOrientationTable | None = None
 ) -> float:
     """Return NEES of the fused attitude at the end, by an estimator with another sky if given."""
-    return final_error_squared(run, run_to_end(run, watch, table)[1])
+    return final_error_squared(run, run_to_end(run, sky_class, table)[1])
 
 
 def run_to_end(
-    run: SimulatedRun, watch: type[SkyModel] = SkyModel, table: EarthOrientationTable | None = None
+    run: SimulatedRun, sky_class: type[SkyModel] = SkyModel, table: EarthOrientationTable | None = None
 ) -> tuple[ShipAttitudeCore, AttitudeEstimate]:
     """Return the estimator at the end, and its last attitude."""
     config = core_for(run.scenario).config
-    core = ShipAttitudeCore(config, watch(config.sky, table or earth_orientation_table(), hipparcos()))
+    core = ShipAttitudeCore(config, sky_class(config.sky, table or earth_orientation_table(), hipparcos()))
     return core, feed_attitude(core, run)[0]
 
 
@@ -80,14 +80,14 @@ def test_a_fix_in_time_rewinds_nothing() -> None:
     core, steps = core_for(run.scenario), 0
     step = core.filter.step
 
-    def counted(*arguments):
+    def count_steps(*arguments):
         nonlocal steps
         found = step(*arguments)
         # None: it waits for a sample of the INS.
         steps += found is not None
         return found
 
-    core.filter.step = counted
+    core.filter.step = count_steps
     feed_attitude(core, run)
     # Before, every fix rewound: 1.80 steps an exposure.
     assert steps <= 1.1 * sum(len(samples.time_ns) for samples in run.stars.values())
@@ -139,12 +139,12 @@ def test_with_streaks_of_a_fifth_of_a_second_the_error_fits_its_covariance():
 
 @pytest.mark.parametrize("exposure_s", [0.1, 0.2])
 def test_streaks_without_exposure_time_are_detected(exposure_s):
-    """The errors are larger than they say; or the sensors are found to contradict it."""
-    lies = [without_exposure_length(run) for run in run_with_streaks(exposure_s, 3)]
-    found = [(*run_to_end(lie), lie) for lie in lies]
-    told = [core.state.unresolved_fault is not None or bool(core.state.exclusion_counts) for core, _, _ in found]
-    nees = [final_error_squared(lie, estimate) for _, estimate, lie in found]
-    assert any(told) or np.mean(nees) > mean_nees_band(len(nees), 3)[1], (told, nees)
+    """Either a fault is detected, or the errors exceed their covariance."""
+    runs = [without_exposure_length(run) for run in run_with_streaks(exposure_s, 3)]
+    found = [(*run_to_end(one), one) for one in runs]
+    detected = [core.state.unresolved_fault is not None or bool(core.state.exclusion_counts) for core, _, _ in found]
+    nees = [final_error_squared(one, estimate) for _, estimate, one in found]
+    assert any(detected) or np.mean(nees) > mean_nees_band(len(nees), 3)[1], (detected, nees)
 
 
 def large_roll_scenario(ins_rate_hz: float) -> Scenario:
@@ -174,7 +174,7 @@ def test_a_higher_ins_rate_does_not_reduce_the_sigma_of_its_clock() -> None:
 
 @pytest.mark.statistics
 def test_errors_of_long_streaks_fit_their_covariance() -> None:
-    """With the noise of two samples in the rate, the roll's RMS was 1.19 sigma and NEES 3.54."""
+    """A rate with the noise of two samples had a roll RMS of 1.19 sigma and a NEES of 3.54."""
     scenario = large_roll_scenario(100.0)
     results = [final_error(scenario, seed) for seed in range(LONG_STREAK_SEEDS)]
     ratio = np.sqrt(np.mean([(result.angles / result.sigma) ** 2 for result in results], axis=0))
@@ -199,8 +199,8 @@ class SkyWithoutRefraction(SkyModel):
     """Sky without refraction."""
 
     def sky_at(self, time_ns: int) -> LocalSky | Rejection:
-        moment = super().sky_at(time_ns)
-        return moment if isinstance(moment, Rejection) else _WithoutAir(**vars(moment))
+        sky = super().sky_at(time_ns)
+        return sky if isinstance(sky, Rejection) else _WithoutAir(**vars(sky))
 
 
 class _WithoutVelocity(RefreshedSky):

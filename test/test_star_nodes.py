@@ -206,8 +206,8 @@ class _NoSubscriber:
 def test_a_black_box_of_the_node_is_equal_to_the_last_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config, files = star_voyage.config(), RecordingFiles()
     adapter = StarAttitudeAdapter(config, RosidlFactory(), files)
-    box = BlackBox(str(tmp_path / "box.mcap"), adapter, config, adapter.outputs, "/", print)
-    calls = AdapterCalls(adapter, {output.topic: _NoSubscriber() for output in adapter.outputs}, files, box)
+    black_box = BlackBox(str(tmp_path / "box.mcap"), adapter, config, adapter.outputs, "/", print)
+    calls = AdapterCalls(adapter, {output.topic: _NoSubscriber() for output in adapter.outputs}, files, black_box)
     grid = TickGrid()
     for number, arrival in enumerate(star_voyage.voyage(noise=True)):
         for tick_ns in grid.ticks_until(arrival.receive_ns):
@@ -219,7 +219,7 @@ def test_a_black_box_of_the_node_is_equal_to_the_last_bit(tmp_path: Path, capsys
         data = serialize_message(arrival.message)
         # As it comes from the middleware: sigma_px and magnitude have single precision there.
         calls.handle(arrival.topic, data, deserialize_message(data, type(arrival.message)), arrival.receive_ns)
-    box.close()
+    black_box.close()
 
     assert replay([str(tmp_path / "box.mcap"), "--verify"]) == 0, capsys.readouterr().out
     out = capsys.readouterr().out
@@ -231,18 +231,18 @@ def test_a_black_box_of_the_node_is_equal_to_the_last_bit(tmp_path: Path, capsys
 
 @pytest.mark.smoke
 @pytest.mark.live
-def test_live_over_dds_the_outputs_and_the_box_are_the_same(
+def test_live_over_dds_the_outputs_and_the_black_box_are_the_same(
     both: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    box = tmp_path / "box.mcap"
-    with LiveRun(both[0], StarAttitudeAdapter, "ship_attitude_star", tmp_path / "run", {"black_box": str(box)}) as run:
+    path = tmp_path / "box.mcap"
+    with LiveRun(both[0], StarAttitudeAdapter, "ship_attitude_star", tmp_path / "run", {"black_box": str(path)}) as run:
         run.play(rate=1.0)
     live = {(r.topic.lstrip("/"), stamp(r)): attitude(r) for r in records(run.recorded_path) if "solution" in r.topic}
     for record in records(both[1], *SOLUTIONS):
         # The place may rest on a fix more or less.
         assert np.max(np.abs(live[record.topic, stamp(record)] - attitude(record))) < 1e-11
-    assert replay([str(box), "--verify"]) == 0, capsys.readouterr().out
+    assert replay([str(path), "--verify"]) == 0, capsys.readouterr().out
 
 
 def stamp(record: BagRecord) -> int:

@@ -47,7 +47,7 @@ def run(*arguments):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "expected"),
     [
         (NODE.replace("lag_s", "lagg_s"), r":3: parameter 'lagg_s' is unknown: .*did you mean 'lag_s'\?"),
         (NODE.replace("2.0", "-1.0"), r":3: parameter 'lag_s' .*-1\.0"),
@@ -57,12 +57,12 @@ def run(*arguments):
         (NODE + NMEA_OUT.replace("port", "prt"), r":7: parameter 'sinks\.bridge\.prt' is unknown: .* mean 'port'"),
     ],
 )
-def test_a_bad_suite_file_is_one_line_with_file_line_and_what_was_expected(tmp_path, text, told):
+def test_a_bad_suite_file_is_one_line_with_file_line_and_what_was_expected(tmp_path, text, expected):
     path = tmp_path / "suite.yaml"
     path.write_text(text)
     ended = run(path)
     assert (ended.returncode, ended.stdout) == (2, "")
-    assert re.fullmatch(rf"suite: {re.escape(str(path))}{told}.*\n", ended.stderr), ended.stderr
+    assert re.fullmatch(rf"suite: {re.escape(str(path))}{expected}.*\n", ended.stderr), ended.stderr
 
 
 def test_a_pipe_in_place_of_a_file_is_refused_at_once(tmp_path):
@@ -82,7 +82,7 @@ def test_neither_a_file_nor_a_bag():
     assert ended.stderr == "suite: no FILE: expected a suite file, or --bag with a bag that has one attached\n"
 
 
-def test_a_folder_for_boxes_that_cannot_be_written_starts_nothing():
+def test_a_folder_for_black_boxes_that_cannot_be_written_starts_nothing():
     ended = run("--bag", DEMO, "--box", "/proc/boxes")
     assert (ended.returncode, ended.stdout) == (2, "")
     assert re.fullmatch(r"suite: --box /proc/boxes: .*: expected a folder that can be written\n", ended.stderr)
@@ -107,34 +107,34 @@ def test_a_bag_is_played_to_its_end_into_the_suite_that_is_attached_to_it(tmp_pa
     assert "suite.yaml: ship_attitude has no alignment_file" in log
 
 
-@pytest.mark.parametrize("tell_simulated", [False, True])
-def test_the_attitude_of_a_bag_is_sent_as_sentences_with_mode_simulator(tmp_path, domain, tell_simulated):
+@pytest.mark.parametrize("is_simulated_sent", [False, True])
+def test_the_attitude_of_a_bag_is_sent_as_sentences_with_mode_simulator(tmp_path, domain, is_simulated_sent):
     """Only THS has a mode for it; HDT is invalid unless configured, as for a training."""
-    path, told = tmp_path / "suite.yaml", tmp_path / "told.nmea"
+    path, log_path = tmp_path / "suite.yaml", tmp_path / "log.nmea"
     nodes = {
         "/**/nmea_in": {"sources": {"gyro": {"kind": "serial", "device": "/dev/ttyUSB7", "becomes": "gyro"}}},
-        # Of a bag at 5 times its speed a moment on the way is a quarter of a second of the ship.
+        # The bag is played at 5 times its speed: a delay of 50 ms is a quarter of a second of its time.
         "/**/nmea_out": {
             "longest_age_s": 30.0,
-            "tell_simulated": tell_simulated,
-            "sinks": {"log": {"kind": "file", "path": str(told), "sentences": ["THS", "HDT"], "rate_hz": 100.0}},
+            "tell_simulated": is_simulated_sent,
+            "sinks": {"log": {"kind": "file", "path": str(log_path), "sentences": ["THS", "HDT"], "rate_hz": 100.0}},
         },
     }
     path.write_text((ROOT / "examples" / "two_sensors.yaml").read_text() + sections_text(nodes))
     command = suite(path, "--bag", DEMO, "--rate", "5", "--namespace", "aurora")
     with LiveProcess(command, tmp_path / "suite.log", live_environment(domain, tmp_path)) as process:
         end_s = time.monotonic() + 60.0
-        while not (told.exists() and told.read_text().count(",S*") > 50):
+        while not (log_path.exists() and log_path.read_text().count(",S*") > 50):
             assert time.monotonic() < end_s, process.log_text()
             time.sleep(0.1)
         process.end()
         assert "nmea_in" not in process.log_text()
-    lines = told.read_text().split()
+    lines = log_path.read_text().split()
     headings = [line for line in lines if line.startswith("$INHDT")]
     others = [line for line in lines if line not in headings]
     assert not [line for line in others if not re.fullmatch(r"\$INTHS,(\d+\.\d{4},S|,V)\*[0-9A-F]{2}", line)]
     assert sum(not line.startswith("$INHDT,,T") for line in headings) == (
-        sum(",S*" in line for line in others) if tell_simulated else 0
+        sum(",S*" in line for line in others) if is_simulated_sent else 0
     )
 
 
@@ -150,8 +150,8 @@ def test_a_port_in_use_ends_nmea_out_and_not_the_suite(tmp_path, domain):
             assert process.wait(120) == 2, process.log_text()
             log = process.log_text()
     line = path.read_text().splitlines().index(sink.splitlines()[-1]) + 1
-    told = rf"^\[nmea_out\] nmea_out: {path}:{line}: parameter 'sinks.bridge.port' = .* in use"
-    assert re.search(told, log, re.MULTILINE), log
+    expected = rf"^\[nmea_out\] nmea_out: {path}:{line}: parameter 'sinks.bridge.port' = .* in use"
+    assert re.search(expected, log, re.MULTILINE), log
     assert re.search(r"^\[suite\] nmea_out ended .*: exit code 2; started again ", log, re.MULTILINE)
     assert re.search(r"^\[suite\] play ended after .*: exit code 0; the suite ends with it$", log, re.MULTILINE), log
 
@@ -219,7 +219,7 @@ def test_two_suites_in_two_namespaces_do_not_mix(tmp_path, domain):
 
 
 def test_a_killed_node_is_restarted_within_two_seconds_with_its_saved_alignment(tmp_path, domain, monkeypatch):
-    """In the usual company: another node, page, alerts, a box, and a recorder, which has the gap of the data.
+    """The suite has another node, page, alerts, a black box, and a recorder, whose bag contains the gap of the data.
 
     Measured with 25 processes competing for the four cores, 10 kills: gap 0.8 s in the median, 1.7 s at most. It needs
     at most 0.2 s of work, as the reserve process has imported its libraries before; the rest is the 0.5 s of the
@@ -263,7 +263,7 @@ def gap_after_kill_s(folder, environment):
         assert re.search(r"no alignment at", process.log_text())
         os.kill(node_of(process.pid, "ship_attitude"), signal.SIGKILL)
         killed_ns = time.time_ns()
-        # The successor has begun with what was saved, has used stars, and has saved what it learned.
+        # The successor started from the saved alignment, used stars, and saved its estimate.
         wait_for(lambda: ", 0 min old" in process.log_text() and saved.stat().st_mtime_ns > killed_ns, process)
         assert process.end(signal.SIGTERM) == 0
         for other in others:
@@ -271,13 +271,13 @@ def gap_after_kill_s(folder, environment):
         log = process.log_text()
     with read_bag(recorded) as bag:
         stamps = {ns_from_stamp(record.decode().header.stamp) for record in bag.records()}
-    # A second of the bag is one of the clock on the wall.
+    # A second of the bag is one of the computer's clock.
     return max(later - earlier for earlier, later in itertools.pairwise(sorted(stamps))) / NS_PER_S, log, saved
 
 
 @pytest.mark.slow
 def test_a_node_that_is_stopped_is_reported_and_replaced(tmp_path, domain):
-    """Together with its reserve process, as by a user who stops all processes of that name."""
+    """Its reserve process is stopped too, as if a user stops all processes of that name."""
     command = suite("--bag", DEMO, "--loop", "0", "--frozen-report", "2", "--frozen-restart", "5")
     with LiveProcess(command, tmp_path / "suite.log", live_environment(domain, tmp_path)) as process:
         valid = "[ship_attitude]: attitude: VALID"
@@ -330,7 +330,7 @@ def has_reserve(suite_pid, name):
 
 
 def test_every_status_of_the_nodes_has_one_place_in_the_aggregator_file(tmp_path, domain):
-    """Of the nodes of two examples, which are all nodes, and of the alerts."""
+    """The statuses are those of the nodes of two examples, which have all nodes, and of the alerts."""
     names: set[str] = set()
     environment = live_environment(domain, tmp_path)
     stars = suite(ROOT / "examples" / "three_sensors.yaml", "--namespace", "stars", "--box", tmp_path)

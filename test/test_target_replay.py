@@ -52,9 +52,9 @@ def test_errors_of_directions_and_places_fit_their_covariances(voyage) -> None:
     folder, suite, truths = voyage
     replay(folder / "in.mcap", folder / "out.mcap", ADAPTERS, suite)
     with read_bag(folder / "out.mcap") as bag:
-        told = [record.decode() for record in bag.records() if record.topic.strip("/") == DIRECTION]
-    claimed = [message for message in told if message.status != Status.INVALID]
-    assert len(told) >= len(truths) - 2
+        published = [record.decode() for record in bag.records() if record.topic.strip("/") == DIRECTION]
+    claimed = [message for message in published if message.status != Status.INVALID]
+    assert len(published) >= len(truths) - 2
     # Images at the ends of the voyage have no pointing on both sides.
     assert len(claimed) >= len(truths) - 4 > 90
     assert Status.VALID in {message.status for message in claimed}
@@ -91,7 +91,7 @@ def test_pointings_are_those_without_the_images(voyage) -> None:
         for bag in ("in.mcap", "plain.mcap")
     )
     innovations = [entry for entry in with_images if entry[0] == "theodolite/innovation"]
-    told = [entry for entry in without if entry[0] == "theodolite/innovation"]
-    assert len(innovations) - len(told) <= 2  # of the images at the ends, which have no pointing
+    innovations_without = [entry for entry in without if entry[0] == "theodolite/innovation"]
+    assert len(innovations) - len(innovations_without) <= 2  # of the images at the ends, which have no pointing
     others = [entry for entry in with_images if entry[0] != "theodolite/innovation"]
     assert others == [entry for entry in without if entry[0] != "theodolite/innovation"]

@@ -84,10 +84,10 @@ def test_the_deck_is_published_with_each_attitude_at_its_stamp():
     assert [ns_from_stamp(deck.header.stamp) for deck in decks] == list(claimed)
     for deck, attitude in zip(decks, claimed.values(), strict=True):
         assert (deck.header.frame_id, deck.child_frame_id) == ("horizon", "deck")
-        told = rotation_from_message(deck.transform.rotation)
+        published = rotation_from_message(deck.transform.rotation)
         # Both forms of ship/attitude: the quaternion, and the angles turned into ROS's.
-        assert angle_between(told, rotation_from_message(attitude.orientation)) < BEYOND_ROUNDING
-        assert angle_between(told, ros_rotation(attitude.heading, attitude.pitch, attitude.roll)) < BEYOND_ROUNDING
+        assert angle_between(published, rotation_from_message(attitude.orientation)) < BEYOND_ROUNDING
+        assert angle_between(published, ros_rotation(attitude.heading, attitude.pitch, attitude.roll)) < BEYOND_ROUNDING
 
 
 def test_no_transform_is_from_the_future():
@@ -97,7 +97,7 @@ def test_no_transform_is_from_the_future():
 
 
 def test_from_the_deck_there_is_a_frame_to_each_configured_star_sensor():
-    """As configured before the first star; then with the estimate in ship/alignment."""
+    """The frames are as configured before the first star; later they have the estimate in ship/alignment."""
     run = fault_free_run()
     first, *_, last = run.messages("/tf_static")
     for static, alignment in ((first, None), (last, run.messages("ship/alignment")[-1])):
@@ -135,9 +135,9 @@ def test_through_the_deck_a_star_sensor_has_its_measured_attitude():
         for arrival in voyage():
             near = [ns for ns in decks if abs(ns - arrival.stamp_ns) <= 3_000_000]
             if arrival.topic == topic and near and arrival.stamp_ns > START_NS + 2 * SECOND_NS:
-                told = ros_rotation(arrival.message.azimuth, arrival.message.elevation, arrival.message.roll)
+                measured = ros_rotation(arrival.message.azimuth, arrival.message.elevation, arrival.message.roll)
                 # 3 ms of a ship that turns by 2.5°/s at most are 27″.
-                off = np.degrees((told.inv() * decks[near[0]] * mounted[frame]).as_rotvec()) * 3600.0
+                off = np.degrees((measured.inv() * decks[near[0]] * mounted[frame]).as_rotvec()) * 3600.0
                 assert np.all(np.abs(off) < [530.0, 60.0, 60.0]), off
                 compared += 1
     assert compared >= 3
@@ -161,9 +161,9 @@ def test_each_sensor_has_a_separate_frame(ids, expected):
 
 def test_without_star_sensors_no_frame_below_the_deck_is_published():
     adapter = ShipAttitudeAdapter(ShipAttitudeConfig(), FACTORY)
-    told = [topic for topic, _ in adapter.tick(START_NS)]
-    assert "ship/alignment" in told
-    assert "/tf_static" not in told
+    topics = [topic for topic, _ in adapter.tick(START_NS)]
+    assert "ship/alignment" in topics
+    assert "/tf_static" not in topics
 
 
 def test_no_transform_is_published_for_an_invalid_attitude():
@@ -176,10 +176,16 @@ def test_no_transform_is_published_for_an_invalid_attitude():
     decks = transforms(run.messages("/tf"))
     assert_for_tf2(decks)
     assert [ns_from_stamp(deck.header.stamp) for deck in decks] == claimed
-    for attitude, told in zip(attitudes, run.messages("ship/attitude_deg"), strict=True):
-        assert told.header == attitude.header
-        assert told.status == attitude.status
-        numbers = [told.heading_deg, told.pitch_deg, told.roll_deg, told.heading_95_arcsec, told.roll_95_arcsec]
+    for attitude, in_degrees in zip(attitudes, run.messages("ship/attitude_deg"), strict=True):
+        assert in_degrees.header == attitude.header
+        assert in_degrees.status == attitude.status
+        numbers = [
+            in_degrees.heading_deg,
+            in_degrees.pitch_deg,
+            in_degrees.roll_deg,
+            in_degrees.heading_95_arcsec,
+            in_degrees.roll_95_arcsec,
+        ]
         assert np.all(np.isnan(numbers)) == (attitude.status == Status.INVALID)
 
 
@@ -202,11 +208,11 @@ def test_degrees_and_95_percent():
     run = fault_free_run()
     pairs = list(zip(run.messages("ship/attitude"), run.messages("ship/attitude_deg"), strict=True))
     assert len(pairs) > 100
-    for attitude, told in pairs:
+    for attitude, in_degrees in pairs:
         angles = np.degrees([attitude.heading, attitude.pitch, attitude.roll])
-        assert [told.heading_deg, told.pitch_deg, told.roll_deg] == pytest.approx(angles, rel=1e-15)
+        assert [in_degrees.heading_deg, in_degrees.pitch_deg, in_degrees.roll_deg] == pytest.approx(angles, rel=1e-15)
         arcsec = 1.96 * np.degrees(np.sqrt(np.asarray(attitude.covariance)[[0, 4, 8]])) * 3600.0
-        found = [told.heading_95_arcsec, told.pitch_95_arcsec, told.roll_95_arcsec]
+        found = [in_degrees.heading_95_arcsec, in_degrees.pitch_95_arcsec, in_degrees.roll_95_arcsec]
         assert found == pytest.approx(arcsec, rel=1e-12)
 
 
@@ -226,12 +232,12 @@ def replay_frames(folder: Path, changes=None):
     values["/**/optical_axis"]["ros__parameters"]["ship"] |= changes or {}
     suite.write_text(yaml.safe_dump(values), encoding="utf-8")
     replay(part, out, ADAPTERS, suite)
-    told = defaultdict(list)
+    messages = defaultdict(list)
     with read_bag(out) as bag:
         for record in bag.records():
-            told[record.topic].append(record.decode())
-        told["latched"] = bag.latched_topics
-    return told
+            messages[record.topic].append(record.decode())
+        messages["latched"] = bag.latched_topics
+    return messages
 
 
 @pytest.fixture(scope="module")
@@ -268,8 +274,8 @@ def test_through_the_deck_as_tf2_interpolates_it_the_main_axis_is_the_pointing(b
         if pointing.status == Status.INVALID:
             continue
         chain = slerp(ns - min(decks)) * rotation_from_message(mains[ns].transform.rotation)
-        said = ros_rotation(pointing.azimuth, pointing.elevation, pointing.image_rotation)
-        assert angle_between(chain, said) < BEYOND_ROUNDING
+        published = ros_rotation(pointing.azimuth, pointing.elevation, pointing.image_rotation)
+        assert angle_between(chain, published) < BEYOND_ROUNDING
         between[ns in decks] += 1
     assert between[False] > 100
     assert between[True] > 50
@@ -282,39 +288,39 @@ def test_a_bag_of_a_replay_has_the_latched_frames_of_the_live_node(both):
 
 def test_by_the_ins_alone_the_parent_of_the_main_axis_is_the_horizon(tmp_path):
     """The deck of /tf is not that of the INS: as its child the axis would have the INS's errors."""
-    told = replay_frames(tmp_path, {"source": "ins/imu", "frame_id": ""})
-    mains = [t for t in transforms(told["/tf"]) if t.child_frame_id == "theodolite_main"]
-    pointings = by_stamp(m for m in told["theodolite/pointing"] if m.status != Status.INVALID)
+    replayed = replay_frames(tmp_path, {"source": "ins/imu", "frame_id": ""})
+    mains = [t for t in transforms(replayed["/tf"]) if t.child_frame_id == "theodolite_main"]
+    pointings = by_stamp(m for m in replayed["theodolite/pointing"] if m.status != Status.INVALID)
     assert [ns_from_stamp(t.header.stamp) for t in mains] == list(pointings)
     for main, pointing in zip(mains, pointings.values(), strict=True):
         assert main.header.frame_id == "horizon"
-        said = ros_rotation(pointing.azimuth, pointing.elevation, pointing.image_rotation)
-        assert angle_between(rotation_from_message(main.transform.rotation), said) < BEYOND_ROUNDING
+        published = ros_rotation(pointing.azimuth, pointing.elevation, pointing.image_rotation)
+        assert angle_between(rotation_from_message(main.transform.rotation), published) < BEYOND_ROUNDING
 
 
 def test_no_transform_is_published_for_an_invalid_pointing():
     adapter = voyage_of("optical_axis").new_adapter()
-    told = [*adapter.tick(START_NS), *adapter.tick(START_NS + 2 * SECOND_NS)]
-    assert {m.status for topic, m in told if topic == "theodolite/pointing"} == {Status.INVALID}
-    assert not [topic for topic, _ in told if topic.startswith("/tf")]
+    published = [*adapter.tick(START_NS), *adapter.tick(START_NS + 2 * SECOND_NS)]
+    assert {m.status for topic, m in published if topic == "theodolite/pointing"} == {Status.INVALID}
+    assert not [topic for topic, _ in published if topic.startswith("/tf")]
 
 
 @pytest.mark.live
 def test_late_subscribers_receive_the_sensor_frames(tmp_path, monkeypatch):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    domain, heard = free_domain_id(), []
+    domain, received = free_domain_id(), []
     command = [*executable("ship_attitude_star", "ship_attitude"), "--ros-args", "--params-file"]
     command += [str(ROOT / "examples" / "two_sensors.yaml"), "-p", "slow_topics_period_s:=60.0"]
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     environment = live_environment(domain, tmp_path)
     with GraphObserver(domain) as observer, LiveProcess(command, tmp_path / "node.log", environment) as process:
-        observer.node.create_subscription(TFMessage, "/tf_static", heard.append, latched)
-        assert observer.spin_until(lambda: heard, 60.0), process.log_text()
+        observer.node.create_subscription(TFMessage, "/tf_static", received.append, latched)
+        assert observer.spin_until(lambda: received, 60.0), process.log_text()
         # The node publishes it again only after a minute: this subscriber receives the latched message.
-        observer.node.create_subscription(TFMessage, "/tf_static", heard.append, latched)
-        assert observer.spin_until(lambda: len(heard) > 1), process.log_text()
+        observer.node.create_subscription(TFMessage, "/tf_static", received.append, latched)
+        assert observer.spin_until(lambda: len(received) > 1), process.log_text()
         assert process.end() == 0
-    assert {(t.header.frame_id, t.child_frame_id) for t in heard[1].transforms} == {
+    assert {(t.header.frame_id, t.child_frame_id) for t in received[1].transforms} == {
         ("deck", "star_fore"), ("deck", "star_starboard"),
     }  # fmt: skip
-    assert heard[1] == heard[0]
+    assert received[1] == received[0]

@@ -42,8 +42,8 @@ class Ship:
         parameters = folder / "suite.yaml"
         parameters.write_text(SUITE)
         self.context = Context()
-        box = f"black_box:={folder}/box.mcap"
-        rclpy.init(args=["node", "--ros-args", "--params-file", str(parameters), "-p", box], context=self.context)
+        black_box = f"black_box:={folder}/box.mcap"
+        rclpy.init(args=["node", "--ros-args", "--params-file", str(parameters), "-p", black_box], context=self.context)
         self.live = LiveNode(ShipAttitudeAdapter, self.context)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self.live.spin, args=(self._stop.is_set,))

@@ -55,7 +55,7 @@ def packages_that_colcon_finds(*where: str) -> set[str]:
 
 
 def test_packages_of_jazzy_are_built_only_by_the_setup_with_wheels() -> None:
-    """In a workspace of a ship's computer a second tf2_msgs would hide the installed one."""
+    """A second tf2_msgs in the workspace of a ship's computer would hide the installed one."""
     assert {path.name for path in (TOOLS / "wheels_only").iterdir()} == {"COLCON_IGNORE", "tf2_msgs"}
     assert "ship_msgs" in (found := packages_that_colcon_finds())
     assert "tf2_msgs" not in found
@@ -63,7 +63,7 @@ def test_packages_of_jazzy_are_built_only_by_the_setup_with_wheels() -> None:
 
 
 def test_tf2_msgs_is_defined_as_in_jazzy() -> None:
-    """By the hash with which DDS matches types; rosbags has its own copy of Jazzy's definitions."""
+    """The hash with which DDS matches types is equal; rosbags has its own copy of Jazzy's definitions."""
     kind = "tf2_msgs/msg/TFMessage"
     described = Path(get_package_share_directory("tf2_msgs"), "msg", "TFMessage.json").read_text(encoding="utf-8")
     hashes = {each["type_name"]: each["hash_string"] for each in json.loads(described)["type_hashes"]}

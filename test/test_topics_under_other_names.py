@@ -46,7 +46,7 @@ def plain(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def renamed(tmp_path_factory):
+def renamed_bag(tmp_path_factory):
     """Return the same with an INS, a receiver and a truth with topic names of drivers."""
     return _beginning(tmp_path_factory.mktemp("renamed") / "voyage.mcap", NAMES)
 
@@ -64,7 +64,7 @@ def _beginning(path, names, suite=None):
 
 
 @pytest.fixture
-def mapped(tmp_path):
+def mapped_suite(tmp_path):
     """Return a suite file with a map of topics."""
     path = tmp_path / "mapped.yaml"
     path.write_text(_mapped_text())
@@ -82,63 +82,63 @@ def _outputs(path):
 
 
 @pytest.fixture(scope="module")
-def expected(plain, tmp_path_factory):
+def expected_outputs(plain, tmp_path_factory):
     """Return the outputs of the replay of the bag with the suite's names."""
     out = tmp_path_factory.mktemp("expected") / "out.mcap"
     assert replay([str(plain), "--config", str(SUITE), "--out", str(out)]) == 0
     return out
 
 
-def test_remap_replays_and_evaluates_the_same(plain, renamed, expected, tmp_path, capsys):
+def test_remap_replays_and_evaluates_the_same(plain, renamed_bag, expected_outputs, tmp_path, capsys):
     out = tmp_path / "out.mcap"
-    assert replay([str(renamed), "--config", str(SUITE), "--out", str(out), *REMAPS]) == 0
-    assert _outputs(out) == _outputs(expected)
+    assert replay([str(renamed_bag), "--config", str(SUITE), "--out", str(out), *REMAPS]) == 0
+    assert _outputs(out) == _outputs(expected_outputs)
     files = [tmp_path / name for name in ("renamed.json", "plain.json")]
-    assert evaluate([str(out), "--against", str(renamed), "--json", str(files[0]), *REMAPS]) == 0
-    assert evaluate([str(expected), "--against", str(plain), "--json", str(files[1])]) == 0
+    assert evaluate([str(out), "--against", str(renamed_bag), "--json", str(files[0]), *REMAPS]) == 0
+    assert evaluate([str(expected_outputs), "--against", str(plain), "--json", str(files[1])]) == 0
     assert json.loads(files[0].read_text()) == json.loads(files[1].read_text())
 
 
-def test_the_map_of_a_suite_file_replays_and_evaluates_the_same(renamed, expected, mapped, tmp_path):
+def test_the_map_of_a_suite_file_replays_and_evaluates_the_same(renamed_bag, expected_outputs, mapped_suite, tmp_path):
     out = tmp_path / "out.mcap"
-    assert replay([str(renamed), "--config", str(mapped), "--out", str(out)]) == 0
-    assert _outputs(out) == _outputs(expected)
+    assert replay([str(renamed_bag), "--config", str(mapped_suite), "--out", str(out)]) == 0
+    assert _outputs(out) == _outputs(expected_outputs)
 
 
-def test_the_map_of_the_attached_suite_file_replays_and_evaluates_the_same(expected, tmp_path):
+def test_the_map_of_the_attached_suite_file_replays_and_evaluates_the_same(expected_outputs, tmp_path):
     bag = _beginning(tmp_path / "recorded.mcap", NAMES, _mapped_text())
     assert replay([str(bag), "--out", str(tmp_path / "out.mcap")]) == 0
-    assert _outputs(tmp_path / "out.mcap") == _outputs(expected)
+    assert _outputs(tmp_path / "out.mcap") == _outputs(expected_outputs)
     assert evaluate([str(tmp_path / "out.mcap"), "--against", str(bag)]) == 0
 
 
-def test_a_namespace_applies_to_names_without_a_slash(plain, expected, tmp_path):
+def test_a_namespace_applies_to_names_without_a_slash(plain, expected_outputs, tmp_path):
     names = {record[0].lstrip("/"): f"/ship/{record[0].lstrip('/')}" for record in _outputs(plain)}
     bag = _beginning(tmp_path / "in.mcap", names | {"ins/imu": "/ship/imu/data", "gnss/fix": "/fix"})
     out = tmp_path / "out.mcap"
     words = ["--namespace", "ship", "--remap", "imu/data:=ins/imu", "/fix:=gnss/fix"]
     assert replay([str(bag), "--config", str(SUITE), "--out", str(out), *words]) == 0
-    assert _outputs(out) == _outputs(expected)
+    assert _outputs(out) == _outputs(expected_outputs)
 
 
-def test_a_candidate_for_a_missing_input_is_named_by_its_type(renamed, tmp_path, capsys):
+def test_a_candidate_for_a_missing_input_is_named_by_its_type(renamed_bag, tmp_path, capsys):
     advice = "sensor_msgs/Imu on /imu/data: --remap /imu/data:=ins/imu"
-    assert replay([str(renamed), "--config", str(SUITE), "--out", str(tmp_path / "out.mcap")]) == 2
+    assert replay([str(renamed_bag), "--config", str(SUITE), "--out", str(tmp_path / "out.mcap")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert advice in line
-    assert check_config([str(SUITE), str(renamed)]) == 2
+    assert check_config([str(SUITE), str(renamed_bag)]) == 2
     captured = capsys.readouterr()
     assert advice in captured.err
-    assert check_config([str(SUITE), str(renamed), *REMAPS]) == 0
+    assert check_config([str(SUITE), str(renamed_bag), *REMAPS]) == 0
     assert "is not in" not in capsys.readouterr().out
 
 
-def test_every_command_that_reads_a_bag_accepts_remap(renamed, expected, tmp_path, capsys):
-    bag, config, out = str(renamed), str(SUITE), tmp_path
+def test_every_command_that_reads_a_bag_accepts_remap(renamed_bag, expected_outputs, tmp_path, capsys):
+    bag, config, out = str(renamed_bag), str(SUITE), tmp_path
     assert smooth([bag, "--config", config, "--out", str(out / "smoothed.mcap"), *REMAPS]) == 0
     words = ["--config", config, "--out", str(out / "alignment.yaml"), *REMAPS]
     assert calibrate_installation([bag, *words]) == 0
-    assert report([str(expected), "--truth", bag, "--out", str(out / "page.html"), *REMAPS]) == 0
+    assert report([str(expected_outputs), "--truth", bag, "--out", str(out / "page.html"), *REMAPS]) == 0
     words = ["--config", config, "--out", str(out / "campaign"), "--workers", "1", *REMAPS]
     assert campaign([bag, *words]) == 0
     faults = ROOT / "bags" / "faults" / "demo.yaml"
@@ -151,8 +151,8 @@ def test_every_command_that_reads_a_bag_accepts_remap(renamed, expected, tmp_pat
     assert (out / "tables" / "gnss.fix.csv").is_file()
 
 
-def test_the_page_shows_a_recording_with_other_names(expected, tmp_path):
-    with read_bag(expected) as bag, BagWriter(tmp_path / "other.mcap") as writer:
+def test_the_page_shows_a_recording_with_other_names(expected_outputs, tmp_path):
+    with read_bag(expected_outputs) as bag, BagWriter(tmp_path / "other.mcap") as writer:
         for record in bag.records():
             topic = {"ship/attitude": "/nav/attitude"}.get(record.topic, record.topic)
             writer.write_raw(topic, record.type_name, record.data, record.log_time_ns)
@@ -163,7 +163,7 @@ def test_the_page_shows_a_recording_with_other_names(expected, tmp_path):
     suite.close()
 
 
-def test_a_topic_that_already_has_the_name_is_ignored_and_named(plain, expected, tmp_path, capsys):
+def test_a_topic_that_already_has_the_name_is_ignored_and_named(plain, expected_outputs, tmp_path, capsys):
     with read_bag(plain) as bag, BagWriter(tmp_path / "two.mcap") as writer:
         for record in bag.records():
             topic = record.topic.lstrip("/")
@@ -174,7 +174,7 @@ def test_a_topic_that_already_has_the_name_is_ignored_and_named(plain, expected,
                 writer.write_raw(topic, record.type_name, record.data, record.log_time_ns)
     out, words = tmp_path / "out.mcap", ["--config", str(SUITE), "--remap", "/imu/data:=ins/imu"]
     assert replay([str(tmp_path / "two.mcap"), "--out", str(out), *words]) == 0
-    assert _outputs(out) == _outputs(expected)
+    assert _outputs(out) == _outputs(expected_outputs)
     assert "two.mcap: topic '/ins/imu' is not read: /imu/data has its name" in capsys.readouterr().out
 
 
@@ -186,14 +186,14 @@ def test_a_topic_that_already_has_the_name_is_ignored_and_named(plain, expected,
         (["--remap", "/imu/dat:=a/b"], "has no topic '/imu/dat' to rename; it has /fix, /imu/data"),
     ],
 )
-def test_an_invalid_remap_is_one_line(renamed, tmp_path, capsys, words, line):
+def test_an_invalid_remap_is_one_line(renamed_bag, tmp_path, capsys, words, line):
     try:
-        code = export([str(renamed), "--out", str(tmp_path / "tables"), *words])
+        code = export([str(renamed_bag), "--out", str(tmp_path / "tables"), *words])
     except SystemExit as end:
         code = end.code
     assert code == 2
-    (said,) = capsys.readouterr().err.splitlines()
-    assert line in said
+    (error,) = capsys.readouterr().err.splitlines()
+    assert line in error
 
 
 @pytest.mark.parametrize(
@@ -204,12 +204,12 @@ def test_an_invalid_remap_is_one_line(renamed, tmp_path, capsys, words, line):
         ("      ins/imu: /i\n      a/imu: /i\n", ":5: parameter 'topics.a/imu' = '/i': that is ins/imu already"),
     ],
 )
-def test_a_wrong_map_is_one_line_with_its_place(renamed, tmp_path, capsys, entries, line):
+def test_a_wrong_map_is_one_line_with_its_place(renamed_bag, tmp_path, capsys, entries, line):
     path = tmp_path / "suite.yaml"
     path.write_text(f"/**/ship_attitude:\n  ros__parameters:\n    topics:\n{entries}    ins:\n      frame_id: ins\n")
-    assert replay([str(renamed), "--config", str(path), "--out", str(tmp_path / "out.mcap")]) == 2
-    (said,) = capsys.readouterr().err.splitlines()
-    assert line in said
+    assert replay([str(renamed_bag), "--config", str(path), "--out", str(tmp_path / "out.mcap")]) == 2
+    (error,) = capsys.readouterr().err.splitlines()
+    assert line in error
 
 
 def test_an_entry_without_a_node_input_is_named(tmp_path, capsys):
@@ -235,13 +235,15 @@ def test_a_live_node_subscribes_to_the_ships_topic_name(monkeypatch):
 
 
 @pytest.mark.live
-def test_a_suite_is_played_recorded_and_replayed_under_the_names_of_the_ship(renamed, mapped, tmp_path, monkeypatch):
+def test_a_suite_is_played_recorded_and_replayed_under_the_names_of_the_ship(
+    renamed_bag, mapped_suite, tmp_path, monkeypatch
+):
     """The nodes use the ship's names by the map; a recording includes it, so that a replay needs no option."""
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     domain_id, recorded = free_domain_id(), tmp_path / "recorded.mcap"
     environment = live_environment(domain_id, tmp_path)
     recorder = [*executable("ship_bags", "record"), "--out", str(recorded)]
-    suite = [*executable("ship_bringup", "suite"), str(mapped), "--bag", str(renamed), "--rate", "4"]
+    suite = [*executable("ship_bringup", "suite"), str(mapped_suite), "--bag", str(renamed_bag), "--rate", "4"]
     with (
         GraphObserver(domain_id) as observer,
         LiveProcess(recorder, tmp_path / "record.log", environment) as recording,
@@ -268,8 +270,8 @@ def test_preflight_subscribes_to_the_ships_topic_names(monkeypatch):
     driver.create_publisher(Imu, "/imu/data", 10)
     topic = InputTopic("ins/imu", "sensor_msgs/msg/Imu", required=False, depth=100)
     try:
-        (heard,) = observe_network([topic], [], "ship", 0.1, {"ins/imu": "/imu/data"}).inputs
-        assert [publisher.node for publisher in heard.publishers] == ["/driver"]
+        (observed,) = observe_network([topic], [], "ship", 0.1, {"ins/imu": "/imu/data"}).inputs
+        assert [publisher.node for publisher in observed.publishers] == ["/driver"]
     finally:
         driver.destroy_node()
         context.try_shutdown()
@@ -277,8 +279,8 @@ def test_preflight_subscribes_to_the_ships_topic_names(monkeypatch):
 
 def test_policies_allow_the_names_of_the_ship():
     adapters = [node.adapter for node in check_nodes(SUITE, "ship")[0]]
-    plain, renamed = (suite_rights(adapters, "ship", ship_names=names) for names in ({}, {"ins/imu": "/imu/data"}))
-    concerned = [rights for rights in zip(plain, renamed, strict=True) if "/ship/ins/imu" in _topics_of(rights[0])]
+    plain, renamed_bag = (suite_rights(adapters, "ship", ship_names=names) for names in ({}, {"ins/imu": "/imu/data"}))
+    concerned = [rights for rights in zip(plain, renamed_bag, strict=True) if "/ship/ins/imu" in _topics_of(rights[0])]
     assert len(concerned) >= 4  # node, INS, recorder, preflight
     assert all("/imu/data" in _topics_of(after) for _, after in concerned)
 

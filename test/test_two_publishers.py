@@ -115,15 +115,15 @@ def test_two_ins_in_a_bag_are_reported_until_they_end(
     with read_bag(out) as replayed, read_bag(bag) as given:
         start_ns = given.start_ns or 0
         records = replayed.records({"ship/attitude"})
-        told = [(record.log_time_ns - start_ns, record.decode().status) for record in records]
-    assert {status for ns, status in told if 4.2e9 < ns < 8e9} == {Status.DEGRADED}
-    assert {status for ns, status in told if ns > 10e9} == {Status.VALID}
-    assert {status for ns, status in told if 1e9 < ns < 4e9} == {Status.VALID}
+        statuses = [(record.log_time_ns - start_ns, record.decode().status) for record in records]
+    assert {status for ns, status in statuses if 4.2e9 < ns < 8e9} == {Status.DEGRADED}
+    assert {status for ns, status in statuses if ns > 10e9} == {Status.VALID}
+    assert {status for ns, status in statuses if 1e9 < ns < 4e9} == {Status.VALID}
 
 
 def test_check_config_names_two_ins_in_a_bag(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with read_bag(bag) as opened:
-        (tmp_path / "suite.yaml").write_bytes(opened.attachments["suite.yaml"])
+    with read_bag(bag) as content:
+        (tmp_path / "suite.yaml").write_bytes(content.attachments["suite.yaml"])
     assert check_config([str(tmp_path / "suite.yaml"), str(bag)]) == 0
     assert "two streams alternate on ins/imu, 0.5° apart" in capsys.readouterr().out
 
@@ -133,8 +133,8 @@ def test_blocks_and_single_messages_report_two_ins_equally(bag: Path, tmp_path: 
     for option in ([], ["--one-by-one"]):
         out = tmp_path / f"out{len(option)}.mcap"
         assert replay([str(bag), "--out", str(out), *option]) == 0
-        with read_bag(out) as told:
-            replayed.append([(r.topic, r.log_time_ns, bytes(r.data)) for r in told.records()])
+        with read_bag(out) as recorded:
+            replayed.append([(r.topic, r.log_time_ns, bytes(r.data)) for r in recorded.records()])
     assert replayed[0] == replayed[1]
 
 
@@ -156,6 +156,6 @@ def test_two_star_sensors_on_one_topic_of_a_bag_are_found_by_their_innovations(t
                 written.write(record.topic, message, record.log_time_ns)
     assert replay([str(path), "--out", str(out)]) == 0
     with read_bag(out) as replayed:
-        told = [s for record in replayed.records({"/diagnostics"}) for s in record.decode().status]
+        statuses = [s for record in replayed.records({"/diagnostics"}) for s in record.decode().status]
     found = f"two streams alternate on {small_voyage.FORE}, "
-    assert any(status.message.startswith(found) for status in told)
+    assert any(status.message.startswith(found) for status in statuses)

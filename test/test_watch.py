@@ -1,8 +1,8 @@
 """Monitoring of a voyage with faults names the right source, soon, and no others.
 
-Times are seconds after the first message of the bag. The faults occur one after another, ending, and two at a time: an
-INS whose heading steps by 100″, a star sensor displaced by 50″, an RTK baseline that is only FLOAT, lights with each
-other's names, a silent instrument.
+Times are seconds after the first message of the bag. The faults are a heading step of the INS of 100″, a star sensor
+displaced by 50″, an RTK baseline that is only FLOAT, exchanged names of lights, and missing data of an instrument. They
+occur one after another, with an end, and two at a time.
 """
 
 import math
@@ -19,12 +19,12 @@ from ship_watch.limits import Limits
 from ship_watch.suite_monitor import SuiteMonitor
 from ship_watch.suite_state import Presence, Safety
 
-KNOCK = "knock: {topic: star/starboard/horizon_attitude, kind: knock, start_s: 30.0, right_arcsec: 50.0"
+MOUNTING_SHIFT = "knock: {topic: star/starboard/horizon_attitude, kind: knock, start_s: 30.0, right_arcsec: 50.0"
 ONE_BY_ONE = (
-    KNOCK + ", end_s: 35.0}, step: {topic: ins/imu, kind: bias, start_s: 55.0, up_arcsec: 100.0}, "
+    MOUNTING_SHIFT + ", end_s: 35.0}, step: {topic: ins/imu, kind: bias, start_s: 55.0, up_arcsec: 100.0}, "
     "silent: {topic: star/fore/horizon_attitude, kind: drop, start_s: 100.0, end_s: 108.0}"
 )
-TOGETHER = KNOCK + "}, step: {topic: ins/imu, kind: bias, start_s: 31.0, up_arcsec: 100.0}"
+TOGETHER = MOUNTING_SHIFT + "}, step: {topic: ins/imu, kind: bias, start_s: 31.0, up_arcsec: 100.0}"
 THEODOLITE = (
     "float: {topic: beacon/a/baseline, kind: corrupt, field: fix, value: 3, start_s: 10.0, end_s: 16.0}, "
     "swap: {topic: theodolite/beacons, kind: swap, start_s: 25.0, end_s: 33.0}, "
@@ -51,15 +51,15 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 @pytest.mark.slow
 def test_a_displaced_star_sensor_is_out_and_its_direction_is_reported(one_by_one: MonitoredVoyage) -> None:
-    first_s = 30.117  # its first exposure after the knock
+    first_s = 30.117  # its first exposure after the mounting shift
     assert first_s < one_by_one.out_s["star.starboard"][0] <= first_s + 2.0
-    told = one_by_one.shown_sources["star.starboard"][0]
-    assert told.reason == "excluded"
-    axis, size = told.disagreement.split(" ")
+    starboard = one_by_one.shown_sources["star.starboard"][0]
+    assert starboard.reason == "excluded"
+    axis, size = starboard.disagreement.split(" ")
     assert axis == "right"
     # 50″, with the noise of three exposures: a sigma of 3.2″ each
     assert float(size.rstrip("″")) == pytest.approx(50.0, abs=6.0)
-    assert told.out_since_ns - one_by_one.start_ns == pytest.approx(30.117e9, abs=0.6e9)
+    assert starboard.out_since_ns - one_by_one.start_ns == pytest.approx(30.117e9, abs=0.6e9)
 
 
 @pytest.mark.slow
@@ -72,19 +72,19 @@ def test_an_ins_that_steps_is_out_and_returns(one_by_one: MonitoredVoyage) -> No
     assert "heading CAUTION → UNSAFE, ins rejected" in words
 
 
-def test_a_silent_star_sensor_is_out_within_two_seconds_of_the_first_that_is_missing(
+def test_a_star_sensor_without_data_is_out_within_two_seconds_of_the_first_missing_message(
     one_by_one: MonitoredVoyage,
 ) -> None:
-    clouds, silent = one_by_one.out_s["star.fore"]
-    assert CLOUDS[0] < clouds < CLOUDS[1]
-    assert 101.9 <= silent <= 100.033 + 0.2 + 2.0  # at 5 Hz after the last of 99.833, arriving 0.1 s later
+    clouds_s, no_data_s = one_by_one.out_s["star.fore"]
+    assert CLOUDS[0] < clouds_s < CLOUDS[1]
+    assert 101.9 <= no_data_s <= 100.033 + 0.2 + 2.0  # at 5 Hz after the last of 99.833, arriving 0.1 s later
     assert one_by_one.shown_sources["star.fore"][1].reason == "no data"
     assert one_by_one.back_s["star.fore"] == [pytest.approx(91.0, abs=1.0), pytest.approx(109.0, abs=1.0)]
 
 
 def test_no_other_source_is_named(one_by_one: MonitoredVoyage) -> None:
-    guilty = [name for time_s, name in one_by_one.root_causes if not CLOUDS[0] < time_s < CLOUDS[1]]
-    assert guilty == ["star.starboard", "ins", "star.fore"]
+    causes = [name for time_s, name in one_by_one.root_causes if not CLOUDS[0] < time_s < CLOUDS[1]]
+    assert causes == ["star.starboard", "ins", "star.fore"]
 
 
 @pytest.mark.slow
@@ -100,7 +100,7 @@ def test_two_simultaneous_faults_are_distinguished(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_source_that_only_degrades_is_not_named_for_a_missing_output(tmp_path: Path) -> None:
-    """A FLOAT baseline, and then no encoder: until its silence is detected no source is named, then the encoder."""
+    """A FLOAT baseline, and then no encoder: no source is named before the encoder's timeout, then the encoder."""
     faults = (
         "float: {topic: beacon/a/baseline, kind: corrupt, field: fix, value: 3, start_s: 12.0, end_s: 25.0}, "
         "quiet: {topic: theodolite/encoder, kind: drop, start_s: 20.0, end_s: 25.0}"
@@ -125,8 +125,8 @@ def test_a_float_baseline_is_out_and_lights_only_need_it(theodolite: MonitoredVo
 
 @pytest.mark.slow
 def test_exchanged_light_names_are_reported_although_corrected(theodolite: MonitoredVoyage) -> None:
-    told = [(time_s, text) for time_s, text in theodolite.events("source") if "lights" in text]
-    exchanged = [time_s for time_s, text in told if text == "lights IN, names exchanged"]
+    texts = [(time_s, text) for time_s, text in theodolite.events("source") if "lights" in text]
+    exchanged = [time_s for time_s, text in texts if text == "lights IN, names exchanged"]
     assert len(exchanged) == 1
     assert 25.0 < exchanged[0] <= 27.0
     (alert,) = (found for found in conditions(theodolite.state_at[28.0], Limits()) if found.source == "lights")
@@ -134,12 +134,12 @@ def test_exchanged_light_names_are_reported_although_corrected(theodolite: Monit
     assert safety_between(theodolite, 26.0, 33.0) == {Safety.SAFE}
 
 
-def test_a_silent_encoder_is_out_and_the_pointing_names_it(theodolite: MonitoredVoyage) -> None:
+def test_an_encoder_without_data_is_out_and_the_pointing_names_it(theodolite: MonitoredVoyage) -> None:
     assert 61.9 < theodolite.out_s["encoder"][0] <= 60.002 + 2.0 + 1e-6
     assert "needs encoder" in [source.reason for source in theodolite.shown_sources["lights"]]
     assert theodolite.back_s["encoder"][0] == pytest.approx(66.2, abs=0.5)
-    guilty = [name for time_s, name in theodolite.root_causes if 40.0 < time_s < 79.0]
-    assert guilty == ["encoder"]  # no source is named for an output that returns later
+    causes = [name for time_s, name in theodolite.root_causes if 40.0 < time_s < 79.0]
+    assert causes == ["encoder"]  # no source is named for an output that returns later
 
 
 def test_a_good_voyage_is_safe_and_no_source_is_out(clean: tuple[Path, Path]) -> None:
@@ -154,8 +154,8 @@ def test_a_good_voyage_is_safe_and_no_source_is_out(clean: tuple[Path, Path]) ->
     assert heading.accuracy_95 == pytest.approx(1.96 * math.sqrt(last.covariance[0]))
     assert picture.ages_s["stars"] == min(each.age_s for each in picture.sources if each.name.startswith("star."))
     # Two star sensors with consistent sigmas: estimated with 600 degrees of freedom each.
-    verdicts = {source.name: source.nis_consistency for source in picture.sources if source.nis_consistency}
-    assert {name: verdict.is_consistent for name, verdict in verdicts.items() if verdict} == {
+    consistencies = {source.name: source.nis_consistency for source in picture.sources if source.nis_consistency}
+    assert {name: consistency.is_consistent for name, consistency in consistencies.items() if consistency} == {
         "star.fore": True, "star.starboard": True
     }  # fmt: skip
 
@@ -176,7 +176,7 @@ def test_a_recording_shows_the_same_as_live(clean: tuple[Path, Path]) -> None:
     assert [(s.name, s.presence, s.reason) for s in here.sources] == [
         (s.name, s.presence, s.reason) for s in there.sources
     ]
-    # Words are judged at whole tenths of a second of the one clock or the other.
+    # States are evaluated at whole tenths of a second of either clock.
     assert [e.text for e in here.events] == [e.text for e in there.events]
     assert all(abs(a.utc_ns - b.utc_ns) <= 1e8 for a, b in zip(here.events, there.events, strict=True))
 
@@ -202,7 +202,7 @@ def test_missing_errors_against_truth_are_computed(clean: tuple[Path, Path]) -> 
 
 
 def test_history_has_the_data_of_plots(theodolite: MonitoredVoyage) -> None:
-    history = theodolite.watch.history
+    history = theodolite.monitor.history
     assert set(history.beacons) == {"a", "b"}
     used = [point for point in history.beacons["b"] if point.is_used]
     assert len(used) > 300
@@ -221,7 +221,7 @@ def test_history_has_the_data_of_plots(theodolite: MonitoredVoyage) -> None:
 def safety_between(voyage: MonitoredVoyage, start_s: float, end_s: float) -> set[Safety | None]:
     """Return the states of the azimuth in the ribbon."""
     points = [
-        point for point in voyage.watch.history.safety if start_s <= (point.utc_ns - voyage.start_ns) * 1e-9 < end_s
+        point for point in voyage.monitor.history.safety if start_s <= (point.utc_ns - voyage.start_ns) * 1e-9 < end_s
     ]
     return {point.safety["azimuth"] for point in points}
 

@@ -50,29 +50,29 @@ def recorded_messages(*bags: Path) -> list[tuple[int, str, Any]]:
 @pytest.mark.slow
 @pytest.mark.parametrize("bag", ["demo", "theodolite"])
 def test_no_message_raises_or_is_safe_with_nan(bag: str, tmp_path: Path) -> None:
-    rng, watch = np.random.default_rng([12, len(bag)]), SuiteMonitor()
+    rng, monitor = np.random.default_rng([12, len(bag)]), SuiteMonitor()
     given, out = replay_with_faults(tmp_path, bag)
     voyage = recorded_messages(out, given) if bag == "theodolite" else recorded_messages(out)
     tried = 0
     for time_ns, topic, message in voyage:
-        watch.process_message(topic, message, time_ns)
+        monitor.process_message(topic, message, time_ns)
         pickled, fields = pickle.dumps(message), paths(message)
         for _ in range(COPIES):
             bad = pickle.loads(pickled)
             put_garbage(bad, fields, rng)
-            watch.process_message(topic, bad, time_ns)
+            monitor.process_message(topic, bad, time_ns)
             tried += 1
         if tried % 30 == 0:
-            for angle in watch.current_state(time_ns).angles:
+            for angle in monitor.current_state(time_ns).angles:
                 sound = math.isfinite(angle.value) and angle.accuracy_95 <= 3.0 * angle.limit and not angle.is_old
                 assert sound or angle.safety is Safety.UNSAFE
     assert tried > 2000
-    watch.process_message("ship/alerts", AlertArray(), voyage[-1][0])  # alerts are what outlives a fresh start
-    watch.reset()
+    monitor.process_message("ship/alerts", AlertArray(), voyage[-1][0])  # alerts are what outlives a fresh start
+    monitor.reset()
     fresh = SuiteMonitor()
     for time_ns, topic, message in voyage:
-        watch.process_message(topic, message, time_ns)
+        monitor.process_message(topic, message, time_ns)
         fresh.process_message(topic, message, time_ns)
     end_ns = voyage[-1][0]
-    assert repr(watch.current_state(end_ns)) == repr(fresh.current_state(end_ns))  # NaN equals NaN as text
-    assert repr(watch.history) == repr(fresh.history)
+    assert repr(monitor.current_state(end_ns)) == repr(fresh.current_state(end_ns))  # NaN equals NaN as text
+    assert repr(monitor.history) == repr(fresh.history)

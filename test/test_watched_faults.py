@@ -68,14 +68,14 @@ class FirstReports:
         lines = screen(picture, picture.alerts, View(80, 24, "ship", "LIVE", ""))
         rows = [plain_text(line) for line in lines]
         for source in picture.sources:
-            told = source.reason or source.disagreement
-            if source.because_of or not told or source.presence is Presence.OFF:
+            text = source.reason or source.disagreement
+            if source.because_of or not text or source.presence is Presence.OFF:
                 continue
             self.record("picture", source.name, picture.utc_ns)
-            if any(source.name in row and told[:20] in row for row in rows):
+            if any(source.name in row and text[:20] in row for row in rows):
                 self.record("terminal", source.name, picture.utc_ns)
             texts = json.dumps(page["sources"], ensure_ascii=False)
-            if source.name in texts and told in texts:
+            if source.name in texts and text in texts:
                 self.record("page", source.name, picture.utc_ns)
 
     def record_branch(self, path: str, text: str, utc_ns: int) -> None:
@@ -85,8 +85,10 @@ class FirstReports:
 
     def check(self, soon_s: Callable[[str], float], early_s: float = 0.0) -> None:
         """Assert that every output named every source soon after it could be detected, and no other before them."""
-        told = {(output, source): known_s for source, known_s in DETECTABLE_S[self._bag].items() for output in OUTPUTS}
-        for (output, source), known_s in told.items():
+        detectable = {
+            (output, source): known_s for source, known_s in DETECTABLE_S[self._bag].items() for output in OUTPUTS
+        }
+        for (output, source), known_s in detectable.items():
             first_s = self.first_s.get((output, source), math.inf)
             assert known_s - early_s <= first_s <= known_s + soon_s(source), (output, source, self.first_s)
         # Only faulty sources are named; the attitude in the alerts is no source.
@@ -100,7 +102,7 @@ def test_all_outputs_name_the_right_source_in_a_replay(bag: str, tmp_path: Path)
     paths = (given, replayed_path) if bag == "theodolite" else (replayed_path,)
     with read_bag(given) as played:
         start_ns = played.start_ns or 0
-    watch, keeper, named = (
+    monitor, manager, named = (
         SuiteMonitor(Limits()),
         AlertManager(Limits(), None, start_ns, print),
         FirstReports(bag, start_ns),
@@ -110,15 +112,15 @@ def test_all_outputs_name_the_right_source_in_a_replay(bag: str, tmp_path: Path)
         if time_ns > start_ns + END_S[bag] * NS_PER_S:
             break
         while due_ns <= time_ns:
-            keeper.update(due_ns, due_ns)
-            named.record_state(watch.current_state(due_ns), watch.history)
-            for alert in keeper.alerts:
+            manager.update(due_ns, due_ns)
+            named.record_state(monitor.current_state(due_ns), monitor.history)
+            for alert in manager.alerts:
                 named.record("alerts", alert.source, due_ns)
-            for branch in keeper.diagnostic_entries():
+            for branch in manager.diagnostic_entries():
                 named.record_branch(branch.path, branch.text, due_ns)
             due_ns += LOOK_NS
-        watch.process_message(topic, message, time_ns)
-        keeper.process_message(topic, message, time_ns)
+        monitor.process_message(topic, message, time_ns)
+        manager.process_message(topic, message, time_ns)
     named.check(detection_limit_s)
 
 
@@ -132,23 +134,23 @@ class SuiteUnderTest:
         command = [*executable("ship_bringup", "suite"), "--bag", str(bag), "--monitor", "--port", str(port)]
         domain = int(os.environ["ROS_DOMAIN_ID"])
         self.process = LiveProcess(command, folder / "suite.log", live_environment(domain, folder / "ros"))
-        self.watch = LiveSuite("watcher", "", Limits())
+        self.live_suite = LiveSuite("watcher", "", Limits())
         self.diagnostics = TopicReader(
             "statuses", "", lambda topic, _: MAX_QUEUE_DEPTH if topic == "/diagnostics" else 0
         )
 
     def close(self) -> None:
         """End all processes; first the observers."""
-        self.watch.close()
+        self.live_suite.close()
         self.diagnostics.close()
         self.process.end()
 
     def read(self, named: FirstReports) -> SuiteState:
         """Process received messages, and record the sources they name."""
-        self.watch.tick()
-        picture = self.watch.current_state()
+        self.live_suite.tick()
+        picture = self.live_suite.current_state()
         if picture.utc_ns:
-            named.record_state(picture, self.watch.history)
+            named.record_state(picture, self.live_suite.history)
         for alert in picture.alerts or ():
             named.record("alerts", alert.source, alert.raised_ns)
         for arrived in self.diagnostics.fetch().messages:
@@ -179,7 +181,7 @@ def test_all_outputs_name_the_right_source_live(bag: str, tmp_path: Path, monkey
             assert time.monotonic() < deadline_s, suite.process.log_text()
             alert = alert_to_show(picture.alerts)
             if alert is not None and not alert.is_acknowledged and not acknowledged:
-                acknowledged = suite.watch.acknowledge(alert.id, alert.instance)
+                acknowledged = suite.live_suite.acknowledge(alert.id, alert.instance)
             time.sleep(0.1)
     finally:
         suite.close()

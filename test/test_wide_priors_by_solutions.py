@@ -27,8 +27,8 @@ DURATION_S, INS_HZ = 4.0, 20.0
 DEGREE = 3600.0
 FALSE_SHARE = 0.3
 """Of the detections of stars without names."""
-LASTING_S = 1e7
-"""Correlation time of an error that stays over the voyage, s.
+CONSTANT_S = 1e7
+"""Correlation time of an error that is constant over the voyage, s.
 
 With the times of the reference case an error of degrees changes by a minute of arc in a second. The checks of the INS
 count such a walk as noise too, so that the covariance is larger than the error."""
@@ -36,7 +36,7 @@ count such a walk as noise too, so that the covariance is larger than the error.
 
 @dataclass(frozen=True)
 class Prior:
-    """Sigmas of the INS's error, arcseconds; whether it is constant; whether stars are identified, none falsely.
+    """Sigmas of the INS's error, arcseconds; True if it is constant; True if all stars are correctly identified.
 
     Exposures are points in time, or last some seconds, the first ones from before the INS's first sample.
     """
@@ -66,8 +66,8 @@ class Prior:
             rate_hz=INS_HZ,
             heading_sigma_arcsec=self.heading,
             tilt_sigma_arcsec=self.tilt,
-            heading_time_s=LASTING_S if self.is_constant else whole.ins.heading_time_s,
-            tilt_time_s=LASTING_S if self.is_constant else whole.ins.tilt_time_s,
+            heading_time_s=CONSTANT_S if self.is_constant else whole.ins.heading_time_s,
+            tilt_time_s=CONSTANT_S if self.is_constant else whole.ins.tilt_time_s,
         )
         return replace(whole, duration_s=DURATION_S, ins=ins, star_sensors=sensors)
 

@@ -80,7 +80,7 @@ def test_the_attitude_is_valid_again_after_a_change_of_the_focal_length_has_ende
 
 
 def test_optics_that_change_by_more_than_their_sigma_are_estimated_again():
-    """From 3 sigma longer to 3 sigma shorter than configured: each is likely, and each contradicts the other."""
+    """The focal length changes from 3 sigma too long to 3 sigma too short: each is likely, but not both."""
     whole = scenario(has_identities=True)
     sensors = {id_: replace(one, rate_hz=2.0) for id_, one in whole.star_sensors.items()}
     run = simulate(replace(whole, duration_s=30.0, star_sensors=sensors), seed=1)

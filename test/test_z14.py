@@ -115,7 +115,7 @@ DERIVATIVES = [factor for factor in FACTORS if factor.by]
 
 @pytest.mark.parametrize("factor", DERIVATIVES, ids=lambda factor: f"{factor.number}_{factor.symbol}")
 def test_an_exact_factor_is_the_derivative(factor):
-    """By central differences of the rotation's element."""
+    """The derivative is computed by central differences of the rotation's element."""
     angles, step = random_attitudes(200), 1e-5
     moved = step * np.eye(6)[ANGLES.index(factor.by)]
     row, column = {"N_K": (2, 0), "D_K": (0, 0), "S": (1, 0), "N_θ": (1, 2), "D_θ": (1, 1)}[factor.element]

@@ -52,8 +52,8 @@ class AdapterRun:
 
     def results(self) -> list[tuple[int, str, Any]]:
         """Return all estimates, bit-exact, without the diagnostics and innovations about inputs."""
-        judgements = "/innovation", "input_health", "/diagnostics"
-        return [(ns, topic, exact_value(m)) for ns, topic, m in self.published if not topic.endswith(judgements)]
+        evaluations = "/innovation", "input_health", "/diagnostics"
+        return [(ns, topic, exact_value(m)) for ns, topic, m in self.published if not topic.endswith(evaluations)]
 
     def reasons(self, topic: str) -> dict[str, int]:
         health = self.health(topic)
@@ -143,18 +143,18 @@ def flood_topic(arrivals: Arrivals, topic: str, factor: int, up_to_s: float, see
     """Return ``factor`` arrivals for each of a topic: the others have earlier stamps, each by another time."""
     rng = np.random.default_rng(seed)
 
-    def earlier(message: Any) -> None:
+    def set_earlier_stamp(message: Any) -> None:
         ns = stamp_of(message) - int(rng.uniform(0.0, up_to_s * SECOND_NS))
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(ns, SECOND_NS)
 
-    more = [changed_copy(a, earlier) for a in arrivals if a.topic == topic for _ in range(factor - 1)]
+    more = [changed_copy(a, set_earlier_stamp) for a in arrivals if a.topic == topic for _ in range(factor - 1)]
     return sort_by_arrival([*arrivals, *more])
 
 
 def without_rejected(arrivals: Arrivals, topic: str, innovations: Iterable[Any]) -> Arrivals:
     """Return the arrivals of a topic, all of different stamps, without those that innovations report as rejected."""
-    refused_ns = {stamp_of(message) for message in innovations}
-    return tuple(a for a in arrivals if a.topic != topic or a.stamp_ns not in refused_ns)
+    rejected_ns = {stamp_of(message) for message in innovations}
+    return tuple(a for a in arrivals if a.topic != topic or a.stamp_ns not in rejected_ns)
 
 
 def assert_flood_costs_little(
@@ -179,11 +179,11 @@ def assert_flood_costs_little(
     """
     steps, step = [0], core._step  # type: ignore[attr-defined]
 
-    def counted(*arguments: Any) -> Any:
+    def count_steps(*arguments: Any) -> Any:
         steps[0] += 1
         return step(*arguments)
 
-    monkeypatch.setattr(core, "_step", counted)
+    monkeypatch.setattr(core, "_step", count_steps)
     flood = flood_topic(arrivals, topic, 50, up_to_s=1.9)
     run = drive(flood)
     overflow = run.innovations(Reason.OVERFLOW)

@@ -74,7 +74,7 @@ class Scene:
         rotation_nd: true attitude, shape (3, 3).
         ins: attitude of the deck by the INS.
         order: of each sensor's stars, for cases with only some of them.
-        clouds: one standard normal number per star, all sensors in a row.
+        clouds: one standard normal number per star, sensor by sensor.
     """
 
     exposures: dict[str, StarExposure]
@@ -107,10 +107,10 @@ def draw_scene(seed: int) -> Scene:
     scenario = _scenario(rng)
     run = simulate(scenario, seed)
     config = build(StarAttitudeConfig, star_attitude_configuration(scenario))
-    watch = load_sky_model(config.sky)
+    sky_model = load_sky_model(config.sky)
     for _, source, index in run.arrivals():
         if source in SKY_SOURCES:
-            watch.surroundings.insert(sky_input(run, source, index))
+            sky_model.surroundings.insert(sky_input(run, source, index))
     exposures = {id_: star_exposure(run, id_, 0) for id_ in run.stars}
     if any(len(exposure) < CLEAR_STARS for exposure in exposures.values()):
         raise ValueError(f"seed {seed}: a field with fewer than {CLEAR_STARS} stars")
@@ -121,7 +121,7 @@ def draw_scene(seed: int) -> Scene:
     return Scene(
         exposures=exposures,
         config=config,
-        sky_model=watch,
+        sky_model=sky_model,
         erfa_sky=ErfaSky(run.start_ns, run.fixes.position(0), weather),
         rotation_nd=rotation_nd,
         ins=StarPrior(ins_nd, np.diag(_INS_SIGMA**2)),
@@ -131,7 +131,7 @@ def draw_scene(seed: int) -> Scene:
 
 
 def _scenario(rng: np.random.Generator) -> Scenario:
-    """Return ``paper_stars`` for one second of some night, on some heading; one exposure of each sensor at start."""
+    """Return ``paper_stars`` for a second of a random night, at a random heading, with one exposure of each sensor."""
     whole = _whole_scenario()
     midnight = datetime(2014, 1, 1, 16, tzinfo=timezone.utc) + timedelta(days=int(rng.integers(365)))
     start = midnight + timedelta(seconds=float(rng.uniform(-7200.0, 7200.0)))
@@ -166,16 +166,16 @@ def _whole_scenario() -> Scenario:
 
 
 def some_stars(scene: Scene, counts: Sequence[int]) -> dict[str, np.ndarray]:
-    """Return the rows of the first stars by sensor, this many of each."""
+    """Return the indices of the first stars by sensor, with a given number of each."""
     return {id_: np.sort(scene.order[id_][:count]) for id_, count in zip(scene.exposures, counts, strict=True)}
 
 
 def stars_in_gaps(scene: Scene, cover: float, patch_deg: float) -> dict[str, np.ndarray]:
-    """Return the rows of the stars that no cloud hides, by sensor."""
+    """Return the indices of the stars that no cloud hides, by sensor."""
     directions_d = np.concatenate(
         [one.directions_s @ scene.config.star_sensors[id_].rotation_ds.T for id_, one in scene.exposures.items()]
     )
-    hidden = norm.cdf(_correlated(scene.clouds, directions_d, np.deg2rad(patch_deg))) < cover
+    hidden = norm.cdf(_correlated_numbers(scene.clouds, directions_d, np.deg2rad(patch_deg))) < cover
     seen, first = {}, 0
     for id_, exposure in scene.exposures.items():
         seen[id_] = np.flatnonzero(~hidden[first : first + len(exposure)])
@@ -183,7 +183,7 @@ def stars_in_gaps(scene: Scene, cover: float, patch_deg: float) -> dict[str, np.
     return seen
 
 
-def _correlated(white: FloatArray, directions: FloatArray, length: float) -> FloatArray:
+def _correlated_numbers(white: FloatArray, directions: FloatArray, length: float) -> FloatArray:
     """Return standard normal numbers correlated by the places of the stars; the given ones where the length is 0."""
     if not length:
         return white

@@ -28,13 +28,13 @@ from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 BAGS = ROOT / "bags"
 LENGTH_NS = 8_000_000_000
-BOX_FORMAT = "2"
+FORMAT = "2"
 Record = Schema | Channel | Message | Attachment | Metadata
 
 
 @dataclass(frozen=True)
 class RecordedNode:
-    """Node that is recorded in a box.
+    """Node that is recorded in a black box.
 
     Attributes:
         adapter_class: adapter of the node.
@@ -68,7 +68,7 @@ class NoSubscriber:
         """Discard the message."""
 
 
-def make_box(
+def make_black_box(
     path: Path,
     saved_path: Path,
     close: bool = True,
@@ -82,15 +82,15 @@ def make_box(
     """Record eight seconds of a bag, with all events of a node; the clock goes back at the end.
 
     Args:
-        path: of the box.
+        path: of the black box.
         saved_path: of the file that the node saves.
-        close: whether the node ends in order.
+        close: True if the node ends in order.
         node: node to record.
         node_ns: node's clock at a waiting time, which is that of the bag; both ns since its start.
         is_lost: waiting times, ns since the bag's start, without any arrival.
         autosave_s: period of automatic saving; 0 for never.
-        is_overloaded: whether the node is behind its inputs from 6.5 s to 7.8 s.
-        part_bytes: size at which the box continues in a new file; 0 for never.
+        is_overloaded: True if the node is behind its inputs from 6.5 s to 7.8 s.
+        part_bytes: size at which the black box continues in a new file; 0 for never.
     """
     name = node.adapter_class.node_name
     with read_bag(node.bag) as bag:
@@ -109,8 +109,8 @@ def make_box(
     def node_time(waiting_ns: int) -> int:
         return start_ns + node_ns(waiting_ns - start_ns)
 
-    box = BlackBox(str(path), adapter, config, adapter.outputs, "/", print, part_bytes)
-    calls = AdapterCalls(adapter, {output.topic: NoSubscriber() for output in adapter.outputs}, files, box)
+    black_box = BlackBox(str(path), adapter, config, adapter.outputs, "/", print, part_bytes)
+    calls = AdapterCalls(adapter, {output.topic: NoSubscriber() for output in adapter.outputs}, files, black_box)
     plan = _plan(calls, node)
     if is_overloaded:
         busiest = adapter.inputs[0].topic
@@ -118,7 +118,7 @@ def make_box(
         plan.append((7_800_000_000, lambda ns: calls.overload(Overload(0.0, 2, 12.0), ns)))
     planned = len(plan)
     grid = TickGrid()
-    # Where a flush begins a new file, the box is given time for one at each third: three files at least.
+    # If each flush begins a new file, the black box has time for one at each third: three files at least.
     pauses = {len(records) // 3: 2, 2 * len(records) // 3: 3} if part_bytes else {}
     for number, record in enumerate([*records, *records[:300]]):
         if number in pauses:
@@ -135,8 +135,8 @@ def make_box(
         message = deserialize_message(record.data, kinds[record.topic])
         calls.handle(record.topic, record.data, message, now_ns, waiting_ns)
     if close:
-        box.close()
-    return box
+        black_box.close()
+    return black_box
 
 
 def _wait_for(path: Path) -> None:
@@ -169,19 +169,19 @@ def _plan(calls: AdapterCalls, node: RecordedNode) -> list[tuple[int, Callable[[
 
 
 def write_changed_copy(
-    box: Path,
+    black_box: Path,
     path: Path,
     change: Callable[[Record, Mapping[int, str]], Record | list[Record] | None],
     renumber: bool = False,
 ) -> Path:
-    """Copy a box, with each record replaced by the result of ``change(record, topics by channel)``.
+    """Copy a black box, with each record replaced by the result of ``change(record, topics by channel)``.
 
     None leaves the record out; ``renumber`` makes the sequence numbers contiguous again.
     """
     count = 0
     topics: dict[int, str] = {}
     kept: set[tuple[type, int]] = set()
-    with box.open("rb") as stream, path.open("wb") as out:
+    with black_box.open("rb") as stream, path.open("wb") as out:
         writer = Writer(out)
         writer.start("ros2", "test")
         for record in StreamReader(stream).records:

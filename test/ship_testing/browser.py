@@ -74,11 +74,11 @@ class Browser:
 
     def wait_until_true(self, expression: str, limit_s: float = 30.0) -> Any:
         """Return the value of an expression once it is true; a query between two pages is repeated."""
-        guarded = f"(() => {{ try {{ return {expression} }} catch {{ return null }} }})()"
+        safe_expression = f"(() => {{ try {{ return {expression} }} catch {{ return null }} }})()"
 
         def look() -> Any:
             with contextlib.suppress(_LeftPage):
-                return self.evaluate(guarded)
+                return self.evaluate(safe_expression)
 
         return self.wait(look, expression, limit_s)
 

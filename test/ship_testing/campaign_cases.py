@@ -36,7 +36,7 @@ class ShortRun:
     clouds_s: float | None = None
 
 
-def _unchanged(scenario: Scenario) -> Scenario:
+def _without_change(scenario: Scenario) -> Scenario:
     return scenario
 
 
@@ -46,7 +46,7 @@ class Case:
 
     file: str
     short: ShortRun
-    change: Callable[[Scenario], Scenario] = _unchanged
+    change: Callable[[Scenario], Scenario] = _without_change
 
 
 def case_at_length(name: str, recording: Path | None = None) -> Scenario:

@@ -175,7 +175,7 @@ def check_path(
             raise Missing(f"{path}: no source {step['value']}")
 
 
-def leaves(mosaic: Any) -> Iterator[str]:
+def panels_of(mosaic: Any) -> Iterator[str]:
     """Return the panels in an arrangement."""
     if isinstance(mosaic, str):
         yield mosaic
@@ -183,22 +183,22 @@ def leaves(mosaic: Any) -> Iterator[str]:
     assert set(mosaic) == {"direction", "first", "second", "splitPercentage"}
     assert mosaic["direction"] in ("row", "column")
     assert 0 < mosaic["splitPercentage"] < 100
-    yield from leaves(mosaic["first"])
-    yield from leaves(mosaic["second"])
+    yield from panels_of(mosaic["first"])
+    yield from panels_of(mosaic["second"])
 
 
 def check_foxglove(layout: dict[str, Any], messages: MessagesByTopic) -> None:
     """Raise if a name in a layout does not exist."""
     assert set(layout) == {"configById", "globalVariables", "userNodes", "playbackConfig", "layout"}
     scripts = Scripts(layout, messages)
-    panels = list(leaves(layout["layout"]))
+    panels = list(panels_of(layout["layout"]))
     for panel, config in layout["configById"].items():
         kind = panel.partition("!")[0]
         needed, more = PANELS[kind]
         assert needed <= set(config) <= needed | more | TITLES, panel
         if kind == "Tab":
             assert all(set(tab) == {"title", "layout"} for tab in config["tabs"])
-            panels += [leaf for tab in config["tabs"] for leaf in leaves(tab["layout"])]
+            panels += [leaf for tab in config["tabs"] for leaf in panels_of(tab["layout"])]
         check_panel(kind, config, layout, messages, scripts)
     assert sorted(panels) == sorted(layout["configById"])
 

@@ -39,7 +39,7 @@ exec(compile(open(sys.argv[0]).read(), sys.argv[0], "exec"), names)
 def unavailability_reason() -> str:
     """Return the reason why this machine cannot create such a link; empty if it can."""
     if not NETEM.is_file():
-        return f"there is no {NETEM.name} beside this repository"
+        return f"there is no {NETEM.name} next to this repository"
     if os.geteuid() != 0 or subprocess.run(["unshare", "--net", "--mount", "true"], check=False).returncode:
         return "only root may make network namespaces"
     if shutil.which("ip") is None or not Path("/dev/net/tun").exists():
@@ -72,7 +72,7 @@ class LossyLink:
         place = f"--net=/proc/{self._relay.pid}/root/run/netns/{end}"
         return self._start(["nsenter", place, *command], name)
 
-    def cut(self) -> int:
+    def interrupt(self) -> int:
         """Drop all packets from now on; return the time, ns."""
         os.kill(self._relay.pid, SIGUSR1)
         return time.time_ns()

@@ -88,8 +88,8 @@ def _innovations(rng: np.random.Generator, name: str, length_s: float) -> list[I
     for at_s in np.arange(-length_s, 0.0, 0.5):
         if name != "lights" and NO_STARS_S[0] < at_s < NO_STARS_S[1]:
             continue
-        is_knocked = name == "star.starboard" and at_s > -SHIFT_AGE_S
-        mean = rng.normal(0.0, 3.0, 2) + (np.array([-1.8, SHIFT_RIGHT_ARCSEC]) if is_knocked else 0.0)
+        is_shifted = name == "star.starboard" and at_s > -SHIFT_AGE_S
+        mean = rng.normal(0.0, 3.0, 2) + (np.array([-1.8, SHIFT_RIGHT_ARCSEC]) if is_shifted else 0.0)
         points.append(
             InnovationPoint(
                 NOW_NS + int(at_s * 1e9),
@@ -99,8 +99,8 @@ def _innovations(rng: np.random.Generator, name: str, length_s: float) -> list[I
                 mean[None] * ARCSEC,
                 float(mean @ mean / 9.0),
                 18.0,
-                not is_knocked,
-                "gate" if is_knocked else "",
+                not is_shifted,
+                "gate" if is_shifted else "",
             )
         )
     return points

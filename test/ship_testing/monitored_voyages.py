@@ -62,7 +62,7 @@ class MonitoredVoyage:
     """Monitored states of a voyage.
 
     Attributes:
-        watch: at the end.
+        monitor: state at the end.
         start_ns: log time of the first message.
         end_ns: of the last.
         out_s: source → times of its exclusion, s.
@@ -72,7 +72,7 @@ class MonitoredVoyage:
         state_at: the suite state of each whole second.
     """
 
-    watch: SuiteMonitor
+    monitor: SuiteMonitor
     start_ns: int
     end_ns: int = 0
     out_s: dict[str, list[float]] = field(default_factory=dict)
@@ -88,7 +88,7 @@ class MonitoredVoyage:
 
     def last_state(self) -> SuiteState:
         """Return the suite state at the end."""
-        return self.watch.current_state(self.end_ns)
+        return self.monitor.current_state(self.end_ns)
 
 
 def replay_with_faults(folder: Path, bag: str, faults: str = "") -> tuple[Path, Path]:
@@ -113,13 +113,13 @@ def replay_with_faults(folder: Path, bag: str, faults: str = "") -> tuple[Path, 
 
 def _inject_faults(place: Path, given: Path, faults: str) -> Path:
     """Return the bag with these faults."""
-    spoilt = place / "in.mcap"
-    if not spoilt.exists():
+    faulty = place / "in.mcap"
+    if not faulty.exists():
         (place / "faults.yaml").write_text(f"faults: {{{faults}}}\n")
         named = ["--faults", str(place / "faults.yaml"), "--out", str(place / "part.mcap"), "--seed", "1"]
         assert inject([str(given), *named]) == 0
-        (place / "part.mcap").rename(spoilt)
-    return spoilt
+        (place / "part.mcap").rename(faulty)
+    return faulty
 
 
 def records(*paths: Path) -> Iterator[tuple[int, str, Any]]:
@@ -140,10 +140,10 @@ def monitor_voyage(*paths: Path) -> MonitoredVoyage:
         if voyage is None:
             voyage, due_ns = MonitoredVoyage(SuiteMonitor(), time_ns), time_ns
         while due_ns <= time_ns:
-            picture = voyage.watch.current_state(due_ns)
+            picture = voyage.monitor.current_state(due_ns)
             before = _record_state(voyage, picture, before, (due_ns - voyage.start_ns) * 1e-9)
             due_ns += STEP_NS
-        voyage.watch.process_message(topic, message, time_ns)
+        voyage.monitor.process_message(topic, message, time_ns)
         voyage.end_ns = time_ns
     assert voyage is not None
     return voyage

@@ -46,7 +46,7 @@ class NmeaInPeer:
         path: path of its parameter file.
         sources: id → parameters of a source.
         namespace: of the node.
-        use_sim_time: whether it uses /clock.
+        use_sim_time: True to use /clock.
         as_process: run it as a separate process, whose log is next to the parameter file; otherwise in a thread.
 
     Attributes:
@@ -144,7 +144,7 @@ class NmeaInPeer:
         """Process messages until the condition is true; return its result."""
         deadline_s = time.monotonic() + TIMEOUT_S
         while not (found := condition()):
-            assert time.monotonic() < deadline_s, {name: told.message for name, told in self._diagnostics.items()}
+            assert time.monotonic() < deadline_s, {name: status.message for name, status in self._diagnostics.items()}
             self.spin()
         return found
 

@@ -61,7 +61,7 @@ def simulated_noise_session(
         of: the voyage.
         seed: of the random numbers.
         ins_changes: changed parameters of ``ins`` in the suite.
-        with_fixes: whether there are position fixes.
+        with_fixes: True to simulate position fixes.
     """
     suite = suite_configuration(of)
     thin = {"max_gap_s": 1.5 / of.ins.rate_hz, "silence_s": 20.0}

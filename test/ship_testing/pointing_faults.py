@@ -70,8 +70,8 @@ def freeze_encoders(run: SimulatedRun, until_s: float = np.inf) -> SimulatedRun:
     first = int(np.argmax(faulty))
     azimuth = np.where(faulty, readings.azimuth[first], readings.azimuth)
     elevation = np.where(faulty, readings.elevation[first], readings.elevation)
-    standing = replace(readings, azimuth=azimuth, elevation=elevation)
-    return replace(run, theodolite=replace(run.theodolite, encoder=standing))
+    frozen = replace(readings, azimuth=azimuth, elevation=elevation)
+    return replace(run, theodolite=replace(run.theodolite, encoder=frozen))
 
 
 def duplicate_encoder_readings(run: SimulatedRun, azimuth_arcsec: float, until_s: float = np.inf) -> SimulatedRun:
@@ -97,14 +97,14 @@ def shift_encoder_stamps(run: SimulatedRun, delay_s: float, until_s: float = np.
 
 
 def drift_encoders(run: SimulatedRun, azimuth_arcsec_per_s: float, until_s: float = np.inf) -> SimulatedRun:
-    """Let the encoders' azimuth creep from FAULT_S on."""
+    """Let the encoders' azimuth drift from FAULT_S on."""
     readings = run.theodolite.encoder
     drift = azimuth_arcsec_per_s * ARCSEC * _fault_duration_s(run, readings.time_ns, until_s)
     return replace(run, theodolite=replace(run.theodolite, encoder=replace(readings, azimuth=readings.azimuth + drift)))
 
 
 def drift_ship_attitude(run: SimulatedRun, arcsec_n_per_s: tuple[float, ...], until_s: float = np.inf) -> SimulatedRun:
-    """Let ``ship/attitude`` creep about North, Up and East from FAULT_S on; its rates do not show it."""
+    """Let ``ship/attitude`` drift about North, Up and East from FAULT_S on; its rates do not contain it."""
     fused, turning_n = run.fused, ARCSEC * np.array(arcsec_n_per_s)
     rotation_nd = exp_rotation(_fault_duration_s(run, fused.time_ns, until_s)[:, None] * turning_n) @ fused.rotation_nd
     return replace(run, fused=replace(fused, rotation_nd=rotation_nd))
@@ -117,8 +117,8 @@ def shift_telescope(
     images, focal_length_m = run.theodolite.images, run.scenario.theodolite.telescope.focal_length_m
     is_faulty = np.repeat(_is_faulty(run, images.time_ns, until_s), np.diff(images.first))
     moved_m = focal_length_m * ARCSEC * np.array([right_arcsec, up_arcsec])
-    knocked = replace(images, point_m=images.point_m + is_faulty[:, None] * moved_m)
-    return replace(run, theodolite=replace(run.theodolite, images=knocked))
+    shifted = replace(images, point_m=images.point_m + is_faulty[:, None] * moved_m)
+    return replace(run, theodolite=replace(run.theodolite, images=shifted))
 
 
 def shift_beacon_stamps(run: SimulatedRun, delay_s: float, until_s: float = np.inf) -> SimulatedRun:

@@ -20,12 +20,12 @@ class ProtectionLevelRun(AdapterRun):
         self.level_of: dict[int, np.ndarray] = {}
         to_messages = adapter._estimate_messages
 
-        def noting(estimate: Any) -> Any:
+        def to_noted_messages(estimate: Any) -> Any:
             if estimate.status is not Status.INVALID:
                 self.level_of[estimate.time_ns] = adapter.core.integrity(estimate).level
             return to_messages(estimate)
 
-        adapter._estimate_messages = noting
+        adapter._estimate_messages = to_noted_messages
         hand_over(self, arrivals, until_ns)
 
     def published_and_own_levels(self) -> list[tuple[Any, np.ndarray, np.ndarray]]:
@@ -41,7 +41,8 @@ class ProtectionLevelRun(AdapterRun):
     def exceedances(self) -> list[tuple[int, np.ndarray, np.ndarray]]:
         """Return stamp, published, own levels of outputs with own levels unknown or above by more than a twentieth."""
         return [
-            (stamp_of(message), told, own)
-            for message, told, own in self.published_and_own_levels()
-            if np.any(np.isfinite(told) & ~(own <= 1.05 * told)) or (np.isnan(told).any() != np.isnan(own).any())
+            (stamp_of(message), published, own)
+            for message, published, own in self.published_and_own_levels()
+            if np.any(np.isfinite(published) & ~(own <= 1.05 * published))
+            or (np.isnan(published).any() != np.isnan(own).any())
         ]

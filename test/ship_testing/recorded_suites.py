@@ -27,9 +27,9 @@ def write_suite(path: Path, length_s: int = 900, prefix: str = "", *, truth: boo
             attitude = ship_attitude(stamp_ns, heading, covariance_enu=covariance)
             bag.write(f"{prefix}ship/attitude", attitude, stamp_ns)
             if number % 20 == 0:
-                is_refused = since_s >= length_s - 300
+                is_rejected = since_s >= length_s - 300
                 message = innovation(
-                    stamp_ns, "star.bow", [ARCSEC] * 3, [ARCSEC] * 3, 3.0, not is_refused, 19 if is_refused else 0
+                    stamp_ns, "star.bow", [ARCSEC] * 3, [ARCSEC] * 3, 3.0, not is_rejected, 19 if is_rejected else 0
                 )
                 bag.write(f"{prefix}ship/innovation", message, stamp_ns)
                 if truth:

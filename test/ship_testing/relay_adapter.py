@@ -74,7 +74,7 @@ class RelayAdapter:
         self.clock_steps: list[int] = []
         self.handled: list[int] = []
         self.overloads: list[Overload] = []
-        self.contested: list[tuple[str, str]] = []
+        self.duplicates: list[tuple[str, str]] = []
 
     def handle(self, topic: str, message: Any, receive_ns: int, waiting_ns: int | None = None) -> list[OutputMessage]:
         self.health.record_arrival(topic, receive_ns if waiting_ns is None else waiting_ns)
@@ -84,8 +84,8 @@ class RelayAdapter:
             time_ns = stamp_ns(message.header, receive_ns)
             check_frame(message.header.frame_id, self.config.frame_id)
             x, y, z, w = unit_quaternion(message.orientation)
-        except MessageRejected as refused:
-            self.health.record_rejected(topic, refused.rejection, receive_ns)
+        except MessageRejected as rejected:
+            self.health.record_rejected(topic, rejected.rejection, receive_ns)
             return []
         self.health.record_accepted(topic, time_ns, receive_ns)
         self.handled.append(receive_ns)
@@ -138,7 +138,7 @@ class RelayAdapter:
 
     def set_duplicate_publishers(self, topic: str, text: str) -> None:
         self.health.set_duplicate_publishers(topic, text)
-        self.contested.append((topic, text))
+        self.duplicates.append((topic, text))
 
     def set_parameters(self, changes: Mapping[str, Any]) -> None:
         if changes.get("gate.count") == 13:

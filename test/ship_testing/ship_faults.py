@@ -69,7 +69,7 @@ class AttitudeErrors(NamedTuple):
         """Return the largest ratio of an error to its protection level while VALID."""
         return max((claim.level_ratio for claim in self.attitudes if claim.status is Status.VALID), default=0.0)
 
-    def excluded(self) -> set[str]:
+    def excluded_sources(self) -> set[str]:
         """Return all sources that were excluded at some time."""
         return {name for claim in self.attitudes for name in claim.excluded}
 
@@ -140,7 +140,7 @@ def run_core(
         run: the voyage.
         exchanged_s: begin and end of an exchange of the cables of two star sensors.
         from_s: time of the first attitude that is computed.
-        levels: whether errors are compared with their protection levels.
+        levels: True to compare errors with their protection levels.
     """
     core, carrier, found = core_for(run.scenario), make_carrier(run.scenario.carrier, run.seed), []
     for log_ns, source, index in run.arrivals():

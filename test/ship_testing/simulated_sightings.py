@@ -1,8 +1,9 @@
 """Epochs of [W18]'s configuration (models.md §5), simulated without the code under test.
 
-Two lights at 2 km are at (3°, 2°) and (-2°, -3°), azimuth · cos E and elevation, from the telescope's axis. Errors
-per epoch: 2.7 cm per axis of each baseline, 2" of refraction for each light, 0.1 mm of the focal length of 100 mm,
-0.65 µm (a tenth of a pixel) of each image coordinate.
+Two lights at 2 km are at (3°, 2°) and (-2°, -3°), azimuth · cos E and elevation, from the telescope's axis.
+
+Each epoch has four errors. Each axis of each baseline has 2.7 cm, and each light has 2" of refraction. The focal length
+of 100 mm has 0.1 mm, and each image coordinate 0.65 µm, a tenth of a pixel.
 """
 
 from dataclasses import dataclass, replace

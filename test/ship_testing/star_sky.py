@@ -36,10 +36,10 @@ def configuration(**ship) -> ShipAttitudeConfig:
 
 def sky_at_anchor(config: ShipAttitudeConfig, sigma_m: float = 5.0) -> SkyModel:
     """Return the sky of a ship at anchor with continuous fixes."""
-    watch = load_sky_model(config.sky)
+    sky_model = load_sky_model(config.sky)
     for second in range(-2, 60):
-        watch.surroundings.insert(PositionFix(TIME_NS + second * 1_000_000_000, POSITION, np.eye(3) * sigma_m**2))
-    return watch
+        sky_model.surroundings.insert(PositionFix(TIME_NS + second * 1_000_000_000, POSITION, np.eye(3) * sigma_m**2))
+    return sky_model
 
 
 def ins_track(time_ns: int = TIME_NS, error_n: FloatArray | None = None) -> AttitudeTrack:

@@ -80,7 +80,7 @@ def angles_timed_out(*names: str, age_s: float = 7.0, reason: str = "no data") -
 
 def source(name: str, **changes: Any) -> SourceDetails:
     """Return a source in normal state."""
-    verdict = NisConsistency(1.01, 400, "σ as stated (1.01)", True) if name.startswith(("star", "lights")) else None
+    consistency = NisConsistency(1.01, 400, "σ as stated (1.01)", True) if name.startswith(("star", "lights")) else None
     well = SourceDetails(
         name=name,
         presence=Presence.IN,
@@ -89,7 +89,7 @@ def source(name: str, **changes: Any) -> SourceDetails:
         residual=math.nan,
         out_since_ns=0,
         because_of="",
-        nis_consistency=verdict,
+        nis_consistency=consistency,
         age_s=_AGES.get(name, 0.5),
         rate_hz=2.0,
         rejected_in_a_row=0,

@@ -36,11 +36,11 @@ def bag_scenario(duration_s=10.0, **changes):
 
 def with_stars_and_targets(scenario):
     """Return the scenario with the targets and the stars on the mount of theodolite_night.yaml."""
-    night = load_scenario(SCENARIOS / "theodolite_night.yaml")
+    stars = load_scenario(SCENARIOS / "theodolite_night.yaml")
     return dataclasses.replace(
-        with_theodolite(scenario, main_detector=night.theodolite.main_detector),
-        targets=night.targets,
-        telescopes=night.telescopes,
+        with_theodolite(scenario, main_detector=stars.theodolite.main_detector),
+        targets=stars.targets,
+        telescopes=stars.telescopes,
     )
 
 

@@ -24,7 +24,7 @@ END_NS = START_NS + 60 * 10**9
 
 
 @pytest.fixture
-def saved(tmp_path: Path) -> Path:
+def saved_path(tmp_path: Path) -> Path:
     """Alignment file of the voyage."""
     path = tmp_path / "alignment.yaml"
     ALIGNMENT_FILE.save(path, fault_free_run().adapter.core.alignment_to_save())
@@ -56,8 +56,12 @@ def alignment_text(adapter: ShipAttitudeAdapter, now_ns: int) -> tuple[int, str]
     return status.level, status.message
 
 
-def test_saved_alignment_is_the_prior_of_the_next_voyage(saved: Path) -> None:
-    before, configured, now = fault_free_run().adapter, start_adapter(saved.with_name("none")), start_adapter(saved)
+def test_saved_alignment_is_the_prior_of_the_next_voyage(saved_path: Path) -> None:
+    before, configured, now = (
+        fault_free_run().adapter,
+        start_adapter(saved_path.with_name("none")),
+        start_adapter(saved_path),
+    )
     assert alignment_text(now, START_NS) == (0, "as configured or saved")
     for name in ("ins.time_offset", *(f"star.{s}.{a}" for s in ("fore", "starboard") for a in ("elevation", "roll"))):
         assert value_of(now)[name] == pytest.approx(value_of(before)[name], abs=1e-12)
@@ -70,9 +74,9 @@ def test_saved_alignment_is_the_prior_of_the_next_voyage(saved: Path) -> None:
     assert sigma_of(now)["ins.up"] == pytest.approx(72.0 * ARCSEC)
 
 
-def test_the_next_voyage_starts_closer_and_accepts_its_stars(saved: Path) -> None:
+def test_the_next_voyage_starts_closer_and_accepts_its_stars(saved_path: Path) -> None:
     fresh, primed = (
-        run_adapter(new_adapter(alignment_file=str(p)), voyage(1.0)) for p in (saved.with_name("none"), saved)
+        run_adapter(new_adapter(alignment_file=str(p)), voyage(1.0)) for p in (saved_path.with_name("none"), saved_path)
     )
     fresh_last, primed_last = (run.messages("ship/attitude")[-1] for run in (fresh, primed))
     assert np.all(np.diagonal(np.reshape(primed_last.covariance - fresh_last.covariance, (3, 3))) < 0.0)
@@ -82,20 +86,20 @@ def test_the_next_voyage_starts_closer_and_accepts_its_stars(saved: Path) -> Non
     assert part.trace() > 0.0
 
 
-def test_a_file_keeps_every_number(saved: Path) -> None:
-    prior, read = fault_free_run().adapter.core.alignment_to_save(), ALIGNMENT_FILE.load(saved)
+def test_a_file_keeps_every_number(saved_path: Path) -> None:
+    prior, read = fault_free_run().adapter.core.alignment_to_save(), ALIGNMENT_FILE.load(saved_path)
     assert (read.time_ns, read.serials, read.names) == (prior.time_ns, {"fore": "F1", "starboard": "S1"}, prior.names)
     assert read.time_offsets_s == prior.time_offsets_s
     assert np.array_equal(read.covariance, prior.covariance)
     for name, rotation_dv in prior.rotations_dv.items():
         # Angles in degrees and back: a few 1e-16.
         assert np.allclose(log_rotation(rotation_dv.T @ read.rotations_dv[name]), 0.0, atol=2e-15)
-    assert list(saved.parent.iterdir()) == [saved]  # nothing partial is left
+    assert list(saved_path.parent.iterdir()) == [saved_path]  # nothing partial is left
 
 
-def test_another_serial_number_keeps_the_configured_prior(saved: Path) -> None:
-    configured = start_adapter(saved.with_name("none"))
-    now = start_adapter(saved, star_sensors__fore__serial="F2")
+def test_another_serial_number_keeps_the_configured_prior(saved_path: Path) -> None:
+    configured = start_adapter(saved_path.with_name("none"))
+    now = start_adapter(saved_path, star_sensors__fore__serial="F2")
     for axis in ("azimuth", "elevation", "roll"):
         assert value_of(now)[f"star.fore.{axis}"] == value_of(configured)[f"star.fore.{axis}"]
         assert sigma_of(now)[f"star.fore.{axis}"] == sigma_of(configured)[f"star.fore.{axis}"]
@@ -105,10 +109,10 @@ def test_another_serial_number_keeps_the_configured_prior(saved: Path) -> None:
     assert all(word in text for word in ("'fore'", "'F1'", "'F2'", "configured prior"))
 
 
-def test_to_an_old_file_the_configured_uncertainty_is_added(saved: Path) -> None:
+def test_to_an_old_file_the_configured_uncertainty_is_added(saved_path: Path) -> None:
     now_ns = START_NS + 31 * DAY_NS
-    configured = start_adapter(saved.with_name("none"))
-    old, young = start_adapter(saved, now_ns), start_adapter(saved, now_ns - 2 * DAY_NS)
+    configured = start_adapter(saved_path.with_name("none"))
+    old, young = start_adapter(saved_path, now_ns), start_adapter(saved_path, now_ns - 2 * DAY_NS)
     for name in ("ins.time_offset", "star.fore.azimuth", "star.fore.elevation", "star.fore.roll"):
         assert value_of(old)[name] == value_of(young)[name] != value_of(configured)[name]
         assert sigma_of(old)[name] > sigma_of(configured)[name] > sigma_of(young)[name]
@@ -119,29 +123,31 @@ def test_to_an_old_file_the_configured_uncertainty_is_added(saved: Path) -> None
     assert alignment_text(young, now_ns - 2 * DAY_NS)[0] == 0
 
 
-def test_the_random_walk_of_the_time_between_is_added(saved: Path) -> None:
+def test_the_random_walk_of_the_time_between_is_added(saved_path: Path) -> None:
     walk = {"star_sensors__fore__installation_walk_up_arcsec_per_sqrt_h": 1.0}
-    sigma = [sigma_of(start_adapter(saved, START_NS + 25 * 3600 * 10**9, **w))["star.fore.azimuth"] for w in ({}, walk)]
+    sigma = [
+        sigma_of(start_adapter(saved_path, START_NS + 25 * 3600 * 10**9, **w))["star.fore.azimuth"] for w in ({}, walk)
+    ]
     # Azimuth of a sensor at elevation 45° is (rotation about its up axis) / cos 45° and more: 1" a root hour, 25 hours.
     added = math.sqrt(sigma[1] ** 2 - sigma[0] ** 2)
     assert added == pytest.approx(5.0 * ARCSEC * math.sqrt(2.0), rel=1e-3)
 
 
-def test_sensors_missing_in_the_file_or_in_the_configuration(saved: Path) -> None:
+def test_sensors_missing_in_the_file_or_in_the_configuration(saved_path: Path) -> None:
     aft = {"azimuth_deg": 180.0, "elevation_deg": 45.0}
     now = start_adapter(
-        saved, star_sensors={"fore": {"azimuth_deg": 0.0, "elevation_deg": 45.0, "serial": "F1"}, "aft": aft}
+        saved_path, star_sensors={"fore": {"azimuth_deg": 0.0, "elevation_deg": 45.0, "serial": "F1"}, "aft": aft}
     )
     assert sigma_of(now)["star.aft.elevation"] == pytest.approx(ARCSEC)
     assert sigma_of(now)["star.fore.elevation"] < ARCSEC
     assert "star.starboard.elevation" not in sigma_of(now)
 
 
-def document(saved: Path) -> dict[str, Any]:
-    return yaml.safe_load(saved.read_text(encoding="utf-8"))
+def document(saved_path: Path) -> dict[str, Any]:
+    return yaml.safe_load(saved_path.read_text(encoding="utf-8"))
 
 
-def without(*keys: str) -> Any:
+def remove_key(*keys: str) -> Any:
     def change(content: dict[str, Any]) -> None:
         for key in keys[:-1]:
             content = content[key]
@@ -162,10 +168,10 @@ def with_value(value: Any, *keys: Any) -> Any:
 BROKEN = [
     (with_value("other", "format"), "expected 'format: ship_attitude alignment'"),
     (with_value(2, "version"), "version 2"),
-    (without("covariance"), "'covariance' is missing"),
-    (without("installation", "star.fore"), "star.fore"),
-    (without("installation", "star.fore", "roll_deg"), "roll_deg"),
-    (without("time_offset_s", "ins.time_offset"), "ins.time_offset"),
+    (remove_key("covariance"), "'covariance' is missing"),
+    (remove_key("installation", "star.fore"), "star.fore"),
+    (remove_key("installation", "star.fore", "roll_deg"), "roll_deg"),
+    (remove_key("time_offset_s", "ins.time_offset"), "ins.time_offset"),
     (with_value([1, 2], "covariance_of"), "covariance_of"),
     (with_value(["star.fore"], "installation"), "installation"),
     (with_value(3.0, "serials"), "serials"),
@@ -181,16 +187,16 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("change", "text"), BROKEN, ids=[text for _, text in BROKEN])
-def test_a_broken_file_is_set_aside_and_named_at_the_start(saved: Path, change: Any, text: str) -> None:
-    content = document(saved)
+def test_a_broken_file_is_set_aside_and_named_at_the_start(saved_path: Path, change: Any, text: str) -> None:
+    content = document(saved_path)
     change(content)
-    saved.write_text(yaml.safe_dump(content), encoding="utf-8")
-    *_, warning = new_adapter(alignment_file=str(saved)).start_warnings
-    assert warning.startswith(f"{saved}: ")
+    saved_path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    *_, warning = new_adapter(alignment_file=str(saved_path)).start_warnings
+    assert warning.startswith(f"{saved_path}: ")
     assert text in warning
-    assert warning.endswith(f"; set aside as {saved}.unreadable; the filter starts as configured")
+    assert warning.endswith(f"; set aside as {saved_path}.unreadable; the filter starts as configured")
     assert "\n" not in warning
-    assert not saved.exists()
+    assert not saved_path.exists()
 
 
 @pytest.mark.parametrize(
@@ -203,8 +209,8 @@ def test_a_file_without_alignment_is_named(tmp_path: Path, content: bytes) -> No
     assert "alignment" in adapter.start_warnings[-1]
     attitudes = run_adapter(adapter, voyage()).messages("ship/attitude")
     assert (attitudes[0].status, attitudes[-1].status) == (Status.DEGRADED, Status.VALID)
-    level, told = alignment_text(adapter, END_NS)
-    assert (level, f"set aside as {path}.unreadable" in told) == (1, True)
+    level, text = alignment_text(adapter, END_NS)
+    assert (level, f"set aside as {path}.unreadable" in text) == (1, True)
     assert path.with_name("alignment.yaml.unreadable").read_bytes() == content
     assert adapter.service("save_alignment", END_NS).success
     assert alignment_text(adapter, END_NS + 10 * 10**9) == (0, "as configured or saved")
@@ -223,9 +229,9 @@ def test_without_a_file_the_node_starts_as_configured(tmp_path: Path) -> None:
 def test_the_services_save_and_load(tmp_path: Path) -> None:
     path = tmp_path / "ship" / "alignment.yaml"
     run = run_adapter(new_adapter(alignment_file=str(path)), voyage())
-    told = run.adapter.service("save_alignment", run.now_ns)
-    assert told.success
-    assert str(path) in told.message
+    answer = run.adapter.service("save_alignment", run.now_ns)
+    assert answer.success
+    assert str(path) in answer.message
     assert ALIGNMENT_FILE.load(path).time_ns == run.adapter.core.state.time_ns
 
     later = ShipAttitudeAdapter(config(), FACTORY)
@@ -248,36 +254,36 @@ def test_a_path_that_cannot_be_written_is_named_and_the_node_continues(tmp_path:
     (tmp_path / "file").write_text("", encoding="utf-8")
     path = tmp_path / "file" / "alignment.yaml"
     adapter = run_adapter(new_adapter(alignment_file=str(path)), voyage()).adapter
-    told = adapter.service("save_alignment", START_NS)
-    assert not told.success
-    assert str(path) in told.message
+    answer = adapter.service("save_alignment", START_NS)
+    assert not answer.success
+    assert str(path) in answer.message
 
 
-def test_after_a_jump_of_the_clock_the_saved_alignment_is_the_start_again(saved: Path) -> None:
-    run = run_adapter(new_adapter(alignment_file=str(saved)), voyage(1.0))
+def test_after_a_jump_of_the_clock_the_saved_alignment_is_the_start_again(saved_path: Path) -> None:
+    run = run_adapter(new_adapter(alignment_file=str(saved_path)), voyage(1.0))
     run.adapter.clock_jumped_back(START_NS)
     again = run_adapter(run.adapter, voyage(1.0))
-    assert again.state() == saved_run_state(saved)
-    assert again.results() == run_adapter(new_adapter(alignment_file=str(saved)), voyage(1.0)).results()
+    assert again.state() == saved_run_state(saved_path)
+    assert again.results() == run_adapter(new_adapter(alignment_file=str(saved_path)), voyage(1.0)).results()
 
 
-def saved_run_state(saved: Path) -> Any:
-    return run_adapter(new_adapter(alignment_file=str(saved)), voyage(1.0)).state()
+def saved_run_state(saved_path: Path) -> Any:
+    return run_adapter(new_adapter(alignment_file=str(saved_path)), voyage(1.0)).state()
 
 
-def test_a_voyage_without_stars_does_not_make_the_alignment_younger_or_older(saved: Path) -> None:
+def test_a_voyage_without_stars_does_not_make_the_alignment_younger_or_older(saved_path: Path) -> None:
     """Saved again before the first star of a voyage, the alignment equals the loaded one."""
-    adapter, before = start_adapter(saved, START_NS + DAY_NS), document(saved)
+    adapter, before = start_adapter(saved_path, START_NS + DAY_NS), document(saved_path)
     assert adapter.service("save_alignment", START_NS + DAY_NS).success
-    after = document(saved)
+    after = document(saved_path)
     assert after["time_ns"] == before["time_ns"]
     assert after["covariance"] == before["covariance"]
 
 
 def test_without_measurements_nothing_is_saved(tmp_path: Path) -> None:
     adapter = start_adapter(tmp_path / "none.yaml")
-    told = adapter.service("save_alignment", START_NS)
-    assert (told.success, "no star" in told.message) == (False, True)
+    answer = adapter.service("save_alignment", START_NS)
+    assert (answer.success, "no star" in answer.message) == (False, True)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -292,7 +298,7 @@ def save_smaller_covariance(path: Path) -> bytes:
 
 
 def test_a_node_saves_by_itself_once_a_period_what_the_service_would_save(tmp_path: Path) -> None:
-    path, asked = tmp_path / "alignment.yaml", tmp_path / "asked.yaml"
+    path, requested = tmp_path / "alignment.yaml", tmp_path / "asked.yaml"
     files = CountedFiles()
     adapter = ShipAttitudeAdapter(config(alignment_file=str(path), alignment_autosave_s=1.0), FACTORY, files)
     run = run_adapter(adapter, voyage())
@@ -301,8 +307,8 @@ def test_a_node_saves_by_itself_once_a_period_what_the_service_would_save(tmp_pa
     until = [arrival for arrival in voyage() if arrival.receive_ns <= files.last_written_ns]
     assert len(until) > 100
     assert ALIGNMENT_FILE.load(path).time_ns < run.adapter.core.state.time_ns
-    ALIGNMENT_FILE.save(asked, run_adapter(new_adapter(), until).adapter.core.alignment_to_save())
-    assert asked.read_bytes() == path.read_bytes()
+    ALIGNMENT_FILE.save(requested, run_adapter(new_adapter(), until).adapter.core.alignment_to_save())
+    assert requested.read_bytes() == path.read_bytes()
     # Nothing else changes.
     assert run.results() == fault_free_run().results()
 

@@ -16,7 +16,7 @@ KINDS = [
     (Status.DEGRADED, ("star.fore",), False),
     (Status.VALID, ("ins", "star.fore"), True),
 ]
-"""Status, sources, and whether the rate is known."""
+"""Status, sources, and True if the rate is known."""
 
 
 def attitudes(count: int = 40) -> list[AttitudeEstimate]:

@@ -27,7 +27,7 @@ from ship_testing.adapter_runs import (
 )
 from ship_testing.small_voyage import FORE, INS, Run, fault_free_run, new_adapter, run_adapter, voyage
 
-MOMENT_S = 2.5
+CHANGE_S = 2.5
 SOURCE = {INS: "ins", FORE: "star.fore"}
 ONE_SIGMA = 3.0 * ARCSEC
 
@@ -142,14 +142,14 @@ DROPPED = [
 
 
 @functools.cache
-def run_without(topic: str, moment_s: float = MOMENT_S) -> Run:
-    return run_adapter(new_adapter(), without(voyage(), index_at(voyage(), topic, moment_s)))
+def run_without(topic: str, change_s: float = CHANGE_S) -> Run:
+    return run_adapter(new_adapter(), without(voyage(), index_at(voyage(), topic, change_s)))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("topic", "change", "reason", "text"), [c[1:] for c in DROPPED], ids=[c[0] for c in DROPPED])
 def test_a_bad_message_is_reported_and_changes_nothing(topic: str, change: Change, reason: str, text: str) -> None:
-    index = index_at(voyage(), topic, MOMENT_S)
+    index = index_at(voyage(), topic, CHANGE_S)
     run = run_adapter(new_adapter(), replace_message(voyage(), index, change))
 
     assert run.results() == run_without(topic).results()
@@ -167,10 +167,10 @@ def assert_reported_once(run: Run, topic: str, reason: str, text: str, receive_n
     assert not innovation.accepted
     assert text in innovation.reason_text
     reports = run.diagnostics(f"input {topic}", receive_ns, receive_ns + 1_100_000_000)
-    assert any(level == 1 and reason in said and text in said for level, said in reports)
+    assert any(level == 1 and reason in reported and text in reported for level, reported in reports)
 
 
-def test_without_faults_nothing_is_refused() -> None:
+def test_without_faults_nothing_is_rejected() -> None:
     assert {m.reason for m in fault_free_run().messages("ship/innovation")} == {Reason.NONE}
     assert run_without(INS).results() != fault_free_run().results()  # the comparisons above would see a difference
     assert run_without(FORE).state() != fault_free_run().state()
@@ -186,11 +186,11 @@ def test_a_quaternion_a_little_long_is_renormalised() -> None:
 
 
 def test_angles_counted_past_a_turn_are_the_same_attitude() -> None:
-    def further(message: Any) -> None:
+    def add_turns(message: Any) -> None:
         message.azimuth += 2.0 * np.pi
         message.roll -= 4.0 * np.pi
 
-    run = run_adapter(new_adapter(), change_where(voyage(), lambda a: a.topic == FORE, further))
+    run = run_adapter(new_adapter(), change_where(voyage(), lambda a: a.topic == FORE, add_turns))
     assert run.reasons(FORE) == {}
     clean = fault_free_run()
     for one, other in zip(run.messages("ship/attitude"), clean.messages("ship/attitude"), strict=True):
@@ -217,7 +217,7 @@ def test_a_star_without_covariance_gets_the_configured_sigma(unknown: Change) ->
 
 
 def test_an_exact_axis_without_other_uncertainty_is_rejected_and_does_not_block() -> None:
-    """With every sigma of the configuration at zero, only the star's own covariance is left, as good as singular."""
+    """Every configured sigma is zero: only the star's own covariance is left, which is nearly singular."""
     exact = {"ins__time_offset_sigma_s": 0.0}
     exact |= {f"ins__{name}_sigma_arcsec": 0.0 for name in ("tilt", "heading", "white")}
     for axis in ("forward", "up", "right"):
@@ -232,7 +232,7 @@ def test_an_exact_axis_without_other_uncertainty_is_rejected_and_does_not_block(
 
 
 def test_a_configured_sigma_is_used_if_the_message_gives_none() -> None:
-    """With 30 times the sigma, the fore sensor has almost no weight for the heading."""
+    """The fore sensor has almost no weight for the heading if its sigma is 30 times as large."""
     arrivals = change_where(voyage(), lambda a: a.topic.startswith("star"), set_field("rotation_covariance", 0.0))
     coarse = {
         f"star_sensors__{sensor}__sigma_{axis}_arcsec": 3000.0
@@ -258,9 +258,9 @@ def test_an_ins_without_covariance_is_used_as_configured(unknown: Change, accept
 
 
 @pytest.mark.parametrize("accepted", [False, True])
-def test_a_reference_without_an_orientation_is_refused_unless_accepted(accepted: bool) -> None:
+def test_a_reference_without_an_orientation_is_rejected_unless_configured(accepted: bool) -> None:
     """The message that an INS of the same attitude sends, with the first element of its covariance at -1."""
-    topic, index = "reference/gyro/imu", index_at(voyage(), INS, MOMENT_S)
+    topic, index = "reference/gyro/imu", index_at(voyage(), INS, CHANGE_S)
     arrival = changed_copy(voyage()[index], set_field("orientation_covariance.0", -1.0))
     unset = replace(arrival, topic=topic, receive_ns=arrival.receive_ns + 1)
     adapter = new_adapter(references={"gyro": {"accept_unset_covariance": accepted}})
@@ -288,7 +288,7 @@ def test_an_ins_without_rates_is_used_without_them() -> None:
 
 @pytest.mark.parametrize("topic", [INS, FORE])
 def test_the_same_message_again_is_a_duplicate(topic: str) -> None:
-    index = index_at(voyage(), topic, MOMENT_S)
+    index = index_at(voyage(), topic, CHANGE_S)
     again_ns = voyage()[index].receive_ns + SECOND_NS
     run = run_adapter(new_adapter(), add_copy(voyage(), index, lambda message: None, again_ns))
     assert run.results() == fault_free_run().results()
@@ -297,8 +297,8 @@ def test_the_same_message_again_is_a_duplicate(topic: str) -> None:
 
 
 @pytest.mark.parametrize("topic", [INS, FORE])
-@pytest.mark.parametrize("apart_s", [0.001, 1.0])
-def test_of_two_messages_with_one_stamp_the_same_one_is_kept_in_either_order(topic: str, apart_s: float) -> None:
+@pytest.mark.parametrize("delay_s", [0.001, 1.0])
+def test_of_two_messages_with_one_stamp_the_same_one_is_kept_in_either_order(topic: str, delay_s: float) -> None:
     def other(message: Any) -> None:
         if topic == INS:
             message.angular_velocity.x += 1e-4
@@ -308,7 +308,7 @@ def test_of_two_messages_with_one_stamp_the_same_one_is_kept_in_either_order(top
     arrivals = voyage()
     index = index_at(arrivals, topic, 2.6)  # the INS sample just before the star's of 2.613 s
     one, another = arrivals[index], changed_copy(arrivals[index], other)
-    second_ns = one.receive_ns + round(apart_s * SECOND_NS)
+    second_ns = one.receive_ns + round(delay_s * SECOND_NS)
     one_first, another_first = (
         run_adapter(
             new_adapter(), sort_by_arrival((*without(arrivals, index), first, replace(second, receive_ns=second_ns)))
@@ -339,10 +339,10 @@ def attitudes(run: Run) -> list[Any]:
 
 
 @pytest.mark.parametrize("topic", [INS, FORE])
-def test_a_source_that_contradicts_itself_is_not_valid_for_ten_seconds(
+def test_a_source_with_conflicting_messages_is_not_valid_for_ten_seconds(
     topic: str,
 ) -> None:
-    """By 20″, once: whichever of the two is kept, outputs based on it are not VALID."""
+    """Two messages with one stamp differ by 20″: outputs based on either of them are not VALID."""
     arrivals = voyage(16.0)
     index = index_at(arrivals, topic, 3.0)
     run = run_adapter(new_adapter(), add_copy(arrivals, index, turn_heading(20.0), arrivals[index].receive_ns + 1))
@@ -367,7 +367,7 @@ def turn_heading(arcsec: float) -> Change:
     return change
 
 
-def test_a_star_sensor_that_contradicts_itself_and_is_refused_does_no_harm_to_the_others() -> None:
+def test_a_rejected_star_sensor_with_conflicting_messages_does_not_affect_the_others() -> None:
     """Two publishers on one topic, 400″ apart from all others: neither is used, and the other sources are VALID."""
     arrivals = voyage(8.0)
     since_ns = START_NS + 3 * SECOND_NS
@@ -399,7 +399,7 @@ def test_a_message_older_than_the_lag_is_dropped(topic: str) -> None:
 
 
 def test_ten_messages_in_a_row_from_the_future_are_a_clock_offset() -> None:
-    from_ns = voyage()[index_at(voyage(), INS, MOMENT_S)].receive_ns
+    from_ns = voyage()[index_at(voyage(), INS, CHANGE_S)].receive_ns
     ahead = change_where(voyage(), lambda a: a.topic == INS and a.receive_ns >= from_ns, stamp_ahead(0.2))
     run = run_adapter(new_adapter(), ahead)
     tenth_ns = from_ns + 9 * 40_000_000
@@ -414,7 +414,7 @@ def test_ten_messages_in_a_row_from_the_future_are_a_clock_offset() -> None:
 def test_a_star_far_off_once_is_gated_and_changes_nothing() -> None:
     """600" in heading: four times the sigma about Up that a sensor looking up by 45° has, 100" sin 45°."""
     run = run_adapter(
-        new_adapter(), replace_message(voyage(), index_at(voyage(), FORE, MOMENT_S), set_field("azimuth", 0.7))
+        new_adapter(), replace_message(voyage(), index_at(voyage(), FORE, CHANGE_S), set_field("azimuth", 0.7))
     )
     assert run.results() == run_without(FORE).results()
     assert run.state() == run_without(FORE).state()
@@ -436,17 +436,17 @@ def test_rates_in_degrees_are_detected_and_rejected_until_corrected() -> None:
     run = run_adapter(
         new_adapter(), change_where(arrivals, lambda a: a.topic == INS and a.receive_ns < wrong_until_ns, degrees)
     )
-    refused = run.innovations(Reason.UNITS)
-    first_s = (stamp_of(refused[0]) - arrivals[0].stamp_ns) * 1e-9
+    rejected = run.innovations(Reason.UNITS)
+    first_s = (stamp_of(rejected[0]) - arrivals[0].stamp_ns) * 1e-9
     assert 5.0 <= first_s <= 5.7
-    assert "rad/s" in refused[0].reason_text
-    assert "57" in refused[0].reason_text
-    told_ns = round(first_s * SECOND_NS) + arrivals[0].receive_ns
-    reports = run.diagnostics(f"input {INS}", told_ns, told_ns + 1_100_000_000)
+    assert "rad/s" in rejected[0].reason_text
+    assert "57" in rejected[0].reason_text
+    detected_ns = round(first_s * SECOND_NS) + arrivals[0].receive_ns
+    reports = run.diagnostics(f"input {INS}", detected_ns, detected_ns + 1_100_000_000)
     assert any(level >= 1 and "units" in text for level, text in reports)
     # Within six seconds of correct rates the effect of the wrong ones is gone.
     assert run.messages("ship/attitude")[-1].status == 0
-    assert stamp_of(refused[-1]) < wrong_until_ns + 6 * SECOND_NS
+    assert stamp_of(rejected[-1]) < wrong_until_ns + 6 * SECOND_NS
 
 
 def test_a_frozen_ins_is_reported_at_once_and_its_first_new_value_is_used() -> None:
@@ -472,22 +472,22 @@ def test_a_frozen_ins_is_reported_at_once_and_its_first_new_value_is_used() -> N
     assert run.messages("ship/attitude")[-1].status == 0
 
 
-@pytest.mark.parametrize("witness", [INS, "other star sensor"])
-def test_a_frozen_star_sensor_is_reported_within_a_second_and_recovers_at_once(witness: str) -> None:
+@pytest.mark.parametrize("motion_reference", [INS, "other star sensor"])
+def test_a_frozen_star_sensor_is_reported_within_a_second_and_recovers_at_once(motion_reference: str) -> None:
     """While the INS moves, or, during an INS timeout, the other star sensor."""
     arrivals = voyage(16.0)
     frozen = arrivals[index_at(arrivals, FORE, 3.0)].message
     from_ns, until_ns = arrivals[0].stamp_ns + 3 * SECOND_NS, arrivals[0].stamp_ns + 10 * SECOND_NS
-    if witness != INS:
+    if motion_reference != INS:
         arrivals = tuple(a for a in arrivals if a.topic != INS or not from_ns <= a.stamp_ns < until_ns)
 
     def freeze(message: Any) -> None:
         message.azimuth, message.elevation, message.roll = frozen.azimuth, frozen.elevation, frozen.roll
 
-    def chosen(arrival: Arrival) -> bool:
+    def is_frozen(arrival: Arrival) -> bool:
         return arrival.topic == FORE and from_ns <= arrival.stamp_ns < until_ns
 
-    run = run_adapter(new_adapter(), change_where(arrivals, chosen, freeze))
+    run = run_adapter(new_adapter(), change_where(arrivals, is_frozen, freeze))
     stuck = [stamp_of(m) for m in run.innovations(Reason.STUCK)]
     # 35 frozen at 5 Hz in seven seconds: the first is true, the next two are not certain.
     assert len(stuck) == run.reasons(FORE)["stuck"] == 35 - 3
@@ -498,11 +498,11 @@ def test_a_frozen_star_sensor_is_reported_within_a_second_and_recovers_at_once(w
 
 
 def test_a_ship_at_rest_is_not_stuck() -> None:
-    """In dock the INS repeats one value, and the stars vary by their noise: 100" about the boresight."""
+    """The INS repeats one value in dock, and the stars vary by their noise of 100" about the boresight."""
     first = {topic: voyage()[index_at(voyage(), topic, 0.0)].message for topic in (INS, FORE)}
     rng = np.random.default_rng(7)
 
-    def rest(message: Any) -> None:
+    def set_at_rest(message: Any) -> None:
         if hasattr(message, "orientation"):
             message.orientation = first[INS].orientation
             message.angular_velocity = first[INS].linear_acceleration  # zero
@@ -510,5 +510,7 @@ def test_a_ship_at_rest_is_not_stuck() -> None:
             message.azimuth, message.elevation = first[FORE].azimuth, first[FORE].elevation
             message.roll = first[FORE].roll + 100.0 * ARCSEC * rng.standard_normal()
 
-    run = run_adapter(new_adapter(), change_where([a for a in voyage() if a.topic in first], lambda a: True, rest))
+    run = run_adapter(
+        new_adapter(), change_where([a for a in voyage() if a.topic in first], lambda a: True, set_at_rest)
+    )
     assert run.reasons(INS) == {}

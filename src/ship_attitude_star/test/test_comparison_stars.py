@@ -36,7 +36,7 @@ FIELD = {"field_spatial_sigma_px": 0.3}
 
 
 @pytest.fixture(scope="module")
-def watch():
+def sky_model():
     return sky_at_anchor(CONFIG)
 
 
@@ -45,7 +45,7 @@ def ship_filter():
     return ShipFilter(CONFIG)
 
 
-def residuals(ship_filter, watch, exposure, mean):
+def residuals(ship_filter, sky_model, exposure, mean):
     """Residuals of an exposure at a state."""
     state = ship_filter.initial_state()
     ins = ins_track().at(TIME_NS)
@@ -58,7 +58,7 @@ def residuals(ship_filter, watch, exposure, mean):
         predicted.rotation_nv,
         predicted.jacobian_v,
         prior,
-        watch,
+        sky_model,
         model.sky_slice,
         mean,
         camera_indices=field_rows,
@@ -74,76 +74,76 @@ def with_field(exposure):
     return replace(exposure, spatial=spatial), ShipFilter(config)
 
 
-def test_pixel_errors_of_a_second_exposure_decorrelate_with_star_motion(watch):
+def test_pixel_errors_of_a_second_exposure_decorrelate_with_star_motion(sky_model):
     """Expected: coth d - 1 more; for stars that do not move at all the maximum allowed."""
-    exposure = exposure_of(watch, "fore", 4)
+    exposure = exposure_of(sky_model, "fore", 4)
     exposure = replace(exposure, spatial=SpatialErrors(StarCamera(0.05, 5.5e-6, 1023.5, 1023.5), 0.0, 0.2))
     ship_filter = ShipFilter(CONFIG)
     mean, alone = np.zeros(ship_filter.model.size), exposure.with_pixel_dwell(None)
     again = exposure.with_pixel_dwell(alone.pixel_dwell)
-    first, second = (residuals(ship_filter, watch, one, mean).noise[SOURCE_PIXEL] for one in (alone, again))
+    first, second = (residuals(ship_filter, sky_model, one, mean).noise[SOURCE_PIXEL] for one in (alone, again))
     np.testing.assert_allclose(np.diagonal(first), np.repeat(exposure.pixel_sigma**2, 2))
     np.testing.assert_allclose(second, 1000.0 * first)
 
 
-def test_the_filter_stores_the_pixel_dwell_of_a_sensor(watch):
+def test_the_filter_stores_the_pixel_dwell_of_a_sensor(sky_model):
     camera = {"focal_length_m": 0.05, "pixel_pitch_m": 5.5e-6, "pixel_spatial_sigma_px": 0.2}
     config = build(
         ShipAttitudeConfig,
         {"star_sensors": {"fore": {"input": "observations", **SENSORS["fore"], "camera": camera}}},
     )
-    ship_filter, told = ShipFilter(config), config.star_sensors["fore"].camera
-    exposure = exposure_of(watch, "fore", 4)
-    exposure = replace(exposure, spatial=told.spatial_errors(told.camera("camera")))
-    state, first = ship_filter.step(ship_filter.initial_state(), exposure, ins_track(), watch)
+    ship_filter, sensor = ShipFilter(config), config.star_sensors["fore"].camera
+    exposure = exposure_of(sky_model, "fore", 4)
+    exposure = replace(exposure, spatial=sensor.spatial_errors(sensor.camera("camera")))
+    state, first = ship_filter.step(ship_filter.initial_state(), exposure, ins_track(), sky_model)
     later = replace(exposure, time_ns=TIME_NS + 50_000_000)
-    state, second = ship_filter.step(state, later, ins_track(), watch)
+    state, second = ship_filter.step(state, later, ins_track(), sky_model)
     assert first.accepted
     assert second.accepted
     assert state.pixel_dwells["star.fore"].exposure_count == 1
     assert np.trace(second.noise) > 3.0 * np.trace(first.noise)
 
 
-def test_the_map_of_the_field_is_a_state_of_its_sensor(watch):
-    exposure, ship_filter = with_field(exposure_of(watch, "fore", 4))
+def test_the_map_of_the_field_is_a_state_of_its_sensor(sky_model):
+    exposure, ship_filter = with_field(exposure_of(sky_model, "fore", 4))
     rows = ship_filter.model.slices["star.fore.field"]
     assert rows.stop - rows.start == FIELD_MODES
-    here = residuals(ship_filter, watch, exposure, np.zeros(ship_filter.model.size))
+    here = residuals(ship_filter, sky_model, exposure, np.zeros(ship_filter.model.size))
     assert np.any(here.jacobian[:, rows], axis=1).all()
-    assert_jacobian_is_derivative(ship_filter, watch, exposure)
+    assert_jacobian_is_derivative(ship_filter, sky_model, exposure)
 
 
-def test_the_jacobian_is_the_derivative(ship_filter, watch):
-    assert_jacobian_is_derivative(ship_filter, watch, exposure_of(watch, "fore", 4))
+def test_the_jacobian_is_the_derivative(ship_filter, sky_model):
+    assert_jacobian_is_derivative(ship_filter, sky_model, exposure_of(sky_model, "fore", 4))
 
 
-def assert_jacobian_is_derivative(ship_filter, watch, exposure):
+def assert_jacobian_is_derivative(ship_filter, sky_model, exposure):
     rng = np.random.default_rng(1)
     sigma = np.sqrt(np.diagonal(ship_filter.initial_state().covariance))
     mean = 0.3 * sigma * rng.standard_normal(ship_filter.model.size)
-    here = residuals(ship_filter, watch, exposure, mean)
+    here = residuals(ship_filter, sky_model, exposure, mean)
     assert here.residual.shape == (8,)
     for row in np.flatnonzero(sigma > 0.0):
         step = np.zeros(ship_filter.model.size)
         step[row] = 1e-2 * sigma[row]
-        up, down = (residuals(ship_filter, watch, exposure, mean + sign * step) for sign in (1.0, -1.0))
+        up, down = (residuals(ship_filter, sky_model, exposure, mean + sign * step) for sign in (1.0, -1.0))
         # Residual = measured - predicted, so it falls where the prediction grows.
         numeric = (down.residual - up.residual) / (2.0 * step[row])
         scale = max(np.max(np.abs(here.jacobian[:, row])), 1e-9)
         np.testing.assert_allclose(here.jacobian[:, row], numeric, atol=1e-4 * scale)
 
 
-def test_one_star_improves_two_components_as_the_bound_says_and_leaves_the_third(ship_filter, watch):
-    exposure = exposure_of(watch, "fore", 1)
+def test_one_star_improves_two_components_to_the_bound_and_leaves_the_third(ship_filter, sky_model):
+    exposure = exposure_of(sky_model, "fore", 1)
     before = ship_filter.propagate(ship_filter.initial_state(), TIME_NS)
-    after, decision = ship_filter.step(before, exposure, ins_track(), watch)
+    after, decision = ship_filter.step(before, exposure, ins_track(), sky_model)
     assert decision.accepted
-    star_n = watch.sky_at(TIME_NS).apparent_stars(exposure.positions).direction_n[0]
+    star_n = sky_model.sky_at(TIME_NS).apparent_stars(exposure.positions).direction_n[0]
     # Bound: information of the star and the prior, with mounting and shared errors as further noise across the star.
     rows = ship_filter.model.state_indices("ins.attitude")
     prior = before.covariance[np.ix_(rows, rows)]
     posterior = after.covariance[np.ix_(rows, rows)]
-    compared = residuals(ship_filter, watch, exposure, before.mean)
+    compared = residuals(ship_filter, sky_model, exposure, before.mean)
     jacobian = compared.jacobian
     own = jacobian.copy()
     own[:, rows] = 0.0
@@ -157,11 +157,12 @@ def test_one_star_improves_two_components_as_the_bound_says_and_leaves_the_third
 
 
 @pytest.mark.parametrize("count", [1, 2, 8])
-def test_the_estimate_converges_to_the_truth(ship_filter, watch, count):
+def test_the_estimate_converges_to_the_truth(ship_filter, sky_model, count):
     error_n = np.array([12.0, -60.0, 8.0]) * ARCSEC
     state = ship_filter.initial_state()
     for id_ in ("fore", "starboard"):
-        state, decision = ship_filter.step(state, exposure_of(watch, id_, count), ins_track(error_n=error_n), watch)
+        exposure = exposure_of(sky_model, id_, count)
+        state, decision = ship_filter.step(state, exposure, ins_track(error_n=error_n), sky_model)
         assert decision.accepted
     rows = ship_filter.model.state_indices("ins.attitude")
     left = error_n - state.mean[rows]
@@ -171,23 +172,23 @@ def test_the_estimate_converges_to_the_truth(ship_filter, watch, count):
     assert np.linalg.norm(left) < 0.1 * np.linalg.norm(error_n)
 
 
-def test_a_star_of_another_identity_is_refused_by_name_and_the_rest_is_used(ship_filter, watch):
-    exposure = exposure_of(watch, "fore", 6)
+def test_a_star_of_another_identity_is_rejected_by_name_and_the_rest_is_used(ship_filter, sky_model):
+    exposure = exposure_of(sky_model, "fore", 6)
     swapped = [1, 0, 2, 3, 4, 5]
     wrong = replace(exposure, hip=exposure.hip[swapped], positions=exposure.positions[swapped])
-    _, decision = ship_filter.step(ship_filter.initial_state(), wrong, ins_track(), watch)
+    _, decision = ship_filter.step(ship_filter.initial_state(), wrong, ins_track(), sky_model)
     assert decision.accepted
     assert {name for name, _ in decision.rejected_parts} == {f"HIP {hip}" for hip in exposure.hip[:2]}
-    assert all(refusal.reason is Reason.MISIDENTIFIED for _, refusal in decision.rejected_parts)
+    assert all(rejection.reason is Reason.MISIDENTIFIED for _, rejection in decision.rejected_parts)
     assert decision.components[0] == f"HIP {exposure.hip[2]} up"
 
 
-def test_stars_that_agree_against_the_ins_are_a_conflict_with_a_hint(watch):
+def test_stars_that_agree_against_the_ins_are_a_conflict_with_a_hint(sky_model):
     config = configuration(gate={"conflict_after": 1})
     ship_filter = ShipFilter(config)
     error_n = np.array([0.0, np.deg2rad(90.0), 0.0])
     _, decision = ship_filter.step(
-        ship_filter.initial_state(), exposure_of(watch, "fore", 8), ins_track(error_n=error_n), watch
+        ship_filter.initial_state(), exposure_of(sky_model, "fore", 8), ins_track(error_n=error_n), sky_model
     )
     assert decision.reason is Reason.ATTITUDE_CONFLICT
     assert "90" in decision.text
@@ -209,17 +210,17 @@ def test_nan_passes_no_gate(field):
     assert ship_filter.step(after, good, ins_track(), None)[1].accepted
 
 
-def test_no_fix_and_no_earth_orientation_are_named(ship_filter, watch):
-    exposure = exposure_of(watch, "fore", 4)
+def test_no_fix_and_no_earth_orientation_are_named(ship_filter, sky_model):
+    exposure = exposure_of(sky_model, "fore", 4)
     late_ns = TIME_NS + 600 * 1_000_000_000
     _, decision = ship_filter.step(
-        ship_filter.initial_state(), replace(exposure, time_ns=late_ns), ins_track(late_ns), watch
+        ship_filter.initial_state(), replace(exposure, time_ns=late_ns), ins_track(late_ns), sky_model
     )
     assert decision.reason is Reason.NO_FIX
     assert "fix_max_age_s" in decision.text
     far_ns = TIME_NS + 40 * 365 * 86_400 * 1_000_000_000
     _, decision = ship_filter.step(
-        ship_filter.initial_state(), replace(exposure, time_ns=far_ns), ins_track(far_ns), watch
+        ship_filter.initial_state(), replace(exposure, time_ns=far_ns), ins_track(far_ns), sky_model
     )
     assert decision.reason is Reason.NO_EARTH_ORIENTATION
 
@@ -257,16 +258,16 @@ def test_fixes_in_any_order_end_in_the_same_state():
     assert first.last_used_ns["star.fore"] == exposures[-1].time_ns
 
 
-def test_stars_without_identity_are_identified_by_the_prediction(ship_filter, watch):
-    exposure = exposure_of(watch, "fore", 8, np.random.default_rng(3))
+def test_stars_without_identity_are_identified_by_the_prediction(ship_filter, sky_model):
+    exposure = exposure_of(sky_model, "fore", 8, np.random.default_rng(3))
     unknown = without_identity(exposure)
-    state, known = ship_filter.step(ship_filter.initial_state(), exposure, ins_track(), watch)
-    found_state, found = ship_filter.step(ship_filter.initial_state(), unknown, ins_track(), watch)
+    state, known = ship_filter.step(ship_filter.initial_state(), exposure, ins_track(), sky_model)
+    found_state, found = ship_filter.step(ship_filter.initial_state(), unknown, ins_track(), sky_model)
     assert found.components == known.components
     np.testing.assert_allclose(found_state.mean, state.mean, rtol=0, atol=1e-12)
 
 
-def test_an_attitude_against_the_icrs_gives_the_horizon_attitude(watch):
+def test_an_attitude_against_the_icrs_gives_the_horizon_attitude(sky_model):
     """Compared with the exposure with the same information: both give the same estimate."""
     config = configuration()
     config = replace(
@@ -275,13 +276,13 @@ def test_an_attitude_against_the_icrs_gives_the_horizon_attitude(watch):
     ship_filter = ShipFilter(config)
     device = ship_filter.devices["star.fore"]
     rotation_ns = ROTATION_ND @ device.rotation_dv0
-    moment = watch.sky_at(TIME_NS)
+    sky = sky_model.sky_at(TIME_NS)
     elevation = np.arcsin(rotation_ns[1, 0])
-    angle, _ = moment.refraction_at(elevation)
+    angle, _ = sky.refraction_at(elevation)
     level = np.array([-rotation_ns[2, 0], 0.0, rotation_ns[0, 0]]) / np.hypot(rotation_ns[0, 0], rotation_ns[2, 0])
-    seen = moment.rotation_horizon_from_icrs().T @ exp_rotation(-angle * level) @ rotation_ns
+    seen = sky.rotation_horizon_from_icrs().T @ exp_rotation(-angle * level) @ rotation_ns
     inertial = InertialAttitude("star.fore", TIME_NS, seen, np.diag((np.array([20.0, 3.0, 3.0]) * ARCSEC) ** 2))
-    _, decision = ship_filter.step(ship_filter.initial_state(), inertial, ins_track(), watch)
+    _, decision = ship_filter.step(ship_filter.initial_state(), inertial, ins_track(), sky_model)
     assert decision.accepted
     # Refraction at the apparent instead of the true elevation: 1″ of 60″ in second order at most.
     assert np.linalg.norm(decision.residual) < 0.1 * ARCSEC

@@ -59,22 +59,22 @@ def test_normal_equations_are_those_of_the_members() -> None:
     equal(fit.normal_equations()[1], fit.displacement.ravel() @ fit.jacobian.reshape(STARS * 3, -1))
 
 
-@pytest.mark.parametrize("open_", [0, 3])
-def test_stars_are_solved_as_by_numpy(open_: int) -> None:
+@pytest.mark.parametrize("without_prior", [0, 3])
+def test_stars_are_solved_as_by_numpy(without_prior: int) -> None:
     fit, members = linearise_stars(random_stars(SENSORS, TURNS), np.eye(3)), np.arange(STARS) % 3 != 1
     rows, flat = fit.jacobian[members].reshape(-1, fit.jacobian.shape[-1]), fit.displacement[members].ravel()
     # Unknowns in units of sigma are of order one.
     unit = np.where(np.arange(rows.shape[1]) < 3, 1e5, 1.0)
-    rows, fit = rows / unit, StarFit(fit.jacobian / unit, fit.displacement, fit.residual_n, open_)
-    judgement = fit.solve(members)
-    prior = np.diag((np.arange(rows.shape[1]) >= open_).astype(float))
+    rows, fit = rows / unit, StarFit(fit.jacobian / unit, fit.displacement, fit.residual_n, without_prior)
+    solution = fit.solve(members)
+    prior = np.diag((np.arange(rows.shape[1]) >= without_prior).astype(float))
     expected = np.linalg.solve(rows.T @ rows + prior, flat @ rows)
-    equal(judgement.information, rows.T @ rows)
-    equal(judgement.information_with_prior, rows.T @ rows + prior)
-    np.testing.assert_allclose(judgement.unknowns, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+    equal(solution.information, rows.T @ rows)
+    equal(solution.information_with_prior, rows.T @ rows + prior)
+    np.testing.assert_allclose(solution.unknowns, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
     left = flat - rows @ expected
-    assert judgement.chi_square == pytest.approx(left @ left + expected @ prior @ expected, rel=1e-9)
-    assert judgement.degrees == 2 * np.count_nonzero(members) - open_
+    assert solution.chi_square == pytest.approx(left @ left + expected @ prior @ expected, rel=1e-9)
+    assert solution.degrees == 2 * np.count_nonzero(members) - without_prior
 
 
 def test_stars_that_do_not_determine_the_attitude_are_refused() -> None:

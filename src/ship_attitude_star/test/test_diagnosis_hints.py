@@ -28,19 +28,19 @@ def test_a_small_disagreement_gets_no_hint_at_any_heading(heading_deg: float, of
 
 @pytest.mark.parametrize("heading_deg", [heading for heading in AROUND if heading % 180 != 45])
 def test_heading_given_as_yaw_is_named_where_it_makes_a_difference(heading_deg: float) -> None:
-    told = hint(90.0 - heading_deg, heading_deg)
+    text = hint(90.0 - heading_deg, heading_deg)
     # Within 5° of 45° and 225° the two differ by less than 10°, which gives no hint.
-    assert ("yaw (90° - heading): check ins.convention" in told) == (abs(heading_deg % 180 - 45.0) > 5.0)
+    assert ("yaw (90° - heading): check ins.convention" in text) == (abs(heading_deg % 180 - 45.0) > 5.0)
 
 
 @pytest.mark.parametrize("heading_deg", EIGHT)
 @pytest.mark.parametrize("turn_deg", [90.0, -90.0, 180.0])
 def test_90_and_180_degrees_are_named_at_all_headings(heading_deg: float, turn_deg: float) -> None:
-    told = hint(heading_deg + turn_deg, heading_deg)
+    text = hint(heading_deg + turn_deg, heading_deg)
     # If heading given as yaw explains the same difference, it is named: it is by far the most common mistake.
-    assert f"about {abs(turn_deg):.0f}° in heading" in told or "yaw (90° - heading)" in told
+    assert f"about {abs(turn_deg):.0f}° in heading" in text or "yaw (90° - heading)" in text
     by_yaw = abs((2.0 * heading_deg + turn_deg - 90.0 + 180.0) % 360.0 - 180.0) < 5.0
-    assert ("yaw" in told) == by_yaw
+    assert ("yaw" in text) == by_yaw
 
 
 def test_with_a_confirmed_ins_the_hint_names_the_other_source() -> None:
@@ -64,7 +64,7 @@ MAST, FORE, OTHER = residual_of((300.0, 20.0, 0.0)), residual_of((290.0, 10.0, 5
 
 
 @pytest.mark.parametrize(
-    ("agreeing", "disagreeing", "told"),
+    ("agreeing", "disagreeing", "text"),
     [
         (["star.fore", "star.aft"], {"star.mast": MAST}, "only star.mast differs, star.aft, star.fore agree"),
         (["reference.s330"], {"star.mast": MAST}, "only star.mast differs, reference.s330 agrees with the INS"),
@@ -75,9 +75,9 @@ MAST, FORE, OTHER = residual_of((300.0, 20.0, 0.0)), residual_of((290.0, 10.0, 5
     ],
 )
 def test_the_inconsistent_source_is_named(
-    agreeing: list[str], disagreeing: dict[str, AttitudeResidual], told: str
+    agreeing: list[str], disagreeing: dict[str, AttitudeResidual], text: str
 ) -> None:
-    assert consistency_text("star.mast", agreeing, disagreeing).startswith(told)
+    assert consistency_text("star.mast", agreeing, disagreeing).startswith(text)
 
 
 def test_noise_about_the_boresight_is_no_disagreement_among_sensors() -> None:

@@ -16,7 +16,7 @@ from ship_testing.adapter_runs import SECOND_NS, START_NS, AdapterRun, exact_val
 from ship_testing.small_voyage import FORE, STARBOARD, fault_free_run, new_adapter, remove_interval, run_adapter, voyage
 from ship_testing.star_bad_input import FORE_SOLUTION
 
-MOMENT_S = 2.5
+FAILURE_S = 2.5
 DEFECT = "ArithmeticError: a defect ("
 
 
@@ -32,7 +32,7 @@ def failing_where(bad: Callable[..., bool], function: Callable[..., Any]) -> Cal
 
 
 def assert_reported(run: AdapterRun, source: str, time_ns: int) -> None:
-    """In an innovation message, and once in the log."""
+    """Assert that the failure is in one innovation message, and once in the log."""
     (innovation,) = run.innovations(Reason.FAILED)
     assert (innovation.source, stamp_of(innovation), innovation.accepted) == (source, time_ns, False)
     assert innovation.reason_text.startswith(DEFECT)
@@ -43,7 +43,7 @@ def assert_reported(run: AdapterRun, source: str, time_ns: int) -> None:
 
 
 def test_a_measurement_on_which_the_filter_raises_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
-    index = index_at(voyage(), FORE, MOMENT_S)
+    index = index_at(voyage(), FORE, FAILURE_S)
     bad_ns = voyage()[index].stamp_ns
     bad = failing_where(lambda _, state, m, *rest: (m.source, m.time_ns) == ("star.fore", bad_ns), ShipFilter.step)
     with monkeypatch.context() as patch:
@@ -58,13 +58,13 @@ def test_a_measurement_on_which_the_filter_raises_is_rejected(monkeypatch: pytes
 
 def test_a_measurement_that_raised_is_used_where_it_no_longer_does(monkeypatch: pytest.MonkeyPatch) -> None:
     """It raises at first; then a late INS sample makes the measurements of its time be applied again."""
-    clean, index = fault_free_run(), index_at(voyage(), FORE, MOMENT_S)
+    clean, index = fault_free_run(), index_at(voyage(), FORE, FAILURE_S)
     bad_ns, failures = voyage()[index].stamp_ns, [True]
     bad = failing_where(
         lambda _, state, m, *rest: (m.source, m.time_ns) == ("star.fore", bad_ns) and bool(failures and failures.pop()),
         ShipFilter.step,
     )
-    late = index_at(voyage(), "ins/imu", MOMENT_S - 0.1)
+    late = index_at(voyage(), "ins/imu", FAILURE_S - 0.1)
     arrivals = [*without(voyage(), late)[: index + 40], voyage()[late], *without(voyage(), late)[index + 40 :]]
     monkeypatch.setattr(ShipFilter, "step", bad)
     run = run_adapter(new_adapter(), arrivals)
@@ -74,7 +74,7 @@ def test_a_measurement_that_raised_is_used_where_it_no_longer_does(monkeypatch: 
 
 
 def test_an_attitude_that_cannot_be_computed_is_the_only_one_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    clean, bad_ns = fault_free_run(), voyage()[index_at(voyage(), "ins/imu", MOMENT_S)].stamp_ns
+    clean, bad_ns = fault_free_run(), voyage()[index_at(voyage(), "ins/imu", FAILURE_S)].stamp_ns
     bad = failing_where(lambda _, time_ns, *rest: time_ns == bad_ns, CorrectedIns.estimate)
     monkeypatch.setattr(CorrectedIns, "estimate", bad)
     run = run_adapter(new_adapter(), voyage())

@@ -108,17 +108,17 @@ def voyage(
         error_n = slow_n + ARCSEC * rng.standard_normal(3)
         rotation = exp_rotation(-error_n) @ exp_rotation(fault_n) @ truth(now_s)
         rate = rate_d(now_s)
-        if any(lie.error_at(now_s).any() for lie in errors if lie.source == "ins.axes"):
+        if any(injected.error_at(now_s).any() for injected in errors if injected.source == "ins.axes"):
             rotation, rate = MIRROR @ rotation @ MIRROR, -MIRROR @ rate
-        clock_s = sum(lie.error_at(now_s)[0] for lie in errors if lie.source == "ins.clock")
+        clock_s = sum(injected.error_at(now_s)[0] for injected in errors if injected.source == "ins.clock")
         stamp_ns = time_ns + round(clock_s * SECOND_NS)
         arrivals.append((time_ns, AttitudeSample(stamp_ns, rotation, rate if rates else None)))
     for index, name in enumerate(sensors):
         phase_ns = 7_000_000 + index * 61_000_000
         for time_ns in range(phase_ns, int((seconds - 0.2) * SECOND_NS), STAR_NS):
             now_s = time_ns / SECOND_NS
-            fault_v = sum((lie.error_at(now_s) for lie in errors if lie.source == f"star.{name}"), np.zeros(3))
-            sky_n = sum((lie.error_at(now_s) for lie in errors if lie.source == "sky"), np.zeros(3))
+            fault_v = sum((one.error_at(now_s) for one in errors if one.source == f"star.{name}"), np.zeros(3))
+            sky_n = sum((injected.error_at(now_s) for injected in errors if injected.source == "sky"), np.zeros(3))
             rotation_dv = config.star_sensors[name].rotation_ds @ mounting[name]
             rotation_nv = exp_rotation(sky_n) @ truth(now_s) @ rotation_dv @ exp_rotation(fault_v)
             rotation_nv = rotation_nv @ exp_rotation(NOISE * rng.standard_normal(3))
@@ -236,36 +236,36 @@ def test_no_source_is_excluded_without_a_fault(sensors: tuple[str, ...], seed: i
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("knock_arcsec", [10.0, 20.0, 50.0, 300.0])
+@pytest.mark.parametrize("shift_arcsec", [10.0, 20.0, 50.0, 300.0])
 @pytest.mark.parametrize("name", ["aft", "bow", "port"])
-def test_a_sensor_with_a_mounting_shift_is_reported_and_excluded(name: str, knock_arcsec: float) -> None:
-    knock = InjectedError(f"star.{name}", np.array([0.0, 1.0, 0.0]) * knock_arcsec * ARCSEC, start_s=30.0)
-    sailed = run_with_errors(knock, seconds=60.0)
+def test_a_sensor_with_a_mounting_shift_is_reported_and_excluded(name: str, shift_arcsec: float) -> None:
+    shift = InjectedError(f"star.{name}", np.array([0.0, 1.0, 0.0]) * shift_arcsec * ARCSEC, start_s=30.0)
+    sailed = run_with_errors(shift, seconds=60.0)
     since_s, excluded = sailed.first_exclusion()
     assert excluded == (f"star.{name}",)
     # Ten arcseconds are three sigmas of one measurement: their mean shows them.
-    assert 30.0 < since_s < (35.0 if knock_arcsec < 15.0 else 31.5)
+    assert 30.0 < since_s < (35.0 if shift_arcsec < 15.0 else 31.5)
     assert_consistent(sailed)
 
 
 @pytest.mark.slow
 def test_after_a_mounting_shift_the_mounting_is_estimated_again_and_after_a_glitch_it_is_kept() -> None:
     turn = np.array([0.0, 0.0, 40.0]) * ARCSEC
-    for lie in (InjectedError("star.bow", turn, 20.0), InjectedError("star.bow", turn, 20.0, end_s=22.0)):
-        sailed = run_with_errors(lie, seconds=120.0)
+    for error in (InjectedError("star.bow", turn, 20.0), InjectedError("star.bow", turn, 20.0, end_s=22.0)):
+        sailed = run_with_errors(error, seconds=120.0)
         assert [names for _, names in sailed.excluded] == [(), ("star.bow",), ()]
         came_back_s = sailed.excluded[-1][0]
-        assert came_back_s - (22.0 if lie.end_s < 1e9 else 20.0) >= 60.0
+        assert came_back_s - (22.0 if error.end_s < 1e9 else 20.0) >= 60.0
         assert "star.bow" in sailed.estimates[-1].sources
         learnt, sigma = estimated_mounting(sailed, "star.bow")
         # Four of its sigmas, 0.9 arcsec, remain of the true mounting error of 1 arcsec.
-        assert abs(learnt[2] - (turn[2] if lie.end_s == 1e9 else 0.0)) < 4.0 * sigma[2] < 4.0 * ARCSEC
+        assert abs(learnt[2] - (turn[2] if error.end_s == 1e9 else 0.0)) < 4.0 * sigma[2] < 4.0 * ARCSEC
         assert_consistent(sailed)
 
 
 @pytest.mark.slow
 def test_a_drifting_sensor_of_three_is_isolated_with_twice_the_reinstatement_time_the_second_time() -> None:
-    """Of 24 other voyages two have one VALID attitude of 4800 beyond five sigmas, by 5.05 at most."""
+    """Two of 24 other voyages have one VALID attitude of 4800 beyond five sigmas, with at most 5.05."""
     drift = InjectedError("star.port", UP * 10.0 / 60.0 * ARCSEC, 20.0, per_s=True)
     sailed = run_with_errors(drift, seconds=145.0, seed=5, integrity={"return_after_s": 20.0})
     assert [names for _, names in sailed.excluded] == [(), ("star.port",), (), ("star.port",), ()]
@@ -287,10 +287,10 @@ def test_a_drifting_sensor_of_two_is_an_unresolved_fault_or_isolated_correctly(s
     drift = InjectedError("star.port", UP * 5.0 / 60.0 * ARCSEC, 20.0, per_s=True)
     sailed = run_with_errors(drift, sensors=("bow", "port"), seconds=170.0, seed=seed)
     assert {names for _, names in sailed.excluded} <= {(), ("star.port",)}
-    in_doubt = [one for one in sailed.between(20.0, 170.0) if one.status is Status.DEGRADED]
+    unresolved = [one for one in sailed.between(20.0, 170.0) if one.status is Status.DEGRADED]
     # Half a minute at least, and the covariance holds the unresolved fault.
-    assert len(in_doubt) * INS_NS > 30 * SECOND_NS
-    assert max(error_sigmas(one) for one in in_doubt) < 5.0
+    assert len(unresolved) * INS_NS > 30 * SECOND_NS
+    assert max(error_sigmas(one) for one in unresolved) < 5.0
     assert_consistent(sailed)
 
 
@@ -310,16 +310,16 @@ def test_the_configured_number_of_rejections_of_all_stars_excludes_them(
 ) -> None:
     """Stars are 61 ms apart; they are evaluated when the INS samples of up to 0.1 s later are there."""
     changes = {"gate": {"degraded_after": after}, "ins": {"jump_samples": 1000, "time_offset_sigma_s": 0.0}}
-    lie = InjectedError(source, UP * 100.0 * ARCSEC, 10.0)
-    sailed = run_with_errors(lie, sensors=("bow", "port"), seconds=15.0, rates=rates, **changes)
-    refused_s = 10.068 + (after - 1) * STAR_NS / SECOND_NS
-    doubted_s = next(one.time_ns / SECOND_NS for one in sailed.between(10.0, 15.0) if one.status is Status.DEGRADED)
+    error = InjectedError(source, UP * 100.0 * ARCSEC, 10.0)
+    sailed = run_with_errors(error, sensors=("bow", "port"), seconds=15.0, rates=rates, **changes)
+    rejected_s = 10.068 + (after - 1) * STAR_NS / SECOND_NS
+    degraded_s = next(one.time_ns / SECOND_NS for one in sailed.between(10.0, 15.0) if one.status is Status.DEGRADED)
     # Without rates the first rejection is a fault, as the INS may have jumped; with them the third at the latest.
-    assert doubted_s <= refused_s + INS_NS / SECOND_NS
-    assert {one.status for one in sailed.between(doubted_s, 15.0)} == {Status.DEGRADED}
-    aside_s, names = sailed.first_exclusion()
+    assert degraded_s <= rejected_s + INS_NS / SECOND_NS
+    assert {one.status for one in sailed.between(degraded_s, 15.0)} == {Status.DEGRADED}
+    excluded_s, names = sailed.first_exclusion()
     assert names == ("star.bow", "star.port")
-    assert refused_s < aside_s <= refused_s + 0.1
+    assert rejected_s < excluded_s <= rejected_s + 0.1
 
 
 @pytest.mark.slow
@@ -357,8 +357,8 @@ def test_of_two_sensors_excluded_together_the_consistent_one_is_reinstated() -> 
 
 
 def test_one_sensor_against_the_ins_is_an_unresolved_fault_without_level() -> None:
-    knock = InjectedError("star.bow", np.array([0.0, 0.0, 50.0]) * ARCSEC, 30.0)
-    sailed = run_with_errors(knock, sensors=("bow",), seconds=60.0)
+    shift = InjectedError("star.bow", np.array([0.0, 0.0, 50.0]) * ARCSEC, 30.0)
+    sailed = run_with_errors(shift, sensors=("bow",), seconds=60.0)
     assert {report.state for report, _ in sailed.reports} == {IntegrityState.UNAVAILABLE}
     assert all(np.all(np.isnan(report.level)) for report, _ in sailed.reports)
     assert {one.status for one in sailed.between(31.5, 60.0)} == {Status.DEGRADED}
@@ -430,10 +430,10 @@ def test_a_small_step_of_the_ins_clock_is_reported_at_once_and_estimated_as_an_o
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "lie", [ins_clock_error(-0.4), ins_clock_error(0.3), InjectedError("ins.axes", UP, 30.0, 50.0)]
+    "error", [ins_clock_error(-0.4), ins_clock_error(0.3), InjectedError("ins.axes", UP, 30.0, 50.0)]
 )
-def test_an_ins_that_reported_a_jump_is_excluded_and_not_the_stars(lie: InjectedError) -> None:
-    sailed = run_with_errors(lie, seconds=125.0, **TWO)
+def test_an_ins_that_reported_a_jump_is_excluded_and_not_the_stars(error: InjectedError) -> None:
+    sailed = run_with_errors(error, seconds=125.0, **TWO)
     assert [names for _, names in sailed.excluded] == [(), ("ins",), ()]
     assert 30.0 < sailed.excluded[1][0] < 32.0
     # Until it was consistent for integrity.return_after_s.
@@ -468,17 +468,17 @@ def test_a_drifting_ins_is_excluded_if_others_check_each_other(
 
 def test_with_one_star_sensor_left_the_ins_is_not_excluded() -> None:
     """A contradiction of it and one sensor cannot be isolated."""
-    knock = InjectedError("star.bow", np.array([0.0, 0.0, 3600.0]) * ARCSEC, 10.0)
+    shift = InjectedError("star.bow", np.array([0.0, 0.0, 3600.0]) * ARCSEC, 10.0)
     drift = InjectedError("ins", UP * 1.0 * ARCSEC, 30.0, per_s=True)
-    sailed = run_with_errors(knock, drift, sensors=("bow", "port"), seconds=90.0)
+    sailed = run_with_errors(shift, drift, sensors=("bow", "port"), seconds=90.0)
     assert "ins" not in {name for _, names in sailed.excluded for name in names}
 
 
 def test_with_the_ins_excluded_neither_of_two_star_sensors_is_isolated() -> None:
     """Each of them explains the contradiction with the other."""
     drift = InjectedError("ins", np.array([0.0, 0.0, 3.3]) * ARCSEC, 30.0, per_s=True)
-    knock = InjectedError("star.bow", np.array([0.0, 0.0, 60.0]) * ARCSEC, 65.0)
-    sailed = run_with_errors(drift, knock, sensors=("bow", "port"), seconds=85.0)
+    shift = InjectedError("star.bow", np.array([0.0, 0.0, 60.0]) * ARCSEC, 65.0)
+    sailed = run_with_errors(drift, shift, sensors=("bow", "port"), seconds=85.0)
     names = [names for _, names in sailed.excluded]
     assert ("ins",) in names
     assert not {"star.bow", "star.port"} & set(names[-1])
@@ -489,11 +489,11 @@ def test_with_the_ins_excluded_neither_of_two_star_sensors_is_isolated() -> None
 @pytest.mark.slow
 def test_solution_separations_are_in_the_covariance_and_not_in_the_levels() -> None:
     sailed = run_with_errors(InjectedError("star.port", UP * 10.0 / 60.0 * ARCSEC, 20.0, per_s=True), seconds=240.0)
-    told = [
+    published = [
         one for one in sailed.estimates if one.status is Status.VALID and one.state.separation_covariance_n is not None
     ]
-    assert told
-    for one in told[:: max(len(told) // 20, 1)]:
+    assert published
+    for one in published[:: max(len(published) // 20, 1)]:
         assert one.covariance_n - one.covariance_without_separation_n == pytest.approx(
             one.state.separation_covariance_n, rel=1e-6
         )
@@ -507,19 +507,19 @@ def test_solution_separations_are_in_the_covariance_and_not_in_the_levels() -> N
 
 def test_a_mounting_shift_of_four_sigmas_is_in_the_covariance_before_an_exclusion() -> None:
     """Half of it is in the attitude within a second; the faulty one of two sensors is isolated after two."""
-    knock = InjectedError("star.port", -13.0 * UP * ARCSEC, 120.0)
-    sailed = run_with_errors(knock, sensors=("bow", "port"), seconds=128.0, seed=2)
+    shift = InjectedError("star.port", -13.0 * UP * ARCSEC, 120.0)
+    sailed = run_with_errors(shift, sensors=("bow", "port"), seconds=128.0, seed=2)
     valid = [one for one in sailed.between(120.0, 128.0) if one.status is Status.VALID]
-    undisputed = [replace(one, covariance_n=one.covariance_without_separation_n) for one in valid]
-    assert max(error_sigmas(one) for one in undisputed) > 5.0
+    without_separation = [replace(one, covariance_n=one.covariance_without_separation_n) for one in valid]
+    assert max(error_sigmas(one) for one in without_separation) > 5.0
     assert max(error_sigmas(one) for one in valid) < 5.0
 
 
 def run_with_stars_excluded(
-    lie: InjectedError, start_s: float, end_s: float, seconds: float, seed: int, names: str = "star."
+    error: InjectedError, start_s: float, end_s: float, seconds: float, seed: int, names: str = "star."
 ) -> VoyageResult:
     """Run a voyage with two sensors, some of which see no stars for a while."""
-    ERRORS.append(lie)
+    ERRORS.append(error)
     arrivals = [
         (time_ns, input_)
         for time_ns, input_ in voyage(("bow", "port"), (len(ERRORS) - 1,), seconds, seed, True)
@@ -542,8 +542,8 @@ def test_the_reinstatement_timer_restarts_after_a_timeout() -> None:
 
 def test_the_reinstatement_timer_of_the_ins_restarts_without_measurements() -> None:
     """Its clock is 0.1 s off from 10 to 16 s; it would be reinstated a minute later, most of it without stars."""
-    lie = InjectedError("ins.clock", np.array([0.1, 0.0, 0.0]), 10.0, end_s=16.0)
-    sailed = run_with_stars_excluded(lie, 25.0, 80.0, 145.0, 1)
+    error = InjectedError("ins.clock", np.array([0.1, 0.0, 0.0]), 10.0, end_s=16.0)
+    sailed = run_with_stars_excluded(error, 25.0, 80.0, 145.0, 1)
     (excluded_s, excluded), (returned_s, returned) = sailed.excluded[1:]
     assert 10.0 < excluded_s < 11.0
     assert 80.0 + 59.0 < returned_s < 80.0 + 63.0
@@ -561,7 +561,7 @@ def test_a_mounting_shift_without_stars_does_not_exclude_the_ins(seed: int, size
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "lies",
+    "errors",
     [
         (),
         (InjectedError("star.bow", 40.0 * ARCSEC * UP, 12.0, 20.0),),
@@ -576,16 +576,16 @@ def test_a_mounting_shift_without_stars_does_not_exclude_the_ins(seed: int, size
     ],
 )
 def test_the_fast_consistency_test_equals_the_full_one(
-    lies: tuple[InjectedError, ...], monkeypatch: pytest.MonkeyPatch
+    errors: tuple[InjectedError, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told = run_with_errors(*lies, seconds=40.0)
-    asked = []
-    monkeypatch.setattr(FaultDetector, "_is_all_consistent", lambda *_: bool(asked.append(None)))
+    expected = run_with_errors(*errors, seconds=40.0)
+    calls = []
+    monkeypatch.setattr(FaultDetector, "_is_all_consistent", lambda *_: bool(calls.append(None)))
     RUNS_BEFORE_ERRORS.clear()
-    looked = run_with_errors(*lies, seconds=40.0)
-    assert asked
-    assert (looked.excluded, looked.reasons) == (told.excluded, told.reasons)
-    for one, other in zip(looked.estimates, told.estimates, strict=True):
+    looked = run_with_errors(*errors, seconds=40.0)
+    assert calls
+    assert (looked.excluded, looked.reasons) == (expected.excluded, expected.reasons)
+    for one, other in zip(looked.estimates, expected.estimates, strict=True):
         assert (one.status, one.text) == (other.status, other.text)
         np.testing.assert_array_equal(one.rotation_nd, other.rotation_nd)
         np.testing.assert_array_equal(one.covariance_n, other.covariance_n)
@@ -599,24 +599,24 @@ def test_without_faults_large_separations_are_rare() -> None:
     """
     seeds = range(1, 17)
     ends = [run_with_errors(sensors=("bow", "port"), seconds=20.0, seed=seed).estimates[-1].state for seed in seeds]
-    disputed = sum(state.separation_covariance_n is not None for state in ends)
-    assert disputed <= binom.ppf(0.999, len(seeds), 27 / 370)
+    separated = sum(state.separation_covariance_n is not None for state in ends)
+    assert separated <= binom.ppf(0.999, len(seeds), 27 / 370)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("knocked", "changes"), [(("aft",), {}), (("aft", "port"), WITH_PAIRS)])
+@pytest.mark.parametrize(("shifted", "changes"), [(("aft",), {}), (("aft", "port"), WITH_PAIRS)])
 def test_any_order_within_the_lag_ends_in_the_same_state_exclusions_included(
-    knocked: tuple[str, ...], changes: dict[str, Any]
+    shifted: tuple[str, ...], changes: dict[str, Any]
 ) -> None:
-    ERRORS.extend(InjectedError(f"star.{name}", np.array([0.0, 25.0, 0.0]) * ARCSEC, 10.0) for name in knocked)
-    arrivals = voyage(THREE, tuple(range(len(ERRORS) - len(knocked), len(ERRORS))), 25.0, 3, True)
+    ERRORS.extend(InjectedError(f"star.{name}", np.array([0.0, 25.0, 0.0]) * ARCSEC, 10.0) for name in shifted)
+    arrivals = voyage(THREE, tuple(range(len(ERRORS) - len(shifted), len(ERRORS))), 25.0, 3, True)
     mixed = random.Random(4)
     shuffled = sorted(arrivals, key=lambda arrival: arrival[0] + mixed.uniform(0.0, 1.5) * SECOND_NS)
     states = [
         run_core(ShipAttitudeCore(configuration(THREE, **changes)), run).core.state for run in (arrivals, shuffled)
     ]
     assert states[0].excluded == states[1].excluded
-    assert set(states[0].excluded) == {f"star.{name}" for name in knocked}
+    assert set(states[0].excluded) == {f"star.{name}" for name in shifted}
     for name in ("means", "stack"):
         assert getattr(states[0], name).tobytes() == getattr(states[1], name).tobytes()
     for name in ("running", "excess", "rejection_counts"):
@@ -634,33 +634,33 @@ def test_a_subfilter_without_a_sensor_equals_a_filter_without_it() -> None:
         ShipAttitudeCore(without), [a for a in arrivals if getattr(a[1], "source", "") != "star.bow"]
     ).core
     ins = core.filter.model.slices["ins.attitude"]
-    row = core.filter.fault_detector.subfilters.names.index("star.bow") + 1
-    np.testing.assert_allclose(core.state.means[row, ins], single.state.mean[ins], atol=1e-3 * ARCSEC)
-    covariance = filter_covariances(core.state.stack, len(core.state.means))[row]
+    index = core.filter.fault_detector.subfilters.names.index("star.bow") + 1
+    np.testing.assert_allclose(core.state.means[index, ins], single.state.mean[ins], atol=1e-3 * ARCSEC)
+    covariance = filter_covariances(core.state.stack, len(core.state.means))[index]
     np.testing.assert_allclose(covariance[ins, ins], single.state.covariance[ins, ins], rtol=1e-5)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sensors", [THREE, FOUR], ids=["three", "four"])
-@pytest.mark.parametrize("knocks_arcsec", [(30.0, 30.0), (15.0, -15.0)], ids=["alike", "differently"])
+@pytest.mark.parametrize("shifts_arcsec", [(30.0, 30.0), (15.0, -15.0)], ids=["equal", "differently"])
 def test_two_simultaneous_mounting_shifts_are_excluded_with_pairs(
-    sensors: tuple[str, ...], knocks_arcsec: tuple[float, float]
+    sensors: tuple[str, ...], shifts_arcsec: tuple[float, float]
 ) -> None:
-    knocks_rad = dict(zip(("bow", "port"), ARCSEC * np.array(knocks_arcsec), strict=True))
-    lies = [InjectedError(f"star.{name}", UP * knock_rad, 15.0) for name, knock_rad in knocks_rad.items()]
-    sailed = run_with_errors(*lies, sensors=sensors, seconds=20.0, **WITH_PAIRS)
+    shifts_rad = dict(zip(("bow", "port"), ARCSEC * np.array(shifts_arcsec), strict=True))
+    errors = [InjectedError(f"star.{name}", UP * shift_rad, 15.0) for name, shift_rad in shifts_rad.items()]
+    sailed = run_with_errors(*errors, sensors=sensors, seconds=20.0, **WITH_PAIRS)
     since_s, excluded = sailed.first_exclusion()
     assert excluded == ("star.bow", "star.port")
     assert since_s < 16.0  # within three measurements of each
     assert sailed.estimates[-1].status is Status.VALID
     assert_consistent(sailed)
     # Two that remain check one another; a single one is not checked.
-    told = sailed.reports[-1][0]
-    assert (told.state is IntegrityState.UNAVAILABLE) == (sensors == THREE)
-    assert not any("+" in name for name in told.hypotheses)
+    report = sailed.reports[-1][0]
+    assert (report.state is IntegrityState.UNAVAILABLE) == (sensors == THREE)
+    assert not any("+" in name for name in report.hypotheses)
     # Subfilters without one source show the fault, but do not isolate it. All stars may be excluded
     # together, if the corrections add up to more than the drift of the INS.
-    without_pairs = run_with_errors(*lies, sensors=sensors, seconds=20.0)
+    without_pairs = run_with_errors(*errors, sensors=sensors, seconds=20.0)
     every_star = tuple(f"star.{name}" for name in sorted(sensors))
     assert {names for _, names in without_pairs.excluded} <= {(), every_star}
     assert without_pairs.estimates[-1].status is Status.DEGRADED
@@ -672,23 +672,23 @@ def test_two_mounting_shifts_of_any_size_are_isolated_and_no_error_exceeds_its_l
     for seed in PAIR_SEEDS:
         rng = np.random.default_rng([9, seed])
         pair = rng.choice(sensors, 2, replace=False)
-        knocks_rad = ARCSEC * 10.0 ** rng.uniform(1.0, 2.0, 2)
+        shifts_rad = ARCSEC * 10.0 ** rng.uniform(1.0, 2.0, 2)
         ways = [np.array([0.0, np.cos(way), np.sin(way)]) for way in rng.uniform(0.0, 2.0 * np.pi, 2)]
-        lies = [
-            InjectedError(f"star.{name}", of * way, 20.0) for name, of, way in zip(pair, knocks_rad, ways, strict=True)
+        errors = [
+            InjectedError(f"star.{name}", of * way, 20.0) for name, of, way in zip(pair, shifts_rad, ways, strict=True)
         ]
-        sailed = run_with_errors(*lies, sensors=sensors, seconds=30.0, seed=100 + seed, **WITH_PAIRS)
+        sailed = run_with_errors(*errors, sensors=sensors, seconds=30.0, seed=100 + seed, **WITH_PAIRS)
         named += sailed.excluded[-1][1] == tuple(sorted(f"star.{name}" for name in pair))
         assert_within_levels(sailed)
     assert named >= 0.9 * len(PAIR_SEEDS)
 
 
 def test_two_excluded_sensors_are_reinstated_independently() -> None:
-    knock, glitch = (
+    shift, glitch = (
         InjectedError("star.bow", UP * 40.0 * ARCSEC, 10.0),
         InjectedError("star.port", -UP * 60.0 * ARCSEC, 10.0, end_s=30.0),
     )
-    sailed = run_with_errors(knock, glitch, seconds=100.0, **WITH_PAIRS)
+    sailed = run_with_errors(shift, glitch, seconds=100.0, **WITH_PAIRS)
     both = ("star.bow", "star.port")
     assert [names for _, names in sailed.excluded] == [(), both, ("star.port",), ()]
     # Each is consistent for a minute: the one with the mounting estimated again, and the one that came back.
@@ -700,9 +700,9 @@ def test_two_excluded_sensors_are_reinstated_independently() -> None:
 
 
 def test_with_pairs_a_single_fault_excludes_one_source() -> None:
-    for name, knock_arcsec in (("aft", 12.0), ("port", 300.0)):
+    for name, shift_arcsec in (("aft", 12.0), ("port", 300.0)):
         sailed = run_with_errors(
-            InjectedError(f"star.{name}", UP * knock_arcsec * ARCSEC, 15.0), seconds=20.0, **WITH_PAIRS
+            InjectedError(f"star.{name}", UP * shift_arcsec * ARCSEC, 15.0), seconds=20.0, **WITH_PAIRS
         )
         assert [names for _, names in sailed.excluded] == [(), (f"star.{name}",)]
         assert_consistent(sailed)
@@ -710,8 +710,8 @@ def test_with_pairs_a_single_fault_excludes_one_source() -> None:
 
 def test_two_of_three_are_not_isolated_against_an_ins_that_may_have_stepped() -> None:
     """One sensor and an INS without rates are consistent by chance as well as two sensors are: 2 against 2."""
-    lies = InjectedError("ins", UP * 50.0 * ARCSEC, 15.0), InjectedError("star.bow", UP * 40.0 * ARCSEC, 15.0)
-    sailed = run_with_errors(*lies, seconds=25.0, rates=False, **WITH_PAIRS)
+    errors = InjectedError("ins", UP * 50.0 * ARCSEC, 15.0), InjectedError("star.bow", UP * 40.0 * ARCSEC, 15.0)
+    sailed = run_with_errors(*errors, seconds=25.0, rates=False, **WITH_PAIRS)
     assert ("star.aft", "star.port") not in [names for _, names in sailed.excluded]
     assert {one.status for one in sailed.between(15.7, 25.0)} == {Status.DEGRADED}
 
@@ -741,9 +741,9 @@ def test_a_subfilter_without_two_sensors_equals_a_filter_without_them() -> None:
     of_port = [arrival for arrival in arrivals if getattr(arrival[1], "source", "") not in left_out]
     single = run_core(ShipAttitudeCore(configuration(("port",))), of_port).core
     ins = core.filter.model.slices["ins.attitude"]
-    row = core.filter.fault_detector.subfilters.names.index("star.aft+star.bow") + 1
-    np.testing.assert_allclose(core.state.means[row, ins], single.state.mean[ins], atol=1e-3 * ARCSEC)
-    covariance = filter_covariances(core.state.stack, len(core.state.means))[row]
+    index = core.filter.fault_detector.subfilters.names.index("star.aft+star.bow") + 1
+    np.testing.assert_allclose(core.state.means[index, ins], single.state.mean[ins], atol=1e-3 * ARCSEC)
+    covariance = filter_covariances(core.state.stack, len(core.state.means))[index]
     np.testing.assert_allclose(covariance[ins, ins], single.state.covariance[ins, ins], rtol=1e-5)
 
 

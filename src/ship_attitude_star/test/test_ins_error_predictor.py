@@ -61,21 +61,21 @@ def test_it_equals_the_prediction_of_the_filter(values: dict) -> None:
     rows = np.r_[filter_.model.state_indices("ins.attitude"), filter_.model.state_indices("ins.time_offset")]
     for place, time_ns in enumerate(times_ns):
         there = filter_.propagate(state, time_ns)
-        told = np.eye(filter_.model.size)[rows]
+        of_attitude = np.eye(filter_.model.size)[rows]
         if values.get("horizon") == "gravity":
             assert filter_.vertical is not None
-            told[:3, filter_.model.process_indices[:5]] = own_error_matrix(filter_.vertical.at(time_ns))
-        scale = np.sqrt((told @ there.covariance @ told.T).diagonal())
-        np.testing.assert_allclose(found.mean[place] / scale, told @ there.mean / scale, atol=1e-9)
-        expected = told @ there.covariance @ told.T / np.outer(scale, scale)
+            of_attitude[:3, filter_.model.process_indices[:5]] = own_error_matrix(filter_.vertical.at(time_ns))
+        scale = np.sqrt((of_attitude @ there.covariance @ of_attitude.T).diagonal())
+        np.testing.assert_allclose(found.mean[place] / scale, of_attitude @ there.mean / scale, atol=1e-9)
+        expected = of_attitude @ there.covariance @ of_attitude.T / np.outer(scale, scale)
         np.testing.assert_allclose(found.covariance[place] / np.outer(scale, scale), expected, atol=1e-9)
         # At the later estimate itself, and at the earlier one, the covariance with the later one is known analytically.
         if place == len(times_ns) - 1:
             scales = scale[:, None] * sigma_of(there)
-            np.testing.assert_allclose(cross[place] / scales, told @ there.covariance / scales, atol=1e-9)
+            np.testing.assert_allclose(cross[place] / scales, of_attitude @ there.covariance / scales, atol=1e-9)
         if place == 0:
             scales = scale[:, None] * sigma_of(filter_.propagate(state, times_ns[-1]))
-            expected = told @ between.cross_to(anchor, later)
+            expected = of_attitude @ between.cross_to(anchor, later)
             np.testing.assert_allclose(cross[place] / scales, expected / scales, atol=1e-9)
 
 

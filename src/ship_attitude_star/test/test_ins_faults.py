@@ -122,7 +122,7 @@ def thin_out(arrivals: Arrivals, keep: int) -> Arrivals:
 
 
 @pytest.mark.parametrize("zero_rates", [False, True])
-def test_one_wrong_sample_is_refused_and_changes_nothing(zero_rates: bool) -> None:
+def test_one_wrong_sample_is_rejected_and_changes_nothing(zero_rates: bool) -> None:
     """``orientation.w`` negated once: a unit quaternion, more than a right angle away from the ship."""
     arrivals = change_where(voyage(), of_ins(), scale_rates(0.0)) if zero_rates else voyage()
     index = index_at(arrivals, INS, 3.0)
@@ -134,7 +134,7 @@ def test_one_wrong_sample_is_refused_and_changes_nothing(zero_rates: bool) -> No
     assert run.state() == without.state()
 
 
-def test_a_wrong_sample_that_comes_late_is_refused_too() -> None:
+def test_a_late_wrong_sample_is_rejected_too() -> None:
     index = index_at(voyage(), INS, 3.0)
     run = run_adapter(
         new_adapter(), replace_message(voyage(), index, negate_w, voyage()[index].receive_ns + SECOND_NS // 2)
@@ -169,8 +169,8 @@ def test_without_stars_a_jump_stays_degraded() -> None:
     )
     after = [m for m in run.messages("ship/attitude") if seconds(m) >= 4.0]
     assert {m.status for m in after} == {Status.DEGRADED}
-    told = run.diagnostics("attitude", run.now_ns - SECOND_NS, run.now_ns)[-1][1]
-    assert told.endswith("confirmation by stars of two different times is pending")
+    text = run.diagnostics("attitude", run.now_ns - SECOND_NS, run.now_ns)[-1][1]
+    assert text.endswith("confirmation by stars of two different times is pending")
 
 
 def test_the_number_of_rejected_samples_is_a_live_parameter() -> None:
@@ -215,7 +215,7 @@ def test_a_sigma_of_the_ins_that_contradicts_the_configured_one_is_reported() ->
     run = run_adapter(new_adapter(), change_where(voyage(), of_ins(), states))
     reports = run.diagnostics("ins noise", START_NS + SECOND_NS, run.now_ns)
     text = "ins/imu states a sigma of 360 arcsec in heading, ins.heading_sigma_arcsec is "
-    assert {(level, told.startswith(text)) for level, told in reports} == {(1, True)}
+    assert {(level, found.startswith(text)) for level, found in reports} == {(1, True)}
     assert_same_attitudes(run, run_adapter(new_adapter(), voyage()))
     reports = run_adapter(new_adapter(), voyage()).diagnostics("ins noise", START_NS + SECOND_NS, run.now_ns)
     assert {level for level, _ in reports} == {0}
@@ -227,7 +227,7 @@ def no_rate(message: Any) -> None:
 
 
 def assert_same_attitudes(one: Run, other: Run) -> None:
-    """To the last bit, but for the first half second."""
+    """Assert that two runs are equal to the last bit after the first half second."""
     attitudes = [
         {stamp_of(m): rotation_of(m).tobytes() for m in run.messages("ship/attitude") if seconds(m) > 0.5}
         for run in (one, other)
@@ -237,8 +237,8 @@ def assert_same_attitudes(one: Run, other: Run) -> None:
 
 def test_failing_rates_cost_half_a_second_and_no_star() -> None:
     run = run_adapter(new_adapter(), change_where(voyage(12.0), of_ins(4.0, 9.0), scale_rates(0.0)))
-    refused = run.reasons(INS)["gate"]
-    assert 1 <= refused <= 16
+    rejected = run.reasons(INS)["gate"]
+    assert 1 <= rejected <= 16
     assert_consistent(run)
     assert only_gaps(run) <= 3
     # No star is rejected: the estimated INS errors are kept.
@@ -251,18 +251,18 @@ def test_at_rest_the_result_of_the_rate_check_is_kept() -> None:
     arrivals = change_where(voyage(22.0), of_ins(0.0, 22.0), scale_rates(np.rad2deg(1.0)))
     first = arrivals[index_at(arrivals, INS, 8.0)].message
 
-    def rest(message: Any) -> None:
+    def set_at_rest(message: Any) -> None:
         message.orientation = first.orientation
         for axis in AXES:
             setattr(message.angular_velocity, axis, 0.0)
 
-    run = run_adapter(new_adapter(), change_where(arrivals, of_ins(8.0, 18.0), rest))
+    run = run_adapter(new_adapter(), change_where(arrivals, of_ins(8.0, 18.0), set_at_rest))
     used = {m.sources[0] for m in run.messages("ship/attitude") if seconds(m) > 6.0 and m.status != Status.INVALID}
     assert "ins" not in used
     assert set(run.reasons(INS)) <= {"units", "gate", "stuck", "rate_not_measured"}
 
 
-def test_five_seconds_of_rates_in_degrees_have_no_lasting_effect() -> None:
+def test_five_seconds_of_rates_in_degrees_have_no_later_effect() -> None:
     run = run_adapter(new_adapter(), change_where(voyage(30.0), of_ins(6.0, 11.5), scale_rates(np.rad2deg(1.0))))
     assert run.reasons(INS).keys() >= {"gate", "units"}
     assert_consistent(run)
@@ -274,7 +274,7 @@ def test_five_seconds_of_rates_in_degrees_have_no_lasting_effect() -> None:
     assert sigma_s < 0.001
 
 
-def test_rates_in_degrees_from_the_start_have_no_lasting_effect() -> None:
+def test_rates_in_degrees_from_the_start_have_no_later_effect() -> None:
     run = run_adapter(new_adapter(), change_where(voyage(20.0), of_ins(0.0, 5.0), scale_rates(np.rad2deg(1.0))))
     assert_consistent(run)
     assert run.messages("ship/attitude")[-1].status == Status.VALID
@@ -290,14 +290,14 @@ def test_a_frozen_ins_and_a_frozen_star_are_detected_by_the_other_star_and_the_r
     def freeze(message: Any) -> None:
         message.azimuth, message.elevation, message.roll = star.azimuth, star.elevation, star.roll
 
-    def chosen(arrival: Arrival) -> bool:
+    def of_fore(arrival: Arrival) -> bool:
         return arrival.topic == FORE and 4.0 <= (arrival.stamp_ns - START_NS) * 1e-9 < 8.0
 
-    faulty = change_where(change_where(arrivals, of_ins(4.0, 9.0), hold_values(arrivals, 4.0)), chosen, freeze)
+    faulty = change_where(change_where(arrivals, of_ins(4.0, 9.0), hold_values(arrivals, 4.0)), of_fore, freeze)
     run = run_adapter(new_adapter(), faulty)
     for source in ("ins", "star.fore"):
-        told = [seconds(m) for m in run.innovations(Reason.STUCK) if m.source == source]
-        assert 4.0 < told[0] < 6.0
+        detected_s = [seconds(m) for m in run.innovations(Reason.STUCK) if m.source == source]
+        assert 4.0 < detected_s[0] < 6.0
     assert max(seconds(m) for m in run.innovations(Reason.STUCK)) < 9.0
     assert_consistent(run)
     assert run.messages("ship/attitude")[-1].status == Status.VALID
@@ -310,13 +310,13 @@ def test_a_jump_with_rates_in_degrees_and_back() -> None:
     assert run.messages("ship/attitude")[-1].status == Status.VALID
 
 
-def test_a_wrong_sample_while_frozen_is_refused() -> None:
+def test_a_wrong_sample_while_frozen_is_rejected() -> None:
     frozen = change_where(voyage(10.0), of_ins(3.0, 6.0), hold_values(voyage(10.0), 3.0))
     run = run_adapter(
         new_adapter(), replace_message(frozen, index_at(frozen, INS, 5.0), turn_attitude(0.0, 3600.0, 0.0))
     )
-    refused = run.reasons(INS)
-    assert refused["gate"] + refused["stuck"] == 74
+    rejected = run.reasons(INS)
+    assert rejected["gate"] + rejected["stuck"] == 74
     assert_consistent(run)
     assert run.messages("ship/attitude")[-1].status == Status.VALID
 

@@ -201,12 +201,12 @@ def test_a_sample_is_awaited_only_while_it_may_still_help() -> None:
 
 def test_a_repeated_stamp_is_reported_and_the_order_does_not_matter() -> None:
     one, other = sample(40), sample(40, white_n=np.full(3, ARCSEC))
-    """While the INS contradicts itself it is not used."""
+    """An INS with conflicting samples is not used until they end."""
     decks, later_ms = [], [10_030, 10_070, 10_110]
     for pair in ((one, other), (other, one)):
         some = InsMotion(StarInsConfig(), PlausibilityChecks(StarInsConfig()))
-        refusals = [some.add(s) for s in (sample(0), pair[0], pair[1], sample(80))]
-        assert [None if r is None else r.reason for r in refusals] == [None, None, Reason.CONFLICT, None]
+        rejections = [some.add(s) for s in (sample(0), pair[0], pair[1], sample(80))]
+        assert [None if r is None else r.reason for r in rejections] == [None, None, Reason.CONFLICT, None]
         assert some.deck_prior(START_NS + 40 * MS) is None
         assert not some.is_awaited(START_NS + 100 * MS)
         for ms in later_ms:
@@ -233,11 +233,11 @@ def test_dropped_data_are_not_needed() -> None:
 def motion_with_jump(size_rad: float) -> InsMotion:
     """Its attitude jumps about Up at 0.8 s; five samples are rejected."""
     some, step = InsMotion(StarInsConfig(), PlausibilityChecks(StarInsConfig())), np.array([0.0, size_rad, 0.0])
-    refusals = []
+    rejections = []
     for one in map(sample, range(0, 2000, 40)):
         late = one.time_ns >= START_NS + 800 * MS
-        refusals.append(some.add(replace(one, rotation_nd=exp_rotation(step) @ one.rotation_nd) if late else one))
-    assert [r is None for r in refusals] == [True] * 20 + [False] * 5 + [True] * 25
+        rejections.append(some.add(replace(one, rotation_nd=exp_rotation(step) @ one.rotation_nd) if late else one))
+    assert [r is None for r in rejections] == [True] * 20 + [False] * 5 + [True] * 25
     return some
 
 

@@ -119,8 +119,8 @@ def test_covariance_is_that_of_monte_carlo(reading: InstallationConvention) -> N
 def test_errors_add_with_their_signs() -> None:
     model = at_operating_point(np.array([0.0]), InstallationConvention.PHYSICAL)
     both = model.errors(np.array([3.0, 3.0, 100.0]), np.array([1.0, 1.0, 20.0]))
-    apart = model.star @ [3.0, 3.0, 100.0] + model.installation @ [1.0, 1.0, 20.0]
-    np.testing.assert_allclose(both, apart)
+    separately = model.star @ [3.0, 3.0, 100.0] + model.installation @ [1.0, 1.0, 20.0]
+    np.testing.assert_allclose(both, separately)
     # The rolls of sensor and installation partly cancel: 100 - 20.
     np.testing.assert_allclose(model.errors([0, 0, 100.0], [0, 0, 20.0]), 80.0 * model.star[:, :, 2], atol=1e-10)
 

@@ -95,7 +95,7 @@ def last_estimate(rate_hz: float, rates: bool, seed: int) -> tuple[FloatArray, A
 def test_errors_are_consistent_with_the_covariance_at_low_rates(
     rate_hz: float, rates: bool, conservative: bool
 ) -> None:
-    """Without the error of interpolation: 6 at 5 Hz and 15 at 2.5 Hz without rates, 6 and 850 at 1 Hz."""
+    """Mean NEES without the error of interpolation: 6 at 5 Hz and 15 at 2.5 Hz without rates, 6 and 850 at 1 Hz."""
     nees = []
     for seed in range(RUNS):
         error_n, estimate = last_estimate(rate_hz, rates, seed)

@@ -65,7 +65,7 @@ def test_the_shuffled_order_differs() -> None:
 @pytest.mark.parametrize(("topic", "since_s"), [(INS, 2.60), (INS, 2.64), (FORE, 2.6)])
 @pytest.mark.parametrize("late_s", [0.5, 1.0, LAG_S])
 def test_one_late_message_is_applied_at_its_own_time(topic: str, since_s: float, late_s: float) -> None:
-    """As late as possible behind the newest received stamp; the INS samples are those around the stamp of a star."""
+    """The message is as late as possible after the newest stamp; INS samples are those around a star's stamp."""
     index = index_at(voyage(), topic, since_s)
     limit_ns = voyage()[index].stamp_ns + round(late_s * SECOND_NS)
     too_new = next(a for a in voyage() if a.stamp_ns > limit_ns)
@@ -96,11 +96,11 @@ def test_a_late_star_that_changes_an_earlier_decision_marks_it_revised() -> None
     The INS heading is known to 72"; 150" is within the gate then, and far outside once two sensors were used.
     """
 
-    def off(message: Any) -> None:
+    def shift_azimuth(message: Any) -> None:
         message.azimuth += 150.0 * np.pi / (180 * 3600)
 
     wrong = index_at(voyage(), STARBOARD, 1.6)
-    moved = replace_message(voyage(), wrong, off)
+    moved = replace_message(voyage(), wrong, shift_azimuth)
     good = [a for a in moved if a.topic != INS and a.stamp_ns < moved[wrong].stamp_ns]
     late = sort_by_arrival(
         replace(a, receive_ns=START_NS + 1_900_000_000) if a in good else a

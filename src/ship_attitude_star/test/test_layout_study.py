@@ -200,6 +200,6 @@ def test_numbers_of_boresights_do_not_overlap() -> None:
     boxes = [text.get_window_extent() for text in axes.texts if text.get_text()]
     boxes.append(figure.legends[0].get_window_extent())
     assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
-    said = "\n".join(text.get_text() for text in figure.legends[0].get_texts())
-    assert all(name in said for name in angles)
+    legend = "\n".join(text.get_text() for text in figure.legends[0].get_texts())
+    assert all(name in legend for name in angles)
     plt.close(figure)

@@ -24,29 +24,29 @@ common: {refraction_sigma_arcsec: 0.5}
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def study_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("study") / "new" / "folder"
     assert main(["--out", str(folder)]) == 0
     return folder
 
 
-def rows_of(path: Path) -> list[dict[str, str]]:
+def read_rows(path: Path) -> list[dict[str, str]]:
     with path.open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
 
 
-def test_everything_is_written(written: Path) -> None:
-    names = {path.name for path in written.iterdir()}
+def test_everything_is_written(study_folder: Path) -> None:
+    names = {path.name for path in study_folder.iterdir()}
     assert names == {
         "layout_study.html", "layout.csv", "error_budget.csv", "error_map.csv", "azimuth_scan.csv",
         "sources_at_operating_point.csv", "figures_1_to_6.csv", "layout.png", "azimuth.png", "map_fore.png",
         "map_starboard.png", *(f"figure_{number}.png" for number in range(1, 7)),
     }  # fmt: skip
-    assert all(path.read_bytes().startswith(b"\x89PNG") for path in written.glob("*.png"))
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in study_folder.glob("*.png"))
 
 
-def test_page_is_self_contained(written: Path) -> None:
-    page = (written / "layout_study.html").read_text(encoding="utf-8")
+def test_page_is_self_contained(study_folder: Path) -> None:
+    page = (study_folder / "layout_study.html").read_text(encoding="utf-8")
     sources = re.findall(r'(?:src|href)="([^"]{0,40})', page)
     assert len(sources) == 10
     assert all(source.startswith("data:image/png;base64,") for source in sources)
@@ -54,9 +54,9 @@ def test_page_is_self_contained(written: Path) -> None:
     assert "$" not in re.sub(r"base64,[^\"]*", "", page)
 
 
-def test_page_and_tables_agree(written: Path) -> None:
-    page = (written / "layout_study.html").read_text(encoding="utf-8")
-    joint = [row for row in rows_of(written / "layout.csv") if row["sensor"] == "joint"]
+def test_page_and_tables_agree(study_folder: Path) -> None:
+    page = (study_folder / "layout_study.html").read_text(encoding="utf-8")
+    joint = [row for row in read_rows(study_folder / "layout.csv") if row["sensor"] == "joint"]
     assert [row["layout"] for row in joint] == ["given", "recommended"]
     for row in joint:
         assert f"<td>{float(row['heading_sigma_arcsec']):.2f}</td>" in page
@@ -65,13 +65,13 @@ def test_page_and_tables_agree(written: Path) -> None:
     assert "as computed in [Z14]: R(A0, E0, γ0)" in page
 
 
-def test_sources_at_the_operating_point(written: Path) -> None:
+def test_sources_at_the_operating_point(study_folder: Path) -> None:
     """models.md §3: Δγs = 100″ gives 35.01, 49.75, 61.64″ at A0 = 0 and 141.42, 0, 100″ at A0 = 90 physically."""
     found = {
         (row["reading"], row["installation_azimuth_deg"], row["source"]): [
             abs(float(row[f"{angle}_arcsec"])) for angle in ("heading", "pitch", "roll")
         ]
-        for row in rows_of(written / "sources_at_operating_point.csv")
+        for row in read_rows(study_folder / "sources_at_operating_point.csv")
     }
     assert found["physical", "0.00000", "Δγs"] == pytest.approx([35.01, 49.75, 61.64], abs=0.005)
     assert found["physical", "90.00000", "Δγs"] == pytest.approx([141.42, 0.0, 100.0], abs=0.005)
@@ -84,7 +84,7 @@ def test_any_number_of_sensors_in_the_order_of_the_file(tmp_path: Path, capsys: 
     layout.write_text(THREE_SENSORS)
     assert main([str(layout), "--out", str(tmp_path / "out")]) == 0
     assert "recommended azimuths [deg from the bow]: port 300, starboard" in capsys.readouterr().out
-    names = [row["sensor"] for row in rows_of(tmp_path / "out" / "layout.csv")][:4]
+    names = [row["sensor"] for row in read_rows(tmp_path / "out" / "layout.csv")][:4]
     assert names == ["port alone", "starboard alone", "aft alone", "joint"]
     assert (tmp_path / "out" / "map_aft.png").exists()
 
@@ -129,11 +129,11 @@ def test_bad_layout_is_one_line(text: str, reason: str, tmp_path: Path, capsys: 
     assert not (tmp_path / "out").exists()
 
 
-def test_existing_output_files_are_refused_before_the_study(written: Path, tmp_path: Path) -> None:
-    assert {path.name for path in written.iterdir()} == set(layout_study_command.output_names(study_config({})))
-    before = {path: path.read_bytes() for path in written.iterdir()}
-    assert main(["--out", str(written)]) == 2
-    assert {path: path.read_bytes() for path in written.iterdir()} == before
+def test_existing_output_files_are_refused_before_the_study(study_folder: Path, tmp_path: Path) -> None:
+    assert {path.name for path in study_folder.iterdir()} == set(layout_study_command.output_names(study_config({})))
+    before = {path: path.read_bytes() for path in study_folder.iterdir()}
+    assert main(["--out", str(study_folder)]) == 2
+    assert {path: path.read_bytes() for path in study_folder.iterdir()} == before
     (tmp_path / "figure_3.png").write_bytes(b"precious")
     assert main(["--out", str(tmp_path)]) == 2
     assert [path.name for path in tmp_path.iterdir()] == ["figure_3.png"]

@@ -90,11 +90,11 @@ def test_a_narrower_gate_acts_at_once() -> None:
     adapter = run_adapter(new_adapter(), voyage()[:HALF]).adapter
     adapter.set_parameters({"gate.probability": 0.5})
     rest = run_adapter(adapter, voyage()[HALF:])
-    judged = [m for m in rest.messages("ship/innovation") if m.source.startswith("star")]
+    evaluated = [m for m in rest.messages("ship/innovation") if m.source.startswith("star")]
     # chi2 of three degrees exceeds its median half of the time; of 24 and more draws, not fewer than 4 do.
-    assert len(judged) >= 24
+    assert len(evaluated) >= 24
     assert len(rest.innovations(Reason.GATE)) >= 4
-    assert {round(m.gate, 3) for m in judged} == {2.366}
+    assert {round(m.gate, 3) for m in evaluated} == {2.366}
 
 
 def last_sigma(run: Run) -> np.ndarray:
@@ -140,12 +140,12 @@ def test_a_reset_keeps_the_live_changes() -> None:
 def test_changed_ins_noise_reaches_the_ins_check() -> None:
     """One sample off by 60": seven sigmas of the first noise, and far within the second."""
 
-    def off(message: Any) -> None:
+    def rotate_up(message: Any) -> None:
         rotation_nd = rotation_from_quaternion(np.array([getattr(message.orientation, axis) for axis in "xyzw"]))
         message.orientation = quaternion_message(exp_rotation(np.array([0.0, 60.0, 0.0]) * ARCSEC) @ rotation_nd)
 
-    spoilt = replace_message(voyage(), index_at(voyage(), INS, 4.0), off)
+    changed = replace_message(voyage(), index_at(voyage(), INS, 4.0), rotate_up)
     for white_arcsec, reasons in ((1.0, {"gate": 1}), (20.0, {})):
-        adapter = run_adapter(new_adapter(), spoilt[:HALF]).adapter
+        adapter = run_adapter(new_adapter(), changed[:HALF]).adapter
         adapter.set_parameters({"ins.white_sigma_arcsec": white_arcsec})
-        assert run_adapter(adapter, spoilt[HALF:]).reasons(INS) == reasons
+        assert run_adapter(adapter, changed[HALF:]).reasons(INS) == reasons

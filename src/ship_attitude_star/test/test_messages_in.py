@@ -81,7 +81,7 @@ FIXES = [
 
 
 @pytest.mark.parametrize(("changes", "reason", "text"), [f[1:] for f in FIXES], ids=[f[0] for f in FIXES])
-def test_a_bad_fix_is_refused(changes: dict[str, Any], reason: str, text: str) -> None:
+def test_a_bad_fix_is_rejected(changes: dict[str, Any], reason: str, text: str) -> None:
     with pytest.raises(MessageRejected) as caught:
         position_fix(fix(**changes), SkyConfig(), NOW_NS)
     assert caught.value.rejection.reason.word == reason
@@ -138,7 +138,7 @@ def test_weather_is_converted_from_its_units(
         (temperature, 20.0, 1e300, "bad_covariance", "too large"),
     ],
 )
-def test_bad_weather_is_refused(
+def test_bad_weather_is_rejected(
     converter: Callable[..., Any], value: float, variance: float, reason: str, text: str
 ) -> None:
     with pytest.raises(MessageRejected) as caught:
@@ -147,6 +147,6 @@ def test_bad_weather_is_refused(
     assert text in caught.value.rejection.text
 
 
-def test_weather_without_a_stamp_is_refused() -> None:
+def test_weather_without_a_stamp_is_rejected() -> None:
     with pytest.raises(MessageRejected, match="bad_stamp"):
         humidity(air(humidity, 0.5, stamp_ns=0), NOW_NS)

@@ -229,12 +229,12 @@ def test_when_the_ins_comes_back_all_is_as_before() -> None:
 
 def test_without_ins_and_stars_the_attitude_is_invalid_until_they_return() -> None:
     run = run_adapter(new_adapter(), remove_interval(voyage(10.0), 3.0, 8.0, INS, FORE, STARBOARD))
-    silent = outputs(run, 2.961, 8.0)
-    assert {m.status for m in silent} == {Status.INVALID}
-    assert 1.0 < since_start_s(silent[0]) - 2.965 <= 1.1  # the last INS sample came at 2.965 s
-    intervals = np.diff([since_start_s(m) for m in silent])
+    invalid = outputs(run, 2.961, 8.0)
+    assert {m.status for m in invalid} == {Status.INVALID}
+    assert 1.0 < since_start_s(invalid[0]) - 2.965 <= 1.1  # the last INS sample came at 2.965 s
+    intervals = np.diff([since_start_s(m) for m in invalid])
     assert np.all(intervals <= 1.1)
-    for message in silent:
+    for message in invalid:
         assert_no_attitude(message)
     imus = [m for m in run.messages("ship/imu") if 2.961 <= since_start_s(m) < 8.0]
     assert imus == []
@@ -255,19 +255,19 @@ def assert_no_attitude(message: Any) -> None:
 def test_without_ins_a_star_timeout_is_reported_within_a_second() -> None:
     arrivals = remove_interval(remove_interval(voyage(8.0), 3.0, 8.0, INS), 5.0, 8.0, FORE, STARBOARD)
     run = run_adapter(new_adapter(), arrivals, until_ns=START_NS + 8 * SECOND_NS)
-    carried = [m for m in outputs(run) if m.status == Status.DEGRADED]
+    propagated = [m for m in outputs(run) if m.status == Status.DEGRADED]
     first_invalid = next(m for m in outputs(run) if m.status == Status.INVALID)
-    assert since_start_s(carried[-1]) == pytest.approx(4.877)
+    assert since_start_s(propagated[-1]) == pytest.approx(4.877)
     assert 1.0 < since_start_s(first_invalid) - 4.997 <= 1.1  # its arrival time
     assert_strictly_increasing(run)
 
 
 def test_stars_alone_from_the_start_give_the_attitude() -> None:
     run = run_adapter(new_adapter(), remove_interval(voyage(), 0.0, 5.0, INS))
-    carried = [m for m in outputs(run) if m.status != Status.INVALID]
-    assert {m.status for m in carried} == {Status.DEGRADED}
-    assert len(carried) == sum(a.topic != INS for a in voyage())
-    for message in carried:
+    published = [m for m in outputs(run) if m.status != Status.INVALID]
+    assert {m.status for m in published} == {Status.DEGRADED}
+    assert len(published) == sum(a.topic != INS for a in voyage())
+    for message in published:
         assert_consistent(message)
 
 
@@ -419,8 +419,8 @@ def test_a_conflict_does_not_change_the_estimate_unless_configured() -> None:
 def test_with_reopen_after_the_covariance_is_inflated_and_stars_are_accepted() -> None:
     arrivals = change_where(voyage(8.0), lambda a: a.topic == INS, add_heading_error)
     run = run_adapter(new_adapter(gate__reopen_after=10), arrivals)
-    reopened = [m for m in run.messages("ship/innovation") if "covariance inflated" in m.reason_text]
-    assert 1 <= len(reopened) <= 4
+    inflations = [m for m in run.messages("ship/innovation") if "covariance inflated" in m.reason_text]
+    assert 1 <= len(inflations) <= 4
     assert outputs(run)[-1].status == Status.VALID
     assert_consistent(outputs(run)[-1])
     assert run.diagnostics("conflict star.fore", run.now_ns - SECOND_NS, run.now_ns) == []  # and the conflict ends

@@ -44,20 +44,20 @@ def sigmas_arcsec(core: ShipAttitudeCore) -> tuple[float, float]:
 
 def test_at_constant_heading_sums_are_observable_and_combinations_are_not() -> None:
     core = run_voyage(voyage(0.0, 290.0))
-    told = core.observability()
+    observability = core.observability()
     # Installation of 1 arcsecond against 10 and 72 of the INS: the INS is observable, the sensors hardly.
-    assert told.sigma_ratios["ins.up"] < 0.05
-    assert told.sigma_ratios["star.fore.up"] > 0.5
-    assert any("star.fore" in words for words in told.unobservable_combinations)
+    assert observability.sigma_ratios["ins.up"] < 0.05
+    assert observability.sigma_ratios["star.fore.up"] > 0.5
+    assert any("star.fore" in words for words in observability.unobservable_combinations)
     # The other sensor makes the roll about its boresight observable: 20″, noise 100″ in each of 145 exposures.
-    assert told.sigma_ratios["star.fore.forward"] < 0.5
+    assert observability.sigma_ratios["star.fore.forward"] < 0.5
 
 
 def test_before_any_star_nothing_is_observed() -> None:
     core = core_for(voyage(0.0, 10.0))
-    told = core.observability()
-    assert set(told.sigma_ratios.values()) == {1.0}
-    assert len(told.unobservable_combinations) == len(told.sigma_ratios)
+    observability = core.observability()
+    assert set(observability.sigma_ratios.values()) == {1.0}
+    assert len(observability.unobservable_combinations) == len(observability.sigma_ratios)
 
 
 def with_mounting_sigma_5_arcsec(scenario: Scenario) -> Scenario:
@@ -69,15 +69,15 @@ def with_mounting_sigma_5_arcsec(scenario: Scenario) -> Scenario:
 @pytest.mark.slow
 def test_a_turn_improves_the_attitude_as_predicted() -> None:
     # 34.4° of heading, 0.5° of pitch, 2° of roll.
-    lies_nd = rotation_from_angles(*np.deg2rad([34.4, 0.5, 2.0]))
-    hint = run_voyage(with_mounting_sigma_5_arcsec(voyage(0.0, 290.0))).recommended_manoeuvre(lies_nd)
-    assert hint is not None
-    turned = run_voyage(with_mounting_sigma_5_arcsec(voyage(hint.turn_deg, 1200.0 + hint.turn_deg)))
+    attitude_nd = rotation_from_angles(*np.deg2rad([34.4, 0.5, 2.0]))
+    manoeuvre = run_voyage(with_mounting_sigma_5_arcsec(voyage(0.0, 290.0))).recommended_manoeuvre(attitude_nd)
+    assert manoeuvre is not None
+    turned = run_voyage(with_mounting_sigma_5_arcsec(voyage(manoeuvre.turn_deg, 1200.0 + manoeuvre.turn_deg)))
     straight = run_voyage(with_mounting_sigma_5_arcsec(voyage(0.0, 1190.0)))
-    assert hint.quantity == "tilt"
-    assert sigmas_arcsec(straight)[1] == pytest.approx(hint.sigma_on_course / ARCSEC, rel=0.03)
-    assert sigmas_arcsec(turned)[1] == pytest.approx(hint.sigma_after_turn / ARCSEC, rel=0.05)
-    assert hint.sigma_after_turn < 0.7 * hint.sigma_on_course
+    assert manoeuvre.quantity == "tilt"
+    assert sigmas_arcsec(straight)[1] == pytest.approx(manoeuvre.sigma_on_course / ARCSEC, rel=0.03)
+    assert sigmas_arcsec(turned)[1] == pytest.approx(manoeuvre.sigma_after_turn / ARCSEC, rel=0.05)
+    assert manoeuvre.sigma_after_turn < 0.7 * manoeuvre.sigma_on_course
 
 
 def test_with_a_well_surveyed_mounting_no_turn_is_recommended() -> None:
@@ -100,7 +100,7 @@ def test_a_timed_out_source_does_not_count() -> None:
     fore = replace(whole.star_sensors["fore"], outages={"clouds": Outage(start_s=100.0, end_s=1000.0)})
     gone = run_voyage(replace(whole, star_sensors=whole.star_sensors | {"fore": fore}))
     both = run_voyage(whole).recommended_manoeuvre(np.eye(3))
-    hint = gone.recommended_manoeuvre(np.eye(3))
+    manoeuvre = gone.recommended_manoeuvre(np.eye(3))
     # The noise of a sensor about its boresight is 100 arcseconds: the tilt by it alone is worse after any turn.
     assert both is not None
-    assert hint is None or hint.sigma_after_turn > 1.3 * both.sigma_after_turn
+    assert manoeuvre is None or manoeuvre.sigma_after_turn > 1.3 * both.sigma_after_turn

@@ -92,22 +92,23 @@ def test_attitudes_of_several_states_are_those_of_each_alone() -> None:
 
 def test_each_filter_is_propagated_and_inflated_independently() -> None:
     rng = np.random.default_rng(11)
-    rows, initial = 5, FILTER.initial_state()
-    means = rng.normal(scale=1e-4, size=(rows, FILTER.model.size))
+    filters, initial = 5, FILTER.initial_state()
+    means = rng.normal(scale=1e-4, size=(filters, FILTER.model.size))
     root = rng.normal(
-        scale=1e-4, size=(len(initial.covariance_by_source) + rows - 1, FILTER.model.size, FILTER.model.size)
+        scale=1e-4, size=(len(initial.covariance_by_source) + filters - 1, FILTER.model.size, FILTER.model.size)
     )
     stack = root @ root.swapaxes(-1, -2)
     common_n = MappingProxyType({"star.fore": (20.0 * ARCSEC) ** 2 * np.eye(3)})
     jump = InsJump(61_000_000_000, np.array([0.0, 0.01, 0.0]), 1e-4)
-    stays = MappingProxyType({"star.fore": PixelDwell(np.eye(3)[:1], 3, 0.5)})
-    together = replace(initial, time_ns=1_000_000_000, means=means, stack=stack, common_n=common_n, pixel_dwells=stays)
+    dwells = MappingProxyType({"star.fore": PixelDwell(np.eye(3)[:1], 3, 0.5)})
+    together = replace(initial, time_ns=1_000_000_000, means=means, stack=stack, common_n=common_n, pixel_dwells=dwells)
     after = FILTER.apply_ins_change(FILTER.propagate(together, 31_000_000_000), jump)
     assert not after.pixel_dwells  # the effect of earlier stars is gone
-    for row in range(rows):
+    for index in range(filters):
         parts = np.zeros_like(initial.covariance_by_source)
-        parts[0] = filter_covariances(stack, rows)[row]
-        one = replace(together, means=means[row : row + 1], stack=parts)
+        parts[0] = filter_covariances(stack, filters)[index]
+        one = replace(together, means=means[index : index + 1], stack=parts)
         alone = FILTER.apply_ins_change(FILTER.propagate(one, 31_000_000_000), jump)
-        assert after.means[row].tobytes() == alone.mean.tobytes()
-        np.testing.assert_allclose(filter_covariances(after.stack, rows)[row], alone.covariance, rtol=1e-12, atol=1e-20)
+        assert after.means[index].tobytes() == alone.mean.tobytes()
+        covariance = filter_covariances(after.stack, filters)[index]
+        np.testing.assert_allclose(covariance, alone.covariance, rtol=1e-12, atol=1e-20)

@@ -38,7 +38,7 @@ from ship_testing.small_voyage import (
 )
 
 ATTITUDE = "ship/attitude"
-SPOILT_S, LENGTH_S = 40.0, 130.0
+FAULTY_S, LENGTH_S = 40.0, 130.0
 NEVER_S = 1e6
 CONFIRMED_S = 70.0
 """After this time the second estimator has been VALID for a minute (``recovery.confirm_s``)."""
@@ -50,11 +50,11 @@ def calm() -> tuple[Arrival, ...]:
 
 
 def run_voyage(
-    arrivals: Iterable[Arrival], spoilt_s: float = SPOILT_S, then: Callable[[Run, float], None] | None = None,
+    arrivals: Iterable[Arrival], faulty_s: float = FAULTY_S, then: Callable[[Run, float], None] | None = None,
     **changes: Any,
 ) -> Run:
     """Run a voyage whose filter state is replaced; call ``then`` after each arrival with the time since the start."""
-    run, is_spoilt = Run(new_adapter(**changes)), False
+    run, is_faulty = Run(new_adapter(**changes)), False
     grid_ns = 100_000_000
     tick_ns = START_NS // grid_ns * grid_ns
     for arrival in arrivals:
@@ -62,8 +62,8 @@ def run_voyage(
             tick_ns += grid_ns
             run.published += [(tick_ns, *item) for item in run.adapter.tick(tick_ns)]
         since_s = (arrival.receive_ns - START_NS) / SECOND_NS
-        if since_s >= spoilt_s and not is_spoilt:
-            is_spoilt = True
+        if since_s >= faulty_s and not is_faulty:
+            is_faulty = True
             make_overconfident(run.adapter)
         run.published += [
             (arrival.receive_ns, *item)
@@ -86,17 +86,17 @@ def statuses(run: Run, from_s: float, until_s: float = np.inf) -> set[int]:
 
 def test_a_filter_with_a_wrong_small_covariance_recovers() -> None:
     run = recovered_run()
-    assert statuses(run, SPOILT_S + 2.0, SPOILT_S + 60.0) == {Status.DEGRADED}
-    assert statuses(run, SPOILT_S + CONFIRMED_S) == {Status.VALID}
+    assert statuses(run, FAULTY_S + 2.0, FAULTY_S + 60.0) == {Status.DEGRADED}
+    assert statuses(run, FAULTY_S + CONFIRMED_S) == {Status.VALID}
     assert (run.adapter.recovery.started, run.adapter.recovery.adopted) == (1, 1)
     for message in run.messages(ATTITUDE):
-        if since_start_s(message) > SPOILT_S + CONFIRMED_S:
+        if since_start_s(message) > FAULTY_S + CONFIRMED_S:
             assert_consistent(message)
 
 
 def test_without_a_second_estimator_it_does_not_recover() -> None:
     run = run_voyage(calm(), recovery__after_s=NEVER_S)
-    assert Status.VALID not in statuses(run, SPOILT_S + 2.0)
+    assert Status.VALID not in statuses(run, FAULTY_S + 2.0)
     assert run.adapter.recovery.started == 0
 
 
@@ -105,7 +105,7 @@ def test_stamps_go_on_increasing_and_levels_come_before_the_first_new_attitude()
     claimed = [stamp_of(m) for m in run.messages(ATTITUDE) if m.status != Status.INVALID]
     assert all(earlier < later for earlier, later in pairwise(claimed))
     both = [(topic, m) for _, topic, m in run.published if topic in (ATTITUDE, "ship/integrity")]
-    late = [number for number, (_, m) in enumerate(both) if since_start_s(m) > SPOILT_S + 60.0]
+    late = [number for number, (_, m) in enumerate(both) if since_start_s(m) > FAULTY_S + 60.0]
     first = next(number for number in late if both[number][0] == ATTITUDE and both[number][1].status == Status.VALID)
     assert both[first - 1][0] == "ship/integrity"
 
@@ -139,7 +139,7 @@ def test_nothing_is_saved_in_trouble(tmp_path: Any) -> None:
     path, answers = tmp_path / "alignment.yaml", []
 
     def save(run: Run, since_s: float) -> None:
-        if len(answers) < len(times := (SPOILT_S - 1.0, SPOILT_S + 20.0, SPOILT_S + CONFIRMED_S + 1.0)) and (
+        if len(answers) < len(times := (FAULTY_S - 1.0, FAULTY_S + 20.0, FAULTY_S + CONFIRMED_S + 1.0)) and (
             since_s >= times[len(answers)]
         ):
             answers.append(run.adapter.service("save_alignment", run.now_ns))
@@ -174,17 +174,17 @@ def set_clocks_back(arrivals: Iterable[Arrival], from_s: float, *topics: str) ->
 @pytest.mark.parametrize(
     ("change", "moved"),
     [
-        (lambda arrivals: turn_star_messages(arrivals, UP, SPOILT_S), "6"),
-        (lambda arrivals: remount_sensors(arrivals, SPOILT_S), "2"),
-        (lambda arrivals: set_clocks_back(arrivals, SPOILT_S, INS), "1"),
-        (lambda arrivals: set_clocks_back(arrivals, SPOILT_S, FORE, STARBOARD), "1"),
+        (lambda arrivals: turn_star_messages(arrivals, UP, FAULTY_S), "6"),
+        (lambda arrivals: remount_sensors(arrivals, FAULTY_S), "2"),
+        (lambda arrivals: set_clocks_back(arrivals, FAULTY_S, INS), "1"),
+        (lambda arrivals: set_clocks_back(arrivals, FAULTY_S, FORE, STARBOARD), "1"),
     ],
     ids=["all turned by 60″", "both remounted", "INS's clock", "clock of both sensors"],
 )
 def test_a_constant_rotation_of_all_stars_is_not_adopted(change: Callable[..., Any], moved: str) -> None:
     """60″; 224″ and 269″; 0.1 s at up to 5°/s, 1800″; the text begins with the first digit of it."""
-    run = run_voyage(change(calm()), spoilt_s=np.inf)
-    assert statuses(run, SPOILT_S + 2.0) == {Status.DEGRADED}
+    run = run_voyage(change(calm()), faulty_s=np.inf)
+    assert statuses(run, FAULTY_S + 2.0) == {Status.DEGRADED}
     assert (run.adapter.recovery.started, run.adapter.recovery.adopted) == (1, 0)
     _, text = run.diagnostics("recovery", START_NS, run.now_ns)[-1]
     assert f"shifted and not returned: all together by {moved}" in text
@@ -193,8 +193,8 @@ def test_a_constant_rotation_of_all_stars_is_not_adopted(change: Callable[..., A
 
 
 def test_a_sensor_with_a_constant_clock_error_is_named() -> None:
-    run = run_voyage(set_clocks_back(calm(), SPOILT_S, FORE), spoilt_s=np.inf)
-    assert statuses(run, SPOILT_S) == {Status.VALID}
+    run = run_voyage(set_clocks_back(calm(), FAULTY_S, FORE), faulty_s=np.inf)
+    assert statuses(run, FAULTY_S) == {Status.VALID}
     assert set(run.adapter.core.state.excluded) == {"star.fore"}
     _, text = run.diagnostics("recovery", START_NS, run.now_ns)[-1]
     assert "time_offset_s of star_sensors.fore" in text
@@ -202,13 +202,13 @@ def test_a_sensor_with_a_constant_clock_error_is_named() -> None:
 
 def test_a_constant_rotation_is_not_adopted_if_the_stored_state_is_too_uncertain() -> None:
     """An INS whose heading may drift by 72″ in ten minutes: after a minute the stored state allows for 60″ and more."""
-    run = run_voyage(turn_star_messages(voyage(190.0), UP, SPOILT_S), spoilt_s=np.inf, ins__heading_time_s=600.0)
+    run = run_voyage(turn_star_messages(voyage(190.0), UP, FAULTY_S), faulty_s=np.inf, ins__heading_time_s=600.0)
     recovery = run.adapter.recovery
     core = recovery.candidate.core
     assert (recovery.started, recovery.adopted) == (1, 0)
     assert core.largest_difference_sigmas(core.state, recovery._reference) < MEMORY_SIGMAS
     assert recovery.candidate.valid_since_ns is not None
-    assert statuses(run, SPOILT_S + 2.0) == {Status.DEGRADED}
+    assert statuses(run, FAULTY_S + 2.0) == {Status.DEGRADED}
 
 
 def test_a_nan_covariance_is_consistent_with_no_stored_state() -> None:
@@ -221,7 +221,7 @@ def test_a_nan_covariance_is_consistent_with_no_stored_state() -> None:
 
 def test_a_fault_from_the_start_leaves_no_stored_state() -> None:
     """A node started while all stars were rotated has no other stored state; it must adopt the end of the rotation."""
-    run = run_voyage(turn_star_messages(calm(), UP, -1.0, 15.0), spoilt_s=np.inf)
+    run = run_voyage(turn_star_messages(calm(), UP, -1.0, 15.0), faulty_s=np.inf)
     assert run.adapter.recovery.adopted == 1
     assert statuses(run, 15.0 + CONFIRMED_S) == {Status.VALID}
 
@@ -233,34 +233,34 @@ def test_reset_after_remounting_ends_recovery_at_once() -> None:
         if since_s >= 80.0 and not resets:
             resets.append(run.adapter.service("reset", run.now_ns))
 
-    run = run_voyage(turn_star_messages(calm(), UP, SPOILT_S), spoilt_s=np.inf, then=reset)
+    run = run_voyage(turn_star_messages(calm(), UP, FAULTY_S), faulty_s=np.inf, then=reset)
     assert statuses(run, 82.0) == {Status.VALID}
     assert not run.adapter.recovery.is_in_trouble
 
 
 def test_a_temporary_rotation_of_all_stars_ends_although_they_are_not_reinstated() -> None:
     """``integrity.return_after_s`` of an hour: the excluded stars are not reinstated."""
-    arrivals = turn_star_messages(voyage(145.0), UP, SPOILT_S, 70.0)
-    run = run_voyage(arrivals, spoilt_s=np.inf, integrity__return_after_s=3600.0)
-    assert statuses(run, SPOILT_S + 2.0, 130.0) == {Status.DEGRADED}
+    arrivals = turn_star_messages(voyage(145.0), UP, FAULTY_S, 70.0)
+    run = run_voyage(arrivals, faulty_s=np.inf, integrity__return_after_s=3600.0)
+    assert statuses(run, FAULTY_S + 2.0, 130.0) == {Status.DEGRADED}
     assert statuses(run, 70.0 + CONFIRMED_S) == {Status.VALID}
     assert run.adapter.recovery.adopted == 1
     assert not run.adapter.core.state.excluded
 
 
 def test_a_sensor_with_a_mounting_shift_stays_excluded_and_does_not_prevent_the_adoption() -> None:
-    def knocked(arrival: Arrival) -> Arrival:
+    def shift_mounting(arrival: Arrival) -> Arrival:
         is_hit = arrival.topic == FORE and arrival.stamp_ns >= START_NS + 35 * SECOND_NS
         return turn_star_messages([arrival], 60.0 * UP, 0.0)[0] if is_hit else arrival
 
-    run = run_voyage(list(map(knocked, voyage(150.0))))
+    run = run_voyage(list(map(shift_mounting, voyage(150.0))))
     assert run.adapter.recovery.adopted == 1
     assert statuses(run, 140.0) == {Status.VALID}
     assert set(run.adapter.core.state.excluded) == {"star.fore"}
 
 
 def test_without_a_fault_no_second_estimator_starts_and_the_outputs_are_those_without_recovery() -> None:
-    plain, without = run_voyage(calm(), spoilt_s=np.inf), run_voyage(calm(), spoilt_s=np.inf, recovery__after_s=NEVER_S)
+    plain, without = run_voyage(calm(), faulty_s=np.inf), run_voyage(calm(), faulty_s=np.inf, recovery__after_s=NEVER_S)
     assert plain.adapter.recovery.started == 0
     assert plain.results() == without.results()
 
@@ -269,7 +269,7 @@ def test_parameters_set_in_trouble_are_those_of_the_estimator_that_is_adopted() 
     changed = []
 
     def change(run: Run, since_s: float) -> None:
-        if since_s >= SPOILT_S + 20.0 and not changed:
+        if since_s >= FAULTY_S + 20.0 and not changed:
             changed.append(run.adapter.set_parameters({"ins.white_sigma_arcsec": 2.5}))
 
     run = run_voyage(calm(), then=change)
@@ -288,7 +288,7 @@ def test_a_step_of_all_clocks_in_trouble() -> None:
         return changed_copy(arrival, change) if arrival.receive_ns >= START_NS + from_s * SECOND_NS else arrival
 
     adapter = new_adapter(recovery__confirm_s=30.0)
-    run, is_spoilt = Run(adapter), False
+    run, is_faulty = Run(adapter), False
     tick_ns, grid_ns = START_NS // 100_000_000 * 100_000_000, 100_000_000
     for arrival in map(by_clock, calm()):
         since_s = (arrival.receive_ns - START_NS) / SECOND_NS
@@ -296,8 +296,8 @@ def test_a_step_of_all_clocks_in_trouble() -> None:
         while tick_ns + grid_ns <= arrival.receive_ns:
             tick_ns += grid_ns
             run.published += [(tick_ns, *item) for item in adapter.tick(tick_ns + off_ns, tick_ns)]
-        if since_s >= SPOILT_S and not is_spoilt:
-            is_spoilt = True
+        if since_s >= FAULTY_S and not is_faulty:
+            is_faulty = True
             make_overconfident(adapter)
         handled = adapter.handle(arrival.topic, arrival.message, arrival.receive_ns + off_ns, arrival.receive_ns)
         run.published += [(arrival.receive_ns, *item) for item in handled]
@@ -314,7 +314,7 @@ def test_memory_residual_is_the_rotation_of_the_stars_with_its_noise() -> None:
         nonlocal memory
         memory = run.adapter.core.state if since_s < 19.0 else memory
 
-    adapter = run_voyage(arrivals, spoilt_s=np.inf, then=remember).adapter
+    adapter = run_voyage(arrivals, faulty_s=np.inf, then=remember).adapter
     last = [one for one in arrivals if one.topic == FORE and 19.2 < (one.stamp_ns - START_NS) / SECOND_NS < 19.6]
     assert last
     for one in last:
@@ -351,6 +351,6 @@ def test_an_exception_in_the_second_estimator_costs_no_output(monkeypatch: pytes
 def test_smoothed_attitudes_continue_after_an_adoption() -> None:
     run = run_voyage(calm(), smoothing_lag_s=5.0)
     assert run.adapter.recovery.adopted == 1
-    told = [since_start_s(m) for m in run.messages("ship/attitude_smoothed")]
-    assert all(earlier < later for earlier, later in pairwise(told))
-    assert told[-1] > LENGTH_S - 8.0
+    stamps_s = [since_start_s(m) for m in run.messages("ship/attitude_smoothed")]
+    assert all(earlier < later for earlier, later in pairwise(stamps_s))
+    assert stamps_s[-1] > LENGTH_S - 8.0

@@ -53,8 +53,8 @@ def drawn_sigmas(layout: Layout, draws: int) -> FloatArray:
         horizon = Rotation.from_rotvec(common[:, :3] + common[:, 3:] * lift)
         own = Rotation.from_rotvec(rng.standard_normal((draws, 3)) * mounting)
         own = own * Rotation.from_rotvec(rng.standard_normal((draws, 3)) * noise)
-        told = horizon * Rotation.from_matrix(true) * own * Rotation.from_matrix(installed.T)
-        errors.append((told * Rotation.from_matrix(ship.T)).as_rotvec())
+        measured = horizon * Rotation.from_matrix(true) * own * Rotation.from_matrix(installed.T)
+        errors.append((measured * Rotation.from_matrix(ship.T)).as_rotvec())
     stacked = np.concatenate(errors, axis=1)
     weights = np.linalg.solve(np.cov(stacked.T), np.tile(np.eye(3), (len(errors), 1)))
     joint = stacked @ weights @ np.linalg.inv(weights.reshape(len(errors), 3, 3).sum(axis=0))
@@ -74,8 +74,8 @@ def test_a_layout_meets_a_requirement_if_errors_drawn_do() -> None:
     ratio = (drawn / layout.sigmas_arcsec()) ** 2
     assert np.all((ratio > low) & (ratio < high))
     for factor, admissible in ((1.05, True), (0.95, False)):
-        asked = dict(zip(("heading_arcsec", "pitch_arcsec", "roll_arcsec"), factor * drawn, strict=True))
-        required = required_of(requirement={key: float(value) for key, value in asked.items()}, **values)
+        requirement = dict(zip(("heading_arcsec", "pitch_arcsec", "roll_arcsec"), factor * drawn, strict=True))
+        required = required_of(requirement={key: float(value) for key, value in requirement.items()}, **values)
         assert required.given_layout.is_admissible is admissible
 
 
@@ -93,15 +93,15 @@ def test_unknown_sigmas_are_not_admissible() -> None:
     assert not Candidate("a", layout, np.full(3, np.nan), float("nan"), ()).is_admissible
     low = {"alternatives": {"low": {"sensors": {"fore": {"azimuth_deg": 270.0, "elevation_deg": 6.0}}}}}
     required = required_of(requirement={"heading_arcsec": 1e4}, ship_roll_deg=-8.0, **low)
-    judged = next(one for one in required.ranking if one.name == "low")
-    assert np.isnan(judged.requirement_use)
-    assert not judged.is_admissible
-    assert required.ranking[-1] is judged
+    poor = next(one for one in required.ranking if one.name == "low")
+    assert np.isnan(poor.requirement_use)
+    assert not poor.is_admissible
+    assert required.ranking[-1] is poor
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("asked", "masks"),
+    ("requirement", "masks"),
     [
         ({"heading_arcsec": 3.0, "pitch_arcsec": 3.0, "roll_arcsec": 3.0}, {}),
         ({"heading_arcsec": 5.0, "pitch_arcsec": 4.0, "roll_arcsec": 2.0}, {}),
@@ -111,9 +111,9 @@ def test_unknown_sigmas_are_not_admissible() -> None:
         ),
     ],
 )
-def test_the_search_finds_the_best_of_all_directions(asked: dict[str, float], masks: dict[str, Any]) -> None:
+def test_the_search_finds_the_best_of_all_directions(requirement: dict[str, float], masks: dict[str, Any]) -> None:
     """Compared with each pair of directions on a grid of 10 degrees: at most half a percent worse than the best."""
-    config = study_config({"sensors": SENSORS, "common": COMMON, "masks": masks, "requirement": asked})
+    config = study_config({"sensors": SENSORS, "common": COMMON, "masks": masks, "requirement": requirement})
     required = compute_study(config).requirement_result
     assert required is not None
     layout, sights = Layout.from_config(config), Obstructions.from_config(config)
@@ -225,9 +225,9 @@ def test_a_requirement_out_of_reach_ends_with_1_and_the_nearest_miss(
     layout.write_text(text, encoding="utf-8")
     out = tmp_path / "out"
     assert main([str(layout), "--out", str(out)]) == 1
-    said = capsys.readouterr().out
-    assert "no layout meets the requirement; nearest miss: 'all sensors moved'" in said
-    assert "of 2 arcsec" in said
+    printed = capsys.readouterr().out
+    assert "no layout meets the requirement; nearest miss: 'all sensors moved'" in printed
+    assert "of 2 arcsec" in printed
     page = (out / "layout_study.html").read_text(encoding="utf-8")
     assert "No layout meets it." in page
     tables = {
@@ -270,9 +270,9 @@ def test_bad_requirements_are_named(values: dict[str, Any], reason: str) -> None
 def test_the_example_has_an_admissible_layout(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The layout as given exceeds the pitch limit by 1 %; another layout meets the requirement."""
     assert main([str(EXAMPLE), "--out", str(tmp_path)]) == 0
-    said = capsys.readouterr().out
-    assert "  1 all sensors moved       meets it" in said
-    assert f"  5 {AS_GIVEN:24}does not: pitch uses 101.1 %" in said
+    printed = capsys.readouterr().out
+    assert "  1 all sensors moved       meets it" in printed
+    assert f"  5 {AS_GIVEN:24}does not: pitch uses 101.1 %" in printed
     assert {path.name for path in tmp_path.iterdir()} == set(
         output_names(study_config(read_nested_parameters(EXAMPLE).values))
     )

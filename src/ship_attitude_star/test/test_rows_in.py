@@ -78,8 +78,8 @@ def star(sharing: str) -> StarSensorConfig:
 
 
 def content(reading: ReadMessage[AttitudeMeasurement]) -> tuple[Any, ...]:
-    told = {name: getattr(reading.value, name) for name in ("source", "shared_by", "covariance_known")}
-    return type(reading.value), reading.value.time_ns, reading.value.content(), reading.covariance_known, told
+    properties = {name: getattr(reading.value, name) for name in ("source", "shared_by", "covariance_known")}
+    return type(reading.value), reading.value.time_ns, reading.value.content(), reading.covariance_known, properties
 
 
 @pytest.mark.parametrize("sharing", [SHARED_BY_SKY, SHARED_BY_MESSAGES, "none"])
@@ -97,12 +97,12 @@ def test_messages_read_as_a_block_equal_those_read_singly(sharing: str) -> None:
 
 
 def test_messages_rejected_singly_are_not_read_as_a_block() -> None:
-    config, receive_ns, refused = star(SHARED_BY_MESSAGES), START_NS + 10_000_000, 0
+    config, receive_ns, rejected = star(SHARED_BY_MESSAGES), START_NS + 10_000_000, 0
     for changed in ODD:
         one = message(1, **changed)
         try:
             messages_in.star_measurement(one, "bow", config, receive_ns)
         except MessageRejected:
-            refused += 1
+            rejected += 1
             assert rows_in.star_attitudes(rows(TYPE, [one]), np.array([receive_ns]), "bow", config) == [None]
-    assert refused > len(ODD) // 2
+    assert rejected > len(ODD) // 2

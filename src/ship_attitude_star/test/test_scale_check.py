@@ -27,13 +27,13 @@ TEXT = re.compile(
 
 
 @pytest.fixture(scope="module")
-def watch() -> SkyModel:
+def sky_model() -> SkyModel:
     return sky_at_anchor(configuration())
 
 
-def exposure(watch: SkyModel, scale: float, rng: np.random.Generator, count: int = STARS) -> StarExposure:
+def exposure(sky_model: SkyModel, scale: float, rng: np.random.Generator, count: int = STARS) -> StarExposure:
     """Return stars with noise of 3″ by a camera whose true focal length is longer by the ratio ``scale``."""
-    seen = exposure_of(watch, "fore", count, rng)
+    seen = exposure_of(sky_model, "fore", count, rng)
     true = replace(CAMERA, focal_length_m=CAMERA.focal_length_m * (1.0 + scale))
     return replace(seen, directions_s=CAMERA.directions(true.pixels(seen.directions_s)), optics=OPTICS)
 
@@ -45,41 +45,41 @@ def prior(rng: np.random.Generator, sigma: float) -> StarPrior:
 
 @pytest.mark.parametrize("scale", [-3e-3, 3e-3])
 @pytest.mark.parametrize("named", [True, False])
-def test_a_wrong_focal_length_is_named_with_the_value_that_fits(watch, scale, named):
+def test_a_wrong_focal_length_is_named_with_the_value_that_fits(sky_model, scale, named):
     for seed in range(10):
         rng = np.random.default_rng([1, seed])
-        seen = exposure(watch, scale, rng)
+        seen = exposure(sky_model, scale, rng)
         seen = seen if named else without_identity(seen)
-        _, solved = solve_exposure(seen, (), prior(rng, 30.0 * ARCSEC), watch)
-        refusal = solved.solution.rejection
-        assert refusal is not None
-        assert refusal.reason is Reason.MISIDENTIFIED
-        found = TEXT.match(refusal.text)
-        assert found, refusal.text
+        _, solved = solve_exposure(seen, (), prior(rng, 30.0 * ARCSEC), sky_model)
+        rejection = solved.solution.rejection
+        assert rejection is not None
+        assert rejection.reason is Reason.MISIDENTIFIED
+        found = TEXT.match(rejection.text)
+        assert found, rejection.text
         # Ten stars of 3″ in a field of 14° give 0.01 % at worst; four times that.
         assert float(found[1]) == pytest.approx(50.0 * (1.0 + scale), abs=0.02)
 
 
-def test_named_stars_need_no_attitude_for_it(watch):
+def test_named_stars_need_no_attitude_for_it(sky_model):
     rng = np.random.default_rng(2)
-    refusal = check_focal_length(exposure(watch, 3e-3, rng), watch, None, used_count=0)
-    assert refusal is not None
-    assert TEXT.match(refusal.text)
+    rejection = check_focal_length(exposure(sky_model, 3e-3, rng), sky_model, None, used_count=0)
+    assert rejection is not None
+    assert TEXT.match(rejection.text)
 
 
 @pytest.mark.parametrize("scale", [0.0, 2e-4, -4e-4])
 @pytest.mark.parametrize("false_count", [0, 3])
-def test_a_focal_length_within_its_error_is_not_named(watch, scale, false_count):
+def test_a_focal_length_within_its_error_is_not_named(sky_model, scale, false_count):
     for seed in range(10):
         rng = np.random.default_rng([3, seed])
-        seen = exposure(watch, scale, rng)
+        seen = exposure(sky_model, scale, rng)
         directions_s = seen.directions_s.copy()
         directions_s[:false_count] = exp_rotation(0.02 * rng.standard_normal((false_count, 3))) @ directions_s[0]
         seen = replace(seen, directions_s=directions_s)
         for used_count in (0, STARS - false_count):
-            assert check_focal_length(seen, watch, prior(rng, 30.0 * ARCSEC), used_count) is None
+            assert check_focal_length(seen, sky_model, prior(rng, 30.0 * ARCSEC), used_count) is None
 
 
-def test_two_stars_are_too_few(watch):
+def test_two_stars_are_too_few(sky_model):
     rng = np.random.default_rng(4)
-    assert check_focal_length(exposure(watch, 3e-3, rng, 2), watch, prior(rng, 30.0 * ARCSEC), 0) is None
+    assert check_focal_length(exposure(sky_model, 3e-3, rng, 2), sky_model, prior(rng, 30.0 * ARCSEC), 0) is None

@@ -59,9 +59,9 @@ def test_two_hours_are_the_matrix_exponential(damping_time_s: float) -> None:
     vertical = at_anchor(60, deflection="constant", xi_arcsec=20.0, sigma_arcsec=2.0)
     ins = process(replace(CONFIG, damping_time_s=damping_time_s))
     here, dt_s = vertical.at(ns(1.0)), 7200.7
-    carried = ins.propagation(ns(1.0), here, [ns(1.0 + dt_s)], vertical)
+    propagated = ins.propagation(ns(1.0), here, [ns(1.0 + dt_s)], vertical)
     rates = ins.system_matrix(here)
-    np.testing.assert_allclose(carried.transition[0], expm(rates * dt_s), rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(propagated.transition[0], expm(rates * dt_s), rtol=1e-8, atol=1e-10)
     config = CONFIG
     density = np.diag(
         [config.angle_walk**2] * 3
@@ -107,11 +107,11 @@ def test_errors_of_a_simulated_ins_follow_the_process(sailing: tuple[float, floa
     rates = ins.system_matrix(at_anchor(5).at(ns(1.0))._replace(velocity_m_per_s=sailing))
     # Constant drift and bias: those of the process decay within ten hours.
     rates[8:, 8:] = 0.0
-    said = expm(3600.0 * hours * rates) @ state
+    expected = expm(3600.0 * hours * rates) @ state
     turn, velocity = computed_ins(state, sailing, 3600.0 * hours)
     # The rest is of second order: 40 arcseconds times 60, and the effect of a heading error through cos L.
-    np.testing.assert_allclose(turn / ARCSEC, said[:3] / ARCSEC, atol=0.1)
-    np.testing.assert_allclose(velocity, said[5:7], atol=0.002)
+    np.testing.assert_allclose(turn / ARCSEC, expected[:3] / ARCSEC, atol=0.1)
+    np.testing.assert_allclose(velocity, expected[5:7], atol=0.002)
 
 
 def computed_ins(state: np.ndarray, sailing: tuple[float, float], duration_s: float) -> tuple[np.ndarray, np.ndarray]:
@@ -165,10 +165,10 @@ def test_the_order_of_requests_does_not_matter() -> None:
     vertical = at_anchor(400, **gravity)
     before, end_s = vertical.at(ns(1.3)), 301.7
     at_once = process().propagation(ns(1.3), before, [ns(end_s)], vertical)
-    asked, more = process(), 0.0
+    requested, more = process(), 0.0
     for more in (1.4, 50.0, 299.9, 120.0, 301.0, end_s):
-        last = asked.propagation(ns(1.3), before, [ns(more)], vertical)
-        asked.propagation(ns(more), vertical.at(ns(more)), [ns(more + 3.0)], vertical)
+        last = requested.propagation(ns(1.3), before, [ns(more)], vertical)
+        requested.propagation(ns(more), vertical.at(ns(more)), [ns(more + 3.0)], vertical)
     for one, other in zip(at_once, last, strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -181,8 +181,8 @@ def test_a_changing_deflection_drives_the_oscillation() -> None:
     state = np.zeros(13)
     state[3] = 60.0 * ARCSEC
     half_period_s = 0.5 * 84.4 * 60.0
-    carried = ins.propagation(ns(1.0), here, [ns(1.0 + half_period_s)], vertical)
-    (after,) = ins.propagated_means(state[None], here, carried)[0]
+    propagated = ins.propagation(ns(1.0), here, [ns(1.0 + half_period_s)], vertical)
+    (after,) = ins.propagated_means(state[None], here, propagated)[0]
     assert after[2] / ARCSEC == pytest.approx(-120.0, abs=2.0)
     assert after[3] == state[3]
 

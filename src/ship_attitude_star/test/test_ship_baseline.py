@@ -88,20 +88,20 @@ def test_jacobian_is_the_difference_quotient() -> None:
     ins = InterpolatedAttitude(rotation_nd, np.array([0.01, -0.02, 0.03]), 1.0, np.zeros((3, 3)), None)
     measured = BaselineMeasurement(START_NS, rotation_nd @ BASELINE_D + rng.normal(0.0, 0.004, 3), 1.6e-5 * np.eye(3))
 
-    def compared(mean: np.ndarray) -> Any:
+    def residuals_at(mean: np.ndarray) -> Any:
         predicted = predict_attitude(device, model, mean, ins)
         return compare(measured, device, predicted, model, mean, np.eye(model.size), None)
 
     mean = 20.0 * ARCSEC * rng.standard_normal(model.size)
     clock = model.state_indices("ins.time_offset")
     mean[clock] = 0.001
-    analytic, step = compared(mean).linear.jacobian, 1e-6
+    analytic, step = residuals_at(mean).linear.jacobian, 1e-6
     for state in range(model.size):
         if state in clock:
             continue  # The time of the INS attitude is not changed here.
         off = np.zeros(model.size)
         off[state] = step
-        quotient = (compared(mean - off).linear.residual - compared(mean + off).linear.residual) / (2.0 * step)
+        quotient = (residuals_at(mean - off).linear.residual - residuals_at(mean + off).linear.residual) / (2.0 * step)
         np.testing.assert_allclose(analytic[:, state], quotient, atol=2e-3)
 
 
@@ -128,26 +128,26 @@ def test_errors_of_many_draws_are_consistent_with_the_covariance() -> None:
 
 
 @pytest.mark.parametrize(
-    ("spoilt", "text"),
+    ("change", "text"),
     [
         (lambda vector_n: 1.02 * vector_n, "wrong RTK solution"),
         (lambda vector_n: -vector_n, "are base and rover exchanged?"),
         (lambda vector_n: np.full(3, np.nan), "wrong RTK solution"),
     ],
 )
-def test_a_wrong_solution_is_rejected_and_changes_nothing(spoilt: Any, text: str) -> None:
+def test_a_wrong_solution_is_rejected_and_changes_nothing(change: Any, text: str) -> None:
     cores = ShipAttitudeCore(make_config()), ShipAttitudeCore(make_config())
     error_n = np.array([0.0, 20.0, 0.0]) * ARCSEC
 
     def solutions(second: int, true_nd: np.ndarray) -> np.ndarray:
         vector_n = true_nd @ BASELINE_D
-        return spoilt(vector_n) if second == 5 else vector_n
+        return change(vector_n) if second == 5 else vector_n
 
     with_it, decisions = run_core(cores[0], error_n, solutions, seconds=10)
     without, _ = run_core(cores[1], error_n, lambda second, nd: None if second == 5 else nd @ BASELINE_D, seconds=10)
-    refused = [decision for decision in decisions if not decision.accepted]
-    assert [decision.reason for decision in refused] == [Reason.GATE]
-    assert text in refused[0].text
+    rejected = [decision for decision in decisions if not decision.accepted]
+    assert [decision.reason for decision in rejected] == [Reason.GATE]
+    assert text in rejected[0].text
     np.testing.assert_array_equal(with_it[-1].rotation_nd, without[-1].rotation_nd)
     np.testing.assert_array_equal(with_it[-1].covariance_n, without[-1].covariance_n)
 
@@ -176,8 +176,8 @@ def test_without_the_section_there_is_no_such_device() -> None:
 def test_alignment_contains_its_direction() -> None:
     core = ShipAttitudeCore(make_config())
     run_core(core, np.zeros(3), lambda _, true_nd: true_nd @ BASELINE_D, seconds=3)
-    told = core.alignment()
-    at = dict(zip(told.names, told.values, strict=True))
+    alignment = core.alignment()
+    at = dict(zip(alignment.names, alignment.values, strict=True))
     assert at["baseline.azimuth"] == pytest.approx(np.arctan2(-1.5, 8.0) % (2.0 * np.pi), abs=1e-4)
     assert at["baseline.elevation"] == pytest.approx(np.arctan2(0.4, np.hypot(8.0, 1.5)), abs=1e-4)
 
@@ -220,9 +220,9 @@ def solution_message(**changes: Any) -> RtkBaseline:
 def test_an_unusable_message_is_rejected_with_the_reason(changes: dict[str, Any], reason: Reason) -> None:
     config = make_config().ship_baseline
     assert baseline(solution_message(), START_NS, config).covariance_known
-    with pytest.raises(MessageRejected) as refused:
+    with pytest.raises(MessageRejected) as rejected:
         baseline(solution_message(**changes), START_NS, config)
-    assert refused.value.rejection.reason is reason
+    assert rejected.value.rejection.reason is reason
 
 
 def test_a_covariance_of_zeros_is_the_configured_one() -> None:

@@ -45,7 +45,7 @@ from ship_testing.star_voyage import (
     without_topics,
 )
 
-MOMENT_S = 1.5
+CHANGE_S = 1.5
 SHIP_TOPICS = ("ship/attitude", "ship/imu", "ship/alignment", "ship/error_budget", "ship/error_arcsec")
 
 
@@ -56,7 +56,7 @@ def clean_run() -> Run:
 
 @functools.cache
 def run_without(topic: str) -> Run:
-    return run_new_adapter(without(voyage(), index_at(voyage(), topic, MOMENT_S)))
+    return run_new_adapter(without(voyage(), index_at(voyage(), topic, CHANGE_S)))
 
 
 def outputs(run: Run) -> list[Any]:
@@ -109,7 +109,7 @@ def test_with_a_utc_sigma_its_error_is_a_state_with_its_own_budget_entry() -> No
     ("topic", "change", "reason", "text"), [c[1:] for c in REJECTED_MESSAGES], ids=[c[0] for c in REJECTED_MESSAGES]
 )
 def test_a_bad_message_is_reported_and_changes_nothing(topic: str, change: Change, reason: str, text: str) -> None:
-    run = run_new_adapter(replace_message(voyage(), index_at(voyage(), topic, MOMENT_S), change))
+    run = run_new_adapter(replace_message(voyage(), index_at(voyage(), topic, CHANGE_S), change))
     assert outputs(run) == outputs(run_without(topic))
     assert run.reasons(topic) == {reason: 1}
     (innovation,) = run.innovations(Reason[reason.upper()])
@@ -119,8 +119,8 @@ def test_a_bad_message_is_reported_and_changes_nothing(topic: str, change: Chang
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("change", "reason"), [s[1:3] for s in REJECTED_STARS], ids=[s[0] for s in REJECTED_STARS])
-def test_a_bad_star_alone_is_refused(change: Change, reason: Reason) -> None:
-    index = index_at(voyage(), FORE, MOMENT_S)
+def test_a_bad_star_alone_is_rejected(change: Change, reason: Reason) -> None:
+    index = index_at(voyage(), FORE, CHANGE_S)
     run, lacking = (
         run_new_adapter(replace_message(voyage(), index, change)),
         run_new_adapter(replace_message(voyage(), index, remove_star(3))),
@@ -131,7 +131,7 @@ def test_a_bad_star_alone_is_refused(change: Change, reason: Reason) -> None:
 
 
 def test_a_false_star_is_named_with_its_angle() -> None:
-    index = index_at(voyage(), FORE, MOMENT_S)
+    index = index_at(voyage(), FORE, CHANGE_S)
     run = run_new_adapter(replace_message(voyage(), index, set_star_fields(3, u=100.0)))
     (innovation,) = run.innovations(Reason.MISIDENTIFIED)
     assert "from its expected direction, sigma" in innovation.reason_text
@@ -149,10 +149,10 @@ def test_without_a_fix_no_star_is_used_and_the_ins_continues() -> None:
 def test_a_fix_older_than_a_minute_is_none() -> None:
     """Fixes end a minute before the stars begin."""
 
-    def older(message: Any) -> None:
+    def set_older_stamp(message: Any) -> None:
         message.header.stamp.sec -= 64
 
-    run = run_new_adapter(change_where(voyage(), lambda arrival: arrival.topic == FIX, older))
+    run = run_new_adapter(change_where(voyage(), lambda arrival: arrival.topic == FIX, set_older_stamp))
     assert set(run.reasons(FORE)) == {"no_fix"}
     assert "more than fix_max_age_s = 60" in run.innovations(Reason.NO_FIX)[-1].reason_text
 
@@ -236,7 +236,7 @@ def test_an_exact_prior_can_be_compared_with_stars(monkeypatch: pytest.MonkeyPat
     assert run.health(FORE).accepted == run.health(FORE).received
     assert last_valid(run) is run.messages("ship/attitude")[-1]
     # The same stars are selected as by any other prediction.
-    wrong = replace_message(exact, index_at(exact, FORE, MOMENT_S), set_star_fields(3, u=100.0))
+    wrong = replace_message(exact, index_at(exact, FORE, CHANGE_S), set_star_fields(3, u=100.0))
     (innovation,) = run_new_adapter(wrong, ins=EXACT_INS, star_sensors=sensors).innovations(Reason.MISIDENTIFIED)
     assert "from its expected direction, sigma" in innovation.reason_text
 
@@ -255,7 +255,7 @@ def test_streaks_wait_for_the_ins_and_any_order_of_arrival_gives_the_same_state(
             replace(a, receive_ns=a.stamp_ns + round((star_delay_s if a.topic in (FORE, STARBOARD) else 0.001) * 1e9))
             for a in voyage_with_streaks()
         ]
-        late = index_at(arrivals, INS, MOMENT_S)
+        late = index_at(arrivals, INS, CHANGE_S)
         arrivals[late] = replace(arrivals[late], receive_ns=arrivals[late].stamp_ns + round(ins_delay_s * 1e9))
         run = run_new_adapter(sort_by_arrival(arrivals))
         assert set(run.reasons(FORE)) <= {"gap", "revised"}
@@ -268,15 +268,15 @@ def test_streaks_wait_for_the_ins_and_any_order_of_arrival_gives_the_same_state(
 def test_the_ship_attitude_by_streaks_is_consistent_with_its_covariance() -> None:
     assert worst_sigmas(run_new_adapter(voyage_with_streaks())) < 2.5
 
-    def not_told(message: Any) -> None:
+    def hide_length(message: Any) -> None:
         message.exposure_s = np.nan
 
-    believed = change_where(voyage_with_streaks(), lambda a: a.topic in (FORE, STARBOARD), not_told)
-    assert worst_sigmas(run_new_adapter(believed)) > 4.0
+    as_points = change_where(voyage_with_streaks(), lambda a: a.topic in (FORE, STARBOARD), hide_length)
+    assert worst_sigmas(run_new_adapter(as_points)) > 4.0
 
 
 def worst_sigmas(run: Run) -> float:
-    """Of the attitudes after the first second, in sigmas of all three axes together, over the root of three."""
+    """Return the largest error of the attitudes after the first second, as the root of NEES / 3."""
     late = [m for m in run.messages("ship/attitude") if stamp_of(m) > START_NS + SECOND_NS]
     covariances_n = [horizon_covariance(m.rotation_covariance.reshape(3, 3)) for m in late]
     pairs = zip(late, covariances_n, strict=True)

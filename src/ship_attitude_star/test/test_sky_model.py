@@ -16,10 +16,10 @@ NORTH_SIGMA_M, EAST_SIGMA_M = 300.0, 500.0
 
 
 def sky_model_with_inputs(position: GeodeticPosition = POSITION, pressure_hpa: float = 1000.0) -> SkyModel:
-    watch = load_sky_model(SkyConfig(temperature_sigma_k=0.0))
-    watch.surroundings.insert(PositionFix(TIME_NS, position, np.diag([NORTH_SIGMA_M**2, 0.0, EAST_SIGMA_M**2])))
-    watch.surroundings.insert(AirReading("pressure", TIME_NS, pressure_hpa, PRESSURE_SIGMA_HPA))
-    return watch
+    sky_model = load_sky_model(SkyConfig(temperature_sigma_k=0.0))
+    sky_model.surroundings.insert(PositionFix(TIME_NS, position, np.diag([NORTH_SIGMA_M**2, 0.0, EAST_SIGMA_M**2])))
+    sky_model.surroundings.insert(AirReading("pressure", TIME_NS, pressure_hpa, PRESSURE_SIGMA_HPA))
+    return sky_model
 
 
 def local_sky(*args, **kwargs) -> LocalSky:
@@ -29,32 +29,32 @@ def local_sky(*args, **kwargs) -> LocalSky:
 @pytest.fixture(scope="module")
 def stars():
     """Stars brighter than 3 mag and above 20°: lower, refraction varies too much."""
-    watch = sky_model_with_inputs()
-    rows = watch.catalogue.rows_brighter_than(3.0)
-    elevation = watch.sky_at(TIME_NS).apparent_stars(watch.catalogue.at_j2000[rows]).elevation
-    return watch.catalogue.at_j2000[rows[elevation > np.deg2rad(20.0)]]
+    sky_model = sky_model_with_inputs()
+    rows = sky_model.catalogue.rows_brighter_than(3.0)
+    elevation = sky_model.sky_at(TIME_NS).apparent_stars(sky_model.catalogue.at_j2000[rows]).elevation
+    return sky_model.catalogue.at_j2000[rows[elevation > np.deg2rad(20.0)]]
 
 
 def test_without_position_or_earth_orientation_the_sky_is_rejected_with_a_reason() -> None:
-    watch = load_sky_model(SkyConfig())
-    assert watch.sky_at(TIME_NS).reason is Reason.NO_FIX
+    sky_model = load_sky_model(SkyConfig())
+    assert sky_model.sky_at(TIME_NS).reason is Reason.NO_FIX
     assert (
         sky_model_with_inputs().sky_at(TIME_NS + 40 * 365 * 86_400 * 1_000_000_000).reason
         is Reason.NO_EARTH_ORIENTATION
     )
-    watch = sky_model_with_inputs()
-    watch.reset()
-    assert watch.sky_at(TIME_NS).reason is Reason.NO_FIX
+    sky_model = sky_model_with_inputs()
+    sky_model.reset()
+    assert sky_model.sky_at(TIME_NS).reason is Reason.NO_FIX
 
 
 def test_repeated_fixes_and_readings_are_rejected() -> None:
-    watch = sky_model_with_inputs()
+    sky_model = sky_model_with_inputs()
     for given in (
         PositionFix(TIME_NS, POSITION, np.diag([NORTH_SIGMA_M**2, 0.0, EAST_SIGMA_M**2])),
         AirReading("pressure", TIME_NS, 1000.0, PRESSURE_SIGMA_HPA),
     ):
-        assert watch.surroundings.rejection(given).reason is Reason.DUPLICATE
-        assert watch.surroundings.insert(given) is None
+        assert sky_model.surroundings.rejection(given).reason is Reason.DUPLICATE
+        assert sky_model.surroundings.insert(given) is None
 
 
 def test_a_sigma_of_refraction_equals_other_air(stars) -> None:
@@ -85,16 +85,16 @@ def test_unmeasured_quantities_of_the_air_are_named() -> None:
 
 
 def test_results_are_cached_until_an_input_changes_them() -> None:
-    watch = sky_model_with_inputs()
-    stars = watch.catalogue.at_j2000[:3]
-    first = watch.sky_at(TIME_NS)
-    assert watch.sky_at(TIME_NS) is first
+    sky_model = sky_model_with_inputs()
+    stars = sky_model.catalogue.at_j2000[:3]
+    first = sky_model.sky_at(TIME_NS)
+    assert sky_model.sky_at(TIME_NS) is first
     assert first.apparent_stars(stars) is first.apparent_stars(stars)
     with pytest.raises(ValueError, match="read-only"):
         first.apparent_stars(stars).direction_n[0, 0] = 0.0
     # Air with a later stamp changes nothing now, air with an earlier stamp does.
-    watch.surroundings.insert(AirReading("temperature", TIME_NS + 1, 20.0))
-    assert watch.sky_at(TIME_NS) is first
-    watch.surroundings.insert(AirReading("temperature", TIME_NS - 1, 20.0))
-    assert watch.sky_at(TIME_NS).air.weather.temperature_c == 20.0
+    sky_model.surroundings.insert(AirReading("temperature", TIME_NS + 1, 20.0))
+    assert sky_model.sky_at(TIME_NS) is first
+    sky_model.surroundings.insert(AirReading("temperature", TIME_NS - 1, 20.0))
+    assert sky_model.sky_at(TIME_NS).air.weather.temperature_c == 20.0
     assert first.air.weather.temperature_c != 20.0

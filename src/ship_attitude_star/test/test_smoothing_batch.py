@@ -166,7 +166,7 @@ def batch_equations(batch: BatchProblem, requested_ms: list[int]) -> list[tuple]
 
 
 def steps_of(batch: BatchProblem) -> np.ndarray:
-    """For the differences: 10 µs for the clock, 1e-6 for angles."""
+    """Return the steps of the finite differences: 10 µs for the clock, 1e-6 for angles."""
     steps = np.full(batch.size, 1e-6)
     steps[batch.places["clock", 0]] = 1e-5
     return steps
@@ -175,18 +175,18 @@ def steps_of(batch: BatchProblem) -> np.ndarray:
 @pytest.fixture(scope="module")
 def both() -> tuple:
     core, smoothed = smoothed_run()
-    asked_ms = [round((one.time_ns - START_NS) / 1e6) for one in smoothed]
+    smoothed_ms = [round((one.time_ns - START_NS) / 1e6) for one in smoothed]
     batch = BatchProblem()
-    return core, smoothed, asked_ms, batch, *solve(batch_equations(batch, asked_ms), steps_of(batch))
+    return core, smoothed, smoothed_ms, batch, *solve(batch_equations(batch, smoothed_ms), steps_of(batch))
 
 
 @pytest.mark.slow
 def test_smoothing_is_batch_least_squares(both: tuple) -> None:
     # Requirement: within 1 % of sigma.
-    _, smoothed, asked_ms, batch, unknowns, factors = both
+    _, smoothed, smoothed_ms, batch, unknowns, factors = both
     assert len(smoothed) == 48
     worst_mean = worst_sigma = 0.0
-    for one, ms in zip(smoothed, asked_ms, strict=True):
+    for one, ms in zip(smoothed, smoothed_ms, strict=True):
         parts = [batch.places["slow", ms], batch.places["clock", 0]]
         slow, clock_s = (unknowns[part] for part in parts)
         rotation_nd = rotation_of(slow) @ ins_nd(ms / 1000.0 - clock_s[0])
@@ -194,8 +194,8 @@ def test_smoothing_is_batch_least_squares(both: tuple) -> None:
         jacobian = np.hstack([np.eye(3), by_clock[:, None]])
         expected = jacobian @ covariance_of(factors, batch.size, parts) @ jacobian.T + WHITE**2 * np.eye(3)
         sigma = np.sqrt(expected.diagonal())
-        apart = Rotation.from_matrix(one.rotation_nd @ rotation_nd.T).as_rotvec()
-        worst_mean = max(worst_mean, np.max(np.abs(apart) / sigma))
+        difference = Rotation.from_matrix(one.rotation_nd @ rotation_nd.T).as_rotvec()
+        worst_mean = max(worst_mean, np.max(np.abs(difference) / sigma))
         worst_sigma = max(worst_sigma, np.max(np.abs(np.sqrt(one.covariance_n.diagonal()) / sigma - 1.0)))
     print(f"attitudes apart by {worst_mean:.5f} sigma, sigmas by {worst_sigma:.5f}")
     assert worst_mean < 0.01

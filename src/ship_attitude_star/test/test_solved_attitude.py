@@ -74,11 +74,11 @@ def ship(known: Knowledge, **sensor: Any) -> ShipAttitudeConfig:
 
 
 def sky(config: ShipAttitudeConfig, position: GeodeticPosition, sigma_m: float) -> SkyModel:
-    watch = load_sky_model(config.sky)
+    sky_model = load_sky_model(config.sky)
     for second in range(-2, EPOCHS + 2):
         fix = PositionFix(TIME_NS + second * SECOND_NS, position, np.eye(3) * sigma_m**2)
-        watch.surroundings.insert(fix)
-    return watch
+        sky_model.surroundings.insert(fix)
+    return sky_model
 
 
 @functools.cache
@@ -251,11 +251,11 @@ def separate_errors(message: Any, known: Knowledge = POOR_FIX) -> AttitudeMeasur
     return found
 
 
-@pytest.mark.parametrize("noise_told", [True, False], ids=["noise told", "one covariance"])
+@pytest.mark.parametrize("is_noise_stated", [True, False], ids=["noise stated", "one covariance"])
 @pytest.mark.parametrize("known", [POOR_FIX, POOR_WEATHER], ids=["poor fix", "poor weather"])
-def test_separated_errors_add_up_to_the_stated_covariance(known: Knowledge, noise_told: bool) -> None:
+def test_separated_errors_add_up_to_the_stated_covariance(known: Knowledge, is_noise_stated: bool) -> None:
     message = one_solution(known)
-    if not noise_told:
+    if not is_noise_stated:
         message.noise_covariance[:] = 0.0
     found, total_n = separate_errors(message, known), horizon_covariance(message.rotation_covariance.reshape(3, 3))
     noise_n = found.rotation_nv @ found.noise_v @ found.rotation_nv.T
@@ -263,7 +263,7 @@ def test_separated_errors_add_up_to_the_stated_covariance(known: Knowledge, nois
     for part in (found.noise_v, found.common_n):
         assert np.linalg.eigvalsh(part)[0] > -1e-9 * np.trace(total_n)
     # Of the suite's own solutions only the catalogue's error remains, at most 0.02" per star.
-    if noise_told:
+    if is_noise_stated:
         assert np.sqrt(np.trace(found.common_n)) < 0.1 * ARCSEC
 
 
@@ -274,14 +274,14 @@ def test_the_shared_rotations_equal_finite_differences_of_the_sky() -> None:
     config = ship(POOR_WEATHER)
     north = replace(POSITION, latitude=POSITION.latitude + POOR_WEATHER.fix_m / METRES_PER_RADIAN)
     denser = replace(config.sky, pressure_hpa=config.sky.pressure_hpa + 1.0)
-    for column, watch in (
+    for column, sky_model in (
         (2, sky(config, north, POOR_WEATHER.fix_m)),
         (0, sky(replace(config, sky=denser), POSITION, POOR_WEATHER.fix_m)),
     ):
-        moved, as_told = (
-            solve_exposure(exposure, (), None, one)[1] for one in (watch, sky_model_with_inputs(POOR_WEATHER))
+        moved, unmoved = (
+            solve_exposure(exposure, (), None, one)[1] for one in (sky_model, sky_model_with_inputs(POOR_WEATHER))
         )
-        turn_n = log_rotation(moved.solution.rotation_nb @ as_told.solution.rotation_nb.T)
+        turn_n = log_rotation(moved.solution.rotation_nb @ unmoved.solution.rotation_nb.T)
         expected_n = found.shared_n[:, column]
         if column == 0:
             # One sigma of pressure and temperature together.
@@ -327,19 +327,19 @@ def test_below_the_refraction_model_the_stated_covariance_is_used(elevation_deg:
 
 
 def test_without_a_fix_shared_errors_cannot_be_separated() -> None:
-    refusal = to_horizon_attitude(read(one_solution()), load_sky_model(ship(POOR_FIX).sky))
-    assert isinstance(refusal, Rejection)
-    assert refusal.reason is Reason.NO_FIX
+    rejection = to_horizon_attitude(read(one_solution()), load_sky_model(ship(POOR_FIX).sky))
+    assert isinstance(rejection, Rejection)
+    assert rejection.reason is Reason.NO_FIX
 
 
 def test_shared_errors_are_as_configured() -> None:
     message = one_solution()
     common_n = read(message, "none").common_n
     assert type(read(message, "none")) is type(read(message, "by_input")) is AttitudeMeasurement
-    alike = read(message, "message")
-    np.testing.assert_array_equal(alike.common_n, 0.0)
-    np.testing.assert_allclose(alike.correlated_n, common_n, atol=1e-9 * np.trace(common_n))
-    np.testing.assert_allclose(alike.shared_n, alike.shared_n.T, atol=1e-15)
+    shared = read(message, "message")
+    np.testing.assert_array_equal(shared.common_n, 0.0)
+    np.testing.assert_allclose(shared.correlated_n, common_n, atol=1e-9 * np.trace(common_n))
+    np.testing.assert_allclose(shared.shared_n, shared.shared_n.T, atol=1e-15)
 
 
 @pytest.mark.parametrize("input_", ["observations", "inertial_attitude"])
@@ -369,7 +369,7 @@ def sail_solved(arrivals: Iterable[Arrival], shared: str = "by_input") -> Run:
 
 
 def test_the_node_estimates_the_same_from_solutions_and_stars() -> None:
-    """With exact optics: the filter estimates errors of the optics from stars, and not from solutions."""
+    """The optics are exact, since the filter estimates their errors from stars and not from solutions."""
     exact = {id_: {**values, "camera": EXACT_CAMERA} for id_, values in OBSERVING.items()}
     by_stars = run_new_adapter(star_voyage(), star_sensors=exact)
     by_solutions = sail_solved(solved_voyage(solved_by(star_voyage(), **EXACT_OPTICS)))
@@ -406,7 +406,7 @@ def test_without_a_fix_solutions_are_rejected_unless_configured_as_complete() ->
 
 
 def test_without_the_ins_a_solution_has_its_full_error() -> None:
-    """A single sensor has the error of the fix too, whether or not other sensors share it."""
+    """A single sensor has the error of the fix too, with or without other sensors that share it."""
     cut_ns = START_NS + SECOND_NS
     cut = [a for a in solved_voyage() if a.topic != INS or a.receive_ns < cut_ns]
     sigmas = []

@@ -73,11 +73,11 @@ def test_the_polynomial_leaves_out_a_thousandth_of_its_variance():
 def information_ratios(steps_px: np.ndarray, stars: int = 12, noise_px: float = 0.0, seed: int = 3) -> np.ndarray:
     """Return the information of successive exposures, relative to a single one, for given movements, shape (n,)."""
     rng = np.random.default_rng([7, seed])
-    places, stay, found = rng.uniform(100.0, 1400.0, (stars, 2)), None, []
+    places, dwell, found = rng.uniform(100.0, 1400.0, (stars, 2)), None, []
     for place in np.cumsum(steps_px, axis=0):
         seen = places + place + noise_px * rng.standard_normal((stars, 2))
-        stay = ERRORS.pixel_dwell(CAMERA.directions(seen), np.full(stars, noise_px * PIXEL_RAD), stay)
-        found.append(1.0 / (1.0 + stay.excess_ratio))
+        dwell = ERRORS.pixel_dwell(CAMERA.directions(seen), np.full(stars, noise_px * PIXEL_RAD), dwell)
+        found.append(1.0 / (1.0 + dwell.excess_ratio))
     return np.array(found)
 
 
@@ -93,8 +93,8 @@ def test_the_variance_of_exposures_on_the_same_pixels_matches_their_error(step_p
     is compared with it; the overlap decreases linearly, the filter's model exponentially.
     """
     exposures, number = information_ratios(drift(step_px), stars=100), np.arange(300)
-    apart = np.abs(number[:, None] - number)[..., None] * np.abs(step_px)
-    overlap = np.prod(np.maximum(1.0 - apart, 0.0), axis=-1)
+    distance_px = np.abs(number[:, None] - number)[..., None] * np.abs(step_px)
+    overlap = np.prod(np.maximum(1.0 - distance_px, 0.0), axis=-1)
     variance = exposures @ overlap @ exposures / exposures.sum() ** 2
     assert variance == pytest.approx(1.0 / exposures.sum(), rel=0.15)
 
@@ -132,13 +132,13 @@ def test_a_rotation_about_the_boresight_counts_as_movement():
     """Twelve stars rotate about the middle of the detector, with the same root mean square movement as a shift."""
     places = np.random.default_rng(11).uniform(-400.0, 400.0, (12, 2))
     arm = np.sqrt(np.mean(np.sum((places - places.mean(axis=0)) ** 2, axis=1)))
-    begun = ERRORS.pixel_dwell(CAMERA.directions(HALF_PX + places), np.full(12, 1e-12), None)
+    dwell = ERRORS.pixel_dwell(CAMERA.directions(HALF_PX + places), np.full(12, 1e-12), None)
     for way_px in (1.0, 2.0):
         cosine, sine = np.cos(way_px / arm), np.sin(way_px / arm)
         turned = (places - places.mean(axis=0)) @ np.array([[cosine, sine], [-sine, cosine]]) + places.mean(axis=0)
         shifted = places + np.array([way_px, 0.0])
         by_turn, by_shift = (
-            ERRORS.pixel_dwell(CAMERA.directions(HALF_PX + moved), np.full(12, 1e-12), begun).excess_ratio
+            ERRORS.pixel_dwell(CAMERA.directions(HALF_PX + moved), np.full(12, 1e-12), dwell).excess_ratio
             for moved in (turned, shifted)
         )
         assert by_turn == pytest.approx(by_shift, rel=0.02)
@@ -155,8 +155,8 @@ def test_at_the_fold_of_a_distortion_the_error_is_finite():
 
 def test_stars_on_new_pixels_start_a_new_dwell():
     assert information_ratios(drift((8.0, 0.0), 5)).tolist() == [1.0] * 5
-    stay = ERRORS.pixel_dwell(CAMERA.directions(np.array([[300.0, 400.0]])), np.full(1, 1e-6), None)
-    other = ERRORS.pixel_dwell(CAMERA.directions(np.array([[900.0, 200.0]])), np.full(1, 1e-6), stay)
+    dwell = ERRORS.pixel_dwell(CAMERA.directions(np.array([[300.0, 400.0]])), np.full(1, 1e-6), None)
+    other = ERRORS.pixel_dwell(CAMERA.directions(np.array([[900.0, 200.0]])), np.full(1, 1e-6), dwell)
     assert (other.exposure_count, other.excess_ratio) == (0, 0.0)
 
 

@@ -33,12 +33,12 @@ def ns(since_s: float) -> int:
 
 def insert_all(*stamped: tuple[float, float], sigma: float = 0.0) -> tuple[StampedValues[Reading], list[float]]:
     """Return the values after all have arrived, and the times of those rejected."""
-    values, refused = StampedValues[Reading](LIMITS), []
+    values, rejected = StampedValues[Reading](LIMITS), []
     for since_s, value in stamped:
         if values.rejection(ns(since_s), Reading(value, sigma)) is not None:
-            refused.append(since_s)
+            rejected.append(since_s)
         values.insert(ns(since_s), Reading(value, sigma))
-    return values, refused
+    return values, rejected
 
 
 def accepted_values(values: StampedValues[Reading]) -> list[tuple[int, float, bool]]:
@@ -46,7 +46,7 @@ def accepted_values(values: StampedValues[Reading]) -> list[tuple[int, float, bo
 
 
 STEADY = [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (3.0, 1e-9), (4.0, 0.0)]
-"""At rest, as good as; but it does not stand to the last bit."""
+"""At rest, but not constant to the last bit."""
 
 
 def test_a_value_within_its_limit_is_accepted() -> None:
@@ -56,12 +56,12 @@ def test_a_value_within_its_limit_is_accepted() -> None:
 
 
 def test_a_jump_is_rejected_with_a_reason_and_the_last_value_is_kept() -> None:
-    values, refused = insert_all(*STEADY, (5.0, 100.0), (6.0, 101.0))
-    assert refused == [5.0, 6.0]
+    values, rejected = insert_all(*STEADY, (5.0, 100.0), (6.0, 101.0))
+    assert rejected == [5.0, 6.0]
     assert accepted_values(values)[-1] == (ns(4), 0.0, False)
-    refusal = values.rejection(ns(7), Reading(102.0))
-    assert refusal.reason is Reason.JUMP
-    assert refusal.text == (
+    rejection = values.rejection(ns(7), Reading(102.0))
+    assert rejection.reason is Reason.JUMP
+    assert rejection.text == (
         "102 m from the last accepted value, 3.0 s before it, limit 16 m; "
         "accepted once it has lasted for 60 s"
     )
@@ -76,17 +76,17 @@ def test_a_return_is_accepted_within_the_limit_since_the_last_accepted_value() -
 
 def test_values_consistent_with_a_jump_have_no_time_dependent_limit() -> None:
     # 30 is within 10 + 2·t of zero from 10 s on, but it was reached by a jump.
-    values, refused = insert_all(*STEADY, *((float(t), 30.0) for t in range(5, 60)))
-    assert refused == [float(t) for t in range(5, 60)]
-    refusal = values.rejection(ns(60), Reading(30.0))
-    assert "consistent with other values that had jumped" in refusal.text
+    values, rejected = insert_all(*STEADY, *((float(t), 30.0) for t in range(5, 60)))
+    assert rejected == [float(t) for t in range(5, 60)]
+    rejection = values.rejection(ns(60), Reading(30.0))
+    assert "consistent with other values that had jumped" in rejection.text
     # A value that has returned to within one step is accepted: 12 within a second.
     assert insert_all(*STEADY, (5.0, 22.0), (6.0, 12.1), (7.0, 12.0))[1] == [5.0, 6.0]
 
 
 def test_a_jump_is_accepted_after_the_confirmation_time() -> None:
-    values, refused = insert_all(*STEADY, *((float(t), 500.0) for t in range(5, 68)))
-    assert refused == [float(t) for t in range(5, 65)]
+    values, rejected = insert_all(*STEADY, *((float(t), 500.0) for t in range(5, 68)))
+    assert rejected == [float(t) for t in range(5, 65)]
     assert accepted_values(values)[4:7] == [(ns(4), 0.0, False), (ns(65), 500.0, True), (ns(66), 500.0, False)]
 
 
@@ -96,8 +96,8 @@ def test_inconsistent_values_are_never_accepted() -> None:
 
 
 def test_two_values_that_contradict_a_first_one_are_accepted() -> None:
-    values, refused = insert_all((0.0, 500.0), (1.0, 0.0), (2.0, 1.0), (3.0, 2.0))
-    assert refused == [1.0]
+    values, rejected = insert_all((0.0, 500.0), (1.0, 0.0), (2.0, 1.0), (3.0, 2.0))
+    assert rejected == [1.0]
     assert accepted_values(values) == [(0, 500.0, False), (ns(2), 1.0, True), (ns(3), 2.0, False)]
     # A first value that another one confirms is established.
     assert insert_all((0.0, 500.0), (1.0, 500.0), (2.0, 0.0), (3.0, 1.0))[1] == [2.0, 3.0]
@@ -123,22 +123,22 @@ def test_nan_is_rejected() -> None:
 
 
 def test_a_good_source_is_not_rejected() -> None:
-    # Ten hours at 1 Hz, noise as stated, nothing at once and nothing in time: the five sigmas alone carry it. The
+    # Ten hours at 1 Hz with noise as stated; the limit is five sigmas alone, without a step and without a rate. The
     # difference of two is normal with sqrt(2) sigma: beyond five of them with 5.7e-7, 0.02 in 36 000.
     rng = np.random.default_rng(20260301)
-    values, refused = StampedValues[Reading](JumpLimits(0.0, 0.0, 60.0, "m")), 0
+    values, rejected = StampedValues[Reading](JumpLimits(0.0, 0.0, 60.0, "m")), 0
     for number, value in enumerate(rng.standard_normal(36_000).tolist()):
-        refused += values.rejection(ns(number), Reading(value, 1.0)) is not None
+        rejected += values.rejection(ns(number), Reading(value, 1.0)) is not None
         values.insert(ns(number), Reading(value, 1.0))
         values.drop_before(ns(number - 3))
-    assert refused == 0
+    assert rejected == 0
 
 
 BRIEF = JumpLimits(max_step=10.0, max_rate=2.0, confirmation_s=8.0, unit="m")
 
 
 def draw_readings(rng: np.random.Generator) -> list[tuple[int, Reading]]:
-    """Return values with jumps, some of them lasting, with gaps, and with conflicting values of one stamp."""
+    """Return values with jumps, some of them permanent, with gaps, and with conflicting values of one stamp."""
     times_ns = np.cumsum(rng.integers(1, 4, 40)) * SECOND_NS
     places = rng.choice([0.0, 0.0, 0.0, 15.0, 25.0, 400.0], 8)
     stamped = [
@@ -171,14 +171,14 @@ def test_any_order_of_arrival_gives_the_same_values(seed: int) -> None:
     expected = accepted_values(insert_in_order(stamped, range(len(stamped))))
     assert accepted_values(insert_in_order(stamped, rng.permutation(len(stamped)))) == expected
     # Up to 10 s late; older values are dropped.
-    late, newest_ns, forgotten = StampedValues[Reading](BRIEF), 0, []
+    late, newest_ns, discarded = StampedValues[Reading](BRIEF), 0, []
     for index in np.argsort([time_ns + rng.uniform(0.0, ns(10)) for time_ns, _ in stamped]):
         late.insert(*stamped[index])
         newest_ns = max(newest_ns, stamped[index][0])
         before = accepted_values(late)
         late.drop_before(newest_ns - ns(10), keep=2)
-        forgotten += before[: len(before) - len(late.times)]
-    assert forgotten + accepted_values(late) == expected
+        discarded += before[: len(before) - len(late.times)]
+    assert discarded + accepted_values(late) == expected
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -214,37 +214,37 @@ SETTLES = JumpLimits(max_step=10.0, max_rate=2.0, confirmation_s=60.0, unit="m",
 
 
 def provisional_results(*stamped: tuple[float, float]) -> tuple[list[float], list[bool]]:
-    """Return the times of the rejected values, and after each value whether provisional values are in conflict."""
-    values, refused, disputed = StampedValues[Reading](SETTLES), [], []
+    """Return the times of the rejected values, and after each value True if provisional values are in conflict."""
+    values, rejected, conflicts = StampedValues[Reading](SETTLES), [], []
     for since_s, value in stamped:
         if values.rejection(ns(since_s), Reading(value)) is not None:
-            refused.append(since_s)
+            rejected.append(since_s)
         values.insert(ns(since_s), Reading(value))
-        disputed.append(values.has_conflict_at(ns(since_s)))
-    return refused, disputed
+        conflicts.append(values.has_conflict_at(ns(since_s)))
+    return rejected, conflicts
 
 
 GOOD = [(float(t), 1000.0 + t) for t in range(5, 15)]
 
 
 def test_a_provisional_value_is_replaced_by_the_minimum_number_even_if_repeated() -> None:
-    for stood in (2, 5):
-        refused, disputed = provisional_results(*((float(t), 0.0) for t in range(stood)), *GOOD)
-        assert refused == [5.0, 6.0, 7.0]
-        assert disputed == [False] * stood + [True] * 3 + [False] * 7
+    for count in (2, 5):
+        rejected, conflicts = provisional_results(*((float(t), 0.0) for t in range(count)), *GOOD)
+        assert rejected == [5.0, 6.0, 7.0]
+        assert conflicts == [False] * count + [True] * 3 + [False] * 7
 
 
 def test_two_values_contradict_several_provisional_ones() -> None:
-    refused, disputed = provisional_results((2.0, 0.0), (3.0, 1.0), (4.0, 2.0), *GOOD)
-    assert refused == [5.0, 6.0, 7.0]
-    assert disputed == [False] * 4 + [True, True] + [False] * 7
+    rejected, conflicts = provisional_results((2.0, 0.0), (3.0, 1.0), (4.0, 2.0), *GOOD)
+    assert rejected == [5.0, 6.0, 7.0]
+    assert conflicts == [False] * 4 + [True, True] + [False] * 7
 
 
 def test_an_established_value_is_replaced_only_after_the_confirmation_time() -> None:
     settled = [(0.1 * t, float(t)) for t in range(4)]
-    refused, disputed = provisional_results(*settled, *((float(t), 1000.0) for t in range(5, 70)))
-    assert refused == [float(t) for t in range(5, 65)]
-    assert not any(disputed)
+    rejected, conflicts = provisional_results(*settled, *((float(t), 1000.0) for t in range(5, 70)))
+    assert rejected == [float(t) for t in range(5, 65)]
+    assert not any(conflicts)
 
 
 def test_a_step_of_the_clocks_keeps_values_established_or_provisional() -> None:
@@ -260,12 +260,12 @@ def test_a_step_of_the_clocks_keeps_values_established_or_provisional() -> None:
 
 
 def test_inconsistent_rejected_values_replace_nothing() -> None:
-    refused, disputed = provisional_results(
+    rejected, conflicts = provisional_results(
         (0.0, 0.0), (1.0, 0.0), *((float(t), 500.0 * (t % 3)) for t in range(2, 60))
     )
-    assert refused == [float(t) for t in range(2, 60) if t % 3]
-    assert disputed[2]
-    assert not disputed[3]
+    assert rejected == [float(t) for t in range(2, 60) if t % 3]
+    assert conflicts[2]
+    assert not conflicts[3]
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -275,12 +275,12 @@ def test_any_order_of_arrival_gives_the_same_conflicts(seed: int) -> None:
     in_order = StampedValues[Reading](limits)
     for one in stamped:
         in_order.insert(*one)
-    shuffled, moments = StampedValues[Reading](limits), [ns(t) for t in range(100)]
+    shuffled, times_ns = StampedValues[Reading](limits), [ns(t) for t in range(100)]
     for index in rng.permutation(len(stamped)):
-        before = [shuffled.has_conflict_at(time_ns) for time_ns in moments]
+        before = [shuffled.has_conflict_at(time_ns) for time_ns in times_ns]
         shuffled.insert(*stamped[index])
-        changed = [t for t, was in zip(moments, before, strict=True) if shuffled.has_conflict_at(t) != was]
+        changed = [t for t, was in zip(times_ns, before, strict=True) if shuffled.has_conflict_at(t) != was]
         since_ns = shuffled.conflict_changed_ns
         assert not changed or (since_ns is not None and since_ns <= changed[0])
     assert accepted_values(shuffled) == accepted_values(in_order)
-    assert [shuffled.has_conflict_at(t) for t in moments] == [in_order.has_conflict_at(t) for t in moments]
+    assert [shuffled.has_conflict_at(t) for t in times_ns] == [in_order.has_conflict_at(t) for t in times_ns]

@@ -66,7 +66,7 @@ def without_ins() -> tuple[Arrival, ...]:
 
 
 def simultaneous(*counts: int) -> tuple[Arrival, ...]:
-    """Both sensors expose at once, with the given numbers of stars; besides only position and weather."""
+    """Return simultaneous exposures of both sensors with the given numbers of stars, position and weather."""
     arrivals = list(with_topics(voyage(), FIX, PRESSURE, TEMPERATURE, HUMIDITY))
     for topic, count in zip((FORE, STARBOARD), counts, strict=True):
         for since_ns in range(PHASE_NS[FORE], SECOND_NS, PERIOD_NS):
@@ -131,18 +131,18 @@ def covered_by_ins(messages: list[Any]) -> list[Any]:
 
 @pytest.mark.parametrize("topic", [FORE, STARBOARD])
 def test_streaks_give_the_attitude_at_the_middle_of_their_exposure(topic: str) -> None:
-    told = covered_by_ins(run_new_adapter(voyage_with_streaks()).messages(SOLUTION[topic]))
+    streaks = covered_by_ins(run_new_adapter(voyage_with_streaks()).messages(SOLUTION[topic]))
     as_seen = covered_by_ins(run_new_adapter(without_topics(voyage_with_streaks(), INS)).messages(SOLUTION[topic]))
     points = covered_by_ins(fault_free_run().messages(SOLUTION[topic]))
-    assert len(told) == len(points) >= 13
+    assert len(streaks) == len(points) >= 13
 
     def errors_arcsec(messages: list[Any]) -> FloatArray:
         return np.array([np.linalg.norm(error_n(m, true_sensor(topic, since(m)))) for m in messages]) / ARCSEC
 
     # Of an arcsecond of noise in each attitude of the INS, 0.4" is in each axis of the correction.
-    assert np.sqrt(np.mean(errors_arcsec(told) ** 2)) < 1.0
+    assert np.sqrt(np.mean(errors_arcsec(streaks) ** 2)) < 1.0
     assert np.sqrt(np.mean(errors_arcsec(as_seen) ** 2)) > 5.0
-    noise = [[np.trace(m.noise_covariance.reshape(3, 3)) for m in messages] for messages in (told, points)]
+    noise = [[np.trace(m.noise_covariance.reshape(3, 3)) for m in messages] for messages in (streaks, points)]
     assert np.mean(np.divide(*noise)) > 2.0
 
 

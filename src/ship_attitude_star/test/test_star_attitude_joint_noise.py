@@ -1,8 +1,8 @@
-"""How good the joint solution is when the INS's noise moves exposures of two sensors to one moment: by Monte Carlo.
+"""Monte Carlo of the joint solution of two sensors whose exposures a noisy INS propagates to one time.
 
-Each seed draws the noise of the centroids, of every INS sample and the mounting of both sensors. The sky, the place and
-the air are as told. So the errors must be as large as the parts "star_noise" and "installation" of the covariance say;
-the second holds the errors of the turn.
+Each seed draws the noise of the centroids, of every INS sample, and the mounting of both sensors. Sky, place and air
+are exact. So the errors must match the parts "star_noise" and "installation" of the covariance. The second includes the
+errors of the rotation between the exposures.
 """
 
 import functools
@@ -44,7 +44,7 @@ from ship_testing.star_voyage import (
 SEEDS = 300
 INS_PERIOD_NS = 40_000_000
 WHITE_SIGMA_ARCSEC = 4.0
-"""Large against the stars' 1.3″, so that it is seen whether it counts rightly."""
+"""White noise of the INS; it is large compared with the stars' 1.3″, so that a wrong weight is detected."""
 
 CONFIG = config(
     ins__white_sigma_arcsec=WHITE_SIGMA_ARCSEC, ins__time_offset_sigma_s=0.0, joint__window_s=0.5, joint__wait_s=1.0
@@ -60,13 +60,13 @@ def sky() -> SkyModel:
 @functools.cache
 def surroundings() -> tuple[SkyInput, ...]:
     """Place and air, twice."""
-    told = []
+    values = []
     for since_ns in (0, 1_000_000_000):
         for topic in (FIX, PRESSURE, TEMPERATURE, HUMIDITY):
             message = fix(since_ns) if topic == FIX else air(topic, since_ns)
             read = surroundings_reader(topic, CONFIG.sky)(message, receive_ns=START_NS + since_ns)
-            told.append(read.value)
-    return tuple(told)
+            values.append(read.value)
+    return tuple(values)
 
 
 @functools.cache
@@ -96,7 +96,7 @@ def exact_ins_samples() -> tuple[tuple[int, FloatArray, FloatArray], ...]:
 
 
 def noisy_exposure(topic: str, since_ns: int, rng: np.random.Generator) -> StarExposure:
-    """What a sensor sees that is mounted a little otherwise than it is said to be."""
+    """Return the exposure of a sensor with a mounting error and noise of the centroids."""
     exact = exact_exposure(topic, since_ns)
     sensor = CONFIG.star_sensors[topic.split("/")[1]]
     turned_s = exact.directions_s @ exp_rotation(sensor.installation_sigma_s * rng.standard_normal(3))
@@ -106,13 +106,13 @@ def noisy_exposure(topic: str, since_ns: int, rng: np.random.Generator) -> StarE
 
 
 def joint_nees(periods: float, seed: int) -> float:
-    """NEES of the joint solution of two exposures, so many INS periods apart."""
+    """Return the NEES of the joint solution of two exposures that are a number of INS periods apart."""
     rng = np.random.default_rng([seed, round(10.0 * periods)])
     # Of 16 places between two INS samples one, so that the exact skies are few.
     first_ns = 800_000_000 + int(rng.integers(16)) * INS_PERIOD_NS // 16
     core = StarCore(CONFIG, sky())
-    for told in surroundings():
-        assert core.add_surroundings(told) is None
+    for value in surroundings():
+        assert core.add_surroundings(value) is None
     for time_ns, rotation_nd, rate_d in exact_ins_samples():
         noise = exp_rotation(WHITE_SIGMA_ARCSEC * ARCSEC * rng.standard_normal(3))
         core.add_ins(AttitudeSample(time_ns, noise @ rotation_nd, rate_d))
@@ -128,7 +128,7 @@ def joint_nees(periods: float, seed: int) -> float:
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("periods", [0.0, 0.3, 1.0, 2.5, 10.0])
-def test_the_joint_solution_is_as_good_as_it_says_however_close_the_exposures(periods: float) -> None:
+def test_the_joint_solution_matches_its_covariance_for_any_time_between_the_exposures(periods: float) -> None:
     low, high = mean_nees_band(SEEDS, 3)
     mean = np.mean([joint_nees(periods, seed) for seed in range(SEEDS)])
     assert low < mean < high

@@ -1,4 +1,4 @@
-"""What star_attitude cannot use: the reason, where it is told, and that all else comes out as without it."""
+"""Bad input of star_attitude: the reason of the rejection, where it is published, and unchanged other outputs."""
 
 import functools
 import itertools
@@ -61,21 +61,21 @@ from ship_testing.star_voyage import (
     without_topics,
 )
 
-MOMENT_S = 1.5
+CHANGE_S = 1.5
 DAY_NS = 86_400 * SECOND_NS
 
 
 @functools.cache
 def run_without(topic: str) -> Run:
-    return run_new_adapter(without(voyage(), index_at(voyage(), topic, MOMENT_S)))
+    return run_new_adapter(without(voyage(), index_at(voyage(), topic, CHANGE_S)))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("topic", "change", "reason", "text"), [c[1:] for c in REJECTED_MESSAGES], ids=[c[0] for c in REJECTED_MESSAGES]
 )
-def test_a_bad_message_is_told_and_changes_nothing(topic: str, change: Change, reason: str, text: str) -> None:
-    index = index_at(voyage(), topic, MOMENT_S)
+def test_a_bad_message_is_reported_and_changes_nothing(topic: str, change: Change, reason: str, text: str) -> None:
+    index = index_at(voyage(), topic, CHANGE_S)
     run = run_new_adapter(replace_message(voyage(), index, change))
 
     assert published_bytes(run) == published_bytes(run_without(topic))
@@ -97,7 +97,7 @@ def assert_reported_once(run: Run, topic: str, reason: str, text: str, receive_n
         for entry in report.status
         if entry.name == f"star_attitude: input {topic}"
     ]
-    assert any(level == 1 and text in said for level, said in levels)
+    assert any(level == 1 and text in reported for level, reported in levels)
 
 
 def innovations(run: Run, reason: Reason) -> list[Any]:
@@ -110,15 +110,15 @@ def innovations(run: Run, reason: Reason) -> list[Any]:
 @pytest.mark.parametrize(
     ("change", "reason", "text"), [s[1:] for s in REJECTED_STARS], ids=[s[0] for s in REJECTED_STARS]
 )
-def test_a_bad_star_alone_is_refused(change: Change, reason: Reason, text: str) -> None:
-    index = index_at(voyage(), FORE, MOMENT_S)
+def test_a_bad_star_alone_is_rejected(change: Change, reason: Reason, text: str) -> None:
+    index = index_at(voyage(), FORE, CHANGE_S)
     run, expected = (
         run_new_adapter(replace_message(voyage(), index, change)),
         run_new_adapter(replace_message(voyage(), index, remove_star(3))),
     )
 
     for message in run.messages(FORE_SOLUTION):
-        # Nothing but the count of what was refused tells the two runs apart.
+        # The two runs differ only in the number of rejected stars.
         message.rejected_count -= stamp_of(message) == voyage()[index].stamp_ns
     assert published_bytes(run) == published_bytes(expected)
     assert run.reasons(FORE) == {reason.name.lower(): 1}
@@ -134,7 +134,7 @@ def solution_at(run: Run, index: int) -> Any:
 
 @pytest.mark.parametrize("ins", [True, False])
 def test_a_false_star_is_named_with_its_angle(ins: bool) -> None:
-    index = index_at(voyage(), FORE, MOMENT_S)
+    index = index_at(voyage(), FORE, CHANGE_S)
     u, v = (getattr(voyage()[index].message.stars[2], name) for name in "uv")
     # 3 px right and 4 px down: 5 px of 82.5″, less off axis.
     arrivals = replace_message(voyage(), index, set_star_fields(2, u=u + 3.0, v=v + 4.0))
@@ -154,8 +154,8 @@ def test_a_false_star_is_named_with_its_angle(ins: bool) -> None:
     assert run.reasons(FORE) == {"misidentified": 1}
 
 
-def test_two_stars_with_each_other_s_name_are_both_refused() -> None:
-    index = index_at(voyage(), FORE, MOMENT_S)
+def test_two_stars_with_exchanged_names_are_both_rejected() -> None:
+    index = index_at(voyage(), FORE, CHANGE_S)
     first, second = (voyage()[index].message.stars[row].catalogue_id for row in (0, 5))
 
     def swap(message: Any) -> None:
@@ -168,7 +168,7 @@ def test_two_stars_with_each_other_s_name_are_both_refused() -> None:
 
 
 def test_a_star_seen_twice_counts_once() -> None:
-    index = index_at(voyage(), FORE, MOMENT_S)
+    index = index_at(voyage(), FORE, CHANGE_S)
     run = run_new_adapter(replace_message(voyage(), index, lambda message: message.stars.append(message.stars[0])))
     assert solution_at(run, index).star_count == STARS
     assert run.reasons(FORE) == {"duplicate": 1}
@@ -180,26 +180,26 @@ def test_a_star_seen_twice_counts_once() -> None:
 
 
 def test_the_same_exposure_again_is_dropped() -> None:
-    index = index_at(voyage(), FORE, MOMENT_S)
+    index = index_at(voyage(), FORE, CHANGE_S)
     run = run_new_adapter(add_copy(voyage(), index, lambda message: None, voyage()[index].receive_ns + 20_000_000))
     assert published_bytes(run) == published_bytes(fault_free_run())
     assert run.reasons(FORE) == {"duplicate": 1}
 
 
-@pytest.mark.parametrize("apart_ns", [20_000_000, 200_000_000], ids=["joint solution open", "joint solution out"])
-def test_mend_08_of_two_exposures_of_one_stamp_neither_holds_nor_do_those_after_them(apart_ns: int) -> None:
-    """A sensor that contradicts itself gives no attitude until it has agreed with itself for ten seconds."""
-    index = index_at(voyage(), FORE, MOMENT_S)
+@pytest.mark.parametrize("delay_ns", [20_000_000, 200_000_000], ids=["joint solution open", "joint solution out"])
+def test_mend_08_of_two_exposures_of_one_stamp_neither_holds_nor_do_those_after_them(delay_ns: int) -> None:
+    """A sensor with conflicting exposures gives no attitude until it has been consistent for ten seconds."""
+    index = index_at(voyage(), FORE, CHANGE_S)
     mine = voyage()[index]
     pair = mine, changed_copy(mine, set_star_fields(0, u=17.0))
     runs = []
     for first, second in itertools.permutations(pair):
-        second = replace(second, receive_ns=mine.receive_ns + apart_ns)
+        second = replace(second, receive_ns=mine.receive_ns + delay_ns)
         runs.append(run_new_adapter(sort_by_arrival((*without(voyage(), index), first, second))))
     for run in runs:
-        told, *after = innovations(run, Reason.CONFLICT)
-        assert told.reason_text == "the same stamp with different content: do two sensors publish on one topic?"
-        known_ns = mine.receive_ns + apart_ns
+        conflict, *after = innovations(run, Reason.CONFLICT)
+        assert conflict.reason_text == "the same stamp with different content: do two sensors publish on one topic?"
+        known_ns = mine.receive_ns + delay_ns
         of_sensor = [a for a in voyage() if a.topic == FORE]
         exposures = [a for a in of_sensor if a.stamp_ns == mine.stamp_ns or a.receive_ns > known_ns]
         assert [stamp_of(message) for message in after] == [a.stamp_ns for a in exposures]
@@ -210,12 +210,12 @@ def test_mend_08_of_two_exposures_of_one_stamp_neither_holds_nor_do_those_after_
         assert run.messages("star/starboard/solution")[-1].status == 0
         assert run.messages("star/joint/solution")[-1].status == 0
     joint = [[exact_value(message) for message in run.messages("star/joint/solution")] for run in runs]
-    assert (joint[0] == joint[1]) == (apart_ns < 64_000_000)
+    assert (joint[0] == joint[1]) == (delay_ns < 64_000_000)
     late = [run.reasons(FORE).get("late", 0) for run in runs]
-    assert late == ([0, 0] if apart_ns < 64_000_000 else [1, 1])
+    assert late == ([0, 0] if delay_ns < 64_000_000 else [1, 1])
 
 
-def test_a_fix_with_the_same_stamp_and_another_place_is_told() -> None:
+def test_a_fix_with_the_same_stamp_and_another_position_is_reported() -> None:
     index = index_at(voyage(), FIX, 0.5)
     run = run_new_adapter(add_copy(voyage(), index, set_field("latitude", 32.0), voyage()[index].receive_ns + 1))
     assert run.reasons(FIX) == {"conflict": 1}
@@ -238,7 +238,7 @@ def test_a_frozen_camera_is_found_while_the_ship_moves() -> None:
         lambda m: setattr(m, "stars", stars),
     )
     run = run_new_adapter(frozen)
-    # Stamps from 0.513 s to 4.813 s: the first three exposures are not frozen, and half a second is not judged.
+    # Stamps from 0.513 s to 4.813 s: the first three exposures are not frozen, and half a second is not checked.
     assert run.reasons(FORE)["stuck"] == 19
     assert "stand still on the detector" in innovations(run, Reason.STUCK)[0].reason_text
     assert run.reasons(STARBOARD) == {}
@@ -305,7 +305,7 @@ def test_beyond_the_table_of_earth_orientation_there_is_no_attitude() -> None:
 
 
 @pytest.mark.slow
-def test_without_weather_refraction_is_less_well_known_and_it_says_so() -> None:
+def test_without_weather_the_refraction_error_is_larger_and_reported() -> None:
     run = run_new_adapter(without_topics(voyage(), PRESSURE, TEMPERATURE, HUMIDITY))
     message, clean = run.messages(FORE_SOLUTION)[0], fault_free_run().messages(FORE_SOLUTION)[0]
     assert message.status == SolutionStatus.VALID
@@ -317,25 +317,25 @@ def test_without_weather_refraction_is_less_well_known_and_it_says_so() -> None:
     assert status.message.startswith("no weather: pressure, temperature, humidity from parameters")
 
 
-def test_a_night_of_clouds_is_no_fault() -> None:
-    def nothing(message: Any) -> None:
+def test_exposures_without_stars_are_no_fault() -> None:
+    def remove_stars(message: Any) -> None:
         message.stars = []
 
-    run = run_new_adapter(change_where(voyage(), lambda a: a.topic == FORE, nothing))
+    run = run_new_adapter(change_where(voyage(), lambda a: a.topic == FORE, remove_stars))
     assert {message.status for message in run.messages(FORE_SOLUTION)} == {SolutionStatus.INVALID}
     assert {message.star_count for message in run.messages("star/joint/solution")} == {STARS}
     assert run.health(FORE).rejected == 0
 
 
-def test_mend_07_another_noise_of_the_ins_reaches_its_guard() -> None:
+def test_mend_07_another_noise_of_the_ins_reaches_its_check() -> None:
     """One sample off by 60", as in the test of ship_attitude."""
 
-    def off(message: Any) -> None:
+    def rotate_up(message: Any) -> None:
         rotation_nd = rotation_from_quaternion(np.array([getattr(message.orientation, axis) for axis in "xyzw"]))
         message.orientation = quaternion_message(exp_rotation(np.array([0.0, 60.0, 0.0]) * ARCSEC) @ rotation_nd)
 
-    spoilt = replace_message(ins_only(5.0), index_at(ins_only(5.0), INS, 4.0), off)
+    changed = replace_message(ins_only(5.0), index_at(ins_only(5.0), INS, 4.0), rotate_up)
     for white_arcsec, reasons in ((1.0, {"gate": 1}), (20.0, {})):
-        adapter = run_adapter(new_adapter(), spoilt[:50]).adapter
+        adapter = run_adapter(new_adapter(), changed[:50]).adapter
         adapter.set_parameters({"ins.white_sigma_arcsec": white_arcsec})
-        assert run_adapter(adapter, spoilt[50:]).reasons(INS) == reasons
+        assert run_adapter(adapter, changed[50:]).reasons(INS) == reasons

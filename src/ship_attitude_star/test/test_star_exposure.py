@@ -38,7 +38,7 @@ SECOND_NS = 1_000_000_000
 
 
 @pytest.fixture(scope="module")
-def watch():
+def sky_model():
     return sky_at_anchor(CONFIG)
 
 
@@ -81,9 +81,9 @@ def reduced_to_middle(exposure, rotation_ds: FloatArray):
 
 @pytest.mark.parametrize("sensor", ["fore", "starboard"])
 @pytest.mark.parametrize(("exposure_s", "least_arcsec"), [(0.05, 0.2), (0.1, 1.0), (0.2, 4.0), (1.0, 100.0)])
-def test_the_correction_moves_a_centroid_to_mid_exposure(watch, sensor, exposure_s, least_arcsec):
+def test_the_correction_moves_a_centroid_to_mid_exposure(sky_model, sensor, exposure_s, least_arcsec):
     rotation_ds = CONFIG.star_sensors[sensor].rotation_ds
-    true = exposure_of(watch, sensor, 8)
+    true = exposure_of(sky_model, sensor, 8)
     seen, _ = with_streaks(true, rotation_ds, exposure_s)
     off = np.linalg.norm(seen.directions_s - true.directions_s, axis=-1)
     left = np.linalg.norm(reduced_to_middle(seen, rotation_ds).directions_s - true.directions_s, axis=-1)
@@ -92,9 +92,9 @@ def test_the_correction_moves_a_centroid_to_mid_exposure(watch, sensor, exposure
 
 
 @pytest.mark.parametrize("exposure_s", [0.05, 0.2])
-def test_the_noise_grows_only_along_the_streak(watch, exposure_s):
+def test_the_noise_grows_only_along_the_streak(sky_model, exposure_s):
     rotation_ds = CONFIG.star_sensors["fore"].rotation_ds
-    seen, pixels = with_streaks(exposure_of(watch, "fore", 8), rotation_ds, exposure_s)
+    seen, pixels = with_streaks(exposure_of(sky_model, "fore", 8), rotation_ds, exposure_s)
     found = reduced_to_middle(seen, rotation_ds)
     streak_px = pixels[-1] - pixels[0]
     length_px = np.linalg.norm(streak_px, axis=-1)
@@ -104,18 +104,18 @@ def test_the_noise_grows_only_along_the_streak(watch, exposure_s):
     along = CAMERA.directions(pixels[500] + 0.5 * streak_px / length_px[:, None])
     along -= CAMERA.directions(pixels[500] - 0.5 * streak_px / length_px[:, None])
     along /= np.linalg.norm(along, axis=-1, keepdims=True)
-    aside = np.cross(found.directions_s, along)
+    across = np.cross(found.directions_s, along)
     expected = sigma_px**2 * length_px**2 / (12.0 * PSF_PX**2)
     added = np.einsum("ki,kij,kj->k", along, found.smear_s, along) / scale**2
     # The camera's scale depends on position and direction in the field, which one sigma for both axes neglects.
     np.testing.assert_allclose(added, expected, rtol=0.03)
-    assert np.all(np.einsum("ki,kij,kj->k", aside, found.smear_s, aside) < 1e-3 * expected * scale**2)
+    assert np.all(np.einsum("ki,kij,kj->k", across, found.smear_s, across) < 1e-3 * expected * scale**2)
     outward = np.einsum("kij,kj->ki", found.smear_s, found.directions_s)
     assert np.max(np.abs(outward)) < 1e-4 * np.max(found.smear_s)
 
 
-def test_a_star_that_leaves_the_field_during_the_exposure_has_no_weight(watch):
-    seen = replace(exposure_of(watch, "fore", 3), length=ExposureLength(10.0, CAMERA, PSF_PX))
+def test_a_star_that_leaves_the_field_during_the_exposure_has_no_weight(sky_model):
+    seen = replace(exposure_of(sky_model, "fore", 3), length=ExposureLength(10.0, CAMERA, PSF_PX))
     turning = exposure_motion(rolling_track(-6.0, 6.0), TIME_NS, seen.length.nodes)
     away = np.array([rotation_from_angles(np.deg2rad(20e-9 * ns), 0.0, 0.0) for ns in turning.nodes.offset_ns])
     found = reduce_to_mid_exposure(seen, away)
@@ -162,25 +162,25 @@ def test_the_linearised_streaks_are_the_derivative():
         assert np.max(np.abs(numeric - fit.jacobian[:, :, axis])) < 1e-3 * np.max(np.abs(fit.jacobian[:, :, :3]))
 
 
-def exposed(watch, exposure_s: float = 0.2):
-    return with_streaks(exposure_of(watch, "fore", 6), CONFIG.star_sensors["fore"].rotation_ds, exposure_s)[0]
+def streaked_exposure(sky_model, exposure_s: float = 0.2):
+    return with_streaks(exposure_of(sky_model, "fore", 6), CONFIG.star_sensors["fore"].rotation_ds, exposure_s)[0]
 
 
-def test_the_filter_s_jacobian_with_streaks_is_the_derivative(watch):
+def test_the_filter_s_jacobian_with_streaks_is_the_derivative(sky_model):
     ship_filter = ShipFilter(CONFIG)
     state = ship_filter.initial_state()
     sigma = np.sqrt(np.diagonal(state.covariance))
     rng = np.random.default_rng(1)
     mean = 0.3 * sigma * rng.standard_normal(ship_filter.model.size)
-    seen = reduced_to_middle(exposed(watch), CONFIG.star_sensors["fore"].rotation_ds)
+    seen = reduced_to_middle(streaked_exposure(sky_model), CONFIG.star_sensors["fore"].rotation_ds)
     ins = rolling_track().at(TIME_NS)
 
-    def compared(mean: FloatArray):
+    def residuals_at(mean: FloatArray):
         predicted = predict_attitude(ship_filter.devices["star.fore"], ship_filter.model, mean, ins)
         device, covariance = ship_filter.devices["star.fore"], state.covariance
-        return compare(seen, device, predicted, ship_filter.model, mean, covariance, watch).linear
+        return compare(seen, device, predicted, ship_filter.model, mean, covariance, sky_model).linear
 
-    here = compared(mean)
+    here = residuals_at(mean)
     noise = here.noise_by_source[ship_filter.model.sources.index("star_noise")]
     assert np.max(np.abs(noise - np.diag(np.diagonal(noise)))) > 0.1 * np.max(noise)
     clock = ship_filter.model.slices["ins.time_offset"].start
@@ -189,19 +189,19 @@ def test_the_filter_s_jacobian_with_streaks_is_the_derivative(watch):
             continue  # it moves the sample of the INS that is compared, not what is predicted from it
         step = np.zeros(ship_filter.model.size)
         step[row] = 1e-2 * sigma[row]
-        numeric = (compared(mean - step).residual - compared(mean + step).residual) / (2.0 * step[row])
+        numeric = (residuals_at(mean - step).residual - residuals_at(mean + step).residual) / (2.0 * step[row])
         scale = max(np.max(np.abs(here.jacobian[:, row])), 1e-9)
         np.testing.assert_allclose(here.jacobian[:, row], numeric, atol=1e-4 * scale)
 
 
-def test_the_filter_models_streaks(watch):
+def test_the_filter_models_streaks(sky_model):
     ship_filter = ShipFilter(CONFIG)
     start, track = ship_filter.initial_state(), rolling_track()
-    seen = exposed(watch)
-    true = exposure_of(watch, "fore", 6)
-    _, right = ship_filter.step(start, seen, track, watch)
-    _, still = ship_filter.step(start, true, track, watch)
-    _, wrong = ship_filter.step(start, replace(seen, length=None), track, watch)
+    seen = streaked_exposure(sky_model)
+    true = exposure_of(sky_model, "fore", 6)
+    _, right = ship_filter.step(start, seen, track, sky_model)
+    _, still = ship_filter.step(start, true, track, sky_model)
+    _, wrong = ship_filter.step(start, replace(seen, length=None), track, sky_model)
     assert right.accepted
     assert still.accepted
     assert right.measurement is seen
@@ -210,8 +210,8 @@ def test_the_filter_models_streaks(watch):
     assert np.max(right.sigma) > 1.05 * np.max(still.sigma)
 
 
-def core_with_fix(watch) -> ShipAttitudeCore:
-    core = ShipAttitudeCore(CONFIG, watch)
+def core_with_fix(sky_model) -> ShipAttitudeCore:
+    core = ShipAttitudeCore(CONFIG, sky_model)
     core.add_sky_input(PositionFix(TIME_NS - SECOND_NS, POSITION, 25.0 * np.eye(3)))
     return core
 
@@ -220,7 +220,7 @@ def test_an_exposure_waits_for_the_ins_to_its_end_and_any_order_gives_the_same_s
     states = []
     for after in (5, 60, 110, 200):
         core = core_with_fix(sky_at_anchor(CONFIG))
-        exposure = exposed(sky_at_anchor(CONFIG))
+        exposure = streaked_exposure(sky_at_anchor(CONFIG))
         samples = ins_samples()
         decisions = []
         for sample in samples[:after]:
@@ -247,7 +247,7 @@ def test_a_late_ins_sample_within_the_exposure_is_used_for_it():
             if not (late and number == held_back):
                 core.add_ins(sample)
             if number == 50:
-                core.add_measurement(exposed(sky_at_anchor(CONFIG)))
+                core.add_measurement(streaked_exposure(sky_at_anchor(CONFIG)))
         if late:
             core.add_ins(samples[held_back])
         states.append(core.state)
@@ -256,7 +256,7 @@ def test_a_late_ins_sample_within_the_exposure_is_used_for_it():
 
 def test_an_exposure_without_ins_samples_over_its_length_is_rejected():
     core = core_with_fix(sky_at_anchor(CONFIG))
-    core.add_measurement(exposed(sky_at_anchor(CONFIG)))
+    core.add_measurement(streaked_exposure(sky_at_anchor(CONFIG)))
     decisions = []
     for sample in ins_samples(first_s=-0.05):
         decisions += core.add_ins(sample).decisions
@@ -264,15 +264,15 @@ def test_an_exposure_without_ins_samples_over_its_length_is_rejected():
     assert "whole exposure of 0.2 s" in decisions[0].text
 
 
-def test_identification_rejects_ambiguous_and_unmatched_detections(watch):
-    exposure = exposure_of(watch, "fore", 4)
+def test_identification_rejects_ambiguous_and_unmatched_detections(sky_model):
+    exposure = exposure_of(sky_model, "fore", 4)
     twice = replace(exposure, directions_s=exposure.directions_s[[0, 0, 2, 3]])
     nowhere = twice.directions_s.copy()
     nowhere[3] = exp_rotation(np.deg2rad([0.0, 0.2, 0.0])) @ nowhere[3]
     unknown = without_identity(replace(twice, directions_s=nowhere))
     device = ShipFilter(CONFIG).devices["star.fore"]
     prior = StarPrior(ROTATION_ND @ device.rotation_dv0, np.diag((np.array([10.0, 72.0, 10.0]) * ARCSEC) ** 2))
-    result, reasons = identify_stars(unknown, prior, watch.sky_at(TIME_NS))
+    result, reasons = identify_stars(unknown, prior, sky_model.sky_at(TIME_NS))
     assert result.hip.tolist() == [0, 0, exposure.hip[2], 0]
     assert set(reasons) == {0, 1, 3}
     assert "matched by two detections" in reasons[0].text

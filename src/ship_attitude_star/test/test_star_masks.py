@@ -24,7 +24,7 @@ ROTATION_NS = ROTATION_ND @ ROTATION_DS
 
 
 @pytest.fixture(scope="module")
-def watch() -> SkyModel:
+def sky_model() -> SkyModel:
     return sky_at_anchor(CONFIG)
 
 
@@ -55,23 +55,23 @@ def median_split(exposure: StarExposure) -> float:
     return float(azimuths[middle - 1 : middle + 1].mean())
 
 
-def test_detections_in_a_mask_are_no_stars_and_the_others_keep_their_identities(watch: SkyModel) -> None:
-    exposure = exposure_of(watch, "fore", 8)
+def test_detections_in_a_mask_are_no_stars_and_the_others_keep_their_identities(sky_model: SkyModel) -> None:
+    exposure = exposure_of(sky_model, "fore", 8)
     edge_deg = median_split(exposure)
     hidden = deck_places_deg(exposure.directions_s)[:, 0] < edge_deg
     masked = replace(without_identity(exposure), masks=to_port_of(edge_deg))
-    named, reasons = identify_stars(masked, prior_of(30.0), watch.sky_at(TIME_NS))
+    named, reasons = identify_stars(masked, prior_of(30.0), sky_model.sky_at(TIME_NS))
     assert named.hip.tolist() == np.where(hidden, 0, exposure.hip).tolist()
     assert sorted(reasons) == np.flatnonzero(hidden).tolist()
     assert {reason.text for reason in reasons.values()} == {"not a star: inside the mask mast"}
-    without, none = identify_stars(without_identity(exposure), prior_of(30.0), watch.sky_at(TIME_NS))
+    without, none = identify_stars(without_identity(exposure), prior_of(30.0), sky_model.sky_at(TIME_NS))
     assert without.hip.tolist() == exposure.hip.tolist()
     assert not none
 
 
-def test_a_lamp_behind_a_mask_matches_no_star(watch: SkyModel) -> None:
+def test_a_lamp_behind_a_mask_matches_no_star(sky_model: SkyModel) -> None:
     """A star at the edge and a lamp next to it, both within the gate: without the mask neither gets the identity."""
-    exposure = exposure_of(watch, "fore", 4)
+    exposure = exposure_of(sky_model, "fore", 4)
     at_edge = int(np.argmin(deck_places_deg(exposure.directions_s)[:, 0]))
     star_deg = deck_places_deg(exposure.directions_s)[at_edge, 0]
     lamp_s = exposure.directions_s[at_edge] + ROTATION_DS.T @ np.array([0.0, 0.0, -40.0 * ARCSEC])
@@ -79,31 +79,31 @@ def test_a_lamp_behind_a_mask_matches_no_star(watch: SkyModel) -> None:
     rows = [*range(4), at_edge]
     both = without_identity(exposure[rows])
     both = replace(both, directions_s=np.vstack([exposure.directions_s, lamp_s]))
-    free, _ = identify_stars(both, prior_of(30.0), watch.sky_at(TIME_NS))
+    free, _ = identify_stars(both, prior_of(30.0), sky_model.sky_at(TIME_NS))
     assert free.hip[at_edge] == free.hip[4] == 0
     # Midway between star and lamp.
     masked = replace(both, masks=to_port_of(0.5 * (star_deg + deck_places_deg(lamp_s[None])[0, 0])))
-    named, reasons = identify_stars(masked, prior_of(30.0), watch.sky_at(TIME_NS))
+    named, reasons = identify_stars(masked, prior_of(30.0), sky_model.sky_at(TIME_NS))
     assert named.hip.tolist() == [*exposure.hip.tolist(), 0]
     assert "mask" in reasons[4].text
 
 
 @pytest.mark.parametrize("sigma_arcsec", [10.0, 600.0])
 def test_a_star_behind_a_mask_is_no_candidate_except_within_the_prior_error(
-    watch: SkyModel, sigma_arcsec: float
+    sky_model: SkyModel, sigma_arcsec: float
 ) -> None:
     """Stars to port of the edge by more than five sigmas and the step of the edge are out, others are in."""
-    exposure, moment = without_identity(exposure_of(watch, "fore", 8)), watch.sky_at(TIME_NS)
+    exposure, sky = without_identity(exposure_of(sky_model, "fore", 8)), sky_model.sky_at(TIME_NS)
     edge_deg, prior = median_split(exposure), prior_of(sigma_arcsec)
 
     def stars(masks: SensorMasks | None) -> set[int]:
         magnitude = np.full(len(exposure), np.nan)
-        found = find_candidates(exposure.directions_s, exposure.sigma, magnitude, None, prior, moment, masks)
+        found = find_candidates(exposure.directions_s, exposure.sigma, magnitude, None, prior, sky, masks)
         return set(found.rows.tolist())
 
-    everywhere, open_ = stars(None), stars(to_port_of(edge_deg))
+    everywhere, unmasked = stars(None), stars(to_port_of(edge_deg))
     rows = np.array(sorted(everywhere))
-    direction_s = moment.apparent_stars(watch.catalogue.at_j2000[rows]).direction_n @ ROTATION_NS
+    direction_s = sky.apparent_stars(sky_model.catalogue.at_j2000[rows]).direction_n @ ROTATION_NS
     places_deg = deck_places_deg(direction_s)
     # Distance to the meridian of the edge.
     deep_deg = np.rad2deg(
@@ -112,9 +112,9 @@ def test_a_star_behind_a_mask_is_no_candidate_except_within_the_prior_error(
     margin_deg = np.rad2deg(5.0 * np.sqrt(3.0) * sigma_arcsec * ARCSEC)
     surely_out = set(rows[deep_deg > margin_deg + 0.26].tolist())
     surely_in = set(rows[deep_deg < margin_deg].tolist())
-    assert open_ <= everywhere
-    assert not open_ & surely_out
-    assert surely_in <= open_
+    assert unmasked <= everywhere
+    assert not unmasked & surely_out
+    assert surely_in <= unmasked
     assert surely_out
 
 

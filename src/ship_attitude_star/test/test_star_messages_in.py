@@ -54,8 +54,10 @@ def read_exposure(message: Any) -> Any:
 def test_pixels_become_directions_and_numbers_become_positions() -> None:
     # One degree to the right and half a degree up of the boresight.
     right_px, up_px = np.tan(np.deg2rad([1.0, 0.5])) * 0.05 / 10e-6
-    exposure, refused = read_exposure(observations(star(), star(DENEB, 511.5 + right_px, 511.5 - up_px, magnitude=1.3)))
-    assert refused == ()
+    exposure, rejected = read_exposure(
+        observations(star(), star(DENEB, 511.5 + right_px, 511.5 - up_px, magnitude=1.3))
+    )
+    assert rejected == ()
     assert (exposure.source, exposure.time_ns, exposure.hip.tolist()) == ("star.fore", STAMP_NS, [VEGA, DENEB])
     off = np.array([1.0, np.tan(np.deg2rad(0.5)), np.tan(np.deg2rad(1.0))])
     np.testing.assert_allclose(exposure.directions_s, [[1, 0, 0], off / np.linalg.norm(off)], atol=1e-12)
@@ -77,22 +79,22 @@ def test_pixels_become_directions_and_numbers_become_positions() -> None:
 def test_without_a_length_an_exposure_is_used_as_it_is(not_given: float) -> None:
     message = observations(star())
     message.exposure_s = not_given
-    exposure, refused = read_exposure(message)
-    assert refused == ()
+    exposure, rejected = read_exposure(message)
+    assert rejected == ()
     assert exposure.length is None
     message.exposure_s = 0.25
-    told = read_exposure(message)[0]
-    assert (told.length.exposure_s, told.length.psf_sigma_px, told.length.camera) == (0.25, 0.8, CAMERA)
-    np.testing.assert_array_equal(told.directions_s, exposure.directions_s)
+    received = read_exposure(message)[0]
+    assert (received.length.exposure_s, received.length.psf_sigma_px, received.length.camera) == (0.25, 0.8, CAMERA)
+    np.testing.assert_array_equal(received.directions_s, exposure.directions_s)
     # Which of two messages of one stamp is kept must not depend on their order.
-    assert told.content() != exposure.content()
+    assert received.content() != exposure.content()
 
 
 @pytest.mark.parametrize(
     ("exposure_s", "reason"),
     [(-0.1, "units"), (10.5, "units"), (50.0, "units"), (np.inf, "non_finite"), (-np.inf, "non_finite")],
 )
-def test_a_length_that_cannot_be_is_refused(exposure_s: float, reason: str) -> None:
+def test_an_impossible_length_is_rejected(exposure_s: float, reason: str) -> None:
     message = observations(star())
     message.exposure_s = exposure_s
     with pytest.raises(MessageRejected) as caught:
@@ -102,10 +104,10 @@ def test_a_length_that_cannot_be_is_refused(exposure_s: float, reason: str) -> N
 
 
 def test_a_star_without_number_has_the_given_position_or_none() -> None:
-    exposure, refused = read_exposure(
+    exposure, rejected = read_exposure(
         observations(star(0, right_ascension=1.0, declination=-0.5), star(0, 600.0, 600.0), star(ALTAIR, 100.0))
     )
-    assert refused == ()
+    assert rejected == ()
     assert exposure.is_identified.tolist() == [True, False, True]
     given = exposure.positions[0]
     assert (given.right_ascension, given.declination, given.pm_declination) == (1.0, -0.5, 0.0)
@@ -114,24 +116,24 @@ def test_a_star_without_number_has_the_given_position_or_none() -> None:
 
 def test_a_catalogue_star_has_the_catalogue_position_whatever_else_is_given() -> None:
     by_number, _ = read_exposure(observations(star()))
-    with_place, refused = read_exposure(observations(star(right_ascension=4.9, declination=0.7)))
-    assert refused == ()
+    with_place, rejected = read_exposure(observations(star(right_ascension=4.9, declination=0.7)))
+    assert rejected == ()
     assert with_place.content() == by_number.content()
 
 
 @pytest.mark.parametrize("sigma_px", [0.0, np.nan])
 def test_a_centroid_without_sigma_has_the_configured_one(sigma_px: float) -> None:
     message = observations(star(sigma_px=sigma_px))
-    exposure, refused = read_exposure(message)
-    assert refused == ()
+    exposure, rejected = read_exposure(message)
+    assert rejected == ()
     assert exposure.sigma[0] / ARCSEC == pytest.approx(0.08 * 41.2530, rel=1e-5)
     assert not read(message).covariance_known
     assert read(observations(star(), star(DENEB))).covariance_known
 
 
 def test_no_star_is_an_exposure_too() -> None:
-    exposure, refused = read_exposure(observations())
-    assert (len(exposure), refused) == (0, ())
+    exposure, rejected = read_exposure(observations())
+    assert (len(exposure), rejected) == (0, ())
     assert read(observations()).is_empty
     assert not read(observations(star(u=np.nan))).is_empty
 
@@ -158,17 +160,17 @@ STARS = [
 @pytest.mark.parametrize(("bad", "reason", "text"), [s[1:] for s in STARS], ids=[s[0] for s in STARS])
 def test_a_bad_star_is_rejected_and_the_others_are_as_without_it(bad: Any, reason: Reason, text: str) -> None:
     good = star(DENEB, 300.0, 300.0), star(ALTAIR, 700.0, 200.0)
-    exposure, refused = read_exposure(observations(*good, bad))
+    exposure, rejected = read_exposure(observations(*good, bad))
     assert exposure.content() == read_exposure(observations(*good))[0].content()
-    ((name, refusal),) = refused
-    assert (name, refusal.reason) == ("star 3 of the message", reason)
-    assert text in refusal.text
+    ((name, rejection),) = rejected
+    assert (name, rejection.reason) == ("star 3 of the message", reason)
+    assert text in rejection.text
 
 
 def test_the_same_given_position_twice_counts_once() -> None:
     place = {"right_ascension": 1.0, "declination": 0.5}
-    exposure, refused = read_exposure(observations(star(0, **place), star(0, 520.0, **place), star(0), star(0, 530.0)))
-    assert (len(exposure), [name for name, _ in refused]) == (3, ["star 2 of the message"])
+    exposure, rejected = read_exposure(observations(star(0, **place), star(0, 520.0, **place), star(0), star(0, 530.0)))
+    assert (len(exposure), [name for name, _ in rejected]) == (3, ["star 2 of the message"])
 
 
 def test_a_rejected_star_is_named_by_its_number_on_request() -> None:
@@ -179,11 +181,11 @@ def test_a_rejected_star_is_named_by_its_number_on_request() -> None:
 
 @pytest.mark.slow
 def test_a_flood_of_stars_is_cut_and_reported_once() -> None:
-    exposure, refused = read_exposure(observations(*(star(0, float(u % 1000), 10.0) for u in range(100_000))))
+    exposure, rejected = read_exposure(observations(*(star(0, float(u % 1000), 10.0) for u in range(100_000))))
     assert len(exposure) == MAX_STARS
-    ((name, refusal),) = refused
-    assert (name, refusal.reason) == (f"star {MAX_STARS + 1} of the message", Reason.OVERFLOW)
-    assert refusal.text == f"100000 stars in one exposure: only the first {MAX_STARS} are used"
+    ((name, rejection),) = rejected
+    assert (name, rejection.reason) == (f"star {MAX_STARS + 1} of the message", Reason.OVERFLOW)
+    assert rejection.text == f"100000 stars in one exposure: only the first {MAX_STARS} are used"
 
 
 WHOLE = [
@@ -195,7 +197,7 @@ WHOLE = [
 
 
 @pytest.mark.parametrize(("message", "reason", "text"), [w[1:] for w in WHOLE], ids=[w[0] for w in WHOLE])
-def test_a_bad_exposure_is_refused(message: Any, reason: str, text: str) -> None:
+def test_a_bad_exposure_is_rejected(message: Any, reason: str, text: str) -> None:
     with pytest.raises(MessageRejected) as caught:
         read_exposure(message)
     assert caught.value.rejection.reason.word == reason

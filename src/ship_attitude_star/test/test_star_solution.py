@@ -19,10 +19,10 @@ from ship_geometry.rotations import ARCSEC, angle_between, exp_rotation, log_rot
 from ship_testing.star_scenes import SIGMA, Scene, attitude_error, draw_scene
 
 WRONG = 30.7
-"""NEES that one in a million honest attitudes exceeds: chi², three degrees of freedom."""
+"""NEES that one in a million consistent attitudes exceeds: chi², three degrees of freedom."""
 SCENES = int(os.environ.get("STAR_SCENES", "150"))
 EPOCHS = int(os.environ.get("STAR_EPOCHS", "400"))
-"""`make campaign` asks for 10 000 of each."""
+"""`make campaign` runs 10 000 of each."""
 
 
 def nees(scene: Scene, solution) -> float:
@@ -168,11 +168,11 @@ def error_with_prior(scene: Scene, error_n: np.ndarray) -> float | None:
     if not members.any():
         return None
     fit = linearise_stars(scene.stars, prior.rotation_nb).with_prior(prior.covariance_n)
-    judgement = fit.solve(members)
+    solution = fit.solve(members)
     # Its unknowns are in units of their standard deviations.
     roots = square_root(prior.covariance_n)
-    covariance_n = roots @ np.linalg.inv(judgement.information_with_prior)[:3, :3] @ roots.T
-    return float(normalized_error_squared(error_n - roots @ judgement.unknowns[:3], covariance_n))
+    covariance_n = roots @ np.linalg.inv(solution.information_with_prior)[:3, :3] @ roots.T
+    return float(normalized_error_squared(error_n - roots @ solution.unknowns[:3], covariance_n))
 
 
 @pytest.mark.parametrize("kind", ["false_stars", "swapped_pairs"])
@@ -195,10 +195,10 @@ def test_a_misidentified_star_is_named_with_its_angle():
     scene = draw_scene(np.random.default_rng(15), (4, 4), neighbours=1)
     solution = solve_stars(scene.stars)
     assert np.flatnonzero(~solution.members).tolist() == [8]
-    refusal = solution.rejected[8]
+    rejection = solution.rejected[8]
     angle = angle_between(scene.stars.measured_b[8] @ solution.rotation_nb.T, scene.stars.reference_n[8]) / ARCSEC
-    assert refusal.reason is Reason.MISIDENTIFIED
-    assert f'{angle:.1f}" from its expected direction, sigma 3.0"' in refusal.text
+    assert rejection.reason is Reason.MISIDENTIFIED
+    assert f'{angle:.1f}" from its expected direction, sigma 3.0"' in rejection.text
 
 
 def test_a_prior_verifies_two_stars_and_does_not_enter_the_attitude():
@@ -213,13 +213,13 @@ def test_a_prior_detects_swapped_identities_of_two_stars():
     scene = draw_scene(np.random.default_rng(17), (0, 0), swapped_pairs=1)
     prior = StarPrior(scene.rotation_nd, np.diag(PRIOR_SIGMA**2))
     assert solve_stars(scene.stars).status is SolutionStatus.UNVERIFIED
-    refused = solve_stars(scene.stars, prior)
-    assert refused.status is SolutionStatus.INVALID
-    assert refused.rejection.reason is Reason.TOO_FEW_STARS
+    rejected = solve_stars(scene.stars, prior)
+    assert rejected.status is SolutionStatus.INVALID
+    assert rejected.rejection.reason is Reason.TOO_FEW_STARS
 
 
 @pytest.mark.parametrize("count", [0, 1])
-def test_too_few_stars_are_refused(count):
+def test_too_few_stars_are_rejected(count):
     scene = draw_scene(np.random.default_rng(18), (count, 0))
     solution = solve_stars(scene.stars)
     assert solution.status is SolutionStatus.INVALID
@@ -227,15 +227,15 @@ def test_too_few_stars_are_refused(count):
     assert np.isnan(solution.covariance_n).all()
 
 
-def test_stars_in_one_direction_are_refused_with_the_reason():
+def test_stars_in_one_direction_are_rejected_with_the_reason():
     """Two stars 10″ apart do not determine the rotation about them."""
     scene = draw_scene(np.random.default_rng(19), (1, 0))
     star = scene.stars
     turn = exp_rotation(10.0 * ARCSEC * np.cross(star.measured_b[0], [0.0, 0.0, 1.0]))
-    beside = scene.rotation_nd @ turn @ scene.rotation_nd.T
+    small_turn = scene.rotation_nd @ turn @ scene.rotation_nd.T
     stars = MatchedStars(
         np.array([star.measured_b[0], turn @ star.measured_b[0]]),
-        np.array([star.reference_n[0], beside @ star.reference_n[0]]),
+        np.array([star.reference_n[0], small_turn @ star.reference_n[0]]),
         np.repeat(star.sigma, 2),
         np.zeros(2),
         np.repeat(star.shared_n, 2, axis=0),

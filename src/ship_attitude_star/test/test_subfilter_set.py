@@ -29,9 +29,9 @@ def test_each_source_and_each_pair_of_three_and_the_ins_is_excluded_in_one_subfi
         "star.s1+ins",
         "reference.r0+ins",
     )
-    for row, names in enumerate(found.excluded_sources, start=1):
-        assert {found.sources[index] for index in (~found.uses[row]).nonzero()[0]} == set(names) - {"ins"}
-        assert (row in found.ins_subfilters) == ("ins" in names)
+    for subfilter, names in enumerate(found.excluded_sources, start=1):
+        assert {found.sources[source] for source in (~found.uses[subfilter]).nonzero()[0]} == set(names) - {"ins"}
+        assert (subfilter in found.ins_subfilters) == ("ins" in names)
     assert found.uses[0].all()
 
 
@@ -57,27 +57,27 @@ def test_a_pair_is_as_probable_as_both_of_its_faults_together() -> None:
         assert found.k.missed_detection[found.names.index(name)] == pytest.approx(norm.isf(share / prior))
 
 
-@pytest.mark.parametrize(("sensors", "rows"), [(3, 11), (4, 16)])
-def test_more_filters_than_allowed_are_refused_with_a_remedy(sensors: int, rows: int) -> None:
+@pytest.mark.parametrize(("sensors", "filters"), [(3, 11), (4, 16)])
+def test_more_filters_than_allowed_are_refused_with_a_remedy(sensors: int, filters: int) -> None:
     with pytest.raises(ParameterError) as caught:
-        subfilter_set(sensors, pairs=True, max_hypotheses=rows - 1)
+        subfilter_set(sensors, pairs=True, max_hypotheses=filters - 1)
     assert caught.value.parameters == ("integrity.max_hypotheses",)
     text = str(caught.value)
-    assert f"'integrity.max_hypotheses' = {rows - 1} is less than the {rows} for these sources: star.s0, " in text
+    assert f"'integrity.max_hypotheses' = {filters - 1} is less than the {filters} for these sources: star.s0, " in text
     assert "star.s0+star.s1" in text
-    assert text.endswith(f"set it to {rows}, or 'integrity.pairs' to false")
-    assert subfilter_set(sensors, pairs=True, max_hypotheses=rows).count == rows
+    assert text.endswith(f"set it to {filters}, or 'integrity.pairs' to false")
+    assert subfilter_set(sensors, pairs=True, max_hypotheses=filters).count == filters
 
 
 def test_a_pair_is_relevant_while_two_others_are_in_use() -> None:
     found, sensors = subfilter_set(4, pairs=True, max_hypotheses=16), [f"star.s{number}" for number in range(4)]
 
-    def asked(in_use: list[str], *excluded: str) -> set[str]:
-        return {found.names[row - 1] for row in found.relevant_pairs(in_use, excluded)}
+    def relevant_pairs(in_use: list[str], *excluded: str) -> set[str]:
+        return {found.names[subfilter - 1] for subfilter in found.relevant_pairs(in_use, excluded)}
 
-    assert asked(sensors) == set(found.names[5:])
+    assert relevant_pairs(sensors) == set(found.names[5:])
     # A pair of an excluded source and another equals the subfilter without the other one.
     of_three = {"star.s1+star.s2", "star.s1+star.s3", "star.s2+star.s3", "star.s1+ins", "star.s2+ins", "star.s3+ins"}
-    assert asked(sensors[1:], "star.s0") == of_three
-    assert asked(sensors[2:], "star.s0", "star.s1") == set()
-    assert asked(sensors, "ins") == set()
+    assert relevant_pairs(sensors[1:], "star.s0") == of_three
+    assert relevant_pairs(sensors[2:], "star.s0", "star.s1") == set()
+    assert relevant_pairs(sensors, "ins") == set()

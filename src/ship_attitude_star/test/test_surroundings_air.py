@@ -132,21 +132,21 @@ def test_dropped_readings_are_not_needed() -> None:
 
 def insert_all(quantity: str, readings: list[tuple[float, float]]) -> tuple[list, Readings]:
     """Return the rejected readings, by their time, and the air after them."""
-    track, refused = Readings(CONFIG), []
+    track, rejected = Readings(CONFIG), []
     for since_s, value in readings:
-        refusal = track.rejection(AirReading(quantity, ns(since_s), value))
-        if refusal is not None:
-            assert refusal.reason is Reason.JUMP
-            refused.append(since_s)
+        rejection = track.rejection(AirReading(quantity, ns(since_s), value))
+        if rejection is not None:
+            assert rejection.reason is Reason.JUMP
+            rejected.append(since_s)
         track.insert(AirReading(quantity, ns(since_s), value))
-    return refused, track
+    return rejected, track
 
 
 @pytest.mark.parametrize("off_hpa", [20.0, -30.0])
 def test_a_pressure_jump_is_rejected_and_the_last_reading_kept_with_a_larger_error(off_hpa: float) -> None:
     wrong = [(float(t), 1010.0 + off_hpa) for t in range(20, 40, 2)]
-    refused, track = insert_all("pressure", [(float(t), 1010.0) for t in range(0, 20, 2)] + wrong)
-    assert refused == [since_s for since_s, _ in wrong]
+    rejected, track = insert_all("pressure", [(float(t), 1010.0) for t in range(0, 20, 2)] + wrong)
+    assert rejected == [since_s for since_s, _ in wrong]
     assert track.air(ns(38)).weather.pressure_hpa == 1010.0
     # The variance has grown from 0.5² towards 15² for 20 s of 3600 s.
     assert track.air(ns(38)).pressure_sigma_hpa**2 == pytest.approx(0.25 + (225.0 - 0.25) * 20.0 / 3600.0)
@@ -155,8 +155,8 @@ def test_a_pressure_jump_is_rejected_and_the_last_reading_kept_with_a_larger_err
 
 def test_a_temperature_jump_is_rejected() -> None:
     # Kelvin is detected by its size; Fahrenheit is not: 20 °C become 68, 5 °C become 41.
-    refused, track = insert_all("temperature", [(0.0, 5.0), (60.0, 5.1), (120.0, 41.0), (180.0, 41.1), (240.0, 5.2)])
-    assert refused == [120.0, 180.0]
+    rejected, track = insert_all("temperature", [(0.0, 5.0), (60.0, 5.1), (120.0, 41.0), (180.0, 41.1), (240.0, 5.2)])
+    assert rejected == [120.0, 180.0]
     assert track.air(ns(200)).weather.temperature_c == 5.1
 
 
@@ -173,8 +173,8 @@ def test_weather_changes_are_not_rejected() -> None:
 
 
 def test_another_pressure_is_accepted_after_the_maximum_age() -> None:
-    refused, track = insert_all(
+    rejected, track = insert_all(
         "pressure", [(0.0, 1010.0), (60.0, 1010.0), *((60.0 * n, 1040.0) for n in range(2, 63))]
     )
-    assert refused == [60.0 * n for n in range(2, 62)]
+    assert rejected == [60.0 * n for n in range(2, 62)]
     assert track.air(ns(3720)).weather.pressure_hpa == 1040.0

@@ -54,9 +54,9 @@ def test_jumps_are_reported_and_change_nothing(node: str, fault: str) -> None:
     without = NODES[node]([arrival for arrival in voyage() if not is_hit(arrival, topic)])
     assert run.results() == without.results()
     assert run.reasons(topic) == {"jump": 2}
-    told = run.innovations(Reason.JUMP)
-    assert [message.source for message in told] == [topic] * 2
-    assert all("from the last accepted value" in message.reason_text for message in told)
+    jumps = run.innovations(Reason.JUMP)
+    assert [message.source for message in jumps] == [topic] * 2
+    assert all("from the last accepted value" in message.reason_text for message in jumps)
 
 
 def test_the_attitude_stays_valid() -> None:
@@ -65,8 +65,8 @@ def test_the_attitude_stays_valid() -> None:
     # Later than half a second: before, both sensors are not in use yet, and there is no INS sample.
     later = [m.status for ns, t, m in run.published if t == "ship/attitude" and ns > START_NS + SECOND_NS // 2]
     assert set(later) == {Status.VALID}
-    told = run.diagnostics(f"input {FIX}", START_NS, START_NS + 4 * SECOND_NS)
-    assert any(level > 0 and text.startswith("rejected, jump: ") for level, text in told)
+    reports = run.diagnostics(f"input {FIX}", START_NS, START_NS + 4 * SECOND_NS)
+    assert any(level > 0 and text.startswith("rejected, jump: ") for level, text in reports)
 
 
 @pytest.mark.slow
@@ -105,6 +105,8 @@ def test_a_first_position_that_others_contradict_is_replaced_by_ten_of_them(node
     assert run.reasons(FIX) == {"jump": 9}
     assert "10 in a row are consistent" in run.innovations(Reason.JUMP)[0].reason_text
     output, valid = ("ship/attitude", Status.VALID) if node == "ship_attitude" else ("star/fore/solution", 0)
-    told = [(ns, message.status) for ns, topic, message in run.published if topic == output]
-    assert valid not in {status for ns, status in told if START_NS < ns < settled_ns}
-    assert {status for ns, status in told if settled_ns + 1.2 * SECOND_NS < ns < START_NS + 5 * SECOND_NS} == {valid}
+    statuses = [(ns, message.status) for ns, topic, message in run.published if topic == output]
+    assert valid not in {status for ns, status in statuses if START_NS < ns < settled_ns}
+    assert {status for ns, status in statuses if settled_ns + 1.2 * SECOND_NS < ns < START_NS + 5 * SECOND_NS} == {
+        valid
+    }

@@ -186,8 +186,8 @@ def test_with_one_fix_the_error_allows_any_course() -> None:
 
 def test_fixes_with_a_long_gap_give_no_velocity() -> None:
     fast = {"fix_max_age_s": 60.0, "max_speed_m_per_s": 100.0}
-    apart = track((0, position_at(0.0, 10.0)), (121, position_at(0.0, 10.1)), **fast)
-    assert distance_m(apart.position(ns(3)), position_at(0.0, 10.0)) < 1e-6
+    distant = track((0, position_at(0.0, 10.0)), (121, position_at(0.0, 10.1)), **fast)
+    assert distance_m(distant.position(ns(3)), position_at(0.0, 10.0)) < 1e-6
     joined = track((0, position_at(0.0, 10.0)), (120, position_at(0.0, 10.1)), **fast)
     # The chord of 11 km is below the sea surface by s (L - s) / 2R: 2.3 m in its middle.
     assert distance_m(joined.position(ns(60)), position_at(0.0, 10.05)) == pytest.approx(
@@ -199,8 +199,8 @@ def test_without_a_recent_fix_the_position_is_rejected_with_a_reason() -> None:
     assert track().position(ns(0)).reason is Reason.NO_FIX
     fixes = track((0, position_at(50.0, 10.0)), fix_max_age_s=60.0)
     assert isinstance(fixes.position(ns(60)), ShipPosition)
-    refusal = fixes.position(ns(60.1))
-    assert (refusal.reason, refusal.text) == (
+    rejection = fixes.position(ns(60.1))
+    assert (rejection.reason, rejection.text) == (
         Reason.NO_FIX,
         "the nearest position fix is 60.1 s older: more than fix_max_age_s = 60",
     )
@@ -211,11 +211,11 @@ def test_any_order_of_arrival_gives_the_same_positions_to_the_last_bit() -> None
     rng = np.random.default_rng(11)
     fixes = [(float(t), position_at(50.0 + 1e-4 * rng.normal(), 10.0 + 1e-4 * rng.normal())) for t in (0, 1, 2, 4, 9)]
     fixes.append((4.0, position_at(50.0, 10.00005)))  # another with the same stamp
-    moments = [ns(t) for t in (-3.0, 0.0, 0.25, 0.5, 1.5, 2.0, 3.3, 4.0, 4.6, 7.0, 9.0, 9.7, 12.0)]
+    times_ns = [ns(t) for t in (-3.0, 0.0, 0.25, 0.5, 1.5, 2.0, 3.3, 4.0, 4.6, 7.0, 9.0, 9.7, 12.0)]
 
     def answers(order) -> list[bytes]:
         found = track(*order)
-        return [position_bytes(found.position(moment)) for moment in moments]
+        return [position_bytes(found.position(time_ns)) for time_ns in times_ns]
 
     expected = answers(fixes)
     assert all(answers(order) == expected for order in itertools.islice(itertools.permutations(fixes), 0, 720, 7))
@@ -224,16 +224,16 @@ def test_any_order_of_arrival_gives_the_same_positions_to_the_last_bit() -> None
 def test_nothing_changes_at_or_before_the_returned_time() -> None:
     times = [0, 1, 2, 4, 9]
     places = {t: position_at(50.0 + 1e-4 * t * t, 10.0) for t in times}
-    moments = np.arange(-5.0, 15.0, 0.25)
+    times_s = np.arange(-5.0, 15.0, 0.25)
     whole = track(*places.items(), max_speed_m_per_s=1000.0)
     for late in times:
         others = track(*((t, places[t]) for t in times if t != late), max_speed_m_per_s=1000.0)
-        before = [position_bytes(others.position(ns(m))) for m in moments]
+        before = [position_bytes(others.position(ns(m))) for m in times_s]
         changed_after_ns = others.insert(PositionFix(ns(late), places[late], SIGMA_M))
-        for moment, old in zip(moments, before, strict=True):
+        for time_s, old in zip(times_s, before, strict=True):
             # A cached result must equal the recomputed one.
-            assert position_bytes(others.position(ns(moment))) == position_bytes(whole.position(ns(moment)))
-            assert position_bytes(whole.position(ns(moment))) == old or ns(moment) > changed_after_ns
+            assert position_bytes(others.position(ns(time_s))) == position_bytes(whole.position(ns(time_s)))
+            assert position_bytes(whole.position(ns(time_s))) == old or ns(time_s) > changed_after_ns
     assert others.insert(PositionFix(ns(9), places[9], SIGMA_M)) is None
 
 
@@ -246,18 +246,18 @@ def test_cached_results_equal_recomputed_ones_for_late_inputs(seed: int) -> None
     north_m = 2.0 * stamps_s + rng.normal(0.0, 1.0, 25) + np.where(rng.random(25) < 0.1, 500.0, 0.0)
     arrivals_s = stamps_s + rng.choice([0.0, 1.0], 25) * rng.uniform(0.0, 3.0, 25)
     # Results change at the stamps, at the ends of delays, and in between.
-    moments_s = np.sort(np.concatenate([stamps_s, stamps_s + 0.5, rng.uniform(-2.0, stamps_s[-1] + 3.0, 50)]))
-    kept, taken, oldest_s = track(fix_max_age_s=max_age_s), [], -np.inf
+    times_s = np.sort(np.concatenate([stamps_s, stamps_s + 0.5, rng.uniform(-2.0, stamps_s[-1] + 3.0, 50)]))
+    cached, taken, oldest_s = track(fix_max_age_s=max_age_s), [], -np.inf
     for index in np.argsort(arrivals_s, kind="stable"):
         if stamps_s[index] < oldest_s:
             continue
         taken.append((stamps_s[index], position_at(50.0 + north_m[index] / 111_229.0, 10.0)))
-        kept.insert(PositionFix(ns(stamps_s[index]), taken[-1][1], SIGMA_M))
+        cached.insert(PositionFix(ns(stamps_s[index]), taken[-1][1], SIGMA_M))
         oldest_s = max(oldest_s, arrivals_s[index] - 3.0)
-        kept.drop_before(ns(oldest_s))
-        anew = track(*taken, fix_max_age_s=max_age_s)
-        for moment in (ns(since_s) for since_s in moments_s if since_s >= oldest_s):
-            assert position_bytes(kept.position(moment)) == position_bytes(anew.position(moment))
+        cached.drop_before(ns(oldest_s))
+        recomputed = track(*taken, fix_max_age_s=max_age_s)
+        for time_ns in (ns(since_s) for since_s in times_s if since_s >= oldest_s):
+            assert position_bytes(cached.position(time_ns)) == position_bytes(recomputed.position(time_ns))
 
 
 def test_a_repeated_stamp_is_rejected() -> None:
@@ -287,9 +287,9 @@ def test_a_fix_that_jumps_is_rejected_and_the_line_is_extrapolated(off_m: float)
     fixes = track(*(moving_fix(t) for t in range(10)))
     for t in range(10, 30):
         wrong = PositionFix(ns(t), moving_fix(t, off_m)[1], SIGMA_M)
-        refusal = fixes.rejection(wrong)
-        assert refusal is not None
-        assert (refusal.reason, "from the last accepted value" in refusal.text) == (Reason.JUMP, True)
+        rejection = fixes.rejection(wrong)
+        assert rejection is not None
+        assert (rejection.reason, "from the last accepted value" in rejection.text) == (Reason.JUMP, True)
         assert fixes.insert(wrong) is None
         place = fixes.position(ns(t))
         assert distance_m(place, moving_fix(t)[1]) < 0.1
@@ -302,7 +302,7 @@ def test_a_fix_that_jumps_is_rejected_and_the_line_is_extrapolated(off_m: float)
     assert fixes.insert(back) == ns(30.5) - 1
 
 
-def test_a_lasting_jump_is_accepted_and_no_line_connects_it() -> None:
+def test_a_permanent_jump_is_accepted_and_no_line_connects_it() -> None:
     """After 25 s (``JUMP_CONFIRMATION_S``)."""
     fixes = track(*(moving_fix(t) for t in range(10)), *(moving_fix(t, 1000.0) for t in range(10, 36)))
     # A fix is used from gnss_delay_s after its stamp on. No line connects it to the position before.
@@ -314,28 +314,30 @@ def test_a_lasting_jump_is_accepted_and_no_line_connects_it() -> None:
 
 
 def test_changes_within_the_limits_are_accepted() -> None:
-    def refused(*fixes, **config) -> list:
-        told, sky = [], Fixes(SkyConfig(**config))
+    def rejections(*fixes, **config) -> list:
+        found, sky = [], Fixes(SkyConfig(**config))
         for since_s, position, *sigma_m in fixes:
             fix = PositionFix(ns(since_s), position, np.eye(3) * (sigma_m[0] if sigma_m else 3.0) ** 2)
-            told.append(sky.rejection(fix))
+            found.append(sky.rejection(fix))
             sky.insert(fix)
-        return [refusal for refusal in told if refusal is not None]
+        return [rejection for rejection in found if rejection is not None]
 
     # Another antenna 45 m along the ship; minutes without fixes; a receiver that states a large error.
-    assert refused(*(moving_fix(t) for t in range(5)), *(moving_fix(t, 45.0) for t in range(5, 10))) == []
-    assert refused(moving_fix(0), moving_fix(1), moving_fix(400), moving_fix(401)) == []
-    assert refused(*((*moving_fix(t, 300.0 * (t % 2)), 100.0) for t in range(20))) == []
+    assert rejections(*(moving_fix(t) for t in range(5)), *(moving_fix(t, 45.0) for t in range(5, 10))) == []
+    assert rejections(moving_fix(0), moving_fix(1), moving_fix(400), moving_fix(401)) == []
+    assert rejections(*((*moving_fix(t, 300.0 * (t % 2)), 100.0) for t in range(20))) == []
     # The date line, and over the pole by 11 m on either side.
     assert (
-        refused((0, position_at(0.0, 179.9999)), (1, position_at(0.0, -179.9999)), (2, position_at(0.0, -179.9997)))
+        rejections((0, position_at(0.0, 179.9999)), (1, position_at(0.0, -179.9999)), (2, position_at(0.0, -179.9997)))
         == []
     )
     assert (
-        refused((0, position_at(89.9999, 30.0)), (1, position_at(89.9999, -150.0)), (2, position_at(89.9997, -150.0)))
+        rejections(
+            (0, position_at(89.9999, 30.0)), (1, position_at(89.9999, -150.0)), (2, position_at(89.9997, -150.0))
+        )
         == []
     )
     # On the opposite side of the Earth the chord has no horizontal part: it is a jump nevertheless.
-    assert len(refused((0, position_at(0.0, 10.0)), (1, position_at(0.0, 10.0)), (2, position_at(0.0, -170.0)))) == 1
+    assert len(rejections((0, position_at(0.0, 10.0)), (1, position_at(0.0, 10.0)), (2, position_at(0.0, -170.0)))) == 1
     # Height is not compared.
-    assert refused((0, position_at(50.0, 10.0, 20.0)), (1, position_at(50.0, 10.0, 900.0))) == []
+    assert rejections((0, position_at(50.0, 10.0, 20.0)), (1, position_at(50.0, 10.0, 900.0))) == []

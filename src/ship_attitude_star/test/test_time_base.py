@@ -77,7 +77,7 @@ def run_with_clocks(
 
 
 def _hand_over_one(run: Run, arrival: Arrival, off_ns: Clock) -> None:
-    """As :func:`hand_over` of one after another: ticks on the same grid."""
+    """Give one message to the adapter, after the ticks that precede it on the grid of :func:`hand_over`."""
     if not hasattr(run, "grid_ns"):
         run.grid_ns = arrival.receive_ns // 100_000_000
     while (run.grid_ns + 1) * 100_000_000 <= arrival.receive_ns:
@@ -124,11 +124,11 @@ def steps(run: AdapterRun) -> list[str]:
     return [text for text in run.adapter.notices if text.startswith("time base")]
 
 
-ROWS = {
+CLOCK_STEPS = {
     "back 300 s": [(20.0, -300.0)],
     "back 900 s": [(20.0, -900.0)],
     "ahead 900 s for 30 s": [(20.0, 900.0), (50.0, 0.0)],
-    "a second told twice": [(20.0, -1.0)],
+    "a second repeated": [(20.0, -1.0)],
     "two steps within a minute": [(20.0, -300.0), (45.0, -310.0)],
     "a step and back within two seconds": [(20.0, -300.0), (22.0, 0.0)],
 }
@@ -141,16 +141,16 @@ def long_voyage() -> tuple[Arrival, ...]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("live", [False, True])
-@pytest.mark.parametrize("row", ROWS)
-def test_all_clocks_step_and_the_attitude_is_valid_within_two_seconds(row: str, live: bool) -> None:
-    off_ns = clock(*ROWS[row])
+@pytest.mark.parametrize("case", CLOCK_STEPS)
+def test_all_clocks_step_and_the_attitude_is_valid_within_two_seconds(case: str, live: bool) -> None:
+    off_ns = clock(*CLOCK_STEPS[case])
     run = run_with_clocks(new_adapter(), long_voyage(), off_ns, live)
-    for since_s, _ in ROWS[row]:
-        until_s = min([s for s, _ in ROWS[row] if s > since_s], default=60.0)
+    for since_s, _ in CLOCK_STEPS[case]:
+        until_s = min([s for s, _ in CLOCK_STEPS[case] if s > since_s], default=60.0)
         between = AdapterRun(run.adapter, [p for p in run.published if p[0] < START_NS + until_s * SECOND_NS])
         assert not_valid_s(between, since_s) < 2.0
     assert_attitudes_correct(run, off_ns)
-    assert len(steps(run)) == len(ROWS[row])
+    assert len(steps(run)) == len(CLOCK_STEPS[case])
     assert steps(run)[0].endswith(" s: reset, mountings and calibration kept")
 
 
@@ -182,8 +182,8 @@ def test_estimated_ins_errors_are_kept() -> None:
     assert heading_sigma(20.0) == pytest.approx(heading_sigma(19.9), rel=0.05)
     state, calm = run.adapter.core.state, run_with_clocks(new_adapter(), long_voyage(), clock()).adapter.core.state
     assert state.mean == pytest.approx(calm.mean, abs=3e-6)
-    told = dict(run.diagnostics("time base", START_NS, run.now_ns))
-    assert told == {1: "stepped by -300.000 s: reset, mountings and calibration kept"}
+    reports = dict(run.diagnostics("time base", START_NS, run.now_ns))
+    assert reports == {1: "stepped by -300.000 s: reset, mountings and calibration kept"}
 
 
 @pytest.mark.slow
@@ -295,7 +295,7 @@ def test_an_ins_that_drifted_until_stars_return_cannot_verify_utc() -> None:
     assert not_valid_s(run, 35.0) < 2.0
 
 
-def test_a_contested_sensor_stays_contested_after_a_step() -> None:
+def test_duplicate_publishers_of_a_sensor_are_kept_after_a_step() -> None:
     off_ns = clock((10.0, -300.0))
     adapter = new_adapter()
     run_with_clocks(adapter, [a for a in voyage(15.0) if a.receive_ns < START_NS + 5 * SECOND_NS], off_ns)

@@ -53,13 +53,13 @@ def assert_in_order(run: Run) -> None:
 
 
 def assert_invalid_once_a_second(run: Run, from_s: float, until_s: float) -> None:
-    """From within a second and a tick on, only INVALID is published, no budget, and no OK status."""
-    said = [ns for ns in invalid_times_ns(run) if at(from_s) <= ns < at(until_s)]
-    assert said[0] <= at(from_s + 1.1)
-    assert all(SECOND_NS <= later - earlier <= 1.1 * SECOND_NS for earlier, later in pairwise(said))
-    assert until_s - (said[-1] - START_NS) / SECOND_NS <= 1.2
-    assert [topic for ns, topic, _ in run.published if topic in BUDGETS and said[0] < ns < at(until_s)] == []
-    statuses = run.diagnostics("attitude", said[0], at(until_s))
+    """Assert that only INVALID is published, no budget and no OK status, after a second and a tick."""
+    times_ns = [ns for ns in invalid_times_ns(run) if at(from_s) <= ns < at(until_s)]
+    assert times_ns[0] <= at(from_s + 1.1)
+    assert all(SECOND_NS <= later - earlier <= 1.1 * SECOND_NS for earlier, later in pairwise(times_ns))
+    assert until_s - (times_ns[-1] - START_NS) / SECOND_NS <= 1.2
+    assert [topic for ns, topic, _ in run.published if topic in BUDGETS and times_ns[0] < ns < at(until_s)] == []
+    statuses = run.diagnostics("attitude", times_ns[0], at(until_s))
     assert {(level, text.partition(":")[0]) for level, text in statuses} == {(2, "INVALID")}
 
 
@@ -96,9 +96,9 @@ def test_rejected_ins_samples_give_no_attitude() -> None:
 def test_attitudes_come_from_stars_while_the_ins_is_rejected() -> None:
     arrivals = change_where(voyage(8.0), lambda a: a.topic == INS and at(3.0) < a.stamp_ns < at(6.0), wrong_frame)
     run = run_adapter(new_adapter(), arrivals)
-    carried = [m for m in published_attitudes(run) if at(4.0) < stamp_of(m) < at(6.0)]
-    assert len(carried) == 20
-    assert {m.status for m in carried} == {Status.DEGRADED}
+    by_stars = [m for m in published_attitudes(run) if at(4.0) < stamp_of(m) < at(6.0)]
+    assert len(by_stars) == 20
+    assert {m.status for m in by_stars} == {Status.DEGRADED}
     assert [ns for ns in invalid_times_ns(run) if ns > at(4.0)] == []
     assert_in_order(run)
 
@@ -115,9 +115,9 @@ def test_attitudes_come_from_stars_while_no_ins_sample_has_a_rate() -> None:
 
     arrivals = change_where([a for a in voyage(8.0) if is_kept(a)], lambda a: a.topic == INS, without_rates)
     run = run_adapter(new_adapter(), arrivals)
-    carried = [m for m in published_attitudes(run) if at(4.2) < stamp_of(m) < at(7.5)]
-    assert {m.status for m in carried} == {Status.DEGRADED}
-    assert len(carried) > 25
+    by_stars = [m for m in published_attitudes(run) if at(4.2) < stamp_of(m) < at(7.5)]
+    assert {m.status for m in by_stars} == {Status.DEGRADED}
+    assert len(by_stars) > 25
     assert [ns for ns in invalid_times_ns(run) if ns > at(4.2)] == []
     assert_in_order(run)
 
@@ -188,11 +188,11 @@ def test_a_corrected_clock_is_no_timeout(step_s: float) -> None:
 def test_a_leap_second_costs_attitudes_only_until_it_is_detected() -> None:
     """One second of stamps is repeated; the clocks of the node continue. All inputs show the step within 0.4 s."""
 
-    def back(message: Any) -> None:
+    def set_back(message: Any) -> None:
         message.header.stamp.sec -= 1
 
     arrivals = voyage(17.0)
-    run = run_adapter(new_adapter(), change_where(arrivals, lambda a: a.stamp_ns >= at(3.0), back))
+    run = run_adapter(new_adapter(), change_where(arrivals, lambda a: a.stamp_ns >= at(3.0), set_back))
     assert invalid_times_ns(run) == []
     before = [m for ns, m in attitudes_by_time(run) if ns < at(3.0)]
     after = [m for ns, m in attitudes_by_time(run) if ns >= at(3.0)]
@@ -240,8 +240,8 @@ def test_attitudes_come_from_stars_while_the_ins_is_too_late() -> None:
     """It arrives at its full rate, each sample 3 s old: more than the lag behind the stars."""
     run = run_adapter(new_adapter(), with_latency(voyage(8.0), lambda topic: 3.0 if topic == INS else 0.0))
     assert run.reasons(INS)["late"] > 100
-    carried = [m for m in published_attitudes(run) if "ins" not in m.sources]
-    assert {m.status for m in carried} == {Status.DEGRADED}
-    assert len(carried) > 60
+    by_stars = [m for m in published_attitudes(run) if "ins" not in m.sources]
+    assert {m.status for m in by_stars} == {Status.DEGRADED}
+    assert len(by_stars) > 60
     assert [ns for ns in invalid_times_ns(run) if ns < at(9.0)] == []
     assert_in_order(run)

@@ -27,18 +27,18 @@ SECOND_NS = 1_000_000_000
 CONFIG = configuration(sky={"pressure_hpa": 1008.3, "temperature_c": 18.2, "relative_humidity": 0.6})
 
 
-@pytest.fixture(scope="module", name="watch")
-def _watch():
+@pytest.fixture(scope="module", name="sky_model")
+def _sky_model():
     return sky_at_anchor(CONFIG)
 
 
 @pytest.fixture(scope="module", name="sky")
-def _sky(watch):
+def _sky(sky_model):
     """Return stars brighter than 5.2: apparent directions from the ship, and catalogue directions; (k, 3) each.
 
     Apparent directions by ERFA's ``atco13``; catalogue directions by ``pmpx`` with or without aberration by ``ab``.
     """
-    catalogue = watch.catalogue
+    catalogue = sky_model.catalogue
     stars = catalogue.at_j2000[catalogue.rows_brighter_than(5.2)]
     orientation = earth_orientation_table().at(TIME_NS)
     utc, tt, air = julian_date(TIME_NS), tt_julian_date(TIME_NS), CONFIG.sky
@@ -80,7 +80,9 @@ def solve_attitude(
     return Rotation.align_vectors(catalogue_c[inside], seen_s[inside])[0].as_matrix()
 
 
-def nees(watch, sky, elevations_deg, field: FieldOfView, most: int = 5, aberration_removed: bool = True) -> list[float]:
+def nees(
+    sky_model, sky, elevations_deg, field: FieldOfView, most: int = 5, aberration_removed: bool = True
+) -> list[float]:
     seen_n, natural_c, proper_c = sky
     field = replace(field, aberration_removed=aberration_removed)
     found = []
@@ -92,7 +94,9 @@ def nees(watch, sky, elevations_deg, field: FieldOfView, most: int = 5, aberrati
         if rotation_cs is None:
             continue
         noisy_cs = rotation_cs @ exp_rotation(np.sqrt(np.diagonal(NOISE_S)) * rng.standard_normal(3))
-        attitude = to_horizon_attitude(InertialAttitude("star.fore", TIME_NS, noisy_cs, NOISE_S, field=field), watch)
+        attitude = to_horizon_attitude(
+            InertialAttitude("star.fore", TIME_NS, noisy_cs, NOISE_S, field=field), sky_model
+        )
         assert isinstance(attitude, AttitudeMeasurement)
         error_n = log_rotation(rotation_ns @ attitude.rotation_nv.T)
         noise_n = rotation_ns @ NOISE_S @ rotation_ns.T
@@ -103,43 +107,43 @@ def nees(watch, sky, elevations_deg, field: FieldOfView, most: int = 5, aberrati
 
 @pytest.mark.parametrize("elevations_deg", [(25.0, 45.0), (45.0, 80.0)])
 @pytest.mark.parametrize("aberration_removed", [True, False])
-def test_refraction_over_the_field_is_in_the_covariance(watch, sky, elevations_deg, aberration_removed) -> None:
-    values = nees(watch, sky, elevations_deg, FIELD, aberration_removed=aberration_removed)
+def test_refraction_over_the_field_is_in_the_covariance(sky_model, sky, elevations_deg, aberration_removed) -> None:
+    values = nees(sky_model, sky, elevations_deg, FIELD, aberration_removed=aberration_removed)
     low, high = mean_nees_band(len(values), 3)
     print(f"elevation {elevations_deg}: mean NEES {np.mean(values):.2f} in [{low:.2f}, {high:.2f}]")
     assert low < np.mean(values) < high
 
 
-def test_without_the_field_the_covariance_is_too_small(watch, sky) -> None:
-    values = nees(watch, sky, (25.0, 45.0), POINT)
+def test_without_the_field_the_covariance_is_too_small(sky_model, sky) -> None:
+    values = nees(sky_model, sky, (25.0, 45.0), POINT)
     print(f"mean NEES {np.mean(values):.2f}")
     assert np.mean(values) > 2.0 * mean_nees_band(len(values), 3)[1]
 
 
-def test_with_more_stars_the_covariance_is_conservative(watch, sky) -> None:
-    assert np.mean(nees(watch, sky, (30.0, 60.0), FIELD, most=20)) < 3.0
+def test_with_more_stars_the_covariance_is_conservative(sky_model, sky) -> None:
+    assert np.mean(nees(sky_model, sky, (30.0, 60.0), FIELD, most=20)) < 3.0
 
 
-def test_uncorrected_aberration_is_corrected_once(watch, sky) -> None:
+def test_uncorrected_aberration_is_corrected_once(sky_model, sky) -> None:
     """Very many stars at the boresight: only the lift by refraction and the shift by aberration remain."""
     seen_n, natural_c, proper_c = sky
     off = {}
     for removed, catalogue_c in ((True, proper_c), (False, natural_c)):
-        for told in (True, False):
+        for stated in (True, False):
             errors = []
             for rotation_ns, _ in scenes((60.0, 85.0), 20):
                 rotation_cs = solve_attitude(seen_n, catalogue_c, rotation_ns, 1000)
                 inertial = InertialAttitude(
-                    "star.fore", TIME_NS, rotation_cs, NOISE_S, field=replace(FIELD, aberration_removed=told)
+                    "star.fore", TIME_NS, rotation_cs, NOISE_S, field=replace(FIELD, aberration_removed=stated)
                 )
-                attitude = to_horizon_attitude(inertial, watch)
+                attitude = to_horizon_attitude(inertial, sky_model)
                 errors.append(np.linalg.norm(log_rotation(rotation_ns @ attitude.rotation_nv.T)[:3]))
-            off[removed, told] = np.median(errors) / ARCSEC
+            off[removed, stated] = np.median(errors) / ARCSEC
     assert max(off[True, True], off[False, False]) < 5.0
     assert min(off[True, False], off[False, True]) > 8.0
 
 
-def test_the_filter_models_it_as_a_correlated_error(watch) -> None:
+def test_the_filter_models_it_as_a_correlated_error(sky_model) -> None:
     """The residual of refraction in repeated attitudes of the tracker does not average."""
     config = configuration()
     exact = {f"installation_sigma_{axis}_arcsec": 0.0 for axis in ("forward", "up", "right")}
@@ -151,24 +155,24 @@ def test_the_filter_models_it_as_a_correlated_error(watch) -> None:
         state = ship_filter.initial_state()
         for second in range(1, 40):
             time_ns = TIME_NS + second * SECOND_NS
-            bare_cs = watch.sky_at(time_ns).rotation_horizon_from_icrs().T @ rotation_ns
+            bare_cs = sky_model.sky_at(time_ns).rotation_horizon_from_icrs().T @ rotation_ns
             inertial = InertialAttitude("star.fore", time_ns, bare_cs, NOISE_S, field=field)
-            lifted_ns = to_horizon_attitude(inertial, watch).rotation_nv
+            lifted_ns = to_horizon_attitude(inertial, sky_model).rotation_nv
             inertial = replace(inertial, rotation_cs=bare_cs @ lifted_ns.T @ rotation_ns)
-            state, decision = ship_filter.step(state, inertial, ins_track(time_ns), watch)
+            state, decision = ship_filter.step(state, inertial, ins_track(time_ns), sky_model)
             assert decision.accepted
         rows = ship_filter.model.state_indices("ins.attitude")
         sigmas[field] = np.sqrt(np.trace(state.covariance[np.ix_(rows, rows)])) / ARCSEC
-    attitude = to_horizon_attitude(replace(inertial, field=FIELD), watch)
+    attitude = to_horizon_attitude(replace(inertial, field=FIELD), sky_model)
     assert sigmas[FIELD] > 0.7 * np.sqrt(np.trace(attitude.common_n)) / ARCSEC
     assert sigmas[FIELD] > 2.0 * sigmas[POINT]
 
 
 @pytest.mark.parametrize("elevation_deg", [88.0, 89.999, 90.0])
-def test_the_field_covariance_is_regular_at_the_zenith(watch, elevation_deg: float) -> None:
+def test_the_field_covariance_is_regular_at_the_zenith(sky_model, elevation_deg: float) -> None:
     rotation_ns = rotation_from_angles(0.3, np.deg2rad(elevation_deg), 0.2)
-    rotation_cs = watch.sky_at(TIME_NS).rotation_horizon_from_icrs().T @ rotation_ns
-    attitude = to_horizon_attitude(InertialAttitude("star.fore", TIME_NS, rotation_cs, NOISE_S, field=FIELD), watch)
+    rotation_cs = sky_model.sky_at(TIME_NS).rotation_horizon_from_icrs().T @ rotation_ns
+    attitude = to_horizon_attitude(InertialAttitude("star.fore", TIME_NS, rotation_cs, NOISE_S, field=FIELD), sky_model)
     common_s = rotation_ns.T @ attitude.common_n @ rotation_ns
     # An isotropic compression without rotation: 57″ per radian and 10°/(2 √5).
     assert np.sqrt(np.diagonal(common_s)[1:]) / ARCSEC == pytest.approx([2.2, 2.2], abs=0.15)

@@ -75,7 +75,7 @@ def test_without_the_parameter_the_topic_is_not_read_and_nothing_is_published() 
         ({"covariance": np.array([1e-12, 1e-12, 0.0, 1e-12])}, "bad_covariance"),
     ],
 )
-def test_bad_messages_are_refused_and_leave_no_trace(changes: dict[str, Any], reason: str) -> None:
+def test_bad_messages_are_rejected_and_change_nothing(changes: dict[str, Any], reason: str) -> None:
     good, bad = deflection_message(-1.0, 4.0, -3.0), deflection_message(1.0, 40.0, 40.0, **changes)
     run = run_with(good, bad)
     assert run.reasons(TOPIC) == {reason: 1}

@@ -89,13 +89,13 @@ def voyage(seed: int, offset_s: float | None = None, waves: float = 1.0, duratio
 def run_core(run: Voyage, late_ns: dict[int, int] | None = None) -> tuple[ShipAttitudeCore, int]:
     """Return the core at the end, and the number of rejected measurements; some arrive late, by their stamps."""
     late_ns = late_ns or {}
-    core, refused = ShipAttitudeCore(CONFIG), 0
+    core, rejected = ShipAttitudeCore(CONFIG), 0
     everything = [*run.samples, *run.measurements]
     for item in sorted(everything, key=lambda item: (item.time_ns + late_ns.get(item.time_ns, 0), item.time_ns)):
         is_ins = isinstance(item, AttitudeSample)
         outcome = core.add_ins(item, estimate=False) if is_ins else core.add_measurement(item)
-        refused += sum(not decision.accepted for decision in outcome.decisions)
-    return core, refused
+        rejected += sum(not decision.accepted for decision in outcome.decisions)
+    return core, rejected
 
 
 def nees(core: ShipAttitudeCore, truth: FloatArray) -> float:
@@ -116,7 +116,7 @@ def test_a_reference_at_its_default_priors_is_consistent(waves: float) -> None:
     low, high = mean_nees_band(SEEDS, 4)
     assert low <= np.mean([nees(core, run.truth) for (core, _), run in zip(ends, runs, strict=True)]) <= high
     # In waves of 20° some first ones are rejected: a far offset does not converge.
-    assert sum(refused for _, refused in ends) <= 0.02 * sum(len(run.measurements) for run in runs)
+    assert sum(rejected for _, rejected in ends) <= 0.02 * sum(len(run.measurements) for run in runs)
 
 
 @pytest.mark.slow
@@ -125,9 +125,9 @@ def test_a_clock_offset_of_two_or_three_sigma_is_estimated(offset_s: float) -> N
     """Offsets of 0.36 to 0.40 s ended 10 to 15 sigma off, with 95 % of the measurements rejected for ever."""
     for seed in range(4):
         run = voyage(seed, offset_s)
-        core, refused = run_core(run)
+        core, rejected = run_core(run)
         assert nees(core, run.truth) < 23.5  # chi² with four degrees of freedom, 1 in 10 000
-        assert refused <= 0.05 * len(run.measurements)
+        assert rejected <= 0.05 * len(run.measurements)
 
 
 def test_any_order_within_the_lag_ends_in_the_same_state() -> None:

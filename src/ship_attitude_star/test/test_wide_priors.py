@@ -1,6 +1,6 @@
 """A prior of any width, from a minute of arc to half a turn: stars one by one, or solved, lead to the same attitude.
 
-Truth is drawn with the prior that the filter is told: error of the INS, its white noise, mounting, what stars share.
+Truth is drawn from the filter's prior: error of the INS, its white noise, mounting, and the errors common to all stars.
 """
 
 from dataclasses import dataclass, replace
@@ -65,14 +65,16 @@ class Width:
 class Sky:
     """Exposures without errors by sensor and stamp, and how errors that stars share displace their stars."""
 
-    watch: SkyModel
+    sky_model: SkyModel
     fields: dict[tuple[str, int], tuple[StarExposure, FloatArray, FloatArray]]
 
-    def seen(self, id_: str, time_ns: int, count: int, mounted_s: FloatArray, shared: FloatArray, rng: Any):
+    def exposure_with_errors(
+        self, id_: str, time_ns: int, count: int, mounted_s: FloatArray, shared: FloatArray, rng: Any
+    ):
         """An exposure with all errors."""
         if (id_, time_ns) not in self.fields:
-            exposure = exposure_of(self.watch, id_, 8, None, time_ns)
-            apparent = self.watch.sky_at(time_ns).apparent_stars(exposure.positions)
+            exposure = exposure_of(self.sky_model, id_, 8, None, time_ns)
+            apparent = self.sky_model.sky_at(time_ns).apparent_stars(exposure.positions)
             self.fields[id_, time_ns] = exposure, apparent.direction_n, apparent.shared_n
         exposure, direction_n, shared_n = self.fields[id_, time_ns]
         angles = np.deg2rad([SENSORS[id_]["azimuth_deg"], SENSORS[id_]["elevation_deg"], 0.0])
@@ -88,9 +90,9 @@ def sky() -> Sky:
     return Sky(sky_at_anchor(configuration()), {})
 
 
-def solve_attitude(exposure: StarExposure, watch: SkyModel) -> AttitudeMeasurement:
+def solve_attitude(exposure: StarExposure, sky_model: SkyModel) -> AttitudeMeasurement:
     """The attitude of the sensor by these stars alone."""
-    _, stars, _ = visible_stars(exposure, watch, None)
+    _, stars, _ = visible_stars(exposure, sky_model, None)
     solution = solve_stars(stars)
     rotation_ns = solution.rotation_nb
     noise_s = rotation_ns.T @ solution.noise_n @ rotation_ns
@@ -99,13 +101,13 @@ def solve_attitude(exposure: StarExposure, watch: SkyModel) -> AttitudeMeasureme
 
 
 def end(sky: Sky, seed: int, width: Width, count: int = 8) -> dict[str, tuple[FloatArray, FloatArray, int]]:
-    """By kind of input: error of the INS's estimated error (horizon), its covariance, and how many were refused."""
+    """Return by kind of input: error of the estimated INS error (horizon), its covariance, and number of rejections."""
     rng = np.random.default_rng([11, seed])
     error_n = np.array([width.tilt, width.heading, width.tilt]) * ARCSEC * rng.standard_normal(3)
     mounted_s = {id_: INSTALLATION * rng.standard_normal(3) for id_ in SENSORS}
     shared = rng.standard_normal(4)
     exposures = [
-        sky.seen(id_, TIME_NS + 100_000_000 * step, count, mounted_s[id_], shared, rng)
+        sky.exposure_with_errors(id_, TIME_NS + 100_000_000 * step, count, mounted_s[id_], shared, rng)
         for step, id_ in enumerate([*SENSORS] * 4)
     ]
     tracks = {
@@ -117,16 +119,16 @@ def end(sky: Sky, seed: int, width: Width, count: int = 8) -> dict[str, tuple[Fl
     results = {}
     for kind in ("observations", "solution"):
         ship_filter = ShipFilter(width.config(kind))
-        state, refused = ship_filter.initial_state(), 0
+        state, rejected = ship_filter.initial_state(), 0
         for exposure in exposures:
-            measurement = exposure if kind == "observations" else solve_attitude(exposure, sky.watch)
+            measurement = exposure if kind == "observations" else solve_attitude(exposure, sky.sky_model)
             track = tracks[exposure.time_ns]
-            state, decision = ship_filter.step(state, measurement, track, sky.watch)
-            refused += not decision.accepted
+            state, decision = ship_filter.step(state, measurement, track, sky.sky_model)
+            rejected += not decision.accepted
         rows = ship_filter.model.state_indices("ins.attitude")
         found_n, by_error = state.mean[rows], left_jacobian(state.mean[rows])
         left_n = log_rotation(exp_rotation(error_n) @ exp_rotation(found_n).T)
-        results[kind] = left_n, by_error @ state.covariance[np.ix_(rows, rows)] @ by_error.T, refused
+        results[kind] = left_n, by_error @ state.covariance[np.ix_(rows, rows)] @ by_error.T, rejected
     return results
 
 
@@ -143,7 +145,7 @@ WIDTHS = [
 
 @pytest.mark.statistics
 @pytest.mark.parametrize("width", WIDTHS, ids=str)
-def test_mend_11_single_stars_and_solutions_are_honest_and_agree(sky: Sky, width: Width) -> None:
+def test_mend_11_single_stars_and_solutions_match_their_covariance_and_agree(sky: Sky, width: Width) -> None:
     ends = [end(sky, seed, width) for seed in range(SEEDS)]
     low, high = mean_nees_band(SEEDS, 3)
     for kind in ("observations", "solution"):
@@ -162,8 +164,8 @@ def test_mend_11_two_stars_a_sensor_are_enough_where_they_leave_no_other_attitud
     low, high = mean_nees_band(SEEDS, 3)
     assert low <= np.mean([normalized_error_squared(*found[:2]) for found in ends]) <= high
     assert sum(found[2] for found in ends) <= 1
-    _, _, refused = end(sky, 1, Width(30.0 * DEGREE, 10.0 * DEGREE), count=2)["observations"]
-    assert refused == 8
+    _, _, rejected = end(sky, 1, Width(30.0 * DEGREE, 10.0 * DEGREE), count=2)["observations"]
+    assert rejected == 8
 
 
 @pytest.mark.parametrize("heading", [72.0, 3.0 * DEGREE, 10.0 * DEGREE])
@@ -174,24 +176,24 @@ def test_mend_14_the_first_exposure_is_confirmed_by_the_next_one_or_by_another_s
     """Before, the first exposure made the attitude VALID, whatever the prior."""
     ship_filter, rng = ShipFilter(Width(heading, 10.0).config(kind)), np.random.default_rng(14)
 
-    def after(state: FilterState, id_: str, time_ns: int) -> FilterState:
-        exposure = sky.seen(id_, time_ns, 8, np.zeros(3), np.zeros(4), rng)
-        measurement = exposure if kind == "observations" else solve_attitude(exposure, sky.watch)
-        state, decision = ship_filter.step(state, measurement, ins_track(time_ns), sky.watch)
+    def state_after(state: FilterState, id_: str, time_ns: int) -> FilterState:
+        exposure = sky.exposure_with_errors(id_, time_ns, 8, np.zeros(3), np.zeros(4), rng)
+        measurement = exposure if kind == "observations" else solve_attitude(exposure, sky.sky_model)
+        state, decision = ship_filter.step(state, measurement, ins_track(time_ns), sky.sky_model)
         assert decision.accepted
         return state
 
-    first = after(ship_filter.initial_state(), "fore", TIME_NS)
+    first = state_after(ship_filter.initial_state(), "fore", TIME_NS)
     assert first.unconfirmed_step is not None
     assert first.unconfirmed_step.text == (
         "the attitude rests on one star measurement; confirmation by stars of another time or sensor is pending"
     )
-    assert after(first, "starboard", TIME_NS).unconfirmed_step is None
-    second = after(first, "fore", TIME_NS + 100_000_000)
+    assert state_after(first, "starboard", TIME_NS).unconfirmed_step is None
+    second = state_after(first, "fore", TIME_NS + 100_000_000)
     assert second.unconfirmed_step is None
     # A sensor that was excluded has agreed with the others before it is used again.
     excluded = replace(second, last_used_ns=MappingProxyType({}), exclusion_counts=MappingProxyType({"star.fore": 1}))
-    assert after(excluded, "fore", TIME_NS + 200_000_000).unconfirmed_step is None
+    assert state_after(excluded, "fore", TIME_NS + 200_000_000).unconfirmed_step is None
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -222,11 +224,11 @@ def test_mend_14_one_step_leads_to_the_most_likely_clock_and_attitude(seed: int)
         track.insert(AttitudeSample(TIME_NS + step * 50_000_000, rotation_nd, rate_d))
     measurement = AttitudeMeasurement("star.fore", TIME_NS, measured_ns, np.diag(sigma[10:] ** 2))
 
-    def whitened(scaled: FloatArray) -> FloatArray:
+    def whitened_residuals(scaled: FloatArray) -> FloatArray:
         left = log_rotation(sensor(scaled * sigma[:10]).T @ measured_ns)
         return np.r_[scaled, left / sigma[10:]]
 
-    likeliest = sigma[:10] * least_squares(whitened, np.zeros(10), xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+    likeliest = sigma[:10] * least_squares(whitened_residuals, np.zeros(10), xtol=1e-15, ftol=1e-15, gtol=1e-15).x
     state, decision = ship_filter.step(ship_filter.initial_state(), measurement, track, None)
     assert decision.accepted
     rows = np.concatenate(
@@ -242,14 +244,14 @@ def test_mend_14_one_step_leads_to_the_most_likely_clock_and_attitude(seed: int)
 
 @pytest.mark.parametrize("off_deg", [3.0, -3.0, 9.0])
 def test_mend_11_no_valid_attitude_is_wrong_where_the_ins_is_off_as_stated(off_deg: float) -> None:
-    """Of 431 VALID attitudes, 421 were off by more than five sigma, 3° off with a sigma of 3°."""
+    """An INS that was 3° off with a sigma of 3° once made 421 of 431 VALID attitudes wrong by more than five sigma."""
 
-    def turned(message: Any) -> None:
+    def turn_ins(message: Any) -> None:
         q = message.orientation
         rotation_nd = rotation_from_quaternion(np.array([q.x, q.y, q.z, q.w]))
         message.orientation = quaternion_message(exp_rotation(np.deg2rad([0.0, off_deg, 0.0])) @ rotation_nd)
 
-    arrivals = change_where(voyage(3.0, noise=True), lambda arrival: arrival.topic == INS, turned)
+    arrivals = change_where(voyage(3.0, noise=True), lambda arrival: arrival.topic == INS, turn_ins)
     run = run_new_adapter(arrivals, ins={"frame_id": "ins", "heading_sigma_arcsec": 3.0 * DEGREE})
     valid = [message for message in run.messages("ship/attitude") if message.status == Status.VALID]
     assert len(valid) > 50
@@ -266,11 +268,11 @@ def test_mend_11_no_valid_attitude_is_wrong_where_the_ins_is_off_as_stated(off_d
 def test_mend_11_a_solution_is_not_against_an_ins_that_is_off_as_stated(sky: Sky, count: int) -> None:
     """Linearised at the INS, 3° off, the right stars contradict it by 283″."""
     rng = np.random.default_rng(4)
-    exposure = sky.seen("fore", TIME_NS, count, np.zeros(3), np.zeros(4), rng)
+    exposure = sky.exposure_with_errors("fore", TIME_NS, count, np.zeros(3), np.zeros(4), rng)
     true_ns = ROTATION_ND @ rotation_from_angles(0.0, np.deg2rad(45.0), 0.0)
     sigma = np.array([10.0, 3.0 * DEGREE, 10.0]) * ARCSEC
     prior = StarPrior(exp_rotation(np.deg2rad([0.0, 3.0, 0.0])) @ true_ns, np.diag(sigma**2))
-    _, stars, _ = visible_stars(exposure, sky.watch, prior)
+    _, stars, _ = visible_stars(exposure, sky.sky_model, prior)
     solution, against_prior = solve_with_fallback(stars, prior)
     assert solution.status is SolutionStatus.VALID
     assert solution.members.all()
@@ -280,17 +282,17 @@ def test_mend_11_a_solution_is_not_against_an_ins_that_is_off_as_stated(sky: Sky
 
 
 @pytest.mark.parametrize("width", [WIDTHS[0], WIDTHS[3], WIDTHS[4]], ids=str)
-def test_mend_11_what_the_gate_judges_is_chi_square(sky: Sky, width: Width) -> None:
+def test_mend_11_the_gate_statistic_is_chi_square(sky: Sky, width: Width) -> None:
     """The sum of squares at the estimate, of the first exposure of each seed: sixteen residuals, sixteen degrees."""
     values = []
     for seed in range(SEEDS):
         rng = np.random.default_rng([13, seed])
         error_n = np.array([width.tilt, width.heading, width.tilt]) * ARCSEC * rng.standard_normal(3)
         white_n, mounted_s = ARCSEC * rng.standard_normal(3), INSTALLATION * rng.standard_normal(3)
-        exposure = sky.seen("fore", TIME_NS, 8, mounted_s, rng.standard_normal(4), rng)
+        exposure = sky.exposure_with_errors("fore", TIME_NS, 8, mounted_s, rng.standard_normal(4), rng)
         track = ins_track(TIME_NS, log_rotation(exp_rotation(error_n) @ exp_rotation(white_n)))
         ship_filter = ShipFilter(width.config("observations"))
-        values.append(ship_filter.step(ship_filter.initial_state(), exposure, track, sky.watch)[1].nis)
+        values.append(ship_filter.step(ship_filter.initial_state(), exposure, track, sky.sky_model)[1].nis)
     low, high = mean_nees_band(SEEDS, 16)
     assert low <= np.mean(values) <= high
 
@@ -304,14 +306,14 @@ def test_mend_11_two_exchanged_names_never_make_a_wrong_attitude(sky: Sky, width
     for seed in range(20):
         rng = np.random.default_rng([17, seed])
         error_n = np.array([width.tilt, width.heading, width.tilt]) * ARCSEC * rng.standard_normal(3)
-        exposure = sky.seen("fore", TIME_NS, count, np.zeros(3), rng.standard_normal(4), rng)
+        exposure = sky.exposure_with_errors("fore", TIME_NS, count, np.zeros(3), rng.standard_normal(4), rng)
         one, other = rng.choice(count, 2, replace=False)
         names = np.arange(count)
         names[[one, other]] = other, one
         exchanged = replace(exposure, hip=exposure.hip[names], positions=exposure.positions[names])
         ship_filter = ShipFilter(width.config("observations"))
         track = ins_track(TIME_NS, error_n)
-        state, decision = ship_filter.step(ship_filter.initial_state(), exchanged, track, sky.watch)
+        state, decision = ship_filter.step(ship_filter.initial_state(), exchanged, track, sky.sky_model)
         if decision.accepted:
             used += 1
             rows = ship_filter.model.state_indices("ins.attitude")

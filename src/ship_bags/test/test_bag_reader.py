@@ -300,7 +300,7 @@ def test_flipped_bit_in_the_summary_loses_nothing(tmp_path, bag_bytes):
 
 
 def test_every_byte_of_a_small_bag_may_be_wrong(tmp_path):
-    """For any wrong byte: no exception except BadInput, and no message that is not in the bag."""
+    """Any wrong byte causes no exception except BadInput, and no message that is not in the bag."""
     path = tmp_path / "small.mcap"
     data = write_numbered(path, range(1, 61)).read_bytes()
     truth = {(time, time - 1) for time in range(1, 61)}
@@ -395,31 +395,31 @@ def test_damaged_attachment_is_reported(tmp_path):
 
 
 class TestBadInput:
-    def refused(self, path, match):
+    def assert_refused(self, path, match):
         with pytest.raises(BadInput, match=match) as caught:
             read_bag(path)
         assert str(path) in str(caught.value)
 
     def test_missing(self, tmp_path):
-        self.refused(tmp_path / "none.mcap", "no such file or folder")
+        self.assert_refused(tmp_path / "none.mcap", "no such file or folder")
 
     def test_empty(self, tmp_path):
         (tmp_path / "a.mcap").write_bytes(b"")
-        self.refused(tmp_path / "a.mcap", "the file is empty")
+        self.assert_refused(tmp_path / "a.mcap", "the file is empty")
 
     def test_not_mcap(self, tmp_path):
         (tmp_path / "a.mcap").write_bytes(b"SQLite format 3\x00" * 10)
-        self.refused(tmp_path / "a.mcap", "not an MCAP file")
+        self.assert_refused(tmp_path / "a.mcap", "not an MCAP file")
 
     def test_no_messages(self, tmp_path):
-        self.refused(write_numbered(tmp_path / "a.mcap", []), "the bag holds no messages")
+        self.assert_refused(write_numbered(tmp_path / "a.mcap", []), "the bag holds no messages")
 
     def test_only_the_magic(self, tmp_path):
         (tmp_path / "a.mcap").write_bytes(b"\x89MCAP0\r\n")
-        self.refused(tmp_path / "a.mcap", "holds no messages .*no footer")
+        self.assert_refused(tmp_path / "a.mcap", "holds no messages .*no footer")
 
     def test_all_chunks_damaged(self, tmp_path):
-        """The summary tells of two chunks, none of which can be read."""
+        """The summary lists two chunks, none of which can be read."""
         path = write_numbered(tmp_path / "a.mcap", TIMES[:45])
         data = bytearray(path.read_bytes())
         chunks = chunk_offsets(data)
@@ -428,7 +428,8 @@ class TestBadInput:
             middle = offset + length // 2
             data[middle : middle + 20] = bytes(20)
         path.write_bytes(data)
-        self.refused(path, "holds no messages that can be read .*the chunk at byte .* is damaged .*the chunk at byte")
+        text = "holds no messages that can be read .*the chunk at byte .* is damaged .*the chunk at byte"
+        self.assert_refused(path, text)
 
     def test_unknown_compression(self, tmp_path, monkeypatch):
         original = Chunk.write
@@ -438,25 +439,25 @@ class TestBadInput:
             original(chunk, stream)
 
         monkeypatch.setattr(Chunk, "write", write)
-        self.refused(write_numbered(tmp_path / "a.mcap", range(1, 99)), "compression 'bz2' is unknown")
+        self.assert_refused(write_numbered(tmp_path / "a.mcap", range(1, 99)), "compression 'bz2' is unknown")
 
     def test_folder_without_metadata(self, tmp_path):
-        self.refused(tmp_path, r"has no metadata\.yaml")
+        self.assert_refused(tmp_path, r"has no metadata\.yaml")
 
     def test_folder_of_another_storage(self, tmp_path):
-        self.refused(folder_bag(tmp_path / "a", [[1]], storage_identifier="x"), "'x': expected mcap or sqlite3")
+        self.assert_refused(folder_bag(tmp_path / "a", [[1]], storage_identifier="x"), "'x': expected mcap or sqlite3")
 
     def test_compressed_folder(self, tmp_path):
-        self.refused(folder_bag(tmp_path / "a", [[1]], compression_mode="LZ4"), "compression_mode is 'lz4'")
+        self.assert_refused(folder_bag(tmp_path / "a", [[1]], compression_mode="LZ4"), "compression_mode is 'lz4'")
 
     def test_folder_with_a_file_missing(self, tmp_path):
         path = folder_bag(tmp_path / "a", [[1], [2]])
         (path / "voyage_1.mcap").unlink()
-        self.refused(path, r"voyage_1\.mcap: cannot be read: No such file")
+        self.assert_refused(path, r"voyage_1\.mcap: cannot be read: No such file")
 
     def test_invalid_metadata(self, tmp_path):
         (tmp_path / "metadata.yaml").write_text("- a list\n")
-        self.refused(tmp_path, "not the information file of a rosbag2 bag")
+        self.assert_refused(tmp_path, "not the information file of a rosbag2 bag")
 
 
 def test_a_chunk_of_a_long_bag_takes_little_memory(tmp_path):

@@ -55,7 +55,7 @@ for number in map(int, moments.split(",")):
     half = [name for name, content in found.items() if whole.get(name) != content]
     sys.stderr.write(f"{code} {half}\\n" if code != 130 or half else "")
 """
-# Command, moments that it has at least (the later ones in the middle of its files), arguments.
+# Command, numbers of the interrupts (later ones are in the middle of its files), arguments.
 CASES = {
     "simulate": ("ship_simulation.simulate_command", "1,2", ["short.yaml", "--out", "out.mcap"]),
     "replay": ("ship_replay.commands.replay", "1,2", ["in.mcap", "--config", "suite.yaml", "--out", "out.mcap"]),
@@ -71,7 +71,7 @@ CASES = {
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_ctrl_c_is_one_line_and_leaves_no_partial_file(case, tmp_path):
-    module, moments, arguments = CASES[case]
+    module, interrupts, arguments = CASES[case]
     if case == "simulate":
         (tmp_path / "short.yaml").write_text(SHORT)
     elif case == "replay":
@@ -79,17 +79,17 @@ def test_ctrl_c_is_one_line_and_leaves_no_partial_file(case, tmp_path):
         (tmp_path / "suite.yaml").write_text("ship_attitude: {ros__parameters: {ins: {frame_id: ins}}}\n")
     elif case == "calibrate_installation":
         write_session(tmp_path / "session.mcap", session(STILL))
-    command = [sys.executable, "-c", RUNNER, module, moments, *arguments]
+    command = [sys.executable, "-c", RUNNER, module, interrupts, *arguments]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    said = f"{case}: interrupted\n"
-    assert done.stderr == "".join(f"at {number}: {said}" for number in moments.split(","))
+    text = f"{case}: interrupted\n"
+    assert done.stderr == "".join(f"at {number}: {text}" for number in interrupts.split(","))
     assert done.returncode == 0
 
 
 @pytest.mark.parametrize("unbuffered", ["", "1"], ids=["", "unbuffered"])
 @pytest.mark.parametrize("option", [[], ["--json"], ["--suite"]], ids=str)
-def test_a_command_whose_reader_is_gone_ends_silently(option, unbuffered, tmp_path):
-    """As `info BAG | head -1`."""
+def test_a_command_whose_reader_is_gone_ends_without_output(option, unbuffered, tmp_path):
+    """The command ends as in `info BAG | head -1`."""
     bag = write_imu_bag(tmp_path / "a.mcap", 3, attachments=[(SUITE_ATTACHMENT, "a: 1\n")])
     reader, writer = os.pipe()
     os.close(reader)

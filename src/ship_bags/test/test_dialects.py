@@ -20,15 +20,15 @@ SENTENCES = {
     "PSAT,HPR": (sentence("PSAT,HPR,235410.50,89.58,3.35,-0.21,N"), (89.58, 3.35, -0.21)),
     "ROT": (sentence("HEROT,-30.0,A"), None),
 }
-"""Row → a sentence, and its heading, pitch (bow up) and roll (starboard down), degrees."""
+"""Kind → a sentence, and its heading, pitch (bow up) and roll (starboard down), degrees."""
 
 RECEIVE_NS = 1_268_178_851 * NS_PER_S
 """2010-03-09T23:54:11Z."""
 
 
 def parse_results(text, needs_checksum=True):
-    (heard,) = parse_line(text.encode(), needs_checksum)
-    return heard.result
+    (line,) = parse_line(text.encode(), needs_checksum)
+    return line.result
 
 
 def messages_of(becomes, *texts, by_instrument=True):
@@ -37,9 +37,9 @@ def messages_of(becomes, *texts, by_instrument=True):
     instrument = Instrument(RosbagsFactory(), InstrumentRole(becomes, by_instrument), "a", report)
     found = []
     for text in texts:
-        says = parse_results(text)
-        if isinstance(says, Sentence):
-            found += instrument.take(InstrumentLine(1, RECEIVE_NS, says.kind, says.content))
+        result = parse_results(text)
+        if isinstance(result, Sentence):
+            found += instrument.take(InstrumentLine(1, RECEIVE_NS, result.kind, result.content))
     return [message for _, _, message in found], report
 
 
@@ -82,9 +82,9 @@ def test_a_sentence_with_time_has_its_own():
     ],
 )
 def test_unusable_sentences_are_rejected_with_the_reason(text, reason):
-    says = parse_results(text)
-    assert isinstance(says, Unusable)
-    assert (says.detail or says.reason) == reason
+    result = parse_results(text)
+    assert isinstance(result, Unusable)
+    assert (result.detail or result.reason) == reason
 
 
 def test_a_high_warning_is_no_alarm():

@@ -49,7 +49,7 @@ TOGETHER = [
     ("Integrity", {"excluded": 1, "excluded_for_s": 1}),
     ("JointState", {"name": 1, "position": 1, "velocity": 1, "effort": 1}),
 ]
-"""Arrays that share a table, by the last part of their type: which, and how many of each stand in a row."""
+"""Arrays that share a table, by the last part of their type: name → number of elements in a row."""
 
 
 def constants(type_name):
@@ -348,7 +348,7 @@ def flags(path):
     """Return name of a variable → meanings of its values, as in a NetCDF file."""
     with netcdf_file(path, mmap=False) as file:
         flagged = {name: each for name, each in file.variables.items() if hasattr(each, "flag_meanings")}
-        # The conventions ask for values of the kind of the variable itself; a single one is read as a plain number.
+        # The conventions require values of the type of the variable; a single one is read as a plain number.
         arrays = [each for each in flagged.values() if np.ndim(each.flag_values)]
         assert all(each.flag_values.dtype == each.data.dtype for each in arrays)
         return {
@@ -388,10 +388,10 @@ def test_the_page_names_the_values_as_the_definitions_do():
     rows = re.findall(r"^\| `(\w+)` \| (`.*`) \| (0 .*) \|$", page, re.MULTILINE)
     assert len(rows) == 9
     for column, types, text in rows:
-        told = {name: int(value) for value, name in (each.split() for each in text.split(", "))}
+        documented = {name: int(value) for value, name in (each.split() for each in text.split(", "))}
         for name in re.findall(r"\w+", types):
             type_name = f"ship_msgs/msg/{name}"
-            assert value_names(type_name, column, message_store().fielddefs[type_name][0]) == told
+            assert value_names(type_name, column, message_store().fielddefs[type_name][0]) == documented
 
 
 @pytest.mark.parametrize("type_name", [name for name in TYPES if name.startswith("ship_msgs") and constants(name)])
@@ -483,8 +483,8 @@ def test_a_topic_without_messages_in_the_time_range_is_reported(tmp_path, capsys
     arguments = [str(tmp_path / "two.mcap"), "--out", str(tmp_path / "out"), "--from", "2023-11-14T22:13:25Z"]
     for kind, suffix in SUFFIXES.items():
         assert main([*arguments, "--format", kind]) == 0
-        said = "no message was logged between --from and --to, so no file is written, of 'early', 'first'"
-        assert capsys.readouterr().err == f"export: {said}\n"
+        expected = "no message was logged between --from and --to, so no file is written, of 'early', 'first'"
+        assert capsys.readouterr().err == f"export: {expected}\n"
         assert [path.name for path in (tmp_path / "out").glob(f"*{suffix}*")] == [f"late{suffix}"]
     assert main([*arguments, "--topics", "early"]) == 2
     line = capsys.readouterr().err
@@ -643,8 +643,8 @@ def unknown_schema_bag(path):
 def test_a_topic_without_definition_is_skipped_and_refused_if_requested(tmp_path, capsys):
     path = unknown_schema_bag(tmp_path / "secret.mcap")
     assert main([str(path), "--out", str(tmp_path / "out")]) == 0
-    said = capsys.readouterr()
-    assert "topic 'acme' is skipped: the definition of acme_msgs/msg/Secret is not in the bag" in said.err
+    printed = capsys.readouterr()
+    assert "topic 'acme' is skipped: the definition of acme_msgs/msg/Secret is not in the bag" in printed.err
     assert [made.name for made in (tmp_path / "out").iterdir()] == ["ins.imu.csv"]
     line = refusal([path, "--out", tmp_path / "other", "--topics", "acme"], capsys)
     assert "topic 'acme' cannot be exported: the definition of acme_msgs/msg/Secret is not in the bag" in line
@@ -837,8 +837,8 @@ def test_ctrl_c_leaves_nothing_behind(tmp_path):
         assert process.poll() is None
         time.sleep(0.002)
     process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=60)
-    assert (process.returncode, said) == (130, "export: interrupted\n")
+    _, error = process.communicate(timeout=60)
+    assert (process.returncode, error) == (130, "export: interrupted\n")
     assert [path.name for path in tmp_path.iterdir()] == ["long.mcap"]
 
 

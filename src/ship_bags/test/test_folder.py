@@ -31,17 +31,17 @@ def test_a_new_file_begins_by_size_and_rosbags_reads_them_as_one(tmp_path):
         write(bag, range(part * 10, part * 10 + 10))
         bag.flush()
     bag.close()
-    told = information(tmp_path / "voyage")
-    names = told["relative_file_paths"]
+    metadata = information(tmp_path / "voyage")
+    names = metadata["relative_file_paths"]
     assert len(names) > 2
     assert names == [f"voyage_{number}.mcap" for number in range(len(names))]
     # A file goes beyond the limit by one flush at most, and by its summary.
     assert all((tmp_path / "voyage" / name).stat().st_size < 3000 + 6000 for name in names)
-    assert (told["version"], told["storage_identifier"], told["message_count"]) == (9, "mcap", 200)
-    assert told["starting_time"]["nanoseconds_since_epoch"] == START_NS
-    assert told["duration"]["nanoseconds"] == 199 * PERIOD_NS
-    assert sum(file["message_count"] for file in told["files"]) == 200
-    imu_topic, latched_topic = told["topics_with_message_count"]
+    assert (metadata["version"], metadata["storage_identifier"], metadata["message_count"]) == (9, "mcap", 200)
+    assert metadata["starting_time"]["nanoseconds_since_epoch"] == START_NS
+    assert metadata["duration"]["nanoseconds"] == 199 * PERIOD_NS
+    assert sum(file["message_count"] for file in metadata["files"]) == 200
+    imu_topic, latched_topic = metadata["topics_with_message_count"]
     assert (imu_topic["topic_metadata"]["name"], imu_topic["message_count"]) == ("/ins/imu", 200)
     assert latched_topic["topic_metadata"]["offered_qos_profiles"][0]["durability"] == "transient_local"
     assert imu_topic["topic_metadata"]["type_description_hash"].startswith("RIHS01_")
@@ -69,7 +69,7 @@ def test_a_new_file_begins_by_time(tmp_path):
         bag.flush()
     bag.close()
     counts = [file["message_count"] for file in information(tmp_path / "voyage")["files"]]
-    # The last file was begun when the third message's time was over.
+    # The last file was started at the end of the third message's period.
     assert counts == [1, 1, 1, 0]
     assert len(rosbags_times(tmp_path / "voyage")) == 3
 
@@ -104,8 +104,8 @@ def test_every_file_repeats_the_latched_messages_and_the_bag_has_each_once(tmp_p
     bag = FolderWriter(tmp_path / "voyage", SplitLimits(size_bytes=3000))
     for topic in ("/tf_static", "/ship/calibration"):
         bag.add_topic(topic, VECTOR, latched=True)
-    said = [("/tf_static", 1.0), ("/tf_static", 2.0), ("/ship/calibration", 3.0)]
-    for number, (topic, value) in enumerate(said):
+    latched = [("/tf_static", 1.0), ("/tf_static", 2.0), ("/ship/calibration", 3.0)]
+    for number, (topic, value) in enumerate(latched):
         bag.write_raw(topic, VECTOR, serialize(vector(value)), START_NS + number)
     for part in range(12):
         write(bag, range(part * 10 + 1, part * 10 + 11))
@@ -113,13 +113,13 @@ def test_every_file_repeats_the_latched_messages_and_the_bag_has_each_once(tmp_p
     bag.close()
     with read_bag(tmp_path / "voyage") as whole:
         given = [(r.topic, r.decode().x) for r in whole.records({"/tf_static", "/ship/calibration"})]
-        assert given == said
+        assert given == latched
         assert sum(1 for _ in whole.records_in_file_order()) == 123
     names = information(tmp_path / "voyage")["relative_file_paths"]
     assert len(names) > 2
     for name in names[:-1]:
         with read_bag(tmp_path / "voyage" / name) as alone:
             records = list(alone.records())
-            assert [(r.topic, r.decode().x) for r in records if r.topic != "/ins/imu"] == said
+            assert [(r.topic, r.decode().x) for r in records if r.topic != "/ins/imu"] == latched
             # A player of this file alone must not wait for hours between them.
             assert records[-1].log_time_ns - records[0].log_time_ns < 2 * NS_PER_S

@@ -33,8 +33,8 @@ MIDNIGHT_NS = datetime_ns(datetime(2014, 8, 1, tzinfo=timezone.utc))
 
 
 def line(receive_s, body):
-    moment = datetime(2014, 8, 1, tzinfo=timezone.utc) + timedelta(seconds=receive_s)
-    return f"{moment:%Y-%m-%dT%H:%M:%S.%f}Z {sentence(body)}\n"
+    time = datetime(2014, 8, 1, tzinfo=timezone.utc) + timedelta(seconds=receive_s)
+    return f"{time:%Y-%m-%dT%H:%M:%S.%f}Z {sentence(body)}\n"
 
 
 def seapath(times_s, angles_deg, delay_s=0.3):
@@ -48,7 +48,7 @@ def seapath(times_s, angles_deg, delay_s=0.3):
 
 
 @pytest.fixture
-def imported(tmp_path):
+def import_texts(tmp_path):
     """Import texts; return the messages by topic as (log time, message), metadata and report."""
 
     def run(*options, **texts):
@@ -76,8 +76,8 @@ def angles_deg(message):
     return np.rad2deg(angles_from_rotation(rotation_from_quaternion(np.array([q.x, q.y, q.z, q.w]))))
 
 
-def test_first_burst_by_the_instruments_time(imported):
-    found, marks, _ = imported(ins=S330)
+def test_first_burst_by_the_instruments_time(import_texts):
+    found, marks, _ = import_texts(ins=S330)
     ((log_time_ns, message),) = found["ins/imu"]
     # ZDA 00:00:00.17; PSXN,23 received at .522: roll 0.35, pitch -1.74, heading 218.26.
     assert ns_from_stamp(message.header.stamp) == MIDNIGHT_NS + 170_000_000
@@ -91,15 +91,15 @@ def test_first_burst_by_the_instruments_time(imported):
     assert marks["resampled_hz"] == "no"
 
 
-def test_first_burst_by_the_receive_time(imported):
-    found, marks, _ = imported("--time", "receive", ins=S330)
+def test_first_burst_by_the_receive_time(import_texts):
+    found, marks, _ = import_texts("--time", "receive", ins=S330)
     ((log_time_ns, message),) = found["ins/imu"]
     assert ns_from_stamp(message.header.stamp) == log_time_ns == MIDNIGHT_NS + 522_000_000
     assert marks["time"] == "receive"
 
 
-def test_position(imported):
-    found, _, _ = imported(ins=S330)
+def test_position(import_texts):
+    found, _, _ = import_texts(ins=S330)
     ((log_time_ns, fix),) = found["gnss/fix"]
     assert ns_from_stamp(fix.header.stamp) == MIDNIGHT_NS + 160_000_000
     assert log_time_ns == MIDNIGHT_NS + 285_000_000
@@ -111,13 +111,13 @@ def test_position(imported):
     assert fix.position_covariance[0] == pytest.approx((3.0 * 0.7) ** 2)
 
 
-def test_position_without_the_geoid_has_no_altitude(imported):
-    found, _, _ = imported(ins=SEAP)
+def test_position_without_the_geoid_has_no_altitude(import_texts):
+    found, _, _ = import_texts(ins=SEAP)
     assert np.isnan(found["gnss/fix"][0][1].altitude)
 
 
-def test_reference_weather_and_gyro(imported):
-    found, marks, counts = imported(ins=SEAP, s330=S330, weather=MWX1, gyro=GYR1)
+def test_reference_weather_and_gyro(import_texts):
+    found, marks, counts = import_texts(ins=SEAP, s330=S330, weather=MWX1, gyro=GYR1)
     ((_, reference),) = found["reference/s330/imu"]
     np.testing.assert_allclose(angles_deg(reference), [218.26, -1.74, 0.35], atol=1e-9)
     assert reference.header.frame_id == "s330"
@@ -139,8 +139,8 @@ def test_reference_weather_and_gyro(imported):
     assert counts["files"]["s330.log"]["not_of_interest"] == {"INRMC": 1, "INVTG": 1, "PSXN22": 1}
 
 
-def test_log_times_do_not_go_back(imported):
-    found, _, _ = imported("--resample", "20", ins=rolling_log()[0], s330=S330)
+def test_log_times_do_not_go_back(import_texts):
+    found, _, _ = import_texts("--resample", "20", ins=rolling_log()[0], s330=S330)
     times = [time for messages in found.values() for time, _ in messages]
     assert times
     assert all(np.all(np.diff([time for time, _ in messages]) >= 0) for messages in found.values())
@@ -160,9 +160,9 @@ def rolling_log(seconds=60, missing=()):
     return seapath(times_s, angles), times_s
 
 
-def test_resampled_by_a_spline(imported):
+def test_resampled_by_a_spline(import_texts):
     text, times_s = rolling_log()
-    found, marks, _ = imported("--resample", "50", ins=text)
+    found, marks, _ = import_texts("--resample", "50", ins=text)
     assert marks["resampled_hz"] == "50"
     stamps_ns = np.array([ns_from_stamp(message.header.stamp) for _, message in found["ins/imu"]])
     # The grid of 50 Hz from 0.7 s to 59.7 s, exact in nanoseconds.
@@ -177,9 +177,9 @@ def test_resampled_by_a_spline(imported):
     assert found["ins/imu"][0][1].angular_velocity_covariance[0] == 0.0
 
 
-def test_angular_velocity_is_that_of_the_motion(imported):
+def test_angular_velocity_is_that_of_the_motion(import_texts):
     """Compared with differences of the attitudes in the bag: (forward, left, up), in the deck frame."""
-    found, _, _ = imported("--resample", "50", ins=rolling_log()[0])
+    found, _, _ = import_texts("--resample", "50", ins=rolling_log()[0])
     messages = [message for _, message in found["ins/imu"]]
     quaternions = np.array([[m.orientation.x, m.orientation.y, m.orientation.z, m.orientation.w] for m in messages])
     rotations = rotation_from_quaternion(quaternions)
@@ -191,15 +191,15 @@ def test_angular_velocity_is_that_of_the_motion(imported):
     assert flu[:, 0].max() == pytest.approx(rate, rel=0.02)
 
 
-def test_log_time_of_resampled_messages_is_the_stamp_and_the_usual_delay(imported):
-    found, _, _ = imported("--resample", "10", ins=rolling_log()[0])
+def test_log_time_of_resampled_messages_is_the_stamp_and_the_usual_delay(import_texts):
+    found, _, _ = import_texts("--resample", "10", ins=rolling_log()[0])
     delays = {time_ns - ns_from_stamp(message.header.stamp) for time_ns, message in found["ins/imu"]}
     assert delays == {300_000_000}
 
 
 @pytest.mark.parametrize(("missing", "bridged"), [((20, 21), True), ((20, 21, 22), False)])
-def test_gaps_of_more_than_three_seconds_stay_gaps(imported, missing, bridged):
-    found, _, _ = imported("--resample", "10", ins=rolling_log(missing=missing)[0])
+def test_gaps_of_more_than_three_seconds_stay_gaps(import_texts, missing, bridged):
+    found, _, _ = import_texts("--resample", "10", ins=rolling_log(missing=missing)[0])
     stamps = np.array([ns_from_stamp(message.header.stamp) for _, message in found["ins/imu"]])
     in_gap = np.sum((stamps > MIDNIGHT_NS + 19_700_000_000) & (stamps < MIDNIGHT_NS + 23_700_000_000))
     # Three seconds from the sample at 19.7 s to that at 22.7 s are bridged, four to 23.7 s are not.
@@ -207,16 +207,16 @@ def test_gaps_of_more_than_three_seconds_stay_gaps(imported, missing, bridged):
     assert bridged or in_gap == 0
 
 
-def test_references_are_never_resampled(imported):
+def test_references_are_never_resampled(import_texts):
     text, times_s = rolling_log()
-    found, _, _ = imported("--resample", "10", ins=text, b=text)
+    found, _, _ = import_texts("--resample", "10", ins=text, b=text)
     assert len(found["reference/b/imu"]) == len(times_s)
 
 
-def test_pashr_with_the_day_from_the_receive_time(imported):
+def test_pashr_with_the_day_from_the_receive_time(import_texts):
     """Received just after midnight, valid just before."""
     text = line(0.1, "PASHR,235959.950,224.19,T,-01.26,+00.83,+00.10,0.101,0.113,0.267,1,0")
-    found, _, _ = imported(ins=text)
+    found, _, _ = import_texts(ins=text)
     ((log_time_ns, message),) = found["ins/imu"]
     assert ns_from_stamp(message.header.stamp) == MIDNIGHT_NS - 50_000_000
     assert log_time_ns == MIDNIGHT_NS + 100_000_000
@@ -224,23 +224,23 @@ def test_pashr_with_the_day_from_the_receive_time(imported):
 
 
 @pytest.mark.parametrize("time", ["235959", "235959.9", "235959.95", "235959.9500", "235959.950000"])
-def test_pashr_with_a_time_of_any_precision(imported, time):
+def test_pashr_with_a_time_of_any_precision(import_texts, time):
     """pynmea2 itself accepts only two or three decimals."""
-    found, _, _ = imported(ins=line(0.1, f"PASHR,{time},224.19,T,-01.26,+00.83,+00.10,0.101,0.113,0.267,1,0"))
+    found, _, _ = import_texts(ins=line(0.1, f"PASHR,{time},224.19,T,-01.26,+00.83,+00.10,0.101,0.113,0.267,1,0"))
     ((_, message),) = found["ins/imu"]
     fraction = f"0.{time.partition('.')[2] or 0}"
     assert ns_from_stamp(message.header.stamp) == MIDNIGHT_NS - 10**9 + round(float(fraction) * 10**9)
     np.testing.assert_allclose(angles_deg(message), [224.19, 0.83, -1.26], atol=1e-9)
 
 
-def test_pashr_of_a_system_that_is_not_aligned_is_no_attitude(imported, capsys):
+def test_pashr_of_a_system_that_is_not_aligned_is_no_attitude(import_texts, capsys):
     """Both last fields are 0 for NovAtel and Trimble; for other makers one of them is 0 in a valid attitude, as for an
     RT300.
     """
     good = line(0.1, "PASHR,000000.050,224.19,T,-01.26,+00.83,+00.10,0.101,0.113,0.267,1,0")
     bad = line(0.2, "PASHR,000000.150,024.19,T,-11.26,+10.83,+00.10,9.900,9.900,9.900,0,0")
     void = line(0.3, "PASHR,000000.250,224.19,T,-01.26,+00.83,+00.10,0.101,0.113,0.267,,")
-    found, _, _ = imported(ins=good + bad + void)
+    found, _, _ = import_texts(ins=good + bad + void)
     assert len(found["ins/imu"]) == 2
     assert "PASHR: no aiding, and the IMU's status is 0" in capsys.readouterr().out
 
@@ -254,60 +254,60 @@ def weeks_ago(text, weeks):
 
 
 @pytest.mark.parametrize("rollovers", [1, 2, -1])
-def test_gps_week_rollovers_are_corrected_and_reported(imported, capsys, rollovers):
+def test_gps_week_rollovers_are_corrected_and_reported(import_texts, capsys, rollovers):
     """A receiver that lost 1024 weeks: 2014 becomes 1994, as on real ships."""
-    found, _, counts = imported(ins=weeks_ago(S330, 1024 * rollovers), second=weeks_ago(S330, 1024 * rollovers))
-    expected, _, _ = imported("--force", ins=S330, second=S330)
+    found, _, counts = import_texts(ins=weeks_ago(S330, 1024 * rollovers), second=weeks_ago(S330, 1024 * rollovers))
+    expected, _, _ = import_texts("--force", ins=S330, second=S330)
     for topic in ("ins/imu", "reference/second/imu", "gnss/fix"):
         stamps = [[ns_from_stamp(message.header.stamp) for _, message in run[topic]] for run in (found, expected)]
         assert stamps[0] == stamps[1]
-    said = f"instrument time corrected by {1024 * rollovers:+d} weeks (GPS week rollover)"
-    assert counts["files"]["ins.log"]["put_right"] == {said: 1}
-    assert f"{said} 1" in capsys.readouterr().out
+    correction = f"instrument time corrected by {1024 * rollovers:+d} weeks (GPS week rollover)"
+    assert counts["files"]["ins.log"]["put_right"] == {correction: 1}
+    assert f"{correction} 1" in capsys.readouterr().out
 
 
-def test_a_single_wrong_time_rejects_only_its_attitude(imported, capsys):
+def test_a_single_wrong_time_rejects_only_its_attitude(import_texts, capsys):
     wrong = weeks_ago(S330, 3).replace("2014-08-01T00:00:00", "2014-08-01T00:00:01")
     zda = "$INZDA,000000.17,01,08,2014,,*7E"
     later = S330.replace("00:00:00", "00:00:09").replace(zda, sentence("INZDA,000009.17,01,08,2014,,"))
-    found, _, counts = imported(ins=wrong + later)
+    found, _, counts = import_texts(ins=wrong + later)
     assert len(found["ins/imu"]) == 1
     assert counts["files"]["ins.log"]["rejected"] == {"instrument time": 1}
     assert "instrument time: '2014-07-11T00:00:00Z is 21.0 days before the receive time'" in capsys.readouterr().out
 
 
-def test_a_time_of_day_far_from_the_receive_time_is_rejected(imported):
+def test_a_time_of_day_far_from_the_receive_time_is_rejected(import_texts):
     """Local time instead of UTC: an offset of one hour, in PASHR and GGA."""
     good = "PASHR,000000.050,224.19,T,-01.26,+00.83,+00.10,0.101,0.113,0.267,1,0"
     gga = "GPGGA,{},2200.112071,S,01756.360200,W,1,10,0.9,1.04,M,,M,,"
     text = line(0.1, good) + line(0.2, gga.format("000000.10")) + line(0.3, gga.format("010000.20"))
     text += line(1.1, good.replace("000000.050", "010001.050"))
-    found, _, counts = imported(ins=text)
+    found, _, counts = import_texts(ins=text)
     assert [len(found[topic]) for topic in ("ins/imu", "gnss/fix")] == [1, 1]
     assert counts["files"]["ins.log"]["rejected"] == {"instrument time": 2}
-    found, _, counts = imported("--time", "receive", "--force", ins=text)
+    found, _, counts = import_texts("--time", "receive", "--force", ins=text)
     assert [len(found[topic]) for topic in ("ins/imu", "gnss/fix")] == [2, 2]
 
 
 @pytest.mark.parametrize("late", [1, -1], ids=["before", "after"])
-def test_a_minute_off_the_receive_time_may_be_a_delay_and_more_is_wrong(imported, late):
+def test_a_minute_off_the_receive_time_may_be_a_delay_and_more_is_wrong(import_texts, late):
     body = "PASHR,12{}.000,224.19,T,-01.26,+00.83,+00.10,0.101,0.113,0.267,1,0"
     for off_s, rejected in ((59, {}), (61, {"instrument time": 1})):
         text = line(12 * 3600 + 1800, body.format("3000"))
         text += line(12 * 3600 + 1860 + late * off_s, body.format("3100"))
-        found, _, counts = imported("--force", ins=text)
+        found, _, counts = import_texts("--force", ins=text)
         assert len(found["ins/imu"]) == 2 - len(rejected)
         assert counts["files"]["ins.log"]["rejected"] == rejected
 
 
-def test_a_log_without_attitude_gives_only_the_fix(imported, capsys):
+def test_a_log_without_attitude_gives_only_the_fix(import_texts, capsys):
     positions = "".join(line for line in S330.splitlines(keepends=True) if "GGA" in line)
-    found, _, _ = imported("--resample", "20", ins=positions + GYR1)
+    found, _, _ = import_texts("--resample", "20", ins=positions + GYR1)
     assert set(found) == {"gnss/fix"}
     assert "no attitude in it: gnss/fix only" in capsys.readouterr().out
 
 
-def test_unusable_lines_are_counted_and_shown(imported, capsys):
+def test_unusable_lines_are_counted_and_shown(import_texts, capsys):
     bad = [
         "no time at all",
         "2014-08-01T00:00:01.000000Z $PSXN",
@@ -317,7 +317,7 @@ def test_unusable_lines_are_counted_and_shown(imported, capsys):
         "2014-08-01T00:00:02.000000Z " + sentence("PSXN,23,0.35,-1.74,218.27,0.58"),  # no ZDA opened its burst
         "\x00\xff binary",
     ]
-    found, _, counts = imported(ins=S330 + "\n".join(bad) + "\n")
+    found, _, counts = import_texts(ins=S330 + "\n".join(bad) + "\n")
     assert len(found["ins/imu"]) == 1
     assert counts["files"]["ins.log"]["rejected"] == {
         "attitude without ZDA": 1,
@@ -332,12 +332,12 @@ def test_unusable_lines_are_counted_and_shown(imported, capsys):
     assert "ins.log:9: no receive time: 'no time at all'" in printed
 
 
-def test_attitudes_marked_invalid_by_the_seapath(imported):
+def test_attitudes_marked_invalid_by_the_seapath(import_texts):
     invalid = S330.replace("$PSXN,20,1,0,0,0*3A", sentence("PSXN,20,1,0,0,2"))
     later = invalid.replace("2014-08-01T00:00:00", "2014-08-01T00:00:05").replace(
         "$INZDA,000000.17,01,08,2014,,*7E", sentence("INZDA,000005.17,01,08,2014,,")
     )
-    found, _, counts = imported(ins=S330 + later)
+    found, _, counts = import_texts(ins=S330 + later)
     assert len(found["ins/imu"]) == 1
     assert counts["files"]["ins.log"]["rejected"] == {"invalid by PSXN,20": 1}
 
@@ -393,12 +393,12 @@ def test_bad_input_is_one_line_and_two(tmp_path, capsys, options, text, complain
     assert not (tmp_path / "out.mcap").exists()
 
 
-def test_heading_passes_through_north(imported):
+def test_heading_passes_through_north(import_texts):
     """The spline takes the short way from 359° to 1°."""
     times_s = np.arange(20) + 0.5
     headings = (355.0 + times_s) % 360.0
     angles = np.column_stack([np.zeros(20), np.zeros(20), headings])
-    found, _, _ = imported("--resample", "10", ins=seapath(times_s, angles))
+    found, _, _ = import_texts("--resample", "10", ins=seapath(times_s, angles))
     for _, message in found["ins/imu"]:
         time_s = (ns_from_stamp(message.header.stamp) - MIDNIGHT_NS) * 1e-9
         expected = rotation_from_angles(np.deg2rad(355.0 + time_s), 0.0, 0.0)
@@ -409,11 +409,13 @@ def test_heading_passes_through_north(imported):
         assert message.angular_velocity.z == pytest.approx(-np.deg2rad(1.0), rel=1e-6)
 
 
-def test_weather_by_mda_and_xdr(imported):
+def test_weather_by_mda_and_xdr(import_texts):
     """MDA: the example in pynmea2's source, of an Airmar PB150; XDR: as in the manual of Vaisala's WXT520."""
     mda = "WIMDA,30.2269,I,1.0236,B,17.7,C,,,43.3,,5.0,C,131.5,T,128.6,M,0.8,N,0.4,M"
     xdr = "WIXDR,C,23.3,C,0,H,50.1,P,0,P,1009.5,H,0"
-    found, _, _ = imported(ins=S330, weather=line(0.0, mda) + line(1.0, xdr) + line(2.0, "WIXDR,P,1.0095,B,0,U,24,V,1"))
+    found, _, _ = import_texts(
+        ins=S330, weather=line(0.0, mda) + line(1.0, xdr) + line(2.0, "WIXDR,P,1.0095,B,0,U,24,V,1")
+    )
     assert [message.temperature for _, message in found["met/temperature"]] == [17.7, 23.3]
     humidity = [message.relative_humidity for _, message in found["met/humidity"]]
     assert humidity == pytest.approx([0.433, 0.501])
@@ -421,27 +423,27 @@ def test_weather_by_mda_and_xdr(imported):
     assert pressure_pa == pytest.approx([102_360.0, 100_950.0, 100_950.0])
 
 
-def test_several_transducers_of_a_kind_are_not_used(imported, capsys):
+def test_several_transducers_of_a_kind_are_not_used(import_texts, capsys):
     """Airmar's weather stations send two wind chills as C; from the first such line on neither is used."""
     chills = "YXXDR,C,28.7,C,WCHR,C,28.6,C,WCHT,P,1.0149,B,STNP"
-    found, _, counts = imported(ins=S330, weather=line(0.0, chills) + line(1.0, "YXXDR,C,20.0,C,WCHR"))
+    found, _, counts = import_texts(ins=S330, weather=line(0.0, chills) + line(1.0, "YXXDR,C,20.0,C,WCHR"))
     assert "met/temperature" not in found
     assert len(found["met/pressure"]) == 1
     assert counts["files"]["weather.log"]["rejected"] == {"several transducers": 2}
     assert "temperature of WCHR, WCHT: list the one of the air in transducers" in capsys.readouterr().out
 
 
-def test_heading_with_its_status(imported):
+def test_heading_with_its_status(import_texts):
     """THS (IEC 61162-1): mode A is used, V and others are not, nor HDT of the same instrument."""
     gyro = line(0.0, "HETHS,218.53,A") + line(1.0, "HETHS,218.60,V") + line(1.5, "HETHS,,V") + line(2.0, "HEHDT,10.0,T")
-    found, _, counts = imported(ins=S330, gyro=gyro)
+    found, _, counts = import_texts(ins=S330, gyro=gyro)
     ((_, message),) = found["reference/gyro/imu"]
     np.testing.assert_allclose(angles_deg(message), [218.53, 0.0, 0.0], atol=1e-9)
     assert counts["files"]["gyro.log"]["rejected"] == {"THS not in mode A": 2}
 
 
 @pytest.mark.parametrize("text", ["nan", "NaN", "inf", "sNaN"])
-def test_an_invalid_number_is_no_heading(imported, text):
-    found, _, counts = imported(ins=S330, gyro=GYR1 + line(1.0, f"HEHDT,{text},T"))
+def test_an_invalid_number_is_no_heading(import_texts, text):
+    found, _, counts = import_texts(ins=S330, gyro=GYR1 + line(1.0, f"HEHDT,{text},T"))
     assert len(found["reference/gyro/imu"]) == 1
     assert counts["files"]["gyro.log"]["rejected"] == {"unparsed": 1}

@@ -24,7 +24,7 @@ START_NS = datetime_ns(START)
 POSITION = "4712.3456,N,01020.5000,W"
 
 
-def received(time_s, text):
+def line_received_at(time_s, text):
     return f"{START + timedelta(seconds=time_s):%Y-%m-%dT%H:%M:%S.%f}Z {text}\n"
 
 
@@ -53,7 +53,7 @@ def pashr(time_s):
 
 
 @pytest.fixture
-def imported(tmp_path, capsys):
+def import_logs(tmp_path, capsys):
     """Import logs; return topic → messages, and the printed text."""
 
     def run(*options, **logs):
@@ -102,7 +102,7 @@ def assert_stamped_when_measured(messages, count):
 )  # fmt: skip
 def test_complete_sentences_without_checksum_are_used_only_on_request(text):
     def is_used(line, needs_checksum):
-        return any(isinstance(heard.result, Sentence) for heard in parse_line(line.encode(), needs_checksum))
+        return any(isinstance(parsed.result, Sentence) for parsed in parse_line(line.encode(), needs_checksum))
 
     assert is_used(text, needs_checksum=False)
     assert not is_used(text, needs_checksum=True)
@@ -111,14 +111,14 @@ def test_complete_sentences_without_checksum_are_used_only_on_request(text):
     assert [end for end in range(1, len(with_checksum)) if is_used(with_checksum[:end], needs_checksum=True)] == []
 
 
-def test_a_log_without_checksums_is_refused_by_default(imported, tmp_path, capsys):
-    text = "".join(received(time_s + 0.1, pashr(time_s).partition("*")[0]) for time_s in range(5))
+def test_a_log_without_checksums_is_refused_by_default(import_logs, tmp_path, capsys):
+    text = "".join(line_received_at(time_s + 0.1, pashr(time_s).partition("*")[0]) for time_s in range(5))
     (tmp_path / "ins.log").write_text(text)
     assert main(["--ins", str(tmp_path / "ins.log"), "--out", str(tmp_path / "out.mcap")]) == 2
     (error,) = capsys.readouterr().err.splitlines()
     assert "half line or no checksum" in error
     assert "--checksum optional" in error
-    found, _ = imported("--checksum", "optional", ins=text)
+    found, _ = import_logs("--checksum", "optional", ins=text)
     assert_stamped_when_measured(found["ins/imu"], 5)
 
 
@@ -127,7 +127,9 @@ def test_a_log_without_checksums_is_refused_by_default(imported, tmp_path, capsy
 
 def burst(time_s, *lines_after):
     """Return the lines of a burst: (seconds after its time, sentence)."""
-    return "".join(received(time_s + after_s, text) for after_s, text in sorted(lines_after, key=lambda line: line[0]))
+    return "".join(
+        line_received_at(time_s + after_s, text) for after_s, text in sorted(lines_after, key=lambda line: line[0])
+    )
 
 
 LAYOUTS = {
@@ -143,44 +145,46 @@ LAYOUTS = {
 
 @pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS)
 @pytest.mark.parametrize("role", ["ins", "reference"])
-def test_an_attitude_has_the_time_of_its_own_burst(imported, tmp_path, layout, role):
+def test_an_attitude_has_the_time_of_its_own_burst(import_logs, tmp_path, layout, role):
     text = "".join(burst(time_s, *layout(time_s)) for time_s in range(20))
     if role == "ins":
-        found, _ = imported(ins=text)
+        found, _ = import_logs(ins=text)
         assert_stamped_when_measured(found["ins/imu"], 20)
     else:
         (tmp_path / "second.log").write_text(text)
-        found, _ = imported("--reference", f"second={tmp_path / 'second.log'}", ins=text)
+        found, _ = import_logs("--reference", f"second={tmp_path / 'second.log'}", ins=text)
         assert_stamped_when_measured(found["reference/second/imu"], 20)
 
 
 @pytest.mark.parametrize("layout", ["zda first", "zda last", "zda last, with gga"])
-def test_an_attitude_whose_own_zda_was_lost_is_not_stamped_by_another(imported, layout):
+def test_an_attitude_whose_own_zda_was_lost_is_not_stamped_by_another(import_logs, layout):
     lines = [LAYOUTS[layout](time_s) for time_s in range(30)]
     lines = [
         [line for line in each if number not in (7, 8, 19) or "ZDA" not in line[1]] for number, each in enumerate(lines)
     ]
-    found, printed = imported(ins="".join(burst(time_s, *each) for time_s, each in enumerate(lines)))
+    found, printed = import_logs(ins="".join(burst(time_s, *each) for time_s, each in enumerate(lines)))
     assert_stamped_when_measured(found["ins/imu"], 27)
     assert "attitude without ZDA 3; 3 of 30 attitudes have no ZDA of their own: --time receive" in printed
 
 
 @pytest.mark.parametrize("zda_after_s", [-0.005, 0.005])
 @pytest.mark.parametrize("first_s", [0.0, 0.4, 0.9])
-def test_one_of_ten_attitudes_per_zda_has_its_time(imported, zda_after_s, first_s):
+def test_one_of_ten_attitudes_per_zda_has_its_time(import_logs, zda_after_s, first_s):
     """The log begins at any fraction of a second; the attitude of a whole second is next to its ZDA."""
     lines = [(time_s + 0.05, psxn(time_s)) for time_s in np.arange(300) / 10.0 + first_s]
     lines += [(time_s + 0.05 + zda_after_s, zda(time_s)) for time_s in range(31)]
     lines = [line for line in lines if line[0] >= first_s]
-    found, printed = imported(ins="".join(received(*line) for line in sorted(lines, key=lambda line: line[0])))
+    found, printed = import_logs(
+        ins="".join(line_received_at(*line) for line in sorted(lines, key=lambda line: line[0]))
+    )
     assert_stamped_when_measured(found["ins/imu"], 30)
     assert "270 of 300 attitudes have no ZDA of their own: --time receive" in printed
 
 
 @pytest.mark.parametrize("offset_s", [18.0, -18.0, 0.2, -6.0])
-def test_a_clock_that_is_ahead_or_behind_is_reported(imported, offset_s):
-    text = "".join(received(time_s, pashr(time_s + offset_s)) for time_s in range(20))
-    _, printed = imported(ins=text)
+def test_a_clock_that_is_ahead_or_behind_is_reported(import_logs, offset_s):
+    text = "".join(line_received_at(time_s, pashr(time_s + offset_s)) for time_s in range(20))
+    _, printed = import_logs(ins=text)
     side = "ahead of" if offset_s > 0.0 else "behind"
     assert f"its clock is {abs(offset_s):.3g} s {side} the receive times" in printed
     assert ("GPS time for UTC" in printed) == (abs(offset_s) == 18.0)
@@ -192,27 +196,29 @@ def test_a_clock_that_is_ahead_or_behind_is_reported(imported, offset_s):
     [("", 0), ("Z", 0), ("+00:00", 0), ("+02:00", 2), ("-0500", -5), ("+05:30", 5.5), ("+02", 2)],
 )
 @pytest.mark.parametrize("fraction", ["", ".5", ",500", ".500000", ".500000000"])
-def test_the_utc_offset_of_a_receive_time(imported, offset, hours, fraction):
-    moments = [START + timedelta(hours=hours, seconds=time_s) for time_s in range(3)]
-    text = "".join(f"{moment:%Y-%m-%dT%H:%M:%S}{fraction}{offset} {psxn(0)}\n" for moment in moments)
-    found, _ = imported("--time", "receive", ins=text)
+def test_the_utc_offset_of_a_receive_time(import_logs, offset, hours, fraction):
+    times = [START + timedelta(hours=hours, seconds=time_s) for time_s in range(3)]
+    text = "".join(f"{time:%Y-%m-%dT%H:%M:%S}{fraction}{offset} {psxn(0)}\n" for time in times)
+    found, _ = import_logs("--time", "receive", ins=text)
     assert stamps_s(found["ins/imu"]) == [time_s + (0.5 if fraction else 0.0) for time_s in range(3)]
 
 
 @pytest.mark.parametrize("odd", ["+02:00Z", ".5000000001", ".500000000x", "+2:00", "+25:00", " +02:00", "z", "-"])
-def test_an_invalid_receive_time_is_rejected(imported, odd):
-    text = received(0.0, psxn(0)) + f"2026-05-04T22:10:01{odd} {psxn(1)}\n"
-    found, printed = imported("--time", "receive", ins=text)
+def test_an_invalid_receive_time_is_rejected(import_logs, odd):
+    text = line_received_at(0.0, psxn(0)) + f"2026-05-04T22:10:01{odd} {psxn(1)}\n"
+    found, printed = import_logs("--time", "receive", ins=text)
     assert len(found["ins/imu"]) == 1
     assert "no receive time 1" in printed or "half line or no checksum 1" in printed or "unparsed 1" in printed
 
 
-def test_tag_blocks_and_ais_in_a_log(imported):
+def test_tag_blocks_and_ais_in_a_log(import_logs):
     block, ais = "\\s:SN0001,c:1777932600*28\\", "!AIVDM,1,1,,B,15MgK45P3@G?fl0E`JbR0OwT0@MS,0*4E"
     lines = [(t + after_s, text) for t in range(5) for after_s, text in LAYOUTS["zda first"](t)]
-    plain, _ = imported(ins="".join(received(*line) for line in lines))
-    tagged, printed = imported(
-        ins="".join(received(time_s, f"{block}{text}") + received(time_s, ais) for time_s, text in lines)
+    plain, _ = import_logs(ins="".join(line_received_at(*line) for line in lines))
+    tagged, printed = import_logs(
+        ins="".join(
+            line_received_at(time_s, f"{block}{text}") + line_received_at(time_s, ais) for time_s, text in lines
+        )
     )
     assert "not of interest !AIVDM 15" in printed
     for topic in ("ins/imu", "gnss/fix"):
@@ -227,15 +233,15 @@ def test_tag_blocks_and_ais_in_a_log(imported):
     ("quality", "status"),
     [(0, -1), (1, 0), (2, 1), (3, 0), (4, 2), (5, 2), (6, -1), (7, -1), (8, -1), (9, -1), ("", -1), (12, -1)],
 )
-def test_the_quality_of_a_position(imported, quality, status):
-    found, _ = imported(ins=received(0.1, gga(0, quality=quality)))
+def test_the_quality_of_a_position(import_logs, quality, status):
+    found, _ = import_logs(ins=line_received_at(0.1, gga(0, quality=quality)))
     ((_, fix),) = found["gnss/fix"]
     assert fix.status.status == status
     assert np.isnan(fix.latitude) == (status == -1)
 
 
-def test_quality_nine_is_a_fix_on_request(imported):
-    found, _ = imported("--quality-9-is-fix", ins=received(0.1, gga(0, quality=9)))
+def test_quality_nine_is_a_fix_on_request(import_logs):
+    found, _ = import_logs("--quality-9-is-fix", ins=line_received_at(0.1, gga(0, quality=9)))
     assert found["gnss/fix"][0][1].status.status == 1
 
 
@@ -253,44 +259,47 @@ def test_quality_nine_is_a_fix_on_request(imported):
         ("-4712.3456,N,01020.5000,W", "unparsed"),
     ],
 )
-def test_an_invalid_position_is_rejected_with_the_reason(imported, position, problem):
-    found, printed = imported(ins=received(0.1, gga(0)) + received(1.1, gga(1, position=position)))
+def test_an_invalid_position_is_rejected_with_the_reason(import_logs, position, problem):
+    found, printed = import_logs(ins=line_received_at(0.1, gga(0)) + line_received_at(1.1, gga(1, position=position)))
     assert stamps_s(found["gnss/fix"]) == [0.0]
     assert problem in printed
 
 
-def test_a_receiver_without_a_position_reports_no_fix(imported):
-    found, _ = imported(ins=received(0.1, gga(0, position=",,,", quality=0)))
+def test_a_receiver_without_a_position_reports_no_fix(import_logs):
+    found, _ = import_logs(ins=line_received_at(0.1, gga(0, position=",,,", quality=0)))
     assert found["gnss/fix"][0][1].status.status == -1
 
 
 # -- several instruments in one log ---------------------------------------------------------------------------
 
 
-def test_two_receivers_in_one_log_are_named_and_one_can_be_chosen(imported):
+def test_two_receivers_in_one_log_are_named_and_one_can_be_chosen(import_logs):
     """A difference of a tenth of a minute of latitude, 185 m."""
     other = POSITION.replace("4712.3456", "4712.4456")
     text = "".join(
-        received(t + 0.1, gga(t)) + received(t + 0.2, gga(t, "GN", other)) + received(t + 0.3, pashr(t))
+        line_received_at(t + 0.1, gga(t))
+        + line_received_at(t + 0.2, gga(t, "GN", other))
+        + line_received_at(t + 0.3, pashr(t))
         for t in range(9)
     )
-    found, printed = imported(ins=text)
+    found, printed = import_logs(ins=text)
     assert "GGA of several talkers (GN 9, GP 9), up to 185 m apart: choose one with --talker" in printed
-    found, printed = imported("--talker", "GN", ins=text)
+    found, printed = import_logs("--talker", "GN", ins=text)
     assert [message.latitude for _, message in found["gnss/fix"]] == pytest.approx(9 * [47 + 12.4456 / 60])
     assert len(found["ins/imu"]) == 9
     assert "several talkers" not in printed
     assert "talker GP 9" in printed
 
 
-def test_two_compasses_that_contradict_each_other_are_named(imported):
-    ins = "".join(received(t + 0.1, pashr(t)) for t in range(9))
+def test_two_compasses_that_contradict_each_other_are_named(import_logs):
+    ins = "".join(line_received_at(t + 0.1, pashr(t)) for t in range(9))
     gyro = "".join(
-        received(t, sentence("HEHDT,350.0,T")) + received(t + 0.4, sentence("GPHDT,175.0,T")) for t in range(9)
+        line_received_at(t, sentence("HEHDT,350.0,T")) + line_received_at(t + 0.4, sentence("GPHDT,175.0,T"))
+        for t in range(9)
     )
-    _, printed = imported(ins=ins, gyro=gyro)
+    _, printed = import_logs(ins=ins, gyro=gyro)
     assert "HDT of several talkers (GP 9, HE 9), up to 175.0° apart: choose one with --talker" in printed
-    found, printed = imported("--talker", "HE", ins=ins, gyro=gyro)
+    found, printed = import_logs("--talker", "HE", ins=ins, gyro=gyro)
     assert len(found["reference/gyro/imu"]) == 9
     assert "several talkers" not in printed
 
@@ -301,7 +310,7 @@ def test_a_talker_is_two_capital_letters(tmp_path, capsys, talker):
     assert f"--talker {talker}: expected two capital letters" in capsys.readouterr().err
 
 
-def test_bursts_of_random_layouts_never_get_the_time_of_another_burst(imported):
+def test_bursts_of_random_layouts_never_get_the_time_of_another_burst(import_logs):
     """Sentences of a burst in any order, randomly lost, within 0.45 s, on a clock that is up to 0.3 s late."""
     rng = np.random.default_rng(16)
     for trial in range(20):
@@ -313,6 +322,6 @@ def test_bursts_of_random_layouts_never_get_the_time_of_another_burst(imported):
             if rng.random() > 0.1
         ]
         lines.sort(key=lambda line: line[0])
-        found, _ = imported(ins="".join(received(*line) for line in lines))
+        found, _ = import_logs(ins="".join(line_received_at(*line) for line in lines))
         assert len(found.get("ins/imu", [])) > 10, (trial, places_s)
         assert_stamped_when_measured(found["ins/imu"], len(found["ins/imu"]))

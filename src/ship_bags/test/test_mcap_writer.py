@@ -99,7 +99,7 @@ def test_no_chunk_has_more_than_one_second(tmp_path: Path) -> None:
 
 
 def test_a_clock_step_back_begins_a_new_chunk(tmp_path: Path) -> None:
-    """So no chunk spans the hour between: reading in order of time keeps one chunk in memory."""
+    """No chunk spans the hour between the two times: reading in order of time keeps one chunk in memory."""
     times = [10**18 + number * 10_000_000 for number in range(150)]
     earlier = [time_ns - 3600 * SECOND_NS for time_ns in times]
     data = write_bag(tmp_path, [(time_ns, 10) for time_ns in times + earlier])

@@ -45,22 +45,22 @@ def contents(path):
 
 
 @pytest.fixture(params=CONVERSIONS)
-def converted(request, plain, tmp_path):
+def converted_bag(request, plain, tmp_path):
     """Convert it to another storage with the tool of the library that reads it."""
     command = ["rosbags-convert", "--src", plain, "--dst", tmp_path / "other", *CONVERSIONS[request.param]]
     subprocess.run(list(map(str, command)), check=True, capture_output=True)
     return tmp_path / "other"
 
 
-def test_other_storages_are_read_the_same(plain, converted, capsys):
-    assert contents(converted) == contents(plain)
-    with read_bag(converted) as bag:
+def test_other_storages_are_read_the_same(plain, converted_bag, capsys):
+    assert contents(converted_bag) == contents(plain)
+    with read_bag(converted_bag) as bag:
         since_ns = START_NS + 40 * PERIOD_NS
         assert next(bag.records({"/ins/imu"}, since_ns)).log_time_ns == since_ns
         last = bag.last_before("/ins/imu", START_NS + 10 * PERIOD_NS)
         assert last.log_time_ns == START_NS + 9 * PERIOD_NS
         assert last.decode().header.frame_id == "ins"
-    assert info([str(converted)]) == 0
+    assert info([str(converted_bag)]) == 0
     assert "/ins/imu" in capsys.readouterr().out
 
 
@@ -129,13 +129,13 @@ def test_an_unreadable_definition_affects_only_its_topic(tmp_path, text):
 def test_windows_line_ends_in_a_definition_are_read(tmp_path):
     text = definition(IMU).replace("\n", "\r\n")
     bag = write_bag(tmp_path / "a.mcap", {"/ins/imu": (IMU, text, serialize(imu(START_NS)))})
-    with read_bag(bag) as opened:
-        assert [record.decode().header.frame_id for record in opened.records()] == ["ins"] * 3
-        assert opened.differences == {}
+    with read_bag(bag) as content:
+        assert [record.decode().header.frame_id for record in content.records()] == ["ins"] * 3
+        assert content.differences == {}
 
 
 def test_xcdr2_is_read_if_the_padding_is_the_same(tmp_path):
     data = bytes(serialize(imu(START_NS)))
     bag = write_bag(tmp_path / "a.mcap", {"/ins/imu": (IMU, definition(IMU), b"\0\7" + data[2:])})
-    with read_bag(bag) as opened:
-        assert [bytes(record.data) for record in opened.records()] == [data] * 3
+    with read_bag(bag) as content:
+        assert [bytes(record.data) for record in content.records()] == [data] * 3

@@ -13,7 +13,7 @@ from ship_bags.parameter_yaml import ParameterFile, merge_sections, read_nested_
 from ship_geometry.input_error import InputError
 
 
-def whole(source: Path | str) -> ParameterFile:
+def read_merged(source: Path | str) -> ParameterFile:
     """Return all sections of a file as one."""
     return merge_sections(*read_sections(source))
 
@@ -22,17 +22,17 @@ def test_file_and_text_give_the_same(tmp_path):
     text = "ship:\n  ros__parameters:\n    gate: {probability: 0.9}\n"
     path = tmp_path / "suite.yaml"
     path.write_text(text)
-    assert whole(path).values == whole(text).values == {"gate": {"probability": 0.9}}
+    assert read_merged(path).values == read_merged(text).values == {"gate": {"probability": 0.9}}
 
 
 def test_a_text_is_never_used_as_a_path(tmp_path):
     """An attachment without a line break was once read as a file name, and lines of that file were shown."""
     (tmp_path / "secret").write_text("root: $6$hash\n")
     with pytest.raises(BadInput) as caught:
-        whole(str(tmp_path / "secret"))
+        read_merged(str(tmp_path / "secret"))
     assert "configuration:1: the file: expected 'name: value' entries" in str(caught.value)
     assert "hash" not in str(caught.value)
-    assert whole("ship: {ros__parameters: {a: 1}}").values == {"a": 1}
+    assert read_merged("ship: {ros__parameters: {a: 1}}").values == {"a": 1}
 
 
 _SECTION = "  ship_attitude:\n    ros__parameters: {a: 1}\n"
@@ -97,7 +97,7 @@ def test_a_file_is_refused_where_rcl_refuses_it(tmp_path, text, complaint):
 )
 def test_endless_expansion_is_refused_in_one_line(text, complaint):
     with pytest.raises(BadInput) as caught:
-        whole(text)
+        read_merged(text)
     assert complaint in str(caught.value)
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 200
@@ -105,7 +105,7 @@ def test_endless_expansion_is_refused_in_one_line(text, complaint):
 
 def test_middlewares_own_parameters_are_left_out_but_have_a_line():
     text = "ship:\n  ros__parameters:\n    use_sim_time: true\n    lag_s: 1.0\n    qos_overrides: {/a: {depth: 5}}\n"
-    file = whole(text)
+    file = read_merged(text)
     assert file.values == {"lag_s": 1.0}
     assert file.line_of("qos_overrides./a.subscription") == 5
 
@@ -130,12 +130,12 @@ def test_middlewares_own_parameters_are_left_out_but_have_a_line():
     ],
 )
 def test_values_are_read_as_ros_reads_them(written, value):
-    got = whole(f"ship:\n  ros__parameters: {{x: {written}}}\n").values["x"]
+    got = read_merged(f"ship:\n  ros__parameters: {{x: {written}}}\n").values["x"]
     assert (got, type(got)) == (value, type(value))
 
 
 def test_not_a_number_is_a_number():
-    assert math.isnan(whole("ship:\n  ros__parameters: {x: .nan}\n").values["x"])
+    assert math.isnan(read_merged("ship:\n  ros__parameters: {x: .nan}\n").values["x"])
 
 
 @pytest.mark.parametrize(
@@ -157,7 +157,7 @@ def test_bad_files_are_refused_with_name_and_line(tmp_path, body, line, text):
     path = tmp_path / "suite.yaml"
     path.write_text(f"ship:\n  ros__parameters:\n{body}")
     with pytest.raises(BadInput) as caught:
-        whole(path)
+        read_merged(path)
     assert str(caught.value).startswith(f"{path}:{line}: {text}")
     assert "\n" not in str(caught.value)
 
@@ -178,7 +178,7 @@ def test_bad_files_are_refused_with_name_and_line(tmp_path, body, line, text):
 )
 def test_invalid_parameter_files(text, complaint):
     with pytest.raises(BadInput, match="configuration") as caught:
-        whole(text)
+        read_merged(text)
     assert complaint in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -189,10 +189,10 @@ def test_contradicting_sections(tmp_path):
         with pytest.raises(BadInput, match="cannot be read: it is a pipe, a device or a socket: expected a file"):
             read_nested_parameters(path)
     with pytest.raises(BadInput, match=r"absent\.yaml: cannot be read: No such file"):
-        whole(tmp_path / "absent.yaml")
+        read_merged(tmp_path / "absent.yaml")
     (tmp_path / "bag.mcap").write_bytes(b"\x89MCAP\xff\x00")
     with pytest.raises(BadInput, match=r"bag\.mcap: is not a text file"):
-        whole(tmp_path / "bag.mcap")
+        read_merged(tmp_path / "bag.mcap")
 
 
 def test_parameter_file_round_trip():

@@ -70,21 +70,21 @@ def test_each_loop_is_one_clean_reset_of_a_node(domain, tmp_path):
     (tmp_path / "suite.yaml").write_text(SUITE)
     node = domain.start("ship_attitude_star", "ship_attitude", "--ros-args", "--params-file", tmp_path / "suite.yaml")
     attitudes = domain.listen("ship/attitude", ShipAttitude)
-    told = domain.listen("/diagnostics", DiagnosticArray)
+    received = domain.listen("/diagnostics", DiagnosticArray)
     assert domain.graph.wait_for(publishers={"/ship/attitude": 1}, unless=lambda: node.exit_code is not None)
     player = domain.play(bag, "--loop", "3", "--wait-for-subscribers", "ins/imu", "/clock")
     assert player.exit_code == 0, player.log_text()
 
-    def counted():
+    def clock_jumps():
         return [
             value.value
-            for array in told
+            for array in received
             for status in array.status
             for value in status.values
             if value.key == "clock jumps back"
         ]
 
-    assert domain.graph.spin_until(lambda: "2" in counted())
+    assert domain.graph.spin_until(lambda: "2" in clock_jumps())
     # Between the jump and the first sample the node publishes INVALID.
     attitudes = [message for message in attitudes if message.status != ShipAttitude.INVALID]
     stamps = [message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in attitudes]
@@ -104,7 +104,7 @@ def test_each_loop_is_one_clean_reset_of_a_node(domain, tmp_path):
     # No third reset comes afterwards.
     time.sleep(1.2)
     domain.graph.spin_until(lambda: False, 0.3)
-    assert set(counted()) <= {"0", "1", "2"}
+    assert set(clock_jumps()) <= {"0", "1", "2"}
 
 
 def test_a_start_offset_keeps_earlier_latched_messages(domain, tmp_path):
@@ -189,8 +189,8 @@ def test_keys_on_a_terminal_step_speed_up_and_pause(domain, tmp_path):
     options = ("--paused", "--rate", "0.001", "--wait-for-subscribers", "ins/imu", "/clock")
     command = [*executable("ship_bags", "play"), write_imu_bag(tmp_path / "in.mcap", count=100), *options]
 
-    def stands():
-        """Whether the clock was said anew and did not move."""
+    def is_clock_stopped():
+        """Return True if the clock was published again with the same time."""
         seen = len(times)
         assert domain.graph.spin_until(lambda: len(times) >= seen + 3)
         return times[-1].clock == times[-3].clock
@@ -200,14 +200,14 @@ def test_keys_on_a_terminal_step_speed_up_and_pause(domain, tmp_path):
         assert domain.graph.spin_until(lambda: not termios.tcgetattr(terminal)[3] & termios.ICANON)
         os.write(keys, b"sxs")
         assert domain.graph.spin_until(lambda: len(samples) == 2)
-        assert domain.graph.spin_until(stands)
+        assert domain.graph.spin_until(is_clock_stopped)
         assert len(samples) == 2
         os.write(keys, b" " + 8 * b"+")
         assert domain.graph.spin_until(lambda: len(samples) > 10)
         os.write(keys, b" ")
-        assert domain.graph.spin_until(stands)
+        assert domain.graph.spin_until(is_clock_stopped)
         reached = len(samples)
-        assert domain.graph.spin_until(stands)
+        assert domain.graph.spin_until(is_clock_stopped)
         assert len(samples) == reached < 100
         os.write(keys, 4 * b"+" + b" ")
         assert domain.graph.spin_until(lambda: process.poll() is not None)

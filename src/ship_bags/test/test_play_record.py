@@ -149,7 +149,7 @@ def test_a_thousand_messages_at_ten_times_100_hz_arrive_unchanged(live, tmp_path
     assert problems == []
     for topic in ("ins/imu", "truth/imu"):
         assert [data for _, data in got[topic]] == [data for _, data in sent[topic]], topic
-    # Log time is the bag's time, not the wall's.
+    # Log time is the bag's time, not that of the computer.
     assert all(START_NS - 10**9 < time_ns < START_NS + 20 * 10**9 for time_ns, _ in got["ins/imu"])
     assert "/ins/imu: 1000 messages\n" in recorder.log_text()
     assert "1100 messages in" in recorder.log_text()
@@ -176,7 +176,7 @@ def test_a_recording_carries_what_rosbag2_reads(live, tmp_path):
     info = live.node.get_publishers_info_by_topic("/rosout")
     assert channel.metadata["topic_type_hash"].startswith("RIHS01_")
     assert info == [] or str(info[0].topic_type_hash).startswith("RIHS01_")
-    # The publisher's time is the wall's, within the life of this machine's test run.
+    # The publisher's time is that of the computer, within the duration of this test run.
     assert all(abs(row[2].publish_time - time.time_ns()) < 600 * 10**9 for row in rows)
 
 
@@ -196,7 +196,7 @@ def test_a_latched_message_from_before_is_recorded_and_played_latched(live, tmp_
     with read_bag(tmp_path / "out.mcap") as bag:
         assert bag.latched_topics == {"/calibration"}
 
-    # Endless, so that the player is still there for the one who comes late.
+    # Endless, so that the player still runs for the late subscriber.
     player = live.start(*PLAY, str(tmp_path / "out.mcap"), "--loop", "0", "--wait-timeout", "0")
     assert live.observer.wait_for(publishers={"/calibration": 1})
     received = []
@@ -247,7 +247,7 @@ def test_with_ticks_left_out_the_clock_is_not_late(tmp_path, stride):
 
 
 def test_a_year_at_a_huge_rate_is_played_immediately(live, tmp_path):
-    """With all ticks, years of /clock would precede the first message, and three billion ticks follow it."""
+    """Ticks of the whole year are left out: three billion of them would follow the first messages."""
     from rosgraph_msgs.msg import Clock
     from sensor_msgs.msg import Imu
 
@@ -259,8 +259,8 @@ def test_a_year_at_a_huge_rate_is_played_immediately(live, tmp_path):
     times, messages = [], []
     subscribe(live, "/clock", Clock, times)
     subscribe(live, "ins/imu", Imu, messages)
-    said = live.play(tmp_path / "in.mcap", "--rate", "1e9")
-    assert "play: 3 messages" in said
+    printed = live.play(tmp_path / "in.mcap", "--rate", "1e9")
+    assert "play: 3 messages" in printed
     assert live.observer.spin_until(lambda: len(messages) == 3)
     assert live.observer.spin_until(lambda: ns(times[-1]) >= START_NS + year_ns)
     assert START_NS - 61 * 10**9 < ns(times[0]) < START_NS
@@ -276,9 +276,9 @@ def test_topics_without_subscribers_are_reported_and_not_waited_for(live, tmp_pa
                 bag.write(topic, imu(factory, number), START_NS + number * PERIOD_NS)
     messages = []
     subscribe(live, "ins/imu", Imu, messages)
-    said = live.play(tmp_path / "in.mcap", "--wait-timeout", "50")
-    assert "no subscriber of /reference/gyro/imu; playing nevertheless" in said
-    assert "no match" not in said
+    printed = live.play(tmp_path / "in.mcap", "--wait-timeout", "50")
+    assert "no subscriber of /reference/gyro/imu; playing nevertheless" in printed
+    assert "no match" not in printed
     assert live.observer.spin_until(lambda: len(messages) == 10)
 
 
@@ -351,8 +351,8 @@ def test_a_type_that_is_missing_or_different_is_skipped(live, tmp_path):
         bag.write("thing", factory.make("other_msgs/msg/Thing", x=1.0), START_NS)
     received = []
     subscribe(live, "ins/imu", Imu, received)
-    said = live.play(tmp_path / "good.mcap")
-    assert "topic 'thing' is not played: message type other_msgs/msg/Thing is not installed" in said
+    printed = live.play(tmp_path / "good.mcap")
+    assert "topic 'thing' is not played: message type other_msgs/msg/Thing is not installed" in printed
     assert live.observer.spin_until(lambda: len(received) == 1)
 
     # std_msgs/Float64 of another time, whose field was named and sized otherwise.
@@ -458,7 +458,7 @@ def test_a_full_disk_is_reported_and_leaves_complete_chunks(live, tmp_path):
     limit_bytes = 20_000
     source = make_bag(tmp_path / "in.mcap", 2000)
     path = tmp_path / "out.mcap"
-    # A limit on the size of files stands in for a full disk: the same write fails, with another errno.
+    # A limit on the size of files replaces a full disk: the same write fails, with another errno.
     recorder = live.start_recorder(path, "--topics", "ins/imu")
     resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (limit_bytes, limit_bytes))
     player = live.start(*PLAY, str(source), "--wait-for-subscribers", "ins/imu")

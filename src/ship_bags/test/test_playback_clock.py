@@ -8,9 +8,9 @@ import pytest
 from ship_bags.live.playback_clock import PlaybackClock
 
 FAST = 1e9
-"""Bag seconds per second: whatever is asked for is due at once."""
+"""Bag seconds per second: every time is reached at once."""
 SLOW = 1e-9
-"""Whatever is asked for is due in the next century."""
+"""Bag seconds per second: no time is reached within this century."""
 DAY_NS = 86_400 * 10**9
 
 
@@ -65,7 +65,7 @@ def test_a_change_of_rate_does_not_move_the_bag_time_reached():
     clock = PlaybackClock(FAST)
     clock.start_at(0)
     assert clock.wait_until(DAY_NS, is_message=True)
-    # From here on a second takes 31 years: what was due stays due, and a day more will not come.
+    # From here on a second takes 31 years: the reached time remains reached, and one day later is not reached.
     clock.change_rate(SLOW / FAST)
     assert clock.wait_until(DAY_NS, is_message=True)
     threading.Timer(0.05, clock.stop).start()

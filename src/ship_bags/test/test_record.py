@@ -34,9 +34,9 @@ def test_split_options_refused_in_one_line(options, expected, capsys):
     with pytest.raises(SystemExit) as left:
         main(options)
     assert left.value.code == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert expected.removesuffix("\n") in said
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert expected.removesuffix("\n") in error
 
 
 # -- clocks -------------------------------------------------------------------------------------------------------
@@ -44,9 +44,9 @@ def test_split_options_refused_in_one_line(options, expected, capsys):
 
 class TestClockStepDetector:
     def steps(self, offsets_ns, reading_ns=1000):
-        watch = ClockStepDetector()
+        detector = ClockStepDetector()
         looks = [(number * 10**8, offset_ns) for number, offset_ns in enumerate(offsets_ns)]
-        return [watch.detect_step(steady, steady + offset, steady + reading_ns) for steady, offset in looks]
+        return [detector.detect_step(steady, steady + offset, steady + reading_ns) for steady, offset in looks]
 
     def test_a_running_clock_does_not_step(self):
         # Slewed by 500 ppm, the most that adjtime allows: 50 µs in each 100 ms.
@@ -57,18 +57,18 @@ class TestClockStepDetector:
         assert self.steps([10**18, 10**18, 10**18 + step_ns, 10**18 + step_ns]) == [None, None, step_ns, None]
 
     def test_a_pause_between_the_two_readings_is_no_step(self):
-        watch = ClockStepDetector()
-        assert watch.detect_step(0, 10**18, 1000) is None
+        detector = ClockStepDetector()
+        assert detector.detect_step(0, 10**18, 1000) is None
         # The process slept for 2 s after it read the steady clock.
-        assert watch.detect_step(10**8, 10**18 + 10**8 + 2 * 10**9, 10**8 + 2 * 10**9) is None
-        assert watch.detect_step(2 * 10**8, 10**18 + 2 * 10**8, 2 * 10**8 + 1000) is None
+        assert detector.detect_step(10**8, 10**18 + 10**8 + 2 * 10**9, 10**8 + 2 * 10**9) is None
+        assert detector.detect_step(2 * 10**8, 10**18 + 2 * 10**8, 2 * 10**8 + 1000) is None
 
 
 # -- live ---------------------------------------------------------------------------------------------------------
 
 
 class Recording:
-    """`record` in a domain of its own, beside a node that publishes numbered samples."""
+    """`record` in a domain of its own, with a node that publishes numbered samples."""
 
     def __init__(self, folder, *options):
         from rclpy.qos import QoSProfile
@@ -135,11 +135,11 @@ class TestLive:
             recording.send(1500)
             assert recording.process.end(signal.SIGINT) == 0
         assert sample_numbers(folder) == list(range(1500))
-        told = information(folder)
-        assert len(told["relative_file_paths"]) > 3
-        assert told["message_count"] == len(rosbags_times(folder)) == 1500
+        metadata = information(folder)
+        assert len(metadata["relative_file_paths"]) > 3
+        assert metadata["message_count"] == len(rosbags_times(folder)) == 1500
         # The publisher's QoS, as far as DDS transmits it.
-        profiles = told["topics_with_message_count"][0]["topic_metadata"]["offered_qos_profiles"]
+        profiles = metadata["topics_with_message_count"][0]["topic_metadata"]["offered_qos_profiles"]
         # A publisher of the test before may still be known to DDS.
         assert ("reliable", "volatile") in {(profile["reliability"], profile["durability"]) for profile in profiles}
 
@@ -177,9 +177,9 @@ class TestLive:
             at_clock(400, lambda: "stepped by" in recording.process.log_text())
             recording.send(20)
             assert recording.process.end() == 0
-            said = recording.process.log_text()
-        assert said.count("stepped by") == 1
-        assert "/clock stepped by -600.000 s to 1970-01-01T00:06:40.000Z; recording goes on" in said
+            log = recording.process.log_text()
+        assert log.count("stepped by") == 1
+        assert "/clock stepped by -600.000 s to 1970-01-01T00:06:40.000Z; recording goes on" in log
         with read_bag(path) as bag:
             assert sum(1 for _ in bag.records()) == recording.count
             assert bag.metadata["clock_step_1"] == {

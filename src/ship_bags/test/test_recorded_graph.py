@@ -53,22 +53,22 @@ def test_a_recording_contains_the_parameters_of_the_nodes(name, tmp_path, monkey
         LiveProcess(recorder, tmp_path / "record.log", environment) as recording,
     ):
         # In the graph with its services, but without answers.
-        mute = rclpy.create_node("mute", context=observer.node.context)
+        unresponsive = rclpy.create_node("unresponsive", context=observer.node.context)
         there = observer.wait_for({"/aurora/ship/attitude": 1}, {"/aurora/ship/attitude": 1, "/aurora/ins/imu": 1})
         assert there, running.log_text() + recording.log_text()
         with LiveProcess(player, tmp_path / "play.log", environment) as playing:
             assert observer.spin_until(lambda: playing.exit_code is not None, 30), playing.log_text()
         assert recording.end() == 0, recording.log_text()
-        assert "record: /mute did not report its parameters" in recording.log_text()
+        assert "record: /unresponsive did not report its parameters" in recording.log_text()
         assert "ship_attitude did not say" not in recording.log_text()
         assert running.exit_code is None, running.log_text()
-        mute.destroy_node()
+        unresponsive.destroy_node()
     with read_bag(out) as recorded:
         text = recorded.attachments["suite.yaml"].decode()
     config = load_config(ShipAttitudeConfig, text, "/aurora/ship_attitude")
     assert (config.ins.white_sigma_arcsec, config.ins.frame_id) == (2.5, "1e3")
     assert list(config.star_sensors) == ["fore"]
-    # A suite file that was given to another node must not write over this one's box.
+    # A suite file that was given to another node must not overwrite this one's black box.
     assert "box.mcap" not in text
     summary = replay(out, tmp_path / "again.mcap", (ShipAttitudeAdapter,), namespace="aurora")
     assert summary.inputs["ins/imu"] == 30

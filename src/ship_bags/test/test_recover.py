@@ -27,7 +27,7 @@ PERIOD_NS = 10_000_000
 
 
 @pytest.fixture(scope="module")
-def unfinished(tmp_path_factory):
+def unfinished_recording(tmp_path_factory):
     """Return the bytes of a recording of two topics, 300 messages in 30 flushed chunks, after a kill."""
     path = tmp_path_factory.mktemp("recording") / "voyage.mcap"
     bag = BagWriter(path, atomic=False)
@@ -58,24 +58,24 @@ def by_rosbags(path):
         return sorted((time_ns, connection.topic, bytes(data)) for connection, time_ns, data in reader.messages())
 
 
-def original(unfinished, tmp_path):
+def original(unfinished_recording, tmp_path):
     path = tmp_path / "original.mcap"
-    path.write_bytes(unfinished)
+    path.write_bytes(unfinished_recording)
     with read_bag(path) as bag:
         found = [(record.log_time_ns, record.topic, bytes(record.data)) for record in bag.records()]
     assert len(found) == CHUNKS * PER_CHUNK
     return found
 
 
-def test_an_unfinished_file_is_read_by_both_readers_after_recovery(unfinished, tmp_path):
+def test_an_unfinished_file_is_read_by_both_readers_after_recovery(unfinished_recording, tmp_path):
     source = tmp_path / "voyage.mcap"
-    source.write_bytes(unfinished)
+    source.write_bytes(unfinished_recording)
     recovery = recover(source, recovered_path(source))
     assert recovery.path == tmp_path / "voyage.recovered.mcap"
     assert recovery.counts == Counter({"ins/imu": 150, "ship/lever": 150})
-    expected = original(unfinished, tmp_path)
+    expected = original(unfinished_recording, tmp_path)
     assert by_mcap(recovery.path) == by_rosbags(recovery.path) == sorted(expected)
-    assert source.read_bytes() == unfinished
+    assert source.read_bytes() == unfinished_recording
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "original.mcap",
         "voyage.mcap",
@@ -93,43 +93,45 @@ def test_an_unfinished_file_is_read_by_both_readers_after_recovery(unfinished, t
         assert all("durability: volatile" in channel.metadata["offered_qos_profiles"] for channel in channels)
 
 
-def test_a_finished_recording_needs_no_recovery(unfinished, tmp_path):
+def test_a_finished_recording_needs_no_recovery(unfinished_recording, tmp_path):
     """Duplicate definitions disturb no reader."""
     path = tmp_path / "whole.mcap"
-    path.write_bytes(finished_bytes(unfinished, tmp_path))
-    assert by_mcap(path) == by_rosbags(path) == sorted(original(unfinished, tmp_path))
+    path.write_bytes(finished_bytes(unfinished_recording, tmp_path))
+    assert by_mcap(path) == by_rosbags(path) == sorted(original(unfinished_recording, tmp_path))
     with read_bag(path) as bag:
         assert sum(1 for _ in bag.records()) == CHUNKS * PER_CHUNK
         assert bag.problems == []
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_a_truncated_file_gives_every_complete_chunk(unfinished, tmp_path, seed):
-    cut = random.Random(seed).randrange(places(unfinished)[3][0], len(unfinished))
-    whole = sum(opcode == Opcode.CHUNK and offset + length <= cut for offset, opcode, length in places(unfinished))
+def test_a_truncated_file_gives_every_complete_chunk(unfinished_recording, tmp_path, seed):
+    cut = random.Random(seed).randrange(places(unfinished_recording)[3][0], len(unfinished_recording))
+    whole = sum(
+        opcode == Opcode.CHUNK and offset + length <= cut for offset, opcode, length in places(unfinished_recording)
+    )
     source = tmp_path / "voyage.mcap"
-    source.write_bytes(unfinished[:cut])
+    source.write_bytes(unfinished_recording[:cut])
     if whole == 0:
         with pytest.raises(BadInput, match="no message reached the disk"):
             recover(source, recovered_path(source))
         return
     recovery = recover(source, recovered_path(source))
-    expected = original(unfinished, tmp_path)[: whole * PER_CHUNK]
+    expected = original(unfinished_recording, tmp_path)[: whole * PER_CHUNK]
     assert by_mcap(recovery.path) == by_rosbags(recovery.path) == sorted(expected)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("finished", [False, True], ids=["killed", "finished"])
-def test_a_flipped_bit_loses_and_names_only_its_chunk(unfinished, tmp_path, finished):
-    whole = finished_bytes(unfinished, tmp_path) if finished else unfinished
+def test_a_flipped_bit_loses_and_names_only_its_chunk(unfinished_recording, tmp_path, finished):
+    whole = finished_bytes(unfinished_recording, tmp_path) if finished else unfinished_recording
 
     def check(seed):
-        check_a_flipped_bit(seed, whole, unfinished, tmp_path)
+        check_a_flipped_bit(seed, whole, unfinished_recording, tmp_path)
 
     check_every_case([(seed,) for seed in range(50)], check)
 
 
-def check_a_flipped_bit(seed, whole, unfinished, tmp_path):
+def check_a_flipped_bit(seed, whole, unfinished_recording, tmp_path):
     folder = tmp_path / f"seed_{seed}"
     folder.mkdir()
     source = folder / "voyage.mcap"
@@ -141,8 +143,8 @@ def check_a_flipped_bit(seed, whole, unfinished, tmp_path):
     recovery = recover(source, recovered_path(source))
     found = by_mcap(recovery.path)
     assert found == by_rosbags(recovery.path)
-    expected = original(unfinished, tmp_path)
-    lost = hit_messages(unfinished, expected, position)
+    expected = original(unfinished_recording, tmp_path)
+    lost = hit_messages(unfinished_recording, expected, position)
     if len(found) < len(expected):
         assert found == sorted(message for message in expected if message not in lost)
         assert names_time_range(recovery.problems, lost), recovery.problems
@@ -152,27 +154,27 @@ def check_a_flipped_bit(seed, whole, unfinished, tmp_path):
 
 
 @pytest.mark.parametrize("part", ["opcode", "length", "start time", "checksum", "data"])
-def test_damage_in_the_first_chunk_with_the_definitions(unfinished, tmp_path, part):
-    offset = next(offset for offset, opcode, _ in places(unfinished) if opcode == Opcode.CHUNK)
-    data = bytearray(unfinished)
+def test_damage_in_the_first_chunk_with_the_definitions(unfinished_recording, tmp_path, part):
+    offset = next(offset for offset, opcode, _ in places(unfinished_recording) if opcode == Opcode.CHUNK)
+    data = bytearray(unfinished_recording)
     data[offset + {"opcode": 0, "length": 2, "start time": 12, "checksum": 34, "data": 90}[part]] ^= 0x10
     source = tmp_path / "voyage.mcap"
     source.write_bytes(data)
     recovery = recover(source, recovered_path(source))
-    expected = original(unfinished, tmp_path)
-    # Its times stand again with its messages.
+    expected = original(unfinished_recording, tmp_path)
+    # Its times are restored with its messages.
     lost = 0 if part == "start time" else PER_CHUNK
     assert by_mcap(recovery.path) == sorted(expected[lost:])
 
 
 @pytest.mark.parametrize("byte", range(9))
-def test_any_wrong_byte_in_headers_and_between_chunks(unfinished, tmp_path, byte):
+def test_any_wrong_byte_in_headers_and_between_chunks(unfinished_recording, tmp_path, byte):
     """Opcode and length of each kind of record after the third chunk: no message of another chunk is lost."""
-    chunks = [number for number, (_, opcode, _) in enumerate(places(unfinished)) if opcode == Opcode.CHUNK]
-    expected = original(unfinished, tmp_path)
-    for offset, opcode, _ in places(unfinished)[chunks[2] : chunks[3]]:
+    chunks = [number for number, (_, opcode, _) in enumerate(places(unfinished_recording)) if opcode == Opcode.CHUNK]
+    expected = original(unfinished_recording, tmp_path)
+    for offset, opcode, _ in places(unfinished_recording)[chunks[2] : chunks[3]]:
         for bit in range(8):
-            data = bytearray(unfinished)
+            data = bytearray(unfinished_recording)
             data[offset + byte] ^= 1 << bit
             source = tmp_path / "voyage.mcap"
             source.write_bytes(data)
@@ -184,25 +186,25 @@ def test_any_wrong_byte_in_headers_and_between_chunks(unfinished, tmp_path, byte
             assert any(f"bytes {offset} to " in line for line in problems), (offset, bit)
 
 
-def finished_bytes(unfinished, folder):
+def finished_bytes(unfinished_recording, folder):
     """Return the same recording, finished, with its small chunks."""
     path = folder / "finished.mcap"
     bag = BagWriter(path, atomic=False)
     bag.add_attachment("suite.yaml", "ship_attitude: {}\n")
-    for number, (time_ns, topic, data) in enumerate(original(unfinished, folder)):
+    for number, (time_ns, topic, data) in enumerate(original(unfinished_recording, folder)):
         kind = "geometry_msgs/msg/Vector3" if topic == "ship/lever" else "sensor_msgs/msg/Imu"
         bag.write_raw(topic, kind, data, time_ns)
         if number % PER_CHUNK == PER_CHUNK - 1:
             bag.flush()
     bag.close()
     data = path.read_bytes()
-    assert data[: len(unfinished)] == unfinished
+    assert data[: len(unfinished_recording)] == unfinished_recording
     return data
 
 
-def hit_messages(unfinished, expected, position):
+def hit_messages(unfinished_recording, expected, position):
     """Return the messages of the chunk at a byte."""
-    chunks = [(offset, length) for offset, opcode, length in places(unfinished) if opcode == Opcode.CHUNK]
+    chunks = [(offset, length) for offset, opcode, length in places(unfinished_recording) if opcode == Opcode.CHUNK]
     for number, (offset, length) in enumerate(chunks):
         if offset <= position < offset + length:
             return expected[number * PER_CHUNK : (number + 1) * PER_CHUNK]
@@ -258,19 +260,19 @@ def test_a_folder_becomes_a_folder_that_rosbags_reads(tmp_path):
 
 
 class TestCommand:
-    def test_several_files_with_an_invalid_one(self, unfinished, tmp_path, capsys):
+    def test_several_files_with_an_invalid_one(self, unfinished_recording, tmp_path, capsys):
         for name in ("a.mcap", "c.mcap"):
-            (tmp_path / name).write_bytes(unfinished)
+            (tmp_path / name).write_bytes(unfinished_recording)
         (tmp_path / "b.mcap").write_bytes(b"SQLite format 3\x00" * 10)
         assert main(["--recover", *(str(tmp_path / name) for name in ("a.mcap", "b.mcap", "c.mcap"))]) == 2
-        said = capsys.readouterr()
-        assert said.err == f"record: {tmp_path}/b.mcap: not an MCAP file\n"
-        assert said.out.count("300 messages on 2 topics, all read back by mcap and rosbags") == 2
+        printed = capsys.readouterr()
+        assert printed.err == f"record: {tmp_path}/b.mcap: not an MCAP file\n"
+        assert printed.out.count("300 messages on 2 topics, all read back by mcap and rosbags") == 2
         assert not (tmp_path / "b.recovered.mcap").exists()
 
-    def test_nothing_is_overwritten(self, unfinished, tmp_path, capsys):
+    def test_nothing_is_overwritten(self, unfinished_recording, tmp_path, capsys):
         source = tmp_path / "a.mcap"
-        source.write_bytes(unfinished)
+        source.write_bytes(unfinished_recording)
         for target in (tmp_path / "b.mcap", source):
             if target != source:
                 target.write_bytes(b"precious")
@@ -288,10 +290,10 @@ class TestCommand:
         if content is not None:
             source.write_bytes(content)
         assert main(["--recover", str(source)]) == 2
-        said = capsys.readouterr().err
-        assert said.count("\n") == 1
-        assert str(source) in said
-        assert expected in said
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1
+        assert str(source) in error
+        assert expected in error
 
     def test_one_name_for_several_results(self, capsys):
         with pytest.raises(SystemExit) as left:
@@ -300,10 +302,10 @@ class TestCommand:
         assert "--out names one result" in capsys.readouterr().err
 
 
-def test_a_result_that_fails_the_read_back_is_discarded(unfinished, tmp_path, monkeypatch):
+def test_a_result_that_fails_the_read_back_is_discarded(unfinished_recording, tmp_path, monkeypatch):
     """A disk that stores other bytes: one byte of the copy is changed."""
     source = tmp_path / "voyage.mcap"
-    source.write_bytes(unfinished)
+    source.write_bytes(unfinished_recording)
     replaced = []
     from ship_bags.mcap import recover as module
 

@@ -74,9 +74,9 @@ def test_an_oversized_chunk_is_refused_with_its_offset(tmp_path, compression, st
     offset = with_chunks(tmp_path / "a.mcap", chunk_bytes(content, compression, stated))
     with read_bag(tmp_path / "a.mcap") as bag:
         assert sum(1 for _ in bag.records()) == 100
-        told = [problem for problem in bag.problems if f"the chunk at byte {offset} is damaged" in problem]
-    assert len(told) == 1
-    assert complaint in told[0]
+        problems = [problem for problem in bag.problems if f"the chunk at byte {offset} is damaged" in problem]
+    assert len(problems) == 1
+    assert complaint in problems[0]
 
 
 def test_a_chunk_of_too_many_empty_messages_is_refused(tmp_path):
@@ -145,10 +145,10 @@ def test_a_bad_attached_configuration_is_one_line_and_no_file_is_read(tmp_path, 
         (identify_noise_command.main, ["--out", str(tmp_path / "noise.yaml")]),
     ):
         assert main([str(bag), *arguments]) == 2
-        said = capsys.readouterr()
-        assert said.err.count("\n") == 1
-        assert f"{bag}: " in said.err
-        assert "hash" not in said.err + said.out
+        printed = capsys.readouterr()
+        assert printed.err.count("\n") == 1
+        assert f"{bag}: " in printed.err
+        assert "hash" not in printed.err + printed.out
     assert sorted(path.name for path in tmp_path.iterdir()) == ["in.mcap", "secret"]
 
 
@@ -219,13 +219,13 @@ def write_topics(path, count, definition="string data", type_name="std_msgs/msg/
 
 
 def test_time_of_info_grows_linearly_with_the_topics(tmp_path, monkeypatch):
-    """For 65 000 topics, the maximum of MCAP: the start of the bag is found once, not once per topic."""
-    asked = []
+    """The start of a bag with 65 000 topics, the maximum of MCAP, is found once, not once per topic."""
+    calls = []
     start = BagContent.start_ns
-    monkeypatch.setattr(BagContent, "start_ns", property(lambda content: asked.append(1) or start.fget(content)))
+    monkeypatch.setattr(BagContent, "start_ns", property(lambda content: calls.append(1) or start.fget(content)))
     content = bag_content(write_topics(tmp_path / "many.mcap", 300))
     assert len(list(info_command._lines(tmp_path / "many.mcap", content))) > 300
-    assert len(asked) < 10
+    assert len(calls) < 10
 
 
 @pytest.mark.parametrize(

@@ -91,16 +91,16 @@ def test_unsynchronised_clock_fails_at_zero_offset():
 
 
 @pytest.mark.parametrize(
-    ("offset", "result", "told"),
+    ("offset", "result", "text"),
     [("0.000277000", Result.OK, '4.99"'), ("0.000278000", Result.WARN, '5" at 5 deg/s'),
      ("0.001000000", Result.WARN, '1 ms off, 18"'), ("0.050000000", Result.WARN, '900"'),
      ("0.050100000", Result.FAIL, "over machine.clock_offset_s, 50 ms")],
 )  # fmt: skip
-def test_offset_limits_of_heading_and_stamps(offset, result, told):
+def test_offset_limits_of_heading_and_stamps(offset, result, text):
     """5 arcsec, the limit of the heading here, are 0.2778 ms at 5 deg/s."""
     row = check_clock(chrony_state(CHRONY.replace("0.000001501", offset)), Limits(heading_arcsec=5.0))
     assert row.result is result
-    assert told in row.finding
+    assert text in row.finding
 
 
 def test_ptp_output():

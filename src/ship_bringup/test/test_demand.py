@@ -51,11 +51,11 @@ BAD = [
 ]
 
 
-@pytest.mark.parametrize(("name", "value", "told"), BAD)
-def test_each_missing_item_refuses_the_start(name, value, told, good, monkeypatch):
+@pytest.mark.parametrize(("name", "value", "expected"), BAD)
+def test_each_missing_item_refuses_the_start(name, value, expected, good, monkeypatch):
     environment = {key: text for key, text in good.items() if key != name} | ({} if value is None else {name: value})
     ((text, _),) = security_problems(environment, True)
-    assert told in text
+    assert expected in text
     set_to(monkeypatch, environment)
     with pytest.raises(BadInput, match=r"^ship\.yaml: machine\.require_security is true, and .*: not started; "):
         require_profile(REQUIRED, Path("ship.yaml"), True)
@@ -115,8 +115,8 @@ def test_every_program_has_its_own_enclave(tmp_path, good, monkeypatch):
     store = keystore_for_now(tmp_path / "keystore", is_played=True)
     set_to(monkeypatch, {**good, "ROS_SECURITY_KEYSTORE": str(store.path)})
     monkeypatch.setenv("ROS_DOMAIN_ID", "7")
-    secured, told = programs(**options)
-    assert told == warnings
+    secured, reported = programs(**options)
+    assert reported == warnings
     assert set(plain) == {"ship_attitude", "monitor", "alerts", "play"}
     for name, command in plain.items():
         assert secured[name] == (*enclave_command(f"/demo/{name}"), *command)

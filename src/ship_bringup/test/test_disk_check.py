@@ -17,7 +17,7 @@ from ship_replay.offline.adapter_chain import suite_chain
 from ship_replay.offline.nodes import ADAPTERS
 from ship_replay.offline.replay import replay
 from ship_testing.bag_parts import write_beginning
-from ship_testing.black_boxes import LENGTH_NS, OPTICAL_AXIS, SHIP_ATTITUDE, make_box
+from ship_testing.black_boxes import LENGTH_NS, OPTICAL_AXIS, SHIP_ATTITUDE, make_black_box
 from ship_watch.limits import Limits, MachineLimits
 
 ROOT = Path(__file__).parents[3]
@@ -46,7 +46,7 @@ def chain_and_inputs(path):
 def test_record_size_is_within_the_estimate(name, tmp_path):
     """Inputs and outputs of the suite, written as by ``record``: a chunk every tenth of a second."""
     path = write_beginning(ROOT / "bags" / f"{name}.mcap", tmp_path / "in.mcap", 8.0)
-    chain, heard, records, seconds = chain_and_inputs(path)
+    chain, observed, records, seconds = chain_and_inputs(path)
     replay(path, tmp_path / "out.mcap", ADAPTERS)
     written = tmp_path / "record.mcap"
     with read_bag(tmp_path / "out.mcap") as out, BagWriter(written, atomic=False) as writer:
@@ -61,35 +61,37 @@ def test_record_size_is_within_the_estimate(name, tmp_path):
                 writer.flush()
                 next_ns = record.log_time_ns + 100_000_000
     measured = written.stat().st_size / seconds
-    estimated = estimate_write_rates(chain.adapters, heard).record
+    estimated = estimate_write_rates(chain.adapters, observed).record
     assert measured < estimated < 4.0 * measured
 
 
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
 def test_black_box_size_is_within_the_estimate(node, tmp_path):
-    make_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=node)
-    chain, heard, _, _ = chain_and_inputs(node.bag)
+    make_black_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=node)
+    chain, observed, _, _ = chain_and_inputs(node.bag)
     own = [adapter for adapter in chain.adapters if isinstance(adapter, node.adapter_class)]
     measured = (tmp_path / "box.mcap").stat().st_size / (LENGTH_NS * 1e-9 + TAIL_S)
-    estimated = estimate_write_rates(own, heard).boxes
+    estimated = estimate_write_rates(own, observed).boxes
     assert measured < estimated < 5.0 * measured
 
 
 def test_missing_inputs_count_with_typical_values():
     path = ROOT / "bags" / "demo.mcap"
-    chain, heard, _, _ = chain_and_inputs(path)
-    full, unheard = estimate_write_rates(chain.adapters, heard), estimate_write_rates(chain.adapters, [])
-    assert 0.5 < unheard.record / full.record < 2.0
-    silent = [ObservedTopic(InputTopic("ins/imu", "sensor_msgs/msg/Imu", True, 1))]
-    assert estimate_write_rates(chain.adapters, silent) == unheard
-    one_message = [dataclasses.replace(silent[0], count=1, message_bytes=316.0)]
-    assert estimate_write_rates(chain.adapters, one_message) == unheard
+    chain, observed, _, _ = chain_and_inputs(path)
+    full, without_inputs = estimate_write_rates(chain.adapters, observed), estimate_write_rates(chain.adapters, [])
+    assert 0.5 < without_inputs.record / full.record < 2.0
+    no_message = [ObservedTopic(InputTopic("ins/imu", "sensor_msgs/msg/Imu", True, 1))]
+    assert estimate_write_rates(chain.adapters, no_message) == without_inputs
+    one_message = [dataclasses.replace(no_message[0], count=1, message_bytes=316.0)]
+    assert estimate_write_rates(chain.adapters, one_message) == without_inputs
 
 
 def test_faster_ins_needs_more_space():
-    chain, heard, _, _ = chain_and_inputs(ROOT / "bags" / "demo.mcap")
-    faster = [ObservedTopic(each.input, (), 10.0 * each.rate_hz, each.message_bytes, each.count) for each in heard]
-    assert estimate_write_rates(chain.adapters, faster).boxes > 5.0 * estimate_write_rates(chain.adapters, heard).boxes
+    chain, observed, _, _ = chain_and_inputs(ROOT / "bags" / "demo.mcap")
+    faster = [ObservedTopic(each.input, (), 10.0 * each.rate_hz, each.message_bytes, each.count) for each in observed]
+    assert (
+        estimate_write_rates(chain.adapters, faster).boxes > 5.0 * estimate_write_rates(chain.adapters, observed).boxes
+    )
 
 
 @pytest.mark.parametrize(

@@ -68,7 +68,7 @@ def theodolite() -> dict:
 
 
 def test_shipped_bags_are_within_the_default_limits(capsys: pytest.CaptureFixture) -> None:
-    """At least 95 % of the time in which the limit decides: the output is VALID, checked, and 30 s old."""
+    """The limits are met for at least 95 % of the time in which the output is VALID, checked, and 30 s old."""
     _, rows = run_and_read_table(["--bag", str(ROOT / "bags" / "theodolite.mcap"), "--limits"], capsys)
     assert list(rows) == ["pointing"]
     assert rows["pointing"][2] >= 95.0

@@ -21,11 +21,11 @@ SUITE = """\
 """
 
 
-def read_states(tmp_path, box=None, **paths):
+def read_states(tmp_path, black_box=None, **paths):
     given = {"alignment": "''", "recorder": "''", "device": "''"} | paths
     path = tmp_path / "suite.yaml"
     path.write_text(SUITE.format(**given))
-    return read_path_states(path, box)
+    return read_path_states(path, black_box)
 
 
 def rows(states):
@@ -55,9 +55,9 @@ def test_file_in_a_read_only_folder_fails(tmp_path):
 
 
 def test_folder_of_black_boxes_is_created_with_its_parents(tmp_path):
-    assert rows(read_states(tmp_path, box=tmp_path / "a" / "b"))[0][0] is Result.OK
+    assert rows(read_states(tmp_path, black_box=tmp_path / "a" / "b"))[0][0] is Result.OK
     assert not (tmp_path / "a").exists()
-    assert rows(read_states(tmp_path, box=Path("/proc/a/b")))[0][0] is Result.FAIL
+    assert rows(read_states(tmp_path, black_box=Path("/proc/a/b")))[0][0] is Result.FAIL
 
 
 def test_existing_and_missing_serial_device(tmp_path):

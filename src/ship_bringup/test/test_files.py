@@ -232,8 +232,8 @@ def test_systemd_accepts_the_service(tmp_path, slip):
     (tmp_path / "ship-suite@demo.service").write_text(text.replace(*slip) if slip else text, encoding="utf-8")
     command = ["systemd-analyze", "verify", str(tmp_path / "ship-suite@demo.service")]
     run = subprocess.run(command, capture_output=True, text=True, check=False)
-    told = [line for line in run.stderr.splitlines() if "ship-suite@demo" in line]
-    assert (run.returncode, bool(told)) == (0, slip is not None), run.stderr
+    complaints = [line for line in run.stderr.splitlines() if "ship-suite@demo" in line]
+    assert (run.returncode, bool(complaints)) == (0, slip is not None), run.stderr
 
 
 # -- aggregator ---------------------------------------------------------------------------------------------------

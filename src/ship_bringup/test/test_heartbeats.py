@@ -39,10 +39,10 @@ class Schedstat:
 )
 def test_only_time_with_a_processor_counts(monkeypatch, waited_s, time_s):
     monkeypatch.setattr("ship_bringup.suite.heartbeats.Path", lambda _path: Schedstat(*waited_s))
-    silence = HeartbeatAge(1)
-    silence.add(0.5)
-    silence.add(1.0)
-    assert silence.time_s == pytest.approx(time_s)
+    age = HeartbeatAge(1)
+    age.add(0.5)
+    age.add(1.0)
+    assert age.time_s == pytest.approx(time_s)
 
 
 def test_begin_resets_the_heartbeat_age():

@@ -66,8 +66,8 @@ def test_folder_that_is_no_keystore(tmp_path):
 def test_keystore_of_another_ship_by_enclaves(tmp_path):
     other = Keystore(tmp_path / "keystore", OTHER_AUTHORITY, DOMAIN).add(rights_in("aurora")[:2])
     fault = single_fault(keystore_faults(other.path, use()))
-    told = "a keystore of another ship: it has /aurora/alerts, /aurora/ship_attitude, expected /demo/ship_attitude"
-    assert fault.text == f"{other.path}/enclaves: {told}"
+    text = "a keystore of another ship: it has /aurora/alerts, /aurora/ship_attitude, expected /demo/ship_attitude"
+    assert fault.text == f"{other.path}/enclaves: {text}"
     assert fault.is_error
 
 
@@ -97,13 +97,13 @@ def test_whole_enclave_of_another_ship(keystore, tmp_path):
     shutil.copytree(other.folder("/demo/monitor"), monitor)
     ours, theirs = (each.certificate.fingerprint(hashes.SHA256()).hex() for each in (AUTHORITY, OTHER_AUTHORITY))
     fault = single_fault(keystore_faults(keystore.path, use()))
-    told = f"an authority of another ship: its SHA-256 is {theirs}, expected {ours}, as in {keystore.folder(NODE)}"
-    assert fault.text == f"{monitor}/identity_ca.cert.pem: {told}/identity_ca.cert.pem"
+    text = f"an authority of another ship: its SHA-256 is {theirs}, expected {ours}, as in {keystore.folder(NODE)}"
+    assert fault.text == f"{monitor}/identity_ca.cert.pem: {text}/identity_ca.cert.pem"
 
 
 def test_whole_keystore_of_another_ship_by_configured_authority(keystore):
-    told = AUTHORITY.certificate.fingerprint(hashes.SHA256()).hex(":").upper()
-    assert keystore_faults(keystore.path, use(authority_sha256=told)) == []
+    fingerprint = AUTHORITY.certificate.fingerprint(hashes.SHA256()).hex(":").upper()
+    assert keystore_faults(keystore.path, use(authority_sha256=fingerprint)) == []
     other = OTHER_AUTHORITY.certificate.fingerprint(hashes.SHA256()).hex()
     faults = keystore_faults(keystore.path, use(authority_sha256=other))
     assert len(faults) == len(USED)
@@ -112,8 +112,8 @@ def test_whole_keystore_of_another_ship_by_configured_authority(keystore):
 
 def test_keystore_of_another_ship_refuses_the_start(tmp_path):
     other = Keystore(tmp_path / "keystore", OTHER_AUTHORITY, DOMAIN).add(rights_in("aurora")[:2])
-    told = r"/enclaves: a keystore of another ship: it has /aurora/alerts, .*: not started; set ROS_SECURITY_KEYSTORE"
-    with pytest.raises(BadInput, match=told) as refused:
+    text = r"/enclaves: a keystore of another ship: it has /aurora/alerts, .*: not started; set ROS_SECURITY_KEYSTORE"
+    with pytest.raises(BadInput, match=text) as refused:
         require_keystore(other.path, use())
     assert "\n" not in str(refused.value)
 
@@ -161,18 +161,18 @@ def test_missing_file_is_named(keystore):
 
 
 @pytest.mark.parametrize(
-    ("later", "told", "is_error"),
+    ("later", "text", "is_error"),
     [(YEAR - 30 * DAY - DAY, None, None), (YEAR - 29 * DAY, "is in 29.0 days, before the voyage ends", False),
      (YEAR, "is over", True), (YEAR + DAY, "is over", True), (-2 * DAY, "is still to come", True)],
 )  # fmt: skip
-def test_dates_of_certificates_and_permissions(keystore, later, told, is_error):
+def test_dates_of_certificates_and_permissions(keystore, later, text, is_error):
     faults = keystore_faults(keystore.path, use(now=NOW + later))
-    if told is None:
+    if text is None:
         assert faults == []
         return
     # Certificate and permissions of both enclaves, and their authority once.
     assert len(faults) == 5
-    assert all(told in fault.text and fault.is_error == is_error for fault in faults)
+    assert all(text in fault.text and fault.is_error == is_error for fault in faults)
 
 
 def test_permissions_may_end_before_the_certificate(keystore):
@@ -225,17 +225,17 @@ def test_signature_of_another_ship(keystore, name):
 
 
 @pytest.mark.parametrize(
-    ("right", "wrong", "told"),
+    ("right", "wrong", "expected"),
     [("grant", "gift", "has no grant"), ("subject_name>", "name>", "has no subject_name"),
      ("2027-06-01T12:00:00", "next year", "not_after is 'next year': expected a date as 2026-05-01T00:00:00"),
      ("<default>DENY</default>", "", "has no default"), ("</dds>", "", "holds no XML")],
 )  # fmt: skip
-def test_signed_permissions_with_invalid_content(keystore, right, wrong, told):
+def test_signed_permissions_with_invalid_content(keystore, right, wrong, expected):
     text = permissions_text(OF_NODE, DOMAIN, NOW - DAY, NOW + YEAR)
     assert right in text
     keystore.sign(keystore.folder(NODE) / "permissions.p7s", text.replace(right, wrong))
     fault = single_fault(keystore_faults(keystore.path, use()))
-    assert told in fault.text
+    assert expected in fault.text
     assert fault.text.startswith(f"{keystore.folder(NODE)}/permissions.p7s")
 
 
@@ -294,7 +294,7 @@ def test_policies_of_another_program_without_fingerprint(keystore):
 
 
 def test_policies_that_allow_too_much(keystore):
-    """As 'ros2 security create_enclave' makes them without a policy: everything is allowed."""
+    """Everything is allowed, as by 'ros2 security create_enclave' without a policy."""
     text = permissions_text(OF_NODE, DOMAIN, NOW - DAY, NOW + YEAR)
     wide = text.replace("<topic>rt/rosout</topic>", "<topic>rt/*</topic>")
     keystore.sign(keystore.folder(NODE) / "permissions.p7s", wide)
@@ -318,9 +318,9 @@ def test_locked_and_unlocked_policies_differ(tmp_path):
 
     store = Keystore(tmp_path / "keystore", AUTHORITY, DOMAIN).add([OF_NODE, *param(False)])
     assert keystore_faults(store.path, use()) == []
-    told = [fault.text for fault in keystore_faults(store.path, use(rights=rights_in("demo", True)))]
+    texts = [fault.text for fault in keystore_faults(store.path, use(rights=rights_in("demo", True)))]
     assert any("allow more than the code declares: publish of rq/demo/alerts/set_parameters_atomicallyRequest" in text
-               for text in told)  # fmt: skip
+               for text in texts)  # fmt: skip
 
 
 def test_file_signed_by_hand_as_documented(keystore, tmp_path):

@@ -62,7 +62,7 @@ def write_private(path, key):
 
 def issue(keystore, folder, *new_key_options, digest="sha256", extensions="basicConstraints=CA:FALSE"):
     """Give the node a certificate with a key of these options, signed by the authority."""
-    ours = folder / "ashore"
+    ours = folder / "source"
     write_private(ours / "ca.key", AUTHORITY.key)
     Keystore.write_certificate(ours / "ca.pem", AUTHORITY.certificate)
     (ours / "extensions").write_text(extensions)
@@ -79,17 +79,17 @@ P256 = "-algorithm", "EC", "-pkeyopt", "ec_paramgen_curve:prime256v1"
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "finding"),
     [
         (("-algorithm", "RSA", "-pkeyopt", "rsa_keygen_bits:1024"), "its RSA key has 1024 bits: expected"),
         (("-algorithm", "EC", "-pkeyopt", "ec_paramgen_curve:secp224r1"), "its curve secp224r1 has 224 bits"),
         (("-algorithm", "EC", "-pkeyopt", "ec_paramgen_curve:wap-wsg-idm-ecid-wtls8"), "its key cannot be used"),
     ],
 )
-def test_too_short_key(keystore, tmp_path, options, told):
+def test_too_short_key(keystore, tmp_path, options, finding):
     issue(keystore, tmp_path, *options)
     texts = texts_of(keystore)
-    assert any(text.startswith(f"{keystore.folder(NODE)}/cert.pem: too weak: {told}") for text in texts), texts
+    assert any(text.startswith(f"{keystore.folder(NODE)}/cert.pem: too weak: {finding}") for text in texts), texts
 
 
 @pytest.mark.parametrize(
@@ -140,8 +140,8 @@ def test_private_key_of_the_authority(keystore, place):
     path = keystore.path / place
     write_private(path, AUTHORITY.key)
     (text,) = texts_of(keystore)
-    told = "the private key of the authority 'CN=sros2CA': whoever reads it can make certificates of this ship"
-    assert text == f"{path}: {told}"
+    expected = "the private key of the authority 'CN=sros2CA': whoever reads it can make certificates of this ship"
+    assert text == f"{path}: {expected}"
     # It is corrected ashore: a suite can be started again at sea.
     assert require_keystore(keystore.path, KeystoreUse(RIGHTS, DOMAIN, NOW, 30 * DAY)) == [text]
     (row, *_) = check_keystore(str(keystore.path), KeystoreUse(RIGHTS, DOMAIN, NOW, 30 * DAY), False)
@@ -149,7 +149,7 @@ def test_private_key_of_the_authority(keystore, place):
 
 
 def test_links_to_one_key_are_one_fault(keystore):
-    """As ``ros2 security`` lays them out."""
+    """The links are those that ``ros2 security`` makes."""
     write_private(keystore.path / "private" / "ca.key.pem", AUTHORITY.key)
     for name in ("identity_ca.key.pem", "permissions_ca.key.pem"):
         (keystore.path / "private" / name).symlink_to("ca.key.pem")
@@ -163,7 +163,7 @@ def test_unknown_private_key_outside_the_enclaves(keystore):
 
 
 @pytest.mark.parametrize(
-    ("place", "mode", "who", "harm"),
+    ("place", "mode", "users", "harm"),
     [
         ("", 0o777, "all users", "replace the files in it"),
         ("enclaves/demo", 0o757, "all users", "replace the files in it"),
@@ -172,10 +172,10 @@ def test_unknown_private_key_outside_the_enclaves(keystore):
         ("enclaves/demo/ship_attitude/cert.pem", 0o664, "its group", "change it"),
     ],
 )
-def test_folders_and_files_writable_by_others(keystore, place, mode, who, harm):
+def test_folders_and_files_writable_by_others(keystore, place, mode, users, harm):
     path = keystore.path / place
     path.chmod(mode)
     (fault,) = faults_of(keystore)
-    assert fault.text == f"{path}: mode {mode:o}: {who} may {harm}"
-    assert fault.is_error == (who == "all users")
+    assert fault.text == f"{path}: mode {mode:o}: {users} may {harm}"
+    assert fault.is_error == (users == "all users")
     assert fault.advice == f"chmod go-w {path}"

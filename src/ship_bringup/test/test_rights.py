@@ -180,8 +180,8 @@ def test_shipped_policies_match_the_code(example, tmp_path, capsys):
     assert policies.main([str(suite_file), "--out", str(tmp_path / "out")]) == 0
     made = (tmp_path / "out" / "policy.xml").read_bytes()
     path = PACKAGE / "security" / f"{example}.policy.xml"
-    told = f"./ros2run ship_bringup policies {suite_file} --out OUT, then copy OUT/policy.xml to {path}"
-    assert path.read_bytes() == made, told
+    remedy = f"./ros2run ship_bringup policies {suite_file} --out OUT, then copy OUT/policy.xml to {path}"
+    assert path.read_bytes() == made, remedy
 
 
 def test_policies_are_reproducible_and_overwrite_nothing(tmp_path, capsys):
@@ -204,15 +204,15 @@ def test_policies_are_reproducible_and_overwrite_nothing(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "expected"),
     [(["--domain", "233"], "233 is not a domain of ROS"), (["--valid-from", "1.5.26"], "expected one as 2026-05-01"),
      (["--valid-days", "0"], "0 is not a number of days")],
 )  # fmt: skip
-def test_bad_arguments_are_one_line(arguments, told, tmp_path, capsys):
+def test_bad_arguments_are_one_line(arguments, expected, tmp_path, capsys):
     with pytest.raises(SystemExit) as left:
         policies.main([str(ROOT / "examples" / "two_sensors.yaml"), "--out", str(tmp_path / "out"), *arguments])
     assert left.value.code == 2
-    assert told in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
 
 
 def test_unknown_parameter_of_the_suite_file_is_one_line(tmp_path, capsys):

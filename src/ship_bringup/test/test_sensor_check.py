@@ -31,7 +31,7 @@ def test_good_sensor():
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "expected"),
     [({"publishers": ()}, "no publisher"),
      ({"publishers": (Publisher("/d", "std_msgs/msg/String"),)}, "/d publishes std_msgs/msg/String, expected " + IMU),
      ({"count": 0}, "/ins_driver publishes it, but no message arrived"),
@@ -43,15 +43,15 @@ def test_good_sensor():
      ({"age_s": 2.1}, "later than lag_s"),
      ({"age_s": float("nan")}, "stamps nan")],
 )  # fmt: skip
-def test_unusable_sensor_fails(changes, told):
+def test_unusable_sensor_fails(changes, expected):
     result, found = evaluate(**changes)
     assert result is Result.FAIL
-    assert told in found
+    assert expected in found
 
 
 def test_single_message_of_a_slow_sensor():
-    told = "ins/imu: one message from /ins_driver, stamps 0.012 s old"
-    assert evaluate(limits=Limits(), count=1, rate_hz=0.0) == (Result.OK, told)
+    text = "ins/imu: one message from /ins_driver, stamps 0.012 s old"
+    assert evaluate(limits=Limits(), count=1, rate_hz=0.0) == (Result.OK, text)
 
 
 @pytest.mark.parametrize(
@@ -59,18 +59,18 @@ def test_single_message_of_a_slow_sensor():
     [(0, math.nan, 0.0), (1, 0.0, 0.0), (10, 4.5, 2.0), (11, 4.99, 10.0 / 4.99), (3, 0.5, 0.6), (4, 0.0, 0.8)],
 )
 def test_rate_from_mean_interval(count, span_s, rate_hz):
-    """In five seconds: 2 Hz, a last message just in time or not, three and then none, a burst."""
+    """Messages within five seconds: 2 Hz, a last message just in time or not, three and then none, a burst."""
     assert observed_rate_hz(count, span_s, observed_s=5.0) == pytest.approx(rate_hz)
 
 
 @pytest.mark.parametrize(
-    ("age_s", "told"),
+    ("age_s", "text"),
     [(390513437.825, "12 years old"), (-390513437.825, "12 years in the future"), (119.0, "119.000 s old"),
      (130.0, "2 minutes old"), (3.0 * 3600.0, "3 hours old"), (5.0 * 86400.0, "5 days old")],
 )  # fmt: skip
-def test_age_texts(age_s, told):
+def test_age_texts(age_s, text):
     """390513437.825 s / (365.25 x 86400 s) = 12.4 years."""
-    assert evaluate(age_s=age_s)[1].endswith(f"stamps {told}")
+    assert evaluate(age_s=age_s)[1].endswith(f"stamps {text}")
 
 
 def test_old_stamps_with_clock_are_of_a_bag():
@@ -89,8 +89,8 @@ def test_stamps_within_the_limits(age_s):
 def test_weather_and_position_may_exceed_lag():
     for name in ("gnss/fix", "met/pressure"):
         topic = InputTopic(name, IMU, required=True, depth=100)
-        heard = dataclasses.replace(GOOD, input=topic, age_s=2.1)
-        (row,) = check_sensors(NetworkState("rmw", inputs=(heard,)), LIMITS, {name: 2.0}, {})
+        observed = dataclasses.replace(GOOD, input=topic, age_s=2.1)
+        (row,) = check_sensors(NetworkState("rmw", inputs=(observed,)), LIMITS, {name: 2.0}, {})
         assert row.result is Result.OK
 
 
@@ -121,22 +121,22 @@ def test_advice_names_the_setting_of_the_unmet_quality(tmp_path):
          "qos_overrides in the suite file"),
     ):  # fmt: skip
         path.write_text(f"/**/ship_attitude: {{ros__parameters: {parameters}}}\n")
-        asked = find_requested_qos(path, ["ins/imu"], "", by_option)
-        (row,) = check_sensors(NetworkState("rmw", inputs=(weak,)), LIMITS, {"ins/imu": 2.0}, asked)
+        requested = find_requested_qos(path, ["ins/imu"], "", by_option)
+        (row,) = check_sensors(NetworkState("rmw", inputs=(weak,)), LIMITS, {"ins/imu": 2.0}, requested)
         assert (row.result, row.advice) == (Result.FAIL, f"let the driver offer it, or leave out {setting}")
 
 
 def test_required_input_of_nmea_in_fails_until_received():
-    silent = NetworkState("rmw", inputs=(dataclasses.replace(GOOD, publishers=()),))
-    (row,) = check_sensors(silent, LIMITS, {}, {}, ["ins/imu"], "./ros2run nmea_in")
+    without_publisher = NetworkState("rmw", inputs=(dataclasses.replace(GOOD, publishers=()),))
+    (row,) = check_sensors(without_publisher, LIMITS, {}, {}, ["ins/imu"], "./ros2run nmea_in")
     assert row.result is Result.FAIL
     assert row.finding == "ins/imu: not received: no publisher before nmea_in runs, which the suite starts"
     assert row.advice == "start ./ros2run nmea_in, then preflight again, and end it before the suite"
     spare = dataclasses.replace(GOOD, input=dataclasses.replace(GOOD.input, required=False), publishers=())
     (row,) = check_sensors(NetworkState("rmw", inputs=(spare,)), LIMITS, {}, {}, ["ins/imu"])
     assert row.result is Result.NOT_CHECKED
-    heard = NetworkState("rmw", inputs=(dataclasses.replace(GOOD, rate_hz=1.0),))
-    (row,) = check_sensors(heard, LIMITS, {}, {}, ["ins/imu"])
+    network = NetworkState("rmw", inputs=(dataclasses.replace(GOOD, rate_hz=1.0),))
+    (row,) = check_sensors(network, LIMITS, {}, {}, ["ins/imu"])
     assert row.result is Result.FAIL
 
 

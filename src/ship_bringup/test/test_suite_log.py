@@ -109,15 +109,15 @@ def test_suite_continues_without_stdout(tmp_path, stdout):
     pid, log = tmp_path / "pid", tmp_path / "suite.log"
     command = [sys.executable, "-c", SUPERVISOR.format(pid=str(pid), log=str(log))]
     with open("/dev/full", "wb") as full:
-        keeper = subprocess.Popen(command, stdout=subprocess.PIPE if stdout == "closed pipe" else full)
-    if keeper.stdout:
-        keeper.stdout.readline()
-        keeper.stdout.close()
+        supervisor = subprocess.Popen(command, stdout=subprocess.PIPE if stdout == "closed pipe" else full)
+    if supervisor.stdout:
+        supervisor.stdout.readline()
+        supervisor.stdout.close()
     deadline_s = time.monotonic() + 20.0
     while not log.exists() or log.stat().st_size < 200:
         assert time.monotonic() < deadline_s
         time.sleep(0.05)
-    assert keeper.poll() is None
+    assert supervisor.poll() is None
     os.kill(int(pid.read_text()), 0)
-    keeper.terminate()
-    assert keeper.wait(20.0) == 0
+    supervisor.terminate()
+    assert supervisor.wait(20.0) == 0

@@ -62,9 +62,9 @@ def test_lines_have_the_name_as_prefix_and_none_is_lost():
 
 def test_line_without_end_is_cut_without_loss():
     _, lines = run_suite(program("long", "print('x' * 300_000)"), until="long ended")
-    said = [line.removeprefix("[long] ") for line in lines if line.startswith("[long]")]
-    assert len(said) > 1
-    assert "".join(said) == "x" * 300_000
+    printed = [line.removeprefix("[long] ") for line in lines if line.startswith("[long]")]
+    assert len(printed) > 1
+    assert "".join(printed) == "x" * 300_000
 
 
 @pytest.mark.slow
@@ -103,8 +103,8 @@ def test_reserve_process_replaces_the_dead_one(monkeypatch, tmp_path):
     node = Program("node", (sys.executable, "-c", text), has_reserve=True)
     code, lines = run_suite(node, until="node ended", count=2)
     assert code == 137
-    said = [line for line in lines if line.startswith("[node]")]
-    assert said == ["[node] from the start", "[node] in reserve"]
+    printed = [line for line in lines if line.startswith("[node]")]
+    assert printed == ["[node] from the start", "[node] in reserve"]
     # Its run time counts from begin(), and its wait in reserve is no run of its own.
     assert [line.partition(": ")[2] for line in lines if "ended" in line] == [
         "signal 9, SIGKILL; started again at once (restart 1 in a row)",
@@ -215,7 +215,7 @@ def beat_for(time_s):
 
 
 def test_bad_input_of_a_node_that_has_run_is_retried():
-    """For example a parameter file changed at sea: the suite waits for its correction."""
+    """The suite waits for its correction, for example of a parameter file that was changed at sea."""
     text = BEATS + "beat_for(0.5)\nraise SystemExit(2)"
     code, lines = run_suite(program("node", text), until="node ended", count=3)
     assert code == 2
@@ -243,9 +243,9 @@ def test_frozen_program_is_reported_killed_and_restarted(how):
     times = re.fullmatch(r"\[suite\] node is frozen: no heartbeat for (\d) s, .*started again in (\d) s", own[0])
     assert times, own
     # A busy machine checks later; both times are of one look.
-    silent_s, left_s = map(int, times.groups())
-    assert silent_s in (2, 3)
-    assert silent_s + left_s == 4
+    frozen_s, left_s = map(int, times.groups())
+    assert frozen_s in (2, 3)
+    assert frozen_s + left_s == 4
     assert kill_time_s(own[1]) in (4, 5)
     assert re.fullmatch(r"\[suite\] node ended .* signal 9, SIGKILL; started again at once .*", own[2])
 
@@ -304,19 +304,19 @@ def test_reserve_process_stopped_before_its_first_heartbeat_is_not_used(monkeypa
 @pytest.mark.slow
 def test_standstill_of_the_supervisor_does_not_count():
     """All are stopped and continued together, as on a suspended computer."""
-    keeper = start_supervisor(BEATS + "print(os.getpid(), flush=True)\nbeat_for(60.0)", limits="2.0, 4.0")
-    pid = read_pids(keeper, 1)[0]
+    supervisor = start_supervisor(BEATS + "print(os.getpid(), flush=True)\nbeat_for(60.0)", limits="2.0, 4.0")
+    pid = read_pids(supervisor, 1)[0]
     time.sleep(1.5)
     for number in (signal.SIGSTOP, signal.SIGCONT):
-        os.kill(keeper.pid, number)
+        os.kill(supervisor.pid, number)
         os.kill(pid, number)
         if number == signal.SIGSTOP:
             time.sleep(8.0)
     time.sleep(3.0)
-    keeper.send_signal(signal.SIGINT)
-    said = keeper.communicate(timeout=FAR_S)[0]
-    assert keeper.returncode == 0
-    assert "[suite]" not in said
+    supervisor.send_signal(signal.SIGINT)
+    output = supervisor.communicate(timeout=FAR_S)[0]
+    assert supervisor.returncode == 0
+    assert "[suite]" not in output
 
 
 @pytest.mark.slow
@@ -330,15 +330,15 @@ def test_program_without_processor_time_is_not_frozen():
             f"os.sched_setaffinity(0, [{core}])\nbeat_for(1.0)\nos.sched_setscheduler(0, os.SCHED_IDLE, "
             "os.sched_param(0))\nwhile True:\n    heartbeat().beat(time.monotonic_ns())\n    sum(range(20_000_000))"
         )
-        keeper = start_supervisor("print('runs', flush=True)\n" + text, limits="1.0, 6.0")
+        supervisor = start_supervisor("print('runs', flush=True)\n" + text, limits="1.0, 6.0")
         time.sleep(12.0)
-        keeper.send_signal(signal.SIGINT)
-        said = keeper.communicate(timeout=FAR_S)[0]
+        supervisor.send_signal(signal.SIGINT)
+        output = supervisor.communicate(timeout=FAR_S)[0]
     finally:
         for hog in hogs:
             hog.kill()
             hog.wait()
-    assert not re.search(r"sent no heartbeat for \d+ s: killed", said), said
+    assert not re.search(r"sent no heartbeat for \d+ s: killed", output), output
 
 
 @pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN])
@@ -367,22 +367,22 @@ def test_failed_start_is_retried(monkeypatch, number, where):
 def test_restart_without_file_descriptors_is_retried():
     """The limits of a running supervisor are lowered below its use, and raised again."""
     text = BEATS + "heartbeat().beat(time.monotonic_ns())\nprint(os.getpid(), flush=True)\nbeat_for(60.0)"
-    keeper = start_supervisor(text, text)
-    first, other = read_pids(keeper, 2)
-    before = resource.prlimit(keeper.pid, resource.RLIMIT_NOFILE)
-    resource.prlimit(keeper.pid, resource.RLIMIT_NOFILE, (4, before[1]))
+    supervisor = start_supervisor(text, text)
+    first, other = read_pids(supervisor, 2)
+    before = resource.prlimit(supervisor.pid, resource.RLIMIT_NOFILE)
+    resource.prlimit(supervisor.pid, resource.RLIMIT_NOFILE, (4, before[1]))
     os.kill(first, signal.SIGKILL)
-    told = [keeper.stdout.readline() for _ in range(4)]
-    assert "started again at once" in told[0]
-    assert all(re.search(r"cannot be started: Too many open files; tried again in [124] s", each) for each in told[1:])
-    assert keeper.poll() is None
+    lines = [supervisor.stdout.readline() for _ in range(4)]
+    assert "started again at once" in lines[0]
+    assert all(re.search(r"cannot be started: Too many open files; tried again in [124] s", each) for each in lines[1:])
+    assert supervisor.poll() is None
     os.kill(other, 0)
-    resource.prlimit(keeper.pid, resource.RLIMIT_NOFILE, before)
-    while (line := keeper.stdout.readline()).startswith("[suite]"):
+    resource.prlimit(supervisor.pid, resource.RLIMIT_NOFILE, before)
+    while (line := supervisor.stdout.readline()).startswith("[suite]"):
         pass
     assert re.match(r"\[p[01]\] \d+", line)
-    keeper.send_signal(signal.SIGTERM)
-    assert keeper.wait(FAR_S) == 0
+    supervisor.send_signal(signal.SIGTERM)
+    assert supervisor.wait(FAR_S) == 0
 
 
 def test_exception_in_the_supervisor_ends_nothing(monkeypatch):
@@ -436,30 +436,30 @@ def wait_until_gone(pids):
 
 
 def test_programs_end_when_the_suite_is_killed():
-    keeper = start_supervisor(PRINTS_ITS_ID, IGNORES_SIGINT)
-    pids = read_pids(keeper, 2)
-    keeper.kill()
-    keeper.wait()
+    supervisor = start_supervisor(PRINTS_ITS_ID, IGNORES_SIGINT)
+    pids = read_pids(supervisor, 2)
+    supervisor.kill()
+    supervisor.wait()
     wait_until_gone(pids)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_signal_ends_all_programs(number):
-    keeper = start_supervisor(PRINTS_ITS_ID, PRINTS_ITS_ID)
-    pids = read_pids(keeper, 2)
-    keeper.send_signal(number)
-    assert keeper.wait(FAR_S) == 0
+    supervisor = start_supervisor(PRINTS_ITS_ID, PRINTS_ITS_ID)
+    pids = read_pids(supervisor, 2)
+    supervisor.send_signal(number)
+    assert supervisor.wait(FAR_S) == 0
     assert all(map(is_gone, pids))
 
 
 def test_second_signal_kills_at_once():
-    keeper = start_supervisor(IGNORES_SIGINT)
-    pids = read_pids(keeper, 1)
-    keeper.send_signal(signal.SIGINT)
+    supervisor = start_supervisor(IGNORES_SIGINT)
+    pids = read_pids(supervisor, 1)
+    supervisor.send_signal(signal.SIGINT)
     time.sleep(0.3)
     os.kill(pids[0], 0)
     started_s = time.monotonic()
-    keeper.send_signal(signal.SIGINT)
-    keeper.wait(FAR_S)
+    supervisor.send_signal(signal.SIGINT)
+    supervisor.wait(FAR_S)
     assert time.monotonic() - started_s < 5.0  # not the timeout of ten seconds
     assert is_gone(pids[0])

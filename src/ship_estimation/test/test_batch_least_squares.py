@@ -39,10 +39,10 @@ def sequential(jacobians: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, n
 def prior_covariance() -> np.ndarray:
     """Return the prior covariance of all states at all epochs, ordered (epoch, state), from autocovariances."""
     t = np.array(TIMES_S)
-    apart_s = np.abs(t[:, None] - t)
+    lag_s = np.abs(t[:, None] - t)
     covariance = np.zeros((len(t), 4, len(t), 4))
-    covariance[:, 0, :, 0] = DRIFT_SIGMA**2 * np.exp(-apart_s / DRIFT_TIME_S)
-    covariance[:, 1, :, 1] = WHITE_SIGMA**2 * (apart_s == 0.0)
+    covariance[:, 0, :, 0] = DRIFT_SIGMA**2 * np.exp(-lag_s / DRIFT_TIME_S)
+    covariance[:, 1, :, 1] = WHITE_SIGMA**2 * (lag_s == 0.0)
     covariance[:, 2, :, 2] = CONSTANT_SIGMA**2
     covariance[:, 3, :, 3] = WALK_SIGMA**2 + WALK**2 * np.minimum(t[:, None], t)
     return covariance.reshape(4 * len(t), 4 * len(t))

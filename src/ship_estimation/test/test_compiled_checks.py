@@ -78,13 +78,15 @@ def test_bounds_use_the_larger_of_configured_and_estimated_noise(learns: int, fi
     rng = np.random.default_rng(5)
     weights, least, shares = rng.standard_normal((4, 30)), rng.uniform(0.1, 1.0, 4), rng.uniform(0.5, 2.0, 4)
     high, bounds, scaled = rng.uniform(0.0, 0.1, 6) ** 8, np.empty(4), np.empty((4, 30))
-    judges = compiled_checks.set_bounds(weights, least, shares, high, learns, 0.01, 0.02, first_rad, bounds, scaled)
+    is_first_checked = compiled_checks.set_bounds(
+        weights, least, shares, high, learns, 0.01, 0.02, first_rad, bounds, scaled
+    )
     expected = np.maximum(least, 3.10 * high[:4] ** 0.125 * shares) + 0.01 + 0.02
     if learns < 64 and first_rad < math.inf:
         expected[0] = max(expected[0], first_rad)
     if learns < 250:
-        expected[1 if judges else 0 :] += 10.0
-    assert judges == (learns >= 64 or first_rad < math.inf)
+        expected[1 if is_first_checked else 0 :] += 10.0
+    assert is_first_checked == (learns >= 64 or first_rad < math.inf)
     np.testing.assert_allclose(bounds, expected, rtol=1e-13)
     np.testing.assert_allclose(scaled, weights / expected[:, None], rtol=1e-13)
 

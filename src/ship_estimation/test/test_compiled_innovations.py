@@ -86,11 +86,13 @@ def random_innovations(rng: np.random.Generator, count: int, axes: int, parts: i
 def test_part_sizes_equal_numpy(count: int, parts: int) -> None:
     numbers = random_innovations(np.random.default_rng(count), count, 2, parts)
     squares, degrees, own_share, nis, components = compiled_innovations.part_sizes(numbers, 9, 0.5)
-    telling = numbers[numbers[:, 3] >= 0.5]
-    expected = np.sort(telling[:, 9:], axis=None)
+    informative = numbers[numbers[:, 3] >= 0.5]
+    expected = np.sort(informative[:, 9:], axis=None)
     np.testing.assert_array_equal(squares, expected[~np.isnan(expected)])
-    assert degrees == telling[:, 0].max(initial=0)
-    assert own_share == pytest.approx(np.mean(telling[:, 3]) if len(telling) else np.nan, rel=1e-13, nan_ok=True)
+    assert degrees == informative[:, 0].max(initial=0)
+    assert own_share == pytest.approx(
+        np.mean(informative[:, 3]) if len(informative) else np.nan, rel=1e-13, nan_ok=True
+    )
     assert nis == pytest.approx(numbers[:, 1].sum(), rel=1e-13)
     assert components == numbers[:, 2].sum()
 
@@ -98,9 +100,9 @@ def test_part_sizes_equal_numpy(count: int, parts: int) -> None:
 @pytest.mark.parametrize("count", [0, 20, 41, 300])
 def test_axis_statistics_equal_numpy(count: int) -> None:
     numbers = random_innovations(np.random.default_rng(count), count, 3, 2)
-    figures, lasting = compiled_innovations.axis_statistics(numbers, 3, 20, 1.4826, 3.0)
+    figures, common = compiled_innovations.axis_statistics(numbers, 3, 20, 1.4826, 3.0)
     unused = numbers[numbers[:, 4] == 0.0]
-    assert lasting == (np.max(1.0 - unused[:, 3]) if len(unused) else 0.0)
+    assert common == (np.max(1.0 - unused[:, 3]) if len(unused) else 0.0)
     for axis, (known, *found) in enumerate(figures):
         values = numbers[:, 5 + 2 * axis]
         values = values[~np.isnan(values)]

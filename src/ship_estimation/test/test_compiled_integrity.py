@@ -27,38 +27,40 @@ def covariances(rng: np.random.Generator, *shape: int) -> FloatArray:
 def numpy_separation(distance: FloatArray, variance: FloatArray, variance_0: FloatArray, k: SigmaMultipliers):
     """Return statistic, level and dominant hypothesis."""
     grown = np.maximum(variance, variance_0)
-    apart = np.sqrt(np.maximum(grown - variance_0, np.maximum(1e-6 * variance_0, 1e-24)))
-    levels = k.false_exclusion * apart + k.missed_detection[:, None] * np.sqrt(grown)
+    sigmas = np.sqrt(np.maximum(grown - variance_0, np.maximum(1e-6 * variance_0, 1e-24)))
+    levels = k.false_exclusion * sigmas + k.missed_detection[:, None] * np.sqrt(grown)
     levels = np.vstack([k.fault_free * np.sqrt(variance_0), levels])
     dominant = int(np.argmax(np.max(levels, axis=-1))) - 1
-    return np.max(np.abs(distance) / apart, axis=-1), np.max(levels, axis=0), dominant
+    return np.max(np.abs(distance) / sigmas, axis=-1), np.max(levels, axis=0), dominant
 
 
-@pytest.mark.parametrize("hypotheses", [1, 3, 10])
-def test_separations_and_levels_by_states_equal_numpy(hypotheses: int) -> None:
+@pytest.mark.parametrize("count", [1, 3, 10])
+def test_separations_and_levels_by_states_equal_numpy(count: int) -> None:
     rng = np.random.default_rng(1)
     to_components, by_states = rng.standard_normal((2, 3, 3))
     covariance, parts = covariances(rng, 3), covariances(rng, SOURCES, STATES)
-    left_out, mean = covariances(rng, hypotheses, STATES), 1e-5 * rng.standard_normal(STATES)
+    left_out, mean = covariances(rng, count, STATES), 1e-5 * rng.standard_normal(STATES)
     # The subfilter is as much less accurate as two sources make it, so that differences keep their relative accuracy.
     left_out += 10.0 * parts.sum(axis=0)
-    means = mean + 1e-6 * rng.standard_normal((hypotheses, STATES))
-    k, asked = SigmaMultipliers(6.0, 5.1, rng.uniform(0.0, 3.0, hypotheses)), np.arange(hypotheses)[::2]
+    means = mean + 1e-6 * rng.standard_normal((count, STATES))
+    k, subfilters = SigmaMultipliers(6.0, 5.1, rng.uniform(0.0, 3.0, count)), np.arange(count)[::2]
     by_output = to_components, by_states, covariance
-    found = solution_separation(k, asked, CHOSEN, by_output, mean, means, parts, left_out)
-    first, beside = parts.sum(axis=0)[np.ix_(CHOSEN, CHOSEN)], left_out[:, CHOSEN[:, None], CHOSEN]
+    found = solution_separation(k, subfilters, CHOSEN, by_output, mean, means, parts, left_out)
+    first, without_source = parts.sum(axis=0)[np.ix_(CHOSEN, CHOSEN)], left_out[:, CHOSEN[:, None], CHOSEN]
     of_all = to_components @ covariance @ to_components.T
-    without = np.diagonal(of_all + by_states @ (beside - first) @ by_states.T, axis1=-2, axis2=-1)
+    without = np.diagonal(of_all + by_states @ (without_source - first) @ by_states.T, axis1=-2, axis2=-1)
     distance, in_question = (
         (means - mean)[:, CHOSEN] @ by_states.T,
-        SigmaMultipliers(6.0, 5.1, k.missed_detection[asked]),
+        SigmaMultipliers(6.0, 5.1, k.missed_detection[subfilters]),
     )
-    statistic, level, dominant = numpy_separation(distance[asked], without[asked], np.diagonal(of_all), in_question)
+    statistic, level, dominant = numpy_separation(
+        distance[subfilters], without[subfilters], np.diagonal(of_all), in_question
+    )
     np.testing.assert_allclose(found.statistic, statistic, rtol=1e-12)
     np.testing.assert_allclose(found.level, level, rtol=1e-13)
     assert found.dominant == dominant
     assert found.largest_sigma == pytest.approx(
-        np.sqrt(np.diagonal(beside[asked], axis1=-2, axis2=-1).max()), rel=1e-15
+        np.sqrt(np.diagonal(without_source[subfilters], axis1=-2, axis2=-1).max()), rel=1e-15
     )
 
 
@@ -70,10 +72,12 @@ def test_separations_and_levels_equal_numpy(seed: int) -> None:
     # Some without separation, some more accurate without the source.
     variance = variance_0 * rng.choice([0.9, 1.0, 1.0 + 1e-9, 1.3, 4.0], (count, 3))
     distance = 1e-5 * rng.standard_normal((count, 3))
-    for rows in ([*range(count)], [*range(count)][::2]):
-        found = solution_separations(distance, variance, variance_0, k, rows)
-        in_question = SigmaMultipliers(k.fault_free, k.false_exclusion, k.missed_detection[rows])
-        statistic, level, dominant = numpy_separation(distance[rows], variance[rows], variance_0, in_question)
+    for subfilters in ([*range(count)], [*range(count)][::2]):
+        found = solution_separations(distance, variance, variance_0, k, subfilters)
+        in_question = SigmaMultipliers(k.fault_free, k.false_exclusion, k.missed_detection[subfilters])
+        statistic, level, dominant = numpy_separation(
+            distance[subfilters], variance[subfilters], variance_0, in_question
+        )
         np.testing.assert_allclose(found.statistic, statistic, rtol=1e-13)
         np.testing.assert_allclose(found.level, level, rtol=1e-13)
         assert found.dominant == dominant
@@ -134,21 +138,21 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
 @pytest.mark.parametrize("seed", range(20))
 def test_outputs_are_covered_up_to_the_first_one_beyond_a_bound(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    count, told = 12, rng.uniform(-1.0, 1.0, (3, 3))
+    count, published = 12, rng.uniform(-1.0, 1.0, (3, 3))
     times_ns, covariances = 100 * np.arange(count), rng.uniform(0.0, 1.0, (count, 3, 3))
-    directions = told + rng.uniform(-0.1, 0.1, (count, 3, 3))
+    directions = published + rng.uniform(-0.1, 0.1, (count, 3, 3))
     if seed % 4 == 0:
         covariances[rng.integers(count), 1, 1] = np.nan
     until_ns, variance, turned = int(rng.integers(300, 1500)), rng.uniform(1.5, 3.0), rng.uniform(0.08, 0.101)
     within = (
         (times_ns < until_ns)
         & (covariances.trace(axis1=1, axis2=2) <= variance)
-        & (np.abs(directions - told).max(axis=(1, 2)) <= turned)
+        & (np.abs(directions - published).max(axis=(1, 2)) <= turned)
     )
     expected = count if within.all() else int(np.argmin(within))
-    found = compiled_integrity.covered_count(times_ns, covariances, directions, until_ns, variance, told, turned)
+    found = compiled_integrity.covered_count(times_ns, covariances, directions, until_ns, variance, published, turned)
     assert found == expected
-    assert compiled_integrity.covered_count(times_ns, covariances, directions, 10**6, np.inf, told, np.inf) == (
+    assert compiled_integrity.covered_count(times_ns, covariances, directions, 10**6, np.inf, published, np.inf) == (
         count if seed % 4 else int(np.argmax(np.isnan(covariances.trace(axis1=1, axis2=2))))
     )
 
@@ -160,12 +164,12 @@ def test_outputs_of_other_shapes_are_refused() -> None:
             compiled_integrity.covered_count(*outputs, 1, 1.0, np.zeros((3, 3)), 1.0)
 
 
-def numpy_coverage(level: FloatArray, told: FloatArray, covariance: FloatArray, entering: float):
+def numpy_coverage(level: FloatArray, published: FloatArray, covariance: FloatArray, entering: float):
     """Return the coverage of an output by published levels, and the bounds of variance and rotation for later ones."""
-    covers = bool(np.all(level <= 1.05 * told) or np.all(np.isnan(level) & np.isnan(told)))
+    covers = bool(np.all(level <= 1.05 * published) or np.all(np.isnan(level) & np.isnan(published)))
     if not np.isfinite(level).all():
         return covers, np.inf, np.inf
-    room = 0.5 * (np.min(1.05 * told / level) - 1.0)
+    room = 0.5 * (np.min(1.05 * published / level) - 1.0)
     variance = covariance.trace() + np.linalg.eigvalsh(covariance)[0] * ((1.0 + room) ** 2 - 1.0)
     return covers, variance, room * level.min() / max(entering, 1e-12)
 
@@ -174,13 +178,13 @@ def numpy_coverage(level: FloatArray, told: FloatArray, covariance: FloatArray, 
 def test_coverage_of_published_levels_equals_numpy(seed: int) -> None:
     rng = np.random.default_rng(seed)
     level, covariance = rng.uniform(1e-5, 1e-4, 3), covariances(rng, 3)
-    told = level * rng.uniform(0.93, 1.1, 3)
+    published = level * rng.uniform(0.93, 1.1, 3)
     if seed % 5 == 0:
         level[seed % 3] = np.nan
     if seed % 10 == 0:
-        level[:] = told[:] = np.nan
+        level[:] = published[:] = np.nan
     entering = 0.0 if seed % 7 == 0 else 1e-4
-    found = compiled_integrity.coverage(level, told, covariance, entering, 1.05, 1e-12)
-    expected = numpy_coverage(level, told, covariance, entering)
+    found = compiled_integrity.coverage(level, published, covariance, entering, 1.05, 1e-12)
+    expected = numpy_coverage(level, published, covariance, entering)
     assert found[0] is expected[0]
     np.testing.assert_allclose(found[1:], expected[1:], rtol=1e-11)

@@ -30,15 +30,15 @@ def case(
     shape: tuple[int, int, int, int], seed: int = 1
 ) -> tuple[np.ndarray, np.ndarray, LinearMeasurement, np.ndarray]:
     """A stack, means, a measurement that does not depend on a third of the states, and its rotation Jacobian."""
-    states, residuals, sources, rows = shape
+    states, residuals, sources, filters = shape
     rng = np.random.default_rng(seed)
-    roots = rng.standard_normal((sources + rows - 1, states, 2 * states))
+    roots = rng.standard_normal((sources + filters - 1, states, 2 * states))
     stack = roots @ roots.transpose(0, 2, 1)
     jacobian = rng.standard_normal((residuals, states)) * (np.arange(states) % 3 != 2)
     root = rng.standard_normal((residuals, residuals))
     noise = {0: 20.0 * np.eye(residuals), sources - 1: root @ root.T + np.eye(residuals)}
     measured = LinearMeasurement(rng.standard_normal(residuals), jacobian, noise)
-    return stack, rng.standard_normal((rows, states)), measured, rng.standard_normal((residuals, 3))
+    return stack, rng.standard_normal((filters, states)), measured, rng.standard_normal((residuals, 3))
 
 
 def numpy_innovations(
@@ -62,31 +62,31 @@ def numpy_innovations(
 def numpy_update(
     stack: np.ndarray, measured: LinearMeasurement, compared: FilterInnovations, learns: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    rows, states = learns.shape
-    sources = len(stack) - rows + 1
+    filters, states = learns.shape
+    sources = len(stack) - filters + 1
     updated = np.empty_like(stack)
     gain = compared.gain * learns[:, :, None]
     for index, covariance in enumerate(stack):
-        row = max(index - sources + 1, 0)
-        keep = np.eye(states) - gain[row] @ measured.jacobian
-        noise = measured.noise if row else measured.noise_by_source.get(index, np.zeros_like(measured.noise))
-        updated[index] = keep @ covariance @ keep.T + gain[row] @ noise @ gain[row].T
+        filter_index = max(index - sources + 1, 0)
+        keep = np.eye(states) - gain[filter_index] @ measured.jacobian
+        noise = measured.noise if filter_index else measured.noise_by_source.get(index, np.zeros_like(measured.noise))
+        updated[index] = keep @ covariance @ keep.T + gain[filter_index] @ noise @ gain[filter_index].T
     return np.einsum("hnm,hm->hn", gain, compared.residual), updated
 
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_predicted_covariances_equal_numpy(shape: tuple[int, int, int, int]) -> None:
     stack, _, _, _ = case(shape)
-    states, _, sources, rows = shape
+    states, _, sources, filters = shape
     rng = np.random.default_rng(2)
     decay, noise, source_of = rng.uniform(size=states), rng.uniform(size=states), rng.integers(0, sources, states)
     expected = stack * decay[:, None] * decay
     for state, source in enumerate(source_of):
         expected[[source, *range(sources, len(stack))], state, state] += noise[state]
-    equal(predict(stack, decay, noise, source_of, rows), expected)
+    equal(predict(stack, decay, noise, source_of, filters), expected)
     total = stack[:sources].sum(axis=0)
-    equal(filter_covariances(stack, rows), np.concatenate([total[None], stack[sources:]]))
-    np.testing.assert_array_equal(compiled_steps.total(stack, sources), filter_covariances(stack, rows)[0])
+    equal(filter_covariances(stack, filters), np.concatenate([total[None], stack[sources:]]))
+    np.testing.assert_array_equal(compiled_steps.total(stack, sources), filter_covariances(stack, filters)[0])
 
 
 @pytest.mark.parametrize("dt_s", [1e-9, 0.2, 3600.0])
@@ -109,12 +109,12 @@ def test_propagated_states_equal_numpy(dt_s: float) -> None:
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("row", [None, 1, 2])
-def test_covariance_is_inflated_in_the_right_filters(row: int | None) -> None:
+@pytest.mark.parametrize("filter_index", [None, 1, 2])
+def test_covariance_is_inflated_in_the_right_filters(filter_index: int | None) -> None:
     stack, covariance = case((6, 3, 3, 3))[0], np.arange(4.0).reshape(2, 2)
     found, expected = stack.copy(), stack.copy()
-    add_error(found, 3, 1, slice(2, 4), covariance, row)
-    for index in (1, 3, 4) if row is None else (2 + row,):
+    add_error(found, 3, 1, slice(2, 4), covariance, filter_index)
+    for index in (1, 3, 4) if filter_index is None else (2 + filter_index,):
         expected[index, 2:4, 2:4] += covariance
     np.testing.assert_array_equal(found, expected)
 
@@ -208,9 +208,9 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
     beyond = LinearMeasurement(measured.residual, measured.jacobian, {2: measured.noise})
     with pytest.raises(ValueError, match="noise_parts"):
         update_subfilters(stack, beyond, found, everything)
-    for states, part, row in ((slice(4, 7), 0, None), (slice(0, 3), 2, None), (slice(0, 3), 0, 2)):
+    for states, part, filter_index in ((slice(4, 7), 0, None), (slice(0, 3), 2, None), (slice(0, 3), 0, 2)):
         with pytest.raises(ValueError, match="do not fit together"):
-            add_error(stack, 2, part, states, np.eye(3), row)
+            add_error(stack, 2, part, states, np.eye(3), filter_index)
     for call in (
         compiled_steps.variance_along,
         lambda *of: compiled_steps.projected_variance(np.ones((3, 6)), *reversed(of)),

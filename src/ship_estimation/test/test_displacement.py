@@ -35,7 +35,7 @@ def displaced_each_second(turns: np.ndarray, seed: int, drifts: bool = True) -> 
     return found
 
 
-def lasting_turn(arcsec: float, from_s: int, until_s: int, length_s: int) -> np.ndarray:
+def turn_between(arcsec: float, from_s: int, until_s: int, length_s: int) -> np.ndarray:
     """Return the rotation in each second, rad."""
     seconds = np.arange(length_s)
     return arcsec * ARCSEC * ((seconds >= from_s) & (seconds < until_s))
@@ -51,8 +51,8 @@ def test_noise_and_drift_are_no_step() -> None:
 @pytest.mark.parametrize("arcsec", [20.0, 60.0, 120.0, -3600.0])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_permanent_displacement_never_ends(arcsec: float, seed: int) -> None:
-    """For an hour, in which the INS's heading drifts by a similar amount (its sigma after an hour is 50″)."""
-    found = displaced_each_second(lasting_turn(arcsec, 20, 4000, 3600), seed)
+    """The INS's heading drifts by a similar amount within this hour (its sigma after an hour is 50″)."""
+    found = displaced_each_second(turn_between(arcsec, 20, 4000, 3600), seed)
     assert not any(found[:20])
     assert all(found[22:])
 
@@ -62,7 +62,7 @@ def test_permanent_displacement_never_ends(arcsec: float, seed: int) -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_displacement_ends_when_the_source_moves_back(minutes: int, arcsec: float, seed: int) -> None:
     end_s = 20 + 60 * minutes
-    found = displaced_each_second(lasting_turn(arcsec, 20, end_s, end_s + 60), seed)
+    found = displaced_each_second(turn_between(arcsec, 20, end_s, end_s + 60), seed)
     assert all(found[22:end_s])
     assert not any(found[end_s + 6 :])
 
@@ -70,19 +70,19 @@ def test_displacement_ends_when_the_source_moves_back(minutes: int, arcsec: floa
 @pytest.mark.parametrize("part", [0.5, 0.7])
 def test_displacement_does_not_end_with_a_partial_return(part: float) -> None:
     """A return by 0.7 of 120″ leaves 36″; of 60″ it would leave 18″, 4 sigmas of two steps of one sensor."""
-    turns = lasting_turn(120.0, 20, 100, 300) + lasting_turn(120.0 * (1.0 - part), 100, 300, 300)
+    turns = turn_between(120.0, 20, 100, 300) + turn_between(120.0 * (1.0 - part), 100, 300, 300)
     assert all(displaced_each_second(turns, 1)[22:])
 
 
 def test_two_displacements_end_when_both_have_ended() -> None:
-    found = displaced_each_second(lasting_turn(60.0, 20, 200, 300) + lasting_turn(90.0, 60, 120, 300), 1)
+    found = displaced_each_second(turn_between(60.0, 20, 200, 300) + turn_between(90.0, 60, 120, 300), 1)
     assert all(found[22:200])
     assert not any(found[206:])
 
 
 def test_a_step_within_a_second_is_measured_whole() -> None:
     """The displacement begins and ends between two measurements of a second: neither part is lost."""
-    turns = lasting_turn(30.0, 20, 100, 160) + lasting_turn(12.0, 19, 20, 160) + lasting_turn(18.0, 100, 101, 160)
+    turns = turn_between(30.0, 20, 100, 160) + turn_between(12.0, 19, 20, 160) + turn_between(18.0, 100, 101, 160)
     found = displaced_each_second(turns, 4)
     assert all(found[22:99])
     assert not any(found[107:])
@@ -196,7 +196,7 @@ def test_steps_in_every_second_for_half_an_hour_leave_a_covariance() -> None:
 
 
 def test_displacement_in_the_first_measurements_ends() -> None:
-    """After frozen encoders the stored state is known to 20°: the fault is in the first measurements, and it ends."""
+    """The stored state has a sigma of 20° after frozen encoders: a fault of the first measurements ends."""
     source, vague = Displacement(), np.deg2rad(20.0) ** 2 * np.eye(3)
     for second in range(30):
         source.add(MemoryResidual(np.array([0.0, 10000.0 * ARCSEC * (second < 4), 0.0]), NOISE, vague, DRIFT))

@@ -27,7 +27,7 @@ def noisy(samples: list[AttitudeSample], sigma_arcsec: float, first: int) -> lis
     ]
 
 
-def jittering(samples: list[AttitudeSample], sigma_s: float, first: int) -> list[AttitudeSample]:
+def with_jitter(samples: list[AttitudeSample], sigma_s: float, first: int) -> list[AttitudeSample]:
     late_ns = np.abs(np.random.default_rng(4).normal(0.0, sigma_s * 1e9, len(samples))).astype(int)
     return [
         replace(sample, time_ns=sample.time_ns + int(late)) if number >= first else sample
@@ -37,11 +37,11 @@ def jittering(samples: list[AttitudeSample], sigma_s: float, first: int) -> list
 
 def changes(samples: list[AttitudeSample], **config: float) -> list[tuple[float, ExtraNoise]]:
     """Return the changes of the noise: time after the first sample, s, and the noise then."""
-    guard, found = InsCheck(CheckedInsConfig(**config)), []
+    ins_check, found = InsCheck(CheckedInsConfig(**config)), []
     for sample in samples:
-        judged: CheckedInsSample = guard.check(sample, NOTHING_LATE, {})
-        if judged.noise is not None:
-            found.append(((sample.time_ns - samples[0].time_ns) * 1e-9, judged.noise))
+        checked: CheckedInsSample = ins_check.check(sample, NOTHING_LATE, {})
+        if checked.noise is not None:
+            found.append(((sample.time_ns - samples[0].time_ns) * 1e-9, checked.noise))
     return found
 
 
@@ -70,7 +70,7 @@ def test_excess_of_one_half_is_detected_within_half_a_minute(rate_hz: float) -> 
 def test_jitter_is_distinguished_from_attitude_noise_and_its_end_is_detected(rate_hz: float) -> None:
     samples = stream(60.0, rate_hz)
     first, last = round(30.0 * rate_hz), round(45.0 * rate_hz)
-    ends = [*jittering(samples[:last], 0.004, first), *samples[last:]]
+    ends = [*with_jitter(samples[:last], 0.004, first), *samples[last:]]
     found = changes(ends)
     assert 30.0 < found[0][0] < 32.0
     # The standard deviation of the folded normal is 0.60 of its parameter.
@@ -85,7 +85,7 @@ def test_at_rest_jitter_is_not_reported() -> None:
     moving, resting = stream(30.0, 50.0), stream(30.0, 50.0, amplitude_deg=(0.0, 0.0, 0.0))
     later_ns = moving[-1].time_ns + 20_000_000 - resting[0].time_ns
     samples = [*moving, *(replace(sample, time_ns=sample.time_ns + later_ns) for sample in resting)]
-    assert not changes(jittering(samples, 0.004, len(moving)))
+    assert not changes(with_jitter(samples, 0.004, len(moving)))
 
 
 HEALTHY: dict[str, dict[str, object]] = {
@@ -129,16 +129,16 @@ def test_larger_stated_noise_ends_or_reduces_an_excess() -> None:
     """Noise of 1″ and further noise of 5″ make 5.1″ together."""
     samples = noisy(stream(20.0, 20.0), 5.0, 0)
     for stated_arcsec, excess_arcsec in ((5.1, 0.0), (2.0, np.sqrt(26.0 - 4.0))):
-        guard = InsCheck(CheckedInsConfig(white_sigma_arcsec=1.0))
+        ins_check = InsCheck(CheckedInsConfig(white_sigma_arcsec=1.0))
         for sample in samples[:-1]:
-            guard.check(sample, NOTHING_LATE, {})
-        assert guard.excess_text != ""
-        guard.reconfigure(CheckedInsConfig(white_sigma_arcsec=stated_arcsec))
-        noise = guard.check(samples[-1], NOTHING_LATE, {}).noise
+            ins_check.check(sample, NOTHING_LATE, {})
+        assert ins_check.excess_text != ""
+        ins_check.reconfigure(CheckedInsConfig(white_sigma_arcsec=stated_arcsec))
+        noise = ins_check.check(samples[-1], NOTHING_LATE, {}).noise
         assert noise is not None
         assert noise.from_ns == samples[-2].time_ns
         assert sigma_arcsec(noise) == pytest.approx(excess_arcsec, rel=0.3)
-        assert (guard.excess_text != "") == (excess_arcsec > 0.0)
+        assert (ins_check.excess_text != "") == (excess_arcsec > 0.0)
 
 
 def test_extra_noise_applies_from_its_stamp_on() -> None:

@@ -20,7 +20,7 @@ NOISE, WALK, MOUNTING = 3.0, 0.3, 20.0
 class FilterBank:
     """An angle about each axis with a random walk, measured by sensors whose mounting is estimated.
 
-    A row without each sensor and, where there are ``pairs``, without each two.
+    A subfilter leaves out each sensor and, with ``pairs``, each two.
     """
 
     def __init__(self, sensors, pairs=False):
@@ -28,11 +28,11 @@ class FilterBank:
         one = [(sensor,) for sensor in range(sensors)]
         self.left_out = [(), *one, *(itertools.combinations(range(sensors), 2) if pairs else ())]
         self.uses = np.array([[sensor not in out for sensor in range(sensors)] for out in self.left_out])
-        rows = len(self.left_out)
-        self.means = np.zeros((rows, size))
+        filters = len(self.left_out)
+        self.means = np.zeros((filters, size))
         prior = np.diag(np.repeat([10.0, *[MOUNTING] * sensors], 3) ** 2)
-        self.stack = np.tile(prior, (rows, 1, 1))
-        self.seen, self.limit = initial_means(rows, sensors), excess_limit(IntegrityConfig(), sensors)
+        self.stack = np.tile(prior, (filters, 1, 1))
+        self.seen, self.limit = initial_means(filters, sensors), excess_limit(IntegrityConfig(), sensors)
 
     def add(self, sensor, residual, time_ns):
         jacobian = np.zeros((3, self.means.shape[1]))
@@ -48,9 +48,9 @@ class FilterBank:
         self.seen = updated_means(self.seen, sensor, compared.whitened_innovation, accepted, time_ns, self.limit)
 
     def isolation(self, time_ns):
-        apart = self.means[1:, :3] - self.means[0, :3]
+        separation = self.means[1:, :3] - self.means[0, :3]
         total = self.stack[:, range(3), range(3)]
-        statistic = np.max(np.abs(apart) / np.sqrt(np.maximum(total[1:] - total[0], 1e-6 * total[0])), axis=-1)
+        statistic = np.max(np.abs(separation) / np.sqrt(np.maximum(total[1:] - total[0], 1e-6 * total[0])), axis=-1)
         one, two = range(1, self.sensors + 1), range(self.sensors + 1, len(self.left_out))
         return isolate_fault(
             self.seen, self.uses, np.concatenate([[0.0], statistic]), 5.1, one, time_ns, larger_subfilters=two
@@ -69,12 +69,12 @@ class Base:
         self.mounting = MOUNTING * self.rng.standard_normal((sensors, 3))
         self.angle = 10.0 * self.rng.standard_normal(3)
 
-    def until(self, epoch, knocks):
+    def isolations_until(self, epoch, shifts):
         """Yield the fault isolation of each measurement before an epoch, with its epoch."""
         while self.epoch < epoch:
             for sensor, mounting in enumerate(self.mounting):
                 self.angle = self.angle + WALK * self.rng.standard_normal(3)
-                wrong = knocks.get(sensor, 0.0) * np.array([0.0, 1.0, 0.0])
+                wrong = shifts.get(sensor, 0.0) * np.array([0.0, 1.0, 0.0])
                 measured = self.angle + mounting + wrong + NOISE * self.rng.standard_normal(3)
                 self.bank.add(sensor, measured, self.epoch * SECOND_NS // 5)
                 yield self.epoch, self.bank.isolation(self.epoch * SECOND_NS // 5)
@@ -85,26 +85,26 @@ class Base:
 def _before_shifts(seed, sensors, pairs):
     """Return the base at AT, without a detected fault; it is the same for all shifts."""
     base = Base(seed, sensors, pairs)
-    assert not any(found.is_detected for _, found in base.until(AT, {}))
+    assert not any(found.is_detected for _, found in base.isolations_until(AT, {}))
     return base
 
 
-def _voyage(seed, sensors, knocks=None, epochs=2 * AT, pairs=False):
+def _voyage(seed, sensors, shifts=None, epochs=2 * AT, pairs=False):
     """Return the epochs after the shifts until a fault is detected, and the sensors first isolated; None without one.
 
     Args:
         seed: of the noise.
         sensors: how many.
-        knocks: by sensor, about the second axis, from AT on.
+        shifts: mounting shift of each sensor about the second axis, from AT on.
         epochs: measurements of each sensor.
-        pairs: whether rows leave out two.
+        pairs: add subfilters that leave out two sensors.
     """
-    base, told = copy.deepcopy(_before_shifts(seed, sensors, pairs)), None
-    for epoch, found in base.until(epochs, knocks or {}):
-        told = epoch - AT if found.is_detected and told is None else told
+    base, detected_at = copy.deepcopy(_before_shifts(seed, sensors, pairs)), None
+    for epoch, found in base.isolations_until(epochs, shifts or {}):
+        detected_at = epoch - AT if found.is_detected and detected_at is None else detected_at
         if found.subfilter is not None:
-            return told, base.bank.left_out[found.subfilter]
-    return None if told is None else (told, None)
+            return detected_at, base.bank.left_out[found.subfilter]
+    return None if detected_at is None else (detected_at, None)
 
 
 @pytest.mark.parametrize("sensors", [2, 3])
@@ -112,11 +112,11 @@ def test_fault_free_sources_are_not_excluded(sensors):
     assert [_voyage(seed, sensors, epochs=1000) for seed in range(3)] == [None] * 3
 
 
-@pytest.mark.parametrize("knocked", [0, 2])
-@pytest.mark.parametrize("knock", [30.0, 60.0, -60.0])
-def test_shift_of_ten_sigmas_is_isolated_within_three_measurements(knock, knocked):
-    found = [_voyage(seed, 3, {knocked: knock}) for seed in range(8)]
-    assert [named for _, named in found] == [(knocked,)] * 8
+@pytest.mark.parametrize("sensor", [0, 2])
+@pytest.mark.parametrize("shift", [30.0, 60.0, -60.0])
+def test_shift_of_ten_sigmas_is_isolated_within_three_measurements(shift, sensor):
+    found = [_voyage(seed, 3, {sensor: shift}) for seed in range(8)]
+    assert [named for _, named in found] == [(sensor,)] * 8
     assert max(epochs for epochs, _ in found) <= 3
 
 
@@ -133,9 +133,9 @@ def test_fault_of_one_of_two_sensors_is_isolated_by_the_motion_of_the_base():
 
 
 @pytest.mark.parametrize("sensors", [3, 4])
-@pytest.mark.parametrize("knocks", [(40.0, 40.0), (40.0, -60.0), (25.0, 1e4)])
-def test_simultaneous_shifts_of_two_sensors_are_isolated_with_subfilters_of_pairs(sensors, knocks):
-    both = dict(zip((0, 2), knocks, strict=True))
+@pytest.mark.parametrize("shifts", [(40.0, 40.0), (40.0, -60.0), (25.0, 1e4)])
+def test_simultaneous_shifts_of_two_sensors_are_isolated_with_subfilters_of_pairs(sensors, shifts):
+    both = dict(zip((0, 2), shifts, strict=True))
     found = [_voyage(seed, sensors, both, pairs=True) for seed in range(4)]
     assert [named for _, named in found] == [(0, 2)] * 4
     assert max(epochs for epochs, _ in found) <= 3
@@ -143,10 +143,10 @@ def test_simultaneous_shifts_of_two_sensors_are_isolated_with_subfilters_of_pair
     assert _voyage(0, sensors, both)[1] is None
 
 
-@pytest.mark.parametrize("knock", [12.0, 30.0, 1e4])
-def test_single_fault_is_preferred_over_pairs(knock):
+@pytest.mark.parametrize("shift", [12.0, 30.0, 1e4])
+def test_single_fault_is_preferred_over_pairs(shift):
     """A pair explains whatever a single source of it does."""
-    assert [_voyage(seed, 4, {1: knock}, pairs=True)[1] for seed in range(4)] == [(1,)] * 4
+    assert [_voyage(seed, 4, {1: shift}, pairs=True)[1] for seed in range(4)] == [(1,)] * 4
 
 
 def test_without_pairs_fault_free_sources_are_not_excluded():
@@ -163,11 +163,11 @@ def test_pair_subfilter_is_tested_if_no_single_one_explains_the_fault_or_if_it_s
     assert isolate_fault(seen, uses, np.zeros(4), 5.0, [1, 2], 0, larger_subfilters=[3]).subfilter == 3
     agrees = initial_means(4, 3)
     agrees.last_measured_ns[:] = 0
-    for far, told in ((6.0, 3), (5.2, None)):
+    for far, expected in ((6.0, 3), (5.2, None)):
         # No separation is clearly the largest, and no subfilter of one source exceeds the threshold.
         assert (
             isolate_fault(agrees, uses, np.array([0.0, 4.5, 4.4, far]), 5.0, [1, 2], 0, larger_subfilters=[3]).subfilter
-            == told
+            == expected
         )
 
 
@@ -176,13 +176,13 @@ def test_separation_isolates_nothing_after_a_rejection():
     uses = np.array([[True, True], [False, True], [True, False]])
     seen = initial_means(3, 2)
     seen.last_measured_ns[:] = 0
-    apart = np.array([0.0, 2000.0, 4.0])
-    assert isolate_fault(seen, uses, apart, 5.0, [1, 2], 0).subfilter == 1
+    separation = np.array([0.0, 2000.0, 4.0])
+    assert isolate_fault(seen, uses, separation, 5.0, [1, 2], 0).subfilter == 1
     seen.rejection_counts[0, 1] = 1
-    found = isolate_fault(seen, uses, apart, 5.0, [1, 2], 0)
+    found = isolate_fault(seen, uses, separation, 5.0, [1, 2], 0)
     assert (found.is_detected, found.subfilter) == (True, None)
     # Rejections of a source that the main filter does not use have no effect.
-    assert isolate_fault(seen, uses & [True, False], apart, 5.0, [1, 2], 0).subfilter == 1
+    assert isolate_fault(seen, uses & [True, False], separation, 5.0, [1, 2], 0).subfilter == 1
 
 
 def test_single_gross_error_excludes_no_source():
@@ -206,7 +206,7 @@ def test_nan_is_inconsistent():
 def test_successive_rejections_make_a_filter_inconsistent_without_a_mean(after):
     uses = np.array([[True, True], [False, True], [True, False]])
 
-    def found(by_all, by_second):
+    def isolation_after(by_all, by_second):
         seen = initial_means(3, 2)
         seen.last_measured_ns[:], seen.excess[:, 0], seen.rejection_counts[[0, 2], 0] = (
             0,
@@ -215,10 +215,10 @@ def test_successive_rejections_make_a_filter_inconsistent_without_a_mean(after):
         )
         return isolate_fault(seen, uses, np.zeros(3), 5.0, [1, 2], 0, after)
 
-    assert not found(after - 1, after).is_detected
-    assert found(after, after).subfilter == 1
+    assert not isolation_after(after - 1, after).is_detected
+    assert isolation_after(after, after).subfilter == 1
     # The subfilter that uses the same source is consistent: it may still be the fault-free one.
-    assert (found(after, after - 1).is_detected, found(after, after - 1).subfilter) == (True, None)
+    assert (isolation_after(after, after - 1).is_detected, isolation_after(after, after - 1).subfilter) == (True, None)
 
 
 def test_source_is_reinstated_after_an_unbroken_time_of_consistency():

@@ -32,7 +32,7 @@ def test_bands_of_200_and_2000_seeds(samples: int, ratio: tuple[float, float], n
 
 
 def test_bands_contain_the_stated_share_of_experiments() -> None:
-    """At 90 %, which a count can verify: 4000 experiments of 50 draws."""
+    """The share is 90 %, which a count can verify: 4000 experiments of 50 draws."""
     rng = np.random.default_rng(1)
     experiments, samples = 4000, 50
     errors = rng.standard_normal((experiments, samples, 3))

@@ -81,10 +81,10 @@ def exposure(k: int, noise: FloatArray) -> MeasurementDecision[VectorSample]:
 
 
 def diagnosis(decisions: list[MeasurementDecision[VectorSample]]) -> InnovationDiagnosis:
-    book = InnovationHistory()
+    history = InnovationHistory()
     for decision in decisions:
-        book.add("star.bow", decision)
-    return book.diagnoses()["star.bow"]
+        history.add("star.bow", decision)
+    return history.diagnoses()["star.bow"]
 
 
 def of_attitudes(noise: FloatArray) -> InnovationDiagnosis:
@@ -188,8 +188,8 @@ def test_common_prediction_error_of_an_excluded_source_is_no_bias() -> None:
     excluded = [replace(decision, accepted=False, reason=Reason.EXCLUDED) for decision in decisions]
     assert diagnosis(excluded).kind is DiagnosisKind.AS_STATED
     noise[:, 1] += 10.0
-    knocked = [replace(attitude(k, row), accepted=False, reason=Reason.EXCLUDED) for k, row in enumerate(noise)]
-    assert diagnosis(knocked).kind is DiagnosisKind.BIASED
+    shifted = [replace(attitude(k, row), accepted=False, reason=Reason.EXCLUDED) for k, row in enumerate(noise)]
+    assert diagnosis(shifted).kind is DiagnosisKind.BIASED
 
 
 def test_a_bias_that_grows_is_not_steady() -> None:
@@ -241,14 +241,16 @@ def test_sigma_is_not_assessed_by_an_uncertain_prediction() -> None:
 
 
 def test_measurements_without_innovation_are_ignored() -> None:
-    book = InnovationHistory()
+    history = InnovationHistory()
     sample = VectorSample(1, np.zeros(3))
-    book.add("star.bow", MeasurementDecision(sample, Reason.GAP))
-    book.add(
+    history.add("star.bow", MeasurementDecision(sample, Reason.GAP))
+    history.add(
         "star.bow", MeasurementDecision(sample, Reason.NONE, True, ATTITUDE, np.full(3, np.nan), covariance=np.eye(3))
     )
-    book.add("star.bow", MeasurementDecision(sample, Reason.NONE, True, ATTITUDE, np.zeros(3)))  # without a covariance
-    assert book.diagnoses() == {}
+    history.add(
+        "star.bow", MeasurementDecision(sample, Reason.NONE, True, ATTITUDE, np.zeros(3))
+    )  # without a covariance
+    assert history.diagnoses() == {}
 
 
 def test_repeated_decision_replaces_the_earlier_one_in_any_order() -> None:
@@ -261,10 +263,10 @@ def test_repeated_decision_replaces_the_earlier_one_in_any_order() -> None:
 
 
 def test_cleared_history_is_empty() -> None:
-    book = InnovationHistory()
-    book.add("star.bow", attitude(0, np.zeros(3)))
-    book.clear()
-    assert book.diagnoses() == {}
+    history = InnovationHistory()
+    history.add("star.bow", attitude(0, np.zeros(3)))
+    history.clear()
+    assert history.diagnoses() == {}
 
 
 def test_constant_values_are_assessed_without_a_division_by_zero() -> None:
@@ -289,5 +291,5 @@ def test_clock_offset_is_reported_above_four_configured_sigmas() -> None:
         "ins clock off by 12 ms, 8 sigma of ins.time_offset_sigma_s"
     ]
     mean[4] = -0.0041
-    told = clock_diagnoses(model, mean, {"star": "star_sensors"})
-    assert told[1:] == ["star.bow clock off by -4.1 ms, 4 sigma of star_sensors.bow.time_offset_sigma_s"]
+    reports = clock_diagnoses(model, mean, {"star": "star_sensors"})
+    assert reports[1:] == ["star.bow clock off by -4.1 ms, 4 sigma of star_sensors.bow.time_offset_sigma_s"]

@@ -16,7 +16,7 @@ from ship_estimation.innovation_means import (
     updated_means,
 )
 
-ROWS, SOURCES, LIMIT = 4, 3, 37.4
+FILTERS, SOURCES, LIMIT = 4, 3, 37.4
 WEIGHTS = np.array([2.0 / (count + 1.0) for count in WINDOW_LENGTHS])[:, None]
 
 
@@ -42,19 +42,19 @@ def numpy_means(
     noise: np.ndarray | None,
 ) -> InnovationMeans:
     largest, size = np.sqrt(0.5 * LIMIT), np.linalg.norm(turn, axis=-1)
-    running, excess, refused = means.running.copy(), means.excess.copy(), means.rejection_counts.copy()
-    heard_ns, contradicts_ns = means.last_measured_ns.copy(), means.inconsistent_since_ns.copy()
-    refused[:, sources] = np.where(accepted, 0, refused[:, sources] + 1)
+    running, excess, rejected = means.running.copy(), means.excess.copy(), means.rejection_counts.copy()
+    measured_ns, contradicts_ns = means.last_measured_ns.copy(), means.inconsistent_since_ns.copy()
+    rejected[:, sources] = np.where(accepted, 0, rejected[:, sources] + 1)
     now = numpy_mean(running[:, sources], turn * (largest / np.maximum(size, largest))[..., None])
     chi2 = np.sum(now[..., :3] ** 2, axis=-1) / now[..., 4]
     if noise is not None:
         chi2[0] = numpy_chi2_with_constant_error(now[0, 0], noise)
     running[:, sources], excess[:, sources] = now, chi2.max(axis=-1) / LIMIT
-    heard_ns[sources] = np.maximum(heard_ns[sources], time_ns)
-    well = (excess[0, sources] <= CONSISTENT_RATIO) & (refused[0, sources] == 0)
+    measured_ns[sources] = np.maximum(measured_ns[sources], time_ns)
+    well = (excess[0, sources] <= CONSISTENT_RATIO) & (rejected[0, sources] == 0)
     since_ns = np.where(contradicts_ns[sources] == NEVER_NS, time_ns, contradicts_ns[sources])
     contradicts_ns[sources] = np.where(well, NEVER_NS, since_ns)
-    return InnovationMeans(running, excess, refused, heard_ns, contradicts_ns)
+    return InnovationMeans(running, excess, rejected, measured_ns, contradicts_ns)
 
 
 def equal(found: InnovationMeans, expected: InnovationMeans) -> None:
@@ -65,16 +65,16 @@ def equal(found: InnovationMeans, expected: InnovationMeans) -> None:
 
 
 @pytest.mark.parametrize("sources", [[1], [2, 0]])
-@pytest.mark.parametrize("beside", [False, True])
-def test_innovation_means_equal_numpy(sources: list[int], beside: bool) -> None:
+@pytest.mark.parametrize("has_noise", [False, True])
+def test_innovation_means_equal_numpy(sources: list[int], has_noise: bool) -> None:
     """A hundred measurements with rejections, gross errors and late ones."""
     rng = np.random.default_rng(1)
     root = rng.normal(size=(3, 3))
-    noise = 0.1 * root @ root.T if beside and len(sources) == 1 else None
-    means, contradicted = initial_means(ROWS, SOURCES), 0
+    noise = 0.1 * root @ root.T if has_noise and len(sources) == 1 else None
+    means, contradicted = initial_means(FILTERS, SOURCES), 0
     for number in range(100):
-        turn = rng.normal(scale=0.5 if number % 9 else 20.0, size=(ROWS, len(sources), 3))
-        accepted = rng.uniform(size=(ROWS, len(sources))) < 0.8
+        turn = rng.normal(scale=0.5 if number % 9 else 20.0, size=(FILTERS, len(sources), 3))
+        accepted = rng.uniform(size=(FILTERS, len(sources))) < 0.8
         time_ns = number + int(rng.integers(-3, 3))
         expected = numpy_means(means, sources, turn, accepted, time_ns, noise)
         found = updated_means(means, sources, turn, accepted, time_ns, LIMIT, noise)
@@ -88,12 +88,12 @@ def test_innovation_means_equal_numpy(sources: list[int], beside: bool) -> None:
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, 1e200])
 def test_nan_innovation_counts_as_a_rejection_without_a_mean(wrong: float) -> None:
-    means, turn = initial_means(ROWS, SOURCES), np.zeros((ROWS, 3))
+    means, turn = initial_means(FILTERS, SOURCES), np.zeros((FILTERS, 3))
     turn[2, 1] = wrong
-    found = updated_means(means, 1, turn, np.ones(ROWS, dtype=bool), 5, LIMIT)
-    refused = np.zeros((ROWS, SOURCES))
-    refused[:, 1] = 1
-    np.testing.assert_array_equal(found.rejection_counts, refused)
+    found = updated_means(means, 1, turn, np.ones(FILTERS, dtype=bool), 5, LIMIT)
+    rejected = np.zeros((FILTERS, SOURCES))
+    rejected[:, 1] = 1
+    np.testing.assert_array_equal(found.rejection_counts, rejected)
     equal(replace(found, rejection_counts=means.rejection_counts), means)
 
 
@@ -115,7 +115,7 @@ def test_largest_mean_component_equals_numpy() -> None:
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
     """The loops do not check bounds."""
-    means, turn, accepted = initial_means(ROWS, SOURCES), np.zeros((ROWS, 3)), np.ones(ROWS, dtype=bool)
+    means, turn, accepted = initial_means(FILTERS, SOURCES), np.zeros((FILTERS, 3)), np.ones(FILTERS, dtype=bool)
     calls = [
         lambda: updated_means(means, SOURCES, turn, accepted, 0, LIMIT),
         lambda: updated_means(means, 0, turn[:2], accepted, 0, LIMIT),

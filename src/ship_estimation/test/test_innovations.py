@@ -55,10 +55,10 @@ def test_factor_is_by_the_median_or_the_lower_quartile(count: int, far: int) -> 
     found = PartStatistics(
         table_of(*[innovation(k, row.tolist(), own_share=0.9 if k % 7 else 0.4) for k, row in enumerate(squares)])
     )
-    telling = squares[[k for k in range(count) if k % 7]].ravel()
-    near = telling[telling <= value_above(1e-3, 2)]
-    assert found.outlier_share == pytest.approx(1.0 - len(near) / len(telling), rel=1e-13)
-    by_all, by_near = factor(telling), factor(near)
+    informative = squares[[k for k in range(count) if k % 7]].ravel()
+    near = informative[informative <= value_above(1e-3, 2)]
+    assert found.outlier_share == pytest.approx(1.0 - len(near) / len(informative), rel=1e-13)
+    by_all, by_near = factor(informative), factor(near)
     bulk = by_all if math.isnan(by_near) else by_near
     assert found.factor == pytest.approx(by_all if bulk > 1.25 else bulk, rel=1e-13, nan_ok=True)
 

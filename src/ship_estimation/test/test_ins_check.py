@@ -20,12 +20,12 @@ NOTHING_LATE = AttitudeTrack(500_000_000)
 
 def check_sample(samples: list[AttitudeSample]) -> tuple[list[str], InsCheck, int]:
     """Return the rejection reason of each sample, the checks after them, and the number of jumps."""
-    guard, results, jumps = InsCheck(CheckedInsConfig()), [], 0
+    ins_check, results, jumps = InsCheck(CheckedInsConfig()), [], 0
     for sample in samples:
-        result = guard.check(sample, NOTHING_LATE, {})
+        result = ins_check.check(sample, NOTHING_LATE, {})
         results.append("" if result.rejection is None else result.rejection.reason.name)
         jumps += bool(result.jumps)
-    return results, guard, jumps
+    return results, ins_check, jumps
 
 
 PRINTED = "0.01° at 100 Hz in calm swell"
@@ -52,9 +52,9 @@ HEALTHY: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("name", HEALTHY)
 def test_no_sample_of_a_healthy_ins_is_rejected(name: str) -> None:
-    results, guard, jumps = check_sample(stream(**HEALTHY[name]))
+    results, ins_check, jumps = check_sample(stream(**HEALTHY[name]))
     assert (set(results), jumps) == ({""}, 0)
-    assert guard.rate_status in (RateStatus.UNPROVEN, RateStatus.MEASURED)
+    assert ins_check.rate_status in (RateStatus.UNPROVEN, RateStatus.MEASURED)
 
 
 def test_freeze_in_calm_swell_is_detected_within_two_seconds_and_ends_with_the_next_value() -> None:
@@ -62,9 +62,9 @@ def test_freeze_in_calm_swell_is_detected_within_two_seconds_and_ends_with_the_n
     samples = stream(**HEALTHY[PRINTED])
     frozen = [replace(s, rotation_nd=samples[3000].rotation_nd) for s in samples[3000:3300]]
     results, _, jumps = check_sample([*samples[:3000], *frozen, *samples[3300:]])
-    told = results.index("STUCK")
-    assert 3000 < told <= 3200
-    assert set(results[told:3300]) == {"STUCK"}
+    detected = results.index("STUCK")
+    assert 3000 < detected <= 3200
+    assert set(results[detected:3300]) == {"STUCK"}
     moved = next(i for i in range(3300, 3400) if np.any(samples[i].rotation_nd != frozen[0].rotation_nd))
     assert set(results[moved:]) == {""}
     assert jumps == 0
@@ -74,12 +74,12 @@ def test_attitudes_accepted_against_the_rates_are_a_jump() -> None:
     """A frozen INS that then drifts by 165″/min, which its stuck check cannot detect; its rates continue."""
     samples = stream(20.0, 100.0)
     frozen, drifts_ns = samples[1000], samples[1080].time_ns
-    lying = [
+    faulty = [
         replace(s, rotation_nd=east_attitude(2.75e-9 * max(s.time_ns - drifts_ns, 0)) @ frozen.rotation_nd)
         for s in samples[1000:1500]
     ]
-    guard = InsCheck(CheckedInsConfig())
-    found = [guard.check(sample, NOTHING_LATE, {}) for sample in [*samples[:1000], *lying]]
+    ins_check = InsCheck(CheckedInsConfig())
+    found = [ins_check.check(sample, NOTHING_LATE, {}) for sample in [*samples[:1000], *faulty]]
     reasons = {result.rejection.reason.name for result in found if result.rejection is not None}
     assert reasons == {"GATE", "STUCK"}
     taken = next(n for n in range(1080, 1500) if found[n].rejection is None)
@@ -94,43 +94,43 @@ def east_attitude(arcsec: float) -> np.ndarray:
 @pytest.mark.parametrize("rate_hz", [100.0, 50.0, 20.0, 10.0, 2.0])
 @pytest.mark.parametrize("factor", [0.0, -1.0])
 def test_wrong_rates_are_detected_early(rate_hz: float, factor: float) -> None:
-    guard, samples = InsCheck(CheckedInsConfig()), stream(10.0, rate_hz, rate_factor=factor)
-    results = [guard.check(sample, NOTHING_LATE, {}) for sample in samples]
+    ins_check, samples = InsCheck(CheckedInsConfig()), stream(10.0, rate_hz, rate_factor=factor)
+    results = [ins_check.check(sample, NOTHING_LATE, {}) for sample in samples]
     assert all(result.rejection is None for result in results)
     dropped = [n for n, result in enumerate(results) if result.rates_wrong_after_ns is not None]
     assert len(dropped) == 1
     assert dropped[0] <= max(0.3 * rate_hz, 3)
     assert all(result.sample.rate_d is None for result in results[dropped[0] :])
-    assert guard.rate_status is RateStatus.NOT_MEASURED
+    assert ins_check.rate_status is RateStatus.NOT_MEASURED
 
 
 def test_noise_is_not_accepted_as_rates() -> None:
-    results, guard, _ = check_sample(stream(20.0, 100.0, rate_factor=0.0, rate_noise_arcsec_per_s=3600.0))
+    results, ins_check, _ = check_sample(stream(20.0, 100.0, rate_factor=0.0, rate_noise_arcsec_per_s=3600.0))
     assert set(results) == {""}
-    assert guard.rate_status is RateStatus.NOT_MEASURED
+    assert ins_check.rate_status is RateStatus.NOT_MEASURED
 
 
 @pytest.mark.parametrize(("factor", "slope"), [(np.rad2deg(1.0), 57.3), (np.deg2rad(1.0), 1.0 / 57.3)])
 def test_wrong_unit_is_identified_and_right_rates_are_confirmed_again(factor: float, slope: float) -> None:
     wrong, right = stream(20.0, 50.0, rate_factor=factor), stream(40.0, 50.0)
-    results, guard, _ = check_sample(wrong)
+    results, ins_check, _ = check_sample(wrong)
     assert 5.0 <= results.index("UNITS") / 50.0 <= 6.5
     assert set(results[results.index("UNITS") :]) == {"UNITS"}
-    back = [guard.check(sample, NOTHING_LATE, {}) for sample in right[1000:]]
-    refused = [n for n, result in enumerate(back) if result.rejection is not None]
-    assert max(refused) < 2.5 * 50.0
-    assert guard.rate_status is RateStatus.MEASURED
+    back = [ins_check.check(sample, NOTHING_LATE, {}) for sample in right[1000:]]
+    rejected = [n for n, result in enumerate(back) if result.rejection is not None]
+    assert max(rejected) < 2.5 * 50.0
+    assert ins_check.rate_status is RateStatus.MEASURED
     assert back[-1].sample.rate_d is not None
 
 
 def test_rates_at_rest_are_not_checked() -> None:
     """Zero rates are right at rest: only motion shows that they are wrong."""
     still, moving = stream(10.0, 50.0, (0.0, 0.0, 0.0), rate_factor=0.0), stream(20.0, 50.0, rate_factor=0.0)[500:]
-    _, guard, _ = check_sample(still)
-    assert guard.rate_status is RateStatus.UNPROVEN
+    _, ins_check, _ = check_sample(still)
+    assert ins_check.rate_status is RateStatus.UNPROVEN
     # At the start of the swell, attitude and motion jump.
-    assert [guard.check(sample, NOTHING_LATE, {}).rejection for sample in moving][8:] == [None] * (len(moving) - 8)
-    assert guard.rate_status is RateStatus.NOT_MEASURED
+    assert [ins_check.check(sample, NOTHING_LATE, {}).rejection for sample in moving][8:] == [None] * (len(moving) - 8)
+    assert ins_check.rate_status is RateStatus.NOT_MEASURED
 
 
 @pytest.mark.parametrize("arcsec", [30.0, 100.0, 3600.0])
@@ -147,9 +147,9 @@ def test_step_of_ten_sigmas_is_detected_at_the_sample(arcsec: float) -> None:
 def test_single_wrong_rate_is_no_jump() -> None:
     samples = stream(20.0, 50.0)
     samples[500] = replace(samples[500], rate_d=np.array([0.0, 3.0, 0.0]))
-    results, guard, jumps = check_sample(samples)
+    results, ins_check, jumps = check_sample(samples)
     assert [n for n, result in enumerate(results) if result] == [500]
-    assert (jumps, guard.rate_status) == (0, RateStatus.MEASURED)
+    assert (jumps, ins_check.rate_status) == (0, RateStatus.MEASURED)
 
 
 def test_nan_sample_is_rejected() -> None:
@@ -163,18 +163,18 @@ def test_nan_sample_is_rejected() -> None:
 def test_changed_noise_applies_at_once() -> None:
     samples = stream(20.0, 50.0)
     samples[700] = replace(samples[700], rotation_nd=exp_rotation(np.full(3, 40.0 * ARCSEC)) @ samples[700].rotation_nd)
-    for sigma_arcsec, refused in ((1.0, {"", "GATE"}), (20.0, {""})):
-        guard = InsCheck(CheckedInsConfig())
+    for sigma_arcsec, rejected in ((1.0, {"", "GATE"}), (20.0, {""})):
+        ins_check = InsCheck(CheckedInsConfig())
         for sample in samples[:500]:
-            guard.check(sample, NOTHING_LATE, {})
-        guard.reconfigure(CheckedInsConfig(white_sigma_arcsec=sigma_arcsec))
-        later = [guard.check(sample, NOTHING_LATE, {}).rejection for sample in samples[500:]]
-        assert {"" if refusal is None else refusal.reason.name for refusal in later} == refused
-        assert Counter(refusal is None for refusal in later)[False] <= 1
+            ins_check.check(sample, NOTHING_LATE, {})
+        ins_check.reconfigure(CheckedInsConfig(white_sigma_arcsec=sigma_arcsec))
+        later = [ins_check.check(sample, NOTHING_LATE, {}).rejection for sample in samples[500:]]
+        assert {"" if rejection is None else rejection.reason.name for rejection in later} == rejected
+        assert Counter(rejection is None for rejection in later)[False] <= 1
 
 
 def test_jump_that_a_clock_step_explains_is_shared_equally() -> None:
-    """Against the moments of draws that attribute each jump to the attitude or to the clock."""
+    """Mean and covariance equal those of draws that attribute each jump to the attitude or to the clock."""
     rng, jump = np.random.default_rng(5), InsJump(0, np.array([2e-3, -1e-3, 5e-4]), 1e-12, -0.03)
     of_clock = rng.random(40_000) < 0.5
     changed = np.column_stack([-jump.jump_n * ~of_clock[:, None], jump.clock_s * of_clock])
@@ -182,7 +182,7 @@ def test_jump_that_a_clock_step_explains_is_shared_equally() -> None:
     scale = np.append(np.abs(jump.jump_n), 0.03)
     np.testing.assert_allclose(changed.mean(axis=0) / scale, mean / scale, atol=0.01)
     scale = np.outer(scale, scale)
-    # A clock step is known to a tenth of it, and two large rotations do not commute.
+    # The sigma of a clock step is a tenth of it, and two large rotations do not commute.
     np.testing.assert_allclose(np.cov(changed.T) / scale, covariance / scale, atol=0.02)
 
 
@@ -197,8 +197,8 @@ def test_clock_step_of_an_ins_is_identified(step_s: float, rate_hz: int) -> None
         rotation = exp_rotation(noise) @ exp_rotation(np.array([roll, 0.0, 0.0]))
         return AttitudeSample(round(stamp_s * 1e9), rotation, np.array([rate, 0.0, 0.0]))
 
-    guard, times_s = InsCheck(CheckedInsConfig()), np.arange(0.0, 25.0, 1.0 / rate_hz)
-    results = [guard.check(sample(t, t + step_s * (t >= 23.0)), NOTHING_LATE, {}) for t in times_s]
+    ins_check, times_s = InsCheck(CheckedInsConfig()), np.arange(0.0, 25.0, 1.0 / rate_hz)
+    results = [ins_check.check(sample(t, t + step_s * (t >= 23.0)), NOTHING_LATE, {}) for t in times_s]
     (jumps,) = [one.jumps for one in results if one.jumps]
     assert jumps[0].is_clock_step
     assert jumps[0].clock_s == pytest.approx(-step_s, rel=0.1)
@@ -209,18 +209,18 @@ def test_drift_of_the_attitude_against_its_rates_is_detected_within_seconds(per_
     """Its correlated error walks by 0.3″ in a second, as that of a tilt; after a hundred seconds it also drifts."""
     samples, rng = stream(140.0, 50.0), np.random.default_rng(4)
     walk = np.cumsum(rng.normal(0.0, 0.3 / np.sqrt(50.0), len(samples)))
-    creeps_s = [max(one.time_ns - samples[5000].time_ns, 0) * 1e-9 for one in samples]
-    off = walk + per_min_arcsec / 60.0 * np.array(creeps_s)
-    guard, told = InsCheck(CheckedInsConfig()), []
-    for one, east, creeping_s in zip(samples, off, creeps_s, strict=True):
-        judged_one = guard.check(replace(one, rotation_nd=east_attitude(east) @ one.rotation_nd), NOTHING_LATE, {})
-        if judged_one.jumps:
-            told.append(creeping_s)
-            assert judged_one.jumps[0].is_drift
-            assert judged_one.rejection is not None
-            assert "drifted" in judged_one.rejection.text
-    assert bool(told) == (per_min_arcsec > 0.0)
-    assert not told or 0.0 < told[0] < 7.0
+    drifts_s = [max(one.time_ns - samples[5000].time_ns, 0) * 1e-9 for one in samples]
+    off = walk + per_min_arcsec / 60.0 * np.array(drifts_s)
+    ins_check, detected_s = InsCheck(CheckedInsConfig()), []
+    for one, east, drifting_s in zip(samples, off, drifts_s, strict=True):
+        checked = ins_check.check(replace(one, rotation_nd=east_attitude(east) @ one.rotation_nd), NOTHING_LATE, {})
+        if checked.jumps:
+            detected_s.append(drifting_s)
+            assert checked.jumps[0].is_drift
+            assert checked.rejection is not None
+            assert "drifted" in checked.rejection.text
+    assert bool(detected_s) == (per_min_arcsec > 0.0)
+    assert not detected_s or 0.0 < detected_s[0] < 7.0
 
 
 @pytest.mark.parametrize(("every", "phase"), [(5, 1), (10, 2)])

@@ -33,28 +33,28 @@ class Stream:
         # The integration error grows irregularly, so that the bounds must widen sometimes.
         self.missed = np.cumsum(rng.choice([1e-9, 5e-7], _SAMPLES, p=[0.99, 0.01]))
 
-    def look(self, watch: InsStepDetector, number: int) -> bool | None:
+    def look(self, detector: InsStepDetector, number: int) -> bool | None:
         """Check and accept one sample."""
         sample = AttitudeSample(int(self.times_ns[number]), self.rotations[number], self.rates[number])
         integrated = IntegratedAttitude(self.by_rates[number], 0, float(self.missed[number]))
-        return watch.check(sample, integrated, first_rad=1e-4, coarseness_rad=0.0)
+        return detector.check(sample, integrated, first_rad=1e-4, coarseness_rad=0.0)
 
-    def follow(self, watch: InsStepDetector, some: slice) -> int:
+    def follow(self, detector: InsStepDetector, some: slice) -> int:
         """Accept some samples as a block."""
         integrated = IntegratedRun(self.by_rates[some], 0, self.missed[some])
-        return watch.accept_block(self.times_ns[some], self.rotations[some], self.rates[some], integrated, 1e-4, 0.0)
+        return detector.accept_block(self.times_ns[some], self.rotations[some], self.rates[some], integrated, 1e-4, 0.0)
 
 
-def _state(watch: InsStepDetector) -> dict[str, Any]:
+def _state(detector: InsStepDetector) -> dict[str, Any]:
     """Return the state of the detector, without unused rows."""
-    state = dict(vars(watch))
+    state = dict(vars(detector))
     for name in ("_rows", "_rates", "_times"):
-        state[name] = state[name][: watch._end]
+        state[name] = state[name][: detector._end]
     return {name: value.tobytes() if isinstance(value, np.ndarray) else value for name, value in state.items()} | {
-        "_period": watch._period.ns,
-        "line_statistics": repr(watch.line_statistics),
+        "_period": detector._period.ns,
+        "line_statistics": repr(detector.line_statistics),
         "_full": None,
-        "_plan": watch.smallest_rad,
+        "_plan": detector.smallest_rad,
     }
 
 
@@ -79,29 +79,29 @@ def test_block_gives_the_state_of_single_samples(block: int) -> None:
 
 
 def test_nan_sample_is_not_accepted_in_a_block() -> None:
-    stream, watch = Stream(stepped_from=_SAMPLES, seed=2), InsStepDetector(5e-6, 0.0)
+    stream, detector = Stream(stepped_from=_SAMPLES, seed=2), InsStepDetector(5e-6, 0.0)
     for number in range(1000):
-        stream.look(watch, number)
-        watch.accept()
+        stream.look(detector, number)
+        detector.accept()
     stream.rotations[1010] = np.nan
-    assert stream.follow(watch, slice(1000, 1100)) == 10
+    assert stream.follow(detector, slice(1000, 1100)) == 10
 
 
 def test_samples_after_a_gap_are_not_accepted_in_a_block() -> None:
-    stream, watch = Stream(stepped_from=_SAMPLES, seed=3), InsStepDetector(5e-6, 0.0)
+    stream, detector = Stream(stepped_from=_SAMPLES, seed=3), InsStepDetector(5e-6, 0.0)
     for number in range(1000):
-        stream.look(watch, number)
-        watch.accept()
+        stream.look(detector, number)
+        detector.accept()
     stream.times_ns[1020:] += 9 * _RATE_NS
-    assert stream.follow(watch, slice(1000, 1100)) == 20
+    assert stream.follow(detector, slice(1000, 1100)) == 20
 
 
 def test_statistics_start_before_the_first_bound_is_known() -> None:
-    stream, watch = Stream(stepped_from=2000, seed=1), InsStepDetector(5e-6, 0.0)
+    stream, detector = Stream(stepped_from=2000, seed=1), InsStepDetector(5e-6, 0.0)
     for number in range(1900):
         sample = AttitudeSample(int(stream.times_ns[number]), stream.rotations[number], stream.rates[number])
         integrated = IntegratedAttitude(stream.by_rates[number], 0, 0.0)
-        watch.check(sample, integrated, first_rad=math.inf, coarseness_rad=0.0)
-        assert watch.accept() is None
-    assert watch.is_ready
-    assert watch.smallest_rad < 1e-4
+        detector.check(sample, integrated, first_rad=math.inf, coarseness_rad=0.0)
+        assert detector.accept() is None
+    assert detector.is_ready
+    assert detector.smallest_rad < 1e-4

@@ -28,19 +28,19 @@ NOTHING_LATE = AttitudeTrack(500_000_000)
 class CheckedStream(NamedTuple):
     """Result of the checks of a run: numbers of the rejected samples, jumps by the number of the reporting sample."""
 
-    refused: list[int]
+    rejected: list[int]
     jumps: dict[int, tuple[InsJump, ...]]
-    guard: InsCheck
+    ins_check: InsCheck
 
 
 def check_stream(samples: Iterable[AttitudeSample], **config: Any) -> CheckedStream:
     found = CheckedStream([], {}, InsCheck(CheckedInsConfig(**config)))
     for number, sample in enumerate(samples):
-        judged = found.guard.check(sample, NOTHING_LATE, {})
-        if judged.rejection is not None:
-            found.refused.append(number)
-        if judged.jumps:
-            found.jumps[number] = judged.jumps
+        checked = found.ins_check.check(sample, NOTHING_LATE, {})
+        if checked.rejection is not None:
+            found.rejected.append(number)
+        if checked.jumps:
+            found.jumps[number] = checked.jumps
     return found
 
 
@@ -53,7 +53,7 @@ def assert_inflated(
 ) -> None:
     """Check that one step was found, at the right time, and that the covariance covers it."""
     (jumps,) = found.jumps.values()
-    taken = next(n for n in range(first, len(samples)) if n not in found.refused)
+    taken = next(n for n in range(first, len(samples)) if n not in found.rejected)
     assert jumps[0].time_ns < samples[taken].time_ns
     assert jumps[-1].time_ns >= samples[first - 1].time_ns
     jump, step_n = jumps[-1], np.array(arcsec_n) * ARCSEC
@@ -84,7 +84,7 @@ def test_steps_from_fourteen_sigma_on_are_detected_at_the_sample(rate_hz: float,
         step = tuple(arcsec * np.eye(3)[axis])
         changed = with_step(samples, first, step)
         found = check_stream(changed)
-        assert found.refused == list(range(first, first + 5))
+        assert found.rejected == list(range(first, first + 5))
         assert list(found.jumps) == [first + 5]
         assert_inflated(found, changed, first, step)
 
@@ -92,7 +92,7 @@ def test_steps_from_fourteen_sigma_on_are_detected_at_the_sample(rate_hz: float,
 @pytest.mark.statistics
 @pytest.mark.parametrize(("rate_hz", "least_arcsec"), [(20.0, 12.0), (50.0, 7.0), (100.0, 6.0), (200.0, 5.0)])
 def test_smaller_steps_are_detected_within_a_fifth_of_a_second(rate_hz: float, least_arcsec: float) -> None:
-    """In forty runs each; ``least_arcsec`` is the value in the documentation."""
+    """Forty runs for each rate; ``least_arcsec`` is the value in the documentation."""
     first = number_at(rate_hz)
     for seed in range(40):
         step = np.random.default_rng(seed).standard_normal(3)
@@ -101,10 +101,10 @@ def test_smaller_steps_are_detected_within_a_fifth_of_a_second(rate_hz: float, l
         found = check_stream(changed)
         assert len(found.jumps) == 1, seed
         # After a rejection the consistent samples are counted again.
-        assert first <= min([*found.refused, *found.jumps]) <= first + round(0.2 * rate_hz), seed
+        assert first <= min([*found.rejected, *found.jumps]) <= first + round(0.2 * rate_hz), seed
         # A step found by means is among accepted samples: the sample at its detection is rejected and reports it.
         (known,) = found.jumps
-        assert known in found.refused or known - 1 in found.refused, seed
+        assert known in found.rejected or known - 1 in found.rejected, seed
         assert_inflated(found, changed, first, arcsec_n)
 
 
@@ -115,7 +115,7 @@ def test_smaller_steps_are_detected_within_a_fifth_of_a_second(rate_hz: float, l
 def test_a_step_that_goes_back_is_a_glitch(rate_hz: float, length: int, arcsec: float) -> None:
     first = number_at(rate_hz)
     found = check_stream(with_step(stream(LEARNT_S + 1.0, rate_hz), first, (0.0, arcsec, 0.0), first + length))
-    assert found.refused == list(range(first, first + length))
+    assert found.rejected == list(range(first, first + length))
     assert not found.jumps
 
 
@@ -127,7 +127,7 @@ def test_steps_of_an_ins_with_a_resolution_of_a_hundredth_of_a_degree_are_detect
     first = number_at(rate_hz)
     changed = with_step(stream(LEARNT_S + 1.0, rate_hz, printed_deg=0.01), first, (0.0, arcsec, 0.0))
     found = check_stream(changed)
-    assert found.refused == list(range(first, first + 5))
+    assert found.rejected == list(range(first, first + 5))
     assert_inflated(found, changed, first, (0.0, arcsec, 0.0))
 
 
@@ -140,9 +140,9 @@ def test_permanently_exchanged_axes_are_rejected_and_then_inflate_the_covariance
     if turned_too:
         changed = [replace(s, rate_d=exchange.T @ s.rate_d) for s in changed]
     found = check_stream([*samples[:first], *changed])
-    assert found.refused[:5] == list(range(first, first + 5))
+    assert found.rejected[:5] == list(range(first, first + 5))
     ((number, jumps),) = found.jumps.items()
-    assert number == found.refused[-1] + 1
+    assert number == found.rejected[-1] + 1
     assert number <= first + round(0.7 * 50.0)
     assert np.linalg.norm(jumps[0].jump_n) == pytest.approx(np.pi / 2.0, abs=0.1)
 
@@ -154,7 +154,7 @@ def test_occasionally_missing_rates_do_not_end_the_line(missing: str) -> None:
     samples = [replace(s, rate_d=gone) if n % 7 == 3 and abs(n - first) > 1 else s for n, s in enumerate(samples)]
     changed = with_step(samples, first, (0.0, 14.0, 0.0))
     found = check_stream(changed)
-    assert first <= min(found.refused) <= first + 1
+    assert first <= min(found.rejected) <= first + 1
     assert_inflated(found, changed, first, (0.0, 14.0, 0.0))
 
 
@@ -174,7 +174,7 @@ def test_freeze_in_a_slow_rotation_is_detected_with_known_rate_drift() -> None:
         moving = [replace(s, time_ns=s.time_ns + after_ns, rotation_nd=onto @ s.rotation_nd) for s in slow]
         frozen = [replace(s, rotation_nd=moving[99].rotation_nd) for s in moving[100:]]
         found = check_stream([*waves, *moving[:100], *frozen], rate_has_earth_rate=True)
-        assert bool([n for n in found.refused if n >= len(waves) + 100]) == seen
+        assert bool([n for n in found.rejected if n >= len(waves) + 100]) == seen
 
 
 # -- none ----------------------------------------------------------------------------------------------------------
@@ -189,11 +189,11 @@ def test_noise_alone_is_no_step_in_the_reference_motion() -> None:
     per_hour = 6 * 360_000 * chi(3).sf(7.3)
     assert per_hour < 4e-5
     kinds = {"rate_noise_arcsec_per_s": 5.0, "bias_arcsec_per_s": 5.0}
-    refused = jumps = 0
+    rejected = jumps = 0
     for seed in range(TEN_MINUTES):
         found = check_stream(stream(600.0, 100.0, seed=seed, **kinds), rate_sigma_arcsec_per_s=5.0)
-        refused, jumps = refused + len(found.refused), jumps + len(found.jumps)
-    assert (refused, jumps) == (0, 0)
+        rejected, jumps = rejected + len(found.rejected), jumps + len(found.jumps)
+    assert (rejected, jumps) == (0, 0)
 
 
 @pytest.mark.statistics
@@ -212,11 +212,11 @@ def test_noise_alone_is_no_step_in_the_reference_motion() -> None:
 )
 def test_larger_noise_than_configured_is_estimated(rate_hz: float, amplitude_deg: Any, kinds: dict[str, float]) -> None:
     found = check_stream(stream(120.0, rate_hz, amplitude_deg, **kinds))
-    assert (found.refused, found.jumps) == ([], {})
+    assert (found.rejected, found.jumps) == ([], {})
 
 
 def test_start_of_a_rotation_is_no_step() -> None:
-    """From rest to 20°/s within four seconds, with rates that lag by 2 ms and are 0.1 % too large."""
+    """The rotation reaches 20°/s within four seconds; its rates lag by 2 ms and are 0.1 % too large."""
     t_s = np.arange(0.0, 40.0, 0.01)
 
     def true_nd(at_s: FloatArray) -> FloatArray:
@@ -231,8 +231,8 @@ def test_start_of_a_rotation_is_no_step() -> None:
     values = zip(t_s, exp_rotation(noise) @ true_nd(t_s), rate_d, strict=True)
     samples = [AttitudeSample(10**18 + round(t * 1e9), rotation_nd, rate) for t, rotation_nd, rate in values]
     found = check_stream(samples)
-    assert (found.refused, found.jumps) == ([], {})
-    assert check_stream(with_step(samples, 3000, (0.0, 14.0, 0.0))).refused == list(range(3000, 3005))
+    assert (found.rejected, found.jumps) == ([], {})
+    assert check_stream(with_step(samples, 3000, (0.0, 14.0, 0.0))).rejected == list(range(3000, 3005))
 
 
 @pytest.mark.slow
@@ -245,16 +245,16 @@ def test_changed_rate_noise_applies_at_once() -> None:
         for seed in range(10):
             samples = stream(LEARNT_S + 1.0, 100.0, rate_noise_arcsec_per_s=60.0, seed=seed)
             found = check_stream(with_step(samples, first, (0.0, 14.0, 0.0)), rate_sigma_arcsec_per_s=sigma)
-            seen += found.refused[:1] == [first]
+            seen += found.rejected[:1] == [first]
         counts.append(seen)
     assert counts[0] <= 5
     assert counts[1] >= 8
-    guard = InsCheck(CheckedInsConfig())
+    ins_check = InsCheck(CheckedInsConfig())
     samples, first = stream(32.0, 100.0, rate_noise_arcsec_per_s=60.0), number_at(100.0, 30.0)
-    samples, refused = with_step(samples, first, (0.0, 20.0, 0.0)), []
+    samples, rejected = with_step(samples, first, (0.0, 20.0, 0.0)), []
     for number, sample in enumerate(samples):
         if number == 100:
-            guard.reconfigure(CheckedInsConfig(rate_sigma_arcsec_per_s=60.0))
-        if guard.check(sample, NOTHING_LATE, {}).rejection is not None:
-            refused.append(number)
-    assert refused[0] == first
+            ins_check.reconfigure(CheckedInsConfig(rate_sigma_arcsec_per_s=60.0))
+        if ins_check.check(sample, NOTHING_LATE, {}).rejection is not None:
+            rejected.append(number)
+    assert rejected[0] == first

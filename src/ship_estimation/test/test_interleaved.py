@@ -16,11 +16,11 @@ LEAST = 40.0 * ARCSEC
 
 def stream_distances(samples: list[AttitudeSample]) -> list[float]:
     """Return the distance of two streams after each sample."""
-    streams, apart = InterleavedStreams(LEAST), []
+    streams, distances = InterleavedStreams(LEAST), []
     for sample in samples:
         streams.add(sample.time_ns, sample.rotation_nd.ravel())
-        apart.append(streams.distance)
-    return apart
+        distances.append(streams.distance)
+    return distances
 
 
 def with_another(samples: list[AttitudeSample], off_deg: float, every: int = 2) -> list[AttitudeSample]:
@@ -40,16 +40,16 @@ def test_two_streams_are_detected_within_two_windows(
     rate_hz: float, off_deg: float, every: int, amplitude_deg: Any
 ) -> None:
     samples = with_another(stream(20.0, rate_hz, amplitude_deg), off_deg, every)
-    apart = np.array(stream_distances(samples))
-    assert np.all(apart[2 * WINDOW :] > 0.0)
-    np.testing.assert_allclose(np.rad2deg(apart[2 * WINDOW :]) / np.sqrt(2.0), off_deg, rtol=0.2)
+    distances = np.array(stream_distances(samples))
+    assert np.all(distances[2 * WINDOW :] > 0.0)
+    np.testing.assert_allclose(np.rad2deg(distances[2 * WINDOW :]) / np.sqrt(2.0), off_deg, rtol=0.2)
 
 
 def test_two_streams_are_one_again_after_two_windows_of_one() -> None:
     samples = stream(30.0, 100.0)
-    apart = np.array(stream_distances(with_another(samples[:1000], 0.5) + samples[1000:]))
-    assert apart[999] > 0.0
-    assert np.all(apart[1000 + 150 :] == 0.0)
+    distances = np.array(stream_distances(with_another(samples[:1000], 0.5) + samples[1000:]))
+    assert distances[999] > 0.0
+    assert np.all(distances[1000 + 150 :] == 0.0)
 
 
 HEALTHY: dict[str, dict[str, Any]] = {

@@ -37,7 +37,7 @@ def test_error_under_an_undetected_fault_is_within_the_protection_level():
     rng = np.random.default_rng(5)
     sigma = np.array([3.0, 3.0, 3.0])
     k = SigmaMultipliers(fault_free=4.0, false_exclusion=4.0, missed_detection=np.full(3, 3.0))
-    misled = 0
+    misleading = 0
     for bias in np.linspace(0.0, 40.0, 400):
         measured = sigma[:, None] * rng.standard_normal((3, 3))
         measured[0] += bias
@@ -46,32 +46,32 @@ def test_error_under_an_undetected_fault_is_within_the_protection_level():
             np.array([np.delete(measured, i, 0).mean(axis=0) for i in range(3)]),
         )
         found = solution_separations(left_out - estimate_0, np.full((3, 3), 4.5), np.full(3, 3.0), k)
-        told = found.statistic.max() > k.false_exclusion
-        misled += not told and bool(np.any(np.abs(estimate_0) > found.level))
-    assert misled == 0
+        is_detected = found.statistic.max() > k.false_exclusion
+        misleading += not is_detected and bool(np.any(np.abs(estimate_0) > found.level))
+    assert misleading == 0
 
 
-def misled_by_two_faults(sensors, bias, pairs, draws=300, seed=5):
+def misleading_ratio(sensors, bias, pairs, draws=300, seed=5):
     """Return the probability that two equal faults are not detected and an error exceeds its protection level.
 
-    The estimate is the mean of the sensors, of three components; each sensor measures them with the sigma 3, so k
-    sensors have the variance 9/k, and two nested estimates differ by the difference of their variances.
+    The estimate is the mean of the sensors, of three components. Each sensor measures them with a sigma of 3: the mean
+    of k sensors has the variance 9/k. The variance of the separation of nested estimates is the difference of theirs.
     """
     rng, everyone = np.random.default_rng(seed), set(range(sensors))
     left_out = [*itertools.combinations(everyone, 1), *(itertools.combinations(everyone, 2) if pairs else ())]
     uses = [sorted(everyone - set(names)) for names in left_out]
     k = SigmaMultipliers(fault_free=4.0, false_exclusion=5.0, missed_detection=np.full(len(uses), MISSED))
-    variances = np.array([[9.0 / len(row)] * 3 for row in uses])
-    misled = 0
+    variances = np.array([[9.0 / len(used)] * 3 for used in uses])
+    misleading = 0
     for _ in range(draws):
         measured = 3.0 * rng.standard_normal((sensors, 3))
         measured[:2] += bias
         estimate = measured.mean(axis=0)
-        distance = np.array([measured[row].mean(axis=0) for row in uses]) - estimate
+        distance = np.array([measured[used].mean(axis=0) for used in uses]) - estimate
         found = solution_separations(distance, variances, np.full(3, 9.0 / sensors), k)
-        told = not found.statistic.max() <= k.false_exclusion
-        misled += not told and bool(np.any(np.abs(estimate) > found.level))
-    return misled / draws
+        is_detected = not found.statistic.max() <= k.false_exclusion
+        misleading += not is_detected and bool(np.any(np.abs(estimate) > found.level))
+    return misleading / draws
 
 
 MISSED = 2.0
@@ -83,9 +83,9 @@ def test_error_under_two_undetected_faults_is_within_the_protection_level_of_pai
     biases = np.linspace(0.0, 40.0, 21)
     # Each of three components may exceed it.
     most = 3.0 * norm.sf(MISSED)
-    assert max(misled_by_two_faults(sensors, bias, pairs=True) for bias in biases) <= most
+    assert max(misleading_ratio(sensors, bias, pairs=True) for bias in biases) <= most
     # The levels of single faults do not guarantee that.
-    assert max(misled_by_two_faults(sensors, bias, pairs=False) for bias in biases) > 3.0 * most
+    assert max(misleading_ratio(sensors, bias, pairs=False) for bias in biases) > 3.0 * most
 
 
 def test_prior_of_two_faults_is_the_product_of_their_hourly_probabilities():
@@ -136,10 +136,10 @@ def test_no_level_with_a_separation_above_its_threshold(statistic):
         # In the subfilter the sigma is 2 instead of the square root of 3: the separation has a sigma of 1.
         distance = np.array([[0.5] * 3, [beyond] * 3])
         found = solution_separations(distance, np.full((2, 3), 4.0), np.full(3, 3.0), k)
-        told = integrity_report(0, IntegrityConfig(), k, ("star.bow", "ins"), found, (), is_checked=True)
-        assert told.state is state
-        np.testing.assert_allclose(told.statistic, [0.5, beyond])
-        assert np.isfinite(told.level).all() == (state is IntegrityState.NO_LIMIT)
+        report = integrity_report(0, IntegrityConfig(), k, ("star.bow", "ins"), found, (), is_checked=True)
+        assert report.state is state
+        np.testing.assert_allclose(report.statistic, [0.5, beyond])
+        assert np.isfinite(report.level).all() == (state is IntegrityState.NO_LIMIT)
 
 
 def test_excluded_source_does_not_affect_the_level():
@@ -147,20 +147,20 @@ def test_excluded_source_does_not_affect_the_level():
     k = SigmaMultipliers(fault_free=6.0, false_exclusion=5.12, missed_detection=np.array([2.0, 2.0]))
     distance, variance = np.array([[100.0] * 3, [0.5] * 3]), np.array([[9.0] * 3, [4.0] * 3])
     found = solution_separations(distance, variance, np.full(3, 3.0), k, subfilter_indices=[1])
-    told = integrity_report(7, IntegrityConfig(), k, ("ins",), found, (("star.bow", 5),), is_checked=True)
-    assert told.largest_sigma == 2.0
-    assert (told.hypotheses, told.excluded, told.dominant) == (("ins",), (("star.bow", 5),), "")
-    np.testing.assert_allclose(told.level, 6.0 * np.sqrt(3.0))
+    report = integrity_report(7, IntegrityConfig(), k, ("ins",), found, (("star.bow", 5),), is_checked=True)
+    assert report.largest_sigma == 2.0
+    assert (report.hypotheses, report.excluded, report.dominant) == (("ins",), (("star.bow", 5),), "")
+    np.testing.assert_allclose(report.level, 6.0 * np.sqrt(3.0))
 
 
 def test_without_tested_hypotheses_there_is_no_level():
-    k, nobody = SigmaMultipliers(fault_free=6.0, false_exclusion=5.0, missed_detection=np.array([2.0])), []
-    found = solution_separations(np.zeros((1, 3)), np.full((1, 3), 9.0), np.full(3, 3.0), k, subfilter_indices=nobody)
+    k, none = SigmaMultipliers(fault_free=6.0, false_exclusion=5.0, missed_detection=np.array([2.0])), []
+    found = solution_separations(np.zeros((1, 3)), np.full((1, 3), 9.0), np.full(3, 3.0), k, subfilter_indices=none)
     for limit, state in (((), IntegrityState.NO_LIMIT), ((1e6,) * 3, IntegrityState.EXCEEDED)):
         config = IntegrityConfig(alert_limit_arcsec=limit)
-        told = integrity_report(0, config, k, (), found, (), is_checked=True)
-        assert (told.state, told.largest_sigma, told.dominant) == (state, 0.0, "")
-        assert np.isnan(told.level).all()
+        report = integrity_report(0, config, k, (), found, (), is_checked=True)
+        assert (report.state, report.largest_sigma, report.dominant) == (state, 0.0, "")
+        assert np.isnan(report.level).all()
 
 
 def test_separation_inflation_starts_at_three_sigmas_and_ignores_nan():

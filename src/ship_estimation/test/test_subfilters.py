@@ -22,8 +22,8 @@ def _measurement(rng, size=3):
     return LinearMeasurement(rng.standard_normal(size), rng.standard_normal((size, STATES)), noise)
 
 
-def _stack(rng, rows):
-    roots = rng.standard_normal((SOURCES + rows - 1, STATES, STATES))
+def _stack(rng, filters):
+    roots = rng.standard_normal((SOURCES + filters - 1, STATES, STATES))
     return roots @ roots.transpose(0, 2, 1)
 
 
@@ -33,16 +33,18 @@ def test_each_filter_is_updated_as_if_alone_and_the_main_filter_keeps_its_parts(
     measured, at_mean = _measurement(rng), rng.standard_normal(STATES)
     compared = subfilter_innovations(means, filter_covariances(stack, 4), measured, at_mean, np.eye(3))
     corrections, updated = update_subfilters(stack, measured, compared, np.ones((4, STATES), dtype=bool))
-    for row in range(4):
-        residual = measured.residual - measured.jacobian @ (means[row] - at_mean)
+    for index in range(4):
+        residual = measured.residual - measured.jacobian @ (means[index] - at_mean)
         alone = LinearMeasurement(residual, measured.jacobian, measured.noise_by_source)
-        parts = stack[:SOURCES] if row == 0 else np.stack([stack[SOURCES + row - 1], *np.zeros((2, STATES, STATES))])
+        parts = (
+            stack[:SOURCES] if index == 0 else np.stack([stack[SOURCES + index - 1], *np.zeros((2, STATES, STATES))])
+        )
         _, nis, gain = innovation(parts, alone)
         correction, after = update(parts, alone, gain)
-        assert compared.nis[row] == pytest.approx(nis, rel=1e-10)
-        np.testing.assert_allclose(corrections[row], correction, rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(filter_covariances(updated, 4)[row], after.sum(0), rtol=1e-9, atol=1e-10)
-        if row == 0:
+        assert compared.nis[index] == pytest.approx(nis, rel=1e-10)
+        np.testing.assert_allclose(corrections[index], correction, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(filter_covariances(updated, 4)[index], after.sum(0), rtol=1e-9, atol=1e-10)
+        if index == 0:
             np.testing.assert_allclose(updated[:SOURCES], after, rtol=1e-9, atol=1e-10)
 
 
@@ -68,10 +70,10 @@ def test_subfilter_gets_no_information_from_its_excluded_source():
             correction, without = update_subfilters(without, measured, compared, everything)
             without_mean = without_mean + correction
     np.testing.assert_allclose(mean[0, ~own], without_mean[0, ~own], rtol=1e-8, atol=1e-10)
-    after, never_heard = stack.sum(0), without.sum(0)
-    np.testing.assert_allclose(after[:5, :5], never_heard[:5, :5], rtol=1e-8, atol=1e-9)
+    after, never_updated = stack.sum(0), without.sum(0)
+    np.testing.assert_allclose(after[:5, :5], never_updated[:5, :5], rtol=1e-8, atol=1e-9)
     assert np.all(np.linalg.eigvalsh(after) > 0.0)
-    assert np.trace(after[5:, 5:]) < 0.5 * np.trace(never_heard[5:, 5:])
+    assert np.trace(after[5:, 5:]) < 0.5 * np.trace(never_updated[5:, 5:])
 
 
 def test_restart_from_a_subfilter_keeps_the_shares_of_the_sources():
@@ -79,8 +81,8 @@ def test_restart_from_a_subfilter_keeps_the_shares_of_the_sources():
     stack = _stack(rng, 3)
     stack[:, 6] = stack[:, :, 6] = 0.0  # a state that is known exactly
     after = restart_from_subfilter(stack, 3, subfilter=2)
-    for row in range(3):
-        np.testing.assert_allclose(filter_covariances(after, 3)[row], stack[-1], rtol=1e-8, atol=1e-8)
+    for index in range(3):
+        np.testing.assert_allclose(filter_covariances(after, 3)[index], stack[-1], rtol=1e-8, atol=1e-8)
     assert np.all(np.linalg.eigvalsh(after[:SOURCES]) > -1e-8)
     assert np.all(filter_covariances(after, 3)[:, 6] == 0.0)
     same = np.concatenate([stack[:SOURCES], stack[:SOURCES].sum(0)[None]])
@@ -122,10 +124,10 @@ def test_solution_separations_in_their_sigmas(wrong: float) -> None:
     stack, means = roots @ roots.transpose(0, 2, 1), rng.normal(size=(4, 5))
     stack[3] *= 0.1
     means[2, 3] += wrong
-    apart, statistic = solution_separations(means, stack, slice(1, 4))
+    separations, statistic = solution_separations(means, stack, slice(1, 4))
     variance = filter_covariances(stack, 4)[:, range(1, 4), range(1, 4)]
     expected = means[:, 1:4] - means[0, 1:4]
-    np.testing.assert_array_equal(apart, expected)
+    np.testing.assert_array_equal(separations, expected)
     sigma = separation_sigma(variance, variance[0])
     np.testing.assert_allclose(statistic, np.abs(expected / sigma).max(axis=-1), rtol=1e-13)
     with pytest.raises(ValueError, match="do not fit together"):

@@ -59,7 +59,7 @@ class Estimator:
         model: EstimatorModel[float, Toy, MeasurementDecision[Toy], float] = EstimatorModel(
             step=self.step,
             inflate=self.inflate,
-            failure_decision=lambda toy, refusal: MeasurementDecision(toy, refusal.reason, text=refusal.text),
+            failure_decision=lambda toy, rejection: MeasurementDecision(toy, rejection.reason, text=rejection.text),
             until_ns=lambda decision: decision.measurement.time_ns,
             drop_before=self.track.drop_before,
             on_decision=self.decided.append,
@@ -100,9 +100,9 @@ def toy(time_ms: int, value: float = 0.5, source: str = "toy") -> Toy:
 
 def state_for_outputs(estimator: Estimator) -> float:
     """Return the state for an output at the next time."""
-    outcome, moments = ToyOutcome(), itertools.count(10**15)
+    outcome, times_ns = ToyOutcome(), itertools.count(10**15)
     while not outcome.estimates:
-        estimator.shell.add_output(outcome, next(moments), 0, lambda state: state)
+        estimator.shell.add_output(outcome, next(times_ns), 0, lambda state: state)
     return outcome.estimates[0]
 
 
@@ -154,7 +154,7 @@ def test_changed_decision_is_reported_as_revised() -> None:
         EstimatorModel(
             step=step,
             inflate=lambda state, jump: state,
-            failure_decision=lambda toy, refusal: MeasurementDecision(toy, refusal.reason),
+            failure_decision=lambda toy, rejection: MeasurementDecision(toy, rejection.reason),
             until_ns=lambda decision: decision.measurement.time_ns,
             drop_before=lambda time_ns: None,
         ),
@@ -199,10 +199,10 @@ def test_measurement_waits_for_its_data_up_to_the_lag() -> None:
     estimator.add_sample(0, 0.1)
     assert estimator.add(toy(10)).decisions == []
     assert estimator.add(toy(20)).decisions == []
-    told = estimator.add_sample(15, 0.1).decisions
-    assert told == []  # a differenced rate needs one more
-    told = estimator.add_sample(18, 0.1).decisions
-    assert [decision.measurement.time_ns // MS for decision in told] == [10]
+    decisions = estimator.add_sample(15, 0.1).decisions
+    assert decisions == []  # a differenced rate needs one more
+    decisions = estimator.add_sample(18, 0.1).decisions
+    assert [decision.measurement.time_ns // MS for decision in decisions] == [10]
     outcome = estimator.add(toy(2021))
     assert [decision.measurement.time_ns // MS for decision in outcome.decisions] == [20]
 
@@ -226,9 +226,9 @@ def test_failed_inflation_is_reported_once() -> None:
     before = estimator.shell.state
     estimator.shell.add_jump(120 * MS, "toy", math.nan)
     estimator.shell.apply(outcome)
-    ((time_ns, refusal),) = outcome.failures
-    assert (time_ns, refusal.reason) == (120 * MS, Reason.FAILED)
-    assert "no size" in refusal.text
+    ((time_ns, rejection),) = outcome.failures
+    assert (time_ns, rejection.reason) == (120 * MS, Reason.FAILED)
+    assert "no size" in rejection.text
     assert estimator.shell.state == before
     # A repeated application does not report it again, and continues after it.
     estimator.shell.add(toy(110), outcome)
@@ -312,7 +312,7 @@ def add_one_output(estimator: Estimator, number: int) -> None:
 
     estimator.shell.add_output(outcome, time_ns, number, estimate)
     assert len(outcome.estimates) + len(outcome.failures) <= 1
-    assert all(refusal.reason is Reason.FAILED for _, refusal in outcome.failures)
+    assert all(rejection.reason is Reason.FAILED for _, rejection in outcome.failures)
     estimator.claimed += [time_ns] * len(outcome.estimates)
 
 
@@ -329,24 +329,24 @@ def test_outputs_strictly_increase_and_a_failure_is_reported() -> None:
     estimator.shell.add_output(outcome, 31 * MS, 0, lambda state: None)
     estimator.shell.add_output(outcome, 30 * MS, 0, lambda state: 30.0)
     assert outcome.estimates == [10.0, 20.0, 30.0]
-    ((time_ns, refusal),) = outcome.failures
-    assert (time_ns, refusal.reason) == (30 * MS, Reason.FAILED)
+    ((time_ns, rejection),) = outcome.failures
+    assert (time_ns, rejection.reason) == (30 * MS, Reason.FAILED)
 
 
-@pytest.mark.parametrize("patience_s", [0.05, 1.0, 3.0])
-def test_invalid_is_reported_once_a_second_after_the_timeout_for_any_stamps(patience_s: float) -> None:
+@pytest.mark.parametrize("timeout_s", [0.05, 1.0, 3.0])
+def test_invalid_is_reported_once_a_second_after_the_timeout_for_any_stamps(timeout_s: float) -> None:
     estimator = Estimator()
-    patience_ns = round(patience_s * SECOND_NS)
+    timeout_ns = round(timeout_s * SECOND_NS)
     outcome = ToyOutcome()
-    estimator.shell.add_output(outcome, 10**18, 0, lambda state: 1.0, patience_ns)
-    said = []
+    estimator.shell.add_output(outcome, 10**18, 0, lambda state: 1.0, timeout_ns)
+    reported_ns = []
     for waiting_ns in range(0, 8 * SECOND_NS, 100 * MS):
         outcome = ToyOutcome()
         estimator.shell.report_invalid(outcome, waiting_ns, lambda: math.nan)
         if outcome.estimates:
-            said.append(waiting_ns)
-    first_ns = max(patience_ns, SECOND_NS) + 100 * MS
-    assert said == list(range(first_ns, 8 * SECOND_NS, SECOND_NS))
+            reported_ns.append(waiting_ns)
+    first_ns = max(timeout_ns, SECOND_NS) + 100 * MS
+    assert reported_ns == list(range(first_ns, 8 * SECOND_NS, SECOND_NS))
 
 
 def test_earlier_outputs_may_follow_a_clock_jump_but_not_a_reset() -> None:
@@ -362,12 +362,12 @@ def test_earlier_outputs_may_follow_a_clock_jump_but_not_a_reset() -> None:
 
 
 def test_invalid_is_due_at_once_before_the_first_output() -> None:
-    estimator, said = Estimator(), []
+    estimator, counts = Estimator(), []
     for waiting_ns in (0, SECOND_NS - 1, SECOND_NS):
         outcome = ToyOutcome()
         estimator.shell.report_invalid(outcome, waiting_ns, lambda: math.nan)
-        said.append(len(outcome.estimates))
-    assert said == [1, 0, 1]
+        counts.append(len(outcome.estimates))
+    assert counts == [1, 0, 1]
 
 
 def test_the_window_closes_behind_the_lag_and_the_reach() -> None:
@@ -410,8 +410,8 @@ def test_flood_with_random_stamps_is_limited_by_overflow() -> None:
     # Each once, once more when the window closes, and the repeats of each second; the first second has one in reserve.
     assert len(estimator.decided) < 2 * (taken + len(in_order)) + MOST_REPEATS_PER_S * (seconds + LAG_S + 1.0)
     assert max(at_once) < MOST_REPEATS_AT_ONCE + 20
-    told = next(text for text in texts if "source" in text)
-    assert told.endswith(f"later ones of their source: {MOST_OVERTAKEN_PER_S} such pairs a second are accepted")
+    report = next(text for text in texts if "source" in text)
+    assert report.endswith(f"later ones of their source: {MOST_OVERTAKEN_PER_S} such pairs a second are accepted")
 
 
 def test_overflow_does_not_change_the_state() -> None:
@@ -421,8 +421,8 @@ def test_overflow_does_not_change_the_state() -> None:
         if outcome.rejection is None or outcome.rejection.reason is not Reason.OVERFLOW:
             assert without.add(late).rejection == outcome.rejection
         assert estimator.shell.state == without.shell.state, number
-    told, told_without = ([(d.measurement, d.accepted) for d in e.decided] for e in (estimator, without))
-    assert told == told_without
+    decisions, decisions_without = ([(d.measurement, d.accepted) for d in e.decided] for e in (estimator, without))
+    assert decisions == decisions_without
 
 
 def test_flood_of_late_samples_is_rate_limited_and_gives_the_same_state() -> None:

@@ -32,7 +32,7 @@ def step(state: State, measurement: tuple[int, float]) -> tuple[State, Decision]
     return (state[0] + 1, math.cos(1.7 * state[1]) + value / 3.0), (time_ns, state[1])
 
 
-def failed(measurement: tuple[int, float], error: Exception) -> Decision:
+def failed_decision(measurement: tuple[int, float], error: Exception) -> Decision:
     raise error
 
 
@@ -58,11 +58,11 @@ def test_any_order_of_arrival_and_any_pauses_give_the_same_state_and_decisions(
     for key in data.draw(st.permutations(sorted(known))):
         insert(log, key, known[key])
         if data.draw(st.booleans()):
-            for decision, previous in log.apply(step, failed):
+            for decision, previous in log.apply(step, failed_decision):
                 if previous is not None:
                     latest.remove(previous)
                 latest.append(decision)
-    for decision, previous in log.apply(step, failed):
+    for decision, previous in log.apply(step, failed_decision):
         if previous is not None:
             latest.remove(previous)
         latest.append(decision)
@@ -78,12 +78,12 @@ def test_repeated_key_replaces_the_measurement(known: dict[Key, float], data: st
     log = Log(START)
     for key, value in known.items():
         insert(log, key, value)
-    log.apply(step, failed)
+    log.apply(step, failed_decision)
     key = data.draw(st.sampled_from(sorted(known)))
     insert(log, key, 0.123)
     assert log.get(key) == (key[0], 0.123)
     assert log.pending_count == sum(other >= key for other in known)
-    replaced = log.apply(step, failed)
+    replaced = log.apply(step, failed_decision)
     assert all(previous is not None for _, previous in replaced)
     assert log.state == in_own_order({**known, key: 0.123})[0]
 
@@ -97,7 +97,7 @@ def test_measurements_wait_for_their_data(known: dict[Key, float], ready_ns: lis
     reached = 0
     for limit_ns in ready_ns:
         reached = max(reached, limit_ns)
-        log.apply(lambda state, m, limit_ns=limit_ns: step(state, m) if m[0] < limit_ns else None, failed)
+        log.apply(lambda state, m, limit_ns=limit_ns: step(state, m) if m[0] < limit_ns else None, failed_decision)
         before = {key: value for key, value in known.items() if key[0] < reached}
         assert log.state == in_own_order(before)[0]
         assert log.pending_count == len(known) - len(before)
@@ -110,9 +110,9 @@ def test_rewinding_applies_again_from_the_first_affected(known: dict[Key, float]
     log = Log(START)
     for key, value in known.items():
         insert(log, key, value)
-    log.apply(lambda state, m: step(state, (m[0], m[1] + (0.5 if m[0] > since_ns else 0.0))), failed)
+    log.apply(lambda state, m: step(state, (m[0], m[1] + (0.5 if m[0] > since_ns else 0.0))), failed_decision)
     log.rewind_to_first(lambda decision: decision[0] > since_ns)
-    again = log.apply(step, failed)
+    again = log.apply(step, failed_decision)
     assert len(again) == sum(key[0] > since_ns for key in known)
     assert all(previous is not None for _, previous in again)
     assert log.state == in_own_order(known)[0]
@@ -126,17 +126,17 @@ def test_committed_measurements_stay_in_the_state(
     log = Log(START)
     for key, value in known.items():
         insert(log, key, value)
-    log.apply(step, failed)
+    log.apply(step, failed_decision)
     log.commit_before(oldest_ns)
     assert log.state == in_own_order(known)[0]
-    forgotten = {key: value for key, value in known.items() if key[0] < oldest_ns}
-    assert all(log.get(key) is None for key in forgotten)
+    dropped = {key: value for key, value in known.items() if key[0] < oldest_ns}
+    assert all(log.get(key) is None for key in dropped)
     within = {key: value for key, value in late.items() if key[0] >= oldest_ns}
     for key, value in within.items():
         insert(log, key, value)
-    log.apply(step, failed)
-    kept = {key: value for key, value in known.items() if key not in forgotten}
-    assert log.state == in_own_order({**kept, **within}, in_own_order(forgotten)[0])[0]
+    log.apply(step, failed_decision)
+    kept = {key: value for key, value in known.items() if key not in dropped}
+    assert log.state == in_own_order({**kept, **within}, in_own_order(dropped)[0])[0]
 
 
 @repeatable
@@ -147,18 +147,18 @@ def test_pending_measurements_are_not_committed(known: dict[Key, float], oldest_
         insert(log, key, value)
     log.commit_before(oldest_ns)
     assert log.pending_count == len(known)
-    log.apply(step, failed)
+    log.apply(step, failed_decision)
     assert log.state == in_own_order(known)[0]
 
 
 def test_decisions_are_returned_with_the_replaced_ones() -> None:
     log = Log(START)
     insert(log, (2, "b"), 0.5)
-    assert log.apply(step, failed) == [((2, 0.1), None)]
-    assert log.apply(step, failed) == []
+    assert log.apply(step, failed_decision) == [((2, 0.1), None)]
+    assert log.apply(step, failed_decision) == []
     insert(log, (1, "a"), -0.5)
     state_1, _ = step(START, (1, -0.5))
-    assert log.apply(step, failed) == [((1, 0.1), None), ((2, state_1[1]), (2, 0.1))]
+    assert log.apply(step, failed_decision) == [((1, 0.1), None), ((2, state_1[1]), (2, 0.1))]
 
 
 def test_tie_breaker_orders_measurements_of_one_time() -> None:
@@ -166,7 +166,7 @@ def test_tie_breaker_orders_measurements_of_one_time() -> None:
     for log, order in ((forth, ("a", "b", "c")), (back, ("c", "b", "a"))):
         for name in order:
             insert(log, (5, name), float(ord(name)))
-            log.apply(step, failed)
+            log.apply(step, failed_decision)
     assert forth.state == back.state
     assert forth.get((5, "b")) == (5, 98.0)
     assert forth.get((5, "d")) is None
@@ -187,14 +187,14 @@ def test_exception_in_a_step_keeps_the_state_and_delays_nothing(
 ) -> None:
     log, raised = Log(START), []
 
-    def failed(measurement: tuple[int, float], error: Exception) -> Decision:
+    def failed_decision(measurement: tuple[int, float], error: Exception) -> Decision:
         assert str(error) == "singular"
         raised.append(measurement)
         return measurement[0], math.nan
 
     for key in data.draw(st.permutations(sorted(known))):
         insert(log, key, known[key])
-        log.apply(failing, failed)
+        log.apply(failing, failed_decision)
         assert log.pending_count == 0
     good = {key: value for key, value in known.items() if key[0] % 2 or not value < 0.0}
     assert log.state == in_own_order(good)[0]
@@ -207,7 +207,7 @@ def test_failed_measurement_is_applied_again_to_another_state() -> None:
     assert log.apply(failing, lambda measurement, error: (measurement[0], -1.0)) == [((2, -1.0), None)]
     insert(log, (1, "a"), 0.1)
     state_1, first = step(START, (1, 0.1))
-    assert log.apply(step, failed) == [(first, None), ((2, state_1[1]), (2, -1.0))]
+    assert log.apply(step, failed_decision) == [(first, None), ((2, state_1[1]), (2, -1.0))]
 
 
 class LogAgainstSorting(RuleBasedStateMachine):
@@ -224,7 +224,7 @@ class LogAgainstSorting(RuleBasedStateMachine):
         time_ns, value = measurement
         return step(state, (time_ns, value + self.bias.get(time_ns, 0.0)))
 
-    def expected(self) -> State:
+    def in_order(self) -> State:
         biased = {key: value + self.bias.get(key[0], 0.0) for key, value in self.known.items()}
         return in_own_order(biased, self.base)[0]
 
@@ -235,16 +235,16 @@ class LogAgainstSorting(RuleBasedStateMachine):
             insert(self.log, key, value)
 
     @rule(time_ns=st.integers(0, 40), value=values)
-    def data_behind_a_moment_changes(self, time_ns: int, value: float) -> None:
+    def change_data_at_a_time(self, time_ns: int, value: float) -> None:
         if time_ns >= self.closed_ns:
             self.bias[time_ns] = value
             self.log.rewind_to_first(lambda decision: decision[0] == time_ns)
 
     @rule()
-    def applied(self) -> None:
-        self.log.apply(self.biased_step, failed)
+    def apply_pending(self) -> None:
+        self.log.apply(self.biased_step, failed_decision)
         assert self.log.pending_count == 0
-        assert self.log.state == self.expected()
+        assert self.log.state == self.in_order()
 
     @precondition(lambda self: self.log.pending_count == 0)
     @rule(oldest_ns=st.integers(0, 40))
@@ -275,7 +275,7 @@ def test_flood_of_late_measurements_is_rate_limited_and_gives_the_same_state() -
         for key in ((newest_ns, "prompt"), *([late] if newest_ns > 1_000_000_000 else [])):
             known[key] = math.sin(number)
             insert(log, key, known[key])
-            decisions = log.apply(step, failed, (newest_ns - lag_ns, newest_ns))
+            decisions = log.apply(step, failed_decision, (newest_ns - lag_ns, newest_ns))
             repeats = sum(previous is not None for _, previous in decisions)
             repeats_by_second[newest_ns // 1_000_000_000] += repeats
             most_at_once = max(most_at_once, repeats)
@@ -285,7 +285,7 @@ def test_flood_of_late_measurements_is_rate_limited_and_gives_the_same_state() -
     assert max(repeats_by_second) <= 2 * MOST_REPEATS_PER_S + 1000
     assert most_at_once <= MOST_REPEATS_AT_ONCE + 2
     assert most_waiting <= 3 * 1000
-    log.apply(step, failed)
+    log.apply(step, failed_decision)
     assert log.state == in_own_order(known)[0]
 
 
@@ -294,6 +294,6 @@ def test_few_late_measurements_are_applied_at_once() -> None:
     known = {(time_ns, "star.fore"): 0.1 * time_ns for time_ns in range(1, 21)}
     for key, value in sorted(known.items(), reverse=True):
         insert(log, key, value)
-        log.apply(step, failed, (0, 20))
+        log.apply(step, failed_decision, (0, 20))
         assert log.pending_count == 0
     assert log.state == in_own_order(known)[0]

@@ -33,41 +33,41 @@ def reference_attitudes(
     return {"other": MotionReference(time_ms * MS, rolled_attitude(degrees), sigma_rad, drift)}
 
 
-def after(values_deg: list[float], step_ms: int = 50) -> tuple[StuckCheck, int]:
+def check_after(values_deg: list[float], step_ms: int = 50) -> tuple[StuckCheck, int]:
     """Return a check after values that other sources confirmed, and the time of the next value, ms."""
-    guard = StuckCheck()
+    check = StuckCheck()
     for n, degrees in enumerate(values_deg):
-        assert not guard.observe(
+        assert not check.observe(
             n * step_ms * MS, rolled_attitude(degrees), ARCSEC, reference_attitudes(n * step_ms, degrees)
         )
-    return guard, len(values_deg) * step_ms
+    return check, len(values_deg) * step_ms
 
 
 MOVING = [0.05 * n for n in range(20)]
 
 
 def test_value_repeated_during_a_rotation_is_stuck_after_half_a_second() -> None:
-    guard, start_ms = after(MOVING)
+    check, start_ms = check_after(MOVING)
     held = MOVING[-1]
     times_ms = range(start_ms, start_ms + 1000, 50)
     stuck = [
-        guard.observe(t * MS, rolled_attitude(held), ARCSEC, reference_attitudes(t, held + 0.001 * (t - start_ms)))
+        check.observe(t * MS, rolled_attitude(held), ARCSEC, reference_attitudes(t, held + 0.001 * (t - start_ms)))
         for t in times_ms
     ]
     first = times_ms[stuck.index(True)]
     assert 450 <= first - start_ms <= 600
     assert all(stuck[stuck.index(True) :])
-    assert guard.is_frozen(rolled_attitude(held))
-    assert not guard.observe(
+    assert check.is_frozen(rolled_attitude(held))
+    assert not check.observe(
         start_ms * MS + 1000 * MS, rolled_attitude(held + 1.0), ARCSEC, reference_attitudes(start_ms + 1000, held + 1.0)
     )
-    assert not guard.is_repeated
+    assert not check.is_repeated
 
 
 def test_value_may_be_repeated_at_rest() -> None:
-    guard, start_ms = after(MOVING)
+    check, start_ms = check_after(MOVING)
     assert not any(
-        guard.observe(
+        check.observe(
             t * MS, rolled_attitude(MOVING[-1]), ARCSEC, reference_attitudes(t, MOVING[-1] + 0.2 * ARCSEC * (t % 2))
         )
         for t in range(start_ms, start_ms + 60_000, 50)
@@ -75,76 +75,76 @@ def test_value_may_be_repeated_at_rest() -> None:
 
 
 def test_resolution_is_estimated_from_the_changes_of_the_value() -> None:
-    """With a resolution of a tenth of a degree a smaller rotation shows nothing."""
-    guard, start_ms = after([0.1 * (n // 4) for n in range(40)])
+    """A rotation below the resolution of a tenth of a degree changes no value."""
+    check, start_ms = check_after([0.1 * (n // 4) for n in range(40)])
     # A rotation about one axis changes two rows of the matrix, each by the step.
-    assert guard.coarseness_rad == pytest.approx(np.deg2rad(0.1), rel=1e-3)
+    assert check.coarseness_rad == pytest.approx(np.deg2rad(0.1), rel=1e-3)
     held = 0.9
     times_ms = range(start_ms, start_ms + 3000, 50)
     assert not any(
-        guard.observe(t * MS, rolled_attitude(held), ARCSEC, reference_attitudes(t, held + 0.00003 * (t - start_ms)))
+        check.observe(t * MS, rolled_attitude(held), ARCSEC, reference_attitudes(t, held + 0.00003 * (t - start_ms)))
         for t in times_ms
     )
 
 
 def test_source_without_repeated_values_has_no_coarseness() -> None:
-    assert after(MOVING)[0].coarseness_rad == 0.0
+    assert check_after(MOVING)[0].coarseness_rad == 0.0
 
 
 @pytest.mark.parametrize(("sigma_rad", "drift"), [(np.deg2rad(0.2), 0.0), (ARCSEC, np.deg2rad(1.0))])
 def test_uncertain_motion_reference_is_ignored(sigma_rad: float, drift: float) -> None:
-    guard, start_ms = after(MOVING)
+    check, start_ms = check_after(MOVING)
     times_ms = range(start_ms, start_ms + 1000, 50)
     for t in times_ms:
-        witnesses = reference_attitudes(t, MOVING[-1] + 0.0005 * (t - start_ms), sigma_rad, drift)
-        assert not guard.observe(t * MS, rolled_attitude(MOVING[-1]), ARCSEC, witnesses)
+        references = reference_attitudes(t, MOVING[-1] + 0.0005 * (t - start_ms), sigma_rad, drift)
+        assert not check.observe(t * MS, rolled_attitude(MOVING[-1]), ARCSEC, references)
 
 
 def test_earlier_attitude_of_a_motion_reference_is_ignored() -> None:
-    guard, start_ms = after(MOVING)
+    check, start_ms = check_after(MOVING)
     times_ms = range(start_ms, start_ms + 2000, 50)
     assert not any(
-        guard.observe(t * MS, rolled_attitude(MOVING[-1]), ARCSEC, reference_attitudes(t % 700, 0.01 * t))
+        check.observe(t * MS, rolled_attitude(MOVING[-1]), ARCSEC, reference_attitudes(t % 700, 0.01 * t))
         for t in times_ms
     )
 
 
 def test_frozen_value_that_returns_to_the_bit_is_still_stuck() -> None:
-    guard, start_ms = after(MOVING)
+    check, start_ms = check_after(MOVING)
     for t in range(start_ms, start_ms + 1000, 50):
-        stuck = guard.observe(
+        stuck = check.observe(
             t * MS, rolled_attitude(MOVING[-1]), ARCSEC, reference_attitudes(t, MOVING[-1] + 0.001 * (t - start_ms))
         )
     assert stuck
-    assert not guard.observe(
+    assert not check.observe(
         (start_ms + 1000) * MS, rolled_attitude(-30.0), ARCSEC, reference_attitudes(start_ms + 1000, 3.0)
     )
-    assert guard.observe(
+    assert check.observe(
         (start_ms + 1050) * MS, rolled_attitude(MOVING[-1]), ARCSEC, reference_attitudes(start_ms + 1050, 3.0)
     )
 
 
-TAKEN, REFUSED, JUMPED = JumpDecision.ACCEPTED, JumpDecision.REJECTED, JumpDecision.JUMPED
+TAKEN, REJECTED, JUMPED = JumpDecision.ACCEPTED, JumpDecision.REJECTED, JumpDecision.JUMPED
 NEXT = PredictionStep(seconds=0.01, samples=1, uncertain_rad=0.0, noise_gain=2.0, coarseness_rad=0.0)
 
 
 def test_consistent_rejected_values_are_accepted_after_a_number_of_samples() -> None:
-    guard = JumpCheck(3)
-    assert [guard.check(n, False, n > 0) for n in range(4)] == [REFUSED, REFUSED, REFUSED, JUMPED]
-    assert guard.check(4, True, True) is TAKEN
+    check = JumpCheck(3)
+    assert [check.check(n, False, n > 0) for n in range(4)] == [REJECTED, REJECTED, REJECTED, JUMPED]
+    assert check.check(4, True, True) is TAKEN
 
 
 def test_inconsistent_rejected_values_are_never_accepted() -> None:
-    guard = JumpCheck(3)
-    assert {guard.check(n, False, False) for n in range(50)} == {REFUSED}
+    check = JumpCheck(3)
+    assert {check.check(n, False, False) for n in range(50)} == {REJECTED}
 
 
 def test_value_that_continues_the_last_accepted_one_resets_the_count() -> None:
-    guard = JumpCheck(2)
+    check = JumpCheck(2)
     cases = ((False, False), (False, True), (True, False), (False, False))
-    judged = [guard.check(n, *case) for n, case in enumerate(cases)]
-    assert judged == [REFUSED, REFUSED, TAKEN, REFUSED]
-    assert (guard.rejected_count, guard.since_ns) == (1, 3)
+    results = [check.check(n, *case) for n, case in enumerate(cases)]
+    assert results == [REJECTED, REJECTED, TAKEN, REJECTED]
+    assert (check.rejected_count, check.since_ns) == (1, 3)
 
 
 def bound_rad(continuation: PredictionBound, step: PredictionStep) -> float:

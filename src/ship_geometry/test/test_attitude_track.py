@@ -54,8 +54,8 @@ def irregular(seed: int, count: int = 24) -> list[AttitudeSample]:
     return [sample_at(int(t), bool(with_rate)) for t, with_rate in zip(np.cumsum(steps_ns), rates, strict=True)]
 
 
-def moments(samples: list[AttitudeSample], seed: int, count: int = 150) -> list[int]:
-    """Random moments around the samples, and each sample's own stamp."""
+def times_around(samples: list[AttitudeSample], seed: int, count: int = 150) -> list[int]:
+    """Return random times around the samples, and each sample's own stamp, ns."""
     first, last = min(s.time_ns for s in samples), max(s.time_ns for s in samples)
     rng = np.random.default_rng(seed)
     random = rng.integers(first - 2 * STEP_NS, last + 2 * STEP_NS, count).tolist()
@@ -63,7 +63,7 @@ def moments(samples: list[AttitudeSample], seed: int, count: int = 150) -> list[
 
 
 def identical(first: InterpolatedAttitude | None, second: InterpolatedAttitude | None) -> bool:
-    """To the last bit."""
+    """Return True if the attitudes are equal to the last bit."""
     if first is None or second is None:
         return first is second
     return (
@@ -126,12 +126,12 @@ def test_constant_rotation_is_interpolated_exactly_up_to_half_a_turn(with_rate: 
 @pytest.mark.parametrize("fraction", [0.0, 0.1, 0.5, 0.93])
 def test_the_chord_is_scipys_slerp_whatever_the_rates(fraction: float) -> None:
     samples = regular(4, with_rate=True)
-    moment_ns = samples[1].time_ns + round(fraction * STEP_NS)
-    found = track_of(samples).at(moment_ns)
+    time_ns = samples[1].time_ns + round(fraction * STEP_NS)
+    found = track_of(samples).at(time_ns)
     slerp = Slerp([0, STEP_NS], Rotation.from_matrix([samples[1].rotation_nd, samples[2].rotation_nd]))
-    expected = slerp(moment_ns - samples[1].time_ns).as_matrix()
+    expected = slerp(time_ns - samples[1].time_ns).as_matrix()
     assert found is not None
-    assert found.chord_nd(moment_ns) == pytest.approx(expected, abs=1e-15)
+    assert found.chord_nd(time_ns) == pytest.approx(expected, abs=1e-15)
     # For a ship in a seaway it differs from the cubic, except at the samples.
     assert (error_arcsec(found.rotation_nd, expected) > 1.0) == (fraction > 0.0)
 
@@ -203,17 +203,17 @@ def test_any_order_of_arrival_gives_the_same_track_to_the_bit(seed: int) -> None
     samples = irregular(seed)
     in_order = track_of(samples)
     shuffled = track_of([samples[k] for k in np.random.default_rng(seed).permutation(len(samples))])
-    assert all(identical(in_order.at(t), shuffled.at(t)) for t in moments(samples, seed))
+    assert all(identical(in_order.at(t), shuffled.at(t)) for t in times_around(samples, seed))
     for ahead_s in (-0.02, 0.0, 0.02):
         assert identical(in_order.propagate_newest(ahead_s), shuffled.propagate_newest(ahead_s))
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_insert_returns_the_stamp_after_which_attitudes_change(seed: int) -> None:
-    """At or before the returned stamp nothing has changed; None means this for all final values."""
+    """Nothing has changed at or before the returned stamp; None means that no final value has changed."""
     samples = irregular(seed)
     rng = np.random.default_rng(seed)
-    times = moments(samples, seed, 50)
+    times = times_around(samples, seed, 50)
     track = AttitudeTrack(MAX_GAP_NS)
     for k in rng.permutation(len(samples)):
         before = {t: track.at(t) for t in times}
@@ -243,7 +243,7 @@ def test_replaced_sample_counts_as_if_it_had_come_first(index: int, with_rate: b
     expected = track_of([*samples[:index], other, *samples[index + 1 :]])
     assert len(track) == 6
     assert track.get(other.time_ns) is other
-    assert all(identical(track.at(t), expected.at(t)) for t in moments(samples, 1))
+    assert all(identical(track.at(t), expected.at(t)) for t in times_around(samples, 1))
     assert changed_after_ns is not None
     assert changed_after_ns < other.time_ns
 
@@ -256,7 +256,7 @@ def test_replaced_sample_counts_as_if_it_had_come_first(index: int, with_rate: b
 def test_final_values_do_not_change_when_samples_arrive_in_order(seed: int) -> None:
     samples = irregular(seed)
     complete, growing = track_of(samples), AttitudeTrack(MAX_GAP_NS)
-    times = moments(samples, seed, 50)
+    times = times_around(samples, seed, 50)
     for sample in samples:
         growing.insert(sample)
         for t in (t for t in times if growing.is_final_at(t)):
@@ -279,7 +279,7 @@ def test_values_are_final_up_to_the_newest_sample_with_rates_and_the_one_before_
 @pytest.mark.parametrize("seed", range(8))
 def test_drop_before_keeps_all_that_is_needed_and_no_more(seed: int) -> None:
     samples = irregular(seed, 12)
-    times = moments(samples, seed, 30)
+    times = times_around(samples, seed, 30)
     newest_ns = samples[-1].time_ns
     for oldest_ns in times:
         full, trimmed = track_of(samples), track_of(samples)
@@ -321,7 +321,7 @@ def test_noise_gain_is_the_sum_of_squared_weights_also_at_edges_gaps_and_uneven_
         AttitudeSample(s.time_ns, rotation, None if s.rate_d is None else np.zeros(3)) for s in irregular(seed, 8)
     ]
     track = track_of(samples)
-    for time_ns in moments(samples, seed, 20):
+    for time_ns in times_around(samples, seed, 20):
         found = track.at(time_ns)
         if found is not None:
             assert found.noise_gain == pytest.approx(gain_by_response(samples, time_ns), rel=1e-4)

@@ -21,7 +21,7 @@ def equal(found: FloatArray, expected: FloatArray) -> None:
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13)
 
 
-def moments(count: int = COUNT) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def drawn_states(count: int = COUNT) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Errors of all sizes from none to a few degrees, attitudes, rates, and readings of both faces."""
     rng = np.random.default_rng(RNG_SEED)
     errors = rng.uniform(-0.05, 0.05, (count, 14)) * np.resize([1.0, 0.0, 1e-5, 1e-3], count)[:, None]
@@ -42,17 +42,17 @@ def main_frame(errors: FloatArray, rotation: FloatArray, rate: FloatArray, angle
 
 
 def test_axis_geometry_is_the_product_of_its_rotations() -> None:
-    rotation_nd, rotation_dm, rotation_nm, _, _ = compiled_mounts.axis_geometries(*moments())
-    for number, (errors, rotation, rate, angles) in enumerate(zip(*moments(), strict=True)):
+    rotation_nd, rotation_dm, rotation_nm, _, _ = compiled_mounts.axis_geometries(*drawn_states())
+    for number, (errors, rotation, rate, angles) in enumerate(zip(*drawn_states(), strict=True)):
         equal(rotation_nm[number], main_frame(errors, rotation, rate, angles))
         equal(rotation_nd[number], exp_rotation(errors[:3]) @ rotation @ exp_rotation(-errors[13] * rate))
         equal(rotation_nd[number] @ rotation_dm[number], rotation_nm[number])
 
 
 def test_derivatives_equal_finite_differences() -> None:
-    *_, by_error, by_encoder = compiled_mounts.axis_geometries(*moments())
+    *_, by_error, by_encoder = compiled_mounts.axis_geometries(*drawn_states())
     step = 1e-6
-    for number, (errors, rotation, rate, angles) in enumerate(zip(*moments(), strict=True)):
+    for number, (errors, rotation, rate, angles) in enumerate(zip(*drawn_states(), strict=True)):
         for column in range(14):
             up, down = errors + step * np.eye(14)[column], errors - step * np.eye(14)[column]
             ends = [main_frame(moved, rotation, rate, angles) for moved in (up, down)]
@@ -68,38 +68,38 @@ def test_derivatives_equal_finite_differences() -> None:
 def readings(size: int) -> tuple[list[FloatArray], tuple[Any, ...]]:
     """Return the arguments of pointings: arrays of N, and the estimate."""
     rng = np.random.default_rng(RNG_SEED)
-    errors, rotations, rates, angles = moments()
+    errors, rotations, rates, angles = drawn_states()
     roots = rng.standard_normal((COUNT, 3, 3))
     of_each = [rng.integers(-(10**8), 2 * 10**9, COUNT), rotations, rates, rng.random(COUNT), angles, rng.random(COUNT)]
     of_each += [rng.uniform(0.3, 1.0, (COUNT, 3)), roots @ roots.swapaxes(1, 2)]
     of_states, of_steady = rng.standard_normal((SOURCES, size, size)), rng.standard_normal((2, 3, 3))
-    lasting = np.array([0, 1, 0, 0, 0, 0], dtype=np.uint8)
+    exceeds_model = np.array([0, 1, 0, 0, 0, 0], dtype=np.uint8)
     parts, steady = of_states @ of_states.swapaxes(1, 2), of_steady @ of_steady.swapaxes(1, 2)
     time_s = rng.uniform(1.0, 5.0, 6)
-    return of_each, (errors[0], lasting, time_s, steady, parts, SHIP, BENDING, ENCODER, WHITE)
+    return of_each, (errors[0], exceeds_model, time_s, steady, parts, SHIP, BENDING, ENCODER, WHITE)
 
 
 @pytest.mark.parametrize("size", [13, 14])
 def test_pointings_are_corrected_as_by_numpy(size: int) -> None:
     of_each, estimate = readings(size)
-    errors, lasting, time_s, steady, parts, *_ = estimate
+    errors, exceeds_model, time_s, steady, parts, *_ = estimate
     rotation_nm, by_error, found = compiled_mounts.pointings(*of_each, *estimate)
     for number, (since_ns, rotation, rate, white, angles, noise, kept, new) in enumerate(zip(*of_each, strict=True)):
         decay, left = np.ones(size), np.ones(size)
         decay[:6], left[:3] = np.exp(-1e-9 * max(since_ns, 0) / time_s), kept
         now = errors.copy()
-        now[:6] *= np.where(lasting, 1.0, decay[:6])
+        now[:6] *= np.where(exceeds_model, 1.0, decay[:6])
         now[:3] *= kept
         chain = compiled_mounts.axis_geometries(now[None], rotation[None], rate[None], angles[None])
         by_all, by_encoder = chain[3][0][:, :size], chain[4][0]
         equal(rotation_nm[number], chain[2][0])
         equal(by_error[number], by_all)
-        carried = parts * np.outer(decay, decay)
-        carried[SHIP, :3, :3] += (1.0 - np.outer(decay[:3], decay[:3])) * steady[0]
-        carried[BENDING, 3:6, 3:6] += (1.0 - np.outer(decay[3:6], decay[3:6])) * steady[1]
-        carried *= np.outer(left, left)
-        carried[SHIP, :3, :3] += new
-        expected = by_all @ carried @ by_all.T
+        propagated = parts * np.outer(decay, decay)
+        propagated[SHIP, :3, :3] += (1.0 - np.outer(decay[:3], decay[:3])) * steady[0]
+        propagated[BENDING, 3:6, 3:6] += (1.0 - np.outer(decay[3:6], decay[3:6])) * steady[1]
+        propagated *= np.outer(left, left)
+        propagated[SHIP, :3, :3] += new
+        expected = by_all @ propagated @ by_all.T
         expected[ENCODER] += noise * by_encoder @ by_encoder.T
         expected[WHITE] += white * np.eye(3)
         np.testing.assert_allclose(found[number], expected, rtol=1e-13, atol=1e-12)
@@ -128,11 +128,11 @@ def test_totals_equal_numpy_with_a_covariance_added_to_one_source() -> None:
 def test_result_does_not_depend_on_the_block() -> None:
     of_each, estimate = readings(13)
     together = compiled_mounts.pointings(*of_each, *estimate)
-    chains = compiled_mounts.axis_geometries(*moments())
+    chains = compiled_mounts.axis_geometries(*drawn_states())
     for number in range(COUNT):
         one = slice(number, number + 1)
         alone = compiled_mounts.pointings(*(values[one] for values in of_each), *estimate)
-        alone += compiled_mounts.axis_geometries(*(values[one] for values in moments()))
+        alone += compiled_mounts.axis_geometries(*(values[one] for values in drawn_states()))
         for single, among_others in zip(alone, (*together, *chains), strict=True):
             np.testing.assert_array_equal(single[0], among_others[number])
 
@@ -142,8 +142,8 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
     of_each, estimate = readings(13)
     parts = np.zeros((2, 3, 3, 3))
     calls = [
-        lambda: compiled_mounts.axis_geometries(np.zeros((COUNT, 13)), *moments()[1:]),
-        lambda: compiled_mounts.axis_geometries(moments()[0][:3], *moments()[1:]),
+        lambda: compiled_mounts.axis_geometries(np.zeros((COUNT, 13)), *drawn_states()[1:]),
+        lambda: compiled_mounts.axis_geometries(drawn_states()[0][:3], *drawn_states()[1:]),
         lambda: compiled_mounts.pointings(of_each[0][:3], *of_each[1:], *estimate),
         lambda: compiled_mounts.pointings(*of_each, *estimate[:-1], SOURCES),
         lambda: compiled_mounts.pointings(*of_each[:7], np.empty((0, 3, 3)), *estimate),

@@ -78,9 +78,9 @@ def test_a_vector_between_samples_is_that_by_numpy(before: int, behind: int, per
     around = [left, left + 1, *range(left - 1, max(left - 2, -1), -1), *range(left + 2, last + 1)]
     around += [0] if before == 2 else []
     off = errors(seconds[around] / seconds[left + 1], changes[around], fraction, change)
-    beside = NEXT_TERM_SHARE if len(times_ns) == MOST_SAMPLES else 1.0
+    share = NEXT_TERM_SHARE if len(times_ns) == MOST_SAMPLES else 1.0
     found = compiled_polynomials.interpolate_vector(
-        times_ns, vectors, left, time_ns, period, *weights, beside, ANY_DIRECTION
+        times_ns, vectors, left, time_ns, period, *weights, share, ANY_DIRECTION
     )
     equal(found[0], vectors[left] + change)
     equal(found[1], float(by_sample @ by_sample))

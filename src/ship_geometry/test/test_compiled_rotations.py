@@ -68,10 +68,10 @@ def test_composed_attitude_is_the_product_with_derivatives_of_small_steps() -> N
     step = 1e-6 * np.eye(14)
     small = [log_rotation(product(mean - by).T @ product(mean + by)) / 2e-6 for by in step]
     np.testing.assert_allclose(found[1].T, small, rtol=0, atol=1e-8)
-    from_hung = np.eye(3)
+    below = np.eye(3)
     for link, left in zip(links[: hull + 1], fixed, strict=False):
-        from_hung = left @ exp_rotation(mean[link : link + 3]) @ from_hung
-    equal(found[2], from_hung.T @ error @ from_hung)
+        below = left @ exp_rotation(mean[link : link + 3]) @ below
+    equal(found[2], below.T @ error @ below)
 
 
 def test_the_turn_between_two_attitudes_is_the_logarithm_of_their_quotient() -> None:
@@ -190,14 +190,14 @@ def test_corrected_attitudes_equal_numpy() -> None:
     gains, roots = rng.uniform(0.5, 1.0, count), rng.standard_normal((count, 3, 3))
     own_errors = roots @ roots.transpose(0, 2, 1)
     errors, time_s, steady, white = 0.3 * rng.standard_normal((estimates, 3)), *rng.uniform(1.0, 2.0, (3, 3))
-    lasting = rng.integers(2, size=(estimates, 3), dtype=np.uint8)
+    exceeds_model = rng.integers(2, size=(estimates, 3), dtype=np.uint8)
     parts = rng.standard_normal((estimates, sources, 4, 4))
     parts = parts @ parts.swapaxes(-1, -2)
     found = compiled_rotations.corrected_attitudes(
-        by, since_s, rotations, rates, gains, own_errors, errors, lasting, time_s, steady, white, parts, 0, 2, 3
+        by, since_s, rotations, rates, gains, own_errors, errors, exceeds_model, time_s, steady, white, parts, 0, 2, 3
     )
     decay = np.exp(-since_s[:, None] / time_s)
-    now = np.where(lasting[by], errors[by], decay * errors[by])
+    now = np.where(exceeds_model[by], errors[by], decay * errors[by])
     attitudes = exp_rotation(now) @ rotations
     by_error = left_jacobian(now)
     by_clock = -(attitudes @ rates[..., None])

@@ -92,7 +92,7 @@ def test_with_a_margin_all_of_a_small_circle_is_hidden() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("roll_deg", [0.0, 40.0])
 def test_a_mask_reaches_a_field_if_a_point_of_the_field_lies_in_it(roll_deg: float) -> None:
-    """Against the field filled with a grid of 81 x 81 directions, each looked up in the rectangle of the funnel."""
+    """The expected result is that of a grid of 81 x 81 directions of the field, each compared with the funnel."""
     half = np.tan(np.deg2rad(8.0))
     side = np.linspace(-half, half, 81)
     field_s = np.array([[1.0, up, right] for up in side for right in side])

@@ -24,14 +24,14 @@ def attitude(time_s: float) -> np.ndarray:
     return rotation_from_angles(heading, pitch, np.deg2rad(10.0) * np.sin(2 * np.pi * time_s / 8.0 + 0.3))
 
 
-def moments(exposure_s: float, count: int = 4000) -> np.ndarray:
+def times_s(exposure_s: float, count: int = 4000) -> np.ndarray:
     """Return many evenly spaced times of an exposure, each the middle of its part."""
     return exposure_s * ((np.arange(count) + 0.5) / count - 0.5)
 
 
 @pytest.mark.parametrize(("exposure_s", "issue_arcsec"), [(0.05, 0.5), (0.1, 2.0), (0.2, 7.8)])
 def test_mean_of_a_roll_differs_from_the_middle(exposure_s, issue_arcsec):
-    true = np.mean(roll(CREST_S + moments(exposure_s))) - roll(CREST_S)
+    true = np.mean(roll(CREST_S + times_s(exposure_s))) - roll(CREST_S)
     assert abs(true) / ARCSEC == pytest.approx(issue_arcsec, abs=0.06)
     nodes = exposure_nodes(exposure_s)
     found = nodes.mean(roll(CREST_S + np.array(nodes.offset_ns) * 1e-9)) - roll(CREST_S)
@@ -40,7 +40,7 @@ def test_mean_of_a_roll_differs_from_the_middle(exposure_s, issue_arcsec):
 
 @pytest.mark.parametrize("exposure_s", [1e-3, 0.1, 0.2, 0.21, 0.5, 1.3, LONGEST_EXPOSURE_S])
 def test_mean_and_spread_equal_those_of_many_times(exposure_s):
-    nodes, many = exposure_nodes(exposure_s), 1.7 + moments(exposure_s)
+    nodes, many = exposure_nodes(exposure_s), 1.7 + times_s(exposure_s)
     assert nodes.weight.sum() == pytest.approx(1.0, abs=1e-15)
     assert np.all(nodes.weight >= 0.0)
     assert 0 in nodes.offset_ns
@@ -70,7 +70,7 @@ def test_mean_direction_is_that_of_the_true_motion(rate_hz, measured_rates, expo
     middle_ns = 33_000_000
     turning = exposure_motion(track(rate_hz, measured_rates), middle_ns, exposure_nodes(exposure_s))
     seen = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
-    true = np.mean([attitude(0.033 + t).T @ attitude(0.033) @ seen for t in moments(exposure_s, 400)], axis=0)
+    true = np.mean([attitude(0.033 + t).T @ attitude(0.033) @ seen for t in times_s(exposure_s, 400)], axis=0)
     found = turning.nodes.mean(turning.turns @ seen)
     assert np.max(np.abs(true - seen)) > 0.4 * ARCSEC * (exposure_s / 0.05) ** 2
     np.testing.assert_allclose(found, true, atol=max(0.02 * ARCSEC, 2e-3 * np.max(np.abs(true - seen))))
@@ -135,7 +135,7 @@ def test_interpolation_error_of_the_correction_is_within_its_sigma(rate_hz, meas
             true = np.mean(
                 [
                     log_rotation(attitude(middle_ns * 1e-9).T @ attitude(middle_ns * 1e-9 + t))
-                    for t in moments(exposure_s, 100)
+                    for t in times_s(exposure_s, 100)
                 ],
                 axis=0,
             )

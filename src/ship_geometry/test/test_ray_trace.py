@@ -76,7 +76,7 @@ def drawn_ray(zenith: float, temperature: Callable[[float], tuple[float, float]]
     """
     radius_m, per_scale = 6_378_120.0, 9.784 * 28.9644 / 8314.32
 
-    def along(_: float, state: FloatArray) -> list[float]:
+    def derivatives(_: float, state: FloatArray) -> list[float]:
         x_m, y_m, bent, log_pressure = state
         distance_m = np.hypot(x_m, y_m)
         kelvin, slope = temperature(distance_m - radius_m)
@@ -90,7 +90,7 @@ def drawn_ray(zenith: float, temperature: Callable[[float], tuple[float, float]]
 
     end_m = 130e3 / np.cos(zenith)
     drawn = solve_ivp(
-        along, (0.0, end_m), [0.0, radius_m, 0.0, 0.0], "DOP853", rtol=1e-11, atol=1e-12, max_step=end_m / 2000
+        derivatives, (0.0, end_m), [0.0, radius_m, 0.0, 0.0], "DOP853", rtol=1e-11, atol=1e-12, max_step=end_m / 2000
     )
     return float(drawn.y[2, -1])
 

@@ -50,7 +50,7 @@ def test_ned_frd(heading_deg: float, pitch_deg: float, roll_deg: float) -> None:
 
 @each_attitude
 def test_directions_seen_from_ashore(heading_deg: float, pitch_deg: float, roll_deg: float) -> None:
-    """Without angles: the directions of bow and mast in ROS axes equal those by the deck matrix."""
+    """The directions of bow and mast in ROS axes equal those by the deck matrix."""
     bow_enu, left_enu, up_enu = Rotation.from_quat(ros_quaternion(heading_deg, pitch_deg, roll_deg)).as_matrix().T
     bow, up, starboard = rotation_from_quaternion(ros_quaternion(heading_deg, pitch_deg, roll_deg)).T
     for neu, enu in ((bow, bow_enu), (up, up_enu), (starboard, -left_enu)):

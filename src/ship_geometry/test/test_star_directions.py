@@ -23,7 +23,7 @@ from ship_geometry.time_scales import DAY_NS, SECOND_NS, tt_julian_date
 
 MAS = 1e-3 * ARCSEC
 TABLE = earth_orientation_table()
-NIGHT_NS = int(datetime(2024, 3, 10, 21, 4, 5, tzinfo=timezone.utc).timestamp()) * SECOND_NS + 678_900_000
+TIME_NS = int(datetime(2024, 3, 10, 21, 4, 5, tzinfo=timezone.utc).timestamp()) * SECOND_NS + 678_900_000
 
 
 def random_sky(seed, count):
@@ -106,7 +106,7 @@ def test_refreshed_directions_keep_up_with_time_and_ship():
     stars, _, _ = random_sky(6, 8)
     sky = RefreshedSky(TABLE)
     for step in range(0, 240, 7):
-        time_ns = NIGHT_NS + step * SECOND_NS // 20
+        time_ns = TIME_NS + step * SECOND_NS // 20
         moved = step * 0.05 * 15.0 / 6.4e6
         ship = Observer(GeodeticPosition(0.6 + moved, 2.0 + moved, 20.0), np.array([15.0, 0.0, 15.0]))
         exact = directions(stars, time_ns, ship, TABLE.at(time_ns))
@@ -116,7 +116,7 @@ def test_refreshed_directions_keep_up_with_time_and_ship():
 def test_result_does_not_depend_on_earlier_calls():
     stars, _, _ = random_sky(7, 5)
     ship = Observer(GeodeticPosition(0.5, 1.0, 0.0))
-    times_ns = [NIGHT_NS + k * REFRESH_PERIOD_NS // 3 for k in range(40)]
+    times_ns = [TIME_NS + k * REFRESH_PERIOD_NS // 3 for k in range(40)]
     forward, backward = RefreshedSky(TABLE), RefreshedSky(TABLE)
     in_order = [forward.directions(stars, t, ship) for t in times_ns]
     reversed_order = [backward.directions(stars, t, ship) for t in times_ns[::-1]][::-1]
@@ -129,17 +129,17 @@ def test_a_ship_that_moves_150_m_moves_the_sky():
     sky = RefreshedSky(TABLE)
     turn = north_m / 6.37e6
     here, there = (
-        sky.directions(star, NIGHT_NS, Observer(GeodeticPosition(latitude, 2.0, 0.0))) for latitude in (0.6, 0.6 + turn)
+        sky.directions(star, TIME_NS, Observer(GeodeticPosition(latitude, 2.0, 0.0))) for latitude in (0.6, 0.6 + turn)
     )
     assert angle_between(here, there) == pytest.approx(turn * np.hypot(here[0], here[1]), rel=1e-3)
     assert angle_between(here, there) > 3.0 * ARCSEC
 
 
 def test_one_second_of_ut1_is_fifteen_arcseconds():
-    orientation = TABLE.at(NIGHT_NS)
+    orientation = TABLE.at(TIME_NS)
     later = replace(orientation, ut1_minus_utc_s=orientation.ut1_minus_utc_s + 1.0)
     star, ship = fixed_stars(1.0, 0.0), Observer(GeodeticPosition(0.6, 2.0, 0.0))
-    turn = angle_between(directions(star, NIGHT_NS, ship, orientation), directions(star, NIGHT_NS, ship, later))
+    turn = angle_between(directions(star, TIME_NS, ship, orientation), directions(star, TIME_NS, ship, later))
     assert turn / ARCSEC == pytest.approx(15.041, abs=0.002)
 
 
@@ -148,13 +148,13 @@ def test_own_velocity_is_10_mas_at_15_metres_per_second():
     stars, _, _ = random_sky(8, 50)
     still = Observer(GeodeticPosition(0.6, 2.0, 0.0))
     under_way = replace(still, velocity_n_m_per_s=np.array([9.0, 0.0, 12.0]))
-    orientation, heading_n = TABLE.at(NIGHT_NS), np.array([0.6, 0.0, 0.8])
-    before, after = (directions(stars, NIGHT_NS, ship, orientation) for ship in (still, under_way))
+    orientation, heading_n = TABLE.at(TIME_NS), np.array([0.6, 0.0, 0.8])
+    before, after = (directions(stars, TIME_NS, ship, orientation) for ship in (still, under_way))
     sine = np.sqrt(1.0 - (before @ heading_n) ** 2)
     assert angle_between(before, after) == pytest.approx(sine * 15.0 / 299_792_458.0, abs=1e-6 * ARCSEC)
     assert np.max(angle_between(before, after)) / MAS == pytest.approx(10.3, abs=0.1)
     assert np.all((after - before) @ heading_n > 0.0)
-    refreshed = RefreshedSky(TABLE).directions(stars, NIGHT_NS, under_way)
+    refreshed = RefreshedSky(TABLE).directions(stars, TIME_NS, under_way)
     assert np.max(angle_between(refreshed, after)) < 0.1 * MAS
 
 
@@ -186,13 +186,13 @@ def test_position_is_brought_from_1991_to_2000_along_a_great_circle():
 
 def test_proper_motion_and_parallax_reach_the_direction():
     # The part that atciqz omits.
-    orientation, ship = TABLE.at(NIGHT_NS), Observer(GeodeticPosition(0.6, 2.0, 0.0))
+    orientation, ship = TABLE.at(TIME_NS), Observer(GeodeticPosition(0.6, 2.0, 0.0))
     still = fixed_stars(1.0, 0.5)
     moving = replace(still, pm_declination=np.array(0.1 * ARCSEC))
     near = replace(still, parallax_arcsec=np.array(0.7))
-    places = [directions(star, NIGHT_NS, ship, orientation) for star in (still, moving, near)]
+    places = [directions(star, TIME_NS, ship, orientation) for star in (still, moving, near)]
     assert angle_between(places[0], places[1]) / ARCSEC == pytest.approx(0.1 * 24.19, abs=1e-3)
-    earth = erfa.epv00(*tt_julian_date(NIGHT_NS))[1]["p"]
+    earth = erfa.epv00(*tt_julian_date(TIME_NS))[1]["p"]
     across = np.linalg.norm(np.cross(earth, erfa.s2c(1.0, 0.5)))
     assert angle_between(places[0], places[2]) / ARCSEC == pytest.approx(0.7 * across, abs=1e-3)
 
@@ -208,4 +208,4 @@ def test_refreshed_sky_raises_beyond_the_table():
     star, ship = fixed_stars(1.0, 0.5), Observer(GeodeticPosition(0.6, 2.0, 0.0))
     with pytest.raises(OutsideEarthOrientation, match="newer astropy-iers-data"):
         RefreshedSky(TABLE).directions(star, TABLE.last_ns + DAY_NS, ship)
-    assert RefreshedSky(TABLE).orientation(NIGHT_NS).ut1_sigma_s < 1e-4
+    assert RefreshedSky(TABLE).orientation(TIME_NS).ut1_sigma_s < 1e-4

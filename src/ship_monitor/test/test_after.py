@@ -38,7 +38,7 @@ def pictures(suite):
     return BagPlayback(suite, Limits())
 
 
-def whole(pictures):
+def complete_state(pictures):
     """Return the state after the ten minutes have been read."""
     picture = pictures.current_state()
     while not pictures.is_history_complete:
@@ -131,18 +131,18 @@ class TestBagPlayback:
     @pytest.mark.parametrize("at_s", [0.0, 10.0, 250.0, 599.0, 700.3, 900.0])
     def test_state_at_a_time_equals_that_after_ten_minutes(self, suite, pictures, at_s):
         pictures.go_to(at_s)
-        shown = whole(pictures)
+        shown = complete_state(pictures)
         time_ns = min(START_NS + round(at_s * NS_PER_S), suite.end_ns)
-        watch = monitor_after(suite, max(time_ns - round(HISTORY_S * NS_PER_S), 0), time_ns)
-        assert shown == watch.current_state(time_ns)
-        assert pictures.history.ribbons == watch.history.safety
+        monitor = monitor_after(suite, max(time_ns - round(HISTORY_S * NS_PER_S), 0), time_ns)
+        assert shown == monitor.current_state(time_ns)
+        assert pictures.history.ribbons == monitor.history.safety
         heading = next(angle for angle in shown.angles if angle.name == "heading")
         assert heading.value == pytest.approx(TURN_RAD_PER_S * (time_ns - START_NS) / NS_PER_S, abs=2e-5)
 
     def test_first_state_has_safety_sources_and_alerts(self, suite, pictures):
         """The last minute is enough except for events and plots."""
         pictures.go_to(450.0)
-        first, later = pictures.current_state(), whole(pictures)
+        first, later = pictures.current_state(), complete_state(pictures)
         assert not math.isnan(first.angles[0].value)
         assert [(a.name, a.value, a.safety, a.reason) for a in first.angles] == [
             (a.name, a.value, a.safety, a.reason) for a in later.angles
@@ -158,27 +158,27 @@ class TestBagPlayback:
         presence = {}
         for at_s in (900.0, 300.0, 880.0, 350.0):
             pictures.go_to(at_s)
-            star = next(source for source in whole(pictures).sources if source.name == "star.bow")
+            star = next(source for source in complete_state(pictures).sources if source.name == "star.bow")
             presence[at_s] = star.presence
         assert presence == {900.0: Presence.OUT, 300.0: Presence.IN, 880.0: Presence.OUT, 350.0: Presence.IN}
 
     def test_one_update_reads_the_minute_and_a_part_of_the_ten(self, suite, pictures, monkeypatch):
         """The messages are counted; each update of the ten minutes ends at its deadline."""
         monkeypatch.setattr(bag_playback, "MAX_READ_S", 0.0)
-        heard = []
+        processed = []
         original = SuiteMonitor.process_message
         monkeypatch.setattr(
-            SuiteMonitor, "process_message", lambda self, *given: heard.append(given) or original(self, *given)
+            SuiteMonitor, "process_message", lambda self, *given: processed.append(given) or original(self, *given)
         )
         pictures.go_to(850.0)
         pictures.current_state()
         minute = sum(
             START_NS + 790 * NS_PER_S <= each.log_time_ns <= START_NS + 850 * NS_PER_S for each in suite.messages(0)
         )
-        at_first = len(heard)
+        at_first = len(processed)
         assert at_first <= minute + 2  # the alerts, and one attitude that another start of its tenths leaves
         pictures.current_state()
-        assert len(heard) <= at_first + 1  # one message of the ten minutes
+        assert len(processed) <= at_first + 1  # one message of the ten minutes
 
     def test_chosen_time_is_displayed_at_once(self, pictures):
         seen = []
@@ -212,13 +212,13 @@ class TestBagPlayback:
             (state,) = pictures.history.alignment
             assert (state.value, state.nominal) == pytest.approx(expected, abs=1e-9)
         pictures.go_to(1.0)
-        whole(pictures)
+        complete_state(pictures)
         assert pictures.history.alignment == ()
 
     def test_playback_follows_the_clock_and_stops_at_the_end(self, pictures, monkeypatch):
         now = [0.0]
         slide(pictures, 100.0)
-        whole(pictures)
+        complete_state(pictures)
         pictures._last_update_s = 0.0
         monkeypatch.setattr(bag_playback.time, "monotonic", lambda: now[0])
         pictures._controls._play.active = True

@@ -66,7 +66,7 @@ def test_slider_is_under_the_bar_in_the_colours_of_the_page(browser, bag, theme,
         assert browser.wait_until_true(track) > size[0] / 3
         assert browser.evaluate(place.format("controls", "top")) >= browser.evaluate(place.format("bar", "bottom"))
         assert browser.evaluate(place.format("controls", "bottom")) <= browser.evaluate(place.format("heading", "top"))
-        if size == (1280, 800):  # with what is missing in the bag told beside the slider
+        if size == (1280, 800):  # data that are missing in the bag are named next to the slider
             assert "contains no truth" in browser.evaluate(INSIDE_CONTROLS)
             assert browser.evaluate(place.format("ribbons", "bottom")) <= 800
             assert browser.evaluate("[heading, ages, sources].every((each) => each.scrollHeight <= each.clientHeight)")

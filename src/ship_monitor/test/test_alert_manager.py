@@ -18,7 +18,7 @@ LOOK_NS = NS_PER_S // 5
 CLOCK_NS = 1_700_000_000 * NS_PER_S
 
 INS_STEP = "step: {topic: ins/imu, kind: bias, start_s: 20.0, up_arcsec: 100.0}"
-KNOCK = "knock: {topic: star/starboard/horizon_attitude, kind: knock, start_s: 40.0, right_arcsec: 50.0}"
+MOUNTING_SHIFT = "knock: {topic: star/starboard/horizon_attitude, kind: knock, start_s: 40.0, right_arcsec: 50.0}"
 
 
 THEODOLITE = (
@@ -33,22 +33,22 @@ class Voyage:
 
     def __init__(self, *paths: Path, state: Path | None = None, acknowledge: bool = False) -> None:
         self.changes: list[tuple[float, AlertChange]] = []
-        self.said: list[str] = []
-        keeper: AlertManager | None = None
+        self.reports: list[str] = []
+        manager: AlertManager | None = None
         start_ns = due_ns = 0
         for time_ns, topic, message in records(*paths):
-            if keeper is None:
+            if manager is None:
                 start_ns = due_ns = time_ns
-                keeper = AlertManager(Limits(), state, time_ns, self.said.append)
+                manager = AlertManager(Limits(), state, time_ns, self.reports.append)
             while due_ns <= time_ns:
-                for change in keeper.update(due_ns, CLOCK_NS):
+                for change in manager.update(due_ns, CLOCK_NS):
                     self.changes.append(((due_ns - start_ns) / NS_PER_S, change))
                     if acknowledge:
-                        keeper.acknowledge(change.alert.id, change.alert.instance, CLOCK_NS)
+                        manager.acknowledge(change.alert.id, change.alert.instance, CLOCK_NS)
                 due_ns += LOOK_NS
-            keeper.process_message(topic, message, time_ns)
-        assert keeper is not None
-        self.manager, self.end_ns = keeper, due_ns
+            manager.process_message(topic, message, time_ns)
+        assert manager is not None
+        self.manager, self.end_ns = manager, due_ns
 
     def first(self, id_: str) -> tuple[float, AlertChange]:
         """Return time and change of the first report of an alert."""
@@ -58,14 +58,14 @@ class Voyage:
 @pytest.fixture(scope="module")
 def faulty(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the outputs of the demo voyage with an INS step and a shifted star sensor."""
-    return replay_with_faults(tmp_path_factory.mktemp("faulty"), "demo", f"{INS_STEP}, {KNOCK}")[1]
+    return replay_with_faults(tmp_path_factory.mktemp("faulty"), "demo", f"{INS_STEP}, {MOUNTING_SHIFT}")[1]
 
 
 @pytest.mark.slow
 def test_each_fault_names_its_source_within_two_seconds(faulty: Path) -> None:
     """INS step of 100″ at 20 s, star sensor shifted by 50″ at 40 s: two alerts of two sources.
 
-    The step takes the heading for three tenths of a second; what is over its limit from then on is told.
+    The heading is lost for three tenths of a second after the step; then angles over their limits are reported.
     """
     voyage = Voyage(faulty)
     time_s, ins = voyage.first("ins.out")
@@ -75,8 +75,8 @@ def test_each_fault_names_its_source_within_two_seconds(faulty: Path) -> None:
     time_s, star = voyage.first("star.starboard.out")
     assert 40.0 <= time_s <= 42.0
     assert star.alert.priority is Priority.WARNING
-    blamed = {change.alert.source for time_s, change in voyage.changes if 20.0 <= time_s < 60.0}
-    assert blamed == {"ins", "star.starboard", ""}
+    named = {change.alert.source for time_s, change in voyage.changes if 20.0 <= time_s < 60.0}
+    assert named == {"ins", "star.starboard", ""}
     assert not [change for _, change in voyage.changes if "fore" in change.alert.id]
 
 
@@ -93,8 +93,8 @@ def test_faults_of_a_theodolite_name_their_sources(tmp_path: Path) -> None:
         # Two seconds after the filter can detect it; the timeout of the encoder itself is two seconds.
         assert start_s < time_s <= start_s + 2.0 + 2 * LOOK_NS / NS_PER_S
         assert (change.alert.source, change.alert.priority) == (source, priority)
-    blamed = {change.alert.source for time_s, change in voyage.changes if time_s < 79.0}
-    assert blamed <= {"baselines", "lights", "encoder", ""}
+    named = {change.alert.source for time_s, change in voyage.changes if time_s < 79.0}
+    assert named <= {"baselines", "lights", "encoder", ""}
     assert "Pointing lost" in voyage.first("encoder.out")[1].alert.text
 
 
@@ -102,11 +102,11 @@ def test_faults_of_a_theodolite_name_their_sources(tmp_path: Path) -> None:
 def test_alerts_of_sources_name_the_lost_functions(faulty: Path) -> None:
     """While a source that causes a lost angle is OUT, the output has no alert of its own."""
     voyage = Voyage(faulty)
-    told: set[str] = set()
+    active: set[str] = set()
     for time_s, change in voyage.changes:
-        (told.add if change.alert.state in (1, 2, 3) else told.discard)(change.alert.id)
+        (active.add if change.alert.state in (1, 2, 3) else active.discard)(change.alert.id)
         if 20.6 <= time_s <= 25.0:
-            assert told == {"ins.out"}
+            assert active == {"ins.out"}
 
 
 @pytest.mark.slow
@@ -126,14 +126,14 @@ def test_crash_loses_no_alert(faulty: Path, tmp_path: Path) -> None:
         state.unlink(missing_ok=True)
         before = Voyage(faulty, state=state, acknowledge=acknowledge)
         assert before.manager.alerts
-        again = AlertManager(Limits(), state, before.end_ns, before.said.append)
+        again = AlertManager(Limits(), state, before.end_ns, before.reports.append)
         assert repr(again.alerts) == repr(before.manager.alerts)
         states = {alert.id: alert.state for alert in again.alerts}
         # No data for nine seconds after the start: no alert ends, none is raised twice.
         for tenth in range(90):
             assert again.update(before.end_ns + tenth * NS_PER_S // 10, CLOCK_NS) == ()
         assert {alert.id: alert.state for alert in again.alerts} == states
-        assert before.said == []
+        assert before.reports == []
 
 
 @pytest.mark.parametrize("content", ["", "[]", "{", '{"format": "ship_alerts", "version": 9, "alerts": []}', "\0"])
@@ -141,29 +141,29 @@ def test_corrupt_file_is_reported_and_replaced(tmp_path: Path, content: str) -> 
     """One line names the file; the node continues and writes a valid one."""
     state = tmp_path / "alerts.json"
     state.write_text(content)
-    said: list[str] = []
-    keeper = AlertManager(Limits(), state, 0, said.append)
-    assert len(said) == 1
-    assert str(state) in said[0]
-    assert "\n" not in said[0]
+    reports: list[str] = []
+    manager = AlertManager(Limits(), state, 0, reports.append)
+    assert len(reports) == 1
+    assert str(state) in reports[0]
+    assert "\n" not in reports[0]
     for second in range(20):
-        keeper.update(second * NS_PER_S, CLOCK_NS)
-    assert [alert.id for alert in keeper.alerts] == ["attitude.silent"]
+        manager.update(second * NS_PER_S, CLOCK_NS)
+    assert [alert.id for alert in manager.alerts] == ["attitude.silent"]
     assert json.loads(state.read_text())["alerts"][0]["id"] == "attitude.silent"
 
 
 def test_full_disk_is_reported_once_and_retried(tmp_path: Path) -> None:
     """While the file cannot be written alerts continue; they are saved as soon as it can be."""
     state = tmp_path / "folder" / "alerts.json"
-    said: list[str] = []
-    keeper = AlertManager(Limits(), state, 0, said.append)
+    reports: list[str] = []
+    manager = AlertManager(Limits(), state, 0, reports.append)
     state.parent.write_text("a file in the place of the folder")
     for tenth in range(150):
-        keeper.update(tenth * NS_PER_S // 10, CLOCK_NS)
-    assert len(said) == 1
-    assert [alert.id for alert in keeper.alerts] == ["attitude.silent"]
+        manager.update(tenth * NS_PER_S // 10, CLOCK_NS)
+    assert len(reports) == 1
+    assert [alert.id for alert in manager.alerts] == ["attitude.silent"]
     state.parent.unlink()
-    keeper.update(151 * NS_PER_S // 10, CLOCK_NS)
+    manager.update(151 * NS_PER_S // 10, CLOCK_NS)
     assert json.loads(state.read_text())["alerts"][0]["state"] == AlertState.ACTIVE_UNACKNOWLEDGED
 
 
@@ -179,16 +179,16 @@ def test_sleep_of_the_computer_raises_no_false_alarm(faulty: Path) -> None:
 
 def test_node_status_expires() -> None:
     """An ended black box is a warning; it clears when the node stops publishing its status."""
-    keeper = AlertManager(Limits(), None, 0, lambda _: None)
+    manager = AlertManager(Limits(), None, 0, lambda _: None)
     ended = NodeStatus("ship_attitude", "black box", 2, "box.mcap: writing failed: No space left on device")
     for second in range(8):
-        keeper.process_status(ended, second * NS_PER_S)
-        keeper.update(second * NS_PER_S, CLOCK_NS)
-    assert [alert.id for alert in keeper.alerts] == ["ship_attitude.box"]
+        manager.process_status(ended, second * NS_PER_S)
+        manager.update(second * NS_PER_S, CLOCK_NS)
+    assert [alert.id for alert in manager.alerts] == ["ship_attitude.box"]
     states = set()
     for second in range(8, 30):
-        keeper.update(second * NS_PER_S, CLOCK_NS)
-        states |= {alert.state for alert in keeper.alerts if alert.id == "ship_attitude.box"}
+        manager.update(second * NS_PER_S, CLOCK_NS)
+        states |= {alert.state for alert in manager.alerts if alert.id == "ship_attitude.box"}
     assert states == {AlertState.ACTIVE_UNACKNOWLEDGED, AlertState.RECTIFIED_UNACKNOWLEDGED}
 
 
@@ -197,16 +197,16 @@ def test_full_or_missing_disk_raises_an_alert(tmp_path: Path) -> None:
     machine = Limits().machine
     for path in (tmp_path, tmp_path / "gone"):
         limits = Limits(machine=type(machine)(disk_path=str(path), disk_free_gb=1e6))
-        keeper = AlertManager(limits, None, 0, lambda _: None)
+        manager = AlertManager(limits, None, 0, lambda _: None)
         for tenth in range(5):
-            keeper.update(tenth * LOOK_NS, CLOCK_NS)
-        assert [alert.id for alert in keeper.alerts] == ["disk.full"]
+            manager.update(tenth * LOOK_NS, CLOCK_NS)
+        assert [alert.id for alert in manager.alerts] == ["disk.full"]
 
 
 def test_number_of_statuses_is_bounded():
-    keeper = AlertManager(Limits(), None, 0, print)
+    manager = AlertManager(Limits(), None, 0, print)
     for number in range(3 * MAX_STATUSES):
-        keeper.process_status(NodeStatus("ship_attitude", f"invented {number}", 2, "x"), number)
-    assert len(keeper._statuses) == MAX_STATUSES
-    keeper.update(MAX_STATUS_AGE_NS + 3 * MAX_STATUSES, CLOCK_NS)
-    assert not keeper._statuses
+        manager.process_status(NodeStatus("ship_attitude", f"invented {number}", 2, "x"), number)
+    assert len(manager._statuses) == MAX_STATUSES
+    manager.update(MAX_STATUS_AGE_NS + 3 * MAX_STATUSES, CLOCK_NS)
+    assert not manager._statuses

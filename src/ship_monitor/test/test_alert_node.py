@@ -38,36 +38,36 @@ class Ship:
         self.executor.add_node(self.node)
         self.attitudes = self.node.create_publisher(ShipAttitude, "ship/attitude", 10)
         self.diagnostics = self.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.heard, self.told = [], {}
-        self.node.create_subscription(AlertArray, "ship/alerts", self.heard.append, LATCHED)
+        self.alert_messages, self.statuses = [], {}
+        self.node.create_subscription(AlertArray, "ship/alerts", self.alert_messages.append, LATCHED)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._take_statuses, 100)
         self.acknowledger = self.node.create_client(AcknowledgeAlert, "alerts/acknowledge")
         self.silencer = self.node.create_client(Trigger, "alerts/silence")
-        self.box_level = None
+        self.black_box_level = None
 
     def _take_statuses(self, message):
-        self.told |= {status.name: status for status in message.status}
+        self.statuses |= {status.name: status for status in message.status}
 
-    def sail(self, seconds=0.1, sigma_arcsec=0.5, is_silent=False):
+    def sail(self, seconds=0.1, sigma_arcsec=0.5, is_stopped=False):
         """Run for some seconds, with or without attitudes at 20 Hz."""
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
-            if not is_silent:
+            if not is_stopped:
                 message = ShipAttitude(heading=1.0, star_age_s=0.1)
                 message.header.stamp.sec, message.header.stamp.nanosec = stamp_fields(time.time_ns())
                 variance = (sigma_arcsec * 4.848e-6) ** 2
                 message.covariance = [variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance]
                 self.attitudes.publish(message)
-            if self.box_level is not None:
+            if self.black_box_level is not None:
                 text, values = "writing failed: No space left on device", [KeyValue(key="bytes", value="1")]
                 name = "ship_attitude: black box"
-                status = DiagnosticStatus(level=self.box_level, name=name, message=text, values=values)
+                status = DiagnosticStatus(level=self.black_box_level, name=name, message=text, values=values)
                 self.diagnostics.publish(DiagnosticArray(status=[status]))
             self.executor.spin_once(timeout_sec=0.05)
 
     def alerts(self):
         """Return id → alert of the last message; None before the first."""
-        return {alert.id: alert for alert in self.heard[-1].alerts} if self.heard else None
+        return {alert.id: alert for alert in self.alert_messages[-1].alerts} if self.alert_messages else None
 
     def call(self, client, request):
         """Return the answer of a service."""
@@ -127,21 +127,21 @@ def test_alert_is_raised_acknowledged_and_survives_its_node(ship, start, until, 
     named = ("--limits", str(limits), "--state", str(state))
     node = start(*named)
 
-    def sailing(found, **how):
+    def result_of_sailing(found, **how):
         def look():
             ship.sail(0.2, **how)
             return found(ship.alerts())
 
         return until(look, 30.0)
 
-    sailing(lambda alerts: alerts is not None and ship.acknowledger.service_is_ready())
+    result_of_sailing(lambda alerts: alerts is not None and ship.acknowledger.service_is_ready())
     # Without ship/integrity the attitude is a caution, which needs no acknowledgement.
-    sailing(lambda alerts: states(alerts) == {"attitude.degraded": (Alert.CAUTION, ACKNOWLEDGED)})
-    sailing(lambda alerts: "attitude.silent" in alerts, is_silent=True)
-    silent = ship.alerts()["attitude.silent"]
-    assert (silent.priority, silent.state, silent.instance) == (Alert.ALARM, UNACKNOWLEDGED, 1)
-    assert silent.text == "Heading and tilt lost: no data on ship/attitude"
-    assert abs(silent.raised.sec - time.time()) < 20.0
+    result_of_sailing(lambda alerts: states(alerts) == {"attitude.degraded": (Alert.CAUTION, ACKNOWLEDGED)})
+    result_of_sailing(lambda alerts: "attitude.silent" in alerts, is_stopped=True)
+    alarm = ship.alerts()["attitude.silent"]
+    assert (alarm.priority, alarm.state, alarm.instance) == (Alert.ALARM, UNACKNOWLEDGED, 1)
+    assert alarm.text == "Heading and tilt lost: no data on ship/attitude"
+    assert abs(alarm.raised.sec - time.time()) < 20.0
 
     wrong = ship.acknowledge("attitude.silent", 2)
     assert not wrong.success
@@ -150,20 +150,20 @@ def test_alert_is_raised_acknowledged_and_survives_its_node(ship, start, until, 
     assert not unknown.success
     assert "attitude.silent" in unknown.message
     assert ship.call(ship.silencer, Trigger.Request()).message == "1 silenced"
-    sailing(lambda alerts: alerts["attitude.silent"].state == Alert.ACTIVE_SILENCED, is_silent=True)
+    result_of_sailing(lambda alerts: alerts["attitude.silent"].state == Alert.ACTIVE_SILENCED, is_stopped=True)
     right = ship.acknowledge("attitude.silent", 1)
     assert (right.success, right.message) == (True, "'attitude.silent' acknowledged")
-    sailing(lambda alerts: alerts["attitude.silent"].state == ACKNOWLEDGED, is_silent=True)
+    result_of_sailing(lambda alerts: alerts["attitude.silent"].state == ACKNOWLEDGED, is_stopped=True)
 
     node.kill()
     node.wait(10)
-    ship.heard.clear()
+    ship.alert_messages.clear()
     again = start(*named)
     # The first message of the new node contains the alert with its acknowledgement.
-    sailing(lambda alerts: alerts is not None, is_silent=True)
-    first = {alert.id: (alert.priority, alert.state, alert.instance) for alert in ship.heard[0].alerts}
+    result_of_sailing(lambda alerts: alerts is not None, is_stopped=True)
+    first = {alert.id: (alert.priority, alert.state, alert.instance) for alert in ship.alert_messages[0].alerts}
     assert first["attitude.silent"] == (Alert.ALARM, ACKNOWLEDGED, 1)
-    sailing(lambda alerts: "attitude.silent" not in alerts)
+    result_of_sailing(lambda alerts: "attitude.silent" not in alerts)
     assert states(ship.alerts()) == {"attitude.degraded": (Alert.CAUTION, ACKNOWLEDGED)}
     assert json.loads(state.read_text())["format"] == "ship_alerts"
 
@@ -184,7 +184,7 @@ def test_diagnostics_are_received_and_published(ship, start, until, tmp_path):
         ship.sail(0.2, sigma_arcsec=20.0)
         return "ship_attitude.box" in (ship.alerts() or {})
 
-    ship.box_level = DiagnosticStatus.ERROR
+    ship.black_box_level = DiagnosticStatus.ERROR
     until(look, 30.0)
     assert ship.alerts()["ship_attitude.box"].priority == Alert.WARNING
     name = "alerts: functions/heading within 6″"
@@ -192,13 +192,13 @@ def test_diagnostics_are_received_and_published(ship, start, until, tmp_path):
     def is_lost():
         # Before the first message the function is unknown, not lost.
         ship.sail(0.2, sigma_arcsec=20.0)
-        return name in ship.told and ship.told[name].level == DiagnosticStatus.ERROR
+        return name in ship.statuses and ship.statuses[name].level == DiagnosticStatus.ERROR
 
     until(is_lost, 10.0)
-    lost = ship.told[name]
+    lost = ship.statuses[name]
     assert lost.message.startswith("lost, ")
     assert "39.2″ (95 %), limit 6″" in lost.message
-    assert ship.told["alerts: callbacks"].level == DiagnosticStatus.OK
+    assert ship.statuses["alerts: callbacks"].level == DiagnosticStatus.OK
 
 
 def test_wrong_limits_end_the_node_at_once(tmp_path, capsys):
@@ -206,10 +206,10 @@ def test_wrong_limits_end_the_node_at_once(tmp_path, capsys):
     limits = tmp_path / "limits.yaml"
     limits.write_text("tilt_arcsec: 3.0\nhedding_arcsec: 5.0\n")
     assert main(["--limits", str(limits)]) == 2
-    told = capsys.readouterr().err
-    assert f"{limits}:2: parameter 'hedding_arcsec' is unknown" in told
-    assert "did you mean 'heading_arcsec'?" in told
-    assert told.count("\n") == 1
+    error = capsys.readouterr().err
+    assert f"{limits}:2: parameter 'hedding_arcsec' is unknown" in error
+    assert "did you mean 'heading_arcsec'?" in error
+    assert error.count("\n") == 1
 
 
 def test_each_namespace_has_its_own_file(monkeypatch, tmp_path):
@@ -228,22 +228,24 @@ def test_alerts_are_in_the_recording(start, tmp_path):
     assert record(["--out", str(bag), "--duration-s", "14"]) == 0
     with read_bag(bag) as recorded:
         messages = [each.decode() for each in recorded.records(["/demo/ship/alerts"])]
-    told = [[(alert.id, alert.priority, alert.state) for alert in message.alerts] for message in messages]
+    states = [[(alert.id, alert.priority, alert.state) for alert in message.alerts] for message in messages]
     warning, alarm = (("attitude.silent", priority, UNACKNOWLEDGED) for priority in (Alert.WARNING, Alert.ALARM))
-    assert [warning] in told
-    assert told[-1] == [alarm]
+    assert [warning] in states
+    assert states[-1] == [alarm]
 
 
 @pytest.mark.parametrize(
-    ("node", "hardware_id"), [("star_attitude", ""), ("ship_attitude", "/other/ship_attitude")], ids=["by name", "told"]
+    ("node", "hardware_id"),
+    [("star_attitude", ""), ("ship_attitude", "/other/ship_attitude")],
+    ids=["by name", "by hardware id"],
 )
 def test_diagnostics_of_another_suite_are_ignored(node, hardware_id, ship, start, until, tmp_path):
     """A node of another namespace publishes its clock status on the same topic: no alert of this suite.
 
-    Where the nodes of the two suites have one name, the node itself tells which one it is.
+    The hardware id distinguishes the nodes of the two suites if they have the same name.
     """
-    stranger = Node(node, context=ship.context, namespace="other")
-    diagnostics = stranger.create_publisher(DiagnosticArray, "/diagnostics", 10)
+    other_node = Node(node, context=ship.context, namespace="other")
+    diagnostics = other_node.create_publisher(DiagnosticArray, "/diagnostics", 10)
     start("--state", str(tmp_path / "alerts.json"))
     # The second status belongs to this suite by its name and is in the same message, so both are received together.
     statuses = [
@@ -258,4 +260,4 @@ def test_diagnostics_of_another_suite_are_ignored(node, hardware_id, ship, start
 
     until(look, 30.0)
     assert not [id_ for id_ in ship.alerts() if id_.endswith(".clock")]
-    stranger.destroy_node()
+    other_node.destroy_node()

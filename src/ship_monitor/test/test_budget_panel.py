@@ -71,9 +71,9 @@ def test_bands_add_up_to_the_total_of_the_chosen_angle() -> None:
     panel.update(history, "")
     roll = np.asarray(panel._trail.source.data["total"])
     points = history.budgets["ship/error_budget"]
-    told = np.array([sum(point.by_angle["roll"].values()) for point in points]) / ARCSEC**2
-    assert roll == pytest.approx(told[:-1])
+    totals = np.array([sum(point.by_angle["roll"].values()) for point in points]) / ARCSEC**2
+    assert roll == pytest.approx(totals[:-1])
     assert roll == pytest.approx(2.0 * heading)
-    parts = variances_arcsec2(points, "roll", ("ins_noise", "never told"))
+    parts = variances_arcsec2(points, "roll", ("ins_noise", "not published"))
     assert parts[:, 0] == pytest.approx(2.0 * 1.19**2)
     assert np.isnan(parts[:, 1]).all()

@@ -151,7 +151,7 @@ def test_zoomed_time_axis_does_not_move() -> None:
     assert (times.range.start, times.range.end) == (500e3, 1100e3)
 
 
-def drawn(trail: StreamedLine, seconds: range) -> list[float]:
+def streamed_times_s(trail: StreamedLine, seconds: range) -> list[float]:
     """Return the times of a line in the browsers after streaming points, s."""
     points = [Sample(second * SECOND_NS, 0.0) for second in seconds]
     trail.stream_new(points, lambda some: {"value": np.array([point.value for point in some])})
@@ -162,8 +162,8 @@ def drawn(trail: StreamedLine, seconds: range) -> list[float]:
 def test_earlier_points_received_later_are_drawn() -> None:
     """The page of a bag shows the last minute first; then the ten minutes replace it, also after a change of time."""
     trail = StreamedLine(("value",), by="value")
-    assert drawn(trail, range(540, 601)) == list(range(540, 600))
-    assert drawn(trail, range(1, 601)) == list(range(1, 600))
-    assert drawn(trail, range(841, 902)) == [*range(1, 600), *range(841, 901)]
-    assert drawn(trail, range(301, 902)) == list(range(301, 901))
-    assert drawn(trail, range(302, 903)) == list(range(301, 902))
+    assert streamed_times_s(trail, range(540, 601)) == list(range(540, 600))
+    assert streamed_times_s(trail, range(1, 601)) == list(range(1, 600))
+    assert streamed_times_s(trail, range(841, 902)) == [*range(1, 600), *range(841, 901)]
+    assert streamed_times_s(trail, range(301, 902)) == list(range(301, 901))
+    assert streamed_times_s(trail, range(302, 903)) == list(range(301, 902))

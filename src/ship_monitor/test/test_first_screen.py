@@ -71,10 +71,10 @@ def test_unknown_values_are_valid_json(value):
     sources = tuple(replace(each, age_s=math.inf, rate_hz=value) for each in WELL.sources)
     ages = dict.fromkeys(WELL.ages_s, math.inf)
     picture = replace(WELL, angles=angles, sources=sources, ages_s=ages, utc_ns=0)
-    told = json.loads(json.dumps(first_screen(picture, History(), "LIVE", ""), allow_nan=False))
-    assert told["utc"] == "--:--:--"
-    assert told["ages"] == [["stars", "never", None], ["lights", "never", None], ["ins", "never", None]]
-    assert told["angles"]["heading"]["age_s"] is None
+    screen = json.loads(json.dumps(first_screen(picture, History(), "LIVE", ""), allow_nan=False))
+    assert screen["utc"] == "--:--:--"
+    assert screen["ages"] == [["stars", "never", None], ["lights", "never", None], ["ins", "never", None]]
+    assert screen["angles"]["heading"]["age_s"] is None
 
 
 def test_lights_have_no_age_without_a_theodolite():
@@ -87,8 +87,8 @@ def test_lights_have_no_age_without_a_theodolite():
 
 
 def test_waiting_text_has_output_and_location():
-    told = first_screen(replace(WELL, waiting_for="ship/attitude"), History(), "LIVE", "namespace /demo, domain 3")
-    assert (told["waiting"], told["place"]) == ("waiting for ship/attitude", "namespace /demo, domain 3")
+    screen = first_screen(replace(WELL, waiting_for="ship/attitude"), History(), "LIVE", "namespace /demo, domain 3")
+    assert (screen["waiting"], screen["place"]) == ("waiting for ship/attitude", "namespace /demo, domain 3")
     assert first_screen(WELL, History(), "LIVE", "namespace /demo, domain 3")["place"] == ""
 
 
@@ -130,7 +130,7 @@ def test_sources_that_are_out_have_banners_and_reasons():
         "right +49″ · 81 rejected in a row since 11:59:28",
         "no data since 11:59:55",
     ]
-    assert sources["why"] == [], "the list says it"
+    assert sources["why"] == [], "the list names them"
 
 
 def test_single_source_out_has_two_more_lines():
@@ -141,13 +141,13 @@ def test_single_source_out_has_two_more_lines():
     ]
 
 
-def needing(*names, cause="encoder", reason="needs encoder"):
+def dependent_sources(*names, cause="encoder", reason="needs encoder"):
     return [suite_states.source_out(name, reason, because_of=cause, out_since_ns=suite_states.NOW_NS) for name in names]
 
 
 def test_consequence_is_below_its_cause_without_a_banner():
     encoder = suite_states.source_out("encoder", "no data", out_since_ns=suite_states.NOW_NS - suite_states.NS)
-    listed = (suite_states.SHIFTED_SENSOR, encoder, *needing("lights"), suite_states.source("ins"))
+    listed = (suite_states.SHIFTED_SENSOR, encoder, *dependent_sources("lights"), suite_states.source("ins"))
     sources = first_screen(replace(WELL, sources=listed), History(), "LIVE", "")["sources"]
     assert [name for name, _ in sources["out"]] == ["star.starboard", "encoder"]
     rows = [(row["name"], row["is_because"]) for row in sources["rows"][:3]]
@@ -155,7 +155,7 @@ def test_consequence_is_below_its_cause_without_a_banner():
 
 
 def test_overloaded_node_has_the_banner_of_its_consequences():
-    behind = needing("star.fore", "lights", cause="ship_attitude", reason="ship_attitude is behind")
+    behind = dependent_sources("star.fore", "lights", cause="ship_attitude", reason="ship_attitude is behind")
     sources = first_screen(suite_states.suite_state(*behind), History(), "LIVE", "")["sources"]
     assert sources["out"] == [("ship_attitude", "ship_attitude is behind")]
     assert [row["is_because"] for row in sources["rows"][:3]] == [True, True, False]
@@ -179,9 +179,9 @@ def test_overall_safety():
 
 def test_sources_are_unknown_if_all_outputs_are_old():
     old = suite_states.suite_state(*suite_states.angles_timed_out(*ANGLES, age_s=19.0))
-    told = first_screen(old, History(), "LIVE", "")
-    assert told["is_stale"]
-    assert (told["sources"]["is_known"], told["sources"]["head"]) == (False, "last: 8 of 8 in")
+    screen = first_screen(old, History(), "LIVE", "")
+    assert screen["is_stale"]
+    assert (screen["sources"]["is_known"], screen["sources"]["head"]) == (False, "last: 8 of 8 in")
     assert not first_screen(suite_states.state_with_two_faults(), History(), "LIVE", "")["is_stale"], (
         "the attitude is fresh"
     )

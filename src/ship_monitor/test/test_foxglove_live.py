@@ -32,42 +32,42 @@ BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 @pytest.fixture
-def opened():
-    with contextlib.ExitStack() as left_open:
-        yield left_open
+def resources():
+    with contextlib.ExitStack() as stack:
+        yield stack
 
 
 @pytest.fixture
-def server(opened):
+def server(resources):
     server = FoxgloveServer("demo", "127.0.0.1", 0)
-    opened.callback(server.close)
+    resources.callback(server.close)
     return server
 
 
 @pytest.fixture
-def watch(opened, server):
-    watch = LiveSuite("monitor", "demo", Limits(), server)
-    opened.callback(watch.close)
-    return watch
+def live_suite(resources, server):
+    live_suite = LiveSuite("monitor", "demo", Limits(), server)
+    resources.callback(live_suite.close)
+    return live_suite
 
 
 @pytest.fixture
-def sail(opened):
+def sail(resources):
     """Return a function that starts a ship."""
 
     def make(namespace="demo"):
         ship = SuitePublisher(namespace)
-        opened.callback(ship.stop)
+        resources.callback(ship.stop)
         return ship
 
     return make
 
 
 @pytest.fixture
-def connect(opened, server):
+def connect(resources, server):
     def make():
         client = FoxgloveClient(server.address)
-        opened.callback(client.close)
+        resources.callback(client.close)
         return client
 
     return make
@@ -86,7 +86,7 @@ def receive(client, ship, topic, message):
     client.wait_until(lambda: client.received or ship.publish(topic, message))
 
 
-def decoded(client, received):
+def decode(client, received):
     """Return a message decoded with its advertised definition only."""
     channel = client.channels[received.topic]
     schema = Schema(1, channel["schema"].encode(), channel["schemaEncoding"], channel["schemaName"])
@@ -100,7 +100,7 @@ def hundred_attitudes():
         yield message
 
 
-@pytest.mark.usefixtures("watch")
+@pytest.mark.usefixtures("live_suite")
 def test_messages_arrive_unchanged_with_definition_and_arrival_time(sail, connect):
     ship, client = sail(), connect()
     ship.publish("ship/attitude", attitude(START_NS))
@@ -119,7 +119,7 @@ def test_messages_arrive_unchanged_with_definition_and_arrival_time(sail, connec
     # Arrival times of the single messages, not of the fetches twenty times a second.
     assert len(set(times_ns)) == 100
     for each, message in zip(received, messages, strict=True):
-        found = decoded(client, each)
+        found = decode(client, each)
         assert (found.heading, list(found.covariance)) == (message.heading, list(message.covariance))
         assert (found.header.stamp.sec, found.header.stamp.nanosec, found.status) == (
             message.header.stamp.sec,
@@ -128,7 +128,7 @@ def test_messages_arrive_unchanged_with_definition_and_arrival_time(sail, connec
         )
 
 
-@pytest.mark.usefixtures("watch")
+@pytest.mark.usefixtures("live_suite")
 def test_all_topics_of_the_namespace_are_offered(sail, connect, server):
     ship, other, client = sail(), sail("voyage"), connect()
     ship.publish("ship/attitude", attitude(START_NS))
@@ -144,12 +144,12 @@ def test_all_topics_of_the_namespace_are_offered(sail, connect, server):
     imu = Imu()
     imu.angular_velocity.z = 0.1
     receive(client, ship, "ins/imu", imu)
-    assert decoded(client, client.received[0]).angular_velocity.z == 0.1
+    assert decode(client, client.received[0]).angular_velocity.z == 0.1
     client.unsubscribe("/demo/ins/imu")
     client.wait_until(lambda: ship.publishers["ins/imu"].get_subscription_count() == 0)
 
 
-@pytest.mark.usefixtures("watch")
+@pytest.mark.usefixtures("live_suite")
 def test_late_clients_get_the_last_message_of_a_latched_topic(sail, connect):
     ship = sail()
     alerts = AlertArray()
@@ -158,10 +158,10 @@ def test_late_clients_get_the_last_message_of_a_latched_topic(sail, connect):
     for client in (connect(), connect()):
         subscribe(client, "ship/alerts")
         client.wait_until(lambda client=client: client.received)
-        assert decoded(client, client.received[0]).header.stamp.sec == 7
+        assert decode(client, client.received[0]).header.stamp.sec == 7
 
 
-@pytest.mark.usefixtures("watch")
+@pytest.mark.usefixtures("live_suite")
 def test_subscription_survives_a_restart_of_the_estimator(sail, connect):
     client = connect()
     for heading in (0.25, 0.5):
@@ -174,7 +174,7 @@ def test_subscription_survives_a_restart_of_the_estimator(sail, connect):
 
         def came(ship=ship, message=message):
             ship.publish("ship/attitude", message)
-            return any(decoded(client, each).heading == message.heading for each in client.received)
+            return any(decode(client, each).heading == message.heading for each in client.received)
 
         client.wait_until(came)
         ship.stop()
@@ -182,30 +182,30 @@ def test_subscription_survives_a_restart_of_the_estimator(sail, connect):
 
 
 @pytest.mark.parametrize("is_awaited", [False, True])
-def test_topic_with_another_type_is_offered_again(sail, connect, watch, is_awaited):
+def test_topic_with_another_type_is_offered_again(sail, connect, live_suite, is_awaited):
     ship, client = sail(), connect()
-    if is_awaited:  # Both types are there all the time: somebody listens with the one, the client with the other.
-        sail().node.create_subscription(Float64, "told", lambda _: None, 10)
-    ship.publish("told", String(data="a"))
-    receive(client, ship, "told", String(data="a"))
-    client.wait_until(lambda: len(watch._relay._known_types["/demo/told"]) == 1 + is_awaited)
+    if is_awaited:  # Both types exist at any time: a subscriber has the one, the client has the other.
+        sail().node.create_subscription(Float64, "text", lambda _: None, 10)
+    ship.publish("text", String(data="a"))
+    receive(client, ship, "text", String(data="a"))
+    client.wait_until(lambda: len(live_suite._relay._known_types["/demo/text"]) == 1 + is_awaited)
     ship.stop()
     ship = sail()
-    ship.publish("told", Float64(data=1.0))
-    client.wait_until(lambda: client.channels.get("/demo/told", {}).get("schemaName") == "std_msgs/msg/Float64")
+    ship.publish("text", Float64(data=1.0))
+    client.wait_until(lambda: client.channels.get("/demo/text", {}).get("schemaName") == "std_msgs/msg/Float64")
     client.received.clear()
-    receive(client, ship, "told", Float64(data=2.0))
-    assert decoded(client, client.received[0]).data == 2.0
+    receive(client, ship, "text", Float64(data=2.0))
+    assert decode(client, client.received[0]).data == 2.0
 
 
-def test_clients_receive_messages_after_a_sleep(sail, connect, watch, monkeypatch):
+def test_clients_receive_messages_after_a_sleep(sail, connect, live_suite, monkeypatch):
     ship, client = sail(), connect()
     ship.publish("ship/attitude", attitude(START_NS))
     receive(client, ship, "ship/attitude", attitude(START_NS))
-    former = watch._reader.node
+    former = live_suite._reader.node
     asleep_ns = reader_module._sleep_time_ns() + 3600 * NS_PER_S
     monkeypatch.setattr(reader_module, "_sleep_time_ns", lambda: asleep_ns)
-    client.wait_until(lambda: watch._reader.node is not former)
+    client.wait_until(lambda: live_suite._reader.node is not former)
     client.received.clear()
 
     def came():
@@ -215,7 +215,7 @@ def test_clients_receive_messages_after_a_sleep(sail, connect, watch, monkeypatc
     client.wait_until(came)
 
 
-def test_page_does_not_depend_on_a_client(sail, connect, watch):
+def test_page_does_not_depend_on_a_client(sail, connect, live_suite):
     ship, client = sail(), connect()
     ship.publish("ship/attitude", attitude(START_NS))
     receive(client, ship, "ship/attitude", attitude(START_NS))
@@ -223,18 +223,18 @@ def test_page_does_not_depend_on_a_client(sail, connect, watch):
 
     def heading():
         ship.publish("ship/attitude", attitude(next(times)))
-        watch.tick()
-        shown = next(each for each in watch.current_state().angles if each.name == "heading")
+        live_suite.tick()
+        shown = next(each for each in live_suite.current_state().angles if each.name == "heading")
         return not shown.is_old and shown.value == 1.0
 
     client.wait_until(heading)
 
 
 @pytest.fixture
-def monitor(opened, tmp_path):
+def monitor(resources, tmp_path):
     """Return the executable, and its address for Foxglove."""
     command = [*executable("ship_monitor", "monitor"), "--namespace", "demo", "--port", "0", "--foxglove", "0"]
-    process = opened.enter_context(LiveProcess(command, tmp_path / "log", os.environ))
+    process = resources.enter_context(LiveProcess(command, tmp_path / "log", os.environ))
     deadline_s = time.monotonic() + 60.0
     while "http://" not in process.log_text():
         assert process.exit_code is None, process.log_text()
@@ -243,10 +243,10 @@ def monitor(opened, tmp_path):
     return process, next(word for word in process.log_text().split() if word.startswith("ws://127.0.0.1:"))
 
 
-def test_executable_serves_page_and_foxglove_and_ends_with_ctrl_c(sail, opened, monitor):
+def test_executable_serves_page_and_foxglove_and_ends_with_ctrl_c(sail, resources, monitor):
     process, address = monitor
     ship, client = sail(), FoxgloveClient(address)
-    opened.callback(client.close)
+    resources.callback(client.close)
     ship.publish("ship/attitude", attitude(START_NS))
     receive(client, ship, "ship/attitude", attitude(START_NS))
     assert client.server_messages[0]["name"] == "demo"
@@ -255,23 +255,23 @@ def test_executable_serves_page_and_foxglove_and_ends_with_ctrl_c(sail, opened, 
     assert len(process.log_text().splitlines()) == 2, process.log_text()
 
 
-def test_executable_ends_with_a_client_that_does_not_read(sail, opened, monitor):
+def test_executable_ends_with_a_client_that_does_not_read(sail, resources, monitor):
     process, address = monitor
     ship, client = sail(), FoxgloveClient(address)
-    opened.callback(client.close)
+    resources.callback(client.close)
     message = String(data="x" * 60_000)
-    ship.publish("told", message)
-    receive(client, ship, "told", message)
-    deaf = opened.enter_context(client_that_never_reads(address, client.channels["/demo/told"]["id"]))
+    ship.publish("text", message)
+    receive(client, ship, "text", message)
+    stalled = resources.enter_context(client_that_never_reads(address, client.channels["/demo/text"]["id"]))
     # More than the buffers of a connection: unread messages then wait in the server.
     client.received.clear()
 
     def has_come():
         for _ in range(5):
-            ship.publish("told", message)
+            ship.publish("text", message)
         return len(client.received) >= 200
 
     client.wait_until(has_come)
     assert process.end(signal.SIGTERM) == 0
     assert len(process.log_text().splitlines()) == 2, process.log_text()
-    assert deaf.fileno() >= 0
+    assert stalled.fileno() >= 0

@@ -40,18 +40,18 @@ def subscribe_and_wait(server, client, *topics):
     client.subscribe(*topics)
     awaited = set(topics)
 
-    def all_came():
+    def have_all_come():
         awaited.difference_update(server.new_subscriptions())
         return not awaited
 
-    client.wait_until(all_came)
+    client.wait_until(have_all_come)
     assert server.subscribed_topics() >= set(topics)
 
 
 def test_server_info_has_the_name_and_no_capabilities(server, connect):
     client = connect()
-    told = client.wait_until(lambda: client.server_messages and client.server_messages[0])
-    assert (told["op"], told["name"], told["capabilities"]) == ("serverInfo", "demo", [])
+    info = client.wait_until(lambda: client.server_messages and client.server_messages[0])
+    assert (info["op"], info["name"], info["capabilities"]) == ("serverInfo", "demo", [])
 
 
 def test_message_arrives_with_bytes_time_and_definition(server, connect):
@@ -149,8 +149,8 @@ def test_invalid_requests_harm_neither_the_server_nor_others(server, connect):
     subscribe_and_wait(server, good, "/demo/said")
     bad.send_request(b"\xff" * 100)
     bad.send_request({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 999}]})
-    with socket.create_connection(("127.0.0.1", int(server.address.rpartition(":")[2]))) as stranger:
-        stranger.sendall(b"GET / HTTP/1.0\r\n\r\n")
+    with socket.create_connection(("127.0.0.1", int(server.address.rpartition(":")[2]))) as connection:
+        connection.sendall(b"GET / HTTP/1.0\r\n\r\n")
     bad.receive(0.2)
     server.forward("/demo/said", MESSAGE, 1)
     good.wait_until(lambda: good.received)

@@ -84,7 +84,7 @@ FIGURES = """(() => {
 
 DRAWN = f"""{FIGURES}.flatMap((each) => [each.title?.text ?? '',
   ...[...each.left, ...each.right].flatMap((axis) => axis.major_label_overrides ?? [])
-    .flatMap((told) => told instanceof Map ? [...told.values()] : Object.values(told)).map(String)])"""
+    .flatMap((data) => data instanceof Map ? [...data.values()] : Object.values(data)).map(String)])"""
 
 
 @pytest.mark.slow

@@ -24,10 +24,10 @@ START_NS = 1_700_000_000 * NS_PER_S
 
 
 @pytest.fixture
-def watch():
-    watch = LiveSuite("monitor", "demo", Limits())
-    yield watch
-    watch.close()
+def live_suite():
+    live_suite = LiveSuite("monitor", "demo", Limits())
+    yield live_suite
+    live_suite.close()
 
 
 @pytest.fixture
@@ -37,84 +37,88 @@ def ship():
     ship.stop()
 
 
-def heading(watch):
-    watch.tick()
-    return next(each for each in watch.current_state().angles if each.name == "heading")
+def heading(live_suite):
+    live_suite.tick()
+    return next(each for each in live_suite.current_state().angles if each.name == "heading")
 
 
-def sail(ship, watch, until, time_ns=START_NS):
+def sail(ship, live_suite, until, time_ns=START_NS):
     """Publish attitudes until one is displayed."""
     times = iter(range(time_ns, time_ns + 1000 * NS_PER_S, NS_PER_S // 50))
 
     def look():
         ship.publish("ship/attitude", attitude(next(times)))
-        return (shown := heading(watch)) and not shown.is_old and shown
+        return (shown := heading(live_suite)) and not shown.is_old and shown
 
     return until(look)
 
 
-def test_location_is_shown_while_waiting(watch):
-    watch.tick()
-    assert watch.current_state().waiting_for == "ship/attitude"
-    assert watch.location.startswith("namespace /demo, domain ")
-    assert (watch.name, watch.label) == ("demo", "LIVE")
+def test_location_is_shown_while_waiting(live_suite):
+    live_suite.tick()
+    assert live_suite.current_state().waiting_for == "ship/attitude"
+    assert live_suite.location.startswith("namespace /demo, domain ")
+    assert (live_suite.name, live_suite.label) == ("demo", "LIVE")
 
 
 @pytest.mark.smoke
-def test_suite_started_later_is_shown(watch, ship, until):
-    heading(watch)
-    assert sail(ship, watch, until).value == 1.0
-    assert watch.current_state().waiting_for == ""
+def test_suite_started_later_is_shown(live_suite, ship, until):
+    heading(live_suite)
+    assert sail(ship, live_suite, until).value == 1.0
+    assert live_suite.current_state().waiting_for == ""
 
 
 @pytest.mark.smoke
-def test_ended_suite_gets_old_and_recovers(watch, until):
+def test_ended_suite_gets_old_and_recovers(live_suite, until):
     for start_ns in (START_NS, START_NS + 100 * NS_PER_S):
         ship = SuitePublisher()
-        sail(ship, watch, until, start_ns)
+        sail(ship, live_suite, until, start_ns)
         ship.stop()
-        until(lambda: heading(watch).is_old)
+        until(lambda: heading(live_suite).is_old)
 
 
-def test_step_back_in_time_resets_the_state(watch, ship, until):
-    sail(ship, watch, until)
+def test_step_back_in_time_resets_the_state(live_suite, ship, until):
+    sail(ship, live_suite, until)
     ship.publish("ship/attitude", attitude(START_NS - 3600 * NS_PER_S))
-    until(lambda: heading(watch).stamp_ns < START_NS)
-    assert all(event.utc_ns < START_NS for event in watch.current_state().events)
+    until(lambda: heading(live_suite).stamp_ns < START_NS)
+    assert all(event.utc_ns < START_NS for event in live_suite.current_state().events)
 
 
-def test_busy_display_causes_no_timeout(watch, ship, until):
-    sail(ship, watch, until)
-    stamp_ns = heading(watch).stamp_ns
+def test_busy_display_causes_no_timeout(live_suite, ship, until):
+    sail(ship, live_suite, until)
+    stamp_ns = heading(live_suite).stamp_ns
     # Two seconds without an update of the display while the ship publishes; an attitude is old after one.
     for number in range(1, 101):
         ship.publish("ship/attitude", attitude(stamp_ns + number * NS_PER_S // 50))
         time.sleep(0.02)
-    watch.tick()
-    watch.current_state()
-    assert not [event for event in watch.current_state().events if "no data" in event.text]
+    live_suite.tick()
+    live_suite.current_state()
+    assert not [event for event in live_suite.current_state().events if "no data" in event.text]
 
 
-def test_played_bag_with_truth_is_simulated(watch, ship, until):
-    sail(ship, watch, until)
-    assert watch.label == "LIVE"
+def test_played_bag_with_truth_is_simulated(live_suite, ship, until):
+    sail(ship, live_suite, until)
+    assert live_suite.label == "LIVE"
     ship.publish("truth/attitude", attitude(START_NS))
-    until(lambda: heading(watch) and watch.label == "SIMULATED")
+    until(lambda: heading(live_suite) and live_suite.label == "SIMULATED")
     ship.stop()
-    until(lambda: heading(watch).is_old)
+    until(lambda: heading(live_suite).is_old)
     time.sleep(2 * DISCOVERY_NS / NS_PER_S)
-    assert watch.label == "SIMULATED"  # what stands there still is that of the simulation
+    assert live_suite.label == "SIMULATED"  # the displayed values are still simulated
 
 
-def test_alerts_of_an_ended_node_are_cleared(watch, until):
+def test_alerts_of_an_ended_node_are_cleared(live_suite, until):
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     for _ in range(2):
         ship = SuitePublisher()
         alert = Alert(id="ins.out", priority=Alert.ALARM, instance=1, state=Alert.ACTIVE_UNACKNOWLEDGED)
         ship.publish("ship/alerts", AlertArray(alerts=[alert]), latched)
-        until(lambda: heading(watch) and [alert.id for alert in watch.current_state().alerts or ()] == ["ins.out"])
+        until(
+            lambda: (
+                heading(live_suite) and [alert.id for alert in live_suite.current_state().alerts or ()] == ["ins.out"]
+            )
+        )
         ship.stop()
-        until(lambda: heading(watch) and watch.current_state().alerts is None)
+        until(lambda: heading(live_suite) and live_suite.current_state().alerts is None)
 
 
 @pytest.mark.parametrize(
@@ -131,7 +135,7 @@ def test_queue_depths(topic, type_name, count):
 
 
 def test_page_terminal_and_alerts_show_one_state(ship, until):
-    """With an alert node with tight limits displays show its state, and their own after its end."""
+    """Displays show the state of an alert node with tight limits, and their own state after its end."""
     tight = Limits(heading_arcsec=0.2, tilt_arcsec=0.2, pointing_arcsec=0.2)
     context = Context()
     rclpy.init(context=context)
@@ -161,11 +165,11 @@ def test_page_terminal_and_alerts_show_one_state(ship, until):
         thread.join()
         for viewer in viewers:
             viewer.close()
-        node.destroy_node()  # without this its latched alerts stay in the domain, for other tests too
+        node.destroy_node()  # otherwise its latched alerts remain in the domain for other tests
         context.try_shutdown()
 
 
-def test_invalid_state_is_dropped_and_later_messages_are_processed(watch, ship, until, caplog):
+def test_invalid_state_is_dropped_and_later_messages_are_processed(live_suite, ship, until, caplog):
     """An unknown presence gives one warning and no published state; the attitude is still displayed."""
     wrong = SuiteState(sources=[SuiteSource(name="ins", presence=9)])
     times = iter(range(START_NS, START_NS + 1000 * NS_PER_S, NS_PER_S // 50))
@@ -173,7 +177,7 @@ def test_invalid_state_is_dropped_and_later_messages_are_processed(watch, ship, 
     def look():
         ship.publish("ship/suite_state", wrong)
         ship.publish("ship/attitude", attitude(next(times)))
-        shown = heading(watch)
+        shown = heading(live_suite)
         return "presence 9" in caplog.text and not shown.is_old and shown
 
     assert until(look).value == 1.0

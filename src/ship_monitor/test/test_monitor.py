@@ -23,14 +23,14 @@ def test_foxglove_port_in_use_is_bad_input_in_one_line(capsys):
         taken.listen()
         port = taken.getsockname()[1]
         assert main(["--foxglove", str(port)]) == 2
-    said = f"monitor: port {port} of 127.0.0.1 is in use: choose another one with --foxglove N\n"
-    assert capsys.readouterr() == ("", said)
+    expected = f"monitor: port {port} of 127.0.0.1 is in use: choose another one with --foxglove N\n"
+    assert capsys.readouterr() == ("", expected)
 
 
 def test_bag_is_not_served_to_foxglove(capsys):
     assert main(["--bag", "OUT.mcap", "--foxglove"]) == 2
-    said = "monitor: --foxglove serves a live suite: Foxglove opens OUT.mcap by itself\n"
-    assert capsys.readouterr() == ("", said)
+    expected = "monitor: --foxglove serves a live suite: Foxglove opens OUT.mcap by itself\n"
+    assert capsys.readouterr() == ("", expected)
 
 
 @pytest.mark.live
@@ -43,10 +43,10 @@ def test_unknown_key_of_the_limits_is_one_line_with_file_and_key(tmp_path, capsy
     path = tmp_path / "limits.yaml"
     path.write_text("heading_arcsecs: 5.0\n", encoding="utf-8")
     assert main(["--limits", str(path)]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert str(path) in said
-    assert "heading_arcsecs" in said
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert str(path) in error
+    assert "heading_arcsecs" in error
 
 
 @pytest.mark.parametrize("name", ["Europe/Olso", "Europe", "../etc/passwd", ""])
@@ -54,9 +54,9 @@ def test_invalid_time_zone_is_one_line_with_option_and_value(name, capsys):
     with pytest.raises(SystemExit) as ended:
         main(["--time-zone", name])
     assert ended.value.code == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert f"--time-zone: {name!r} is not a time zone: use an IANA name as Europe/Oslo" in said
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert f"--time-zone: {name!r} is not a time zone: use an IANA name as Europe/Oslo" in error
 
 
 @pytest.mark.parametrize(

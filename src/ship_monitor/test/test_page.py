@@ -438,7 +438,7 @@ def test_panels_are_drawn_when_they_become_visible(browser, source, page, theme,
     assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth"), "wider than the window"
 
 
-# What a panel says of itself, and whether it is within the window.
+# Text after a panel's title, and true if the panel is within the window.
 PANEL = f"""((title) => {{
   const box = {INSIDE}.find((each) => each.tagName === 'B' && each.textContent.startsWith(title));
   const panel = box.getRootNode().host.getRootNode().host.getBoundingClientRect();
@@ -458,7 +458,7 @@ MARKED = f"""(() => {{
   const rows = {INSIDE}.filter((each) => each.tagName === 'TR' && each.classList.contains('marked')).length;
   const states = {FIGURES}.flatMap((each) => [...each.left, ...each.right])
     .flatMap((axis) => axis.major_label_overrides ?? [])
-    .flatMap((told) => told instanceof Map ? [...told.values()] : Object.values(told))
+    .flatMap((data) => data instanceof Map ? [...data.values()] : Object.values(data))
     .filter((text) => String(text).startsWith('▶'));
   return [titled.length, framed, rows, states.length];
 }})()"""
@@ -500,7 +500,7 @@ def test_panels_are_placed_one_by_one_with_text_updates_between(browser, source,
     assert browser.problems == []
 
 
-def counted(browser, each):
+def wait_for_marks(browser, each):
     """Wait until the given numbers of each kind are marked."""
     browser.wait_until_true(f"JSON.stringify({MARKED}) === '{json.dumps([each] * 4, separators=(',', ':'))}'")
 
@@ -511,24 +511,24 @@ def test_mark_is_in_every_panel_until_escape(browser, source, page):
     browser.open(page, 1280, 4000)  # all panels in sight
     browser.wait_until_true("monitor.isLinked()")
     browser.wait_until_true(f"{FIGURES}.length === 14")
-    counted(browser, 0)
+    wait_for_marks(browser, 0)
     browser.evaluate("document.querySelector('#sources li:nth-child(1)').click()")
     # The title and frame of its innovations and of its field of view; the rows of its input and of its alert; the two
-    # parts of the budget that star sensors bring.
-    counted(browser, 2)
+    # parts of the budget that star sensors contribute.
+    wait_for_marks(browser, 2)
     clock = browser.text("#utc")
     browser.wait_until_true(f"document.querySelector('#utc').textContent > '{clock}'")
-    counted(browser, 2)
+    wait_for_marks(browser, 2)
     assert browser.text("#sources li.marked .who") == "star.starboard"
     other = Browser()
     try:
         other.open(page, 1280, 4000)
         other.wait_until_true(f"{FIGURES}.length === 14")
-        counted(other, 0)
+        wait_for_marks(other, 0)
     finally:
         other.close()
     browser.evaluate("document.dispatchEvent(new KeyboardEvent('keydown', {key: 'Escape'}))")
-    counted(browser, 0)
+    wait_for_marks(browser, 0)
     assert browser.evaluate("document.querySelector('#sources li.marked')") is None
     browser.evaluate("document.querySelector('#sources li:nth-child(2)').click()")
     browser.wait_until_true(f"{MARKED}[0] === 2")
@@ -556,11 +556,11 @@ def test_only_visible_panels_are_drawn(browser, source, page, monkeypatch):
     for kind in (InnovationPanel, SkyPanel, InputsPanel):
         update = kind.update
 
-        def noted(self, *arguments, kind=kind, update=update, **options):
+        def record_update(self, *arguments, kind=kind, update=update, **options):
             drawn.append(kind)
             update(self, *arguments, **options)
 
-        monkeypatch.setattr(kind, "update", noted)
+        monkeypatch.setattr(kind, "update", record_update)
     source.set(simulated_state(), simulated_history())
     browser.open(page)
     browser.wait_until_true("monitor.isLinked()")
@@ -569,19 +569,19 @@ def test_only_visible_panels_are_drawn(browser, source, page, monkeypatch):
         ("scrollTo(0, document.body.scrollHeight)", InputsPanel, InnovationPanel),
     ):
 
-        def is_so(where=where, wanted=wanted, unwanted=unwanted):
+        def is_drawn_only(where=where, wanted=wanted, unwanted=unwanted):
             browser.evaluate(where)  # once more: the page grows while its panels come
             return wanted in drawn[-3:] and unwanted not in drawn[-3:]
 
-        browser.wait(is_so, where, 90.0)
+        browser.wait(is_drawn_only, where, 90.0)
     browser.evaluate("scrollTo(0, 0)")
 
-    def rests():
+    def is_idle():
         """True if nothing was drawn while the time of the page advanced."""
         drawn.clear()
         clock = browser.text("#utc")
         browser.wait_until_true(f"document.querySelector('#utc').textContent > '{clock}'")
         return not drawn
 
-    browser.wait(rests, "all rest")
+    browser.wait(is_idle, "all rest")
     assert browser.problems == []

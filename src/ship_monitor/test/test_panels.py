@@ -21,7 +21,7 @@ from ship_watch.history import History, ParameterEstimate
 from ship_watch.suite_state import Event, InputState, Presence
 
 PICTURE = simulated_state()
-GUILTY, GOOD = PICTURE.sources[0], PICTURE.sources[1]
+EXCLUDED, GOOD = PICTURE.sources[0], PICTURE.sources[1]
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def panels():
 def test_empty_suite_has_empty_panels_with_notes(panels) -> None:
     panels.update(History(), replace(PICTURE, utc_ns=0, angles=(), sources=(), inputs=(), events=()))
     texts = " ".join(div.text for div in panels.layout.select({"type": Div}))
-    for said in (
+    for note in (
         "no innovations yet",
         "no truth data",
         "no error budget data",
@@ -40,7 +40,7 @@ def test_empty_suite_has_empty_panels_with_notes(panels) -> None:
         "no input health data",
         "no events yet",
     ):
-        assert said in texts
+        assert note in texts
 
 
 @pytest.mark.slow
@@ -86,13 +86,13 @@ def test_shifted_sensor_is_shown_rejected_and_shaded(panels) -> None:
     panels.update(simulated_history(), PICTURE)
     row = panels._innovations.plots.rows["star.starboard"]
     right = row._trails[1].source.data
-    times, refused, used = (np.asarray(right[name]) for name in ("t", "refused", "used"))
-    knocked_ms = (NOW_NS - SHIFT_AGE_S * 1e9) * 1e-6
-    assert np.nanmin(times[np.isfinite(refused)]) >= knocked_ms
-    assert np.nanmax(times[np.isfinite(used)]) <= knocked_ms
-    assert np.nanmean(refused) == pytest.approx(49.0, abs=2.0)
+    times, rejected, used = (np.asarray(right[name]) for name in ("t", "refused", "used"))
+    shifted_ms = (NOW_NS - SHIFT_AGE_S * 1e9) * 1e-6
+    assert np.nanmin(times[np.isfinite(rejected)]) >= shifted_ms
+    assert np.nanmax(times[np.isfinite(used)]) <= shifted_ms
+    assert np.nanmean(rejected) == pytest.approx(49.0, abs=2.0)
     assert row._height.end == 60.0
-    assert row._out.data == {"start": [knocked_ms], "end": [NOW_NS * 1e-6]}
+    assert row._out.data == {"start": [shifted_ms], "end": [NOW_NS * 1e-6]}
     assert row.figure.title.text.startswith("✕ star.starboard  OUT · axis ±60″")
     assert row.figure.title.text_color == THEMES["dusk"].caution_border
     assert "■ right +49." in " ".join(row._labels._axis.major_label_overrides.values())
@@ -103,7 +103,9 @@ def test_past_outages_stay_shaded(panels) -> None:
     panel: InnovationPanel = panels._innovations
     history = simulated_history()
     for now_s, since_s in ((0, -40), (5, -40), (10, None), (20, 15), (22, 15)):
-        source = replace(GUILTY, out_since_ns=NOW_NS + since_s * 10**9) if since_s else replace(GOOD, name=GUILTY.name)
+        source = (
+            replace(EXCLUDED, out_since_ns=NOW_NS + since_s * 10**9) if since_s else replace(GOOD, name=EXCLUDED.name)
+        )
         panel.update(history, replace(PICTURE, utc_ns=NOW_NS + now_s * 10**9, sources=(source,)), "", has_truth=True)
     now_ms = NOW_NS * 1e-6
     out = panel.plots.rows["star.starboard"]._out.data
@@ -142,7 +144,7 @@ def test_wide_band_does_not_hide_the_values(panels) -> None:
         (replace(GOOD, nis_consistency=None), 15.0, ("✓ star.fore  IN", False)),
         (replace(GOOD, presence=Presence.OUT, reason="no data"), 15.0, ("✕ star.fore  OUT · no data", True)),
         (
-            replace(GUILTY, name="star.fore"),
+            replace(EXCLUDED, name="star.fore"),
             60.0,
             ("✕ star.fore  OUT · axis ±60″ · 81 rejected in a row · right +49″ · residual 8.1 σ", True),
         ),
@@ -288,12 +290,12 @@ def test_missing_position_is_stated_in_the_sky_panel() -> None:
 
 def test_input_of_a_faulty_source_is_highlighted() -> None:
     shown = InputState("star/starboard/observations", 2.0, 0.1, 0.6, 0, 0, {})
-    row = input_row(shown, {shown.topic: GUILTY})
+    row = input_row(shown, {shown.topic: EXCLUDED})
     assert "class='guilty'" in row
     assert "<td class='n'>81" in row
     assert "OUT: 81 rejected in a row" in row
     assert "guilty" not in input_row(shown, {})
-    assert "guilty" not in input_row(shown, {shown.topic: replace(GUILTY, because_of="ins")})
+    assert "guilty" not in input_row(shown, {shown.topic: replace(EXCLUDED, because_of="ins")})
 
 
 def test_only_the_marked_source_is_highlighted(panels) -> None:
@@ -301,7 +303,7 @@ def test_only_the_marked_source_is_highlighted(panels) -> None:
     event = Event(NOW_NS, "source", "star.fore", "star.fore IN")
     picture = replace(PICTURE, events=(*PICTURE.events, event))
 
-    def standing_out() -> dict[str, list[str]]:
+    def highlights() -> dict[str, list[str]]:
         budget, states, rows = panels._budget, panels._alignment, panels._innovations.plots.rows
         squares = panels._sky._map._squares.data
         tables = {"events": panels._events._table.text, "inputs": panels._inputs._table.text}
@@ -327,10 +329,10 @@ def test_only_the_marked_source_is_highlighted(panels) -> None:
         }
 
     panels.update(history, picture)
-    assert not any(standing_out().values())
+    assert not any(highlights().values())
     panels.marked = "star.fore"
     panels.update(history, picture)
-    found = standing_out()
+    found = highlights()
     assert found["innovations"] == found["frames"] == found["fields"] == ["star.fore"]
     assert len(found["map"]) == 1
     assert found["lights"] == []
@@ -340,16 +342,16 @@ def test_only_the_marked_source_is_highlighted(panels) -> None:
     assert "▶ star/" in found["inputs"][0]
     panels.marked = "lights"
     panels.update(history, picture)
-    found = standing_out()
+    found = highlights()
     assert found["innovations"] == ["lights"]
     assert found["lights"] == ["frame"]
     assert found["fields"] == found["states"] == []
     panels.marked = "weather"
     panels.update(history, picture)
-    assert standing_out()["bands"] == ["refraction"]  # the smallest of all has a band of its own
+    assert highlights()["bands"] == ["refraction"]  # the smallest of all has a band of its own
     panels.marked = ""
     panels.update(history, picture)
-    assert not any(standing_out().values())
+    assert not any(highlights().values())
 
 
 def test_only_the_error_of_the_chosen_angle_is_highlighted(panels) -> None:

@@ -43,7 +43,7 @@ class Minutes:
     def __init__(self) -> None:
         self.history, self.picture = simulated_history(), simulated_state()
 
-    def go_on(self) -> None:
+    def advance(self) -> None:
         """Advance by one second."""
         second = 1_000_000_000
         self.picture = replace(self.picture, utc_ns=self.picture.utc_ns + second)
@@ -56,9 +56,9 @@ class Minutes:
 
 
 @contextlib.contextmanager
-def served(theme):
+def serve_panels(theme):
     """Return the address of a page with the panels only, and the panels."""
-    told: Queue = Queue()
+    queue: Queue = Queue()
     minutes = Minutes()
 
     def fill(document):
@@ -67,26 +67,26 @@ def served(theme):
         document.config.notify_connection_status = False
         panels.update(minutes.history, minutes.picture)
 
-        def go_on():
-            minutes.go_on()
+        def advance():
+            minutes.advance()
             panels.update(minutes.history, minutes.picture)
 
-        document.add_periodic_callback(go_on, 1000)
-        told.put(panels)
+        document.add_periodic_callback(advance, 1000)
+        queue.put(panels)
 
     def run():
         asyncio.set_event_loop(asyncio.new_event_loop())
         server = Server({"/": Application(FunctionHandler(fill))}, port=0, address="127.0.0.1")
         server.start()
-        told.put(server)
+        queue.put(server)
         server.io_loop.start()
         server.stop()
 
     thread = threading.Thread(target=run, daemon=True)
     thread.start()
-    server = told.get(timeout=20.0)
+    server = queue.get(timeout=20.0)
     try:
-        yield f"http://127.0.0.1:{server.port}/", told
+        yield f"http://127.0.0.1:{server.port}/", queue
     finally:
         server.io_loop.add_callback(server.io_loop.stop)
         thread.join(20.0)
@@ -99,7 +99,7 @@ def browser():
     browser.close()
 
 
-def opened(browser, address, theme, width):
+def open_page(browser, address, theme, width):
     browser.open(address, width, 1800)
     browser.evaluate(
         f"document.body.style.background = '{THEMES[theme].background}'; document.body.style.margin = 0;"
@@ -109,7 +109,7 @@ def opened(browser, address, theme, width):
     browser.wait_until_true(f"{is_loaded} && Bokeh.documents[0].is_idle")
 
 
-def evaluated(browser, expression):
+def evaluate(browser, expression):
     return browser.evaluate(f"(() => {{ {FIND} return {expression}; }})()")
 
 
@@ -117,14 +117,14 @@ def evaluated(browser, expression):
 @pytest.mark.parametrize("theme", list(THEMES))
 @pytest.mark.parametrize("width", [1280, 390])
 def test_panels_are_drawn_in_every_theme_and_width(browser, theme, width, tmp_path):
-    with served(theme) as (address, _):
-        opened(browser, address, theme, width)
-        browser.wait(lambda: evaluated(browser, "found('Figure').length") == 14, "all plots")
-        browser.wait(lambda: has_text_at(browser, "found('Figure')[4]"), "what is told of the error of pitch")
+    with serve_panels(theme) as (address, _):
+        open_page(browser, address, theme, width)
+        browser.wait(lambda: evaluate(browser, "found('Figure').length") == 14, "all plots")
+        browser.wait(lambda: has_text_at(browser, "found('Figure')[4]"), "the text of the error of pitch")
         browser.take_screenshot(tmp_path / f"{theme}_{width}.png", whole=True)
         assert browser.problems == []
         assert browser.evaluate("document.documentElement.scrollWidth") <= width
-        heights = evaluated(browser, "found('Figure').map((each) => each.el.offsetHeight)")
+        heights = evaluate(browser, "found('Figure').map((each) => each.el.offsetHeight)")
         assert width > 700 or sorted(heights)[-4:-2] == [180, 180]  # below them the map and the states, a row for each
         pixels = matplotlib.image.imread(BytesIO((tmp_path / f"{theme}_{width}.png").read_bytes()))[..., :3]
     assert len(np.unique(pixels.reshape(-1, 3)[::7], axis=0)) > 30, "nothing is drawn"
@@ -134,26 +134,26 @@ def test_panels_are_drawn_in_every_theme_and_width(browser, theme, width, tmp_pa
 
 @pytest.mark.slow
 def test_new_points_are_streamed_and_the_time_goes_on(browser):
-    with served("day") as (address, _):
-        opened(browser, address, "day", 1280)
+    with serve_panels("day") as (address, _):
+        open_page(browser, address, "day", 1280)
         count = "Math.max(...found('Figure')[0].model.renderers.map((each) => each.data_source.get_length() ?? 0))"
         end = "found('Figure')[0].model.x_range.end"
-        first = evaluated(browser, f"[{count}, {end}]")
-        browser.wait(lambda: evaluated(browser, end) >= first[1] + 2000, "two seconds more")
-        assert evaluated(browser, count) <= 1200
+        first = evaluate(browser, f"[{count}, {end}]")
+        browser.wait(lambda: evaluate(browser, end) >= first[1] + 2000, "two seconds more")
+        assert evaluate(browser, count) <= 1200
         assert browser.problems == []
 
 
 @pytest.mark.slow
 def test_drag_zooms_all_plots_and_double_click_returns(browser):
-    with served("day") as (address, told):
-        opened(browser, address, "day", 1280)
-        panels = told.get(timeout=20.0)
+    with serve_panels("day") as (address, queue):
+        open_page(browser, address, "day", 1280)
+        panels = queue.get(timeout=20.0)
         ranges = (
             "[...new Set(found('Figure').map((each) => each.model.x_range).filter((range) => range.end > 1e12))].length"
         )
-        assert evaluated(browser, ranges) == 1
-        left, top, width, height = evaluated(
+        assert evaluate(browser, ranges) == 1
+        left, top, width, height = evaluate(
             browser,
             "((box) => [box.left, box.top, box.width, box.height])(found('Figure')[0].el.getBoundingClientRect())",
         )
@@ -184,7 +184,7 @@ def test_drag_zooms_all_plots_and_double_click_returns(browser):
 def has_text_at(browser, view):
     """True if a tooltip appears after the pointer has moved across a plot; its layout may not be finished yet."""
     box = f"((box) => [box.left + box.width / 2, box.top + box.height * 0.3])({view}.el.getBoundingClientRect())"
-    x, y = evaluated(browser, box)
+    x, y = evaluate(browser, box)
     for step in range(-10, 1):
         browser.call("Input.dispatchMouseEvent", type="mouseMoved", x=x + step, y=y, button="none")
     return browser.evaluate("document.querySelector('.bk-Tooltip')?.checkVisibility()")

@@ -129,8 +129,8 @@ def test_early_closed_tab_logs_no_traceback(caplog, monkeypatch):
     with run_page_server() as page:
         asyncio.run(leave_early(page))
         assert get(page, "/")[0] == 200
-    told = [record.getMessage() for record in caplog.records if record.exc_info or record.levelno >= logging.ERROR]
-    assert told == []
+    logged = [record.getMessage() for record in caplog.records if record.exc_info or record.levelno >= logging.ERROR]
+    assert logged == []
 
 
 def test_port_in_use_is_reported_in_one_line():

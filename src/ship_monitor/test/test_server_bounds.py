@@ -64,7 +64,7 @@ def ends(connection):
     return True
 
 
-def until(condition, limit_s=30.0):
+def wait_until(condition, limit_s=30.0):
     deadline_s = time.monotonic() + limit_s
     while not condition():
         assert time.monotonic() < deadline_s
@@ -74,7 +74,7 @@ def until(condition, limit_s=30.0):
 @pytest.mark.parametrize("path", ["/%00", "/static/js/%00", "/static/a%00b.js", "/fonts/%00.ttf", "/health%00"])
 def test_nul_in_a_path_is_not_found(page, lines, path):
     assert status(page, path) == 404
-    until(lambda: len(lines.texts) == 1)
+    wait_until(lambda: len(lines.texts) == 1)
     assert not lines.tracebacks
 
 
@@ -91,22 +91,22 @@ def test_endless_request_is_closed(monkeypatch):
     monkeypatch.setattr(bounded_server, "REQUEST_TIMEOUT_S", 0.3)
     with run_page_server() as server:
         place = "127.0.0.1", int(server.address.strip("/").rpartition(":")[2])
-        for begun in (
+        for start in (
             b"",
             b"GET / HTTP/1.1\r\nHost: loc",
             b"POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9\r\n\r\nab",
         ):
             with socket.create_connection(place, timeout=20.0) as connection:
-                connection.sendall(begun)
+                connection.sendall(start)
                 assert ends(connection)
         assert status(place) == 200
 
 
 def test_too_many_connections_are_closed_with_one_line(page, lines):
-    begun = [socket.create_connection(page, timeout=20.0) for _ in range(MAX_CONNECTIONS + 20)]
-    assert all(ends(each) for each in begun[-20:])
+    connections = [socket.create_connection(page, timeout=20.0) for _ in range(MAX_CONNECTIONS + 20)]
+    assert all(ends(each) for each in connections[-20:])
     assert lines.texts == [f"127.0.0.1: connection closed: {MAX_CONNECTIONS} are open, the maximum"]
-    for each in begun:
+    for each in connections:
         each.close()
 
     def answers():
@@ -115,15 +115,15 @@ def test_too_many_connections_are_closed_with_one_line(page, lines):
         except (ConnectionError, http.client.HTTPException):
             return False
 
-    until(answers)
+    wait_until(answers)
 
 
 def test_too_many_pages_are_refused_until_others_are_closed(page, lines):
     assert [status(page, "/") for _ in range(MAX_PAGES)] == [200] * MAX_PAGES
     assert [status(page, "/") for _ in range(20)] == [503] * 20
     assert status(page, "/autoload.js?bokeh-autoload-element=1") == 503
-    until(lambda: len(lines.texts) == 1)
+    wait_until(lambda: len(lines.texts) == 1)
     assert status(page) == 200
     # Bokeh collects garbage after each closed page; objects from before are excluded.
     assert gc.get_freeze_count() > 0
-    until(lambda: status(page, "/") == 200)
+    wait_until(lambda: status(page, "/") == 200)

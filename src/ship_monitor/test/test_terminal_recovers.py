@@ -33,7 +33,7 @@ class Bridge:
     def sail_from(self, time_ns):
         self._times = itertools.count(time_ns, NS_PER_S // 50)
 
-    def rest(self):
+    def stop_clock(self):
         self._times = iter(())
 
     def rows(self):
@@ -42,7 +42,7 @@ class Bridge:
     def heading(self):
         return next(row for row in self.rows() if row.startswith(" HEADING"))
 
-    async def until(self, condition):
+    async def continue_until(self, condition):
         """Continue until the view meets a condition."""
         deadline_s = time.monotonic() + LIMIT_S
         while not condition():
@@ -57,11 +57,11 @@ class Bridge:
 
 @contextlib.asynccontextmanager
 async def bridge():
-    with contextlib.ExitStack() as left_open:
+    with contextlib.ExitStack() as stack:
         ship = SuitePublisher()
-        left_open.callback(ship.stop)
+        stack.callback(ship.stop)
         suite = LiveSuite("monitor_terminal", "demo", Limits())
-        left_open.callback(suite.close)
+        stack.callback(suite.close)
         app = TerminalApp(suite)
         async with app.run_test(size=(80, 24)) as pilot:
             yield Bridge(app, pilot, ship)
@@ -72,53 +72,53 @@ def sleep(monkeypatch):
     """Simulate a sleep of the computer: only CLOCK_BOOTTIME advances."""
 
     def fall_asleep(duration_ns):
-        told_ns = time.clock_gettime_ns
+        true_clock_ns = time.clock_gettime_ns
 
-        def after(clock):
-            return told_ns(clock) + (duration_ns if clock == time.CLOCK_BOOTTIME else 0)
+        def clock_after_sleep(clock):
+            return true_clock_ns(clock) + (duration_ns if clock == time.CLOCK_BOOTTIME else 0)
 
-        monkeypatch.setattr(time, "clock_gettime_ns", after)
+        monkeypatch.setattr(time, "clock_gettime_ns", clock_after_sleep)
 
     return fall_asleep
 
 
 def test_restarted_bag_is_shown_from_its_start():
-    async def watch():
+    async def run_app():
         async with bridge() as seen:
             seen.sail_from(START_NS + HOUR_NS)
-            await seen.until(seen.is_current)
+            await seen.continue_until(seen.is_current)
             assert any("13:00:" in row for row in seen.rows())
             seen.sail_from(START_NS)
-            await seen.until(lambda: any("12:00:" in row for row in seen.rows()))
-            await seen.until(seen.is_current)
+            await seen.continue_until(lambda: any("12:00:" in row for row in seen.rows()))
+            await seen.continue_until(seen.is_current)
             assert not any("13:00:" in row for row in seen.rows())
 
-    asyncio.run(watch())
+    asyncio.run(run_app())
 
 
 def test_values_are_old_after_a_sleep_and_then_recover(sleep):
-    async def watch():
+    async def run_app():
         async with bridge() as seen:
             seen.sail_from(START_NS)
-            await seen.until(seen.is_current)
-            seen.rest()
+            await seen.continue_until(seen.is_current)
+            seen.stop_clock()
             sleep(HOUR_NS)
-            await seen.until(lambda: "OLD 60 min" in seen.heading())
+            await seen.continue_until(lambda: "OLD 60 min" in seen.heading())
             assert "057.30" not in seen.heading()
             assert "UNSAFE" in seen.heading()
             seen.sail_from(START_NS + HOUR_NS)
-            await seen.until(seen.is_current)
+            await seen.continue_until(seen.is_current)
 
-    asyncio.run(watch())
+    asyncio.run(run_app())
 
 
 def test_pause_includes_the_time_of_a_sleep(sleep):
-    async def watch():
+    async def run_app():
         async with bridge() as seen:
             seen.sail_from(START_NS)
-            await seen.until(seen.is_current)
+            await seen.continue_until(seen.is_current)
             await seen.pilot.press("p")
             sleep(HOUR_NS)
-            await seen.until(lambda: any("PAUSED" in row and "60 min" in row for row in seen.rows()))
+            await seen.continue_until(lambda: any("PAUSED" in row and "60 min" in row for row in seen.rows()))
 
-    asyncio.run(watch())
+    asyncio.run(run_app())

@@ -28,12 +28,12 @@ from ship_watch.suite_state import ANGLES, Event, Priority, Safety
 VIEW = View(80, 24, "demo", "LIVE", "namespace /demo, domain 7")
 
 
-def drawn(shown, view=VIEW, alerts=...):
+def draw(shown, view=VIEW, alerts=...):
     return screen(shown, shown.alerts if alerts is ... else alerts, view)
 
 
 def texts(shown, view=VIEW, alerts=...):
-    return [plain_text(line).rstrip() for line in drawn(shown, view, alerts)]
+    return [plain_text(line).rstrip() for line in draw(shown, view, alerts)]
 
 
 def row_of(lines, start):
@@ -79,13 +79,13 @@ def test_screen_matches_the_design():
 )
 def test_each_safety_is_a_word_with_its_style(word, look):
     shown = state_with_mounting_shift(angles=(angle("heading", safety=Safety[word]),))
-    spans = [span for line in drawn(shown) for span in line if word in span.text.split() and "HEADING" not in span.text]
+    spans = [span for line in draw(shown) for span in line if word in span.text.split() and "HEADING" not in span.text]
     assert [span.style for span in spans if "→" not in span.text] == [look, look]  # of the suite, of the angle
 
 
 def test_old_value_is_struck_through_with_its_age():
     old = angle("heading", is_old=True, age_s=12.0, safety=Safety.UNSAFE, reason="no data on ship/attitude")
-    lines = drawn(state_with_mounting_shift(angles=(old,)))
+    lines = draw(state_with_mounting_shift(angles=(old,)))
     heading = lines[4]
     assert [span.text.strip() for span in heading if span.style is TextStyle.OLD] == ["034.39° true"]
     assert "OLD 12 s" in plain_text(heading)
@@ -109,7 +109,7 @@ def test_nothing_looks_good_without_outputs():
     """After the end of the suite: no ticks, no counts, ages struck through; sources that were OUT stay OUT."""
     angles = tuple(angles_timed_out(*ANGLES, age_s=19.0))
     shown = state_with_mounting_shift(angles=angles)
-    lines = drawn(shown)
+    lines = draw(shown)
     all_text = [plain_text(line) for line in lines]
     sources = all_text[12:20]
     assert [text[1] for text in sources] == ["x", *["?"] * 7]
@@ -243,7 +243,7 @@ def test_ascii_terminal_keeps_every_meaning():
 
 def test_names_from_the_network_cannot_control_the_terminal():
     evil = dataclasses.replace(SHIFTED_SENSOR_ALERT, text="\x1b[2J\x1b]0;title\x07 fire\r\n\u202eright to left\u0301")
-    for line in drawn(
+    for line in draw(
         state_with_mounting_shift(alerts=(evil,), sources=(dataclasses.replace(SHIFTED_SENSOR, name="\x1b[31m" * 9),))
     ):
         assert all(char.isprintable() for char in plain_text(line))
@@ -255,7 +255,7 @@ WIDE = st.text(alphabet=st.sampled_from("aß漢字ｆ🚢\u0301\x1b\t\n−″σ�
 @settings(max_examples=150, deadline=None)
 @given(
     name=WIDE,
-    told=WIDE,
+    text=WIDE,
     number=st.floats(),
     other=st.floats(),
     width=st.integers(0, 200),
@@ -267,27 +267,29 @@ WIDE = st.text(alphabet=st.sampled_from("aß漢字ｆ🚢\u0301\x1b\t\n−″σ�
     count=st.integers(0, 30),
 )
 def test_every_line_has_the_width_of_the_terminal(
-    name, told, number, other, width, height, chosen, is_ascii, safety, is_old, count
+    name, text, number, other, width, height, chosen, is_ascii, safety, is_old, count
 ):
     changed = {
         "value": number,
         "accuracy_95": other,
         "age_s": abs(other),
         "safety": safety,
-        "reason": told,
+        "reason": text,
         "is_old": is_old,
     }
-    heard = dataclasses.replace(SHIFTED_SENSOR_INPUT, topic=name, latency_s=number, age_s=other, reasons={told: 10**9})
+    an_input = dataclasses.replace(
+        SHIFTED_SENSOR_INPUT, topic=name, latency_s=number, age_s=other, reasons={text: 10**9}
+    )
     shown = state_with_mounting_shift(
         angles=tuple(angle(each, **changed) for each in ANGLES),
-        sources=tuple(source(f"{name}{place}", reason=told, rate_hz=number, age_s=other) for place in range(count)),
-        alerts=(dataclasses.replace(SHIFTED_SENSOR_ALERT, text=told),),
-        inputs=(heard,) * count,
-        events=(Event(NOW_NS, "state", name, told),) * count,
-        waiting_for=told,
+        sources=tuple(source(f"{name}{place}", reason=text, rate_hz=number, age_s=other) for place in range(count)),
+        alerts=(dataclasses.replace(SHIFTED_SENSOR_ALERT, text=text),),
+        inputs=(an_input,) * count,
+        events=(Event(NOW_NS, "state", name, text),) * count,
+        waiting_for=text,
     )
     view = dataclasses.replace(
-        VIEW, width=width, height=height, name=name, location=told, chosen=chosen, is_ascii=is_ascii
+        VIEW, width=width, height=height, name=name, location=text, chosen=chosen, is_ascii=is_ascii
     )
     for lines in (screen(shown, shown.alerts, view), details(shown, shown.alerts, view), help_page(shown, view)):
         assert len(lines) == height

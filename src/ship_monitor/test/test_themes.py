@@ -8,7 +8,7 @@ from ship_monitor.page.themes import THEMES, Theme
 
 
 def test_night_colours_are_red_light() -> None:
-    # Green and blue light bleach the eye's rhodopsin: they are at most a quarter of red, the hue of the night's text.
+    # Green and blue light bleach the eye's rhodopsin: they are at most a quarter of red, the hue of the theme's text.
     for colour in colours(THEMES["night"]):
         red, green, blue = (int(colour[start : start + 2], 16) for start in (1, 3, 5))
         assert max(green, blue) <= 0.26 * red, colour

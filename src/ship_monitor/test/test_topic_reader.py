@@ -71,12 +71,12 @@ def test_newest_message_of_streams_and_every_message_of_other_topics(ship, reade
         ship.publish("ship/innovation", Innovation(nis=float(number)), 100)
     innovations, imus = [], []
 
-    def all_came():
+    def have_all_come():
         for each in reader.fetch().messages:
             (imus if each.topic == "ins/imu" else innovations).append(each.message)
         return len(innovations) >= 50 and imus and imus[-1].header.stamp.sec == 50
 
-    until(all_came)
+    until(have_all_come)
     assert [each.nis for each in innovations][-50:] == [float(number) for number in range(50)]
     assert len(imus) < 50
 
@@ -113,15 +113,15 @@ def test_topic_that_becomes_latched_is_subscribed_again(ship, reader, until):
     assert fetch_until(reader, until, "ship/alerts")
 
 
-@pytest.mark.parametrize(("shift_s", "is_anew"), [(-60, True), (60, False), (-2, False)])
-def test_outputs_that_step_back_are_another_voyage(ship, reader, until, shift_s, is_anew):
+@pytest.mark.parametrize(("shift_s", "is_other_voyage"), [(-60, True), (60, False), (-2, False)])
+def test_outputs_that_step_back_are_another_voyage(ship, reader, until, shift_s, is_other_voyage):
     ship.publish("ship/attitude", attitude(1000 * NS_PER_S))
     ship.wait_for_subscribers(until, reader.fetch, "ship/attitude")
     ship.publish("ship/attitude", attitude(1000 * NS_PER_S))
     fetch_until(reader, until, "ship/attitude")
     ship.publish("ship/attitude", attitude((1000 + shift_s) * NS_PER_S))
     taken = until(lambda: (taken := reader.fetch()).messages and taken)
-    assert taken.time_went_back is is_anew
+    assert taken.time_went_back is is_other_voyage
     assert taken.messages[-1].message.header.stamp.sec == 1000 + shift_s
 
 
@@ -159,7 +159,7 @@ def clock_at(time_s):
 
 
 def test_clock_in_the_namespace_is_used(ship, reader, until):
-    """With `suite --bag --namespace` each suite has the clock of its own bag."""
+    """Each suite has the clock of its own bag, as with `suite --bag --namespace`."""
     ship.publish("ship/innovation", Innovation())
     ship.publish("clock", clock_at(100))
     ship.wait_for_subscribers(until, reader.fetch, "clock", "ship/innovation")
@@ -178,7 +178,7 @@ def test_own_clock_replaces_the_global_one(ship, reader, until):
     ship.publish("clock", clock_at(100))
     looks = []
 
-    def hear(topic, time_s):
+    def receive(topic, time_s):
         def look():
             ship.publish(topic, clock_at(time_s))
             looks.append(reader.fetch())
@@ -186,14 +186,14 @@ def test_own_clock_replaces_the_global_one(ship, reader, until):
 
         return look
 
-    until(hear("clock", 100))
+    until(receive("clock", 100))
     for _ in range(20):
-        hear("/clock", 5)()
-    until(hear("clock", 101))
+        receive("/clock", 5)()
+    until(receive("clock", 101))
     assert not any(taken.time_went_back for taken in looks)
     # After its own clock has ended, the global one is used again.
     ship.node.destroy_publisher(ship.publishers.pop("clock"))
-    until(hear("/clock", 6))
+    until(receive("/clock", 6))
 
 
 def test_clock_topic_of_another_type_is_ignored(ship, reader, until):

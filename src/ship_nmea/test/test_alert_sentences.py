@@ -162,7 +162,7 @@ def test_every_change_is_sent_once_with_the_next_revision():
 
 
 def test_escalation_is_a_new_instance_after_the_old_one_is_normal():
-    """As ship_watch escalates: an unacknowledged warning ends, and an alarm with the next instance begins."""
+    """An unacknowledged warning ends, and an alarm with the next instance begins, as in ship_watch."""
     ledger = SentAlerts()
     (warning,) = ledger.update([alert()], 0)
     ended, alarm = ledger.update([alert(instance=2, priority=Alert.ALARM)], 9)
@@ -171,7 +171,7 @@ def test_escalation_is_a_new_instance_after_the_old_one_is_normal():
     assert warning.identifier == ended.identifier == alarm.identifier
     (acknowledged,) = ledger.update([alert(instance=2, priority=Alert.ALARM, state=Alert.ACTIVE_ACKNOWLEDGED)], 0)
     assert acknowledged.escalation == 1
-    assert [told.instance for told in ledger.all] == [2]
+    assert [sent.instance for sent in ledger.all] == [2]
 
 
 def test_recurring_alert_starts_without_escalation():
@@ -204,20 +204,20 @@ def ids_of_the_suite():
 def test_titles_are_unique_and_keep_their_subject():
     ids = ids_of_the_suite()
     assert len(ids) > 100
-    told = {id_: SentAlerts().update([alert(id_)], 0)[0].title for id_ in ids}
-    assert max(map(len, told.values())) <= 16
-    assert len(set(told.values())) == len(set(ids))
-    assert told["attitude.degraded"] == "ATTITUD DEGRADED"
-    assert told["pointing.degraded"] == "POINTIN DEGRADED"
-    assert told["ship_attitude.out"] == "SHIP ATTITUD OUT"
-    assert told["ship_attitude.clock"] == "SHIP ATTIT CLOCK"
-    assert told["star.starboard2.out"] == "STAR STARBO2 OUT"
+    titles = {id_: SentAlerts().update([alert(id_)], 0)[0].title for id_ in ids}
+    assert max(map(len, titles.values())) <= 16
+    assert len(set(titles.values())) == len(set(ids))
+    assert titles["attitude.degraded"] == "ATTITUD DEGRADED"
+    assert titles["pointing.degraded"] == "POINTIN DEGRADED"
+    assert titles["ship_attitude.out"] == "SHIP ATTITUD OUT"
+    assert titles["ship_attitude.clock"] == "SHIP ATTIT CLOCK"
+    assert titles["star.starboard2.out"] == "STAR STARBO2 OUT"
 
 
 @pytest.mark.parametrize("id_", ["", "a.b.c.d.e.f.g.h.i.j.k.l", "1234567890123456789.out", "x" * 200])
 def test_title_of_any_id_fits(id_):
-    (told,) = SentAlerts().update([alert(id_)], 0)
-    for sentence in alf(told, "IN", "ZZZ", 1):
+    (sent,) = SentAlerts().update([alert(id_)], 0)
+    for sentence in alf(sent, "IN", "ZZZ", 1):
         assert len(sentence.text) <= 16 or sentence.number == 2
         assert len(sentence.render()) + 2 <= LONGEST_BYTES
 
@@ -232,10 +232,10 @@ def test_alert_numbers_are_unique(monkeypatch):
 
 def test_command_without_instance_refers_to_the_present_one():
     ledger = SentAlerts()
-    (told,) = ledger.update([alert(instance=7)], 0)
-    assert ledger.alert_key(AlertCommand(told.identifier, None, "A")) == ("star.fore.out", 7)
-    assert ledger.alert_key(AlertCommand(told.identifier, 6, "A")) == ("star.fore.out", 6)
-    assert ledger.alert_key(AlertCommand(told.identifier + 1, None, "A")) is None
+    (sent,) = ledger.update([alert(instance=7)], 0)
+    assert ledger.alert_key(AlertCommand(sent.identifier, None, "A")) == ("star.fore.out", 7)
+    assert ledger.alert_key(AlertCommand(sent.identifier, 6, "A")) == ("star.fore.out", 6)
+    assert ledger.alert_key(AlertCommand(sent.identifier + 1, None, "A")) is None
 
 
 def test_unreadable_list_changes_nothing():
@@ -249,6 +249,6 @@ def test_unreadable_list_changes_nothing():
 
 def test_alerts_beyond_the_maximum_are_counted():
     ledger = SentAlerts()
-    told = ledger.update([alert(f"a{n}") for n in range(MAX_ALERTS + 3)], 0)
-    assert len(told) == MAX_ALERTS
+    sent = ledger.update([alert(f"a{n}") for n in range(MAX_ALERTS + 3)], 0)
+    assert len(sent) == MAX_ALERTS
     assert ledger.omitted_count == 3

@@ -172,7 +172,7 @@ def test_default_decimals_show_star_sensor_accuracy():
 
 @pytest.mark.parametrize("angles_deg", [(10.0, 0.0, 0.0), (350.0, 20.0, -15.0), (180.0, -35.0, 40.0)])
 def test_heading_rate_is_the_derivative_of_heading(angles_deg):
-    """Against the heading a short time later, by the rotations of ship_geometry."""
+    """The expected rate is by the heading a short time later, with the rotations of ship_geometry."""
     rate_flu = np.array([0.02, -0.03, 0.05])
     rotation_nd = rotation_from_angles(*np.radians(angles_deg))
     step_s = 1e-6
@@ -182,8 +182,8 @@ def test_heading_rate_is_the_derivative_of_heading(angles_deg):
     turn = np.array([[1.0, -z, y], [z, 1.0, -x], [-y, x, 1.0]])
     later = angles_from_rotation(rotation_nd @ turn)
     expected = (later[0] - math.radians(angles_deg[0]) + math.pi) % (2.0 * math.pi) - math.pi
-    told = heading_rate(math.radians(angles_deg[1]), math.radians(angles_deg[2]), tuple(rate_flu))
-    assert told == pytest.approx(expected / step_s, abs=1e-5)
+    rate = heading_rate(math.radians(angles_deg[1]), math.radians(angles_deg[2]), tuple(rate_flu))
+    assert rate == pytest.approx(expected / step_s, abs=1e-5)
 
 
 def test_no_rate_of_turn_at_the_zenith():

@@ -20,7 +20,7 @@ from ship_testing.nmea_in_peer import free_port
 
 pytestmark = pytest.mark.live
 
-SILENT = 10_000 + zlib.crc32(b"attitude.silent") % 9_990_000
+NO_DATA = 10_000 + zlib.crc32(b"attitude.silent") % 9_990_000
 """Number of the alert for a missing ship attitude."""
 
 
@@ -136,7 +136,7 @@ def count(ship, name):
 
 def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge, processes, tmp_path):
     udp_port, listen_port = free_port(), free_port()
-    mute = Display(free_port(socket.SOCK_STREAM))
+    heading_display = Display(free_port(socket.SOCK_STREAM))
     limits = tmp_path / "limits.yaml"
     limits.write_text("alerts: {clear_after_s: 1.0}\n")
     suite = tmp_path / "suite.yaml"
@@ -146,17 +146,17 @@ def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge
         "from: [127.0.0.1]}\n"
         f"      wing: {{kind: udp, address: 127.0.0.1, port: {udp_port}, listen_port: {listen_port}, "
         "sentences: [ALF]}\n"
-        f"      mute: {{kind: tcp_server, port: {mute.port}, sentences: [HDT], from: [127.0.0.1]}}\n"
+        f"      heading: {{kind: tcp_server, port: {heading_display.port}, sentences: [HDT], from: [127.0.0.1]}}\n"
     )
     processes("nmea_out", "-m", "ship_nmea.commands.nmea_out", "--ros-args", "--params-file", str(suite),
               "-r", "__ns:=/demo")  # fmt: skip
 
-    def wait_for(found, tell=lambda: None):
+    def wait_for(found, act=lambda: None):
         def look():
             bridge.read()
             return found(bridge.alert_management)
 
-        return wait_until(ship, look, tell)
+        return wait_until(ship, look, act)
 
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as wing:
         wing.bind(("127.0.0.1", udp_port))
@@ -173,56 +173,58 @@ def test_alert_is_received_acknowledged_and_rectified_on_the_bridge(ship, bridge
         wait_until(
             ship, lambda: set(ship.alerts or ()) == {"attitude.degraded"}, ship.publish
         )  # ship/attitude was received
-        wait_for(lambda state: state.state(SILENT) == "V")  # no ship/attitude any more
-        shown = bridge.alert_management.alerts["ZZZ", SILENT, 1]
+        wait_for(lambda state: state.state(NO_DATA) == "V")  # no ship/attitude any more
+        shown = bridge.alert_management.alerts["ZZZ", NO_DATA, 1]
         assert (shown.priority, shown.text) == ("A", "ATTITUDE SILENT")
-        wait_for(lambda state: ("ZZZ", SILENT, 1) in state.listed)
+        wait_for(lambda state: ("ZZZ", NO_DATA, 1) in state.listed)
 
         # A client that receives no alerts cannot acknowledge any.
-        wait_until(ship, mute.connect)
-        mute.send(f"BNACN,120000.00,ZZZ,{SILENT},1,A,C")
-        wait_until(ship, lambda: mute.read() or mute.last("ARC"))
-        mute.close()
+        wait_until(ship, heading_display.connect)
+        heading_display.send(f"BNACN,120000.00,ZZZ,{NO_DATA},1,A,C")
+        wait_until(ship, lambda: heading_display.read() or heading_display.last("ARC"))
+        heading_display.close()
         # A host that is not the bridge cannot acknowledge any, and receives no answer.
         for number, (kind, port) in enumerate(
             ((socket.SOCK_STREAM, bridge.display.port), (socket.SOCK_DGRAM, listen_port)), start=1
         ):
-            with connect_as_other_host(kind, port) as stranger:
-                stranger.send(acknowledgement(SILENT))
+            with connect_as_other_host(kind, port) as other_host:
+                other_host.send(acknowledgement(NO_DATA))
                 wait_until(ship, lambda number=number: count(ship, "not allowed") == number)
-        bridge.command(SILENT, 2, "A")  # no such instance
-        bridge.command(SILENT, 1, "S")  # silencing one alert is not supported
-        bridge.command(SILENT + 1, 1, "A")  # no such alert
-        refused = [(SILENT, 2, "A"), (SILENT, 1, "S"), (SILENT + 1, 1, "A")]
+        bridge.command(NO_DATA, 2, "A")  # no such instance
+        bridge.command(NO_DATA, 1, "S")  # silencing one alert is not supported
+        bridge.command(NO_DATA + 1, 1, "A")  # no such alert
+        refused = [(NO_DATA, 2, "A"), (NO_DATA, 1, "S"), (NO_DATA + 1, 1, "A")]
         wait_for(lambda state: sorted(state.refusals) == sorted(refused))
         assert ship.alerts["attitude.silent"].state == Alert.ACTIVE_UNACKNOWLEDGED
-        bridge.display.send(f"BNACN,120000.00,FEC,{SILENT},1,A,C")  # to another source: no answer at all
+        bridge.display.send(f"BNACN,120000.00,FEC,{NO_DATA},1,A,C")  # to another source: no answer at all
         bridge.display.connection.sendall(b"$BNACN,broken*00\r\n\xff\xfe$\r\n")
-        bridge.command(SILENT, 1, "Q")
-        bridge.command(SILENT, 1, "A")
-        wait_for(lambda state: state.state(SILENT) == "A")
+        bridge.command(NO_DATA, 1, "Q")
+        bridge.command(NO_DATA, 1, "A")
+        wait_for(lambda state: state.state(NO_DATA) == "A")
         wait_until(ship, lambda: ship.alerts["attitude.silent"].state == Alert.ACTIVE_ACKNOWLEDGED)
         assert sorted(bridge.alert_management.refusals) == sorted(refused)
-        revision = bridge.alert_management.alerts["ZZZ", SILENT, 1].revision
+        revision = bridge.alert_management.alerts["ZZZ", NO_DATA, 1].revision
         assert revision == shown.revision + 1
-        wait_for(lambda state: state.listed.get(("ZZZ", SILENT, 1)) == revision)
+        wait_for(lambda state: state.listed.get(("ZZZ", NO_DATA, 1)) == revision)
         # ship/attitude is published again: the alert is rectified and removed from the list.
-        wait_for(lambda state: state.state(SILENT) == "N", ship.publish)
-        wait_for(lambda state: ("ZZZ", SILENT, 1) not in state.listed, ship.publish)
+        wait_for(lambda state: state.state(NO_DATA) == "N", ship.publish)
+        wait_for(lambda state: ("ZZZ", NO_DATA, 1) not in state.listed, ship.publish)
 
         # The wing receives the same, and may acknowledge, too.
-        heard = []
+        received = []
 
         def wing_alert(state):
             try:
-                heard.extend(pynmea2.parse(line, check=True) for line in wing.recv(2000).decode().split("\r\n") if line)
+                received.extend(
+                    pynmea2.parse(line, check=True) for line in wing.recv(2000).decode().split("\r\n") if line
+                )
             except BlockingIOError:
                 return None
-            fitting = [one for one in heard if one.number == 1 and (one.alert, one.state) == (SILENT, state)]
+            fitting = [one for one in received if one.number == 1 and (one.alert, one.state) == (NO_DATA, state)]
             return fitting[-1] if fitting else None
 
         again = wait_until(ship, lambda: (found := wing_alert("V")) and found.instance == 2 and found)
-        wing.sendto(acknowledgement(SILENT), ("127.0.0.1", listen_port))
+        wing.sendto(acknowledgement(NO_DATA), ("127.0.0.1", listen_port))
         wait_until(ship, lambda: (found := wing_alert("A")) and found.instance == again.instance)
 
         # The alert node has ended: the heartbeat reports it to the bridge, and no empty list is sent.

@@ -15,10 +15,10 @@ HDT, PSXN23 = b"$HEHDT,218.53,T*12", b"$PSXN,23,0.35,-1.74,218.26,0.58*13"
 
 def outcomes(line):
     """Return kind, name or reason of each text in a line."""
-    found = [heard.result for heard in parse_line(line)]
+    found = [line_part.result for line_part in parse_line(line)]
     return [
-        says.kind if isinstance(says, Sentence) else says.name if isinstance(says, NotOfInterest)
-        else says.detail or says.reason for says in found
+        result.kind if isinstance(result, Sentence) else result.name if isinstance(result, NotOfInterest)
+        else result.detail or result.reason for result in found
     ]  # fmt: skip
 
 
@@ -118,4 +118,4 @@ def test_noise_never_raises():
         line = bytearray(rng.choice([HDT, PSXN23, b"\\s:x*00\\" + HDT, b"$WIXDR,C,23.3,C,0,P,,B*00"]))
         for _ in range(rng.randint(0, 4)):
             line[rng.randrange(len(line))] = rng.choice(b"$*,\\!\x00\xff059ABCPSXN")
-        assert all(heard.talker == "" or len(heard.talker) == 2 for heard in parse_line(bytes(line)))
+        assert all(parsed.talker == "" or len(parsed.talker) == 2 for parsed in parse_line(bytes(line)))

@@ -43,18 +43,18 @@ def lines_of(*bodies):
     return "".join(sentence(body) + "\r\n" for body in bodies).encode()
 
 
-def psxn(moment, heading_deg, pitch_deg, roll_deg):
+def psxn(utc, heading_deg, pitch_deg, roll_deg):
     """Return a burst of a Seapath, rendered by pynmea2: PSXN,23 has roll positive with port up, pitch with bow up."""
-    zda = pynmea2.ZDA("IN", "ZDA", (f"{moment:%H%M%S.%f}", f"{moment:%d}", f"{moment:%m}", f"{moment:%Y}", "", ""))
+    zda = pynmea2.ZDA("IN", "ZDA", (f"{utc:%H%M%S.%f}", f"{utc:%d}", f"{utc:%m}", f"{utc:%Y}", "", ""))
     angles = (f"{roll_deg:.2f}", f"{pitch_deg:.2f}", f"{heading_deg:.2f}", "0.00")
     quality = pynmea2.ProprietarySentence("SXN", ["", "20", "0", "0", "0", "0"])
     attitude = pynmea2.ProprietarySentence("SXN", ["", "23", *angles])
     return "".join(one.render(newline=True) for one in (zda, quality, attitude)).encode()
 
 
-def pashr(moment, heading_deg, pitch_deg, roll_deg):
+def pashr(utc, heading_deg, pitch_deg, roll_deg):
     """Return PASHR as an RT300 writes it: heading, T, roll, pitch, heave, three accuracies, quality, INS status."""
-    time_text = f"{moment:%H%M%S.%f}"[:9]
+    time_text = f"{utc:%H%M%S.%f}"[:9]
     angles = (f"{heading_deg:.3f}", "T", f"{roll_deg:+.3f}", f"{pitch_deg:+.3f}")
     fields = ["R", time_text, *angles, "+0.00", "0.001", "0.001", "0.001", "2", "1"]
     return pynmea2.ProprietarySentence("ASH", fields).render(newline=True).encode()
@@ -64,13 +64,13 @@ def pashr(moment, heading_deg, pitch_deg, roll_deg):
 def test_attitudes_are_exact_to_the_printed_decimals(listening, burst, print_deg):
     node = listening({"seapath": udp("ins")}, namespace="aurora")
     start = datetime.now(timezone.utc).replace(microsecond=0) - timedelta(seconds=2)
-    moments = [start + timedelta(milliseconds=100 * number) for number in range(len(ANGLES_DEG))]
-    for moment, angles in zip(moments, ANGLES_DEG, strict=True):
-        node.send("seapath", burst(moment, *angles))
+    times = [start + timedelta(milliseconds=100 * number) for number in range(len(ANGLES_DEG))]
+    for utc, angles in zip(times, ANGLES_DEG, strict=True):
+        node.send("seapath", burst(utc, *angles))
     messages = node.received["ins/imu"]
     node.wait_until(lambda: len(messages) == len(ANGLES_DEG))
-    for message, moment, angles in zip(messages, moments, ANGLES_DEG, strict=True):
-        assert ns_from_stamp(message.header.stamp) == datetime_ns(moment)
+    for message, utc, angles in zip(messages, times, ANGLES_DEG, strict=True):
+        assert ns_from_stamp(message.header.stamp) == datetime_ns(utc)
         q = message.orientation
         expected = rotation_from_angles(*np.deg2rad(angles))
         error = log_rotation(expected.T @ rotation_from_quaternion(np.array([q.x, q.y, q.z, q.w])))
@@ -79,7 +79,7 @@ def test_attitudes_are_exact_to_the_printed_decimals(listening, burst, print_deg
         assert message.header.frame_id == "ins"
         assert message.angular_velocity_covariance[0] == -1.0
     values = node.wait_until(
-        lambda: (told := node.source_status("seapath"))[:2] == (OK, "publishes ins/imu") and told[2]
+        lambda: (status := node.source_status("seapath"))[:2] == (OK, "publishes ins/imu") and status[2]
     )
     assert values["ins/imu"] == str(len(ANGLES_DEG))
 
@@ -123,8 +123,8 @@ def test_sentences_without_checksum_need_the_parameter(listening):
     node.wait_until(lambda: len(node.received["reference/old/imu"]) == 2 and node.received["reference/new/imu"])
     for id_, rejected in (("old", "1"), ("new", "2")):
         node.wait_until(
-            lambda id_=id_, rejected=rejected: (told := node.source_status(id_))
-            and told[2].get("rejected: half line or no checksum") == rejected
+            lambda id_=id_, rejected=rejected: (status := node.source_status(id_))
+            and status[2].get("rejected: half line or no checksum") == rejected
         )
     assert [len(node.received[f"reference/{id_}/imu"]) for id_ in ("old", "new")] == [2, 1]
 
@@ -138,7 +138,7 @@ def test_sources_of_one_port_are_separated_by_talker(listening):
     node.send("fore", lines_of("HEHDT,10.0,T", "HNHDT,20.0,T", "GPHDT,30.0,T"))
     node.wait_until(lambda: node.received["reference/fore/imu"] and node.received["reference/aft/imu"])
     assert [len(node.received[f"reference/{id_}/imu"]) for id_ in ("fore", "aft")] == [1, 1]
-    values = node.wait_until(lambda: (told := node.source_status("fore"))[2].get("lines") == "3" and told[2])
+    values = node.wait_until(lambda: (status := node.source_status("fore"))[2].get("lines") == "3" and status[2])
     assert (values["other talker: HN"], values["other talker: GP"]) == ("1", "1")
 
 
@@ -164,7 +164,7 @@ def test_unusable_lines_are_counted_and_the_rest_is_used(listening):
         )
     ))  # fmt: skip
     node.wait_until(lambda: len(node.received["reference/gyro/imu"]) == 10)
-    _, text, values = node.wait_until(lambda: (told := node.source_status("gyro"))[0] == WARN and told)
+    _, text, values = node.wait_until(lambda: (status := node.source_status("gyro"))[0] == WARN and status)
     assert {name: count for name, count in values.items() if name.startswith(("rejected", "not of", "other"))} == {
         "rejected: binary noise": "1", "rejected: checksum failed": "1", "rejected: half line or no checksum": "2",
         "rejected: line too long": "1", "rejected: no values in it": "1", "rejected: unknown sentence": "1",
@@ -209,15 +209,15 @@ def test_foreign_sender_and_cut_datagrams_lose_no_ins_message(listening):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as foreign:
         foreign.bind(("127.0.0.2", 0))
         for number in range(100):
-            moment = start + timedelta(milliseconds=10 * number)
-            data = b"\xb5b\x01\x07$\x00\xff" + pashr(moment, 10.0, 1.0, 2.0)
+            utc = start + timedelta(milliseconds=10 * number)
+            data = b"\xb5b\x01\x07$\x00\xff" + pashr(utc, 10.0, 1.0, 2.0)
             node.send("seapath", data[:40])
             node.send("seapath", data[40:])
             if number % 20 == 1:
-                ahead = pashr(moment + timedelta(seconds=30), 90.0, 0.0, 0.0)
+                ahead = pashr(utc + timedelta(seconds=30), 90.0, 0.0, 0.0)
                 foreign.sendto(ahead, ("127.0.0.1", node.config.sources["seapath"].port))
         node.wait_until(lambda: len(node.received["ins/imu"]) == 100)
-        values = node.wait_until(lambda: (told := node.source_status("seapath"))[2].get("lines") == "305" and told[2])
+        values = node.wait_until(lambda: (got := node.source_status("seapath"))[2].get("lines") == "305" and got[2])
         assert values[f"other sender: 127.0.0.2:{foreign.getsockname()[1]}"] == "5"
         assert values["not of interest: binary"] == "200"
     node.send("gps", b"$INGGA,000000.16,2200.110899,S,01756.359432,W,1,12,0.7,-2.76,M,4.67,M,,*6C\r\n")
@@ -256,7 +256,7 @@ def test_server_restart_and_lines_in_chunks(listening):
     server = Server(port)
     server.connection.sendall(lines_of("HEHDT,40.0,T"))
     node.wait_until(lambda: len(node.received["reference/gyro/imu"]) == 3)
-    values = node.wait_until(lambda: (told := node.source_status("gyro"))[2].get("lines") == "3" and told[2])
+    values = node.wait_until(lambda: (status := node.source_status("gyro"))[2].get("lines") == "3" and status[2])
     assert not [name for name in values if name.startswith("rejected")]
     server.close()
 

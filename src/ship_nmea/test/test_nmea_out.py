@@ -90,12 +90,12 @@ def shows(bridge, heading_deg):
 ])  # fmt: skip
 def test_attitude_is_sent_with_its_quality(ship, bridge, status, mode, quality):
     heading_deg = 100.0 + 10.0 * status
-    told = {}
+    messages = {}
 
     def publish():
         message = ship.publish(heading_deg, status=status)
         stamp = message.header.stamp
-        told[f"{stamp.sec % 60:02d}.{round(stamp.nanosec / 1e6):03d}"] = message
+        messages[f"{stamp.sec % 60:02d}.{round(stamp.nanosec / 1e6):03d}"] = message
 
     read_until(ship, bridge, lambda: shows(bridge, heading_deg) and bridge.last("SXN23"), publish)
     assert bridge.last("THS").mode == mode
@@ -106,7 +106,7 @@ def test_attitude_is_sent_with_its_quality(ship, bridge, status, mode, quality):
     assert (pashr.pitch, pashr.roll) == (2.0, -3.0)
     # 3″, 2″ and 1″, rounded up at 0.0001°.
     assert (pashr.heading_accuracy, pashr.pitch_accuracy, pashr.roll_accuracy) == (0.0009, 0.0006, 0.0003)
-    assert pashr.data[1][4:] in told  # the time is that of the stamp
+    assert pashr.data[1][4:] in messages  # the time is that of the stamp
 
 
 def is_void(bridge):
@@ -121,7 +121,7 @@ def is_void(bridge):
     return True
 
 
-@pytest.mark.parametrize(("how", "told"), [
+@pytest.mark.parametrize(("how", "text"), [
     ({"status": ShipAttitude.INVALID}, "ship/attitude is INVALID"),
     ({"status": 17}, "ship/attitude is INVALID"),
     ({"heading_deg": math.nan}, "ship/attitude has an angle that is not a number"),
@@ -130,7 +130,7 @@ def is_void(bridge):
     ({"age_s": -5.0}, "after this node's clock"),
     (None, "ship/attitude: no message for"),
 ])  # fmt: skip
-def test_invalid_or_old_attitude_is_sent_void(ship, bridge, how, told):
+def test_invalid_or_old_attitude_is_sent_void(ship, bridge, how, text):
     read_until(ship, bridge, lambda: shows(bridge, 55.0), lambda: ship.publish(55.0))
     ship.statuses.clear()
     read_until(ship, bridge, lambda: is_void(bridge), lambda: how and ship.publish(**how))
@@ -138,7 +138,7 @@ def test_invalid_or_old_attitude_is_sent_void(ship, bridge, how, told):
 
     def status_has_reason():
         status = ship.statuses.get("nmea_out: attitude")
-        return status is not None and told in status.message
+        return status is not None and text in status.message
 
     wait_until(ship, status_has_reason, lambda: how and ship.publish(**how))
     bridge.read()
@@ -174,7 +174,7 @@ def test_diagnostics_contain_every_sink(ship, bridge):
 SINK = "/**/nmea_out:\n  ros__parameters:\n    sinks:\n      bridge:\n"
 
 
-@pytest.mark.parametrize(("text", "told"), [
+@pytest.mark.parametrize(("text", "expected"), [
     (SINK + "        kind: tcp_server\n        prt: 10110\n",
      ":6: parameter 'sinks.bridge.prt' is unknown: expected one of port,"),
     (SINK + "        kind: tcp\n", ":5: parameter 'sinks.bridge.kind' = 'tcp' must be one of udp, tcp_server,"),
@@ -192,7 +192,7 @@ SINK = "/**/nmea_out:\n  ros__parameters:\n    sinks:\n      bridge:\n"
     ("/**/nmea_out:\n  ros__parameters:\n    talker: HE\n", ": parameter 'sinks' names no sink"),
     ("/**/nmeaout:\n  ros__parameters:\n    talker: HE\n", ":1: section '/**/nmeaout' does not fit node '/nmea_out'"),
 ])  # fmt: skip
-def test_bad_parameter_is_one_line_with_file_line_and_expectation(tmp_path, monkeypatch, capsys, text, told):
+def test_bad_parameter_is_one_line_with_file_line_and_expectation(tmp_path, monkeypatch, capsys, text, expected):
     monkeypatch.setattr(signal, "signal", lambda *_: None)  # keep the handlers of the tests
     path = tmp_path / "suite.yaml"
     with socket.socket() as busy:
@@ -201,11 +201,11 @@ def test_bad_parameter_is_one_line_with_file_line_and_expectation(tmp_path, monk
         port = str(busy.getsockname()[1])
         path.write_text(text.replace("BUSY", port))
         code = main(["--ros-args", "--params-file", str(path)])
-    said = capsys.readouterr()
-    assert (code, said.out) == (2, "")
-    place = f"nmea_out: {path}" if told.startswith(":") and "names no sink" not in told else "nmea_out"
-    assert said.err.count("\n") == 1
-    assert said.err.startswith(place + told.replace("BUSY", port)), said.err
+    printed = capsys.readouterr()
+    assert (code, printed.out) == (2, "")
+    place = f"nmea_out: {path}" if expected.startswith(":") and "names no sink" not in expected else "nmea_out"
+    assert printed.err.count("\n") == 1
+    assert printed.err.startswith(place + expected.replace("BUSY", port)), printed.err
 
 
 def test_busy_port_of_one_sink_does_not_stop_the_others(tmp_path):
@@ -225,8 +225,8 @@ def test_busy_port_of_one_sink_does_not_stop_the_others(tmp_path):
         finally:
             assert stop_node(process) == 0
     assert path.read_text().startswith("$INHDT,,T*")
-    told = f"parameter 'sinks.busy.port' = {port}: Address already in use: another program uses it"
-    assert told in log.read_text()
+    expected = f"parameter 'sinks.busy.port' = {port}: Address already in use: another program uses it"
+    assert expected in log.read_text()
 
 
 def test_no_alert_of_a_played_bag_is_sent(tmp_path):
@@ -279,12 +279,12 @@ def test_bad_parameter_ends_the_process_with_2():
 
 
 def test_throttle_selects_the_rate():
-    """Also with jitter; after a gap there is no burst."""
+    """The rate holds with jitter too, and there is no burst after a gap."""
     period_ns = 10_000_000
     jitter = [0, 3_000_000, -2_000_000, 1_000_000, -3_000_000]
     for rate_hz, taken in ((10.0, 100), (100.0, 1000), (1000.0, 1000), (30.0, 300)):
         pace = Throttle(rate_hz)
-        due = [pace.is_due(number * period_ns + jitter[number % 5]) for number in range(1000)]
-        assert abs(sum(due) - taken) <= 2
+        sent = [pace.is_due(number * period_ns + jitter[number % 5]) for number in range(1000)]
+        assert abs(sum(sent) - taken) <= 2
     pace = Throttle(10.0)
     assert [pace.is_due(time_ns) for time_ns in (0, 10**12, 10**12 + 1, 10**12 + 10**8)] == [True, True, False, True]

@@ -39,7 +39,7 @@ def excerpt(source):
 
 
 @pytest.fixture
-def imported(tmp_path):
+def imported_messages(tmp_path):
     """Topic → (log time in s since midnight, CDR bytes) of the messages of import_nmea from the excerpts."""
     paths = {}
     for source in FILES:
@@ -57,7 +57,7 @@ def imported(tmp_path):
     return found
 
 
-def test_live_messages_equal_imported_ones(listening, imported):
+def test_live_messages_equal_imported_ones(listening, imported_messages):
     node = listening(
         {
             source: {"kind": "udp", "address": "127.0.0.1", "port": free_port(), "becomes": ROLES[source]}
@@ -65,7 +65,7 @@ def test_live_messages_equal_imported_ones(listening, imported):
         },
         use_sim_time=True,
     )
-    assert node.received.keys() == imported.keys()
+    assert node.received.keys() == imported_messages.keys()
     lines = sorted((time_s, source, line) for source in FILES for time_s, line in excerpt(source))
     for begin_s in range(0, EXCERPT_S, BLOCK_S):
         if begin_s % CLOCK_STEP_S == 0:
@@ -74,15 +74,15 @@ def test_live_messages_equal_imported_ones(listening, imported):
             if begin_s <= time_s < begin_s + BLOCK_S:
                 node.send(source, line.partition(" ")[2].encode())
         # As fast as the node takes it, without loss.
-        for topic, expected in imported.items():
+        for topic, expected in imported_messages.items():
             count = sum(time_s < begin_s + BLOCK_S for time_s, _ in expected)
             node.wait_until(lambda topic=topic, count=count: len(node.received[topic]) >= count)
-    for topic, expected in imported.items():
-        heard, kind = node.received[topic], type(node.received[topic][0])
-        assert len(heard) == len(expected) > 200
+    for topic, expected in imported_messages.items():
+        received, kind = node.received[topic], type(node.received[topic][0])
+        assert len(received) == len(expected) > 200
         wanted = [deserialize_message(data, kind) for _, data in expected]
         if topic in ARRIVAL_STAMPED:
-            for message in (*heard, *wanted):
+            for message in (*received, *wanted):
                 message.header.stamp.sec = message.header.stamp.nanosec = 0
-        assert [value_bytes(message) for message in heard] == [value_bytes(message) for message in wanted]
+        assert [value_bytes(message) for message in received] == [value_bytes(message) for message in wanted]
     assert node.exception_text() == "no exception"

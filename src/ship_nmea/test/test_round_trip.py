@@ -32,7 +32,7 @@ ANGLES_DEG = [
 
 
 @pytest.fixture
-def teller(tmp_path):
+def make_publisher(tmp_path):
     """Start nmea_out with a sink; return a publisher of attitudes."""
     context, stop = Context(), threading.Event()
     closing = []
@@ -60,10 +60,10 @@ def teller(tmp_path):
 
 
 @pytest.mark.smoke
-def test_attitude_round_trip(listening, teller):
+def test_attitude_round_trip(listening, make_publisher):
     port = free_port()
     node = listening({"link": {"kind": "udp", "address": "127.0.0.1", "port": port, "becomes": "ins"}})
-    publisher = teller(port)
+    publisher = make_publisher(port)
     for angles in ANGLES_DEG:
         heading, pitch, roll = np.deg2rad(angles)
         sent = ShipAttitude(status=ShipAttitude.VALID, heading=heading, pitch=pitch, roll=roll)

@@ -21,13 +21,13 @@ from ship_nmea.out.sink import MAX_QUEUED, RETRY_S, Sink
 from ship_node.edge.messages_out import Level
 from ship_testing.nmea_in_peer import free_port
 
-PATIENCE_S = 20.0
+TIMEOUT_S = 20.0
 SENTENCE = "$INHDT,12.3456,T*08"
 
 
-def until(look):
+def wait_until(look):
     """Return the value of ``look`` as soon as it is true."""
-    end_s = time.monotonic() + PATIENCE_S
+    end_s = time.monotonic() + TIMEOUT_S
     while not (found := look()) and time.monotonic() < end_s:
         time.sleep(0.01)
     assert found
@@ -36,13 +36,13 @@ def until(look):
 
 @pytest.fixture
 def open_sink():
-    """Make started sinks, which are closed after the test. The lines that they receive are in ``heard``."""
+    """Make started sinks, which are closed after the test. The lines that they receive are in ``received_lines``."""
     sinks = []
 
     def make(**values):
-        heard = []
-        sink = Sink("bridge", SinkConfig(**values), lambda text, _: heard.append(text))
-        sink.heard = heard
+        lines = []
+        sink = Sink("bridge", SinkConfig(**values), lambda text, _: lines.append(text))
+        sink.received_lines = lines
         sinks.append(sink)
         sink.start()
         return sink
@@ -53,23 +53,23 @@ def open_sink():
 
 
 def connect(port):
-    client = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S)
-    client.settimeout(PATIENCE_S)
+    client = socket.create_connection(("127.0.0.1", port), timeout=TIMEOUT_S)
+    client.settimeout(TIMEOUT_S)
     return client
 
 
 def test_udp_sends_whole_sentences_and_receives_commands(open_sink):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as bridge:
         bridge.bind(("127.0.0.1", 0))
-        bridge.settimeout(PATIENCE_S)
+        bridge.settimeout(TIMEOUT_S)
         listen_port = free_port()
         port = bridge.getsockname()[1]
         sink = open_sink(kind="udp", address="127.0.0.1", port=port, listen_port=listen_port)
         sink.put(SENTENCE)
         assert bridge.recv(1000) == f"{SENTENCE}\r\n".encode()
         bridge.sendto(b"$IIACN,1*00\r\n$IIHBT,2*00", ("127.0.0.1", listen_port))
-        until(lambda: "$IIHBT,2*00" in sink.heard)
-        assert "$IIACN,1*00" in sink.heard
+        wait_until(lambda: "$IIHBT,2*00" in sink.received_lines)
+        assert "$IIACN,1*00" in sink.received_lines
         assert sink.status().level is Level.OK
 
 
@@ -78,7 +78,7 @@ def test_udp_continues_without_receiver(open_sink):
     for _ in range(5):
         sink.put(SENTENCE)
         time.sleep(0.01)
-    until(lambda: int(sink.status().values["sent"]) == 5)
+    wait_until(lambda: int(sink.status().values["sent"]) == 5)
     assert sink.status().level is Level.OK
 
 
@@ -87,7 +87,7 @@ def test_udp_reaches_a_group(open_sink):
         member.bind(("239.192.0.1", 0))
         own = socket.inet_aton("127.0.0.1")
         member.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton("239.192.0.1") + own)
-        member.settimeout(PATIENCE_S)
+        member.settimeout(TIMEOUT_S)
         port = member.getsockname()[1]
         open_sink(kind="udp", address="239.192.0.1", port=port, interface="127.0.0.1").put(SENTENCE)
         assert member.recv(1000) == f"{SENTENCE}\r\n".encode()
@@ -97,14 +97,14 @@ def test_tcp_serves_several_clients_and_receives_lines_in_chunks(open_sink):
     port = free_port(socket.SOCK_STREAM)
     sink = open_sink(kind="tcp_server", port=port)
     with connect(port) as one, connect(port) as two:
-        until(lambda: "2 clients" in sink.status().message)
+        wait_until(lambda: "2 clients" in sink.status().message)
         sink.put(SENTENCE)
         for client in (one, two):
             assert client.recv(1000) == f"{SENTENCE}\r\n".encode()
         for piece in (b"$IIA", b"CN,1*00\r", b"\n$II"):
             two.sendall(piece)
-        until(lambda: sink.heard == ["$IIACN,1*00"])
-    until(lambda: "0 clients" in sink.status().message)
+        wait_until(lambda: sink.received_lines == ["$IIACN,1*00"])
+    wait_until(lambda: "0 clients" in sink.status().message)
     assert sink.status().level is Level.OK
 
 
@@ -116,14 +116,14 @@ def test_client_that_does_not_read_is_disconnected(open_sink, monkeypatch):
     with socket.socket() as lazy, connect(port) as reader:
         lazy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
         lazy.connect(("127.0.0.1", port))
-        until(lambda: "2 clients" in sink.status().message)
+        wait_until(lambda: "2 clients" in sink.status().message)
 
         def one_more_reaches_the_reader():
             sink.put(SENTENCE)
             assert reader.recv(1000).endswith(b"\r\n")
             return "1 clients disconnected" in sink.status().message
 
-        until(one_more_reaches_the_reader)
+        wait_until(one_more_reaches_the_reader)
         assert "1 clients, " in sink.status().message
         assert sink.status().level is Level.WARN
 
@@ -137,7 +137,7 @@ def test_client_that_does_not_read_is_disconnected_at_a_low_rate(open_sink, monk
     with socket.socket() as lazy, connect(port) as reader:
         lazy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
         lazy.connect(("127.0.0.1", port))
-        until(lambda: "2 clients" in sink.status().message)
+        wait_until(lambda: "2 clients" in sink.status().message)
         count = 0
 
         def one_more():
@@ -148,7 +148,7 @@ def test_client_that_does_not_read_is_disconnected_at_a_low_rate(open_sink, monk
             time.sleep(0.02)
             return "1 clients, 1 clients disconnected" in sink.status().message
 
-        until(one_more)
+        wait_until(one_more)
         assert count < 400  # of 21 bytes; 480 fill both buffers
 
 
@@ -157,9 +157,9 @@ def test_one_host_cannot_use_all_connections(open_sink):
     sink = open_sink(kind="tcp_server", port=port)
     clients = [connect(port) for _ in range(MAX_CLIENTS_PER_HOST + 2)]
     try:
-        until(lambda: "2 clients disconnected, 127.0.0.1 has 8 connections, the max" in sink.status().message)
-        with socket.create_connection(("127.0.0.1", port), PATIENCE_S, ("127.0.0.2", 0)) as other:
-            until(lambda: "9 clients" in sink.status().message)
+        wait_until(lambda: "2 clients disconnected, 127.0.0.1 has 8 connections, the max" in sink.status().message)
+        with socket.create_connection(("127.0.0.1", port), TIMEOUT_S, ("127.0.0.2", 0)) as other:
+            wait_until(lambda: "9 clients" in sink.status().message)
             sink.put(SENTENCE)
             assert other.recv(1000) == f"{SENTENCE}\r\n".encode()
     finally:
@@ -173,8 +173,8 @@ def test_slow_client_receives_whole_sentences(open_sink):
     with socket.socket() as slow:
         slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
         slow.connect(("127.0.0.1", port))
-        slow.settimeout(PATIENCE_S)
-        until(lambda: "1 clients" in sink.status().message)
+        slow.settimeout(TIMEOUT_S)
+        wait_until(lambda: "1 clients" in sink.status().message)
         number = 0
 
         def one_more_until_some_are_skipped():
@@ -183,7 +183,7 @@ def test_slow_client_receives_whole_sentences(open_sink):
             sink.put(f"${number:070d}")
             return "skipped" in sink.status().message
 
-        until(one_more_until_some_are_skipped)
+        wait_until(one_more_until_some_are_skipped)
         data = b""
         while len(data) < 3000:
             sink.put("$end")
@@ -204,7 +204,7 @@ def test_port_in_use_is_an_opening_error(open_sink):
         sink = open_sink(kind="udp", address="127.0.0.1", port=port, listen_port=taken)
         assert f"'sinks.bridge.listen_port' = {taken}: Address already in use" in str(sink.opening_error)
         assert sink.status().level is Level.ERROR
-    until(lambda: sink.status().level is Level.OK)
+    wait_until(lambda: sink.status().level is Level.OK)
 
 
 def test_foreign_address_is_an_opening_error(open_sink):
@@ -250,7 +250,7 @@ def test_serial_sends_and_receives_at_its_rate(open_sink, line):
     assert os.read(far, 1000) == f"{SENTENCE}\r\n".encode()
     assert termios.tcgetattr(far)[5] == termios.B4800
     os.write(far, b"$IIACN,1*00\r\n")
-    until(lambda: sink.heard == ["$IIACN,1*00"])
+    wait_until(lambda: sink.received_lines == ["$IIACN,1*00"])
 
 
 def test_lost_serial_line_is_reported_and_opened_again(open_sink, tmp_path):
@@ -267,12 +267,12 @@ def test_lost_serial_line_is_reported_and_opened_again(open_sink, tmp_path):
     assert os.read(far, 1000)
     (tmp_path / "ttyUSB0").unlink()
     os.close(far)
-    status = until(lambda: sink.status().level is Level.ERROR and sink.status())
+    status = wait_until(lambda: sink.status().level is Level.ERROR and sink.status())
     assert f"retried every {RETRY_S:g} s" in status.message
     sink.put("$OLD")
     far = plug()
     try:
-        until(lambda: sink.status().level is not Level.ERROR)
+        wait_until(lambda: sink.status().level is not Level.ERROR)
         sink.put(SENTENCE)
         # Sentences queued while it was unplugged are not sent afterwards.
         assert os.read(far, 1000) == f"{SENTENCE}\r\n".encode()
@@ -291,7 +291,7 @@ def test_old_sentences_of_a_blocked_serial_line_are_dropped(open_sink, line):
             sink.put(SENTENCE * 20, max_wait_ns=50_000_000)
         return any("expired in the queue" in why for why in sink.status().values)
 
-    until(one_more)
+    wait_until(one_more)
     assert sink.status().level is Level.WARN
     assert int(sink.status().values["waiting"]) <= MAX_QUEUED
 
@@ -316,8 +316,8 @@ def test_serial_device_without_permission_is_an_opening_error(tmp_path):
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
     os.close(far)
     os.close(near)
-    told = ended.stderr.splitlines()[-1]
-    assert f"BadInput: parameter 'sinks.gyro.device' = '{name}': Permission denied: not permitted" in told
+    error = ended.stderr.splitlines()[-1]
+    assert f"BadInput: parameter 'sinks.gyro.device' = '{name}': Permission denied: not permitted" in error
 
 
 def test_a_file_is_appended_to(open_sink, tmp_path):
@@ -332,9 +332,9 @@ def test_a_file_is_appended_to(open_sink, tmp_path):
 def test_full_disk_is_reported_and_retried(open_sink):
     sink = open_sink(kind="file", path="/dev/full")
     sink.put(SENTENCE)
-    status = until(lambda: sink.status().level is Level.ERROR and sink.status())
+    status = wait_until(lambda: sink.status().level is Level.ERROR and sink.status())
     assert "No space left on device" in status.message
-    until(lambda: sink.status().level is not Level.ERROR)
+    wait_until(lambda: sink.status().level is not Level.ERROR)
 
 
 def test_full_disk_leaves_no_half_sentence(tmp_path):
@@ -356,20 +356,20 @@ def test_full_disk_leaves_no_half_sentence(tmp_path):
     assert path.read_bytes() == f"{SENTENCE}\r\n".encode()
 
 
-@pytest.mark.parametrize(("kind", "told"), [
+@pytest.mark.parametrize(("kind", "advice"), [
     ("tcp_server", "ports below 1024"), ("udp", "ports below 1024"), ("serial", "'dialout'"), ("file", "a folder"),
 ])  # fmt: skip
-def test_advice_on_missing_permission_depends_on_the_kind(kind, told):
+def test_advice_on_missing_permission_depends_on_the_kind(kind, advice):
     named_by = {kind: ("port", "address")}
-    assert told in str(
+    assert advice in str(
         permanent_error(PermissionError(errno.EACCES, "no"), "sinks.bridge", SinkConfig(kind=kind), named_by)
     )
 
 
 def test_unsupported_rate_names_its_parameter():
     problem, named_by = OSError(errno.EINVAL, "no"), {"serial": ("device", "baud")}
-    told = str(permanent_error(problem, "sinks.gyro", SinkConfig(kind="serial", baud=12345), named_by))
-    assert told.startswith("parameter 'sinks.gyro.baud' = 12345: Invalid argument: expected a rate")
+    error = str(permanent_error(problem, "sinks.gyro", SinkConfig(kind="serial", baud=12345), named_by))
+    assert error.startswith("parameter 'sinks.gyro.baud' = 12345: Invalid argument: expected a rate")
     assert permanent_error(OSError(errno.ENOENT, "no"), "sinks.gyro", SinkConfig(kind="serial"), named_by) is None
 
 
@@ -391,7 +391,7 @@ def test_hanging_disk_delays_neither_node_nor_end(tmp_path):
     reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     sink = Sink("log", SinkConfig(kind="file", path=str(path)), print)
     sink.start()
-    end_s = time.monotonic() + PATIENCE_S
+    end_s = time.monotonic() + TIMEOUT_S
     while "dropped" not in sink.status().message and time.monotonic() < end_s:
         began_s = time.monotonic()
         sink.put(SENTENCE * 100)

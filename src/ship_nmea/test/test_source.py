@@ -30,12 +30,12 @@ def source():
     return make
 
 
-def pashr(moment):
-    return sentence(f"PASHR,{moment:%H%M%S.%f},90.0,T,+1.0,+2.0,,0.1,0.1,0.1,1,1").encode()
+def pashr(utc):
+    return sentence(f"PASHR,{utc:%H%M%S.%f},90.0,T,+1.0,+2.0,,0.1,0.1,0.1,1,1").encode()
 
 
 def published_topics(source, line, arrival_ns, now_ns=0, *sender):
-    return [topic for heard in parse_line(line) for topic, _ in source.convert(heard, arrival_ns, now_ns, *sender)]
+    return [topic for parsed in parse_line(line) for topic, _ in source.convert(parsed, arrival_ns, now_ns, *sender)]
 
 
 def test_backward_jump_of_node_time_resets_the_instrument(source):
@@ -43,8 +43,8 @@ def test_backward_jump_of_node_time_resets_the_instrument(source):
     ins = source(becomes="ins")
     for _ in range(2):
         for seconds in range(3):
-            moment = START + timedelta(seconds=seconds)
-            assert published_topics(ins, pashr(moment), datetime_ns(moment)) == ["ins/imu"]
+            utc = START + timedelta(seconds=seconds)
+            assert published_topics(ins, pashr(utc), datetime_ns(utc)) == ["ins/imu"]
 
 
 def test_no_line_is_used_without_node_time(source):
@@ -59,33 +59,33 @@ def test_corrected_clock_is_used_again(source):
     ins, given = source(becomes="ins"), []
     for second in range(20):
         arrival = START + timedelta(seconds=second)
-        told = arrival + timedelta(seconds=30 if second < 10 else 0)
-        fix = sentence(f"INGGA,{told:%H%M%S}.00,2200.110899,S,01756.359432,W,1,12,0.7,-2.76,M,4.67,M,,").encode()
+        stated = arrival + timedelta(seconds=30 if second < 10 else 0)
+        fix = sentence(f"INGGA,{stated:%H%M%S}.00,2200.110899,S,01756.359432,W,1,12,0.7,-2.76,M,4.67,M,,").encode()
         assert published_topics(ins, fix, datetime_ns(arrival), second * NS_PER_S) == ["gnss/fix"]
-        given += [second for _ in published_topics(ins, pashr(told), datetime_ns(arrival), second * NS_PER_S)]
+        given += [second for _ in published_topics(ins, pashr(stated), datetime_ns(arrival), second * NS_PER_S)]
         if second == 9:
             status = ins.status("", 0, second * NS_PER_S)
             assert status.level == Level.WARN
             assert status.message.startswith("its clock is 30 s ahead of this computer's: set the clocks")
     assert given == [*range(10), *range(14, 20)]
-    assert ins.status("", 0, 30 * NS_PER_S - 1).level == Level.ERROR  # silent again
+    assert ins.status("", 0, 30 * NS_PER_S - 1).level == Level.ERROR  # no data again
     assert "ahead" not in ins.status("", 0, 30 * NS_PER_S - 1).message
 
 
-def zda(moment):
-    return sentence(f"GPZDA,{moment:%H%M%S}.00,{moment:%d,%m,%Y},,").encode()
+def zda(utc):
+    return sentence(f"GPZDA,{utc:%H%M%S}.00,{utc:%d,%m,%Y},,").encode()
 
 
 @pytest.mark.parametrize("zda_first", [True, False])
 def test_attitude_has_the_time_of_the_zda_of_its_burst(source, zda_first):
     ins, stamps = source(becomes="ins"), []
     for second in range(10):
-        moment = START + timedelta(seconds=second)
-        lines = [zda(moment), sentence("PSXN,23,1.0,2.0,90.0,0.20").encode()]
+        utc = START + timedelta(seconds=second)
+        lines = [zda(utc), sentence("PSXN,23,1.0,2.0,90.0,0.20").encode()]
         for place, line in enumerate(lines if zda_first else reversed(lines)):
-            arrival_ns = datetime_ns(moment) + (place + 1) * NS_PER_S // 10
-            for heard in parse_line(line):
-                stamps += [ns_from_stamp(message.header.stamp) for _, message in ins.convert(heard, arrival_ns, 0)]
+            arrival_ns = datetime_ns(utc) + (place + 1) * NS_PER_S // 10
+            for parsed in parse_line(line):
+                stamps += [ns_from_stamp(message.header.stamp) for _, message in ins.convert(parsed, arrival_ns, 0)]
     assert stamps == [datetime_ns(START) + second * NS_PER_S for second in range(10)]
 
 
@@ -146,8 +146,19 @@ def test_ths_takes_precedence_over_hdt(source):
     """HDT is used before the first THS and 3 s after the last one, whatever its mode."""
     gyro = source(becomes="gyro")
     hdt, used = "HDT,10.0,T", []
-    said = {0: hdt, 1: "THS,1.0,A", 2: hdt, 3: "THS,1.0,V", 4: "THS,,V", 6: hdt, 7: hdt, 8: hdt, 9: "THS,1,A", 10: hdt}
-    for second, body in said.items():
+    bodies = {
+        0: hdt,
+        1: "THS,1.0,A",
+        2: hdt,
+        3: "THS,1.0,V",
+        4: "THS,,V",
+        6: hdt,
+        7: hdt,
+        8: hdt,
+        9: "THS,1,A",
+        10: hdt,
+    }
+    for second, body in bodies.items():
         if published_topics(gyro, sentence(f"HE{body}").encode(), datetime_ns(START) + second * NS_PER_S):
             used.append(second)
     assert used == [0, 1, 8, 9]
@@ -155,7 +166,7 @@ def test_ths_takes_precedence_over_hdt(source):
 
 
 @pytest.mark.parametrize(
-    ("bodies", "told"),
+    ("bodies", "reason"),
     [
         (["HEVTG,,T,,M,,N,,K,A"], "lines come, but no reference/a/imu for 2 s: received: HEVTG"),
         (["GPHDT,10.0,T"], "received: no usable sentences, of other talkers GP"),
@@ -163,13 +174,13 @@ def test_ths_takes_precedence_over_hdt(source):
         ([], "udp 0.0.0.0:10110: no line for 2 s"),
     ],
 )
-def test_source_without_messages_is_reported_with_the_reason(source, bodies, told):
+def test_source_without_messages_is_reported_with_the_reason(source, bodies, reason):
     gyro = source(becomes="gyro", silent_after_s=1.0, talkers=["HE"])
     for body in bodies:
         published_topics(gyro, sentence(body).encode(), datetime_ns(START), 2 * NS_PER_S)
     status = gyro.status("", 0, 2 * NS_PER_S)
     assert status.level == Level.ERROR
-    assert told in status.message
+    assert reason in status.message
 
 
 def test_past_fault_is_a_warning_for_ten_seconds(source):
@@ -218,8 +229,8 @@ def test_odd_fields_never_raise(source):
         for _ in range(rng.randint(0, 2)):
             fields[rng.randrange(len(fields))] = rng.choice(ODD)
         line = sentence(",".join([name, *fields])).encode(errors="replace")
-        for heard in parse_line(line):
-            for topic, message in sources[role].convert(heard, datetime_ns(START) + number, 0):
+        for parsed in parse_line(line):
+            for topic, message in sources[role].convert(parsed, datetime_ns(START) + number, 0):
                 given += 1
                 if topic.endswith("imu"):
                     q = message.orientation

@@ -69,30 +69,30 @@ def test_overload_ends_after_one_second_of_short_waits_with_a_frozen_clock() -> 
     assert not node.backlog.is_behind
 
 
-def evaluate_hiccups(node: Node, seconds: float, hiccup_ms: int, rate: float) -> list[OverloadChange]:
-    """Return the changes while the node stands still for ``hiccup_ms`` each 0.9 s and then processes the queue."""
+def evaluate_stalls(node: Node, seconds: float, stall_ms: int, rate: float) -> list[OverloadChange]:
+    """Return the changes while the node stops for ``hiccup_ms`` each 0.9 s and then processes the queue."""
     changes = []
     for _ in range(round(seconds / 0.9)):
         changes += node.evaluate_for(0.9, 0.0)
-        changes.append(node.evaluate(hiccup_ms * rate, step_ns=hiccup_ms * MS))
-        changes.append(node.evaluate(hiccup_ms * rate / 2))
+        changes.append(node.evaluate(stall_ms * rate, step_ns=stall_ms * MS))
+        changes.append(node.evaluate(stall_ms * rate / 2))
     return [change for change in changes if change is not OverloadChange.NONE]
 
 
 @pytest.mark.parametrize("rate", [1.0, 5.0, 10.0, 20.0])
-@pytest.mark.parametrize("hiccup_ms", [25, 50, 140])
-def test_short_standstills_with_a_fast_clock_end_the_overload(rate: float, hiccup_ms: int) -> None:
+@pytest.mark.parametrize("stall_ms", [25, 50, 140])
+def test_short_standstills_with_a_fast_clock_end_the_overload(rate: float, stall_ms: int) -> None:
     node = Node(rate)
     node.evaluate(3100.0)
-    assert evaluate_hiccups(node, 3.0, hiccup_ms, rate) == [OverloadChange.KEEPS_UP]
-    assert evaluate_hiccups(node, 10.0, hiccup_ms, rate) == []
+    assert evaluate_stalls(node, 3.0, stall_ms, rate) == [OverloadChange.KEEPS_UP]
+    assert evaluate_stalls(node, 10.0, stall_ms, rate) == []
 
 
 @pytest.mark.parametrize("rate", [1.0, 5.0, 10.0])
 def test_long_standstills_with_a_fast_clock_keep_the_overload(rate: float) -> None:
     node = Node(rate)
     node.evaluate(3100.0)
-    assert evaluate_hiccups(node, 10.0, 250, rate) == []
+    assert evaluate_stalls(node, 10.0, 250, rate) == []
     assert node.backlog.is_behind
 
 
@@ -115,7 +115,7 @@ def test_working_time_before_a_clock_jump_back_delays_no_detection() -> None:
 
 
 def test_overload_text() -> None:
-    told = current_overload(3_240 * MS, {"ins/imu": 320})
-    assert (told.behind_s, told.cut) == (3.24, {"ins/imu": 320})
-    assert told.cores >= 1
-    assert told.text("relay").startswith("relay is 3.2 s behind: the computer is too slow (")
+    overload = current_overload(3_240 * MS, {"ins/imu": 320})
+    assert (overload.behind_s, overload.cut) == (3.24, {"ins/imu": 320})
+    assert overload.cores >= 1
+    assert overload.text("relay").startswith("relay is 3.2 s behind: the computer is too slow (")

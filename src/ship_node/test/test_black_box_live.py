@@ -20,7 +20,7 @@ from ship_node.black_box.black_box_format import (
     ServiceCalled,
     Tick,
 )
-from ship_testing.box_entries import SECOND_NS, read_entries
+from ship_testing.black_box_entries import SECOND_NS, read_entries
 from ship_testing.live_relay import RELIABLE_INPUT, SIM_TIME, imu_message
 from ship_testing.places import RELAY_PROGRAM
 
@@ -108,9 +108,9 @@ def test_a_change_refused_before_the_adapter_is_in_log_black_box_and_diagnostics
     assert f"refused: {reason}" in "".join(capfd.readouterr())
     relay.live._black_box.close()
     noted = [what for topic, what, _ in read_entries(tmp_path / "box.mcap") if isinstance(what, ChangeRefused)]
-    # What JSON has no word for stands there as Python writes it.
-    told = value if not isinstance(value, list) else [repr(part) for part in value]
-    assert noted == [ChangeRefused({name: told}, reason)]
+    # Values without a JSON form are recorded in Python's notation.
+    recorded = value if not isinstance(value, list) else [repr(part) for part in value]
+    assert noted == [ChangeRefused({name: recorded}, reason)]
 
 
 def test_black_box_parameter_is_read_only_and_optional(live_relay, tmp_path):

@@ -18,7 +18,7 @@ STATUSES = [
 
 def make_array(factory, statuses, hardware_id):
     """Return the same array by message objects."""
-    told = [
+    fields = [
         {
             "level": int(status.level),
             "name": f"node: {status.name}",
@@ -28,7 +28,7 @@ def make_array(factory, statuses, hardware_id):
         }
         for status in statuses
     ]
-    return factory.make(DIAGNOSTICS_TYPE, header={"stamp": NOW_NS, "frame_id": ""}, status=told)
+    return factory.make(DIAGNOSTICS_TYPE, header={"stamp": NOW_NS, "frame_id": ""}, status=fields)
 
 
 @pytest.mark.parametrize("statuses", [[], STATUSES[:1], STATUSES[:2], STATUSES, STATUSES[::-1]])
@@ -52,7 +52,7 @@ def test_fields_are_those_of_the_bytes():
     array = diagnostic_array(NOW_NS, "node", STATUSES)
     read = message_store().deserialize_cdr(serialize(array), DIAGNOSTICS_TYPE)
     assert (array.header.stamp.sec, array.header.stamp.nanosec) == divmod(NOW_NS, 10**9)
-    for told, status in zip(array.status, read.status, strict=True):
+    for made, status in zip(array.status, read.status, strict=True):
         for name in ("level", "name", "message", "hardware_id"):
-            assert getattr(told, name) == getattr(status, name)
-        assert [(one.key, one.value) for one in told.values] == [(one.key, one.value) for one in status.values]
+            assert getattr(made, name) == getattr(status, name)
+        assert [(one.key, one.value) for one in made.values] == [(one.key, one.value) for one in status.values]

@@ -87,13 +87,13 @@ def test_first_message_timeout_text_depends_on_the_publishers(health):
 
 
 def test_a_configured_device_without_messages_is_a_warning():
-    """As after a mistyped id: its topic has no publisher."""
-    book = InputHealthMonitor(
+    """Its topic has no publisher, as after a mistyped id."""
+    monitor = InputHealthMonitor(
         [InputTopic(STAR, "ship_msgs/msg/StarHorizonAttitude", False, depth=10, is_configured=True)]
     )
-    book.statuses(START_NS)
-    book.set_publisher_count(STAR, 0)
-    (early,), (late,) = book.statuses(START_NS + 4 * S), book.statuses(START_NS + 5 * S)
+    monitor.statuses(START_NS)
+    monitor.set_publisher_count(STAR, 0)
+    (early,), (late,) = monitor.statuses(START_NS + 4 * S), monitor.statuses(START_NS + 5 * S)
     assert (early.level, early.message) == (Level.OK, "no message yet")
     assert (late.level, late.message) == (Level.WARN, "no message for 5 s since the start: no publisher")
 
@@ -103,18 +103,18 @@ def test_one_message_has_no_rate(health):
     assert imu.message == "messages: 1, latency 0.005 s"
 
 
-@pytest.mark.parametrize(("silence_ms", "level"), [(100, Level.OK), (101, Level.WARN), (1001, Level.ERROR)])
-def test_timeout_of_a_required_fast_topic(health, silence_ms, level):
+@pytest.mark.parametrize(("timeout_ms", "level"), [(100, Level.OK), (101, Level.WARN), (1001, Level.ERROR)])
+def test_timeout_of_a_required_fast_topic(health, timeout_ms, level):
     last_ns = feed(health, 100)
-    assert imu_status(health, last_ns + silence_ms * MS).level is level
+    assert imu_status(health, last_ns + timeout_ms * MS).level is level
 
 
-@pytest.mark.parametrize(("silence_ms", "level"), [(600, Level.OK), (601, Level.WARN), (5000, Level.WARN)])
-def test_timeout_of_an_optional_slow_topic_is_three_periods(health, silence_ms, level):
+@pytest.mark.parametrize(("timeout_ms", "level"), [(600, Level.OK), (601, Level.WARN), (5000, Level.WARN)])
+def test_timeout_of_an_optional_slow_topic_is_three_periods(health, timeout_ms, level):
     for i in range(20):
         health.record_arrival(STAR, START_NS + i * 200 * MS)
         health.record_accepted(STAR, START_NS + i * 200 * MS, START_NS + i * 200 * MS)
-    status = health.statuses(START_NS + (19 * 200 + silence_ms) * MS)[1]
+    status = health.statuses(START_NS + (19 * 200 + timeout_ms) * MS)[1]
     assert status.level is level
     assert ("no data for" in status.message) == (level is Level.WARN)
 
@@ -139,14 +139,14 @@ def test_rate_decreases_without_messages(health):
 
 def test_single_rejection_is_a_warning_for_two_seconds_with_reason_and_count(health):
     feed(health, 50)
-    refused_ns = reject(health, 1, Reason.BAD_QUATERNION, start_ns=START_NS + 500 * MS)
-    feed(health, 300, start_ns=refused_ns + 10 * MS)
-    status = imu_status(health, refused_ns + 1_100 * MS)
+    rejected_ns = reject(health, 1, Reason.BAD_QUATERNION, start_ns=START_NS + 500 * MS)
+    feed(health, 300, start_ns=rejected_ns + 10 * MS)
+    status = imu_status(health, rejected_ns + 1_100 * MS)
     assert (status.level, status.message) == (Level.WARN, "rejected, bad_quaternion: text 0")
     assert status.values["reason bad_quaternion"] == "1"
-    message = imu_message(health, refused_ns + 1_100 * MS)
+    message = imu_message(health, rejected_ns + 1_100 * MS)
     assert (message.rejected, message.reasons, list(message.reason_counts)) == (1, ["bad_quaternion"], [1])
-    assert imu_status(health, refused_ns + 2_001 * MS).level is Level.OK
+    assert imu_status(health, rejected_ns + 2_001 * MS).level is Level.OK
 
 
 def test_single_gate_rejection_is_no_warning_but_several_in_a_row_are(health):
@@ -243,8 +243,8 @@ def test_too_old_stamps_are_an_error(health):
     assert (status.level, status.values["accepted"], status.values["reason clock"]) == (Level.ERROR, "20", "20")
     assert status.message == "stamps 310 days before the node's clock: a bag of another time?"
     assert health.stale_stamps_text() == f"{IMU}: {status.message}"
-    refused, noted = health.rejection_and_note_counts()[IMU]
-    assert (refused.total(), dict(noted)) == (0, {Reason.CLOCK: 20})
+    rejected, noted = health.rejection_and_note_counts()[IMU]
+    assert (rejected.total(), dict(noted)) == (0, {Reason.CLOCK: 20})
     health.set_clock_unused(True)
     assert imu_status(health, last_ns).message == f"{status.message} /clock is published: start with use_sim_time:=true"
     message = imu_message(health, last_ns)
@@ -256,9 +256,9 @@ def test_too_old_stamps_are_an_error(health):
 
 
 def test_maximum_age_of_stamps():
-    book = InputHealthMonitor([InputTopic(IMU, "sensor_msgs/msg/Imu", required=True, depth=100)], max_age_s=10.0)
-    assert imu_status(book, feed(book, 3, latency_ns=10 * S)).level == Level.OK
-    assert imu_status(book, feed(book, 3, latency_ns=10 * S + 1)).level == Level.ERROR
+    monitor = InputHealthMonitor([InputTopic(IMU, "sensor_msgs/msg/Imu", required=True, depth=100)], max_age_s=10.0)
+    assert imu_status(monitor, feed(monitor, 3, latency_ns=10 * S)).level == Level.OK
+    assert imu_status(monitor, feed(monitor, 3, latency_ns=10 * S + 1)).level == Level.ERROR
 
 
 @pytest.mark.parametrize(
@@ -280,15 +280,15 @@ def test_duration_texts(seconds, text):
 
 def test_occasional_topics_have_no_timeout():
     target = "theodolite/target"
-    book = InputHealthMonitor(
+    monitor = InputHealthMonitor(
         [InputTopic(target, "ship_msgs/msg/TargetImage", required=False, depth=10, is_occasional=True)]
     )
-    book.statuses(START_NS)
-    book.set_publisher_count(target, 1)
-    (unheard,) = book.statuses(START_NS + 60 * S)
-    assert (unheard.level, unheard.message) == (Level.OK, "no message yet")
+    monitor.statuses(START_NS)
+    monitor.set_publisher_count(target, 1)
+    (status,) = monitor.statuses(START_NS + 60 * S)
+    assert (status.level, status.message) == (Level.OK, "no message yet")
     for i in range(10):
-        book.record_arrival(target, START_NS + i * 100 * MS)
-        book.record_accepted(target, START_NS + i * 100 * MS, START_NS + i * 100 * MS)
-    (gone,) = book.statuses(START_NS + 120 * S)
+        monitor.record_arrival(target, START_NS + i * 100 * MS)
+        monitor.record_accepted(target, START_NS + i * 100 * MS, START_NS + i * 100 * MS)
+    (gone,) = monitor.statuses(START_NS + 120 * S)
     assert gone.level is Level.OK

@@ -63,7 +63,7 @@ def test_a_batch_equals_its_messages(config: InsInputConfig) -> None:
 
 NAN, INF = float("nan"), float("inf")
 ONES = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
-REFUSED = {
+REJECTED = {
     "no number in the quaternion": {"orientation": {**ONES, "x": NAN}},
     "infinite quaternion": {"orientation": {**ONES, "z": INF}},
     "quaternion overflows": {"orientation": {**ONES, "y": 1e200}},
@@ -80,7 +80,7 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("changes", REFUSED.values(), ids=REFUSED)
+@pytest.mark.parametrize("changes", REJECTED.values(), ids=REJECTED)
 def test_a_batch_ends_before_a_differing_message(changes: dict[str, Any]) -> None:
     messages = [message(number, **(changes if number == ODD else {})) for number in range(COUNT)]
     assert len(ins_batch(rows(messages), receive_times(), InsInputConfig()).samples.times_ns) == ODD

@@ -259,7 +259,7 @@ def test_waiting_messages_are_processed_before_timeouts_after_a_standstill(live_
         relay.spin()
         time.sleep(0.03)
     relay.wait_until(lambda: len(relay.attitudes) == 30)
-    # The timeout clock hardly advanced: at most two ticks lie between the messages before and after the standstill.
+    # The timeout clock hardly advanced: at most two ticks are between the messages before and after the stop.
     stop_ns = max(later - earlier for earlier, later in pairwise(uses))
     assert stop_ns <= 2 * TICK_PERIOD_NS
     assert sum(uses[0] < tick_ns <= uses[1] for tick_ns in relay.adapter.ticks) <= 2
@@ -288,9 +288,9 @@ def test_overload_state_begins_and_ends_with_the_load(live_relay):
 
     publish_until(lambda: len(relay.adapter.overloads) == 2)
     publish_until(lambda: len(used) > 3 and used[-1] > used[-2])
-    for told in relay.adapter.overloads:
-        assert told.behind_s > 1.0
-        assert told.cut["ins/imu"] > 10
+    for overload in relay.adapter.overloads:
+        assert overload.behind_s > 1.0
+        assert overload.cut["ins/imu"] > 10
     load_s = 0.0
     publish_until(lambda: relay.adapter.overloads[-1].behind_s == 0.0)
     assert used == sorted(used)
@@ -507,11 +507,11 @@ def send_until(relay, senders, happened) -> float:
 def test_two_active_publishers_are_named_until_one_has_stopped(two_senders):
     relay, first, second = two_senders
     send_until(relay, [first], lambda: len(relay.attitudes) >= 20)
-    assert relay.adapter.contested == []
-    found_s = send_until(relay, [first, second], lambda: relay.adapter.contested == [("ins/imu", TWO)])
+    assert relay.adapter.duplicates == []
+    found_s = send_until(relay, [first, second], lambda: relay.adapter.duplicates == [("ins/imu", TWO)])
     send_until(relay, [first, second], lambda: relay.has_level("relay: input ins/imu", DiagnosticStatus.ERROR))
     assert relay.diagnostics["relay: input ins/imu"].message == TWO
-    over_s = send_until(relay, [first], lambda: relay.adapter.contested[1:] == [("ins/imu", "")])
+    over_s = send_until(relay, [first], lambda: relay.adapter.duplicates[1:] == [("ins/imu", "")])
     send_until(relay, [first], lambda: relay.has_level("relay: input ins/imu", DiagnosticStatus.OK))
     print(f"found after {found_s:.2f} s, over {over_s:.2f} s after one has stopped")
 
@@ -520,12 +520,12 @@ def test_a_publisher_that_never_sends_is_a_hint_in_the_diagnostics(two_senders):
     relay, first, _ = two_senders
     send_until(relay, [first], lambda: relay.has_level("relay: input ins/imu", DiagnosticStatus.OK))
 
-    def hint() -> str:
+    def input_text() -> str:
         values = relay.diagnostics["relay: input ins/imu"].values
         return next((value.value for value in values if value.key == "publishers"), "")
 
-    send_until(relay, [first], lambda: hint() == "2: /ins_a, /ins_b")
-    assert relay.adapter.contested == []
+    send_until(relay, [first], lambda: input_text() == "2: /ins_a, /ins_b")
+    assert relay.adapter.duplicates == []
 
 
 @pytest.mark.slow
@@ -541,9 +541,9 @@ def test_a_restarted_publisher_counts_as_one(live_relay):
         count = len(relay.attitudes)
         process = subprocess.Popen([sys.executable, "-c", script], env=os.environ | {"PYTHONPATH": path})
         try:
-            relay.wait_until(lambda: len(relay.attitudes) >= count + 100)  # noqa: B023 - asked in this round alone
+            relay.wait_until(lambda: len(relay.attitudes) >= count + 100)  # noqa: B023 - called in this round alone
         finally:
             process.kill()
             process.wait()
     assert relay.live.node.count_publishers("/ins/imu") == 2, "the lease of the first one has not ended"
-    assert relay.adapter.contested == []
+    assert relay.adapter.duplicates == []

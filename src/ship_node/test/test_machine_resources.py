@@ -18,15 +18,15 @@ def can_have_both(kind, one, other):
     port = free_port(KINDS[kind])
     with contextlib.ExitStack() as stack:
         for address in (one, other):
-            opened = stack.enter_context(socket.socket(socket.AF_INET, KINDS[kind]))
+            first = stack.enter_context(socket.socket(socket.AF_INET, KINDS[kind]))
             if kind is ResourceKind.TCP or port_resource("", kind, port, address).is_multicast:
-                opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                first.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
-                opened.bind((address, port))
+                first.bind((address, port))
             except OSError:
                 return False
             if kind is ResourceKind.TCP:
-                opened.listen()
+                first.listen()
     return True
 
 

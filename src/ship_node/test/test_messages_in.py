@@ -27,7 +27,7 @@ def header(sec: int, nanosec: int) -> SimpleNamespace:
     return SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec))
 
 
-def refusal(check, *arguments: object) -> Rejection:
+def rejection(check, *arguments: object) -> Rejection:
     with pytest.raises(MessageRejected) as caught:
         check(*arguments)
     return caught.value.rejection
@@ -40,7 +40,7 @@ def test_quaternion_a_little_off_is_renormalised(norm):
 
 @pytest.mark.parametrize("norm", [0.0, 9e-7, 0.9899, 1.0101, 57.3])
 def test_quaternion_far_from_norm_1_is_rejected(norm):
-    assert refusal(unit_quaternion, quaternion(0.0, 0.6 * norm, 0.8 * norm, 0.0)).reason is Reason.BAD_QUATERNION
+    assert rejection(unit_quaternion, quaternion(0.0, 0.6 * norm, 0.8 * norm, 0.0)).reason is Reason.BAD_QUATERNION
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
@@ -48,7 +48,7 @@ def test_quaternion_far_from_norm_1_is_rejected(norm):
 def test_quaternion_that_is_not_finite_is_rejected(place, bad):
     numbers = [0.0, 0.0, 0.0, 1.0]
     numbers[place] = bad
-    assert refusal(unit_quaternion, quaternion(*numbers)).reason is Reason.NON_FINITE
+    assert rejection(unit_quaternion, quaternion(*numbers)).reason is Reason.NON_FINITE
 
 
 @pytest.mark.parametrize("unknown", [[0.0] * 9, [-1.0] + [0.0] * 8, [-1.0] + [math.nan] * 8])
@@ -93,31 +93,31 @@ def test_covariance_with_a_perfectly_known_axis_is_a_covariance():
     ],
 )
 def test_invalid_covariance_is_rejected(matrix, text):
-    refused = refusal(covariance_3x3, np.array(matrix, dtype=float).ravel(), "noise_covariance")
-    assert refused.reason is Reason.BAD_COVARIANCE
-    assert refused.text.startswith("noise_covariance")
-    assert text in refused.text
+    rejected = rejection(covariance_3x3, np.array(matrix, dtype=float).ravel(), "noise_covariance")
+    assert rejected.reason is Reason.BAD_COVARIANCE
+    assert rejected.text.startswith("noise_covariance")
+    assert text in rejected.text
 
 
 def test_covariance_that_is_not_finite_is_rejected():
-    assert refusal(covariance_3x3, [1, 0, 0, 0, math.nan, 0, 0, 0, 1]).reason is Reason.NON_FINITE
+    assert rejection(covariance_3x3, [1, 0, 0, 0, math.nan, 0, 0, 0, 1]).reason is Reason.NON_FINITE
 
 
 def test_stamp_zero_is_rejected():
-    assert refusal(stamp_ns, header(0, 0), 10**18).reason is Reason.BAD_STAMP
-    assert refusal(stamp_ns, header(-5, 0), 10**18).reason is Reason.BAD_STAMP
+    assert rejection(stamp_ns, header(0, 0), 10**18).reason is Reason.BAD_STAMP
+    assert rejection(stamp_ns, header(-5, 0), 10**18).reason is Reason.BAD_STAMP
 
 
 def test_stamp_with_a_second_of_nanoseconds_is_rejected():
-    assert refusal(stamp_ns, header(1000, 10**9), 10**18).reason is Reason.BAD_STAMP
+    assert rejection(stamp_ns, header(1000, 10**9), 10**18).reason is Reason.BAD_STAMP
     assert stamp_ns(header(1000, 10**9 - 1), 10**18) == 1001 * 10**9 - 1
 
 
 def test_stamp_may_be_50_ms_ahead_and_no_more():
     assert stamp_ns(header(1000, 50_000_000), 1000 * 10**9) == 1000_050_000_000
-    refused = refusal(stamp_ns, header(1000, 50_000_001), 1000 * 10**9)
-    assert refused.reason is Reason.FUTURE
-    assert "0.050 s ahead" in refused.text
+    rejected = rejection(stamp_ns, header(1000, 50_000_001), 1000 * 10**9)
+    assert rejected.reason is Reason.FUTURE
+    assert "0.050 s ahead" in rejected.text
 
 
 def test_old_stamps_are_accepted():
@@ -127,17 +127,17 @@ def test_old_stamps_are_accepted():
 def test_frame_text_has_expected_and_given_frame():
     check_frame("anything", "")
     check_frame("ins", "ins")
-    refused = refusal(check_frame, "radar", "ins")
-    assert (refused.reason, refused.text) == (Reason.FRAME, "frame_id is 'radar': expected 'ins'")
+    rejected = rejection(check_frame, "radar", "ins")
+    assert (rejected.reason, rejected.text) == (Reason.FRAME, "frame_id is 'radar': expected 'ins'")
 
 
 def test_numbers_and_vectors_must_be_finite():
     check_finite("azimuth", 1.0, -2.0)
-    assert refusal(check_finite, "azimuth", 1.0, math.nan).text == "azimuth holds nan"
+    assert rejection(check_finite, "azimuth", 1.0, math.nan).text == "azimuth holds nan"
     vector = SimpleNamespace(x=1.0, y=2.0, z=3.0)
     np.testing.assert_array_equal(finite_vector(vector, "angular_velocity"), [1.0, 2.0, 3.0])
     vector.y = math.inf
-    assert refusal(finite_vector, vector, "angular_velocity").reason is Reason.NON_FINITE
+    assert rejection(finite_vector, vector, "angular_velocity").reason is Reason.NON_FINITE
 
 
 def test_every_reason_is_a_constant_of_the_message_and_keeps_its_number():
@@ -148,10 +148,10 @@ def test_every_reason_is_a_constant_of_the_message_and_keeps_its_number():
 
 def test_texts_of_messages_are_cut_with_an_ellipsis():
     endless = "x" * 10**6
-    refused = refusal(check_frame, endless, "ins")
-    assert len(refused.text) < LONGEST_TEXT
-    assert refused.text.endswith("x…': expected 'ins'")
-    assert len(refusal(check_device_id, "sensor_id", endless, "fore").text) < LONGEST_TEXT
+    rejected = rejection(check_frame, endless, "ins")
+    assert len(rejected.text) < LONGEST_TEXT
+    assert rejected.text.endswith("x…': expected 'ins'")
+    assert len(rejection(check_device_id, "sensor_id", endless, "fore").text) < LONGEST_TEXT
     assert MessageRejected(Reason.FRAME, endless).rejection.text == "x" * (LONGEST_TEXT - 1) + "…"
     assert len(str(MessageRejected(Reason.FRAME, endless))) < LONGEST_TEXT + 10
     assert Rejection(Reason.FRAME, endless).text == shorten(endless)
@@ -186,11 +186,11 @@ def test_the_fast_covariance_check_equals_that_by_eigenvalues(least):
             continue
         expected = covariance_of_numpy(matrix)
         if expected is None:
-            assert "eigenvalue" in refusal(covariance_3x3, matrix.ravel()).text
+            assert "eigenvalue" in rejection(covariance_3x3, matrix.ravel()).text
         else:
             np.testing.assert_array_equal(covariance_3x3(matrix.ravel()), expected)
 
 
 def test_a_sigma_of_more_than_a_full_turn_is_rejected():
     assert angular_covariance([39.0, 0, 0, 0, 1, 0, 0, 0, 1], "covariance")[0, 0] == 39.0
-    assert "full turn" in refusal(angular_covariance, [1, 0, 0, 0, 40.0, 0, 0, 0, 1], "covariance").text
+    assert "full turn" in rejection(angular_covariance, [1, 0, 0, 0, 40.0, 0, 0, 0, 1], "covariance").text

@@ -101,7 +101,7 @@ def test_timeout_clock_counts_only_listening_time() -> None:
     clock = TimeoutClock(lambda: steady_ns)
     assert clock.now_ns(start_ns) == start_ns
     steady_ns += 1_200_000_000
-    # No reading for that time: the node stood still.
+    # No reading for that time: the node was stopped.
     assert clock.now_ns(start_ns) == start_ns + 200_000_000
     steady_ns += 50_000_000
     # Independent of the system's clock.

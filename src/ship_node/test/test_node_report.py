@@ -80,18 +80,18 @@ def lines() -> Lines:
 def test_a_change_of_level_is_one_log_line(lines: Lines) -> None:
     log = StatusLog(lines)
     well, ill = (Level.OK, "VALID"), (Level.ERROR, "INVALID")
-    course = (Level.WARN, "none"), well, (Level.OK, "still"), ill, ill, well
-    for level, message in course:
+    reports = (Level.WARN, "none"), well, (Level.OK, "still"), ill, ill, well
+    for level, message in reports:
         log.update([DiagnosticStatus("attitude", level, message)])
         assert log.has_open_error("attitude") == (level is Level.ERROR)
     assert lines.lines == ["info attitude: VALID", "error attitude: INVALID", "info attitude: VALID"]
 
 
-def test_each_reason_of_a_lasting_fault_is_logged_once(lines: Lines) -> None:
+def test_each_reason_of_a_continuing_fault_is_logged_once(lines: Lines) -> None:
     log = StatusLog(lines)
     log.update([DiagnosticStatus("source gyro", Level.OK, "gives")])
-    course = "no line for 3 s", "no line for 4 s", "broken, as '$HE'", "no line for 5 s", "broken, as '$HEHDT'"
-    for message in course:
+    messages = "no line for 3 s", "no line for 4 s", "broken, as '$HE'", "no line for 5 s", "broken, as '$HEHDT'"
+    for message in messages:
         log.update([DiagnosticStatus("source gyro", Level.ERROR, message)])
     assert lines.lines == ["error source gyro: no line for 3 s", "error source gyro: broken, as '$HE'"]
     log.update([DiagnosticStatus("source gyro", Level.OK, "gives")])

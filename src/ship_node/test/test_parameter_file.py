@@ -123,11 +123,13 @@ AURORA = "/aurora/ship_attitude"
 def test_a_section_with_a_similar_name_is_refused_with_both_names(section, node, advice):
     text = f"/**/star_attitude: {{ros__parameters: {{x: 1}}}}\n{section}: {{ros__parameters: {{x: 1}}}}\n"
     name = node.rpartition("/")[2]
-    said = f"configuration:2: section '/{section.lstrip('/')}' does not fit node '{node}': name it '/**/{name}' to fit "
+    expected = (
+        f"configuration:2: section '/{section.lstrip('/')}' does not fit node '{node}': name it '/**/{name}' to fit "
+    )
     for reading in (section_warning, read_node_parameters):
         with pytest.raises(BadInput) as caught:
             reading(text, node)
-        assert str(caught.value) == f"{said}in every namespace{advice}"
+        assert str(caught.value) == f"{expected}in every namespace{advice}"
 
 
 def test_an_empty_group_is_refused():
@@ -139,14 +141,14 @@ def test_an_empty_group_is_refused():
 
 def test_a_file_for_other_nodes_is_a_warning():
     text = "/**/star_attitude: {ros__parameters: {x: 1}}\n/ship: {ros__parameters: {x: 1}}\n"
-    said = f"no section is for node '{AURORA}', its sections are '/**/star_attitude', '/ship'"
-    assert section_warning(text, AURORA) == f"configuration: {said}"
+    expected = f"no section is for node '{AURORA}', its sections are '/**/star_attitude', '/ship'"
+    assert section_warning(text, AURORA) == f"configuration: {expected}"
     with pytest.raises(BadInput, match="no section for node 'ship_attitude'"):
         read_node_parameters(text, AURORA)
 
 
 def test_a_section_for_all_nodes_matches():
-    """As ros2 launch writes inline parameters; a section with the node's name that does not match is a warning."""
+    """ros2 launch writes inline parameters so; a section with the node's name that does not match is a warning."""
     inline = "/**: {ros__parameters: {lag_s: 1.0}}\n"
     assert section_warning(inline, AURORA) == ""
     assert section_warning(f"{inline}/**/ship_attitude: {{ros__parameters: {{x: 1}}}}\n", AURORA) == ""

@@ -26,7 +26,7 @@ from ship_node.edge.topics import InputTopic, OutputMessage
 FACTORY = RosidlFactory()
 NOW_NS = 1_400_000_000_000_000_000
 S = 1_000_000_000
-FAST, JUDGED = "fast", "judged"
+FAST, CHECKED = "fast", "judged"
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class TinyCore:
 
 def read(message: Any, receive_ns: int, scale: int = 1) -> ReadMessage[Value]:
     if message.bad is not None:
-        raise MessageRejected(message.bad, "as the message says")
+        raise MessageRejected(message.bad, "as in the message")
     left_out = tuple((name, Rejection(Reason.UNITS, "degrees?")) for name in message.left_out)
     return ReadMessage(Value(message.stamp_ns), message.known, left_out, message.empty)
 
@@ -85,7 +85,7 @@ class TinyAdapter(ReportingAdapter):
 
     def table(self, config: TinyConfig, core: Any) -> Iterator[Feed]:
         yield Feed(InputTopic(FAST, "t", True, 10), "fast", read, ignore_time(partial(core.add, waiting_ns=0)))
-        yield Feed(InputTopic(JUDGED, "t", False, 10), "device", read, core.add, True, "camera")
+        yield Feed(InputTopic(CHECKED, "t", False, 10), "device", read, core.add, True, "camera")
 
     def own_slow_topics(self, now_ns: int) -> list[OutputMessage]:
         if self.slow_fails:
@@ -131,23 +131,23 @@ def test_an_invalid_estimate_has_no_budget(adapter: TinyAdapter) -> None:
 def test_an_unreadable_message_is_reported_at_its_stamp_if_valid(
     adapter: TinyAdapter, reason: Reason, stamp_ns: int
 ) -> None:
-    ((topic, told),) = adapter.handle(JUDGED, message(bad=reason), NOW_NS + 7)
-    assert (topic, told.source, told.reason, told.accepted) == ("tiny/innovation", "device", reason, False)
-    assert told.header.stamp.sec * S + told.header.stamp.nanosec == stamp_ns
-    assert health(adapter, JUDGED) == (1, 0, 1, {reason.word: 1})
+    ((topic, report),) = adapter.handle(CHECKED, message(bad=reason), NOW_NS + 7)
+    assert (topic, report.source, report.reason, report.accepted) == ("tiny/innovation", "device", reason, False)
+    assert report.header.stamp.sec * S + report.header.stamp.nanosec == stamp_ns
+    assert health(adapter, CHECKED) == (1, 0, 1, {reason.word: 1})
     assert adapter.core.calls == []
 
 
 def test_rejections_by_the_core_and_rejected_parts_are_reported_and_counted(adapter: TinyAdapter) -> None:
     adapter.core.next = Outcome(Rejection(Reason.LATE, "too late"))
-    published = adapter.handle(JUDGED, message(left_out=("a", "b"), known=False), NOW_NS)
-    assert [told.reason_text for _, told in published] == ["a: degrees?", "b: degrees?", "too late"]
-    assert health(adapter, JUDGED) == (1, 0, 1, {"covariance_unknown": 1, "units": 2, "late": 1})
+    published = adapter.handle(CHECKED, message(left_out=("a", "b"), known=False), NOW_NS)
+    assert [report.reason_text for _, report in published] == ["a: degrees?", "b: degrees?", "too late"]
+    assert health(adapter, CHECKED) == (1, 0, 1, {"covariance_unknown": 1, "units": 2, "late": 1})
 
 
 def test_an_empty_message_counts_and_the_core_is_not_called(adapter: TinyAdapter) -> None:
-    assert adapter.handle(JUDGED, message(empty=True), NOW_NS) == []
-    assert health(adapter, JUDGED) == (1, 1, 0, {})
+    assert adapter.handle(CHECKED, message(empty=True), NOW_NS) == []
+    assert health(adapter, CHECKED) == (1, 1, 0, {})
     assert adapter.core.calls == []
 
 
@@ -159,32 +159,32 @@ def test_an_exception_of_the_core_is_raised_and_the_arrival_counted(adapter: Tin
 
 
 def test_decisions_are_counted_by_topic_and_reported_by_source(adapter: TinyAdapter) -> None:
-    used, refused = (
+    used, rejected = (
         MeasurementDecision(Value(NOW_NS), reason, used, ("up",), np.array([1e-5]), np.array([1e-5]), 1.0, 6.6, text)
         for reason, used, text in ((Reason.NONE, True, ""), (Reason.GATE, False, "too far"))
     )
-    adapter.core.next = Outcome(decisions=[used, refused])
-    told = [m for _, m in adapter.handle(JUDGED, message(), NOW_NS)]
-    assert list(adapter.innovation_report.pending) == [("device", used), ("device", refused)]
-    assert [(m.source, m.accepted, m.reason_text) for m in told] == [("device", True, ""), ("device", False, "too far")]
-    assert health(adapter, JUDGED) == (1, 1, 1, {"gate": 1})
+    adapter.core.next = Outcome(decisions=[used, rejected])
+    sent = [m for _, m in adapter.handle(CHECKED, message(), NOW_NS)]
+    assert list(adapter.innovation_report.pending) == [("device", used), ("device", rejected)]
+    assert [(m.source, m.accepted, m.reason_text) for m in sent] == [("device", True, ""), ("device", False, "too far")]
+    assert health(adapter, CHECKED) == (1, 1, 1, {"gate": 1})
 
 
 def test_a_conflict_is_in_the_diagnostics_until_the_source_is_used_again(adapter: TinyAdapter) -> None:
     adapter.core.next = Outcome(
         decisions=[MeasurementDecision(Value(NOW_NS), Reason.ATTITUDE_CONFLICT, text="they disagree")]
     )
-    adapter.handle(JUDGED, message(), NOW_NS)
+    adapter.handle(CHECKED, message(), NOW_NS)
     assert adapter.conflict_statuses() == [DiagnosticStatus("conflict device", Level.ERROR, "they disagree")]
     adapter.core.next = Outcome(decisions=[MeasurementDecision(Value(NOW_NS), Reason.NONE, accepted=True)])
-    adapter.handle(JUDGED, message(), NOW_NS)
+    adapter.handle(CHECKED, message(), NOW_NS)
     assert adapter.conflict_statuses() == []
 
 
 def test_a_failed_output_is_reported(adapter: TinyAdapter) -> None:
     adapter.core.next = Outcome(failures=[(NOW_NS, Rejection(Reason.FAILED, "a defect"))])
-    ((_, told),) = adapter.handle(FAST, message(), NOW_NS)
-    assert (told.source, told.reason) == ("tiny/value", Reason.FAILED)
+    ((_, report),) = adapter.handle(FAST, message(), NOW_NS)
+    assert (report.source, report.reason) == ("tiny/value", Reason.FAILED)
     assert adapter.health.take_failures() == ["tiny/value: a defect"]
 
 
@@ -193,8 +193,8 @@ def test_slow_topics_are_published_once_a_period_and_their_failure_is_reported(a
     assert topics == ["tiny/slow", "input_health", "input_health", "/diagnostics"]
     assert adapter.tick(NOW_NS + S // 2) == []
     adapter.slow_fails = True
-    ((_, told),) = adapter.tick(NOW_NS + S)
-    assert (told.source, told.reason) == ("slow topics", Reason.FAILED)
+    ((_, report),) = adapter.tick(NOW_NS + S)
+    assert (report.source, report.reason) == ("slow topics", Reason.FAILED)
     adapter.set_parameters({"slow_topics_period_s": 5.0})
     adapter.slow_fails = False
     assert adapter.tick(NOW_NS + 2 * S) != []
@@ -260,54 +260,54 @@ def test_a_source_that_is_off_is_counted_and_not_passed_to_the_core(adapter: Tin
     assert config is adapter.config
     assert config.sources_off == ("device", "device")
     for number in range(30):
-        ((topic, told),) = adapter.handle(JUDGED, message(left_out=("polaris",)), NOW_NS + number * S // 10)
-        assert (topic, told.source, told.reason, told.accepted) == ("tiny/innovation", "device", Reason.OFF, False)
-    ((_, unread),) = adapter.handle(JUDGED, message(bad=Reason.UNITS), NOW_NS + 3 * S)
+        ((topic, one),) = adapter.handle(CHECKED, message(left_out=("polaris",)), NOW_NS + number * S // 10)
+        assert (topic, one.source, one.reason, one.accepted) == ("tiny/innovation", "device", Reason.OFF, False)
+    ((_, unread),) = adapter.handle(CHECKED, message(bad=Reason.UNITS), NOW_NS + 3 * S)
     assert unread.reason == Reason.UNITS
     assert adapter.core.calls == [config]
-    assert health(adapter, JUDGED) == (31, 0, 31, {"units": 31, "off": 30})
+    assert health(adapter, CHECKED) == (31, 0, 31, {"units": 31, "off": 30})
     assert off_text(adapter) == [(1, "switched off by sources_off: device")]
 
 
 def test_a_source_that_is_off_has_no_consecutive_rejections(adapter: TinyAdapter) -> None:
     adapter.set_parameters({"sources_off": ["device"]})
     for number in range(30):
-        adapter.handle(JUDGED, message(), NOW_NS + number * S // 10)
-    (status,) = [s for s in adapter.health.statuses(NOW_NS + 3 * S) if s.name == f"input {JUDGED}"]
+        adapter.handle(CHECKED, message(), NOW_NS + number * S // 10)
+    (status,) = [s for s in adapter.health.statuses(NOW_NS + 3 * S) if s.name == f"input {CHECKED}"]
     assert (status.level, status.message) == (Level.WARN, "rejected, off: switched off by sources_off")
 
 
 def test_a_source_switched_on_is_used_from_its_next_message(adapter: TinyAdapter) -> None:
     adapter.set_parameters({"sources_off": ["device"]})
-    adapter.handle(JUDGED, message(), NOW_NS)
+    adapter.handle(CHECKED, message(), NOW_NS)
     adapter.set_parameters({"sources_off": []})
     adapter.core.calls.clear()
-    assert adapter.handle(JUDGED, message(), NOW_NS + S) == []
+    assert adapter.handle(CHECKED, message(), NOW_NS + S) == []
     assert adapter.core.calls == [(Value(NOW_NS), NOW_NS + S)]
     assert off_text(adapter) == []
 
 
 @pytest.mark.parametrize(
-    ("source", "said"), [("camera", "expected some of device"), ("fast", "'fast' cannot be switched off")]
+    ("source", "expected"), [("camera", "expected some of device"), ("fast", "'fast' cannot be switched off")]
 )
 def test_a_source_that_cannot_be_switched_off_is_refused(
-    adapter: TinyAdapter, source: str, said: str
+    adapter: TinyAdapter, source: str, expected: str
 ) -> None:
     adapter.set_parameters({"sources_off": ["device"]})
     before, calls = adapter.config, list(adapter.core.calls)
-    with pytest.raises(ParameterError, match=said):
+    with pytest.raises(ParameterError, match=expected):
         adapter.set_parameters({"sources_off": [source]})
-    assert (adapter.config, adapter.core.calls, adapter.is_off(JUDGED)) == (before, calls, True)
-    with pytest.raises(ParameterError, match=said):
+    assert (adapter.config, adapter.core.calls, adapter.is_off(CHECKED)) == (before, calls, True)
+    with pytest.raises(ParameterError, match=expected):
         TinyAdapter(TinyConfig(sources_off=(source,)), TinyCore(), FACTORY)
 
 
 def test_an_overloaded_node_publishes_invalid_with_the_reason(adapter: TinyAdapter) -> None:
     adapter.no_output = lambda now_ns, text: SimpleNamespace(status=Status.INVALID, text=text)  # type: ignore[method-assign]
     why = "tiny is 3.2 s behind: the computer is too slow (2 cores, load 12)"
-    published = adapter.overload(Overload(3.2, 2, 12.0, {FAST: 320, JUDGED: 5}), NOW_NS)
-    told = [(m.source, m.reason, m.reason_text) for topic, m in published if topic == "tiny/innovation"]
-    assert told == [
+    published = adapter.overload(Overload(3.2, 2, 12.0, {FAST: 320, CHECKED: 5}), NOW_NS)
+    output = [(m.source, m.reason, m.reason_text) for topic, m in published if topic == "tiny/innovation"]
+    assert output == [
         ("fast", Reason.BEHIND, f"320 messages cut: {why}"),
         ("device", Reason.BEHIND, f"5 messages cut: {why}"),
         ("tiny", Reason.BEHIND, why),
@@ -323,8 +323,8 @@ def test_an_overloaded_node_publishes_invalid_with_the_reason(adapter: TinyAdapt
     assert adapter.handle(FAST, message(), NOW_NS + 1) == []
     assert adapter.latest is invalid
     ticks = [adapter.tick(NOW_NS + tenth * S // 10) for tenth in range(1, 21)]
-    assert [tenth for tenth, told in enumerate(ticks, 1) if "tiny/value" in dict(told)] == [10, 20]
-    *_, array = [message for told in ticks for topic, message in told if topic == "/diagnostics"]
+    assert [tenth for tenth, output in enumerate(ticks, 1) if "tiny/value" in dict(output)] == [10, 20]
+    *_, array = [message for output in ticks for topic, message in output if topic == "/diagnostics"]
     (status,) = [status for status in array.status if status.name == "tiny: overload"]
     assert (status.level, status.message) == (Level.ERROR, why)
 
@@ -342,15 +342,15 @@ def test_cut_messages_cause_no_timeout(adapter: TinyAdapter) -> None:
 
 
 def test_duplicate_publishers_reach_core_and_health_unless_the_source_is_off(adapter: TinyAdapter) -> None:
-    adapter.set_duplicate_publishers(JUDGED, "two publishers send")
+    adapter.set_duplicate_publishers(CHECKED, "two publishers send")
     assert adapter.core.calls == [("set_duplicate_publishers", "camera", "two publishers send")]
-    (status,) = [status for status in adapter.health.statuses(NOW_NS) if status.name == f"input {JUDGED}"]
+    (status,) = [status for status in adapter.health.statuses(NOW_NS) if status.name == f"input {CHECKED}"]
     assert (status.level, status.message) == (Level.ERROR, "two publishers send")
     adapter.set_parameters({"sources_off": ["device"]})
     assert adapter.core.calls[-1] == ("set_duplicate_publishers", "camera", "")
     adapter.set_parameters({"sources_off": []})
     assert adapter.core.calls[-1] == ("set_duplicate_publishers", "camera", "two publishers send")
-    adapter.set_duplicate_publishers(JUDGED, "")
+    adapter.set_duplicate_publishers(CHECKED, "")
     assert adapter.core.calls[-1] == ("set_duplicate_publishers", "camera", "")
-    (status,) = [status for status in adapter.health.statuses(NOW_NS) if status.name == f"input {JUDGED}"]
+    (status,) = [status for status in adapter.health.statuses(NOW_NS) if status.name == f"input {CHECKED}"]
     assert status.level is Level.OK

@@ -6,7 +6,7 @@ MS = 1_000_000
 
 
 def two_found(numbers: list[int], period_ms: int = 10, senders: Senders | None = None) -> list[bool]:
-    """Return for each message whether two publishers send."""
+    """Return for each message True if two publishers were found."""
     senders = Senders() if senders is None else senders
     return [senders.add_message(number, n * period_ms * MS) for n, number in enumerate(numbers)]
 
@@ -47,7 +47,7 @@ def test_a_new_publisher_after_two_is_one() -> None:
 
 
 def test_without_sequence_numbers_no_publisher_is_stored() -> None:
-    """As with CycloneDDS: each message would count as a new publisher for ten seconds."""
+    """Each message would count as a new publisher for ten seconds, for example with CycloneDDS."""
     senders = Senders()
     assert not any(two_found([2**64 - 1] * 500, senders=senders))
     assert senders._senders == []

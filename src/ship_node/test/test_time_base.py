@@ -69,29 +69,29 @@ def test_a_step_of_all_stamps_is_detected_within_1_3_s(step_s: float, at_s: floa
     # A small step forward is in the future of the node's clock, or it is the end of a delay.
     follows = step_s < 0.0 or step_s > 10.0
     steps = detected_steps(lambda topic, valid_s: step_s if valid_s >= at_s else 0.0, node_follows=follows)
-    ((waiting_s, told_s),) = steps
+    ((waiting_s, detected_s),) = steps
     assert waiting_s - at_s < 1.55, "the fix comes once a second"
-    assert told_s == pytest.approx(step_s, abs=1e-6)
+    assert detected_s == pytest.approx(step_s, abs=1e-6)
 
 
 @pytest.mark.parametrize("step_s", [-900.0, -1.0, -0.15])
 def test_a_step_back_of_the_computers_clock_is_confirmed_by_the_first_input(step_s: float) -> None:
-    def stepped(waiting_s: float) -> float:
+    def step_at(waiting_s: float) -> float:
         return step_s if waiting_s >= 20.0 else 0.0
 
-    ((waiting_s, told_s),) = detected_steps(lambda topic, valid_s: stepped(valid_s), computer_s=stepped)
+    ((waiting_s, detected_s),) = detected_steps(lambda topic, valid_s: step_at(valid_s), computer_s=step_at)
     assert 20.0 <= waiting_s < 20.02
-    assert told_s == step_s
+    assert detected_s == step_s
 
 
 @pytest.mark.parametrize("step_s", [0.2, 1.0, 900.0])
 def test_a_step_forward_of_the_computers_clock_is_confirmed_by_all_inputs(step_s: float) -> None:
-    def stepped(waiting_s: float) -> float:
+    def step_at(waiting_s: float) -> float:
         return step_s if waiting_s >= 20.0 else 0.0
 
-    ((waiting_s, told_s),) = detected_steps(lambda topic, valid_s: stepped(valid_s), computer_s=stepped)
+    ((waiting_s, detected_s),) = detected_steps(lambda topic, valid_s: step_at(valid_s), computer_s=step_at)
     assert 20.3 <= waiting_s < 21.5
-    assert told_s == step_s
+    assert detected_s == step_s
 
 
 def test_an_offset_for_30_s_is_two_steps() -> None:
@@ -213,7 +213,7 @@ def test_a_slow_input_that_seemed_late_has_stepped_with_the_next_one(step_s: flo
     steps = detected_steps(
         lambda topic, valid_s: step_s * (valid_s >= 20.0), clocks=clocks, duration_s=50.0, **periods_s
     )
-    assert [told_s for _, told_s in steps] == [pytest.approx(step_s)]
+    assert [detected_s for _, detected_s in steps] == [pytest.approx(step_s)]
     assert steps[0][0] < 22.0
     assert not clocks.is_step_pending
 
@@ -229,7 +229,7 @@ def test_the_step_is_that_of_the_fastest_input() -> None:
 
 
 def test_an_input_far_ahead_is_unused_while_others_are_present() -> None:
-    """Also if the node's clock does not reject it because it is ahead itself."""
+    """The input is unused even if the node's clock is ahead too, and so does not reject it."""
     clocks = TimeBase()
 
     def ahead_s(topic: str, valid_s: float) -> float:
@@ -252,8 +252,8 @@ def test_a_stalled_link_is_no_step(held_up_s: float) -> None:
 def test_utc_is_ambiguous_in_a_leap_second() -> None:
     midnight_ns = 1_483_228_800 * S  # 2017-01-01, after 2016-12-31T23:59:60
     clocks = TimeBase()
-    told = [clocks.is_misdated(midnight_ns + round(s * S), 0) for s in (-1.5, -0.5, 0.0, 0.5, 1.0)]
-    assert told == [False, False, True, True, False], "the first of the new day, as long as no clock stepped"
+    misdated = [clocks.is_misdated(midnight_ns + round(s * S), 0) for s in (-1.5, -0.5, 0.0, 0.5, 1.0)]
+    assert misdated == [False, False, True, True, False], "the first of the new day, as long as no clock stepped"
     start_ns = midnight_ns - 20 * S
     for waiting_s, topic, stamp_s in arrivals(20.5, lambda _, s: -1.0 if s >= 20.0 else 0.0, lambda _, s: 0.0):
         now_ns = start_ns + round(waiting_s * S)
@@ -261,6 +261,6 @@ def test_utc_is_ambiguous_in_a_leap_second() -> None:
             clocks.note_computer_step(-S, now_ns)
         clocks.add_arrival(topic, start_ns + round(stamp_s * S), now_ns, now_ns)
     assert clocks.steps == 1
-    told = [clocks.is_misdated(midnight_ns + round(s * S), now_ns) for s in (-1.5, -0.5, 0.0, 0.5)]
-    assert told == [False, True, False, False], "the last of the old day, told again"
+    misdated = [clocks.is_misdated(midnight_ns + round(s * S), now_ns) for s in (-1.5, -0.5, 0.0, 0.5)]
+    assert misdated == [False, True, False, False], "the last of the old day, repeated"
     assert clocks.is_misdated(midnight_ns, now_ns + 4 * S), "another one is not known"

@@ -37,7 +37,7 @@ def true_axes() -> dict[str, float]:
 
 
 @pytest.fixture(scope="module")
-def fitted(table, tmp_path_factory):
+def fit_folder(table, tmp_path_factory):
     """Folder with the fit; the scenario bends the tube."""
     folder = tmp_path_factory.mktemp("fit")
     assert fit_axes_command.main([str(table), "--out", str(folder), "--flexure"]) == 0
@@ -45,10 +45,10 @@ def fitted(table, tmp_path_factory):
 
 
 @pytest.mark.statistics
-def test_fitted_axis_errors_are_within_their_sigmas(table, fitted):
+def test_fitted_axis_errors_are_within_their_sigmas(table, fit_folder):
     """The deformation of the deck (20″, in this bag 45″) is in the offsets: as noise it gave βx 57″ ± 0.8″ off."""
     assert len(read_sightings(table).labels) > 100
-    document = yaml.safe_load((fitted / "axes.yaml").read_text(encoding="utf-8"))
+    document = yaml.safe_load((fit_folder / "axes.yaml").read_text(encoding="utf-8"))
     true = true_axes()
     error_arcsec = np.array([document["values_arcsec"][name] - true[name] / ARCSEC for name in NAMES])
     assert document["covariance_of"] == list(NAMES)
@@ -62,12 +62,12 @@ def test_fitted_axis_errors_are_within_their_sigmas(table, fitted):
 
 
 @pytest.mark.slow
-def test_node_loads_the_fit_from_its_calibration_file(fitted, tmp_path):
+def test_node_loads_the_fit_from_its_calibration_file(fit_folder, tmp_path):
     """Encoders alone, after the lights: what the fit found points the axis within its sigmas."""
     with read_bag(BAGS / "theodolite.mcap") as bag:
         suite = yaml.safe_load(suite_text(bag, None))
     sections = [section for name, section in suite.items() if name.endswith("optical_axis")]
-    sections[0]["ros__parameters"]["calibration_file"] = str(fitted / "calibration.yaml")
+    sections[0]["ros__parameters"]["calibration_file"] = str(fit_folder / "calibration.yaml")
     config, out = tmp_path / "suite.yaml", tmp_path / "out.mcap"
     config.write_text(yaml.safe_dump(suite))
 
@@ -106,10 +106,10 @@ def test_the_same_bag_gives_the_same_table(table, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("bag", "out", "said"),
+    ("bag", "out", "expected"),
     [("theodolite.mcap", "table.txt", "fit_axes reads .csv"), ("demo.mcap", "table.csv", "optical_axis")],
 )
-def test_bad_input_is_one_line(bag, out, said, tmp_path, capsys):
+def test_bad_input_is_one_line(bag, out, expected, tmp_path, capsys):
     assert main([str(BAGS / bag), "--out", str(tmp_path / out)]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert said in line
+    assert expected in line

@@ -21,16 +21,16 @@ from ship_node.edge.messages_out import INTEGRITY_TYPE
 from ship_replay.commands.check_config import main as check_config
 from ship_replay.commands.replay import main
 from ship_simulation.inject_command import main as inject
-from ship_testing.black_boxes import BOX_FORMAT, OPTICAL_AXIS, SHIP_ATTITUDE, make_box, write_changed_copy
+from ship_testing.black_boxes import FORMAT, OPTICAL_AXIS, SHIP_ATTITUDE, make_black_box, write_changed_copy
 from theodolite_calib.ros.optical_axis_adapter import OpticalAxisAdapter
 
 ATTITUDE = "ship_msgs/msg/ShipAttitude"
 
 
 @pytest.fixture(scope="module")
-def box(tmp_path_factory):
+def black_box(tmp_path_factory):
     folder = tmp_path_factory.mktemp("box")
-    return make_box(folder / "box.mcap", folder / "alignment.yaml").path
+    return make_black_box(folder / "box.mcap", folder / "alignment.yaml").path
 
 
 def verify(capsys, *arguments):
@@ -48,8 +48,8 @@ def error_text(capsys, *arguments):
     return err
 
 
-def test_a_whole_box_is_equal_to_the_last_bit(box, capsys):
-    code, out, _ = verify(capsys, box)
+def test_a_whole_black_box_is_equal_to_the_last_bit(black_box, capsys):
+    code, out, _ = verify(capsys, black_box)
     assert code == 0, out
     # 8 s at 100 Hz and 300 messages more after the clock went back; 2 parameter changes, one refused by the adapter
     # and one by the node.
@@ -61,25 +61,25 @@ def test_a_whole_box_is_equal_to_the_last_bit(box, capsys):
     assert "note" not in out
 
 
-def test_a_box_of_several_files_is_equal_to_the_last_bit(tmp_path, capsys):
+def test_a_black_box_of_several_files_is_equal_to_the_last_bit(tmp_path, capsys):
     """The first file is given; a later one by itself is refused with the name of the first."""
-    box = make_box(tmp_path / "box.mcap", tmp_path / "alignment.yaml", part_bytes=1).path
+    black_box = make_black_box(tmp_path / "box.mcap", tmp_path / "alignment.yaml", part_bytes=1).path
     assert (tmp_path / "box.part2.mcap").is_file()
-    code, out, _ = verify(capsys, box)
+    code, out, _ = verify(capsys, black_box)
     assert code == 0, out
     assert "outputs are equal to the last bit" in out
     assert "note" not in out
     expected = "part 2 of a black box: give its first file, box.mcap, with all parts in its folder"
     assert expected in error_text(capsys, tmp_path / "box.part2.mcap")
     (tmp_path / "box.part2.mcap").unlink()
-    code, out, _ = verify(capsys, box)
+    code, out, _ = verify(capsys, black_box)
     assert code == 1
     assert "entries are missing before" in out
 
 
-def test_a_box_of_the_optical_axis_is_equal_to_the_last_bit(tmp_path, capsys):
-    box = make_box(tmp_path / "box.mcap", tmp_path / "calibration.yaml", node=OPTICAL_AXIS).path
-    code, out, _ = verify(capsys, box)
+def test_a_black_box_of_the_optical_axis_is_equal_to_the_last_bit(tmp_path, capsys):
+    black_box = make_black_box(tmp_path / "box.mcap", tmp_path / "calibration.yaml", node=OPTICAL_AXIS).path
+    code, out, _ = verify(capsys, black_box)
     assert code == 0, out
     for used in ("clock jump back 1", "parameters 3", "~/save_alignment 1", "~/reset 1", "~/load_alignment 1"):
         assert used in out
@@ -102,49 +102,51 @@ def test_a_box_of_the_optical_axis_is_equal_to_the_last_bit(tmp_path, capsys):
     ],
     ids=["ship_attitude", "optical_axis"],
 )
-def test_a_box_with_an_exclusion_in_it_is_equal_to_the_last_bit(node, fault, source, tmp_path, capsys):
+def test_a_black_box_with_an_exclusion_is_equal_to_the_last_bit(node, fault, source, tmp_path, capsys):
     faults, hit = tmp_path / "faults.yaml", tmp_path / "hit.mcap"
     faults.write_text(f"faults: {{one: {{{fault}, start_s: 3.0}}}}")
     assert inject([str(node.bag), "--faults", str(faults), "--out", str(hit)]) == 0
-    box = make_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=replace(node, bag=hit)).path
-    with read_bag(box) as bag:
+    black_box = make_black_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=replace(node, bag=hit)).path
+    with read_bag(black_box) as bag:
         (topic,) = (name for name, type_name in bag.topics.items() if type_name == INTEGRITY_TYPE)
         excluded = [name for record in bag.records([topic]) for name in record.decode().excluded]
     assert set(excluded) == {source}
-    code, out, _ = verify(capsys, box)
+    code, out, _ = verify(capsys, black_box)
     assert code == 0, out
     assert "outputs are equal to the last bit" in out
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
-def test_box_records_the_waiting_time_for_timeouts(node, tmp_path, capsys):
+def test_a_black_box_records_the_waiting_time_for_timeouts(node, tmp_path, capsys):
     """The node's clock is put forward while nothing comes for 2.2 s, and back later."""
 
     def node_ns(waiting_ns):
         return waiting_ns + (700_000_000 if 3_500_000_000 < waiting_ns < 6_000_000_000 else 0)
 
-    def lost(waiting_ns):
+    def is_lost(waiting_ns):
         return 3_000_000_000 < waiting_ns < 5_200_000_000
 
-    box = make_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=node, node_ns=node_ns, is_lost=lost).path
-    code, out, _ = verify(capsys, box)
+    black_box = make_black_box(
+        tmp_path / "box.mcap", tmp_path / "saved.yaml", node=node, node_ns=node_ns, is_lost=is_lost
+    ).path
+    code, out, _ = verify(capsys, black_box)
     assert code == 0, out
     topic = node.adapter_class.outputs[0].topic
-    with read_bag(box) as bag:
+    with read_bag(black_box) as bag:
         start_ns = bag.start_ns
         given = [r for r in bag.records_in_file_order() if r.topic == topic]
         invalid = [r for r in given if r.decode().status == 3 and r.log_time_ns - start_ns > 1_000_000_000]
-    # Silent from 3 s on; said within a second and a tick of it, and once more a second later.
-    said_s = [(r.log_time_ns - start_ns) * 1e-9 - 0.7 for r in invalid]
-    assert len(said_s) == 2
-    assert 3.95 < said_s[0] <= 4.1
-    assert said_s[1] - said_s[0] == pytest.approx(1.0)
+    # No data from 3 s on; INVALID is published within a second and a tick, and once more a second later.
+    invalid_s = [(r.log_time_ns - start_ns) * 1e-9 - 0.7 for r in invalid]
+    assert len(invalid_s) == 2
+    assert 3.95 < invalid_s[0] <= 4.1
+    assert invalid_s[1] - invalid_s[0] == pytest.approx(1.0)
 
     def without_waiting(record, topics):
         return replace(record, publish_time=record.log_time) if isinstance(record, Message) else record
 
-    code, out, _ = verify(capsys, write_changed_copy(box, tmp_path / "b.mcap", without_waiting))
+    code, out, _ = verify(capsys, write_changed_copy(black_box, tmp_path / "b.mcap", without_waiting))
     assert code == 1
     assert f"first difference: {topic}" in out
 
@@ -155,7 +157,7 @@ NEWER = {
 }
 
 
-def older(kind):
+def older_release(kind):
     """The node of a release that did not publish the newer topics."""
     newer = NEWER[kind]
 
@@ -174,12 +176,12 @@ def older(kind):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship", "axis"])
-def test_box_of_a_node_that_was_behind_is_equal_to_the_last_bit(tmp_path, capsys, node):
-    box = make_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=node, is_overloaded=True).path
-    code, out, _ = verify(capsys, box)
+def test_a_black_box_of_a_node_that_was_behind_is_equal_to_the_last_bit(tmp_path, capsys, node):
+    black_box = make_black_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=node, is_overloaded=True).path
+    code, out, _ = verify(capsys, black_box)
     assert code == 0, out
     assert "overload 2" in out
-    with read_bag(box) as bag:
+    with read_bag(black_box) as bag:
         topic, start_ns = node.adapter_class.outputs[0].topic, bag.start_ns
         given = [(r.log_time_ns - start_ns, r.decode().status) for r in bag.records({topic})]
     behind = [status for time_ns, status in given if 6_510_000_000 < time_ns < 7_790_000_000]
@@ -190,23 +192,25 @@ def test_box_of_a_node_that_was_behind_is_equal_to_the_last_bit(tmp_path, capsys
 
 @pytest.mark.slow
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship", "axis"])
-def test_a_box_of_before_a_topic_was_published_is_still_equal_to_the_last_bit(tmp_path, capsys, node):
-    box = tmp_path / "box.mcap"
-    make_box(box, tmp_path / "saved.yaml", node=replace(node, adapter_class=older(node.adapter_class)))
-    with read_bag(box) as bag:
+def test_a_black_box_from_before_a_topic_was_published_is_equal_to_the_last_bit(tmp_path, capsys, node):
+    black_box = tmp_path / "box.mcap"
+    make_black_box(
+        black_box, tmp_path / "saved.yaml", node=replace(node, adapter_class=older_release(node.adapter_class))
+    )
+    with read_bag(black_box) as bag:
         assert not NEWER[node.adapter_class] & set(bag.topics)
-    code, out, _ = verify(capsys, box)
+    code, out, _ = verify(capsys, black_box)
     assert code == 0, out
     assert "outputs are equal to the last bit" in out
     assert "/tf" not in out
 
 
-def test_the_saved_file_is_not_written_again(box, capsys):
-    path = box.with_name("alignment.yaml")
+def test_the_saved_file_is_not_written_again(black_box, capsys):
+    path = black_box.with_name("alignment.yaml")
     before = path.stat().st_mtime_ns
     path.rename(path.with_suffix(".moved"))
     try:
-        assert verify(capsys, box)[0] == 0
+        assert verify(capsys, black_box)[0] == 0
         assert not path.exists()
     finally:
         path.with_suffix(".moved").rename(path)
@@ -217,11 +221,11 @@ def test_the_saved_file_is_not_written_again(box, capsys):
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
 def test_what_a_node_saves_by_itself_is_replayed_and_not_written_again(tmp_path, capsys, node):
     saved = tmp_path / "saved.yaml"
-    box = make_box(tmp_path / "box.mcap", saved, node=node, autosave_s=1.0).path
-    with read_bag(box) as bag:
+    black_box = make_black_box(tmp_path / "box.mcap", saved, node=node, autosave_s=1.0).path
+    with read_bag(black_box) as bag:
         assert len([name for name in bag.attachments if name.startswith("files/")]) > 6
     saved.unlink()
-    code, out, _ = verify(capsys, box)
+    code, out, _ = verify(capsys, black_box)
     assert code == 0, out
     assert "outputs are equal to the last bit" in out
     assert "note" not in out
@@ -232,7 +236,7 @@ def test_what_a_node_saves_by_itself_is_replayed_and_not_written_again(tmp_path,
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
 def test_a_node_that_did_not_save_by_itself_yet_is_not_expected_to_have_saved(tmp_path, capsys, monkeypatch, node):
     """Its black box lacks the parameter, whose default is once a minute; here a minute passes within a second."""
-    box = make_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=node).path
+    black_box = make_black_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=node).path
 
     def without_the_parameter(record, _topics):
         if not isinstance(record, Attachment) or record.name != SUITE_ATTACHMENT:
@@ -243,17 +247,17 @@ def test_a_node_that_did_not_save_by_itself_yet_is_not_expected_to_have_saved(tm
 
     is_time = SavedStart.is_autosave_time
     monkeypatch.setattr(SavedStart, "is_autosave_time", lambda self, ns, period_s: is_time(self, ns, period_s / 60.0))
-    code, out, _ = verify(capsys, write_changed_copy(box, tmp_path / "old.mcap", without_the_parameter))
+    code, out, _ = verify(capsys, write_changed_copy(black_box, tmp_path / "old.mcap", without_the_parameter))
     assert code == 0, out
     assert "outputs are equal to the last bit" in out
     suite = tmp_path / "suite.yaml"
-    with read_bag(box) as bag:
-        told = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT].decode())
-    (section,) = told.values()
+    with read_bag(black_box) as bag:
+        values = yaml.safe_load(bag.attachments[SUITE_ATTACHMENT].decode())
+    (section,) = values.values()
     for period_s, same in ((None, True), (0.0, True), (60.0, False)):
         section["ros__parameters"].pop("alignment_autosave_s", None)
         section["ros__parameters"] |= {} if period_s is None else {"alignment_autosave_s": period_s}
-        suite.write_text(yaml.safe_dump(told), encoding="utf-8")
+        suite.write_text(yaml.safe_dump(values), encoding="utf-8")
         code, out, _ = verify(capsys, tmp_path / "old.mcap", "--config", suite)
         assert (code == 0) is same, out
 
@@ -277,28 +281,28 @@ def without_an_orientation(node, folder):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
-def test_a_box_with_refused_orientations_is_equal_to_the_last_bit(tmp_path, capsys, node):
+def test_a_black_box_with_refused_orientations_is_equal_to_the_last_bit(tmp_path, capsys, node):
     hit = without_an_orientation(node, tmp_path)
-    box = make_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=replace(node, bag=hit)).path
-    with read_bag(box) as bag:
+    black_box = make_black_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=replace(node, bag=hit)).path
+    with read_bag(black_box) as bag:
         (topic,) = (name for name, type_name in bag.topics.items() if type_name == "ship_msgs/msg/Innovation")
         assert "not_given" in {Reason(record.decode().reason).word for record in bag.records([topic])}
-    code, out, _ = verify(capsys, box)
+    code, out, _ = verify(capsys, black_box)
     assert code == 0, out
     assert "outputs are equal to the last bit" in out
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("node", [SHIP_ATTITUDE, OPTICAL_AXIS], ids=["ship_attitude", "optical_axis"])
-def test_a_box_of_before_orientations_were_refused_is_replayed_as_recorded(tmp_path, capsys, node):
+def test_a_black_box_from_before_orientations_were_refused_is_replayed_as_recorded(tmp_path, capsys, node):
     """Its node used them without the parameter, and stated no covariance of the rates in ship/imu."""
     hit = without_an_orientation(node, tmp_path)
     parameters = {f"{group}.accept_unset_covariance": True for group in UNSET_INPUTS[node.adapter_class][1]}
     parameters |= {"ins.rate_sigma_arcsec_per_s": 4.0} if node is SHIP_ATTITUDE else {}
     like_then = replace(node, bag=hit, parameters={**node.parameters, **parameters})
-    box = make_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=like_then).path
+    black_box = make_black_box(tmp_path / "box.mcap", tmp_path / "saved.yaml", node=like_then).path
 
-    def as_then(record, topics):
+    def as_recorded_then(record, topics):
         if isinstance(record, Attachment) and record.name == SUITE_ATTACHMENT:
             data = re.sub(rb'(?m)^ *"accept_unset_covariance": .*\n', b"", record.data)
             assert data != record.data
@@ -311,7 +315,7 @@ def test_a_box_of_before_orientations_were_refused_is_replayed_as_recorded(tmp_p
             return replace(record, data=bytes(store.serialize_cdr(imu, kind)))
         return record
 
-    old = write_changed_copy(box, tmp_path / "old.mcap", as_then)
+    old = write_changed_copy(black_box, tmp_path / "old.mcap", as_recorded_then)
     code, out, _ = verify(capsys, old, "--out", tmp_path / "replayed.mcap")
     assert code == 0, out
     assert "outputs are equal to the last bit" in out
@@ -360,12 +364,12 @@ def with_last_bit_flipped(field, type_name=ATTITUDE):
     return change
 
 
-def test_one_bit_of_one_field_is_found_and_named(box, tmp_path, capsys):
-    with read_bag(box) as bag:
+def test_one_bit_of_one_field_is_found_and_named(black_box, tmp_path, capsys):
+    with read_bag(black_box) as bag:
         attitude = [r for r in bag.records_in_file_order() if r.topic == "ship/attitude"][99].decode()
     stamp = attitude.header.stamp.sec * 10**9 + attitude.header.stamp.nanosec
     other = write_changed_copy(
-        box, tmp_path / "b.mcap", change_nth("ship/attitude", 100, with_last_bit_flipped("pitch"))
+        black_box, tmp_path / "b.mcap", change_nth("ship/attitude", 100, with_last_bit_flipped("pitch"))
     )
     code, out, _ = verify(capsys, other)
     assert code == 1
@@ -375,71 +379,73 @@ def test_one_bit_of_one_field_is_found_and_named(box, tmp_path, capsys):
     assert line.endswith(f", replayed {attitude.pitch!r}")
 
 
-def test_an_input_changed_by_one_bit_shows_in_the_output_that_follows(box, tmp_path, capsys):
+def test_an_input_changed_by_one_bit_shows_in_the_output_that_follows(black_box, tmp_path, capsys):
     def change(message):
         store = message_store()
         imu = store.deserialize_cdr(message.data, "sensor_msgs/msg/Imu")
         imu.orientation.x += 1e-9
         return replace(message, data=bytes(store.serialize_cdr(imu, "sensor_msgs/msg/Imu")))
 
-    code, out, _ = verify(capsys, write_changed_copy(box, tmp_path / "b.mcap", change_nth("ins/imu", 50, change)))
+    code, out, _ = verify(capsys, write_changed_copy(black_box, tmp_path / "b.mcap", change_nth("ins/imu", 50, change)))
     assert code == 1
     assert "first difference: ship/attitude, stamp" in out
 
 
-def test_an_output_too_many_is_a_difference(box, tmp_path, capsys):
+def test_an_output_too_many_is_a_difference(black_box, tmp_path, capsys):
     copy = write_changed_copy(
-        box, tmp_path / "b.mcap", change_nth("ship/attitude", 30, lambda m: [m, m]), renumber=True
+        black_box, tmp_path / "b.mcap", change_nth("ship/attitude", 30, lambda m: [m, m]), renumber=True
     )
     code, out, _ = verify(capsys, copy)
     assert code == 1
     assert "recorded a message, replayed a message on ship/imu" in out
 
 
-def test_an_output_too_few_is_a_difference(box, tmp_path, capsys):
-    copy = write_changed_copy(box, tmp_path / "b.mcap", change_nth("/tf", 30, lambda message: None), renumber=True)
+def test_an_output_too_few_is_a_difference(black_box, tmp_path, capsys):
+    copy = write_changed_copy(
+        black_box, tmp_path / "b.mcap", change_nth("/tf", 30, lambda message: None), renumber=True
+    )
     code, out, _ = verify(capsys, copy)
     assert code == 1
     assert "first difference: /tf, " in out
     assert "recorded nothing, replayed a message" in out
 
 
-def test_another_saved_file_is_a_difference(box, tmp_path, capsys):
+def test_another_saved_file_is_a_difference(black_box, tmp_path, capsys):
     def change(record, topics):
         if isinstance(record, Attachment) and record.name == "files/0001/alignment.yaml":
             return replace(record, data=record.data.replace(b"version: 1", b"version: 9"))
         return record
 
-    code, out, _ = verify(capsys, write_changed_copy(box, tmp_path / "b.mcap", change))
+    code, out, _ = verify(capsys, write_changed_copy(black_box, tmp_path / "b.mcap", change))
     assert code == 1
     assert "alignment.yaml, stamp" in out
     assert "field line 2: recorded 'version: 9', replayed 'version: 1'" in out
 
 
-def test_other_texts_of_a_saved_file_are_counted(box, tmp_path, capsys):
+def test_other_texts_of_a_saved_file_are_counted(black_box, tmp_path, capsys):
     def change(record, topics):
         if isinstance(record, Attachment) and record.name == "files/0001/alignment.yaml":
             return replace(record, data=record.data.replace(b"format: ", b"format: earlier "))
         return record
 
-    code, out, _ = verify(capsys, write_changed_copy(box, tmp_path / "b.mcap", change))
+    code, out, _ = verify(capsys, write_changed_copy(black_box, tmp_path / "b.mcap", change))
     assert code == 0, out
     assert re.search(r"other texts: file \S+alignment\.yaml 1; the first: file", out)
 
 
-def test_missing_entries_end_the_verification_and_are_reported(box, tmp_path, capsys):
+def test_missing_entries_end_the_verification_and_are_reported(black_box, tmp_path, capsys):
     code, out, _ = verify(
-        capsys, write_changed_copy(box, tmp_path / "b.mcap", change_nth("ins/imu", 400, lambda message: None))
+        capsys, write_changed_copy(black_box, tmp_path / "b.mcap", change_nth("ins/imu", 400, lambda message: None))
     )
     assert code == 1
     assert "verified up to this point: entries are missing before 2014-07-09T11:50:11.79" in out
     assert "first difference" not in out
 
 
-def test_a_damaged_chunk_ends_the_verification_and_is_reported(box, tmp_path, capsys):
-    chunks = open_mcap(box).chunks
+def test_a_damaged_chunk_ends_the_verification_and_is_reported(black_box, tmp_path, capsys):
+    chunks = open_mcap(black_box).chunks
     place = chunks[len(chunks) // 2]
-    data = bytearray(box.read_bytes())
+    data = bytearray(black_box.read_bytes())
     data[place.offset + place.length // 2] ^= 1
     damaged = tmp_path / "b.mcap"
     damaged.write_bytes(data)
@@ -450,9 +456,9 @@ def test_a_damaged_chunk_ends_the_verification_and_is_reported(box, tmp_path, ca
 
 
 @pytest.mark.parametrize("part", [0.3, 0.6, 0.9])
-def test_a_cut_box_is_verified_up_to_the_cut(box, tmp_path, capsys, part):
+def test_a_cut_black_box_is_verified_up_to_the_cut(black_box, tmp_path, capsys, part):
     cut = tmp_path / "b.mcap"
-    data = box.read_bytes()
+    data = black_box.read_bytes()
     cut.write_bytes(data[: round(part * len(data))])
     code, out, _ = verify(capsys, cut)
     assert code == 0, out
@@ -461,60 +467,64 @@ def test_a_cut_box_is_verified_up_to_the_cut(box, tmp_path, capsys, part):
 
 
 class TestRefused:
-    def test_of_another_version_of_the_format(self, box, tmp_path, capsys):
+    def test_of_another_version_of_the_format(self, black_box, tmp_path, capsys):
         def change(record, topics):
             if isinstance(record, Metadata):
-                assert record.metadata["format"] == BOX_FORMAT
+                assert record.metadata["format"] == FORMAT
                 return replace(record, metadata=record.metadata | {"format": "0"})
             return record
 
-        line = error_text(capsys, write_changed_copy(box, tmp_path / "b.mcap", change))
-        assert f"b.mcap: version 0 of the black box: expected {BOX_FORMAT}" in line
+        line = error_text(capsys, write_changed_copy(black_box, tmp_path / "b.mcap", change))
+        assert f"b.mcap: version 0 of the black box: expected {FORMAT}" in line
 
-    def test_of_another_node(self, box, tmp_path, capsys):
+    def test_of_another_node(self, black_box, tmp_path, capsys):
         def change(record, topics):
             if isinstance(record, Metadata):
                 return replace(record, metadata=record.metadata | {"node": "gyro"})
             return record
 
-        line = error_text(capsys, write_changed_copy(box, tmp_path / "b.mcap", change))
+        line = error_text(capsys, write_changed_copy(black_box, tmp_path / "b.mcap", change))
         assert "black box of node 'gyro': expected one of " in line
         assert "ship_attitude" in line.partition("expected one of")[2]
 
-    def test_without_its_head(self, box, tmp_path, capsys):
-        copy = write_changed_copy(box, tmp_path / "b.mcap", lambda r, topics: None if isinstance(r, Metadata) else r)
+    def test_without_its_head(self, black_box, tmp_path, capsys):
+        copy = write_changed_copy(
+            black_box, tmp_path / "b.mcap", lambda r, topics: None if isinstance(r, Metadata) else r
+        )
         assert "metadata record 'black_box' is missing" in error_text(capsys, copy)
 
-    def test_with_a_message_definition_that_has_changed(self, box, tmp_path, capsys):
+    def test_with_a_message_definition_that_has_changed(self, black_box, tmp_path, capsys):
         def change(record, topics):
             if isinstance(record, Schema) and record.name == ATTITUDE:
                 return replace(record, data=record.data.replace(b"float64 pitch", b"float64 trim"))
             return record
 
-        line = error_text(capsys, write_changed_copy(box, tmp_path / "b.mcap", change))
+        line = error_text(capsys, write_changed_copy(black_box, tmp_path / "b.mcap", change))
         assert "topic 'ship/attitude': the message definition has changed" in line
         assert "ship_msgs/msg/ShipAttitude.pitch is missing in the bag" in line
 
-    def test_with_the_content_of_a_file_missing(self, box, tmp_path, capsys):
+    def test_with_the_content_of_a_file_missing(self, black_box, tmp_path, capsys):
         name = "files/0002/alignment.yaml"
-        copy = write_changed_copy(box, tmp_path / "b.mcap", without(name))
+        copy = write_changed_copy(black_box, tmp_path / "b.mcap", without_attachment(name))
         line = error_text(capsys, copy)
-        assert f"attachment {name} is missing: the content of {box.with_name('alignment.yaml')}" in line
+        assert f"attachment {name} is missing: the content of {black_box.with_name('alignment.yaml')}" in line
 
-    def test_with_parameters_that_this_node_does_not_know(self, box, tmp_path, capsys):
-        copy = write_changed_copy(box, tmp_path / "b.mcap", with_suite(lambda text: text.replace("lag_s", "delay_s")))
+    def test_with_parameters_that_this_node_does_not_have(self, black_box, tmp_path, capsys):
+        copy = write_changed_copy(
+            black_box, tmp_path / "b.mcap", with_suite(lambda text: text.replace("lag_s", "delay_s"))
+        )
         assert "attachment suite.yaml" in (line := error_text(capsys, copy))
         assert "'delay_s' is unknown" in line
 
-    def test_with_the_parameters_of_other_devices(self, box, tmp_path, capsys):
+    def test_with_the_parameters_of_other_devices(self, black_box, tmp_path, capsys):
         copy = write_changed_copy(
-            box, tmp_path / "b.mcap", with_suite(lambda text: text.replace('"starboard"', '"aft"'))
+            black_box, tmp_path / "b.mcap", with_suite(lambda text: text.replace('"starboard"', '"aft"'))
         )
         line = error_text(capsys, copy)
         assert "'star/starboard/horizon_attitude' (ship_msgs/msg/StarHorizonAttitude) is no topic of" in line
 
 
-def without(name):
+def without_attachment(name):
     return lambda r, topics: None if isinstance(r, Attachment) and r.name == name else r
 
 
@@ -530,9 +540,9 @@ def with_suite(change):
 
 
 @pytest.fixture
-def suite(box, tmp_path):
-    """The black box's own parameters as a file."""
-    with read_bag(box) as bag:
+def suite(black_box, tmp_path):
+    """Return a file with the parameters of the black box."""
+    with read_bag(black_box) as bag:
         text = bag.attachments[SUITE_ATTACHMENT]
     path = tmp_path / "suite.yaml"
     path.write_bytes(text)
@@ -541,8 +551,8 @@ def suite(box, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["suite.yaml", "versions.json"])
-def test_a_missing_attachment_is_refused_or_replaced_by_config(box, suite, tmp_path, capsys, name):
-    copy = write_changed_copy(box, tmp_path / "b.mcap", without(name))
+def test_a_missing_attachment_is_refused_or_replaced_by_config(black_box, suite, tmp_path, capsys, name):
+    copy = write_changed_copy(black_box, tmp_path / "b.mcap", without_attachment(name))
     line = error_text(capsys, copy)
     assert name in line
     assert "--config" in line
@@ -551,7 +561,7 @@ def test_a_missing_attachment_is_refused_or_replaced_by_config(box, suite, tmp_p
     assert f"note: replayed with {suite} instead of the black box's own parameters" in out
 
 
-def test_another_version_of_the_suite_is_refused_or_replayed_with_config(box, suite, tmp_path, capsys):
+def test_another_version_of_the_suite_is_refused_or_replayed_with_config(black_box, suite, tmp_path, capsys):
     def change(record, topics):
         if isinstance(record, Attachment) and record.name == "versions.json":
             found = json.loads(record.data)
@@ -559,25 +569,25 @@ def test_another_version_of_the_suite_is_refused_or_replayed_with_config(box, su
             return replace(record, data=json.dumps(found).encode())
         return record
 
-    copy = write_changed_copy(box, tmp_path / "b.mcap", change)
+    copy = write_changed_copy(black_box, tmp_path / "b.mcap", change)
     assert "another version of the suite (ship_attitude_star 0.0.1 there, 0.1.0 here)" in error_text(capsys, copy)
     code, out, _ = verify(capsys, copy, "--config", suite)
     assert code == 0
     assert "note: written by another version of the suite" in out
 
 
-def test_other_parameters_by_config_are_reported_and_give_a_difference(box, suite, tmp_path, capsys):
+def test_other_parameters_by_config_are_reported_and_give_a_difference(black_box, suite, tmp_path, capsys):
     suite.write_text(suite.read_text().replace('"tilt_sigma_arcsec": 10.0', '"tilt_sigma_arcsec": 11.0'))
     out_path = tmp_path / "out.mcap"
-    code, out, _ = verify(capsys, box, "--config", suite, "--out", out_path)
+    code, out, _ = verify(capsys, black_box, "--config", suite, "--out", out_path)
     assert code == 1
     assert "instead of the black box's own parameters: ins.tilt_sigma_arcsec = 11.0, was 10.0" in out
-    with read_bag(box) as recorded, read_bag(out_path) as replayed:
+    with read_bag(black_box) as recorded, read_bag(out_path) as replayed:
         counts = [sum(1 for r in bag.records(["ship/attitude"])) for bag in (recorded, replayed)]
     assert counts[0] == counts[1]
 
 
-def test_verify_draws_no_report_and_without_it_there_must_be_an_out(box, tmp_path, capsys):
-    assert main([str(box)]) == 2
-    assert main([str(box), "--verify", "--report", str(tmp_path)]) == 2
+def test_verify_draws_no_report_and_without_it_there_must_be_an_out(black_box, tmp_path, capsys):
+    assert main([str(black_box)]) == 2
+    assert main([str(black_box), "--verify", "--report", str(tmp_path)]) == 2
     assert "--out is missing" in capsys.readouterr().err

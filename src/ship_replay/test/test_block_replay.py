@@ -58,27 +58,27 @@ def replay_faults(run_class: type[ReplayRun], bag_path: Path, injection: Injecti
 
 def assert_equal(bag_path: Path, injection: Injection | None = None) -> None:
     injection = injection or Injection(bag_path, {}, 0)
-    expected, told = replay_faults(ReplayRun, bag_path, injection)
-    found, also_told = replay_faults(BlockRun, bag_path, injection)
+    expected, of_run = replay_faults(ReplayRun, bag_path, injection)
+    found, of_blocks = replay_faults(BlockRun, bag_path, injection)
     assert {topic: len(messages) for topic, messages in found.items()} == {
         topic: len(messages) for topic, messages in expected.items()
     }
     for topic, messages in expected.items():
         odd = next((n for n, (one, other) in enumerate(zip(messages, found[topic], strict=True)) if one != other), None)
         assert odd is None, f"{topic}: message {odd} of {len(messages)} at {messages[odd][0]}"
-    assert (also_told.inputs, also_told.outputs, also_told.rejected) == (told.inputs, told.outputs, told.rejected)
-    for topic, course in told.status_histories.items():
-        assert (also_told.status_histories[topic].counts, also_told.status_histories[topic].spans) == (
-            course.counts,
-            course.spans,
+    assert (of_blocks.inputs, of_blocks.outputs, of_blocks.rejected) == (of_run.inputs, of_run.outputs, of_run.rejected)
+    for topic, history in of_run.status_histories.items():
+        assert (of_blocks.status_histories[topic].counts, of_blocks.status_histories[topic].spans) == (
+            history.counts,
+            history.spans,
         )
-    exclusions = [{topic: one.lines(0) for topic, one in each.exclusions.items()} for each in (told, also_told)]
+    exclusions = [{topic: one.lines(0) for topic, one in each.exclusions.items()} for each in (of_run, of_blocks)]
     assert exclusions[0] == exclusions[1]
-    for topic, times in told.times.items():
-        for one, other in zip(_gaps(times), _gaps(also_told.times[topic]), strict=True):
+    for topic, times in of_run.times.items():
+        for one, other in zip(_gaps(times), _gaps(of_blocks.times[topic]), strict=True):
             np.testing.assert_array_equal(one, other)
-    assert also_told.log_delays.irregularity_text() == told.log_delays.irregularity_text()
-    assert also_told.log_delays.median_ns() == told.log_delays.median_ns()
+    assert of_blocks.log_delays.irregularity_text() == of_run.log_delays.irregularity_text()
+    assert of_blocks.log_delays.median_ns() == of_run.log_delays.median_ns()
 
 
 def _gaps(times: Any) -> list[np.ndarray]:
@@ -138,22 +138,22 @@ def test_faulted_bags_of_all_nodes(suite_bag: Path, seed: int) -> None:
 @pytest.mark.slow
 def test_a_second_estimator_that_is_adopted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The filter is corrupted after 20 s; half a minute later the second estimator replaces it."""
-    bag, adopted, spoilt = make_bag(SCENARIOS / "demo.yaml", 70.0, 3, tmp_path / "demo.mcap"), [], set()
-    with read_bag(bag) as opened:
-        start_ns = opened.start_ns or 0
+    bag, adopted, faulty = make_bag(SCENARIOS / "demo.yaml", 70.0, 3, tmp_path / "demo.mcap"), [], set()
+    with read_bag(bag) as content:
+        start_ns = content.start_ns or 0
     look = ShipAttitudeAdapter._decide
 
-    def spoilt_look(self: ShipAttitudeAdapter, now_ns: int, waiting_ns: int) -> Any:
+    def decide_with_fault(self: ShipAttitudeAdapter, now_ns: int, waiting_ns: int) -> Any:
         self.recovery._config = replace(self.recovery._config, confirm_s=30.0)
-        if waiting_ns - start_ns >= 20 * NS_PER_S and id(self) not in spoilt:
-            spoilt.add(id(self))
+        if waiting_ns - start_ns >= 20 * NS_PER_S and id(self) not in faulty:
+            faulty.add(id(self))
             make_overconfident(self)
         published = look(self, now_ns, waiting_ns)
         if self.recovery.adopted > adopted.count(id(self)):
             adopted.append(id(self))
         return published
 
-    monkeypatch.setattr(ShipAttitudeAdapter, "_decide", spoilt_look)
+    monkeypatch.setattr(ShipAttitudeAdapter, "_decide", decide_with_fault)
     assert_equal(bag)
     assert len(adopted) == len(set(adopted)) == 2
 
@@ -177,11 +177,11 @@ def test_most_of_a_healthy_ins_is_taken_in_blocks(
     taken = []
     finish_batch = core.finish_batch
 
-    def counted(self: Any, ahead: Any) -> Any:
+    def count_calls(self: Any, ahead: Any) -> Any:
         taken.append(ahead.followed.usual)
         return finish_batch(self, ahead)
 
-    monkeypatch.setattr(core, "finish_batch", counted)
+    monkeypatch.setattr(core, "finish_batch", count_calls)
     _, summary = replay_faults(BlockRun, suite_bag, Injection(suite_bag, {}, 0))
     assert sum(taken) > 0.8 * summary.inputs["ins/imu"]
 
@@ -191,11 +191,11 @@ def test_nearly_all_pointings_are_put_out_together(suite_bag: Path, monkeypatch:
     counts = []
     compute_pending = PointingOutput.compute_pending
 
-    def counted(self: PointingOutput, due: Any) -> Any:
-        counts.append(len(due))
-        return compute_pending(self, due)
+    def count_calls(self: PointingOutput, pending: Any) -> Any:
+        counts.append(len(pending))
+        return compute_pending(self, pending)
 
-    monkeypatch.setattr(PointingOutput, "compute_pending", counted)
+    monkeypatch.setattr(PointingOutput, "compute_pending", count_calls)
     _, summary = replay_faults(BlockRun, suite_bag, Injection(suite_bag, {}, 0))
     assert sum(counts) > 0.8 * summary.inputs["theodolite/encoder"]
     assert max(counts) > 10

@@ -103,10 +103,10 @@ def test_with_a_reference_the_node_starts_from_the_true_angles(tmp_path, capsys)
         true = angles_from_rotation(truth.rotation_dv)
         for angle, value in zip(("azimuth", "elevation", "roll"), true, strict=True):
             name = f"star.{id_}.{angle}"
-            index, said = alignment.names.index(name), result.values["angles"][name]
-            # What the file says, the report says, and the truth is.
-            assert np.rad2deg(wrap_pi(alignment.values[index])) == pytest.approx(said["installed_deg"], abs=1e-9)
-            assert sigma[index] / ARCSEC == pytest.approx(said["sigma_arcsec"], rel=1e-4)
+            index, stated = alignment.names.index(name), result.values["angles"][name]
+            # The file, the report and the truth agree.
+            assert np.rad2deg(wrap_pi(alignment.values[index])) == pytest.approx(stated["installed_deg"], abs=1e-9)
+            assert sigma[index] / ARCSEC == pytest.approx(stated["sigma_arcsec"], rel=1e-4)
             assert abs(wrap_pi(alignment.values[index] - value)) < 4.0 * sigma[index] < 2.0 * sigma_before[index]
     figure = result.report / "installation.png"
     assert figure.read_bytes().startswith(b"\x89PNG")
@@ -117,14 +117,14 @@ def test_table_and_report_are_equal(tmp_path, capsys):
     result = calibrate(tmp_path, capsys, session(TURN))
     values = result.values
     row = next(line.strip("│ ").split(" │ ") for line in result.lines if "starboard │ azimuth" in line)
-    said = values["angles"]["star.starboard.azimuth"]
-    assert row[2] == f"{said['configured_deg']:.5f}" == "90.00000"
-    assert row[3] == f"{said['installed_deg']:.5f}"
-    assert row[4] == f"{said['correction_arcsec']:+.2f}"
-    assert row[5:7] == [f"{said['sigma_before_arcsec']:.2f}", f"{said['sigma_arcsec']:.2f}"]
-    assert row[7:9] == [said["observed"], *said["open_in"]] == ["partly", "2"]
-    degrees = said["installed_deg"] - said["configured_deg"]
-    assert said["correction_arcsec"] == pytest.approx(3600.0 * degrees, abs=1e-6)
+    stated = values["angles"]["star.starboard.azimuth"]
+    assert row[2] == f"{stated['configured_deg']:.5f}" == "90.00000"
+    assert row[3] == f"{stated['installed_deg']:.5f}"
+    assert row[4] == f"{stated['correction_arcsec']:+.2f}"
+    assert row[5:7] == [f"{stated['sigma_before_arcsec']:.2f}", f"{stated['sigma_arcsec']:.2f}"]
+    assert row[7:9] == [stated["observed"], *stated["open_in"]] == ["partly", "2"]
+    degrees = stated["installed_deg"] - stated["configured_deg"]
+    assert stated["correction_arcsec"] == pytest.approx(3600.0 * degrees, abs=1e-6)
     covariance = np.array(values["covariance_rad2"])
     sigma_arcsec = [entry["sigma_arcsec"] for entry in values["angles"].values()]
     assert np.sqrt(np.diagonal(covariance)) / ARCSEC == pytest.approx(sigma_arcsec)
@@ -136,8 +136,8 @@ def test_a_sensor_at_the_zenith_has_no_azimuth_of_its_own(tmp_path, capsys):
     scenario = session(STILL, reference=True)
     sensors = {**scenario.star_sensors, "fore": replace(scenario.star_sensors["fore"], elevation_deg=90.0)}
     result = calibrate(tmp_path, capsys, replace(scenario, star_sensors=sensors))
-    said = {angle: result.values["angles"][f"star.fore.{angle}"] for angle in ("azimuth", "elevation", "roll")}
-    assert said["azimuth"]["sigma_arcsec"] is said["roll"]["sigma_arcsec"] is said["azimuth"]["observed"] is None
+    stated = {angle: result.values["angles"][f"star.fore.{angle}"] for angle in ("azimuth", "elevation", "roll")}
+    assert stated["azimuth"]["sigma_arcsec"] is stated["roll"]["sigma_arcsec"] is stated["azimuth"]["observed"] is None
     assert set(observability(result).values()) == {"yes"}
     assert result.report.joinpath("installation.png").exists()
     saved = ALIGNMENT_FILE.load(result.alignment)
@@ -151,23 +151,23 @@ def test_an_installation_far_from_the_configured_one_needs_a_wider_prior(tmp_pat
     """600″ off with a configured sigma of 20″: rejected as improbable, found with --prior-sigma."""
     far = session(STILL, sigma_arcsec=600.0)
 
-    def believed(text: str) -> str:
+    def with_small_sigmas(text: str) -> str:
         suite = yaml.safe_load(text)
         for sensor in suite["/**/ship_attitude"]["ros__parameters"]["star_sensors"].values():
             sensor |= {f"installation_sigma_{axis}_arcsec": 20.0 for axis in ("forward", "up", "right")}
         return yaml.safe_dump(suite)
 
     bag = tmp_path / "session.mcap"
-    write_session(bag, far, suite=believed)
+    write_session(bag, far, suite=with_small_sigmas)
     line = usage_error(main, capsys, bag, "--out", tmp_path / "alignment.yaml")
     assert "no message of star.fore was used" in line
     assert "its installation error exceeds its sigma: use --prior-sigma" in line
     assert not (tmp_path / "alignment.yaml").exists()
-    result = calibrate(tmp_path, capsys, far, ["--prior-sigma", "600"], suite=believed)
+    result = calibrate(tmp_path, capsys, far, ["--prior-sigma", "600"], suite=with_small_sigmas)
     for id_, truth in result.run.truth.stars.items():
-        said = result.values["angles"][f"star.{id_}.elevation"]
+        stated = result.values["angles"][f"star.{id_}.elevation"]
         true_deg = np.rad2deg(angles_from_rotation(truth.rotation_dv))[1]
-        assert abs(said["installed_deg"] - true_deg) * 3600.0 < 4.0 * said["sigma_arcsec"] < 60.0
+        assert abs(stated["installed_deg"] - true_deg) * 3600.0 < 4.0 * stated["sigma_arcsec"] < 60.0
     assert observability(result)[AZIMUTH] == "no"
 
 

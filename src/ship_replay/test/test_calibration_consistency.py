@@ -28,7 +28,7 @@ VOYAGES = 16
 SENSORS = "fore", "starboard"
 
 
-def calibrated(run: SimulatedRun, core: ShipAttitudeCore) -> InstallationCalibration:
+def calibrate_run(run: SimulatedRun, core: ShipAttitudeCore) -> InstallationCalibration:
     """Return the result of the command for a run, without a bag."""
     feed_attitude(core, run)
     return calibrate(Session("run", core.config, core, {}, np.array([]), {}, run.scenario.duration_s, []))
@@ -53,7 +53,7 @@ CALM = {"bow": "no", "up": "no", "starboard": "no"}
     [
         (session(STILL), CALM),
         (session(STILL, sigma_arcsec=1200.0), CALM),
-        # The INS's heading error turns with the ship: a turn in calm water tells only its tilt.
+        # The INS's heading error turns with the ship: a turn in calm water makes only its tilt observable.
         (session(TURN), CALM | {"bow": "yes", "starboard": "yes"}),
         (session(HEELING), dict.fromkeys(CALM, "yes")),
         (session(STILL, reference=True), dict.fromkeys(CALM, "yes")),
@@ -65,7 +65,7 @@ def test_errors_fit_their_covariance(scenario: Scenario, observed: dict[str, str
     values, ratios = [], []
     for seed in range(SEEDS):
         run = simulate(scenario, seed)
-        calibration = calibrated(run, core_for(scenario))
+        calibration = calibrate_run(run, core_for(scenario))
         assert {c.axis: c.observability for c in calibration.combinations.values() if c.axis} == observed
         values.append(nees(calibration, run))
         ratios.append(angle_errors(calibration, run) / [angle.sigma for angle in calibration.angles])
@@ -80,7 +80,7 @@ def test_a_too_narrow_prior_is_detected() -> None:
     """The bands can fail: installations five times as far off as configured."""
     scenario = session(STILL, sigma_arcsec=4.0)
     values = [
-        nees(calibrated(simulate(session(STILL), seed), core_for(scenario)), simulate(session(STILL), seed))
+        nees(calibrate_run(simulate(session(STILL), seed), core_for(scenario)), simulate(session(STILL), seed))
         for seed in range(4)
     ]
     assert np.mean(values) > mean_nees_band(4, degrees=6)[1]
@@ -107,7 +107,7 @@ def next_voyage(calibration_run: SimulatedRun) -> Scenario:
 
 @pytest.mark.statistics
 def test_a_voyage_with_the_calibration_is_better_and_consistent(tmp_path: Path) -> None:
-    """Through the file and its real loader."""
+    """The calibration passes through the file and its real loader."""
     scenario = session(STILL, reference=True)
     # The voyage goes without the reference that the harbour had.
     config = build(ShipAttitudeConfig, suite_configuration(session(STILL)))
@@ -116,7 +116,7 @@ def test_a_voyage_with_the_calibration_is_better_and_consistent(tmp_path: Path) 
     for seed in range(VOYAGES):
         run = simulate(scenario, seed)
         path = tmp_path / "alignment.yaml"
-        ALIGNMENT_FILE.save(path, calibrated(run, core_for(scenario)).prior)
+        ALIGNMENT_FILE.save(path, calibrate_run(run, core_for(scenario)).prior)
         voyage = simulate(next_voyage(run), 1000 + seed)
         for name, squares in errors.items():
             core = ShipAttitudeCore(config)

@@ -36,15 +36,15 @@ def test_innovation_diagnosis() -> None:
     ]  # fmt: skip
 
 
-def test_nothing_measured_leaves_everything_open() -> None:
+def test_nothing_measured_leaves_everything_unobserved() -> None:
     combos = find_combinations(PRIOR_COVARIANCE)
     assert [combo.axis for combo in combos] == [*DECK_AXES, None, None, None]
     assert {combo.observability for combo in combos} == {"no"}
-    # Two sensors of 20": the turn of both is known to 20" / sqrt 2.
+    # Two sensors of 20": the sigma of the turn of both is 20" / sqrt 2.
     assert [combo.sigma / ARCSEC for combo in combos[:3]] == pytest.approx([20.0 / np.sqrt(2.0)] * 3)
 
 
-def test_at_constant_heading_the_turn_of_all_is_open_and_the_rest_is_not() -> None:
+def test_at_constant_heading_only_the_turn_of_all_is_unobserved() -> None:
     combos = find_combinations(against_ins(PRIOR_COVARIANCE, sigma_arcsec=0.1))
     # 1 / sqrt(2 / 20² + 1 / 10²) and 1 / sqrt(2 / 20² + 1 / 72²): prior and INS, by hand.
     assert [combo.axis for combo in combos] == list(DECK_AXES)
@@ -83,9 +83,9 @@ def test_a_boresight_that_was_not_observed_is_named() -> None:
     # 0.1" about five axes; the sixth, forward of the second sensor, not at all.
     measured = np.delete(np.eye(6), 3, axis=0)
     combos = find_combinations(update_covariance(PRIOR_COVARIANCE, measured, (0.1 * ARCSEC) ** 2 * np.eye(5)))
-    (open_one,) = [combo for combo in combos if combo.observability != "yes"]
-    assert open_one.axis is None
-    assert np.unravel_index(np.argmax(np.abs(open_one.rotation_s)), (2, 3)) == (1, 0)
+    (unobserved,) = [combo for combo in combos if combo.observability != "yes"]
+    assert unobserved.axis is None
+    assert np.unravel_index(np.argmax(np.abs(unobserved.rotation_s)), (2, 3)) == (1, 0)
 
 
 def test_a_single_sensor_has_no_relative_rotation() -> None:

@@ -36,7 +36,7 @@ SUITE = """\
   ros__parameters:
     star_sensors: {fore: {azimuth_deg: 10.0, elevation_deg: 45.0}}
 """
-PATIENCE_S = 120.0
+TIMEOUT_S = 120.0
 
 
 @pytest.fixture(scope="module")
@@ -61,75 +61,75 @@ def files_of(folder):
 
 class TestKeys:
     @pytest.fixture
-    def given(self, tmp_path):
+    def inputs(self, tmp_path):
         (tmp_path / "voyage.yaml").write_text(SHORT)
         (tmp_path / "suite.yaml").write_text(SUITE)
-        (tmp_path / "night.mcap").write_bytes(b"a night")
+        (tmp_path / "voyage.mcap").write_bytes(b"a voyage")
         return tmp_path
 
     def key(self, folder, source="voyage.yaml", seeds=(1,), **others):
         (item,) = campaign_items([folder / source], [folder / "suite.yaml"], seeds, **others)
         return item.key
 
-    @pytest.mark.parametrize("name", ["voyage.yaml", "suite.yaml", "night.mcap"])
-    def test_contents_are_in_the_key(self, given, name):
-        sources = "voyage.yaml", "night.mcap"
-        before = [self.key(given, source) for source in sources]
-        with (given / name).open("a") as stream:
+    @pytest.mark.parametrize("name", ["voyage.yaml", "suite.yaml", "voyage.mcap"])
+    def test_contents_are_in_the_key(self, inputs, name):
+        sources = "voyage.yaml", "voyage.mcap"
+        before = [self.key(inputs, source) for source in sources]
+        with (inputs / name).open("a") as stream:
             stream.write("\n")
-        after = [self.key(given, source) for source in sources]
+        after = [self.key(inputs, source) for source in sources]
         changed = [old != new for old, new in zip(before, after, strict=True)]
         assert changed == [name in ("suite.yaml", source) for source in sources]
 
-    @pytest.mark.parametrize("change", [{"seeds": (2,)}, {"skip_s": 1.0}, {"source": "night.mcap"}])
-    def test_seed_and_start_are_in_the_key(self, given, change):
-        assert self.key(given, **change) != self.key(given)
+    @pytest.mark.parametrize("change", [{"seeds": (2,)}, {"skip_s": 1.0}, {"source": "voyage.mcap"}])
+    def test_seed_and_start_are_in_the_key(self, inputs, change):
+        assert self.key(inputs, **change) != self.key(inputs)
 
-    def test_the_namespace_is_in_the_key_of_a_bag_alone(self, given):
-        assert self.key(given, "night.mcap", namespace="ship") != self.key(given, "night.mcap")
-        assert self.key(given, namespace="ship") == self.key(given)
+    def test_the_namespace_is_in_the_key_of_a_bag_alone(self, inputs):
+        assert self.key(inputs, "voyage.mcap", namespace="ship") != self.key(inputs, "voyage.mcap")
+        assert self.key(inputs, namespace="ship") == self.key(inputs)
 
-    def test_no_parameter_set_is_another_key(self, given):
-        (item,) = campaign_items([given / "voyage.yaml"], [], [1])
-        assert item.key != self.key(given)
+    def test_no_parameter_set_is_another_key(self, inputs):
+        (item,) = campaign_items([inputs / "voyage.yaml"], [], [1])
+        assert item.key != self.key(inputs)
 
-    def test_the_code_is_in_the_key(self, given):
-        (item,) = campaign_items([given / "voyage.yaml"], [], [1])
+    def test_the_code_is_in_the_key(self, inputs):
+        (item,) = campaign_items([inputs / "voyage.yaml"], [], [1])
         assert dataclasses.replace(item, code="another").key != item.key
 
-    def test_the_code_is_its_source_files_wherever_they_lie(self, given):
-        (given / "code" / "room").mkdir(parents=True)
-        (given / "code" / "room" / "one.py").write_text("1\n")
-        code = folder_sha256(given / "code", "package")
-        shutil.copytree(given / "code", given / "elsewhere")
-        assert folder_sha256(given / "elsewhere", "package") == code
-        (given / "code" / "room" / "one.pyc").write_bytes(b"compiled")
-        assert folder_sha256(given / "code", "package") == code
-        (given / "elsewhere" / "room" / "one.py").write_text("2\n")
-        assert folder_sha256(given / "elsewhere", "package") != code
+    def test_the_code_is_its_source_files_wherever_they_lie(self, inputs):
+        (inputs / "code" / "room").mkdir(parents=True)
+        (inputs / "code" / "room" / "one.py").write_text("1\n")
+        code = folder_sha256(inputs / "code", "package")
+        shutil.copytree(inputs / "code", inputs / "elsewhere")
+        assert folder_sha256(inputs / "elsewhere", "package") == code
+        (inputs / "code" / "room" / "one.pyc").write_bytes(b"compiled")
+        assert folder_sha256(inputs / "code", "package") == code
+        (inputs / "elsewhere" / "room" / "one.py").write_text("2\n")
+        assert folder_sha256(inputs / "elsewhere", "package") != code
 
-    def test_names_and_times_of_files_are_not_in_the_key(self, given, tmp_path):
+    def test_names_and_times_of_files_are_not_in_the_key(self, inputs, tmp_path):
         other = tmp_path / "elsewhere"
         other.mkdir()
         for name, new in (("voyage.yaml", "renamed.yaml"), ("suite.yaml", "suite.yaml")):
-            (other / new).write_bytes((given / name).read_bytes())
-        os.utime(given / "voyage.yaml", (1.0, 1.0))
-        assert self.key(other, "renamed.yaml") == self.key(given)
+            (other / new).write_bytes((inputs / name).read_bytes())
+        os.utime(inputs / "voyage.yaml", (1.0, 1.0))
+        assert self.key(other, "renamed.yaml") == self.key(inputs)
 
-    def test_a_recording_that_a_scenario_follows_is_in_the_key(self, given):
-        (given / "ride.yaml").write_text(
+    def test_a_recording_that_a_scenario_follows_is_in_the_key(self, inputs):
+        (inputs / "ride.yaml").write_text(
             'start_utc: "2014-07-09T11:50:07.8Z"\nduration_s: 4.0\n'
-            "carrier: {kind: recorded, recording: {bag: night.mcap}}\n"
+            "carrier: {kind: recorded, recording: {bag: voyage.mcap}}\n"
         )
-        before = self.key(given, "ride.yaml")
-        (given / "night.mcap").write_bytes(b"another night")
-        assert self.key(given, "ride.yaml") != before
+        before = self.key(inputs, "ride.yaml")
+        (inputs / "voyage.mcap").write_bytes(b"another voyage")
+        assert self.key(inputs, "ride.yaml") != before
 
-    def test_an_item_whose_file_was_changed_meanwhile_fails(self, given):
-        (item,) = campaign_items([given / "night.mcap"], [], [])
-        (given / "night.mcap").write_bytes(b"another night")
+    def test_an_item_whose_file_was_changed_meanwhile_fails(self, inputs):
+        (item,) = campaign_items([inputs / "voyage.mcap"], [], [])
+        (inputs / "voyage.mcap").write_bytes(b"another voyage")
         ((_, result),) = run_in_processes(run_item, [item], 1)
-        assert result["error"] == f"{given}/night.mcap: has changed since the campaign began"
+        assert result["error"] == f"{inputs}/voyage.mcap: has changed since the campaign began"
 
 
 @pytest.mark.parametrize(
@@ -160,9 +160,9 @@ class TestResults:
         assert {name: row[name] for name in expected} == {
             name: "" if value is None else repr(value) for name, value in expected.items()
         }
-        told = capsys.readouterr().out
+        printed = capsys.readouterr().out
         outputs = sum(int(row[name]) for name in row if name.startswith("status.ship/attitude."))
-        assert f"{outputs} outputs" in told or f"of {outputs} outputs" in told
+        assert f"{outputs} outputs" in printed or f"of {outputs} outputs" in printed
 
     def test_two_workers_give_the_same_bytes(self, by_one, scenario, tmp_path):
         assert main([str(scenario), "--seeds", "1-3", "--workers", "2", "--out", str(tmp_path / "two")]) == 0
@@ -201,8 +201,8 @@ class TestResults:
         bad.write_bytes(b"no bag")
         arguments = [str(bad), str(scenario), "--out", str(tmp_path / "out")]
         assert main(arguments) == 1
-        said = capsys.readouterr().out
-        assert f"failed: {bad}, as attached: {bad}: " in said
+        printed = capsys.readouterr().out
+        assert f"failed: {bad}, as attached: {bad}: " in printed
         with (tmp_path / "out" / TABLE).open(newline="") as stream:
             rows = {row["source"]: row for row in csv.DictReader(stream)}
         assert rows[str(bad)]["error"].startswith(f"{bad}: ")
@@ -215,14 +215,14 @@ class TestResults:
 
 
 class TestKilled:
-    def made(self, make, scenario, tmp_path, workers=2):
+    def make_all(self, make, scenario, tmp_path, workers=2):
         path = tmp_path / "short.yaml"
         shutil.copy(scenario, path)
         made = list(run_in_processes(make, campaign_items([path], [], range(1, 5)), workers))
         return {item.seed: result for item, result in made}
 
     def test_the_item_of_a_killed_worker_is_made_again(self, scenario, tmp_path):
-        found = self.made(dies_once, scenario, tmp_path)
+        found = self.make_all(dies_once, scenario, tmp_path)
         assert (tmp_path / "died").exists()
         assert {seed: (result["error"], result["values"]["seed"]) for seed, result in found.items()} == {
             seed: (None, float(seed)) for seed in range(1, 5)
@@ -230,7 +230,7 @@ class TestKilled:
 
     @pytest.mark.parametrize("workers", [1, 2])
     def test_an_item_that_kills_its_worker_each_time_fails_alone(self, scenario, tmp_path, workers):
-        found = self.made(dies_always, scenario, tmp_path, workers)
+        found = self.make_all(dies_always, scenario, tmp_path, workers)
         folders = (tmp_path / "deaths").read_text().splitlines()
         assert len(folders) == MAX_WORKER_FAILURES
         assert not any(Path(folder).exists() for folder in folders)
@@ -242,19 +242,19 @@ class TestKilled:
     def test_a_worker_killed_from_outside_loses_nothing(self, by_one, scenario, tmp_path):
         with Command(scenario, tmp_path / "out") as command:
             os.kill(command.a_worker(), signal.SIGKILL)
-            assert command.process.wait(PATIENCE_S) == 0
+            assert command.process.wait(TIMEOUT_S) == 0
         assert files_of(tmp_path / "out") == files_of(by_one)
 
     @pytest.mark.slow
     def test_ctrl_c_keeps_what_is_made(self, by_one, scenario, tmp_path, capsys):
         results = tmp_path / "out" / "results"
         with Command(scenario, tmp_path / "out", "--workers", "1") as command:
-            until(lambda: results.exists() and list(results.glob("*.json")))
+            wait_until(lambda: results.exists() and list(results.glob("*.json")))
             worker = command.a_worker()
             os.killpg(command.process.pid, signal.SIGINT)
-            assert command.process.wait(PATIENCE_S) == 130
+            assert command.process.wait(TIMEOUT_S) == 130
             assert command.process.stderr.read() == "campaign: interrupted\n"
-        until(lambda: not Path(f"/proc/{worker}").exists())
+        wait_until(lambda: not Path(f"/proc/{worker}").exists())
         kept = len(list(results.iterdir()))
         assert 1 <= kept <= 2
         assert main([str(scenario), "--seeds", "1-3", "--out", str(tmp_path / "out")]) == 0
@@ -281,7 +281,7 @@ class Command:
 
     def a_worker(self):
         """The process of a worker, created by the fork server among the children of the command."""
-        return until(
+        return wait_until(
             lambda: next(
                 (
                     worker
@@ -301,9 +301,9 @@ def children(pid):
         return []
 
 
-def until(found):
+def wait_until(found):
     """Return the result of a function as soon as it is not empty."""
-    end_s = time.monotonic() + PATIENCE_S
+    end_s = time.monotonic() + TIMEOUT_S
     while not (value := found()):
         assert time.monotonic() < end_s
         time.sleep(0.01)
@@ -356,8 +356,8 @@ class TestCluster:
     ],
 )
 def test_bad_usage_is_one_line_and_two(arguments, complaint, scenario, tmp_path, capsys):
-    bag = tmp_path / "night.mcap"
-    bag.write_bytes(b"a night")
+    bag = tmp_path / "voyage.mcap"
+    bag.write_bytes(b"a voyage")
     given = [argument.format(short=scenario, bag=bag) for argument in arguments]
     try:
         code = main([*given, "--out", str(tmp_path / "out")])
@@ -374,7 +374,7 @@ class TestPooled:
     """Two results made by hand: 100 samples of 3″ and 300 of 5″, equivalent to 10 and 30 independent ones."""
 
     @pytest.fixture
-    def made(self, scenario):
+    def results(self, scenario):
         items = campaign_items([scenario], [], [1, 2, 3])
         return [
             (items[0], self.result(samples=100.0, rms=3.0, sigma=2.0, nees=6.0, independent=10.0, valid=90)),
@@ -393,8 +393,8 @@ class TestPooled:
             "refused": {"ins/imu": {"gate": 2, "stale": 1}},
         }
 
-    def test_errors_statuses_and_refusals_by_hand(self, made):
-        (pool,) = pools(made, lambda item: item.parameters_name)
+    def test_errors_statuses_and_rejections_by_hand(self, results):
+        (pool,) = pools(results, lambda item: item.parameters_name)
         assert (pool.name, pool.items, pool.failed, pool.refused) == ("as attached", 2, 1, 6)
         (fused,) = pool.errors
         (heading,) = fused.channels
@@ -407,18 +407,18 @@ class TestPooled:
         assert "as stated" in fused.fit.words
         assert pool.shares == {"ship/attitude": {"VALID": 0.5, "COASTING": 0.5}}
 
-    def test_a_missing_sigma_is_not_made_up(self, made):
-        made[0][1]["errors"]["fused"] |= {"heading.sigma_arcsec": None, "heading.rms_over_sigma": None}
-        (pool,) = pools(made, lambda item: item.parameters_name)
+    def test_a_missing_sigma_is_not_made_up(self, results):
+        results[0][1]["errors"]["fused"] |= {"heading.sigma_arcsec": None, "heading.rms_over_sigma": None}
+        (pool,) = pools(results, lambda item: item.parameters_name)
         assert math.isnan(pool.errors[0].channels[0].sigma_arcsec)
         assert pool.errors[0].channels[0].rms_arcsec > 0.0
 
-    def test_the_worst_come_first(self, made):
-        assert [(each.item.seed, each.ratio) for each in worst_items(made)] == [(1, 1.5), (2, 1.0)]
+    def test_the_worst_come_first(self, results):
+        assert [(each.item.seed, each.ratio) for each in worst_items(results)] == [(1, 1.5), (2, 1.0)]
 
-    def test_the_order_of_completion_has_no_effect(self, made):
-        assert csv_table(made[::-1]) == csv_table(made)
-        assert page(made[::-1]) == page(made)
+    def test_the_order_of_completion_has_no_effect(self, results):
+        assert csv_table(results[::-1]) == csv_table(results)
+        assert page(results[::-1]) == page(results)
 
 
 def test_a_result_of_another_item_is_refused(scenario, tmp_path):

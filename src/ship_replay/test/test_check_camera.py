@@ -43,7 +43,7 @@ def mount_scenario(identified):
     return scenario
 
 
-def simulated(folder, scenario, seed=1):
+def simulate_bag(folder, scenario, seed=1):
     """A bag of a scenario with exact optics, and its suite configuration with the errors of a surveyed lens."""
     make_optics_exact(scenario)
     (folder / "scenario.yaml").write_text(yaml.safe_dump(scenario))
@@ -56,12 +56,12 @@ def simulated(folder, scenario, seed=1):
 
 @pytest.fixture(scope="module", params=[True, False], ids=["named", "unnamed"])
 def deck(tmp_path_factory, request):
-    return simulated(tmp_path_factory.mktemp("deck"), deck_scenario(request.param))
+    return simulate_bag(tmp_path_factory.mktemp("deck"), deck_scenario(request.param))
 
 
 @pytest.fixture(scope="module", params=[True, False], ids=["named", "unnamed"])
 def mount(tmp_path_factory, request):
-    return simulated(tmp_path_factory.mktemp("mount"), mount_scenario(request.param))
+    return simulate_bag(tmp_path_factory.mktemp("mount"), mount_scenario(request.param))
 
 
 @pytest.fixture
@@ -75,7 +75,7 @@ def check(tmp_path, capsys):
         captured = capsys.readouterr()
         lines = (captured.err + captured.out).replace(f"{config}", "suite").replace(str(bag), "BAG").splitlines()
         found = [re.sub(r" suite:\d+:", "", line) for line in lines if line.startswith(("error", "warning"))]
-        # Both nodes that take a camera say the same.
+        # Both nodes with a camera report the same.
         return list(dict.fromkeys(line for line in found if "camera" in line or "magnitudes" in line))
 
     return run
@@ -94,7 +94,7 @@ def change_bag(bag, folder, topic, change):
     return copy
 
 
-def shifted(star):
+def shift_by_a_pixel(star):
     star.u, star.v = star.u + 1.0, star.v + 1.0
 
 
@@ -106,7 +106,7 @@ def v_upwards(star, edge_px):
     star.v = edge_px - star.v
 
 
-def exchanged(star, edge_px):
+def exchange_axes(star, edge_px):
     star.u, star.v = star.v, star.u
 
 
@@ -123,7 +123,7 @@ MIRRORS = pytest.mark.parametrize(
     [
         (u_to_the_left, "u counts to the left"),
         (v_upwards, "v counts upwards"),
-        (exchanged, "u and v are exchanged"),
+        (exchange_axes, "u and v are exchanged"),
     ],
 )
 
@@ -172,14 +172,14 @@ def test_mirrored_axes_are_named(check, deck, tmp_path, mirror, words):
     bag, text = deck
     lines = check(text, change_bag(bag, tmp_path, FORE, lambda star: mirror(star, IMAGE_PX[FORE])))
     expected = "expected u to the right and v down, looking out of the sensor"
-    said = f"stars on '{FORE}' in BAG fit the sky only in a mirrored image: {words}; {expected}"
-    assert lines[0] == f"error: star_sensors.fore.camera: {said}"
+    expected_text = f"stars on '{FORE}' in BAG fit the sky only in a mirrored image: {words}; {expected}"
+    assert lines[0] == f"error: star_sensors.fore.camera: {expected_text}"
     assert len(lines) == 1
 
 
 def test_mirrored_axes_without_an_ins_are_named_as_such(check, tmp_path):
-    """Which of the axes is reversed is not stated: there is no predicted attitude."""
-    bag, text = simulated(tmp_path, deck_scenario(True))
+    """The reversed axis is not named, since there is no predicted attitude."""
+    bag, text = simulate_bag(tmp_path, deck_scenario(True))
     mirrored = change_bag(bag, tmp_path, FORE, lambda star: v_upwards(star, IMAGE_PX[FORE]))
     alone = tmp_path / "alone.mcap"
     with read_bag(mirrored) as whole, BagWriter(alone) as writer:
@@ -203,19 +203,19 @@ def test_mirrored_axes_of_a_camera_on_the_theodolite_are_named(check, mount, tmp
 def test_magnitudes_that_are_not_the_catalogues_are_named(check, deck, mount, tmp_path, change, offset):
     for (bag, text), topic, section in ((deck, FORE, "star_sensors.fore"), (mount, NIGHT, "telescopes.night")):
         (line,) = check(text, change_bag(bag, tmp_path, topic, change))
-        said = re.fullmatch(
+        match = re.fullmatch(
             rf"warning: {section}: magnitudes of stars on '{topic}' in BAG are (\S+) fainter than the catalogue's "
             r"\(Hp\), sigma \S+: instrumental, or of another band; subtract \S+, or give NaN",
             line,
         )
-        assert said, line
+        assert match, line
         # The simulated sensors measure magnitudes with 0.1.
-        assert float(said[1]) == pytest.approx(offset, abs=0.1)
+        assert float(match[1]) == pytest.approx(offset, abs=0.1)
 
 
 def test_pixels_counted_from_one_are_named(check, deck, tmp_path):
     bag, text = deck
-    (line,) = check(text, change_bag(bag, tmp_path, STARBOARD, shifted))
+    (line,) = check(text, change_bag(bag, tmp_path, STARBOARD, shift_by_a_pixel))
     assert line.startswith("warning: parameter 'star_sensors.starboard.camera.principal_u_px': by ")
     assert line.endswith("one pixel to the right and down: if pixels are counted from 1, subtract 1 from u and v")
 
@@ -226,7 +226,7 @@ def test_pixels_counted_from_one_are_named(check, deck, tmp_path):
 def test_bags_without_faults_give_no_finding(check, tmp_path, scenario, seeds, identified):
     """Installations, INS and stars are drawn for each seed by their sigmas."""
     for seed in seeds:
-        bag, text = simulated(tmp_path, scenario(identified), seed)
+        bag, text = simulate_bag(tmp_path, scenario(identified), seed)
         assert check(text, bag) == []
 
 

@@ -30,9 +30,9 @@ def check(tmp_path, capsys):
         config.write_text(text)
         code = main([str(config), *([str(bag)] if bag else []), *options])
         captured = capsys.readouterr()
-        said, found = (text.replace(f"{tmp_path}/", "").splitlines() for text in (captured.err, captured.out))
-        errors = [line for line in said if line.startswith("error: ")]
-        return code, errors + found, [line for line in said if line not in errors]
+        reported, found = (text.replace(f"{tmp_path}/", "").splitlines() for text in (captured.err, captured.out))
+        errors = [line for line in reported if line.startswith("error: ")]
+        return code, errors + found, [line for line in reported if line not in errors]
 
     return run
 
@@ -86,8 +86,8 @@ ship_attitude:
 def test_each_error_is_reported_once(check):
     _, lines, errors = check(GOOD.replace("    ins:", "    lagg_s: 1.0\n    ins:"))
     assert "".join(lines + errors).count("lagg_s") == 1
-    told = "expected one of lag_s, max_age_s, smoothing_lag_s or 18 others; did you mean 'lag_s'?"
-    assert lines[0] == f"error: suite.yaml:3: parameter 'lagg_s' is unknown: {told}"
+    remedy = "expected one of lag_s, max_age_s, smoothing_lag_s or 18 others; did you mean 'lag_s'?"
+    assert lines[0] == f"error: suite.yaml:3: parameter 'lagg_s' is unknown: {remedy}"
 
 
 def test_wrong_frame_id(check, tmp_path):
@@ -221,8 +221,10 @@ def test_a_topic_missing_for_two_nodes_is_reported_once_with_both(check, tmp_pat
     camera = "camera: {focal_length_m: 0.05, pixel_pitch_m: 5.5e-6}"
     text = STARS.replace("input: solution}", f"input: observations, {camera}}}")
     _, lines, _ = check(text, star_bag(tmp_path / "a.mcap"))
-    told = [line for line in lines if "gnss/fix" in line]
-    assert told == ["error: suite.yaml: topic 'gnss/fix' is not in a.mcap: needed by ship_attitude and star_attitude"]
+    reported = [line for line in lines if "gnss/fix" in line]
+    assert reported == [
+        "error: suite.yaml: topic 'gnss/fix' is not in a.mcap: needed by ship_attitude and star_attitude"
+    ]
 
 
 def test_a_camera_out_of_range_is_reported_once(check):
@@ -239,8 +241,8 @@ def test_a_camera_out_of_range_is_reported_once(check):
 def test_a_sensor_that_is_bolted_elsewhere_for_another_node_is_a_warning(check):
     code, lines, _ = check(STARS.replace("        azimuth_deg: 0.0", "        azimuth_deg: 90.0"))
     assert code == 0
-    said = "parameter 'star_sensors.fore.azimuth_deg' is 90.0 for star_attitude, but 0.0 for ship_attitude"
-    assert lines[0] == f"warning: suite.yaml:9: {said}"
+    text = "parameter 'star_sensors.fore.azimuth_deg' is 90.0 for star_attitude, but 0.0 for ship_attitude"
+    assert lines[0] == f"warning: suite.yaml:9: {text}"
 
 
 def test_a_sky_that_is_another_one_for_another_node_is_a_warning(check):
@@ -248,8 +250,8 @@ def test_a_sky_that_is_another_one_for_another_node_is_a_warning(check):
     text = STARS + "    sky: {fix_sigma_m: 100.0, magnitude_limit: 6.0}\n"
     code, lines, _ = check(text)
     assert code == 0
-    said = "parameter 'sky.fix_sigma_m' is 100.0 for star_attitude, but 5.0 for ship_attitude"
-    assert lines[:-1] == [f"warning: suite.yaml:13: {said}"]
+    expected = "parameter 'sky.fix_sigma_m' is 100.0 for star_attitude, but 5.0 for ship_attitude"
+    assert lines[:-1] == [f"warning: suite.yaml:13: {expected}"]
     # Without a use for it, the sky of ship_attitude does not matter.
     assert not any("sky" in line for line in check(text.replace("input: solution", "input: horizon_attitude"))[1])
 
@@ -273,8 +275,8 @@ NIGHT = """\
 def test_stars_on_the_mount_are_in_the_sky_of_those_on_the_deck(check):
     code, lines, _ = check(STARS + MOUNT + NIGHT)
     assert code == 0
-    said = "parameter 'sky.fix_sigma_m' is 100.0 for optical_axis, but 5.0 for"
-    assert {f"warning: suite.yaml:16: {said} {name}" for name in ("ship_attitude", "star_attitude")} < set(lines)
+    text = "parameter 'sky.fix_sigma_m' is 100.0 for optical_axis, but 5.0 for"
+    assert {f"warning: suite.yaml:16: {text} {name}" for name in ("ship_attitude", "star_attitude")} < set(lines)
     # Without a camera on the mount, its sky does not matter.
     assert not any("sky" in line for line in check(STARS + MOUNT)[1])
 
@@ -333,8 +335,10 @@ def test_an_id_that_is_no_topic_name_is_an_error(check, id_):
     text = STARS.replace("      fore:", f"      '{id_}':")
     code, lines, _ = check(text)
     assert code == 2
-    said = f"error: suite.yaml:4: parameter 'star_sensors.{id_}': '{id_}' cannot be an id: expected letters, digits and"
-    assert lines[0].startswith(said)
+    expected = (
+        f"error: suite.yaml:4: parameter 'star_sensors.{id_}': '{id_}' cannot be an id: expected letters, digits and"
+    )
+    assert lines[0].startswith(expected)
     assert "Traceback" not in "".join(lines)
 
 
@@ -361,36 +365,36 @@ def test_they_may_stand_alone_in_it(check, tmp_path):
     code, (line,), _ = check(NMEA.replace("port: 10111", "port: 0"))
     assert (code, line[:50]) == (2, "error: suite.yaml:8: parameter 'sources.gyro.port'")
     code, (warning, _), _ = check(NMEA, write_bag(tmp_path / "a.mcap"))
-    told = "warning: suite.yaml: no section for an estimator: the bag is not checked"
-    assert (code, warning) == (0, told)
+    expected = "warning: suite.yaml: no section for an estimator: the bag is not checked"
+    assert (code, warning) == (0, expected)
 
 
-def nmea(sink, source, out="/**/nmea_out", heard="/**/nmea_in"):
+def nmea(sink, source, out_section="/**/nmea_out", in_section="/**/nmea_in"):
     """Sections of both NMEA nodes with one sink and one source, in lines 8 to 15."""
-    sections = ((out, "sinks", "s", sink), (heard, "sources", "g", f"{source}, becomes: gyro"))
+    sections = ((out_section, "sinks", "s", sink), (in_section, "sources", "g", f"{source}, becomes: gyro"))
     return "".join(f"{node}:\n  ros__parameters:\n    {group}:\n      {id_}: {{{text}}}\n"
                    for node, group, id_, text in sections)  # fmt: skip
 
 
 TTY = "kind: serial, device: /dev/ttyUSB0"
-LISTENS = "kind: udp, address: 10.0.0.1, port: 1, listen_port: 10110"
+UDP = "kind: udp, address: 10.0.0.1, port: 1, listen_port: 10110"
 
 
 @pytest.mark.parametrize(
-    ("sink", "source", "told"),
+    ("sink", "source", "error"),
     [
         (TTY, TTY, "device' = '/dev/ttyUSB0' of /nmea_out: 'sources.g.device' of /nmea_in, line 15, has path /dev/tty"),
-        (LISTENS, "kind: udp, port: 10110", "listen_port' = 10110 of /nmea_out: 'sources.g.port' of /nmea_in, line 15"),
-        (LISTENS, "kind: udp, port: 10111", ""),
+        (UDP, "kind: udp, port: 10110", "listen_port' = 10110 of /nmea_out: 'sources.g.port' of /nmea_in, line 15"),
+        (UDP, "kind: udp, port: 10111", ""),
         ("kind: udp, address: 127.0.0.1, port: 10110", "kind: udp, port: 10110", ""),
         ("kind: tcp_server, port: 10110", "kind: tcp, address: 127.0.0.1, port: 10110", ""),
         ("kind: tcp_server, port: 10110", "kind: udp, port: 10110", ""),
     ],
 )  # fmt: skip
-def test_a_resource_of_both_nmea_nodes_is_an_error(check, sink, source, told):
+def test_a_resource_of_both_nmea_nodes_is_an_error(check, sink, source, error):
     code, (line,), _ = check(GOOD + nmea(sink, source))
-    assert code == (2 if told else 0)
-    assert line.startswith(f"error: suite.yaml:11: parameter 'sinks.s.{told}" if told else "suite.yaml: good")
+    assert code == (2 if error else 0)
+    assert line.startswith(f"error: suite.yaml:11: parameter 'sinks.s.{error}" if error else "suite.yaml: good")
 
 
 def test_the_same_place_of_another_namespace_is_another_machines(check):

@@ -34,7 +34,7 @@ def check(tmp_path, capsys):
     return run
 
 
-def simulated(folder, name, duration_s, **changes):
+def simulate_bag(folder, name, duration_s, **changes):
     """A bag of a scenario of the repository with exact optics, and its suite configuration."""
     scenario = yaml.safe_load((BAGS / "scenarios" / f"{name}.yaml").read_text())
     scenario["duration_s"] = duration_s
@@ -53,28 +53,28 @@ def suite_of(path):
 
 
 @pytest.fixture(scope="module")
-def solved(tmp_path_factory):
-    return simulated(tmp_path_factory.mktemp("solved"), "paper", 6.0)
+def solved_bag(tmp_path_factory):
+    return simulate_bag(tmp_path_factory.mktemp("solved"), "paper", 6.0)
 
 
 @pytest.fixture(scope="module")
-def observed(tmp_path_factory):
-    return simulated(tmp_path_factory.mktemp("observed"), "paper_stars", 6.0, rate_hz=2.0)
+def observed_bag(tmp_path_factory):
+    return simulate_bag(tmp_path_factory.mktemp("observed"), "paper_stars", 6.0, rate_hz=2.0)
 
 
-def test_a_matching_configuration_is_good(check, solved, observed):
-    for bag, text in (solved, observed):
+def test_a_matching_configuration_is_good(check, solved_bag, observed_bag):
+    for bag, text in (solved_bag, observed_bag):
         assert check(text, bag) == (0, ["suite.yaml: good for BAG"])
 
 
-def test_radians_for_degrees_contradict_the_bag(check, solved):
-    bag, text = solved
+def test_radians_for_degrees_contradict_the_bag(check, solved_bag):
+    bag, text = solved_bag
     assert text.count("elevation_deg: 45.0") == 2
     text = text.replace("_deg: 90.0", "_deg: 1.5708").replace("elevation_deg: 45.0", "elevation_deg: 0.7854")
     code, lines = check(text, bag)
     assert code == 2
-    told = [re.sub(r"^error: suite.yaml:\d+: parameter '|'.*give|\d\d deg: radians", "", line) for line in lines]
-    assert told == [
+    parameters = [re.sub(r"^error: suite.yaml:\d+: parameter '|'.*give|\d\d deg: radians", "", line) for line in lines]
+    assert parameters == [
         "star_sensors.fore.elevation_deg 45. for degrees?",
         "star_sensors.starboard.azimuth_deg 89. for degrees?",
         "star_sensors.starboard.elevation_deg 45. for degrees?",
@@ -82,8 +82,8 @@ def test_radians_for_degrees_contradict_the_bag(check, solved):
 
 
 @pytest.mark.parametrize("factor", [10.0, 0.1])
-def test_a_focal_length_ten_times_off_contradicts_the_bag(check, observed, factor):
-    bag, text = observed
+def test_a_focal_length_ten_times_off_contradicts_the_bag(check, observed_bag, factor):
+    bag, text = observed_bag
     wrong = f"{0.05 * factor:g}"
     code, lines = check(text.replace("focal_length_m: 0.05", f"focal_length_m: {wrong}"), bag)
     assert code == 2
@@ -93,16 +93,16 @@ def test_a_focal_length_ten_times_off_contradicts_the_bag(check, observed, facto
         assert line.endswith("are those of 0.05 m with pixels of 5.5e-06 m")
 
 
-def test_replaced_values_are_not_reported(check, observed):
-    bag, text = observed
+def test_replaced_values_are_not_reported(check, observed_bag):
+    bag, text = observed_bag
     code, lines = check(text.replace("focal_length_m: 0.05", "focal_length_m: 50.0"), bag)
     assert code == 2
     assert len(lines) == 4  # two sensors, of two nodes
     assert all(".camera.focal_length_m' = 50.0 m is out of its range" in line for line in lines)
 
 
-def test_wrong_angles_are_found_with_a_wrong_focal_length(check, observed):
-    bag, text = observed
+def test_wrong_angles_are_found_with_a_wrong_focal_length(check, observed_bag):
+    bag, text = observed_bag
     text = text.replace("focal_length_m: 0.05", "focal_length_m: 0.5").replace("_deg: 90.0", "_deg: 1.5708")
     code, lines = check(text, bag)
     assert code == 2
@@ -112,8 +112,8 @@ def test_wrong_angles_are_found_with_a_wrong_focal_length(check, observed):
     assert all(line.endswith("give 89.98 deg: radians for degrees?") for line in turned)
 
 
-def test_a_rotation_common_to_all_sensors_is_that_of_the_ins(check, solved):
-    bag, text = solved
+def test_a_rotation_common_to_all_sensors_is_that_of_the_ins(check, solved_bag):
+    bag, text = solved_bag
     turned = "      frame_id: ins\n      installation_heading_deg: 90.0\n"
     code, lines = check(text.replace("      frame_id: ins\n", turned), bag)
     assert code == 2
@@ -122,8 +122,8 @@ def test_a_rotation_common_to_all_sensors_is_that_of_the_ins(check, solved):
     assert "check 'ins.convention' and 'ins.installation_heading_deg'" in line
 
 
-def test_an_installation_beyond_its_sigma_is_reported_with_its_effect(check, solved):
-    bag, text = solved
+def test_an_installation_beyond_its_sigma_is_reported_with_its_effect(check, solved_bag):
+    bag, text = solved_bag
     code, (error, warning) = check(text.replace("elevation_deg: 45.0", "elevation_deg: 45.2", 1), bag)
     assert code == 2
     assert "ship_attitude: of 31 messages on 'star/fore/horizon_attitude' 0 were used, " in error
@@ -140,8 +140,10 @@ def test_the_telescopes_focal_length_and_rejected_inputs(check):
     assert check(text, bag)[0] == 0
     code, (line,) = check(text.replace("focal_length_m: 0.1\n", "focal_length_m: 1.0\n"), bag)
     assert code == 2
-    said = "parameter 'telescope.focal_length_m' = 1 m, but lights on 'theodolite/beacons' in BAG have distances that"
-    assert line.endswith(f"{said} fit 0.1 m")
+    expected = (
+        "parameter 'telescope.focal_length_m' = 1 m, but lights on 'theodolite/beacons' in BAG have distances that"
+    )
+    assert line.endswith(f"{expected} fit 0.1 m")
 
 
 def test_attitudes_in_degrees_are_reported(check, tmp_path):
@@ -156,8 +158,8 @@ def test_attitudes_in_degrees_are_reported(check, tmp_path):
     text = "/**/ship_attitude: {ros__parameters: {star_sensors: {fore: {azimuth_deg: 0.0, elevation_deg: 45.0}}}}\n"
     code, lines = check(text, bag)
     assert code == 2
-    said = "ship_attitude: of 40 messages on 'star/fore/horizon_attitude' 0 were used, 40 times for units"
-    assert lines == [f"error: degrees.mcap: {said}"]
+    expected = "ship_attitude: of 40 messages on 'star/fore/horizon_attitude' 0 were used, 40 times for units"
+    assert lines == [f"error: degrees.mcap: {expected}"]
 
 
 def degrees(factory, header, fields):
@@ -178,8 +180,8 @@ def test_a_reference_is_compared_with_the_ins(check, tmp_path):
     assert check(text, bag) == (0, ["suite.yaml: good for reference.mcap"])
     code, lines = check(text.replace("28.6", "0.5"), bag)
     assert code == 2
-    said = "parameter 'references.b.heading_deg' = 0.5 deg, but 'reference/b/imu' and 'ins/imu' in reference.mcap"
-    assert lines == [f"error: suite.yaml:1: {said} give 28.65 deg: radians for degrees?"]
+    expected = "parameter 'references.b.heading_deg' = 0.5 deg, but 'reference/b/imu' and 'ins/imu' in reference.mcap"
+    assert lines == [f"error: suite.yaml:1: {expected} give 28.65 deg: radians for degrees?"]
 
 
 @pytest.mark.parametrize("name", ["demo", "theodolite"])

@@ -23,8 +23,8 @@ def check(tmp_path, capsys):
     """Run the command on a bag with its own suite, or a changed one; return exit code and lines."""
 
     def run(bag, change=lambda suite: None):
-        with read_bag(bag) as opened:
-            suite = yaml.safe_load(opened.attachments[SUITE_ATTACHMENT])
+        with read_bag(bag) as content:
+            suite = yaml.safe_load(content.attachments[SUITE_ATTACHMENT])
         change(suite)
         config = tmp_path / "suite.yaml"
         config.write_text(yaml.safe_dump(suite))
@@ -35,7 +35,7 @@ def check(tmp_path, capsys):
     return run
 
 
-def simulated(folder, name, duration_s, change=lambda scenario: None):
+def simulate_bag(folder, name, duration_s, change=lambda scenario: None):
     scenario = yaml.safe_load((BAGS / "scenarios" / f"{name}.yaml").read_text()) | {"duration_s": duration_s}
     change(scenario)
     (folder / f"{name}.yaml").write_text(yaml.safe_dump(scenario))
@@ -67,11 +67,11 @@ def test_a_healthy_bag_is_good(check, name):
 
 @pytest.mark.slow
 def test_an_ins_that_stamps_gps_time_is_reported_with_advice(check, tmp_path):
-    def ahead(topic, message):
+    def stamp_ahead(topic, message):
         if topic == "ins/imu":
             message.header.stamp.sec += 18
 
-    code, lines = check(rewrite_bag(tmp_path / "ahead.mcap", BAGS / "demo.mcap", ahead))
+    code, lines = check(rewrite_bag(tmp_path / "ahead.mcap", BAGS / "demo.mcap", stamp_ahead))
     assert code == 1
     assert lines[0].startswith("not used: BAG: ship_attitude: of 3000 messages on 'ins/imu' 0 were used, 3000 times")
     assert re.search(r"\(100 % not used\): stamp is 1[78]\.\d+ s ahead", lines[0])
@@ -81,7 +81,7 @@ def test_an_ins_that_stamps_gps_time_is_reported_with_advice(check, tmp_path):
 
 
 @pytest.mark.slow
-def test_an_input_refused_for_the_second_half_of_the_bag_ends_with_one(check, tmp_path):
+def test_an_input_rejected_for_the_second_half_of_the_bag_ends_with_one(check, tmp_path):
     first_ns = []
 
     def from_10_s_on(topic, message):
@@ -96,7 +96,7 @@ def test_an_input_refused_for_the_second_half_of_the_bag_ends_with_one(check, tm
 
 
 def test_stars_without_fixes_end_with_one(check, tmp_path):
-    bag = simulated(tmp_path, "paper_stars", 8.0)
+    bag = simulate_bag(tmp_path, "paper_stars", 8.0)
 
     def no_fix(topic, message):
         if topic == "gnss/fix":
@@ -110,7 +110,7 @@ def test_stars_without_fixes_end_with_one(check, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.5, 2.5])
 def test_a_wrong_centroid_sigma_is_named_with_the_value_that_fits(check, tmp_path, factor):
-    bag = simulated(tmp_path, "paper_stars", 12.0)
+    bag = simulate_bag(tmp_path, "paper_stars", 12.0)
     configured = {}
 
     def change(suite):
@@ -127,8 +127,10 @@ def test_a_wrong_centroid_sigma_is_named_with_the_value_that_fits(check, tmp_pat
     assert check(bag)[0] == 0
     code, lines = check(rewrite_bag(tmp_path / "bare.mcap", bag, without_sigma), change)
     assert code == 0
-    told = [re.fullmatch(r".*'star_sensors.(\w+).camera.centroid_sigma_px' = .*: (\S+) fits", line) for line in lines]
-    fits = {match[1]: float(match[2]) for match in told if match}
+    matches = [
+        re.fullmatch(r".*'star_sensors.(\w+).camera.centroid_sigma_px' = .*: (\S+) fits", line) for line in lines
+    ]
+    fits = {match[1]: float(match[2]) for match in matches if match}
     assert fits.keys() == configured.keys()
     for id_, value in fits.items():
         assert value == pytest.approx(configured[id_], rel=0.15)
@@ -136,11 +138,11 @@ def test_a_wrong_centroid_sigma_is_named_with_the_value_that_fits(check, tmp_pat
 
 @pytest.mark.slow
 def test_stars_that_state_too_small_a_noise_are_named_with_the_factor_of_their_variance(check, tmp_path):
-    def smaller(topic, message):
+    def reduce_covariance(topic, message):
         if topic == "star/fore/horizon_attitude":
             message.noise_covariance = np.array(message.noise_covariance) / 9.0
 
-    _, lines = check(rewrite_bag(tmp_path / "small.mcap", BAGS / "demo.mcap", smaller))
+    _, lines = check(rewrite_bag(tmp_path / "small.mcap", BAGS / "demo.mcap", reduce_covariance))
     (line,) = [line for line in lines if "topic 'star/fore/horizon_attitude' states a noise" in line]
     assert 6.0 < float(re.search(r"(\S+) times its variance fits", line)[1]) < 12.0
 

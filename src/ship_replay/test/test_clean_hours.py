@@ -63,24 +63,24 @@ def record_output(statistics, since_s, level_arcsec, error_arcsec, status=Status
 
 
 def test_what_is_beyond_and_what_is_available_is_counted():
-    watched = VoyageStatistics(limit=12.0 * ARCSEC)
-    record_output(watched, 100.0, 50.0, 1.0)
-    record_output(watched, 700.0, 11.0, 1.0)
-    record_output(watched, 701.0, 13.0, 6.0)
-    record_output(watched, 702.0, 4.0, -4.5)
-    record_output(watched, 703.0, np.nan, 1.0)
-    record_output(watched, 704.0, 4.0, 100.0, Status.DEGRADED)
-    assert (watched.seconds, watched.settled, watched.available) == (6, 5, 2)
-    assert (watched.beyond_sigmas, watched.beyond_level) == (1, 1)
-    assert watched.worst_over_level == pytest.approx(4.5 / 4.0)
-    assert watched.worst_level == pytest.approx(13.0 * ARCSEC)
+    voyage = VoyageStatistics(limit=12.0 * ARCSEC)
+    record_output(voyage, 100.0, 50.0, 1.0)
+    record_output(voyage, 700.0, 11.0, 1.0)
+    record_output(voyage, 701.0, 13.0, 6.0)
+    record_output(voyage, 702.0, 4.0, -4.5)
+    record_output(voyage, 703.0, np.nan, 1.0)
+    record_output(voyage, 704.0, 4.0, 100.0, Status.DEGRADED)
+    assert (voyage.seconds, voyage.settled, voyage.available) == (6, 5, 2)
+    assert (voyage.beyond_sigmas, voyage.beyond_level) == (1, 1)
+    assert voyage.worst_over_level == pytest.approx(4.5 / 4.0)
+    assert voyage.worst_level == pytest.approx(13.0 * ARCSEC)
 
 
 def test_an_exclusion_and_an_unresolved_fault_count_once_each_time():
-    watched = VoyageStatistics(limit=np.inf)
+    voyage = VoyageStatistics(limit=np.inf)
     for since_s, excluded in ((1.0, {"star.fore"}), (2.0, {"star.fore"}), (3.0, set()), (4.0, {"star.fore", "ins"})):
-        watched.record_exclusions(since_s, frozenset(excluded))
-    assert watched.exclusions == [(1.0, "star.fore"), (4.0, "ins"), (4.0, "star.fore")]
+        voyage.record_exclusions(since_s, frozenset(excluded))
+    assert voyage.exclusions == [(1.0, "star.fore"), (4.0, "ins"), (4.0, "star.fore")]
     for since_s, status in ((5.0, 2), (605.0, 0), (606.0, 2), (607.0, 2), (608.0, 0), (609.0, 2)):
-        watched.record_status(since_s, Status(status), "why")
-    assert watched.doubts == [(606.0, "why"), (609.0, "why")]
+        voyage.record_status(since_s, Status(status), "why")
+    assert voyage.doubts == [(606.0, "why"), (609.0, "why")]

@@ -43,26 +43,26 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def given(folder):
+def inputs(folder):
     """The first seconds of the demonstration's inputs."""
     return write_beginning(BAGS / "demo.mcap", folder / "in.mcap", LENGTH_S)
 
 
 @pytest.fixture(scope="module")
-def plain(folder, given):
+def plain(folder, inputs):
     """The inputs, replayed with their own configuration."""
-    replay(given, folder / "plain.mcap", ADAPTERS)
+    replay(inputs, folder / "plain.mcap", ADAPTERS)
     return folder / "plain.mcap"
 
 
 @pytest.fixture(scope="module")
-def noisier(folder, given):
+def noisier(folder, inputs):
     """The inputs, replayed with a configuration in which the INS is three times as noisy."""
-    with read_bag(given) as bag:
+    with read_bag(inputs) as bag:
         text = bag.attachments["suite.yaml"].decode()
     assert text.count(NOISE) == 1
     (folder / "noisier.yaml").write_text(text.replace(NOISE, "white_sigma_arcsec: 3.0"))
-    replay(given, folder / "noisier.mcap", ADAPTERS, folder / "noisier.yaml")
+    replay(inputs, folder / "noisier.mcap", ADAPTERS, folder / "noisier.yaml")
     return folder / "noisier.mcap"
 
 
@@ -72,7 +72,7 @@ def pair(plain, noisier):
 
 
 @pytest.fixture(scope="module")
-def told(pair):
+def page(pair):
     return pair_page(pair)
 
 
@@ -82,23 +82,23 @@ def sentences(pair):
 
 class TestAnotherConfiguration:
     @pytest.mark.slow
-    def test_every_section_in_its_order_and_nothing_of_the_network(self, told):
-        places = [told.index(f'<h2 id="{name}">{title}</h2>') for name, title in PAIR_SECTIONS]
+    def test_every_section_in_its_order_and_nothing_of_the_network(self, page):
+        places = [page.index(f'<h2 id="{name}">{title}</h2>') for name, title in PAIR_SECTIONS]
         assert places == sorted(places)
-        assert not re.search(r"https?://|<script|<link|@import|url\((?!#)", told)
-        ids = re.findall(r'\bid="([^"]*)"', told)
+        assert not re.search(r"https?://|<script|<link|@import|url\((?!#)", page)
+        ids = re.findall(r'\bid="([^"]*)"', page)
         assert len(ids) == len(set(ids))
-        assert set(re.findall(r'(?:href="#|url\(#)([^")]+)', told)) <= set(ids)
+        assert set(re.findall(r'(?:href="#|url\(#)([^")]+)', page)) <= set(ids)
 
     @pytest.mark.slow
-    def test_the_same_bags_give_the_same_bytes(self, told, plain, noisier):
-        assert pair_page(read_pair(plain, noisier)) == told
+    def test_the_same_bags_give_the_same_bytes(self, page, plain, noisier):
+        assert pair_page(read_pair(plain, noisier)) == page
 
     @pytest.mark.slow
-    def test_several_processes_give_the_same_bytes(self, told, plain, noisier, monkeypatch):
+    def test_several_processes_give_the_same_bytes(self, page, plain, noisier, monkeypatch):
         """Long bags are read by several processes; here every bag counts as long."""
         monkeypatch.setattr("ship_replay.report.report_data.SHORT_BYTES", 0)
-        assert pair_page(read_pair(plain, noisier)) == told
+        assert pair_page(read_pair(plain, noisier)) == page
 
     def test_the_parameter_and_its_line_are_named(self, pair):
         found = parameter_differences(*pair.recordings)
@@ -160,14 +160,14 @@ class TestAnotherConfiguration:
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here")
-def test_in_a_browser(told, folder):
+def test_in_a_browser(page, folder):
     """No request except for the file itself, no error, and no horizontal scrolling on a telephone."""
-    (folder / "told.html").write_text(told)
+    (folder / "pair.html").write_text(page)
     with contextlib.closing(Browser()) as browser:
         for width, height in ((1280, 800), (390, 844)):
-            browser.open((folder / "told.html").as_uri(), width, height)
+            browser.open((folder / "pair.html").as_uri(), width, height)
             assert browser.problems == []
-            assert set(browser.addresses) == {(folder / "told.html").as_uri()}
+            assert set(browser.addresses) == {(folder / "pair.html").as_uri()}
             assert browser.evaluate("document.documentElement.scrollWidth") <= width
             assert browser.evaluate("document.querySelectorAll('figure svg').length") == 3
 
@@ -221,8 +221,8 @@ def test_the_last_bit_counts(plain, folder):
 @pytest.mark.slow
 def test_an_angle_in_one_run_only(plain, noisier, folder):
     """A has replayed pointings and attitudes; B has attitudes only."""
-    given = write_beginning(BAGS / "theodolite.mcap", folder / "theodolite_in.mcap", LENGTH_S)
-    replay(given, folder / "theodolite.mcap", ADAPTERS)
+    inputs = write_beginning(BAGS / "theodolite.mcap", folder / "theodolite_in.mcap", LENGTH_S)
+    replay(inputs, folder / "theodolite.mcap", ADAPTERS)
     with BagWriter(folder / "both.mcap") as writer:
         for path in (plain, folder / "theodolite.mcap"):
             with read_bag(path) as bag:
@@ -230,9 +230,9 @@ def test_an_angle_in_one_run_only(plain, noisier, folder):
                     if not record.topic.startswith("truth/") or path == plain:
                         writer.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)
     pair = read_pair(folder / "both.mcap", noisier)
-    told = sentences(pair)
-    assert "theodolite/pointing: published in A only." in told
-    assert any(re.match(r"Elevation: published in A \(SAFE .* of the time\), not in B\.", text) for text in told)
+    texts = sentences(pair)
+    assert "theodolite/pointing: published in A only." in texts
+    assert any(re.match(r"Elevation: published in A \(SAFE .* of the time\), not in B\.", text) for text in texts)
     assert [found.orientation.topic for found in pair.differences] == ["ship/attitude"]
     text = pair_page(pair)
     row = re.search(r"<tr[^>]*><td>azimuth</td>(.*?)</tr>", text).group(1)
@@ -241,25 +241,25 @@ def test_an_angle_in_one_run_only(plain, noisier, folder):
     assert cells[1::2] == ["–"] * 3
 
 
-def test_a_sensor_out_in_one_only(plain, given, folder):
+def test_a_sensor_out_in_one_only(plain, inputs, folder):
     """B lacks the data of the forward sensor from 8 s on: the summary names it, and the received messages."""
     topic = "star/fore/horizon_attitude"
-    with read_bag(given) as bag:
+    with read_bag(inputs) as bag:
         cut_ns = bag.start_ns + 8 * SECOND_NS
-    lame = write_part(given, folder / "lame_in.mcap", lambda one: one.topic != topic or one.log_time_ns < cut_ns)
-    replay(lame, folder / "lame.mcap", ADAPTERS)
-    pair = read_pair(plain, folder / "lame.mcap")
-    told = sentences(pair)
-    # The bag begins at 11:50:07.8; of a star sensor three seconds of silence are an outage.
-    assert any(re.match(r"star.fore was out in B and not in A: 11:50:1\d to the end \(", one) for one in told)
-    assert any(re.search(rf"{topic} \d+ in A, \d+ in B", text) for text in told)
+    degraded = write_part(inputs, folder / "cut_in.mcap", lambda one: one.topic != topic or one.log_time_ns < cut_ns)
+    replay(degraded, folder / "degraded.mcap", ADAPTERS)
+    pair = read_pair(plain, folder / "degraded.mcap")
+    texts = sentences(pair)
+    # The bag begins at 11:50:07.8; three seconds without data of a star sensor are an outage.
+    assert any(re.match(r"star.fore was out in B and not in A: 11:50:1\d to the end \(", one) for one in texts)
+    assert any(re.search(rf"{topic} \d+ in A, \d+ in B", text) for text in texts)
     events, both = events_of_one(pair)
     assert any(row["side"] == "B" and "star.fore OUT" in row["text"] for row in events)
     assert both > 0
 
 
 def with_outages(report_data, outages_s):
-    """The same recording with outages of star.fore from and to so many seconds after its start; None: to the end."""
+    """Return the recording with outages of star.fore from and to seconds after its start; None: to the end."""
     start_ns = report_data.recording.start_utc_ns
     events = []
     for from_s, to_s in outages_s:
@@ -282,14 +282,14 @@ def test_differing_outages_of_both_runs(pair, in_a, in_b, expected):
     """Differences of two seconds or less count as the same time; times by hand."""
     changed = replace(pair, a=with_outages(pair.a, in_a), b=with_outages(pair.b, in_b))
     start_s = pair.a.recording.start_utc_ns // SECOND_NS
-    told = [text for text in sentences(changed) if re.search(r"out in|outages in", text)]
+    texts = [text for text in sentences(changed) if re.search(r"out in|outages in", text)]
     since_start = re.compile(r"\b(\d\d):(\d\d):(\d\d)\b")
 
-    def shown(match):
+    def seconds_since_start(match):
         hour, minute, second = map(int, match.groups())
         return str(hour * 3600 + minute * 60 + second - start_s % 86400)
 
-    assert [since_start.sub(shown, text) for text in told] == expected
+    assert [since_start.sub(seconds_since_start, text) for text in texts] == expected
 
 
 def test_injected_faults_are_other_inputs(plain, folder):
@@ -297,8 +297,8 @@ def test_injected_faults_are_other_inputs(plain, folder):
         writer.add_metadata("injection", {"seed": "7"})
         for record in bag.records():
             writer.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)
-    told = input_sentences(read_pair(plain, folder / "injected.mcap"))
-    assert told == ["The inputs are not the same: faults were injected (seed 7 in B only)."]
+    texts = input_sentences(read_pair(plain, folder / "injected.mcap"))
+    assert texts == ["The inputs are not the same: faults were injected (seed 7 in B only)."]
 
 
 def test_rounding_differences_are_reported_as_such(tmp_path):
@@ -375,8 +375,8 @@ def test_invalid_outputs_only(tmp_path):
             for tick in range(50):
                 stamp_ns = START_NS + tick * SECOND_NS // 10
                 bag.write("ship/attitude", ship_attitude(stamp_ns, *[math.nan] * 3, status=3), stamp_ns)
-                told = innovation(stamp_ns, "star.fore", [0.0] * 3, [ARCSEC] * 3, 1.0 + (name == "b"))
-                bag.write("ship/innovation", told, stamp_ns)
+                message = innovation(stamp_ns, "star.fore", [0.0] * 3, [ARCSEC] * 3, 1.0 + (name == "b"))
+                bag.write("ship/innovation", message, stamp_ns)
     pair = read_pair(tmp_path / "a.mcap", tmp_path / "b.mcap")
     assert pair.differences == []
     assert "A and B have no output with equal stamps." in pair_page(pair)
@@ -385,14 +385,14 @@ def test_invalid_outputs_only(tmp_path):
 def test_events_match_by_text_and_time(pair):
     """Events two seconds apart, or with another number in the text, are the same; three seconds apart they differ."""
     times_and_counts = {"a": [(10, 5)], "b": [(12, 7), (15, 5)]}
-    nights = {
+    histories = {
         side: [Event(time_s * SECOND_NS, "source", "ins", f"ins OUT, {count} rejected in a row")
                for time_s, count in rows]
         for side, rows in times_and_counts.items()
     }
     changed = replace(
-        pair, **{side: replace(told, recording=replace(told.recording, events=nights[side]))
-                 for side, told in (("a", pair.a), ("b", pair.b))}
+        pair, **{side: replace(data, recording=replace(data.recording, events=histories[side]))
+                 for side, data in (("a", pair.a), ("b", pair.b))}
     )
     rows, both = events_of_one(changed)
     assert both == 1
@@ -484,9 +484,9 @@ class TestWarnings:
     def test_commits(self, tmp_path):
         bags = []
         for letter in "ab":
-            night = write_attitudes(tmp_path / f"{letter}.mcap", 5)
+            recording = write_attitudes(tmp_path / f"{letter}.mcap", 5)
             bags.append(tmp_path / f"{letter}_out.mcap")
-            with BagWriter(bags[-1]) as writer, read_bag(night) as bag:
+            with BagWriter(bags[-1]) as writer, read_bag(recording) as bag:
                 writer.add_metadata("suite", {"commit": letter * 8})
                 for record in bag.records():
                     writer.write_raw(record.topic, record.type_name, record.data, record.log_time_ns)

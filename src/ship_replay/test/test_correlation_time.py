@@ -70,8 +70,8 @@ def test_sigma_and_time_are_known_as_well_as_stated_by_identify_noise() -> None:
     normalised = []
     for seed in range(SEEDS):
         found = fit(star_record(draw_session(session, seed, process)), model)
-        told = {what.name: found.suite_value(what) for what in model.suite_parameters}
-        of_process = [np.log(told[name][0] / value) / told[name][1] for name, value in true.items()]
+        values = {what.name: found.suite_value(what) for what in model.suite_parameters}
+        of_process = [np.log(values[name][0] / value) / values[name][1] for name, value in true.items()]
         of_change = np.log(found.values[[0, 2]] / change) / found.log_sigmas[[0, 2]]
         normalised.append([*of_process, *of_change])
     root = root_mean_square(np.array(normalised))

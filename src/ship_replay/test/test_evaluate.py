@@ -108,7 +108,7 @@ def test_ins_alone(tmp_path):
     assert values["ins.nees_mean"] == pytest.approx(0.25)
 
 
-def test_a_star_sensor_alone_is_carried_to_the_deck_by_its_nominal_installation(tmp_path):
+def test_a_star_sensor_alone_is_rotated_to_the_deck_by_its_nominal_installation(tmp_path):
     path = tmp_path / "a.mcap"
     rotation_dv = rotation_from_angles(*np.deg2rad([30.0, 40.0, 5.0]))
     rotation_nd = rotation_from_angles(1.0, 0.0, 0.0)
@@ -217,8 +217,8 @@ def write_innovations(path):
             nis = float(np.sum((residual / [1.0, 2.0, 3.0]) ** 2))
             sigma = np.array([1.0, 2.0, 3.0]) * ARCSEC
             bag.write("ship/innovation", innovation(stamp_ns, "reference.b", residual * ARCSEC, sigma, nis), stamp_ns)
-        refused = innovation(stamp_ns + SECOND_NS, "reference.b", [1.0] * 3, [1e-3] * 3, 1e6, False, reason=19)
-        bag.write("ship/innovation", refused, stamp_ns + SECOND_NS)
+        rejected = innovation(stamp_ns + SECOND_NS, "reference.b", [1.0] * 3, [1e-3] * 3, 1e6, False, reason=19)
+        bag.write("ship/innovation", rejected, stamp_ns + SECOND_NS)
         late = innovation(stamp_ns + SECOND_NS, "star.fore", [], [], float("nan"), False, reason=8, components=())
         bag.write("ship/innovation", late, stamp_ns + SECOND_NS)
         bag.write("ship/alignment", alignment(stamp_ns), stamp_ns)

@@ -14,7 +14,7 @@ from ship_testing.hand_made_bags import START_NS
 from ship_testing.places import ROOT
 
 SECOND_NS = 1_000_000_000
-KNOCK = "faults: {knock: {topic: star/fore/horizon_attitude, kind: knock, start_s: 3.0, right_arcsec: 20.0}}\n"
+MOUNTING_SHIFT = "faults: {knock: {topic: star/fore/horizon_attitude, kind: knock, start_s: 3.0, right_arcsec: 20.0}}\n"
 
 
 def integrity(time_s: float, **excluded_for_s: float) -> Any:
@@ -45,7 +45,7 @@ def test_times_of_an_exclusion() -> None:
 def test_a_replay_names_the_shifted_sensor_below_the_statuses(tmp_path: Path, capsys) -> None:
     clean, faulty = tmp_path / "clean.mcap", tmp_path / "faulty.mcap"
     write_beginning(ROOT / "bags" / "demo.mcap", clean, 6)
-    (tmp_path / "faults.yaml").write_text(KNOCK)
+    (tmp_path / "faults.yaml").write_text(MOUNTING_SHIFT)
     assert inject([str(clean), "--faults", str(tmp_path / "faults.yaml"), "--out", str(faulty)]) == 0
     ends = {}
     for bag in (clean, faulty):

@@ -53,7 +53,7 @@ from ship_simulation.scenario.scenario_file import load_scenario
 from ship_testing.places import ROOT
 
 SCENARIOS = ROOT / "bags" / "scenarios"
-KNOCK = "topic: star/fore/horizon_attitude, kind: knock, start_s: 20, end_s: 30, up_arcsec: 300"
+MOUNTING_SHIFT = "topic: star/fore/horizon_attitude, kind: knock, start_s: 20, end_s: 30, up_arcsec: 300"
 
 
 @pytest.fixture(scope="module")
@@ -189,8 +189,8 @@ def test_only_a_slip_below_thirteen_sigmas_without_lights_is_undetectable():
     assert dark.undetectable_case(slip(26.1), begin_ns) == ""
     assert dark.undetectable_case(Fault(topic="theodolite/encoder", kind="freeze", start_s=10.0), begin_ns) == ""
     assert dark.undetectable_case(FAULT, begin_ns) == ""
-    knocks = [Fault(topic="theodolite/beacons", kind="knock", start_s=10.0, up_arcsec=size) for size in (-12.9, 13.1)]
-    assert [dark.undetectable_case(knock, begin_ns) for knock in knocks] == ["telescope knock, small", ""]
+    shifts = [Fault(topic="theodolite/beacons", kind="knock", start_s=10.0, up_arcsec=size) for size in (-12.9, 13.1)]
+    assert [dark.undetectable_case(shift, begin_ns) for shift in shifts] == ["telescope knock, small", ""]
     lit = fault_free_replay(arrivals_ns=arrivals_ns, lights_s=[9.9, 10.9], encoder_sigma_arcsec=2.0)
     assert lit.undetectable_case(slip(-25.9), begin_ns) == ""
     unknown = fault_free_replay(arrivals_ns=arrivals_ns, lights_s=[])
@@ -234,14 +234,14 @@ def test_a_mounting_shift_without_stars_is_undetectable():
     """Stars from 0 to 8 s and from 20 s on: the first changed message comes after 12 s without stars."""
     seen_ns = np.r_[0:9, 20:40] * NS_PER_S
     clouded = fault_free_replay(arrivals_ns={"star/bow/observations": seen_ns[:9], "star/port/observations": seen_ns})
-    knock = Fault(topic="star/port/observations", kind="knock", start_s=10.0, up_arcsec=15.0)
-    assert clouded.undetectable_case(knock, 20 * NS_PER_S) == "star knock, no stars"
-    assert clouded.undetectable_case(knock, 21 * NS_PER_S) == ""
+    shift = Fault(topic="star/port/observations", kind="knock", start_s=10.0, up_arcsec=15.0)
+    assert clouded.undetectable_case(shift, 20 * NS_PER_S) == "star knock, no stars"
+    assert clouded.undetectable_case(shift, 21 * NS_PER_S) == ""
     assert clouded.undetectable_case(FAULT, 20 * NS_PER_S) == ""
     other = fault_free_replay(
         arrivals_ns={"star/bow/observations": np.r_[0:40] * NS_PER_S, "star/port/observations": seen_ns}
     )
-    assert other.undetectable_case(knock, 20 * NS_PER_S) == ""
+    assert other.undetectable_case(shift, 20 * NS_PER_S) == ""
 
 
 def test_undetectable_cases_are_those_of_the_page():
@@ -273,32 +273,32 @@ def named_sources(*signs):
     return first_named_sources(outputs_of(indications=signs).indications)
 
 
-STARS_REFUSED = [("star.bow", 10.1 + 0.1 * i, "gate") for i in range(5)]
+STARS_REJECTED = [("star.bow", 10.1 + 0.1 * i, "gate") for i in range(5)]
 
 
 def test_exclusion_precedes_rejection_in_comparison():
-    assert named_sources(*STARS_REFUSED) == {"star.bow"}
-    assert named_sources(*STARS_REFUSED, ("ins", 11.0, EXCLUSION)) == {"ins"}
+    assert named_sources(*STARS_REJECTED) == {"star.bow"}
+    assert named_sources(*STARS_REJECTED, ("ins", 11.0, EXCLUSION)) == {"ins"}
     # With several exclusions, all are named.
     assert named_sources(("ins", 11.0, EXCLUSION), ("star.bow", 12.0, EXCLUSION)) == {"ins", "star.bow"}
 
 
 def test_repeated_own_rejections_precede_later_exclusions():
     ins = [("ins", 10.0, "gate"), ("ins", 10.1, "gate")]
-    aside = [("star.bow", 10.5, EXCLUSION), ("star.port", 10.5, EXCLUSION)]
-    assert named_sources(*ins, *aside) == {"ins"}
-    assert named_sources(*aside, *((source, t + 1.0, why) for source, t, why in ins)) == {"star.bow", "star.port"}
+    exclusions = [("star.bow", 10.5, EXCLUSION), ("star.port", 10.5, EXCLUSION)]
+    assert named_sources(*ins, *exclusions) == {"ins"}
+    assert named_sources(*exclusions, *((source, t + 1.0, why) for source, t, why in ins)) == {"star.bow", "star.port"}
     # Once is no pattern; and a star in the gate is refused by comparison, which may be the others' fault.
-    assert named_sources(ins[0], *aside) == {"star.bow", "star.port"}
-    assert named_sources(*STARS_REFUSED, *ins) == {"ins"}
+    assert named_sources(ins[0], *exclusions) == {"star.bow", "star.port"}
+    assert named_sources(*STARS_REJECTED, *ins) == {"ins"}
     assert named_sources(
-        ("theodolite/encoder", 10.2, NO_DATA), *STARS_REFUSED, ("theodolite/encoder", 11.2, NO_DATA)
+        ("theodolite/encoder", 10.2, NO_DATA), *STARS_REJECTED, ("theodolite/encoder", 11.2, NO_DATA)
     ) == {"theodolite/encoder"}
-    assert named_sources(("star.bow", 10.0, "frame"), ("star.bow", 10.1, "frame"), *aside) == {"star.bow"}
+    assert named_sources(("star.bow", 10.0, "frame"), ("star.bow", 10.1, "frame"), *exclusions) == {"star.bow"}
 
 
 def test_repeated_rejections_precede_a_single_one():
-    assert named_sources(("lights", 10.0, "gate"), *STARS_REFUSED) == {"star.bow"}
+    assert named_sources(("lights", 10.0, "gate"), *STARS_REJECTED) == {"star.bow"}
     assert named_sources(("lights", 10.0, "gate"), ("star.bow", 10.1, "gate")) == {"lights"}
     assert named_sources() == set()
 
@@ -363,25 +363,25 @@ class Message:
         self.__dict__ |= fields
 
 
-def report_indications(book, second, topic, received, reasons=(), level=0):
+def report_indications(history, second, topic, received, reasons=(), level=0):
     report = Message(
         header=Message(stamp=Message(sec=second, nanosec=0)), topic=topic, received=received, level=level,
         reasons=list(dict(reasons)), reason_counts=list(dict(reasons).values()),
     )  # fmt: skip
-    return [(sign.source, sign.reason) for sign in book.new_indications(report, second * NS_PER_S)]
+    return [(sign.source, sign.reason) for sign in history.new_indications(report, second * NS_PER_S)]
 
 
 def test_reports_on_inputs_name_what_is_new_in_them_for_each_node():
-    book = HealthHistory()
-    assert report_indications(book, 1, "ins/imu", 100) == []
-    assert report_indications(book, 1, "ins/imu", 90) == []
-    assert report_indications(book, 2, "ins/imu", 200, {"frame": 2, "revised": 3}) == [("ins/imu", "frame")]
-    assert report_indications(book, 2, "ins/imu", 190) == []
-    # The same counts again, and refusals that rest on others, say nothing new of the input itself.
-    assert report_indications(book, 3, "ins/imu", 300, {"frame": 2, "excluded": 4}) == []
-    assert report_indications(book, 3, "ins/imu", 290, {"frame": 1}) == [("ins/imu", "frame")]
-    assert report_indications(book, 4, "ins/imu", 300, {"frame": 2}, level=1) == [("ins/imu", NO_DATA)]
-    assert report_indications(book, 4, "ins/imu", 290, {"frame": 1}) == []
+    history = HealthHistory()
+    assert report_indications(history, 1, "ins/imu", 100) == []
+    assert report_indications(history, 1, "ins/imu", 90) == []
+    assert report_indications(history, 2, "ins/imu", 200, {"frame": 2, "revised": 3}) == [("ins/imu", "frame")]
+    assert report_indications(history, 2, "ins/imu", 190) == []
+    # Repeated counts, and rejections caused by other inputs, are no new indication of this input.
+    assert report_indications(history, 3, "ins/imu", 300, {"frame": 2, "excluded": 4}) == []
+    assert report_indications(history, 3, "ins/imu", 290, {"frame": 1}) == [("ins/imu", "frame")]
+    assert report_indications(history, 4, "ins/imu", 300, {"frame": 2}, level=1) == [("ins/imu", NO_DATA)]
+    assert report_indications(history, 4, "ins/imu", 290, {"frame": 1}) == []
 
 
 def test_own_faults_among_rejections():
@@ -429,20 +429,20 @@ def test_an_exception_is_recorded_with_its_faults(bag, monkeypatch):
 
 
 def test_a_replay_without_faults_is_that_of_the_bag(bag):
-    told, clean = replay_injection(Injection(bag, {}, 1)), replay_fault_free(bag)
-    assert [claim[:4] for claim in told.valid_outputs] == [claim[:4] for claim in clean.outputs.valid_outputs]
+    outputs, clean = replay_injection(Injection(bag, {}, 1)), replay_fault_free(bag)
+    assert [claim[:4] for claim in outputs.valid_outputs] == [claim[:4] for claim in clean.outputs.valid_outputs]
     assert round(clean.length_s) == 40
     assert len(clean.arrivals_ns["ins/imu"]) == 1001
     assert clean.beacon_times_ns.size == 0
     assert math.isnan(clean.encoder_sigma_arcsec)
-    assert len(told.valid_outputs) == pytest.approx(401, abs=3)
-    assert np.median([claim[3] for claim in told.valid_outputs]) < 3.0
-    assert told.failure_count == 0
+    assert len(outputs.valid_outputs) == pytest.approx(401, abs=3)
+    assert np.median([claim[3] for claim in outputs.valid_outputs]) < 3.0
+    assert outputs.failure_count == 0
 
 
 @pytest.mark.slow
 def test_one_fault_is_reported_with_its_sizes_and_times(bag):
-    lines = one_fault_lines(bag, KNOCK)
+    lines = one_fault_lines(bag, MOUNTING_SHIFT)
     assert lines[0] == "demo_1.mcap: knock on star/fore/horizon_attitude from 20 s to 30 s"
     assert lines[1] == "changed 50 messages, the first at 20.13 s"
     assert lines[2].startswith("detected True after 0.0")
@@ -520,8 +520,8 @@ def test_without_a_voyage_no_bound_is_broken():
 def test_pairs_are_those_that_overlap_the_longest_wrong_claim_first():
     both = overlapping(0)
     other = {**both["faults"][0], "threat": "star knock", "start_s": 15.0, "end_s": 30.0, "worst_sigmas": 7.0}
-    apart = {**both["faults"][0], "threat": "flood", "start_s": 40.0, "end_s": 50.0}
-    both["faults"] += [other, apart]
+    later = {**both["faults"][0], "threat": "flood", "start_s": 40.0, "end_s": 50.0}
+    both["faults"] += [other, later]
     assert pair_rows([both]) == [("ins step + star knock", "1", "0.00", "7.00", "0.40")]
     longer = overlapping(1)
     longer["faults"].append({**other, "threat": "flood", "worst_sigmas": 6.0, "longest_beyond_s": 0.3})
@@ -587,8 +587,8 @@ def test_the_tables_of_results_that_are_there_and_their_exit_code(tmp_path):
 def test_the_last_published_levels_hold_at_every_valid_output(scenario, words, tmp_path_factory):
     bag = tmp_path_factory.getbasetemp() / f"{scenario}_1.mcap"
     make_bag(SCENARIOS / f"{scenario}.yaml", 45.0, 1, bag)
-    with read_bag(bag) as opened:
-        faults = load_faults(f"faults: {{one: {{{words}}}}}", input_topics(opened), "an input of the nodes")
+    with read_bag(bag) as content:
+        faults = load_faults(f"faults: {{one: {{{words}}}}}", input_topics(content), "an input of the nodes")
     shares = [claim.level_ratio for claim in replay_injection(Injection(bag, faults, 1)).valid_outputs]
     shares = [share for share in shares if np.isfinite(share)]
     assert len(shares) > 100

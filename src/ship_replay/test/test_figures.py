@@ -32,11 +32,11 @@ def errors(label, sigma_arcsec, error_arcsec=1.0, channels=CHANNELS):
 
 
 def innovations(sigma_arcsec):
-    judged = {
+    accepted = {
         number * 10**9: AcceptedInnovation(("forward", "up"), np.full(2, ARCSEC), np.full(2, sigma * ARCSEC), 2.0)
         for number, sigma in enumerate(sigma_arcsec)
     }
-    return SourceInnovations(judged)
+    return SourceInnovations(accepted)
 
 
 # A tenth of the run before the first star.

@@ -57,7 +57,7 @@ SCENARIO = SHORT.replace("duration_s: 4.0", "duration_s: 1.0")
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
+def unchanged_inputs(tmp_path_factory):
     """Unchanged inputs of all commands."""
     folder = tmp_path_factory.mktemp("whole")
     (folder / "scenario.yaml").write_text(SCENARIO)
@@ -81,7 +81,7 @@ def whole(tmp_path_factory):
     return folder
 
 
-def mutated(draw, data):
+def mutate(draw, data):
     """Return data with some bytes changed, removed, doubled or replaced by a text that is hard to read."""
     data = bytearray(data)
     for _ in range(draw.choice((1, 1, 2, 5))):
@@ -101,10 +101,10 @@ def mutated(draw, data):
     return bytes(data)
 
 
-def mutated_text(draw, data):
-    """Return data as from :func:`mutated`, or with one value of the text replaced by another."""
+def mutate_text(draw, data):
+    """Return data as from :func:`mutate`, or with one value of the text replaced by another."""
     if draw.random() < 0.3:
-        return mutated(draw, data)
+        return mutate(draw, data)
     words = data.replace(b"\n", b" \n ").split(b" ")
     words[draw.randrange(len(words))] = draw.choice(TEXTS)
     return b" ".join(words)
@@ -120,7 +120,7 @@ def record_bytes(record):
     return builder.end()
 
 
-def sealed(draw, data):
+def mutate_record(draw, data):
     """Return a bag with a mutation within one of its records and correct checksums; without its summary."""
     end = next(offset for offset, opcode, _ in places(data[:-8]) if opcode == Opcode.DATA_END)
     records = [(opcode, data[offset + 9 : offset + length]) for offset, opcode, length in places(data[:end])]
@@ -128,23 +128,23 @@ def sealed(draw, data):
     opcode, body = records[target]
     if opcode == Opcode.CHUNK:
         chunk = Chunk.read(ReadDataStream(io.BytesIO(body)))
-        content = mutated_content(draw, zstandard.decompress(chunk.data))
+        content = mutate_content(draw, zstandard.decompress(chunk.data))
         packed = zstandard.ZstdCompressor().compress(content)
         checksum, size = zlib.crc32(content), len(content)
         new = record_bytes(replace(chunk, data=packed, uncompressed_crc=checksum, uncompressed_size=size))
     elif opcode == Opcode.ATTACHMENT:
         attachment = Attachment.read(ReadDataStream(io.BytesIO(body)))
-        text = draw.choice((mutated_text(draw, attachment.data), draw.choice(TEXTS)))
+        text = draw.choice((mutate_text(draw, attachment.data), draw.choice(TEXTS)))
         new = record_bytes(replace(attachment, data=text))
     else:
-        new = raw(opcode, mutated(draw, body))
+        new = raw(opcode, mutate(draw, body))
     return data[:8] + b"".join(new if n == target else raw(*record) for n, record in enumerate(records))
 
 
-def mutated_content(draw, content):
+def mutate_content(draw, content):
     """Return content with a mutation within one record of a chunk, often a definition, which has most effect."""
     if draw.random() < 0.1:
-        return mutated(draw, content)
+        return mutate(draw, content)
     records, offset = [], 0
     while offset < len(content):
         opcode, length = struct.unpack_from("<BQ", content, offset)
@@ -153,13 +153,13 @@ def mutated_content(draw, content):
     kinds = sorted({opcode for opcode, _ in records})
     kind = draw.choice(kinds)
     target = draw.choice([n for n, (opcode, _) in enumerate(records) if opcode == kind])
-    new = mutated(draw, records[target][1])
+    new = mutate(draw, records[target][1])
     if kind == Opcode.SCHEMA:
         schema = Schema.read(ReadDataStream(io.BytesIO(records[target][1])))
-        new = record_bytes(replace(schema, data=mutated_text(draw, schema.data)))[9:]
+        new = record_bytes(replace(schema, data=mutate_text(draw, schema.data)))[9:]
     elif kind == Opcode.CHANNEL:
         channel = Channel.read(ReadDataStream(io.BytesIO(records[target][1])))
-        texts = {key: mutated(draw, text.encode()).decode("latin-1") for key, text in channel.metadata.items()}
+        texts = {key: mutate(draw, text.encode()).decode("latin-1") for key, text in channel.metadata.items()}
         new = record_bytes(replace(channel, metadata=texts))[9:]
     return b"".join(raw(opcode, new if n == target else body) for n, (opcode, body) in enumerate(records))
 
@@ -168,11 +168,11 @@ def bag(draw, data):
     """Return a mutated bag: with correct checksums, or damaged as by a disk."""
     choice = draw.random()
     if choice < 0.75:
-        return sealed(draw, data)
-    return mutated(draw, data) if choice < 0.9 else data[: draw.randrange(len(data))]
+        return mutate_record(draw, data)
+    return mutate(draw, data) if choice < 0.9 else data[: draw.randrange(len(data))]
 
 
-# Kind of file → its name, how it is mutated, the commands that read it; {} is the mutated one.
+# Kind of file → its name, the function that changes it, the commands that read it; {} is the mutated one.
 KINDS = {
     "bag": (
         "run.mcap",
@@ -189,26 +189,26 @@ KINDS = {
     ),
     "suite": (
         "suite.yaml",
-        mutated_text,
+        mutate_text,
         [
             (check_config_command, ["{}", "in.mcap"]),
             (replay_command, ["in.mcap", "--out", "new.mcap", "--config", "{}"]),
             (calibrate_installation_command, ["in.mcap", "--out", "new.yaml", "--config", "{}"]),
         ],
     ),
-    "scenario": ("scenario.yaml", mutated_text, [(simulate_command, ["{}", "--out", "new.mcap"])]),
-    "information": ("metadata.yaml", mutated_text, [(evaluate_command, ["{folder}"])]),
-    "bounds": ("bounds.yaml", mutated_text, [(evaluate_command, ["run.mcap", "--bounds", "{}"])]),
-    "sightings": ("sightings.csv", mutated_text, [(fit_axes_command, ["{}", "--out", "fit"])]),
-    "log": ("ins.log", mutated_text, [(import_nmea_command, ["--ins", "{}", "--out", "new.mcap"])]),
+    "scenario": ("scenario.yaml", mutate_text, [(simulate_command, ["{}", "--out", "new.mcap"])]),
+    "information": ("metadata.yaml", mutate_text, [(evaluate_command, ["{folder}"])]),
+    "bounds": ("bounds.yaml", mutate_text, [(evaluate_command, ["run.mcap", "--bounds", "{}"])]),
+    "sightings": ("sightings.csv", mutate_text, [(fit_axes_command, ["{}", "--out", "fit"])]),
+    "log": ("ins.log", mutate_text, [(import_nmea_command, ["--ins", "{}", "--out", "new.mcap"])]),
     "gyro log": (
         "gyro.log",
-        mutated_text,
+        mutate_text,
         [(import_nmea_command, ["--ins", "ins.log", "--gyro", "{}", "--out", "new.mcap"])],
     ),
     "weather log": (
         "weather.log",
-        mutated_text,
+        mutate_text,
         [(import_nmea_command, ["--ins", "ins.log", "--weather", "{}", "--out", "new.mcap"])],
     ),
 }
@@ -218,27 +218,27 @@ KINDS = {
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_mutation_of_a_file_ends_in_a_traceback(kind, whole, tmp_path, monkeypatch, capsys):
-    name, mutate, commands = KINDS[kind]
-    data = (whole / name).read_bytes()
-    monkeypatch.chdir(whole)
+def test_no_mutation_of_a_file_ends_in_a_traceback(kind, unchanged_inputs, tmp_path, monkeypatch, capsys):
+    name, change, commands = KINDS[kind]
+    data = (unchanged_inputs / name).read_bytes()
+    monkeypatch.chdir(unchanged_inputs)
     for seed in range(COUNT * len(commands)):
         place = tmp_path / str(seed)
         place.mkdir()
         path = place / name
-        path.write_bytes(mutate(random.Random(seed), data))
+        path.write_bytes(change(random.Random(seed), data))
         if kind == "information":
-            shutil.copy(whole / "in.mcap", place)
+            shutil.copy(unchanged_inputs / "in.mcap", place)
         command, arguments = commands[seed % len(commands)]
         given = [argument.format(path, folder=place) for argument in arguments]
         given = [str(place / text) if text == "fit" or text.startswith("new.") else text for text in given]
         code = command.main(given)
-        said = capsys.readouterr()
+        printed = capsys.readouterr()
         assert code in (0, 1, 2), seed
-        assert code == 2 or not said.err, (seed, said.err)
+        assert code == 2 or not printed.err, (seed, printed.err)
         if code == 2 and command is not check_config_command:
-            assert said.err.count("\n") == 1, (seed, said.err)
-        assert len(said.err) < 3000, seed
-        assert "\x1b" not in said.err + said.out, seed
+            assert printed.err.count("\n") == 1, (seed, printed.err)
+        assert len(printed.err) < 3000, seed
+        assert "\x1b" not in printed.err + printed.out, seed
         assert not list(place.rglob("*.part*")), seed
         shutil.rmtree(place)

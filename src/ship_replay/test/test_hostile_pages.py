@@ -32,13 +32,13 @@ def write_hostile(path, name, offset_rad, units="rad"):
             bag.write("ship/attitude", ship_attitude(stamp_ns, offset_rad), stamp_ns)
             if tick % 10:
                 continue
-            told = innovation(
+            message = innovation(
                 stamp_ns, name, [ARCSEC, 0.0], [ARCSEC] * 2, 1.0, components=(f"{name} right", f"{name} up")
             )
-            bag.write("ship/innovation", told, stamp_ns)
-            refused = innovation(stamp_ns, f"{name} 2", [], [], np.nan, accepted=False, reason=1, components=())
-            refused.reason_text = name
-            bag.write("ship/innovation", refused, stamp_ns)
+            bag.write("ship/innovation", message, stamp_ns)
+            rejected = innovation(stamp_ns, f"{name} 2", [], [], np.nan, accepted=False, reason=1, components=())
+            rejected.reason_text = name
+            bag.write("ship/innovation", rejected, stamp_ns)
             bag.write(
                 "ship/error_budget",
                 FACTORY.make(

@@ -40,12 +40,12 @@ def test_the_file_is_one_that_the_suite_loads(bag, tmp_path, capsys):
     assert config.ins.tilt_sigma_arcsec == written["tilt_sigma_arcsec"] > 0.0
     values = [line for line in text.splitlines() if line.startswith("      ") and "model" not in line]
     assert all(", 1 sigma [" in line for line in values)
-    # What is not known stands in the file too.
+    # Terms that are not determined are in the file too.
     assert "# gauss_markov, tilt: 0.17 h are " in text
     assert "warning: gauss_markov, tilt: 0.17 h are " in printed
     assert "warning: gravity.deflection is none: the deflection of the vertical is part of the error" in printed
     assert "night.mcap: 122 star measurements, 61 epochs used over 0.17 h" in printed
-    # The suite of this voyage asks for no position fixes, but they are there.
+    # The suite of this voyage requires no position fixes, but the bag contains them.
     assert "gauss_markov fits" in printed
     assert "parameters against" in printed
 

@@ -18,9 +18,9 @@ MINUTE_NS = 60_000_000_000
 TICK_NS = 1_000_000_000
 
 
-def verdicts(name: str, change: Callable[[str, Any], None]) -> dict[str, list[tuple[int, str]]]:
+def diagnoses(name: str, change: Callable[[str, Any], None]) -> dict[str, list[tuple[int, str]]]:
     """Return level and text of each diagnosis and of the clocks, second by second, in a minute of a changed bag."""
-    told: dict[str, list[tuple[int, str]]] = {}
+    statuses: dict[str, list[tuple[int, str]]] = {}
     with read_bag(BAGS / name) as bag:
         chain, _ = suite_chain(bag, ADAPTERS, RosbagsFactory(), None, "")
         topics = {name_in_bag: relative for relative, name_in_bag in match_inputs(bag, chain, "").items()}
@@ -33,43 +33,43 @@ def verdicts(name: str, change: Callable[[str, Any], None]) -> dict[str, list[tu
                     for status in message.status if topic == "/diagnostics" else ():
                         thing = status.name.partition(": ")[2]
                         if thing.startswith("verdict ") or thing == "clocks":
-                            told.setdefault(thing, []).append((int(status.level), status.message))
+                            statuses.setdefault(thing, []).append((int(status.level), status.message))
                 due_ns += TICK_NS
             message = record.decode()
             change(topics[record.topic], message)
             chain.handle(topics[record.topic], message, record.log_time_ns)
-    return told
+    return statuses
 
 
 @pytest.mark.slow
 def test_an_understated_sigma_is_reported_within_a_minute_for_that_sensor() -> None:
-    def understated(topic: str, message: Any) -> None:
+    def understate(topic: str, message: Any) -> None:
         if topic == "star/fore/horizon_attitude":
             for name in ("covariance", "rotation_covariance", "noise_covariance"):
                 setattr(message, name, np.asarray(getattr(message, name)) / 4.0)
 
-    told = verdicts("demo.mcap", understated)
-    level, text = told["verdict star.fore"][-1]
+    statuses = diagnoses("demo.mcap", understate)
+    level, text = statuses["verdict star.fore"][-1]
     assert level == 1
     assert text.startswith("sigma optimistic by ")
     assert float(text.split(" by ")[1].split(":")[0]) == pytest.approx(2.0, rel=0.2)
-    assert {level for level, _ in told["verdict star.starboard"]} == {0}
+    assert {level for level, _ in statuses["verdict star.starboard"]} == {0}
 
 
 @pytest.mark.slow
 def test_a_sensor_off_by_a_degree_is_biased_although_unused() -> None:
     """This is too large for a mounting shift: it is not adopted as a new mounting."""
-    begun_ns: list[int] = []
+    stamps_ns: list[int] = []
 
-    def turned(topic: str, message: Any) -> None:
+    def turn_sensor(topic: str, message: Any) -> None:
         if topic == "star/fore/horizon_attitude":
             stamp_ns = message.header.stamp.sec * TICK_NS + message.header.stamp.nanosec
-            begun_ns.append(stamp_ns)
-            if stamp_ns - begun_ns[0] > MINUTE_NS // 4:
+            stamps_ns.append(stamp_ns)
+            if stamp_ns - stamps_ns[0] > MINUTE_NS // 4:
                 message.elevation += np.deg2rad(1.0)
 
-    told = verdicts("demo.mcap", turned)
-    level, text = told["verdict star.fore"][-1]
+    statuses = diagnoses("demo.mcap", turn_sensor)
+    level, text = statuses["verdict star.fore"][-1]
     assert level == 1
     assert text.startswith("bias of ")
     assert "arcsec in right" in text

@@ -24,7 +24,7 @@ from ship_replay.ins_noise.star_record import star_record
 from ship_simulation.scenario.motion_scenario import AngleMotion, Wave
 from ship_testing.noise_sessions import STILL, scenario, simulated_noise_session
 
-LASTING = {"common_sigma_arcsec": 2.0, "common_time_s": 300.0, "time_offset_sigma_s": 0.001, "phase_s": 0.5}
+CORRELATED = {"common_sigma_arcsec": 2.0, "common_time_s": 300.0, "time_offset_sigma_s": 0.001, "phase_s": 0.5}
 ROLLING = replace(STILL, roll=AngleMotion(waves={"slow": Wave(amplitude_deg=4.0, period_s=200.0)}))
 WALK = 30.0
 """Of the installation, arcsec/√h."""
@@ -33,7 +33,7 @@ WALK = 30.0
 @pytest.fixture(scope="module")
 def session() -> NoiseSession:
     """Two minutes with other states of every kind: constant, random walk, Gauss-Markov. Stars are between samples."""
-    voyage = scenario(120.0, star=LASTING)
+    voyage = scenario(120.0, star=CORRELATED)
     found = simulated_noise_session(replace(voyage, carrier=ROLLING, ins=replace(voyage.ins, rate_hz=1.0)), 1)
     block = found.model.blocks["star.fore.installation"]
     object.__setattr__(block, "walk", np.full(3, WALK * ARCSEC / 60.0))
@@ -59,7 +59,7 @@ def joint_density(session: NoiseSession, of_ins, white_arcsec: float) -> float:
     whole = np.zeros((sizes[-1], sizes[-1]))
     for i, one in enumerate(pairs):
         for j, other in enumerate(pairs[: i + 1]):
-            apart_s, since_s = (one.time_ns - other.time_ns) * 1e-9, (other.time_ns - first_ns) * 1e-9
+            lag_s, since_s = (one.time_ns - other.time_ns) * 1e-9, (other.time_ns - first_ns) * 1e-9
             block = one.jacobian[:, attitude] @ of_ins(i, j) @ other.jacobian[:, attitude].T
             if one.time_ns == other.time_ns:
                 white = (white_arcsec * ARCSEC) ** 2
@@ -71,7 +71,7 @@ def joint_density(session: NoiseSession, of_ins, white_arcsec: float) -> float:
                 shared = session.common_n.get(source) if name.endswith(".common") else np.diag(of_block.sigma**2)
                 if shared is None:
                     continue
-                covariance = shared * np.exp(-apart_s / of_block.time_s) + np.diag(of_block.walk**2) * since_s
+                covariance = shared * np.exp(-lag_s / of_block.time_s) + np.diag(of_block.walk**2) * since_s
                 rows = model.slices[name]
                 block += one.jacobian[:, rows] @ covariance @ other.jacobian[:, rows].T
             if i == j:
@@ -97,9 +97,9 @@ def test_gauss_markov_is_the_joint_density(session: NoiseSession) -> None:
     model = GaussMarkovModel(session.config.ins)
 
     def of_ins(i: int, j: int) -> np.ndarray:
-        apart_s = (session.comparisons[i].time_ns - session.comparisons[j].time_ns) * 1e-9
+        lag_s = (session.comparisons[i].time_ns - session.comparisons[j].time_ns) * 1e-9
         variances = (ARCSEC * np.array([tilt, heading, tilt])) ** 2
-        return np.diag(variances * np.exp(-apart_s / np.array([tilt_s, heading_s, tilt_s])))
+        return np.diag(variances * np.exp(-lag_s / np.array([tilt_s, heading_s, tilt_s])))
 
     expected = joint_density(session, of_ins, white)
     # Sets side by side do not touch one another.
@@ -126,7 +126,7 @@ def test_schuler_is_the_joint_density(session: NoiseSession, damping_time_s: flo
     sensors, here = Sensors(), mean_location(session.comparisons)
     assert here is not None
     assert here.latitude == pytest.approx(np.deg2rad(40.0), abs=1e-4)
-    # 8 m/s, which the first of twelve epochs does not know yet: it takes two fixes.
+    # 8 m/s, unknown at the first of twelve epochs: a velocity needs two fixes.
     assert np.hypot(*here.velocity_m_per_s) == pytest.approx(8.0 * 11.0 / 12.0, abs=0.1)
     config = SchulerConfig(
         velocity_sigma_m_per_s=sensors.velocity,
@@ -144,8 +144,8 @@ def test_schuler_is_the_joint_density(session: NoiseSession, damping_time_s: flo
     stamps = sorted({pair.time_ns for pair in session.comparisons})
 
     def way(since_ns: int, until_ns: int) -> tuple[np.ndarray, np.ndarray]:
-        carried = process.propagation(since_ns, here, [until_ns], Still(here))
-        return carried.transition[0], carried.ins_noise[0]
+        propagated = process.propagation(since_ns, here, [until_ns], Still(here))
+        return propagated.transition[0], propagated.ins_noise[0]
 
     at = {stamps[0]: np.diag(start**2)}
     for before, after in itertools.pairwise(stamps):

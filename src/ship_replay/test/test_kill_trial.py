@@ -26,7 +26,7 @@ def test_a_killed_recorder_loses_one_flush_period_at_most(tmp_path, seed):
 
 @pytest.mark.live
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_killed_node_has_its_inputs_in_the_box(tmp_path, seed):
+def test_a_killed_node_has_its_inputs_in_the_black_box(tmp_path, seed):
     trial = kill_node(tmp_path, seed)
     # It is flushed every 0.1 s; as much again is allowed to a loaded machine.
     assert trial.is_within_flush_period(0.2), trial

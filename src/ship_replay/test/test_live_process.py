@@ -10,7 +10,7 @@ pytestmark = pytest.mark.live
 
 
 def test_a_domain_is_free_only_after_all_participants_have_left(monkeypatch):
-    """Also if the first, whose port is the lowest, leaves first."""
+    """This holds even if the first participant, whose port is the lowest, leaves first."""
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     domain = free_domain_id()
     participants = []

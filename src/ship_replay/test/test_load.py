@@ -61,7 +61,7 @@ def test_check_config_prints_the_load_and_warns_if_too_high(tmp_path, capsys):
             stamp_ns = START_NS + number * 100_000
             bag.write("ins/imu", imu(stamp_ns, "ins"), stamp_ns)
     assert main([str(tmp_path / "suite.yaml"), str(tmp_path / "fast.mcap")]) == 0
-    told = capsys.readouterr().out
-    assert "load: about " in told
-    assert "of one core for ship_attitude" in told
-    assert "it may fall behind. Most of it is ins/imu at " in told
+    printed = capsys.readouterr().out
+    assert "load: about " in printed
+    assert "of one core for ship_attitude" in printed
+    assert "it may fall behind. Most of it is ins/imu at " in printed

@@ -21,7 +21,7 @@ SECOND_NS = 10**9
 STALL_S = (6.0, 9.0)
 
 
-def stalled(path, stall_s):
+def write_stalled(path, stall_s):
     """Write the first fifteen seconds of the demo; messages of the stall are logged at its end."""
     with read_bag(DEMO) as bag, BagWriter(path) as out:
         out.add_attachment("suite.yaml", bag.attachments["suite.yaml"])
@@ -44,7 +44,7 @@ def attitudes(path):
 @pytest.fixture(scope="module")
 def bags(tmp_path_factory):
     folder = tmp_path_factory.mktemp("stall")
-    return stalled(folder / "regular.mcap", (0.0, 0.0)), stalled(folder / "stalled.mcap", STALL_S)
+    return write_stalled(folder / "regular.mcap", (0.0, 0.0)), write_stalled(folder / "stalled.mcap", STALL_S)
 
 
 def test_replay_by_stamps_of_a_stalled_recording(bags, tmp_path):
@@ -66,8 +66,8 @@ def test_replay_by_stamps_of_a_stalled_recording(bags, tmp_path):
 def test_irregular_log_times_are_reported(bags, tmp_path, capsys):
     for bag in bags:
         assert main([str(bag), "--out", str(tmp_path / f"out_{bag.name}")]) == 0
-    told = [line for line in capsys.readouterr().out.splitlines() if "log times" in line]
-    (line,) = told
+    reported = [line for line in capsys.readouterr().out.splitlines() if "log times" in line]
+    (line,) = reported
     assert "messages were logged more than 0.5 s later after their stamps than usual, the most by 3.00 s" in line
     assert "--arrival stamps" in line
 

@@ -36,11 +36,11 @@ def test_an_estimator_reads_in_the_messages_what_the_run_holds(identity):
         paper_stars(duration_s=4.0), false_stars=1.0, outages={"cloud": Outage(1.0, 2.0)}, exposure_s=0.05, **identity
     )
     run = simulate(scenario, seed=1)
-    said, config = run.stars["fore"], scenario.star_sensors["fore"].camera
+    sightings, config = run.stars["fore"], scenario.star_sensors["fore"].camera
     entries = entries_of(run, OBSERVATIONS)
-    assert len(entries) == said.time_ns.size == 21
+    assert len(entries) == sightings.time_ns.size == 21
     for index, (message, log) in enumerate(entries):
-        assert log == said.log_time_ns[index]
+        assert log == sightings.log_time_ns[index]
         assert message.exposure_s == pytest.approx(0.05)
         reading = read_exposure(
             message, "fore", "star_fore", config.camera("camera"), config, hipparcos(), receive_ns=log
@@ -117,8 +117,8 @@ def test_ins_samples_in_batches_equal_those_one_by_one(name):
         for outcomes, core in zip((attitude_outcomes, one_by_one), cores, strict=True)
     )
     for attribute in ("estimates", "decisions", "refusal"):
-        told = [[getattr(outcome, attribute) for outcome in some] for some in (found, expected)]
-        one, other = ([each for each in some if each] for some in told)
+        values = [[getattr(outcome, attribute) for outcome in some] for some in (found, expected)]
+        one, other = ([each for each in some if each] for some in values)
         assert len(one) == len(other)
         if attribute == "estimates":
             for (mine,), (theirs,) in zip(one, other, strict=True):

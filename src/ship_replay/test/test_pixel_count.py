@@ -47,13 +47,13 @@ def test_pixels_counted_from_one_are_named(of_fore, of_starboard):
     """The difference of chi² between two counts d apart is normal: mean d², standard deviation 2 d."""
     found = [find_counted_from_one(seed, of_fore, of_starboard) for seed in range(500)]
     true = tuple(np.flatnonzero([of_fore, of_starboard]))
-    apart = [
+    offsets = [
         separation(of_fore - other_fore, of_starboard - other_starboard)
         for other_fore, other_starboard in ((0, 0), (1, 0), (0, 1), (1, 1))
         if (other_fore, other_starboard) != (of_fore, of_starboard)
     ]
     # At least so often no other count is likely, less 1 % by the demand on the fit.
-    share = 1.0 - sum(norm.sf((d**2 - 12.0) / (2.0 * d)) for d in apart) - 0.01
+    share = 1.0 - sum(norm.sf((d**2 - 12.0) / (2.0 * d)) for d in offsets) - 0.01
     assert found.count(true) >= binom.ppf(0.001, len(found), share)
     # What is named is so, but for chance.
     wrong = [cameras for cameras in found if not set(cameras) <= set(true)]
@@ -62,7 +62,7 @@ def test_pixels_counted_from_one_are_named(of_fore, of_starboard):
 
 @pytest.mark.parametrize("installation_arcsec", [(20.0, 1.0, 1.0), (20.0, 5.0, 5.0), (60.0, 60.0, 60.0)])
 def test_pixels_counted_from_zero_are_hardly_ever_named(installation_arcsec):
-    """At most 3 in 10 000 of 2000 draws for each of three alternatives, by the binomial bound of 99.9 %."""
+    """The probability is at most 3 in 10 000: 2000 draws of each of three alternatives, binomial bound of 99.9 %."""
     found = [find_counted_from_one(seed, False, False, installation_arcsec) for seed in range(2000)]
     assert len(found) - found.count(()) <= binom.ppf(0.999, len(found), 9e-4)
 

@@ -202,7 +202,7 @@ def test_rejected_and_noted_messages_are_two_lists(tmp_path, capsys):
     assert "noted: ins/imu: covariance_unknown 3" in lines
 
 
-def test_refusals_and_undecodable_messages_are_counted(tmp_path):
+def test_rejections_and_undecodable_messages_are_counted(tmp_path):
     path = tmp_path / "in.mcap"
     with BagWriter(path) as bag:
         bag.add_attachment("suite.yaml", SUITE)
@@ -226,7 +226,7 @@ def test_a_configuration_given_rules_over_the_attached_one(tmp_path):
 
 
 class TestBadInput:
-    def refused(self, tmp_path, bag, match, **options):
+    def assert_refused(self, tmp_path, bag, match, **options):
         with pytest.raises(BadInput, match=match):
             replay(bag, tmp_path / "out.mcap", (TinyAdapter,), **options)
         assert not list(tmp_path.glob("out.mcap*"))
@@ -234,26 +234,28 @@ class TestBadInput:
     def test_required_topic_missing(self, tmp_path):
         bag = write_imu_bag(tmp_path / "in.mcap", 5, "compass", attachments=[("suite.yaml", SUITE)])
         advice = "sensor_msgs/Imu on compass: --remap compass:=ins/imu"
-        self.refused(tmp_path, bag, rf"in\.mcap: required topics ins/imu are missing; found compass; {advice}$")
+        self.assert_refused(tmp_path, bag, rf"in\.mcap: required topics ins/imu are missing; found compass; {advice}$")
 
     def test_required_topic_in_a_namespace(self, tmp_path):
         bag = write_imu_bag(tmp_path / "in.mcap", 5, "/ship/ins/imu", attachments=[("suite.yaml", SUITE)])
-        self.refused(tmp_path, bag, "under the namespace 'ship': give --namespace ship")
+        self.assert_refused(tmp_path, bag, "under the namespace 'ship': give --namespace ship")
 
     def test_wrong_type(self, tmp_path):
         path = tmp_path / "in.mcap"
         with BagWriter(path) as bag:
             bag.add_attachment("suite.yaml", SUITE)
             bag.write("ins/imu", ship_attitude(START_NS), START_NS)
-        self.refused(tmp_path, path, "topic 'ins/imu' is ship_msgs/msg/ShipAttitude: expected sensor_msgs/msg/Imu")
+        self.assert_refused(
+            tmp_path, path, "topic 'ins/imu' is ship_msgs/msg/ShipAttitude: expected sensor_msgs/msg/Imu"
+        )
 
     def test_no_configuration(self, tmp_path):
         bag = write_imu_bag(tmp_path / "in.mcap", 5)
-        self.refused(tmp_path, bag, r"no configuration suite\.yaml is attached to the bag: give one by --config")
+        self.assert_refused(tmp_path, bag, r"no configuration suite\.yaml is attached to the bag: give one by --config")
 
     def test_unknown_parameter_in_the_attached_configuration(self, tmp_path):
         bag = write_imu_bag(tmp_path / "in.mcap", 5, attachments=[("suite.yaml", SUITE + "    gain: 1.0\n")])
-        self.refused(tmp_path, bag, r"in\.mcap: attachment suite\.yaml: .*:4: parameter 'gain' is unknown")
+        self.assert_refused(tmp_path, bag, r"in\.mcap: attachment suite\.yaml: .*:4: parameter 'gain' is unknown")
 
     def test_topics_without_a_message(self, tmp_path):
         bag = tmp_path / "in.mcap"
@@ -261,7 +263,7 @@ class TestBadInput:
             writer.add_attachment("suite.yaml", SUITE)
             writer.add_topic("ins/imu", "sensor_msgs/msg/Imu", False)
             writer.write("compass", imu(START_NS), START_NS)
-        self.refused(tmp_path, bag, r"in\.mcap: no message of ins/imu could be read$")
+        self.assert_refused(tmp_path, bag, r"in\.mcap: no message of ins/imu could be read$")
 
     def test_inputs_that_may_be_missing_are_named_where_all_are(self, tmp_path):
         """The bag is in a namespace that was not given."""
@@ -269,8 +271,8 @@ class TestBadInput:
         with BagWriter(bag) as writer:
             writer.add_attachment("suite.yaml", TRIANGULATION)
             writer.write("/fleet/west/theodolite/target_direction", imu(START_NS), START_NS)
-        told = r"no message of east/theodolite/target_direction, west/.* could be read; .*--namespace"
-        with pytest.raises(BadInput, match=told):
+        text = r"no message of east/theodolite/target_direction, west/.* could be read; .*--namespace"
+        with pytest.raises(BadInput, match=text):
             replay(bag, tmp_path / "out.mcap", (TriangulationAdapter,))
 
     def test_output_over_the_input(self, tmp_path):

@@ -25,12 +25,12 @@ from ship_watch.suite_state import Event, Safety
 
 
 @pytest.fixture(scope="module")
-def night_path(tmp_path_factory):
-    return write_bag(tmp_path_factory.mktemp("night") / "out.mcap", gap_s=(20, 25), rejected=range(30, 37))
+def recording_path(tmp_path_factory):
+    return write_bag(tmp_path_factory.mktemp("run") / "out.mcap", gap_s=(20, 25), rejected=range(30, 37))
 
 
-def test_every_section_in_its_order_and_nothing_of_the_network(night_path):
-    text = page(read_report_data(night_path))
+def test_every_section_in_its_order_and_nothing_of_the_network(recording_path):
+    text = page(read_report_data(recording_path))
     places = [text.index(f'<h2 id="{name}">{title}</h2>') for name, title in SECTIONS]
     assert places == sorted(places)
     assert not re.search(r"https?://|<script|<link|@import|url\((?!#)", text)
@@ -41,13 +41,13 @@ def test_every_section_in_its_order_and_nothing_of_the_network(night_path):
     assert set(re.findall(r'(?:xlink:href="#|url\(#)([^")]+)', text)) <= set(ids)
 
 
-def test_the_same_bag_gives_the_same_bytes(night_path):
-    assert page(read_report_data(night_path)) == page(read_report_data(night_path))
+def test_the_same_bag_gives_the_same_bytes(recording_path):
+    assert page(read_report_data(recording_path)) == page(read_report_data(recording_path))
 
 
-def test_numbers_are_those_of_evaluate(night_path):
-    text = page(read_report_data(night_path))
-    fused = evaluate(night_path).errors[0].statistics()
+def test_numbers_are_those_of_evaluate(recording_path):
+    text = page(read_report_data(recording_path))
+    fused = evaluate(recording_path).errors[0].statistics()
     row = re.search(r"<tr><td>fused</td><td>heading</td>(.*?)</tr>", text).group(1)
     shown = re.findall(r'<td class="r">([^<]*)</td>', row)[:4]
     assert shown == [number(fused[f"heading.{name}"]) for name in
@@ -55,53 +55,54 @@ def test_numbers_are_those_of_evaluate(night_path):
     assert shown[0] == "1"  # 1″ was put in
 
 
-def test_states_follow_the_limits(night_path):
+def test_states_follow_the_limits(recording_path):
     """95 % heading 7.8″ over 5″, pitch 3.9″ over 3″, roll 5.9″ over 3″: CAUTION; UNSAFE without data."""
-    night = read_recording(night_path)
-    seconds = night.seconds("heading")
+    recording = read_recording(recording_path)
+    seconds = recording.seconds("heading")
     assert seconds[Safety.SAFE] == 0
     assert seconds[Safety.CAUTION] >= 25
-    assert night.last is not None
-    changes = [event.text for event in night.events if event.kind == "state" and event.subject == "heading"]
+    assert recording.last is not None
+    changes = [event.text for event in recording.events if event.kind == "state" and event.subject == "heading"]
     assert any("CAUTION → UNSAFE" in text for text in changes)
     assert any("UNSAFE → CAUTION" in text for text in changes)
 
 
-def test_no_state_without_output(night_path):
-    told = {second for second, _ in read_recording(night_path).safety_states["heading"]}
+def test_no_state_without_output(recording_path):
+    seconds = {second for second, _ in read_recording(recording_path).safety_states["heading"]}
     start_s = START_NS // SECOND_NS
     # The limit of age is 1 s: from 22 s on the last value is old, until one comes at 25 s.
-    assert not told & {start_s + 22, start_s + 23, start_s + 24}
-    assert {start_s + 18, start_s + 27} <= told
+    assert not seconds & {start_s + 22, start_s + 23, start_s + 24}
+    assert {start_s + 18, start_s + 27} <= seconds
 
 
-def test_rejections_are_counted_with_their_times(night_path):
-    refusals = [one for one in read_recording(night_path).rejections if one.by == "filter"]
-    assert {one.source for one in refusals} == {"star.fore"}
-    assert [one.utc_ns for one in refusals] == [START_NS + second * SECOND_NS for second in range(30, 37)]
+def test_rejections_are_counted_with_their_times(recording_path):
+    rejections = [one for one in read_recording(recording_path).rejections if one.by == "filter"]
+    assert {one.source for one in rejections} == {"star.fore"}
+    assert [one.utc_ns for one in rejections] == [START_NS + second * SECOND_NS for second in range(30, 37)]
 
 
-def test_a_source_rejected_five_times_is_in_summary_and_alerts(night_path):
-    told = read_report_data(night_path)
-    out = [event for event in told.recording.events if event.subject == "star.fore" and "OUT" in event.text]
+def test_a_source_rejected_five_times_is_in_summary_and_alerts(recording_path):
+    data = read_report_data(recording_path)
+    out = [event for event in data.recording.events if event.subject == "star.fore" and "OUT" in event.text]
     assert abs(out[0].utc_ns - (START_NS + 34 * SECOND_NS)) <= 2 * SECOND_NS // 10
-    assert summary(told.recording)[1].startswith("Worst source: star.fore, out once, ")
-    assert "star.fore: clean the sensor and check its mounting" in summary(told.recording)[4]
-    assert "<td>star.fore</td>" in section(page(told), "verdict")
-    assert not told.recording.alerts_are_recorded
-    assert "star.fore.out" in {one.alert.id for one in told.recording.alerts}
+    assert summary(data.recording)[1].startswith("Worst source: star.fore, out once, ")
+    assert "star.fore: clean the sensor and check its mounting" in summary(data.recording)[4]
+    assert "<td>star.fore</td>" in section(page(data), "verdict")
+    assert not data.recording.alerts_are_recorded
+    assert "star.fore.out" in {one.alert.id for one in data.recording.alerts}
 
 
-def test_an_outage_whose_reason_changes_is_one(night_path):
-    night = read_recording(night_path)
+def test_an_outage_whose_reason_changes_is_one(recording_path):
+    recording = read_recording(recording_path)
     first = START_NS + 10 * SECOND_NS
-    told = [("star.fore OUT, 5 rejected in a row", 0), ("star.fore OUT, no data", 1), ("star.fore IN", 5),
+    texts = [("star.fore OUT, 5 rejected in a row", 0), ("star.fore OUT, no data", 1), ("star.fore IN", 5),
             ("ins OUT, no data", 7)]
-    night.events = [Event(first + after * SECOND_NS, "source", text.split()[0], text) for text, after in told]
-    assert [(one.source, one.from_ns - first, one.to_ns and one.to_ns - first, one.why) for one in outages(night)] == [
+    recording.events = [Event(first + after * SECOND_NS, "source", text.split()[0], text) for text, after in texts]
+    found = outages(recording)
+    assert [(one.source, one.from_ns - first, one.to_ns and one.to_ns - first, one.why) for one in found] == [
         ("star.fore", 0, 5 * SECOND_NS, "5 rejected in a row"), ("ins", 7 * SECOND_NS, 0, "no data")
     ]
-    assert outages(night)[1].text.endswith(" to the end (no data)")
+    assert found[1].text.endswith(" to the end (no data)")
 
 
 def test_without_truth_innovations_take_the_room(tmp_path):
@@ -153,10 +154,10 @@ class TestBadInput:
         assert "headding_arcsec" in line
 
 
-def test_limits_of_the_ship_change_the_states(tmp_path, night_path):
+def test_limits_of_the_ship_change_the_states(tmp_path, recording_path):
     limits = tmp_path / "limits.yaml"
     limits.write_text("heading_arcsec: 2.0\n")
-    assert main([str(night_path), "--limits", str(limits), "--out", str(tmp_path / "a.html")]) == 0
+    assert main([str(recording_path), "--limits", str(limits), "--out", str(tmp_path / "a.html")]) == 0
     assert re.search(r"<td>heading</td>.*2″</td>", (tmp_path / "a.html").read_text())
 
 
@@ -181,8 +182,8 @@ def test_thinned_lines_keep_their_extremes():
     assert np.isfinite(values[kept]).all()
 
 
-def test_thinned_errors_keep_the_largest(night_path):
-    errors = evaluate(night_path).errors[0]
+def test_thinned_errors_keep_the_largest(recording_path):
+    errors = evaluate(recording_path).errors[0]
     assert np.nanmax(np.abs(decimate_errors(errors).error_arcsec)) == np.abs(errors.error_arcsec).max()
 
 
@@ -197,39 +198,39 @@ def events(*entries):
 
 
 class TestFiveSentences:
-    def test_each_opens_the_page_in_its_order(self, night_path):
-        told = read_report_data(night_path)
-        sentences = summary(told.recording)
+    def test_each_opens_the_page_in_its_order(self, recording_path):
+        data = read_report_data(recording_path)
+        sentences = summary(data.recording)
         assert [text.partition(":")[0] for text in sentences] == [
             "Availability", "Worst source", "Cause → consequence", "Mountings", "To do"
         ]
-        shown = re.findall(r"<p>(.*?)</p>", section(page(told), "verdict").partition("<table>")[0])
+        shown = re.findall(r"<p>(.*?)</p>", section(page(data), "verdict").partition("<table>")[0])
         assert len(shown) == 5
 
-    def test_availability_counts_missing_outputs(self, night_path):
+    def test_availability_counts_missing_outputs(self, recording_path):
         """No data from 20 s to 25 s of 40 s; the first second of it is within the age limit."""
-        share = re.search(r"ship/attitude VALID ([\d.]+) % of the time", summary(read_recording(night_path))[0])
+        share = re.search(r"ship/attitude VALID ([\d.]+) % of the time", summary(read_recording(recording_path))[0])
         assert float(share[1]) == pytest.approx(90.0, abs=1.0)
 
-    def test_the_cause_stands_before_what_needs_it(self, night_path):
-        night = read_recording(night_path)
-        night.events = events(
+    def test_the_cause_precedes_its_consequences(self, recording_path):
+        recording = read_recording(recording_path)
+        recording.events = events(
             (5, "source", "star.fore OUT, needs ins"), (5, "source", "ins OUT, no data"),
             (5, "state", "heading SAFE → UNSAFE, ins no data"), (9, "source", "ins IN"), (9, "source", "star.fore IN"),
         )
-        sentences = summary(night)
+        sentences = summary(recording)
         assert sentences[1].startswith("Worst source: ins, out once, 4 s in all (10 % of the time)")
         assert re.fullmatch(
             r"Cause → consequence: ins no data at \S+ → heading not SAFE, star.fore not usable.", sentences[2]
         )
 
-    def test_a_shifted_mounting_is_named(self, night_path):
-        night = read_recording(night_path)
-        night.events = events(
+    def test_a_shifted_mounting_is_named(self, recording_path):
+        recording = read_recording(recording_path)
+        recording.events = events(
             (5, "source", "star.fore OUT, excluded"), (30, "source", "star.fore IN"),
             (31, "source", "star.fore reinstated, mounting shifted by 51″"),
         )
-        assert summary(night)[3].startswith("Mountings: star.fore reinstated, mounting shifted by 51″ at ")
+        assert summary(recording)[3].startswith("Mountings: star.fore reinstated, mounting shifted by 51″ at ")
 
     def test_a_run_without_faults_has_nothing_to_do(self, tmp_path):
         sentences = summary(read_recording(write_bag(tmp_path / "out.mcap")))
@@ -250,20 +251,20 @@ class TestEvents:
         assert sum(row.count for row in rows) == 10
         assert "–" in rows[0].when
 
-    def test_changes_minutes_apart_are_rows_of_their_own(self):
-        apart = [(100 * number, "source", f"ins {'IN' if number % 2 else 'OUT, no data'}") for number in range(8)]
-        assert len(event_rows(events(*apart))) == 8
+    def test_changes_with_minutes_between_them_have_their_own_rows(self):
+        changes = [(100 * number, "source", f"ins {'IN' if number % 2 else 'OUT, no data'}") for number in range(8)]
+        assert len(event_rows(events(*changes))) == 8
 
-    def test_each_time_leads_to_its_line_in_the_figure(self, night_path):
-        text = page(read_report_data(night_path))
+    def test_each_time_leads_to_its_line_in_the_figure(self, recording_path):
+        text = page(read_report_data(recording_path))
         targets = re.findall(r'href="#(status-mark-\d+)"', section(text, "events"))
         assert targets
         assert {*targets} <= {*re.findall(r'id="([^"]*)"', section(text, "status"))}
 
 
-def test_no_line_through_a_gap(night_path):
+def test_no_line_through_a_gap(recording_path):
     """No data from 20 s to 25 s."""
-    errors = decimate_errors(evaluate(night_path).errors[0])
+    errors = decimate_errors(evaluate(recording_path).errors[0])
     empty = np.isnan(errors.error_arcsec).all(axis=1)
     (second,) = (errors.time_ns[empty] - START_NS) / SECOND_NS
     assert 20.0 <= second < 25.0
@@ -281,11 +282,11 @@ def test_ticks_are_at_round_times(length_s, step_s):
     assert np.allclose(np.diff(places), step_s)
 
 
-def test_a_source_has_one_colour_in_all_figures(night_path):
-    told = read_report_data(night_path)
-    colours = source_colours(told.recording, told.evaluation)
+def test_a_source_has_one_colour_in_all_figures(recording_path):
+    data = read_report_data(recording_path)
+    colours = source_colours(data.recording, data.evaluation)
     assert len({*colours.values()}) == len(colours) == 2
-    text = page(told)
+    text = page(data)
     assert colours["star.fore"] in section(text, "refusals")
     assert colours["fused"] in section(text, "errors")
 

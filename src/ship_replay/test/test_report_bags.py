@@ -24,38 +24,38 @@ from ship_watch.suite_state import Priority
 
 
 @pytest.fixture(scope="module")
-def night_path(tmp_path_factory):
-    return write_bag(tmp_path_factory.mktemp("night") / "out.mcap", gap_s=(20, 25), rejected=range(30, 37))
+def recording_path(tmp_path_factory):
+    return write_bag(tmp_path_factory.mktemp("run") / "out.mcap", gap_s=(20, 25), rejected=range(30, 37))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("namespace", ["vessel", "ship"])
-def test_a_recording_in_a_namespace(night_path, tmp_path, namespace):
-    copy_bag(night_path, BagWriter(tmp_path / "recorded.mcap"), f"/{namespace}/")
+def test_a_recording_in_a_namespace(recording_path, tmp_path, namespace):
+    copy_bag(recording_path, BagWriter(tmp_path / "recorded.mcap"), f"/{namespace}/")
     out = tmp_path / "a.html"
     assert main([str(tmp_path / "recorded.mcap"), "--namespace", f"/{namespace}", "--out", str(out)]) == 0
-    told = out.read_text()
+    text = out.read_text()
     for name in ("verdict", "errors", "consistency", "events", "refusals"):
-        assert section(told, name) == section(page(read_report_data(night_path)), name)
+        assert section(text, name) == section(page(read_report_data(recording_path)), name)
 
 
 @pytest.mark.slow
-def test_a_rosbag2_folder_of_several_files(night_path, tmp_path):
+def test_a_rosbag2_folder_of_several_files(recording_path, tmp_path):
     folder = tmp_path / "night"
-    copy_bag(night_path, FolderWriter(folder, SplitLimits(size_bytes=10_000)))
-    told = page(read_report_data(folder))
-    alone = page(read_report_data(night_path))
+    copy_bag(recording_path, FolderWriter(folder, SplitLimits(size_bytes=10_000)))
+    text = page(read_report_data(folder))
+    alone = page(read_report_data(recording_path))
     for name in ("verdict", "errors", "consistency", "events", "refusals"):
-        assert section(told, name) == section(alone, name)
+        assert section(text, name) == section(alone, name)
     parts = sorted(folder.glob("*.mcap"))
     assert len(parts) > 1
     for part in parts:
-        assert f"{hashlib.sha256(part.read_bytes()).hexdigest()}  {part.name}" in section(told, "provenance")
+        assert f"{hashlib.sha256(part.read_bytes()).hexdigest()}  {part.name}" in section(text, "provenance")
 
 
-def test_the_hash_of_a_file_is_that_of_sha256sum(night_path):
-    whole = hashlib.sha256(night_path.read_bytes()).hexdigest()
-    assert f">{whole}</td>" in section(page(read_report_data(night_path)), "provenance")
+def test_the_hash_of_a_file_is_that_of_sha256sum(recording_path):
+    whole = hashlib.sha256(recording_path.read_bytes()).hexdigest()
+    assert f">{whole}</td>" in section(page(read_report_data(recording_path)), "provenance")
 
 
 def alert(state, second, text="star.fore out: no data"):
@@ -67,14 +67,14 @@ def alert(state, second, text="star.fore out: no data"):
     )
 
 
-def test_alerts_that_were_recorded_stand_before_those_computed(night_path, tmp_path):
-    """With the texts and times of the alert node, and with acknowledgements, which cannot be computed."""
+def test_recorded_alerts_replace_computed_ones(recording_path, tmp_path):
+    """They have the texts and times of the alert node, and acknowledgements, which cannot be computed."""
     path = tmp_path / "out.mcap"
-    course = [(10, AlertState.ACTIVE_UNACKNOWLEDGED), (14, AlertState.ACTIVE_ACKNOWLEDGED), (20, None)]
-    with BagWriter(path) as writer, read_bag(night_path) as bag:
+    history = [(10, AlertState.ACTIVE_UNACKNOWLEDGED), (14, AlertState.ACTIVE_ACKNOWLEDGED), (20, None)]
+    with BagWriter(path) as writer, read_bag(recording_path) as bag:
         records = [(record.log_time_ns, record) for record in bag.records()]
-        told = [(START_NS + second * SECOND_NS, (state, second)) for second, state in course]
-        for time_ns, what in sorted(records + told, key=lambda entry: entry[0]):
+        states = [(START_NS + second * SECOND_NS, (state, second)) for second, state in history]
+        for time_ns, what in sorted(records + states, key=lambda entry: entry[0]):
             if isinstance(what, tuple):
                 header = make_header(FACTORY, time_ns, "")
                 alerts = [] if what[0] is None else [alert(*what)]
@@ -102,22 +102,22 @@ def test_outputs_of_one_node_alone(tmp_path):
         for tick in range(50):
             stamp_ns = START_NS + tick * SECOND_NS // 5
             bag.write("truth/attitude", ship_attitude(stamp_ns), stamp_ns)
-            told = star_message(stamp_ns, np.eye(3), SIGMA_ENU @ SIGMA_ENU, "joint")
-            bag.write("star/joint/solution", told, stamp_ns)
+            message = star_message(stamp_ns, np.eye(3), SIGMA_ENU @ SIGMA_ENU, "joint")
+            bag.write("star/joint/solution", message, stamp_ns)
     text = page(read_report_data(tmp_path / "out.mcap"))
     assert "no attitude and no pointing was published" in section(text, "verdict")
     assert "<td>star.joint</td>" in section(text, "errors")
 
 
-def test_versions_of_the_bag_and_of_the_report_are_separate(night_path, tmp_path):
-    shown = section(page(read_report_data(night_path)), "provenance")
+def test_versions_of_the_bag_and_of_the_report_are_separate(recording_path, tmp_path):
+    shown = section(page(read_report_data(recording_path)), "provenance")
     assert "The bag does not contain the commit or the versions of the suite that made it." in shown
     assert shown.count("<h3>") == 1
     path = tmp_path / "box.mcap"
     writer = BagWriter(path)
-    told = {"suite": {"ship_node": "0.0.7"}, "python": "3.9.2", "machine": "riscv64", "libraries": {"numpy": "1.2.3"}}
-    writer.add_attachment("versions.json", json.dumps(told))
-    copy_bag(night_path, writer)
+    stated = {"suite": {"ship_node": "0.0.7"}, "python": "3.9.2", "machine": "riscv64", "libraries": {"numpy": "1.2.3"}}
+    writer.add_attachment("versions.json", json.dumps(stated))
+    copy_bag(recording_path, writer)
     made, _, here = section(page(read_report_data(path)), "provenance").partition("Versions that made this report")
     rows = [("ship_node", "0.0.7"), ("numpy", "1.2.3"), ("python", "3.9.2"), ("machine", "riscv64")]
     for name, version in rows:
@@ -127,10 +127,10 @@ def test_versions_of_the_bag_and_of_the_report_are_separate(night_path, tmp_path
 
 
 @pytest.mark.parametrize("damaged", [b"not JSON", b"[]", b'{"suite": 3}'])
-def test_damaged_versions_are_none(night_path, tmp_path, damaged):
+def test_damaged_versions_are_none(recording_path, tmp_path, damaged):
     writer = BagWriter(tmp_path / "box.mcap")
     writer.add_attachment("versions.json", damaged)
-    copy_bag(night_path, writer)
+    copy_bag(recording_path, writer)
     assert "The bag does not contain the commit" in section(page(read_report_data(tmp_path / "box.mcap")), "provenance")
 
 

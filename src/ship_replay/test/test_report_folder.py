@@ -24,7 +24,7 @@ def test_a_row_for_each_session_with_the_difference_to_the_one_before(tmp_path, 
     folder = tmp_path / "voyage"
     folder.mkdir()
     write_bag(folder / "a.mcap")
-    # The same hours: by name the later one. Silent for 5 s of 40 s, of which the first is within the limit of age.
+    # The same hours: by name the later one. No data for 5 s of 40 s; the first of them is within the maximum age.
     write_bag(folder / "b 1.mcap", gap_s=(20, 25), rejected=range(30, 37))
     (folder / "bad.mcap").write_text("no bag")
     with BagWriter(folder / "inputs.mcap") as writer:
@@ -67,8 +67,8 @@ def test_nothing_is_written_over_without_force(tmp_path, capsys):
 def test_truth_is_of_one_bag(tmp_path, capsys):
     folder = tmp_path / "voyage"
     folder.mkdir()
-    night = write_bag(folder / "a.mcap", 5)
-    assert "--truth is for one bag" in usage_error(main, capsys, folder, "--truth", night, "--out", tmp_path / "b.html")
+    path = write_bag(folder / "a.mcap", 5)
+    assert "--truth is for one bag" in usage_error(main, capsys, folder, "--truth", path, "--out", tmp_path / "b.html")
 
 
 def test_a_folder_without_bags_is_refused(tmp_path, capsys):

@@ -1,6 +1,7 @@
 """Consistency tests by Monte Carlo: AR(1) errors and χ² innovations, with correct and wrong sigmas, by seed."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -27,10 +28,10 @@ def ar1(seed: int, time_s: float, count: int = FIVE_MINUTES) -> np.ndarray:
 
 def errors(normalised: np.ndarray, sigma_ratio: float = 1.0) -> AttitudeErrors:
     """Return errors with a sigma of 2″ that is stated as 2″ over the ratio."""
-    told = np.full_like(normalised, 2.0 / sigma_ratio)
-    nees = np.sum((normalised * 2.0 / told) ** 2, axis=1)
+    sigmas = np.full_like(normalised, 2.0 / sigma_ratio)
+    nees = np.sum((normalised * 2.0 / sigmas) ** 2, axis=1)
     time_ns = np.arange(len(normalised), dtype=np.int64) * NS // RATE_HZ
-    return AttitudeErrors("fused", ("heading", "pitch", "roll"), time_ns, normalised * 2.0, told, nees)
+    return AttitudeErrors("fused", ("heading", "pitch", "roll"), time_ns, normalised * 2.0, sigmas, nees)
 
 
 def innovations(seed: int, sigma_ratios: list[float], a_minute: int = 300) -> SourceInnovations:
@@ -69,8 +70,8 @@ def test_independent_ones_of_white_noise_of_nothing_and_of_a_bias() -> None:
 def test_a_correct_sigma_is_accepted(time_s: float) -> None:
     """One of 1000 consistent runs is outside a band of 99.9 %; more than 6 in one of ten thousand such tests."""
     fits = [nees_fit(errors(ar1(seed, time_s))) for seed in range(1000)]
-    condemned = [fit for fit in fits if "optimistic" in fit.words or "pessimistic" in fit.words]
-    assert len(condemned) <= binom.ppf(0.9999, 1000, 0.001)
+    rejected = [fit for fit in fits if "optimistic" in fit.words or "pessimistic" in fit.words]
+    assert len(rejected) <= binom.ppf(0.9999, 1000, 0.001)
     if time_s <= 10.0:
         assert sum(fit.words == f"σ as stated ({fit.ratio:.2f})" for fit in fits) >= 990
 
@@ -95,18 +96,17 @@ def test_errors_correlated_over_the_run_give_no_result() -> None:
     assert fit.words == TOO_FEW_INDEPENDENT_TEXT
     assert fit.ratio == pytest.approx(2.0)
     assert fit.independent < 2.0
-    said = [nees_fit(errors(ar1(seed, 100.0))).words for seed in range(100)]
-    assert said.count(TOO_FEW_INDEPENDENT_TEXT) > 90
+    texts = [nees_fit(errors(ar1(seed, 100.0))).words for seed in range(100)]
+    assert texts.count(TOO_FEW_INDEPENDENT_TEXT) > 90
 
 
 def test_missing_sigmas_are_reported() -> None:
-    told = errors(ar1(1, 3.0))
-    half = AttitudeErrors(told.label, told.channels, told.time_ns, told.error_arcsec, told.sigma_arcsec,
-                          np.where(np.arange(FIVE_MINUTES) < 2000, told.nees, np.nan))
+    complete = errors(ar1(1, 3.0))
+    half = replace(complete, nees=np.where(np.arange(FIVE_MINUTES) < 2000, complete.nees, np.nan))
     fit = nees_fit(half)
     assert fit.count == 2000
-    assert fit.mean == pytest.approx(np.mean(told.nees[:2000]))
-    none = AttitudeErrors("ins", told.channels, told.time_ns, told.error_arcsec, told.sigma_arcsec, told.nees * np.nan)
+    assert fit.mean == pytest.approx(np.mean(complete.nees[:2000]))
+    none = replace(complete, label="ins", nees=complete.nees * np.nan)
     assert nees_fit(none).words == "no σ stated"
 
 
@@ -136,8 +136,8 @@ def test_minutes_with_a_false_sigma_are_counted() -> None:
 def test_one_minute_equals_the_live_page() -> None:
     part = innovations(3, [1.6])
     window = NisWindow()
-    for stamp_ns, judged in sorted(part.accepted.items()):
-        window.add(stamp_ns, judged.nis, 3)
+    for stamp_ns, innovation in sorted(part.accepted.items()):
+        window.add(stamp_ns, innovation.nis, 3)
     assert nis_fit("star.bow", part).words == f"{window.consistency(60 * NS - 1).text} in 1 of 1 minutes"
 
 

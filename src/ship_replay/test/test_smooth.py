@@ -49,7 +49,7 @@ beacons:
 """
 
 
-def simulated(folder, text):
+def simulate_bag(folder, text):
     path = folder / "in.mcap"
     scenario = path.with_suffix(".yaml")
     scenario.write_text(text)
@@ -59,12 +59,12 @@ def simulated(folder, text):
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
-    return simulated(tmp_path_factory.mktemp("smooth"), SCENARIO)
+    return simulate_bag(tmp_path_factory.mktemp("smooth"), SCENARIO)
 
 
 @pytest.fixture(scope="module")
 def theodolite_bag(tmp_path_factory):
-    return simulated(tmp_path_factory.mktemp("smooth_theodolite"), SCENARIO + THEODOLITE)
+    return simulate_bag(tmp_path_factory.mktemp("smooth_theodolite"), SCENARIO + THEODOLITE)
 
 
 def messages(path, topic):
@@ -81,15 +81,15 @@ def test_each_attitude_is_smoothed(bag, tmp_path, capsys):
     assert smooth([str(bag), "--out", str(smoothed)]) == 0
     assert replay([str(bag), "--out", str(replayed)]) == 0
     again, at_once = messages(smoothed, "ship/attitude_smoothed"), messages(replayed, "ship/attitude")
-    told = [(log_ns, message) for log_ns, message in at_once if message.status != message.INVALID]
-    assert len(again) == len(told) == 241
-    for (log_ns, message), (at_once_log_ns, before) in zip(again, told, strict=True):
+    valid = [(log_ns, message) for log_ns, message in at_once if message.status != message.INVALID]
+    assert len(again) == len(valid) == 241
+    for (log_ns, message), (at_once_log_ns, before) in zip(again, valid, strict=True):
         assert log_ns == at_once_log_ns
         assert ns_from_stamp(message.header.stamp) == ns_from_stamp(before.header.stamp)
         assert message.status == before.status
         assert np.all(variances(message) <= variances(before) * (1.0 + 1e-6))
     # One and a half seconds of stars contain less information than twelve.
-    assert np.all(variances(again[30][1]) < 0.7 * variances(told[30][1]))
+    assert np.all(variances(again[30][1]) < 0.7 * variances(valid[30][1]))
     assert "241 messages on ship/attitude_smoothed" in capsys.readouterr().out
 
 
@@ -100,22 +100,22 @@ def test_each_pointing_is_smoothed_with_the_smoothed_attitude(theodolite_bag, tm
     assert "121 messages on theodolite/pointing_smoothed" in capsys.readouterr().out
     assert replay([str(theodolite_bag), "--out", str(replayed)]) == 0
     again, at_once = messages(smoothed, "theodolite/pointing_smoothed"), messages(replayed, "theodolite/pointing")
-    told = [(log_ns, message) for log_ns, message in at_once if message.status != message.INVALID]
-    assert len(again) == len(told) == 121
-    for (log_ns, message), (at_once_log_ns, before) in zip(again, told, strict=True):
+    valid = [(log_ns, message) for log_ns, message in at_once if message.status != message.INVALID]
+    assert len(again) == len(valid) == 121
+    for (log_ns, message), (at_once_log_ns, before) in zip(again, valid, strict=True):
         assert log_ns == at_once_log_ns
         assert ns_from_stamp(message.header.stamp) == ns_from_stamp(before.header.stamp)
         assert (message.status, message.mode, message.light_count) == (before.status, before.mode, before.light_count)
         assert np.isfinite(message.telescope_azimuth) == np.isfinite(before.telescope_azimuth)
-    # Before the first lights the zero points of the encoders were known to 30".
+    # Before the first lights the sigma of the encoders' zero points was 30".
     assert again[20][1].mode == again[20][1].ENCODER
-    assert np.all(variances(again[20][1])[:2] < 0.1 * variances(told[20][1])[:2])
-    # The ship's attitudes are what they are without the theodolite, and evaluate judges both.
+    assert np.all(variances(again[20][1])[:2] < 0.1 * variances(valid[20][1])[:2])
+    # The ship's attitudes equal those without the theodolite, and both are evaluated.
     assert len(messages(smoothed, "ship/attitude_smoothed")) == 241
     numbers = tmp_path / "numbers.json"
     assert evaluate([str(smoothed), "--json", str(numbers)]) == 0
-    judged = json.loads(numbers.read_text())
-    assert judged["smoothed.samples"] == judged["smoothed_pointing.samples"] == 121
+    evaluated = json.loads(numbers.read_text())
+    assert evaluated["smoothed.samples"] == evaluated["smoothed_pointing.samples"] == 121
 
 
 def test_pointings_are_smoothed_by_a_recorded_attitude_too(theodolite_bag, tmp_path):
@@ -165,28 +165,28 @@ def test_bad_input_is_one_line(bag, tmp_path, capsys):
     assert smooth([str(bag), "--out", str(out), "--config", str(config)]) == 2
     config.write_text("star_attitude:\n  ros__parameters: {}\n")
     assert smooth([str(bag), "--out", str(out), "--config", str(config)]) == 2
-    told = capsys.readouterr().err.strip().splitlines()
-    assert len(told) == 2
-    assert "theodolite/encoder, ship/attitude are missing" in told[0]
-    assert "there is nothing to smooth" in told[1]
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 2
+    assert "theodolite/encoder, ship/attitude are missing" in lines[0]
+    assert "there is nothing to smooth" in lines[1]
     assert not out.exists()
 
 
 @pytest.mark.slow
 def test_attitudes_of_before_an_adoption_are_smoothed_too(tmp_path, monkeypatch):
     """The filter is corrupted after 15 s and replaced about half a minute later: two segments, no attitude is lost."""
-    bag, out = simulated(tmp_path, SCENARIO.replace("duration_s: 12.0", "duration_s: 60.0")), tmp_path / "out.mcap"
+    bag, out = simulate_bag(tmp_path, SCENARIO.replace("duration_s: 12.0", "duration_s: 60.0")), tmp_path / "out.mcap"
     look, adapters = ShipAttitudeAdapter._decide, set()
     (start_ns, _), *_ = messages(bag, "ins/imu")
 
-    def spoilt_look(self, now_ns, waiting_ns):
+    def decide_with_fault(self, now_ns, waiting_ns):
         self.recovery._config = replace(self.recovery._config, confirm_s=25.0)
         if waiting_ns - start_ns >= 15_000_000_000 and self not in adapters:
             adapters.add(self)
             make_overconfident(self)
         return look(self, now_ns, waiting_ns)
 
-    monkeypatch.setattr(ShipAttitudeAdapter, "_decide", spoilt_look)
+    monkeypatch.setattr(ShipAttitudeAdapter, "_decide", decide_with_fault)
     assert smooth([str(bag), "--out", str(out)]) == 0
     (adapter,) = adapters
     assert adapter.recovery.adopted == 1

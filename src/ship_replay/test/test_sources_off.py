@@ -88,12 +88,12 @@ def is_reported_off(data: bytes, source: str) -> bool:
 def test_off_from_the_start_is_as_without_the_topic(
     run_class: type[ReplayRun], bag_path: Path, node: str, source: str, topic: str, tmp_path: Path
 ) -> None:
-    off, told = estimates(
+    off, rejected_off = estimates(
         replay_published(run_class, bag_path, suite_without(bag_path, node, source, tmp_path)), source
     )
-    without, untold = estimates(replay_published(run_class, bag_path, None, without=topic), source)
-    assert untold == 0
-    assert told > 20
+    without, rejected_without = estimates(replay_published(run_class, bag_path, None, without=topic), source)
+    assert rejected_without == 0
+    assert rejected_off > 20
     assert {topic: len(messages) for topic, messages in off.items()} == {
         topic: len(messages) for topic, messages in without.items()
     }

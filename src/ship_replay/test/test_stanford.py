@@ -70,7 +70,7 @@ def _run(tmp_path):
         ((5.0, -19.0, 29.0), Status.VALID),
         ((-11.0, 19.0, 29.0), Status.VALID),  # heading above its level
         ((9.0, 45.0, 0.0), Status.VALID),  # pitch above its level and the limit
-        ((9.0, 45.0, 0.0), Status.DEGRADED),  # told
+        ((9.0, 45.0, 0.0), Status.DEGRADED),  # reported by the status
         ((math.nan, math.nan, math.nan), Status.INVALID),
         ((0.0, 0.0, 0.0), Status.COASTING),
         ((45.0, 0.0, 31.0), Status.VALID),  # the level of heading is above the limit; roll above its level
@@ -184,10 +184,10 @@ def test_the_command_prints_writes_and_draws_and_fails_where_an_epoch_misled(run
     printed = capsys.readouterr().out
     for words in ("hazardously", "unavailable", "heading", "40.00 %", "2.25"):
         assert words in printed
-    told = json.loads(values.read_text())
-    assert told["fused.heading.misleading"] == 1
-    assert told["fused.pitch.hazardously_misleading"] == 1
-    assert told["fused.roll.unavailable"] == 4
+    counts = json.loads(values.read_text())
+    assert counts["fused.heading.misleading"] == 1
+    assert counts["fused.pitch.hazardously_misleading"] == 1
+    assert counts["fused.roll.unavailable"] == 4
     assert figure.read_bytes().startswith(b"\x89PNG")
 
 

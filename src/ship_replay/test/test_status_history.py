@@ -35,22 +35,22 @@ class Output:
 
 
 def history_of(*entries: tuple[float, int]) -> StatusHistory:
-    course, factory = StatusHistory(), RosbagsFactory()
+    history, factory = StatusHistory(), RosbagsFactory()
     for time_s, status in entries:
-        course.add(Output(make_header(factory, START_NS + round(time_s * SECOND_NS), ""), status))
-    return course
+        history.add(Output(make_header(factory, START_NS + round(time_s * SECOND_NS), ""), status))
+    return history
 
 
 def test_spans_of_a_status_are_merged_and_share_the_time() -> None:
     begin = (0.0, DEGRADED), (1.0, DEGRADED), (2.0, VALID), (3.0, VALID)
-    course = history_of(*begin, (4.0, COASTING), (9.0, VALID), (10.0, VALID))
-    assert [(s.status, (s.start_ns - START_NS) / SECOND_NS, s.count) for s in course.spans] == [
+    history = history_of(*begin, (4.0, COASTING), (9.0, VALID), (10.0, VALID))
+    assert [(s.status, (s.start_ns - START_NS) / SECOND_NS, s.count) for s in history.spans] == [
         ("DEGRADED", 0.0, 2),
         ("VALID", 2.0, 2),
         ("COASTING", 4.0, 1),
         ("VALID", 9.0, 2),
     ]
-    lines = [" ".join(line.split()) for line in course.lines("ship/attitude")]
+    lines = [" ".join(line.split()) for line in history.lines("ship/attitude")]
     assert lines[0].startswith("status of ship/attitude from ")
     assert lines[0].endswith(", 10.0 s:")
     assert lines[1:4] == [
@@ -64,14 +64,14 @@ def test_spans_of_a_status_are_merged_and_share_the_time() -> None:
 
 def test_invalid_ticks_are_placed_by_their_time() -> None:
     """INVALID is stamped by the clock, after attitudes with later stamps as well as before earlier ones."""
-    course = history_of((0.0, VALID), (5.0, VALID), (3.0, INVALID), (6.0, VALID))
-    assert [span.status for span in course.spans] == ["VALID", "INVALID", "VALID"]
-    assert [span.count for span in course.spans] == [2, 1, 1]
+    history = history_of((0.0, VALID), (5.0, VALID), (3.0, INVALID), (6.0, VALID))
+    assert [span.status for span in history.spans] == ["VALID", "INVALID", "VALID"]
+    assert [span.count for span in history.spans] == [2, 1, 1]
 
 
 def test_of_many_spans_the_longest_are_shown() -> None:
-    course = history_of(*((float(second), second % 2) for second in range(60)))
-    assert course.lines("ship/attitude")[-1] == "  and 48 shorter spans"
+    history = history_of(*((float(second), second % 2) for second in range(60)))
+    assert history.lines("ship/attitude")[-1] == "  and 48 shorter spans"
     assert StatusHistory().lines("ship/attitude") == ["status of ship/attitude: no output"]
 
 
@@ -99,8 +99,8 @@ def test_an_ins_at_one_hertz_is_an_error_with_advice(tmp_path, capsys):
     config.write_text(SUITE)
     assert check_config([str(config), str(bag)]) == 2
     lines = capsys.readouterr().err.splitlines()
-    said = f"error: {config}:3: parameter 'ins.max_gap_s' = 0.5 s, but messages of 'ins/imu' in {bag} are stamped 1 s"
-    assert lines[0].startswith(f"{said} apart (59 of 59 gaps are longer): no interpolation across such a gap")
+    text = f"error: {config}:3: parameter 'ins.max_gap_s' = 0.5 s, but messages of 'ins/imu' in {bag} are stamped 1 s"
+    assert lines[0].startswith(f"{text} apart (59 of 59 gaps are longer): no interpolation across such a gap")
     assert lines[0].endswith("record it faster (import_nmea --resample HZ), or set 'ins.max_gap_s' to 1.5")
     assert check_config([str(config), str(slow_bag(tmp_path / "b.mcap", period_s=0.1))]) == 0
 
@@ -148,8 +148,8 @@ def test_a_replay_names_a_missing_input(tmp_path, capsys):
     out = capsys.readouterr().out
     heading = "why 400 DEGRADED of 400 outputs of ship_attitude:\n"
     no_stars = "  no star_sensors are configured: by references alone the attitude stays DEGRADED, horizon GRAVITY\n"
-    said = "  diagnostics, 20 of 20: DEGRADED: INS alone, no star yet\n"
-    assert f"{heading}{said}{no_stars}  no messages on 'reference/b/imu'" in out
+    text = "  diagnostics, 20 of 20: DEGRADED: INS alone, no star yet\n"
+    assert f"{heading}{text}{no_stars}  no messages on 'reference/b/imu'" in out
 
 
 def test_a_replay_gives_the_reason_that_the_node_itself_gave(tmp_path, capsys):
@@ -170,9 +170,9 @@ def test_a_replay_gives_the_reason_that_the_node_itself_gave(tmp_path, capsys):
 
 
 def test_diagnostics_are_counted_without_numbers_and_only_if_poor() -> None:
-    course = history_of((0.0, DEGRADED))
-    for saying in ("above its limit: 3.5″", "above its limit: 12″", "INS alone"):
-        course.add_diagnostic(saying)
-    course.add(Output(make_header(RosbagsFactory(), START_NS + SECOND_NS, ""), VALID))
-    course.add_diagnostic("VALID")
-    assert course.diagnostic_lines == ["diagnostics, 2 of 3: above its limit: 12″", "diagnostics, 1 of 3: INS alone"]
+    history = history_of((0.0, DEGRADED))
+    for text in ("above its limit: 3.5″", "above its limit: 12″", "INS alone"):
+        history.add_diagnostic(text)
+    history.add(Output(make_header(RosbagsFactory(), START_NS + SECOND_NS, ""), VALID))
+    history.add_diagnostic("VALID")
+    assert history.diagnostic_lines == ["diagnostics, 2 of 3: above its limit: 12″", "diagnostics, 1 of 3: INS alone"]

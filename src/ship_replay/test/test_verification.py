@@ -114,7 +114,7 @@ def test_another_name_is_a_difference(parts, tmp_path, capsys):
     assert re.search(r"first difference: ship/innovation, stamp .*, field source: recorded", out)
 
 
-def test_a_number_that_differs_beside_a_text_is_the_difference(parts, tmp_path, capsys):
+def test_a_number_that_differs_next_to_a_text_is_the_difference(parts, tmp_path, capsys):
     def change_both(message):
         rename_components(message)
         message.nis = np.nextafter(message.nis, 1e9)

@@ -41,7 +41,7 @@ def assert_sigma(values, sigma, probability=0.999):
     assert low < np.sqrt(np.mean(values**2)) / sigma < high
 
 
-def test_a_run_starts_at_its_moment_and_keeps_its_rates():
+def test_a_run_starts_at_its_time_and_keeps_its_rates():
     run = simulate(paper(duration_s=10.0), seed=1)
     # 2014-07-09T11:50:07Z is 1404906607 by `date -u +%s`.
     assert run.start_ns == 1_404_906_607_800_000_000
@@ -67,11 +67,11 @@ def test_ins_samples_obey_the_equation_of_the_model():
     np.testing.assert_allclose(neighbours, 0.0, atol=3.3 / np.sqrt(len(white_n)))
 
 
-def test_ins_rates_are_those_at_the_moment_of_validity():
+def test_ins_rates_are_those_at_the_time_of_validity():
     run = simulate(with_ins(paper(duration_s=5.0), time_offset_s=0.5), seed=2)
-    moments_s = (run.ins.time_ns - run.start_ns) / SECOND_NS + run.truth.ins.time_offset_s
+    times_s = (run.ins.time_ns - run.start_ns) / SECOND_NS + run.truth.ins.time_offset_s
     assert 0.4 < run.truth.ins.time_offset_s < 0.6
-    expected = make_carrier(run.scenario.carrier, run.seed).body_rate(moments_s)
+    expected = make_carrier(run.scenario.carrier, run.seed).body_rate(times_s)
     np.testing.assert_array_equal(run.ins.rate_d, expected)
     noisy = simulate(with_ins(paper(duration_s=60.0), rate_sigma_arcsec_per_s=4.0), seed=2)
     quiet = simulate(paper(duration_s=60.0), seed=2)
@@ -130,10 +130,10 @@ def test_star_samples_obey_the_equation_of_the_model():
     scenario = with_star(paper(duration_s=200.0), "starboard", roll_deg=30.0, time_offset_s=0.3)
     run = simulate(scenario, seed=4)
     samples, truth = run.stars["starboard"], run.truth.stars["starboard"]
-    moments_s = (samples.time_ns - run.start_ns) / SECOND_NS + 0.3
+    times_s = (samples.time_ns - run.start_ns) / SECOND_NS + 0.3
     mounted = rotation_from_angles(*np.deg2rad([90.0, 45.0, 30.0])) @ exp_rotation(truth.installation_error_v)
     np.testing.assert_allclose(truth.rotation_dv, mounted, rtol=0.0, atol=1e-15)
-    clean_nv = make_carrier(scenario.carrier, run.seed).attitude(moments_s) @ mounted
+    clean_nv = make_carrier(scenario.carrier, run.seed).attitude(times_s) @ mounted
     noise_v = log_rotation(np.swapaxes(clean_nv, -1, -2) @ samples.rotation_nv)
     for axis, sigma_arcsec in enumerate([100.0, 3.0, 3.0]):
         assert_sigma(noise_v[:, axis], sigma_arcsec * ARCSEC)
@@ -188,8 +188,8 @@ def test_noise_of_a_reference_belongs_to_its_axes():
     reference = Reference(rate_hz=10.0, sigma_roll_arcsec=10.0, sigma_pitch_arcsec=20.0, sigma_heading_arcsec=40.0)
     run = simulate(paper(duration_s=200.0, references={"gyro": reference}), seed=1)
     truth, samples = run.truth.references["gyro"], run.references["gyro"]
-    moments_s = (samples.time_ns - run.start_ns) / SECOND_NS - truth.time_offset_s + run.truth.ins.time_offset_s
-    clean = make_carrier(run.scenario.carrier, 1).attitude(moments_s) @ truth.rotation_dv
+    times_s = (samples.time_ns - run.start_ns) / SECOND_NS - truth.time_offset_s + run.truth.ins.time_offset_s
+    clean = make_carrier(run.scenario.carrier, 1).attitude(times_s) @ truth.rotation_dv
     noise_v = log_rotation(np.swapaxes(clean, -1, -2) @ samples.rotation_nv)
     # About forward (roll), up (heading), right (pitch).
     for axis, sigma_arcsec in enumerate([10.0, 40.0, 20.0]):

@@ -62,7 +62,7 @@ START_S, END_S = 0.0, 1.5
 UNCHANGED = {
     ("freeze", topic) for topic in ("met/pressure", "met/temperature", "met/humidity", "gravity/deflection")
 } | {("swap", "theodolite/night/stars")}
-"""The simulated weather, and the deflection at anchor, stand still anyway; stars without names cannot exchange them."""
+"""Simulated weather, and the deflection at anchor, are constant anyway; stars without names cannot exchange them."""
 
 
 @pytest.fixture(scope="module")
@@ -80,9 +80,9 @@ def bag(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def start_ns(bag):
-    with read_bag(bag) as opened:
-        assert {topic: opened.topics[topic] for topic in TOPICS} == TOPICS
-        return opened.start_ns
+    with read_bag(bag) as content:
+        assert {topic: content.topics[topic] for topic in TOPICS} == TOPICS
+        return content.start_ns
 
 
 def fault_of(kind, topic):
@@ -125,7 +125,7 @@ def check_a_kind(bag, start_ns, kind, topic):
 
 @pytest.mark.parametrize("topic", TOPICS)
 def test_covariance_faults_apply_to_all_types_with_covariances(topic):
-    """By the definitions of the messages; the nodes use only the orientation covariance of an IMU."""
+    """The definitions of the messages name the covariances; of an IMU the nodes use only that of the orientation."""
     fields = message_store().fielddefs[TOPICS[topic]][1]
     names = [name for name, _ in fields if re.fullmatch(r"(\w+_)?covariance", name)]
     taken = [name for name in names if name not in ("angular_velocity_covariance", "linear_acceleration_covariance")]

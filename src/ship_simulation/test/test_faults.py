@@ -48,16 +48,16 @@ def in_window(entries, run_start_ns=1_404_906_607_800_000_000):
     return [m for t, m in stamped if SECOND_NS <= t < 2 * SECOND_NS]
 
 
-def same(first, second):
+def are_equal(first, second):
     return serialize(first) == serialize(second)
 
 
 def test_drop_keeps_the_other_messages_unchanged():
-    clean, spoilt = faulty(FORE, "drop")
-    assert len(clean) - len(spoilt) == 5
-    assert in_window(spoilt) == []
+    clean, changed = faulty(FORE, "drop")
+    assert len(clean) - len(changed) == 5
+    assert in_window(changed) == []
     left = [log for m, log in clean if not any(m is w for w in in_window(clean))]
-    assert [log for _, log in spoilt] == left
+    assert [log for _, log in changed] == left
 
 
 def test_delay_keeps_the_stamp_and_shifts_the_arrival():
@@ -74,7 +74,7 @@ def test_duplicate_repeats_the_bytes():
     assert len(doubled) - len(clean) == 20
     window = in_window(doubled)
     assert len(window) == 40
-    assert all(same(first, second) for first, second in zip(window[::2], window[1::2], strict=True))
+    assert all(are_equal(first, second) for first, second in zip(window[::2], window[1::2], strict=True))
 
 
 def test_conflict_repeats_the_stamp_with_other_values():
@@ -94,7 +94,7 @@ def test_freeze_keeps_the_values_under_new_stamps():
     assert all(np.array_equal(quaternion(m), first) for m in window)
     assert len({ns_from_stamp(m.header.stamp) for m in window}) == 20
     after = [m for m, _ in frozen][-1]
-    assert same(after, clean[-1][0])
+    assert are_equal(after, clean[-1][0])
 
 
 @pytest.mark.parametrize(
@@ -111,26 +111,26 @@ def test_freeze_keeps_the_values_under_new_stamps():
     ],
 )
 def test_a_field_fault_is_limited_to_its_window(topic, kind, differs):
-    clean, spoilt = faulty(topic, kind)
-    assert len(clean) == len(spoilt)
-    window = in_window(spoilt)
+    clean, changed = faulty(topic, kind)
+    assert len(clean) == len(changed)
+    window = in_window(changed)
     assert window
     assert all(differs(m) for m in window)
-    outside = [(a, b) for (a, _), (b, _) in zip(clean, spoilt, strict=True) if not any(b is w for w in window)]
+    outside = [(a, b) for (a, _), (b, _) in zip(clean, changed, strict=True) if not any(b is w for w in window)]
     assert len(outside) == len(clean) - len(window)
-    assert all(same(a, b) and not differs(b) for a, b in outside)
+    assert all(are_equal(a, b) and not differs(b) for a, b in outside)
 
 
 def test_rates_in_degrees_are_larger_by_57():
-    clean, spoilt = faulty("ins/imu", "rate_in_degrees")
-    for before, after in zip(in_window(clean), in_window(spoilt), strict=True):
+    clean, changed = faulty("ins/imu", "rate_in_degrees")
+    for before, after in zip(in_window(clean), in_window(changed), strict=True):
         expected = np.rad2deg(vector(before.angular_velocity))
         np.testing.assert_allclose(vector(after.angular_velocity), expected, rtol=1e-12)
 
 
 def test_a_stamp_of_zero_keeps_its_values():
-    clean, spoilt = faulty(FORE, "stamp_zero")
-    zero = [m for m, _ in spoilt if ns_from_stamp(m.header.stamp) == 0]
+    clean, changed = faulty(FORE, "stamp_zero")
+    zero = [m for m, _ in changed if ns_from_stamp(m.header.stamp) == 0]
     assert [m.azimuth for m in zero] == [m.azimuth for m in in_window(clean)]
 
 

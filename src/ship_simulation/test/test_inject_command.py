@@ -119,7 +119,7 @@ def test_a_mounting_shift_rotates_an_attitude_in_the_device_frame(bag, tmp_path,
 
 
 def test_a_mounting_shift_rotates_the_measured_star_directions(bag, tmp_path):
-    """With R' = R exp(t) the sensor sees a fixed star at exp(-t) s, computed here with scipy."""
+    """The sensor sees a fixed star at exp(-t) s after a rotation R' = R exp(t), computed here with scipy."""
     scenario = load_scenario(ROOT / "bags" / "scenarios" / "everything.yaml")
     camera = scenario.star_sensors["starboard"].camera.camera("")
     turn = Rotation.from_rotvec(np.array([40.0, 25.0, -15.0]) * ARCSEC)
@@ -333,8 +333,8 @@ def test_the_same_seed_gives_the_same_bytes_and_another_fault_does_not_change_wh
     first = inject(bag, tmp_path, [flood], 4).read_bytes()
     assert inject(bag, tmp_path, [flood], 4).read_bytes() == first
     alone = [r.data for r in records_of(inject(bag, tmp_path, [flood], 4), BOW)]
-    beside = inject(bag, tmp_path, [flood, f"topic: {INS}, kind: reorder, {WINDOW}, delay_s: 0.2"], 4)
-    assert [r.data for r in records_of(beside, BOW)] == alone
+    with_another = inject(bag, tmp_path, [flood, f"topic: {INS}, kind: reorder, {WINDOW}, delay_s: 0.2"], 4)
+    assert [r.data for r in records_of(with_another, BOW)] == alone
 
 
 def test_faults_of_one_topic_combine_and_may_change_only_one_of_two_copies(bag, tmp_path):

@@ -29,19 +29,19 @@ def test_rows_equal_those_computed_all_at_once():
 
 
 def test_blocks_are_computed_once_in_order_of_time():
-    asked = CountedRows()
-    rows = LazyRows(asked)
+    counted = CountedRows()
+    rows = LazyRows(counted)
     # Order of arrival: some samples out of the order of their stamps, here across the ends of blocks.
     order = np.argsort(np.arange(COUNT) + np.random.default_rng(1).uniform(0.0, 50.0, COUNT))
     assert [rows[int(row)] for row in order] == (order**2).tolist()
-    assert asked.parts == [slice(start, start + BLOCK_ROWS) for start in range(0, COUNT, BLOCK_ROWS)]
+    assert counted.parts == [slice(start, start + BLOCK_ROWS) for start in range(0, COUNT, BLOCK_ROWS)]
 
 
 def test_a_row_far_back_is_computed_again():
-    asked = CountedRows()
-    rows = LazyRows(asked)
+    counted = CountedRows()
+    rows = LazyRows(counted)
     assert [rows[0], rows[BLOCK_ROWS], rows[2 * BLOCK_ROWS], rows[3]] == [0, BLOCK_ROWS**2, 4 * BLOCK_ROWS**2, 9]
-    assert len(asked.parts) == 4
+    assert len(counted.parts) == 4
 
 
 def test_a_row_beyond_the_last_is_an_error():

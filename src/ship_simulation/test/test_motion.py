@@ -26,7 +26,7 @@ STEEP = CarrierMotion(
 )
 
 
-def recorded() -> RecordedMotion:
+def recorded_motion() -> RecordedMotion:
     time_s = np.arange(0.0, 61.0)
     return RecordedMotion(time_s, make_carrier(STEEP, seed=1).attitude(time_s), start_s=2.0)
 
@@ -35,7 +35,7 @@ CARRIERS = {
     "paper": make_carrier(PAPER, seed=1),
     "steep": make_carrier(STEEP, seed=1),
     "sea": make_carrier(CarrierMotion(kind="sea_state"), seed=1),
-    "recorded": recorded(),
+    "recorded": recorded_motion(),
 }
 
 
@@ -82,7 +82,7 @@ def test_a_turn_to_starboard_raises_the_heading_by_its_angle():
 
 
 def test_a_record_is_reproduced_at_its_times_and_not_extrapolated():
-    motion = recorded()
+    motion = recorded_motion()
     knots_s = np.arange(-2.0, 58.0)
     expected = CARRIERS["steep"].attitude(knots_s + 2.0)
     np.testing.assert_allclose(motion.attitude(knots_s), expected, rtol=0.0, atol=1e-12)

@@ -34,11 +34,11 @@ def stars_of(run):
 
 @pytest.mark.parametrize("exposure_s", [0.0, 0.8])
 def test_stars_are_imaged_according_to_main_axis_mounting_and_sky(exposure_s):
-    # Of an exposure the mean of the way, by the trapezoidal rule; the mount sweeps 12' in the longer one. For the
-    # simulation the sky stands still meanwhile: what its turn, 12", and that of the image, 2°, have as product is left,
-    # 0.03" or 0.002 px.
-    told = {"identified": True, "false_stars": 0.0, "camera__centroid_sigma_px": 1e-6}
-    run = simulate(short_run(exposure_s=exposure_s, **told), seed=1)
+    # The expected image is the mean of the star's path, by the trapezoidal rule; the mount sweeps 12' in the longer
+    # exposure. The simulation holds the sky constant meanwhile. The remaining difference is the product of its turn of
+    # 12" and that of the image of 2°: 0.03" or 0.002 px.
+    settings = {"identified": True, "false_stars": 0.0, "camera__centroid_sigma_px": 1e-6}
+    run = simulate(short_run(exposure_s=exposure_s, **settings), seed=1)
     truth, sky, found = run.theodolite.truth, run.truth.sky, stars_of(run)
     assert len(found) == 20
     rows = {int(number): row for row, number in enumerate(sky.catalogue.hip)}
@@ -49,9 +49,9 @@ def test_stars_are_imaged_according_to_main_axis_mounting_and_sky(exposure_s):
         time_ns = run.theodolite.stars["night"].time_ns[index]
         mount = truth.scene.mount((time_ns - run.start_ns) * 1e-9 + since_middle_s)
         rotation_ns = mount.rotation_nm @ rotation_from_angles(*truth.star_parallelism["night"]).T
-        moments_ns = time_ns + np.rint(since_middle_s * 1e9).astype(np.int64)
+        times_ns = time_ns + np.rint(since_middle_s * 1e9).astype(np.int64)
         for star in message.stars:
-            place_n = sky.directions(sky.positions[np.array([rows[star.catalogue_id]])], moments_ns)
+            place_n = sky.directions(sky.positions[np.array([rows[star.catalogue_id]])], times_ns)
             forward, up, right = (place_n[:, None] @ rotation_ns)[:, 0].T
             way_px = MIDDLE_PX + np.stack([right, -up], axis=-1) / forward[:, None] / per_px
             np.testing.assert_allclose([star.u, star.v], weight @ way_px, atol=4e-3)
@@ -91,10 +91,10 @@ def test_parallelism_is_drawn_with_its_sigma_and_published_as_truth():
     for column, sigma in zip(drawn.T, np.array([2.0, 3.0, 40.0]) * ARCSEC, strict=True):
         assert low < np.sqrt(np.mean(column**2)) / sigma < high
     run = simulate(scenario, seed=5)
-    told = [
+    truths = [
         message for topic, message, _ in generate_messages([run], RosbagsFactory()) if topic == "truth/calibration"
     ][-1]
-    values = dict(zip(told.names, told.values, strict=True))
+    values = dict(zip(truths.names, truths.values, strict=True))
     of_camera = [values[f"telescopes.night.{angle}"] for angle in ("azimuth", "elevation", "roll")]
     np.testing.assert_array_equal(of_camera, known + drawn[5])
 
@@ -118,9 +118,9 @@ def test_a_start_beyond_the_table_of_the_earth_is_refused(tmp_path):
 
 
 def test_detector_errors_are_drawn_for_this_camera_too():
-    told = {"identified": True, "false_stars": 0.0, "exposure_s": 0.0}
+    settings = {"identified": True, "false_stars": 0.0, "exposure_s": 0.0}
     plain, spatial = (
-        simulate(short_run(duration_s=20.0, camera__field_spatial_sigma_px=sigma_px, **told), seed=1)
+        simulate(short_run(duration_s=20.0, camera__field_spatial_sigma_px=sigma_px, **settings), seed=1)
         for sigma_px in (0.0, 0.5)
     )
     off_px = spatial.theodolite.stars["night"].pixel - plain.theodolite.stars["night"].pixel

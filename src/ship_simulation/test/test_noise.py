@@ -20,8 +20,8 @@ def test_gauss_markov_is_stationary_from_the_start_with_its_correlation_time():
     count = 4000
     sigma, time_s = np.full(count, 5.0), np.full(count, 20.0)
     process = GaussMarkov(random_stream(1, "test"), 1.0, sigma, time_s).take(41)
-    for moment in (0, 1, 20, 40):
-        assert_sigma(process[moment], 5.0)
+    for index in (0, 1, 20, 40):
+        assert_sigma(process[index], 5.0)
     # x(20 s) contains exp(-1) of x(0); the rest is independent of it.
     assert_sigma(process[20] - np.exp(-1.0) * process[0], 5.0 * np.sqrt(1.0 - np.exp(-2.0)))
     correlation = np.mean(process[20] * process[0]) / 25.0
@@ -69,16 +69,16 @@ def test_processes_and_streams_go_on_where_they_were_left():
 
 
 def test_a_correlated_error_drops_no_part_that_is_still_requested():
-    moments_s = np.linspace(0.0, 400.0, 1001)
+    times_s = np.linspace(0.0, 400.0, 1001)
     whole = CorrelatedError(random_stream(1, "test"), 390.0, np.array([1.0, 2.0]), 6.0)
-    forgetful = CorrelatedError(random_stream(1, "test"), 390.0, np.array([1.0, 2.0]), 6.0)
-    expected = whole.values_at(moments_s)
+    dropping = CorrelatedError(random_stream(1, "test"), 390.0, np.array([1.0, 2.0]), 6.0)
+    expected = whole.values_at(times_s)
     for first in range(0, 1001, 77):
         part = slice(first, first + 77)
-        forgetful.drop_before(moments_s[first] - 1.0)
-        np.testing.assert_array_equal(forgetful.values_at(moments_s[part]), expected[part])
+        dropping.drop_before(times_s[first] - 1.0)
+        np.testing.assert_array_equal(dropping.values_at(times_s[part]), expected[part])
     with pytest.raises(ValueError, match="dropped"):
-        forgetful.values_at(np.array([3.0]))
+        dropping.values_at(np.array([3.0]))
 
 
 @pytest.mark.parametrize(

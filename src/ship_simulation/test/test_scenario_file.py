@@ -30,7 +30,7 @@ BROKEN = {
         "    sigma_up_arcsec: 3.0",
         "'star_sensors.fore.sigma_up_arcsec' is not used with output observations: it belongs to",
     ),
-    "direction of nobody": (
+    "direction of unidentified stars": (
         "    magnitude_limit: 6.0",
         "    identified: false\n    direction_given: true",
         "'star_sensors.fore.direction_given' needs identified stars",

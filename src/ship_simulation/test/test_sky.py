@@ -76,10 +76,10 @@ def test_directions_with_air_are_those_of_atco13():
     rows = sky.catalogue.rows_brighter_than(4.0)
     time_ns = np.array([START_NS, START_NS + 3600 * SECOND_NS])
     ours = sky.directions(sky.positions[rows], time_ns[:, None])
-    for moment, direction_n in zip(time_ns, ours, strict=True):
+    for stamp_ns, direction_n in zip(time_ns, ours, strict=True):
         high = elevation_of(direction_n) > np.deg2rad(15.0)
         assert np.count_nonzero(high) > 100
-        difference = angle_between(direction_n[high], by_atco13(sky, rows[high], moment))
+        difference = angle_between(direction_n[high], by_atco13(sky, rows[high], stamp_ns))
         # ERFA evaluates the refraction of its two constants differently: 0.03 mas at 15°.
         assert np.max(difference) < 0.1 * MAS
 
@@ -110,8 +110,8 @@ def test_the_almanacs_refraction_is_another():
     elevation = elevation_of(ours)
     # models.md §2: 0.4″ apart at 42°; none below 14° and 5°.
     middle = (elevation > np.deg2rad(30.0)) & (elevation < np.deg2rad(60.0))
-    apart = angle_between(ours, theirs)[middle] / ARCSEC
-    assert np.all((apart > 0.1) & (apart < 1.0))
+    difference = angle_between(ours, theirs)[middle] / ARCSEC
+    assert np.all((difference > 0.1) & (difference < 1.0))
     assert np.isnan(theirs[:, 0]).sum() > np.isnan(ours[:, 0]).sum() > 0
 
 
@@ -169,8 +169,8 @@ def test_the_sun_is_where_skyfield_sees_it():
     place = wgs84.latlon(31.945213, 120.293086, elevation_m=20.0)
     hours = np.arange(0.0, 24.0, 0.7)
     time_ns = START_NS + np.rint(hours * 3600 * SECOND_NS).astype(np.int64)
-    moments = timescale.tt_jd(*tt_julian_date(time_ns))
-    elevation, _, _ = (ephemeris["earth"] + place).at(moments).observe(ephemeris["sun"]).apparent().altaz()
+    times = timescale.tt_jd(*tt_julian_date(time_ns))
+    elevation, _, _ = (ephemeris["earth"] + place).at(times).observe(ephemeris["sun"]).apparent().altaz()
     # Aberration (20″) and parallax (9″) of the Sun are neglected, and the interpolation between minutes is linear.
     np.testing.assert_allclose(np.rad2deg(sky.sun_elevation(time_ns)), elevation.degrees, rtol=0.0, atol=0.02)
     ephemeris.close()
@@ -193,11 +193,11 @@ def test_errors_common_to_all_stars_have_their_sigmas():
 
 
 def test_without_a_sigma_ut1_has_the_error_of_its_table():
-    told = earth_orientation_table().at(START_NS)
+    tabulated = earth_orientation_table().at(START_NS)
     skies = [draw(seed) for seed in range(100)]
-    assert_sigma([sky.ut1_error_s for sky in skies], float(told.ut1_sigma_s))
+    assert_sigma([sky.ut1_error_s for sky in skies], float(tabulated.ut1_sigma_s))
     true = skies[0].orientation(np.array(START_NS))
-    assert true.ut1_minus_utc_s - told.ut1_minus_utc_s == pytest.approx(skies[0].ut1_error_s, abs=1e-15)
+    assert true.ut1_minus_utc_s - tabulated.ut1_minus_utc_s == pytest.approx(skies[0].ut1_error_s, abs=1e-15)
 
 
 def test_star_positions_have_the_errors_of_the_catalogue():
@@ -231,8 +231,8 @@ def test_fixes_have_a_white_and_a_correlated_error_and_state_them():
     )
     fixes = simulate(dataclasses.replace(scenario, star_sensors={}), seed=1).fixes
     true = ShipTrack(scenario.position, START_NS).position_at(fixes.time_ns)
-    told = GeodeticPosition(np.deg2rad(fixes.latitude_deg), np.deg2rad(fixes.longitude_deg), fixes.height_m)
-    error_m = vector_between(true, told)
+    stated = GeodeticPosition(np.deg2rad(fixes.latitude_deg), np.deg2rad(fixes.longitude_deg), fixes.height_m)
+    error_m = vector_between(true, stated)
     sigma_m = np.sqrt(2.0**2 + 10.0**2)
     np.testing.assert_allclose(fixes.covariance_m2, sigma_m**2 * np.eye(3))
     for axis in range(3):

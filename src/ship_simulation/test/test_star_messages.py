@@ -65,8 +65,8 @@ def in_window(entries, run):
 def faulty(scenario, topic, kind, **changes):
     """Return the run, and the entries of a topic without and with a fault from 1 s to 2 s."""
     fault = Fault(topic=topic, kind=kind, start_s=1.0, end_s=2.0, **changes)
-    clean, spoilt = simulate(scenario, 1), simulate(dataclasses.replace(scenario, faults={"fault": fault}), 1)
-    return clean, entries_of(clean, topic), entries_of(spoilt, topic)
+    clean, changed = simulate(scenario, 1), simulate(dataclasses.replace(scenario, faults={"fault": fault}), 1)
+    return clean, entries_of(clean, topic), entries_of(changed, topic)
 
 
 def inertial_scenario():
@@ -85,12 +85,12 @@ def inertial_scenario():
 )
 def test_a_field_fault_is_limited_to_its_window(topic, kind, differs):
     scenario = with_sensor(paper_stars(duration_s=3.0)) if topic == OBSERVATIONS else inertial_scenario()
-    run, clean, spoilt = faulty(scenario, topic, kind)
-    assert len(clean) == len(spoilt) == 16
-    window = in_window(spoilt, run)
+    run, clean, changed = faulty(scenario, topic, kind)
+    assert len(clean) == len(changed) == 16
+    window = in_window(changed, run)
     assert len(window) == 5
     assert all(differs(m) for m in window)
-    outside = [(a, b) for (a, _), (b, _) in zip(clean, spoilt, strict=True) if not any(b is w for w in window)]
+    outside = [(a, b) for (a, _), (b, _) in zip(clean, changed, strict=True) if not any(b is w for w in window)]
     assert len(outside) == 11
     assert all(serialize(a) == serialize(b) for a, b in outside)
 

@@ -66,9 +66,9 @@ def test_a_star_behind_a_mask_is_not_seen_and_the_next_brightest_is(most_stars):
     """Compared with the same voyage without the mast; each star is looked up in the mast's rectangle."""
     mast = MaskConfig(azimuths_deg=(340.0, 361.0, 361.0, 340.0), elevations_deg=(-5.0, -5.0, 47.0, 47.0))
     free = with_sensor(paper_stars(), most_stars=1000, camera=QUIET)
-    said, truth, sky = sightings_of(free)
+    sightings, truth, sky = sightings_of(free)
     masked = dataclasses.replace(free.star_sensors[FORE], most_stars=most_stars, masks={"mast": mast})
-    told, told_truth, _ = sightings_of(dataclasses.replace(free, star_sensors={FORE: masked}))
+    masked_sightings, masked_truth, _ = sightings_of(dataclasses.replace(free, star_sensors={FORE: masked}))
     rotation_ds = rotation_from_angles(0.0, np.deg2rad(45.0), 0.0)
     bow, up, starboard = (truth.direction_s @ rotation_ds.T).T
     azimuth_deg = np.rad2deg(np.arctan2(starboard, bow))
@@ -76,8 +76,8 @@ def test_a_star_behind_a_mask_is_not_seen_and_the_next_brightest_is(most_stars):
     hidden = (azimuth_deg > -20.0) & (azimuth_deg < 1.0) & (elevation_deg < 47.0)
     assert 0.1 < hidden.mean() < 0.9
     magnitude = sky.catalogue.magnitude[sky.catalogue.rows(truth.hip)]
-    for number, found in enumerate(stars_by_exposure(told, told_truth)):
-        rows = np.arange(truth.hip.size)[said.rows(number)]
+    for number, found in enumerate(stars_by_exposure(masked_sightings, masked_truth)):
+        rows = np.arange(truth.hip.size)[sightings.rows(number)]
         seen = rows[~hidden[rows]]
         brightest = seen[np.argsort(magnitude[seen], kind="stable")][:most_stars]
         assert found == set(truth.hip[brightest].tolist())
@@ -92,38 +92,38 @@ def test_each_star_is_imaged_according_to_attitude_and_erfa():
         camera={**QUIET, **DISTORTED},
     )
     run = simulate(scenario, seed=3)
-    said, truth, sky = run.stars[FORE], run.truth.sightings[FORE], run.truth.sky
+    sightings, truth, sky = run.stars[FORE], run.truth.sightings[FORE], run.truth.sky
     mounted = run.truth.stars[FORE]
     nominal = rotation_from_angles(0.0, np.deg2rad(45.0), 0.0)
     np.testing.assert_allclose(mounted.rotation_dv, nominal @ exp_rotation(mounted.installation_error_v))
-    moments_s = (said.time_ns - run.start_ns) / SECOND_NS + 0.3
-    stiff = make_carrier(scenario.carrier, 3).attitude(moments_s) @ mounted.rotation_dv
+    times_s = (sightings.time_ns - run.start_ns) / SECOND_NS + 0.3
+    stiff = make_carrier(scenario.carrier, 3).attitude(times_s) @ mounted.rotation_dv
     bend = log_rotation(np.swapaxes(truth.rotation_nv, -1, -2) @ stiff)
     assert 10.0 < np.sqrt(np.mean(bend**2)) / ARCSEC < 250.0
-    exposure = np.repeat(np.arange(said.time_ns.size), np.diff(said.first))
-    valid_ns = said.time_ns[exposure] + 300_000_000
+    exposure = np.repeat(np.arange(sightings.time_ns.size), np.diff(sightings.first))
+    valid_ns = sightings.time_ns[exposure] + 300_000_000
     expected_n = by_atco13(sky, sky.catalogue.rows(truth.hip), valid_ns)
     # Through the camera and back: a millionth of a pixel is 0.02 mas.
-    seen_n = (truth.rotation_nv[exposure] @ said.stars.directions_s[..., None])[..., 0]
+    seen_n = (truth.rotation_nv[exposure] @ sightings.stars.directions_s[..., None])[..., 0]
     assert np.max(angle_between(seen_n, expected_n)) < 0.3 * MAS
-    assert len(said.stars) == 8 * said.time_ns.size
+    assert len(sightings.stars) == 8 * sightings.time_ns.size
 
 
 @pytest.mark.slow
 def test_all_catalogue_stars_on_the_detector_are_present_and_no_others():
     scenario = with_sensor(paper_stars(duration_s=20.0), magnitude_limit=7.0, most_stars=1000, camera=QUIET)
-    said, truth, sky = sightings_of(scenario)
+    sightings, truth, sky = sightings_of(scenario)
     bright = np.flatnonzero(sky.catalogue.magnitude <= 7.0)
     assert 13_000 < bright.size < 15_000
     for index in (0, 37, 100):
-        seen_n = by_atco13(sky, bright, said.time_ns[index])
+        seen_n = by_atco13(sky, bright, sightings.time_ns[index])
         forward, up, right = (seen_n @ truth.rotation_nv[index]).T
         # 2048 pixels of 5.5 µm about the axis at 50 mm: a square of ±0.11264.
         half = 1024.0 * 5.5e-6 / 0.05
         inside = (forward > 0.0) & (np.abs(up) < half * forward) & (np.abs(right) < half * forward)
         expected = sky.catalogue.hip[bright[inside]]
         assert expected.size > 20
-        assert sorted(truth.hip[said.rows(index)]) == sorted(expected)
+        assert sorted(truth.hip[sightings.rows(index)]) == sorted(expected)
 
 
 def test_the_brightest_stars_are_selected():
@@ -136,17 +136,17 @@ def test_the_brightest_stars_are_selected():
 
 
 def test_centroids_scatter_by_their_sigma_and_magnitudes_too():
-    said, truth, sky = sightings_of(paper_stars_one(duration_s=60.0, camera=DISTORTED))
+    sightings, truth, sky = sightings_of(paper_stars_one(duration_s=60.0, camera=DISTORTED))
     camera = paper_stars_one(camera=DISTORTED).star_sensors[FORE].camera.camera("camera")
-    error_px = said.pixel - camera.pixels(truth.direction_s)
+    error_px = sightings.pixel - camera.pixels(truth.direction_s)
     assert_sigma(error_px[:, 0], 0.13222)
     assert_sigma(error_px[:, 1], 0.13222)
     # 3″ on the sky, as stated to the estimator; the same from the directions, two degrees of freedom each.
-    assert said.stars.sigma == pytest.approx(np.full(len(said.stars), 3.0 * ARCSEC), rel=0.05)
-    angle = angle_between(said.stars.directions_s, truth.direction_s)
+    assert sightings.stars.sigma == pytest.approx(np.full(len(sightings.stars), 3.0 * ARCSEC), rel=0.05)
+    angle = angle_between(sightings.stars.directions_s, truth.direction_s)
     low, high = mean_nees_band(angle.size, 2)
-    assert low < np.mean((angle / said.stars.sigma) ** 2) < high
-    assert_sigma(said.stars.magnitude - sky.catalogue.magnitude[sky.catalogue.rows(truth.hip)], 0.2)
+    assert low < np.mean((angle / sightings.stars.sigma) ** 2) < high
+    assert_sigma(sightings.stars.magnitude - sky.catalogue.magnitude[sky.catalogue.rows(truth.hip)], 0.2)
 
 
 def paths_of(scenario, sightings, truth, count=200):
@@ -165,23 +165,23 @@ def paths_of(scenario, sightings, truth, count=200):
 @pytest.mark.parametrize("exposure_s", [0.1, 2.0])
 def test_a_simulated_centroid_is_the_mean_of_the_star_s_true_path(exposure_s):
     scenario = paper_stars_one(exposure_s=exposure_s, camera={**QUIET, **DISTORTED})
-    said, truth, _ = sightings_of(scenario)
-    way = paths_of(scenario, said, truth)
+    sightings, truth, _ = sightings_of(scenario)
+    way = paths_of(scenario, sightings, truth)
     off = np.abs(way.mean(axis=0) - way[100]).max()
-    np.testing.assert_allclose(said.pixel, way.mean(axis=0), atol=max(2e-3, 1e-4 * off))
+    np.testing.assert_allclose(sightings.pixel, way.mean(axis=0), atol=max(2e-3, 1e-4 * off))
     # Points without an exposure are unchanged.
     still, _, _ = sightings_of(paper_stars_one(camera={**QUIET, **DISTORTED}))
-    assert np.max(np.abs(said.pixel - still.pixel)) > 0.05
+    assert np.max(np.abs(sightings.pixel - still.pixel)) > 0.05
 
 
 def test_a_simulated_centroid_scatters_more_along_its_streak():
     scenario = paper_stars_one(duration_s=60.0, exposure_s=0.05)
-    said, truth, _ = sightings_of(scenario)
-    way = paths_of(scenario, said, truth, 20)
+    sightings, truth, _ = sightings_of(scenario)
+    way = paths_of(scenario, sightings, truth, 20)
     streak = (way[-1] - way[0]) * 20.0 / 19.0
     length = np.linalg.norm(streak, axis=-1)
     along = streak / length[:, None]
-    error_px = said.pixel - way.mean(axis=0)
+    error_px = sightings.pixel - way.mean(axis=0)
     assert length.min() < 2.0 < 10.0 < length.max()
     assert_sigma(np.sum(error_px * along, axis=-1) / np.sqrt(1.0 + length**2 / (12.0 * 0.8**2)), 0.13222)
     assert_sigma(error_px[:, 0] * along[:, 1] - error_px[:, 1] * along[:, 0], 0.13222)
@@ -192,26 +192,28 @@ def paper_stars_one(duration_s=10.0, **changes):
 
 
 def test_identified_stars_have_their_number_and_catalogue_position():
-    said, truth, sky = sightings_of(paper_stars_one())
-    np.testing.assert_array_equal(said.stars.hip, truth.hip)
-    rows = sky.catalogue.rows(said.stars.hip)
-    np.testing.assert_array_equal(said.stars.positions.declination, sky.catalogue.at_j2000.declination[rows])
-    np.testing.assert_allclose(said.stars.position_sigma, sky.catalogue.position_sigma_at(rows, 2014.52), rtol=1e-3)
-    one = said.stars[said.rows(7)]
+    sightings, truth, sky = sightings_of(paper_stars_one())
+    np.testing.assert_array_equal(sightings.stars.hip, truth.hip)
+    rows = sky.catalogue.rows(sightings.stars.hip)
+    np.testing.assert_array_equal(sightings.stars.positions.declination, sky.catalogue.at_j2000.declination[rows])
+    np.testing.assert_allclose(
+        sightings.stars.position_sigma, sky.catalogue.position_sigma_at(rows, 2014.52), rtol=1e-3
+    )
+    one = sightings.stars[sightings.rows(7)]
     assert len(one) == 8
-    np.testing.assert_array_equal(one.directions_s, said.stars.directions_s[said.rows(7)])
+    np.testing.assert_array_equal(one.directions_s, sightings.stars.directions_s[sightings.rows(7)])
 
 
 def test_stars_may_be_identified_by_their_directions_or_not_at_all():
     by_direction, truth, sky = sightings_of(paper_stars_one(direction_given=True))
     assert not by_direction.stars.hip.any()
     known = sky.catalogue.at_j2000[sky.catalogue.rows(truth.hip)]
-    told = by_direction.stars.positions
-    apart = erfa.seps(known.right_ascension, known.declination, told.right_ascension, told.declination)
+    published = by_direction.stars.positions
+    separation = erfa.seps(known.right_ascension, known.declination, published.right_ascension, published.declination)
     # The reported direction contains the proper motion of fourteen years.
-    assert np.all(apart < 40.0 * ARCSEC)
-    assert np.max(apart) > 0.1 * ARCSEC
-    assert not np.any(told.pm_declination)
+    assert np.all(separation < 40.0 * ARCSEC)
+    assert np.max(separation) > 0.1 * ARCSEC
+    assert not np.any(published.pm_declination)
     nameless, _, _ = sightings_of(paper_stars_one(identified=False))
     assert not nameless.stars.hip.any()
     assert not np.isfinite(nameless.stars.positions.right_ascension).any()
@@ -220,20 +222,20 @@ def test_stars_may_be_identified_by_their_directions_or_not_at_all():
 
 def test_false_stars_are_poisson_uniform_in_the_field_with_any_identity():
     scenario = paper_stars_one(duration_s=400.0, rate_hz=5.0, false_stars=2.0, most_stars=1)
-    said, truth, sky = sightings_of(scenario)
+    sightings, truth, sky = sightings_of(scenario)
     false = truth.hip == 0
-    exposure = np.repeat(np.arange(said.time_ns.size), np.diff(said.first))
-    counts = np.bincount(exposure[false], minlength=said.time_ns.size)
+    exposure = np.repeat(np.arange(sightings.time_ns.size), np.diff(sightings.first))
+    counts = np.bincount(exposure[false], minlength=sightings.time_ns.size)
     # Variance and mean of a Poisson count are equal: both in their bands, 2001 exposures.
     assert abs(counts.mean() - 2.0) < 3.3 * np.sqrt(2.0 / counts.size)
     low, high = chi2.ppf([0.0005, 0.9995], counts.size - 1)
     assert low < np.sum((counts - counts.mean()) ** 2) / 2.0 < high
-    cells = np.histogram2d(*said.pixel[false].T, bins=8, range=[[-0.5, 2047.5]] * 2)[0]
+    cells = np.histogram2d(*sightings.pixel[false].T, bins=8, range=[[-0.5, 2047.5]] * 2)[0]
     expected = false.sum() / 64.0
     assert np.sum((cells - expected) ** 2) / expected < chi2.ppf(0.9995, 63)
     assert cells.sum() == false.sum()
     # The identity is independent of the position: distributed as the catalogue's stars, rarely in the field itself.
-    rows = sky.catalogue.rows(said.stars.hip[false])
+    rows = sky.catalogue.rows(sightings.stars.hip[false])
     bright = sky.catalogue.rows_brighter_than(6.0)
     north = np.mean(sky.catalogue.at_j2000.declination[bright] > 0.0)
     low, high = share_band(rows.size, north)
@@ -256,16 +258,16 @@ def test_false_stars_are_mixed_with_unchanged_true_ones():
 
 
 def test_swapped_identities_are_exchanged_within_their_exposure():
-    said, truth, _ = sightings_of(paper_stars_one(duration_s=200.0, swapped_probability=0.3))
+    sightings, truth, _ = sightings_of(paper_stars_one(duration_s=200.0, swapped_probability=0.3))
     swapped_exposures = 0
-    for index in range(said.time_ns.size):
-        rows = said.rows(index)
-        wrong = said.stars.hip[rows] != truth.hip[rows]
+    for index in range(sightings.time_ns.size):
+        rows = sightings.rows(index)
+        wrong = sightings.stars.hip[rows] != truth.hip[rows]
         np.testing.assert_array_equal(wrong, truth.is_swapped[rows])
         assert wrong.sum() in (0, 2)
-        assert sorted(said.stars.hip[rows]) == sorted(truth.hip[rows])
+        assert sorted(sightings.stars.hip[rows]) == sorted(truth.hip[rows])
         swapped_exposures += bool(wrong.any())
-    low, high = share_band(said.time_ns.size, 0.3)
+    low, high = share_band(sightings.time_ns.size, 0.3)
     assert low <= swapped_exposures <= high
 
 
@@ -284,8 +286,8 @@ def test_the_reference_case_shows_eight_stars_in_each_exposure():
     scenario = paper_stars(duration_s=600.0)
     seldom = {key: dataclasses.replace(sensor, rate_hz=0.7) for key, sensor in scenario.star_sensors.items()}
     run = simulate(dataclasses.replace(scenario, star_sensors=seldom), seed=1)
-    for said in run.stars.values():
-        assert set(np.diff(said.first).tolist()) == {8}
+    for sightings in run.stars.values():
+        assert set(np.diff(sightings.first).tolist()) == {8}
 
 
 def test_clouds_and_daylight_leave_exposures_empty():
@@ -297,9 +299,9 @@ def test_clouds_and_daylight_leave_exposures_empty():
     assert counts[~inside].min() >= 8
     # At dawn: exposures end when the Sun reaches the limit.
     dawn = dataclasses.replace(paper_stars(duration_s=1200.0), start_utc="2014-07-09T20:10:00Z")
-    said, _, sky = sightings_of(with_sensor(dawn, rate_hz=0.2, sun_limit_deg=-8.0))
-    too_light = np.rad2deg(sky.sun_elevation(said.time_ns)) >= -8.0
-    np.testing.assert_array_equal(np.diff(said.first) == 0, too_light)
+    sightings, _, sky = sightings_of(with_sensor(dawn, rate_hz=0.2, sun_limit_deg=-8.0))
+    too_light = np.rad2deg(sky.sun_elevation(sightings.time_ns)) >= -8.0
+    np.testing.assert_array_equal(np.diff(sightings.first) == 0, too_light)
     assert 20 < too_light.sum() < 220
 
 
@@ -308,8 +310,8 @@ def test_stars_below_the_models_lowest_elevation_are_not_seen():
     elevation = {}
     for model in ("erfa", "almanac"):
         weather = dataclasses.replace(low_looking.weather, refraction_model=model)
-        said, truth, _ = sightings_of(dataclasses.replace(low_looking, weather=weather))
-        exposure = np.repeat(np.arange(said.time_ns.size), np.diff(said.first))
+        sightings, truth, _ = sightings_of(dataclasses.replace(low_looking, weather=weather))
+        exposure = np.repeat(np.arange(sightings.time_ns.size), np.diff(sightings.first))
         up = (truth.rotation_nv[exposure] @ truth.direction_s[..., None])[:, 1, 0]
         elevation[model] = np.rad2deg(np.arcsin(up))
     # 5° and 14° without air; refraction lifts by 0.16° and 0.06°.
@@ -331,11 +333,11 @@ def test_the_boresight_of_an_inertial_attitude_is_without_aberration_and_with_re
     scenario = inertial(sigma_forward_arcsec=0.0, sigma_up_arcsec=0.0, sigma_right_arcsec=0.0)
     scenario = with_position(scenario, speed_m_per_s=15.0)
     run = simulate(scenario, seed=2)
-    said, sky = run.stars[FORE], run.truth.sky
-    true_nv = make_carrier(scenario.carrier, 2).attitude((said.time_ns - run.start_ns) / SECOND_NS)
+    sightings, sky = run.stars[FORE], run.truth.sky
+    true_nv = make_carrier(scenario.carrier, 2).attitude((sightings.time_ns - run.start_ns) / SECOND_NS)
     true_nv = true_nv @ run.truth.stars[FORE].rotation_dv
-    rotation_nc = sky.rotation_horizon_from_icrs(said.time_ns)
-    bare_nv = rotation_nc @ said.rotation_cv
+    rotation_nc = sky.rotation_horizon_from_icrs(sightings.time_ns)
+    bare_nv = rotation_nc @ sightings.rotation_cv
     elevation = np.arcsin(bare_nv[:, 1, 0])
     lifted = np.arcsin(true_nv[:, 1, 0]) - elevation
     np.testing.assert_allclose(lifted, refraction("erfa", elevation, sky.weather).angle, rtol=0.0, atol=0.1 * MAS)

@@ -25,7 +25,7 @@ FAULTS = {
 }
 
 
-def everything(**changes):
+def scenario_with_everything(**changes):
     """All devices, late and out of order, with false spots, wrong identities and a sensor without stars."""
     found = load_scenario(SCENARIOS / "everything.yaml")
     stars = dict(found.star_sensors)
@@ -40,37 +40,37 @@ def everything(**changes):
     return dataclasses.replace(found, **changes)
 
 
-def logged(runs):
+def logged_messages(runs):
     return [(topic, serialize(message), log_ns) for topic, message, log_ns in generate_messages(runs, RosbagsFactory())]
 
 
 @pytest.mark.parametrize("length_s", [2, 4, 6])
 @pytest.mark.parametrize("faults", [{}, FAULTS], ids=["clean", "faults"])
 def test_messages_do_not_depend_on_the_stretches(length_s, faults):
-    scenario = everything(faults=faults)
-    expected = logged([simulate(scenario, 3)])
+    scenario = scenario_with_everything(faults=faults)
+    expected = logged_messages([simulate(scenario, 3)])
     assert [entry[2] for entry in expected] == sorted(entry[2] for entry in expected)
-    assert logged(simulate_stretches(scenario, 3, length_s)) == expected
+    assert logged_messages(simulate_stretches(scenario, 3, length_s)) == expected
 
 
 def test_messages_of_a_sea_do_not_depend_on_the_stretches():
     scenario = dataclasses.replace(load_scenario(SCENARIOS / "sea_state_5.yaml"), duration_s=9.0)
-    assert logged(simulate_stretches(scenario, 3, 2)) == logged([simulate(scenario, 3)])
+    assert logged_messages(simulate_stretches(scenario, 3, 2)) == logged_messages([simulate(scenario, 3)])
 
 
 def test_targets_and_stars_on_the_mount_do_not_depend_on_the_stretches():
     scenario = load_scenario(SCENARIOS / "theodolite_night.yaml")
-    night = dataclasses.replace(scenario.telescopes["night"], jitter_s=1.3)
-    scenario = dataclasses.replace(scenario, duration_s=7.0, telescopes={"night": night})
-    assert logged(simulate_stretches(scenario, 3, 2)) == logged([simulate(scenario, 3)])
+    telescope = dataclasses.replace(scenario.telescopes["night"], jitter_s=1.3)
+    scenario = dataclasses.replace(scenario, duration_s=7.0, telescopes={"night": telescope})
+    assert logged_messages(simulate_stretches(scenario, 3, 2)) == logged_messages([simulate(scenario, 3)])
 
 
 def test_a_rare_sample_is_the_last_of_the_truth_wherever_it_is():
-    ins = dataclasses.replace(everything().ins, rate_hz=0.3)
-    scenario = everything(ins=ins)
-    assert logged(simulate_stretches(scenario, 3, 2)) == logged([simulate(scenario, 3)])
+    ins = dataclasses.replace(scenario_with_everything().ins, rate_hz=0.3)
+    scenario = scenario_with_everything(ins=ins)
+    assert logged_messages(simulate_stretches(scenario, 3, 2)) == logged_messages([simulate(scenario, 3)])
 
 
 def test_a_stretch_contains_only_its_samples():
-    sizes = [run.ins.time_ns.size for run in simulate_stretches(everything(), 3, 4)]
+    sizes = [run.ins.time_ns.size for run in simulate_stretches(scenario_with_everything(), 3, 4)]
     assert sizes == [200, 200, 166]

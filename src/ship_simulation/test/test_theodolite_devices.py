@@ -63,9 +63,9 @@ def test_uniform_axis_errors_fill_their_range_and_no_more():
 
 def test_correlated_errors_are_gauss_markov_at_any_time():
     # Independent at twenty correlation times; between grid points as on them.
-    moments_s = 10.0 * np.arange(2000) + 0.005
-    process = CorrelatedError(random_stream(1, "test"), moments_s[-1] + 1.0, np.array([3.0]), 0.5)
-    first, later = process.values_at(moments_s)[:, 0], process.values_at(moments_s + 0.15)[:, 0]
+    times_s = 10.0 * np.arange(2000) + 0.005
+    process = CorrelatedError(random_stream(1, "test"), times_s[-1] + 1.0, np.array([3.0]), 0.5)
+    first, later = process.values_at(times_s)[:, 0], process.values_at(times_s + 0.15)[:, 0]
     assert_sigma(first, 3.0)
     # exp(-0.15/0.5), with the standard deviation of a correlation of 2000 pairs.
     assert np.corrcoef(first, later)[0, 1] == pytest.approx(np.exp(-0.3), abs=3.3 * (1 - np.exp(-0.6)) / np.sqrt(2000))
@@ -89,10 +89,12 @@ def test_encoders_and_images_have_white_noise_of_their_sigmas():
 def test_deformation_and_refraction_have_their_sigmas_over_runs():
     scenario = with_theodolite(bag_scenario(duration_s=1.0), air__light_sigma=0.03)
     scenes = [simulate(scenario, seed).theodolite.truth.scene for seed in range(60)]
-    moment = np.array([0.7])
-    assert_sigma([scene.deformation.values_at(moment) for scene in scenes], 20.0 * ARCSEC)
-    assert_sigma([scene.refraction.values_at(moment) for scene in scenes], 0.06)
-    own = np.array([[light.refraction.values_at(moment)[0, 0] for light in scene.beacons.values()] for scene in scenes])
+    times_s = np.array([0.7])
+    assert_sigma([scene.deformation.values_at(times_s) for scene in scenes], 20.0 * ARCSEC)
+    assert_sigma([scene.refraction.values_at(times_s) for scene in scenes], 0.06)
+    own = np.array(
+        [[light.refraction.values_at(times_s)[0, 0] for light in scene.beacons.values()] for scene in scenes]
+    )
     assert_sigma(own, 0.03)
     assert abs(np.corrcoef(own.T)[0, 1]) < 3.3 / np.sqrt(60)
 

@@ -135,12 +135,12 @@ def faulty(topic, kind, **changes):
     return clean, entries_of(simulate(dataclasses.replace(scenario, faults={"f": fault}), seed=1), topic)
 
 
-def changed_entries(clean, spoilt):
+def changed_entries(clean, changed):
     """Return the pairs (clean, faulty) that differ; they are those from 1 s to 2 s."""
-    assert len(clean) == len(spoilt)
+    assert len(clean) == len(changed)
     start_ns = 1_404_906_607_800_000_000
     pairs = []
-    for (before, _), (after, _) in zip(clean, spoilt, strict=True):
+    for (before, _), (after, _) in zip(clean, changed, strict=True):
         inside = SECOND_NS <= ns_from_stamp(before.header.stamp) - start_ns < 2 * SECOND_NS
         assert inside == (serialize(before) != serialize(after))
         if inside:
@@ -237,7 +237,7 @@ def test_the_same_seed_gives_the_same_bag_and_the_scenario_is_in_it(tmp_path):
         assert bag.attachments["scenario.yaml"].decode() == text
 
 
-NIGHT_BROKEN = {
+STARS_BROKEN = {
     "no detector": (
         "    focal_length_m: 1.5\n",
         "",
@@ -299,9 +299,9 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize("case", NIGHT_BROKEN)
+@pytest.mark.parametrize("case", STARS_BROKEN)
 def test_a_broken_star_scenario_is_one_line_with_file_line_and_key(case, tmp_path, capsys):
-    assert_refused("theodolite_night.yaml", NIGHT_BROKEN[case], tmp_path, capsys)
+    assert_refused("theodolite_night.yaml", STARS_BROKEN[case], tmp_path, capsys)
 
 
 @pytest.mark.parametrize("case", BROKEN)

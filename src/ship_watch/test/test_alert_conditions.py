@@ -90,11 +90,11 @@ CASES: dict[tuple[str, str], tuple[SuiteState, ComputerState | None]] = {
 
 def alerts_of(shown: SuiteState, machine: ComputerState | None = None) -> dict[str, Condition]:
     """Return id → situation of those that have an alert after 20 s."""
-    book = AlertList(Limits().alerts)
+    alert_list = AlertList(Limits().alerts)
     found = conditions(shown, LIMITS, machine)
     for tenth in range(200):
-        book.update(found, tenth * S // 10, 0)
-    ids = {alert.id for alert in book.alerts}
+        alert_list.update(found, tenth * S // 10, 0)
+    ids = {alert.id for alert in alert_list.alerts}
     return {each.id: each for each in found if each.id in ids}
 
 
@@ -142,11 +142,11 @@ def test_alert_uses_the_safety_without_hold() -> None:
 
 def test_brief_excess_of_a_limit_is_no_alert_and_a_lost_function_is() -> None:
     """A brief excess is no alert of the output, but the alert of a source that causes it names it at once."""
-    moment = {"over_limit_s": 4.9}
-    assert conditions(suite_state(replace(angle_over_limit("roll"), **moment)), LIMITS) == []
-    assert list(alerts_of(suite_state(replace(unsafe_angle("roll"), **moment)))) == ["attitude.degraded"]
+    brief = {"over_limit_s": 4.9}
+    assert conditions(suite_state(replace(angle_over_limit("roll"), **brief)), LIMITS) == []
+    assert list(alerts_of(suite_state(replace(unsafe_angle("roll"), **brief)))) == ["attitude.degraded"]
     by_ins = conditions(
-        suite_state(source_out("ins", "no data"), replace(angle_over_limit("roll", "ins"), **moment)), LIMITS
+        suite_state(source_out("ins", "no data"), replace(angle_over_limit("roll", "ins"), **brief)), LIMITS
     )
     assert [each.lost_functions for each in by_ins] == [{"tilt"}]
 
@@ -180,8 +180,8 @@ def test_pointing_lost_with_the_attitude_has_the_cause_of_the_attitude() -> None
         "ins.out": Priority.ALARM,
         "lights.out": Priority.CAUTION,
     }
-    blamed = {one.name: one.because_of for one in functions(shown)}
-    assert blamed == dict.fromkeys(("heading", "tilt", "pointing"), "ins")
+    causes = {one.name: one.because_of for one in functions(shown)}
+    assert causes == dict.fromkeys(("heading", "tilt", "pointing"), "ins")
 
 
 def test_all_star_sensors_out_for_one_reason_are_one_situation() -> None:

@@ -22,16 +22,16 @@ def test_variances_equal_those_of_rotated_attitudes(azimuth_deg: float, elevatio
     angles = angles_from_rotation(turned)
     scale = 1.0 if is_deck else np.cos(elevation)
     drawn = np.var(angles * [scale, 1.0, 1.0], axis=0)
-    told = angle_variances({"all": covariance_enu}, azimuth, elevation, is_deck=is_deck)
+    computed = angle_variances({"all": covariance_enu}, azimuth, elevation, is_deck=is_deck)
     # A variance of n draws has the relative sigma √(2/n) = 1 %: 3.3 of them are 99.9 %.
-    told_in_order = [by_source["all"] for by_source in told.values()]
-    assert told_in_order == pytest.approx(drawn[: len(told)], rel=3.3 * np.sqrt(2.0 / DRAWS))
+    in_order = [by_source["all"] for by_source in computed.values()]
+    assert in_order == pytest.approx(drawn[: len(computed)], rel=3.3 * np.sqrt(2.0 / DRAWS))
 
 
 def test_variances_add_up_and_nan_stays_nan() -> None:
     parts = {"noise": np.diag([1e-10, 2e-10, 3e-10]), "drift": np.diag([5e-10, 1e-10, 4e-10])}
     together = angle_variances({"all": parts["noise"] + parts["drift"]}, 1.0, 0.1, is_deck=True)
-    told = angle_variances({**parts, "new": np.full((3, 3), np.nan)}, 1.0, 0.1, is_deck=True)
-    for angle, by_source in told.items():
+    computed = angle_variances({**parts, "new": np.full((3, 3), np.nan)}, 1.0, 0.1, is_deck=True)
+    for angle, by_source in computed.items():
         assert by_source["noise"] + by_source["drift"] == pytest.approx(together[angle]["all"])
         assert np.isnan(by_source["new"])

@@ -108,13 +108,13 @@ def test_disagreement_is_the_component_furthest_off() -> None:
     streak = DecisionHistory(5, 10)
     for i in range(5):
         stamp = 100 * SECOND + i * PERIOD
-        told = innovation(False, arcsec=(-2.0, 1.0, 47.0 + i), names=("forward", "up", "right"))
-        streak.record(stamp, told, stamp, PERIOD)
+        message = innovation(False, arcsec=(-2.0, 1.0, 47.0 + i), names=("forward", "up", "right"))
+        streak.record(stamp, message, stamp, PERIOD)
     assert streak.disagreement.text == "right +49″"
     assert streak.disagreement.sigmas == pytest.approx(49.0 / 3.0)
     # Excluded and estimated again it agrees; the disagreement stays until it is IN again.
-    told = innovation(False, Reason.EXCLUDED, arcsec=(0.0, 1.0, 0.0), names=("forward", "up", "right"))
-    streak.record(102 * SECOND, told, 102 * SECOND, PERIOD)
+    message = innovation(False, Reason.EXCLUDED, arcsec=(0.0, 1.0, 0.0), names=("forward", "up", "right"))
+    streak.record(102 * SECOND, message, 102 * SECOND, PERIOD)
     assert streak.disagreement.text == "right +49″"
 
 
@@ -140,8 +140,8 @@ def test_source_is_in_again_after_stamps_from_the_future() -> None:
     streak = DecisionHistory(5, 10)
     n = record_decisions(streak, "+" * 10)
     for i in range(n, n + 10):
-        told = innovation(False, Reason.FUTURE)
-        streak.record((3700 + i) * SECOND, told, 100 * SECOND + i * PERIOD, PERIOD)
+        message = innovation(False, Reason.FUTURE)
+        streak.record((3700 + i) * SECOND, message, 100 * SECOND + i * PERIOD, PERIOD)
     assert streak.is_out
     record_decisions(streak, "+" * 10, n + 10)
     assert not streak.is_out

@@ -58,12 +58,12 @@ def test_error_is_reported_in_one_line(tmp_path: Path, text: str, line: int, nam
     path.write_text(text)
     with pytest.raises(BadInput) as caught:
         read_limits(path)
-    told = str(caught.value)
-    assert str(path) in told
-    assert f"line {line}" in told or f":{line}" in told
-    assert named in told
-    assert expected in told
-    assert "\n" not in told
+    error = str(caught.value)
+    assert str(path) in error
+    assert f"line {line}" in error or f":{line}" in error
+    assert named in error
+    assert expected in error
+    assert "\n" not in error
 
 
 def test_sources_are_not_accepted_as_angles() -> None:

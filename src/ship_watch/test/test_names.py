@@ -28,7 +28,7 @@ def health(topic, stamp_ns, reasons=()):
     )  # fmt: skip
 
 
-def invented(number, stamp_ns):
+def invented_messages(number, stamp_ns):
     """Yield topic and message of each kind that contains names, with new names."""
     header = make_header(FACTORY, stamp_ns)
     yield "input_health", health(f"reference/ship{number}/attitude", stamp_ns, [f"reason {number}"])
@@ -55,19 +55,19 @@ def invented(number, stamp_ns):
 
 def test_memory_is_bounded_for_unlimited_names(caplog):
     names._logged_s.clear()
-    watch, sizes = SuiteMonitor(Limits()), []
+    monitor, sizes = SuiteMonitor(Limits()), []
     known = "star.fore"
     tracemalloc.start()
     for number in range(3 * MAX_NAMES):
         now_ns = number * NS // 100
-        watch.process_message("ship/innovation", innovation(START_NS + now_ns, known, [0.0, 0.0], [1.0, 1.0], 1.0,
+        monitor.process_message("ship/innovation", innovation(START_NS + now_ns, known, [0.0, 0.0], [1.0, 1.0], 1.0,
                                                  components=("right", "up")), now_ns)  # fmt: skip
-        for topic, message in invented(number, START_NS + now_ns):
-            watch.process_message(topic, message, now_ns)
+        for topic, message in invented_messages(number, START_NS + now_ns):
+            monitor.process_message(topic, message, now_ns)
         if number % MAX_NAMES == MAX_NAMES - 1:
             sizes.append(tracemalloc.get_traced_memory()[0])
     tracemalloc.stop()
-    picture, history = watch.current_state(now_ns), watch.history
+    picture, history = monitor.current_state(now_ns), monitor.history
     assert len(picture.sources) <= MAX_NAMES + 3
     assert len(picture.inputs) <= MAX_NAMES
     assert all(
@@ -82,10 +82,10 @@ def test_memory_is_bounded_for_unlimited_names(caplog):
 
 
 def test_number_of_past_alerts_is_bounded():
-    book = AlertList(AlertTimes(raise_after_s=0.0, clear_after_s=0.0, start_s=0.0))
+    alert_list = AlertList(AlertTimes(raise_after_s=0.0, clear_after_s=0.0, start_s=0.0))
     for number in range(2 * MAX_ALERTS):
-        book.update([Condition(f"node{number}.lost", Priority.CAUTION, "", "lost")], number * NS, START_NS)
-    assert len(book.serialise()) <= MAX_ALERTS + 2
+        alert_list.update([Condition(f"node{number}.lost", Priority.CAUTION, "", "lost")], number * NS, START_NS)
+    assert len(alert_list.serialise()) <= MAX_ALERTS + 2
 
 
 @pytest.mark.parametrize("name", ["x" * (MAX_NAME_LENGTH + 1), ("node", "x" * MAX_NAME_LENGTH)])

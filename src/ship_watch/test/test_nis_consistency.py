@@ -21,9 +21,9 @@ def filled_window(sigma_ratio: float, seed: int, count: int = 300, degrees: int 
 def test_correct_sigmas_are_consistent() -> None:
     # One run in a thousand is outside 3.3 sigma: about 2 of 2000, more than 9 in one of 20 000 such tests (Poisson).
     found = [filled_window(1.0, seed, count=60, degrees=15).consistency(12 * SECOND) for seed in range(2000)]
-    assert all(verdict.degrees_of_freedom == 900 for verdict in found)
-    assert 1 <= sum(not verdict.is_consistent for verdict in found) <= 9
-    stated = next(verdict for verdict in found if verdict.is_consistent)
+    assert all(one.degrees_of_freedom == 900 for one in found)
+    assert 1 <= sum(not one.is_consistent for one in found) <= 9
+    stated = next(one for one in found if one.is_consistent)
     assert stated.text == f"σ as stated ({stated.ratio:.2f})"
 
 

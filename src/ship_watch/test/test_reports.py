@@ -92,8 +92,10 @@ def test_decreasing_mean_rate_does_not_lengthen_the_timeout() -> None:
 def test_rejected_messages_count_as_arrived() -> None:
     reports = received_reports(10)
     for second in range(11, 31):
-        told = report(second, 5 * second, age_s=second - 9.8, rejected=5 * (second - 10), excluded=5 * (second - 10))
-        reports.record_report(told, at(second))
+        received = report(
+            second, 5 * second, age_s=second - 9.8, rejected=5 * (second - 10), excluded=5 * (second - 10)
+        )
+        reports.record_report(received, at(second))
         assert not reports.is_timed_out(at(second + 0.9))
     assert reports.input_state(at(30.5)).rejected_60s == 100
     assert reports.input_state(at(30.5)).reasons == {"excluded": 100}
@@ -132,9 +134,9 @@ def test_topic_that_was_never_received() -> None:
     assert math.isinf(reports.age_s(at(1.0)))
     assert not reports.is_timed_out(at(100.0))
     assert not reports.is_never_received
-    told = report(6, 0, age_s=math.nan, rate_hz=math.nan)
-    told.level = 2
-    reports.record_report(told, at(6))
+    missing = report(6, 0, age_s=math.nan, rate_hz=math.nan)
+    missing.level = 2
+    reports.record_report(missing, at(6))
     assert reports.is_never_received
     # The monitor may receive a topic that the node does not, because of another quality of service.
     reports.record_arrival(at(6.5))

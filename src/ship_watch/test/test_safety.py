@@ -23,8 +23,8 @@ from ship_watch.safety import (
 from ship_watch.suite_state import Presence, Safety, SourceState
 
 SECOND = 1_000_000_000
-KNOCKED = SourceState("star.bow", Presence.OUT, "excluded", "right +49″", 17.0, 1, "")
-FLOAT = replace(KNOCKED, name="baselines", reason="a 81 rejected in a row: not fixed")
+EXCLUDED = SourceState("star.bow", Presence.OUT, "excluded", "right +49″", 17.0, 1, "")
+FLOAT = replace(EXCLUDED, name="baselines", reason="a 81 rejected in a row: not fixed")
 GOOD = AngleInputs(
     topic="ship/attitude",
     is_received=True,
@@ -55,13 +55,13 @@ def test_valid_protected_angle_within_its_limit_is_safe() -> None:
     [
         ({"accuracy_95": 5.01}, "over the limit"),
         ({"accuracy_95": 15.0}, "over the limit"),
-        ({"accuracy_95": 15.0, "faulty_source": KNOCKED}, "star.bow excluded"),
+        ({"accuracy_95": 15.0, "faulty_source": EXCLUDED}, "star.bow excluded"),
         ({"status": Status.COASTING, "diagnosis_hint": "no stars for 31 s"}, "no stars for 31 s"),
         ({"status": Status.DEGRADED}, "degraded"),
-        ({"status": Status.DEGRADED, "faulty_source": KNOCKED}, "star.bow excluded"),
+        ({"status": Status.DEGRADED, "faulty_source": EXCLUDED}, "star.bow excluded"),
         ({"protection": AngleProtection(None)}, "no integrity data"),
         ({"protection": AngleProtection(IntegrityState.UNAVAILABLE)}, "no independent check"),
-        ({"protection": AngleProtection(IntegrityState.UNAVAILABLE), "faulty_source": KNOCKED}, "star.bow excluded"),
+        ({"protection": AngleProtection(IntegrityState.UNAVAILABLE), "faulty_source": EXCLUDED}, "star.bow excluded"),
         ({"protection": AngleProtection(IntegrityState.MET, math.nan, 30.0)}, "no independent check"),
         ({"accuracy_95": 6.0, "faulty_source": FLOAT}, "baselines a rejected: not fixed"),
         ({"has_reduced_input": True, "diagnosis_hint": "one of two lights"}, "one of two lights"),
@@ -76,7 +76,7 @@ def test_cautions(change: dict[str, Any], reason: str) -> None:
     [
         ({"is_received": False, "is_old": True}, "waiting for ship/attitude"),
         ({"is_old": True}, "no data on ship/attitude"),
-        ({"is_old": True, "faulty_source": KNOCKED}, "star.bow excluded"),
+        ({"is_old": True, "faulty_source": EXCLUDED}, "star.bow excluded"),
         ({"status": Status.INVALID}, "invalid"),
         ({"status": None}, "invalid"),
         ({"value": math.nan}, "invalid"),
@@ -109,7 +109,7 @@ def over_limit(accuracy: float) -> AngleSafety:
 
 
 SAFE = AngleSafety(Safety.SAFE, "")
-SILENT = AngleSafety(Safety.CAUTION, "star.bow no data")
+NO_DATA = AngleSafety(Safety.CAUTION, "star.bow no data")
 
 
 def test_safety_gets_worse_at_once_and_better_after_five_seconds() -> None:
@@ -117,8 +117,8 @@ def test_safety_gets_worse_at_once_and_better_after_five_seconds() -> None:
     assert held.update(SAFE, 0)
     assert held.update(AngleSafety(Safety.UNSAFE, "invalid"), SECOND)
     assert held.safety is Safety.UNSAFE
-    assert not held.update(SILENT, 2 * SECOND)
-    assert held.displayed_safety(SILENT, 2 * SECOND)[:2] == (Safety.UNSAFE, "invalid")
+    assert not held.update(NO_DATA, 2 * SECOND)
+    assert held.displayed_safety(NO_DATA, 2 * SECOND)[:2] == (Safety.UNSAFE, "invalid")
     assert held.update(SAFE, 6 * SECOND)  # 5 s after it was UNSAFE, 4 s after it was a CAUTION
     assert (held.safety, held.since_ns) == (Safety.CAUTION, 6 * SECOND)
     assert held.displayed_safety(SAFE, 6 * SECOND)[:2] == (Safety.CAUTION, "star.bow no data")
@@ -130,7 +130,7 @@ def test_safety_gets_worse_at_once_and_better_after_five_seconds() -> None:
 def test_flickering_safety_changes_once() -> None:
     held, changes = SafetyHysteresis(5.0), 0
     for i in range(100):
-        changes += held.update(SILENT if i % 2 else SAFE, i * SECOND // 2)
+        changes += held.update(NO_DATA if i % 2 else SAFE, i * SECOND // 2)
     assert changes == 2  # SAFE, then CAUTION
 
 
@@ -182,8 +182,8 @@ def test_margin_applies_only_to_an_accuracy_that_was_over_its_limit() -> None:
     held = SafetyHysteresis(5.0)
     for tenth in range(100):
         now = over_limit(4.9)
-        silent = now._replace(safety=Safety.CAUTION, reason="star.bow no data")
-        held.update(silent if tenth < 10 else now, tenth * SECOND // 10)
+        caution = now._replace(safety=Safety.CAUTION, reason="star.bow no data")
+        held.update(caution if tenth < 10 else now, tenth * SECOND // 10)
         assert (held.safety is Safety.SAFE) == (tenth >= 59)
 
 
@@ -207,9 +207,9 @@ def test_margin_no_longer_applies_after_the_hold() -> None:
         (over_limit(16.0), over_limit(6.0), 1.0, Safety.UNSAFE, "over the limit; CAUTION in 4 s"),
         (over_limit(16.0), over_limit(4.9), 1.0, Safety.UNSAFE, "within 5″ again; CAUTION in 4 s"),
         (AngleSafety(Safety.UNSAFE, "invalid"), SAFE, 2.0, Safety.UNSAFE, "good again; SAFE in 3 s"),
-        (AngleSafety(Safety.UNSAFE, "invalid"), SILENT, 2.0, Safety.UNSAFE, "star.bow no data; CAUTION in 3 s"),
-        (SILENT, SAFE, 4.9, Safety.CAUTION, "good again; SAFE in 1 s"),
-        (SILENT, SAFE, 5.0, Safety.SAFE, ""),
+        (AngleSafety(Safety.UNSAFE, "invalid"), NO_DATA, 2.0, Safety.UNSAFE, "star.bow no data; CAUTION in 3 s"),
+        (NO_DATA, SAFE, 4.9, Safety.CAUTION, "good again; SAFE in 1 s"),
+        (NO_DATA, SAFE, 5.0, Safety.SAFE, ""),
     ],
 )
 def test_reason_is_the_current_one(

@@ -29,7 +29,7 @@ SMALL = AxisErrors(*(ARCSEC * np.array([-30.0, 20.0, -35.0, 40.0, 25.0, -38.0, 1
 LARGE = AxisErrors(g=2.0, h=-0.3, c=0.04, I=-0.03, beta_x=0.02, beta_y=0.05, flexure=0.08)
 
 
-def everywhere() -> tuple[FloatArray, FloatArray]:
+def all_directions() -> tuple[FloatArray, FloatArray]:
     """Return azimuths in all quadrants and on the axes, elevations of both faces."""
     azimuth_deg = np.arange(0.0, 360.0, 15.0)
     elevation_deg = np.array([-5.0, 0.0, 10.0, 30.0, 60.0, 80.0, 89.9, 100.0, 150.0, 185.0])
@@ -56,7 +56,7 @@ def rz(q: float) -> FloatArray:
 def test_the_chain_of_models_5(errors: AxisErrors) -> None:
     beta_m, azimuth_m = np.hypot(errors.beta_x, errors.beta_y), np.arctan2(errors.beta_y, errors.beta_x)
     tilt = ry(azimuth_m) @ rz(beta_m) @ ry(-azimuth_m)
-    azimuths, elevations = everywhere()
+    azimuths, elevations = all_directions()
     found = main_axis_rotation(errors, azimuths, elevations)
     for index in np.ndindex(azimuths.shape):
         azimuth, elevation = float(azimuths[index]), float(elevations[index])
@@ -67,7 +67,7 @@ def test_the_chain_of_models_5(errors: AxisErrors) -> None:
 
 
 def test_axis_without_errors_follows_the_encoder_angles() -> None:
-    azimuth, elevation = everywhere()
+    azimuth, elevation = all_directions()
     expected = np.stack(
         [np.cos(azimuth) * np.cos(elevation), np.sin(elevation), np.sin(azimuth) * np.cos(elevation)], axis=-1
     )
@@ -112,7 +112,7 @@ def test_flexure_raises_the_axis_by_its_cosine() -> None:
 @pytest.mark.parametrize("errors", [AxisErrors(), SMALL, LARGE])
 def test_jacobians_are_finite_differences(errors: AxisErrors) -> None:
     """Central differences of the rotation vector in the deck frame; at the zenith too."""
-    azimuth, elevation = everywhere()
+    azimuth, elevation = all_directions()
     elevation[3] = 0.5 * np.pi
     axis = main_axis(errors, azimuth, elevation)
     np.testing.assert_array_equal(axis.rotation_dm, main_axis_rotation(errors, azimuth, elevation))
@@ -145,8 +145,8 @@ def test_change_of_the_direction() -> None:
 
 @pytest.mark.parametrize("errors", [AxisErrors(), SMALL, LARGE])
 def test_inverse_gives_the_encoder_angles_back(errors: AxisErrors) -> None:
-    """To 1e-12 rad on the sky, in all quadrants, on the same face."""
-    azimuth, elevation = everywhere()
+    """The error is at most 1e-12 rad on the sky, in all quadrants, on the same face."""
+    azimuth, elevation = all_directions()
     direction = main_axis_rotation(errors, azimuth, elevation)[..., 0]
     raised = elevation - errors.h + errors.flexure * np.cos(elevation)
     assert np.any(raised < 0.5 * np.pi)
@@ -199,17 +199,17 @@ def test_zenith_is_reached_only_if_the_errors_allow() -> None:
     # c and I that cancel let the optical axis through the vertical axis; c + I = 60″ keep it 60″ away.
     through = main_axis_rotation(AxisErrors(c=30.0 * ARCSEC, I=-30.0 * ARCSEC), 0.7, 0.5 * np.pi)[:, 0]
     assert angle_between(through, up) <= 1e-15
-    apart = AxisErrors(c=20.0 * ARCSEC, I=40.0 * ARCSEC)
-    off = angle_between(main_axis_rotation(apart, np.arange(6.0), np.full(6, 0.5 * np.pi))[..., 0], up)
+    axes = AxisErrors(c=20.0 * ARCSEC, I=40.0 * ARCSEC)
+    off = angle_between(main_axis_rotation(axes, np.arange(6.0), np.full(6, 0.5 * np.pi))[..., 0], up)
     np.testing.assert_allclose(off, 60.0 * ARCSEC, atol=1e-12)
 
 
 @pytest.mark.parametrize(("off_arcsec", "reached"), [(0.0, False), (59.99, False), (60.01, True), (80.0, True)])
 def test_unreachable_directions_have_no_encoder_angles(off_arcsec: float, reached: bool) -> None:
-    apart = AxisErrors(c=20.0 * ARCSEC, I=40.0 * ARCSEC)
+    axes = AxisErrors(c=20.0 * ARCSEC, I=40.0 * ARCSEC)
     wanted = main_axis_rotation(AxisErrors(), 2.0, 0.5 * np.pi - off_arcsec * ARCSEC)[:, 0]
     for plunged in (False, True):
-        azimuth, elevation = encoder_angles(apart, wanted, plunged=plunged)
+        azimuth, elevation = encoder_angles(axes, wanted, plunged=plunged)
         assert np.isfinite(azimuth) == np.isfinite(elevation) == reached
 
 
@@ -225,7 +225,7 @@ def test_vector_form() -> None:
 def test_the_compiled_chain_is_that_of_arrays() -> None:
     """Ship and deformation by rotations, the axes by :func:`main_axis`."""
     rng = np.random.default_rng(2)
-    azimuths, elevations = everywhere()
+    azimuths, elevations = all_directions()
     for errors, azimuth, elevation in product((SMALL, LARGE), azimuths[0, ::5].tolist(), elevations[:, 0].tolist()):
         ship_n, deformation_d, rotation_v, rate_d = 1e-3 * rng.standard_normal((4, 3))
         ship_time_s, measured_nd = 0.01, exp_rotation(1e3 * rotation_v)

@@ -25,7 +25,7 @@ ERRORS = {
     **{f"beacons__{name}__rtk__bias_sigma_m": 0.02 for name in BEACONS_DEG},
 }
 
-# Stated size of the ship's error at the sighting before, at the moments and at the sighting after, in units of one.
+# Stated size of the ship's error at the sighting before, at the times between, and at the sighting after.
 STATED = {
     "steady": (1.0, 1.0, 1.0),
     "slowly changing": (1.0, 1.3, 0.8),
@@ -60,12 +60,12 @@ def correlated_state(filter_: TracedFilter, size: float | None):
 
 @pytest.mark.parametrize("sizes", STATED.values(), ids=STATED)
 def test_it_is_the_filters_prediction(sizes: tuple) -> None:
-    before, at_moments, after = sizes
+    before, between_sizes, after = sizes
     # Of the INS alone the configuration states the error.
-    source = "ins/imu" if at_moments is None else "ship/attitude"
+    source = "ins/imu" if between_sizes is None else "ship/attitude"
     filter_ = TracedFilter(config(ship__source=source, **ERRORS))
     state = correlated_state(filter_, before)
-    between = predictor_of(filter_, at_moments)
+    between = predictor_of(filter_, between_sizes)
     anchor = Anchor(START_NS, GaussianEstimate(state.mean, state.covariance), state.prediction_input)
     then = filter_.propagate(state, TIMES_NS[-1], random_array(after))
     later = Anchor(TIMES_NS[-1], GaussianEstimate(then.mean, then.covariance), then.prediction_input)
@@ -73,22 +73,22 @@ def test_it_is_the_filters_prediction(sizes: tuple) -> None:
     scale = np.sqrt(then.covariance.diagonal())
     scale = np.where(scale > 0.0, scale, 1.0)
     for place, time_ns in enumerate(TIMES_NS):
-        there = filter_.propagate(state, time_ns, random_array(at_moments))
-        of_told = there.covariance[np.ix_(between.state_indices, between.state_indices)]
-        sigma = np.sqrt(np.where(of_told.diagonal() > 0.0, of_told.diagonal(), 1.0))
+        there = filter_.propagate(state, time_ns, random_array(between_sizes))
+        of_states = there.covariance[np.ix_(between.state_indices, between.state_indices)]
+        sigma = np.sqrt(np.where(of_states.diagonal() > 0.0, of_states.diagonal(), 1.0))
         np.testing.assert_allclose(found.mean[place] / sigma, there.mean[between.state_indices] / sigma, atol=1e-9)
         both_sigmas = np.outer(sigma, sigma)
-        np.testing.assert_allclose(found.covariance[place] / both_sigmas, of_told / both_sigmas, atol=1e-9)
-        # Whatever is stated, both moments are of one distribution: no combination of them has a negative variance.
+        np.testing.assert_allclose(found.covariance[place] / both_sigmas, of_states / both_sigmas, atol=1e-9)
+        # Both times are of one distribution for any stated size: no combination of them has a negative variance.
         whole = np.block([[found.covariance[place], cross[place]], [cross[place].T, then.covariance]])
         both = np.concatenate([sigma, scale])
         assert np.linalg.eigvalsh(whole / np.outer(both, both))[0] > -1e-9
-    if at_moments == after:
+    if between_sizes == after:
         # At the later sighting itself it is that prediction.
         np.testing.assert_allclose(
             cross[-1] / scale, then.covariance[between.state_indices] / scale, atol=1e-9 * scale.max()
         )
-    if at_moments == before:
+    if between_sizes == before:
         expected = between.cross_to(anchor, later)[between.state_indices]
         np.testing.assert_allclose(cross[0] / scale, expected / scale, atol=1e-9 * scale.max())
 
@@ -107,7 +107,7 @@ def test_before_the_first_sighting_the_errors_are_what_they_may_be() -> None:
     for place, last_s in enumerate(lasts_s):
         expected = first.covariance[np.ix_(between.state_indices, between.state_indices)]
         np.testing.assert_allclose(found.covariance[place], expected, atol=1e-20)
-        # The axes stay; ship and deformation die out with their own times.
+        # The axes are constant; ship and deformation decay with their own time constants.
         np.testing.assert_allclose(cross[place, axes, axes], first.covariance[axes, axes])
         np.testing.assert_allclose(cross[place, :3, :3], np.exp(-last_s / 40.0) * STATED_N)
         np.testing.assert_allclose(cross[place, 3:6, 3:6], np.exp(-last_s / 25.0) * first.covariance[3:6, 3:6])

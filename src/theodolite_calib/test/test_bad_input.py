@@ -41,7 +41,7 @@ from ship_testing.small_session import (
 from theodolite_calib.measured.samples import Mode
 from theodolite_calib.ros.messages_in import MAX_BEACONS
 
-MOMENT_S = 3.0
+CHANGE_S = 3.0
 ALPHA = BASELINE["alpha"]
 SOURCE = {ENCODER: "encoder", SHIP: "ship", BEACONS: "lights", ALPHA: "baseline.alpha", IMU["alpha"]: "drone.alpha"}
 
@@ -91,7 +91,7 @@ DROPPED = [
     ("encoder from the future", ENCODER, shift_stamp(0.06), "future", "ahead"),
     ("ship NaN", SHIP, set_field("orientation.x", np.nan), "non_finite", "orientation"),
     ("ship quaternion zero", SHIP, set_field("orientation.w", 10.0), "bad_quaternion", "expected 1"),
-    ("ship says INVALID", SHIP, set_field("status", 3), "gap", "INVALID"),
+    ("ship INVALID", SHIP, set_field("status", 3), "gap", "INVALID"),
     ("ship status unknown", SHIP, set_field("status", 9), "units", "status 9"),
     ("ship variance negative", SHIP, set_field("rotation_covariance", NEGATIVE), "bad_covariance", "negative"),
     ("ship not symmetric", SHIP, set_field("rotation_covariance", NOT_SYMMETRIC), "bad_covariance", "symmetric"),
@@ -144,21 +144,21 @@ def test_the_clean_session_is_right_across_the_wrap_of_the_azimuth() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("topic", "change", "reason", "text"), [c[1:] for c in DROPPED], ids=[c[0] for c in DROPPED])
 def test_a_dropped_message_leaves_everything_as_without_it(topic: str, change: Change, reason: str, text: str) -> None:
-    index = index_at(session(), topic, MOMENT_S)
+    index = index_at(session(), topic, CHANGE_S)
     bad = run_adapter(new_adapter(), replace_message(session(), index, change))
     without_it = run_adapter(new_adapter(), without(session(), index))
     assert bad.reasons(topic) == {reason: 1}
     assert bad.health(topic).rejected == 1
-    ((source, said),) = has_reason(bad, Reason[reason.upper()])
+    ((source, reason_text),) = has_reason(bad, Reason[reason.upper()])
     assert source == SOURCE[topic]
-    assert text in said
+    assert text in reason_text
     assert bad.results() == without_it.results()
     assert bad.state() == without_it.state()
 
 
 @pytest.mark.parametrize("topic", [ENCODER, SHIP, ALPHA, IMU["alpha"], BEACONS])
 def test_the_same_message_again_changes_nothing(topic: str) -> None:
-    index = index_at(session(), topic, MOMENT_S)
+    index = index_at(session(), topic, CHANGE_S)
     again_ns = session()[index].receive_ns + 5_000_000
     run = run_adapter(new_adapter(), add_copy(session(), index, lambda message: None, again_ns))
     assert run.reasons(topic) == {"duplicate": 1}
@@ -176,7 +176,7 @@ OTHER = [
 
 @pytest.mark.parametrize(("topic", "change"), OTHER)
 def test_of_two_contents_of_one_stamp_the_order_of_arrival_does_not_choose(topic: str, change: Change) -> None:
-    index = index_at(session(), topic, MOMENT_S)
+    index = index_at(session(), topic, CHANGE_S)
     arrival = session()[index]
     after_ns, before_ns = arrival.receive_ns + 1, arrival.receive_ns - 1
     second = run_adapter(new_adapter(), add_copy(session(), index, change, after_ns))
@@ -186,17 +186,17 @@ def test_of_two_contents_of_one_stamp_the_order_of_arrival_does_not_choose(topic
 
 
 @pytest.mark.parametrize(("topic", "change"), OTHER)
-def test_a_source_that_contradicts_itself_is_not_valid_until_it_has_agreed_with_itself_for_ten_seconds(
+def test_a_source_with_conflicting_messages_is_not_valid_until_ten_consistent_seconds_later(
     topic: str, change: Change
 ) -> None:
     arrivals = session(15.0)
-    index = index_at(arrivals, topic, MOMENT_S)
+    index = index_at(arrivals, topic, CHANGE_S)
     run = run_adapter(new_adapter(), add_copy(arrivals, index, change, arrivals[index].receive_ns + 1))
-    source, until_s = NAMED[topic], MOMENT_S + 10.0
-    told = run.diagnostics("pointing", arrivals[index].receive_ns + SECOND_NS, run.now_ns)[0]
-    assert told == (1, f"DEGRADED: {source} sent conflicting data with one stamp")
-    in_doubt = [m.status for m in run.pointings if MOMENT_S + 0.2 < seconds(m) < until_s]
-    assert set(in_doubt) == {Status.DEGRADED}
+    source, until_s = NAMED[topic], CHANGE_S + 10.0
+    report = run.diagnostics("pointing", arrivals[index].receive_ns + SECOND_NS, run.now_ns)[0]
+    assert report == (1, f"DEGRADED: {source} sent conflicting data with one stamp")
+    statuses = [m.status for m in run.pointings if CHANGE_S + 0.2 < seconds(m) < until_s]
+    assert set(statuses) == {Status.DEGRADED}
     assert {m.status for m in run.pointings if seconds(m) > until_s + 0.2} == {Status.VALID}
 
 
@@ -231,15 +231,15 @@ def turn_heading(arcsec: float) -> Change:
 
 
 def test_beacons_without_exposure_length_are_points():
-    """The session's lights stand still on the detector, so that its exposures have no streaks either."""
+    """The session's lights do not move on the detector, so that its exposures have no streaks either."""
     not_given = change_where(session(), lambda a: a.topic == BEACONS, set_field("exposure_s", np.nan))
     zero = change_where(session(), lambda a: a.topic == BEACONS, set_field("exposure_s", 0.0))
     points = run_adapter(new_adapter(), not_given)
     assert points.results() == run_adapter(new_adapter(), zero).results()
     assert points.reasons(BEACONS) == {}
-    told, as_points = fault_free_run().messages("theodolite/pointing")[-1], points.messages("theodolite/pointing")[-1]
-    assert abs(told.azimuth - as_points.azimuth) * np.cos(told.elevation) < 0.3 * ARCSEC
-    assert abs(told.elevation - as_points.elevation) < 0.3 * ARCSEC
+    streaks, as_points = (run.messages("theodolite/pointing")[-1] for run in (fault_free_run(), points))
+    assert abs(streaks.azimuth - as_points.azimuth) * np.cos(streaks.elevation) < 0.3 * ARCSEC
+    assert abs(streaks.elevation - as_points.elevation) < 0.3 * ARCSEC
     longer = run_adapter(
         new_adapter(), change_where(session(), lambda a: a.topic == BEACONS, set_field("exposure_s", 0.1))
     )
@@ -252,7 +252,7 @@ def test_exchanged_names_are_corrected_and_reported() -> None:
         alpha, bravo = make_sighting(message, "alpha"), make_sighting(message, "bravo")
         alpha.beacon_id, bravo.beacon_id = "bravo", "alpha"
 
-    run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), BEACONS, MOMENT_S), exchange))
+    run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), BEACONS, CHANGE_S), exchange))
     (message,) = run.innovations(Reason.LIGHT_CONFLICT)
     assert message.accepted
     assert "bravo is alpha, alpha is bravo" in message.reason_text
@@ -261,7 +261,7 @@ def test_exchanged_names_are_corrected_and_reported() -> None:
 
 
 def test_wrong_beacon_is_rejected_by_angle() -> None:
-    index = index_at(session(), BEACONS, MOMENT_S)
+    index = index_at(session(), BEACONS, CHANGE_S)
 
     def shift(message: Any) -> None:
         make_sighting(message, "bravo").x += 0.1 * np.deg2rad(100.0 / 3600.0)
@@ -306,10 +306,10 @@ def test_float_baseline_is_rejected_and_the_other_beacon_used() -> None:
 
 
 def test_no_solution_is_not_fixed_whatever_its_numbers() -> None:
-    def none(message: Any) -> None:
+    def remove_fix(message: Any) -> None:
         message.fix, message.enu.x = 0, np.nan
 
-    run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), ALPHA, MOMENT_S), none))
+    run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), ALPHA, CHANGE_S), remove_fix))
     assert run.reasons(ALPHA) == {"not_fixed": 1}
     # No exposure waits for a better one, and nothing is drawn through it.
     assert run.reasons(BEACONS).keys() <= {"not_fixed"}
@@ -351,7 +351,7 @@ def test_image_without_beacons_is_valid() -> None:
     ],
 )
 def test_unreadable_beacon_is_rejected(change: Change, reason: Reason, text: str) -> None:
-    index = index_at(session(), BEACONS, MOMENT_S)
+    index = index_at(session(), BEACONS, CHANGE_S)
 
     def spoil(message: Any) -> None:
         change(make_sighting(message, "alpha"))
@@ -360,9 +360,9 @@ def test_unreadable_beacon_is_rejected(change: Change, reason: Reason, text: str
         message.beacons = [make_sighting(message, "bravo")]
 
     run = run_adapter(new_adapter(), replace_message(session(), index, spoil))
-    ((source, said),) = has_reason(run, reason)
+    ((source, reason_text),) = has_reason(run, reason)
     assert source.startswith("light.")
-    assert text in said
+    assert text in reason_text
     assert run.reasons(BEACONS) == {reason.name.lower(): 1}
     assert run.state() == run_adapter(new_adapter(), replace_message(session(), index, leave_out)).state()
 
@@ -371,14 +371,14 @@ def test_duplicate_beacon_name_is_rejected() -> None:
     def twice(message: Any) -> None:
         make_sighting(message, "alpha").beacon_id = "bravo"
 
-    run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), BEACONS, MOMENT_S), twice))
+    run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), BEACONS, CHANGE_S), twice))
     assert run.reasons(BEACONS) == {"conflict": 2}
     assert assert_within_covariance(run)
 
 
 def test_baseline_of_another_drone_is_rejected() -> None:
     ids = {"beacons__alpha__rtk__rover_id": "alpha", "beacons__alpha__rtk__base_id": "ship"}
-    index = index_at(session(), ALPHA, MOMENT_S)
+    index = index_at(session(), ALPHA, CHANGE_S)
     run = run_adapter(new_adapter(**ids), replace_message(session(), index, set_field("rover_id", "bravo")))
     assert has_reason(run, Reason.UNKNOWN_SENSOR) == [("baseline.alpha", "rover_id is 'bravo': expected 'alpha'")]
     assert run.state() == run_adapter(new_adapter(**ids), without(session(), index)).state()
@@ -395,7 +395,7 @@ def test_exchanged_baselines_are_a_conflict() -> None:
 
 
 def test_a_baseline_one_second_late_is_applied_at_its_own_time() -> None:
-    index = index_at(session(), ALPHA, MOMENT_S)
+    index = index_at(session(), ALPHA, CHANGE_S)
     late_ns = session()[index].receive_ns + SECOND_NS
     run = run_adapter(new_adapter(), replace_message(session(), index, lambda message: None, late_ns))
     assert run.state() == fault_free_run().state()
@@ -403,13 +403,13 @@ def test_a_baseline_one_second_late_is_applied_at_its_own_time() -> None:
 
 
 def test_baseline_later_than_the_lag_is_rejected() -> None:
-    index = index_at(session(), ALPHA, MOMENT_S)
+    index = index_at(session(), ALPHA, CHANGE_S)
     late_ns = session()[index].receive_ns + SECOND_NS
     run = run_adapter(new_adapter(lag_s=0.5), replace_message(session(), index, lambda message: None, late_ns))
     assert run.reasons(ALPHA) == {"late": 1}
-    ((source, said),) = has_reason(run, Reason.LATE)
+    ((source, text),) = has_reason(run, Reason.LATE)
     assert source == "baseline.alpha"
-    assert "more than lag_s = 0.5" in said
+    assert "more than lag_s = 0.5" in text
     assert assert_within_covariance(run)
 
 
@@ -418,9 +418,9 @@ def test_baselines_one_second_old_are_a_conflict() -> None:
     stale = change_where(session(), lambda a: a.topic == ALPHA, shift_stamp(1.0))
     stale = sort_by_arrival(Arrival(a.topic, a.message, a.receive_ns + SECOND_NS * (a.topic == ALPHA)) for a in stale)
     run = run_adapter(new_adapter(), stale)
-    refused = run.innovations(Reason.LIGHT_CONFLICT)
-    assert len(refused) == 3
-    assert not any(m.accepted for m in refused)
+    rejected = run.innovations(Reason.LIGHT_CONFLICT)
+    assert len(rejected) == 3
+    assert not any(m.accepted for m in rejected)
     assert {m.source for m in run.innovations(Reason.EXCLUDED)} == {"light.alpha"}
     assert len(run.innovations(Reason.EXCLUDED)) >= 5
     assert (run.pointings[-1].status, run.pointings[-1].light_count) == (Status.VALID, 1)
@@ -455,8 +455,8 @@ def seconds_of(arrival: Arrival) -> float:
 
 def test_an_encoder_comes_back_after_twenty_changing_readings() -> None:
     run = run_adapter(new_adapter(integrity__return_after_s=1.0), frozen_encoders(2.0, 5.0))
-    refused = run.reasons(ENCODER)["stuck"]
-    assert 20 < refused < 60
+    rejected = run.reasons(ENCODER)["stuck"]
+    assert 20 < rejected < 60
     assert run.pointings[-1].status == Status.VALID
     assert assert_within_covariance(run)
 
@@ -482,17 +482,17 @@ def test_encoder_in_degrees_is_rejected() -> None:
 
 
 def test_too_many_beacons_and_long_ids_are_cut() -> None:
-    def crowded(message: Any) -> None:
-        strangers = [copy.copy(make_sighting(message, "alpha")) for _ in range(MAX_BEACONS + 50)]
-        for number, stranger in enumerate(strangers):
-            stranger.beacon_id = f"{number}" + "x" * 10**5
-        message.beacons = [*message.beacons, *strangers]
+    def crowd(message: Any) -> None:
+        unknown = [copy.copy(make_sighting(message, "alpha")) for _ in range(MAX_BEACONS + 50)]
+        for number, one in enumerate(unknown):
+            one.beacon_id = f"{number}" + "x" * 10**5
+        message.beacons = [*message.beacons, *unknown]
 
-    run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), BEACONS, MOMENT_S), crowded))
-    strangers = has_reason(run, Reason.UNKNOWN_SENSOR)
-    assert len(strangers) == MAX_BEACONS - 2
-    assert max(len(text) for both in strangers for text in both) <= LONGEST_TEXT
-    assert strangers[0][1].endswith("…' is unknown: expected alpha, bravo")
+    run = run_adapter(new_adapter(), replace_message(session(), index_at(session(), BEACONS, CHANGE_S), crowd))
+    unknown = has_reason(run, Reason.UNKNOWN_SENSOR)
+    assert len(unknown) == MAX_BEACONS - 2
+    assert max(len(text) for both in unknown for text in both) <= LONGEST_TEXT
+    assert unknown[0][1].endswith("…' is unknown: expected alpha, bravo")
     ((_, text),) = has_reason(run, Reason.OVERFLOW)
     assert text == f"{MAX_BEACONS + 52} lights in one image: only the first {MAX_BEACONS} are used"
     assert run.state() == fault_free_run().state()
@@ -512,7 +512,7 @@ def test_covariances_that_are_not_given_are_not_perfect() -> None:
         assert run.reasons(topic) == {"covariance_unknown": run.health(topic).received}
         assert run.health(topic).rejected == 0
     # The ship's attitude then has the INS's errors, the others the configured ones, equal to those of the messages.
-    # Not of a single one: what the estimates without one source dispute comes and goes with each sighting.
+    # Single covariances are not compared: the separations of the subfilters vary with each sighting.
     of_each = ([m.rotation_covariance[0] for m in one.pointings] for one in (run, fault_free_run()))
     assert np.greater(*(np.median(covariance) for covariance in of_each))
     assert assert_within_covariance(run)
@@ -525,8 +525,8 @@ def test_drone_without_covariance_is_used_if_accepted() -> None:
     run = run_adapter(new_adapter(**accepted), unset)
     assert all(run.health(topic).rejected == 0 for topic in imus)
     assert run.results() == fault_free_run().results()
-    refused = run_adapter(new_adapter(), unset)
-    assert all(refused.reasons(topic) == {"not_given": refused.health(topic).received} for topic in imus)
+    rejected = run_adapter(new_adapter(), unset)
+    assert all(rejected.reasons(topic) == {"not_given": rejected.health(topic).received} for topic in imus)
 
 
 def test_without_the_ship_no_pointing_is_claimed() -> None:

@@ -47,23 +47,23 @@ def voyage(jump_at: int | None = None, wrong_rates_from: int | None = None) -> l
 class Run:
     """Check with announcements of nothing or of whole blocks, and its results as the ship check requests them."""
 
-    def __init__(self, guard: BatchShipCheck | InsCheck) -> None:
-        self.guard, self.said = guard, []
+    def __init__(self, ship_check: BatchShipCheck | InsCheck) -> None:
+        self.ship_check, self.results = ship_check, []
         self._used, self._stated = AttitudeTrack(500_000_000), None
 
     def check_samples(self, samples: Iterable[ShipSample]) -> None:
         for sample in samples:
-            told_rad = stated_step_rad(sample.correlated_covariance_n, self._stated)
-            judged = self._checked(sample, told_rad)
-            self.said.append((comparable_result(judged), self.guard.rate_status))
-            if judged.rejection is None and (self._used.newest is None or sample.time_ns > self._used.newest.time_ns):
+            stated_rad = stated_step_rad(sample.correlated_covariance_n, self._stated)
+            checked = self._check(sample, stated_rad)
+            self.results.append((comparable_result(checked), self.ship_check.rate_status))
+            if checked.rejection is None and (self._used.newest is None or sample.time_ns > self._used.newest.time_ns):
                 self._stated = sample.correlated_covariance_n
-                self._used.insert(judged.sample)
+                self._used.insert(checked.sample)
 
-    def _checked(self, sample: ShipSample, reported_step_rad: float) -> CheckedInsSample:
-        if isinstance(self.guard, InsCheck):
-            return self.guard.check(sample, self._used, {}, reported_step_rad)
-        return self.guard.check(sample, self._used, reported_step_rad)
+    def _check(self, sample: ShipSample, reported_step_rad: float) -> CheckedInsSample:
+        if isinstance(self.ship_check, InsCheck):
+            return self.ship_check.check(sample, self._used, {}, reported_step_rad)
+        return self.ship_check.check(sample, self._used, reported_step_rad)
 
 
 def comparable_result(result: CheckedInsSample) -> tuple[Any, ...]:
@@ -75,7 +75,7 @@ def comparable_result(result: CheckedInsSample) -> tuple[Any, ...]:
 def one_by_one(samples: Sequence[ShipSample]) -> list[Any]:
     run = Run(InsCheck(CONFIG))
     run.check_samples(samples)
-    return run.said
+    return run.results
 
 
 VOYAGES = {
@@ -89,20 +89,20 @@ VOYAGES = {
 def test_announced_batch_gives_the_same_results(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     ahead, looked = [], InsCheck.check_block
 
-    def counted(guard: InsCheck, *arguments: Any) -> Any:
-        followed = looked(guard, *arguments)
+    def count_calls(ship_check: InsCheck, *arguments: Any) -> Any:
+        followed = looked(ship_check, *arguments)
         ahead.append(followed.count)
         return followed
 
-    monkeypatch.setattr(InsCheck, "check_block", counted)
+    monkeypatch.setattr(InsCheck, "check_block", count_calls)
     run, samples = Run(BatchShipCheck(CONFIG)), VOYAGES[name]
     for start in range(0, COUNT, BLOCK):
-        run.guard.expect(samples[start : start + BLOCK])
+        run.ship_check.expect(samples[start : start + BLOCK])
         run.check_samples(samples[start : start + BLOCK])
-    assert run.said == one_by_one(samples)
+    assert run.results == one_by_one(samples)
     assert sum(ahead) > COUNT // 3
     if name != "calm":
-        assert any(one[0][1] is not None or one[0][3] is not None for one in run.said)
+        assert any(one[0][1] is not None or one[0][3] is not None for one in run.results)
 
 
 @pytest.mark.parametrize("name", VOYAGES)
@@ -117,41 +117,41 @@ def test_wrong_announcement_gives_the_same_results(name: str) -> None:
             block[:middle] + block[middle - 1 :],
             [*block[:middle], block[middle + 1], block[middle], *block[middle + 2 :]],
         ][number % 3]
-        run.guard.expect(block)
+        run.ship_check.expect(block)
         run.check_samples(coming)
         came += coming
-    assert run.said == one_by_one(came)
+    assert run.results == one_by_one(came)
 
 
 def test_partial_or_early_announcement_gives_the_same_results() -> None:
     run, samples = Run(BatchShipCheck(CONFIG)), VOYAGES["calm"]
     run.check_samples(samples[:600])
-    run.guard.expect(samples[600:700])
-    run.guard.expect(samples[700:900])
+    run.ship_check.expect(samples[600:700])
+    run.ship_check.expect(samples[700:900])
     run.check_samples(samples[600:800])
-    run.guard.expect(samples[900:1000])  # a hundred of the last ones have not come yet
+    run.ship_check.expect(samples[900:1000])  # a hundred of the last ones have not come yet
     run.check_samples(samples[800:])
-    assert run.said == one_by_one(samples)
+    assert run.results == one_by_one(samples)
 
 
 def test_noise_change_within_a_batch() -> None:
     run, plain, samples = Run(BatchShipCheck(CONFIG)), Run(InsCheck(CONFIG)), VOYAGES["calm"]
     louder = CheckedInsConfig(white_sigma_arcsec=20.0)
-    run.guard.expect(samples)
+    run.ship_check.expect(samples)
     for some in (slice(0, 1000), slice(1000, COUNT)):
         for one in (run, plain):
             one.check_samples(samples[some])
-            one.guard.reconfigure(louder)
-    assert run.said == plain.said
+            one.ship_check.reconfigure(louder)
+    assert run.results == plain.results
 
 
 def test_unreported_step_is_checked_one_by_one() -> None:
-    guard, used, samples = BatchShipCheck(CONFIG), AttitudeTrack(500_000_000), voyage()
+    ship_check, used, samples = BatchShipCheck(CONFIG), AttitudeTrack(500_000_000), voyage()
     at = 6 * RATE_HZ
     for sample in samples[:at]:
-        used.insert(guard.check(sample, used, 0.0).sample)
-    guard.expect(samples[at : at + BLOCK])
-    guard.check(samples[at], used, np.nan)
-    assert guard._checked_block is None
-    guard.check(samples[at + 1], used, 0.0)
-    assert guard._checked_block is not None
+        used.insert(ship_check.check(sample, used, 0.0).sample)
+    ship_check.expect(samples[at : at + BLOCK])
+    ship_check.check(samples[at], used, np.nan)
+    assert ship_check._checked_block is None
+    ship_check.check(samples[at + 1], used, 0.0)
+    assert ship_check._checked_block is not None

@@ -136,12 +136,12 @@ def test_a_little_better_the_other_way_round_is_no_swap():
     exact = error_free_epochs(truth_of(75.0, 35.0, 15.0, row_deg))
     lights = replace(exact.beacons, baseline_covariance_n=0.027**2 * np.eye(3))
     epoch = replace(exact, beacons=lights)
-    verdicts = {
+    results = {
         check_epoch(replace(epoch, image=replace(epoch.image, point_m=point_m))).result
         for shift_m in np.arange(-12e-6, 12e-6, 1e-6)
         for point_m in [epoch.image.point_m + np.outer([0.0, 1.0, 0.0], shift_m * along)]
     }
-    assert verdicts == {BeaconCheckResult.CONSISTENT, BeaconCheckResult.CONFLICT}
+    assert results == {BeaconCheckResult.CONSISTENT, BeaconCheckResult.CONFLICT}
 
 
 def test_beacons_in_one_direction_give_no_attitude():

@@ -71,7 +71,7 @@ def test_broken_file_is_refused_by_name(tmp_path: Path, old: str, new: str, text
     assert text in str(error.value)
 
 
-def test_a_session_that_starts_from_it_knows_what_was_known() -> None:
+def test_a_session_that_starts_from_it_has_its_estimates() -> None:
     filter_ = CalibrationFilter(config())
     state, messages = state_from_prior(filter_, config(), save_calibration(), NOW_NS)
     assert messages == []
@@ -141,7 +141,7 @@ def test_the_node_starts_from_the_file_that_is_there(tmp_path: Path) -> None:
     dark = tuple(a for a in session() if a.topic != BEACONS)
     with_file = run_adapter(new_adapter(calibration_file=str(path)), dark)
     without_file = run_adapter(new_adapter(), dark)
-    # Encoders alone: with a calibration they carry on where the lights left, without one there is none.
+    # Encoders alone: with a calibration the pointing is COASTING after the lights, without one DEGRADED.
     assert with_file.pointings[-1].status == Status.COASTING
     assert without_file.pointings[-1].status == Status.DEGRADED
     traces = [np.trace(np.reshape(run.pointings[-1].rotation_covariance, (3, 3))) for run in (with_file, without_file)]

@@ -22,11 +22,11 @@ from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
 
 NOW_NS = 1_767_225_600_000_000_000
 OFF = np.array([0.8, -1.1, 0.5]) * ARCSEC
-"""Correction of the configured mounting, estimated in one night."""
+"""Correction of the configured mounting, estimated in one session."""
 
 
 def calibrated_state(settings: OpticalAxisConfig) -> tuple[CalibrationFilter, CalibrationState]:
-    """Return a state with the camera's mounting known to a third of the configured sigma, and collimation with it."""
+    """Return a state with a third of the configured sigma of the camera's mounting, correlated with the collimation."""
     filter_ = CalibrationFilter(settings)
     state = filter_.initial_state()
     rows = filter_.model.state_indices(f"telescope.{CAMERA_ID}.parallelism")
@@ -96,8 +96,8 @@ def test_a_camera_that_looks_backward_is_within_half_a_turn(tmp_path: Path, azim
 
 @pytest.mark.parametrize("angle", ["azimuth", "elevation", "roll"])
 def test_remounted_camera_is_ignored_and_the_rest_used(angle: str) -> None:
-    told = {f"telescopes__{CAMERA_ID}__{angle}_deg": MOUNTED_DEG[f"{angle}_deg"] + 0.1}
-    settings = mount_config(1.0, **told)
+    mounting = {f"telescopes__{CAMERA_ID}__{angle}_deg": MOUNTED_DEG[f"{angle}_deg"] + 0.1}
+    settings = mount_config(1.0, **mounting)
     filter_ = CalibrationFilter(settings)
     state, (message,) = state_from_prior(filter_, settings, saved_prior(mount_config(1.0)), NOW_NS)
     assert message.startswith(f"saved calibration of camera '{CAMERA_ID}' is not used: its {angle} is 3")

@@ -8,14 +8,14 @@ from theodolite_calib.measured import compiled_cubics
 BEFORE = 5
 
 
-def moments(count: int) -> np.ndarray:
+def times_before(count: int) -> np.ndarray:
     steps = np.random.default_rng(count).uniform(0.8, 1.2, count)
     return -np.cumsum(steps)[::-1] / steps.sum()
 
 
 @pytest.mark.parametrize("count", [4, 7, 12])
 def test_weights_at_zero(count: int) -> None:
-    since = moments(count)
+    since = times_before(count)
     expected = np.linalg.pinv(np.vander(since, 4, increasing=True))[0]
     found = compiled_cubics.weights_at_zero(since)
     np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-11 * np.abs(expected).max())
@@ -24,7 +24,7 @@ def test_weights_at_zero(count: int) -> None:
 @pytest.mark.parametrize("step_m", [0.0, 0.3])
 @pytest.mark.parametrize("count", [8, 14])
 def test_the_clearest_step(count: int, step_m: float) -> None:
-    rng, since = np.random.default_rng(3), moments(count)
+    rng, since = np.random.default_rng(3), times_before(count)
     values = np.vander(since, 4) @ rng.standard_normal((4, 3)) + 0.01 * rng.standard_normal((count, 3))
     values[6:] += step_m
     smooth = np.linalg.qr(np.vander(since, 4))[0]
@@ -44,6 +44,6 @@ def test_the_clearest_step(count: int, step_m: float) -> None:
 def test_mismatched_shapes_are_refused() -> None:
     for count, rows in ((8, 7), (5, 5)):
         with pytest.raises(ValueError, match="vectors"):
-            compiled_cubics.clearest_step(moments(count), np.zeros((rows, 3)), BEFORE)
+            compiled_cubics.clearest_step(times_before(count), np.zeros((rows, 3)), BEFORE)
     with pytest.raises(ValueError, match="moments"):
-        compiled_cubics.weights_at_zero(moments(3))
+        compiled_cubics.weights_at_zero(times_before(3))

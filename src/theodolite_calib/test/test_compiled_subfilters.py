@@ -12,23 +12,23 @@ from ship_geometry.rotations import FloatArray
 from theodolite_calib.filter import compiled_subfilters
 
 RNG_SEED = 4
-ROWS, STATES = 4, 11
+FILTERS, STATES = 4, 11
 
 
 def sighting(lights: int) -> tuple[Any, ...]:
     """Return subfilters and beacons; the first subfilter leaves out the first beacon, two condition on the others."""
     rng, m = np.random.default_rng(RNG_SEED), 2 * lights
-    roots, root = rng.standard_normal((ROWS, STATES, STATES)), rng.standard_normal((m, m))
+    roots, root = rng.standard_normal((FILTERS, STATES, STATES)), rng.standard_normal((m, m))
     jacobian = rng.standard_normal((m, STATES)) * (rng.random((m, STATES)) < 0.7)
     parts = roots @ roots.swapaxes(1, 2) + np.eye(STATES)
-    sees = np.ones((ROWS, m), dtype=np.uint8)
+    sees = np.ones((FILTERS, m), dtype=np.uint8)
     sees[0, :2] = 0
     others = ~np.repeat(np.eye(lights, dtype=bool), 2, axis=1)[:, None]
     taken = np.vstack([np.zeros((1, m)), sees]) * np.array([0, 1, 1, 0, 1])[:, None] > 0
     known = (taken & others).astype(np.uint8)
     noise = root @ root.T + np.eye(m)
     first = jacobian @ parts[0] @ jacobian.T + noise
-    return rng.standard_normal((ROWS, STATES)), parts, rng.standard_normal(m), jacobian, noise, first, sees, known
+    return rng.standard_normal((FILTERS, STATES)), parts, rng.standard_normal(m), jacobian, noise, first, sees, known
 
 
 def assert_equal(found: FloatArray, expected: FloatArray) -> None:
@@ -47,22 +47,22 @@ def test_beacon_innovations_equal_numpy(lights: int) -> None:
     residuals, gains, nis, turns = compiled_subfilters.beacon_innovations(*sighting(lights))
     every = [residual, *(residual - distance @ h.T)]
     covariances = [first, *(h @ parts @ h.T + noise)]
-    for row in range(ROWS):
-        seen = sees[row].astype(bool)
-        covariance = np.where(np.outer(seen, seen), covariances[row + 1], np.eye(len(h)))
-        left = every[row + 1] * seen
-        assert_equal(residuals[row], left)
-        assert_equal(gains[row], (parts[row] @ h.T * seen) @ np.linalg.inv(covariance))
-        assert_equal(nis[row], left @ np.linalg.solve(covariance, left))
-    for row, light in np.ndindex(ROWS + 1, lights):
-        own, others = slice(2 * light, 2 * light + 2), known[light, row].astype(bool)
-        covariance = covariances[row]
+    for index in range(FILTERS):
+        seen = sees[index].astype(bool)
+        covariance = np.where(np.outer(seen, seen), covariances[index + 1], np.eye(len(h)))
+        left = every[index + 1] * seen
+        assert_equal(residuals[index], left)
+        assert_equal(gains[index], (parts[index] @ h.T * seen) @ np.linalg.inv(covariance))
+        assert_equal(nis[index], left @ np.linalg.solve(covariance, left))
+    for index, light in np.ndindex(FILTERS + 1, lights):
+        own, others = slice(2 * light, 2 * light + 2), known[light, index].astype(bool)
+        covariance = covariances[index]
         weights = covariance[own, others] @ np.linalg.inv(covariance[np.ix_(others, others)])
-        left = every[row][own] - weights @ every[row][others]
+        left = every[index][own] - weights @ every[index][others]
         assert_equal(
-            turns[row, light, :2], inverse_root(covariance[own, own] - weights @ covariance[others, own]) @ left
+            turns[index, light, :2], inverse_root(covariance[own, own] - weights @ covariance[others, own]) @ left
         )
-        assert turns[row, light, 2] == 0.0
+        assert turns[index, light, 2] == 0.0
 
 
 def test_indefinite_covariance_is_refused() -> None:

@@ -117,15 +117,15 @@ def test_a_requirement_that_is_not_met_is_exit_code_1(tmp_path: Path, capsys: py
     values = ONE_DRONE | {"required_arcsec": 0.5}
     values["optical_axis"] = values["optical_axis"] | {"escort": {"elevation_min_deg": 40.0}}
     assert main([str(write(tmp_path / "one.yaml", values)), "--out", str(tmp_path / "out")]) == 1
-    told = capsys.readouterr().out
-    assert "required 0.5 arcsec" in told
-    assert "limits reached: elevation_min_deg" in told
+    printed = capsys.readouterr().out
+    assert "required 0.5 arcsec" in printed
+    assert "limits reached: elevation_min_deg" in printed
     page = (tmp_path / "out" / "design_study.html").read_text(encoding="utf-8")
     assert "is <b>not</b> met" in page
     assert "No position of the drones is within the limits: elevation_min_deg leaves none" in page
 
 
-def changed(**values: Any) -> dict[str, Any]:
+def one_drone_with(**values: Any) -> dict[str, Any]:
     return ONE_DRONE | values
 
 
@@ -135,20 +135,37 @@ OPTICS = {"telescope_id": "t", "focal_length_m": 0.1}
 @pytest.mark.parametrize(
     ("values", "reason"),
     [
-        (changed(lights={}), r"'optical_axis.beacons.a': expected 'a' under lights too"),
-        (changed(lights=LIGHTS | {"b": LIGHTS["a"]}), r":\d+: parameter 'lights.b': expected 'b' under optical_axis"),
-        (changed(lights={"a": LIGHTS["a"] | {"up_deg": 9.0}}), r"'lights.a': it is 9.21 deg from the telescope's axis"),
-        (changed(lights={"a": LIGHTS["a"] | {"distance_m": float("nan")}}), r"'lights.a.distance_m' must be finite"),
-        (changed(optical_axis={"telescope": OPTICS}, lights={}), "'optical_axis.beacons': expected at least one drone"),
-        (changed(optical_axis={"beacons": {"a": DRONE}}), r"'optical_axis.telescope"),
-        (changed(optical_axis={"telescope": OPTICS | {"sigma_m": 1e-6}, "beacons": {"a": DRONE}}), "remove it"),
+        (one_drone_with(lights={}), r"'optical_axis.beacons.a': expected 'a' under lights too"),
         (
-            changed(optical_axis={"telescope": OPTICS, "beacons": {"a": DRONE}, "escort": {"range_min_m": 9000.0}}),
+            one_drone_with(lights=LIGHTS | {"b": LIGHTS["a"]}),
+            r":\d+: parameter 'lights.b': expected 'b' under optical_axis",
+        ),
+        (
+            one_drone_with(lights={"a": LIGHTS["a"] | {"up_deg": 9.0}}),
+            r"'lights.a': it is 9.21 deg from the telescope's axis",
+        ),
+        (
+            one_drone_with(lights={"a": LIGHTS["a"] | {"distance_m": float("nan")}}),
+            r"'lights.a.distance_m' must be finite",
+        ),
+        (
+            one_drone_with(optical_axis={"telescope": OPTICS}, lights={}),
+            "'optical_axis.beacons': expected at least one drone",
+        ),
+        (one_drone_with(optical_axis={"beacons": {"a": DRONE}}), r"'optical_axis.telescope"),
+        (one_drone_with(optical_axis={"telescope": OPTICS | {"sigma_m": 1e-6}, "beacons": {"a": DRONE}}), "remove it"),
+        (
+            one_drone_with(
+                optical_axis={"telescope": OPTICS, "beacons": {"a": DRONE}, "escort": {"range_min_m": 9000.0}}
+            ),
             r":\d+: under 'optical_axis': parameter 'escort.range_min_m' = 9000 m: expected at most",
         ),
-        (changed(pixel_pitch_m=1e-7, centroid_sigma_px=1e-3), r"'centroid_sigma_px' = 0.001: times pixel_pitch_m"),
-        (changed(elevation_deg=95.0), r"'elevation_deg'.*95"),
-        (changed(colour="red"), r"'colour' is unknown"),
+        (
+            one_drone_with(pixel_pitch_m=1e-7, centroid_sigma_px=1e-3),
+            r"'centroid_sigma_px' = 0.001: times pixel_pitch_m",
+        ),
+        (one_drone_with(elevation_deg=95.0), r"'elevation_deg'.*95"),
+        (one_drone_with(colour="red"), r"'colour' is unknown"),
         ("lights: [\n", "bad.yaml"),
     ],
 )

@@ -45,106 +45,106 @@ def give_beacon_attitude(encoder_check: EncoderCheck, number: int, azimuth: floa
 
 def stop_in_motion(rate: float = 0.02) -> tuple[EncoderCheck, int]:
     """Return ten readings in motion, rad/s, and one equal to the last."""
-    watch = EncoderCheck(ARCSEC, FREE)
+    check = EncoderCheck(ARCSEC, FREE)
     for number in range(10):
-        assert check_reading(watch, reading(number, 1.0 + rate * number * 0.01)) is None
-        assert not watch.unconfirmed_reason
-    check_reading(watch, reading(10, 1.0 + rate * 0.09))
-    return watch, 10
+        assert check_reading(check, reading(number, 1.0 + rate * number * 0.01)) is None
+        assert not check.unconfirmed_reason
+    check_reading(check, reading(10, 1.0 + rate * 0.09))
+    return check, 10
 
 
 def test_stopped_readings_are_unconfirmed_until_beacons_confirm() -> None:
-    watch, number = stop_in_motion()
-    assert watch.unconfirmed_reason
-    watch.confirm((number - 3) * PERIOD_NS)  # of before they stood still
-    assert watch.unconfirmed_reason
-    watch.confirm((number + 1) * PERIOD_NS)
-    assert not watch.unconfirmed_reason
+    check, number = stop_in_motion()
+    assert check.unconfirmed_reason
+    check.confirm((number - 3) * PERIOD_NS)  # before they stopped
+    assert check.unconfirmed_reason
+    check.confirm((number + 1) * PERIOD_NS)
+    assert not check.unconfirmed_reason
 
 
 def test_encoder_jump_is_confirmed_by_beacons_at_two_times() -> None:
-    """The first beacons fit any inflated estimate, also an axis that stands still while it rotates."""
-    watch = EncoderCheck(ARCSEC, max_acceleration=1.0)
+    """The first beacons fit any inflated estimate, also readings that do not change while the axis rotates."""
+    check = EncoderCheck(ARCSEC, max_acceleration=1.0)
     for number in range(10):
-        check_reading(watch, reading(number, 1.0 + 2e-4 * number))
-    jumped = next(n for n in range(10, 40) if check_reading(watch, reading(n, 1.3 + 2e-4 * n)) is None)
-    assert watch.unconfirmed_reason
-    watch.confirm((jumped - 20) * PERIOD_NS)  # of before the jump
+        check_reading(check, reading(number, 1.0 + 2e-4 * number))
+    jumped = next(n for n in range(10, 40) if check_reading(check, reading(n, 1.3 + 2e-4 * n)) is None)
+    assert check.unconfirmed_reason
+    check.confirm((jumped - 20) * PERIOD_NS)  # of before the jump
     for _ in range(2):  # the same beacons twice are one time
-        watch.confirm((jumped + 1) * PERIOD_NS)
-        assert watch.unconfirmed_reason
-    watch.confirm((jumped + 2) * PERIOD_NS)
-    assert not watch.unconfirmed_reason
+        check.confirm((jumped + 1) * PERIOD_NS)
+        assert check.unconfirmed_reason
+    check.confirm((jumped + 2) * PERIOD_NS)
+    assert not check.unconfirmed_reason
 
 
 def test_slowly_stopping_readings_are_confirmed() -> None:
-    watch, _ = stop_in_motion(rate=4.0 * ARCSEC / 0.01)  # less than five sigmas a reading
-    assert not watch.unconfirmed_reason
+    check, _ = stop_in_motion(rate=4.0 * ARCSEC / 0.01)  # less than five sigmas a reading
+    assert not check.unconfirmed_reason
 
 
 def test_motion_across_the_wrap_is_no_jump() -> None:
-    watch = EncoderCheck(ARCSEC, FREE)
+    check = EncoderCheck(ARCSEC, FREE)
     for number, azimuth in enumerate([2 * np.pi - 1e-4, 2 * np.pi - 5e-5, 1e-9, 1e-9 + 1e-6]):
-        assert check_reading(watch, reading(number, azimuth)) is None
-    assert not watch.unconfirmed_reason
+        assert check_reading(check, reading(number, azimuth)) is None
+    assert not check.unconfirmed_reason
 
 
 def test_a_mount_at_rest_is_never_stuck() -> None:
-    watch, number = stop_in_motion()
+    check, number = stop_in_motion()
     for later in range(number + 1, number + 200):
-        assert check_reading(watch, reading(later, 1.0 + 0.02 * 0.09)) is None
+        assert check_reading(check, reading(later, 1.0 + 0.02 * 0.09)) is None
         if later % 10 == 0:
-            give_beacon_attitude(watch, later, 1.0 + 0.02 * 0.09)
+            give_beacon_attitude(check, later, 1.0 + 0.02 * 0.09)
 
 
 def test_beacons_before_the_stop_are_no_reference() -> None:
-    watch = EncoderCheck(ARCSEC, FREE)
+    check = EncoderCheck(ARCSEC, FREE)
     for number in range(10):
-        check_reading(watch, reading(number, 1.0 + 0.01 * number))
+        check_reading(check, reading(number, 1.0 + 0.01 * number))
     # The beacon of 5 is received only now; meanwhile the mount has come to rest.
-    give_beacon_attitude(watch, 5, 1.05)
+    give_beacon_attitude(check, 5, 1.05)
     for number in range(10, 60):
-        assert check_reading(watch, reading(number, 1.09)) is None
+        assert check_reading(check, reading(number, 1.09)) is None
         if number == 30:
-            give_beacon_attitude(watch, number, 1.09)
+            give_beacon_attitude(check, number, 1.09)
 
 
 def test_stuck_detection_and_recovery() -> None:
-    watch, number = stop_in_motion()
-    refusals = []
+    check, number = stop_in_motion()
+    rejections = []
     for later in range(number + 1, number + 60):
-        give_beacon_attitude(watch, later, 1.0 + 0.001 * later)
-        refusals.append(check_reading(watch, reading(later, 1.0 + 0.02 * 0.09)))
-    # Half a second is not judged: that of the last reading that moved, the one after it, and forty-eight of these.
-    assert [r is not None for r in refusals] == [False] * 48 + [True] * 11
-    assert refusals[-1].reason is Reason.STUCK
-    assert [check_reading(watch, reading(number + 60 + k, 1.1 + 0.001 * k)) for k in range(25)] == [None] * 25
+        give_beacon_attitude(check, later, 1.0 + 0.001 * later)
+        rejections.append(check_reading(check, reading(later, 1.0 + 0.02 * 0.09)))
+    # Half a second is not checked: the last reading that moved, the one after it, and forty-eight of these.
+    assert [r is not None for r in rejections] == [False] * 48 + [True] * 11
+    assert rejections[-1].reason is Reason.STUCK
+    assert [check_reading(check, reading(number + 60 + k, 1.1 + 0.001 * k)) for k in range(25)] == [None] * 25
 
 
 def test_angles_are_taken_modulo_a_turn() -> None:
-    watch = EncoderCheck(ARCSEC, FREE)
+    check = EncoderCheck(ARCSEC, FREE)
     # The mount counts on past a full turn, and its zero is set back by two turns at 50.
     turns = [6.2 + 0.01 * number - (4.0 * np.pi if number >= 50 else 0.0) for number in range(100)]
-    refusals = [
-        check_reading(watch, reading(number, azimuth, 0.5 + 2.0 * np.pi)) for number, azimuth in enumerate(turns)
+    rejections = [
+        check_reading(check, reading(number, azimuth, 0.5 + 2.0 * np.pi)) for number, azimuth in enumerate(turns)
     ]
-    assert refusals == [None] * 100
-    assert watch.unconfirmed_reason == ""
+    assert rejections == [None] * 100
+    assert check.unconfirmed_reason == ""
     # Plunged, the elevation goes up to three quarters of a turn.
     assert check_reading(EncoderCheck(ARCSEC, FREE), reading(0, 1.0, 4.7)) is None
 
 
 def test_degrees_are_rejected_until_radians_persist() -> None:
-    watch = EncoderCheck(ARCSEC, FREE)
-    assert check_reading(watch, reading(0, 6.2, 0.5)) is None
-    assert check_reading(watch, reading(1, 355.0, 28.6)).reason is Reason.UNITS
-    assert check_reading(watch, reading(2, 6.2, 0.5)) is None
+    check = EncoderCheck(ARCSEC, FREE)
+    assert check_reading(check, reading(0, 6.2, 0.5)) is None
+    assert check_reading(check, reading(1, 355.0, 28.6)).reason is Reason.UNITS
+    assert check_reading(check, reading(2, 6.2, 0.5)) is None
     for number in range(3, 23):
-        assert check_reading(watch, reading(number, 355.0, 28.6)).reason is Reason.UNITS
+        assert check_reading(check, reading(number, 355.0, 28.6)).reason is Reason.UNITS
     # An elevation of nine degrees could be one in radians, counted too far.
-    refusals = [check_reading(watch, reading(30 + number, 355.0, 9.0)) for number in range(19)]
-    assert all(refusal.reason is Reason.UNITS for refusal in refusals)
-    assert check_reading(watch, reading(60, 6.2, 0.5)) is None
+    rejections = [check_reading(check, reading(30 + number, 355.0, 9.0)) for number in range(19)]
+    assert all(rejection.reason is Reason.UNITS for rejection in rejections)
+    assert check_reading(check, reading(60, 6.2, 0.5)) is None
 
 
 # -- in a whole session -------------------------------------------------------------------------------------
@@ -219,16 +219,16 @@ def test_readings_after_a_stuck_encoder_are_unconfirmed() -> None:
 
 def test_live_changes_reach_the_encoder_check() -> None:
     """One reading has an error of 0.1°, which a mount of 100°/s² can reach within 50 ms and one of 10°/s² cannot."""
-    spoilt = replace_message(session(), index_at(session(), ENCODER, 4.0), replace_reading(0.1))
-    half = index_at(spoilt, ENCODER, 3.0)
-    for changes, refused in (
+    arrivals = replace_message(session(), index_at(session(), ENCODER, 4.0), replace_reading(0.1))
+    half = index_at(arrivals, ENCODER, 3.0)
+    for changes, rejected in (
         ({}, 0),
         ({"encoder.max_acceleration_deg_per_s2": 10.0}, 1),
         ({"encoder.max_acceleration_deg_per_s2": 10.0, "encoder.sigma_arcsec": 100.0}, 0),
     ):
-        adapter = run_adapter(new_adapter(), spoilt[:half]).adapter
+        adapter = run_adapter(new_adapter(), arrivals[:half]).adapter
         adapter.set_parameters(changes)
-        assert run_adapter(adapter, spoilt[half:]).reasons(ENCODER).get("gate", 0) == refused
+        assert run_adapter(adapter, arrivals[half:]).reasons(ENCODER).get("gate", 0) == rejected
 
 
 def test_slip_of_degrees_is_never_valid() -> None:

@@ -26,12 +26,12 @@ def motion(seconds, rng, sigma_arcsec=1.0):
 
 def check_readings(angles, acceleration=FAST, times_ns=None):
     """Return for each reading: True if unconfirmed after it; its rejection; the slip that it proves."""
-    watch, found = EncoderCheck(ARCSEC, acceleration), []
+    check, found = EncoderCheck(ARCSEC, acceleration), []
     for number, row in enumerate(angles):
         time_ns = number * PERIOD_NS if times_ns is None else int(times_ns[number])
-        judged = watch.check(EncoderSample(time_ns, row, ARCSEC), VectorTrack(PERIOD_NS))
-        found.append((bool(watch.unconfirmed_reason), judged.rejection, judged.jump))
-    return watch, found
+        checked = check.check(EncoderSample(time_ns, row, ARCSEC), VectorTrack(PERIOD_NS))
+        found.append((bool(check.unconfirmed_reason), checked.rejection, checked.jump))
+    return check, found
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -42,14 +42,14 @@ def test_step_is_unconfirmed_until_beacons_agree(axis):
     for seed in range(200):
         angles = motion(seconds, np.random.default_rng(seed))
         angles[at:, axis] += 20.0 * ARCSEC
-        watch, found = check_readings(angles)
+        check, found = check_readings(angles)
         first += found[at][0]
-        lasts += all(doubt for doubt, *_ in found[at:])
-        assert all(refusal is None and jump is None for _, refusal, jump in found)
-        watch.confirm((at - 1) * PERIOD_NS)
-        assert bool(watch.unconfirmed_reason) == found[-1][0]
-        watch.confirm(119 * PERIOD_NS)
-        assert not watch.unconfirmed_reason
+        lasts += all(is_unconfirmed for is_unconfirmed, *_ in found[at:])
+        assert all(rejection is None and jump is None for _, rejection, jump in found)
+        check.confirm((at - 1) * PERIOD_NS)
+        assert bool(check.unconfirmed_reason) == found[-1][0]
+        check.confirm(119 * PERIOD_NS)
+        assert not check.unconfirmed_reason
     assert first == 200
     assert lasts >= 196  # 2.5 sigma one-sided, as the next reading against 1.25 of the first one
 
@@ -61,21 +61,21 @@ def test_a_step_that_no_mount_can_make_in_place_is_a_slip():
         angles = motion(seconds, np.random.default_rng(seed))
         angles[at:, 1] -= 55.0 * ARCSEC
         _, found = check_readings(angles)
-        (number,) = [n for n, (_, refusal, _) in enumerate(found) if refusal is not None]
-        _, refusal, jump = found[number]
+        (number,) = [n for n, (_, rejection, _) in enumerate(found) if rejection is not None]
+        _, rejection, jump = found[number]
         assert number == at + 1
-        assert refusal.reason is Reason.GATE
+        assert rejection.reason is Reason.GATE
         assert jump.time_ns == at * PERIOD_NS - 1
         assert np.all(np.abs(jump.jump - [0.0, -55.0 * ARCSEC]) < 4.5 * jump.sigma_rad)
-        assert all(doubt for doubt, *_ in found[at:])
+        assert all(is_unconfirmed for is_unconfirmed, *_ in found[at:])
         # A mount with twice the acceleration goes 72" so: then it may have moved.
-        assert all(refusal is None for _, refusal, _ in check_readings(angles, 2.0 * FAST)[1])
+        assert all(rejection is None for _, rejection, _ in check_readings(angles, 2.0 * FAST)[1])
 
 
 def test_slews_are_no_steps():
     """Trapezoids of rate up to the mount's acceleration, at any phase: unconfirmed at one reading of each corner."""
     seconds = np.arange(600) / RATE_HZ
-    corners = doubts = 0
+    corners = unconfirmed = 0
     for seed in range(60):
         rng = np.random.default_rng(seed)
         acceleration, top = np.radians(rng.uniform(1.0, 60.0)), np.radians(rng.uniform(0.5, 10.0))
@@ -86,17 +86,17 @@ def test_slews_are_no_steps():
         angles = motion(seconds, rng)
         angles[:, 0] += turned * rng.choice([-1.0, 1.0])
         _, found = check_readings(angles % (2 * np.pi), FAST)
-        assert all(refusal is None and jump is None for _, refusal, jump in found)
+        assert all(rejection is None and jump is None for _, rejection, jump in found)
         assert not found[-1][0]
-        corners, doubts = corners + 4, doubts + sum(doubt for doubt, *_ in found)
-    assert doubts <= 2 * corners
+        corners, unconfirmed = corners + 4, unconfirmed + sum(is_unconfirmed for is_unconfirmed, *_ in found)
+    assert unconfirmed <= 2 * corners
 
 
 def test_single_wrong_reading_is_not_unconfirmed():
     angles = motion(np.arange(130) / RATE_HZ, np.random.default_rng(1))
     angles[100] += 60.0 * ARCSEC
     _, found = check_readings(angles)
-    assert [number for number, (doubt, *_) in enumerate(found) if doubt] == [100]
+    assert [number for number, (is_unconfirmed, *_) in enumerate(found) if is_unconfirmed] == [100]
 
 
 @pytest.mark.statistics
@@ -107,7 +107,7 @@ def test_valid_readings_are_no_steps(sigma_arcsec):
     seconds = np.arange(20_000) / RATE_HZ + rng.uniform(-0.1, 0.1, 20_000) / RATE_HZ
     angles = motion(seconds, rng, sigma_arcsec)
     _, found = check_readings(angles, times_ns=np.round(seconds * 1e9) + 10**9)
-    assert not any(doubt for doubt, *_ in found)
+    assert not any(is_unconfirmed for is_unconfirmed, *_ in found)
 
 
 def test_a_mount_that_takes_out_the_roll_at_twenty_hertz_hides_no_step():
@@ -120,5 +120,5 @@ def test_a_mount_that_takes_out_the_roll_at_twenty_hertz_hides_no_step():
         angles[at:, 1] += 20.0 * ARCSEC
         _, found = check_readings(angles, times_ns=np.round(seconds * 1e9))
         first += found[at][0]
-        assert not any(doubt for doubt, *_ in found[:at])
+        assert not any(is_unconfirmed for is_unconfirmed, *_ in found[:at])
     assert first >= 99

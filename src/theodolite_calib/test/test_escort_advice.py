@@ -242,11 +242,11 @@ def test_missing_position_names_the_limit(elevation_deg: float, limits: dict[str
 def test_only_beacons_in_the_field_count() -> None:
     config = paper_config()
     accuracy = accuracy_of(config, 20.0)
-    inside_n, beside_n = positions_off_axis(accuracy, np.array([[1.0, 1.0], [4.0, 0.0]]), 1000.0)
+    inside_n, outside_n = positions_off_axis(accuracy, np.array([[1.0, 1.0], [4.0, 0.0]]), 1000.0)
     none = advice_for(config, accuracy).sigma_now
     assert none == accuracy.sigma((), np.empty((0, 3)))
-    assert advice_for(config, accuracy, a=beside_n).sigma_now == none
-    one = advice_for(config, accuracy, a=inside_n, b=beside_n)
+    assert advice_for(config, accuracy, a=outside_n).sigma_now == none
+    one = advice_for(config, accuracy, a=inside_n, b=outside_n)
     assert one.sigma_now == accuracy.sigma(("a",), inside_n[None])
     assert one.sigma_now < none
 

@@ -11,7 +11,7 @@ from ship_testing.small_session import BEACONS, ENCODER, fault_free_run, new_ada
 from theodolite_calib.filter.step import SightingStep
 from theodolite_calib.optical_axis.output import PointingOutput
 
-MOMENT_S = 2.6
+FAILURE_S = 2.6
 
 
 def failing_where(bad: Callable[..., bool], function: Callable[..., Any]) -> Callable[..., Any]:
@@ -34,7 +34,7 @@ def assert_reported(run: AdapterRun, source: str, time_ns: int) -> None:
 
 
 def test_exposure_on_which_the_filter_raises_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
-    index = index_at(session(), BEACONS, MOMENT_S)
+    index = index_at(session(), BEACONS, FAILURE_S)
     bad_ns = session()[index].stamp_ns
     with monkeypatch.context() as patch:
         bad = failing_where(lambda _, state, sighting, *rest: sighting.time_ns == bad_ns, SightingStep.__call__)
@@ -48,7 +48,7 @@ def test_exposure_on_which_the_filter_raises_is_rejected(monkeypatch: pytest.Mon
 
 
 def test_failed_pointing_is_the_only_one_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    clean, bad_ns = fault_free_run(), session()[index_at(session(), ENCODER, MOMENT_S)].stamp_ns
+    clean, bad_ns = fault_free_run(), session()[index_at(session(), ENCODER, FAILURE_S)].stamp_ns
     bad = failing_where(lambda _, sample, *rest: sample.time_ns == bad_ns, PointingOutput.estimate)
     monkeypatch.setattr(PointingOutput, "estimate", bad)
     run = run_adapter(new_adapter(), session())

@@ -18,9 +18,9 @@ from theodolite_calib.filter.filter import CalibrationFilter
 from theodolite_calib.filter.subfilters import BEACON_PREFIX, ENCODER
 
 SETTINGS = config()
-ROWS = CalibrationFilter(SETTINGS).subfilters
-REFEREE = FaultDetector(SETTINGS.integrity, SETTINGS.gate, ROWS, threshold=5.0)
-FIRST, SECOND = ROWS.beacons[:2]
+SUBFILTERS = CalibrationFilter(SETTINGS).subfilters
+DETECTOR = FaultDetector(SETTINGS.integrity, SETTINGS.gate, SUBFILTERS, threshold=5.0)
+FIRST, SECOND = SUBFILTERS.beacons[:2]
 AGREED_NS, LAST_NS = 10 * SECOND_NS, 40 * SECOND_NS
 
 
@@ -28,20 +28,20 @@ def consistent_state(received_ns: dict[str, int]) -> FaultState:
     """Return a state with the first drone, encoders and beacons consistent since 10 s, and the last times of each
     beacon.
     """
-    trust = initial_fault_state(ROWS)
-    seen_ns = trust.innovation_means.last_measured_ns.copy()
+    state = initial_fault_state(SUBFILTERS)
+    seen_ns = state.innovation_means.last_measured_ns.copy()
     for name, time_ns in received_ns.items():
-        seen_ns[ROWS.beacons.index(name)] = time_ns
+        seen_ns[SUBFILTERS.beacons.index(name)] = time_ns
     left_out = {
         name: ExclusionRecord(ExcludedSource(0, consistent_since_ns=AGREED_NS), "")
         for name in (BEACON_PREFIX + FIRST, ENCODER)
     }
     conflict = UnresolvedFault(
-        0.0 * trust.innovation_means.running[0, 0, :, :3], is_persistent=True, consistent_since_ns=AGREED_NS
+        0.0 * state.innovation_means.running[0, 0, :, :3], is_persistent=True, consistent_since_ns=AGREED_NS
     )
     return replace(
-        trust,
-        innovation_means=replace(trust.innovation_means, last_measured_ns=seen_ns),
+        state,
+        innovation_means=replace(state.innovation_means, last_measured_ns=seen_ns),
         exclusions=left_out,
         unresolved_fault=conflict,
     )
@@ -57,33 +57,37 @@ def consistent_since_ns(fault_state: FaultState) -> list[int | None]:
 
 
 @pytest.mark.parametrize(
-    ("silent_s", "names", "expected"),
+    ("gap_s", "names", "expected"),
     [
         (9, (FIRST, SECOND), [AGREED_NS, AGREED_NS, AGREED_NS]),
         (11, (FIRST, SECOND), [None, None, None]),
         (11, (SECOND,), [AGREED_NS, None, None]),
     ],
 )
-def test_reinstatement_timers_restart_after_a_gap_of_all_beacons(silent_s, names, expected) -> None:
-    trust = consistent_state({FIRST: LAST_NS, SECOND: LAST_NS})
-    assert consistent_since_ns(REFEREE.restart_timers(trust, names, LAST_NS + silent_s * SECOND_NS)) == expected
+def test_reinstatement_timers_restart_after_a_gap_of_all_beacons(gap_s, names, expected) -> None:
+    state = consistent_state({FIRST: LAST_NS, SECOND: LAST_NS})
+    assert consistent_since_ns(DETECTOR.restart_timers(state, names, LAST_NS + gap_s * SECOND_NS)) == expected
 
 
 def test_gap_of_one_beacon_restarts_its_timer_only() -> None:
-    trust = consistent_state({FIRST: LAST_NS - 20 * SECOND_NS, SECOND: LAST_NS})
+    state = consistent_state({FIRST: LAST_NS - 20 * SECOND_NS, SECOND: LAST_NS})
     later_ns = LAST_NS + SECOND_NS
-    assert consistent_since_ns(REFEREE.restart_timers(trust, (FIRST, SECOND), later_ns)) == [None, AGREED_NS, AGREED_NS]
+    assert consistent_since_ns(DETECTOR.restart_timers(state, (FIRST, SECOND), later_ns)) == [
+        None,
+        AGREED_NS,
+        AGREED_NS,
+    ]
 
 
 def test_encoder_is_reinstated_a_minute_after_the_gap() -> None:
-    trust, back_ns = consistent_state({FIRST: LAST_NS, SECOND: LAST_NS}), LAST_NS + 100 * SECOND_NS
+    state, back_ns = consistent_state({FIRST: LAST_NS, SECOND: LAST_NS}), LAST_NS + 100 * SECOND_NS
     returned = []
     for time_ns in range(back_ns, back_ns + 62 * SECOND_NS, SECOND_NS):
-        trust = REFEREE.restart_timers(trust, (SECOND,), time_ns)
-        heard_ns = trust.innovation_means.last_measured_ns.copy()
-        heard_ns[ROWS.beacons.index(SECOND)] = time_ns
-        trust = replace(trust, innovation_means=replace(trust.innovation_means, last_measured_ns=heard_ns))
-        if ENCODER in trust.exclusions:
-            trust = REFEREE.monitor_prediction(trust, ENCODER, True, time_ns)
-            returned += [] if ENCODER in trust.exclusions else [(time_ns - back_ns) / SECOND_NS]
+        state = DETECTOR.restart_timers(state, (SECOND,), time_ns)
+        measured_ns = state.innovation_means.last_measured_ns.copy()
+        measured_ns[SUBFILTERS.beacons.index(SECOND)] = time_ns
+        state = replace(state, innovation_means=replace(state.innovation_means, last_measured_ns=measured_ns))
+        if ENCODER in state.exclusions:
+            state = DETECTOR.monitor_prediction(state, ENCODER, True, time_ns)
+            returned += [] if ENCODER in state.exclusions else [(time_ns - back_ns) / SECOND_NS]
     assert returned == [SETTINGS.integrity.return_after_s]

@@ -211,7 +211,7 @@ def test_normalised_innovations_are_chi_square() -> None:
 
 
 @pytest.mark.parametrize("source", ["ship/attitude", "ins/imu"])
-def test_hypotheses_are_carried_as_each_alone(source: str) -> None:
+def test_subfilters_are_propagated_as_each_alone(source: str) -> None:
     """Two states of one model on one leading axis, over a minute in which stars end, and over a jump."""
     settings = config(**{**EVERYTHING, "ship__source": source})
     filter_ = CalibrationFilter(settings)
@@ -226,7 +226,7 @@ def test_hypotheses_are_carried_as_each_alone(source: str) -> None:
     jump = EncoderJump(time_ns, ARCSEC * np.array([100.0, -50.0]), ARCSEC)
     later = filter_.inflate_covariance(filter_.propagate(both, time_ns, stated_n), jump)
     assert later.covariance.shape == (2, filter_.model.size, filter_.model.size)
-    for row, state in enumerate(alone):
+    for index, state in enumerate(alone):
         one = filter_.inflate_covariance(filter_.propagate(state, time_ns, stated_n), jump)
-        assert later.mean[row].tobytes() == one.mean.tobytes()
-        assert later.covariance_by_source[row].tobytes() == one.covariance_by_source.tobytes()
+        assert later.mean[index].tobytes() == one.mean.tobytes()
+        assert later.covariance_by_source[index].tobytes() == one.covariance_by_source.tobytes()

@@ -21,7 +21,7 @@ from theodolite_calib.ros.calibration_file import CALIBRATION_FILE
 
 HEADER = "observation,encoder_azimuth_deg,encoder_elevation_deg,azimuth_offset_deg,elevation_offset_deg"
 COUNT = 40
-KNOCKED = 11
+OUTLIER = 11
 
 
 def table_rows() -> list[list[float]]:
@@ -29,7 +29,7 @@ def table_rows() -> list[list[float]]:
     rng = np.random.default_rng(1)
     sightings = simulate_sightings(rng, ERRORS, random_angles(rng, COUNT, (10.0, 85.0)), 5.0)
     azimuth, elevation = azimuth_and_elevation(sightings.direction_d)
-    elevation[KNOCKED] += 120.0 * ARCSEC
+    elevation[OUTLIER] += 120.0 * ARCSEC
     offsets = wrap_pi(azimuth - sightings.azimuth), elevation - sightings.elevation
     return np.rad2deg([sightings.azimuth, sightings.elevation, *offsets]).T.tolist()
 
@@ -78,7 +78,7 @@ def test_tables_are_consistent(folder: Path) -> None:
 
     residuals = rows_of(folder / "residuals.csv")
     assert [row["observation"] for row in residuals if row["outlier"] == "yes"] == document["outliers"]
-    assert f"S{KNOCKED}" in document["outliers"]
+    assert f"S{OUTLIER}" in document["outliers"]
     sizes = np.array([float(row["after_arcsec"]) for row in residuals])
     assert np.sqrt(np.mean(sizes**2)) == pytest.approx(document["rms_after_arcsec"], abs=1e-4)
     left_out = np.array([[float(row[f"left_out_{side}_arcsec"]) for side in ("right", "up")] for row in residuals])
@@ -315,7 +315,7 @@ def test_repeated_rows_count_once(tmp_path: Path, capsys: pytest.CaptureFixture[
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "text"),
     [
         (lambda row: row, None),
         (lambda row: [*row[:2], row[2] * math.cos(math.radians(row[1])), row[3]], "already multiplied by cos E"),
@@ -324,17 +324,17 @@ def test_repeated_rows_count_once(tmp_path: Path, capsys: pytest.CaptureFixture[
     ],
 )
 def test_wrong_offset_conventions_are_reported(
-    changed: Callable[[list[float]], list[float]], told: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    changed: Callable[[list[float]], list[float]], text: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     table = write_table(tmp_path / "s.csv", [changed(row) for row in table_rows()])
     assert main([str(table), "--out", str(tmp_path / "out")]) == 0
     shown = capsys.readouterr().out
     # No sighting can show the common sign of both: the first one is printed.
     assert "observation S0 has the true direction" in shown
-    assert ("warning: " in shown) == (told is not None)
-    assert (tmp_path / "out" / "calibration.yaml").exists() == (told is None)
-    if told is not None:
-        assert told in shown
+    assert ("warning: " in shown) == (text is not None)
+    assert (tmp_path / "out" / "calibration.yaml").exists() == (text is None)
+    if text is not None:
+        assert text in shown
 
 
 @pytest.mark.parametrize(

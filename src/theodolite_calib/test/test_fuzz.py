@@ -26,7 +26,7 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
         start_ns = now_ns
         for arrival in session():
             now_ns = start_ns + arrival.receive_ns - START_NS
-            good = later(arrival, start_ns - START_NS)
+            good = shifted_by(arrival, start_ns - START_NS)
             give_message(run, good, now_ns)
             if arrival.topic == SHIP and start_ns == START_NS:
                 continue  # No lights are used while both the encoders and the ship contradict themselves.
@@ -49,7 +49,7 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
     adapter.service("reset", now_ns)
     for arrival in session():
         give_message(
-            run, later(arrival, now_ns + SECOND_NS - START_NS), now_ns + SECOND_NS + arrival.receive_ns - START_NS
+            run, shifted_by(arrival, now_ns + SECOND_NS - START_NS), now_ns + SECOND_NS + arrival.receive_ns - START_NS
         )
     last, clean_last = run.pointings[-1], fault_free_run().pointings[-1]
     assert last.status == Status.VALID
@@ -57,7 +57,7 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
         assert abs(getattr(last, angle) - getattr(clean_last, angle)) < 1e-9
 
 
-def later(arrival: Arrival, ns: int) -> Arrival:
+def shifted_by(arrival: Arrival, ns: int) -> Arrival:
     message = copy.deepcopy(arrival.message)
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(arrival.stamp_ns + ns, SECOND_NS)
     return Arrival(arrival.topic, message, arrival.receive_ns + ns)

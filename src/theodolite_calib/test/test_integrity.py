@@ -32,10 +32,10 @@ def seconds(message: Any) -> float:
 
 def test_levels_go_out_once_a_second_and_name_their_hypotheses() -> None:
     run = fault_free_run()
-    told = run.messages(TOPIC)
-    assert 5 <= len(told) <= 8
-    assert {m.header.frame_id for m in told} == {"theodolite_main"}
-    last = told[-1]
+    reports = run.messages(TOPIC)
+    assert 5 <= len(reports) <= 8
+    assert {m.header.frame_id for m in reports} == {"theodolite_main"}
+    last = reports[-1]
     assert last.quantities == ["azimuth_cos_elevation", "elevation", "image_rotation"]
     assert last.hypotheses == ["beacon.alpha", "beacon.bravo", "encoder", "ship_attitude"]
     assert (last.state, last.excluded) == (Integrity.NO_LIMIT, [])
@@ -54,18 +54,18 @@ def test_integrity_is_unavailable_without_beacons() -> None:
 
 
 def test_exclusion_is_published_at_once_and_in_diagnostics() -> None:
-    def moved(message: Any) -> None:
+    def move_up(message: Any) -> None:
         message.enu.z += 3.0
 
     wrong = change_where(
-        session(10.0), lambda a: a.topic == BASELINE["alpha"] and a.stamp_ns - START_NS > 5 * SECOND_NS, moved
+        session(10.0), lambda a: a.topic == BASELINE["alpha"] and a.stamp_ns - START_NS > 5 * SECOND_NS, move_up
     )
     run = run_adapter(new_adapter(), wrong)
-    told = [m for m in run.messages(TOPIC) if m.excluded]
-    assert told[0].excluded == ["beacon.alpha"]
-    assert 4.8 < seconds(told[0]) < 6.5
-    assert told[-1].excluded_for_s[0] == pytest.approx(seconds(told[-1]) - seconds(told[0]), abs=0.6)
-    assert told[-1].hypotheses == ["beacon.bravo", "encoder", "ship_attitude"]
+    reports = [m for m in run.messages(TOPIC) if m.excluded]
+    assert reports[0].excluded == ["beacon.alpha"]
+    assert 4.8 < seconds(reports[0]) < 6.5
+    assert reports[-1].excluded_for_s[0] == pytest.approx(seconds(reports[-1]) - seconds(reports[0]), abs=0.6)
+    assert reports[-1].hypotheses == ["beacon.bravo", "encoder", "ship_attitude"]
     assert run.pointings[-1].status == Status.VALID
     since_ns = START_NS + 9 * SECOND_NS
     assert any("beacon.alpha" in text for _, text in run.diagnostics("integrity", since_ns, since_ns + 2 * SECOND_NS))
@@ -75,12 +75,12 @@ def frozen_ship() -> Any:
     """Return a ship's attitude that is constant for four seconds while she rolls."""
     frozen: list[Any] = []
 
-    def stand(message: Any) -> None:
+    def freeze(message: Any) -> None:
         frozen.append(message)
         for name in ("orientation", "angular_velocity"):
             setattr(message, name, getattr(frozen[0], name))
 
-    return change_where(session(12.0), lambda a: a.topic == SHIP and 4.0 <= seconds(a.message) < 8.0, stand)
+    return change_where(session(12.0), lambda a: a.topic == SHIP and 4.0 <= seconds(a.message) < 8.0, freeze)
 
 
 def lost_lights() -> Any:
@@ -114,11 +114,11 @@ def test_impossible_configuration_is_refused_by_name(changes: dict[str, Any], na
 def test_an_exclusion_does_not_depend_on_the_order_of_arrival(seed: int) -> None:
     """A baseline jumps by 3 m; messages of beacons and baselines are up to two seconds late."""
 
-    def moved(message: Any) -> None:
+    def move_up(message: Any) -> None:
         message.enu.z += 3.0
 
     wrong = change_where(
-        session(), lambda a: a.topic == BASELINE["alpha"] and a.stamp_ns - START_NS > 3 * SECOND_NS, moved
+        session(), lambda a: a.topic == BASELINE["alpha"] and a.stamp_ns - START_NS > 3 * SECOND_NS, move_up
     )
     rng = np.random.default_rng(seed)
     late = np.array([a.topic in (BEACONS, *BASELINE.values()) for a in wrong])

@@ -61,9 +61,9 @@ def test_any_order_within_the_lag_ends_in_the_same_state(seed: int, topics: tupl
     run = run_adapter(new_adapter(), shuffle_arrivals(seed, topics))
     assert run.state() == fault_free_run().state()
     for topic in ALL:
-        # Where what lies around an exposure came late, it may be refused first; in the end it is used.
+        # An exposure may be rejected first if the data around it came late; in the end it is used.
         assert set(run.reasons(topic)) <= {"gap", "revised"}
-    # What claims nothing stands outside the order.
+    # INVALID outputs are not in the order.
     stamps = [stamp_of(m) for m in run.pointings if m.status != Status.INVALID]
     assert all(earlier < later for earlier, later in pairwise(stamps))
     one, other = run.adapter.core.calibration(), fault_free_run().adapter.core.calibration()
@@ -145,8 +145,8 @@ def repeat_times(topics: tuple[str, ...]) -> tuple[Arrival, ...]:
 
 def lights_used(run: Run) -> list[float]:
     """Return the stamps of accepted beacons, s after the start."""
-    told = [m for m in run.messages("theodolite/innovation") if m.source == "lights" and m.accepted]
-    return sorted({(stamp_of(m) - START_NS) / SECOND_NS for m in told})
+    accepted = [m for m in run.messages("theodolite/innovation") if m.source == "lights" and m.accepted]
+    return sorted({(stamp_of(m) - START_NS) / SECOND_NS for m in accepted})
 
 
 def test_beacons_are_rejected_while_encoders_and_ship_repeat_times() -> None:

@@ -53,7 +53,7 @@ NEAR_AND_FAR_M = 1250.0 - 750.0 * np.cos(2.0 * np.pi * TIMES_S / 100.0)
 FORWARD, UP, RIGHT = range(3)
 
 
-@pytest.fixture(scope="module", name="watch")
+@pytest.fixture(scope="module", name="sky_model")
 def _sky():
     return mount_sky(SETTINGS, START_NS, 310)
 
@@ -94,8 +94,8 @@ def lens_error_m(filter_: CalibrationFilter, state: CalibrationState) -> tuple[n
 
 @pytest.mark.slow
 @pytest.mark.parametrize("distance_m", [None, NEAR_AND_FAR_M], ids=["2 km", "0.5 to 2 km"])
-def test_beacons_and_stars_observe_n_right_and_up(watch, distance_m) -> None:
-    found = [state_after_sweep(seed, watch, distance_m)[:2] for seed in range(3)]
+def test_beacons_and_stars_observe_n_right_and_up(sky_model, distance_m) -> None:
+    found = [state_after_sweep(seed, sky_model, distance_m)[:2] for seed in range(3)]
     errors_m, sigmas_m = np.array([lens_error_m(*one) for one in found]).swapaxes(0, 1)
     assert np.max(sigmas_m[:, RIGHT]) < 0.005
     assert np.max(sigmas_m[:, UP]) < 0.015
@@ -116,13 +116,13 @@ def test_beacons_alone_confuse_n_with_axis_errors() -> None:
     filter_, state, _ = state_after_sweep(0, None)
     _, sigma_m = lens_error_m(filter_, state)
     assert np.min(sigma_m) > 0.9 * LENS_M
-    open_ones = calibration_from_state(filter_, SETTINGS, state).unobservable
+    unobservable = calibration_from_state(filter_, SETTINGS, state).unobservable
     # A radian of collimation is 2 km of N': so far the lights are away.
-    assert "c + 2e+03 lens_right" in open_ones
-    assert "h + 2e+03 lens_up" in open_ones
+    assert "c + 2e+03 lens_right" in unobservable
+    assert "h + 2e+03 lens_up" in unobservable
 
 
-def test_star_sensor_on_the_main_tube_observes_parallelism(watch) -> None:
+def test_star_sensor_on_the_main_tube_observes_parallelism(sky_model) -> None:
     """The sensor is surveyed to 0.2″, the telescope to a minute of arc, N' to 2 mm."""
     surveyed = {
         **{f"telescope__{name}_sigma_arcsec": 60.0 for name in ("azimuth", "elevation", "rotation")},
@@ -133,7 +133,7 @@ def test_star_sensor_on_the_main_tube_observes_parallelism(watch) -> None:
         "sky__magnitude_limit": 7.5,
     }
     settings = config(**{**SWEEP, **surveyed})
-    filter_, state, drawn = state_after_sweep(1, watch, None, settings, lens_error_m=0.001)
+    filter_, state, drawn = state_after_sweep(1, sky_model, None, settings, lens_error_m=0.001)
     calibration = calibration_from_state(filter_, settings, state)
     first = calibration.names.index("parallelism_azimuth")
     assert calibration.names[first + 3 : first + 6] == tuple(
@@ -142,6 +142,6 @@ def test_star_sensor_on_the_main_tube_observes_parallelism(watch) -> None:
     sigma = np.sqrt(np.diagonal(calibration.covariance)[first : first + 3]) / ARCSEC
     error = (calibration.values[first : first + 3] - drawn.parallelism) / ARCSEC
     assert np.max(sigma[:2]) < 1.0
-    # 15 mm of slow error of each baseline, 2 km away, on lights that are 7° apart: 18″ of rotation, and less all round.
+    # 15 mm of correlated error of each baseline, 2 km away, on lights that are 7° apart: 18″ of rotation or less.
     assert sigma[2] < 10.0
     assert np.max(np.abs(error / sigma)) < 3.5

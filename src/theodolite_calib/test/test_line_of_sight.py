@@ -54,7 +54,7 @@ def inputs() -> tuple[BeaconPoses, Ship, Survey]:
 def disturbed_lines(name: str, error: FloatArray, lights: BeaconPoses, ship: Ship, survey: Survey) -> LinesOfSight:
     """Return lines of sight of the used values plus an error: (k,) if common, (N, k) if not."""
 
-    def longer(lever: LeverArm) -> LeverArm:
+    def with_longer(lever: LeverArm) -> LeverArm:
         return replace(lever, vector_m=lever.vector_m + error)
 
     match name:
@@ -62,7 +62,7 @@ def disturbed_lines(name: str, error: FloatArray, lights: BeaconPoses, ship: Shi
             lights = replace(lights, baseline_n=lights.baseline_n + error)
         case "theodolite_lever" | "principal_point" | "light_lever":
             lever = name.replace("light", "beacon")
-            survey = replace(survey, **{lever: longer(getattr(survey, lever))})
+            survey = replace(survey, **{lever: with_longer(getattr(survey, lever))})
         case "ship_attitude":
             ship = replace(ship, rotation_nd=exp_rotation(error) @ ship.rotation_nd)
         case "drone_attitude":
@@ -176,23 +176,23 @@ def test_joint_covariance_is_that_of_drawn_errors():
     rng, count = np.random.default_rng(12), 20_000
     lights, ship, survey = inputs()
 
-    def drawn(name: str) -> FloatArray:
+    def draw(name: str) -> FloatArray:
         term = TERMS[name]
         shape = (count, 1) if term.is_common else (count, 3)
         root = np.linalg.cholesky(term.covariance)
         return (root @ rng.standard_normal((*shape, root.shape[-1], 1)))[..., 0]
 
-    lever = LeverArm(survey.beacon_lever.vector_m + drawn("light_lever"), np.zeros(3))
-    ahead = survey.theodolite_lever.vector_m + drawn("theodolite_lever")[:, 0]
-    lens = survey.principal_point.vector_m + drawn("principal_point")[:, 0]
-    rotation_nd = exp_rotation(drawn("ship_attitude")[:, 0]) @ ship.rotation_nd
+    lever = LeverArm(survey.beacon_lever.vector_m + draw("light_lever"), np.zeros(3))
+    ahead = survey.theodolite_lever.vector_m + draw("theodolite_lever")[:, 0]
+    lens = survey.principal_point.vector_m + draw("principal_point")[:, 0]
+    rotation_nd = exp_rotation(draw("ship_attitude")[:, 0]) @ ship.rotation_nd
     # The ship's levers have no leading dimensions: they join the baselines, as models.md §5 has it.
     rotated = np.einsum("nij,nj->ni", rotation_nd, ahead) + np.einsum(
         "nij,jk,nk->ni", rotation_nd, ship.rotation_dm, lens
     )
-    baseline_n = lights.baseline_n + drawn("rtk_noise") + drawn("rtk_bias") + drawn("rtk_base") - rotated[:, None]
-    rotation_nb = exp_rotation(drawn("drone_attitude")) @ lights.rotation_nb
-    coefficient = survey.refraction_coefficient + (drawn("refraction") + drawn("light_refraction"))[..., 0]
+    baseline_n = lights.baseline_n + draw("rtk_noise") + draw("rtk_bias") + draw("rtk_base") - rotated[:, None]
+    rotation_nb = exp_rotation(draw("drone_attitude")) @ lights.rotation_nb
+    coefficient = survey.refraction_coefficient + (draw("refraction") + draw("light_refraction"))[..., 0]
     true = lines_of_sight(
         replace(lights, baseline_n=baseline_n, rotation_nb=rotation_nb),
         replace(ship, rotation_nd=rotation_nd),

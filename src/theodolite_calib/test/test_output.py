@@ -53,8 +53,8 @@ def readings(source: str, state: CalibrationState) -> tuple[EncoderSeries, ShipS
     assert state.time_ns is not None
     since_ns = np.concatenate([[0], np.sort(rng.integers(1, 8 * 10**9, COUNT - 1))])
     angles = np.stack([rng.uniform(0.0, 6.0, COUNT), rng.uniform(0.1, 1.0, COUNT)], axis=-1)
-    doubt = ["", "", "the encoders stopped during a motion"] * (COUNT // 3)
-    encoders = EncoderSeries(state.time_ns + since_ns, angles, rng.uniform(1e-12, 1e-10, COUNT), doubt)
+    reasons = ["", "", "the encoders stopped during a motion"] * (COUNT // 3)
+    encoders = EncoderSeries(state.time_ns + since_ns, angles, rng.uniform(1e-12, 1e-10, COUNT), reasons)
     # Stars have gone and come again: the ship's error changes at once.
     sizes = np.resize([1.0, 1.1, 3.0, 0.2], COUNT)[:, None, None]
     root = np.diag([1.4, 1.8, 1.4]) + 0.2 * rng.standard_normal((COUNT, 3, 3))
@@ -95,8 +95,8 @@ def test_axis_equals_that_of_the_predicted_state(source: str) -> None:
 def with_unresolved_fault(state: CalibrationState) -> CalibrationState:
     """Return the state with an unresolved fault and separated subfilters."""
     conflict = UnresolvedFault((3.0 * ARCSEC) ** 2 * np.diag([1.0, 2.0, 3.0]))
-    trust = replace(state.fault_state, unresolved_fault=conflict)
-    return replace(state, fault_state=trust, solution_separation=np.full(len(state.solution_separation), 5.0))
+    fault_state = replace(state.fault_state, unresolved_fault=conflict)
+    return replace(state, fault_state=fault_state, solution_separation=np.full(len(state.solution_separation), 5.0))
 
 
 def select_reading(encoders: EncoderSeries, ship: ShipSeries, number: int) -> tuple[EncoderSeries, ShipSeries]:
@@ -116,15 +116,15 @@ def assert_same_bits(found: PointingEstimate, expected: PointingEstimate) -> Non
         assert same or value is one, name
 
 
-@pytest.mark.parametrize("disputed", [False, True])
+@pytest.mark.parametrize("is_unresolved", [False, True])
 @pytest.mark.parametrize("source", SOURCES)
-def test_a_reading_gives_to_the_bit_what_it_gives_among_others(source: str, disputed: bool) -> None:
+def test_a_reading_gives_to_the_bit_what_it_gives_among_others(source: str, is_unresolved: bool) -> None:
     settings, filter_, state = state_after_beacons(source)
-    state, output = with_unresolved_fault(state) if disputed else state, PointingOutput(settings, filter_)
+    state, output = with_unresolved_fault(state) if is_unresolved else state, PointingOutput(settings, filter_)
     encoders, ship = readings(source, state)
     run = output.estimates(encoders, ship, state)
     assert set(run.mode.tolist()) == {Mode.TWO_LIGHTS, Mode.ENCODER}
-    if not disputed:
+    if not is_unresolved:
         assert len(set(run.status)) > 1
         assert len(set(run.text)) > 2
     for number in range(COUNT):
@@ -152,13 +152,13 @@ def test_beacon_outputs_are_valid_while_recent(source: str) -> None:
         np.testing.assert_allclose(ship.chord_nd @ run.rotation_dm, run.rotation_nm, rtol=0.0, atol=1e-14)
 
 
-def test_pointings_that_are_due_are_those_put_out_at_once_and_one_that_fails_fails_alone(
+def test_pending_pointings_equal_those_computed_at_once_and_one_that_fails_fails_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     settings, filter_, state = state_after_beacons("ins/imu")
     later, output = replace(state, consecutive_rejections=1), PointingOutput(settings, filter_)
     encoders, ship = readings("ins/imu", state)
-    due = [
+    pending = [
         PendingPointing(
             EncoderSample(int(encoders.time_ns[number]), encoders.angles[number], 1e-5),
             ShipAt(ship.rotation_nd[number], ship.rate_d[number], None, ship.noise[number], ship.status[number]),
@@ -168,13 +168,13 @@ def test_pointings_that_are_due_are_those_put_out_at_once_and_one_that_fails_fai
         )
         for number in range(9)
     ]
-    runs = output.compute_pending(due)
+    runs = output.compute_pending(pending)
     assert [some for some, _ in runs] == [slice(0, 5), slice(5, 9)]
     for some, run in runs:
         assert isinstance(run, PointingSeries)
-        for number, one in enumerate(due[some]):
+        for number, one in enumerate(pending[some]):
             assert_same_bits(run.estimate(number), output.estimate(one))
-    estimates, odd_ns = output.estimates, due[6].time_ns
+    estimates, odd_ns = output.estimates, pending[6].time_ns
 
     def failing(encoders: EncoderSeries, *rest: Any) -> PointingSeries:
         if odd_ns in encoders.time_ns:
@@ -182,6 +182,6 @@ def test_pointings_that_are_due_are_those_put_out_at_once_and_one_that_fails_fai
         return estimates(encoders, *rest)
 
     monkeypatch.setattr(output, "estimates", failing)
-    found = output.compute_pending(due)
+    found = output.compute_pending(pending)
     assert [some for some, _ in found] == [slice(0, 5), *(slice(number, number + 1) for number in range(5, 9))]
     assert [isinstance(run, PointingSeries) for _, run in found] == [True, True, False, True, True]

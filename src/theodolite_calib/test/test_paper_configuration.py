@@ -41,7 +41,7 @@ def rms(values: FloatArray) -> FloatArray:
 
 
 @DIRECTIONS
-def test_maximum_likelihood_reaches_the_bound_and_knows_it(elevation_deg, rotation_deg):
+def test_maximum_likelihood_reaches_the_bound_and_matches_its_covariance(elevation_deg, rotation_deg):
     epochs, attitude = solve_epochs(elevation_deg, rotation_deg)
     assert attitude.solved.all()
     # Bound 3.47".
@@ -104,7 +104,7 @@ def test_the_papers_method_with_the_lens_left_in(elevation_deg):
 
 
 def test_of_fourteen_directions_equal_parts_fit_the_print_best():
-    """Along the axes and midway between them; the opposite of a direction has the same errors."""
+    """The directions are along the axes and midway between them; opposite directions have the same errors."""
     directions = [np.array(each) for each in product((-1.0, 0.0, 1.0), repeat=3) if np.count_nonzero(each) in (1, 3)]
     assert len(directions) == 14
     found = [unsurveyed_lens_errors_arcsec(direction) for direction in directions]
@@ -117,21 +117,21 @@ def test_of_fourteen_directions_equal_parts_fit_the_print_best():
 
 def test_no_zero_mean_errors_in_a_plane_have_the_printed_mean_and_spread():
     """Printed: 5.90/1.71 = 3.45. Isotropic normal errors have at most sqrt(pi/(4 - pi)) = 1.913."""
-    alike = np.sqrt(np.pi / (4.0 - np.pi))
-    assert alike == pytest.approx(1.913, abs=5e-4)
+    equal_sigmas = np.sqrt(np.pi / (4.0 - np.pi))
+    assert equal_sigmas == pytest.approx(1.913, abs=5e-4)
     drawn = np.random.default_rng(18).standard_normal((400_000, 2))
     ratios = []
     for narrower in (1.0, 0.7, 0.3, 0.0):
         sizes = np.hypot(drawn[:, 0], narrower * drawn[:, 1])
         ratios.append(sizes.mean() / sizes.std())
-    assert ratios[0] == pytest.approx(alike, abs=0.01)
+    assert ratios[0] == pytest.approx(equal_sigmas, abs=0.01)
     assert ratios == sorted(ratios, reverse=True)
     # The paper's method on its own model, with N' surveyed.
     epochs, _ = solve_epochs(30.0, 0.0)
     error = axis_error_arcsec(
         epochs, mean_of_two_triads(epochs.lines().direction_n, epochs.camera.directions(epochs.image.point_m))
     )
-    assert error.mean() / error.std() < alike
+    assert error.mean() / error.std() < equal_sigmas
     assert 5.90 / 1.71 > 3.4
 
 

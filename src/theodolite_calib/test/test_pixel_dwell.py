@@ -34,7 +34,7 @@ from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput
 
 ERRORS_PX = {"field_spatial_sigma_px": 0.2, "pixel_spatial_sigma_px": 0.1}
 """2.7″ and 1.3″, with a noise of 1.3″."""
-NIGHTS, EXPOSURES, STARS, PERIOD_NS = 24, 25, 6, 200_000_000
+SESSIONS, EXPOSURES, STARS, PERIOD_NS = 24, 25, 6, 200_000_000
 
 
 def camera_config(**errors_px: float) -> OpticalAxisConfig:
@@ -47,22 +47,22 @@ def after_five_seconds(
     """Return the true main axis after 25 exposures of the brightest stars, the estimate, and its filter."""
     rng = np.random.default_rng([31, seed])
     detector = DetectorErrors(rng, Detector(**CAMERA, width_px=2201, height_px=2201, **ERRORS_PX))
-    watch = mount_sky(settings)
+    sky_model = mount_sky(settings)
     errors, encoder, filter_ = draw_errors(settings, rng), random_field(rng), CalibrationFilter(settings)
-    step, state = StarStep(settings, filter_, watch), filter_.initial_state()
+    step, state = StarStep(settings, filter_, sky_model), filter_.initial_state()
     deformation = np.full(3, settings.deformation.sigma_arcsec * ARCSEC)
     times_ns = np.arange(EXPOSURES) * PERIOD_NS
     bent_d = gauss_markov(rng, times_ns * 1e-9, deformation, settings.deformation.time_s)
     for time_ns, turn_d in zip((TIME_NS + times_ns).tolist(), bent_d, strict=True):
-        night = MountSession(settings, replace(errors, deformation_d=turn_d), watch, rng, detector)
-        state, _ = step(state, night.sighting(encoder, STARS, time_ns))
-    due = PendingPointing(night.reading(encoder, time_ns), night.ship(), "", 0.0, state)
-    return night.main_axis(encoder), PointingOutput(settings, filter_).estimate(due), filter_
+        session = MountSession(settings, replace(errors, deformation_d=turn_d), sky_model, rng, detector)
+        state, _ = step(state, session.sighting(encoder, STARS, time_ns))
+    pending = PendingPointing(session.reading(encoder, time_ns), session.ship(), "", 0.0, state)
+    return session.main_axis(encoder), PointingOutput(settings, filter_).estimate(pending), filter_
 
 
 def mean_nees(settings: OpticalAxisConfig) -> tuple[float, PointingEstimate, CalibrationFilter]:
     nees = []
-    for seed in range(NIGHTS):
+    for seed in range(SESSIONS):
         true_nm, estimate, filter_ = after_five_seconds(seed, settings)
         nees.append(normalized_error_squared(log_rotation(true_nm @ estimate.rotation_nm.T), estimate.covariance_n))
     return float(np.mean(nees)), estimate, filter_
@@ -70,7 +70,7 @@ def mean_nees(settings: OpticalAxisConfig) -> tuple[float, PointingEstimate, Cal
 
 def test_pointing_matches_its_covariance_with_pixel_errors() -> None:
     nees, estimate, filter_ = mean_nees(camera_config(**ERRORS_PX))
-    low, high = mean_nees_band(NIGHTS, 3)
+    low, high = mean_nees_band(SESSIONS, 3)
     assert low <= nees <= high
     assert (estimate.mode, estimate.status) == (Mode.STARS, Status.VALID)
     sigma = {
@@ -84,7 +84,7 @@ def test_pointing_matches_its_covariance_with_pixel_errors() -> None:
 @pytest.mark.statistics
 def test_filter_without_pixel_errors_is_overconfident() -> None:
     nees, _, _ = mean_nees(camera_config())
-    assert nees > mean_nees_band(NIGHTS, 3)[1]
+    assert nees > mean_nees_band(SESSIONS, 3)[1]
 
 
 @pytest.mark.parametrize("kind", ERRORS_PX)

@@ -20,7 +20,7 @@ KINDS = [
     (Status.COASTING, Mode.ENCODER, True),
     (Status.COASTING, Mode.ENCODER, False),
 ]
-"""Status, mode, and whether the pointing knows of a ship/attitude."""
+"""Status, mode, and True if the pointing used a ship/attitude."""
 
 
 def pointings(count: int = 40) -> list[PointingEstimate]:

@@ -49,7 +49,7 @@ def test_collimation_and_tilt_are_nearly_dependent(six_terms: AxisFit) -> None:
 
 
 def test_left_out_is_what_refits_give(sightings: Sightings, six_terms: AxisFit) -> None:
-    """For the sightings with the largest influence and for some others."""
+    """The sightings are those with the largest influence and some others."""
     for number in [*np.argsort(-sizes(six_terms.residuals))[:4], 0, 1]:
         kept = np.arange(len(sightings.labels)) != number
         others = Sightings(
@@ -83,5 +83,5 @@ def test_multiplied_offsets_are_reported_despite_smaller_residuals(
     )
     assert rms(fit(multiplied, fixed).residuals) < 0.9 * rms(fit(sightings, fixed).residuals)
     assert table_warnings(sightings, fixed) == []
-    (told,) = table_warnings(multiplied, fixed)
-    assert "already multiplied by cos E" in told
+    (text,) = table_warnings(multiplied, fixed)
+    assert "already multiplied by cos E" in text

@@ -114,8 +114,8 @@ def test_pointing_after_the_last_beacons() -> None:
     assert rms(left.sigma[:, 7]) == pytest.approx(29.7, rel=0.02)
     # One error of two components a session counts, those of one session belong together.
     low, high = sigma_ratio_band(2 * SEEDS)
-    for moment in (0, 6, 7):
-        assert low < rms(left.error[:, moment] / left.sigma[:, moment]) < high
+    for index in (0, 6, 7):
+        assert low < rms(left.error[:, index] / left.sigma[:, index]) < high
     assert rms(left.error[:, :7]) < 8.5 * high
     assert rms(left.error[:, 7]) < 31.0 * high
 
@@ -128,7 +128,7 @@ def test_better_than_the_ins_and_an_uncalibrated_encoder() -> None:
 
 
 TEN_SECONDS = {
-    # Of an attitude that is constant and hardly known: not the hull's swaying is in question here.
+    # The attitude is constant with a wide prior: the hull's deformation is not part of this test.
     "deformation__sigma_arcsec": 60.0,
     "deformation__time_s": 1e7,
     "ship__white_sigma_arcsec": 0.0,
@@ -189,7 +189,7 @@ def unobservable_after(low_deg: float, high_deg: float, **changes: float) -> set
     )
 
 
-def test_exactly_three_combinations_are_open_after_a_full_sweep() -> None:
+def test_exactly_three_combinations_are_unobservable_after_a_full_sweep() -> None:
     assert unobservable_after(10.0, 70.0) == THREE
 
 

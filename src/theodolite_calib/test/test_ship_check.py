@@ -94,8 +94,8 @@ def test_late_wrong_sample_is_rejected() -> None:
     """It has an error of a degree, which only the rates of its neighbour contradict."""
     arrivals = session_with_ins_only()
     index = index_at(arrivals, INS, 3.017)
-    spoilt = replace_message(arrivals, index, turn_attitude(1.0, 0.0, 0.0))
-    late = Arrival(INS, spoilt[index].message, spoilt[index].receive_ns + SECOND_NS // 2)
+    faulty = replace_message(arrivals, index, turn_attitude(1.0, 0.0, 0.0))
+    late = Arrival(INS, faulty[index].message, faulty[index].receive_ns + SECOND_NS // 2)
     run = run_adapter(adapter(), sort_by_arrival([*without(arrivals, index), late]))
     assert run.reasons(INS) == {"gate": 1}
     assert run.results() == run_adapter(adapter(), without(arrivals, index)).results()
@@ -106,13 +106,13 @@ def test_late_wrong_sample_is_rejected() -> None:
 def test_permanent_jump_inflates_the_covariance_until_beacons_agree(
     degrees_n: tuple[float, ...], offset_s: float
 ) -> None:
-    def earlier(message: Any) -> None:
+    def set_earlier_stamp(message: Any) -> None:
         # A clock that lags by the configured offset.
         stamp_ns = stamp_of(message) - round(offset_s * SECOND_NS)
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, SECOND_NS)
 
     arrivals = change_where(session_with_ins_only(10.0), of_topic(INS, 3.0), turn_attitude(*degrees_n))
-    run = run_adapter(adapter(ins__time_offset_s=offset_s), change_where(arrivals, of_topic(INS), earlier))
+    run = run_adapter(adapter(ins__time_offset_s=offset_s), change_where(arrivals, of_topic(INS), set_earlier_stamp))
     assert run.reasons(INS) == {"gate": 5}
     after = [m for m in run.pointings if seconds(m) >= 3.0 and m.status != Status.INVALID]
     degraded = [m for m in after if m.status == Status.DEGRADED]
@@ -150,11 +150,11 @@ def test_beacons_before_a_jump_do_not_confirm_it() -> None:
 
 
 def test_simultaneous_encoder_slip_and_ins_jump() -> None:
-    def slipped(message: Any) -> None:
+    def slip(message: Any) -> None:
         message.azimuth = (message.azimuth + np.deg2rad(0.4)) % (2.0 * np.pi)
 
     arrivals = change_where(session_with_ins_only(10.0), of_topic(INS, 3.0), turn_attitude(0.0, 0.3, 0.2))
-    run = run_adapter(adapter(), change_where(arrivals, of_topic(ENCODER, 3.1), slipped))
+    run = run_adapter(adapter(), change_where(arrivals, of_topic(ENCODER, 3.1), slip))
     assert (run.reasons(INS), run.reasons(ENCODER)) == ({"gate": 5}, {"gate": 5})
     assert assert_within_covariance(run)
     assert run.pointings[-1].status == Status.VALID
@@ -169,14 +169,14 @@ def test_number_of_rejections_is_a_live_parameter() -> None:
     assert run_adapter(changed, jumped[half:]).reasons(INS) == {"gate": 9}
 
 
-@pytest.mark.parametrize(("sigma_arcsec", "refused"), [(1.0, 1), (100.0, 0)])
-def test_live_noise_change_reaches_the_check(sigma_arcsec: float, refused: int) -> None:
+@pytest.mark.parametrize(("sigma_arcsec", "rejected"), [(1.0, 1), (100.0, 0)])
+def test_live_noise_change_reaches_the_check(sigma_arcsec: float, rejected: int) -> None:
     arrivals = session_with_ins_only()
-    spoilt = replace_message(arrivals, index_at(arrivals, INS, 4.017), turn_attitude(0.0, 0.1, 0.0))
-    half = index_at(spoilt, ENCODER, 2.0)
-    changed = run_adapter(adapter(), spoilt[:half]).adapter
+    faulty = replace_message(arrivals, index_at(arrivals, INS, 4.017), turn_attitude(0.0, 0.1, 0.0))
+    half = index_at(faulty, ENCODER, 2.0)
+    changed = run_adapter(adapter(), faulty[:half]).adapter
     changed.set_parameters({"ins.white_sigma_arcsec": sigma_arcsec})
-    assert run_adapter(changed, spoilt[half:]).reasons(INS).get("gate", 0) == refused
+    assert run_adapter(changed, faulty[half:]).reasons(INS).get("gate", 0) == rejected
 
 
 @pytest.mark.parametrize("factor", [ZERO, -1.0, 2.0])
@@ -192,9 +192,9 @@ def test_rates_in_degrees_are_reported_and_the_ins_rejected() -> None:
     run = run_adapter(adapter(), change_where(session_with_ins_only(10.0), of_topic(INS), scale_rates(DEGREES)))
     assert run.reasons(INS).keys() == {"units"}
     assert "degrees for radians?" in run.innovations(Reason.UNITS)[0].reason_text
-    told_s = min(seconds(m) for m in run.innovations(Reason.UNITS))
-    assert 5.0 < told_s < 7.0
-    assert {m.status for m in run.pointings if seconds(m) > told_s + 0.1} == {Status.INVALID}
+    detected_s = min(seconds(m) for m in run.innovations(Reason.UNITS))
+    assert 5.0 < detected_s < 7.0
+    assert {m.status for m in run.pointings if seconds(m) > detected_s + 0.1} == {Status.INVALID}
     assert assert_within_covariance(run)
 
 
@@ -207,8 +207,8 @@ def test_stuck_ins_is_detected_by_its_own_rates() -> None:
 
     run = run_adapter(adapter(), change_where(arrivals, of_topic(INS, 3.0, 5.0), freeze))
     assert run.reasons(INS).keys() <= {"stuck", "gate"}
-    refused_s = [seconds(m) for m in run.innovations(Reason.STUCK)]
-    assert refused_s
-    assert max(refused_s) < 5.0
+    rejected_s = [seconds(m) for m in run.innovations(Reason.STUCK)]
+    assert rejected_s
+    assert max(rejected_s) < 5.0
     assert assert_within_covariance(run)
     assert run.pointings[-1].status == Status.VALID

@@ -58,9 +58,9 @@ def test_wrong_one_of_three_beacons_is_rejected(three, wrong: int) -> None:
     shift = np.zeros((3, 2))
     shift[wrong] = [90.0, -60.0]
     after, decision = step(state, shift_beacons(last, shift), exposure(last))
-    ((name, refusal),) = decision.rejected_parts
+    ((name, rejection),) = decision.rejected_parts
     assert name == last.names[wrong]
-    assert refusal.reason is Reason.LIGHT_CONFLICT
+    assert rejection.reason is Reason.LIGHT_CONFLICT
     assert decision.accepted
     assert decision.reason is Reason.NONE
     others = [row for row in range(3) if row != wrong]

@@ -29,7 +29,7 @@ from theodolite_calib.smoothing.core import SmoothingAxisCore
 
 START_NS, SECOND_NS = 1_700_000_000_000_000_000, 1_000_000_000
 SIGHTED_MS = [*range(6000, 11000, 1000), *range(15000, 20000, 1000)]
-ASKED_MS = [ms for ms in range(500, 22000, 1500) if ms not in SIGHTED_MS]
+SMOOTHED_MS = [ms for ms in range(500, 22000, 1500) if ms not in SIGHTED_MS]
 """Before the first lights, among them, in a gap of them, after the last ones."""
 
 SHIP_N = np.array([[9.0, 2.0, 0.0], [2.0, 16.0, -1.0], [0.0, -1.0, 4.0]]) * ARCSEC**2
@@ -166,10 +166,10 @@ def run_smoother() -> tuple[SmoothingAxisCore, list[PointingEstimate], list[Poin
             core.add_exposure(Exposure(time_ns, seen))
         at_once += core.add_encoder(EncoderSample(time_ns, encoders(ms), ENCODER)).estimates
     assert core.state.sighting_count == len(SIGHTED_MS)
-    asked_ns = {START_NS + ms * 1_000_000 for ms in ASKED_MS}
+    smoothed_ns = {START_NS + ms * 1_000_000 for ms in SMOOTHED_MS}
     again = list(core.smooth_remaining())
     assert [one.time_ns for one in again] == [one.time_ns for one in at_once]
-    return core, *([one for one in told if one.time_ns in asked_ns] for told in (at_once, again))
+    return core, *([one for one in estimates if one.time_ns in smoothed_ns] for estimates in (at_once, again))
 
 
 # -- the batch --------------------------------------------------------------------------------------------------------
@@ -204,7 +204,7 @@ class Batch:
 
 def batch() -> Batch:
     built, three = Batch(), np.eye(3)
-    epochs = sorted({*SIGHTED_MS, *ASKED_MS})
+    epochs = sorted({*SIGHTED_MS, *SMOOTHED_MS})
     built.add_process("ship", epochs, SHIP_N, SHIP_TIME_S)
     built.add_process("bent", epochs, BENT**2 * three, BENT_TIME_S)
     built.add_prior("axes", AXES, count=7)
@@ -249,25 +249,27 @@ def smoother_and_batch() -> tuple:
 def test_smoothed_pointings_are_batch_least_squares(smoother_and_batch: tuple) -> None:
     # Issue: within 1 % of sigma.
     _, at_once, smoothed, built, unknowns, factors = smoother_and_batch
-    assert [one.time_ns for one in smoothed] == [START_NS + ms * 1_000_000 for ms in ASKED_MS]
+    assert [one.time_ns for one in smoothed] == [START_NS + ms * 1_000_000 for ms in SMOOTHED_MS]
     worst_mean = worst_sigma = 0.0
-    for one, ms in zip(smoothed, ASKED_MS, strict=True):
+    for one, ms in zip(smoothed, SMOOTHED_MS, strict=True):
         parts = [built.places["ship", ms], built.places["bent", ms], built.places["axes", 0]]
         at = [unknowns[part] for part in parts]
         rotation_nm = main_nm(*at, encoders(ms), ms)
 
-        def off(change: np.ndarray, at=at, ms=ms, rotation_nm=rotation_nm) -> np.ndarray:
+        def rotation_off(change: np.ndarray, at=at, ms=ms, rotation_nm=rotation_nm) -> np.ndarray:
             ship, bent, axes, read = np.split(change, [3, 6, 13])
             moved = main_nm(at[0] + ship, at[1] + bent, at[2] + axes, encoders(ms) + read, ms)
             return Rotation.from_matrix(moved @ rotation_nm.T).as_rotvec()
 
         step = 1e-6
-        slopes = np.array([(off(step * unit) - off(-step * unit)) / (2 * step) for unit in np.eye(15)]).T
+        slopes = np.array(
+            [(rotation_off(step * unit) - rotation_off(-step * unit)) / (2 * step) for unit in np.eye(15)]
+        ).T
         expected = slopes[:, :13] @ covariance_of(factors, built.size, parts) @ slopes[:, :13].T
         expected += ENCODER**2 * slopes[:, 13:] @ slopes[:, 13:].T + SHIP_WHITE**2 * np.eye(3)
         sigma = np.sqrt(expected.diagonal())
-        apart = Rotation.from_matrix(one.rotation_nm @ rotation_nm.T).as_rotvec()
-        worst_mean = max(worst_mean, np.max(np.abs(apart) / sigma))
+        difference = Rotation.from_matrix(one.rotation_nm @ rotation_nm.T).as_rotvec()
+        worst_mean = max(worst_mean, np.max(np.abs(difference) / sigma))
         worst_sigma = max(worst_sigma, np.max(np.abs(np.sqrt(one.covariance_n.diagonal()) / sigma - 1.0)))
     print(f"pointings apart by {worst_mean:.5f} sigma, sigmas by {worst_sigma:.5f}")
     assert worst_mean < 0.01

@@ -63,11 +63,11 @@ def test_a_sighting_leads_back_to_what_was_predicted() -> None:
     np.testing.assert_array_equal(after.last_update.estimate.mean, after.mean)
     assert after.last_update.is_update
     jump = EncoderJump(second.time_ns + 7, np.array([1e-3, 0.0]), 1e-4)
-    opened = filter_.inflate_covariance(after, jump)
-    assert isinstance(opened, TracedState)
-    assert opened.last_update is not None
-    assert opened.last_update.is_update
-    assert opened.last_update.jumped_ns == jump.time_ns
+    inflated = filter_.inflate_covariance(after, jump)
+    assert isinstance(inflated, TracedState)
+    assert inflated.last_update is not None
+    assert inflated.last_update.is_update
+    assert inflated.last_update.jumped_ns == jump.time_ns
 
 
 DRONE = BEACON_PREFIX + "alpha"

@@ -18,7 +18,7 @@ from theodolite_calib.optical_axis.output import PendingPointing, PointingOutput
 
 SEEDS = 8
 START_S = 30.0
-CREEP_PER_S = 200.0 / 60.0 * ARCSEC
+DRIFT_PER_S = 200.0 / 60.0 * ARCSEC
 SETTINGS = config()
 FILTER = CalibrationFilter(SETTINGS)
 
@@ -52,12 +52,12 @@ def valid_pointings() -> tuple[ValidPointing, ...]:
         given = session(SETTINGS, seed, times_s, sweep(times_s))
         state, step = FILTER.initial_state(), SightingStep(SETTINGS, FILTER)
         for time_s, sighting, rotation_nm in zip(times_s, given.sightings, given.rotation_nm, strict=True):
-            azimuth = sighting.encoder.azimuth + CREEP_PER_S * max(time_s - START_S, 0.0)
-            crept = replace(sighting, encoder=replace(sighting.encoder, azimuth=azimuth))
-            state, _ = step(state, crept, Exposure(crept.time_ns, ()))
-            sigma = float(np.sqrt(crept.encoder.noise))
-            sample = EncoderSample(crept.time_ns, np.array([azimuth, crept.encoder.elevation]), sigma)
-            estimate = out.estimate(PendingPointing(sample, crept.ship, "", 0.0, state))
+            azimuth = sighting.encoder.azimuth + DRIFT_PER_S * max(time_s - START_S, 0.0)
+            drifted = replace(sighting, encoder=replace(sighting.encoder, azimuth=azimuth))
+            state, _ = step(state, drifted, Exposure(drifted.time_ns, ()))
+            sigma = float(np.sqrt(drifted.encoder.noise))
+            sample = EncoderSample(drifted.time_ns, np.array([azimuth, drifted.encoder.elevation]), sigma)
+            estimate = out.estimate(PendingPointing(sample, drifted.ship, "", 0.0, state))
             if state.fault_state.exclusions:
                 break
             if estimate.status is Status.VALID:
@@ -67,10 +67,10 @@ def valid_pointings() -> tuple[ValidPointing, ...]:
 
 @pytest.mark.slow
 def test_separations_inflate_the_covariance_before_an_exclusion() -> None:
-    creeping = [one for one in valid_pointings() if one.since_s > 0.0]
-    with_it = [one.sigmas(one.estimate.covariance_n) > 5.0 for one in creeping]
-    without = [one.sigmas(one.estimate.covariance_without_separation_n) > 5.0 for one in creeping]
-    # Not all of it: the errors begin before the estimates stand apart by three sigmas.
+    drifting = [one for one in valid_pointings() if one.since_s > 0.0]
+    with_it = [one.sigmas(one.estimate.covariance_n) > 5.0 for one in drifting]
+    without = [one.sigmas(one.estimate.covariance_without_separation_n) > 5.0 for one in drifting]
+    # Some errors remain: they begin before the solution separation exceeds three sigmas.
     assert sum(without) > 60
     assert sum(with_it) < sum(without) / 3
 
@@ -86,9 +86,9 @@ def test_levels_and_separations_rest_on_the_covariance_without_it() -> None:
     assert np.trace(one.covariance_n) > 2.0 * np.trace(one.covariance_without_separation_n)
     assert one.covariance_by_source_n.sum(axis=0) == pytest.approx(one.covariance_n, rel=1e-12)
     plain = replace(one, covariance_n=one.covariance_without_separation_n)
-    told, expected = (integrity_of(FILTER, SETTINGS, estimate) for estimate in (one, plain))
-    np.testing.assert_array_equal(told.statistic, expected.statistic)
-    np.testing.assert_array_equal(told.level, expected.level)
-    assert np.all(np.isfinite(told.level))
+    report, expected = (integrity_of(FILTER, SETTINGS, estimate) for estimate in (one, plain))
+    np.testing.assert_array_equal(report.statistic, expected.statistic)
+    np.testing.assert_array_equal(report.level, expected.level)
+    assert np.all(np.isfinite(report.level))
     less = integrity_of(FILTER, SETTINGS, replace(one, covariance_without_separation_n=one.covariance_n))
-    assert np.any(less.level > told.level)
+    assert np.any(less.level > report.level)

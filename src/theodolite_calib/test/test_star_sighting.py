@@ -50,8 +50,8 @@ def tracks(until_s: float = 4.0) -> MeasuredTracks:
 def exposure(exposure_s: float) -> StarExposure:
     """Return stars, each at the mean of its pixels over a thousand times."""
     seen_n = SEEN_S @ camera_attitude(MIDDLE_NS / SECOND_NS).T
-    moments_s = MIDDLE_NS / SECOND_NS + exposure_s * ((np.arange(1000) + 0.5) / 1000 - 0.5)
-    pixels = np.mean([CAMERA.pixels(seen_n @ camera_attitude(time_s)) for time_s in moments_s], axis=0)
+    times_s = MIDDLE_NS / SECOND_NS + exposure_s * ((np.arange(1000) + 0.5) / 1000 - 0.5)
+    pixels = np.mean([CAMERA.pixels(seen_n @ camera_attitude(time_s)) for time_s in times_s], axis=0)
     unknown = np.full(len(SEEN_S), np.nan)
     return StarExposure(
         source=f"star.{CAMERA_ID}",

@@ -44,7 +44,7 @@ SEEDS = 50
 SECOND_NS = 1_000_000_000
 
 
-@pytest.fixture(scope="module", name="watch")
+@pytest.fixture(scope="module", name="sky_model")
 def _sky() -> SkyModel:
     return mount_sky(SETTINGS)
 
@@ -57,16 +57,16 @@ class Mount:
     """A filter with its step and its output."""
 
     def __init__(self, settings: OpticalAxisConfig, sky_model: SkyModel) -> None:
-        self.settings, self.watch, self.filter = settings, sky_model, CalibrationFilter(settings)
+        self.settings, self.sky_model, self.filter = settings, sky_model, CalibrationFilter(settings)
         self.step, self._output = StarStep(settings, self.filter, sky_model), PointingOutput(settings, self.filter)
 
     def run(self, seed: int) -> tuple[MountSession, np.random.Generator]:
         rng = np.random.default_rng(seed)
-        return MountSession(self.settings, draw_errors(self.settings, rng), self.watch, rng), rng
+        return MountSession(self.settings, draw_errors(self.settings, rng), self.sky_model, rng), rng
 
-    def pointing(self, night: MountSession, state: CalibrationState, encoder: FloatArray, time_ns: int = TIME_NS):
-        reading = night.reading(encoder, time_ns)
-        return self._output.estimate(PendingPointing(reading, night.ship(), "", 0.0, state))
+    def pointing(self, session: MountSession, state: CalibrationState, encoder: FloatArray, time_ns: int = TIME_NS):
+        reading = session.reading(encoder, time_ns)
+        return self._output.estimate(PendingPointing(reading, session.ship(), "", 0.0, state))
 
 
 def squared_axis_errors(rotation_nm: FloatArray, estimate: PointingEstimate) -> tuple[float, float, float]:
@@ -80,23 +80,23 @@ def squared_axis_errors(rotation_nm: FloatArray, estimate: PointingEstimate) -> 
 
 def one_exposure(mount: Mount, count: int) -> tuple[float, float, float]:
     """Return RMS and stated sigma of the pointing by one exposure (arcsec), and the mean NEES."""
-    told = []
+    errors = []
     for seed in range(SEEDS):
-        night, rng = mount.run(seed)
+        session, rng = mount.run(seed)
         encoder = random_field(rng)
-        state, decision = mount.step(mount.filter.initial_state(), night.sighting(encoder, count))
+        state, decision = mount.step(mount.filter.initial_state(), session.sighting(encoder, count))
         assert decision.accepted, (seed, decision.text)
-        estimate = mount.pointing(night, state, encoder)
+        estimate = mount.pointing(session, state, encoder)
         assert (estimate.mode, estimate.status) == (Mode.STARS, Status.VALID)
         assert np.isnan(estimate.rotation_nt).all()  # the calibration telescope has seen nothing
-        told.append(squared_axis_errors(night.main_axis(encoder), estimate))
-    squares, variances, nees = np.mean(told, axis=0)
+        errors.append(squared_axis_errors(session.main_axis(encoder), estimate))
+    squares, variances, nees = np.mean(errors, axis=0)
     return float(np.sqrt(squares)) / ARCSEC, float(np.sqrt(variances)) / ARCSEC, float(nees)
 
 
 @pytest.mark.parametrize(("count", "most_arcsec"), [(4, 1.2), (8, 0.9)])
-def test_one_exposure_matches_its_covariance(watch, count: int, most_arcsec: float) -> None:
-    rms, sigma, nees = one_exposure(Mount(SETTINGS, watch), count)
+def test_one_exposure_matches_its_covariance(sky_model, count: int, most_arcsec: float) -> None:
+    rms, sigma, nees = one_exposure(Mount(SETTINGS, sky_model), count)
     low, high = mean_nees_band(SEEDS, 3)
     assert low <= nees <= high
     least, most = sigma_ratio_band(2 * SEEDS)
@@ -109,31 +109,31 @@ def streak_exposure(sighting: StarSighting, rng: np.random.Generator) -> tuple[S
     length = ExposureLength(0.02, SETTINGS.telescopes[CAMERA_ID].camera.camera("camera"), 0.8)
     rate_s = np.deg2rad(3.0) * unit(rng.standard_normal(3) * [0.3, 1.0, 1.0])
     turns = exp_rotation(-np.array(length.nodes.offset_ns)[:, None] * 1e-9 * rate_s)
-    seen = reduce_to_mid_exposure(replace(sighting.exposure, length=length), turns)
-    assert seen.smear_s is not None
-    noise_s = (square_roots(seen.smear_s) @ rng.standard_normal((len(seen), 3, 1)))[..., 0]
-    seen = replace(seen, directions_s=unit(seen.directions_s + noise_s))
+    residuals_at = reduce_to_mid_exposure(replace(sighting.exposure, length=length), turns)
+    assert residuals_at.smear_s is not None
+    noise_s = (square_roots(residuals_at.smear_s) @ rng.standard_normal((len(residuals_at), 3, 1)))[..., 0]
+    residuals_at = replace(residuals_at, directions_s=unit(residuals_at.directions_s + noise_s))
     # Information of each star on a small turn of the camera, by hand: across the line of sight, the covariance drawn.
     information = np.zeros((3, 3))
-    for direction_s, smear_s in zip(seen.directions_s, seen.smear_s, strict=True):
+    for direction_s, smear_s in zip(residuals_at.directions_s, residuals_at.smear_s, strict=True):
         across = np.linalg.svd(direction_s[None])[2][1:]
         covariance = STAR_SIGMA**2 * np.eye(2) + across @ smear_s @ across.T
         by_turn = across @ -skew(direction_s)
         information += by_turn.T @ np.linalg.solve(covariance, by_turn)
-    return replace(sighting, exposure=seen), np.linalg.inv(information)[1:, 1:]
+    return replace(sighting, exposure=residuals_at), np.linalg.inv(information)[1:, 1:]
 
 
-def test_through_a_camera_that_turns_the_pointing_comes_to_the_bound_of_the_streaks_drawn(watch) -> None:
-    mount, told, bounds = Mount(SETTINGS, watch), [], []
+def test_through_a_camera_that_turns_the_pointing_comes_to_the_bound_of_the_streaks_drawn(sky_model) -> None:
+    mount, errors, bounds = Mount(SETTINGS, sky_model), [], []
     for seed in range(SEEDS):
-        night, rng = mount.run(500 + seed)
+        session, rng = mount.run(500 + seed)
         encoder = random_field(rng)
-        sighting, bound = streak_exposure(night.sighting(encoder, 5), rng)
+        sighting, bound = streak_exposure(session.sighting(encoder, 5), rng)
         state, decision = mount.step(mount.filter.initial_state(), sighting)
         assert decision.accepted, decision.text
-        told.append(squared_axis_errors(night.main_axis(encoder), mount.pointing(night, state, encoder)))
+        errors.append(squared_axis_errors(session.main_axis(encoder), mount.pointing(session, state, encoder)))
         bounds.append(np.trace(bound))
-    squares, variances, nees = np.mean(told, axis=0)
+    squares, variances, nees = np.mean(errors, axis=0)
     low, high = mean_nees_band(SEEDS, 3)
     assert low <= nees <= high
     least, most = sigma_ratio_band(2 * SEEDS)
@@ -143,17 +143,17 @@ def test_through_a_camera_that_turns_the_pointing_comes_to_the_bound_of_the_stre
     assert np.sqrt(squares) <= 1.15 * np.sqrt(np.mean(bounds))
 
 
-def test_parallelism_dominates_the_budget(watch) -> None:
-    mount = Mount(mount_config(parallelism_sigma_arcsec=1.0), watch)
+def test_parallelism_dominates_the_budget(sky_model) -> None:
+    mount = Mount(mount_config(parallelism_sigma_arcsec=1.0), sky_model)
     rms, sigma, nees = one_exposure(mount, 4)
     low, high = mean_nees_band(SEEDS, 3)
     assert low <= nees <= high
     assert 1.6 < sigma < 1.9
     assert rms == pytest.approx(sigma, rel=0.2)
-    night, rng = mount.run(0)
+    session, rng = mount.run(0)
     encoder = random_field(rng)
-    state, _ = mount.step(mount.filter.initial_state(), night.sighting(encoder, 4))
-    estimate = mount.pointing(night, state, encoder)
+    state, _ = mount.step(mount.filter.initial_state(), session.sighting(encoder, 4))
+    estimate = mount.pointing(session, state, encoder)
     across = estimate.rotation_nm[:, 1:].T
     parts = {
         source: float(np.sqrt(np.trace(across @ part @ across.T))) / ARCSEC
@@ -169,92 +169,92 @@ def test_parallelism_dominates_the_budget(watch) -> None:
 @pytest.mark.parametrize("source", ["ship/attitude", "ins/imu"])
 def test_the_jacobian_is_that_of_finite_differences(source: str) -> None:
     settings = mount_config(ship__source=source, axes__flexure_sigma_arcsec=10.0, sky__utc_sigma_s=0.01)
-    watch = mount_sky(settings)
-    mount = Mount(settings, watch)
-    night, rng = mount.run(5)
+    sky_model = mount_sky(settings)
+    mount = Mount(settings, sky_model)
+    session, rng = mount.run(5)
     encoder, model = random_field(rng), mount.filter.stars
-    sighting = night.sighting(encoder, 5)
+    sighting = session.sighting(encoder, 5)
     sighting = replace(sighting, ship=replace(sighting.ship, rate_d=np.array([0.05, 0.01, -0.02])))
     sigma = np.sqrt(np.diagonal(mount.filter.initial_state().covariance))
     mean = 0.3 * sigma * rng.standard_normal(sigma.size)
-    # Wide enough that all stars are believed at any of these states.
+    # Wide enough that all stars are accepted at any of these states.
     prior = StarPrior(model.predict(mean, sighting).rotation_ns, (300.0 * ARCSEC) ** 2 * np.eye(3))
 
-    def seen(at: FloatArray):
-        found = model.residuals(model.predict(at, sighting), at, sighting, prior, watch)
+    def residuals_at(at: FloatArray):
+        found = model.residuals(model.predict(at, sighting), at, sighting, prior, sky_model)
         assert len(found.residual) == 10
         return found
 
-    here, camera = seen(mean), model.predict(mean, sighting)
+    here, camera = residuals_at(mean), model.predict(mean, sighting)
     for column, one in enumerate(sigma):
         if one == 0.0:
             continue
         step = np.zeros(sigma.size)
         step[column] = 0.05 * one
         # The residual is measured minus predicted.
-        numeric = (seen(mean - step).residual - seen(mean + step).residual) / (2.0 * step[column])
+        numeric = (residuals_at(mean - step).residual - residuals_at(mean + step).residual) / (2.0 * step[column])
         assert here.jacobian[:, column] == pytest.approx(numeric, abs=2e-3 * np.max(np.abs(numeric)) + 1e-9)
         ahead, behind = (model.predict(mean + sign * step, sighting).rotation_ns for sign in (1.0, -1.0))
         turned = log_rotation(ahead @ behind.T) / (2.0 * step[column])
         assert camera.by_state_n[:, column] == pytest.approx(turned, abs=1e-6 * np.max(np.abs(turned)) + 1e-12)
 
 
-def test_stars_without_a_name_are_named_by_the_predicted_pointing(watch) -> None:
-    mount = Mount(SETTINGS, watch)
-    named, left_open = 0, 0
+def test_stars_without_a_name_are_named_by_the_predicted_pointing(sky_model) -> None:
+    mount = Mount(SETTINGS, sky_model)
+    named, unnamed = 0, 0
     for seed in range(20):
-        night, rng = mount.run(seed)
-        sighting = night.sighting(random_field(rng), 6)
+        session, rng = mount.run(seed)
+        sighting = session.sighting(random_field(rng), 6)
         nameless = replace(sighting, exposure=without_identity(sighting.exposure))
         _, decision = mount.step(mount.filter.initial_state(), nameless)
         assert decision.accepted
         names = {component.removesuffix(" up") for component in decision.components if component.endswith(" up")}
         assert names <= {f"HIP {number}" for number in sighting.exposure.hip}
-        named, left_open = named + len(names), left_open + len(decision.rejected_parts)
-    # By a prediction known to a minute of arc one in a hundred has two candidates.
+        named, unnamed = named + len(names), unnamed + len(decision.rejected_parts)
+    # With a prediction sigma of a minute of arc one star in a hundred has two candidates.
     assert named >= 110
-    assert named + left_open == 120
+    assert named + unnamed == 120
 
 
-def test_pointing_without_beacons_stars_and_calibration_is_degraded(watch) -> None:
-    mount = Mount(SETTINGS, watch)
-    night, rng = mount.run(0)
-    estimate = mount.pointing(night, mount.filter.initial_state(), random_field(rng))
+def test_pointing_without_beacons_stars_and_calibration_is_degraded(sky_model) -> None:
+    mount = Mount(SETTINGS, sky_model)
+    session, rng = mount.run(0)
+    estimate = mount.pointing(session, mount.filter.initial_state(), random_field(rng))
     assert (estimate.mode, estimate.status) == (Mode.ENCODER, Status.DEGRADED)
     assert estimate.text == "no light or star used yet and no calibration loaded: axis errors as configured"
 
 
-def state_after_shift(night: MountSession) -> MountSession:
+def state_after_shift(session: MountSession) -> MountSession:
     """Return the state after a shift of camera or encoders by 100″, which stars cannot distinguish."""
-    errors = replace(night.errors, parallelism=night.errors.parallelism + np.array([0.0, 100.0, 0.0]) * ARCSEC)
-    return MountSession(night.settings, errors, night.sky_model, night.rng)
+    errors = replace(session.errors, parallelism=session.errors.parallelism + np.array([0.0, 100.0, 0.0]) * ARCSEC)
+    return MountSession(session.settings, errors, session.sky_model, session.rng)
 
 
-def test_inconsistent_stars_are_rejected_and_degrade_the_pointing(watch) -> None:
-    mount = Mount(SETTINGS, watch)
-    night, _ = mount.run(1)
+def test_inconsistent_stars_are_rejected_and_degrade_the_pointing(sky_model) -> None:
+    mount = Mount(SETTINGS, sky_model)
+    session, _ = mount.run(1)
     encoder = np.array([1.0, 0.9])
-    state, _ = mount.step(mount.filter.initial_state(), night.sighting(encoder, 6))
+    state, _ = mount.step(mount.filter.initial_state(), session.sighting(encoder, 6))
     for number in range(1, 4):
         time_ns = TIME_NS + number * SECOND_NS // 10
-        state, decision = mount.step(state, state_after_shift(night).sighting(encoder, 6, time_ns))
+        state, decision = mount.step(state, state_after_shift(session).sighting(encoder, 6, time_ns))
         assert not decision.accepted
         assert decision.reason in (Reason.GATE, Reason.ATTITUDE_CONFLICT, Reason.MISIDENTIFIED)
         assert state.consecutive_rejections == number
-        estimate = mount.pointing(night, state, encoder, time_ns)
+        estimate = mount.pointing(session, state, encoder, time_ns)
         assert estimate.status is Status.DEGRADED
         assert "stars were inconsistent" in estimate.text
-    state, decision = mount.step(state, night.sighting(encoder, 6, TIME_NS + SECOND_NS))
+    state, decision = mount.step(state, session.sighting(encoder, 6, TIME_NS + SECOND_NS))
     assert decision.accepted
-    assert mount.pointing(night, state, encoder, TIME_NS + SECOND_NS).status is Status.VALID
+    assert mount.pointing(session, state, encoder, TIME_NS + SECOND_NS).status is Status.VALID
 
 
-def test_identified_stars_give_the_attitude_without_encoders(watch) -> None:
+def test_identified_stars_give_the_attitude_without_encoders(sky_model) -> None:
     """The encoders slipped by a degree: stars without names are not identified, which is no contradiction."""
-    mount = Mount(SETTINGS, watch)
-    night, _ = mount.run(3)
+    mount = Mount(SETTINGS, sky_model)
+    session, _ = mount.run(3)
     encoder = np.array([2.0, 0.8])
-    sighting = night.sighting(encoder, 6)
+    sighting = session.sighting(encoder, 6)
     state, _ = mount.step(mount.filter.initial_state(), sighting)
     left_out = ExclusionRecord(ExcludedSource(TIME_NS), "slipped")
     state = replace(state, fault_state=replace(state.fault_state, exclusions={ENCODER: left_out}))
@@ -266,18 +266,18 @@ def test_identified_stars_give_the_attitude_without_encoders(watch) -> None:
     after, decision = mount.step(state, sighting)
     assert decision.accepted
     camera_ns = mount.filter.stars.predict(after.mean, sighting).rotation_ns
-    truth_ns = night.main_axis(encoder) @ rotation_from_angles(
-        *(SETTINGS.telescopes[CAMERA_ID].parallelism + night.errors.parallelism)
+    truth_ns = session.main_axis(encoder) @ rotation_from_angles(
+        *(SETTINGS.telescopes[CAMERA_ID].parallelism + session.errors.parallelism)
     ).T
     assert np.linalg.norm(log_rotation(camera_ns.T @ truth_ns)[1:]) / ARCSEC < 4.0
-    assert mount.pointing(night, after, encoder).status is Status.DEGRADED
+    assert mount.pointing(session, after, encoder).status is Status.DEGRADED
 
 
-def test_one_false_star_is_left_out_and_the_others_are_used(watch) -> None:
-    mount = Mount(SETTINGS, watch)
-    night, rng = mount.run(2)
+def test_one_false_star_is_left_out_and_the_others_are_used(sky_model) -> None:
+    mount = Mount(SETTINGS, sky_model)
+    session, rng = mount.run(2)
     encoder = random_field(rng)
-    sighting = night.sighting(encoder, 6)
+    sighting = session.sighting(encoder, 6)
     directions_s = sighting.exposure.directions_s.copy()
     directions_s[2] = exp_rotation(np.array([0.0, 60.0, 40.0]) * ARCSEC) @ directions_s[2]
     name = f"HIP {sighting.exposure.hip[2]}"
@@ -285,17 +285,17 @@ def test_one_false_star_is_left_out_and_the_others_are_used(watch) -> None:
     state, decision = mount.step(mount.filter.initial_state(), wrong)
     assert decision.accepted
     assert [left_out for left_out, _ in decision.rejected_parts] == [name]
-    squares, variance, _ = squared_axis_errors(night.main_axis(encoder), mount.pointing(night, state, encoder))
+    squares, variance, _ = squared_axis_errors(session.main_axis(encoder), mount.pointing(session, state, encoder))
     assert squares < 13.8 * variance  # one in a thousand
 
 
-def test_exposures_of_a_camera_that_stands_still_are_all_used(watch) -> None:
-    """Unobservable combinations stay unknown although the stars are known to an arcsecond: no step fails."""
-    mount = Mount(SETTINGS, watch)
-    night, rng = mount.run(4)
+def test_exposures_of_a_camera_that_stands_still_are_all_used(sky_model) -> None:
+    """Unobservable combinations keep their prior although the stars have a sigma of an arcsecond: no step fails."""
+    mount = Mount(SETTINGS, sky_model)
+    session, rng = mount.run(4)
     encoder, state = random_field(rng), mount.filter.initial_state()
     for number in range(20):
-        state, decision = mount.step(state, night.sighting(encoder, 12, TIME_NS + number * SECOND_NS // 5))
+        state, decision = mount.step(state, session.sighting(encoder, 12, TIME_NS + number * SECOND_NS // 5))
         assert decision.accepted, decision.text
     root = state.observability.root
     assert np.all(np.isfinite(root))
@@ -303,20 +303,20 @@ def test_exposures_of_a_camera_that_stands_still_are_all_used(watch) -> None:
     assert mount.filter.observability.unobservable_combinations(state.observability)
 
 
-def test_a_night_of_stars_calibrates_the_axes_for_the_day(watch) -> None:
+def test_a_session_of_stars_calibrates_the_axes_for_the_day(sky_model) -> None:
     """Half a minute all over the sky; then as long by the encoders, while the deformation continues."""
     settings = mount_config(encoder__sigma_arcsec=0.5, ship__white_sigma_arcsec=0.5)
-    mount, seeds, exposures = Mount(settings, watch), 6, 120
+    mount, seeds, exposures = Mount(settings, sky_model), 6, 120
     deformation = np.full(3, settings.deformation.sigma_arcsec * ARCSEC)
     afterwards_s = np.arange(5.0, 31.0, 5.0)
     squares, nees, left = [], [], []
     for seed in range(seeds):
-        night, rng = mount.run(100 + seed)
+        session, rng = mount.run(100 + seed)
         times_s = np.concatenate([np.arange(exposures) * 0.25, 0.25 * exposures + afterwards_s])
         bent_d = gauss_markov(rng, times_s, deformation, settings.deformation.time_s)
         state = mount.filter.initial_state()
         for time_s, turn_d in zip(times_s, bent_d, strict=True):
-            now = MountSession(settings, replace(night.errors, deformation_d=turn_d), watch, rng)
+            now = MountSession(settings, replace(session.errors, deformation_d=turn_d), sky_model, rng)
             encoder, time_ns = random_field(rng), TIME_NS + round(time_s * SECOND_NS)
             if time_s < 0.25 * exposures:
                 state, decision = mount.step(state, now.sighting(encoder, 6, time_ns))

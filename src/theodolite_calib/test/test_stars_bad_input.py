@@ -68,9 +68,9 @@ def test_unreadable_exposure_is_rejected(adapter, path, value, reason: Reason, t
     for way in ways:
         target = getattr(target, way)
     setattr(target, leaf, value)
-    (refused,) = reported_reasons(adapter, message)
-    assert (refused.source, refused.accepted, refused.reason) == ("star.night", False, reason)
-    assert text in refused.reason_text
+    (rejected,) = reported_reasons(adapter, message)
+    assert (rejected.source, rejected.accepted, rejected.reason) == ("star.night", False, reason)
+    assert text in rejected.reason_text
 
 
 def test_a_star_that_cannot_be_read_is_left_out_by_its_place_in_the_message(adapter) -> None:

@@ -37,12 +37,12 @@ def samples(seed, encoder_step=(0.0, 0.0), ship_step_n=(0.0, 0.0, 0.0), rates=Tr
     rng = np.random.default_rng(seed)
     encoder, ship = [], []
     for time_ns in range(SINCE_NS - 10**9, END_NS + 1, PERIOD_NS):
-        lies = time_ns >= step_ns
+        is_stepped = time_ns >= step_ns
         t = time_ns * 1e-9
         angles = np.radians([1.2 * t, 40.0 + 30.0 * np.sin(2 * np.pi * t / 110.0)]) + ARCSEC * rng.standard_normal(2)
-        encoder.append(EncoderSample(time_ns, angles + lies * ARCSEC * np.array(encoder_step), ARCSEC))
+        encoder.append(EncoderSample(time_ns, angles + is_stepped * ARCSEC * np.array(encoder_step), ARCSEC))
         rotation_nd, rate_d = ship_at(t, rng)
-        turned = exp_rotation(lies * ARCSEC * np.array(ship_step_n)) @ rotation_nd
+        turned = exp_rotation(is_stepped * ARCSEC * np.array(ship_step_n)) @ rotation_nd
         ship.append(ShipSample(time_ns, turned, rate_d if rates else None))
     return encoder, ship
 
@@ -63,12 +63,12 @@ def check_streams(encoder, ship):
         ({}, 100.0, TELESCOPE),
     ],
 )
-def test_who_stepped_is_named(steps, off_arcsec, name, rates):
+def test_the_stepped_source_is_named(steps, off_arcsec, name, rates):
     """Independent of the source isolated by the subfilters: both explain the step."""
     named = [
-        isolate_step_fault(rows, BOTH, check_streams(*samples(seed, rates=rates, **steps)), off_arcsec * ARCSEC)
+        isolate_step_fault(source, BOTH, check_streams(*samples(seed, rates=rates, **steps)), off_arcsec * ARCSEC)
         for seed in range(20)
-        for rows in (ENCODER, SHIP)
+        for source in (ENCODER, SHIP)
     ]
     # Without rates the ship's own motion hides steps of few sigmas: the isolated source is kept.
     sure = off_arcsec > 50.0 or rates or name == ENCODER
@@ -76,16 +76,18 @@ def test_who_stepped_is_named(steps, off_arcsec, name, rates):
     assert set(named) <= allowed
 
 
-@pytest.mark.parametrize("rows", [ENCODER, SHIP])
-def test_undetectable_step_keeps_the_isolated_source(rows):
-    assert {isolate_step_fault(rows, BOTH, check_streams(*samples(seed)), 5.0 * ARCSEC) for seed in range(20)} == {rows}
+@pytest.mark.parametrize("source", [ENCODER, SHIP])
+def test_undetectable_step_keeps_the_isolated_source(source):
+    assert {isolate_step_fault(source, BOTH, check_streams(*samples(seed)), 5.0 * ARCSEC) for seed in range(20)} == {
+        source
+    }
 
 
 def test_degraded_ship_is_isolated_or_no_source():
     encoder, ship = samples(1, encoder_step=(0.0, 25.0))
-    doubtful = [*ship[:25], replace(ship[25], status=Status.DEGRADED), *ship[26:]]
+    degraded = [*ship[:25], replace(ship[25], status=Status.DEGRADED), *ship[26:]]
     gappy = [*ship[:20], *ship[24:]]
-    for attitudes in (doubtful, gappy):
+    for attitudes in (degraded, gappy):
         streams = check_streams(encoder, attitudes)
         assert isolate_step_fault(ENCODER, BOTH, streams, 25.0 * ARCSEC) == SHIP
         assert isolate_step_fault(ENCODER, {ENCODER}, streams, 25.0 * ARCSEC) is None
@@ -112,8 +114,8 @@ def drifting_ship(seed, drift_arcsec_per_s, rates=True, drift_s=20.0):
     for time_ns in range(0, 60 * 10**9, PERIOD_NS):
         rotation_nd, rate_d = ship_at(time_ns * 1e-9, rng)
         since_s = time_ns * 1e-9 - 10.0
-        crept_s = since_s if 0.0 < since_s < drift_s else 0.0
-        turned = exp_rotation(crept_s * drift_arcsec_per_s * ARCSEC * np.array([0.0, 1.0, 0.0])) @ rotation_nd
+        drifted_s = since_s if 0.0 < since_s < drift_s else 0.0
+        turned = exp_rotation(drifted_s * drift_arcsec_per_s * ARCSEC * np.array([0.0, 1.0, 0.0])) @ rotation_nd
         found.append(ShipSample(time_ns, turned, rate_d if rates else None))
     return found
 
@@ -151,7 +153,7 @@ def test_corrected_ship_attitude_is_no_drift():
 
 
 @pytest.mark.parametrize(
-    ("source", "explaining", "alike", "ship", "named"),
+    ("source", "explaining", "is_common", "ship", "named"),
     [
         ("beacon.a", {"beacon.a", ENCODER, SHIP}, True, False, ENCODER),
         ("beacon.a", {"beacon.a", ENCODER, SHIP}, True, True, SHIP),
@@ -166,5 +168,5 @@ def test_corrected_ship_attitude_is_no_drift():
         (None, {ENCODER, SHIP}, False, False, None),
     ],
 )
-def test_isolation_of_a_drift(source, explaining, alike, ship, named):
-    assert isolate_drift_fault(source, explaining, alike, ship) == named
+def test_isolation_of_a_drift(source, explaining, is_common, ship, named):
+    assert isolate_drift_fault(source, explaining, is_common, ship) == named

@@ -136,11 +136,11 @@ def test_derivatives_of_angles_and_place(seed: int) -> None:
     across = rotation_nm[:, 1:]
     covariance_n = across @ np.diag([1e-10, 4e-10]) @ across.T
 
-    def moved(offset):
+    def moved_direction(offset):
         vector = direction_n + across @ offset
         return vector / np.linalg.norm(vector)
 
-    by_offset = central_difference(lambda o: direction_angles(moved(o), covariance_n)[0], np.zeros(2), 1e-6)
+    by_offset = central_difference(lambda o: direction_angles(moved_direction(o), covariance_n)[0], np.zeros(2), 1e-6)
     _, found = direction_angles(direction_n, covariance_n)
     np.testing.assert_allclose(found, by_offset @ np.diag([1e-10, 4e-10]) @ by_offset.T, rtol=1e-6)
 
@@ -152,7 +152,9 @@ def test_derivatives_of_angles_and_place(seed: int) -> None:
         lambda k: ranged_position(direction_n, 2000.0, float(k[0])).path_n, np.array([0.13]), 1e-3
     )
     np.testing.assert_allclose(place.by_coefficient_n, by_k[:, 0], atol=2e-5)  # of 0.31 m
-    by_direction = central_difference(lambda o: ranged_position(moved(o), 2000.0, 0.13).path_n, np.zeros(2), 1e-6)
+    by_direction = central_difference(
+        lambda o: ranged_position(moved_direction(o), 2000.0, 0.13).path_n, np.zeros(2), 1e-6
+    )
     np.testing.assert_allclose(place.by_direction_n @ across, by_direction, atol=0.05)  # of 2000 m: the bend, 2e-5
 
 
@@ -211,7 +213,7 @@ def run_target(seed: int, settings: OpticalAxisConfig, plunged: bool) -> tuple[T
     target_m = np.array([1.0, up, right]) / np.linalg.norm([1.0, up, right])
     direction_n = main_at(t_s) @ target_m
     distance_m = rng.uniform(200.0, 4000.0)
-    # The air raises what is seen: the target itself is so much lower.
+    # Refraction raises the apparent direction: the target itself is lower by this amount.
     path_n = distance_m * direction_n - [0.0, coefficient * distance_m**2 / (2.0 * EARTH_RADIUS_M), 0.0]
     rolled = rho + 60.0 * ARCSEC * normal()
     cosine, sine = np.cos(rolled), np.sin(rolled)
@@ -243,8 +245,8 @@ def nees_of_draws(plunged: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         across = np.linalg.svd(estimate.direction_n[None])[2][1:]
         error_n = true_n - estimate.direction_n
         direction.append(normalized_error_squared(across @ error_n, across @ estimate.covariance_n @ across.T))
-        told, covariance = direction_angles(estimate.direction_n, estimate.covariance_n)
-        error = direction_angles(true_n, np.zeros((3, 3)))[0] - told
+        estimated, covariance = direction_angles(estimate.direction_n, estimate.covariance_n)
+        error = direction_angles(true_n, np.zeros((3, 3)))[0] - estimated
         error[0] = (error[0] + np.pi) % (2.0 * np.pi) - np.pi
         angles.append(normalized_error_squared(error, covariance))
         place.append(normalized_error_squared(true_place_n - estimate.position_n, estimate.position_covariance_n))
@@ -272,27 +274,27 @@ def test_an_exposure_of_known_length_is_brought_to_its_middle() -> None:
         seen_m = rotation_from_angles(1.0, elevation(t_s), 0.0).T @ rotation_from_angles(1.002, 0.52, 0.0)[:, 0]
         return image_of(seen_m, 1.5, np.array([2e-4, -3e-4]))
 
-    moments_s = exposure_s * ((np.arange(1000) + 0.5) / 1000 - 0.5)
-    mean_m = np.mean([point_m(t_s) for t_s in moments_s], axis=0)
+    times_s = exposure_s * ((np.arange(1000) + 0.5) / 1000 - 0.5)
+    mean_m = np.mean([point_m(t_s) for t_s in times_s], axis=0)
     off = {}
-    for told_s in (exposure_s, 0.0):
+    for stated_s in (exposure_s, 0.0):
         core = OpticalAxisCore(config())
         for step in range(-50, 51):
             stamp_ns = START_NS + step * SECOND_NS // 100
             core.add_ship(ShipSample(stamp_ns, np.eye(3), np.zeros(3), np.diag(SHIP_SIGMA_N**2)))
             core.add_encoder(EncoderSample(stamp_ns, np.array([1.0, elevation(0.01 * step)]), ARCSEC))
-        sample = TargetSample(START_NS, "buoy", mean_m, 1e-6, told_s, 0.0, np.nan, np.nan)
+        sample = TargetSample(START_NS, "buoy", mean_m, 1e-6, stated_s, 0.0, np.nan, np.nan)
         (estimate,) = core.add_target(sample).targets
-        off[told_s] = np.linalg.norm(estimate.direction_n - rotation_from_angles(1.002, 0.52, 0.0)[:, 0]) / ARCSEC
+        off[stated_s] = np.linalg.norm(estimate.direction_n - rotation_from_angles(1.002, 0.52, 0.0)[:, 0]) / ARCSEC
     # swing (2 pi / period)^2 T^2 / 24 = 59"; what is left is the fourth derivative.
     assert off[0.0] == pytest.approx(59.2, abs=1.5)
     assert off[exposure_s] < 1.0
 
 
 def test_an_estimator_that_replaces_another_one_goes_on_with_its_pointings_and_images() -> None:
-    """The pending image is answered once, by the second estimator; the answered one is known to it."""
+    """The second estimator answers the pending image once, and does not repeat the answered one."""
 
-    def told(core: OpticalAxisCore, steps: range) -> list[PointingOutcome]:
+    def pointings(core: OpticalAxisCore, steps: range) -> list[PointingOutcome]:
         outcomes = []
         for step in steps:
             stamp_ns = START_NS + step * SECOND_NS // 100
@@ -305,13 +307,13 @@ def test_an_estimator_that_replaces_another_one_goes_on_with_its_pointings_and_i
 
     live = OpticalAxisCore(config())
     second = live.make_second(None)
-    before, _ = told(live, range(-50, 1)), told(second, range(-50, 1))
+    before, _ = pointings(live, range(-50, 1)), pointings(second, range(-50, 1))
     assert len(live.add_target(image(-100_000_000)).targets) == 1
     assert not live.add_target(image(5_000_000)).targets
     last_ns = max(estimate.time_ns for outcome in before for estimate in outcome.estimates)
     second.take_over_outputs(live)
     assert second.add_target(image(-100_000_000)).rejection is not None
-    after = told(second, range(1, 5))
+    after = pointings(second, range(1, 5))
     assert [target.time_ns for outcome in after for target in outcome.targets] == [START_NS + 5_000_000]
     times_ns = [estimate.time_ns for outcome in after for estimate in outcome.estimates]
     assert times_ns == [last_ns + step * SECOND_NS // 100 for step in range(1, 5)]

@@ -22,8 +22,8 @@ NAN = float("nan")
 
 def target_direction_n(t_s: float) -> np.ndarray:
     """Return the direction of a target that drifts next to the line of the mount."""
-    beside = np.array([1.0, 0.004 * np.sin(t_s), 0.006])
-    return mount_state(t_s)[2] @ (beside / np.linalg.norm(beside))
+    line_of_sight = np.array([1.0, 0.004 * np.sin(t_s), 0.006])
+    return mount_state(t_s)[2] @ (line_of_sight / np.linalg.norm(line_of_sight))
 
 
 def path_n(t_s: float) -> np.ndarray:
@@ -153,9 +153,9 @@ def test_images_without_a_main_detector_are_rejected_with_advice() -> None:
     run = run_adapter(new_adapter(), sort_by_arrival((*session(), *images())), START_NS + 9 * SECOND_NS)
     assert run.messages(DIRECTION) == []
     assert run.reasons(TARGET) == {"unknown_sensor": len(images())}
-    told = run.innovations(Reason.UNKNOWN_SENSOR)[0]
-    assert told.source == "target"
-    assert "main_detector.focal_length_m is not set" in told.reason_text
+    rejection = run.innovations(Reason.UNKNOWN_SENSOR)[0]
+    assert rejection.source == "target"
+    assert "main_detector.focal_length_m is not set" in rejection.reason_text
 
 
 def test_an_unknown_range_gives_a_direction_and_no_place() -> None:
@@ -202,10 +202,10 @@ def test_image_without_pointing_is_invalid_and_reported(topic: str, text: str) -
     """Without data the image waits for the lag; then INVALID with NaN is published, and the reason is in health."""
     base = tuple(a for a in session() if not (a.topic == topic and a.stamp_ns > START_NS + 3 * SECOND_NS))
     run = run_of(arrival_of(image(2.05)), arrival_of(image(4.05)), base=base)
-    first, silent = sorted(run.messages(DIRECTION), key=stamp_of)
-    assert (first.status, silent.status) == (Status.VALID, Status.INVALID)
-    numbers = [silent.azimuth, silent.elevation, *silent.covariance, silent.direction.x, silent.position.x]
-    assert np.isnan([*numbers, *silent.direction_covariance, *silent.position_covariance]).all()
+    first, invalid = sorted(run.messages(DIRECTION), key=stamp_of)
+    assert (first.status, invalid.status) == (Status.VALID, Status.INVALID)
+    numbers = [invalid.azimuth, invalid.elevation, *invalid.covariance, invalid.direction.x, invalid.position.x]
+    assert np.isnan([*numbers, *invalid.direction_covariance, *invalid.position_covariance]).all()
     assert run.reasons(TARGET) == {"gap": 1}
     assert text in run.innovations(Reason.GAP)[0].reason_text
 

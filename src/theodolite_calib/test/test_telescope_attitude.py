@@ -117,8 +117,8 @@ def test_a_part_of_the_budget_is_what_its_source_does(source):
     error = error_n(epochs, attitude)
     values, axes = np.linalg.eigh(part)
     # Some sources move the telescope in fewer than three ways.
-    told = values > 1e-3 * values[-1]
-    ratio = np.sqrt(np.mean((error @ axes[:, told]) ** 2, axis=0) / values[told])
+    significant = values > 1e-3 * values[-1]
+    ratio = np.sqrt(np.mean((error @ axes[:, significant]) ** 2, axis=0) / values[significant])
     low, high = sigma_ratio_band(count)
     assert np.all((ratio > low) & (ratio < high))
 
@@ -218,8 +218,8 @@ def test_principal_point_off_its_place_is_seen_by_nothing():
     # One degree of freedom is left, and it changes by a hundredth of a sigma.
     assert np.abs(np.sqrt(off.chi2) - np.sqrt(right.chi2)).max() < 0.01
     assert np.abs(off.focal_length_m - right.focal_length_m).max() < 0.01 * right.focal_length_sigma_m.min()
-    said = replace(wrong, survey=replace(epochs.survey, principal_point=LeverArm(lens, np.array([0.0, 0.06, 0.0]))))
-    budget = np.sqrt(np.trace(solve_epochs(said).covariance_by_source_n["lever_arms"], axis1=-1, axis2=-2)) / ARCSEC
+    stated = replace(wrong, survey=replace(epochs.survey, principal_point=LeverArm(lens, np.array([0.0, 0.06, 0.0]))))
+    budget = np.sqrt(np.trace(solve_epochs(stated).covariance_by_source_n["lever_arms"], axis1=-1, axis2=-2)) / ARCSEC
     assert np.all((budget > 6.0) & (budget < 7.0))
 
 

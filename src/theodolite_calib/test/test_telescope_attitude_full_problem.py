@@ -161,8 +161,7 @@ def test_the_budget_adds_up_to_the_covariance(name):
     sources = {"rtk", "lever_arms", "ship_attitude", "drone_attitude", "refraction", "image", "focal_length"}
     assert set(attitude.covariance_by_source_n) == (sources if prior is None else sources | {"encoder"})
     parts = np.array(list(attitude.covariance_by_source_n.values()))
-    # The covariance by the information of the equations, which knows nothing of sources; taken one step later, which
-    # may be 1e-9 rad.
+    # The covariance by the information matrix of the equations, without sources; one step later, which may be 1e-9 rad.
     lines = epoch.lines()
     line_covariance = total_covariance(covariance_by_source(lines.terms))
     equations = linearise(epoch.image, epoch.camera, lines.direction_n, line_covariance, attitude.rotation_nt, prior)

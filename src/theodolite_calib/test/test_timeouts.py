@@ -52,12 +52,12 @@ def test_published_pointing_is_final(dead: tuple[str, ...], missing: str) -> Non
     run = run_adapter(
         new_adapter(slow_topics_period_s=0.2), arrivals_until(session(), FROM_S, *dead), until_ns=time_at(5.0)
     )
-    said = invalid_times(run)
-    assert time_at(FROM_S + 0.9) < said[0] <= time_at(FROM_S + 1.2)
-    assert all(SECOND_NS <= later - earlier <= 1.1 * SECOND_NS for earlier, later in pairwise(said))
-    assert len(said) == 3
-    assert [topic for ns, topic, _ in run.published if topic in BUDGETS and ns > said[0]] == []
-    assert set(run.diagnostics("pointing", said[0], run.now_ns)) == {(2, f"INVALID: {missing}")}
+    times_ns = invalid_times(run)
+    assert time_at(FROM_S + 0.9) < times_ns[0] <= time_at(FROM_S + 1.2)
+    assert all(SECOND_NS <= later - earlier <= 1.1 * SECOND_NS for earlier, later in pairwise(times_ns))
+    assert len(times_ns) == 3
+    assert [topic for ns, topic, _ in run.published if topic in BUDGETS and ns > times_ns[0]] == []
+    assert set(run.diagnostics("pointing", times_ns[0], run.now_ns)) == {(2, f"INVALID: {missing}")}
     for topic in BUDGETS:
         stamps = [stamp_of(m) for m in run.messages(topic)]
         assert len(stamps) == len(set(stamps)) > 5

@@ -15,7 +15,7 @@ ENCODER_SIGMA = 1.0 * ARCSEC
 BASELINE_VARIANCE = 0.01**2
 VALID, DEGRADED = Status.VALID, Status.DEGRADED
 ABOUT = {"long before": -STEP_NS - 1, "before": -1, "at it": 0, "after": 1, "long after": STEP_NS}
-"""Moments about one sample, ns."""
+"""Times relative to one sample, ns."""
 
 
 def encoder_angles(time_s: float) -> np.ndarray:
@@ -52,8 +52,14 @@ def test_an_attitude_between_two_is_worth_no_more_than_either() -> None:
     jumped_ns = 20 * STEP_NS
     slow.ship.insert(ShipSample(jumped_ns, ship_attitude(8.0) @ rotation_from_angles(0.001, 0.0, 0.0), status=DEGRADED))
     worth = {name: slow.ship_at(jumped_ns + offset) for name, offset in ABOUT.items()}
-    told = {name: ship.status for name, ship in worth.items() if ship is not None}
-    assert told == {"long before": VALID, "before": DEGRADED, "at it": DEGRADED, "after": DEGRADED, "long after": VALID}
+    statuses = {name: ship.status for name, ship in worth.items() if ship is not None}
+    assert statuses == {
+        "long before": VALID,
+        "before": DEGRADED,
+        "at it": DEGRADED,
+        "after": DEGRADED,
+        "long after": VALID,
+    }
 
 
 def test_assembled_sighting_includes_interpolation_errors() -> None:

@@ -141,7 +141,7 @@ def test_unknown_distance_is_reported(tmp_path: Path, capsys) -> None:
         station["sigma_m"] = 1000.0
     path.write_text(yaml.safe_dump(values))
     assert main([str(path), "--target", "buoy", "--out", str(tmp_path / "places.csv")]) == 2
-    told = capsys.readouterr().err
-    assert "the first one because the distance from t0" in told
-    assert "set the theodolites further apart" in told
+    error = capsys.readouterr().err
+    assert "the first one because the distance from t0" in error
+    assert "set the theodolites further apart" in error
     assert not (tmp_path / "places.csv").exists()

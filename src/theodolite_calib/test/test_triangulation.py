@@ -66,23 +66,23 @@ def test_without_errors_the_place_is_exact_on_the_curved_earth(spread_m: float, 
 
 @functools.cache
 def errors() -> tuple[np.ndarray, np.ndarray, float]:
-    nees, chi_square, refused = [], [], 0
+    nees, chi_square, rejected = [], [], 0
     for seed in range(DRAWS):
         directions, target_n = random_stations(seed)
         place = triangulate_directions(directions)
         nees.append(normalized_error_squared(target_n - place.position_n, place.covariance_n))
         chi_square.append(place.chi_square)
-        refused += place.rejection is not None
-    return np.array(nees), np.array(chi_square), refused
+        rejected += place.rejection is not None
+    return np.array(nees), np.array(chi_square), rejected
 
 
 def test_three_theodolites_match_their_covariance_at_2_km() -> None:
-    nees, chi_square, refused = errors()
+    nees, chi_square, rejected = errors()
     low, high = mean_nees_band(DRAWS, 3)
     assert low < nees.mean() < high
     low, high = mean_nees_band(DRAWS, 3)  # six residuals, three of them spent on the place
     assert low < chi_square.mean() < high
-    assert refused <= 6  # one in a thousand: more has a probability of 1e-4 (Poisson of mean 1)
+    assert rejected <= 6  # one in a thousand: more has a probability of 1e-4 (Poisson of mean 1)
 
 
 def test_wrong_direction_rejects_the_set() -> None:
@@ -105,10 +105,10 @@ def test_missing_position_is_reported(kind: str) -> None:
         "behind": [replace(each, direction_n=-each.direction_n) for each in directions],
         "nan": [replace(directions[0], direction_n=np.full(3, np.nan)), *directions[1:]],
     }[kind]
-    told = triangulate(ORIGIN, given, AIR)
-    assert isinstance(told, Rejection)
+    result = triangulate(ORIGIN, given, AIR)
+    assert isinstance(result, Rejection)
     expected = {"one": "two or more", "parallel": "parallel", "behind": "behind t0", "nan": "NaN"}
-    assert expected[kind] in told.text
+    assert expected[kind] in result.text
 
 
 @pytest.mark.parametrize("distance_m", [50.0, 2000.0, 50_000.0])
@@ -160,9 +160,9 @@ def test_position_with_unknown_distance_is_rejected(distance_m: float, sigma: fl
     """The distance is known to sqrt(2) sigma times itself over 50 m: to 0.69 and 1.1 of itself."""
     rng, texts = np.random.default_rng(21), []
     for _ in range(200):
-        told = triangulate(ORIGIN, two_abreast_stations(distance_m, sigma, rng)[0], AIR)
-        assert isinstance(told, Rejection)
-        assert told.reason is Reason.GATE
-        texts.append(told.text)
+        result = triangulate(ORIGIN, two_abreast_stations(distance_m, sigma, rng)[0], AIR)
+        assert isinstance(result, Rejection)
+        assert result.reason is Reason.GATE
+        texts.append(result.text)
     # The errors may also make the lines meet behind.
     assert sum("set the theodolites further apart, or measure a range" in text for text in texts) > 100

@@ -81,7 +81,7 @@ def test_positions_match_their_covariance() -> None:
     assert low < np.mean(squares) < high
 
 
-def test_one_place_a_stamp_of_the_first_whatever_the_order_of_arrival() -> None:
+def test_one_position_per_stamp_of_the_first_for_any_order_of_arrival() -> None:
     adapter, found = adapter_of(), []
     for number in range(3):
         found += published_positions(
@@ -129,7 +129,7 @@ def test_reporting_theodolite_is_awaited_up_to_the_lag() -> None:
     assert published_positions(adapter.tick(now_ns + 400_000_000)) == []
     (place,) = published_positions(adapter.tick(now_ns + 600_000_000))
     assert place.status == Status.VALID
-    # Silent for longer than the lag, it is waited for no more.
+    # After no data for longer than the lag it is not awaited any more.
     for index in range(4, 11):
         later_ns = time_ns + index * PERIOD_NS
         first, second = (
@@ -237,7 +237,7 @@ def test_unusable_messages_are_rejected_with_the_reason(changes: dict, reason: R
     assert published_positions(published) == []
 
 
-def test_a_target_that_is_forgotten_has_its_directions_answered_and_stamps_that_go_on() -> None:
+def test_a_dropped_target_has_its_directions_answered_and_increasing_stamps() -> None:
     adapter, published = adapter_of(2), []
     for index in range(2):
         for number in (1, 0) if index else (0, 1):
@@ -250,7 +250,7 @@ def test_a_target_that_is_forgotten_has_its_directions_answered_and_stamps_that_
     (answer,) = [message for message in published_positions(published) if message.target_id == "buoy"]
     assert (ns_from_stamp(answer.header.stamp), answer.status) == (waiting_ns, Status.INVALID)
     assert ("stations", Reason.OVERFLOW) in published_reasons(published)
-    # Heard of again, it has no place at or before its last one.
+    # After new directions it has no place at or before its last one.
     published = []
     for index in range(1, 4):
         for number in (1, 0):
@@ -275,9 +275,9 @@ def test_nothing_is_interpolated_across_an_invalid_direction(invalid_comes_first
         message = buoy_message(number, START_NS + index * PERIOD_NS + 10_000_000 * number, status=int(worth))
         found += published_positions(give_message(adapter, number, message, START_NS + 11 * PERIOD_NS))
     since = {ns_from_stamp(message.header.stamp) - START_NS: message.status for message in found}
-    told = [since[index * PERIOD_NS] for index in range(1, 11)]
+    statuses = [since[index * PERIOD_NS] for index in range(1, 11)]
     # At 0.3 s the second's next direction claims nothing, at 1.0 s its last.
-    assert told == [Status.VALID] * 2 + [Status.INVALID] * 8
+    assert statuses == [Status.VALID] * 2 + [Status.INVALID] * 8
 
 
 @pytest.mark.parametrize("invalid_comes_first", [True, False])
@@ -314,7 +314,7 @@ def test_no_flood_of_names_or_directions_grows_without_bound() -> None:
 
 def test_no_message_whatsoever_raises_or_does_damage() -> None:
     rng, adapter = np.random.default_rng(4713), adapter_of(3)
-    spoilt, found, now_ns = paths(buoy_message(0, START_NS, factory=RosidlFactory())), set(), START_NS
+    fields, found, now_ns = paths(buoy_message(0, START_NS, factory=RosidlFactory())), set(), START_NS
     for index in range(300):
         now_ns = START_NS + index * PERIOD_NS + LATENCY_NS
         for number in range(3):
@@ -322,7 +322,7 @@ def test_no_message_whatsoever_raises_or_does_damage() -> None:
             published = give_message(adapter, number, buoy_message(number, time_ns), now_ns)
             for _ in range(3):
                 bad = buoy_message(number, time_ns, factory=RosidlFactory())
-                put_garbage(bad, spoilt, rng)
+                put_garbage(bad, fields, rng)
                 published += give_message(adapter, number, bad, now_ns)
             found |= {reason for _, reason in published_reasons(published)}
             for message in published_positions(published):

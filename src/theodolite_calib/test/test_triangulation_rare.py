@@ -100,7 +100,7 @@ def command_positions(config: TriangulationConfig, *of_stations: list[Arrival]) 
 @pytest.mark.parametrize(
     ("phase_s", "max_gap_s", "missing"),
     [
-        (0.0, 1.0, 1),  # same stamps: the first direction is answered before the other theodolite is known to report
+        (0.0, 1.0, 1),  # same stamps: the first direction is answered before the other theodolite's first report
         (2.5, 8.0, 0),
         (4.9, 8.0, 0),
     ],
@@ -124,7 +124,7 @@ def test_places_at_a_common_rate_do_not_wait_for_a_theodolite_whose_next_report_
     often = [arrivals(number, np.arange(0.0, 20.0, 0.1)) for number in (0, 1)]
     run = run_of(config_of(3), *often, arrivals(2, periodic_times(PERIOD_S, 0.05)))
     since_s = {round((time_ns - START_NS) / SECOND_NS % PERIOD_S, 3): age for time_ns, age in waited_s(run).items()}
-    # Reports of the third are due each 5 s; those of the others are joined with it over max_gap_s, 1 s, at most.
+    # The third reports each 5 s; directions of the others are joined with it over max_gap_s, 1 s, at most.
     assert all(age < 0.2 for phase_s, age in since_s.items() if 0.1 < phase_s < 4.0)
     assert all(age < 1.3 for age in since_s.values())
 
@@ -134,12 +134,12 @@ def test_theodolite_without_data_is_awaited_until_overdue(interval_s: float) -> 
     config = config_of(3, max_gap_s=8.0)
     of_two = [arrivals(number, periodic_times(interval_s)[:100]) for number in (0, 1)]
     run = run_of(config, *of_two, arrivals(2, periodic_times(interval_s)[:10]))
-    silent_ns = START_NS + round(9 * interval_s * SECOND_NS) + LATENCY_NS
-    overdue_ns = silent_ns + round((interval_s + config.lag_s) * SECOND_NS)
+    last_ns = START_NS + round(9 * interval_s * SECOND_NS) + LATENCY_NS
+    overdue_ns = last_ns + round((interval_s + config.lag_s) * SECOND_NS)
     published = [
         (published_ns, message)
         for published_ns, topic, message in run.published
-        if topic == POSITION_TOPIC and stamp_of(message) > silent_ns
+        if topic == POSITION_TOPIC and stamp_of(message) > last_ns
     ]
     assert len(published) >= 10
     for published_ns, message in published:
@@ -162,16 +162,16 @@ def test_a_clock_that_lags_behind_holds_no_place_for_ever() -> None:
 @pytest.mark.parametrize("interval_s", [0.1, 5.0])
 def test_repeated_messages_have_no_effect(interval_s: float) -> None:
     config, since_s = config_of(3, max_gap_s=8.0), periodic_times(interval_s)[:20]
-    of_two, silent = [arrivals(number, since_s) for number in (0, 1)], arrivals(2, since_s[:10])
-    last = silent[-1]
+    of_two, interrupted = [arrivals(number, since_s) for number in (0, 1)], arrivals(2, since_s[:10])
+    last = interrupted[-1]
     repeated = [replace(last, receive_ns=last.receive_ns + round(s * SECOND_NS)) for s in np.arange(0.03, 20.0, 0.07)]
-    run = run_of(config, *of_two, silent, repeated)
+    run = run_of(config, *of_two, interrupted, repeated)
     assert run.reasons(last.topic).keys() <= {"duplicate", "late"}
     # The run with the repetitions may be longer; three theodolites answer all within it.
-    assert results(run) == results(run_of(config, *of_two, silent))
+    assert results(run) == results(run_of(config, *of_two, interrupted))
 
 
-def test_late_directions_to_forgotten_targets_forget_no_other() -> None:
+def test_late_directions_to_dropped_targets_drop_no_other() -> None:
     config = config_of(2)
     of_two = [arrivals(number, np.arange(0.0, 10.0, 0.5)) for number in (0, 1)]
     early = arrivals(0, [0.1])[0]
@@ -179,7 +179,7 @@ def test_late_directions_to_forgotten_targets_forget_no_other() -> None:
     def of(name: str, stamped: Arrival) -> Arrival:
         return changed_copy(stamped, lambda message: setattr(message, "target_id", name), early.receive_ns + SECOND_NS)
 
-    # More targets than are followed: some are forgotten. Then as many late ones come.
+    # More targets than are followed: some are dropped. Then as many late ones come.
     flood = [of(f"x{number}", arrivals(0, [1.0])[0]) for number in range(MAX_TARGETS + 5)]
     late = [replace(of(f"y{number}", early), receive_ns=START_NS + 5 * SECOND_NS) for number in range(MAX_TARGETS)]
     run = run_of(config, *of_two, flood, late)

@@ -67,14 +67,14 @@ def random_optics(seed: int, ratio: float) -> TrueOptics:
 
 @dataclass(frozen=True)
 class SessionResult:
-    """What the pointings of one session were worth; k of them.
+    """Errors of the k pointings of one session, and the final state.
 
     Attributes:
-        valid: which were VALID, shape (k,).
+        valid: True for the VALID ones, shape (k,).
         in_sigmas: largest error of an angle in its sigmas, shape (k,).
         of_level: largest error of an angle as a share of its protection level, shape (k,); NaN without a level.
         nees: of the last pointing.
-        texts: why a pointing was not VALID, and why a sighting was not used, of each moment.
+        texts: reasons why pointings were not VALID and sightings were not used.
         state: of the filter at the end.
         filter_: the filter.
     """
@@ -105,7 +105,7 @@ def run_session(seed: int, camera_id: str, ratio: float, lights: bool = False, n
         parallelism = camera.parallelism + camera.parallelism_sigma * rng.standard_normal(3)
     by_lights, by_stars = SightingStep(settings, filter_), StarStep(settings, filter_, sky_model())
     rotation_sm, state = rotation_from_angles(*parallelism), filter_.initial_state()
-    told, valid, in_sigmas, of_level, texts = known.optics_errors(known.camera("camera")), [], [], [], []
+    stated, valid, in_sigmas, of_level, texts = known.optics_errors(known.camera("camera")), [], [], [], []
     for number, sighting in enumerate(drawn.sightings):
         time_ns, encoder, true_nm = sighting.time_ns, sighting.encoder, drawn.rotation_nm[number]
         # By the state before: the noise of this reading is not in it.
@@ -123,7 +123,7 @@ def run_session(seed: int, camera_id: str, ratio: float, lights: bool = False, n
             state, decision = by_lights(state, sighting, Exposure(time_ns, ()))
         else:
             true_ns = true_nm @ rotation_sm.T
-            seen = observe_stars(sky_model(), true_ns, sky, STARS, rng, time_ns, camera_id, lens=optics, optics=told)
+            seen = observe_stars(sky_model(), true_ns, sky, STARS, rng, time_ns, camera_id, lens=optics, optics=stated)
             seen = seen if named else without_identity(seen)
             state, decision = by_stars(state, StarSighting(camera_id, seen, sighting.ship, encoder))
         texts.append((estimate.text, decision.text))

@@ -12,6 +12,7 @@ from ship_node.black_box.black_box_format import (
 
 SECOND_NS = 1_000_000_000
 
+
 def read_entries(path: Path) -> list[tuple[str, Any, int]]:
     """Return (topic, event or bytes, log time) in the order of the file."""
     with path.open("rb") as stream:
