@@ -7,12 +7,12 @@ A measurement is checked in this order:
    and the adapter (``ship_node/edge/reporting_adapter``), if the source is switched off: OFF;
 3. :class:`ship_estimation.time_ordered_estimator.LagWindow`: LATE;
 4. the checks of a single stream: :mod:`ship_estimation.ins_check` for an INS, ``guards/`` for star sensors and
-   references, ``theodolite_calib/measured/encoder_watch`` for encoders: STUCK, UNITS, and GATE for a single sample that
+   references, ``theodolite_calib/measured/encoder_check`` for encoders: STUCK, UNITS, and GATE for a single sample that
    jumps; ``sky/stamped_values`` for position and weather: JUMP;
 5. :class:`ship_estimation.time_ordered_estimator.TimeOrderedEstimator`: DUPLICATE, CONFLICT, OVERFLOW, and FAILED for
    defects of the software;
-6. the filter, which computes the innovation (``ship_attitude/filter``, ``theodolite_calib/filter/judgement``), and its
-   measurement model (``ship_attitude/comparison``, ``theodolite_calib/measured/sighting``): all others.
+6. the filter, which computes the innovation (``ship_attitude/filter``, ``theodolite_calib/filter/sighting_gate``), and
+   its measurement model (``ship_attitude/comparison``, ``theodolite_calib/measured/sighting``): all others.
 
 ``star_attitude`` checks 5 before 4, and encoder readings in degrees are rejected before their age is checked.
 """

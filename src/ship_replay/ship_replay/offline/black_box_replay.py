@@ -343,14 +343,14 @@ def _content_difference(path: Path, time_ns: int, recorded: bytes, replayed: byt
 def _without_texts(content: bytes) -> str | None:
     """Return a YAML document with its texts blanked, as text to the last bit; None if it cannot be read."""
 
-    def blanked(value: Any) -> Any:
+    def blank(value: Any) -> Any:
         if isinstance(value, dict):
-            return {key: blanked(one) for key, one in value.items()}
+            return {key: blank(one) for key, one in value.items()}
         if isinstance(value, list):
-            return [blanked(one) for one in value]
+            return [blank(one) for one in value]
         return "" if isinstance(value, str) else value
 
     try:
-        return repr(blanked(yaml.safe_load(content)))
+        return repr(blank(yaml.safe_load(content)))
     except yaml.YAMLError:
         return None

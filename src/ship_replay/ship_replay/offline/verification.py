@@ -104,7 +104,7 @@ class Verification:
         other_texts: output topic → those of them in which a text differs.
         difference: the first difference in a number; None where there is none.
         text_difference: the first difference in a text; None where there is none.
-        notes: what else is to be said, one line each.
+        notes: further remarks, one line each.
         incomplete_reason: why not all of the bag could be compared; empty where all was.
         is_truncated: whether that is nothing but the file's sudden end.
     """
@@ -153,8 +153,8 @@ def verify_bag(
 ) -> Verification:
     """Compare what a replay gives with what a bag holds.
 
-    A recorder does not know the order in which the node used its inputs, nor its service calls: only a black box makes
-    sure that a difference is one of the estimate.
+    A recorded bag does not contain the order in which the node used its inputs, nor its service calls. Only with a
+    black box is every difference one of the estimate.
 
     Args:
         bag: inputs and outputs of one run.
@@ -190,7 +190,7 @@ def verify_bag(
 def _recorded_outputs(bag: Bag, chain: AdapterChain, namespace: str) -> dict[str, str]:
     """Name in the bag → relative name, of the outputs that are compared.
 
-    Topics with one name for all, as ``/tf``, are not: a recorder does not know whose messages these are.
+    Topics with one name for all, as ``/tf``, are not compared: a bag does not contain which node published a message.
     """
     found = relative_topics(bag.topics, namespace)
     outputs = {}
