@@ -137,10 +137,10 @@ def _parameter_row(parameter: ParameterDescription) -> str:
     default = "must be given" if parameter.default is None else given
     live = " *live*" if parameter.live else ""
     doc = parameter.doc.replace("<", "&lt;")
-    return f"| `{parameter.name}` | {default} | {parameter.unit} | {_allowed(parameter)} | {doc}{live} |\n"
+    return f"| `{parameter.name}` | {default} | {parameter.unit} | {_range_text(parameter)} | {doc}{live} |\n"
 
 
-def _allowed(parameter: ParameterDescription) -> str:
+def _range_text(parameter: ParameterDescription) -> str:
     if parameter.choices:
         return ", ".join(f"`{choice}`" for choice in parameter.choices)
     if parameter.minimum is None and parameter.maximum is None:

@@ -47,11 +47,11 @@ The remaining 2.8″ of elevation in the first row are not explained.
 
 ### The trial alongside
 
-Our text of the paper lacks tables 1 and 2 (the sensors; the stars that they identified, five in one and three in the
-other), the vectors and matrices of the example, and the curves of figure 4 with the numbers under it: attitudes by the
-two sensors compared with those of a strapdown INS with laser gyros, the ship moored. No printed values remain to be
-compared. Such a trial with the scenario `mooring`, and the availability of an attitude compared with the methods that
-the paper replaces, are in [availability](explanation/availability.md).
+The text of the paper at hand lacks tables 1 and 2: the sensors, and the stars that they identified, five in one and
+three in the other. It also lacks the vectors and matrices of the example, and the curves of figure 4 with the numbers
+under it. This figure compares attitudes by the two sensors with those of a strapdown INS with laser gyros, the ship
+moored. No printed values remain to be compared. Such a trial with the scenario `mooring`, and the availability of an
+attitude compared with the methods that the paper replaces, are in [availability](explanation/availability.md).
 """
 
 
