@@ -61,29 +61,29 @@ def test_words_in_other_files_are_reported(root: Path, name: str) -> None:
 
 
 def test_a_part_of_another_word_is_no_find(root: Path) -> None:
-    (root / "docs" / "page.md").write_text("An applied fortelling essay.\n", encoding="utf-8")
+    (root / "docs" / "page.rst").write_text("An applied fortelling essay.\n", encoding="utf-8")
     assert finds_in(root) == []
 
 
 def test_long_sentences_are_reported_and_formulas_examples_and_code_are_none(root: Path) -> None:
     code, short = f"    {LONG}\n", "word " * (words.MAX_WORDS - 1)
     page = f"# Heading\n\n{short}.\n{short}.\n\n- {short}\n- {short}\n\n{code}\n```\n{LONG}\n```\n\n{LONG}.\n"
-    (root / "docs" / "page.md").write_text(page, encoding="utf-8")
+    (root / "docs" / "page.rst").write_text(page, encoding="utf-8")
     formula = " + ".join(f"a_{i} x^{i}" for i in range(words.MAX_WORDS))
     docstring = f'"""Return a polynomial.\n\n    y = {formula}\n\n>>> {LONG}\n{LONG}\n\n{LONG}.\n"""\n'
     (root / "src" / "module.py").write_text(docstring, encoding="utf-8")
     in_code, in_page = finds_in(root)
     assert in_code[:3] == ("src/module.py", 8, "sentence")
-    assert in_page[:3] == ("docs/page.md", 15, "sentence")
+    assert in_page[:3] == ("docs/page.rst", 15, "sentence")
     assert f"not {words.MAX_WORDS + 1} words" in in_page.use
 
 
 def test_an_exception_that_no_find_needs_is_reported(root: Path) -> None:
-    (root / "docs" / "page.md").write_text("The offset is heard.\n", encoding="utf-8")
+    (root / "docs" / "page.rst").write_text("The offset is heard.\n", encoding="utf-8")
     exception = "{word: heard, path: docs/*, within: offset is, reason: needed}"
     dictionary = words.Dictionary(NO_EXCEPTIONS.replace("[]", f"[{exception}]"))
     assert words.check(root, dictionary) == []
-    (root / "docs" / "page.md").write_text("The offset is received.\n", encoding="utf-8")
+    (root / "docs" / "page.rst").write_text("The offset is received.\n", encoding="utf-8")
     [find] = words.check(root, dictionary)
     assert (find.path, find.kind, find.word) == (words.DICTIONARY, "exception", "heard")
     assert "needed" in find.use
@@ -91,8 +91,8 @@ def test_an_exception_that_no_find_needs_is_reported(root: Path) -> None:
 
 def test_finds_end_with_exit_code_1(root: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
     (root / "tools").mkdir()
-    (root / "docs" / "page.md").write_text("The offset is heard.\n", encoding="utf-8")
+    (root / "docs" / "page.rst").write_text("The offset is heard.\n", encoding="utf-8")
     (root / words.DICTIONARY).write_text(TEXT, encoding="utf-8")
     monkeypatch.setattr(words, "ROOT", root)
     assert words.main() == 1
-    assert 'docs/page.md:1: text "heard": use receive' in capsys.readouterr().out
+    assert 'docs/page.rst:1: text "heard": use receive' in capsys.readouterr().out
