@@ -41,8 +41,8 @@ test: setup-all ## tests for daily work, in minutes; PYTEST_ARGS="-k name" for s
 test-all: setup-all ## the remaining tests: statistics, slow tests, live tests
 	@$(RUN) $(PYTEST) -m "$(SLOW)" $(PYTEST_ARGS)
 
-lint: setup-all ## style, types, import rules
-	@$(RUN) ruff check . && mypy && lint-imports --no-logo
+lint: setup-all ## style, types, import rules, language
+	@$(RUN) ruff check . && mypy && lint-imports --no-logo && python tools/words.py
 
 quick: setup ## the ship's attitude from a recorded voyage, offline: table and figure in seconds
 	@$(RUN) python tools/demo.py --offline

@@ -1,9 +1,9 @@
-"""Which tests run on one worker, where several run at once (``make test``).
+"""Distribution of the tests over workers, where several run at once (``make test``).
 
-Tests of one file share what they make: bags, runs, browsers. So a file runs on one worker. Tests over DDS wait for most
-of their time, so there are more workers than cores; but one such test at once, on a worker of its own, since what it
-starts must answer in time: two suites beside each other are more than two cores can keep up with. They come first:
-together they take nearly as long as all others. What only computes yields to them.
+The tests of one file share their bags, runs and browsers, so a file runs on one worker. Tests over DDS wait for most of
+their time, so there are more workers than cores. One such test runs at once, on a worker of its own: two suites at once
+overload two cores, and their programs must answer in time. These tests come first, because together they take nearly as
+long as all others. Tests that only compute yield to them.
 """
 
 import os

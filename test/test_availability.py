@@ -226,7 +226,7 @@ def test_the_whole_table_agrees_with_the_small_part() -> None:
 
 def test_the_pages_valid_attitudes_are_consistent() -> None:
     """One in a thousand beyond the covariance, and mean NEES in its 99.9 % band, each case separately."""
-    _, _, *rows = [[one.strip() for one in row.strip("|").split("|")] for row in table_of("honesty").splitlines()]
+    _, _, *rows = [[one.strip() for one in row.strip("|").split("|")] for row in table_of("consistency").splitlines()]
     assert len(rows) == 2 * len(trials.COUNTS) - 1  # one star in each is not VALID without the INS
     for _, _, valid, beyond, nees in rows:
         low, high = mean_nees_band(int(valid), 3)

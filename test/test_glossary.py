@@ -1,9 +1,10 @@
-"""The frame letters that the code uses are those of the glossary in :mod:`ship_geometry`."""
+"""The glossary in :mod:`ship_geometry`: its modules and sources exist, and the code uses its frame letters."""
 
 import re
 from pathlib import Path
 
 import ship_geometry
+from tools.reference_pages import glossary_page, glossary_sections, glossary_terms, module_path
 
 ROOT = Path(__file__).parents[1]
 FRAMES = set(re.findall(r"^    ([a-z])     ", ship_geometry.__doc__ or "", re.MULTILINE))
@@ -14,6 +15,25 @@ VECTOR = re.compile(
 )
 SECONDS_AND_METRES = {"s", "m"}
 """Letters of frames, which stand for units too: ``error_m`` is a length."""
+TERMS = [term for heading, body in glossary_sections() if heading.startswith("Terms") for term in glossary_terms(body)]
+
+
+def test_each_term_has_a_meaning_and_a_module_that_exists() -> None:
+    names = [name for term, _ in TERMS for name in term.split(", ")]
+    assert len(names) == len(set(names)) > 80
+    assert [term for term, fields in TERMS if not fields["meaning"]] == []
+    assert [term for term, fields in TERMS if not module_path(fields["module"]).exists()] == []
+
+
+def test_each_source_is_listed_in_the_sources() -> None:
+    listed = (ROOT / "docs" / "sources.md").read_text(encoding="utf-8")
+    sources = [fields["source"] for _, fields in TERMS if "source" in fields]
+    assert len(sources) > 5
+    assert [source for source in sources if source not in listed] == []
+
+
+def test_the_glossary_is_short() -> None:
+    assert len(glossary_page().split()) <= 2500
 
 
 def test_the_glossary_names_frames_once() -> None:

@@ -68,7 +68,7 @@ def _run(options: argparse.Namespace) -> int:
         return EXIT_BAD_INPUT
     results = _study(options.exposures, options.processes)
     small = {key: values[:SMALL_PART] for key, values in results.items()}
-    tables = {"stars": star_table(results), "clouds": cloud_table(results), "honesty": consistency_table(results)}
+    tables = {"stars": star_table(results), "clouds": cloud_table(results), "consistency": consistency_table(results)}
     tables |= {"small part": small_table(small)}
     for name, table in tables.items():
         print(f"\n{name}\n{table}")
@@ -128,14 +128,14 @@ def consistency_table(results: trials.Results) -> str:
     """Return the table of attitudes with status VALID, and of those with an error beyond their covariance."""
     lines = ["| stars | INS | VALID | beyond the covariance | mean NEES |", "|---|---|---:|---:|---:|"]
     for counts in sorted(trials.COUNTS):
-        for method, told in ((trials.STARS_VALID, "no"), (trials.WITH_INS, "yes")):
+        for method, has_ins in ((trials.STARS_VALID, "no"), (trials.WITH_INS, "yes")):
             values = results[trials.count_case(counts), method]
             count = int(np.sum(np.isfinite(values[:, 1])))
             if count:
                 mean = float(np.nanmean(values[:, 1]))
                 cells = (
                     trials.count_case(counts),
-                    told,
+                    has_ins,
                     str(count),
                     str(trials.count_beyond_covariance(values)),
                     f"{mean:.2f}",

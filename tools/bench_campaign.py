@@ -23,7 +23,7 @@ MOST_WORKERS_RATIO = 1.0 / 1.8
 """On two otherwise idle processors."""
 
 MONTE_CARLO_RUNS, MONTE_CARLO_RUN_S, MONTE_CARLO_INS_HZ = 200, 600.0, 20.0
-"""Of the ship's attitude by two star sensors; runs of one seed each, as in the campaigns."""
+"""Runs of the ship's attitude by two star sensors, each of one seed, as in the campaigns."""
 
 RUNS_MEASURED = 4
 MOST_MONTE_CARLO_S = 60.0 * WITH_INTEGRITY

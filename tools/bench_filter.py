@@ -135,10 +135,10 @@ def _TimedStep(step: Callable[..., Any]) -> tuple[Any, list[float]]:
     """Return a step that records the duration of each of its calls, us."""
     times_us: list[float] = []
 
-    def timed(*arguments: Any) -> Any:
+    def measure_step(*arguments: Any) -> Any:
         begin_ns = time.perf_counter_ns()
         result = step(*arguments)
         times_us.append((time.perf_counter_ns() - begin_ns) * 1e-3)
         return result
 
-    return timed, times_us
+    return measure_step, times_us

@@ -15,7 +15,7 @@ from ship_node.edge.ins_messages import ins_sample
 ROUNDS = 5
 MOST_TEMPLATE_RATIO = 0.5
 MOST_READ_RATIO = 0.85
-"""Of encoding, and of decoding with checks, to the same by message objects."""
+"""Ratios of encoding, and of decoding with checks, to the same by message objects."""
 
 _IMU_TYPE = "sensor_msgs/msg/Imu"
 

@@ -26,7 +26,7 @@ DURATION_S, ROUNDS = 60.0, 3
 LAG_S = 2.0
 MAX_SMOOTHER_RATIO = 0.1
 MAX_DIFFERENCE_ARCSEC = 0.05
-"""Of the estimated INS error after each measurement."""
+"""Limit of the difference of the INS error estimated after each measurement."""
 
 _INS_ERROR = slice(0, 3)
 """First states of the filter, and of each time of a smoother."""
@@ -99,18 +99,18 @@ def _used_measurements(run: SimulatedRun) -> tuple[ShipStateModel, list[Measured
     last: list[Any] = []
     measured: list[Measured] = []
 
-    def kept(measurement: Any, mean: FloatArray, *others: Any) -> Any:
+    def record_linearisation(measurement: Any, mean: FloatArray, *others: Any) -> Any:
         last[:] = mean.copy(), linearised(measurement, mean, *others)
         return last[1]
 
-    def noted(state: Any, measurement: Any, *others: Any) -> Any:
+    def record_step(state: Any, measurement: Any, *others: Any) -> Any:
         result = step(state, measurement, *others)
         if result is not None and result[1].accepted:
             time_s = float(measurement.time_ns - run.ins.time_ns[0]) * 1e-9
             measured.append(Measured(time_s, last[1].compared.linear, last[0], result[0].means[0]))
         return result
 
-    core.filter.step, core.filter.linearisation.linearise = noted, kept  # type: ignore[method-assign]
+    core.filter.step, core.filter.linearisation.linearise = record_step, record_linearisation  # type: ignore[method-assign]
     feed_attitude(core, run)
     return core.filter.model, measured
 
@@ -180,7 +180,7 @@ class _Smoother:
         found = weight @ linear.residual + by_state @ measured.at_mean
         states = {self._moment: by_state[:, self._moving], self._CONSTANT: by_state[:, self._constant]}
         graph.add(self._factor(found, states))
-        return self._after(graph, values)
+        return self._update(graph, values)
 
     def _factor(self, found: FloatArray, by_state: dict[int, FloatArray]) -> Any:
         """Return the factor of ``found`` = sum of ``by_state`` times the states, with unit noise."""
@@ -191,7 +191,7 @@ class _Smoother:
             at_zero.insert(key, np.zeros(matrix.shape[1]))
         return self._gtsam.LinearContainerFactor(self._gtsam.JacobianFactor(*terms, found, noise), at_zero)
 
-    def _after(self, graph: Any, values: Any) -> tuple[FloatArray, FloatArray]:
+    def _update(self, graph: Any, values: Any) -> tuple[FloatArray, FloatArray]:
         if self._lags:
             # The constant states have the time of the newest one, so that they are not marginalised.
             self._smoother.update(graph, values, {self._CONSTANT: self._time_s, self._moment: self._time_s})

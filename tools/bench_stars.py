@@ -24,7 +24,7 @@ MOST_SOLUTION_RATIO = 150.0 / 46.0
 """150 us, relative to 46 us of scipy's align_vectors with sensitivity."""
 
 YARDSTICK_SVDS = 5
-"""Of a matrix (3, 3)."""
+"""Number of singular value decompositions of a matrix (3, 3)."""
 
 MOST_SVD_RATIO = 5.5
 """Half of it is a second linearisation, in which the errors of both cameras' optics weight the stars."""

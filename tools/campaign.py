@@ -50,19 +50,19 @@ def main() -> int:
     console = Console(width=120)
     console.print(f"error at the end of each of {arguments.seeds} runs, one a seed; heading, pitch, roll")
     console.print(_line("case", "sigma (arcsec)", "RMS (arcsec)", "RMS/sigma", "NEES", "refused", ""))
-    honest = True
+    in_band = True
     with ProcessPoolExecutor(arguments.processes) as pool:
         for name in arguments.cases:
             if name == PEER:
-                honest &= _compare_with_peer(console, pool, min(arguments.seeds, PEER_SEEDS))
+                in_band &= _compare_with_peer(console, pool, min(arguments.seeds, PEER_SEEDS))
                 continue
             recording = arguments.recording if name == "recorded" else None
             scenario = case_in_short(name, recording) if arguments.in_short else case_at_length(name, recording)
-            honest &= _print_case(console, name, _errors(pool, name, final_error, scenario, arguments.seeds))
+            in_band &= _print_case(console, name, _errors(pool, name, final_error, scenario, arguments.seeds))
     low, high = sigma_ratio_band(arguments.seeds)
     nees_low, nees_high = mean_nees_band(arguments.seeds, 3)
     console.print(f"99.9 % bands: RMS/sigma [{low:.2f}, {high:.2f}], NEES [{nees_low:.2f}, {nees_high:.2f}]")
-    return 0 if honest else 1
+    return 0 if in_band else 1
 
 
 def _errors(
@@ -79,10 +79,10 @@ def _compare_with_peer(console: Console, pool: Executor, seeds: int) -> bool:
         return True
     scenario = case_in_short("paper")
     console.print(f"{seeds} runs of {scenario.duration_s:g} s by the filter and by GTSAM's iSAM2:")
-    honest = True
+    in_band = True
     for name, error in (("paper, a minute", final_error), ("the same, iSAM2", isam2_error)):
-        honest &= _print_case(console, name, _errors(pool, name, error, scenario, seeds))
-    return honest
+        in_band &= _print_case(console, name, _errors(pool, name, error, scenario, seeds))
+    return in_band
 
 
 def _print_case(console: Console, name: str, results: list[FinalError]) -> bool:
@@ -93,7 +93,7 @@ def _print_case(console: Console, name: str, results: list[FinalError]) -> bool:
     nees = float(np.mean([result.nees for result in results]))
     low, high = sigma_ratio_band(len(results))
     nees_low, nees_high = mean_nees_band(len(results), 3)
-    honest = bool(np.all((low <= ratio) & (ratio <= high)) and nees_low <= nees <= nees_high)
+    in_band = bool(np.all((low <= ratio) & (ratio <= high)) and nees_low <= nees <= nees_high)
     console.print(
         _line(
             name,
@@ -102,10 +102,10 @@ def _print_case(console: Console, name: str, results: list[FinalError]) -> bool:
             _three_values_text(ratio),
             f"{nees:.2f}",
             str(sum(result.rejected_count for result in results)),
-            "in band" if honest else "OUTSIDE",
+            "in band" if in_band else "OUTSIDE",
         )
     )
-    return honest
+    return in_band
 
 
 def _line(name: str, *columns: str) -> str:

@@ -15,7 +15,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 SRC = ROOT / "src"
 PAGE = ROOT / "docs" / "reference" / "dependencies.md"
-_NO_KEY = "rosdep knows no key"
+_NO_KEY = "rosdep has no key"
 _PIP_KEY = "rosdep has only the key `{}`, for pip"
 
 
@@ -133,10 +133,10 @@ def required_distributions(package: str) -> set[str]:
     path = SRC / package / "setup.py"
     tree = ast.parse(path.read_text(encoding="utf-8"))
     given = {word.arg: word.value for node in ast.walk(tree) if isinstance(node, ast.Call) for word in node.keywords}
-    asked = list(ast.literal_eval(given["install_requires"]))
+    required = list(ast.literal_eval(given["install_requires"]))
     for extra in ast.literal_eval(given["extras_require"]).values():
-        asked += extra
-    return {re.split(r"[\s<>=!;\[]", name)[0] for name in asked}
+        required += extra
+    return {re.split(r"[\s<>=!;\[]", name)[0] for name in required}
 
 
 def libraries(package: str) -> list[Library]:

@@ -47,7 +47,7 @@ _SPDX = {
 }
 """Licences that permit distribution with Apache-2.0 → their other names."""
 _NAMES = {name: spdx for spdx, others in _SPDX.items() for name in (spdx, *others)}
-_SHARED_ALIKE = ("LGPL-2.1-or-later", "MPL-2.0")
+_COPYLEFT = ("LGPL-2.1-or-later", "MPL-2.0")
 
 HEAD = """# Licences
 
@@ -115,7 +115,7 @@ def page() -> str:
     text = HEAD
     for name in distributions():
         stated, place = licence(name)
-        mark = " *" if any(word in stated for word in _SHARED_ALIKE) else ""
+        mark = " *" if any(word in stated for word in _COPYLEFT) else ""
         text += f"| `{name}` | {stated or 'not known'}{mark} | {place} |\n"
     return text
 

@@ -25,7 +25,7 @@ from ship_simulation.scenario.scenario_file import load_scenario
 
 SCENARIO = Path(__file__).parents[1] / "bags" / "scenarios" / "theodolite_sweep.yaml"
 BAND = (0.88, 1.12)
-"""Of RMS/sigma for 200 seeds."""
+"""Band of RMS/sigma for 200 seeds."""
 
 
 @dataclass(frozen=True)

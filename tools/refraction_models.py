@@ -89,9 +89,9 @@ def costs(weather: Weather) -> list[str]:
     lines = ["| model | a new weather | a star |", "|---|---:|---:|"]
     for model in MODELS:
         weathers = [Weather(weather.pressure_hpa - 1e-3 * i, weather.temperature_c) for i in range(_CALLS)]
-        anew = _seconds(model, elevation, weathers)
-        again = _seconds(model, elevation, [weather] * _CALLS)
-        lines.append(f"| `{model}` | {1e6 * (anew - again):.0f} µs | {1e6 * again / _STARS:.1f} µs |")
+        changing = _seconds(model, elevation, weathers)
+        constant = _seconds(model, elevation, [weather] * _CALLS)
+        lines.append(f"| `{model}` | {1e6 * (changing - constant):.0f} µs | {1e6 * constant / _STARS:.1f} µs |")
     return lines
 
 
@@ -99,9 +99,9 @@ def _seconds(model: ModelName, elevation: FloatArray, weathers: list[Weather]) -
     """Return the median time of a call in each of the weathers in turn, s."""
     times = []
     for weather in weathers:
-        begun = time.perf_counter()
+        begin_s = time.perf_counter()
         refraction(model, elevation, weather)
-        times.append(time.perf_counter() - begun)
+        times.append(time.perf_counter() - begin_s)
     return float(np.median(times))
 
 

@@ -40,8 +40,10 @@ CASES = {
     "paper": Case(600.0, 17, "stanford.png"),
     "theodolite_sweep": Case(300.0, 34, "stanford_pointing.png"),
 }
-"""By scenario: a million epochs of the ship's attitude, with the truth at each output; a hundred thousand of the
-pointing with lights, with the truth in the bag ten times a second.
+"""Voyages by scenario.
+
+They have a million epochs of the ship's attitude, with the truth at each output, and a hundred thousand of the pointing
+with lights, with the truth in the bag ten times a second.
 """
 
 

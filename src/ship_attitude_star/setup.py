@@ -16,7 +16,7 @@ CYTHON = 3, 1  # the oldest that takes these sources
 FLAGS = ["-O3", "-g0", "-ffp-contract=off"]
 
 
-# Digest of the sources that the C beside them was generated from.
+# Digest of the sources from which the C next to them was generated.
 STAMP = Path(package_name, "compiled_sources.sha256")
 
 
@@ -40,7 +40,7 @@ class CompiledModules(build_ext):
 
 
 def compiled_modules():
-    """By Cython; where that is missing or older, from the generated C that a release or a bundle brings."""
+    """Return modules of Cython; where that is missing or older, of the generated C of a release or a bundle."""
     try:
         import Cython
         from Cython.Build import cythonize

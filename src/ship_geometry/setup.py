@@ -25,7 +25,7 @@ CYTHON = 3, 1  # the oldest that takes these sources
 FLAGS = ["-O3", "-g0", "-ffp-contract=off"]
 
 
-# Digest of the sources that the C beside them was generated from.
+# Digest of the sources from which the C next to them was generated.
 STAMP = Path(package_name, "compiled_sources.sha256")
 
 
@@ -35,7 +35,7 @@ def modules(ending):
 
 
 def shared_module():
-    """What all compiled modules of the suite share: generated and compiled once."""
+    """Return the module with the functions that all compiled modules share: generated and compiled once."""
     return Extension(SHARED_MODULE, ["ship_geometry/compiled_shared.c"], extra_compile_args=FLAGS)
 
 
@@ -54,7 +54,7 @@ class CompiledModules(build_ext):
 
 
 def compiled_modules():
-    """By Cython; where that is missing or older, from the generated C that a release or a bundle brings."""
+    """Return modules of Cython; where that is missing or older, of the generated C of a release or a bundle."""
     try:
         import Cython
         from Cython.Build import cythonize
@@ -99,6 +99,6 @@ setup(
     zip_safe=False,
     maintainer="Ship attitude team",
     maintainer_email="maintainers@example.org",
-    description="Frames, rotations and their covariance, time scales, Earth and refraction. Knows nothing of ROS.",
+    description="Frames, rotations and their covariance, time scales, Earth and refraction. Independent of ROS.",
     license="Apache-2.0",
 )

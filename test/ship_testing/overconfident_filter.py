@@ -3,7 +3,7 @@
 import numpy as np
 
 from ship_attitude_star.ros.ship_attitude_adapter import ShipAttitudeAdapter
-from ship_attitude_star.ship_attitude.state import changed
+from ship_attitude_star.ship_attitude.state import with_changes
 
 
 def make_overconfident(adapter: ShipAttitudeAdapter) -> None:
@@ -12,4 +12,4 @@ def make_overconfident(adapter: ShipAttitudeAdapter) -> None:
     mean = core.state.mean.copy()
     mean[model.slices["ins.attitude"]] += np.radians([0.0, 1.0, 0.0])
     start = core.filter.fault_detector.initial_state(mean, 1e-4 * core.state.covariance_by_source)
-    core._estimator.reset(changed(start, time_ns=core.state.time_ns, last_used_ns=core.state.last_used_ns))
+    core._estimator.reset(with_changes(start, time_ns=core.state.time_ns, last_used_ns=core.state.last_used_ns))

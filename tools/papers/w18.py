@@ -31,7 +31,7 @@ UNSURVEYED_LENS_M = np.full(3, LENS_M / np.sqrt(3.0))
 ELEVATIONS_DEG = (10.0, 30.0, 60.0, 80.0)
 SCENARIOS = ("lens_surveyed", "lens_unsurveyed")
 _ELEVATION_DEG, _EPOCHS, _SEED = 30.0, 40_000, 18
-_EPOCHS_BESIDE, _VOYAGES = 10_000, 8
+_EPOCHS_OF_VARIANTS, _VOYAGES = 10_000, 8
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def _constant_focal_lengths() -> Iterator[tuple[str, ...]]:
     for words, reading in (("per axis", SURVEYED), ("as a norm", AS_A_NORM)):
         for error_mm in (0.1, 0.2, 0.3):
             constant = replace(reading, focal_length_error_m=1e-3 * error_mm)
-            yield words, f"{error_mm:.1f} mm", *_three(axis_errors(constant, _EPOCHS_BESIDE).triads)
+            yield words, f"{error_mm:.1f} mm", *_three(axis_errors(constant, _EPOCHS_OF_VARIANTS).triads)
 
 
 def _voyages() -> Iterator[tuple[str, ...]]:
@@ -232,7 +232,7 @@ def _three(sizes: FloatArray) -> tuple[str, ...]:
 
 def _over_elevations(reading: PaperReading) -> str:
     totals = [
-        summary(axis_errors(replace(reading, elevation_deg=each), _EPOCHS_BESIDE).triads)[2]
+        summary(axis_errors(replace(reading, elevation_deg=each), _EPOCHS_OF_VARIANTS).triads)[2]
         for each in ELEVATIONS_DEG
     ]
     return f"{min(totals):.2f} to {max(totals):.2f}″"

@@ -100,8 +100,8 @@ def _printed_section() -> Iterator[Row]:
 def _conclusions() -> Iterator[tuple[str, ...]]:
     for conclusion in CONCLUSIONS:
         held = [conclusion.holds(reading) for reading in (PAPER, PHYSICAL)]
-        told = ("holds" if each else "**does not**" for each in held)
-        yield conclusion.place, conclusion.words, *told, conclusion.remark
+        cells = ("holds" if each else "**does not**" for each in held)
+        yield conclusion.place, conclusion.words, *cells, conclusion.remark
 
 
 def _count_holding(reading: InstallationConvention) -> int:

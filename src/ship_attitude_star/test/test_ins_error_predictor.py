@@ -8,7 +8,7 @@ import pytest
 from ship_attitude_star.ins_errors.process import own_error_matrix
 from ship_attitude_star.measurements.readings import PositionFix
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
-from ship_attitude_star.ship_attitude.state import changed
+from ship_attitude_star.ship_attitude.state import with_changes
 from ship_attitude_star.smoothing.ins_error_predictor import InsErrorPredictor
 from ship_attitude_star.smoothing.traced_filter import TracedFilter
 from ship_attitude_star.vertical.vertical_track import VerticalTrack
@@ -51,7 +51,7 @@ def test_it_equals_the_prediction_of_the_filter(values: dict) -> None:
     full = sigma[:, None] * (mix @ mix.T) * sigma
     stack = np.zeros_like(start.stack)
     stack[0], stack[len(start.covariance_by_source) :] = full, full
-    state = changed(start, stack=stack, means=start.means + 0.3 * sigma * rng.standard_normal(len(sigma)))
+    state = with_changes(start, stack=stack, means=start.means + 0.3 * sigma * rng.standard_normal(len(sigma)))
     anchor = Anchor(START_NS, GaussianEstimate(state.mean, state.covariance), state.vertical)
     between = InsErrorPredictor(filter_, values.get("horizon") == "gravity")
     times_ns = [START_NS + round(second * SECOND_NS) for second in (0.0, 0.4, 7.3, 33.0, 61.9)]

@@ -16,7 +16,7 @@ from scipy.stats import chi2
 from ship_attitude_star.ros.messages_in import star_measurement
 from ship_attitude_star.ship_attitude.core import ShipAttitudeCore
 from ship_attitude_star.ship_attitude.memory import memory_residual
-from ship_attitude_star.ship_attitude.state import changed
+from ship_attitude_star.ship_attitude.state import with_changes
 from ship_bags.stamps import ns_from_stamp, stamp_fields
 from ship_estimation.outcome import Status
 from ship_estimation.recovery.recovery import MEMORY_SIGMAS
@@ -216,7 +216,7 @@ def test_a_nan_covariance_is_consistent_with_no_stored_state() -> None:
     assert core.largest_difference_sigmas(core.state, core.state) == 0.0
     parts = core.state.stack.copy()
     parts[0, 0, 0] = np.nan
-    assert not core.largest_difference_sigmas(core.state, changed(core.state, stack=parts)) <= MEMORY_SIGMAS
+    assert not core.largest_difference_sigmas(core.state, with_changes(core.state, stack=parts)) <= MEMORY_SIGMAS
 
 
 def test_a_fault_from_the_start_leaves_no_stored_state() -> None:

@@ -62,8 +62,8 @@ def ship_message_folder() -> Path:
     """
     prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
     installed = [prefix / "share" / SHIP_MESSAGES / "msg" for prefix in prefixes]
-    beside_this_package = Path(__file__).resolve().parents[2] / SHIP_MESSAGES / "msg"
-    for folder in [*installed, beside_this_package]:
+    in_the_checkout = Path(__file__).resolve().parents[2] / SHIP_MESSAGES / "msg"
+    for folder in [*installed, in_the_checkout]:
         if folder.is_dir():
             return folder
     raise BadInput(f"package {SHIP_MESSAGES} was not found: source the workspace's setup file first")

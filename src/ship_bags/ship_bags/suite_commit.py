@@ -12,7 +12,7 @@ COMMIT_RECORD = "suite"
 def suite_commit() -> str:
     """Return the git commit of this code, with "+changes" where files differ from it; empty outside a checkout.
 
-    A suite installed inside the checkout of another project has no commit: git must know this file.
+    A suite installed inside the checkout of another project has no commit: this file is not tracked there.
     """
     source = Path(__file__).resolve()
     if _git(source, "ls-files", "--error-unmatch", source.name) is None:

@@ -141,11 +141,11 @@ def updated_means(
     check("whitened_noise", whitened_noise.shape[0] == whitened_noise.shape[1] == 3)
     of_running, of_excess = np.empty((rows, count, weights.shape[0], _COLUMNS)), np.empty((rows, count))
     of_refused = np.empty((rows, count), dtype=np.int64)
-    of_heard, of_contradicts = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
+    of_last_measured, of_contradicts = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
     means: cython.double[:, :, :, ::1] = of_running
     excesses: cython.double[:, ::1] = of_excess
     refusals: cython.longlong[:, ::1] = of_refused
-    last_measured: cython.longlong[::1] = of_heard
+    last_measured: cython.longlong[::1] = of_last_measured
     contradicts: cython.longlong[::1] = of_contradicts
     seen = cython.declare(cython.double[3])
     mean: cython.p_double
@@ -190,7 +190,7 @@ def updated_means(
             contradicts[s] = never_ns
         elif contradicts[s] == never_ns:
             contradicts[s] = time_ns
-    return of_running, of_excess, of_refused, of_heard, of_contradicts
+    return of_running, of_excess, of_refused, of_last_measured, of_contradicts
 
 
 def updated_mean(

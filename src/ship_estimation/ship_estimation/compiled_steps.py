@@ -366,8 +366,8 @@ def solution_separations(
         least_variance: least variance of a separation.
     """
     rows: cython.Py_ssize_t = means.shape[0]
-    of_apart, of_statistic = np.empty((rows, count)), np.zeros(rows)
-    separation: cython.double[:, ::1] = of_apart
+    of_separation, of_statistic = np.empty((rows, count)), np.zeros(rows)
+    separation: cython.double[:, ::1] = of_separation
     statistic: cython.double[::1] = of_statistic
     by_all: cython.double
     row: cython.Py_ssize_t
@@ -380,7 +380,7 @@ def solution_separations(
             statistic[row] = _larger(
                 statistic[row], _separation_sigmas(means, stack, row, i, by_all, least_share, least_variance)
             )
-    return of_apart, of_statistic
+    return of_separation, of_statistic
 
 
 def exceeds_separation(

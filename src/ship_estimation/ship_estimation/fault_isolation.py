@@ -122,8 +122,8 @@ def isolate_fault(
         is inconsistent with it, so this source is faulty:
 
         >>> from ship_estimation.innovation_means import initial_means
-        >>> excess, heard_ns = np.array([[2.0, 0.1], [9.0, 0.1], [2.0, 0.1]]), np.zeros(2, dtype=int)
-        >>> seen = replace(initial_means(3, 2), excess=excess, last_measured_ns=heard_ns)
+        >>> excess, measured_ns = np.array([[2.0, 0.1], [9.0, 0.1], [2.0, 0.1]]), np.zeros(2, dtype=int)
+        >>> seen = replace(initial_means(3, 2), excess=excess, last_measured_ns=measured_ns)
         >>> uses = np.array([[True, True], [False, True], [True, False]])
 
         >>> isolate_fault(seen, uses, np.array([0.0, 4.0, 1.0]), 5.0, [1, 2], now_ns=0)
@@ -186,8 +186,8 @@ def _is_main_filter_consistent(
     # NaN is inconsistent.
     return all(
         excess <= 1.0 and refused < degraded_after
-        for excess, refused, heard_ns, used in by_source
-        if used and heard_ns >= since_ns
+        for excess, refused, measured_ns, used in by_source
+        if used and measured_ns >= since_ns
     )
 
 

@@ -199,7 +199,7 @@ def _kind_and_text(
     """Return kind and text of the most important result: a bias affects the sigma test, a wrong sigma the outliers."""
     biased = max((axis for axis in axes if axis.is_biased), key=lambda axis: abs(axis.bias_sigma), default=None)
     if biased is not None:
-        return DiagnosisKind.BIASED, biased.bias_text(table.along(biased.name)[:, 1])
+        return DiagnosisKind.BIASED, biased.bias_text(table.on_axis(biased.name)[:, 1])
     if parts.is_optimistic:
         return DiagnosisKind.OPTIMISTIC, f"sigma optimistic by {parts.factor:.1f}: the noise is understated"
     if parts.is_misidentified:
@@ -208,9 +208,9 @@ def _kind_and_text(
     if parts.is_conservative:
         times = f"{1.0 / parts.factor:.1f}" if parts.factor > _MIN_FACTOR else f"more than {1.0 / _MIN_FACTOR:.0f}"
         return DiagnosisKind.CONSERVATIVE, f"sigma conservative by {times}: the noise is overstated"
-    lasting = max((axis for axis in axes if axis.is_correlated), key=lambda axis: abs(axis.correlation), default=None)
-    if lasting is not None:
-        return DiagnosisKind.CORRELATED, lasting.correlation_text
+    correlated = [axis for axis in axes if axis.is_correlated]
+    if correlated:
+        return DiagnosisKind.CORRELATED, max(correlated, key=lambda axis: abs(axis.correlation)).correlation_text
     if math.isnan(parts.factor):
         return DiagnosisKind.UNKNOWN, "sigma not assessed: the prediction is less certain than the measurements"
     return DiagnosisKind.AS_STATED, f"as stated, to a factor of {parts.factor:.2f} in its sigma"

@@ -170,7 +170,7 @@ class InnovationTable:
         >>> one = Innovation(7, np.array([4.0]), degrees=1, nis=4.0, components=1, own_share=1.0,
         ...                  is_used=True, axes={"up": (2.0, 6.0 * ARCSEC)})
         >>> table.add_all([one, one])
-        >>> print(len(table), table.squares, table.along("up")[:, 0])
+        >>> print(len(table), table.squares, table.on_axis("up")[:, 0])
         1 [[4.]] [2.]
     """
 
@@ -193,11 +193,11 @@ class InnovationTable:
         """Column of the first square."""
         return _SINGLE_NUMBERS + 2 * len(self.axes)
 
-    def along(self, axis: str) -> FloatArray:
+    def on_axis(self, axis: str) -> FloatArray:
         """Return the innovations along an axis, in sigmas and in rad, shape (k, 2), of the k that have this axis."""
         start = _SINGLE_NUMBERS + 2 * self.axes.index(axis)
-        along: FloatArray = self.numbers[:, start : start + 2]
-        return along[~np.isnan(along[:, 0])]
+        values: FloatArray = self.numbers[:, start : start + 2]
+        return values[~np.isnan(values[:, 0])]
 
     def add_all(self, innovations: Collection[Innovation]) -> None:
         """Add innovations; of several with one stamp the last one is kept."""
@@ -389,11 +389,11 @@ def axis_statistics(table: InnovationTable) -> list[AxisStatistics]:
         >>> print(up.name, up.bias_sigma, up.is_biased)
         up 2.0 True
     """
-    figures, lasting = compiled_innovations.axis_statistics(
+    figures, common_variance = compiled_innovations.axis_statistics(
         table.numbers, len(table.axes), LEAST_COUNT, _SIGMA_OF_SPREAD, _CLIPPED_AT
     )
     return [
-        AxisStatistics(name, int(count), lasting, *statistics)
+        AxisStatistics(name, int(count), common_variance, *statistics)
         for name, (count, *statistics) in zip(table.axes, figures.tolist(), strict=True)
         if count >= LEAST_COUNT
     ]

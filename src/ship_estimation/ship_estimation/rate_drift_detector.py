@@ -41,11 +41,10 @@ class RateDisagreement(NamedTuple):
 class RateDriftDetector:
     """Detects drift of one INS attitude against its rates, piece by piece.
 
-    >>> watch, rng = RateDriftDetector(), np.random.default_rng(1)
-    >>> clean = [watch.detect(rng.normal(0.0, 1e-6, 3), 2.0, 0.1) for _ in range(30)]
-
-    >>> crept = watch.detect(np.array([0.0, 2e-5, 0.0]), 2.0, 0.1)
-    >>> set(clean), (crept.turn_n * 1e5).round() + 0.0
+    >>> detector, rng = RateDriftDetector(), np.random.default_rng(1)
+    >>> clean = [detector.detect(rng.normal(0.0, 1e-6, 3), 2.0, 0.1) for _ in range(30)]
+    >>> drift = detector.detect(np.array([0.0, 2e-5, 0.0]), 2.0, 0.1)
+    >>> set(clean), (drift.turn_n * 1e5).round() + 0.0
     ({None}, array([0., 4., 0.]))
     """
 

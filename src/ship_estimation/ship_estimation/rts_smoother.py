@@ -205,7 +205,7 @@ class RtsSmoother(Generic[Given]):
             stretches = self._links[0].pieces
             while stretches and stretches[0].times_ns[0] <= time_ns:
                 due, rest = _split_piece(stretches.popleft(), time_ns)
-                taken.append((due.times_ns, self._smoothed(due)))
+                taken.append((due.times_ns, self._smooth(due)))
                 if rest is not None:
                     stretches.appendleft(rest)
             if stretches:
@@ -251,7 +251,7 @@ class RtsSmoother(Generic[Given]):
             times_ns.append(self._requested_ns.popleft())
         return times_ns
 
-    def _smoothed(self, stretch: Piece) -> GaussianEstimate:
+    def _smooth(self, stretch: Piece) -> GaussianEstimate:
         """Return the smoothed estimates at times before the first remaining link."""
         if isinstance(stretch.found, GaussianEstimate):
             return stretch.found

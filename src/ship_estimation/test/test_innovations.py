@@ -33,8 +33,8 @@ def test_a_table_grows_with_parts_and_axes_and_keeps_what_it_has() -> None:
     table.add_all([innovation(2, [2.0, 22.0], axes={"right": (5.0, 6.0)}), innovation(3, [np.inf], axes={})])
     assert table.axes == ("up", "right")
     np.testing.assert_array_equal(table.squares, [[1.0, np.nan], [2.0, 22.0], [np.inf, np.nan]])
-    assert table.along("up").tolist() == [[1.0, 2.0]]
-    assert table.along("right").tolist() == [[5.0, 6.0]]
+    assert table.on_axis("up").tolist() == [[1.0, 2.0]]
+    assert table.on_axis("right").tolist() == [[5.0, 6.0]]
 
 
 def test_old_and_surplus_innovations_are_dropped() -> None:

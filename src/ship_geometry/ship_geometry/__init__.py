@@ -1,7 +1,8 @@
 """Glossary of the suite: frames, rotations, terms, names and units.
 
-Every module of every package follows this page. This package depends on numpy, ERFA and the tables of the Earth's
-rotation, and on no other package of the suite.
+Every module of every package uses these terms. ``docs/reference/glossary.md`` is generated from this docstring: a term
+has a meaning, then its unit and frame, its source and the module that implements it, where they apply. The package
+itself depends on no other package of the suite.
 
 Frames
     All frames are right-handed. A pointing device has the axes **(forward, up, right)**: a vector (x, y, z) in its
@@ -53,124 +54,226 @@ Names and units
     conversion. ``sigma`` is a standard deviation, ``covariance_n`` a covariance about the axes of n.
 
 Terms of the sky
-    Apparent direction
-        Direction of a star as seen from the ship: its catalogue place after proper motion, parallax, aberration, the
-        Earth's rotation and refraction.
+    Apparent place
+        Direction of a star as seen from the ship: its catalogue place after proper motion, parallax, aberration, Earth
+        rotation and refraction.
+        Unit: unit vector in n; source: IAU 2006/2000A; module: ship_geometry.star_directions.
     Aberration
-        The shift of a star's direction by the observer's speed: 20″ by the Earth's way round the Sun, 0.3″ by its
-        rotation, 0.01″ by the ship's own speed.
+        Shift of an apparent place by the observer's velocity: 20″ by the Earth's orbit, 0.3″ by its rotation, 0.01″ by
+        the ship.
+        Unit: rad; module: ship_geometry.star_directions.
     Refraction
-        Angle by which the air raises the apparent direction of a star (or a light).
+        Angle by which the air raises the apparent place of a star or a light.
+        Unit: rad; source: Hohenkerk, Sinclair 1985; module: ship_geometry.refraction.
+    Sky model
+        Apparent places of all stars for the ship's position, time and weather, with the errors that they share.
+        Unit: unit vectors in n; module: ship_attitude_star.sky.sky_model.
     UT1
-        Time defined by the Earth's rotation. UT1 − UTC is measured by the IERS; a second of it is 15″.
+        Time defined by the Earth's rotation; UT1 − UTC is measured by the IERS, and 1 s of it is 15″.
+        Unit: s; source: finals2000A; module: ship_geometry.earth_orientation.
     Deflection of the vertical
-        The angle between gravity's zenith, on which an INS levels itself, and the ellipsoid normal Up.
+        Angle between gravity's zenith, to which an INS levels itself, and the ellipsoid normal Up.
+        Unit: rad; module: ship_attitude_star.vertical.
 
 Terms of the ship
     INS
         Inertial navigation system: attitude and rate at about 100 Hz without gaps, with correlated errors.
+        Module: ship_estimation.ins.
     Star sensor
-        A camera that measures the pixels of stars (*observations*), or the attitude that it solves from them.
-    Horizon attitude, inertial attitude
-        Attitude of a sensor in n, and in c: azimuth, elevation, roll; or a quaternion against the ICRS.
-    Solution
-        The attitude that ``star_attitude`` computes from observations: of one sensor, or of the deck by all (*joint*).
+        Camera that measures the pixels of stars, or the attitude that it solves from them.
+        Module: ship_attitude_star.stars.camera.
     Reference
         Another attitude system aboard, without stars.
+        Module: ship_attitude_star.measurements.samples.
+    Horizon attitude, inertial attitude
+        Attitude of a sensor in n, and in c.
+        Unit: azimuth, elevation, roll, rad; quaternion; module: ship_attitude_star.sky.tracker_attitude.
+    Sight line
+        Straight line from a sensor to a star or a light; also called line of sight.
+        Unit: unit vector; module: theodolite_calib.lights.line_of_sight.
+    Wahba's problem
+        Find the rotation between two frames from directions that are known in both.
+        Source: Wahba 1965; module: ship_geometry.wahba.
+    Solution
+        Attitude computed from stars, of one sensor, or of the deck by all sensors (*joint*).
+        Unit: rad, n; module: ship_attitude_star.stars.solution.
     Installation, mounting
-        Orientation of a device on the deck: its three angles in d, and the small rotation of their error.
-    Mounting shift
-        A step of the installation of a device.
+        Orientation of a device on the deck: three angles, and a small rotation vector of their error.
+        Unit: rad, d; module: ship_attitude_star.ship_attitude.model.
     Alignment
-        The estimates of ``ship_attitude`` of all installations and clocks, as a message and as a file.
-    Mask
-        An obstruction on deck in the view of a sensor: a polygon over azimuth and elevation of d.
+        Estimates of all installations and clocks by ``ship_attitude``, as a message and as a file.
+        Module: ship_attitude_star.ship_attitude.alignment.
+    Deck mask
+        Obstruction on deck in the view of a sensor, as a polygon.
+        Unit: azimuth and elevation, rad, d; module: ship_geometry.deck_masks.
     Flexure
-        The hull's bending between the INS and a sensor.
+        Bending of the hull between the INS and a sensor.
+        Unit: rad, d; module: ship_attitude_star.ship_attitude.model.
     Time offset tau
         A sample of a source is valid at its stamp + tau.
+        Unit: s; module: ship_attitude_star.ship_attitude.model.
+    Exposure, streak
+        Time over which a camera collects light; trail of a star or light during this time.
+        Unit: s; module: ship_geometry.exposure_mean.
+    Pixel dwell
+        Series of exposures in which the stars stay near the same pixels, so that pixel errors do not average out.
+        Module: ship_attitude_star.stars.spatial_errors.
 
 Terms of the theodolite
-    Calibration
-        The estimates of ``optical_axis`` of axis errors, focal length and deformation, as a message and as a file.
     Main optical axis
-        The forward axis of m: the direction in which the theodolite points.
-    Encoder
-        The scale on an axis of the mount; the two encoders measure azimuth and elevation.
-    Axis errors
-        The terms of a pointing model (Wallace, TPOINT): g and h, zero points of the encoders; c, collimation; I,
-        non-perpendicularity (tilt of the horizontal axis). Further terms: beta_x and beta_y, tilt of the vertical axis
-        towards the bow and towards starboard; flexure of the tube.
+        Forward axis of m: the direction in which the theodolite points.
+        Unit: rad, n; module: theodolite_calib.optical_axis.
     Axis geometry
-        The rotations from the ship's attitude through foot and mount to the main optical axis.
+        Rotations from the ship's attitude through foot and mount to the main optical axis.
+        Module: theodolite_calib.chain.axes.
+    Encoder
+        Scale on an axis of the mount; two encoders measure azimuth and elevation.
+        Unit: rad, d; module: theodolite_calib.measured.encoder_check.
+    Axis errors
+        Terms of a pointing model: zero points g and h of the encoders, collimation, non-perpendicularity, tilt of the
+        vertical axis (beta_x, beta_y), flexure of the tube.
+        Unit: rad; source: Wallace 2002; module: theodolite_calib.chain.axes.
+    Collimation c
+        Angle of the optical axis against the normal to the horizontal axis.
+        Unit: rad; module: theodolite_calib.chain.axes.
+    Non-perpendicularity I
+        Tilt of the horizontal axis against the normal to the vertical axis.
+        Unit: rad; module: theodolite_calib.chain.axes.
     Parallelism
-        Three angles from the telescope's axis to the main axis, and their errors.
+        Three angles from the axis of the calibration telescope to the main optical axis.
+        Unit: rad, t; module: theodolite_calib.chain.parallelism.
     Deformation
-        The hull's bending between the INS and the theodolite's foot: f against d.
+        Bending of the hull between the INS and the theodolite's foot: f relative to d.
+        Unit: rad, d; module: theodolite_calib.filter.model.
+    Calibration
+        Estimates of axis errors, focal length and deformation by ``optical_axis``, as a message and as a file.
+        Module: theodolite_calib.optical_axis.calibration.
     Beacon, light
-        A drone whose position is measured by RTK, and the lamp on it that the telescope observes.
+        Drone whose position is measured by RTK; the lamp on it that the telescope observes.
+        Module: theodolite_calib.lights.
     Baseline
-        The vector from the ship's antenna to a beacon's, in n.
+        Vector from the ship's antenna to the antenna of a beacon.
+        Unit: m, n; module: theodolite_calib.measured.baseline_track.
     Lever
-        The vector between two points of one rigid body: from an antenna to a lens, from an antenna to a light.
+        Vector between two points of one rigid body: from an antenna to a lens or to a light.
+        Unit: m, d or b; module: theodolite_calib.lights.line_of_sight.
     Principal point
-        Of the lens (N'): the point of the telescope at which lines of sight meet. Of the detector: its intersection
-        with the axis of the lens.
+        Of the lens (N'): point of the telescope at which sight lines meet. Of the detector: intersection with the axis
+        of the lens.
+        Unit: m; module: theodolite_calib.lights.image.
     Sighting
-        The measurement of the axis by one exposure of the telescope (or one row of a table).
+        Measurement of the axis by one exposure of the telescope, or by one row of a table.
+        Module: theodolite_calib.measured.sighting.
 
 Terms of estimation
-    Measurement, residual, innovation
-        The data of a device; measured minus predicted; the residual as published, with its covariance and decision.
+    Innovation
+        Measured minus predicted, with its covariance.
+        Unit: that of the measurement; module: ship_estimation.innovations.
+    Normalised innovation
+        Innovation divided by its standard deviation.
+        Unit: sigmas; module: ship_estimation.innovations.
+    Whitened innovation
+        Innovation multiplied by the inverse Cholesky factor of its covariance; its covariance is the unit matrix.
+        Unit: sigmas; module: ship_estimation.compiled_innovations.
+    NIS, NEES
+        Normalised innovation squared and normalised estimation error squared: e^T P^-1 e; the mean is the number of
+        components if P is consistent.
+        Source: Bar-Shalom, Li, Kirubarajan 2001; module: ship_estimation.gates.
+    Windowed innovation mean
+        Exponential mean of the whitened innovations of a source over 3, 30 or 300 measurements.
+        Unit: sigmas; module: ship_estimation.innovation_means.
+    Innovation gate
+        Threshold of the NIS above which a measurement is rejected.
+        Module: ship_estimation.gates.
+    Plausibility check
+        Check of a source before its measurement is used: frozen value, jump, rates.
+        Module: ship_estimation.value_checks.
+    Motion reference
+        Another source that shows the motion of the ship for a plausibility check.
+        Module: ship_estimation.motion_check.
     Measurement decision
-        A measurement is accepted or rejected; a rejection has a reason.
-    Gate
-        Threshold of the normalised innovation squared above which a measurement is rejected.
-    Plausibility check, motion reference
-        A check of a source before its measurement is used; another source that shows the motion for such a check.
+        A measurement is accepted or rejected.
+        Module: ship_estimation.outcome.
     Rejection, conflict
         A measurement that is not used, with its reason; a series of rejections of one source.
-    Error source, part, budget
-        A named cause of error; its part of a covariance; the covariance by error source, whose sum is the covariance.
+        Module: ship_estimation.rejections.
+    Innovation diagnosis
+        Statistical test of a source's innovations: are sigma, alignment and clock as configured?
+        Module: ship_estimation.innovation_diagnosis.
+    Covariance by error source (error budget)
+        Parts of a covariance, one for each named cause of error; their sum is the covariance.
+        Unit: rad², n; module: ship_estimation.kalman.
+    White, correlated, constant error
+        Error that is independent in each sample; that has a correlation time (Gauss–Markov); that is constant.
+        Module: ship_estimation.kalman.
+    Covariance inflation
+        Addition of the covariance of a possible jump or fault to that of the estimate.
+        Unit: rad², n; module: ship_attitude_star.ship_attitude.ins_fault_handling.
     Prior
         Estimate before a measurement, with its covariance.
-    White, correlated, constant
-        An error that is independent in each sample; one with a correlation time (Gauss–Markov); one that is constant.
-    Inflated covariance
-        A covariance to which that of a possible jump is added.
-    NEES, NIS
-        Normalised estimation error (innovation) squared: e^T P^-1 e (Bar-Shalom, Li, Kirubarajan 2001, §5.4). Its mean
-        is the number of components if P is consistent.
-    Lag
-        Maximum delay of a measurement that is still applied at its own time.
-    Stamp, log time, waiting time
-        Time at which a measurement was valid; time at which a recorder wrote it; monotonic time for timeouts.
-    Exposure, streak
-        The time over which a camera collects light; the trail of a star or a light in this time.
+        Module: ship_estimation.kalman.
 
 Terms of integrity
     Main filter, subfilter
-        The filter that uses all sources; a filter that excludes one source (or several), updated in parallel.
+        Filter that uses all sources; filter that excludes one source or several, updated in parallel.
+        Module: ship_estimation.subfilters.
     Solution separation
-        Difference between a subfilter and the main filter (Blanch et al. 2015, ARAIM).
+        Difference between the estimates of a subfilter and of the main filter.
+        Unit: rad, n; source: Blanch, Walter, Enge and others 2015; module: ship_estimation.protection_levels.
     Fault detection and exclusion (FDE)
         Detection of an inconsistency, isolation of the faulty source, and its exclusion.
+        Module: ship_estimation.fault_isolation.
     Unresolved fault
-        A fault that is detected but not isolated; the covariance is inflated.
-    Excluded, monitored, reinstated
-        A source that is not used; its innovations are still computed; it is used again after a time of consistency.
+        Fault that is detected but not isolated; the covariance is inflated.
+        Module: ship_attitude_star.ship_attitude.fault_detection.
+    Excluded, monitored
+        A source is not used; its innovations are still computed.
+        Module: ship_estimation.fault_isolation.
+    Reinstatement
+        An excluded source is used again after a time of consistency.
+        Module: ship_estimation.fault_isolation.
+    Mounting shift
+        Step of the installation of a device.
+        Unit: rad, d; module: ship_watch.mounting_shifts.
+    Drift
+        Slow change of an attitude or of a mounting.
+        Unit: rad, n or d; module: ship_estimation.rate_drift_detector.
     Protection level, alert limit
-        Bound of an error under an undetected fault; the largest acceptable protection level.
-
-Terms of running
-    Core, adapter, runtime
-        The estimator of a node, without ROS; the conversion of messages to its types and back; the live execution.
-    Time-ordered estimator
-        Applies measurements in the order of their stamps and publishes outputs in order.
-    Suite file
-        The parameter file of all nodes of a ship.
-    Bag, black box
-        A recording of topics; a recording of all inputs and outputs of one node, which replays to the last bit.
+        Bound of an error under an undetected fault; largest acceptable protection level.
+        Unit: rad; module: ship_estimation.protection_levels.
     VALID, COASTING, DEGRADED, UNVERIFIED, INVALID
         The value rests on stars or lights; on recent ones; not on them; on unconfirmed stars; there is no value (NaN).
+        Module: ship_estimation.outcome.
+    SAFE, CAUTION, UNSAFE
+        An angle is within the limits of the ship; usable with care; not usable.
+        Module: ship_watch.safety.
+
+Terms of running
+    Stamp, log time, waiting time
+        Time at which a measurement was valid; time at which a recorder wrote it; monotonic time for timeouts.
+        Unit: ns; module: ship_node.live.node_clock.
+    Lag
+        Maximum delay of a measurement that is still applied at its own time.
+        Unit: s; module: ship_estimation.time_ordered_estimator.
+    Time-ordered estimator
+        Applies measurements in the order of their stamps and publishes outputs in order.
+        Module: ship_estimation.time_ordered_estimator.
+    Pending, commit
+        A measurement waits for data that may still arrive; after the lag its decision is final.
+        Module: ship_estimation.time_ordered_estimator.
+    Batch
+        Consecutive messages of one topic that an offline replay processes together.
+        Module: ship_node.edge.batches.
+    Core, adapter
+        Estimator of a node, without ROS; conversion of messages to its types and back.
+        Module: ship_node.edge.adapter.
+    Node runtime
+        Live execution of an adapter: messages, clocks, parameters, services, exit codes.
+        Module: ship_node.live.node_runtime.
+    Suite file
+        Parameter file of all nodes of a ship.
+        Module: ship_node.parameters.parameter_file.
+    Bag, black box
+        Recording of topics; recording of all inputs and outputs of one node, which replays to the last bit.
+        Module: ship_node.black_box.
 """

@@ -241,7 +241,7 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
             sample = self._samples[left]
             found = InterpolatedAttitude(sample.rotation_nd, self.rate(left), 1.0, sample=sample)
         else:
-            found = self._between(left, fraction)
+            found = self._interpolate(left, fraction)
         return self._with_noise(found, time_ns) if self._extra else found
 
     @property
@@ -382,11 +382,11 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
     def _has_rate(self, index: int) -> bool:
         return self._samples[index].rate_d is not None
 
-    def _between(self, left: int, fraction: float) -> InterpolatedAttitude:
+    def _interpolate(self, left: int, fraction: float) -> InterpolatedAttitude:
         """Interpolate between two samples, by a cubic of the rotation vector from the first one."""
         first, second = self._samples[left], self._samples[left + 1]
         if first.rate_d is None or second.rate_d is None:
-            return self._between_without_rates(left, fraction)
+            return self._interpolate_without_rates(left, fraction)
         interval_s = self._seconds(left, left + 1)
         # The error of the cubic is estimated from its difference to the sample before.
         before, at_before = first, 0.0
@@ -407,14 +407,14 @@ class AttitudeTrack(SampleTrack[AttitudeSample]):
         )
         return InterpolatedAttitude(rotation_nd, rate_d, gain, covariance_d, first, second, tuple(errors_d))
 
-    def _between_without_rates(self, left: int, fraction: float) -> InterpolatedAttitude:
+    def _interpolate_without_rates(self, left: int, fraction: float) -> InterpolatedAttitude:
         """Interpolate between two samples with rates, and the error of the cubic, from the neighbouring samples."""
         first, second = self._samples[left], self._samples[left + 1]
         turn, interval_s = self._turn(left, left + 1), self._seconds(left, left + 1)
         rotation_nd, rate_d, vector = compiled_rotations.cubic(
             first.rotation_nd, turn, self.rate(left), self.rate(left + 1), interval_s, fraction
         )
-        around = self._around(left)
+        around = self._indices_around(left)
         values = np.array([self._turn(left, index) for index in around])
         errors = polynomial_errors(self._fractions(around, left), values, fraction, vector)
         covariance_d, gain = as_covariance(errors, _LARGEST_VARIANCE), self._noise_gain(left, fraction)

@@ -288,7 +288,7 @@ def composed_attitude(
     by_vector = cython.declare(cython.double[9])
     turned = cython.declare(cython.double[9])
     product = cython.declare(cython.double[9])
-    from_hung = cython.declare(cython.double[9])
+    from_link = cython.declare(cython.double[9])
     on_base = cython.declare(cython.double[9])
     scale: cython.double
     k: cython.Py_ssize_t
@@ -311,18 +311,18 @@ def composed_attitude(
                 jacobian[i, links[k] + j] = scale * turn[3 * i + j]
         _times(cython.cast(cython.p_double, cython.address(after[k, 0, 0])), turned, product)
         if k == base_link:
-            memcpy(from_hung, product, 9 * cython.sizeof(cython.double))
+            memcpy(from_link, product, 9 * cython.sizeof(cython.double))
             _copy(base, on_base)
-            _times(on_base, from_hung, product)
+            _times(on_base, from_link, product)
     memcpy(cython.address(attitude[0, 0]), product, 9 * cython.sizeof(cython.double))
     for i in range(3):
-        scale = from_hung[i] * rate[0] + from_hung[3 + i] * rate[1] + from_hung[6 + i] * rate[2]
+        scale = from_link[i] * rate[0] + from_link[3 + i] * rate[1] + from_link[6 + i] * rate[2]
         for k in range(clocks.shape[0]):
             check("clocks", 0 <= clocks[k] < n)
             jacobian[i, clocks[k]] = signs[k] * scale
     _copy(base_error, on_base)
-    _transposed_times(from_hung, on_base, turn)
-    _times(turn, from_hung, cython.address(error[0, 0]))
+    _transposed_times(from_link, on_base, turn)
+    _times(turn, from_link, cython.address(error[0, 0]))
     return of_attitude, of_jacobian, of_error
 
 

@@ -52,11 +52,11 @@ class Nodes:
         mean: FloatArray = np.tensordot(self.weight, values, axes=1)
         return mean
 
-    def spread(self, values: FloatArray) -> FloatArray:
+    def covariance(self, values: FloatArray) -> FloatArray:
         """Return the covariance of values at the nodes about their mean, shape (m, ..., n) → (..., n, n)."""
         off = values - self.mean(values)
-        spread: FloatArray = np.einsum("m,m...i,m...j->...ij", self.weight, off, off)
-        return spread
+        covariance: FloatArray = np.einsum("m,m...i,m...j->...ij", self.weight, off, off)
+        return covariance
 
 
 def exposure_nodes(exposure_s: float) -> Nodes:

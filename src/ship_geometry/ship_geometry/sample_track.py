@@ -87,7 +87,7 @@ class SampleTrack(Generic[Sample]):
         index = bisect.bisect_right(self._times, time_ns) - 1
         return self._samples[index] if index >= 0 else None
 
-    def between(self, first_ns: int, last_ns: int) -> list[Sample]:
+    def samples_between(self, first_ns: int, last_ns: int) -> list[Sample]:
         """Return the samples from one stamp to another, both included, in order."""
         return self._samples[bisect.bisect_left(self._times, first_ns) : bisect.bisect_right(self._times, last_ns)]
 
@@ -119,7 +119,7 @@ class SampleTrack(Generic[Sample]):
         self._times.extend(sample.time_ns for sample in samples)
         self._samples.extend(samples)
 
-    def cut(self, time_ns: int) -> int | None:
+    def add_cut(self, time_ns: int) -> int | None:
         """Do not interpolate across a time, because the quantity has jumped there.
 
         Returns:
@@ -172,7 +172,7 @@ class SampleTrack(Generic[Sample]):
             min(bisect.bisect_left(self._times, self._times[-1] - SECOND_NS), len(self._times) - RECENT_COUNT), 0
         )
 
-    def _around(self, left: int) -> list[int]:
+    def _indices_around(self, left: int) -> list[int]:
         """Return the indices of the samples for the error of a cubic without measured rates.
 
         The two ends of the interval that begins at sample ``left`` come first. A sample that may still change when the

@@ -47,7 +47,7 @@ def test_mean_and_spread_equal_those_of_many_times(exposure_s):
     at_nodes = np.stack([roll(1.7 + np.array(nodes.offset_ns) * 1e-9), np.array(nodes.offset_ns) * 1e-9], axis=-1)
     true = np.stack([roll(many), many - 1.7], axis=-1)
     np.testing.assert_allclose(nodes.mean(at_nodes), true.mean(axis=0), atol=1e-3 * ARCSEC)
-    np.testing.assert_allclose(nodes.spread(at_nodes), np.cov(true.T, bias=True), rtol=3e-3, atol=1e-18)
+    np.testing.assert_allclose(nodes.covariance(at_nodes), np.cov(true.T, bias=True), rtol=3e-3, atol=1e-18)
 
 
 def track(rate_hz: float, measured_rates: bool, noise: np.ndarray | None = None) -> AttitudeTrack:

@@ -65,7 +65,7 @@ def test_udp_sends_whole_sentences_and_receives_commands(open_sink):
         listen_port = free_port()
         port = bridge.getsockname()[1]
         sink = open_sink(kind="udp", address="127.0.0.1", port=port, listen_port=listen_port)
-        sink.put(SENTENCE)
+        sink.queue(SENTENCE)
         assert bridge.recv(1000) == f"{SENTENCE}\r\n".encode()
         bridge.sendto(b"$IIACN,1*00\r\n$IIHBT,2*00", ("127.0.0.1", listen_port))
         wait_until(lambda: "$IIHBT,2*00" in sink.received_lines)
@@ -76,7 +76,7 @@ def test_udp_sends_whole_sentences_and_receives_commands(open_sink):
 def test_udp_continues_without_receiver(open_sink):
     sink = open_sink(kind="udp", address="127.0.0.1", port=free_port())
     for _ in range(5):
-        sink.put(SENTENCE)
+        sink.queue(SENTENCE)
         time.sleep(0.01)
     wait_until(lambda: int(sink.status().values["sent"]) == 5)
     assert sink.status().level is Level.OK
@@ -89,7 +89,7 @@ def test_udp_reaches_a_group(open_sink):
         member.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton("239.192.0.1") + own)
         member.settimeout(TIMEOUT_S)
         port = member.getsockname()[1]
-        open_sink(kind="udp", address="239.192.0.1", port=port, interface="127.0.0.1").put(SENTENCE)
+        open_sink(kind="udp", address="239.192.0.1", port=port, interface="127.0.0.1").queue(SENTENCE)
         assert member.recv(1000) == f"{SENTENCE}\r\n".encode()
 
 
@@ -98,7 +98,7 @@ def test_tcp_serves_several_clients_and_receives_lines_in_chunks(open_sink):
     sink = open_sink(kind="tcp_server", port=port)
     with connect(port) as one, connect(port) as two:
         wait_until(lambda: "2 clients" in sink.status().message)
-        sink.put(SENTENCE)
+        sink.queue(SENTENCE)
         for client in (one, two):
             assert client.recv(1000) == f"{SENTENCE}\r\n".encode()
         for piece in (b"$IIA", b"CN,1*00\r", b"\n$II"):
@@ -119,7 +119,7 @@ def test_client_that_does_not_read_is_disconnected(open_sink, monkeypatch):
         wait_until(lambda: "2 clients" in sink.status().message)
 
         def one_more_reaches_the_reader():
-            sink.put(SENTENCE)
+            sink.queue(SENTENCE)
             assert reader.recv(1000).endswith(b"\r\n")
             return "1 clients disconnected" in sink.status().message
 
@@ -143,7 +143,7 @@ def test_client_that_does_not_read_is_disconnected_at_a_low_rate(open_sink, monk
         def one_more():
             nonlocal count
             count += 1
-            sink.put(SENTENCE)
+            sink.queue(SENTENCE)
             assert reader.recv(1000) == f"{SENTENCE}\r\n".encode()
             time.sleep(0.02)
             return "1 clients, 1 clients disconnected" in sink.status().message
@@ -160,7 +160,7 @@ def test_one_host_cannot_use_all_connections(open_sink):
         wait_until(lambda: "2 clients disconnected, 127.0.0.1 has 8 connections, the max" in sink.status().message)
         with socket.create_connection(("127.0.0.1", port), TIMEOUT_S, ("127.0.0.2", 0)) as other:
             wait_until(lambda: "9 clients" in sink.status().message)
-            sink.put(SENTENCE)
+            sink.queue(SENTENCE)
             assert other.recv(1000) == f"{SENTENCE}\r\n".encode()
     finally:
         for client in clients:
@@ -180,13 +180,13 @@ def test_slow_client_receives_whole_sentences(open_sink):
         def one_more_until_some_are_skipped():
             nonlocal number
             number += 1
-            sink.put(f"${number:070d}")
+            sink.queue(f"${number:070d}")
             return "skipped" in sink.status().message
 
         wait_until(one_more_until_some_are_skipped)
         data = b""
         while len(data) < 3000:
-            sink.put("$end")
+            sink.queue("$end")
             data += slow.recv(4096)
         *lines, _ = data.split(b"\r\n")
         assert all(line == b"$end" or (len(line) == 71 and line[:1] == b"$") for line in lines)
@@ -246,7 +246,7 @@ def line(tmp_path):
 def test_serial_sends_and_receives_at_its_rate(open_sink, line):
     far, path = line()
     sink = open_sink(kind="serial", device=path, baud=4800)
-    sink.put(SENTENCE)
+    sink.queue(SENTENCE)
     assert os.read(far, 1000) == f"{SENTENCE}\r\n".encode()
     assert termios.tcgetattr(far)[5] == termios.B4800
     os.write(far, b"$IIACN,1*00\r\n")
@@ -263,17 +263,17 @@ def test_lost_serial_line_is_reported_and_opened_again(open_sink, tmp_path):
 
     far = plug()
     sink = open_sink(kind="serial", device=str(tmp_path / "ttyUSB0"))
-    sink.put(SENTENCE)
+    sink.queue(SENTENCE)
     assert os.read(far, 1000)
     (tmp_path / "ttyUSB0").unlink()
     os.close(far)
     status = wait_until(lambda: sink.status().level is Level.ERROR and sink.status())
     assert f"retried every {RETRY_S:g} s" in status.message
-    sink.put("$OLD")
+    sink.queue("$OLD")
     far = plug()
     try:
         wait_until(lambda: sink.status().level is not Level.ERROR)
-        sink.put(SENTENCE)
+        sink.queue(SENTENCE)
         # Sentences queued while it was unplugged are not sent afterwards.
         assert os.read(far, 1000) == f"{SENTENCE}\r\n".encode()
         assert sink.status().values["dropped: while it was not open"] == "1"
@@ -288,7 +288,7 @@ def test_old_sentences_of_a_blocked_serial_line_are_dropped(open_sink, line):
     def one_more():
         # A thousand per second: MOST_WAITING of them last for four times their maximum age.
         for _ in range(10):
-            sink.put(SENTENCE * 20, max_wait_ns=50_000_000)
+            sink.queue(SENTENCE * 20, max_wait_ns=50_000_000)
         return any("expired in the queue" in why for why in sink.status().values)
 
     wait_until(one_more)
@@ -324,14 +324,14 @@ def test_a_file_is_appended_to(open_sink, tmp_path):
     path = tmp_path / "log.nmea"
     path.write_text("before\n")
     sink = open_sink(kind="file", path=str(path))
-    sink.put(SENTENCE)
+    sink.queue(SENTENCE)
     sink.close()
     assert path.read_bytes() == f"before\n{SENTENCE}\r\n".encode()
 
 
 def test_full_disk_is_reported_and_retried(open_sink):
     sink = open_sink(kind="file", path="/dev/full")
-    sink.put(SENTENCE)
+    sink.queue(SENTENCE)
     status = wait_until(lambda: sink.status().level is Level.ERROR and sink.status())
     assert "No space left on device" in status.message
     wait_until(lambda: sink.status().level is not Level.ERROR)
@@ -394,7 +394,7 @@ def test_hanging_disk_delays_neither_node_nor_end(tmp_path):
     end_s = time.monotonic() + TIMEOUT_S
     while "dropped" not in sink.status().message and time.monotonic() < end_s:
         began_s = time.monotonic()
-        sink.put(SENTENCE * 100)
+        sink.queue(SENTENCE * 100)
         assert time.monotonic() - began_s < 1.0
     assert int(sink.status().values["waiting"]) == MAX_QUEUED
     assert any(f"more than {MAX_QUEUED}" in why for why in sink.status().values)

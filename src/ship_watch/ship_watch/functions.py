@@ -108,7 +108,7 @@ def without_changing_figures(text: str) -> str:
 def functions(suite_state: SuiteState) -> tuple[FunctionState, ...]:
     """Return the functions of a suite; the pointing only if the suite has a theodolite."""
     angles = {angle.name: angle for angle in suite_state.angles}
-    is_asked = {
+    is_shown = {
         ATTITUDE: math.isfinite(angles["heading"].age_s) or not math.isfinite(angles["azimuth"].age_s)
         if "azimuth" in angles else True,
         POINTING: True,
@@ -119,7 +119,7 @@ def functions(suite_state: SuiteState) -> tuple[FunctionState, ...]:
             continue
         output = POINTING if name == "pointing" else ATTITUDE
         worst = max((angles[member] for member in members), key=_severity)
-        safety = worst.safety if is_asked[output] else None
+        safety = worst.safety if is_shown[output] else None
         because_of = worst.because_of if safety else ""
         lost_before = [one for one in found if one.safety is Safety.UNSAFE]
         if output == POINTING and safety is Safety.UNSAFE and lost_before:

@@ -62,9 +62,9 @@ class ErrorsAgainstTruth:
         """Record a message of the output's own error topic."""
         channels = self._orientation.channels
         error = {name: float(getattr(message, f"error_{name}")) for name in channels}
-        knows = any(math.isfinite(value) for value in error.values())
-        self._has_published_errors = self._has_published_errors or knows
-        if knows or len(self._truth) == 0:
+        has_values = any(math.isfinite(value) for value in error.values())
+        self._has_published_errors = self._has_published_errors or has_values
+        if has_values or len(self._truth) == 0:
             sigma = {name: float(getattr(message, f"sigma_{name}")) for name in channels}
             self._append(ErrorPoint(ns_from_stamp(message.header.stamp), error, sigma))
 

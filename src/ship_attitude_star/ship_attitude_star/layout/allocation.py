@@ -54,8 +54,8 @@ def requirement_use(sigmas_arcsec: FloatArray, limits_arcsec: FloatArray) -> Flo
         sigmas_arcsec: of heading, pitch, roll, shape (..., 3).
         limits_arcsec: limits of the same, shape (3,); infinite where nothing is required.
     """
-    asked = np.isfinite(limits_arcsec)
-    use: FloatArray = np.max(sigmas_arcsec[..., asked] / limits_arcsec[asked], axis=-1)
+    is_limited = np.isfinite(limits_arcsec)
+    use: FloatArray = np.max(sigmas_arcsec[..., is_limited] / limits_arcsec[is_limited], axis=-1)
     return use
 
 

@@ -21,7 +21,7 @@ from ship_attitude_star.layout.optics import PERCENTILES
 from ship_attitude_star.layout.requirement_page import required_section
 from ship_attitude_star.layout.study import AzimuthScan, LayoutStudy
 from ship_geometry.rotations import FloatArray
-from ship_node.documents.html_page import STYLE, arcsec_texts, folded, image, table, table_body
+from ship_node.documents.html_page import STYLE, arcsec_texts, collapsible, image, table, table_body
 
 _READING_NAMES = {
     InstallationConvention.PHYSICAL: "physical: R(A0, E0, γ0) rotates the sensor's axes into the deck's",
@@ -53,7 +53,7 @@ def page_text(study: LayoutStudy, figures: Mapping[str, Path], title: str) -> st
         layout_figure=image(figures["layout"], "Boresights seen from above", "small"),
         azimuth_figure=image(figures["azimuth"], "Joint error over the azimuth of a sensor"),
         maps="\n".join(
-            folded(name, image(figures[f"map_{name}"], f"Joint error over {name}"), is_open=number == 0)
+            collapsible(name, image(figures[f"map_{name}"], f"Joint error over {name}"), is_open=number == 0)
             for number, name in enumerate(study.layout.names)
         ),
         sensor_table=_sensor_table(study),

@@ -11,7 +11,7 @@ from ship_attitude_star.layout.installation_model import SHIP_ANGLES
 from ship_attitude_star.layout.requirement import RequirementResult
 from ship_attitude_star.layout.requirement_text import binding_error_text, nearest_miss_text, placements_text
 from ship_attitude_star.layout.study import LayoutStudy
-from ship_node.documents.html_page import arcsec_texts, folded, image, table
+from ship_node.documents.html_page import arcsec_texts, collapsible, image, table
 
 
 def required_section(study: LayoutStudy, figures: Mapping[str, Path]) -> str:
@@ -26,14 +26,14 @@ def required_section(study: LayoutStudy, figures: Mapping[str, Path]) -> str:
         "the recommended azimuths, each sensor moved alone, and all sensors moved together over a grid of 5°, which is "
         "searched from several starts.</p>"
         f"{image(figures['requirement'], 'Admissible directions of each sensor')}"
-        + folded(
+        + collapsible(
             "Effect of elevation",
             "<p>At low elevation refraction grows with the cotangent of the elevation, and the field reaches the "
             "horizon as the ship rolls. At high elevation all boresights are nearly parallel, and the error about them "
             f"becomes heading. {_best_elevation(required)}</p>"
             f"{image(figures['elevation'], 'Requirement use over elevation')}",
         )
-        + folded(
+        + collapsible(
             "Maximum size of each error",
             "<p><i>Together</i>: all errors scaled by one factor. <i>Alone</i>: the other errors unchanged, with the "
             "best combination of the sensors. Any size: another sensor compensates the error. The share is that of the "

@@ -186,8 +186,8 @@ class ShipAttitudeCore:
         if sample.time_ns < self._estimator.window.oldest_ns:
             return AttitudeOutcome(self._estimator.window.late_rejection(sample.time_ns))
         outcome = AttitudeOutcome()
-        judged = self._plausibility.ins.check(sample, self._track, self._plausibility.motion_references)
-        return self._use_ins(judged, sample.time_ns if arrival_ns is None else arrival_ns, outcome, estimate)
+        checked = self._plausibility.ins.check(sample, self._track, self._plausibility.motion_references)
+        return self._use_ins(checked, sample.time_ns if arrival_ns is None else arrival_ns, outcome, estimate)
 
     def evaluate_batch(self, block: SampleBlock, arrivals_ns: StampArray) -> InsBatch | None:
         """Check the INS samples of a block as one batch, up to the first sample that needs separate handling.
@@ -261,32 +261,33 @@ class ShipAttitudeCore:
         return batch.attitudes(self._corrected_by, self._ins_propagation_s, self.config)
 
     def _use_ins(
-        self, judged: CheckedInsSample, arrival_ns: int, outcome: AttitudeOutcome, estimate: bool
+        self, checked: CheckedInsSample, arrival_ns: int, outcome: AttitudeOutcome, estimate: bool
     ) -> AttitudeOutcome:
         """Use a checked INS sample and publish the attitude at its stamp."""
-        time_ns = judged.sample.time_ns
-        if judged.rates_wrong_after_ns is not None:
+        time_ns = checked.sample.time_ns
+        if checked.rates_wrong_after_ns is not None:
             # The rates are faulty. Measurements evaluated with them are evaluated again without rates.
-            changed_after_ns = self._track.drop_rates(judged.rates_wrong_after_ns)
+            changed_after_ns = self._track.drop_rates(checked.rates_wrong_after_ns)
             if changed_after_ns is not None:
                 self._estimator.rewind_after(changed_after_ns)
                 self._estimator.apply(outcome)
-        if judged.noise is not None:
+        if checked.noise is not None:
             # Measurements since then are evaluated again with the measured noise of the samples.
-            since_ns = self._track.add_noise(judged.noise)
-            self._estimator.add_jump(self.filter.change_effective_ns(judged.noise), INS, judged.noise, since_ns)
+            since_ns = self._track.add_noise(checked.noise)
+            self._estimator.add_jump(self.filter.change_effective_ns(checked.noise), INS, checked.noise, since_ns)
             self._estimator.apply(outcome)
-        self._ins_jumps.extend(judged.jumps)
-        for jump in judged.jumps:
-            self._estimator.add_jump(self.filter.change_effective_ns(jump), INS, jump, self._track.cut(jump.time_ns))
-        if judged.rejection is not None:
-            outcome.rejection = judged.rejection
-            self._estimator.add_rejected(INS, self._track, judged.sample)
+        self._ins_jumps.extend(checked.jumps)
+        for jump in checked.jumps:
+            changed_ns = self._track.add_cut(jump.time_ns)
+            self._estimator.add_jump(self.filter.change_effective_ns(jump), INS, jump, changed_ns)
+        if checked.rejection is not None:
+            outcome.rejection = checked.rejection
+            self._estimator.add_rejected(INS, self._track, checked.sample)
             return outcome
-        if not self._estimator.add_sample(INS, self._track, judged.sample, outcome):
+        if not self._estimator.add_sample(INS, self._track, checked.sample, outcome):
             return outcome
         # Propagation by a clock offset needs the rate. Without a rate no attitude is published for the sample.
-        if self._track.newest is judged.sample and (self._track.has_newest_rate or self.state.time_ns is None):
+        if self._track.newest is checked.sample and (self._track.has_newest_rate or self.state.time_ns is None):
             self._ins_arrival_ns = arrival_ns
             if estimate:
 

@@ -27,8 +27,8 @@ from ship_attitude_star.ship_attitude.state import (
     RecentInnovations,
     SourceInnovation,
     UnresolvedFault,
-    changed,
     shared_rotation,
+    with_changes,
     with_entry,
 )
 from ship_attitude_star.ship_attitude.subfilter_set import INS, MIN_SOURCES_FOR_PAIRS, SubfilterSet
@@ -160,7 +160,7 @@ class FaultDetector:
         # own mounting states.
         is_update = any((used & accepted).tolist()) if exclusion is None else exclusion.offset is None
         if not is_update:
-            return changed(state, innovation_means=innovation_means, last_innovations=last_innovations)
+            return with_changes(state, innovation_means=innovation_means, last_innovations=last_innovations)
         updatable = self.ins_fault.updatable_states(
             state, self._updatable_states(state, source, used) & accepted[:, None]
         )
@@ -176,7 +176,7 @@ class FaultDetector:
                     innovations, comparison.linear.jacobian, self._ins_attitude.start
                 )
         means = predicted.means + corrections
-        return changed(
+        return with_changes(
             predicted,
             means=means,
             stack=stack,
@@ -210,8 +210,8 @@ class FaultDetector:
             and state.innovation_means.last_measured_ns.max() < time_ns - MAX_MEASUREMENT_AGE_NS
         ):
             excluded[INS] = replace(excluded[INS], consistent_since_ns=time_ns)
-        heard_since_ns = with_entry(state.received_since_ns, source, time_ns)
-        return changed(state, excluded=MappingProxyType(excluded), received_since_ns=heard_since_ns)
+        received_since_ns = with_entry(state.received_since_ns, source, time_ns)
+        return with_changes(state, excluded=MappingProxyType(excluded), received_since_ns=received_since_ns)
 
     def solution_separations(self, state: FilterState) -> tuple[FloatArray, FloatArray]:
         """Return the solution separations of the filters from the main filter.
@@ -273,7 +273,7 @@ class FaultDetector:
         if state.correction_sums.sigmas > COMMON_ERROR_START_SIGMAS and not table.stars.isdisjoint(faulty):
             faulty = ()  # All stars contradict the INS: a single star sensor that explains a part is not faulty.
         if self.ins_fault.has_reported_jump(state, time_ns):
-            state = changed(state, ins_fault_ns=time_ns)
+            state = with_changes(state, ins_fault_ns=time_ns)
             if INS not in faulty and not set(table.ins_subfilters).isdisjoint(isolation.explaining_subfilters):
                 faulty = ()  # A jump of the INS explains it as well: the INS may have rotated in its own frame.
         contradicting = self._contradicting_stars(state, faulty, in_use, shared)
@@ -330,16 +330,16 @@ class FaultDetector:
         correction_sums = state.correction_sums.with_unresolved_error(
             time_ns, round(self._integrity.return_after_s * SECOND_NS)
         )
-        suspicion = correction_sums.unresolved
-        if within and state.unresolved_fault is None and state.separation_covariance_n is None and suspicion is None:
+        unresolved = correction_sums.unresolved
+        if within and state.unresolved_fault is None and state.separation_covariance_n is None and unresolved is None:
             return state
         separation_covariance_n = None if within else separation_inflation(separations_n, separation_sigmas)
-        if suspicion is not None:
-            shared_n = np.diag(suspicion.variance)
+        if unresolved is not None:
+            shared_n = np.diag(unresolved.variance)
             separation_covariance_n = (
                 shared_n if separation_covariance_n is None else separation_covariance_n + shared_n
             )
-        return changed(
+        return with_changes(
             state,
             unresolved_fault=None,
             separation_covariance_n=separation_covariance_n,
@@ -353,7 +353,7 @@ class FaultDetector:
         """
         if state.unresolved_fault is not None:
             means, stack = self.ins_fault.all_filters_at(state.mean, state.covariance_by_source)
-            state = changed(state, means=means, stack=stack)
+            state = with_changes(state, means=means, stack=stack)
         if is_ins_excluded_by_stars(state):
             return self.ins_fault.with_contradiction(state, time_ns)
         return self._reset_faults(state)
@@ -372,14 +372,14 @@ class FaultDetector:
     def restart_subfilters(self, state: FilterState) -> FilterState:
         """Return the state with all filters restarted from the main filter and faults reset."""
         means, stack = self.ins_fault.all_filters_at(state.mean, state.covariance_by_source)
-        return self._reset_faults(changed(state, means=means, stack=stack))
+        return self._reset_faults(with_changes(state, means=means, stack=stack))
 
     def _reset_faults(self, state: FilterState) -> FilterState:
         """Return the state without detected faults; only the INS and sources with a mounting shift stay excluded."""
         remaining = {name: exclusion for name, exclusion in state.excluded.items() if exclusion.offset is None}
         innovation_means = cleared_means(state.innovation_means, slice(None), slice(None))
         unresolved_fault = state.unresolved_fault if is_ins_excluded_by_stars(state) else None
-        return changed(
+        return with_changes(
             state,
             excluded=MappingProxyType(remaining),
             innovation_means=innovation_means,
@@ -433,7 +433,7 @@ class FaultDetector:
             rotation_v = None if has_mounting_shift or name == INS else state.last_innovations[name].rotation_v
             excluded[name] = ExcludedSource(time_ns, exclusion_counts[name], offset=rotation_v)
             used_ns.pop(name, None)
-        state = changed(
+        state = with_changes(
             state,
             means=means,
             stack=stack,
@@ -471,7 +471,7 @@ class FaultDetector:
             for name in stars
         }
         means, stack = self.ins_fault.all_filters_at(mean, covariance_by_source)
-        return changed(
+        return with_changes(
             state,
             means=means,
             stack=stack,
@@ -499,12 +499,12 @@ class FaultDetector:
         )
         after_s = reinstatement_time_s(exclusion, after_s)
         if not is_reinstated:
-            state = changed(state, excluded=with_entry(state.excluded, source, exclusion))
+            state = with_changes(state, excluded=with_entry(state.excluded, source, exclusion))
             if exclusion.offset is None and self._is_inconsistent(state, index):
                 # Another mounting shift: the mounting estimated since the last one is void.
                 stack = state.stack.copy()
                 self._inflate_mounting(stack, state, source)
-                state = changed(
+                state = with_changes(
                     state, stack=stack, innovation_means=cleared_means(state.innovation_means, slice(None), [index])
                 )
             since_s = (time_ns - exclusion.since_ns) / SECOND_NS
@@ -518,7 +518,8 @@ class FaultDetector:
         remaining = {name: one for name, one in state.excluded.items() if name not in together}
         are = "is" if len(together) == 1 else "are"
         text = f"{' and '.join(together)} {are} reinstated"
-        return changed(state, innovation_means=seen, excluded=MappingProxyType(remaining), unresolved_fault=None), text
+        excluded = MappingProxyType(remaining)
+        return with_changes(state, innovation_means=seen, excluded=excluded, unresolved_fault=None), text
 
     def _with_offset_growth(self, state: FilterState, source: str, time_ns: int) -> FilterState:
         """Return the state with the time since which an excluded source's offset has grown in the same direction."""
@@ -534,7 +535,7 @@ class FaultDetector:
         if since_ns == exclusion.growing_since_ns:
             return state
         exclusion = replace(exclusion, growing_since_ns=since_ns)
-        return changed(state, excluded=with_entry(state.excluded, source, exclusion))
+        return with_changes(state, excluded=with_entry(state.excluded, source, exclusion))
 
     def _is_ins_drifting_on(self, state: FilterState, source: str, time_ns: int) -> bool:
         """True if the offset of the INS from all stars excluded together has grown for ``_DRIFT_DURATION_NS``.
@@ -578,12 +579,12 @@ class FaultDetector:
         For an error that all stars may share, the ratio is that of all of them together. A single sensor measures a
         rotation about its line of sight poorly, so drift of the INS about the other axes would change its ratio.
         """
-        own, heard_ns = state.excluded[source], time_ns - MAX_MEASUREMENT_AGE_NS
+        own, oldest_ns = state.excluded[source], time_ns - MAX_MEASUREMENT_AGE_NS
         names = [source]
         if own.is_shared:
             shared = [name for name, one in state.excluded.items() if one.is_shared and one.since_ns == own.since_ns]
             names = [
-                name for name in shared if state.innovation_means.last_measured_ns[self._indices[name]] >= heard_ns
+                name for name in shared if state.innovation_means.last_measured_ns[self._indices[name]] >= oldest_ns
             ]
         along = square = 0.0
         for name in names:
@@ -628,7 +629,7 @@ class FaultDetector:
             text += "stars contradict each other"
         else:
             text = "the sources contradict each other; the faulty source is not isolated"
-        return changed(state, unresolved_fault=UnresolvedFault(text, covariance_n), separation_covariance_n=None)
+        return with_changes(state, unresolved_fault=UnresolvedFault(text, covariance_n), separation_covariance_n=None)
 
     def _contradicting_stars(
         self, state: FilterState, faulty: tuple[str, ...], in_use: list[str], shared: bool

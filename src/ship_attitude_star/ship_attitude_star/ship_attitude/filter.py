@@ -19,7 +19,7 @@ from ship_attitude_star.ship_attitude.model import (
     ShipStateModel,
     devices,
 )
-from ship_attitude_star.ship_attitude.state import NO_PIXEL_DWELLS, FilterState, changed, with_entry, without_entry
+from ship_attitude_star.ship_attitude.state import NO_PIXEL_DWELLS, FilterState, with_changes, with_entry, without_entry
 from ship_attitude_star.ship_attitude.subfilter_set import INS
 from ship_attitude_star.sky.sky_model import SkyModel
 from ship_attitude_star.stars.exposure import StarExposure
@@ -82,19 +82,19 @@ class ShipFilter:
             new_share = 1.0 - decay.item(common.start) ** 2
             add_error(stack, len(means), self._common_index, common, new_share * steady)
         self.fault_detector.ins_fault.propagate(state, stack, dt_s)
-        return changed(state, time_ns=time_ns, means=means, stack=stack, vertical=here)
+        return with_changes(state, time_ns=time_ns, means=means, stack=stack, vertical=here)
 
     def _initialise(self, state: FilterState, time_ns: int) -> FilterState:
         """Return the state at its first time, initialised with the vertical there."""
         if self.vertical is None:
-            return changed(state, time_ns=time_ns)
+            return with_changes(state, time_ns=time_ns)
         assert self.model.ins_process is not None
         here = self.vertical.at(time_ns)
         initial_mean, covariance = self.model.ins_process.initial_state(here)
         means, stack = state.means.copy(), state.stack.copy()
         means[:, self.model.process_indices] += initial_mean
         self._add_to_process(stack, len(means), self._deflection_index, covariance)
-        return changed(state, time_ns=time_ns, means=means, stack=stack, vertical=here)
+        return with_changes(state, time_ns=time_ns, means=means, stack=stack, vertical=here)
 
     def _propagate_ins(self, state: FilterState, means: FloatArray, stack: FloatArray, time_ns: int) -> None:
         """Propagate the states of the INS error process from the time of a state to a later one, in place."""
@@ -147,7 +147,7 @@ class ShipFilter:
             add_error(stack, count, self._ins_index, ins_attitude, change.covariance_n)
             if change.is_clock_step:
                 state = self.fault_detector.ins_fault.exclude_for_clock_step(state, effective_ns)
-        return changed(
+        return with_changes(
             state,
             means=means,
             stack=stack,
@@ -169,7 +169,7 @@ class ShipFilter:
         state = self.propagate(state, self.change_effective_ns(noise))
         stack, rows = state.stack.copy(), self.model.slices[clock.name]
         add_error(stack, len(state.means), self._ins_index, rows, np.array([[noise.clock_sigma_s**2]]))
-        return changed(state, stack=stack)
+        return with_changes(state, stack=stack)
 
     def step(
         self,
@@ -260,7 +260,7 @@ class ShipFilter:
         stack, learned = state.stack.copy(), state.mean[optics]
         part = self.model.source_indices[SOURCE_OPTICS]
         add_error(stack, len(state.means), part, optics, np.diag(1.0 + learned**2))
-        return changed(state, stack=stack)
+        return with_changes(state, stack=stack)
 
     def _evaluate(
         self, state: FilterState, predicted: FilterState, measurement: Measurement, linearised: LinearisedMeasurement
@@ -308,7 +308,7 @@ class ShipFilter:
         is_ins_confirmed = self._is_ins_confirmed(state, linearised)
         if self.devices[source].is_star and not (accepted[0] or is_ins_confirmed):
             # No other data show whether the INS has jumped.
-            after = changed(after, unconfirmed_step=_unconfirmed_ins_jump(measurement.time_ns))
+            after = with_changes(after, unconfirmed_step=_unconfirmed_ins_jump(measurement.time_ns))
         after, text = self.fault_detector.detect_faults(
             after, source, innovations, is_ins_confirmed, measurement.time_ns
         )
@@ -355,7 +355,7 @@ class ShipFilter:
             innovations.whitened_innovation[subfilters],
             innovations.whitening_root[subfilters],
         )
-        return changed(predicted, stack=inflated), inflated_innovations._replace(
+        return with_changes(predicted, stack=inflated), inflated_innovations._replace(
             whitened_innovation=whitened, whitening_root=root
         )
 
@@ -382,7 +382,7 @@ class ShipFilter:
 
     def _count_rejection(self, state: FilterState, source: str) -> FilterState:
         """Return the state with the consecutive rejections of a source increased by one."""
-        return changed(
+        return with_changes(
             state,
             consecutive_rejections=with_entry(
                 state.consecutive_rejections, source, state.consecutive_rejections.get(source, 0) + 1
@@ -397,8 +397,9 @@ class ShipFilter:
         """
         if not self._gate.reopen_after or state.consecutive_rejections[source] % self._gate.reopen_after:
             return state, ""
-        state = changed(state, stack=state.stack * self._gate.reopen_factor, pixel_dwells=NO_PIXEL_DWELLS)
-        state = self.fault_detector.restart_subfilters(changed(state, excluded=without_entry(state.excluded, source)))
+        state = with_changes(state, stack=state.stack * self._gate.reopen_factor, pixel_dwells=NO_PIXEL_DWELLS)
+        state = with_changes(state, excluded=without_entry(state.excluded, source))
+        state = self.fault_detector.restart_subfilters(state)
         return state, f"; covariance inflated by a factor of {self._gate.reopen_factor:g}"
 
     def _record_accepted(self, state: FilterState, measurement: Measurement) -> FilterState:
@@ -418,7 +419,7 @@ class ShipFilter:
         pixel_dwells = state.pixel_dwells
         if isinstance(measurement, StarExposure) and measurement.pixel_dwell is not None:
             pixel_dwells = with_entry(pixel_dwells, source, measurement.pixel_dwell)
-        return changed(
+        return with_changes(
             state,
             consecutive_rejections=refusals,
             last_used_ns=used_ns,
@@ -438,7 +439,7 @@ class ShipFilter:
             add_error(stack, len(state.means), self._common_index, common, common_n)
         elif is_none or common_n.tobytes() == state.common_n[source].tobytes():
             return state
-        return changed(state, stack=stack, common_n=with_entry(state.common_n, source, common_n))
+        return with_changes(state, stack=stack, common_n=with_entry(state.common_n, source, common_n))
 
     def _reject_by_gate(
         self, state: FilterState, decision: AttitudeDecision, linearised: LinearisedMeasurement
@@ -453,7 +454,7 @@ class ShipFilter:
         measured_nd = compared.rotation_nv @ compared.predicted_nv.T @ ins.rotation_nd
         rotation_n = log_rotation(measured_nd @ ins.rotation_nd.T)
         residual = AttitudeResidual(decision.measurement.time_ns, rotation_n, compared.attitude_noise_n)
-        state = changed(
+        state = with_changes(
             self._count_rejection(state, source),
             rejected_residuals=with_entry(state.rejected_residuals, source, residual),
         )

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.model import SOURCE_INS, ShipStateModel
-from ship_attitude_star.ship_attitude.state import FilterState, UnresolvedFault, changed, with_entry, without_entry
+from ship_attitude_star.ship_attitude.state import FilterState, UnresolvedFault, with_changes, with_entry, without_entry
 from ship_attitude_star.ship_attitude.subfilter_set import INS, SubfilterSet
 from ship_estimation.fault_isolation import ExcludedSource, reinstatement_time_s
 from ship_estimation.gates import chi_square_gate
@@ -148,7 +148,7 @@ class InsFaultHandling:
             return state
         times = state.exclusion_counts.get(INS, 0) + 1
         excluded = with_entry(state.excluded, INS, ExcludedSource(time_ns, times, is_self_reported=True))
-        state = changed(state, excluded=excluded, exclusion_counts=with_entry(state.exclusion_counts, INS, times))
+        state = with_changes(state, excluded=excluded, exclusion_counts=with_entry(state.exclusion_counts, INS, times))
         return self._with_unresolved_fault(state, time_ns, "the INS is excluded: step of its clock")
 
     def with_contradiction(self, state: FilterState, time_ns: int) -> FilterState:
@@ -157,9 +157,9 @@ class InsFaultHandling:
         Its change of attitude may be wrong by as much as recently, so the fault is unresolved with that covariance.
         """
         names = state.in_use(self._subfilters.sources, time_ns)
-        excluded = with_entry(state.excluded, INS, changed(state.excluded[INS], is_self_reported=False))
+        excluded = with_entry(state.excluded, INS, with_changes(state.excluded[INS], is_self_reported=False))
         text = f"the INS is excluded: it reported a jump, and {', '.join(names) or 'all sources'} contradicted it"
-        return self._with_unresolved_fault(changed(state, excluded=excluded), time_ns, text)
+        return self._with_unresolved_fault(with_changes(state, excluded=excluded), time_ns, text)
 
     def with_not_evaluable(self, state: FilterState, time_ns: int) -> FilterState:
         """Return the state after a measurement that contradicts it too much to be evaluated."""
@@ -167,7 +167,7 @@ class InsFaultHandling:
             return state
         stack = state.stack.copy()
         self._inflate(stack, len(state.means), _UNKNOWN_INS_RAD**2 * np.eye(3), None)
-        return self.with_contradiction(changed(state, stack=stack), time_ns)
+        return self.with_contradiction(with_changes(state, stack=stack), time_ns)
 
     def monitor(
         self, state: FilterState, innovations: FilterInnovations, is_consistent: bool, time_ns: int
@@ -209,12 +209,14 @@ class InsFaultHandling:
         if is_by_stars:
             # The filters were updated equally and do not differ.
             means, stack = self.all_filters_at(state.mean, state.covariance_by_source)
-            state = changed(state, means=means, stack=stack)
+            state = with_changes(state, means=means, stack=stack)
         if not exclusion.is_self_reported:
             # Faults hidden by the inflated covariance show within half a slow roll period after the reinstatement.
             confirmed_ns = time_ns + round(_CONSISTENT_FOR_S * SECOND_NS)
-            state = changed(state, unconfirmed_step=UnconfirmedStep(confirmed_ns, "the INS was reinstated", "stars"))
-        return changed(state, excluded=without_entry(state.excluded, INS), unresolved_fault=None, ins_fault_ns=time_ns)
+            step = UnconfirmedStep(confirmed_ns, "the INS was reinstated", "stars")
+            state = with_changes(state, unconfirmed_step=step)
+        excluded = without_entry(state.excluded, INS)
+        return with_changes(state, excluded=excluded, unresolved_fault=None, ins_fault_ns=time_ns)
 
     # ---------------------------------------------------------------------------------------------------------
 
@@ -223,9 +225,9 @@ class InsFaultHandling:
         names = state.in_use(self._subfilters.sources, time_ns)
         rotations = [state.last_innovations[name].rotation_n for name in names if name in state.last_innovations]
         covariance_n = sum((np.outer(turn_n, turn_n) for turn_n in rotations), start=np.zeros((3, 3)))
-        excluded = with_entry(state.excluded, INS, changed(state.excluded[INS], consistent_since_ns=time_ns))
+        excluded = with_entry(state.excluded, INS, with_changes(state.excluded[INS], consistent_since_ns=time_ns))
         seen = cleared_means(state.innovation_means, slice(None), slice(None))
-        return changed(
+        return with_changes(
             state, excluded=excluded, innovation_means=seen, unresolved_fault=UnresolvedFault(text, covariance_n)
         )
 

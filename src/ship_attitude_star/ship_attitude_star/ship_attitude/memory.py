@@ -10,7 +10,7 @@ import numpy as np
 from ship_attitude_star.ship_attitude.corrected_ins import newest_star_ns
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.linearisation import NotEvaluable
-from ship_attitude_star.ship_attitude.state import FilterState, changed
+from ship_attitude_star.ship_attitude.state import FilterState, with_changes
 from ship_attitude_star.sky.sky_model import SkyModel
 from ship_estimation.ins import InsJump
 from ship_estimation.outcome import Measurement
@@ -33,7 +33,7 @@ def start_from_memory(filter_: ShipFilter, memory: FilterState, live: FilterStat
         memory: the stored state.
         live: state of the estimator in use; its exclusion counts and INS fault time are kept.
     """
-    return changed(
+    return with_changes(
         filter_.fault_detector.initial_state(memory.mean, memory.covariance_by_source),
         time_ns=memory.time_ns,
         vertical=memory.vertical,
@@ -112,5 +112,5 @@ def _growth_per_second(filter_: ShipFilter, state: FilterState) -> np.ndarray:
     assert state.time_ns is not None
     before_ns = state.time_ns - SECOND_NS
     here = None if filter_.vertical is None else filter_.vertical.at(before_ns)
-    before = changed(state, time_ns=before_ns, vertical=here, stack=np.zeros_like(state.stack))
+    before = with_changes(state, time_ns=before_ns, vertical=here, stack=np.zeros_like(state.stack))
     return filter_.propagate(before, state.time_ns).covariance

@@ -27,8 +27,8 @@ __all__ = [
     "SourceInnovation",
     "UnresolvedFault",
     "UtcStep",
-    "changed",
     "shared_rotation",
+    "with_changes",
     "with_entry",
     "without_entry",
 ]
@@ -36,10 +36,10 @@ __all__ = [
 Value = TypeVar("Value")
 
 if TYPE_CHECKING:
-    from dataclasses import replace as changed
+    from dataclasses import replace as with_changes
 else:
 
-    def changed(of, **fields):
+    def with_changes(of, **fields):
         """Return a copy of a frozen dataclass with some fields replaced.
 
         It is ``dataclasses.replace`` in a fifth of the time: ``__init__`` and ``__post_init__`` are not called. A
@@ -210,7 +210,7 @@ class FilterState:
             zip(sources, self.innovation_means.last_measured_ns.tolist(), strict=True),
             time_ns - MAX_MEASUREMENT_AGE_NS,
         )
-        return [name for name, heard_ns in received if heard_ns >= since_ns and name not in self.excluded]
+        return [name for name, received_ns in received if received_ns >= since_ns and name not in self.excluded]
 
     @property
     def covariance(self) -> FloatArray:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ship_attitude_star.measurements.samples import AttitudeDecision
 from ship_attitude_star.ship_attitude.model import ShipStateModel
-from ship_attitude_star.ship_attitude.state import FilterState, SourceInnovation, UnresolvedFault, UtcStep, changed
+from ship_attitude_star.ship_attitude.state import FilterState, SourceInnovation, UnresolvedFault, UtcStep, with_changes
 from ship_attitude_star.sky.sky_model import EARTH_ROTATION_RATE
 from ship_estimation.rejections import Reason
 from ship_geometry.rotations import FloatArray
@@ -42,7 +42,7 @@ def with_utc_step(state: FilterState, model: ShipStateModel, step_ns: int) -> Fi
     step_s = step_ns / SECOND_NS + (0.0 if state.utc_step is None else state.utc_step.step_s)
     # An unresolved fault from before belongs to the earlier UTC.
     unresolved_fault = None if state.utc_step is not None else state.unresolved_fault
-    return changed(
+    return with_changes(
         state,
         utc_step=UtcStep(step_s) if _is_observable(state, model, step_s) else None,
         unresolved_fault=unresolved_fault,
@@ -69,7 +69,7 @@ def with_utc_evaluated(
     innovation, utc = after.last_innovations.get(decision.measurement.source), state.utc_step
     assert utc is not None
     if utc.log_likelihood_ratio < _DECISIVE_LOG_RATIO and not _is_observable(predicted, model, utc.step_s):
-        return changed(state, utc_step=None), decision
+        return with_changes(state, utc_step=None), decision
     if innovation is None or not len(decision.residual):
         return after, decision
     ratio, rotation_n = _log_likelihood_ratio(innovation, utc.step_s)
@@ -77,8 +77,8 @@ def with_utc_evaluated(
         return after, decision
     total = min(utc.log_likelihood_ratio + ratio, _MAX_LOG_RATIO)
     if total <= -_DECISIVE_LOG_RATIO:
-        return changed(state, utc_step=None, unresolved_fault=None), decision
-    state = changed(state, utc_step=UtcStep(utc.step_s, total))
+        return with_changes(state, utc_step=None, unresolved_fault=None), decision
+    state = with_changes(state, utc_step=UtcStep(utc.step_s, total))
     if total < _DECISIVE_LOG_RATIO:
         text = f"the clocks stepped by {utc.step_s:+.3f} s: not used until UTC is verified with the INS"
         return state, replace(decision, accepted=False, reason=Reason.CLOCK, text=text)
@@ -86,7 +86,7 @@ def with_utc_evaluated(
         f"UTC differs by {utc.step_s:+.1f} s: since the clock step the stars are rotated about the pole by "
         "15.04″ per second of the step; set the clocks right, or call ~/reset if they were wrong before"
     )
-    state = changed(state, unresolved_fault=UnresolvedFault(text, np.outer(rotation_n, rotation_n)))
+    state = with_changes(state, unresolved_fault=UnresolvedFault(text, np.outer(rotation_n, rotation_n)))
     return state, replace(decision, accepted=False, reason=Reason.ATTITUDE_CONFLICT, text=text)
 
 

@@ -48,7 +48,7 @@ SPEED_SIGMA_M_PER_S = 10.0
 JUMP_CONFIRMATION_S = 25.0
 """Time after which a position that has jumped is accepted, s.
 
-A node cannot know which of two positions is right, and the wrong one may have come first.
+The node has no means to decide which of two positions is right; the wrong one may have come first.
 """
 
 MIN_CONSISTENT_FIXES = 10
@@ -142,16 +142,16 @@ class PositionFromFixes:
 
     def _extrapolated_until_ns(self, after_ns: int, until_ns: int) -> int:
         """Return the last time up to which all positions after ``after_ns`` are extrapolated; at most ``until_ns``."""
-        told_ns = after_ns if self._oldest_ns is None else max(after_ns, self._oldest_ns - 1)
-        while told_ns < until_ns:
-            line = self._line_fixes(told_ns + 1)
+        last_ns = after_ns if self._oldest_ns is None else max(after_ns, self._oldest_ns - 1)
+        while last_ns < until_ns:
+            line = self._line_fixes(last_ns + 1)
             if line is None:
                 break
             # The line is used until the next fix is old enough, or its own last one is too old.
             _, last = line
             old_enough_ns = [time_ns + self._delay_ns - 1 for time_ns in self._fixes.times[last + 1 : last + 2]]
-            told_ns = min([self._fixes.times[last] + self._fix_max_age_ns, until_ns, *old_enough_ns])
-        return told_ns
+            last_ns = min([self._fixes.times[last] + self._fix_max_age_ns, until_ns, *old_enough_ns])
+        return last_ns
 
     def drop_before(self, time_ns: int) -> None:
         """Drop the fixes that times from ``time_ns`` on do not need; earlier times may not be requested any more."""
@@ -173,10 +173,8 @@ class PositionFromFixes:
         straight line grows with the time to its two fixes.
         """
         if self._fixes.has_conflict_at(time_ns - self._delay_ns):
-            disputed = "the first position fixes contradict one another"
-            return Rejection(
-                Reason.NO_FIX, f"{disputed}: no position until {MIN_CONSISTENT_FIXES} in a row are consistent"
-            )
+            text = f"no position until {MIN_CONSISTENT_FIXES} in a row are consistent"
+            return Rejection(Reason.NO_FIX, f"the first position fixes contradict one another: {text}")
         line = self._line_fixes(time_ns)
         return self._position_near_fixes(time_ns) if line is None else self._position_on_line(*line, time_ns)
 

@@ -110,7 +110,8 @@ class SmoothingCore(ShipAttitudeCore):
             return outcome
         for one in outcome.estimates:
             has_fault = one.state.unresolved_fault is not None or INS in one.state.excluded
-            self._pending.append(_RealTimeEstimate(_detached(one), one.state.separation_covariance_n, has_fault))
+            separation_n = one.state.separation_covariance_n
+            self._pending.append(_RealTimeEstimate(_copy_without_state(one), separation_n, has_fault))
             self._smoother.request_time(one.time_ns)
         return outcome
 
@@ -164,12 +165,12 @@ class SmoothingCore(ShipAttitudeCore):
             due.append(self._pending.popleft())
         corrections: list[tuple[_RealTimeEstimate, GaussianEstimate, InterpolatedAttitude]] = []
         places, estimates = [], [self._as_published(pending.estimate) for pending in due]
-        for place, told in enumerate(due):
-            corrects = known.get(told.estimate.time_ns)
-            ins = None if corrects is None or told.has_fault else self._ins_at(told.estimate.time_ns, corrects)
+        for place, pending in enumerate(due):
+            corrects = known.get(pending.estimate.time_ns)
+            ins = None if corrects is None or pending.has_fault else self._ins_at(pending.estimate.time_ns, corrects)
             if corrects is not None and ins is not None:
                 places.append(place)
-                corrections.append((told, corrects, ins))
+                corrections.append((pending, corrects, ins))
         for place, estimate in zip(places, self._correct_ins(corrections), strict=True):
             estimates[place] = estimate
         return estimates
@@ -226,7 +227,7 @@ class SmoothingCore(ShipAttitudeCore):
         return estimates
 
 
-def _detached(estimate: AttitudeEstimate) -> AttitudeEstimate:
+def _copy_without_state(estimate: AttitudeEstimate) -> AttitudeEstimate:
     """Return a copy of an attitude that shares no array with others and holds no filter state."""
     covariance_n = estimate.covariance_n.copy()
     return replace(

@@ -10,7 +10,7 @@ from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.fault_detection import FaultDetector
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.ins_fault_handling import is_ins_excluded_by_stars
-from ship_attitude_star.ship_attitude.state import FilterState, changed
+from ship_attitude_star.ship_attitude.state import FilterState, with_changes
 from ship_attitude_star.vertical.vertical_track import LocalVertical, VerticalTrack
 from ship_estimation.ins import InsChange
 from ship_estimation.outcome import Measurement
@@ -49,7 +49,7 @@ class TracedFilter(ShipFilter):
         assert isinstance(after, TracedState)
         both = GaussianEstimate(after.mean, after.covariance)
         leads_back = after.excluded.keys() <= state.excluded.keys()
-        return changed(after, last_update=StateUpdate(both, both, leads_back, change.time_ns))
+        return with_changes(after, last_update=StateUpdate(both, both, leads_back, change.time_ns))
 
 
 class _TracedFaultDetector(FaultDetector):
@@ -75,6 +75,6 @@ class _TracedFaultDetector(FaultDetector):
         assert isinstance(after, TracedState)
         is_update = measurement.source not in state.excluded and not is_ins_excluded_by_stars(state)
         before = GaussianEstimate(predicted.mean, predicted.covariance)
-        return changed(
+        return with_changes(
             after, last_update=StateUpdate(before, GaussianEstimate(after.mean, after.covariance), is_update)
         )

@@ -235,7 +235,7 @@ def reduce_to_mid_exposure(exposure: StarExposure, turns: FloatArray) -> StarExp
     pixels, middle = camera.pixels(passed_s), camera.pixels(seen_s)
     directions_s = camera.directions(middle - (nodes.mean(pixels) - middle))
     blur = equivalent_sigma(camera.direction_covariance(middle, length.psf_sigma_px))
-    spread_s = _perpendicular_part(seen_s, nodes.spread(passed_s))
+    spread_s = _perpendicular_part(seen_s, nodes.covariance(passed_s))
     smear_s: FloatArray = spread_s * ((exposure.sigma / blur) ** 2)[:, None, None]
     streak = np.sqrt(12.0 * np.trace(spread_s, axis1=-2, axis2=-1))
     lost = ~np.all(np.isfinite(directions_s), axis=-1)

@@ -64,7 +64,7 @@ def _parser() -> CommandParser:
     parser.add_argument(
         "--wait-for-subscribers",
         nargs="+",
-        type=_expected,
+        type=_expectation,
         default=[],
         metavar="TOPIC[=COUNT]",
         help="start when these topics, named as played, have COUNT subscribers each (1), and fail if they do not; "
@@ -119,7 +119,7 @@ def _count(text: str) -> int:
     return value
 
 
-def _expected(text: str) -> tuple[str, int]:
+def _expectation(text: str) -> tuple[str, int]:
     topic, separator, count = text.partition("=")
     if not topic or (separator and not count.isdigit()):
         raise argparse.ArgumentTypeError(f"'{text}' is not of the form TOPIC or TOPIC=COUNT")

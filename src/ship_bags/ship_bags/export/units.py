@@ -115,7 +115,7 @@ _STANDARD_NAMES_IN_THE_AIR = {
     ("met/pressure", "fluid_pressure"): "air_pressure",
     ("met/temperature", "temperature"): "air_temperature",
 }
-"""By topic and field: elsewhere these messages may be of any pressure and temperature."""
+"""CF standard names by topic and field; on other topics these messages may be of any pressure and temperature."""
 
 _CF_UNITS = {"latitude": "degrees_north", "longitude": "degrees_east"}
 """Unit that CF requires instead of "degree"."""
@@ -176,10 +176,10 @@ def value_names(type_name: str, field: str, constants: Iterable[tuple[str, str, 
     if not type_name.startswith(f"{SHIP_MESSAGES}/msg/"):
         return {}
     one_of = _ONE_OF.search(_comments(type_name.rpartition("/")[2]).get(field, ""))
-    return {} if one_of is None else _selected(one_of, values)
+    return {} if one_of is None else _selection(one_of, values)
 
 
-def _selected(one_of: re.Match[str], values: dict[str, int]) -> dict[str, int]:
+def _selection(one_of: re.Match[str], values: dict[str, int]) -> dict[str, int]:
     """Return the constants that a comment names: a list, a range, or all."""
     names = list(values)
     if one_of["listed"]:

@@ -1,4 +1,4 @@
-"""Content of a chunk of an MCAP file, decompressed without trusting its stated sizes, checksums or records."""
+"""Content of a chunk of an MCAP file, decompressed with checks of its stated sizes, checksums and records."""
 
 import io
 import struct
@@ -51,7 +51,7 @@ def records_of_chunk(chunk: Chunk) -> list[McapRecord]:
 
 
 def _decompressed_content(chunk: Chunk) -> bytes:
-    """Return the decompressed content of a chunk. The sizes stated in its header and its bytes are not trusted.
+    """Return the decompressed content of a chunk. The sizes stated in its header are checked against its bytes.
 
     Raises:
         DamagedChunk: it cannot be decompressed, or exceeds a limit.

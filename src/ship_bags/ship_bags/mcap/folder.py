@@ -1,7 +1,7 @@
 """rosbag2 folders: several MCAP files and an information file (metadata.yaml), as ROS 2 Jazzy writes them.
 
-The information file is read without trusting it, and written atomically. :class:`FolderWriter` splits a recording by
-size and time.
+Every value of the information file is checked when it is read. The file is written atomically. :class:`FolderWriter`
+splits a recording by size and time.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""Records of an MCAP file, read without trusting the file: damaged records are detected, skipped and reported.
+"""Records of an MCAP file, each checked: damaged ones are detected, skipped and reported.
 
 :class:`RecordFile` returns the record at an offset and the messages of a chunk. :func:`scan_records` yields record
 after record. It accepts a record only if its body has the structure of its opcode. After a damaged one it continues at

@@ -196,18 +196,18 @@ class EstimatorRecovery:
             True if :attr:`candidate` is to replace it now.
         """
         jumps = live.take_jumps()
-        was_suspected = self._trouble.first_sign_ns is not None
+        had_sign = self._trouble.first_sign_ns is not None
         was_in_trouble = self.is_in_trouble
         is_sign = not is_as_expected or not live.excluded.isdisjoint(available_sources)
         self._trouble.update(waiting_ns, is_sign)
         if self._trouble.first_sign_ns is None:
-            if was_suspected:
+            if had_sign:
                 self._forget_fault()
             self._memory.replace_all(lambda state: live.propagate_memory(state, jumps) if jumps else state)
             if live.is_consistent:
                 self._memory.keep(waiting_ns, live.state)
             return False
-        if not was_suspected:
+        if not had_sign:
             self._recall(waiting_ns, live)
         if self._reference is not None:
             self._reference = live.propagate_memory(self._reference, jumps)
@@ -247,8 +247,8 @@ class EstimatorRecovery:
             return
         # A slow fault may have affected the newer state. Written so that NaN counts as affected.
         later = live.propagate_memory(newest, ())
-        has_crept = not live.largest_difference_sigmas(later, self._reference, is_later=True) <= MEMORY_SIGMAS
-        self._before_step = self._reference if has_crept else newest
+        has_drifted = not live.largest_difference_sigmas(later, self._reference, is_later=True) <= MEMORY_SIGMAS
+        self._before_step = self._reference if has_drifted else newest
 
     def _forget_fault(self) -> None:
         self._displacements = Displacements()

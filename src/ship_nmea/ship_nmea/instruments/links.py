@@ -254,9 +254,9 @@ class LinkReader:
             else:
                 lines = datagrams.split(data, sender, now_ns, time.monotonic_ns())
             if lines:
-                self._put(lines)
+                self._queue_lines(lines)
 
-    def _put(self, lines: list[tuple[int, bytes, str]]) -> None:
+    def _queue_lines(self, lines: list[tuple[int, bytes, str]]) -> None:
         with self._lock:
             self._overwritten += max(0, len(self._lines) + len(lines) - MAX_QUEUED_LINES)
             self._lines.extend(lines)

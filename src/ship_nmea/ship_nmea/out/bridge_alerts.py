@@ -113,7 +113,7 @@ class BridgeAlerts:
     def _send_alert(self, alert: SentenceAlert, sinks: Iterable[Sink]) -> None:
         for sentence in alf(alert, self._config.talker, self._config.manufacturer, self._next_sequence(ALF)):
             _send(sentence, sinks)
-        self._counts["told"] += 1
+        self._counts["sent"] += 1
 
     def _send_list(self) -> None:
         """Send the list if live alerts are published; an empty list would report that there is no alert."""
@@ -190,7 +190,7 @@ class BridgeAlerts:
 
     def _refuse(self, sink: Sink, command: AlertCommand, reason: str) -> None:
         self._counts["refused"] += 1
-        sink.put(arc(command, self._config.talker, self._config.manufacturer, utc_ns(self._runtime)).render())
+        sink.queue(arc(command, self._config.talker, self._config.manufacturer, utc_ns(self._runtime)).render())
         self._runtime.node.get_logger().warning(
             f"{sink.name}: command {command.command} about alert {command.identifier} refused: {reason}",
             throttle_duration_sec=1.0,
@@ -210,4 +210,4 @@ class BridgeAlerts:
 
 def _send(sentence: Any, sinks: Iterable[Sink]) -> None:
     for sink in sinks:
-        sink.put(sentence.render())
+        sink.queue(sentence.render())

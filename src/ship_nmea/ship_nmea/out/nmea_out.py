@@ -133,7 +133,7 @@ class NmeaOut:
                 if make_sentence := ATTITUDE_SENTENCES.get(name):
                     output = attitude if is_live else simulated_attitude(name, attitude)
                     sentence = make_sentence(output, self._config.talker, sink.config.decimals)
-                    sink.put(sentence.render(), self._max_age_ns)
+                    sink.queue(sentence.render(), self._max_age_ns)
 
     def _void_reason(self, now_ns: int, waiting_ns: int) -> str:
         """Return why there is no valid attitude to send; empty if there is one."""

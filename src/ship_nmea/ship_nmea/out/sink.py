@@ -88,7 +88,7 @@ class Sink:
         """Start sending."""
         self._thread.start()
 
-    def put(self, sentence: str, max_wait_ns: int = 0) -> None:
+    def queue(self, sentence: str, max_wait_ns: int = 0) -> None:
         """Queue a sentence; if the queue is full, the oldest is dropped.
 
         Args:

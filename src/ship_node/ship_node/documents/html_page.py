@@ -50,7 +50,7 @@ def image(path: Path, alt_text: str, style: str = "wide") -> str:
     return f'<img class="{style}" alt="{escape(alt_text)}" src="data:image/png;base64,{data}">'
 
 
-def folded(title: str, content: str, is_open: bool = False) -> str:
+def collapsible(title: str, content: str, is_open: bool = False) -> str:
     """Return a part of a page that a click on its title opens and closes."""
     return f"<details{' open' if is_open else ''}><summary>{escape(title)}</summary>{content}</details>"
 

@@ -492,14 +492,14 @@ class ReportingAdapter(ABC):
         return DiagnosticStatus("overload", messages_out.Level.ERROR, self.behind.text(self.node_name), values)
 
     def _autosave(self, waiting_ns: int) -> None:
-        """Save what the core has learned, once a period, while the output is VALID and undisputed."""
+        """Save what the core has learned, once a period, while the output is VALID and no source is in conflict."""
         if self.saved is None or not self.saved.is_autosave_time(waiting_ns, self.config.alignment_autosave_s):
             return
         # A source in conflict or excluded may have biased the state before its rejection.
-        is_suspect = self.conflicts or (
+        may_be_biased = self.conflicts or (
             self.published_levels.report is not None and self.published_levels.report.excluded
         )
-        if self.latest is not None and self.latest.status is Status.VALID and not is_suspect:
+        if self.latest is not None and self.latest.status is Status.VALID and not may_be_biased:
             self.saved.autosave()
 
     def _slow_topics(self, now_ns: int, waiting_ns: int) -> list[OutputMessage]:

@@ -86,8 +86,8 @@ def csv_table(results: Sequence[ItemResult]) -> str:
 
 def _flat(result: Result) -> dict[str, Any]:
     values: dict[str, Any] = result["values"]
-    return values | _dotted("status", result["statuses"]) | _dotted("refused", result["refused"])
+    return values | _with_dotted_names("status", result["statuses"]) | _with_dotted_names("refused", result["refused"])
 
 
-def _dotted(head: str, counts: Mapping[str, Mapping[str, int]]) -> dict[str, int]:
+def _with_dotted_names(head: str, counts: Mapping[str, Mapping[str, int]]) -> dict[str, int]:
     return {f"{head}.{topic}.{name}": count for topic, named in counts.items() for name, count in named.items()}

@@ -28,17 +28,17 @@ def parameter_file_text(identification: Identification) -> str:
         f"{in_any_namespace(ShipAttitudeAdapter.node_name)}:",
         f"  {PARAMETERS_KEY}:",
     ]
-    return "\n".join([*lines, "    ins:", *_nested(values)]) + "\n"
+    return "\n".join([*lines, "    ins:", *_yaml_lines(values)]) + "\n"
 
 
-def _nested(values: dict[str, tuple[str, str]]) -> Iterator[str]:
+def _yaml_lines(values: dict[str, tuple[str, str]]) -> Iterator[str]:
     """Yield the lines of the section ``ins``, with dotted names as sections at the end."""
     plain = {name: texts for name, texts in values.items() if "." not in name}
-    yield from (_line(6, name, *told) for name, told in plain.items())
-    dotted = {name: told for name, told in values.items() if "." in name}
+    yield from (_line(6, name, *texts) for name, texts in plain.items())
+    dotted = {name: texts for name, texts in values.items() if "." in name}
     for section in dict.fromkeys(name.partition(".")[0] for name in dotted):
         yield f"      {section}:"
-        yield from (_line(8, name.partition(".")[2], *told) for name, told in dotted.items())
+        yield from (_line(8, name.partition(".")[2], *texts) for name, texts in dotted.items())
 
 
 def _line(indent: int, name: str, value: str, comment: str) -> str:

@@ -169,7 +169,7 @@ class SchulerModel:
 
     def steps(self, values: FloatArray, times_s: FloatArray) -> ProcessSteps:
         """See :class:`InsErrorModel`."""
-        transition, fresh = self._discretised(times_s)
+        transition, fresh = self._discrete_process(times_s)
         count = len(values)
         tilt, heading, velocity, drift, angle_walk, bias, velocity_walk, white = values.T
         configs = [
@@ -202,7 +202,7 @@ class SchulerModel:
         """Units of the states: the effect of an arcsecond of tilt on each over about one oscillation."""
         return np.array([ARCSEC] * 3 + [0.04] * 2 + [ARCSEC] + [1e-3 * ARCSEC] * 3 + [10.0 * ARCSEC] * 2)
 
-    def _discretised(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _discrete_process(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the discretised process between epochs, for unit densities of attitude, velocity, drift and bias.
 
         Returns:

@@ -129,11 +129,11 @@ def check_file(
     findings.errors += misfits
     strange = unknown_sections(path, known)
     companions = list(configured_companions(path, namespace))
+    expected_text = _expected_text(adapter_classes)
     if not (misfits or companions or any(has_section(path, name) for name in names.values())):
         found = ", ".join(f"'{name}'" for name in strange) or "none"
-        raise BadInput(f"no section for a node of this suite: {_expected(adapter_classes)}, found {found}", file=path)
+        raise BadInput(f"no section for a node of this suite: {expected_text}, found {found}", file=path)
     if not misfits:
-        expected_text = _expected(adapter_classes)
         findings.warnings += [
             f"{path}: section '{name}' fits no node of this suite: {expected_text}" for name in strange
         ]
@@ -161,7 +161,7 @@ def _check_names(path: Path, nodes: Sequence[CheckedNode], findings: Findings) -
             findings.warnings.append(f"{place}: parameter 'topics.{name}': no estimator of this file takes {name}")
 
 
-def _expected(adapter_classes: Sequence[type[Adapter]]) -> str:
+def _expected_text(adapter_classes: Sequence[type[Adapter]]) -> str:
     nodes = [kind.node_name for kind in adapter_classes] + [companion.node_name for companion in COMPANIONS]
     names = ", ".join(f"'{in_any_namespace(node)}'" for node in nodes)
     return f"expected one of {names} or '/**'"

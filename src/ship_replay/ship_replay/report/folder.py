@@ -127,16 +127,16 @@ def _row_texts(row: SessionRow, before: SessionRow | None, columns: Sequence[str
         last = None if before is None else before.shares.get(name)
         cells.append((
             "–" if share is None else f"{100.0 * share:.1f} %",
-            "" if share is None or last is None else _signed(100.0 * (share - last), 1),
+            "" if share is None or last is None else _signed_text(100.0 * (share - last), 1),
         ))
     return {
         "row": row, "date": utc(row.start_ns, "%Y-%m-%d"), "start": utc(row.start_ns), "length": duration(row.length_s),
         "cells": cells, "worst": row.worst_source or "none",
         "is_other": before is not None and before.worst_source != row.worst_source,
-        "more_faults": "" if before is None else _signed(row.faults - before.faults, 0),
+        "more_faults": "" if before is None else _signed_text(row.faults - before.faults, 0),
     }
 
 
-def _signed(value: float, places: int) -> str:
+def _signed_text(value: float, places: int) -> str:
     text = f"{value:+.{places}f}"
     return "=" if float(text) == 0.0 else text.replace("-", "−")

@@ -195,7 +195,7 @@ def events_of_one(pair: Pair) -> tuple[list[dict[str, str]], int]:
     """
     a, b = ([(event.utc_ns, (event.kind, _DIGITS.sub("#", event.text)), event) for event in recording.events]
             for recording in pair.recordings)
-    alone, both = _unmatched(a, b)
+    alone, both = _without_counterpart(a, b)
     return [
         {"when": utc(time_ns), "side": side, "kind": event.kind, "text": event.text} for time_ns, side, event in alone
     ], both
@@ -210,11 +210,11 @@ def alerts_of_one(pair: Pair) -> tuple[list[dict[str, str]], int]:
         ]
         for recording in pair.recordings
     )
-    alone, both = _unmatched(a, b)
+    alone, both = _without_counterpart(a, b)
     return [
-        {"when": utc(time_ns), "side": side, "priority": told.alert.priority.name, "id": told.alert.id,
-         "what": told.what, "text": told.alert.text}
-        for time_ns, side, told in alone
+        {"when": utc(time_ns), "side": side, "priority": alert_record.alert.priority.name, "id": alert_record.alert.id,
+         "what": alert_record.what, "text": alert_record.alert.text}
+        for time_ns, side, alert_record in alone
     ], both
 
 
@@ -286,7 +286,7 @@ def _rejection_counts(recording: RecordedHistory) -> Counter[tuple[bool, str, st
     return counts
 
 
-def _unmatched(
+def _without_counterpart(
     a: Sequence[tuple[int, object, _PART]], b: Sequence[tuple[int, object, _PART]]
 ) -> tuple[list[tuple[int, str, _PART]], int]:
     """Return the entries without a counterpart of the same key within two seconds, and the number of pairs."""

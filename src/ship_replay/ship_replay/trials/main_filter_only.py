@@ -9,7 +9,7 @@ from ship_attitude_star.measurements.samples import AttitudeDecision
 from ship_attitude_star.ship_attitude.config import ShipAttitudeConfig
 from ship_attitude_star.ship_attitude.filter import ShipFilter
 from ship_attitude_star.ship_attitude.linearisation import LinearisedMeasurement
-from ship_attitude_star.ship_attitude.state import FilterState, changed
+from ship_attitude_star.ship_attitude.state import FilterState, with_changes
 from ship_estimation.kalman import innovation, update
 from ship_estimation.outcome import Measurement
 from ship_estimation.rejections import Reason
@@ -33,7 +33,7 @@ class ShipFilterWithoutSubfilters(ShipFilter):
         linear = found.compared.linear
         _, nis, gain = innovation(predicted.covariance_by_source, linear)
         correction, parts = update(predicted.covariance_by_source, linear, gain)
-        after = changed(predicted, means=predicted.means + correction, stack=parts)
+        after = with_changes(predicted, means=predicted.means + correction, stack=parts)
         decision = AttitudeDecision(measurement, Reason.NONE, True, nis=nis, ins_time_ns=found.ins_time_ns)
         return self._record_accepted(after, measurement), decision
 

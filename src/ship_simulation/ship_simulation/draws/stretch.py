@@ -142,5 +142,5 @@ class Draws:
 
     def begin_stretch(self, stretch: Stretch) -> None:
         """Drop the parts of all draws that a stretch and later ones do not need."""
-        for lasting in self._persistent_draws.values():
-            lasting.drop_before(stretch.begin_s - _HISTORY_S)
+        for draw in self._persistent_draws.values():
+            draw.drop_before(stretch.begin_s - _HISTORY_S)

@@ -284,8 +284,8 @@ class Gravity:
     @property
     def is_level(self) -> bool:
         """True if gravity is everywhere normal to the ellipsoid, and the suite receives no deflection."""
-        knows = (self.xi_arcsec, self.eta_arcsec, self.change_xi_arcsec, self.change_eta_arcsec)
-        return not any((*knows, self.sigma_arcsec)) and self.told == "none"
+        known_arcsec = (self.xi_arcsec, self.eta_arcsec, self.change_xi_arcsec, self.change_eta_arcsec)
+        return not any((*known_arcsec, self.sigma_arcsec)) and self.told == "none"
 
 
 @dataclass(frozen=True)

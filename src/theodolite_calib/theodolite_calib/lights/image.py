@@ -51,12 +51,12 @@ class Camera:
 
         The derivative by the principal point has the opposite sign.
         """
-        across = self._across(point_m)
+        across = self._direction_by_ray(point_m)
         return -across[..., [2, 1]]
 
     def direction_by_focal_length(self, point_m: FloatArray) -> FloatArray:
         """Return the derivative of the direction by the focal length, rad/m, shape (..., N, 3)."""
-        return self._across(point_m)[..., 0]
+        return self._direction_by_ray(point_m)[..., 0]
 
     def direction_covariance(self, point_m: FloatArray, sigma_m: FloatArray | float) -> FloatArray:
         """Return the covariance of directions in the telescope frame, rad², shape (..., N, 3, 3), singular along them.
@@ -74,7 +74,7 @@ class Camera:
         focal_length_m = np.broadcast_to(_per_beacon(self.focal_length_m), offset.shape[:-1])
         return np.stack([focal_length_m, -offset[..., 1], -offset[..., 0]], axis=-1)
 
-    def _across(self, point_m: FloatArray) -> FloatArray:
+    def _direction_by_ray(self, point_m: FloatArray) -> FloatArray:
         """Return the derivative of the unit vector by its ray, 1/m, shape (..., N, 3, 3)."""
         return unit_vector_jacobian(self._rays(point_m))
 
@@ -197,7 +197,7 @@ class BeaconStreaks:
         seen_n = distance_m * (self.camera.directions(image.point_m) @ self.middle_nt.T)
         path_m = self.camera.points((seen_n + self.displacement_n) @ self.rotation_nt)
         offset_m = self.nodes.mean(path_m) - image.point_m
-        smear_m2 = self.nodes.spread(path_m) * ((image.sigma_m / self.psf_sigma_m) ** 2)[:, None, None]
+        smear_m2 = self.nodes.covariance(path_m) * ((image.sigma_m / self.psf_sigma_m) ** 2)[:, None, None]
         return Image(image.point_m - offset_m, image.sigma_m, smear_m2)
 
     def select(self, rows: list[int], image_rows: list[int]) -> "BeaconStreaks":

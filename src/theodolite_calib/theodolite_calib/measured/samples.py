@@ -201,7 +201,7 @@ class TargetSample:
 
     source: ClassVar[str] = "target"
     covariance_known: ClassVar[bool] = True
-    """As for :class:`Exposure`."""
+    """True: the covariance of its noise is known, as for :class:`Exposure`."""
 
     time_ns: int
     target_id: str

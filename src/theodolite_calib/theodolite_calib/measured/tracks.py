@@ -243,10 +243,10 @@ class MeasuredTracks:
         if until_ns - since_ns > _STREAM_WINDOW_NS:
             return None
         first_ns, shift_ns = since_ns - _LEAD_IN_NS, self.ship_shift_ns
-        ship = self.ship.between(first_ns - shift_ns, until_ns - shift_ns)
+        ship = self.ship.samples_between(first_ns - shift_ns, until_ns - shift_ns)
         return stream_consistency(
             since_ns,
-            self.encoder.between(first_ns, until_ns),
+            self.encoder.samples_between(first_ns, until_ns),
             [replace(sample, time_ns=sample.time_ns + shift_ns) for sample in ship if isinstance(sample, ShipSample)],
             (self.encoder.max_gap_ns, self.ship.max_gap_ns),
             float(np.sqrt(self._ship_noise)),
@@ -256,7 +256,7 @@ class MeasuredTracks:
         """True if the ship's attitude departed from its rates in the last minute, after its last jump, or None."""
         until_ns = time_ns - self.ship_shift_ns
         first_ns, jumped_ns = until_ns - _DRIFT_WINDOW_NS, self.ship.last_cut_ns(until_ns)
-        ship = self.ship.between(first_ns if jumped_ns is None else max(first_ns, jumped_ns + 1), until_ns)
+        ship = self.ship.samples_between(first_ns if jumped_ns is None else max(first_ns, jumped_ns + 1), until_ns)
         samples = [sample for sample in ship if isinstance(sample, ShipSample)]
         return has_ship_drifted(samples, self.ship.max_gap_ns, float(np.sqrt(self._ship_noise)))
 

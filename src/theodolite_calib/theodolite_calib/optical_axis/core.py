@@ -207,7 +207,7 @@ class OpticalAxisCore:
         self._record_stream_fault(ENCODER, sample.time_ns, result.rejection, result.jump is not None)
         self._record_stream_jump(sample.time_ns, result)
         if result.jump is not None and (track.newest is None or sample.time_ns > track.newest.time_ns):
-            shell.add_jump(result.jump.time_ns, ENCODER, result.jump, track.cut(result.jump.time_ns))
+            shell.add_jump(result.jump.time_ns, ENCODER, result.jump, track.add_cut(result.jump.time_ns))
         if result.rejection is not None:
             shell.add_rejected(ENCODER, track, sample)
             self._check_repeated_time()
@@ -492,7 +492,7 @@ class OpticalAxisCore:
             self._estimator.apply(outcome)
         for jump in result.jumps:
             self._record_stream_fault(SHIP, jump.time_ns, None, jumped=True)
-            changed_after_ns = self._tracks.ship.cut(jump.time_ns)
+            changed_after_ns = self._tracks.ship.add_cut(jump.time_ns)
             time_ns = jump.time_ns + self._tracks.ship_shift_ns  # in the time of the exposures
             if changed_after_ns is not None:
                 changed_after_ns += self._tracks.ship_shift_ns

@@ -90,7 +90,7 @@ class StationDirections:
         assert before is not None
         if before.time_ns == time_ns:
             return [before]
-        return [before, self.track.between(time_ns, time_ns + self.track.max_gap_ns)[0]]
+        return [before, self.track.samples_between(time_ns, time_ns + self.track.max_gap_ns)[0]]
 
 
 @dataclass(frozen=True)
