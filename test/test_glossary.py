@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import ship_geometry
-from tools.reference_pages import glossary_page, glossary_sections, glossary_terms, module_path
+from tools import glossary
 
 ROOT = Path(__file__).parents[1]
 FRAMES = set(re.findall(r"^    ([a-z])     ", ship_geometry.__doc__ or "", re.MULTILINE))
@@ -15,14 +15,16 @@ VECTOR = re.compile(
 )
 SECONDS_AND_METRES = {"s", "m"}
 """Letters of frames, which stand for units too: ``error_m`` is a length."""
-TERMS = [term for heading, body in glossary_sections() if heading.startswith("Terms") for term in glossary_terms(body)]
+TERMS = [
+    term for heading, body in glossary.sections() if heading.startswith("Terms") for term in glossary.terms_of(body)
+]
 
 
 def test_each_term_has_a_meaning_and_a_module_that_exists() -> None:
     names = [name for term, _ in TERMS for name in term.split(", ")]
     assert len(names) == len(set(names)) > 80
     assert [term for term, fields in TERMS if not fields["meaning"]] == []
-    assert [term for term, fields in TERMS if not module_path(fields["module"]).exists()] == []
+    assert [term for term, fields in TERMS if not glossary.module_path(fields["module"]).exists()] == []
 
 
 def test_each_source_is_listed_in_the_sources() -> None:
@@ -33,7 +35,7 @@ def test_each_source_is_listed_in_the_sources() -> None:
 
 
 def test_the_glossary_is_short() -> None:
-    assert len(glossary_page().split()) <= 2500
+    assert len(glossary.page().split()) <= 2500
 
 
 def test_the_glossary_names_frames_once() -> None:

@@ -156,8 +156,8 @@ def verify_bag(
 ) -> Verification:
     """Compare the outputs of a replay with those recorded in a bag.
 
-    A recorder does not know the order in which the node used its inputs, nor its service calls. With a black box, a
-    difference is always one of the estimate.
+    A recording lacks the order in which the node used its inputs, and its service calls. With a black box, a difference
+    is always one of the estimate.
 
     Args:
         bag: inputs and outputs of one run.
@@ -193,7 +193,7 @@ def verify_bag(
 def _recorded_outputs(bag: Bag, chain: AdapterChain, namespace: str) -> dict[str, str]:
     """Return name in the bag → relative name, for the outputs that are compared.
 
-    Topics that several nodes share, as ``/tf``, are not compared: a recorder does not know which node published.
+    Topics that several nodes share, as ``/tf``, are not compared: a recording does not contain the publisher.
     """
     found = relative_topics(bag.topics, namespace)
     outputs = {}
