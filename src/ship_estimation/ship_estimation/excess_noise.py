@@ -35,8 +35,8 @@ _ESTIMATED, _SIGMAS = 1.25, 6.0
 """Relative standard deviation of a variance estimated from N steps, times sqrt(N); least reported excess in units of
 it."""
 _MEDIAN_RATIO, _START_RATIO = 2.0, 4.0
-"""Ratio of the median difference to the usual one from which rejected samples indicate noise and not a step; the second
-applies at the start, when the usual difference is unknown and the rates may be noisy."""
+"""Ratio of the median difference to the usual one from which rejected samples indicate noise and not a step. The second
+value applies at the start, when the usual difference is unknown and the rates may be noisy."""
 _LARGER, _OTHER, _MORE_STEPS = 1.5, 1.25, 3
 """Ratios of standard deviations from which a new estimate over the short time, or the long, replaces the present one;
 least ratio of the number of steps for the long one."""

@@ -26,7 +26,7 @@ _LEAST_BEFORE, _LONGEST_PERIOD_NS = 16, SECOND_NS // 5
 """Least number of samples before the step; maximum period: below 5 Hz wave motion hides small steps."""
 _MISSING, _IRREGULAR = 1.8, 0.35
 """Interval from which a sample is missing, periods; scatter of intervals, as a share of their mean, from which stamps
-are irregular: one lost message in ten makes 0.27, stamps at 20 Hz late by 0 to 12 ms make 0.1."""
+are irregular. One lost message in ten gives a scatter of 0.27, stamps at 20 Hz late by 0 to 12 ms give 0.1."""
 _GAP = 8
 """Maximum gap that a line spans, periods."""
 _SIGMAS = 7.3

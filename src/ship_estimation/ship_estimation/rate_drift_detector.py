@@ -15,8 +15,8 @@ from ship_geometry.rotations import FloatArray
 _OVER = (1, 2, 4)
 """Numbers of pieces that are tested together: a slower drift needs more of them."""
 _LIMIT, _LIMIT_EARLY = 36.0, 25.0
-"""Chi² limit of three axes, exceeded once in 1e7 pieces of two seconds, once in thousands of hours; and the limit in
-the first minute, widened as for Student's distribution because the spread is estimated from few pieces."""
+"""Chi² limits of three axes, in general and in the first minute. The first is exceeded once in 1e7 pieces of two
+seconds, once in thousands of hours. The second is wider, as for Student's distribution: few pieces give the spread."""
 _LEAST, _MEMORY = 8, 500
 """Number of pieces from which the spread of slopes is known, and over which it is averaged."""
 _FARTHEST = 3.0

@@ -2,7 +2,7 @@
 
 The observability of a combination follows from the covariances before and after the session. Differences between star
 sensors are free of the INS's errors. A common rotation of all of them on the deck is observed only against an attitude
-of the deck: at constant heading the INS's error and a common installation error are not separable
+of the deck. At constant heading the INS's error and a common installation error are not separable
 (docs/explanation/filter.md). So the joint error of all installations is split, e = C t + r, with C the rotation of the
 deck in the sensors' axes. The two parts are independent under the prior covariance P0:
 

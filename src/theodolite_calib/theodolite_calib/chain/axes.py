@@ -128,9 +128,13 @@ def direction_change(direction: FloatArray, by_rotation: FloatArray) -> FloatArr
 
 
 SHIP, DEFORMATION, AXES, SHIP_TIME = slice(0, 3), slice(3, 6), slice(6, 13), slice(13, 14)
-"""Slices of the errors of the axis geometry in one vector: rotation vector a of the ship's error in n, rad; rotation
-vector e of the deformation in d, rad; the axis errors in the order of :data:`NAMES`; and the ship's time offset, by
-which the sample of her attitude is valid later than assumed, s."""
+"""Slices of the vector of all errors of the axis geometry.
+
+- SHIP: rotation vector a of the ship's error in n, rad.
+- DEFORMATION: rotation vector e of the deformation in d, rad.
+- AXES: the axis errors in the order of :data:`NAMES`.
+- SHIP_TIME: time by which the sample of the ship's attitude is valid later than assumed, s.
+"""
 
 AXIS_STATES = {"ship.attitude": SHIP, "deformation": DEFORMATION, "axes": AXES, "ship.time_offset": SHIP_TIME}
 """States of a filter that turn the main axis, each with its columns and in their order."""

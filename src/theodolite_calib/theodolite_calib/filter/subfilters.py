@@ -34,9 +34,11 @@ AXIS_SOURCES = frozenset({ENCODER, SHIP, TELESCOPE})
 """Sources that lead from the horizon to the telescope."""
 
 _UNKNOWN_CHANGE_SIGMA = {ENCODER: 72_000.0 * ARCSEC, SHIP: 3600.0 * ARCSEC, TELESCOPE: 3600.0 * ARCSEC}
-"""Standard deviation of the unknown change of an error between two sightings, rad: encoders that stood still while the
-axis turned; a ship's attitude that drifted (its rates reveal a larger step); a telescope that shifted on the main
-axis."""
+"""Standard deviation of the unknown change of an error between two sightings, rad.
+
+Encoders stood still while the axis turned. A ship's attitude drifted; its rates reveal a larger step. A telescope
+shifted on the main axis.
+"""
 _ONLY_SOURCE = 0
 
 
