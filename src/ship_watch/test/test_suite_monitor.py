@@ -238,7 +238,7 @@ def test_source_without_data_is_out_after_two_seconds_and_named_by_the_angle() -
     assert [(source.name, source.reason) for source in picture.sources if source.presence is Presence.OUT] == [
         ("star.bow", "no data")
     ]
-    assert picture.angles[0].reason == "star.bow no data"
+    assert picture.angles[0].reason == "no data from star.bow"
     assert picture.sources[0].out_since_ns == pytest.approx(UTC + 9.9 * SECOND, abs=1e6)
 
 
