@@ -52,8 +52,8 @@ def evaluate_report(report: dict[str, Any], wanted: list[str]) -> tuple[list[str
 
     A wheel that pip-audit left out counts as unanswered, not as free of vulnerabilities.
     """
-    told = [entry for entry in report["dependencies"] if "vulns" in entry]
-    answered = {f"{entry['name']}=={entry['version']}": entry["vulns"] for entry in told}
+    answered_entries = [entry for entry in report["dependencies"] if "vulns" in entry]
+    answered = {f"{entry['name']}=={entry['version']}": entry["vulns"] for entry in answered_entries}
     found = [
         f"{pin}: {flaw['id']}, fixed in {', '.join(flaw['fix_versions']) or 'no version yet'}"
         for pin, flaws in sorted(answered.items())

@@ -128,14 +128,14 @@ def consistency_table(results: trials.Results) -> str:
     """Return the table of attitudes with status VALID, and of those with an error beyond their covariance."""
     lines = ["| stars | INS | VALID | beyond the covariance | mean NEES |", "|---|---|---:|---:|---:|"]
     for counts in sorted(trials.COUNTS):
-        for method, told in ((trials.STARS_VALID, "no"), (trials.WITH_INS, "yes")):
+        for method, uses_ins in ((trials.STARS_VALID, "no"), (trials.WITH_INS, "yes")):
             values = results[trials.count_case(counts), method]
             count = int(np.sum(np.isfinite(values[:, 1])))
             if count:
                 mean = float(np.nanmean(values[:, 1]))
                 cells = (
                     trials.count_case(counts),
-                    told,
+                    uses_ins,
                     str(count),
                     str(trials.count_beyond_covariance(values)),
                     f"{mean:.2f}",

@@ -96,8 +96,8 @@ def _merge_rows(new_rows: list[dict[str, Any]], circumstances: dict[str, Any], f
     kept = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {"rows": []}
     if any(kept.get(name) != circumstances[name] for name in circumstances if name != "load"):
         return new_rows
-    anew = {row["benchmark"] for row in new_rows}
-    rows = new_rows + [row for row in kept["rows"] if row["benchmark"] not in anew]
+    measured = {row["benchmark"] for row in new_rows}
+    rows = new_rows + [row for row in kept["rows"] if row["benchmark"] not in measured]
     return sorted(rows, key=lambda row: list(BENCHMARKS).index(row["benchmark"]))
 
 

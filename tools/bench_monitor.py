@@ -98,10 +98,10 @@ def _add_run(cost: Cost, folder: Path, pages: int | None) -> None:
         if monitor:
             cost.monitor.append((process_cpu_s(monitor.pid) - monitor_s) / (time.monotonic() - begin_s))
     sample, attitude = published[_SAMPLE], published[_ATTITUDE]
-    told = sorted(sample.keys() & attitude.keys())
-    if not told:
+    stamps = sorted(sample.keys() & attitude.keys())
+    if not stamps:
         raise LiveFailure("no attitude with the stamp of an INS sample was received")
-    cost.latency_s.append(1e-9 * float(np.median([attitude[stamp] - sample[stamp] for stamp in told])))
+    cost.latency_s.append(1e-9 * float(np.median([attitude[stamp] - sample[stamp] for stamp in stamps])))
 
 
 def _serve(run: LiveRun, duration_s: float) -> None:

@@ -1,4 +1,4 @@
-"""Hours without faults: false exclusions, open suspicions, availability, errors beyond levels, NEES and RMS.
+"""Hours without faults: false exclusions, DEGRADED outputs, availability, errors beyond levels, NEES and RMS.
 
 Each voyage is saved as a line of a results file when complete; a run that was killed continues there.
 Exits with 1 if a voyage raised an exception or a bound is not met. The INS has 20 Hz, in one voyage in ten the rate of
@@ -34,8 +34,8 @@ _LENGTH_S = 1800.0
 _MOST_EXCLUSIONS_PER_H = 0.02
 _LEAST_AVAILABILITY = 0.995
 _HEAD = (
-    "voyages", "hours", "exclusions", "suspicions", "limit", "available", "worst level", "worst/level", "beyond level",
-    "beyond 5σ", "RMS: three angles", "NEES", "band", "speed",
+    "voyages", "hours", "exclusions", "degradations", "limit", "available", "worst level", "worst/level",
+    "beyond level", "beyond 5σ", "RMS: three angles", "NEES", "band", "speed",
 )  # fmt: skip
 
 
@@ -74,8 +74,8 @@ def _report(results: list[Result]) -> int:
     console = Console(width=190)
     console.print(
         f"Independent tests: a separation (K_fa, K_md; K_0 of the level) {TESTS_PER_H} an hour for each hypothesis and "
-        "angle; running means over N measurements 18 000/N an hour for each source. Outputs are evaluated once a "
-        f"second; availability, suspicions and RMS from {SETTLED_S:.0f} s. INS at 20 Hz, one voyage in ten at 100 Hz.",
+        "angle; windowed means over N measurements 18 000/N an hour for each source. Outputs are evaluated once a second; "
+        f"availability, degradations and RMS from {SETTLED_S:.0f} s. INS at 20 Hz, one voyage in ten at 100 Hz.",
         soft_wrap=True,
     )
     table, sound = Table(), True
@@ -89,15 +89,15 @@ def _report(results: list[Result]) -> int:
     raised = [one for one in results if one["exception"]]
     for one in raised:
         console.print(f"voyage {one['voyage']}: {one['exception'].strip().splitlines()[-1]}", highlight=False)
-    told = [one for one in results if not one["exception"]]
-    for one in told:
-        for what in ("exclusions", "doubts"):
+    completed = [one for one in results if not one["exception"]]
+    for one in completed:
+        for what in ("exclusions", "degradations"):
             for since_s, text in one[what]:
                 console.print(
                     f"  voyage {one['voyage']} ({one['kind']}), {since_s:.0f} s: {what}: {text}", soft_wrap=True
                 )
-    hours = sum(one["length_s"] for one in told) / 3600.0
-    exclusions = sum(len(one["exclusions"]) for one in told)
+    hours = sum(one["length_s"] for one in completed) / 3600.0
+    exclusions = sum(len(one["exclusions"]) for one in completed)
     few = exclusions <= max(_MOST_EXCLUSIONS_PER_H * hours, 0.0)
     console.print(
         f"{len(results)} voyages, {hours:.1f} h: {exclusions} false exclusions (at most 2 in 100 h), "
@@ -122,7 +122,7 @@ def _row(kind: str, found: list[Result]) -> tuple[list[str], bool]:
         str(len(found)),
         f"{hours:.1f}",
         str(sum(len(one["exclusions"]) for one in found)),
-        str(sum(len(one["doubts"]) for one in found)),
+        str(sum(len(one["degradations"]) for one in found)),
         f"{ALERT_LIMIT_ARCSEC[kind]:.0f}″" if limited else "-",
         f"{available:.3%}" if limited else "-",
         f"{max(one['worst_level'] for one in found):.1f}″",

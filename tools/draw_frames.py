@@ -210,10 +210,10 @@ def draw_theodolite(panel: Panel) -> None:
     panel.arrow(top, 0.95 * rotation_dx[:, 0], "x: forward", GREY, dashed=True)
     box(top, rotation_dm, panel, (0.6, 0.2, 0.2))
     panel.frame(top, rotation_dm, ("m: optical axis", "m: up", "m: right"), 0.95)
-    beside = top + 0.3 * rotation_dm[:, 1] - 0.1 * rotation_dm[:, 0]
-    box(beside, rotation_dm, panel, (0.35, 0.12, 0.12))
+    tilted_place = top + 0.3 * rotation_dm[:, 1] - 0.1 * rotation_dm[:, 0]
+    box(tilted_place, rotation_dm, panel, (0.35, 0.12, 0.12))
     tilted = rotation_dm @ rotation_from_angles(*np.deg2rad([-6.0, 5.0, 0.0]))
-    panel.arrow(beside, 1.0 * tilted[:, 0], "t", "#8e44ad")
+    panel.arrow(tilted_place, 1.0 * tilted[:, 0], "t", "#8e44ad")
     panel.arc(rotation_dx[:, 0], np.deg2rad(35.0) * rotation_dx[:, 2], "E", 0.6, (1.0, 0.55), top)
 
 

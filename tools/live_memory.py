@@ -107,10 +107,10 @@ def node_memory(folder: Path, length_h: float, rate: float) -> tuple[np.ndarray,
         if not observer.wait_for(there, timeout_s=_START_S, unless=lambda: node.exit_code is not None):
             raise LiveFailure(f"the node does not start:\n{node.log_text()}")
         with LiveProcess(play_command, folder / "play.log", environment) as player:
-            samples, told_ns = _sample_memory(node, player, observer, rate)
+            samples, last_ns = _sample_memory(node, player, observer, rate)
         if player.exit_code != 0:
             raise LiveFailure(f"play ended with exit code {player.exit_code}:\n{player.log_text()}")
-    missed_s = scenario.duration_s - (told_ns - start_time_ns(scenario.start_utc)) / NS_PER_S
+    missed_s = scenario.duration_s - (last_ns - start_time_ns(scenario.start_utc)) / NS_PER_S
     if missed_s > _MOST_MISSED_S:
         raise LiveFailure(f"the node published its last alignment {missed_s:.0f} s before the voyage's end")
     return np.array([hours for hours, _ in samples]), np.array([resident_mb for _, resident_mb in samples])
@@ -120,11 +120,11 @@ def _sample_memory(
     node: LiveProcess, player: LiveProcess, observer: GraphObserver, rate: float
 ) -> tuple[list[tuple[float, float]], int]:
     """Return hours of the voyage and the node's memory, MB, until the player ends; and the node's last stamp."""
-    samples, told_ns = [], 0
+    samples, last_ns = [], 0
 
     def note(message: AlignmentState) -> None:
-        nonlocal told_ns
-        told_ns = ns_from_stamp(message.header.stamp)
+        nonlocal last_ns
+        last_ns = ns_from_stamp(message.header.stamp)
 
     observer.node.create_subscription(AlignmentState, "ship/alignment", note, 10)
     begin_s = time.monotonic()
@@ -133,7 +133,7 @@ def _sample_memory(
             raise LiveFailure(f"the node ended with exit code {node.exit_code}:\n{node.log_text()}")
         samples.append((rate * (time.monotonic() - begin_s) / 3600.0, _resident_mb(node.pid)))
         observer.spin_until(lambda: False, _LOOK_S)
-    return samples, told_ns
+    return samples, last_ns
 
 
 def _resident_mb(pid: int) -> float:

@@ -81,8 +81,8 @@ def _run(options: argparse.Namespace) -> int:
 
 def _cost(program: str, *arguments: object) -> Cost:
     command = [sys.executable, "-c", program, *map(str, arguments)]
-    told = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
-    cpu_s, memory_kb = map(float, told.split())
+    output = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
+    cpu_s, memory_kb = map(float, output.split())
     return Cost(cpu_s, memory_kb / 1024.0)
 
 

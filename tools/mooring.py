@@ -123,12 +123,12 @@ def stars_minus_ins(bag_path: Path, replayed_path: Path) -> Differences:
             by_ins = ins.track.at(time_ns)
             if message.status != SolutionStatus.VALID or by_ins is None:
                 continue
-            told = angles_from_rotation(by_ins.rotation_nd)
+            ins_angles = angles_from_rotation(by_ins.rotation_nd)
             by_stars = np.array([message.azimuth, message.elevation, message.roll])
             sigma = np.sqrt(np.diagonal(np.asarray(message.covariance).reshape(3, 3)))
             true_nd = truth.interpolated_rotation(time_ns)
-            true = np.full(3, np.nan) if true_nd is None else wrap_pi(angles_from_rotation(true_nd) - told)
-            rows.append((time_ns, wrap_pi(by_stars - told), sigma, true))
+            true = np.full(3, np.nan) if true_nd is None else wrap_pi(angles_from_rotation(true_nd) - ins_angles)
+            rows.append((time_ns, wrap_pi(by_stars - ins_angles), sigma, true))
     if not rows:
         raise BadInput(f"{replayed_path}: {JOINT_SOLUTION}: no VALID solution within the times of {_INS} in {bag_path}")
     time_ns = np.array([row[0] for row in rows])

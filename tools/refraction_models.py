@@ -89,9 +89,9 @@ def costs(weather: Weather) -> list[str]:
     lines = ["| model | a new weather | a star |", "|---|---:|---:|"]
     for model in MODELS:
         weathers = [Weather(weather.pressure_hpa - 1e-3 * i, weather.temperature_c) for i in range(_CALLS)]
-        anew = _seconds(model, elevation, weathers)
+        first = _seconds(model, elevation, weathers)
         again = _seconds(model, elevation, [weather] * _CALLS)
-        lines.append(f"| `{model}` | {1e6 * (anew - again):.0f} µs | {1e6 * again / _STARS:.1f} µs |")
+        lines.append(f"| `{model}` | {1e6 * (first - again):.0f} µs | {1e6 * again / _STARS:.1f} µs |")
     return lines
 
 

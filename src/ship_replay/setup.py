@@ -52,10 +52,10 @@ setup(
             "calibrate_installation = ship_replay.commands.calibrate_installation:main",
             "identify_noise = ship_replay.commands.identify_noise:main",
             # Where bags and scenarios were before they had packages of their own.
-            "record = ship_replay.commands.moved:say",
-            "play = ship_replay.commands.moved:say",
-            "import_nmea = ship_replay.commands.moved:say",
-            "simulate = ship_replay.commands.moved:say",
+            "record = ship_replay.commands.moved:main",
+            "play = ship_replay.commands.moved:main",
+            "import_nmea = ship_replay.commands.moved:main",
+            "simulate = ship_replay.commands.moved:main",
         ],
     },
 )

@@ -101,8 +101,8 @@ def _printed_section() -> Iterator[Row]:
 def _conclusions() -> Iterator[tuple[str, ...]]:
     for conclusion in CONCLUSIONS:
         held = [conclusion.holds(reading) for reading in (PAPER, PHYSICAL)]
-        told = ("holds" if each else "**does not**" for each in held)
-        yield conclusion.place, conclusion.words, *told, conclusion.remark
+        verdicts = ("holds" if each else "**does not**" for each in held)
+        yield conclusion.place, conclusion.words, *verdicts, conclusion.remark
 
 
 def _count_holding(reading: InstallationConvention) -> int:

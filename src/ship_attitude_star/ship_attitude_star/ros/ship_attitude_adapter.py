@@ -339,7 +339,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
             turn = manoeuvre_text(self.core.recommended_manoeuvre(latest.rotation_nd)) if has_stars else ""
             values = {f"{name} (sigma / before)": f"{left:.2f}" for name, left in observability.sigma_ratios.items()}
             values |= {
-                "not told apart": "; ".join(observability.unobservable_combinations) or "nothing",
+                "not observable": "; ".join(observability.unobservable_combinations) or "nothing",
                 "turn": turn or "none recommended",
             }
             text = turn or "no turn of the ship would improve the attitude much"

@@ -118,7 +118,7 @@ class StarAttitudeAdapter(BatchAdapter):
             )
             yield Feed(topic, f"star.{id_}", read_stars, self._take_stars, has_decision=True)
         yield from surroundings_feeds(
-            config.sky, ignore_time(lambda told: StarOutcome(core.add_surroundings(told)))
+            config.sky, ignore_time(lambda sky_input: StarOutcome(core.add_surroundings(sky_input)))
         )
         if config.use_ins:
             ins = InputTopic("ins/imu", "sensor_msgs/msg/Imu", False, depth=1000)

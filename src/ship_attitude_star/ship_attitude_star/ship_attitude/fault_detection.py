@@ -330,12 +330,12 @@ class FaultDetector:
         correction_sums = state.correction_sums.with_unresolved_error(
             time_ns, round(self._integrity.return_after_s * SECOND_NS)
         )
-        suspicion = correction_sums.unresolved
-        if within and state.unresolved_fault is None and state.separation_covariance_n is None and suspicion is None:
+        shared_error = correction_sums.unresolved
+        if within and state.unresolved_fault is None and state.separation_covariance_n is None and shared_error is None:
             return state
         separation_covariance_n = None if within else separation_inflation(separations_n, separation_sigmas)
-        if suspicion is not None:
-            shared_n = np.diag(suspicion.variance)
+        if shared_error is not None:
+            shared_n = np.diag(shared_error.variance)
             separation_covariance_n = (
                 shared_n if separation_covariance_n is None else separation_covariance_n + shared_n
             )

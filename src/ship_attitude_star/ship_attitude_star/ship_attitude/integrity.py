@@ -30,15 +30,15 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
         config: configuration of the node.
         estimate: the attitude, with its filter state.
     """
-    state, suspects = estimate.state, filter_.fault_detector
-    relevant = suspects.subfilters.relevant_hypotheses(estimate.sources, state.excluded)
+    state, detector = estimate.state, filter_.fault_detector
+    relevant = detector.subfilters.relevant_hypotheses(estimate.sources, state.excluded)
     heading, pitch, _ = angles_from_rotation(estimate.rotation_nd).tolist()
     to_angles, source_count = angle_errors_from_rotation_vector(heading, pitch), len(state.stack) - len(state.means) + 1
     means, stack = relative_to_horizon(filter_, config, state, estimate.time_ns)
     # The levels contain the solution separations already. Errors that an attitude adds to those of the state, such as
     # the INS noise, are the same in every filter.
     found = solution_separation(
-        suspects.subfilters.k,
+        detector.subfilters.k,
         relevant.indices,
         filter_.model.state_indices("ins.attitude"),
         (to_angles, to_angles, estimate.covariance_without_separation_n),
@@ -49,7 +49,7 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
     )
     names = relevant.names
     if INS not in state.excluded and relevant.is_cross_checked:
-        table, variance_n = suspects.subfilters, to_angles @ estimate.covariance_without_separation_n @ to_angles.T
+        table, variance_n = detector.subfilters, to_angles @ estimate.covariance_without_separation_n @ to_angles.T
         found = with_common_error(
             found, table.k, table.common_k_md, table.common_threshold, state.correction_sums, to_angles, variance_n
         )
@@ -59,7 +59,7 @@ def integrity_of(filter_: ShipFilter, config: ShipAttitudeConfig, estimate: Atti
         state.unresolved_fault is not None or state.unconfirmed_step is not None or estimate.status is Status.INVALID
     )
     checked = relevant.is_cross_checked and not has_unresolved_fault
-    return integrity_report(estimate.time_ns, config.integrity, suspects.subfilters.k, names, found, excluded, checked)
+    return integrity_report(estimate.time_ns, config.integrity, detector.subfilters.k, names, found, excluded, checked)
 
 
 def relative_to_horizon(

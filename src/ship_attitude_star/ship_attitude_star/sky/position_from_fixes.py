@@ -142,16 +142,16 @@ class PositionFromFixes:
 
     def _extrapolated_until_ns(self, after_ns: int, until_ns: int) -> int:
         """Return the last time up to which all positions after ``after_ns`` are extrapolated; at most ``until_ns``."""
-        told_ns = after_ns if self._oldest_ns is None else max(after_ns, self._oldest_ns - 1)
-        while told_ns < until_ns:
-            line = self._line_fixes(told_ns + 1)
+        reached_ns = after_ns if self._oldest_ns is None else max(after_ns, self._oldest_ns - 1)
+        while reached_ns < until_ns:
+            line = self._line_fixes(reached_ns + 1)
             if line is None:
                 break
             # The line is used until the next fix is old enough, or its own last one is too old.
             _, last = line
             old_enough_ns = [time_ns + self._delay_ns - 1 for time_ns in self._fixes.times[last + 1 : last + 2]]
-            told_ns = min([self._fixes.times[last] + self._fix_max_age_ns, until_ns, *old_enough_ns])
-        return told_ns
+            reached_ns = min([self._fixes.times[last] + self._fix_max_age_ns, until_ns, *old_enough_ns])
+        return reached_ns
 
     def drop_before(self, time_ns: int) -> None:
         """Drop the fixes that times from ``time_ns`` on do not need; earlier times may not be requested any more."""

@@ -263,7 +263,7 @@ class StampedValues(Generic[Value]):
         changed_ns = min([one.time_ns for one, _ in good[:1]] + self.times[begin:end][:1], default=None)
         self.times[begin:end] = [one.time_ns for one, _ in good]
         self.values[begin:end] = [one.value for one, _ in good]
-        self.follows_jump[begin:end] = [anew for _, anew in good]
+        self.follows_jump[begin:end] = [follows for _, follows in good]
         return changed_ns
 
     def _next_state(self, before: _AcceptanceState[Value], new: _Stamped[Value]) -> _AcceptanceState[Value]:

@@ -164,12 +164,12 @@ class SmoothingCore(ShipAttitudeCore):
             due.append(self._pending.popleft())
         corrections: list[tuple[_RealTimeEstimate, GaussianEstimate, InterpolatedAttitude]] = []
         places, estimates = [], [self._as_published(pending.estimate) for pending in due]
-        for place, told in enumerate(due):
-            corrects = known.get(told.estimate.time_ns)
-            ins = None if corrects is None or told.has_fault else self._ins_at(told.estimate.time_ns, corrects)
+        for place, pending in enumerate(due):
+            corrects = known.get(pending.estimate.time_ns)
+            ins = None if corrects is None or pending.has_fault else self._ins_at(pending.estimate.time_ns, corrects)
             if corrects is not None and ins is not None:
                 places.append(place)
-                corrections.append((told, corrects, ins))
+                corrections.append((pending, corrects, ins))
         for place, estimate in zip(places, self._correct_ins(corrections), strict=True):
             estimates[place] = estimate
         return estimates

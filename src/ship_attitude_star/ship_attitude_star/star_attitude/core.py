@@ -282,12 +282,13 @@ class StarCore:
         if known is None:
             refusal = self._plausibility.check(exposure, self._ins.track)
             return refusal is None, refusal
-        told = resolve_same_stamp(known, exposure)[1]
-        if told.reason is Reason.DUPLICATE:
-            return False, told
+        difference = resolve_same_stamp(known, exposure)[1]
+        if difference.reason is Reason.DUPLICATE:
+            return False, difference
         # Neither of the two is solved; a solution that was published already is replaced by an INVALID one.
-        self._stamp_conflicts.record(exposure.source, exposure.time_ns, told)
-        return True, replace(told, text="the same stamp with different content: do two sensors publish on one topic?")
+        self._stamp_conflicts.record(exposure.source, exposure.time_ns, difference)
+        text = "the same stamp with different content: do two sensors publish on one topic?"
+        return True, replace(difference, text=text)
 
     def _wait(self, new: _PendingExposure) -> None:
         """Add an exposure to the pending ones, replacing one of the same sensor and stamp."""

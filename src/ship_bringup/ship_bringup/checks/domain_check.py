@@ -77,7 +77,7 @@ def check_domain(state: NetworkState, own: Collection[str], companions: Collecti
     for name, count in Counter(state.nodes).items():
         if count > 1:
             yield CheckLine(_CHECK, Result.WARN, f"{count} nodes are called {name}", "give each a name of its own")
-    drivers = {publisher.node for heard in state.inputs for publisher in heard.publishers}
+    drivers = {publisher.node for observed in state.inputs for publisher in observed.publishers}
     unknown_nodes = sorted(set(state.nodes) - drivers - set(own) - set(companions) - others)
     if unknown_nodes:
         advice = "if they are not the ship's: another domain, or DDS security"

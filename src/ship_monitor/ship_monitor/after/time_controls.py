@@ -109,8 +109,8 @@ def _clock(at_s: float, length_s: float) -> str:
 
 _CLOCK_JS = """
 const two = (n) => String(Math.floor(n) % 60).padStart(2, "0");
-const told = (s) => Math.floor(s / 3600) + ":" + two(s / 60) + ":" + two(s);
-clock.text = told(cb_obj.value) + " / " + told(length);
+const clockText = (s) => Math.floor(s / 3600) + ":" + two(s / 60) + ":" + two(s);
+clock.text = clockText(cb_obj.value) + " / " + clockText(length);
 """
 
 _CSS = """

@@ -126,9 +126,9 @@ class AlertManager:
                 self._disk_free_gb = 0.0
                 self._log_problem(f"disk {self._limits.machine.disk_path}: {problem.strerror}")
         self._statuses = {
-            key: (status, told_ns)
-            for key, (status, told_ns) in self._statuses.items()
-            if now_ns - told_ns <= MAX_STATUS_AGE_NS
+            key: (status, received_ns)
+            for key, (status, received_ns) in self._statuses.items()
+            if now_ns - received_ns <= MAX_STATUS_AGE_NS
         }
         return ComputerState(tuple(status for status, _ in self._statuses.values()), self._disk_free_gb)
 

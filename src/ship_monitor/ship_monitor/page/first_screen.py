@@ -129,11 +129,11 @@ def _alert_line(alerts: tuple[AlertEntry, ...] | None) -> dict[str, Any]:
 
 def _alert(alert: AlertEntry) -> dict[str, str]:
     state, text = _ALERT_STATES.get(alert.state, ("", ""))
-    said = alert.text if alert.source in alert.text else f"{alert.source} {alert.text}"
+    named = alert.text if alert.source in alert.text else f"{alert.source} {alert.text}"
     return {
         "icon": alert.priority.name.lower(),
         "state": state,
-        "text": f"{alert.priority.name} · {said}",
+        "text": f"{alert.priority.name} · {named}",
         "sub": f"{value_texts.utc_clock(alert.raised_ns)} · {text}",
         "advice": alert.advice,
     }

@@ -7,7 +7,7 @@ PLACES = {"record": "ship_bags", "play": "ship_bags", "import_nmea": "ship_bags"
 """Executable → its present package."""
 
 
-def say() -> int:
+def main() -> int:
     """Print the package of the executable that was called."""
     name = Path(sys.argv[0]).name
     package = PLACES[name]

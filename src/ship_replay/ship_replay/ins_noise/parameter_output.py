@@ -34,11 +34,11 @@ def parameter_file_text(identification: Identification) -> str:
 def _nested(values: dict[str, tuple[str, str]]) -> Iterator[str]:
     """Yield the lines of the section ``ins``, with dotted names as sections at the end."""
     plain = {name: texts for name, texts in values.items() if "." not in name}
-    yield from (_line(6, name, *told) for name, told in plain.items())
-    dotted = {name: told for name, told in values.items() if "." in name}
+    yield from (_line(6, name, *texts) for name, texts in plain.items())
+    dotted = {name: texts for name, texts in values.items() if "." in name}
     for section in dict.fromkeys(name.partition(".")[0] for name in dotted):
         yield f"      {section}:"
-        yield from (_line(8, name.partition(".")[2], *told) for name, told in dotted.items())
+        yield from (_line(8, name.partition(".")[2], *texts) for name, texts in dotted.items())
 
 
 def _line(indent: int, name: str, value: str, comment: str) -> str:

@@ -306,7 +306,7 @@ def _draw_budget(
 
 def _spans(words: Sequence[tuple[int, Safety]]) -> Mapping[Safety, list[tuple[int, int]]]:
     """Return state → (first second, length in s) of each run of seconds with this state."""
-    return {word: _runs([second for second, told in words if told is word]) for word in Safety}
+    return {word: _runs([second for second, shown in words if shown is word]) for word in Safety}
 
 
 def _runs(seconds: Sequence[int]) -> list[tuple[int, int]]:

@@ -148,7 +148,7 @@ def _entries(record: Mapping[str, str] | None) -> str:
 
 
 def _check_overlap(pair: Pair) -> None:
-    spans = [span(one) or told.recording.span_ns for one, told in zip(pair.published, (pair.a, pair.b), strict=True)]
+    spans = [span(one) or side.recording.span_ns for one, side in zip(pair.published, (pair.a, pair.b), strict=True)]
     if overlap_s(*spans) < 0.0:
         form = "%Y-%m-%d %H:%M:%S"
         texts = [f"{utc(start, form)} to {utc(end, form)}" for start, end in spans]

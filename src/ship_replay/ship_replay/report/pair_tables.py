@@ -212,9 +212,9 @@ def alerts_of_one(pair: Pair) -> tuple[list[dict[str, str]], int]:
     )
     alone, both = _unmatched(a, b)
     return [
-        {"when": utc(time_ns), "side": side, "priority": told.alert.priority.name, "id": told.alert.id,
-         "what": told.what, "text": told.alert.text}
-        for time_ns, side, told in alone
+        {"when": utc(time_ns), "side": side, "priority": change.alert.priority.name, "id": change.alert.id,
+         "what": change.what, "text": change.alert.text}
+        for time_ns, side, change in alone
     ], both
 
 

@@ -99,7 +99,7 @@ class VoyageStatistics:
     Attributes:
         limit: alert limit of its levels, rad; infinite without one.
         exclusions: (s, source) of each exclusion.
-        doubts: (s, reason) of each time after settling at which an output became DEGRADED.
+        degradations: (s, reason) of each time after settling at which an output became DEGRADED.
         seconds: number of outputs, one a second.
         settled: number of these after settling.
         available: number of these that are VALID with every level within the limit.
@@ -113,7 +113,7 @@ class VoyageStatistics:
 
     limit: float
     exclusions: list[tuple[float, str]] = field(default_factory=list)
-    doubts: list[tuple[float, str]] = field(default_factory=list)
+    degradations: list[tuple[float, str]] = field(default_factory=list)
     seconds: int = 0
     settled: int = 0
     available: int = 0
@@ -134,7 +134,7 @@ class VoyageStatistics:
     def record_status(self, since_s: float, status: Status, text: str) -> None:
         """Record the beginning of a DEGRADED status."""
         if status is Status.DEGRADED and not self._is_degraded and since_s >= SETTLED_S:
-            self.doubts.append((since_s, text))
+            self.degradations.append((since_s, text))
         self._is_degraded = status is Status.DEGRADED
 
     def record_output(

@@ -90,7 +90,7 @@ _REFERENCE = (
     "time_offset_s",
     "time_offset_sigma_s",
 )
-_AXES = tuple(f"{name}_{told}" for name in NAMES for told in ("arcsec", "sigma_arcsec"))
+_AXES = tuple(f"{name}_{unit}" for name in NAMES for unit in ("arcsec", "sigma_arcsec"))
 _LEVER = ("forward_m", "up_m", "right_m", "sigma_m")
 _TELESCOPE = (
     "focal_length_m",

@@ -64,9 +64,9 @@ def direction(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
 
 def _escort_path(escort: Escort, programme: Programme, t_s: FloatArray) -> FloatArray:
     azimuth, elevation = sweep_angles(programme, t_s)
-    beside = np.array([1.0, np.tan(np.deg2rad(escort.up_deg)), np.tan(np.deg2rad(escort.right_deg))])
+    direction = np.array([1.0, np.tan(np.deg2rad(escort.up_deg)), np.tan(np.deg2rad(escort.right_deg))])
     upright = rotation_from_angles(azimuth, elevation, np.zeros_like(azimuth))
-    place: FloatArray = upright @ (escort.distance_m * beside / np.linalg.norm(beside))
+    place: FloatArray = upright @ (escort.distance_m * direction / np.linalg.norm(direction))
     return place
 
 

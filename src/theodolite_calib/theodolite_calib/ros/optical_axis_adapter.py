@@ -359,6 +359,6 @@ def calibration_status(calibration: Calibration, messages: list[str]) -> Diagnos
     values = {"sightings": str(calibration.sighting_count)}
     if calibration.sighting_count:
         values["residual RMS (arcsec)"] = f"{calibration.residual_rms / ARCSEC:.2f}"
-        values["not told apart"] = "; ".join(calibration.unobservable) or "nothing"
+        values["not observable"] = "; ".join(calibration.unobservable) or "nothing"
     level = Level.WARN if messages else Level.OK
     return DiagnosticStatus("calibration", level, "; ".join(messages) or "as configured, saved or sighted", values)

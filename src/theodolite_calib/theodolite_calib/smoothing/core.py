@@ -46,7 +46,7 @@ class _PointingInputs(NamedTuple):
     separation_covariance_n: FloatArray
 
 
-class _ToldAtOnce(NamedTuple):
+class _RealTimePointing(NamedTuple):
     """Pointing as published in real time.
 
     Attributes:
@@ -74,7 +74,7 @@ class SmoothingAxisCore(OpticalAxisCore):
     def _start_without_samples(self) -> None:
         """See :meth:`OpticalAxisCore._start_without_samples`; pointings until then are not published again."""
         super()._start_without_samples()
-        self._pending: deque[_ToldAtOnce] = deque()
+        self._pending: deque[_RealTimePointing] = deque()
         self._stated_n: dict[int, FloatArray] = {}
         oldest = self._estimator.oldest_state
         assert isinstance(oldest, TracedState)
@@ -89,7 +89,7 @@ class SmoothingAxisCore(OpticalAxisCore):
         """See :meth:`OpticalAxisCore.take_over_outputs`; the outputs of the other estimator are smoothed to its end."""
         super().take_over_outputs(live)
         assert isinstance(live, SmoothingAxisCore)
-        self._pending = deque(_ToldAtOnce(_alone(estimate), None) for estimate in live.smooth_remaining())
+        self._pending = deque(_RealTimePointing(_alone(estimate), None) for estimate in live.smooth_remaining())
 
     def smooth_remaining(self) -> Iterator[PointingEstimate]:
         """Yield all pointings once more, smoothed by all sightings, in the order of their stamps; no input may follow.
@@ -124,7 +124,7 @@ class SmoothingAxisCore(OpticalAxisCore):
         before = len(outcome.estimates)
         super()._publish_from_stars(outcome, waiting_ns)
         for estimate in outcome.estimates[before:]:
-            self._pending.append(_ToldAtOnce(_alone(estimate), None))
+            self._pending.append(_RealTimePointing(_alone(estimate), None))
 
     def _store(self, estimate: PointingEstimate, pending: PendingPointing) -> None:
         inputs = None
@@ -135,7 +135,7 @@ class SmoothingAxisCore(OpticalAxisCore):
             if pending.ship.correlated_covariance_n is not None:
                 self._stated_n[pending.time_ns] = pending.ship.correlated_covariance_n
             self._smoother.request_time(pending.time_ns)
-        self._pending.append(_ToldAtOnce(_alone(estimate), inputs))
+        self._pending.append(_RealTimePointing(_alone(estimate), inputs))
 
     def _new_predictor(self) -> AxisStatePredictor:
         return AxisStatePredictor(self.filter, self._stated_covariances_at)

@@ -4,7 +4,7 @@
 const monitor = (() => {
   const limits = { linkLostMs: 1600, reloadAfterMs: 4000, lookMs: 200, busyMs: 10000 }, PHONE = "(max-width:699px)";
   const at = (id) => document.getElementById(id);
-  let heardMs = performance.now(), lookedMs = heardMs, last = null, linked = false, lost = false, asking = false, marked = sessionStorage.getItem("marked") || "";
+  let receivedMs = performance.now(), lookedMs = receivedMs, last = null, linked = false, lost = false, asking = false, marked = sessionStorage.getItem("marked") || "";
 
   function text(element, value) {
     if (element.textContent !== value) element.textContent = value;
@@ -210,7 +210,7 @@ const monitor = (() => {
   }
 
   function watchLink() {
-    const nowMs = performance.now(), silentMs = nowMs - heardMs, isLate = nowMs - lookedMs > 2 * limits.lookMs;
+    const nowMs = performance.now(), silentMs = nowMs - receivedMs, isLate = nowMs - lookedMs > 2 * limits.lookMs;
     lookedMs = nowMs;
     // The page itself was busy: texts received meanwhile are not read yet.
     if (isLate && silentMs < limits.busyMs) return;
@@ -225,7 +225,7 @@ const monitor = (() => {
         // A server that was only busy answers this first, then sends its texts over the existing link.
         .then((isAlive) => setTimeout(() => {
           asking = false;
-          if (isAlive && performance.now() - heardMs > limits.reloadAfterMs) location.reload();
+          if (isAlive && performance.now() - receivedMs > limits.reloadAfterMs) location.reload();
         }, 1000));
     }
   }
@@ -236,23 +236,23 @@ const monitor = (() => {
     marked = name;
     sessionStorage.setItem("marked", marked);
     if (last !== null) sources(last.sources);
-    tell({ marked });
+    sendChoice({ marked });
   }
   const toggle = (name) => mark(name === marked ? "" : name);
   // The user's choices go to the server's model of this page only: the plots follow them. The turn makes each message
   // different, so that the same choice can be sent twice.
   let choice = { paused: false, wanted: false, seen: null, marked }, chosen = null, turn = 0;
-  function tell(change, once = {}) {
+  function sendChoice(change, once = {}) {
     choice = { ...choice, ...change };
     if (!chosen) return;
     turn += 1;
-    const told = { ...choice, live: false, angle: "", ...once, turn };
-    chosen.data = Object.fromEntries(Object.entries(told).map(([name, value]) => [name, [value]]));
+    const values = { ...choice, live: false, angle: "", ...once, turn };
+    chosen.data = Object.fromEntries(Object.entries(values).map(([name, value]) => [name, [value]]));
   }
   function pause() {
     const isLive = at("paused").hidden;
     at("paused").hidden = !isLive;
-    tell({ paused: isLive }, { live: !isLive });
+    sendChoice({ paused: isLive }, { live: !isLive });
   }
 
   document.addEventListener("keydown", (event) => {
@@ -289,19 +289,19 @@ const monitor = (() => {
   const want = new IntersectionObserver((entries) => {
     if (!entries.at(-1).isIntersecting) return;
     want.disconnect();
-    tell({ wanted: true });
+    sendChoice({ wanted: true });
   }, { rootMargin: "-8px" });
   want.observe(at("panels"));
   const inSight = new Map();
   const sight = new IntersectionObserver((entries) => {
     for (const entry of entries) inSight.get(entry.target).isSeen = entry.isIntersecting;
-    tellSight();
+    sendVisiblePanels();
   });
-  function tellSight() {
+  function sendVisiblePanels() {
     const seen = [...inSight.values()].filter((panel) => panel.isSeen && !document.hidden).map((panel) => panel.name);
-    if (seen.join(" ") !== choice.seen) tell({ seen: seen.join(" ") });
+    if (seen.join(" ") !== choice.seen) sendChoice({ seen: seen.join(" ") });
   }
-  document.addEventListener("visibilitychange", tellSight);
+  document.addEventListener("visibilitychange", sendVisiblePanels);
   // Bokeh creates the views of new models a little later.
   function watchPanels(models) {
     const views = models.map((model) => Bokeh.index.find_one(model));
@@ -314,7 +314,7 @@ const monitor = (() => {
     each.onclick = () => {
       showPlots();
       sessionStorage.setItem("angle", each.id);
-      tell({ wanted: true }, { angle: each.id });
+      sendChoice({ wanted: true }, { angle: each.id });
       at("panels").scrollIntoView({ block: "start" });
     };
     each.onpointermove = (event) => {
@@ -335,7 +335,7 @@ const monitor = (() => {
     watchPanels,
     show(model) {
       last = model;
-      heardMs = performance.now();
+      receivedMs = performance.now();
       if (lost) document.documentElement.classList.remove("nolink");
       lost = false;
       draw(model);
@@ -344,7 +344,7 @@ const monitor = (() => {
     connected(source) {
       linked = true;
       chosen = source;
-      tell({}, { angle: sessionStorage.getItem("angle") || "" });
+      sendChoice({}, { angle: sessionStorage.getItem("angle") || "" });
     },
   };
 })();
