@@ -74,8 +74,8 @@ def _report(results: list[Result]) -> int:
     console = Console(width=190)
     console.print(
         f"Independent tests: a separation (K_fa, K_md; K_0 of the level) {TESTS_PER_H} an hour for each hypothesis and "
-        "angle; windowed means over N measurements 18 000/N an hour for each source. Outputs are evaluated once a second; "
-        f"availability, degradations and RMS from {SETTLED_S:.0f} s. INS at 20 Hz, one voyage in ten at 100 Hz.",
+        "angle; windowed means over N measurements 18 000/N an hour for each source. Outputs are evaluated once a "
+        f"second; availability, degradations, RMS from {SETTLED_S:.0f} s. INS at 20 Hz, one voyage in ten at 100 Hz.",
         soft_wrap=True,
     )
     table, sound = Table(), True

@@ -473,7 +473,7 @@ def test_overloaded_node_is_the_cause_until_the_source_is_in_again() -> None:
         watch.process_message("ship/innovation", rejection(ns, "star.bow", Reason.GAP), now)
         if fifth % 5 == 0:
             watch.process_message("ship/attitude", attitude(ns, status=3, heading=math.nan), now)
-            watch.process_message("ship/innovation", overload_report(ns, "ins", f"320 messages cut: {text}"), now)
+            watch.process_message("ship/innovation", overload_report(ns, "ins", f"320 messages dropped: {text}"), now)
             watch.process_message("ship/innovation", overload_report(ns, "ship_attitude", text), now)
     picture = watch.current_state(at(13.9))
     (heading, *_), (star, ins, *_) = picture.angles, picture.sources

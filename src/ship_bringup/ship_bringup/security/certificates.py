@@ -43,7 +43,7 @@ def weaknesses(certificate: x509.Certificate) -> Iterator[str]:
     try:
         digest = certificate.signature_hash_algorithm
     except UnsupportedAlgorithm as problem:
-        yield f"its signature cannot be judged ({problem}): expected SHA-256"
+        yield f"its signature cannot be checked ({problem}): expected SHA-256"
     else:
         if digest is not None and 8 * digest.digest_size < LEAST_DIGEST_BITS:
             yield f"it is signed with {digest.name.upper()}: expected SHA-256 or longer"

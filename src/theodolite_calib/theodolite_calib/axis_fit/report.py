@@ -90,7 +90,7 @@ def _residuals(fit: AxisFit) -> Iterator[str]:
         ("without a model", fit.before),
         ("of it common errors", fit.shared),
         ("with the fitted terms", fit.residuals),
-        ("each left out of its fit", fit.leave_one_out),
+        ("each from a fit without it", fit.leave_one_out),
     ):
         if words == "of it common errors" and not np.any(residuals):
             continue
