@@ -87,7 +87,7 @@ def test_with_the_table_eighty_minutes_of_cloud_cost_three_arcseconds_more() -> 
 @pytest.mark.statistics
 def test_the_attitude_is_consistent_without_the_table() -> None:
     # Drawn by the filter's model: 20 arcseconds over 30 km. With the table: test_campaign_cases.py.
-    gravity = Gravity(sigma_arcsec=20.0, told="unknown", told_unknown_sigma_arcsec=20.0)
+    gravity = Gravity(sigma_arcsec=20.0, suite_deflection="unknown", suite_unknown_sigma_arcsec=20.0)
     nees = []
     for seed in range(SEEDS):
         scenario = voyage(gravity)
@@ -103,7 +103,7 @@ def test_alongside_an_hour_of_stars_determines_the_deflection() -> None:
     # Issue: at most 1.5 arcseconds in an hour where the INS's tilt is 1 arcsecond.
     squares = []
     for seed in range(SEEDS):
-        scenario = without_clouds(voyage(Gravity(sigma_arcsec=7.7, told="unknown"), duration_s=3600.0))
+        scenario = without_clouds(voyage(Gravity(sigma_arcsec=7.7, suite_deflection="unknown"), duration_s=3600.0))
         position, ins = replace(scenario.position, speed_m_per_s=0.0), replace(scenario.ins, tilt_sigma_arcsec=1.0)
         scenario = replace(scenario, position=position, ins=ins)
         run, core = simulate(scenario, 200 + seed), core_of(scenario)
@@ -141,7 +141,7 @@ def test_gravitys_horizon_differs_by_the_deflection_and_is_consistent() -> None:
 
 def test_a_topic_gives_the_same_as_the_table() -> None:
     scenario = without_clouds(voyage(duration_s=2400.0))
-    by_topic = replace(scenario, gravity=replace(scenario.gravity, told="topic"))
+    by_topic = replace(scenario, gravity=replace(scenario.gravity, suite_deflection="topic"))
     table, topic = (
         last_estimate(core_of(one), simulate(one, 400)) for one in (scenario, by_topic)
     )
@@ -152,7 +152,8 @@ def test_a_topic_gives_the_same_as_the_table() -> None:
 
 def test_another_attitude_system_follows_gravity_too() -> None:
     # A reference that were compared against the ellipsoid would contradict the stars by 51 arcseconds.
-    scenario = without_clouds(voyage(Gravity(xi_arcsec=-51.0, told="constant", sigma_arcsec=1.0), duration_s=600.0))
+    gravity = Gravity(xi_arcsec=-51.0, suite_deflection="constant", sigma_arcsec=1.0)
+    scenario = without_clouds(voyage(gravity, duration_s=600.0))
     reference = Reference(
         installation_sigma_arcsec=1.0,
         sigma_roll_arcsec=2.0,
@@ -170,8 +171,8 @@ def test_another_attitude_system_follows_gravity_too() -> None:
 
 def test_an_ins_alone_is_geodetic_where_the_deflection_is_given() -> None:
     for gravity, expected in (
-        (Gravity(xi_arcsec=20.0, told="constant"), Horizon.GEODETIC),
-        (Gravity(sigma_arcsec=7.7, told="unknown"), Horizon.GRAVITY),
+        (Gravity(xi_arcsec=20.0, suite_deflection="constant"), Horizon.GEODETIC),
+        (Gravity(sigma_arcsec=7.7, suite_deflection="unknown"), Horizon.GRAVITY),
         (Gravity(xi_arcsec=20.0), Horizon.GRAVITY),
     ):
         scenario = voyage(gravity, star_sensors={}, duration_s=10.0)

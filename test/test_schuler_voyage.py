@@ -131,7 +131,7 @@ def test_an_unmodelled_change_of_the_vertical_is_consistent(told: str) -> None:
     # Drawn by the filter's default model: 20 arcseconds over 30 km.
     nees = []
     for seed in range(SEEDS):
-        gravity = Gravity(sigma_arcsec=20.0, told=told, told_unknown_sigma_arcsec=20.0)
+        gravity = Gravity(sigma_arcsec=20.0, suite_deflection=told, suite_unknown_sigma_arcsec=20.0)
         scenario = voyage("deflection.yaml", gravity=gravity)
         nees.append(errors_under_clouds(core_of(scenario), simulate(scenario, 30 + seed), 1200)[1])
     low, high = mean_nees_band(SEEDS, 3)
@@ -141,7 +141,7 @@ def test_an_unmodelled_change_of_the_vertical_is_consistent(told: str) -> None:
 @pytest.mark.slow
 def test_the_wall_of_a_trench_is_within_what_a_ship_without_a_map_claims() -> None:
     # 60 arcseconds within 50 km: without a deflection in the model the tilt was off by 35 sigma, unsaid.
-    gravity = replace(load_scenario(SCENARIOS / "deflection.yaml").gravity, told="none")
+    gravity = replace(load_scenario(SCENARIOS / "deflection.yaml").gravity, suite_deflection="none")
     scenario = voyage("deflection.yaml", gravity=gravity)
     core = core_of(scenario)
     errors, nees = errors_under_clouds(core, simulate(scenario, 20), 1200)

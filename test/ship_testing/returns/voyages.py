@@ -64,7 +64,7 @@ def _tracker() -> Scenario:
     """Return a sensor with attitudes in the sky and one with attitudes in the horizon; deflection is an input."""
     ship = _ship("paper")
     stars = ship.star_sensors
-    gravity = replace(ship.gravity, told="topic", rate_hz=_SLOW_HZ, xi_arcsec=5.0, eta_arcsec=-3.0)
+    gravity = replace(ship.gravity, suite_deflection="topic", rate_hz=_SLOW_HZ, xi_arcsec=5.0, eta_arcsec=-3.0)
     tracker = replace(stars["starboard"], output="inertial_attitude")
     return replace(ship, star_sensors={**stars, "starboard": tracker}, gravity=gravity)
 

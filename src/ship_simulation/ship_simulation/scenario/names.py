@@ -97,7 +97,7 @@ def simulated_topics(scenario: Scenario) -> dict[str, str]:
     }
     if scenario.fused_attitude.written:
         topics[FUSED_TOPIC] = SHIP_ATTITUDE
-    if scenario.gravity.told == "topic":
+    if scenario.gravity.suite_deflection == "topic":
         topics[DEFLECTION_TOPIC] = DEFLECTION
     if scenario.ship_baseline.is_aboard:
         topics[SHIP_BASELINE_TOPIC] = BASELINE

@@ -272,10 +272,10 @@ class Gravity:
     correlation_length_m: float = parameter(
         30_000.0, doc="correlation length of that deflection", unit="m", minimum=100.0, maximum=1e6
     )
-    told: str = parameter(
+    suite_deflection: str = parameter(
         "none", doc="how the suite receives the deflection known from maps", choices=DEFLECTION_CHOICES
     )
-    told_unknown_sigma_arcsec: float = parameter(
+    suite_unknown_sigma_arcsec: float = parameter(
         7.7, doc="the suite's standard deviation of an unknown deflection, each component", **SIGMA
     )
     table_step_m: float = parameter(2000.0, doc="distance of the table's rows", unit="m", minimum=10.0, maximum=1e5)
@@ -285,7 +285,7 @@ class Gravity:
     def is_level(self) -> bool:
         """True if gravity is everywhere normal to the ellipsoid, and the suite receives no deflection."""
         knows = (self.xi_arcsec, self.eta_arcsec, self.change_xi_arcsec, self.change_eta_arcsec)
-        return not any((*knows, self.sigma_arcsec)) and self.told == "none"
+        return not any((*knows, self.sigma_arcsec)) and self.suite_deflection == "none"
 
 
 @dataclass(frozen=True)
@@ -343,7 +343,7 @@ class Scenario:
     @property
     def needs_position(self) -> bool:
         """True if the suite needs the ship's position."""
-        return self.needs_sky or self.gravity.told != "none" or self.ins.model == SCHULER
+        return self.needs_sky or self.gravity.suite_deflection != "none" or self.ins.model == SCHULER
 
 
 def start_time_ns(start_utc: str) -> int:

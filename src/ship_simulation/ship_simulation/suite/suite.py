@@ -148,7 +148,7 @@ def suite_configuration(scenario: Scenario) -> dict[str, Any]:
     }
     if scenario.ins.model == SCHULER:
         configuration["ins"] |= {"model": SCHULER, "schuler": asdict(scenario.ins.schuler)}
-    if scenario.gravity.told != "none":
+    if scenario.gravity.suite_deflection != "none":
         configuration["gravity"] = _gravity(scenario)
     elif scenario.ins.model == SCHULER and scenario.gravity.is_level:
         configuration["gravity"] = {"unknown_sigma_arcsec": 0.0}
@@ -189,14 +189,14 @@ def _gravity(scenario: Scenario) -> dict[str, Any]:
     """Return the parameters of the deflection of the vertical."""
     gravity = scenario.gravity
     parameters: dict[str, Any] = {
-        "deflection": gravity.told,
+        "deflection": gravity.suite_deflection,
         "sigma_arcsec": gravity.sigma_arcsec,
-        "unknown_sigma_arcsec": gravity.told_unknown_sigma_arcsec,
+        "unknown_sigma_arcsec": gravity.suite_unknown_sigma_arcsec,
         "correlation_length_m": gravity.correlation_length_m,
     }
-    if gravity.told == "constant":
+    if gravity.suite_deflection == "constant":
         return parameters | _select_parameters(gravity, ("xi_arcsec", "eta_arcsec"))
-    return parameters | deflection_table(scenario) if gravity.told == "table" else parameters
+    return parameters | deflection_table(scenario) if gravity.suite_deflection == "table" else parameters
 
 
 def star_attitude_configuration(scenario: Scenario) -> dict[str, Any]:
