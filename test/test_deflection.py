@@ -153,7 +153,8 @@ def test_a_topic_gives_the_same_as_the_table() -> None:
 
 def test_another_attitude_system_follows_gravity_too() -> None:
     # A reference that were compared against the ellipsoid would contradict the stars by 51 arcseconds.
-    scenario = without_clouds(voyage(Gravity(xi_arcsec=-51.0, told="constant", sigma_arcsec=1.0), duration_s=600.0))
+    gravity = Gravity(xi_arcsec=-51.0, told="constant", sigma_arcsec=1.0)
+    scenario = without_clouds(voyage(gravity, duration_s=600.0))
     reference = Reference(
         installation_sigma_arcsec=1.0,
         sigma_roll_arcsec=2.0,

@@ -26,10 +26,10 @@ from ship_watch.suite_state import Event
 ALERTS_LATER_S = 1.0
 # What is written of each fault.
 TEXTS = {
-    "star.starboard": r"star\.starboard OUT, excluded, right \+4\d″",
+    "star.starboard": r"star\.starboard OUT, excluded, reads 4\d″ high",
     "ins": r"ins OUT, 5 rejected in a row",
     "star.fore": r"star\.fore OUT, no data",
-    "baselines": r"baselines OUT, a 5 rejected in a row: not fixed",
+    "baselines": r"baselines OUT, a: 5 rejected in a row: not fixed",
     "lights": r"lights IN, names exchanged",
     "encoder": r"encoder OUT, no data",
 }

@@ -55,8 +55,8 @@ def test_a_displaced_star_sensor_is_out_and_its_direction_is_reported(one_by_one
     assert first_s < one_by_one.out_s["star.starboard"][0] <= first_s + 2.0
     starboard = one_by_one.shown_sources["star.starboard"][0]
     assert starboard.reason == "excluded"
-    axis, size = starboard.disagreement.split(" ")
-    assert axis == "right"
+    _, size, sense = starboard.disagreement.split(" ")
+    assert sense == "high"
     # 50″, with the noise of three exposures: a sigma of 3.2″ each
     assert float(size.rstrip("″")) == pytest.approx(50.0, abs=6.0)
     assert starboard.out_since_ns - one_by_one.start_ns == pytest.approx(30.117e9, abs=0.6e9)
@@ -107,8 +107,8 @@ def test_a_source_that_only_degrades_is_not_named_for_a_missing_output(tmp_path:
     )
     seen = monitor_voyage(replay_with_faults(tmp_path, "theodolite", faults)[1])
     azimuth = {second: next(a for a in seen.state_at[second].angles if a.name == "azimuth") for second in (18.0, 23.0)}
-    assert (azimuth[18.0].safety, azimuth[18.0].reason) == (Safety.CAUTION, "baselines a rejected: not fixed")
-    assert (azimuth[23.0].safety, azimuth[23.0].reason) == (Safety.UNSAFE, "encoder no data")
+    assert (azimuth[18.0].safety, azimuth[18.0].reason) == (Safety.CAUTION, "a (baselines) rejected: not fixed")
+    assert (azimuth[23.0].safety, azimuth[23.0].reason) == (Safety.UNSAFE, "no data from encoder")
     became = [text for time_s, text in seen.events("state") if 20.0 < time_s < 22.0 and "azimuth" in text]
     assert len(became) == 1
     assert "baselines" not in became[0]
@@ -117,7 +117,7 @@ def test_a_source_that_only_degrades_is_not_named_for_a_missing_output(tmp_path:
 @pytest.mark.slow
 def test_a_float_baseline_is_out_and_lights_only_need_it(theodolite: MonitoredVoyage) -> None:
     assert 10.0 < theodolite.out_s["baselines"][0] <= 12.0
-    assert theodolite.shown_sources["baselines"][0].reason == "a 5 rejected in a row: not fixed"
+    assert theodolite.shown_sources["baselines"][0].reason == "a: 5 rejected in a row: not fixed"
     assert theodolite.shown_sources["lights"][0].because_of == "baselines"
     assert theodolite.back_s["baselines"][0] == pytest.approx(17.5, abs=1.0)
     assert [name for time_s, name in theodolite.root_causes if time_s < 40.0] == ["baselines"]

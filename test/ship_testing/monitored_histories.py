@@ -74,7 +74,7 @@ def simulated_state(now_ns: int = NOW_NS) -> SuiteState:
     inputs[-1] = replace(inputs[-1], rejected_60s=81, reasons={"gate": 9, "attitude_conflict": 72, "too_few_stars": 56})
     events = (
         Event(now_ns - 36 * _SECOND, "state", "roll", "roll SAFE → CAUTION, over the limit"),
-        Event(now_ns - 38 * _SECOND, "alert", "source", "WARNING star.starboard out: 5 rejected in a row <8.1 σ>"),
+        Event(now_ns - 38 * _SECOND, "alert", "source", "WARNING star.starboard rejected <8.1 σ>"),
         Event(now_ns - 190 * _SECOND, "mode", "pointing", "ONE_LIGHT → TWO_LIGHTS"),
     )
     return state_with_mounting_shift(

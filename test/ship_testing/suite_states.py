@@ -155,7 +155,7 @@ def suite_state(*changed: AngleState | SourceDetails, **changes: Any) -> SuiteSt
 SHIFTED_SENSOR = source_out(
     "star.starboard",
     "81 rejected in a row",
-    disagreement="right +49″",
+    disagreement="reads 49″ high",
     residual=8.1,
     rejected_in_a_row=81,
     out_since_ns=NOW_NS - 39 * NS,
@@ -169,7 +169,7 @@ SHIFTED_SENSOR_INPUT = InputState(SHIFTED_SENSOR.topics[0], 2.0, 0.1, 0.6, 1, 81
 
 def state_with_mounting_shift(*changed: AngleState | SourceDetails, **changes: Any) -> SuiteState:
     """Return a displaced star sensor: the first fault of the design of the page and of the terminal."""
-    text = "WARNING star.starboard out: 5 rejected in a row, residual 8.1 σ"
+    text = "WARNING star.starboard rejected"
     well = {
         "alerts": (SHIFTED_SENSOR_ALERT,),
         "inputs": (SHIFTED_SENSOR_INPUT,),
@@ -185,9 +185,9 @@ def state_with_mounting_shift(*changed: AngleState | SourceDetails, **changes: A
 
 def state_with_two_faults() -> SuiteState:
     """Return in addition an encoder without messages for twelve seconds: SAFE, CAUTION, UNSAFE, OLD."""
-    angles = angles_timed_out("azimuth", "elevation", age_s=12.0, reason="encoder no data since 11:59:55")
+    angles = angles_timed_out("azimuth", "elevation", age_s=12.0, reason="no data from encoder")
     encoder = source_out("encoder", "no data", age_s=12.0, out_since_ns=NOW_NS - 12 * NS)
-    lost_pointing = alert("pointing", "pointing lost, encoder no data", NOW_NS - 10 * NS)
+    lost_pointing = alert("encoder", "Pointing lost: no data from encoder", NOW_NS - 10 * NS)
     return state_with_mounting_shift(
         *angles, encoder, alerts=(lost_pointing, SHIFTED_SENSOR_ALERT), pointing_by="no pointing"
     )

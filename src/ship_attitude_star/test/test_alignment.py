@@ -62,7 +62,7 @@ def test_saved_alignment_is_the_prior_of_the_next_voyage(saved_path: Path) -> No
         start_adapter(saved_path.with_name("none")),
         start_adapter(saved_path),
     )
-    assert alignment_text(now, START_NS) == (0, "as configured or saved")
+    assert alignment_text(now, START_NS) == (0, "as configured or loaded")
     for name in ("ins.time_offset", *(f"star.{s}.{a}" for s in ("fore", "starboard") for a in ("elevation", "roll"))):
         assert value_of(now)[name] == pytest.approx(value_of(before)[name], abs=1e-12)
         assert sigma_of(now)[name] == pytest.approx(sigma_of(before)[name], rel=1e-6)
@@ -213,7 +213,7 @@ def test_a_file_without_alignment_is_named(tmp_path: Path, content: bytes) -> No
     assert (level, f"set aside as {path}.unreadable" in text) == (1, True)
     assert path.with_name("alignment.yaml.unreadable").read_bytes() == content
     assert adapter.service("save_alignment", END_NS).success
-    assert alignment_text(adapter, END_NS + 10 * 10**9) == (0, "as configured or saved")
+    assert alignment_text(adapter, END_NS + 10 * 10**9) == (0, "as configured or loaded")
 
 
 def test_a_directory_in_place_of_the_file_is_named(tmp_path: Path) -> None:

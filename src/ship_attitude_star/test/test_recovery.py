@@ -197,7 +197,7 @@ def test_a_sensor_with_a_constant_clock_error_is_named() -> None:
     assert statuses(run, FAULTY_S) == {Status.VALID}
     assert set(run.adapter.core.state.excluded) == {"star.fore"}
     _, text = run.diagnostics("recovery", START_NS, run.now_ns)[-1]
-    assert "time_offset_s of star_sensors.fore" in text
+    assert "star_sensors.fore.time_offset_s" in text
 
 
 def test_a_constant_rotation_is_not_adopted_if_the_stored_state_is_too_uncertain() -> None:

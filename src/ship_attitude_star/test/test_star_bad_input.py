@@ -240,7 +240,7 @@ def test_a_frozen_camera_is_found_while_the_ship_moves() -> None:
     run = run_new_adapter(frozen)
     # Stamps from 0.513 s to 4.813 s: the first three exposures are not frozen, and half a second is not checked.
     assert run.reasons(FORE)["stuck"] == 19
-    assert "stand still on the detector" in innovations(run, Reason.STUCK)[0].reason_text
+    assert "do not move on the detector" in innovations(run, Reason.STUCK)[0].reason_text
     assert run.reasons(STARBOARD) == {}
 
 

@@ -29,7 +29,7 @@ def test_availability_is_printed_for_each_limit(capsys: pytest.CaptureFixture) -
     assert "Nothing is adopted" in text
     assert {name: row[1:2] + row[3:4] for name, row in rows.items()} == {"heading": (6.0, 5.0), "tilt": (4.0, 4.0)}
     assert all(share >= 95.0 for row in rows.values() for share in (row[2], row[4]))
-    assert "tilt: not SAFE for 25 % of the time with any limit, 20 % by: star.fore no data." in text
+    assert "tilt: not SAFE for 25 % of the time with any limit, 20 % by: no data from star.fore." in text
 
 
 def test_printed_limits_are_a_valid_file(capsys: pytest.CaptureFixture, tmp_path: Path) -> None:

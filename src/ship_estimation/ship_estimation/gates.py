@@ -30,7 +30,7 @@ class GateConfig:
         0, doc="successive rejections that inflate the covariance to re-admit the source; 0 never", minimum=0, live=True
     )
     reopen_factor: float = parameter(
-        100.0, doc="factor on the covariance when it is inflated so", minimum=1.0, maximum=1e9, live=True
+        100.0, doc="factor of an inflation of the covariance", minimum=1.0, maximum=1e9, live=True
     )
 
 

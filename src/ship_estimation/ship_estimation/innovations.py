@@ -354,7 +354,7 @@ class AxisStatistics:
         noise = _SIGMA_OF_SPREAD * float(np.median(np.abs(np.diff(residual)))) / math.sqrt(2.0)
         size = f"bias of {bias / ARCSEC:+.1f} arcsec in {self.name} ({self.bias_sigma:+.1f} sigma)"
         if abs(change) < max(_STEADY * abs(bias), _SIGMAS * _MEDIAN_SIGMA * noise * math.sqrt(4.0 / half)):
-            return f"{size}, steady: look at installation and alignment"
+            return f"{size}, steady: check installation and alignment"
         return f"{size}, changing by {change / ARCSEC:+.1f} arcsec in the window: a drift, or a new bias"
 
     @property

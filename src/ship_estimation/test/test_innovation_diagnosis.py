@@ -176,7 +176,7 @@ def test_shifted_sensor_with_all_measurements_rejected_is_biased() -> None:
     assert found.kind is DiagnosisKind.BIASED
     assert found.text.startswith("bias of +50.")
     assert "arcsec in up" in found.text
-    assert "steady: look at installation and alignment" in found.text
+    assert "steady: check installation and alignment" in found.text
 
 
 def test_common_prediction_error_of_an_excluded_source_is_no_bias() -> None:

@@ -162,10 +162,10 @@ def test_values_change_without_reload(browser, source, page):
     browser.open(page)
     browser.wait_until_true(LIVE)
     well = suite_states.suite_state()
-    heading = replace(well.angles[0], value=1.0, safety=Safety.UNSAFE, reason="all stars refused")
+    heading = replace(well.angles[0], value=1.0, safety=Safety.UNSAFE, reason="all stars rejected")
     source.set(replace(well, angles=(heading, *well.angles[1:])))
     browser.wait_until_true("document.querySelector('#heading .digits').textContent === '057.30'")  # 1 rad
-    assert browser.text("#heading .reason") == "all stars refused"
+    assert browser.text("#heading .reason") == "all stars rejected"
     assert browser.evaluate("document.querySelector('#heading').dataset.safety") == "UNSAFE"
     assert browser.problems == []
 

@@ -146,7 +146,7 @@ def test_wide_band_does_not_hide_the_values(panels) -> None:
         (
             replace(EXCLUDED, name="star.fore"),
             60.0,
-            ("✕ star.fore  OUT · axis ±60″ · 81 rejected in a row · right +49″ · residual 8.1 σ", True),
+            ("✕ star.fore  OUT · axis ±60″ · 81 rejected in a row · reads 49″ high · residual 8.1 σ", True),
         ),
         (None, 15.0, ("star.fore", False)),
     ],

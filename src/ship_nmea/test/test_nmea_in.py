@@ -186,7 +186,7 @@ def test_impossible_time_is_an_error(listening):
         return level == ERROR and "instrument time" in text and text
 
     text = node.wait_until(error_text)
-    assert text.startswith("lines come, but no ins/imu for")
+    assert text.startswith("lines arrive, but no ins/imu for")
     assert "'2014-08-01T00:00:00Z is " in text
 
 

@@ -168,7 +168,7 @@ def test_ths_takes_precedence_over_hdt(source):
 @pytest.mark.parametrize(
     ("bodies", "reason"),
     [
-        (["HEVTG,,T,,M,,N,,K,A"], "lines come, but no reference/a/imu for 2 s: received: HEVTG"),
+        (["HEVTG,,T,,M,,N,,K,A"], "lines arrive, but no reference/a/imu for 2 s: received: HEVTG"),
         (["GPHDT,10.0,T"], "received: no usable sentences, of other talkers GP"),
         (["HEHDT,,T"], "no values in it 1, as '$HEHDT,,T*"),
         ([], "udp 0.0.0.0:10110: no line for 2 s"),

@@ -72,7 +72,7 @@ def test_required_topic_without_messages_is_an_error_after_five_seconds(health):
     health.statuses(START_NS)
     statuses = health.statuses(START_NS + 5 * S)
     assert [status.level for status in statuses] == [Level.ERROR, Level.OK]
-    assert statuses[0].message == "required: no message for 5 s since the start"
+    assert statuses[0].message == "required input: no message for 5 s since the start"
     assert statuses[1].message == "no message yet"
 
 
@@ -81,9 +81,9 @@ def test_first_message_timeout_text_depends_on_the_publishers(health):
     health.set_publisher_count(IMU, 0)
     health.set_publisher_count(STAR, 2)
     imu, star = health.statuses(START_NS + 6 * S)
-    assert imu.message.endswith("no publisher")
+    assert imu.message.endswith(": no publisher, start the driver or check the topic name")
     assert star.level is Level.WARN
-    assert star.message == "2 publisher(s) but no message for 6 s: QoS mismatch, or none is sent"
+    assert star.message == "no message for 6 s from 2 publisher(s): QoS mismatch, or none is sent"
 
 
 def test_a_configured_device_without_messages_is_a_warning():
@@ -95,7 +95,8 @@ def test_a_configured_device_without_messages_is_a_warning():
     monitor.set_publisher_count(STAR, 0)
     (early,), (late,) = monitor.statuses(START_NS + 4 * S), monitor.statuses(START_NS + 5 * S)
     assert (early.level, early.message) == (Level.OK, "no message yet")
-    assert (late.level, late.message) == (Level.WARN, "no message for 5 s since the start: no publisher")
+    assert late.level is Level.WARN
+    assert late.message.startswith("no message for 5 s since the start: no publisher, ")
 
 
 def test_one_message_has_no_rate(health):
@@ -241,12 +242,12 @@ def test_too_old_stamps_are_an_error(health):
     last_ns = feed(health, 20, latency_ns=26_790_201 * S)
     status = imu_status(health, last_ns)
     assert (status.level, status.values["accepted"], status.values["reason clock"]) == (Level.ERROR, "20", "20")
-    assert status.message == "stamps 310 days before the node's clock: a bag of another time?"
+    assert status.message == "stamps 310 days before the node's clock: set the clocks, or play a bag with /clock"
     assert health.stale_stamps_text() == f"{IMU}: {status.message}"
     rejected, noted = health.rejection_and_note_counts()[IMU]
     assert (rejected.total(), dict(noted)) == (0, {Reason.CLOCK: 20})
     health.set_clock_unused(True)
-    assert imu_status(health, last_ns).message == f"{status.message} /clock is published: start with use_sim_time:=true"
+    assert imu_status(health, last_ns).message.endswith(": /clock is published: start the node with use_sim_time:=true")
     message = imu_message(health, last_ns)
     assert (message.level, message.accepted, message.rejected) == (2, 20, 0)
     # It ends with the first stamp of today.

@@ -112,4 +112,6 @@ def test_start_and_end_of_a_conflict_are_logged(lines: Lines) -> None:
     conflict = DiagnosticStatus("conflict star.fore", Level.ERROR, "star.fore and the INS disagree")
     for statuses in ([well], [well, conflict], [well, conflict], [well]):
         log.update(statuses)
-    assert lines.lines == ["error conflict star.fore: star.fore and the INS disagree", "info conflict star.fore: over"]
+    assert lines.lines == [
+        "error conflict star.fore: star.fore and the INS disagree", "info conflict star.fore: no longer reported"
+    ]

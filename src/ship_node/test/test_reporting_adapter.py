@@ -308,8 +308,8 @@ def test_an_overloaded_node_publishes_invalid_with_the_reason(adapter: TinyAdapt
     published = adapter.overload(Overload(3.2, 2, 12.0, {FAST: 320, CHECKED: 5}), NOW_NS)
     output = [(m.source, m.reason, m.reason_text) for topic, m in published if topic == "tiny/innovation"]
     assert output == [
-        ("fast", Reason.BEHIND, f"320 messages cut: {why}"),
-        ("device", Reason.BEHIND, f"5 messages cut: {why}"),
+        ("fast", Reason.BEHIND, f"320 messages dropped: {why}"),
+        ("device", Reason.BEHIND, f"5 messages dropped: {why}"),
         ("tiny", Reason.BEHIND, why),
     ]
     ((_, invalid),) = [message for message in published if message[0] == "tiny/value"]
@@ -317,7 +317,7 @@ def test_an_overloaded_node_publishes_invalid_with_the_reason(adapter: TinyAdapt
     assert health(adapter, FAST) == (320, 0, 320, {"behind": 320})
     statuses = {status.name: status for status in adapter.health.statuses(NOW_NS)}
     assert statuses[f"input {FAST}"].level is Level.WARN
-    assert "rejected, behind: 320 messages cut" in statuses[f"input {FAST}"].message
+    assert "rejected, behind: 320 messages dropped" in statuses[f"input {FAST}"].message
 
     adapter.core.next = Outcome(estimates=[SimpleNamespace(status=Status.VALID)])
     assert adapter.handle(FAST, message(), NOW_NS + 1) == []

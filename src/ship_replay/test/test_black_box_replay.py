@@ -462,7 +462,7 @@ def test_a_cut_black_box_is_verified_up_to_the_cut(black_box, tmp_path, capsys, 
     cut.write_bytes(data[: round(part * len(data))])
     code, out, _ = verify(capsys, cut)
     assert code == 0, out
-    assert "the black box ends suddenly, at 2014-07-09T11:50:" in out
+    assert "the black box ends without a footer, at 2014-07-09T11:50:" in out
     assert "no footer" in out
 
 

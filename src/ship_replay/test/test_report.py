@@ -216,12 +216,13 @@ class TestFiveSentences:
         recording = read_recording(recording_path)
         recording.events = events(
             (5, "source", "star.fore OUT, needs ins"), (5, "source", "ins OUT, no data"),
-            (5, "state", "heading SAFE → UNSAFE, ins no data"), (9, "source", "ins IN"), (9, "source", "star.fore IN"),
+            (5, "state", "heading SAFE → UNSAFE, no data from ins"),
+            (9, "source", "ins IN"), (9, "source", "star.fore IN"),
         )
         sentences = summary(recording)
         assert sentences[1].startswith("Worst source: ins, out once, 4 s in all (10 % of the time)")
         assert re.fullmatch(
-            r"Cause → consequence: ins no data at \S+ → heading not SAFE, star.fore not usable.", sentences[2]
+            r"Cause → consequence: ins out at \S+ \(no data\) → heading not SAFE, star.fore not usable.", sentences[2]
         )
 
     def test_a_shifted_mounting_is_named(self, recording_path):

@@ -58,7 +58,7 @@ def test_the_hash_of_a_file_is_that_of_sha256sum(recording_path):
     assert f">{whole}</td>" in section(page(read_report_data(recording_path)), "provenance")
 
 
-def alert(state, second, text="star.fore out: no data"):
+def alert(state, second, text="no data from star.fore"):
     stamp = make_header(FACTORY, START_NS + second * SECOND_NS, "").stamp
     return FACTORY.make(
         "ship_msgs/msg/Alert", id="star.fore.out", instance=1, priority=int(Priority.WARNING), state=int(state),

@@ -133,7 +133,7 @@ def test_a_replay_prints_why_nothing_was_valid(tmp_path, capsys):
     assert lines[heading + 1] == "  diagnostics, 59 of 59: DEGRADED: INS alone, no star yet"
     assert lines[heading + 3].startswith("  parameter 'ins.max_gap_s' = 0.5 s, but messages of 'ins/imu' in the bag")
     assert any(line.startswith("status of ship/attitude from ") for line in lines[:heading])
-    assert any("of 60 messages on 'reference/b/imu' 0 were used, " in line for line in lines[heading:])
+    assert any("0 of 60 messages on 'reference/b/imu' were used, " in line for line in lines[heading:])
 
 
 def test_a_replay_names_a_missing_input(tmp_path, capsys):

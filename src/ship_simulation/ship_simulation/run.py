@@ -233,7 +233,9 @@ class _Voyage:
             fixes=simulate_fixes(scenario, self.track, stretch, draws),
             weather_ns=stretch.stamps(scenario.weather.rate_hz, 0.0),
             fused=simulate_fused_attitude(scenario, carrier, stretch, draws) if fused else None,
-            deflections=simulate_deflections(scenario, stretch) if scenario.gravity.told == "topic" else None,
+            deflections=(
+                simulate_deflections(scenario, stretch) if scenario.gravity.told == "topic" else None
+            ),
             ship_baseline=simulate_ship_baseline(scenario, carrier, stretch, draws) if antennas else None,
             theodolite=simulate_theodolite(scenario, carrier, self._sky, stretch, draws) if aboard else None,
             truth=truth,

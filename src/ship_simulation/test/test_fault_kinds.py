@@ -70,7 +70,9 @@ def bag(tmp_path_factory):
     """Two seconds with every device, and with the fused attitude."""
     scenario = load_scenario(ROOT / "bags" / "scenarios" / "everything.yaml")
     fused = dataclasses.replace(scenario.fused_attitude, written=True)
-    gravity = dataclasses.replace(scenario.gravity, told="topic", rate_hz=5.0, xi_arcsec=5.0, sigma_arcsec=1.0)
+    gravity = dataclasses.replace(
+        scenario.gravity, told="topic", rate_hz=5.0, xi_arcsec=5.0, sigma_arcsec=1.0
+    )
     scenario = dataclasses.replace(scenario, duration_s=2.0, fused_attitude=fused, gravity=gravity)
     scenario = with_stars_and_targets(scenario)
     path = tmp_path_factory.mktemp("bag") / "everything.mcap"

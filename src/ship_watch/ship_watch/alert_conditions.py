@@ -10,9 +10,10 @@ from dataclasses import dataclass, field, replace
 
 from ship_geometry.rotations import ARCSEC
 from ship_watch.alert_states import Condition
-from ship_watch.functions import ATTITUDE, POINTING, FunctionState, functions, without_changing_figures
+from ship_watch.functions import ATTITUDE, POINTING, FunctionState, functions
 from ship_watch.limits import InputLimits, Limits
 from ship_watch.suite_state import CAUSE_NODE, Presence, Priority, SourceDetails, SuiteState
+from ship_watch.value_texts import fault_text, without_changing_figures
 
 STARS_OUT = "stars.out"
 
@@ -33,7 +34,6 @@ weather stay valid for a while."""
 _EXTERNAL_REASONS = ("no stars", "no lights")
 """Reasons of a source that is OUT without a defect: clouds, daylight, drones on deck."""
 
-_VERBS = {"no stars": "sees ", "no lights": "sees "}
 _LATE_ENDING = ": late"
 """Ending of the reason of a source whose data arrive too late to be used; the alert's value is then their delay."""
 
@@ -185,7 +185,7 @@ def _unreported_conditions(suite_state: SuiteState) -> Iterable[Condition]:
         if source.presence is Presence.OUT and source.because_of == CAUSE_NODE:
             yield Condition(
                 f"{source.name}.unreported", Priority.WARNING, source.name,
-                f"{source.name} not reported: its node has stopped reporting", source.age_s, unit="s",
+                f"{source.name} unknown: the node that reads it has stopped reporting", source.age_s, unit="s",
                 explained_by=("attitude.silent", "pointing.silent"),
             )
 
@@ -202,18 +202,12 @@ def _source_out_condition(
     if source.reason in _EXTERNAL_REASONS:
         base = Priority.CAUTION
     priority = max([base, *(one.priority for one in affected if one.priority is not None)])
-    lost, shown_name, reason = (
-        _lost_functions(affected),
-        name or "all star sensors",
-        without_changing_figures(source.reason),
-    )
-    is_late = reason.endswith(_LATE_ENDING)
-    cause = f"{shown_name} arrives late" if is_late else f"{shown_name} {_VERBS.get(reason, '')}{reason}"
-    text = _alert_text(affected, cause) if lost else f"{shown_name} out: {'arrives late' if is_late else reason}"
+    lost, cause = _lost_functions(affected), fault_text(name or "the star sensors", source.reason)
+    text = _alert_text(affected, cause) if lost else cause
     value, unit = (source.residual, "sigma") if math.isfinite(source.residual) else (math.nan, "")
     if source.reason.endswith(_NO_DATA_ENDINGS):
         value, unit = source.age_s, "s"
-    if is_late:
+    if source.reason.endswith(_LATE_ENDING):
         delays_s = [one.latency_s for one in suite_state.inputs if one.topic in source.topics]
         value, unit = max(delays_s, default=math.nan), "s"
     return Condition(
@@ -239,7 +233,7 @@ def _age_conditions(suite_state: SuiteState, limits: Limits) -> Iterable[Conditi
 def _rate_conditions(source: SourceDetails, limits: InputLimits) -> Iterable[Condition]:
     if source.presence is Presence.IN and source.rate_hz < limits.rate_hz:
         yield Condition(
-            f"{source.name}.rate", Priority.CAUTION, source.name, f"rate of {source.name} too low",
+            f"{source.name}.rate", Priority.CAUTION, source.name, f"rate of {source.name} below {limits.rate_hz:g} Hz",
             source.rate_hz, limits.rate_hz, "Hz", explained_by=(f"{source.name}.out",),
         )
 
@@ -250,7 +244,8 @@ def _clock_conditions(suite_state: SuiteState, limits: Limits) -> Iterable[Condi
     if ahead:
         worst = min(ahead, key=lambda one: one.latency_s)
         yield Condition(
-            "clock.ahead", Priority.WARNING, "", f"stamps of {worst.topic} are ahead of the computer's clock",
+            "clock.ahead", Priority.WARNING, "",
+            f"stamps of {worst.topic} more than {limits.machine.clock_offset_s:g} s ahead of the computer's clock",
             -worst.latency_s, limits.machine.clock_offset_s, "s",
         )
 
@@ -278,7 +273,8 @@ def _node_conditions(statuses: Iterable[NodeStatus], limits: Limits) -> Iterable
         if ending == "box" and 0 < lost <= limits.machine.box_lost:
             continue
         value = (float(lost), float(limits.machine.box_lost), "entries") if lost else (math.nan, math.nan, "")
-        text = f"{status.node}, {status.name}: {status.text}".replace(f"{lost} entries", "entries")
+        text = without_changing_figures(f"{status.node}, {status.name}: {status.text}")
+        text = text.replace(f"{lost} entries", "entries")
         yield Condition(f"{status.node}.{ending}", priority, "", text, *value)
 
 
@@ -294,7 +290,8 @@ def _overload_condition(status: NodeStatus) -> Condition:
 def _disk_conditions(computer: ComputerState, limits: Limits) -> Iterable[Condition]:
     if computer.disk_free_gb < limits.machine.disk_free_gb:
         yield Condition(
-            "disk.full", Priority.WARNING, "", f"the disk of {limits.machine.disk_path} is nearly full",
+            "disk.full", Priority.WARNING, "",
+            f"less than {limits.machine.disk_free_gb:g} GB free on the disk of {limits.machine.disk_path}",
             computer.disk_free_gb, limits.machine.disk_free_gb, "GB", becomes_alarm=True,
         )
 
@@ -307,7 +304,7 @@ def _alert_text(affected: Iterable[FunctionState], cause: str) -> str:
     """Return the text of an alert from its functions, the worst first, and its cause.
 
     Functions that are only unchecked are named if no other is worse. An example is "Heading lost, tilt over its limit:
-    ins no data".
+    no data from ins".
     """
     affected = list(affected)
     by_words: dict[str, list[str]] = {}

@@ -121,7 +121,7 @@ class AlertList:
             return None, f"no alert '{id_}'; current alerts: {active_ids}"
         alert = tracked.alert
         if alert.instance != instance:
-            return None, f"'{id_}' is now instance {alert.instance}, not {instance}: read it again"
+            return None, f"'{id_}' is now instance {alert.instance}, not {instance}: read the alert again"
         if alert.is_acknowledged:
             return None, f"'{id_}' needs no acknowledgement: it is {_state_text(alert)}"
         change = self._apply_event(tracked, AlertEvent.ACKNOWLEDGED, utc_ns, "acknowledged")

@@ -14,11 +14,11 @@ import numpy as np
 
 from ship_bags.stamps import NS_PER_S
 from ship_geometry.rotations import ARCSEC
-from ship_watch.functions import without_changing_figures
 from ship_watch.limits import Limits
 from ship_watch.safety import HYSTERESIS_MARGIN, AngleSafety, SafetyHysteresis, safety_by_accuracy
 from ship_watch.suite_monitor import SuiteMonitor
 from ship_watch.suite_state import AngleState, Safety
+from ship_watch.value_texts import without_changing_figures
 
 QUANTITIES = {"heading": ("heading",), "tilt": ("pitch", "roll"), "pointing": ("azimuth", "elevation")}
 """Quantity with its own limit → its angles."""

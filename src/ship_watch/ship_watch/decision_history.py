@@ -2,6 +2,7 @@
 
 import math
 from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,10 +25,24 @@ _IN_A_ROW_PERIODS = 1.5
 
 _DEGREE_FROM_ARCSEC = 3600.0
 
+_ROTATION_SENSES = {
+    "forward": ("clockwise", "counterclockwise"), "up": ("to the left", "to the right"), "right": ("high", "low")
+}
+"""Axis of a device → sense of an attitude rotated about it, positive and negative, looking forward."""
+
+_DIRECTION_SENSES = {
+    "up": ("stars", "high", "low"),
+    "right": ("stars", "to the right", "to the left"),
+    "x": ("lights", "to the left", "to the right"),
+    "z": ("lights", "low", "high"),
+}
+"""Axis of a direction → what is measured along it, and the sense of a positive and of a negative residual. The image
+with the axes x and z is inverted."""
+
 
 @dataclass(frozen=True)
 class Disagreement:
-    """Component in which a source is furthest off: text for people, and mean of residual over sigma."""
+    """Component in which a source is furthest off: text for people ("reads 49″ high"), mean of residual over sigma."""
 
     text: str
     sigmas: float
@@ -189,15 +204,31 @@ def disagreement(messages: "deque[Any]") -> Disagreement:
     if best is None or worst is None:
         return NO_DISAGREEMENT
     name, residual, sigmas = best if _size_in_sigmas(best) >= max(1.0, 0.3 * _size_in_sigmas(worst)) else worst
-    return Disagreement(f"{name} {angle_text(residual)}", float(sigmas))
+    return Disagreement(_offset_text(name, float(residual), parts), float(sigmas))
+
+
+def _offset_text(name: str, residual: float, components: Collection[str]) -> str:
+    """Return the offset of a component, or of an axis: "reads 49″ high", "HIP 85355 reads 90″ to the left".
+
+    Args:
+        name: name of a component, or an axis of several.
+        residual: measured minus predicted, rad.
+        components: names of all components; that of an attitude is the axis of the rotation alone.
+    """
+    thing, _, axis = name.rpartition(" ")
+    size, is_negative = angle_text(residual), residual < 0.0
+    if axis in components:
+        return f"reads {size} {_ROTATION_SENSES.get(axis, (f'in {axis}',) * 2)[is_negative]}"
+    all_things, *senses = _DIRECTION_SENSES.get(axis, ("all", f"in {axis}", f"in {axis}"))
+    things = {component.rpartition(" ")[0] for component in components}
+    subject = f"{thing or things.pop()} reads" if thing or len(things) == 1 else f"{all_things} read"
+    return f"{subject} {size} {senses[is_negative]}"
 
 
 def angle_text(angle: float) -> str:
-    """Return a signed angle, rad, as text: in seconds of arc, from one degree on in degrees."""
-    arcsec = angle / ARCSEC
-    size = abs(arcsec)
-    text = f"{size / _DEGREE_FROM_ARCSEC:.1f}°" if size >= _DEGREE_FROM_ARCSEC else f"{size:.0f}″"
-    return f"{'−' if arcsec < 0.0 else '+'}{text}"
+    """Return the size of an angle, rad, as text: in seconds of arc, from one degree on in degrees."""
+    size = abs(angle / ARCSEC)
+    return f"{size / _DEGREE_FROM_ARCSEC:.1f}°" if size >= _DEGREE_FROM_ARCSEC else f"{size:.0f}″"
 
 
 def _size_in_sigmas(entry: tuple[str, float, float]) -> float:

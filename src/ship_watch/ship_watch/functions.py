@@ -5,7 +5,6 @@ causes it and the sources it depends on. The alerts and the tree in `/diagnostic
 """
 
 import math
-import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy as np
 from ship_watch.limits import Limits
 from ship_watch.safety import OVER_THE_LIMIT
 from ship_watch.suite_state import AngleState, Presence, Priority, Safety, SourceDetails, SuiteState
+from ship_watch.value_texts import without_changing_figures
 
 ATTITUDE, POINTING = "attitude", "pointing"
 """Outputs of the functions."""
@@ -27,9 +27,6 @@ _PRIORITY_TEXTS = {
     Priority.WARNING: "over its limit",
     Priority.CAUTION: "unchecked",
 }
-
-_CHANGING_FIGURES = re.compile(r" for \d+ s\b|\b\d+ (?=rejected|accepted)|\b[\d.]+ s (?=behind)|, load \d+")
-"""Figures of a reason that change while the situation stays the same."""
 
 
 @dataclass(frozen=True)
@@ -94,15 +91,10 @@ class FunctionState:
     def reason(self) -> str:
         """Reason of the worst angle without changing figures; for an accuracy over its limit, where to find causes."""
         return (
-            "see its error budget"
+            "see the error budget"
             if self.angle.reason == OVER_THE_LIMIT
             else without_changing_figures(self.angle.reason)
         )
-
-
-def without_changing_figures(text: str) -> str:
-    """Return a text without changing figures: "rejected in a row" for "81 rejected in a row"."""
-    return _CHANGING_FIGURES.sub("", text).replace("accepted again", "rejected in a row")
 
 
 def functions(suite_state: SuiteState) -> tuple[FunctionState, ...]:

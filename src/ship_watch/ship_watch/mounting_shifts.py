@@ -86,7 +86,7 @@ class MountingShifts:
                 shift = significant_shift(self._before.pop(name), self._estimates[name][-1])
                 if shift > 0.0:
                     self._shifts[name] = shift, utc_ns
-                    found.append((name, f"{name} reinstated, mounting shifted by {angle_text(shift).lstrip('+')}"))
+                    found.append((name, f"{name} reinstated, mounting shifted by {angle_text(shift)}"))
         return found
 
     def shift_of(self, name: str, utc_ns: int) -> float:

@@ -196,7 +196,7 @@ class PointingRecord(OutputRecord):
     def diagnosis_hint(self, now_ns: int, beacon_count: int) -> str:
         """Return the number of used lights if it is too low; empty otherwise."""
         if self.has_reduced_input(beacon_count):
-            return f"one of {_COUNTS.get(beacon_count, beacon_count)} lights"
+            return f"one of {_COUNTS.get(beacon_count, beacon_count)} lights used"
         return "no lights" if self._mode == _ENCODER else ""
 
     def has_reduced_input(self, beacon_count: int) -> bool:

@@ -10,7 +10,6 @@ below the limit by a margin for the hold time, or below the limit for several ho
 """
 
 import math
-import re
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -94,7 +93,8 @@ def safety_and_reason(inputs: AngleInputs) -> tuple[Safety, str]:
 def _safety_and_reason(inputs: AngleInputs) -> tuple[Safety, str]:
     if not inputs.is_received:
         return Safety.UNSAFE, f"waiting for {inputs.topic}"
-    fault_text = _fault_text(inputs.faulty_source)
+    source = inputs.faulty_source
+    fault_text = value_texts.fault_text(source.name, source.reason) if source is not None else ""
     if inputs.is_old:
         return Safety.UNSAFE, fault_text or f"no data on {inputs.topic}"
     if inputs.status is None or inputs.status is Status.INVALID or not math.isfinite(inputs.value):
@@ -119,14 +119,6 @@ def _safety_and_reason(inputs: AngleInputs) -> tuple[Safety, str]:
 def _is_within(protection: AngleProtection) -> bool:
     """True if the protection level of this angle is within its alert limit, or no alert limit is configured."""
     return protection.level <= protection.alert_limit or math.isnan(protection.alert_limit)
-
-
-def _fault_text(source: SourceState | None) -> str:
-    """Return name and reason of a source that is OUT, without the count of rejections; empty for None."""
-    return "" if source is None else f"{source.name} {_REJECTION_COUNT.sub('rejected', source.reason)}"
-
-
-_REJECTION_COUNT = re.compile(r"\d+ rejected in a row")
 
 
 class AngleSafety(NamedTuple):

@@ -220,10 +220,10 @@ def _rejection_text(source: str, name: str, history: DecisionHistory) -> str:
 
 def _with_member(text: str, name: str) -> str:
     member = source_member(name)
-    return f"{member} {text}" if member else text
+    return f"{member}: {text}" if member else text
 
 
 def _with_members(text: str, topics: list[TopicReports], all_topics: list[TopicReports]) -> str:
     """Return the text, with the names of the members if it does not apply to the whole source."""
     members = sorted({source_member(topic.topic) for topic in topics} - {""})
-    return f"{', '.join(members)} {text}" if members and len(topics) < len(all_topics) else text
+    return f"{', '.join(members)}: {text}" if members and len(topics) < len(all_topics) else text

@@ -126,7 +126,7 @@ class SourceState:
         name: "ins", "star.<id>", "reference.<name>", "lights", "encoder", "baselines", "gnss", "weather".
         presence: IN, OUT or OFF.
         reason: why it is OUT: "81 rejected in a row", "no data", "invalid", "excluded"; empty if IN.
-        disagreement: the component that is furthest off, "right +49″". Of a source that is IN: what is corrected in its
+        disagreement: the largest offset, "reads 49″ high". Of a source that is IN: what is corrected in its
             data, "names exchanged" of lights. Empty if unknown.
         residual: mean of its last rejected residuals over their sigma; NaN without one.
         out_since_ns: UTC of the first rejection or of the last message; 0 if IN.

@@ -1,9 +1,10 @@
-"""Values as texts for people, the same on page, terminal, report and log.
+"""Values and faults as texts for people, the same on page, terminal, report and log.
 
 Minus is "−" (U+2212). Minutes of arc are not used. Words replace signs where possible: "bow up", "port down".
 """
 
 import math
+import re
 from datetime import datetime, timezone
 from typing import NamedTuple
 from zoneinfo import ZoneInfo
@@ -16,6 +17,23 @@ NO_VALUE = "—"
 
 DASHES_AFTER_S = 60.0
 """Age from which an old value is replaced by dashes, s."""
+
+_CHANGING_FIGURES = re.compile(r" for \d+ s\b|\b\d+ (?=rejected|accepted)|\b[\d.]+ s (?=behind)|, load \d+")
+"""Figures of a reason that change while the situation stays the same."""
+
+_RUN = re.compile(r"rejected in a row|accepted again")
+
+_MEMBERS = re.compile(r"(.+): (?=no data$|never received$|rejected\b)")
+"""Members of a source at the beginning of its reason, if the reason does not apply to the whole source."""
+
+_FAULT_TEXTS = {
+    "no data": "no data from {source}",
+    "invalid": "no valid data from {source}",
+    "rejected: late": "late data from {source}",
+    "no stars": "no stars seen by {source}",
+    "no lights": "no lights seen",
+}
+"""Reason why a source is OUT → text with its name; the others follow the name."""
 
 _SENSES = {"pitch": ("bow up", "bow down"), "roll": ("port up", "port down")}
 
@@ -80,6 +98,26 @@ def age_text(seconds: float) -> str:
         if seconds < 99.5 * size_s:
             return f"{seconds / size_s:.0f} {unit}"
     return f"{seconds / 86400:.0f} d"
+
+
+def without_changing_figures(text: str) -> str:
+    """Return a text without changing figures: "rejected" for "81 rejected in a row" and "3 accepted again"."""
+    return _RUN.sub("rejected", _CHANGING_FIGURES.sub("", text))
+
+
+def fault_text(source: str, reason: str) -> str:
+    """Return the fault of a source that is OUT, without changing figures.
+
+    Examples: "no data from encoder", "ins rejected: stuck", "a (baselines) rejected: not fixed".
+
+    Args:
+        source: name of the source.
+        reason: why it is OUT, as in :class:`~ship_watch.suite_state.SourceState`.
+    """
+    reason = without_changing_figures(reason)
+    if members := _MEMBERS.match(reason):
+        source, reason = f"{members[1]} ({source})", reason[members.end() :]
+    return _FAULT_TEXTS.get(reason, "{source} {reason}").format(source=source, reason=reason)
 
 
 def utc_clock(utc_ns: int) -> str:

@@ -118,7 +118,7 @@ def test_documented_table_matches_the_code() -> None:
 
 def test_accuracy_over_its_limit_refers_to_the_error_budget() -> None:
     (found,) = alerts_of(suite_state(angle_over_limit("roll"))).values()
-    assert (found.priority, found.text) == (Priority.WARNING, "Tilt over its limit: see its error budget")
+    assert (found.priority, found.text) == (Priority.WARNING, "Tilt over its limit: see the error budget")
 
 
 def test_recovering_function_is_reported_until_its_safety_is_better() -> None:
@@ -164,7 +164,7 @@ def test_alert_of_a_source_names_the_lost_functions() -> None:
     assert list(found) == ["ins.out"]
     alert = found["ins.out"]
     assert (alert.priority, alert.source) == (Priority.ALARM, "ins")
-    assert alert.text == "Heading, tilt and pointing lost: ins no data"
+    assert alert.text == "Heading, tilt and pointing lost: no data from ins"
     assert (alert.value, alert.unit) == (4.0, "s")
     assert alert.lost_functions == {"heading", "tilt", "pointing"}
 
@@ -189,7 +189,7 @@ def test_all_star_sensors_out_for_one_reason_are_one_situation() -> None:
     taken = angle_over_limit("heading", "star.fore")
     both = alerts_of(suite_state(source_out("star.fore", "no data"), source_out("star.starboard", "no data"), taken))
     assert list(both) == ["stars.out"]
-    assert both["stars.out"].text == "Heading over its limit: all star sensors no data"
+    assert both["stars.out"].text == "Heading over its limit: no data from the star sensors"
     assert both["stars.out"].becomes_alarm
     two = alerts_of(
         suite_state(source_out("star.fore", "no data"), source_out("star.starboard", "81 rejected in a row"), taken)
@@ -218,11 +218,11 @@ def test_texts_have_no_changing_figures() -> None:
     texts = set()
     for count in (5, 81):
         shown = suite_state(
-            source_out("star.fore", f"{count} rejected in a row", disagreement=f"right +{count}″", age_s=count),
+            source_out("star.fore", f"{count} rejected in a row", disagreement=f"reads {count}″ high", age_s=count),
             angle("heading", **{**UNCHECKED, "reason": f"no stars for {count} s"}),
         )
         texts |= {each.text for each in conditions(shown, LIMITS)}
-    assert texts == {"star.fore out: rejected in a row", "Heading unchecked: no stars"}
+    assert texts == {"star.fore rejected", "Heading unchecked: no stars"}
 
 
 def test_black_box_may_lose_entries_within_the_limit() -> None:
@@ -240,9 +240,9 @@ def test_source_that_arrives_late_is_named_once_with_its_delay() -> None:
     lights = source_out("lights", "needs ship_attitude", because_of="ship_attitude")
     angles = [unsafe_angle(name, "ship_attitude") for name in ANGLES_OF_POINTING]
     (found,) = alerts_of(suite_state(late, lights, *angles, inputs=(late_input("ship/attitude", 1.0),))).values()
-    assert (found.text, found.value, found.unit) == ("Pointing lost: ship_attitude arrives late", 1.0, "s")
+    assert (found.text, found.value, found.unit) == ("Pointing lost: late data from ship_attitude", 1.0, "s")
     (alone,) = alerts_of(suite_state(late)).values()
-    assert alone.text == "ship_attitude out: arrives late"
+    assert alone.text == "late data from ship_attitude"
 
 
 def test_lost_functions_come_before_those_over_their_limit() -> None:
@@ -250,16 +250,16 @@ def test_lost_functions_come_before_those_over_their_limit() -> None:
     (found,) = alerts_of(
         suite_state(source_out("ins", "no data"), angle_over_limit("heading", "ins"), unsafe_angle("roll", "ins"))
     ).values()
-    assert found.text == "Tilt lost, heading over its limit: ins no data"
+    assert found.text == "Tilt lost, heading over its limit: no data from ins"
 
 
 def test_diagnostics_name_the_input_that_causes_a_loss() -> None:
     """Each function is listed with its limit and its sources; the source that causes a loss is an error."""
     angles = [unsafe_angle("heading", "ins"), angle_over_limit("roll", "ins", 2.0)]
-    shown = suite_state(source_out("ins", "81 rejected in a row", disagreement="up +100″"), *angles)
+    shown = suite_state(source_out("ins", "81 rejected in a row", disagreement="reads 9″ high"), *angles)
     branches = {branch.path: (branch.level, branch.text) for branch in diagnostic_entries(shown, PICTURED)}
     assert branches["heading within 5″"] == (2, "lost, because of ins, invalid, no accuracy, limit 5″")
-    assert branches["heading within 5″/ins"] == (2, "out: 81 rejected in a row, up +100″, therefore heading lost")
+    assert branches["heading within 5″/ins"] == (2, "out: 81 rejected in a row, reads 9″ high, therefore heading lost")
     assert branches["tilt within 3″"] == (1, "over its limit, because of ins, over the limit, 6.0″ (95 %), limit 3″")
     assert branches["tilt within 3″/star.fore"] == (0, "in")
     assert branches["pointing within 10″"] == (0, "safe: 5.3″ (95 %), limit 10″")

@@ -110,30 +110,30 @@ def test_disagreement_is_the_component_furthest_off() -> None:
         stamp = 100 * SECOND + i * PERIOD
         message = innovation(False, arcsec=(-2.0, 1.0, 47.0 + i), names=("forward", "up", "right"))
         streak.record(stamp, message, stamp, PERIOD)
-    assert streak.disagreement.text == "right +49″"
+    assert streak.disagreement.text == "reads 49″ high"
     assert streak.disagreement.sigmas == pytest.approx(49.0 / 3.0)
     # Excluded and estimated again it agrees; the disagreement stays until it is IN again.
     message = innovation(False, Reason.EXCLUDED, arcsec=(0.0, 1.0, 0.0), names=("forward", "up", "right"))
     streak.record(102 * SECOND, message, 102 * SECOND, PERIOD)
-    assert streak.disagreement.text == "right +49″"
+    assert streak.disagreement.text == "reads 49″ high"
 
 
 def test_equal_residuals_of_all_stars_are_a_rotation_of_the_sensor() -> None:
     streak = DecisionHistory(5, 10)
     names = [f"HIP {n} {axis}" for n in (1, 2, 3) for axis in ("up", "right")]
     streak.record(SECOND, innovation(False, arcsec=(20.0, 1.0, 21.0, -1.0, 22.0, 0.0), names=names), SECOND, PERIOD)
-    assert streak.disagreement.text == "up +21″"
+    assert streak.disagreement.text == "stars read 21″ high"
 
 
 def test_single_wrong_star_is_named() -> None:
     streak = DecisionHistory(5, 10)
     names = [f"HIP {n} {axis}" for n in (1, 2, 3, 4, 5) for axis in ("up", "right")]
     streak.record(SECOND, innovation(False, arcsec=(0.0, 0.0, 0.0, -90.0) + (0.0,) * 6, names=names), SECOND, PERIOD)
-    assert streak.disagreement.text == "HIP 2 right −90″"
+    assert streak.disagreement.text == "HIP 2 reads 90″ to the left"
 
 
 def test_angle_texts() -> None:
-    assert [angle_text(value * ARCSEC) for value in (48.6, -120.0, 7200.0)] == ["+49″", "−120″", "+2.0°"]
+    assert [angle_text(value * ARCSEC) for value in (48.6, -120.0, 7200.0)] == ["49″", "120″", "2.0°"]
 
 
 def test_source_is_in_again_after_stamps_from_the_future() -> None:

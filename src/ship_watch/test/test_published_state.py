@@ -30,7 +30,7 @@ from ship_watch.suite_state import Presence, Safety, SuiteState
 PICTURES = {
     "all well": suite_state(),
     "two faults": suite_state(
-        source_out("star.fore", "81 rejected in a row", disagreement="right +49″", residual=8.1, out_since_ns=NOW_NS),
+        source_out("star.fore", "excluded", disagreement="reads 49″ high", residual=8.1, out_since_ns=NOW_NS),
         source_out("lights", "needs ship_attitude", because_of="ship_attitude"),
         unsafe_angle("heading", "ins"),
         angle_over_limit("roll"),

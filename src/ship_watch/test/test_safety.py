@@ -23,8 +23,8 @@ from ship_watch.safety import (
 from ship_watch.suite_state import Presence, Safety, SourceState
 
 SECOND = 1_000_000_000
-EXCLUDED = SourceState("star.bow", Presence.OUT, "excluded", "right +49″", 17.0, 1, "")
-FLOAT = replace(EXCLUDED, name="baselines", reason="a 81 rejected in a row: not fixed")
+EXCLUDED = SourceState("star.bow", Presence.OUT, "excluded", "reads 49″ high", 17.0, 1, "")
+FLOAT = replace(EXCLUDED, name="baselines", reason="a: 81 rejected in a row: not fixed")
 GOOD = AngleInputs(
     topic="ship/attitude",
     is_received=True,
@@ -63,8 +63,8 @@ def test_valid_protected_angle_within_its_limit_is_safe() -> None:
         ({"protection": AngleProtection(IntegrityState.UNAVAILABLE)}, "no independent check"),
         ({"protection": AngleProtection(IntegrityState.UNAVAILABLE), "faulty_source": EXCLUDED}, "star.bow excluded"),
         ({"protection": AngleProtection(IntegrityState.MET, math.nan, 30.0)}, "no independent check"),
-        ({"accuracy_95": 6.0, "faulty_source": FLOAT}, "baselines a rejected: not fixed"),
-        ({"has_reduced_input": True, "diagnosis_hint": "one of two lights"}, "one of two lights"),
+        ({"accuracy_95": 6.0, "faulty_source": FLOAT}, "a (baselines) rejected: not fixed"),
+        ({"has_reduced_input": True, "diagnosis_hint": "one of two lights used"}, "one of two lights used"),
     ],
 )
 def test_cautions(change: dict[str, Any], reason: str) -> None:
@@ -109,7 +109,7 @@ def over_limit(accuracy: float) -> AngleSafety:
 
 
 SAFE = AngleSafety(Safety.SAFE, "")
-NO_DATA = AngleSafety(Safety.CAUTION, "star.bow no data")
+NO_DATA = AngleSafety(Safety.CAUTION, "no data from star.bow")
 
 
 def test_safety_gets_worse_at_once_and_better_after_five_seconds() -> None:
@@ -121,7 +121,7 @@ def test_safety_gets_worse_at_once_and_better_after_five_seconds() -> None:
     assert held.displayed_safety(NO_DATA, 2 * SECOND)[:2] == (Safety.UNSAFE, "invalid")
     assert held.update(SAFE, 6 * SECOND)  # 5 s after it was UNSAFE, 4 s after it was a CAUTION
     assert (held.safety, held.since_ns) == (Safety.CAUTION, 6 * SECOND)
-    assert held.displayed_safety(SAFE, 6 * SECOND)[:2] == (Safety.CAUTION, "star.bow no data")
+    assert held.displayed_safety(SAFE, 6 * SECOND)[:2] == (Safety.CAUTION, "no data from star.bow")
     assert not held.update(SAFE, 7 * SECOND - 1)
     assert held.update(SAFE, 7 * SECOND)
     assert held.displayed_safety(SAFE, 7 * SECOND) == DisplayedSafety(Safety.SAFE, "")
@@ -182,7 +182,7 @@ def test_margin_applies_only_to_an_accuracy_that_was_over_its_limit() -> None:
     held = SafetyHysteresis(5.0)
     for tenth in range(100):
         now = over_limit(4.9)
-        caution = now._replace(safety=Safety.CAUTION, reason="star.bow no data")
+        caution = now._replace(safety=Safety.CAUTION, reason="no data from star.bow")
         held.update(caution if tenth < 10 else now, tenth * SECOND // 10)
         assert (held.safety is Safety.SAFE) == (tenth >= 59)
 
@@ -207,7 +207,7 @@ def test_margin_no_longer_applies_after_the_hold() -> None:
         (over_limit(16.0), over_limit(6.0), 1.0, Safety.UNSAFE, "over the limit; CAUTION in 4 s"),
         (over_limit(16.0), over_limit(4.9), 1.0, Safety.UNSAFE, "within 5″ again; CAUTION in 4 s"),
         (AngleSafety(Safety.UNSAFE, "invalid"), SAFE, 2.0, Safety.UNSAFE, "good again; SAFE in 3 s"),
-        (AngleSafety(Safety.UNSAFE, "invalid"), NO_DATA, 2.0, Safety.UNSAFE, "star.bow no data; CAUTION in 3 s"),
+        (AngleSafety(Safety.UNSAFE, "invalid"), NO_DATA, 2.0, Safety.UNSAFE, "no data from star.bow; CAUTION in 3 s"),
         (NO_DATA, SAFE, 4.9, Safety.CAUTION, "good again; SAFE in 1 s"),
         (NO_DATA, SAFE, 5.0, Safety.SAFE, ""),
     ],

@@ -242,7 +242,7 @@ def test_source_without_data_is_out_after_two_seconds_and_named_by_the_angle() -
     assert [(source.name, source.reason) for source in picture.sources if source.presence is Presence.OUT] == [
         ("star.bow", "no data")
     ]
-    assert picture.angles[0].reason == "star.bow no data"
+    assert picture.angles[0].reason == "no data from star.bow"
     assert picture.sources[0].out_since_ns == pytest.approx(UTC + 9.9 * SECOND, abs=1e6)
 
 
@@ -489,7 +489,7 @@ def test_overloaded_node_is_the_cause_until_the_source_is_in_again() -> None:
         monitor.process_message("ship/innovation", rejection(ns, "star.bow", Reason.GAP), now)
         if fifth % 5 == 0:
             monitor.process_message("ship/attitude", attitude(ns, status=3, heading=math.nan), now)
-            monitor.process_message("ship/innovation", overload_report(ns, "ins", f"320 messages cut: {text}"), now)
+            monitor.process_message("ship/innovation", overload_report(ns, "ins", f"320 messages dropped: {text}"), now)
             monitor.process_message("ship/innovation", overload_report(ns, "ship_attitude", text), now)
     picture = monitor.current_state(at(13.9))
     (heading, *_), (star, ins, *_) = picture.angles, picture.sources

@@ -14,7 +14,7 @@ def test_all_angles_safe_is_safe_without_a_reason() -> None:
 
 def test_worst_angle_decides() -> None:
     assert suite_states.state_with_two_faults().overall == OverallState(
-        Safety.UNSAFE, "encoder no data since 11:59:55 (azimuth, elevation)"
+        Safety.UNSAFE, "no data from encoder (azimuth, elevation)"
     )
 
 

@@ -32,6 +32,24 @@ def angle(name, degrees, **changed):
 
 
 @pytest.mark.parametrize(
+    ("reason", "text"),
+    [
+        ("no data", "no data from star.bow"),
+        ("invalid", "no valid data from star.bow"),
+        ("never received", "star.bow never received"),
+        ("81 rejected in a row: late", "late data from star.bow"),
+        ("3 accepted again", "star.bow rejected"),
+        ("a, b: no data", "no data from a, b (star.bow)"),
+        ("a: 5 rejected in a row: not fixed", "a (star.bow) rejected: not fixed"),
+        ("no stars", "no stars seen by star.bow"),
+        ("{x}", "star.bow {x}"),
+    ],
+)
+def test_faults(reason: str, text: str) -> None:
+    assert value_texts.fault_text("star.bow", reason) == text
+
+
+@pytest.mark.parametrize(
     ("name", "degrees", "number", "sense"),
     [
         ("heading", 34.392, "034.39°", "true"),

@@ -111,7 +111,7 @@ def test_removed_camera_is_ignored() -> None:
     settings = replace(mount_config(1.0), telescopes={})
     filter_ = CalibrationFilter(settings)
     state, (message,) = state_from_prior(filter_, settings, saved_prior(mount_config(1.0)), NOW_NS)
-    why = "no camera of that name has angles of its own here"
+    why = "no camera of this name with angles of its own is configured"
     assert message == f"saved calibration of camera '{CAMERA_ID}' is not used: {why}"
     assert state.mean[filter_.model.state_indices("axes")[2]] == pytest.approx(3.0 * ARCSEC)
 

@@ -308,8 +308,8 @@ def test_repeated_rows_count_once(tmp_path: Path, capsys: pytest.CaptureFixture[
     shown = capsys.readouterr().out
     assert "repeated, counted once: observation S40 (as S0)" in shown
     once, twice = (yaml.safe_load((tmp_path / name / "axes.yaml").read_text()) for name in ("once", "twice"))
-    assert once.pop("given_again") == []
-    assert len(twice.pop("given_again")) == 7
+    assert once.pop("repeated") == []
+    assert len(twice.pop("repeated")) == 7
     assert once == twice
 
 

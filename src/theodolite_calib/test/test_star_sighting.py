@@ -93,7 +93,7 @@ def test_stars_without_exposure_length_are_unchanged() -> None:
 
 
 @pytest.mark.parametrize(
-    ("until_s", "text"), [(1.9, "on both sides of it"), (2.05, "over its whole exposure of 0.2 s")]
+    ("until_s", "text"), [(1.9, "on both sides of the exposure"), (2.05, "over the whole exposure of 0.2 s")]
 )
 def test_a_gap_is_named(until_s: float, text: str) -> None:
     found = star_sighting(exposure(0.2), SETTINGS, tracks(until_s))

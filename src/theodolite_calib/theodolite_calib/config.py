@@ -42,7 +42,7 @@ def _axis_error(doc: str) -> Any:
 
 
 def _axis_sigma(default: float = 30.0) -> Any:
-    return parameter(default, doc="its uncertainty; 0 fixes it", unit="arcsec", minimum=0.0, maximum=3600.0)
+    return parameter(default, doc="uncertainty of this error; 0 fixes it", unit="arcsec", minimum=0.0, maximum=3600.0)
 
 
 def _telescope_angle(doc: str) -> Any:
@@ -153,7 +153,7 @@ class AxesConfig:
 class DeformationConfig:
     """Deformation of the hull between INS and theodolite, about bow, up and starboard."""
 
-    sigma_arcsec: float = arcsec(20.0, doc="each axis")
+    sigma_arcsec: float = arcsec(20.0, doc="standard deviation, each axis")
     time_s: float = parameter(600.0, doc="correlation time", unit="s", minimum=1.0, maximum=1e7)
 
 
@@ -165,7 +165,7 @@ class TelescopeConfig:
     frame_id: str = parameter("", doc="frame_id that theodolite/beacons must carry; empty accepts any")
     focal_length_m: float = parameter(doc="focal length, in metres", unit="m", minimum=0.001, maximum=10.0)
     focal_length_sigma_m: float = parameter(
-        0.0001, doc="its uncertainty; 0 fixes it", unit="m", minimum=0.0, maximum=0.1
+        0.0001, doc="uncertainty of the focal length; 0 fixes it", unit="m", minimum=0.0, maximum=0.1
     )
     principal_x_m: float = parameter(
         0.0, doc="detector point of the telescope's axis, along right", unit="m", minimum=-0.1, maximum=0.1
@@ -189,11 +189,11 @@ class TelescopeConfig:
         maximum=0.001,
     )
     azimuth_arcsec: float = _telescope_angle("azimuth of the main axis in the telescope")
-    azimuth_sigma_arcsec: float = arcsec(0.0, doc="its uncertainty")
+    azimuth_sigma_arcsec: float = arcsec(0.0, doc="uncertainty of the azimuth")
     elevation_arcsec: float = _telescope_angle("elevation of the main axis in the telescope")
-    elevation_sigma_arcsec: float = arcsec(0.0, doc="its uncertainty")
+    elevation_sigma_arcsec: float = arcsec(0.0, doc="uncertainty of the elevation")
     rotation_arcsec: float = _telescope_angle("rotation of the main image in the telescope")
-    rotation_sigma_arcsec: float = arcsec(0.0, doc="its uncertainty")
+    rotation_sigma_arcsec: float = arcsec(0.0, doc="uncertainty of the rotation")
     lens: LeverConfig = section(LeverConfig)
 
     @property
@@ -225,13 +225,13 @@ class StarCameraConfig:
 
     frame_id: str = parameter("", doc="frame_id that theodolite/<id>/stars must carry; empty accepts any")
     azimuth_deg: float = degrees(doc="azimuth of the main axis in the camera")
-    azimuth_sigma_arcsec: float = arcsec(1.0, doc="its uncertainty")
+    azimuth_sigma_arcsec: float = arcsec(1.0, doc="uncertainty of the azimuth")
     elevation_deg: float = parameter(
         doc="elevation of the main axis in the camera", unit="deg", minimum=-89.0, maximum=89.0
     )
-    elevation_sigma_arcsec: float = arcsec(1.0, doc="its uncertainty")
+    elevation_sigma_arcsec: float = arcsec(1.0, doc="uncertainty of the elevation")
     roll_deg: float = degrees(doc="rotation of the main image in the camera")
-    roll_sigma_arcsec: float = arcsec(20.0, doc="its uncertainty")
+    roll_sigma_arcsec: float = arcsec(20.0, doc="uncertainty of the rotation")
     camera: RequiredCameraConfig = section(RequiredCameraConfig)
 
     @property
@@ -257,7 +257,9 @@ class MainDetectorConfig:
         minimum=0.0,
         maximum=100.0,
     )
-    focal_length_sigma_m: float = parameter(0.0, doc="its uncertainty", unit="m", minimum=0.0, maximum=1.0)
+    focal_length_sigma_m: float = parameter(
+        0.0, doc="uncertainty of the focal length", unit="m", minimum=0.0, maximum=1.0
+    )
     principal_x_m: float = parameter(
         0.0, doc="detector point of the main axis, along right", unit="m", minimum=-0.5, maximum=0.5
     )
@@ -265,7 +267,7 @@ class MainDetectorConfig:
         0.0, doc="detector point of the main axis, along up", unit="m", minimum=-0.5, maximum=0.5
     )
     principal_sigma_m: float = parameter(
-        0.0, doc="uncertainty of that point, each axis", unit="m", minimum=0.0, maximum=0.1
+        0.0, doc="uncertainty of the detector point, each axis", unit="m", minimum=0.0, maximum=0.1
     )
     sigma_m: float = parameter(
         1e-6,
@@ -299,7 +301,7 @@ class AirConfig:
     coefficient: float = parameter(0.13, doc="k near the sea", minimum=-5.0, maximum=5.0)
     sigma: float = parameter(0.06, doc="error of k, common to all lights", minimum=0.0, maximum=5.0)
     light_sigma: float = parameter(0.02, doc="further error of k on the path to each light", minimum=0.0, maximum=5.0)
-    time_s: float = parameter(3600.0, doc="correlation time of both", unit="s", minimum=0.0, maximum=1e7)
+    time_s: float = parameter(3600.0, doc="correlation time of both errors", unit="s", minimum=0.0, maximum=1e7)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -307,7 +309,7 @@ class ShipAntennaConfig:
     """Antenna aboard from which all baselines start: its error is common to them."""
 
     sigma_m: float = parameter(0.01, doc="correlated error, each axis", unit="m", minimum=0.0, maximum=10.0)
-    time_s: float = parameter(300.0, doc="its correlation time", unit="s", minimum=0.0, maximum=1e7)
+    time_s: float = parameter(300.0, doc="correlation time of the error", unit="s", minimum=0.0, maximum=1e7)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -315,8 +317,8 @@ class RtkConfig:
     """Baseline from the ship's antenna to the drone's."""
 
     frame_id: str = parameter("", doc="frame_id that beacon/<id>/baseline must carry; empty accepts any")
-    base_id: str = parameter("", doc="base_id that it must carry; empty accepts any")
-    rover_id: str = parameter("", doc="rover_id that it must carry; empty accepts any")
+    base_id: str = parameter("", doc="base_id required in the messages; empty accepts any")
+    rover_id: str = parameter("", doc="rover_id required in the messages; empty accepts any")
     sigma_m: float = parameter(
         0.02,
         doc="noise of each solution, each axis, if the message states none",
@@ -328,7 +330,7 @@ class RtkConfig:
     bias_sigma_m: float = parameter(
         0.01, doc="correlated error, each axis, in addition to the stated one", unit="m", minimum=0.0, maximum=100.0
     )
-    bias_time_s: float = parameter(300.0, doc="its correlation time", unit="s", minimum=0.0, maximum=1e7)
+    bias_time_s: float = parameter(300.0, doc="correlation time of bias_sigma_m", unit="s", minimum=0.0, maximum=1e7)
     max_gap_s: float = parameter(
         0.5, doc="solutions further apart are not interpolated", unit="s", minimum=0.001, maximum=60.0
     )
@@ -345,7 +347,7 @@ class DroneImuConfig:
     )
     tilt_sigma_deg: float = _sigma_deg(0.3, "correlated error in tilt, each axis")
     heading_sigma_deg: float = _sigma_deg(1.0, "correlated error in heading")
-    time_s: float = parameter(300.0, doc="their correlation time", unit="s", minimum=0.0, maximum=1e7)
+    time_s: float = parameter(300.0, doc="correlation time of both errors", unit="s", minimum=0.0, maximum=1e7)
     max_gap_s: float = parameter(
         0.5, doc="samples further apart are not interpolated", unit="s", minimum=0.001, maximum=60.0
     )
@@ -369,14 +371,18 @@ class EscortConfig:
     range_min_m: float = parameter(
         500.0, doc="least distance of a drone from the theodolite", unit="m", minimum=1.0, maximum=50_000.0
     )
-    range_max_m: float = parameter(3000.0, doc="its greatest distance", unit="m", minimum=1.0, maximum=50_000.0)
+    range_max_m: float = parameter(
+        3000.0, doc="greatest distance of a drone from the theodolite", unit="m", minimum=1.0, maximum=50_000.0
+    )
     separation_min_m: float = parameter(
         20.0, doc="least distance between any two drones", unit="m", minimum=0.0, maximum=50_000.0
     )
     elevation_min_deg: float = parameter(
         0.5, doc="least elevation of a drone at the theodolite", unit="deg", minimum=-10.0, maximum=90.0
     )
-    elevation_max_deg: float = parameter(85.0, doc="its greatest elevation", unit="deg", minimum=-10.0, maximum=90.0)
+    elevation_max_deg: float = parameter(
+        85.0, doc="greatest elevation of a drone at the theodolite", unit="deg", minimum=-10.0, maximum=90.0
+    )
     field_deg: float = parameter(
         3.5, doc="greatest angle of a light from the axis of the telescope", unit="deg", minimum=0.001, maximum=60.0
     )
@@ -459,7 +465,11 @@ class OpticalAxisConfig:
     calibration_file: str = parameter("", doc="file of the saved calibration, read at the start if it exists")
     alignment_autosave_s: float = autosave_period()
     calibration_max_age_d: float = parameter(
-        30.0, doc="age above which a saved calibration is a wider prior", unit="d", minimum=0.0, maximum=36500.0
+        30.0,
+        doc="age above which the configured uncertainty is added to a saved calibration",
+        unit="d",
+        minimum=0.0,
+        maximum=36500.0,
     )
 
     def __post_init__(self) -> None:

@@ -122,11 +122,11 @@ def consistency_text(source: str, consistent: Sequence[str], inconsistent: Mappi
         return f"only {source} differs, {_consistent_sources_text(consistent)} with the INS"
     if consistent:
         against = f"{', '.join(sorted(inconsistent))} disagree with the INS"
-        return f"{against}, {_consistent_sources_text(consistent)} with it"
+        return f"{against}, {_consistent_sources_text(consistent)} with the INS"
     if not others:
         return "no other source shows which of the two is faulty"
     if _are_same_residual(list(inconsistent.values())):
-        return f"only the INS differs, {', '.join(sorted(inconsistent))} disagree with it equally"
+        return f"only the INS differs, {', '.join(sorted(inconsistent))} disagree with the INS equally"
     return f"{', '.join(sorted(inconsistent))} disagree with the INS and with each other"
 
 

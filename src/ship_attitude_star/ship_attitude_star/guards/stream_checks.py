@@ -34,7 +34,7 @@ class PlausibilityChecks:
         self._latest_ns: dict[str, int] = {}
 
     def check(self, measurement: Measurement, track: AttitudeTrack) -> Rejection | None:
-        """Return the rejection of a measurement that is constant while other sources move; None if it is plausible.
+        """Return the rejection of a measurement that is constant while other sources rotate; None if it is plausible.
 
         A measurement older than the last one of its source is not checked, because streams are checked in order.
 
@@ -60,7 +60,7 @@ class PlausibilityChecks:
             if source not in self._stuck:
                 self._stuck[source] = StuckCheck()
             if self._stuck[source].observe(time_ns, value, sigma_rad, references):
-                return Rejection(Reason.STUCK, f"{description} while other sources move")
+                return Rejection(Reason.STUCK, f"{description} while other sources rotate")
             if isinstance(measurement, AttitudeMeasurement):
                 self.motion_references[source] = MotionReference(time_ns, value, sigma_rad)
         self._latest_ns[source] = time_ns
@@ -79,15 +79,15 @@ def _stuck_check_value(measurement: Measurement) -> tuple[FloatArray, float, str
     """
     if isinstance(measurement, StarExposure):
         sigma_rad = float(measurement.sigma.max(initial=0.0))
-        return measurement.directions_s, sigma_rad, "stars stand still on the detector"
+        return measurement.directions_s, sigma_rad, "stars do not move on the detector"
     if isinstance(measurement, InertialAttitude):
         # Relative to the stars even a ship at rest rotates.
-        return measurement.rotation_cs, _sigma_rad(measurement.noise_s), "attitude against the stars stands still"
+        return measurement.rotation_cs, _sigma_rad(measurement.noise_s), "attitude relative to the stars is constant"
     if isinstance(measurement, BaselineMeasurement):
         sigma_rad = _sigma_rad(measurement.noise_n) / measurement.length_m
-        return measurement.direction_n, sigma_rad, "baseline stands still"
+        return measurement.direction_n, sigma_rad, "baseline is constant"
     if isinstance(measurement, AttitudeMeasurement):
-        return measurement.rotation_nv, _sigma_rad(measurement.noise_v), "attitude stands still"
+        return measurement.rotation_nv, _sigma_rad(measurement.noise_v), "attitude is constant"
     return None
 
 

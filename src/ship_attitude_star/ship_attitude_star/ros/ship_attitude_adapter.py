@@ -308,13 +308,13 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         """See :class:`RecoveringAdapter`."""
         if TOGETHER in displaced:
             return (
-                "all star sensors moved against the INS: if they or the INS were remounted, ~/reset; otherwise check "
-                "their clocks (time_offset_s of each, and of ins), gnss/fix and the computer's clock"
+                "if the star sensors or the INS were remounted, call ~/reset; otherwise check the clocks "
+                "(time_offset_s of each sensor and of ins), gnss/fix and the computer's clock"
             )
-        where = ", ".join(
+        where = ".time_offset_s, ".join(
             f"{_PARAMETER_SECTIONS[name.partition('.')[0]]}.{name.partition('.')[2]}" for name in sorted(displaced)
         )
-        return f"if it was remounted, ~/reset; otherwise check its clock (time_offset_s of {where}) and its cable"
+        return f"if remounted, call ~/reset; otherwise check clock and cable (parameters {where}.time_offset_s)"
 
     def before_adoption(self) -> list[OutputMessage]:
         """See :class:`RecoveringAdapter`; returns the remaining smoothed attitudes."""
@@ -342,7 +342,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
                 "unobservable combinations": "; ".join(observability.unobservable_combinations) or "nothing",
                 "turn": turn or "none recommended",
             }
-            text = turn or "no turn of the ship would improve the attitude much"
+            text = turn or "no turn of the ship improves the attitude much"
             self._last_observability = state.time_ns, DiagnosticStatus("observability", Level.OK, text, values)
         return [self._last_observability[1]]
 
@@ -351,7 +351,8 @@ class ShipAttitudeAdapter(RecoveringAdapter):
         if self._stated_covariance is not None:
             covariance = np.reshape(self._stated_covariance, (3, 3))
             if contradicted := sigma_mismatch_text(covariance, self.config.ins):
-                return DiagnosticStatus("ins noise", Level.WARN, f"{contradicted}: raise it, or check the INS")
+                text = f"{contradicted}: raise the parameter, or check the INS"
+                return DiagnosticStatus("ins noise", Level.WARN, text)
         excess = self.core.excess_noise
         if not excess:
             text = "not larger than ins.white_sigma_arcsec, as far as the ship's motion shows it"
@@ -361,7 +362,7 @@ class ShipAttitudeAdapter(RecoveringAdapter):
     def own_statuses(self, waiting_ns: int) -> list[DiagnosticStatus]:
         """Return diagnostics of attitude, alignment, INS, integrity, conflicts, innovations and clocks."""
         remarks = self.saved_document_remarks()
-        text = "; ".join(remarks) or "as configured or saved"
+        text = "; ".join(remarks) or "as configured or loaded"
         return [
             attitude_status(self.latest, self.clock_jumps, self._missing_configuration),
             DiagnosticStatus("alignment", Level.WARN if remarks else Level.OK, text, self.recovery_counts),
@@ -384,7 +385,7 @@ def manoeuvre_text(turn: RecommendedTurn | None) -> str:
     now, on_course, after = (
         f'{sigma / ARCSEC:.1f}"' for sigma in (turn.sigma_now, turn.sigma_on_course, turn.sigma_after_turn)
     )
-    turned = f"a {turn.turn_deg:.0f}° turn: {turn.quantity} {now} → {after} in a quarter of an hour"
+    turned = f"a turn by {turn.turn_deg:.0f}° improves the {turn.quantity}: σ {now} → {after} in a quarter of an hour"
     return f"{turned}, {on_course} on this course"
 
 

@@ -145,7 +145,7 @@ class StarAttitudeAdapter(BatchAdapter):
                 self._joint_messages(solved) if solved.sensor_id == JOINT else self._single_messages(solved, now_ns)
             )
         for source, time_ns in outcome.not_joined:
-            text = "too late for the joint solution of its time; its single-sensor solution is published"
+            text = "too late for the joint solution of this time; the solution of this sensor alone is published"
             self.health.record_note(_topic(source), Reason.LATE)
             published.append(self.rejection_message(source, time_ns, Rejection(Reason.LATE, text)))
         return published
@@ -302,10 +302,10 @@ def _solution_status(
 ) -> DiagnosticStatus:
     name = f"solution {id_}"
     if last is None:
-        return DiagnosticStatus(name, Level.OK, f"none yet{how}")
+        return DiagnosticStatus(name, Level.OK, f"no solution yet{how}")
     solved, put_out_ns = last
     if waiting_ns - put_out_ns > SOLUTION_TIMEOUT_NS:
-        text = f"none for {(waiting_ns - put_out_ns) * 1e-9:.0f} s, {solved.solution.status.name} before{how}"
+        text = f"no solution for {(waiting_ns - put_out_ns) * 1e-9:.0f} s, the last {solved.solution.status.name}{how}"
         return DiagnosticStatus(name, Level.WARN, text)
     level, text = _STATUS_TEXTS[solved.solution.status]
     if solved.solution.rejection is not None:
@@ -314,7 +314,7 @@ def _solution_status(
         level, text = Level.WARN, f"{text}; {solved.text}"
     values = {
         "stars used": str(solved.solution.star_count),
-        "stars refused": str(len(solved.rejected_stars)),
+        "stars rejected": str(len(solved.rejected_stars)),
         "sensors": ", ".join(solved.sources),
         'residual rms (")': f"{solved.solution.residual_rms / ARCSEC:.2f}",
     }

@@ -190,12 +190,12 @@ class ShipBaselineConfig:
     """Parameters of the baseline between two antennas aboard; there is none if the three components are 0."""
 
     forward_m: float = _metres(0.0, "vector from the base antenna to the rover antenna, component toward the bow")
-    up_m: float = _metres(0.0, "the same, upward component")
-    right_m: float = _metres(0.0, "the same, component to starboard")
+    up_m: float = _metres(0.0, "vector between the antennas, upward component")
+    right_m: float = _metres(0.0, "vector between the antennas, component to starboard")
     sigma_m: float = _metres(0.005, "uncertainty of each of the three components", 0.0)
     frame_id: str = parameter("", doc="frame_id that ship/baseline must carry; empty accepts any")
-    base_id: str = parameter("", doc="base_id that it must carry; empty accepts any")
-    rover_id: str = parameter("", doc="rover_id that it must carry; empty accepts any")
+    base_id: str = parameter("", doc="base_id required in the messages; empty accepts any")
+    rover_id: str = parameter("", doc="rover_id required in the messages; empty accepts any")
     least_fix: str = parameter(
         "fixed", doc="lowest fix type that is used; with float the messages must contain sigmas", choices=FIX_TYPES
     )
@@ -315,10 +315,10 @@ class ShipAttitudeConfig(StarSensorsById):
         """
         super().__post_init__()
         if self.horizon == GRAVITY and not self.gravity.is_modelled:
-            text = "parameter 'horizon' is gravity: set gravity.deflection too, without it the horizons are the same"
+            text = "parameter 'horizon' = gravity: set gravity.deflection, otherwise both horizons are the same"
             raise ParameterError(text, "horizon")
         for id_, star in self.star_sensors.items():
             if star.shared != BY_INPUT and star.input not in _SOLVED_INPUTS:
                 name = f"star_sensors.{id_}.shared"
-                text = f"'{star.shared}' needs input: solution or horizon_attitude; '{star.input}' shares the sky"
+                text = f"'{star.shared}' needs input: solution or horizon_attitude; '{star.input}' shares sky errors"
                 raise ParameterError(f"parameter '{name}': {text}", name)

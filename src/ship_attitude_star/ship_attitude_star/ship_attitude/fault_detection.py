@@ -489,7 +489,7 @@ class FaultDetector:
         """
         state = self._with_offset_growth(state, source, time_ns)
         if self._is_ins_drifting_on(state, source, time_ns):
-            return self.exclude_drifting_ins(state, time_ns), "ins is excluded: it drifts away from all stars"
+            return self.exclude_drifting_ins(state, time_ns), "ins is excluded: it drifts relative to all star sensors"
         index, exclusion = self._sources.index(source), state.excluded[source]
         after_s = self._integrity.return_after_s
         remaining_ratio = self._remaining_offset_ratio(state, source, time_ns)
@@ -512,7 +512,7 @@ class FaultDetector:
             if exclusion.consistent_since_ns is not None:
                 consistent_s = (time_ns - exclusion.consistent_since_ns) / SECOND_NS
                 consistency = f"consistent with the others for {consistent_s:.0f} s of {after_s:g} s"
-            return state, f"{source} is excluded since {since_s:.0f} s: {consistency}"
+            return state, f"{source} has been excluded for {since_s:.0f} s: {consistency}"
         together = self._reinstated_with(state, source)
         seen = cleared_means(state.innovation_means, slice(None), [self._indices[name] for name in together])
         remaining = {name: one for name, one in state.excluded.items() if name not in together}

@@ -240,7 +240,7 @@ class ShipFilter:
         if isinstance(linearised, NotEvaluable):
             return self._reject(state, measurement, linearised)
         if state.ins_jump_ns is not None and linearised.matched_ins_ns <= state.ins_jump_ns:
-            before = Rejection(Reason.GAP, "the matching attitude of the INS is from before its last jump")
+            before = Rejection(Reason.GAP, "the INS attitude at this time is from before the last jump of the INS")
             return self._reject(state, measurement, NotEvaluable(before, linearised.ins_time_ns))
         if isinstance(linearised.measurement, AttitudeMeasurement):
             predicted = self._with_common_error(predicted, linearised.measurement)
@@ -459,7 +459,7 @@ class ShipFilter:
             rejected_residuals=with_entry(state.rejected_residuals, source, residual),
         )
         count = state.consecutive_rejections[source]
-        reason, text = Reason.GATE, f"improbable: NIS {decision.nis:.1f} > gate {decision.gate:.1f}"
+        reason, text = Reason.GATE, f"NIS {decision.nis:.1f} exceeds gate {decision.gate:.1f}"
         if count >= self._gate.conflict_after:
             reason = Reason.ATTITUDE_CONFLICT
             hint = diagnosis_hint(

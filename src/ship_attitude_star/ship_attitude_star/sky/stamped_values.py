@@ -148,7 +148,7 @@ class StampedValues(Generic[Value]):
         if place < len(self._stamps) and self._stamps[place] == time_ns:
             return resolve_same_stamp(self._inputs[place].value, value)[1]
         if self._is_dropped(time_ns):
-            return Rejection(Reason.LATE, "its stamp is older than the values kept of its own source")
+            return Rejection(Reason.LATE, "the stamp is older than all stored values of this source")
         before = self._state_before(place)
         if before.last_accepted is None or self._next_state(before, _Stamped(time_ns, value)).last_rejected is None:
             return None
@@ -158,12 +158,12 @@ class StampedValues(Generic[Value]):
             self._max_distance(before, time_ns, value),
         )
         seconds = (time_ns - before.last_accepted.time_ns) / SECOND_NS
-        jumped = f"{distance:.4g} {limits.unit} from the last accepted value, {seconds:.1f} s before it"
+        jumped = f"jump by {distance:.4g} {limits.unit} from the last accepted value, {seconds:.1f} s earlier"
         if distance > allowed:
             jumped += f", limit {allowed:.3g} {limits.unit}"
         else:
-            jumped += ", consistent with other values that had jumped"
-        condition = f"it has lasted for {limits.confirmation_s:g} s"
+            jumped += ", consistent with other values that jumped"
+        condition = f"the jump has lasted for {limits.confirmation_s:g} s"
         if self._is_provisional(before):
             condition = (
                 f"{limits.min_consistent} in a row are consistent (the accepted one is provisional), or {condition}"

@@ -65,7 +65,7 @@ class ExposureLength:
     @property
     def coverage_rejection(self) -> Rejection:
         """Rejection of an exposure for which the INS has no samples over its full length."""
-        return Rejection(Reason.GAP, f"no INS samples over its whole exposure of {self.exposure_s:g} s")
+        return Rejection(Reason.GAP, f"no INS samples over the whole exposure of {self.exposure_s:g} s")
 
     def unmeasured_turn_variance(self, acceleration: float) -> float:
         """Return the variance of the rotation from the exposure's mean to its middle without an INS, each axis, rad².
@@ -279,7 +279,7 @@ def visible_stars(
         if prior is not None:
             exposure, reasons = identify_stars(exposure, prior, local_sky)
             known = exposure.is_identified
-        unidentified = Rejection(Reason.UNIDENTIFIED, "no identity, and no attitude to identify it with")
+        unidentified = Rejection(Reason.UNIDENTIFIED, "no identity in the message, no attitude for an identification")
         rejected += [(exposure.name(row), reasons.get(row, unidentified)) for row in np.flatnonzero(~known).tolist()]
         exposure, named = exposure[known], named[known]
     apparent = local_sky.apparent_stars(exposure.positions)

@@ -131,7 +131,7 @@ class VerticalTrack:
         if index < len(self._stamps) and self._stamps[index] == given.time_ns:
             return resolve_same_stamp(self._messages[index], given)[1]
         if index == 0 and len(self._stamps) >= _MAX_MESSAGES:
-            return Rejection(Reason.LATE, "its stamp is older than the stored messages of its source")
+            return Rejection(Reason.LATE, "the stamp is older than all stored messages of this source")
         return None
 
     def insert(self, given: "PositionFix | DeflectionReading") -> int | None:

@@ -57,7 +57,7 @@ def expected_limits(suite_file: Path | None, bag: Path, namespace: str, limits: 
 
 
 def _table(found: Sequence[Availability]) -> Iterator[str]:
-    yield f"{'':10}{'±95 %, median':>14}{'limit':>9}{'held':>9}{'proposed':>11}{'held':>9}"
+    yield f"{'':10}{'±95 %, median':>14}{'limit':>9}{'SAFE':>9}{'proposed':>11}{'SAFE':>9}"
     for one in found:
         limit, proposed = f"{one.limit_arcsec:g}″", f"{one.proposed_arcsec:g}″"
         shares = (f"{_percent(share):>9}" for share in (one.share, one.proposed_share))
@@ -65,8 +65,8 @@ def _table(found: Sequence[Availability]) -> Iterator[str]:
 
 
 def _explanation(found: Sequence[Availability]) -> Iterator[str]:
-    yield "held: share of time with page and alerts SAFE, of the time in which the limit decides."
-    yield f"proposed: the lowest round limit that is held for {_percent(REQUIRED_SHARE)} of it."
+    yield "SAFE: share of time with page and alerts SAFE, of the time in which the limit decides."
+    yield f"proposed: the lowest round limit with SAFE for {_percent(REQUIRED_SHARE)} of it."
     for one in found:
         if one.other:
             first, share = next(iter(one.other.items()))

@@ -144,9 +144,8 @@ class AlertManager:
         except FileNotFoundError:
             return AlertList(self._limits.alerts, (), now_ns)
         except (OSError, ValueError, TypeError, KeyError) as problem:
-            self._log_problem(
-                str(BadInput(f"saved alerts cannot be read, starting without: {problem}", file=self._state_file))
-            )
+            text = f"saved alerts cannot be read, the list of alerts starts empty: {problem}"
+            self._log_problem(str(BadInput(text, file=self._state_file)))
             return AlertList(self._limits.alerts, (), now_ns)
 
     def _save_changes(self, changes: tuple[AlertChange, ...]) -> tuple[AlertChange, ...]:

@@ -178,7 +178,7 @@ def _reason_lines(source: SourceDetails) -> list[str]:
     rejected = f"{source.rejected_in_a_row} rejected" if source.rejected_in_a_row else ""
     if not source.disagreement:
         return [f"{source.reason} {since}"]
-    return [f"disagrees: {source.disagreement}", " · ".join(filter(None, (since, rejected)))]
+    return [source.disagreement, " · ".join(filter(None, (since, rejected)))]
 
 
 def _source_row(source: SourceDetails, *, is_because: bool, is_alone: bool) -> dict[str, Any]:

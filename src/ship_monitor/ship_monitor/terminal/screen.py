@@ -180,10 +180,10 @@ def source_line(source: SourceDetails, suite_state: SuiteState, formatter: LineF
     known = [source.reason, source.disagreement] if is_out else [source.disagreement, consistency]
     if is_out and source.because_of and not is_consequence and source.because_of not in source.reason:
         known.append(f"because of {source.because_of}")
-    rate = f"{source.rate_hz:7.1f} Hz" if math.isfinite(source.rate_hz) else " " * 10
+    rate = f"{source.rate_hz:6.1f} Hz" if math.isfinite(source.rate_hz) else " " * 9
     mark = "?" if suite_state.is_old and not is_out else _SOURCE_MARKS[source.presence]
     name = f"{'>' if is_chosen else ' '}{mark} {formatter.fit('  ' * is_consequence + source.name, 16)}"
-    middle = f" {formatter.fit(value_texts.age_text(source.age_s), 8, to_right=True)} {rate}   "
+    middle = f" {formatter.fit(value_texts.age_text(source.age_s), 7, to_right=True)} {rate}  "
     style = TextStyle.OUT if is_out else TextStyle.OLD if suite_state.is_old else TextStyle.TEXT
     second = TextStyle.OLD if suite_state.is_old and not is_out else TextStyle.SECOND
     return formatter.styled_line(

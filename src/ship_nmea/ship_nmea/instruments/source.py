@@ -191,7 +191,7 @@ class Source:
             **_count_values("used", self._report.used),
             **_count_values("rejected", self._report.rejected),
             **{f"example of {reason}": text for reason, text in sorted(self._report.last_rejected.items())},
-            **_count_values("put right", self._report.corrected),
+            **_count_values("corrected", self._report.corrected),
             **_count_values("not of interest", self._report.unused),
             **_count_values("other talker", self._report.talkers),
             **_count_values("other sender", self._report.senders),
@@ -216,7 +216,7 @@ class Source:
             why = wrong or f"received: {_names(report.unused, report.used) or 'no usable sentences'}{others}"
             return (
                 Level.ERROR,
-                f"lines come, but no {topics} for {(now_ns - self._published_ns) / NS_PER_S:.0f} s: {why}",
+                f"lines arrive, but no {topics} for {(now_ns - self._published_ns) / NS_PER_S:.0f} s: {why}",
             )
         if now_ns - self._dropped_ns <= WARNING_NS:
             return Level.ERROR, f"overflow: input faster than processing; {self._dropped} lines were dropped"

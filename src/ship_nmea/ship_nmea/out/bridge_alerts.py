@@ -113,7 +113,7 @@ class BridgeAlerts:
     def _send_alert(self, alert: SentenceAlert, sinks: Iterable[Sink]) -> None:
         for sentence in alf(alert, self._config.talker, self._config.manufacturer, self._next_sequence(ALF)):
             _send(sentence, sinks)
-        self._counts["sent"] += 1
+        self._counts["alerts sent"] += 1
 
     def _send_list(self) -> None:
         """Send the list if live alerts are published; an empty list would report that there is no alert."""

@@ -100,9 +100,9 @@ class NmeaOut:
         """See :class:`ship_nmea.nmea_node.Work`."""
         yield from (sink.status() for sink in self._sinks)
         reason = self._void_reason(*self._runtime.clock.times())
-        text = f"void: {reason}" if reason else ""
+        text = f"sentences void: {reason}" if reason else ""
         if not text and is_played(self._runtime):
-            text = f"void except {', '.join(SIMULATION_SENTENCES)}: {PLAYBACK_TEXT}"
+            text = f"sentences void except {', '.join(SIMULATION_SENTENCES)}: {PLAYBACK_TEXT}"
         yield DiagnosticStatus("attitude", Level.WARN if text else Level.OK, text or "sent")
         if self._alerts.are_sent:
             yield self._alerts.status()

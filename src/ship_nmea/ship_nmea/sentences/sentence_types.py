@@ -95,8 +95,8 @@ def text_field(text: str, max_length: int) -> str:
     Example:
         >>> text_field("σ 3.2″, limit 2″", 40)
         'sigma 3.2"^2C limit 2"'
-        >>> text_field("all star sensors out: silent", 20)
-        'all star sensors..'
+        >>> text_field("no data from star.starboard", 20)
+        'no data from..'
     """
     words = [_escape(word) for word in _ascii_text(text).split(" ")]
     field = " ".join("".join(word) for word in words)

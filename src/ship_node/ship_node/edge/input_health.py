@@ -167,8 +167,9 @@ class InputHealthMonitor(InputRecords):
         return max(issues, key=lambda verdict: verdict[0])
 
     def _age_text(self, latency_s: float) -> str:
-        hint = " /clock is published: start with use_sim_time:=true" if self._is_clock_unused else ""
-        return f"stamps {_latency_text(latency_s)} before the node's clock: a bag of another time?{hint}"
+        advice = "/clock is published: start the node with use_sim_time:=true" if self._is_clock_unused else \
+            "set the clocks, or play a bag with /clock"
+        return f"stamps {_latency_text(latency_s)} before the node's clock: {advice}"
 
     def _connection_issues(self, record: InputRecord, waiting_ns: int) -> list[_Issue]:
         """Return issues that prevent messages from arriving at all."""
@@ -182,12 +183,12 @@ class InputHealthMonitor(InputRecords):
             publishers = self._publishers.get(topic)
             waited_s = (waiting_ns - (self.start_ns or 0)) * 1e-9
             if publishers:
-                hint = f"{publishers} publisher(s) but no message for {waited_s:.0f} s: QoS mismatch, or none is sent"
+                hint = f"no message for {waited_s:.0f} s from {publishers} publisher(s): QoS mismatch, or none is sent"
             else:
                 hint = f"no message for {waited_s:.0f} s since the start"
-                hint += ": no publisher" if publishers == 0 else ""
+                hint += ": no publisher, start the driver or check the topic name" if publishers == 0 else ""
             if record.input.required:
-                issues.append((Level.ERROR, f"required: {hint}"))
+                issues.append((Level.ERROR, f"required input: {hint}"))
             elif (publishers and not record.input.is_occasional) or record.input.is_configured:
                 issues.append((Level.WARN, hint))
         return issues
@@ -236,7 +237,7 @@ def _rate_text(record: InputRecord, rate_hz: float) -> str:
 
 
 def _latency_text(latency_s: float) -> str:
-    return "nan s" if math.isnan(latency_s) else duration_text(round(latency_s * 1e9))
+    return "unknown" if math.isnan(latency_s) else duration_text(round(latency_s * 1e9))
 
 
 def _timeout_issues(record: InputRecord, waiting_ns: int) -> list[_Issue]:

@@ -133,7 +133,7 @@ class InputRecord:
         self.reasons[Reason.OVERFLOW] += count
         self.last_rejection_ns = waiting_ns
         cut = self.reasons[Reason.OVERFLOW]
-        self.last_rejection = Rejection(Reason.OVERFLOW, f"{cut} messages cut, the last {why}")
+        self.last_rejection = Rejection(Reason.OVERFLOW, f"{cut} messages dropped, the last {why}")
 
     def add_behind(self, count: int, why: str, waiting_ns: int) -> None:
         """Count messages that were cut because the node is behind; they count as arrivals for the timeout."""

@@ -243,7 +243,7 @@ def integrity_status(report: IntegrityReport | None, quantities: Sequence[str]) 
     if report is None:
         return DiagnosticStatus("integrity", Level.OK, "no output yet")
     levels = {f"{name} (″)": f"{level / ARCSEC:.1f}" for name, level in zip(quantities, report.level, strict=True)}
-    values = {**levels, "made by": report.dominant or "no fault"}
+    values = {**levels, "dominant hypothesis": report.dominant or "no fault"}
     if report.excluded:
         seconds = [f"{name} for {(report.time_ns - since_ns) * 1e-9:.0f} s" for name, since_ns in report.excluded]
         return DiagnosticStatus("integrity", Level.WARN, f"excluded: {', '.join(seconds)}", values)

@@ -290,10 +290,10 @@ class RecoveringAdapter(BatchAdapter):
         displaced, excluded = self.recovery.displaced, sorted(self.core.excluded)
         if displaced:
             moved = ", ".join(f"{name} by {moved_rad / ARCSEC:.0f}″" for name, moved_rad in sorted(displaced.items()))
-            return f"shifted and not returned: {moved}; {self.remedy(displaced)}"
+            return f"shifted: {moved}; {self.remedy(displaced)}"
         if excluded:
             return f"excluded: {', '.join(excluded)}"
-        return "the status is worse than the inputs allow"
+        return "the output is not VALID although the inputs are good"
 
 
 def _process_in_both(

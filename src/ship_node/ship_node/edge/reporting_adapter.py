@@ -335,7 +335,7 @@ class ReportingAdapter(ABC):
         why = (change if change.behind_s else self.behind or change).text(self.node_name)
         published = []
         for topic, count in change.cut.items():
-            text = f"{count} messages cut: {why}"
+            text = f"{count} messages dropped: {why}"
             self.health.record_overload_cut(topic, count, text, waiting_ns)
             published.append(self.rejection_message(self.feeds[topic].source, now_ns, Rejection(Reason.BEHIND, text)))
         self.behind = change if change.behind_s else None

@@ -105,7 +105,7 @@ class ExceptionGuard:
         if self._count == 0:
             return DiagnosticStatus("callbacks", Level.OK, "no exception")
         recent = self._monotonic_ns() - self._last_ns <= SHOWN_NS
-        text = f"{self._count} exceptions, the last in {self._last_text}"
+        text = f"exceptions: {self._count}, the last in {self._last_text}"
         level = Level.ERROR if recent else Level.WARN
         return DiagnosticStatus("callbacks", level, text, {"exceptions": str(self._count)})
 
@@ -165,7 +165,7 @@ class StatusLog:
                 logged.reasons.add(reason)
         for name, previous in (before or {}).items():
             if name not in now and previous.level is not Level.OK:
-                self._log(Level.OK, f"{name}: over")
+                self._log(Level.OK, f"{name}: no longer reported")
         self._logged = now
 
     def _log(self, level: Level, text: str) -> None:

@@ -88,7 +88,7 @@ def _angle_table(calibration: InstallationCalibration) -> Table:
         table.add_column(column)
     for column in ("configured [deg]", "installed [deg]", "correction [″]", "σ before [″]", "σ [″]"):
         table.add_column(column, justify="right")
-    for column in ("observed", "open in"):
+    for column in ("observed", "unobserved in"):
         table.add_column(column)
     for number, angle in enumerate(calibration.angles):
         table.add_row(

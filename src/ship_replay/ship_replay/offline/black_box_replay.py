@@ -196,7 +196,7 @@ class _BlackBoxReplay:
                 return
         if not self._closed:
             self._result.is_truncated = True
-            self._result.incomplete_reason = f"the black box ends suddenly, at {utc_text(self._files.time_ns)}"
+            self._result.incomplete_reason = f"the black box ends without a footer, at {utc_text(self._files.time_ns)}"
 
     def _process_entry(self, record: BagRecord) -> None:
         """Process one entry of the black box."""

@@ -182,8 +182,8 @@ def low_use_text(health: Any) -> str:
     if 2 * health.accepted > health.received:
         return ""
     reason, count = most_frequent_rejection(health)
-    reason_text = f", {count} times for {reason}" if reason else ""
-    return f"of {health.received} messages on '{health.topic}' {health.accepted} were used{reason_text}"
+    reason_text = f", {count} rejected: {reason}" if reason else ""
+    return f"{health.accepted} of {health.received} messages on '{health.topic}' were used{reason_text}"
 
 
 def most_frequent_rejection(health: Any) -> tuple[str, int]:

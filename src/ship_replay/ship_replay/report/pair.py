@@ -136,7 +136,7 @@ def _same_inputs_sentence(pair: Pair) -> str:
         if seeds[0] != seeds[1]:
             texts = [_entries(record) or "no seed" for record in seeds]
             return f"The inputs are not the same: {texts[0]} in A, {texts[1]} in B."
-        faults = "" if injected[0] is None else " So is the seed of the injected faults; the faults are not recorded."
+        faults = "" if injected[0] is None else " The injected faults have the same seed, but are not recorded."
         return f"The inputs are the same simulated voyage (same scenario and seed).{faults}"
     if shared:
         return f"The inputs are the same as far as recorded: {', '.join(shared)}."

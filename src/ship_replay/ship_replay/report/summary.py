@@ -88,7 +88,8 @@ def _cause_sentence(recording: RecordedHistory, found: Sequence[SourceOutage]) -
         ]
         effects = [f"{_joined_names(list(dict.fromkeys(angles)))} not SAFE"] if angles else []
         effects += [f"{_joined_names(list(dict.fromkeys(needs)))} not usable"] if needs else []
-        texts.append(f"{source} {first.why} at {utc(first.from_ns)}" + (f" → {', '.join(effects)}" if effects else ""))
+        consequence = f" → {', '.join(effects)}" if effects else ""
+        texts.append(f"{source} out at {utc(first.from_ns)} ({first.why}){consequence}")
     more = f"; {len(roots) - _MOST_NAMED} more in the table" if len(roots) > _MOST_NAMED else ""
     return f"Cause → consequence: {'; '.join(texts)}{more}."
 

@@ -126,7 +126,7 @@ class StarImaging:
         minimum=0.0,
         maximum=LONGEST_EXPOSURE_S,
     )
-    identified: bool = parameter(True, doc="whether the sensor identifies the stars")
+    identified: bool = parameter(True, doc="true: the sensor identifies the stars")
     direction_given: bool = parameter(False, doc="identify stars by their directions, not by HIP numbers")
     false_stars: float = parameter(
         0.0, doc="mean number of false spots in an exposure", minimum=0.0, maximum=1000.0
@@ -146,13 +146,13 @@ class StarTelescope(StarImaging):
     """A star camera fixed to the theodolite: known orientation of the main axis in it, and its imaging."""
 
     azimuth_deg: float = parameter(doc="known azimuth of the main axis in the camera", **ANGLE)
-    azimuth_sigma_arcsec: float = parameter(1.0, doc="its error", **SIGMA)
+    azimuth_sigma_arcsec: float = parameter(1.0, doc="error of the azimuth", **SIGMA)
     elevation_deg: float = parameter(
         doc="known elevation of the main axis in the camera", unit="deg", minimum=-89.0, maximum=89.0
     )
-    elevation_sigma_arcsec: float = parameter(1.0, doc="its error", **SIGMA)
+    elevation_sigma_arcsec: float = parameter(1.0, doc="error of the elevation", **SIGMA)
     roll_deg: float = parameter(doc="known rotation of the main image in the camera", **ANGLE)
-    roll_sigma_arcsec: float = parameter(20.0, doc="its error", **SIGMA)
+    roll_sigma_arcsec: float = parameter(20.0, doc="error of the roll", **SIGMA)
 
 
 STAR_OUTPUTS = ("horizon_attitude", "observations", "inertial_attitude")
@@ -223,7 +223,7 @@ class Reference:
 class FusedAttitude:
     """``ship/attitude`` as fused from INS and stars, for a voyage without ``ship_attitude``."""
 
-    written: bool = parameter(False, doc="whether the bag contains it")
+    written: bool = parameter(False, doc="true: the bag contains the topic")
     rate_hz: float = parameter(20.0, doc="messages per second", **RATE)
     phase_s: float = parameter(0.0, doc="first message after the start", **TIME)
     latency_s: float = parameter(0.005, doc="from stamp to arrival", **DELAY)

@@ -62,19 +62,19 @@ class Axes:
 
     spread: str = parameter("normal", doc="distribution of the errors, sigma unchanged", choices=("normal", "uniform"))
     g_arcsec: float = parameter(0.0, doc="known zero point of the azimuth encoder", **_AXIS_ERROR)
-    g_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
+    g_sigma_arcsec: float = parameter(0.0, doc="standard deviation of this error", **_AXIS_SIGMA)
     h_arcsec: float = parameter(0.0, doc="known zero point of the elevation encoder", **_AXIS_ERROR)
-    h_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
+    h_sigma_arcsec: float = parameter(0.0, doc="standard deviation of this error", **_AXIS_SIGMA)
     c_arcsec: float = parameter(0.0, doc="known collimation, to the left", **_AXIS_ERROR)
-    c_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
+    c_sigma_arcsec: float = parameter(0.0, doc="standard deviation of this error", **_AXIS_SIGMA)
     I_arcsec: float = parameter(0.0, doc="known tilt of the horizontal axis, right end up", **_AXIS_ERROR)
-    I_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
+    I_sigma_arcsec: float = parameter(0.0, doc="standard deviation of this error", **_AXIS_SIGMA)
     beta_x_arcsec: float = parameter(0.0, doc="known tilt of the vertical axis to the bow", **_AXIS_ERROR)
-    beta_x_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
+    beta_x_sigma_arcsec: float = parameter(0.0, doc="standard deviation of this error", **_AXIS_SIGMA)
     beta_y_arcsec: float = parameter(0.0, doc="known tilt of the vertical axis to starboard", **_AXIS_ERROR)
-    beta_y_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
+    beta_y_sigma_arcsec: float = parameter(0.0, doc="standard deviation of this error", **_AXIS_SIGMA)
     flexure_arcsec: float = parameter(0.0, doc="known bending of the tube, up at elevation 0", **_AXIS_ERROR)
-    flexure_sigma_arcsec: float = parameter(0.0, doc="its error", **_AXIS_SIGMA)
+    flexure_sigma_arcsec: float = parameter(0.0, doc="standard deviation of this error", **_AXIS_SIGMA)
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class Telescope:
         maximum=LONGEST_EXPOSURE_S,
     )
     focal_length_m: float = parameter(0.1, doc="known focal length", unit="m", minimum=0.01, maximum=10.0)
-    focal_length_sigma_m: float = parameter(0.0001, doc="its error", unit="m", minimum=0.0, maximum=0.1)
+    focal_length_sigma_m: float = parameter(0.0001, doc="error of the focal length", unit="m", minimum=0.0, maximum=0.1)
     principal_x_m: float = parameter(
         0.0, doc="detector point of the axis, along right", unit="m", minimum=-0.1, maximum=0.1
     )
@@ -115,11 +115,11 @@ class Telescope:
         5.2e-6, doc="sigma of the image of a light at rest, each axis", unit="m", minimum=1e-7, maximum=0.001
     )
     azimuth_arcsec: float = parameter(0.0, doc="known azimuth of the main axis in the telescope", **_PARALLELISM)
-    azimuth_sigma_arcsec: float = parameter(0.0, doc="its error", **SIGMA)
+    azimuth_sigma_arcsec: float = parameter(0.0, doc="error of the azimuth", **SIGMA)
     elevation_arcsec: float = parameter(0.0, doc="known elevation of the main axis in the telescope", **_PARALLELISM)
-    elevation_sigma_arcsec: float = parameter(0.0, doc="its error", **SIGMA)
+    elevation_sigma_arcsec: float = parameter(0.0, doc="error of the elevation", **SIGMA)
     rotation_arcsec: float = parameter(0.0, doc="known rotation of the main image in the telescope", **_PARALLELISM)
-    rotation_sigma_arcsec: float = parameter(0.0, doc="its error", **SIGMA)
+    rotation_sigma_arcsec: float = parameter(0.0, doc="error of the rotation", **SIGMA)
     lens: Lever = section(Lever)
     lens_untold: SurveyError = section(SurveyError)
 
@@ -142,14 +142,14 @@ class MainDetector:
     focal_length_m: float = parameter(
         0.0, doc="known focal length of the main tube; 0: no main detector", unit="m", minimum=0.0, maximum=100.0
     )
-    focal_length_sigma_m: float = parameter(0.0, doc="its error", unit="m", minimum=0.0, maximum=0.1)
+    focal_length_sigma_m: float = parameter(0.0, doc="error of the focal length", unit="m", minimum=0.0, maximum=0.1)
     principal_x_m: float = parameter(
         0.0, doc="known detector point of the main axis, along right", unit="m", minimum=-0.5, maximum=0.5
     )
     principal_z_m: float = parameter(
         0.0, doc="known detector point of the main axis, along up", unit="m", minimum=-0.5, maximum=0.5
     )
-    principal_sigma_m: float = parameter(0.0, doc="error of that point, each axis", unit="m", minimum=0.0, maximum=0.1)
+    principal_sigma_m: float = parameter(0.0, doc="error of this point, each axis", unit="m", minimum=0.0, maximum=0.1)
     width_m: float = parameter(0.02, doc="of the detector", unit="m", minimum=1e-4, maximum=1.0)
     height_m: float = parameter(0.02, doc="of the detector", unit="m", minimum=1e-4, maximum=1.0)
     sigma_m: float = parameter(
@@ -185,7 +185,7 @@ class TerrestrialRefraction:
     coefficient: float = parameter(0.13, doc="known value of k", minimum=-5.0, maximum=5.0)
     sigma: float = parameter(0.0, doc="error of k common to all lights", minimum=0.0, maximum=5.0)
     light_sigma: float = parameter(0.0, doc="additional error of k for each light", minimum=0.0, maximum=5.0)
-    time_s: float = parameter(3600.0, doc="correlation time of both", **CORRELATION)
+    time_s: float = parameter(3600.0, doc="correlation time of both errors", **CORRELATION)
 
 
 @dataclass(frozen=True)
@@ -193,14 +193,14 @@ class ShipAntenna:
     """The base antenna of all baselines on board: its error is in all of them."""
 
     sigma_m: float = parameter(0.0, doc="correlated error, each axis", **_SMALL_METRES)
-    time_s: float = parameter(300.0, doc="its correlation time", **CORRELATION)
+    time_s: float = parameter(300.0, doc="correlation time of the error", **CORRELATION)
 
 
 @dataclass(frozen=True)
 class Theodolite:
     """The theodolite, its position on board, and its equipment."""
 
-    aboard: bool = parameter(False, doc="whether the ship has one")
+    aboard: bool = parameter(False, doc="true: the ship has a theodolite")
     encoder: Encoder = section(Encoder)
     axes: Axes = section(Axes)
     deformation: Deformation = section(Deformation)
@@ -289,9 +289,9 @@ class Rtk:
         0.015, doc="noise of each solution, each axis; the message's sigma", unit="m", minimum=1e-4, maximum=100.0
     )
     bias_sigma_m: float = parameter(0.0, doc="correlated error of its own, each axis", **_SIGMA_M)
-    bias_time_s: float = parameter(300.0, doc="its correlation time", **CORRELATION)
+    bias_time_s: float = parameter(300.0, doc="correlation time of the error", **CORRELATION)
     float_sigma_m: float = parameter(0.3, doc="further correlated error of FLOAT, in the message sigma", **_SIGMA_M)
-    float_time_s: float = parameter(60.0, doc="its correlation time", **CORRELATION)
+    float_time_s: float = parameter(60.0, doc="correlation time of the error", **CORRELATION)
     float_times: dict[str, Outage] = mapping_of("times with the fix FLOAT, by name")
     no_solution_times: dict[str, Outage] = mapping_of("times with the fix NONE, by name")
     outages: dict[str, Outage] = mapping_of("times without messages, by name")
@@ -323,7 +323,7 @@ class DroneImu:
     jitter_s: float = parameter(0.0, doc="additional delay, uniform between 0 and this", **DELAY)
     tilt_sigma_deg: float = parameter(0.3, doc="correlated error in tilt, each axis", **_SIGMA_DEG)
     heading_sigma_deg: float = parameter(1.0, doc="correlated error in heading", **_SIGMA_DEG)
-    time_s: float = parameter(300.0, doc="their correlation time", **CORRELATION)
+    time_s: float = parameter(300.0, doc="correlation time of both errors", **CORRELATION)
     white_sigma_deg: float = parameter(0.05, doc="noise of each sample, each axis", **_SIGMA_DEG)
 
 

@@ -90,7 +90,7 @@ def _residuals(fit: AxisFit) -> Iterator[str]:
         ("without a model", fit.before),
         ("of it common errors", fit.shared),
         ("with the fitted terms", fit.residuals),
-        ("each left out of its fit", fit.leave_one_out),
+        ("each from a fit without it", fit.leave_one_out),
     ):
         if words == "of it common errors" and not np.any(residuals):
             continue
@@ -174,7 +174,7 @@ def _write_yaml(path: Path, fit: AxisFit, sightings: Sightings, table_warnings: 
         "neighbours_correlation": fit.neighbour_correlation,
         "rms_of_shared_errors_arcsec": rms(fit.shared) / ARCSEC,
         "warnings": table_warnings,
-        "given_again": list(sightings.repeated),
+        "repeated": list(sightings.repeated),
         "unobservable": list(open_combinations.names) if open_combinations else [],
         "nearly_dependent": [list(combination.names) for combination in near_dependencies(fit)],
         "condition_number": condition_number(fit),

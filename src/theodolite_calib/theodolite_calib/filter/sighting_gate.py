@@ -114,7 +114,7 @@ class SightingGate:
             return None
         result = self._acceptance(exposure, renamed, comparison)
         exchanged = [f"{sighting.names[j]} is {name}" for name, j in zip(sighting.names, order, strict=True)]
-        text = f"lights used with exchanged names, the only consistent: {', '.join(exchanged)}"
+        text = f"lights used with exchanged names, the only consistent assignment: {', '.join(exchanged)}"
         return replace(result, decision=replace(result.decision, reason=Reason.LIGHT_CONFLICT, text=text))
 
     def _try_without_one(
@@ -136,7 +136,7 @@ class SightingGate:
         result = self._acceptance(exposure, others, comparison)
         rejected = (
             sighting.names[row],
-            Rejection(Reason.LIGHT_CONFLICT, "the other lights are consistent only without it"),
+            Rejection(Reason.LIGHT_CONFLICT, "the other lights are consistent only without this one"),
         )
         return replace(result, decision=replace(result.decision, rejected_parts=(rejected,)))
 

@@ -142,7 +142,7 @@ class SightingStep:
         fault_state = self._monitor_beacons(predicted.fault_state, prepared, sighting, bool(used_rows))
         if not used_rows:
             unused_state = replace(unused_state, subfilters=predicted.subfilters, fault_state=fault_state)
-            reason, text = Reason.EXCLUDED, "the drones of all its lights are excluded"
+            reason, text = Reason.EXCLUDED, "the drones of all lights in the image are excluded"
             return unused_state, ExposureDecision(exposure, reason, text=text, rejected_parts=excluded_beacons)
         prepared = replace(prepared, fault_state=fault_state)
         chosen = sighting if len(used_rows) == len(rows) else sighting.select(used_rows)

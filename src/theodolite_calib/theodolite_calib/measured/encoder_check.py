@@ -117,7 +117,7 @@ class EncoderCheck:
                 f"the encoders have stepped by {self._unconfirmed_step[1] / ARCSEC:.0f}″, not yet confirmed by a light"
             )
         if self._step_detector.pending_step_rad:
-            return "the encoders are not where predicted: moved, or slipped"
+            return "the encoder readings are not as predicted: the mount moved, or an encoder slipped"
         return ""
 
     @property

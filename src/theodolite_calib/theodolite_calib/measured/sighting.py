@@ -97,9 +97,11 @@ class SightingAssembler:
         """Return the samples at the middle of an exposure."""
         ship, encoder = self._tracks.ship_at(exposure.time_ns), self._tracks.encoder_at(exposure.time_ns)
         if encoder is None:
-            return AssembledSighting(None, Rejection(Reason.GAP, "no encoder readings on both sides of it"), ())
+            gap = Rejection(Reason.GAP, "no encoder readings on both sides of the exposure")
+            return AssembledSighting(None, gap, ())
         if ship is None:
-            return AssembledSighting(None, Rejection(Reason.GAP, "no attitudes of the ship on both sides of it"), ())
+            gap = Rejection(Reason.GAP, "no attitudes of the ship on both sides of the exposure")
+            return AssembledSighting(None, gap, ())
         found: list[tuple[DetectedBeacon, BeaconAt]] = []
         rejected: list[tuple[str, Rejection]] = []
         for light in exposure.beacons:
@@ -128,7 +130,7 @@ class SightingAssembler:
             return AssembledSighting(sighting, None, tuple(rejected), jumps)
         at_middle = self._at_middle(sighting, exposure.nodes)
         if at_middle is None:
-            text = f"no encoder readings or attitudes of the ship over its whole exposure of {exposure.exposure_s:g} s"
+            text = f"no encoder readings or attitudes of the ship over the whole exposure of {exposure.exposure_s:g} s"
             return AssembledSighting(None, Rejection(Reason.GAP, text), tuple(rejected))
         return AssembledSighting(at_middle, None, tuple(rejected), jumps)
 

@@ -51,16 +51,16 @@ def star_sighting(
     nodes = None if exposure.length is None else exposure.length.nodes
     ship, encoder = tracks.ship_at(time_ns), tracks.encoder_at(time_ns)
     if encoder is None:
-        return Rejection(Reason.GAP, "no encoder readings on both sides of it")
+        return Rejection(Reason.GAP, "no encoder readings on both sides of the exposure")
     if ship is None:
-        return Rejection(Reason.GAP, "no attitudes of the ship on both sides of it")
+        return Rejection(Reason.GAP, "no attitudes of the ship on both sides of the exposure")
     if exposure.length is None or nodes is None:
         return StarSighting(camera_id, exposure, ship, encoder)
     axes = AxisErrors.from_vector(config.axes.values)
     turned_nm = tracks.main_axis_at([moment_ns for moment_ns, _ in nodes.times_and_weights(time_ns)], axes)
     if turned_nm is None:
         length_s = exposure.length.exposure_s
-        text = f"no encoder readings or attitudes of the ship over its whole exposure of {length_s:g} s"
+        text = f"no encoder readings or attitudes of the ship over the whole exposure of {length_s:g} s"
         return Rejection(Reason.GAP, text)
     ship, encoder = tracks.ship_at(time_ns, nodes), tracks.encoder_at(time_ns, nodes)
     assert ship is not None  # as at the nodes

@@ -261,7 +261,7 @@ def _camera_refusal_reason(
     for place in np.flatnonzero(of_camera):
         one = saved.get(prior.names[place])
         if one is None:
-            return "no camera of that name has angles of its own here"
+            return "no camera of this name with angles of its own is configured"
         sigma = np.sqrt(prior.covariance[place, place] + initial.covariance[one.row, one.row])
         offset = abs(one.correction(prior.values[place]))
         if not offset <= _REMOUNTED_SIGMAS * sigma:

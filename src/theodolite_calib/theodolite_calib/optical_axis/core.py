@@ -77,7 +77,7 @@ _STREAM_FAULT_REASONS = frozenset({Reason.STUCK, Reason.CONFLICT, Reason.GATE})
 """Reasons for which a reading or an attitude is rejected by its own stream: stuck, repeated stamp, or jump."""
 _MAX_JUMPS = 100
 """Maximum number of jumps of encoders and ship that are kept until they are requested, once a second."""
-_REPEATED_TIME_TEXT = "encoders and ship both contradict themselves at one time: a clock has repeated a time"
+_REPEATED_TIME_TEXT = "encoders and ship attitude have jumped or repeated stamps together: a clock has repeated a time"
 
 
 class _WaitingReading(NamedTuple):

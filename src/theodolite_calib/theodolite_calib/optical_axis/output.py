@@ -312,7 +312,7 @@ class PointingOutput:
             text = "no light or star used yet and no calibration loaded: axis errors as configured"
             return Status.DEGRADED, text
         if mode == Mode.ENCODER:
-            return Status.COASTING, "no lights, no stars: by encoders, axis errors and the ship's attitude"
+            return Status.COASTING, "no lights, no stars: pointing by encoders, axis errors and the ship's attitude"
         return Status.VALID, ""
 
 

@@ -128,17 +128,17 @@ class TargetProcessor:
         tracks, nodes = self._tracks, sample.nodes
         ship, encoder = tracks.ship_at(sample.time_ns), tracks.encoder_at(sample.time_ns)
         if encoder is None:
-            return Rejection(Reason.GAP, "no encoder readings on both sides of it")
+            return Rejection(Reason.GAP, "no encoder readings on both sides of the exposure")
         if ship is None:
-            return Rejection(Reason.GAP, "no attitudes of the ship on both sides of it")
+            return Rejection(Reason.GAP, "no attitudes of the ship on both sides of the exposure")
         if adjacent is None:
-            return Rejection(Reason.GAP, "no pointing was published on both sides of it")
+            return Rejection(Reason.GAP, "no pointing was published on both sides of the exposure")
         point_m = sample.point_m
         if nodes is not None:
             times_ns = [time_ns for time_ns, _ in nodes.times_and_weights(sample.time_ns)]
             rotations_nm = self._tracks.main_axis_at(times_ns, self._axes)
             if rotations_nm is None:
-                text = f"no encoder readings or attitudes of the ship over its exposure of {sample.exposure_s:g} s"
+                text = f"no encoder readings or attitudes of the ship over the exposure of {sample.exposure_s:g} s"
                 return Rejection(Reason.GAP, text)
             path_m = self._directions.image_path_m(sample, rotations_nm, rotations_nm[nodes.offset_ns.index(0)])
             point_m = point_m - (nodes.mean(path_m) - point_m)

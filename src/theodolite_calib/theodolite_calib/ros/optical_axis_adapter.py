@@ -298,11 +298,11 @@ class OpticalAxisAdapter(DeferringAdapter, RecoveringAdapter):
         """See :class:`RecoveringAdapter`."""
         if TOGETHER in displaced:
             return (
-                "if the ship's antenna, the telescope or an encoder was remounted, set lever, telescope or axes to "
-                "their new values and ~/reset; otherwise check the encoders' cables, the RTK base and ship/attitude"
+                "if the ship's antenna, the telescope or an encoder was remounted, set its new lever, telescope or "
+                "axes and call ~/reset; otherwise check the encoders' cables, the RTK base and ship/attitude"
             )
         drones = ", ".join(f"beacons.{source.removeprefix(BEACON_PREFIX)}.light" for source in sorted(displaced))
-        return f"if an antenna or light was remounted, set {drones} and ~/reset; otherwise check the RTK receiver"
+        return f"if an antenna or light was remounted, set {drones} and call ~/reset; otherwise check the RTK receiver"
 
     def before_adoption(self) -> list[OutputMessage]:
         """See :class:`RecoveringAdapter`: all pending pointings are those of the estimator that ends."""
@@ -361,4 +361,4 @@ def calibration_status(calibration: Calibration, messages: list[str]) -> Diagnos
         values["residual RMS (arcsec)"] = f"{calibration.residual_rms / ARCSEC:.2f}"
         values["unobservable combinations"] = "; ".join(calibration.unobservable) or "nothing"
     level = Level.WARN if messages else Level.OK
-    return DiagnosticStatus("calibration", level, "; ".join(messages) or "as configured, saved or sighted", values)
+    return DiagnosticStatus("calibration", level, "; ".join(messages) or "as configured, loaded or estimated", values)

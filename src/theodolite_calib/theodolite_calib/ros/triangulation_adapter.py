@@ -85,10 +85,10 @@ class TriangulationAdapter(ReportingAdapter):
         values = {"clock jumps back": str(self.clock_jumps)}
         last: PositionEstimate | None = self.latest
         if last is None or self._published_ns is None:
-            return DiagnosticStatus("position", Level.OK, "none yet", values)
+            return DiagnosticStatus("position", Level.OK, "no position yet", values)
         if waiting_ns - self._published_ns > _STALE_NS:
             # No theodolite may have a target in view.
-            text = f"none for {(waiting_ns - self._published_ns) * 1e-9:.0f} s, {last.status.name} before"
+            text = f"no position for {(waiting_ns - self._published_ns) * 1e-9:.0f} s, the last {last.status.name}"
             return DiagnosticStatus("position", Level.OK, text, values)
         values |= {"target": last.target_id, "theodolites": ", ".join(last.stations) or "none"}
         if last.status is not Status.INVALID:

@@ -52,7 +52,7 @@ class RefractionConfig:
     coefficient: float = parameter(
         0.13, doc="coefficient k of terrestrial refraction", minimum=-5.0, maximum=5.0, live=True
     )
-    sigma: float = parameter(0.06, doc="its error, common to all theodolites", minimum=0.0, maximum=5.0, live=True)
+    sigma: float = parameter(0.06, doc="error of k, common to all theodolites", minimum=0.0, maximum=5.0, live=True)
 
 
 @dataclass(frozen=True, kw_only=True)

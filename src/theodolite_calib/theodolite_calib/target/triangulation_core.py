@@ -29,7 +29,7 @@ pending directions get no position."""
 MAX_WAITING = 1000
 """Maximum number of pending directions to one target; beyond it the oldest are answered without waiting."""
 
-_LATE = Rejection(Reason.LATE, "later positions were published, or its target dropped, before it came")
+_LATE = Rejection(Reason.LATE, "too late: later positions of the target were published, or the target was dropped")
 
 
 @dataclass(frozen=True)
@@ -252,7 +252,7 @@ class TriangulationCore:
             return _invalid_position(target_id, time_ns, placed.stations, place, place.rejection)
         status, text = placed.status, ""
         if status is not Status.VALID:
-            text = f"a direction to it is {status.name}"
+            text = f"a direction to the target is {status.name}"
         conflict_text = self._conflict_text(time_ns, placed.stations)
         if conflict_text and status is not Status.DEGRADED:
             status, text = Status.DEGRADED, conflict_text

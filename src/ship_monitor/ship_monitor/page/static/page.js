@@ -236,23 +236,23 @@ const monitor = (() => {
     marked = name;
     sessionStorage.setItem("marked", marked);
     if (last !== null) sources(last.sources);
-    send({ marked });
+    sendChoice({ marked });
   }
   const toggle = (name) => mark(name === marked ? "" : name);
   // The user's choices go to the server's model of this page only: the plots follow them. The turn makes each message
   // different, so that the same choice can be sent twice.
   let choice = { paused: false, wanted: false, seen: null, marked }, chosen = null, turn = 0;
-  function send(change, once = {}) {
+  function sendChoice(change, once = {}) {
     choice = { ...choice, ...change };
     if (!chosen) return;
     turn += 1;
-    const sent = { ...choice, live: false, angle: "", ...once, turn };
-    chosen.data = Object.fromEntries(Object.entries(sent).map(([name, value]) => [name, [value]]));
+    const values = { ...choice, live: false, angle: "", ...once, turn };
+    chosen.data = Object.fromEntries(Object.entries(values).map(([name, value]) => [name, [value]]));
   }
   function pause() {
     const isLive = at("paused").hidden;
     at("paused").hidden = !isLive;
-    send({ paused: isLive }, { live: !isLive });
+    sendChoice({ paused: isLive }, { live: !isLive });
   }
 
   document.addEventListener("keydown", (event) => {
@@ -289,19 +289,19 @@ const monitor = (() => {
   const want = new IntersectionObserver((entries) => {
     if (!entries.at(-1).isIntersecting) return;
     want.disconnect();
-    send({ wanted: true });
+    sendChoice({ wanted: true });
   }, { rootMargin: "-8px" });
   want.observe(at("panels"));
   const inSight = new Map();
   const sight = new IntersectionObserver((entries) => {
     for (const entry of entries) inSight.get(entry.target).isSeen = entry.isIntersecting;
-    sendSight();
+    sendVisiblePanels();
   });
-  function sendSight() {
+  function sendVisiblePanels() {
     const seen = [...inSight.values()].filter((panel) => panel.isSeen && !document.hidden).map((panel) => panel.name);
-    if (seen.join(" ") !== choice.seen) send({ seen: seen.join(" ") });
+    if (seen.join(" ") !== choice.seen) sendChoice({ seen: seen.join(" ") });
   }
-  document.addEventListener("visibilitychange", sendSight);
+  document.addEventListener("visibilitychange", sendVisiblePanels);
   // Bokeh creates the views of new models a little later.
   function watchPanels(models) {
     const views = models.map((model) => Bokeh.index.find_one(model));
@@ -314,7 +314,7 @@ const monitor = (() => {
     each.onclick = () => {
       showPlots();
       sessionStorage.setItem("angle", each.id);
-      send({ wanted: true }, { angle: each.id });
+      sendChoice({ wanted: true }, { angle: each.id });
       at("panels").scrollIntoView({ block: "start" });
     };
     each.onpointermove = (event) => {
@@ -344,7 +344,7 @@ const monitor = (() => {
     connected(source) {
       linked = true;
       chosen = source;
-      send({}, { angle: sessionStorage.getItem("angle") || "" });
+      sendChoice({}, { angle: sessionStorage.getItem("angle") || "" });
     },
   };
 })();
