@@ -14,7 +14,7 @@ over_ros = pytest.mark.skipif((ROOT / ".venv" / ".ros_prefix").exists(), reason=
 
 
 @over_ros
-@pytest.mark.skipif(sys.version_info < (3, 11), reason="some pins, and so what their metadata say, are others")
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="other pins have other metadata")
 def test_the_page_of_licences_is_current() -> None:
     assert PAGE.read_text(encoding="utf-8") == page(), "run tools/licences.py"
 

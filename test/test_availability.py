@@ -32,7 +32,7 @@ pytestmark = pytest.mark.slow  # what its tests share takes long
 
 SCENES = 24
 FALSE_ALARM = 1e-6
-"""Of the comparison of the small part of the table with the whole, each cell."""
+"""Probability of a false alarm in the comparison of the small part of the table with the whole, each cell."""
 
 
 @functools.cache

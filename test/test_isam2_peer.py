@@ -16,7 +16,7 @@ pytest.importorskip("gtsam", reason="GTSAM is not installed: pip install gtsam",
 
 SEEDS = 20
 SAME_DATA = 0.05
-"""Of a sigma, RMS: what the estimates may differ by, as each interpolates the INS in a way of its own."""
+"""RMS difference of the two estimates that is allowed, sigmas: they interpolate the INS differently."""
 NO_LARGER = 1.02
 """The errors of estimates that differ by so little differ by their parts of chance; 0.3 % over 20 seeds."""
 

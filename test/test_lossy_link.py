@@ -30,7 +30,7 @@ pytestmark = [
 DEMO = Path(__file__).parents[1] / "bags" / "demo.mcap"
 LOSS, BEFORE_S, CUT_S, AFTER_S = 0.1, 10.0, 10.0, 28.0
 TAIL_S = 1.0
-"""What was sent so short a time before an end may still be on its way then, which is no loss."""
+"""Time before an end within which a message may still be on its way; this is no loss."""
 LEAST_RATE_HZ = 92.0
 """At which the player sends its 100 Hz on a busy machine."""
 BACK_S = 18.0

@@ -186,7 +186,7 @@ def test_drifting_encoders_are_named_and_no_drone_is(seed, arcsec_per_s):
         (2.0, 0.0, 0.0),
     ],
 )
-def test_a_creeping_ship_attitude_is_named_by_its_rates(seed, arcsec_n_per_s):
+def test_a_drifting_ship_attitude_is_named_by_its_rates(seed, arcsec_n_per_s):
     found = run_core(drift_ship_attitude(fault_free_session(seed), arcsec_n_per_s))
     assert found.excluded_sources == {"ship_attitude"}
     assert found.worst(Status.VALID) < 4.5

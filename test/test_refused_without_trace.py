@@ -41,7 +41,7 @@ FIRST_NUMBER = {
     "ship_msgs/msg/TargetImage": "x",
     "ship_msgs/msg/TargetDirection": "direction.x",
 }
-"""By type, a number that every message must have."""
+"""Message type → number that every message of it must have."""
 
 
 def with_stamp(time_ns: Callable[[Arrival], int]) -> Change:
@@ -223,7 +223,7 @@ def test_a_baseline_without_fixed_solution_only_makes_its_light_unusable(count: 
 
 
 MAX_GAP_S = 0.5
-"""Of baselines, by default."""
+"""Default maximum gap between baselines, s."""
 
 
 def others_around_s(others: Arrivals, topic: str, chosen: list[Arrival]) -> float:

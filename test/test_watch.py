@@ -31,7 +31,7 @@ THEODOLITE = (
     "silent: {topic: theodolite/encoder, kind: drop, start_s: 60.0, end_s: 66.0}"
 )
 CLOUDS = (69.9, 91.5)
-"""When no star is seen in bags/demo.mcap, and a little more."""
+"""Period without stars in bags/demo.mcap, with a margin, s."""
 
 
 @pytest.fixture(scope="module")

@@ -42,7 +42,7 @@ from ship_watch.suite_monitor import SuiteMonitor
 from ship_watch.suite_state import Presence, SuiteState
 
 LIVE_EARLY_S = 0.1
-"""So far off may be the time of the data that a picture has live, on its steady clock."""
+"""Maximum difference of the data's time in a live state, which has its own steady clock, s."""
 LOOK_NS = NS_PER_S // 5
 OUTPUTS = ("picture", "page", "terminal", "alerts", "diagnostics")
 

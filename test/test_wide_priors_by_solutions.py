@@ -26,7 +26,7 @@ SEEDS = range(1, 12)
 DURATION_S, INS_HZ = 4.0, 20.0
 DEGREE = 3600.0
 FALSE_SHARE = 0.3
-"""Of the detections of stars without names."""
+"""Fraction of false stars among the detections without identity."""
 CONSTANT_S = 1e7
 """Correlation time of an error that is constant over the voyage, s.
 

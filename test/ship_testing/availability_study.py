@@ -52,7 +52,7 @@ PATCHES_DEG = (0.0, 10.0)
 
 _FIRST_SEED = 15_000
 _INS_SIGMA = np.array([10.0, 72.0, 10.0]) * ARCSEC
-"""Of the INS about North, Up, East: models.md §2."""
+"""Standard deviations of the INS about North, Up, East: models.md §2."""
 _FAINT = 7.0
 """Magnitude limit with which every field of the sky has eight stars."""
 

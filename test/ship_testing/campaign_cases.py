@@ -16,7 +16,7 @@ from ship_simulation.scenario.scenario_file import load_scenario
 from ship_testing.places import SCENARIOS
 
 INS_RATE_HZ = 20.0
-"""In full length; a scenario's own 100 Hz give the same result at five times the cost."""
+"""Rate of the INS in voyages of full length; a scenario's own 100 Hz give the same result at five times the cost."""
 
 
 @dataclass(frozen=True)

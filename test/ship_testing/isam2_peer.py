@@ -165,7 +165,7 @@ class _Ins:
 
     def attitude_at(self, time_ns: int, offset_s: float) -> tuple[FloatArray, FloatArray]:
         """Return horizon from deck, (3, 3), and the angular rate in the deck, rad/s, for this clock offset."""
-        left, part, step_s = self._between(time_ns, offset_s)
+        left, part, step_s = self._interpolation(time_ns, offset_s)
         before, after = self._rate_d[left], self._rate_d[left + 1]
         rate_d = before + part * (after - before)
         by_left = self._rotation_nd[left] @ exp_rotation(0.5 * (before + rate_d) * part * step_s)
@@ -179,10 +179,10 @@ class _Ins:
 
     def white_variance(self, time_ns: int) -> float:
         """Return the noise variance of such a mean, rad², each axis."""
-        _, part, _ = self._between(time_ns, 0.0)
+        _, part, _ = self._interpolation(time_ns, 0.0)
         return float(self._white * ((1.0 - part) ** 2 + part**2))
 
-    def _between(self, time_ns: int, offset_s: float) -> tuple[int, float, float]:
+    def _interpolation(self, time_ns: int, offset_s: float) -> tuple[int, float, float]:
         """Return the number of the sample before, the fraction of the step to the next, and the step, s."""
         stamp_ns = time_ns - round(1e9 * offset_s)
         left = int(np.clip(np.searchsorted(self.time_ns, stamp_ns) - 1, 0, len(self.time_ns) - 2))

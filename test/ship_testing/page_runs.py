@@ -34,7 +34,7 @@ class StateSource:
     def current_state(self) -> SuiteState:
         """Return the state that was set, at the current time."""
         if self.fails:
-            raise RuntimeError("no picture: asked for by the test")
+            raise RuntimeError("no picture: requested by the test")
         return replace(self.state, utc_ns=self.state.utc_ns + round((time.monotonic() - self._start_s) * 1e9))
 
     def set(self, state: SuiteState, history: History | None = None) -> None:

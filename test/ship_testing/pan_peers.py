@@ -24,7 +24,7 @@ MIN_STARS = 4
 """[P15] §1: a sensor determines its boresight by four identified stars or more."""
 
 MIN_STARS_BY_GEOMETRY = 2
-"""With one star the rotation about it is undetermined."""
+"""Minimum number of stars: the rotation about a single one is undetermined."""
 
 CONVERGED_RAD = np.deg2rad(0.001 / 3600.0)
 MAX_ITERATIONS = 20

@@ -4,7 +4,7 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 
 TEXTS = (
-    "", "ins", " a, b ", 'say "so"', "two\nlines", "and\r\nmore\r", "ψ in ″, 汉字 🚢", "tab\t'", "nan", "-0.0", "7",
+    "", "ins", " a, b ", 'a "b"', "two\nlines", "and\r\nmore\r", "ψ in ″, 汉字 🚢", "tab\t'", "nan", "-0.0", "7",
 )
 FLOATS = (
     float("nan"), float("inf"), -float("inf"), 0.0, -0.0, 5e-324, -2.2250738585072014e-308, 1.7976931348623157e308,

@@ -10,7 +10,7 @@ from ship_testing.hand_made_bags import START_NS, innovation, ship_attitude
 
 SECOND_NS = 1_000_000_000
 SIGMA_ENU = np.diag([2.0, 3.0, 4.0]) * ARCSEC
-"""Of a ship with heading North: pitch 2″, roll 3″, heading 4″; 95 % are 3.9″, 5.9″ and 7.8″."""
+"""Covariance of a ship with heading North: pitch 2″, roll 3″, heading 4″; 95 % are 3.9″, 5.9″ and 7.8″."""
 
 
 def write_bag(path, seconds=40, with_truth=True, gap_s=(0, 0), rejected=()):

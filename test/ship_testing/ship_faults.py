@@ -62,7 +62,7 @@ class AttitudeErrors(NamedTuple):
 
     def worst_in_sigmas(self, from_s: float = 0.0, until_s: float = np.inf) -> float:
         """Return the largest error in standard deviations while VALID."""
-        valid = [claim.sigmas for claim in self._between(from_s, until_s) if claim.status is Status.VALID]
+        valid = [claim.sigmas for claim in self._errors_between(from_s, until_s) if claim.status is Status.VALID]
         return max(valid, default=0.0)
 
     def worst_level_ratio(self) -> float:
@@ -75,18 +75,18 @@ class AttitudeErrors(NamedTuple):
 
     def statuses(self, from_s: float, until_s: float = np.inf) -> set[Status]:
         """Return the statuses of a time span."""
-        return {claim.status for claim in self._between(from_s, until_s)}
+        return {claim.status for claim in self._errors_between(from_s, until_s)}
 
     def largest_error(self, from_s: float, until_s: float) -> float:
         """Return the largest error of a time span, with any status, rad."""
-        return max(claim.error for claim in self._between(from_s, until_s))
+        return max(claim.error for claim in self._errors_between(from_s, until_s))
 
     @property
     def not_valid_until_s(self) -> float:
         """Return the time of the last attitude that was not VALID."""
         return max((claim.time_s for claim in self.attitudes if claim.status is not Status.VALID), default=0.0)
 
-    def _between(self, from_s: float, until_s: float) -> list[AttitudeError]:
+    def _errors_between(self, from_s: float, until_s: float) -> list[AttitudeError]:
         return [claim for claim in self.attitudes if from_s <= claim.time_s < until_s]
 
 

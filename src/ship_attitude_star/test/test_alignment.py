@@ -298,7 +298,7 @@ def save_smaller_covariance(path: Path) -> bytes:
 
 
 def test_a_node_saves_by_itself_once_a_period_what_the_service_would_save(tmp_path: Path) -> None:
-    path, requested = tmp_path / "alignment.yaml", tmp_path / "asked.yaml"
+    path, requested = tmp_path / "alignment.yaml", tmp_path / "by_service.yaml"
     files = CountedFiles()
     adapter = ShipAttitudeAdapter(config(alignment_file=str(path), alignment_autosave_s=1.0), FACTORY, files)
     run = run_adapter(adapter, voyage())

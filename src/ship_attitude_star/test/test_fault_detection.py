@@ -144,7 +144,7 @@ class VoyageResult:
     def first_exclusion(self) -> tuple[float, tuple[str, ...]]:
         return next(entry for entry in self.excluded if entry[1])
 
-    def between(self, start_s: float, end_s: float) -> list[AttitudeEstimate]:
+    def estimates_between(self, start_s: float, end_s: float) -> list[AttitudeEstimate]:
         return [one for one in self.estimates if start_s <= one.time_ns / SECOND_NS < end_s]
 
 
@@ -230,7 +230,7 @@ def assert_within_levels(sailed: VoyageResult) -> None:
 def test_no_source_is_excluded_without_a_fault(sensors: tuple[str, ...], seed: int) -> None:
     sailed = run_with_errors(sensors=sensors, seconds=120.0, seed=seed)
     assert sailed.excluded == [(0.0, ())]
-    assert {one.status for one in sailed.between(1.0, 120.0)} == {Status.VALID}
+    assert {one.status for one in sailed.estimates_between(1.0, 120.0)} == {Status.VALID}
     assert_consistent(sailed)
     assert all(report.state is IntegrityState.NO_LIMIT for report, _ in sailed.reports[2:])
 
@@ -287,7 +287,7 @@ def test_a_drifting_sensor_of_two_is_an_unresolved_fault_or_isolated_correctly(s
     drift = InjectedError("star.port", UP * 5.0 / 60.0 * ARCSEC, 20.0, per_s=True)
     sailed = run_with_errors(drift, sensors=("bow", "port"), seconds=170.0, seed=seed)
     assert {names for _, names in sailed.excluded} <= {(), ("star.port",)}
-    unresolved = [one for one in sailed.between(20.0, 170.0) if one.status is Status.DEGRADED]
+    unresolved = [one for one in sailed.estimates_between(20.0, 170.0) if one.status is Status.DEGRADED]
     # Half a minute at least, and the covariance holds the unresolved fault.
     assert len(unresolved) * INS_NS > 30 * SECOND_NS
     assert max(error_sigmas(one) for one in unresolved) < 5.0
@@ -298,9 +298,9 @@ def test_all_stars_against_an_ins_without_rates_are_an_unresolved_fault_with_cov
     step = InjectedError("ins", np.array([0.0, 100.0, 0.0]) * ARCSEC, 30.0)
     sailed = run_with_errors(step, seconds=60.0, rates=False, ins={"jump_samples": 1000, "time_offset_sigma_s": 0.0})
     # From the first star measurement after the step on.
-    later = sailed.between(30.1, 60.0)
+    later = sailed.estimates_between(30.1, 60.0)
     assert {one.status for one in later} == {Status.DEGRADED}
-    assert max(error_sigmas(one) for one in sailed.between(32.0, 60.0)) < 3.0
+    assert max(error_sigmas(one) for one in sailed.estimates_between(32.0, 60.0)) < 3.0
 
 
 @pytest.mark.parametrize("after", [2, 6])
@@ -313,10 +313,10 @@ def test_the_configured_number_of_rejections_of_all_stars_excludes_them(
     error = InjectedError(source, UP * 100.0 * ARCSEC, 10.0)
     sailed = run_with_errors(error, sensors=("bow", "port"), seconds=15.0, rates=rates, **changes)
     rejected_s = 10.068 + (after - 1) * STAR_NS / SECOND_NS
-    degraded_s = next(one.time_ns / SECOND_NS for one in sailed.between(10.0, 15.0) if one.status is Status.DEGRADED)
+    degraded_s = next(one.time_ns / SECOND_NS for one in sailed.estimates_between(10.0, 15.0) if one.status is Status.DEGRADED)
     # Without rates the first rejection is a fault, as the INS may have jumped; with them the third at the latest.
     assert degraded_s <= rejected_s + INS_NS / SECOND_NS
-    assert {one.status for one in sailed.between(degraded_s, 15.0)} == {Status.DEGRADED}
+    assert {one.status for one in sailed.estimates_between(degraded_s, 15.0)} == {Status.DEGRADED}
     excluded_s, names = sailed.first_exclusion()
     assert names == ("star.bow", "star.port")
     assert rejected_s < excluded_s <= rejected_s + 0.1
@@ -328,9 +328,9 @@ def test_a_rotated_sky_changes_no_attitude_and_its_stars_are_reinstated_afterwar
     """A position error of a kilometre rotates all stars by 32″."""
     sky = InjectedError("sky", np.array([turn_arcsec, 0.0, 0.0]) * ARCSEC, 30.0, end_s=60.0)
     sailed = run_with_errors(sky, seconds=150.0)
-    assert {one.status for one in sailed.between(31.5, 60.0)} == {Status.DEGRADED}
+    assert {one.status for one in sailed.estimates_between(31.5, 60.0)} == {Status.DEGRADED}
     assert sailed.estimates[-1].status is Status.VALID
-    assert "rejected" in sailed.between(40.0, 41.0)[0].text
+    assert "rejected" in sailed.estimates_between(40.0, 41.0)[0].text
     assert_consistent(sailed)
 
 
@@ -343,7 +343,7 @@ def test_stars_with_a_constant_shared_error_stay_excluded(tilt_time_s: float, se
     sailed = run_with_errors(
         InjectedError("sky", np.eye(3)[axis] * 25.0 * ARCSEC, 30.0), seconds=240.0, seed=seed, **ins
     )
-    assert {one.status for one in sailed.between(32.0, 240.0)} == {Status.DEGRADED}
+    assert {one.status for one in sailed.estimates_between(32.0, 240.0)} == {Status.DEGRADED}
 
 
 def test_of_two_sensors_excluded_together_the_consistent_one_is_reinstated() -> None:
@@ -361,7 +361,7 @@ def test_one_sensor_against_the_ins_is_an_unresolved_fault_without_level() -> No
     sailed = run_with_errors(shift, sensors=("bow",), seconds=60.0)
     assert {report.state for report, _ in sailed.reports} == {IntegrityState.UNAVAILABLE}
     assert all(np.all(np.isnan(report.level)) for report, _ in sailed.reports)
-    assert {one.status for one in sailed.between(31.5, 60.0)} == {Status.DEGRADED}
+    assert {one.status for one in sailed.estimates_between(31.5, 60.0)} == {Status.DEGRADED}
     assert_consistent(sailed)
 
 
@@ -421,10 +421,10 @@ def ins_clock_error(step_s: float) -> InjectedError:
 def test_a_small_step_of_the_ins_clock_is_reported_at_once_and_estimated_as_an_offset(step_s: float) -> None:
     sailed = run_with_errors(ins_clock_error(step_s), seconds=65.0, **TWO)
     assert {names for _, names in sailed.excluded} == {()}
-    first = sailed.between(30.0 + step_s, 32.0)[0]
+    first = sailed.estimates_between(30.0 + step_s, 32.0)[0]
     assert first.status is Status.DEGRADED
     assert_consistent(sailed)
-    assert {one.status for one in sailed.between(31.5, 49.0)} == {Status.VALID}
+    assert {one.status for one in sailed.estimates_between(31.5, 49.0)} == {Status.VALID}
     assert_mounting_unchanged(sailed, 65.0)
 
 
@@ -438,15 +438,15 @@ def test_an_ins_that_reported_a_jump_is_excluded_and_not_the_stars(error: Inject
     assert 30.0 < sailed.excluded[1][0] < 32.0
     # Until it was consistent for integrity.return_after_s.
     assert 110.0 <= sailed.excluded[2][0] < 112.0
-    assert {one.status for one in sailed.between(31.0, 110.0)} == {Status.DEGRADED}
-    assert max(error_sigmas(one) for one in sailed.between(55.0, 110.0)) < 5.0
+    assert {one.status for one in sailed.estimates_between(31.0, 110.0)} == {Status.DEGRADED}
+    assert max(error_sigmas(one) for one in sailed.estimates_between(55.0, 110.0)) < 5.0
     assert_consistent(sailed)
     assert_mounting_unchanged(sailed, 125.0)
 
 
 def test_one_sensor_against_an_ins_that_reported_a_jump_is_an_unresolved_fault_of_both() -> None:
     sailed = run_with_errors(ins_clock_error(-0.4), sensors=("bow",), seconds=50.0, ins={"time_offset_sigma_s": 0.005})
-    assert {one.status for one in sailed.between(31.0, 50.0)} == {Status.DEGRADED}
+    assert {one.status for one in sailed.estimates_between(31.0, 50.0)} == {Status.DEGRADED}
     assert "star.bow is rejected: the INS and all stars contradict each other" in sailed.estimates[-1].text
     assert_consistent(sailed)
 
@@ -482,7 +482,7 @@ def test_with_the_ins_excluded_neither_of_two_star_sensors_is_isolated() -> None
     names = [names for _, names in sailed.excluded]
     assert ("ins",) in names
     assert not {"star.bow", "star.port"} & set(names[-1])
-    assert {one.status for one in sailed.between(67.0, 85.0)} == {Status.DEGRADED}
+    assert {one.status for one in sailed.estimates_between(67.0, 85.0)} == {Status.DEGRADED}
     assert_consistent(sailed)
 
 
@@ -509,7 +509,7 @@ def test_a_mounting_shift_of_four_sigmas_is_in_the_covariance_before_an_exclusio
     """Half of it is in the attitude within a second; the faulty one of two sensors is isolated after two."""
     shift = InjectedError("star.port", -13.0 * UP * ARCSEC, 120.0)
     sailed = run_with_errors(shift, sensors=("bow", "port"), seconds=128.0, seed=2)
-    valid = [one for one in sailed.between(120.0, 128.0) if one.status is Status.VALID]
+    valid = [one for one in sailed.estimates_between(120.0, 128.0) if one.status is Status.VALID]
     without_separation = [replace(one, covariance_n=one.covariance_without_separation_n) for one in valid]
     assert max(error_sigmas(one) for one in without_separation) > 5.0
     assert max(error_sigmas(one) for one in valid) < 5.0
@@ -713,7 +713,7 @@ def test_two_of_three_are_not_isolated_against_an_ins_that_may_have_stepped() ->
     errors = InjectedError("ins", UP * 50.0 * ARCSEC, 15.0), InjectedError("star.bow", UP * 40.0 * ARCSEC, 15.0)
     sailed = run_with_errors(*errors, seconds=25.0, rates=False, **WITH_PAIRS)
     assert ("star.aft", "star.port") not in [names for _, names in sailed.excluded]
-    assert {one.status for one in sailed.between(15.7, 25.0)} == {Status.DEGRADED}
+    assert {one.status for one in sailed.estimates_between(15.7, 25.0)} == {Status.DEGRADED}
 
 
 def test_the_attitude_does_not_depend_on_pair_subfilters_and_the_levels_grow() -> None:

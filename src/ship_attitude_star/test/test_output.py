@@ -62,7 +62,7 @@ def test_attitudes_of_several_states_are_those_of_each_alone() -> None:
     usual = replace(initial, time_ns=time_ns, last_used_ns=MappingProxyType({"star.fore": time_ns}))
     states = [
         usual,
-        replace(usual, unresolved_fault=UnresolvedFault("doubt", 1e-8 * np.eye(3))),
+        replace(usual, unresolved_fault=UnresolvedFault("offset", 1e-8 * np.eye(3))),
         replace(usual, excluded=MappingProxyType({"ins": ExcludedSource(time_ns)})),
         replace(usual, separation_covariance_n=1e-9 * np.eye(3)),
         initial,

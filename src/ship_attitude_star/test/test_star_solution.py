@@ -158,7 +158,7 @@ def test_false_identities_are_found(kind, least_solved, most_wrong):
 
 
 PRIOR_SIGMA = np.array([10.0, 72.0, 10.0]) * ARCSEC
-"""Of an INS about North, Up, East, as in models.md §2."""
+"""Standard deviations of an INS about North, Up, East, as in models.md §2."""
 
 
 def error_with_prior(scene: Scene, error_n: np.ndarray) -> float | None:

@@ -121,7 +121,7 @@ def test_the_last_message_of_a_topic_before_a_time(tmp_path, before, use_index):
     with read_bag(path) as bag:
         found = bag.last_before("b", before_ns)
         assert (found and (found.log_time_ns, int(found.decode().x))) == (max(earlier) if earlier else None)
-        assert bag.last_before("unheard", before_ns) is None
+        assert bag.last_before("absent", before_ns) is None
 
 
 def test_chunks_without_the_topics_are_not_read(tmp_path):

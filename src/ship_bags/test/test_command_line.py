@@ -43,7 +43,7 @@ def run(number):
         moment = 0
     return code, {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
-# A process in the background does not hear Ctrl-C.
+# A process in the background ignores Ctrl-C.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.addaudithook(hook)
 code, whole = run(0)

@@ -60,7 +60,7 @@ def test_a_recording_contains_the_parameters_of_the_nodes(name, tmp_path, monkey
             assert observer.spin_until(lambda: playing.exit_code is not None, 30), playing.log_text()
         assert recording.end() == 0, recording.log_text()
         assert "record: /unresponsive did not report its parameters" in recording.log_text()
-        assert "ship_attitude did not say" not in recording.log_text()
+        assert "ship_attitude did not report" not in recording.log_text()
         assert running.exit_code is None, running.log_text()
         unresponsive.destroy_node()
     with read_bag(out) as recorded:

@@ -64,8 +64,8 @@ def test_only_param_sets_parameters_unless_locked(locked):
     for node in ("ship_attitude", "optical_axis", "alerts"):
         for service in ("set_parameters", "set_parameters_atomically"):
             topic = f"rq/demo/{node}/{service}Request"
-            asking = {name for name, rights in every.items() if may(rights, "publish", topic)}
-            assert asking == ({"/demo/param"} if service.endswith("atomically") and not locked else set())
+            publishers = {name for name, rights in every.items() if may(rights, "publish", topic)}
+            assert publishers == ({"/demo/param"} if service.endswith("atomically") and not locked else set())
         # Its own permission to respond remains: without it, ROS could not start the node.
         assert may(every[f"/demo/{node}"], "subscribe", f"rq/demo/{node}/set_parametersRequest")
     assert may(every["/demo/param"], "publish", "rq/demo/ship_attitude/get_parametersRequest")

@@ -55,48 +55,48 @@ def test_server_info_has_the_name_and_no_capabilities(server, connect):
 
 
 def test_message_arrives_with_bytes_time_and_definition(server, connect):
-    server.offer("/demo/said", STRING, "string data")
+    server.offer("/demo/text", STRING, "string data")
     client = connect()
-    subscribe_and_wait(server, client, "/demo/said")
-    channel = client.channels["/demo/said"]
+    subscribe_and_wait(server, client, "/demo/text")
+    channel = client.channels["/demo/text"]
     assert {key: channel[key] for key in ("encoding", "schemaName", "schemaEncoding", "schema")} == {
         "encoding": "cdr",
         "schemaName": STRING,
         "schemaEncoding": "ros2msg",
         "schema": "string data",
     }
-    server.forward("/demo/said", MESSAGE, 1_700_000_000_123_456_789)
+    server.forward("/demo/text", MESSAGE, 1_700_000_000_123_456_789)
     received = client.wait_until(lambda: client.received and client.received[0])
     assert (received.log_time_ns, received.data) == (1_700_000_000_123_456_789, MESSAGE)
 
 
 def test_subscribed_topics_follow_the_clients(server, connect):
-    server.offer("/demo/said", STRING, "string data")
+    server.offer("/demo/text", STRING, "string data")
     server.offer("/demo/other", STRING, "string data")
     assert server.subscribed_topics() == server.new_subscriptions() == frozenset()
     first, second = connect(), connect()
-    subscribe_and_wait(server, first, "/demo/said")
+    subscribe_and_wait(server, first, "/demo/text")
     assert server.new_subscriptions() == frozenset()
-    subscribe_and_wait(server, second, "/demo/said")
-    assert server.subscribed_topics() == {"/demo/said"}
-    first.unsubscribe("/demo/said")
-    server.forward("/demo/said", MESSAGE, 1)
+    subscribe_and_wait(server, second, "/demo/text")
+    assert server.subscribed_topics() == {"/demo/text"}
+    first.unsubscribe("/demo/text")
+    server.forward("/demo/text", MESSAGE, 1)
     second.wait_until(lambda: len(second.received) == 1)
-    assert server.subscribed_topics() == {"/demo/said"}
+    assert server.subscribed_topics() == {"/demo/text"}
     second.close()
     first.wait_until(lambda: not server.subscribed_topics())
-    server.forward("/demo/said", MESSAGE, 2)
+    server.forward("/demo/text", MESSAGE, 2)
     first.receive(0.2)
     assert not first.received
 
 
 def test_two_clients_get_the_same_messages_in_order(server, connect):
-    server.offer("/demo/said", STRING, "string data")
+    server.offer("/demo/text", STRING, "string data")
     clients = [connect(), connect()]
     for client in clients:
-        subscribe_and_wait(server, client, "/demo/said")
+        subscribe_and_wait(server, client, "/demo/text")
     for number in range(500):
-        server.forward("/demo/said", struct.pack("<I", number), number)
+        server.forward("/demo/text", struct.pack("<I", number), number)
     for client in clients:
         client.wait_until(lambda client=client: len(client.received) == 500)
         assert [each.data for each in client.received] == [struct.pack("<I", number) for number in range(500)]
@@ -104,14 +104,14 @@ def test_two_clients_get_the_same_messages_in_order(server, connect):
 
 
 def test_topic_with_another_type_is_another_channel(server, connect):
-    server.offer("/demo/said", STRING, "string data")
+    server.offer("/demo/text", STRING, "string data")
     client = connect()
-    subscribe_and_wait(server, client, "/demo/said")
-    former = client.channels["/demo/said"]["id"]
-    server.offer("/demo/said", STRING, "string data")
-    server.offer("/demo/said", "std_msgs/msg/Int32", "int32 data")
-    client.wait_until(lambda: client.channels.get("/demo/said", {}).get("schemaName") == "std_msgs/msg/Int32")
-    assert client.channels["/demo/said"]["id"] != former
+    subscribe_and_wait(server, client, "/demo/text")
+    former = client.channels["/demo/text"]["id"]
+    server.offer("/demo/text", STRING, "string data")
+    server.offer("/demo/text", "std_msgs/msg/Int32", "int32 data")
+    client.wait_until(lambda: client.channels.get("/demo/text", {}).get("schemaName") == "std_msgs/msg/Int32")
+    assert client.channels["/demo/text"]["id"] != former
     assert not server.subscribed_topics()
     assert sum(each["op"] == "advertise" for each in client.server_messages) == 2
 
@@ -144,15 +144,15 @@ def test_server_is_read_only(server, connect, request_, refusal):
 
 
 def test_invalid_requests_harm_neither_the_server_nor_others(server, connect):
-    server.offer("/demo/said", STRING, "string data")
+    server.offer("/demo/text", STRING, "string data")
     good, bad = connect(), connect()
-    subscribe_and_wait(server, good, "/demo/said")
+    subscribe_and_wait(server, good, "/demo/text")
     bad.send_request(b"\xff" * 100)
     bad.send_request({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 999}]})
     with socket.create_connection(("127.0.0.1", int(server.address.rpartition(":")[2]))) as connection:
         connection.sendall(b"GET / HTTP/1.0\r\n\r\n")
     bad.receive(0.2)
-    server.forward("/demo/said", MESSAGE, 1)
+    server.forward("/demo/text", MESSAGE, 1)
     good.wait_until(lambda: good.received)
 
 
@@ -162,17 +162,17 @@ def resident_mb():
 
 
 def test_client_that_does_not_read_delays_nothing_and_memory_is_bounded(server, connect):
-    server.offer("/demo/said", STRING, "string data")
+    server.offer("/demo/text", STRING, "string data")
     good = connect()
-    subscribe_and_wait(server, good, "/demo/said")
-    with client_that_never_reads(server.address, good.channels["/demo/said"]["id"]):
+    subscribe_and_wait(server, good, "/demo/text")
+    with client_that_never_reads(server.address, good.channels["/demo/text"]["id"]):
         good.wait_until(server.new_subscriptions)
         payload = bytes(4000)
         before_mb, begin_s = resident_mb(), time.monotonic()
         for number in range(40):
             # 160 MB for a client that reads nothing; at most 1024 messages of them, 4 MB, wait.
             for _ in range(1000):
-                server.forward("/demo/said", payload, number)
+                server.forward("/demo/text", payload, number)
             good.receive(0.01)
         assert time.monotonic() - begin_s < 10.0
         good.wait_until(lambda: good.received[-1].log_time_ns == 39)

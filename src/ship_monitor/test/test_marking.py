@@ -30,7 +30,7 @@ POINTING = (
         ("gnss", {"ship_position"}),
         ("weather", {"refraction"}),
         ("", set()),
-        ("unheard.of", set()),
+        ("unknown.source", set()),
     ],
 )
 def test_budget_parts_of_a_source(source, parts):

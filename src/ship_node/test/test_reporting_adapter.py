@@ -26,7 +26,7 @@ from ship_node.edge.topics import InputTopic, OutputMessage
 FACTORY = RosidlFactory()
 NOW_NS = 1_400_000_000_000_000_000
 S = 1_000_000_000
-FAST, CHECKED = "fast", "judged"
+FAST, CHECKED = "fast", "checked"
 
 
 @dataclass(frozen=True)

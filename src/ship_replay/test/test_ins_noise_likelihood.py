@@ -27,7 +27,7 @@ from ship_testing.noise_sessions import STILL, scenario, simulated_noise_session
 CORRELATED = {"common_sigma_arcsec": 2.0, "common_time_s": 300.0, "time_offset_sigma_s": 0.001, "phase_s": 0.5}
 ROLLING = replace(STILL, roll=AngleMotion(waves={"slow": Wave(amplitude_deg=4.0, period_s=200.0)}))
 WALK = 30.0
-"""Of the installation, arcsec/√h."""
+"""Random walk of the installation, arcsec/√h."""
 
 
 @pytest.fixture(scope="module")

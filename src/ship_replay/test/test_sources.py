@@ -25,7 +25,7 @@ from ship_watch.orientations import POINTING
 
 SECOND_NS = 1_000_000_000
 SIGMA_ARCSEC = np.array([6.0, 3.0, 40.0])
-"""Of azimuth (not times the cosine), elevation, image rotation."""
+"""Standard deviations of azimuth (not times the cosine), elevation, image rotation."""
 
 
 def pointing(stamp_ns, azimuth, elevation, rotation=0.0, mode=0, status=0, covariance_enu=None):

@@ -55,7 +55,7 @@ SIZES = {
     "false_stars": {"count": 2},
     "false_lights": {"count": 2},
 }
-"""Of the kinds that need some."""
+"""Parameters of the kinds that need some."""
 
 START_S, END_S = 0.0, 1.5
 

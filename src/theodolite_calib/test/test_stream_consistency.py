@@ -14,7 +14,7 @@ from theodolite_calib.measured.stream_consistency import has_ship_drifted, strea
 
 PERIOD_NS = 50_000_000
 SINCE_NS, END_NS = 10 * 10**9, 10_600_000_000
-"""Of the last sighting that agreed, and of the third that did not."""
+"""Times of the last consistent sighting and of the third inconsistent one."""
 BOTH = {ENCODER, SHIP}
 
 

@@ -89,7 +89,7 @@ _COARSE = {"reference/": 30.0, "beacon/": 300.0}
 
 POSITION_FROM_START = "a position that is wrong from the start"
 COMMON_CLOCK_STEP = "one clock of the INS and all stars: two faults that agree"
-IMAGE_MOVED = "an image that creeps on the detector (N′), or is off from the start: it looks like encoders that do so"
+IMAGE_MOVED = "an image that drifts on the detector (N′), or is off from the start: it looks like encoders that do so"
 SMALL_SLIP = "an encoder that slips by less than its readings show, until the second exposure after it"
 _SLIP_SEEN_ARCSEC = 50.0
 """A larger slip is detectable in readings at 10 Hz of a mount that sweeps."""
