@@ -18,7 +18,7 @@ import numpy as np
 from ship_estimation import compiled_means
 from ship_estimation.chi_square import normal_value_above
 from ship_estimation.innovation_means import MEASUREMENTS_PER_H
-from ship_estimation.protection_levels import IntegrityConfig, SigmaMultipliers, SolutionSeparation
+from ship_estimation.protection_levels import IntegrityConfig, ProtectionLevels, SigmaMultipliers
 from ship_estimation.subfilters import FilterInnovations
 from ship_geometry.rotations import FloatArray
 
@@ -172,14 +172,14 @@ def common_threshold(config: IntegrityConfig) -> float:
 
 
 def with_common_error(
-    found: SolutionSeparation,
+    found: ProtectionLevels,
     k: SigmaMultipliers,
     missed_detection: float,
     threshold: float,
     corrections: CorrectionSums,
     by_states: FloatArray,
     covariance: FloatArray,
-) -> SolutionSeparation:
+) -> ProtectionLevels:
     """Return the separations and levels of an output with a common error of all stars as last hypothesis.
 
     If no sum of corrections exceeds its threshold, such an error is at most the threshold. The estimate without the
@@ -200,7 +200,7 @@ def with_common_error(
         >>> sums, every = np.zeros((1, 3, 3)), np.eye(3)
         >>> sums[0, 1] = 4.0
         >>> k = SigmaMultipliers(fault_free=6.0, false_exclusion=5.0, missed_detection=np.array([2.0]))
-        >>> others = SolutionSeparation(np.array([1.0]), np.full(3, 8.0), 0, 1.0)
+        >>> others = ProtectionLevels(np.array([1.0]), np.full(3, 8.0), 0, 1.0)
 
         >>> found = with_common_error(others, k, 1.0, 6.0, CorrectionSums(sums, 3.0), every, every)
         >>> print(found.statistic, found.level.round(1), found.dominant)

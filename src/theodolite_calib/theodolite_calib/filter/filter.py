@@ -13,7 +13,7 @@ import numpy as np
 from ship_attitude_star.stars.exposure import StarExposure
 from ship_attitude_star.stars.spatial_errors import PixelDwell
 from ship_estimation.ins import InsJump
-from ship_estimation.kalman import LinearMeasurement, predict, update
+from ship_estimation.kalman import LinearMeasurement, propagate_covariance, update
 from ship_estimation.subfilters import subfilter_innovations
 from ship_geometry.rotations import FloatArray
 from theodolite_calib.chain.axes import NAMES
@@ -166,7 +166,7 @@ class CalibrationFilter:
         """
         dt_s = 0.0 if state.time_ns is None else max(time_ns - state.time_ns, 0) * 1e-9
         decay, noise = self.model.transition(dt_s)
-        parts = predict(state.covariance_by_source, decay, noise, self.model.source_of)
+        parts = propagate_covariance(state.covariance_by_source, decay, noise, self.model.source_of)
         mean, ship_covariance_n, ship = decay * state.mean, state.ship_covariance_n, self.ship_error.columns
         mean[..., ship] = self.ship_error.propagate(state.mean[..., ship], decay[ship])
         mean, parts, step = self.ship_error.apply_stated_covariance(

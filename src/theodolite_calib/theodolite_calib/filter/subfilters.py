@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ship_estimation import compiled_steps
 from ship_estimation.gates import chi_square_gate
-from ship_estimation.kalman import LinearMeasurement, StateModel, predict
+from ship_estimation.kalman import LinearMeasurement, StateModel, propagate_covariance
 from ship_estimation.subfilters import FilterInnovations, subfilter_innovations, update_subfilters
 from ship_geometry.rotations import ARCSEC, FloatArray
 from theodolite_calib.chain.axes import NAMES
@@ -141,7 +141,7 @@ class SubfilterSet:
         dt_s = 0.0 if subfilters.time_ns is None else max(time_ns - subfilters.time_ns, 0) * 1e-9
         decay, noise = self._model.transition(dt_s)
         mean, ship, count = decay * subfilters.mean, self._ship_error.columns, len(subfilters.mean) + 1
-        parts = predict(subfilters.covariances[:, 0], decay, noise, self._model.source_of, count)[:, None]
+        parts = propagate_covariance(subfilters.covariances[:, 0], decay, noise, self._model.source_of, count)[:, None]
         mean[:, ship] = self._ship_error.propagate(subfilters.mean[:, ship], decay[ship])
         mean, parts, _ = self._ship_error.apply_stated_covariance(
             mean, parts, ship, decay[ship], subfilters.ship_covariance_n, new_ship_covariance_n, _ONLY_SOURCE
