@@ -297,7 +297,7 @@ class FaultDetector:
         return bool(np.any(is_common))
 
     def indicates_ship_drift(self, fault_state: FaultState, time_ns: int) -> bool:
-        """True if an innovation mean approaches its limit, and the subfilter without the ship's attitude is consistent."""
+        """True if an innovation mean approaches its limit, and the subfilter without the ship is consistent."""
         is_recent = fault_state.innovation_means.last_measured_ns >= time_ns - MAX_MEASUREMENT_AGE_NS
         if (
             fault_state.excluded_sources
@@ -346,7 +346,7 @@ class FaultDetector:
         time_ns: int,
         expected_rejection_m: float,
     ) -> FaultState:
-        """Update the monitoring of an excluded drone with a sighting of its beacon; reinstate the drone if consistent.
+        """Monitor an excluded drone by a sighting of its beacon; reinstate the drone after a time of consistency.
 
         Args:
             fault_state: state before.
@@ -379,7 +379,7 @@ class FaultDetector:
         return self._keep_or_reinstate(replace(fault_state, innovation_means=means), source, exclusion, is_reinstated)
 
     def monitor_prediction(self, fault_state: FaultState, source: str, is_consistent: bool, time_ns: int) -> FaultState:
-        """Update the monitoring of excluded encoders or ship's attitude with a sighting; reinstate them if consistent.
+        """Monitor excluded encoders, or an excluded ship's attitude, by a sighting; reinstate after consistency.
 
         Args:
             fault_state: state before.
