@@ -353,8 +353,8 @@ class FaultDetector:
             name: beacon.
             innovation: innovation against the main filter, which does not use the drone.
             time_ns: time of the sighting.
-            expected_rejection_m: residual on the detector that the fault would cause now, m; it must be detectable for a
-                reinstatement. 0 for no such test.
+            expected_rejection_m: residual on the detector that the fault would cause now, m, which must be detectable
+                for a reinstatement; 0 for no such test.
         """
         index, source = self._subfilters.beacons.index(name), BEACON_PREFIX + name
         record = fault_state.exclusions[source]
